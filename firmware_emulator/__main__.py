@@ -50,7 +50,9 @@ def program(config: Path, usbip: bool, serial: bool, host: str, port: int, query
 
 
 def real_time_bus(query: str, array: ArrayConfig) -> EmulatedBus:
-    """The emulated bus with these parameters of a URL, on the real clock, because kernels and foreign drivers sleep."""
+    """Return the emulated bus with these parameters of a URL, on the real clock, because kernels and foreign
+    drivers sleep.
+    """
     asked = {"clock": "real", **dict(parse_qsl(query, keep_blank_values=True))}
     try:
         if asked["clock"] != "real":

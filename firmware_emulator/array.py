@@ -113,13 +113,13 @@ class EmulatedBus:
             raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
 
     def channel_bus(self, bus: str) -> Wire:
-        """The trunk of that name; OSError, as for a device file that isn't there, when no sensor is on it."""
+        """Return the trunk of that name; OSError, as for a device file that isn't there, when no sensor is on it."""
         if bus == TRUNK or bus not in self.wires:
             raise FileNotFoundError(2, "no emulated sensor on this bus", bus)
         return self.wires[bus]
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """The chip select with this name; OSError, as for a missing device file, if it has no sensor."""
+        """Return the chip select with this name; OSError, as for a missing device file, if it has no sensor."""
         if path not in self.selects:
             raise FileNotFoundError(2, "no emulated sensor on this chip select", path)
         return self.selects[path].port(mode, clock_hz)
@@ -212,7 +212,7 @@ def on_spi(sensor: SensorLike) -> bool:
 
 
 def powered_chip(board: Board, sensor: SensorLike, now_ns: int, switches: Switches = MappingProxyType({})) -> Chip:
-    """The chip of one sensor with its unit's imperfections, powered up at `now_ns`."""
+    """Return the chip of one sensor with its unit's imperfections, powered up at `now_ns`."""
     clock_hz = getattr(sensor, "external_clock_hz", None)
     wired = {} if clock_hz is None else {"clock_input_hz": clock_hz}
     given = {**wired, **board.switches(sensor), **switches.get(sensor.chip, {}), **switches.get(sensor.name, {})}
@@ -271,7 +271,9 @@ def oscillator_switches(query: Mapping[str, str], array: ArrayLike) -> Switches:
 
 
 def board_kind(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
-    """The plain board, or one with the mechanisms that the query names; with faults if it names a file of them."""
+    """Return the plain board, or one with the mechanisms that the query names; with faults if it names a file of
+    them.
+    """
     board: BoardKind = Board
     if any(key in FITTINGS for key in query):
         from firmware_emulator.mechanisms.query import board_from
@@ -286,7 +288,7 @@ def board_kind(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
 
 
 def world_from(kind: WorldKind, query: Mapping[str, str]) -> PhasedWorld:
-    """The world with those of its own fields that the query names."""
+    """Return the world with those of its own fields that the query names."""
     given: dict[str, float | str] = {}
     for field in fields(kind):
         if field.name in query:
@@ -297,13 +299,13 @@ def world_from(kind: WorldKind, query: Mapping[str, str]) -> PhasedWorld:
 
 
 def axis(text: str) -> str:
-    """A box axis; the plus sign of ``up=+X`` reaches us as a space, as in every URL."""
+    """Return a box axis; the plus sign of ``up=+X`` reaches us as a space, as in every URL."""
     name = text.strip()
     return name if name[:1] in ("+", "-") else f"+{name}"
 
 
 def number(key: str, text: str) -> float:
-    """A finite number."""
+    """Return a finite number."""
     try:
         value = float(text)
     except ValueError:
@@ -314,7 +316,7 @@ def number(key: str, text: str) -> float:
 
 
 def whole_number(query: Mapping[str, str], key: str, default: int) -> int:
-    """A parameter that is a number without sign or fraction."""
+    """Return a parameter that is a number without sign or fraction."""
     text = query.get(key, str(default))
     if not (text.isascii() and text.isdigit()):
         raise ValueError(f"{key}={text}; allowed is a whole number")

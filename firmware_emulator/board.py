@@ -86,7 +86,7 @@ MUXES = {"pca9544a": Pca9544a}
 
 
 def named(name: str, known: Mapping[str, T], what: str) -> T:
-    """The entry of that name; ValueError that lists the others."""
+    """Return the entry of that name; ValueError that lists the others."""
     if name not in known:
         raise ValueError(f"{what} {name!r}; allowed are {', '.join(known)}")
     return known[name]
@@ -105,11 +105,11 @@ class Board:
         return Wire(clock, bit_rate_hz, nack_errno, host_ns)
 
     def router(self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int) -> Pca9544a:
-        """The multiplexer; ValueError for an unknown chip."""
+        """Return the multiplexer; ValueError for an unknown chip."""
         return named(chip, MUXES, "mux")(address, channels, powered_on_ns)
 
     def element(self, sensor: SensorLike) -> Element:
-        """The sensing element of one sensor, with its unit's imperfections."""
+        """Return the sensing element of one sensor, with its unit's imperfections."""
         unit = unit_of(self.array, sensor.name, sensor.chip, sensor.range or 0.0, self.seed)
         orientation = IDENTITY if sensor.orientation is None else sensor.orientation
         return SensingElement(self.world, sensor.chip, sensor.name, orientation, unit, self.seed)
@@ -135,7 +135,7 @@ class Board:
         return False
 
     def host_clock(self, clock: Clock) -> Clock:
-        """The clock that the polling program reads and sleeps on; `clock` is that of the world."""
+        """Return the clock that the polling program reads and sleeps on; `clock` is that of the world."""
         return clock
 
 

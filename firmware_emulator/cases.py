@@ -200,7 +200,7 @@ class _LogBegin:
 
 
 def _where(mechanism: str, fitting: Fitting, logs: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The sensors that a mechanism is put on, or those of them that it touched in any log, if it says so."""
+    """Return the sensors that a mechanism is put on, or those of them that it touched in any log, if it says so."""
     touched = {name for log in logs for name in log["touched"].get(mechanism, ())}
     return [name for name in fitting.sensors if name in touched] or list(fitting.sensors)
 
@@ -261,8 +261,8 @@ def asked(
 
 
 def described() -> dict[str, dict[str, Any]]:
-    """Every mechanism: the chips that it `touches`, how many sensors it takes (`place`), what it `resembles`, whether
-    it is `graded`: there more or less, not merely there or not.
+    """Return every mechanism: the chips that it `touches`, how many sensors it takes (`place`), what it `resembles`,
+    whether it is `graded`: there more or less, not merely there or not.
     """
     return {
         name: {

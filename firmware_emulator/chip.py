@@ -49,7 +49,7 @@ class Element(Protocol):
 
 
 def registers_of(facts: ModuleType, bank: int = 0) -> dict[int, Register]:
-    """Every register that a module of facts declares in this bank, by address."""
+    """Return every register that a module of facts declares in this bank, by address."""
     return {fact.address: fact for fact in vars(facts).values() if isinstance(fact, Register) and fact.bank == bank}
 
 
@@ -97,11 +97,11 @@ class Chip:
         """Do nothing at STOP, unless a chip overrides this."""
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """The pointer after a byte: the next register (the pointer survives STOP, DEC-03)."""
+        """Return the pointer after a byte: the next register (the pointer survives STOP, DEC-03)."""
         return pointer + 1 & 0xFF
 
     def load(self, address: int, at_ns: int) -> int:
-        """The byte that a read of register `address` fetches at `at_ns`."""
+        """Return the byte that a read of register `address` fetches at `at_ns`."""
         return self.page[address]
 
     def store(self, address: int, value: int, at_ns: int) -> None:

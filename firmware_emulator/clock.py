@@ -14,7 +14,7 @@ class Clock(Protocol):
     """The clock that the wire reads, and that a caller sleeps on."""
 
     def now_ns(self) -> int:
-        """The present time."""
+        """Return the present time."""
 
     def advance(self, ns: int) -> None:
         """The wire was busy for `ns`."""
@@ -30,7 +30,7 @@ class VirtualClock:
         self._now_ns = start_ns
 
     def now_ns(self) -> int:
-        """The present time."""
+        """Return the present time."""
         return self._now_ns
 
     def advance(self, ns: int) -> None:
@@ -49,7 +49,7 @@ class RealClock:
     """CLOCK_MONOTONIC."""
 
     def now_ns(self) -> int:
-        """The present time."""
+        """Return the present time."""
         return time.monotonic_ns()
 
     def advance(self, ns: int) -> None:

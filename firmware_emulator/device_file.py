@@ -170,7 +170,7 @@ class OpenFile:
         }
 
     def ioctl(self, request: int, argument: int) -> int:
-        """The system call's result; OSError with its errno. Nothing is copied back on error (LNX-13)."""
+        """Return the system call's result; OSError with its errno. Nothing is copied back on error (LNX-13)."""
         call = self._calls.get(request)
         if call is None:
             refuse(errno.ENOTTY)
@@ -238,7 +238,7 @@ class OpenFile:
         return self._read(0) if call.read_write else self._write(b"")
 
     def _messages(self, call: SmbusStruct, given: bytes) -> list[Message]:
-        """The messages of a call that carries data."""
+        """Return the messages of a call that carries data."""
         size, command = call.size, bytes([call.command])
         if size == PROC_CALL:
             return [self._write(command + as_word(given)), self._read(2)]
@@ -287,7 +287,7 @@ def put(at: int, data: bytes) -> None:
 
 
 def message_at(struct: MessageStruct) -> Message:
-    """The message that a structure describes, what it writes copied (LNX-05)."""
+    """Return the message that a structure describes, what it writes copied (LNX-05)."""
     count = checked(struct.len, MAX_BYTES)
     if count:
         pointer(struct.buf or 0)
@@ -297,7 +297,7 @@ def message_at(struct: MessageStruct) -> Message:
 
 
 def as_word(data: bytes) -> bytes:
-    """A word of this machine's memory as SMBus sends it, low byte first, or the other way round (LNX-16)."""
+    """Return a word of this machine's memory as SMBus sends it, low byte first, or the other way round (LNX-16)."""
     return data[:2] if sys.byteorder == "little" else data[1::-1]
 
 
@@ -312,7 +312,7 @@ def outgoing(size: int, given: bytes) -> bytes:
 
 
 def smbus_data(size: int, received: bytes) -> bytes:
-    """The union after a read."""
+    """Return the union after a read."""
     if size in (WORD_DATA, PROC_CALL):
         return as_word(received)
     return received if size in DATA_BYTES else bytes([len(received)]) + received
@@ -367,7 +367,7 @@ class _DeviceFolder:
             self._adapters[identity(stand_in.stat())] = adapter
 
     def stand_in(self, path: Any) -> Any:
-        """The file that stands for `path`; `path` itself when it is not ours."""
+        """Return the file that stands for `path`; `path` itself when it is not ours."""
         return self._stand_ins.get(os.fspath(path), path) if isinstance(path, str | os.PathLike) else path
 
     def opened(self, number: int) -> int:
@@ -376,7 +376,7 @@ class _DeviceFolder:
         return number
 
     def file(self, number: int) -> OpenFile | None:
-        """The opened adapter behind a descriptor; None when another file is."""
+        """Return the opened adapter behind a descriptor; None when another file is."""
         adapter = self._adapters.get(identity(os.fstat(number)))
         if adapter is None:
             return None

@@ -78,7 +78,7 @@ class Fault:
 
 
 def read_faults(path: str, array: ArrayLike) -> tuple[Fault, ...]:
-    """The faults in the file at `path`; ValueError (one line) if it is unreadable or does not fit this array."""
+    """Return the faults in the file at `path`; ValueError (one line) if it is unreadable or does not fit this array."""
     try:
         text = Path(path).read_text(encoding="utf-8")
         tables = tomllib.loads(text)
@@ -104,7 +104,9 @@ def _line_of(text: str, number: int, key: str) -> int:
 
 
 def faults_from(tables: Mapping[str, Any], array: ArrayLike, text: str = "", path: str = "") -> tuple[Fault, ...]:
-    """The faults of a parsed file; ValueError as `read_faults`, with the line if the `text` of the file is given."""
+    """Return the faults of a parsed file; ValueError as `read_faults`, with the line if the `text` of the file is
+    given.
+    """
     listed = tables.get("fault", [])
     if set(tables) - {"fault"} or not isinstance(listed, list) or not all(isinstance(table, dict) for table in listed):
         raise ValueError("faults: allowed are tables [[fault]] only")

@@ -151,7 +151,7 @@ class FaultyBoard(Board):
         self._switching = bool(self._orders or by_kind["mux_reset"] or by_kind["adapter_unplugged"])
 
     def wire(self, clock: Clock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
-        """The other board's, interfered with."""
+        """Return the other board's, interfered with."""
         wire = self._inner.wire(clock, bit_rate_hz, nack_errno, host_ns)
         if self._interfering:
             wire.interference = self._wires
@@ -166,25 +166,25 @@ class FaultyBoard(Board):
         return self._wires.mux
 
     def element(self, sensor: SensorLike) -> Element:
-        """The other board's, with another bias if it starts up so."""
+        """Return the other board's, with another bias if it starts up so."""
         element = self._inner.element(sensor)
         shifts = [fault for fault in self.chip_faults.get(sensor.name, []) if fault.action == "start_up"]
         return ShiftedElement(element, shifts, self._powered_on_ns) if shifts else element
 
     def kind(self, sensor: SensorLike) -> Callable[..., Chip]:
-        """The other board's."""
+        """Return the other board's."""
         return self._inner.kind(sensor)
 
     def switches(self, sensor: SensorLike) -> Mapping[str, Any]:
-        """The other board's."""
+        """Return the other board's."""
         return self._inner.switches(sensor)
 
     def generator_key(self, sensor: SensorLike) -> str:
-        """The other board's."""
+        """Return the other board's."""
         return self._inner.generator_key(sensor)
 
     def device(self, sensor: SensorLike, chip: Chip) -> Target:
-        """The other board's, with its faults."""
+        """Return the other board's, with its faults."""
         device = self._inner.device(sensor, chip)
         self._wires.chips.append(chip)
         faults = self.chip_faults.get(sensor.name, [])
@@ -198,5 +198,5 @@ class FaultyBoard(Board):
         return any(fault.active(since_ns) for fault in self._places.get((address, bus), []))
 
     def host_clock(self, clock: Clock) -> Clock:
-        """The other board's."""
+        """Return the other board's."""
         return self._inner.host_clock(clock)

@@ -54,7 +54,7 @@ class Buses(Protocol):
         """One I2C transaction; OSError as the emulated wire gives it."""
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> Any:
-        """The chip select with this name; OSError if it has no sensor."""
+        """Return the chip select with this name; OSError if it has no sensor."""
 
 
 class MicrocontrollerBus:

@@ -40,7 +40,7 @@ class Pca9544a:
         return facts.CHANNEL.of(self.control) if facts.ENABLE.of(self.control) else NO_CHANNEL
 
     def branch(self) -> Sequence[Target]:
-        """The devices that are joined to the trunk now."""
+        """Return the devices that are joined to the trunk now."""
         return self.channels.get(self.route, ())
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:

@@ -50,7 +50,7 @@ class Receiver:
         self._frame = bytearray()
 
     def feed(self, data: bytes) -> Iterator[Command]:
-        """The frames that `data` completes."""
+        """Yield the frames that `data` completes."""
         for byte in data:
             self._frame.append(byte)
             yield from self._complete()
@@ -149,7 +149,7 @@ class Firmware:
             self._commands[8] = self._select
 
     def time_us(self) -> int:
-        """The counter, which has no end here."""
+        """Return the counter, which has no end here."""
         return self._counter_us + int((self.clock.now_ns() - self._started_ns) * self.rate) // 1000
 
     @property
@@ -266,8 +266,8 @@ class Firmware:
 
 
 def requests_in(body: bytes, selects: int) -> list[Request] | None:
-    """The requests of a LIST; None if they don't fill it exactly or no bus can carry them, of I2C and of SPI with so
-    many chip selects.
+    """Return the requests of a LIST; None if they don't fill it exactly or no bus can carry them, of I2C and of SPI
+    with so many chip selects.
     """
     requests: list[Request] = []
     while body:

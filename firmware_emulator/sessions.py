@@ -40,7 +40,7 @@ DRAUGHT_PERIODS_S = (23.0, 61.0, 173.0, 431.0)
 
 
 def of_table(kind: Callable[..., Any], table: Mapping[str, Any]) -> Any:
-    """A record of a table's entries, lists as tuples; ValueError for an entry that it doesn't have."""
+    """Return a record of a table's entries, lists as tuples; ValueError for an entry that it doesn't have."""
     known = {field.name for field in fields(kind)}  # type: ignore[arg-type]
     if unknown := sorted(set(table) - known):
         raise ValueError(f"{unknown[0]}: no entry of a {_words_of(kind)}; allowed are {', '.join(sorted(known))}")
@@ -51,7 +51,7 @@ def of_table(kind: Callable[..., Any], table: Mapping[str, Any]) -> Any:
 
 
 def _words_of(kind: Callable[..., Any]) -> str:
-    """The name of a class in lower-case words."""
+    """Return the name of a class in lower-case words."""
     return re.sub(r"(?<!^)(?=[A-Z])", " ", kind.__name__).lower()
 
 
@@ -141,7 +141,7 @@ class Room:
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Self:
-        """The room of a table; ValueError for an unknown key."""
+        """Return the room of a table; ValueError for an unknown key."""
         vibrations = [of_table(TableVibration, entry) for entry in table.get("vibrations", ())]
         return cls(**{**table, "vibrations": tuple(vibrations)})
 
@@ -337,5 +337,5 @@ def turn_to(before: Triple, after: Triple) -> tuple[Triple, float]:
 
 
 def sessions(table: Sequence[Mapping[str, Any]], room: Room, seed: int) -> tuple[Experiment, ...]:
-    """All of a case, in this order; the room's phases are another's in each."""
+    """Return all of a case, in this order; the room's phases are another's in each."""
     return tuple(session(entry, room, seed * 1000 + run) for run, entry in enumerate(table))

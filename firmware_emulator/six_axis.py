@@ -26,15 +26,15 @@ class SampleGrid:
     index: int = -1
 
     def latest(self, at_ns: int) -> int:
-        """The number of the latest sample at `at_ns`; -1 before the first."""
+        """Return the number of the latest sample at `at_ns`; -1 before the first."""
         return (at_ns - self.start_ns) // self.period_ns - 1 if at_ns >= self.start_ns else -1
 
     def time_ns(self, index: int) -> int:
-        """The time of the sample with this number."""
+        """Return the time of the sample with this number."""
         return self.start_ns + (index + 1) * self.period_ns
 
     def take(self, at_ns: int) -> int | None:
-        """The time of the latest sample, if it has not been taken yet."""
+        """Return the time of the latest sample, if it has not been taken yet."""
         latest = self.latest(at_ns)
         if latest <= self.index:
             return None
@@ -150,5 +150,5 @@ class Die(NamedTuple):
 
 
 def clipped(code: int, lowest: int = -32768) -> int:
-    """A code within the span of 16 bits, of which `lowest` is the lower end."""
+    """Return a code within the span of 16 bits, of which `lowest` is the lower end."""
     return max(lowest, min(32767, code))

@@ -61,7 +61,7 @@ class ChipSelect:
         self.clocks = self.transfers = self.busy_ns = 0
 
     def port(self, mode: int, clock_hz: int) -> SpiPort:
-        """The chip select, clocked so; ValueError for what no controller can do."""
+        """Return the chip select, clocked so; ValueError for what no controller can do."""
         if mode not in range(4) or clock_hz <= 0:
             raise ValueError(f"SPI mode {mode}, {clock_hz} Hz: allowed are modes 0 to 3 and clocks above 0")
         return SpiPort(self, clock_hz, mode in self._dialect.modes and clock_hz <= self._dialect.clock_hz)

@@ -32,12 +32,12 @@ class Spread:
 
 
 def typical(limit: float) -> Spread:
-    """A spread from a "typ" tolerance of Bosch or ST."""
+    """Return a spread from a "typ" tolerance of Bosch or ST."""
     return Spread(limit / 2, limit)
 
 
 def one_sigma(sigma: float, limit: float | None = None) -> Spread:
-    """A spread from a "typ" tolerance of Analog Devices."""
+    """Return a spread from a "typ" tolerance of Analog Devices."""
     return Spread(sigma, 3 * sigma if limit is None else limit)
 
 

@@ -175,7 +175,7 @@ def force_response(published: PublishedUnit, mounted: Matrix | None = None) -> M
 
 
 def nearest_orientation(by_box_axis: Matrix) -> Matrix:
-    """The orientation along box axes, box = matrix @ sensor, that is nearest to a response."""
+    """Return the orientation along box axes, box = matrix @ sensor, that is nearest to a response."""
     columns = []
     for row in by_box_axis:
         largest = max(abs(element) for element in row)
@@ -369,7 +369,7 @@ def drawn_triple(spread: Spread, random: np.random.Generator) -> Triple:
 
 
 def drawn_unit(chip: str, name: str, full_scale: float, seed: int) -> Unit:
-    """A part bought somewhere: drawn from the tolerances of its data sheet."""
+    """Return a part bought somewhere: drawn from the tolerances of its data sheet."""
     random = stream(seed, f"unit {name}")
     tolerances = TOLERANCES[chip](full_scale)
     bias_x, bias_y, bias_z = (spread.draw(random) for spread in tolerances.bias)
@@ -396,7 +396,7 @@ def drawn_unit(chip: str, name: str, full_scale: float, seed: int) -> Unit:
 
 
 def paper_unit(name: str, seed: int) -> Unit:
-    """A unit of the paper's array. What its tables don't tell (a gyroscope's scale and alignment) is drawn."""
+    """Return a unit of the paper's array. What its tables don't tell (a gyroscope's scale and alignment) is drawn."""
     published = TABLES[name]
     drawn = drawn_unit(published.chip, name, published.range, seed)
     x, y, z = (count / published.counts_per_unit for count in published.slope)
@@ -418,13 +418,13 @@ def paper_unit(name: str, seed: int) -> Unit:
 
 
 def with_low_range_bias(unit: Unit, low_range_bias: Triple) -> Unit:
-    """The same bias at high ranges, but `low_range_bias` at low ones: the paper tells only the sum of both."""
+    """Return the same bias at high ranges, but `low_range_bias` at low ones: the paper tells only the sum of both."""
     x, y, z = (bias - low for bias, low in zip(unit.bias, low_range_bias, strict=True))
     return replace(unit, bias=low_range_bias, shift=(x, y, z))
 
 
 def unit_of(array: str, name: str, chip: str, full_scale: float, seed: int = 0) -> Unit:
-    """The unit called `name` in an array of that name; a paper's unit only with the paper's chip and range."""
+    """Return the unit called `name` in an array of that name; a paper's unit only with the paper's chip and range."""
     published = TABLES.get(name) if array == PAPER_ARRAY else None
     if published is not None and (published.chip, published.range) == (chip, float(full_scale)):
         return paper_unit(name, seed)

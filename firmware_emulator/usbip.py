@@ -101,7 +101,7 @@ class Conversation:
         self._pending = bytearray()
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """The answers to every frame that `data` completes, each made when it is asked for.
+        """Yield the answers to every frame that `data` completes, each made when it is asked for.
 
         ProtocolError for a frame that no client sends; nothing is kept for a length that is out of bounds.
         """

@@ -24,7 +24,7 @@ class Router(Target, Protocol):
     route: int
 
     def branch(self) -> Sequence[Target]:
-        """The devices that are joined to the trunk now."""
+        """Return the devices that are joined to the trunk now."""
 
 
 class Overhead(NamedTuple):

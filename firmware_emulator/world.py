@@ -41,7 +41,9 @@ def scaled(vector: Triple, factor: float) -> Triple:
 
 
 def seen_after_turn(vector: Triple, axis: Triple, cosine: float, sine: float) -> Triple:
-    """A vector fixed to the earth, seen from a box that has turned about its unit `axis` by an angle (Rodrigues)."""
+    """Return a vector fixed to the earth, seen from a box that has turned about its unit `axis` by an angle
+    (Rodrigues).
+    """
     along = (axis[0] * vector[0] + axis[1] * vector[1] + axis[2] * vector[2]) * (1.0 - cosine)
     aside = cross(vector, axis)
     x, y, z = (vector[i] * cosine + aside[i] * sine + axis[i] * along for i in range(3))
@@ -109,7 +111,7 @@ def positive(**durations: float) -> None:
 
 
 def resting(up: str, field_box: Triple, temperature_degc: float = ROOM_DEGC) -> Stimulus:
-    """A box at rest with this axis up."""
+    """Return a box at rest with this axis up."""
     return Stimulus(scaled(UP[up], STANDARD_GRAVITY), temperature_degc=temperature_degc, field_box=field_box)
 
 
@@ -204,7 +206,7 @@ class Tumble:
         return self.turning(index, (since_ns - self.face_ns) / self.turn_ns)
 
     def turning(self, index: int, share: float) -> Stimulus:
-        """The turn after face `index`, of which `share` of the time has passed."""
+        """Return the turn after face `index`, of which `share` of the time has passed."""
         axis, angle = self.turns[index]
         phase = 2 * math.pi * share
         turned = angle * (share - math.sin(phase) / (2 * math.pi))
@@ -227,7 +229,7 @@ class ProfileStretch(NamedTuple):
 
 
 def heating_to(degc: float, from_degc: float, minutes: float, constant_min: float) -> ProfileStretch:
-    """A stretch of heating at whose end exactly `degc` is reached."""
+    """Return a stretch of heating at whose end exactly `degc` is reached."""
     remaining = math.exp(-minutes / constant_min)
     return ProfileStretch("heat", minutes, (degc - from_degc * remaining) / (1 - remaining), constant_min)
 

@@ -233,7 +233,7 @@ def simulate(  # noqa: PLR0913
     force: bool = False,
     **conditions: Unpack[Conditions],
 ) -> Log:
-    """A log at `output` as an array would record it, opened for reading: `imuarray simulate`.
+    """Return a log at `output` as an array would record it, opened for reading: `imuarray simulate`.
 
     `source` is an array ("martin2013", a configuration file or what `load_array` gives), or a recorded log that the
     simulated one is to be like (an open one, or a path that ends in .h5): its sensors, times, faces and temperature.
@@ -276,7 +276,7 @@ def simulate(  # noqa: PLR0913
 
 
 def _recorded(source: str | PathLike[str] | ArrayConfig | Log, stack: ExitStack) -> Log | None:
-    """The log that a simulation is to be like; None for an array."""
+    """Return the log that a simulation is to be like; None for an array."""
     if isinstance(source, Log):
         return source
     if isinstance(source, str | PathLike) and Path(source).suffix == ".h5":
@@ -296,7 +296,7 @@ def _run_like(log: Log, path: Path, only: Collection[str], boot: int, conditions
 
 
 def _array(source: str | PathLike[str] | ArrayConfig | Log, only: Collection[str]) -> ArrayConfig:
-    """The array to simulate, with `only` these sensors if any are named."""
+    """Return the array to simulate, with `only` these sensors if any are named."""
     from imuarray.array import ArrayConfig, load_array
     from imuarray.shipped import find_config
 
@@ -305,7 +305,9 @@ def _array(source: str | PathLike[str] | ArrayConfig | Log, only: Collection[str
 
 
 def _experiment(experiment: str, boot: int, conditions: Conditions) -> ExperimentOptions:
-    """The conditions of an experiment, whose run is that of `boot` in a turn-on series; ConfigError if unknown."""
+    """Return the conditions of an experiment, whose run is that of `boot` in a turn-on series; ConfigError if
+    unknown.
+    """
     from imuarray.errors import ConfigError
     from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
     from imuarray.spelling import guess
@@ -335,7 +337,7 @@ def _model(
 
 
 def _calibration(calibration: str | PathLike[str] | Calibration) -> Calibration:
-    """The calibration itself, or that of a file; CalibrationError."""
+    """Return the calibration itself, or that of a file; CalibrationError."""
     from imuarray.calibrate import Calibration, load_calibration
 
     return calibration if isinstance(calibration, Calibration) else load_calibration(calibration)

@@ -345,7 +345,7 @@ class ArrayConfig(BaseModel):
         }
 
     def only(self, names: tuple[str, ...]) -> ArrayConfig:
-        """The array reduced to these sensors; ConfigError names one that it does not have."""
+        """Return the array reduced to these sensors; ConfigError names one that it does not have."""
         known = [sensor.name for sensor in self.sensors]
         for name in names:
             if name not in known:
@@ -366,7 +366,7 @@ def load_array(path: str | PathLike[str]) -> ArrayConfig:
 
 
 def parse_array(text: str, where: str = "configuration") -> ArrayConfig:
-    """An array from TOML text; `where` stands at the head of every message."""
+    """Return an array from TOML text; `where` stands at the head of every message."""
     file = parse_toml(text, _File, where)
     array = ArrayConfig(
         name=file.array.name, bus=file.array.bus, mux=file.array.mux, sensors=tuple(file.sensor), text=text

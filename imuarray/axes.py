@@ -18,7 +18,7 @@ _AXES = re.compile(r"([+-])([XYZ])" * 3)
 
 @cache
 def orientation_of(axes: str) -> Matrix:
-    """The rotation that an axes text names: column k is the box axis along which the sensor's axis k points.
+    """Return the rotation that an axes text names: column k is the box axis along which the sensor's axis k points.
 
     ValueError when the text is not three signed axes, when an axis comes twice, or when the triad is left-handed (no
     chip is).
@@ -40,7 +40,7 @@ def orientation_of(axes: str) -> Matrix:
 
 
 def up_vector(up: str) -> tuple[float, float, float]:
-    """The unit vector, in the box frame, of the box axis that points up; ValueError unless one of `UP_AXES`."""
+    """Return the unit vector, in the box frame, of the box axis that points up; ValueError unless one of `UP_AXES`."""
     if up not in UP_AXES:
         raise ValueError(f"up {up!r}: allowed are {', '.join(UP_AXES)}")
     sign = 1.0 if up[0] == "+" else -1.0
@@ -49,7 +49,9 @@ def up_vector(up: str) -> tuple[float, float, float]:
 
 
 def face_up(phase: str) -> str:
-    """The box axis that points up in a phase named after a face: "-X" for "x_down" and "x_down_check", else ""."""
+    """Return the box axis that points up in a phase named after a face: "-X" for "x_down" and "x_down_check",
+    else "".
+    """
     axis, _, way = phase.removesuffix("_check").partition("_")
     if axis in ("x", "y", "z") and way in ("up", "down"):
         return ("+" if way == "up" else "-") + axis.upper()

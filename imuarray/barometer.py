@@ -103,7 +103,7 @@ def compensate(ut: Integers, up: Integers, words: Words, oversampling: int) -> t
 def uncompensated(
     temperature_degc: Floats, pressure_pa: Floats, words: Words, oversampling: int
 ) -> tuple[Integers, Integers]:
-    """The raw words UT (n,) and UP (n,) whose compensation comes first to these temperatures and pressures, by
+    """Return the raw words UT (n,) and UP (n,) whose compensation comes first to these temperatures and pressures, by
     bisection: both rise with their word.
     """
     coldest = words["AC6"] - words["MD"] * 32768 // words["AC5"] + 2  # below it the divisor of BMP-60 is not positive
@@ -166,7 +166,7 @@ def compensate_bmp280(ut: Integers, up: Integers, words: Words) -> tuple[Floats,
 
 
 def uncompensated_bmp280(temperature_degc: Floats, pressure_pa: Floats, words: Words) -> tuple[Integers, Integers]:
-    """The raw words UT (n,) and UP (n,) whose compensation comes first to these temperatures and pressures, by
+    """Return the raw words UT (n,) and UP (n,) whose compensation comes first to these temperatures and pressures, by
     bisection: the temperature rises with its word, the pressure falls.
     """
     highest = (1 << _WORD_BITS) - 1
@@ -177,14 +177,14 @@ def uncompensated_bmp280(temperature_degc: Floats, pressure_pa: Floats, words: W
 
 
 def fine_temperature_bmp280(ut: Integers, words: Words) -> Integers:
-    """The temperature (n,) in 5120ths of a degC, which the pressure needs too (BMP-121)."""
+    """Return the temperature (n,) in 5120ths of a degC, which the pressure needs too (BMP-121)."""
     linear = ((ut >> 3) - (words["T1"] << 1)) * words["T2"] >> 11
     away = (ut >> 4) - words["T1"]
     return np.asarray(linear + ((away * away >> 12) * words["T3"] >> 14))
 
 
 def pressure_bmp280(up: Integers, fine: Integers, words: Words) -> Integers:
-    """The pressure (n,) in 256ths of a Pa by the formula for 64 bits, 0 where it would divide by 0 (BMP-122)."""
+    """Return the pressure (n,) in 256ths of a Pa by the formula for 64 bits, 0 where it would divide by 0 (BMP-122)."""
     a = np.asarray(fine, np.int64) - 128000
     b = a * a * words["P6"] + (a * words["P5"] << 17) + (words["P4"] << 35)
     a = (a * a * words["P3"] >> 8) + (a * words["P2"] << 12)
@@ -209,7 +209,7 @@ def compensate_bmp388(ut: Integers, up: Integers, words: Words) -> tuple[Floats,
 
 
 def uncompensated_bmp388(temperature_degc: Floats, pressure_pa: Floats, words: Words) -> tuple[Integers, Integers]:
-    """The raw words UT (n,) and UP (n,) whose compensation comes first to these temperatures and pressures, by
+    """Return the raw words UT (n,) and UP (n,) whose compensation comes first to these temperatures and pressures, by
     bisection: the temperature rises with its word, the pressure falls.
     """
     highest = (1 << _RAW_BITS_BMP388) - 1
@@ -220,13 +220,13 @@ def uncompensated_bmp388(temperature_degc: Floats, pressure_pa: Floats, words: W
 
 
 def fine_temperature_bmp388(ut: Integers, words: Words) -> Integers:
-    """The temperature (n,) in 65536ths of a degC, which the pressure needs too (BMP-221)."""
+    """Return the temperature (n,) in 65536ths of a degC, which the pressure needs too (BMP-221)."""
     away = np.asarray(ut, np.int64) - 256 * words["T1"]
     return _quotient(words["T2"] * away * 262144 + away * away * words["T3"], 1 << 32)
 
 
 def pressure_bmp388(up: Integers, fine: Integers, words: Words) -> Integers:
-    """The pressure (n,) in hundredths of a Pa, 0 where it would be negative (BMP-221)."""
+    """Return the pressure (n,) in hundredths of a Pa, 0 where it would be negative (BMP-221)."""
     up = np.asarray(up, np.int64)
     square = fine * fine
     cube = _quotient(_quotient(square, 64) * fine, 256)

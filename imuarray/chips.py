@@ -110,7 +110,7 @@ class ChipSpec:
     """Settings that a hand-held or driven box can live with."""
 
     def external_clock(self, frequency_hz: float) -> ExternalClock | None:
-        """The clock input that takes this frequency."""
+        """Return the clock input that takes this frequency."""
         for clock in self.external_clocks:
             lowest, highest = clock.allowed_hz
             if lowest <= frequency_hz <= highest:
@@ -128,11 +128,11 @@ class ChipSpec:
         return self.thermometer is not None
 
     def rate_hz(self, asked: float | None) -> float:
-        """The chip's own update rate under a configuration that asks for `asked` (None: not said)."""
+        """Return the chip's own update rate under a configuration that asks for `asked` (None: not said)."""
         return self.fixed_rate_hz or asked or self.default_rate_hz
 
     def allowed_bandwidths_hz(self, rate_hz: float) -> tuple[float, ...]:
-        """The bandwidths that can be set at this data rate."""
+        """Return the bandwidths that can be set at this data rate."""
         return self.bandwidths_hz.get(rate_hz, self.bandwidths_hz.get(0.0, ()))
 
 
@@ -520,7 +520,9 @@ _UNITS: Mapping[Quantity, str] = MappingProxyType(
 
 
 def kernel_chip(quantity: Quantity) -> ChipSpec:
-    """The data of a chip that only a driver of the kernel knows: what it measures, and nothing that could be set."""
+    """Return the data of a chip that only a driver of the kernel knows: what it measures, and nothing that could
+    be set.
+    """
     return ChipSpec(
         quantity=quantity,
         unit=_UNITS[quantity],
@@ -532,10 +534,12 @@ def kernel_chip(quantity: Quantity) -> ChipSpec:
 
 
 def die_of(chip: str) -> str:
-    """The name of the die of which `chip` is a half; `chip` itself if it is a whole die."""
+    """Return the name of the die of which `chip` is a half; `chip` itself if it is a whole die."""
     return next((die for die, halves in HALVES.items() if chip in halves), chip)
 
 
 def half_of(die: str, full_scale: object) -> str:
-    """The half of `die` that has this range (in g or dps, of which no figure is in both); `die` where none has."""
+    """Return the half of `die` that has this range (in g or dps, of which no figure is in both); `die` where none
+    has.
+    """
     return next((half for half in HALVES.get(die, ()) if full_scale in CHIPS[half].sensitivity), die)

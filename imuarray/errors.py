@@ -41,7 +41,7 @@ _HDF5_ERRNO = re.compile(r"errno = (\d+)")
 
 
 def errno_of(error: Exception) -> int:
-    """The errno of what the system said, 0 if none is known; HDF5 tells it in the middle of a paragraph."""
+    """Return the errno of what the system said, 0 if none is known; HDF5 tells it in the middle of a paragraph."""
     if isinstance(error, OSError) and error.errno:
         return error.errno
     match = _HDF5_ERRNO.search(str(error))

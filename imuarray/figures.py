@@ -23,7 +23,7 @@ _MOST_POINTS = 4000
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure (inches) that needs no display; MissingExtraError without matplotlib."""
+    """Return an empty figure (inches) that needs no display; MissingExtraError without matplotlib."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -60,7 +60,7 @@ def time_series_figure(
 
 
 def envelope(time_s: Reals, values: Reals, most: int = _MOST_POINTS) -> tuple[Reals, Reals]:
-    """The curve (n,); of more than `most` rows, the smallest and the largest value of each stretch."""
+    """Return the curve (n,); of more than `most` rows, the smallest and the largest value of each stretch."""
     width = -(-2 * len(values) // most)
     if width <= 2:
         return time_s, values

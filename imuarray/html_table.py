@@ -10,7 +10,7 @@ MOST_ROWS = 60
 
 
 def html_table(sentence: str, heading: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A sentence, and a table below it; everything is escaped."""
+    """Return a sentence, and a table below it; everything is escaped."""
     listed = list(rows)
     head = "".join(f"<th>{escape(str(cell))}</th>" for cell in heading)
     body = "".join(f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>" for row in listed[:MOST_ROWS])

@@ -9,7 +9,7 @@ from imuarray.spelling import guess, guess_file
 
 
 def configs() -> Path:
-    """The shipped configurations: inside an installed package, beside it in a checkout."""
+    """Return the shipped configurations: inside an installed package, beside it in a checkout."""
     package = Path(__file__).parent
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"
@@ -33,7 +33,7 @@ def find_map(name: Path) -> Path:
 
 
 def _find(name: Path, folder: Path, kind: str, table: str) -> Path:
-    """A file, or the one of that name in `folder`; ConfigError names what is there (files that hold `table`)."""
+    """Return a file, or the one of that name in `folder`; ConfigError names what is there (files that hold `table`)."""
     if name.exists() or name.suffix:
         return name
     shipped = folder / f"{name}.toml"

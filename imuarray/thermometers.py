@@ -30,5 +30,5 @@ THERMOMETERS: Mapping[str, ChipThermometer] = MappingProxyType(
 
 
 def thermometer_scale(chip: str) -> ChipThermometer | None:
-    """The data sheet's scale of a chip's thermometer; None if it has none, or nobody knows the chip."""
+    """Return the data sheet's scale of a chip's thermometer; None if it has none, or nobody knows the chip."""
     return THERMOMETERS.get(chip.removesuffix("_acc").removesuffix("_gyro"))

@@ -196,7 +196,7 @@ _IN_OTHER_WORDS = {
 
 
 def read_text(path: str | PathLike[str]) -> str:
-    """The text of a file; ConfigError names the file if there is none."""
+    """Return the text of a file; ConfigError names the file if there is none."""
     try:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -250,13 +250,15 @@ def refusal(text: str, where: str, mistakes: Iterable[Mistake]) -> ConfigError:
 
 
 def _joined(listed: Sequence[str]) -> str:
-    """The first complaints on one line, and how many more there are."""
+    """Return the first complaints on one line, and how many more there are."""
     more = [f"and {len(listed) - _TOLD} more"] if len(listed) > _TOLD else []
     return "; ".join([*listed[:_TOLD], *more])
 
 
 def _line(mistake: Mistake, lines: Mapping[Place, int]) -> int:
-    """The line of the key that a complaint is about, else of the smallest table around it; 0 if the text has none."""
+    """Return the line of the key that a complaint is about, else of the smallest table around it; 0 if the text
+    has none.
+    """
     key = _FIRST_WORD.match(mistake.complaint)
     place = mistake.place
     while place:
@@ -300,7 +302,7 @@ def _checked(table: Mapping[str, Any], model: type[File], text: str, where: str)
 
 
 def complaints(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> str:
-    """The mistakes in `table`, read as `model`, on one line: "sensor 2 'BMA2': unit: ...; time: ..."."""
+    """Return the mistakes in `table`, read as `model`, on one line: "sensor 2 'BMA2': unit: ...; time: ..."."""
     listed = _mistakes(error, table, model)
     return _joined([f"{item.subject}: {item.complaint}" if item.subject else item.complaint for item in listed])
 
@@ -313,7 +315,7 @@ def _mistakes(error: ValidationError, table: Mapping[str, Any], model: type[Base
 
 
 def _all_mistakes(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> list[Any]:
-    """The mistakes of a table, also those that are looked for only where no key is unknown."""
+    """Return the mistakes of a table, also those that are looked for only where no key is unknown."""
     from pydantic import ValidationError  # its weight is for those who read such a file
 
     mistakes: list[Any] = list(error.errors())
@@ -336,7 +338,7 @@ def _all_mistakes(error: ValidationError, table: Mapping[str, Any], model: type[
 
 
 def _subject(location: Sequence[int | str], table: Mapping[str, Any]) -> str:
-    """The place of a mistake; entries of an array of tables are counted from 1 and called by their name."""
+    """Return the place of a mistake; entries of an array of tables are counted from 1 and called by their name."""
     words: list[str] = []
     value: Any = table
     for part in location:
@@ -372,7 +374,7 @@ def _complaint(mistake: Any, model: type[BaseModel]) -> str:
 
 
 def _model_at(path: Sequence[int | str], model: type[BaseModel]) -> type[BaseModel]:
-    """The model of the table at `path` inside `model`."""
+    """Return the model of the table at `path` inside `model`."""
     for part in path:
         if isinstance(part, str):
             model = _models_in(model.model_fields[part].annotation)[0]
@@ -380,7 +382,7 @@ def _model_at(path: Sequence[int | str], model: type[BaseModel]) -> type[BaseMod
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    """The models that an annotation names: `list[Model]`, `Model | None`, ..."""
+    """Return the models that an annotation names: `list[Model]`, `Model | None`, ..."""
     from pydantic import BaseModel  # its weight is for those who read such a file
 
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):

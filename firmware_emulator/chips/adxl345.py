@@ -43,7 +43,7 @@ class Format(NamedTuple):
     shift: int
 
     def words(self, force_g: Triple) -> bytes:
-        """The six data bytes for a force in g: low byte first, clipped, never rolling over (ADX-27, ADX-46)."""
+        """Return the six data bytes for a force in g: low byte first, clipped, never rolling over (ADX-27, ADX-46)."""
         scale, step, lowest, highest, shift = self
         codes = [round(component * scale / step) * step for component in force_g]
         x, y, z = [(lowest if code < lowest else highest if code > highest else code) << shift for code in codes]
@@ -51,7 +51,7 @@ class Format(NamedTuple):
 
 
 def format_of(data_format: int, rate_code: int) -> Format:
-    """The format that register DATA_FORMAT and the rate code select (ADX-40 ... ADX-47).
+    """Return the format that register DATA_FORMAT and the rate code select (ADX-40 ... ADX-47).
 
     With FULL_RES a code is always 1/256 g and the word grows with the range; without, ten bits span every range.
     """
@@ -89,7 +89,7 @@ class Adxl345(Chip):
                 self._sets.popleft()
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """The next register; going on from the last data byte ends the read of a set (ADX-55)."""
+        """Return the next register; going on from the last data byte ends the read of a set (ADX-55)."""
         if reading and pointer == DATA[-1]:
             self._reading = False
         return pointer + 1 & 0xFF

@@ -71,7 +71,7 @@ class Ak8963(AkmFamily):
     # Reading and writing ----------------------------------------------------------------------------------------------
 
     def load(self, address: int, at_ns: int) -> int:
-        """A byte; reading data or ST2 clears ST1, data keep others out until ST2 is read (AKM-12)."""
+        """Return a byte; reading data or ST2 clears ST1, data keep others out until ST2 is read (AKM-12)."""
         self._sync(at_ns)
         byte = self._byte(address, self.page[_CONTROL])
         if _DATA <= address <= _ST2:

@@ -49,7 +49,7 @@ class Ak8975(AkmFamily):
         self._over_ns = FAR_NS
 
     def load(self, address: int, at_ns: int) -> int:
-        """A byte; reading data or ST2 clears ST1 (AKM-23)."""
+        """Return a byte; reading data or ST2 clears ST1 (AKM-23)."""
         self._sync(at_ns)
         byte = self._byte(address, self.page[_CONTROL])
         if _DATA <= address <= _ST2:

@@ -43,7 +43,7 @@ class AkmFamily(Chip):
         self.page[self.table.WIA.address] = self._identity
 
     def _data(self, gauss: Sequence[float], gauss_a_count: float, lowest: int, highest: int) -> bytes:
-        """The six bytes of a field, before adjustment (AKM-16, AKM-27)."""
+        """Return the six bytes of a field, before adjustment (AKM-16, AKM-27)."""
         codes = (
             round(field / gauss_a_count * 256 / (adjustment + 128))
             for field, adjustment in zip(gauss, self._adjustment, strict=True)
@@ -51,7 +51,7 @@ class AkmFamily(Chip):
         return b"".join(max(lowest, min(highest, code)).to_bytes(2, "little", signed=True) for code in codes)
 
     def _byte(self, address: int, control: int) -> int:
-        """A byte; the fuse ROM shows in its own mode only (AKM-16, AKM-27, DEC-230)."""
+        """Return a byte; the fuse ROM shows in its own mode only (AKM-16, AKM-27, DEC-230)."""
         first, last = self.table.ASAX.address, self.table.ASAZ.address
         if not first <= address <= last:
             return self.page[address]

@@ -38,7 +38,7 @@ _UNSHADOWED = facts.GAIN_Y.address
 
 
 def trims_of(page: bytes | bytearray) -> Trims:
-    """The trim fields in a register page."""
+    """Return the trim fields in a register page."""
     low1, low2 = page[0x35], page[0x36]  # BMA-43, BMA-44
     return Trims(
         offset=(page[0x38] << 4 | low1 >> 4, page[0x39] << 4 | low2 & 15, page[0x3A] << 4 | low2 >> 4),
@@ -166,7 +166,7 @@ class Bma180(Chip):
         return sent if count == 6 else sent + bytes((self._converter.temperature(end_ns - byte_ns),))
 
     def load(self, address: int, at_ns: int) -> int:
-        """A register's byte; the EEPROM's window shows the image (BMA-54)."""
+        """Return a register's byte; the EEPROM's window shows the image (BMA-54)."""
         if at_ns >= self._next_ns:
             self._catch_up(at_ns)
         if _X_LOW <= address <= _Z_HIGH:

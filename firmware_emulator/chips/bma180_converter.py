@@ -146,12 +146,12 @@ class Converter:
         self._plain = not (self._thermal or self._settings.self_test or self._high_pass)
 
     def _cycle(self, axis: int, at_ns: int) -> int:
-        """The latest cycle that register `axis` shows at `at_ns`."""
+        """Return the latest cycle that register `axis` shows at `at_ns`."""
         cycle = (at_ns - self._start_ns - self._ready_after_ns[axis]) // self._period_ns
         return cycle if cycle >= 0 else -1
 
     def _codes(self, cycle: int, at_ns: int) -> Codes:
-        """The codes of `cycle`, one of those that the registers show at `at_ns`."""
+        """Return the codes of `cycle`, one of those that the registers show at `at_ns`."""
         if cycle == self._latest_index:
             return self._latest
         if cycle == self._earlier_index:
@@ -219,7 +219,7 @@ class Converter:
         return self._shadow[axis] if shadowed else self._codes(cycle, at_ns)[axis] >> 6 & 0xFF
 
     def temperature(self, at_ns: int) -> int:
-        """The byte of register temp: 128 codes for the 64 K below 24 degC (BMA-63)."""
+        """Return the byte of register temp: 128 codes for the 64 K below 24 degC (BMA-63)."""
         cycle = (at_ns - self._start_ns - self._quarter_ns) // self._period_ns
         if cycle > self._temperature_index:
             self._temperature_index = cycle

@@ -53,7 +53,7 @@ def b5_of(words: Bmp180Words, ut: int) -> int:
 
 
 def pressure_function(words: Bmp180Words, b5: int, oss: int) -> tuple[int, Callable[[int], int]]:
-    """The lowest word that makes sense, and the function from a word to Pa (BMP-61 ... BMP-63)."""
+    """Return the lowest word that makes sense, and the function from a word to Pa (BMP-61 ... BMP-63)."""
     b6 = b5 - 4000
     square = b6 * b6 >> 12
     x3 = (words.B2 * square >> 11) + (words.AC2 * b6 >> 11)
@@ -101,7 +101,7 @@ class Bmp180(BoschBarometer):
         self._up_at: tuple[tuple[int, int, float], int] = ((0, -1, 0.0), 0)
 
     def load(self, address: int, at_ns: int) -> int:
-        """A register's byte, after a conversion that has ended by `at_ns` has left its result."""
+        """Return a register's byte, after a conversion that has ended by `at_ns` has left its result."""
         if at_ns >= self._end_ns:
             self._finish()
         return self.page[address]
@@ -141,7 +141,7 @@ class Bmp180(BoschBarometer):
         self.page[_OUT : _OUT + 3] = result.to_bytes(3, "big")
 
     def ut_of(self, degc: float) -> int:
-        """The inverse of the data sheet's formula."""
+        """Return the inverse of the data sheet's formula."""
         return ut_of(self.words, degc)
 
     def _up(self, ut: int, oss: int, at_ns: int) -> int:

@@ -41,13 +41,13 @@ class Bmp280Words(NamedTuple):
 
 
 def fine_of(words: Bmp280Words, adc: float) -> float:
-    """The temperature in 5120ths of a degC."""
+    """Return the temperature in 5120ths of a degC."""
     away = adc / 16384 - words.T1 / 1024
     return away * words.T2 + (away / 8) ** 2 * words.T3
 
 
 def pascal_of(words: Bmp280Words, fine: float, adc: float) -> float:
-    """The pressure in Pa; inf for words far outside the sensor's range."""
+    """Return the pressure in Pa; inf for words far outside the sensor's range."""
     warm = fine / 2 - 64000
     offset = (warm * warm * words.P6 / 32768 + warm * words.P5 * 2) / 4 + words.P4 * 65536
     scale = (1 + (words.P3 * warm * warm / 524288 + words.P2 * warm) / 524288 / 32768) * words.P1
@@ -105,7 +105,7 @@ class Bmp280(CyclicBarometer):
         return COEFFICIENTS[facts.FILTER.of(self.page[_CONFIG])]
 
     def ut_of(self, degc: float) -> int:
-        """The inverse of the data sheet's formula in real numbers."""
+        """Return the inverse of the data sheet's formula in real numbers."""
         return ut_of(self.words, degc)
 
     def show(self, at_ns: int) -> None:
@@ -127,7 +127,7 @@ class Bmp280(CyclicBarometer):
         return min(round(value / (1 << unused_bits)), (1 << BITS - unused_bits) - 1) << unused_bits
 
     def load(self, address: int, at_ns: int) -> int:
-        """A register's byte; the status says whether a measurement is in progress (BMP-105)."""
+        """Return a register's byte; the status says whether a measurement is in progress (BMP-105)."""
         self.sync(at_ns)
         if address == _STATUS:
             return facts.COPYING.mask * (at_ns < self._ready_ns) | facts.MEASURING.mask * self._measures(at_ns)

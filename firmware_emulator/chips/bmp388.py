@@ -43,13 +43,13 @@ class Bmp388Words(NamedTuple):
 
 
 def degc_of(words: Bmp388Words, raw: float) -> float:
-    """The temperature in degC."""
+    """Return the temperature in degC."""
     away = raw - words.T1 * 2.0**8
     return away * words.T2 / 2.0**30 + away * away * words.T3 / 2.0**48
 
 
 def pascal_of(words: Bmp388Words, degc: float, raw: float) -> float:
-    """The pressure in Pa."""
+    """Return the pressure in Pa."""
     offset = words.P5 * 2.0**3 + (words.P6 / 2.0**6 + (words.P7 / 2.0**8 + words.P8 / 2.0**15 * degc) * degc) * degc
     slope = (words.P1 - 2.0**14) / 2.0**20 + (
         (words.P2 - 2.0**14) / 2.0**29 + (words.P3 / 2.0**32 + words.P4 / 2.0**37 * degc) * degc
@@ -109,7 +109,7 @@ class Bmp388(CyclicBarometer):
         return 1 << facts.FILTER.of(self.page[_CONFIG])
 
     def ut_of(self, degc: float) -> int:
-        """The inverse of the manufacturer's formula in real numbers."""
+        """Return the inverse of the manufacturer's formula in real numbers."""
         return ut_of(self.words, degc)
 
     def show(self, at_ns: int) -> None:
@@ -128,7 +128,7 @@ class Bmp388(CyclicBarometer):
         self.page[_STATUS] |= facts.TEMPERATURE_READY.mask * on[0] | facts.PRESSURE_READY.mask * on[1]
 
     def load(self, address: int, at_ns: int) -> int:
-        """A register's byte; reading a result clears its flag, reading the errors clears these (BMP-205)."""
+        """Return a register's byte; reading a result clears its flag, reading the errors clears these (BMP-205)."""
         self.sync(at_ns)
         byte = self.page[address]
         if _DATA <= address < _DATA + 3:

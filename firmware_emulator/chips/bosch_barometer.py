@@ -66,17 +66,17 @@ class BoschBarometer(Chip):
 
     @abstractmethod
     def ut_of(self, degc: float) -> int:
-        """The raw word of a temperature."""
+        """Return the raw word of a temperature."""
 
     def ut(self, at_ns: int) -> int:
-        """The raw word of the temperature at that time, computed once for each temperature."""
+        """Return the raw word of the temperature at that time, computed once for each temperature."""
         degc = self.element.temperature(at_ns)
         if degc != self._ut_at[0]:
             self._ut_at = degc, self.ut_of(degc)
         return self._ut_at[1]
 
     def pressure_pa(self, at_ns: int, noise_pa: float) -> float:
-        """The pressure at that time, with noise of that rms."""
+        """Return the pressure at that time, with noise of that rms."""
         noise = 0.0 if self._generator is None else self._generator.gauss(0.0, noise_pa)
         return self.element.pressure(at_ns) + noise
 
@@ -135,7 +135,7 @@ class CyclicBarometer(BoschBarometer):
         self._end_ns += count * period_ns
 
     def filtered(self, ut: int, up: int) -> tuple[float, float]:
-        """Both words behind the filter, which takes the first ones as they are."""
+        """Return both words behind the filter, which takes the first ones as they are."""
         new, divisor = (float(ut), float(up)), self.filter_divisor
         old = self._memory or new
         self._memory = old[0] + (new[0] - old[0]) / divisor, old[1] + (new[1] - old[1]) / divisor
@@ -147,7 +147,9 @@ class CyclicBarometer(BoschBarometer):
 
 
 def nearest(function: Callable[[int], float], low: int, high: int, target: float) -> int:
-    """The argument in low ... high at which a rising function comes closest to `target`, the lower of two equals."""
+    """Return the argument in low ... high at which a rising function comes closest to `target`, the lower of two
+    equals.
+    """
     bottom, top = low, high
     while bottom < top:
         middle = bottom + top >> 1

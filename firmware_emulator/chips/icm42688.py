@@ -204,11 +204,11 @@ class Icm42688(SixAxis):
         return bytes([header]) + data
 
     def _upper(self, half: _Half) -> bytes:
-        """The upper 16 of the 20 bits of each axis."""
+        """Return the upper 16 of the 20 bits of each axis."""
         return b"".join(self._word(code >> 4) for code in half.fine)
 
     def _take_bytes(self, count: int) -> bytes:
-        """The next bytes of the queue, and what it reads behind its end."""
+        """Return the next bytes of the queue, and what it reads behind its end."""
         taken = self._part
         while len(taken) < count and self._packets:
             self._whole = self._packets.popleft()
@@ -282,7 +282,7 @@ class Icm42688(SixAxis):
         return [clipped(round(value * scale + push * (pushed >> axis & 1)), LOWEST) for axis, value in enumerate(felt)]
 
     def _push(self, range_code: int) -> float:
-        """The factory's change by the self-test, in counts of this range; 0 if none is stored."""
+        """Return the factory's change by the self-test, in counts of this range; 0 if none is stored."""
         return 2620.0 / 2.0 ** (3 - range_code) * 1.01 ** (self._trim_code - 1) if self._trim_code else 0.0
 
     def _convert_finely(self, half: _Half, felt: Triple, scale: float, pushed: int) -> None:
@@ -308,7 +308,7 @@ class Icm42688(SixAxis):
         return super().read(before, at_ns, byte_ns) + self._take_bytes(count - before)
 
     def load(self, address: int, at_ns: int) -> int:
-        """A register's byte in the selected bank; the bank's own register is in all of them (TDK-04)."""
+        """Return a register's byte in the selected bank; the bank's own register is in all of them (TDK-04)."""
         if address != facts.REG_BANK_SEL.address and self._bank:
             return self.banks[self._bank][address] if self._bank in self.banks else 0
         if address == facts.INT_STATUS.address:
@@ -319,7 +319,7 @@ class Icm42688(SixAxis):
         return self.page[address]
 
     def _count_byte(self, first: bool) -> int:
-        """The count in bytes or records, both bytes taken with the first; 0 once after a flush (TDK-84)."""
+        """Return the count in bytes or records, both bytes taken with the first; 0 once after a flush (TDK-84)."""
         control = self.page[facts.INTF_CONFIG0.address]
         if first:
             records = facts.FIFO_COUNT_RECORDS.of(control)

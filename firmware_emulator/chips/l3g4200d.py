@@ -77,7 +77,7 @@ class Fifo:
         self._stopped = self.mode == FIFO and (self._stopped or len(self._sets) == DEPTH)
 
     def shown(self, byte: int) -> Codes:
-        """The set to which byte 0 ... 5 of the output registers belongs when it is read now (L3G-56)."""
+        """Return the set to which byte 0 ... 5 of the output registers belongs when it is read now (L3G-56)."""
         if not self._open and self._sets:
             self._open, self._shown = True, self._sets.popleft()
         if byte == LAST_BYTE:
@@ -253,7 +253,7 @@ class L3g4200d(Chip):
         return sent
 
     def load(self, address: int, at_ns: int) -> int:
-        """A register's byte."""
+        """Return a register's byte."""
         if _X_LOW <= address <= _Z_HIGH:
             return self._output(address - _X_LOW, at_ns)
         if address == _TEMP:
@@ -289,7 +289,9 @@ class L3g4200d(Chip):
         return code >> shift & 0xFF
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """The next register if sub-address bit 7 asked for it (L3G-03, L3G-04); a FIFO is read in circles (L3G-05)."""
+        """Return the next register if sub-address bit 7 asked for it (L3G-03, L3G-04); a FIFO is read in circles
+        (L3G-05).
+        """
         if not self._increment:
             return pointer
         if reading and pointer == _Z_HIGH and (self._fifo.active or self._wrap_always):

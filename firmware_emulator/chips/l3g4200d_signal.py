@@ -42,7 +42,7 @@ class Path(NamedTuple):
 
 
 def path_of(page: bytes | bytearray) -> Path:
-    """The path set up in a register page (L3G-36, L3G-37)."""
+    """Return the path set up in a register page (L3G-36, L3G-37)."""
     ctrl1, ctrl2, ctrl4, ctrl5 = page[0x20], page[0x21], page[0x23], page[0x24]
     rate, scale, select = facts.DATA_RATE.of(ctrl1), facts.FULL_SCALE.of(ctrl4), facts.OUT_SELECT.of(ctrl5)
     filtered = select == 0b01 or (select >= 0b10 and bool(facts.HIGH_PASS_EN.of(ctrl5)))
@@ -89,7 +89,7 @@ class Signal:
             self._high_pass.zero((x + push, y + push, z + push), at_ns)
 
     def codes(self, at_ns: int) -> Codes:
-        """The conversion of `at_ns`, saturated (DEC-21)."""
+        """Return the conversion of `at_ns`, saturated (DEC-21)."""
         path = self._path
         dps = self._element.sample(at_ns, path.range_dps, path.bandwidth_hz)
         if self._high_pass is not None:

@@ -106,13 +106,13 @@ class Lis3mdl(Chip):
         return super().write(data, at_ns, byte_ns)
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """The next register if sub-address bit 7 asked for it (LIS-03); x again after z (LIS-18, DEC-104)."""
+        """Return the next register if sub-address bit 7 asked for it (LIS-03); x again after z (LIS-18, DEC-104)."""
         if not self._increment:
             return pointer
         return _FIRST if reading and pointer == _LAST else pointer + 1 & 0x7F
 
     def load(self, address: int, at_ns: int) -> int:
-        """A register's byte; with BDU an axis does not change between its first byte and its second (LIS-13)."""
+        """Return a register's byte; with BDU an axis does not change between its first byte and its second (LIS-13)."""
         self._sync(at_ns)
         if not _FIRST <= address <= _LAST:
             return self.page[address]

@@ -99,7 +99,7 @@ class Lsm6dso(SixAxis):
         self._sample(at_ns)
 
     def _due(self, at_ns: int) -> list[tuple[int, str]]:
-        """The samples that go to the queue now, in order of time; no more than it holds twice."""
+        """Return the samples that go to the queue now, in order of time; no more than it holds twice."""
         batched = self.page[facts.FIFO_CTRL3.address]
         due = []
         for name, field in ((GYROSCOPE, facts.GYRO_BATCH_RATE), (ACCELEROMETER, facts.ACCEL_BATCH_RATE)):
@@ -147,7 +147,7 @@ class Lsm6dso(SixAxis):
         self._slot_ns, self._slots = -1, 0
 
     def _status(self) -> int:
-        """The second byte of the queue's status: overrun, full, level above 255; the latched flag is cleared
+        """Return the second byte of the queue's status: overrun, full, level above 255; the latched flag is cleared
         (LSM-44).
         """
         level = len(self._words)
@@ -157,7 +157,7 @@ class Lsm6dso(SixAxis):
         return lost | full | (facts.FIFO_OVERRUN_LATCHED.mask if latched else 0) | level >> 8
 
     def _out(self, address: int) -> int:
-        """A byte of the word that left the queue when its tag was read (LSM-45)."""
+        """Return a byte of the word that left the queue when its tag was read (LSM-45)."""
         if address == FIFO_OUT.start:
             self._word = self._words.popleft() if self._words else bytes(len(FIFO_OUT))
             self._lost = False
@@ -202,7 +202,7 @@ class Lsm6dso(SixAxis):
     # Reading and writing ----------------------------------------------------------------------------------------------
 
     def load(self, address: int, at_ns: int) -> int:
-        """A byte as it stands when it is fetched; with BDU a number's two bytes are of one sample (LSM-13)."""
+        """Return a byte as it stands when it is fetched; with BDU a number's two bytes are of one sample (LSM-13)."""
         self.end_reset(at_ns)
         self._sync(at_ns)
         if self.page[facts.FUNC_CFG_ACCESS.address] and address != facts.FUNC_CFG_ACCESS.address:
@@ -233,7 +233,9 @@ class Lsm6dso(SixAxis):
         self.page[facts.STATUS_REG.address] &= ~mask & 0xFF
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """The next register, with IF_INC; otherwise the same (LSM-12). From the end of a word to its tag (LSM-45)."""
+        """Return the next register, with IF_INC; otherwise the same (LSM-12). From the end of a word to its tag
+        (LSM-45).
+        """
         if pointer == FIFO_OUT[-1] and facts.AUTO_INCREMENT.of(self.page[facts.CTRL3_C.address]):
             return FIFO_OUT.start
         return (

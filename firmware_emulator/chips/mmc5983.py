@@ -91,7 +91,7 @@ class Mmc5983(Chip):
     # Reading and writing ----------------------------------------------------------------------------------------------
 
     def load(self, address: int, at_ns: int) -> int:
-        """A register's byte; control registers read 0 (DEC-210)."""
+        """Return a register's byte; control registers read 0 (DEC-210)."""
         self._sync(at_ns)
         return 0 if self.registers.get(address, facts.STATUS).access == "w" else self.page[address]
 

@@ -173,8 +173,9 @@ class MpuFamily(SixAxis):
         self._grid.index = index
 
     def _record(self) -> bytes:
-        """The data bytes that FIFO_EN selects, in the order of their registers: bit 7 temperature, 6 ... 4 gyroscope x
-        to z, 3 accelerometer, then what the slots of the auxiliary bus read: bits 2 ... 0 and bit 5 of I2C_MST_CTRL.
+        """Return the data bytes that FIFO_EN selects, in the order of their registers: bit 7 temperature, 6 ... 4
+        gyroscope x to z, 3 accelerometer, then what the slots of the auxiliary bus read: bits 2 ... 0 and bit 5 of
+        I2C_MST_CTRL.
         """
         enabled = self.page[FIFO_EN]
         data = bytes(self.page[DATA.start : DATA.stop])
@@ -186,7 +187,9 @@ class MpuFamily(SixAxis):
         return selected + self.auxiliary.recorded(self.page, slots) if slots else selected
 
     def load(self, address: int, at_ns: int) -> int:
-        """A register's byte; flags are cleared by reading them, and both bytes of the count taken with the high one."""
+        """Return a register's byte; flags are cleared by reading them, and both bytes of the count taken with the
+        high one.
+        """
         if address == INT_STATUS:
             flags, self._flags = self._flags, 0
             return flags
@@ -205,7 +208,7 @@ class MpuFamily(SixAxis):
         return self.page[address]
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """The next register; the queue's stays where it is."""
+        """Return the next register; the queue's stays where it is."""
         return pointer if pointer == FIFO else super().advance(pointer, reading)
 
     def store(self, address: int, value: int, at_ns: int) -> None:

@@ -38,7 +38,7 @@ class StuckBit(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """A more significant bit."""
+        """Return a more significant bit."""
         return cls(bit=min(7, max(1, cls.bit + round(math.log2(severity)))))
 
     def put_on(self, site: Site) -> None:
@@ -222,7 +222,7 @@ class SlowOscillator(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """A slower oscillator."""
+        """Return a slower oscillator."""
         return cls(rate_hz=cls.rate_hz / severity)
 
     def put_on(self, site: Site) -> None:
@@ -306,7 +306,7 @@ class RateDivider(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """A more significant bit."""
+        """Return a more significant bit."""
         return cls(lost_bit=min(2, max(0, math.floor(math.log2(severity)))))
 
     def put_on(self, site: Site) -> None:

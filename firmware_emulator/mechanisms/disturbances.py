@@ -213,7 +213,7 @@ class SpinningMotor(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("peak_g", "peak_dps")
 
     def wave(self, seconds: float) -> float:
-        """The shaking in units of its largest, `seconds` after power-on."""
+        """Return the shaking in units of its largest, `seconds` after power-on."""
         since = seconds % self.cycle_s - self.cycle_s / 4
         if since <= 0:
             return 0.0

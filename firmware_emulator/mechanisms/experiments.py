@@ -48,7 +48,7 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
 
 
 def known_experiment(name: str) -> Experiment:
-    """An entry of `EXPERIMENTS`; ValueError that lists the others."""
+    """Return an entry of `EXPERIMENTS`; ValueError that lists the others."""
     if name not in EXPERIMENTS:
         raise ValueError(f"experiment {name!r}; allowed are {', '.join(EXPERIMENTS)}")
     return EXPERIMENTS[name]

@@ -28,7 +28,7 @@ class HostClock:
         self._powered_on_ns = powered_on_ns
 
     def shown(self, at_ns: int) -> int:
-        """The display at a time of the world."""
+        """Return the display at a time of the world."""
         if isinstance(self._clock, HostClock):
             at_ns = self._clock.shown(at_ns)
         return self._display(at_ns)
@@ -37,7 +37,7 @@ class HostClock:
         return self._powered_on_ns + self._shown(clock_ns - self._powered_on_ns)
 
     def now_ns(self) -> int:
-        """The display."""
+        """Return the display."""
         return self._display(self._clock.now_ns())
 
     def advance(self, ns: int) -> None:

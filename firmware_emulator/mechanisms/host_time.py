@@ -36,11 +36,11 @@ class HostResonator(Mechanism):
         return self.error * (at_ns + warm_ns * math.expm1(-at_ns / warm_ns))
 
     def shown(self, at_ns: int) -> int:
-        """The display."""
+        """Return the display."""
         return at_ns + round(self.ahead_ns(at_ns))
 
     def when(self, shown_ns: int) -> int:
-        """The earliest time of the world with that display, by fixed point."""
+        """Return the earliest time of the world with that display, by fixed point."""
         at_ns = shown_ns
         for _ in range(ROUNDS):
             at_ns = shown_ns - round(self.ahead_ns(at_ns))
@@ -95,7 +95,7 @@ class CoarseTimestamps(Mechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """A longer tick."""
+        """Return a longer tick."""
         return cls(tick_ms=min(COARSEST_MS, cls.tick_ms * severity))
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:

@@ -45,7 +45,7 @@ class Mechanism(ABC):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """The mechanism at `severity` times its reference size, which the defaults state."""
+        """Return the mechanism at `severity` times its reference size, which the defaults state."""
         return replace(cls(), **{name: severity * getattr(cls, name) for name in cls.scaled})
 
     @abstractmethod
@@ -97,7 +97,7 @@ class Fitting:
 
 
 def plain_part(chip: str, name: str, full_scale: float, seed: int) -> Unit:
-    """A part drawn from its data sheet's tolerances, but only in what everybody expects of one.
+    """Return a part drawn from its data sheet's tolerances, but only in what everybody expects of one.
 
     Noise, bias, its slope with temperature, scale, alignment; no scale that changes with temperature, no g-sensitivity
     and no thermometer that is off: those are mechanisms.
@@ -107,7 +107,9 @@ def plain_part(chip: str, name: str, full_scale: float, seed: int) -> Unit:
 
 
 def toleranced_part(chip: str, name: str, full_scale: float, seed: int, run: int) -> Unit:
-    """A part drawn in all that its data sheet leaves to the part; its bias scatters from power-up to power-up."""
+    """Return a part drawn in all that its data sheet leaves to the part; its bias scatters from power-up to
+    power-up.
+    """
     drawn, random = drawn_unit(chip, name, full_scale, seed), stream(seed, f"power-up {run} of {name}")
     allowed = [spread.limit for spread in TOLERANCES[chip](full_scale).bias]
     scattered = [
@@ -118,7 +120,7 @@ def toleranced_part(chip: str, name: str, full_scale: float, seed: int, run: int
 
 
 def sites_of(array: ArrayLike, fitting: Fitting) -> list[SensorLike]:
-    """The sensors of a fitting; ValueError for one that isn't there or on which the mechanism can't be put."""
+    """Return the sensors of a fitting; ValueError for one that isn't there or on which the mechanism can't be put."""
     mechanism, by_name = fitting.mechanism, {sensor.name: sensor for sensor in array.sensors}
     what = type(mechanism).__name__
     allowed = [sensor.name for sensor in array.sensors if sensor.chip in mechanism.touches]
@@ -209,7 +211,7 @@ class FittedBoard(Board):
         return super().wire(clock, bit_rate_hz, nack_errno, host_ns)
 
     def router(self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int) -> Pca9544a:
-        """The multiplexer, watched if a mechanism wants to."""
+        """Return the multiplexer, watched if a mechanism wants to."""
         if not (self.host.obeys or self.host.switched):
             return super().router(chip, address, channels, powered_on_ns)
         named(chip, MUXES, "mux")
@@ -217,7 +219,7 @@ class FittedBoard(Board):
         return self.host.mux
 
     def element(self, sensor: SensorLike) -> SensingElement:
-        """The sensing element that is found at that sensor's place, with its unit and what acts on it."""
+        """Return the sensing element that is found at that sensor's place, with its unit and what acts on it."""
         there = self.sensors[self.crossed.get(sensor.name, sensor.name)]
         orientation = IDENTITY if there.orientation is None else there.orientation
         site = self._sites.get(sensor.name)
@@ -229,7 +231,7 @@ class FittedBoard(Board):
         return mounted.mount(site.chain, start_ns)
 
     def unit(self, sensor: SensorLike) -> Unit:
-        """The imperfections of one unit."""
+        """Return the imperfections of one unit."""
         if self.units == "drawn":
             return plain_part(sensor.chip, sensor.name, sensor.range or 0.0, self.seed)
         if self.units == "toleranced":
@@ -255,21 +257,21 @@ class FittedBoard(Board):
         return f"{self.seed} {sensor.name} {self.run}" if self.run else super().generator_key(sensor)
 
     def device(self, sensor: SensorLike, chip: Chip) -> Target:
-        """The chip, behind its wiring if something acts there."""
+        """Return the chip, behind its wiring if something acts there."""
         site = self._sites.get(sensor.name)
         if site is None or site.links.idle:
             return chip
         return ChipLine(chip, sensor.chip, site.links, self.powered_on_ns)
 
     def host_clock(self, clock: Clock) -> Clock:
-        """The world's clock, or what the host takes for it."""
+        """Return the world's clock, or what the host takes for it."""
         for shown, when in self.host.clocks:
             clock = HostClock(clock, shown, when, self.powered_on_ns)
         return clock
 
 
 def chosen(name: str, known: Mapping[str, type[Mechanism]], severity: float) -> Mechanism:
-    """The mechanism of that name at `severity`; ValueError for a name or a severity that isn't possible."""
+    """Return the mechanism of that name at `severity`; ValueError for a name or a severity that isn't possible."""
     if not severity > 0:
         raise ValueError(f"severity={severity}; allowed is anything above 0")
     return named(name, known, "mechanism").at(severity)

@@ -46,7 +46,7 @@ def checked(array: ArrayLike, fitting: Fitting) -> Fitting:
 
 
 def board_from(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
-    """The board that the query asks for; its notes stay within it."""
+    """Return the board that the query asks for; its notes stay within it."""
     fittings = fittings_from(query, array)
     run, units = query.get("run", "0"), query.get("units", "paper")
     if not (run.isascii() and run.isdigit()):
@@ -59,12 +59,12 @@ def board_from(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
 
 
 def split(text: str, separator: str) -> list[str]:
-    """The parts of a list, none of an empty one."""
+    """Return the parts of a list, none of an empty one."""
     return text.split(separator) if text else []
 
 
 def number(text: str) -> float:
-    """A finite number."""
+    """Return a finite number."""
     try:
         value = float(text)
     except ValueError:

@@ -56,7 +56,7 @@ class PlateGap(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """A narrower gap."""
+        """Return a narrower gap."""
         return cls(gap_g=cls.gap_g / severity, gap_dps=cls.gap_dps / severity)
 
     def put_on(self, site: Site) -> None:
@@ -188,7 +188,7 @@ class OutputFilter(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """A lower cut-off."""
+        """Return a lower cut-off."""
         return cls(cutoff_hz=cls.cutoff_hz / severity)
 
     @property

@@ -35,7 +35,7 @@ class CableBitErrors(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """A worse cable."""
+        """Return a worse cable."""
         return cls(per_bit=min(0.5, cls.per_bit * severity))
 
     def put_on(self, site: Site) -> None:

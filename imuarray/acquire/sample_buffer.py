@@ -153,8 +153,8 @@ class SampleBuffer:
         self._condemned = True
 
     def _frames_of_a_reading(self) -> int:
-        """The number of frames in which a chip that converts on demand is visited for one reading. A result that would
-        be too old by the next frame is fetched between the frames (`conversion_before`).
+        """Return the number of frames in which a chip that converts on demand is visited for one reading. A result that
+        would be too old by the next frame is fetched between the frames (`conversion_before`).
         """
         if self._converter is None:
             return 1

@@ -70,14 +70,14 @@ def adapters(devices: Path = I2C_DEVICES) -> dict[str, Entry]:
 
 
 def adapter_entry(devices: Path, name: str) -> Entry | None:
-    """The entry of one adapter; None if the kernel has none of that name."""
+    """Return the entry of one adapter; None if the kernel has none of that name."""
     mark = mark_of(devices, name)
     identity = _adapter_identity(devices, name)
     return None if mark is None or identity is None else Entry(name, mark, identity)
 
 
 def ports(devices: Path = TTY_DEVICES) -> dict[str, Entry]:
-    """Every serial port that has a device behind it, by the name of its device file ("ttyACM0")."""
+    """Return every serial port that has a device behind it, by the name of its device file ("ttyACM0")."""
     entries = {}
     for path in sorted(_listed(devices)):
         mark = mark_of(devices, path.name)
@@ -92,7 +92,9 @@ def ports(devices: Path = TTY_DEVICES) -> dict[str, Entry]:
 
 
 def mark_of(devices: Path, name: str) -> int | None:
-    """The inode of an entry; None if the device was removed. Any other failure to look leaves it there: OSError."""
+    """Return the inode of an entry; None if the device was removed. Any other failure to look leaves it there:
+    OSError.
+    """
     try:
         return (devices / name).stat().st_ino
     except (FileNotFoundError, NotADirectoryError):
@@ -100,7 +102,7 @@ def mark_of(devices: Path, name: str) -> int | None:
 
 
 def search(wanted: BusIdentity, listed: Mapping[str, Entry], known: Mapping[str, int], *, alone: bool) -> str | None:
-    """The name under which a device that was removed is there again; None if it isn't.
+    """Return the name under which a device that was removed is there again; None if it isn't.
 
     `known` are names and marks of the entries that were there without it. A device at another port is taken only if no
     other of its kind was there (`alone`), and only if it is one: which of two is ours can't be told.
@@ -145,7 +147,9 @@ def _adapter_identity(devices: Path, name: str) -> BusIdentity | None:
 
 
 def _channel_identity(devices: Path, real: Path, mux: Path) -> BusIdentity | None:
-    """The identity of a channel of a multiplexer that the kernel drives: `mux` leads to a device such as 1-0070."""
+    """Return the identity of a channel of a multiplexer that the kernel drives: `mux` leads to a device such as
+    1-0070.
+    """
     try:
         device = mux.resolve(strict=True)
     except (OSError, RuntimeError):
@@ -160,7 +164,7 @@ def _channel_identity(devices: Path, real: Path, mux: Path) -> BusIdentity | Non
 
 
 def _usb_device(real: Path) -> Path | None:
-    """The folder of the USB device that `real` belongs to."""
+    """Return the folder of the USB device that `real` belongs to."""
     return next((folder for folder in real.parents if (folder / "idVendor").is_file()), None)
 
 
@@ -184,7 +188,7 @@ def _usb_identity(usb: Path, real: Path, title: str) -> BusIdentity:
 
 
 def _text(path: Path) -> str:
-    """A file's one line; empty if there is none."""
+    """Return a file's one line; empty if there is none."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:

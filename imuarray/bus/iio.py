@@ -56,7 +56,7 @@ class ScanElement:
 
     @classmethod
     def parse(cls, name: str, index: str, kind: str) -> ScanElement:
-        """The channel `name` by the texts of its index and type; ValueError says what is allowed.
+        """Return the channel `name` by the texts of its index and type; ValueError says what is allowed.
 
         >>> ScanElement.parse("in_accel_y", "1", "le:s12/16>>4").shift
         4
@@ -96,7 +96,7 @@ class ScanLayout:
 
     @classmethod
     def of(cls, elements: Iterable[ScanElement]) -> ScanLayout:
-        """The layout of scans of these channels; ValueError if there is none, or two have one index."""
+        """Return the layout of scans of these channels; ValueError if there is none, or two have one index."""
         ordered = sorted(elements, key=lambda element: element.index)
         if not ordered:
             raise ValueError("no channel is enabled: a scan needs at least one")
@@ -112,7 +112,8 @@ class ScanLayout:
         return cls(tuple(ordered), tuple(offsets), -(-end // largest) * largest)
 
     def unpack(self, scans: bytes) -> Mapping[str, npt.NDArray[Any]]:
-        """The values of n whole scans by the name of the channel: (n,), or (n, repeat) where values are repeated.
+        """Return the values of n whole scans by the name of the channel: (n,), or (n, repeat) where values are
+        repeated.
 
         int64, or uint64 for unsigned values of 64 bits. Bits above the valid ones are ignored, as they are undefined.
         """
@@ -230,7 +231,7 @@ class IioDevice:
     # Attributes ---------------------------------------------------------------------------------------------------
 
     def read(self, attribute: str) -> str | None:
-        """The text of an attribute; None if the device has no such one, or several devices have. OSError."""
+        """Return the text of an attribute; None if the device has no such one, or several devices have. OSError."""
         path = self.folder / attribute
         try:
             return _read(path)
@@ -268,14 +269,16 @@ class IioDevice:
     # The buffer ---------------------------------------------------------------------------------------------------
 
     def _buffer(self, attribute: str) -> str:
-        """The path of an attribute of its first buffer (since kernel 5.11 in buffer0, LNX-64)."""
+        """Return the path of an attribute of its first buffer (since kernel 5.11 in buffer0, LNX-64)."""
         return f"{'buffer0' if (self.folder / 'buffer0').is_dir() else 'buffer'}/{attribute}"
 
     def _elements_folder(self) -> str:
         return "scan_elements" if (self.folder / "scan_elements").is_dir() else "buffer0"
 
     def elements(self) -> dict[str, ScanElement]:
-        """The channels that its buffer can have, by name; none without a buffer. SensorError for a wrong type."""
+        """Return the channels that its buffer can have, by name; none without a buffer. SensorError for a wrong
+        type.
+        """
         where = self._elements_folder()
         names = sorted(path.name.removesuffix("_en") for path in (self.folder / where).glob("*_en"))
         if len(names) > MOST_ELEMENTS:
@@ -330,7 +333,7 @@ class IioDevice:
         self._layout = None
 
     def scans(self) -> bytes:
-        """The whole scans that wait, oldest first; OSError with ENODEV if the device was removed."""
+        """Return the whole scans that wait, oldest first; OSError with ENODEV if the device was removed."""
         if self._layout is None or self._file < 0:
             raise OSError(errno.ENODEV, f"{self} is not set up")
         size, parts = self._layout.size, [self._rest]
@@ -372,7 +375,7 @@ class IioDevice:
 
 
 def _devices(root: Path) -> Iterator[Path]:
-    """The folders of all devices."""
+    """Yield the folders of all devices."""
     with contextlib.suppress(OSError):
         for path in (root / DEVICES).iterdir():
             if DEVICE.fullmatch(path.name):
@@ -380,7 +383,7 @@ def _devices(root: Path) -> Iterator[Path]:
 
 
 def devices(root: Path) -> list[IioDevice]:
-    """All devices below `root`, each by its name and place: "iio:mpu6050@1-0068"."""
+    """Return all devices below `root`, each by its name and place: "iio:mpu6050@1-0068"."""
     return [IioDevice(name.removeprefix("iio:"), root) for name in sorted(_name(folder) for folder in _devices(root))]
 
 
@@ -390,7 +393,7 @@ def _name(folder: Path) -> str:
 
 
 def _place(folder: Path) -> str:
-    """The name of the device of which the kernel made this one: the chip on its bus (LNX-63)."""
+    """Return the name of the device of which the kernel made this one: the chip on its bus (LNX-63)."""
     return folder.resolve().parent.name
 
 
@@ -403,7 +406,7 @@ def _read(path: Path) -> str:
 
 
 def _text(path: Path) -> str:
-    """The text of an attribute; "" if it can't be read."""
+    """Return the text of an attribute; "" if it can't be read."""
     try:
         return _read(path)
     except OSError:
@@ -411,7 +414,7 @@ def _text(path: Path) -> str:
 
 
 def _at(error: OSError, path: Path) -> OSError:
-    """The same error, which names its file."""
+    """Return the same error, which names its file."""
     return OSError(error.errno, error.strerror or str(error), str(path))
 
 
@@ -432,11 +435,11 @@ class IioBus:
         self._wired = SpiBus(clock=self.clock)
 
     def iio_device(self, wanted: str) -> IioDevice:
-        """The device that `wanted` names, made once; it need not be there yet."""
+        """Return the device that `wanted` names, made once; it need not be there yet."""
         return self._devices.setdefault(wanted, IioDevice(wanted, self._root))
 
     def devices(self) -> list[IioDevice]:
-        """All devices that the kernel serves now."""
+        """Return all devices that the kernel serves now."""
         return devices(self._root)
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
@@ -444,7 +447,7 @@ class IioBus:
         _refuse()
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """The chip select at `path`, opened once."""
+        """Return the chip select at `path`, opened once."""
         return self._wired.spi_port(path, mode, clock_hz)
 
     def channel_bus(self, path: str) -> Bus:

@@ -214,17 +214,17 @@ class LinuxBus:
             ) from error
 
     def _owner(self, address: int) -> str:
-        """The kernel driver of `address`, by name if the kernel tells."""
+        """Return the kernel driver of `address`, by name if the kernel tells."""
         number = os.path.realpath(self.where or self.path).rpartition("-")[2]
         link = self._devices / f"{number}-{address:04x}" / "driver"
         return f"the kernel's driver {link.readlink().name!r}" if link.is_symlink() else "a driver of the kernel"
 
     def channel_bus(self, path: str) -> Bus:
-        """The adapter at `path`, opened once."""
+        """Return the adapter at `path`, opened once."""
         return self._other(path)
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """The chip select at `path`, opened once; for sensors on SPI beside those on this bus."""
+        """Return the chip select at `path`, opened once; for sensors on SPI beside those on this bus."""
         return self._spi.port(path, mode, clock_hz)
 
     def _other(self, path: str) -> LinuxBus:
@@ -270,7 +270,7 @@ class SpiBus:
         raise OSError(errno.ENXIO, "spi: has no I2C bus of its own")
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """The chip select at `path`, opened once."""
+        """Return the chip select at `path`, opened once."""
         return self._ports.port(path, mode, clock_hz)
 
     def channel_bus(self, path: str) -> Bus:

@@ -41,10 +41,10 @@ class OpenBus(Bus, AbstractContextManager["OpenBus"], Protocol):
     """The `source` of a log recorded over it: "i2c", "spi", "iio", "serial" or "emulated"."""
 
     def channel_bus(self, path: str) -> Bus:
-        """The bus at `path`, for a sensor behind a kernel-driven mux channel; closed together with this one."""
+        """Return the bus at `path`, for a sensor behind a kernel-driven mux channel; closed together with this one."""
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """The chip select at `path`, clocked so; closed together with this bus. OSError or BusUrlError."""
+        """Return the chip select at `path`, clocked so; closed together with this bus. OSError or BusUrlError."""
 
 
 class Pca9544a:
@@ -65,7 +65,7 @@ class Pca9544a:
         self.selected = channel
 
     def channel(self, channel: int) -> MuxChannel:
-        """The bus behind one channel."""
+        """Return the bus behind one channel."""
         return MuxChannel(self, channel)
 
 

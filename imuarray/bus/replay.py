@@ -76,7 +76,9 @@ class ReplayBus:
             self.claim = self._claim
 
     def _read(self) -> dict[str, Any] | None:
-        """The next line, past an epoch, which is noted; None behind the last, empty for one that is no transaction."""
+        """Return the next line, past an epoch, which is noted; None behind the last, empty for one that is no
+        transaction.
+        """
         while text := self._file.readline(LONGEST_LINE):
             self._at_line += 1
             try:
@@ -109,11 +111,11 @@ class ReplayBus:
         return asked
 
     def channel_bus(self, path: str) -> Bus:
-        """The replayed traffic of another bus that was recorded into the same transcript."""
+        """Return the replayed traffic of another bus that was recorded into the same transcript."""
         return _ReplayedChannel(self, path)
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """The replayed traffic of a chip select."""
+        """Return the replayed traffic of a chip select."""
         return _ReplayedPort(self, path)
 
     def _play(self, path: str, address: int, write: bytes, read: int) -> bytes:
@@ -204,7 +206,9 @@ class _ReplayedPort:
 
 
 def _parsed(line: dict[str, Any]) -> dict[str, Any]:
-    """A line with its numbers; ValueError, KeyError, TypeError, AttributeError, OverflowError for what is none."""
+    """Return a line with its numbers; ValueError, KeyError, TypeError, AttributeError, OverflowError for what is
+    none.
+    """
     at_ns = _time(line.get("at_ns", 0))
     call = {
         "end_ns": _time(line.get("end_ns", at_ns)),
@@ -237,12 +241,12 @@ def _time(value: Any) -> int:
 
 
 def _words(path: str, address: int, write: bytes, read: int) -> str:
-    """A transaction in words."""
+    """Return a transaction in words."""
     where = f"{path} " if path else ""
     return f"{where}{address:#04x} write {write.hex() or 'nothing'} read {read}"
 
 
 def _claimed(path: str, address: int) -> str:
-    """The question whose an address is, in words."""
+    """Return the question whose an address is, in words."""
     where = f"{path} " if path else ""
     return f"{where}{address:#04x}: owner query"

@@ -81,8 +81,8 @@ class Admission:
         return self._newest_us
 
     def admit(self, frames: Sequence[Frame], sent_us: Integers) -> FrameSelection:
-        """The frames that belong to the stream, of those that were sent at `sent_us` (n,) of the widened counter; the
-        others are counted in `refused`.
+        """Return the frames that belong to the stream, of those that were sent at `sent_us` (n,) of the widened
+        counter; the others are counted in `refused`.
 
         FrameSelection numbers with their lists strictly increase, their times do not decrease, over all calls.
         """
@@ -103,8 +103,8 @@ class Admission:
         return FrameSelection(numbers[places], places)
 
     def missing(self, frames: Sequence[Frame], sent_us: Integers) -> list[tuple[int, int]]:
-        """The runs, (first, count), of frame numbers that lack a list between the newest admitted frame and the newest
-        of these, which were sent at `sent_us` (n,). Nothing is admitted by asking.
+        """Return the runs, (first, count), of frame numbers that lack a list between the newest admitted frame and the
+        newest of these, which were sent at `sent_us` (n,). Nothing is admitted by asking.
         """
         names, numbers, due = self._due(frames, sent_us)
         keys = np.unique(numbers[due] << 8 | names[due])
@@ -126,7 +126,7 @@ class Admission:
         return _runs(sorted(absent))
 
     def _due(self, frames: Sequence[Frame], sent_us: Integers) -> tuple[Integers, Integers, npt.NDArray[np.bool_]]:
-        """(n,) each: list of a frame, widened number, and whether this list with this length is sent in it."""
+        """Return (n,) each: list of a frame, widened number, and whether this list with this length is sent in it."""
         names = np.fromiter((frame.payload[0] if frame.payload else 0 for frame in frames), np.int64, len(frames))
         sizes = np.fromiter((len(frame.payload) for frame in frames), np.int64, len(frames))
         sequences = np.fromiter((frame.sequence for frame in frames), np.int64, len(frames))
@@ -137,14 +137,16 @@ class Admission:
         return names, numbers, due
 
     def _numbers(self, sequences: Integers, sent_us: Integers) -> Integers:
-        """(n,) the largest frame numbers that can have been begun by `sent_us` and are sent as `sequences`."""
+        """Return (n,) the largest frame numbers that can have been begun by `sent_us` and are sent as `sequences`."""
         early_us = EARLY_US + (PERIOD_ERROR * np.maximum(sent_us - self._newest_us, 0)).astype(np.int64)
         begun = (sent_us - min(self._grid_us, self._earlier_grid_us) + early_us) // self._period_us
         numbers: Integers = begun - (begun - sequences) % link.SEQUENCES
         return numbers
 
     def _increasing(self, order: Integers, sent_us: Integers, places: Integers) -> Integers:
-        """The `places` (n,), sorted by `order` (n,), of frames that follow each other and the newest of before."""
+        """Return the `places` (n,), sorted by `order` (n,), of frames that follow each other and the newest of
+        before.
+        """
         follows = (np.diff(order, prepend=self._newest) > 0) & (np.diff(sent_us, prepend=self._newest_us) >= 0)
         if not follows.all():  # one that does not may stand before others that do
             newest, newest_us = self._newest, self._newest_us

@@ -143,7 +143,9 @@ class SerialBus:
         raise FileNotFoundError(errno.ENOENT, "a microcontroller has no buses of the kernel", path)
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """The chip select N of the microcontroller, for /dev/spidev0.N; OSError if there is none or it refuses."""
+        """Return the chip select N of the microcontroller, for /dev/spidev0.N; OSError if there is none or it
+        refuses.
+        """
         prefix, _, number = path.rpartition(".")
         if prefix != SPI_CONTROLLER or not number.isdecimal() or int(number) >= self.capacity.selects:
             raise FileNotFoundError(
@@ -251,7 +253,7 @@ class SerialSpiPort:
 
 
 def open_serial(rest: str) -> SerialBus:
-    """The bus of the URL ``serial:`` + `rest`: ``/dev/ttyACM0``, ``/dev/ttyUSB0?baud=921600``; BusUrlError."""
+    """Return the bus of the URL ``serial:`` + `rest`: ``/dev/ttyACM0``, ``/dev/ttyUSB0?baud=921600``; BusUrlError."""
     path, baud = port_of(rest)
     try:
         return SerialBus(UsualPort(path, baud), patience_s=PATIENCE_S)

@@ -35,8 +35,8 @@ RECENT_BLOCKS = 64
 
 
 def nearest(values: Times, modulus: int, expected: int) -> Times:
-    """The numbers (n,) that a counter of `modulus` (even) steps shows as `values` (n,), the nearest to `expected`; of
-    two equally near ones the lower.
+    """Return the numbers (n,) that a counter of `modulus` (even) steps shows as `values` (n,), the nearest to
+    `expected`; of two equally near ones the lower.
     """
     half = modulus // 2
     numbers: Times = expected - half + (values - expected + half) % modulus
@@ -83,8 +83,8 @@ class ClockFit:
         return self._arrived_ns[-1]
 
     def latest_sent_ns(self, arrived_ns: int) -> int | None:
-        """The microcontroller's time at which a frame that arrives here at `arrived_ns` was sent, if it came as quickly
-        as the quickest of late; None before anything was added.
+        """Return the microcontroller's time at which a frame that arrives here at `arrived_ns` was sent, if it came as
+        quickly as the quickest of late; None before anything was added.
         """
         recent = zip(reversed(self._sent_ns), reversed(self._arrived_ns), strict=True)
         return max(
@@ -168,6 +168,6 @@ def _lower_hull(xs: Sequence[float], ys: Sequence[float]) -> list[Point]:
 
 
 def _edge(hull: Sequence[Point], middle: float) -> tuple[Point, Point]:
-    """The edge of the hull above which `middle` lies."""
+    """Return the edge of the hull above which `middle` lies."""
     right = next(index for index, (x, _) in enumerate(hull) if x >= middle and index > 0)
     return hull[right - 1], hull[right]

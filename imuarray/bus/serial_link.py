@@ -168,7 +168,7 @@ class CountRule:
     is_of_packets: bool = False
 
     def packets(self, answer: bytes) -> int:
-        """The number of whole packets that the answer before counts."""
+        """Return the number of whole packets that the answer before counts."""
         order: Literal["big", "little"] = "big" if self.is_big_endian else "little"
         count = int.from_bytes(answer[self.offset : self.offset + 2], order) & self.mask
         return count if self.is_of_packets else count // self.packet
@@ -189,7 +189,7 @@ class Request:
         return 3 + len(self.write) + (0 if self.rule is None else _RULE.size)
 
     def encode(self) -> bytes:
-        """The request as it stands in a LIST; ValueError if it writes more than a request can."""
+        """Return the request as it stands in a LIST; ValueError if it writes more than a request can."""
         if len(self.write) > _LONGEST_WRITE:
             raise ValueError(f"{len(self.write)} bytes to write in a list; at most {_LONGEST_WRITE}")
         if self.rule is None:
@@ -214,7 +214,7 @@ class PollList:
 
 
 def framed(kind: int, sequence: int, payload: bytes = b"", time_us: int = 0) -> bytes:
-    """The bytes of one frame; ValueError for a payload that is too long."""
+    """Return the bytes of one frame; ValueError for a payload that is too long."""
     if len(payload) > MAX_PAYLOAD:
         raise ValueError(f"{len(payload)} bytes in a frame of the serial link; at most {MAX_PAYLOAD}")
     frame = _HEADER.pack(SYNC, len(payload), kind, sequence, time_us) + payload
@@ -229,8 +229,8 @@ class Deframer:
         self._waiting = b""
 
     def feed(self, data: bytes, *, final: bool = False) -> list[Frame]:
-        """The frames that `data` completes; never raises. `final`: nothing follows, what looks like the beginning of a
-        frame is none.
+        """Return the frames that `data` completes; never raises. `final`: nothing follows, what looks like the
+        beginning of a frame is none.
         """
         buffer = self._waiting + data
         frames: list[Frame] = []
@@ -328,7 +328,9 @@ def counts_of(payload: bytes) -> FirmwareCounts:
 
 
 def outcome_of(payload: bytes, count: int, what: str) -> bytes:
-    """The `count` bytes behind a result of 0; OSError as Linux gives it for 1 to 3, LinkError for anything else."""
+    """Return the `count` bytes behind a result of 0; OSError as Linux gives it for 1 to 3, LinkError for anything
+    else.
+    """
     if not payload or payload[0] not in (DONE, *_ERRNO):
         raise LinkError(f"{what}: the microcontroller answers {payload[:8].hex() or 'nothing'}")
     if payload[0] != DONE:

@@ -43,7 +43,7 @@ class Port(Protocol):
 
 
 def usual_port(path: str, baud: int) -> Port:
-    """The port at `path`, for this program alone; pyserial's SerialException, an OSError, or ValueError."""
+    """Return the port at `path`, for this program alone; pyserial's SerialException, an OSError, or ValueError."""
     from serial import Serial
 
     port: Port = Serial(path, baud, timeout=READ_S, write_timeout=WRITE_S, exclusive=True)

@@ -82,13 +82,13 @@ class _Piece(NamedTuple):
     tight: bool
 
     def since(self, sent_us: int) -> _Piece:
-        """The frames that were sent from `sent_us` on, whose arrival does not show the transit time."""
+        """Return the frames that were sent from `sent_us` on, whose arrival does not show the transit time."""
         places = np.flatnonzero(self.sent_us >= sent_us)
         frames = [self.frames[place] for place in places.tolist()]
         return _Piece(frames, self.sent_us[places], self.arrived_ns, False)
 
     def between(self, after_us: int, until_us: int, known: set[Frame]) -> _Piece:
-        """The frames that were sent after `after_us`, by `until_us`, and are not `known`."""
+        """Return the frames that were sent after `after_us`, by `until_us`, and are not `known`."""
         places = [
             place
             for place, (frame, at_us) in enumerate(zip(self.frames, self.sent_us.tolist(), strict=True))
@@ -201,8 +201,8 @@ class Session:
         raise LinkError("the microcontroller does not answer")
 
     def _answer_to(self, kind: int, asked_ns: int) -> _Answer | None:
-        """The answer to the last command, which was asked at `asked_ns`. An earlier command of the same number may
-        have been answered by the same kind of frame: that one was sent before.
+        """Return the answer to the last command, which was asked at `asked_ns`. An earlier command of the same number
+        may have been answered by the same kind of frame: that one was sent before.
         """
         since_us = self._latest_us(asked_ns)
         answers, self._answers = self._answers, []
@@ -239,7 +239,7 @@ class Session:
         return len(frames)
 
     def collect(self) -> Data:
-        """The data of the running stream that has come since the last call."""
+        """Return the data of the running stream that has come since the last call."""
         pieces, self._pieces = [piece for piece in self._pieces if piece.frames], []
         self.refused[UNASKED] += len(self._answers)
         self._answers.clear()
@@ -320,8 +320,8 @@ class Session:
                 self.fit.add(min(newest_us * 1000, latest_ns + LEARNT_NS), piece.arrived_ns)
 
     def _latest_us(self, arrived_ns: int) -> int | None:
-        """The count of the microcontroller at which a frame that arrives at `arrived_ns` is sent at the latest, if its
-        delivery is as quick as the quickest of the last seconds; None while nothing is known of the counter.
+        """Return the count of the microcontroller at which a frame that arrives at `arrived_ns` is sent at the latest,
+        if its delivery is as quick as the quickest of the last seconds; None while nothing is known of the counter.
         """
         latest_ns = self.fit.latest_sent_ns(arrived_ns)
         return None if latest_ns is None else latest_ns // 1000

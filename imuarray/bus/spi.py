@@ -140,7 +140,7 @@ class SpiPorts:
         self._ports: dict[str, LinuxSpiPort] = {}
 
     def port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """The chip select at `path`; BusUrlError."""
+        """Return the chip select at `path`; BusUrlError."""
         if path not in self._ports:
             self._ports[path] = LinuxSpiPort(path, mode, clock_hz)
         return self._ports[path]

@@ -120,11 +120,11 @@ class RecordingBus:
         return self._note("", self.bus, address, write, read)
 
     def channel_bus(self, path: str) -> Bus:
-        """The bus at `path`, recorded into the same file."""
+        """Return the bus at `path`, recorded into the same file."""
         return _RecordedChannel(self, path, self.bus.channel_bus(path))
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """The chip select at `path`, recorded into the same file as transactions with the address 0."""
+        """Return the chip select at `path`, recorded into the same file as transactions with the address 0."""
         return _RecordedPort(self, path, self.bus.spi_port(path, mode, clock_hz))
 
     def _note(self, path: str, bus: Bus, address: int, write: bytes, read: int) -> bytes:

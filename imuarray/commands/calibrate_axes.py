@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def report_of(pointings: Sequence[Pointing], before: dict[str, str]) -> dict[str, Any]:
-    """Every sensor's axes before and now, JSON-ready; an empty text where they could not be determined.
+    """Return every sensor's axes before and now, JSON-ready; an empty text where they could not be determined.
 
     `left` is the former name of `residual`, for programs that read it.
     """

@@ -20,7 +20,7 @@ _WORTH_SAYING = 0.2
 
 
 def report_of(calibration: Calibration) -> dict[str, Any]:
-    """Every sensor's noise, its colour and its drift, JSON-ready: counts, and mg or dps."""
+    """Return every sensor's noise, its colour and its drift, JSON-ready: counts, and mg or dps."""
     return {"sensors": [_row(sensor) for sensor in calibration.sensors.values()]}
 
 
@@ -91,7 +91,7 @@ def _correlation(values: list[float], index: int) -> str:
 
 
 def _drift(row: dict[str, Any], index: int) -> str:
-    """The rms with its error; where that is less than twice the error, the bound that it stays below."""
+    """Return the rms with its error; where that is less than twice the error, the bound that it stays below."""
     drift = row["drift"]
     if drift is None:
         return "-"
@@ -102,7 +102,7 @@ def _drift(row: dict[str, Any], index: int) -> str:
 
 
 def _time_constant(row: dict[str, Any]) -> str:
-    """The time constant with its interval; nothing where no axis drifts significantly."""
+    """Return the time constant with its interval; nothing where no axis drifts significantly."""
     drift = row["drift"]
     if drift is None or not any(
         rms >= 2 * sem for rms, sem in zip(drift["rms_lsb"], drift["rms_sem_lsb"], strict=True)

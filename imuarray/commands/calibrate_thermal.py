@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 
 def report_of(result: ThermalResult) -> dict[str, Any]:
-    """Every sensor's slopes, every sensor in every log, and the opposing pairs with their p-values, of `pairs` looked
-    at at once (Holm), JSON-ready.
+    """Return every sensor's slopes, every sensor in every log, and the opposing pairs with their p-values, of `pairs`
+    looked at at once (Holm), JSON-ready.
     """
     from imuarray.calibrate import holm
 
@@ -90,7 +90,7 @@ def print_report(report: dict[str, Any]) -> None:
 
 
 def _curvature(row: dict[str, Any], index: int) -> str:
-    """The quadratic term and its standard error, as far as there are any."""
+    """Return the quadratic term and its standard error, as far as there are any."""
     if row.get("quadratic_sem_lsb_per_degc2") is None:
         return f"{'-':>11} {'':>8}"
     curvature = row.get("quadratic_lsb_per_degc2") or [0.0] * 3
@@ -99,7 +99,7 @@ def _curvature(row: dict[str, Any], index: int) -> str:
 
 
 def _scale(row: dict[str, Any], index: int) -> str:
-    """The slope of the scale factor, if it is known."""
+    """Return the slope of the scale factor, if it is known."""
     slopes, sems = row.get("scale_slope_per_degc"), row.get("scale_slope_sem_per_degc")
     if not slopes or not sems or slopes[index] is None:
         return ""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def report_of(results: Sequence[TurnOnResult]) -> dict[str, Any]:
-    """Every sensor's runs, JSON-ready; `p_value` allows for all axes that were looked at (Holm)."""
+    """Return every sensor's runs, JSON-ready; `p_value` allows for all axes that were looked at (Holm)."""
     from imuarray.calibrate import holm
 
     allowed = holm(np.concatenate([result.p_value for result in results])).reshape(-1, 3)

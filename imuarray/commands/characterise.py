@@ -94,7 +94,7 @@ def _run(options: CharacteriseOptions) -> None:
 
 
 def _characterise(log: Log, options: CharacteriseOptions) -> dict[str, Any]:
-    """The result, with a bar on standard error while it is computed."""
+    """Return the result, with a bar on standard error while it is computed."""
     from imuarray.calibrate.motion import longest_rest
     from imuarray.characterise import characterise_log
 
@@ -132,7 +132,7 @@ def _files() -> list[str]:
 
 
 def _write(result: dict[str, Any], output: Path) -> list[Path]:
-    """The files that were written into `output`; without matplotlib figures are left out and that is said."""
+    """Return the files that were written into `output`; without matplotlib figures are left out and that is said."""
     from imuarray.characterise.plots import FIGURES
 
     paths = [output / RESULT]
@@ -165,7 +165,7 @@ def json_text(value: Any, depth: int = 0) -> str:
 
 
 def _write_kalibr(result: dict[str, Any], output: Path) -> list[Path]:
-    """The noise figures for Kalibr, a file an IMU."""
+    """Return the noise figures for Kalibr, a file an IMU."""
     from imuarray.characterise.imu_noise import imu_files
 
     paths = []

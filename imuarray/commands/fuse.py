@@ -250,8 +250,8 @@ def _measured(
     take_notes: Callable[[FusionNotes], None],
     progress: Callable[[float], None],
 ) -> Iterator[FusedBlock]:
-    """The result; `quality` is given its blocks, and the average's of the same frames before them. Where nothing is
-    left out of the frames they are aligned once for both.
+    """Yield the result; `quality` is given its blocks, and the average's of the same frames before them. Where nothing
+    is left out of the frames they are aligned once for both.
     """
     from imuarray.fuse import TECHNIQUES, ComparisonPipeline
 
@@ -279,7 +279,7 @@ def _measured(
 
 
 def _sensors(log: Log, names: Sequence[str]) -> dict[str, list[str]]:
-    """The names of the sensors of each quantity that are fused."""
+    """Return the names of the sensors of each quantity that are fused."""
     return {quantity: [s.name for s in log.of(quantity) if not names or s.name in names] for quantity in INERTIAL}
 
 
@@ -307,7 +307,7 @@ class _Errors:
         self._evaluation.add(together)
 
     def results(self) -> dict[str, Any]:
-        """The results by technique and quantity."""
+        """Return the results by technique and quantity."""
         return {
             technique: {quantity: _error(error) for quantity, error in errors.items()}
             for technique, errors in self._evaluation.errors().items()
@@ -334,7 +334,7 @@ class _Noise:
             self._noise.setdefault(technique, QuietNoise()).add(block)
 
     def results(self) -> dict[str, Any]:
-        """The results by technique and quantity."""
+        """Return the results by technique and quantity."""
         return {
             technique: {quantity: {"noise": scatter.tolist()} for quantity, scatter in noise.scatter().items()}
             for technique, noise in self._noise.items()

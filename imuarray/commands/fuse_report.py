@@ -26,7 +26,7 @@ _MOST_REMARKS = 40
 
 
 def notes_sentences(notes: FusionNotes) -> Iterator[str]:
-    """A table of biases, a row a sensor, and the remarks."""
+    """Yield a table of biases, a row a sensor, and the remarks."""
     for quantity, biases in notes.biases.items():
         yield from _bias_table(quantity, biases)
     yield from notes.remarks[:_MOST_REMARKS]
@@ -35,7 +35,9 @@ def notes_sentences(notes: FusionNotes) -> Iterator[str]:
 
 
 def _bias_table(quantity: str, biases: Sequence[LearnedBias]) -> Iterator[str]:
-    """The table of one quantity: the slow error of every axis with its uncertainty, and the uncertainty before."""
+    """Yield the table of one quantity: the slow error of every axis with its uncertainty, and the uncertainty
+    before.
+    """
     factor, unit = READABLE_SI[quantity]
     before = [factor * bias.sd_before for bias in biases]
     span = f"{min(before):.3g}" if max(before) < 1.005 * min(before) else f"{min(before):.3g} to {max(before):.3g}"
@@ -58,7 +60,7 @@ _HEADING = f"{'each':>8} {'together':>9} {'factor':>12}"
 
 
 def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Every pair of the fused sensors, SI, JSON-ready: None stands for infinite."""
+    """Return every pair of the fused sensors, SI, JSON-ready: None stands for infinite."""
     from imuarray.characterise.result import json_ready
     from imuarray.fuse.techniques.opposed import capabilities
 
@@ -72,14 +74,16 @@ def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[d
 
 
 def _former_names(error: Reduction | None) -> dict[str, Any] | None:
-    """The figures of an error, and the former names `left` and `left_sem` of two, for programs that read them."""
+    """Return the figures of an error, and the former names `left` and `left_sem` of two, for programs that read
+    them.
+    """
     if error is None:
         return None
     return {**vars(error), "left": error.remaining, "left_sem": error.remaining_sem}
 
 
 def pair_lines(pairs: Sequence[dict[str, Any]], *, follows_temperature: bool) -> Iterator[str]:
-    """A table of the first pairs that the calibration knows something of, and a line for all others;
+    """Yield a table of the first pairs that the calibration knows something of, and a line for all others;
     `follows_temperature`: slopes are taken out before the axes meet.
     """
     known = [pair for pair in pairs if pair["drift"] is not None or pair["bias"] is not None]
@@ -106,7 +110,7 @@ def _axes(pair: dict[str, Any]) -> str:
 
 
 def _pair_row(pair: dict[str, Any], width: int, *, drift: bool) -> str:
-    """A pair in the table, its axes in `width` characters."""
+    """Return a pair in the table, its axes in `width` characters."""
     factor, unit = READABLE_SI[pair["quantity"]]
     doubt = " " if pair["is_bias"] else "*"
     slope = f"{_cells(pair['drift'], factor)} {doubt} " if drift else ""
@@ -115,7 +119,7 @@ def _pair_row(pair: dict[str, Any], width: int, *, drift: bool) -> str:
 
 
 def _cells(error: dict[str, Any] | None, factor: float) -> str:
-    """The errors of each axis and of both together, and their ratio where the gain is significant."""
+    """Return the errors of each axis and of both together, and their ratio where the gain is significant."""
     if error is None:
         return " " * len(_HEADING)
     sizes = f"{factor * error['single']:8.3g} {factor * abs(error['remaining']):9.3g}"
@@ -133,7 +137,7 @@ _STEPS = 1000
 
 
 def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[str, Any]:
-    """All techniques on a log (with these sensors, if any are named), JSON-ready; a bar on standard error."""
+    """Return all techniques on a log (with these sensors, if any are named), JSON-ready; a bar on standard error."""
     from imuarray.fuse import compare
 
     with progress(_STEPS, "techniques") as done:

@@ -36,7 +36,7 @@ def command(run: Path, as_json: bool) -> None:
 
 
 def describe(log: Log) -> dict[str, Any]:
-    """The log as one JSON-ready object."""
+    """Return the log as one object for JSON."""
     from imuarray.log.missed_frames import frame_timing
 
     timing = frame_timing(log)

@@ -116,7 +116,7 @@ def print_summary(
 
 
 def _why_missed(summary: Summary) -> str:
-    """The cause of the missed frames: the bus, this machine, or both."""
+    """Return the cause of the missed frames: the bus, this machine, or both."""
     from imuarray.log.missed_frames import BUS_WAS_LATE
 
     busy = "the array can't be read this fast, or this machine was busy"
@@ -128,7 +128,7 @@ def _why_missed(summary: Summary) -> str:
 
 
 def _logs_with_events(logs: Sequence[Path], sensor: str) -> list[Path]:
-    """The logs with events about a sensor, or about what carries its readings; all of them if there are none."""
+    """Return the logs with events about a sensor, or about what carries its readings; all of them if there are none."""
     from imuarray.log import open_log
 
     if len(logs) == 1:
@@ -341,7 +341,7 @@ def _refuse_without(option: str, is_given: bool, dependent: dict[str, Any]) -> N
 
 
 def _array_and_bus(options: LogOptions) -> tuple[ArrayConfig, str]:
-    """The sensors to read and the URL of their bus; ConfigError if there is none."""
+    """Return the sensors to read and the URL of their bus; ConfigError if there is none."""
     from imuarray.array import load_array
 
     array = load_array(find_config(options.config))
@@ -355,7 +355,9 @@ def _array_and_bus(options: LogOptions) -> tuple[ArrayConfig, str]:
 
 
 def _judge(options: LogOptions, array: ArrayConfig) -> StartUpJudge | None:
-    """The judge of how sensors start; None without a calibration, or for one that serves --fuse and knows no states."""
+    """Return the judge of how sensors start; None without a calibration, or for one that serves --fuse and knows
+    no states.
+    """
     if options.calibration is None:
         return None
     from imuarray.calibrate import load_calibration
@@ -370,7 +372,7 @@ def _remark(text: str) -> None:
 
 
 def _fusion(options: LogOptions, judge: StartUpJudge | None) -> LiveFusion:
-    """The fusion that runs while the log is recorded."""
+    """Return the fusion that runs while the log is recorded."""
     from imuarray.calibrate import Calibration, load_calibration
     from imuarray.chips import SENSITIVITIES
     from imuarray.fuse.live_fusion import FusionOutput, LiveFusion, LiveFusionOptions, default_path
@@ -396,7 +398,7 @@ def _fusion(options: LogOptions, judge: StartUpJudge | None) -> LiveFusion:
 
 
 def _page_arguments(options: LogOptions) -> dict[str, Any]:
-    """The options of `imuarray monitor` for the page of this log."""
+    """Return the options of `imuarray monitor` for the page of this log."""
     return {
         "--host": options.monitor_host,
         "--port": options.monitor_port,
@@ -408,7 +410,7 @@ def _page_arguments(options: LogOptions) -> dict[str, Any]:
 def _connect(
     stack: ExitStack, options: LogOptions, url: str, array: ArrayConfig
 ) -> tuple[OpenBus, RecordingBus | None]:
-    """The bus, open as long as `stack` is, and what writes its transcript, if one is required."""
+    """Return the bus, open as long as `stack` is, and what writes its transcript, if one is required."""
     from imuarray.bus import open_bus
     from imuarray.bus.transcript import RecordingBus
 

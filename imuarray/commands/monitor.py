@@ -198,7 +198,7 @@ def _show(monitor: LogMonitor, every_s: float, *, as_json: bool, once: bool) -> 
 
 
 def _complete(monitor: LogMonitor) -> Snapshot:
-    """The first look in which all of the log was counted."""
+    """Return the first look in which all of the log was counted."""
     while True:
         snapshot = monitor.refresh(time.monotonic())
         if snapshot.counted == 1.0:

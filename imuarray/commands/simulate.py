@@ -256,7 +256,7 @@ def _refuse_idle(context: click.Context, experiment: str, like: Path | None) -> 
 
 
 def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[BootRun]]:
-    """The logs to write; the recorded log that they are like, if there is one."""
+    """Return the logs to write; the recorded log that they are like, if there is one."""
     from imuarray.array import load_array
     from imuarray.errors import ConfigError
     from imuarray.log import open_log
@@ -323,7 +323,7 @@ def _note(model: str, seed: int, boot: int, without: tuple[str, ...], population
 
 
 def _spelled(effects: Any, unit: str) -> list[dict[str, Any]]:
-    """The effects of one unit with their parameters, as a model file spells them."""
+    """Return the effects of one unit with their parameters, as a model file spells them."""
     from imuarray.simulate.parameters import to_table
 
     return [{"effect": effect.name, **to_table(effect, unit)} for effect in effects]

@@ -110,7 +110,7 @@ HIGH_RESOLUTION_DRIVERS: dict[str, type[Driver]] = {
 
 
 def driver_of(sensor: SensorConfig) -> type[Driver]:
-    """The class of the driver for a sensor as it is configured."""
+    """Return the class of the driver for a sensor as it is configured."""
     if sensor.high_resolution:
         return HIGH_RESOLUTION_DRIVERS[sensor.chip]
     return (FIFO_DRIVERS if sensor.fifo else DRIVERS)[sensor.chip]

@@ -139,7 +139,7 @@ class Adxl345Fifo(Adxl345):
         self.queue.restart()
 
     def fetch(self) -> bytes:
-        """Every set that is waiting, oldest first; those that were read before the bus failed are not lost."""
+        """Return every set that is waiting, oldest first; those that were read before the bus failed are not lost."""
         at_ns = self.clock.now_ns()
         entries = facts.ENTRIES.of(self.registers.peek(facts.FIFO_STATUS)[0])
         until_ns = self.clock.now_ns()

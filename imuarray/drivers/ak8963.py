@@ -48,7 +48,7 @@ class Ak8963(ChipDriver):
         self.adjustment = bytes(3)
 
     def settings(self) -> tuple[Setting, tuple[Setting, ...]]:
-        """The mode in which it measures, and what can be read back while it does."""
+        """Return the mode in which it measures, and what can be read back while it does."""
         mode = facts.SIXTEEN_BITS(1) | facts.MODE(_MODES[self.rate_hz])
         return mode, (mode, facts.SELF_TEST(0))
 
@@ -129,7 +129,7 @@ class Ak8963(ChipDriver):
         return self.registers.peek(facts.ST1, self.burst)
 
     def measured(self) -> bytes:
-        """The burst of the self-test."""
+        """Return the burst of the self-test."""
         return self.fetch()
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
@@ -142,5 +142,5 @@ class Ak8963(ChipDriver):
         return DecodedBursts(counts, None, status | flagged(bursts[:, 7], facts.OVERFLOW.mask, SATURATED))
 
     def header(self) -> Mapping[str, int]:
-        """The adjustment of the sensitivity: a field is counts * (asa + 128) / 256 / sensitivity (AKM-16)."""
+        """Return the adjustment of the sensitivity: a field is counts * (asa + 128) / 256 / sensitivity (AKM-16)."""
         return dict(zip(("asa_x", "asa_y", "asa_z"), self.adjustment, strict=True))

@@ -70,7 +70,7 @@ class Ak8975(Ak8963):
         return block
 
     def measured(self) -> bytes:
-        """The burst of the self-test: no measurement follows it."""
+        """Return the burst of the self-test: no measurement follows it."""
         return self.registers.peek(facts.ST1, self.burst)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:

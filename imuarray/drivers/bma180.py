@@ -91,7 +91,9 @@ class Bma180(ChipDriver):
         return True
 
     def self_test(self) -> SelfTest:
-        """The largest deflection while st0 is set, at 2 g and 1200 Hz: more than 200 counts on every axis (BMA-104)."""
+        """Return the largest deflection while st0 is set, at 2 g and 1200 Hz: more than 200 counts on every axis
+        (BMA-104).
+        """
         quick = (facts.BANDWIDTH(_BANDWIDTH_CODES[1200.0]), facts.RANGE(_RANGE_CODES[2.0]) | facts.SMP_SKIP(0))
         carry_out(self.clock, self._set_up(quick))
         sleep_for(self.clock, 0.005)

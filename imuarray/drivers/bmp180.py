@@ -98,7 +98,7 @@ class Bmp180(OnDemandBarometer):
 
 
 def calibration_words(block: bytes) -> Words:
-    """The eleven words from the 22 bytes at 0xAA: most significant byte first, AC4 ... AC6 unsigned (BMP-20 ...
+    """Return the eleven words from the 22 bytes at 0xAA: most significant byte first, AC4 ... AC6 unsigned (BMP-20 ...
     BMP-30).
     """
     return {

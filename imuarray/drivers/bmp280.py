@@ -80,7 +80,7 @@ class Bmp280(ForcedBarometer):
 
 
 def calibration_words(block: bytes) -> Words:
-    """The twelve words from the 24 bytes at 0x88: least significant byte first, T1 and P1 unsigned (BMP-103)."""
+    """Return the twelve words from the 24 bytes at 0x88: least significant byte first, T1 and P1 unsigned (BMP-103)."""
     return {
         name: int.from_bytes(block[2 * index : 2 * index + 2], "little", signed=name not in _UNSIGNED)
         for index, name in enumerate(facts.CALIBRATION_WORDS)

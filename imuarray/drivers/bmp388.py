@@ -78,7 +78,7 @@ class Bmp388(ForcedBarometer):
 
 
 def calibration_words(block: bytes) -> Words:
-    """The fourteen words from the 21 bytes at 0x31 (BMP-203)."""
+    """Return the fourteen words from the 21 bytes at 0x31 (BMP-203)."""
     words, first = {}, 0
     for name, count in zip(facts.CALIBRATION_WORDS, _BYTES, strict=True):
         words[name] = int.from_bytes(block[first : first + count], "little", signed=name not in _UNSIGNED)

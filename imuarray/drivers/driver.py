@@ -118,8 +118,8 @@ class SelfTest(NamedTuple):
 
 
 def compared(before: Floats, during: Floats, limits: Limits, text: str, *, still: float) -> SelfTest:
-    """The verdict on (n, 3) readings before a self-test and (m, 3) during it: do their means differ by what `limits`
-    allow?
+    """Return the verdict on (n, 3) readings before a self-test and (m, 3) during it: do their means differ by what
+    `limits` allow?
 
     It can't be determined if the readings of either scatter by more than `still` (one standard deviation): the box
     moved. `text` is a template with {change}.
@@ -271,7 +271,7 @@ class ChipDriver:
 
 
 def registers_for(sensor: SensorConfig, bus: Bus) -> Registers:
-    """The registers of `sensor` on `bus`, labelled for messages."""
+    """Return the registers of `sensor` on `bus`, labelled for messages."""
     return Registers(bus, sensor.address, f"{sensor.name} ({sensor.chip}) at {sensor.place}")
 
 

@@ -77,7 +77,7 @@ class _Window:
         return (max(times) - min(times)) / 2
 
     def uncertainty_ns(self, number: int) -> float:
-        """The largest distance of a possible time of a sample from the estimate."""
+        """Return the largest distance of a possible time of a sample from the estimate."""
         steps = number - self.first
         times = [start + steps * period for start, period in self.vertices]
         center_ns = self.center[0] + steps * self.center[1]
@@ -85,7 +85,9 @@ class _Window:
 
 
 def _kept(vertices: Vertices, excess: list[float]) -> Vertices:
-    """The part of a convex polygon on which `excess`, given at the vertices and linear in between, is not positive."""
+    """Return the part of a convex polygon on which `excess`, given at the vertices and linear in between, is not
+    positive.
+    """
     kept: Vertices = []
     before, beyond = vertices[-1], excess[-1]
     for vertex, over in zip(vertices, excess, strict=True):
@@ -107,7 +109,7 @@ def _is_same(vertex: tuple[float, float], other: tuple[float, float]) -> bool:
 
 
 def _centroid(vertices: Vertices) -> tuple[float, float]:
-    """The centre of area of a convex polygon; the mean of its vertices if it has no area."""
+    """Return the centre of area of a convex polygon; the mean of its vertices if it has no area."""
     x0, y0 = vertices[0]
     area = x = y = 0.0
     for (xa, ya), (xb, yb) in pairwise(vertices[1:]):

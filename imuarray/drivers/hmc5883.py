@@ -84,7 +84,7 @@ class Hmc5883(ChipDriver):
         return verdict
 
     def _settled(self) -> Floats:
-        """A few readings (n, 3) in counts, the first ones thrown away."""
+        """Return a few readings (n, 3) in counts, the first ones thrown away."""
         readings = []
         for _ in range(7):
             sleep_for(self.clock, 2 / 75)

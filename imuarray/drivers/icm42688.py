@@ -132,7 +132,7 @@ class _Half(SixAxisHalf):
             self.registers.verify(setting)
 
     def _filters_by_bank(self) -> Iterator[Setting]:
-        """Each setting of the filters while its bank is selected; bank 0 again after the last."""
+        """Yield each setting of the filters while its bank is selected; bank 0 again after the last."""
         selected = 0
         for setting in self.filters:
             if setting.register.bank != selected:
@@ -158,7 +158,9 @@ class _Half(SixAxisHalf):
         return compared(*upward(before, during), self.limits, text, still=0.05)
 
     def _trim_counts(self) -> Floats:
-        """The factory's change (3,) at the range of the self-test, half as much at twice the smallest (TDK-40)."""
+        """Return the factory's change (3,) at the range of the self-test, half as much at twice the smallest
+        (TDK-40).
+        """
         self.registers.set(self._bank(self.trim.bank))
         codes = self.registers.peek(self.trim, 3)
         self.registers.set(self._bank(0))
@@ -171,8 +173,8 @@ class _Half(SixAxisHalf):
 
 
 def _status(counts: npt.NDArray[Any], bits: int = 16) -> npt.NDArray[np.uint16]:
-    """(n,) flags of (n, 3) counts: suspect where the lowest code, -32768 of 16 bits, says that there is no reading,
-    saturated at the ends of the rest.
+    """Return (n,) flags of (n, 3) counts: suspect where the lowest code, -32768 of 16 bits, says that there is no
+    reading, saturated at the ends of the rest.
     """
     lowest = -1 << bits - 1
     invalid = (counts == lowest).any(axis=1)

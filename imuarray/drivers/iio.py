@@ -66,12 +66,14 @@ _WORDS = 4  # x, y, z and the temperature
 
 
 def triads_of(device: IioDevice) -> list[str]:
-    """The quantities of which a device has at least the x axis."""
+    """Return the quantities of which a device has at least the x axis."""
     return [quantity for quantity, (name, _) in CHANNELS.items() if (device.folder / f"{name}_x_raw").exists()]
 
 
 def rates_of(device: IioDevice) -> dict[str, float]:
-    """The data rate in Hz of each triad of a device, by quantity; 0 where the driver has none. SensorError, OSError."""
+    """Return the data rate in Hz of each triad of a device, by quantity; 0 where the driver has none.
+    SensorError, OSError.
+    """
     rates = {}
     for quantity in triads_of(device):
         names = ("sampling_frequency", f"{CHANNELS[quantity][0]}_sampling_frequency")
@@ -180,7 +182,7 @@ class IioSensor:
             raise self.error(f"{self.device.name} has no {', '.join(missing)}; {has}")
 
     def error(self, text: str) -> SensorError:
-        """An error of this sensor."""
+        """Return an error of this sensor."""
         return SensorError(f"{self.registers.label}: {text}")
 
     def steps(self) -> Iterator[float]:
@@ -241,15 +243,15 @@ class IioSensor:
             raise SensorError(f"{self.device}: {attribute} reads {kept:g} after {text} was written")
 
     def _unrounded(self, scale: float, text: str) -> float:
-        """The data sheet's scale that the kernel means by `text`, if there is one: some drivers give six digits after
-        the point, of which three are zeros for a gyroscope, or multiples of one that was rounded before.
+        """Return the data sheet's scale that the kernel means by `text`, if there is one: some drivers give six digits
+        after the point, of which three are zeros for a gyroscope, or multiples of one that was rounded before.
         """
         digit = 10.0 ** -len(text.partition(".")[2])
         exact = [self.unit_si / counts for counts in self.sensor.spec.sensitivity.values()]
         return next((value for value in exact if abs(value - scale) < max(digit, ROUNDED * value)), scale)
 
     def _attribute(self, kind: str) -> str:
-        """The name of an attribute that all axes share, or that of x; it may be missing."""
+        """Return the name of an attribute that all axes share, or that of x; it may be missing."""
         for name in (f"{self.channel}_{kind}", f"{self.channel}_x_{kind}"):
             if self.device.read(name) is not None:
                 return name
@@ -259,7 +261,7 @@ class IioSensor:
         return self.device.read(self._attribute(kind)) or ""
 
     def _common(self, kind: str, default: float | None = None) -> float:
-        """The value of an attribute that is the same for all axes."""
+        """Return the value of an attribute that is the same for all axes."""
         shared = f"{self.channel}_{kind}"
         text = self.device.read(shared)
         if text is not None:
@@ -274,7 +276,9 @@ class IioSensor:
         return values[0]
 
     def _thermometer(self, elements: Mapping[str, ScanElement]) -> ThermometerScale | None:
-        """The thermometer that is captured with it, if there is one whose counts are known and fit 16 bits (LNX-65)."""
+        """Return the thermometer that is captured with it, if there is one whose counts are known and fit 16 bits
+        (LNX-65).
+        """
         element = elements.get(TEMPERATURE)
         if element is None or element.range_bits > 16 or not self.sensor.fifo:
             return None
@@ -283,7 +287,7 @@ class IioSensor:
         return ThermometerScale(offset * scale / 1e3, 1e3 / scale) if scale else None
 
     def _mounting(self) -> str:
-        """The axes of the configuration, or those of the device's mounting matrix (LNX-66)."""
+        """Return the axes of the configuration, or those of the device's mounting matrix (LNX-66)."""
         text = self.mount_matrix
         if "axes" in self.sensor.model_fields_set or not text:
             return self.sensor.axes
@@ -317,7 +321,7 @@ class IioSensor:
     # Reading ------------------------------------------------------------------------------------------------------
 
     def fetch(self) -> bytes:
-        """The three attributes, read one after the other. OSError."""
+        """Return the three attributes, read one after the other. OSError."""
         values = []
         for name in self.names:
             text = self.device.read(f"{name}_raw")
@@ -382,7 +386,7 @@ class BufferedIioSensor(IioSensor):
         super().__init__(sensor, capture)
 
     def fetch(self) -> bytes:
-        """All samples that wait. OSError with ENODEV if the device was removed."""
+        """Return all samples that wait. OSError with ENODEV if the device was removed."""
         self._capture.drain()
         return self.queue.take()
 
@@ -530,7 +534,7 @@ def _reach(elements: Sequence[ScanElement], offset: int) -> int:
 
 
 def _rows(columns: Mapping[str, Any], member: IioSensor) -> bytes:
-    """(n, 4) words of a sensor: x, y, z with their offset, and the temperature."""
+    """Return (n, 4) words of a sensor: x, y, z with their offset, and the temperature."""
     counts = [columns[name] + member.conversion.offset for name in member.names]
     temperature = columns.get(TEMPERATURE)
     last = np.zeros_like(counts[0]) if temperature is None else temperature
@@ -538,17 +542,17 @@ def _rows(columns: Mapping[str, Any], member: IioSensor) -> bytes:
 
 
 def _choice(triggers: Iterable[str]) -> str:
-    """The triggers that there are, for a message."""
+    """Return the triggers that there are, for a message."""
     return ", ".join(printable(name) for name in triggers) or "none yet: the module iio-trig-hrtimer creates them"
 
 
 def _plain(number: float) -> str:
-    """A number as sysfs takes it."""
+    """Return a number as sysfs takes it."""
     return f"{number:.6f}".rstrip("0").rstrip(".")
 
 
 def _signed_axis(column: Sequence[float]) -> str:
-    """The signed box axis that a column of a rotation by quarter turns is; ValueError for another."""
+    """Return the signed box axis that a column of a rotation by quarter turns is; ValueError for another."""
     rounded = [round(value) for value in column]
     if max(abs(value - whole) for value, whole in zip(column, rounded, strict=True)) > 1e-3:
         raise ValueError
@@ -559,7 +563,7 @@ def _signed_axis(column: Sequence[float]) -> str:
 
 
 def _number(name: str, text: str | None) -> float:
-    """The number in an attribute; SensorError if there is none."""
+    """Return the number in an attribute; SensorError if there is none."""
     try:
         value = float(text or "")
     except ValueError:
@@ -570,7 +574,7 @@ def _number(name: str, text: str | None) -> float:
 
 
 def _numbers(text: str) -> list[str]:
-    """The values of an attribute `..._available`, as they are written; none for a span, "[least step most]"."""
+    """Return the values of an attribute `..._available`, as they are written; none for a span, "[least step most]"."""
     if text.startswith("["):
         return []
     values = text.split()
@@ -590,5 +594,5 @@ def _advice(error: OSError) -> str:
 
 
 def iio_sensor(sensor: SensorConfig, capture: IioCapture) -> IioSensor:
-    """The driver of a sensor that the kernel serves: by its buffer with `fifo`, else by its attributes."""
+    """Return the driver of a sensor that the kernel serves: by its buffer with `fifo`, else by its attributes."""
     return BufferedIioSensor(sensor, capture) if sensor.fifo else IioSensor(sensor, capture)

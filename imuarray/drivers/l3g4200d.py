@@ -70,8 +70,8 @@ class L3g4200d(ChipDriver):
         self.registers.expect(facts.WHO_AM_I)
 
     def steps(self) -> Iterator[float]:
-        """The steps of its configuration, without a reset, since there is none: every control register is written, then
-        the power bit; wait out the turn-on.
+        """Yield the steps of its configuration, without a reset, since there is none: every control register is
+        written, then the power bit; wait out the turn-on.
         """
         for setting in (*self.settings, self.power):
             self.registers.set(setting)
@@ -155,7 +155,7 @@ class L3g4200dFifo(L3g4200d):
         self.queue.restart()
 
     def fetch(self) -> bytes:
-        """Every set that is waiting, oldest first."""
+        """Return every set that is waiting, oldest first."""
         at_ns = self.clock.now_ns()
         source = self.registers.peek(facts.FIFO_SRC_REG)[0]
         until_ns = self.clock.now_ns()

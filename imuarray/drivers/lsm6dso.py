@@ -140,7 +140,7 @@ class _QueuedHalf(QueuedHalf, _Half):
         return Lsm6dsoQueue(self.registers, self.clock, self.rate_hz, _QUEUE_ON)
 
     def _queue_settings(self) -> tuple[Setting, ...]:
-        """The halves that are read at their data rate, and a temperature now and then (LSM-42, LSM-43)."""
+        """Return the halves that are read at their data rate, and a temperature now and then (LSM-42, LSM-43)."""
         rates = dict.fromkeys(self.die_queue.halves, _RATE_CODES[self.rate_hz])
         batches = facts.GYRO_BATCH_RATE(rates.get("gyro", 0)) | facts.ACCEL_BATCH_RATE(rates.get("acc", 0))
         return facts.FIFO_CTRL3[7:0](batches.value), _QUEUE_ON

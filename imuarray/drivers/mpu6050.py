@@ -87,11 +87,11 @@ class _Half(SixAxisHalf):
         )
 
     def _trim_counts(self) -> Floats:
-        """The factory's change (3,) in counts at the range of the self-test; 0 where none is stored."""
+        """Return the factory's change (3,) in counts at the range of the self-test; 0 where none is stored."""
         raise NotImplementedError
 
     def _self_test_range(self) -> Setting:
-        """The range at which the factory's change holds."""
+        """Return the range at which the factory's change holds."""
         raise NotImplementedError
 
 

@@ -108,7 +108,7 @@ class OnDemandBarometer(ChipDriver):
         return barometer_readings(ut, up, temperature_degc, pressure_pa)
 
     def header(self) -> Mapping[str, int]:
-        """The calibration words, without which the counts mean nothing."""
+        """Return the calibration words, without which the counts mean nothing."""
         return {**self.words, **self.arithmetic.settings}
 
 

@@ -55,7 +55,7 @@ def factory_change(codes: bytes) -> Floats:
 
 
 def upward(before: Floats, during: Floats) -> tuple[Floats, Floats]:
-    """The readings (n, 3) before a self-test and during it, axes that it turns down with their sign changed."""
+    """Return the readings (n, 3) before a self-test and during it, axes that it turns down with their sign changed."""
     sign = np.where(during.mean(axis=0) < before.mean(axis=0), -1.0, 1.0)
     return before * sign, during * sign
 
@@ -108,7 +108,7 @@ class SixAxisHalf(ChipDriver):
         return np.asarray(np.array(counts), np.float64)
 
     def fetch(self) -> bytes:
-        """Both triads and the thermometer."""
+        """Return both triads and the thermometer."""
         return self._registers_now()
 
     def _registers_now(self) -> bytes:
@@ -137,7 +137,7 @@ class QueuedHalf(SixAxisHalf):
         self._use(self._new_queue())
 
     def _new_queue(self) -> DieQueue:
-        """The queue of this die."""
+        """Return the queue of this die."""
         raise NotImplementedError
 
     def _queue_settings(self) -> tuple[Setting, ...]:
@@ -166,5 +166,5 @@ class QueuedHalf(SixAxisHalf):
         self.die_queue.empty(self.queue)
 
     def fetch(self) -> bytes:
-        """Every row of this half that waits, oldest first."""
+        """Return every row of this half that waits, oldest first."""
         return self.die_queue.fetch(self.queue)

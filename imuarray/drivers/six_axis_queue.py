@@ -120,7 +120,7 @@ class DieQueue:
         self._shortest_ns = 1 << 62
 
     def join(self, half: str) -> QueueReader:
-        """The reader of one half."""
+        """Return the reader of one half."""
         return self._readers.setdefault(half, QueueReader(self))
 
     @property
@@ -146,8 +146,8 @@ class DieQueue:
             reader.clear(gap=reader is not by)
 
     def fetch(self, reader: QueueReader) -> bytes:
-        """The rows of one half. The half that joined first drains the queue at every visit, the other one if nothing
-        waits for it.
+        """Return the rows of one half. The half that joined first drains the queue at every visit, the other one if
+        nothing waits for it.
         """
         if not reader.waits or reader is next(iter(self._readers.values())):
             if not self._trusted:
@@ -222,7 +222,7 @@ class UnattendedQueue(Protocol):
         """How many samples of the die one request can bring that reads so many bytes."""
 
     def drain_requests(self, samples: int) -> tuple[QueueRequest, ...]:
-        """The transactions of a drain of up to so many samples; the count is taken in the first of them."""
+        """Return the transactions of a drain of up to so many samples; the count is taken in the first of them."""
 
     def packet_bytes(self, answers: Sequence[bytes]) -> int:
         """How many bytes of the first transaction at least followed its count."""
@@ -234,7 +234,7 @@ class UnattendedQueue(Protocol):
 
 
 def impossible(count: int, capacity: int) -> OSError:
-    """The error of a count that no queue of this capacity can have: a dead bus reads so."""
+    """Return the error of a count that no queue of this capacity can have: a dead bus reads so."""
     return OSError(errno.EIO, f"its queue reports {count} and holds {capacity}")
 
 
@@ -384,7 +384,7 @@ class Icm42688Queue(DieQueue):
         return True
 
     def _rows(self, packets: bytes, half: str) -> bytes:
-        """The rows of one half."""
+        """Return the rows of one half."""
         if self.high_resolution:
             return packet_format.high_resolution_rows(packets, half)
         return packets if len(self._readers) > 1 else packet_format.widened(packets, half)
@@ -619,7 +619,7 @@ class Lsm6dsoQueue(DieQueue):
         return self._trusted
 
     def _temperatures(self, words: Bytes, tags: Bytes) -> Bytes:
-        """(n, 2) the last temperature before or in each word."""
+        """Return (n, 2) the last temperature before or in each word."""
         known = tags == self.TEMPERATURE
         latest = np.maximum.accumulate(np.where(known, np.arange(len(tags)), -1))
         values = np.where((latest >= 0)[:, None], words[latest, 1:3], np.frombuffer(self._temperature, np.uint8))

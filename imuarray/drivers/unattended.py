@@ -56,7 +56,7 @@ class _NoClock:
 
 
 def unattended_queue_of(driver: Driver) -> UnattendedQueue | None:
-    """The queue of a driver, if a microcontroller can drain it."""
+    """Return the queue of a driver, if a microcontroller can drain it."""
     queue = driver.die_queue if isinstance(driver, QueuedHalf) else None
     return queue if isinstance(queue, UnattendedQueue) else None
 
@@ -72,7 +72,7 @@ def least_drains_hz(queue: UnattendedQueue, rate_hz: float) -> float:
 
 
 def drain_of(queue: UnattendedQueue, address: int, rate_hz: float, pause_s: float) -> Visit:
-    """The visit that drains the queue of the chip at `address`, `pause_s` after the one before."""
+    """Return the visit that drains the queue of the chip at `address`, `pause_s` after the one before."""
     requests = queue.drain_requests(math.ceil(rate_hz * (1 + TOLERANCE) * pause_s) + 1)
     return Visit(
         tuple(
@@ -83,8 +83,8 @@ def drain_of(queue: UnattendedQueue, address: int, rate_hz: float, pause_s: floa
 
 
 def visits_of(sensor: SensorConfig) -> tuple[Visit, ...]:
-    """The visits, in order, that make up one reading; a sensor with `fifo` has none (its readings come in any number):
-    ValueError.
+    """Return the visits, in order, that make up one reading; a sensor with `fifo` has none (its readings come in any
+    number): ValueError.
     """
     if sensor.fifo:
         raise ValueError(f"sensor {sensor.name}: a queue is drained by its driver")

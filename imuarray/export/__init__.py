@@ -65,7 +65,7 @@ def export(  # noqa: PLR0913
 
 
 def _writer(path: Path) -> Any:
-    """The writer of a suffix."""
+    """Return the writer of a suffix."""
     module = WRITERS.get(path.suffix.lower())
     if module is None:
         raise ExportError(

@@ -34,7 +34,7 @@ _AXES = ("x", "y", "z")
 
 
 def warmth(log: Log, calibration: Calibration) -> dict[str, TemperatureSeries]:
-    """The temperature that the bias of each sensor follows, of those whose slopes are known."""
+    """Return the temperature that the bias of each sensor follows, of those whose slopes are known."""
     inertial = [*log.of("specific_force"), *log.of("angular_rate")]
     return element_temperatures(log, (sensor for sensor in inertial if len(sensor)), calibration)
 
@@ -42,8 +42,8 @@ def warmth(log: Log, calibration: Calibration) -> dict[str, TemperatureSeries]:
 def physical_columns(
     sensor: SensorLog, calibration: Calibration, units: str, warm: Mapping[str, TemperatureSeries]
 ) -> tuple[TableColumn, ...]:
-    """The columns of a sensor, but for time and status, in `units` ("si" or "sensor"); CalibrationError if what is
-    known does not fit, or nothing is. Counts stay where there is no way to a unit.
+    """Return the columns of a sensor, but for time and status, in `units` ("si" or "sensor"); CalibrationError if what
+    is known does not fit, or nothing is. Counts stay where there is no way to a unit.
     """
     if sensor.is_triad:
         return (_triad(sensor, calibration.or_nominal(sensor), units, warm.get(sensor.name)), *_temperature(sensor))
@@ -75,7 +75,7 @@ def _triad(sensor: SensorLog, known: SensorCalibration, units: str, warm: Temper
 
 
 def _temperature(sensor: SensorLog) -> tuple[TableColumn, ...]:
-    """The chip's own thermometer in degC, or its counts if it has no zero."""
+    """Return the chip's own thermometer in degC, or its counts if it has no zero."""
     column = sensor.temperature_counts
     if column is None:
         return ()
@@ -146,7 +146,7 @@ def _uncalibrated(log: Log, sensors: list[SensorLog], calibration: Calibration) 
 
 
 def _table(sensor: SensorLog, rest: tuple[TableColumn, ...], calibrated: bool) -> ExportTable:
-    """A sensor's table, with its header."""
+    """Return a sensor's table, with its header."""
     header = asdict(full_header(sensor))
     more: dict[str, Any] = {"orientation": sensor.orientation.tolist(), "calibrated": calibrated}
     if sensor.is_triad and sensor.sensitivity:
@@ -195,7 +195,7 @@ def full_header(sensor: SensorLog) -> SensorHeader:
 
 
 def _plain(value: Any) -> int | float | str | None:
-    """An attribute that is one finite number or one text; None for any other."""
+    """Return an attribute that is one finite number or one text; None for any other."""
     item = value.item() if isinstance(value, np.generic) else value
     item = item.decode("utf-8", "replace") if isinstance(item, bytes) else item
     if isinstance(item, float) and not math.isfinite(item):
@@ -223,5 +223,5 @@ def _track_column(name: str, column: Any) -> TableColumn:
 
 
 def head_with(content: Content, **more: Any) -> Mapping[str, Any]:
-    """The head with what is said of each table, and more."""
+    """Return the head with what is said of each table, and more."""
     return {**content.head, "tables": {table.name: dict(table.about) for table in content.tables}, **more}

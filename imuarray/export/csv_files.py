@@ -51,7 +51,9 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[Path]:
-    """A file for each table, for phases and for events, and their list: all of them or, if one can't be, none."""
+    """Return a file for each table, for phases and for events, and their list: all of them or, if one can't be,
+    none.
+    """
     names = [*(table.short for table in content.tables), "phases", "events"]
     files = [path.with_name(name) for name in file_names(path, names)]
     phases = [(seconds(phase.start_ns), seconds(phase.end_ns), phase.name, phase.up) for phase in content.phases]
@@ -116,7 +118,7 @@ def _write_texts(path: Path, names: Sequence[str], rows: Sequence[Sequence[str]]
 
 
 def _texts(column: TableColumn, rows: slice) -> Iterator[list[str]]:
-    """The cells of a column as text that gives the same numbers again."""
+    """Yield the cells of a column as text that gives the same numbers again."""
     values: npt.NDArray[Any] = column.read(rows)
     if column.name == "time":
         yield [seconds(time_ns) for time_ns in values.tolist()]

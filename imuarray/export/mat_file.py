@@ -73,14 +73,14 @@ def _times(values: list[Any]) -> Any:
 
 
 def _texts(values: list[Any]) -> Any:
-    """A column of cells of text."""
+    """Return a column of cells of text."""
     cells = np.empty((len(values), 1), object)
     cells[:, 0] = values
     return cells
 
 
 def _struct(table: ExportTable, meter: Meter) -> dict[str, Any]:
-    """A table as a struct; units of its columns and what else is known of it are in it."""
+    """Return a table as a struct; units of its columns and what else is known of it are in it."""
     fields: dict[str, Any] = {}
     for column in table.columns:
         values = column.read(slice(0, table.rows))
@@ -95,7 +95,7 @@ def _struct(table: ExportTable, meter: Meter) -> dict[str, Any]:
 
 
 def _names(tables: tuple[ExportTable, ...]) -> list[str]:
-    """A variable for each table: its name, as far as MATLAB lets it be one, and different from all others."""
+    """Return a variable for each table: its name, as far as MATLAB lets it be one, and different from all others."""
     names: list[str] = []
     for table in tables:
         wish = re.sub(r"\W", "_", table.short, flags=re.ASCII)

@@ -44,7 +44,7 @@ _BEFORE_LENGTH = 9
 
 
 def message_heads(channel: int, sequence: Times, time_ns: Times, data_bytes: int) -> npt.NDArray[np.void]:
-    """(n,) heads of messages of equally long data."""
+    """Return (n,) heads of messages of equally long data."""
     heads = np.zeros(len(time_ns), MESSAGE_HEAD)
     heads["opcode"], heads["channel"] = int(Opcode.MESSAGE), channel
     heads["length"] = MESSAGE_HEAD.itemsize - _BEFORE_LENGTH + data_bytes
@@ -69,14 +69,14 @@ class Container:
         self._put(records.Header(profile=profile, library=library))
 
     def schema(self, name: str, text: bytes, encoding: str) -> int:
-        """The number of a new schema; its `encoding` is one of MCAP's registry ("jsonschema", "ros2msg")."""
+        """Return the number of a new schema; its `encoding` is one of MCAP's registry ("jsonschema", "ros2msg")."""
         made = records.Schema(id=len(self._schemas) + 1, data=text, encoding=encoding, name=name)
         self._schemas.append(made)
         self._put(made)
         return len(self._schemas)
 
     def channel(self, topic: str, schema: int, about: Mapping[str, str], encoding: str) -> int:
-        """The number of a new channel of messages; their `encoding` is "json" or "cdr"."""
+        """Return the number of a new channel of messages; their `encoding` is "json" or "cdr"."""
         number = len(self._channels) + 1
         made = records.Channel(
             id=number, topic=topic, message_encoding=encoding, schema_id=schema, metadata=dict(about)

@@ -77,7 +77,7 @@ class _Rows(NamedTuple):
         )
 
     def split(self, count: int) -> tuple[_Rows, _Rows]:
-        """The first messages, and the rest."""
+        """Return the first messages, and the rest."""
         first, rest = [], []
         for places, messages in self.parts:
             at = int(np.searchsorted(places, count))
@@ -260,7 +260,7 @@ def _ros2_streams(container: Container, content: Content, zero_ns: int, meter: M
 
 
 def _ros2_rows(blocks: Iterator[tuple[Times, Texts]], channel: int) -> Iterator[_Rows]:
-    """The messages of a topic with their heads."""
+    """Yield the messages of a topic with their heads."""
     first = 0
     for time_ns, texts in blocks:
         sequence = np.arange(first, first + len(time_ns))
@@ -283,7 +283,7 @@ def _channel(container: Container, topic: str, schema: Mapping[str, Any], about:
 
 
 def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Meter) -> Iterator[_Rows]:
-    """The rows of a table as messages."""
+    """Yield the rows of a table as messages."""
     columns = table.columns[1:]
     message: Callable[[Sequence[Any]], dict[str, Any]]
     if schemas.is_imu(table):
@@ -316,8 +316,8 @@ def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Met
 def _form(
     message: Callable[[Sequence[Any]], dict[str, Any]], columns: Sequence[TableColumn], there: Sequence[bool]
 ) -> list[bytes | int]:
-    """The form of messages in which the columns that are `there` have values: texts, and between them -2 where the
-    seconds, -1 where the nanoseconds stand, else the number of a cell, counted through all columns.
+    """Return the form of messages in which the columns that are `there` have values: texts, and between them -2 where
+    the seconds, -1 where the nanoseconds stand, else the number of a cell, counted through all columns.
     """
     row, number = [], 0
     for column, known in zip(columns, there, strict=True):
@@ -336,7 +336,7 @@ def _form(
 
 
 def _filled(form: Sequence[bytes | int], time_ns: Times, columns: Sequence[npt.NDArray[Any]]) -> Texts:
-    """(n, l) messages by their form, at times (n,), from columns (n, cells)."""
+    """Return (n, l) messages by their form, at times (n,), from columns (n, cells)."""
     cells = [cell for column in columns for cell in column.T]
     made: dict[int, Texts] = {}
     for part in form:
@@ -357,7 +357,7 @@ def _filled(form: Sequence[bytes | int], time_ns: Times, columns: Sequence[npt.N
 
 
 def _digits(values: Times) -> Texts:
-    """(n, w) integers from 0 as text, with spaces before them."""
+    """Return (n, w) integers from 0 as text, with spaces before them."""
     most = int(values.max(initial=0))
     width, table = len(str(most)), _four_digits()
     words = np.empty((len(values), -(-width // 4)), np.uint32)
@@ -376,12 +376,12 @@ def _digits(values: Times) -> Texts:
 
 @cache
 def _four_digits() -> npt.NDArray[np.uint32]:
-    """(10000,) the texts 0000 ... 9999 as words: a division for four digits instead of one for each."""
+    """Return (10000,) the texts 0000 ... 9999 as words: a division for four digits instead of one for each."""
     return np.frombuffer("".join(f"{number:04d}" for number in range(10**4)).encode(), np.uint32)
 
 
 def _texts(values: npt.NDArray[Any]) -> Texts:
-    """(n, w) numbers as JSON, with spaces behind them; a number that is there often is spelled once."""
+    """Return (n, w) numbers as JSON, with spaces behind them; a number that is there often is spelled once."""
     if len(values) and (values == values[0]).all() and values[0] != 0:
         text = np.frombuffer(json.dumps(values[0].item()).encode(), np.uint8)
         return np.broadcast_to(text, (len(values), len(text)))
@@ -396,7 +396,7 @@ def _texts(values: npt.NDArray[Any]) -> Texts:
 
 
 def _with_heads(texts: Texts, channel: int, sequence: Times, time_ns: Times) -> npt.NDArray[np.void]:
-    """(n,) equally long messages (n, l), each with its head."""
+    """Return (n,) equally long messages (n, l), each with its head."""
     from imuarray.export.mcap_container import message_heads
 
     heads = message_heads(channel, sequence, time_ns, texts.shape[1])
@@ -450,7 +450,7 @@ def _events(content: Content) -> list[_Entry]:
 
 
 def _phases(content: Content) -> list[_Entry]:
-    """A line where each phase begins, and one where it ends."""
+    """Return a line where each phase begins, and one where it ends."""
     said = [
         (phase.start_ns, f"{phase.name} begins{f', {phase.up} up' if phase.up else ''}") for phase in content.phases
     ]

@@ -53,7 +53,7 @@ def log_schema() -> dict[str, Any]:
 
 
 def log_message(nanoseconds: int, level: str, name: str, message: str) -> dict[str, Any]:
-    """An entry of a log, for its panel."""
+    """Return an entry of a log, for its panel."""
     said = {"timestamp": time_of(nanoseconds), "level": LEVELS[level], "message": message, "name": name}
     return {**said, "file": "", "line": 0}
 
@@ -93,7 +93,7 @@ def table_schema(table: ExportTable) -> dict[str, Any]:
 
 
 def table_message(nanoseconds: int, frame: str, columns: Sequence[TableColumn], row: Sequence[Any]) -> dict[str, Any]:
-    """A row of a sensor's table, but for its time; what is not a number is left out."""
+    """Return a row of a sensor's table, but for its time; what is not a number is left out."""
     message: dict[str, Any] = {"timestamp": time_of(nanoseconds), "frame_id": frame}
     for column, value in zip(columns, row, strict=True):
         cells = value if column.cells else [value]
@@ -103,7 +103,7 @@ def table_message(nanoseconds: int, frame: str, columns: Sequence[TableColumn], 
 
 
 def _field(column: TableColumn) -> dict[str, Any]:
-    """A number, or one for each cell; the unit is its description."""
+    """Return a number, or one for each cell; the unit is its description."""
     kind = {"type": "number" if column.kind[1] == "f" else "integer", "description": column.unit}
     return _object("", dict.fromkeys(column.cells, kind)) if column.cells else kind
 

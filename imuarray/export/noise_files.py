@@ -96,7 +96,7 @@ def _stored(request: ExportRequest) -> Mapping[str, Any]:
 
 
 def _characterised(request: ExportRequest, progress: Progress) -> Mapping[str, Any]:
-    """The noise of the inertial sensors of a log at rest."""
+    """Return the noise of the inertial sensors of a log at rest."""
     with open_log(request.source) as log:
         inertial = [sensor.name for quantity in INERTIAL for sensor in log.of(quantity)]
         names = [log[name].name for name in request.sensors] or inertial
@@ -167,7 +167,7 @@ def _moving(time: Times, values: Mapping[Quantity, Floats]) -> Booleans:
 
 
 def _longest_run(time: Times, there: Booleans) -> slice:
-    """The longest stretch of regular frames that are all there."""
+    """Return the longest stretch of regular frames that are all there."""
     steps = np.diff(time)
     usual = float(np.median(steps)) if len(steps) else 0.0
     joined = there[1:] & there[:-1] & (np.abs(steps - usual) <= _REGULAR * usual)
@@ -184,7 +184,7 @@ def _interval_s(time: Times) -> float:
 
 
 def _fitted(values: Floats, interval_s: float) -> TriadNoise | None:
-    """The noise of (n, 3) values in SI; None of fewer than tell anything."""
+    """Return the noise of (n, 3) values in SI; None of fewer than tell anything."""
     if len(values) < 9:
         return None
     curve = allan_deviation(values, interval_s, estimator="overlapping" if len(values) <= EXACT_ROWS else "decimated")

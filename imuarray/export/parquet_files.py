@@ -49,7 +49,9 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[Path]:
-    """A file for each table, for phases and for events, and their list: all of them or, if one can't be, none."""
+    """Return a file for each table, for phases and for events, and their list: all of them or, if one can't be,
+    none.
+    """
     names = [*(table.short for table in content.tables), "phases", "events"]
     files = [path.with_name(name) for name in file_names(path, names)]
     with ExitStack() as stack:  # files get their names when it is left, the list, entered first, after all others

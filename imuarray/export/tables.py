@@ -82,7 +82,7 @@ class Content:
 
 
 def numbered(wish: str) -> Iterator[str]:
-    """A name, then name_2, name_3, ..., without end: one that is taken is followed by one that may not be."""
+    """Return a name, then name_2, name_3, ..., without end: one that is taken is followed by one that may not be."""
     return chain([wish], (f"{wish}_{number}" for number in count(2)))
 
 

@@ -56,7 +56,7 @@ class Field:
         return Setting(self.register, self.mask, code << self.low)
 
     def of(self, byte: int) -> int:
-        """The code that `byte` holds in this field."""
+        """Return the code that `byte` holds in this field."""
         return (byte & self.mask) >> self.low
 
 

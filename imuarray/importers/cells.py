@@ -155,7 +155,7 @@ class TextTable:
             raise SourceError(f"{self.source}: after line {self.line}: damaged gzip data: {error}") from None
 
     def _names(self) -> list[str]:
-        """The cells of the header; the first row of numbers is kept for `_row` if the header is a comment."""
+        """Return the cells of the header; the first row of numbers is kept for `_row` if the header is a comment."""
         row = self._row()
         header = next(csv.reader([self._comment], delimiter=self._layout.delimiter, skipinitialspace=True), [])
         kinds = self._layout.kind_columns

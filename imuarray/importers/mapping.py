@@ -448,7 +448,7 @@ class TableMap(BaseModel):
         return self.time
 
     def columns(self) -> Iterator[str | int]:
-        """Every column in the map; some occur more than once."""
+        """Yield every column in the map; some occur more than once."""
         if self.time is not None and self.time.column is not None:
             yield self.time.column
         streamed: list[RowSettings] = [*self.recorded, *([self.reference] if self.reference else [])]

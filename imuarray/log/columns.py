@@ -63,7 +63,7 @@ class RowCache:
         return parts[0].copy() if len(parts) == 1 else np.concatenate(parts)
 
     def _block(self, column: h5py.Dataset, name: str, first: int) -> npt.NDArray[Any]:
-        """The block that begins at row `first`."""
+        """Return the block that begins at row `first`."""
         key = name, first
         with self._lock:
             if key in self._blocks:
@@ -197,7 +197,7 @@ class LiveGroup:
         self._columns = columns
 
     def get(self, name: str) -> Column | None:
-        """The column of this name, if it exists."""
+        """Return the column of this name, if it exists."""
         return self._columns.get(name)
 
     def __getitem__(self, name: str) -> Column:

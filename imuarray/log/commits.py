@@ -55,7 +55,7 @@ def width(groups: Sequence[ColumnGroup]) -> int:
 
 
 def row_of(mark: Mark, crc: int, rows: Sequence[int], identity: str) -> Integers:
-    """A commit as a row of the table."""
+    """Return a commit as a row of the table."""
     words = np.array([*mark, crc, *rows], "<i8")
     return np.append(words, _own_crc(words, identity))
 

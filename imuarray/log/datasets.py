@@ -51,7 +51,7 @@ _Variable = tuple[tuple[str, ...], Any, dict[str, Any]]
 
 
 def sensor_dataset(sensor: SensorLog, epoch: str, calibration: Calibration | None = None) -> Any:
-    """An `xarray.Dataset` of one sensor; MissingExtraError, CalibrationError."""
+    """Return an `xarray.Dataset` of one sensor; MissingExtraError, CalibrationError."""
     variables = _sensor_variables(sensor, calibration)
     attributes: dict[str, Any] = {
         "name": sensor.name,
@@ -71,7 +71,7 @@ def sensor_dataset(sensor: SensorLog, epoch: str, calibration: Calibration | Non
 
 
 def track_dataset(track: Track, epoch: str) -> Any:
-    """An `xarray.Dataset` of `/truth` or `/reference`; MissingExtraError."""
+    """Return an `xarray.Dataset` of `/truth` or `/reference`; MissingExtraError."""
     variables: dict[str, _Variable] = {}
     for name, column in track._asdict().items():
         if name != "time" and column is not None:
@@ -81,7 +81,7 @@ def track_dataset(track: Track, epoch: str) -> Any:
 
 
 def log_tree(log: Log, calibration: Calibration | None = None) -> Any:
-    """An `xarray.DataTree` with a node for each sensor, `truth` and `reference`; MissingExtraError."""
+    """Return an `xarray.DataTree` with a node for each sensor, `truth` and `reference`; MissingExtraError."""
     xarray = optional_package("xarray")
     nodes = {name: sensor_dataset(sensor, log.epoch, calibration) for name, sensor in log.sensors.items()}
     tracks = {"truth": log.truth, "reference": log.reference}
@@ -91,8 +91,8 @@ def log_tree(log: Log, calibration: Calibration | None = None) -> Any:
 
 
 def dataset(time: Times, epoch: str, variables: Mapping[str, _Variable], attributes: Mapping[str, Any]) -> Any:
-    """An `xarray.Dataset` over `time` (n,) ns since `epoch`: dates, or durations where the epoch is no date. The axes
-    get the coordinates x, y, z and X, Y, Z. MissingExtraError.
+    """Return an `xarray.Dataset` over `time` (n,) ns since `epoch`: dates, or durations where the epoch is no date. The
+    axes get the coordinates x, y, z and X, Y, Z. MissingExtraError.
     """
     xarray = optional_package("xarray")
     used = {name for dims, _, _ in variables.values() for name in dims}
@@ -102,8 +102,8 @@ def dataset(time: Times, epoch: str, variables: Mapping[str, _Variable], attribu
 
 
 def table(labelled: Any) -> Any:
-    """A `pandas.DataFrame` of a Dataset: a column for each number of a row (`angular_rate_X`, `counts_x`, `status`),
-    indexed by time, with the Dataset's attributes and the units by column in `attrs`. MissingExtraError.
+    """Return a `pandas.DataFrame` of a Dataset: a column for each number of a row (`angular_rate_X`, `counts_x`,
+    `status`), indexed by time, with the Dataset's attributes and the units by column in `attrs`. MissingExtraError.
     """
     pandas = optional_package("pandas")
     columns: dict[str, Any] = {}

@@ -97,7 +97,7 @@ def finish(path: Path, lock: JournalLock) -> None:
 
 
 def _end_ns(log: Log) -> int:
-    """The time of the last row of all."""
+    """Return the time of the last row of all."""
     return max((int(sensor.time[-1]) for sensor in log.sensors.values() if len(sensor)), default=0)
 
 

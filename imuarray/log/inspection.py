@@ -111,7 +111,7 @@ class _Damage:
 
 
 def _walk(root: _Place, where: str, bad: _Damage) -> Iterator[_Place]:
-    """All groups and datasets, those near the root first; LogError for too many, too deep or one twice."""
+    """Yield all groups and datasets, those near the root first; LogError for too many, too deep or one twice."""
     seen = {h5o.get_info(root.item).addr}
     level = [root]
     for depth in range(MAX_DEPTH + 2):

@@ -75,7 +75,7 @@ class ColumnGroup:
         return b"".join([columns[name].tobytes() for name, _, _ in self.columns])
 
     def decode(self, payload: bytes | memoryview, rows: int) -> dict[str, npt.NDArray[Any]]:
-        """The columns of `rows` rows, without copying."""
+        """Return the columns of `rows` rows, without copying."""
         columns, start = {}, 0
         for name, kind, tail in self.columns:
             count = rows * math.prod(tail)
@@ -119,7 +119,7 @@ COMPENSATED_UNITS: Mapping[str, str] = MappingProxyType(
 
 
 def sensor_group(header: SensorHeader) -> ColumnGroup:
-    """The columns of `/sensors/<NAME>`."""
+    """Return the columns of `/sensors/<NAME>`."""
     width = (len(header.columns),)
     counts = "<i2" if header.columns == ("x", "y", "z") and header.count_bits <= 16 else "<i4"
     columns: _Columns = (("time", "<i8", ()), ("counts", counts, width), ("status", "<u2", ()))
@@ -130,7 +130,7 @@ def sensor_group(header: SensorHeader) -> ColumnGroup:
 
 
 def groups_of(sensors: Iterable[SensorHeader]) -> tuple[ColumnGroup, ...]:
-    """All groups of a log with these sensors, in their order."""
+    """Return all groups of a log with these sensors, in their order."""
     tracks = (ColumnGroup(name, columns) for name, columns in TRACK_COLUMNS.items())
     return (*(sensor_group(header) for header in sensors), *tracks, ColumnGroup(NOTES, ((_TEXT, "<u1", ()),)))
 
@@ -199,7 +199,7 @@ _PLOTTED: Mapping[str, Any] = {"NX_class": "NXdata", "axes": ["time", "."]}
 
 
 def log_attributes(preamble: Preamble) -> dict[str, Any]:
-    """The attributes of the file itself."""
+    """Return the attributes of the file itself."""
     attributes = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -214,7 +214,7 @@ def log_attributes(preamble: Preamble) -> dict[str, Any]:
 
 
 def sensor_attributes(header: SensorHeader) -> dict[str, Any]:
-    """The attributes of `/sensors/<NAME>`; ValueError for impossible axes."""
+    """Return the attributes of `/sensors/<NAME>`; ValueError for impossible axes."""
     attributes = {
         "chip": header.chip,
         "quantity": header.quantity,

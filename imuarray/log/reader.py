@@ -189,7 +189,7 @@ class Log:
         return iter(self.sensors)
 
     def of(self, quantity: str) -> list[SensorLog]:
-        """The sensors that measure `quantity`."""
+        """Return the sensors that measure `quantity`."""
         return [sensor for sensor in self.sensors.values() if sensor.quantity == quantity]
 
     @cached_property
@@ -260,8 +260,8 @@ class Log:
             self._cache.use(sum(math.prod(column.shape) * column.dtype.itemsize for part in columns for column in part))
 
     def to_xarray(self, calibration: Calibration | None = None) -> Any:
-        """An `xarray.DataTree`: a Dataset for each sensor (`SensorLog.to_xarray`), `truth` and `reference` where the
-        log has them. All of it is read. MissingExtraError without xarray (extra "analysis").
+        """Return an `xarray.DataTree`: a Dataset for each sensor (`SensorLog.to_xarray`), `truth` and `reference` where
+        the log has them. All of it is read. MissingExtraError without xarray (extra "analysis").
 
         >>> with open_log("run.h5") as log:
         ...     rate = log.to_xarray()["Gyro1"]["angular_rate"]
@@ -273,8 +273,8 @@ class Log:
         return log_tree(self, calibration)
 
     def to_pandas(self, calibration: Calibration | None = None) -> dict[str, Any]:
-        """A `pandas.DataFrame` for each sensor, by name (`SensorLog.to_pandas`). MissingExtraError without xarray and
-        pandas (extra "analysis").
+        """Return a `pandas.DataFrame` for each sensor, by name (`SensorLog.to_pandas`). MissingExtraError without
+        xarray and pandas (extra "analysis").
 
         >>> with open_log("run.h5") as log:
         ...     tables = log.to_pandas()
@@ -284,7 +284,7 @@ class Log:
         return {name: sensor.to_pandas(calibration) for name, sensor in self.sensors.items()}
 
     def plot(self, sensors: Sequence[str] = (), calibration: Calibration | None = None) -> Figure:
-        """The recording: a panel for each sensor (`sensors`: only these) over time, in SI in the box frame.
+        """Return the recording: a panel for each sensor (`sensors`: only these) over time, in SI in the box frame.
         MissingExtraError without matplotlib (extra "report").
         """
         from imuarray.log.datasets import log_figure
@@ -298,7 +298,7 @@ class Log:
         return f"<Log {self.path}: {self.source}, {self.state}, {len(self.sensors)} sensors, {rows} rows>"
 
     def _repr_html_(self) -> str:
-        """A table of the sensors, for notebooks."""
+        """Return a table of the sensors, for notebooks."""
         from imuarray.html_table import html_table
 
         sensors = self.sensors.values() if self.is_open else ()

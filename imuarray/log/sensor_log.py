@@ -223,9 +223,9 @@ class SensorLog(CountScale):
         return cast(Mapping[str, Any], self._group.attrs)
 
     def to_xarray(self, calibration: Calibration | None = None) -> Any:
-        """An `xarray.Dataset` of all rows: physical values in SI in the box frame under the name of the quantity, by
-        `calibration` or else the data sheet's sensitivity, raw counts, status and temperature, over `time` (datetime64,
-        UTC). Every variable says its unit. MissingExtraError without xarray (extra "analysis").
+        """Return an `xarray.Dataset` of all rows: physical values in SI in the box frame under the name of the
+        quantity, by `calibration` or else the data sheet's sensitivity, raw counts, status and temperature, over `time`
+        (datetime64, UTC). Every variable says its unit. MissingExtraError without xarray (extra "analysis").
 
         A calibration's biases are taken out as they are; `imuarray.export` and fusion follow the temperature.
         """
@@ -234,8 +234,9 @@ class SensorLog(CountScale):
         return sensor_dataset(self, self._epoch(), calibration)
 
     def to_pandas(self, calibration: Calibration | None = None) -> Any:
-        """The same as a `pandas.DataFrame` indexed by time, a column for each number: `angular_rate_X`, `counts_x`,
-        `status`, ...; units by column in its `attrs`. MissingExtraError without xarray and pandas (extra "analysis").
+        """Return the same as a `pandas.DataFrame` indexed by time, a column for each number: `angular_rate_X`,
+        `counts_x`, `status`, ...; units by column in its `attrs`. MissingExtraError without xarray and pandas (extra
+        "analysis").
         """
         from imuarray.log.datasets import table
 

@@ -103,7 +103,7 @@ def _missed_rows(window: LatestRows, earlier: Gaps, silent_ns: int, frame_period
 
 
 def _values(sensor: SensorLog, window: LatestRows) -> tuple[Floats, str, tuple[str, ...]]:
-    """The rows (n, k) in physical units, the unit, what the columns are called."""
+    """Return the rows (n, k) in physical units, the unit, what the columns are called."""
     counts = np.asarray(window.rows.get("counts", np.empty((0, 3))), float)
     if sensor.is_triad and sensor.sensitivity > 0:
         return counts / sensor.axis_sensitivity, sensor.unit, ("x", "y", "z")
@@ -113,7 +113,7 @@ def _values(sensor: SensorLog, window: LatestRows) -> tuple[Floats, str, tuple[s
 
 
 def _use(sensor: SensorLog, window: LatestRows) -> tuple[Floats | None, Floats | None]:
-    """The share of the range that is used, in the window and at most so far."""
+    """Return the share of the range that is used, in the window and at most so far."""
     full = sensor.range * sensor.sensitivity
     if not (sensor.is_triad and full > 0 and len(window.time)) or window.peak_lsb is None:
         return None, None
@@ -121,7 +121,7 @@ def _use(sensor: SensorLog, window: LatestRows) -> tuple[Floats | None, Floats |
 
 
 def _temperature(sensor: SensorLog, window: LatestRows, last: slice) -> tuple[float | None, bool]:
-    """The mean of the last rows in degC, and whether its zero is unknown; None without a thermometer."""
+    """Return the mean of the last rows in degC, and whether its zero is unknown; None without a thermometer."""
     if "temperature" in window.rows:
         return _finite_mean(window.rows["temperature"][last]), False
     degc = degc_of(sensor)
@@ -145,7 +145,7 @@ def _flags(window: LatestRows) -> dict[str, int]:
 
 
 def _spectrum(window: LatestRows, values: Floats) -> Spectrum | None:
-    """The power spectral density of the window's rows in squared units per Hz; None for too few of them."""
+    """Return the power spectral density of the window's rows in squared units per Hz; None for too few of them."""
     if len(values) < _LEAST_ROWS or window.period_ns <= 0 or not np.isfinite(values).all():
         return None
     welch = Welch(1e9 / window.period_ns, segment_rows(len(values)), values.shape[1])
@@ -163,15 +163,17 @@ _PATIENCE_S = (0.02, 0.05, 0.0)
 
 
 def fused_now(log: Log, calibration: Calibration) -> FusedView:
-    """The average of the sensors of `log`, which holds the last seconds; ImuArrayError says why it can't be had."""
+    """Return the average of the sensors of `log`, which holds the last seconds; ImuArrayError says why it can't
+    be had.
+    """
     block = FusedBlock.joined(list(fuse(log, calibration, TECHNIQUE)))
     return _view(TECHNIQUE, bool(calibration.sensors), block)
 
 
 def fused_beside(path: Path, epoch: str, start_ns: int, given: Path | None = None) -> FusedView | None:
-    """The last rows of the result that is written, or was, beside the log at `path`, from `start_ns` on: `RUN_fused.h5`
-    or the file `given`; of a log cut into parts that of the part (`RUN_001_fused.h5`, `GIVEN_001.h5`) or of the whole.
-    None if it is not there, is of another log or ends before.
+    """Return the last rows of the result that is written, or was, beside the log at `path`, from `start_ns` on:
+    `RUN_fused.h5` or the file `given`; of a log cut into parts that of the part (`RUN_001_fused.h5`, `GIVEN_001.h5`) or
+    of the whole. None if it is not there, is of another log or ends before.
     """
     cut = re.fullmatch(r"(.+)(_\d{3,})", path.stem)
     whole, part = (cut[1], cut[2]) if cut else (path.stem, "")
@@ -299,21 +301,21 @@ def _observations(
 
 
 def _extent(windows: Iterable[LatestRows]) -> tuple[int | None, int | None]:
-    """The times of the first and of the newest row of the log."""
+    """Return the times of the first and of the newest row of the log."""
     spoken = [window for window in windows if len(window.newest)]
     firsts = [window.first_ns for window in spoken if window.first_ns is not None]
     return min(firsts, default=None), max((int(window.newest[-1]) for window in spoken), default=None)
 
 
 def _no_rows(source: LogSource, name: str) -> Rows:
-    """The columns of a sensor from which nothing came."""
+    """Return the columns of a sensor from which nothing came."""
     columns = max(1, len(np.atleast_1d(source.attributes[name].get("columns", ("x", "y", "z")))))
     return {"time": np.empty(0, np.int64), "counts": np.empty((0, columns), np.int16)}
 
 
 def _frames(views: Sequence[SensorView]) -> list[SensorView]:
-    """The sensors that are read once a frame: of the inertial ones, the most that have one rate. A frame that was
-    missed is missing from all of them, a reading that was lost from one.
+    """Return the sensors that are read once a frame: of the inertial ones, the most that have one rate. A frame that
+    was missed is missing from all of them, a reading that was lost from one.
     """
     inertial = [view for view in views if view.quantity in INERTIAL and view.rate_hz > 0]
 
@@ -345,7 +347,7 @@ def _disk(source: LogSource, views: Sequence[SensorView]) -> Disk | None:
 def _fused(
     source: LogSource, windows: dict[str, LatestRows], calibration: Calibration, end_ns: int, result: Path | None
 ) -> tuple[FusedView | None, str]:
-    """The fused output, or why there is none."""
+    """Return the fused output, or why there is none."""
     view = fused_beside(source.path, source.epoch, end_ns - source.read_rows.span_ns, result)
     if view is not None:
         return view, ""

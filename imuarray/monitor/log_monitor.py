@@ -95,7 +95,7 @@ class LogMonitor:
         source.backlog.step({name: window.usual_ns for name, window in source.read_rows.windows.items()})
 
     def _found(self) -> Path:
-        """The log, or where there is none of that name, its newest part that has begun."""
+        """Return the log, or where there is none of that name, its newest part that has begun."""
         if self.path.exists() or not self.path.parent.is_dir():
             return self.path
         pattern = re.compile(rf"{re.escape(self.path.stem)}_(\d{{3,}}){re.escape(self.path.suffix)}")
@@ -116,8 +116,8 @@ class LogMonitor:
         return self._source
 
     def _turned(self, source: LogSource, followed: bool) -> LogSource:
-        """The part in which the log goes on. One that was `followed` while it was written is followed on, whatever
-        became of the next; what was seen goes on too, as long as no part is passed over.
+        """Return the part in which the log goes on. One that was `followed` while it was written is followed on,
+        whatever became of the next; what was seen goes on too, as long as no part is passed over.
         """
         parts = _parts_behind(source.path)
         if not parts or not (followed or is_running(parts[-1])):
@@ -155,7 +155,7 @@ def _source(path: Path, read_rows: ReadRows) -> LogSource:
 
 
 def _parts_behind(path: Path) -> list[Path]:
-    """The parts that are there behind this one, in order; none for what is no part."""
+    """Return the parts that are there behind this one, in order; none for what is no part."""
     match = re.fullmatch(r"(.+)_(\d{3,})", path.stem)
     if match is None:
         return []
@@ -174,7 +174,7 @@ def _has_begun(path: Path) -> bool:
 
 
 def _epoch(path: Path) -> str:
-    """The time 0 of a log."""
+    """Return the time 0 of a log."""
     if is_running(path):
         with JournalReader(path) as journal:
             return journal.preamble.epoch
@@ -220,7 +220,7 @@ class FigureKind(NamedTuple):
 
 
 def figures(kinds: Iterable[FigureKind], theme: str, span_s: float) -> dict[str, Any]:
-    """Every kind as a JSON object for BokehJS's `embed_item`, by its key; MissingExtraError without Bokeh."""
+    """Return every kind as a JSON object for BokehJS's `embed_item`, by its key; MissingExtraError without Bokeh."""
     try:
         from bokeh.embed import json_item
     except ModuleNotFoundError:
@@ -229,7 +229,7 @@ def figures(kinds: Iterable[FigureKind], theme: str, span_s: float) -> dict[str,
 
 
 def _figure(kind: FigureKind, theme: str, span_s: float) -> Any:
-    """An empty figure; its data source is called "source"."""
+    """Return an empty figure; its data source is called "source"."""
     from bokeh.models import BasicTickFormatter, ColumnDataSource, FixedTicker, Range1d
     from bokeh.plotting import figure
 
@@ -255,7 +255,7 @@ def _figure(kind: FigureKind, theme: str, span_s: float) -> Any:
 
 
 def _ticks(steps: tuple[int, ...]) -> list[float]:
-    """The ticks of a logarithmic axis."""
+    """Return the ticks of a logarithmic axis."""
     return [step * 10.0**decade for decade in range(-6, 7) for step in steps]
 
 
@@ -289,7 +289,7 @@ class SharedSnapshots:
         self._refreshed_s = self.asked_s = float("-inf")
 
     async def text(self) -> bytes:
-        """The last snapshot as JSON; a new one if it is older than `every_s` and this is not closed."""
+        """Return the last snapshot as JSON; a new one if it is older than `every_s` and this is not closed."""
         self.asked_s = time.monotonic()
         async with self._lock:
             if not self._is_closed and time.monotonic() - self._refreshed_s > 0.8 * self.every_s:
@@ -302,7 +302,7 @@ class SharedSnapshots:
         self._text = json.dumps(drawn(self._snapshot), allow_nan=False, separators=(",", ":")).encode()
 
     async def figures(self, theme: str) -> dict[str, Any]:
-        """The figures that this log needs."""
+        """Return the figures that this log needs."""
         await self.text()
         views = self._snapshot.sensors if self._snapshot else ()
         shown = {(view.columns, view.unit) for view in views}

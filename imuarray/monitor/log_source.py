@@ -51,7 +51,7 @@ class Backlog:
         return sum(self._done.values()) / self._total if self._total else 1.0
 
     def gaps(self, name: str) -> Gaps:
-        """The gaps of a sensor, as far as they were counted."""
+        """Return the gaps of a sensor, as far as they were counted."""
         return self._gaps.get(name, Gaps())
 
     def step(self, periods_ns: Mapping[str, float]) -> None:
@@ -156,7 +156,7 @@ class Whole:
         self._log: Log | None = log
 
     def read(self) -> int:
-        """The last rows, once; then nothing is new."""
+        """Return the last rows, once; then nothing is new."""
         if self._log is None:
             return 0
         log, self._log = self._log, None
@@ -182,7 +182,7 @@ class Whole:
 
 
 def _rows_of(sensor: SensorLog, first: int) -> dict[str, Any]:
-    """The columns of a sensor from a row on."""
+    """Return the columns of a sensor from a row on."""
     columns = {"time": sensor.time, "counts": sensor.counts, "status": sensor.status}
     if sensor.temperature_counts is not None:
         columns["temperature_counts"] = sensor.temperature_counts
@@ -298,7 +298,7 @@ def _opened(path: Path, preamble: Preamble) -> h5py.File:
 
 
 def _before(file: h5py.File, groups: Sequence[ColumnGroup], commits: list[Commit], span_ns: int) -> Commit | None:
-    """The last commit behind which there are `span_ns` at least; None: all of the journal is required."""
+    """Return the last commit behind which there are `span_ns` at least; None: all of the journal is required."""
     sensors = [(number, group.path) for number, group in enumerate(groups) if group.path.startswith(_SENSORS)]
 
     def newest_ns(commit: Commit) -> int:

@@ -53,7 +53,7 @@ _LOWEST_BIN = 1
 
 
 def described(snapshot: Snapshot) -> dict[str, Any]:
-    """The figures, without curves; None where there is nothing to say."""
+    """Return the figures, without curves; None where there is nothing to say."""
     return {
         "log": snapshot.path.name,
         "state": snapshot.state,
@@ -92,7 +92,9 @@ def described(snapshot: Snapshot) -> dict[str, Any]:
 
 
 def drawn(snapshot: Snapshot) -> dict[str, Any]:
-    """The figures and the curves of the last seconds: times in s before the end, spectra as amplitude densities."""
+    """Return the figures and the curves of the last seconds: times in s before the end, spectra as amplitude
+    densities.
+    """
     figures = described(snapshot)
     end_ns = snapshot.ends_ns or 0
     for shown, view in zip(figures["sensors"], snapshot.sensors, strict=True):

@@ -149,7 +149,7 @@ class _Figures(_CheckedHandler):
 
 
 def application(snapshots: SharedSnapshots, token: str, parts: Traversable) -> Application:
-    """The server's answers; every request needs `token`, if there is one. `parts` holds the page."""
+    """Return the server's answers; every request needs `token`, if there is one. `parts` holds the page."""
     shared = {"snapshots": snapshots, "token": token, "parts": parts}
     names = "|".join((*_PARTS, _BOKEH)).replace(".", r"\.")
     return Application(

@@ -21,7 +21,7 @@ _NUMBERS = 70
 
 
 def text_lines(snapshot: Snapshot, columns: int = COLUMNS) -> list[str]:
-    """The whole of it, in so many `columns` if there are 80 of them; no line steers a terminal."""
+    """Return the whole of it, in so many `columns` if there are 80 of them; no line steers a terminal."""
     lines = _wrapped(_head(snapshot), columns, first="")
     if snapshot.remark:
         lines += _wrapped(printable(snapshot.remark), columns)

@@ -36,7 +36,7 @@ class _File:
         self._items = {"sensors": sensors}
 
     def get(self, name: str) -> Any:
-        """A part, None if it is not there."""
+        """Return a part, None if it is not there."""
         return self._items.get(name)
 
     def __getitem__(self, name: str) -> Any:
@@ -61,7 +61,7 @@ class MemoryLog(Log):
 
 
 def _held(name: str, attributes: Attributes, rows: Rows) -> LiveGroup:
-    """A sensor's group."""
+    """Return a sensor's group."""
     columns = {key: Column(key, np.ascontiguousarray(values)) for key, values in rows.items()}
     return LiveGroup(f"/sensors/{name}", attributes, columns)
 
@@ -102,7 +102,7 @@ class Gaps:
 
 
 def period_of(time: Times) -> float:
-    """The usual distance in ns of neighbours among times (n,); 0 if there are too few."""
+    """Return the usual distance in ns of neighbours among times (n,); 0 if there are too few."""
     return float(np.median(time[STRIDE:] - time[:-STRIDE])) / STRIDE if len(time) >= _FEWEST else 0.0
 
 

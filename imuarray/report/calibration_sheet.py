@@ -33,7 +33,7 @@ _GROUPS = {"g_sensitivity": "g-sensitivity", "thermal": "temperature slopes", "t
 
 
 def calibration_summary(path: Path, calibration: Calibration) -> Iterator[str]:
-    """A line: what it knows, from what."""
+    """Yield a line: what it knows, from what."""
     sources = listed(list(dict.fromkeys(Path(source).name for source in calibration.sources))) or "unnamed logs"
     measured = sorted({group for sensor in calibration.sensors.values() for group in sensor.measured()})
     names = ", ".join(_GROUPS.get(group, group) for group in measured) or "nothing"

@@ -52,7 +52,9 @@ def drift_figure(
 def motion_figure(
     felt: tuple[Reals, Reals], times_s: Mapping[str, Reals], errors_mg: Mapping[str, Reals], end_of_range_g: float
 ) -> Figure:
-    """A motion (time, g) that leaves the low range, and below it the errors (n,) of several results at their times."""
+    """Return a motion (time, g) that leaves the low range, and below it the errors (n,) of several results at
+    their times.
+    """
     figure = new_figure(8.0, 5.6)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 3))
     upper.plot(*felt, color="black", linewidth=1.0)
@@ -88,7 +90,7 @@ def ratio_figure(labels: Sequence[str], ratios: Sequence[float], errors: Sequenc
 
 
 def course_figure(time_s: Reals, triad: Reals, label: str) -> Figure:
-    """A triad (n, 3) over time, a panel for each box axis."""
+    """Return a triad (n, 3) over time, a panel for each box axis."""
     figure = new_figure(8.0, 4.6)
     panels = figure.subplots(3, 1, sharex=True)
     for axis, panel in enumerate(panels):

@@ -81,7 +81,7 @@ def _log(path: Path, together: PageContext) -> Sayings:
 
 
 def _beside(log: Log, workers: int) -> AbstractContextManager[Executor | None]:
-    """A process to work beside this one on a long log; None where it takes longer to start than it saves."""
+    """Return a process to work beside this one on a long log; None where it takes longer to start than it saves."""
     if workers == 1 or max((len(sensor) for sensor in log.sensors.values()), default=0) < _LONG_ROWS:
         return nullcontext()
     from imuarray.gap.model.workers import processes

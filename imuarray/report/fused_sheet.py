@@ -44,7 +44,7 @@ class _Course:
 
 
 def fused_summary(path: Path, head: FusedHead) -> Iterator[str]:
-    """A line."""
+    """Yield a line."""
     calibration = Path(head.calibration).name or "the data sheets"
     yield f"{path.name}: {head.frames} frames of {Path(head.log).name} fused by {head.technique} with {calibration}."
     if failed := _failed(path):
@@ -178,7 +178,9 @@ def techniques_section(
     progress: Callable[[float], None] = lambda share: None,
     executor: Executor | None = None,
 ) -> TechniqueGains | None:
-    """Every technique beside the average; None for a log that knows no truth. Processes of the `executor` do a part."""
+    """Return every technique beside the average; None for a log that knows no truth. Processes of the `executor`
+    do a part.
+    """
     if log.truth is None and log.reference is None:
         return None
     title = f"{log.path.name}: what each technique gains"

@@ -78,7 +78,7 @@ def use_figure(uses: Sequence[Use]) -> Figure:
 
 
 def overlay_figure(overlay: Overlay) -> Figure:
-    """The recording's curve over both simulations' with their 95 % bands."""
+    """Return the recording's curve over both simulations' with their 95 % bands."""
     figure, panel = sheet(NARROW, 3.2)
     logarithmic = LOGARITHMIC[overlay.kind]
     known = np.isfinite(overlay.x) & ((overlay.x > 0) | ("x" not in logarithmic))

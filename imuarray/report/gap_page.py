@@ -107,7 +107,7 @@ _NAMED = 3
 
 
 def _worst_use(uses: Sequence[Use]) -> Use | None:
-    """The figure of use that the simulator misjudges most; None if none can be compared."""
+    """Return the figure of use that the simulator misjudges most; None if none can be compared."""
     return max(
         (use for use in uses if can_compare(use)),
         key=lambda use: abs(np.log(use.before.value / use.real.value)),
@@ -159,7 +159,7 @@ def _maps(shown: Map) -> Iterator[Figure]:
 
 
 def _largest(scores: Floats, shown: Map) -> str:
-    """The five largest cells in words."""
+    """Return the five largest cells in words."""
     cells = [
         (score, f"{sensor} {domain} {scored(score)}")
         for sensor, row in zip(shown.sensors, scores.tolist(), strict=True)
@@ -339,7 +339,7 @@ _KINDS = MappingProxyType(
 
 
 def curves_section(overlays: Sequence[Overlay], *, drawn: bool) -> Section:
-    """The `MOST_OVERLAYS` that lay farthest outside before, by kind; a table where nothing can be `drawn`."""
+    """Return the `MOST_OVERLAYS` that lay farthest outside before, by kind; a table where nothing can be `drawn`."""
     title = "Curves: real, before and after"
     if not overlays:
         return Section(title, "The diagnosis stored no curves. `gap diagnose -o DIR` draws them in DIR/report.html.")

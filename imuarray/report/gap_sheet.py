@@ -29,7 +29,7 @@ class SmallFigure(PageFigure):
 
 
 def sheet(width: float, height: float) -> tuple[Figure, Axes]:
-    """An empty figure (inches) that needs no display, and its panel; MissingExtraError without matplotlib."""
+    """Return an empty figure (inches) that needs no display, and its panel; MissingExtraError without matplotlib."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -45,7 +45,7 @@ def sheet(width: float, height: float) -> tuple[Figure, Axes]:
 
 
 def plain(text: str, longest: int = 24) -> str:
-    """A name as it is: no dollar begins a formula, no control character, not too long."""
+    """Return a name as it is: no dollar begins a formula, no control character, not too long."""
     shown = "".join(sign if sign.isprintable() else "?" for sign in text)
     shown = shown if len(shown) <= longest else shown[: longest - 1] + "…"
     return shown.replace("$", r"\$")

@@ -93,7 +93,7 @@ def map_table(shown: Map) -> Table:
 
 
 def causes_table(causes: Sequence[Cause]) -> Table:
-    """A row a cause, most probable first as they come."""
+    """Return a row a cause, most probable first as they come."""
     heading = ["effect", "probability", "where", "parameters", "closes", "may also be", "origin"]
     rows = [
         [
@@ -158,7 +158,7 @@ def uses_table(uses: Sequence[Use]) -> Table:
 
 
 def where_table(where: Sequence[Where], caption: str) -> Table:
-    """The first `MOST_ROWS` statistics, worst first as they come."""
+    """Return the first `MOST_ROWS` statistics, worst first as they come."""
     heading = ["sensor", "domain", "statistic", "recorded in", "real", "simulated", "score", "p", "size"]
     rows = [
         [
@@ -184,7 +184,7 @@ def unshown_table(unshown: Sequence[Unobservable]) -> Table:
 
 
 def pulls_table(pulls: Sequence[Pull]) -> Table:
-    """The first `MOST_ROWS` quantities by the size of their pull, those without a tolerance last; pulls beyond a
+    """Return the first `MOST_ROWS` quantities by the size of their pull, those without a tolerance last; pulls beyond a
     tolerance are marked.
     """
     rows = [
@@ -260,7 +260,7 @@ def overlays_table(overlays: Sequence[Overlay]) -> Table:
 
 
 def recorded_table(diagnosis: Diagnosis) -> Table:
-    """The logs that were diagnosed."""
+    """Return the logs that were diagnosed."""
     rows = [
         [
             recording.name,

@@ -33,7 +33,7 @@ _TERMS = ("white", "flicker", "random walk")
 
 
 def log_summary(log: Log) -> Iterator[str]:
-    """A line or two: what it is, and what is wrong with it."""
+    """Yield a line or two: what it is, and what is wrong with it."""
     rows = sum(len(sensor) for sensor in log.sensors.values())
     source = "the emulated array, no hardware" if log.source == "emulated" else log.source
     yield f"{log.path.name}: {_duration(log)} of {counted(len(log.sensors), 'sensor')}, {rows} readings ({source})."
@@ -100,7 +100,7 @@ def _recorded(log: Log) -> Section:
 
 
 def _events(log: Log) -> Table:
-    """Every event; those that repeat stand in one row, with their number and the time of the last one."""
+    """Return every event; those that repeat stand in one row, with their number and the time of the last one."""
     repeats: dict[tuple[str, str, str], list[float]] = {}
     for event in sorted(log.events):
         repeats.setdefault((event.sensor, event.kind, event.message), []).append(event.time_ns * 1e-9)
@@ -131,7 +131,7 @@ def _shown(log: Log, recording: RecordingFigure) -> Section:
 
 
 def _longest_s(sensor: SensorLog) -> float:
-    """The longest time between two readings."""
+    """Return the longest time between two readings."""
     longest, last = 0, None
     for block in sensor.blocks():
         time = np.asarray(sensor.time[block])

@@ -207,7 +207,7 @@ def _trace(sensor: SensorLog, calibration: Calibration, ends_ns: tuple[int, int]
 
 
 def _columns(sensor: SensorLog) -> tuple[tuple[str, ...], str]:
-    """The names of what is drawn, and its unit."""
+    """Return the names of what is drawn, and its unit."""
     for name, unit in (("pressure", "Pa"), ("temperature", "°C")):
         if sensor.quantity == name and sensor.has_compensated(name):
             return (name,), unit
@@ -217,7 +217,7 @@ def _columns(sensor: SensorLog) -> tuple[tuple[str, ...], str]:
 
 
 def _values(sensor: SensorLog, rows: slice, calibration: Calibration) -> Floats:
-    """The values (n, k) of some rows."""
+    """Return the values (n, k) of some rows."""
     columns, unit = _columns(sensor)
     if columns[0] in ("pressure", "temperature"):
         return np.asarray(sensor.compensated(columns[0])[rows], float)[:, None]
@@ -230,7 +230,9 @@ def _values(sensor: SensorLog, rows: slice, calibration: Calibration) -> Floats:
 
 
 def _period_ns(sensor: SensorLog) -> float:
-    """The usual distance of two readings: half the median over two steps, which polling forth and back leaves even."""
+    """Return the usual distance of two readings: half the median over two steps, which polling forth and back
+    leaves even.
+    """
     time = np.asarray(sensor.time[: 4 * 4096], np.int64)
     return float(np.median(time[2:] - time[:-2])) / 2 if len(time) > 2 else float("inf")
 
@@ -255,7 +257,7 @@ def _envelope(
 
 
 def _runs(flags: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """The first and last row of each run of flagged rows."""
+    """Return the first and last row of each run of flagged rows."""
     edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
     return zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True)
 
@@ -318,7 +320,7 @@ def _limits(trace: Trace) -> tuple[float, float]:
 
 
 def _coarser(trace: Trace) -> tuple[Floats, Floats, Floats]:
-    """The envelope in as many stretches as an SVG shows; a row of nan stays one."""
+    """Return the envelope in as many stretches as an SVG shows; a row of nan stays one."""
     width = -(-len(trace.time_s) // _STATIC)
     if width <= 1:
         return trace.time_s, trace.low, trace.high
@@ -331,7 +333,7 @@ def _coarser(trace: Trace) -> tuple[Floats, Floats, Floats]:
 
 
 def _outline(across: Floats, top: Floats, bottom: Floats) -> Iterator[str]:
-    """A closed path around each run of finite values."""
+    """Yield a closed path around each run of finite values."""
     for first, last in _runs(np.isfinite(top)):
         there = [f"{x:.1f},{y:.1f}" for x, y in zip(across[first : last + 1], top[first : last + 1], strict=True)]
         back = [f"{x:.1f},{y:.1f}" for x, y in zip(across[first : last + 1], bottom[first : last + 1], strict=True)]
@@ -347,7 +349,9 @@ def _encoded(values: Floats) -> str:
 
 @cache
 def scripts() -> tuple[str, ...]:
-    """The scripts with which a page zooms: BokehJS out of the installed package, and ours; none without Bokeh."""
+    """Return the scripts with which a page zooms: BokehJS out of the installed package, and ours; none without
+    Bokeh.
+    """
     package = find_spec("bokeh")
     if package is None or package.origin is None:
         return ()

@@ -136,7 +136,7 @@ def confusion_figure(confusion: Confusion) -> Figure:
 
 
 def reliability_figure(bins: Sequence[Bin]) -> Figure:
-    """The share of causes that are right against the probability that was said; numbers are causes."""
+    """Return the share of causes that are right against the probability that was said; numbers are causes."""
     figure, panel = sheet(NARROW, 4.4)
     panel.plot([0, 1], [0, 1], color=_GREY, linewidth=1, linestyle="--", label="as said")
     filled = [bin_ for bin_ in bins if bin_.cases]
@@ -153,7 +153,7 @@ def reliability_figure(bins: Sequence[Bin]) -> Figure:
 
 
 def closure_figure(closures: Sequence[Closure]) -> Figure:
-    """The share of the gap that the diagnosis claims to close against the oracle's, and the tolerance band."""
+    """Return the share of the gap that the diagnosis claims to close against the oracle's, and the tolerance band."""
     figure, panel = sheet(NARROW, 4.4)
     ends = np.array([_LEAST_CLOSED, 1.0])
     panel.fill_between(ends, ends - WITHIN, ends + WITHIN, color=_BAND, label=f"within {WITHIN}")

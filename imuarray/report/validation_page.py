@@ -121,7 +121,7 @@ def _worlds(figures: Figures) -> Iterator[Section]:
 
 
 def _by_plan(figures: Figures) -> Iterator[Table]:
-    """A table of the figures that there are on several plans or with several experiments, if there are any."""
+    """Yield a table of the figures that there are on several plans or with several experiments, if there are any."""
     groups = ("plan", "experiment")
     cells = {row.name: {cell.name: cell for cell in row.cells if cell.group in groups} for row in figures.rows}
     plans = sorted({plan for own in cells.values() for plan in own})

@@ -15,8 +15,8 @@ _MOST_NAMED = 5
 
 
 def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str, str] = MappingProxyType({})) -> str:
-    """A section of results for a committed page: when, by what command, what was frozen, every figure, what misses, and
-    plots by what they show, each a file.
+    """Return a section of results for a committed page: when, by what command, what was frozen, every figure, what
+    misses, and plots by what they show, each a file.
     """
     lines = [f"## Results of {_cell(date)}, {_cell(figures.half or 'unnamed')} half", ""]
     lines += [f"- {_cell(line)}" for line in (*summary_lines(figures), frozen_text(figures))]
@@ -73,7 +73,7 @@ def summary_lines(figures: Figures) -> Iterator[str]:
 
 
 def transfer_rows(figures: Figures) -> Iterator[list[str]]:
-    """Each figure that several worlds have: its value in each, in brackets the cases, and what is lost."""
+    """Yield each figure that several worlds have: its value in each, in brackets the cases, and what is lost."""
     for transfer in figures.transfers:
         cells = [transfer.rows.get(world) for world in figures.worlds]
         values = [f"{decimal(row.value)} ({row.cases})" if row else "–" for row in cells]
@@ -105,7 +105,7 @@ def frozen_text(figures: Figures) -> str:
 
 
 def plain_text(value: Any) -> str:
-    """A value of plan.json in one line."""
+    """Return a value of plan.json in one line."""
     return value if isinstance(value, str) else json.dumps(value)
 
 

@@ -144,7 +144,7 @@ def _turns_wanted(scaled: Sequence[SensorCalibration]) -> str:
 
 
 def _worst_bias(sensors: Sequence[SensorCalibration]) -> str:
-    """The largest standard error of a bias, with its unit; "" without any."""
+    """Return the largest standard error of a bias, with its unit; "" without any."""
     errors = [
         READABLE[sensor.unit][0] * float(np.max(sensor.bias_sem_lsb / sensor.scale_lsb_per_unit))
         for sensor in sensors

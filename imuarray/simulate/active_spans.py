@@ -16,7 +16,7 @@ Stage = TypeVar("Stage", Instants, Felt, Analog, Codes)
 
 
 def acting(effect: Effect, run: int) -> Effect | None:
-    """The effect as it acts in the run with that number: as it is, within its spans, or (None) not at all."""
+    """Return the effect as it acts in the run with that number: as it is, within its spans, or (None) not at all."""
     if not effect.spans:
         return effect
     own = [(begin_s, end_s) for number, begin_s, end_s in effect.each_span() if number == run]
@@ -64,7 +64,7 @@ class _Within(Effect):
         return _mixed(codes, self.effect.codes(codes, at), inside) if inside.any() else codes
 
     def _inside(self, stamp_ns: Integers) -> Booleans:
-        """(n,) of rows with these stamps, ascending."""
+        """Return (n,) of rows with these stamps, ascending."""
         inside = np.zeros(len(stamp_ns), bool)
         for begin_ns, end_ns in self.stretches_ns:
             due, over = np.searchsorted(stamp_ns, (begin_ns, end_ns))

@@ -47,7 +47,7 @@ class ThermometerConverter:
     bits: int = 8
 
     def counts(self, temperature_degc: Reals) -> Counts:
-        """The codes (n,) at these temperatures."""
+        """Return the codes (n,) at these temperatures."""
         if temperature_degc.strides == (0,):  # it never changes: one row stands for all
             return np.broadcast_to(self.counts(temperature_degc[:1].copy()), temperature_degc.shape)
         codes = np.rint((temperature_degc - self.zero_degc) * self.lsb_per_degc)
@@ -65,8 +65,8 @@ _COUNT_BITS = 16
 
 
 def thermometer_of(header: SensorHeader) -> ThermometerConverter | None:
-    """The chip's own thermometer, as its header says or else its data sheet; None if it has none, or nobody knows what
-    its counts mean.
+    """Return the chip's own thermometer, as its header says or else its data sheet; None if it has none, or nobody
+    knows what its counts mean.
     """
     if not header.has_temperature:
         return None
@@ -87,7 +87,7 @@ def adxl345_bandwidth_hz(rate_hz: float) -> float:
 
 
 def code_span(sensor: SensorHeader) -> CodeSpan:
-    """The codes of a triad as it is configured: ADX-46, BMA-60, HMC-32, TDK-13; all its bits elsewhere."""
+    """Return the codes of a triad as it is configured: ADX-46, BMA-60, HMC-32, TDK-13; all its bits elsewhere."""
     if sensor.chip == "adxl345":
         half = round(sensor.range * 256)
         step = even_step(sensor.chip, sensor.rate_hz)
@@ -129,7 +129,7 @@ def latest_reading(instant_ns: Integers, rate_hz: float, phase: float = 0.0) -> 
 
 
 def _reading(instant_ns: Integers, rate_hz: float, phase: float) -> Reals:
-    """The number of the latest reading; one that is due at once still counts."""
+    """Return the number of the latest reading; one that is due at once still counts."""
     periods = instant_ns * (rate_hz * 1e-9)
     periods += max(_ON_TIME, _ROUNDED_S * rate_hz) + phase
     return np.asarray(np.floor(periods, out=periods))

@@ -23,7 +23,7 @@ from imuarray.simulate.signal import Analog, Codes, Felt, Flags, Instants, Place
 
 
 def per_axis(default: float = 0.0, *, suffix: str = "", low: float = -np.inf, high: float = np.inf) -> Any:
-    """A parameter with one value for each axis of the sensor; a single number stands for all three.
+    """Return a parameter with one value for each axis of the sensor; a single number stands for all three.
 
     `suffix` is what model files and reports append to its name, "{u}" being the sensor's unit: "_{u}_per_degc". Values
     outside `low` to `high` are refused.
@@ -32,7 +32,7 @@ def per_axis(default: float = 0.0, *, suffix: str = "", low: float = -np.inf, hi
 
 
 def scalar(default: float, *, suffix: str = "", low: float = -np.inf, high: float = np.inf) -> Any:
-    """A parameter with one value; otherwise as `per_axis`."""
+    """Return a parameter with one value; otherwise as `per_axis`."""
     return field(default=default, metadata={"suffix": suffix, "allowed": (low, high)})
 
 
@@ -69,7 +69,7 @@ class Effect:
                     require(name, each, *allowed)
 
     def each_span(self) -> Iterator[tuple[float, float, float]]:
-        """The run, from when, until when of each."""
+        """Return the run, from when, until when of each."""
         return zip(self.spans[::3], self.spans[1::3], self.spans[2::3], strict=True)
 
     def active_axes(self) -> tuple[bool, ...]:
@@ -97,7 +97,7 @@ class Effect:
         return felt
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """The element's signal and the converter's settings."""
+        """Return the element's signal and the converter's settings."""
         return analog
 
     def codes(self, codes: Codes, at: Place) -> Codes:

@@ -67,7 +67,7 @@ def tumble(wanted: ExperimentOptions) -> Motion:
 
 
 def heating(wanted: ExperimentOptions) -> Motion:
-    """The paper's temperature profile, all times scaled."""
+    """Return the paper's temperature profile, all times scaled."""
     whole = Heating(up=wanted.up)
     return Heating(scale=wanted.seconds / whole.seconds, up=wanted.up) if wanted.seconds else whole
 
@@ -101,7 +101,7 @@ def hand(wanted: ExperimentOptions) -> Motion:
 
 
 def vehicle(wanted: ExperimentOptions) -> Motion:
-    """A drive with curves."""
+    """Return a drive with curves."""
     if wanted.seconds is None:
         return Vehicle(temperature_degc=wanted.temperature_degc)
     still_s = wanted.seconds * _REST_SHARE
@@ -128,14 +128,18 @@ class BootRun:
 
 
 def run_like(log: Log, path: Path, only: Collection[str], boot: int) -> BootRun:
-    """A log with the sensors, times, faces and temperature of another; LogError for a sensor that it does not have."""
+    """Return a log with the sensors, times, faces and temperature of another; LogError for a sensor that it does
+    not have.
+    """
     return BootRun(path, plan_like(log, only), LikeLog(log), boot)
 
 
 def turn_on_series(
     array: ArrayConfig, path: Path, wanted: ExperimentOptions, rate_hz: float, boots: Sequence[int]
 ) -> list[BootRun]:
-    """The logs of a turn-on series, one for each of the `boots`: SIM_01.h5, SIM_02.h5, ... in the folder of `path`."""
+    """Return the logs of a turn-on series, one for each of the `boots`: SIM_01.h5, SIM_02.h5, ... in the folder
+    of `path`.
+    """
     digits = max(2, len(str(len(boots))))
     listed = []
     for k, boot in enumerate(boots, 1):
@@ -155,7 +159,9 @@ def run_of(
 def with_effects(
     effects: Mapping[str, Sequence[Effect]], added: Mapping[str, Sequence[Effect]]
 ) -> dict[str, tuple[Effect, ...]]:
-    """The effects of each sensor with those `added`, in physical order; ConfigError for a sensor that there is not."""
+    """Return the effects of each sensor with those `added`, in physical order; ConfigError for a sensor that
+    there is not.
+    """
     for name in added:
         if name not in effects:
             raise ConfigError(f"effects of {name!r}: the array has {', '.join(effects)}{guess(name, effects)}")

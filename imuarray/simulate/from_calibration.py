@@ -77,7 +77,9 @@ def _part(model: Model, unit: SensorCalibration, header: SensorHeader) -> Part:
 
 
 def _affine(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
-    """The effects that make the calibration's map; a data sheet's figure in it was not measured and makes none."""
+    """Yield the effects that make the calibration's map; a data sheet's figure in it was not measured and makes
+    none.
+    """
     orientation = np.array(header.orientation)
     sensed = unit.response_lsb_per_unit @ orientation / header.sensitivity
     exchange = np.eye(3)
@@ -104,7 +106,7 @@ def _response(sensed: Floats, exchange: Floats, header: SensorHeader) -> Iterato
 
 
 def _nearest_axes(sensed: Floats) -> Floats:
-    """(3, 3) of 0, 1 and -1: the signed axes to which the rows of `sensed` come nearest, each taken once."""
+    """Return (3, 3) of 0, 1 and -1: the signed axes to which the rows of `sensed` come nearest, each taken once."""
     from scipy.optimize import linear_sum_assignment  # its weight is for those who simulate a calibration
 
     rows, columns = linear_sum_assignment(-np.abs(sensed / np.linalg.norm(sensed, axis=1, keepdims=True)))
@@ -114,7 +116,7 @@ def _nearest_axes(sensed: Floats) -> Floats:
 
 
 def _thermal(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
-    """The slopes about the temperature at which the bias holds: CalibrationError for one that no sensor can have.
+    """Yield the slopes about the temperature at which the bias holds: CalibrationError for one that no sensor can have.
 
     A slope that may be one of scale is taken for one of bias: at rest as it was measured, both make the same counts. A
     lag behind the chip's own thermometer is none behind the box, whose temperature the simulator knows.
@@ -136,13 +138,13 @@ def _thermal(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
 
 
 def _noise(unit: SensorCalibration, header: SensorHeader, step_lsb: Integers) -> Iterator[Effect]:
-    """The measured scatter without that of rounding, step^2 / 12 (Sheppard's correction)."""
+    """Yield the measured scatter without that of rounding, step^2 / 12 (Sheppard's correction)."""
     if unit.noise_lsb is not None:
         yield WhiteNoise(_triple(np.sqrt(np.maximum(unit.noise_lsb**2 - step_lsb**2 / 12, 0)) / header.sensitivity))
 
 
 def _step_lsb(model: Model, header: SensorHeader) -> Integers:
-    """(3,) by how much neighbouring codes of each axis of this sensor differ."""
+    """Return (3,) by how much neighbouring codes of each axis of this sensor differ."""
     effects = model.effects(header, Streams(0))
     steps = [np.array(effect.step_lsb, int) for effect in effects if isinstance(effect, Quantisation)]
     return np.asarray(np.lcm.reduce([np.full(3, even_step(header.chip, header.rate_hz)), *steps]))

@@ -74,14 +74,14 @@ class DelayedTimes:
 
 
 def lost_rows(line: Timeline) -> tuple[tuple[int, int, int], ...]:
-    """The stamps in ns of the rows before and after each stretch in which the sensor lost rows, and how many."""
+    """Return the stamps in ns of the rows before and after each stretch in which the sensor lost rows, and how many."""
     own = line.own if isinstance(line, DelayedTimes) else line
     return tuple(own.holes()) if isinstance(own, GapFilledTimes) else ()
 
 
 def find_delays(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog]) -> dict[str, Timeline]:
-    """The `lines` of recorded `sensors`, with what all of these say of the host; a line on which there is nothing of it
-    stays as it is.
+    """Return the `lines` of recorded `sensors`, with what all of these say of the host; a line on which there is
+    nothing of it stays as it is.
     """
     names = list(lines)
     recorded = [sensors[name] for name in names]
@@ -136,7 +136,7 @@ class _Pairs(NamedTuple):
 
 
 def _windows(sensors: Sequence[SensorLog]) -> Iterator[_Rows]:
-    """All rows, many at a time."""
+    """Yield all rows, many at a time."""
     longest = max(sensors, key=len)
     for block in longest.blocks(_WINDOW_ROWS):
         is_first, is_last = block.start == 0, block.stop == len(longest)
@@ -186,8 +186,8 @@ def _pairs(rows: _Rows, count: int) -> _Pairs:
 
 
 def _halves(rows: _Rows, pairs: _Pairs) -> Floats:
-    """(n,) half of how long the host waited before each row: what the intervals before and after it have in common, or
-    if one of these tells nothing what the other has more than its neighbour's part.
+    """Return (n,) half of how long the host waited before each row: what the intervals before and after it have in
+    common, or if one of these tells nothing what the other has more than its neighbour's part.
     """
     interval, step = np.diff(rows.time_ns), (rows.which[:-1], rows.which[1:])
     over, idle = interval - pairs.usual_ns[step], interval - pairs.idle_ns[step]

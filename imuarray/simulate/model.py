@@ -69,7 +69,7 @@ class Part:
         )
 
     def to_table(self) -> dict[str, Any]:
-        """The part as TOML has it."""
+        """Return the part as TOML has it."""
         head = {key: getattr(self, key) for key in ("name", "chip", "unit", "range", "noise_bandwidth_hz")}
         tables = {
             effect: [{key: table_of(figure) for key, figure in recipe.items()} for recipe in recipes]
@@ -94,8 +94,8 @@ class Model:
     def effects(
         self, sensor: SensorHeader, streams: Streams, *, population: bool = False, without: Set[str] = frozenset()
     ) -> tuple[Effect, ...]:
-        """The effects of one sensor, drawn where the model has populations, in physical order; none for a chip that
-        the model does not know.
+        """Return the effects of one sensor, drawn where the model has populations, in physical order; none for a chip
+        that the model does not know.
 
         `population` leaves known units aside: every sensor is drawn from its design. `without` leaves effects out.
         """
@@ -108,13 +108,13 @@ class Model:
         )
 
     def parts(self, sensor: SensorHeader, *, population: bool = False) -> dict[str, Part]:
-        """The part from which the sensor has each of its effects."""
+        """Return the part from which the sensor has each of its effects."""
         fitting = [part for part in (*(() if population else self.sensors), *self.designs) if part.fits(sensor)]
         fitting.sort(key=lambda part: (not part.name, part.range is None), reverse=True)
         return {kind: part for part in fitting for kind in part.effects}
 
     def to_toml(self) -> str:
-        """The model as a file that `parse_model` reads as this model."""
+        """Return the model as a file that `parse_model` reads as this model."""
         table: dict[str, Any] = {"model": {"name": self.name, "about": self.about}}
         for key, parts in (("design", self.designs), ("sensor", self.sensors)):
             if parts:
@@ -122,7 +122,7 @@ class Model:
         return tomli_w.dumps(table)
 
     def _made(self, kind: str, part: Part, sensor: SensorHeader, streams: Streams) -> Iterator[Effect]:
-        """The effects of one kind, each with its draws; the second and later of a kind draw apart."""
+        """Yield the effects of one kind, each with its draws; the second and later of a kind draw apart."""
         keys, where = spelled(EFFECTS[kind], sensor.unit), f"model {self.name}: sensor {sensor.name}: {kind}"
         for number, recipe in enumerate(part.effects[kind], start=1):
             table = drawn(recipe, keys, kind if number == 1 else f"{kind} {number}", sensor, streams)
@@ -136,7 +136,7 @@ def load_model(path: str | PathLike[str]) -> Model:
 
 
 def parse_model(text: str, where: str = "model") -> Model:
-    """A model from TOML text; `where` stands at the head of every message."""
+    """Return a model from TOML text; `where` stands at the head of every message."""
     return _model_of(parse_toml(text, _File, where), text, where)
 
 
@@ -234,7 +234,7 @@ def _model_of(file: _File, text: str, where: str) -> Model:
 
 
 def _part(entry: Any, place: Place, mistakes: list[Mistake]) -> Part:
-    """A part from its checked table; tables of effects that can't be meant are added to `mistakes`."""
+    """Return a part from its checked table; tables of effects that can't be meant are added to `mistakes`."""
     name = getattr(entry, "name", "")
     subject = f"{place[0]} {int(place[1]) + 1}" + (f" {name!r}" if name else "")
     unit = TRIADS[entry.chip].unit if entry.chip in TRIADS else entry.unit
@@ -254,7 +254,7 @@ def _part(entry: Any, place: Place, mistakes: list[Mistake]) -> Part:
 
 
 def _recipe(kind: str, table: Mapping[str, Any], chip: str, unit: str) -> Recipe:
-    """The figures of an effect's table; ConfigError, which begins with the kind, for a unit that can't be."""
+    """Return the figures of an effect's table; ConfigError, which begins with the kind, for a unit that can't be."""
     if strange := [key for key in table if not key.isprintable()]:
         raise ConfigError(f"{kind}: {strange[0]!r}: unknown key")
     recipe = {key: figure_of(value, f"{kind}: {key}") for key, value in table.items()}
@@ -269,7 +269,7 @@ def _recipe(kind: str, table: Mapping[str, Any], chip: str, unit: str) -> Recipe
 
 
 def _at_bandwidth(noise: WhiteNoise, part: Part, sensor: SensorHeader) -> WhiteNoise:
-    """The noise at the sensor's bandwidth instead of that for which the part has it."""
+    """Return the noise at the sensor's bandwidth instead of that for which the part has it."""
     bandwidth_hz = noise_bandwidth_hz(sensor)
     if part.noise_bandwidth_hz is None or bandwidth_hz <= 0:
         return noise

@@ -18,12 +18,12 @@ SomeEffect = TypeVar("SomeEffect", bound=Effect)
 
 
 def several(count: int, *, suffix: str = "") -> Any:
-    """A parameter of `count` numbers, all zero unless given; its effect passes it through `numbers`."""
+    """Return a parameter of `count` numbers, all zero unless given; its effect passes it through `numbers`."""
     return field(default=(0.0,) * count, metadata={"suffix": suffix})
 
 
 def listed(*, suffix: str = "") -> Any:
-    """A parameter of any count of numbers, none unless given."""
+    """Return a parameter of any count of numbers, none unless given."""
     return field(default=(), metadata={"suffix": suffix})
 
 
@@ -42,21 +42,21 @@ def alongside(**lists: Any) -> dict[str, tuple[float, ...]]:
 
 
 def spelled(kind: type[Effect], unit: str) -> dict[str, Field[Any]]:
-    """The keys of an effect's table for a sensor of this unit, in order: "offset_dps" to the field `offset`; what every
-    effect has comes last.
+    """Return the keys of an effect's table for a sensor of this unit, in order: "offset_dps" to the field `offset`;
+    what every effect has comes last.
     """
     own = sorted(fields(kind), key=lambda item: item.name == "spans")
     return {item.name + item.metadata.get("suffix", "").format(u=unit): item for item in own}
 
 
 def to_table(effect: Effect, unit: str) -> dict[str, Value]:
-    """Every parameter that is not its default; three equal numbers, one for each axis, become one."""
+    """Return every parameter that is not its default; three equal numbers, one for each axis, become one."""
     known = ((key, item, getattr(effect, item.name)) for key, item in spelled(type(effect), unit).items())
     return {key: _plain(value, item) for key, item, value in known if not _same(value, item.default)}
 
 
 def from_table(kind: type[SomeEffect], table: Mapping[str, object], unit: str, where: str) -> SomeEffect:
-    """The effect that a table describes; ConfigError names `where`, the key and what is allowed."""
+    """Return the effect that a table describes; ConfigError names `where`, the key and what is allowed."""
     known = spelled(kind, unit)
     arguments: dict[str, Any] = {}
     for key, value in table.items():
@@ -117,6 +117,8 @@ def _unknown(key: str, allowed: list[str]) -> str:
 
 
 def _respelled(complaint: str, known: Mapping[str, Field[Any]]) -> str:
-    """An effect's complaint "rms: ...", with the key that the reader of the file knows instead of the parameter."""
+    """Return an effect's complaint "rms: ...", with the key that the reader of the file knows instead of the
+    parameter.
+    """
     parameter, colon, rest = complaint.partition(":")
     return next((key for key, item in known.items() if item.name == parameter), parameter) + colon + rest

@@ -52,7 +52,7 @@ class Spread(BaseModel):
         return 3 * self.sigma if self.limit is None else self.limit
 
     def at(self, deviate: float) -> float:
-        """The value of a unit that stands at this standard normal `deviate`: the quantile at its probability."""
+        """Return the value of a unit that stands at this standard normal `deviate`: the quantile at its probability."""
         if self.reach == 0:
             return self.mean
         beyond, below = _probability(-self.reach / self.sigma), _probability(deviate)
@@ -79,21 +79,24 @@ Recipe: TypeAlias = Mapping[str, Figure]
 
 
 def figure_of(value: Any, where: str) -> Figure:
-    """A figure from what TOML gave; ConfigError for a table that is no population, a list in a list, a huge number."""
+    """Return a figure from what TOML gave; ConfigError for a table that is no population, a list in a list, a
+    huge number.
+    """
     if isinstance(value, list):
         return tuple(_item(part, f"{where}, number {number}") for number, part in enumerate(value, start=1))
     return _item(value, where)
 
 
 def table_of(figure: Figure) -> Any:
-    """The figure as TOML has it."""
+    """Return the figure as TOML has it."""
     if isinstance(figure, tuple):
         return [table_of(part) for part in figure]
     return figure.model_dump(exclude_defaults=True) if isinstance(figure, Spread) else figure
 
 
 def at_ends(recipe: Recipe, spelled: Mapping[str, Field[Any]], away: int) -> dict[str, Any]:
-    """The recipe with numbers in place of populations: their means (`away` 0), their lower or upper ends (-1, +1).
+    """Return the recipe with numbers in place of populations: their means (`away` 0), their lower or upper ends (-1,
+    +1).
 
     `spelled` are the effect's parameters by their keys.
     """
@@ -107,7 +110,8 @@ def at_ends(recipe: Recipe, spelled: Mapping[str, Field[Any]], away: int) -> dic
 def drawn(
     recipe: Recipe, spelled: Mapping[str, Field[Any]], effect: str, sensor: SensorHeader, streams: Streams
 ) -> dict[str, Any]:
-    """The recipe with this sensor's draws in place of populations; `effect` is its word in the keys of the draws.
+    """Return the recipe with this sensor's draws in place of populations; `effect` is its word in the keys of the
+    draws.
 
     `spelled` are the effect's parameters by their keys.
     """
@@ -118,7 +122,7 @@ def drawn(
 
 
 def _item(value: Any, where: str) -> float | str | Spread:
-    """A figure that is not a list."""
+    """Return a figure that is not a list."""
     if isinstance(value, dict):
         return _spread_of(value, where)
     if isinstance(value, bool) or not isinstance(value, int | float | str):
@@ -136,7 +140,7 @@ def _spread_of(table: dict[str, Any], where: str) -> Spread:
 
 
 def _filled(figure: Figure, count: int, value: Callable[[int, Spread], float]) -> Any:
-    """The figure with `value` of (index, population) in place of populations; a lone one stands for `count`."""
+    """Return the figure with `value` of (index, population) in place of populations; a lone one stands for `count`."""
     if isinstance(figure, Spread):
         return [value(index, figure) for index in range(count)] if count else value(0, figure)
     if isinstance(figure, tuple):

@@ -60,7 +60,7 @@ class SlowProcess:
         self._piece = lru_cache(maxsize=3)(self._interpolated)
 
     def rows(self, first: int, stop: int, dtype: npt.DTypeLike = np.float64) -> Reals:
-        """(stop - first, 3) values for these rows."""
+        """Return (stop - first, 3) values for these rows."""
         return self.added_to(np.broadcast_to(np.zeros((), dtype), (stop - first, 3)), first)
 
     def added_to(self, values: Reals, first: int) -> Reals:
@@ -74,7 +74,7 @@ class SlowProcess:
         return total
 
     def _interpolated(self, piece: int, dtype: str) -> Reals:
-        """The rows of one piece.
+        """Return the rows of one piece.
 
         A matrix product: two knots of three axes to the rows from the one to just before the other. Pieces have one
         size, and so small a one that BLAS takes a single thread for it: the same product rounds the same way, whatever
@@ -118,7 +118,7 @@ class SlowProcess:
 
 @lru_cache(maxsize=64)
 def _weights(spacing: int, dtype: str) -> Reals:
-    """(6, 3 spacing): how much of each of two knots is in each axis of each row between them."""
+    """Return (6, 3 spacing): how much of each of two knots is in each axis of each row between them."""
     share = np.arange(spacing) / spacing
     return np.concatenate([np.kron(1 - share, np.eye(3)), np.kron(share, np.eye(3))]).astype(dtype)
 
@@ -141,7 +141,7 @@ def _bridge(decay: float) -> Floats:
 def gauss_markov(
     time_constant_s: float, at: Place, effect: str, shared_by: str = "", scale: Triple = _UNIT
 ) -> SlowProcess:
-    """A stationary first-order Gauss-Markov process of rms `scale`: correlation exp(-|t| / time_constant).
+    """Return a stationary first-order Gauss-Markov process of rms `scale`: correlation exp(-|t| / time_constant).
 
     Another time constant is another draw, so that several of them add up to independent ones.
     """

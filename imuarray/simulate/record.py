@@ -118,12 +118,12 @@ def total_rows(simulation: Simulation) -> int:
 
 
 def phases_within(phases: tuple[Phase, ...], end_ns: int) -> list[Phase]:
-    """The parts of phases that lie before the end of a log."""
+    """Return the parts of phases that lie before the end of a log."""
     return [phase._replace(end_ns=min(phase.end_ns, end_ns)) for phase in phases if phase.start_ns < end_ns]
 
 
 def _stretches(simulation: Simulation, block_rows: int) -> Iterator[Callable[[], _Part]]:
-    """The work, sensor after sensor, a block of each at a time."""
+    """Yield the work, sensor after sensor, a block of each at a time."""
     longest = max(sensor.rows for sensor in simulation.sensors.values())
     for start in range(0, longest, block_rows):
         for name, sensor in simulation.sensors.items():
@@ -140,7 +140,7 @@ def _part(simulation: Simulation, name: str, start: int, stop: int) -> _Part:
 
 
 def _in_order(work: Iterator[Callable[[], _Part]], executor: Executor | None, workers: int) -> Iterator[_Part]:
-    """The results in the order of the work, a few of them worked out ahead."""
+    """Yield the results in the order of the work, a few of them worked out ahead."""
     if executor is None:
         yield from (job() for job in work)
         return

@@ -110,9 +110,9 @@ class SimulatedSensor:
         self._chunk = lru_cache(maxsize=4)(self._evaluated)
 
     def block(self, start: int, stop: int, *, alone: bool = False) -> Block:
-        """The rows numbered start ... stop - 1 that arrive (fewer than stop - start where readings are dropped). Of a
-        sensor whose effects don't look back these `alone` can be worked out, if no others of their chunks are required:
-        they are the same.
+        """Return the rows numbered start ... stop - 1 that arrive (fewer than stop - start where readings are dropped).
+        Of a sensor whose effects don't look back these `alone` can be worked out, if no others of their chunks are
+        required: they are the same.
         """
         alone = alone and self._is_local
         parts = [self._arrived(chunk, start, stop, alone) for chunk in range(start // CHUNK, -(-stop // CHUNK))]
@@ -139,7 +139,7 @@ class SimulatedSensor:
         return parts[0] if len(parts) == 1 else _joined(parts)
 
     def lost_rows(self, start: int, stop: int) -> Integers:
-        """The numbers of the rows in start ... stop - 1 that never arrive."""
+        """Return the numbers of the rows in start ... stop - 1 that never arrive."""
         lost = [
             chunk * CHUNK + np.flatnonzero(~self._chunk(chunk, True).kept)
             for chunk in range(start // CHUNK, -(-stop // CHUNK))
@@ -165,7 +165,7 @@ class SimulatedSensor:
         )
 
     def _places(self) -> Iterator[Place]:
-        """A place for each effect: the second of a kind draws apart from the first."""
+        """Yield a place for each effect: the second of a kind draws apart from the first."""
         seen: Counter[str] = Counter()
         for effect in self.effects:
             seen[effect.name] += 1
@@ -195,7 +195,7 @@ class SimulatedSensor:
         return Chunk(instants.stamp_ns[cut], instants.kept[cut], _cut(codes, begin, end), counts[cut], status[cut])
 
     def _reaching(self, effect_name: str, row: int) -> Codes:
-        """The codes of one row as they reach an effect of this sensor."""
+        """Return the codes of one row as they reach an effect of this sensor."""
         names = [effect.name for effect, _ in self._acting]
         first = max(0, row - self._lookback)
         _, codes = self._chain(first, row + 1, self._acting, until=names.index(effect_name))
@@ -222,7 +222,7 @@ class SimulatedSensor:
         return instants, codes
 
     def _sensed(self, first: int, instants: Instants, felt: Felt) -> Analog:
-        """The true quantity along the sensor's axes, nothing else yet."""
+        """Return the true quantity along the sensor's axes, nothing else yet."""
         header, dtype = self.header, self._place.dtype
         vector_box: Reals = getattr(felt, _COLUMN[header.quantity])
         unit = 1.0 if header.quantity == "magnetic_field" else 1 / SI_PER_UNIT[header.unit]  # a field comes in gauss
@@ -300,7 +300,7 @@ class SimulatedBarometer:
 
 
 def _along(vector_box: Reals, orientation: Reals, dtype: npt.DTypeLike) -> Reals:
-    """(n, 3) `vector_box` along the sensor's axes; one row is enough where it never changes."""
+    """Return (n, 3) `vector_box` along the sensor's axes; one row is enough where it never changes."""
     if vector_box.strides[0] == 0:
         x, y, z = (vector_box[0] @ orientation).tolist()
         return per_row((x, y, z), np.broadcast_to(np.zeros((), dtype), vector_box.shape))
@@ -308,7 +308,7 @@ def _along(vector_box: Reals, orientation: Reals, dtype: npt.DTypeLike) -> Reals
 
 
 def _cut(codes: Codes, first: int, stop: int) -> Codes:
-    """The rows of `codes` that lie in first ... stop - 1."""
+    """Return the rows of `codes` that lie in first ... stop - 1."""
     begin = max(first, codes.first)
     rows = slice(begin - codes.first, stop - codes.first)
     temperature = codes.temperature_counts

@@ -119,7 +119,7 @@ class Place:
         return kept
 
     def row_at(self, at_ns: float, stop: int) -> int:
-        """The first of the rows before `stop` that is stamped then or later; `stop` if none is."""
+        """Return the first of the rows before `stop` that is stamped then or later; `stop` if none is."""
         return bisect_left(range(stop), at_ns, key=lambda row: int(self.stamps(row, row + 1)[0]))
 
     def rows_in(self, first: int, stop: int, stretches_ns: Iterable[tuple[float, float]]) -> Iterator[tuple[int, int]]:
@@ -141,7 +141,8 @@ class Place:
         chunk_rows: int = CHUNK,
         scale: Triple | None = None,
     ) -> Stream:
-        """The effect's stream for this sensor in this run, or one for all sensors that name the same `shared_by`.
+        """Return the effect's stream for this sensor in this run, or one for all sensors that name the same
+        `shared_by`.
 
         `chunk_rows`: how many are drawn at a time, fewer where few are required; `scale`: standard deviations.
         """
@@ -152,7 +153,7 @@ class Place:
         )
 
     def boot_generator(self, effect: str, purpose: str = "") -> np.random.Generator:
-        """A generator for the effect's draws at power-on of this sensor."""
+        """Return a generator for the effect's draws at power-on of this sensor."""
         return self.streams.of_boot(self.sensor.name, self._numbered(effect), f"boot {purpose}").generator()
 
     def _numbered(self, effect: str) -> str:

@@ -54,7 +54,7 @@ class Plan:
 
 
 def plan_of(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Plan:
-    """The plan of an array polled `frame_rate_hz` times a second for `seconds`."""
+    """Return the plan of an array polled `frame_rate_hz` times a second for `seconds`."""
     lines = poll(array, frame_rate_hz, seconds)
     sensors = {sensor.name: (header_of(sensor, {}), lines[sensor.name]) for sensor in array.sensors}
     frames = PollTimes(frames_in(seconds, frame_rate_hz), round(1e9 / frame_rate_hz))
@@ -62,7 +62,7 @@ def plan_of(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Plan:
 
 
 def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
-    """The plan of a recorded log: its sensors (or `only` these), read at the very times at which they were read.
+    """Return the plan of a recorded log: its sensors (or `only` these), read at the very times at which they were read.
 
     LogError for a sensor that the log does not have.
     """
@@ -147,7 +147,7 @@ class Simulation:
 def effects_of(
     plan: Plan, model: Model, seed: int, *, population: bool = False, without: Collection[str] = ()
 ) -> dict[str, tuple[Effect, ...]]:
-    """The effects of every sensor of a plan: its unit's as `model` has it, and what follows from where it sits.
+    """Return the effects of every sensor of a plan: its unit's as `model` has it, and what follows from where it sits.
 
     ConfigError for an effect in `without` that there is not.
     """
@@ -179,6 +179,6 @@ def place_of(header: SensorHeader, effects: Sequence[Effect], plan: Plan) -> Sen
 
 
 def in_physical_order(effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """The effects in the order in which they act."""
+    """Return the effects in the order in which they act."""
     order = {name: index for index, name in enumerate(EFFECTS)}
     return tuple(sorted(effects, key=lambda effect: order[effect.name]))

@@ -43,17 +43,17 @@ class Stream:
         self._dtype: Any = np.dtype(dtype).type
 
     def normal(self, start: int, stop: int) -> Reals:
-        """(stop - start, width) independent normal numbers; read-only."""
+        """Return (stop - start, width) independent normal numbers; read-only."""
         return self._rows(self._normal_chunk, start, stop)
 
     def uniform(self, start: int, stop: int) -> Reals:
-        """(stop - start, width) independent numbers in [0, 1); read-only. Take `normal` or `uniform` of one stream,
-        not both.
+        """Return (stop - start, width) independent numbers in [0, 1); read-only. Take `normal` or `uniform` of one
+        stream, not both.
         """
         return self._rows(self._uniform_chunk, start, stop)
 
     def generator(self, chunk: int = 0) -> np.random.Generator:
-        """A generator of its own for each `chunk`: for draws whose number isn't known beforehand."""
+        """Return a generator of its own for each `chunk`: for draws whose number isn't known beforehand."""
         return np.random.Generator(np.random.SFC64(np.random.SeedSequence((*self._entropy, chunk))))
 
     @cached_property
@@ -110,11 +110,11 @@ class Streams:
         chunk_rows: int = CHUNK,
         scale: Sequence[float] | None = None,
     ) -> Stream:
-        """A stream that differs from run to run; `chunk_rows` are drawn at a time, and belong to what it is."""
+        """Return a stream that differs from run to run; `chunk_rows` are drawn at a time, and belong to what it is."""
         return Stream((self.seed, 1 + self.boot, *_words(name)), width, dtype, chunk_rows, scale)
 
     def of_unit(self, *name: str) -> np.random.Generator:
-        """A generator for what belongs to a unit and stays the same in all its runs."""
+        """Return a generator for what belongs to a unit and stays the same in all its runs."""
         return Stream((self.seed, 0, *_words(name)), 1, np.float64).generator()
 
 

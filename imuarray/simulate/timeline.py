@@ -74,7 +74,7 @@ class Timeline(Protocol):
         """The nominal rate."""
 
     def stamps(self, start: int, stop: int) -> Integers:
-        """(stop - start,) int64 ns since the epoch, strictly increasing."""
+        """Return (stop - start,) int64 ns since the epoch, strictly increasing."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class PollTimes:
         return 1e9 / (self.period_ns * self.every)
 
     def stamps(self, start: int, stop: int) -> Integers:
-        """The frame's start and the way to this sensor in it."""
+        """Return the frame's start and the way to this sensor in it."""
         frames = np.arange(self.first + self.every * start, self.first + self.every * stop, self.every, dtype=np.int64)
         stamps = frames * self.period_ns + self.forth_ns
         if self.back_ns != self.forth_ns:
@@ -189,13 +189,13 @@ class GapFilledTimes:
         return self._between(np.arange(start, stop))
 
     def holes(self) -> Iterator[tuple[int, int, int]]:
-        """The stamps in ns of the rows before and after each hole, and how many are missing between them."""
+        """Yield the stamps in ns of the rows before and after each hole, and how many are missing between them."""
         for row, count in zip(self.before.tolist(), self.missing.tolist(), strict=True):
             before_ns, after_ns = self.recorded.stamps(row - 1, row + 1).tolist()
             yield before_ns, after_ns, count
 
     def _between(self, rows: Integers) -> Integers:
-        """The stamps of rows (n,) in order."""
+        """Return the stamps of rows (n,) in order."""
         ends, missing = np.array(self._ends), self.missing
         hole = np.searchsorted(ends - missing, rows, side="right") - 1  # the last that begins here or before
         inside = np.flatnonzero((hole >= 0) & (rows < ends[hole]))
@@ -217,7 +217,7 @@ class GapFilledTimes:
 
 
 def filled(sensor: SensorLog) -> LogTimes | GapFilledTimes:
-    """The rows of a recorded sensor and those that it lost.
+    """Return the rows of a recorded sensor and those that it lost.
 
     Rows are lost before one with flag 8 where the interval is `_HOLE` times the usual one or longer; and, since not
     every recorder sets that flag, in gaps of a regular record that fit its period and that no early row makes up for.
@@ -273,8 +273,8 @@ def _is_beat(rows: Integers) -> bool:
 
 
 def poll(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Mapping[str, Timeline]:
-    """The timelines of an array that is polled `frame_rate_hz` times a second for `seconds`; ConfigError if the bus is
-    too slow.
+    """Return the timelines of an array that is polled `frame_rate_hz` times a second for `seconds`; ConfigError if the
+    bus is too slow.
     """
     frames, period_ns = frames_in(seconds, frame_rate_hz), round(1e9 / frame_rate_hz)
     forth, back, frame_ns = _offsets_ns(array)

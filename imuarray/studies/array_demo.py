@@ -110,7 +110,7 @@ def run_array_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -
 
 
 def polled_text(array: ArrayConfig) -> str:
-    """The configuration of the array without the queues of its chips."""
+    """Return the configuration of the array without the queues of its chips."""
     return re.sub(r"\bfifo(\s*=\s*)true\b", r"fifo\1false", array.text)
 
 
@@ -121,7 +121,7 @@ def chips_text(array: ArrayConfig) -> str:
 
 
 def one_of_each(array: ArrayConfig) -> tuple[str, ...]:
-    """The first inertial sensor of each chip and quantity."""
+    """Return the first inertial sensor of each chip and quantity."""
     first: dict[str, str] = {}
     for sensor in array.sensors:
         if sensor.spec.quantity in INERTIAL:
@@ -130,7 +130,7 @@ def one_of_each(array: ArrayConfig) -> tuple[str, ...]:
 
 
 def errors_in(run: str, path: Path, calibration: Calibration) -> list[ArrayError]:
-    """The errors of every sensor and technique in one run, of both quantities."""
+    """Return the errors of every sensor and technique in one run, of both quantities."""
     with open_log(path) as log:
         by_technique = {technique: _rms(log, calibration, technique) for technique in TECHNIQUES}
         return [
@@ -145,7 +145,7 @@ def errors_in(run: str, path: Path, calibration: Calibration) -> list[ArrayError
 
 
 def _rms(log: Log, calibration: Calibration, technique: str, *only: str) -> dict[str, float]:
-    """The rms error of a result by quantity, all axes and frames together, frames without a result left out."""
+    """Return the rms error of a result by quantity, all axes and frames together, frames without a result left out."""
     errors = errors_of(log, fuse(log, calibration, technique, only=list(only)))
     return {quantity: float(np.sqrt(np.nanmean(np.square(error)))) for quantity, (_, error) in errors.items()}
 
@@ -190,7 +190,7 @@ def verdict_of(errors: list[ArrayError], tumble: TumbleResult, diagnosis: Diagno
 
 
 def errors_section(errors: list[ArrayError]) -> Section:
-    """The errors of single sensors and of all together."""
+    """Return the errors of single sensors and of all together."""
     rows = []
     for error in errors:
         factor, unit = READABLE_SI[error.quantity]

@@ -76,7 +76,7 @@ CASES = (
 
 
 def compare(logs: Mapping[str, Path], calibration: Calibration) -> list[tuple[GainCase, Gain]]:
-    """Every case's gains, per quantity and axis."""
+    """Return every case's gains, per quantity and axis."""
     rows = []
     for case in CASES:
         with open_log(logs[case.run]) as log:
@@ -87,7 +87,7 @@ def compare(logs: Mapping[str, Path], calibration: Calibration) -> list[tuple[Ga
 
 
 def _best(rows: Rows, case: GainCase) -> Gain:
-    """The axis on which a technique gains most where it should."""
+    """Return the axis on which a technique gains most where it should."""
     of_case = [
         gain for result, gain in rows if result == case and gain.quantity == case.claim and gain.box_axis != "XYZ"
     ]
@@ -127,7 +127,7 @@ def demo_verdict(rows: Rows, tumble: TumbleResult, diagnosis: Diagnosis) -> Verd
 
 
 def _comparison(gain: Gain) -> str:
-    """The error of the simple average and that of the technique, and their ratio."""
+    """Return the error of the simple average and that of the technique, and their ratio."""
     factor, unit = READABLE_SI[gain.quantity]
     errors = f"simple average {factor * gain.average:.3g} {unit}, fused {factor * gain.technique_error:.3g} {unit}"
     return f"{errors} ({gain.ratio:.3f} ± {gain.ratio_se:.3f} times)"
@@ -254,7 +254,7 @@ def noise_section(noise: dict[str, Any]) -> Section:
 
 
 def gain_section(rows: Rows) -> Section:
-    """Every technique against the average."""
+    """Return every technique against the average."""
     table, labels, ratios, errors = [], [], [], []
     unchanged: list[str] = []
     for case, gain in rows:
@@ -450,7 +450,7 @@ def prepare_folder(folder: Path, force: bool, more: Sequence[str] = ()) -> Path:
 
 
 def _diagnosed(path: Path, seed: int) -> Diagnosis:
-    """Some sensors at rest beside what their data sheets say."""
+    """Return some sensors at rest beside what their data sheets say."""
     with open_log(path) as log:
         return diagnose([log], only=DIAGNOSED, seed=seed, replicates=_REPLICATES)
 

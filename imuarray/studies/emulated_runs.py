@@ -26,7 +26,7 @@ Say = Callable[[str], None]
 
 
 def _world(run: str, seconds: float) -> str:
-    """The parameters of the emulated bus for a run of that length."""
+    """Return the parameters of the emulated bus for a run of that length."""
     face_s = (seconds - 6 * 2.0) / 7
     return {
         "tumble": f"world=tumble&face_s={face_s:.3f}&turn_s=2",

@@ -267,12 +267,12 @@ def meets(sensors: Iterable[str], others: Iterable[str]) -> bool:
 
 
 def number(value: Any, otherwise: float = nan) -> float:
-    """A number of JSON, which has null for what isn't finite."""
+    """Return a number of JSON, which has null for what isn't finite."""
     return otherwise if value is None else float(value)
 
 
 def interval(value: Sequence[Any] | None) -> tuple[float, float]:
-    """An interval of JSON."""
+    """Return an interval of JSON."""
     low, high = value or (None, None)
     return number(low), number(high)
 

@@ -35,7 +35,7 @@ class AdaptiveRange(Effect):
     hold_s: float = scalar(0.0, low=0.0, high=1.0)
 
     def lookback(self, at: Place) -> int:
-        """The longest run of held rows, what may begin it, and the row before it."""
+        """Return the longest run of held rows, what may begin it, and the row before it."""
         if not self._acts:
             return 0
         return LONGEST + math.ceil(self.hold_s * at.rows_per_s) + 2
@@ -76,15 +76,15 @@ class AdaptiveRange(Effect):
 
 
 def _held(codes: Codes, passed: Indices, noticed_ns: Floats, hold_ns: float) -> Booleans:
-    """(n,) whether a row falls within the hold of the latest passage before it."""
+    """Return (n,) whether a row falls within the hold of the latest passage before it."""
     latest = np.searchsorted(passed, np.arange(len(codes.counts)), side="right") - 1
     since_ns = codes.instant_ns - noticed_ns[latest]
     return np.asarray((latest >= 0) & (since_ns < hold_ns))
 
 
 def _shown_at(codes: Codes, starts: Indices, at_ns: Floats, period_ns: float) -> Counts:
-    """The readings (m, 3) that are kept from rows `starts` on: those of the rows before where rows hold every reading,
-    between the two rows, as of `at_ns`, where they do not.
+    """Return the readings (m, 3) that are kept from rows `starts` on: those of the rows before where rows hold every
+    reading, between the two rows, as of `at_ns`, where they do not.
     """
     begin_ns, end_ns = (codes.instant_ns[rows].astype(float) for rows in (starts - 1, starts))
     share = np.clip((at_ns - begin_ns) / np.maximum(end_ns - begin_ns, 1), 0, 1)

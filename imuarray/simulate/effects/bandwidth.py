@@ -94,7 +94,7 @@ class Bandwidth(Effect):
         return replace(analog, value=value, noise=samples[np.cumsum(is_new) - 1])
 
     def _of_every_sample(self, analog: Analog, at: Place) -> Reals:
-        """The noise (n, 3) of rows between which the chip makes readings that nobody reads."""
+        """Return the noise (n, 3) of rows between which the chip makes readings that nobody reads."""
         most = math.ceil(analog.rate_hz / at.rows_per_s)
         samples = np.rint(np.diff(analog.instant_ns) * 1e-9 * analog.rate_hz).astype(int)
         skipped = np.concatenate([[0], np.clip(samples - 1, 0, most)])
@@ -111,7 +111,7 @@ class Bandwidth(Effect):
         return np.ascontiguousarray(self._coloured(white, decay)[places])
 
     def _coloured(self, white: Reals, decay: float) -> Reals:
-        """The noise (n, 3) behind the filter, `decay` time constants from one row to the next."""
+        """Return the noise (n, 3) behind the filter, `decay` time constants from one row to the next."""
         from scipy.signal import lfilter  # its weight is for those who filter anything
 
         over, under = _noise_filter(decay, self.poles, self.band)
@@ -121,7 +121,7 @@ class Bandwidth(Effect):
         return np.asarray(self.noise_share * noise, white.dtype)
 
     def _passed(self, value: Reals, decay: float) -> Reals:
-        """The signal (n, 3) after the filter, exactly so for straight lines between rows."""
+        """Return the signal (n, 3) after the filter, exactly so for straight lines between rows."""
         if not self.share:
             return value
         from scipy.signal import lfilter, lfilter_zi  # its weight is for those who filter anything
@@ -158,7 +158,7 @@ def correlation(decay: float, poles: float, band: float = math.inf) -> float:
 
 @lru_cache(maxsize=4096)
 def _band_limited(decay: float, poles: float, band: float) -> float:
-    """The cosine transform of the filter's squared response 1 / (1 + u^(2 poles)), u = 0 to `band` cutoffs."""
+    """Return the cosine transform of the filter's squared response 1 / (1 + u^(2 poles)), u = 0 to `band` cutoffs."""
     radians = decay * math.sqrt(poles)  # at the cutoff
     steps = 2 * math.ceil(_STEPS * (1 + band * (1 + radians)))
     over_cutoff = np.linspace(0.0, band, steps + 1)
@@ -185,9 +185,9 @@ def _memory(decay: float, poles: float, band: float) -> int:
 
 @lru_cache(maxsize=256)
 def _noise_filter(decay: float, poles: float, band: float = math.inf) -> tuple[Reals, Reals]:
-    """(over, under) that make noise behind the filter, row by row, of white noise of the same rms: its poles are those
-    of the filter; with two there is a zero as well, which the first three correlations tell. Behind a digital filter
-    it is predicted from the rows before.
+    """Return (over, under) that make noise behind the filter, row by row, of white noise of the same rms: its poles are
+    those of the filter; with two there is a zero as well, which the first three correlations tell. Behind a digital
+    filter it is predicted from the rows before.
     """
     if math.isfinite(band):
         rows = np.array([correlation(decay * lag, poles, band) for lag in range(_MEMORY + 1)])
@@ -214,7 +214,7 @@ def _noise_filter(decay: float, poles: float, band: float = math.inf) -> tuple[R
 
 @lru_cache(maxsize=256)
 def _signal_filter(decay: float, poles: float) -> tuple[Reals, Reals]:
-    """(over, under) of the filter itself, for a signal that is straight between rows."""
+    """Return (over, under) of the filter itself, for a signal that is straight between rows."""
     from scipy.signal import cont2discrete  # its weight is for those who filter anything
 
     over, under = ([decay], [1.0, decay]) if poles == 1 else ([2 * decay**2], [1.0, 2 * decay, 2 * decay**2])

@@ -59,7 +59,7 @@ class DroppedSamples(Effect):
         return replace(instants, kept=instants.kept & ~lost)
 
     def _missing(self, stamp_ns: Integers, run: int) -> Booleans:
-        """(n,) of rows with these stamps."""
+        """Return (n,) of rows with these stamps."""
         missing = np.zeros(len(stamp_ns), bool)
         for number, moment_s, length_s in zip(self.runs, self.moments_s, self.lengths_s, strict=True):
             if number == run:
@@ -68,7 +68,7 @@ class DroppedSamples(Effect):
         return missing
 
     def _lost(self, first: int, stop: int, stream: Stream) -> Booleans:
-        """(stop - first,); row 0 is lost with the long-run probability."""
+        """Return (stop - first,); row 0 is lost with the long-run probability."""
         stay = 1 - 1 / self.burst_rows
         begin = self.probability / (1 - self.probability) / self.burst_rows
         reach = _REACH

@@ -47,7 +47,7 @@ class Jitter(Effect):
         return replace(instants, instant_ns=instants.instant_ns + np.rint(off * (self.rms_s * 1e9)).astype(np.int64))
 
     def _drawn(self, first: int, stop: int, at: Place) -> Reals:
-        """(n,) by how many `rms_s` each row is off."""
+        """Return (n,) by how many `rms_s` each row is off."""
         if self.share == 1:
             return np.asarray(at.stream(self.name, width=1).normal(first, stop)[:, 0], float)
         chosen, late = at.streams.of_boot(at.sensor.name, self.name, "late", width=2).uniform(first, stop).T

@@ -43,7 +43,7 @@ class PopcornNoise(Effect):
         return replace(analog, value=analog.value + level * per_row(self.amplitude, level))
 
     def _high(self, first: int, stop: int, at: Place) -> Booleans:
-        """(stop - first, 3): whether an axis is at its upper level."""
+        """Return (stop - first, 3): whether an axis is at its upper level."""
         begin, end = first // CHUNK, -(-stop // CHUNK)
         draws_per_s = self.switches_per_s / (2 * self.high_share * (1 - self.high_share))
         draws = at.stream(self.name, "numbers").generator().poisson(draws_per_s * CHUNK / at.rows_per_s, (end, 3))
@@ -58,7 +58,7 @@ class PopcornNoise(Effect):
 
 
 def _behind(level: Booleans, draws: Integers, last: Booleans) -> Booleans:
-    """(3,) the level behind chunks (c, 3): what the last of them with a draw drew, or what it was before."""
+    """Return (3,) the level behind chunks (c, 3): what the last of them with a draw drew, or what it was before."""
     known, levels = np.vstack([np.ones((1, 3), bool), draws > 0]), np.vstack([level, last])
     return np.asarray(levels[len(known) - 1 - known[::-1].argmax(axis=0), np.arange(3)])
 

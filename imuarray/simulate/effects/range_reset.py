@@ -127,7 +127,7 @@ class RangeReset(Effect):
                 yield (moment_s - doubt_s) * 1e9, moment_s * 1e9, (moment_s + length_s) * 1e9
 
     def _known(self, first: int, stop: int, at: Place) -> Booleans:
-        """(stop - first,) which of these rows lie in known stretches."""
+        """Return (stop - first,) which of these rows lie in known stretches."""
         since = np.zeros(stop - first, bool)
         for due, over in at.rows_in(first, stop, ((due_ns, over_ns) for _, due_ns, over_ns in self._stretches(at))):
             since[max(due - first, 0) : over - first] = True

@@ -34,7 +34,7 @@ class SizeEffect(Effect):
 
 
 def with_position(effects: Sequence[Effect], position_mm: Triple) -> tuple[Effect, ...]:
-    """The effects of a sensor that sits there, unless one of them says already where it sits."""
+    """Return the effects of a sensor that sits there, unless one of them says already where it sits."""
     if not any(position_mm) or any(isinstance(effect, SizeEffect) for effect in effects):
         return tuple(effects)
     return (SizeEffect(position_mm), *effects)

@@ -34,7 +34,7 @@ class StaleSamples(Effect):
         return math.ceil(math.log(_RARE) / math.log(self.probability)) if self.probability else 0
 
     def lookback(self, at: Place) -> int:
-        """The longest chain and the row before it."""
+        """Return the longest chain and the row before it."""
         return self.longest + 1 if self.probability else 0
 
     def codes(self, codes: Codes, at: Place) -> Codes:

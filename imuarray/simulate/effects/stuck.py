@@ -67,7 +67,7 @@ class Stuck(Effect):
         return codes
 
     def _known(self, first: int, stop: int, at: Place) -> Iterator[tuple[int, int, tuple[float, ...]]]:
-        """The rows of the known stretches that reach into first ... stop - 1, and their readings."""
+        """Yield the rows of the known stretches that reach into first ... stop - 1, and their readings."""
         for number, (run, moment_s) in enumerate(zip(self.runs, self.moments_s, strict=True)):
             if run == at.streams.boot:
                 span_ns = moment_s * 1e9, (moment_s + self.lengths_s[number]) * 1e9
@@ -91,13 +91,13 @@ def _row(codes: Codes, row: int) -> Codes:
 
 
 def _set_row(codes: Codes, row: int, counts: Counts) -> Codes:
-    """The codes with the counts (1, 3) in that row, if it is one of them."""
+    """Return the codes with the counts (1, 3) in that row, if it is one of them."""
     rows = codes.first + np.arange(len(codes.counts))
     return replace(codes, counts=np.where((rows == row)[:, None], counts, codes.counts))
 
 
 def _held(codes: Codes, last: Codes, begin: int, end: float, is_new: bool) -> Codes:
-    """The codes with `last` in the rows from `begin` to before `end`."""
+    """Return the codes with `last` in the rows from `begin` to before `end`."""
     rows = codes.first + np.arange(len(codes.counts))
     still = (rows >= begin) & (rows < end)
     counts = np.where(still[:, None], last.counts, codes.counts)

@@ -54,7 +54,7 @@ class ThermalLag(Effect):
         return replace(analog, value=bias.analog(part, at).value)
 
     def temperature_degc(self, time_ns: Integers, motion: Motion) -> Reals:
-        """The element's temperature (n,) at times (n,), at least one, in a box that does this motion."""
+        """Return the element's temperature (n,) at times (n,), at least one, in a box that does this motion."""
         if self.time_constant_s == 0.0:
             return np.asarray(motion.felt(time_ns).temperature_degc)
         nodes_ns = self._nodes_ns(time_ns)
@@ -72,7 +72,7 @@ class ThermalLag(Effect):
         return np.arange(first, max(first, -(-int(time_ns.max()) // step_ns)) + 1) * step_ns
 
     def _lagged(self, nodes_ns: Integers, motion: Motion) -> Reals:
-        """The element's temperature at the nodes, from equilibrium at the first one."""
+        """Return the element's temperature at the nodes, from equilibrium at the first one."""
         from scipy.signal import lfilter  # its weight is for those who ask
 
         box = motion.felt(nodes_ns).temperature_degc

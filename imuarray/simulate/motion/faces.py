@@ -31,8 +31,8 @@ UPRIGHT = np.eye(3)
 
 
 def shortest_turn(up_before: str, up_after: str) -> Reals:
-    """(3,) rotation vector (rad, box frame) of the shortest turn that brings `up_after` up; half a turn goes about X,
-    or about Y where X is upright. ValueError unless both are box axes ("+X").
+    """Return (3,) rotation vector (rad, box frame) of the shortest turn that brings `up_after` up; half a turn goes
+    about X, or about Y where X is upright. ValueError unless both are box axes ("+X").
     """
     before, after = np.array(up_vector(up_before)), np.array(up_vector(up_after))
     axis = np.cross(after, before)
@@ -43,7 +43,9 @@ def shortest_turn(up_before: str, up_after: str) -> Reals:
 
 
 def turned(attitude: Reals, turn: Reals) -> Reals:
-    """The attitude (3, 3) after a turn by quarters (rotation vector in the box frame), without rounding errors."""
+    """Return the attitude (3, 3) after a turn by quarters (rotation vector in the box frame), without rounding
+    errors.
+    """
     if not np.any(turn):
         return attitude + 0.0
     from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
@@ -53,7 +55,7 @@ def turned(attitude: Reals, turn: Reals) -> Reals:
 
 
 def tilted(attitude: Reals, tilt_deg: tuple[float, float]) -> Reals:
-    """The attitude (3, 3) on a table that is turned by these small angles about the level x and y axes."""
+    """Return the attitude (3, 3) on a table that is turned by these small angles about the level x and y axes."""
     if not np.isfinite(tilt_deg).all() or len(tilt_deg) != 2:
         raise ValueError(f"tilt_deg: {tilt_deg}; two angles are required, about the level x and y axes")
     if not np.any(tilt_deg):
@@ -65,7 +67,9 @@ def tilted(attitude: Reals, tilt_deg: tuple[float, float]) -> Reals:
 
 
 def standing_on(up: str, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> Reals:
-    """The attitude (3, 3) of a box whose axis `up` ("+X") points up, turned there from upright the shortest way."""
+    """Return the attitude (3, 3) of a box whose axis `up` ("+X") points up, turned there from upright the
+    shortest way.
+    """
     return tilted(turned(UPRIGHT, shortest_turn("+Z", up)), tilt_deg)
 
 

@@ -19,8 +19,8 @@ class PhaseField(NamedTuple):
 
 
 def field_at(fields: Sequence[PhaseField], time_ns: Integers) -> Reals:
-    """(n, 3) gauss at times (n,); one row, broadcast (read-only), where it is the same for all. Before the first of the
-    `fields`, at least one, it is the first.
+    """Return (n, 3) gauss at times (n,); one row, broadcast (read-only), where it is the same for all. Before the first
+    of the `fields`, at least one, it is the first.
     """
     starts_ns = np.array([field.start_ns for field in fields])
     number = np.clip(np.searchsorted(starts_ns, time_ns, side="right") - 1, 0, None)

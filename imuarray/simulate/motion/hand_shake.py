@@ -37,7 +37,7 @@ class _Sines:
     amplitude: Reals
 
     def at(self, seconds: Reals, envelope: tuple[Reals, Reals, Reals]) -> tuple[Reals, Reals, Reals]:
-        """(3, n) value, first and second derivative."""
+        """Return (3, n) value, first and second derivative."""
         free, slope, bend = np.zeros((3, 3, len(seconds)))
         for axis, sine in np.ndindex(self.hertz.shape):
             pace, amplitude = 2 * math.pi * self.hertz[axis, sine], self.amplitude[axis, sine]
@@ -92,7 +92,7 @@ class HandShake(MotionBetweenRests):
         return felt_by(time_ns, attitude, acceleration, place[2], self.temperature_degc)
 
     def position(self, time_ns: Integers) -> Reals:
-        """(n, 3) of the box's origin in the level frame, in m."""
+        """Return (n, 3) of the box's origin in the level frame, in m."""
         seconds = self._span.moved_s(time_ns)
         return self._place_sines.at(seconds, self._envelope(seconds))[0].T
 
@@ -108,7 +108,7 @@ class HandShake(MotionBetweenRests):
         return min(RAMP_S, self.motion_s / 2)
 
     def _envelope(self, seconds: Reals) -> tuple[Reals, Reals, Reals]:
-        """(n,) how much of the motion there is, and its first two derivatives."""
+        """Return (n,) how much of the motion there is, and its first two derivatives."""
         left_s = self.motion_s - seconds
         swell, slope, bend, _ = smooth_step(np.minimum(seconds, left_s) / self._ramp_s)
         return swell, np.where(seconds < left_s, slope, -slope) / self._ramp_s, bend / self._ramp_s**2

@@ -26,10 +26,10 @@ class Attitude(Protocol):
     """The attitude at n instants, and how it changes."""
 
     def seen(self, vector_level: Reals) -> Reals:
-        """(3, n) a vector (3, n) or (3, 1) of the level frame, in the box frame."""
+        """Return (3, n) a vector (3, n) or (3, 1) of the level frame, in the box frame."""
 
     def rates(self) -> tuple[Reals, Reals]:
-        """(3, n) angular rate in rad/s and (3, n) angular acceleration in rad/s2, in the box frame."""
+        """Return (3, n) angular rate in rad/s and (3, n) angular acceleration in rad/s2, in the box frame."""
 
 
 def felt_by(
@@ -50,7 +50,7 @@ def felt_by(
 
 
 def cross(a: Reals, b: Reals) -> Reals:
-    """(3, n) vector products."""
+    """Return (3, n) vector products."""
     product = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         product[i] = a[j] * b[k] - a[k] * b[j]

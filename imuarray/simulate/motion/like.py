@@ -157,7 +157,7 @@ class LikeLog:
         return replace(felt, force_box=values[:, :3], rate_box=values[:, 3:], angular_acceleration_box=slopes[:, 3:])
 
     def _on_faces(self, time_ns: Integers) -> Felt:
-        """The box at rest, at the temperature of the moment."""
+        """Return the box at rest, at the temperature of the moment."""
         warming = self._warming[1]
         degc = ROOM_DEGC if warming is None else warming.values_at(time_ns)[:, 0]
         ends = np.array([time_ns.min(), time_ns.max()]) if len(time_ns) else np.zeros(1, np.int64)
@@ -169,7 +169,7 @@ class LikeLog:
         return turned if self._moving is not None else replace(turned, force_box=self._gravity[face])
 
     def _face_at(self, time_ns: Integers) -> npt.NDArray[np.intp]:
-        """(n,) the number of the face on which it stands."""
+        """Return (n,) the number of the face on which it stands."""
         return np.clip(np.searchsorted(self._starts_ns, time_ns, side="right") - 1, 0, None)
 
     @cached_property

@@ -161,8 +161,8 @@ _LEAST_SINE = float(np.finfo(float).tiny)
 
 
 def upright_from(up_box: Sequence[tuple[float, float, float]]) -> Reals:
-    """(k, 3, 3) the attitudes in which these directions of the box are up, reached by the shortest turn from upright
-    (half a turn goes about X).
+    """Return (k, 3, 3) the attitudes in which these directions of the box are up, reached by the shortest turn from
+    upright (half a turn goes about X).
     """
     from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
 

@@ -56,14 +56,14 @@ class _Block(NamedTuple):
         return sum(array.nbytes for array in arrays) + (self.start.nbytes if self.start.strides[1] else 0)
 
     def row_before(self, time_ns: Integers) -> npt.NDArray[np.intp]:
-        """The number of the piece in which a time within the block lies."""
+        """Return the number of the piece in which a time within the block lies."""
         rows = self._evenly(time_ns)
         if rows is None:
             rows = np.searchsorted(self.time_ns, time_ns, side="right") - 1
         return np.clip(rows, 0, self.start.shape[1] - 1)
 
     def _evenly(self, time_ns: Integers) -> npt.NDArray[np.intp] | None:
-        """The same, if the rows are so even that dividing finds it: five times as fast as a search."""
+        """Return the same, if the rows are so even that dividing finds it: five times as fast as a search."""
         last = len(self.time_ns) - 1
         if last < 1 or len(time_ns) < _MANY:
             return None
@@ -93,7 +93,7 @@ class SplineColumns:
     where: str
 
     def at(self, time_ns: Integers) -> tuple[Reals, Reals]:
-        """(n, c) values, all columns side by side, and (n, c) their derivatives per s, in any order of times.
+        """Return (n, c) values, all columns side by side, and (n, c) their derivatives per s, in any order of times.
 
         Before the first row that row, after the last the last, both with derivative 0. Where nothing changes between
         the first and the last of the times, one row stands for all (read-only).
@@ -106,13 +106,13 @@ class SplineColumns:
         return np.ascontiguousarray(values.T), np.ascontiguousarray(np.where(time_ns == within, slopes, 0.0).T)
 
     def values_at(self, time_ns: Integers) -> Reals:
-        """(n, c) the values alone."""
+        """Return (n, c) the values alone."""
         within = np.clip(time_ns, self.first_ns, self.last_ns)
         constant = self._constant(within)
         return np.ascontiguousarray(self._joined(within, _values, 1).T) if constant is None else constant
 
     def _constant(self, within: Integers) -> Reals | None:
-        """(n, c) one row, broadcast, if it stands for all between the first and the last of the times."""
+        """Return (n, c) one row, broadcast, if it stands for all between the first and the last of the times."""
         if len(within) == 0:
             return None
         ends = np.array([within.min(), within.max()])
@@ -128,7 +128,7 @@ class SplineColumns:
         return np.broadcast_to(value, (len(within), len(value)))
 
     def _joined(self, within: Integers, worked_out: Callable[[_Block, Integers], Reals], of_each: int) -> Reals:
-        """(c * of_each, n) what each block makes of the times in it."""
+        """Return (c * of_each, n) what each block makes of the times in it."""
         if (within[1:] >= within[:-1]).all():
             return self._in_order(within, worked_out, of_each)
         order = np.argsort(within, kind="stable")
@@ -137,7 +137,7 @@ class SplineColumns:
         return result
 
     def _in_order(self, within: Integers, worked_out: Callable[[_Block, Integers], Reals], of_each: int) -> Reals:
-        """The same of times that ascend."""
+        """Return the same of times that ascend."""
         first, last = self._numbers(within[[0, -1]]).tolist() if len(within) else (0, 0)
         if first == last:
             return worked_out(self._block(first), within)
@@ -149,7 +149,7 @@ class SplineColumns:
         return result
 
     def _numbers(self, within: Integers) -> npt.NDArray[np.intp]:
-        """(n,) the block of each time."""
+        """Return (n,) the block of each time."""
         return np.searchsorted(self._starts_ns, within, side="right") - 1
 
     @cached_property
@@ -214,7 +214,9 @@ class SplineColumns:
 
 
 def _slopes(time_ns: Integers, rows: Reals) -> Reals:
-    """(k, c) per s by the three-point formula; exactly 0 between rows that are equal, which it rounds to nearly 0."""
+    """Return (k, c) per s by the three-point formula; exactly 0 between rows that are equal, which it rounds to
+    nearly 0.
+    """
     if len(rows) == 1:
         return np.zeros_like(rows)
     still = np.pad(np.diff(rows, axis=0) == 0, ((1, 1), (0, 0)), constant_values=True)
@@ -234,7 +236,7 @@ def _gaps(time_ns: Integers) -> Booleans:
 
 
 def _between(time_ns: Integers, rows: Reals, slopes: Reals, is_gap: Booleans) -> _Block:
-    """The cubic pieces (Hermite) between rows (k, c) with these slopes per s.
+    """Return the cubic pieces (Hermite) between rows (k, c) with these slopes per s.
 
     In gaps (k - 1,) they are monotonic: no slope exceeds three times the mean one, or has another sign (Fritsch and
     Carlson, SIAM J. Numer. Anal. 17, 1980).
@@ -258,7 +260,7 @@ def _between(time_ns: Integers, rows: Reals, slopes: Reals, is_gap: Booleans) ->
 
 
 def _values(block: _Block, time_ns: Integers) -> Reals:
-    """(c, n) at times within the block."""
+    """Return (c, n) at times within the block."""
     row = block.row_before(time_ns)
     start: Reals = block.start.take(row, axis=1)
     moving = _moving(block, row)
@@ -272,7 +274,7 @@ def _values(block: _Block, time_ns: Integers) -> Reals:
 
 
 def _values_and_slopes(block: _Block, time_ns: Integers) -> Reals:
-    """(2 c, n) values, and their derivatives per s below."""
+    """Return (2 c, n) values, and their derivatives per s below."""
     row = block.row_before(time_ns)
     moving = _moving(block, row)
     columns = len(block.start)
@@ -291,8 +293,8 @@ def _moving(block: _Block, row: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
 
 
 def _pieces(block: _Block, time_ns: Integers, row: npt.NDArray[np.intp]) -> tuple[Reals, Reals, Reals]:
-    """(n,) where in their pieces, none of which is constant, the times lie, 0 to 1; (n,) the lengths of these in s;
-    (3, c, n) p1, p2, p3.
+    """Return (n,) where in their pieces, none of which is constant, the times lie, 0 to 1; (n,) the lengths of these in
+    s; (3, c, n) p1, p2, p3.
     """
     piece = block.moves.take(row)
     length_s = block.length_s.take(piece)

@@ -15,7 +15,7 @@ FOREVER_NS = 1 << 62
 
 
 def nanoseconds(seconds: float) -> int:
-    """The same length in whole ns."""
+    """Return the same length in whole ns."""
     return round(seconds * 1e9)
 
 
@@ -60,7 +60,7 @@ class BetweenRests:
         return consecutive(("static", still_ns, "+Z"), ("motion", motion_ns, ""), ("static", still_ns, "+Z"))
 
     def moved_s(self, time_ns: Integers) -> Reals:
-        """(n,) for how long it has been moving: 0 at rest before, `motion_s` at rest after."""
+        """Return (n,) for how long it has been moving: 0 at rest before, `motion_s` at rest after."""
         _, moving, _ = self.phases
         return (np.clip(time_ns, moving.start_ns, moving.end_ns) - moving.start_ns) * 1e-9
 
@@ -114,7 +114,7 @@ def smooth_step(share: Reals) -> tuple[Reals, Reals, Reals, Reals]:
 
 
 def smooth_step_area(share: Reals) -> Reals:
-    """The integral of `smooth_step` from 0 to `share`."""
+    """Return the integral of `smooth_step` from 0 to `share`."""
     x = np.clip(share, 0.0, 1.0)
     area: Reals = x**5 * (7 + x * (-14 + x * (10 - 2.5 * x))) + np.maximum(share - 1, 0.0)
     return area

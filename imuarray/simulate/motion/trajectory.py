@@ -58,7 +58,7 @@ class _Rows:
         return self.time_ns * 1e-9
 
     def _within_s(self, time_ns: Integers) -> Reals:
-        """(n,) the times, before the first row that of the first, after the last that of the last."""
+        """Return (n,) the times, before the first row that of the first, after the last that of the last."""
         return np.clip(time_ns, 0, self.time_ns[-1]) * 1e-9
 
     def _temperature_degc(self, seconds: Reals) -> Reals:
@@ -94,7 +94,7 @@ class Trajectory(_Rows):
         )
 
     def position(self, time_ns: Integers) -> Reals:
-        """(n, 3) of the box's origin in the level frame, in m."""
+        """Return (n, 3) of the box's origin in the level frame, in m."""
         return np.asarray(self._place(self._within_s(time_ns)))
 
     def attitude(self, time_ns: Integers) -> Rotation:
@@ -123,7 +123,7 @@ class FeltRows(_Rows):
     rate_box: Floats
 
     def felt(self, time_ns: Integers) -> Felt:
-        """The rows themselves; the angular acceleration is the derivative of the rate."""
+        """Return the rows themselves; the angular acceleration is the derivative of the rate."""
         seconds = self._within_s(time_ns)
         return Felt(
             time_ns,
@@ -145,7 +145,7 @@ class FeltRows(_Rows):
 
 
 def _spline(row_s: Reals, rows: Floats) -> CubicSpline:
-    """The cubic spline through rows (n, k) at times (n,)."""
+    """Return the cubic spline through rows (n, k) at times (n,)."""
     from scipy.interpolate import CubicSpline  # its weight is for those who move rows
 
     return CubicSpline(row_s, rows)
@@ -182,12 +182,14 @@ class _Cells(NamedTuple):
         return CellColumn(self.source, name, self.lines, self.text[name])
 
     def numbers(self, *names: str) -> Floats:
-        """(n, number of names); SourceError for a cell that is not a number."""
+        """Return (n, number of names); SourceError for a cell that is not a number."""
         return np.array([[_number(self.column(name), row) for name in names] for row in range(len(self.lines))])
 
 
 def load_trajectory(path: str | PathLike[str]) -> Trajectory | FeltRows:
-    """The motion that the file describes; SourceError, one line, names the line and column that can't be read."""
+    """Return the motion that the file describes; SourceError, one line, names the line and column that can't be
+    read.
+    """
     from imuarray.importers.cells import nanoseconds  # importers are loaded where a file is read
 
     cells = _read(Path(path))
@@ -202,7 +204,7 @@ def load_trajectory(path: str | PathLike[str]) -> Trajectory | FeltRows:
 
 
 def _read(path: Path) -> _Cells:
-    """The whole file; SourceError unless it is a table of two rows or more."""
+    """Return the whole file; SourceError unless it is a table of two rows or more."""
     from imuarray.importers.cells import TextTable  # importers are loaded where a file is read
     from imuarray.importers.mapping import FileTable
 

@@ -90,7 +90,7 @@ class Tumble:
         return np.concatenate([Rotation.from_matrix(pairs).as_rotvec(), np.zeros((1, 3))])
 
     def felt(self, time_ns: Integers) -> Felt:
-        """A face, or the way to the next."""
+        """Return a face, or the way to the next."""
         face = self._only_face(time_ns)
         if face is not None:
             return resting(time_ns, self.attitudes[face], self.temperatures_degc[face])
@@ -130,14 +130,14 @@ class Tumble:
         return (self._period_ns - self._face_ns) * 1e-9
 
     def _progress(self, time_ns: Integers) -> tuple[Integers, Reals]:
-        """(n,) number of the face that is or was up, (n,) share of the time of the turn away from it."""
+        """Return (n,) number of the face that is or was up, (n,) share of the time of the turn away from it."""
         since_ns = np.clip(time_ns, 0, LAST * self._period_ns)
         index = since_ns // self._period_ns
         turning_ns = since_ns - index * self._period_ns - self._face_ns
         return index, np.maximum(turning_ns, 0) / (self._period_ns - self._face_ns)
 
     def _only_face(self, time_ns: Integers) -> int | None:
-        """The face that is up at all these times, None if it isn't one or none."""
+        """Return the face that is up at all these times, None if it isn't one or none."""
         if len(time_ns) == 0:
             return 0
         index, share = self._progress(np.array([time_ns.min(), time_ns.max()]))
@@ -163,6 +163,8 @@ class Tumble:
 
 
 def _seen(vector: _TurningVector, index: Integers, sine: Reals, less: Reals) -> Reals:
-    """(n, 3) the vector from a box that has turned by an angle: its sine and cosine - 1, both (n, 1) (Rodrigues)."""
+    """Return (n, 3) the vector from a box that has turned by an angle: its sine and cosine - 1, both (n, 1)
+    (Rodrigues).
+    """
     seen: Reals = vector.start[index] + less * vector.across[index] - sine * vector.aside[index]
     return seen

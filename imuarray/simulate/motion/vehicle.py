@@ -93,7 +93,7 @@ class Vehicle(MotionBetweenRests):
         return felt_by(time_ns, angles, acceleration, heave[0], self.temperature_degc)
 
     def velocity(self, time_ns: Integers) -> Reals:
-        """(n, 3) of the box's origin in the level frame, in m/s."""
+        """Return (n, 3) of the box's origin in the level frame, in m/s."""
         seconds = self._span.moved_s(time_ns)
         drive = self._drive(seconds)
         (speed, *_), (yaw, *_) = drive
@@ -124,7 +124,7 @@ class Vehicle(MotionBetweenRests):
         return _Drive((v, v1, v2, v3), (yaw[0], yaw[1], yaw[2], yaw[3]))
 
     def _body(self, seconds: Reals, drive: _Drive) -> tuple[Reals, EulerAngles]:
-        """(3, n) heave in m with two derivatives; the attitude."""
+        """Return (3, n) heave in m with two derivatives; the attitude."""
         v, v1, v2, v3 = drive.speed
         yaw, w, w1, w2 = drive.yaw
         out = LEAN_RAD_PER_MPS2 * np.array([v * w, v1 * w + v * w1, v2 * w + 2 * v1 * w1 + v * w2])
@@ -133,7 +133,9 @@ class Vehicle(MotionBetweenRests):
         return heave, EulerAngles(roll + out, pitch - back, np.array([yaw, w, w1]))
 
     def _road(self, seconds: Reals, pace: Reals, pace1: Reals, pace2: Reals) -> Reals:
-        """(3, 3, n): heave in m, roll and pitch in rad, each with two derivatives; in proportion to `pace` (n,)."""
+        """Return (3, 3, n): heave in m, roll and pitch in rad, each with two derivatives; in proportion to `pace`
+        (n,).
+        """
         hertz, sines, cosines = self._sines
         free, slope, bend = np.zeros((3, 3, len(seconds)))
         for number, omega in enumerate(2 * math.pi * hertz):
@@ -158,7 +160,7 @@ class Vehicle(MotionBetweenRests):
 
 
 def _derivatives(steps: tuple[Reals, Reals, Reals, Reals], length_s: float) -> tuple[Reals, ...]:
-    """A step and its derivatives in time, from those in its share."""
+    """Return a step and its derivatives in time, from those in its share."""
     return tuple(step / length_s**order for order, step in enumerate(steps))
 
 

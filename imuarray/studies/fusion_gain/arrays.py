@@ -28,13 +28,13 @@ ARRAY = "martin2013"
 
 
 def martin2013() -> ArrayConfig:
-    """The paper's array."""
+    """Return the paper's array."""
     return load_array(configs() / f"{ARRAY}.toml")
 
 
 def perpendicular() -> ArrayConfig:
-    """The paper's ADXL345, ADXL2's board stood up: its z, twice as noisy as x and y, lies along X instead of Z, and its
-    x along Z (the paper's section 2.2; its own boards lie in parallel).
+    """Return the paper's ADXL345, ADXL2's board stood up: its z, twice as noisy as x and y, lies along X instead of Z,
+    and its x along Z (the paper's section 2.2; its own boards lie in parallel).
     """
     table = tomllib.loads(martin2013().text)
     table["array"]["name"] = "perpendicular"
@@ -83,7 +83,7 @@ Steps = Callable[[Sequence[Log]], Calibration]
 
 
 def simulated(array: ArrayConfig, motion: Motion, seed: int, boot: int, without: Collection[str]) -> Simulation:
-    """The array with the units of the model `martin2013`, polled `RATE_HZ` times a second."""
+    """Return the array with the units of the model `martin2013`, polled `RATE_HZ` times a second."""
     model = load_model(configs() / "models" / "martin2013.toml")
     plan = plan_of(array, RATE_HZ, motion.seconds)
     return Simulation(plan, motion, effects_of(plan, model, seed, without=without), seed=seed, boot=boot)

@@ -126,7 +126,7 @@ class Bound:
 
 
 def bound(law: ErrorLaw, stretches: Sequence[BoundStretch]) -> Bound:
-    """The bound over a log; FusionError if the axes known in some frame don't span space."""
+    """Return the bound over a log; FusionError if the axes known in some frame don't span space."""
     axes, count = len(law.noise_si), len(stretches)
     covariance = slow_covariance(law, stretches)
     mean = np.zeros(count * axes)
@@ -158,8 +158,8 @@ def slow_covariance(law: ErrorLaw, stretches: Sequence[BoundStretch]) -> Floats:
 
 
 def frame_weights(law: ErrorLaw, known: Booleans) -> tuple[Floats, Floats]:
-    """The weights G (3, m) of one frame alone, zero for axes without a reading, and its covariance (3, 3); FusionError
-    if the axes don't span space.
+    """Return the weights G (3, m) of one frame alone, zero for axes without a reading, and its covariance (3, 3);
+    FusionError if the axes don't span space.
     """
     rows = law.directions_box / law.noise_si[:, None] * known[:, None]
     normal = rows.T @ rows
@@ -187,7 +187,7 @@ def _condition(covariance: Floats, mean: Floats, here: slice, law: ErrorLaw, see
 
 
 def _of_motion(law: ErrorLaw, several: Sequence[StretchReadings], slow: Floats) -> Floats:
-    """(3, 3) covariance of u, a mean over the frames, where that of the slow errors is `slow` (m, m)."""
+    """Return (3, 3) covariance of u, a mean over the frames, where that of the slow errors is `slow` (m, m)."""
     total = np.zeros((3, 3))
     for seen in several:
         weights, alone = frame_weights(law, seen.known)
@@ -221,8 +221,8 @@ def true_calibration(headers: Sequence[SensorHeader], effects: Mapping[str, Sequ
 
 
 def law_of(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effect]]) -> ErrorLaw:
-    """The law of what `true_calibration` leaves, per axis of these sensors (of one quantity), in order, in SI along the
-    axes that they really have.
+    """Return the law of what `true_calibration` leaves, per axis of these sensors (of one quantity), in order, in SI
+    along the axes that they really have.
     """
     units = [_calibrated(header, effects.get(header.name, ())) for header in headers]
     noise = np.concatenate([unit.noise_lsb / unit.lsb_per_si for unit in units if unit.noise_lsb is not None])
@@ -301,7 +301,7 @@ def _thermal_reference(effects: Sequence[Effect]) -> float:
 
 
 def _triple(effects: Sequence[Effect], kind: type[Effect], name: str) -> Floats:
-    """(3,) a parameter of the effects of one kind, their root sum of squares or sum; zero without any."""
+    """Return (3,) a parameter of the effects of one kind, their root sum of squares or sum; zero without any."""
     result = np.array([np.zeros(3), *(getattr(effect, name) for effect in effects if isinstance(effect, kind))])
     return np.asarray(np.sqrt((result**2).sum(axis=0)) if name == "rms" else result.sum(axis=0))
 
@@ -331,7 +331,7 @@ class Posterior:
         }
 
     def blocks(self, *, smoothed: bool = False) -> Iterator[FusedBlock]:
-        """The posterior mean of each frame with its covariance: what the bound is the bound of."""
+        """Yield the posterior mean of each frame with its covariance: what the bound is the bound of."""
         for given in self._frames():
             result = {quantity: self._estimated(quantity, part, smoothed) for quantity, part in given.items()}
             triads = {quantity: triad for quantity, (triad, _) in result.items()}
@@ -376,7 +376,9 @@ class Posterior:
 
 
 def axes_known(part: Frames) -> Booleans:
-    """(n, m) axes that had a reading: valid, or off the ends of the range though another axis of the triad was not."""
+    """Return (n, m) axes that had a reading: valid, or off the ends of the range though another axis of the triad
+    was not.
+    """
     if part.clipped is None or not part.clipped.any():
         return part.valid
     triads = (part.clipped != 0).reshape(len(part.clipped), -1, 3)
@@ -385,7 +387,7 @@ def axes_known(part: Frames) -> Booleans:
 
 
 def _patterns(known: Booleans, chosen: Booleans) -> Iterator[tuple[Booleans, npt.NDArray[np.int64]]]:
-    """Each pattern of known axes among the chosen frames, and the frames (their numbers) that have it."""
+    """Yield each pattern of known axes among the chosen frames, and the frames (their numbers) that have it."""
     rows = np.flatnonzero(chosen)
     for pattern, which in patterns(known[rows]):
         yield pattern, rows[which]

@@ -92,7 +92,7 @@ def study_numbers(array: ArrayConfig, seeds: int, progress: Callable[[int], None
 
 
 def _squares(array: ArrayConfig, counts: Sequence[int], seed: int) -> Floats:
-    """(counts, 4) mean squares of what a `NumberRow` has."""
+    """Return (counts, 4) mean squares of what a `NumberRow` has."""
     results = np.zeros((len(counts), 4))
     with TemporaryDirectory(prefix="imuarray_study_") as folder:
         path = Path(folder) / "run.h5"
@@ -113,7 +113,7 @@ def _squares(array: ArrayConfig, counts: Sequence[int], seed: int) -> Floats:
 
 
 def _in_one_direction(array: ArrayConfig) -> ArrayConfig:
-    """The same sensors, all mounted as the first."""
+    """Return the same sensors, all mounted as the first."""
     axes = array.sensors[0].axes
     return array.model_copy(
         update={"sensors": tuple(sensor.model_copy(update={"axes": axes}) for sensor in array.sensors)}
@@ -164,7 +164,7 @@ def _bus_us(sensor: SensorConfig) -> float:
 
 
 def render_numbers(study: NumberStudy) -> str:
-    """The rows as text; the last line is ended."""
+    """Return the rows as text; the last line is ended."""
     single = study.rows[0]
     lines = [
         f"mean of n gyroscopes of {study.array}, drawn from the data sheets, {study.seeds} seeds",

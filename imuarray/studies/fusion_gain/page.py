@@ -88,8 +88,8 @@ _MARKERS = "osD^vPX*"
 
 
 def ratios_figure(panels: Mapping[str, Sequence[GainRow]], of: str) -> Drawing:
-    """A panel for each heading, a row an experiment, a mark a technique: its `over_mean` or `over_bound` (`of`) with
-    its interval.
+    """Return a panel for each heading, a row an experiment, a mark a technique: its `over_mean` or `over_bound` (`of`)
+    with its interval.
     """
     figure = new_figure(9.0, 1.6 + 0.62 * max(len({row.experiment for row in rows}) for rows in panels.values()))
     drawn = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
@@ -148,7 +148,9 @@ def _mark_beyond(axes: Axes, ratios: Sequence[Ratio], places: Sequence[float], c
 
 
 def _furthest(ratios: Sequence[Ratio]) -> float:
-    """The right end of an axis that shows all ratios up to `_MOST_RATIO`, and their intervals up to `_BEYOND`."""
+    """Return the right end of an axis that shows all ratios up to `_MOST_RATIO`, and their intervals up to
+    `_BEYOND`.
+    """
     drawn = [ratio for ratio in ratios if ratio.ratio <= _MOST_RATIO]
     largest = max((ratio.ratio for ratio in drawn), default=1.0)
     ends = [min(ratio.high, _BEYOND * largest, _MOST_RATIO) for ratio in drawn if np.isfinite(ratio.high)]
@@ -156,7 +158,7 @@ def _furthest(ratios: Sequence[Ratio]) -> float:
 
 
 def _reach(ratios: Sequence[Ratio]) -> Floats:
-    """(2, n) how far intervals reach to both sides; nowhere where there is none."""
+    """Return (2, n) how far intervals reach to both sides; nowhere where there is none."""
     low = [ratio.ratio - ratio.low for ratio in ratios]
     high = [ratio.high - ratio.ratio for ratio in ratios]
     return np.asarray(np.maximum(np.nan_to_num(np.array([low, high])), 0.0))
@@ -208,7 +210,7 @@ def drawings_of(study: Study, warm: HeatingErrors | None) -> dict[str, Drawing]:
 
 
 def _by_sensors(rows: Sequence[GainRow]) -> dict[str, list[GainRow]]:
-    """A panel for each quantity of each set of sensors."""
+    """Return a panel for each quantity of each set of sensors."""
     keys = dict.fromkeys((row.sensors, row.quantity) for row in rows)
     return {
         f"{sensors}: {quantity.replace('_', ' ')}": [
@@ -290,7 +292,7 @@ def summary(study: Study) -> list[str]:
 
 
 def _best_rows(study: Study) -> dict[str, GainRow]:
-    """Each technique's row where it gains most."""
+    """Return each technique's row where it gains most."""
     vectors = [
         row for row in study.of(measure="rms", box_axis="XYZ", calibration="measured") if row.technique != AVERAGE
     ]

@@ -172,7 +172,7 @@ def _results(
 
 
 def _beside_bound(log: Log, simulation: Simulation, names: tuple[str, ...], label: Label) -> Iterator[RunErrors]:
-    """The techniques with the true calibration, and the posterior mean, each beside the bound."""
+    """Yield the techniques with the true calibration, and the posterior mean, each beside the bound."""
     headers = {
         quantity: [
             sensor.header for sensor in simulation.sensors.values() if _is_chosen(sensor.header, quantity, names)
@@ -290,7 +290,7 @@ class Study:
     seconds: float | None = None
 
     def of(self, **wanted: str) -> list[GainRow]:
-        """The rows with these properties."""
+        """Return the rows with these properties."""
         return [row for row in self.rows if all(getattr(row, name) == value for name, value in wanted.items())]
 
     def as_json(self) -> dict[str, Any]:
@@ -311,7 +311,7 @@ def study(
     executor: Executor | None = None,
     progress: Progress = lambda done, total, what: None,
 ) -> Study:
-    """Every technique in these experiments with seeds 1 ... `seeds`; `executor` shares the runs out, and changes
+    """Return every technique in these experiments with seeds 1 ... `seeds`; `executor` shares the runs out, and changes
     nothing else. `seconds`: of every log instead of its own length.
     """
     jobs: list[Job] = [(name, seed, seconds) for seed in range(1, seeds + 1) for name in experiments]
@@ -446,7 +446,7 @@ def _coasting_lines(rows: Sequence[GainRow]) -> Iterator[str]:
 
 
 def interval_text(ratio: Ratio) -> str:
-    """A ratio with its interval, where there is one."""
+    """Return a ratio with its interval, where there is one."""
     if ratio.low == ratio.high or not ratio.low < ratio.high:
         return f"{ratio.ratio:.3f}"
     if ratio.high > _WIDE * ratio.low:

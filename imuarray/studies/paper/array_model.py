@@ -150,12 +150,12 @@ class Unit:
 
 @cache
 def units() -> tuple[Unit, ...]:
-    """The nine sensors in the order of Table 1."""
+    """Return the nine sensors in the order of Table 1."""
     return tuple(_unit(row["sensor"]) for row in table(1))
 
 
 def unit_of(name: str) -> Unit:
-    """The sensor of that name."""
+    """Return the sensor of that name."""
     return next(unit for unit in units() if unit.name == name)
 
 
@@ -194,7 +194,7 @@ def bma1_reset_noise_share() -> Floats:
 
 
 def runs_of(name: str) -> Floats:
-    """(15, 3) means of the runs of Table 6 ("BMA1") or 7 ("Gyro3"), counts."""
+    """Return (15, 3) means of the runs of Table 6 ("BMA1") or 7 ("Gyro3"), counts."""
     number = {"BMA1": 6, "Gyro3": 7}[name]
     return np.array([[float(number_in(row, f"{axis}_lsb")) for axis in "xyz"] for row in table(number)])
 
@@ -283,7 +283,7 @@ def _zero(name: str) -> float:
 
 
 def _thermometer_readings(name: str) -> list[tuple[float, float]]:
-    """(mean code, independent temperature) of Table 10 and the two halves of Table 11."""
+    """Return (mean code, independent temperature) of Table 10 and the two halves of Table 11."""
     faces = row_of(10, f"{name} t")
     first = (float(np.mean([float(number_in(faces, face)) for face in READINGS])), float(np.mean(FACES_DEGC)))
     columns = ("runs_mean", "cont_mean")
@@ -291,7 +291,9 @@ def _thermometer_readings(name: str) -> list[tuple[float, float]]:
 
 
 def _thermometer_parameters(name: str, design: str) -> tuple[float, float]:
-    """(offset, rms) in degC: a BMA180's code is 2 (T - 24 degC) (BMA-63), an L3G4200D's 47 - T by our convention."""
+    """Return (offset, rms) in degC: a BMA180's code is 2 (T - 24 degC) (BMA-63), an L3G4200D's 47 - T by our
+    convention.
+    """
     readings = _thermometer_readings(name)
     if design == "Gyro":
         return 47.0 - _zero(name), rms_before_rounding(_code_variance(name, 1.0))
@@ -338,18 +340,18 @@ class Spread:
 
 
 def spread(values: Floats, known: int, *, positive: bool = False) -> Spread:
-    """The population that `values` (any shape) of `known` units foretell."""
+    """Return the population that `values` (any shape) of `known` units foretell."""
     mean, sigma = float(values.mean()), float(values.std(ddof=1)) * sqrt(1 + 1 / known)
     return _limited(mean, sigma, 1 / (known + 1), positive)
 
 
 def about_zero(values: Floats, known: int) -> Spread:
-    """The same where no direction is preferred: mean 0."""
+    """Return the same where no direction is preferred: mean 0."""
     return Spread(0.0, float(np.sqrt(np.mean(values**2))) * sqrt(1 + 1 / known), 1 / (known + 1))
 
 
 def designs() -> Iterator[tuple[Table, dict[str, Table]]]:
-    """(head, effects) of every [[design]] table: each chip at any range, then what depends on the range."""
+    """Yield (head, effects) of every [[design]] table: each chip at any range, then what depends on the range."""
     for design, chip in CHIP.items():
         group = [unit for unit in units() if unit.design == design]
         head: Table = {"chip": chip}
@@ -470,7 +472,7 @@ _MAGNETOMETERS = """\
 
 
 def fit_text() -> str:
-    """The whole model file."""
+    """Return the whole model file."""
     parts = [_HEAD, _lines({"name": "martin2013", "about": "the array of the paper, unit by unit"}, "[model]")]
     parts += [_sensor(unit) for unit in units()]
     head: Table = {"name": "Gyro1", "chip": CHIP["Gyro"], "range": 250.0}
@@ -486,7 +488,7 @@ def fit_text() -> str:
 
 
 def unit_effects(unit: Unit) -> dict[str, Table]:
-    """The effects of a known unit: keys and figures as a model file has them."""
+    """Return the effects of a known unit: keys and figures as a model file has them."""
     u = unit.unit
     return {
         **_response(unit),

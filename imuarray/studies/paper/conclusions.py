@@ -71,12 +71,12 @@ class Statement:
     holds: bool
 
     def as_json(self) -> dict[str, Any]:
-        """The three fields under their names."""
+        """Return the three fields under their names."""
         return {"claim": self.claim, "evidence": self.evidence, "holds": self.holds}
 
 
 def figure(value: float | Decimal, digits: int) -> str:
-    """A number for an evidence sentence, with a fixed number of decimals and no negative zero."""
+    """Return a number for an evidence sentence, with a fixed number of decimals and no negative zero."""
     return f"{round(float(value), digits) + 0.0:.{digits}f}"
 
 
@@ -367,7 +367,7 @@ CONCLUSIONS: tuple[Callable[[], Statement], ...] = (
 
 
 def conclusions() -> tuple[Statement, ...]:
-    """Every conclusion, judged, in the order of the paper's sections."""
+    """Return every conclusion, judged, in the order of the paper's sections."""
     return tuple(judge() for judge in CONCLUSIONS)
 
 
@@ -547,7 +547,7 @@ SLIPS: dict[str, Callable[[], Statement]] = {
 
 
 def slips() -> tuple[Statement, ...]:
-    """Every statement of `SLIPS`, judged; in a paper without slips all would hold."""
+    """Return every statement of `SLIPS`, judged; in a paper without slips all would hold."""
     return tuple(judge() for judge in SLIPS.values())
 
 
@@ -570,7 +570,7 @@ class _Figure(NamedTuple):
 
 
 def stated() -> tuple[RecomputedRow, ...]:
-    """Every such figure in the order of the sections, in the column `value`."""
+    """Return every such figure in the order of the sections, in the column `value`."""
     figures = (*_section_4_and_5_2(), *_section_5_2_4(), *_section_5_2_5(), *_section_6(), *_appendix_a())
     return tuple(_recomputed(figure) for figure in figures)
 
@@ -642,7 +642,7 @@ def _appendix_a() -> Iterator[_Figure]:
 
 
 def _ends(place: str, what: str, printed: Sequence[str], values: Sequence[Decimal], source: str) -> Iterator[_Figure]:
-    """The least and the most of several, as "1.2 to 1.8"."""
+    """Yield the least and the most of several, as "1.2 to 1.8"."""
     yield _Figure(place, f"{what}: least", printed[0], min, values, source)
     yield _Figure(place, f"{what}: most", printed[1], max, values, source)
 

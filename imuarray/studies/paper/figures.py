@@ -327,7 +327,7 @@ def _draw_spectrum(panel: Axes, noise: RestNoise, scale: float) -> None:
 def _sheet(
     width: float, height: float, rows: int, ratios: Sequence[float] | None = None, *, shared: bool = True
 ) -> tuple[Figure, list[Any]]:
-    """An empty figure (inches) that needs no display, and its panels; MissingExtraError without matplotlib."""
+    """Return an empty figure (inches) that needs no display, and its panels; MissingExtraError without matplotlib."""
     figure = new_figure(width, height)
     grid = figure.subplots(rows, 1, sharex=shared, squeeze=False, height_ratios=ratios)
     figure.suptitle("simulated", x=0.995, ha="right", fontsize=8, color="0.4")

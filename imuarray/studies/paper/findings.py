@@ -67,7 +67,7 @@ class Finding:
 
 @cache
 def findings() -> tuple[Finding, ...]:
-    """All findings, in the order of appendix A and the tables."""
+    """Return all findings, in the order of appendix A and the tables."""
     text = files("imuarray.studies.paper").joinpath("findings.toml").read_text(encoding="utf-8")
     return tuple(_finding(entry) for entry in tomllib.loads(text)["finding"])
 
@@ -79,7 +79,7 @@ def _finding(entry: Mapping[str, Any]) -> Finding:
 
 
 def as_json() -> dict[str, Any]:
-    """The keys of `gap diagnose` and `findings`. What takes a diagnosis of logs is None: the numbers of `gap`,
+    """Return the keys of `gap diagnose` and `findings`. What takes a diagnosis of logs is None: the numbers of `gap`,
     `significance`, `probability`, `closed`, `unknown`, `seed`.
     """
     explained = [finding for finding in findings() if finding.effect]
@@ -107,7 +107,7 @@ def _plain(value: Any) -> Any:
 
 
 def _places(finding: Finding) -> Iterator[dict[str, Any]]:
-    """An entry of `where` for each figure."""
+    """Yield an entry of `where` for each figure."""
     for figure in finding.figures:
         sensor, _, axis = figure.channel.partition(" ")
         yield {
@@ -140,7 +140,7 @@ def _cause(finding: Finding) -> dict[str, Any]:
 
 
 def render_text() -> str:
-    """Every finding for a terminal, in lines of at most 100 columns."""
+    """Return every finding for a terminal, in lines of at most 100 columns."""
     lines = ["The paper's tables beside its chips' data sheets: anomalies and their likely causes", ""]
     for finding in findings():
         lines += [*_paragraph(finding), ""]

@@ -182,13 +182,13 @@ class PrintedNumber:
         return self.twin is not None and abs(self.twin.z) > MARKED_Z
 
     def texts(self) -> list[str]:
-        """The cells under `HEADING`."""
+        """Return the cells under `HEADING`."""
         recomputed = NOTHING if self.cell is None else recomputed_text(self.cell, self.printed)
         return [self.channel, self.statistic, self.printed, recomputed, *_simulated(self.twin, self.printed)]
 
 
 def lines_of(name: str, recomputed: Recomputed, twins: Sequence[Statistic]) -> list[PrintedNumber]:
-    """Every number of "Table 3": channel by channel, what was only recomputed after what was simulated."""
+    """Return every number of "Table 3": channel by channel, what was only recomputed after what was simulated."""
     cells = dict(_cells(name, recomputed))
     by_key = {(twin.channel, twin.statistic): twin for twin in twins}
     channels = list(dict.fromkeys(channel for channel, _ in (*by_key, *cells)))
@@ -198,12 +198,12 @@ def lines_of(name: str, recomputed: Recomputed, twins: Sequence[Statistic]) -> l
 
 
 def line_of(twin: Statistic) -> PrintedNumber:
-    """A number of a figure or of the text."""
+    """Return a number of a figure or of the text."""
     return PrintedNumber(twin.channel, twin.statistic, _in_digits(twin), None, twin)
 
 
 def _texts(number: int) -> dict[Key, str]:
-    """Every number of a table as it is printed."""
+    """Return every number of a table as it is printed."""
     if number in _RUNS:
         return {
             (f"{_RUNS[number]} {axis}", f"run {row['run']}"): row[column]
@@ -228,7 +228,7 @@ def _text(key: Key, texts: Mapping[Key, str], twin: Statistic | None) -> str:
 
 
 def _in_digits(twin: Statistic) -> str:
-    """A number that stands in no table; a quotient of printed ones in as many digits as its uncertainty has."""
+    """Return a number that stands in no table; a quotient of printed ones in as many digits as its uncertainty has."""
     few = _decimals(twin.published) <= _PRINTED_DECIMALS
     return plain(twin.published if few else round(twin.published, _places(twin, "")))
 
@@ -274,7 +274,7 @@ def recomputed_text(cell: Cell, printed: str) -> str:
 
 
 def plain(value: float | str) -> str:
-    """A number with the digits that it has, words as they are."""
+    """Return a number with the digits that it has, words as they are."""
     return value if isinstance(value, str) else f"{value:.{_decimals(value)}f}"
 
 
@@ -292,7 +292,9 @@ def _places(twin: Statistic, printed: str) -> int:
 def table_sections(
     replica: Replica, curves: Curves | None, recomputed: Recomputed, result: Mapping[str, Any]
 ) -> Iterator[Section]:
-    """A section per table, with the figures that belong to it if there are `curves`; `result` is of `recompute()`."""
+    """Yield a section per table, with the figures that belong to it if there are `curves`; `result` is of
+    `recompute()`.
+    """
     more = further_words(result)
     for number, (title, words) in TABLE_WORDS.items():
         name = f"Table {number}"
@@ -405,7 +407,7 @@ def counted(lines: Sequence[PrintedNumber]) -> list[str]:
 
 
 def others(replica: Replica) -> list[str]:
-    """The figures and parts of the appendix that were compared."""
+    """Return the figures and parts of the appendix that were compared."""
     return [name for name in replica.tables if not name.startswith("Table")]
 
 

@@ -223,7 +223,7 @@ def can_draw() -> bool:
 
 
 def as_json(result: Mapping[str, Any]) -> str:
-    """The result as indented JSON text, every number finite."""
+    """Return the result as indented JSON text, every number finite."""
     return json.dumps(result, indent=2, allow_nan=False) + "\n"
 
 

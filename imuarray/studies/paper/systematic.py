@@ -53,18 +53,18 @@ Response = tuple[Decimal, Decimal, Decimal]
 
 
 def half_differences(readings: Sequence[Decimal]) -> Response:
-    """(up - down) / 2 along box X, Y, Z from readings in the order of `READINGS`, in counts per g."""
+    """Return (up - down) / 2 along box X, Y, Z from readings in the order of `READINGS`, in counts per g."""
     z_up, x_up, y_up, x_down, y_down, z_down = readings[:6]
     return (x_up - x_down) / 2, (y_up - y_down) / 2, (z_up - z_down) / 2
 
 
 def response_of(channel: str) -> Response:
-    """The response of an accelerometer axis such as "BMA2 y" in the box frame, counts per g."""
+    """Return the response of an accelerometer axis such as "BMA2 y" in the box frame, counts per g."""
     return half_differences(numbers_in(row_of(10, channel), READINGS))
 
 
 def main_axis(response: Response) -> str:
-    """The box axis that a sensitive axis is nearest to, with its sign: "-Y"."""
+    """Return the box axis that a sensitive axis is nearest to, with its sign: "-Y"."""
     size, letter = max(zip(response, "XYZ", strict=True), key=lambda item: abs(item[0]))
     return ("+" if size > 0 else "-") + letter
 
@@ -80,12 +80,12 @@ def check_drift(readings: Sequence[Decimal]) -> Decimal:
 
 
 def norm(response: Response) -> Decimal:
-    """The scale factor without a sign, in counts per g."""
+    """Return the scale factor without a sign, in counts per g."""
     return sum((part * part for part in response), Decimal(0)).sqrt()
 
 
 def printed_scale(readings: Sequence[Decimal]) -> Decimal:
-    """The scale factor with the sign that the paper gives it: that of the half-difference along box X."""
+    """Return the scale factor with the sign that the paper gives it: that of the half-difference along box X."""
     response = half_differences(readings)
     return norm(response).copy_sign(response[0])
 
@@ -174,7 +174,7 @@ def table1() -> tuple[RecomputedRow, ...]:
 
 
 def mirrored() -> tuple[RecomputedRow, ...]:
-    """The rows of Table 1 that, as printed, describe a left-handed triad."""
+    """Return the rows of Table 1 that, as printed, describe a left-handed triad."""
     return tuple(row for row in table1() if row.extra["printed_determinant"] < 0)
 
 
@@ -273,5 +273,5 @@ def reproduced(*, quotient_mended: bool, sum_mended: bool) -> int:
 
 
 def printed_azimuth_deg(channel: str) -> float:
-    """The azimuth in degrees that Appendix B's formula, as printed, gives for a channel."""
+    """Return the azimuth in degrees that Appendix B's formula, as printed, gives for a channel."""
     return degrees(azimuth(numbers_in(row_of(10, channel), READINGS), quotient_mended=False))

@@ -85,18 +85,18 @@ DEGC: Mapping[tuple[int, str], float] = MappingProxyType(
 
 @cache
 def table(number: int) -> tuple[Row, ...]:
-    """The rows of Table `number` (1 to 11) in printed order."""
+    """Return the rows of Table `number` (1 to 11) in printed order."""
     text = files("imuarray.studies.paper").joinpath("tables", TABLES[number]).read_text(encoding="utf-8")
     return tuple(csv.DictReader(text.splitlines()))
 
 
 def row_of(number: int, channel: str) -> Row:
-    """The row of a channel such as "Gyro1 y" in Table 3, 4, 8, 10 or 11."""
+    """Return the row of a channel such as "Gyro1 y" in Table 3, 4, 8, 10 or 11."""
     return next(row for row in table(number) if row["channel"] == channel)
 
 
 def number_in(row: Row, column: str) -> Decimal:
-    """A printed number, exact."""
+    """Return a printed number, exact."""
     return Decimal(row[column])
 
 
@@ -106,7 +106,7 @@ def numbers_in(row: Row, columns: Sequence[str]) -> tuple[Decimal, ...]:
 
 
 def design_of(channel: str) -> str:
-    """The sensor design that a channel or sensor name stands for: "ADXL", "BMA" or "Gyro"."""
+    """Return the sensor design that a channel or sensor name stands for: "ADXL", "BMA" or "Gyro"."""
     return channel.split()[0].rstrip("0123456789")
 
 
@@ -116,7 +116,7 @@ def is_inertial(row: Row) -> bool:
 
 
 def channels(number: int, design: str, range_name: str | None = None, axes: str = "xyz") -> tuple[Row, ...]:
-    """The rows of one design in a table, if wanted of one range and of some axes only."""
+    """Return the rows of one design in a table, if wanted of one range and of some axes only."""
     return tuple(
         row
         for row in table(number)
@@ -177,7 +177,7 @@ class RecomputedRow:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
-        """The row under the table's own column names; a recomputed column `x` is followed by `printed_x`."""
+        """Return the row under the table's own column names; a recomputed column `x` is followed by `printed_x`."""
         cells = {cell.column: cell for cell in self.cells}
         result: dict[str, Any] = {}
         for column, text in self.row.items():
@@ -190,7 +190,7 @@ class RecomputedRow:
 
 
 def last_unit(value: Decimal) -> Decimal:
-    """A unit of the last digit that a number was printed with: 0.001 for 1.230."""
+    """Return a unit of the last digit that a number was printed with: 0.001 for 1.230."""
     return Decimal(1).scaleb(int(value.as_tuple().exponent))
 
 
@@ -214,7 +214,9 @@ def reach(formula: Formula, inputs: Sequence[Decimal]) -> Decimal:
 
 
 def numeric_cell(row: Row, column: str, formula: Formula, inputs: Sequence[Decimal]) -> Cell:
-    """The cell of `column` recomputed as `formula(inputs)`, to the digits that `row` prints there if they agree."""
+    """Return the cell of `column` recomputed as `formula(inputs)`, to the digits that `row` prints there if they
+    agree.
+    """
     printed, value = Decimal(row[column]), formula(inputs)
     within = abs(value - printed) <= half_unit(printed) + reach(formula, inputs)
     shown = rounded_like(value, printed)
@@ -224,12 +226,12 @@ def numeric_cell(row: Row, column: str, formula: Formula, inputs: Sequence[Decim
 
 
 def text_cell(row: Row, column: str, value: str) -> Cell:
-    """A cell of words, such as the axis in Table 1."""
+    """Return a cell of words, such as the axis in Table 1."""
     return Cell(column, value, row[column], value == row[column])
 
 
 def plain(text: str) -> float | int | str | None:
-    """A printed cell as JSON: an empty one is null, whole numbers stay whole, words stay words."""
+    """Return a printed cell as JSON: an empty one is null, whole numbers stay whole, words stay words."""
     if not text:
         return None
     try:

@@ -64,7 +64,7 @@ class AxisPair:
         return mean([abs(slope) for slope in self.slopes]) / abs(self.fused_slope)
 
     def as_json(self) -> dict[str, Any]:
-        """The pair with its slopes in counts and in mg or dps per degree Celsius."""
+        """Return the pair with its slopes in counts and in mg or dps per degree Celsius."""
         unit = "dps" if design_of(self.first["channel"]) == "Gyro" else "mg"
         first, second = self.slopes
         return {
@@ -98,13 +98,13 @@ def _pair(first: Row, second: Row) -> AxisPair | None:
 
 
 def pairs() -> tuple[AxisPair, ...]:
-    """Every pair of Table 8's axes of the same design, range, axis name and box axis."""
+    """Return every pair of Table 8's axes of the same design, range, axis name and box axis."""
     result = (_pair(first, second) for first, second in combinations(table(8), 2))
     return tuple(pair for pair in result if pair is not None)
 
 
 def pair_of(first: str, second: str) -> AxisPair:
-    """The pair of two channels such as "Gyro1 y" and "Gyro2 y"."""
+    """Return the pair of two channels such as "Gyro1 y" and "Gyro2 y"."""
     return next(pair for pair in pairs() if (pair.first["channel"], pair.second["channel"]) == (first, second))
 
 

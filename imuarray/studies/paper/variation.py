@@ -95,14 +95,14 @@ def table11() -> tuple[RecomputedRow, ...]:
 
 
 def unexplained_cells() -> tuple[tuple[str, Cell], ...]:
-    """(channel, cell) of every cell of Table 11 that not even the rounding of its inputs explains."""
+    """Return (channel, cell) of every cell of Table 11 that not even the rounding of its inputs explains."""
     return tuple(
         (row.row["channel"], cell) for row in table11() for cell in row.cells if not cell.within_input_rounding
     )
 
 
 def group_members(group: str) -> tuple[Row, ...]:
-    """The rows of Table 11 that a group of Table 5, such as "BMA (1.5g) X&Y", stands for."""
+    """Return the rows of Table 11 that a group of Table 5, such as "BMA (1.5g) X&Y", stands for."""
     *kind, axes = group.split()
     range_name = kind[1].strip("()") if len(kind) > 1 else None
     return tuple(
@@ -131,7 +131,9 @@ def deviation_bounds(spread: float, count: int) -> tuple[float, float]:
 
 
 def impossible_deviations() -> tuple[tuple[str, str, Decimal, float], ...]:
-    """(channel, column, printed standard deviation, bound passed) of Table 11 where its range column forbids it."""
+    """Return (channel, column, printed standard deviation, bound passed) of Table 11 where its range column
+    forbids it.
+    """
     result = []
     for row in table(11):
         for half in ("runs", "cont"):
@@ -199,7 +201,7 @@ class WrongRangeRun:
     range_lsb_per_g: Decimal
 
     def as_json(self) -> dict[str, Any]:
-        """The fault with the ratio that the range it was in would give exactly."""
+        """Return the fault with the ratio that the range it was in would give exactly."""
         return {
             "sensor": "BMA1",
             "run": self.run,
@@ -214,7 +216,7 @@ class WrongRangeRun:
 
 
 def gravity_column(rows: Sequence[Row]) -> str:
-    """The column with the largest median: the axis that carries 1 g."""
+    """Return the column with the largest median: the axis that carries 1 g."""
     return max(_AXES, key=lambda column: abs(median(number_in(row, column) for row in rows)))
 
 
@@ -233,7 +235,7 @@ def _range_of(row: Row) -> str:
 
 
 def boot_faults() -> tuple[WrongRangeRun, ...]:
-    """The runs of Table 6 (BMA1) that were not in the configured range."""
+    """Return the runs of Table 6 (BMA1) that were not in the configured range."""
     column = gravity_column(table(6))
     return tuple(
         WrongRangeRun(int(row["run"]), column, number_in(row, column), _ratio(row), name, BMA180_LSB_PER_G[name])
@@ -260,7 +262,7 @@ class TurnOnState:
     """Sample standard deviation of the runs' means, per axis."""
 
     def as_json(self) -> dict[str, Any]:
-        """The state with its numbers rounded to a thousandth of a count."""
+        """Return the state with its numbers rounded to a thousandth of a count."""
         return {
             "runs": list(self.runs),
             "centre_lsb": [round(value, 3) for value in self.centre],
@@ -269,7 +271,7 @@ class TurnOnState:
 
 
 def principal_axis(points: Sequence[Point]) -> Point:
-    """The unit vector along which points scatter most (power iteration on their scatter matrix)."""
+    """Return the unit vector along which points scatter most (power iteration on their scatter matrix)."""
     centre = _centre(points)
     offsets = [tuple(value - mid for value, mid in zip(point, centre, strict=True)) for point in points]
     vector: Point = max(offsets, key=lambda offset: dist(offset, (0.0,) * len(offset)))
@@ -291,7 +293,7 @@ def two_way_split(points: Sequence[Point]) -> tuple[tuple[int, ...], tuple[int, 
 
 
 def bias_states() -> tuple[TurnOnState, TurnOnState]:
-    """The two bias states of Table 7 (Gyro3), the one of the first run first."""
+    """Return the two bias states of Table 7 (Gyro3), the one of the first run first."""
     points = [tuple(float(row[column]) for column in _AXES) for row in table(7)]
     first, second = sorted(two_way_split(points))
     return _state(first, points), _state(second, points)
@@ -366,7 +368,7 @@ class RangeNoise:
         return ((weight_low * self.low_mg) ** 2 + ((1 - weight_low) * self.high_mg) ** 2).sqrt()
 
     def as_json(self) -> dict[str, Any]:
-        """The blend with noise to a thousandth of a mg and the two gains in per cent."""
+        """Return the blend with noise to a thousandth of a mg and the two gains in per cent."""
         return {
             "sensor": "BMA180",
             "low_range": "1.5g",
@@ -424,7 +426,7 @@ def rate_hz(deviation: Decimal, standard_error: Decimal, seconds: int) -> Decima
 
 
 def table10_rates() -> tuple[Decimal, ...]:
-    """The logging rate that each inertial channel of Table 10 implies, in Hz."""
+    """Return the logging rate that each inertial channel of Table 10 implies, in Hz."""
     return tuple(_row_rate(row) for row in table(10) if is_inertial(row))
 
 
@@ -433,7 +435,9 @@ def _row_rate(row: Row) -> Decimal:
 
 
 def table11_rates() -> tuple[Decimal, ...]:
-    """The logging rate in Hz that each inertial channel of Table 11 implies: separate runs, then the continuous one."""
+    """Return the logging rate in Hz that each inertial channel of Table 11 implies: separate runs, then the
+    continuous one.
+    """
     return tuple(
         rate_hz(number_in(row, f"{half}_std"), number_in(row, f"{half}_sem"), SAMPLE_SECONDS)
         for half in ("runs", "cont")
@@ -443,7 +447,9 @@ def table11_rates() -> tuple[Decimal, ...]:
 
 
 def logging_rate() -> dict[str, Any]:
-    """The array's logging rate in Hz by Tables 10 and 11, beside what section 4's factor of twelve makes of 350 Hz."""
+    """Return the array's logging rate in Hz by Tables 10 and 11, beside what section 4's factor of twelve makes
+    of 350 Hz.
+    """
     return {
         "table10_hz": _summary(table10_rates()),
         "table11_hz": _summary(table11_rates()),
@@ -493,7 +499,7 @@ class ReadingCount:
         return (self.least + self.most) / 2
 
     def as_json(self) -> dict[str, Any]:
-        """The readings, with `agree` for a column that one number explains."""
+        """Return the readings, with `agree` for a column that one number explains."""
         return {
             "table": f"Table {self.table}",
             "log": self.log,
@@ -507,14 +513,16 @@ class ReadingCount:
 
 
 def admitted(deviation: Decimal, standard_error: Decimal) -> tuple[Decimal, Decimal]:
-    """The numbers of readings, least and most, for which both could be printed as they are; the error is not 0."""
+    """Return the numbers of readings, least and most, for which both could be printed as they are; the error is
+    not 0.
+    """
     wide, narrow = half_unit(deviation), half_unit(standard_error)
     least, most = (deviation - wide) / (standard_error + narrow), (deviation + wide) / (standard_error - narrow)
     return least**2, most**2
 
 
 def table9_rows(range_name: str) -> tuple[Row, ...]:
-    """The rows of one of Table 9's two logs, its thermometer's included; the upper half is at 250 dps."""
+    """Return the rows of one of Table 9's two logs, its thermometer's included; the upper half is at 250 dps."""
     half = len(table(9)) // 2
     return table(9)[:half] if range_name == "250dps" else table(9)[half:]
 

@@ -71,7 +71,8 @@ _AROUND_HZ = (40.0, 60.0)
 
 
 def replicate(seed: int = 1, executor: Executor | None = None, progress: Progress | None = None) -> Replica:
-    """All experiments with this seed, compared; `executor` shares them out, `progress` is told (done, all, what).
+    """Return all experiments with this seed, compared; `executor` shares them out, `progress` is told (done, all,
+    what).
 
     The result depends on the seed alone.
     """
@@ -79,7 +80,7 @@ def replicate(seed: int = 1, executor: Executor | None = None, progress: Progres
 
 
 def compare(observed: ExperimentData) -> Iterator[Statistic]:
-    """Every statistic, table by table."""
+    """Yield every statistic, table by table."""
     simulated = tabulate(observed)
     yield from compare_gyro_noise(2, simulated[2])
     yield from compare_accelerometers(simulated[3])
@@ -148,7 +149,7 @@ def _faces(means: Floats, stds: Floats, rows: Floats) -> Columns:
 
 
 def table11(observed: ExperimentData) -> Table:
-    """Both halves and their ratio."""
+    """Return both halves and their ratio."""
     runs, parts = _per_channel(observed.runs, _half("runs")), _per_channel(observed.parts, _half("cont"))
     return {
         channel: {
@@ -222,18 +223,18 @@ def _group(eleven: Table, group: str) -> float:
 
 
 def neighbour_correlation(counts: npt.NDArray[np.int16]) -> Floats:
-    """(3,) autocorrelation at lag 1 (Figure 13)."""
+    """Return (3,) autocorrelation at lag 1 (Figure 13)."""
     return autocorrelation(counts, 1)
 
 
 def autocorrelation(counts: npt.NDArray[np.int16], lag: int) -> Floats:
-    """(3,) autocorrelation of counts (n, 3) at one lag."""
+    """Return (3,) autocorrelation of counts (n, 3) at one lag."""
     centred = counts - counts.mean(axis=0)
     return np.asarray((centred[lag:] * centred[:-lag]).sum(axis=0) / (centred**2).sum(axis=0))
 
 
 def period(counts: npt.NDArray[np.int16], axis: int) -> int:
-    """The lag from 3 to 12 rows at which an axis correlates best with itself (Figure 13)."""
+    """Return the lag from 3 to 12 rows at which an axis correlates best with itself (Figure 13)."""
     return 3 + int(np.argmax([autocorrelation(counts, lag)[axis] for lag in range(3, 13)]))
 
 

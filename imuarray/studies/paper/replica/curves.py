@@ -65,7 +65,7 @@ class Curves(NamedTuple):
 
 
 def curves_of(observed: ExperimentData) -> Curves:
-    """All figures of one set of experiments."""
+    """Return all figures of one set of experiments."""
     noise = {name: _noise(result.counts, HIGH_RATE_HZ) for name, result in observed.high_rate.items()}
     for name in ("ADXL1", "BMA2"):
         noise[name] = _noise(observed.still[name].counts, rate_hz(observed.still[name]))
@@ -98,7 +98,7 @@ def smoothed(series: Series, window_s: float = WINDOW_S, step_s: float = _STEP_S
 
 
 def profile(step_s: float = _STEP_S) -> TimeCurve:
-    """The temperature (degC, in place of LSB) of the box while it is heated (Figure 7)."""
+    """Return the temperature (degC, in place of LSB) of the box while it is heated (Figure 7)."""
     motion = Heating()
     seconds = np.arange(0.0, motion.seconds + step_s / 2, step_s)
     degc = np.asarray(motion.felt((seconds * 1e9).astype(np.int64)).temperature_degc, float)
@@ -106,7 +106,7 @@ def profile(step_s: float = _STEP_S) -> TimeCurve:
 
 
 def against_temperature(observed: ExperimentData, channel: str, every_s: float = 4.0) -> Scatter:
-    """A channel such as "Gyro2 x" of a sensor of `WARMED` against temperature (Figures 8 and 9)."""
+    """Return a channel such as "Gyro2 x" of a sensor of `WARMED` against temperature (Figures 8 and 9)."""
     name, letter = channel.split()
     axis, series, line = "xyz".index(letter), observed.warm[name], observed.heated[name]
     some = slice(None, None, max(1, round(every_s * rate_hz(series))))
@@ -129,7 +129,7 @@ def opposed(observed: ExperimentData, window_s: float = 30.0) -> TimeCurve:
 
 
 def correlogram(counts: npt.NDArray[np.int16]) -> Floats:
-    """(31, 3) autocorrelation at lags 0 to 30 (Figure 13)."""
+    """Return (31, 3) autocorrelation at lags 0 to 30 (Figure 13)."""
     return np.array([autocorrelation(counts, lag) if lag else np.ones(3) for lag in range(LAGS)])
 
 

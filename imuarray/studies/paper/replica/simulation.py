@@ -89,7 +89,7 @@ class TemperatureLine(NamedTuple):
 
 
 def blocks(sensor: Triad) -> Iterator[Block]:
-    """All rows of a sensor, a stretch at a time."""
+    """Yield all rows of a sensor, a stretch at a time."""
     for start in range(0, sensor.rows, _BLOCK):
         yield sensor.block(start, min(start + _BLOCK, sensor.rows))
 
@@ -171,7 +171,7 @@ class State(NamedTuple):
 
 
 def observe(seed: int, executor: Executor | None = None, progress: Progress | None = None) -> ExperimentData:
-    """All experiments; `progress` is told (done, all, what) after each."""
+    """Return all experiments; `progress` is told (done, all, what) after each."""
     states = [state(seed, boot) for boot in range(1, BOOTS + 1)]
     jobs = list(_jobs(seed))
     results: Iterator[Any] = (executor.map if executor else map)(_called, [job for _, job in jobs])
@@ -198,8 +198,8 @@ def state(seed: int, boot: int) -> State:
 
 
 def run_temperatures() -> Floats:
-    """(15,) degC: BMA1's thermometer (two codes per degC, Table 6; its faulty run left out) stretched to Table 11's
-    mean and deviation of the independent one.
+    """Return (15,) degC: BMA1's thermometer (two codes per degC, Table 6; its faulty run left out) stretched to Table
+    11's mean and deviation of the independent one.
     """
     codes = np.array([float(number_in(row, "temp_int")) for row in table(6)])
     for fault in boot_faults():
@@ -253,7 +253,7 @@ def _array() -> ArrayConfig:
 def _simulation(
     seed: int, boot: int, motion: Motion, rate_hz: float, names: tuple[str, ...] = SENSORS
 ) -> Iterator[tuple[str, Triad]]:
-    """The sensors one after the other; what one keeps for its rows goes with it."""
+    """Yield the sensors one after the other; what one keeps for its rows goes with it."""
     sensors = Simulation.of_array(
         _array().only(names), motion, _model(), frame_rate_hz=rate_hz, seed=seed, boot=boot
     ).sensors
@@ -262,7 +262,7 @@ def _simulation(
 
 
 def array_rate_hz(number: int) -> float:
-    """The array's logging rate by Table 10 or 11."""
+    """Return the array's logging rate by Table 10 or 11."""
     return float(logging_rate()[f"table{number}_hz"]["mean"])
 
 

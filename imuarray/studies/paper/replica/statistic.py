@@ -40,7 +40,7 @@ _STDS = ((10, "std_lsb"), (11, "runs_std"), (11, "cont_std"))
 
 
 def printed(number: int, channel: str, column: str) -> float:
-    """A printed number of Table 3, 4, 8, 10 or 11."""
+    """Return a printed number of Table 3, 4, 8, 10 or 11."""
     return float(number_in(row_of(number, channel), column))
 
 
@@ -50,7 +50,7 @@ def axis_of(channel: str) -> int:
 
 
 def own(channel: str, value: Callable[[Unit], Floats]) -> float:
-    """A figure of the model for this axis, in counts; 0 for a thermometer."""
+    """Return a figure of the model for this axis, in counts; 0 for a thermometer."""
     unit, axis = unit_of(channel.split()[0]), axis_of(channel)
     return 0.0 if axis == 3 else float(value(unit)[axis]) / unit.lsb
 
@@ -62,7 +62,7 @@ def slope(channel: str) -> float:
 
 @cache
 def group_of(channel: str) -> tuple[str, ...]:
-    """The channels of Table 10 that ought to be like this one."""
+    """Return the channels of Table 10 that ought to be like this one."""
     return tuple(row["channel"] for row in table(10) if _kind(row["channel"]) == _kind(channel))
 
 
@@ -142,7 +142,7 @@ def log_deviation(windows: Floats, extra: float) -> float:
 
 @cache
 def run_windows(channel: str) -> Floats:
-    """(15, 15) covariance of the means of separate runs that the model gives."""
+    """Return (15, 15) covariance of the means of separate runs that the model gives."""
     turn_on, in_run = own(channel, lambda unit: unit.turn_on), own(channel, lambda unit: unit.in_run)
     sem = printed(11, channel, "runs_sem")
     return np.asarray(np.eye(PARTS) * (turn_on**2 + in_run**2 * variance_of_mean(WINDOW_S) + sem**2))
@@ -150,7 +150,7 @@ def run_windows(channel: str) -> Floats:
 
 @cache
 def part_windows(channel: str) -> Floats:
-    """(15, 15) covariance of the means of windows in a row that the model gives."""
+    """Return (15, 15) covariance of the means of windows in a row that the model gives."""
     apart = np.abs(np.subtract.outer(np.arange(PARTS), np.arange(PARTS)))
     of_wander = np.array([variance_of_mean(WINDOW_S), *(covariance_of_means(k, WINDOW_S) for k in range(1, PARTS))])
     sem = printed(11, channel, "cont_sem")
@@ -175,7 +175,7 @@ def run_steps(channel: str) -> float:
 
 
 def part_steps(channel: str) -> float:
-    """The same for windows in a row: temperature."""
+    """Return the same for windows in a row: temperature."""
     return (slope(channel) * DEGC[11, "cont_std_of_means"]) ** 2
 
 
@@ -243,12 +243,14 @@ def combined(parts: Mapping[str, float]) -> tuple[float, str]:
 
 
 def linear(at: Place, published: float, simulated: float, parts: Mapping[str, float]) -> Statistic:
-    """A statistic compared as it is; `at` is (table, channel, statistic), `parts` of its uncertainty by cause."""
+    """Return a statistic compared as it is; `at` is (table, channel, statistic), `parts` of its uncertainty by
+    cause.
+    """
     return Statistic(*at, published, simulated, *combined(parts))
 
 
 def logarithmic(at: Place, published: float, simulated: float, parts: Mapping[str, float]) -> Statistic:
-    """A standard deviation, compared by its logarithm; parts are relative."""
+    """Return a standard deviation, compared by its logarithm; parts are relative."""
     return Statistic(*at, published, simulated, *combined(parts), scale="log")
 
 
@@ -271,7 +273,7 @@ class Summary:
 
 
 def summary(statistics: Iterable[Statistic]) -> Summary:
-    """The summary of some statistics; at least one must not be derived."""
+    """Return the summary of some statistics; at least one must not be derived."""
     rows = list(statistics)
     sizes = [abs(row.z) for row in rows]
     free = [row for row in rows if not row.derived]
@@ -314,7 +316,7 @@ class Replica:
         return {name: summary(rows) for name, rows in kinds.items()}
 
     def of(self, table: str) -> tuple[Statistic, ...]:
-        """The statistics of "Table 8", "Figure 13", ..."""
+        """Return the statistics of "Table 8", "Figure 13", ..."""
         return tuple(row for row in self.statistics if row.table == table)
 
     @property
@@ -323,7 +325,7 @@ class Replica:
         return tuple(dict.fromkeys(row.table for row in self.statistics))
 
     def beyond(self, limit: float = 3.0) -> tuple[Statistic, ...]:
-        """The statistics that are more than `limit` uncertainties off."""
+        """Return the statistics that are more than `limit` uncertainties off."""
         return tuple(row for row in self.statistics if abs(row.z) > limit)
 
     def as_json(self) -> dict[str, Any]:
