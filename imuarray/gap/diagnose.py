@@ -263,14 +263,14 @@ def explain(
 
 
 def library(without: Collection[str]) -> dict[str, Candidate]:
-    """The candidates except those left out; ConfigError for one that isn't among them."""
+    """Return the candidates except those left out; ConfigError for one that isn't among them."""
     if unknown := sorted(set(without) - set(CANDIDATES)):
         raise ConfigError(f"effect {unknown[0]!r}: allowed are {', '.join(CANDIDATES)}{guess(unknown[0], CANDIDATES)}")
     return {name: candidate for name, candidate in CANDIDATES.items() if name not in without}
 
 
 def _opened(logs: LogLike | Iterable[LogLike], stack: ExitStack) -> list[Log]:
-    """The logs, each once; those opened here are closed with the stack."""
+    """Return the logs, each once; those opened here are closed with the stack."""
     logs = [logs] if isinstance(logs, str | PathLike | Log) else logs
     distinct = dict.fromkeys(log if isinstance(log, Log) else Path(log) for log in logs)
     return [log if isinstance(log, Log) else stack.enter_context(open_log(log)) for log in distinct]
@@ -279,7 +279,7 @@ def _opened(logs: LogLike | Iterable[LogLike], stack: ExitStack) -> list[Log]:
 def _read(
     logs: Sequence[Log], against: Sequence[Log], only: Collection[str]
 ) -> tuple[Sequence[Recording], Sequence[Recording]]:
-    """The recordings and the earlier ones, with the sensors that both have, cut to pieces of one length."""
+    """Return the recordings and the earlier ones, with the sensors that both have, cut to pieces of one length."""
     recordings = recordings_of(logs, only)
     if not against:
         return recordings, ()
@@ -323,7 +323,7 @@ def _compared(
 
 
 def _without_counterpart(domains: Sequence[str], bench: Bench) -> tuple[str, ...]:
-    """The domains of which only the new recordings have statistics, in phrases."""
+    """Return the domains of which only the new recordings have statistics, in phrases."""
     known = {key.domain for key in bench.keys}
     lost = [domain for domain in dict.fromkeys(domains) if domain not in known]
     return tuple(f"no statistic of {domain.replace('_', ' ')} in the earlier recordings" for domain in lost)
@@ -332,7 +332,7 @@ def _without_counterpart(domains: Sequence[str], bench: Bench) -> tuple[str, ...
 def _search(
     case: GapCase, candidates: Mapping[str, Candidate], progress: Progress, known: Collection[str]
 ) -> SearchResult:
-    """The causes of the gap, none where there is none."""
+    """Return the causes of the gap, none where there is none."""
     comparison = case.comparison
     if not comparison.localisation.is_gap:
         return SearchResult({}, comparison.bench.models())
@@ -360,7 +360,7 @@ def _report(
     verification: Verification,
     briefly: bool,
 ) -> Diagnosis:
-    """All findings; the remainder comes first, since the verdict and the causes depend on it."""
+    """Return all findings; the remainder comes first, since the verdict and the causes depend on it."""
     search, sensor_causes = explanation.search, explanation.causes
     comparison, bench = case.comparison, case.comparison.bench
     report = StatisticReport(bench, comparison.campaign, comparison.pairs, case.names)
@@ -426,14 +426,14 @@ def _judge(case: GapCase, verification: Verification, remainder: Remainder, susp
 def _remainder(
     case: GapCase, verification: Verification, suspected: Sequence[Cause], report: StatisticReport
 ) -> Remainder:
-    """The remainder with the suspected causes in the model."""
+    """Return the remainder with the suspected causes in the model."""
     if not case.is_gap:
         return NO_REMAINDER
     return remainder_of(case.comparison, verification.after, verification.values, suspected, report)
 
 
 def _where(case: GapCase, report: StatisticReport) -> tuple[Where, ...]:
-    """The statistics in which the recordings as noted differ, the worst first."""
+    """Return the statistics in which the recordings as noted differ, the worst first."""
     noted = case.as_noted
     if noted is not case.comparison:
         report = StatisticReport(noted.bench, noted.campaign, noted.pairs, case.names)
@@ -504,7 +504,7 @@ def _overlays(case: GapCase, search: SearchResult, where: Sequence[Where]) -> tu
 
 
 def _summary(recording: Recording) -> RecordingSummary:
-    """The length and content of a recording."""
+    """Return the length and content of a recording."""
     sensors = _sensors(recording)
     seconds = sum((phase.end_ns - phase.start_ns) * 1e-9 for phase in recording.phases)
     rows = sum(len(recording.log[name]) for name in sensors)

@@ -194,14 +194,14 @@ def _all_closed(bench: Bench, first: UnitState, rounds: Sequence[Round], seed: i
 
 
 def _is_undone(evaluation: Evaluation, later: Sequence[Round]) -> bool:
-    """True if a later round removed the effect, or replaced it by another of its kind."""
+    """Return whether a later round removed the effect, or replaced it by another of its kind."""
     return any(
         round_.selection is not None and round_.selection.trial.removed == evaluation.trial.name for round_ in later
     )
 
 
 def _undoes(trial: Evaluation, before: UnitState) -> bool:
-    """True if a trial only removes what an earlier round added."""
+    """Return whether a trial only removes what an earlier round added."""
     added = {effect.name for model in before.models.values() for effect in model.added}
     return not trial.trial.effects and trial.trial.removed in added
 

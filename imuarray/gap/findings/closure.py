@@ -79,7 +79,7 @@ class DeviatingStatistics:
         return DeviatingStatistics(keys, self.places[chosen], _weights(keys), self.before[chosen], self.after[chosen])
 
     def domains(self) -> tuple[str, ...]:
-        """The domains of the statistics."""
+        """Return the domains of the statistics."""
         return tuple(dict.fromkeys(key.domain for key in self.keys))
 
     def _interval(self, seed: int) -> Interval | None:

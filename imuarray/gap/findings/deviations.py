@@ -71,12 +71,12 @@ Rule = Callable[[Setting], float]
 
 
 def fixed(value: float) -> Rule:
-    """A rule with the same margin for every sensor."""
+    """Return a rule with the same margin for every sensor."""
     return lambda _: value
 
 
 def level(per: float = 1.0) -> Rule:
-    """A rule for a coefficient whose product with `per` is a level."""
+    """Return a rule for a coefficient whose product with `per` is a level."""
     return lambda setting: setting.level / per
 
 
@@ -88,8 +88,8 @@ def response(setting: Setting) -> float:
 
 
 def unevenness(setting: Setting) -> float:
-    """Log variance of segments' log variances if the noise of segments is 5 % apart: (2 ln 1.05)^2 beside the
-    2 / (rows - 1) of Gaussian noise.
+    """Return the log variance of segments' log variances if the noise of segments is 5 % apart: (2 ln 1.05)^2 beside
+    the 2 / (rows - 1) of Gaussian noise.
     """
     rows = setting.seconds * setting.rows_per_s
     in_segment = rows / Grid.of(round(rows)).segments
@@ -97,7 +97,7 @@ def unevenness(setting: Setting) -> float:
 
 
 def share(of_rows: float, usual: float = 0.0) -> float:
-    """The change of the arcsine statistic of a share that rises by `of_rows` from its `usual` value."""
+    """Return the change of the arcsine statistic of a share that rises by `of_rows` from its `usual` value."""
     return math.asin(math.sqrt(usual + of_rows)) - math.asin(math.sqrt(usual))
 
 
@@ -302,7 +302,7 @@ class StatisticReport:
         self._phases = [[log.phases for log in side.campaign.logs] for side in sides]
 
     def where(self, at: int, assessment: Assessment, p: float) -> Where:
-        """The report entry of the statistic at one place of the pairs."""
+        """Return the report entry of the statistic at one place of the pairs."""
         key, header = self._pairs.keys[at], self._bench.base.headers[self._pairs.keys[at].sensor]
         probe = PROBES[key.probe]
         shift, scale = self._shift(at, assessment), self.scale(at, assessment)
@@ -327,13 +327,13 @@ class StatisticReport:
         )
 
     def margin(self, at: int) -> float:
-        """The least difference of a statistic that matters."""
+        """Return the least difference of a statistic that matters."""
         key = self._pairs.keys[at]
         header = self._bench.base.headers[key.sensor]
         return margin(key, header, self._bench.base.fitted[key.sensor].noise(header), *self.rate_and_length(at))
 
     def rate_and_length(self, at: int) -> tuple[float, float]:
-        """Rows per second of the sensor, and the seconds of its log that were used."""
+        """Return rows per second of the sensor, and the seconds of its log that were used."""
         key = self._key(at)
         phases = self._phases[self._side(at)][max(key.log, 0)]
         summaries = [phase.sensors[key.sensor] for phase in phases if key.sensor in phase.sensors]
@@ -353,7 +353,7 @@ class StatisticReport:
         return float(np.nanmean(parts)) if np.isfinite(parts).any() else math.nan
 
     def _parts(self, at: int) -> list[int]:
-        """The places of the statistic in both parts."""
+        """Return the places of the statistic in both parts."""
         return [int(place) for place in (self._pairs.train[at], self._pairs.held_out[at]) if place >= 0]
 
     def _log(self, at: int) -> str:
@@ -361,7 +361,7 @@ class StatisticReport:
         return f"all {key.phase} logs" if key.log < 0 else self._logs[self._side(at)][key.log]
 
     def _key(self, at: int) -> Key:
-        """The key of the statistic in its own part."""
+        """Return the key of the statistic in its own part."""
         places = (self._pairs.train, self._pairs.held_out)[self._side(at)]
         return self._bench.keys[int(places[at])]
 

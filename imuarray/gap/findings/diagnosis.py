@@ -237,8 +237,8 @@ class Diagnosis:
     """The quantities that data sheets leave to the part, against their tolerances. None of them is a cause."""
 
     def plot(self) -> Figure:
-        """The statistics that differ most, and the causes with the share of the gap that they close; MissingExtraError
-        without matplotlib (extra "report").
+        """Return the statistics that differ most, and the causes with the share of the gap that they close;
+        MissingExtraError without matplotlib (extra "report").
         """
         from imuarray.gap.findings.plot import diagnosis_figure
 
@@ -254,7 +254,7 @@ class Diagnosis:
         return f"<Diagnosis: {self.verdict}; {f'causes {causes}' if causes else 'no cause'}>"
 
     def _repr_html_(self) -> str:
-        """The sentence and the causes, for notebooks."""
+        """Return the sentence and the causes, for notebooks."""
         from imuarray.html_table import html_table, number
 
         rows = [
@@ -264,7 +264,7 @@ class Diagnosis:
         return html_table(self.sentence, ("cause", "action", "sensors", "probability", "share of the gap closed"), rows)
 
     def as_json(self) -> dict[str, Any]:
-        """The diagnosis as one JSON object; numbers that aren't finite are null."""
+        """Return the diagnosis as one JSON object; numbers that aren't finite are null."""
         plain = {
             "verdict": self.verdict,
             "sentence": self.sentence,

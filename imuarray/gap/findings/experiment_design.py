@@ -136,7 +136,7 @@ def next_experiment(
 
 
 def rivals_of(searched: SearchResult, causes: Sequence[Cause]) -> Rivals | None:
-    """The most probable cause with a confusable one from the same round."""
+    """Return the most probable cause with a confusable one from the same round."""
     for cause in causes:
         for unit, rounds in searched.rounds.items():
             for round_ in rounds if cause.confusable_with and set(unit) <= set(cause.sensors) else ():
@@ -251,7 +251,7 @@ class _SimulationRequest(NamedTuple):
 
 
 def _bench_of_experiment(bench: Bench, request: _ExperimentRequest) -> Bench:
-    """The bench of an experiment, as if its first replicate had been recorded."""
+    """Return the bench of an experiment, as if its first replicate had been recorded."""
     base = replace(
         bench.base,
         headers={name: bench.base.headers[name] for name in request.models},
@@ -268,13 +268,13 @@ def _bench_of_experiment(bench: Bench, request: _ExperimentRequest) -> Bench:
 
 
 def _replicates(_: Bench, request: _SimulationRequest) -> Floats:
-    """Statistics (r, n) of the sensors concerned."""
+    """Return statistics (r, n) of the sensors concerned."""
     campaigns = request.bench.campaigns([(request.models, number) for number in request.numbers])
     return np.array([measured.values for measured in request.bench.each_measured(campaigns, request.sensors)])
 
 
 def _plan(bench: Bench, names: Collection[str], seconds: float) -> Plan:
-    """A plan that reads each sensor at its recorded rate, at even times."""
+    """Return a plan that reads each sensor at its recorded rate, at even times."""
     rates = {
         name: line.rows_per_s
         for experiment in bench.experiments
@@ -287,7 +287,7 @@ def _plan(bench: Bench, names: Collection[str], seconds: float) -> Plan:
 
 
 def _layouts(experiment: Experiment, phases: Sequence[Phase]) -> tuple[Layout, ...]:
-    """The layouts of an experiment's phases."""
+    """Return the layouts of an experiment's phases."""
     sources = simulated_sources(Simulation(experiment.plan, experiment.motion, {}))
     return tuple(layout_of(sources, phase) for phase in phases)
 

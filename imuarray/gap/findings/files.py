@@ -22,8 +22,8 @@ _HUGE = 1e30
 
 
 def diagnosis_of(table: object, where: str = "gap.json") -> Diagnosis:
-    """The diagnosis of a table that `Diagnosis.as_json` made; numbers that JSON could not represent are nan. LogError
-    for anything else.
+    """Return the diagnosis of a table that `Diagnosis.as_json` made; numbers that JSON could not represent are nan.
+    LogError for anything else.
     """
     hints = get_type_hints(Diagnosis, {**vars(parts), "Model": object})
     if not isinstance(table, Mapping):
@@ -47,7 +47,7 @@ def diagnosis_of(table: object, where: str = "gap.json") -> Diagnosis:
 
 
 def _read(value: Any, kind: Any, where: str, depth: int) -> Any:
-    """A value of the type that a field has; LogError if it can't be one."""
+    """Return a value of the type that a field has; LogError if it can't be one."""
     origin, inside = get_origin(kind), get_args(kind)
     if depth == 0:
         raise LogError(f"{where}: nested without end")
@@ -95,7 +95,7 @@ def _array(value: Any, where: str) -> Any:
 
 
 def _plain(value: Any, kind: Any, where: str) -> Any:
-    """A text, a number or a flag."""
+    """Return a text, a number or a flag."""
     if kind is float:
         return nan if value is None else _number(value, where)
     if get_origin(kind) is Literal:
@@ -110,7 +110,7 @@ def _plain(value: Any, kind: Any, where: str) -> Any:
 
 
 def _anything(value: Any, where: str, depth: int) -> Any:
-    """A value of any type, without what a float or a file cannot hold."""
+    """Return a value of any type, without what a float or a file cannot hold."""
     if depth == 0:
         raise LogError(f"{where}: nested without end")
     if isinstance(value, Mapping):
@@ -123,14 +123,14 @@ def _anything(value: Any, where: str, depth: int) -> Any:
 
 
 def _number(value: Any, where: str) -> float:
-    """A number in the allowed range; JSON's integers are unbounded."""
+    """Return a number in the allowed range; JSON's integers are unbounded."""
     if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) >= _HUGE:
         raise LogError(f"{where}: {str(value)[:40]!r} is not a number in the allowed range")
     return value
 
 
 def _text(value: str, where: str) -> str:
-    """A text that a file can hold; JSON can encode halves of characters."""
+    """Return a text that a file can hold; JSON can encode halves of characters."""
     try:
         value.encode()
     except UnicodeEncodeError:

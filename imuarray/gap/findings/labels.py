@@ -146,8 +146,8 @@ def face_of(force: Floats) -> str:
 
 
 def corrected(recordings: Sequence[Recording], wrong: Sequence[WrongLabel]) -> tuple[Recording, ...]:
-    """The recordings with corrected labels in phases, kind and motion; phases keep their names. A motion that follows
-    the log's own track is kept.
+    """Return the recordings with corrected labels in phases, kind and motion; phases keep their names. A motion that
+    follows the log's own track is kept.
     """
     return tuple(
         _with_labels(recording, log_labels)
@@ -212,7 +212,9 @@ class _LabelledPhase(NamedTuple):
 
 
 def _without_biases(noted: Sequence[_LabelledPhase]) -> list[_LabelledPhase]:
-    """The phases with readings without a sensor's bias, along axes that pointed up and down, whatever was noted."""
+    """Return the phases with readings without a sensor's bias, along axes that pointed up and down,
+    whatever was noted.
+    """
     biases: dict[str, Floats] = {}
     for sensor in dict.fromkeys(name for item in noted for name in item.readings_g):
         readings = np.array([item.readings_g[sensor] for item in noted if sensor in item.readings_g])
@@ -232,8 +234,8 @@ class _LabelCheck(NamedTuple):
 
 
 def _check_labels(noted: Sequence[_LabelledPhase], turns: Mapping[str, Floats]) -> _LabelCheck:
-    """The wrong labels if some sensors' axes are rotated by `turns` (3, 3) against the configuration. Faults are these
-    sensors, the wrong labels, and sensors that feel another face than the true one.
+    """Return the wrong labels if some sensors' axes are rotated by `turns` (3, 3) against the configuration. Faults are
+    these sensors, the wrong labels, and sensors that feel another face than the true one.
     """
     wrong, odd = [], set(turns)
     mountings = _known_mountings(noted)
@@ -253,8 +255,8 @@ def _check_labels(noted: Sequence[_LabelledPhase], turns: Mapping[str, Floats]) 
 
 
 def _known_mountings(noted: Sequence[_LabelledPhase]) -> set[str]:
-    """The sensors whose mounting is known: they agree with noted faces along two axes, and with more labels than they
-    contradict.
+    """Return the sensors whose mounting is known: they agree with noted faces along two axes, and with more labels than
+    they contradict.
     """
     agreed: dict[str, list[str]] = {}
     contradicted: dict[str, int] = {}
@@ -273,8 +275,8 @@ def _known_mountings(noted: Sequence[_LabelledPhase]) -> set[str]:
 
 
 def _faults_of_exchange(noted: Sequence[_LabelledPhase], headers: Mapping[str, SensorHeader]) -> float:
-    """Number of faults if the labels are right and two sensors of one chip and sensitivity are read in each other's
-    place for a part of the time: these, and others that feel another face. Infinite if there is no such pair.
+    """Return number of faults if the labels are right and two sensors of one chip and sensitivity are read in each
+    other's place for a part of the time: these, and others that feel another face. Infinite if there is no such pair.
     """
     names = dict.fromkeys(name for item in noted for name in item.readings_g)
     odd = {
@@ -293,8 +295,8 @@ def _faults_of_exchange(noted: Sequence[_LabelledPhase], headers: Mapping[str, S
 
 
 def _is_exchange(noted: Sequence[_LabelledPhase], first: SensorHeader, other: SensorHeader) -> bool:
-    """True if two sensors agree with the noted face in every phase, as themselves or as each other, and change places
-    at most once in a log.
+    """Return whether two sensors agree with the noted face in every phase, as themselves or as each other, and change
+    places at most once in a log.
     """
     turn = np.array(first.orientation) @ np.array(other.orientation).T  # of the other's rows, read as the first's
     states: dict[int, list[bool]] = {}
@@ -313,8 +315,8 @@ def _is_exchange(noted: Sequence[_LabelledPhase], first: SensorHeader, other: Se
 
 
 def _rotations_of(noted: Sequence[_LabelledPhase]) -> dict[str, Floats]:
-    """The rotation of each sensor by which it agrees with most of the noted faces, where it agrees with more than
-    without. Empty if no sensor is left unrotated: then only the labels say which way is up.
+    """Return the rotation of each sensor by which it agrees with most of the noted faces, where it agrees with more
+    than without. Empty if no sensor is left unrotated: then only the labels say which way is up.
     """
     names = dict.fromkeys(name for item in noted for name in item.readings_g)
     turns = {name: turn for name in names if (turn := _rotation_of(noted, name)) is not None}
@@ -333,12 +335,12 @@ def _rotation_of(noted: Sequence[_LabelledPhase], sensor: str) -> Floats | None:
 
 
 def _rotations() -> Iterator[Floats]:
-    """The rotations (3, 3) of a chip that exchange axes; no chip is mirrored."""
+    """Return the rotations (3, 3) of a chip that exchange axes; no chip is mirrored."""
     return (matrix for matrix in exchanges().values() if np.linalg.det(matrix) > 0)
 
 
 def _is_consistent(turn: Floats, labels: Sequence[tuple[str, str]]) -> bool:
-    """True if a rotation takes every noted face to the measured one."""
+    """Return whether a rotation takes every noted face to the measured one."""
     return all(np.array_equal(turn @ up_vector(noted), up_vector(felt)) for noted, felt in labels)
 
 

@@ -164,7 +164,9 @@ def drawn(curve: Curve, recorded: Sequence[Summary]) -> CurveShape:
 
 
 def bands(replicates: Sequence[Floats]) -> Floats:
-    """Median and 95 % band (3, n) of replicates, each (n,); nan where fewer than half of them have a value."""
+    """Return the median and 95 % band (3, n) of replicates, each (n,); nan where fewer than half of
+    them have a value.
+    """
     values = np.array(replicates)
     table = np.full((3, values.shape[1]), np.nan)
     known = 2 * np.isfinite(values).sum(axis=0) >= len(values)
@@ -173,7 +175,7 @@ def bands(replicates: Sequence[Floats]) -> Floats:
 
 
 def _simulated(bench: Bench, request: _CurveRequest) -> list[list[Floats]]:
-    """All curves in each replicate, with only their logs simulated."""
+    """Return all curves in each replicate, with only their logs simulated."""
     replicates = [(request.models, number) for number in request.numbers]
     campaigns = bench.campaigns(replicates, logs={curve.log for curve, _ in request.curves})
     return [
@@ -221,7 +223,7 @@ def _phase(
 
 
 def _widest_heating(bench: Bench, campaign: Campaign, entry: Where) -> tuple[int, tuple[int, ...]] | None:
-    """All held-out phases at rest of the log with the widest span of temperatures."""
+    """Return all held-out phases at rest of the log with the widest span of temperatures."""
     logs: dict[int, list[int]] = {}
     for log, at in _held_out(bench, campaign, entry.sensor):
         if campaign.logs[log].phases[at].is_still:
@@ -238,7 +240,7 @@ def _widest_heating(bench: Bench, campaign: Campaign, entry: Where) -> tuple[int
 
 
 def _held_out_log(bench: Bench, campaign: Campaign, entry: Where, names: Sequence[str]) -> int | None:
-    """The held-out log that belongs to the training log by which a pair of statistics is named."""
+    """Return the held-out log that belongs to the training log by which a pair of statistics is named."""
     train, held_out = (side(campaign).logs for side in (bench.split.train, bench.split.held_out))
     known = [names[log] for log in train] if names else []
     place = known.index(entry.log) if entry.log in known else len(held_out)
@@ -246,7 +248,7 @@ def _held_out_log(bench: Bench, campaign: Campaign, entry: Where, names: Sequenc
 
 
 def _held_out(bench: Bench, campaign: Campaign, sensor: str) -> Iterator[tuple[int, int]]:
-    """Places (log, phase) of the held-out part in which a sensor was read."""
+    """Yield places (log, phase) of the held-out part in which a sensor was read."""
     for log, (share, summary) in enumerate(zip(bench.split.shares, campaign.logs, strict=True)):
         for at, (out, phase) in enumerate(zip(share.held_out, summary.phases, strict=True)):
             if out and sensor in phase.sensors and phase.sensors[sensor].rows:

@@ -19,8 +19,8 @@ _MOST = 12
 
 
 def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
-    """The worst statistics by their significance, and each cause by the share of the gap that it closes, with its 95 %
-    interval and its probability; MissingExtraError without matplotlib.
+    """Return the worst statistics by their significance, and each cause by the share of the gap that it closes, with
+    its 95 % interval and its probability; MissingExtraError without matplotlib.
     """
     rows = max(min(_MOST, len(diagnosis.where)), len(diagnosis.causes), 3)
     figure = new_figure(10.0, 1.6 + 0.3 * rows)

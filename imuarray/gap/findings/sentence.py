@@ -109,7 +109,7 @@ def _named(cause: Cause) -> str:
 
 
 def _in_use(uses: Sequence[Use], causes: Sequence[Cause]) -> list[str]:
-    """The figure of use of a sensor concerned whose prediction changed most."""
+    """Return the figure of use of a sensor concerned whose prediction changed most."""
     concerned = {name for cause in causes for name in cause.sensors}
     known = [use for use in uses if use.sensor in concerned and use.before.value > 0 and use.real.value > 0]
     if not known:

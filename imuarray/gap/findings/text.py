@@ -128,13 +128,13 @@ def parameters_text(parameters: Mapping[str, Any]) -> str:
 
 
 def places_text(cause: Cause) -> str:
-    """Sensors, and the axes if not all: "Gyro1, Gyro2 (x, z)"."""
+    """Return sensors, and the axes if not all: "Gyro1, Gyro2 (x, z)"."""
     axes = f" ({', '.join(cause.axes)})" if cause.axes else ""
     return f"{', '.join(cause.sensors) or 'all sensors'}{axes}"
 
 
 def specification_text(pull: Pull) -> str:
-    """A part that is out of specification in a sentence: "Gyro1 x: scale is 1.8 tolerances off: ..."."""
+    """Return a part that is out of specification in a sentence: "Gyro1 x: scale is 1.8 tolerances off: ..."."""
     place = f"{pull.sensor} {pull.axis}".rstrip()
     return f"{place}: {pull.quantity} is {number(abs(pull.pull), 2)} tolerances off: this part is out of specification"
 
@@ -147,7 +147,7 @@ def _span_text(run: float, begin_s: float, end_s: float) -> str:
 
 
 def _moments_text(run: float, places: Sequence[int], moments_s: Sequence[float], parameters: Mapping[str, Any]) -> str:
-    """The moments at `places` of the lists, which are those of one run, and how long it lasts at each."""
+    """Return the moments at `places` of the lists, which are those of one run, and how long it lasts at each."""
     log = f"in log {run + 1:.0f}"
     if not moments_s:
         return log
@@ -270,12 +270,14 @@ def _unshown(unshown: Sequence[Unobservable]) -> Iterator[str]:
 
 
 def _by_kind(sensors: Sequence[str]) -> str:
-    """Names that differ by a number beside each other, so that they are listed in short: IMU1_acc to IMU8_acc."""
+    """Return names that differ by a number beside each other, so that they are listed in short:
+    IMU1_acc to IMU8_acc.
+    """
     return listed(sorted(sensors, key=lambda name: re.sub(r"\d+", "", name)))
 
 
 def _pulls(pulls: Sequence[Pull]) -> Iterator[str]:
-    """The parts that are out of specification, worst first."""
+    """Yield the parts that are out of specification, worst first."""
     outside = sorted((pull for pull in pulls if pull.is_out_of_specification), key=lambda pull: -abs(pull.pull))
     if not outside:
         return
@@ -326,5 +328,5 @@ def _hanging(head: str, text: str, indent: str | None = None) -> list[str]:
 
 
 def _printable(text: str) -> str:
-    """The text without characters that control a terminal."""
+    """Return the text without characters that control a terminal."""
     return "".join(sign if sign.isprintable() else " " if sign.isspace() else "?" for sign in text)

@@ -58,7 +58,7 @@ def assess(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance
 
 
 def largest_of(scores: Floats) -> Floats:
-    """Largest absolute score (...,) of scores (..., m), 0 where there is none."""
+    """Return the largest absolute score (...,) of scores (..., m), 0 where there is none."""
     return np.asarray(np.nan_to_num(np.abs(scores)).max(axis=-1, initial=0.0))
 
 

@@ -103,8 +103,8 @@ def prepared(
 
 
 def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
-    """Sensors whose rows come from a queue in the chip: the configuration says so, or they have more rows than there
-    are frames.
+    """Return sensors whose rows come from a queue in the chip: the configuration says so, or they have more rows than
+    there are frames.
     """
     plans = [recording.experiment.plan for recording in recordings]
     configured = {
@@ -122,7 +122,7 @@ def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
 
 
 def _summarised(recordings: Sequence[Recording], split: Split) -> Campaign:
-    """All logs, in the phases of the split."""
+    """Return all logs, in the phases of the split."""
     logs = []
     for recording, phases in zip(recordings, split.phases(), strict=True):
         reference = reference_of(recording.experiment.motion)
@@ -135,7 +135,7 @@ def _summarised(recordings: Sequence[Recording], split: Split) -> Campaign:
 
 
 def _base_of(recordings: Sequence[Recording], model: Model | None, seed: int) -> Base:
-    """The base model fitted to all of these recordings."""
+    """Return the base model fitted to all of these recordings."""
     split = split_of([recording.kind for recording in recordings], [recording.phases for recording in recordings])
     campaign, experiments = _summarised(recordings, split), [recording.experiment for recording in recordings]
     base = fit(campaign, [experiment.motion for experiment in experiments], model=model, seed=seed)
@@ -173,7 +173,7 @@ def _spells(recording: Recording, sensor: str) -> Iterator[tuple[Stretches, LogS
 
 
 def _cut(phases: Sequence[Phase], stretches: Stretches, source: Source) -> Iterator[Phase]:
-    """The parts of phases within stretches that hold enough rows."""
+    """Yield the parts of phases within stretches that hold enough rows."""
     for phase in phases:
         for begin_s, end_s in stretches:
             start_ns = max(phase.start_ns, round(begin_s * 1e9))
@@ -183,7 +183,7 @@ def _cut(phases: Sequence[Phase], stretches: Stretches, source: Source) -> Itera
 
 
 def _of_fitted(campaign: Campaign, base: Base) -> Campaign:
-    """The campaign without sensors that have no fitted parameters, such as those in the held-out part only."""
+    """Return the campaign without sensors that have no fitted parameters, such as those in the held-out part only."""
     logs = []
     for log in campaign.logs:
         phases = [
@@ -195,13 +195,15 @@ def _of_fitted(campaign: Campaign, base: Base) -> Campaign:
 
 
 def _corrected(bench: Bench, campaign: Campaign) -> Bench:
-    """The bench with what of its base model only replicates tell: delays, or what the effects of a given model add."""
+    """Return the bench with what of its base model only replicates tell: delays, or what the effects of a given model
+    add.
+    """
     return with_signal_delays(bench, campaign) if bench.base.model is None else settled(bench)
 
 
 def with_signal_delays(bench: Bench, campaign: Campaign, replicates: int = 6) -> Bench:
-    """The bench with the delays of the signals fitted to all motions of the campaign, by so many replicates for each
-    step: often the box moves much in one part only.
+    """Return the bench with the delays of the signals fitted to all motions of the campaign, by so many replicates for
+    each step: often the box moves much in one part only.
     """
     if not can_fit_signal_delays(campaign, bench.base.headers, bench.base.queued):
         return bench
@@ -221,7 +223,7 @@ def with_signal_delays(bench: Bench, campaign: Campaign, replicates: int = 6) ->
 
 
 def settled(bench: Bench, replicates: int = 8) -> Bench:
-    """The bench with the base model's ordinary parameters corrected by the difference between the fits of its
+    """Return the bench with the base model's ordinary parameters corrected by the difference between the fits of its
     replicates and of the recording, so that the contribution of other effects to noise and level is not counted twice.
     """
     models = bench.models()
@@ -264,8 +266,8 @@ def compared_with_base(
 
 
 def _without_flags_never_set(keys: Sequence[Key], values: Floats) -> Floats:
-    """The statistics (n,) of a recording without the share of repeated rows if no row of any sensor is flagged as one:
-    not every recorder compares readings.
+    """Return the statistics (n,) of a recording without the share of repeated rows if no row of any sensor is flagged
+    as one: not every recorder compares readings.
     """
     places = np.array([place for place, key in enumerate(keys) if key.probe == "stale"], np.intp)
     if not len(places) or np.nan_to_num(values[places]).any():
@@ -276,7 +278,7 @@ def _without_flags_never_set(keys: Sequence[Key], values: Floats) -> Floats:
 
 
 def observed(bench: Bench, models: Models, numbers: Sequence[int], run: Run) -> list[StatisticValues]:
-    """Statistics of numbered replicates of sensors with these models, a few in each job."""
+    """Return statistics of numbered replicates of sensors with these models, a few in each job."""
     requests, together = [(models, number) for number in numbers], bench.together
     groups = [requests[first : first + together] for first in range(0, len(requests), together)]
     return list(chain.from_iterable(run(_observed, groups)))

@@ -60,11 +60,13 @@ class Earlier:
     run: Run
 
     def without_discrepancy(self, real: StatisticValues) -> StatisticValues:
-        """Statistics (n,) of the new recording less the discrepancy of the simulator in the earlier ones."""
+        """Return statistics (n,) of the new recording less the discrepancy of the simulator in the earlier ones."""
         return replace(real, values=real.values - self._discrepancy(self.values))
 
     def with_scatter(self, simulated: Sequence[StatisticValues], numbers: Sequence[int]) -> tuple[StatisticValues, ...]:
-        """Replicates of the new recording less the scatter of the earlier ones' replicates of the same numbers."""
+        """Return replicates of the new recording less the scatter of the earlier ones' replicates
+        of the same numbers.
+        """
         models = self.bench.models()
         groups = [numbers[first : first + TOGETHER] for first in range(0, len(numbers), TOGETHER)]
         requests = [[(models, number) for number in group] for group in groups]
@@ -75,7 +77,9 @@ class Earlier:
         )
 
     def _discrepancy(self, values: Floats) -> Floats:
-        """Median (n,) over the counterparts of the deviation of `values` (e,) from the middle; nan without."""
+        """Return the median (n,) over the counterparts of the deviation of `values` (e,) from the
+        middle; nan without.
+        """
         deviation = values - self.middle
         known = [deviation[places][np.isfinite(deviation[places])] for places in self.counterparts]
         return np.array([np.median(some) if len(some) else np.nan for some in known])
@@ -84,8 +88,8 @@ class Earlier:
 def compared_with_earlier(
     bench: Bench, before: Bench, campaign: Campaign, run_on: Callable[[Bench], Run], replicates: int
 ) -> tuple[Bench, Earlier]:
-    """A new recording's `bench` without the statistics that have no counterpart, and the earlier `campaign` on its
-    bench `before`, measured by the parameters of the new bench's base model, which are fitted to it.
+    """Return a new recording's `bench` without the statistics that have no counterpart, and the earlier `campaign` on
+    its bench `before`, measured by the parameters of the new bench's base model, which are fitted to it.
     """
     earlier_bench = replace(before, base=bench.base, is_refitted=False, first_boot=bench.first_boot + len(bench.kinds))
     run, models = run_on(earlier_bench), earlier_bench.models()
@@ -120,7 +124,7 @@ def cut_to_equal_lengths(
 
 
 def _longest_ns(recordings: Sequence[Recording]) -> dict[str, int]:
-    """The length of the longest phase at rest of each name, and of any ("")."""
+    """Return the length of the longest phase at rest of each name, and of any ("")."""
     longest = {"": 0}
     for phase in chain.from_iterable(recording.phases for recording in recordings):
         if is_at_rest(phase):
@@ -143,7 +147,7 @@ def _pieces(phase: Phase, length_ns: int) -> Iterator[Phase]:
 
 
 def _replicated(bench: Bench, requests: Sequence[ReplicateRequest]) -> list[Floats]:
-    """Statistics (e,) of several replicates."""
+    """Return statistics (e,) of several replicates."""
     return [replicate.values for replicate in bench.replicates(requests)]
 
 
@@ -158,7 +162,7 @@ def _counterparts(bench: Bench, earlier: Bench) -> list[Indices]:
 
 
 def _names(bench: Bench) -> Iterator[tuple[_Place, _Place, _Place]]:
-    """The properties that each key shares with its counterparts, the closest match first."""
+    """Yield the properties that each key shares with its counterparts, the closest match first."""
     moving = {phase.name for phases in bench.split.phases() for phase in phases if not is_at_rest(phase)}
     for key, kind in zip(bench.keys, bench.log_kinds, strict=True):
         statistic = (key.sensor, key.axis, key.probe)

@@ -103,7 +103,7 @@ class Evidence:
     when: When = ALWAYS
 
     def within(self, logs: Collection[int]) -> Evidence:
-        """The evidence of these logs alone, by their numbers in the campaign; statistics of several logs are
+        """Return the evidence of these logs alone, by their numbers in the campaign; statistics of several logs are
         left out.
         """
         chosen = {probe: [at in logs for at in row_logs] for probe, row_logs in self.rows_of.items()}
@@ -128,7 +128,9 @@ class Evidence:
         )
 
     def during(self, spell: Spell) -> Evidence:
-        """The evidence of a spell, against the model of whole phases of its log, with larger errors for fewer rows."""
+        """Return the evidence of a spell, against the model of whole phases of its log, with larger errors for fewer
+        rows.
+        """
         (log,) = {phase.log for phase in spell.phases}
         whole = self.within([log])
         rows = [sum(phase.raw.rows for phase in phases) / len(phases) for phases in (whole.phases, spell.phases)]
@@ -177,19 +179,19 @@ class Evidence:
         return float(1 / np.median(intervals)) if intervals else max(self.header.rate_hz, 1.0)
 
     def score(self, *probes: str) -> Floats:
-        """The score (3,) of these probes with the largest size on each axis; 0 without any. That of a whole sensor
-        counts for each axis.
+        """Return the score (3,) of these probes with the largest size on each axis; 0 without any. That of a whole
+        sensor counts for each axis.
         """
         rows = [np.broadcast_to(self.scores[probe], (len(self.scores[probe]), 3)) for probe in self._scored(probes)]
         scores = np.nan_to_num(np.concatenate([np.zeros((1, 3)), *rows]))
         return np.asarray(scores[np.abs(scores).argmax(axis=0), range(3)])
 
     def is_odd(self, *probes: str, beyond: float = 3.0) -> bool:
-        """True if any of these probes deviates from the model by more than that."""
+        """Return whether any of these probes deviates from the model by more than that."""
         return bool((np.abs(self.score(*probes)) > beyond).any())
 
     def shift(self, probe: str) -> Floats:
-        """Deviation (3,) from the model in the row with the largest score, by axis; 0 without any."""
+        """Return the deviation (3,) from the model in the row with the largest score, by axis; 0 without any."""
         if probe not in self.scores:
             return np.zeros(3)
         shape = (len(self.scores[probe]), 3)
@@ -198,7 +200,7 @@ class Evidence:
         return np.asarray(deviation[size.argmax(axis=0), range(3)])
 
     def typical(self, probe: str) -> Floats:
-        """Median (3,) over the rows of the deviation from the model; 0 without any."""
+        """Return the median (3,) over the rows of the deviation from the model; 0 without any."""
         deviation = self.values[probe] - self.expected[probe] if probe in self.scores else np.zeros((0, 1))
         known = deviation[np.isfinite(deviation).all(axis=1)]
         return np.asarray(np.broadcast_to(np.median(known, axis=0) if len(known) else np.zeros(1), (3,)))
@@ -210,7 +212,9 @@ class Evidence:
 def evidence_of(
     bench: Bench, train: Side, sensor: str, scored: ScoredStatistics, modelled: SensorModel, effects: tuple[Effect, ...]
 ) -> Evidence:
-    """The evidence of a sensor in the recorded training part, with this model; `effects` are those of the model."""
+    """Return the evidence of a sensor in the recorded training part, with this model; `effects` are
+    those of the model.
+    """
     logs = [(log, bench.motions[at]) for log, at in zip(train.campaign.logs, train.logs, strict=True)]
     base = replace(bench.base, fitted={**bench.base.fitted, sensor: modelled.fitted})
     residuals = residual(train.campaign, [motion for _, motion in logs], base)
@@ -247,7 +251,7 @@ def evidence_of(
 
 
 def _phases_of(sensor: str, train: Side, residuals: Campaign) -> tuple[PhaseEvidence, ...]:
-    """The phases of a sensor as recorded and with the model's prediction subtracted (`residuals`)."""
+    """Return the phases of a sensor as recorded and with the model's prediction subtracted (`residuals`)."""
     return tuple(
         PhaseEvidence(number, log.kind, raw.is_still, raw.sensors[sensor], without.sensors[sensor], raw.cross)
         for number, log, bare in zip(train.logs, train.campaign.logs, residuals.logs, strict=True)
@@ -264,7 +268,7 @@ _SURE = 0.01
 
 
 def _usual(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:
-    """Median over rows (k,) of a probe's value under the model, and of its scatter."""
+    """Return the median over rows (k,) of a probe's value under the model, and of its scatter."""
     values, expected, scores = (table[probe] for table in (evidence.values, evidence.expected, evidence.scores))
     sure = (np.abs(scores) > _SURE) & (np.abs(scores) < LARGEST_SCORE)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -287,8 +291,8 @@ SAME_RATE = 1.1
 
 
 def views(evidence: Evidence) -> Iterator[Evidence]:
-    """The evidence of all logs; then of the logs of each rate, of each kind, of single logs, and of spells, those with
-    the largest deviation first. An effect that shows at one rate, or in one log, vanishes in the median over all.
+    """Yield the evidence of all logs; then of the logs of each rate, of each kind, of single logs, and of spells, those
+    with the largest deviation first. An effect that shows at one rate, or in one log, vanishes in the median over all.
     """
     yield evidence
     logs = sorted({phase.log for phase in evidence.phases})
@@ -315,7 +319,7 @@ def _rows_per_s(evidence: Evidence, log: int) -> float:
 
 
 def _spells(bench: Bench, side: Side, sensor: str, base: Base) -> Iterator[Spell]:
-    """The spells of the logs of a part, with the model's prediction subtracted from their means."""
+    """Yield the spells of the logs of a part, with the model's prediction subtracted from their means."""
     for number, log in zip(side.logs, side.campaign.logs, strict=True):
         for stretches, part in log.spells.get(sensor, ()):
             (residuals,) = residual(Campaign((part,)), [bench.motions[number]], base).logs
@@ -357,7 +361,7 @@ class ScoredStatistics(NamedTuple):
 
 
 def _logs_by_probe(scored: ScoredStatistics) -> dict[str, tuple[int, ...]]:
-    """The log of each row of `_by_probe`."""
+    """Return the log of each row of `_by_probe`."""
     rows: dict[str, dict[tuple[bool, int, str, int], int]] = {}
     for key, out, log in zip(scored.keys, scored.held_out, scored.logs, strict=False):
         rows.setdefault(key.probe, {})[out, key.log, key.phase, key.phase_number] = log

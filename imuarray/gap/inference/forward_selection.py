@@ -126,7 +126,7 @@ class Round:
 
 
 def guesses_of(evidence: Evidence, candidates: Mapping[str, Candidate]) -> list[Hypothesis]:
-    """All trials that one sensor's evidence suggests, by all logs and by parts of them, without duplicates."""
+    """Return all trials that one sensor's evidence suggests, by all logs and by parts of them, without duplicates."""
     return distinct(
         trial if not part.when.spans else trial.at(part.when)
         for part in views(evidence)
@@ -137,7 +137,7 @@ def guesses_of(evidence: Evidence, candidates: Mapping[str, Candidate]) -> list[
 
 
 def placebo_of(evidence: Evidence) -> Hypothesis:
-    """A weak line where none was detected, as free as a real one."""
+    """Return a weak line where none was detected, as free as a real one."""
     x, y, z = (_FAINT * evidence.noise).tolist()
     return Hypothesis((Tone((x, y, z), _NOWHERE * evidence.rows_per_s),), ("amplitude",))
 
@@ -170,7 +170,7 @@ def searched(
 
 
 def likeliest(trials: Iterable[FittedHypothesis], count: int) -> list[FittedHypothesis]:
-    """The best trials that gain enough and are not far behind, at most two of each form.
+    """Return the best trials that gain enough and are not far behind, at most two of each form.
 
     Gains on the training part alone and on both parts can't be compared: where the `count` best are all of one kind,
     the best of the other kind is added.
@@ -195,21 +195,23 @@ def _likeliest(trials: Sequence[FittedHypothesis], count: int) -> list[FittedHyp
 
 
 def replicates_of(bench: Bench, standing: UnitState, numbers: Sequence[int]) -> list[StatisticValues]:
-    """The unit's statistics in replicates of its models; those that a single sensor shares with others are left out."""
+    """Return the unit's statistics in replicates of its models; those that a single sensor shares with others are left
+    out.
+    """
     replicates = bench.replicates([(standing.models, number) for number in numbers], other_models=standing.other_models)
     columns = bench.among(standing.unit, standing.unit)
     return [replace(replicate, values=replicate.values[columns]) for replicate in replicates]
 
 
 def replicated(bench: Bench, standing: UnitState) -> UnitState:
-    """The state with replicates of its models, and the misfit of their noise."""
+    """Return the state with replicates of its models, and the misfit of their noise."""
     replicates = replicates_of(bench, standing, NUMBERS)
     misfit = standing.misfit_of(bench.base.headers, [replicate.fitted for replicate in replicates])
     return replace(standing, values=np.array([replicate.values for replicate in replicates]), misfit=misfit)
 
 
 def confirmed(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis) -> Evaluation:
-    """The gains of a trial with its parameters, by replicates of both parts."""
+    """Return the gains of a trial with its parameters, by replicates of both parts."""
     models = standing.models if hypothesis.models is None else hypothesis.models
     changed = replicated(bench, replace(standing, models=models))
     values, misfit = changed.values, changed.misfit - standing.misfit
@@ -240,7 +242,7 @@ class _TrialRequest(NamedTuple):
 def _looked_at(
     run: Run, standings: Mapping[Unit, UnitState], trials: Mapping[Unit, Sequence[Hypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
-    """A look at all trials, a few of a unit in each job."""
+    """Return a look at all trials, a few of a unit in each job."""
     most = TOGETHER // LOOKS
     requests = [
         (unit, _LookRequest(standings[unit], unit_trials[first : first + most]))
@@ -279,7 +281,7 @@ def _partly(
 def _narrowed(
     run: Run, standings: Mapping[Unit, UnitState], looks: Mapping[Unit, Sequence[FittedHypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
-    """The best trial of each unit and effect whose beginning lies within known moments, as in a motion, at the
+    """Return the best trial of each unit and effect whose beginning lies within known moments, as in a motion, at the
     beginning that explains most.
     """
     best: dict[Unit, list[FittedHypothesis]] = {}
@@ -299,7 +301,7 @@ def _narrowed(
 
 
 def _best_of_effects(looks: Iterable[FittedHypothesis]) -> list[FittedHypothesis]:
-    """The look at each effect that gains most."""
+    """Return the look at each effect that gains most."""
     best: dict[str, FittedHypothesis] = {}
     for look in looks:
         if look.trial.name not in best or look.gain > best[look.trial.name].gain:
@@ -308,7 +310,9 @@ def _best_of_effects(looks: Iterable[FittedHypothesis]) -> list[FittedHypothesis
 
 
 def _where_it_gains(looks: Sequence[FittedHypothesis], spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:
-    """Each trial in the logs that it explains; if a spell of the same effect explains a log better, in the spell."""
+    """Yield each trial in the logs that it explains; if a spell of the same effect explains a log
+    better, in the spell.
+    """
     for look in looks:
         best = {log: (gain, in_logs([log])) for log, gain in look.by_log.items() if gain > EACH_NUMBER}
         for spell in spells:
@@ -366,7 +370,7 @@ def _results_of(
     standings: Mapping[Unit, UnitState],
     items: Mapping[Unit, Sequence[FittedHypothesis]],
 ) -> dict[Unit, list[Any]]:
-    """The job's results for each unit's items."""
+    """Return the job's results for each unit's items."""
     flat = [(unit, _TrialRequest(standings[unit], item)) for unit, unit_items in items.items() for item in unit_items]
     results: dict[Unit, list[Any]] = {unit: [] for unit in items}
     for (unit, _), result in zip(flat, run(job, [request for _, request in flat]), strict=True):
@@ -375,8 +379,8 @@ def _results_of(
 
 
 def _round(standing: UnitState, evaluations: Sequence[Evaluation], has_placebo: bool, known: bool = False) -> Round:
-    """The round's result; the last evaluation is the placebo if it `has_placebo`. If one trial is `known` to be right,
-    the likeliest is taken.
+    """Return the round's result; the last evaluation is the placebo if it `has_placebo`. If one trial is `known` to be
+    right, the likeliest is taken.
     """
     real, bar = (
         (evaluations[:-1], _tempering(standing, evaluations[-1]) * evaluations[-1].gain)
@@ -397,13 +401,13 @@ def _round(standing: UnitState, evaluations: Sequence[Evaluation], has_placebo: 
 
 
 def _ranked(standing: UnitState, evaluations: Sequence[Evaluation]) -> tuple[Evaluation, ...]:
-    """The evaluations, those with the best odds first."""
+    """Return the evaluations, those with the best odds first."""
     odds = _log_odds(standing, evaluations)
     return tuple(evaluations[at] for at in sorted(range(len(evaluations)), key=lambda at: -odds[at]))
 
 
 def _accepted(standing: UnitState, ranked: Sequence[Evaluation], least: float) -> Evaluation | None:
-    """The first of the evaluations that is good enough."""
+    """Return the first of the evaluations that is good enough."""
     good = (evaluation for evaluation in ranked if evaluation.closes and _counted_gain(standing, evaluation) > least)
     return next(good, None)
 
@@ -419,7 +423,7 @@ def _needs_both_parts(standing: UnitState, evaluation: Evaluation) -> bool:
 
 
 def _on_both_parts(evaluation: Evaluation) -> Evaluation:
-    """The evaluation as that of a cause that needs both parts."""
+    """Return the evaluation as that of a cause that needs both parts."""
     trial = replace(evaluation.trial, whole=True)
     return replace(
         evaluation,
@@ -429,7 +433,7 @@ def _on_both_parts(evaluation: Evaluation) -> Evaluation:
 
 
 def _counted_gain(standing: UnitState, evaluation: Evaluation) -> float:
-    """The gain in nats by which a trial is taken.
+    """Return the gain in nats by which a trial is taken.
 
     It has to show in the training part too, to which its numbers are fitted. A trial without such numbers (an exchange
     of axes) may show in the held-out part alone, which has all of the faces, or the only motion: it is judged as one
@@ -446,12 +450,12 @@ def _counted_gain(standing: UnitState, evaluation: Evaluation) -> float:
 
 
 def _squares(scores: Floats) -> float:
-    """Sum of squared scores, nan as 0."""
+    """Return the sum of squared scores, nan as 0."""
     return float((np.nan_to_num(scores) ** 2).sum())
 
 
 def _tempering(standing: UnitState, evaluation: Evaluation) -> float:
-    """Factor of a gain.
+    """Return the factor of a gain.
 
     A misalignment within the chip's population moves many statistics by about a standard deviation, all for one reason,
     so its gain counts less. A curved response over temperature moves a handful of independent ones, which the
@@ -477,8 +481,8 @@ def _log_odds(standing: UnitState, evaluations: Sequence[Evaluation]) -> tuple[f
 
 
 def _is_outdone(evaluation: Evaluation, evaluations: Sequence[Evaluation]) -> bool:
-    """True if another that gains as much leaves far smaller scores: a score of 100 costs little more nats than one of
-    30.
+    """Return whether another that gains as much leaves far smaller scores: a score of 100 costs little more nats than
+    one of 30.
     """
     return any(
         other.gain >= evaluation.gain and other.squared_scores < _FAR_LESS * evaluation.squared_scores

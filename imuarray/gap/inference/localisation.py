@@ -45,7 +45,7 @@ class Node:
         return LEVELS[len(self.path)]
 
     def found(self, level: str) -> tuple[Node, ...]:
-        """The significant nodes of a level below it (or itself), the largest score first."""
+        """Return the significant nodes of a level below it (or itself), the largest score first."""
         nodes = [node for node in self._all() if node.is_significant and node.level == level]
         return tuple(sorted(nodes, key=lambda node: -node.largest))
 
@@ -103,8 +103,8 @@ def located(
 
 
 def p_value(value: float, chance: Floats) -> float:
-    """Share of `chance` (b,) and the value itself that is as large: never 0, and exact if the value has the same
-    distribution (the Monte Carlo test of Barnard 1963).
+    """Return the share of `chance` (b,) and the value itself that is as large: never 0, and exact if the value has the
+    same distribution (the Monte Carlo test of Barnard 1963).
     """
     return float((1 + np.count_nonzero(chance >= value)) / (1 + len(chance)))
 
@@ -118,7 +118,7 @@ class _Tree:
         self._sizes, self._chance = np.nan_to_num(np.abs(scores)), np.nan_to_num(np.abs(chance))
 
     def root(self) -> Node:
-        """The whole array; it has no siblings."""
+        """Return the whole array; it has no siblings."""
         columns = list(range(len(self._paths)))
         return self._node((), columns, self._largest(columns), 0.0)
 
@@ -131,7 +131,7 @@ class _Tree:
         return Node(path, largest, p, is_significant, children)
 
     def _below(self, path: tuple[str, ...], columns: list[int], p: float) -> Iterator[Node]:
-        """The children, those with the largest scores first; none has a smaller p than the one before it."""
+        """Yield the children, those with the largest scores first; none has a smaller p than the one before it."""
         parts: dict[str, list[int]] = {}
         for column in columns:
             parts.setdefault(self._paths[column][len(path)], []).append(column)
@@ -147,5 +147,5 @@ class _Tree:
 
 
 def _path(number: int, key: Key, header: SensorHeader) -> tuple[str, ...]:
-    """The last name is the statistic's number."""
+    """Return the path of a statistic; the last name is its number."""
     return header.chip, key.sensor, key.axis, key.domain, str(number)

@@ -32,7 +32,7 @@ class Factor(NamedTuple):
 
 
 def factors_of(trial: Hypothesis) -> list[Factor]:
-    """The free parameters that are not 0, axis by axis."""
+    """Return the free parameters that are not 0, axis by axis."""
     factors = []
     for name in trial.free:
         at = next(number for number, effect in enumerate(trial.effects) if hasattr(effect, name))
@@ -50,7 +50,7 @@ def factors_of(trial: Hypothesis) -> list[Factor]:
 
 
 def moved(trial: Hypothesis, factors: Sequence[Factor], steps: Floats) -> Hypothesis:
-    """The trial with its factors times exp(steps); shares and probabilities stay below 1."""
+    """Return the trial with its factors times exp(steps); shares and probabilities stay below 1."""
     effects = list(trial.effects)
     for factor, step in zip(factors, steps.tolist(), strict=True):
         effects[factor.effect] = _scaled(effects[factor.effect], factor, float(np.exp(step)), trial.limits)
@@ -71,7 +71,9 @@ def _scaled(effect: Effect, factor: Factor, by: float, limits: Mapping[str, tupl
 
 
 def distinct(trials: Iterable[Hypothesis]) -> list[Hypothesis]:
-    """The trials except those that begin so near an earlier one that both would be refined to the same result."""
+    """Return the trials except those that begin so near an earlier one that both would be refined
+    to the same result.
+    """
     by_form: dict[tuple[object, ...], list[tuple[Floats, Floats]]] = {}
     distinct_trials = []
     for trial in trials:
@@ -86,7 +88,7 @@ def distinct(trials: Iterable[Hypothesis]) -> list[Hypothesis]:
 
 
 def _numbers(trial: Hypothesis) -> tuple[Floats, Floats]:
-    """All numbers and texts of the effects, and the relative difference within which each is the same."""
+    """Return all numbers and texts of the effects, and the relative difference within which each is the same."""
     numbers: list[float] = []
     reach: list[float] = []
     for effect in (*trial.effects, *trial.opposite):
@@ -109,18 +111,18 @@ def _near(first: Floats, other: Floats, reach: Floats) -> bool:
 
 
 def active_axes(trial: Hypothesis) -> list[int]:
-    """The axes on which the trial's first effect does something, if it has amplitudes by axis."""
+    """Return the axes on which the trial's first effect does something, if it has amplitudes by axis."""
     amplitudes = [getattr(trial.effects[0], name) for name in _amplitudes(trial.effects[0])] if trial.effects else []
     return [axis for axis in range(3) if any(value[axis] for value in amplitudes)]
 
 
 def _amplitudes(effect: Effect) -> Iterator[str]:
-    """Parameters by axis that do nothing where they are 0."""
+    """Return parameters by axis that do nothing where they are 0."""
     return (item.name for item in fields(effect) if item.metadata.get("per_axis") and item.default == (0.0, 0.0, 0.0))
 
 
 def without(effect: Effect, axes: set[int]) -> Effect:
-    """The effect with nothing on these axes."""
+    """Return the effect with nothing on these axes."""
     changes = {
         name: tuple(0.0 if axis in axes else item for axis, item in enumerate(getattr(effect, name)))
         for name in _amplitudes(effect)

@@ -68,7 +68,7 @@ class FittedHypothesis:
 
 
 def look(bench: Bench, standing: UnitState, trial: Hypothesis) -> FittedHypothesis:
-    """The gain of a trial as guessed, whatever its effect on the noise, which isn't adapted yet."""
+    """Return the gain of a trial as guessed, whatever its effect on the noise, which isn't adapted yet."""
     (hypothesis,) = looks(bench, standing, [trial])
     return hypothesis
 
@@ -90,7 +90,7 @@ def looks(bench: Bench, standing: UnitState, trials: Sequence[Hypothesis]) -> li
 
 
 def refine(bench: Bench, standing: UnitState, trial: Hypothesis) -> FittedHypothesis:
-    """The trial with its free parameters fitted and the ordinary ones re-adapted; the best of all steps, each as
+    """Return the trial with its free parameters fitted and the ordinary ones re-adapted; the best of all steps, each as
     simulated.
     """
     now = _simulate(bench, standing, trial, standing.changed(trial), LOOKS)
@@ -116,8 +116,8 @@ def refine(bench: Bench, standing: UnitState, trial: Hypothesis) -> FittedHypoth
 
 
 def _adapted(bench: Bench, standing: UnitState, start: _TrialState) -> _TrialState:
-    """The trial with its noise adapted, so that lines do not grow where noise should shrink; unchanged if that is no
-    better.
+    """Return the trial with its noise adapted, so that lines do not grow where noise should shrink; unchanged if that
+    is no better.
     """
     trial, best, now, before = start.hypothesis.trial, start, start, None
     for _ in range(_ADAPTED):
@@ -158,7 +158,7 @@ def _gained(state: _TrialState) -> float:
 
 
 def _widens(standing: UnitState, statistics: _TrialStatistics) -> bool:
-    """True if the change adds much scatter: then two draws of it say little."""
+    """Return whether the change adds much scatter: then two draws of it say little."""
     return bool(np.mean(statistics.likelihood.scale > _WIDER * standing.likelihood.scale) > _MUCH)
 
 
@@ -172,7 +172,7 @@ def _simulate(bench: Bench, standing: UnitState, trial: Hypothesis, models: Mode
 
 
 def _replicate(bench: Bench, standing: UnitState, models: Models, whole: bool, count: int) -> _TrialStatistics | None:
-    """Replicates of the training part, or of both (`whole`); None for parameters that an effect refuses."""
+    """Return replicates of the training part, or of both (`whole`); None for parameters that an effect refuses."""
     (replicated,) = _replicate_each(bench, standing, [models], whole, count)
     return replicated
 
@@ -198,7 +198,7 @@ def _replicate_each(
 def _replicated_from(
     bench: Bench, standing: UnitState, models: Models, replicates: Sequence[StatisticValues], whole: bool
 ) -> _TrialStatistics:
-    """Likelihood, shift and fits from replicates of models."""
+    """Return the likelihood, shift and fits from replicates of models."""
     columns = bench.among(standing.unit, standing.unit)
     values = np.array([replicate.values[columns] for replicate in replicates])
     if not whole:
@@ -211,15 +211,15 @@ def _replicated_from(
 
 
 def _gain(standing: UnitState, statistics: _TrialStatistics, trial: Hypothesis) -> float:
-    """Gain on the training part; for a trial that needs both parts the mean of both gains, unless it is brief and seen
-    in one.
+    """Return the gain on the training part; for a trial that needs both parts the mean of both gains, unless it is
+    brief and seen in one.
     """
     gain = float(gains_of(standing, statistics.likelihood, statistics.shift).sum())
     return gain / 2 if trial.needs_both and not trial.is_brief else gain
 
 
 def _by_log(bench: Bench, standing: UnitState, statistics: _TrialStatistics) -> dict[int, float]:
-    """Gains of statistics of single logs."""
+    """Return the gains of statistics of single logs."""
     gains, logs = gains_of(standing, statistics.likelihood, statistics.shift), bench.logs[bench.own(standing.unit)]
     return {log: float(gains[logs == log].sum()) for log in np.unique(logs[logs >= 0]).tolist()}
 
@@ -231,7 +231,7 @@ def _counts(standing: UnitState, statistics: _TrialStatistics) -> float:
 def _slopes(
     bench: Bench, standing: UnitState, trial: Hypothesis, factors: Sequence[Factor], statistics: _TrialStatistics
 ) -> Floats:
-    """Change (n, k) of each statistic with the log of each factor.
+    """Return the change (n, k) of each statistic with the log of each factor.
 
     The axes of one parameter are changed together, since an axis depends on its own; statistics of a whole sensor are
     divided among them.
@@ -300,8 +300,8 @@ def _step(standing: UnitState, statistics: _TrialStatistics, slopes: Floats) -> 
 
 
 def regressed(design: Floats, scores: Floats, weight: Floats) -> Floats:
-    """Coefficients (k,) by weighted least squares of scores (n,) on a design (n, k), with a prior towards 0. Collinear
-    columns share what they explain, however large it is.
+    """Return coefficients (k,) by weighted least squares of scores (n,) on a design (n, k), with a prior towards 0.
+    Collinear columns share what they explain, however large it is.
     """
     root, count = np.sqrt(weight), design.shape[1]
     rows = np.vstack([root[:, None] * design, np.eye(count) / _PRIOR])
@@ -314,8 +314,8 @@ def _with_fitted(models: Models, settled: Models) -> Models:
 
 
 def _pruned(bench: Bench, standing: UnitState, state: _TrialState) -> _TrialState:
-    """The trial without the axes that gain too little, unless that costs more: an axis of 0 is without the effect, but
-    the offset that another range has on an axis is not.
+    """Return the trial without the axes that gain too little, unless that costs more: an axis of 0 is without the
+    effect, but the offset that another range has on an axis is not.
     """
     active = active_axes(state.hypothesis.trial)
     if len(active) < 2:
@@ -335,13 +335,13 @@ def _pruned(bench: Bench, standing: UnitState, state: _TrialState) -> _TrialStat
 
 
 def _most_of(gains: Floats, touched: Booleans, is_of_axis: Booleans) -> float:
-    """Gain in nats of an axis by all of its own statistics, or by those that the effect touches, if that is more: a
-    hundred levels that are slightly off for one reason cost as many times what one costs.
+    """Return the gain in nats of an axis by all of its own statistics, or by those that the effect touches, if that is
+    more: a hundred levels that are slightly off for one reason cost as many times what one costs.
     """
     return max(float(gains[is_of_axis].sum()), float(gains[is_of_axis & touched].sum()))
 
 
 def _of_axis(bench: Bench, standing: UnitState, axis: int) -> Booleans:
-    """Mask of the unit's statistics that are of one axis."""
+    """Return the mask of the unit's statistics that are of one axis."""
     columns = bench.own(standing.unit)
     return np.array([bench.keys[at].axis == AXES[axis] for at in columns], bool)

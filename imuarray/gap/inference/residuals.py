@@ -46,8 +46,8 @@ class GroupResidual(NamedTuple):
 def group_residuals(
     keys: Sequence[Key], before: SyntheticLikelihood, after: SyntheticLikelihood, real: Floats, replicates: Floats
 ) -> list[GroupResidual]:
-    """The systematic residuals, the worst first, of n statistics of the recording (`real`) and of `replicates` (b, n)
-    of the model with its causes.
+    """Return the systematic residuals, the worst first, of n statistics of the recording (`real`) and of `replicates`
+    (b, n) of the model with its causes.
 
     `after` is the likelihood of that model, `before` that of the base model. Causes are allowed the relative error of
     form of their shifts. Single statistics count up to five standard deviations, so that none dominates. The

@@ -103,7 +103,7 @@ def searches(
 
 
 def _deferred(comparison: Comparison, results: Mapping[Unit, Round]) -> list[Unit]:
-    """Units that wait for the next round.
+    """Return units that wait for the next round.
 
     Their gain comes from motion relative to others of their quantity, one of which gains more, or has taken a cause in
     its own statistics. One deviating sensor makes all others look deviating, and a sensor with another cause was not
@@ -124,8 +124,8 @@ def _deferred(comparison: Comparison, results: Mapping[Unit, Round]) -> list[Uni
 
 
 def _worth(evaluation: Evaluation) -> float:
-    """The mean gain of both parts, less the rarity: rivals that explain one difference between sensors, each by numbers
-    of its own, are nearly equal, and half of the data says less than all.
+    """Return the mean gain of both parts, less the rarity: rivals that explain one difference between sensors, each by
+    numbers of its own, are nearly equal, and half of the data says less than all.
     """
     return evaluation.gain_of_both / 2 - evaluation.trial.rarity
 
@@ -133,7 +133,7 @@ def _worth(evaluation: Evaluation) -> float:
 def _with_other_models(
     comparison: Comparison, units: Mapping[Unit, UnitState], standings: Mapping[Unit, UnitState], run: Run
 ) -> dict[Unit, UnitState]:
-    """The `units` with the present models of the other sensors, where that makes a difference."""
+    """Return the `units` with the present models of the other sensors, where that makes a difference."""
     models = {name: model for state in standings.values() for name, model in state.models.items() if model.added}
     if not comparison.bench.is_of_motion.any() or not models:
         return dict(units)
@@ -213,7 +213,7 @@ def _families(
 
 
 def _staying(comparison: Comparison, family: Round, members: Sequence[Evaluation]) -> tuple[Evaluation, ...]:
-    """The members' causes that differ from the shared one."""
+    """Return the members' causes that differ from the shared one."""
     likely = separate_causes(family, members)
     return tuple(evaluation for evaluation in likely if not is_redundant(comparison.bench, family, evaluation))
 
@@ -262,13 +262,13 @@ def _is_same_chip(first: SensorHeader, other: SensorHeader) -> bool:
 
 
 def _states_of(comparison: Comparison, units: Sequence[Unit], run: Run) -> dict[Unit, UnitState]:
-    """The states of units under the base model."""
+    """Return the states of units under the base model."""
     bare = [_initial_state(comparison, unit) for unit in units]
     return {state.unit: state for state in run(replicated, bare)}
 
 
 def _initial_state(comparison: Comparison, unit: Unit) -> UnitState:
-    """The state of a unit without replicates."""
+    """Return the state of a unit without replicates."""
     bench, columns = comparison.bench, comparison.bench.own(unit)
     chance = comparison.chance[:, columns]
     likelihood = likelihood_of(chance, bench.resolutions[columns])
@@ -290,7 +290,7 @@ def _initial_state(comparison: Comparison, unit: Unit) -> UnitState:
 
 
 def _is_open(comparison: Comparison, standing: UnitState, rounds: Sequence[Round]) -> bool:
-    """True if something remains to be explained, and the last round had a result."""
+    """Return whether something remains to be explained, and the last round had a result."""
     if any(map(reads_another, standing.models.values())):
         return False
     if not rounds:
@@ -314,7 +314,7 @@ class _Guesses(NamedTuple):
 def _guesses_of(
     comparison: Comparison, standings: Mapping[Unit, UnitState], candidates: Mapping[str, Candidate]
 ) -> dict[Unit, _Guesses]:
-    """Hypotheses by the evidence on the training part, and on both parts for what that does not show."""
+    """Return hypotheses by the evidence on the training part, and on both parts for what that does not show."""
     train, both = comparison.bench.split.train(comparison.campaign), comparison.bench.split.both(comparison.campaign)
     guessed = {}
     for unit, standing in standings.items():
@@ -341,8 +341,8 @@ def _guesses_of(
 
 
 def _with_fit_of_exchanged(comparison: Comparison, train: Side, trial: Hypothesis) -> Hypothesis:
-    """An exchange of two sensors' data in whole logs with the ordinary parameters that each sensor has in its own data:
-    slopes and filters were fitted to the other's, and an offset belongs to its slope. Delays stay as guessed.
+    """Return an exchange of two sensors' data in whole logs with the ordinary parameters that each sensor has in its
+    own data: slopes and filters were fitted to the other's, and an offset belongs to its slope. Delays stay as guessed.
     """
     whole = {span.log for span in trial.when.spans if span.is_whole}
     partly = {span.log for span in trial.when.spans} - whole
@@ -363,8 +363,8 @@ def _with_fit_of_exchanged(comparison: Comparison, train: Side, trial: Hypothesi
 
 
 def _evidence(comparison: Comparison, side: Side, standing: UnitState, whole: bool) -> Evidence:
-    """The evidence of a single sensor on the training part or on both; statistics that it shares with others are as
-    under the base model.
+    """Return the evidence of a single sensor on the training part or on both; statistics that it shares with others are
+    as under the base model.
     """
     bench, (name,) = comparison.bench, standing.unit
     every, mine = bench.columns(standing.unit, cross=True), bench.among(standing.unit, standing.unit)

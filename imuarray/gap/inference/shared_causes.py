@@ -25,7 +25,7 @@ _EXACT = 0.05
 
 
 def together(bench: Bench, request: tuple[UnitState, tuple[Evaluation, ...]]) -> Evaluation:
-    """The evaluation of the family as a whole with the causes of single members."""
+    """Return the evaluation of the family as a whole with the causes of single members."""
     family, members = request
     models = dict(family.models)
     for member in members:
@@ -35,8 +35,8 @@ def together(bench: Bench, request: tuple[UnitState, tuple[Evaluation, ...]]) ->
 
 
 def shared_wins(family: Round, members: Evaluation, count: int = 1) -> Evaluation | None:
-    """The shared cause, if it is accepted and beats the `count` causes of the members, each of which has to be worth it
-    too, by more than its rarity.
+    """Return the shared cause, if it is accepted and beats the `count` causes of the members, each of which has to be
+    worth it too, by more than its rarity.
 
     The held-out part has shown that there is a cause; whether it is one or several is decided on both parts, to which
     equally many numbers were fitted. A shared cause without any, such as an exchange of two sensors, need not explain
@@ -52,7 +52,7 @@ def shared_wins(family: Round, members: Evaluation, count: int = 1) -> Evaluatio
 
 
 def separate_causes(family: Round, members: Sequence[Evaluation]) -> tuple[Evaluation, ...]:
-    """Causes of members other than the shared one that gain more than their part of the shared one's gain."""
+    """Return causes of members other than the shared one that gain more than their part of the shared one's gain."""
     best = family.selection
     if best is None:
         return ()
@@ -61,7 +61,7 @@ def separate_causes(family: Round, members: Sequence[Evaluation]) -> tuple[Evalu
 
 
 def is_redundant(bench: Bench, family: Round, member: Evaluation) -> bool:
-    """True if the shared cause explains most of what a member's own cause explains.
+    """Return whether the shared cause explains most of what a member's own cause explains.
 
     Of two sensors with a common wander, the one that shows it better gains nearly as much by a wander of its own. What
     the member lacks beyond the shared cause is searched in the next round.
@@ -77,7 +77,7 @@ def is_redundant(bench: Bench, family: Round, member: Evaluation) -> bool:
 
 
 def members_of(bench: Bench, family: UnitState, standings: Mapping[Unit, UnitState]) -> dict[Unit, UnitState]:
-    """The state of each member of a family with the family's models."""
+    """Return the state of each member of a family with the family's models."""
     states: dict[Unit, UnitState] = {}
     for name in family.unit:
         unit: Unit = (name,)
@@ -92,12 +92,14 @@ def members_of(bench: Bench, family: UnitState, standings: Mapping[Unit, UnitSta
 
 
 def without_duplicates(trials: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The trials, each once: members guess the same shared cause several times, and an exchange from both sides."""
+    """Return the trials, each once: members guess the same shared cause several times, and an
+    exchange from both sides.
+    """
     return list({min(repr(trial), repr(_mirrored(trial))): trial for trial in trials}.values())
 
 
 def _mirrored(trial: Hypothesis) -> Hypothesis:
-    """The trial as the other sensor of an exchange guesses it."""
+    """Return the trial as the other sensor of an exchange guesses it."""
     if not trial.opposite or len(trial.others) != 1:
         return trial
     (other,) = trial.others

@@ -76,7 +76,9 @@ class UnitState:
         return self.likelihood.scores(self.real)
 
     def changed(self, trial: Hypothesis) -> Models:
-        """The models with the trial's change of each sensor, or of its own, and the opposite change of the others."""
+        """Return the models with the trial's change of each sensor, or of its own, and the opposite change of the
+        others.
+        """
         effects = dict.fromkeys(trial.others if trial.opposite else (), trial.opposite)
         if trial.sensor:
             effects[trial.sensor] = trial.effects
@@ -124,7 +126,7 @@ class UnitState:
 
 
 def reads_another(model: SensorModel) -> bool:
-    """True if a sensor has another's data all of the time, so that nothing of its own shows."""
+    """Return whether a sensor has another's data all of the time, so that nothing of its own shows."""
     return any(
         isinstance(effect, ChannelSwap) and effect.kind != "place" and not effect.spans for effect in model.added
     )
@@ -138,8 +140,8 @@ def _changed(model: SensorModel, trial: Hypothesis) -> SensorModel:
 
 
 def compared(standing: UnitState, values: Floats) -> tuple[SyntheticLikelihood, Floats]:
-    """Likelihood after a change, and the shift (n,) of each statistic, from its replicates (r, n) and the first r of
-    those without it. Draws are the same in both, so that a few replicates suffice.
+    """Return the likelihood after a change, and the shift (n,) of each statistic, from its replicates (r, n) and the
+    first r of those without it. Draws are the same in both, so that a few replicates suffice.
     """
     before, without = standing.likelihood, standing.values[: len(values)]
     shifts, has_value = values - without, np.isfinite(values)
@@ -187,27 +189,27 @@ def _branched(before: SyntheticLikelihood, shifts: Floats, shift: Floats) -> tup
 
 
 def least_scale(before: SyntheticLikelihood) -> Floats:
-    """Least scale (n,) under a model with more effects: where a single event dominates chance, no statistic is known
-    better than the event's form.
+    """Return the least scale (n,) under a model with more effects: where a single event dominates chance, no statistic
+    is known better than the event's form.
     """
     return FORM * before.scale
 
 
 def gains_of(standing: UnitState, likelihood: SyntheticLikelihood, shift: Floats) -> Floats:
-    """Log-likelihood ratio (n,) of each recorded statistic by a change, in nats; they add up."""
+    """Return the log-likelihood ratio (n,) of each recorded statistic by a change, in nats; they add up."""
     before = standing.likelihood.log_density(standing.real)
     return standing.weight * (likelihood.log_density(standing.real, shift) - before)
 
 
 def touched_by(before: SyntheticLikelihood, likelihood: SyntheticLikelihood, shift: Floats) -> Booleans:
-    """Mask (n,) of the statistics that a change moved, widened or narrowed beyond chance."""
+    """Return the mask (n,) of the statistics that a change moved, widened or narrowed beyond chance."""
     with np.errstate(divide="ignore", invalid="ignore"):
         widened = np.abs(np.log(likelihood.scale / before.scale)) > _WIDER
     return np.asarray((np.abs(shift) > before.scale) | widened)
 
 
 def counts_of(standing: UnitState, likelihood: SyntheticLikelihood, shift: Floats) -> float:
-    """Factor of a gain whose statistics are more independent than those of the whole unit, at least 1.
+    """Return the factor of a gain whose statistics are more independent than those of the whole unit, at least 1.
 
     The few statistics that a curved response moves are independent, whatever hundreds of levels do; that a change moves
     many for one reason is considered when it is judged.
@@ -220,7 +222,7 @@ def counts_of(standing: UnitState, likelihood: SyntheticLikelihood, shift: Float
 
 
 def _kept(shifts: Floats, probes: Indices) -> Floats:
-    """Share (n,) of each statistic's shift (r, n), in standard deviations, that the change caused.
+    """Return the share (n,) of each statistic's shift (r, n), in standard deviations, that the change caused.
 
     If a change alters the random draws, pairs differ by chance alone. Its contribution to the mean of r pairs follows
     from their scatter, for all statistics of a probe together (empirical Bayes: Efron and Morris, J. Am. Stat. Assoc.
@@ -237,7 +239,7 @@ def _kept(shifts: Floats, probes: Indices) -> Floats:
 
 
 def _spread_ratio(values: Floats, without: Floats, scale: Floats, scatter_group: Indices | None = None) -> Floats:
-    """Ratio (n,) by which a change widens or narrows the scatter, from replicates with and without it.
+    """Return the ratio (n,) by which a change widens or narrows the scatter, from replicates with and without it.
 
     If pairs are close even a few replicates determine it; the log of the ratio is shrunk by its uncertainty, which
     follows from the correlation of the pairs. Few pairs determine only the excess of their differences over independent
@@ -259,7 +261,7 @@ def _spread_ratio(values: Floats, without: Floats, scale: Floats, scatter_group:
 
 
 def _added(shifts: Floats, scatter_group: Indices | None) -> Floats:
-    """(n,) variance of what few replicates moved by (r, n), in standard deviations; 0 of a single one.
+    """Return (n,) variance of what few replicates moved by (r, n), in standard deviations; 0 of a single one.
 
     Two that happen to agree are no proof that a third would: each variance is taken together with the mean one of
     those alike, as if that were known from `_LIKE_IT` more replicates (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004).

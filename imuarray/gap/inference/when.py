@@ -45,7 +45,7 @@ class When:
         return sum(1 + (span.moment_s > 0) + math.isfinite(span.length_s) for span in self.spans)
 
     def is_in_both(self, split: Split) -> bool:
-        """True if both parts of a campaign have a good share of it."""
+        """Return whether both parts of a campaign have a good share of it."""
         if not self.spans:
             return True
         train_s, held_out_s = (self._seconds(split, held_out) for held_out in (False, True))
@@ -85,7 +85,7 @@ def since(first: Span, logs: Collection[int]) -> When:
 
 
 def joined(whens: Iterable[When]) -> When:
-    """The spans of all."""
+    """Return the spans of all."""
     return When(tuple(sorted(span for when in whens for span in when.spans)))
 
 

@@ -150,13 +150,13 @@ class Base:
     common_bias_g: float = 0.0
 
     def effects(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
-        """The effects of every sensor; `replicate` 0, 1, ... numbers the units that are drawn."""
+        """Return the effects of every sensor; `replicate` 0, 1, ... numbers the units that are drawn."""
         drawn_effects = self.drawn(replicate)
         return {name: (*drawn_effects[name], *fitted.effects()) for name, fitted in self.fitted.items()}
 
     def drawn(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
-        """The effects that aren't fitted: no noise and no bias; of a bias over temperature the curve, and the slope if
-        the recording's temperatures don't determine it; an accelerometer's position in the box, by its header.
+        """Return the effects that aren't fitted: no noise and no bias; of a bias over temperature the curve, and the
+        slope if the recording's temperatures don't determine it; an accelerometer's position in the box, by its header.
 
         Parts of even replicates have data clocks in step with the polls and the same bias at each power-on, those of
         odd ones clocks with a rate error and biases that scatter: a recording may be like either.
@@ -195,7 +195,7 @@ class Base:
         return tuple(_with_rate_error(effect, slow) for effect in effects)
 
     def _common_bias(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
-        """The share of the common bias along the axes of an accelerometer."""
+        """Yield the share of the common bias along the axes of an accelerometer."""
         if self.common_bias_g:
             bias_box = self.common_bias_g * units.of_unit("", Bias.name, "common").standard_normal(3)
             bias = bias_box @ np.array(header.orientation) * STANDARD_GRAVITY / SI_PER_UNIT[header.unit]
@@ -203,7 +203,7 @@ class Base:
             yield Bias((x, y, z))
 
     def _tones(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
-        """The vibrations of the room as an accelerometer of this replicate feels them."""
+        """Yield the vibrations of the room as an accelerometer of this replicate feels them."""
         for vibration in self.vibrations:
             if header.name in vibration.sensors:
                 stream = units.of_unit("", Tone.name, f"{vibration.frequency_hz!r} Hz")
@@ -211,7 +211,7 @@ class Base:
 
 
 def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = None, seed: int = 0) -> Base:
-    """The base model of a campaign in whose logs the box did `motions`, one for each log.
+    """Return the base model of a campaign in whose logs the box did `motions`, one for each log.
 
     From the segments of the phases at rest: noise is the median of their variances; offset the mean of readings less
     what the nominal axes feel, faces weighted alike (opposite ones cancel an error of scale); slope that of the means
@@ -245,14 +245,14 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
 
 
 def headers_in(campaign: Campaign) -> dict[str, SensorHeader]:
-    """The headers of a campaign's sensors, by name."""
+    """Return the headers of a campaign's sensors, by name."""
     phases = (phase for log in campaign.logs for phase in log.phases)
     return {name: summary.header for phase in phases for name, summary in phase.sensors.items()}
 
 
 def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campaign:
-    """The campaign with what `base` predicts of the phases at rest taken from the means of their segments: what is
-    left of a level, a slope or a face is what the fit doesn't explain, whatever its parameters are. An attitude that
+    """Return the campaign with what `base` predicts of the phases at rest taken from the means of their segments: what
+    is left of a level, a slope or a face is what the fit doesn't explain, whatever its parameters are. An attitude that
     nobody noted is the one that its accelerometers tell on average, by their parameters.
     """
     fitted = base.fitted
@@ -269,8 +269,8 @@ def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campa
 
 
 def residual_statistics(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Statistics:
-    """Statistics of the residuals of a fit, to the campaign or to another part of it: levels less the predicted ones,
-    noises over the fitted ones.
+    """Return statistics of the residuals of a fit, to the campaign or to another part of it: levels less the predicted
+    ones, noises over the fitted ones.
     """
     raw = statistics(residual(campaign, motions, base))
     return replace(raw, values=raw.values - _predictions(raw.keys, [base])[0])
@@ -301,7 +301,7 @@ def _predictions(keys: Sequence[Key], bases: Sequence[Base]) -> Floats:
 
 
 def replicate_seed(seed: int, replicate: int) -> int:
-    """A 64-bit seed for each replicate that no small seed equals."""
+    """Return a 64-bit seed for each replicate that no small seed equals."""
     high, low = np.random.SeedSequence((seed, replicate)).generate_state(2).tolist()
     return int(high) << 32 | int(low) | 1 << 63
 
@@ -350,7 +350,7 @@ def _thermal_change(
 
 
 def _in_any_attitude(campaign: Campaign, motions: Sequence[Motion], sensor: str) -> Iterator[Rest]:
-    """The phases at rest as if nobody knew how the box lay: only changes within one attitude mean anything."""
+    """Return the phases at rest as if nobody knew how the box lay: only changes within one attitude mean anything."""
     nowhere = {
         (number, part.phase.start_ns): _GRAVITY_UP for number, log in enumerate(campaign.logs) for part in log.phases
     }
@@ -358,7 +358,7 @@ def _in_any_attitude(campaign: Campaign, motions: Sequence[Motion], sensor: str)
 
 
 def _lags(campaign: Campaign, motions: Sequence[Motion], headers: Mapping[str, SensorHeader]) -> dict[str, float]:
-    """The time constants, in s, with which the sensors' elements follow the temperature of the box."""
+    """Return the time constants, in s, with which the sensors' elements follow the temperature of the box."""
 
     lags_s = {}
     for name, header in headers.items():
@@ -379,7 +379,7 @@ def _residual_phase(phase: PhaseSummary, motion: Motion, force_box: Floats | Non
 
 
 def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameters) -> Bandwidth | None:
-    """The chip's own filter, if rows come fast enough to show it and do.
+    """Return the chip's own filter, if rows come fast enough to show it and do.
 
     By least squares of the correlations at lags 1 to 3 in all phases at rest, among filters of one pole and of two
     whose cutoffs are within `CUTOFF_TOLERANCE` of what is configured, analogue and digital (behind a converter that
@@ -426,7 +426,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
 
 
 def _level_phases(phases: Sequence[Summary], noise: Floats) -> list[Summary]:
-    """The phases whose level does not drift beside noise (3,), if these have enough rows; otherwise all.
+    """Return the phases whose level does not drift beside noise (3,), if these have enough rows; otherwise all.
 
     A drift by d standard deviations of the noise over a phase adds d^2 / 12 to the correlations at all lags.
     """
@@ -438,7 +438,7 @@ def _level_phases(phases: Sequence[Summary], noise: Floats) -> list[Summary]:
 
 
 def _row_correlations(campaign: Campaign, header: SensorHeader, effect: Bandwidth) -> Floats:
-    """Correlations (k,) of noise behind a filter at lags of 1 ... k rows, as far as it remembers."""
+    """Return correlations (k,) of noise behind a filter at lags of 1 ... k rows, as far as it remembers."""
     phases = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
     rows_per_s = 1 / float(np.median([phase.intervals.mean_s for phase in phases]))
     decay = effect.decay(rows_per_s)
@@ -447,8 +447,8 @@ def _row_correlations(campaign: Campaign, header: SensorHeader, effect: Bandwidt
 
 
 def _beyond_wander(correlations: Floats, expected: Floats, least: Floats) -> Floats:
-    """Correlations (p, k) of p phases at k lags less those `expected` (p, k), with a slow wander in each phase, at all
-    lags but the last two.
+    """Return correlations (p, k) of p phases at k lags less those `expected` (p, k), with a slow wander in each phase,
+    at all lags but the last two.
 
     A wander with the share w of the variance makes a correlation r one of r + w (1 - r), at every lag. The last lag
     tells w, if the filter has forgotten by then, w is at least `least` (p,), and the correlation no longer falls.
@@ -470,7 +470,7 @@ class _Reads(NamedTuple):
 
 
 def _reads(phase: Summary, rate_hz: float, is_flagged: bool) -> _Reads:
-    """The reads of a phase of a chip that samples at `rate_hz`, rounded so that phases of one rate share what is
+    """Return the reads of a phase of a chip that samples at `rate_hz`, rounded so that phases of one rate share what is
     computed for it.
     """
     rows_per_s = round(1 / phase.intervals.mean_s, 2)
@@ -481,7 +481,7 @@ def _reads(phase: Summary, rate_hz: float, is_flagged: bool) -> _Reads:
 
 
 def _samples_apart(samples_a_row: float, lag: int) -> dict[int, float]:
-    """The shares of rows `lag` apart that lie 0, 1, ... samples of the chip apart, if both clocks are even."""
+    """Return the shares of rows `lag` apart that lie 0, 1, ... samples of the chip apart, if both clocks are even."""
     least, rest = divmod(lag * samples_a_row, 1.0)
     return {int(least): 1 - rest, int(least) + 1: rest}
 
@@ -490,8 +490,8 @@ def _samples_apart(samples_a_row: float, lag: int) -> dict[int, float]:
 def _filter_correlations(
     configured_hz: float, sampled_hz: float, kinds: tuple[_Reads, ...]
 ) -> tuple[tuple[Bandwidth, Floats], ...]:
-    """The filters that the chip may have, and what the correlations (r, k) of each kind of reads at the first k lags
-    have beyond those of noise without a memory; the same for all replicates.
+    """Return the filters that the chip may have, and what the correlations (r, k) of each kind of reads at the first k
+    lags have beyond those of noise without a memory; the same for all replicates.
     """
     filters = []
     for effect in _filters(configured_hz, sampled_hz):
@@ -509,8 +509,8 @@ def _filter_correlations(
 
 
 def _filters(configured_hz: float, sampled_hz: float) -> Iterator[Bandwidth]:
-    """The filters that the chip may have, analogue, and digital unless `sampled_hz` is infinite: one whose rows come
-    far more slowly than its samples looks analogue.
+    """Yield the filters that the chip may have, analogue, and digital unless `sampled_hz` is infinite: one whose rows
+    come far more slowly than its samples looks analogue.
     """
     for sampled in dict.fromkeys((math.inf, sampled_hz)):
         for poles in (1.0, 2.0):
@@ -519,8 +519,8 @@ def _filters(configured_hz: float, sampled_hz: float) -> Iterator[Bandwidth]:
 
 
 def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
-    """How much slower or faster than it should the chip's data clock runs, a share, within its tolerance; nan where
-    nothing tells it.
+    """Return how much slower or faster than it should the chip's data clock runs, a share, within its tolerance; nan
+    where nothing tells it.
 
     A host that polls faster than the chip measures reads some readings again, at regular intervals and each as often as
     any other, to one: the share of new readings, times the rate of the polls, is that of the chip. Repeats that come in
@@ -584,8 +584,8 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
 
 
 def _polls_per_s(phase: Summary, rate_hz: float) -> float:
-    """Rows in a second of a phase without its gaps. Polls of a chip that is polled more often than it measures may skip
-    single rows again and again, in which no reading is lost: such gaps, of two intervals, count.
+    """Return rows in a second of a phase without its gaps. Polls of a chip that is polled more often than it measures
+    may skip single rows again and again, in which no reading is lost: such gaps, of two intervals, count.
     """
     intervals = phase.intervals
     rows_per_s = 1 / intervals.mean_s
@@ -595,8 +595,8 @@ def _polls_per_s(phase: Summary, rate_hz: float) -> float:
 
 
 def _readings_a_row(repeated: float, jitter: float) -> float:
-    """Readings of the chip for each poll, if a share of polls `repeated` finds no new one, and intervals between polls
-    scatter by the share `jitter`.
+    """Return readings of the chip for each poll, if a share of polls `repeated` finds no new one, and intervals between
+    polls scatter by the share `jitter`.
 
     A poll finds no new reading with the probability E[max(0, 1 - L)], L the readings in an interval, whatever the
     phase of the clocks. With L normal about 1 + e, of standard deviation s, that is s phi(e / s) - e (1 - Phi(e / s)).
@@ -616,8 +616,8 @@ def _readings_a_row(repeated: float, jitter: float) -> float:
 
 
 def _readings_between_polls(intervals: Intervals, repeated: float) -> float:
-    """Readings of the chip in a second, if it is polled more often than it measures and a share of polls `repeated`
-    finds no new one.
+    """Return readings of the chip in a second, if it is polled more often than it measures and a share of polls
+    `repeated` finds no new one.
 
     A poll finds none with the probability 1 - d f, d the interval since the poll before and f the rate, if d is shorter
     than the period, and 0 else, whatever the phase of the clocks: the mean over the intervals gives f. How many
@@ -635,8 +635,8 @@ def _equal_in_a_row(by_chance: float, rows: int) -> int:
 
 
 def _equal_by_chance(phases: Sequence[Summary], is_flagged: bool) -> float:
-    """Share of new readings that equal the one before, in all phases together: short ones show it poorly. Flags tell
-    the repeats from readings that are equal by chance.
+    """Return the share of new readings that equal the one before, in all phases together: short ones show it poorly.
+    Flags tell the repeats from readings that are equal by chance.
     """
     if not is_flagged:
         return float(
@@ -649,7 +649,9 @@ def _equal_by_chance(phases: Sequence[Summary], is_flagged: bool) -> float:
 
 
 def _repeated_share(phase: Summary, is_flagged: bool) -> float:
-    """Share of the rows that are no new reading: by the recorder's flags if it sets any, otherwise by equality."""
+    """Return the share of the rows that are no new reading: by the recorder's flags if it sets any, otherwise by
+    equality.
+    """
     if is_flagged:
         return phase.flags["stale"] / phase.rows
     by_chance = _equal_neighbours(phase)
@@ -671,8 +673,8 @@ def _is_flagged(campaign: Campaign, header: SensorHeader) -> bool:
 
 
 def _equal_neighbours(phase: Summary) -> float:
-    """Share of new readings that equal the one before: that of readings far apart, and more where they correlate, since
-    the scatter of each axis's difference is smaller by the root of 1 - rho.
+    """Return the share of new readings that equal the one before: that of readings far apart, and more where they
+    correlate, since the scatter of each axis's difference is smaller by the root of 1 - rho.
     """
     repeats = phase.repeats
     far = float(np.nan_to_num(repeats.chance_share))
@@ -682,8 +684,8 @@ def _equal_neighbours(phase: Summary) -> float:
 
 
 def _with_rate_error(effect: Effect, rate_error: float) -> Effect:
-    """A clock of which nobody knows the rate and the phase is off by so much; others, and other effects, stay. Where
-    rows come at its nominal rate it is faster than these: a slower one would repeat readings, which are fitted.
+    """Return the clock with so much error of rate if nobody knows its rate and phase; other effects are unchanged.
+    Where rows come at its nominal rate it is faster than these: a slower one would repeat readings, which are fitted.
     """
     if isinstance(effect, OwnClock) and not effect.rate_error and math.isnan(effect.phase_deg):
         return replace(effect, rate_error=abs(rate_error), polled=1.0)

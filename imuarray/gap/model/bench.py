@@ -60,22 +60,24 @@ class Bench(Stage):
         return np.arange(len(self.keys)) >= self.of_train
 
     def columns(self, sensors: Collection[str], *, cross: bool) -> Indices:
-        """The places of these sensors' keys; `cross`: including the statistics that sensors share at rest."""
+        """Return the places of these sensors' keys; `cross`: including the statistics that sensors share at rest."""
         places = self._places(frozenset(sensors))
         return places if cross else places[~self._is_cross[places]]
 
     def own(self, unit: Collection[str]) -> Indices:
-        """The places of the statistics of a unit: of one sensor without those that sensors share, of several
+        """Return the places of the statistics of a unit: of one sensor without those that sensors share, of several
         with them.
         """
         return self.columns(unit, cross=len(unit) > 1)
 
     def among(self, unit: Collection[str], sensors: Collection[str]) -> Booleans:
-        """Mask of the statistics of these sensors, as a replicate has them, that belong to a unit of them (`own`)."""
+        """Return the mask of the statistics of these sensors, as a replicate has them, that belong to a unit of them
+        (`own`).
+        """
         return np.isin(self.columns(sensors, cross=True), self.own(unit))
 
     def pairs(self, places: Indices | None = None) -> Pairs:
-        """All statistics, or those at some places, of both parts in pairs."""
+        """Return all statistics, or those at some places, of both parts in pairs."""
         chosen = np.arange(len(self.keys)) if places is None else places
         keys = [self.keys[at] for at in chosen.tolist()]
         return pairs_of(keys, self.held_out[chosen].tolist(), [self._log_numbers[at] for at in chosen.tolist()])
@@ -93,7 +95,7 @@ class Bench(Stage):
         return [key.log if key.log < 0 else parts[out][key.log] for key, out in sides]
 
     def of_keys(self, chosen: Booleans) -> Bench:
-        """The bench of some of the statistics (n,)."""
+        """Return the bench of some of the statistics (n,)."""
         keys = tuple(key for key, is_chosen in zip(self.keys, chosen.tolist(), strict=True) if is_chosen)
         of_train = int(np.count_nonzero(chosen[: self.of_train]))
         return replace(self, keys=keys, of_train=of_train, resolutions=self.resolutions[chosen])
@@ -146,13 +148,13 @@ class Bench(Stage):
         return {name: np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
 
     def _places(self, sensors: frozenset[str]) -> Indices:
-        """The places of all keys of these sensors, ascending."""
+        """Return the places of all keys of these sensors, ascending."""
         return np.sort(np.concatenate([np.zeros(0, np.intp), *(self._of_sensor[name] for name in sorted(sensors))]))
 
     def replicate(
         self, models: Models, number: int, *, held_out: bool = True, other_models: Models = MappingProxyType({})
     ) -> StatisticValues:
-        """Statistics of `simulated`, under the keys of these sensors (`columns`), with its own fit."""
+        """Return statistics of `simulated`, under the keys of these sensors (`columns`), with its own fit."""
         (values,) = self.replicates([(models, number)], held_out=held_out, other_models=other_models)
         return values
 
@@ -183,7 +185,7 @@ class Bench(Stage):
         return [replace(values, uses=replicate_uses) for values, replicate_uses in zip(measured, uses, strict=True)]
 
     def measured(self, campaign: Campaign, sensors: Collection[str]) -> StatisticValues:
-        """Statistics of these sensors in a campaign that was summarised like the recorded one, nan where it has
+        """Return statistics of these sensors in a campaign that was summarised like the recorded one, nan where it has
         none.
         """
         (values,) = self.each_measured([campaign], sensors)
@@ -207,8 +209,8 @@ class Bench(Stage):
         return [StatisticValues(row, base.fitted) for row, base in zip(sensor_values, bases, strict=True)]
 
     def _known_motions(self, campaign: Campaign) -> tuple[Motion, ...]:
-        """The motions as the sensors of a campaign can determine them: attitudes that all accelerometers estimate
-        together are taken as known if some of these are missing.
+        """Return the motions as the sensors of a campaign can determine them: attitudes that all accelerometers
+        estimate together are taken as known if some of these are missing.
         """
         there = {name for log in campaign.logs for phase in log.phases for name in phase.sensors}
         needed = {name for name, header in self.base.headers.items() if header.quantity == "specific_force"}
@@ -226,7 +228,7 @@ class Bench(Stage):
 
 
 def _with_known_attitudes(motion: Motion) -> Motion:
-    """The motion with estimated attitudes taken as known."""
+    """Return the motion with estimated attitudes taken as known."""
     if not isinstance(motion, PoseSequence):
         return motion
     return PoseSequence(tuple(attitude._replace(estimated=False) for attitude in motion.attitudes), motion.surroundings)
@@ -237,7 +239,7 @@ def _is_shared(probe: Probe) -> bool:
 
 
 def bench_of(campaign: Campaign, split: Split, experiments: Sequence[Experiment], base: Base) -> Bench:
-    """The bench of a recorded campaign that was summarised in all phases of its split."""
+    """Return the bench of a recorded campaign that was summarised in all phases of its split."""
     first, second = (statistics(side.campaign) for side in (split.train(campaign), split.held_out(campaign)))
     return Bench(
         tuple(log.kind for log in campaign.logs),
@@ -252,7 +254,9 @@ def bench_of(campaign: Campaign, split: Split, experiments: Sequence[Experiment]
 
 
 def _without_waiting(experiment: Experiment, queued: Collection[str]) -> Experiment:
-    """The experiment in which readings of sensors with a queue wait for no poll: their rows are the chip's own."""
+    """Return the experiment in which readings of sensors with a queue wait for no poll: their rows
+    are the chip's own.
+    """
     sensors = {
         name: (replace(header, rate_hz=0.0) if name in queued else header, line)
         for name, (header, line) in experiment.plan.sensors.items()

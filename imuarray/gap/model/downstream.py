@@ -52,7 +52,7 @@ class Coasting(NamedTuple):
 
 
 def uses_of(campaign: Campaign, residual_campaign: Campaign) -> Uses:
-    """All figures of use that the campaign allows; `residual_campaign` is its residual after its own fit
+    """Return all figures of use that the campaign allows; `residual_campaign` is its residual after its own fit
     (`imuarray.gap.model.base_model.residual`).
 
     For each inertial sensor, as the root mean square over its axes: error after coasting, residual over faces or poses
@@ -114,7 +114,7 @@ def fused(campaign: Campaign, quantity: str) -> float | None:
 
 
 def uses(real: Uses, before: Sequence[Uses], after: Sequence[Uses]) -> tuple[Use, ...]:
-    """The figures of a recording with those of its simulations before and after the causes were added.
+    """Return the figures of a recording with those of its simulations before and after the causes were added.
 
     A simulated figure is the median of the replicates with their 95 % interval. The interval of the recorded figure is
     the scatter of the replicates about their median: of those `after` if they are 8, else of those `before`; nan if
@@ -129,7 +129,9 @@ def uses(real: Uses, before: Sequence[Uses], after: Sequence[Uses]) -> tuple[Use
 
 
 def attitude_of(phase: Phase) -> str:
-    """The attitude of a phase at rest: the axis that is up, or the name of a pose by hand; "" if it is not known."""
+    """Return the attitude of a phase at rest: the axis that is up, or the name of a pose by hand; "" if it is not
+    known.
+    """
     return phase.up or (phase.name if phase.name.startswith("pose ") else "")
 
 
@@ -138,8 +140,8 @@ def _rms(values: Floats) -> float:
 
 
 def _longest_s(phases: Sequence[Summary]) -> float:
-    """The longest coasting time that the phases allow, by their length (which simulations share) and not by the rows
-    received; 0 if all are too short.
+    """Return the longest coasting time that the phases allow, by their length (which simulations share) and not by the
+    rows received; 0 if all are too short.
     """
     if not phases:
         return 0.0
@@ -166,7 +168,7 @@ def _allan_at(phase: Summary, tau_s: float) -> tuple[Floats, float] | None:
 
 
 def _mean_square(cross: Cross, quantity: str) -> float:
-    """Mean square in deg^2/s^2 or mg^2 over the box's axes; nan without such a sensor."""
+    """Return the mean square in deg^2/s^2 or mg^2 over the box's axes; nan without such a sensor."""
     members = [sensor for sensor in cross.sensors if sensor.quantity == quantity]
     weights = np.zeros((3, cross.fast.shape[0]))
     for sensor in members:
@@ -178,7 +180,7 @@ def _mean_square(cross: Cross, quantity: str) -> float:
 
 
 def _residuals(campaign: Campaign, sensor: str, quantity: str) -> Iterator[tuple[str, float]]:
-    """Names and values, in the sensor's unit, of the residual levels."""
+    """Yield names and values, in the sensor's unit, of the residual levels."""
     faces: dict[str, list[Floats]] = {}
     for log in campaign.logs:
         for phase in log.still(sensor):

@@ -40,7 +40,7 @@ _cache: MutableMapping[Motion, dict[tuple[bytes, float], Floats]] = WeakKeyDicti
 
 
 def with_element_temperatures(campaign: Campaign, motions: Sequence[Motion], lags_s: Mapping[str, float]) -> Campaign:
-    """The campaign with the temperatures of the segments of each sensor lagging by its time constant, in s."""
+    """Return the campaign with the temperatures of the segments of each sensor lagging by its time constant, in s."""
     if not any(lags_s.values()):
         return campaign
     return Campaign(tuple(_log_with(log, motion, lags_s) for log, motion in zip(campaign.logs, motions, strict=True)))
@@ -58,7 +58,8 @@ class HeatedRest(NamedTuple):
 
 
 def fit_lag(rests: Sequence[HeatedRest], rms: Floats) -> float:
-    """Time constant in s, 0 to `LONGEST_LAG_S`, for which the readings in these phases follow the temperature best.
+    """Return the time constant in s, 0 to `LONGEST_LAG_S`, for which the readings in these phases follow the
+    temperature best.
 
     `rms` (3,) is that of single readings. 0 where no attitude has enough heating, or no lag is significantly better
     than none. Readings that follow a parabola over temperature better than a straight line with any lag have the lag
@@ -129,7 +130,9 @@ def _segments_with(segments: Segments, motion: Motion, lag_s: float) -> Segments
 
 
 def lagged_degc(segments: Segments, motion: Motion, lag_s: float) -> Floats:
-    """Temperature (s,) of an element of this time constant at the segments' times; nan where a segment has no rows."""
+    """Return temperature (s,) of an element of this time constant at the segments' times; nan where a segment has no
+    rows.
+    """
     if lag_s == 0.0:
         return segments.temperature_degc
     of_motion = _cache.setdefault(motion, {})

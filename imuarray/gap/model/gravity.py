@@ -30,7 +30,7 @@ Forces = Mapping[tuple[int, int], Floats]
 def estimated_forces(
     campaign: Campaign, motions: Sequence[Motion], thermal: Callable[[Summary], Floats] = lambda summary: NO_CHANGE
 ) -> Forces:
-    """Forces in the phases whose attitude is estimated, from all phases at rest of the campaign together.
+    """Return forces in the phases whose attitude is estimated, from all phases at rest of the campaign together.
 
     `thermal` gives the change (3,) of a sensor's mean reading by its temperature, in its unit, which is subtracted: an
     array whose accelerometers drift alike in the heat does not tilt.
@@ -48,8 +48,8 @@ def estimated_forces(
 
 
 def residual_forces(campaign: Campaign, motions: Sequence[Motion], less: Callable[[Summary], Floats]) -> Forces:
-    """Forces in these phases by the sensors' known errors: `less` gives the mean (3,) of a sensor without them, in its
-    unit.
+    """Return forces in these phases by the sensors' known errors: `less` gives the mean (3,) of a sensor without them,
+    in its unit.
     """
     rests = [rest for rest in _rests(campaign, motions) if rest.known is None]
     if not rests:
@@ -95,7 +95,7 @@ def _mean_force_g(motion: Motion, phase: Phase) -> Floats:
 
 
 def _readings(phases: Sequence[Mapping[str, Summary]], of: Callable[[Summary], Floats]) -> Floats:
-    """Mean readings (k, s, 3) in the box frame, nan where a sensor has none."""
+    """Return the mean readings (k, s, 3) in the box frame, nan where a sensor has none."""
     names = dict.fromkeys(name for phase in phases for name in phase)
     nothing = np.full(3, np.nan)
     rows = [

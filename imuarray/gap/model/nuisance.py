@@ -54,8 +54,8 @@ class NuisanceEstimate(NamedTuple):
 
 
 def nuisance_estimates(campaign: Campaign, base: Base, *, has_reference: bool) -> tuple[NuisanceEstimate, ...]:
-    """The nuisance quantities of all sensors of a campaign to which `base` was fitted; zeros of chip thermometers only
-    if the campaign `has_reference` temperature.
+    """Return the nuisance quantities of all sensors of a campaign to which `base` was fitted; zeros of chip
+    thermometers only if the campaign `has_reference` temperature.
     """
     return tuple(
         estimate
@@ -90,8 +90,8 @@ def _of_part(header: SensorHeader, fitted: FittedParameters) -> Iterator[Nuisanc
 
 
 def _of_noise(header: SensorHeader, fitted: FittedParameters) -> Iterator[NuisanceEstimate]:
-    """The noise at rest over that of the data sheet, rounding included in both. It has no tolerance: data sheets print
-    a typical figure, often for one range or mode only; that of a BMA180 grows with the range (PAP-05).
+    """Yield the noise at rest over that of the data sheet, rounding included in both. It has no tolerance: data sheets
+    print a typical figure, often for one range or mode only; that of a BMA180 grows with the range (PAP-05).
     """
     printed = printed_noise(header)
     if printed is None:
@@ -115,7 +115,7 @@ def _response(header: SensorHeader, axis: str, along: str, value: float, toleran
 
 
 def _of_thermometer(campaign: Campaign, header: SensorHeader) -> Iterator[NuisanceEstimate]:
-    """The zero of the chip's own thermometer against the reference."""
+    """Yield the zero of the chip's own thermometer against the reference."""
     converter, zero = thermometer_of(header), thermometer_zero_degc(_rests(campaign, header.name))
     if converter is not None and math.isfinite(zero):
         tolerance = thermometer_tolerance_degc(header)
@@ -123,7 +123,7 @@ def _of_thermometer(campaign: Campaign, header: SensorHeader) -> Iterator[Nuisan
 
 
 def thermometer_zero_degc(phases: Sequence[Summary]) -> float:
-    """Mean temperature by a chip's thermometer and its data sheet (BMA-64, L3G-60) less the reference; nan
+    """Return the mean temperature by a chip's thermometer and its data sheet (BMA-64, L3G-60) less the reference; nan
     without one.
     """
     converter = thermometer_of(phases[0].header) if phases else None

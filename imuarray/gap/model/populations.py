@@ -98,7 +98,7 @@ PRINTED = frozenset({"scale", "thermal_bias", "thermal_scale", "nonlinearity", "
 
 
 def usual_model(headers: Iterable[SensorHeader]) -> Model:
-    """The model of these sensors' chips with only the quantities that no fit determines."""
+    """Return the model of these sensors' chips with only the quantities that no fit determines."""
     parts: dict[tuple[str, str, float | None], Part] = {}
     for header in headers:
         for part in (part for part in _data_sheets().designs if part.fits(header)):
@@ -130,12 +130,12 @@ def printed_noise(header: SensorHeader) -> Triple | None:
 
 
 def own_unit(header: SensorHeader) -> str:
-    """The unit in the part of a chip that has no driver, "" for the others."""
+    """Return the unit in the part of a chip that has no driver, "" for the others."""
     return "" if header.chip in TRIADS else header.unit
 
 
 def response_tolerance(header: SensorHeader) -> Floats:
-    """Largest response (3, 3) of each axis (row) of a part to specific force along each axis (column).
+    """Return the largest response (3, 3) of each axis (row) of a part to specific force along each axis (column).
 
     In the units of `FittedParameters.response`: for an accelerometer the scale error on the diagonal (ADX-63, BMA-70 to
     BMA-76, plus the deviation of local gravity, which a log at rest cannot separate from it) and the sine of the
@@ -151,12 +151,14 @@ def response_tolerance(header: SensorHeader) -> Floats:
 
 
 def is_usual(effect: Effect, header: SensorHeader) -> bool:
-    """True if an effect is a nuisance quantity that every such sensor has."""
+    """Return whether an effect is a nuisance quantity that every such sensor has."""
     return isinstance(effect, TurnOnBias) and max(effect.rms) <= turn_on_rms(header)
 
 
 def turn_on_rms(header: SensorHeader) -> float:
-    """Largest usual scatter of a bias from one power-on to the next, in the sensor's unit; 0 where it is not known."""
+    """Return the largest usual scatter of a bias from one power-on to the next, in the sensor's unit; 0 where it is not
+    known.
+    """
     allowed = min(offset_tolerance(header))
     return TURN_ON_SHARE * allowed if math.isfinite(allowed) else TURN_ON_RMS.get(header.unit, 0.0)
 
@@ -172,8 +174,8 @@ def scale_tolerance(header: SensorHeader) -> float:
 
 
 def slope_tolerance(header: SensorHeader) -> tuple[float, float, float]:
-    """Change of a bias per degC that the data sheet allows each axis of a part (ADX-62, BMA-115, L3G-71), in the
-    sensor's unit, else the usual one; nan for a unit of which nothing is known.
+    """Return the change of a bias per degC that the data sheet allows each axis of a part (ADX-62, BMA-115, L3G-71), in
+    the sensor's unit, else the usual one; nan for a unit of which nothing is known.
     """
     usual = TOLERANCE_SIGMAS * THERMAL_SLOPE_SIGMA.get(header.unit, math.nan)
     key = f"slope_{header.unit}_per_degc"
@@ -197,12 +199,14 @@ def common_bias_sigma_g(headers: Iterable[SensorHeader]) -> float:
 
 
 def thermometer_tolerance_degc(header: SensorHeader) -> float:
-    """How far a chip's thermometer may be off (BMA-64); nan where the sheet prints no absolute reference (L3G-60)."""
+    """Return how far a chip's thermometer may be off (BMA-64); nan where the sheet prints no absolute reference
+    (L3G-60).
+    """
     return _reach(header, "thermometer", "offset_degc", math.nan)
 
 
 def _reach(header: SensorHeader, kind: str, key: str, usual: float, axis: int = 0) -> float:
-    """The largest value that the data sheets' population allows, or the `usual` one."""
+    """Return the largest value that the data sheets' population allows, or the `usual` one."""
     parts = _data_sheets().parts(header)
     if kind not in parts:
         return usual
@@ -234,12 +238,14 @@ def _usual(header: SensorHeader) -> dict[str, Recipe]:
 
 
 def _turn_on(header: SensorHeader) -> Recipe:
-    """A population of scatters between 0 and the largest usual one, nearly uniform; empty where it is not known."""
+    """Return a population of scatters between 0 and the largest usual one, nearly uniform; empty
+    where it is not known.
+    """
     half = turn_on_rms(header) / 2
     return {f"rms_{header.unit}": Spread(mean=half, sigma=half, limit=half)} if half else {}
 
 
 @cache
 def _data_sheets() -> Model:
-    """The shipped model of units as the data sheets describe them."""
+    """Return the shipped model of units as the data sheets describe them."""
     return load_model(configs() / "models" / "datasheet.toml")

@@ -91,13 +91,14 @@ class Stage:
         return min(max(_JOB_ROWS // max(rows, 1), 1), TOGETHER)
 
     def models(self) -> dict[str, SensorModel]:
-        """Every sensor with the model of the base model."""
+        """Return every sensor with the model of the base model."""
         return {name: SensorModel(fitted) for name, fitted in self.base.fitted.items()}
 
     def simulated(
         self, models: Models, number: int, *, held_out: bool = True, other_models: Models = MappingProxyType({})
     ) -> Campaign:
-        """Replicate `number` of these sensors: all phases that are used, or (`held_out` False) the training part.
+        """Return replicate `number` of these sensors: all phases that are used, or (`held_out` False) the training
+        part.
 
         Other sensors are simulated by `other_models`, or by the base model.
         """
@@ -173,7 +174,7 @@ class Stage:
         }
 
     def _is_compared_with(self, log: int, name: str, models: Models) -> bool:
-        """True if statistics of the sensors with these models depend on this sensor."""
+        """Return whether statistics of the sensors with these models depend on this sensor."""
         if self._moves[log]:
             return True
         headers = self.base.headers
@@ -185,7 +186,7 @@ class Stage:
         return lru_cache(maxsize=_KEPT)(self._source)
 
     def _motion(self, log: int, number: int) -> Motion:
-        """The motion of a log in a replicate, in a room of its own if nobody recorded the temperature."""
+        """Return the motion of a log in a replicate, in a room of its own if nobody recorded the temperature."""
         experiment = self.experiments[log]
         if experiment.has_temperature:
             return experiment.motion
@@ -194,7 +195,7 @@ class Stage:
         return draw_room_temperature(experiment.motion, units, self.first_boot + log, usual_degc)
 
     def _source(self, log: int, name: str, effects: tuple[Effect, ...], number: int, alone: bool) -> Source:
-        """The simulation of a sensor that does not depend on others."""
+        """Return the simulation of a sensor that does not depend on others."""
         experiment = self.experiments[log]
         plan = replace(experiment.plan, sensors={name: experiment.plan.sensors[name]})
         simulation = Simulation(
@@ -212,7 +213,7 @@ class Stage:
         return lru_cache(maxsize=_KEPT)(self.base.drawn)
 
     def _effects(self, models: Models, number: int) -> Effects:
-        """The effects of every sensor, those of the base model where no other model is given."""
+        """Return the effects of every sensor, those of the base model where no other model is given."""
         effects = {}
         for name, base_effects in self._drawn_effects(number).items():
             model = models.get(name) or SensorModel(self.base.fitted[name])

@@ -92,7 +92,7 @@ class FittedParameters:
     delay: SignalDelay = NO_DELAY
 
     def effects(self) -> tuple[Effect, ...]:
-        """The parameters as effects of the simulator."""
+        """Return the parameters as effects of the simulator."""
         noise: tuple[Effect, ...] = (WhiteNoise(self.rms),)
         if math.isfinite(self.cutoff_hz):
             noise = (*noise, Bandwidth(self.cutoff_hz, poles=self.poles, sampled_hz=self.sampled_hz))
@@ -104,8 +104,8 @@ class FittedParameters:
         return *noise, *lag, Bias(self.offset), ThermalBias(self.slope, reference_degc=REFERENCE_DEGC)
 
     def moved(self, target: FittedParameters, simulated: Sequence[FittedParameters]) -> FittedParameters:
-        """These parameters corrected by the mean difference between the `target` and the fits to their simulations
-        (`simulated`).
+        """Return these parameters corrected by the mean difference between the `target` and the fits to their
+        simulations (`simulated`).
 
         The difference of the noise variances is added, unless little or nothing would remain: then the simulation
         scales the noise, which is scaled back. Offsets are assumed to scale with the noise.
@@ -163,11 +163,11 @@ class FittedParameters:
         return np.asarray(stimulus.felt + self._biases(summary) + stimulus.force @ np.array(self.response).T)
 
     def force_felt(self, summary: Summary) -> Floats:
-        """Mean specific force (3,) along an accelerometer's axes by these parameters, in its unit."""
+        """Return the mean specific force (3,) along an accelerometer's axes by these parameters, in its unit."""
         return self.by_response(self.unbiased(summary))
 
     def unbiased(self, summary: Summary) -> Floats:
-        """Mean (3,) of the readings without offset and slope."""
+        """Return the mean (3,) of the readings without offset and slope."""
         part = summary.segments
         has_rows = part.rows > 0
         levels = part.mean[has_rows] / summary.header.sensitivity - self._biases(summary)[has_rows]
@@ -220,8 +220,8 @@ class Stimulus(NamedTuple):
 
 
 def felt(summary: Summary, motion: Motion, force_box: Floats | None) -> Stimulus:
-    """The stimulus along the nominal axes at the segments' mean times; the force is `force_box` (3,) in m/s^2, if
-    given.
+    """Return the stimulus along the nominal axes at the segments' mean times; the force is `force_box` (3,) in m/s^2,
+    if given.
     """
     cache: dict[str, tuple[Motion, Stimulus]] = vars(summary)  # a fit asks, and the residual of the same summary
     if "felt" not in cache or cache["felt"][0] is not motion:
@@ -358,7 +358,7 @@ def slope_of(phases: Sequence[Rest]) -> Triple | None:
 
 
 def rounding_lsb2(header: SensorHeader) -> float:
-    """Variance of rounding to the codes that occur, step^2 / 12."""
+    """Return the variance of rounding to the codes that occur, step^2 / 12."""
     return code_span(header).step ** 2 / 12
 
 

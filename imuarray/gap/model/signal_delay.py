@@ -96,13 +96,13 @@ def fit_signal_delays(
 
 
 def _truncate(delay_s: float) -> float:
-    """The delay of a filter, 0 if it is negligible."""
+    """Return the delay of a filter, 0 if it is negligible."""
     return delay_s if delay_s > _LEAST_S else 0.0
 
 
 def can_fit_signal_delays(campaign: Campaign, headers: Mapping[str, SensorHeader], queued: Collection[str]) -> bool:
-    """True if the box moves, and sensors of one quantity have filters that delay differently, a queue, or nothing but a
-    track to be compared with.
+    """Return whether the box moves, and sensors of one quantity have filters that delay differently, a queue, or
+    nothing but a track to be compared with.
     """
     nominal_s = {name: _nominal_delay_s(header) for name, header in headers.items()}
     by_quantity: dict[str, set[float]] = {}
@@ -120,12 +120,12 @@ def _nominal_delay_s(header: SensorHeader) -> float:
 
 
 def _tracked(crosses: Sequence[Cross]) -> dict[str, float]:
-    """The sensors that are compared with a track, each with the period of its rows in s, or a little more."""
+    """Return the sensors that are compared with a track, each with the period of its rows in s, or a little more."""
     return {name: cross.window_s / 2 for cross in crosses for name in cross.tracked}
 
 
 def _crosses(campaign: Campaign) -> list[Cross]:
-    """The joint moments of the phases in which the box moves."""
+    """Return the joint moments of the phases in which the box moves."""
     return [part.cross for log in campaign.logs for part in log.phases if part.cross is not None and not part.is_still]
 
 
@@ -160,8 +160,8 @@ def _rows(
 
 
 def _slopes(design: Floats, before: tuple[Floats, Floats], after: tuple[Floats, Floats]) -> Floats:
-    """(n,) change of the delays seen between two trials, each parameters (p,) and delays (n,), over the change that the
-    design (n, p) expects; 1 where that is none.
+    """Return (n,) change of the delays seen between two trials, each parameters (p,) and delays (n,), over the change
+    that the design (n, p) expects; 1 where that is none.
     """
     expected_s, change_s = design @ (after[0] - before[0]), after[1] - before[1]
     slopes = np.divide(change_s, expected_s, out=np.ones(len(design)), where=np.abs(expected_s) > _LEAST_CHANGE_S)
@@ -169,7 +169,9 @@ def _slopes(design: Floats, before: tuple[Floats, Floats], after: tuple[Floats, 
 
 
 def _solve(observed: _Delays, seen_s: Floats, start: Floats, bounds: tuple[Floats, Floats]) -> Floats:
-    """The parameters (p,) within bounds that explain the delays beyond those `seen_s` with the parameters `start`."""
+    """Return the parameters (p,) within bounds that explain the delays beyond those `seen_s` with the parameters
+    `start`.
+    """
     behind_s = observed.delay_s - seen_s + observed.design @ start
     known = np.isfinite(behind_s) & np.isfinite(observed.information)
     if not known.any():

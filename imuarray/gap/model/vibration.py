@@ -56,14 +56,14 @@ class Vibration:
     sensors: tuple[str, ...]
 
     def tone(self, header: SensorHeader, factor: float) -> Tone:
-        """The line as one of the sensors shows it, with amplitudes multiplied by `factor`."""
+        """Return the line as one of the sensors shows it, with amplitudes multiplied by `factor`."""
         own_g = np.abs(np.array(header.orientation)).T @ np.array(self.amplitude_box_g)
         x, y, z = (own_g * factor * STANDARD_GRAVITY / SI_PER_UNIT[header.unit]).tolist()
         return Tone((x, y, z), self.frequency_hz)
 
 
 def fit_vibrations(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> tuple[Vibration, ...]:
-    """The faint lines of the accelerometers at rest that no other accelerometer contradicts."""
+    """Return the faint lines of the accelerometers at rest that no other accelerometer contradicts."""
     return tuple(vibration for group in _groups(campaign, headers) for vibration in _vibrations(group))
 
 
@@ -89,7 +89,7 @@ class _Spectrum(NamedTuple):
 
 
 def _groups(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> list[list[_Spectrum]]:
-    """The spectra of accelerometers whose rows come at the same rate, and have the same bins."""
+    """Return the spectra of accelerometers whose rows come at the same rate, and have the same bins."""
     groups: list[list[_Spectrum]] = []
     for name, header in headers.items():
         rests = [rest for log in campaign.logs for rest in log.still(name) if rest.intervals.count]
@@ -137,7 +137,7 @@ def _amplitude_box_g(member: _Spectrum, line: Line) -> Floats:
 
 
 def _contradicts(other: _Spectrum, place: float, amplitude_box_g: Floats) -> bool:
-    """True if an accelerometer that would show the line does not."""
+    """Return whether an accelerometer that would show the line does not."""
     expected_g2 = (np.abs(np.array(other.header.orientation)).T @ amplitude_box_g) ** 2 / 2
     power_g2, chance_g2 = other.power_g2(place)
     axis = int(np.argmax(expected_g2 / np.where(chance_g2 > 0, chance_g2, np.inf)))

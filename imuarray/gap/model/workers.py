@@ -43,7 +43,7 @@ _LATEST: dict[str, Callable[[Any], Any]] = {}
 
 
 def processes(workers: int) -> Pool:
-    """A pool of processes for `runner`, started on demand, with one BLAS thread each; a context manager.
+    """Return a pool of processes for `runner`, started on demand, with one BLAS thread each; a context manager.
 
     Each imports the program's main module anew (start method "spawn"), which must only define things then. An exception
     in the manager's block, KeyboardInterrupt too, ends them at once; they ignore Ctrl-C themselves. ValueError for
@@ -97,12 +97,13 @@ class Run(Protocol):
 
 
 def no_bar(length: int) -> AbstractContextManager[Callable[[int], None]]:
-    """A progress bar that shows nothing."""
+    """Return a progress bar that shows nothing."""
     return nullcontext(lambda count: None)
 
 
 def runner(fixed: object, executor: Executor | None = None, bar: Bar = no_bar) -> Run:
-    """A caller of module functions with `fixed`, which every process receives once, and one item after the other.
+    """Return a caller of module functions with `fixed`, which every process receives once, and one item after the
+    other.
 
     Results come in the items' order. `bar` makes, for a number of items, a function that is called with the number
     done.
@@ -144,7 +145,7 @@ class _Job(Generic[Item, Result]):
 
 
 def _unpacked(name: str, packed: bytes) -> Callable[[Any], Any]:
-    """The job of this name as first received; earlier jobs are dropped."""
+    """Return the job of this name as first received; earlier jobs are dropped."""
     if name not in _LATEST:
         _LATEST.clear()
         _LATEST[name] = ForkingPickler.loads(packed)

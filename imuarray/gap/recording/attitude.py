@@ -45,7 +45,8 @@ _ROUNDING_NS = 2
 
 
 def attitude_numbers(phases: Sequence[Phase]) -> list[int]:
-    """The number of the box's attitude in each phase of a log, or in the same half of each, in the order of time.
+    """Return the number of the box's attitude in each phase of a log, or in the same half of each, in the order of
+    time.
 
     It is that of the phase before if the same axis is noted as up and nobody had time to touch the box between them.
     """
@@ -57,7 +58,9 @@ def attitude_numbers(phases: Sequence[Phase]) -> list[int]:
 
 
 def shared_readings(attitudes: Sequence[Hashable], readings: Floats) -> Floats:
-    """The readings (k, s, 3) in k phases, those in phases of one attitude replaced by their mean; nan without any."""
+    """Return the readings (k, s, 3) in k phases, those in phases of one attitude replaced by their mean; nan without
+    any.
+    """
     shared = readings.copy()
     for attitude in set(attitudes):
         members = [at for at, other in enumerate(attitudes) if other == attitude]
@@ -69,8 +72,8 @@ def shared_readings(attitudes: Sequence[Hashable], readings: Floats) -> Floats:
 
 
 def _follows(before: Phase, phase: Phase) -> bool:
-    """True if a phase, or its half, begins where the one before ends: a half that is missing between them is as long as
-    its other half.
+    """Return whether a phase, or its half, begins where the one before ends: a half that is missing between them is as
+    long as its other half.
     """
     gap_ns = phase.start_ns - before.end_ns
     missing_ns = (0, before.end_ns - before.start_ns, phase.end_ns - phase.start_ns)
@@ -134,7 +137,8 @@ def _with_faces(mean_g: Floats, known_g: Floats, noted_g: Floats) -> Ups:
 
 
 def array_mean(readings: Floats, noted_g: Floats | None = None, uncorrected: Floats | None = None) -> Floats:
-    """Mean reading (k, 3) of s accelerometers from `readings` (k, s, 3) in g in the box frame, nan where there is none.
+    """Return the mean reading (k, 3) of s accelerometers from `readings` (k, s, 3) in g in the box frame, nan where
+    there is none.
 
     The median of the accelerometers that read in every pose and are never `GROSS_G` from it (the mean of two), or of
     all if there are none such. With a median, an accelerometer whose bias changed does not tilt the box for the others.
@@ -158,8 +162,8 @@ def array_mean(readings: Floats, noted_g: Floats | None = None, uncorrected: Flo
 
 
 def _within(readings: Floats, reference_g: Floats, most_g: float) -> Booleans:
-    """Mask (s,) of the accelerometers that are always within `most_g` of the reference (k, 3) in the poses where it is
-    known; False if it never is.
+    """Return the mask (s,) of the accelerometers that are always within `most_g` of the reference (k, 3) in the poses
+    where it is known; False if it never is.
     """
     known = np.isfinite(reference_g).all(axis=1)
     near = np.abs(readings[known] - reference_g[known][:, None]) < most_g
@@ -167,7 +171,7 @@ def _within(readings: Floats, reference_g: Floats, most_g: float) -> Booleans:
 
 
 def directions(vectors: Floats) -> tuple[Floats, Floats]:
-    """Unit vectors (k, 3) and lengths (k,) of `vectors` (k, 3); a zero vector stays zero."""
+    """Return unit vectors (k, 3) and lengths (k,) of `vectors` (k, 3); a zero vector stays zero."""
     lengths = np.linalg.norm(vectors, axis=1)
     units = np.divide(vectors, lengths[:, None], out=np.zeros_like(vectors), where=lengths[:, None] > 0)
     return units, lengths

@@ -117,7 +117,8 @@ def stretches_of(source: Source, phases: Sequence[Phase]) -> tuple[Stretches, ..
 
 
 def _stretch_of_line(source: Source, phase: Phase) -> tuple[float, float] | None:
-    """The stretch in which the highest line of a phase is on, if it is off for a part of the phase; None otherwise.
+    """Return the stretch in which the highest line of a phase is on, if it is off for a part of the phase; None
+    otherwise.
 
     A line that no window shows adds up in phase as long as it is on. With z_k the sums of windows of the rows less
     their mean, turned back by the phase of the line, and p the power of the noise beside it per row, a stretch of n
@@ -183,7 +184,7 @@ def _of_phase(source: Source, phase: Phase, rows: int) -> _WindowTable | None:
 
 
 def _window_statistics(time_s: Floats, counts: Integers) -> tuple[Floats, Floats]:
-    """Statistics (w, f) of windows of equally many rows, and (f,) the least scatter that is meaningful."""
+    """Return statistics (w, f) of windows of equally many rows, and (f,) the least scatter that is meaningful."""
     rows = counts.shape[1]
     share = 0.5 / np.sqrt(rows)
     repeats = (np.diff(counts, axis=1) == 0).all(axis=2).mean(axis=1)
@@ -249,8 +250,8 @@ def _scatter(values: Floats) -> Floats:
 
 
 def _clearest(scores: Floats) -> tuple[int, int, float, Floats]:
-    """The stretch [begin, end) whose means differ most from those of the rest, by how many nats in all, and the step
-    (f,) of each statistic, 0 for those that do not show it.
+    """Return the stretch [begin, end) whose means differ most from those of the rest, by how many nats in all, and the
+    step (f,) of each statistic, 0 for those that do not show it.
     """
     count = len(scores)
     upto = np.concatenate([np.zeros((1, scores.shape[1])), np.cumsum(scores, axis=0)])
@@ -271,7 +272,7 @@ def _clearest(scores: Floats) -> tuple[int, int, float, Floats]:
 
 
 def _are_distinct(first: Booleans, other: Booleans) -> bool:
-    """True if a set differs from another and from its complement."""
+    """Return whether a set differs from another and from its complement."""
     agreement = float((first == other).mean())
     return 1 - _SAME_SET < agreement < _SAME_SET
 
@@ -290,8 +291,8 @@ def _edges(source: Source, windows: _WindowTable, inside: Booleans) -> Floats:
 
 
 def _edge_s(source: Source, first_s: float, low_s: float, high_s: float, last_s: float, usual_s: float) -> float:
-    """The moment between `low_s` and `high_s` at which the rows change from those before to those after; `usual_s` if
-    no statistic shows it.
+    """Return the moment between `low_s` and `high_s` at which the rows change from those before to those after;
+    `usual_s` if no statistic shows it.
 
     The low bits of each row, whether it repeats, and its step are compared with the means on either side.
     """

@@ -67,14 +67,14 @@ def repeated_rows_in(blocks: Iterable[Block]) -> RepeatedRows:
 
 
 def _runs(time_ns: Integers, counts: Integers, still: Booleans) -> Integers:
-    """Rows, first and last time, and the counts (k, 6) of each stretch."""
+    """Return rows, first and last time, and the counts (k, 6) of each stretch."""
     change = np.diff(np.concatenate([[False], still, [False]]).astype(np.int8))
     begins, ends = np.flatnonzero(change > 0), np.flatnonzero(change < 0) - 1
     return np.column_stack([ends - begins + 1, time_ns[begins], time_ns[ends], counts[begins]])
 
 
 def _longest(runs: Integers) -> Integers:
-    """The longest stretches in the order of time; the earlier of two equally long ones."""
+    """Return the longest stretches in the order of time; the earlier of two equally long ones."""
     runs = runs[runs[:, 0] >= _FEWEST_REPETITIONS]
     if len(runs) <= MOST_STRETCHES:
         return runs

@@ -20,8 +20,8 @@ from imuarray.simulate.motion.fields import PhaseField
 
 
 def fields_of(sensors: Sequence[SensorLog], phases: Sequence[Phase]) -> tuple[PhaseField, ...]:
-    """The mean field of the magnetometers among `sensors` in each phase at rest, in the order of time; empty without a
-    magnetometer.
+    """Return the mean field of the magnetometers among `sensors` in each phase at rest, in the order of time; empty
+    without a magnetometer.
     """
     magnetometers = [sensor for sensor in sensors if sensor.quantity == "magnetic_field" and sensor.sensitivity]
     fields: list[PhaseField] = []
@@ -38,7 +38,7 @@ def fields_of(sensors: Sequence[SensorLog], phases: Sequence[Phase]) -> tuple[Ph
 
 
 def _mean_box(sensor: SensorLog, phase: Phase) -> Floats | None:
-    """Mean field (3,) in gauss in the box frame; None without readings."""
+    """Return the mean field (3,) in gauss in the box frame; None without readings."""
     rows, sums = 0, np.zeros(3)
     for block in RecordedSource(sensor).blocks(phase.start_ns, phase.end_ns):
         rows += len(block.time)

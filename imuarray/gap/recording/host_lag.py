@@ -38,7 +38,9 @@ class HostLag(NamedTuple):
 
 
 def host_lags(sensors: Sequence[SensorLog], motion: Motion) -> tuple[HostLag, ...]:
-    """The common lag of the sensors (accelerometers and gyroscopes), window by window, where it is determined."""
+    """Return the common lag of the sensors (accelerometers and gyroscopes), window by window, where
+    it is determined.
+    """
     lags: list[HostLag] = []
     lag_s = 0.0
     for start_ns in _moving_windows(sensors, motion):
@@ -65,7 +67,7 @@ def _moving_windows(sensors: Sequence[SensorLog], motion: Motion) -> list[int]:
 
 
 def _in_window(sensors: Sequence[SensorLog], motion: Motion, start_ns: int, near_s: float) -> HostLag | None:
-    """The lag in one window; None where no lag fits, or more than one does."""
+    """Return the lag in one window; None where no lag fits, or more than one does."""
     near = round(near_s / GRID_S)
     reach = _grid(start_ns - _ns(near), _MOST_LAG_ROWS)
     readings, track = _read(sensors, _grid(start_ns, 0)), track_values(motion, reach)
@@ -98,8 +100,8 @@ def _dips(values: Floats) -> Iterator[int]:
 
 
 def _read(sensors: Sequence[SensorLog], grid_ns: Integers) -> dict[str, Floats]:
-    """The readings (n, 3) of each quantity at the grid's times, SI, box axes, averaged over all sensors that have rows
-    there.
+    """Return the readings (n, 3) of each quantity at the grid's times, SI, box axes, averaged over all sensors that
+    have rows there.
     """
     readings: dict[str, list[Floats]] = {}
     for sensor in sensors:
@@ -117,7 +119,7 @@ def _read(sensors: Sequence[SensorLog], grid_ns: Integers) -> dict[str, Floats]:
 
 
 def track_values(motion: Motion, time_ns: Integers) -> Mapping[str, Floats]:
-    """The track's values (n, 3) of each quantity, SI, box axes."""
+    """Return the track's values (n, 3) of each quantity, SI, box axes."""
     felt = motion.felt(time_ns)
     return {
         "specific_force": np.asarray(felt.force_box, float),
@@ -126,7 +128,7 @@ def track_values(motion: Motion, time_ns: Integers) -> Mapping[str, Floats]:
 
 
 def _grid(start_ns: int, more: int) -> Integers:
-    """The times of a window, extended by `more` rows on either side."""
+    """Return the times of a window, extended by `more` rows on either side."""
     return start_ns + _ns(1) * np.arange(-more, _WINDOW + more, dtype=np.int64)
 
 

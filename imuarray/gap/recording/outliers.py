@@ -73,7 +73,7 @@ class OutlierTally:
             self._furthest[axis] = sorted([*self._furthest[axis], *rows], reverse=True)[: self._most]
 
     def result(self) -> Outliers:
-        """The readings collected so far, axis by axis, the furthest first."""
+        """Return the readings collected so far, axis by axis, the furthest first."""
         rows = [(axis, time, by) for axis, axis_readings in enumerate(self._furthest) for _, time, by in axis_readings]
         axes, times, deviation = zip(*rows, strict=True) if rows else ((), (), ())
         return Outliers(np.array(axes, np.int64), np.array(times, np.int64), np.array(deviation, float))
@@ -93,8 +93,8 @@ _ROWS_A_COEFFICIENT = 8
 
 
 def outliers_in_motion(sensor: SensorLog, others: Sequence[SensorLog], phase: Phase) -> Outliers:
-    """The readings of a phase that are furthest, in counts, from the middle of their neighbours once the motion is
-    subtracted.
+    """Return the readings of a phase that are furthest, in counts, from the middle of their neighbours once the motion
+    is subtracted.
 
     The motion is a combination of the axes of `others` and of their changes (which stand for a delay), fitted block by
     block. Empty without others.
@@ -106,7 +106,7 @@ def outliers_in_motion(sensor: SensorLog, others: Sequence[SensorLog], phase: Ph
 
 
 def _without_motion(block: Block, others: Sequence[SensorLog]) -> Floats:
-    """Counts (3, n) less the fitted motion; nan where there is too little to fit."""
+    """Return counts (3, n) less the fitted motion; nan where there is too little to fit."""
     others_axes = [axis for other in others for axis in _readings_at(other, block.time)]
     columns = (
         [np.ones(len(block.time)), *others_axes, *(np.gradient(axis) for axis in others_axes)]
@@ -121,7 +121,7 @@ def _without_motion(block: Block, others: Sequence[SensorLog]) -> Floats:
 
 
 def _readings_at(other: SensorLog, time_ns: Integers) -> list[Floats]:
-    """Each axis of another sensor at these times (n,), less its mean, linearly interpolated."""
+    """Return each axis of another sensor at these times (n,), less its mean, linearly interpolated."""
     span = other.between(int(time_ns[0]) - _MARGIN_NS, int(time_ns[-1]) + _MARGIN_NS)
     times = np.asarray(other.time[span], np.int64)
     if len(times) < 2:

@@ -48,13 +48,15 @@ _SAME_COSINE = np.cos(np.radians(10))
 
 
 def is_at_rest(phase: Phase) -> bool:
-    """True if the box is at rest in a phase: the phase notes the axis that is up, or has a name that means it."""
+    """Return whether the box is at rest in a phase: the phase notes the axis that is up, or has a
+    name that means it.
+    """
     name = phase.name
     return bool(phase.up) or name in STILL_NAMES or name in FACE_NAMES or name.startswith(("run ", "pose "))
 
 
 def phases_of(log: Log, motion: LikeLog) -> tuple[tuple[Phase, ...], list[str]]:
-    """The phases that can be compared, and notes on those that cannot.
+    """Return the phases that can be compared, and notes on those that cannot.
 
     Phases at rest, or detected static stretches if none is noted; other phases where `motion` follows a track. LogError
     if there is nothing to compare.
@@ -78,15 +80,15 @@ def phases_of(log: Log, motion: LikeLog) -> tuple[tuple[Phase, ...], list[str]]:
 
 
 def _without_false_face(phase: Phase, motion: LikeLog) -> Phase:
-    """The phase without its axis up if by the track the box turns: the axis was that of the first face."""
+    """Return the phase without its axis up if by the track the box turns: the axis was that of the first face."""
     rate_dps = np.degrees(np.asarray(_sampled(phase, motion).rate_box, float))
     turns = float(np.sqrt(np.mean(rate_dps**2, axis=0).sum())) > MOST_RATE_DPS
     return phase._replace(up="") if phase.up and turns else phase
 
 
 def moves_by_track(phase: Phase, motion: LikeLog) -> bool:
-    """True if the box moves in a phase by the track that `motion` follows, beside the noise of that track: sensors that
-    are noisier than a gentle motion take it for rest.
+    """Return whether the box moves in a phase by the track that `motion` follows, beside the noise of that track:
+    sensors that are noisier than a gentle motion take it for rest.
     """
     moment = _sampled(phase, motion)
     for column, least in ((moment.force_box, _LEAST_FORCE), (moment.rate_box, _LEAST_RATE)):
@@ -134,7 +136,7 @@ def _detected_poses(log: Log) -> tuple[list[Phase], list[str]]:
 
 
 def _between_rests(log: Log, still: Sequence[Phase]) -> Iterator[Phase]:
-    """The stretches between the static ones of a log, if they are as long as one."""
+    """Yield the stretches between the static ones of a log, if they are as long as one."""
     begin = min(int(sensor.time[0]) for sensor in log.sensors.values() if len(sensor))
     end = max(int(sensor.time[-1]) for sensor in log.sensors.values() if len(sensor)) + 1
     starts, ends = [begin, *(phase.end_ns for phase in still)], [*(phase.start_ns for phase in still), end]
@@ -144,8 +146,8 @@ def _between_rests(log: Log, still: Sequence[Phase]) -> Iterator[Phase]:
 
 
 def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[PoseAttitude, ...], list[str]]:
-    """The attitudes of the box in the phases at rest, and notes on how they are known; empty where `motion` follows a
-    track.
+    """Return the attitudes of the box in the phases at rest, and notes on how they are known; empty where `motion`
+    follows a track.
 
     Tables are not level and boxes not square: a noted face is tilted as the accelerometers say, if that is within
     `MOST_TILT_DEG` of it.
@@ -178,7 +180,7 @@ def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tu
 
 
 def _attitude(phase: Phase, noted: Up | None, estimate: Sequence[float]) -> PoseAttitude:
-    """The estimated attitude, or the noted face if that is further off than a tilt."""
+    """Return the estimated attitude, or the noted face if that is further off than a tilt."""
     x, y, z = estimate
     if noted is not None and np.dot(noted, estimate) < np.cos(np.radians(MOST_TILT_DEG)):
         return PoseAttitude(phase, noted, estimated=False)
@@ -186,7 +188,7 @@ def _attitude(phase: Phase, noted: Up | None, estimate: Sequence[float]) -> Pose
 
 
 def _mean_g(sensor: SensorLog, phase: Phase) -> Floats:
-    """Mean reading (3,) in g in the box frame; nan without readings."""
+    """Return the mean reading (3,) in g in the box frame; nan without readings."""
     rows, sums = 0, np.zeros(3)
     for block in RecordedSource(sensor).blocks(phase.start_ns, phase.end_ns):
         rows += len(block.time)
@@ -195,7 +197,9 @@ def _mean_g(sensor: SensorLog, phase: Phase) -> Floats:
 
 
 def is_heated(phases: Sequence[Phase], motion: LikeLog) -> bool:
-    """True if a phase is noted as heating, or the temperature changes by more than `HEATED_DEGC` in a phase at rest."""
+    """Return whether a phase is noted as heating, or the temperature changes by more than `HEATED_DEGC` in a phase at
+    rest.
+    """
     return any("heat" in phase.name or _change_degc(phase, motion) > HEATED_DEGC for phase in phases)
 
 
@@ -204,7 +208,7 @@ def _change_degc(phase: Phase, motion: LikeLog) -> float:
 
 
 def kind_of(phases: Sequence[Phase], attitudes: Sequence[PoseAttitude], *, heated: bool) -> str:
-    """The kind of a log: heating, turn-on, tumble, motion or static, the first that applies."""
+    """Return the kind of a log: heating, turn-on, tumble, motion or static, the first that applies."""
     names = [phase.name for phase in phases]
     if heated:
         return "heating"
@@ -216,7 +220,7 @@ def kind_of(phases: Sequence[Phase], attitudes: Sequence[PoseAttitude], *, heate
 
 
 def _count_attitudes(phases: Sequence[Phase], attitudes: Sequence[PoseAttitude]) -> int:
-    """The number of different attitudes."""
+    """Return the number of different attitudes."""
     ups = [attitude.up_box for attitude in attitudes] or [up_vector(phase.up) for phase in phases if phase.up]
     distinct: list[Up] = []
     for up in ups:
@@ -226,7 +230,7 @@ def _count_attitudes(phases: Sequence[Phase], attitudes: Sequence[PoseAttitude])
 
 
 def temperature_notes(motion: LikeLog) -> list[str]:
-    """A note if the log has no reference temperature."""
+    """Return a note if the log has no reference temperature."""
     if motion.temperature_source == "nothing":
         return ["There is no reference temperature: 25 degC is assumed, and any usual change of a room's temperature."]
     if motion.temperature_source == "chip":

@@ -116,7 +116,7 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
 
 
 def _uncertain_times(sensor: SensorLog, usual_ns: float, gaps: Sequence[_Gap]) -> Integers:
-    """The times of rows before a gap that follow the row before late as well, and of the rows after the gap."""
+    """Return the times of rows before a gap that follow the row before late as well, and of the rows after the gap."""
     times = []
     for gap in gaps:
         row = sensor.between(gap.begin_ns, gap.begin_ns).start
@@ -126,12 +126,12 @@ def _uncertain_times(sensor: SensorLog, usual_ns: float, gaps: Sequence[_Gap]) -
 
 
 def _is_late(gap: _Gap, usual_ns: float, delays: Sequence[_Gap]) -> bool:
-    """True if the logger reports a delay during the gap."""
+    """Return whether the logger reports a delay during the gap."""
     return any(delay.begin_ns <= gap.end_ns + usual_ns and delay.end_ns > gap.begin_ns for delay in delays)
 
 
 def _is_idle(gap: _Gap, usual_ns: float, rate_hz: float) -> bool:
-    """True if a chip of that rate has no reading in the gap that is not read before or after it."""
+    """Return whether a chip of that rate has no reading in the gap that is not read before or after it."""
     if rate_hz <= 0:
         return False
     period_ns = 1e9 / rate_hz
@@ -139,19 +139,19 @@ def _is_idle(gap: _Gap, usual_ns: float, rate_hz: float) -> bool:
 
 
 def _overflowed(sensor: SensorLog, gap: _Gap) -> bool:
-    """True if the row after the gap says that rows were lost before it."""
+    """Return whether the row after the gap says that rows were lost before it."""
     row = sensor.between(gap.end_ns, gap.end_ns + 1).start
     return bool(row < len(sensor) and int(sensor.status[row]) & (OVERRUN | LOST_BEFORE))
 
 
 def _is_common(gap: _Gap, others: Sequence[tuple[SensorLog, float]]) -> bool:
-    """True if all other sensors that were due in the gap are missing in it; False if none was due."""
+    """Return whether all other sensors that were due in the gap are missing in it; False if none was due."""
     due = [(sensor, interval_ns) for sensor, interval_ns in others if 0 < interval_ns <= DUE * gap.length_ns]
     return bool(due) and all(_is_missing(sensor, interval_ns, gap) for sensor, interval_ns in due)
 
 
 def _is_missing(sensor: SensorLog, usual_ns: float, gap: _Gap) -> bool:
-    """True if the sensor's rows around the middle of the gap are further apart than usual."""
+    """Return whether the sensor's rows around the middle of the gap are further apart than usual."""
     middle_ns = (gap.begin_ns + gap.end_ns) // 2
     row = sensor.between(middle_ns, middle_ns).start
     if not 0 < row < len(sensor):
@@ -161,19 +161,20 @@ def _is_missing(sensor: SensorLog, usual_ns: float, gap: _Gap) -> bool:
 
 
 def _lost_share(sensor: SensorLog, usual_ns: float, gap_ns: float) -> float:
-    """The share of a log's time in which a sensor lacks rows, except for one gap of this length."""
+    """Return the share of a log's time in which a sensor lacks rows, except for one gap of this length."""
     span_ns = int(sensor.time[-1]) - int(sensor.time[0])
     return max(1 - ((len(sensor) - 1) * usual_ns + gap_ns) / span_ns, 0.0)
 
 
 def usual_interval_ns(sensor: SensorLog) -> float:
-    """The median of a sensor's first intervals, 0 without two rows."""
+    """Return the median of a sensor's first intervals, 0 without two rows."""
     return float(np.median(np.diff(np.asarray(sensor.time[: 1 << 14], np.int64)))) if len(sensor) > 1 else 0.0
 
 
 def _delay(event: Event, frame_ns: float) -> _Gap:
-    """The period in which the logger was late according to an event, which it reports at the end: the missed frames, or
-    the seconds in which frames were missed. The rows of a queue that overflowed are missing from its beginning.
+    """Return the period in which the logger was late according to an event, which it reports at the end: the missed
+    frames, or the seconds in which frames were missed. The rows of a queue that overflowed are missing from its
+    beginning.
     """
     missed, span = MISSED.match(event.message), _SPAN.search(event.message)
     length_ns = float(span[1]) * 1e9 if missed and span else int(missed[2]) * frame_ns if missed else 0.0

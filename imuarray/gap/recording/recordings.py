@@ -89,7 +89,7 @@ class Experiment(NamedTuple):
     is_heated: bool = False
 
     def comparable_rows(self, name: str, source: Source) -> Source:
-        """The rows of a sensor, recorded or simulated, without these."""
+        """Return the rows of a sensor, recorded or simulated, without these."""
         return RowFilter(source, self.uncertain_ns[name]) if name in self.uncertain_ns else source
 
 
@@ -181,8 +181,8 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
 
 
 def _without_unknown_temperature(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """The recordings except heatings without a temperature, noted or not; if there are no others, these as heated by an
-    unknown course.
+    """Return the recordings except heatings without a temperature, noted or not; if there are no others, these as
+    heated by an unknown course.
     """
     known: list[Recording] = []
     notes: list[str] = []
@@ -208,8 +208,8 @@ def _without_unknown_temperature(recordings: Sequence[Recording]) -> tuple[Recor
 
 
 def drifts_together(recording: Recording) -> bool:
-    """True if most sensors drift by many standard errors in the same phase at rest, or two axes of the only sensor do
-    along one course.
+    """Return whether most sensors drift by many standard errors in the same phase at rest, or two axes of the only
+    sensor do along one course.
     """
     sensors = [recording.log[name] for name in recording.experiment.plan.sensors]
     for phase in filter(is_at_rest, recording.phases):
@@ -222,7 +222,9 @@ def drifts_together(recording: Recording) -> bool:
 
 
 def _follows_one_course(means: Floats) -> bool:
-    """True if means (k, s) of k axes in s sections, in standard errors, are multiples of one course, but for chance."""
+    """Return whether means (k, s) of k axes in s sections, in standard errors, are multiples of one course, but for
+    chance.
+    """
     _, second, *_ = np.linalg.svd(means - means.mean(axis=1, keepdims=True), compute_uv=False)
     return bool(second < max(_OTHER_COURSE * np.ptp(means, axis=1).min(), math.sqrt(2 * means.shape[1])))
 
@@ -260,7 +262,7 @@ def refuse_other_array(recordings: Sequence[Recording], earlier: Sequence[Record
 
 
 def temperature_of(motion: Motion) -> Temperature:
-    """The reference temperature of a motion, as a function of time."""
+    """Return the reference temperature of a motion, as a function of time."""
 
     def temperature(time_ns: Times) -> Floats:
         return np.asarray(motion.felt(time_ns).temperature_degc, float)
@@ -269,13 +271,13 @@ def temperature_of(motion: Motion) -> Temperature:
 
 
 def reference_of(motion: Motion) -> Reference:
-    """The temperature of a motion, and the motion itself if a track of the log gives it."""
+    """Return the temperature of a motion, and the motion itself if a track of the log gives it."""
     is_tracked = isinstance(motion, LikeLog) and motion.source != "phases"
     return Reference(temperature_of(motion), motion if is_tracked else None)
 
 
 def sources_of(recording: Recording) -> dict[str, Source]:
-    """The rows of a recording's sensors, in the form in which a simulation has them.
+    """Return the rows of a recording's sensors, in the form in which a simulation has them.
 
     Without the counts of thermometers whose scale is unknown or that are the only source of the temperature, and
     without the flag of lost rows after gaps of the recorder; rows that arrived in bursts get the times at which they
@@ -296,7 +298,7 @@ def sources_of(recording: Recording) -> dict[str, Source]:
 
 
 def _rests_of(phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[int, int], ...]:
-    """The stretches in which the box stands still although the reference that is followed has noise."""
+    """Return the stretches in which the box stands still although the reference that is followed has noise."""
     if motion.source != "reference":
         return ()
     still = [phase for phase in phases if is_at_rest(phase) and not moves_by_track(phase, motion)]
@@ -334,7 +336,7 @@ class _Comparable:
 
 
 def _chosen_sensors(log: Log, only: Collection[str]) -> tuple[list[str], list[str]]:
-    """The names of the sensors to compare, and notes on those left out."""
+    """Return the names of the sensors to compare, and notes on those left out."""
     sensors = [log[name] for name in only] or [sensor for sensor in log.sensors.values() if sensor.is_triad]
     for sensor in sensors:
         if not sensor.is_triad:
@@ -351,7 +353,7 @@ def _chosen_sensors(log: Log, only: Collection[str]) -> tuple[list[str], list[st
 def _without_unknown_field(
     log: Log, names: Sequence[str], phases: Sequence[Phase], *, heated: bool
 ) -> tuple[list[str], list[str]]:
-    """The sensors whose input is known, and notes on the others.
+    """Return the sensors whose input is known, and notes on the others.
 
     No log records the magnetic field while the box moves, or in a box that is heated on several faces, since a
     magnetometer's scale follows the temperature (HMC-57). LogError if no sensor remains.
@@ -368,7 +370,7 @@ def _without_unknown_field(
 
 
 def _timelines(log: Log, timings: Mapping[str, RowTiming]) -> RecorderGaps:
-    """The timelines of all sensors, without the recorder's gaps."""
+    """Return the timelines of all sensors, without the recorder's gaps."""
     steady: dict[str, Timeline] = {
         name: filled(log[name]) for name, timing in timings.items() if timing.kind != "bursts"
     }
@@ -397,5 +399,5 @@ def _refuse_other_configuration(first: SensorLog, other: SensorLog) -> None:
 
 
 def _with_comparable_thermometer(header: SensorHeader, is_compared: bool) -> SensorHeader:
-    """The header without a thermometer whose scale is unknown, or that can't be compared."""
+    """Return the header without a thermometer whose scale is unknown, or that can't be compared."""
     return replace(header, has_temperature=is_compared and thermometer_of(header) is not None)

@@ -46,8 +46,8 @@ class Reset(NamedTuple):
 
 
 def resets_in(sensor: SensorLog) -> tuple[Reset, ...]:
-    """The resets of a sensor in the order of time. Stretches in which no reading changes, or before which there are
-    none, are left out.
+    """Return the resets of a sensor in the order of time. Stretches in which no reading changes, or before which there
+    are none, are left out.
     """
     resets: list[Reset] = []
     for begin, end in _doubtful_stretches(sensor):
@@ -60,7 +60,7 @@ def resets_in(sensor: SensorLog) -> tuple[Reset, ...]:
 
 
 def _doubtful_stretches(sensor: SensorLog) -> Iterator[tuple[int, int]]:
-    """The stretches [begin, end) of flagged rows."""
+    """Yield the stretches [begin, end) of flagged rows."""
     first: int | None = None
     for block in sensor.blocks():
         flagged = (np.asarray(sensor.status[block]) & SUSPECT) != 0
@@ -97,8 +97,8 @@ def _reset(sensor: SensorLog, begin: int, end: int) -> Reset | None:
 
 
 def _onset(inside: Floats, level: Floats, noise: Floats) -> int | None:
-    """The first of the readings (n, 3) within the stretch from which on all differ from those before; None if none do.
-    A short dip may end after the first reading.
+    """Return the first of the readings (n, 3) within the stretch from which on all differ from those before; None if
+    none do. A short dip may end after the first reading.
     """
     for last_rows in (_FEWEST // 2, 1) if len(inside) else ():
         last = np.median(inside[-last_rows:], axis=0) - level
@@ -118,7 +118,7 @@ def _is_blank(sensor: SensorLog, begin: int, inside: Floats) -> Booleans:
 
 
 def _middle(counts: Floats) -> tuple[Floats, Floats]:
-    """Median (3,) and robust scatter of readings (n, 3)."""
+    """Return the median (3,) and robust scatter of readings (n, 3)."""
     return np.asarray(np.median(counts, axis=0)), np.maximum(robust_std(counts), _ROUNDED_LSB)
 
 
@@ -127,8 +127,8 @@ def _counts(sensor: SensorLog, begin: int, end: int) -> Floats:
 
 
 def _between_s(sensor: SensorLog, row: int) -> float:
-    """The time half an interval before a row, from the interval of the two rows before it (the gap to the row may be
-    long).
+    """Return the time half an interval before a row, from the interval of the two rows before it (the gap to the row
+    may be long).
     """
     first = max(min(row, len(sensor)) - 2, 0)
     times = np.asarray(sensor.time[first : first + 2], np.int64)

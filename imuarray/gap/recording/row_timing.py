@@ -134,8 +134,8 @@ def row_timing(sensor: SensorLog) -> RowTiming:
 
 
 def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats, Floats, Booleans]:
-    """The row before each gap (k,), its length (k,), and the second interval after it (k,), in s: the first one may
-    only bring the rows back to the grid of the frames. And whether rows in it are flagged as lost (k,).
+    """Return the row before each gap (k,), its length (k,), and the second interval after it (k,), in s: the first one
+    may only bring the rows back to the grid of the frames. And whether rows in it are flagged as lost (k,).
     """
     after, length_s, next_s, is_lost = [np.zeros(0, np.int64)], [np.zeros(0)], [np.zeros(0)], [np.zeros(0, bool)]
     for block in sensor.blocks():
@@ -152,7 +152,7 @@ def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats, Floats, 
 
 
 def _is_burst(length_s: Floats, rows_after: Integers, hurry: float) -> bool:
-    """True if the rows after gaps (k,) make up for the gaps; `hurry` is their usual rate over the mean one."""
+    """Return whether the rows after gaps (k,) make up for the gaps; `hurry` is their usual rate over the mean one."""
     if np.std(length_s) < REGULAR * np.median(length_s) or not rows_after.std() > 0:
         return hurry > HURRY
     return bool(np.corrcoef(length_s, rows_after)[0, 1] > FOLLOWS)
@@ -176,11 +176,11 @@ class EvenRows:
         return float(1e9 * (self.knot_rows[-1] - self.knot_rows[0]) / (self.knots_ns[-1] - self.knots_ns[0]))
 
     def stamps(self, start: int, stop: int) -> Times:
-        """(stop - start,) ns since the log's epoch."""
+        """Return (stop - start,) ns since the log's epoch."""
         return np.asarray(np.rint(self._at(np.arange(start, stop, dtype=float))) + self._origin_ns, np.int64)
 
     def row_at(self, at_ns: int) -> int:
-        """The first row stamped `at_ns` or later."""
+        """Return the first row stamped `at_ns` or later."""
         low, high = 0, self.rows
         while high > low:
             middle = (low + high) // 2
@@ -193,7 +193,7 @@ class EvenRows:
         return int(self.knots_ns[0])
 
     def _at(self, rows: Floats) -> Floats:
-        """Times of rows in ns since the origin, extrapolated beyond the first and the last knot."""
+        """Return times of rows in ns since the origin, extrapolated beyond the first and the last knot."""
         knots_ns = self.knots_ns - self._origin_ns
         piece = np.clip(np.searchsorted(self.knot_rows, rows, side="right") - 1, 0, len(self.knot_rows) - 2)
         slope = np.diff(knots_ns) / np.diff(self.knot_rows)

@@ -39,10 +39,10 @@ class Source(Protocol):
         """Results already computed from its rows, by what they are; they live as long as the source."""
 
     def rows(self, start_ns: int, end_ns: int) -> int:
-        """The number of rows that were due in [start_ns, end_ns); a simulation counts dropped ones too."""
+        """Return the number of rows that were due in [start_ns, end_ns); a simulation counts dropped ones too."""
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
-        """The rows with times in [start_ns, end_ns), in order, in blocks of 1 to `CHUNK` rows."""
+        """Return the rows with times in [start_ns, end_ns), in order, in blocks of 1 to `CHUNK` rows."""
 
 
 DOUBTFUL = 0x8000
@@ -63,7 +63,7 @@ class RecordedSource:
         self._kind = np.int16 if sensor.count_bits <= 16 else np.int32
 
     def rows(self, start_ns: int, end_ns: int) -> int:
-        """Rows that the log has there."""
+        """Return rows that the log has there."""
         return self._row_at(end_ns) - self._row_at(start_ns)
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
@@ -71,7 +71,7 @@ class RecordedSource:
         return self.slices(self._row_at(start_ns), self._row_at(end_ns))
 
     def slices(self, begin: int, end: int) -> Iterator[Block]:
-        """Rows begin ... end - 1, in the same slices."""
+        """Yield rows begin ... end - 1, in the same slices."""
         time, counts, status, temperature = self._columns
         for first, stop in _parts(begin, end):
             rows = np.asarray(counts[max(first - 1, 0) : stop], self._kind)
@@ -97,7 +97,7 @@ class EvenSource:
         self._line = line
 
     def rows(self, start_ns: int, end_ns: int) -> int:
-        """Rows that were read there."""
+        """Return rows that were read there."""
         return self._line.row_at(end_ns) - self._line.row_at(start_ns)
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
@@ -121,12 +121,12 @@ class SimulatedSource:
         self._row_at = lru_cache(maxsize=64)(self._find_row)
 
     def rows(self, start_ns: int, end_ns: int) -> int:
-        """The number of rows that are read, whether or not they arrive."""
+        """Return the number of rows that are read, whether or not they arrive."""
         return self._row_at(end_ns) - self._row_at(start_ns)
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
-        """The simulator's own chunks, so that none is computed twice; flags as in a log, except that the row before the
-        first one is not compared with it.
+        """Yield the simulator's own chunks, so that none is computed twice; flags as in a log, except that the row
+        before the first one is not compared with it.
         """
         last = None
         for first, stop in _parts(self._row_at(start_ns), self._row_at(end_ns)):
@@ -142,7 +142,7 @@ class SimulatedSource:
             yield block._replace(status=flags)
 
     def _find_row(self, at_ns: int) -> int:
-        """The first row stamped `at_ns` or later."""
+        """Return the first row stamped `at_ns` or later."""
         stamps = self._sensor.timeline.stamps
         return bisect_left(range(self._sensor.rows), at_ns, key=lambda row: int(stamps(row, row + 1)[0]))
 
@@ -156,11 +156,11 @@ class RowFilter:
         self._source, self._uncertain_ns = source, uncertain_ns
 
     def rows(self, start_ns: int, end_ns: int) -> int:
-        """The number of rows that were due, these among them."""
+        """Return the number of rows that were due, these among them."""
         return self._source.rows(start_ns, end_ns)
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
-        """The blocks of the source without these rows."""
+        """Yield the blocks of the source without these rows."""
         for block in self._source.blocks(start_ns, end_ns):
             is_certain = ~np.isin(block.time, self._uncertain_ns)
             if is_certain.all():
@@ -171,8 +171,8 @@ class RowFilter:
 
 
 def _without_doubtful(flags: npt.NDArray[np.uint16], is_new: Booleans) -> npt.NDArray[np.uint16]:
-    """The flags (n,) of rows, with `DOUBTFUL` in place of that of a repeated row where a row differs from the one
-    before.
+    """Return the flags (n,) of rows, with `DOUBTFUL` in place of that of a repeated row where a row differs from the
+    one before.
 
     Such a row was measured while it was read, after the chip's ready bit was: neither was a reading lost beside it,
     whatever the chip says of the rows before and after it.
@@ -186,26 +186,26 @@ def _without_doubtful(flags: npt.NDArray[np.uint16], is_new: Booleans) -> npt.ND
 
 
 def flags_of_chip(chip: str) -> int:
-    """The flags that tell something of a chip's rows. Nothing tells a recorder whether a reading of a chip without a
-    ready bit is new: some flag a row that equals the one before, others no row. How many are equal is counted without
-    the flag.
+    """Return the flags that tell something of a chip's rows. Nothing tells a recorder whether a reading of a chip
+    without a ready bit is new: some flag a row that equals the one before, others no row. How many are equal is counted
+    without the flag.
     """
     return EVERY_FLAG & ~STALE if chip in NO_READY_BIT else EVERY_FLAG
 
 
 def recorded_source(sensor: SensorLog, line: Timeline) -> RecordedSource | EvenSource:
-    """The rows of a sensor of an open log, at the times that its timeline gives."""
+    """Return the rows of a sensor of an open log, at the times that its timeline gives."""
     return EvenSource(sensor, line) if isinstance(line, EvenRows) else RecordedSource(sensor)
 
 
 def simulated_sources(simulation: Simulation, *, alone: bool = False) -> dict[str, Source]:
-    """The triads of a simulation, by name. `alone`: the rows after those asked for aren't needed."""
+    """Return the triads of a simulation, by name. `alone`: the rows after those asked for aren't needed."""
     triads = ((name, sensor) for name, sensor in simulation.sensors.items() if isinstance(sensor, SimulatedSensor))
     return {name: SimulatedSource(sensor, simulation.plan.flags, alone=alone) for name, sensor in triads}
 
 
 def _parts(first: int, stop: int) -> Iterator[tuple[int, int]]:
-    """(begin, end) that cover first ... stop - 1 and end at multiples of `CHUNK`."""
+    """Yield (begin, end) that cover first ... stop - 1 and end at multiples of `CHUNK`."""
     while first < stop:
         end = min((first // CHUNK + 1) * CHUNK, stop)
         yield first, end
@@ -213,8 +213,8 @@ def _parts(first: int, stop: int) -> Iterator[tuple[int, int]]:
 
 
 def _header_in(sensor: SensorLog) -> SensorHeader:
-    """The header of a triad in a log, with 1 count per unit where its sensitivity is unknown; ValueError for another
-    sensor.
+    """Return the header of a triad in a log, with 1 count per unit where its sensitivity is unknown; ValueError for
+    another sensor.
     """
     if not sensor.is_triad:
         raise ValueError(f"{sensor.where}: {sensor.quantity} has no three axes")

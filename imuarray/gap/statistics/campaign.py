@@ -66,23 +66,25 @@ class LogSummary:
     spells: Mapping[str, tuple[tuple[Stretches, LogSummary], ...]] = field(default_factory=dict)
 
     def of(self, sensor: str) -> tuple[Summary, ...]:
-        """The sensor's phases."""
+        """Return the sensor's phases."""
         return tuple(part.sensors[sensor] for part in self.phases if sensor in part.sensors)
 
     def still(self, sensor: str) -> tuple[Summary, ...]:
-        """The sensor's phases at rest."""
+        """Return the sensor's phases at rest."""
         return tuple(part.sensors[sensor] for part in self.phases if part.is_still and sensor in part.sensors)
 
     def exchanged(self, first: str, second: str) -> LogSummary:
-        """The log with each of two sensors' rows under the name of the other; what sensors have in common stays."""
+        """Return the log with each of two sensors' rows under the name of the other; what sensors
+        have in common stays.
+        """
         names = {first: second, second: first}
         phases = [replace(part, sensors=_renamed(part.sensors, names)) for part in self.phases]
         return replace(self, phases=tuple(phases))
 
 
 def _renamed(sensors: Mapping[str, Summary], names: Mapping[str, str]) -> dict[str, Summary]:
-    """The summaries under the names and with the headers of other sensors; sensors that lack a counterpart are left
-    out.
+    """Return the summaries under the names and with the headers of other sensors; sensors that lack a counterpart are
+    left out.
     """
     rows = {name: sensors[names.get(name, name)] for name in sensors if names.get(name, name) in sensors}
     return {name: replace(summary, header=sensors[name].header) for name, summary in rows.items()}
@@ -95,7 +97,7 @@ class Campaign:
     logs: tuple[LogSummary, ...]
 
     def series(self) -> dict[str, tuple[LogSummary, ...]]:
-        """The logs by kind, for kinds with several logs."""
+        """Return the logs by kind, for kinds with several logs."""
         kinds = dict.fromkeys(log.kind for log in self.logs)
         by_kind = {kind: tuple(log for log in self.logs if log.kind == kind) for kind in kinds}
         return {kind: logs for kind, logs in by_kind.items() if len(logs) > 1}
@@ -283,8 +285,8 @@ def _summarise_in_one_pass(
 def _interleaved(
     blocks: Mapping[str, Iterator[tuple[Block, ...]]], phase: Phase
 ) -> Iterator[tuple[str, tuple[Block, ...] | None]]:
-    """The blocks of all sensors, None after a sensor's last: the sensor that is furthest behind in time comes next, so
-    that little has to be kept.
+    """Yield the blocks of all sensors, None after a sensor's last: the sensor that is furthest behind in time comes
+    next, so that little has to be kept.
     """
     waiting, reached = dict(blocks), dict.fromkeys(blocks, phase.start_ns)
     while waiting:
@@ -298,7 +300,7 @@ def _interleaved(
 
 
 def layout_of(sources: Mapping[str, Source], phase: Phase) -> Layout:
-    """The layout for a phase: how finely it can be resolved."""
+    """Return the layout for a phase: how finely it can be resolved."""
     rows = {name: source.rows(phase.start_ns, phase.end_ns) for name, source in sources.items()}
     seconds = (phase.end_ns - phase.start_ns) * 1e-9
     rates = [rows[name] / seconds for name, source in sources.items() if source.header.quantity in INERTIAL]
@@ -307,7 +309,7 @@ def layout_of(sources: Mapping[str, Source], phase: Phase) -> Layout:
 
 
 def runs_in(logs: Sequence[LogSummary], sensor: str) -> Runs | None:
-    """The runs of a sensor, each the first phase at rest of a log; None if it isn't in all logs."""
+    """Return the runs of a sensor, each the first phase at rest of a log; None if it isn't in all logs."""
     phases = [log.still(sensor)[:1] for log in logs]
     return runs_of([phase for (phase,) in phases]) if all(phases) else None
 
@@ -315,7 +317,7 @@ def runs_in(logs: Sequence[LogSummary], sensor: str) -> Runs | None:
 def _cross(
     sources: Mapping[str, Source], phase: Phase, track: Motion | None, window: int, replicates: int, *, recorded: bool
 ) -> CrossTally | None:
-    """The tally of what inertial sensors have in common with each other, and in motion with a track."""
+    """Return the tally of what inertial sensors have in common with each other, and in motion with a track."""
     there = [source for source in sources.values() if source.rows(phase.start_ns, phase.end_ns)]
     headers = [source.header for source in there if source.header.quantity in INERTIAL]
     moves = not is_at_rest(phase)

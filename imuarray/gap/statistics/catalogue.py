@@ -102,7 +102,7 @@ def replicate_statistics(campaigns: Sequence[Campaign], sensors: Collection[str]
 
 
 def _table(by_place: Iterable[tuple[_Place, list[_ProbeValues]]], replicates: int) -> ReplicateStatistics:
-    """The values as a table with one row for each replicate."""
+    """Return the values as a table with one row for each replicate."""
     keys: list[Key] = []
     values = [np.zeros((replicates, 0))]
     for place, several in by_place:
@@ -115,7 +115,7 @@ def _table(by_place: Iterable[tuple[_Place, list[_ProbeValues]]], replicates: in
 
 @lru_cache(maxsize=1 << 12)
 def _keys(place: _Place, probes: tuple[str, ...], sizes: tuple[int, ...]) -> tuple[Key, ...]:
-    """The keys of probes at one place, the same for every replicate."""
+    """Return the keys of probes at one place, the same for every replicate."""
     log, sensor, phase, number = place
     return tuple(
         Key(log, sensor, axis, phase, number, PROBES[probe].domain, probe)
@@ -127,7 +127,7 @@ def _keys(place: _Place, probes: tuple[str, ...], sizes: tuple[int, ...]) -> tup
 def _by_place(
     campaigns: Sequence[Campaign], sensors: Collection[str] | None = None
 ) -> Iterator[tuple[_Place, list[_ProbeValues]]]:
-    """Values of all probes in replicates of one campaign, place by place."""
+    """Yield values of all probes in replicates of one campaign, place by place."""
     logs = zip(*(campaign.logs for campaign in campaigns), strict=True)
     for number, replicates in enumerate(logs):
         for phases in zip(*(log.phases for log in replicates), strict=True):
@@ -142,14 +142,14 @@ def _by_place(
 
 
 def _sensors(phases: Sequence[PhaseSummary], only: Collection[str] | None) -> list[str]:
-    """The sensors of these phases that are wanted, each once."""
+    """Return the sensors of these phases that are wanted, each once."""
     there = dict.fromkeys(sensor for phase in phases for sensor in phase.sensors)
     return [sensor for sensor in there if only is None or sensor in only]
 
 
 def _of_phase(replicates: Sequence[PhaseSummary], only: Collection[str] | None) -> dict[str, list[_ProbeValues]]:
-    """Values of the probes of a phase by sensor. One probe of all sensors after the other is faster than one sensor
-    after the other.
+    """Return values of the probes of a phase by sensor. One probe of all sensors after the other is faster than one
+    sensor after the other.
     """
     first = replicates[0]
     sensors = _sensors([first], only)
@@ -171,7 +171,7 @@ def _of_phase(replicates: Sequence[PhaseSummary], only: Collection[str] | None) 
 
 
 def _grouped(replicates: Sequence[Summary]) -> list[tuple[list[int], Summary]]:
-    """Replicates whose rows have the same times, as places and their joint summary."""
+    """Return replicates whose rows have the same times, as places and their joint summary."""
     sets: dict[tuple[int, bytes, bytes], list[int]] = {}
     for at, summary in enumerate(replicates):
         part = summary.segments
@@ -182,8 +182,8 @@ def _grouped(replicates: Sequence[Summary]) -> list[tuple[list[int], Summary]]:
 def _by_phase(
     probe: PhaseProbe, replicates: Sequence[Summary], together: Sequence[tuple[list[int], Summary]]
 ) -> Floats:
-    """Values (r, k) of a probe in each replicate, at once for those that are grouped, where the probe works column by
-    column.
+    """Return values (r, k) of a probe in each replicate, at once for those that are grouped, where the probe works
+    column by column.
     """
     if not probe.by_column:
         return _rows([probe.statistic(summary) for summary in replicates])
@@ -217,10 +217,10 @@ def _of_runs(replicates: Sequence[tuple[LogSummary, ...]], sensor: str) -> list[
 
 
 def _rows(values: Sequence[Floats]) -> Floats:
-    """Values of r replicates on three axes or one as a table (r, k)."""
+    """Return values of r replicates on three axes or one as a table (r, k)."""
     return np.array(values).reshape(len(values), -1)
 
 
 def _any_difference() -> float:
-    """The resolution of a statistic in which any difference is meaningful."""
+    """Return the resolution of a statistic in which any difference is meaningful."""
     return 0.0

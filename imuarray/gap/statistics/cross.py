@@ -65,7 +65,7 @@ class Cross:
     tracked: tuple[str, ...] = ()
 
     def columns(self, sensor: str) -> slice:
-        """The columns of a sensor's three axes; KeyError for a sensor that isn't there."""
+        """Return the columns of a sensor's three axes; KeyError for a sensor that isn't there."""
         return slice(3 * self._places[sensor], 3 * self._places[sensor] + 3)
 
     @property
@@ -79,16 +79,16 @@ class Cross:
         return slice(len(self.fast) - CUBES, len(self.fast))
 
     def header(self, sensor: str) -> SensorHeader:
-        """The header of a sensor."""
+        """Return the header of a sensor."""
         return self.sensors[self._places[sensor]]
 
     def others(self, sensor: str, *, family: bool) -> tuple[str, ...]:
-        """The sensors of the same chip, or else all others that measure the same."""
+        """Return the sensors of the same chip, or else all others that measure the same."""
         return self._others[sensor, family]
 
     def reference(self, sensor: str) -> Floats | None:
-        """Weights (3, p) of what a sensor should read along its nominal axes: the mean of the others that measure the
-        same, else the track; None without either.
+        """Return weights (3, p) of what a sensor should read along its nominal axes: the mean of the others that
+        measure the same, else the track; None without either.
         """
         others = self.others(sensor, family=False)
         if others:
@@ -102,7 +102,7 @@ class Cross:
         return np.array(self.header(sensor).orientation).T @ box
 
     def mean_box(self, sensors: Collection[str]) -> Floats:
-        """Weights (3, p) of the mean of these sensors along the box's axes."""
+        """Return weights (3, p) of the mean of these sensors along the box's axes."""
         weights = np.zeros((3, self.fast.shape[0]))
         for name in sensors:
             weights[:, self.columns(name)] = np.array(self.header(name).orientation) / len(sensors)
@@ -130,7 +130,7 @@ class Cross:
 
 
 def window_ns(rates_hz: Sequence[float]) -> int:
-    """The shortest of the usual windows in which the slowest sensor has two rows."""
+    """Return the shortest of the usual windows in which the slowest sensor has two rows."""
     needed_s = _WINDOW_ROWS / min(rates_hz)
     return round(next((window_s for window_s in _WINDOWS_S if window_s >= needed_s), _WINDOWS_S[-1]) * 1e9)
 
@@ -221,12 +221,12 @@ class CrossTally:
         self._finish_segments(int(self._reached.min()))
 
     def result(self) -> Cross:
-        """The moments of all complete segments, of the only replicate."""
+        """Return the moments of all complete segments, of the only replicate."""
         (cross,) = self.results()
         return cross
 
     def results(self) -> list[Cross]:
-        """The moments of all complete segments, of each replicate."""
+        """Return the moments of all complete segments, of each replicate."""
         self._finish_segments(self._last)
         with np.errstate(invalid="ignore"):
             fast = self._fast / np.float64(self._windows)
@@ -302,8 +302,8 @@ class CrossTally:
         self._inner_windows += int(np.count_nonzero(inner))
 
     def _kinematic(self, readings: Floats) -> Floats:
-        """Products xx, xy, xz, yy, yz, zz of the mean rate in the box, its change per second, and its cubes
-        (r, 12, s, w).
+        """Return products xx, xy, xz, yy, yz, zz of the mean rate in the box, its change per second, and its cubes (r,
+        12, s, w).
         """
         if not self._gyroscopes:
             return np.zeros((len(readings), KINEMATIC + CUBES, *readings.shape[3:]))
@@ -316,7 +316,7 @@ class CrossTally:
 
 
 def _filled(readings: Floats, full: Booleans) -> Floats:
-    """Readings (r, m, 3, s, w) with the segment's mean in place of windows that aren't full (s, w)."""
+    """Return readings (r, m, 3, s, w) with the segment's mean in place of windows that aren't full (s, w)."""
     if full.all():
         return readings
     mean = np.mean(readings, axis=4, where=full, keepdims=True)

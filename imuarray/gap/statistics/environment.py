@@ -96,7 +96,7 @@ def environment_of(campaign: Campaign, level: float = LEVEL) -> tuple[SharedSign
 
 
 def groups_of(sensors: Sequence[SensorHeader], quantity: str, axis: int) -> tuple[Group, ...]:
-    """The groups of sensors along a box axis (0, 1, 2)."""
+    """Return the groups of sensors along a box axis (0, 1, 2)."""
     names_of_group: dict[tuple[str, int, float], list[str]] = {}
     for sensor in sensors:
         if sensor.quantity == quantity:
@@ -107,7 +107,7 @@ def groups_of(sensors: Sequence[SensorHeader], quantity: str, axis: int) -> tupl
 
 
 def slow_test(means: Floats) -> tuple[float, float]:
-    """Correlation between groups of what is not noise, and its p, from group means (s, c) over time.
+    """Return the correlation between groups of what is not noise, and its p, from group means (s, c) over time.
 
     Wander and drift are tested separately, p is twice the smaller one. Wander is the residual of a straight line, a
     parabola and a logarithm of time, tested by `wander_test`; drift is the vector of these three, since every sensor
@@ -123,8 +123,8 @@ def slow_test(means: Floats) -> tuple[float, float]:
 
 
 def wander_test(means: Floats) -> tuple[float, float]:
-    """Correlation between groups of the waves above the noise, and its p, from group means (s, c) without drift; (0, 1)
-    if there are no such waves.
+    """Return the correlation between groups of the waves above the noise, and its p, from group means (s, c) without
+    drift; (0, 1) if there are no such waves.
 
     The p of each wave is uniform if all groups wander equally, and small ones are rarer otherwise. They are combined by
     Fisher's sum of logs.
@@ -140,8 +140,8 @@ def wander_test(means: Floats) -> tuple[float, float]:
 
 
 def _alignment_test(vectors: Floats) -> tuple[float, float]:
-    """Correlation between groups from their amplitudes (k, c), and the probability that a single random vector is so
-    nearly parallel to (1, ..., 1).
+    """Return the correlation between groups from their amplitudes (k, c), and the probability that a single random
+    vector is so nearly parallel to (1, ..., 1).
     """
     groups = vectors.shape[1]
     power = float((vectors**2).sum())
@@ -150,8 +150,8 @@ def _alignment_test(vectors: Floats) -> tuple[float, float]:
 
 
 def fast_test(covariance: Floats, rows: Floats) -> tuple[float, float]:
-    """Mean correlation of the groups and its p, from the covariance (c, c) of group means and the effective number of
-    `rows` (c, c) of each pair.
+    """Return the mean correlation of the groups and its p, from the covariance (c, c) of group means and the effective
+    number of `rows` (c, c) of each pair.
 
     Covariances that differ are no common stimulus and have p = 1.
     """
@@ -170,7 +170,7 @@ def fast_test(covariance: Floats, rows: Floats) -> tuple[float, float]:
 
 
 def _in_phase(log: int, part: PhaseSummary, cross: Cross) -> Iterator[tuple[SharedSignal, bool]]:
-    """All tests of a phase, each with whether the signal is large enough to be reported."""
+    """Yield all tests of a phase, each with whether the signal is large enough to be reported."""
     slow = _slow(part, cross)
     for quantity in INERTIAL:
         for axis in range(3):
@@ -225,8 +225,8 @@ def _slow(part: PhaseSummary, cross: Cross) -> Floats:
 
 
 def _temperatures(part: PhaseSummary, count: int) -> Floats:
-    """Temperatures (count, k): the reference and its change, or the chips' thermometers if the reference is constant or
-    missing.
+    """Return temperatures (count, k): the reference and its change, or the chips' thermometers if the reference is
+    constant or missing.
     """
     columns = _normalised(part.sensors, "temperature_degc", count)[:1]
     if columns and count > 1:
@@ -237,8 +237,8 @@ def _temperatures(part: PhaseSummary, count: int) -> Floats:
 
 
 def _normalised(sensors: Mapping[str, Summary], name: str, count: int) -> list[Floats]:
-    """The varying ones of the sensors' values of this name, at `count` equal parts of the phase, less their mean and
-    over their range; none for no parts.
+    """Return the varying ones of the sensors' values of this name, at `count` equal parts of the phase, less their mean
+    and over their range; none for no parts.
     """
     courses: list[Floats] = []
     for summary in sensors.values() if count else ():

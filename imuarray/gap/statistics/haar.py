@@ -58,7 +58,7 @@ class HaarTally:
             self._add(_FINE + number, differences)
 
     def result(self) -> Haar:
-        """The variances of all values so far."""
+        """Return the variances of all values so far."""
         terms = np.array(self._terms, np.int64)
         factors = 2.0 ** np.arange(len(terms))
         scale = np.where(terms > 0, 2 * factors * factors * terms, np.nan)
@@ -87,7 +87,7 @@ class _Level:
         self._kept: Floats = np.zeros((columns, 0))
 
     def line(self, sums: Floats) -> Floats:
-        """The kept sums followed by the next sums (k, n)."""
+        """Return the kept sums followed by the next sums (k, n)."""
         self._new, reach = self._kept.shape[1], 2 * self._distances[-1] - 1
         line = np.concatenate([self._kept, sums], axis=1) if self._new else sums
         self._kept = line[:, -reach:].copy()
@@ -105,7 +105,7 @@ class _Level:
                     yield distance, window[:, first + distance :] - window[:, first:-distance]
 
     def coarser(self, line: Floats) -> Floats:
-        """The sums of pairs, continued over blocks."""
+        """Return the sums of pairs, continued over blocks."""
         begin = self._new - self._paired
         pairs = (line.shape[1] - begin) // 2
         self._paired = line.shape[1] - begin - 2 * pairs

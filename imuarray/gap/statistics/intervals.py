@@ -69,7 +69,7 @@ class IntervalMoments:
             self._add()
 
     def result(self) -> Intervals:
-        """The moments of all intervals so far."""
+        """Return the moments of all intervals so far."""
         self._add()
         if self._count == 0:
             return Intervals(0, np.nan, np.nan, self._gaps, np.nan)
@@ -101,7 +101,7 @@ class IntervalMoments:
 
 
 def _quartile(values: Floats) -> float:
-    """The upper quartile; `numpy.quantile` takes several times as long for it."""
+    """Return the upper quartile; `numpy.quantile` takes several times as long for it."""
     place = _QUARTILE * (len(values) - 1)
     low = int(place)
     ordered = np.sort(values)[low : low + 2]

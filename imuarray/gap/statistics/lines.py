@@ -56,7 +56,7 @@ def highest_lines(spectrum: Spectrum, count: int, known: Sequence[float] = ()) -
 
 
 def pooled(spectra: Sequence[Spectrum]) -> Spectrum | None:
-    """The finest one, of all phases in which it is as fine; with freedom added up."""
+    """Return the finest one, of all phases in which it is as fine; with freedom added up."""
     known = [spectrum for spectrum in spectra if spectrum.segments]
     if not known:
         return None

@@ -30,8 +30,8 @@ class Pairs:
     held_out: Indices
 
     def sums(self, scores: Floats) -> Floats:
-        """Scores (..., m) of pairs from scores (..., n): the sum of both parts over the root of two, or the score of
-        the only part that has one.
+        """Return scores (..., m) of pairs from scores (..., n): the sum of both parts over the root of two, or the
+        score of the only part that has one.
         """
         parts = [_at(scores, places) for places in (self.train, self.held_out)]
         count = np.sum([np.isfinite(part) for part in parts], axis=0)
@@ -68,8 +68,8 @@ def scorer_of(pairs: Pairs, likelihood: SyntheticLikelihood, replicates: Floats)
 
 
 def scores_by_others(pairs: Pairs, values: Floats, floor: Floats) -> Floats:
-    """Scores (b, m) of campaigns with values (b, n), each scored by the others (except a twentieth, its own fold): if
-    all are of one kind, each is equally likely to be the most extreme.
+    """Return scores (b, m) of campaigns with values (b, n), each scored by the others (except a twentieth, its own
+    fold): if all are of one kind, each is equally likely to be the most extreme.
     """
     scores = np.empty((len(values), len(pairs.keys)))
     folds = min(_FOLDS, len(values))

@@ -69,7 +69,7 @@ def pooled_scores(normal: Floats, keys: Sequence[Key]) -> PooledScores:
 
 
 def _pools(keys: Sequence[Key]) -> Iterator[Indices]:
-    """The places of each sensor in each log, and those of the sensor in all logs if there are several."""
+    """Yield the places of each sensor in each log, and those of the sensor in all logs if there are several."""
     by_sensor: dict[str, dict[int, list[int]]] = {}
     for at, key in enumerate(keys):
         by_sensor.setdefault(key.sensor, {}).setdefault(key.log, []).append(at)
@@ -81,7 +81,7 @@ def _pools(keys: Sequence[Key]) -> Iterator[Indices]:
 
 
 def _standardised_by_others(values: Floats) -> Floats:
-    """Deviations (b, k) of values (b, k) from the mean of the other campaigns, over their standard deviation."""
+    """Return deviations (b, k) of values (b, k) from the mean of the other campaigns, over their standard deviation."""
     others = max(len(values) - 1, 1)
     means = (values.sum(axis=0) - values) / others
     squares = values**2
@@ -90,8 +90,8 @@ def _standardised_by_others(values: Floats) -> Floats:
 
 
 def _with_largest_of(scores: Floats, singles: Floats) -> Floats:
-    """The scores (b, k), stretched and shifted so that their largest in each campaign is distributed as the largest of
-    `singles` (b, m) is; 0 where that would be negative.
+    """Return the scores (b, k), stretched and shifted so that their largest in each campaign is distributed as the
+    largest of `singles` (b, m) is; 0 where that would be negative.
     """
     middle, high = np.quantile(scores.max(axis=1), _QUANTILES)
     single_middle, single_high = np.quantile(singles.max(axis=1), _QUANTILES)

@@ -65,7 +65,7 @@ class Runs:
 
 
 def runs_of(summaries: Sequence[Summary]) -> Runs:
-    """The runs of one sensor, each by the phase that represents it, in the order of recording."""
+    """Return the runs of one sensor, each by the phase that represents it, in the order of recording."""
     scale = 1 / summaries[0].header.sensitivity
     known = [summary for summary in summaries if summary.rows]
     means, errors, profiles = zip(*(_of_run(summary) for summary in known), strict=True) if known else ((), (), ())
@@ -78,7 +78,7 @@ def runs_of(summaries: Sequence[Summary]) -> Runs:
 
 
 def _of_run(summary: Summary) -> tuple[Floats, Floats, Floats]:
-    """Mean, its error and profile of one run, in counts."""
+    """Return the mean, its error and profile of one run, in counts."""
     part = summary.segments
     has_rows, total = part.rows > 0, part.rows.sum()
     sums = np.where(has_rows[:, None], part.rows[:, None] * part.mean, 0.0)

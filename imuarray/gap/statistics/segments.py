@@ -83,12 +83,12 @@ class SegmentTally:
             self._thermometer[1][:, part] += np.add.reduceat(values * values, starts, axis=1)
 
     def result(self, origin: Floats, temperature: Temperature) -> Segments:
-        """The parts of the only replicate; `origin` (3,) in counts is what deviations were taken from."""
+        """Return the parts of the only replicate; `origin` (3,) in counts is what deviations were taken from."""
         (segments,) = self.results(origin, temperature)
         return segments
 
     def results(self, origin: Floats, temperature: Temperature) -> list[Segments]:
-        """The parts of each replicate; `origin` (3 r,)."""
+        """Return the parts of each replicate; `origin` (3 r,)."""
         rows = np.where(self._rows, self._rows, np.nan)
         replicates, mean_ns = len(self._thermometer[0]), self._since_ns / rows
         widths_ns = self._edges[1:] - self._edges[:-1]
@@ -121,14 +121,14 @@ class SegmentTally:
         )
 
     def _thermometer_moments(self, rows: Floats) -> tuple[Floats, Floats]:
-        """Mean and variance (r, s) of each thermometer."""
+        """Return the mean and variance (r, s) of each thermometer."""
         if not self._has_thermometer:
             return (np.full(self._thermometer.shape[1:], np.nan),) * 2
         means, squares = self._thermometer / rows
         return means, np.maximum(squares - means**2, 0.0)
 
     def _parts(self, time_ns: Times) -> tuple[Indices, Indices, Indices]:
-        """The parts that the times lie in, the first row of each and its number of rows."""
+        """Return the parts that the times lie in, the first row of each and its number of rows."""
         ends = np.searchsorted(self._edges, time_ns[[0, -1]], side="right") - 1
         part = np.arange(ends[0], ends[1] + 1)
         starts = np.searchsorted(time_ns, self._edges[part])

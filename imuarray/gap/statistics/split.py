@@ -43,11 +43,11 @@ class Split:
     shares: tuple[Share, ...]
 
     def train(self, campaign: Campaign) -> Side:
-        """The part to fit to."""
+        """Return the part to fit to."""
         return self._side(campaign, False)
 
     def held_out(self, campaign: Campaign) -> Side:
-        """The part to judge by."""
+        """Return the part to judge by."""
         return self._side(campaign, True)
 
     def both(self, campaign: Campaign) -> Side:
@@ -55,7 +55,7 @@ class Split:
         return Side(campaign, tuple(range(len(campaign.logs))))
 
     def phases(self, held_out: bool | None = None) -> tuple[tuple[Phase, ...], ...]:
-        """The phases that are used of each log: of both parts (None), or of one."""
+        """Return the phases that are used of each log: of both parts (None), or of one."""
         return tuple(tuple(share.phases[at] for at in _places(share, held_out)) for share in self.shares)
 
     @property
@@ -74,7 +74,7 @@ class Split:
 
 
 def split_of(kinds: Sequence[str], phases: Sequence[Sequence[Phase]]) -> Split:
-    """The split of a campaign whose logs are of these kinds and have these phases."""
+    """Return the split of a campaign whose logs are of these kinds and have these phases."""
     several = [(kind, any(map(is_at_rest, log_phases))) for kind, log_phases in zip(kinds, phases, strict=True)]
     many = {kind for kind, count in Counter(several).items() if count > 1}
     shares = []
@@ -101,7 +101,9 @@ def _places(share: Share, held_out: bool | None) -> list[int]:
 
 
 def _part(log: LogSummary, share: Share, held_out: bool) -> LogSummary:
-    """The phases of one part of a log that was summarised in all phases of its share, or in those of this part only."""
+    """Return the phases of one part of a log that was summarised in all phases of its share, or in those of this part
+    only.
+    """
     places = _places(share, held_out)
     chosen = places if len(log.phases) == len(share.phases) else range(len(log.phases))
     parts = [replace(log.phases[at], number=share.numbers[place]) for at, place in zip(chosen, places, strict=False)]

@@ -49,7 +49,7 @@ class Grid:
 
     @classmethod
     def of(cls, rows: int) -> Grid:
-        """The grid for a phase of so many rows."""
+        """Return the grid for a phase of so many rows."""
         return cls(segment_rows(max(rows, 1)), min(_SEGMENTS, max(2, rows // _SEGMENT_ROWS)))
 
 
@@ -140,12 +140,12 @@ class Tally:
             outliers.update(time, deviations[3 * at : 3 * at + 3])
 
     def result(self, temperature: Temperature) -> Summary:
-        """The summary of the rows so far, of the only replicate."""
+        """Return the summary of the rows so far, of the only replicate."""
         (summary,) = self.results(temperature)
         return summary
 
     def results(self, temperature: Temperature) -> list[Summary]:
-        """The summaries of the rows so far, of each replicate."""
+        """Return the summaries of the rows so far, of each replicate."""
         replicates = len(self._repeats)
         spectrum, haar, intervals = self._welch.result(), self._haar.result(), self._intervals.result()
         tables = (self._covariance.correlation(), self._arch.correlation(), haar.variance, haar.kurtosis)
@@ -184,7 +184,7 @@ class Tally:
 
 
 def _thermometers(blocks: Sequence[Block]) -> npt.NDArray[np.int16] | None:
-    """Counts (r, n) of the chip's thermometer, if it has one."""
+    """Return counts (r, n) of the chip's thermometer, if it has one."""
     counts = [block.temperature_counts for block in blocks if block.temperature_counts is not None]
     return np.array(counts) if counts else None
 

@@ -52,7 +52,7 @@ class SyntheticLikelihood:
         return np.asarray(np.clip((values - self.location) / self.scale, -LARGEST_SCORE, LARGEST_SCORE))
 
     def log_density(self, values: Floats, shift: Floats | None = None) -> Floats:
-        """Log density (n,) of each statistic, 0 where the recording or the model has no value.
+        """Return the log density (n,) of each statistic, 0 where the recording or the model has no value.
 
         `shift` (n,) is the shift by the model's own effects, whose form may be wrong. A model under which a recorded
         statistic never has a value pays for `LARGEST_SCORE`.
@@ -72,7 +72,7 @@ class SyntheticLikelihood:
         return np.asarray(np.where(strange, costly, np.nan_to_num(density)))
 
     def of(self, chosen: Booleans) -> SyntheticLikelihood:
-        """The distribution of some of the statistics."""
+        """Return the distribution of some of the statistics."""
         return SyntheticLikelihood(
             self.location[chosen],
             self.scale[chosen],
@@ -93,13 +93,13 @@ class SyntheticLikelihood:
 
 
 def _student(deviations: Floats, scale: Floats) -> Floats:
-    """Log density of deviations from the location, except for a constant."""
+    """Return the log density of deviations from the location, except for a constant."""
     scores = np.clip(deviations / scale, -LARGEST_SCORE, LARGEST_SCORE)
     return np.asarray(-(FREEDOM + 1) / 2 * np.log1p(scores**2 / FREEDOM) - np.log(scale))
 
 
 def likelihood_of(replicates: Floats, floor: Floats) -> SyntheticLikelihood:
-    """The distribution of statistics by replicates (b, n); `floor` (n,) is the least meaningful scatter."""
+    """Return the distribution of statistics by replicates (b, n); `floor` (n,) is the least meaningful scatter."""
     has_value = np.isfinite(replicates)
     count = np.count_nonzero(has_value, axis=0)
     known = count > len(replicates) // 2
@@ -114,8 +114,8 @@ def likelihood_of(replicates: Floats, floor: Floats) -> SyntheticLikelihood:
 
 
 def independent_share(scores: Floats) -> float:
-    """Share of n statistics that is independent, from their scores (b, n) in b replicates: 1 over the mean of their
-    summed squared correlations, less the chance level of b replicates.
+    """Return the share of n statistics that is independent, from their scores (b, n) in b replicates: 1 over the mean
+    of their summed squared correlations, less the chance level of b replicates.
     """
     known = np.isfinite(scores).all(axis=0)
     standard_scores = np.clip(scores[:, known], -_CLIPPED, _CLIPPED)
@@ -151,7 +151,9 @@ def _quantile(values: Floats, share: float) -> Floats:
 
 
 def _median(values: Floats) -> Floats:
-    """Median (n,) of the known values of (b, n); numpy's takes four times as long, with missing values twenty times."""
+    """Return the median (n,) of the known values of (b, n); numpy's takes four times as long, with missing values
+    twenty times.
+    """
     whole = np.isfinite(values).all(axis=0)
     medians = np.empty(values.shape[1])
     ordered = np.sort(values[:, whole], axis=0)

@@ -60,7 +60,7 @@ class Tail:
     scale: float
 
     def normal(self, sizes: Floats) -> Floats:
-        """The normal deviations that chance exceeds as rarely as `sizes` of scores."""
+        """Return the normal deviations that chance exceeds as rarely as `sizes` of scores."""
         share = np.maximum(stdtr(self.freedom, -sizes / self.scale), _LEAST_SHARE)
         return np.asarray(-ndtri(share))
 
@@ -88,7 +88,7 @@ NO_TAILS = Tails({})
 
 
 def tails_of(chance: Floats, keys: Sequence[Key]) -> Tails:
-    """The tails of scores (b, m) of replicates without a gap."""
+    """Return the tails of scores (b, m) of replicates without a gap."""
     fits = {statistic: _fit(np.abs(chance[:, places])) for statistic, places in _statistics(keys).items()}
     return Tails(
         {name: fit.tail(int((fit.density.sum(axis=1) + _PRIOR).argmax())) for name, fit in fits.items() if fit}
@@ -126,7 +126,7 @@ class _Fit:
 
 
 def _fit(sizes: Floats) -> _Fit | None:
-    """The fit to sizes (b, k) of scores; None where there is no tail."""
+    """Return the fit to sizes (b, k) of scores; None where there is no tail."""
     is_known = np.isfinite(sizes)
     if not is_known.any():
         return None
@@ -143,7 +143,7 @@ def _fit(sizes: Floats) -> _Fit | None:
 
 
 def _statistics(keys: Sequence[Key]) -> dict[tuple[str, str], Indices]:
-    """The places of the keys by probe and sensor."""
+    """Return the places of the keys by probe and sensor."""
     places: dict[tuple[str, str], list[int]] = {}
     for at, key in enumerate(keys):
         places.setdefault((key.probe, key.sensor), []).append(at)

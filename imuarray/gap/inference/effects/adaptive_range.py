@@ -15,7 +15,7 @@ _THRESHOLD_DPS, _HOLD_S = 100.0, 0.0015
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The rate and the time of the erratum, if rows repeat in motion."""
+    """Suggest the rate and the time of the erratum, if rows repeat in motion."""
     yield from with_removal(evidence, AdaptiveRange.name, _hypotheses(evidence))
 
 

@@ -28,7 +28,7 @@ _MOST = 3
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The signed permutations that fit best, left-handed ones too."""
+    """Suggest the signed permutations that fit best, left-handed ones too."""
     yield from with_removal(evidence, AxisError.name, _hypotheses(evidence))
 
 
@@ -48,8 +48,8 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 @cache
 def exchanges() -> dict[str, Floats]:
-    """The 47 exchanges of axes and signs by name, "+Y+X-Z", as matrices (3, 3); right-handed ones first, since no chip
-    is left-handed.
+    """Return the 47 exchanges of axes and signs by name, "+Y+X-Z", as matrices (3, 3); right-handed ones first, since
+    no chip is left-handed.
     """
     matrices = {}
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):

@@ -42,9 +42,9 @@ _NOTHING_LEFT = 0.75 * math.pi
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The cutoff by the correlation at lag 1, -ln(phi) rows_per_s / (2 pi); others by that at lag 2, sqrt, and by the
-    ratio of both, where what is slower or white adds to them. Each with the signal as it is, and where a motion tells
-    that it is late, or early, with the signal filtered too.
+    """Suggest the cutoff by the correlation at lag 1, -ln(phi) rows_per_s / (2 pi); others by that at lag 2, sqrt, and
+    by the ratio of both, where what is slower or white adds to them. Each with the signal as it is, and where a motion
+    tells that it is late, or early, with the signal filtered too.
 
     Rows too slow to show any correlation still show the delay, 1 / (sqrt(2) pi cutoff) of a filter with two poles, and
     only that: what tells it from a reading that is merely late is how much noise is gone. A filter of a spell takes its
@@ -85,15 +85,15 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _quieter(evidence: Evidence, trial: Hypothesis) -> Iterator[Effect]:
-    """The effects of a trial with the share of the noise that the spell has."""
+    """Yield the effects of a trial with the share of the noise that the spell has."""
     share = min(float(np.exp(evidence.typical("noise").mean())), _MOST_NOISE)
     for effect in trial.effects:
         yield replace(effect, noise_share=share) if isinstance(effect, Bandwidth) else effect
 
 
 def _in_quiet_spell(evidence: Evidence) -> Iterator[Hypothesis]:
-    """A filter that takes noise away in a spell, on all axes, whether or not its rows are fast enough to show a
-    correlation.
+    """Suggest a filter that reduces the noise in a spell, on all axes, whether or not its rows are fast enough to show
+    a correlation.
     """
     if evidence.score("noise").max() < -BEYOND:
         share = float(np.exp(evidence.typical("noise").mean()))
@@ -103,8 +103,8 @@ def _in_quiet_spell(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _in_quiet_logs(evidence: Evidence) -> Iterator[Hypothesis]:
-    """A filter that takes noise away in some logs, by the same share on all axes; whether or not their rows are fast
-    enough to show a correlation. Where little is gone, the other logs rather have more noise.
+    """Suggest a filter that reduces the noise in some logs, by the same share on all axes; whether or not their rows
+    are fast enough to show a correlation. Where little is gone, the other logs rather have more noise.
     """
     logs = noise_of_logs(evidence)
     share = 1.0 if logs is None else float(np.exp((logs.less - logs.more).mean()))

@@ -67,8 +67,8 @@ class _Moments(NamedTuple):
 
 
 def behind(evidence: Evidence, coded: Coded, period: int, stretch: int) -> FittedParameters | None:
-    """Parameters with which `coded`, that does with all codes what it does with those of one `period`, and moves none
-    by more than a `stretch`, makes the means and variances that the phases at rest have; None without such phases.
+    """Return parameters with which `coded`, that does with all codes what it does with those of one `period`, and moves
+    none by more than a `stretch`, makes the means and variances that the phases at rest have; None without such phases.
     """
     scale, parameters = evidence.header.sensitivity, []
     for axis in range(3):
@@ -96,7 +96,7 @@ def _bins(evidence: Evidence, axis: int) -> _Bins | None:
 
 
 def _parts(phase: PhaseEvidence, axis: int, offset: float, slope: float) -> Iterator[tuple[float, ...]]:
-    """Sums of each temperature as `_Bins` has them, except the face."""
+    """Yield sums of each temperature as `_Bins` has them, except the face."""
     raw, residual = phase.raw.segments, phase.residual.segments
     is_usable = (raw.rows > 1) & np.isfinite(raw.temperature_degc)
     warm = raw.temperature_degc - REFERENCE_DEGC
@@ -112,7 +112,7 @@ def _parts(phase: PhaseEvidence, axis: int, offset: float, slope: float) -> Iter
 
 
 def _behind(bins: _Bins, start: Floats, coded: Coded, period: int, stretch: int) -> Floats:
-    """(3,) offset, slope, noise in counts, from those of the fit."""
+    """Return (3,) offset, slope, noise in counts, from those of the fit."""
     offset, slope, noise = start
     units = UNITS_DIFFER * float(np.abs(bins.felt).max()) if np.ptp(bins.felt) > 1 else 0.0
     offsets = offset + np.linspace(-_STRETCHES, _STRETCHES, 2 * _OFFSETS + 1) * stretch
@@ -163,7 +163,9 @@ def _quieter(bins: _Bins, start: Floats, coded: Coded, period: int, units: float
 def _over_faces(
     bins: _Bins, offsets: Floats, slope: float, sigma: float, table: _Moments, period: int, units: float
 ) -> Floats:
-    """(o,) cost of each offset; the level on each face is off by as much as a unit's may be, whichever suits best."""
+    """Return (o,) cost of each offset; the level on each face is off by as much as a unit's may be, whichever suits
+    best.
+    """
     costs = _costs(bins, offsets, slope, sigma, table, period)
     if not units:
         return np.asarray(costs.sum(axis=1))
@@ -173,7 +175,7 @@ def _over_faces(
 
 
 def _costs(bins: _Bins, offsets: Floats, slope: float, sigma: float, table: _Moments, period: int) -> Floats:
-    """(o, b) nats, but for a constant, that the mean and the variance of each bin cost."""
+    """Return (o, b) nats, but for a constant, that the mean and the variance of each bin cost."""
     level = bins.felt + slope * bins.warm_degc + offsets[:, None]
     at = np.rint(level * (len(table.shift) / period)).astype(np.int64) % len(table.shift)
     variance = table.variance[at]

@@ -49,8 +49,8 @@ _ODD = 3.0
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The step that divides the logs best, in the order in which they were recorded; stretches of a log with another
-    level; or the level of all logs, where the base model's is of an earlier recording.
+    """Suggest the step that divides the logs best, in the order in which they were recorded; stretches of a log with
+    another level; or the level of all logs, where the base model's is of an earlier recording.
     """
     for step in level_steps(evidence):
         x, y, z = step.size.tolist()
@@ -106,7 +106,7 @@ def level_steps(evidence: Evidence) -> Iterator[LevelStep]:
 
 
 def _begin_bounds_s(table: Levels, order: Indices, inside: Booleans) -> tuple[float, float] | None:
-    """The gap between segments at rest in which the last stretch begins; None if the segments touch."""
+    """Return the gap between segments at rest in which the last stretch begins; None if the segments touch."""
     begin = int(np.flatnonzero(inside[1:] & ~inside[:-1])[-1])
     before_s, after_s = table.time_s[order][begin : begin + 2].tolist()
     half_s = float(table.width_s[order][begin : begin + 2].mean()) / 2
@@ -115,8 +115,8 @@ def _begin_bounds_s(table: Levels, order: Indices, inside: Booleans) -> tuple[fl
 
 
 def _when(log: int, table: Levels, order: Indices, inside: Booleans, edges: Indices) -> When:
-    """The stretches between `edges`: each where the two segments beside it, of which one or the other is divided by it,
-    have taken as much of the step as they have.
+    """Return the stretches between `edges`: each where the two segments beside it, of which one or the other is divided
+    by it, have taken as much of the step as they have.
     """
     time_s, mean, width_s = table.time_s[order], table.mean[order], table.width_s[order]
     low, high = (np.median(mean[side], axis=0) for side in (~inside, inside))
@@ -131,7 +131,7 @@ def _when(log: int, table: Levels, order: Indices, inside: Booleans, edges: Indi
 
 
 def _since(evidence: Evidence) -> Iterator[Hypothesis]:
-    """A bias that has changed since the earlier recording."""
+    """Suggest a bias that has changed since the earlier recording."""
     shift = evidence.typical("mean")
     size = np.abs(evidence.score("mean", "level"))
     x, y, z = np.where((size > _ODD) & np.isfinite(shift), shift, 0.0).tolist()

@@ -26,9 +26,8 @@ from imuarray.simulate.signal import Triple
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The Gauss-Markov process that fits the Allan variances best; a slower one (a faster
-    one, if it is slower than phases are long); flicker noise; and a process as large as
-    the logs' levels are apart, if these wander.
+    """Suggest the Gauss-Markov process that fits the Allan variances best; a slower one (a faster one, if it is slower
+    than phases are long); flicker noise; and a process as large as the logs' levels are apart, if these wander.
     """
     yield from with_removal(evidence, BiasInstability.name, _hypotheses(evidence), several=True)
 

@@ -19,7 +19,9 @@ _WIDE = 2.0
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The logs on either side of the widest gap between their levels: how far apart, and how often the rarer ones."""
+    """Suggest the logs on either side of the widest gap between their levels: how far apart, and how often the rarer
+    ones.
+    """
     yield from with_removal(evidence, BistableBias.name, _found(evidence))
 
 
@@ -34,7 +36,9 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def rarer(means: Floats, errors: Floats) -> Booleans | None:
-    """(l,) the smaller one of two groups of levels (l, 3), by the axis that parts them best; None for one group."""
+    """Return (l,) the smaller one of two groups of levels (l, 3), by the axis that parts them best;
+    None for one group.
+    """
     ordered = np.sort(means, axis=0)
     gaps = np.diff(ordered, axis=0)
     largest = gaps.max(axis=0)

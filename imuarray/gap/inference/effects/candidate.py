@@ -58,7 +58,7 @@ class Hypothesis:
     begin_bounds_s: tuple[float, float] | None = None
 
     def at(self, when: When) -> Hypothesis:
-        """The same within these spans alone: every number that was chosen for them makes it rarer."""
+        """Return the hypothesis within these spans alone: every number that was chosen for them makes it rarer."""
         if not when.spans:
             return self
         spans = spans_of(when.triples)
@@ -69,8 +69,8 @@ class Hypothesis:
         return replace(self, effects=effects, opposite=opposite, rarity=rarity, when=when)
 
     def narrowed(self, moments_s: Sequence[float], at: int) -> Hypothesis:
-        """The same with its last span that is not a whole log beginning at moment number `at` of these, which ascend,
-        and within its neighbours.
+        """Return the hypothesis with its last span that is not a whole log beginning at moment number `at` of these,
+        which ascend, and within its neighbours.
         """
         spans, begin_s = list(self.when.spans), moments_s[at]
         last = max(place for place, span in enumerate(spans) if not span.is_whole)

@@ -50,8 +50,8 @@ _LEVELS = ("mean_halves", "mean_return", "wander", "mean", "level", *RUN_TO_RUN)
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Each sensor whose noise is this one's, each along whose axes this one seems to lie, and each of the chip whose
-    levels this one has for a part of the time.
+    """Suggest each sensor whose noise is this one's, each along whose axes this one seems to lie, and each of the chip
+    whose levels this one has for a part of the time.
     """
     yield from with_removal(evidence, ChannelSwap.name, _hypotheses(evidence))
 
@@ -93,7 +93,8 @@ class _Course(NamedTuple):
 
 
 def _for_a_while(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]) -> Iterator[Hypothesis]:
-    """The other sensor's data for a part of the time; with this sensor's data in its place if its levels are so.
+    """Suggest the other sensor's data for a part of the time; with this sensor's data in its place if its levels are
+    so.
 
     The usual levels are the medians: the part has to be the smaller one.
     """
@@ -126,9 +127,9 @@ def _for_a_while(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]
 def _readings(
     evidence: Evidence, other: str, when: When, fitted: FittedParameters, opposite: FittedParameters | None
 ) -> Iterator[Hypothesis]:
-    """The hypotheses that the other sensor's data stand in this sensor's place then, and, if the parameters of the
-    `opposite` one are given, this sensor's data in the other's. Where rows are flagged as no new reading, these flags
-    may have gone with the counts, or not.
+    """Suggest the hypotheses that the other sensor's data stand in this sensor's place then, and, if the parameters of
+    the `opposite` one are given, this sensor's data in the other's. Where rows are flagged as no new reading, these
+    flags may have gone with the counts, or not.
     """
     name, rows_are_flagged = evidence.header.name, bool((evidence.values.get("stale", np.zeros(1)) > 0).any())
     for kind in ("data", "counts") if rows_are_flagged else ("data",):
@@ -201,8 +202,8 @@ class _Pair(NamedTuple):
         return np.concatenate([self.other_course.deviation + self.way, self.course.deviation - self.way], axis=1)
 
     def exchanged_segments(self, offset: Floats, other_offset: Floats) -> Booleans | None:
-        """(s,) the segments in which both sensors read what the other one feels, whatever their fitted offsets in
-        counts, which an exchange spoils; segments in which both feel the same have the state of the nearest one of
+        """Return (s,) the segments in which both sensors read what the other one feels, whatever their fitted offsets
+        in counts, which an exchange spoils; segments in which both feel the same have the state of the nearest one of
         their log. None if no segment or all have.
         """
         way, time_s, log = self.way - other_offset + offset, self.course.time_s, self.course.log
@@ -225,7 +226,7 @@ class _Pair(NamedTuple):
 
 
 def _exchange(evidence: Evidence, other: str, pair: _Pair, inside: Booleans) -> list[Hypothesis]:
-    """The exchange in the segments `inside` (s,); none if it explains too few of them."""
+    """Suggest the exchange in the segments `inside` (s,); none if it explains too few of them."""
     deviation = np.where(inside[:, None], pair.exchanged_deviation, pair.own_deviation)
     offsets = np.median(deviation, axis=0)
     way = pair.way + offsets[3:] - offsets[:3]
@@ -246,8 +247,8 @@ def _exchange(evidence: Evidence, other: str, pair: _Pair, inside: Booleans) -> 
 
 
 def _gap_before(course: _Course, inside: Booleans) -> tuple[float, float] | None:
-    """The gap between segments at rest, in seconds of the log, in which the last stretch of those inside begins; None
-    if it begins with its log, or the segments touch.
+    """Return the gap between segments at rest, in seconds of the log, in which the last stretch of those inside begins;
+    None if it begins with its log, or the segments touch.
     """
     begins = np.flatnonzero(inside[1:] & ~inside[:-1] & (course.log[1:] == course.log[:-1])) + 1
     if not len(begins):
@@ -259,7 +260,7 @@ def _gap_before(course: _Course, inside: Booleans) -> tuple[float, float] | None
 
 
 def _in_common(course: _Course, other_course: _Course) -> tuple[_Course, _Course]:
-    """The segments that both courses have at the same time."""
+    """Return the segments that both courses have at the same time."""
     pairs = [np.zeros((2, 0), np.int64)]
     for log in np.unique(course.log).tolist():
         rows_of_log, other_rows_of_log = np.flatnonzero(course.log == log), np.flatnonzero(other_course.log == log)
@@ -274,7 +275,7 @@ def _in_common(course: _Course, other_course: _Course) -> tuple[_Course, _Course
 
 
 def _chosen(course: _Course, rows: Integers) -> _Course:
-    """These segments of a course."""
+    """Return these segments of a course."""
     log, time_s, face, mean, deviation, noise = course
     return _Course(log[rows], time_s[rows], face[rows], mean[rows], deviation[rows], noise)
 
@@ -283,7 +284,7 @@ _TINY = float(np.finfo(float).tiny)
 
 
 def _gains_of_exchange(own: Floats, exchanged: Floats, ends: Integers, floor: Floats) -> Floats:
-    """(s,) nats by which deviations (s, 6) are more constant if those from each segment on to `ends` (s,) are
+    """Return (s,) nats by which deviations (s, 6) are more constant if those from each segment on to `ends` (s,) are
     `exchanged` instead of `own`; their variances are at least `floor` (6,), which is 0 for an axis that never changes.
     """
     floor = np.maximum(floor, _TINY)
@@ -303,14 +304,14 @@ def _gains_of_exchange(own: Floats, exchanged: Floats, ends: Integers, floor: Fl
 
 
 def _with_offset(fitted: FittedParameters, more: Floats) -> FittedParameters:
-    """The parameters with an offset that is larger by `more` (3,), in the unit."""
+    """Return the parameters with an offset that is larger by `more` (3,), in the unit."""
     x, y, z = (np.array(fitted.offset) + more).tolist()
     return replace(fitted, offset=(x, y, z))
 
 
 def _course(phases: Sequence[PhaseEvidence], faces: dict[str, int]) -> _Course:
-    """The course of a sensor over its phases at rest; `faces` numbers the attitudes, which a gyroscope does not feel,
-    and grows.
+    """Return the course of a sensor over its phases at rest; `faces` numbers the attitudes, which a gyroscope does not
+    feel, and grows.
     """
     parts = []
     for phase in phases:
@@ -332,7 +333,7 @@ def _course(phases: Sequence[PhaseEvidence], faces: dict[str, int]) -> _Course:
 
 
 def _usual_levels(course: _Course, faces: int) -> Floats:
-    """(f, 3) median over the segments of each attitude, nan where there is none."""
+    """Return (f, 3) median over the segments of each attitude, nan where there is none."""
     levels = np.full((faces, 3), np.nan)
     for number in np.unique(course.face):
         levels[number] = np.median(course.mean[course.face == number], axis=0)
@@ -340,25 +341,27 @@ def _usual_levels(course: _Course, faces: int) -> Floats:
 
 
 def _share(course: _Course, usual: Floats, distance: Floats) -> Floats:
-    """(s,) share of the way from the usual level to the other sensor's that each segment has gone."""
+    """Return (s,) share of the way from the usual level to the other sensor's that each segment has gone."""
     return _part_of_way(course.mean - usual[course.face], distance[course.face])
 
 
 def _part_of_way(distance: Floats, way: Floats) -> Floats:
-    """(s,) part of each way (s, 3) that lies along the distance `distance` (s, 3); 0 for no way."""
+    """Return (s,) part of each way (s, 3) that lies along the distance `distance` (s, 3); 0 for no way."""
     along, square = (distance * way).sum(axis=1), (way**2).sum(axis=1)
     return np.asarray(np.divide(along, square, out=np.zeros(len(along)), where=square > 0))
 
 
 def _is_at(course: _Course, inside: Booleans, levels: Floats, distance: Floats) -> bool:
-    """True if the segments inside lie at these levels."""
+    """Return whether the segments inside lie at these levels."""
     off = np.median(course.mean[inside] - levels[course.face[inside]], axis=0)
     way = np.median(np.abs(distance[course.face[inside]]), axis=0)
     return bool(np.linalg.norm(off) < _NEAR * np.linalg.norm(way))
 
 
 def _when(course: _Course, inside: Booleans, share: Floats) -> When:
-    """The stretches of segments inside; a moment lies where both segments beside it have their share of the step."""
+    """Return the stretches of segments inside; a moment lies where both segments beside it have their share of the
+    step.
+    """
     spans: list[Span] = []
     for log in np.unique(course.log).tolist():
         is_of_log = course.log == log
@@ -373,7 +376,7 @@ def _when(course: _Course, inside: Booleans, share: Floats) -> When:
 
 
 def _moment_s(time_s: Floats, shares: Floats, at: int, width_s: float, *, is_begin: bool) -> float:
-    """The moment of a change between segments at - 1 and at; 0 or infinity at the ends of a log."""
+    """Return the moment of a change between segments at - 1 and at; 0 or infinity at the ends of a log."""
     if at == 0 or at == len(time_s):
         return 0.0 if at == 0 else math.inf
     early_s = width_s * (float(shares[at - 1 : at + 1].sum()) - 1)
@@ -385,7 +388,7 @@ def _is_within(when: When, log: int, time_s: float) -> bool:
 
 
 def _refitted(fitted: FittedParameters, course: _Course, inside: Booleans, header: SensorHeader) -> FittedParameters:
-    """The parameters with the offset of the segments that are not inside."""
+    """Return the parameters with the offset of the segments that are not inside."""
     if inside.all():
         return fitted
     return _with_offset(fitted, np.median(course.deviation[~inside], axis=0) / header.sensitivity)
@@ -410,7 +413,7 @@ def _twins(evidence: Evidence) -> set[str]:
 
 
 def _axes_in(evidence: Evidence, other: SensorHeader) -> Floats:
-    """(3, 3) the sensor's axes (columns) in the frame of the other sensor."""
+    """Return (3, 3) the sensor's axes (columns) in the frame of the other sensor."""
     return np.asarray(np.array(other.orientation).T @ np.array(evidence.header.orientation))
 
 
@@ -419,14 +422,16 @@ def _is_parallel(evidence: Evidence, other: SensorHeader) -> bool:
 
 
 def _is_turned(evidence: Evidence) -> bool:
-    """True if a level of an accelerometer at rest is one that only other axes explain, and no response shows these."""
+    """Return whether a level of an accelerometer at rest is one that only other axes explain, and no response shows
+    these.
+    """
     if evidence.header.quantity != "specific_force" or next(_shown(evidence), None) is not None:
         return False
     return evidence.is_odd("mean", beyond=_BEYOND) and bool(np.abs(evidence.shift("mean")).max() > _TURNED_G)
 
 
 def _lies_along(evidence: Evidence, other: SensorHeader, scale: float = 1.0) -> bool:
-    """True if the response is that of the other sensor's axes, times `scale`, rather than of its own."""
+    """Return whether the response is that of the other sensor's axes, times `scale`, rather than of its own."""
     expected = _axes_in(evidence, other) * scale
     if np.allclose(expected, np.eye(3)):
         return False
@@ -434,7 +439,9 @@ def _lies_along(evidence: Evidence, other: SensorHeader, scale: float = 1.0) -> 
 
 
 def _shown(evidence: Evidence) -> Iterator[Floats]:
-    """(3, 3) response of the axes (rows) to force or motion along the nominal ones; residual probes lack the ideal."""
+    """Yield (3, 3) response of the axes (rows) to force or motion along the nominal ones; residual probes lack the
+    ideal.
+    """
     rows = np.arange(3)
     for kind, ideal in ((0, np.eye(3)), (1, np.zeros((3, 3)))):
         if kind == 0 and evidence.header.quantity != "specific_force":

@@ -31,8 +31,9 @@ _SHORTEST_S, _FEWEST = 2.0, 3
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The growth of the lag from the log's epoch on; a sensor ahead has a positive error. Of the host's clock a
-    constant rate, or one that settles; whatever the lag at the epoch, which filters and the age of readings make.
+    """Suggest a clock error by the growth of the lag from the log's epoch on; a sensor ahead has a positive error. The
+    host's clock has a constant rate, or one that settles. The lag at the epoch, which filters and the age of readings
+    make, does not count.
     """
     yield from with_removal(evidence, ClockError.name, _hypotheses(evidence))
 
@@ -90,7 +91,7 @@ def _settling(at_s: Floats, lag_s: Floats, weight: Floats, warm_up_s: float) -> 
 
 
 def _fitted(columns: list[Floats], lag_s: Floats, weight: Floats) -> _Fit:
-    """A log whose clock is fast is behind, and its error negative."""
+    """Fit the columns to the lag. A log whose clock is fast is behind, and its error is negative."""
     design = np.stack(columns, axis=1) * weight[:, None]
     coefficients = np.linalg.lstsq(design, lag_s * weight, rcond=None)[0]
     residuals = lag_s * weight - design @ coefficients

@@ -62,7 +62,7 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _during(trial: Hypothesis, spell: Spell, evidence: Evidence) -> Hypothesis | None:
-    """The trial in a spell, the larger the less of the time that takes; None for what changes between logs."""
+    """Return the trial in a spell, the larger the less of the time that takes; None for what changes between logs."""
     share = sum(phase.raw.rows for phase in spell.phases) / max(sum(phase.raw.rows for phase in evidence.still), 1)
     if trial.needs_both or not 0 < share < 1:
         return None
@@ -129,8 +129,9 @@ class _Common(NamedTuple):
 
 
 def _in_pairs(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Noise that some units have in common, from one reading to the next: those of any chip that measure the same, with
-    which a unit has more in common than chance makes, each pair by itself; axis by axis, or all axes alike.
+    """Suggest the noise that some units have in common, from one reading to the next: those of any chip that measure
+    the same, with which a unit has more in common than chance makes, each pair by itself; axis by axis, or all axes
+    alike.
     """
     pairs = [
         (phase, phase.cross)
@@ -195,7 +196,7 @@ def _common(crosses: Sequence[Cross], sensor: str, partner: str) -> _Common:
 
 
 def _times_s(evidence: Evidence, wander: Wander | None, over: Wander | None) -> list[float]:
-    """Time constants that are apart, by how the sensor itself wanders in logs, and between them."""
+    """Return the time constants that are apart, by how the sensor itself wanders in logs, and between them."""
     first_s = wander.time_constant_s if wander is not None else longest_s(evidence) / 10
     times_s = [first_s, min(_APART * first_s, 3 * longest_s(evidence))]
     if over is not None:
@@ -227,8 +228,8 @@ def _between_logs(evidence: Evidence) -> Iterator[Hypothesis]:
 def _variance(
     pairs: Sequence[tuple[PhaseEvidence, Cross]], sensor: str, partners: Sequence[str], time_constant_s: float
 ) -> Floats:
-    """(3,) mean covariance over phases and partners, axis by axis along the chips' own, over what phases, about their
-    means, show of a process of this time constant.
+    """Return (3,) mean covariance over phases and partners, axis by axis along the chips' own, over what phases, about
+    their means, show of a process of this time constant.
     """
     covariances, shares, weights = [], [], []
     for phase, cross in pairs:
@@ -247,7 +248,7 @@ def _variance(
 
 
 def _slow(phase: PhaseEvidence, cross: Cross, sensor: str) -> Floats:
-    """(s, 3) means less their mean, and less what follows the temperature if it changes."""
+    """Return (s, 3) means less their mean, and less what follows the temperature if it changes."""
     means, part = cross.slow[:, cross.columns(sensor)], phase.raw.segments
     known, is_usable = np.isfinite(means).all(axis=1), np.isfinite(part.time_s) & np.isfinite(part.temperature_degc)
     if not known.any() or not is_usable.any():

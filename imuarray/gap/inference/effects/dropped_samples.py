@@ -17,8 +17,8 @@ _PROBES = ("gaps", "lost", "longest_interval", "irregularity", "interval")
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The share of rows lost, and how many at a time; and where they are few, just those that are missing, since chance
-    takes others, from other phases.
+    """Suggest the share of rows lost, and how many at a time; and where they are few, just those that are missing,
+    since chance takes others, from other phases.
     """
     yield from with_removal(evidence, DroppedSamples.name, _found(evidence))
 
@@ -42,7 +42,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _one_by_one(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Rows that the log reports as lost."""
+    """Suggest rows that the log reports as lost."""
     holes = evidence.holes
     if not 0 < len(holes) <= SINGLE:
         return

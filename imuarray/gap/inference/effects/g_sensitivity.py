@@ -25,14 +25,15 @@ _CLEAR, _SMALL = 4.0, 0.2
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Least squares of the levels over the force on each face, with all responses and with those alone that are clear;
-    where there are no faces, of what the other sensors don't explain in motion over the accelerometers' mean.
+    """Suggest the least-squares fit of the levels over the force on each face, with all responses and with those alone
+    that are clear; where there are no faces, of what the other sensors don't explain in motion over the accelerometers'
+    mean.
     """
     yield from with_removal(evidence, GSensitivity.name, _hypotheses(evidence))
 
 
 def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Hypotheses with the cost of each number, which none of them being refined doesn't save."""
+    """Suggest hypotheses with the cost of each number, since they are not refined."""
     if evidence.header.quantity != "angular_rate":
         return
     responses = _from_faces(evidence) if evidence.is_odd(*_AT_REST, beyond=_BEYOND) else []
@@ -51,7 +52,9 @@ class _Response(NamedTuple):
 
 
 def _from_faces(evidence: Evidence) -> list[_Response]:
-    """Least squares of the levels on faces, 0 along directions that were not felt; [] unless faces differ."""
+    """Return the least-squares fit of the levels on faces, 0 along directions that were not felt; [] unless faces
+    differ.
+    """
     table = levels(evidence)
     known = np.isfinite(table.felt_g).all(axis=1)
     if not known.any():
@@ -71,7 +74,9 @@ def _from_faces(evidence: Evidence) -> list[_Response]:
 
 
 def _from_motion(evidence: Evidence) -> list[_Response]:
-    """Least squares of what the reference does not explain; and the mass unbalance that makes the delays of axes."""
+    """Return the least-squares fit of what the reference does not explain; and the mass unbalance that makes the delays
+    of axes.
+    """
     table = moments(evidence)
     if table is None:
         return []
@@ -81,8 +86,8 @@ def _from_motion(evidence: Evidence) -> list[_Response]:
 
 
 def _unbalance(evidence: Evidence, table: Moments) -> Floats:
-    """The (3, 3) response to the force f of a mass unbalance m, m x f (IEEE Std 1431), that delays the axes as they are
-    delayed beyond the model, as far as delays tell it; directions that they do not tell are near 0.
+    """Return the (3, 3) response to the force f of a mass unbalance m, m x f (IEEE Std 1431), that delays the axes as
+    they are delayed beyond the model, as far as delays tell it; directions that they do not tell are near 0.
 
     A box that rocks feels gravity turn in step with the change c of its rate: an axis is late by -<c, m x f> / <c, c>.
     """

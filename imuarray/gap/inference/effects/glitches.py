@@ -70,9 +70,9 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _torn_by_lag(evidence: Evidence) -> Iterator[Hypothesis]:
-    """A high byte that is a row old is wrong by 256 counts as often as a change has the share of these: in the mean the
-    reading is a row late. So many of them that they don't stand alone make the sensor late by as much of a row; one of
-    three axes is hit.
+    """Suggest a high byte that is a row old. It is wrong by 256 counts as often as a change has the share of these: in
+    the mean the reading is a row late. So many of them that they don't stand alone make the sensor late by as much of a
+    row; one of three axes is hit.
     """
     lags_seen = odd_lags(evidence)
     share = 3 * mean_of(lags_seen, "lag_s") * evidence.rows_per_s if lags_seen else 0.0
@@ -142,8 +142,8 @@ def _torn_again(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _torn_in_motion(evidence: Evidence) -> list[_Hit]:
-    """Readings of phases that are looked at which are off by high bytes, and far more than the motion leaves. One that
-    is off by anything else may have come late.
+    """Return readings of phases that are looked at which are off by high bytes, and far more than the motion leaves.
+    One that is off by anything else may have come late.
     """
     weight, half_s = high_byte(evidence.header.chip), 0.5 / evidence.rows_per_s
     phases = [(moving.log, moving.raw.phase) for moving in evidence.phases if not moving.is_still]
@@ -163,7 +163,8 @@ def _torn_in_motion(evidence: Evidence) -> list[_Hit]:
 
 
 def _torn(tails: Sequence[_Tail], size: float, hits: float) -> Iterator[Hypothesis]:
-    """A reading whose high byte is the one before's is wrong only where that changed, on one axis of three."""
+    """Suggest torn readings: one with the high byte of the reading before is wrong only where that changed, on one
+    axis of three."""
     for place, weight in enumerate(_LOW_BYTES):
         changes = sum(tail.rows * tail.crossing[place] for tail in tails) / 3
         if abs(size / weight - 1) < _NEAR and changes >= 1:
@@ -185,7 +186,7 @@ def _tails(summary: Summary) -> Iterator[_Tail]:
 
 
 def _crossing(high: Integers, counts: Integers) -> float:
-    """The chance that two readings have another high byte."""
+    """Return the chance that two readings have another high byte."""
     if len(high) == 0:
         return 0.0
     shares = np.bincount(high - high.min(), weights=counts) / counts.sum()

@@ -29,7 +29,7 @@ class Moments:
     windows: int
 
     def beyond_reference(self, columns: slice | Indices) -> tuple[Floats, Floats, Floats]:
-        """Products that the reference doesn't explain: (c, c) of these columns, (c, 3) of them with the sensor's
+        """Return products that the reference doesn't explain: (c, c) of these columns, (c, 3) of them with the sensor's
         readings, and (3,) squares of the readings.
         """
         reference_products = self.products[REFERENCE, REFERENCE]
@@ -53,8 +53,8 @@ def moments(evidence: Evidence) -> Moments | None:
 
 
 def _products(cross: Cross, weights: Floats) -> Floats:
-    """Mean products (24, 24) of the columns `weights` (21, p) and of the reference's change per second, whatever the
-    length of the windows; no window has a neighbour where the changes are nan.
+    """Return the mean products (24, 24) of the columns `weights` (21, p) and of the reference's change per second,
+    whatever the length of the windows; no window has a neighbour where the changes are nan.
     """
     products = np.zeros((CHANGE.stop, CHANGE.stop))
     products[: CHANGE.start, : CHANGE.start] = weights @ cross.fast @ weights.T
@@ -66,12 +66,12 @@ def _products(cross: Cross, weights: Floats) -> Floats:
 
 
 def takes_part(evidence: Evidence, cross: Cross) -> bool:
-    """True if the sensor is among those whose readings are compared: inertial ones, as long as they read."""
+    """Return whether the sensor is among those whose readings are compared: inertial ones, as long as they read."""
     return any(item.name == evidence.header.name for item in cross.sensors)
 
 
 def _weights(cross: Cross, sensor: str) -> Floats | None:
-    """(21, p) what each column is made of."""
+    """Return (21, p) what each column is made of."""
     reference = cross.reference(sensor)
     if reference is None:
         return None

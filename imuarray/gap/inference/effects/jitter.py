@@ -27,8 +27,8 @@ byte is one more occasion.
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The time that makes the variance which is left over of the speed at which readings change; and the share of late
-    rows that makes that and the repetitions.
+    """Suggest the rms lateness that explains the residual variance by the speed at which readings change, and the share
+    of late rows that explains both this and the repetitions.
     """
     yield from with_removal(evidence, Jitter.name, _found(evidence))
 
@@ -45,7 +45,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _of_the_host(evidence: Evidence) -> Iterator[Hypothesis]:
-    """All rows that waited, in every sensor that is read, before the transfer or behind it."""
+    """Suggest the waiting rows of the host, in every sensor that is read, before the transfer or behind it."""
     waits = sum(host.waits for host in evidence.hosts)
     if not waits and not any(host.missed for host in evidence.hosts):
         return
@@ -86,7 +86,9 @@ def _rms_s(evidence: Evidence) -> float:
 
 
 def _usual_variance(evidence: Evidence) -> Floats:
-    """(3,) what the model leaves of a window's mean in motion, squared units; the probe is relative to the noise."""
+    """Return (3,) what the model leaves of a window's mean in motion, squared units; the probe is relative to the
+    noise.
+    """
     rows = evidence.expected["motion_residual"]
     known = rows[np.isfinite(rows).all(axis=1)]
     return np.asarray(np.exp(np.median(known, axis=0)) * evidence.noise**2) if len(known) else np.zeros(3)

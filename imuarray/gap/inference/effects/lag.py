@@ -34,8 +34,8 @@ class Lag(NamedTuple):
 
 
 def odd_lags(evidence: Evidence) -> list[Lag]:
-    """The lag in each phase of motion, if the lags are odd, by themselves or because a sensor that is far behind shares
-    none of the motion.
+    """Return the lag in each phase of motion, if the lags are odd, by themselves or because a sensor that is far behind
+    shares none of the motion.
     """
     all_lags = list(lags(evidence))
     large = any(lag.is_large for lag in all_lags) and bool((evidence.score("motion_residual") > ODD).any())
@@ -43,13 +43,13 @@ def odd_lags(evidence: Evidence) -> list[Lag]:
 
 
 def mean_of(lags_seen: Sequence[Lag], name: str) -> float:
-    """Mean of the field with this name, weighted by the amount of motion."""
+    """Return the mean of the field with this name, weighted by the amount of motion."""
     return float(np.average([getattr(lag, name) for lag in lags_seen], weights=[lag.weight for lag in lags_seen]))
 
 
 def lags(evidence: Evidence) -> Iterator[Lag]:
-    """The lag in each phase of motion, averaged over the axes by their motion. The gain of an axis is that by its own
-    motion alone: a rotation about a single axis does not determine the response to each of three.
+    """Yield the lag in each phase of motion, averaged over the axes by their motion. The gain of an axis is that by its
+    own motion alone: a rotation about a single axis does not determine the response to each of three.
     """
     usual_s, share = _usual(evidence, "motion_delay", 0.0), _usual(evidence, "motion_along", 1.0)
     share = np.where(share > 0, share, np.nan)
@@ -66,7 +66,7 @@ def lags(evidence: Evidence) -> Iterator[Lag]:
 
 
 def motions(evidence: Evidence) -> Iterator[tuple[Phase, Cross]]:
-    """The phases in which the box moves, and what the sensor and others have in common there."""
+    """Yield the phases in which the box moves, and what the sensor and others have in common there."""
     for phase in evidence.phases:
         cross = None if phase.is_still else phase.cross
         if cross is not None and any(item.name == evidence.header.name for item in cross.sensors):
@@ -74,12 +74,12 @@ def motions(evidence: Evidence) -> Iterator[tuple[Phase, Cross]]:
 
 
 def speed_squared(cross: Cross, sensor: str) -> Floats:
-    """(3,) mean square of the change of readings per second, squared units."""
+    """Return (3,) mean square of the change of readings per second, squared units."""
     return np.asarray(np.diag(cross.changes)[cross.columns(sensor)] / cross.window_s**2)
 
 
 def _pace(cross: Cross, sensor: str) -> tuple[Floats, Floats]:
-    """(3,) root of the mean square of change per second over that of the signal, 1/s, and the speed's square."""
+    """Return (3,) root of the mean square of change per second over that of the signal, 1/s, and the speed's square."""
     speed = speed_squared(cross, sensor)
     square = np.diag(cross.fast)[cross.columns(sensor)]
     ratio = np.divide(speed, square, out=np.full(3, np.nan), where=(square > 0) & (speed > 0))
@@ -87,7 +87,7 @@ def _pace(cross: Cross, sensor: str) -> tuple[Floats, Floats]:
 
 
 def _usual(evidence: Evidence, probe: str, otherwise: float) -> Floats:
-    """(3,) what the model makes of a probe, in the median over phases."""
+    """Return (3,) what the model makes of a probe, in the median over phases."""
     rows = evidence.expected.get(probe, np.zeros((0, 3)))
     known = rows[np.isfinite(rows).all(axis=1)]
     return np.asarray(np.median(known, axis=0)) if len(known) else np.full(3, otherwise)

@@ -46,13 +46,13 @@ class Levels:
         return float(self.width_s.sum())
 
     def groups(self) -> Iterator[Indices]:
-        """The segments of each group."""
+        """Yield the segments of each group."""
         for group in np.unique(self.group):
             yield np.flatnonzero(self.group == group)
 
 
 def levels(evidence: Evidence) -> Levels:
-    """Levels of the segments of all phases at rest."""
+    """Return levels of the segments of all phases at rest."""
     groups: dict[tuple[int, str], int] = {}
     parts = [
         _of_phase(phase, groups.setdefault((phase.log, phase.residual.phase.up), len(groups)))
@@ -66,7 +66,7 @@ def levels(evidence: Evidence) -> Levels:
 
 
 def centred(values: Floats, group: Integers) -> Floats:
-    """(n, k) values less the mean of their group."""
+    """Return (n, k) values less the mean of their group."""
     table = np.array(values, float)
     for number in np.unique(group):
         table[group == number] -= table[group == number].mean(axis=0)
@@ -123,7 +123,9 @@ def _of_phase(evidence: PhaseEvidence, group: int) -> tuple[npt.NDArray[np.gener
 
 
 def change_between_logs(evidence: Evidence) -> Floats:
-    """(3,) by how much two or three logs of one kind differ in level, where evidence of both parts tells; else 0."""
+    """Return (3,) by how much two or three logs of one kind differ in level, where evidence of both parts tells; else
+    0.
+    """
     counts = Counter(kind for _, kind in {(phase.log, phase.kind) for phase in evidence.still})
     if not any(1 < count < _SERIES for count in counts.values()):
         return np.zeros(3)

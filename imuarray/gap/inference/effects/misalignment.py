@@ -19,7 +19,7 @@ _AXES = np.arange(3)
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The angles beside the diagonal of the response's error, where they stray beyond the population."""
+    """Suggest the angles beside the diagonal of the response's error, where they stray beyond the population."""
     yield from with_removal(evidence, Misalignment.name, _hypotheses(evidence))
 
 

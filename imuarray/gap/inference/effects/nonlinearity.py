@@ -49,8 +49,8 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _from_rates(evidence: Evidence) -> Floats:
-    """(3,) coefficients of the square of each axis's rate; sensors lie along the box's axes. If the squares show, only
-    those of the axes on which they do.
+    """Return (3,) coefficients of the square of each axis's rate; sensors lie along the box's axes. If the squares
+    show, only those of the axes on which they do.
     """
     table = moments(evidence)
     if table is None:
@@ -61,7 +61,7 @@ def _from_rates(evidence: Evidence) -> Floats:
 
 
 def _cubic(evidence: Evidence) -> Floats:
-    """(3,) coefficients of the cube of the rate of each axis on which it shows."""
+    """Return (3,) coefficients of the cube of the rate of each axis on which it shows."""
     table = moments(evidence)
     if table is None:
         return np.zeros(3)
@@ -73,12 +73,14 @@ def _cubic(evidence: Evidence) -> Floats:
 
 
 def _nearest(evidence: Evidence) -> Indices:
-    """(3,) the box's axis that is nearest to each axis of the sensor."""
+    """Return (3,) the box's axis that is nearest to each axis of the sensor."""
     return np.asarray(np.abs(np.array(evidence.header.orientation)).argmax(axis=0))
 
 
 def _slope(table: Moments, columns: slice, at: Indices) -> Floats:
-    """(3,) slopes of the axes' readings over the column of each axis, without what the reference explains of both."""
+    """Return (3,) slopes of the axes' readings over the column of each axis, without what the reference explains of
+    both.
+    """
     products, shared, _ = table.beyond_reference(columns)
     size = products[at, at]
     return np.divide(shared[at, range(3)], size, out=np.zeros(3), where=size > 0)
@@ -100,7 +102,7 @@ def _from_motion(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _of_cubic(cubic: Floats) -> Iterator[Hypothesis]:
-    """The hypothesis of cubic terms (3,), if there are any."""
+    """Return the hypothesis of cubic terms (3,), if there are any."""
     if cubic.any():
         x, y, z = cubic.tolist()
         yield Hypothesis((Nonlinearity(cubic=(x, y, z)),), ("cubic",))

@@ -33,7 +33,7 @@ any other there is no other way to a wrong rate.
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Rates that the chip can be set to, or the one that is seen; bandwidths likewise."""
+    """Suggest rates that the chip can be set to, or the one that is seen; bandwidths likewise."""
     yield from with_removal(evidence, OdrError.name, _found(evidence))
 
 
@@ -89,7 +89,9 @@ def _by_age(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _by_clock(evidence: Evidence, real_hz: float) -> Iterator[Hypothesis]:
-    """Readings at that rate by an oscillator that should make more; of a chip without a rate, simply at that rate."""
+    """Suggest readings at that rate by an oscillator that should make more; of a chip without a rate, simply at that
+    rate.
+    """
     configured_hz = evidence.header.rate_hz
     if not configured_hz:
         yield Hypothesis((OdrError(real_hz),), ("rate_hz",), rarity=_RARITY)
@@ -99,7 +101,7 @@ def _by_clock(evidence: Evidence, real_hz: float) -> Iterator[Hypothesis]:
 
 
 def _by_even_codes(evidence: Evidence) -> Iterator[Hypothesis]:
-    """All codes are even from 1600 Hz on (ADX-47)."""
+    """Suggest even codes, as from 1600 Hz on (ADX-47)."""
     codes = [histogram for item in evidence.phases for histogram in item.raw.codes]
     odd = sum(int(histogram.counts[histogram.codes % 2 == 1].sum()) for histogram in codes)
     total = sum(int(histogram.counts.sum()) for histogram in codes)
@@ -114,7 +116,7 @@ def _by_even_codes(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _by_noise(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The variance goes with the bandwidth. Where the noise is fitted there is nothing to see."""
+    """Suggest a bandwidth by the variance. Where the noise is fitted there is nothing to see."""
     header, spec = evidence.header, CHIPS.get(evidence.header.chip)
     ratio = math.exp(2 * float(np.median(evidence.typical("noise"))))
     if spec is None or not header.bandwidth_hz:

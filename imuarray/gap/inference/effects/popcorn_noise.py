@@ -29,9 +29,9 @@ _CLEAR = 4.0
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The telegraph with the autocovariance of the Gauss-Markov process that fits best (rms = amplitude / 2, one over
-    its time constant = twice the switches a second), and a slower one; the same with one level more seldom than the
-    other, where segments lie to one side; another by the jumps themselves, where segments show them.
+    """Suggest the telegraph noise with the autocovariance of the Gauss-Markov process that fits best (rms = amplitude /
+    2, one over its time constant = twice the switches a second), and a slower one; the same with one level more seldom
+    than the other, where segments lie to one side; another by the jumps themselves, where segments show them.
     """
     yield from with_removal(evidence, PopcornNoise.name, _hypotheses(evidence))
 
@@ -58,9 +58,9 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 def _one_sided(
     evidence: Evidence, wander: Wander, score: Floats, limits: Mapping[str, tuple[float, float]]
 ) -> Iterator[Hypothesis]:
-    """The share p of time at the seldom level by the skewness of what segments differ by, (1 - 2 p) / sqrt(p (1 - p)),
-    on the axis that wanders most; the variance is amplitude^2 p (1 - p), one over the time constant the switches a
-    second over 2 p (1 - p). On each axis it lies to its own side.
+    """Suggest the share p of time at the seldom level by the skewness of what segments differ by, (1 - 2 p) / sqrt(p (1
+    - p)), on the axis that wanders most; the variance is amplitude^2 p (1 - p), one over the time constant the switches
+    a second over 2 p (1 - p). On each axis it lies to its own side.
     """
     level = levels(evidence)
     square = level.apart.var(axis=0) - level.square_error.mean(axis=0)
@@ -76,7 +76,9 @@ def _one_sided(
 
 
 def _jumps(evidence: Evidence) -> tuple[Floats, float]:
-    """(3,) heights of the jumps and how many there are a second on an axis that has any; 0 where none is clear."""
+    """Return (3,) heights of the jumps and how many there are a second on an axis that has any; 0
+    where none is clear.
+    """
     table, amplitude, rates = levels(evidence), np.zeros(3), []
     for axis in range(3):
         heights, jumps = [], 0
@@ -91,7 +93,7 @@ def _jumps(evidence: Evidence) -> tuple[Floats, float]:
 
 
 def _between(mean: Floats, error: float) -> tuple[float, int]:
-    """How far the upper segments lie above the lower ones, and how often the level changes: only if by much."""
+    """Return how far the upper segments lie above the lower ones, and how often the level changes: only if by much."""
     middle = (mean.max() + mean.min()) / 2
     upper = mean > middle
     if upper.all() or not upper.any():

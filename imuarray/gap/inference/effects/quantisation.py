@@ -44,9 +44,9 @@ _FEWEST = 3
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The greatest step of which (nearly) all codes are multiples, and the power of two in it, or those of each axis
-    where not all have one; bits that are never set, though codes leap over where they would be; codes before a carry
-    that never come.
+    """Suggest the greatest step of which (nearly) all codes are multiples, and the power of two in it, or those of each
+    axis where not all have one; bits that are never set, though codes leap over where they would be; codes before a
+    carry that never come.
     """
     yield from with_removal(evidence, Quantisation.name, _hypotheses(evidence))
 
@@ -82,7 +82,7 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _with_power(divisor: int) -> tuple[int, int]:
-    """The divisor, and the greatest power of two in it; itself where there is none."""
+    """Return the divisor, and the greatest power of two in it; itself where there is none."""
     return divisor, max((step for step in _STEPS if divisor and divisor % step == 0), default=divisor)
 
 
@@ -105,8 +105,8 @@ def _divisor(merged: Histogram) -> int:
 
 
 def _is_dead(bit: int, merged: Histogram, each: Sequence[Histogram]) -> bool:
-    """True if a bit is clear in all codes but a hundredth of the readings, though those of an axis in a phase leap
-    over a stretch in which it would be set.
+    """Return whether a bit is clear in all codes but a hundredth of the readings, though those of an axis in a phase
+    leap over a stretch in which it would be set.
     """
     clear = merged.counts[merged.codes >> bit & 1 == 0].sum()
     return bool(clear >= (1 - _ODD_ONES) * merged.counts.sum()) and any(_leaps(bit, codes) for codes in each)
@@ -118,15 +118,15 @@ def _leaps(bit: int, codes: Histogram) -> bool:
 
 
 def _most(codes: Histogram) -> tuple[int, int]:
-    """The lowest and the highest one, but for a hundredth of the readings at either end."""
+    """Return the lowest and the highest one, but for a hundredth of the readings at either end."""
     upto = np.cumsum(codes.counts)
     low, high = codes.codes[np.searchsorted(upto, np.array([_ODD_ONES, 1 - _ODD_ONES]) * upto[-1])].tolist()
     return low, high
 
 
 def _before_a_carry(carry: int, merged: Histogram, each: Sequence[Histogram]) -> tuple[int, int]:
-    """How many codes before every carry never come, but that of the carry in their place, and how far from a multiple
-    of `carry` these are; (0, 0) if none are missing. Carries are at multiples, unless an offset moved them.
+    """Return how many codes before every carry never come, but that of the carry in their place, and how far from a
+    multiple of `carry` these are; (0, 0) if none are missing. Carries are at multiples, unless an offset moved them.
     """
     counts = np.bincount(merged.codes % carry, weights=merged.counts, minlength=carry)
     spans = np.array([_most(codes) for codes in each])
@@ -137,8 +137,8 @@ def _before_a_carry(carry: int, merged: Histogram, each: Sequence[Histogram]) ->
 
 
 def _missing(carry: int, counts: Floats, spans: Integers) -> int:
-    """How many codes before every multiple of `carry` never come, of readings `counts` (carry,) by what is left of
-    their codes, though readings of an axis in a phase, from and to `spans` (p, 2), lie on either side; 0 if none.
+    """Return how many codes before every multiple of `carry` never come, of readings `counts` (carry,) by what is left
+    of their codes, though readings of an axis in a phase, from and to `spans` (p, 2), lie on either side; 0 if none.
     """
     upto = np.cumsum(counts[::-1])  # of so many and one codes before the carry
     few = upto <= _ODD_ONES * counts.sum() * np.arange(1, carry + 1) / carry

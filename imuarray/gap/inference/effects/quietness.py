@@ -56,7 +56,9 @@ def noise_of_logs(evidence: Evidence) -> NoiseOfLogs | None:
 
 
 def with_noise(evidence: Evidence, log_ratio: Floats) -> FittedParameters:
-    """The fitted parameters with a noise that is `log_ratio` (3,) times larger, in logs; rounding stays as it is."""
+    """Return the fitted parameters with a noise that is `log_ratio` (3,) times larger, in logs; rounding stays as it
+    is.
+    """
     square = evidence.noise**2 * np.exp(2 * log_ratio)
     rounding = evidence.noise**2 - np.square(evidence.fitted.rms)
     x, y, z = np.sqrt(np.maximum(square - rounding, _LEAST**2 * square)).tolist()
@@ -78,7 +80,9 @@ def rarity_behind(evidence: Evidence, cutoff_hz: float) -> float:
 
 
 def quietness(evidence: Evidence) -> float | None:
-    """Log of the noise as fitted over the printed one, the mean of the axes that have any; None where none is known."""
+    """Return the log of the noise as fitted over the printed one, the mean of the axes that have any; None where none
+    is known.
+    """
     printed = printed_noise(evidence.header)
     if printed is None:
         return None
@@ -88,7 +92,7 @@ def quietness(evidence: Evidence) -> float | None:
 
 
 def passed_by(evidence: Evidence, cutoff_hz: float) -> float:
-    """Share of the rms of the chip's noise that a low-pass of two poles lets through."""
+    """Return the share of the rms of the chip's noise that a low-pass of two poles lets through."""
     own_hz = noise_bandwidth_hz(evidence.header)
     return math.sqrt(min(1.0, _OF_TWO_POLES * cutoff_hz / own_hz)) if own_hz > 0 else 1.0
 

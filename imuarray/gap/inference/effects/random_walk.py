@@ -37,7 +37,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _from_levels(evidence: Evidence) -> Floats:
-    """(3,) density from the first and last quarter of the segments of each log and face."""
+    """Return (3,) density from the first and last quarter of the segments of each log and face."""
     table, squares, seconds = levels(evidence), np.zeros(3), 0.0
     for at in table.groups():
         quarter = len(at) // 4

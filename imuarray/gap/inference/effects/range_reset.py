@@ -77,8 +77,8 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _within(evidence: Evidence) -> Iterator[Hypothesis]:
-    """A reset within a log, to each range whose step is about as clear as the clearest one's: those that need the
-    smallest offset and change of noise.
+    """Suggest a reset within a log, to each range whose step is about as clear as the clearest one's: those that need
+    the smallest offset and change of noise.
     """
     steps = {other: onsets(evidence, ratio) for other, ratio in _ratios(evidence).items()}
     guesses = [
@@ -94,8 +94,8 @@ def _within(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _since(evidence: Evidence, first: RangeReset, steps: Sequence[Onset]) -> Iterator[Hypothesis]:
-    """A reset in the log with the clearest step; one that lasts in the logs after it, since nothing sets the chip up
-    again; and resets in all logs in which the same range is left of one.
+    """Suggest a reset in the log with the clearest step; one that lasts in the logs after it, since nothing sets the
+    chip up again; and resets in all logs in which the same range is left of one.
     """
     clearest, *more = steps
     alone = replace(first, onset_s=clearest.onset_s, run=float(clearest.log))
@@ -165,7 +165,7 @@ def _unlike(evidence: Evidence, size: float) -> float:
 
 
 def _ratios(evidence: Evidence) -> dict[float, float]:
-    """Counts per unit of the other ranges over those of the one that is configured."""
+    """Return counts per unit of the other ranges over those of the one that is configured."""
     header = evidence.header
     sensitivities = CHIPS[header.chip].sensitivity
     return {
@@ -202,7 +202,7 @@ def _in_some_boots(evidence: Evidence, states: States, probability: float) -> It
 
 
 def _guesses(evidence: Evidence, sides: Sequence[States]) -> Iterator[_Guess]:
-    """A guess for each other range, with the median offset and noise that it leaves over all pairs of sides."""
+    """Yield a guess for each other range, with the median offset and noise that it leaves over all pairs of sides."""
     step = float(np.median([np.linalg.norm(side.after - side.before) for side in sides]))
     for other, ratio in _ratios(evidence).items():
         offsets = np.array([side.after / ratio - side.before for side in sides])

@@ -14,7 +14,7 @@ ORDINARY = frozenset({"white_noise", "bias", "misalignment", "own_clock"}) | PRI
 
 
 def removals(evidence: Evidence, name: str) -> Iterator[Hypothesis]:
-    """The trial without effects of this kind, if the model has any that isn't ordinary, nor fitted."""
+    """Suggest the trial without effects of this kind, if the model has any that isn't ordinary, nor fitted."""
     if _has(evidence, name) and not _is_fitted(evidence, name):
         yield Hypothesis((), removed=name)
 
@@ -22,9 +22,9 @@ def removals(evidence: Evidence, name: str) -> Iterator[Hypothesis]:
 def with_removal(
     evidence: Evidence, name: str, guesses: Iterable[Hypothesis], *, several: bool = False
 ) -> Iterator[Hypothesis]:
-    """The trial without effects of this kind, and the `guesses` that add one. Where the model has one already each of
-    these takes its place, since two of a kind can't be told apart; unless a sensor may have `several`: then it is both
-    added and put in its place. What holds for a while is added to what the model always has.
+    """Suggest the trial without effects of this kind, and the `guesses` that add one. Where the model has one already
+    each of these takes its place, since two of a kind can't be told apart; unless a sensor may have `several`: then it
+    is both added and put in its place. What holds for a while is added to what the model always has.
     """
     yield from removals(evidence, name)
     has = _has(evidence, name) and not evidence.when.spans
@@ -36,7 +36,7 @@ def with_removal(
 
 
 def _is_fitted(evidence: Evidence, name: str) -> bool:
-    """True if the chip's own filter is all that the model has of the kind."""
+    """Return whether the chip's own filter is all that the model has of the kind."""
     return name in {effect.name for effect in evidence.fitted.effects()}
 
 

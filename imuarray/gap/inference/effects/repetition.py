@@ -9,8 +9,8 @@ from imuarray.gap.statistics.summary import Summary
 
 
 def repeated_share(evidence: Evidence) -> float:
-    """Probability that a row that would be new is a repetition, beyond what the model makes: the median over phases;
-    negative where repetitions are missing.
+    """Return probability that a row that would be new is a repetition, beyond what the model makes: the median over
+    phases; negative where repetitions are missing.
     """
     shares = [_share(phase.raw) for phase in evidence.phases if phase.raw.rows > phase.raw.repeats.longest]
     usual = np.sin(evidence.expected.get("repeats", np.zeros((0, 1)))) ** 2
@@ -20,7 +20,9 @@ def repeated_share(evidence: Evidence) -> float:
 
 
 def _share(summary: Summary) -> float:
-    """Share of rows that repeat the one before, without the longest run, which may be of a chip that hung."""
+    """Return the share of rows that repeat the one before, without the longest run, which may be of
+    a chip that hung.
+    """
     repeats = summary.repeats
     longest = repeats.longest - 1
     return (repeats.repeat_share * (summary.rows - 1) - longest) / max(summary.rows - 1 - longest, 1)

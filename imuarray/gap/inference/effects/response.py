@@ -37,7 +37,7 @@ class Response:
         return np.asarray(np.linalg.lstsq(self.felt, self.reading - self.felt, rcond=0.05)[0].T)
 
     def misfit(self, matrix: Floats) -> float:
-        """Sum of squares that `matrix` (3, 3) as the response leaves."""
+        """Return the sum of squares that `matrix` (3, 3) as the response leaves."""
         return float(((self.reading - self.felt @ matrix.T) ** 2).sum())
 
 
@@ -56,7 +56,7 @@ def size_of_score(evidence: Evidence, *probes: str) -> Floats:
 
 
 def _of_faces(evidence: Evidence) -> Response | None:
-    """Each attitude counts alike, however often it was taken up. A gyroscope feels nothing at rest."""
+    """Return the same weight for each attitude, however often it was taken up. A gyroscope feels nothing at rest."""
     if evidence.header.quantity == "angular_rate" or not any(evidence.fitted.rms):
         return None
     faces: dict[tuple[float, ...], list[Floats]] = {}
@@ -85,8 +85,8 @@ def _of_motion(evidence: Evidence) -> Response | None:
 
 
 def _mean(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:
-    """(3,) value and expectation, each phase by how well the axis is known in it: a turn about one axis knows little
-    of the others. nan for an axis that no phase knows.
+    """Return (3,) value and expectation, each phase by how well the axis is known in it: a turn about one axis knows
+    little of the others. nan for an axis that no phase knows.
     """
     if probe not in evidence.scores:
         return np.full(3, np.nan), np.full(3, np.nan)

@@ -22,9 +22,9 @@ _MOST = 2
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The largest codes at which an axis piles up, as the limits of all axes; those of each axis that piles up alone;
-    and both ends of each axis, about a centre of its own, where an axis piles up at both, or at one and passes the
-    opposite of it at the other, which then is the converter's.
+    """Suggest the largest codes at which an axis piles up, as the limits of all axes; those of each axis that piles up
+    alone; and both ends of each axis, about a centre of its own, where an axis piles up at both, or at one and passes
+    the opposite of it at the other, which then is the converter's.
     """
     yield from with_removal(evidence, Saturation.name, _found(evidence))
 
@@ -54,14 +54,14 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _extremes(evidence: Evidence, axis: int) -> list[int]:
-    """The lowest and the highest code of an axis in each phase."""
+    """Return the lowest and the highest code of an axis in each phase."""
     histograms = [phase.raw.codes[axis] for phase in evidence.phases]
     return [int(end) for histogram in histograms if len(histogram.codes) for end in histogram.codes[[0, -1]]]
 
 
 def _both_ends(ends: Collection[int], codes: Collection[int], span: CodeSpan) -> tuple[int, ...]:
-    """The codes at which an axis ends: those with a pile, or one with a pile and the end of the converter's span, if
-    the axis passes the opposite of the pile; () if it may end at opposite codes.
+    """Return the codes at which an axis ends: those with a pile, or one with a pile and the end of the converter's
+    span, if the axis passes the opposite of the pile; () if it may end at opposite codes.
     """
     if len(ends) == 1:
         (end,) = ends
@@ -72,7 +72,7 @@ def _both_ends(ends: Collection[int], codes: Collection[int], span: CodeSpan) ->
 
 
 def _piled(histogram: Histogram) -> Iterator[int]:
-    """The ends with a pile; the root of a Poisson count scatters by 1/2."""
+    """Yield the ends with a pile; the root of a Poisson count scatters by 1/2."""
     if len(histogram.codes) < 2:
         return
     for last, before in ((0, 1), (-1, -2)):

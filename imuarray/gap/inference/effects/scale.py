@@ -33,9 +33,9 @@ _FELT = 0.3
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The diagonal of the response's error, on axes that stray beyond the population; and of an accelerometer the error
-    that makes a level's step within a log, on the axes that show it or on all. If the box always lies alike, such a
-    step is that of a bias: a scale has to show in motion or on several faces.
+    """Suggest the diagonal of the response's error, on axes that stray beyond the population; and of an accelerometer
+    the error that makes a level's step within a log, on the axes that show it or on all. If the box always lies alike,
+    such a step is that of a bias: a scale has to show in motion or on several faces.
     """
     yield from with_removal(evidence, Scale.name, _hypotheses(evidence))
 
@@ -57,8 +57,8 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _of_rotation(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The share of motion that is lacking along each axis that strays, and along all axes alike, where the axes cannot
-    be told apart: in a rotation about a single axis.
+    """Suggest the share of motion that is lacking along each axis that strays, and along all axes alike, where the axes
+    cannot be told apart: in a rotation about a single axis.
     """
     score = size_of_score(evidence, _ALONG)
     if evidence.is_odd("motion_gain", beyond=ODD) or not (score > ODD).any():
@@ -72,7 +72,9 @@ def _of_rotation(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _within_motion(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The error of the second part of a motion from some moment on, where the first part shows a smaller one."""
+    """Suggest the error of the second part of a motion from some moment on, where the first part
+    shows a smaller one.
+    """
     if _ALONG not in evidence.scores or _ALONG not in evidence.rows_of:
         return
     logs = np.array(evidence.rows_of[_ALONG])
@@ -114,7 +116,9 @@ def _of_step(evidence: Evidence, step: LevelStep) -> Iterator[Hypothesis]:
 
 
 def _felt(evidence: Evidence, step: LevelStep) -> Floats:
-    """(3,) what the axes should read, without bias, in the phases at rest that reach into the step's last stretch."""
+    """Return (3,) what the axes should read, without bias, in the phases at rest that reach into the step's last
+    stretch.
+    """
     span = step.when.spans[-1]
     felt = [
         evidence.fitted.by_response(evidence.fitted.unbiased(phase.raw) - mean(phase.residual))

@@ -21,7 +21,7 @@ _TURNS = np.cross(np.eye(3)[:, None], np.eye(3)[None]).transpose(0, 2, 1)
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The place, from least squares of what the other accelerometers' mean doesn't explain."""
+    """Suggest the place, from least squares of what the other accelerometers' mean doesn't explain."""
     yield from with_removal(evidence, SizeEffect.name, _hypotheses(evidence))
 
 
@@ -40,7 +40,7 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _place(evidence: Evidence, rotation: Floats, shared: Floats) -> Floats:
-    """(3,) metres in the box: force = sum of column k times B_k r, B_k (3, 3) along the sensor's axes."""
+    """Return (3,) metres in the box: force = sum of column k times B_k r, B_k (3, 3) along the sensor's axes."""
     turn = np.array(evidence.header.orientation).T / SI_PER_UNIT[evidence.header.unit]
     columns = turn @ _columns()
     normal = np.einsum("kl,kij,lim->jm", rotation, columns, columns)
@@ -48,8 +48,8 @@ def _place(evidence: Evidence, rotation: Floats, shared: Floats) -> Floats:
 
 
 def _columns() -> Floats:
-    """(9, 3, 3): rate x (rate x r) = (rate rate^T - rate^2) r by the products xx, xy, xz, yy, yz, zz, and angular
-    acceleration x r.
+    """Return (9, 3, 3): rate x (rate x r) = (rate rate^T - rate^2) r by the products xx, xy, xz, yy, yz, zz, and
+    angular acceleration x r.
     """
     products = []
     for first, second in zip(*np.triu_indices(3), strict=True):

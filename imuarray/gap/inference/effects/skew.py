@@ -18,7 +18,7 @@ behind is late, rather than the other one early.
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The mean lag; a large one also a period earlier or later."""
+    """Suggest the mean lag; a large one also a period earlier or later."""
     yield from with_removal(evidence, Skew.name, _hypotheses(evidence))
 
 

@@ -95,8 +95,8 @@ def allan_of(evidence: Evidence) -> Allan:
 
 
 def _of_warming(phase: PhaseEvidence, rows_per_s: float, octaves: int) -> Floats:
-    """(o, 3) what a level that the model lets follow the temperature adds, in counts squared: (rate tau)^2 / 2 of a
-    straight line (IEEE Std 952, Annex C).
+    """Return (o, 3) what a level that the model lets follow the temperature adds, in counts squared: (rate tau)^2 / 2
+    of a straight line (IEEE Std 952, Annex C).
     """
     time_s, level = phase.raw.segments.time_s, phase.raw.segments.mean - phase.residual.segments.mean
     known = np.isfinite(level).all(axis=1) & np.isfinite(time_s)
@@ -116,14 +116,16 @@ def gauss_markov(time_s: Floats, time_constant_s: float) -> Floats:
 
 
 def within(length_s: float, time_constant_s: float) -> float:
-    """Variance about their mean of the values of such a process in a stretch: 1 - 2 (x - 1 + exp(-x)) / x^2."""
+    """Return the variance about their mean of the values of such a process in a stretch: 1 - 2 (x -
+    1 + exp(-x)) / x^2.
+    """
     x = length_s / time_constant_s
     return x / 3 if x < 1e-3 else 1 - 2 * (x - 1 + float(np.exp(-x))) / x**2
 
 
 def size_of(allan: Allan, curve: Floats, spread: float) -> tuple[Floats, float]:
-    """(3,) squared size of the process with this Allan variance (o,), and this variance in a phase, beside white noise,
-    and how badly both fit.
+    """Return (3,) squared size of the process with this Allan variance (o,), and this variance in a phase, beside white
+    noise, and how badly both fit.
     """
     sizes, misfit = np.zeros(3), 0.0
     white = np.append(allan.time_s[0] / allan.time_s, 0.0)
@@ -140,7 +142,7 @@ def size_of(allan: Allan, curve: Floats, spread: float) -> tuple[Floats, float]:
 
 
 def wander_of(evidence: Evidence) -> Wander | None:
-    """The Gauss-Markov process that fits best, None where no phase is long enough to tell or none is there."""
+    """Return the Gauss-Markov process that fits best, None where no phase is long enough to tell or none is there."""
     allan = allan_of(evidence)
     if len(allan.time_s) < 4:
         return None
@@ -188,7 +190,7 @@ def over_logs(evidence: Evidence) -> Wander | None:
 
 
 def rms_at(evidence: Evidence, time_constant_s: float) -> Floats:
-    """(3,) rms of a Gauss-Markov process of this time constant."""
+    """Return (3,) rms of a Gauss-Markov process of this time constant."""
     return np.asarray(np.sqrt(_gauss_markov_size(allan_of(evidence), time_constant_s)[0]))
 
 
@@ -216,8 +218,8 @@ def _gauss_markov_size(allan: Allan, time_constant_s: float) -> tuple[Floats, fl
 
 
 def _spread(evidence: Evidence) -> tuple[Floats, float, int]:
-    """Mean over the phases at rest of the variance of segments' means less that of independent readings, at least a
-    tenth of it; the phases' mean length, and how many there are.
+    """Return the mean over the phases at rest of the variance of segments' means less that of independent readings, at
+    least a tenth of it; the phases' mean length, and how many there are.
     """
     variances, lengths = [], []
     for phase in evidence.still:

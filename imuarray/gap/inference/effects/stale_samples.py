@@ -16,7 +16,7 @@ _LEAST, _MOST = 1e-4, 0.95
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The share of repetitions beyond what the model makes."""
+    """Suggest the share of repetitions beyond what the model makes."""
     yield from with_removal(evidence, StaleSamples.name, _found(evidence))
 
 

@@ -53,7 +53,7 @@ class _Series(NamedTuple):
 
 
 def onsets(evidence: Evidence, ratio: float = 1.0) -> list[Onset]:
-    """The clearest step of level and noise within each log that has a clear one, the clearest first.
+    """Return the clearest step of level and noise within each log that has a clear one, the clearest first.
 
     From the step on a reading is `ratio` times what it would be, so that each face has another step.
     """
@@ -70,8 +70,8 @@ def onsets(evidence: Evidence, ratio: float = 1.0) -> list[Onset]:
 
 
 def states_of_logs(evidence: Evidence, rare: Booleans) -> States | None:
-    """The values of the `rare` ones of the logs (l,) on the face of the first log, at the temperature of the rare ones:
-    a chip's own thermometer may have any zero.
+    """Return the values of the `rare` ones of the logs (l,) on the face of the first log, at the temperature of the
+    rare ones: a chip's own thermometer may have any zero.
     """
     logs = sorted({phase.log for phase in evidence.still})
     if len(logs) != len(rare):
@@ -104,7 +104,7 @@ def _series(evidence: Evidence, phases: list[PhaseEvidence]) -> _Series:
 
 
 def _unscaled(series: _Series, ratio: float) -> Floats:
-    """(s, 3) deviations of levels from the model if readings are `ratio` times what they would be."""
+    """Return (s, 3) deviations of levels from the model if readings are `ratio` times what they would be."""
     return (series.residual + series.predicted) / ratio - series.predicted
 
 
@@ -131,7 +131,7 @@ def _states(series: _Series, at: int, ratio: float) -> States:
 
 
 def _time(series: _Series, at: int, ratio: float) -> float:
-    """Time of the step, from the shares of it that are in the means of the segments before and after."""
+    """Return the time of the step, from the shares of it that are in the means of the segments before and after."""
     low = np.median(series.residual[: at - 1], axis=0)
     inner = slice(at - 1, at + 1)
     faces = series.predicted[inner]

@@ -40,9 +40,9 @@ class _Run(NamedTuple):
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The longest runs, runs over several phases in one piece; one that lasts to the log's end lasts for ever. Where
-    many phases have one: again and again, as much time in all as rows are held; and where they are few enough, each of
-    them, since chance puts them into other phases.
+    """Suggest the longest runs, runs over several phases in one piece; one that lasts to the log's end lasts for ever.
+    Where many phases have one: again and again, as much time in all as rows are held; and where they are few enough,
+    each of them, since chance puts them into other phases.
     """
     yield from with_removal(evidence, Stuck.name, _found(evidence))
 
@@ -89,7 +89,7 @@ def _one_by_one(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _with_first_reading(repetition: Repetition) -> Span:
-    """The stretch with the reading that is repeated, which may be the first of the log."""
+    """Return the stretch with the reading that is repeated, which may be the first of the log."""
     log, moment_s, length_s = repetition.span
     begin_s = max(moment_s - length_s / repetition.rows, 0.0)
     return Span(log, begin_s, moment_s + length_s - begin_s)
@@ -102,7 +102,7 @@ def _kind(evidence: Evidence) -> str:
 
 
 def _runs(evidence: Evidence) -> list[_Run]:
-    """The longest of each phase, joined where one goes on in the next phase of the log."""
+    """Return the longest of each phase, joined where one goes on in the next phase of the log."""
     joined: list[_Run] = []
     order = sorted(evidence.phases, key=lambda phase: (phase.log, phase.raw.phase.start_ns))
     for phase in order:
@@ -118,7 +118,7 @@ def _runs(evidence: Evidence) -> list[_Run]:
 
 
 def _longest(phase: PhaseEvidence, rows_per_s: float) -> _Run | None:
-    """The longest run of repeated rows in a phase; None if the chip's hold and chance explain it."""
+    """Return the longest run of repeated rows in a phase; None if the chip's hold and chance explain it."""
     repeats, span = phase.raw.repeats, phase.raw.phase
     hold = _HOLDS / repeats.new_share if repeats.new_share > 0 else 0.0
     if repeats.longest < max(_LEAST_ROWS, hold):
@@ -134,7 +134,7 @@ def _longest(phase: PhaseEvidence, rows_per_s: float) -> _Run | None:
 
 
 def _end_s(evidence: Evidence, log: int) -> float:
-    """Time at which the log's last phase ends, less one row."""
+    """Return the time at which the log's last phase ends, less one row."""
     end_ns = max(phase.raw.phase.end_ns for phase in evidence.phases if phase.log == log)
     return end_ns * 1e-9 - 1 / evidence.rows_per_s
 

@@ -31,17 +31,19 @@ class Fit(NamedTuple):
 
 
 def warmth(table: Levels) -> Floats:
-    """(n,) degC above the temperature at which biases hold."""
+    """Return (n,) degC above the temperature at which biases hold."""
     return np.asarray(table.degc - REFERENCE_DEGC)
 
 
 def is_warmed(table: Levels) -> bool:
-    """True if the temperature changed within a log and face."""
+    """Return whether the temperature changed within a log and face."""
     return any(np.ptp(table.degc[at]) >= LEAST_DEGC for at in table.groups())
 
 
 def fitted(columns: Floats, values: Floats, group: Integers | None) -> Fit:
-    """Least squares of values (n, 3) by columns (n, c), both less the means of their groups (None: as they are)."""
+    """Return the least-squares fit of values (n, 3) by columns (n, c), both less the means of their groups (None: as
+    they are).
+    """
     if group is not None:
         columns, values = centred(columns, group), centred(values, group)
     size = np.sqrt((columns**2).sum(axis=0))

@@ -17,8 +17,8 @@ _CLEAR = 2.0
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The quadratic term by least squares; a linear one where only the levels of several logs tell it, which the base
-    model doesn't fit.
+    """Suggest the quadratic term by least squares; a linear one where only the levels of several logs tell it, which
+    the base model doesn't fit.
     """
     table = levels(evidence)
     if not len(table.degc) or not evidence.is_odd(*TRACES, beyond=BEYOND):
@@ -44,7 +44,7 @@ def _squares(table: Levels) -> Iterator[Hypothesis]:
 
 
 def _since(evidence: Evidence) -> Iterator[Hypothesis]:
-    """A slope that has changed since an earlier recording, to which the base model was fitted."""
+    """Suggest a slope that has changed since an earlier recording, to which the base model was fitted."""
     odd = np.abs(evidence.score("thermal_slope")) > BEYOND
     x, y, z = np.where(odd, np.nan_to_num(evidence.typical("thermal_slope")), 0.0).tolist()
     if any((x, y, z)):
@@ -52,7 +52,7 @@ def _since(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _between_logs(table: Levels) -> Iterator[Hypothesis]:
-    """A slope from levels on one face at several temperatures."""
+    """Suggest a slope from levels on one face at several temperatures."""
     faces = np.unique(np.nan_to_num(table.felt_g.round(3), nan=9.0), axis=0, return_inverse=True)[1].reshape(-1)
     fit = fitted(warmth(table)[:, None], table.mean, faces)
     if fit.coefficient.any():

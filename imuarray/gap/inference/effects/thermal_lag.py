@@ -31,8 +31,8 @@ _APART = 3.0
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The time constant by which the lagged reference fits levels and the chip's own thermometer best; another by the
-    coefficient of dT/dt, which is slope times lag.
+    """Suggest the time constant by which the lagged reference fits levels and the chip's own thermometer best; another
+    by the coefficient of dT/dt, which is slope times lag.
     """
     for guess in with_removal(evidence, ThermalLag.name, _hypotheses(evidence)):
         is_of_element = any(isinstance(effect, ThermalLag) and not any(effect.slope) for effect in guess.effects)
@@ -54,9 +54,9 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _of_a_part(evidence: Evidence, table: Levels) -> Iterator[Hypothesis]:
-    """A part of the bias lags, on the axes on which it is clear; the rest follows the temperature at once, by another
-    slope than was fitted without the lag. What the thermometer feels does not lag with it. If all axes lag, it is the
-    element.
+    """Suggest a lag of a part of the bias on the axes on which it is clear; the rest follows the temperature at once,
+    by another slope than was fitted without the lag. What the thermometer feels does not lag with it. If all axes lag,
+    it is the element.
     """
     times_s = _times_s(table)
     gains = np.array([_gains_of_part(table, time_s) for time_s in times_s]).reshape(-1, 3)
@@ -82,8 +82,8 @@ def _of_a_part(evidence: Evidence, table: Levels) -> Iterator[Hypothesis]:
 
 
 def _gains_of_part(table: Levels, time_constant_s: float) -> Floats:
-    """(3,) nats by which levels over the temperature and over the lagged one are explained better than over the first
-    alone.
+    """Return (3,) nats by which levels over the temperature and over the lagged one are explained better than over the
+    first alone.
     """
     warm = centred(np.stack([table.degc, lagged(table, time_constant_s)], axis=1), table.group)
     squares, squares_with_part = (
@@ -94,7 +94,7 @@ def _gains_of_part(table: Levels, time_constant_s: float) -> Floats:
 
 
 def _times_s(table: Levels) -> Floats:
-    """The time constants that are tried; none where no log lasts."""
+    """Return the time constants that are tried; none where no log lasts."""
     span_s = max(float(np.ptp(table.time_s[table.log == log])) for log in np.unique(table.log))
     return np.geomspace(span_s / _STEPS * 2, span_s, _TRIED) if span_s > 0 else np.zeros(0)
 
@@ -110,7 +110,7 @@ def _best(table: Levels) -> float:
 
 
 def lagged(table: Levels, time_constant_s: float) -> Floats:
-    """(n,) temperature of an element behind the reference, in equilibrium when its log begins."""
+    """Return (n,) temperature of an element behind the reference, in equilibrium when its log begins."""
     from scipy.signal import lfilter  # its weight is for those who ask
 
     degc = np.empty_like(table.degc)

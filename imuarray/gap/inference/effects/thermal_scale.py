@@ -19,9 +19,9 @@ _CLEAR = 2.0
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Guess, for an accelerometer, the part of the slope that has the sign of the force; on one face alone it can't be
-    distinguished from a slope of the bias, which is fitted, and there is no guess. The other guess is the slope that
-    makes the error of the scale at the temperature of the faces: no other experiment distinguishes the two.
+    """Suggest, for an accelerometer, the part of the slope that has the sign of the force; on one face alone it
+    can't be distinguished from a slope of the bias, which is fitted, and there is no guess. The other guess is the
+    slope that makes the error of the scale at the temperature of the faces: no other experiment distinguishes the two.
     """
     yield from with_removal(evidence, ThermalScale.name, _hypotheses(evidence))
 
@@ -41,7 +41,7 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _by_scale(evidence: Evidence, table: Levels) -> Floats:
-    """(3,) error of the scale over how much warmer it was than at the reference; 0 where that says nothing."""
+    """Return (3,) error of the scale over how much warmer it was than at the reference; 0 where that says nothing."""
     measured_response, known = response(evidence), np.isfinite(table.felt_g).all(axis=1)
     if measured_response is None or not known.any():
         return np.zeros(3)

@@ -74,8 +74,8 @@ class _Rate:
         return [phase.raw.spectrum for phase in self.phases if phase.raw.spectrum.segments]
 
     def height(self, hertz: float) -> float:
-        """How far a line of that frequency stands above what is beside it, in standard deviations, where rows of this
-        rate show it.
+        """Return how far a line of that frequency stands above what is beside it, in standard deviations, where rows of
+        this rate show it.
         """
         spectrum = pooled(self.spectra)
         if spectrum is None:
@@ -86,7 +86,7 @@ class _Rate:
 
 
 def _rates(evidence: Evidence) -> list[_Rate]:
-    """The rates at which the sensor was read, the fastest first."""
+    """Return the rates at which the sensor was read, the fastest first."""
     logs = dict.fromkeys(phase.log for phase in evidence.still)
     by_rate: dict[int, list[int]] = {}
     for log in logs:
@@ -96,8 +96,8 @@ def _rates(evidence: Evidence) -> list[_Rate]:
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The two highest lines of the mean spectrum at rest, at the frequency at which rows show them; at that of the
-    mains if it is where rows show these. One that is elsewhere in each phase, by its course.
+    """Suggest the two highest lines of the mean spectrum at rest, at the frequency at which rows show them; at that of
+    the mains if it is where rows show these. One that is elsewhere in each phase, by its course.
     """
     yield from with_removal(evidence, Tone.name, _hypotheses(evidence), several=True)
 
@@ -123,8 +123,8 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _drifting(evidence: Evidence, known_hz: list[float]) -> Iterator[Hypothesis]:
-    """The line that is highest in most phases, if it moves straight on in each log. What a single log can't tell is
-    how far from there others begin: twice as far, it is taken, as it drifts in this one.
+    """Suggest the line that is highest in most phases, if it moves straight on in each log. What a single log can't
+    tell is how far from there others begin: twice as far, it is taken, as it drifts in this one.
     """
     sightings = list(_sightings(evidence, known_hz))
     if len(sightings) < max(_LEAST_PHASES, len(evidence.still) / 2):

@@ -20,7 +20,7 @@ _SMALL = 0.2
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The spread of the logs' levels on the faces that they share; of two logs, what they differ by."""
+    """Suggest the spread of the logs' levels on the faces that they share; of two logs, what they differ by."""
     yield from with_removal(evidence, TurnOnBias.name, _found(evidence))
 
 

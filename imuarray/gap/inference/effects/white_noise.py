@@ -23,9 +23,9 @@ _GROWN = 0.1
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Guess the residual of a motion that the other sensors don't explain as noise, for a sensor that was never fitted
-    at rest. For one that was, the noise can't be too large everywhere, unless it was fitted to an earlier recording:
-    guess the excess of some logs, or of a spell, over the rest.
+    """Guess the residual of a motion that the other sensors don't explain as noise, for a sensor that was never
+    fitted at rest. For one that was, the noise can't be too large everywhere, unless it was fitted to an earlier
+    recording: guess the excess of some logs, or of a spell, over the rest.
     """
     if not evidence.is_refitted:
         yield from _since(evidence)
@@ -38,7 +38,7 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _more(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The noise of the rest is the smaller one: what was fitted may lie between."""
+    """Suggest more noise at some times. That of the rest is the smaller one: what was fitted may lie between."""
     if evidence.when.spans:
         if evidence.score("noise").max() > BEYOND:
             yield from _grown(evidence, evidence.typical("noise"), np.zeros(3), ALWAYS)
@@ -56,8 +56,9 @@ def _grown(evidence: Evidence, more: Floats, less: Floats, when: When) -> Iterat
 
 
 def _from_a_moment(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Noise that grew within a log, also if its phases at rest are too short for spells; and in the logs after it that
-    have as much; or in all that have as much, since the dates of logs need not be those of the clock of an effect.
+    """Suggest the noise that grew within a log, also if its phases at rest are too short for spells; and in the logs
+    after it that have as much; or in all that have as much, since the dates of logs need not be those of the clock of
+    an effect.
     """
     for onset in onsets(evidence)[:1]:
         before, after = (
@@ -74,7 +75,7 @@ def _from_a_moment(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _as_noisy(evidence: Evidence, onset: Onset, grown: Booleans) -> list[int]:
-    """The logs other than that of a moment whose noise on the `grown` axes is nearer to that after it."""
+    """Return the logs other than that of a moment whose noise on the `grown` axes is nearer to that after it."""
     middle = np.log(onset.states.noise_before * onset.states.noise_after) / 2
     logs = sorted({phase.log for phase in evidence.still} - {onset.log})
     level = {log: np.log(evidence.noise) + evidence.within([log]).typical("noise") for log in logs}

@@ -18,25 +18,25 @@ _MANY_TERMS = 100
 
 
 def at(octave: int, summary: Summary) -> Floats:
-    """Log of the Allan variance at 2^octave rows over that of white noise with the variance at one row."""
+    """Return the log of the Allan variance at 2^octave rows over that of white noise with the variance at one row."""
     return np.asarray(_logs(summary)[octave])
 
 
 def jumps(octave: int, summary: Summary) -> Floats:
-    """Log of the kurtosis of the differences of neighbouring means over 2^octave rows, less log 3."""
+    """Return the log of the kurtosis of the differences of neighbouring means over 2^octave rows, less log 3."""
     share = summary.allan.kurtosis[octave] / 3
     return log(share if summary.allan.terms[octave] >= _MANY_TERMS else np.full_like(share, np.nan))
 
 
 def longest(summary: Summary) -> Floats:
-    """The same at the longest averaging time that the phase has enough rows for."""
+    """Return the same at the longest averaging time that the phase has enough rows for."""
     known = np.flatnonzero(summary.allan.terms >= _TERMS)
     return at(int(known[-1]), summary) if len(known) else NOTHING
 
 
 @once
 def _logs(summary: Summary) -> Floats:
-    """(o, 3) at all octaves; nan of those that have too few terms."""
+    """Return (o, 3) at all octaves; nan of those that have too few terms."""
     variance, terms, _ = summary.allan
     factors = np.where(terms >= _TERMS, 2.0 ** np.arange(len(terms)), np.nan)
     return np.asarray(log(variance * factors[:, None]) - log(variance[0]))

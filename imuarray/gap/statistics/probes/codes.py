@@ -39,7 +39,8 @@ def at_ends(summary: Summary) -> Floats:
 
 
 def pile(summary: Summary) -> Floats:
-    """How much more often the outermost code came than the next one inwards, in standard deviations, at the worse end.
+    """Return how much more often the outermost code came than the next one inwards, in standard deviations, at the
+    worse end.
 
     The root of a Poisson count scatters by 1/2 whatever its mean.
     """

@@ -24,13 +24,13 @@ Moments = Callable[[Cross], Floats]
 
 @once
 def _slow(cross: Cross) -> Floats:
-    """(p, p) Fisher's z of correlations of the segments' means, along the sensors' axes."""
+    """Return (p, p) Fisher's z of correlations of the segments' means, along the sensors' axes."""
     return _correlations(cross.slow_covariance)
 
 
 @once
 def _fast(cross: Cross) -> Floats:
-    """(p, p) the same within segments."""
+    """Return (p, p) the same within segments."""
     return _correlations(cross.fast)
 
 
@@ -45,19 +45,19 @@ def _fast_in_box(cross: Cross) -> Floats:
 
 
 def own_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
-    """Mean Fisher's z with the same axis of the other sensors of this chip."""
+    """Return the mean Fisher's z with the same axis of the other sensors of this chip."""
     return _mean_z(correlations(cross), cross, sensor, cross.others(sensor, family=True))
 
 
 def box_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
-    """Mean Fisher's z, box axis by box axis, with the other sensors of this chip, given for the sensor's axis
-    along it.
+    """Return the mean Fisher's z, box axis by box axis, with the other sensors of this chip, given for the sensor's
+    axis along it.
     """
     return _as_own(cross, sensor, _mean_z(correlations(cross), cross, sensor, cross.others(sensor, family=True)))
 
 
 def others(correlations: Moments, cross: Cross, sensor: str) -> Floats:
-    """The same with the sensors of other chips that measure the same."""
+    """Return the same with the sensors of other chips that measure the same."""
     family = set(cross.others(sensor, family=True))
     strangers = [name for name in cross.others(sensor, family=False) if name not in family]
     return _as_own(cross, sensor, _mean_z(correlations(cross), cross, sensor, strangers))
@@ -70,7 +70,9 @@ def between_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
 
 
 def level_apart(log: LogSummary, sensor: str) -> Floats:
-    """Mean reading of the log less the mean of that of the other sensors of this chip, each along its own axes."""
+    """Return the mean reading of the log less the mean of that of the other sensors of this chip, each along its own
+    axes.
+    """
     levels = _levels(log)
     header, sensor_level = levels[sensor]
     others = [
@@ -82,22 +84,22 @@ def level_apart(log: LogSummary, sensor: str) -> Floats:
 
 
 def least_level_apart(log: LogSummary, sensor: str) -> float:
-    """The least difference from the other sensors that says anything: that of the sensor's own mean, which an attitude
-    estimated from two opposed chips takes out of both.
+    """Return the least difference from the other sensors that says anything: that of the sensor's own mean, which an
+    attitude estimated from two opposed chips takes out of both.
     """
     return min(map(least_level, log.still(sensor)), default=0.0)
 
 
 @once
 def _levels(log: LogSummary) -> dict[str, tuple[SensorHeader, Floats]]:
-    """Levels of every sensor that has readings at rest."""
+    """Return levels of every sensor that has readings at rest."""
     names = dict.fromkeys(sensor for phase in log.phases for sensor in phase.sensors)
     still = {name: log.still(name) for name in names}
     return {name: (phases[0].header, level(phases)) for name, phases in still.items() if phases}
 
 
 def _mean_z(correlation: Floats, cross: Cross, sensor: str, partners: Sequence[str]) -> Floats:
-    """(3,) axis by axis, mean over the partners."""
+    """Return (3,) axis by axis, mean over the partners."""
     if not partners:
         return NOTHING
     columns = np.array([[cross.columns(partner).start] for partner in partners]) + AXES
@@ -105,18 +107,18 @@ def _mean_z(correlation: Floats, cross: Cross, sensor: str, partners: Sequence[s
 
 
 def _as_own(cross: Cross, sensor: str, box: Floats) -> Floats:
-    """(3,) values of box axes in the order of the sensor's axes that lie along them."""
+    """Return (3,) values of box axes in the order of the sensor's axes that lie along them."""
     return np.asarray(box[_nearest(cross.header(sensor).orientation)])
 
 
 @lru_cache(maxsize=64)
 def _nearest(orientation: Matrix) -> Indices:
-    """(3,) the box's axis along which each of the sensor's lies."""
+    """Return (3,) the box's axis along which each of the sensor's lies."""
     return np.asarray(np.abs(np.array(orientation)).argmax(axis=0))
 
 
 def _in_box(cross: Cross, moments: Floats) -> Floats:
-    """(p, p) moments with every sensor's axes turned into the box's."""
+    """Return (p, p) moments with every sensor's axes turned into the box's."""
     turn = np.eye(len(moments))
     for sensor in cross.sensors:
         turn[cross.columns(sensor.name), cross.columns(sensor.name)] = sensor.orientation

@@ -32,7 +32,7 @@ def skewness(summary: Summary) -> Floats:
 
 
 def kurtosis(summary: Summary) -> Floats:
-    """Log of the kurtosis about the segments' means, less log 3."""
+    """Return the log of the kurtosis about the segments' means, less log 3."""
     variance, _, fourth = _central(summary)
     return log(_share(fourth, 3 * variance**2))
 
@@ -60,7 +60,7 @@ def _share(moment: Floats, of: Floats) -> Floats:
 
 @once
 def _central(summary: Summary) -> tuple[Floats, Floats, Floats]:
-    """(3,) second, third and fourth moment about the segments' means."""
+    """Return (3,) second, third and fourth moment about the segments' means."""
     part = summary.segments
     places = (part.rows > 0).nonzero()[0]
     if len(places) == 0:

@@ -45,7 +45,7 @@ def square(phases: Sequence[Summary]) -> Floats:
 
 
 def felt_g(phases: Sequence[Summary]) -> Floats:
-    """(f, 3) specific force along the sensor's nominal axes in each phase, nan where no face is named."""
+    """Return (f, 3) specific force along the sensor's nominal axes in each phase, nan where no face is named."""
     return np.array([_felt(phase) for phase in phases])
 
 
@@ -55,8 +55,8 @@ def _felt(phase: Summary) -> Floats:
 
 
 def _parts(phases: Sequence[Summary]) -> tuple[Floats, Floats]:
-    """(3, 3) odd and even parts in the sensor's unit, of axis (row) for each direction of force (column); nan unless
-    all six faces are there.
+    """Return (3, 3) odd and even parts in the sensor's unit, of axis (row) for each direction of force (column); nan
+    unless all six faces are there.
     """
     nothing = np.full((3, 3), np.nan)
     if not {phase.phase.up for phase in phases} >= _FACES:

@@ -25,7 +25,7 @@ its mean by seven standard deviations as often as once in a thousand times.
 
 @once
 def mean(summary: Summary) -> Floats:
-    """Mean reading by the nominal sensitivity."""
+    """Return the mean reading by the nominal sensitivity."""
     part = summary.segments
     places = (part.rows > 0).nonzero()[0]
     total = part.rows[places] @ part.mean.take(places, axis=0)
@@ -33,9 +33,9 @@ def mean(summary: Summary) -> Floats:
 
 
 def least_level(summary: Summary) -> float:
-    """The least difference of means that says anything: a share of the standard error of the mean of readings that are
-    independent. A fit that takes a level out leaves rounding; an attitude that is estimated from the level itself
-    leaves what is of second order in its error, which is as unlike a normal quantity as it is small.
+    """Return the least difference of means that says anything: a share of the standard error of the mean of readings
+    that are independent. A fit that takes a level out leaves rounding; an attitude that is estimated from the level
+    itself leaves what is of second order in its error, which is as unlike a normal quantity as it is small.
     """
     if not summary.rows:
         return LEAST_LEVEL
@@ -46,17 +46,17 @@ def least_level(summary: Summary) -> float:
 
 
 def least_mean_level(phases: Sequence[Summary]) -> float:
-    """The same of the mean over phases that are weighted alike."""
+    """Return the same of the mean over phases that are weighted alike."""
     return math.sqrt(sum(least_level(phase) ** 2 for phase in phases)) / max(len(phases), 1)
 
 
 def least_return(phases: Sequence[Summary]) -> float:
-    """The same of the difference of two phases."""
+    """Return the same of the difference of two phases."""
     return math.hypot(least_level(phases[0]), least_level(phases[-1]))
 
 
 def halves(summary: Summary) -> Floats:
-    """Mean of the second half's segments less that of the first half's."""
+    """Return the mean of the second half's segments less that of the first half's."""
     part = summary.segments.mean / summary.header.sensitivity
     middle = (len(part) + 1) // 2
     first, second = (half[np.isfinite(half[:, 0])] for half in (part[:middle], part[middle:]))
@@ -64,7 +64,9 @@ def halves(summary: Summary) -> Floats:
 
 
 def wander(summary: Summary) -> Floats:
-    """Log of the variance of the segments' means about a straight line, over what independent readings would give."""
+    """Return the log of the variance of the segments' means about a straight line, over what independent readings would
+    give.
+    """
     part = summary.segments
     places = (part.rows > 1).nonzero()[0]
     if len(places) < _LEAST:
@@ -85,7 +87,7 @@ def uneven(summary: Summary) -> Floats:
 
 @once
 def _about_line(summary: Summary) -> Floats:
-    """(s, 3) means of segments that hold readings, less a straight line through them."""
+    """Return (s, 3) means of segments that hold readings, less a straight line through them."""
     part = summary.segments
     places = (part.rows > 1).nonzero()[0]
     times, means = part.time_s[places], part.mean.take(places, axis=0)
@@ -99,21 +101,21 @@ def _share(moment: Floats, of: Floats) -> Floats:
 
 
 def returned(phases: Sequence[Summary]) -> Floats:
-    """Mean of the last phase less that of the first one on the same face."""
+    """Return the mean of the last phase less that of the first one on the same face."""
     last = phases[-1]
     before = [phase for phase in phases[:-1] if phase.phase.up == last.phase.up]
     return mean(last) - mean(before[0]) if before else NOTHING
 
 
 def whole(phases: Sequence[Summary]) -> Floats:
-    """Mean of all phases, each face or pose weighted alike, as the fit of a bias has it; nan of a single phase, whose
-    own mean says it.
+    """Return the mean of all phases, each face or pose weighted alike, as the fit of a bias has it; nan of a single
+    phase, whose own mean says it.
     """
     return level(phases) if len(phases) > 1 else NOTHING
 
 
 def level(phases: Sequence[Summary]) -> Floats:
-    """The same, of a single phase too; nan without readings."""
+    """Return the same, of a single phase too; nan without readings."""
     faces: dict[str, list[Floats]] = {}
     for phase in phases:
         if phase.rows:

@@ -42,8 +42,8 @@ def gain(cross: Cross, sensor: str) -> Floats:
 
 
 def along(cross: Cross, sensor: str) -> Floats:
-    """The same by the motion along the axis alone, which the rotation about a single axis determines too: what the box
-    then feels along its axes is proportional, and nothing tells their shares apart.
+    """Return the same by the motion along the axis alone, which the rotation about a single axis determines too: what
+    the box then feels along its axes is proportional, and nothing tells their shares apart.
     """
     joint = _joint_moments(cross, sensor)
     if joint is None:
@@ -107,20 +107,20 @@ def information_on_delay(cross: Cross, sensor: str) -> Floats:
 
 
 def _changes_of(joint: _JointMoments, gains: Floats) -> Floats:
-    """Mean square (3,) of the change from window to window of what gains (3, 3) make of the reference."""
+    """Return the mean square (3,) of the change from window to window of what gains (3, 3) make of the reference."""
     changes = joint.changes[np.ix_(AXES + 3, AXES + 3)]
     return np.asarray(np.einsum("oa,ab,ob->o", gains, changes, gains))
 
 
 def residual(cross: Cross, sensor: str) -> Floats:
-    """Log of the variance that the reference doesn't explain, whatever the delay behind it."""
+    """Return the log of the variance that the reference doesn't explain, whatever the delay behind it."""
     joint = _joint_moments(cross, sensor)
     return NOTHING if joint is None else log(_residual_variance(joint, AXES + 3))
 
 
 def coupling(cross: Cross, sensor: str) -> Floats:
-    """Log of that variance over the residual when an accelerometer is explained by products of angular rates and
-    angular accelerations too, a gyroscope by the force that accelerometers feel.
+    """Return the log of that variance over the residual when an accelerometer is explained by products of angular rates
+    and angular accelerations too, a gyroscope by the force that accelerometers feel.
     """
     joint = _joint_moments(cross, sensor)
     if joint is None or joint.moments.shape[0] == 6:
@@ -137,7 +137,7 @@ def square(cross: Cross, sensor: str) -> Floats:
 
 
 def cube(cross: Cross, sensor: str) -> Floats:
-    """The same with the cube of the rate."""
+    """Return the same with the cube of the rate."""
     return _bend(cross, sensor, list(range(cross.cubes.start, cross.cubes.stop)))
 
 
@@ -174,7 +174,7 @@ class _JointMoments(NamedTuple):
 
 
 def _joint_moments(cross: Cross, sensor: str) -> _JointMoments | None:
-    """The joint moments of a sensor; None without a reference, or without windows."""
+    """Return the joint moments of a sensor; None without a reference, or without windows."""
     return _all_joint_moments(cross)[sensor]
 
 
@@ -205,7 +205,7 @@ def _moments_with_others(cross: Cross, sensor: str) -> _JointMoments | None:
 
 
 def _gains(cross: Cross, sensor: str) -> Floats:
-    """(3, 3) response of the sensor's axes (rows) to the reference's (columns)."""
+    """Return (3, 3) response of the sensor's axes (rows) to the reference's (columns)."""
     return _all_gains(cross)[sensor]
 
 
@@ -219,7 +219,7 @@ def _all_gains(cross: Cross) -> dict[str, Floats]:
 
 
 def _coefficients(moments: Floats, of: np.ndarray, by: np.ndarray) -> Floats:
-    """Least-squares coefficients (b, o)."""
+    """Return least-squares coefficients (b, o)."""
     size = np.sqrt(np.diag(moments)[by])
     size = np.where(size > 0, size, 1.0)
     scaled = moments[np.ix_(by, by)] / size[:, None] / size
@@ -227,7 +227,7 @@ def _coefficients(moments: Floats, of: np.ndarray, by: np.ndarray) -> Floats:
 
 
 def _residual_variance(joint: _JointMoments, by: np.ndarray) -> Floats:
-    """Variances (3,) of the sensor's axes that neither these columns nor the reference's changes explain."""
+    """Return variances (3,) of the sensor's axes that neither these columns nor the reference's changes explain."""
     moments, reference = joint.moments, AXES + 3
     coefficients = _coefficients(moments, AXES, by)
     variance = np.asarray(np.diag(moments)[AXES] - np.einsum("bo,bo->o", coefficients, moments[np.ix_(by, AXES)]))

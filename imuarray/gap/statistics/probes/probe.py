@@ -144,8 +144,8 @@ def arcsine(count: float | npt.ArrayLike, of: int | npt.ArrayLike) -> Floats:
 
 
 def score_of_largest(score: npt.ArrayLike, count: float) -> Floats:
-    """The normal score of the largest of `count` independent normal numbers, from that number itself: where nothing is
-    wrong it is normal too, while the largest alone has a long tail.
+    """Return the normal score of the largest of `count` independent normal numbers, from that number itself: where
+    nothing is wrong it is normal too, while the largest alone has a long tail.
     """
     log_expected = math.log(max(count, 1)) + log_ndtr(-np.asarray(score, float))
     expected = np.exp(np.asarray(log_expected).clip(_RARE, _COMMON))
@@ -159,8 +159,8 @@ def one_row(summary: Summary) -> float:
 
 @once
 def noise_lsb(summary: Summary) -> Floats:
-    """(3,) standard deviation of white noise whose neighbours differ as much as these, from the smallest 95 % of the
-    differences: no drift, no motion, no outlier. nan where neighbours never differ.
+    """Return (3,) standard deviation of white noise whose neighbours differ as much as these, from the smallest 95 % of
+    the differences: no drift, no motion, no outlier. nan where neighbours never differ.
 
     Of Gaussian noise these have a mean of 0.71683 standard deviations: 2 (phi(0) - phi(1.96)) / 0.95.
     """
@@ -175,7 +175,7 @@ _TRIMMED = 0.71683
 
 
 def _trimmed_mean(sizes: Integers, counts: Integers) -> float:
-    """Mean of the smallest 95 % of `sizes` that came `counts` times."""
+    """Return the mean of the smallest 95 % of `sizes` that came `counts` times."""
     if len(sizes) == 0:
         return math.nan
     upto = counts.cumsum()

@@ -15,19 +15,19 @@ _TIMES = np.log((np.arange(PARTS) + 0.5) / PARTS)
 
 
 def spread(runs: Runs) -> Floats:
-    """Log of the robust standard deviation of the runs' means."""
+    """Return the log of the robust standard deviation of the runs' means."""
     return log(runs.spread) if len(runs.means) >= _LEAST else NOTHING
 
 
 def scatter(runs: Runs) -> Floats:
-    """Log of the variance of the runs' means over that of independent readings."""
+    """Return the log of the variance of the runs' means over that of independent readings."""
     if len(runs.means) < _LEAST:
         return NOTHING
     return np.asarray(log(runs.means.var(axis=0, ddof=1)) - log((runs.errors**2).mean(axis=0)))
 
 
 def two_states(runs: Runs) -> Floats:
-    """Log of the largest gap between the sorted means over the mean of the others."""
+    """Return the log of the largest gap between the sorted means over the mean of the others."""
     if len(runs.means) < _LEAST:
         return NOTHING
     gaps = np.sort(runs.gaps, axis=0)
@@ -35,7 +35,7 @@ def two_states(runs: Runs) -> Floats:
 
 
 def outlier(runs: Runs) -> Floats:
-    """Log of the distance of the farthest run over all axes, in robust standard deviations; one number."""
+    """Return the log of the distance of the farthest run over all axes, in robust standard deviations; one number."""
     return log(runs.joint_distance.max()) if len(runs.means) >= _LEAST else np.array(np.nan)
 
 
@@ -48,7 +48,9 @@ def creep(runs: Runs) -> Floats:
 
 
 def profile(runs: Runs) -> Floats:
-    """Log of what the mean profile varies by over what the single profiles vary about it, as a ratio of variances."""
+    """Return the log of what the mean profile varies by over what the single profiles vary about it, as a ratio of
+    variances.
+    """
     if len(runs.means) < _LEAST:
         return NOTHING
     common = (runs.mean_profile**2).sum(axis=0)

@@ -26,7 +26,7 @@ Places = npt.NDArray[np.int_]
 
 
 def band(number: int, summary: Summary) -> Floats:
-    """Log of the mean density in band `number` (0 is the lowest), over the geometric mean of all bands'."""
+    """Return the log of the mean density in band `number` (0 is the lowest), over the geometric mean of all bands'."""
     return np.asarray(_bands(summary)[number])
 
 
@@ -47,7 +47,8 @@ def line(summary: Summary) -> Floats:
 
 
 def alternation(summary: Summary) -> Floats:
-    """Log of the density at half the rate, which has no twin and counts double, over that of the bins before it.
+    """Return the log of the density at half the rate, which has no twin and counts double, over that of the bins before
+    it.
 
     nan for a chip that is polled much faster than it measures: its readings come in pairs, whose sum with alternating
     signs consists of the moments at which a poll finds one reading alone.
@@ -59,7 +60,7 @@ def alternation(summary: Summary) -> Floats:
 
 
 def every_other(summary: Summary) -> Floats:
-    """Mean of the readings with alternating signs, in its standard errors.
+    """Return the mean of the readings with alternating signs, in its standard errors.
 
     An error that follows the number of a reading, as of two converters in turn or of a sensor that is read first in
     every other frame, adds up over the phase; a line beats with the rows and does not, however near it is to half their
@@ -72,7 +73,7 @@ def every_other(summary: Summary) -> Floats:
 
 @once
 def _bands(summary: Summary) -> Floats:
-    """(b, 3) log of the mean density in each band, over the geometric mean."""
+    """Return (b, 3) log of the mean density in each band, over the geometric mean."""
     density = summary.spectrum.density
     edges = _edges(len(density))
     sums = np.add.reduceat(density, edges[:-1], axis=0)
@@ -88,7 +89,7 @@ def _edges(bins: int) -> Places:
 
 @cache
 def _mirrored(bins: int) -> Places:
-    """The bins, and at either end those that a median of `_NEIGHBOURHOOD` reaches for beyond it."""
+    """Return the bins, and at either end those that a median of `_NEIGHBOURHOOD` reaches for beyond it."""
     return np.asarray(np.abs((bins - 1) - np.abs((bins - 1) - np.arange(-_SIDE, bins + _SIDE))))
 
 

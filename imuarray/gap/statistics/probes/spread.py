@@ -22,25 +22,25 @@ all, in one replicate of a few.
 
 
 def noise(summary: Summary) -> Floats:
-    """Log of the noise from row to row, in the sensor's unit."""
+    """Return the log of the noise from row to row, in the sensor's unit."""
     return log(noise_lsb(summary) / summary.header.sensitivity)
 
 
 def excess(summary: Summary) -> Floats:
-    """Log of the standard deviation within segments over the noise from row to row."""
+    """Return the log of the standard deviation within segments over the noise from row to row."""
     return np.asarray(log(_pooled(summary)) / 2 - log(noise_lsb(summary)))
 
 
 def halves(summary: Summary) -> Floats:
-    """Log of the variance within the segments of the second half over that of the first half."""
+    """Return the log of the variance within the segments of the second half over that of the first half."""
     variance, rows = summary.segments.steady_variance, summary.segments.rows
     middle = (len(rows) + 1) // 2
     return log(_mean_variance(variance[middle:], rows[middle:])) - log(_mean_variance(variance[:middle], rows[:middle]))
 
 
 def uneven(summary: Summary) -> Floats:
-    """Log of the variance of the segments' log variances, over 2 / (rows - 1) as of Gaussian noise; no variance is
-    smaller than that of rounding.
+    """Return the log of the variance of the segments' log variances, over 2 / (rows - 1) as of Gaussian noise; no
+    variance is smaller than that of rounding.
     """
     part = summary.segments
     places = (part.rows >= _LEAST).nonzero()[0]
@@ -53,7 +53,7 @@ def uneven(summary: Summary) -> Floats:
 
 
 def with_force(phases: Sequence[Summary]) -> Floats:
-    """Log variance on faces where the axis feels gravity, less that on the others."""
+    """Return the log variance on faces where the axis feels gravity, less that on the others."""
     if len({phase.phase.up for phase in phases}) < 2:
         return NOTHING
     felt = felt_g(phases)
@@ -72,7 +72,7 @@ def _pooled(summary: Summary) -> Floats:
 
 
 def _mean_variance(variance: Floats, rows: np.ndarray) -> Floats:
-    """(k,) over the segments (s, k), weighted with their rows; nan if no segment has two rows."""
+    """Return (k,) over the segments (s, k), weighted with their rows; nan if no segment has two rows."""
     places = (rows > 1).nonzero()[0]
     rows_of_places = rows[places]
     freedom = int(rows_of_places.sum()) - len(rows_of_places)

@@ -27,7 +27,9 @@ def coefficient(number: int, phases: Sequence[Summary]) -> Floats:
 
 
 def residual(phases: Sequence[Summary]) -> Floats:
-    """Log of the variance that the whole fit leaves in the segments' means, over what independent readings give."""
+    """Return the log of the variance that the whole fit leaves in the segments' means, over what independent readings
+    give.
+    """
     table = _table(phases)
     if table is None:
         return NOTHING

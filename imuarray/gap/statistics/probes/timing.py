@@ -12,12 +12,12 @@ from imuarray.gap.statistics.summary import Summary
 
 
 def interval(summary: Summary) -> Floats:
-    """Log of the mean interval in s."""
+    """Return the log of the mean interval in s."""
     return log(summary.intervals.mean_s)
 
 
 def irregularity(summary: Summary) -> Floats:
-    """Log of the standard deviation of intervals over their mean, 1e-6 of it at least."""
+    """Return the log of the standard deviation of intervals over their mean, 1e-6 of it at least."""
     times = summary.intervals
     return np.asarray(log(math.hypot(times.std_s, 1e-6 * times.mean_s)) - log(times.mean_s))
 
@@ -29,7 +29,7 @@ def gaps(summary: Summary) -> Floats:
 
 
 def longest(summary: Summary) -> Floats:
-    """Log of the longest interval over the mean."""
+    """Return the log of the longest interval over the mean."""
     return np.asarray(log(summary.intervals.longest_s) - log(summary.intervals.mean_s))
 
 
@@ -41,7 +41,7 @@ repeat.
 
 
 def tells_repetitions(summary: Summary) -> bool:
-    """True if the recorder's polls tell how many readings are repeated."""
+    """Return whether the recorder's polls tell how many readings are repeated."""
     doubtful = summary.flags["doubtful"]
     return not doubtful > MOST_DOUBTFUL * (doubtful + summary.flags["stale"])
 
@@ -55,7 +55,7 @@ def repeats(summary: Summary) -> Floats:
 
 
 def longest_repeat(summary: Summary) -> Floats:
-    """Rows of the longest run of equal rows. The length of chance runs has an exponential tail."""
+    """Return rows of the longest run of equal rows. The length of chance runs has an exponential tail."""
     return np.asarray(float(summary.repeats.longest))
 
 
