@@ -22,6 +22,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.calibrate.segments import SegmentMeans
 from imuarray.calibrate.stability import Drift
+from imuarray.kernels import drift_sums
 
 MOST_SEGMENTS = 512
 LEAST_SEGMENTS = 16
@@ -43,11 +44,6 @@ _INTERVAL = 1.92
 """Log likelihood below the maximum at the ends of a 95 % interval: half the quantile of chi-squared."""
 
 _CONFIDENCE = 0.95
-
-_PRODUCTS = 32
-"""Variances that are multiplied before the logarithm is taken of their product: by the largest of `_RATIOS` it stays
-below 1e180.
-"""
 
 
 def fit_drift(stretches: Sequence[SegmentMeans], width_s: float) -> Drift | None:
@@ -164,30 +160,24 @@ class _Sums(NamedTuple):
 
 
 def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) -> _Sums:
-    """Filter one stretch; `shared` is the variance of the sampled process, `noise` that of a mean about it."""
+    """Filter one stretch; `shared` is the variance of the sampled process, `noise` that of a mean about it. Compiled
+    code goes from point to point of the grid; without it, all points are filtered at once.
+    """
+    steps = np.diff(part.time_s, append=np.inf)
+    compiled = drift_sums(part.mean, np.exp(-steps[:, None] / times.ravel()), shared, noise)
+    if compiled is not None:
+        return _Sums(*compiled)
     values, mixed, state = (np.zeros((*shared.shape[:2], part.mean.shape[1])) for _ in range(3))
     ones, logs, level, variance = *(np.zeros(shared.shape) for _ in range(3)), shared
-    steps = np.diff(part.time_s, append=np.inf)
-    kept, square, added, last = times, times, shared, np.nan
-    spreads = np.ones(shared.shape)
-    for number, (mean, step) in enumerate(zip(part.mean, steps.tolist(), strict=True), start=1):
+    for mean, step in zip(part.mean, steps, strict=True):
         spread = variance + noise
         innovation, unit_innovation = mean - state, 1 - level
-        weighted, weighted_unit = innovation / spread, unit_innovation / spread
-        values += innovation * weighted
-        ones += unit_innovation * weighted_unit
-        mixed += innovation * weighted_unit
-        spreads *= spread
-        if number % _PRODUCTS == 0:
-            logs += np.log(spreads)
-            spreads[...] = 1.0
-        if step != last:
-            kept, last = np.exp(-step / times), step
-            square = kept**2
-            added = (1 - square) * shared
-        state += variance * weighted
-        state *= kept
-        level += variance * weighted_unit
-        level *= kept
-        variance = square * variance * (noise / spread) + added
-    return _Sums(values, ones, mixed, logs + np.log(spreads))
+        values += innovation**2 / spread
+        ones += unit_innovation**2 / spread
+        mixed += innovation * unit_innovation / spread
+        logs += np.log(spread)
+        kept = np.exp(-step / times)
+        gain = variance / spread
+        state, level = kept * (state + gain * innovation), kept * (level + gain * unit_innovation)
+        variance = kept**2 * variance * (1 - gain) + (1 - kept**2) * shared
+    return _Sums(values, ones, mixed, logs)

@@ -110,8 +110,8 @@ class Container:
     def chunk(
         self, content: npt.NDArray[np.uint8], channels: npt.NDArray[np.intp], time_ns: Times, offsets: Times
     ) -> None:
-        """Messages with their heads one after the other: channels, times and places in the bytes `content` (n,),
-        n > 0.
+        """Write messages with their heads, which follow each other in the bytes `content`: n > 0 channels, times and
+        places in it.
         """
         data = content.data
         first_ns, last_ns, start = int(time_ns.min()), int(time_ns.max()), self._file.tell()

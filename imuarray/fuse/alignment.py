@@ -33,6 +33,7 @@ from imuarray.calibrate import SensorCalibration
 from imuarray.errors import FusionError
 from imuarray.fuse.frames import Frames
 from imuarray.fuse.least_squares import consensus
+from imuarray.kernels import tridiagonal
 from imuarray.log import Block
 from imuarray.log.format import SATURATED, STALE, SUSPECT
 
@@ -289,7 +290,9 @@ class _Spline:
         before, after = -widths[1:] / diagonal, -widths[:-1] / diagonal
         before[0] = after[-1] = 0.0
         slopes = right
-        slopes[:, 1:-1] = _cyclic_reduction(before, after, right[:, 1:-1] / diagonal)
+        inner = right[:, 1:-1] / diagonal
+        compiled = tridiagonal(before, after, inner)
+        slopes[:, 1:-1] = _cyclic_reduction(before, after, inner) if compiled is None else compiled
         slopes[:, 0] = (right[:, 0] - first * slopes[:, 1]) / widths[1]
         slopes[:, -1] = (right[:, -1] - last * slopes[:, -2]) / widths[-2]
         return slopes

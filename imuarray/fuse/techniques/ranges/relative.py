@@ -18,8 +18,9 @@ level is kept. While a sensor is not used its last estimate is kept, and its unc
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,7 @@ from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.frames import Axis, directions
 from imuarray.fuse.least_squares import whole_gain
 from imuarray.fuse.techniques.ranges.fading import UNKNOWN_BANDWIDTH_HZ
+from imuarray.kernels import track_differences
 from imuarray.units import READABLE_SI
 
 
@@ -119,26 +121,38 @@ class TrackedFrames(NamedTuple):
 
 
 class SegmentMoments(NamedTuple):
-    """Moments of one segment: its end (ns), the axes present (m,), those that `moved` (m,) enough to determine more
-    than a bias; sums of products of 1, signal and the effect of a delay (m, 3, 3), and of these with the residual (m,
-    3); all zero without information.
+    """Moments of k segments: their ends (k,) ns, the axes present (k, m), those that `moved` (k, m) enough to determine
+    more than a bias; sums of products of 1, signal and the effect of a delay (k, m, 3, 3), and of these with the
+    residual (k, m, 3); all zero without information.
     """
 
-    end_ns: int
+    end_ns: Times
     present: Booleans
     moved: Booleans
     products: Floats
     residual: Floats
 
+    def part(self, segments: slice) -> SegmentMoments:
+        """Some of the segments."""
+        return SegmentMoments(
+            self.end_ns[segments],
+            self.present[segments],
+            self.moved[segments],
+            self.products[segments],
+            self.residual[segments],
+        )
 
-def moments(rows: TrackedFrames, directions: Floats, blends: Blends) -> Iterator[SegmentMoments]:
-    """Yield the sums over each whole segment. A frame counts if it and its neighbours are steady, and if no axis that
+
+def moments(rows: TrackedFrames, directions: Floats, blends: Blends) -> SegmentMoments:
+    """Return the sums over each whole segment. A frame counts if it and its neighbours are steady, and if no axis that
     is present in the segment is missing in it.
     """
-    count = len(rows.time) // SEGMENT
+    count, axes = len(rows.time) // SEGMENT, len(directions)
+    shape = (count, SEGMENT)
+    end_ns = rows.time[SEGMENT - 1 :: SEGMENT]
     if not count:
-        return
-    shape, axes = (count, SEGMENT), len(directions)
+        none = np.zeros((0, axes), bool)
+        return SegmentMoments(end_ns, none, none, np.zeros((0, axes, 3, 3)), np.zeros((0, axes, 3)))
     time_s = ((rows.time - rows.time[0]) * 1e-9).reshape(shape)
     valid, steady = rows.valid.reshape(*shape, axes), rows.steady.reshape(shape)
     present = np.asarray((valid & steady[:, :, None]).any(axis=1))
@@ -153,11 +167,9 @@ def moments(rows: TrackedFrames, directions: Floats, blends: Blends) -> Iterator
     late = -(triads[:, 2:] - triads[:, :-2]) / passed_s[:, :, None] @ directions.T
     along = triads[:, 1:-1] @ directions.T
     moved, products, residual = _sums(along, late, values[:, 1:-1] - along, used, noise, passed_s.mean(axis=1))
-    for index, blend in enumerate(result):
-        known = np.zeros(axes) if blend is None or used[index].sum() < _FEWEST else blend.seen * 1.0
-        end_ns = int(rows.time[(index + 1) * SEGMENT - 1])
-        sums = products[index] * known[:, None, None], residual[index] * known[:, None]
-        yield SegmentMoments(end_ns, present[index], moved[index], *sums)
+    known = np.array([np.zeros(axes, bool) if blend is None else blend.seen for blend in result])
+    known &= (used.sum(axis=1) >= _FEWEST)[:, None]
+    return SegmentMoments(end_ns, present, moved, products * known[:, :, None, None], residual * known[:, :, None])
 
 
 def _sums(
@@ -278,14 +290,10 @@ class Tracker:
         """Return the states at each frame of the next block."""
         joined = block if self._held is None else self._held.then(block)
         begin, whole = len(joined.time) - len(block.time), len(joined.time) // SEGMENT * SEGMENT
-        differences, covariances = [self._differences], [self._covariances]
-        for known in moments(joined.part(slice(whole)), self._rows, self._blends):
-            self._learn(known)
-            differences.append(self._differences)
-            covariances.append(self._covariances)
+        segments = moments(joined.part(slice(whole)), self._rows, self._blends)
         self._held = joined.part(slice(whole, None))
         which = np.arange(begin, len(joined.time)) // SEGMENT
-        return DifferenceStates(which, *self._corrections(np.array(differences), np.array(covariances)))
+        return DifferenceStates(which, *self._corrections(*self._learn(segments)))
 
     def _corrections(self, differences: Floats, covariances: Floats) -> tuple[Floats, Floats]:
         """Return the differences (k, m, 3) for corrections, and their covariances (k, m, 3, 3) as in
@@ -309,22 +317,57 @@ class Tracker:
         covariances = covariances + omitted[..., :, None] * omitted[..., None, :]
         return result, covariances / self._share[:, None, None]
 
-    def _learn(self, moments: SegmentMoments) -> None:
-        """Do one step of the filters: prediction, then update by the segment."""
-        passed_s = 0.0 if self._end_ns is None else (moments.end_ns - self._end_ns) * 1e-9
-        self._end_ns = moments.end_ns
-        walk = self._prior * _WALK_PER_S**2 * passed_s
-        walk[:, 0] = self._bias_step * passed_s**2
-        self._covariances = self._covariances + walk[:, :, None] * _ONE
-        blend = self._blends.of(moments.present)
-        if blend is None or not moments.products.any():
-            return
-        # Residuals with respect to the blend of those present, whose difference from the blend of all is estimated.
-        shift = blend.level(self._differences) - self._differences
-        residual = moments.residual + (moments.products @ shift[:, :, None])[..., 0]
-        weight = 1 / np.where(blend.seen, blend.variance, 1.0)[:, None]
-        gain, self._covariances = _updated(self._covariances, moments.products * weight[:, :, None], moments.moved)
-        self._differences = self._differences + (gain @ (residual * weight)[:, :, None])[..., 0]
+    def _learn(self, segments: SegmentMoments) -> tuple[Floats, Floats]:
+        """Update the filters by k segments; return differences (k + 1, m, 3) and covariances (k + 1, m, 3, 3) before,
+        between and after them.
+        """
+        count, present = len(segments.end_ns), segments.present
+        passed_s = np.diff(segments.end_ns, prepend=segments.end_ns[:1] if self._end_ns is None else self._end_ns)
+        passed_s = passed_s[:, None] * 1e-9
+        walks = self._prior * _WALK_PER_S**2 * passed_s[:, :, None]
+        walks[:, :, 0] = self._bias_step * passed_s**2
+        changes = np.flatnonzero((present[1:] != present[:-1]).any(axis=1)) + 1
+        differences, covariances = [self._differences[None]], [self._covariances[None]]
+        for first, last in pairwise([0, *changes.tolist(), count] if count else []):
+            run, blend = slice(first, last), self._blends.of(present[first])
+            states = _track((differences[-1][-1], covariances[-1][-1]), segments.part(run), walks[run], blend)
+            for rows, some in zip((differences, covariances), states, strict=True):
+                rows.append(some[1:])
+        self._differences, self._covariances = differences[-1][-1], covariances[-1][-1]
+        self._end_ns = int(segments.end_ns[-1]) if count else self._end_ns
+        return np.concatenate(differences), np.concatenate(covariances)
+
+
+def _track(
+    before: tuple[Floats, Floats], segments: SegmentMoments, walks: Floats, blend: Blend | None
+) -> tuple[Floats, Floats]:
+    """Return differences (k + 1, m, 3) and covariances (k + 1, m, 3, 3) over segments in which the same axes are
+    present, at first those `before`. All states walk, by variances `walks` (k, m, 3), before a segment updates them.
+    """
+    axes = len(before[0])
+    if blend is None:  # such segments have no information
+        through = turned = np.zeros((axes, axes))
+        weights = np.ones(axes)
+    else:
+        through, turned = blend.through, blend.turned
+        weights = 1 / np.where(blend.seen, blend.variance, 1.0)
+    compiled = track_differences(
+        before, (segments.products, segments.residual, segments.moved), walks, (through, turned, weights)
+    )
+    if compiled is not None:
+        return compiled
+    differences, covariances = [before[0]], [before[1]]
+    for moved, products, residual, walk in zip(*segments[2:], walks, strict=True):
+        difference, covariance = differences[-1], covariances[-1] + walk[:, :, None] * _ONE
+        if blend is not None and products.any():
+            # The residual is against the blend of the axes present, which differs from that of all as known before.
+            shift = blend.level(difference) - difference
+            residual = residual + (products @ shift[:, :, None])[..., 0]
+            gain, covariance = _updated(covariance, products * weights[:, None, None], moved)
+            difference = difference + (gain @ (residual * weights[:, None])[:, :, None])[..., 0]
+        differences.append(difference)
+        covariances.append(covariance)
+    return np.array(differences), np.array(covariances)
 
 
 def _updated(covariances: Floats, information: Floats, moved: Booleans) -> tuple[Floats, Floats]:

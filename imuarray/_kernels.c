@@ -1,0 +1,272 @@
+/* Recursions over rows or segments, of which each needs the one before, so that NumPy can't take all of them at once.
+
+   `tridiagonal` serves the splines of `imuarray.fuse.alignment`, `drift` the likelihood of `imuarray.calibrate.drift` and
+   `track` the filter of `imuarray.fuse.techniques.ranges.relative`. The names are those of the Python code, where every
+   step is explained, and which does the same to rounding. */
+
+#define PY_SSIZE_T_CLEAN
+#define Py_LIMITED_API 0x030B0000
+#include <Python.h>
+#include <math.h>
+#include <string.h>
+
+#define MOST 16
+#define PRODUCTS 32 /* variances that are multiplied before the logarithm is taken of their product */
+#define DOUBLES(count) ((count) * (Py_ssize_t)sizeof(double))
+
+/* The buffers of a tuple of arrays, each of so many bytes, the first `read` of them read only; how many are held, less
+   than `count` after an error. */
+static Py_ssize_t hold(PyObject *sequence, Py_buffer *views, Py_ssize_t count, const Py_ssize_t *bytes, Py_ssize_t read) {
+    if (PyTuple_Size(sequence) != count) {
+        PyErr_SetString(PyExc_ValueError, "another number of arrays is required");
+        return 0;
+    }
+    for (Py_ssize_t held = 0; held < count; held++) {
+        int flags = held >= read ? PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE : PyBUF_C_CONTIGUOUS;
+        if (PyObject_GetBuffer(PyTuple_GetItem(sequence, held), &views[held], flags) < 0) return held;
+        if (views[held].len != bytes[held]) {
+            PyErr_Format(PyExc_ValueError, "array %zd: %zd bytes are required", held, bytes[held]);
+            return held + 1;
+        }
+    }
+    return count;
+}
+
+static PyObject *released(Py_buffer *views, Py_ssize_t held) {
+    while (held > 0) PyBuffer_Release(&views[--held]);
+    if (PyErr_Occurred()) return NULL;
+    return Py_NewRef(Py_None);
+}
+
+/* x[i] = alone[i] + before[i] x[i - 1] + after[i] x[i + 1] of every line of alone (c, k), which becomes x: elimination
+   from the first row to the last and back; `share` (k) and `scale` (k) are room. */
+static void tridiagonal_rows(const double *before, const double *after, double *alone, double *share, double *scale,
+                             Py_ssize_t c, Py_ssize_t k) {
+    scale[0] = 1;
+    share[0] = after[0];
+    for (Py_ssize_t i = 1; i < k; i++) {
+        scale[i] = 1 / (1 - before[i] * share[i - 1]);
+        share[i] = after[i] * scale[i];
+    }
+    for (Py_ssize_t line = 0; line < c; line++) {
+        double *x = alone + line * k;
+        for (Py_ssize_t i = 1; i < k; i++) x[i] = (x[i] + before[i] * x[i - 1]) * scale[i];
+        for (Py_ssize_t i = k - 2; i >= 0; i--) x[i] += share[i] * x[i + 1];
+    }
+}
+
+static PyObject *tridiagonal(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t c, k;
+    if (!PyArg_ParseTuple(args, "O!(nn)", &PyTuple_Type, &sequence, &c, &k)) return NULL;
+    if (c < 1 || k < 1) {
+        PyErr_SetString(PyExc_ValueError, "no rows");
+        return NULL;
+    }
+    const Py_ssize_t bytes[] = {DOUBLES(k), DOUBLES(k), DOUBLES(c * k), DOUBLES(k), DOUBLES(k)};
+    Py_buffer views[5];
+    Py_ssize_t held = hold(sequence, views, 5, bytes, 2);
+    if (!PyErr_Occurred())
+        tridiagonal_rows(views[0].buf, views[1].buf, views[2].buf, views[3].buf, views[4].buf, c, k);
+    return released(views, held);
+}
+
+typedef struct {
+    const double *means, *kept, *shared, *noise; /* (n,a) (n,t) (t,u,s) (t,u,s) */
+    double *values, *ones, *mixed, *logs;        /* (t,u,a) (t,u,s) (t,u,a) (t,u,s) */
+} Drift;
+
+/* The filter at one point of the grid, for the axes from `first` on to `last`, whose covariances are the same; `at` is the
+   point's place in arrays (t, u, s). */
+static void drift_point(const Drift *d, Py_ssize_t n, Py_ssize_t a, Py_ssize_t t, Py_ssize_t time, Py_ssize_t at,
+                        Py_ssize_t point, Py_ssize_t first, Py_ssize_t last) {
+    const double shared = d->shared[at], noise = d->noise[at];
+    double variance = shared, level = 0, ones = 0, logs = 0, product = 1;
+    double state[MOST] = {0}, values[MOST] = {0}, mixed[MOST] = {0};
+    for (Py_ssize_t i = 0; i < n; i++) {
+        const double spread = variance + noise, inverse = 1 / spread, unit = 1 - level, kept = d->kept[i * t + time];
+        const double gain = variance * inverse, square = kept * kept;
+        ones += unit * unit * inverse;
+        product *= spread;
+        if ((i + 1) % PRODUCTS == 0) {
+            logs += log(product);
+            product = 1;
+        }
+        for (Py_ssize_t axis = first; axis < last; axis++) {
+            const double innovation = d->means[i * a + axis] - state[axis];
+            values[axis] += innovation * innovation * inverse;
+            mixed[axis] += innovation * unit * inverse;
+            state[axis] = kept * (state[axis] + gain * innovation);
+        }
+        level = kept * (level + gain * unit);
+        variance = square * gain * noise + (1 - square) * shared;
+    }
+    d->ones[at] = ones;
+    d->logs[at] = logs + log(product);
+    for (Py_ssize_t axis = first; axis < last; axis++) {
+        d->values[point * a + axis] = values[axis];
+        d->mixed[point * a + axis] = mixed[axis];
+    }
+}
+
+static PyObject *drift(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t n, a, t, u, s;
+    if (!PyArg_ParseTuple(args, "O!(nnnnn)", &PyTuple_Type, &sequence, &n, &a, &t, &u, &s)) return NULL;
+    if (n < 0 || a < 1 || a > MOST || t < 1 || u < 1 || (s != 1 && s != a)) {
+        PyErr_SetString(PyExc_ValueError, "other sizes are required");
+        return NULL;
+    }
+    const Py_ssize_t bytes[] = {DOUBLES(n * a),     DOUBLES(n * t),     DOUBLES(t * u * s), DOUBLES(t * u * s),
+                                DOUBLES(t * u * a), DOUBLES(t * u * s), DOUBLES(t * u * a), DOUBLES(t * u * s)};
+    Py_buffer views[8];
+    Py_ssize_t held = hold(sequence, views, 8, bytes, 4);
+    if (!PyErr_Occurred()) {
+        Drift d = {views[0].buf, views[1].buf, views[2].buf, views[3].buf,
+                   views[4].buf, views[5].buf, views[6].buf, views[7].buf};
+        for (Py_ssize_t point = 0; point < t * u; point++)
+            for (Py_ssize_t own = 0; own < s; own++)
+                drift_point(&d, n, a, t, point / u, point * s + own, point, own, s == 1 ? a : own + 1);
+    }
+    return released(views, held);
+}
+
+/* left (3, 3) @ result = right (3, 3) by elimination with the largest pivot, into right; left is used up. 0 if it is
+   singular. */
+static int solve(double left[3][3], double right[3][3]) {
+    for (int column = 0; column < 3; column++) {
+        int best = column;
+        for (int row = column + 1; row < 3; row++)
+            if (fabs(left[row][column]) > fabs(left[best][column])) best = row;
+        if (!(fabs(left[best][column]) > 0)) return 0;
+        for (int i = 0; i < 3 && best != column; i++) {
+            double other = left[column][i];
+            left[column][i] = left[best][i], left[best][i] = other;
+            other = right[column][i];
+            right[column][i] = right[best][i], right[best][i] = other;
+        }
+        for (int row = column + 1; row < 3; row++) {
+            const double factor = left[row][column] / left[column][column];
+            for (int i = column; i < 3; i++) left[row][i] -= factor * left[column][i];
+            for (int i = 0; i < 3; i++) right[row][i] -= factor * right[column][i];
+        }
+    }
+    for (int row = 2; row >= 0; row--)
+        for (int i = 0; i < 3; i++) {
+            for (int j = row + 1; j < 3; j++) right[row][i] -= left[row][j] * right[j][i];
+            right[row][i] /= left[row][row];
+        }
+    return 1;
+}
+
+static void multiply(double a[3][3], double b[3][3], double into[3][3]) {
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) into[i][j] = a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j];
+}
+
+/* a (3, 3) @ b (3, 3) @ a', into c, to which it is added. */
+static void add_around(double a[3][3], double b[3][3], double c[3][3]) {
+    double half[3][3];
+    multiply(a, b, half);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) c[i][j] += half[i][0] * a[j][0] + half[i][1] * a[j][1] + half[i][2] * a[j][2];
+}
+
+typedef struct {
+    const double *products, *residuals, *walks, *through, *turned, *weights; /* (k,m,3,3) (k,m,3) (k,m,3) (m,m) (m,m) (m) */
+    const char *moved;                                                       /* (k,m) */
+    double *differences, *covariances;                                       /* (k+1,m,3) (k+1,m,3,3) */
+} Track;
+
+/* One axis takes in a segment: `shift` (3), what the blend of those present differs from that of all. 0 if not solvable. */
+static int learn(const Track *t, Py_ssize_t place, const double *shift, double weight, double *difference, double *covariance) {
+    double left[3][3], gain[3][3], information[3][3], kept[3][3], before[3][3], after[3][3] = {{0}}, residual[3];
+    memcpy(before, covariance, sizeof before);
+    memcpy(gain, covariance, sizeof gain);
+    for (int i = 0; i < 3; i++) {
+        const double *row = t->products + (place * 3 + i) * 3;
+        residual[i] = (t->residuals[place * 3 + i] + row[0] * shift[0] + row[1] * shift[1] + row[2] * shift[2]) * weight;
+        for (int j = 0; j < 3; j++) information[i][j] = row[j] * weight;
+    }
+    multiply(before, information, left);
+    for (int i = 0; i < 3; i++) left[i][i] += 1;
+    if (!solve(left, gain)) return 0;
+    if (!t->moved[place]) memset(gain[1], 0, 2 * sizeof gain[1]);
+    multiply(gain, information, kept);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) kept[i][j] = (i == j) - kept[i][j];
+    add_around(kept, before, after);
+    add_around(gain, information, after);
+    for (int i = 0; i < 3; i++) {
+        difference[i] += gain[i][0] * residual[0] + gain[i][1] * residual[1] + gain[i][2] * residual[2];
+        for (int j = 0; j < 3; j++) covariance[3 * i + j] = (after[i][j] + after[j][i]) / 2;
+    }
+    return 1;
+}
+
+static int track_segments(const Track *t, Py_ssize_t k, Py_ssize_t m, double *shifts) {
+    for (Py_ssize_t segment = 0; segment < k; segment++) {
+        const double *old = t->differences + segment * m * 3, *products = t->products + segment * m * 9;
+        double *differences = t->differences + (segment + 1) * m * 3;
+        double *covariances = t->covariances + (segment + 1) * m * 9;
+        memcpy(differences, old, (size_t)DOUBLES(m * 3));
+        memcpy(covariances, covariances - m * 9, (size_t)DOUBLES(m * 9));
+        for (Py_ssize_t i = 0; i < m * 3; i++) covariances[i * 3 + i % 3] += t->walks[segment * m * 3 + i];
+        int tells = 0;
+        for (Py_ssize_t i = 0; i < m * 9 && !tells; i++) tells = products[i] != 0;
+        if (!tells) continue;
+        for (Py_ssize_t axis = 0; axis < m; axis++)
+            for (int i = 0; i < 3; i++) {
+                const double *row = (i ? t->turned : t->through) + axis * m;
+                double level = 0;
+                for (Py_ssize_t other = 0; other < m; other++) level += row[other] * old[other * 3 + i];
+                shifts[axis * 3 + i] = level - old[axis * 3 + i];
+            }
+        for (Py_ssize_t axis = 0; axis < m; axis++)
+            if (!learn(t, segment * m + axis, shifts + axis * 3, t->weights[axis], differences + axis * 3,
+                       covariances + axis * 9))
+                return 0;
+    }
+    return 1;
+}
+
+static PyObject *track(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t k, m;
+    if (!PyArg_ParseTuple(args, "O!(nn)", &PyTuple_Type, &sequence, &k, &m)) return NULL;
+    if (k < 0 || m < 1) {
+        PyErr_SetString(PyExc_ValueError, "other sizes are required");
+        return NULL;
+    }
+    const Py_ssize_t bytes[] = {DOUBLES(k * m * 9), DOUBLES(k * m * 3), DOUBLES(k * m * 3),       DOUBLES(m * m),
+                                DOUBLES(m * m),     DOUBLES(m),         k * m,                    DOUBLES((k + 1) * m * 3),
+                                DOUBLES((k + 1) * m * 9)};
+    Py_buffer views[9];
+    Py_ssize_t held = hold(sequence, views, 9, bytes, 7);
+    if (!PyErr_Occurred()) {
+        Track t = {views[0].buf, views[1].buf, views[2].buf, views[3].buf, views[4].buf,
+                   views[5].buf, views[6].buf, views[7].buf, views[8].buf};
+        double *shifts = PyMem_Malloc((size_t)DOUBLES(m * 3));
+        if (shifts == NULL)
+            PyErr_NoMemory();
+        else if (!track_segments(&t, k, m, shifts))
+            PyErr_SetString(PyExc_ArithmeticError, "a covariance is not positive");
+        PyMem_Free(shifts);
+    }
+    return released(views, held);
+}
+
+static PyMethodDef methods[] = {
+    {"tridiagonal", tridiagonal, METH_VARARGS, "tridiagonal(arrays, sizes): solve lines of equations between neighbours."},
+    {"drift", drift, METH_VARARGS, "drift(arrays, sizes): filter the means of a stretch at every point of a grid."},
+    {"track", track, METH_VARARGS, "track(arrays, sizes): track the differences of axes over consecutive segments."},
+    {NULL, NULL, 0, NULL}};
+
+static PyModuleDef_Slot slots[] = {{0, NULL}};
+
+static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_kernels", "Recursions.", 0, methods, slots, NULL, NULL, NULL};
+
+PyMODINIT_FUNC PyInit__kernels(void) { return PyModuleDef_Init(&definition); }

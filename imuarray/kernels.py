@@ -1,0 +1,73 @@
+"""Compiled recursions (`_kernels.c`), which return None where the package was installed without a C compiler: callers
+then do the same with NumPy, to rounding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imuarray.arrays import Booleans, Floats
+
+try:
+    from imuarray import _kernels
+except ImportError:  # installed without a C compiler
+    COMPILED = False
+else:
+    COMPILED = True
+
+_MOST_AXES = 16
+
+
+def tridiagonal(before: Floats, after: Floats, alone: Floats) -> Floats | None:
+    """Solve ``x[i] = alone[i] + before[i] x[i - 1] + after[i] x[i + 1]`` for x (c, k); the two factors (k,) of every
+    row are below one together. None without compiled code.
+    """
+    if not COMPILED:
+        return None
+    result = np.array(alone, float, order="C")
+    factors = (np.ascontiguousarray(before, float), np.ascontiguousarray(after, float))
+    _kernels.tridiagonal((*factors, result, np.empty(len(before)), np.empty(len(before))), (len(result), len(before)))
+    return result
+
+
+def drift_sums(means: Floats, kept: Floats, shared: Floats, noise: Floats) -> Sequence[Floats] | None:
+    """Filter the means (n, a) of a stretch at every point of a grid (t, u): `kept` (n, t) is what is left of a state
+    until the next mean, `shared` and `noise` (t, u, s) are variances, s = 1 or a.
+
+    Returns over the grid the sums of squares of the innovations of the means (t, u, a), of a level of one (t, u, s), of
+    their products (t, u, a), all over their variance, and of the logs of that (t, u, s). None without compiled code.
+    """
+    (count, axes), (times, ratios, own) = means.shape, shared.shape
+    if not COMPILED or axes > _MOST_AXES:
+        return None
+    grids = tuple(np.empty((times, ratios, size)) for size in (axes, own, axes, own))
+    given = tuple(np.ascontiguousarray(part, float) for part in (means, kept, shared, noise))
+    _kernels.drift((*given, *grids), (count, axes, times, ratios, own))
+    return grids
+
+
+def track_differences(
+    before: tuple[Floats, Floats],
+    moments: tuple[Floats, Floats, Booleans],
+    walks: Floats,
+    blend: tuple[Floats, Floats, Floats],
+) -> tuple[Floats, Floats] | None:
+    """Track the differences (m, 3) of axes and their covariances (m, 3, 3), which are `before`, over k segments:
+    `moments` are products (k, m, 3, 3), residuals (k, m, 3) and which axes moved (k, m); `walks` (k, m, 3) variances
+    that are added before each segment; `blend` its matrices (m, m) `through` and `turned`, and the weights (m,).
+
+    Returns the differences (k + 1, m, 3) and covariances (k + 1, m, 3, 3) before, between and after. None without
+    compiled code.
+    """
+    if not COMPILED:
+        return None
+    products, residuals, moved = moments
+    count, axes = moved.shape
+    result = np.empty((count + 1, axes, 3)), np.empty((count + 1, axes, 3, 3))
+    for rows, first in zip(result, before, strict=True):
+        rows[0] = first
+    given = tuple(np.ascontiguousarray(part, float) for part in (products, residuals, walks, *blend))
+    _kernels.track((*given, np.ascontiguousarray(moved, bool), *result), (count, axes))
+    return result
