@@ -18,13 +18,13 @@ from firmware_emulator.board import ArrayLike, Board, BoardKind, SensorLike, nam
 from firmware_emulator.chip import Chip, Target
 from firmware_emulator.chips import BAROMETERS, CHIPS, HALVES, ON_AUXILIARY_BUS
 from firmware_emulator.chips.mpu_queue import MpuFamily
-from firmware_emulator.clock import Clock, RealClock, VirtualClock
+from firmware_emulator.clock import RealClock, VirtualClock, WireClock
 from firmware_emulator.element import stream
 from firmware_emulator.six_axis import SixAxis
-from firmware_emulator.spi import DIALECTS, ChipSelect, SpiPort
+from firmware_emulator.spi import DIALECTS, ChipSelect, ChipSelectPort
 from firmware_emulator.tolerances import typical
 from firmware_emulator.wire import Wire
-from firmware_emulator.world import WORLDS, DelayedWorld, Phase, PhasedWorld, Still, World, WorldKind
+from firmware_emulator.world import WORLDS, DelayedWorld, PhasedWorld, StillWorld, World, WorldKind, WorldPhase
 from imuarray.facts import mpu6500
 
 NOWHERE = -1
@@ -93,7 +93,7 @@ class EmulatedBus:
         wires: Mapping[str, Wire],
         chips: Mapping[str, Chip],
         world: World,
-        clock: Clock,
+        clock: WireClock,
         owned: Callable[[int, str], bool] = lambda address, bus: False,
         selects: Mapping[str, ChipSelect] = MappingProxyType({}),
     ) -> None:
@@ -104,7 +104,7 @@ class EmulatedBus:
         self.clock = clock
         self.truth = world
         self.transfer = self.wire.transfer
-        self.phases: tuple[Phase, ...] = getattr(world, "phases", ())
+        self.phases: tuple[WorldPhase, ...] = getattr(world, "phases", ())
         self._owned = owned
 
     def claim(self, address: int, path: str | None = None) -> None:
@@ -118,7 +118,7 @@ class EmulatedBus:
             raise FileNotFoundError(2, "no emulated sensor on this bus", bus)
         return self.wires[bus]
 
-    def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
+    def spi_port(self, path: str, mode: int, clock_hz: int) -> ChipSelectPort:
         """Return the chip select with this name; OSError, as for a missing device file, if it has no sensor."""
         if path not in self.selects:
             raise FileNotFoundError(2, "no emulated sensor on this chip select", path)
@@ -135,7 +135,7 @@ class EmulatedBus:
 def open_array(  # noqa: PLR0913
     array: ArrayLike,
     *,
-    clock: str | Clock = "virtual",
+    clock: str | WireClock = "virtual",
     world: World | None = None,
     seed: int = 0,
     bit_rate_hz: int = 400_000,
@@ -156,7 +156,7 @@ def open_array(  # noqa: PLR0913
         raise ValueError(f"switches for {', '.join(sorted(unknown))}: allowed are sensors of the array and chips")
     time = named(clock, CLOCKS, "clock")() if isinstance(clock, str) else clock
     now_ns = time.now_ns()
-    begun = DelayedWorld(world or Still(), now_ns)
+    begun = DelayedWorld(world or StillWorld(), now_ns)
     parts = board(array.name, begun, seed)
     names = [TRUNK, *(sensor.bus for sensor in array.sensors if sensor.bus and not on_spi(sensor))]
     wires = {name: parts.wire(time, bit_rate_hz, nack_errno, host_ns) for name in names}

@@ -13,9 +13,9 @@ from typing import Any, Protocol, TypeVar
 
 from firmware_emulator.chip import Chip, Element, Target
 from firmware_emulator.chips import CHIPS
-from firmware_emulator.clock import Clock
+from firmware_emulator.clock import WireClock
 from firmware_emulator.element import IDENTITY, Matrix, SensingElement
-from firmware_emulator.mux import Pca9544a
+from firmware_emulator.mux import Pca9544aChip
 from firmware_emulator.units import unit_of
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import World
@@ -82,7 +82,7 @@ class ArrayLike(Protocol):
 
 
 T = TypeVar("T")
-MUXES = {"pca9544a": Pca9544a}
+MUXES = {"pca9544a": Pca9544aChip}
 
 
 def named(name: str, known: Mapping[str, T], what: str) -> T:
@@ -100,11 +100,13 @@ class Board:
         self.world = world
         self.seed = seed
 
-    def wire(self, clock: Clock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
+    def wire(self, clock: WireClock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
         """One adapter."""
         return Wire(clock, bit_rate_hz, nack_errno, host_ns)
 
-    def router(self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int) -> Pca9544a:
+    def router(
+        self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int
+    ) -> Pca9544aChip:
         """Return the multiplexer; ValueError for an unknown chip."""
         return named(chip, MUXES, "mux")(address, channels, powered_on_ns)
 
@@ -130,11 +132,11 @@ class Board:
         """Return the device that is connected to the wire for one sensor: the chip itself, or what stands before it."""
         return chip
 
-    def owned(self, address: int, bus: str, clock: Clock) -> bool:
+    def owned(self, address: int, bus: str, clock: WireClock) -> bool:
         """Return True if a kernel driver has claimed this address of this bus."""
         return False
 
-    def host_clock(self, clock: Clock) -> Clock:
+    def host_clock(self, clock: WireClock) -> WireClock:
         """Return the clock that the polling program reads and sleeps on; `clock` is that of the world."""
         return clock
 

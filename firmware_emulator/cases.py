@@ -29,12 +29,12 @@ import numpy as np
 
 from firmware_emulator.array import EmulatedBus, open_array
 from firmware_emulator.mechanisms import MECHANISMS
-from firmware_emulator.mechanisms.experiments import EXPERIMENTS, Experiment, known_experiment
+from firmware_emulator.mechanisms.experiments import EXPERIMENTS, BenchExperiment, known_experiment
 from firmware_emulator.mechanisms.host import HostClock
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting
 from firmware_emulator.mechanisms.query import checked, fitting_of, split
 from firmware_emulator.sessions import Course, Recorder, ReferenceWorld, Room, of_table, sessions
-from firmware_emulator.world import Phase, Stimulus, World
+from firmware_emulator.world import World, WorldPhase, WorldStimulus
 from imuarray.acquire import record
 from imuarray.array import ArrayConfig, load_array, parse_array
 from imuarray.atomic import write_text
@@ -52,7 +52,7 @@ _NAMES = {kind: name for name, kind in MECHANISMS.items()}
 
 
 @dataclass(frozen=True)
-class Case:
+class BenchCase:
     """`experiments` (keys of `EXPERIMENTS`, or own ones) with `fittings` at work on the array; none: nothing is wrong.
 
     `seed` draws units, noise and whatever mechanisms leave to chance. `severities` go into the truth, a fitting each.
@@ -61,7 +61,7 @@ class Case:
     """
 
     array: ArrayConfig
-    experiments: tuple[Experiment, ...]
+    experiments: tuple[BenchExperiment, ...]
     fittings: tuple[Fitting, ...] = ()
     severities: tuple[float, ...] = ()
     seed: int = 0
@@ -73,7 +73,7 @@ class Case:
     def of(
         cls,
         array: ArrayConfig,
-        experiments: Sequence[str | Experiment],
+        experiments: Sequence[str | BenchExperiment],
         *mechanisms: tuple[str, float, tuple[str, ...]],
         seed: int = 0,
         rate_hz: float = RATE_HZ,
@@ -85,7 +85,7 @@ class Case:
         ValueError, one line, for a name, a severity or a sensor that isn't possible.
         """
         chosen = [
-            experiment if isinstance(experiment, Experiment) else known_experiment(experiment)
+            experiment if isinstance(experiment, BenchExperiment) else known_experiment(experiment)
             for experiment in experiments
         ]
         fittings = [checked(array, fitting_of(array, *mechanism)) for mechanism in mechanisms]
@@ -146,7 +146,7 @@ class Case:
             "logs": list(logs),
         }
 
-    def _log(self, path: Path, experiment: Experiment, index: int, *, run: int, force: bool) -> dict[str, Any]:
+    def _log(self, path: Path, experiment: BenchExperiment, index: int, *, run: int, force: bool) -> dict[str, Any]:
         boards: list[FittedBoard] = []
 
         def board(name: str, world: World, seed: int) -> FittedBoard:
@@ -193,7 +193,7 @@ class _LogBegin:
         self.at_ns = 0
         self._is_asked = False
 
-    def __call__(self, at_ns: int) -> Stimulus:
+    def __call__(self, at_ns: int) -> WorldStimulus:
         if not self._is_asked:
             self.at_ns, self._is_asked = at_ns, True
         return self._world(at_ns)
@@ -205,7 +205,7 @@ def _where(mechanism: str, fitting: Fitting, logs: Sequence[Mapping[str, Any]]) 
     return [name for name in fitting.sensors if name in touched] or list(fitting.sensors)
 
 
-def as_shown(phases: Sequence[Phase], bus: EmulatedBus) -> tuple[Phase, ...]:
+def as_shown(phases: Sequence[WorldPhase], bus: EmulatedBus) -> tuple[WorldPhase, ...]:
     """Phases in times of the host's clock, by which they are noted."""
     clock = bus.clock
     if not isinstance(clock, HostClock):
@@ -229,7 +229,7 @@ def call_it_reference(path: Path) -> None:
         file.move("truth", "reference")
 
 
-def read_reference(path: Path, experiment: Experiment, begun_ns: int) -> None:
+def read_reference(path: Path, experiment: BenchExperiment, begun_ns: int) -> None:
     """The reference at its own rate, by a clock of its own that is right, from `begun_ns` of the world on."""
     times = np.arange(0, round(experiment.seconds * 1e9), round(1e9 / experiment.reference_hz))
     world = ReferenceWorld(experiment.world) if isinstance(experiment.world, Course) else experiment.world
@@ -328,12 +328,14 @@ def _write(options: CaseOptions) -> None:
     try:
         mechanisms = asked(options.mechanism, options.severity, options.sensor)
         if options.config.suffix == ".json":
-            case = Case.of_world(json.loads(options.config.read_text(encoding="utf-8")), *mechanisms, seed=options.seed)
+            case = BenchCase.of_world(
+                json.loads(options.config.read_text(encoding="utf-8")), *mechanisms, seed=options.seed
+            )
         else:
             array = load_array(find_config(options.config))
             array = array.only(tuple(options.only.split(","))) if options.only else array
             chosen = options.experiments.split(",")
-            case = Case.of(
+            case = BenchCase.of(
                 array, chosen, *mechanisms, seed=options.seed, rate_hz=options.rate_hz, reference=options.reference
             )
         paths = case.write(options.output, options.truth, force=options.force)

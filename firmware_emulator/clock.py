@@ -10,7 +10,7 @@ import time
 from typing import Protocol
 
 
-class Clock(Protocol):
+class WireClock(Protocol):
     """The clock that the wire reads, and that a caller sleeps on."""
 
     def now_ns(self) -> int:

@@ -21,7 +21,7 @@ import numpy as np
 from firmware_emulator.chip import Triple
 from firmware_emulator.chips import BAROMETERS, HALVES
 from firmware_emulator.six_axis import ACCELEROMETER
-from firmware_emulator.world import ROOM_DEGC, STANDARD_GRAVITY, Stimulus, World
+from firmware_emulator.world import ROOM_DEGC, STANDARD_GRAVITY, World, WorldStimulus
 
 Matrix = tuple[Triple, Triple, Triple]
 IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -45,11 +45,11 @@ SENSED: dict[str, tuple[str, float]] = {
     "ak8963": ("field_box", 1.0),
     "ak8975": ("field_box", 1.0),
 }
-"""Keyed by chip: the field of `Stimulus` that it measures, and the size of one of its unit in g, dps or gauss."""
+"""Keyed by chip: the field of `WorldStimulus` that it measures, and the size of one of its unit in g, dps or gauss."""
 
 
 @dataclass(frozen=True)
-class Unit:
+class UnitDeviations:
     """The deviations of one part from the ideal one; the data sheet's unit is g, dps or gauss, axes are the sensor's
     own.
 
@@ -111,21 +111,23 @@ def stream(seed: int, key: str) -> np.random.Generator:
 class SensingElement:
     """The element of the sensor called `name`, a `chip` mounted so that box = `orientation` @ sensor."""
 
-    def __init__(self, world: World, chip: str, name: str, orientation: Matrix, unit: Unit, seed: int = 0) -> None:
+    def __init__(
+        self, world: World, chip: str, name: str, orientation: Matrix, unit: UnitDeviations, seed: int = 0
+    ) -> None:
         self.unit = unit
         self._world = world
         self._random = stream(seed, f"noise of {name}")
         self._noise: list[float] = []
         self._used = 0
         field, factor = SENSED[chip]
-        self._sensed: Callable[[Stimulus], Triple] = attrgetter(field)
+        self._sensed: Callable[[WorldStimulus], Triple] = attrgetter(field)
         from_box = transposed(orientation)
         self._response = times(product(unit.response, from_box), factor)
         self._feels_force = any(any(row) for row in unit.g_sensitivity)
         self._g_sensitivity = times(product(unit.g_sensitivity, from_box), 1 / STANDARD_GRAVITY)
         self._setting = (math.nan, math.nan)
         self._deviation = self._bias = ZERO
-        self._felt: Stimulus | None = None
+        self._felt: WorldStimulus | None = None
         self._ideal = ZERO
 
     def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
@@ -161,7 +163,7 @@ class SensingElement:
         self._setting = full_scale, bandwidth_hz
         self._felt = None
 
-    def _without_noise(self, stimulus: Stimulus) -> Triple:
+    def _without_noise(self, stimulus: WorldStimulus) -> Triple:
         unit, bias = self.unit, self._bias
         warmer = stimulus.temperature_degc - ROOM_DEGC
         scale = 1.0 + unit.scale_slope_per_degc * warmer

@@ -12,10 +12,10 @@ from typing import Any
 
 from firmware_emulator.board import MUXES, Board, BoardKind, SensorLike, named
 from firmware_emulator.chip import Chip, Element, Target
-from firmware_emulator.clock import Clock
+from firmware_emulator.clock import WireClock
 from firmware_emulator.faults import BUS_FAULTS, CHIP_FAULTS, Fault
 from firmware_emulator.faulty_parts import ChipFault, FaultyDevice, ShiftedElement, Times
-from firmware_emulator.mux import NO_CHANNEL, Pca9544a
+from firmware_emulator.mux import NO_CHANNEL, Pca9544aChip
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import DelayedWorld
 
@@ -23,7 +23,7 @@ TIME_OUT_NS = 30_000_000
 """The timeout of a program that does not wait for the kernel's default of one second."""
 
 
-class FaultyMux(Pca9544a):
+class FaultyMux(Pca9544aChip):
     """A multiplexer that sometimes takes no order, or another; or says so and does not switch (`reads_right`)."""
 
     def __init__(
@@ -150,14 +150,16 @@ class FaultyBoard(Board):
         self._interfering = held or any(by_kind[kind] for kind in BUS_FAULTS)
         self._switching = bool(self._orders or by_kind["mux_reset"] or by_kind["adapter_unplugged"])
 
-    def wire(self, clock: Clock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
+    def wire(self, clock: WireClock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
         """Return the other board's, interfered with."""
         wire = self._inner.wire(clock, bit_rate_hz, nack_errno, host_ns)
         if self._interfering:
             wire.interference = self._wires
         return wire
 
-    def router(self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int) -> Pca9544a:
+    def router(
+        self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int
+    ) -> Pca9544aChip:
         """One that takes wrong orders, if it does; a mechanism's own is then left out."""
         if not self._switching:
             return self._inner.router(chip, address, channels, powered_on_ns)
@@ -192,11 +194,11 @@ class FaultyBoard(Board):
         self._places.setdefault((sensor.address, sensor.bus or ""), []).extend(owned)
         return FaultyDevice(device, chip, sensor.chip, faults, self._powered_on_ns) if faults else device
 
-    def owned(self, address: int, bus: str, clock: Clock) -> bool:
+    def owned(self, address: int, bus: str, clock: WireClock) -> bool:
         """Return true if a driver of the kernel has that address now."""
         since_ns = clock.now_ns() - self._powered_on_ns
         return any(fault.active(since_ns) for fault in self._places.get((address, bus), []))
 
-    def host_clock(self, clock: Clock) -> Clock:
+    def host_clock(self, clock: WireClock) -> WireClock:
         """Return the other board's."""
         return self._inner.host_clock(clock)

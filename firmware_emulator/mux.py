@@ -14,7 +14,7 @@ from imuarray.facts import pca9544a as facts
 NO_CHANNEL = -1
 
 
-class Pca9544a:
+class Pca9544aChip:
     """The multiplexer as a device on the trunk; `channels` holds the devices behind each of its channels.
 
     `route` is the channel that is connected now, `NO_CHANNEL` if none. `interrupts` are the inputs INT3 ... INT0 as

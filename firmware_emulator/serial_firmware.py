@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from firmware_emulator.clock import Clock
+from firmware_emulator.clock import WireClock
 from firmware_emulator.microcontroller_bus import (
     DONE,
     FIRST_SELECT,
@@ -95,7 +95,7 @@ COUNTED = 0x80
 CAN_COUNT = 0x04
 
 
-class Request(NamedTuple):
+class FirmwareRequest(NamedTuple):
     """One transaction of a list; a counted one has a rule of five bytes."""
 
     address: int
@@ -115,12 +115,12 @@ class Request(NamedTuple):
 
 
 @dataclass
-class PollList:
+class FirmwarePollList:
     """Gone through in frames number `offset`, `offset` + `every`, ..."""
 
     every: int
     offset: int
-    requests: list[Request] = field(default_factory=list)
+    requests: list[FirmwareRequest] = field(default_factory=list)
 
 
 class Firmware:
@@ -130,7 +130,7 @@ class Firmware:
     """
 
     def __init__(
-        self, bus: Transfers, clock: Clock, *, counter_us: int = 0, drift: float = 0.0, selects: int = 0
+        self, bus: Transfers, clock: WireClock, *, counter_us: int = 0, drift: float = 0.0, selects: int = 0
     ) -> None:
         self.clock = clock
         self.bus = bus
@@ -139,7 +139,7 @@ class Firmware:
         self._started_ns = clock.now_ns()
         self._receiver = Receiver()
         self._last = b"", b""  # command and answer
-        self._lists: dict[int, PollList] = {}
+        self._lists: dict[int, FirmwarePollList] = {}
         self._period_ns = 0.0
         self._begun_ns = 0
         self._number = 0
@@ -176,7 +176,7 @@ class Firmware:
             if number % asked.every == asked.offset
         ]
 
-    def _gone_through(self, name: int, requests: list[Request], number: int) -> bytes:
+    def _gone_through(self, name: int, requests: list[FirmwareRequest], number: int) -> bytes:
         done: list[tuple[int, int, bytes]] = []
         before, answer = DONE, b""
         for request in requests:
@@ -192,7 +192,7 @@ class Firmware:
             payload += age_us.to_bytes(2, "little") + data
         return frame(DATA, number, now_us, bytes(payload))
 
-    def _try_twice(self, request: Request, size: int) -> tuple[int, int, bytes]:
+    def _try_twice(self, request: FirmwareRequest, size: int) -> tuple[int, int, bytes]:
         """Result, when its START was on the wire, and the `size` bytes that are read, with zeros behind them."""
         for _ in range(2):
             begun_us = self.time_us()
@@ -240,7 +240,7 @@ class Firmware:
             return bytes([REFUSED])
         if 1 + sum(2 + request.read for request in asked) > LONGEST:
             return bytes([REFUSED])
-        self._lists[number] = PollList(every, offset, asked)
+        self._lists[number] = FirmwarePollList(every, offset, asked)
         return bytes([DONE])
 
     def _start(self, payload: bytes) -> bytes:
@@ -265,17 +265,17 @@ class Firmware:
         return bytes([DONE])
 
 
-def requests_in(body: bytes, selects: int) -> list[Request] | None:
+def requests_in(body: bytes, selects: int) -> list[FirmwareRequest] | None:
     """Return the requests of a LIST; None if they don't fill it exactly or no bus can carry them, of I2C and of SPI
     with so many chip selects.
     """
-    requests: list[Request] = []
+    requests: list[FirmwareRequest] = []
     while body:
         if len(body) < 3 or body[0] >= FIRST_SELECT + selects:
             return None
         begin = 8 if body[1] & COUNTED else 3
         end = begin + (body[1] & ~COUNTED)
-        request = Request(body[0], body[begin:end], body[2], body[3:begin])
+        request = FirmwareRequest(body[0], body[begin:end], body[2], body[3:begin])
         before = requests[-1].read if requests else 0
         if len(body) < end or (request.rule and (request.rule[0] + 2 > before or not request.rule[4])):
             return None
@@ -284,6 +284,6 @@ def requests_in(body: bytes, selects: int) -> list[Request] | None:
     return requests
 
 
-def size_of(requests: list[Request]) -> int:
+def size_of(requests: list[FirmwareRequest]) -> int:
     """Bytes that they take in memory."""
     return sum(3 + len(request.rule) + len(request.write) for request in requests)

@@ -20,13 +20,13 @@ from typing import Any, Self
 
 from firmware_emulator.chip import Triple
 from firmware_emulator.element import stream
-from firmware_emulator.mechanisms.experiments import Experiment
+from firmware_emulator.mechanisms.experiments import BenchExperiment
 from firmware_emulator.world import (
     FIELD_UPRIGHT,
     ROOM_DEGC,
     STANDARD_GRAVITY,
-    Phase,
-    Stimulus,
+    WorldPhase,
+    WorldStimulus,
     cross,
     scaled,
     seen_after_turn,
@@ -87,7 +87,7 @@ class Rocking:
     peak_g: float
     shake_hz: float
 
-    def felt(self, at_s: float, still: Stimulus) -> Stimulus:
+    def felt(self, at_s: float, still: WorldStimulus) -> WorldStimulus:
         """Return the stimulus of a box that would feel `still` at rest."""
         if not self.start_s < at_s < self.end_s:
             return still
@@ -184,14 +184,14 @@ class Course:
     motions: tuple[Rocking, ...]
     room: Room
     seed: int
-    phases: tuple[Phase, ...] = ()
+    phases: tuple[WorldPhase, ...] = ()
 
-    def __call__(self, at_ns: int) -> Stimulus:
+    def __call__(self, at_ns: int) -> WorldStimulus:
         """Return what the box feels at `at_ns`."""
         at_s = max(at_ns, 0) * 1e-9
         return self.shaken(at_s, self.commanded(at_ns))
 
-    def commanded(self, at_ns: int) -> Stimulus:
+    def commanded(self, at_ns: int) -> WorldStimulus:
         """Return the commanded motion of the bench at room temperature, without the vibration of the table."""
         at_s = max(at_ns, 0) * 1e-9
         felt = self.posed(at_s)._replace(temperature_degc=self.temperature_degc(at_s))
@@ -199,7 +199,7 @@ class Course:
             felt = motion.felt(at_s, felt)
         return felt
 
-    def posed(self, at_s: float) -> Stimulus:
+    def posed(self, at_s: float) -> WorldStimulus:
         """Return the stimulus at rest in a pose, or on the way to the next; forces of turning are not felt."""
         index = min(bisect_right(self._starts_s, at_s) - 1, len(self.poses) - 1)
         since_s = at_s - self._starts_s[index]
@@ -232,7 +232,7 @@ class Course:
         remaining = math.exp(-(at_s - self._begin_s[index]) / stretch.constant_s)
         return degc + stretch.towards_degc + (self._begin_degc[index] - stretch.towards_degc) * remaining
 
-    def shaken(self, at_s: float, felt: Stimulus) -> Stimulus:
+    def shaken(self, at_s: float, felt: WorldStimulus) -> WorldStimulus:
         """Add what makes the table vibrate."""
         for vibration, phase in zip(self.room.vibrations, self._phases, strict=False):
             if vibration.is_on(at_s):
@@ -254,13 +254,13 @@ class Course:
         return [turn_to(before.up, after.up) for before, after in zip(self.poses, self.poses[1:], strict=False)]
 
     @cached_property
-    def _still(self) -> list[Stimulus]:
+    def _still(self) -> list[WorldStimulus]:
         axis, angle = turn_to(UPWARDS, self.poses[0].up)
         field = seen_after_turn(FIELD_UPRIGHT, axis, math.cos(angle), math.sin(angle))
-        stimuli = [Stimulus(scaled(self.poses[0].up, STANDARD_GRAVITY), field_box=field)]
+        stimuli = [WorldStimulus(scaled(self.poses[0].up, STANDARD_GRAVITY), field_box=field)]
         for (axis, angle), pose in zip(self._turns, self.poses[1:], strict=True):
             field = seen_after_turn(field, axis, math.cos(angle), math.sin(angle))
-            stimuli.append(Stimulus(scaled(pose.up, STANDARD_GRAVITY), field_box=field))
+            stimuli.append(WorldStimulus(scaled(pose.up, STANDARD_GRAVITY), field_box=field))
         return stimuli
 
     @cached_property
@@ -289,17 +289,17 @@ class ReferenceWorld:
 
     course: Course
 
-    def __call__(self, at_ns: int) -> Stimulus:
+    def __call__(self, at_ns: int) -> WorldStimulus:
         """Return the commanded stimulus, without the vibration of the table."""
         return self.course.commanded(at_ns)
 
 
-def session(table: Mapping[str, Any], room: Room, seed: int) -> Experiment:
+def session(table: Mapping[str, Any], room: Room, seed: int) -> BenchExperiment:
     """One log: its `name`, `seconds`, `poses`, `turn_s`, `stretches`, `motions` and `phases` (start_s, end_s, name,
-    up), as somebody noted them; `reference_hz` as in `Experiment`.
+    up), as somebody noted them; `reference_hz` as in `BenchExperiment`.
     """
     phases = [
-        Phase(round(start_s * 1e9), round(end_s * 1e9), str(name), str(up))
+        WorldPhase(round(start_s * 1e9), round(end_s * 1e9), str(name), str(up))
         for start_s, end_s, name, up in table.get("phases", ())
     ]
     try:
@@ -312,7 +312,7 @@ def session(table: Mapping[str, Any], room: Room, seed: int) -> Experiment:
             seed,
             tuple(phases),
         )
-        return Experiment(
+        return BenchExperiment(
             str(table["name"]), course, float(table["seconds"]), reference_hz=table.get("reference_hz", 0.0)
         )
     except KeyError as error:
@@ -336,6 +336,6 @@ def turn_to(before: Triple, after: Triple) -> tuple[Triple, float]:
     return scaled(across, 1 / length), math.pi
 
 
-def sessions(table: Sequence[Mapping[str, Any]], room: Room, seed: int) -> tuple[Experiment, ...]:
+def sessions(table: Sequence[Mapping[str, Any]], room: Room, seed: int) -> tuple[BenchExperiment, ...]:
     """Return all of a case, in this order; the room's phases are another's in each."""
     return tuple(session(entry, room, seed * 1000 + run) for run, entry in enumerate(table))

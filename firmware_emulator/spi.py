@@ -60,11 +60,11 @@ class ChipSelect:
         self._dialect = dialect
         self.clocks = self.transfers = self.busy_ns = 0
 
-    def port(self, mode: int, clock_hz: int) -> SpiPort:
+    def port(self, mode: int, clock_hz: int) -> ChipSelectPort:
         """Return the chip select, clocked so; ValueError for what no controller can do."""
         if mode not in range(4) or clock_hz <= 0:
             raise ValueError(f"SPI mode {mode}, {clock_hz} Hz: allowed are modes 0 to 3 and clocks above 0")
-        return SpiPort(self, clock_hz, mode in self._dialect.modes and clock_hz <= self._dialect.clock_hz)
+        return ChipSelectPort(self, clock_hz, mode in self._dialect.modes and clock_hz <= self._dialect.clock_hz)
 
     def exchange(self, sent: bytes, clock_hz: int, understood: bool) -> bytes:
         """Send bytes; what came back meanwhile."""
@@ -109,7 +109,7 @@ class ChipSelect:
         return idle[:1] + received
 
 
-class SpiPort:
+class ChipSelectPort:
     """A chip select with a clock and a mode; `understood` if the chip supports both."""
 
     def __init__(self, select: ChipSelect, clock_hz: int, understood: bool) -> None:

@@ -16,7 +16,7 @@ from firmware_emulator.chip import Triple
 
 
 @dataclass(frozen=True)
-class Spread:
+class TruncatedNormal:
     """A normal distribution around `mean`, cut off `limit` away from it."""
 
     sigma: float
@@ -31,17 +31,17 @@ class Spread:
                 return self.mean + deviation
 
 
-def typical(limit: float) -> Spread:
+def typical(limit: float) -> TruncatedNormal:
     """Return a spread from a "typ" tolerance of Bosch or ST."""
-    return Spread(limit / 2, limit)
+    return TruncatedNormal(limit / 2, limit)
 
 
-def one_sigma(sigma: float, limit: float | None = None) -> Spread:
+def one_sigma(sigma: float, limit: float | None = None) -> TruncatedNormal:
     """Return a spread from a "typ" tolerance of Analog Devices."""
-    return Spread(sigma, 3 * sigma if limit is None else limit)
+    return TruncatedNormal(sigma, 3 * sigma if limit is None else limit)
 
 
-NONE = Spread(0.0, 0.0)
+NONE = TruncatedNormal(0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,21 +50,21 @@ class Tolerances:
     A tolerance that the data sheet does not state is zero.
     """
 
-    bias: tuple[Spread, Spread, Spread] = (NONE, NONE, NONE)
-    slope_per_degc: tuple[Spread, Spread, Spread] = (NONE, NONE, NONE)
-    scale: Spread = NONE
-    cross_axis: Spread = NONE
-    alignment_deg: Spread = NONE
+    bias: tuple[TruncatedNormal, TruncatedNormal, TruncatedNormal] = (NONE, NONE, NONE)
+    slope_per_degc: tuple[TruncatedNormal, TruncatedNormal, TruncatedNormal] = (NONE, NONE, NONE)
+    scale: TruncatedNormal = NONE
+    cross_axis: TruncatedNormal = NONE
+    alignment_deg: TruncatedNormal = NONE
     noise: Triple
     noise_full_scale: float
     noise_bandwidth_hz: float
     noise_exponent: float = 0.0
-    scale_slope_per_degc: Spread = NONE
-    shift: Spread = NONE
+    scale_slope_per_degc: TruncatedNormal = NONE
+    shift: TruncatedNormal = NONE
     shift_from: float = math.inf
-    g_sensitivity: Spread = NONE
-    thermometer_degc: Spread = NONE
-    pressure_pa: Spread = NONE
+    g_sensitivity: TruncatedNormal = NONE
+    thermometer_degc: TruncatedNormal = NONE
+    pressure_pa: TruncatedNormal = NONE
 
 
 Sheet = Callable[[float], Tolerances]

@@ -19,8 +19,8 @@ import numpy as np
 
 from firmware_emulator.chip import Triple
 from firmware_emulator.chips import HALVES
-from firmware_emulator.element import Matrix, Unit, product, stream, times
-from firmware_emulator.tolerances import Sheet, Spread, Tolerances, one_sigma, typical
+from firmware_emulator.element import Matrix, UnitDeviations, product, stream, times
+from firmware_emulator.tolerances import Sheet, Tolerances, TruncatedNormal, one_sigma, typical
 
 PAPER_ARRAY = "martin2013"
 
@@ -259,7 +259,7 @@ def hmc5883l(range_gauss: float) -> Tolerances:
         noise_full_scale=0.88,
         noise_bandwidth_hz=80.0,
         noise_exponent=math.log(2.8 / 2.1) / math.log(8.1 / 0.88),
-        scale_slope_per_degc=Spread(0.0, 0.0, mean=-0.003),
+        scale_slope_per_degc=TruncatedNormal(0.0, 0.0, mean=-0.003),
     )
 
 
@@ -269,7 +269,7 @@ def hmc5883(range_gauss: float) -> Tolerances:
         hmc5883l(range_gauss),
         noise=(10e-3,) * 3,
         noise_full_scale=1.9,
-        scale_slope_per_degc=Spread(0.0, 0.0, mean=-1.2 / 1024),
+        scale_slope_per_degc=TruncatedNormal(0.0, 0.0, mean=-1.2 / 1024),
     )
 
 
@@ -319,8 +319,8 @@ def bmp180(_: float) -> Tolerances:
     """BMP-70, BMP-73: pressure 1 hPa low, give or take 1 hPa; temperature within 0.5 degC of the truth, 1.5 at most."""
     return replace(
         l3g4200d(0.0),
-        pressure_pa=Spread(100.0, 300.0, mean=-100.0),
-        thermometer_degc=Spread(0.5, 1.5),
+        pressure_pa=TruncatedNormal(100.0, 300.0, mean=-100.0),
+        thermometer_degc=TruncatedNormal(0.5, 1.5),
     )
 
 
@@ -363,18 +363,18 @@ def drawn_response(tolerances: Tolerances, random: np.random.Generator) -> Matri
     return (xx, xy, xz), (yx, yy, yz), (zx, zy, zz)
 
 
-def drawn_triple(spread: Spread, random: np.random.Generator) -> Triple:
+def drawn_triple(spread: TruncatedNormal, random: np.random.Generator) -> Triple:
     """Three independent draws."""
     return spread.draw(random), spread.draw(random), spread.draw(random)
 
 
-def drawn_unit(chip: str, name: str, full_scale: float, seed: int) -> Unit:
+def drawn_unit(chip: str, name: str, full_scale: float, seed: int) -> UnitDeviations:
     """Return a part bought somewhere: drawn from the tolerances of its data sheet."""
     random = stream(seed, f"unit {name}")
     tolerances = TOLERANCES[chip](full_scale)
     bias_x, bias_y, bias_z = (spread.draw(random) for spread in tolerances.bias)
     slope_x, slope_y, slope_z = (spread.draw(random) for spread in tolerances.slope_per_degc)
-    return Unit(
+    return UnitDeviations(
         bias=(bias_x, bias_y, bias_z),
         slope_per_degc=(slope_x, slope_y, slope_z),
         response=drawn_response(tolerances, random),
@@ -395,7 +395,7 @@ def drawn_unit(chip: str, name: str, full_scale: float, seed: int) -> Unit:
     )
 
 
-def paper_unit(name: str, seed: int) -> Unit:
+def paper_unit(name: str, seed: int) -> UnitDeviations:
     """Return a unit of the paper's array. What its tables don't tell (a gyroscope's scale and alignment) is drawn."""
     published = TABLES[name]
     drawn = drawn_unit(published.chip, name, published.range, seed)
@@ -417,13 +417,13 @@ def paper_unit(name: str, seed: int) -> Unit:
     return with_low_range_bias(unit, drawn.bias) if published.range >= unit.shift_from else unit
 
 
-def with_low_range_bias(unit: Unit, low_range_bias: Triple) -> Unit:
+def with_low_range_bias(unit: UnitDeviations, low_range_bias: Triple) -> UnitDeviations:
     """Return the same bias at high ranges, but `low_range_bias` at low ones: the paper tells only the sum of both."""
     x, y, z = (bias - low for bias, low in zip(unit.bias, low_range_bias, strict=True))
     return replace(unit, bias=low_range_bias, shift=(x, y, z))
 
 
-def unit_of(array: str, name: str, chip: str, full_scale: float, seed: int = 0) -> Unit:
+def unit_of(array: str, name: str, chip: str, full_scale: float, seed: int = 0) -> UnitDeviations:
     """Return the unit called `name` in an array of that name; a paper's unit only with the paper's chip and range."""
     published = TABLES.get(name) if array == PAPER_ARRAY else None
     if published is not None and (published.chip, published.range) == (chip, float(full_scale)):

@@ -15,7 +15,7 @@ from operator import and_
 from typing import NamedTuple, NoReturn, Protocol
 
 from firmware_emulator.chip import Target
-from firmware_emulator.clock import Clock
+from firmware_emulator.clock import WireClock
 
 
 class Router(Target, Protocol):
@@ -50,7 +50,7 @@ class Wire:
     `host_ns` is software time before every START. `scl_clocks` and `transactions` count what went over the wire.
     """
 
-    def __init__(self, clock: Clock, bit_rate_hz: int = 400_000, nack_errno: int = 121, host_ns: int = 0) -> None:
+    def __init__(self, clock: WireClock, bit_rate_hz: int = 400_000, nack_errno: int = 121, host_ns: int = 0) -> None:
         if bit_rate_hz <= 0:
             raise ValueError(f"bit_rate_hz: {bit_rate_hz} is not a speed")
         self.clock = clock

@@ -1,8 +1,9 @@
-"""Stimulus of the box, as a function of time alone.
+"""Stimulus of the box as a function of time.
 
-A world is a callable ``at_ns -> Stimulus`` plus the phases that a person with a stopwatch would note. Any callable will
-do: a simulated or a recorded motion can drive the emulated array just as well. Vectors are in the box frame: specific
-force in m/s2 (a box at rest on its -Z face feels +g along +Z), angular rate in rad/s, magnetic flux density in gauss.
+A world is a callable ``at_ns -> WorldStimulus`` plus the phases that a person with a stopwatch would note. Any callable
+will do: a simulated or a recorded motion can drive the emulated array just as well. Vectors are in the box frame:
+specific force in m/s2 (a box at rest on its -Z face feels +g along +Z), angular rate in rad/s, magnetic flux density in
+gauss.
 
 The worlds here begin at 0 ns and never end: they hold their last state.
 """
@@ -67,7 +68,7 @@ FIELD_UPRIGHT: Triple = (0.2, 0.0, -0.43)
 """The earth's field in gauss, in the frame of a box that stands on its -Z face."""
 
 
-class Stimulus(NamedTuple):
+class WorldStimulus(NamedTuple):
     """The stimulus of the box at one instant."""
 
     force_box: Triple = (0.0, 0.0, STANDARD_GRAVITY)
@@ -77,7 +78,7 @@ class Stimulus(NamedTuple):
     field_box: Triple = FIELD_UPRIGHT
 
 
-class Phase(NamedTuple):
+class WorldPhase(NamedTuple):
     """A stretch of time that the experimenter names; `up` is the box axis that points up ("+Z"), "" if none."""
 
     start_ns: int
@@ -86,20 +87,20 @@ class Phase(NamedTuple):
     up: str = ""
 
 
-UPRIGHT = Stimulus()
+UPRIGHT = WorldStimulus()
 """Stimulus at rest on the -Z face."""
 
-World = Callable[[int], Stimulus]
+World = Callable[[int], WorldStimulus]
 
 
 class PhasedWorld(Protocol):
     """A world that knows its own phases."""
 
     @property
-    def phases(self) -> tuple[Phase, ...]:
+    def phases(self) -> tuple[WorldPhase, ...]:
         """The phases in order of time, not overlapping."""
 
-    def __call__(self, at_ns: int) -> Stimulus:
+    def __call__(self, at_ns: int) -> WorldStimulus:
         """Return what the box feels at `at_ns`."""
 
 
@@ -110,13 +111,13 @@ def positive(**durations: float) -> None:
             raise ValueError(f"{name}: {value}; allowed is anything above 0")
 
 
-def resting(up: str, field_box: Triple, temperature_degc: float = ROOM_DEGC) -> Stimulus:
+def resting(up: str, field_box: Triple, temperature_degc: float = ROOM_DEGC) -> WorldStimulus:
     """Return a box at rest with this axis up."""
-    return Stimulus(scaled(UP[up], STANDARD_GRAVITY), temperature_degc=temperature_degc, field_box=field_box)
+    return WorldStimulus(scaled(UP[up], STANDARD_GRAVITY), temperature_degc=temperature_degc, field_box=field_box)
 
 
 @dataclass(frozen=True)
-class Still:
+class StillWorld:
     """A box at rest with the axis `up` upwards, at one temperature."""
 
     up: str = "+Z"
@@ -127,24 +128,24 @@ class Still:
             raise ValueError(f"up: {self.up!r}; allowed are {', '.join(UP)}")
 
     @property
-    def phases(self) -> tuple[Phase, ...]:
+    def phases(self) -> tuple[WorldPhase, ...]:
         """One, for ever."""
-        return (Phase(0, FOREVER_NS, "static", self.up),)
+        return (WorldPhase(0, FOREVER_NS, "static", self.up),)
 
     @cached_property
-    def stimulus(self) -> Stimulus:
+    def stimulus(self) -> WorldStimulus:
         """Return the constant stimulus."""
         axis, angle = turn_between("+Z", self.up)
         field = seen_after_turn(FIELD_UPRIGHT, axis, round(math.cos(angle)), round(math.sin(angle)))
         return resting(self.up, field, self.temperature_degc)
 
-    def __call__(self, at_ns: int) -> Stimulus:
+    def __call__(self, at_ns: int) -> WorldStimulus:
         """The same at any time."""
         return self.stimulus
 
 
 @dataclass(frozen=True)
-class Tumble:
+class TumbleWorld:
     """Every face up for `face_s` in the paper's order (section 4), smooth turns of `turn_s` between them.
 
     A turn's rate rises and falls as 1 - cos. Its phases cover only the still parts; forces of the turning itself (the
@@ -178,11 +179,11 @@ class Tumble:
         return round(self.turn_s * 1e9)
 
     @cached_property
-    def phases(self) -> tuple[Phase, ...]:
+    def phases(self) -> tuple[WorldPhase, ...]:
         """The seven still parts."""
         starts = [index * (self.face_ns + self.turn_ns) for index in range(len(self.ORDER))]
         stops = [start + self.face_ns for start in starts]
-        return tuple(Phase(a, b, *face) for a, b, face in zip(starts, stops, self.ORDER, strict=True))
+        return tuple(WorldPhase(a, b, *face) for a, b, face in zip(starts, stops, self.ORDER, strict=True))
 
     @cached_property
     def turns(self) -> tuple[tuple[Triple, float], ...]:
@@ -191,28 +192,28 @@ class Tumble:
         return tuple(turn_between(before, after) for before, after in pairwise(ups))
 
     @cached_property
-    def faces(self) -> tuple[Stimulus, ...]:
+    def faces(self) -> tuple[WorldStimulus, ...]:
         """Return the stimulus of the box on each face."""
         fields = [FIELD_UPRIGHT]
         for axis, angle in self.turns:
             fields.append(seen_after_turn(fields[-1], axis, round(math.cos(angle)), round(math.sin(angle))))
         return tuple(resting(up, field) for (_, up), field in zip(self.ORDER, fields, strict=True))
 
-    def __call__(self, at_ns: int) -> Stimulus:
+    def __call__(self, at_ns: int) -> WorldStimulus:
         """A face, or the way to the next."""
         index, since_ns = divmod(max(at_ns, 0), self.face_ns + self.turn_ns)
         if index >= len(self.turns) or since_ns < self.face_ns:
             return self.faces[min(index, len(self.turns))]
         return self.turning(index, (since_ns - self.face_ns) / self.turn_ns)
 
-    def turning(self, index: int, share: float) -> Stimulus:
+    def turning(self, index: int, share: float) -> WorldStimulus:
         """Return the turn after face `index`, of which `share` of the time has passed."""
         axis, angle = self.turns[index]
         phase = 2 * math.pi * share
         turned = angle * (share - math.sin(phase) / (2 * math.pi))
         rate = angle / (self.turn_ns * 1e-9) * (1 - math.cos(phase))
         before, cosine, sine = self.faces[index], math.cos(turned), math.sin(turned)
-        return Stimulus(
+        return WorldStimulus(
             seen_after_turn(before.force_box, axis, cosine, sine),
             scaled(axis, rate),
             field_box=seen_after_turn(before.field_box, axis, cosine, sine),
@@ -250,7 +251,7 @@ PROFILE = (
 
 
 @dataclass(frozen=True)
-class Heating:
+class HeatingWorld:
     """A box on its -Z face, warmed twice by a hairdryer and left to cool; `scale` below 1 shortens all times."""
 
     scale: float = 1.0
@@ -273,23 +274,23 @@ class Heating:
         return tuple(reached)
 
     @cached_property
-    def phases(self) -> tuple[Phase, ...]:
+    def phases(self) -> tuple[WorldPhase, ...]:
         """room, heat, cool, heat, cool."""
         ends = zip(self.starts_ns, self.starts_ns[1:], PROFILE, strict=False)
-        return tuple(Phase(start, end, stretch.name, "+Z") for start, end, stretch in ends)
+        return tuple(WorldPhase(start, end, stretch.name, "+Z") for start, end, stretch in ends)
 
     @cached_property
     def constants_ns(self) -> tuple[float, ...]:
         """Time constant of each stretch."""
         return tuple(self.scale * stretch.constant_min * 60e9 for stretch in PROFILE)
 
-    def __call__(self, at_ns: int) -> Stimulus:
+    def __call__(self, at_ns: int) -> WorldStimulus:
         """Return the stimulus at rest, at the temperature of that moment."""
         index = min(max(bisect_right(self.starts_ns, at_ns) - 1, 0), len(PROFILE) - 1)
         towards = PROFILE[index].towards_degc
         passed_ns = max(at_ns - self.starts_ns[index], 0)
         distance = (self.starts_degc[index] - towards) * math.exp(-passed_ns / self.constants_ns[index])
-        return Stimulus(UPRIGHT.force_box, UPRIGHT.rate_box, towards + distance)
+        return WorldStimulus(UPRIGHT.force_box, UPRIGHT.rate_box, towards + distance)
 
 
 @dataclass(frozen=True)
@@ -321,12 +322,16 @@ class Shaking:
         return 0, still_ns, still_ns + motion_ns, 2 * still_ns + motion_ns
 
     @property
-    def phases(self) -> tuple[Phase, ...]:
+    def phases(self) -> tuple[WorldPhase, ...]:
         """static, motion, static."""
         begin, shaken, calm, end = self.edges_ns
-        return Phase(begin, shaken, "static", "+Z"), Phase(shaken, calm, "motion"), Phase(calm, end, "static", "+Z")
+        return (
+            WorldPhase(begin, shaken, "static", "+Z"),
+            WorldPhase(shaken, calm, "motion"),
+            WorldPhase(calm, end, "static", "+Z"),
+        )
 
-    def __call__(self, at_ns: int) -> Stimulus:
+    def __call__(self, at_ns: int) -> WorldStimulus:
         """Return the stimulus: at rest, or during the motion."""
         _, begin_ns, end_ns, _ = self.edges_ns
         if not begin_ns < at_ns < end_ns:
@@ -336,7 +341,7 @@ class Shaking:
         envelope = 0.5 - 0.5 * math.cos(math.pi * min(moved_s, left_s, ramp_s) / ramp_s)
         force_x, force_y, force_z = self.swings(self.FORCE_HZ, moved_s, envelope * self.peak_g * STANDARD_GRAVITY)
         rate = self.swings(self.RATE_HZ, moved_s, envelope * math.radians(self.peak_dps))
-        return Stimulus((force_x, force_y, force_z + STANDARD_GRAVITY), rate)
+        return WorldStimulus((force_x, force_y, force_z + STANDARD_GRAVITY), rate)
 
     def swings(self, frequencies_hz: tuple[tuple[float, float], ...], at_s: float, bound: float) -> Triple:
         """One sum of sines an axis, none above `bound`."""
@@ -354,12 +359,12 @@ class DelayedWorld:
     start_ns: int
 
     @property
-    def phases(self) -> tuple[Phase, ...]:
+    def phases(self) -> tuple[WorldPhase, ...]:
         """The world's own phases, by the clock."""
-        own: tuple[Phase, ...] = getattr(self.world, "phases", ())
-        return tuple(Phase(start + self.start_ns, end + self.start_ns, name, up) for start, end, name, up in own)
+        own: tuple[WorldPhase, ...] = getattr(self.world, "phases", ())
+        return tuple(WorldPhase(start + self.start_ns, end + self.start_ns, name, up) for start, end, name, up in own)
 
-    def __call__(self, at_ns: int) -> Stimulus:
+    def __call__(self, at_ns: int) -> WorldStimulus:
         """Return what the world shows at `at_ns` of the clock."""
         return self._latest(at_ns - self.start_ns)
 
@@ -369,12 +374,12 @@ class DelayedWorld:
         return lru_cache(maxsize=4)(self.world)
 
 
-WorldKind = type[Still] | type[Tumble] | type[Heating] | type[Shaking]
+WorldKind = type[StillWorld] | type[TumbleWorld] | type[HeatingWorld] | type[Shaking]
 
 WORLDS: dict[str, WorldKind] = {
-    "still": Still,
-    "tumble": Tumble,
-    "heating": Heating,
+    "still": StillWorld,
+    "tumble": TumbleWorld,
+    "heating": HeatingWorld,
     "shaking": Shaking,
 }
 """Worlds by the name that a bus URL uses: ``emulated:?world=tumble&face_s=10``."""

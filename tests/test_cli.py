@@ -17,7 +17,7 @@ from typing import Any
 import h5py
 import pytest
 
-from imuarray.acquire import Summary
+from imuarray.acquire import RecordingCounts
 from imuarray.cli import COMMANDS, main
 from imuarray.commands.log import Interruptible
 from imuarray.commands.log_page import LogScreen
@@ -385,7 +385,7 @@ def test_a_terminal_that_is_gone_does_not_end_a_log(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(sys, "stderr", Gone())
     screen = LogScreen("r.h5", 50, None)
     screen.event(Event(0, "A", "lost", "no reading"))
-    screen.counted(Summary(frames=50))
+    screen.counted(RecordingCounts(frames=50))
     screen.close()
 
 

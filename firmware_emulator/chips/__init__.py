@@ -5,17 +5,17 @@ from functools import partial
 
 from firmware_emulator.chip import Chip
 from firmware_emulator.chips import icm42688, lsm6dso, mpu6050, mpu6500
-from firmware_emulator.chips.adxl345 import Adxl345
-from firmware_emulator.chips.ak8963 import Ak8963
-from firmware_emulator.chips.ak8975 import Ak8975
-from firmware_emulator.chips.bma180 import Bma180
-from firmware_emulator.chips.bmp180 import Bmp180
-from firmware_emulator.chips.bmp280 import Bmp280
-from firmware_emulator.chips.bmp388 import Bmp388
-from firmware_emulator.chips.hmc5883 import Hmc5883, Hmc5883l
-from firmware_emulator.chips.l3g4200d import L3g4200d
-from firmware_emulator.chips.lis3mdl import Lis3mdl
-from firmware_emulator.chips.mmc5983 import Mmc5983
+from firmware_emulator.chips.adxl345 import Adxl345Chip
+from firmware_emulator.chips.ak8963 import Ak8963Chip
+from firmware_emulator.chips.ak8975 import Ak8975Chip
+from firmware_emulator.chips.bma180 import Bma180Chip
+from firmware_emulator.chips.bmp180 import Bmp180Chip
+from firmware_emulator.chips.bmp280 import Bmp280Chip
+from firmware_emulator.chips.bmp388 import Bmp388Chip
+from firmware_emulator.chips.hmc5883 import Hmc5883Chip, Hmc5883lChip
+from firmware_emulator.chips.l3g4200d import L3g4200dChip
+from firmware_emulator.chips.lis3mdl import Lis3mdlChip
+from firmware_emulator.chips.mmc5983 import Mmc5983Chip
 from firmware_emulator.six_axis import Die, Half
 
 DIES: dict[str, Die] = {
@@ -33,23 +33,23 @@ HALVES: dict[str, Half] = {
 """Chips of which two sensors in one place are one die."""
 
 CHIPS: dict[str, Callable[..., Chip]] = {
-    "adxl345": Adxl345,
-    "bma180": Bma180,
-    "l3g4200d": L3g4200d,
+    "adxl345": Adxl345Chip,
+    "bma180": Bma180Chip,
+    "l3g4200d": L3g4200dChip,
     **{
         f"{name}_{suffix}": partial(die.build, half=half.name)
         for name, die in DIES.items()
         for suffix, half in die.halves.items()
     },
-    "bmp180": Bmp180,
-    "bmp280": Bmp280,
-    "bmp388": Bmp388,
-    "hmc5883": Hmc5883,
-    "hmc5883l": Hmc5883l,
-    "lis3mdl": Lis3mdl,
-    "mmc5983": Mmc5983,
-    "ak8963": Ak8963,
-    "ak8975": Ak8975,
+    "bmp180": Bmp180Chip,
+    "bmp280": Bmp280Chip,
+    "bmp388": Bmp388Chip,
+    "hmc5883": Hmc5883Chip,
+    "hmc5883l": Hmc5883lChip,
+    "lis3mdl": Lis3mdlChip,
+    "mmc5983": Mmc5983Chip,
+    "ak8963": Ak8963Chip,
+    "ak8975": Ak8975Chip,
 }
 """Chips by the name that configurations use; each is built as ``(address, element, powered_on_ns, **switches)``."""
 

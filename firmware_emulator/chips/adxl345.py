@@ -63,7 +63,7 @@ def format_of(data_format: int, rate_code: int) -> Format:
     return Format(codes_per_g, step, -half_span, half_span - step, left_shift if facts.JUSTIFY.of(data_format) else 0)
 
 
-class Adxl345(Chip):
+class Adxl345Chip(Chip):
     """The registers and the 32 + 1 sets of its FIFO."""
 
     def __init__(self, address: int, element: Element, powered_on_ns: int = 0) -> None:

@@ -26,7 +26,7 @@ _ST1, _ST2, _DATA = facts.ST1.address, facts.ST2.address, facts.HXL.address
 _CONTROL, _RESET = facts.CNTL1.address, facts.CNTL2.address
 
 
-class Ak8963(AkmFamily):
+class Ak8963Chip(AkmFamily):
     """The chip."""
 
     table: ClassVar[ModuleType] = facts

@@ -24,7 +24,7 @@ _ST1, _ST2, _DATA = facts.ST1.address, facts.ST2.address, facts.HXL.address
 _CONTROL = facts.CNTL.address
 
 
-class Ak8975(AkmFamily):
+class Ak8975Chip(AkmFamily):
     """The chip."""
 
     table: ClassVar[ModuleType] = facts

@@ -63,7 +63,7 @@ def settings_of(page: bytes | bytearray) -> Settings:
     )
 
 
-class Bma180(Chip):
+class Bma180Chip(Chip):
     """The chip. `eeprom_writes` counts what a driver must never do: writing to 0x40 and above (BMA-55, DEC-13).
 
     eeprom: bytes by register address that differ from BMA-58: a part's own trims, a previous owner's settings (BMA-59).

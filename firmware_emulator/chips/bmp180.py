@@ -82,7 +82,7 @@ def up_of(words: Bmp180Words, ut: int, oss: int, pascal: float) -> int:
     return nearest(pressure, lowest, (1 << 16 + oss) - 1, pascal)
 
 
-class Bmp180(BoschBarometer):
+class Bmp180Chip(BoschBarometer):
     """The chip."""
 
     facts: ClassVar[ModuleType] = facts

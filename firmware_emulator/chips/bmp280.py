@@ -78,7 +78,7 @@ _RESET, _STATUS = facts.SOFT_RESET.address, facts.STATUS.address
 _CONTROL, _CONFIG, _DATA = facts.CTRL_MEAS.address, facts.CONFIG.address, facts.PRESS_MSB.address
 
 
-class Bmp280(CyclicBarometer):
+class Bmp280Chip(CyclicBarometer):
     """The chip."""
 
     facts: ClassVar[ModuleType] = facts

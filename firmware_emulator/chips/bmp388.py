@@ -77,7 +77,7 @@ _STATUS, _ERROR, _DATA = facts.STATUS.address, facts.ERR_REG.address, facts.DATA
 _POWER, _CONFIG, _COMMAND = facts.PWR_CTRL.address, facts.CONFIG.address, facts.CMD.address
 
 
-class Bmp388(CyclicBarometer):
+class Bmp388Chip(CyclicBarometer):
     """The chip."""
 
     facts: ClassVar[ModuleType] = facts

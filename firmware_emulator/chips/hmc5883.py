@@ -71,7 +71,7 @@ def word(code: int) -> int:
     return code if -2048 <= code <= 2047 else INVALID
 
 
-class Hmc5883(Chip):
+class Hmc5883Chip(Chip):
     """An HMC5883 or HMC5883L, by `variant`; `wrap` is the register whose read sends the pointer back to 3: 8 or 9
     (DEC-30).
     """
@@ -199,7 +199,7 @@ class Hmc5883(Chip):
         return self.variant.regulator | locked << 1 | (self._ready and not writing)
 
 
-class Hmc5883l(Hmc5883):
+class Hmc5883lChip(Hmc5883Chip):
     """The L, under the name that configurations use."""
 
     def __init__(

@@ -60,7 +60,7 @@ class _Half:
     """Its latest reading in 20 bits."""
 
 
-class Icm42688(SixAxis):
+class Icm42688Chip(SixAxis):
     """The registers of three banks; `trim_code` is what the factory stored, `clock_input_hz` the frequency at pin 9 (0:
     no clock is connected).
     """
@@ -396,4 +396,4 @@ def gyroscope_tolerances(_: float) -> Tolerances:
     )
 
 
-DIE = Die(Icm42688, (facts.ACCEL_DATA_X1, facts.GYRO_DATA_X1), (accelerometer_tolerances, gyroscope_tolerances))
+DIE = Die(Icm42688Chip, (facts.ACCEL_DATA_X1, facts.GYRO_DATA_X1), (accelerometer_tolerances, gyroscope_tolerances))

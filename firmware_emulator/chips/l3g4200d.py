@@ -104,7 +104,7 @@ _FIFO_CTRL, _FIFO_SRC = facts.FIFO_CTRL_REG.address, facts.FIFO_SRC_REG.address
 _LITTLE, _BIG = Struct("<hhh"), Struct(">hhh")
 
 
-class L3g4200d(Chip):
+class L3g4200dChip(Chip):
     """The chip. `forbidden_writes` counts writes to reserved registers, which may destroy a real part (L3G-07).
 
     temperature_zero: OUT_TEMP at 0 degC, unknown for a real part (L3G-60).

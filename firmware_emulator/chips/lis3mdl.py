@@ -32,7 +32,7 @@ class _Settings(NamedTuple):
     rate_hz: float
 
 
-class Lis3mdl(Chip):
+class Lis3mdlChip(Chip):
     """The chip; `identity` is the content of WHO_AM_I, by default that of the part."""
 
     def __init__(self, address: int, element: Element, powered_on_ns: int = 0, *, identity: int | None = None) -> None:

@@ -60,7 +60,7 @@ class _Half:
     grid: SampleGrid
 
 
-class Lsm6dso(SixAxis):
+class Lsm6dsoChip(SixAxis):
     """The registers and the queue of 512 words."""
 
     _temperature_due_ns: int
@@ -304,4 +304,4 @@ def gyroscope_tolerances(_: float) -> Tolerances:
     )
 
 
-DIE = Die(Lsm6dso, (facts.OUTX_L_A, facts.OUTX_L_G), (accelerometer_tolerances, gyroscope_tolerances))
+DIE = Die(Lsm6dsoChip, (facts.OUTX_L_A, facts.OUTX_L_G), (accelerometer_tolerances, gyroscope_tolerances))

@@ -25,7 +25,7 @@ _STATUS, _CONTROL0, _CONTROL1 = facts.STATUS.address, facts.CONTROL_0.address, f
 _CONTROL2, _CONTROL3 = facts.CONTROL_2.address, facts.CONTROL_3.address
 
 
-class Mmc5983(Chip):
+class Mmc5983Chip(Chip):
     """The chip; `bridge` is where its bridges stand in gauss, `identity` what the product ID says."""
 
     def __init__(

@@ -37,7 +37,7 @@ TRIM_CODE = 17
 _DATA = range(facts.ACCEL_XOUT_H.address, facts.GYRO_ZOUT_L.address + 1)
 
 
-class Mpu6050(MpuFamily):
+class Mpu6050Chip(MpuFamily):
     """The registers and the queue of 1024 bytes; `identity` is 0x98 for a clone (INV-03), `clock_input_hz` the
     frequency at CLKIN (0: no clock is connected).
     """
@@ -173,4 +173,4 @@ def gyroscope_tolerances(_: float) -> Tolerances:
     )
 
 
-DIE = Die(Mpu6050, (facts.ACCEL_XOUT_H, facts.GYRO_XOUT_H), (accelerometer_tolerances, gyroscope_tolerances))
+DIE = Die(Mpu6050Chip, (facts.ACCEL_XOUT_H, facts.GYRO_XOUT_H), (accelerometer_tolerances, gyroscope_tolerances))

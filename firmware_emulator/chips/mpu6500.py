@@ -33,7 +33,7 @@ TRIM_CODE = 120
 _DATA = range(facts.ACCEL_XOUT_H.address, facts.GYRO_ZOUT_L.address + 1)
 
 
-class Mpu6500(MpuFamily):
+class Mpu6500Chip(MpuFamily):
     """The registers; `identity` is 0x71 for an MPU-9250."""
 
     table: ClassVar[ModuleType] = facts
@@ -120,5 +120,5 @@ def gyroscope_tolerances(_: float) -> Tolerances:
     )
 
 
-DIE = Die(Mpu6500, (facts.ACCEL_XOUT_H, facts.GYRO_XOUT_H), (accelerometer_tolerances, gyroscope_tolerances))
-DIE_9250 = DIE._replace(build=partial(Mpu6500, identity=0x71))  # INV-70
+DIE = Die(Mpu6500Chip, (facts.ACCEL_XOUT_H, facts.GYRO_XOUT_H), (accelerometer_tolerances, gyroscope_tolerances))
+DIE_9250 = DIE._replace(build=partial(Mpu6500Chip, identity=0x71))  # INV-70

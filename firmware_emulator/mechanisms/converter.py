@@ -10,11 +10,11 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Self, cast
 
 from firmware_emulator.chip import Chip, Triple
-from firmware_emulator.chips.adxl345 import Adxl345
-from firmware_emulator.chips.bma180 import Bma180
+from firmware_emulator.chips.adxl345 import Adxl345Chip
+from firmware_emulator.chips.bma180 import Bma180Chip
 from firmware_emulator.chips.bma180_converter import RANGES as BMA180
 from firmware_emulator.chips.bma180_converter import UPDATE_HZ
-from firmware_emulator.chips.l3g4200d import L3g4200d
+from firmware_emulator.chips.l3g4200d import L3g4200dChip
 from firmware_emulator.chips.l3g4200d_signal import RANGES_DPS as L3G4200D_DPS
 from firmware_emulator.mechanisms.line import LAYOUTS, Codes
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
@@ -185,7 +185,7 @@ class InterleavedConverters(SensorMechanism):
         site.chain.amplified.append(amplified)
 
 
-class LimpingAdxl345(Adxl345):
+class LimpingAdxl345(Adxl345Chip):
     """An ADXL345 that converts every `period_ns`, whatever its rate register says."""
 
     period_ns = 0
@@ -194,7 +194,7 @@ class LimpingAdxl345(Adxl345):
         super()._schedule(self.period_ns or period_ns, at_ns)
 
 
-class LimpingL3g4200d(L3g4200d):
+class LimpingL3g4200d(L3g4200dChip):
     """An L3G4200D that converts every `period_ns`, whatever its rate bits say."""
 
     period_ns = 0
@@ -265,7 +265,7 @@ class Divider:
         return lost(self.page, field, self.which)
 
 
-class DividedAdxl345(Divider, Adxl345):
+class DividedAdxl345(Divider, Adxl345Chip):
     """An ADXL345 whose rate follows BW_RATE (ADX-36)."""
 
     def _configure(self, at_ns: int) -> None:
@@ -273,7 +273,7 @@ class DividedAdxl345(Divider, Adxl345):
             super()._configure(at_ns)
 
 
-class DividedBma180(Divider, Bma180):
+class DividedBma180(Divider, Bma180Chip):
     """A BMA180 whose rate follows the filter code, for its rate can't be set (BMA-81 ... BMA-88)."""
 
     def _act(self, at_ns: int) -> None:
@@ -281,7 +281,7 @@ class DividedBma180(Divider, Bma180):
             super()._act(at_ns)
 
 
-class DividedL3g4200d(Divider, L3g4200d):
+class DividedL3g4200d(Divider, L3g4200dChip):
     """An L3G4200D whose rate follows DR (L3G-30 ... L3G-33)."""
 
     def _reconfigure(self, at_ns: int) -> None:

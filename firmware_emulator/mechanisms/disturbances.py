@@ -11,7 +11,7 @@ import numpy as np
 from firmware_emulator.chip import Triple
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
 from firmware_emulator.mechanisms.site import Site, Stopwatch, plus
-from firmware_emulator.world import Stimulus
+from firmware_emulator.world import WorldStimulus
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class TrappedCharges(SensorMechanism):
         bank = np.where(random.random((3, self.traps)) < 0.5, -each, each)
         flips: dict[float, np.ndarray[tuple[int], np.dtype[np.float64]]] = {}
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             passed_s = elapsed(at_ns)
             if passed_s not in flips:
                 flips[passed_s] = 0.5 - 0.5 * np.exp(-passed_s / constants_s)
@@ -110,7 +110,7 @@ class StressRelaxation(SensorMechanism):
         due_ns = [random.exponential(mean_ns) for _ in range(3)]
         moved = [0.0, 0.0, 0.0]
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             for axis in range(3):
                 while at_ns >= due_ns[axis]:
                     due_ns[axis] += random.exponential(mean_ns)
@@ -145,7 +145,7 @@ class SingleTrap(SensorMechanism):
         full, due_ns = False, random.exponential(self.capture_s * 1e9)
         site.note(f"trap in axis {'xyz'[axis]}")
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             nonlocal full, due_ns
             while at_ns >= due_ns:
                 full = not full
@@ -183,7 +183,7 @@ class MainsRipple(SensorMechanism):
         phase, wander = random.uniform(0.0, 2 * math.pi), random.normal(0.0, self.wander_hz)
         second, third = self.harmonics
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             nonlocal phase, wander
             seconds = elapsed(at_ns)
             kept = math.exp(-seconds / self.wander_s)
@@ -224,7 +224,7 @@ class SpinningMotor(SensorMechanism):
         """Act along a direction of the place."""
         direction, peak = site.direction("motor"), site.by_unit(self.peak_g, self.peak_dps)
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             return plus(value, direction, peak * self.wave(at_ns * 1e-9))
 
         site.chain.sensed.append(sensed)

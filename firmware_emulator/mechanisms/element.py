@@ -16,10 +16,10 @@ from typing import Self
 
 from firmware_emulator.chip import Triple
 from firmware_emulator.element import BLOCK, SensingElement
-from firmware_emulator.world import Stimulus
+from firmware_emulator.world import WorldStimulus
 
-Felt = Callable[[int, Stimulus], Stimulus]
-Sensed = Callable[[int, Triple, Stimulus], Triple]
+Felt = Callable[[int, WorldStimulus], WorldStimulus]
+Sensed = Callable[[int, Triple, WorldStimulus], Triple]
 Noise = Callable[[int, Triple, Triple, float], Triple]
 Amplified = Callable[[int, Triple, float], Triple]
 Setting = Callable[[float], float]
@@ -78,7 +78,7 @@ class MountedElement(SensingElement):
             degc = thermometer(at_ns - self._powered_on_ns, degc)
         return degc + self.unit.thermometer_offset_degc
 
-    def _noiseless(self, stimulus: Stimulus, at_ns: int) -> Triple:
+    def _noiseless(self, stimulus: WorldStimulus, at_ns: int) -> Triple:
         for felt in self._chain.felt:
             stimulus = felt(at_ns, stimulus)
         if stimulus is not self._felt:

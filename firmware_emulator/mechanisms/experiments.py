@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from firmware_emulator.world import Heating, Phase, PhasedWorld, Shaking, Still, Tumble
+from firmware_emulator.world import HeatingWorld, PhasedWorld, Shaking, StillWorld, TumbleWorld, WorldPhase
 
 
 @dataclass(frozen=True)
-class Experiment:
+class BenchExperiment:
     """`logs` power-ups of `seconds` each in a `world`, in files called `name`; `phase` names a log as a whole.
 
     A reference instrument is read at `reference_hz`; 0: with every frame.
@@ -27,27 +27,27 @@ class Experiment:
         """Name of log number `index`."""
         return f"{self.name}.h5" if self.logs == 1 else f"{self.name}_{index + 1:02d}.h5"
 
-    def phases(self, index: int) -> tuple[Phase, ...]:
+    def phases(self, index: int) -> tuple[WorldPhase, ...]:
         """Return the notes of a person with a stopwatch during log number `index`."""
         if not self.phase:
             return self.world.phases
         name = f"{self.phase} {index + 1}" if self.logs > 1 else self.phase
-        return (Phase(0, 1 << 62, name, "+Z"),)
+        return (WorldPhase(0, 1 << 62, name, "+Z"),)
 
 
-EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
+EXPERIMENTS: Mapping[str, BenchExperiment] = MappingProxyType(
     {
-        "static": Experiment("static", Still(), 120.0, phase="static"),
-        "tumble": Experiment("tumble", Tumble(face_s=15.0), 117.0),
-        "heating": Experiment("heating", Heating(scale=0.1), 240.0),
-        "turn-on": Experiment("boot", Still(), 12.0, logs=10, phase="run"),
-        "motion": Experiment("motion", Shaking(peak_g=0.35, peak_dps=150.0), 50.0, reference_hz=500.0),
+        "static": BenchExperiment("static", StillWorld(), 120.0, phase="static"),
+        "tumble": BenchExperiment("tumble", TumbleWorld(face_s=15.0), 117.0),
+        "heating": BenchExperiment("heating", HeatingWorld(scale=0.1), 240.0),
+        "turn-on": BenchExperiment("boot", StillWorld(), 12.0, logs=10, phase="run"),
+        "motion": BenchExperiment("motion", Shaking(peak_g=0.35, peak_dps=150.0), 50.0, reference_hz=500.0),
     }
 )
 """Experiments by the names that the command line uses; all together nine minutes of emulated time."""
 
 
-def known_experiment(name: str) -> Experiment:
+def known_experiment(name: str) -> BenchExperiment:
     """Return an entry of `EXPERIMENTS`; ValueError that lists the others."""
     if name not in EXPERIMENTS:
         raise ValueError(f"experiment {name!r}; allowed are {', '.join(EXPERIMENTS)}")

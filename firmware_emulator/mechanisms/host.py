@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from firmware_emulator.chip import Target
-from firmware_emulator.clock import Clock
-from firmware_emulator.mux import NO_CHANNEL, Pca9544a
+from firmware_emulator.clock import WireClock
+from firmware_emulator.mux import NO_CHANNEL, Pca9544aChip
 from firmware_emulator.wire import Wire
 
 Reading = Callable[[int], int]
@@ -22,7 +22,7 @@ class HostClock:
     time of the world at which a given display is reached; both count from power-on, when the display was right.
     """
 
-    def __init__(self, clock: Clock, shown: Reading, when: Reading, powered_on_ns: int = 0) -> None:
+    def __init__(self, clock: WireClock, shown: Reading, when: Reading, powered_on_ns: int = 0) -> None:
         self._clock = clock
         self._shown, self._when = shown, when
         self._powered_on_ns = powered_on_ns
@@ -53,7 +53,7 @@ class LatentWire(Wire):
     """An adapter before which the program is kept waiting: `waits_ns` are drawn before every transaction."""
 
     def __init__(
-        self, clock: Clock, bit_rate_hz: int, nack_errno: int, host_ns: int, waits_ns: Sequence[Callable[[], int]]
+        self, clock: WireClock, bit_rate_hz: int, nack_errno: int, host_ns: int, waits_ns: Sequence[Callable[[], int]]
     ) -> None:
         super().__init__(clock, bit_rate_hz, nack_errno, host_ns)
         self._waits_ns = waits_ns
@@ -68,7 +68,7 @@ class LatentWire(Wire):
         return super().transfer(address, write, read)
 
 
-class WatchedMux(Pca9544a):
+class WatchedMux(Pca9544aChip):
     """A multiplexer whose switch obeys only if all of `obeys` agree, and that tells `switched` when it moved."""
 
     def __init__(

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 from firmware_emulator.board import MUXES, Board, named
 from firmware_emulator.chip import Chip, Target
 from firmware_emulator.chips import HALVES
-from firmware_emulator.clock import Clock
-from firmware_emulator.element import IDENTITY, NOTHING, SensingElement, Unit, stream
+from firmware_emulator.clock import WireClock
+from firmware_emulator.element import IDENTITY, NOTHING, SensingElement, UnitDeviations, stream
 from firmware_emulator.mechanisms.element import MountedElement
 from firmware_emulator.mechanisms.host import HostClock, LatentWire, Reading, WatchedMux
 from firmware_emulator.mechanisms.line import ChipLine
 from firmware_emulator.mechanisms.site import INERTIAL, Site
-from firmware_emulator.mux import Pca9544a
-from firmware_emulator.tolerances import Spread, typical
+from firmware_emulator.mux import Pca9544aChip
+from firmware_emulator.tolerances import TruncatedNormal, typical
 from firmware_emulator.units import TOLERANCES, drawn_unit, unit_of
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import DelayedWorld, World
@@ -81,7 +81,7 @@ TURN_ON_SHARE = 0.003
 """Scatter (one sigma) of a toleranced part's bias between power-ups, as a share of the bias that its sheet allows: what
 the paper's parts have (left half of its Table 11: up to 0.65 mg and 0.036 dps).
 """
-RATE_ERROR: Mapping[str, Spread] = MappingProxyType({"bma180": typical(0.10), "l3g4200d": typical(0.02)})
+RATE_ERROR: Mapping[str, TruncatedNormal] = MappingProxyType({"bma180": typical(0.10), "l3g4200d": typical(0.02)})
 """Relative error of a toleranced part's oscillator: BMA-107; an RC oscillator where no sheet says it. That of an
 ADXL345 is exact.
 """
@@ -96,7 +96,7 @@ class Fitting:
     sensors: tuple[str, ...]
 
 
-def plain_part(chip: str, name: str, full_scale: float, seed: int) -> Unit:
+def plain_part(chip: str, name: str, full_scale: float, seed: int) -> UnitDeviations:
     """Return a part drawn from its data sheet's tolerances, but only in what everybody expects of one.
 
     Noise, bias, its slope with temperature, scale, alignment; no scale that changes with temperature, no g-sensitivity
@@ -106,7 +106,7 @@ def plain_part(chip: str, name: str, full_scale: float, seed: int) -> Unit:
     return replace(drawn, scale_slope_per_degc=0.0, g_sensitivity=NOTHING, thermometer_offset_degc=0.0)
 
 
-def toleranced_part(chip: str, name: str, full_scale: float, seed: int, run: int) -> Unit:
+def toleranced_part(chip: str, name: str, full_scale: float, seed: int, run: int) -> UnitDeviations:
     """Return a part drawn in all that its data sheet leaves to the part; its bias scatters from power-up to
     power-up.
     """
@@ -137,7 +137,7 @@ def sites_of(array: ArrayLike, fitting: Fitting) -> list[SensorLike]:
 
 
 @dataclass
-class Host:
+class BenchHost:
     """The host and the multiplexer on which mechanisms act; see `firmware_emulator.mechanisms.host`.
 
     `clocks` are pairs (shown, when), each reading what the one before shows. `mux` is there when the array is soldered,
@@ -177,7 +177,7 @@ class FittedBoard(Board):
         self.notes: list[str] = []
         self.touched: dict[Mechanism, set[str]] = {}
         self.crossed: dict[str, str] = {}
-        self.host = Host()
+        self.host = BenchHost()
         self.powered_on_ns = world.start_ns if isinstance(world, DelayedWorld) else 0
         self._sites: dict[str, Site] = {}
         for fitting in fittings:
@@ -204,13 +204,15 @@ class FittedBoard(Board):
             )
         return self._sites[sensor.name]
 
-    def wire(self, clock: Clock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
+    def wire(self, clock: WireClock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
         """One adapter, late if the host makes it so."""
         if self.host.waits_ns:
             return LatentWire(clock, bit_rate_hz, nack_errno, host_ns, self.host.waits_ns)
         return super().wire(clock, bit_rate_hz, nack_errno, host_ns)
 
-    def router(self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int) -> Pca9544a:
+    def router(
+        self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int
+    ) -> Pca9544aChip:
         """Return the multiplexer, watched if a mechanism wants to."""
         if not (self.host.obeys or self.host.switched):
             return super().router(chip, address, channels, powered_on_ns)
@@ -230,7 +232,7 @@ class FittedBoard(Board):
         mounted = MountedElement(self.world, there.chip, key, orientation, unit, self.seed)
         return mounted.mount(site.chain, start_ns)
 
-    def unit(self, sensor: SensorLike) -> Unit:
+    def unit(self, sensor: SensorLike) -> UnitDeviations:
         """Return the imperfections of one unit."""
         if self.units == "drawn":
             return plain_part(sensor.chip, sensor.name, sensor.range or 0.0, self.seed)
@@ -263,7 +265,7 @@ class FittedBoard(Board):
             return chip
         return ChipLine(chip, sensor.chip, site.links, self.powered_on_ns)
 
-    def host_clock(self, clock: Clock) -> Clock:
+    def host_clock(self, clock: WireClock) -> WireClock:
         """Return the world's clock, or what the host takes for it."""
         for shown, when in self.host.clocks:
             clock = HostClock(clock, shown, when, self.powered_on_ns)

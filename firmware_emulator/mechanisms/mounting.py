@@ -10,7 +10,7 @@ from typing import ClassVar
 from firmware_emulator.chip import Triple
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism, SensorMechanism
 from firmware_emulator.mechanisms.site import ACCELEROMETERS, Site, plus
-from firmware_emulator.world import Stimulus, cross, seen_after_turn
+from firmware_emulator.world import WorldStimulus, cross, seen_after_turn
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class Rotation:
 
     def __init__(self, axis: tuple[float, float, float], cosine: float, sine: float) -> None:
         self._turn = axis, cosine, sine
-        self._before: Stimulus | None = None
-        self._after = Stimulus()
+        self._before: WorldStimulus | None = None
+        self._after = WorldStimulus()
 
-    def __call__(self, at_ns: int, stimulus: Stimulus) -> Stimulus:
+    def __call__(self, at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
         """The same object as long as `stimulus` is."""
         if stimulus is not self._before:
             self._before = stimulus
@@ -98,7 +98,7 @@ class LeverArm(SensorMechanism):
         share = self.arm_m / math.sqrt(x * x + y * y + z * z)
         arm, world = (x * share, y * share, z * share), site.world
 
-        def felt(at_ns: int, stimulus: Stimulus) -> Stimulus:
+        def felt(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
             before, after = world(max(0, at_ns - HALF_NS)), world(at_ns + HALF_NS)
             if before is after is stimulus:
                 return stimulus
@@ -150,7 +150,7 @@ class DroppedBox(SensorMechanism):
             return
         direction, shift = site.direction("fall"), site.by_unit(self.shift_g, self.shift_dps)
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             return plus(value, direction, shift)
 
         site.chain.sensed.append(sensed)

@@ -13,7 +13,7 @@ from firmware_emulator.chip import Triple
 from firmware_emulator.element import stream
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism, SensorMechanism
 from firmware_emulator.mechanisms.site import ACCELEROMETERS, WHILE_SET_UP_S, Site, plus
-from firmware_emulator.world import Stimulus
+from firmware_emulator.world import WorldStimulus
 
 GRID_S = 0.1
 
@@ -61,7 +61,9 @@ class SupplyDrift(Mechanism):
         return at
 
 
-def answer(volts: Callable[[int], float], direction: Triple, per_v: float) -> Callable[[int, Triple, Stimulus], Triple]:
+def answer(
+    volts: Callable[[int], float], direction: Triple, per_v: float
+) -> Callable[[int, Triple, WorldStimulus], Triple]:
     """Return what a supply adds to one sensor."""
     return lambda at_ns, value, stimulus: plus(value, direction, per_v * volts(at_ns))
 
@@ -84,7 +86,7 @@ class SupplyDroop(SensorMechanism):
     def put_on(self, site: Site) -> None:
         """Act on the stimulus, before the unit's bias."""
 
-        def felt(at_ns: int, stimulus: Stimulus) -> Stimulus:
+        def felt(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
             share = 1 + self.droop * math.expm1(-at_ns * 1e-9 / self.sag_s)
             x, y, z = stimulus.force_box
             force: Triple = (x * share, y * share, z * share)
@@ -149,7 +151,7 @@ class PowerOnStress(SensorMechanism):
         """Drawn once, now."""
         x, y, z = site.run_random("stress").laplace(0.0, site.by_unit(self.scale_g, self.scale_dps), 3).tolist()
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             return plus(value, (x, y, z), 1.0)
 
         site.chain.sensed.append(sensed)
@@ -179,7 +181,7 @@ class BiasCurrentDac(SensorMechanism):
         site.note("came up in the other state")
         direction, step = site.direction("bias current"), site.by_unit(self.step_g, self.step_dps)
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             return plus(value, direction, step)
 
         site.chain.sensed.append(sensed)
@@ -203,7 +205,7 @@ class LogCreep(SensorMechanism):
         """The world's clock starts at power-on."""
         direction, creep = site.direction("creep"), site.by_unit(self.per_decade_g, self.per_decade_dps)
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             return plus(value, direction, creep * math.log10(1 + at_ns * 1e-9 / self.onset_s))
 
         site.chain.sensed.append(sensed)

@@ -11,7 +11,7 @@ from firmware_emulator.chip import Triple
 from firmware_emulator.element import applied, transposed
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
 from firmware_emulator.mechanisms.site import GYROSCOPES, Site, Stopwatch, plus
-from firmware_emulator.world import STANDARD_GRAVITY, Stimulus, cross
+from firmware_emulator.world import STANDARD_GRAVITY, WorldStimulus, cross
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class PlateGap(SensorMechanism):
         """Each axis has its own plates; a stop keeps them from touching."""
         gap = site.by_unit(self.gap_g, self.gap_dps)
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             x, y, z = (component / (1 - min(component / gap, CLOSEST)) for component in value)
             return x, y, z
 
@@ -122,7 +122,7 @@ class DriveImbalance(SensorMechanism):
         lever, from_box = site.direction("imbalance"), transposed(site.orientation)
         factor = self.imbalance_dps_per_g / STANDARD_GRAVITY
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             return plus(value, cross(lever, applied(from_box, stimulus.force_box)), factor)
 
         site.chain.sensed.append(sensed)
@@ -150,7 +150,7 @@ class VibrationRectification(SensorMechanism):
         mean: Triple | None = None
         square = 0.0
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             nonlocal mean, square
             seconds, force = elapsed(at_ns), stimulus.force_box
             mean = force if mean is None else mean
@@ -217,12 +217,12 @@ class OutputFilter(SensorMechanism):
         site.chain.sensed.append(self._signal())
         site.chain.noise.insert(0, self._noise(lambda: float(random.standard_normal())))  # others' noise comes later
 
-    def _signal(self) -> Callable[[int, Triple, Stimulus], Triple]:
+    def _signal(self) -> Callable[[int, Triple, WorldStimulus], Triple]:
         elapsed = Stopwatch()
         state: list[tuple[float, float]] = []
         before: Triple = (0.0, 0.0, 0.0)
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             nonlocal before
             seconds = elapsed(at_ns)
             if not state:
@@ -293,7 +293,7 @@ class PipelineDelay(SensorMechanism):
         """Heat comes from the world as it is now: it does not go through the filter."""
         delay_ns, world = round(self.delay_s * 1e9), site.world
 
-        def felt(at_ns: int, stimulus: Stimulus) -> Stimulus:
+        def felt(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
             before = world(max(0, at_ns - delay_ns))
             if before is stimulus:
                 return stimulus

@@ -9,7 +9,7 @@ from typing import ClassVar
 from firmware_emulator.chip import Triple
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
 from firmware_emulator.mechanisms.site import Site, Stopwatch, plus
-from firmware_emulator.world import ROOM_DEGC, Stimulus
+from firmware_emulator.world import ROOM_DEGC, WorldStimulus
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class ThermistorBow(SensorMechanism):
         """Sign and share of each axis are the part's own."""
         direction, bow = site.direction("bow"), site.by_unit(self.bow_g_per_k2, self.bow_dps_per_k2)
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             return plus(value, direction, bow * (stimulus.temperature_degc - ROOM_DEGC) ** 2)
 
         site.chain.sensed.append(sensed)
@@ -51,7 +51,7 @@ class GainResistor(SensorMechanism):
     def put_on(self, site: Site) -> None:
         """Bias is amplified too."""
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             gain = math.exp(self.per_k * (stimulus.temperature_degc - ROOM_DEGC))
             return value[0] * gain, value[1] * gain, value[2] * gain
 
@@ -79,7 +79,7 @@ class BoardToDie(SensorMechanism):
         elapsed = Stopwatch()
         board = die = math.nan
 
-        def felt(at_ns: int, stimulus: Stimulus) -> Stimulus:
+        def felt(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
             nonlocal board, die
             seconds, degc = elapsed(at_ns), stimulus.temperature_degc
             if math.isnan(board):
@@ -141,7 +141,7 @@ class ThermalHysteresis(SensorMechanism):
         per_k = site.by_unit(self.size_g, self.size_dps) / width
         follower: float | None = None
 
-        def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+        def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             nonlocal follower
             degc = stimulus.temperature_degc
             follower = degc if follower is None else min(max(follower, degc - width), degc + width)

@@ -13,7 +13,7 @@ from firmware_emulator.element import stream
 from firmware_emulator.mechanisms.line import Codes, Latch
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism, SensorMechanism
 from firmware_emulator.mechanisms.site import WHILE_SET_UP_S, Site, plus
-from firmware_emulator.world import Stimulus
+from firmware_emulator.world import WorldStimulus
 
 if TYPE_CHECKING:
     from firmware_emulator.board import SensorLike
@@ -175,7 +175,7 @@ class MuxCrosstalk(Mechanism):
         def hear(site: Site) -> None:
             direction, kick = site.direction("kick"), site.by_unit(self.kick_g, self.kick_dps)
 
-            def sensed(at_ns: int, value: Triple, stimulus: Stimulus) -> Triple:
+            def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
                 since_ms = (at_ns - switched_ns) * 1e-6
                 return plus(value, direction, kick * math.exp(-since_ms / self.decay_ms)) if since_ms >= 0 else value
 

@@ -2,7 +2,10 @@
 
 from imuarray.acquire.detect import Detection, detect, explore
 from imuarray.acquire.record import record
-from imuarray.acquire.recording import RecordingOptions, Summary
+from imuarray.acquire.recording import RecordingCounts, RecordingOptions
 from imuarray.acquire.sensor_routes import SensorRoute, connect
 
-__all__ = ["Detection", "RecordingOptions", "SensorRoute", "Summary", "connect", "detect", "explore", "record"]
+Summary = RecordingCounts
+"""The former name of `RecordingCounts`."""
+
+__all__ = ["Detection", "RecordingCounts", "RecordingOptions", "SensorRoute", "connect", "detect", "explore", "record"]

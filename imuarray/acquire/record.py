@@ -20,7 +20,7 @@ import numpy as np
 from imuarray.acquire.bus_segment import REMOVED, AdapterState, BusSegment, ConfigurationReadback, Polling
 from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.fault_episode import FaultEpisodes, event_writer
-from imuarray.acquire.recording import RecordingOptions, Service, Summary
+from imuarray.acquire.recording import RecordingCounts, RecordingOptions, Service
 from imuarray.acquire.sample_buffer import Intake, SampleBuffer
 from imuarray.acquire.sensor_health import SensorHealth
 from imuarray.acquire.sensor_routes import SensorRoute, connect, there_and_back
@@ -62,7 +62,7 @@ class Poll:
         self.rate_hz = rate_hz = options.rate_hz
         self.epoch_ns = epoch_ns
         self.options = options
-        self.summary = Summary(lost={route.sensor.name: 0 for route in routes})
+        self.summary = RecordingCounts(lost={route.sensor.name: 0 for route in routes})
         self.buffers = {id(route): SampleBuffer(route, rate_hz) for route in routes}
         items = list(self.buffers.values())
         self.faults = FaultEpisodes(event_writer(log, epoch_ns, options.tell))
@@ -336,7 +336,7 @@ def record(
     path: str | PathLike[str],
     options: RecordingOptions | None = None,
     **changes: Any,
-) -> Summary:
+) -> RecordingCounts:
     """Record `array` on `bus` into a new log at `path`.
 
     `changes` are fields of `RecordingOptions` by keyword: they replace those of `options`, or stand alone

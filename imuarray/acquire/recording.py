@@ -98,7 +98,7 @@ def _watchdog_ns(environment: Mapping[str, str], process: int) -> int | None:
 
 
 @dataclass
-class Summary:
+class RecordingCounts:
     """Counts of what happened while a log was recorded."""
 
     frames: int = 0
@@ -154,7 +154,7 @@ class RecordingOptions:
     """Receives every block of a sensor's rows as it is written."""
     tell: Callable[[Event], None] = lambda event: None
     """Receives every event."""
-    counted: Callable[[Summary], None] = lambda summary: None
+    counted: Callable[[RecordingCounts], None] = lambda summary: None
     """Receives the summary so far, after every write."""
     begun: Callable[[str, Sequence[SensorHeader]], None] = lambda epoch, sensors: None
     """Receives the log's epoch and sensor headers before the log is created; an exception ends the recording."""

@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 
 from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.fault_episode import FaultEpisodes, event_writer
-from imuarray.acquire.recording import RecordingOptions, Summary
+from imuarray.acquire.recording import RecordingCounts, RecordingOptions
 from imuarray.acquire.sample_buffer import HELD_S, Intake
 from imuarray.acquire.sensor_routes import SensorRoute
 from imuarray.acquire.start_up import StartUpCheck
@@ -243,7 +243,7 @@ class Streaming:
             raise TypeError(f"{type(bus).__name__} can't stream")
         self._rate_hz = rate_hz = options.rate_hz
         self._bus, self._log, self._epoch_ns, self._options = bus, log, epoch_ns, options
-        self.summary = Summary(lost={route.sensor.name: 0 for route in routes})
+        self.summary = RecordingCounts(lost={route.sensor.name: 0 for route in routes})
         self._faults = FaultEpisodes(event_writer(log, epoch_ns, options.tell))
         self._intake = Intake(log, epoch_ns, options.observe, self._faults, self.summary.lost)
         self._plan = plan(routes, rate_hz)

@@ -298,9 +298,9 @@ class _Errors:
     """Errors of results against the log's truth; SI, JSON-ready. A context manager."""
 
     def __init__(self, log: Log) -> None:
-        from imuarray.fuse import Evaluation
+        from imuarray.fuse import ErrorEvaluation
 
-        self._evaluation = Evaluation(log)
+        self._evaluation = ErrorEvaluation(log)
 
     def add(self, together: Mapping[str, FusedBlock]) -> None:
         """The next block of each result, by technique."""

@@ -16,7 +16,7 @@ from imuarray.units import INERTIAL, READABLE_SI
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
-    from imuarray.fuse import Coasting, Comparison, FusionNotes, Score
+    from imuarray.fuse import Coasting, FusionNotes, Score, TechniqueComparison
     from imuarray.fuse.optimal import LearnedBias
     from imuarray.fuse.techniques.opposed import Reduction
     from imuarray.log import Log
@@ -145,7 +145,7 @@ def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[
     return evaluation_of(comparison)
 
 
-def evaluation_of(comparison: Comparison) -> dict[str, Any]:
+def evaluation_of(comparison: TechniqueComparison) -> dict[str, Any]:
     """Return the whole evaluation, JSON-ready, SI but for headings in degrees."""
     return {
         "scores": [_score(score) for score in comparison.scores],

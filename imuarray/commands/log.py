@@ -29,7 +29,7 @@ from imuarray.shipped import find_config
 from imuarray.spelling import guess
 
 if TYPE_CHECKING:
-    from imuarray.acquire import Summary
+    from imuarray.acquire import RecordingCounts
     from imuarray.array import ArrayConfig
     from imuarray.bus.protocol import OpenBus
     from imuarray.bus.transcript import RecordingBus
@@ -70,7 +70,7 @@ _NAMED = 3
 
 
 def print_summary(
-    summary: Summary, output: Path, start_up: list[str], fusion: LiveFusion | None, as_json: bool
+    summary: RecordingCounts, output: Path, start_up: list[str], fusion: LiveFusion | None, as_json: bool
 ) -> None:
     """Print what was recorded, as text or JSON; `start_up` holds the sentences on how sensors started."""
     lost = {name: count for name, count in summary.lost.items() if count}
@@ -115,7 +115,7 @@ def print_summary(
         click.echo(f"  {name}: {counted(count, 'reading')} lost (see events: imuarray info {first}{more})")
 
 
-def _why_missed(summary: Summary) -> str:
+def _why_missed(summary: RecordingCounts) -> str:
     """Return the cause of the missed frames: the bus, this machine, or both."""
     from imuarray.log.missed_frames import BUS_WAS_LATE
 

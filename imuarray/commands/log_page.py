@@ -24,7 +24,7 @@ from imuarray.errors import MissingExtraError
 from imuarray.printable import printable
 
 if TYPE_CHECKING:
-    from imuarray.acquire import Summary
+    from imuarray.acquire import RecordingCounts
     from imuarray.log.format import Event
 
 _PAUSE_S = 0.5
@@ -52,7 +52,7 @@ class LogScreen:
         """A line about something else than the log."""
         self._write(f"{self._clear()}imuarray: {printable(text)}\n{self._line}")
 
-    def counted(self, summary: Summary) -> None:
+    def counted(self, summary: RecordingCounts) -> None:
         """Show the progress now and then in a line that is written over; only on a terminal."""
         now_s = time.monotonic()
         if not self._terminal or now_s - self._counted_s < _PAUSE_S:

@@ -12,7 +12,7 @@ from imuarray.errors import LogError
 from imuarray.printable import counted
 
 if TYPE_CHECKING:
-    from imuarray.log.reader import Verification
+    from imuarray.log.reader import LogVerification
 
 
 @click.command("verify")
@@ -42,7 +42,7 @@ def command(run: Path, as_json: bool) -> None:
         raise LogError(f"{run}: {verdict.problems[0]}{more}")
 
 
-def _print(run: Path, verdict: Verification) -> None:
+def _print(run: Path, verdict: LogVerification) -> None:
     """Print every finding, then the sum."""
     for text in (*verdict.problems, *verdict.remarks):
         click.echo(f"  {text}")

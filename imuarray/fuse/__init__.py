@@ -14,7 +14,7 @@ from imuarray.callable_package import make_callable, public_name
 
 if TYPE_CHECKING:
     from imuarray.fuse.coasting import Coasting, Errors, coasting
-    from imuarray.fuse.compare import Comparison, Consistency, Score, compare, consistency, technique_names
+    from imuarray.fuse.compare import Consistency, Score, TechniqueComparison, compare, consistency, technique_names
     from imuarray.fuse.element_temperature import (
         causal_temperatures,
         element_temperatures,
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     )
     from imuarray.fuse.evaluation import (
         Error,
+        ErrorEvaluation,
         ErrorFrames,
-        Evaluation,
         Gain,
         QuietNoise,
         Ratio,
@@ -64,12 +64,12 @@ if TYPE_CHECKING:
 
 _PUBLIC = {
     "coasting": "Coasting Errors coasting",
-    "compare": "Comparison Consistency Score compare consistency technique_names",
+    "compare": "TechniqueComparison Consistency Score compare consistency technique_names",
     "element_temperature": (
         "causal_temperatures element_temperatures mismatch_sentences slopes_of temperature_mismatch with_mismatch"
     ),
     "evaluation": (
-        "Error ErrorFrames Evaluation Gain QuietNoise Ratio error_frames error_of errors_of evaluate gains "
+        "Error ErrorFrames ErrorEvaluation Gain QuietNoise Ratio error_frames error_of errors_of evaluate gains "
         "quiet_noise ratio_of"
     ),
     "faults": "FaultEvent",
@@ -82,6 +82,8 @@ _PUBLIC = {
     "techniques": "TECHNIQUES changes",
 }
 
+_FORMER_NAMES = {"Comparison": "TechniqueComparison", "Evaluation": "ErrorEvaluation"}
+
 __all__ = [
     "NAMES",
     "NEEDS_NOISE",
@@ -89,14 +91,13 @@ __all__ = [
     "TECHNIQUES",
     "Axis",
     "Coasting",
-    "Comparison",
     "ComparisonPipeline",
     "Consistency",
     "Error",
+    "ErrorEvaluation",
     "ErrorFrames",
     "Errors",
     "Estimate",
-    "Evaluation",
     "FaultEvent",
     "Frames",
     "FusedBlock",
@@ -112,6 +113,7 @@ __all__ = [
     "QuietNoise",
     "Ratio",
     "Score",
+    "TechniqueComparison",
     "Watch",
     "aligned",
     "axes_of",
@@ -145,8 +147,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name on first use."""
-    return public_name(__name__, _PUBLIC, name)
+    """Import a public name, or a former one, on first use."""
+    return public_name(__name__, _PUBLIC, _FORMER_NAMES.get(name, name))
 
 
 make_callable(__name__, __all__)

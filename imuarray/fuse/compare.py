@@ -205,7 +205,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class TechniqueComparison:
     """The scores of all techniques, and their errors of heading and velocity (empty unless both quantities are
     fused).
     """
@@ -227,7 +227,7 @@ def compare(
     only: Collection[str] = (),
     progress: Progress = lambda share: None,
     executor: Executor | None = None,
-) -> Comparison:
+) -> TechniqueComparison:
     """Fuse `log` by `techniques` (empty: all) and compare their errors, with `only` these sensors (empty: all).
 
     `progress` is called with the share of the work that is done. Processes of the `executor` run the estimators of the
@@ -258,7 +258,7 @@ def compare(
             scores += [_score(technique, quantity, average[quantity], frames) for quantity, frames in result.items()]
             if len(result) == 2:
                 coasts[technique] = coasting(both(result))
-    return Comparison(tuple(scores), coasts)
+    return TechniqueComparison(tuple(scores), coasts)
 
 
 class _OtherProcess:

@@ -61,13 +61,13 @@ def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = (
     >>> errors["specific_force"].rms.shape  # along x, y and z of the box
     (3,)
     """
-    with Evaluation(log, phases) as evaluation:
+    with ErrorEvaluation(log, phases) as evaluation:
         for block in blocks:
             evaluation.add({"": block})
         return evaluation.errors().get("", {})
 
 
-class Evaluation:
+class ErrorEvaluation:
     """Errors of several results with respect to `/truth` (or `/reference`), block by block, stored on disk. A context
     manager.
     """

@@ -395,7 +395,7 @@ def _text(value: Any) -> str:
 _ROWS = 1 << 16
 
 
-class Verification(NamedTuple):
+class LogVerification(NamedTuple):
     """The result of a verification: `problems` are rows that can't be read or can't be right, `remarks` are defects
     that a reader corrects.
     """
@@ -406,7 +406,7 @@ class Verification(NamedTuple):
     remarks: tuple[str, ...]
 
 
-def verify(path: Path, progress: Callable[[int], None] = lambda rows: None) -> Verification:
+def verify(path: Path, progress: Callable[[int], None] = lambda rows: None) -> LogVerification:
     """Read all of the log at `path`; `progress` gets the number of rows read. LogError if it can't be opened."""
     with Log(path, thorough=True) as log:
         problems = list(log.losses)
@@ -424,7 +424,7 @@ def verify(path: Path, progress: Callable[[int], None] = lambda rows: None) -> V
             except LogError as error:
                 problems.append(str(error))
         rows = {name: len(sensor) for name, sensor in log.sensors.items()}
-        return Verification(log.state, rows, tuple(problems), tuple(_remarks(log)))
+        return LogVerification(log.state, rows, tuple(problems), tuple(_remarks(log)))
 
 
 def _sensor(sensor: SensorLog) -> Iterator[tuple[int, list[str]]]:

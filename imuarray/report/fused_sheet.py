@@ -16,7 +16,16 @@ from imuarray.arrays import Floats, Indices
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.noise import with_noise_of
 from imuarray.errors import ImuArrayError
-from imuarray.fuse import Comparison, FusedBlock, FusedHead, Score, compare, quiet_noise, read_fused, read_fused_events
+from imuarray.fuse import (
+    FusedBlock,
+    FusedHead,
+    Score,
+    TechniqueComparison,
+    compare,
+    quiet_noise,
+    read_fused,
+    read_fused_events,
+)
 from imuarray.log import Log
 from imuarray.report.figures import course_figure, ratio_figure
 from imuarray.report.page import Figure, Section, Table, Verdict
@@ -215,7 +224,7 @@ def _ratio(score: Score) -> tuple[float, float]:
     return ratio.ratio, wide if np.isfinite(wide) else 0.0
 
 
-def _table(comparison: Comparison) -> Table:
+def _table(comparison: TechniqueComparison) -> Table:
     rows = []
     for score in comparison.scores:
         factor, unit = READABLE_SI[score.quantity]
@@ -233,7 +242,7 @@ def _table(comparison: Comparison) -> Table:
     return Table(heading, rows, caption, (1,))
 
 
-def _coasting(comparison: Comparison) -> list[Table]:
+def _coasting(comparison: TechniqueComparison) -> list[Table]:
     rows = [
         [name, f"{coast.heading_rms_deg:.3f}", f"{coast.velocity_rms_mps:.3f}", str(len(coast.begins_s))]
         for name, coast in comparison.coasting.items()

@@ -30,7 +30,7 @@ from imuarray.gap.findings.text import (
     scored,
     share,
 )
-from imuarray.gap.model.use import Figure, Use
+from imuarray.gap.model.use import IntervalEstimate, Use
 from imuarray.report.gap_figures import outside
 from imuarray.report.page import Table
 
@@ -334,11 +334,11 @@ def _differs(cause: Cause) -> bool:
     return any(item != several[0] for item in several)
 
 
-def _interval(figure: Figure) -> str:
+def _interval(figure: IntervalEstimate) -> str:
     return f"{number(figure.value)} ({number(figure.low)} to {number(figure.high)})"
 
 
-def _against(simulated: Figure, real: Figure) -> str:
+def _against(simulated: IntervalEstimate, real: IntervalEstimate) -> str:
     text = _interval(simulated)
     return marked(text) if simulated.low > real.high or simulated.high < real.low else text
 

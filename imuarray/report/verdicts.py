@@ -12,7 +12,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.fuse import Comparison, FusedHead, Score
+from imuarray.fuse import FusedHead, Score, TechniqueComparison
 from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log
 from imuarray.log.health import Observations, health_of, is_trouble
@@ -186,7 +186,7 @@ def fused_verdict(
     return Verdict(f"{path.name}, fused by {head.technique}, {quiet}{honest}.", level, tuple(figures[:_FIGURES]))
 
 
-def techniques_verdict(log: Log, comparison: Comparison) -> Verdict | None:
+def techniques_verdict(log: Log, comparison: TechniqueComparison) -> Verdict | None:
     """Return what fusion gains over the simple average of the same sensors; None if there is nothing to compare."""
     scores = [score for score in comparison.scores if score.technique != "mean"]
     if not scores:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from imuarray.acquire import connect
-from imuarray.acquire.recording import RecordingOptions, Summary
+from imuarray.acquire.recording import RecordingCounts, RecordingOptions
 from imuarray.acquire.stream import Streaming, streams
 from imuarray.array import ArrayConfig
 from imuarray.log import open_log
@@ -31,7 +31,7 @@ def stream(
     seconds: float | None = 3.0,
     at: Mapping[float, Callable[[], Any]] | None = None,
     **further: Any,
-) -> tuple[Summary, int]:
+) -> tuple[RecordingCounts, int]:
     """Record, doing things at times (s of the recording) on the way; the summary, and when it started."""
     todo = sorted((at or {}).items())
     with bench.bus() as bus:

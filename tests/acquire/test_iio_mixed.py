@@ -14,7 +14,7 @@ import pytest
 
 from firmware_emulator.array import EmulatedBus, open_array
 from firmware_emulator.clock import VirtualClock
-from firmware_emulator.world import Still, Tumble
+from firmware_emulator.world import StillWorld, TumbleWorld
 from imuarray import load_calibration
 from imuarray.acquire import record
 from imuarray.array import ArrayConfig, parse_array
@@ -113,7 +113,7 @@ def play(device: KernelDevice, array: ArrayConfig, wired: EmulatedBus, clock: Ti
     clock.ticked = ticked
 
 
-def log_of(folder: Path, name: str, world: Still | Tumble, seconds: float) -> Path:
+def log_of(folder: Path, name: str, world: StillWorld | TumbleWorld, seconds: float) -> Path:
     """A log of the array in a world."""
     array, clock, path = parse_array(TEXT), TickedClock(), folder / f"{name}.h5"
     (folder / name).mkdir()
@@ -122,7 +122,7 @@ def log_of(folder: Path, name: str, world: Still | Tumble, seconds: float) -> Pa
     parts = TEXT.split("[[sensor]]")
     wired_text = "[[sensor]]".join(part for part in parts if "kx023" not in part).replace('bus = "iio:"', "")
     wired = open_array(parse_array(wired_text), clock=clock, world=world, seed=3)
-    phases = [Phase(*phase) for phase in wired.phases] if isinstance(world, Tumble) else []
+    phases = [Phase(*phase) for phase in wired.phases] if isinstance(world, TumbleWorld) else []
     play(device, array, wired, clock)
     up = "" if phases else "+Z"
     with MixedBus(machine.root, wired) as bus:
@@ -133,8 +133,8 @@ def log_of(folder: Path, name: str, world: Still | Tumble, seconds: float) -> Pa
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("mixed")
-    log_of(place, "still", Still(), 40.0)
-    log_of(place, "tumble", Tumble(face_s=5.0), 46.0)
+    log_of(place, "still", StillWorld(), 40.0)
+    log_of(place, "tumble", TumbleWorld(face_s=5.0), 46.0)
     return place
 
 

@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 import pytest
 
-from imuarray.acquire import Summary
+from imuarray.acquire import RecordingCounts
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import nominal
 from imuarray.cli import main
@@ -354,7 +354,7 @@ def test_a_terminal_shows_it(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
     screen = LogScreen("r.h5", 50, None, lambda: "0.0 0.0 1000.0 mg")
-    screen.counted(Summary(frames=50))
+    screen.counted(RecordingCounts(frames=50))
     screen.remark("G2: silent, fused without it")
     line = "r.h5: 50 frames, 1 s, 0 readings lost; 0.0 0.0 1000.0 mg"
     assert terminal.getvalue().split("\r\x1b[K")[1:] == [line, f"imuarray: G2: silent, fused without it\n{line}"]

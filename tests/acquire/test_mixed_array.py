@@ -13,7 +13,7 @@ import pytest
 
 import imuarray
 from firmware_emulator.units import unit_of
-from firmware_emulator.world import Still
+from firmware_emulator.world import StillWorld
 from imuarray.array import parse_array
 from imuarray.cli import main
 from imuarray.fuse import read_fused, read_fused_head
@@ -92,7 +92,7 @@ def test_magnetometers_tell_one_field(folder: Path) -> None:
     that of the box; six sigma of the mean of 1000 readings and a count.
     """
     array = parse_array(TEXT)
-    true = np.array(Still()(0).field_box)
+    true = np.array(StillWorld()(0).field_box)
     with open_log(folder / "still.h5") as log:
         for name, noise in (("LIS1", 4.1e-3), ("MMC1", 0.4e-3), ("AK1", 3e-3)):
             sensor, attributes = log[name], log[name].attributes

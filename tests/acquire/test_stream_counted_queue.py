@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from imuarray.acquire import connect
-from imuarray.acquire.recording import Summary
+from imuarray.acquire.recording import RecordingCounts
 from imuarray.acquire.stream import streams
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.log import open_log
@@ -49,7 +49,9 @@ def bench_of(array: ArrayConfig, die: str, **firmware: Any) -> Bench:
     return bench
 
 
-def check(die: str, path: Path, start_ns: int, summary: Summary, *, sensors: tuple[str, ...] = ("acc", "gyro")) -> int:
+def check(
+    die: str, path: Path, start_ns: int, summary: RecordingCounts, *, sensors: tuple[str, ...] = ("acc", "gyro")
+) -> int:
     """Each good row was sampled at its time, in order, once; gaps are flagged and counted. Returns the gaps."""
     period_ns = 1e9 / DIES[die][1] / (1 + DIES[die][2])
     gaps = 0

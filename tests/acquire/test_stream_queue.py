@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imuarray.acquire.recording import Summary
+from imuarray.acquire.recording import RecordingCounts
 from imuarray.acquire.sensor_routes import routes_of
 from imuarray.acquire.stream_plan import plan
 from imuarray.array import ArrayConfig, parse_array
@@ -91,7 +91,7 @@ def packets(bench: Bench, chip: int, size: int = PACKET) -> tuple[np.ndarray, np
 
 
 def check(
-    bench: Bench, array: ArrayConfig, path: Path, start_ns: int, summary: Summary, settled_s: float = 1.5
+    bench: Bench, array: ArrayConfig, path: Path, start_ns: int, summary: RecordingCounts, settled_s: float = 1.5
 ) -> None:
     """Each row is a packet of the wire at its true time, in order, once; gaps are flagged, and the sum is right."""
     for sensor in array.sensors:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from imuarray.acquire.recording import Summary
+from imuarray.acquire.recording import RecordingCounts
 from imuarray.array import ArrayConfig
 from imuarray.log import open_log
 from tests.acquire.streams import LOST, MS, SUSPECT, events, logged, on_the_wire, stream
@@ -71,7 +71,7 @@ def previous_boot(array: ArrayConfig, path: Path, counter_us: int) -> Tape:
 
 def injected(
     array: ArrayConfig, path: Path, seed: int, inject: Inject, chance: float = 0.05, counter_us: int = 70_000_000
-) -> tuple[Bench, Summary, int, int]:
+) -> tuple[Bench, RecordingCounts, int, int]:
     """A recording with injections before every twentieth frame or so; how many whole frames were injected."""
     bench, tape, draw = Bench(array, WORLD, counter_us=counter_us, drift=-1e-3), Tape(), np.random.default_rng(seed)
     count = 0

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_emulator.chips.bmp180 import Bmp180 as Chip
+from firmware_emulator.chips.bmp180 import Bmp180Chip as Chip
 from imuarray.array import SensorConfig
 from imuarray.barometer import compensate
 from imuarray.drivers.bmp180 import Bmp180, calibration_words

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_emulator.chips.adxl345 import Adxl345
-from firmware_emulator.chips.bma180 import Bma180
-from firmware_emulator.chips.hmc5883 import Hmc5883, Hmc5883l
-from firmware_emulator.chips.l3g4200d import L3g4200d
+from firmware_emulator.chips.adxl345 import Adxl345Chip
+from firmware_emulator.chips.bma180 import Bma180Chip
+from firmware_emulator.chips.hmc5883 import Hmc5883Chip, Hmc5883lChip
+from firmware_emulator.chips.l3g4200d import L3g4200dChip
 from imuarray.array import SensorConfig
 from imuarray.errors import SensorError
 from imuarray.log.format import OVERRUN
@@ -38,7 +38,7 @@ class TestAdxl345:
     @pytest.mark.parametrize(("range_", "code"), [(2, 0), (4, 1), (8, 2), (16, 3)])
     @pytest.mark.parametrize("dirty", [(), DIRTY])
     def test_from_any_state(self, bench: Build, range_: int, code: int, dirty: Any) -> None:
-        made = bench(Adxl345, sensor("adxl345", 0x53, range_, rate_hz=400.0), (1.0, -0.5, 0.25))
+        made = bench(Adxl345Chip, sensor("adxl345", 0x53, range_, rate_hz=400.0), (1.0, -0.5, 0.25))
         made.write(*dirty)
         made.wait(0.1)
         made.driver.identify()
@@ -58,19 +58,19 @@ class TestAdxl345:
         [(0.09765625, 0), (12.5, 7), (25.0, 8), (100.0, 10), (800.0, 13), (1600.0, 14), (3200.0, 15)],
     )
     def test_rate_codes(self, bench: Build, rate_hz: float, code: int) -> None:
-        made = bench(Adxl345, sensor("adxl345", 0x1D, 2, rate_hz=rate_hz))
+        made = bench(Adxl345Chip, sensor("adxl345", 0x1D, 2, rate_hz=rate_hz))
         made.driver.configure()
         assert made.register(0x2C) == code  # ADX-32 ... ADX-35
 
     def test_settings_are_made_in_standby(self, bench: Build) -> None:
-        made = bench(Adxl345, sensor("adxl345", 0x53, 16))
+        made = bench(Adxl345Chip, sensor("adxl345", 0x53, 16))
         made.driver.configure()
         writes = made.tap.writes
         assert writes[0] == b"\x2d\x00"  # ADX-38
         assert writes[-1] == b"\x2d\x08"
 
     def test_a_second_look_within_a_period_is_stale(self, bench: Build) -> None:
-        made = bench(Adxl345, sensor("adxl345", 0x53, 16, rate_hz=100.0))
+        made = bench(Adxl345Chip, sensor("adxl345", 0x53, 16, rate_hz=100.0))
         made.driver.configure()
         first, second = made.read(), made.read()
         made.wait(0.010)
@@ -79,7 +79,7 @@ class TestAdxl345:
 
     @pytest.mark.parametrize("register", [0x2D, 0x2C, 0x31, 0x38, 0x2E, 0x1E, 0x1F, 0x20])
     def test_a_register_that_keeps_nothing_is_noticed(self, bench: Build, register: int) -> None:
-        made = bench(Adxl345, sensor("adxl345", 0x53, 16, rate_hz=400.0))
+        made = bench(Adxl345Chip, sensor("adxl345", 0x53, 16, rate_hz=400.0))
         made.write(*self.DIRTY)
         made.tap.drops = register.__eq__
         with pytest.raises(
@@ -88,7 +88,7 @@ class TestAdxl345:
             made.driver.configure()
 
     def test_never_touches_reserved_registers(self, bench: Build) -> None:
-        made = bench(Adxl345, sensor("adxl345", 0x53, 16))
+        made = bench(Adxl345Chip, sensor("adxl345", 0x53, 16))
         made.driver.identify()
         made.driver.configure()
         made.driver.fetch()
@@ -120,7 +120,7 @@ class TestBma180:
     )
     @pytest.mark.parametrize("dirty", [False, True])
     def test_from_any_state(self, bench: Build, range_: float, code: int, lsb_per_g: int, dirty: bool) -> None:
-        made = bench(Bma180, sensor("bma180", 0x40, range_, bandwidth_hz=40.0), (0.5, -0.25, 0.75))
+        made = bench(Bma180Chip, sensor("bma180", 0x40, range_, bandwidth_hz=40.0), (0.5, -0.25, 0.75))
         if dirty:  # unlocked, 3 g, 1200 Hz, low power, shadow off, asleep
             made.write((0x0D, 0x10), (0x35, 0x06), (0x20, 0x78), (0x30, 0x83), (0x33, 0x81), (0x0D, 0x12))
         made.driver.identify()
@@ -139,12 +139,12 @@ class TestBma180:
         [(10, 0), (20, 1), (40, 2), (75, 3), (150, 4), (300, 5), (600, 6), (1200, 7)],
     )
     def test_bandwidth_codes(self, bench: Build, bandwidth_hz: float, code: int) -> None:
-        made = bench(Bma180, sensor("bma180", 0x41, 2, bandwidth_hz=float(bandwidth_hz)))
+        made = bench(Bma180Chip, sensor("bma180", 0x41, 2, bandwidth_hz=float(bandwidth_hz)))
         made.driver.configure()
         assert made.register(0x20) >> 4 == code
 
     def test_trim_bits_survive(self, bench: Build) -> None:
-        made = bench(Bma180, sensor("bma180", 0x40, 16, bandwidth_hz=150.0), eeprom=OWN_TRIMS)
+        made = bench(Bma180Chip, sensor("bma180", 0x40, 16, bandwidth_hz=150.0), eeprom=OWN_TRIMS)
         before = {register: made.register(register) for register in range(0x20, 0x3C)}
         assert {register: before[register] for register in OWN_TRIMS} == OWN_TRIMS
         made.driver.configure()
@@ -155,12 +155,14 @@ class TestBma180:
         assert made.register(0x20) >> 4 == 4
 
     def test_a_12_bit_read_out_is_switched_off(self, bench: Build) -> None:
-        made = bench(Bma180, sensor("bma180", 0x40, 2), (1 / 4096, 2 / 4096, 3 / 4096), eeprom={0x37: 0xB1})  # BMA-61
+        made = bench(
+            Bma180Chip, sensor("bma180", 0x40, 2), (1 / 4096, 2 / 4096, 3 / 4096), eeprom={0x37: 0xB1}
+        )  # BMA-61
         made.driver.configure()
         np.testing.assert_array_equal(made.read().counts, [[1, 2, 3]])
 
     def test_never_writes_to_the_eeprom(self, bench: Build) -> None:
-        made = bench(Bma180, sensor("bma180", 0x40, 16))
+        made = bench(Bma180Chip, sensor("bma180", 0x40, 16))
         for _ in range(3):
             made.driver.identify()
             made.driver.configure()
@@ -172,7 +174,7 @@ class TestBma180:
 
     def test_nothing_is_said_during_the_download(self, bench: Build) -> None:
         """Writes are undone if they come within 10 ms of the reset (BMA-53): 20 ms of silence."""
-        made = bench(Bma180, sensor("bma180", 0x40, 16))
+        made = bench(Bma180Chip, sensor("bma180", 0x40, 16))
         times: list[tuple[int, bytes]] = []
         inner = made.tap.bus.transfer
         made.tap.bus.transfer = lambda address, write=b"", read=0: (
@@ -185,7 +187,7 @@ class TestBma180:
 
     @pytest.mark.parametrize("vanish", [False, True])
     def test_a_slow_download_is_noticed(self, bench: Build, vanish: bool) -> None:
-        made = bench(Bma180, sensor("bma180", 0x40, 16), download_ns=60_000_000, early_writes_vanish=vanish)
+        made = bench(Bma180Chip, sensor("bma180", 0x40, 16), download_ns=60_000_000, early_writes_vanish=vanish)
         made.clock.sleep_until(2_000_000_000)
         if vanish:
             with pytest.raises(SensorError, match=r"S \(bma180\) at trunk address 0x40: register 0x35 reads"):
@@ -195,7 +197,7 @@ class TestBma180:
 
     @pytest.mark.parametrize("register", [0x0D, 0x20, 0x30, 0x33, 0x35])
     def test_a_register_that_keeps_nothing_is_noticed(self, bench: Build, register: int) -> None:
-        made = bench(Bma180, sensor("bma180", 0x40, 16, bandwidth_hz=150.0), eeprom=OWN_TRIMS)
+        made = bench(Bma180Chip, sensor("bma180", 0x40, 16, bandwidth_hz=150.0), eeprom=OWN_TRIMS)
         made.tap.drops = register.__eq__
         with pytest.raises(
             SensorError, match=r"S \(bma180\) at trunk address 0x40: register 0x.. reads .* refuses its configuration"
@@ -203,7 +205,7 @@ class TestBma180:
             made.driver.configure()
 
     def test_a_burst_of_two_looks_within_an_update_is_stale(self, bench: Build) -> None:
-        made = bench(Bma180, sensor("bma180", 0x40, 2, bandwidth_hz=1200.0))
+        made = bench(Bma180Chip, sensor("bma180", 0x40, 2, bandwidth_hz=1200.0))
         made.driver.configure()
         assert made.read().status[0] == 0
         states = [made.read().status[0] for _ in range(20)]  # a burst takes 229 us, an update 417 us: BUS-07, BMA-93
@@ -226,7 +228,9 @@ class TestL3g4200d:
     )
     @pytest.mark.parametrize("dirty", [(), DIRTY])
     def test_from_any_state(self, bench: Build, range_: int, bits: int, dps_per_digit: float, dirty: Any) -> None:
-        made = bench(L3g4200d, sensor("l3g4200d", 0x69, range_, rate_hz=400.0, bandwidth_hz=50.0), (70.0, -35.0, 14.0))
+        made = bench(
+            L3g4200dChip, sensor("l3g4200d", 0x69, range_, rate_hz=400.0, bandwidth_hz=50.0), (70.0, -35.0, 14.0)
+        )
         made.write(*dirty)
         made.wait(0.5)
         made.driver.identify()
@@ -255,7 +259,9 @@ class TestL3g4200d:
         ],  # L3G-30 ...
     )
     def test_rate_and_bandwidth_codes(self, bench: Build, rate_hz: float, bandwidth_hz: float, top: int) -> None:
-        made = bench(L3g4200d, sensor("l3g4200d", 0x68, 250, rate_hz=float(rate_hz), bandwidth_hz=float(bandwidth_hz)))
+        made = bench(
+            L3g4200dChip, sensor("l3g4200d", 0x68, 250, rate_hz=float(rate_hz), bandwidth_hz=float(bandwidth_hz))
+        )
         made.driver.configure()
         assert made.register(0x20) == top | 0x0F
 
@@ -263,20 +269,20 @@ class TestL3g4200d:
     def test_without_a_bandwidth_the_chip_gets_the_one_that_the_log_names(self, bench: Build, rate_hz: int) -> None:
         table = {100: (12.5, 25, 25, 25), 200: (12.5, 25, 50, 70), 400: (20, 25, 50, 110), 800: (30, 35, 50, 110)}
         config = sensor("l3g4200d", 0x68, 250, rate_hz=float(rate_hz))
-        made = bench(L3g4200d, config)
+        made = bench(L3g4200dChip, config)
         made.driver.configure()
         assert table[rate_hz][made.register(0x20) >> 4 & 0b11] == config.chip_bandwidth_hz
 
     @pytest.mark.parametrize("register", [0x20, 0x21, 0x22, 0x23, 0x24, 0x2E])
     def test_a_register_that_keeps_nothing_is_noticed(self, bench: Build, register: int) -> None:
-        made = bench(L3g4200d, sensor("l3g4200d", 0x68, 250, rate_hz=400.0))
+        made = bench(L3g4200dChip, sensor("l3g4200d", 0x68, 250, rate_hz=400.0))
         made.write(*self.DIRTY)
         made.tap.drops = register.__eq__
         with pytest.raises(SensorError, match=rf"S \(l3g4200d\) at trunk address 0x68: register {register:#04x} reads"):
             made.driver.configure()
 
     def test_never_touches_reserved_registers(self, bench: Build) -> None:
-        made = bench(L3g4200d, sensor("l3g4200d", 0x68, 250))
+        made = bench(L3g4200dChip, sensor("l3g4200d", 0x68, 250))
         made.driver.identify()
         made.driver.configure()
         made.driver.fetch()
@@ -284,7 +290,7 @@ class TestL3g4200d:
         assert made.tap.seen[-1] == (0x68, b"\xa6", 8)  # with the bit that counts on: L3G-03
 
     def test_a_second_look_within_a_period_is_stale(self, bench: Build) -> None:
-        made = bench(L3g4200d, sensor("l3g4200d", 0x68, 250, rate_hz=100.0))
+        made = bench(L3g4200dChip, sensor("l3g4200d", 0x68, 250, rate_hz=100.0))
         made.driver.configure()
         made.wait(0.5)
         assert [made.read().status[0] for _ in range(2)] == [OVERRUN, 1]  # half a second of samples passed unread
@@ -293,12 +299,12 @@ class TestL3g4200d:
 @pytest.mark.parametrize(
     ("chip", "emulated", "range_", "gain", "lsb_per_gauss"),
     [
-        ("hmc5883l", Hmc5883l, 0.88, 0x00, 1370),  # HMC-20 ... HMC-27
-        ("hmc5883l", Hmc5883l, 1.3, 0x20, 1090),
-        ("hmc5883l", Hmc5883l, 8.1, 0xE0, 230),
-        ("hmc5883", Hmc5883, 0.9, 0x00, 1280),
-        ("hmc5883", Hmc5883, 1.2, 0x20, 1024),
-        ("hmc5883", Hmc5883, 4.6, 0xA0, 361),
+        ("hmc5883l", Hmc5883lChip, 0.88, 0x00, 1370),  # HMC-20 ... HMC-27
+        ("hmc5883l", Hmc5883lChip, 1.3, 0x20, 1090),
+        ("hmc5883l", Hmc5883lChip, 8.1, 0xE0, 230),
+        ("hmc5883", Hmc5883Chip, 0.9, 0x00, 1280),
+        ("hmc5883", Hmc5883Chip, 1.2, 0x20, 1024),
+        ("hmc5883", Hmc5883Chip, 4.6, 0xA0, 361),
     ],
 )
 class TestHmc5883:
@@ -347,7 +353,7 @@ class TestHmc5883:
             made.driver.configure()
 
 
-@pytest.mark.parametrize(("chip", "emulated"), [("hmc5883", Hmc5883), ("hmc5883l", Hmc5883l)])
+@pytest.mark.parametrize(("chip", "emulated"), [("hmc5883", Hmc5883Chip), ("hmc5883l", Hmc5883lChip)])
 def test_an_hmc5883_that_stays_idle_is_noticed(bench: Build, chip: str, emulated: Any) -> None:
     made = bench(emulated, sensor(chip, 0x1E, 1.9, rate_hz=75.0))
     made.write((0x02, 0x03))
@@ -359,10 +365,10 @@ def test_an_hmc5883_that_stays_idle_is_noticed(bench: Build, chip: str, emulated
 @pytest.mark.parametrize(
     ("chip", "emulated", "range_", "address"),
     [
-        ("adxl345", Adxl345, 2, 0x53),
-        ("bma180", Bma180, 2, 0x40),
-        ("l3g4200d", L3g4200d, 250, 0x68),
-        ("hmc5883", Hmc5883, 1.2, 0x1E),
+        ("adxl345", Adxl345Chip, 2, 0x53),
+        ("bma180", Bma180Chip, 2, 0x40),
+        ("l3g4200d", L3g4200dChip, 250, 0x68),
+        ("hmc5883", Hmc5883Chip, 1.2, 0x1E),
     ],
 )
 class TestIdentity:

@@ -12,7 +12,7 @@ import pytest
 from firmware_emulator.array import open_array
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.units import unit_of
-from firmware_emulator.world import Still
+from firmware_emulator.world import StillWorld
 from imuarray.acquire.detect import explore, propose, tell_apart
 from imuarray.acquire.record import record
 from imuarray.acquire.sensor_routes import connect
@@ -271,7 +271,7 @@ def test_the_driver_opens_the_bypass_and_the_axes_are_the_boxs(behind: ArrayConf
         header = magnetometer.header()
         assert header == {"asa_x": 190, "asa_y": 140, "asa_z": 100}
         field = counts * (np.array(list(header.values())) + 128) / 256 / behind["Mag"].sensitivity
-        true = np.array(Still()(0).field_box)
+        true = np.array(StillWorld()(0).field_box)
         unit = unit_of("a", "Mag", "ak8963", 49.12)  # this part's zero and scale
         felt = np.array(unit.response) @ (np.array(behind["Mag"].orientation).T @ true) + unit.bias
         assert field == pytest.approx(felt, abs=4.4 * 3e-3 / 5)
@@ -320,7 +320,7 @@ def test_the_magnetometer_of_an_mpu9150_is_read_behind_its_bypass() -> None:
         field = counts * factors / array["Mag"].sensitivity
         unit = unit_of("a", "Mag", "ak8975", 12.29)
         felt = (
-            np.array(unit.response) @ (np.array(array["Mag"].orientation).T @ np.array(Still()(0).field_box))
+            np.array(unit.response) @ (np.array(array["Mag"].orientation).T @ np.array(StillWorld()(0).field_box))
             + unit.bias
         )
         assert field == pytest.approx(felt, abs=4.4 * 3e-3 / 5 + 0.5 / array["Mag"].sensitivity)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from firmware_emulator.array import open_array
-from firmware_emulator.world import Shaking, Still
+from firmware_emulator.world import Shaking, StillWorld
 from imuarray.array import parse_array
 from imuarray.drivers import DRIVERS
 
@@ -78,7 +78,7 @@ class Slow:
 
 def outcome(chip: str, delays: Iterator[tuple[float, float]], *, dead: bool = False, world: Any = None) -> Any:
     array = parse_array(f'[array]\nname = "a"\n[[sensor]]\nname = "S"\nchip = "{chip}"\n{SENSORS[chip]}')
-    with open_array(array, world=world or Still()) as bus:
+    with open_array(array, world=world or StillWorld()) as bus:
         bus.clock.sleep_until(20_000 * MS)
         slow = Slow(bus, delays, DEAD_WITHOUT[chip] if dead else None)
         driver = DRIVERS[chip](slow, array.sensors[0], bus.clock)

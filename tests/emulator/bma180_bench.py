@@ -1,6 +1,6 @@
 """A bench for one emulated BMA180: a sensing element that remembers, and reads and writes at chosen times."""
 
-from firmware_emulator.chips.bma180 import Bma180
+from firmware_emulator.chips.bma180 import Bma180Chip
 
 MS = 1_000_000
 BYTE_NS = 22_500  # 9 clocks at 400 kHz
@@ -46,6 +46,6 @@ def codes(chip, at=LATER):
 
 
 def unlocked(box=None, **switches):
-    chip = Bma180(0x40, box or Box(), **switches)
+    chip = Bma180Chip(0x40, box or Box(), **switches)
     poke(chip, 0x0D, 0x10, at=20 * MS)
     return chip

@@ -26,9 +26,9 @@ from firmware_emulator.array import open_array
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.clock import VirtualClock
 from firmware_emulator.device_file import Adapter, device_files
-from firmware_emulator.element import IDENTITY, SensingElement, Unit
+from firmware_emulator.element import IDENTITY, SensingElement, UnitDeviations
 from firmware_emulator.wire import Wire
-from firmware_emulator.world import Still
+from firmware_emulator.world import StillWorld
 from imuarray.array import load_array
 
 PATH = "/dev/i2c-1"
@@ -58,7 +58,7 @@ class Tape:
 def adxl345(nack_errno: int = 121) -> Wire:
     """One perfect accelerometer on a wire: DEVID 0xE5 (ADX-10), BW_RATE 0x0A after power-on (ADX-30)."""
     wire = Wire(VirtualClock(), nack_errno=nack_errno)
-    wire.connect(CHIPS["adxl345"](0x53, SensingElement(Still(), "adxl345", "A", IDENTITY, Unit())))
+    wire.connect(CHIPS["adxl345"](0x53, SensingElement(StillWorld(), "adxl345", "A", IDENTITY, UnitDeviations())))
     return wire
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from firmware_emulator.chip import Triple
-from firmware_emulator.chips.adxl345 import Adxl345
+from firmware_emulator.chips.adxl345 import Adxl345Chip
 from firmware_emulator.clock import VirtualClock
 from firmware_emulator.wire import Wire
 
@@ -38,7 +38,7 @@ class Board:
 
     def __init__(self, force_g: Callable[[int], Triple] | Triple = (1.0, -1.0, 0.0)) -> None:
         self.element = Fed(force_g if callable(force_g) else lambda at_ns: force_g)
-        self.chip = Adxl345(0x53, self.element)
+        self.chip = Adxl345Chip(0x53, self.element)
         self.wire = Wire(VirtualClock())
         self.wire.connect(self.chip)
 

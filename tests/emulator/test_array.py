@@ -10,7 +10,7 @@ import pytest
 import firmware_emulator
 from firmware_emulator.array import EmulatedBus, open_array
 from firmware_emulator.clock import VirtualClock
-from firmware_emulator.world import Stimulus, Tumble
+from firmware_emulator.world import TumbleWorld, WorldStimulus
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 S = 10**9
@@ -127,7 +127,7 @@ def test_time_of_a_scan_is_the_bus_arithmetics() -> None:
 
 
 def test_a_tumbling_board_reads_gravity_and_knows_its_phases() -> None:
-    with open_array(array(*TWELVE.sensors[:1]), world=Tumble(face_s=1.0, turn_s=0.5)) as bus:
+    with open_array(array(*TWELVE.sensors[:1]), world=TumbleWorld(face_s=1.0, turn_s=0.5)) as bus:
         adxl_readings(bus, 1)
         assert [phase.name for phase in bus.phases][:2] == ["z_up", "x_up"]
         codes = {}
@@ -146,9 +146,9 @@ def test_a_tumbling_board_reads_gravity_and_knows_its_phases() -> None:
 def test_a_world_begins_when_the_array_is_opened() -> None:
     asked: list[int] = []
 
-    def world(at_ns: int) -> Stimulus:
+    def world(at_ns: int) -> WorldStimulus:
         asked.append(at_ns)
-        return Stimulus()
+        return WorldStimulus()
 
     with open_array(array(*TWELVE.sensors[:1]), clock=VirtualClock(start_ns=50 * S), world=world) as bus:
         bus.truth(51 * S)

@@ -1,25 +1,25 @@
 """Registers, locks, EEPROM and resets of the emulated BMA180 against its data sheet (facts BMA-.., choices DEC-..)."""
 
-from firmware_emulator.chips.bma180 import Bma180
+from firmware_emulator.chips.bma180 import Bma180Chip
 from tests.emulator.bma180_bench import BYTE_NS, LATER, MS, Box, codes, peek, poke, unlocked
 
 
 def test_it_wakes_up_measuring_at_2_g_and_150_hz():
     box = Box()
-    chip = Bma180(0x40, box)
+    chip = Bma180Chip(0x40, box)
     assert peek(chip, 0x00, 2) == b"\x03\x14"  # BMA-10, DEC-12
     assert codes(chip) == (0, 0, 4096)
     assert box.asked[-1][1:] == (2.0, 150.0)
 
 
 def test_image_after_the_download_has_the_bytes_of_bma_58():
-    image = peek(Bma180(0x40, Box()), 0x20, 0x1C)
+    image = peek(Bma180Chip(0x40, Box()), 0x20, 0x1C)
     assert image[:12] == bytes.fromhex("48041500eeeea064 00175000")
     assert image[14:27] == bytes.fromhex("81828084808080 0400b0808080")
 
 
 def test_without_ee_w_an_image_write_is_acknowledged_and_dropped():
-    chip = Bma180(0x40, Box())
+    chip = Bma180Chip(0x40, Box())
     assert poke(chip, 0x35, 0x0C) == 2
     assert peek(chip, 0x35) == b"\x04"
     poke(chip, 0x0D, 0x10, 0x35, 0x0C)
@@ -38,14 +38,14 @@ def test_a_write_is_pairs_and_never_counts_on():
 
 
 def test_reading_counts_on_with_seven_bits():
-    chip = Bma180(0x40, Box(degc=25.0))
+    chip = Bma180Chip(0x40, Box(degc=25.0))
     assert peek(chip, 0x82, 7, at=LATER) == bytes.fromhex("0100 0100 0140 02")  # BMA-03, BMA-04
     assert peek(chip, 0x7F, 2) == b"\x00\x03"
     assert peek(chip, 0x10, 0x10) == bytes(16)
 
 
 def test_a_write_during_the_download_is_undone_at_its_end():
-    chip = Bma180(0x40, Box())
+    chip = Bma180Chip(0x40, Box())
     poke(chip, 0x0D, 0x10, 0x35, 0x0C, at=5 * MS)
     assert peek(chip, 0x35, at=9 * MS) == b"\x0c"
     assert peek(chip, 0x35, at=10 * MS) == b"\x04"
@@ -53,10 +53,10 @@ def test_a_write_during_the_download_is_undone_at_its_end():
 
 
 def test_the_download_can_refuse_writes_or_take_no_time():
-    chip = Bma180(0x40, Box(), early_writes_vanish=True)
+    chip = Bma180Chip(0x40, Box(), early_writes_vanish=True)
     poke(chip, 0x0D, 0x10, 0x35, 0x0C, at=5 * MS)
     assert peek(chip, 0x35, at=6 * MS) == b"\x04"
-    chip = Bma180(0x40, Box(), download_ns=0)
+    chip = Bma180Chip(0x40, Box(), download_ns=0)
     poke(chip, 0x0D, 0x10, 0x35, 0x0C, at=5 * MS)
     assert peek(chip, 0x35, at=11 * MS) == b"\x0c"
     poke(chip, 0x0D, 0x30, at=12 * MS)
@@ -84,9 +84,9 @@ def test_update_image_reads_1_until_it_is_done():
 
 
 def test_a_former_owner_may_have_changed_the_eeprom():
-    chip = Bma180(0x40, Box(), eeprom={0x35: 0x0C, 0x38: 0x71})
+    chip = Bma180Chip(0x40, Box(), eeprom={0x35: 0x0C, 0x38: 0x71})
     assert codes(chip) == (0, 0, 512)
-    chip = Bma180(0x40, Box(), left_over={0x35: 0x0C, 0x0D: 0x10})
+    chip = Bma180Chip(0x40, Box(), left_over={0x35: 0x0C, 0x0D: 0x10})
     assert peek(chip, 0x35, at=20 * MS) + peek(chip, 0x0D, at=20 * MS) == b"\x0c\x10"
     poke(chip, 0x10, 0xB6, at=20 * MS)
     assert peek(chip, 0x35, at=40 * MS) == b"\x04"
@@ -121,13 +121,13 @@ def test_the_eeprom_keeps_its_size_and_neighbours():
 
 
 def test_operational_registers():
-    chip = Bma180(0x40, Box())
+    chip = Bma180Chip(0x40, Box())
     poke(chip, 0x0D, 0x40, 0x0E, 0xE0, 0x0F, 0xF0, 0x02, 0xAA, 0x11, 0xAA)
     assert peek(chip, 0x0D, 5) == bytes.fromhex("00 00 f0 00 00")  # reset_int and the one-shots are over
 
 
 def test_a_whole_byte_into_the_range_register_destroys_the_x_offset():
-    chip = Bma180(0x40, Box((0.0, 0.0, 0.0)), eeprom={0x35: 0xF4})
+    chip = Bma180Chip(0x40, Box((0.0, 0.0, 0.0)), eeprom={0x35: 0xF4})
     assert codes(chip) == (0, 0, 0)
     poke(chip, 0x0D, 0x10, 0x35, 0x04)
     assert codes(chip, at=2 * LATER) == (-25, 0, 0)  # 15/16 of 27 codes

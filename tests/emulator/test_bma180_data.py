@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_emulator.chip import Chip
-from firmware_emulator.chips.bma180 import Bma180
+from firmware_emulator.chips.bma180 import Bma180Chip
 from tests.emulator.bma180_bench import BYTE_NS, LATER, MS, Box, codes, peek, poke, unlocked
 from tests.selection import examples
 
@@ -13,13 +13,13 @@ PERIOD_NS = 416_667  # 2400 Hz, BMA-93
 
 
 def test_vectors_of_bma_65_and_saturation():
-    assert peek(Bma180(0x40, Box((1.0, -1.0, -1 / 4096))), 0x02, 6) == bytes.fromhex("0140 01c0 fdff")
-    assert peek(Bma180(0x40, Box((8191 / 4096, -2.0, 0.0))), 0x02, 6) == bytes.fromhex("fd7f 0180 0100")
+    assert peek(Bma180Chip(0x40, Box((1.0, -1.0, -1 / 4096))), 0x02, 6) == bytes.fromhex("0140 01c0 fdff")
+    assert peek(Bma180Chip(0x40, Box((8191 / 4096, -2.0, 0.0))), 0x02, 6) == bytes.fromhex("fd7f 0180 0100")
 
 
 @pytest.mark.parametrize(("g", "code"), [(2.0, 8191), (9.0, 8191), (-2.0, -8192), (-2.001, -8192), (-9.0, -8192)])
 def test_both_ends_saturate_on_every_axis(g, code):
-    assert codes(Bma180(0x40, Box((g, g, g)))) == (code, code, code)  # BMA-60
+    assert codes(Bma180Chip(0x40, Box((g, g, g)))) == (code, code, code)  # BMA-60
 
 
 @pytest.mark.parametrize(
@@ -57,9 +57,9 @@ def test_axes_of_a_slow_oscillator_are_looked_at_in_their_turn():
     before, 171 codes ago.
     """
     box = Box(slope=(1.0, 1.0, 1.0), g=(0.0, 0.0, 0.0))
-    x, y, z = codes(Bma180(0x40, box, rate_error=-0.99), at=1000 * MS)
+    x, y, z = codes(Bma180Chip(0x40, box, rate_error=-0.99), at=1000 * MS)
     assert (y - x, z + 171 - y) == (pytest.approx(43, abs=1), pytest.approx(43, abs=1))
-    sound = Bma180(0x40, Box(slope=(1.0, 1.0, 1.0), g=(0.0, 0.0, 0.0)))
+    sound = Bma180Chip(0x40, Box(slope=(1.0, 1.0, 1.0), g=(0.0, 0.0, 0.0)))
     assert len(set(codes(sound, at=1000 * MS))) == 1
 
 
@@ -85,7 +85,7 @@ def test_gain_and_temperature_trims_act():
 
 
 def test_new_data_is_cleared_by_either_byte_of_the_axis():
-    chip = Bma180(0x40, Box())
+    chip = Bma180Chip(0x40, Box())
     assert [peek(chip, 0x02)[0] & 1 for _ in range(2)] == [1, 0]
     chip.load(0x05, LATER)
     assert peek(chip, 0x04)[0] & 1 == 0
@@ -98,7 +98,7 @@ def test_axes_are_converted_one_quarter_of_a_period_apart():
     fresh = []
     for quarter in (1, 2, 3, 4):
         for around in (-10, 10):
-            chip = Bma180(0x40, Box())
+            chip = Bma180Chip(0x40, Box())
             at = start + quarter * PERIOD_NS // 4 + around
             fresh.append("".join(str(chip.load(register, at) & 1) for register in (2, 4, 6)))
     assert fresh == ["000", "000", "000", "100", "100", "110", "110", "111"]  # T, x, y, z: BMA-94
@@ -127,13 +127,13 @@ def test_every_bandwidth(code, bandwidth_hz):
 
 
 def test_the_oscillator_may_be_ten_percent_off():
-    chip = Bma180(0x40, Box(), rate_error=-0.1)
+    chip = Bma180Chip(0x40, Box(), rate_error=-0.1)
     assert abs(sum(chip.load(0x02, at) & 1 for at in range(LATER, 2 * LATER, 100_000)) - 216) <= 1
 
 
 def test_twice_within_a_period_is_the_same_value_and_one_question():
     box = Box(slope=(1.0, 1.0, 1.0))
-    chip = Bma180(0x40, box)
+    chip = Bma180Chip(0x40, box)
     at = 2_500_000 + 300 * PERIOD_NS + 10
     first, asked = codes(chip, at=at), len(box.asked)
     assert codes(chip, at=at + 1000) == first
@@ -150,7 +150,7 @@ def test_a_write_that_changes_no_setting_does_not_disturb_the_converter():
 
 def test_the_shadow_keeps_low_and_high_byte_together():
     box = Box((63 / 4096, 0.0, 0.0))
-    chip = Bma180(0x40, box)
+    chip = Bma180Chip(0x40, box)
     assert chip.load(0x02, LATER) == 0xFD
     box.g = (64 / 4096, 0.0, 0.0)
     assert chip.load(0x03, LATER + PERIOD_NS) == 0x00
@@ -180,7 +180,7 @@ def test_readout_of_12_bits_keeps_the_scale():
     ("degc", "byte"), [(24.0, 0x00), (25.0, 0x02), (-30.0, 0x94), (-40.0, 0x80), (-60.0, 0x80), (150.0, 0x7F)]
 )
 def test_thermometer(degc, byte):
-    assert peek(Bma180(0x40, Box(degc=degc)), 0x08)[0] == byte  # BMA-63
+    assert peek(Bma180Chip(0x40, Box(degc=degc)), 0x08)[0] == byte  # BMA-63
 
 
 def test_self_test_deflects_every_axis_and_ends_by_itself():
@@ -238,7 +238,7 @@ def test_the_high_pass_forgets_gravity():
     st.integers(0, 3 * MS),
 )
 def test_a_burst_is_the_same_as_its_bytes(gaps, count, byte_ns, first):
-    quick, slow = (Bma180(0x40, Box(slope=(3.0, -5.0, 7.0))) for _ in range(2))
+    quick, slow = (Bma180Chip(0x40, Box(slope=(3.0, -5.0, 7.0))) for _ in range(2))
     at = 2 * MS + first
     for gap in gaps:
         at += gap

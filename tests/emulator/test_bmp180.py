@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_emulator.chips.bmp180 import Bmp180, Bmp180Words, b5_of, pressure_function, up_of, ut_of
+from firmware_emulator.chips.bmp180 import Bmp180Chip, Bmp180Words, b5_of, pressure_function, up_of, ut_of
 
 MS = 1_000_000
 BYTE_NS = 22_500
@@ -60,7 +60,7 @@ def compensated(ut, up, oss):
 
 
 def test_identity_calibration_and_reset_values():
-    chip = Bmp180(0x77, Weather())
+    chip = Bmp180Chip(0x77, Weather())
     assert peek(chip, 0xD0) == b"\x55"
     assert peek(chip, 0xAA, 22) == bytes.fromhex("0198 ffb8 c7d1 7fe5 7ff5 5a71 182e 0004 8000 ddf9 0b34")  # BMP-20 ...
     assert peek(chip, 0xF4) + peek(chip, 0xF6, 3) == bytes.fromhex("00 80 00 00")  # BMP-13 ... BMP-16
@@ -69,13 +69,13 @@ def test_identity_calibration_and_reset_values():
 
 
 def test_another_part_has_other_words():
-    chip = Bmp180(0x77, Weather(25.0), calibration={"AC5": 40000, "MC": -11786})
+    chip = Bmp180Chip(0x77, Weather(25.0), calibration={"AC5": 40000, "MC": -11786})
     assert peek(chip, 0xB2, 2) + peek(chip, 0xBC, 2) == bytes.fromhex("9c40 d1f6")
-    assert result(chip, T_COMMAND) != result(Bmp180(0x77, Weather(25.0)), T_COMMAND)
+    assert result(chip, T_COMMAND) != result(Bmp180Chip(0x77, Weather(25.0)), T_COMMAND)
 
 
 def test_the_worked_example():
-    chip = Bmp180(0x77, Weather())
+    chip = Bmp180Chip(0x77, Weather())
     assert result(chip, T_COMMAND) == 27898 << 8
     assert result(chip, P_COMMANDS[0], 2 * LATER) == 23843 << 8
 
@@ -115,7 +115,7 @@ def test_words_of_impossible_weather_still_fit(degc, pascal, oss):
 
 @pytest.mark.parametrize(("command", "typical_ms"), [(0x2E, 3), (0x34, 3), (0x74, 5), (0xB4, 9), (0xF4, 17)])
 def test_a_conversion_takes_its_time(command, typical_ms):
-    chip = Bmp180(0x77, Weather())
+    chip = Bmp180Chip(0x77, Weather())
     poke(chip, 0xF4, command)
     end = LATER + typical_ms * MS
     assert peek(chip, 0xF4, at=end - 1000) == bytes((command,))
@@ -125,7 +125,7 @@ def test_a_conversion_takes_its_time(command, typical_ms):
 
 
 def test_too_early_gives_the_previous_result():
-    chip = Bmp180(0x77, Weather())
+    chip = Bmp180Chip(0x77, Weather())
     result(chip, T_COMMAND)
     poke(chip, 0xF4, P_COMMANDS[3], at=2 * LATER)
     assert peek(chip, 0xF6, 3, at=2 * LATER + 16 * MS) == bytes.fromhex("6cfa00")  # UT 27898: BMP-48
@@ -134,14 +134,14 @@ def test_too_early_gives_the_previous_result():
 
 def test_pressure_words_are_16_to_19_bits_at_the_left():
     for oss, command in enumerate(P_COMMANDS):
-        raw = result(Bmp180(0x77, Weather()), command)
+        raw = result(Bmp180Chip(0x77, Weather()), command)
         assert raw % (1 << 8 - oss) == 0
         assert abs((raw >> 8 - oss) / (1 << oss) - 23843) < 1  # BMP-47
 
 
 def test_nothing_updates_by_itself():
     weather = Weather()
-    chip = Bmp180(0x77, weather)
+    chip = Bmp180Chip(0x77, weather)
     first = result(chip, T_COMMAND)
     weather.degc = 30.0
     assert peek(chip, 0xF6, 3, at=2 * LATER) == first.to_bytes(3, "big")  # BMP-49
@@ -150,20 +150,20 @@ def test_nothing_updates_by_itself():
 
 @pytest.mark.parametrize("command", [0x0E, 0x14, 0x20, 0x3F])
 def test_other_commands_start_nothing(command):
-    chip = Bmp180(0x77, Weather())
+    chip = Bmp180Chip(0x77, Weather())
     assert result(chip, command) == 0x800000
     assert peek(chip, 0xF4) == bytes((command & ~0x20,))
 
 
 def test_a_second_command_takes_the_place_of_the_first():
-    chip = Bmp180(0x77, Weather())
+    chip = Bmp180Chip(0x77, Weather())
     poke(chip, 0xF4, P_COMMANDS[3])
     poke(chip, 0xF4, T_COMMAND, at=LATER + MS)
     assert peek(chip, 0xF6, 3, at=LATER + 50 * MS) == bytes.fromhex("6cfa00")
 
 
 def test_soft_reset():
-    chip = Bmp180(0x77, Weather())
+    chip = Bmp180Chip(0x77, Weather())
     result(chip, T_COMMAND)
     poke(chip, 0xE0, 0xB5, at=2 * LATER)
     assert peek(chip, 0xF6, at=2 * LATER) == b"\x6c"
@@ -172,13 +172,13 @@ def test_soft_reset():
     poke(chip, 0xF4, T_COMMAND, at=2 * LATER + 5 * MS)  # lost: start-up takes 10 ms, BMP-50
     assert peek(chip, 0xF6, 3, at=2 * LATER + 9 * MS) == b"\x80\x00\x00"
     assert result(chip, T_COMMAND, 3 * LATER) == 27898 << 8
-    chip = Bmp180(0x77, Weather(), start_up_ns=0)
+    chip = Bmp180Chip(0x77, Weather(), start_up_ns=0)
     assert result(chip, T_COMMAND, MS) == 27898 << 8
 
 
 @pytest.mark.parametrize(("oss", "rms"), [(0, 6.0), (1, 5.0), (2, 4.0), (3, 3.0)])
 def test_pressure_noise(oss, rms):
-    chip = Bmp180(0x77, Weather(pascal=100_000.0), generator=random.Random(oss))
+    chip = Bmp180Chip(0x77, Weather(pascal=100_000.0), generator=random.Random(oss))
     b5 = b5_of(Bmp180Words(), result(chip, T_COMMAND) >> 8)
     pressure = pressure_function(Bmp180Words(), b5, oss)[1]
     drawn = [pressure(result(chip, P_COMMANDS[oss], n * LATER) >> 8 - oss) for n in range(2, 402)]

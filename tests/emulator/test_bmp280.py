@@ -7,7 +7,7 @@ import statistics
 
 import pytest
 
-from firmware_emulator.chips.bmp280 import Bmp280, Bmp280Words, fine_of, pascal_of, up_of, ut_of
+from firmware_emulator.chips.bmp280 import Bmp280Chip, Bmp280Words, fine_of, pascal_of, up_of, ut_of
 
 MS = 1_000_000
 
@@ -28,11 +28,11 @@ class Weather:
         return next(pascal for begin_ns, pascal in reversed(self.steps) if at_ns >= begin_ns)
 
 
-def poke(chip: Bmp280, register: int, value: int, at_ns: int) -> None:
+def poke(chip: Bmp280Chip, register: int, value: int, at_ns: int) -> None:
     chip.write(bytes((register, value)), at_ns, 0)
 
 
-def shown(chip: Bmp280, at_ns: int) -> tuple[float, float]:
+def shown(chip: Bmp280Chip, at_ns: int) -> tuple[float, float]:
     """degC and Pa in the data registers."""
     chip.write(b"\xf7", at_ns, 0)
     data = chip.read(6, at_ns, 22_500)
@@ -44,7 +44,7 @@ def shown(chip: Bmp280, at_ns: int) -> tuple[float, float]:
 @pytest.mark.parametrize(("code", "rms"), [(1, 3.3), (2, 2.6), (3, 2.1), (4, 1.6), (5, 1.3)])
 def test_pressure_noise(code: int, rms: float) -> None:
     """BMP-125. 400 draws: 5 sigma is 18 % of the rms; steps at x1 are 2.6 Pa, which adds 3 % to 3.3 Pa."""
-    chip = Bmp280(0x76, Weather(), generator=random.Random(code))
+    chip = Bmp280Chip(0x76, Weather(), generator=random.Random(code))
     drawn = []
     for number in range(1, 401):
         poke(chip, 0xF4, 0b001_000_01 | code << 2, number * 100 * MS)
@@ -54,7 +54,7 @@ def test_pressure_noise(code: int, rms: float) -> None:
 
 
 def test_nothing_changes_until_it_is_told_to_measure_again() -> None:
-    chip = Bmp280(0x76, Weather((0, 100_000.0), (500 * MS, 90_000.0)))
+    chip = Bmp280Chip(0x76, Weather((0, 100_000.0), (500 * MS, 90_000.0)))
     poke(chip, 0xF4, 0x55, 100 * MS)
     assert shown(chip, 200 * MS)[1] == pytest.approx(100_000, abs=0.5)
     assert shown(chip, 900 * MS)[1] == pytest.approx(100_000, abs=0.5)
@@ -65,7 +65,7 @@ def test_nothing_changes_until_it_is_told_to_measure_again() -> None:
 def test_normal_mode_measures_after_each_pause() -> None:
     """BMP-107 to -109: x1 and x1 take 5.5 ms, the pause of code 1 is 62.5 ms: a result every 68 ms."""
     steps = [(number * MS, 90_000.0 + 10 * number) for number in range(300)]
-    chip = Bmp280(0x76, Weather(*steps))
+    chip = Bmp280Chip(0x76, Weather(*steps))
     poke(chip, 0xF5, 0b001_000_00, 10 * MS)
     poke(chip, 0xF4, 0b001_001_11, 10 * MS)
     seen = [round((shown(chip, at * MS)[1] - 90_000) / 10) for at in range(16, 300)]
@@ -76,7 +76,7 @@ def test_the_filter_takes_as_many_samples_as_the_data_sheet_says() -> None:
     """BMP-110: 75 % of a step after 2, 5, 11 and 22 samples with coefficients 2, 4, 8 and 16."""
     needed = []
     for code in (1, 2, 3, 4):
-        chip = Bmp280(0x76, Weather((0, 100_000.0), (1050 * MS, 99_000.0)))
+        chip = Bmp280Chip(0x76, Weather((0, 100_000.0), (1050 * MS, 99_000.0)))
         poke(chip, 0xF5, code << 2, 10 * MS)
         for number in range(1, 11):
             poke(chip, 0xF4, 0x25, number * 100 * MS)

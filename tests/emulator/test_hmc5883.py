@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from firmware_emulator.chip import Triple
-from firmware_emulator.chips.hmc5883 import Hmc5883, Hmc5883l
+from firmware_emulator.chips.hmc5883 import Hmc5883Chip, Hmc5883lChip
 from firmware_emulator.clock import VirtualClock
 from firmware_emulator.wire import Wire
 
@@ -39,7 +39,7 @@ class Board:
         self, field: Callable[[int], Triple] | Triple = (0.5, 0.25, -0.25), variant: str = "hmc5883l", wrap: int = 8
     ) -> None:
         self.element = Fed(field if callable(field) else lambda at_ns: field)
-        self.chip = Hmc5883(0x1E, self.element, variant=variant, wrap=wrap)
+        self.chip = Hmc5883Chip(0x1E, self.element, variant=variant, wrap=wrap)
         self.wire = Wire(VirtualClock())
         self.wire.connect(self.chip)
 
@@ -278,6 +278,6 @@ def test_averaging_on_the_l_halves_the_noise_at_eight() -> None:
 
 def test_regulator_bit_and_the_name_of_the_l() -> None:
     assert Board(variant="hmc5883").get(0x09) == b"\x04"
-    assert Hmc5883l(0x1E, Fed(counting)).variant.gains[0] == 1370
+    assert Hmc5883lChip(0x1E, Fed(counting)).variant.gains[0] == 1370
     with pytest.raises(ValueError, match="hmc5883l"):
-        Hmc5883(0x1E, Fed(counting), variant="hmc5843")
+        Hmc5883Chip(0x1E, Fed(counting), variant="hmc5843")

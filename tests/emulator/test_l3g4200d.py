@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_emulator.chip import Chip
-from firmware_emulator.chips.l3g4200d import L3g4200d
+from firmware_emulator.chips.l3g4200d import L3g4200dChip
 from firmware_emulator.chips.l3g4200d_signal import path_of
 from tests.selection import examples
 
@@ -53,7 +53,7 @@ def codes(chip, at=READY):
 
 def running(table=None, ctrl1=ODR_100, ctrl4=0x80, ctrl5=0x00, ctrl2=0x00, **switches):
     """A gyroscope set up at 0 and switched on at SWITCH_ON, whose first conversion is at READY."""
-    chip = L3g4200d(0x69, table or Table(), **{"start_up_ns": READY - SWITCH_ON, **switches})
+    chip = L3g4200dChip(0x69, table or Table(), **{"start_up_ns": READY - SWITCH_ON, **switches})
     poke(chip, 0x21, ctrl2, 0x00, ctrl4, ctrl5, at=0)
     poke(chip, 0x20, ctrl1, at=SWITCH_ON)
     return chip
@@ -61,7 +61,7 @@ def running(table=None, ctrl1=ODR_100, ctrl4=0x80, ctrl5=0x00, ctrl2=0x00, **swi
 
 def test_it_wakes_up_in_power_down():
     table = Table()
-    chip = L3g4200d(0x68, table)
+    chip = L3g4200dChip(0x68, table)
     assert peek(chip, 0x0F) == b"\xd3"
     assert peek(chip, 0x20, 6) == bytes.fromhex("07 00 00 00 00 00")
     assert peek(chip, 0x26, 10, at=1000 * MS) == bytes(9) + b"\x20"  # FIFO_SRC: empty, DEC-21
@@ -126,7 +126,7 @@ def test_start_up_after_power_down():
     assert peek(chip, 0x27, at=READY) == b"\x0f"
     chip = running(start_up_ns=MS)
     assert peek(chip, 0x27, at=SWITCH_ON + MS) == b"\x0f"
-    chip = L3g4200d(0x68, Table(), left_over={0x20: ODR_100, 0x23: 0x80})
+    chip = L3g4200dChip(0x68, Table(), left_over={0x20: ODR_100, 0x23: 0x80})
     assert peek(chip, 0x27, at=0) == b"\x0f"  # no reset: an earlier program's settings are still there
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from firmware_emulator.chips.l3g4200d import L3g4200d
+from firmware_emulator.chips.l3g4200d import L3g4200dChip
 
 MS = 1_000_000
 BYTE_NS = 22_500
@@ -53,7 +53,7 @@ def level(chip, at):
 
 def queueing(mode, watermark=0, counter=None):
     """ODR 100, first conversion at READY."""
-    chip = L3g4200d(0x68, counter or Counter(), start_up_ns=300 * MS)
+    chip = L3g4200dChip(0x68, counter or Counter(), start_up_ns=300 * MS)
     poke(chip, 0x24, 0x40, at=MS)
     poke(chip, 0x2E, mode | watermark, at=MS)
     poke(chip, 0x20, 0x0F, at=10 * MS)

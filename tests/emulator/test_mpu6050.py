@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from firmware_emulator.chips.mpu6050 import Mpu6050
+from firmware_emulator.chips.mpu6050 import Mpu6050Chip
 from firmware_emulator.clock import VirtualClock
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE
 from firmware_emulator.wire import Wire
@@ -33,7 +33,7 @@ class Bench:
     def __init__(self) -> None:
         self.clock = VirtualClock()
         self.wire = Wire(self.clock)
-        self.chip = Mpu6050(0x68, Ramp(), 0, half=ACCELEROMETER)
+        self.chip = Mpu6050Chip(0x68, Ramp(), 0, half=ACCELEROMETER)
         self.chip.take_element(GYROSCOPE, Ramp())
         self.wire.connect(self.chip)
         self.write(0x6B, 0x01)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from firmware_emulator.array import EmulatedBus, open_array
 from firmware_emulator.chips.mpu_queue import AuxiliaryMaster, swapped
-from firmware_emulator.world import Still
+from firmware_emulator.world import StillWorld
 from imuarray.acquire.sensor_routes import connect
 from imuarray.array import parse_array
 
@@ -139,7 +139,7 @@ def test_a_slot_that_is_delayed(delay: int) -> None:
 
 
 def opened(text: str = BOARD) -> EmulatedBus:
-    return open_array(parse_array(text), world=Still())
+    return open_array(parse_array(text), world=StillWorld())
 
 
 def say(bus: EmulatedBus, *texts: str) -> None:

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from firmware_emulator.cases import Case, main
+from firmware_emulator.cases import BenchCase, main
 from firmware_emulator.mechanisms.mechanism import RATE_ERROR, TURN_ON_SHARE, toleranced_part
 from firmware_emulator.sessions import (
     RestPose,
@@ -105,7 +105,7 @@ def test_what_is_not_known_is_refused_in_a_line():
     with pytest.raises(ValueError, match="session: 'poses' is missing"):
         sessions([{"name": "a", "seconds": 1.0}], Room(), 0)
     with pytest.raises(ValueError, match="world: recorder is missing"):
-        Case.of_world({"array": "", "sessions": [], "room": {}})
+        BenchCase.of_world({"array": "", "sessions": [], "room": {}})
     assert RestPose(UP, 1.0) != TemperatureStretch(1.0, 2.0, 3.0) != Rocking(0, 1, UP, 1, 1, 1, 1)
 
 

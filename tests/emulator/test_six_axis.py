@@ -9,9 +9,9 @@ import pytest
 
 from firmware_emulator.chip import Triple
 from firmware_emulator.chips import DIES
-from firmware_emulator.chips.icm42688 import Icm42688
-from firmware_emulator.chips.lsm6dso import Lsm6dso
-from firmware_emulator.chips.mpu6500 import Mpu6500
+from firmware_emulator.chips.icm42688 import Icm42688Chip
+from firmware_emulator.chips.lsm6dso import Lsm6dsoChip
+from firmware_emulator.chips.mpu6500 import Mpu6500Chip
 from firmware_emulator.clock import VirtualClock
 from firmware_emulator.six_axis import ACCELEROMETER, GYROSCOPE, SampleGrid, SixAxis
 from firmware_emulator.wire import Wire
@@ -62,7 +62,7 @@ def words(data: bytes, order: str) -> list[int]:
 
 def lsm6dso(control: str) -> Bench:
     """1666 Hz at 2 g, on a ramp of 39 counts a sample, so that a byte carries at every seventh."""
-    return Bench(Lsm6dso(0x6A, Ramp(4.0), half=ACCELEROMETER), control, "1080")
+    return Bench(Lsm6dsoChip(0x6A, Ramp(4.0), half=ACCELEROMETER), control, "1080")
 
 
 @pytest.mark.parametrize(("control", "torn"), [("1204", True), ("1244", False)])
@@ -82,8 +82,8 @@ def test_without_block_update_the_two_bytes_of_a_number_are_of_two_samples(contr
 @pytest.mark.parametrize(
     ("bench", "register", "order", "per_unit"),
     [
-        (lambda: Bench(Icm42688(0x68, Ramp(), half=ACCELEROMETER), "5066", "4e0f"), 0x1F, ">", 16384.0),
-        (lambda: Bench(Mpu6500(0x68, Ramp(), half=ACCELEROMETER), "1a01"), 0x3B, ">", 16384.0),
+        (lambda: Bench(Icm42688Chip(0x68, Ramp(), half=ACCELEROMETER), "5066", "4e0f"), 0x1F, ">", 16384.0),
+        (lambda: Bench(Mpu6500Chip(0x68, Ramp(), half=ACCELEROMETER), "1a01"), 0x3B, ">", 16384.0),
     ],
     ids=["icm42688", "mpu6500"],
 )
@@ -100,7 +100,7 @@ def test_a_burst_is_of_one_instant(bench: Callable[[], Bench], register: int, or
 
 def test_each_half_of_an_lsm6dso_has_its_own_rate() -> None:
     """LSM-11, LSM-15: the accelerometer at 104 Hz, the gyroscope at 416 Hz."""
-    chip = Lsm6dso(0x6A, Ramp(), half=ACCELEROMETER)
+    chip = Lsm6dsoChip(0x6A, Ramp(), half=ACCELEROMETER)
     chip.take_element(GYROSCOPE, Ramp(20.0))
     bench = Bench(chip, "1244", "1040", "1160")
     fresh = [0, 0]
@@ -119,7 +119,7 @@ def test_each_half_of_an_lsm6dso_has_its_own_rate() -> None:
 def test_the_stall_of_an_icm_42688_ends_after_two_milliseconds_and_comes_again_at_each_crossing() -> None:
     """TDK-18, DEC-63: a ramp of 1000 dps a second passes 100 dps once; 1 kHz, 2000 dps."""
     for control, held in (("4d91", True), ("4d51", False)):
-        bench = Bench(Icm42688(0x68, Ramp(1000.0), half=GYROSCOPE), control, "4e0c")
+        bench = Bench(Icm42688Chip(0x68, Ramp(1000.0), half=GYROSCOPE), control, "4e0c")
         readings = []
         while bench.clock.now_ns() < 130 * MS:
             bench.wait(0.5)

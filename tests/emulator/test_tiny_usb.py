@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_emulator.clock import VirtualClock
-from firmware_emulator.mux import Pca9544a
+from firmware_emulator.mux import Pca9544aChip
 from firmware_emulator.serve import TinyUsb
 from firmware_emulator.usbip import Setup
 from firmware_emulator.wire import Wire
@@ -212,7 +212,7 @@ def test_reset_releases_the_bus() -> None:
 def test_the_multiplexer_switches_only_at_the_stop() -> None:
     """Mux and sensor in one transaction: the sensor is not there yet (LNX-07)."""
     usb = adapter()
-    usb.wire.connect_router(Pca9544a(0x70, {0: [Device(0x53)]}))
+    usb.wire.connect_router(Pca9544aChip(0x70, {0: [Device(0x53)]}))
     write(usb, 0x70, b"\x04", request=4 | 1)
     assert status(usb) == ACK
     write(usb, 0x53, b"\x00", request=4 | 2)

@@ -9,12 +9,12 @@ from statistics import fmean, pstdev
 
 import pytest
 
-from firmware_emulator.chips.adxl345 import Adxl345
+from firmware_emulator.chips.adxl345 import Adxl345Chip
 from firmware_emulator.clock import VirtualClock
-from firmware_emulator.element import IDENTITY, ZERO, Matrix, SensingElement, Unit
+from firmware_emulator.element import IDENTITY, ZERO, Matrix, SensingElement, UnitDeviations
 from firmware_emulator.units import TABLES, TOLERANCES, unit_of
 from firmware_emulator.wire import Wire
-from firmware_emulator.world import Still, Stimulus
+from firmware_emulator.world import StillWorld, WorldStimulus
 
 UPS = ("+X", "+Y", "+Z", "-X", "-Y", "-Z")
 ORIENTATIONS: dict[str, Matrix] = {  # Table 1 with finding of Table 10: box = matrix @ sensor
@@ -29,7 +29,7 @@ ORIENTATIONS: dict[str, Matrix] = {  # Table 1 with finding of Table 10: box = m
 def noiseless(name: str, chip: str, full_scale: float, up: str, degc: float = 25.0) -> tuple[float, float, float]:
     """Converter input of a paper's unit, with its noise taken away."""
     unit = replace(unit_of("martin2013", name, chip, full_scale), noise=ZERO)
-    element = SensingElement(Still(up, degc), chip, name, ORIENTATIONS[name], unit)
+    element = SensingElement(StillWorld(up, degc), chip, name, ORIENTATIONS[name], unit)
     return element.sample(0, full_scale, 100.0)
 
 
@@ -38,7 +38,9 @@ def adxl1_readings(up: str, count: int) -> list[list[int]]:
     unit = unit_of("martin2013", "ADXL1", "adxl345", 16)
     clock = VirtualClock()
     wire = Wire(clock)
-    wire.connect(Adxl345(0x53, SensingElement(Still(up), "adxl345", "ADXL1", ORIENTATIONS["ADXL1"], unit, seed=7)))
+    wire.connect(
+        Adxl345Chip(0x53, SensingElement(StillWorld(up), "adxl345", "ADXL1", ORIENTATIONS["ADXL1"], unit, seed=7))
+    )
     for pair in (b"\x31\x0b", b"\x2c\x0e", b"\x2d\x08"):
         wire.transfer(0x53, pair)
     codes: list[list[int]] = [[], [], []]
@@ -148,14 +150,14 @@ def test_temperature_slopes_are_table_8s() -> None:
 
 def test_noise_of_the_papers_gyro_at_110_hz_is_table_9s() -> None:
     unit = unit_of("martin2013", "Gyro1", "l3g4200d", 2000)
-    element = SensingElement(Still(), "l3g4200d", "Gyro1", IDENTITY, unit, seed=3)
+    element = SensingElement(StillWorld(), "l3g4200d", "Gyro1", IDENTITY, unit, seed=3)
     draws = list(zip(*(element.sample(0, 2000.0, 110.0) for _ in range(20_000)), strict=True))
     assert [pstdev(axis) for axis in draws] == pytest.approx((0.3258, 0.3171, 0.3278), rel=0.05)
 
 
 def test_noise_of_the_bma180_grows_with_the_range() -> None:
     unit = unit_of("other", "A", "bma180", 2)
-    element = SensingElement(Still(), "bma180", "A", IDENTITY, unit)
+    element = SensingElement(StillWorld(), "bma180", "A", IDENTITY, unit)
     rms = {}
     for full_scale, bandwidth in ((2.0, 1200.0), (16.0, 1200.0), (2.0, 300.0), (1.5, 1200.0)):
         x = [element.sample(0, full_scale, bandwidth)[0] for _ in range(20_000)]
@@ -168,7 +170,7 @@ def test_noise_of_the_bma180_grows_with_the_range() -> None:
 def test_a_bma180_in_another_range_than_the_papers_loses_its_shift() -> None:
     at_16_g = noiseless("BMA2", "bma180", 16, "+Z")
     unit = replace(unit_of("martin2013", "BMA2", "bma180", 16), noise=ZERO)
-    at_2_g = SensingElement(Still(), "bma180", "BMA2", ORIENTATIONS["BMA2"], unit).sample(0, 2.0, 100.0)
+    at_2_g = SensingElement(StillWorld(), "bma180", "BMA2", ORIENTATIONS["BMA2"], unit).sample(0, 2.0, 100.0)
     assert max(abs(a - b) for a, b in zip(at_16_g, at_2_g, strict=True)) > 0.05
     assert all(abs(bias) <= 0.060 for bias in unit.bias)  # BMA-113
 
@@ -232,9 +234,10 @@ def test_every_chip_has_tolerances() -> None:
 
 
 def test_noise_is_keyed_and_independent_of_what_is_felt() -> None:
-    unit = Unit(noise=(1.0, 1.0, 1.0))
+    unit = UnitDeviations(noise=(1.0, 1.0, 1.0))
     streams = [
-        SensingElement(Still(), "adxl345", name, IDENTITY, unit, seed) for name, seed in (("A", 1), ("A", 1), ("B", 1))
+        SensingElement(StillWorld(), "adxl345", name, IDENTITY, unit, seed)
+        for name, seed in (("A", 1), ("A", 1), ("B", 1))
     ]
     first, same, other = ([element.sample(0, 1.0, 1.0) for _ in range(3000)] for element in streams)
     assert first == same
@@ -246,13 +249,13 @@ def test_noise_is_keyed_and_independent_of_what_is_felt() -> None:
 
 
 def test_temperature_scales_the_magnetometer() -> None:
-    unit = Unit(scale_slope_per_degc=-0.003, slope_per_degc=(0.01, 0.0, 0.0), bias=(0.0, 0.1, 0.0))
-    element = SensingElement(lambda at_ns: Stimulus(temperature_degc=35.0), "hmc5883l", "H", IDENTITY, unit)
+    unit = UnitDeviations(scale_slope_per_degc=-0.003, slope_per_degc=(0.01, 0.0, 0.0), bias=(0.0, 0.1, 0.0))
+    element = SensingElement(lambda at_ns: WorldStimulus(temperature_degc=35.0), "hmc5883l", "H", IDENTITY, unit)
     assert element.sample(0, 1.3, 80.0) == pytest.approx((0.2 * 0.97 + 0.1, 0.1, -0.43 * 0.97))
 
 
 def test_thermometer_and_barometer_have_offsets() -> None:
-    unit = Unit(thermometer_offset_degc=1.5, pressure_offset_pa=-100.0)
-    element = SensingElement(Still(temperature_degc=30.0), "bmp180", "P", IDENTITY, unit)
+    unit = UnitDeviations(thermometer_offset_degc=1.5, pressure_offset_pa=-100.0)
+    element = SensingElement(StillWorld(temperature_degc=30.0), "bmp180", "P", IDENTITY, unit)
     assert element.temperature(0) == 31.5
     assert element.pressure(0) == 101225.0

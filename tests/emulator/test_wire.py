@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_emulator.clock import RealClock, VirtualClock
-from firmware_emulator.mux import Pca9544a
+from firmware_emulator.mux import Pca9544aChip
 from firmware_emulator.wire import Wire
 
 
@@ -212,14 +212,14 @@ def test_clocks() -> None:
         real.advance(-1)
 
 
-def muxed() -> tuple[Wire, Pca9544a, dict[str, Memory]]:
+def muxed() -> tuple[Wire, Pca9544aChip, dict[str, Memory]]:
     devices = {
         "trunk": Memory(0x77, b"\x55"),
         "zero": Memory(0x53, b"\x00"),
         "one": Memory(0x53, b"\x11"),
         "three": Memory(0x1D, b"\x33"),
     }
-    mux = Pca9544a(0x70, {0: [devices["zero"]], 1: [devices["one"]], 3: [devices["three"]]})
+    mux = Pca9544aChip(0x70, {0: [devices["zero"]], 1: [devices["one"]], 3: [devices["three"]]})
     wire = Wire(VirtualClock())
     wire.connect(devices["trunk"])
     wire.connect_router(mux)
@@ -279,7 +279,7 @@ def test_mux_switches_at_the_stop_of_a_broken_transfer() -> None:
 def test_mux_at_the_address_of_another_device() -> None:
     wire = Wire(VirtualClock())
     wire.connect(Memory(0x77, b"\x55"))
-    wire.connect_router(Pca9544a(0x77, {1: [Memory(0x53, b"\x11")]}))
+    wire.connect_router(Pca9544aChip(0x77, {1: [Memory(0x53, b"\x11")]}))
     wire.transfer(0x77, b"\x05")
     assert wire.transfer(0x77, read=1) == b"\x05"  # 0x55 & 0x05 (PCA-11)
     assert wire.transfer(0x53, b"\x00", 1) == b"\x11"

@@ -7,7 +7,16 @@ import math
 
 import pytest
 
-from firmware_emulator.world import WORLDS, DelayedWorld, Heating, Phase, Shaking, Still, Stimulus, Tumble
+from firmware_emulator.world import (
+    WORLDS,
+    DelayedWorld,
+    HeatingWorld,
+    Shaking,
+    StillWorld,
+    TumbleWorld,
+    WorldPhase,
+    WorldStimulus,
+)
 
 G = 9.80665
 S = 10**9
@@ -25,14 +34,14 @@ S = 10**9
     ],
 )
 def test_still(up: str, force: tuple[float, ...], field: tuple[float, ...]) -> None:
-    world = Still(up, 30.0)
+    world = StillWorld(up, 30.0)
     for at_ns in (-S, 0, 10**18):
-        assert world(at_ns) == Stimulus(force, (0, 0, 0), 30.0, 101325.0, field)
+        assert world(at_ns) == WorldStimulus(force, (0, 0, 0), 30.0, 101325.0, field)
     assert [phase[2:] for phase in world.phases] == [("static", up)]
 
 
 def test_tumble_visits_every_face_in_the_papers_order() -> None:
-    world = Tumble(face_s=10.0, turn_s=2.0)
+    world = TumbleWorld(face_s=10.0, turn_s=2.0)
     expected = {
         "z_up": ("+Z", (0, 0, G)),
         "x_up": ("+X", (G, 0, 0)),
@@ -60,7 +69,7 @@ def cross(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, ...]:
 @pytest.mark.parametrize("turn", range(6))
 def test_rates_of_a_turn_match_what_gravity_and_field_do(turn: int) -> None:
     """A vector v that is fixed to the earth changes in the box by v' = -rate x v."""
-    world = Tumble(face_s=10.0, turn_s=2.0)
+    world = TumbleWorld(face_s=10.0, turn_s=2.0)
     begin_ns, step_ns = (turn * 12 + 10) * S, 10_000
     for at_ns in range(begin_ns + 50_000_000, begin_ns + 2 * S, 190_000_000):
         before, now, after = world(at_ns - step_ns), world(at_ns), world(at_ns + step_ns)
@@ -73,7 +82,7 @@ def test_rates_of_a_turn_match_what_gravity_and_field_do(turn: int) -> None:
 
 
 def test_turns_begin_and_end_softly_and_cover_their_angle() -> None:
-    world = Tumble(face_s=1.0, turn_s=2.0)
+    world = TumbleWorld(face_s=1.0, turn_s=2.0)
     for turn, degrees in enumerate((90, 90, 90, 90, 90, 180)):
         begin_ns = (turn * 3 + 1) * S
         rates = [math.hypot(*world(begin_ns + i * 2_000_000).rate_box) for i in range(1001)]
@@ -83,7 +92,7 @@ def test_turns_begin_and_end_softly_and_cover_their_angle() -> None:
 
 
 def test_heating_follows_the_papers_profile() -> None:
-    world = Heating()
+    world = HeatingWorld()
     minutes = {0: 24.0, 4.99: 24.0, 10: 42.5, 20: 52.0}  # section 5.2.5
     for minute, degc in minutes.items():
         assert world(round(minute * 60 * S)).temperature_degc == pytest.approx(degc, abs=0.01)
@@ -97,7 +106,7 @@ def test_heating_follows_the_papers_profile() -> None:
     ]
     profile = [world(second * S).temperature_degc for second in range(110 * 60)]
     assert max(abs(b - a) for a, b in itertools.pairwise(profile)) < 0.2
-    quick = Heating(scale=0.1)
+    quick = HeatingWorld(scale=0.1)
     assert quick(60 * S).temperature_degc == pytest.approx(42.5, abs=0.01)
     assert quick.phases[-1].end_ns == 11 * 60 * S
 
@@ -113,16 +122,16 @@ def test_shaking_stays_within_its_bounds_and_uses_them() -> None:
         assert 5.4 < force <= 6.0
         assert 360 < rate <= 400.0
     for at_ns in (0, 5 * S, 45 * S, 60 * S):
-        assert world(at_ns) == Stimulus()
+        assert world(at_ns) == WorldStimulus()
     steps = [math.dist(a.force_box, b.force_box) for a, b in itertools.pairwise(motion)]
     assert max(steps) < 25.0  # no jump: 6 g at 6.7 Hz change by less within 5 ms
 
 
 def test_a_delayed_world_begins_later() -> None:
-    world = DelayedWorld(Tumble(face_s=10.0, turn_s=2.0), 100 * S)
-    assert world(113 * S).force_box == Tumble(face_s=10.0, turn_s=2.0)(13 * S).force_box
-    assert world.phases[1] == Phase(112 * S, 122 * S, "x_up", "+X")
-    assert DelayedWorld(lambda at_ns: Stimulus(), 5).phases == ()
+    world = DelayedWorld(TumbleWorld(face_s=10.0, turn_s=2.0), 100 * S)
+    assert world(113 * S).force_box == TumbleWorld(face_s=10.0, turn_s=2.0)(13 * S).force_box
+    assert world.phases[1] == WorldPhase(112 * S, 122 * S, "x_up", "+X")
+    assert DelayedWorld(lambda at_ns: WorldStimulus(), 5).phases == ()
 
 
 def test_worlds_have_phases_in_order() -> None:
@@ -136,9 +145,9 @@ def test_worlds_have_phases_in_order() -> None:
 @pytest.mark.parametrize(
     ("make", "named"),
     [
-        (lambda: Still("up"), "up"),
-        (lambda: Tumble(face_s=0.0), "face_s"),
-        (lambda: Heating(scale=-1.0), "scale"),
+        (lambda: StillWorld("up"), "up"),
+        (lambda: TumbleWorld(face_s=0.0), "face_s"),
+        (lambda: HeatingWorld(scale=-1.0), "scale"),
         (lambda: Shaking(peak_g=float("nan")), "peak_g"),
     ],
 )

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from firmware_emulator.clock import Clock
+from firmware_emulator.clock import WireClock
 from firmware_emulator.microcontroller_bus import result_of
 
 SOURCES = Path(__file__).parents[2] / "firmware"
@@ -181,7 +181,9 @@ class CoreFirmware:
 
     core: Core
 
-    def __init__(self, bus: Any, clock: Clock, *, counter_us: int = 0, drift: float = 0.0, selects: int = 0) -> None:
+    def __init__(
+        self, bus: Any, clock: WireClock, *, counter_us: int = 0, drift: float = 0.0, selects: int = 0
+    ) -> None:
         self.clock, self.bus, self.rate = clock, bus, 1 + drift
         self._counter_us, self._started_ns = counter_us, clock.now_ns()
         self._functions = self.core.functions

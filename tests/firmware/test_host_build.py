@@ -20,7 +20,7 @@ import pytest
 from firmware_emulator.array import open_bus
 from firmware_emulator.microcontroller_bus import MicrocontrollerBus
 from imuarray.acquire import connect
-from imuarray.acquire.recording import RecordingOptions, Summary
+from imuarray.acquire.recording import RecordingCounts, RecordingOptions
 from imuarray.acquire.stream import Streaming, streams
 from imuarray.array import parse_array
 from imuarray.bus import serial_session
@@ -51,7 +51,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serial_session, "PING_S", 0.0)
 
 
-def record(line: BadLine, path: Path, wire: NumberedBus, bursts: int) -> Summary:
+def record(line: BadLine, path: Path, wire: NumberedBus, bursts: int) -> RecordingCounts:
     """Log the array behind `line`, as the command does, until there were so many bursts on the wire."""
     with SerialBus(line, patience_s=3.0) as bus:
         routes = connect(parse_array(CONFIG), bus)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.acquire.recording import Summary
+from imuarray.acquire.recording import RecordingCounts
 from imuarray.array import ArrayConfig
 from imuarray.bus.serial_admission import Admission
 from imuarray.bus.serial_link import Frame, PollList, Request
@@ -32,7 +32,7 @@ def _the_core(core_firmware: type[CoreFirmware], monkeypatch: pytest.MonkeyPatch
     yield
 
 
-def check_rows(bench: Bench, array: ArrayConfig, path: Path, start_ns: int, summary: Summary) -> None:
+def check_rows(bench: Bench, array: ArrayConfig, path: Path, start_ns: int, summary: RecordingCounts) -> None:
     """Each row is a reading of the wire at its true time, in order, once; a gap is flagged, and the sum is right."""
     for sensor in array.sensors:
         time, counts, status = logged(path, sensor.name)

@@ -14,7 +14,7 @@ from scipy.signal import butter, lfilter
 
 from imuarray.gap.model.base_model import Base, FittedParameters, fit, replicate_seed, residual
 from imuarray.gap.model.rest import response_of
-from imuarray.gap.recording.recordings import Reference
+from imuarray.gap.recording.recordings import LogReference
 from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, PhaseSummary, summarise_log
 from imuarray.gap.statistics.catalogue import Key, statistics
 from imuarray.log.format import OVERRUN, STALE, Phase
@@ -436,7 +436,7 @@ def fitted_to_rows(
             "static",
             {"G": OneBlock(gyro, Block(*(column[round(begin * 200) : round(end * 200)] for column in rows[:3])))},
             [Phase(round(begin * 1e9), round(end * 1e9), "static", "+Z")],
-            Reference(lambda time_ns: np.full(len(time_ns), 25.0)),
+            LogReference(lambda time_ns: np.full(len(time_ns), 25.0)),
         )
         for begin, end in pairwise((0, *ends_s))
     ]

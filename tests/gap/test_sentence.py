@@ -10,7 +10,7 @@ import pytest
 from imuarray.gap.findings.diagnosis import Cause, Gap, Pull, Verdict, Where
 from imuarray.gap.findings.sentence import sentence_of
 from imuarray.gap.findings.verdict import Judgement
-from imuarray.gap.model.use import Figure, Use
+from imuarray.gap.model.use import IntervalEstimate, Use
 from imuarray.simulate.effects import EFFECTS, meaning
 
 GAP = Gap(9.0, 1.5, 0.9, 0.97, (0.92, 0.99))
@@ -40,7 +40,7 @@ def cause(effect: str = "tone", probability: float = 0.9, **changes: Any) -> Cau
 
 
 def use(sensor: str, real: float, before: float, after: float) -> Use:
-    figures = [Figure(value, value / 2, value * 2) for value in (real, before, after)]
+    figures = [IntervalEstimate(value, value / 2, value * 2) for value in (real, before, after)]
     return Use("heading error after coasting 5 s", sensor, "deg", *figures)
 
 

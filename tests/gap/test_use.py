@@ -9,7 +9,7 @@ import pytest
 
 from imuarray.gap.model.base_model import fit, residual
 from imuarray.gap.model.downstream import Uses, attitude_of, coasting, fused, uses, uses_of
-from imuarray.gap.recording.recordings import Reference
+from imuarray.gap.recording.recordings import LogReference
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.effects.scale import Scale
@@ -26,7 +26,7 @@ def campaign(*series: tuple[SensorHeader, np.ndarray], phase: str = "static", ki
     """Counts (n, 3) of sensors at 10 Hz, in one phase."""
     sources = {sensor.name: OneBlock(sensor, block(counts, STEP_NS)) for sensor, counts in series}
     whole = Phase(0, len(series[0][1]) * STEP_NS, phase, "+Z")
-    return Campaign((summarise_log(kind, sources, [whole], Reference(lambda time_ns: np.full(len(time_ns), 25.0))),))
+    return Campaign((summarise_log(kind, sources, [whole], LogReference(lambda time_ns: np.full(len(time_ns), 25.0))),))
 
 
 def white(sigma_lsb: float, seed: int = 1, rows: int = SECONDS * 10) -> np.ndarray:

@@ -19,7 +19,7 @@ import numpy as np
 
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.clock import VirtualClock
-from firmware_emulator.mux import Pca9544a
+from firmware_emulator.mux import Pca9544aChip
 from firmware_emulator.wire import Wire
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Pca9544a as MuxDriver
@@ -270,7 +270,7 @@ def play_to_chip(conversation: Conversation) -> None:
         behind: dict[int, list[Any]] = {}
         for entry in conversation.head.get("behind", ()):
             behind.setdefault(entry["channel"], []).append(CHIPS[entry["chip"]](int(entry["address"], 16), element, 0))
-        wire.connect_router(Pca9544a(conversation.address, behind))
+        wire.connect_router(Pca9544aChip(conversation.address, behind))
     else:
         chip = CHIPS[conversation.chip](conversation.address, element, 0)
         for entry in conversation.head.get("auxiliary", ()):  # on the bus of its own master

@@ -18,7 +18,7 @@ from firmware_emulator.faults import faults_from
 from firmware_emulator.faulty_board import with_faults
 from imuarray.acquire import fault_episode
 from imuarray.acquire.record import Poll
-from imuarray.acquire.recording import RecordingOptions, Summary
+from imuarray.acquire.recording import RecordingCounts, RecordingOptions
 from imuarray.acquire.sensor_routes import connect
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.log.format import Event
@@ -81,7 +81,7 @@ class Night:
     """A log, what was counted, and when the array was powered on, in the log's time."""
 
     log: Memory
-    summary: Summary
+    summary: RecordingCounts
     powered_on_ns: int
     bus: EmulatedBus
 

@@ -22,7 +22,7 @@ from imuarray.gap.findings.diagnosis import (
     Unobservable,
     Where,
 )
-from imuarray.gap.model.use import Figure, Use
+from imuarray.gap.model.use import IntervalEstimate, Use
 
 SENSORS = ("BMA1", "BMA2", "ADXL1", "ADXL2", "Gyro1", "Gyro2", "Gyro3")
 DOMAINS = ("level", "spread", "codes", "spectrum", "autocorrelation", "allan", "temperature", "cross_sensor", "timing")
@@ -119,12 +119,12 @@ CAUSES = (
 )  # fmt: skip
 
 USES = (
-    Use("heading error after coasting 60 s", "", "°", Figure(1.6, 1.5, 1.7), Figure(0.9, 0.8, 1.0),
-        Figure(1.5, 1.4, 1.7)),
-    Use("velocity error after coasting 10 s", "ADXL1", "m/s", Figure(0.21, 0.19, 0.23), Figure(0.1, 0.09, 0.12),
-        Figure(0.2, 0.17, 0.24)),
-    Use("drift over the heat pulse", "Gyro2", "dps", Figure(0.42, 0.40, 0.44), Figure(0.05, 0.03, 0.07),
-        Figure(0.40, 0.37, 0.45)),
+    Use("heading error after coasting 60 s", "", "°",
+        IntervalEstimate(1.6, 1.5, 1.7), IntervalEstimate(0.9, 0.8, 1.0), IntervalEstimate(1.5, 1.4, 1.7)),
+    Use("velocity error after coasting 10 s", "ADXL1", "m/s",
+        IntervalEstimate(0.21, 0.19, 0.23), IntervalEstimate(0.1, 0.09, 0.12), IntervalEstimate(0.2, 0.17, 0.24)),
+    Use("drift over the heat pulse", "Gyro2", "dps",
+        IntervalEstimate(0.42, 0.40, 0.44), IntervalEstimate(0.05, 0.03, 0.07), IntervalEstimate(0.40, 0.37, 0.45)),
 )  # fmt: skip
 
 JUDGED = (

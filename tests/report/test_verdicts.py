@@ -12,7 +12,7 @@ import pytest
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.stability import BIAS, Thermal
 from imuarray.fuse import FusedHead
-from imuarray.fuse.compare import Comparison, Score
+from imuarray.fuse.compare import Score, TechniqueComparison
 from imuarray.fuse.evaluation import Error, Ratio
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Event, SensorHeader
@@ -213,6 +213,6 @@ def test_a_gain_that_rounds_to_nothing_is_not_claimed(tmp_path: Path, ratio: flo
     ratios = {"XYZ": Ratio(ratio, 0.0004, ratio - 0.001, ratio + 0.001)}
     score = Score("optimal", "specific_force", error, ratios, None)
     with open_log(tmp_path / "log.h5") as log:
-        verdict = techniques_verdict(log, Comparison((score,), {}))
+        verdict = techniques_verdict(log, TechniqueComparison((score,), {}))
     assert verdict is not None
     assert (verdict.sentence, verdict.level) == (f"Fusion of log.h5 {words}", level)

@@ -19,9 +19,9 @@ from firmware_emulator.chip import Chip
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.clock import RealClock, VirtualClock
 from firmware_emulator.device_file import Adapter, device_files
-from firmware_emulator.element import IDENTITY, SensingElement, Unit
+from firmware_emulator.element import IDENTITY, SensingElement, UnitDeviations
 from firmware_emulator.wire import Wire
-from firmware_emulator.world import Stimulus
+from firmware_emulator.world import WorldStimulus
 
 
 class Board(NamedTuple):
@@ -29,9 +29,9 @@ class Board(NamedTuple):
 
     wire: Wire
     chip: Chip
-    felt: list[Stimulus]
+    felt: list[WorldStimulus]
 
-    def feel(self, stimulus: Stimulus, settle_ns: int = 100_000_000) -> None:
+    def feel(self, stimulus: WorldStimulus, settle_ns: int = 100_000_000) -> None:
         """Change the world and let the chip see it."""
         self.felt[0] = stimulus
         self.wire.clock.sleep_until(self.wire.clock.now_ns() + settle_ns)
@@ -39,10 +39,10 @@ class Board(NamedTuple):
 
 def board_with(chip: str, address: int, clock: VirtualClock | RealClock | None = None) -> Board:
     """An ideal, noiseless `chip` that was powered up a second ago."""
-    felt = [Stimulus()]
+    felt = [WorldStimulus()]
     clock = clock or VirtualClock(10**9)
     wire = Wire(clock)
-    element = SensingElement(lambda at_ns: felt[0], chip, "A", IDENTITY, Unit())
+    element = SensingElement(lambda at_ns: felt[0], chip, "A", IDENTITY, UnitDeviations())
     soldered = CHIPS[chip](address, element, clock.now_ns() - 10**9)
     wire.connect(soldered)
     return Board(wire, soldered, felt)

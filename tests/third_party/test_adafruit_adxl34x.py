@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from firmware_emulator.world import STANDARD_GRAVITY, Stimulus
+from firmware_emulator.world import STANDARD_GRAVITY, WorldStimulus
 
 REASON = "needs adafruit-circuitpython-adxl34x, which the test extra installs on Linux PCs only (it brings Blinka)"
 
@@ -30,7 +30,7 @@ FORCES = [(0.0, 0.0, STANDARD_GRAVITY), (-9.0, 3.0, 1.0), (5.0, -14.0, -7.5)]
 @pytest.mark.parametrize("force", FORCES)
 def test_acceleration(accelerometer: Any, force: tuple[float, float, float]) -> None:
     """It takes 0.004 g a count, where the data sheet has 1/256 g (ADX-40): all it says is 2.4 % too much."""
-    accelerometer.board.feel(Stimulus(force_box=force))
+    accelerometer.board.feel(WorldStimulus(force_box=force))
     count = 0.004 * STANDARD_GRAVITY
     for said, true in zip(accelerometer.chip.acceleration, force, strict=True):
         assert said == pytest.approx(true * 256 / 250, abs=count)
@@ -44,12 +44,12 @@ def test_every_range_has_one_scale(accelerometer: Any, name: str) -> None:
     value = getattr(accelerometer.driver.Range, name)
     accelerometer.chip.range = value
     assert accelerometer.chip.range == value
-    accelerometer.board.feel(Stimulus(force_box=(0.0, 0.0, STANDARD_GRAVITY)))
+    accelerometer.board.feel(WorldStimulus(force_box=(0.0, 0.0, STANDARD_GRAVITY)))
     assert abs(accelerometer.chip.raw_z - 256) <= 1
 
 
 def test_range_beyond_2_g(accelerometer: Any) -> None:
-    strong = Stimulus(force_box=(10 * STANDARD_GRAVITY, 0.0, 0.0))
+    strong = WorldStimulus(force_box=(10 * STANDARD_GRAVITY, 0.0, 0.0))
     accelerometer.board.feel(strong)
     assert accelerometer.chip.raw_x == 511  # 10 bits: ADX-41
     accelerometer.chip.range = accelerometer.driver.Range.RANGE_16_G
@@ -65,7 +65,7 @@ def test_data_rate(accelerometer: Any) -> None:
         assert accelerometer.chip.data_rate == rate
         read = []
         for step in range(400):
-            accelerometer.board.feel(Stimulus(force_box=(0.04 * step, 0.0, 0.0)), settle_ns=2_500_000)
+            accelerometer.board.feel(WorldStimulus(force_box=(0.04 * step, 0.0, 0.0)), settle_ns=2_500_000)
             read.append(accelerometer.chip.raw_x)
         changes = sum(before != after for before, after in itertools.pairwise(read))
         assert changes == pytest.approx(per_second, abs=0.15 * per_second)

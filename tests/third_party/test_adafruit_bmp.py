@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from firmware_emulator.world import Stimulus
+from firmware_emulator.world import WorldStimulus
 
 REASON = "needs {}, which the test extra installs on Linux PCs only (it brings Blinka)"
 WEATHER = [(101325.0, 25.0), (70000.0, -10.0), (108000.0, 60.0)]
@@ -26,6 +26,6 @@ def barometer(request: pytest.FixtureRequest, busio: Any, boards: Any) -> Any:
 def test_pressure_and_temperature(barometer: Any, pascal: float, degc: float) -> None:
     """The driver computes with real numbers; hPa and degC."""
     board, chip = barometer
-    board.feel(Stimulus(pressure_pa=pascal, temperature_degc=degc))
+    board.feel(WorldStimulus(pressure_pa=pascal, temperature_degc=degc))
     assert chip.temperature == pytest.approx(degc, abs=0.01)
     assert chip.pressure == pytest.approx(pascal / 100, abs=0.02)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from firmware_emulator.clock import RealClock
-from firmware_emulator.world import Stimulus
+from firmware_emulator.world import WorldStimulus
 
 bmp180 = pytest.importorskip("bmp180", reason="needs bmp180, installed by the test extra")
 
@@ -24,7 +24,7 @@ def board(boards: Any, serve: Any) -> Any:
 
 @pytest.mark.parametrize(("degc", "pascal"), [(25.0, 101325.0), (-5.0, 84000.0), (41.3, 104000.0)])
 def test_temperature_and_pressure(board: Any, degc: float, pascal: float) -> None:
-    board.feel(Stimulus(temperature_degc=degc, pressure_pa=pascal), settle_ns=0)
+    board.feel(WorldStimulus(temperature_degc=degc, pressure_pa=pascal), settle_ns=0)
     barometer = bmp180.BMP180()
     assert barometer.read_temperature() == pytest.approx(degc, abs=0.11)  # resolution 0.1 degC
     # Without oversampling a count is some 2 Pa in this part.

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from firmware_emulator.world import Stimulus
+from firmware_emulator.world import WorldStimulus
 
 REASON = "needs l3gd20-python, installed by the test extra"
 RATES_DPS = [(0.0, 0.0, 0.0), (100.0, -50.0, 25.0), (-200.0, 5.0, 240.0)]
@@ -22,9 +22,9 @@ def driver(smbus: Any) -> Any:
     return pytest.importorskip("l3gd20", reason=REASON)
 
 
-def turning(rate_dps: tuple[float, float, float]) -> Stimulus:
+def turning(rate_dps: tuple[float, float, float]) -> WorldStimulus:
     x, y, z = (math.radians(rate) for rate in rate_dps)
-    return Stimulus(rate_box=(x, y, z))
+    return WorldStimulus(rate_box=(x, y, z))
 
 
 @pytest.mark.parametrize("rate_dps", RATES_DPS)

@@ -20,8 +20,8 @@ from firmware_emulator.array import EmulatedBus, open_array
 from firmware_emulator.board import Board
 from firmware_emulator.clock import VirtualClock
 from firmware_emulator.device_file import Adapter, device_files
-from firmware_emulator.element import IDENTITY, SensingElement, Unit
-from firmware_emulator.world import STANDARD_GRAVITY, Stimulus
+from firmware_emulator.element import IDENTITY, SensingElement, UnitDeviations
+from firmware_emulator.world import STANDARD_GRAVITY, WorldStimulus
 from imuarray.array import parse_array
 
 REASON = "needs {}, which the test extra installs on Linux PCs only (it brings Blinka)"
@@ -34,12 +34,12 @@ class Bench:
     """An array of ideal chips on one bus, and what they feel."""
 
     def __init__(self, *sensors: tuple[str, int]) -> None:
-        self.felt = Stimulus()
+        self.felt = WorldStimulus()
         bench = self
 
         class IdealBoard(Board):
             def element(self, sensor: Any) -> SensingElement:
-                return SensingElement(lambda at_ns: bench.felt, sensor.chip, sensor.name, IDENTITY, Unit())
+                return SensingElement(lambda at_ns: bench.felt, sensor.chip, sensor.name, IDENTITY, UnitDeviations())
 
         text = '[array]\nname = "ideal"\n' + "".join(
             f'[[sensor]]\nname = "S{number}"\nchip = "{chip}"\naddress = {address:#x}\n{range_of(chip)}'
@@ -52,7 +52,7 @@ class Bench:
         """What a driver's sleep is here."""
         self.clock.sleep_until(self.clock.now_ns() + round(1e9 * seconds))
 
-    def feel(self, stimulus: Stimulus) -> None:
+    def feel(self, stimulus: WorldStimulus) -> None:
         """Change the world, and let filters settle."""
         self.felt = stimulus
         self.sleep(0.5)
@@ -67,9 +67,9 @@ def halves(die: str, address: int) -> list[tuple[str, int]]:
     return [(f"{die}_acc", address), (f"{die}_gyro", address)]
 
 
-def turning(rate_dps: tuple[float, float, float]) -> Stimulus:
+def turning(rate_dps: tuple[float, float, float]) -> WorldStimulus:
     x, y, z = (math.radians(rate) for rate in rate_dps)
-    return Stimulus(rate_box=(x, y, z))
+    return WorldStimulus(rate_box=(x, y, z))
 
 
 def package(name: str, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
@@ -98,7 +98,7 @@ def circuit_python(request: pytest.FixtureRequest, busio: Any, monkeypatch: pyte
 
 @pytest.mark.parametrize("force", FORCES)
 def test_circuit_python_reads_specific_force(circuit_python: Any, force: tuple[float, float, float]) -> None:
-    circuit_python.bench.feel(Stimulus(force_box=force))
+    circuit_python.bench.feel(WorldStimulus(force_box=force))
     count = STANDARD_GRAVITY / circuit_python.per_g
     assert circuit_python.chip.acceleration == pytest.approx(force, abs=count)
 
@@ -112,7 +112,7 @@ def test_circuit_python_reads_angular_rate(circuit_python: Any, rate_dps: tuple[
 
 @pytest.mark.parametrize("degc", [-10.0, 25.0, 60.0])
 def test_circuit_python_reads_temperature(circuit_python: Any, degc: float) -> None:
-    circuit_python.bench.feel(Stimulus(temperature_degc=degc))
+    circuit_python.bench.feel(WorldStimulus(temperature_degc=degc))
     assert circuit_python.chip.temperature == pytest.approx(degc, abs=0.01)
 
 
@@ -128,7 +128,7 @@ def test_circuit_python_does_not_count_on_in_a_lis3mdl(busio: Any, monkeypatch: 
     bench = Bench(("lis3mdl", 0x1C))
     module = package("adafruit_lis3mdl", bench, monkeypatch)
     chip = module.LIS3MDL(busio(bench.bus.wire))
-    bench.feel(Stimulus(field_box=FIELD_GAUSS))
+    bench.feel(WorldStimulus(field_box=FIELD_GAUSS))
     counts = [round(value / 100 * 6842) for value in chip.magnetic]
     low = round(0.21 * 6842) & 0xFF
     assert {count & 0xFF for count in counts} == {low}
@@ -155,7 +155,7 @@ def test_ijtsmas_mpu6050(smbus: ModuleType, served: Callable[[Bench], None], ful
     chip.set_accel_range(getattr(chip, f"ACCEL_RANGE_{full_scale}G"))
     chip.set_gyro_range(chip.GYRO_RANGE_1000DEG)
     assert chip.read_accel_range() == full_scale
-    bench.feel(Stimulus(force_box=(-9.0, 3.0, 1.0), rate_box=(1.0, -2.0, 3.0), temperature_degc=31.0))
+    bench.feel(WorldStimulus(force_box=(-9.0, 3.0, 1.0), rate_box=(1.0, -2.0, 3.0), temperature_degc=31.0))
     force, rate, degc = chip.get_accel_data(), chip.get_gyro_data(), chip.get_temp()
     assert list(force.values()) == pytest.approx([-9.0, 3.0, 1.0], abs=STANDARD_GRAVITY * full_scale / 32768)
     assert list(rate.values()) == pytest.approx([math.degrees(value) for value in (1.0, -2.0, 3.0)], abs=1 / 32.8)
@@ -172,7 +172,7 @@ def test_menegazzos_mpu9250(served: Callable[[Bench], None], monkeypatch: pytest
     chip = module.MPU9250(bus=1, gfs=module.GFS_1000, afs=module.AFS_4G)
     chip.configure()
     bench.feel(
-        Stimulus(
+        WorldStimulus(
             force_box=(-9.0, 3.0, 1.0),
             rate_box=(1.0, -2.0, 3.0),
             field_box=FIELD_GAUSS,

@@ -53,7 +53,7 @@ _STIMULUS: Mapping[str, float] = MappingProxyType({"angular_rate": 90.0, "specif
 """Stimulus of one second in the sensor's unit: a quarter turn, or gravity."""
 
 
-class Setting(NamedTuple):
+class SensorConditions(NamedTuple):
     """Conditions of one sensor in one log: `noise` of single readings in its unit, rows per second, and length."""
 
     header: SensorHeader
@@ -67,7 +67,7 @@ class Setting(NamedTuple):
         return _QUADRATURE * math.sqrt(2) * self.noise / math.sqrt(COASTING_S * self.rows_per_s)
 
 
-Rule = Callable[[Setting], float]
+Rule = Callable[[SensorConditions], float]
 
 
 def fixed(value: float) -> Rule:
@@ -80,14 +80,14 @@ def level(per: float = 1.0) -> Rule:
     return lambda setting: setting.level / per
 
 
-def response(setting: Setting) -> float:
+def response(setting: SensorConditions) -> float:
     """Return the margin of a response to motion, or of a delay in s, that raises the rms of E by 5 % when the box makes
     a quarter turn in a second (or feels 1 g for one second).
     """
     return setting.level * COASTING_S / _STIMULUS.get(setting.header.quantity, 1.0)
 
 
-def unevenness(setting: Setting) -> float:
+def unevenness(setting: SensorConditions) -> float:
     """Return the log variance of segments' log variances if the noise of segments is 5 % apart: (2 ln 1.05)^2 beside
     the 2 / (rows - 1) of Gaussian noise.
     """
@@ -223,7 +223,7 @@ def margin(key: Key, header: SensorHeader, noise: Floats, rows_per_s: float, sec
     without a rule.
     """
     axis_noise = float(noise["xyz".index(key.axis)]) if key.axis else float(np.sqrt(np.mean(np.square(noise))))
-    return MARGINS[key.probe](Setting(header, axis_noise, rows_per_s, seconds))
+    return MARGINS[key.probe](SensorConditions(header, axis_noise, rows_per_s, seconds))
 
 
 def sized(shift: float, scale: float, margin: float) -> Size:

@@ -55,7 +55,7 @@ def with_origins(
 
 
 @dataclass(frozen=True)
-class Line:
+class CommonLine:
     """A line that several sensors measure, along the box axis `axis` ("" if along different ones); `causes` are the
     tones that consist of it.
     """
@@ -66,7 +66,7 @@ class Line:
     causes: tuple[Cause, ...]
 
 
-def lines_of(causes: Sequence[Cause], headers: Mapping[str, SensorHeader]) -> tuple[Line, ...]:
+def lines_of(causes: Sequence[Cause], headers: Mapping[str, SensorHeader]) -> tuple[CommonLine, ...]:
     """Return the lines that are no sensor faults, from the added causes `tone`.
 
     Frequencies must agree within 1 %, and amplitudes in the box within a factor of 1.5 between two chips that measure
@@ -84,11 +84,11 @@ def lines_of(causes: Sequence[Cause], headers: Mapping[str, SensorHeader]) -> tu
             names = tuple(dict.fromkeys(tone.header.name for tone in together))
             axes = {_strongest(tone) for tone in together}
             line_causes = tuple(cause for cause in causes if _is_whole(cause, together))
-            lines.append(Line(first.frequency_hz, axes.pop() if len(axes) == 1 else "", names, line_causes))
+            lines.append(CommonLine(first.frequency_hz, axes.pop() if len(axes) == 1 else "", names, line_causes))
     return tuple(lines)
 
 
-def notes_of(lines: Sequence[Line], shared: Sequence[SharedSignal] = ()) -> tuple[str, ...]:
+def notes_of(lines: Sequence[CommonLine], shared: Sequence[SharedSignal] = ()) -> tuple[str, ...]:
     """Return sentences on what the box felt."""
     sentences = [
         f"{_listed(line.sensors)} have the same line at {line.frequency_hz:.1f} Hz"

@@ -15,7 +15,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES
 from imuarray.gap.model.base_model import headers_in
-from imuarray.gap.model.use import Figure, Use
+from imuarray.gap.model.use import IntervalEstimate, Use
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.cross import Cross
 from imuarray.gap.statistics.probes.level import mean
@@ -41,7 +41,7 @@ _FUSED = {"angular_rate": "rate", "specific_force": "force"}
 _UNITS = {"mg": "mg", "dps": "deg/s"}
 
 
-class Coasting(NamedTuple):
+class CoastingError(NamedTuple):
     """Root mean square `error` (3,) of the integral of each axis after `tau_s`, in `unit` (deg, or m/s of an
     accelerometer), with a bias that was calibrated at rest for the `tau_s` before.
     """
@@ -76,7 +76,7 @@ def uses_of(campaign: Campaign, residual_campaign: Campaign) -> Uses:
     return {place: figure for place, figure in figures.items() if np.isfinite(figure[0])}
 
 
-def coasting(campaign: Campaign, sensor: str) -> Coasting | None:
+def coasting(campaign: Campaign, sensor: str) -> CoastingError | None:
     """Error of an inertial sensor after coasting, exactly sqrt(2) tau sigma_A(tau).
 
     The integral of the readings less the calibrated bias is the second difference of their running integral, whose mean
@@ -94,7 +94,7 @@ def coasting(campaign: Campaign, sensor: str) -> Coasting | None:
     )
     _, unit, factor = _COASTING[header.quantity]
     error = np.sqrt(2 * variance) * tau_s * SI_PER_UNIT[header.unit] * factor
-    return Coasting(tau_s, np.asarray(error), unit)
+    return CoastingError(tau_s, np.asarray(error), unit)
 
 
 def fused(campaign: Campaign, quantity: str) -> float | None:
@@ -213,15 +213,15 @@ def _values(replicates: Sequence[Uses], place: tuple[str, str]) -> Floats:
     return np.array([replicate[place][0] for replicate in replicates if place in replicate])
 
 
-def _simulated(values: Floats) -> Figure:
+def _simulated(values: Floats) -> IntervalEstimate:
     low, middle, high = np.quantile(values, (0.025, 0.5, 0.975)) if len(values) else np.full(3, np.nan)
-    return Figure(float(middle), float(low), float(high))
+    return IntervalEstimate(float(middle), float(low), float(high))
 
 
-def _recorded(value: float, scatter: Floats) -> Figure:
+def _recorded(value: float, scatter: Floats) -> IntervalEstimate:
     positive = scatter[scatter > 0]
     if len(positive) < _LEAST_REPLICATES:
-        return Figure(value, float("nan"), float("nan"))
+        return IntervalEstimate(value, float("nan"), float("nan"))
     logs = np.log(positive)
     low, high = np.quantile(logs - np.median(logs), (0.025, 0.975))
-    return Figure(value, float(value * np.exp(-high)), float(value * np.exp(-low)))
+    return IntervalEstimate(value, float(value * np.exp(-high)), float(value * np.exp(-low)))

@@ -158,7 +158,7 @@ class FittedParameters:
         """Standard deviation (3,) of readings, rounding included."""
         return np.asarray(np.sqrt(np.square(self.rms) + rounding_lsb2(header) / header.sensitivity**2))
 
-    def predicted(self, summary: Summary, stimulus: Stimulus) -> Floats:
+    def predicted(self, summary: Summary, stimulus: SegmentStimulus) -> Floats:
         """Predicted reading (s, 3) of each segment, in the sensor's unit."""
         return np.asarray(stimulus.felt + self._biases(summary) + stimulus.force @ np.array(self.response).T)
 
@@ -188,8 +188,8 @@ class Rest:
     """One phase at rest: its `segments`, and of those that have rows the readings less the stimulus, `deviation` (s, 3)
     in the sensor's unit, and their variances in counts.
 
-    `force` (3,) is the mean specific force along the axes, as in `Stimulus`. Phases of one `face` are averaged; phases
-    of one `group` are of one log and one attitude: only temperature changes their levels.
+    `force` (3,) is the mean specific force along the axes, as in `SegmentStimulus`. Phases of one `face` are averaged;
+    phases of one `group` are of one log and one attitude: only temperature changes their levels.
     """
 
     face: str
@@ -210,7 +210,7 @@ class Rest:
         return self.segments.temperature_degc[self.segments.rows > 0]
 
 
-class Stimulus(NamedTuple):
+class SegmentStimulus(NamedTuple):
     """Stimulus (s, 3) along a sensor's nominal axes in each segment: the measured quantity (`felt`) in its unit, and
     the specific `force`, in the unit of an accelerometer, in g for others.
     """
@@ -219,11 +219,11 @@ class Stimulus(NamedTuple):
     force: Floats
 
 
-def felt(summary: Summary, motion: Motion, force_box: Floats | None) -> Stimulus:
+def felt(summary: Summary, motion: Motion, force_box: Floats | None) -> SegmentStimulus:
     """Return the stimulus along the nominal axes at the segments' mean times; the force is `force_box` (3,) in m/s^2,
     if given.
     """
-    cache: dict[str, tuple[Motion, Stimulus]] = vars(summary)  # a fit asks, and the residual of the same summary
+    cache: dict[str, tuple[Motion, SegmentStimulus]] = vars(summary)  # a fit asks, and the residual of the same summary
     if "felt" not in cache or cache["felt"][0] is not motion:
         cache["felt"] = (motion, _stimulus(summary, motion))
     known = cache["felt"][1]
@@ -232,19 +232,19 @@ def felt(summary: Summary, motion: Motion, force_box: Floats | None) -> Stimulus
     along = np.broadcast_to(force_box @ np.array(summary.header.orientation), known.force.shape)
     if summary.header.quantity == "specific_force":
         force = along / SI_PER_UNIT[summary.header.unit]
-        return Stimulus(force, force)
+        return SegmentStimulus(force, force)
     return known._replace(force=along / STANDARD_GRAVITY)
 
 
-def _stimulus(summary: Summary, motion: Motion) -> Stimulus:
+def _stimulus(summary: Summary, motion: Motion) -> SegmentStimulus:
     part, header = summary.segments, summary.header
     at_ns = np.rint(np.where(part.rows > 0, part.time_s, 0.0) * 1e9).astype(np.int64)
     moment = motion.felt(at_ns)
     measured = _along(np.asarray(getattr(moment, _COLUMN[header.quantity]), float), header)
     if header.quantity == "specific_force":
-        return Stimulus(measured, measured)
+        return SegmentStimulus(measured, measured)
     force = np.asarray(moment.force_box, float) @ np.array(header.orientation) / STANDARD_GRAVITY
-    return Stimulus(measured, force)
+    return SegmentStimulus(measured, force)
 
 
 def _along(vectors_box: Floats, header: SensorHeader) -> Floats:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Figure:
+class IntervalEstimate:
     """A figure with its 95 % interval."""
 
     value: float
@@ -23,6 +23,6 @@ class Use:
     name: str
     sensor: str
     unit: str
-    real: Figure
-    before: Figure
-    after: Figure
+    real: IntervalEstimate
+    before: IntervalEstimate
+    after: IntervalEstimate

@@ -67,7 +67,7 @@ UNREFERENCED: Collection[TemperatureSource] = ("chip", "nothing")
 """Sources of a temperature that is no reference: the chips' own thermometers, and an assumption."""
 
 
-class Reference(NamedTuple):
+class LogReference(NamedTuple):
     """The references beside the sensors of a log: `temperature`, and motion by the `track` of an instrument."""
 
     temperature: Temperature
@@ -270,10 +270,10 @@ def temperature_of(motion: Motion) -> Temperature:
     return temperature
 
 
-def reference_of(motion: Motion) -> Reference:
+def reference_of(motion: Motion) -> LogReference:
     """Return the temperature of a motion, and the motion itself if a track of the log gives it."""
     is_tracked = isinstance(motion, LikeLog) and motion.source != "phases"
-    return Reference(temperature_of(motion), motion if is_tracked else None)
+    return LogReference(temperature_of(motion), motion if is_tracked else None)
 
 
 def sources_of(recording: Recording) -> dict[str, Source]:

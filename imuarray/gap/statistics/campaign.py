@@ -11,7 +11,7 @@ import numpy as np
 from imuarray.gap.recording.course import Stretches
 from imuarray.gap.recording.events import Events
 from imuarray.gap.recording.phases import is_at_rest
-from imuarray.gap.recording.recordings import Reference
+from imuarray.gap.recording.recordings import LogReference
 from imuarray.gap.recording.source import Source
 from imuarray.gap.statistics.cross import Cross, CrossTally, window_ns
 from imuarray.gap.statistics.runs import Runs, runs_of
@@ -107,7 +107,7 @@ def summarise_log(
     kind: str,
     sources: Mapping[str, Source],
     phases: Sequence[Phase],
-    reference: Reference,
+    reference: LogReference,
     layouts: Sequence[Layout] | None = None,
 ) -> LogSummary:
     """Summarises every triad in every phase, in one pass. `layouts`, one for each phase, are those of the log to
@@ -121,7 +121,7 @@ def summarise_logs(
     kind: str,
     replicates: Sequence[Mapping[str, Source]],
     phases: Sequence[Phase],
-    reference: Reference,
+    reference: LogReference,
     layouts: Sequence[Layout] | None = None,
 ) -> list[LogSummary]:
     """Summarises several replicates of one log, which have the same sensors, as `summarise_log` does."""
@@ -133,7 +133,7 @@ def summarise_logs(
 
 
 def summarise_phase(
-    sources: Mapping[str, Source], phase: Phase, number: int, reference: Reference, layout: Layout | None = None
+    sources: Mapping[str, Source], phase: Phase, number: int, reference: LogReference, layout: Layout | None = None
 ) -> PhaseSummary:
     """Summarises one phase of one log."""
     (summary,) = _summarise_phases([sources], phase, number, reference, layout)
@@ -144,7 +144,7 @@ def _summarise_phases(
     replicates: Sequence[Mapping[str, Source]],
     phase: Phase,
     number: int,
-    reference: Reference,
+    reference: LogReference,
     layout: Layout | None,
 ) -> list[PhaseSummary]:
     """Summarises one phase of each replicate: short phases jointly, long ones one after the other, to bound the memory.
@@ -168,7 +168,7 @@ def _summarise_jointly(
     replicates: Sequence[Mapping[str, Source]],
     phase: Phase,
     number: int,
-    reference: Reference,
+    reference: LogReference,
     layout: Layout,
     recorded: bool,
 ) -> list[PhaseSummary]:
@@ -229,7 +229,7 @@ def _summaries(
     phase: Phase,
     grid: Grid,
     replicates: Sequence[Sequence[Block]],
-    reference: Reference,
+    reference: LogReference,
     recorded: bool,
 ) -> list[Summary]:
     """Summaries of one sensor in replicates whose blocks have the same times."""
@@ -244,7 +244,7 @@ def _crosses(
     blocks: Sequence[Mapping[str, Sequence[Block]]],
     phase: Phase,
     layout: Layout,
-    reference: Reference,
+    reference: LogReference,
     recorded: bool,
 ) -> Sequence[Cross | None]:
     """Common moments of the inertial sensors in replicates whose blocks have the same times."""
@@ -263,7 +263,7 @@ def _summarise_in_one_pass(
     sources: Mapping[str, Source],
     phase: Phase,
     number: int,
-    reference: Reference,
+    reference: LogReference,
     layout: Layout,
     recorded: bool,
 ) -> PhaseSummary:

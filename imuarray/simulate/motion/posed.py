@@ -21,7 +21,7 @@ from imuarray.simulate.motion.timeline import FOREVER_NS
 Triple = tuple[float, float, float]
 
 
-class Stimulus(NamedTuple):
+class BoxStimulus(NamedTuple):
     """The stimulus of the box at one instant, in the box frame: specific force in m/s2, angular rate in rad/s,
     temperature, air pressure, magnetic flux density in gauss.
     """
@@ -44,7 +44,7 @@ class Steady(Protocol):
 
 
 class MotionWorld:
-    """A callable ``at_ns -> Stimulus`` that shows what `motion` shows, exactly.
+    """A callable ``at_ns -> BoxStimulus`` that shows what `motion` shows, exactly.
 
     While a motion is `Steady`, and for repeated calls at one instant, the same object is given again at the cost of a
     comparison.
@@ -53,14 +53,14 @@ class MotionWorld:
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
         self._since_ns = self._until_ns = 0
-        self._shown: Stimulus | None = None
+        self._shown: BoxStimulus | None = None
 
     @property
     def phases(self) -> tuple[Phase, ...]:
         """The motion's."""
         return self.motion.phases
 
-    def __call__(self, at_ns: int) -> Stimulus:
+    def __call__(self, at_ns: int) -> BoxStimulus:
         """Return what the box senses at `at_ns`."""
         if self._shown is not None and self._since_ns <= at_ns < self._until_ns:
             return self._shown
@@ -70,11 +70,11 @@ class MotionWorld:
         return self._shown
 
 
-def _one_instant(motion: Motion, at_ns: int) -> Stimulus:
+def _one_instant(motion: Motion, at_ns: int) -> BoxStimulus:
     felt = motion.felt(np.array([at_ns], np.int64))
     vectors = (felt.force_box, felt.rate_box, felt.field_box)
     force, rate, field = ((x, y, z) for x, y, z in (vector[0].tolist() for vector in vectors))
-    return Stimulus(force, rate, float(felt.temperature_degc[0]), float(felt.pressure_pa[0]), field)
+    return BoxStimulus(force, rate, float(felt.temperature_degc[0]), float(felt.pressure_pa[0]), field)
 
 
 class PoseAttitude(NamedTuple):

@@ -111,7 +111,7 @@ _STDS = ((10, "std_lsb"), (11, "runs_std"), (11, "cont_std"))
 
 
 @dataclass(frozen=True)
-class Unit:
+class SensorUnit:
     """One sensor: vectors have an entry for each of its axes, `response` (3, 3) a row; unit is "g" or "dps".
 
     `bias` at 25 degC (Gyro3: in its first state), `response` to force along the sensor's nominal axes, `slope` per
@@ -149,12 +149,12 @@ class Unit:
 
 
 @cache
-def units() -> tuple[Unit, ...]:
+def units() -> tuple[SensorUnit, ...]:
     """Return the nine sensors in the order of Table 1."""
     return tuple(_unit(row["sensor"]) for row in table(1))
 
 
-def unit_of(name: str) -> Unit:
+def unit_of(name: str) -> SensorUnit:
     """Return the sensor of that name."""
     return next(unit for unit in units() if unit.name == name)
 
@@ -215,7 +215,7 @@ def high_rate_degc(range_name: str) -> float:
     return _zero("Gyro1") - float(number_in(row, "mean_lsb"))
 
 
-def _unit(name: str) -> Unit:
+def _unit(name: str) -> SensorUnit:
     rows = [row_of(10, f"{name} {axis}") for axis in "xyz"]
     per_lsb = float(physical(rows[0], Decimal(1)))
     design = design_of(name)
@@ -229,7 +229,7 @@ def _unit(name: str) -> Unit:
         part * lsb for part in (bias, response, slope, noise, in_run, turn_on)
     )
     range_name = rows[0]["range"]
-    return Unit(name, design, range_name, lsb, bias, response, slope, noise, in_run, turn_on, thermometer)
+    return SensorUnit(name, design, range_name, lsb, bias, response, slope, noise, in_run, turn_on, thermometer)
 
 
 def _column(number: int, name: str, column: str) -> Floats:
@@ -330,7 +330,7 @@ NOISE_BANDWIDTH_HZ = {"adxl345": 800.0, "l3g4200d": 35.0}
 
 
 @dataclass(frozen=True)
-class Spread:
+class NormalPopulation:
     """A normal population, in a parameter's unit."""
 
     mean: float
@@ -339,15 +339,15 @@ class Spread:
     limit: float | None = None
 
 
-def spread(values: Floats, known: int, *, positive: bool = False) -> Spread:
+def spread(values: Floats, known: int, *, positive: bool = False) -> NormalPopulation:
     """Return the population that `values` (any shape) of `known` units foretell."""
     mean, sigma = float(values.mean()), float(values.std(ddof=1)) * sqrt(1 + 1 / known)
     return _limited(mean, sigma, 1 / (known + 1), positive)
 
 
-def about_zero(values: Floats, known: int) -> Spread:
+def about_zero(values: Floats, known: int) -> NormalPopulation:
     """Return the same where no direction is preferred: mean 0."""
-    return Spread(0.0, float(np.sqrt(np.mean(values**2))) * sqrt(1 + 1 / known), 1 / (known + 1))
+    return NormalPopulation(0.0, float(np.sqrt(np.mean(values**2))) * sqrt(1 + 1 / known), 1 / (known + 1))
 
 
 def designs() -> Iterator[tuple[Table, dict[str, Table]]]:
@@ -364,7 +364,7 @@ def designs() -> Iterator[tuple[Table, dict[str, Table]]]:
             yield {**head, "range": RANGE[name]}, _by_range(members) if design == "BMA" else _bias(members)
 
 
-def _scale(group: Sequence[Unit]) -> dict[str, Table]:
+def _scale(group: Sequence[SensorUnit]) -> dict[str, Table]:
     """Return the response of accelerometers' axes; of gyroscopes only the response to force was measured."""
     unit, known = group[0].unit, len(group)
     if unit == "dps":
@@ -377,18 +377,18 @@ def _scale(group: Sequence[Unit]) -> dict[str, Table]:
     }
 
 
-def _any_range(group: Sequence[Unit]) -> dict[str, Table]:
+def _any_range(group: Sequence[SensorUnit]) -> dict[str, Table]:
     slope = _planes(group, lambda member: member.slope)
     thermal: dict[str, Table] = {"thermal_bias": {f"slope_{group[0].unit}_per_degc": slope}}
     return thermal | ({} if group[0].thermometer is None else {"thermometer": _thermometer_population(group)})
 
 
-def _bias(group: Sequence[Unit]) -> dict[str, Table]:
+def _bias(group: Sequence[SensorUnit]) -> dict[str, Table]:
     """Gyroscopes: all else is the same at both ranges, in dps (section 5.1)."""
     return {"bias": {f"offset_{group[0].unit}": _planes(group, lambda member: member.bias)}}
 
 
-def _by_range(group: Sequence[Unit]) -> dict[str, Table]:
+def _by_range(group: Sequence[SensorUnit]) -> dict[str, Table]:
     unit = group[0].unit
     return {
         **_bias(group),
@@ -410,13 +410,15 @@ def _population_line(design: str) -> dict[str, Table]:
     }
 
 
-def _thermometer_population(group: Sequence[Unit]) -> Table:
+def _thermometer_population(group: Sequence[SensorUnit]) -> Table:
     reported = np.array([member.thermometer for member in group])
     known = len(group)
     return {"offset_degc": spread(reported[:, 0], known), "rms_degc": spread(reported[:, 1], known, positive=True)}
 
 
-def _planes(group: Sequence[Unit], value: Callable[[Unit], Floats], *, positive: bool = False) -> Spread | list[Spread]:
+def _planes(
+    group: Sequence[SensorUnit], value: Callable[[SensorUnit], Floats], *, positive: bool = False
+) -> NormalPopulation | list[NormalPopulation]:
     """One population for all axes, or, where x and y are one design and z another (ADXL345, section 2.2), two."""
     values = np.array([value(unit) for unit in group])
     if group[0].design != "ADXL":
@@ -425,10 +427,10 @@ def _planes(group: Sequence[Unit], value: Callable[[Unit], Floats], *, positive:
     return [plane, plane, across]
 
 
-def _limited(mean: float, sigma: float, shared: float, positive: bool) -> Spread:
+def _limited(mean: float, sigma: float, shared: float, positive: bool) -> NormalPopulation:
     if not positive or mean >= 3 * sigma:
-        return Spread(mean, sigma, shared)
-    return Spread(mean, sigma, shared, limit=floor(mean * 1e6) / 1e6)
+        return NormalPopulation(mean, sigma, shared)
+    return NormalPopulation(mean, sigma, shared, limit=floor(mean * 1e6) / 1e6)
 
 
 _HEAD = """\
@@ -480,14 +482,14 @@ def fit_text() -> str:
     parts.append(_POPULATION)
     parts += [_part("design", head, effects) for head, effects in designs()]
     compass: dict[str, Table] = {
-        "scale": {"error": Spread(0.0, 0.025, 0.0, limit=0.05)},
+        "scale": {"error": NormalPopulation(0.0, 0.025, 0.0, limit=0.05)},
         "thermal_scale": {"slope_per_degc": -1.2 / 1024},
         "white_noise": {"rms_gauss": 0.01},
     }
     return "\n".join([*parts, _MAGNETOMETERS, _part("design", {"chip": "hmc5883"}, compass)])
 
 
-def unit_effects(unit: Unit) -> dict[str, Table]:
+def unit_effects(unit: SensorUnit) -> dict[str, Table]:
     """Return the effects of a known unit: keys and figures as a model file has them."""
     u = unit.unit
     return {
@@ -503,13 +505,13 @@ def unit_effects(unit: Unit) -> dict[str, Table]:
     }
 
 
-def _response(unit: Unit) -> dict[str, Table]:
+def _response(unit: SensorUnit) -> dict[str, Table]:
     if unit.unit == "dps":
         return {"g_sensitivity": {"response_dps_per_g": unit.response.ravel()}}
     return {"misalignment": {"angles_deg": np.array(unit.angles_deg)}, "scale": {"error": unit.scale_error}}
 
 
-def _faults(unit: Unit) -> dict[str, Table]:
+def _faults(unit: SensorUnit) -> dict[str, Table]:
     if unit.name == "Gyro3":
         return {"bistable_bias": {"offset_dps": gyro3_other_state_lsb() * unit.lsb, "probability": 8 / 15}}
     if unit.name == "BMA1":
@@ -518,21 +520,21 @@ def _faults(unit: Unit) -> dict[str, Table]:
     return {}
 
 
-def _line(unit: Unit) -> dict[str, Table]:
+def _line(unit: SensorUnit) -> dict[str, Table]:
     if unit.unit == "g":
         return {}
     tone: Table = {"amplitude_dps": np.array([0.0, tone_dps(), 0.0]), "frequency_hz": TONE_HZ}
     return {"tone": tone, "bandwidth": {"cutoff_hz": CUTOFF_HZ}}
 
 
-def _thermometer_text(unit: Unit) -> dict[str, Table]:
+def _thermometer_text(unit: SensorUnit) -> dict[str, Table]:
     if unit.thermometer is None:
         return {}
     offset, rms = unit.thermometer
     return {"thermometer": {"offset_degc": offset, "rms_degc": rms}}
 
 
-def _sensor(unit: Unit) -> str:
+def _sensor(unit: SensorUnit) -> str:
     head: Table = {"name": unit.name, "chip": CHIP[unit.design]}
     if unit.name != "Gyro1":
         head["range"] = RANGE[unit.range]
@@ -567,12 +569,12 @@ def _value(value: object) -> str:
     """TOML of a text, a number (six digits), a population, or a list of them."""
     if isinstance(value, str):
         return f'"{value}"'
-    if isinstance(value, Spread) and value.sigma == 0:
+    if isinstance(value, NormalPopulation) and value.sigma == 0:
         return _value(value.mean)
-    if isinstance(value, Spread):
+    if isinstance(value, NormalPopulation):
         items = {"mean": value.mean, "sigma": value.sigma, "limit": value.limit, "shared": value.shared}
         return "{ " + ", ".join(f"{key} = {_value(item)}" for key, item in items.items() if item is not None) + " }"
-    if isinstance(value, list) and isinstance(value[0], Spread):
+    if isinstance(value, list) and isinstance(value[0], NormalPopulation):
         return "[\n" + "".join(f"  {_value(item)},\n" for item in value) + "]"
     if isinstance(value, list | np.ndarray):
         return f"[{', '.join(map(_value, value))}]"

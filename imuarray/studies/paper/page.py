@@ -21,7 +21,7 @@ from imuarray.studies.paper.thermal import AxisPair, pairs
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
-    from imuarray.studies.paper.replica import Curves, Replica, Statistic, Summary
+    from imuarray.studies.paper.replica import AgreementSummary, Curves, Replica, Statistic
 
 COLUMNS: Mapping[str, str] = {
     "paper": "the number that the paper prints",
@@ -501,7 +501,7 @@ def _summary(replica: Replica, result: dict[str, Any]) -> Iterator[str]:
     )
 
 
-def _judge_chi_square(summary: Summary) -> str:
+def _judge_chi_square(summary: AgreementSummary) -> str:
     low, high = summary.expected
     verdict = (
         "as expected"

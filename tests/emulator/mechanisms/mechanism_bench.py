@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_emulator.array import EmulatedBus, open_array
-from firmware_emulator.element import Unit
+from firmware_emulator.element import UnitDeviations
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting, Mechanism
-from firmware_emulator.world import UPRIGHT, Still, Stimulus, World
+from firmware_emulator.world import UPRIGHT, StillWorld, World, WorldStimulus
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 MS = 10**6
@@ -45,8 +45,8 @@ class IdealBoard(FittedBoard):
 
     noisy = False
 
-    def unit(self, sensor: Any) -> Unit:
-        return Unit(noise=(1.0, 1.0, 1.0)) if self.noisy else Unit()
+    def unit(self, sensor: Any) -> UnitDeviations:
+        return UnitDeviations(noise=(1.0, 1.0, 1.0)) if self.noisy else UnitDeviations()
 
 
 class NoisyBoard(IdealBoard):
@@ -59,7 +59,7 @@ def board(
     mechanism: Mechanism, *names: str, world: World | None = None, seed: int = 1, run: int = 0, noisy: bool = False
 ) -> FittedBoard:
     kind = NoisyBoard if noisy else IdealBoard
-    return kind(ARRAY, world or Still(), seed, [Fitting(mechanism, names)], run=run)
+    return kind(ARRAY, world or StillWorld(), seed, [Fitting(mechanism, names)], run=run)
 
 
 def of(name: str) -> Any:
@@ -88,7 +88,7 @@ def errors(
     """What the mechanism adds to the very same sensor without it, (n, 3) in g or dps."""
     there = board(mechanism, name, world=world, seed=seed, run=run, noisy=noisy)
     kind = NoisyBoard if noisy else IdealBoard
-    plain = kind(ARRAY, world or Still(), seed, run=run)
+    plain = kind(ARRAY, world or StillWorld(), seed, run=run)
     return samples(there, name, times_ns, full_scale) - samples(plain, name, times_ns, full_scale)
 
 
@@ -104,7 +104,7 @@ def warm(degc: Callable[[float], float]) -> World:
 
 def turning(rate_box: Callable[[float], tuple[float, float, float]]) -> World:
     """A box without weight that turns."""
-    return lambda at_ns: Stimulus((0.0, 0.0, 0.0), rate_box(at_ns * 1e-9))
+    return lambda at_ns: WorldStimulus((0.0, 0.0, 0.0), rate_box(at_ns * 1e-9))
 
 
 @contextmanager

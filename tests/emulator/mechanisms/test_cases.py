@@ -9,10 +9,10 @@ import h5py
 import numpy as np
 import pytest
 
-from firmware_emulator.cases import Case, main
+from firmware_emulator.cases import BenchCase, main
 from firmware_emulator.mechanisms import MECHANISMS
-from firmware_emulator.mechanisms.experiments import EXPERIMENTS, Experiment
-from firmware_emulator.world import Heating, Shaking, Still
+from firmware_emulator.mechanisms.experiments import EXPERIMENTS, BenchExperiment
+from firmware_emulator.world import HeatingWorld, Shaking, StillWorld
 from imuarray.array import load_array
 from imuarray.errors import OutputExistsError
 from imuarray.log import open_log
@@ -21,15 +21,15 @@ from imuarray.shipped import configs
 ARRAY = load_array(configs() / "martin2013.toml").only(("BMA1", "BMA3", "Gyro1", "Gyro3"))
 SIX_AXIS = load_array(configs() / "icm42688x8.toml").only(("IMU1_acc", "IMU1_gyro"))
 SHORT = (
-    Experiment("static", Still(), 6.0, phase="static"),
-    Experiment("boot", Still(), 1.0, logs=2, phase="run"),
-    Experiment("motion", Shaking(peak_g=0.3, peak_dps=100.0, still_s=1.0, motion_s=2.0), 4.0),
+    BenchExperiment("static", StillWorld(), 6.0, phase="static"),
+    BenchExperiment("boot", StillWorld(), 1.0, logs=2, phase="run"),
+    BenchExperiment("motion", Shaking(peak_g=0.3, peak_dps=100.0, still_s=1.0, motion_s=2.0), 4.0),
 )
 
 
 def written(tmp_path, name, *mechanisms, seed=1, **settings):
     """The folder and the truth of one short case."""
-    case = Case.of(ARRAY, SHORT, *mechanisms, seed=seed, **settings)
+    case = BenchCase.of(ARRAY, SHORT, *mechanisms, seed=seed, **settings)
     paths = case.write(tmp_path / name, tmp_path / "sealed" / f"{name}.json")
     return paths, json.loads((tmp_path / "sealed" / f"{name}.json").read_text())
 
@@ -103,7 +103,7 @@ def test_the_truth_tells_everything(tmp_path):
 def test_the_truth_tells_whose_readings_were_anothers(tmp_path):
     """Who comes first in a segment and has no twin isn't acknowledged: the order is repeated before others are read."""
     array = load_array(configs() / "martin2013.toml").only(("ADXL1", "BMA1", "BMA3", "Gyro1", "Gyro3"))
-    case = Case.of(array, SHORT[:1], ("mux_hang", 20.0, ()))
+    case = BenchCase.of(array, SHORT[:1], ("mux_hang", 20.0, ()))
     case.write(tmp_path / "logs", tmp_path / "truth.json")
     (hang,) = json.loads((tmp_path / "truth.json").read_text())["mechanisms"]
     assert hang["sensors"] == ["BMA3", "Gyro3"]
@@ -111,7 +111,7 @@ def test_the_truth_tells_whose_readings_were_anothers(tmp_path):
 
 @pytest.mark.slow
 def test_the_truth_may_not_lie_beside_the_logs(tmp_path):
-    case = Case.of(ARRAY, SHORT[:1])
+    case = BenchCase.of(ARRAY, SHORT[:1])
     with pytest.raises(ValueError, match="in the folder of the logs"):
         case.write(tmp_path, tmp_path / "truth.json")
     case.write(tmp_path / "logs", tmp_path / "truth.json")
@@ -121,8 +121,8 @@ def test_the_truth_may_not_lie_beside_the_logs(tmp_path):
 
 @pytest.mark.slow
 def test_a_reference_tells_what_the_bench_was_told_or_is_left_out(tmp_path):
-    heated = Experiment("heating", Heating(scale=0.005), 6.0)
-    told, silent = (Case.of(ARRAY, [heated], reference=reference) for reference in (True, False))
+    heated = BenchExperiment("heating", HeatingWorld(scale=0.005), 6.0)
+    told, silent = (BenchCase.of(ARRAY, [heated], reference=reference) for reference in (True, False))
     (told_path,) = told.write(tmp_path / "told", tmp_path / "told.json")
     (silent_path,) = silent.write(tmp_path / "silent", tmp_path / "silent.json")
     with open_log(told_path) as log:
@@ -136,10 +136,10 @@ def test_a_reference_tells_what_the_bench_was_told_or_is_left_out(tmp_path):
 
 @pytest.mark.slow
 def test_a_moving_box_is_followed_by_a_faster_reference(tmp_path):
-    moved = Experiment(
+    moved = BenchExperiment(
         "motion", Shaking(peak_g=0.3, peak_dps=100.0, still_s=1.0, motion_s=2.0), 4.0, reference_hz=500.0
     )
-    (path,) = Case.of(ARRAY, [moved], seed=6).write(tmp_path / "logs", tmp_path / "truth.json")
+    (path,) = BenchCase.of(ARRAY, [moved], seed=6).write(tmp_path / "logs", tmp_path / "truth.json")
     with open_log(path) as log:
         reference, gyro = log.reference, log["Gyro1"]
         assert np.array_equal(np.diff(reference.time[:]), np.full(1999, 2_000_000))
@@ -156,7 +156,7 @@ def test_a_moving_box_is_followed_by_a_faster_reference(tmp_path):
 def test_every_mechanism_can_be_recorded_at_its_worst(tmp_path, name):
     sensors = ("BMA1", "BMA3") if MECHANISMS[name].place == "pair" else ()
     array = ARRAY if set(MECHANISMS[name].touches) & {"bma180", "l3g4200d"} else SIX_AXIS
-    case = Case.of(array, [Experiment("motion", SHORT[2].world, 6.5)], (name, 20.0, sensors), seed=2)
+    case = BenchCase.of(array, [BenchExperiment("motion", SHORT[2].world, 6.5)], (name, 20.0, sensors), seed=2)
     (path,) = case.write(tmp_path / "logs", tmp_path / "sealed.json")
     with open_log(path) as log:
         assert all(len(log[sensor].time) > 20 for sensor in log.sensors)

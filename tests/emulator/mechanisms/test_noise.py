@@ -21,7 +21,7 @@ from firmware_emulator.mechanisms.disturbances import (
     TrappedCharges,
 )
 from firmware_emulator.mechanisms.response import OutputFilter
-from firmware_emulator.world import DelayedWorld, Still
+from firmware_emulator.world import DelayedWorld, StillWorld
 from tests.emulator.mechanisms.mechanism_bench import MS, S, board, errors, every, samples, turning
 
 
@@ -185,6 +185,9 @@ def test_time_since_power_on_is_what_counts():
     early = errors(SpinningMotor(peak_dps=1.0), "Gyro", every(7, 3000))
 
     late = errors(
-        SpinningMotor(peak_dps=1.0), "Gyro", [begun + at for at in every(7, 3000)], world=DelayedWorld(Still(), begun)
+        SpinningMotor(peak_dps=1.0),
+        "Gyro",
+        [begun + at for at in every(7, 3000)],
+        world=DelayedWorld(StillWorld(), begun),
     )
     assert np.allclose(early, late)

@@ -16,7 +16,7 @@ from firmware_emulator.array import open_bus
 from firmware_emulator.mechanisms import MECHANISMS
 from firmware_emulator.mechanisms.mechanism import FittedBoard
 from firmware_emulator.mechanisms.query import fittings_from
-from firmware_emulator.world import Heating, Shaking
+from firmware_emulator.world import HeatingWorld, Shaking
 from tests.emulator.mechanisms.mechanism_bench import ARRAY, errors, every
 from tests.selection import some
 
@@ -41,7 +41,7 @@ PACKAGE = Path(firmware_emulator.__file__).parent
 def both(at_ns):
     """Shaken and heated at once, so that everything has something to act on."""
     shaken = Shaking(peak_g=0.3, peak_dps=100.0, still_s=0.5, motion_s=20.0)(at_ns)
-    return shaken._replace(temperature_degc=Heating(scale=0.003)(at_ns).temperature_degc)
+    return shaken._replace(temperature_degc=HeatingWorld(scale=0.003)(at_ns).temperature_degc)
 
 
 @pytest.mark.parametrize("name", MECHANISMS)

@@ -20,7 +20,7 @@ from firmware_emulator.mechanisms.response import (
     VibrationRectification,
 )
 from firmware_emulator.mechanisms.thermal import BoardToDie, GainResistor, SelfHeating, ThermalHysteresis, ThermistorBow
-from firmware_emulator.world import STANDARD_GRAVITY, UPRIGHT, Still, Stimulus
+from firmware_emulator.world import STANDARD_GRAVITY, UPRIGHT, StillWorld, WorldStimulus
 from tests.emulator.mechanisms.mechanism_bench import (
     ARRAY,
     MS,
@@ -37,7 +37,7 @@ from tests.emulator.mechanisms.mechanism_bench import (
 
 def force(x: float, y: float, z: float):
     """A world of constant specific force in g."""
-    felt = Stimulus((x * STANDARD_GRAVITY, y * STANDARD_GRAVITY, z * STANDARD_GRAVITY))
+    felt = WorldStimulus((x * STANDARD_GRAVITY, y * STANDARD_GRAVITY, z * STANDARD_GRAVITY))
     return lambda at_ns: felt
 
 
@@ -230,7 +230,7 @@ def test_a_lever_feels_centripetal_and_tangential_force():
 
 
 def test_shaking_is_rectified_by_its_mean_square():
-    def shaken(at_ns: int) -> Stimulus:
+    def shaken(at_ns: int) -> WorldStimulus:
         return UPRIGHT._replace(
             force_box=(0.5 * STANDARD_GRAVITY * math.sin(2 * math.pi * 11.0 * at_ns * 1e-9), 0.0, STANDARD_GRAVITY)
         )
@@ -255,6 +255,6 @@ def test_a_supply_is_felt_by_all_chips_of_a_kind_at_once():
 
 def test_crossed_wires_lead_to_the_other_unit():
     fitting = Fitting(CrossedWiring(), ("BMA", "BMA twin"))
-    crossed, straight = (FittedBoard(ARRAY, Still(), 3, [*which], units="drawn") for which in ([fitting], []))
+    crossed, straight = (FittedBoard(ARRAY, StillWorld(), 3, [*which], units="drawn") for which in ([fitting], []))
     for name, other in (("BMA", "BMA twin"), ("BMA twin", "BMA")):
         assert np.array_equal(samples(crossed, name, every(5, 9)), samples(straight, other, every(5, 9)))

@@ -23,7 +23,7 @@ from firmware_emulator.mechanisms.host_time import CoarseTimestamps, HostResonat
 from firmware_emulator.mechanisms.mechanism import Fitting
 from firmware_emulator.mechanisms.power import BrownOut
 from firmware_emulator.mechanisms.wiring import CableBitErrors, LooseContact, MuxCrosstalk, MuxHang
-from firmware_emulator.world import Still, Stimulus
+from firmware_emulator.world import StillWorld, WorldStimulus
 from tests.emulator.mechanisms.mechanism_bench import ARRAY, MS, IdealBoard, S, board, bus_with, of, words
 
 ADXL, BMA, GYRO, MUX = 0x53, 0x40, 0x68, 0x70
@@ -65,7 +65,7 @@ def test_latched_codes_keep_the_chips_width_and_its_ready_bit():
     assert {word & 3 for word in latched} == {0, 1}
     assert latched[2] >> 2 == 4096
     assert board(MissingCodes(14), "BMA")._sites["BMA"].links.latches[0](0, (8191, 0, 0))[0] == 8192
-    with bus_with(MissingCodes(14), "BMA", world=lambda at_ns: Stimulus((0.0, 0.0, 99.0))) as bus:
+    with bus_with(MissingCodes(14), "BMA", world=lambda at_ns: WorldStimulus((0.0, 0.0, 99.0))) as bus:
         awake(bus)
         assert words(bus.transfer(BMA, b"\x02", 6))[2] >> 2 == 8191
 
@@ -251,7 +251,7 @@ def test_a_ticking_kernel_shows_and_wakes_on_ticks():
 
 def test_clocks_add_up():
     fittings = [Fitting(clock, ("BMA",)) for clock in (HostResonator(0.1, 1.0), CoarseTimestamps(10.0))]
-    host = IdealBoard(ARRAY, Still(), 1, fittings)
+    host = IdealBoard(ARRAY, StillWorld(), 1, fittings)
     clock = host.host_clock(VirtualClock())
     assert isinstance(clock, HostClock)
     clock.sleep_until(10 * S + 1)

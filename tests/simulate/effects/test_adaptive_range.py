@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from firmware_emulator.array import open_array
-from firmware_emulator.element import Unit
+from firmware_emulator.element import UnitDeviations
 from firmware_emulator.mechanisms.converter import AdaptiveRange as Mechanism
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting
-from firmware_emulator.world import Stimulus
+from firmware_emulator.world import WorldStimulus
 from imuarray.simulate.effects.adaptive_range import LONGEST, AdaptiveRange
 
 MS = 10**6
@@ -106,14 +106,16 @@ SENSOR = SimpleNamespace(
 ARRAY = SimpleNamespace(name="bench", mux=None, sensors=(SENSOR,))
 
 
-def turning(at_ns: int) -> Stimulus:
+def turning(at_ns: int) -> WorldStimulus:
     """160 dps there and back in 0.4 s, about x."""
-    return Stimulus((0.0, 0.0, 9.80665), (float(np.radians(160.0) * np.sin(at_ns * 1e-9 * 2 * np.pi / 0.4)), 0.0, 0.0))
+    return WorldStimulus(
+        (0.0, 0.0, 9.80665), (float(np.radians(160.0) * np.sin(at_ns * 1e-9 * 2 * np.pi / 0.4)), 0.0, 0.0)
+    )
 
 
 class IdealBoard(FittedBoard):
-    def unit(self, sensor: object) -> Unit:
-        return Unit()
+    def unit(self, sensor: object) -> UnitDeviations:
+        return UnitDeviations()
 
 
 def readings(control: str, *fittings: Fitting) -> list[int]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from firmware_emulator.world import Tumble as EmulatedTumble
+from firmware_emulator.world import TumbleWorld as EmulatedTumble
 from imuarray.simulate.motion import Heating, Still, Tumble
 
 G = 9.80665

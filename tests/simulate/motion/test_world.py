@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from firmware_emulator.array import open_array
-from firmware_emulator.world import Stimulus as EmulatedStimulus
+from firmware_emulator.world import WorldStimulus as EmulatedStimulus
 from imuarray.acquire import record
 from imuarray.array import parse_array
 from imuarray.arrays import Integers
@@ -17,7 +17,7 @@ from imuarray.log import Log
 from imuarray.simulate.motion import HandShake, Heating, Still, Tumble
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.like import LikeLog
-from imuarray.simulate.motion.posed import MotionWorld, Stimulus
+from imuarray.simulate.motion.posed import BoxStimulus, MotionWorld
 from tests.selection import some
 
 G = 9.80665
@@ -45,7 +45,7 @@ axes = "+Y-X+Z"
 
 
 def test_its_stimulus_is_what_the_emulator_takes() -> None:
-    assert Stimulus._fields == EmulatedStimulus._fields
+    assert BoxStimulus._fields == EmulatedStimulus._fields
     shown = MotionWorld(Still())(0)
     assert shown == EmulatedStimulus()
     assert all(type(value) is float for value in (*shown.force_box, *shown.rate_box, *shown.field_box, *shown[2:4]))

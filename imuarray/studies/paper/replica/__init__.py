@@ -9,14 +9,14 @@ from __future__ import annotations
 from imuarray.studies.paper.replica.comparison import compare, replicate
 from imuarray.studies.paper.replica.curves import Curves, curves_of
 from imuarray.studies.paper.replica.simulation import ExperimentData, observe
-from imuarray.studies.paper.replica.statistic import Replica, Statistic, Summary, render_text
+from imuarray.studies.paper.replica.statistic import AgreementSummary, Replica, Statistic, render_text
 
 __all__ = [
+    "AgreementSummary",
     "Curves",
     "ExperimentData",
     "Replica",
     "Statistic",
-    "Summary",
     "compare",
     "curves_of",
     "observe",

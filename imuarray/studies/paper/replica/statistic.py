@@ -22,7 +22,7 @@ from imuarray.studies.paper.array_model import (
     PARTS,
     REFERENCE_DEGC,
     WINDOW_S,
-    Unit,
+    SensorUnit,
     covariance_of_means,
     gyro3_other_state_lsb,
     runs_of,
@@ -49,7 +49,7 @@ def axis_of(channel: str) -> int:
     return "xyzt".index(channel.split()[1])
 
 
-def own(channel: str, value: Callable[[Unit], Floats]) -> float:
+def own(channel: str, value: Callable[[SensorUnit], Floats]) -> float:
     """Return a figure of the model for this axis, in counts; 0 for a thermometer."""
     unit, axis = unit_of(channel.split()[0]), axis_of(channel)
     return 0.0 if axis == 3 else float(value(unit)[axis]) / unit.lsb
@@ -255,7 +255,7 @@ def logarithmic(at: Place, published: float, simulated: float, parts: Mapping[st
 
 
 @dataclass(frozen=True)
-class Summary:
+class AgreementSummary:
     """The number of statistics `within` 1, 2 and 3 uncertainties, of how many (`count`); `chi_square` of the
     `independent` ones per degree, and the interval `expected` (95 %) for it.
 
@@ -272,7 +272,7 @@ class Summary:
     expected: tuple[float, float]
 
 
-def summary(statistics: Iterable[Statistic]) -> Summary:
+def summary(statistics: Iterable[Statistic]) -> AgreementSummary:
     """Return the summary of some statistics; at least one must not be derived."""
     rows = list(statistics)
     sizes = [abs(row.z) for row in rows]
@@ -281,7 +281,7 @@ def summary(statistics: Iterable[Statistic]) -> Summary:
     low, high = (float(chi2.ppf(share, degrees)) / degrees for share in _EXPECTED)
     within = (sum(size <= 1 for size in sizes), sum(size <= 2 for size in sizes), sum(size <= 3 for size in sizes))
     chi_square = sum(row.z**2 for row in free) / len(free)
-    return Summary(len(rows), within, len(free), chi_square, degrees, (low, high))
+    return AgreementSummary(len(rows), within, len(free), chi_square, degrees, (low, high))
 
 
 def effective_degrees(rows: Sequence[Statistic]) -> float:
@@ -302,12 +302,12 @@ class Replica:
     statistics: tuple[Statistic, ...]
 
     @property
-    def summary(self) -> Summary:
+    def summary(self) -> AgreementSummary:
         """Return the summary of all statistics."""
         return summary(self.statistics)
 
     @property
-    def kinds(self) -> dict[str, Summary]:
+    def kinds(self) -> dict[str, AgreementSummary]:
         """The summaries of what the model was "fitted to" and what it "foretold", and of "axes" and "thermometers"."""
         kinds: dict[str, list[Statistic]] = {"fitted to": [], "foretold": [], "axes": [], "thermometers": []}
         for row in self.statistics:
@@ -373,7 +373,7 @@ def _together(replica: Replica) -> Iterator[str]:
         yield _chi_square(name, result)
 
 
-def _chi_square(name: str, summary: Summary) -> str:
+def _chi_square(name: str, summary: AgreementSummary) -> str:
     low, high = summary.expected
     return (
         f"  {name:<13}{summary.chi_square:>7.2f} over {summary.independent:>4} of them;"
