@@ -161,6 +161,15 @@ def test_only_some_sensors_and_a_transcript(run: Run, here: Path) -> None:
         assert log.source == "replay"
 
 
+def test_a_log_needs_no_import_and_phases_are_suggested(run: Run, here: Path) -> None:
+    arguments = ("--bus", "emulated:", "-o", "r.h5", "--seconds", "1", "--sensor", "A", "--phase", "z_up")
+    assert run("log", "one.toml", *arguments)[0] == 0
+    code, _, err = run("import", "r.h5", "-o", "again.h5")
+    assert (code, err) == (2, ["imuarray: r.h5: is a log already; every command reads it as it is"])
+    code, _, err = run("characterise", "r.h5", "--phase", "zup", "-o", "noise")
+    assert code == 2 and err[0].endswith("it has z_up; did you mean z_up?")
+
+
 def test_shipped_configurations_by_name(run: Run) -> None:
     code, out, _ = run("detect", "martin2013", "--bus", "emulated:", "--json")
     told = json.loads(out)
@@ -228,6 +237,10 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     (("info", "fused.h5"), "fused.h5: is a fused result, not a log"),
     (("fuse", "x.csv", "--calibration", "foreign.h5", "-o", "r.h5"), "foreign.h5: is an HDF5 file, not a text file"),
     (("log", "foreign.h5", "--bus", "emulated:", "-o", "r.h5"), "foreign.h5: is an HDF5 file, not a text file"),
+    (("gap",), "choose what to do: "),
+    (("calibrate",), "choose what to calibrate: "),
+    (("report", "x.csv", "-o", "r.pdf"), "r.pdf: a report is an HTML page; name it r.html"),
+    (("report", "x.csv", "-o", "page"), "page: a report is an HTML page; name it page.html"),
 ]
 
 

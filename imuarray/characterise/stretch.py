@@ -11,6 +11,7 @@ import numpy.typing as npt
 from imuarray.errors import LogError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import LOST_BEFORE, RECONFIGURED, SUSPECT, Phase
+from imuarray.spelling import guess
 
 STILL_NAMES = frozenset({"static", "room"})
 """Phases at rest by their name; one that says which axis is up is at rest too."""
@@ -82,8 +83,10 @@ def choose_stretch(log: Log, phase: str | None = None) -> Stretch:
     if phase is not None:
         named = [item for item in log.phases if item.name == phase]
         if not named:
-            known = ", ".join(dict.fromkeys(item.name for item in log.phases))
-            raise LogError(f"{log.path}: no phase {phase!r}; it has {known or 'no phases'}")
+            known = list(dict.fromkeys(item.name for item in log.phases))
+            raise LogError(
+                f"{log.path}: no phase {phase!r}; it has {', '.join(known) or 'no phases'}{guess(phase, known)}"
+            )
         return _stretch(named, "named")
     still = [item for item in log.phases if _at_rest(item)]
     return _stretch(still, "longest phase at rest") if still else _whole(log)

@@ -30,7 +30,9 @@ RESULT = "characterise.json"
     help=f"write {RESULT} and, with matplotlib, figures into DIR",
 )
 @click.option("--phase", metavar="NAME", help="the phase to evaluate (default: the longest phase at rest)")
-@click.option("--sensor", "sensors", metavar="NAME,...", help="only these sensors (default: all with three axes)")
+@click.option(
+    "--only", "--sensor", "sensors", metavar="NAME,...", help="only these sensors (default: all with three axes)"
+)
 @click.option(
     "--estimator",
     type=click.Choice(("overlapping", "decimated")),

@@ -25,7 +25,9 @@ _STEPS = 1000
     metavar=f"RUN{'|'.join(WRITERS)}",
     help="the file to write; its suffix chooses the format",
 )
-@click.option("--sensor", "sensors", default="", metavar="NAME,...", help="only these sensors (default: everything)")
+@click.option(
+    "--only", "--sensor", "sensors", default="", metavar="NAME,...", help="only these sensors (default: everything)"
+)
 @click.option(
     "--calibration",
     "calibration_file",

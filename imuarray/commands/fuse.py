@@ -75,7 +75,7 @@ _WORDS = {
     metavar="FUSED.h5",
     help="the result to write (optional with --evaluate)",
 )
-@click.option("--only", default="", metavar="SENSOR,...", help="fuse only these sensors")
+@click.option("--only", "--sensor", "only", default="", metavar="SENSOR,...", help="fuse only these sensors")
 @click.option("--causal", is_flag=True, help="use only readings up to each frame, as `log --fuse` does")
 @click.option(
     "--watch/--no-watch",

@@ -29,9 +29,16 @@ FILES = ("gap.json", "repaired.toml", "report.html")
 """The files that are written into the output folder."""
 
 
-@click.group("gap")
-def command() -> None:
-    """Show where recordings and simulations differ, and why."""
+@click.group("gap", invoke_without_command=True)
+@click.pass_context
+def command(context: click.Context) -> None:
+    """Show where recordings and simulations differ, and why.
+
+    \b
+    imuarray gap diagnose bench.h5 -o gap
+    """
+    if context.invoked_subcommand is None:
+        raise click.UsageError(f"choose what to do: {', '.join(command.commands)}")
 
 
 command.add_command(validate)
@@ -52,7 +59,7 @@ command.add_command(validate)
     metavar="EFFECT,...",
     help="remove these effects from the library of causes (imuarray simulate --effects lists them)",
 )
-@click.option("--only", default="", metavar="SENSOR,...", help="diagnose only these sensors")
+@click.option("--only", "--sensor", "only", default="", metavar="SENSOR,...", help="diagnose only these sensors")
 @click.option(
     "--against",
     multiple=True,

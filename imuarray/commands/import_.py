@@ -11,6 +11,7 @@ import click
 
 from imuarray.axes import UP_AXES
 from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
+from imuarray.errors import LogError
 from imuarray.importers import FORMATS
 from imuarray.printable import counted, printable
 from imuarray.shipped import find_map
@@ -71,6 +72,19 @@ class ImportOptions:
     as_json: bool
 
 
+def _is_log(source: Path) -> bool:
+    """Return whether a file is a log, which needs no import."""
+    from imuarray.log import Log
+
+    if source.suffix != ".h5" or not source.is_file():
+        return False
+    try:
+        with Log(source):
+            return True
+    except LogError:
+        return False
+
+
 def _run(options: ImportOptions) -> None:
     """Import a recording or propose a map, and print the summary."""
     from imuarray.importers import importer
@@ -85,6 +99,8 @@ def _run(options: ImportOptions) -> None:
         raise click.UsageError("Missing option '-o' / '--output'.")
     ours = _exported(options.source) if options.map_path is None and options.format_name is None else None
     if ours is None and (options.map_path is None) == (options.format_name is None):
+        if _is_log(options.source):
+            raise click.UsageError(f"{options.source}: is a log already; every command reads it as it is")
         raise click.UsageError(f"give either --map MAP.toml or --format {'|'.join(FORMATS)}; --guess proposes a map")
     if options.up is not None and options.map_path is None:
         raise click.UsageError("--up requires --map")

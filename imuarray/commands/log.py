@@ -169,7 +169,7 @@ def _logs_with_events(logs: Sequence[Path], sensor: str) -> list[Path]:
     metavar="T.jsonl",
     help="also write a transcript of every transaction",
 )
-@click.option("--only", metavar="SENSOR,...", help="read only these sensors")
+@click.option("--only", "--sensor", "only", metavar="SENSOR,...", help="read only these sensors")
 @click.option(
     "--calibration",
     type=click.Path(path_type=Path),

@@ -30,6 +30,9 @@ def command(files: tuple[Path, ...], output: Path, title: str, workers: int, for
     """
     from imuarray.report.files import file_kind, members, write_report
 
+    if output.suffix.lower() not in (".html", ".htm"):
+        name = output.with_suffix(".html").name if output.suffix else f"{output.name}.html"
+        raise click.UsageError(f"{output}: a report is an HTML page; name it {name}")
     for path in (member for file in files for member in members(file)):
         refuse_existing(output, force, source=path if path.is_file() else None)
         file_kind(path)

@@ -122,7 +122,7 @@ def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> No
 @click.option(
     "--without", metavar="EFFECT,...", default="", help="leave these effects out; other random draws do not change"
 )
-@click.option("--only", metavar="SENSOR,...", help="simulate only these sensors")
+@click.option("--only", "--sensor", "only", metavar="SENSOR,...", help="simulate only these sensors")
 @click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True, help="seed of all random draws")
 @click.option(
     "--boot",
