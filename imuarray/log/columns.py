@@ -27,6 +27,9 @@ CACHED_BYTES = 1 << 26
 RECENT_BYTES = 1 << 24
 """The same of a longer log, which is not kept from one pass to the next: a block of each column of a dozen sensors."""
 
+TRACK_BYTES = 1 << 23
+"""The same of the tracks, which few analyses read more than once: two blocks of each column."""
+
 _BLOCK_ROWS = 1 << 16
 """Rows of a column that are read and kept together: sixteen chunks."""
 
@@ -61,6 +64,13 @@ class RowCache:
         first = range(start - start % _BLOCK_ROWS, stop, _BLOCK_ROWS)
         parts = [self._block(column, name, at)[max(start - at, 0) : stop - at] for at in first]
         return parts[0].copy() if len(parts) == 1 else np.concatenate(parts)
+
+    def held(self, name: str, start: int, stop: int) -> npt.NDArray[Any] | None:
+        """Return a copy of a few rows of a column of this name if they are in memory, else None."""
+        first = start - start % _BLOCK_ROWS
+        with self._lock:
+            block = self._blocks.get((name, first))
+        return None if block is None or stop - first > len(block) else block[start - first : stop - first].copy()
 
     def _block(self, column: h5py.Dataset, name: str, first: int) -> npt.NDArray[Any]:
         """Return the block that begins at row `first`."""
@@ -110,11 +120,16 @@ class NamedColumn:
         return (self[row] for row in range(len(self)))
 
     def __getitem__(self, key: Any) -> Any:
-        if self._cache is not None and self._cache.used and isinstance(key, slice) and key.step in (None, 1):
-            start, stop, _ = key.indices(len(self))
-            if stop - start >= _FEW_ROWS:
-                with suppress(*UNREADABLE):  # where rows nearby are damaged, those asked for may be intact
-                    return self._cache.rows(self._column, self._where, start, stop)
+        if self._cache is not None and self._cache.used:
+            if isinstance(key, slice) and key.step in (None, 1):
+                start, stop, _ = key.indices(len(self))
+                if stop - start >= _FEW_ROWS:
+                    with suppress(*UNREADABLE):  # where rows nearby are damaged, those asked for may be intact
+                        return self._cache.rows(self._column, self._where, start, stop)
+                if stop > start and (rows := self._cache.held(self._where, start, stop)) is not None:
+                    return rows
+            elif isinstance(key, int) and (row := self._cache.held(self._where, *self._only(key))) is not None:
+                return row[0]
         try:
             return self._column[key]
         except UNREADABLE:
@@ -122,6 +137,11 @@ class NamedColumn:
 
     def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
         return np.asarray(self[()] if self.shape == () else self[:], dtype)
+
+    def _only(self, row: int) -> tuple[int, int]:
+        """Return the bounds of the slice of a single row, which counts from the end if it is negative."""
+        start = row + len(self) if row < 0 else row
+        return start, start + 1
 
     def _damaged(self, key: Any) -> LogError:
         """Return an error message that names the requested rows."""

@@ -23,7 +23,7 @@ import h5py
 import numpy as np
 
 from imuarray.errors import LogError, LogWarning
-from imuarray.log.columns import ClockTrack, RowCache, Track, clocks_of, track_of
+from imuarray.log.columns import TRACK_BYTES, ClockTrack, RowCache, Track, clocks_of, track_of
 from imuarray.log.format import FORMAT, FORMAT_VERSION, FUSED, SOURCES, Event, Phase, Preamble
 from imuarray.log.inspection import inspect
 from imuarray.log.interrupted import LiveView, RebuiltFile, is_unfinished, may_be_unfinished, open_interrupted
@@ -52,6 +52,7 @@ class Log:
     """
 
     _cache: RowCache | None = None
+    _track_cache: RowCache | None = None
 
     def __init__(self, path: str | PathLike[str], *, thorough: bool = False, journal_fd: int | None = None) -> None:
         """Open and check `path`; LogError states what is missing or wrong. `thorough` reads the whole of an unfinished
@@ -66,7 +67,7 @@ class Log:
             if str(error).startswith(str(path)):
                 raise
             raise LogError(f"{path}: {error}") from None
-        self._cache = RowCache()
+        self._cache, self._track_cache = RowCache(), RowCache(TRACK_BYTES)
         try:
             self._check()
             names = [name for name in self._file["sensors"] if not self._is_damaged(f"/sensors/{name}")]
@@ -249,13 +250,14 @@ class Log:
 
     def _track(self, name: str) -> Track | None:
         group = self._group(name)
-        return None if group is None else track_of(group, f"{self.path}: group {name}", self._cache)
+        return None if group is None else track_of(group, f"{self.path}: group {name}", self._track_cache)
 
     def keep_rows(self) -> None:
         """Keep the rows that are read from now on in memory, of a log of up to 64 MB all of them, of a longer one the
         last 16 MB: for analyses that read a log several times. Nothing is kept of a log that is being written.
         """
-        if self._cache is not None:
+        if self._cache is not None and self._track_cache is not None:
+            self._track_cache.use(0)
             columns = [(sensor.time, sensor.counts, sensor.status) for sensor in self.sensors.values()]
             self._cache.use(sum(math.prod(column.shape) * column.dtype.itemsize for part in columns for column in part))
 

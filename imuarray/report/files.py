@@ -61,6 +61,7 @@ Sayings = tuple[list[Verdict], list[str], list[Section]]
 def _log(path: Path, together: PageContext) -> Sayings:
     with ExitStack() as stack:
         log: Log = stack.enter_context(open_log(path))
+        log.keep_rows()
         known = together.calibration
         fitting = [sensor for sensor in log.sensors.values() if sensor.name in known.sensors and sensor.is_triad]
         scales = {sensor.name: known.of(sensor).scale_lsb_per_unit.tolist() for sensor in fitting}

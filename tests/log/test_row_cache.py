@@ -68,6 +68,22 @@ def test_of_a_long_log_the_rows_used_last_stay(monkeypatch: pytest.MonkeyPatch, 
     assert counted.rows_read == ROWS + again
 
 
+def test_few_rows_come_from_memory_if_they_are_there() -> None:
+    counted = Counted(np.arange(ROWS) ** 2)
+    column = cached(counted, "time")
+    assert column[70_000:70_010].tolist() == [row**2 for row in range(70_000, 70_010)] and counted.rows_read == 10
+    column[0:131_072]
+    read = counted.rows_read
+    for start, stop in ((0, 1), (65_530, 65_536), (65_536, 65_540), (131_071, 131_072)):
+        assert column[start:stop].tolist() == [row**2 for row in range(start, stop)]
+    assert (int(column[5]), int(column[65_536]), int(column[65_537 - ROWS])) == (25, 65_536**2, 65_537**2)
+    assert counted.rows_read == read
+    column[65_530:65_540]  # in two blocks
+    assert counted.rows_read == read + 10
+    with pytest.raises(IndexError):
+        cached(np.arange(ROWS), "time")[ROWS]
+
+
 def test_what_was_used_last_stays() -> None:
     counted = Counted(np.arange(ROWS))
     column = cached(counted, "time", 2 * 8 * 65_536)
