@@ -151,6 +151,7 @@ def _repeats(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
     share = repeats["new_share"]
     if interpolation := sensor.get("interpolation"):
         yield _Remark(place, interpolation["sentence"])
+    yield from (_Remark(place, text) for text in sensor.get("processing", ()))
     if share is None:
         return
     if rate_hz and share < _SLOW_SHARE:

@@ -28,6 +28,7 @@ from imuarray.characterise.codes import Histogram, code_density, find_rails
 from imuarray.characterise.interpolation import find_interpolation
 from imuarray.characterise.lines import aliases, find_lines
 from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statistics
+from imuarray.characterise.processing import find_filters, find_missing_gravity
 from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
 from imuarray.characterise.spectrum import Spectrum
 from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
@@ -297,6 +298,7 @@ def _sensor(
     rails = find_rails(sensor) if sensor.is_triad else None
     stalls = find_stalls(sensor)
     interpolation = find_interpolation(sensor)
+    processing = [find_missing_gravity(sensor), *find_filters(sensor)]
     return {
         **_identity(sensor, per_count),
         "rows": statistics.rows,
@@ -318,6 +320,7 @@ def _sensor(
         },
         "spectrum": surveyed and spectrum_of(surveyed),
         "rails": rails and asdict(rails) | {"flagged": sensor.flagged()["saturated"]},
+        "processing": [text for text in processing if text],
         "interpolation": interpolation and asdict(interpolation) | {"sentence": interpolation.sentence},
         "stalls": stalls and asdict(stalls) | {"adaptive_range": stalls.is_adaptive},
         "axes": _axes(sensor, per_count, surveyed, statistics, progress),

@@ -10,7 +10,7 @@
                   stamps = "reading" | "arrival"
     [[sensor]]    name  chip  quantity  columns = [x, y, z]  unit  range  sensitivity | scale
                   values = "counts" | "physical"   offset = 0   bits = 16   factor = 1   signs = "+++"
-                  gravity_columns = [x, y, z]   axes = "+X+Y+Z"   position_mm = [x, y, z]
+                  gravity_columns = [x, y, z]   bandwidth_hz   axes = "+X+Y+Z"   position_mm = [x, y, z]
                   temperature_column   thermometer = { zero_degc, lsb_per_degc } | { unit = "degC" }
                   time_column   kind
     [[thermometer]]  name  column  unit = "degC" | "K" | "counts"   zero_degc   lsb_per_degc   time_column   kind
@@ -255,7 +255,8 @@ class SensorTable(LogColumn):
     `unit` too; for numbers in `unit` they are optional and inferred from the values. `offset` is subtracted from codes;
     with `bits` they are two's complement that was read as unsigned. Values of `columns` times `factor` are in `unit`,
     which codes of more than 16 bits need; `signs` ("+-+") changes the sign of axes whose columns have the opposite one.
-    `gravity_columns`: gravity that a program subtracted, in `unit`; it is added again. `thermometer` is given if a
+    `bandwidth_hz`: the -3 dB bandwidth to which the chip was set, 0 if unknown. `gravity_columns`: gravity that a
+    program subtracted, in `unit`; it is added again. `thermometer` is given if a
     chip's data sheet is not known to this package, or a unit was calibrated.
     """
 
@@ -272,6 +273,7 @@ class SensorTable(LogColumn):
     factor: Positive | None = None
     signs: Annotated[str, Field(pattern=r"^[+-]{3}$")] = "+++"
     gravity_columns: Triad | None = None
+    bandwidth_hz: Annotated[float, Field(ge=0, le=1e6)] = 0.0
     axes: str = "+X+Y+Z"
     position_mm: Annotated[list[float], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
     temperature_column: Column | None = None

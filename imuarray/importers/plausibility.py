@@ -28,6 +28,7 @@ from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.characterise.codes import NOTHING, Histogram, histogram, usual_step
 from imuarray.characterise.findings import SURE, shares_times
 from imuarray.characterise.interpolation import find_interpolation
+from imuarray.characterise.processing import NO_GRAVITY, find_filters
 from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
 from imuarray.characterise.repeats import STALE_SHARE, Repeats, RepeatTally
 from imuarray.gap.recording.row_timing import GAP, RowTiming, row_timing
@@ -248,6 +249,8 @@ def report_of(log: Log) -> Report:
         codes = _Codes(sensor)
         if (interpolation := find_interpolation(sensor)) is not None:
             quirks.add(sensor.name, interpolation.sentence)
+        for text in find_filters(sensor):
+            quirks.add(sensor.name, text)
         for text in codes.quirks():
             quirks.add(sensor.name, text)
         for text in codes.doubts(sensor):
@@ -306,6 +309,11 @@ class _Windows:
         self.mean = sums[full] / share
         self.spread = np.sqrt(np.maximum(squares[full] / share - self.mean**2, 0)).max(axis=1)
         self.offset_ns = begin % self.width_ns
+
+    @property
+    def has_gravity(self) -> bool:
+        """Whether an accelerometer measures more than a program leaves that subtracts gravity."""
+        return len(self.mean) > 0 and float(np.median(np.linalg.norm(self.mean, axis=1))) > NO_GRAVITY
 
     def still(self) -> npt.NDArray[np.bool_]:
         """Return (w,) windows at rest, judged by the quietest tenth."""
@@ -580,7 +588,11 @@ def _directions(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str
 
 def _turns(log: Log, windows: Mapping[str, _Windows], short: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:
     """Yield gyroscopes that disagree with the rotation of gravity in an accelerometer."""
-    forces = [sensor.name for sensor in log.of("specific_force") if sensor.name in windows]
+    forces = [
+        sensor.name
+        for sensor in log.of("specific_force")
+        if sensor.name in windows and windows[sensor.name].has_gravity
+    ]
     for gyroscope in log.of("angular_rate"):
         if gyroscope.name not in windows or not forces:
             continue

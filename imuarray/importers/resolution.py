@@ -6,12 +6,15 @@ original counts are recovered. Other values are rounded to counts as fine as 16 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.importers.cells import INT16
+from imuarray.log.format import ASSUMED, DIGITS, RESOLUTION
 
 RANGES = {
     "specific_force": (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 100.0, 200.0, 400.0),
@@ -46,6 +49,20 @@ _OFF_GRID = 0.1
 _ON_GRID = 0.98
 _DIVISORS = (1, 2, 3)
 """Maximum distance of the two closest values in steps."""
+
+
+def common_step(axes: Sequence[Floats]) -> float | None:
+    """Return the step of a grid on which the values of all axes lie: one through zero, or, of readings less a bias, one
+    with an offset of its own on each axis; None without one.
+    """
+    step = grid_step(np.concatenate(axes))
+    if step is not None:
+        return step
+    steps = [grid_step(values - values[0]) for values in axes if len(values)]
+    known = [step for step in steps if step is not None]
+    if len(known) < len(axes) or max(known) > (1 + NEAR) * min(known):
+        return None
+    return float(np.median(known))
 
 
 def grid_step(values: Floats) -> float | None:
@@ -87,21 +104,35 @@ class Resolution:
     range: float
     is_exact: bool
 
+    def attributes(self, log_units: float) -> dict[str, str]:
+        """Return the attributes of a log's sensor whose columns were in units of `log_units`: its counts are no codes
+        of a chip if they were assumed, or step by decimal digits.
+        """
+        if not self.is_exact:
+            return {RESOLUTION: ASSUMED}
+        digits = math.log10(self.sensitivity * log_units)
+        return {RESOLUTION: DIGITS} if abs(digits - round(digits)) < _DECIMAL else {}
+
+
+_DECIMAL = 1e-4
+"""Greatest difference of the logarithm of a step to a power of ten."""
+
 
 def resolution_of(
-    quantity: str, sample: Floats, largest: float, range_: float | None, sensitivity: float | None
+    quantity: str, axes: Sequence[Floats], largest: float, range_: float | None, sensitivity: float | None
 ) -> Resolution:
-    """Return the resolution of values in the log's unit, of which `sample` (n,) are some and `largest` is the largest;
-    `range_` and `sensitivity` if they are known.
+    """Return the resolution of values in the log's unit, of which some are known by axis (`axes`, (n,) each) and
+    `largest` is the largest; `range_` and `sensitivity` if they are known.
     """
     if range_ is None:
         range_ = next((value for value in RANGES[quantity] if largest <= value), largest)
     if sensitivity is None:
-        step = grid_step(sample)
+        step = common_step(axes)
         if step is not None:
             sensitivity = next((value for value in SENSITIVITIES[quantity] if abs(value * step - 1) < NEAR), 1 / step)
             if largest * sensitivity <= INT16[1] and range_ * sensitivity <= FULL_SPAN:
                 return Resolution(sensitivity, range_, True)
         return Resolution(INT16[1] / max(range_, largest), range_, False)
-    off = sample * sensitivity - np.rint(sample * sensitivity)
+    counts = np.concatenate(axes) * sensitivity
+    off = counts - np.rint(counts)
     return Resolution(sensitivity, range_, bool(len(off)) and float(np.mean(np.abs(off) < _OFF_GRID)) > _ON_GRID)

@@ -159,7 +159,7 @@ def _inferred(
     """
     sensors = [item for item in plan.items if isinstance(item, SensorTable) and item.is_physical]
     largest = dict.fromkeys((sensor.name for sensor in sensors), 0.0)
-    samples: dict[str, list[npt.NDArray[np.float64]]] = {sensor.name: [] for sensor in sensors}
+    samples: dict[str, list[list[Floats]]] = {sensor.name: [[], [], []] for sensor in sensors}
     open_ = [sensor for sensor in sensors if sensor.range is None or sensor.counts_per_unit is None]
     seen = 0
     if open_:
@@ -168,13 +168,14 @@ def _inferred(
             for sensor in open_:
                 cells = _triad_of({name: block.column(at[name], repr(name)) for name in columns_of(sensor)}, sensor)
                 kept = ~_missing(cells)
-                values = np.concatenate([numbers(cell.where(kept)) for cell in cells]) * sensor.log_units
-                largest[sensor.name] = max(largest[sensor.name], float(np.abs(values).max(initial=0.0)))
-                if seen < SAMPLE_ROWS:
-                    samples[sensor.name].append(values)
+                for axis, cell in zip(samples[sensor.name], cells, strict=True):
+                    values = numbers(cell.where(kept)) * sensor.log_units
+                    largest[sensor.name] = max(largest[sensor.name], float(np.abs(values).max(initial=0.0)))
+                    if seen < SAMPLE_ROWS:
+                        axis.append(values)
             seen += len(block.lines)
     for sensor in open_:
-        sample = np.concatenate([np.zeros(0), *samples[sensor.name]])
+        sample = [np.concatenate([np.zeros(0), *axis]) for axis in samples[sensor.name]]
         known = None if sensor.counts_per_unit is None else sensor.counts_per_unit / sensor.log_units
         stated = None if sensor.range is None else sensor.range * sensor.log_units
         yield sensor, resolution_of(sensor.quantity, sample, largest[sensor.name], stated, known)
@@ -192,11 +193,15 @@ def _header(sensor: SensorTable, table_map: TableMap, learnt: Resolution | None)
         range=learnt.range if learnt else float(sensor.range or 0.0) * sensor.log_units,
         sensitivity=learnt.sensitivity if learnt else float(per_unit or 0.0) / sensor.log_units,
         rate_hz=table_map.clock.rate_hz or 0.0,
+        bandwidth_hz=sensor.bandwidth_hz,
         axes=sensor.axes,
         position_mm=(x, y, z),
         has_temperature=sensor.temperature_column is not None,
         compensated=(ARRIVAL,) if table_map.clock.stamps == "arrival" else (),
-        extra={} if scale is None else scale.attributes,
+        extra={
+            **({} if scale is None else scale.attributes),
+            **({} if learnt is None else learnt.attributes(sensor.log_units)),
+        },
     )
 
 

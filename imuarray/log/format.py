@@ -83,6 +83,15 @@ LONG_NAME: Mapping[str, str] = {
 }
 
 COUNT_BITS = "count_bits"
+
+RESOLUTION = "resolution"
+"""Attribute of a sensor of an imported log whose counts are no codes of a chip: `ASSUMED` or `DIGITS`."""
+
+ASSUMED = "assumed"
+"""Values that lie on no grid of codes were rounded to counts as fine as 16 bits allow."""
+
+DIGITS = "digits"
+"""The step of the counts is that of decimal digits, to which a program rounded the values."""
 """Attribute of a triad whose counts have more than 16 bits: how many."""
 
 TRIADS = ("specific_force", "angular_rate", "magnetic_field")

@@ -20,6 +20,7 @@ from imuarray.log.format import (
     ADJUSTMENT_ATTRIBUTES,
     COUNT_BITS,
     FLAGS,
+    RESOLUTION,
     THERMOMETER_ATTRIBUTES,
     TIME_UNCERTAINTY,
     CountScale,
@@ -323,5 +324,6 @@ def recorded_header(sensor: SensorLog) -> SensorHeader:
             **({} if sensor.thermometer is None else sensor.thermometer.attributes),
             **bits,
             **sensor.adjustment_words,
+            **({RESOLUTION: str(sensor.attributes[RESOLUTION])} if RESOLUTION in sensor.attributes else {}),
         },
     )

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from imuarray.arrays import Floats, Reals, Times
+from imuarray.characterise.processing import find_processing
 from imuarray.errors import LogError
 from imuarray.gap.recording.field import fields_of
 from imuarray.gap.recording.phases import (
@@ -34,6 +35,7 @@ from imuarray.gap.recording.source import RowFilter, Source, recorded_source
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
 from imuarray.log.writer import Block
+from imuarray.printable import listed
 from imuarray.simulate.converters import thermometer_of
 from imuarray.simulate.host_latency import find_delays, lost_rows
 from imuarray.simulate.motion.felt import Motion
@@ -51,6 +53,9 @@ _DRIFT_SIGMAS, _DRIFT_ROWS, _LEAST_DRIFT_ROWS = 8.0, 10_000, 16
 """Standard errors of a difference by which the means of a drifting axis differ in sections of a phase at rest; most
 rows of a section that are read, and fewest that say anything.
 """
+
+_PARTS = 8
+"""Parts of a section whose means tell the memory of the noise."""
 
 _OTHER_COURSE = 0.2
 """Largest deviation of two axes from a common course, as a share of the smaller drift, if they follow one temperature:
@@ -127,6 +132,7 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     LogError for a sensor that the log does not have, and for a log in which nothing can be compared.
     """
     chosen, left_out = _chosen_sensors(log, only)
+    chosen, processed = _without_processed(log, chosen)
     motion = LikeLog(log)
     phases, skipped = phases_of(log, motion)
     heated = is_heated(phases, motion)
@@ -140,7 +146,15 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
         for name, (header, _) in plan.sensors.items()
     }
     attitudes, assumed = attitudes_of(log, phases, motion)
-    notes = (*left_out, *unknown, *skipped, *assumed, *temperature_notes(motion), *notes_of(timings.items()))
+    notes = (
+        *left_out,
+        *processed,
+        *unknown,
+        *skipped,
+        *assumed,
+        *temperature_notes(motion),
+        *notes_of(timings.items()),
+    )
     notes = (*notes, *([gaps.note] if gaps.note else []))
     fields = fields_of([log[name] for name in chosen], phases)
     motion = replace(motion, fields=fields, rests=_rests_of(phases, motion))
@@ -238,11 +252,20 @@ def _drifting_axes(sensor: SensorLog, phase: Phase) -> Floats:
     if min(map(len, sections)) < _LEAST_DRIFT_ROWS:
         return np.zeros((0, _SECTIONS))
     means = np.array([section.mean(axis=0) for section in sections]).T
-    variances = [np.maximum(np.diff(section, axis=0).var(axis=0) / 2, 1 / 12) / len(section) for section in sections]
+    variances = [_variance_of_mean(section) for section in sections]
     means /= np.sqrt(np.mean(variances, axis=0))[:, None]
     size = np.ptp(means, axis=1)
     is_step = np.abs(means[:, 2:] - means[:, :-2]).max(axis=1) > _STEP_SHARE * size
     return np.asarray(means[(size > _DRIFT_SIGMAS * math.sqrt(2)) & ~is_step])
+
+
+def _variance_of_mean(section: Floats) -> Floats:
+    """The variance (3,) of the mean of readings (n, 3), by neighbouring readings or, where noise has a memory, by the
+    means of neighbouring parts.
+    """
+    white = np.maximum(np.diff(section, axis=0).var(axis=0) / 2, 1 / 12) / len(section)
+    parts = np.array([part.mean(axis=0) for part in np.array_split(section, _PARTS)])
+    return np.asarray(np.maximum(white, (np.diff(parts, axis=0) ** 2).mean(axis=0) / 2 / _PARTS))
 
 
 def refuse_other_array(recordings: Sequence[Recording], earlier: Sequence[Recording]) -> None:
@@ -348,6 +371,26 @@ def _chosen_sensors(log: Log, only: Collection[str]) -> tuple[list[str], list[st
     if not chosen:
         raise LogError(f"{log.path}: no sensor with three axes, readings and a known sensitivity")
     return chosen, notes
+
+
+def _without_processed(log: Log, names: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The sensors with readings as a chip gives them, and notes on those that a program processed: a simulated chip
+    would differ from them by that, and every cause would be false. LogError if no sensor remains.
+    """
+    if log.source != "imported":
+        return list(names), []
+    said = {name: texts for name in names if (texts := find_processing(log[name]))}
+    kept = [name for name in names if name not in said]
+    alike: dict[str, list[str]] = {}
+    for name, texts in said.items():
+        alike.setdefault("; ".join(texts), []).append(name)
+    sentences = [f"{listed(those)}: {text}" for text, those in alike.items()]
+    if not kept:
+        raise LogError(
+            f"{log.path}: every sensor was processed, so a simulated chip would differ by that: {'; '.join(sentences)}."
+            " Import raw readings; characterise and calibrate describe these"
+        )
+    return kept, [f"{sentence}. Left out: a simulated chip would differ by that." for sentence in sentences]
 
 
 def _without_unknown_field(

@@ -10,6 +10,7 @@ from imuarray.arrays import Floats
 from imuarray.characterise.codes import Histogram
 from imuarray.gap.statistics.probes.probe import PhaseProbe, arcsine, once, one_row
 from imuarray.gap.statistics.summary import Summary
+from imuarray.log.format import RESOLUTION
 from imuarray.simulate.converters import CodeSpan, code_span
 
 _MIDDLE = np.array([0.05, 0.95])
@@ -17,19 +18,24 @@ _MIDDLE = np.array([0.05, 0.95])
 
 
 def odd(summary: Summary) -> Floats:
-    """arcsine of the share of odd codes."""
-    return arcsine(_having(summary, 1), summary.rows)
+    """arcsine of the share of odd codes; nan if the counts are no codes of a chip."""
+    return _of_codes(summary, arcsine(_having(summary, 1), summary.rows))
 
 
 def second_bit(summary: Summary) -> Floats:
     """arcsine of the share of codes with the second lowest bit set."""
-    return arcsine(_having(summary, 2), summary.rows)
+    return _of_codes(summary, arcsine(_having(summary, 2), summary.rows))
 
 
 def absent(summary: Summary) -> Floats:
     """arcsine of the share of codes in the middle nine tenths that never came."""
     middles = _middles(summary)
-    return arcsine([missing for missing, _ in middles], [codes for _, codes in middles])
+    return _of_codes(summary, arcsine([missing for missing, _ in middles], [codes for _, codes in middles]))
+
+
+def _of_codes(summary: Summary, values: Floats) -> Floats:
+    """The values (3,), or nan for counts that an import made of rounded or computed values."""
+    return np.full(len(values), math.nan) if RESOLUTION in summary.header.extra else values
 
 
 def at_ends(summary: Summary) -> Floats:

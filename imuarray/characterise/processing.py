@@ -1,0 +1,176 @@
+"""Readings that a program has processed: filtered, averaged, resampled or freed of gravity. A simulated chip does none
+of this, and noise after it is not that of the sensor.
+
+An import whose values lie on no grid of codes says so in the attribute `resolution` of a log's sensor; filters and
+resampling are looked for in such values only, as a chip may filter its own codes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from imuarray.arrays import Floats
+from imuarray.characterise.interpolation import find_interpolation
+from imuarray.log import SensorLog
+from imuarray.log.format import ASSUMED, RESOLUTION
+
+FEWEST_ROWS = 2000
+_MOST_ROWS = 1 << 16
+_WINDOW_ROWS = 256
+FEWEST_WINDOWS = 6
+_AT_REST = 2.5
+"""Windows in which noise is looked at: they scatter at most this much more than the quietest."""
+
+_LEAST_MOTION = {"g": 0.03, "dps": 1.0, "gauss": 0.02}
+"""Scatter of a window, by unit, above which the box moves: the spectrum of motion falls as that of a filter does."""
+
+DEPLETED = 0.1
+"""Density of the noise in the highest fifth of the band, relative to that at low frequencies, below which a filter has
+removed it. A first-order filter with a cutoff of a quarter of the rate leaves more.
+"""
+
+_LOW, _HIGH = (0.03, 0.15), (0.8, 1.0)
+"""Bands that are compared, relative to half the rate."""
+
+BEAT = 25.0
+"""Power of a line in the squared second differences, in medians of their periodogram, on all axes at once, from which
+on they come and go with the phase between two rates: by chance one axis exceeds it in one of 3e7 bins.
+"""
+
+_LINE = 20.0
+"""Power of a line of the readings themselves, in medians near it, that makes such a line, too."""
+
+HELD = 0.15
+"""Share of repeated values on each axis from which on it is no chance, in noise of many counts."""
+
+_BEYOND = 2.5
+"""Multiple of the share by chance from which on repeated values are none."""
+
+NO_GRAVITY = 0.3
+"""Length of specific force at rest, in g, below which gravity is not in it."""
+
+
+def find_processing(sensor: SensorLog) -> list[str]:
+    """Return what a program did to the readings of a triad, as predicates; [] if nothing shows. Reads at most
+    `_MOST_ROWS` rows, and all of them once for interpolation.
+    """
+    if not sensor.is_triad or len(sensor) < FEWEST_ROWS:
+        return []
+    found = [find_missing_gravity(sensor), *find_filters(sensor)]
+    if find_interpolation(sensor) is not None:
+        found.append("is interpolated by a program")
+    return [text for text in found if text]
+
+
+def find_missing_gravity(sensor: SensorLog) -> str:
+    """Say that an accelerometer has no gravity; "" if it has."""
+    if sensor.quantity != "specific_force" or sensor.unit != "g" or len(sensor) < FEWEST_ROWS:
+        return ""
+    values, _ = _middle_rows(sensor)
+    count = len(values) // _WINDOW_ROWS
+    means = values[: count * _WINDOW_ROWS].reshape(count, _WINDOW_ROWS, 3).mean(axis=1)
+    length = float(np.median(np.linalg.norm(means, axis=1))) / sensor.sensitivity
+    return f"has no gravity ({length:.3g} g at rest): a program has subtracted it" if length < NO_GRAVITY else ""
+
+
+def find_filters(sensor: SensorLog) -> Iterator[str]:
+    """Yield the filters of a program that show in the readings of a triad at rest."""
+    if not sensor.is_triad or len(sensor) < FEWEST_ROWS:
+        return
+    values, rate_hz = _middle_rows(sensor)
+    windows = _windows(values, _LEAST_MOTION.get(sensor.unit, 0.0) * sensor.sensitivity)
+    is_seen = len(windows) >= FEWEST_WINDOWS
+    if is_seen and (share := _share_of_held_axes(windows)):
+        yield (
+            f"repeats single axes ({100 * share:.0f} % of their values): a program made them by a running median or a"
+            " dead band"
+        )
+    if sensor.attributes.get(RESOLUTION) != ASSUMED or not rate_hz:
+        return
+    if beat_hz := _beat_hz(values, rate_hz):
+        rates = f"about {rate_hz - beat_hz:.4g} or {rate_hz + beat_hz:.4g}"
+        yield (
+            f"is resampled by a program, from {rates} readings a second: its noise comes and goes {beat_hz:.3g} times a"
+            " second"
+        )
+    elif is_seen and not sensor.bandwidth_hz and (cutoff_hz := _cutoff_hz(windows, rate_hz)):
+        yield (
+            f"is low-passed to about {cutoff_hz:.2g} Hz, by a program or by its chip (if by the chip, state"
+            " bandwidth_hz in the map)"
+        )
+
+
+def _middle_rows(sensor: SensorLog) -> tuple[Floats, float]:
+    """Return the counts (n, 3) of the middle of a recording, and its rate."""
+    rows = min(len(sensor), _MOST_ROWS)
+    first = (len(sensor) - rows) // 2
+    seconds = (int(sensor.time[first + rows - 1]) - int(sensor.time[first])) * 1e-9
+    return np.asarray(sensor.counts[first : first + rows], float), (rows - 1) / seconds if seconds > 0 else 0.0
+
+
+def _share_of_held_axes(windows: Floats) -> float:
+    """Return the share of values that repeat the one before on single axes, beyond chance; 0 if axes repeat together,
+    as those of a reading that is read twice do.
+    """
+    same = np.diff(windows, axis=1) == 0
+    shares = same.mean(axis=(0, 1))
+    steps = np.diff(windows, axis=1).std(axis=1).mean(axis=0)
+    together = float(same.all(axis=2).mean())
+    by_chance = 0.4 / np.maximum(steps, 1e-9)  # the density of normal steps at 0
+    if (shares < HELD).any() or (shares < _BEYOND * by_chance).any() or together > 2 * float(np.prod(shares)):
+        return 0.0
+    return float(shares.mean())
+
+
+def _windows(values: Floats, most: float) -> Floats:
+    """Return the windows at rest (w, rows, 3): the quietest, which scatter by less than `most`."""
+    count = len(values) // _WINDOW_ROWS
+    windows = values[: count * _WINDOW_ROWS].reshape(count, _WINDOW_ROWS, 3)
+    spread = windows.std(axis=1).max(axis=1)
+    return np.asarray(windows[(spread <= _AT_REST * np.quantile(spread, 0.1)) & (spread < most)])
+
+
+def _densities(windows: Floats) -> Floats:
+    """Return the mean periodogram (f, 3) of windows without their slopes."""
+    rows = np.arange(windows.shape[1]) - (windows.shape[1] - 1) / 2
+    slopes = np.einsum("wra,r->wa", windows, rows) / float(rows @ rows)
+    level = windows - windows.mean(axis=1, keepdims=True) - slopes[:, None, :] * rows[None, :, None]
+    shape = np.hanning(windows.shape[1])[None, :, None]
+    return np.asarray((np.abs(np.fft.rfft(level * shape, axis=1)) ** 2).mean(axis=0))
+
+
+def _cutoff_hz(windows: Floats, rate_hz: float) -> float:
+    """Return the frequency above which the noise of the quiet windows is missing; 0 if it is not."""
+    density = np.median(_densities(windows), axis=1)
+    place = np.linspace(0, 1, len(density))
+    low, high = (float(np.median(density[(place >= begin) & (place <= end)])) for begin, end in (_LOW, _HIGH))
+    if not high < DEPLETED * low:
+        return 0.0
+    below = np.flatnonzero((density < low / 2) & (place > _LOW[0]))
+    return float(place[below[0]] * rate_hz / 2) if len(below) else 0.0
+
+
+def _beat_hz(values: Floats, rate_hz: float) -> float:
+    """Return the frequency at which the noise of all axes comes and goes, as that of readings which were interpolated
+    between those of another rate; 0 without one.
+    """
+    bends = np.diff(values, n=2, axis=0)
+    scale = np.abs(bends).mean(axis=0)
+    if (scale == 0).any():
+        return 0.0
+    size = np.minimum((bends / scale) ** 2, 25.0)  # a knock must not stand for the rest
+    power = np.abs(np.fft.rfft((size - size.mean(axis=0)) * np.hanning(len(size))[:, None], axis=0)) ** 2
+    power /= np.median(power, axis=0)
+    lowest = max(8, len(power) // 500)
+    at = int(power[lowest:].min(axis=1).argmax()) + lowest
+    if float(power[at].min()) < BEAT:
+        return 0.0
+    lines = np.abs(np.fft.rfft((values - values.mean(axis=0)) * np.hanning(len(values))[:, None], axis=0)) ** 2
+    for half in (at / 2, len(power) - 1 - at / 2):
+        place = round(half / len(power) * len(lines))
+        near = lines[max(place - 100, 0) : place + 100]
+        if len(near) and (near.max(axis=0) > _LINE * np.median(near, axis=0) * 5).all():
+            return 0.0
+    return float(at / (len(power) - 1) * rate_hz / 2)
