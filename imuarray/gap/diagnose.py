@@ -226,7 +226,7 @@ def compare(
     replicates: int = REPLICATES,
     progress: Progress = lambda stage: None,
 ) -> GapCase:
-    """Compares recordings with a reference: the part of `diagnose` that needs no library of causes. `run_on` makes, for
+    """Compare recordings with a reference: the part of `diagnose` that needs no library of causes. `run_on` makes, for
     a bench, the runner of its functions (`imuarray.gap.model.workers.runner`).
     """
     progress("reading the recordings")
@@ -249,7 +249,7 @@ def explain(
     *,
     briefly: bool = False,
 ) -> Diagnosis:
-    """Searches the causes among `candidates`, verifies them and makes the findings: the rest of `diagnose`.
+    """Search the causes among `candidates`, verify them and make the findings: the rest of `diagnose`.
 
     `known`: sensors that are known to have one of them (`imuarray.gap.inference.search.searches`). `briefly`: without
     curves and next experiment, for which more is simulated.
@@ -306,7 +306,7 @@ def _compared(
     replicates: int,
     progress: Progress,
 ) -> GapCase:
-    """Compares the recordings, with their noted faces, with the reference."""
+    """Compare the recordings, with their noted faces, with the reference."""
     model, earlier = reference.model, reference.earlier
     bench, campaign = prepared(recordings, model, seed, earlier)
     has_value = np.isfinite(bench.measured(campaign, bench.base.fitted).values)
@@ -340,7 +340,7 @@ def _search(
 
 
 def _verify(case: GapCase, search: SearchResult, causes: Sequence[Cause]) -> Verification:
-    """Compares the recordings with the model with its causes."""
+    """Compare the recordings with the model with its causes."""
     comparison = case.comparison
     if not causes:
         return Verification(comparison.replicates, comparison.assessment)
@@ -408,7 +408,7 @@ def _report(
 
 
 def _judge(case: GapCase, verification: Verification, remainder: Remainder, suspected: Sequence[Cause]) -> Judgement:
-    """Judges the suspected causes, with the gap that they close on the held-out part, or on both if single parts don't
+    """Judge the suspected causes, with the gap that they close on the held-out part, or on both if single parts don't
     show them.
     """
     pairs, before, after = case.comparison.pairs, case.as_noted.assessment, verification.after

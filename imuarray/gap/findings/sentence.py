@@ -67,7 +67,9 @@ def sentence_of(
 
 
 def _out_of_specification(pull: Pull, causes: Sequence[Cause]) -> str:
-    """Says that a part is out of specification, and which causes of its sensor may have misled the fit that says so."""
+    """State that a part is out of specification, and which causes of its sensor may have misled the
+    fit that says so.
+    """
     others = [
         cause.effect
         for cause in causes
@@ -78,7 +80,7 @@ def _out_of_specification(pull: Pull, causes: Sequence[Cause]) -> str:
 
 
 def _unexplained(where: Sequence[Where]) -> str:
-    """Describes a gap outside the library: the domain and axes, how far off, in which log and phase."""
+    """Describe a gap outside the library: the domain and axes, how far off, in which log and phase."""
     places: dict[tuple[str, str, str], Where] = {}
     for entry in where:  # worst first
         places.setdefault((entry.sensor, entry.axis, entry.domain), entry)

@@ -46,7 +46,7 @@ _WITH_UNIT = re.compile(rf"(?P<name>.*?[^_])(?:_(?P<over>{_LONGEST_FIRST}))?(?:_
 
 
 def text_of(diagnosis: Diagnosis) -> str:
-    """Formats a diagnosis for the terminal: sentence, gap, causes, parts out of specification, the worst statistics,
+    """Format a diagnosis for the terminal: sentence, gap, causes, parts out of specification, the worst statistics,
     notes, what is not observable, what is missing and what to record next.
     """
     parts = (
@@ -64,7 +64,7 @@ def text_of(diagnosis: Diagnosis) -> str:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Formats a number with so many significant digits, without exponent below a million; "–" for what isn't finite."""
+    """Format a number with so many significant digits, without exponent below a million; "–" for what isn't finite."""
     if not isfinite(value):
         return NOTHING
     text = f"{value + 0.0:.{digits}g}"  # -0 becomes 0
@@ -72,14 +72,14 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def scored(score: float) -> str:
-    """Formats a score: one digit after the point below ten, otherwise whole; "∞" for infinity, "–" for nan."""
+    """Format a score: one digit after the point below ten, otherwise whole; "∞" for infinity, "–" for nan."""
     if not isfinite(score):
         return "∞" if score > 0 else NOTHING
     return f"{score:.1f}" if abs(score) < 9.95 else f"{score:.0f}"
 
 
 def share(value: float | None) -> str:
-    """Formats a share in percent; "–" for None. Only exact 0 and 1 are 0 and 100 %."""
+    """Format a share in percent; "–" for None. Only exact 0 and 1 are 0 and 100 %."""
     if value is None or not isfinite(value):
         return NOTHING
     for limit, edge in ((0.005, 0.0), (0.995, 1.0)):
@@ -89,12 +89,12 @@ def share(value: float | None) -> str:
 
 
 def chance(p: float) -> str:
-    """Formats a p-value: "p = 0.03", "p < 0.001"."""
+    """Format a p-value: "p = 0.03", "p < 0.001"."""
     return f"p {NOTHING}" if not isfinite(p) else "p < 0.001" if p < 0.001 else f"p = {p:.2g}"
 
 
 def closed_text(closed: float | None, interval: Interval | None) -> str:
-    """Formats a closed share and its 95 % interval: "86 % (75 to 94)"."""
+    """Format a closed share and its 95 % interval: "86 % (75 to 94)"."""
     if closed is None or interval is None:
         return share(closed)
     low, high = (f"{100 * end:.0f}" if isfinite(end) else NOTHING for end in interval)
@@ -102,7 +102,7 @@ def closed_text(closed: float | None, interval: Interval | None) -> str:
 
 
 def gap_text(gap: Gap) -> str:
-    """Formats before, after, floor and closed share in one line."""
+    """Format before, after, floor and closed share in one line."""
     floor = f"{scored(gap.floor)} without a gap"
     if gap.closed is None:
         return f"{scored(gap.before)} standard deviations (rms), {floor}: nothing to close"
@@ -113,7 +113,7 @@ def gap_text(gap: Gap) -> str:
 
 
 def parameters_text(parameters: Mapping[str, Any]) -> str:
-    """Formats parameters of an effect with their units, small accelerations in mg: "offset 12, -3, 0.5 mg"; and when it
+    """Format parameters of an effect with their units, small accelerations in mg: "offset 12, -3, 0.5 mg"; and when it
     acts: "in log 2 from 97.1 s on".
     """
     runs, spans, moments_s = (list(parameters.get(name, ())) for name in ("runs", "spans", "moments_s"))

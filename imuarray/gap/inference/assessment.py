@@ -41,7 +41,7 @@ class Assessment:
 
 
 def assess(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance: Floats | None = None) -> Assessment:
-    """Assesses a recording by replicates (b, n) of the model. The chance level is given by scores `chance` (b, m) of
+    """Assess a recording by replicates (b, n) of the model. The chance level is given by scores `chance` (b, m) of
     replicates, by default each scored by the others.
     """
     likelihood = likelihood_of(replicates, floor)

@@ -80,7 +80,7 @@ class Comparison:
 def prepared(
     recordings: Sequence[Recording], model: Model | None, seed: int, fitted_to: Sequence[Recording] = ()
 ) -> tuple[Bench, Campaign]:
-    """Summarises the recordings and fits the base model to their training part, or to all of other recordings of the
+    """Summarise the recordings and fit the base model to their training part, or to all of other recordings of the
     same array (`fitted_to`); sensors that these lack are left out.
     """
     split = split_of([recording.kind for recording in recordings], [recording.phases for recording in recordings])
@@ -238,7 +238,7 @@ def settled(bench: Bench, replicates: int = 8) -> Bench:
 def compared_with_base(
     bench: Bench, campaign: Campaign, run: Run, replicates: int, earlier: Earlier | None = None
 ) -> Comparison:
-    """Compares the recording with the base model, or with `earlier` recordings and the base model fitted to these.
+    """Compare the recording with the base model, or with `earlier` recordings and the base model fitted to these.
 
     Uses so many `replicates`, or fewer if they show that it is well within chance (`ENOUGH`). The p-value is that of a
     sequential Monte Carlo test, which continues only as long as the recording is among the most extreme (Besag and

@@ -109,7 +109,7 @@ def compared_with_earlier(
 def cut_to_equal_lengths(
     recordings: Sequence[Recording], earlier: Sequence[Recording]
 ) -> tuple[list[Recording], list[Recording]]:
-    """Cuts the phases at rest of both sides into pieces of one length, since statistics such as the strongest line
+    """Cut the phases at rest of both sides into pieces of one length, since statistics such as the strongest line
     depend on the length.
 
     The length is that of the shorter phases of the same name, or of any name where one side has none of it.

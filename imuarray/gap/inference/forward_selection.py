@@ -334,7 +334,7 @@ def _until_the_end(spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:
 
 
 def _divided(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
-    """Looks of which some logs gain enough and others lose; those that gain most first, one of each form."""
+    """Return looks of which some logs gain enough and others lose; those that gain most first, one of each form."""
     best_of_form: dict[tuple[str, ...], tuple[float, FittedHypothesis]] = {}
     for look in looks:
         gain = sum(max(log_gain, 0.0) for log_gain in look.by_log.values())

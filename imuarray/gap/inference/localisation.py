@@ -84,7 +84,7 @@ def located(
     pooled: PooledScores | None = None,
     level: float = LEVEL,
 ) -> Localisation:
-    """Localises the gap by scores (m,) of a recording and (b, m) of replicates without a gap, and the `pooled` scores
+    """Localise the gap by scores (m,) of a recording and (b, m) of replicates without a gap, and the `pooled` scores
     of the recording and these.
 
     `level` is the share of false alarms; ValueError if there are too few replicates for it.

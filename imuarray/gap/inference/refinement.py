@@ -163,7 +163,7 @@ def _widens(standing: UnitState, statistics: _TrialStatistics) -> bool:
 
 
 def _simulate(bench: Bench, standing: UnitState, trial: Hypothesis, models: Models, looks: int) -> _TrialState | None:
-    """Simulates a trial with these models in so many replicates; None for parameters that an effect refuses."""
+    """Simulate a trial with these models in so many replicates; None for parameters that an effect refuses."""
     statistics = _replicate(bench, standing, models, trial.needs_both, looks)
     if statistics is None:
         return None

@@ -72,7 +72,7 @@ def searches(
     progress: Callable[[str], None] = lambda what: None,
     known: Collection[str] = (),
 ) -> SearchResult:
-    """Searches all causes of a gap. The sensors `known` are known to have one of the candidates' effects: only these
+    """Search all causes of a gap. The sensors `known` are known to have one of the candidates' effects: only these
     are searched, and their first cause needs no proof.
     """
     names = list(known) or [node.path[-1] for node in comparison.localisation.root.found("sensor")]
@@ -157,7 +157,7 @@ def _families(
     standings: dict[Unit, UnitState],
     known: bool,
 ) -> None:
-    """Replaces causes of members by shared causes where these are better, the best first, at most one for a sensor.
+    """Replace causes of members by shared causes where these are better, the best first, at most one for a sensor.
     Causes of members that gain more than their part of the shared one are kept if they explain something else.
     """
     trials = _shared_trials(comparison, guessed)

@@ -217,7 +217,7 @@ class Bench(Stage):
         return self.motions if needed <= there else tuple(map(_with_known_attitudes, self.motions))
 
     def _put(self, values: Floats, statistics: ReplicateStatistics, part: int) -> None:
-        """Writes statistics (r, m) of one part to their places (r, n); keys that the recording lacks are dropped."""
+        """Write statistics (r, m) of one part to their places (r, n); keys that the recording lacks are dropped."""
         columns = slice(self.of_train, None) if part else slice(self.of_train)
         if statistics.keys == self.keys[columns]:
             values[:, columns] = statistics.values

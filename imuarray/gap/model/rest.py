@@ -253,7 +253,7 @@ def _along(vectors_box: Floats, header: SensorHeader) -> Floats:
 
 
 def fitted_to(header: SensorHeader, phases: Sequence[Rest], tolerance: Floats) -> FittedParameters:
-    """Fits the parameters of one sensor to its phases; all zero without phases.
+    """Fit the parameters of one sensor to its phases; all zero without phases.
 
     Noise is the median of the segments' variances; the slope that of the readings less the stimulus over temperature;
     offset and response explain the rest, faces weighted equally. `tolerance` (3, 3) bounds the response.

@@ -90,7 +90,7 @@ class Ups(NamedTuple):
 
 
 def ups_of(mean_g: Floats, known_g: Floats, noted_g: Floats | None = None) -> Ups:
-    """Estimates the directions up from the array's mean readings in k poses.
+    """Estimate the directions up from the array's mean readings in k poses.
 
     `mean_g` (k, 3) in the box frame; `known_g` (k, 3) is the specific force where it is known, `noted_g` (k, 3) the
     noted face on which the box may be tilted a little, nan elsewhere.

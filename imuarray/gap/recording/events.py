@@ -47,7 +47,7 @@ NO_REPEATED_ROWS = RepeatedRows(_NONE, _NONE, _NONE, np.zeros((0, 3), np.int64))
 
 
 def repeated_rows_in(blocks: Iterable[Block]) -> RepeatedRows:
-    """Collects the repeated rows of a sensor in bounded memory."""
+    """Collect the repeated rows of a sensor in bounded memory."""
     last = np.zeros((0, 3), np.int16)
     longest = open_run = np.zeros((0, 6), np.int64)  # each of so many rows, from when, until when, and three counts
     for block in blocks:

@@ -52,7 +52,7 @@ class OutlierTally:
         self._furthest: list[list[tuple[float, int, float]]] = [[], [], []]
 
     def update(self, time_ns: Integers, apart: Floats) -> None:
-        """Adds rows: times (n,), and distances (3, n) of counts from an origin."""
+        """Add rows: times (n,), and distances (3, n) of counts from an origin."""
         time = np.concatenate([self._time, time_ns])
         line = np.concatenate([self._line, apart], axis=1)
         self._time, self._line = time[-2 * _ASIDE :], line[:, -2 * _ASIDE :].copy()

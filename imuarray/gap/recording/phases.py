@@ -108,7 +108,7 @@ def _sampled(phase: Phase, motion: LikeLog) -> Felt:
 
 
 def _what_is_lacking(log: Log) -> str:
-    """Says why there is nothing to compare, and what is needed."""
+    """State why there is nothing to compare, and what is needed."""
     triads = [sensor for sensor in log.sensors.values() if sensor.is_triad and len(sensor)]
     span_s = max(((int(sensor.time[-1]) - int(sensor.time[0])) * 1e-9 for sensor in triads), default=0.0)
     rate_hz = max((len(sensor) / span_s for sensor in triads), default=0.0) if span_s > 0 else 0.0

@@ -80,7 +80,7 @@ class RecorderGaps:
 
 
 def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
-    """Detects the recorder's gaps among the rows of sensors with these timelines."""
+    """Detect the recorder's gaps among the rows of sensors with these timelines."""
     usual_ns = {name: usual_interval_ns(sensor) for name, sensor in log.sensors.items()}
     frame_ns = 1e9 / log.frame_rate_hz if log.frame_rate_hz > 0 else min(filter(None, usual_ns.values()), default=0.0)
     delays = [_delay(event, frame_ns) for event in log.events if event.kind == "late" and not event.sensor]

@@ -127,7 +127,7 @@ class Recording:
 
 
 def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
-    """Reads one log: all its triads, or `only` those named.
+    """Read one log: all its triads, or `only` those named.
 
     LogError for a sensor that the log does not have, and for a log in which nothing can be compared.
     """
@@ -167,7 +167,7 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
 
 
 def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Recording, ...]:
-    """Reads several logs of one array, in the order of recording if all of them have a date.
+    """Read several logs of one array, in the order of recording if all of them have a date.
 
     A sensor that a log lacks is left out there, with a note. LogError for a sensor that no log has, for one configured
     differently in another log, and for a log without a sensor in common with the others.
@@ -269,7 +269,7 @@ def _variance_of_mean(section: Floats) -> Floats:
 
 
 def refuse_other_array(recordings: Sequence[Recording], earlier: Sequence[Recording]) -> None:
-    """Raises LogError if the earlier recordings are of another array: no sensor in common, or sensors configured
+    """Raise LogError if the earlier recordings are of another array: no sensor in common, or sensors configured
     differently.
     """
     sensors = {name: recording.log[name] for recording in earlier for name in recording.experiment.plan.sensors}
@@ -423,7 +423,7 @@ def _timelines(log: Log, timings: Mapping[str, RowTiming]) -> RecorderGaps:
 
 
 def _refuse_two_arrays(logs: Sequence[Log]) -> None:
-    """Raises LogError for a log that has no triad in common with another log."""
+    """Raise LogError for a log that has no triad in common with another log."""
     triads = [{name for name, sensor in log.sensors.items() if sensor.is_triad} for log in logs]
     for at, (log, names) in enumerate(zip(logs, triads, strict=True)):
         others = set().union(*triads[:at], *triads[at + 1 :])
@@ -435,7 +435,7 @@ def _refuse_two_arrays(logs: Sequence[Log]) -> None:
 
 
 def _refuse_other_configuration(first: SensorLog, other: SensorLog) -> None:
-    """Raises LogError if a sensor is configured differently in two logs."""
+    """Raise LogError if a sensor is configured differently in two logs."""
     for name in ("chip", "quantity", "unit", "range", "sensitivity", "axes"):
         if (here := getattr(other, name)) != (there := getattr(first, name)):
             raise LogError(f"{other.where}: {name} is {here}, but {there} in {first.where}")

@@ -83,7 +83,7 @@ class RowTiming:
 
     @property
     def sentence(self) -> str:
-        """Describes the timing for the reader of a log; "" if it is steady."""
+        """Describe the timing for the reader of a log; "" if it is steady."""
         if self.kind == "stalls":
             after = f" after every {self.period_rows} rows" if self.period_rows else f", {self.gaps} times"
             return (
@@ -100,7 +100,7 @@ class RowTiming:
 
 
 def row_timing(sensor: SensorLog) -> RowTiming:
-    """Determines the timing of a sensor's rows; reads its times once."""
+    """Determine the timing of a sensor's rows; read its times once."""
     rows = len(sensor)
     if rows < 2:
         return RowTiming("steady", rows, 0.0, 0.0)

@@ -110,7 +110,7 @@ def summarise_log(
     reference: LogReference,
     layouts: Sequence[Layout] | None = None,
 ) -> LogSummary:
-    """Summarises every triad in every phase, in one pass. `layouts`, one for each phase, are those of the log to
+    """Summarise every triad in every phase, in one pass. `layouts`, one for each phase, are those of the log to
     compare with.
     """
     (summary,) = summarise_logs(kind, [sources], phases, reference, layouts)
@@ -124,7 +124,7 @@ def summarise_logs(
     reference: LogReference,
     layouts: Sequence[Layout] | None = None,
 ) -> list[LogSummary]:
-    """Summarises several replicates of one log, which have the same sensors, as `summarise_log` does."""
+    """Summarise several replicates of one log, which have the same sensors, as `summarise_log` does."""
     phases_of_replicates = [
         _summarise_phases(replicates, phase, number, reference, None if layouts is None else layouts[number])
         for number, phase in enumerate(phases)
@@ -135,7 +135,7 @@ def summarise_logs(
 def summarise_phase(
     sources: Mapping[str, Source], phase: Phase, number: int, reference: LogReference, layout: Layout | None = None
 ) -> PhaseSummary:
-    """Summarises one phase of one log."""
+    """Summarise one phase of one log."""
     (summary,) = _summarise_phases([sources], phase, number, reference, layout)
     return summary
 
@@ -147,7 +147,7 @@ def _summarise_phases(
     reference: LogReference,
     layout: Layout | None,
 ) -> list[PhaseSummary]:
-    """Summarises one phase of each replicate: short phases jointly, long ones one after the other, to bound the memory.
+    """Summarise one phase of each replicate: short phases jointly, long ones one after the other, to bound the memory.
 
     Phases with a `layout` are simulated ones, for which only what statistics need is computed.
     """
@@ -172,7 +172,7 @@ def _summarise_jointly(
     layout: Layout,
     recorded: bool,
 ) -> list[PhaseSummary]:
-    """Summarises sensor by sensor, with replicates whose rows have the same times side by side."""
+    """Summarise sensor by sensor, with replicates whose rows have the same times side by side."""
     blocks = [
         {name: list(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
         for sources in replicates
@@ -206,7 +206,7 @@ def _summarise_jointly(
 
 
 def _simultaneous(replicates: Sequence[Sequence[Block]], places: Iterable[int]) -> list[list[int]]:
-    """Groups the places of replicates whose blocks have the same times."""
+    """Group the places of replicates whose blocks have the same times."""
     groups: list[list[int]] = []
     for at in places:
         blocks = replicates[at]
@@ -267,7 +267,7 @@ def _summarise_in_one_pass(
     layout: Layout,
     recorded: bool,
 ) -> PhaseSummary:
-    """Summarises all sensors together, one block at a time."""
+    """Summarise all sensors together, one block at a time."""
     tallies = {
         name: Tally(source.header, phase, layout.grids[name], outliers=recorded) for name, source in sources.items()
     }

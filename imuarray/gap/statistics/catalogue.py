@@ -89,7 +89,7 @@ class ReplicateStatistics(NamedTuple):
 
 
 def statistics(campaign: Campaign) -> Statistics:
-    """Computes every probe wherever it applies: phase by phase, log by log, then the logs of one kind together."""
+    """Compute every probe wherever it applies: phase by phase, log by log, then the logs of one kind together."""
     by_place = list(_by_place([campaign]))
     keys, (values,) = _table(by_place, 1)
     least = [np.full(probe.values.shape[1], probe.resolution()) for _, several in by_place for probe in several]
@@ -97,7 +97,7 @@ def statistics(campaign: Campaign) -> Statistics:
 
 
 def replicate_statistics(campaigns: Sequence[Campaign], sensors: Collection[str]) -> ReplicateStatistics:
-    """Computes the statistics of some sensors in several replicates that were summarised in the same way."""
+    """Compute the statistics of some sensors in several replicates that were summarised in the same way."""
     return _table(_by_place(campaigns, sensors), len(campaigns))
 
 

@@ -189,7 +189,7 @@ class CrossTally:
         return self._places.keys()
 
     def update(self, sensor: str, *blocks: Block) -> None:
-        """Adds rows of one sensor in each replicate, at least one row."""
+        """Add rows of one sensor in each replicate, at least one row."""
         place, since_ns = self._places[sensor], blocks[0].time - self._phase.start_ns
         first, last = int(since_ns[0]) // self._window_ns, int(since_ns[-1]) // self._window_ns
         windows = since_ns // self._window_ns
@@ -209,14 +209,14 @@ class CrossTally:
         self._finish_segments(int(self._reached.min()))
 
     def accept(self, sensor: str, blocks: Sequence[Block] | None) -> None:
-        """Adds rows of one sensor in each replicate; None means that there are no more."""
+        """Add rows of one sensor in each replicate; None means that there are no more."""
         if blocks is None:
             self.end(sensor)
         else:
             self.update(sensor, *blocks)
 
     def end(self, sensor: str) -> None:
-        """Marks a sensor as complete."""
+        """Mark a sensor as complete."""
         self._reached[self._places[sensor]] = self._last
         self._finish_segments(int(self._reached.min()))
 
@@ -241,7 +241,7 @@ class CrossTally:
         ]
 
     def _accumulate(self, place: int, windows: Any, sums: Floats, rows: Integers) -> None:
-        """Adds sums (r, 3, w) or (3, w) over so many rows (w,) to windows, given by a slice or their places (w,)."""
+        """Add sums (r, 3, w) or (3, w) over so many rows (w,) to windows, given by a slice or their places (w,)."""
         place_sums = self._sums[:, place]  # numbers and a list in one index would change the order of the axes
         place_sums[:, :, windows] += sums
         self._rows[place, windows] += rows
@@ -254,7 +254,7 @@ class CrossTally:
             self._rows = np.concatenate([self._rows, np.zeros((len(self._rows), more))], axis=1)
 
     def _finish_segments(self, reached: int) -> None:
-        """Adds up the segments that end before window `reached`, which isn't complete itself."""
+        """Add up the segments that end before window `reached`, which isn't complete itself."""
         count = (reached - self._base) // self._length
         if count < 1:
             return
@@ -269,7 +269,7 @@ class CrossTally:
         self._base += finished
 
     def _add(self, sums: Floats, rows: Floats) -> None:
-        """Adds segments: sums (r, m, 3, s, w), rows (m, s, w). Windows in which not all sensors read do not count."""
+        """Add segments: sums (r, m, 3, s, w), rows (m, s, w). Windows in which not all sensors read do not count."""
         full = np.asarray((rows > 0).all(axis=0))
         is_known = np.count_nonzero(full, axis=1) >= _SEGMENT_WINDOWS // 2
         columns = self._fast.shape[2]

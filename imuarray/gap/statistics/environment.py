@@ -78,7 +78,7 @@ class SharedSignal:
 
 
 def environment_of(campaign: Campaign, level: float = LEVEL) -> tuple[SharedSignal, ...]:
-    """Detects stimuli of the box in the phases at rest, the least probable by chance first.
+    """Detect stimuli of the box in the phases at rest, the least probable by chance first.
 
     Signals that follow the reference temperature, or the chips' thermometers if there is no reference, are no stimulus:
     each sensor has a slope of its own. An error with another common cause, such as the supply, can be mistaken for a

@@ -47,7 +47,7 @@ class HaarTally:
         self._squares, self._fourths, self._terms = *np.zeros((2, octaves, columns)), [0] * octaves
 
     def update(self, values: Floats) -> None:
-        """Adds values (k, n), best about an origin near them."""
+        """Add values (k, n), best about an origin near them."""
         sums = values
         for number, level in enumerate((self._rows, self._twos)):
             line = level.line(sums)

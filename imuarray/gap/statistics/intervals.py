@@ -60,7 +60,7 @@ class IntervalMoments:
         self._sum_ns = self._squares_ns2 = 0.0
 
     def update(self, time_ns: Times) -> None:
-        """Adds times (n,), ascending."""
+        """Add times (n,), ascending."""
         times = time_ns if self._last_ns is None else np.concatenate([[self._last_ns], time_ns])
         intervals = (times[1:] - times[:-1]).astype(float)
         self._last_ns = int(time_ns[-1])
@@ -134,7 +134,7 @@ class StatusTally:
         return self._slips
 
     def update(self, status: npt.NDArray[np.uint16], counts: Counts) -> None:
-        """Adds flags (n,) and counts (n, 3)."""
+        """Add flags (n,) and counts (n, 3)."""
         if status.any():
             for name, flag in _COUNTED.items():
                 self._flags[name] += int(np.count_nonzero(status & flag))

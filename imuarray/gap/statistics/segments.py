@@ -65,7 +65,7 @@ class SegmentTally:
         self._has_thermometer = False
 
     def update(self, time_ns: Times, apart: Floats, thermometers: npt.NDArray[np.int16] | None) -> None:
-        """Adds rows: times (n,), deviations (3 r, n) of counts from an origin, and the thermometers' counts (r, n), or
+        """Add rows: times (n,), deviations (3 r, n) of counts from an origin, and the thermometers' counts (r, n), or
         (n,) for a single replicate.
         """
         part, starts, rows = self._parts(time_ns)

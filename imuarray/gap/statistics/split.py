@@ -60,7 +60,7 @@ class Split:
 
     @property
     def words(self) -> str:
-        """Describes the split in one sentence."""
+        """Describe the split in one sentence."""
         halved = sum(share.half for share in self.shares)
         whole = sum(all(share.held_out) for share in self.shares if share.phases and not share.half)
         parts = [f"{whole} of {len(self.shares)} logs (every second of a kind)"] if whole else []

@@ -112,7 +112,7 @@ class Tally:
         self._last = np.zeros((columns, 0))
 
     def update(self, *blocks: Block) -> None:
-        """Adds rows of each replicate, at least one."""
+        """Add rows of each replicate, at least one."""
         time = blocks[0].time
         counts = np.ascontiguousarray(np.concatenate([block.counts.T for block in blocks]))
         deviations = counts.astype(np.float64)
@@ -190,7 +190,7 @@ def _thermometers(blocks: Sequence[Block]) -> npt.NDArray[np.int16] | None:
 
 
 def side_by_side(replicates: Sequence[Summary]) -> Summary:
-    """Joins replicates whose rows have the same times into one summary with three columns for each, for statistics that
+    """Join replicates whose rows have the same times into one summary with three columns for each, for statistics that
     are computed column by column; the rest is that of the first replicate.
     """
     first = replicates[0]

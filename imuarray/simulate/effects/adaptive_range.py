@@ -45,7 +45,7 @@ class AdaptiveRange(Effect):
         return math.isfinite(self.threshold) and self.hold_s > 0
 
     def codes(self, codes: Codes, at: Place) -> Codes:
-        """Puts the reading before a passage in the place of those that it outlasts."""
+        """Put the reading before a passage in the place of those that it outlasts."""
         if not self._acts or len(codes.counts) < 2:
             return codes
         inside = np.abs(codes.counts) < self.threshold * at.sensor.sensitivity

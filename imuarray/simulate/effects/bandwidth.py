@@ -77,7 +77,7 @@ class Bandwidth(Effect):
         return max(rows, _memory(decay, self.poles, self.band))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Filters the noise, stationary from the first row on, and the signal as if it had been at rest before."""
+        """Filter the noise, stationary from the first row on, and the signal as if it had been at rest before."""
         if math.isinf(self.cutoff_hz):
             return analog
         decay = self.decay(at.rows_per_s)

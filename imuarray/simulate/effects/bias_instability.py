@@ -42,7 +42,7 @@ class BiasInstability(Effect):
         return tuple(self.time_constant_s / RATIO**step for step in range(1 + max(0, math.floor(octaves + 1e-9))))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Adds to the value."""
+        """Add to the value."""
         if self.rms == (0.0, 0.0, 0.0):
             return analog
         value, times_s = analog.value, self.time_constants_s

@@ -36,7 +36,7 @@ class ChannelSwap(Effect):
             raise ValueError(f"kind: {self.kind!r}; allowed are {', '.join(KINDS)}")
 
     def codes(self, codes: Codes, at: Place) -> Codes:
-        """Takes the other's rows; ValueError when there is no such sensor, naming those there are."""
+        """Take the other's rows; ValueError when there is no such sensor, naming those there are."""
         if self.sensor in ("", at.sensor.name) or self.kind == "place":
             return codes
         try:

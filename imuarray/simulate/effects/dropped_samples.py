@@ -49,7 +49,7 @@ class DroppedSamples(Effect):
             object.__setattr__(self, name, values)
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
-        """Marks the lost rows as not kept."""
+        """Mark the lost rows as not kept."""
         if self.moments_s:
             return replace(instants, kept=instants.kept & ~self._missing(instants.stamp_ns, at.streams.boot))
         if not self.probability:

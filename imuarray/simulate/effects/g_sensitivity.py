@@ -34,7 +34,7 @@ class GSensitivity(Effect):
         return tuple(any(self.response[at : at + 3]) for at in (0, 3, 6))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Adds what the force does."""
+        """Add what the force does."""
         if not any(self.response):
             return analog
         columns = np.reshape(self.response, (3, 3)).T.astype(analog.value.dtype)

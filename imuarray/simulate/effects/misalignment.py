@@ -41,7 +41,7 @@ class Misalignment(Effect):
         return np.asarray(leaning / np.linalg.norm(leaning, axis=1, keepdims=True))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Takes the components along the leaning axes."""
+        """Take the components along the leaning axes."""
         if not any(self.angles_deg):
             return analog
         return replace(analog, value=np.asarray(analog.value @ self.directions.T.astype(analog.value.dtype)))

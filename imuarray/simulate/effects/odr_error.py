@@ -44,7 +44,7 @@ class OdrError(Effect):
         return math.ceil(at.rows_per_s / real_hz) + 1 if 0 < real_hz < at.rows_per_s else 0
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
-        """Sets the rate of new readings."""
+        """Set the rate of new readings."""
         if math.isnan(self.rate_hz) and self.clock_ratio == 1.0:
             return instants
         set_hz = instants.rate_hz if math.isnan(self.rate_hz) else self.rate_hz

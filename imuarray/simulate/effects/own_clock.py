@@ -47,7 +47,7 @@ class OwnClock(Effect):
         return math.ceil(at.rows_per_s / real_hz) + 1
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
-        """Sets the real rate, and the phase in periods."""
+        """Set the real rate, and the phase in periods."""
         if (self.rate_error, self.phase_deg) == (0.0, 0.0) or not self._is_polled(at):
             return instants
         rate_hz = instants.rate_hz * (1 + self.rate_error)

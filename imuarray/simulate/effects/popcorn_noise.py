@@ -35,7 +35,7 @@ class PopcornNoise(Effect):
     high_share: float = scalar(0.5, low=0.01, high=0.99)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Adds to the value."""
+        """Add to the value."""
         if self.amplitude == (0.0, 0.0, 0.0):
             return analog
         high = self._high(analog.first, analog.first + len(analog.value), at)

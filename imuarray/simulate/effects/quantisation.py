@@ -49,7 +49,7 @@ class Quantisation(Effect):
                 raise ValueError(f"{name}: {value}; a whole number is required")
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Sets the converter's step and code ends."""
+        """Set the converter's step and code ends."""
         if max(self.step_lsb) == 1:
             return analog
         is_same = len(set(self.step_lsb)) == 1

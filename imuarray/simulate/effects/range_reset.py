@@ -64,7 +64,7 @@ class RangeReset(Effect):
             object.__setattr__(self, name, values)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Adds the offset, scales the noise and sets the converter. ValueError for a range that the chip hasn't."""
+        """Add the offset, scale the noise and set the converter. ValueError for a range that the chip hasn't."""
         if math.isnan(self.range) or not self._is_in(at.streams.boot):
             return analog
         sensitivity = _sensitivity(at.sensor, self.range)

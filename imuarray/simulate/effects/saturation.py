@@ -35,7 +35,7 @@ class Saturation(Effect):
             require("limit", limit, 0.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Clips signal and noise together; rows within the limit stay as they are, bit for bit."""
+        """Clip signal and noise together; rows within the limit stay as they are, bit for bit."""
         total = analog.value + analog.noise
         limit, centre = np.array(self.limit, total.dtype), np.array(self.centre, total.dtype)
         beyond = np.abs(total - centre) > limit

@@ -24,7 +24,7 @@ class SizeEffect(Effect):
     position_mm: Triple = per_axis()
 
     def felt(self, felt: Felt, at: Place) -> Felt:
-        """Adds to the force; one that never changes is left so."""
+        """Add to the force; one that never changes is left so."""
         rate, acceleration = felt.rate_box, felt.angular_acceleration_box
         if rate.strides[0] == acceleration.strides[0] == 0:
             rate, acceleration = rate[:1], acceleration[:1]

@@ -38,7 +38,7 @@ class StaleSamples(Effect):
         return self.longest + 1 if self.probability else 0
 
     def codes(self, codes: Codes, at: Place) -> Codes:
-        """Repeats rows; one is fresh if anything fresh arrived since the row before it."""
+        """Repeat rows; one is fresh if anything fresh arrived since the row before it."""
         if not self.probability:
             return codes
         rows = np.arange(len(codes.counts))

@@ -54,7 +54,7 @@ class Stuck(Effect):
             raise ValueError(f"readings: {len(self.readings)}; none, or three for each of moments_s, are required")
 
     def codes(self, codes: Codes, at: Place) -> Codes:
-        """Puts the last reading in the place of those that it outlasts."""
+        """Put the last reading in the place of those that it outlasts."""
         first, stop, moving = codes.first, codes.first + len(codes.counts), codes
         for begin, end, reading in self._known(first, stop, at) if self.moments_s else self._holds(stop, at):
             if begin < stop and end > first:

@@ -46,7 +46,7 @@ class ThermalLag(Effect):
         return replace(felt, temperature_degc=self.temperature_degc(felt.time_ns, at.motion))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Adds the bias of a part."""
+        """Add the bias of a part."""
         if not any(self.slope) or len(analog.instant_ns) == 0:
             return analog
         part = replace(analog, temperature_degc=self.temperature_degc(analog.instant_ns, at.motion))

@@ -39,7 +39,7 @@ class Tone(Effect):
             raise ValueError(f"phase_deg: {self.phase_deg}; a number is required, or nan: drawn at each boot")
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Adds to the value."""
+        """Add to the value."""
         if self.amplitude == (0.0, 0.0, 0.0):
             return analog
         time_s = analog.instant_ns * 1e-9

@@ -134,7 +134,7 @@ def _behind(bins: _Bins, start: Floats, coded: Coded, period: int, stretch: int)
 
 
 def _nearer(bins: _Bins, start: Floats, coded: Coded, period: int, stretch: int, span: float) -> Floats:
-    """Refines the best parameters of the grid."""
+    """Refine the best parameters of the grid."""
     size = np.array([stretch / _OFFSETS, stretch / (_SLOPES * max(span, 1.0)), 0.1 * start[2]])
 
     def cost(by: Floats) -> float:
@@ -149,7 +149,7 @@ def _nearer(bins: _Bins, start: Floats, coded: Coded, period: int, stretch: int,
 
 
 def _quieter(bins: _Bins, start: Floats, coded: Coded, period: int, units: float) -> Floats:
-    """Refines the noise between the values of the grid."""
+    """Refine the noise between the values of the grid."""
     offset, slope, sigma = start
 
     def cost(by: float) -> float:

@@ -147,7 +147,7 @@ def _readings(
 
 
 def _exchanges(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]) -> Iterator[Hypothesis]:
-    """Suggests that both are in each other's place for a part of the time.
+    """Suggest that both are in each other's place for a part of the time.
 
     Each sensor's readings, wherever they are recorded, deviate by one offset from what the model predicts of it. Where
     both feel different things, as accelerometers do that are mounted differently, each segment tells by itself whose

@@ -51,7 +51,7 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _of_the_host(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggests an error of the host's clock, by which all sensors lag alike, polled or not.
+    """Suggest an error of the host's clock, by which all sensors lag alike, polled or not.
 
     Lags are of whole logs, and what they make of a phase shows where the motion begins or ends too soon for it: in
     either part, or in one.

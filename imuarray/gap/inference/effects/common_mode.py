@@ -209,7 +209,7 @@ def _times_s(evidence: Evidence, wander: Wander | None, over: Wander | None) -> 
 
 
 def _between_logs(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggests a change of level that the others share, and the sensor's difference from it as a turn-on bias."""
+    """Suggest a change of level that the others share, and the sensor's difference from it as a turn-on bias."""
     change = change_between_logs(evidence)
     if not change.any():
         return

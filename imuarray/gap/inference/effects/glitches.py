@@ -81,7 +81,7 @@ def _torn_by_lag(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _again(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggests spikes and torn readings that recur."""
+    """Suggest spikes and torn readings that recur."""
     tails = [tail for phase in evidence.still for tail in _tails(phase.raw)]
     rows = sum(tail.rows for tail in tails) / 3
     count, usual = sum(int(tail.counts.sum()) for tail in tails), _GAUSSIAN * 3 * rows
@@ -132,7 +132,7 @@ def _hits(phase: PhaseEvidence) -> Iterator[_Hit]:
 
 
 def _torn_again(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggests torn readings as often as they occur in motion, among readings whose high byte has changed."""
+    """Suggest torn readings as often as they occur in motion, among readings whose high byte has changed."""
     hits, weight = len(_torn_in_motion(evidence)), high_byte(evidence.header.chip)
     moving = [(phase.raw.rows, steps) for phase in evidence.phases if not phase.is_still for steps in phase.raw.steps]
     shares = [np.minimum(steps.codes / weight, 1.0) @ steps.counts / max(steps.counts.sum(), 1) for _, steps in moving]

@@ -61,7 +61,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Hypothesis]:
-    """Suggests stretches as long as these `runs`, as often as explains all repeated rows."""
+    """Suggest stretches as long as these `runs`, as often as explains all repeated rows."""
     length_s = float(np.median([run.end_s - run.onset_s for run in runs]))
     held_rows = sum(float(np.nan_to_num(phase.raw.repeats.repeat_share)) * phase.raw.rows for phase in evidence.phases)
     rows = sum(phase.raw.rows for phase in evidence.phases)
@@ -72,7 +72,7 @@ def _again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Hypothesis]:
 
 
 def _one_by_one(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggests all stretches that are longer than the model makes them, in two forms: with the recorded readings, and
+    """Suggest all stretches that are longer than the model makes them, in two forms: with the recorded readings, and
     with whatever reading the simulation holds. Recorded readings fit only if the simulated bias varies little.
     """
     longest = evidence.expected.get("longest_repeat", np.zeros((0, 1)))  # rows, the first one too

@@ -108,7 +108,7 @@ class RunsProbe(Probe):
 
 
 def once(work: Callable[[Subject], Result]) -> Callable[[Subject], Result]:
-    """Caches `work` in each summary, so that several probes or sensors compute it once."""
+    """Cache `work` in each summary, so that several probes or sensors compute it once."""
     name = f"{work.__module__}.{work.__qualname__}"
 
     @wraps(work)
