@@ -37,7 +37,7 @@ from imuarray.gap.findings.diagnosis import (
     needs_both_parts,
 )
 from imuarray.gap.findings.experiment_design import next_experiment
-from imuarray.gap.findings.labels import WrongLabel, cause_of, corrected, mislabelled
+from imuarray.gap.findings.labels import WrongLabel, cause_of, correct_labels, find_wrong_labels
 from imuarray.gap.findings.observability import (
     facts_of,
     missing_in,
@@ -47,14 +47,14 @@ from imuarray.gap.findings.observability import (
 )
 from imuarray.gap.findings.origins import lines_of, notes_of, with_origins
 from imuarray.gap.findings.overlays import overlays_of
-from imuarray.gap.findings.repair import repaired
+from imuarray.gap.findings.repair import repair_model
 from imuarray.gap.findings.sentence import sentence_of
 from imuarray.gap.findings.verdict import Judgement, judge, unknown_probability
 from imuarray.gap.inference.assessment import Assessment, assess
-from imuarray.gap.inference.comparison import Comparison, compared_with_base, observed, prepared
-from imuarray.gap.inference.earlier import compared_with_earlier, cut_to_equal_lengths
+from imuarray.gap.inference.comparison import Comparison, compare_with_base, observe_replicates, prepare
+from imuarray.gap.inference.earlier import compare_with_earlier, cut_to_equal_lengths
 from imuarray.gap.inference.effects import CANDIDATES, Candidate
-from imuarray.gap.inference.search import SearchResult, searches
+from imuarray.gap.inference.search import SearchResult, search_causes
 from imuarray.gap.inference.unit_state import least_scale
 from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.downstream import uses
@@ -205,7 +205,7 @@ def diagnose(  # noqa: PLR0913
     candidates = library(without)
     chosen = model if model is None or isinstance(model, Model) else load_model(find_model(Path(model)))
     with ExitStack() as stack:
-        recordings, earlier = _read(_opened(logs, stack), _opened(against, stack), only)
+        recordings, earlier = _read(_open(logs, stack), _open(against, stack), only)
         executor = stack.enter_context(processes(workers)) if workers > 1 else None
 
         def run_on(bench: Bench) -> Run:
@@ -230,12 +230,12 @@ def compare(
     a bench, the runner of its functions (`imuarray.gap.model.workers.runner`).
     """
     progress("reading the recordings")
-    case = _compared(recordings, run_on, reference, seed, replicates, progress)
-    wrong_labels = mislabelled(recordings, case.comparison.campaign)
+    case = _compare_once(recordings, run_on, reference, seed, replicates, progress)
+    wrong_labels = find_wrong_labels(recordings, case.comparison.campaign)
     if not wrong_labels:
         return case
     progress("comparing again with corrected faces")
-    again = _compared(corrected(recordings, wrong_labels), run_on, reference, seed, replicates, progress)
+    again = _compare_once(correct_labels(recordings, wrong_labels), run_on, reference, seed, replicates, progress)
     is_same = case.comparison.pairs.keys == again.comparison.pairs.keys
     as_noted = case.comparison if is_same else again.comparison
     return replace(again, as_noted=as_noted, wrong_labels=wrong_labels)
@@ -251,7 +251,7 @@ def explain(
 ) -> Diagnosis:
     """Search the causes among `candidates`, verify them and make the findings: the rest of `diagnose`.
 
-    `known`: sensors that are known to have one of them (`imuarray.gap.inference.search.searches`). `briefly`: without
+    `known`: sensors that are known to have one of them (`imuarray.gap.inference.search.search_causes`). `briefly`: without
     curves and next experiment, for which more is simulated.
     """
     search = _search(case, candidates, progress, known)
@@ -269,7 +269,7 @@ def library(without: Collection[str]) -> dict[str, Candidate]:
     return {name: candidate for name, candidate in CANDIDATES.items() if name not in without}
 
 
-def _opened(logs: LogLike | Iterable[LogLike], stack: ExitStack) -> list[Log]:
+def _open(logs: LogLike | Iterable[LogLike], stack: ExitStack) -> list[Log]:
     """Return the logs, each once; those opened here are closed with the stack."""
     logs = [logs] if isinstance(logs, str | PathLike | Log) else logs
     distinct = dict.fromkeys(log if isinstance(log, Log) else Path(log) for log in logs)
@@ -298,7 +298,7 @@ def _sensors(recording: Recording) -> Collection[str]:
     return recording.experiment.plan.sensors
 
 
-def _compared(
+def _compare_once(
     recordings: Sequence[Recording],
     run_on: Callable[[Bench], Run],
     reference: Reference,
@@ -308,17 +308,17 @@ def _compared(
 ) -> GapCase:
     """Compare the recordings, with their noted faces, with the reference."""
     model, earlier = reference.model, reference.earlier
-    bench, campaign = prepared(recordings, model, seed, earlier)
+    bench, campaign = prepare(recordings, model, seed, earlier)
     has_value = np.isfinite(bench.measured(campaign, bench.base.fitted).values)
     domains = [key.domain for key in bench.of_keys(has_value).keys]
     missing, before = missing_in(recordings, domains), None
     if earlier:
         progress("simulating the earlier recordings")
-        bench, before = compared_with_earlier(bench, *prepared(earlier, model, seed), run_on, replicates)
+        bench, before = compare_with_earlier(bench, *prepare(earlier, model, seed), run_on, replicates)
         missing = (*missing, *_without_counterpart(domains, bench))
     progress("simulating the base model")
     run = run_on(bench)
-    comparison = compared_with_base(bench, campaign, run, replicates, before)
+    comparison = compare_with_base(bench, campaign, run, replicates, before)
     return GapCase(recordings, comparison, comparison, (), model, seed, run, earlier, missing)
 
 
@@ -336,7 +336,7 @@ def _search(
     comparison = case.comparison
     if not comparison.localisation.is_gap:
         return SearchResult({}, comparison.bench.models())
-    return searches(comparison, candidates, case.run, progress, known)
+    return search_causes(comparison, candidates, case.run, progress, known)
 
 
 def _verify(case: GapCase, search: SearchResult, causes: Sequence[Cause]) -> Verification:
@@ -345,7 +345,7 @@ def _verify(case: GapCase, search: SearchResult, causes: Sequence[Cause]) -> Ver
     if not causes:
         return Verification(comparison.replicates, comparison.assessment)
     numbers = range(_FIRST_REPAIRED, _FIRST_REPAIRED + REPAIRED)
-    replicates: Sequence[StatisticValues] = observed(comparison.bench, search.models, numbers, case.run)
+    replicates: Sequence[StatisticValues] = observe_replicates(comparison.bench, search.models, numbers, case.run)
     if comparison.earlier is not None:
         replicates = comparison.earlier.with_scatter(replicates, numbers)
     floor = np.fmax(comparison.bench.resolutions, least_scale(comparison.assessment.likelihood))
@@ -401,7 +401,7 @@ def _report(
         replicates=len(comparison.replicates),
         model=case.model_name,
         software=f"imuarray {imuarray.__version__}",
-        repaired=repaired(bench, search.models, case.model, f"repaired {case.model_name}", logs=case.names),
+        repaired=repair_model(bench, search.models, case.model, f"repaired {case.model_name}", logs=case.names),
         missing=case.missing,
         pulls=pulls,
     )

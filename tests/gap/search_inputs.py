@@ -7,9 +7,9 @@ from functools import cache
 
 import numpy as np
 
-from imuarray.gap.inference.comparison import Comparison, compared_with_base
+from imuarray.gap.inference.comparison import Comparison, compare_with_base
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
-from imuarray.gap.inference.forward_selection import replicated
+from imuarray.gap.inference.forward_selection import replicate_state
 from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.gap.statistics.synthetic_likelihood import independent_share, likelihood_of
@@ -36,7 +36,7 @@ def evidence(
 def found_in(*more: Effect, seed: int = 1) -> Comparison:
     """`static`, compared with its base model."""
     bench, campaign = static(*more, seed=seed)
-    return compared_with_base(bench, campaign, Run(bench), REPLICATES)
+    return compare_with_base(bench, campaign, Run(bench), REPLICATES)
 
 
 def standing_of(found: Comparison, unit: tuple[str, ...] = ("G1",)) -> UnitState:
@@ -49,4 +49,4 @@ def standing_of(found: Comparison, unit: tuple[str, ...] = ("G1",)) -> UnitState
     wanted = {name: found.real.fitted[name] for name in unit}
     share = independent_share(likelihood.scores(chance))
     first = UnitState(unit, models, found.real.values[columns], likelihood, np.zeros((0, 0)), wanted, share)
-    return replicated(bench, first)
+    return replicate_state(bench, first)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.arrays import Floats
-from imuarray.gap.inference.comparison import compared_with_base
+from imuarray.gap.inference.comparison import compare_with_base
 from imuarray.gap.model.base_model import fit, residual
 from imuarray.gap.model.bench import bench_of
 from imuarray.gap.recording.attitude import array_mean, ups_of
@@ -168,7 +168,7 @@ def test_a_recording_without_a_gap_lies_among_its_replicates() -> None:
     first, _ = prepared([("tumble", motion)], tuple(BASE))
     drawn = replace(first, base=replace(first.base, seed=12)).simulated(first.models(), 5)
     bench = bench_of(drawn, first.split, first.experiments, fit(first.split.train(drawn).campaign, [motion]))
-    found = compared_with_base(bench, drawn, Run(bench), 40)
+    found = compare_with_base(bench, drawn, Run(bench), 40)
     scores = found.assessment.likelihood.scores(found.chance)
     assert np.nanmean(np.abs(found.assessment.parts) < 1) == pytest.approx(np.nanmean(np.abs(scores) < 1), abs=0.04)
     assert not found.localisation.is_gap

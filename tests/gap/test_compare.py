@@ -23,8 +23,8 @@ from imuarray.gap.inference.comparison import (
     Comparison,
     _queued_in,
     _without_flags_never_set,
-    compared_with_base,
-    settled,
+    compare_with_base,
+    settle_bench,
 )
 from imuarray.gap.inference.localisation import LEVEL
 from imuarray.gap.model.base_model import fit
@@ -63,7 +63,7 @@ def recorded(more: More, seed: int, motion: Motion = SHORT, kind: str = "static"
 def compared(more: More, seed: int, replicates: int = 40) -> Comparison:
     """The whole way, from a simulated recording on."""
     bench, campaign = recorded(more, seed)
-    return compared_with_base(bench, campaign, Run(bench), replicates)
+    return compare_with_base(bench, campaign, Run(bench), replicates)
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_false_alarms(nothing: Comparison) -> None:
     alarms = 0
     for seed in range(60):
         _, campaign = recorded(units(seed), 1000 + seed)
-        alarms += compared_with_base(bench, campaign, known, 80).localisation.is_gap
+        alarms += compare_with_base(bench, campaign, known, 80).localisation.is_gap
     assert alarms <= 14
 
 
@@ -113,7 +113,7 @@ def test_scores_are_standard(nothing: Comparison) -> None:
 @pytest.mark.slow
 def test_another_seed_draws_others(nothing: Comparison) -> None:
     bench = replace(nothing.bench, base=replace(nothing.bench.base, seed=77))
-    other = compared_with_base(bench, nothing.campaign, Run(bench), 40)
+    other = compare_with_base(bench, nothing.campaign, Run(bench), 40)
     assert not np.array_equal(other.chance, nothing.chance[:40], equal_nan=True)
     one, two = nothing.assessment.likelihood, other.assessment.likelihood
     held = np.isfinite(one.location) & np.isfinite(two.location) & ~one.is_silent & ~two.is_silent
@@ -147,7 +147,7 @@ def test_a_tone_is_found_where_it_is() -> None:
 def test_sizes_are_in_the_units_of_the_statistic() -> None:
     """0.06 g per g^2 along x: the mean of the faces +x and -x is off by 0.06 g."""
     bench, campaign = recorded({"A2": (Nonlinearity(quadratic=(0.06, 0.0, 0.0)),)}, 3, Tumble(4.0, 1.0), "tumble")
-    found = compared_with_base(bench, campaign, Run(bench), 40)
+    found = compare_with_base(bench, campaign, Run(bench), 40)
     told = where_of(
         StatisticReport(bench, campaign, found.pairs, ["tumble.h5"]),
         found.assessment,
@@ -184,7 +184,7 @@ def test_what_a_model_adds_is_not_counted_twice() -> None:
     base = fit(bench.split.train(campaign).campaign, [SHORT], model=parse_model(MODEL))
     assert base.fitted["A1"].offset[2] == pytest.approx(0.05, abs=1e-3)
     assert base.fitted["G1"].rms == pytest.approx((0.05 * 1.5**0.5,) * 3, rel=0.1)
-    found = settled(replace(bench, base=base)).base.fitted
+    found = settle_bench(replace(bench, base=base)).base.fitted
     assert found["A1"].offset == pytest.approx((0.02,) * 3, abs=1e-3)
     assert found["G1"].rms == pytest.approx((0.05,) * 3, rel=0.14)
     assert found["G2"].rms == pytest.approx(base.fitted["G2"].rms, rel=0.1)
@@ -201,9 +201,9 @@ def test_what_is_sent_to_processes_can_be_sent() -> None:
 @pytest.mark.slow
 def test_processes_change_no_bit() -> None:
     bench, campaign = bare()
-    alone = compared_with_base(bench, campaign, runner(bench), 40)
+    alone = compare_with_base(bench, campaign, runner(bench), 40)
     with processes(2) as pool:
-        together = compared_with_base(bench, campaign, runner(bench, pool), 40)
+        together = compare_with_base(bench, campaign, runner(bench, pool), 40)
     np.testing.assert_array_equal(together.chance, alone.chance)
     assert together.localisation == alone.localisation
 
@@ -242,7 +242,7 @@ class Chances:
 def sequential(seed: int, moved: float = 0.0, replicates: int = 100) -> tuple[float, int]:
     """The p-value, and by how many replicates it was found."""
     bench = Chances(seed, moved)
-    found = compared_with_base(cast(Bench, bench), cast(Campaign, None), bench.run, replicates)
+    found = compare_with_base(cast(Bench, bench), cast(Campaign, None), bench.run, replicates)
     assert bench.asked == list(range(len(found.replicates)))  # each once
     return found.localisation.p, len(found.replicates)
 

@@ -14,7 +14,7 @@ import pytest
 from imuarray.errors import ConfigError
 from imuarray.gap.diagnose import Reference, compare, explain, library
 from imuarray.gap.findings.diagnosis import Diagnosis
-from imuarray.gap.inference.comparison import prepared
+from imuarray.gap.inference.comparison import prepare
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.recording.recordings import Recording, recordings_of
 from imuarray.log import open_log
@@ -181,9 +181,9 @@ def test_noise_is_not_counted_twice(tmp_path: Path) -> None:
     """The model has the line that the recording has: of the variance 0.05^2 + 0.05^2 / 2 the noise keeps the first."""
     line = Tone((0.0, 0.05, 0.0), 17.0)
     recordings = recorded(tmp_path, {"G1": (line,)})
-    bench, _ = prepared(recordings, parse_model(WITH_LINE), 1)
+    bench, _ = prepare(recordings, parse_model(WITH_LINE), 1)
     assert bench.base.fitted["G1"].rms == pytest.approx((0.05,) * 3, rel=0.1)
-    plain, _ = prepared(recordings, None, 1)
+    plain, _ = prepare(recordings, None, 1)
     assert plain.base.fitted["G1"].rms[1] == pytest.approx(0.05 * 1.5**0.5, rel=0.1)
 
 

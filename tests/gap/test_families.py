@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imuarray.gap.inference.comparison import compared_with_base
+from imuarray.gap.inference.comparison import compare_with_base
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.forward_selection import ACCEPTED, Evaluation, Round, confirmed
+from imuarray.gap.inference.forward_selection import ACCEPTED, Evaluation, Round, confirm
 from imuarray.gap.inference.refinement import FittedHypothesis
 from imuarray.gap.inference.shared_causes import (
     is_redundant,
@@ -38,7 +38,7 @@ SWAP = Hypothesis((ChannelSwap("A2"),), shared=True, sensor="A1", others=("A2",)
 def swapped() -> tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]]:
     """A1 has A2's readings, 10 s at rest: the two together, and each alone."""
     bench, campaign = prepared([("static", Still(seconds=10))], BOTH, {"A1": (ChannelSwap("A2"),)})
-    found = compared_with_base(bench, campaign, Run(bench), 40)
+    found = compare_with_base(bench, campaign, Run(bench), 40)
     return bench, standing_of(found, BOTH), {(name,): standing_of(found, (name,)) for name in BOTH}
 
 
@@ -120,7 +120,7 @@ def test_the_same_readings_show_between_two_sensors(
     """Alone neither shows anything; as a pair they are far off, and with the right cause they aren't."""
     bench, pair, alone = swapped
     assert all(np.nanmax(np.abs(one.scores)) < 8 for one in alone.values())
-    right = confirmed(bench, pair, FittedHypothesis(SWAP, pair.changed(SWAP)))
+    right = confirm(bench, pair, FittedHypothesis(SWAP, pair.changed(SWAP)))
     assert min(right.gain, right.train_gain) > 10
     before, after = (np.nanmean(np.abs(one.scores) > 8) for one in (pair, right.standing))
     assert before > 0.05

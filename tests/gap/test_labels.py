@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from imuarray.array import parse_array
 from imuarray.axes import UP_AXES, up_vector
-from imuarray.gap.findings.labels import WrongLabel, cause_of, corrected, face_of, mislabelled, note_of
+from imuarray.gap.findings.labels import WrongLabel, cause_of, correct_labels, face_of, find_wrong_labels, note_of
 from imuarray.gap.findings.text import parameters_text
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.recording.recordings import Recording, recording_of
@@ -90,7 +90,7 @@ def tumbled(
 
 
 def found_in(*recordings: Recording) -> tuple[WrongLabel, ...]:
-    return mislabelled(recordings, Campaign(tuple(map(summarised, recordings))))
+    return find_wrong_labels(recordings, Campaign(tuple(map(summarised, recordings))))
 
 
 def told(found: Sequence[WrongLabel]) -> dict[str, tuple[str, str]]:
@@ -124,7 +124,7 @@ def test_halves_of_phases_tell_the_same(tmp_path: Path) -> None:
     recording = tumbled(tmp_path / "tumble.h5", {"x_up": "-X"})
     split = split_of([recording.kind], [recording.phases])
     parted = Recording("", recording.log, recording.kind, split.phases()[0], recording.experiment)
-    (found,) = mislabelled([recording], Campaign((summarised(parted),)))
+    (found,) = find_wrong_labels([recording], Campaign((summarised(parted),)))
     assert (found.phase, found.up) == (recording.phases[1], "+X")
 
 
@@ -228,7 +228,7 @@ def test_corrected_recordings_feel_what_was_felt(tmp_path: Path) -> None:
     recordings = (right, wrong)
     found = found_in(*recordings)
     assert [one.log for one in found] == [1, 1]
-    same, put_right = corrected(recordings, found)
+    same, put_right = correct_labels(recordings, found)
     assert same is right
     assert put_right.phases == right.phases
     assert (put_right.kind, put_right.name) == ("tumble", "wrong.h5")
@@ -239,7 +239,7 @@ def test_corrected_recordings_feel_what_was_felt(tmp_path: Path) -> None:
     np.testing.assert_allclose(motion.felt(middles).force_box, expected, atol=9.8 * 5e-3)  # a tilt is estimated
     assert np.array_equal(pickle.loads(pickle.dumps(motion)).felt(middles).force_box, motion.felt(middles).force_box)  # noqa: S301
     campaign = Campaign((summarised(put_right),))
-    assert not mislabelled([put_right], campaign)
+    assert not find_wrong_labels([put_right], campaign)
     offset = fit(campaign, [motion]).fitted["B1"].offset
     np.testing.assert_allclose(offset, [0.05, -0.05, 0.05], atol=1e-3)
 
@@ -248,7 +248,7 @@ def test_unnoted_attitudes_are_estimated_anew(tmp_path: Path) -> None:
     """A wrong label spoils the common bias, and with it the attitude of phases that nobody noted."""
     recording = tumbled(tmp_path / "part.h5", {"x_up": "-X", "y_up": ""})
     (found,) = found_in(recording)
-    (put_right,) = corrected([recording], [found])
+    (put_right,) = correct_labels([recording], [found])
     at = np.array([(one.start_ns + one.end_ns) // 2 for one in put_right.phases])
     np.testing.assert_allclose(put_right.experiment.motion.felt(at).force_box[2] / 9.80665, [0, 1, 0], atol=0.03)
     assert [one.up for one in put_right.phases][:3] == ["+Z", "+X", ""]

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.gap.inference.localisation import located, p_value
+from imuarray.gap.inference.localisation import localise, p_value
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pooled import BEYOND, FEWEST_PLACES, PooledScores, pooled_scores
 from imuarray.gap.statistics.probes import PROBES
@@ -104,8 +104,8 @@ def test_the_tree_names_the_strongest_place() -> None:
     scores = normal(np.random.default_rng(5))
     scores[0, :21] = 2.6
     scores[0, 4] = 2.61
-    single = located(ALL, headers, scores[0], scores[1:])
-    pooled = located(ALL, headers, scores[0], scores[1:], pooled_scores(scores, ALL))
+    single = localise(ALL, headers, scores[0], scores[1:])
+    pooled = localise(ALL, headers, scores[0], scores[1:], pooled_scores(scores, ALL))
     assert (single.is_gap, pooled.is_gap) == (False, True)
     assert single.limit == pooled.limit
     assert 4 in pooled.p_by_place

@@ -14,7 +14,7 @@ import pytest
 import imuarray
 from imuarray.gap.findings.description import lines_shown
 from imuarray.gap.findings.diagnosis import Cause, Diagnosis
-from imuarray.gap.inference.comparison import prepared
+from imuarray.gap.inference.comparison import prepare
 from imuarray.gap.recording.recordings import Recording, recording_of
 from imuarray.gap.recording.row_timing import row_timing
 from imuarray.importers.table import import_table
@@ -96,7 +96,7 @@ def test_the_die_tells_its_temperature(recordings: dict[str, Recording]) -> None
     ],
 )
 def test_lines(recordings: dict[str, Recording], name: str, sensor: str, axis: str, said: str) -> None:
-    _, campaign = prepared([recordings[name]], None, 0)
+    _, campaign = prepare([recordings[name]], None, 0)
     (told,) = lines_shown(campaign, [where(sensor, axis[-1])], ())
     assert said in told
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.gap.inference.comparison import prepared
+from imuarray.gap.inference.comparison import prepare
 from imuarray.gap.recording.recordings import Recording, recording_of, sources_of
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import LOST_BEFORE, OVERRUN, Event, Phase, SensorHeader
@@ -116,7 +116,7 @@ def test_the_logger_says_when_it_was_late(tmp_path: Path, message: str, late_s: 
 def test_a_gap_of_the_recorder_leaves_no_trace_in_the_statistics(tmp_path: Path, is_delayed: bool) -> None:
     rows = slice(300, 340)
     recording = logged(tmp_path / "log.h5", {"Acc": rows, "Gyro": rows}, is_delayed=is_delayed)
-    bench, campaign = prepared([recording], None, 0)
+    bench, campaign = prepare([recording], None, 0)
     shown = bench.measured(campaign, bench.base.fitted)
     simulated = bench.measured(bench.simulated(bench.models(), 0), bench.base.fitted)
     timing = {

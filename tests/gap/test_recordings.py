@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from imuarray.errors import LogError
-from imuarray.gap.inference.comparison import prepared
+from imuarray.gap.inference.comparison import prepare
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.recording.recordings import Recording, recording_of, recordings_of, temperature_of
 from imuarray.gap.statistics.campaign import Campaign
@@ -140,7 +140,7 @@ def test_noted_attitudes_are_believed_but_for_a_tilt(tmp_path: Path) -> None:
 def test_a_foreign_chip_is_simulated_without_its_thermometer(tmp_path: Path) -> None:
     """Recorded and simulated summaries have the same to say; of counts of an unknown scale, nothing."""
     found = recorded(foreign_log(tmp_path / "log.h5", [phase(0, 9, "static", "+Z")]))
-    bench, campaign = prepared([found], None, 0)
+    bench, campaign = prepare([found], None, 0)
     made = bench.simulated(bench.models(), 0)
     for one in (campaign, made):
         assert one.logs[0].phases[0].sensors.keys() == {"Acc", "Gyro"}
@@ -179,7 +179,7 @@ def test_rows_that_a_recording_lost_are_in_its_plan(tmp_path: Path) -> None:
         assert abs(len(again.sensors[name].lost_rows(0, sensor.rows)) - lost[name]) < 4 * 38 * 2**0.5
         stamps = plan.sensors[name][1].stamps(0, sensor.rows)
         assert np.abs(np.diff(stamps) / 10_000_000 - 1).max() < 0.1  # forth and back on the bus
-    bench, campaign = prepared([found], None, 0)
+    bench, campaign = prepare([found], None, 0)
     again_summarised = bench.simulated(bench.models(), 0)
     for name in BASE:
         ours, theirs = (one.logs[0].phases[0].sensors[name] for one in (campaign, again_summarised))
@@ -251,7 +251,7 @@ def test_the_field_is_what_magnetometers_read_on_average(tmp_path: Path) -> None
 
 def test_a_magnetometer_alone_has_no_error_of_level(tmp_path: Path) -> None:
     found = recorded(foreign_log(tmp_path / "log.h5", sensors=[FOREIGN[0], COMPASS]))
-    bench, _ = prepared([found], None, 0)
+    bench, _ = prepare([found], None, 0)
     assert bench.base.fitted["Mag"].offset == pytest.approx((0, 0, 0), abs=1e-3)  # the first half less the whole
     assert bench.base.fitted["Mag"].rms[0] * 1090 == pytest.approx(5.0, rel=0.2)
 
@@ -269,7 +269,7 @@ def test_a_track_of_the_motion_tells_no_field(tmp_path: Path) -> None:
         force = np.tile([0.0, 0.0, 9.80665], (3000, 1))
         log.stimulus("reference", Stimulus(time, force, rate, np.full(3000, 20.0)))
         log.phase(phase(0, 19, "static", "+Z"))
-    _, campaign = prepared([recorded(path)], None, 0)
+    _, campaign = prepare([recorded(path)], None, 0)
     assert campaign.logs[0].phases[0].sensors.keys() == {"Gyro", "Mag"}
 
 
@@ -315,7 +315,7 @@ def test_a_thermometer_is_compared_where_something_else_tells_the_temperature(tm
         log.phase(phase(0, 11, "static", "+Z"))
     found = recorded(path)
     assert found.notes == ()
-    bench, campaign = prepared([found], None, 0)
+    bench, campaign = prepare([found], None, 0)
     made = bench.simulated(bench.models(), 0)
     shown, expected = (one.logs[0].phases[0].sensors["Acc"].segments.thermometer for one in (campaign, made))
     assert shown == pytest.approx(np.full(len(shown), -84.0))
@@ -326,7 +326,7 @@ def test_flags_that_an_import_cannot_set_are_not_missed(tmp_path: Path) -> None:
     """A magnetometer that is read 50 times a second, as its simulation would flag where rows repeat."""
     chip = replace(COMPASS, chip="hmc5883l", sensitivity=100.0)
     found = recorded(foreign_log(tmp_path / "log.h5", [phase(0, 9, "static", "+Z")], [chip]))
-    bench, _ = prepared([found], None, 0)
+    bench, _ = prepare([found], None, 0)
     quiet = {"Mag": replace(bench.models()["Mag"], fitted=replace(bench.base.fitted["Mag"], rms=(0.0, 0.0, 0.0)))}
     flags = bench.simulated(quiet, 0).logs[0].phases[0].sensors["Mag"].flags
     assert flags["stale"] == 0

@@ -9,7 +9,7 @@ import pytest
 
 from imuarray.gap.inference.effects import Hypothesis
 from imuarray.gap.inference.parameters import Factor, factors_of
-from imuarray.gap.inference.refinement import look, refine, regressed
+from imuarray.gap.inference.refinement import look, refine, regress
 from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.bench import Bench
 from imuarray.simulate.effects.bias import Bias
@@ -131,6 +131,6 @@ def test_columns_that_can_not_be_told_apart_share_what_they_explain(size: float)
     """3 is explained by two columns of ones: with a prior of width 2, x = 3 n / (2 n + 1/4) each, for n = 4 rows of
     weight 1; as columns grow it is half of 3 over their size.
     """
-    found = regressed(np.full((4, 2), size), np.full(4, 3.0), np.ones(4))
+    found = regress(np.full((4, 2), size), np.full(4, 3.0), np.ones(4))
     expected = 12 / 8.25 if size == 1 else 1.5 / size
     np.testing.assert_allclose(found, expected, rtol=1e-6)

@@ -11,7 +11,7 @@ import pytest
 
 from imuarray.array import parse_array
 from imuarray.gap.diagnose import Reference, compare, explain
-from imuarray.gap.findings.repair import repaired
+from imuarray.gap.findings.repair import repair_model
 from imuarray.gap.inference.forward_selection import Run
 from imuarray.gap.model.base_model import Base
 from imuarray.gap.model.bench import Bench
@@ -86,7 +86,7 @@ def again(model: Model) -> Model:
 def test_found_effects_are_in_the_file() -> None:
     bench = bench_with(gyroscope(), header("A1"), kinds=("static", "turn-on", "turn-on"))
     models = {**bench.models(), "G1": SensorModel(FITTED, (TONE, replace(TONE, frequency_hz=31.0)))}
-    model = again(repaired(bench, models, None, "fixed"))
+    model = again(repair_model(bench, models, None, "fixed"))
     assert model.about == (
         "2 sensors as diagnosed from 1 static and 2 turn-on logs: the data sheets, fitted, with G1 tone."
     )
@@ -121,7 +121,7 @@ def test_a_model_keeps_what_is_not_fitted() -> None:
     bench = bench_with(gyroscope("G1"), gyroscope("G2"))
     before = parse_model(MODEL)
     found = SensorModel(FITTED, (TONE,), frozenset({"quantisation", "stale_samples"}))
-    model = again(repaired(bench, {"G1": found, "G2": SensorModel(FITTED)}, before, "fixed", logs=("a.h5", "b.h5")))
+    model = again(repair_model(bench, {"G1": found, "G2": SensorModel(FITTED)}, before, "fixed", logs=("a.h5", "b.h5")))
     assert "from a.h5, b.h5: model mine, fitted, with G1 tone, without quantisation" in model.about
     first, second, other = model.sensors
     assert (first.name, second.name, other.name) == ("G1", "G2", "G9")
@@ -144,7 +144,7 @@ def test_a_model_keeps_what_is_not_fitted() -> None:
 
 def test_another_of_a_kind_takes_its_place() -> None:
     found = SensorModel(FITTED, (TONE,), frozenset({"tone"}))
-    model = again(repaired(bench_with(gyroscope()), {"G1": found}, parse_model(MODEL), "fixed"))
+    model = again(repair_model(bench_with(gyroscope()), {"G1": found}, parse_model(MODEL), "fixed"))
     tones = [effect for effect in model.effects(gyroscope(), Streams(0)) if isinstance(effect, Tone)]
     assert [one.frequency_hz for one in tones] == [20.0]
 
@@ -154,7 +154,7 @@ def test_a_chip_that_nobody_knows_says_its_unit() -> None:
     both = [header("A", chip="bma180"), header("G", chip="l3g4200d")]
     accelerometer, gyro = (replace(one, chip="mpu9150", range=1234.0) for one in both)
     bench = bench_with(accelerometer, gyro)
-    model = again(repaired(bench, bench.models(), None, "fixed"))
+    model = again(repair_model(bench, bench.models(), None, "fixed"))
     assert [(part.chip, part.unit) for part in model.designs] == [("mpu9150", "g"), ("mpu9150", "dps")]
     assert [(part.name, part.unit, part.range) for part in model.sensors] == [("A", "g", 1234.0), ("G", "dps", 1234.0)]
     for one in (accelerometer, gyro):
@@ -175,7 +175,7 @@ def test_a_chip_that_nobody_knows_says_its_unit() -> None:
 def test_texts_and_figures_without_number_survive() -> None:
     strange = (ChannelSwap("G2"), RangeReset(2000.0, onset_s=5.0), Tone(0.1, 7.0, 90.0))
     models = {"G1": SensorModel(FITTED, strange), "G2": SensorModel(FittedParameters(*((0.0, 0.0, 0.0),) * 3))}
-    model = again(repaired(bench_with(gyroscope("G1"), gyroscope("G2")), models, None, "fixed"))
+    model = again(repair_model(bench_with(gyroscope("G1"), gyroscope("G2")), models, None, "fixed"))
     assert set(strange) <= set(model.effects(gyroscope(), Streams(0)))
     silent = [effect for effect in model.effects(gyroscope("G2"), Streams(0)) if isinstance(effect, WhiteNoise)]
     assert silent == [WhiteNoise()]
@@ -185,7 +185,7 @@ def test_a_simulation_of_the_file_shows_the_line() -> None:
     """0.05 dps in noise of 0.05 dps at 100 rows/s over 20 s: the bin nearest to 20 Hz stands far above the others."""
     bench = bench_with(gyroscope("G1"), gyroscope("G2"))
     models = {**bench.models(), "G1": SensorModel(FITTED, (TONE,))}
-    model = again(repaired(bench, models, None, "fixed"))
+    model = again(repair_model(bench, models, None, "fixed"))
     motion = Still(seconds=20)
     made = Simulation.of_array(parse_array(ARRAY), motion, model, frame_rate_hz=RATE_HZ, seed=3)
     (phase,) = phases_of(motion)
@@ -220,7 +220,7 @@ def test_a_second_diagnosis_finds_no_gap(tmp_path: Path) -> None:
     fitted = bench.base.fitted["G1"]
     quiet = replace(fitted, rms=(fitted.rms[0], fitted.rms[2], fitted.rms[2]))
     models = {**bench.models(), "G1": SensorModel(quiet, (TONE,))}
-    model = again(repaired(bench, models, None, "fixed"))
+    model = again(repair_model(bench, models, None, "fixed"))
     second = explain(compare(recordings, runs, Reference(model), seed=1, replicates=40), {})
     assert second.verdict == "no gap"
     assert second.model == "fixed"

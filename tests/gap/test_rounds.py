@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from imuarray.gap.findings.causes import causes_of
-from imuarray.gap.inference.comparison import compared_with_base
+from imuarray.gap.inference.comparison import compare_with_base
 from imuarray.gap.inference.effects import CANDIDATES, Candidate, Hypothesis
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.forward_selection import Round
-from imuarray.gap.inference.search import ROUNDS, SearchResult, _deferred, searches
+from imuarray.gap.inference.search import ROUNDS, SearchResult, _deferred, search_causes
 from imuarray.gap.inference.unit_state import Unit
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.effects.white_noise import WhiteNoise
@@ -28,7 +28,7 @@ OTHER = Tone((0.06, 0.0, 0.0), 29.0)
 def two_lines() -> SearchResult:
     """A line on y and one on x."""
     found = found_in(LINE, OTHER)
-    return searches(found, {"tone": CANDIDATES["tone"]}, Run(found.bench))
+    return search_causes(found, {"tone": CANDIDATES["tone"]}, Run(found.bench))
 
 
 @pytest.mark.slow
@@ -57,9 +57,9 @@ def test_each_round_explains_more(two_lines: SearchResult) -> None:
 def test_what_all_sensors_have_is_one_cause_of_all() -> None:
     """The same line in sensors of two chips, guessed for each of them as one that everything has."""
     bench, campaign = prepared([("static", SHORT)], ["G1", "A1"], {"G1": (LINE,), "A1": (LINE,)})
-    found = compared_with_base(bench, campaign, Run(bench), 40)
+    found = compare_with_base(bench, campaign, Run(bench), 40)
     everywhere = Candidate("tone", lambda evidence: [Hypothesis((LINE,), shared=True, everywhere=True)])
-    came = searches(found, {"tone": everywhere}, Run(bench))
+    came = search_causes(found, {"tone": everywhere}, Run(bench))
     assert [unit for unit, rounds in came.rounds.items() if any(one.selection for one in rounds)] == [("A1", "G1")]
     assert all(LINE in model.added for model in came.models.values())
     (cause,) = causes_of(bench, came.rounds, 1)
@@ -108,10 +108,10 @@ def test_what_only_one_of_a_chip_shows_may_be_in_all(is_there: bool) -> None:
     """
     other = (WhiteNoise(1.0), LINE) if is_there else ()
     bench, campaign = prepared([("static", SHORT)], ["G1", "G2"], {"G1": (LINE,), "G2": other})
-    found = compared_with_base(bench, campaign, Run(bench), 40)
+    found = compare_with_base(bench, campaign, Run(bench), 40)
     assert [node.path[-1] for node in found.localisation.root.found("sensor")] == ["G1"]
     shared = Candidate("tone", lambda evidence: [Hypothesis((LINE,), shared=True)])
-    came = searches(found, {"tone": shared}, Run(bench))
+    came = search_causes(found, {"tone": shared}, Run(bench))
     units = [unit for unit, rounds in came.rounds.items() if any(one.selection for one in rounds)]
     assert units == ([("G1", "G2")] if is_there else [])
 
@@ -120,7 +120,7 @@ def test_nothing_is_found_without_candidates() -> None:
     """One round, in which nothing is taken; models are those of the base."""
     found = found_in(LINE)
     heard: list[str] = []
-    came = searches(found, {}, Run(found.bench), heard.append)
+    came = search_causes(found, {}, Run(found.bench), heard.append)
     ((one,),) = came.rounds.values()
     assert (one.confirmed, one.selection) == ((), None)
     assert came.models == found.bench.models()
@@ -130,8 +130,8 @@ def test_nothing_is_found_without_candidates() -> None:
 def test_who_knows_the_sensor_looks_there_alone() -> None:
     """Where nothing is wrong no sensor is looked at; the one that is known to have the effect is."""
     found, candidates = found_in(), {"tone": CANDIDATES["tone"]}
-    assert not searches(found, candidates, Run(found.bench)).rounds
-    assert list(searches(found, candidates, Run(found.bench), known=("G1",)).rounds) == [("G1",)]
+    assert not search_causes(found, candidates, Run(found.bench)).rounds
+    assert list(search_causes(found, candidates, Run(found.bench), known=("G1",)).rounds) == [("G1",)]
 
 
 def test_candidates_see_what_is_left() -> None:
@@ -145,7 +145,7 @@ def test_candidates_see_what_is_left() -> None:
         return []
 
     found = found_in(LINE)
-    searches(found, {"made up": Candidate("made up", guesses)}, Run(found.bench))
+    search_causes(found, {"made up": Candidate("made up", guesses)}, Run(found.bench))
     train, both = shown[:2]
     assert len(train.phases) == 1
     assert len(both.phases) == 2

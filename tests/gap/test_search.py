@@ -22,12 +22,12 @@ from imuarray.gap.inference.forward_selection import (
     WORTH,
     Evaluation,
     Round,
-    confirmed,
+    confirm,
     guesses_of,
     likeliest,
     placebo_of,
     replicates_of,
-    searched,
+    search_round,
 )
 from imuarray.gap.inference.refinement import FittedHypothesis, look
 from imuarray.gap.inference.unit_state import Unit, UnitState
@@ -110,7 +110,7 @@ def test_guesses_are_of_a_lone_sensor_or_of_a_family() -> None:
 def test_the_right_cause_gains_on_data_that_it_was_not_fitted_to(tone: tuple[Bench, UnitState]) -> None:
     bench, standing = tone
     right, wrong = (
-        confirmed(bench, standing, look(bench, standing, Hypothesis((effect,))))
+        confirm(bench, standing, look(bench, standing, Hypothesis((effect,))))
         for effect in (LINE, Tone(LINE.amplitude, 31.0))
     )
     assert min(right.gain, right.train_gain) > 10
@@ -125,15 +125,15 @@ def test_the_choice_of_a_moment_costs(tone: tuple[Bench, UnitState]) -> None:
     """Of what begins within the log the mean of both parts counts, less four nats."""
     bench, standing = tone
     tried = look(bench, standing, Hypothesis((LINE,)))
-    plain = confirmed(bench, standing, tried)
-    brief = confirmed(bench, standing, replace(tried, trial=Hypothesis((Stuck(3.0, 1.0),))))
+    plain = confirm(bench, standing, tried)
+    brief = confirm(bench, standing, replace(tried, trial=Hypothesis((Stuck(3.0, 1.0),))))
     assert brief.gain == pytest.approx((plain.train_gain + plain.gain) / 2 - 4)
     assert brief.train_gain == pytest.approx(plain.train_gain)
 
 
 def test_no_change_gains_nothing(tone: tuple[Bench, UnitState]) -> None:
     bench, standing = tone
-    found = confirmed(bench, standing, FittedHypothesis(Hypothesis(()), standing.models))
+    found = confirm(bench, standing, FittedHypothesis(Hypothesis(()), standing.models))
     assert (found.gain, found.train_gain) == (pytest.approx(0, abs=1e-6), pytest.approx(0, abs=1e-6))
 
 
@@ -178,7 +178,7 @@ def round_of(
     """The placebo is the tone."""
     told = CannedRun(first, last)
     standing = by_hand([0.0], drawn(1))
-    came = searched(
+    came = search_round(
         {UNIT: standing}, {UNIT: [Hypothesis((one,)) for one in effects]}, {UNIT: Hypothesis((LINE,))}, told
     )
     return came[UNIT], told
@@ -202,7 +202,7 @@ def test_a_beginning_within_a_motion(moment_s: float) -> None:
     """It is narrowed down from the middle, 30 s, to an eighth of a second: each of four times 40 s shrink by 2 / 7."""
     trial = replace(Hypothesis((Bias(1.0),)).at(When((Span(0, 30.0, math.inf),))), begin_bounds_s=(10.0, 50.0))
     run = RunByMoment(moment_s)
-    result = searched({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [trial]}, {UNIT: Hypothesis((LINE,))}, run)[UNIT]
+    result = search_round({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [trial]}, {UNIT: Hypothesis((LINE,))}, run)[UNIT]
     assert result.selection is not None
     (span,) = result.selection.trial.when.spans
     assert span.moment_s == pytest.approx(moment_s, abs=40.0 * (2 / 7) ** 4 / 2)
@@ -222,7 +222,7 @@ def test_without_a_placebo_a_cause_has_to_gain_by_itself() -> None:
     """As in later rounds: the placebo of the first one told what chance makes."""
     for gain, is_taken in ((ACCEPTED + 0.1, True), (ACCEPTED - 0.1, False)):
         told = CannedRun({"bias": 9.0}, {"bias": (9.0, gain)})
-        found = searched({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Hypothesis((Bias(1.0),))]}, {}, told)[UNIT]
+        found = search_round({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Hypothesis((Bias(1.0),))]}, {}, told)[UNIT]
         assert told.asked == [1, 1, 0, 1]
         assert ([one.trial.name for one in found.confirmed], found.placebo_gain) == (["bias"], 0.0)
         assert (found.selection is not None) == is_taken
@@ -240,7 +240,7 @@ def test_parameters_cost() -> None:
         Hypothesis((Bias((1.0, 0.0, 0.0)),), ("offset",)),
     ]
     standing = by_hand([0.0], drawn(1))
-    found = searched({UNIT: standing}, {UNIT: trials}, {UNIT: Hypothesis((WhiteNoise(1.0),))}, told)[UNIT]
+    found = search_round({UNIT: standing}, {UNIT: trials}, {UNIT: Hypothesis((WhiteNoise(1.0),))}, told)[UNIT]
     assert [one.trial.name for one in found.confirmed] == ["bias", "tone"]
     assert [one.factors for one in found.confirmed] == [1, 4]
     assert found.log_odds == pytest.approx((8 - COST, 9 - 4 * COST))
@@ -289,7 +289,7 @@ def test_a_cause_that_only_the_held_out_part_shows(
 ) -> None:
     run = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (train, gain), "tone": (0.0, 0.0)})
     trials, placebos = {UNIT: [Hypothesis((Bias(1.0),), free)]}, {UNIT: Hypothesis((LINE,))}
-    result = searched({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, run)[UNIT]
+    result = search_round({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, run)[UNIT]
     assert (result.selection is not None) == is_taken
 
 
@@ -305,7 +305,7 @@ def test_a_cause_that_only_the_training_part_shows(train: float, gain: float, is
     """It is judged on both parts then, by the mean of both less 4 nats, and says so."""
     run = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (train, gain), "tone": (0.0, 0.0)})
     trials, placebos = {UNIT: [Hypothesis((Bias(1.0),), ("offset",))]}, {UNIT: Hypothesis((LINE,))}
-    result = searched({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, run)[UNIT]
+    result = search_round({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, run)[UNIT]
     assert (result.selection is not None) == is_taken
     if result.selection is not None:
         assert result.selection.trial.needs_both
@@ -318,7 +318,7 @@ def test_a_cause_without_numbers_that_only_the_training_part_shows(train: float,
     """As the above, but nothing was fitted: ends of codes that are read off are not."""
     run = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (train, 0.0), "tone": (0.0, 0.0)})
     trials, placebos = {UNIT: [Hypothesis((Bias(1.0),))]}, {UNIT: Hypothesis((LINE,))}
-    result = searched({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, run)[UNIT]
+    result = search_round({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, run)[UNIT]
     assert (result.selection is not None) == is_taken
 
 
@@ -327,7 +327,7 @@ def test_what_is_known_to_be_there_needs_no_proof(gain: float, is_taken: bool) -
     """Neither that it is beyond chance nor that the training part shows it; what makes things worse is not it."""
     told = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (0.0, gain), "tone": (0.0, 5.0)})
     trials, placebos = {UNIT: [Hypothesis((Bias(1.0),))]}, {UNIT: Hypothesis((LINE,))}
-    found = searched({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, told, known=True)[UNIT]
+    found = search_round({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, told, known=True)[UNIT]
     assert (found.selection is not None) == is_taken
 
 
@@ -335,7 +335,7 @@ def test_what_is_known_to_be_there_needs_no_proof(gain: float, is_taken: bool) -
 def test_what_moves_for_one_reason_counts_once(effect: Effect, is_taken: bool) -> None:
     """20 nats of statistics of which a tenth is independent are 2; what happens once has no more to show."""
     told = CannedRun({effect.name: 9.0}, {effect.name: (9.0, 20.0)}, independent=0.1)
-    found = searched({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Hypothesis((effect,))]}, {}, told)[UNIT]
+    found = search_round({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Hypothesis((effect,))]}, {}, told)[UNIT]
     assert (found.selection is not None) == is_taken
 
 
@@ -346,7 +346,7 @@ def test_few_statistics_that_say_something_of_their_own_count_more(share: float,
     """
     told = CannedRun({"bias": 9.0}, {"bias": (9.0, 2.0)}, independent=share)
     standing = by_hand([0.0], drawn(1), independent=0.3)
-    found = searched({UNIT: standing}, {UNIT: [Hypothesis((Bias(1.0),))]}, {}, told)[UNIT]
+    found = search_round({UNIT: standing}, {UNIT: [Hypothesis((Bias(1.0),))]}, {}, told)[UNIT]
     assert (found.selection is not None) == is_taken
 
 
@@ -403,7 +403,7 @@ def test_a_round_on_simulations(tone: tuple[Bench, UnitState]) -> None:
         Hypothesis((WhiteNoise((0.03, 0.0, 0.0)),), ("rms",)),
     ]
     placebo = Hypothesis((Tone(0.0025, 100 * (math.sqrt(5) - 1) / 4),), ("amplitude",))
-    (found,) = searched({UNIT: standing}, {UNIT: trials}, {UNIT: placebo}, Run(bench)).values()
+    (found,) = search_round({UNIT: standing}, {UNIT: trials}, {UNIT: placebo}, Run(bench)).values()
     assert found.selection is not None
     assert found.selection.trial.name == "tone"
     assert found.before is standing

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.unit_state import LOOKS, NUMBERS, REPLICATES, compared, counts_of, gains_of
+from imuarray.gap.inference.unit_state import LOOKS, NUMBERS, REPLICATES, counts_of, gains_of, update_likelihood
 from imuarray.gap.model.replication import SensorModel
 from imuarray.gap.statistics.synthetic_likelihood import FORM, FREEDOM, SyntheticLikelihood
 from imuarray.log.format import SensorHeader
@@ -78,7 +78,9 @@ def test_ordinary_parameters_make_up_for_what_is_missing() -> None:
 def test_a_shift_moves_the_middle_and_not_the_scatter(count: int, shift: float) -> None:
     """Draws are the same with and without the change, so that two replicates tell it exactly."""
     without = drawn(3)
-    likelihood, moved = compared(standing([0.0] * 3, without), without[:count] + np.array([shift, 0.0, -shift]))
+    likelihood, moved = update_likelihood(
+        standing([0.0] * 3, without), without[:count] + np.array([shift, 0.0, -shift])
+    )
     np.testing.assert_allclose(moved, [shift, 0.0, -shift], atol=1e-9)
     np.testing.assert_allclose(likelihood.location, moved, atol=1e-9)
     np.testing.assert_allclose(likelihood.scale, 1.0, rtol=1e-6)
@@ -90,7 +92,7 @@ def test_a_shift_moves_the_middle_and_not_the_scatter(count: int, shift: float) 
 def test_a_scatter_that_is_scaled_is_told_by_many(factor: float) -> None:
     """All replicates are the same draws, so that the ratio is exact however few there are."""
     without = drawn(4, seed=2)
-    likelihood, _ = compared(standing([0.0] * 4, without), factor * without)
+    likelihood, _ = update_likelihood(standing([0.0] * 4, without), factor * without)
     np.testing.assert_allclose(likelihood.scale, factor, rtol=1e-3)
 
 
@@ -100,7 +102,7 @@ def test_what_no_longer_scatters_is_where_it_is_now() -> None:
     """
     without = drawn(2) + np.array([2.0, 2.0])
     after = np.column_stack([3.0 + 1e-4 * drawn(1, seed=2)[:, 0], without[:, 1]])
-    likelihood, _ = compared(standing([3.0, 0.0], without), after)
+    likelihood, _ = update_likelihood(standing([3.0, 0.0], without), after)
     assert likelihood.location[0] == pytest.approx(3.0, abs=1e-3)
     assert likelihood.location[1] == pytest.approx(0.0, abs=1e-9)
     assert likelihood.scale[0] == pytest.approx(0.05)  # of what it was: nothing is known better than the model's form
@@ -111,16 +113,16 @@ def test_a_scatter_of_other_draws_is_believed_only_in_part() -> None:
     of sqrt(2 / 30) = 0.26; shrunk by its own uncertainty it is a third of that or less in the middle.
     """
     without, anew = drawn(200, 3), drawn(200, 4)
-    likelihood, _ = compared(standing([0.0] * 200, without), anew)
+    likelihood, _ = update_likelihood(standing([0.0] * 200, without), anew)
     assert np.median(np.abs(np.log(likelihood.scale))) < 0.26 / 3
-    wider, _ = compared(standing([0.0] * 200, without), 10 * anew)
+    wider, _ = update_likelihood(standing([0.0] * 200, without), 10 * anew)
     assert np.median(wider.scale) == pytest.approx(10, rel=0.15)
 
 
 def test_two_replicates_only_widen() -> None:
     """By the scatter of what the change makes: +3 and -3."""
     without = drawn(1)
-    likelihood, moved = compared(standing([0.0], without), without[:2] + np.array([[3.0], [-3.0]]))
+    likelihood, moved = update_likelihood(standing([0.0], without), without[:2] + np.array([[3.0], [-3.0]]))
     assert moved[0] == pytest.approx(0.0, abs=1e-12)
     assert likelihood.scale[0] >= math.hypot(1, 3) * (1 - 1e-9)
 
@@ -128,7 +130,7 @@ def test_two_replicates_only_widen() -> None:
 def test_a_single_pair_says_nothing_of_the_scatter() -> None:
     """Of two replicates with the change one is silent: the scatter is what it was."""
     unit = standing([0.0], drawn(1))
-    likelihood, moved = compared(unit, np.array([unit.values[0] + 3.0, [NAN]]))
+    likelihood, moved = update_likelihood(unit, np.array([unit.values[0] + 3.0, [NAN]]))
     assert moved[0] == pytest.approx(3.0)
     assert likelihood.scale[0] == pytest.approx(1.0)
 
@@ -136,7 +138,7 @@ def test_a_single_pair_says_nothing_of_the_scatter() -> None:
 def test_an_event_makes_nothing_surer_than_its_form_is() -> None:
     """What is nearly the same in all replicates, since the event drowns the noise, is off by a twentieth of that."""
     without = drawn(2)
-    likelihood, _ = compared(standing([0.0] * 2, without), 7 + 1e-3 * without)
+    likelihood, _ = update_likelihood(standing([0.0] * 2, without), 7 + 1e-3 * without)
     np.testing.assert_allclose(likelihood.location, 7.0, atol=0.01)
     np.testing.assert_allclose(likelihood.scale, 0.05, rtol=1e-6)
 
@@ -146,7 +148,7 @@ def test_what_speaks_only_since_the_change() -> None:
     nothing = np.full((REPLICATES, 1), NAN)
     never = SyntheticLikelihood(np.array([NAN]), np.array([NAN]), np.array([False]), np.array([True]))
     unit = standing([20.0], nothing, never)
-    likelihood, moved = compared(unit, np.array([[20.01], [19.99]]))
+    likelihood, moved = update_likelihood(unit, np.array([[20.01], [19.99]]))
     assert likelihood.location[0] == pytest.approx(20.0)
     assert likelihood.scale[0] == pytest.approx(2.1)
     assert (likelihood.always[0], likelihood.never[0]) == (True, False)
@@ -156,7 +158,7 @@ def test_what_speaks_only_since_the_change() -> None:
 def test_what_the_recording_lacks_gains_nothing() -> None:
     """What is missing is no evidence: neither for a model that has it nor for one that lacks it too."""
     unit = standing([NAN], drawn(1))
-    likelihood, moved = compared(unit, np.full((REPLICATES, 1), NAN))
+    likelihood, moved = update_likelihood(unit, np.full((REPLICATES, 1), NAN))
     assert np.isnan(likelihood.location[0])
     assert not likelihood.always[0]
     assert gains_of(unit, likelihood, moved).sum() == 0.0
@@ -165,7 +167,7 @@ def test_what_the_recording_lacks_gains_nothing() -> None:
 def test_what_hangs_together_with_nothing_else_counts_by_itself() -> None:
     """Ten that are one and the same, and one apart: of that the gain is whole."""
     unit = standing([3.0] * 11, drawn(11), independent=0.1)
-    likelihood, moved = compared(unit, unit.values + 3.0)
+    likelihood, moved = update_likelihood(unit, unit.values + 3.0)
     by_axis = gains_of(unit, likelihood, moved)
     apart = gains_of(replace(unit, separate_share=np.append(np.zeros(10), 1.0)), likelihood, moved)
     np.testing.assert_allclose(apart[:10], by_axis[:10])
@@ -179,7 +181,7 @@ def test_what_is_not_simulated_says_nothing_of_a_change() -> None:
     unit = standing([1.0, 1.0], drawn(2))
     unit.values[:, 1] = NAN
     after = unit.values + np.array([1.0, 0.0])
-    likelihood, moved = compared(unit, after)
+    likelihood, moved = update_likelihood(unit, after)
     assert (likelihood.location[1], likelihood.scale[1], moved[1]) == (0.0, 1.0, 0.0)
     assert (bool(likelihood.always[1]), bool(likelihood.never[1])) == (True, False)
     gains = gains_of(unit, likelihood, moved)
@@ -190,7 +192,7 @@ def test_what_is_not_simulated_says_nothing_of_a_change() -> None:
 def test_silence_is_no_excuse() -> None:
     """The recording says 5, the model 0: a change after which it never says anything is no better."""
     unit = standing([5.0], drawn(1))
-    likelihood, moved = compared(unit, np.full((REPLICATES, 1), NAN))
+    likelihood, moved = update_likelihood(unit, np.full((REPLICATES, 1), NAN))
     assert gains_of(unit, likelihood, moved).sum() <= 0
 
 
@@ -199,7 +201,7 @@ def test_what_a_change_makes_the_same_every_time_is_that() -> None:
     what rounding makes of it.
     """
     unit = standing([0.0], drawn(1))
-    likelihood, moved = compared(unit, 1e-16 * drawn(1, seed=2))
+    likelihood, moved = update_likelihood(unit, 1e-16 * drawn(1, seed=2))
     assert abs(likelihood.scores(unit.real)[0]) < 1
     assert gains_of(unit, likelihood, moved).sum() > -0.1
 
@@ -208,7 +210,7 @@ def test_what_a_change_makes_the_same_every_time_is_that() -> None:
 def test_a_gain_is_a_ratio_of_densities(real: float, shift: float, independent: float) -> None:
     """Of the t distribution, tempered by the share that is independent; the shift may be off by its share."""
     unit = standing([real, 0.0], drawn(2), independent=independent)
-    likelihood, moved = compared(unit, unit.values + np.array([shift, 0.0]))
+    likelihood, moved = update_likelihood(unit, unit.values + np.array([shift, 0.0]))
     width = math.hypot(1.0, FORM * shift)
     expected = stats.t.logpdf(real, FREEDOM, shift, width) - stats.t.logpdf(real, FREEDOM)
     assert gains_of(unit, likelihood, moved).sum() == pytest.approx(independent * expected, abs=1e-6)
@@ -217,7 +219,7 @@ def test_a_gain_is_a_ratio_of_densities(real: float, shift: float, independent: 
 
 def test_no_change_gains_nothing() -> None:
     unit = standing([1.0, -3.0, NAN], drawn(3))
-    likelihood, moved = compared(unit, unit.values)
+    likelihood, moved = update_likelihood(unit, unit.values)
     assert gains_of(unit, likelihood, moved).sum() == pytest.approx(0.0, abs=1e-9)
     np.testing.assert_allclose(likelihood.scores(unit.real), unit.scores)
 
@@ -229,9 +231,9 @@ def test_noise_that_falls_otherwise_is_no_shift() -> None:
     without, anew = drawn(600, 3), drawn(600, 4)
     anew[:, 300:] = without[:, 300:] + 0.4
     unit = standing([0.0] * 600, without)
-    _, all_moved = compared(unit, anew)
+    _, all_moved = update_likelihood(unit, anew)
     assert all_moved[:300].std() == pytest.approx(0.5, rel=0.15)
-    likelihood, moved = compared(replace(unit, probes=np.repeat([0, 1], 300)), anew)
+    likelihood, moved = update_likelihood(replace(unit, probes=np.repeat([0, 1], 300)), anew)
     assert moved[:300].std() < 0.15
     np.testing.assert_allclose(moved[300:], 0.4, rtol=1e-9)
     assert likelihood.branches is not None
@@ -246,9 +248,9 @@ def test_a_scatter_is_told_by_all_that_are_alike() -> None:
     without = drawn(400, 3)
     walked = without[:2] + drawn(400, 4, rows=2) * np.repeat([10.0, 0.1], 200)
     unit = standing([0.0] * 400, without)
-    alone, _ = compared(unit, walked)
+    alone, _ = update_likelihood(unit, walked)
     assert np.quantile(alone.scale[:200], 0.25) == pytest.approx(3.2, abs=1.0)
-    together, _ = compared(replace(unit, scatter_group=np.repeat([0, 1], 200)), walked)
+    together, _ = update_likelihood(replace(unit, scatter_group=np.repeat([0, 1], 200)), walked)
     assert np.quantile(together.scale[:200], 0.25) > 8
     assert np.quantile(together.scale[:200], 0.75) < 13
     np.testing.assert_allclose(together.scale[200:], 1.0, rtol=1e-6)
@@ -259,7 +261,7 @@ def test_what_does_not_move_says_nothing_of_what_does() -> None:
     without = drawn(400, 3)
     walked = without[:2].copy()
     walked[:, :200] += 10 * drawn(200, 4, rows=2)
-    together, _ = compared(replace(standing([0.0] * 400, without), scatter_group=np.zeros(400, int)), walked)
+    together, _ = update_likelihood(replace(standing([0.0] * 400, without), scatter_group=np.zeros(400, int)), walked)
     assert np.median(together.scale[:200]) > 8
     np.testing.assert_allclose(together.scale[200:], 1.0)
 
@@ -270,11 +272,11 @@ def test_where_an_earlier_effect_takes_a_statistic_it_still_does(count: int) -> 
     without = drawn(1, 5)
     states = without + np.array([0.0, 10.0] * (REPLICATES // 2))[:, None]
     unit = standing([10.0], without)
-    first, _ = compared(unit, states)
+    first, _ = update_likelihood(unit, states)
     after = replace(unit, likelihood=first, values=states)
-    likelihood, moved = compared(after, states[:count].copy())
+    likelihood, moved = update_likelihood(after, states[:count].copy())
     np.testing.assert_allclose(gains_of(after, likelihood, moved), 0.0, atol=1e-6)
-    later, moved = compared(after, states[:count] + 1.0)
+    later, moved = update_likelihood(after, states[:count] + 1.0)
     assert gains_of(replace(after, real=np.array([11.0])), later, moved) > 0.1
 
 

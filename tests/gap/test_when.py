@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.when import ALWAYS, NUMBERS, Span, When, in_logs, joined, since
+from imuarray.gap.inference.when import ALWAYS, NUMBERS, Span, When, in_logs, join_spans, since
 from imuarray.gap.recording.course import stretches_of
 from imuarray.gap.recording.recordings import sources_of
 from imuarray.gap.statistics.split import split_of
@@ -38,7 +38,7 @@ def test_what_is_chosen_costs() -> None:
 
 def test_a_hypothesis_at_some_time() -> None:
     """Its effects act then; what was chosen makes it rarer, once."""
-    when = joined([in_logs([2]), When((Span(0, 4.0, 3.0),))])
+    when = join_spans([in_logs([2]), When((Span(0, 4.0, 3.0),))])
     trial = LINE.at(when)
     assert trial.when == when
     assert trial.effects[0].spans == (0.0, 4.0, 7.0, 2.0, 0.0, 1e9)
@@ -52,7 +52,7 @@ def test_a_beginning_that_is_narrowed_down() -> None:
     """To the moments beside the one at which it begins now; the ends of the row of moments are their own neighbours.
     What it costs to say when stays.
     """
-    trial = replace(LINE.at(joined([in_logs([0]), When((Span(2, 30.0, math.inf),))])), begin_bounds_s=(10.0, 50.0))
+    trial = replace(LINE.at(join_spans([in_logs([0]), When((Span(2, 30.0, math.inf),))])), begin_bounds_s=(10.0, 50.0))
     narrowed = trial.narrowed((10.0, 20.0, 30.0, 50.0), 1)
     assert narrowed.when.triples == [(0, 0.0, math.inf), (2, 20.0, math.inf)]
     assert narrowed.effects[0].spans == (0.0, 0.0, 1e9, 2.0, 20.0, 1e9)

@@ -18,7 +18,7 @@ from imuarray.gap.inference.effects.tone import MAINS_HZ, unaliased_hz
 from imuarray.gap.inference.residuals import GroupResidual, group_residuals
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import AXES, Key
-from imuarray.gap.statistics.lines import highest_lines, pooled
+from imuarray.gap.statistics.lines import highest_lines, pool_spectra
 from imuarray.gap.statistics.pairs import Pairs, spread_of
 from imuarray.gap.statistics.probes.spectrum import LINE
 from imuarray.gap.statistics.summary import Summary
@@ -182,7 +182,7 @@ def lines_shown(campaign: Campaign, odd: Sequence[Where], causes: Sequence[Cause
 
 def _lines_of(campaign: Campaign, sensor: str) -> Iterator[str]:
     rows_per_s = _rows_per_s(campaign, sensor)
-    spectrum = pooled([summary.spectrum for log in campaign.logs for summary in log.still(sensor)])
+    spectrum = pool_spectra([summary.spectrum for log in campaign.logs for summary in log.still(sensor)])
     if rows_per_s is None or spectrum is None:
         return
     bin_hz = rows_per_s / spectrum.segment_rows

@@ -105,7 +105,7 @@ class WrongLabel:
         return float(np.sqrt((difference**2).sum(axis=1).mean()))
 
 
-def mislabelled(recordings: Sequence[Recording], campaign: Campaign) -> tuple[WrongLabel, ...]:
+def find_wrong_labels(recordings: Sequence[Recording], campaign: Campaign) -> tuple[WrongLabel, ...]:
     """Return the phases at rest whose noted face is wrong. `campaign` has the recordings' summaries, one log for each,
     of whole phases or of parts of them.
 
@@ -145,7 +145,7 @@ def face_of(force: Floats) -> str:
     return UP_AXES[best] if cosines[best] > ALONG else ""
 
 
-def corrected(recordings: Sequence[Recording], wrong: Sequence[WrongLabel]) -> tuple[Recording, ...]:
+def correct_labels(recordings: Sequence[Recording], wrong: Sequence[WrongLabel]) -> tuple[Recording, ...]:
     """Return the recordings with corrected labels in phases, kind and motion; phases keep their names. A motion that
     follows the log's own track is kept.
     """

@@ -28,7 +28,7 @@ _HARMLESS: Recipe = {}
 """An effect without arguments does nothing."""
 
 
-def repaired(
+def repair_model(
     bench: Bench, models: Models, model: Model | None, name: str, *, about: str = "", logs: Sequence[str] = ()
 ) -> Model:
     """Return the repaired model called `name` for the bench's sensors: `models` on top of the designs of `model`, on

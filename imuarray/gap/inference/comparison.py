@@ -17,7 +17,7 @@ from imuarray.array import parse_array
 from imuarray.arrays import Floats
 from imuarray.gap.inference.assessment import Assessment, assess
 from imuarray.gap.inference.earlier import Earlier
-from imuarray.gap.inference.localisation import Localisation, located
+from imuarray.gap.inference.localisation import Localisation, localise
 from imuarray.gap.model.base_model import Base, fit
 from imuarray.gap.model.bench import Bench, StatisticValues, bench_of
 from imuarray.gap.model.populations import common_bias_sigma_g
@@ -77,14 +77,14 @@ class Comparison:
         return np.array([replicate.values for replicate in self.replicates])
 
 
-def prepared(
+def prepare(
     recordings: Sequence[Recording], model: Model | None, seed: int, fitted_to: Sequence[Recording] = ()
 ) -> tuple[Bench, Campaign]:
     """Summarise the recordings and fit the base model to their training part, or to all of other recordings of the
     same array (`fitted_to`); sensors that these lack are left out.
     """
     split = split_of([recording.kind for recording in recordings], [recording.phases for recording in recordings])
-    campaign = _summarised(recordings, split)
+    campaign = _summarise(recordings, split)
     experiments = [recording.experiment for recording in recordings]
     if fitted_to:
         base = _base_of(fitted_to, model, seed)
@@ -99,7 +99,7 @@ def prepared(
         common_bias_g=common_bias_sigma_g(base.headers.values()),
     )
     campaign = _of_fitted(campaign, base)
-    return _corrected(bench_of(campaign, split, experiments, base), campaign), campaign
+    return _correct(bench_of(campaign, split, experiments, base), campaign), campaign
 
 
 def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
@@ -121,7 +121,7 @@ def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
     )
 
 
-def _summarised(recordings: Sequence[Recording], split: Split) -> Campaign:
+def _summarise(recordings: Sequence[Recording], split: Split) -> Campaign:
     """Return all logs, in the phases of the split."""
     logs = []
     for recording, phases in zip(recordings, split.phases(), strict=True):
@@ -137,10 +137,10 @@ def _summarised(recordings: Sequence[Recording], split: Split) -> Campaign:
 def _base_of(recordings: Sequence[Recording], model: Model | None, seed: int) -> Base:
     """Return the base model fitted to all of these recordings."""
     split = split_of([recording.kind for recording in recordings], [recording.phases for recording in recordings])
-    campaign, experiments = _summarised(recordings, split), [recording.experiment for recording in recordings]
+    campaign, experiments = _summarise(recordings, split), [recording.experiment for recording in recordings]
     base = fit(campaign, [experiment.motion for experiment in experiments], model=model, seed=seed)
     base = replace(base, queued=_queued_in(recordings), vibrations=fit_vibrations(campaign, base.headers))
-    return _corrected(bench_of(campaign, split, experiments, base), campaign).base
+    return _correct(bench_of(campaign, split, experiments, base), campaign).base
 
 
 class _Spells(Mapping[str, tuple[tuple[Stretches, LogSummary], ...]]):
@@ -194,11 +194,11 @@ def _of_fitted(campaign: Campaign, base: Base) -> Campaign:
     return Campaign(tuple(logs))
 
 
-def _corrected(bench: Bench, campaign: Campaign) -> Bench:
+def _correct(bench: Bench, campaign: Campaign) -> Bench:
     """Return the bench with what of its base model only replicates tell: delays, or what the effects of a given model
     add.
     """
-    return with_signal_delays(bench, campaign) if bench.base.model is None else settled(bench)
+    return with_signal_delays(bench, campaign) if bench.base.model is None else settle_bench(bench)
 
 
 def with_signal_delays(bench: Bench, campaign: Campaign, replicates: int = 6) -> Bench:
@@ -222,7 +222,7 @@ def with_signal_delays(bench: Bench, campaign: Campaign, replicates: int = 6) ->
     return bench
 
 
-def settled(bench: Bench, replicates: int = 8) -> Bench:
+def settle_bench(bench: Bench, replicates: int = 8) -> Bench:
     """Return the bench with the base model's ordinary parameters corrected by the difference between the fits of its
     replicates and of the recording, so that the contribution of other effects to noise and level is not counted twice.
     """
@@ -235,7 +235,7 @@ def settled(bench: Bench, replicates: int = 8) -> Bench:
     return replace(bench, base=replace(bench.base, fitted=fitted))
 
 
-def compared_with_base(
+def compare_with_base(
     bench: Bench, campaign: Campaign, run: Run, replicates: int, earlier: Earlier | None = None
 ) -> Comparison:
     """Compare the recording with the base model, or with `earlier` recordings and the base model fitted to these.
@@ -253,12 +253,12 @@ def compared_with_base(
     looks = [(count, limit) for count, limit in ENOUGH.items() if count < replicates]
     for count, limit in (*looks, (replicates, 0.0)):
         numbers = range(len(simulated), count)
-        more = observed(bench, bench.models(), numbers, run)
+        more = observe_replicates(bench, bench.models(), numbers, run)
         simulated += tuple(more) if earlier is None else earlier.with_scatter(more, numbers)
         chance = np.array([replicate.values for replicate in simulated])
         scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
         normal = normal_scores_by_others(scores, pairs.keys)
-        where = located(pairs.keys, bench.base.headers, normal[0], normal[1:], pooled_scores(normal, pairs.keys))
+        where = localise(pairs.keys, bench.base.headers, normal[0], normal[1:], pooled_scores(normal, pairs.keys))
         if where.p > limit:
             break
     whole = replace(assess(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)
@@ -277,12 +277,12 @@ def _without_flags_never_set(keys: Sequence[Key], values: Floats) -> Floats:
     return known
 
 
-def observed(bench: Bench, models: Models, numbers: Sequence[int], run: Run) -> list[StatisticValues]:
+def observe_replicates(bench: Bench, models: Models, numbers: Sequence[int], run: Run) -> list[StatisticValues]:
     """Return statistics of numbered replicates of sensors with these models, a few in each job."""
     requests, together = [(models, number) for number in numbers], bench.together
     groups = [requests[first : first + together] for first in range(0, len(requests), together)]
-    return list(chain.from_iterable(run(_observed, groups)))
+    return list(chain.from_iterable(run(_observe, groups)))
 
 
-def _observed(bench: Bench, requests: Sequence[ReplicateRequest]) -> list[StatisticValues]:
+def _observe(bench: Bench, requests: Sequence[ReplicateRequest]) -> list[StatisticValues]:
     return bench.each_observed(bench.campaigns(requests), requests[0][0])

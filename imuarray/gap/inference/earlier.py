@@ -85,7 +85,7 @@ class Earlier:
         return np.array([np.median(some) if len(some) else np.nan for some in known])
 
 
-def compared_with_earlier(
+def compare_with_earlier(
     bench: Bench, before: Bench, campaign: Campaign, run_on: Callable[[Bench], Run], replicates: int
 ) -> tuple[Bench, Earlier]:
     """Return a new recording's `bench` without the statistics that have no counterpart, and the earlier `campaign` on

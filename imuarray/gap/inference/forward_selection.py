@@ -21,9 +21,17 @@ from imuarray.gap.inference.effects import Candidate, Hypothesis
 from imuarray.gap.inference.evidence import Evidence, views
 from imuarray.gap.inference.parameters import distinct, factors_of
 from imuarray.gap.inference.refinement import FittedHypothesis, looks, refine
-from imuarray.gap.inference.unit_state import LOOKS, NUMBERS, Unit, UnitState, compared, gains_of, touched_by
+from imuarray.gap.inference.unit_state import (
+    LOOKS,
+    NUMBERS,
+    Unit,
+    UnitState,
+    affected_mask,
+    gains_of,
+    update_likelihood,
+)
 from imuarray.gap.inference.when import NUMBERS as EACH_NUMBER
-from imuarray.gap.inference.when import in_logs, joined, since
+from imuarray.gap.inference.when import in_logs, join_spans, since
 from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.replication import TOGETHER
 from imuarray.gap.model.workers import Run
@@ -142,7 +150,7 @@ def placebo_of(evidence: Evidence) -> Hypothesis:
     return Hypothesis((Tone((x, y, z), _NOWHERE * evidence.rows_per_s),), ("amplitude",))
 
 
-def searched(
+def search_round(
     standings: Mapping[Unit, UnitState],
     trials: Mapping[Unit, Sequence[Hypothesis]],
     placebos: Mapping[Unit, Hypothesis],
@@ -150,10 +158,10 @@ def searched(
     known: bool = False,
 ) -> dict[Unit, Round]:
     """One round over all units at once. If it is `known` that one of the trials is right, none needs proof."""
-    looks = _looked_at(run, standings, trials)
+    looks = _look_at_all(run, standings, trials)
     for unit, looks_at_parts in _partly(run, standings, looks).items():
         looks[unit] += looks_at_parts
-    for unit, narrowed in _narrowed(run, standings, looks).items():
+    for unit, narrowed in _narrow(run, standings, looks).items():
         looks[unit] += narrowed
     likely = {unit: likeliest(unit_looks, REFINED) for unit, unit_looks in looks.items()}
     refined = _results_of(run, _refine, standings, likely)
@@ -203,19 +211,19 @@ def replicates_of(bench: Bench, standing: UnitState, numbers: Sequence[int]) -> 
     return [replace(replicate, values=replicate.values[columns]) for replicate in replicates]
 
 
-def replicated(bench: Bench, standing: UnitState) -> UnitState:
+def replicate_state(bench: Bench, standing: UnitState) -> UnitState:
     """Return the state with replicates of its models, and the misfit of their noise."""
     replicates = replicates_of(bench, standing, NUMBERS)
     misfit = standing.misfit_of(bench.base.headers, [replicate.fitted for replicate in replicates])
     return replace(standing, values=np.array([replicate.values for replicate in replicates]), misfit=misfit)
 
 
-def confirmed(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis) -> Evaluation:
+def confirm(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis) -> Evaluation:
     """Return the gains of a trial with its parameters, by replicates of both parts."""
     models = standing.models if hypothesis.models is None else hypothesis.models
-    changed = replicated(bench, replace(standing, models=models))
+    changed = replicate_state(bench, replace(standing, models=models))
     values, misfit = changed.values, changed.misfit - standing.misfit
-    likelihood, shift = compared(standing, values)
+    likelihood, shift = update_likelihood(standing, values)
     columns, before = bench.own(standing.unit), standing.likelihood
     out = bench.held_out[columns]
     gains = gains_of(standing, likelihood, shift)
@@ -223,7 +231,7 @@ def confirmed(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis) -
     if hypothesis.trial.needs_both:
         gain = (train_gain + gain) / 2 - BRIEF
     share = float(gains[~bench.is_of_motion[columns]].sum()) / max(float(gains.sum()), 1e-9)
-    touched = touched_by(before, likelihood, shift)
+    touched = affected_mask(before, likelihood, shift)
     independent = independent_share(likelihood.scores(values)[:, touched]) if touched.any() else standing.independent
     state = replace(changed, likelihood=likelihood)
     counted = np.ones_like(out) if hypothesis.trial.needs_both else out
@@ -239,7 +247,7 @@ class _TrialRequest(NamedTuple):
     hypothesis: FittedHypothesis
 
 
-def _looked_at(
+def _look_at_all(
     run: Run, standings: Mapping[Unit, UnitState], trials: Mapping[Unit, Sequence[Hypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
     """Return a look at all trials, a few of a unit in each job."""
@@ -268,17 +276,17 @@ def _partly(
         unit: [replace(look.trial, whole=True) for look in _divided(unit_looks)] for unit, unit_looks in looks.items()
     }
     divided = {unit: hypotheses for unit, hypotheses in divided.items() if hypotheses}
-    alone = _looked_at(run, standings, divided) if divided else {}
+    alone = _look_at_all(run, standings, divided) if divided else {}
     requests: dict[Unit, list[Hypothesis]] = {}
     for unit, unit_looks in looks.items():
         spells = [look for look in unit_looks if look.trial.when.spans and look.gain > 0]
         several = [*_where_it_gains(alone.get(unit, ()), spells), *_until_the_end(spells)]
         if several:
             requests[unit] = [replace(trial, whole=True) for trial in distinct(several)]
-    return _looked_at(run, standings, requests) if requests else {}
+    return _look_at_all(run, standings, requests) if requests else {}
 
 
-def _narrowed(
+def _narrow(
     run: Run, standings: Mapping[Unit, UnitState], looks: Mapping[Unit, Sequence[FittedHypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
     """Return the best trial of each unit and effect whose beginning lies within known moments, as in a motion, at the
@@ -296,7 +304,9 @@ def _narrowed(
                 if trial.begin_bounds_s is not None:
                     moments_s = np.linspace(*trial.begin_bounds_s, _MOMENTS + 2).tolist()
                     requests[unit] += [trial.narrowed(moments_s, at) for at in range(1, _MOMENTS + 1)]
-        best = {unit: _best_of_effects(unit_looks) for unit, unit_looks in _looked_at(run, standings, requests).items()}
+        best = {
+            unit: _best_of_effects(unit_looks) for unit, unit_looks in _look_at_all(run, standings, requests).items()
+        }
     return best
 
 
@@ -320,7 +330,7 @@ def _where_it_gains(looks: Sequence[FittedHypothesis], spells: Sequence[FittedHy
             gain = spell.by_log.get(log, 0.0)
             if spell.trial.form == look.trial.form and gain > best.get(log, (EACH_NUMBER, None))[0]:
                 best[log] = (gain, spell.trial.when)
-        when = joined(part for _, part in best.values())
+        when = join_spans(part for _, part in best.values())
         if when.spans and {span.log for span in when.spans if span.is_whole} != set(look.by_log):
             yield look.trial.at(when)
 
@@ -361,7 +371,7 @@ def _refine(bench: Bench, request: _TrialRequest) -> FittedHypothesis:
 
 
 def _confirm(bench: Bench, request: _TrialRequest) -> Evaluation:
-    return confirmed(bench, request.standing, request.hypothesis)
+    return confirm(bench, request.standing, request.hypothesis)
 
 
 def _results_of(
@@ -387,26 +397,26 @@ def _round(standing: UnitState, evaluations: Sequence[Evaluation], has_placebo: 
         if has_placebo
         else (evaluations, 0.0)
     )
-    ranked = _ranked(standing, real)
+    ranked = _rank(standing, real)
     if known:
         return Round(standing, ranked, bar, next((evaluation for evaluation in ranked if evaluation.gain > 0), None))
     least = ACCEPTED + max(bar, 0.0)
-    selection = _accepted(standing, ranked, least)
+    selection = _select(standing, ranked, least)
     if selection is None or selection.trial.needs_both:  # against that one the others are judged by both parts too
         on_both = (_on_both_parts(each) if _needs_both_parts(standing, each) else each for each in ranked)
-        ranked_on_both = _ranked(standing, tuple(on_both))
-        if (likeliest_on_both := _accepted(standing, ranked_on_both, least)) is not None:
+        ranked_on_both = _rank(standing, tuple(on_both))
+        if (likeliest_on_both := _select(standing, ranked_on_both, least)) is not None:
             ranked, selection = ranked_on_both, likeliest_on_both
     return Round(standing, ranked, bar, selection)
 
 
-def _ranked(standing: UnitState, evaluations: Sequence[Evaluation]) -> tuple[Evaluation, ...]:
+def _rank(standing: UnitState, evaluations: Sequence[Evaluation]) -> tuple[Evaluation, ...]:
     """Return the evaluations, those with the best odds first."""
     odds = _log_odds(standing, evaluations)
     return tuple(evaluations[at] for at in sorted(range(len(evaluations)), key=lambda at: -odds[at]))
 
 
-def _accepted(standing: UnitState, ranked: Sequence[Evaluation], least: float) -> Evaluation | None:
+def _select(standing: UnitState, ranked: Sequence[Evaluation], least: float) -> Evaluation | None:
     """Return the first of the evaluations that is good enough."""
     good = (evaluation for evaluation in ranked if evaluation.closes and _counted_gain(standing, evaluation) > least)
     return next(good, None)

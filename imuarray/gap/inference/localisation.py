@@ -76,7 +76,7 @@ class Localisation:
         return self.root.is_significant
 
 
-def located(
+def localise(
     keys: Sequence[Key],
     headers: Mapping[str, SensorHeader],
     scores: Floats,

@@ -49,7 +49,7 @@ def factors_of(trial: Hypothesis) -> list[Factor]:
     return factors
 
 
-def moved(trial: Hypothesis, factors: Sequence[Factor], steps: Floats) -> Hypothesis:
+def move_factors(trial: Hypothesis, factors: Sequence[Factor], steps: Floats) -> Hypothesis:
     """Return the trial with its factors times exp(steps); shares and probabilities stay below 1."""
     effects = list(trial.effects)
     for factor, step in zip(factors, steps.tolist(), strict=True):

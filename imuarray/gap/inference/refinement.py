@@ -16,16 +16,16 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.parameters import Factor, active_axes, factors_of, moved, without
+from imuarray.gap.inference.parameters import Factor, active_axes, factors_of, move_factors, without
 from imuarray.gap.inference.unit_state import (
     LOOKS,
     NUMBERS,
     FitsOfReplicates,
     UnitState,
-    compared,
+    affected_mask,
     counts_of,
     gains_of,
-    touched_by,
+    update_likelihood,
 )
 from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.replication import Models
@@ -98,13 +98,13 @@ def refine(bench: Bench, standing: UnitState, trial: Hypothesis) -> FittedHypoth
         now = _simulate(bench, standing, trial, standing.changed(trial), _MORE_LOOKS)
     if now is None:
         return FittedHypothesis(trial)
-    now = best = _adapted(bench, standing, now)
+    now = best = _adapt(bench, standing, now)
     for _ in range(STEPS):
         factors = factors_of(now.hypothesis.trial)
         if not factors:
             break
         steps = _step(standing, now.statistics, _slopes(bench, standing, now.hypothesis.trial, factors, now.statistics))
-        stepped = moved(now.hypothesis.trial, factors, steps)
+        stepped = move_factors(now.hypothesis.trial, factors, steps)
         changed = _with_fitted(standing.changed(stepped), now.statistics.settled)
         after = _simulate(bench, standing, stepped, changed, len(now.statistics.values))
         if after is None:
@@ -112,10 +112,10 @@ def refine(bench: Bench, standing: UnitState, trial: Hypothesis) -> FittedHypoth
         now, best = after, max(best, after, key=_gained)
         if np.abs(steps).max() < _DONE:
             break
-    return _pruned(bench, standing, _adapted(bench, standing, best)).hypothesis
+    return _prune(bench, standing, _adapt(bench, standing, best)).hypothesis
 
 
-def _adapted(bench: Bench, standing: UnitState, start: _TrialState) -> _TrialState:
+def _adapt(bench: Bench, standing: UnitState, start: _TrialState) -> _TrialState:
     """Return the trial with its noise adapted, so that lines do not grow where noise should shrink; unchanged if that
     is no better.
     """
@@ -204,7 +204,7 @@ def _replicated_from(
     if not whole:
         out = bench.held_out[bench.own(standing.unit)]
         values[:, out] = standing.values[: len(values), out]
-    likelihood, shift = compared(standing, values)
+    likelihood, shift = update_likelihood(standing, values)
     fits = [replicate.fitted for replicate in replicates]
     settled, misfit = standing.settled(models, fits), standing.misfit_of(bench.base.headers, fits)
     return _TrialStatistics(values, likelihood, shift, fits, settled, misfit)
@@ -243,7 +243,7 @@ def _slopes(
     groups: dict[tuple[int, str, int], list[int]] = {}
     for at, factor in enumerate(factors):
         groups.setdefault((factor.effect, factor.name, factor.turn), []).append(at)
-    nudged = _nudged(bench, standing, trial, factors, statistics, list(groups.values()))
+    nudged = _nudge(bench, standing, trial, factors, statistics, list(groups.values()))
     for members, (nudge, values) in zip(groups.values(), nudged, strict=True):
         change = np.nan_to_num((values - statistics.values).mean(axis=0)) / nudge
         for at in members:
@@ -253,7 +253,7 @@ def _slopes(
     return slopes
 
 
-def _nudged(
+def _nudge(
     bench: Bench,
     standing: UnitState,
     trial: Hypothesis,
@@ -271,7 +271,7 @@ def _nudged(
         for at in open_groups:
             steps = np.zeros(len(factors))
             steps[groups[at]] = nudge
-            several.append(_with_fitted(standing.changed(moved(trial, factors, steps)), statistics.settled))
+            several.append(_with_fitted(standing.changed(move_factors(trial, factors, steps)), statistics.settled))
         replicated = dict(
             zip(
                 open_groups,
@@ -296,10 +296,10 @@ def _step(standing: UnitState, statistics: _TrialStatistics, slopes: Floats) -> 
     scores = deviation / scale
     weight = np.where(known, (FREEDOM + 1) / (FREEDOM + scores**2), 0.0) * standing.weight
     design = slopes / scale[:, None]
-    return np.clip(regressed(design, scores, weight), -_FURTHEST, _FURTHEST)
+    return np.clip(regress(design, scores, weight), -_FURTHEST, _FURTHEST)
 
 
-def regressed(design: Floats, scores: Floats, weight: Floats) -> Floats:
+def regress(design: Floats, scores: Floats, weight: Floats) -> Floats:
     """Return coefficients (k,) by weighted least squares of scores (n,) on a design (n, k), with a prior towards 0.
     Collinear columns share what they explain, however large it is.
     """
@@ -313,7 +313,7 @@ def _with_fitted(models: Models, settled: Models) -> Models:
     return {name: replace(model, fitted=settled[name].fitted) for name, model in models.items()}
 
 
-def _pruned(bench: Bench, standing: UnitState, state: _TrialState) -> _TrialState:
+def _prune(bench: Bench, standing: UnitState, state: _TrialState) -> _TrialState:
     """Return the trial without the axes that gain too little, unless that costs more: an axis of 0 is without the
     effect, but the offset that another range has on an axis is not.
     """
@@ -321,7 +321,7 @@ def _pruned(bench: Bench, standing: UnitState, state: _TrialState) -> _TrialStat
     if len(active) < 2:
         return state
     gains = gains_of(standing, state.statistics.likelihood, state.statistics.shift) * state.hypothesis.counts
-    touched = touched_by(standing.likelihood, state.statistics.likelihood, state.statistics.shift)
+    touched = affected_mask(standing.likelihood, state.statistics.likelihood, state.statistics.shift)
     idle = {axis for axis in active if _most_of(gains, touched, _of_axis(bench, standing, axis)) < _AXIS_GAIN}
     if not idle or len(idle) == len(active):
         return state

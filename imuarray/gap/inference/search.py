@@ -14,7 +14,14 @@ from imuarray.gap.inference.assessment import MORE
 from imuarray.gap.inference.comparison import Comparison
 from imuarray.gap.inference.effects import Candidate, Hypothesis
 from imuarray.gap.inference.evidence import Evidence, ScoredStatistics, evidence_of
-from imuarray.gap.inference.forward_selection import Evaluation, Round, guesses_of, placebo_of, replicated, searched
+from imuarray.gap.inference.forward_selection import (
+    Evaluation,
+    Round,
+    guesses_of,
+    placebo_of,
+    replicate_state,
+    search_round,
+)
 from imuarray.gap.inference.parameters import distinct
 from imuarray.gap.inference.shared_causes import (
     is_redundant,
@@ -24,7 +31,7 @@ from imuarray.gap.inference.shared_causes import (
     together,
     without_duplicates,
 )
-from imuarray.gap.inference.unit_state import Unit, UnitState, compared, reads_another
+from imuarray.gap.inference.unit_state import Unit, UnitState, reads_another, update_likelihood
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.replication import SensorModel
 from imuarray.gap.model.workers import Run
@@ -65,7 +72,7 @@ class SearchResult:
     models: Mapping[str, SensorModel]
 
 
-def searches(
+def search_causes(
     comparison: Comparison,
     candidates: Mapping[str, Candidate],
     run: Run,
@@ -87,7 +94,7 @@ def searches(
         guessed = _guesses_of(comparison, todo, candidates)
         placebos = {unit: item.placebo for unit, item in guessed.items()} if number == 0 else {}
         trials = {unit: item.alone for unit, item in guessed.items()}
-        results = searched(todo, trials, placebos, run, known=bool(known) and number == 0)
+        results = search_round(todo, trials, placebos, run, known=bool(known) and number == 0)
         for unit in _deferred(comparison, results):
             del results[unit]
         for unit, item in results.items():
@@ -143,8 +150,8 @@ def _with_other_models(
     ]
     changed = [state for state in requests if state.other_models != standings[state.unit].other_models]
     again = {
-        state.unit: replace(new_state, likelihood=compared(state, new_state.values)[0])
-        for state, new_state in zip(changed, run(replicated, changed), strict=True)
+        state.unit: replace(new_state, likelihood=update_likelihood(state, new_state.values)[0])
+        for state, new_state in zip(changed, run(replicate_state, changed), strict=True)
     }
     return {**units, **again}
 
@@ -167,7 +174,7 @@ def _families(
     placebos = {
         family: next(guesses.placebo for (name,), guesses in guessed.items() if name in family) for family in trials
     }
-    results = searched(families, trials, placebos, run, known)
+    results = search_round(families, trials, placebos, run, known)
     selections = {
         name: rounds_of_member[-1].selection for (name, *more), rounds_of_member in rounds.items() if not more
     }
@@ -178,7 +185,7 @@ def _families(
     several = {family: trials[family] for family in trials if staying[family]}
     requests = [(families[family], staying[family]) for family in several]
     families.update({evaluation.standing.unit: evaluation.standing for evaluation in run(together, requests)})
-    results.update(searched({family: families[family] for family in several}, several, placebos, run))
+    results.update(search_round({family: families[family] for family in several}, several, placebos, run))
     kept_sensors = {
         family: {name for evaluation in staying[family] for name in evaluation.standing.unit} for family in trials
     }
@@ -264,7 +271,7 @@ def _is_same_chip(first: SensorHeader, other: SensorHeader) -> bool:
 def _states_of(comparison: Comparison, units: Sequence[Unit], run: Run) -> dict[Unit, UnitState]:
     """Return the states of units under the base model."""
     bare = [_initial_state(comparison, unit) for unit in units]
-    return {state.unit: state for state in run(replicated, bare)}
+    return {state.unit: state for state in run(replicate_state, bare)}
 
 
 def _initial_state(comparison: Comparison, unit: Unit) -> UnitState:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.forward_selection import ACCEPTED, Evaluation, Round, confirmed
+from imuarray.gap.inference.forward_selection import ACCEPTED, Evaluation, Round, confirm
 from imuarray.gap.inference.refinement import FittedHypothesis
 from imuarray.gap.inference.unit_state import Unit, UnitState
 from imuarray.gap.model.bench import Bench
@@ -31,7 +31,7 @@ def together(bench: Bench, request: tuple[UnitState, tuple[Evaluation, ...]]) ->
     for member in members:
         models.update({name: model for name, model in member.standing.models.items() if name in models})
     first = members[0].trial if members else Hypothesis(())
-    return confirmed(bench, family, FittedHypothesis(first, models, 0.0))
+    return confirm(bench, family, FittedHypothesis(first, models, 0.0))
 
 
 def shared_wins(family: Round, members: Evaluation, count: int = 1) -> Evaluation | None:
@@ -95,10 +95,10 @@ def without_duplicates(trials: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Return the trials, each once: members guess the same shared cause several times, and an
     exchange from both sides.
     """
-    return list({min(repr(trial), repr(_mirrored(trial))): trial for trial in trials}.values())
+    return list({min(repr(trial), repr(_mirror(trial))): trial for trial in trials}.values())
 
 
-def _mirrored(trial: Hypothesis) -> Hypothesis:
+def _mirror(trial: Hypothesis) -> Hypothesis:
     """Return the trial as the other sensor of an exchange guesses it."""
     if not trial.opposite or len(trial.others) != 1:
         return trial

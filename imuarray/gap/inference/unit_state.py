@@ -139,7 +139,7 @@ def _changed(model: SensorModel, trial: Hypothesis) -> SensorModel:
     return replace(model, fitted=fitted, added=(*remaining, *trial.effects), removed=removed)
 
 
-def compared(standing: UnitState, values: Floats) -> tuple[SyntheticLikelihood, Floats]:
+def update_likelihood(standing: UnitState, values: Floats) -> tuple[SyntheticLikelihood, Floats]:
     """Return the likelihood after a change, and the shift (n,) of each statistic, from its replicates (r, n) and the
     first r of those without it. Draws are the same in both, so that a few replicates suffice.
     """
@@ -201,7 +201,7 @@ def gains_of(standing: UnitState, likelihood: SyntheticLikelihood, shift: Floats
     return standing.weight * (likelihood.log_density(standing.real, shift) - before)
 
 
-def touched_by(before: SyntheticLikelihood, likelihood: SyntheticLikelihood, shift: Floats) -> Booleans:
+def affected_mask(before: SyntheticLikelihood, likelihood: SyntheticLikelihood, shift: Floats) -> Booleans:
     """Return the mask (n,) of the statistics that a change moved, widened or narrowed beyond chance."""
     with np.errstate(divide="ignore", invalid="ignore"):
         widened = np.abs(np.log(likelihood.scale / before.scale)) > _WIDER
@@ -214,7 +214,7 @@ def counts_of(standing: UnitState, likelihood: SyntheticLikelihood, shift: Float
     The few statistics that a curved response moves are independent, whatever hundreds of levels do; that a change moves
     many for one reason is considered when it is judged.
     """
-    touched = touched_by(standing.likelihood, likelihood, shift)
+    touched = affected_mask(standing.likelihood, likelihood, shift)
     if not touched.any() or len(standing.values) < _PAIRS:
         return 1.0
     share = independent_share(standing.likelihood.scores(standing.values)[:, touched])

@@ -84,7 +84,7 @@ def since(first: Span, logs: Collection[int]) -> When:
     return When((first, *in_logs([log for log in logs if log > first.log]).spans), 2)
 
 
-def joined(whens: Iterable[When]) -> When:
+def join_spans(whens: Iterable[When]) -> When:
     """Return the spans of all."""
     return When(tuple(sorted(span for when in whens for span in when.spans)))
 

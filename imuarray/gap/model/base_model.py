@@ -31,7 +31,7 @@ from imuarray.gap.model.populations import (
     response_tolerance,
     usual_model,
 )
-from imuarray.gap.model.rest import REFERENCE_DEGC, FittedParameters, Rest, felt, fitted_to, rms_of, slope_of
+from imuarray.gap.model.rest import REFERENCE_DEGC, FittedParameters, Rest, felt, fit_sensor, rms_of, slope_of
 from imuarray.gap.model.vibration import MOST_FACTOR, Vibration
 from imuarray.gap.recording.attitude import attitude_numbers
 from imuarray.gap.statistics.campaign import Campaign, PhaseSummary
@@ -217,14 +217,14 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
     what the nominal axes feel, faces weighted alike (opposite ones cancel an error of scale); slope that of the means
     over temperature, each log and face about its own mean. Where nobody noted how the box lay, what is felt is the
     array's own estimate (`imuarray.gap.model.gravity`). A `model` gives the other effects; what these add to noise or
-    level is in the fitted figures as well (`imuarray.gap.inference.comparison.settled` takes it out).
+    level is in the fitted figures as well (`imuarray.gap.inference.comparison.settle_bench` takes it out).
     """
     headers = headers_in(campaign)
     lags_s = _lags(campaign, motions, headers)
     campaign = with_element_temperatures(campaign, motions, lags_s)
     forces = estimated_forces(campaign, motions, _thermal_change(campaign, motions, headers))
     rests = {name: list(_at_rest(campaign, motions, forces, name)) for name in headers}
-    fitted = {name: fitted_to(header, rests[name], response_tolerance(header)) for name, header in headers.items()}
+    fitted = {name: fit_sensor(header, rests[name], response_tolerance(header)) for name, header in headers.items()}
     for name, lag_s in lags_s.items():
         fitted[name] = replace(fitted[name], lag_s=lag_s)
     for name, header in headers.items():

@@ -252,7 +252,7 @@ def _along(vectors_box: Floats, header: SensorHeader) -> Floats:
     return np.asarray(vectors_box @ np.array(header.orientation) * unit * header.adjustment)
 
 
-def fitted_to(header: SensorHeader, phases: Sequence[Rest], tolerance: Floats) -> FittedParameters:
+def fit_sensor(header: SensorHeader, phases: Sequence[Rest], tolerance: Floats) -> FittedParameters:
     """Fit the parameters of one sensor to its phases; all zero without phases.
 
     Noise is the median of the segments' variances; the slope that of the readings less the stimulus over temperature;

@@ -17,7 +17,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.characterise.spectrum import Spectrum
 from imuarray.gap.statistics.campaign import Campaign
-from imuarray.gap.statistics.lines import HALF_WIDTH, Line, highest_lines, pooled
+from imuarray.gap.statistics.lines import HALF_WIDTH, Line, highest_lines, pool_spectra
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.tone import Tone
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
@@ -93,7 +93,7 @@ def _groups(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> list[lis
     groups: list[list[_Spectrum]] = []
     for name, header in headers.items():
         rests = [rest for log in campaign.logs for rest in log.still(name) if rest.intervals.count]
-        spectrum = pooled([rest.spectrum for rest in rests])
+        spectrum = pool_spectra([rest.spectrum for rest in rests])
         if header.quantity != "specific_force" or spectrum is None:
             continue
         longest = max(rests, key=lambda rest: rest.rows)

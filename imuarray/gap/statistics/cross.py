@@ -282,11 +282,11 @@ class CrossTally:
         with np.errstate(invalid="ignore"):
             readings = sums / rows[:, None]
         readings *= self._scale[:, None, None, None]
-        readings = _filled(readings, full)
+        readings = _fill(readings, full)
         line = readings.reshape(len(readings), -1, *full.shape)
         if self._with_changes:
             line = np.concatenate([line, self._kinematic(readings)], axis=1)
-        line, means = _centred(line, full)
+        line, means = _centre(line, full)
         slow[:, is_known, : means.shape[1]] = means.swapaxes(1, 2)
         slow[:, is_known, means.shape[1] :] = 0.0
         flat = line.reshape(*line.shape[:2], -1)
@@ -295,7 +295,7 @@ class CrossTally:
         if not self._with_changes:
             return
         inner = full[:, :-2] & full[:, 1:-1] & full[:, 2:]
-        changes, _ = _centred((line[..., 2:] - line[..., :-2]) / 2, inner)
+        changes, _ = _centre((line[..., 2:] - line[..., :-2]) / 2, inner)
         between, changes = (part.reshape(*part.shape[:2], -1) for part in (line[..., 1:-1], changes))
         self._turning += between @ changes.swapaxes(1, 2)
         self._changes += changes @ changes.swapaxes(1, 2)
@@ -315,7 +315,7 @@ class CrossTally:
         return np.concatenate([products, acceleration, products[:, SQUARES] * rate], axis=1)
 
 
-def _filled(readings: Floats, full: Booleans) -> Floats:
+def _fill(readings: Floats, full: Booleans) -> Floats:
     """Return readings (r, m, 3, s, w) with the segment's mean in place of windows that aren't full (s, w)."""
     if full.all():
         return readings
@@ -323,7 +323,7 @@ def _filled(readings: Floats, full: Booleans) -> Floats:
     return np.where(full, readings, mean)
 
 
-def _centred(line: Floats, counts: Booleans) -> tuple[Floats, Floats]:
+def _centre(line: Floats, counts: Booleans) -> tuple[Floats, Floats]:
     """Columns (r, p, s, w) less their means (r, p, s) over the windows that count (s, w), 0 in the others; and these
     means.
     """

@@ -55,7 +55,7 @@ def highest_lines(spectrum: Spectrum, count: int, known: Sequence[float] = ()) -
         highest[near] = 0
 
 
-def pooled(spectra: Sequence[Spectrum]) -> Spectrum | None:
+def pool_spectra(spectra: Sequence[Spectrum]) -> Spectrum | None:
     """Return the finest one, of all phases in which it is as fine; with freedom added up."""
     known = [spectrum for spectrum in spectra if spectrum.segments]
     if not known:

@@ -65,7 +65,7 @@ def pooled_scores(normal: Floats, keys: Sequence[Key]) -> PooledScores:
     excess = np.maximum(sizes - BEYOND, 0.0)
     norms = np.stack([np.linalg.norm(excess[:, places], axis=1) for places in pools], axis=1)
     strongest = np.array([places[int(sizes[0, places].argmax())] for places in pools], np.intp)
-    return PooledScores(_with_largest_of(_standardised_by_others(norms), sizes), strongest)
+    return PooledScores(_with_largest_of(_standardise_by_others(norms), sizes), strongest)
 
 
 def _pools(keys: Sequence[Key]) -> Iterator[Indices]:
@@ -80,7 +80,7 @@ def _pools(keys: Sequence[Key]) -> Iterator[Indices]:
         yield from (np.array(places, np.intp) for places in pools if len(places) >= FEWEST_PLACES)
 
 
-def _standardised_by_others(values: Floats) -> Floats:
+def _standardise_by_others(values: Floats) -> Floats:
     """Return deviations (b, k) of values (b, k) from the mean of the other campaigns, over their standard deviation."""
     others = max(len(values) - 1, 1)
     means = (values.sum(axis=0) - values) / others

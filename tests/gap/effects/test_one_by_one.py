@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.gap.inference.comparison import prepared
+from imuarray.gap.inference.comparison import prepare
 from imuarray.gap.inference.effects import dropped_samples, glitches, stuck
 from imuarray.gap.inference.evidence import Evidence, Repetition, ScoredStatistics, evidence_of
 from imuarray.gap.inference.when import Span
@@ -49,7 +49,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Made]:
     write_log(origin, path)
     with open_log(path) as log:
         recording = recording_of(log)
-        bench, campaign = prepared([recording], None, 0)
+        bench, campaign = prepare([recording], None, 0)
         yield origin, recording, bench, campaign
 
 

@@ -38,7 +38,7 @@ class Levels:
     @property
     def apart(self) -> Floats:
         """(n, 3) mean less that of the group."""
-        return centred(self.mean, self.group)
+        return centre(self.mean, self.group)
 
     @property
     def seconds(self) -> float:
@@ -65,7 +65,7 @@ def levels(evidence: Evidence) -> Levels:
     return Levels(*columns)
 
 
-def centred(values: Floats, group: Integers) -> Floats:
+def centre(values: Floats, group: Integers) -> Floats:
     """Return (n, k) values less the mean of their group."""
     table = np.array(values, float)
     for number in np.unique(group):

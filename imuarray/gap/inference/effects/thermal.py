@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.arrays import Floats, Integers
-from imuarray.gap.inference.effects.levels import Levels, centred
+from imuarray.gap.inference.effects.levels import Levels, centre
 from imuarray.gap.model.rest import REFERENCE_DEGC
 
 TRACES = (
@@ -45,7 +45,7 @@ def fitted(columns: Floats, values: Floats, group: Integers | None) -> Fit:
     they are).
     """
     if group is not None:
-        columns, values = centred(columns, group), centred(values, group)
+        columns, values = centre(columns, group), centre(values, group)
     size = np.sqrt((columns**2).sum(axis=0))
     scaled = columns / np.where(size > 0, size, 1.0)
     nothing = np.zeros((columns.shape[1], values.shape[1]))

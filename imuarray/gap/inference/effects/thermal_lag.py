@@ -10,7 +10,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
-from imuarray.gap.inference.effects.levels import Levels, centred, levels
+from imuarray.gap.inference.effects.levels import Levels, centre, levels
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.thermal import BEYOND, TRACES, fitted, is_warmed, warmth
 from imuarray.gap.inference.evidence import Evidence
@@ -85,7 +85,7 @@ def _gains_of_part(table: Levels, time_constant_s: float) -> Floats:
     """Return (3,) nats by which levels over the temperature and over the lagged one are explained better than over the
     first alone.
     """
-    warm = centred(np.stack([table.degc, lagged(table, time_constant_s)], axis=1), table.group)
+    warm = centre(np.stack([table.degc, lagged(table, time_constant_s)], axis=1), table.group)
     squares, squares_with_part = (
         ((table.apart - some @ np.linalg.lstsq(some, table.apart, rcond=None)[0]) ** 2).sum(axis=0)
         for some in (warm[:, :1], warm)
@@ -131,11 +131,11 @@ def _misfit(table: Levels, degc: Floats) -> float:
     known = np.isfinite(table.thermometer)
     total = 0.0
     # the base model took a straight line in the reference out: it goes back in
-    warm = centred(np.stack([degc, table.degc], axis=1), table.group)
+    warm = centre(np.stack([degc, table.degc], axis=1), table.group)
     residuals = table.apart - warm @ np.linalg.lstsq(warm, table.apart, rcond=None)[0]
     total += len(residuals) / 2 * float(np.log((residuals**2).sum(axis=0) + 1e-30).sum())
     if known.all():
-        heat = centred(table.thermometer[:, None], table.group)
+        heat = centre(table.thermometer[:, None], table.group)
         heated = warm[:, :1]
         residual = heat - heated @ np.linalg.lstsq(heated, heat, rcond=None)[0]
         total += len(residual) / 2 * float(np.log((residual**2).sum() + 1e-30))

@@ -14,7 +14,7 @@ from imuarray.characterise.spectrum import Spectrum
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import SAME_RATE, Evidence, PhaseEvidence
-from imuarray.gap.statistics.lines import HALF_WIDTH, highest_lines, pooled
+from imuarray.gap.statistics.lines import HALF_WIDTH, highest_lines, pool_spectra
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.signal import Triple
 
@@ -77,7 +77,7 @@ class _Rate:
         """Return how far a line of that frequency stands above what is beside it, in standard deviations, where rows of
         this rate show it.
         """
-        spectrum = pooled(self.spectra)
+        spectrum = pool_spectra(self.spectra)
         if spectrum is None:
             return 0.0
         at = round(shown_hz(hertz, self.rows_per_s) * spectrum.segment_rows / self.rows_per_s)
@@ -108,7 +108,7 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     known = [effect for effect in evidence.effects if isinstance(effect, Tone)]
     rates = _rates(evidence)
     for rate in rates:
-        spectrum = pooled([phase.raw.spectrum for phase in rate.phases])
+        spectrum = pool_spectra([phase.raw.spectrum for phase in rate.phases])
         if spectrum is None:
             continue
         bin_hz = rate.rows_per_s / spectrum.segment_rows

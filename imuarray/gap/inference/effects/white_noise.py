@@ -15,7 +15,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.quietness import BEYOND, noise_of_logs, with_noise
 from imuarray.gap.inference.effects.steps import Onset, onsets
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.inference.when import ALWAYS, Span, When, in_logs, joined, since
+from imuarray.gap.inference.when import ALWAYS, Span, When, in_logs, join_spans, since
 from imuarray.simulate.effects.white_noise import WhiteNoise
 
 _GROWN = 0.1
@@ -69,7 +69,7 @@ def _from_a_moment(evidence: Evidence) -> Iterator[Hypothesis]:
         later = [log for log in noisy if log > onset.log]
         whens = [since(first, later) if later else When((first,))]
         if later != noisy:
-            whens.append(joined([When((first,)), in_logs(noisy)]))
+            whens.append(join_spans([When((first,)), in_logs(noisy)]))
         for when in whens:
             yield from _grown(evidence, np.where(is_larger, after, before), before, when)
 
