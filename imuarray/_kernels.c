@@ -1,7 +1,8 @@
 /* Recursions over rows or segments, of which each needs the one before, so that NumPy can't take all of them at once.
 
-   `tridiagonal` serves the splines of `imuarray.fuse.alignment`, `drift` the likelihood of `imuarray.calibrate.drift` and
-   `track` the filter of `imuarray.fuse.techniques.ranges.relative`. The names are those of the Python code, where every
+   `tridiagonal` serves the splines of `imuarray.fuse.alignment`, `drift` the likelihood of `imuarray.calibrate.drift`,
+   `track` the filter of `imuarray.fuse.techniques.ranges.relative`, and `non_negative` the fits of
+   `imuarray.characterise.allan_fit`, of which a log needs a thousand. The names are those of the Python code, where every
    step is explained, and which does the same to rounding. */
 
 #define PY_SSIZE_T_CLEAN
@@ -259,7 +260,113 @@ static PyObject *track(PyObject *module, PyObject *args) {
     return released(views, held);
 }
 
+/* Least squares x of design (n, k) @ x = target (n) with the columns that are `free`, the others 0, by Householder's
+   reflections; `room` holds n * (k + 1). 0 if columns depend on each other. */
+static int least_squares(const double *design, const double *target, const int *free, Py_ssize_t n, Py_ssize_t k, double *x,
+                         double *room) {
+    Py_ssize_t columns[MOST], count = 0;
+    for (Py_ssize_t column = 0; column < k; column++) {
+        x[column] = 0;
+        if (free[column]) columns[count++] = column;
+    }
+    if (count > n) return 0;
+    double *right = room + count * n;
+    for (Py_ssize_t column = 0; column < count; column++)
+        for (Py_ssize_t row = 0; row < n; row++) room[column * n + row] = design[row * k + columns[column]];
+    memcpy(right, target, (size_t)DOUBLES(n));
+    double diagonal[MOST];
+    for (Py_ssize_t column = 0; column < count; column++) {
+        double *own = room + column * n, length = 0;
+        for (Py_ssize_t row = column; row < n; row++) length += own[row] * own[row];
+        length = sqrt(length);
+        if (!(length > 0)) return 0;
+        diagonal[column] = own[column] > 0 ? -length : length;
+        own[column] -= diagonal[column];
+        const double square = -diagonal[column] * own[column]; /* half of that of the reflection's vector */
+        for (Py_ssize_t other = column + 1; other <= count; other++) {
+            double *line = other == count ? right : room + other * n, product = 0;
+            for (Py_ssize_t row = column; row < n; row++) product += own[row] * line[row];
+            product /= square;
+            for (Py_ssize_t row = column; row < n; row++) line[row] -= product * own[row];
+        }
+    }
+    for (Py_ssize_t column = count - 1; column >= 0; column--) {
+        double value = right[column];
+        for (Py_ssize_t other = column + 1; other < count; other++) value -= room[other * n + column] * x[columns[other]];
+        x[columns[column]] = value / diagonal[column];
+    }
+    return 1;
+}
+
+/* The column that is not free and along which the residual falls fastest, -1 if it falls along none. */
+static Py_ssize_t steepest(const double *design, const double *target, const double *x, const int *free, Py_ssize_t n,
+                           Py_ssize_t k, double tolerance) {
+    double slopes[MOST] = {0};
+    for (Py_ssize_t row = 0; row < n; row++) {
+        double rest = target[row];
+        for (Py_ssize_t column = 0; column < k; column++) rest -= design[row * k + column] * x[column];
+        for (Py_ssize_t column = 0; column < k; column++) slopes[column] += design[row * k + column] * rest;
+    }
+    Py_ssize_t best = -1;
+    for (Py_ssize_t column = 0; column < k; column++)
+        if (!free[column] && slopes[column] > tolerance && (best < 0 || slopes[column] > slopes[best])) best = column;
+    return best;
+}
+
+/* The active set method of Lawson and Hanson ("Solving Least Squares Problems", 1974, chapter 23): x >= 0. 0 if it does
+   not end. */
+static int solve_non_negative(const double *design, const double *target, Py_ssize_t n, Py_ssize_t k, double *x, double *room) {
+    int free[MOST] = {0};
+    double best[MOST], largest = 0;
+    for (Py_ssize_t column = 0; column < k; column++) {
+        double sum = 0;
+        for (Py_ssize_t row = 0; row < n; row++) sum += fabs(design[row * k + column]);
+        largest = sum > largest ? sum : largest;
+        x[column] = 0;
+    }
+    const double tolerance = 10 * (double)(n > k ? n : k) * 2.220446049250313e-16 * largest;
+    for (Py_ssize_t turn = 0; turn <= 3 * k; turn++) {
+        Py_ssize_t next = steepest(design, target, x, free, n, k, tolerance);
+        if (next < 0) return 1;
+        free[next] = 1;
+        for (;;) {
+            if (!least_squares(design, target, free, n, k, best, room)) return 0;
+            double way = 1;
+            for (Py_ssize_t column = 0; column < k; column++)
+                if (free[column] && best[column] < 0 && x[column] / (x[column] - best[column]) < way)
+                    way = x[column] / (x[column] - best[column]);
+            if (way == 1) break;
+            for (Py_ssize_t column = 0; column < k; column++) {
+                x[column] += way * (best[column] - x[column]);
+                if (x[column] <= tolerance) free[column] = 0;
+            }
+        }
+        memcpy(x, best, sizeof(double) * (size_t)k);
+    }
+    return 0;
+}
+
+static PyObject *non_negative(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t n, k;
+    if (!PyArg_ParseTuple(args, "O!(nn)", &PyTuple_Type, &sequence, &n, &k)) return NULL;
+    if (n < 1 || k < 1 || k > MOST) {
+        PyErr_SetString(PyExc_ValueError, "other sizes are required");
+        return NULL;
+    }
+    const Py_ssize_t bytes[] = {DOUBLES(n * k), DOUBLES(n), DOUBLES(k), DOUBLES(n * (k + 1))};
+    Py_buffer views[4];
+    Py_ssize_t held = hold(sequence, views, 4, bytes, 2);
+    int done = 0;
+    if (!PyErr_Occurred()) done = solve_non_negative(views[0].buf, views[1].buf, n, k, views[2].buf, views[3].buf);
+    while (held > 0) PyBuffer_Release(&views[--held]);
+    return PyErr_Occurred() ? NULL : PyBool_FromLong(done);
+}
+
 static PyMethodDef methods[] = {
+    {"non_negative", non_negative, METH_VARARGS,
+     "non_negative(arrays, sizes): least squares without negative coefficients, and whether it ended."},
     {"tridiagonal", tridiagonal, METH_VARARGS, "tridiagonal(arrays, sizes): solve lines of equations between neighbours."},
     {"drift", drift, METH_VARARGS, "drift(arrays, sizes): filter the means of a stretch at every point of a grid."},
     {"track", track, METH_VARARGS, "track(arrays, sizes): track the differences of axes over consecutive segments."},

@@ -17,7 +17,7 @@ except ImportError:  # installed without a C compiler
 else:
     COMPILED = True
 
-_MOST_AXES = 16
+_MOST = 16
 
 
 def tridiagonal(before: Floats, after: Floats, alone: Floats) -> Floats | None:
@@ -40,7 +40,7 @@ def drift_sums(means: Floats, kept: Floats, shared: Floats, noise: Floats) -> Se
     their products (t, u, a), all over their variance, and of the logs of that (t, u, s). None without compiled code.
     """
     (count, axes), (times, ratios, own) = means.shape, shared.shape
-    if not COMPILED or axes > _MOST_AXES:
+    if not COMPILED or axes > _MOST:
         return None
     grids = tuple(np.empty((times, ratios, size)) for size in (axes, own, axes, own))
     given = tuple(np.ascontiguousarray(part, float) for part in (means, kept, shared, noise))
@@ -71,3 +71,16 @@ def track_differences(
     given = tuple(np.ascontiguousarray(part, float) for part in (products, residuals, walks, *blend))
     _kernels.track((*given, np.ascontiguousarray(moved, bool), *result), (count, axes))
     return result
+
+
+def non_negative(design: Floats, target: Floats) -> Floats | None:
+    """Fit ``target = design @ x`` (n,) by least squares with x (k,) >= 0. None without compiled code, or if it does not
+    converge.
+    """
+    rows, columns = design.shape
+    if not COMPILED or columns > _MOST:
+        return None
+    result = np.empty(columns)
+    given = (np.ascontiguousarray(design, float), np.ascontiguousarray(target, float))
+    converged = _kernels.non_negative((*given, result, np.empty(rows * (columns + 1))), (rows, columns))
+    return result if converged else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 
 from imuarray import kernels
 from imuarray.arrays import Floats
@@ -92,6 +93,24 @@ def test_differences_of_axes_over_segments(count: int, monkeypatch: pytest.Monke
         np.testing.assert_allclose(found, each, rtol=1e-9, atol=1e-12)
     if count > 1:
         assert np.abs(wanted[0][-1] - wanted[0][0]).max() > 0.01  # they learn
+
+
+@pytest.mark.parametrize("columns", [1, 2, 5, 16])
+def test_least_squares_without_negative_coefficients(columns: int) -> None:
+    """Against SciPy's, of random problems in which about half of the coefficients are zero, and of steep curves."""
+    rng = np.random.default_rng(columns)
+    for _ in range(100):
+        design = np.abs(rng.normal(size=(20, columns))) ** rng.choice([1, 3])
+        target = design @ np.maximum(rng.normal(size=columns), 0.0) + rng.normal(0, 0.5, 20)
+        found, (wanted, residual) = kernels.non_negative(design, target), nnls(design, target)
+        assert found is not None and found.min() >= 0
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-10)
+        assert np.linalg.norm(design @ found - target) == pytest.approx(residual, rel=1e-12)
+
+
+def test_a_target_that_points_away_has_no_coefficients() -> None:
+    found = kernels.non_negative(np.ones((4, 2)), -np.ones(4))
+    assert found is not None and found.tolist() == [0.0, 0.0]
 
 
 def test_other_sizes_are_refused() -> None:

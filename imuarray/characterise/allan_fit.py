@@ -40,6 +40,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats
 from imuarray.characterise.allan_curve import CONFIDENCE, AllanCurve, Runs
+from imuarray.kernels import non_negative
 from imuarray.printable import percent
 
 Term = Literal["quantisation", "white", "flicker", "random walk", "ramp"]
@@ -307,13 +308,16 @@ def _solve(estimate: AllanEstimate, terms: Sequence[int]) -> AllanSolution:
 
 def _non_negative(design: Floats, target: Floats, terms: Sequence[int]) -> tuple[Floats, float]:
     """Least squares without negative coefficients, columns scaled alike: all coefficients, and the misfit."""
-    from scipy.optimize import nnls
-
     chosen = list(terms)
     theta, scale = np.zeros(design.shape[1]), np.linalg.norm(design[:, chosen], axis=0)
-    solution, residual = nnls(design[:, chosen] / scale, target)
+    columns = design[:, chosen] / scale
+    solution = non_negative(columns, target)
+    if solution is None:
+        from scipy.optimize import nnls  # whose import takes longer than all fits of a log
+
+        solution = nnls(columns, target)[0]
     theta[chosen] = solution / scale
-    return theta, float(residual) ** 2
+    return theta, float(np.sum((columns @ solution - target) ** 2))
 
 
 def interval_of(
