@@ -315,6 +315,9 @@ def _experiment(experiment: str, boot: int, conditions: Conditions) -> Experimen
     if experiment not in EXPERIMENTS:
         allowed = ", ".join(EXPERIMENTS)
         raise ConfigError(f"experiment {experiment!r}: allowed are {allowed}{guess(experiment, EXPERIMENTS)}")
+    seconds = conditions.get("seconds")
+    if seconds is not None and not isinstance(seconds, int | float):
+        raise ConfigError(f"seconds {seconds!r}: allowed is a number of seconds, such as 600")
     return ExperimentOptions(**conditions, run=boot + 1 if experiment == "turn-on" else 1)
 
 

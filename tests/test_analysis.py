@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 import imuarray as ia
-from imuarray.calibrate import Calibration
+from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.cli import program
 from imuarray.errors import CalibrationError, ConfigError, FusionError, LogError, MissingExtraError
 from imuarray.fuse import read_fused_head
@@ -85,6 +85,7 @@ def test_an_effect_is_added_to_one_sensor_and_changes_no_other(tmp_path: Path) -
     [
         ({"experiment": "heat"}, "allowed are static, tumble, heating"),
         ({"effects": {"Gyro9": []}}, "effects of 'Gyro9': the array has"),
+        ({"effects": {"Gyro1": ["tone"]}}, r"effects of Gyro1: 'tone' is no effect; give EFFECTS\[\"tone\"\]"),
         ({"model": "datashet"}, "no model of that name"),
     ],
 )
@@ -92,6 +93,27 @@ def test_a_wrong_word_is_told_with_what_is_allowed(tmp_path: Path, options: dict
     with pytest.raises(ConfigError, match=words):
         ia.simulate("martin2013", tmp_path / "a.h5", seconds=1.0, **options)
     assert not (tmp_path / "a.h5").exists()
+
+
+def test_seconds_are_a_number(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="seconds '20s': allowed is a number of seconds"):
+        ia.simulate("martin2013", tmp_path / "a.h5", seconds="20s")  # type: ignore[arg-type]
+
+
+def test_a_calibration_is_indexed_and_becomes_a_table() -> None:
+    known = SensorCalibration(
+        "A1", "specific_force", "g", np.array([1.0, 2.0, -3.0]), np.eye(3) * 1000.0, bias_sem_lsb=np.full(3, 0.5)
+    )
+    calibration = Calibration({"A1": known})
+    assert calibration["A1"] is known
+    with pytest.raises(CalibrationError, match=r"no calibration of 'a1'; there is A1; did you mean A1\?"):
+        calibration["a1"]
+    table = calibration.to_pandas()
+    assert table.index.names == ["sensor", "axis"]
+    assert table.loc[("A1", "z"), "bias"] == pytest.approx(-0.003)
+    assert table["bias_sem"].tolist() == pytest.approx([0.0005] * 3)
+    assert table["scale_lsb_per_unit"].tolist() == [1000.0] * 3
+    assert table["noise"].isna().all()
 
 
 @pytest.mark.slow

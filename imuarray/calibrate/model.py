@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -214,12 +214,26 @@ class SensorCalibration:
         return np.asarray(np.degrees(np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1)))
 
 
+def _quotient(values: Floats | None, scale: Floats) -> Floats:
+    """Return values (3,) in counts over the scale factors (3,); nan where there are none."""
+    return np.full(3, np.nan) if values is None else values / scale
+
+
 @dataclass(frozen=True, repr=False)
 class Calibration:
     """The parameters of many sensors and their sources."""
 
     sensors: Mapping[str, SensorCalibration] = field(default_factory=lambda: MappingProxyType({}))
     sources: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> SensorCalibration:
+        """Return the parameters of the sensor of this name; the CalibrationError for an unknown name lists the names
+        that exist.
+        """
+        if name not in self.sensors:
+            known = ", ".join(self.sensors) or "no sensor"
+            raise CalibrationError(f"no calibration of {name!r}; there is {known}{guess(name, self.sensors)}")
+        return self.sensors[name]
 
     def merged(self, other: Calibration) -> Calibration:
         """Return this calibration with every figure that `other` measured replaced by the newer one."""
@@ -282,6 +296,34 @@ class Calibration:
     def __repr__(self) -> str:
         known = (f"{sensor.name} ({', '.join(sensor.measured()) or 'nothing'})" for sensor in self.sensors.values())
         return f"<Calibration of {len(self.sensors)} sensors: {'; '.join(known)}>"
+
+    def to_pandas(self) -> Any:
+        """Return a `pandas.DataFrame` with a row for each axis: bias, scatter of single readings and their unit (g, dps
+        or gauss), counts per unit, and standard errors; nan where a figure was not measured. MissingExtraError without
+        pandas.
+
+        >>> from imuarray import load_calibration
+        >>> table = load_calibration("cal.toml").to_pandas()
+        >>> table.loc[("BMA1", "x"), "unit"], bool(table.loc[("BMA1", "x"), "bias_sem"] > 0)
+        ('g', True)
+        """
+        from imuarray.log.datasets import optional_package
+
+        pandas = optional_package("pandas")
+        rows = []
+        for sensor in self.sensors.values():
+            scale = sensor.scale_lsb_per_unit
+            columns = {
+                "bias": sensor.bias_in_units(),
+                "bias_sem": _quotient(sensor.bias_sem_lsb, scale),
+                "scale_lsb_per_unit": scale,
+                "scale_sem_lsb_per_unit": _quotient(sensor.response_sem_lsb_per_unit, np.ones(3)),
+                "noise": _quotient(sensor.noise_lsb, scale),
+            }
+            for index, axis in enumerate("xyz"):
+                row = {name: float(values[index]) for name, values in columns.items()}
+                rows.append({"sensor": sensor.name, "axis": axis, "unit": sensor.unit, **row})
+        return pandas.DataFrame(rows).set_index(["sensor", "axis"])
 
     def _repr_html_(self) -> str:
         """Return a table of biases and scale factors with their standard errors, for notebooks."""

@@ -51,6 +51,7 @@ from imuarray.calibrate.segments import SegmentMeans, TemperatureSeries, segment
 from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
+from imuarray.printable import counted
 from imuarray.units import INERTIAL
 
 if TYPE_CHECKING:
@@ -361,7 +362,7 @@ class ThermalResult:
 
     def __repr__(self) -> str:
         logs = len({heating.log for heating in self.heatings})
-        return f"<ThermalResult: slopes of {len(self.calibration.sensors)} sensors from {logs} logs>"
+        return f"<ThermalResult: slopes of {len(self.calibration.sensors)} sensors from {counted(logs, 'log')}>"
 
     def _repr_html_(self) -> str:
         """Return a table of slopes with their standard errors, for notebooks."""

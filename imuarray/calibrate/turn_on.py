@@ -112,6 +112,10 @@ class TurnOnSeries(NamedTuple):
         """
         return self.calibration.plot("turn_on")
 
+    def __repr__(self) -> str:
+        runs = max((len(result.runs.numbers) for result in self.results), default=0)
+        return f"<TurnOnSeries of {counted(runs, 'run')}: {len(self.results)} sensors>"
+
     def _repr_html_(self) -> str:
         """Return a table of the changes from run to run with standard errors, for notebooks."""
         from imuarray.calibrate.plots import turn_on_rows

@@ -17,6 +17,7 @@ from imuarray.array import ArrayConfig
 from imuarray.errors import ConfigError, SourceError
 from imuarray.log import Log
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.model import Model
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.hand_shake import HandShake
@@ -165,6 +166,11 @@ def with_effects(
     for name in added:
         if name not in effects:
             raise ConfigError(f"effects of {name!r}: the array has {', '.join(effects)}{guess(name, effects)}")
+        effect: object
+        for effect in added[name]:
+            if not isinstance(effect, tuple(EFFECTS.values())):
+                hint = f'EFFECTS["{effect}"](...)' if effect in EFFECTS else "an effect of imuarray.simulate.EFFECTS"
+                raise ConfigError(f"effects of {name}: {effect!r} is no effect; give {hint}")
     return {name: in_physical_order((*known, *added.get(name, ()))) for name, known in effects.items()}
 
 
