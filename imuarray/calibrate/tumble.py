@@ -44,6 +44,7 @@ from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
 from imuarray.calibrate.outliers import Outlier, misfit_probability, outlier_of
 from imuarray.calibrate.pose_readings import Pose, PoseReadings, find_poses, labelled_faces, read_poses
 from imuarray.calibrate.segments import TemperatureSeries, thermometer_of
+from imuarray.calibrate.six_faces import ANGLES_RAD, fit_six_faces, missing_faces
 from imuarray.calibrate.thermal import SEGMENT_S
 from imuarray.calibrate.turns import TurnFit, fit_turns
 from imuarray.errors import CalibrationError
@@ -259,6 +260,9 @@ def _line(readings: PoseReadings, up_box: Floats, terms: Floats) -> tuple[TriadF
     return fit, float((residual**2 / readings.variance_lsb2[0]).sum())
 
 
+SIX_FACES = "six faces"
+"""The method if all poses lie on the six faces, whose names are unknown (`fit_six_faces`)."""
+
 PATH = "path"
 """The method if the box never rested (`fit_path`)."""
 
@@ -270,13 +274,13 @@ UNSURE_G = 0.01
 class TumbleResult:
     """Result of `calibrate_tumble`: the calibration, how it was made and how well it fits.
 
-    `method` is "faces", "gravity" or "path" (a box that never rested), `poses` the number of poses used. By sensor:
-    `drift_lsb` (3,), the first reading less the last of the same bias, from a face read twice or a fitted drift;
-    `fits`; `turns` of gyroscopes that were turned enough. By accelerometer, over the poses `pose_names` (k):
-    `pose_residual_g` (k,) is the length of the calibrated specific force less one g, with a fitted drift corrected, and
-    `residual_g` its rms; `held_out_residual_g` is the rms with each pose calibrated from the other poses (nan if those
-    are too few); `residual_steady_g` is the rms with the mean bias, which the calibration contains. `left_out` are the
-    excluded poses and turns, with reasons.
+    `method` is "faces", "gravity", "six faces" (without names) or "path" (a box that never rested), `poses` the number
+    of poses used. By sensor: `drift_lsb` (3,), the first reading less the last of the same bias, from a face read twice
+    or a fitted drift; `fits`; `turns` of gyroscopes that were turned enough. By accelerometer, over the poses
+    `pose_names` (k): `pose_residual_g` (k,) is the length of the calibrated specific force less one g, with a fitted
+    drift corrected, and `residual_g` its rms; `held_out_residual_g` is the rms with each pose calibrated from the other
+    poses (nan if those are too few); `residual_steady_g` is the rms with the mean bias, which the calibration contains.
+    `left_out` are the excluded poses and turns, with reasons.
     """
 
     calibration: Calibration
@@ -402,6 +406,12 @@ def _warnings(
                 f"no face with {', '.join(missing)} up: the opposite face is not checked, and its error"
                 " affects bias and scale factor; record all six"
             )
+    if reference.method == SIX_FACES:
+        yield (
+            "the poses lie on the six faces, whose names are unknown: the angles between the axes are the data sheet's"
+            f" (+- {np.degrees(ANGLES_RAD):g} degrees); add poses on edges and corners, or name the faces if the box"
+            " stood on them"
+        )
     if uncalibrated := [sensor.name for sensor in sensors if sensor.name not in known]:
         yield f"{', '.join(uncalibrated)} not calibrated: the bias of a gyroscope can only be measured at rest"
     for sensor in sensors:
@@ -417,19 +427,28 @@ def _warnings(
 def _by_gravity(
     accelerometers: Sequence[SensorLog], logs: Sequence[Log], progress: Callable[[str, int, int], None]
 ) -> _Reference:
-    """Calibrate the accelerometers from any poses, or from the path if there are too few."""
+    """Calibrate the accelerometers from any poses; from the six faces if there are no others; from the path if there
+    are too few.
+    """
     poses = [pose for log in logs for pose in find_poses(log)]
-    method = "gravity" if len(poses) >= MIN_POSES else PATH
-    if method == PATH:
+    missing = missing_faces(read_poses(accelerometers[:1], poses)) if poses else None
+    method = "gravity" if len(poses) >= MIN_POSES and missing is None else PATH
+    if missing == []:
+        method = SIX_FACES
+        fit = fit_six_faces(accelerometers, poses)
+    elif method == PATH and len(poses) < MIN_POSES:
         try:
             fit = fit_path(accelerometers, logs)
         except CalibrationError as error:
+            faces = f" (no pose with {', '.join(missing)} of the sensor up)" if missing else ""
             raise CalibrationError(
-                f"{accelerometers[0].where}: {counted(len(poses), 'static pose')}, at least {MIN_POSES} are required;"
+                f"{accelerometers[0].where}: {counted(len(poses), 'static pose')}{faces}, at least {MIN_POSES} are"
+                " required, or the six faces;"
                 " the path between them does not determine the parameters either"
                 f" ({str(error).removeprefix(f'{accelerometers[0].where}: ')})"
             ) from None
     else:
+        method = "gravity"
         fit = fit_gravity(accelerometers, poses, lambda done: progress("leaving out poses in turn", done, len(poses)))
     names = [sensor.name for sensor in accelerometers]
     return _Reference(

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _METHODS = {
     "faces": "named faces",
     "gravity": "static poses found in the log",
+    "six faces": "static poses on the six faces, whose names are unknown",
     "path": "stretches of a path without stops, each by how much it moved",
 }
 

@@ -132,15 +132,19 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
 
 
 def _turns_wanted(scaled: Sequence[SensorCalibration]) -> str:
-    """Name the sensors whose scale about some box axes is the data sheet's, and these axes; "" if there are none."""
-    about = {sensor.name: sensor.uncertain_axes() for sensor in scaled}
+    """Name the accelerometers whose angles are the data sheet's, and the gyroscopes whose scale about some box axes is,
+    and these axes; "" if there are none.
+    """
+    leaning = [sensor.name for sensor in scaled if sensor.quantity == "specific_force" and sensor.uncertain_axes()]
+    angles = f"; the angles between the axes of {_listed(leaning)} are the data sheet's" if leaning else ""
+    about = {sensor.name: sensor.uncertain_axes() for sensor in scaled if sensor.quantity == "angular_rate"}
     texts = []
     for axes in sorted({axes for axes in about.values() if axes}):
         names = [name for name, its in about.items() if its == axes]
         texts.append(f"{_listed(names)} about box {', '.join(axes)}")
     if not texts:
-        return ""
-    return f"; scale factors of {' and of '.join(texts)} are the data sheet's, add turns about that axis"
+        return angles
+    return f"{angles}; scale factors of {' and of '.join(texts)} are the data sheet's, add turns about that axis"
 
 
 def _worst_bias(sensors: Sequence[SensorCalibration]) -> str:

@@ -207,3 +207,11 @@ def test_no_burst_makes_up_for_rows_that_are_flagged_as_lost(tmp_path: Path, fla
     assert timing.kind == kind
     assert timing.gaps == len(gaps)
     assert bool(timing.sentence) == (kind == "bursts")
+
+
+def test_the_usual_interval_is_that_of_most_rows(tmp_path: Path) -> None:
+    """A logger that polls at 200 Hz until its buffer is full, and at 100 Hz from then on."""
+    intervals_s = np.where(np.arange(200_000) < 1 << 16, 0.005, 0.01)
+    timing = timing_of(tmp_path / "a.h5", np.cumsum(intervals_s))
+    assert timing.usual_s == pytest.approx(0.01)
+    assert timing.kind == "steady"

@@ -53,6 +53,9 @@ LOST_SHARE = 0.5
 SAME = 0.8
 """Least share of the gaps that follow after the same number of rows for stalls to have a period."""
 
+_STRETCHES, _STRETCH_ROWS = 16, 4096
+"""Stretches of a long recording, and rows of each, from which the usual interval is known."""
+
 _KNOT_ROWS = 2048
 """Rows between the knots of mean arrival times: a host is late by some hundredths of a second, the mean of so many rows
 by less than a thousandth, and oscillators drift more slowly.
@@ -105,7 +108,7 @@ def row_timing(sensor: SensorLog) -> RowTiming:
     if rows < 2:
         return RowTiming("steady", rows, 0.0, 0.0)
     seconds = (int(sensor.time[-1]) - int(sensor.time[0])) * 1e-9
-    usual_s = float(np.median(np.diff(np.asarray(sensor.time[: 1 << 16], np.int64)))) * 1e-9
+    usual_s = float(np.median(_intervals_ns(sensor))) * 1e-9
     after, length_s, next_s, is_lost = _gaps(sensor, GAP * usual_s)
     steady = RowTiming("steady", rows, seconds, usual_s)
     if len(after):
@@ -131,6 +134,22 @@ def row_timing(sensor: SensorLog) -> RowTiming:
         float(length_s.sum()),
         period_rows if is_periodic else 0,
     )
+
+
+def _intervals_ns(sensor: SensorLog) -> Integers:
+    """Intervals (k,) between rows: all of a short recording, those of stretches throughout a long one, whose beginning
+    may have another rate than the rest.
+    """
+    rows = len(sensor)
+    if rows <= _STRETCHES * _STRETCH_ROWS:
+        return _intervals_of(sensor, 0, rows)
+    firsts = np.linspace(0, rows - _STRETCH_ROWS, _STRETCHES).astype(int).tolist()
+    return np.concatenate([_intervals_of(sensor, at, at + _STRETCH_ROWS) for at in firsts])
+
+
+def _intervals_of(sensor: SensorLog, first: int, stop: int) -> Integers:
+    times_ns = np.asarray(sensor.time[first:stop], np.int64)
+    return np.asarray(times_ns[1:] - times_ns[:-1])
 
 
 def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats, Floats, Booleans]:
