@@ -57,10 +57,10 @@ class Origin:
 class Division:
     """The division of the work: rows of a block, and an executor that evaluates `workers` blocks at a time. Threads are
     of use, since random numbers are drawn outside the interpreter's lock. In blocks of one chunk of the file, calls of
-    NumPy and HDF5 would take a third of the time.
+    NumPy and HDF5 would take a seventh of the time.
     """
 
-    block_rows: int = 8 * CHUNK
+    block_rows: int = 4 * CHUNK
     executor: Executor | None = None
     workers: int = 1
 
