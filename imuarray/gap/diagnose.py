@@ -251,8 +251,8 @@ def explain(
 ) -> Diagnosis:
     """Search the causes among `candidates`, verify them and make the findings: the rest of `diagnose`.
 
-    `known`: sensors that are known to have one of them (`imuarray.gap.inference.search.search_causes`). `briefly`: without
-    curves and next experiment, for which more is simulated.
+    `known`: sensors that are known to have one of them (`imuarray.gap.inference.search.search_causes`). `briefly`:
+    without curves and next experiment, for which more is simulated.
     """
     search = _search(case, candidates, progress, known)
     progress("simulating the repaired model")
