@@ -35,7 +35,9 @@ from imuarray.gap.inference.when import Span, When
 from imuarray.gap.model.bench import Bench
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.clock_error import ClockError
 from imuarray.simulate.effects.saturation import Saturation
+from imuarray.simulate.effects.skew import Skew
 from imuarray.simulate.effects.stuck import Stuck
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.effects.white_noise import WhiteNoise
@@ -60,7 +62,7 @@ def tone() -> tuple[Bench, UnitState]:
 )
 def test_the_likeliest(drawn_trials: list[tuple[int, bool, bool, float]], count: int) -> None:
     """The largest gains first; of each effect and action two at most; none that isn't worth it, has no model, or is
-    behind the best one by more than 15 nats and by more than half.
+    behind the best one by more than 15 nats and by more than half, except the first of another form than the best one.
     """
     tried = [
         FittedHypothesis(
@@ -74,8 +76,9 @@ def test_the_likeliest(drawn_trials: list[tuple[int, bool, bool, float]], count:
     gains = [one.gain for one in kept]
     assert gains == sorted(gains, reverse=True)
     assert len(kept) <= count
-    assert all(one.models is not None and one.gain > least for one in kept)
     named = [(one.trial.name, one.trial.action) for one in kept]
+    rival = next((one for one, form in zip(kept, named, strict=True) if form != named[0]), None)
+    assert all(one.models is not None and (one.gain > least or (one is rival and one.gain > WORTH)) for one in kept)
     assert all(named.count(one) <= 2 for one in named)
     if len(kept) < count:  # whatever was left out had no place
         for one in tried:
@@ -419,6 +422,15 @@ def test_lines_that_drift_are_of_another_form_than_those_that_stay() -> None:
         FittedHypothesis(one, {}, gain) for one, gain in ((stays, 30.0), (stays, 29.0), (stays, 28.0), (drifts, 27.0))
     ]
     assert [one.gain for one in likeliest(tried, 4)] == [30.0, 29.0, 27.0]
+
+
+def test_the_best_guess_has_a_rival_of_another_form() -> None:
+    """A delay, guessed too small, explains a third of what a clock error explains on the training part."""
+    clock, delay, noise = (
+        FittedHypothesis(Hypothesis((effect,)), {}, gain)
+        for effect, gain in ((ClockError(500.0), 36.0), (Skew(0.015), 12.0), (WhiteNoise(1.0), 11.0))
+    )
+    assert likeliest([noise, delay, clock], 4) == [clock, delay]
 
 
 def test_trials_of_both_parts_are_not_crowded_out_by_those_of_one() -> None:

@@ -178,7 +178,8 @@ def search_round(
 
 
 def likeliest(trials: Iterable[FittedHypothesis], count: int) -> list[FittedHypothesis]:
-    """Return the best trials that gain enough and are not far behind, at most two of each form.
+    """Return the best trials that gain enough and are not far behind, at most two of each form, and in any case the best
+    of another form than the first one's: a guess of a wrong form may fit the training part best.
 
     Gains on the training part alone and on both parts can't be compared: where the `count` best are all of one kind,
     the best of the other kind is added.
@@ -193,11 +194,13 @@ def likeliest(trials: Iterable[FittedHypothesis], count: int) -> list[FittedHypo
 
 def _likeliest(trials: Sequence[FittedHypothesis], count: int) -> list[FittedHypothesis]:
     ranked = sorted(trials, key=lambda trial: -trial.gain)
+    ranked = [trial for trial in ranked if trial.gain > 0 and trial.gain * trial.counts > WORTH]
     least = ranked[0].gain - max(_MOST_BEHIND, ranked[0].gain / 2) if ranked else 0.0
     likely: list[FittedHypothesis] = []
     for trial in ranked:
         same_form = sum(other.trial.form == trial.trial.form for other in likely)
-        if trial.gain > least and trial.gain * trial.counts > WORTH and same_form < 2 and len(likely) < count:
+        is_rival = not same_form and all(other.trial.form == ranked[0].trial.form for other in likely)
+        if (trial.gain > least or is_rival) and same_form < 2 and len(likely) < count:
             likely.append(trial)
     return likely
 
