@@ -178,8 +178,10 @@ def search_round(
 
 
 def likeliest(trials: Iterable[FittedHypothesis], count: int) -> list[FittedHypothesis]:
-    """Return the best trials that gain enough and are not far behind, at most two of each form, and in any case the best
-    of another form than the first one's: a guess of a wrong form may fit the training part best.
+    """Return the best trials that gain enough and are not far behind, at most two of each form.
+
+    In any case the best one of another form than the first one's is among them: a guess of a wrong form may fit the
+    training part best.
 
     Gains on the training part alone and on both parts can't be compared: where the `count` best are all of one kind,
     the best of the other kind is added.
