@@ -45,9 +45,13 @@ class Format(NamedTuple):
     def words(self, force_g: Triple) -> bytes:
         """Return the six data bytes for a force in g: low byte first, clipped, never rolling over (ADX-27, ADX-46)."""
         scale, step, lowest, highest, shift = self
-        codes = [round(component * scale / step) * step for component in force_g]
-        x, y, z = [(lowest if code < lowest else highest if code > highest else code) << shift for code in codes]
-        return WORDS.pack(x, y, z)
+        x, y, z = force_g
+        x, y, z = round(x * scale / step) * step, round(y * scale / step) * step, round(z * scale / step) * step
+        return WORDS.pack(
+            (lowest if x < lowest else highest if x > highest else x) << shift,
+            (lowest if y < lowest else highest if y > highest else y) << shift,
+            (lowest if z < lowest else highest if z > highest else z) << shift,
+        )
 
 
 def format_of(data_format: int, rate_code: int) -> Format:
@@ -99,13 +103,17 @@ class Adxl345Chip(Chip):
         self._reading = False
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Byte by byte, but one whole set in one piece: its bytes don't change while they are read (ADX-49)."""
-        if count != len(DATA) or self.pointer != DATA.start or self._reading:
+        """Byte by byte, but one whole set in one piece, alone or after INT_SOURCE and DATA_FORMAT: its bytes don't change
+        while they are read (ADX-49).
+        """
+        before = DATA.start - self.pointer
+        if count != before + len(DATA) or before not in (0, 2) or self._reading:
             return super().read(count, at_ns, byte_ns)
-        self._take(at_ns)
+        begin = bytes((self._int_source(at_ns), self.page[facts.DATA_FORMAT.address])) if before else b""
+        self._take(at_ns + before * byte_ns)
         self._reading = False
         self.pointer = DATA.stop
-        return bytes(self.page[DATA.start : DATA.stop])
+        return begin + self.page[DATA.start : DATA.stop]
 
     def load(self, address: int, at_ns: int) -> int:
         """Data of one set for a whole transaction (ADX-49); INT_SOURCE and FIFO_STATUS as they stand."""
@@ -131,7 +139,8 @@ class Adxl345Chip(Chip):
 
     def _configure(self, at_ns: int) -> None:
         page = self.page
-        self._mode = facts.FIFO_MODE.of(page[facts.FIFO_CTL.address])
+        control = page[facts.FIFO_CTL.address]
+        self._mode, self._watermark = facts.FIFO_MODE.of(control), facts.SAMPLES.of(control)
         rate, data_format = page[facts.BW_RATE.address], page[facts.DATA_FORMAT.address]
         code = facts.RATE.of(rate)
         self._format = format_of(data_format, code)
@@ -195,5 +204,4 @@ class Adxl345Chip(Chip):
 
     def _int_source(self, at_ns: int) -> int:
         self._convert(at_ns)
-        watermark = self._entries() >= facts.SAMPLES.of(self.page[facts.FIFO_CTL.address])
-        return bool(self._sets) << 7 | watermark << 1 | self._overrun
+        return bool(self._sets) << 7 | (self._entries() >= self._watermark) << 1 | self._overrun

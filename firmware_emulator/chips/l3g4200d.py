@@ -218,6 +218,9 @@ class L3g4200dChip(Chip):
         """STATUS_REG: new data per axis and altogether, and the same for overwritten data (L3G-52)."""
         if self._fifo.active:
             return (0x0F if self._fifo.waiting else 0) | (0xF0 if self._fifo.level == DEPTH else 0)
+        x, y, z = self._read_upto
+        if x == y == z and self._axes == ALL_AXES:  # the usual case
+            return (0xF0 if latest > x + 1 else 0) | (0x0F if latest > x else 0)
         available = overrun = 0
         for axis in range(3):
             index = latest if self._axes >> axis & 1 else self._stopped[axis]
