@@ -88,6 +88,9 @@ class Fading:
         ranges (NaN: unknown).
         """
         count = len(frames.time)
+        if self._is_calm(frames, expected):
+            self._last_ns = frames.time[-1:] if count else self._last_ns
+            return np.ones(frames.values.shape)
         level = np.abs(frames.values).reshape(count, -1, 3).max(axis=2) / self._span
         beyond = (np.abs(expected).reshape(count, -1, 3) > self._span[:, None]).any(axis=2)
         at_end = np.asarray((level >= TAPER[1]) | beyond)
@@ -96,6 +99,16 @@ class Fading:
         inside = np.minimum(_smooth((TAPER[1] - level) / (TAPER[1] - TAPER[0])), self._settled(frames, at_end))
         share = np.where(self.fades, np.where(at_end, 0.0, inside), 1.0)
         return np.asarray(share.repeat(3, axis=1))
+
+    def _is_calm(self, frames: Frames, expected: Floats) -> bool:
+        """Return whether no low range is, or was, near its end: all factors are one then."""
+        fades = self.fades
+        if self._was_at_end[fades].any() or (self._out_ns[fades] != _NEVER).any():
+            return False
+        if frames.clipped is not None and frames.clipped.any():
+            return False
+        ends = np.where(fades, self._span, np.inf).repeat(3)
+        return not ((np.abs(frames.values) > TAPER[0] * ends).any() or (np.abs(expected) > ends).any())
 
     def _settled(self, frames: Frames, at_end: Booleans) -> Floats:
         """Return the factor (n, s): 0 while a sensor settles, then rising to 1."""

@@ -188,10 +188,21 @@ def _sums(
     jitter = 2 * (noise / passed_s[:, None]) ** 2
     rising = (late**2 * item).sum(axis=1) > _ENOUGH * count * jitter
     late = np.where(rising[:, None], late, 0.0)
-    columns = (np.broadcast_to(item, along.shape), along * item, late * item)
-    plain = (np.ones_like(along), along, late, residual)
-    sums = np.array([[(remaining * right).sum(axis=1) for right in plain] for remaining in columns])
-    return moving, np.moveaxis(sums[:, :3], (0, 1), (2, 3)), np.moveaxis(sums[:, 3], 0, 2)
+    terms = (np.broadcast_to(item, along.shape), along * item, late * item if rising.any() else None)
+    products, with_residual = np.zeros((*moving.shape, 3, 3)), np.zeros((*moving.shape, 3))
+    for row, term in enumerate(terms):
+        if term is None:
+            continue
+        with_residual[..., row] = _inner(term, residual)
+        for column, other in enumerate((None, along, late)[: row + 1]):
+            sums = term.sum(axis=1) if other is None else _inner(term, other)
+            products[..., row, column] = products[..., column, row] = sums
+    return moving, products, with_residual
+
+
+def _inner(first: Floats, second: Floats) -> Floats:
+    """Return the sums (k, m) of the products of two arrays (k, n, m)."""
+    return np.asarray(np.einsum("knm,knm->km", first, second))
 
 
 MEMORY_S = 20.0
