@@ -1,4 +1,6 @@
-"""Words from somewhere else, a file or a chip, as they can be shown to a person."""
+"""Text for people: counts, shares, durations and lists of names, and text from files and chips without control
+characters.
+"""
 
 from __future__ import annotations
 
@@ -11,24 +13,33 @@ _RUN = 3
 
 
 def counted(count: int, noun: str) -> str:
-    """`1 frame`, `2 frames`."""
+    """Return a number with its noun: `1 frame`, `2 frames`."""
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def percent(share: float, decimals: int = 0) -> str:
-    """`share` (1 is the whole) as `12 %`, with a space before the sign as the SI Brochure (section 5.4.7) has it."""
+    """Return a share of 1 as `12 %`, with a space before the sign as in section 5.4.7 of the SI Brochure."""
     return f"{100 * share:.{decimals}f} %"
 
 
+def duration(seconds: float, decimals: int = 0) -> str:
+    """Return `75 s`, `12 min`, `3.5 h` or `12 d`; `decimals` are those of seconds and minutes."""
+    if seconds < 120:
+        return f"{seconds:.{decimals}f} s"
+    if seconds < 7200:
+        return f"{seconds / 60:.{decimals}f} min"
+    return f"{seconds / 3600:.1f} h" if seconds < 48 * 3600 else f"{seconds / 86400:.0f} d"
+
+
 def printable(text: str) -> str:
-    """`text` with characters that control a terminal escaped: control characters and direction marks."""
+    """Return `text` with control characters and direction marks escaped, so that it cannot control a terminal."""
     if text.isprintable():
         return text
     return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names with commas; three or more that differ by consecutive numbers alone as `Gyro1 to Gyro4`."""
+    """Return names with commas; three or more that differ only by consecutive numbers as `Gyro1 to Gyro4`."""
     texts: list[str] = []
     run: list[str] = []
     for name in [*names, ""]:

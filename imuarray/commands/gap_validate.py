@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import date
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -164,14 +163,14 @@ def _scored(folder: Path, planned: list[Any]) -> Figures:
 
 def _write(folder: Path, figures: Figures, command: str) -> None:
     from imuarray.errors import MissingExtraError
+    from imuarray.report.page import can_draw
     from imuarray.report.validation_figures import plots_of
-    from imuarray.report.validation_page import write_validation_page
-    from imuarray.report.validation_words import markdown
+    from imuarray.report.validation_page import markdown, write_validation_page
     from imuarray.validation.case import write_json
     from imuarray.validation.scoring import as_json
 
     write_json(folder / "figures.json", as_json(figures))
-    plots = plots_of(figures) if find_spec("matplotlib") else {}
+    plots = plots_of(figures) if can_draw() else {}
     for name, plot in plots.items():
         save_figure(folder / f"{name}.svg", plot, metadata={"Date": None})
     files = {name.replace("-", " "): f"{name}.svg" for name in plots}

@@ -28,12 +28,12 @@ def command(files: tuple[Path, ...], output: Path, title: str, workers: int, for
     \b
     imuarray report heating.h5 cal.toml fused.h5 gap/ -o report.html
     """
-    from imuarray.report.files import file_kind, members, write_report
+    from imuarray.report.files import file_kind, reportable_files, write_report
 
     if output.suffix.lower() not in (".html", ".htm"):
         name = output.with_suffix(".html").name if output.suffix else f"{output.name}.html"
         raise click.UsageError(f"{output}: a report is an HTML page; name it {name}")
-    for path in (member for file in files for member in members(file)):
+    for path in (member for file in files for member in reportable_files(file)):
         refuse_existing(output, force, source=path if path.is_file() else None)
         file_kind(path)
     with progress(_STEPS, "report") as done:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 from imuarray.log.format import Event
-from imuarray.printable import counted, listed, percent, printable
+from imuarray.printable import counted, duration, listed, percent, printable
 
 Level = Literal["green", "amber", "red"]
 
@@ -102,11 +102,11 @@ def _urgent(seen: Observations) -> Iterator[_Reason]:
         yield _Reason(seen.stopped, "check whether the logger is running")
     if seen.silent:
         longest = max(seen.silent.values())
-        yield _Reason(f"{_names(seen.silent)} silent for {_duration(longest)}", "check cable, power and address")
+        yield _Reason(f"{_names(seen.silent)} silent for {duration(longest)}", "check cable, power and address")
     if _share(seen) >= MANY_MISSED:
         yield _missed(seen, f"{percent(_share(seen))} of the frames missed")
     if seen.room_s is not None and seen.room_s < NO_ROOM_S:
-        yield _Reason(f"the disk is full in {_duration(seen.room_s)}", _ROOM)
+        yield _Reason(f"the disk is full in {duration(seen.room_s)}", _ROOM)
 
 
 def _minor(seen: Observations) -> Iterator[_Reason]:
@@ -130,7 +130,7 @@ def _minor(seen: Observations) -> Iterator[_Reason]:
         of = dict.fromkeys(sensor for sensor, _ in faults if sensor)
         yield _Reason(f"{total}{f' of {_names(of)}' if of else ''} reported ({_names(kinds)})", _EVENTS)
     if seen.room_s is not None and NO_ROOM_S <= seen.room_s < SHORT_ROOM_S:
-        yield _Reason(f"the disk is full in {_duration(seen.room_s)}", _ROOM)
+        yield _Reason(f"the disk is full in {duration(seen.room_s)}", _ROOM)
 
 
 def _missed(seen: Observations, text: str) -> _Reason:
@@ -161,7 +161,3 @@ def _names(names: Mapping[str, object]) -> str:
         more = f" and {len(spelled) - _NAMED} more" if len(spelled) > _NAMED else ""
         return ", ".join(spelled[:_NAMED]) + more
     return short
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from imuarray.log.health import Health
 from imuarray.monitor.snapshot import SensorView, Snapshot
-from imuarray.printable import counted, percent, printable
+from imuarray.printable import counted, duration, percent, printable
 from imuarray.units import READABLE_SI
 
 COLUMNS = 80
@@ -70,15 +70,6 @@ def _figures(snapshot: Snapshot, columns: int) -> list[str]:
         f"  {room}",
         *_wrapped(total + (f": {kinds}" if kinds else ""), columns),
     ]
-
-
-def duration(seconds: float) -> str:
-    """`75 s`, `12 min`, `3.5 h`, `12 d`."""
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    if seconds < 7200:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h" if seconds < 48 * 3600 else f"{seconds / 86400:.0f} d"
 
 
 def _sensors(views: Sequence[SensorView], columns: int) -> list[str]:

@@ -1,32 +1,31 @@
-"""One page from any mix of files: each kind is recognised by its content and contributes its own sections.
+"""One page from any mix of files: the kind of each is recognised by its content and has sections of its own.
 
-To add a kind: a function that recognises it, one that describes it, and a line in `KINDS`.
+To add a kind, write a function that recognises it and one that returns its sections, and add a line to `KINDS`.
 """
 
 from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass
 from functools import partial
-from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 from imuarray.calibrate import Calibration, load_calibration
 from imuarray.errors import LogError
 from imuarray.fuse import read_fused_head
 from imuarray.fuse.fused_file import is_fused
 from imuarray.log import Log, open_log
-from imuarray.report.calibration_sheet import calibration_sections, calibration_summary, residual_section
-from imuarray.report.fused_sheet import fused_sections, fused_summary, techniques_section
-from imuarray.report.log_sheet import log_sections, log_summary
-from imuarray.report.page import Section, Verdict, write_page
+from imuarray.report.calibration_page import calibration_sections, calibration_summary, residual_section
+from imuarray.report.fused_page import fused_sections, fused_summary, techniques_section
+from imuarray.report.log_page import log_sections, log_summary
+from imuarray.report.page import NO_FIGURES, Section, Verdict, can_draw, write_page
 from imuarray.report.verdicts import calibration_verdict, joined, recording_verdict
 from imuarray.spelling import guess_file
 
@@ -34,55 +33,60 @@ _MOST_BYTES = 1 << 26
 """Maximum size of a text file."""
 
 _LONG_ROWS = 50_000
-"""Rows of a sensor from which on another process is worth its start, of about a second."""
+"""Rows of a sensor from which a second process saves more than the second that its start takes."""
 
 _NOISE = 0.2
-"""Share of the time that the noise of a log takes beside the techniques."""
-
-NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
+"""Share of the time of a log's sections that its noise takes; the techniques take the rest."""
 
 
 @dataclass(frozen=True)
 class PageContext:
-    """The links between the files of a page: the calibrations, merged in their order, and whether to draw."""
+    """What the sections of all files of a page share: the calibrations, merged in their order, whether there are
+    figures, the callback for the share of the file that is done, and the number of processes, on which the result
+    does not depend.
+    """
 
     calibration: Calibration
-    drawn: bool
+    with_figures: bool
     progress: Callable[[float], None] = lambda share: None
-    """Told what share of a file is done."""
     workers: int = 1
-    """Number of processes that may work on a file; the page does not depend on it."""
 
 
-Sayings = tuple[list[Verdict], list[str], list[Section]]
-"""Verdicts, lines of the summary, and sections."""
+class PagePart(NamedTuple):
+    """What one file contributes to a page: verdicts, lines of the summary, and sections."""
+
+    verdicts: Sequence[Verdict]
+    summary: Sequence[str]
+    sections: Sequence[Section]
 
 
-def _log(path: Path, together: PageContext) -> Sayings:
+def _log(path: Path, context: PageContext) -> PagePart:
     with ExitStack() as stack:
         log: Log = stack.enter_context(open_log(path))
         log.keep_rows()
-        known = together.calibration
-        fitting = [sensor for sensor in log.sensors.values() if sensor.name in known.sensors and sensor.is_triad]
-        scales = {sensor.name: known.of(sensor).scale_lsb_per_unit.tolist() for sensor in fitting}
+        known = context.calibration
+        calibrated = [sensor for sensor in log.sensors.values() if sensor.name in known.sensors and sensor.is_triad]
+        scales = {sensor.name: known.of(sensor).scale_lsb_per_unit.tolist() for sensor in calibrated}
         noise, techniques = (
-            (lambda share: together.progress(_NOISE * share)),
-            (lambda share: together.progress(_NOISE + (1 - _NOISE) * share)),
+            (lambda share: context.progress(_NOISE * share)),
+            (lambda share: context.progress(_NOISE + (1 - _NOISE) * share)),
         )
-        sections = list(log_sections(log, scales, drawn=together.drawn, progress=noise, calibration=known))
-        if fitting and (residuals := residual_section(log, known, drawn=together.drawn)):
+        sections = list(log_sections(log, scales, with_figures=context.with_figures, progress=noise, calibration=known))
+        if calibrated and (residuals := residual_section(log, known, with_figures=context.with_figures)):
             sections.append(residuals)
         verdicts = [recording_verdict(log)]
-        with _beside(log, together.workers) as executor:
-            gained = techniques_section(log, known, drawn=together.drawn, progress=techniques, executor=executor)
-        if gained:
-            sections.append(gained.section)
-            verdicts += [gained.verdict] if gained.verdict else []
-        return verdicts, list(log_summary(log)), sections
+        with _second_process(log, context.workers) as executor:
+            gains = techniques_section(
+                log, known, with_figures=context.with_figures, progress=techniques, executor=executor
+            )
+        if gains:
+            sections.append(gains.section)
+            verdicts += [gains.verdict] if gains.verdict else []
+        return PagePart(verdicts, list(log_summary(log)), sections)
 
 
-def _beside(log: Log, workers: int) -> AbstractContextManager[Executor | None]:
-    """Return a process to work beside this one on a long log; None where it takes longer to start than it saves."""
+def _second_process(log: Log, workers: int) -> AbstractContextManager[Executor | None]:
+    """Return an executor with one process for a long log; None where its start takes longer than it saves."""
     if workers == 1 or max((len(sensor) for sensor in log.sensors.values()), default=0) < _LONG_ROWS:
         return nullcontext()
     from imuarray.gap.model.workers import processes
@@ -90,48 +94,77 @@ def _beside(log: Log, workers: int) -> AbstractContextManager[Executor | None]:
     return processes(1)
 
 
-def _calibration(path: Path, together: PageContext) -> Sayings:
+def _calibration(path: Path, context: PageContext) -> PagePart:
     calibration = load_calibration(path)
     verdict = calibration_verdict(path, calibration)
-    return [verdict], list(calibration_summary(path, calibration)), list(calibration_sections(path, calibration))
+    return PagePart([verdict], list(calibration_summary(path, calibration)), [*calibration_sections(path, calibration)])
 
 
-def _fused(path: Path, together: PageContext) -> Sayings:
+def _fused(path: Path, context: PageContext) -> PagePart:
     head = read_fused_head(path)
-    verdict, section = fused_sections(path, head, drawn=together.drawn)
-    return [verdict], list(fused_summary(path, head)), [section]
+    verdict, section = fused_sections(path, head, with_figures=context.with_figures)
+    return PagePart([verdict], list(fused_summary(path, head)), [section])
 
 
-def _gap(path: Path, together: PageContext) -> Sayings:
+def _gap(path: Path, context: PageContext) -> PagePart:
     from imuarray.gap.findings.files import diagnosis_of
     from imuarray.report.gap_page import gap_sections, gap_summary, gap_verdict
 
     diagnosis = diagnosis_of(_json(path), str(path))
-    return [gap_verdict(diagnosis)], list(gap_summary(diagnosis)), list(gap_sections(diagnosis, drawn=together.drawn))
+    sections = gap_sections(diagnosis, with_figures=context.with_figures)
+    return PagePart([gap_verdict(diagnosis)], list(gap_summary(diagnosis)), sections)
 
 
-def _validation(path: Path, together: PageContext) -> Sayings:
+def _validation(path: Path, context: PageContext) -> PagePart:
     from imuarray.report.validation_figures import plots_of
-    from imuarray.report.validation_page import validation_sections, validation_verdict
-    from imuarray.report.validation_words import summary_lines
+    from imuarray.report.validation_page import summary_lines, validation_sections, validation_verdict
     from imuarray.validation.bench import CHIPS, HIDDEN
     from imuarray.validation.scoring import score_folder
 
     figures = score_folder(path, hidden=HIDDEN, sensors=CHIPS)
-    plots = plots_of(figures) if together.drawn else {}
-    return [validation_verdict(figures)], list(summary_lines(figures)), list(validation_sections(figures, plots))
+    plots = plots_of(figures) if context.with_figures else {}
+    return PagePart([validation_verdict(figures)], list(summary_lines(figures)), validation_sections(figures, plots))
 
 
-KINDS: Mapping[str, Callable[[Path, PageContext], Sayings]] = MappingProxyType(
+def _is_log(path: Path) -> bool:
+    return path.is_file() and path.suffix in (".h5", ".hdf5")
+
+
+def _is_calibration(path: Path) -> bool:
+    return path.suffix == ".toml" and "calibration" in _toml(path)
+
+
+def _is_fused(path: Path) -> bool:
+    return path.is_file() and is_fused(path)
+
+
+def _is_diagnosis(path: Path) -> bool:
+    return isinstance(table := _json(path), Mapping) and {"verdict", "causes"} <= set(table)
+
+
+def _is_validation(path: Path) -> bool:
+    return (path / "plan.json").is_file()
+
+
+class FileKind(NamedTuple):
+    """A kind of file: how it is recognised, and what it contributes to a page."""
+
+    recognises: Callable[[Path], bool]
+    part: Callable[[Path, PageContext], PagePart]
+
+
+KINDS: Mapping[str, FileKind] = MappingProxyType(
     {
-        "log": _log,
-        "calibration": _calibration,
-        "fused result": _fused,
-        "gap diagnosis": _gap,
-        "validation run": _validation,
+        "log": FileKind(_is_log, _log),
+        "calibration": FileKind(_is_calibration, _calibration),
+        "fused result": FileKind(_is_fused, _fused),
+        "gap diagnosis": FileKind(_is_diagnosis, _gap),
+        "validation run": FileKind(_is_validation, _validation),
     }
 )
-"""The kinds of files that a page can show, in the order in which they are recognised."""
+"""The kinds of files that a page can show, in the order of a page. The last ones are tried first, because a fused
+result has the suffix of a log.
+"""
 
 _ALLOWED = (
     "allowed are logs and fused results (.h5), calibrations (.toml), gap.json or the folder of `gap diagnose -o`, and"
@@ -148,81 +181,69 @@ def write_report(
     progress: Callable[[float], None] = lambda share: None,
     workers: int = 1,
 ) -> dict[str, str]:
-    """Write the page of these files; the kind of each. `progress` is told what share is done; with more than one of
-    `workers` a second process does a part of what a long log needs, which changes nothing on the page. LogError for a
-    file of no kind, OutputExistsError.
+    """Write the page of these files, and return the kind of each. `progress` is called with the share that is done.
+    With more than one of `workers`, a second process does a part of the work on a long log; the page is the same.
+    LogError for a file of no kind, OutputExistsError.
     """
-    kinds = {path: file_kind(path) for path in dict.fromkeys(member for path in paths for member in members(path))}
+    kinds = {path: file_kind(path) for path in dict.fromkeys(file for path in paths for file in reportable_files(path))}
     known = Calibration()
     for path, kind in kinds.items():
         if kind == "calibration":
             known = known.merged(load_calibration(path))
-    drawn = find_spec("matplotlib") is not None
+    with_figures = can_draw()
     verdicts: list[Verdict] = []
     summary: list[str] = []
     sections: list[Section] = []
     for done, path in enumerate(sorted(kinds, key=lambda path: list(KINDS).index(kinds[path]))):
-        own_progress = partial(_moved, progress, done, len(kinds))
-        judged, lines, own = KINDS[kinds[path]](_file_of(path), PageContext(known, drawn, own_progress, workers))
-        verdicts += judged
-        summary += lines
-        sections += own
-        own_progress(1.0)
+        context = PageContext(known, with_figures, partial(_report, progress, done, len(kinds)), workers)
+        part = KINDS[kinds[path]].part(_file_of(path), context)
+        verdicts += part.verdicts
+        summary += part.summary
+        sections += part.sections
+        context.progress(1.0)
     if len(verdicts) > 1:
         summary[:0] = [f"{verdict.sign} {verdict.sentence}" for verdict in verdicts]
-    if not drawn:
+    if not with_figures:
         summary.append(NO_FIGURES)
     heading = title or ", ".join(path.name for path in kinds)
     write_page(output, heading, summary, sections, verdict=joined(verdicts), force=force)
     return {str(path): kind for path, kind in kinds.items()}
 
 
-def _moved(progress: Callable[[float], None], files: int, of: int, share: float) -> None:
+def _report(progress: Callable[[float], None], files: int, of: int, share: float) -> None:
     """Report progress: `files` of `of` are done, and a `share` of the next."""
     progress((files + share) / of)
 
 
-def members(path: Path) -> list[Path]:
-    """Return what a folder holds that a page can tell of: everything of one of `KINDS` in it; any other path itself.
-    LogError for a folder that holds nothing of that.
-    """
-    if not path.is_dir() or any(recognised(path) for _, recognised in _RECOGNISED):
+def reportable_files(path: Path) -> list[Path]:
+    """Return the files of a folder that a page can show; any other path itself. LogError for a folder without any."""
+    if not path.is_dir() or _kind_of(path):
         return [path]
-    contents = [member for member in sorted(path.iterdir()) if any(recognised(member) for _, recognised in _RECOGNISED)]
-    if not contents:
+    files = [member for member in sorted(path.iterdir()) if _kind_of(member)]
+    if not files:
         raise LogError(f"{path}: contains no file that a report can show; {_ALLOWED}")
-    return contents
+    return files
 
 
 def file_kind(path: Path) -> str:
     """Return which of `KINDS` a file or folder is; LogError if it is none."""
-    for kind, recognised in _RECOGNISED:
-        if recognised(path):
-            return kind
+    if kind := _kind_of(path):
+        return kind
     missing = f"no such file or folder{guess_file(path)}" if not path.exists() else "not a file that a report can show"
     raise LogError(f"{path}: {missing}; {_ALLOWED}")
 
 
-def _recognise() -> Iterator[tuple[str, Callable[[Path], bool]]]:
-    yield "validation run", lambda path: (path / "plan.json").is_file()
-    yield (
-        "gap diagnosis",
-        lambda path: isinstance(table := _json(path), Mapping) and {"verdict", "causes"} <= set(table),
-    )
-    yield "calibration", lambda path: path.suffix == ".toml" and "calibration" in _toml(path)
-    yield "fused result", lambda path: path.is_file() and is_fused(path)
-    yield "log", lambda path: path.is_file() and path.suffix in (".h5", ".hdf5")
-
-
-_RECOGNISED = tuple(_recognise())
+def _kind_of(path: Path) -> str:
+    return next((kind for kind, (recognises, _) in reversed(list(KINDS.items())) if recognises(path)), "")
 
 
 def _file_of(path: Path) -> Path:
+    """Return `gap.json` for the folder of a diagnosis, any other path itself."""
     return path / "gap.json" if (path / "gap.json").is_file() else path
 
 
 def _json(path: Path) -> Any:
-    """Return the content of a JSON file; None if it is none. A folder stands for the `gap.json` in it."""
+    """Return the content of a JSON file, or of the `gap.json` of a folder; None if it is no JSON."""
     place = _file_of(path)
     if place.suffix != ".json" or not place.is_file() or place.stat().st_size > _MOST_BYTES:
         return None

@@ -1,67 +1,70 @@
-"""The page of a gap diagnosis: what a person would say, where the gap is, its causes, how far it shrinks, and what is
-still open.
+"""The page of a gap diagnosis: its summary in sentences, where the gap is, its causes, how far they close it, and what
+remains unexplained.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from importlib.util import find_spec
 from os import PathLike
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.findings.diagnosis import Diagnosis, Gap, Map, Overlay, Where, needs_both_parts
 from imuarray.gap.findings.text import chance, gap_text, number, scored, share
 from imuarray.gap.model.use import Use
 from imuarray.printable import counted
 from imuarray.report import gap_tables as tables
-from imuarray.report.gap_figures import can_compare, farthest, outside, overlay_figure, shrink_figure, use_figure
-from imuarray.report.gap_map import map_figure
-from imuarray.report.gap_sheet import SmallFigure
+from imuarray.report.figure_style import SmallFigure
+from imuarray.report.gap_figures import (
+    can_compare,
+    farthest,
+    map_figure,
+    outside,
+    overlay_figure,
+    shrink_figure,
+    use_figure,
+)
 from imuarray.report.gap_tables import MEANINGS, overlays_table
-from imuarray.report.page import Figure, Level, Section, Table, Verdict, write_page
-
-NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
+from imuarray.report.page import NO_FIGURES, Figure, Level, Section, Table, Verdict, can_draw, write_page
 
 _VERDICTS = MappingProxyType(
     {
         "no gap": "No gap: the recordings look like simulations of the model.",
-        "explained": "Explained: the causes below account for the differences.",
-        "partly explained": "Partly explained: the causes below account for some of the differences, or none is sure.",
+        "explained": "Explained: the causes below explain the differences.",
+        "partly explained": "Partly explained: the causes below explain some of the differences, or none is certain.",
         "unexplained": "Unexplained: no combination of known effects makes the recordings likely.",
     }
 )
-Floats = npt.NDArray[np.float64]
 Parts = list[Table | Figure]
 
 
 def write_gap_page(path: str | PathLike[str], diagnosis: Diagnosis, *, force: bool = False) -> None:
-    """Write the page; without matplotlib it says so and has tables alone.
+    """Write the page; without matplotlib it has only tables, and says so.
 
-    OutputExistsError if it is there and not `force`, MissingExtraError without jinja2.
+    OutputExistsError if the file exists and not `force`, MissingExtraError without jinja2.
     """
-    drawn = find_spec("matplotlib") is not None
+    with_figures = can_draw()
     summary = list(gap_summary(diagnosis))
-    sections = gap_sections(diagnosis, drawn=drawn)
+    sections = gap_sections(diagnosis, with_figures=with_figures)
     title = f"Gap between recording and simulation: {diagnosis.verdict}"
-    lines = summary if drawn else [*summary, NO_FIGURES]
+    lines = summary if with_figures else [*summary, NO_FIGURES]
     write_page(path, title, lines, sections, verdict=gap_verdict(diagnosis), force=force)
 
 
-def gap_sections(diagnosis: Diagnosis, *, drawn: bool) -> tuple[Section, ...]:
-    """Return the sections of the page below its summary, with figures only if they can be `drawn`."""
+def gap_sections(diagnosis: Diagnosis, *, with_figures: bool) -> tuple[Section, ...]:
+    """Return the sections of the page below its summary."""
     return (
-        _map(diagnosis.map, drawn=drawn),
+        _map(diagnosis.map, with_figures=with_figures),
         _causes(diagnosis),
         _pulls(diagnosis),
-        _shrinks(diagnosis, drawn=drawn),
-        curves_section(diagnosis.overlays, drawn=drawn),
+        _shrinks(diagnosis, with_figures=with_figures),
+        curves_section(diagnosis.overlays, with_figures=with_figures),
         _where(diagnosis),
         _unexplained(diagnosis),
-        _unshown(diagnosis),
+        _unobservable(diagnosis),
         _missing(diagnosis),
         _next(diagnosis),
         _judged(diagnosis),
@@ -70,7 +73,7 @@ def gap_sections(diagnosis: Diagnosis, *, drawn: bool) -> tuple[Section, ...]:
 
 
 def gap_verdict(diagnosis: Diagnosis) -> Verdict:
-    """Is the simulator good enough, and what does it lack."""
+    """Return whether the simulator is good enough, and which effects it lacks."""
     gap = diagnosis.gap
     effects = [effect.replace("_", " ") for effect in dict.fromkeys(cause.effect for cause in diagnosis.causes)]
     if len(effects) == 1 and (meaning := MEANINGS.get(effects[0].replace(" ", "_"))):
@@ -103,11 +106,13 @@ def gap_verdict(diagnosis: Diagnosis) -> Verdict:
 
 
 _NAMED = 3
-"""Effects of the verdict that are named."""
+"""Most effects that the verdict names."""
 
 
 def _worst_use(uses: Sequence[Use]) -> Use | None:
-    """Return the figure of use that the simulator misjudges most; None if none can be compared."""
+    """Return the figure of use whose simulated value differs most from the recorded one; None if none can be
+    compared.
+    """
     return max(
         (use for use in uses if can_compare(use)),
         key=lambda use: abs(np.log(use.before.value / use.real.value)),
@@ -120,30 +125,30 @@ def _use_words(use: Use) -> str:
 
 
 def gap_summary(diagnosis: Diagnosis) -> Iterator[str]:
-    """Return the diagnosis as a person would say it, a line each."""
+    """Yield the diagnosis in sentences."""
     yield diagnosis.sentence
     yield f"{_VERDICTS[diagnosis.verdict]} Chance alone gives a difference as large as this with {chance(diagnosis.p)}."
     gap = gap_text(diagnosis.gap)
-    yield f"The gap, on held-out data: {gap}." if diagnosis.gap.closed is not None else f"Over all: {gap}."
+    yield f"The gap, on held-out data: {gap}." if diagnosis.gap.closed is not None else f"Overall: {gap}."
     if diagnosis.unknown > 0:
         yield f"Something outside the library of effects is present with a probability of {share(diagnosis.unknown)}."
 
 
-def _map(shown: Map, *, drawn: bool) -> Section:
-    said = [not np.isnan([before, after]).all() for before, after in zip(shown.before.T, shown.after.T, strict=True)]
-    kept = [domain for domain, flag in zip(shown.domains, said, strict=True) if flag]
-    silent = [domain for domain in shown.domains if domain not in kept]
-    if not kept:
+def _map(shown: Map, *, with_figures: bool) -> Section:
+    has_scores = [not np.isnan(pair).all() for pair in zip(shown.before.T, shown.after.T, strict=True)]
+    domains = [domain for domain, flag in zip(shown.domains, has_scores, strict=True) if flag]
+    empty = [domain for domain in shown.domains if domain not in domains]
+    if not domains:
         return Section("Where the gap is", "No statistic is available for any sensor in any domain.")
-    small = replace(shown, domains=tuple(kept), before=shown.before[:, said], after=shown.after[:, said])
+    small = replace(shown, domains=tuple(domains), before=shown.before[:, has_scores], after=shown.after[:, has_scores])
     words = (
-        "The largest score of each sensor in each domain, in standard deviations of chance. Chance alone reaches "
-        f"{number(shown.limit, 2)} in some cell in one of twenty diagnoses; amber cells with bold numbers are beyond "
-        "this limit, hatched cells have no statistic."
+        "The largest score of each sensor in each domain, in standard deviations of chance. By chance alone, the "
+        f"largest cell of the map exceeds {number(shown.limit, 2)} in one of twenty diagnoses. Amber cells with bold "
+        "numbers are above this limit; hatched cells have no statistic."
     )
-    if silent:
-        words += f" No statistic of: {', '.join(silent)}.".replace("_", " ")
-    return Section("Where the gap is", words, [*(_maps(small) if drawn else []), tables.map_table(small)])
+    if empty:
+        words += f" Domains without statistics: {', '.join(empty)}.".replace("_", " ")
+    return Section("Where the gap is", words, [*(_maps(small) if with_figures else []), tables.map_table(small)])
 
 
 def _maps(shown: Map) -> Iterator[Figure]:
@@ -151,15 +156,15 @@ def _maps(shown: Map) -> Iterator[Figure]:
     pairs = ((shown.before, "before"), (shown.after, "after"))
     for scores, when in pairs[:1] if is_alike else pairs:
         beyond = int(np.count_nonzero(np.nan_to_num(scores) > shown.limit))
-        said = int(np.count_nonzero(~np.isnan(scores)))
+        cells = int(np.count_nonzero(~np.isnan(scores)))
         start = "No cause was added" if is_alike else f"{when.capitalize()} the causes were added"
-        caption = f"{start}: {beyond} of {said} cells beyond the limit."
+        caption = f"{start}: {beyond} of {cells} cells are above the limit."
         drawing = map_figure(scores, shown, "" if is_alike else when)
         yield SmallFigure(drawing, caption, f"{caption} {_largest(scores, shown)}")
 
 
 def _largest(scores: Floats, shown: Map) -> str:
-    """Return the five largest cells in words."""
+    """Return the text of the five largest cells."""
     cells = [
         (score, f"{sensor} {domain} {scored(score)}")
         for sensor, row in zip(shown.sensors, scores.tolist(), strict=True)
@@ -173,9 +178,9 @@ def _causes(diagnosis: Diagnosis) -> Section:
     if not diagnosis.causes:
         return Section("Causes", "No cause was found.")
     words = (
-        "Effects that make the simulation look like the recordings. Several can be present at once, so each has a "
-        "probability of its own. Closes: the share of these sensors' gap that disappears if only this effect is "
-        "added, with its 95 % interval, on held-out data (or on all data, if neither part shows the effect alone). "
+        "Effects that make the simulation resemble the recordings. Several can be present at once, so each has a "
+        "probability of its own. Closes: the share of the gap of these sensors that disappears if only this effect is "
+        "added, with its 95 % interval, on held-out data (or on all data, if neither part alone shows the effect). "
         "Origin: the sensor, its environment, or the description in the log."
     )
     each = tables.each_table(diagnosis.causes)
@@ -188,7 +193,8 @@ def _pulls(diagnosis: Diagnosis) -> Section:
         return Section(title, "No quantity was compared with a tolerance of a data sheet.")
     outside = sum(pull.is_out_of_specification for pull in pulls)
     words = (
-        "Quantities that a data sheet leaves to the part, fitted to the recordings. None of them is a cause by itself. "
+        "Quantities that differ from part to part within a data sheet's tolerance, fitted to the recordings. None of "
+        "them is a cause by itself. "
         f"{outside} of {len(pulls)} are out of specification."
     )
     if len(pulls) > tables.MOST_ROWS:
@@ -196,38 +202,38 @@ def _pulls(diagnosis: Diagnosis) -> Section:
     return Section(title, words, [tables.pulls_table(pulls)])
 
 
-def _shrinks(diagnosis: Diagnosis, *, drawn: bool) -> Section:
+def _shrinks(diagnosis: Diagnosis, *, with_figures: bool) -> Section:
     gap, uses = diagnosis.gap, diagnosis.uses
     words = "There is no gap to close."
     if gap.closed is not None:
         data = (
-            "data that showed it"
+            "the data that showed the gap"
             if needs_both_parts(diagnosis.causes)
             else "held-out data, to which nothing was fitted"
         )
         words = (
-            f"Scores of the statistics that differ, on {data}. Closed is the share of the squared excess over the "
+            f"Scores of the statistics that differ, on {data}. Closed: the share of the squared excess over the "
             "floor that disappears, with its 95 % interval."
         )
     if uses:
         words += " The figures in physical units show what the difference means in practice."
-    figures = [*_shrink_figures(gap), *_use_figures(uses)] if drawn else []
+    figures = [*_shrink_figures(gap), *_use_figures(uses)] if with_figures else []
     more = [tables.uses_table(uses)] if uses else []
-    return Section("How far it shrinks", words, [*figures, tables.shrink_table(gap), *more])
+    return Section("How much of the gap closes", words, [*figures, tables.shrink_table(gap), *more])
 
 
 def _shrink_figures(gap: Gap) -> Iterator[Figure]:
     if gap.closed is None or not np.isfinite([gap.before, gap.after, gap.floor]).all():
         return
-    caption = "Scores before and after the causes were added; a bar that reaches the dashed floor is closed."
-    yield SmallFigure(shrink_figure(gap), caption, f"Bars by domain. Over all: {gap_text(gap)}.")
+    caption = "Scores before and after the causes were added. At the dashed floor there is no gap."
+    yield SmallFigure(shrink_figure(gap), caption, f"Bars by domain. Overall: {gap_text(gap)}.")
 
 
 def _use_figures(uses: Sequence[Use]) -> Iterator[Figure]:
     comparable = [use for use in uses if can_compare(use)]
     if not comparable:
         return
-    caption = "Simulated figures over real ones with 95 % intervals; grey is the recording's own."
+    caption = "Simulated figures divided by recorded ones, with 95 % intervals; grey: the interval of the recording."
     named = [
         f"{use.sensor or 'array'} {use.name}: {_ratios(use.real.value, use.before.value, use.after.value)}"
         for use in comparable
@@ -242,12 +248,12 @@ def _ratios(real: float, before: float, after: float) -> str:
 def _where(diagnosis: Diagnosis) -> Section:
     where = diagnosis.where
     if not where:
-        return Section("Where it differs", "No statistic differs by more than chance.")
+        return Section("Where it differs", "No statistic differs significantly.")
     counts = [f"{sum(place.size == size for place in where)} {size}" for size in ("material", "harmless", "can't tell")]
     words = (
-        f"{len(where)} statistics differ by more than chance: {', '.join(counts)}. The score is in standard "
+        f"{len(where)} statistics differ significantly: {', '.join(counts)}. The score is in standard "
         "deviations of chance. The size is the difference divided by the smallest one that matters to a user of the "
-        "sensor: material from 1 on, harmless below 1, can't tell if the data are too few."
+        "sensor: material from 1, harmless below 1, can't tell if there is too little data."
     )
     return Section("Where it differs", words, [tables.where_table(where, _counted(where))])
 
@@ -271,13 +277,13 @@ def _unexplained(diagnosis: Diagnosis) -> Section:
     )
     if diagnosis.verdict == "no gap":
         words = "Nothing."
-    words += f" Something outside the library is present with a probability of {share(diagnosis.unknown)}."
+    words += f" Something outside the library of effects is present with a probability of {share(diagnosis.unknown)}."
     return Section(
         "What is unexplained", words, [tables.where_table(unexplained, _counted(unexplained))] if unexplained else []
     )
 
 
-def _unshown(diagnosis: Diagnosis) -> Section:
+def _unobservable(diagnosis: Diagnosis) -> Section:
     title = "What the recordings cannot show"
     if not diagnosis.unshown:
         return Section(title, "These recordings can show all effects of the library.")
@@ -302,12 +308,12 @@ def _next(diagnosis: Diagnosis) -> Section:
 def _judged(diagnosis: Diagnosis) -> Section:
     title, judged = "Candidates that were examined", diagnosis.judged
     if not judged:
-        return Section(title, "None: without a gap none are tried.")
+        return Section(title, "None: candidates are tried only if there is a gap.")
     placebos = sum(candidate.effect == "" for candidate in judged)
     accepted = [candidate for candidate in judged if candidate.is_accepted]
     words = (
         f"{counted(len(judged), 'candidate')}, {len(accepted)} accepted. Among them {counted(placebos, 'placebo')}, "
-        "an effect that changes nothing and shows what a candidate gains by chance; "
+        "an effect that changes nothing, whose gain is chance alone; "
         f"{sum(candidate.effect == '' for candidate in accepted)} placebos were accepted."
     )
     if len(judged) > tables.MOST_ROWS:
@@ -323,23 +329,26 @@ def _recorded(diagnosis: Diagnosis) -> Section:
 
 
 MOST_OVERLAYS = 12
-"""Curves that are drawn; the rest are counted."""
+"""Most curves that are drawn."""
 
 _KINDS = MappingProxyType(
     {
-        "spectrum": "Spectrum: a peak that only the recording has is a line; a bend is a filter.",
+        "spectrum": "Spectrum: a peak that only the recording has is a spectral line; a bend is a filter.",
         "allan": (
-            "Allan deviation: white noise falls with the square root; a floor is flicker noise; a rise is a drift."
+            "Allan deviation: white noise falls with the square root of the averaging time; a floor is flicker noise; "
+            "a rise is a drift."
         ),
-        "temperature": "Temperature: a slope is a thermal bias; a loop or a delayed curve is a lag.",
-        "codes": "Codes: combs and gaps are coarse or missing codes; a pile at an end is saturation.",
+        "temperature": "Temperature: a slope is a thermal bias; a loop or a delayed curve is a thermal lag.",
+        "codes": "Codes: combs and gaps are coarse or missing codes; a peak at an end is saturation.",
     }
 )
-"""What to look for, by kind of overlay, in the order in which they are drawn."""
+"""What to look for, by kind of overlay, in the order in which the curves are drawn."""
 
 
-def curves_section(overlays: Sequence[Overlay], *, drawn: bool) -> Section:
-    """Return the `MOST_OVERLAYS` that lay farthest outside before, by kind; a table where nothing can be `drawn`."""
+def curves_section(overlays: Sequence[Overlay], *, with_figures: bool) -> Section:
+    """Return the section with the `MOST_OVERLAYS` curves that lay farthest outside the band before, by kind; without
+    figures, a table of all.
+    """
     title = "Curves: real, before and after"
     if not overlays:
         return Section(title, "The diagnosis stored no curves. `gap diagnose -o DIR` draws them in DIR/report.html.")
@@ -347,12 +356,13 @@ def curves_section(overlays: Sequence[Overlay], *, drawn: bool) -> Section:
     chosen = sorted(worst[:MOST_OVERLAYS], key=lambda overlay: list(_KINDS).index(overlay.kind))
     words = " ".join(text for kind, text in _KINDS.items() if any(overlay.kind == kind for overlay in chosen))
     words = (
-        f"The black curve is the recording. The bands hold 95 % of the simulations, orange before, blue after. {words}"
+        "The black curve is the recording. The bands contain 95 % of the simulations, orange before, blue after. "
+        f"{words}"
     )
-    if not drawn:
+    if not with_figures:
         return Section(title, words, [overlays_table(overlays)])
     if len(overlays) > len(chosen):
-        words += f" The {len(chosen)} that lay farthest outside before, of {len(overlays)}."
+        words += f" Shown are the {len(chosen)} of {len(overlays)} that lay farthest outside before."
     return Section(title, words, [_overlay(overlay) for overlay in chosen])
 
 

@@ -1,4 +1,4 @@
-"""Tables of a gap's page, important numbers marked, and each effect in a few words."""
+"""Tables of the gap page, and the meaning of each effect in a few words."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ from imuarray.gap.findings.text import (
     share,
 )
 from imuarray.gap.model.use import IntervalEstimate, Use
+from imuarray.printable import duration
 from imuarray.report.gap_figures import outside
 from imuarray.report.page import Table
 
@@ -76,24 +77,24 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
 
 
 MOST_ROWS = 40
-"""Rows of the longest tables; the rest are counted."""
+"""Most rows of a table."""
 
 PLACEBO = "placebo"
 
 
 def map_table(shown: Map) -> Table:
-    """Return the values before and after, marked beyond the limit."""
+    """Return the scores before and after by sensor and domain; those above the limit after are marked."""
     rows = [
         [sensor, *(_pair(*cell, shown.limit) for cell in zip(before, after, strict=True))]
         for sensor, before, after in zip(shown.sensors, shown.before.tolist(), shown.after.tolist(), strict=True)
     ]
     heading = ["sensor", *(domain.replace("_", " ") for domain in shown.domains)]
-    caption = f"Before → after; marked if beyond the limit of {number(shown.limit, 2)} after; –: no statistic."
+    caption = f"Before → after; marked if above the limit of {number(shown.limit, 2)} after; –: no statistic."
     return Table(heading, rows, caption)
 
 
 def causes_table(causes: Sequence[Cause]) -> Table:
-    """Return a row a cause, most probable first as they come."""
+    """Return a row for each cause, in their order, the most probable first."""
     heading = ["effect", "probability", "where", "parameters", "closes", "may also be", "origin"]
     rows = [
         [
@@ -117,7 +118,7 @@ def _origin(cause: Cause) -> str:
 
 
 def each_table(causes: Sequence[Cause]) -> Table | None:
-    """Parameters sensor by sensor, where they differ; None where none do."""
+    """Return the parameters by sensor of causes for which they differ; None without such a cause."""
     rows = [
         [sensor, cause.effect, parameters_text(parameters) or NOTHING]
         for cause in causes
@@ -129,7 +130,7 @@ def each_table(causes: Sequence[Cause]) -> Table | None:
 
 
 def shrink_table(gap: Gap) -> Table:
-    """Return the gap over all and by domain: before, after and what closed."""
+    """Return the scores before and after and the share that closed, of all statistics and by domain."""
     rows = [["all", scored(gap.before), scored(gap.after), closed_text(gap.closed, gap.closed_ci95)]]
     for domain, (before, after, closed) in gap.domains.items():
         rows.append([domain.replace("_", " "), scored(before), scored(after), share(closed)])
@@ -138,8 +139,8 @@ def shrink_table(gap: Gap) -> Table:
 
 
 def uses_table(uses: Sequence[Use]) -> Table:
-    """Figures in units of use with their intervals; a simulated one is marked if its interval and the recording's are
-    apart.
+    """Return the figures in units of use with their intervals; a simulated one is marked if its interval does not
+    overlap that of the recording.
     """
     rows = [
         [
@@ -158,7 +159,7 @@ def uses_table(uses: Sequence[Use]) -> Table:
 
 
 def where_table(where: Sequence[Where], caption: str) -> Table:
-    """Return the first `MOST_ROWS` statistics, worst first as they come."""
+    """Return the first `MOST_ROWS` statistics, in their order, the worst first."""
     heading = ["sensor", "domain", "statistic", "recorded in", "real", "simulated", "score", "p", "size"]
     rows = [
         [
@@ -178,14 +179,14 @@ def where_table(where: Sequence[Where], caption: str) -> Table:
 
 
 def unshown_table(unshown: Sequence[Unobservable]) -> Table:
-    """Return the effects that can't be detected, for which sensors, and what to record."""
+    """Return the effects that the recordings cannot show, for which sensors, and what to record."""
     rows = [[hidden.effect, ", ".join(hidden.sensors) or "all", hidden.record] for hidden in unshown]
-    return Table(["what", "sensors", "record"], rows, "What these recordings can't show.", (1, 2))
+    return Table(["effect", "sensors", "record"], rows, "Effects that these recordings cannot show.", (1, 2))
 
 
 def pulls_table(pulls: Sequence[Pull]) -> Table:
-    """Return the first `MOST_ROWS` quantities by the size of their pull, those without a tolerance last; pulls beyond a
-    tolerance are marked.
+    """Return the `MOST_ROWS` quantities with the largest pulls, those without a tolerance last; pulls out of tolerance
+    are marked.
     """
     rows = [
         [
@@ -200,7 +201,9 @@ def pulls_table(pulls: Sequence[Pull]) -> Table:
         for pull in sorted(pulls, key=lambda pull: -abs(np.nan_to_num(pull.pull)))[:MOST_ROWS]
     ]
     heading = ["sensor", "quantity", "value", "tolerance", "unit", "pull", "source"]
-    caption = "Worst first; the pull is the deviation from the nominal value in tolerances, marked beyond one."
+    caption = (
+        "Worst first. The pull is the deviation from the nominal value in units of the tolerance; marked above one."
+    )
     return Table(heading, rows, caption, (1, 4, 6))
 
 
@@ -211,7 +214,7 @@ def _pull(pull: Pull) -> str:
 
 
 def missing_table(missing: Sequence[str]) -> Table:
-    """Return what is missing, a row each."""
+    """Return a row for each statistic that could not be compared, with what it lacks."""
     return Table(
         ["", "missing"],
         [[str(place), phrase] for place, phrase in enumerate(missing, 1)],
@@ -221,7 +224,7 @@ def missing_table(missing: Sequence[str]) -> Table:
 
 
 def judged_table(judged: Sequence[CandidateEvaluation]) -> Table:
-    """Candidates, accepted ones first, then by gain; placebos are marked as such."""
+    """Return the candidates, accepted ones first, then by gain; placebos are marked."""
     ranked = sorted(
         judged,
         key=lambda candidate: (not candidate.is_accepted, -(candidate.gain if candidate.gain is not None else -1e300)),
@@ -237,14 +240,12 @@ def judged_table(judged: Sequence[CandidateEvaluation]) -> Table:
         ]
         for candidate in ranked[:MOST_ROWS]
     ]
-    caption = (
-        "Fits: how well it accounts for what the training part shows. Gain: how much likelier it makes held-out data."
-    )
+    caption = "Fits: how well it explains what the training part shows. Gain: how much likelier it makes held-out data."
     return Table(["effect", "action", "sensors", "fits", "gain (nats)", "accepted"], rows, caption, (1, 2, 5))
 
 
 def overlays_table(overlays: Sequence[Overlay]) -> Table:
-    """Return how much of each curve lies outside the simulated bands."""
+    """Return the share of each curve that lies outside the bands of the simulations, before and after."""
     rows = [
         [
             f"{overlay.sensor} {overlay.axis}".rstrip(),
@@ -255,7 +256,7 @@ def overlays_table(overlays: Sequence[Overlay]) -> Table:
         ]
         for overlay in overlays
     ]
-    caption = "Share of each curve outside the simulations' 95 % band; chance alone leaves about 5 %."
+    caption = "Share of each curve outside the 95 % band of the simulations; about 5 % by chance."
     return Table(["sensor", "curve", "phase", "before", "after"], rows, caption, (1, 2))
 
 
@@ -265,18 +266,20 @@ def recorded_table(diagnosis: Diagnosis) -> Table:
         [
             recording.name,
             recording.kind,
-            _duration(recording.seconds),
+            duration(recording.seconds),
             str(recording.sensors),
             str(recording.phases),
             f"{recording.rows:,}".replace(",", " "),
         ]
         for recording in diagnosis.recorded
     ]
-    return Table(["log", "experiment", "duration", "sensors", "phases", "rows"], rows, "What was diagnosed.", (1,))
+    return Table(
+        ["log", "experiment", "duration", "sensors", "phases", "rows"], rows, "The diagnosed recordings.", (1,)
+    )
 
 
 def origin_table(diagnosis: Diagnosis) -> Table:
-    """Return the inputs of this page, so that it can be made again."""
+    """Return the inputs from which this page can be reproduced."""
     rows = [
         ["model", diagnosis.model],
         ["seed", str(diagnosis.seed)],
@@ -287,20 +290,15 @@ def origin_table(diagnosis: Diagnosis) -> Table:
 
 
 def notes_table(notes: Sequence[str]) -> Table:
-    """Return the remarks made on the way."""
+    """Return the remarks of the diagnosis."""
     return Table(
         ["", "note"], [[str(place), note] for place, note in enumerate(notes, 1)], "Remarks of the diagnosis.", (1,)
     )
 
 
 def marked(text: str) -> str:
-    """Escaped and marked; MissingExtraError without jinja2's escaping."""
+    """Return escaped text that the page highlights; MissingExtraError without jinja2's escaping."""
     return _markup("<mark>{}</mark>", text)
-
-
-def strong(text: str) -> str:
-    """Escaped and emphasised; MissingExtraError without jinja2's escaping."""
-    return _markup("<strong>{}</strong>", text)
 
 
 def _markup(pattern: str, *texts: str) -> str:
@@ -320,7 +318,7 @@ def _pair(before: float, after: float, limit: float) -> str:
 
 
 def _explained(name: str, more: str) -> str:
-    """Escaped, with words below it; MissingExtraError without jinja2's escaping."""
+    """Return an escaped name with its meaning in small type below it; MissingExtraError without jinja2's escaping."""
     return _markup('{}<br><small style="font-weight: normal">{}</small>', name, more)
 
 
@@ -341,9 +339,3 @@ def _interval(figure: IntervalEstimate) -> str:
 def _against(simulated: IntervalEstimate, real: IntervalEstimate) -> str:
     text = _interval(simulated)
     return marked(text) if simulated.low > real.high or simulated.high < real.low else text
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 120:
-        return f"{number(seconds)} s"
-    return f"{number(seconds / 60)} min" if seconds < 7200 else f"{number(seconds / 3600)} h"

@@ -1,9 +1,8 @@
-"""A report as one HTML file without external scripts, fonts or images; every name is escaped. Only a page that shows a
-recording has scripts, which zoom it, and it is complete without them.
+"""A report as one HTML file without external scripts, fonts or images; all text is escaped. A page that shows a
+recording has scripts to zoom it, and is complete without them.
 
-Drawings follow the colour scheme of the page: dark curves on white, or light ones on a dark page. Matplotlib writes
-colours into the SVG; here each becomes a CSS variable with two values, of which the reader's browser takes the one that
-fits. A print is always light.
+Drawings follow the colour scheme of the page, light or dark. Matplotlib writes colours into the SVG; here each becomes
+a CSS variable with one value for each scheme, between which the browser chooses. A print is always light.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
+from importlib.util import find_spec
 from os import PathLike
 from typing import TYPE_CHECKING, Literal
 
@@ -28,11 +28,13 @@ from imuarray.report.recording import RecordingFigure, scripts
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
+NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
+
 PAPER, INK = "#14191d", "#e4e8eb"
 """Background and text of a dark page (page.html): white becomes the first, black the second."""
 
 _SHAPE = 0.55
-"""Exponent of the scale of lightness on dark: below 1, as mid-tones on dark need more lightness to be as distinct."""
+"""Exponent of the scale of lightness on a dark page: below 1, because mid-tones need more lightness to be distinct."""
 
 _LMS = np.array(
     [
@@ -68,7 +70,7 @@ def follow_scheme(svg: str) -> str:
     light = ";".join(f"--{colour[1:]}:{colour}" for colour in colours)
     dark = ";".join(f"--{colour[1:]}:{on_dark(colour)}" for colour in colours)
     sheet = (
-        # Glyphs and filled shapes of black have no colour of their own in Matplotlib's SVG: they inherit this one.
+        # Black glyphs and filled shapes have no colour of their own in Matplotlib's SVG: they inherit this one.
         f"<style>svg{{{light};fill:var(--000000)}}"
         f"@media screen and (prefers-color-scheme:dark){{svg{{{dark}}}}}</style>"
     )
@@ -77,11 +79,11 @@ def follow_scheme(svg: str) -> str:
 
 @lru_cache(maxsize=4096)
 def on_dark(colour: str) -> str:
-    """Return the counterpart of a colour (#rrggbb) on a dark page: of the same hue, the darker the lighter it was."""
+    """Return the counterpart of a colour (#rrggbb) on a dark page: the same hue with the lightness inverted."""
     lightness, *chroma = _oklab(colour)
     (low, *tint), high = _oklab(PAPER), _oklab(INK)[0]
     target = low + (high - low) * max(0.0, 1 - lightness) ** _SHAPE
-    for share in np.linspace(1, 0, 21):  # less colour where no screen can show all of it at this lightness
+    for share in np.linspace(1, 0, 21):  # less chroma where sRGB lacks the colour at this lightness
         linear = _linear([target, *(share * part + own for part, own in zip(chroma, tint, strict=True))])
         if np.all(np.abs(linear - 0.5) <= 0.5):
             break
@@ -97,15 +99,13 @@ def _oklab(colour: str) -> list[float]:
 
 
 def _linear(lab: list[float]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Linear sRGB (3,) of an OKLab colour; outside of 0 to 1 where no screen has it."""
+    """Return the linear sRGB (3,) of an OKLab colour; outside 0 to 1 if sRGB lacks the colour."""
     return np.asarray(np.linalg.solve(_LMS, np.linalg.solve(_LAB, np.asarray(lab)) ** 3))
 
 
 @dataclass(frozen=True)
 class Table:
-    """A heading row and rows of text; numbers come formatted, with their unit. `words` are columns that hold no
-    numbers.
-    """
+    """A heading row and rows of formatted text. `words` are the columns that hold no numbers."""
 
     heading: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -115,7 +115,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing, what to see in it, and what it shows for those who can't see it."""
+    """A drawing, the caption that says what to look for, and the text alternative (WCAG 1.1.1)."""
 
     drawing: Drawing
     caption: str
@@ -123,7 +123,7 @@ class Figure:
 
     @property
     def data_url(self) -> str:
-        """The drawing as SVG inside a URL, with colours that follow the page's."""
+        """Return the drawing as an SVG in a data URL, with colours that follow the page's scheme."""
         buffer = io.BytesIO()
         draw_figure(buffer, self.drawing, format="svg", metadata={"Date": None})
         drawing = follow_scheme(buffer.getvalue().decode("utf-8"))
@@ -132,8 +132,8 @@ class Figure:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, a paragraph and what belongs to it. With a `fold`, which is one line, the parts are hidden behind that
-    line until the reader opens it.
+    """A heading, a paragraph, and tables and figures. With a `fold`, a line of text, the parts are hidden until the
+    reader opens that line.
     """
 
     title: str
@@ -147,8 +147,8 @@ Level = Literal["good", "doubtful", "bad", "neutral"]
 
 @dataclass(frozen=True)
 class Verdict:
-    """The opening of a page: one plain sentence, how good what it tells of is, and three to five figures, each a value
-    with its unit and what it is.
+    """The opening of a page: one sentence, a level, and three to five figures, each a value with its unit and its
+    meaning.
     """
 
     sentence: str
@@ -157,8 +157,13 @@ class Verdict:
 
     @property
     def sign(self) -> str:
-        """The level as a sign, for those who do not see colours."""
+        """Return a symbol of the level, for readers who do not see its colour."""
         return {"good": "✓", "doubtful": "▲", "bad": "✕", "neutral": "•"}[self.level]
+
+
+def can_draw() -> bool:
+    """Return whether matplotlib is installed."""
+    return find_spec("matplotlib") is not None
 
 
 def write_page(
@@ -170,7 +175,9 @@ def write_page(
     verdict: Verdict | None = None,
     force: bool = False,
 ) -> None:
-    """Write the page; OutputExistsError if it is there, OutputError, MissingExtraError without jinja2."""
+    """Write the page; OutputExistsError if the file exists and not `force`, OutputError, MissingExtraError without
+    jinja2.
+    """
     try:
         from jinja2 import Environment
     except ImportError:
@@ -191,5 +198,5 @@ def write_page(
 
 
 def _shown(value: object) -> object:
-    """Texts without control characters, spelled out: they may come from a file that somebody else wrote."""
+    """Spell control characters out in text, which may come from somebody else's file."""
     return "\n".join(map(printable, value.split("\n"))) if type(value) is str else value

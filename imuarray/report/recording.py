@@ -1,8 +1,8 @@
-"""The recording on a page: every sensor over time as an envelope, with the stretches that are out of bounds.
+"""The recording on a page: the envelope of every sensor over time, with marks where it is clipped, missing or silent.
 
-An envelope is the least and the greatest value of each stretch of rows, so that a spike of one reading is seen however
-long the log is. The page draws it twice: as SVG, which needs no script and is printed, and by BokehJS, which zooms
-(`recording.js`).
+An envelope is the least and the greatest value of each stretch of rows, so that a spike of one reading is visible
+however long the log is. The page contains it twice: as SVG, which needs no script and can be printed, and for BokehJS,
+which can zoom (`recording.js`).
 """
 
 from __future__ import annotations
@@ -29,27 +29,28 @@ from imuarray.printable import counted
 from imuarray.units import SI_PER_UNIT
 
 SILENT_S = 1.0
-"""A sensor whose readings begin so long after those of the others, or end so long before them, is silent then."""
+"""A sensor is silent if its readings begin so long after those of the others, or end so long before them."""
 PERIODS = 2.5
-"""The number of a sensor's own periods without a reading from which readings count as missing: where the array is
-polled forth and back, readings are up to two periods apart.
+"""Readings are missing if a pause is longer than so many of the sensor's periods: if the array is polled in alternating
+order, readings are up to two periods apart.
 """
 
 _MOST_STRETCHES = 64_000
-"""Stretches of all sensors together: 28 bytes each, a third more as text, so that the page stays below 5 MB."""
+"""Most stretches of all sensors together: 28 bytes each, a third more as text, so that the page is below 5 MB."""
 _MOST_OF_ONE = 4000
+"""Most stretches of a sensor."""
 _STATIC = 500
-"""Stretches of the SVG, about one for each pixel of its width."""
+"""Most stretches of a sensor in the SVG, about one for each pixel of its width."""
 _BLOCK = 1 << 16
 _SEPARATE = 400
-"""Marks closer than this part of the recording are one mark."""
+"""Marks that are closer than this fraction of the recording are joined."""
 
 Kind = Literal["clipped", "missing", "silent"]
 KINDS: tuple[Kind, ...] = ("clipped", "missing", "silent")
 
 
 class SignalSpan(NamedTuple):
-    """A stretch of time, in s since the epoch of the log, in which a sensor is out of bounds."""
+    """A span of time, in s since the epoch of the log, in which a sensor is clipped, missing or silent."""
 
     kind: Kind
     start_s: float
@@ -65,9 +66,8 @@ class TimeUnit(NamedTuple):
 
 @dataclass(frozen=True)
 class Trace:
-    """One sensor over time: `time_s` (n,), and the least and greatest values `low` and `high` (n, k) of n stretches, of
-    which `columns` are the names; nan where readings are missing for longer than a stretch. `note` says in words what
-    the `spans` mark.
+    """One sensor over time: `time_s` (n,), and the least and greatest values `low` and `high` (n, k) of n stretches for
+    the k `columns`; nan where readings are missing for longer than a stretch. `note` states what the `spans` mark.
     """
 
     name: str
@@ -83,7 +83,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class RecordingFigure:
-    """Every sensor of a log over the same time, from `start_s` to `end_s`: a part of a section of a page."""
+    """Every sensor of a log over the same time, from `start_s` to `end_s`."""
 
     traces: Sequence[Trace]
     start_s: float
@@ -91,7 +91,7 @@ class RecordingFigure:
 
     @property
     def time_unit(self) -> TimeUnit:
-        """Seconds, minutes or hours, by the duration."""
+        """Return seconds, minutes or hours, by the duration."""
         duration_s = self.end_s - self.start_s
         return (
             TimeUnit("s", 1.0)
@@ -103,7 +103,7 @@ class RecordingFigure:
 
     @property
     def data(self) -> dict[str, Any]:
-        """Return what `recording.js` draws, ready for JSON; numbers are the base64 text of little-endian float32."""
+        """Return the data of `recording.js` for JSON; numbers are the base64 text of little-endian float32."""
         unit = self.time_unit
         return {
             "start": self.start_s / unit.seconds,
@@ -124,7 +124,7 @@ class RecordingFigure:
 
     @property
     def drawings(self) -> list[Drawing]:
-        """The traces as paths of an SVG whose view box is 1000 wide and 100 high."""
+        """Return the traces as paths of an SVG whose view box is 1000 wide and 100 high."""
         return [_drawing(trace, self) for trace in self.traces]
 
 
@@ -157,8 +157,8 @@ def recording_of(log: Log, calibration: Calibration) -> RecordingFigure | None:
 
 
 def silent_s(sensor: SensorLog, ends_ns: tuple[int, int]) -> tuple[float, float]:
-    """Return for how many s a sensor is silent at the beginning and at the end of a log that lasts from the first to
-    the second of `ends_ns`; 0 for less than `SILENT_S` or `PERIODS` of its own periods.
+    """Return for how many seconds a sensor is silent at the beginning and at the end of a log that lasts from the first
+    to the second of `ends_ns`; 0 for less than `SILENT_S` or `PERIODS` of its periods.
     """
     if not len(sensor):
         return 0.0, max((ends_ns[1] - ends_ns[0]) * 1e-9, 1e-9)
@@ -178,7 +178,7 @@ def _trace(sensor: SensorLog, calibration: Calibration, ends_ns: tuple[int, int]
     width = -(-len(sensor) // most) if len(sensor) > most else 1
     period_ns = _period_ns(sensor)
     in_bursts = row_timing(sensor).kind == "bursts"
-    longest_ns = np.inf if in_bursts else PERIODS * period_ns  # within bursts, intervals say nothing of missing rows
+    longest_ns = np.inf if in_bursts else PERIODS * period_ns  # between bursts there are pauses without a loss
     parts: list[tuple[Floats, Floats, Floats]] = []
     clipped = missing = 0
     missing_s, last_ns = 0.0, None
@@ -207,7 +207,7 @@ def _trace(sensor: SensorLog, calibration: Calibration, ends_ns: tuple[int, int]
 
 
 def _columns(sensor: SensorLog) -> tuple[tuple[str, ...], str]:
-    """Return the names of what is drawn, and its unit."""
+    """Return the names of the columns that are drawn, and their unit."""
     for name, unit in (("pressure", "Pa"), ("temperature", "°C")):
         if sensor.quantity == name and sensor.has_compensated(name):
             return (name,), unit
@@ -230,8 +230,8 @@ def _values(sensor: SensorLog, rows: slice, calibration: Calibration) -> Floats:
 
 
 def _period_ns(sensor: SensorLog) -> float:
-    """Return the usual distance of two readings: half the median over two steps, which polling forth and back
-    leaves even.
+    """Return the usual time between two readings: half the median of two consecutive steps, which is even if sensors
+    are polled in alternating order.
     """
     time = np.asarray(sensor.time[: 4 * 4096], np.int64)
     return float(np.median(time[2:] - time[:-2])) / 2 if len(time) > 2 else float("inf")
@@ -240,8 +240,8 @@ def _period_ns(sensor: SensorLog) -> float:
 def _envelope(
     time: Times, values: Floats, first: npt.NDArray[np.intp], breaks: npt.NDArray[np.intp]
 ) -> tuple[Floats, Floats, Floats]:
-    """Times in s, least and greatest values of the stretches that begin at the rows `first` and `breaks`, with a row of
-    nan before each of `breaks`.
+    """Return times in s and the least and greatest values of the stretches that begin at the rows `first` and `breaks`,
+    with a row of nan before each of `breaks`.
     """
     first = np.union1d(first, breaks)
     last = np.append(first[1:], len(time)) - 1
@@ -257,13 +257,13 @@ def _envelope(
 
 
 def _runs(flags: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """Return the first and last row of each run of flagged rows."""
+    """Yield the first and last row of each run of flagged rows."""
     edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
     return zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True)
 
 
 def _merged(spans: Sequence[SignalSpan], separate_s: float) -> Iterator[SignalSpan]:
-    """Spans in order, those of one kind that are closer than `separate_s` joined."""
+    """Yield the spans by kind and in order; spans of one kind that are closer than `separate_s` are joined."""
     for kind in KINDS:
         last: SignalSpan | None = None
         for span in sorted(span for span in spans if span.kind == kind):
@@ -308,7 +308,7 @@ def _drawing(trace: Trace, recording: RecordingFigure) -> Drawing:
 
 
 def _limits(trace: Trace) -> tuple[float, float]:
-    """Round numbers below and above all values."""
+    """Return round numbers below and above all values."""
     if not np.isfinite(trace.low).any():
         return 0.0, 1.0
     low, high = float(np.nanmin(trace.low)), float(np.nanmax(trace.high))
@@ -320,7 +320,7 @@ def _limits(trace: Trace) -> tuple[float, float]:
 
 
 def _coarser(trace: Trace) -> tuple[Floats, Floats, Floats]:
-    """Return the envelope in as many stretches as an SVG shows; a row of nan stays one."""
+    """Return the envelope in at most about `_STATIC` stretches; rows of nan remain."""
     width = -(-len(trace.time_s) // _STATIC)
     if width <= 1:
         return trace.time_s, trace.low, trace.high
@@ -349,7 +349,7 @@ def _encoded(values: Floats) -> str:
 
 @cache
 def scripts() -> tuple[str, ...]:
-    """Return the scripts with which a page zooms: BokehJS out of the installed package, and ours; none without
+    """Return the scripts to zoom a recording: BokehJS from the installed package, and `recording.js`; none without
     Bokeh.
     """
     package = find_spec("bokeh")

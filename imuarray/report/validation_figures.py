@@ -1,6 +1,6 @@
-"""Drawings of a validation's page: false alarms, detection, confusion of effects, probabilities, closure.
+"""Figures of a validation run: false alarms, detection, confusion of effects, probabilities, closure.
 
-Whiskers are 95 % intervals; grey bands and lines are bars.
+Whiskers are 95 % intervals; grey bands and lines are the required limits.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imuarray.figures import PALETTE
-from imuarray.report.gap_sheet import NARROW, legend_above, make_logarithmic, plain, sheet
+from imuarray.report.figure_style import NARROW, legend_above, make_logarithmic, new_panel, plain_name
 from imuarray.validation.rates import Bin, RateEstimate, rate
 from imuarray.validation.score_closure import WITHIN, Closure
 from imuarray.validation.score_detection import DETECTION, FALSE_ALARMS, DetectionCurve
@@ -31,15 +31,15 @@ _COLOURS = (_INK, *PALETTE[1:])
 _MARKERS = "osD^vP"
 _NOMINAL = 0.05
 _SPREAD = 0.05
-"""Curves stand apart by so much of an e-fold, so that whiskers don't hide each other."""
+"""Horizontal offset between curves in natural logarithm of severity, so that their whiskers do not overlap."""
 _DARK = 0.6
-"""Share from which on numbers are white."""
+"""Share above which numbers are white."""
 _LEAST_CLOSED = -0.25
-"""Shares below it are drawn there: a gap that got larger."""
+"""Smaller shares, of gaps that grew, are drawn at this value."""
 
 
 def plots_of(figures: Figures) -> dict[str, Figure]:
-    """Return all figures of a run by file name."""
+    """Draw all figures of a run, by file name."""
     alarms = [row for row in figures.rows if row.name.startswith("false alarms") and row.cases]
     filled = [item for item in figures.reliability if item.cases]
     known = [item for item in figures.closures if isfinite(item.claimed)]
@@ -54,15 +54,15 @@ def plots_of(figures: Figures) -> dict[str, Figure]:
 
 
 def alarms_figure(rows: Sequence[ScoreRow]) -> Figure:
-    """False alarms of each plan, the band that is allowed, and the nominal rate."""
-    figure, panel = sheet(NARROW, 1.2 + 0.4 * len(rows))
+    """Draw the false alarms of each plan, the allowed band, and the nominal rate."""
+    figure, panel = new_panel(NARROW, 1.2 + 0.4 * len(rows))
     low, high = (100 * (end or 0.0) for end in FALSE_ALARMS)
     panel.axvspan(low, high, color=_BAND, label=f"allowed: {low:g} to {high:g} %")
     panel.axvline(100 * _NOMINAL, color=_GREY, linewidth=1, linestyle="--", label="nominal")
     for place, row in enumerate(rows):
         colour = _RED if row.passes is False else _BLUE
         _whisker(panel, RateEstimate(row.value, row.low, row.high, row.cases), place, colour)
-    names = [f"{plain(row.name.partition('plan ')[2])} ({row.cases})" for row in rows]
+    names = [f"{plain_name(row.name.partition('plan ')[2])} ({row.cases})" for row in rows]
     panel.set_yticks(range(len(rows)), names)
     panel.set_ylim(len(rows) - 0.5, -0.5)
     panel.set_xlim(0, None)
@@ -72,8 +72,8 @@ def alarms_figure(rows: Sequence[ScoreRow]) -> Figure:
 
 
 def detection_figure(curves: Sequence[DetectionCurve]) -> Figure:
-    """Share of cases in which a gap is reported against severity, all plans together and each."""
-    figure, panel = sheet(NARROW, 4.0)
+    """Draw the share of cases in which a gap is reported against severity, of all plans together and of each plan."""
+    figure, panel = new_panel(NARROW, 4.0)
     for number, curve in enumerate(curves):
         shift = np.exp(_SPREAD * (number - (len(curves) - 1) / 2))
         places = np.array([limits for limits, _ in curve.points]) * shift
@@ -95,7 +95,7 @@ def detection_figure(curves: Sequence[DetectionCurve]) -> Figure:
             elinewidth=0.9,
             capsize=2,
         )
-        drawn.set_label(plain(curve.plan))
+        drawn.set_label(plain_name(curve.plan))
     for limits, (least, _) in DETECTION.items():
         ends = np.array([limits / 1.25, limits * 1.25])
         panel.plot(ends, np.full(2, least), color="#9aa5ad", linewidth=5, zorder=0, solid_capstyle="butt")
@@ -111,14 +111,14 @@ def detection_figure(curves: Sequence[DetectionCurve]) -> Figure:
 
 
 def confusion_figure(confusion: Confusion) -> Figure:
-    """Rows: what was at work; columns: the first cause said. Colour is the share of the row, numbers are cases, frames
-    are what would be right.
+    """Draw the confusion matrix: active mechanisms in rows, first reported causes in columns. The colour is the share
+    of the row, numbers are cases, frames mark correct causes.
     """
     from matplotlib.patches import Rectangle
 
     counts = np.array(confusion.counts, float).reshape(len(confusion.truths), len(confusion.said))
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    figure, panel = sheet(2.6 + 0.27 * len(confusion.said), 1.8 + 0.2 * len(confusion.truths))
+    figure, panel = new_panel(2.6 + 0.27 * len(confusion.said), 1.8 + 0.2 * len(confusion.truths))
     panel.pcolormesh(shares, cmap="Blues", vmin=0, vmax=1, edgecolors="white", linewidth=0.6)
     for row, column in np.argwhere(counts > 0).tolist():
         colour = "white" if shares[row, column] > _DARK else _INK
@@ -127,8 +127,8 @@ def confusion_figure(confusion: Confusion) -> Figure:
     for row, column in np.argwhere(np.array(confusion.right, bool).reshape(counts.shape)).tolist():
         panel.add_patch(Rectangle((column, row), 1, 1, fill=False, edgecolor=_RED, linewidth=1.2))
     panel.set_ylim(len(confusion.truths), 0)
-    panel.set_yticks(np.arange(len(confusion.truths)) + 0.5, [plain(name, 34) for name in confusion.truths])
-    names = [plain(name).replace("_", " ") for name in confusion.said]
+    panel.set_yticks(np.arange(len(confusion.truths)) + 0.5, [plain_name(name, 34) for name in confusion.truths])
+    names = [plain_name(name).replace("_", " ") for name in confusion.said]
     panel.set_xticks(np.arange(len(names)) + 0.5, names, rotation=60, ha="left", rotation_mode="anchor")
     panel.tick_params(length=0, labeltop=True, labelbottom=False, labelsize=7.5)
     panel.spines[:].set_visible(False)
@@ -136,9 +136,9 @@ def confusion_figure(confusion: Confusion) -> Figure:
 
 
 def reliability_figure(bins: Sequence[Bin]) -> Figure:
-    """Return the share of causes that are right against the probability that was said; numbers are causes."""
-    figure, panel = sheet(NARROW, 4.4)
-    panel.plot([0, 1], [0, 1], color=_GREY, linewidth=1, linestyle="--", label="as said")
+    """Draw the share of causes that are right against the reported probability; numbers are counts of causes."""
+    figure, panel = new_panel(NARROW, 4.4)
+    panel.plot([0, 1], [0, 1], color=_GREY, linewidth=1, linestyle="--", label="calibrated")
     filled = [bin_ for bin_ in bins if bin_.cases]
     for bin_ in filled:
         estimate = rate(round(bin_.right * bin_.cases), bin_.cases)
@@ -146,15 +146,15 @@ def reliability_figure(bins: Sequence[Bin]) -> Figure:
         panel.errorbar(bin_.mean, bin_.right, yerr=reach, color=_BLUE, marker="o", markersize=5, capsize=2.5)
         panel.annotate(str(bin_.cases), (bin_.mean, bin_.right), (6, 4), textcoords="offset points", fontsize=7.5)
     panel.set(xlim=(-0.02, 1.06), ylim=(-0.04, 1.06), aspect="equal")
-    panel.set_xlabel("probability said")
+    panel.set_xlabel("reported probability")
     panel.set_ylabel("share of causes that are right")
     legend_above(panel)
     return figure
 
 
 def closure_figure(closures: Sequence[Closure]) -> Figure:
-    """Return the share of the gap that the diagnosis claims to close against the oracle's, and the tolerance band."""
-    figure, panel = sheet(NARROW, 4.4)
+    """Draw the share of the gap that the diagnosis claims to close against the oracle's, and the tolerance band."""
+    figure, panel = new_panel(NARROW, 4.4)
     ends = np.array([_LEAST_CLOSED, 1.0])
     panel.fill_between(ends, ends - WITHIN, ends + WITHIN, color=_BAND, label=f"within {WITHIN}")
     for is_right, colour, marker, label in ((False, _RED, "x", "wrong cause first"), (True, _BLUE, "o", "right")):
@@ -171,7 +171,7 @@ def closure_figure(closures: Sequence[Closure]) -> Figure:
 
 
 def _whisker(panel: Axes, estimate: RateEstimate, place: float, colour: str) -> None:
-    """A share in percent, lying."""
+    """Draw a rate in percent with a horizontal whisker."""
     if not estimate.cases:
         return
     reach = 100 * np.maximum([[estimate.value - estimate.low], [estimate.high - estimate.value]], 0)

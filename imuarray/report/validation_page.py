@@ -1,26 +1,27 @@
-"""The page of a validation run: every figure with its bar, what misses one and where, plots, how it was made."""
+"""The page of a validation run, in HTML and in Markdown: every figure with its requirement, those that fail, plots, and
+the settings of the run.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
-from importlib.util import find_spec
 from math import isfinite
 from os import PathLike
 from types import MappingProxyType
 from typing import Any
 
 from imuarray.gap.findings.text import share
-from imuarray.report.gap_sheet import SmallFigure
+from imuarray.printable import counted
+from imuarray.report.figure_style import SmallFigure
 from imuarray.report.gap_tables import marked
-from imuarray.report.page import Figure, Section, Table, Verdict, write_page
+from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, can_draw, write_page
 from imuarray.report.validation_figures import plots_of
-from imuarray.report.validation_words import failing_rows, plain_text, summary_lines, transfer_rows
 from imuarray.validation.rates import Bin
 from imuarray.validation.score_answers import NO_GAP
 from imuarray.validation.score_rows import ScoreRow
-from imuarray.validation.scoring import Figures, decimal, format_row, lost_by
+from imuarray.validation.scoring import HEADLINE, MOST_CELLS, Figures, decimal, format_row, lost_by, transfer_line
 
-NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
 Parts = list[Table | Figure]
 Plots = Mapping[str, Any]
 """Drawings by their names."""
@@ -34,23 +35,22 @@ def write_validation_page(
     plots: Plots | None = None,
     force: bool = False,
 ) -> None:
-    """Write the page; `command` made the run, `plots` are its drawings if there are any yet (`plots_of`). Without
-    matplotlib it says so and has tables alone.
+    """Write the page. `command` is the command of the run; `plots` are its figures (None: `plots_of` draws them).
+    Without matplotlib the page has only tables, and says so.
 
-    OutputExistsError if it is there and not `force`, MissingExtraError without jinja2.
+    OutputExistsError if the file exists and not `force`, MissingExtraError without jinja2.
     """
-    can_draw = find_spec("matplotlib") is not None
     if plots is None:
-        plots = plots_of(figures) if can_draw else {}
+        plots = plots_of(figures) if can_draw() else {}
     summary = list(summary_lines(figures))
     sections = validation_sections(figures, plots, command)
     title = f"Diagnosis checked on data whose effect is withheld: {figures.half or 'unnamed'} half"
-    lines = summary if can_draw else [*summary, NO_FIGURES]
+    lines = summary if can_draw() else [*summary, NO_FIGURES]
     write_page(path, title, lines, sections, verdict=validation_verdict(figures), force=force)
 
 
 def validation_verdict(figures: Figures) -> Verdict:
-    """Return how many of the bars that were set before the diagnosis meets."""
+    """Return how many of the bars, which were set in advance, the diagnosis meets."""
     judged = [row for row in figures.rows if row.mark in ("ok", "FAIL")]
     failed = [row for row in judged if row.mark == "FAIL"]
     if not judged:
@@ -60,7 +60,7 @@ def validation_verdict(figures: Figures) -> Verdict:
             f"The diagnosis misses {len(failed)} of {len(judged)} bars: {', '.join(row.name for row in failed[:3])}."
         )
     else:
-        sentence = f"The diagnosis meets all {len(judged)} bars that were set before."
+        sentence = f"The diagnosis meets all {len(judged)} bars, which were set in advance."
     key_figures = (
         (str(figures.cases), "cases"),
         (f"{len(judged) - len(failed)} of {len(judged)}", "bars met"),
@@ -87,15 +87,15 @@ def validation_sections(figures: Figures, plots: Plots, command: str = "") -> tu
 def _figures(figures: Figures) -> Section:
     rows = [[row.name, marked("FAIL") if row.mark == "FAIL" else row.mark, *format_row(row)] for row in figures.rows]
     heading = ["figure", "", "value", "95 %", "cases", "bar"]
-    caption = "Marked where a bar is missed; n.a.: no cases; nothing: no bar."
+    caption = "Marked where a bar is missed; n.a.: no cases; empty: no bar."
     counted = [[name, about] for about, name in _names_by_meaning(figures).items()]
-    words = "Each figure with its interval, the number of cases, and the bar that was set before."
+    words = "Each figure with its interval, the number of cases, and the bar, which was set in advance."
     descriptions = Table(["figure", "what is counted"], counted, "What is counted.", (1,))
     return Section("Figures and their bars", words, [Table(heading, rows, caption), *_by_plan(figures), descriptions])
 
 
 def _worlds(figures: Figures) -> Iterator[Section]:
-    """Figures of several worlds beside each other, and of parts of the cases against the rest."""
+    """Yield the section on the figures of several worlds, and of parts of the cases compared with the rest."""
     parts: Parts = []
     if figures.transfers:
         heading = ["figure", *figures.worlds, "transfer gap"]
@@ -116,12 +116,12 @@ def _worlds(figures: Figures) -> Iterator[Section]:
         caption = "The cases with a chip or an experiment, and all others."
         parts.append(Table(["part", "figure", "with it", "without it", "cases"], rows_of, caption, (1,)))
     if parts:
-        words = "The figures in other worlds, on other chips and on other plans than those of the development."
+        words = "The figures in worlds, on chips and on plans that were not used in development."
         yield Section("Elsewhere", words, parts)
 
 
 def _by_plan(figures: Figures) -> Iterator[Table]:
-    """Yield a table of the figures that there are on several plans or with several experiments, if there are any."""
+    """Yield a table of the figures that exist for several plans or experiments, if there are any."""
     groups = ("plan", "experiment")
     cells = {row.name: {cell.name: cell for cell in row.cells if cell.group in groups} for row in figures.rows}
     plans = sorted({plan for own in cells.values() for plan in own})
@@ -135,7 +135,7 @@ def _by_plan(figures: Figures) -> Iterator[Table]:
 
 
 def _names_by_meaning(figures: Figures) -> dict[str, str]:
-    """Return the descriptions of what is counted, with the figures to which each applies."""
+    """Return the names of the figures that share each description of what is counted."""
     names_by_meaning: dict[str, list[str]] = {}
     for row in figures.rows:
         names_by_meaning.setdefault(row.about, []).append(row.name)
@@ -148,8 +148,8 @@ def _missed(figures: Figures) -> Section:
     if not figures.failed:
         return Section(title, "Nowhere.")
     words = (
-        "The parts of the cases that pull a figure down, by severity, mechanism or kind, those first whose interval is "
-        "outside the bar. A cell of few cases misses by chance."
+        "The cases that lower a figure, by severity, mechanism or kind; first those whose whole interval is outside "
+        "the bar. A cell with few cases can miss by chance."
     )
     heading = ["figure", "cell", "value", "95 %", "cases"]
     return Section(title, words, [Table(heading, rows, "Figures that miss their bar, and cells of them.", (1,))])
@@ -163,7 +163,7 @@ def _alarms(figures: Figures, plots: Plots) -> Section:
         listed = ", ".join(f"{_plan_of(row)} {share(row.value)}" for row in known)
         caption = "Cases without a fault in which a gap is reported; number of cases in brackets."
         parts.append(SmallFigure(plots["false-alarms"], caption, f"{caption} {listed}."))
-    words = "These cases have no fault; a gap may be reported in one of twenty."
+    words = "These cases have no fault. A gap is expected to be reported in one of twenty."
     cells = [[_plan_of(row), *format_row(row)] for row in rows]
     table = Table(["plan", "value", "95 %", "cases", "bar"], cells, "Share of cases in which a gap is reported.")
     return Section("False alarms", words, [*parts, table])
@@ -226,13 +226,15 @@ def _causes(figures: Figures, plots: Plots) -> Section:
         parts.append(Figure(plots["causes"], caption, f"{caption} Most often wrong: {listed}."))
     if wrong:
         caption = f"The most frequent confusions of {len(wrong)}; cases without a reported gap are not included."
-        parts.append(Table(["at work", "first cause said", "cases"], wrong[:20], caption, (1,)))
+        parts.append(Table(["active mechanism", "first reported cause", "cases"], wrong[:20], caption, (1,)))
     words = "The most probable cause of each case of one mechanism or none. A mechanism can have several right names."
     return Section("Causes", words, parts)
 
 
 def _taken_for(figures: Figures) -> list[tuple[str, str, str]]:
-    """Truth, what was said instead, how often; the most frequent first."""
+    """Return the active mechanism, the reported cause and the number of cases of each confusion, the most
+    frequent first.
+    """
     confusion = figures.confusion
     confusions = [
         (count, truth, said)
@@ -263,49 +265,22 @@ def _bin_name(bin_: Bin) -> str:
 def _closure(figures: Figures, plots: Plots) -> Section:
     known = [closure for closure in figures.closures if isfinite(closure.claimed)]
     silent = len(figures.closures) - len(known)
-    words = "Share of the gap that the reported causes close, against that of an oracle that knows the effects."
+    words = "Share of the gap that the reported causes close, compared with an oracle that knows the effects."
     words += f" In {silent} cases no share was reported, although the oracle closes some." if silent else ""
     if not known:
         return Section("Closure", f"{words} No cases.")
-    caption = "One point per case; grey: close enough."
+    caption = "One point per case; grey: within tolerance."
     summary = f"{caption} {sum(closure.is_right for closure in known)} with the right cause first, {len(known)} in all."
     parts: Parts = [SmallFigure(plots["closure"], caption, summary)] if plots else []
     rows = [[row.name, *format_row(row)] for row in figures.rows if "closure" in row.name]
     return Section("Closure", words, [*parts, Table(["figure", "value", "95 %", "cases", "bar"], rows, "Closure.")])
 
 
-_THRESHOLDS = MappingProxyType(
-    {
-        "level of false alarms": "significance level of a gap",
-        "nats to be looked at": "least gain (nats) of a candidate that is pursued",
-        "nats to be accepted": "least gain (nats) of a candidate that is accepted",
-        "nats a parameter costs": "cost (nats) of each parameter",
-        "wrong form allowed": "relative error of the form of an effect that is allowed",
-        "log odds tempered": "exponent of the odds of a candidate in its probability",
-        "right if nothing closes": "probability of a cause that closes nothing",
-        "right if all closes": "probability of a cause that closes everything",
-        "power of what closes": "exponent of the share closed in the probability of a cause",
-        "power of odds against rivals": "exponent of the odds against rivals in the probability of a cause",
-        "probability to be told": "least probability of an alternative that is reported",
-        "odds to be confusable": "least odds of an effect that could look the same",
-        "closed to be a cause": "least share of the gap that a cause closes",
-        "closed to be explained": "least share closed for the verdict explained",
-        "closed to be partly explained": "least share closed for the verdict partly explained",
-        "probability to explain": "least probability of the first cause for the verdict explained",
-        "left over to be unlikely": "size of a remaining difference from which something unknown is likely",
-        "beyond chance to be left": "factor over chance from which a remaining difference is significant",
-        "replicates of the base model": "replicates of the base model",
-        "replicates of a trial": "replicates of each candidate",
-    }
-)
-"""What the thresholds of `imuarray.validation.thresholds` mean, by their keys in plan.json."""
-
-
 def _run(figures: Figures, command: str) -> Section:
     plan = {key: value for key, value in figures.plan.items() if key != "frozen"}
     rows = [["command", command]] if command else []
     rows += [[key, plain_text(value)] for key, value in plan.items()]
-    rows += [[f"fixed: {_THRESHOLDS.get(key, key)}", plain_text(value)] for key, value in figures.frozen.items()]
+    rows += [[f"fixed: {key}", plain_text(value)] for key, value in figures.frozen.items()]
     rows += [["cases", str(figures.cases)], ["lost", str(len(figures.lost))]]
     rows += [[f"lost: {name}", str(count)] for name, count in lost_by(figures.lost).items()]
     caption = "The same command and software reproduce this page."
@@ -314,4 +289,113 @@ def _run(figures: Figures, command: str) -> Section:
         if figures.frozen
         else "No threshold was fixed before the truth was opened."
     )
-    return Section("How it was made", words, [Table(["", "value"], rows, caption, (1,))])
+    return Section("Settings of the run", words, [Table(["", "value"], rows, caption, (1,))])
+
+
+# Sentences, and the page in Markdown ---------------------------------------------------------------------------------
+
+_MOST_NAMED = 5
+"""Figures without cases that are named one by one."""
+
+
+def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Return a section of results for a committed page: date, command, fixed thresholds, every figure, those that miss
+    their bar, and plots (file by text alternative).
+    """
+    lines = [f"## Results of {_cell(date)}, {_cell(figures.half or 'unnamed')} half", ""]
+    lines += [f"- {_cell(line)}" for line in (*summary_lines(figures), frozen_text(figures))]
+    lines += ["", "```sh", command.replace("```", ""), "```"] if command else []
+    lines += ["", "| | figure | value | 95 % | cases | bar |", "|---|---|---|---|---|---|"]
+    for row in figures.rows:
+        mark = "**FAIL**" if row.mark == "FAIL" else row.mark
+        lines.append("| " + " | ".join([mark, *map(_cell, (row.name, *format_row(row)))]) + " |")
+    for world, rows in figures.elsewhere.items():
+        lines += [
+            "",
+            f"World {_cell(world)}:",
+            "",
+            "| | figure | value | 95 % | cases | bar |",
+            "|---|---|---|---|---|---|",
+        ]
+        lines += [
+            "| " + " | ".join([row.mark, *map(_cell, (row.name, *format_row(row)))]) + " |" for row in rows if row.cases
+        ]
+    if figures.transfers:
+        lines += ["", "| figure | " + " | ".join(map(_cell, figures.worlds)) + " | transfer gap |"]
+        lines += ["|---" * (len(figures.worlds) + 2) + "|"]
+        lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in transfer_rows(figures)]
+    missed = list(failing_rows(figures))
+    if missed:
+        lines += ["", "Where a bar is missed:", "", "| figure | cell | value | 95 % | cases |", "|---|---|---|---|---|"]
+        lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in missed]
+    lines += [line for about, file in plots.items() for line in ("", f"![{about}]({file})")]
+    return "\n".join(lines) + "\n"
+
+
+def summary_lines(figures: Figures) -> Iterator[str]:
+    """Yield how many figures reach their bar, which do not, which have no cases, and how many cases are lost."""
+    judged = [row for row in figures.rows if row.passes is not None]
+    sure = [row.name for row in figures.failed if row.is_refuted]
+    maybe = [row.name for row in figures.failed if not row.is_refuted]
+    empty = [row.name for row in figures.rows if row.mark == "n.a."]
+    yield f"{sum(row.passes is True for row in judged)} of {len(judged)} figures reach their bar."
+    if sure:
+        yield f"Missed significantly (the whole interval is outside the bar): {'; '.join(sure)}."
+    if maybe:
+        yield f"Missed, but the interval reaches the bar: {'; '.join(maybe)}."
+    if empty:
+        few = len(empty) <= _MOST_NAMED
+        yield f"No cases for: {'; '.join(empty)}." if few else f"{len(empty)} figures have no cases."
+    for transfer in figures.transfers:
+        if transfer.name == HEADLINE:
+            yield f"{transfer_line(transfer).capitalize()}."
+    by_reason = "; ".join(f"{name}: {count}" for name, count in lost_by(figures.lost).items())
+    yield f"{counted(figures.cases, 'case')}, {len(figures.lost)} of them lost{f' ({by_reason})' if by_reason else ''}."
+    judged_on = f"the plan {figures.full!r}" if figures.full else "all plans"
+    yield f"Figures are compared with the bars on {judged_on} unless stated otherwise; intervals are 95 %."
+    yield from figures.notes
+
+
+def transfer_rows(figures: Figures) -> Iterator[list[str]]:
+    """Yield the name of each figure that several worlds have, its value and cases in each world, and the transfer
+    gap.
+    """
+    for transfer in figures.transfers:
+        cells = [transfer.rows.get(world) for world in figures.worlds]
+        values = [f"{decimal(row.value)} ({row.cases})" if row else "–" for row in cells]
+        yield [transfer.name, *values, decimal(transfer.lost)]
+
+
+def failing_rows(figures: Figures) -> Iterator[list[str]]:
+    """Yield figure, cell, value, interval and cases of every figure that misses its bar, and of up to `MOST_CELLS` of
+    its cells that do, the most certain first.
+    """
+    for row in figures.failed:
+        failing = row.failing()
+        yield [row.name, "all", *format_row(row)[:3]]
+        for cell in failing[:MOST_CELLS]:
+            yield [row.name, f"{cell.group} {cell.name}", *format_row(cell)[:3]]
+        if len(failing) > MOST_CELLS:
+            yield [row.name, f"and {len(failing) - MOST_CELLS} more", "", "", ""]
+
+
+def frozen_text(figures: Figures) -> str:
+    """Return the text of the thresholds that were fixed before the truth was opened."""
+    if not figures.frozen:
+        return "No threshold was fixed before the truth was opened."
+    return (
+        "Fixed before the truth was opened: "
+        + "; ".join(f"{key} {plain_text(value)}" for key, value in figures.frozen.items())
+        + "."
+    )
+
+
+def plain_text(value: Any) -> str:
+    """Return the text of a value of plan.json in one line."""
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _cell(text: str) -> str:
+    """Return text for a cell of a Markdown table: one line, escaped."""
+    one_line = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;")
+    return "".join(f"\\{sign}" if sign in "\\`*_[]|$" else sign for sign in one_line)

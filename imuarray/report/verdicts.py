@@ -1,5 +1,5 @@
-"""The opening of a page: one plain sentence that says how good a recording, a calibration or a fused result is and what
-to do, with a few figures.
+"""The verdict that opens a page: one sentence on the quality of a recording, a calibration or a fused result and on
+what to do, with a few figures.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log
 from imuarray.log.health import Observations, health_of, is_trouble
 from imuarray.log.missed_frames import frame_timing, is_fault_of_bus
-from imuarray.printable import counted
+from imuarray.printable import counted, duration
 from imuarray.report.page import Level, Verdict
 from imuarray.report.recording import silent_s
 from imuarray.units import INERTIAL, READABLE, READABLE_SI
@@ -25,11 +25,11 @@ from imuarray.units import INERTIAL, READABLE, READABLE_SI
 _LEVELS: dict[str, Level] = {"green": "good", "amber": "doubtful", "red": "bad"}
 _FIGURES = 5
 _CLAIMED = 1.5
-"""Scatter over the error that a fused result claims, from which on it is worse than it says."""
+"""Ratio of scatter to claimed error above which a fused result is worse than it claims."""
 
 
 def recording_verdict(log: Log) -> Verdict:
-    """Is the recording healthy, and if not, what to do."""
+    """Return whether a recording is healthy, and what to do if it is not."""
     sensors = log.sensors
     first_ns = min((int(sensor.time[0]) for sensor in sensors.values() if len(sensor)), default=0)
     last_ns = max((int(sensor.time[-1]) for sensor in sensors.values() if len(sensor)), default=0)
@@ -57,14 +57,14 @@ def recording_verdict(log: Log) -> Verdict:
     health = health_of(seen)
     words = {"green": "is healthy", "amber": "is usable, with losses", "red": "has serious losses"}[health.level]
     advice = f"; {health.advice}" if health.advice and ended else ""
-    advice = advice if ended else "; imuarray recover finishes it"
+    advice = advice if ended else "; `imuarray recover` finishes it"
     gaps = sum(seen.gaps.values()) + max((timing.gaps for timing in stalls.values()), default=0)
     clipped = sum(seen.clipped.values())
     return Verdict(
         f"{log.path.name} {words}: {health.reason}{advice}.",
         _LEVELS[health.level],
         (
-            (_duration((last_ns - first_ns) * 1e-9), "recorded"),
+            (duration((last_ns - first_ns) * 1e-9, 1), "recorded"),
             (f"{rows}", f"readings of {counted(len(sensors), 'sensor')}"),
             (f"{missed}", "frames missed"),
             (f"{gaps}", "gaps in the readings"),
@@ -74,19 +74,13 @@ def recording_verdict(log: Log) -> Verdict:
 
 
 def _silent(log: Log, ends_ns: tuple[int, int]) -> dict[str, float]:
-    """Seconds for which sensors gave nothing at the end of the log, of those that are silent."""
+    """Return the seconds without readings at the end of the log, of the sensors that are silent there."""
     silent = {name: silent_s(sensor, ends_ns)[1] for name, sensor in log.sensors.items()}
     return {name: seconds for name, seconds in silent.items() if seconds}
 
 
-def _duration(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.1f} s"
-    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
-
-
 def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
-    """Is the calibration good: what was measured of every sensor, and how surely."""
+    """Return whether a calibration is complete: what was measured of every sensor, and with what error."""
     inertial = [sensor for sensor in calibration.sensors.values() if sensor.quantity in INERTIAL]
     biased = [sensor for sensor in inertial if sensor.bias_sem_lsb is not None]
     scaled = [sensor for sensor in inertial if sensor.response_sem_lsb_per_unit is not None]
@@ -100,12 +94,12 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
     level: Level = "good"
     if not biased and any(sensor.thermal is not None for sensor in inertial):
         level = "doubtful"
-        sentence = "has the temperature slopes of biases, but no biases; a log at rest or a tumble gives them"
+        sentence = "has temperature slopes of biases, but no biases; a log at rest or a tumble gives them"
     elif not biased and any(sensor.turn_on is not None for sensor in inertial):
         level = "doubtful"
         sentence = "has the changes of biases from run to run, but no biases; a log at rest or a tumble gives them"
     elif not biased:
-        level, sentence = "bad", "measured no bias: fusion with it uses the data sheets' values"
+        level, sentence = "bad", "has no measured bias: fusion with it uses the data sheets' values"
     elif lacking:
         level, sentence = "doubtful", f"is incomplete: {_listed(lacking)} without a measured bias; biases to {known}"
     elif unscaled:
@@ -132,11 +126,11 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
 
 
 def _turns_wanted(scaled: Sequence[SensorCalibration]) -> str:
-    """Name the accelerometers whose angles are the data sheet's, and the gyroscopes whose scale about some box axes is,
-    and these axes; "" if there are none.
+    """Return the text on accelerometers whose angles between axes, and on gyroscopes whose scale factors about some box
+    axes, are those of the data sheet; "" if there are none.
     """
-    leaning = [sensor.name for sensor in scaled if sensor.quantity == "specific_force" and sensor.uncertain_axes()]
-    angles = f"; the angles between the axes of {_listed(leaning)} are the data sheet's" if leaning else ""
+    nominal = [sensor.name for sensor in scaled if sensor.quantity == "specific_force" and sensor.uncertain_axes()]
+    angles = f"; the angles between the axes of {_listed(nominal)} are the data sheet's" if nominal else ""
     about = {sensor.name: sensor.uncertain_axes() for sensor in scaled if sensor.quantity == "angular_rate"}
     texts = []
     for axes in sorted({axes for axes in about.values() if axes}):
@@ -164,8 +158,8 @@ def _listed(names: Sequence[str]) -> str:
 def fused_verdict(
     path: Path, head: FusedHead, noise: dict[str, Floats], claimed: dict[str, Floats], failed: Sequence[str] = ()
 ) -> Verdict:
-    """Return how quiet the result is, and whether it is as good as it says. `noise` and `claimed` (3,) in SI by
-    quantity; `failed` are the sensors that were left out for a time.
+    """Return the scatter of a result at rest, and whether its claimed errors are honest. `noise` and `claimed` (3,) in
+    SI by quantity; `failed` are the sensors that were excluded for part of the time.
     """
     figures, texts, ratios = [(f"{head.frames}", "frames")], [], []
     for quantity, values in noise.items():
@@ -180,18 +174,20 @@ def fused_verdict(
     count = sum(len(names) for names in head.sensors.values())
     figures.append((f"{count}", "sensors that went into it"))
     if ratios:
-        figures.append((f"{max(ratios):.2g}", "scatter over the error that it claims"))
+        figures.append((f"{max(ratios):.2g}", "scatter divided by claimed error"))
     level: Level = "doubtful" if ratios and max(ratios) > _CLAIMED else "good" if texts else "neutral"
     quiet = f"scatters by {' and '.join(texts)} at rest" if texts else "has no frames at rest"
     honest = ", more than it claims; give fuse a calibration with measured noise" if level == "doubtful" else ""
     if failed:
         level = "doubtful"
-        honest += f"; {len(failed)} of {counted(count, 'sensor')} were left out for a time: see the faults below"
+        honest += (
+            f"; {len(failed)} of {counted(count, 'sensor')} were excluded for part of the time, see the faults below"
+        )
     return Verdict(f"{path.name}, fused by {head.technique}, {quiet}{honest}.", level, tuple(figures[:_FIGURES]))
 
 
 def techniques_verdict(log: Log, comparison: TechniqueComparison) -> Verdict | None:
-    """Return what fusion gains over the simple average of the same sensors; None if there is nothing to compare."""
+    """Return the gain of fusion over the simple average of the same sensors; None if there is nothing to compare."""
     scores = [score for score in comparison.scores if score.technique != "mean"]
     if not scores:
         return None
@@ -220,7 +216,7 @@ def _words(score: Score) -> str:
 
 def _is_sure(score: Score) -> bool:
     ratio = score.ratio["XYZ"]
-    if ratio.ratio >= 0.995:  # would be printed as 1.00
+    if ratio.ratio >= 0.995:  # is printed as 1.00
         return False
     return bool(ratio.high < 1) if np.isfinite(ratio.high) else ratio.ratio < 1
 
@@ -229,8 +225,8 @@ _ORDER = ("bad", "doubtful", "neutral", "good")
 
 
 def joined(verdicts: Sequence[Verdict]) -> Verdict | None:
-    """One verdict of several: the worst, or that all is in order, with their figures in turn, the first of each kind;
-    None of none.
+    """Return one verdict for several: the worst, or that everything is in order, with figures of each in turn; None if
+    there are none.
     """
     if len(verdicts) < 2:
         return verdicts[0] if verdicts else None

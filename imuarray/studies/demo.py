@@ -15,18 +15,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from imuarray.arrays import Reals
 from imuarray.calibrate import Calibration, TumbleResult, calibrate_noise, calibrate_tumble
 from imuarray.characterise import characterise_log
 from imuarray.characterise.plots import allan_figure
 from imuarray.errors import LogError, OutputExistsError
+from imuarray.figures import PALETTE, new_figure
 from imuarray.fuse import Gain, errors_of, fuse, gains, write_fused
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.findings.diagnosis import Diagnosis
 from imuarray.gap.findings.text import parameters_text, places_text
 from imuarray.log import Log, open_log
 from imuarray.log.format import Phase
+from imuarray.printable import listed
 from imuarray.report import Figure, Section, Table, Verdict, write_page
-from imuarray.report.figures import drift_figure, motion_figure, ratio_figure
+from imuarray.report.fused_page import ratio_figure
 from imuarray.report.gap_page import write_gap_page
 from imuarray.studies.emulated_runs import RUNS, DemoOptions, Say, record_all
 from imuarray.units import INERTIAL, READABLE, READABLE_SI, STANDARD_GRAVITY
@@ -470,3 +473,53 @@ def fuse_run(path: Path, calibration: Calibration, folder: Path) -> None:
         for name in FUSED:
             blocks = fuse(log, calibration, name)
             write_fused(folder / f"fused_{name}.h5", blocks, epoch=log.epoch, technique=name, log=str(path), force=True)
+
+
+def drift_figure(
+    time_s: Reals,
+    single: Mapping[str, Reals],
+    fused: Mapping[str, Reals],
+    unit: str,
+    temperature: tuple[Reals, Reals] | None,
+) -> DrawnFigure:
+    """Draw the slow errors (n,) of single sensors and of fused results over time, and the temperature (time,
+    degC) below.
+    """
+    figure = new_figure(8.0, 5.2)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    for number, values in enumerate(single.values()):
+        upper.plot(
+            time_s,
+            values,
+            color=PALETTE[0],
+            linewidth=1.0,
+            label=None if number else f"each alone: {listed(list(single))}",
+        )
+    for colour, (name, values) in zip(PALETTE[1:], fused.items(), strict=False):
+        upper.plot(time_s, values, color=colour, linewidth=1.8, label=name)
+    upper.axhline(0, color="black", linewidth=0.6)
+    upper.set_ylabel(f"error ({unit})")
+    upper.legend(frameon=False, fontsize=9, loc="best")
+    if temperature is not None:
+        lower.plot(*temperature, color=PALETTE[2], linewidth=1.2)
+    lower.set_ylabel("temperature (°C)")
+    lower.set_xlabel("time (s)")
+    return figure
+
+
+def motion_figure(
+    force: tuple[Reals, Reals], times_s: Mapping[str, Reals], errors_mg: Mapping[str, Reals], end_of_range_g: float
+) -> DrawnFigure:
+    """Draw a specific force (time, g) that exceeds the low range, and below it the errors (n,) of several results."""
+    figure = new_figure(8.0, 5.6)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 3))
+    upper.plot(*force, color="black", linewidth=1.0)
+    for limit in (-end_of_range_g, end_of_range_g):
+        upper.axhline(limit, color=PALETTE[2], linewidth=0.9, linestyle="--")
+    upper.set_ylabel("truth (g)")
+    for colour, (name, values) in zip((PALETTE[0], PALETTE[2], PALETTE[1]), errors_mg.items(), strict=False):
+        lower.plot(times_s[name], values, color=colour, linestyle="none", marker=".", markersize=4, label=name)
+    lower.set_ylabel("error (mg)")
+    lower.set_xlabel("time (s)")
+    lower.legend(frameon=False, fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    return figure

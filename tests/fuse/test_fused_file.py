@@ -15,7 +15,7 @@ from imuarray.export import export
 from imuarray.fuse import FaultEvent, FusedBlock, read_fused, read_fused_events, read_fused_head, write_fused
 from imuarray.fuse.fused_file import LiveFused
 from imuarray.report.files import file_kind
-from imuarray.report.fused_sheet import fused_sections
+from imuarray.report.fused_page import fused_sections
 from imuarray.report.page import Table
 from tests.fuse.conftest import EPOCH
 
@@ -143,7 +143,7 @@ def test_a_variance_below_zero_does_no_harm(tmp_path: Path) -> None:
     path = written(tmp_path / "f.h5")
     with h5py.File(path, "a") as file:
         other(COVARIANCE, np.full((FRAMES, 6), -1.0))(file)
-    _, section = fused_sections(path, read_fused_head(path), drawn=False)
+    _, section = fused_sections(path, read_fused_head(path), with_figures=False)
     assert isinstance(section.parts[0], Table)
     assert [row[-1] for row in section.parts[0].rows] == ["–"] * 3
 

@@ -17,7 +17,7 @@ from imuarray.fuse import FaultEvent, FusedBlock, fuse, write_fused
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import SensorHeader
 from imuarray.report.files import file_kind, write_report
-from imuarray.report.log_sheet import log_sections
+from imuarray.report.log_page import log_sections
 from imuarray.report.page import Table
 from tests.fuse.conftest import Part, WriteRun
 
@@ -49,7 +49,7 @@ def test_each_file_says_its_part(made: Path, tmp_path: Path) -> None:
         "tumble.h5: the recording",
         "tumble.h5: noise",
         "tumble.h5: residuals of the calibration",
-        "tumble.h5: what each technique gains",
+        "tumble.h5: gain of each technique",
         "cal.toml: calibration",
         "fused.h5: fused by mean",
     ]
@@ -81,7 +81,7 @@ def test_sensors_that_failed_are_told(made: Path, tmp_path: Path) -> None:
     write_fused(fused, [frames], epoch="2024-01-01T00:00:00Z", technique="optimal", log="r.h5", events=[told, back])
     write_report([fused], page)
     text = page.read_text()
-    assert "fused.h5: left out for part of the time because they failed: B&lt;1&gt;." in text
+    assert "fused.h5: excluded for part of the time because they failed: B&lt;1&gt;." in text
     assert "1.50 s: B&lt;1&gt; x has 8 times its scale, as if set to a range of 2 g (40 sigma): excluded" in text
     assert "9.00 s: B&lt;1&gt; x agrees with the others again: back in use" in text
 
@@ -186,7 +186,7 @@ def test_a_log_that_is_too_short_for_any_figure(tmp_path: Path, frames: int) -> 
     """A fit of the Allan deviation wants more."""
     run = WriteRun(tmp_path)([Part("A", sigma=0.01)], frames=frames)
     with open_log(run) as log:
-        sections = list(log_sections(log, {}, drawn=False))
+        sections = list(log_sections(log, {}, with_figures=False))
     assert sections[0].title == "run.h5: what was recorded"
     if frames > 1:
         noise = sections[2].parts[0]
@@ -212,7 +212,7 @@ def test_noise_is_that_of_the_longest_rest_and_findings_are_listed(tmp_path: Pat
         for name, counts in codes.items():
             log.append(name, Block(time, counts.astype(np.int16), np.zeros(rows, np.uint16)))
     with open_log(run) as recorded:
-        noise = list(log_sections(recorded, {}, drawn=False))[-1]
+        noise = list(log_sections(recorded, {}, with_figures=False))[-1]
     assert "the longest rest that the sensors show" in noise.text
     unusual, scatter = noise.parts[0], noise.parts[1]
     assert isinstance(scatter, Table) and isinstance(unusual, Table)

@@ -16,9 +16,8 @@ from matplotlib.patches import Rectangle
 
 from imuarray.errors import OutputExistsError
 from imuarray.gap.findings.diagnosis import Diagnosis, Gap, Map, Overlay, Pull
-from imuarray.report import gap_page
-from imuarray.report.gap_figures import farthest, outside, overlay_figure, shrink_figure, use_figure
-from imuarray.report.gap_map import map_figure, top_of
+from imuarray.report import page as page_module
+from imuarray.report.gap_figures import farthest, map_figure, outside, overlay_figure, shrink_figure, top_of, use_figure
 from imuarray.report.gap_page import MOST_OVERLAYS, NO_FIGURES, curves_section, write_gap_page
 from imuarray.report.gap_tables import MEANINGS, MOST_ROWS, pulls_table
 from imuarray.simulate import EFFECTS
@@ -41,7 +40,7 @@ ORDER = [
     "Where the gap is",
     "Causes",
     "Parts and their specification",
-    "How far it shrinks",
+    "How much of the gap closes",
     "Curves: real, before and after",
     "Where it differs",
     "What is unexplained",
@@ -115,7 +114,7 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Page:
 
 @pytest.fixture
 def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Page:
-    monkeypatch.setattr(gap_page, "find_spec", lambda name: None)
+    monkeypatch.setattr(page_module, "find_spec", lambda name: None)
     return page_of(made(), tmp_path)
 
 
@@ -209,7 +208,7 @@ def test_what_is_missing_has_a_table(page: Page) -> None:
 
 
 def test_how_far_it_shrinks(page: Page) -> None:
-    rows = page.rows["How far it shrinks"]
+    rows = page.rows["How much of the gap closes"]
     assert ["all", "14", "2.9", "86 % (75 to 94)"] in rows
     assert ["allan", "5.1", "3.8", "40 %"] in rows
     assert ["level", "1.1", "1.0", "–"] in rows
@@ -217,7 +216,8 @@ def test_how_far_it_shrinks(page: Page) -> None:
     assert heat[1:] == ["Gyro2", "0.42 (0.4 to 0.44)", "0.05 (0.03 to 0.07)", "0.4 (0.37 to 0.45)", "dps"]
     assert "0.05 (0.03 to 0.07)" in page.marked and "0.4 (0.37 to 0.45)" not in page.marked
     assert (
-        "Gyro2 drift over the heat pulse: 0.12 times before, 0.95 times after" in page.images["How far it shrinks"][1]
+        "Gyro2 drift over the heat pulse: 0.12 times before, 0.95 times after"
+        in page.images["How much of the gap closes"][1]
     )
 
 
@@ -272,9 +272,9 @@ def test_without_a_gap(tmp_path: Path) -> None:
     assert "No gap: the recordings look like simulations of the model." in page.words[""]
     assert "nothing to close" in page.words[""]
     assert "No cause was found." in page.words["Causes"]
-    assert "No statistic differs by more than chance." in page.words["Where it differs"]
+    assert "No statistic differs significantly." in page.words["Where it differs"]
     (alternative,) = page.images["Where the gap is"]
-    assert "No cause was added: 0 of 63 cells beyond the limit." in alternative
+    assert "No cause was added: 0 of 63 cells are above the limit." in alternative
     assert list(page.images) == ["Where the gap is"]
     assert page.rows["Where the gap is"][1] == ["BMA1", *["1.3"] * 9]
     assert [heading for heading in page.words if heading in ORDER] == ORDER
@@ -285,7 +285,7 @@ def test_unexplained(tmp_path: Path) -> None:
     page = page_of(made_unexplained(), tmp_path)
     assert "no combination of known effects makes the recordings likely" in page.words[""]
     assert "probability of 93 %" in page.words[""]
-    assert ["all", "5.1", "4.9", "5 % (-6 to 14)"] in page.rows["How far it shrinks"]
+    assert ["all", "5.1", "4.9", "5 % (-6 to 14)"] in page.rows["How much of the gap closes"]
     assert page.rows["What is unexplained"][1][0] == "ADXL1 z"
 
 
@@ -301,7 +301,7 @@ def test_nothing_at_all_is_said_too(tmp_path: Path) -> None:
 def test_many_curves_are_counted(tmp_path: Path) -> None:
     page = page_of(replace(made(), overlays=overlays()[3:] * 16), tmp_path)
     assert len(page.images["Curves: real, before and after"]) == MOST_OVERLAYS
-    assert "The 12 that lay farthest outside before, of 16." in page.words["Curves: real, before and after"]
+    assert "Shown are the 12 of 16 that lay farthest outside before." in page.words["Curves: real, before and after"]
 
 
 def test_a_page_is_not_overwritten_unless_told(tmp_path: Path) -> None:
@@ -384,7 +384,7 @@ def test_curves_of_which_hardly_anything_is_known(overlay: Overlay, points: int,
         before=np.full((3, points), nan),
         after=np.zeros((3, points)),
     )
-    assert len(curves_section((short,), drawn=True).parts) == 1
+    assert len(curves_section((short,), with_figures=True).parts) == 1
     figure = overlay_figure(short)
     figure.savefig(tmp_path / "curve.svg")
 

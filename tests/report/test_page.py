@@ -12,7 +12,8 @@ import pytest
 
 from imuarray.errors import OutputExistsError
 from imuarray.report import Figure, Section, Table, write_page
-from imuarray.report.figures import drift_figure, motion_figure, ratio_figure
+from imuarray.report.fused_page import ratio_figure
+from imuarray.studies.demo import drift_figure, motion_figure
 
 EVIL = "<script>alert('x')</script>\"&--><img src=http://evil.example/x.png>"
 VOID = {"meta", "img", "br", "hr", "link", "input"}

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from imuarray.report import Figure, Section, Table, Verdict, write_page
-from imuarray.report.figures import course_figure
+from imuarray.report.fused_page import time_figure
 from tests.monitor.chromium import CHROMIUM, Browser, browser
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")]
@@ -22,7 +22,7 @@ IMAGE = "document.querySelector('img')"
 def written(path: Path) -> str:
     """The address of a page with a wide table, a figure and a fold."""
     time = np.linspace(0, 10, 50)
-    drawing = course_figure(time, np.stack([np.sin(time)] * 3, axis=1), "rate (dps)")
+    drawing = time_figure(time, np.stack([np.sin(time)] * 3, axis=1), "rate (dps)")
     wide = Table([f"column {number}" for number in range(12)], [["123.456"] * 12], "A caption that is long. " * 8)
     sections = [Section("Figure", "Text.", [Figure(drawing, "caption", "a course")]), Section("S", "", [wide])]
     sections.append(Section("Folded", "Text.", [wide], fold="One row"))

@@ -145,7 +145,7 @@ def test_no_row_of_a_table_is_hidden(tmp_path: Path) -> None:
 def test_an_allan_curve_of_too_short_a_recording_is_a_sentence(run: Path, tmp_path: Path) -> None:
     """Ten seconds less a pause of one; half a second is cut off at either end of a rest."""
     write_report([run], tmp_path / "page.html")
-    assert "Allan curve: too short: 8 s, at least 30 s are needed." in (tmp_path / "page.html").read_text()
+    assert "No Allan deviation: too short: 8 s, at least 30 s are needed." in (tmp_path / "page.html").read_text()
 
 
 def test_names_are_escaped_in_drawings_and_data(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from imuarray.errors import OutputExistsError
-from imuarray.report import validation_page
+from imuarray.report import page as page_module
 from imuarray.report.validation_figures import (
     alarms_figure,
     closure_figure,
@@ -19,8 +19,7 @@ from imuarray.report.validation_figures import (
     detection_figure,
     reliability_figure,
 )
-from imuarray.report.validation_page import NO_FIGURES, write_validation_page
-from imuarray.report.validation_words import markdown
+from imuarray.report.validation_page import NO_FIGURES, markdown, write_validation_page
 from imuarray.validation.rates import Bin, RateEstimate
 from imuarray.validation.score_causes import Confusion
 from imuarray.validation.score_closure import Closure
@@ -39,7 +38,7 @@ ORDER = [
     "Causes",
     "Probabilities",
     "Closure",
-    "How it was made",
+    "Settings of the run",
 ]
 
 
@@ -162,7 +161,7 @@ def test_the_sections_have_their_numbers(page: Page) -> None:
 
 
 def test_it_says_how_it_was_made(page: Page) -> None:
-    rows = {row[0]: row[1] for row in page.rows["How it was made"][1:]}
+    rows = {row[0]: row[1] for row in page.rows["Settings of the run"][1:]}
     assert rows["command"] == COMMAND
     assert (rows["half"], rows["fixed: level"], rows["fixed: version"]) == ("sealed", "0.05", "1.2.3")
     assert (rows["cases"], rows["lost"]) == ("53", "1")
@@ -196,7 +195,7 @@ def test_no_name_is_believed(tmp_path: Path) -> None:
 def test_without_matplotlib_there_are_tables_alone(
     figures: Figures, page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(validation_page, "find_spec", lambda name: None)
+    monkeypatch.setattr(page_module, "find_spec", lambda name: None)
     path = tmp_path / "page.html"
     write_validation_page(path, figures, command=COMMAND)
     bare = Page(path.read_text(encoding="utf-8"))
@@ -210,13 +209,13 @@ def test_a_run_without_cases_makes_a_page(tmp_path: Path) -> None:
     page = Page((tmp_path / "page.html").read_text(encoding="utf-8"))
     assert page.images == [] and list(page.rows) == ORDER
     assert page.summary[0] == "0 of 0 figures reach their bar."
-    assert "Nothing was frozen" in markdown(score, "2026-01-31")
+    assert "No threshold was fixed" in markdown(score, "2026-01-31")
 
 
 def test_markdown_has_every_figure_and_what_misses(figures: Figures) -> None:
     lines = markdown(figures, "2026-01-31", COMMAND).splitlines()
     assert lines[0] == "## Results of 2026-01-31, sealed half"
-    assert "- Frozen before the truth was opened: level 0.05; version 1.2.3." in lines
+    assert "- Fixed before the truth was opened: level 0.05; version 1.2.3." in lines
     assert lines[lines.index("```sh") + 1] == COMMAND
     for row in figures.rows:
         mark = "**FAIL**" if row.passes is False else row.mark

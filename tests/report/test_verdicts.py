@@ -18,7 +18,7 @@ from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Event, SensorHeader
 from imuarray.report import Verdict, write_page
 from imuarray.report.gap_page import gap_verdict, write_gap_page
-from imuarray.report.log_sheet import log_sections
+from imuarray.report.log_page import log_sections
 from imuarray.report.verdicts import calibration_verdict, fused_verdict, joined, recording_verdict, techniques_verdict
 from tests.report.made_diagnosis import made, made_unexplained, made_without_gap
 
@@ -90,7 +90,7 @@ def test_a_result_without_most_of_its_sensors_is_doubtful() -> None:
     noise, own = {"specific_force": np.full(3, 0.00980665)}, {"specific_force": np.full(3, 0.01)}
     verdict = fused_verdict(Path("f.h5"), head, noise, own, ["A", "B"])
     assert verdict.level == "doubtful"
-    assert "; 2 of 3 sensors were left out for a time" in verdict.sentence
+    assert "; 2 of 3 sensors were excluded for part of the time" in verdict.sentence
 
 
 def test_a_log_without_readings(tmp_path: Path) -> None:
@@ -105,8 +105,8 @@ def test_a_sensor_that_never_gave_a_reading_is_silent(tmp_path: Path) -> None:
 def test_gaps_are_told_in_the_section_too(tmp_path: Path) -> None:
     recorded(tmp_path / "run.h5", 1000, 1000, 8)
     with open_log(tmp_path / "run.h5") as log:
-        section = next(iter(log_sections(log, {}, drawn=False)))
-    assert "6 readings follow missing ones." in section.text
+        section = next(iter(log_sections(log, {}, with_figures=False)))
+    assert "Readings are missing before 6 of the readings." in section.text
 
 
 def sensor(name: str, *, measured: bool, scaled: bool = True) -> SensorCalibration:
@@ -142,7 +142,7 @@ def test_is_the_calibration_good() -> None:
     assert calibration_verdict(Path("c.toml"), Calibration({"A1": alone})).level == "bad"
     heated = replace(alone, thermal=Thermal(np.ones(3), np.ones(3), 25.0, (BIAS,) * 3, "reference"))
     verdict = calibration_verdict(Path("c.toml"), Calibration({"A1": heated}))
-    assert (verdict.level, "the temperature slopes of biases, but no biases" in verdict.sentence) == ("doubtful", True)
+    assert (verdict.level, "temperature slopes of biases, but no biases" in verdict.sentence) == ("doubtful", True)
 
 
 @pytest.mark.parametrize(("claimed", "level"), [(0.01, "good"), (0.004, "doubtful")])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from imuarray.report.validation_words import markdown, summary_lines
+from imuarray.report.validation_page import markdown, summary_lines
 from imuarray.validation.case import Case
 from imuarray.validation.score_answers import read_run
 from imuarray.validation.scoring import as_json, format_text, score_folder, split_figures

@@ -158,5 +158,5 @@ def test_what_the_generator_refuses_is_said_in_a_line(tmp_path: Path) -> None:
 
 def test_thresholds_are_noted_with_the_version() -> None:
     noted = frozen_thresholds()
-    assert noted["level of false alarms"] == 0.05
+    assert noted["significance level of a gap"] == 0.05
     assert str(noted["software"]).startswith("imuarray ")

@@ -12,7 +12,7 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 from imuarray.errors import MissingExtraError
-from imuarray.report.page import Figure, Section, Table, Verdict, write_page
+from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, write_page
 from imuarray.studies.paper import figures
 from imuarray.studies.paper.results import SOURCE, recompute, recomputed_rows
 from imuarray.studies.paper.tables import Cell, RecomputedRow, Row, number_in, row_of, table
@@ -424,7 +424,6 @@ def elsewhere_section(replica: Replica, recomputed: Recomputed) -> Section:
 
 
 TITLE = "Martin et al. 2013: printed, recomputed, simulated"
-NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
 
 _FAR = 3.0
 

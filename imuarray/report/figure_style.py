@@ -1,4 +1,5 @@
-"""Drawing style of the gap page: an empty panel, colours, logarithmic axes with plain numbers, safe names.
+"""Style of the figures of the gap and validation pages: panel, colours, logarithmic axes with plain numbers, safe
+names.
 
 Black is the recording, orange the simulation before the causes were added, blue after.
 """
@@ -8,7 +9,7 @@ from __future__ import annotations
 from math import log10
 from typing import TYPE_CHECKING, Any
 
-from imuarray.errors import MissingExtraError
+from imuarray.figures import new_figure
 from imuarray.report.page import Figure as PageFigure
 
 if TYPE_CHECKING:
@@ -16,27 +17,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 REAL, BEFORE, AFTER = "#1d2327", "#d55e00", "#0072b2"
-"""Colours: near black, then two of Okabe and Ito's."""
+"""Near black, and two colours of Okabe and Ito."""
 
 NARROW = 5.0
-"""Width in inches of a figure that shares a row of the page."""
+"""Width in inches of a figure of which two share a row of the page."""
 
 
 class SmallFigure(PageFigure):
-    """A figure of which two stand side by side where the screen is wide enough."""
+    """A figure of which two share a row where the screen is wide enough."""
 
     is_small = True
 
 
-def sheet(width: float, height: float) -> tuple[Figure, Axes]:
-    """Return an empty figure (inches) that needs no display, and its panel; MissingExtraError without matplotlib."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtraError("matplotlib", "report") from None
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
+def new_panel(width: float, height: float) -> tuple[Figure, Axes]:
+    """Return an empty figure (inches) and its panel; MissingExtraError without matplotlib."""
+    figure = new_figure(width, height)
     panel = figure.subplots()
     panel.spines[["top", "right"]].set_visible(False)
     panel.tick_params(labelsize=8.5)
@@ -44,16 +39,19 @@ def sheet(width: float, height: float) -> tuple[Figure, Axes]:
     return figure, panel
 
 
-def plain(text: str, longest: int = 24) -> str:
-    """Return a name as it is: no dollar begins a formula, no control character, not too long."""
+def plain_name(text: str, longest: int = 24) -> str:
+    """Return a name that matplotlib shows literally: dollars escaped, control characters replaced, at most `longest`
+    characters.
+    """
     shown = "".join(sign if sign.isprintable() else "?" for sign in text)
     shown = shown if len(shown) <= longest else shown[: longest - 1] + "…"
     return shown.replace("$", r"\$")
 
 
 def make_logarithmic(panel: Axes, which: str) -> None:
-    """A logarithmic axis ("x" or "y") with plain numbers, at 1, 2, 5 where it spans little; call it after drawing.
-    It stays even if nothing positive is shown."""
+    """Make an axis ("x" or "y") logarithmic with plain numbers, at 1, 2 and 5 where it spans less than two decades.
+    Call it after drawing; the axis stays linear if nothing positive is shown.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     panel.set(**{f"{which}scale": "log"})

@@ -1,4 +1,4 @@
-"""A log on a page: what was recorded and how well, how its sensors scatter at rest, and what stands out."""
+"""Report of a log: what was recorded, gaps and flags, the noise of each sensor at rest, and what is unusual."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from imuarray.characterise.plots import allan_figure, spectrum_figure
 from imuarray.errors import ImuArrayError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import FLAGS
-from imuarray.printable import counted, listed
+from imuarray.printable import counted, duration, listed
 from imuarray.report.page import Figure, Section, Table
 from imuarray.report.recording import PERIODS, RecordingFigure, recording_of, scripts
 from imuarray.units import READABLE
 
 _EVENTS = 500
-"""Maximum number of different events that are listed."""
+"""Most different events that are listed."""
 
 _ALLAN_S = 30.0
-"""Least time at rest for an Allan curve: it then has means of several seconds."""
+"""Least time at rest for which an Allan deviation is drawn: up to averaging times of several seconds."""
 
 _TERMS = ("white", "flicker", "random walk")
-"""Terms of the Allan fit: N, B and K."""
+"""Terms of the Allan fit: N, B and K of IEEE Std 952."""
 
 
 def log_summary(log: Log) -> Iterator[str]:
-    """Yield a line or two: what it is, and what is wrong with it."""
+    """Yield a line on the length, sensors and source of a log, and one on its state if it is not finished."""
     rows = sum(len(sensor) for sensor in log.sensors.values())
     source = "the emulated array, no hardware" if log.source == "emulated" else log.source
     yield f"{log.path.name}: {_duration(log)} of {counted(len(log.sensors), 'sensor')}, {rows} readings ({source})."
@@ -45,12 +45,12 @@ def log_sections(
     log: Log,
     scales: Mapping[str, Any],
     *,
-    drawn: bool,
+    with_figures: bool,
     progress: Callable[[float], None] = lambda share: None,
     calibration: Calibration | None = None,
 ) -> Iterator[Section]:
-    """Return the sections on what was recorded, every sensor over time by `calibration` (None: by data sheets); noise
-    at rest with figures if they can be `drawn`. `scales`: calibrated counts per unit.
+    """Yield the sections on what was recorded, on every sensor over time by `calibration` (None: by the data sheets),
+    and on the noise at rest. `scales`: calibrated counts per unit by sensor, for the noise.
     """
     yield _recorded(log)
     if recording := recording_of(log, calibration or Calibration()):
@@ -64,7 +64,7 @@ def log_sections(
     except ImuArrayError as error:
         yield Section(f"{log.path.name}: noise", f"The noise could not be determined: {error}.")
         return
-    yield _noise(log, result, drawn=drawn)
+    yield _noise(log, result, with_figures=with_figures)
 
 
 def _recorded(log: Log) -> Section:
@@ -82,10 +82,10 @@ def _recorded(log: Log) -> Section:
     lost = flagged.get("lost_before", 0)
     begin = f"Epoch {log.epoch}" if log.is_dated else "Recorded at an unknown date"
     words = f"{begin}, written by {log.software}. "
-    words += "No reading is flagged as lost. " if not lost else f"{lost} readings follow missing ones. "
+    words += "No readings were lost. " if not lost else f"Readings are missing before {lost} of the readings. "
     words += (
-        "The flags come from the log: stale means that the chip had no new reading, saturated that an axis was at its"
-        " limit."
+        "The flags come from the log: stale means that the chip had no new reading, saturated that an axis was at the"
+        " limit of its range."
     )
     heading = ["sensor", "chip", "range", "axes", "readings", "Hz", "longest pause ms", "flags"]
     parts = [
@@ -100,7 +100,7 @@ def _recorded(log: Log) -> Section:
 
 
 def _events(log: Log) -> Table:
-    """Return every event; those that repeat stand in one row, with their number and the time of the last one."""
+    """Return the table of events; events that repeat share a row, with their number and the time of the last one."""
     repeats: dict[tuple[str, str, str], list[float]] = {}
     for event in sorted(log.events):
         repeats.setdefault((event.sensor, event.kind, event.message), []).append(event.time_ns * 1e-9)
@@ -109,7 +109,7 @@ def _events(log: Log) -> Table:
         for (sensor, *words), times in list(repeats.items())[:_EVENTS]
     ]
     hidden = len(repeats) - len(rows)
-    more = f" {hidden} more are in the log, see imuarray info." if hidden else ""
+    more = f" {hidden} more are in the log; `imuarray info` prints them." if hidden else ""
     caption = f"The events of the log; repeated events share a row.{more}"
     return Table(["at s", "last at s", "times", "sensor", "kind", "what"], rows, caption, (3, 4, 5))
 
@@ -117,21 +117,21 @@ def _events(log: Log) -> Table:
 def _shown(log: Log, recording: RecordingFigure) -> Section:
     noted = [trace.name for trace in recording.traces if trace.note]
     words = (
-        f"With clipped, missing or silent stretches: {listed(noted)}. "
+        f"Sensors with clipped, missing or silent stretches: {listed(noted)}. "
         if noted
         else "No sensor has clipped, missing or silent stretches. "
     )
     words += (
         "Each band spans the smallest to the largest value of a stretch of readings, so that even a single spike is"
         " visible. Clipped readings are at the end of the range. Readings are missing in a pause of more than"
-        f" {PERIODS:g} periods, or where the log flags a loss. A sensor is silent from its last reading to the end."
+        f" {PERIODS:g} periods, or where the log flags a loss. A sensor is silent after its last reading."
     )
     words += "" if scripts() else " The figures can be zoomed once Bokeh is installed: pip install 'imuarray[monitor]'."
     return Section(f"{log.path.name}: the recording", words, [recording])
 
 
 def _longest_s(sensor: SensorLog) -> float:
-    """Return the longest time between two readings."""
+    """Return the longest time between two consecutive readings."""
     longest, last = 0, None
     for block in sensor.blocks():
         time = np.asarray(sensor.time[block])
@@ -141,19 +141,13 @@ def _longest_s(sensor: SensorLog) -> float:
 
 
 def _duration(log: Log) -> str:
-    """Return the length of the log and its start."""
+    """Return the text of the length of a log and of the time at which it begins."""
     rows = [sensor for sensor in log.sensors.values() if len(sensor)]
     if not rows:
         return "nothing"
     first, last = min(int(s.time[0]) for s in rows), max(int(s.time[-1]) for s in rows)
     seconds = (last - first) * 1e-9
-    length = (
-        f"{seconds:.1f} s"
-        if seconds < 120
-        else f"{seconds / 60:.1f} min"
-        if seconds < 7200
-        else f"{seconds / 3600:.2f} h"
-    )
+    length = duration(seconds, 1)
     if not log.is_dated:
         return length
     try:
@@ -163,16 +157,16 @@ def _duration(log: Log) -> str:
     return f"{length} from {begun:%Y-%m-%d %H:%M:%S} UTC"
 
 
-def _noise(log: Log, result: Mapping[str, Any], *, drawn: bool) -> Section:
+def _noise(log: Log, result: Mapping[str, Any], *, with_figures: bool) -> Section:
     stretch = result["stretch"]
     where = (
         f"phase {stretch['phase']}: {stretch['chosen_by']}"
         if stretch["phase"]
-        else "the whole log: motion, if there was any, counts as noise"
+        else "the whole log; motion, if there is any, counts as noise"
     )
     words = f"Over {stretch['start_s']:.1f} s to {stretch['end_s']:.1f} s ({where})."
     sentences = findings(result)
-    words += "" if sentences else " Nothing unusual: no line, no clipping, no missing codes."
+    words += "" if sentences else " Nothing unusual: no spectral line, no clipping, no missing codes."
     seconds = stretch["end_s"] - stretch["start_s"]
     parts: list[Table | Figure] = []
     if sentences:
@@ -181,20 +175,17 @@ def _noise(log: Log, result: Mapping[str, Any], *, drawn: bool) -> Section:
     parts.append(_noise_table(result))
     if seconds < _ALLAN_S:
         words += (
-            f" Allan curve: too short: {seconds:.0f} s, at least {_ALLAN_S:.0f} s are needed. A minute at rest shows"
-            " white noise, hours the drift."
+            f" No Allan deviation: too short: {seconds:.0f} s, at least {_ALLAN_S:.0f} s are needed. One minute at rest"
+            " shows white noise, hours show drift."
         )
-    elif drawn:
+    elif with_figures:
         caption = (
-            "Straight lines of slope -1/2 are white noise; where a curve flattens or rises, averaging longer gains"
-            " nothing: the bias wanders."
+            "Straight lines of slope -1/2 are white noise. Where a curve is flat or rises, the bias wanders, and"
+            " averaging longer gains nothing."
         )
         parts.append(Figure(allan_figure(result), caption, "Allan deviation of every axis against averaging time"))
-    if drawn and (drawing := spectrum_figure(result)).axes:  # none of too few rows
-        caption = (
-            "A flat spectrum is white noise, a fall at high frequency is a filter, a peak is a line that"
-            " fusion should model."
-        )
+    if with_figures and (drawing := spectrum_figure(result)).axes:  # no axes if there are too few rows
+        caption = "A flat spectrum is white noise, a fall at high frequency is a filter, a peak is a vibration or hum."
         parts.append(Figure(drawing, caption, "Spectral density of every axis against frequency"))
     return Section(f"{log.path.name}: noise", words, parts)
 
@@ -211,14 +202,14 @@ def _noise_table(result: Mapping[str, Any]) -> Table:
     heading = ["axis", "unit", "scatter", "N, unit/√Hz", "B, unit", "K, unit/√s"]
     caption = (
         "Scatter of single readings; white noise N, bias instability B and rate random walk K fitted to the Allan"
-        " deviation (IEEE Std 952), with 95 % intervals; “<”: not detected; the figure is the upper limit. A figure in"
-        " brackets is no noise of this kind: a line, a drift or coloured noise looks like it."
+        " deviation (IEEE Std 952), with 95 % intervals. “<”: not detected, the figure is an upper limit. A figure in"
+        " brackets has another cause: a spectral line, a drift or coloured noise."
     )
     return Table(heading, rows, caption, (1,))
 
 
 def _fitted(fit: Mapping[str, Any] | None, name: str, factor: float) -> str:
-    """One coefficient with its interval, or its upper limit."""
+    """Return the text of a coefficient with its interval, or its upper limit."""
     term = None if fit is None else fit["terms"].get(name)
     if term is None:
         return "–"

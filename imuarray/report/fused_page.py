@@ -1,21 +1,22 @@
-"""Report of a fused result (technique, noise, sensors and their exclusions, values over time), and of the gain of each
-technique over the simple average on a log with truth.
+"""Report of a fused result (technique, noise, use of sensors, values over time), and of the gain of each technique over
+the simple average on a log with truth.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Floats, Indices
+from imuarray.arrays import Floats, Indices, Reals
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.noise import with_noise_of
 from imuarray.errors import ImuArrayError
+from imuarray.figures import PALETTE, new_figure
 from imuarray.fuse import (
     FusedBlock,
     FusedHead,
@@ -27,22 +28,25 @@ from imuarray.fuse import (
     read_fused_events,
 )
 from imuarray.log import Log
-from imuarray.report.figures import course_figure, ratio_figure
 from imuarray.report.page import Figure, Section, Table, Verdict
 from imuarray.report.verdicts import fused_verdict, techniques_verdict
 from imuarray.units import READABLE_SI
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
+
 _POINTS = 2000
-"""Means that are drawn of a course, however long."""
+"""Most points of a drawn time series, each a mean of frames."""
 
 _EVENTS = 50
-"""Events that have a row each: the first ones."""
+"""Most events that the table shows."""
 
 
 @dataclass(frozen=True)
-class _Course:
-    """Means of so many frames each: time (n,) in s and triads (n, 3) in SI by quantity; use of sensors by quantity; the
-    standard error (3,) in SI that the result claims where it is quietest, by quantity.
+class _TimeSeries:
+    """Means of consecutive frames: time (n,) in s and triads (n, 3) in SI by quantity. Over all `frames`: the share
+    (m, 3) in which each axis of each sensor was used, and the standard error (3,) in SI that the result claims in its
+    quietest quarter, both by quantity.
     """
 
     time_s: Floats
@@ -53,48 +57,48 @@ class _Course:
 
 
 def fused_summary(path: Path, head: FusedHead) -> Iterator[str]:
-    """Yield a line."""
+    """Yield a line on the origin of the result, and one on sensors that failed."""
     calibration = Path(head.calibration).name or "the data sheets"
     yield f"{path.name}: {head.frames} frames of {Path(head.log).name} fused by {head.technique} with {calibration}."
-    if failed := _failed(path):
-        yield f"{path.name}: left out for part of the time because they failed: {', '.join(failed)}."
+    if failed := _failed_sensors(path):
+        yield f"{path.name}: excluded for part of the time because they failed: {', '.join(failed)}."
 
 
-def _failed(path: Path) -> list[str]:
-    """Return the sensors that were left out for a time."""
+def _failed_sensors(path: Path) -> list[str]:
+    """Return the sensors that were excluded for part of the time."""
     return sorted({event.sensor for event in read_fused_events(path) if event.state == "isolated"})
 
 
-def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> tuple[Verdict, Section]:
-    """Return the sections on the result's noise, the sensors that were in use, and its course; the verdict on it."""
+def fused_sections(path: Path, head: FusedHead, *, with_figures: bool) -> tuple[Verdict, Section]:
+    """Return the verdict on a result, and the section on its noise, its use of sensors and its values over time."""
     noise = quiet_noise(read_fused(path))
-    course = _course(path, head.frames)
+    series = _time_series(path, head.frames)
     rows = []
     for quantity, values in noise.items():
         factor, unit = READABLE_SI[quantity]
-        own = course.sigma.get(quantity)
+        own = series.sigma.get(quantity)
         for axis in range(3):
             deviation = f"{factor * own[axis]:.3f}" if own is not None and 0 < own[axis] < np.inf else "–"
             rows.append(
                 [f"{quantity.replace('_', ' ')} {'XYZ'[axis]}", unit, f"{factor * values[axis]:.3f}", deviation]
             )
-    heading = ["box axis", "unit", "scatter at rest", "error that it claims"]
+    heading = ["box axis", "unit", "scatter at rest", "claimed error"]
     caption = (
         "Scatter from frame to frame in the quietest quarter, and the standard error that the result claims there."
     )
     parts: list[Table | Figure] = [Table(heading, rows, caption, (1,))]
-    if use := _use_rows(head, course):
-        words = "Share of frames in which an axis of the sensor was used; below 1, it was left out of some frames."
+    if use := _use_rows(head, series):
+        words = "Share of frames in which each axis of a sensor was used; below 1, it was excluded from some frames."
         parts.append(Table(["sensor", "x", "y", "z"], use, words))
-    if events := _events(path):
+    if events := _events_table(path):
         parts.append(events)
-    if drawn:
-        parts += [_drawn(quantity, course) for quantity in course.triads]
+    if with_figures:
+        parts += [_time_plot(quantity, series) for quantity in series.triads]
     section = Section(f"{path.name}: fused by {head.technique}", "The result in the box frame.", parts)
-    return fused_verdict(path, head, noise, course.sigma, _failed(path)), section
+    return fused_verdict(path, head, noise, series.sigma, _failed_sensors(path)), section
 
 
-def _events(path: Path) -> Table | None:
+def _events_table(path: Path) -> Table | None:
     """Return the table of fault events; None without events."""
     events = read_fused_events(path)
     rows = [[event.sensor, event.kind.replace("_", " "), event.message] for event in events[:_EVENTS]]
@@ -103,25 +107,25 @@ def _events(path: Path) -> Table | None:
     return Table(["sensor", "fault", "in words"], rows, caption, (1, 2)) if rows else None
 
 
-def _drawn(quantity: str, course: _Course) -> Figure:
+def _time_plot(quantity: str, series: _TimeSeries) -> Figure:
     factor, unit = READABLE_SI[quantity]
     name = quantity.replace("_", " ")
-    drawing = course_figure(course.time_s, factor * course.triads[quantity], f"{name} ({unit})")
-    caption = f"The fused {name} over time: steps without motion indicate that a sensor was left out or used again."
+    drawing = time_figure(series.time_s, factor * series.triads[quantity], f"{name} ({unit})")
+    caption = f"The fused {name} over time: steps without motion indicate that a sensor was excluded or used again."
     return Figure(drawing, caption, f"Fused {name} along the three box axes against time")
 
 
-def _use_rows(head: FusedHead, course: _Course) -> list[list[str]]:
+def _use_rows(head: FusedHead, series: _TimeSeries) -> list[list[str]]:
     rows = []
     for quantity, names in head.sensors.items():
-        shares = course.used.get(quantity)
+        shares = series.used.get(quantity)
         if shares is not None and len(names) == len(shares):
             rows += [[name, *(f"{part:.4f}" for part in own)] for name, own in zip(names, shares, strict=True)]
     return rows
 
 
-def _course(path: Path, frames: int) -> _Course:
-    """Means over stretches, a block at a time."""
+def _time_series(path: Path, frames: int) -> _TimeSeries:
+    """Return the means of at most `_POINTS` stretches of equal length, read a block at a time."""
     width = max(1, -(-frames // _POINTS))
     times: list[Floats] = []
     triads: dict[str, list[Floats]] = {}
@@ -136,7 +140,7 @@ def _course(path: Path, frames: int) -> _Course:
         for quantity, rows in block.covariances.items():
             variances.setdefault(quantity, []).append(_means(rows[:, :3], first))
         _add_use(block, used)
-    return _Course(
+    return _TimeSeries(
         np.concatenate(times) if times else np.zeros(0),
         {quantity: np.concatenate(parts) for quantity, parts in triads.items()},
         frames,
@@ -146,7 +150,7 @@ def _course(path: Path, frames: int) -> _Course:
 
 
 def _means(rows: Floats, first: Indices) -> Floats:
-    """Return the means over stretches that begin at `first`, of the rows that are known; NaN where none is."""
+    """Return the means of the finite rows of each stretch, which begin at `first`; NaN where a stretch has none."""
     known = np.isfinite(rows)
     counts = np.add.reduceat(known.astype(float), first)
     sums = np.add.reduceat(np.where(known, rows, 0.0), first)
@@ -154,7 +158,9 @@ def _means(rows: Floats, first: Indices) -> Floats:
 
 
 def _quiet_error(variances: Floats) -> Floats:
-    """Return the error (3,) of the lower quartile, as the scatter at rest is: in motion, uncertain times are added."""
+    """Return the lower quartile (3,) of the claimed errors, to compare with the scatter at rest: in motion, the claim
+    includes the effect of uncertain times.
+    """
     known = variances[np.isfinite(variances).all(axis=1)]
     quartile = np.quantile(known, 0.25, axis=0) if len(known) else np.full(3, np.nan)
     return np.asarray(np.sqrt(np.maximum(quartile, 0.0)))
@@ -173,7 +179,7 @@ _NOISE = 0.1
 
 
 class TechniqueGains(NamedTuple):
-    """The section, and the verdict on what fusion gains (None: nothing can be said)."""
+    """The section on what fusion gains, and the verdict (None if the techniques could not be evaluated)."""
 
     section: Section
     verdict: Verdict | None = None
@@ -183,34 +189,34 @@ def techniques_section(
     log: Log,
     calibration: Calibration,
     *,
-    drawn: bool,
+    with_figures: bool,
     progress: Callable[[float], None] = lambda share: None,
     executor: Executor | None = None,
 ) -> TechniqueGains | None:
-    """Return every technique beside the average; None for a log that knows no truth. Processes of the `executor`
-    do a part.
+    """Compare every technique with the average; None for a log without truth or reference. The processes of the
+    `executor` do a part of the work.
     """
     if log.truth is None and log.reference is None:
         return None
-    title = f"{log.path.name}: what each technique gains"
+    title = f"{log.path.name}: gain of each technique"
     try:
         known = with_noise_of(log, calibration, progress=lambda what, done, of: progress(_NOISE * done / of))
         comparison = compare(
             log, known, progress=lambda share: progress(_NOISE + (1 - _NOISE) * share), executor=executor
         )
     except ImuArrayError as error:
-        return TechniqueGains(Section(title, f"It could not be evaluated: {error}."))
+        return TechniqueGains(Section(title, f"The techniques could not be evaluated: {error}."))
     scores = [score for score in comparison.scores if score.technique != "mean"]
     words = (
         "Rms error against the log's truth, divided by that of the simple average of the same sensors."
         " Below one is better."
     )
     parts: list[Table | Figure] = []
-    if drawn:
+    if with_figures:
         labels = [f"{score.technique}: {score.quantity.replace('_', ' ')}" for score in scores]
         ratios, errors = zip(*(_ratio(score) for score in scores), strict=True)
         drawing = ratio_figure(labels, ratios, errors)
-        caption = "Blue: better than the average beyond chance; bars are two standard errors of this log alone."
+        caption = "Blue: significantly better than the average; bars are two standard errors, from this log alone."
         listed = ", ".join(f"{label} {ratio:.3f}" for label, ratio in zip(labels, ratios, strict=True))
         parts.append(Figure(drawing, caption, f"{caption} {listed}."))
     section = Section(title, words, [*parts, _table(comparison), *_coasting(comparison)])
@@ -218,7 +224,7 @@ def techniques_section(
 
 
 def _ratio(score: Score) -> tuple[float, float]:
-    """Return the ratio of the whole vector's errors with its standard error."""
+    """Return the ratio of the errors of the whole vector, and its standard error."""
     ratio = score.ratio["XYZ"]
     wide = (ratio.high - ratio.low) / (2 * _Z95)
     return ratio.ratio, wide if np.isfinite(wide) else 0.0
@@ -234,10 +240,18 @@ def _table(comparison: TechniqueComparison) -> Table:
         axes = [f"{factor * value:.3f}" for value in score.error.rms]
         name = f"{score.technique}: {score.quantity.replace('_', ' ')}"
         rows.append([name, unit, *axes, f"{ratio.ratio:.3f}{interval}", claimed])
-    heading = ["technique", "unit", "rms X", "rms Y", "rms Z", "over the average (95 %)", "squared error over its own"]
+    heading = [
+        "technique",
+        "unit",
+        "rms X",
+        "rms Y",
+        "rms Z",
+        "ratio to average (95 %)",
+        "actual/claimed squared error",
+    ]
     caption = (
-        "The last column is the squared error divided by the one that the result claims, with the interval in which it"
-        " should lie. Above it, the errors are larger than claimed."
+        "The last column is the squared error divided by the squared error that the result claims, in brackets the"
+        " interval in which it should lie. Above the interval, the errors are larger than claimed."
     )
     return Table(heading, rows, caption, (1,))
 
@@ -248,5 +262,38 @@ def _coasting(comparison: TechniqueComparison) -> list[Table]:
         for name, coast in comparison.coasting.items()
         if len(coast.begins_s)
     ]
-    caption = "Errors of a navigator that stands still for ten seconds and then coasts on this result for a minute."
+    caption = "Errors of a navigator that is aligned at rest for 10 s and then dead-reckons with this result for 60 s."
     return [Table(["technique", "heading °", "velocity m/s", "coasts"], rows, caption)] if rows else []
+
+
+def ratio_figure(labels: Sequence[str], ratios: Sequence[float], errors: Sequence[float]) -> Drawing:
+    """Draw each error divided by that of the average, with two standard errors; below 1 is better."""
+    figure = new_figure(8.0, 0.8 + 0.24 * len(labels))
+    axes = figure.subplots()
+    rows = np.arange(len(labels))[::-1]
+    better = [ratio < 1 - 2 * error for ratio, error in zip(ratios, errors, strict=True)]
+    colours = [PALETTE[1] if flag else PALETTE[0] for flag in better]
+    axes.errorbar(ratios, rows, xerr=2 * np.asarray(errors), fmt="none", ecolor=PALETTE[0], elinewidth=1)
+    axes.scatter(ratios, rows, color=colours, zorder=3, s=22)
+    axes.axvline(1, color="black", linewidth=0.8)
+    axes.set_xscale("log")
+    axes.set_xticks([0.1, 0.2, 0.5, 1.0, 1.2], ["0.1", "0.2", "0.5", "1", "1.2"])
+    axes.minorticks_off()
+    axes.set_ylim(-0.7, len(labels) - 0.3)
+    axes.set_yticks(rows, labels, fontsize=8)
+    axes.set_xlabel("error over that of the simple average of the same sensors")
+    axes.grid(axis="x", linewidth=0.4, alpha=0.6)
+    return figure
+
+
+def time_figure(time_s: Reals, triad: Reals, label: str) -> Drawing:
+    """Draw a triad (n, 3) over time, a panel for each box axis."""
+    figure = new_figure(8.0, 4.6)
+    panels = figure.subplots(3, 1, sharex=True)
+    for axis, panel in enumerate(panels):
+        panel.plot(time_s, triad[:, axis], color=PALETTE[1 + axis], linewidth=0.9)
+        panel.set_ylabel("XYZ"[axis], rotation=0, labelpad=12)
+        panel.grid(linewidth=0.4, alpha=0.6)
+    panels[-1].set_xlabel("time (s)")
+    figure.suptitle(label, fontsize=10.5, x=0.02, ha="left")
+    return figure

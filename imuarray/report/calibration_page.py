@@ -1,5 +1,5 @@
-"""A calibration on a page: biases, scale factors and slopes with what is known of their errors, and what is left of the
-poses that a log holds once they are calibrated.
+"""Report of a calibration: biases, scale factors and temperature slopes with their standard errors, and the residuals
+of the poses of a log that it calibrates.
 """
 
 from __future__ import annotations
@@ -19,21 +19,20 @@ from imuarray.report.page import Figure, Section, Table
 from imuarray.units import READABLE, STANDARD_GRAVITY
 
 _FEWEST = 4
-"""Poses without which residuals would tell little."""
+"""Least number of poses for which residuals are shown."""
 
 _WIDEST = 12
-"""Poses up to which the table of residuals has a column for each: more do not fit on a desktop's page."""
-
+"""Most poses for which the table of residuals has a column each: more do not fit on the page of a desktop computer."""
 
 _BASIC = {"bias", "response", "noise"}
-"""Groups of a calibration that the first table shows."""
+"""Groups of a calibration's figures that the first table shows."""
 
 _GROUPS = {"g_sensitivity": "g-sensitivity", "thermal": "temperature slopes", "turn_on": "changes from run to run"}
-"""What the keys of some groups mean, in words."""
+"""Names of the groups whose key is not their name."""
 
 
 def calibration_summary(path: Path, calibration: Calibration) -> Iterator[str]:
-    """Yield a line: what it knows, from what."""
+    """Yield one line: what was measured, of how many sensors, from which logs."""
     sources = listed(list(dict.fromkeys(Path(source).name for source in calibration.sources))) or "unnamed logs"
     measured = sorted({group for sensor in calibration.sensors.values() for group in sensor.measured()})
     names = ", ".join(_GROUPS.get(group, group) for group in measured) or "nothing"
@@ -41,7 +40,7 @@ def calibration_summary(path: Path, calibration: Calibration) -> Iterator[str]:
 
 
 def calibration_sections(path: Path, calibration: Calibration) -> Iterator[Section]:
-    """Return the figures of a calibration, with their uncertainties."""
+    """Yield the section with the figures of a calibration and their standard errors."""
     axes = [row for sensor in calibration.sensors.values() for row in _axes(sensor) if _BASIC & {*sensor.measured()}]
     words = "Measured figures have a standard error; figures without one come from the data sheet. "
     words += "A bias is the reading at zero input; the direction is the true direction of the axis in the box."
@@ -118,9 +117,9 @@ def _or_none(value: float | None) -> str:
     return "–" if value is None else f"{value:.3g}"
 
 
-def residual_section(log: Log, calibration: Calibration, *, drawn: bool) -> Section | None:
-    """Return the residuals of each accelerometer: calibrated specific force less one g in a log's poses; None for too
-    few.
+def residual_section(log: Log, calibration: Calibration, *, with_figures: bool) -> Section | None:
+    """Return the residuals of each accelerometer, the calibrated specific force less 1 g in each pose of the log; None
+    for fewer than four poses.
     """
     sensors = [sensor for sensor in log.of("specific_force") if sensor.name in calibration.sensors]
     try:
@@ -152,8 +151,8 @@ def residual_section(log: Log, calibration: Calibration, *, drawn: bool) -> Sect
         " is off has an error."
     )
     parts: list[Table | Figure] = []
-    if drawn:
+    if with_figures:
         drawing = residual_figure(names, labels, residual_mg)
         parts.append(Figure(drawing, caption, f"Residuals of {len(names)} accelerometers in {len(labels)} poses"))
-    parts.append(Table(heading, rows, caption if not drawn else "The same values in numbers, mg."))
+    parts.append(Table(heading, rows, caption if not with_figures else "The same values in numbers, mg."))
     return Section(f"{log.path.name}: residuals of the calibration", words, parts)
