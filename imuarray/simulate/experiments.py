@@ -166,10 +166,11 @@ def with_effects(
     for name in added:
         if name not in effects:
             raise ConfigError(f"effects of {name!r}: the array has {', '.join(effects)}{guess(name, effects)}")
-        effect: object
         for effect in added[name]:
             if not isinstance(effect, tuple(EFFECTS.values())):
-                hint = f'EFFECTS["{effect}"](...)' if effect in EFFECTS else "an effect of imuarray.simulate.EFFECTS"
+                hint = (
+                    f'EFFECTS["{effect}"](...)' if str(effect) in EFFECTS else "an effect of imuarray.simulate.EFFECTS"
+                )
                 raise ConfigError(f"effects of {name}: {effect!r} is no effect; give {hint}")
     return {name: in_physical_order((*known, *added.get(name, ()))) for name, known in effects.items()}
 
