@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from imuarray.axes import Matrix, orientation_of
-from imuarray.chips import CHIPS, HALVES, ChipSpec, SpiRules, die_of, half_of, kernel_chip
+from imuarray.chips import CHIPS, HALVES, ChipSpec, SpiRules, chip_of, die_of, half_of, kernel_chip
 from imuarray.errors import ConfigError
 from imuarray.spelling import guess
 from imuarray.toml_files import Mistake, parse_toml, read_text, refusal
@@ -74,7 +74,15 @@ class SensorConfig(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _choose_half(cls, values: Any) -> Any:
-        """Take a range of g or of dps for the half of a six-axis chip that is meant: `chip = "mpu6050"` is either."""
+        """Take a range of g or of dps for the half of a six-axis chip that is meant: `chip = "mpu6050"` is either. The
+        name of a data sheet ("ICM-42688-P") is that of the chip, too.
+        """
+        if (
+            isinstance(values, dict)
+            and isinstance(values.get("chip"), str)
+            and not str(values.get("bus")).startswith(IIO)
+        ):
+            values = {**values, "chip": chip_of(values["chip"])}
         if isinstance(values, dict) and values.get("chip") in HALVES:
             halves = {str(CHIPS[half].quantity): half for half in HALVES[values["chip"]]}
             meant = halves.get(str(values.get("quantity")), half_of(values["chip"], values.get("range")))
@@ -119,7 +127,8 @@ class SensorConfig(BaseModel):
             ranges = tuple(limit for half in HALVES[self.chip] for limit in CHIPS[half].sensitivity)
             _one_of("range", self.range, ranges, "g")
         elif self.chip not in CHIPS:
-            raise ValueError(f"chip {self.chip!r}: allowed are {', '.join((*CHIPS, *HALVES))}")
+            names = [name for name in (*CHIPS, *HALVES) if die_of(name) == name]
+            raise ValueError(f"chip {self.chip!r}: allowed are {', '.join(names)}")
 
     def _check_address(self) -> None:
         if (spec := CHIPS.get(self.chip)) is not None and self.on_i2c:

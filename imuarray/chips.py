@@ -514,6 +514,19 @@ HALVES: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Dies that are two sensors, by the name of the die: each half is a chip of `CHIPS`, and both have one address."""
 
 
+_SOLD_AS: Mapping[str, str] = MappingProxyType({"icm42688p": "icm42688", "mmc5983ma": "mmc5983"})
+"""Names of data sheets with the letters of a package or a variant."""
+
+
+def chip_of(name: str) -> str:
+    """Return the name of a chip as configurations write it, for that of its data sheet ("ICM-42688-P"); others as they
+    are.
+    """
+    plain = name.lower().replace("-", "").replace(" ", "")
+    plain = _SOLD_AS.get(plain, plain)
+    return plain if plain in CHIPS or plain in HALVES else name
+
+
 _UNITS: Mapping[Quantity, str] = MappingProxyType(
     {"specific_force": "g", "angular_rate": "dps", "magnetic_field": "gauss"}
 )

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.array import ArrayConfig, load_array, parse_array
+from imuarray.chips import chip_of
 from imuarray.errors import ConfigError
 
 SHIPPED = Path(__file__).parents[1] / "configs" / "martin2013.toml"
@@ -124,7 +125,7 @@ def test_a_part_of_an_array() -> None:
         ),
         (
             changed('chip = "bma180"', 'chip = "bma280"'),
-            r"sensor 1 'Acc': chip 'bma280': allowed are adxl345, bma180, .*, hmc5883, mpu6050, mpu6500, .*$",
+            r"sensor 1 'Acc': chip 'bma280': allowed are adxl345, bma180, l3g4200d, bmp180, .*, icm42688, lsm6dso$",
         ),
         (changed("address = 0x40", "address = 0x42"), r"sensor 1 'Acc': address 0x42: allowed are 0x40, 0x41$"),
         (changed('chip = "pca9544a"', 'chip = "pca9548"'), r"array: mux: chip: .*'pca9544a'"),
@@ -314,3 +315,30 @@ def test_the_papers_ranges(paper: ArrayConfig) -> None:
 )
 def test_hostile_files_are_refused_in_one_line(tmp_path: Path, hostile: str) -> None:
     assert refusal(tmp_path, hostile)
+
+
+@pytest.mark.parametrize(
+    ("written", "chip"),
+    [("BMA180", "bma180"), ("L3G4200D", "l3g4200d"), ("ADXL345", "adxl345"), ("HMC5883L", "hmc5883l")],
+)
+def test_the_name_of_a_data_sheet_is_that_of_a_chip(written: str, chip: str) -> None:
+    assert chip_of(written) == chip
+
+
+def test_a_six_axis_chip_by_the_name_that_it_is_sold_by() -> None:
+    text = """
+        [array]
+        name = "pair"
+        [[sensor]]
+        name = "IMU1_acc"
+        chip = "ICM-42688-P"
+        address = 0x68
+        range = 4
+        [[sensor]]
+        name = "IMU1_gyro"
+        chip = "icm42688p"
+        address = 0x68
+        range = 500
+    """
+    array = parse_array(text, "pair.toml")
+    assert [sensor.chip for sensor in array.sensors] == ["icm42688_acc", "icm42688_gyro"]
