@@ -96,7 +96,12 @@ class PlaneBlend:
         said = [monitor.sentence(quantity) for monitor in apart]
         if agreed := len(result) - len(apart):
             more = "more " if apart else ""
-            said.append(f"{agreed} {more}axes of lower weight differ by less than {_REMARKABLE_SIGMAS:g} sigma")
+            axes = (
+                f"1 {more}axis of lower weight differs"
+                if agreed == 1
+                else f"{agreed} {more}axes of lower weight differ"
+            )
+            said.append(f"{axes} by less than {_REMARKABLE_SIGMAS:g} sigma")
         if alone := len(monitors) - len(result):
             axes = "1 axis" if alone == 1 else f"{alone} axes"
             said.append(f"{axes} of lower weight cannot be compared: no axis of full weight lies near their direction")
