@@ -25,6 +25,7 @@ from imuarray.axes import UP_AXES, face_up, up_vector
 from imuarray.characterise.noise import LEFT_OUT
 from imuarray.characterise.stretch import GAP, broken_rows
 from imuarray.errors import CalibrationError
+from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, SUSPECT, Phase
 
@@ -423,9 +424,18 @@ class ReadingInterval(NamedTuple):
     limit_ns: float
 
 
+_NO_GAP_NS = 1e18
+"""Limit of intervals that none exceeds."""
+
+
 def clock_of(stretches: Stretches) -> ReadingInterval:
-    """Return the interval of readings in the first block of the longest stretch; rate 0 without two valid readings."""
+    """Return the interval of readings in the first block of the longest stretch; rate 0 without two valid readings. Rows
+    that arrived in bursts were read steadily, at their mean rate and without gaps.
+    """
     sensor, rows = max(stretches, key=lambda stretch: stretch[1].stop - stretch[1].start)
+    timing = row_timing(sensor)
+    if timing.kind == "bursts":
+        return ReadingInterval(timing.rate_hz, _NO_GAP_NS)
     part = slice(rows.start, min(rows.stop, rows.start + _BLOCK_ROWS))
     sound = (np.asarray(sensor.status[part]) & LEFT_OUT) == 0
     intervals = np.diff(np.asarray(sensor.time[part])[sound]).astype(float)

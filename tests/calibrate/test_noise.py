@@ -240,3 +240,26 @@ def test_lines_are_said_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "G y: a line at 23.40 Hz carries 67 % of the scatter" in said
     saved = load_calibration(tmp_path / "cal.toml").sensors["G"]
     assert [line.axis for line in saved.noise_lines] == ["y"] and saved.drift is not None
+
+
+def test_a_line_of_rows_that_arrived_in_bursts(tmp_path: Path) -> None:
+    """Read at 100 Hz, taken by a host that comes by every 50 to 90 ms: neighbours and lines are those of the readings, whose
+    line of amplitude 15 is a fifth of 15^2 / 2 + 20^2.
+    """
+    rows, rng = 30_000, np.random.default_rng(6)
+    read_s = np.arange(rows) / 100.0
+    visits_s = np.cumsum(rng.uniform(0.05, 0.09, rows))
+    counts = white(rows, (20.0, 20.0, 20.0))
+    counts[:, 2] += 15.0 * np.sin(2 * np.pi * 31.4 * read_s)
+    visit = np.searchsorted(visits_s, read_s)
+    place = np.arange(rows) - np.searchsorted(visit, visit)
+    header = SensorHeader("G", "l3g4200d", "angular_rate", "dps", 250.0, 114.0)
+    path = tmp_path / "run.h5"
+    with LogWriter(path, [header], source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        times_ns = np.rint((visits_s[visit] + 0.001 * place) * 1e9).astype(np.int64)
+        log.append("G", Block(times_ns, np.rint(counts).astype(np.int16), np.zeros(rows, np.uint16)))
+        log.phase(Phase(0, int(times_ns[-1]) + 1, "static", "+Z"))
+    known = calibrated(path)
+    (line,) = known.noise_lines
+    assert line.frequency_hz == pytest.approx(31.4, abs=0.1)
+    assert line.share == pytest.approx(15**2 / 2 / (15**2 / 2 + 20**2), rel=0.15)
