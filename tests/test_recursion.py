@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from imuarray import kernels
 from imuarray.recursion import first_order
 
 
@@ -27,3 +28,13 @@ def test_it_is_scipys_filter_of_a_single_pole() -> None:
 
 def test_nothing_gives_nothing() -> None:
     assert first_order(np.zeros((0, 3)), 0.5).shape == (0, 3)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_what_is_not_finite_goes_forwards_only(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernels, "COMPILED", kernels.COMPILED and compiled)
+    drive = np.ones((6, 2))
+    drive[3, 1] = np.nan
+    result = first_order(drive, 0.5)
+    assert result[:, 0].tolist() == [1.0, 1.5, 1.75, 1.875, 1.9375, 1.96875]
+    assert result[:3, 1].tolist() == [1.0, 1.5, 1.75] and np.isnan(result[3:, 1]).all()

@@ -57,6 +57,16 @@ class ConstantGain:
         return triads.T
 
 
+_PAIRED = 4096
+"""Frames whose products of (1, X, Y, Z) are computed at once."""
+
+
+def _pairs(triads: Floats) -> Floats:
+    """Return the products (16, n) of (1, X, Y, Z) of triads (n, 3) with each other."""
+    ones = np.concatenate([np.ones((1, len(triads))), triads.T])
+    return np.asarray((ones[:, None] * ones).reshape(16, len(triads)))
+
+
 class SlowErrors:
     """Remaining errors of calibrated axes, and the covariance of triads that they cause."""
 
@@ -76,10 +86,14 @@ class SlowErrors:
         """Return covariances (n, 6) (`frames.ENTRIES`) of triads (n, 3) computed with `gains` (n, 3, m), or (1, 3, m)
         for all.
         """
-        ones = np.concatenate([np.ones((1, len(triads))), triads.T])
-        pairs = (ones[:, None] * ones).reshape(16, len(triads))
         if len(gains) == 1:
-            return np.asarray(entries(gains[0] @ self._terms @ gains[0].T).T @ pairs).T
+            factors = entries(gains[0] @ self._terms @ gains[0].T)
+            result = np.empty((6, len(triads)))
+            for start in range(0, len(triads), _PAIRED):  # so few that their products stay in the cache
+                part = slice(start, start + _PAIRED)
+                np.matmul(factors.T, _pairs(triads[part]), out=result[:, part])
+            return result.T
+        pairs = _pairs(triads)
         errors = (pairs.T @ self._terms.reshape(16, -1)).reshape(len(triads), *self._terms.shape[1:])
         return entries(gains @ errors @ np.swapaxes(gains, 1, 2))
 

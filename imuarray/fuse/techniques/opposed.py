@@ -316,9 +316,10 @@ class Smoother:
     def _hold(self, rows: Floats) -> Floats:
         """Return `rows` with NaN replaced by the last finite value."""
         known = np.isfinite(rows)
-        source = np.maximum.accumulate(np.where(known, np.arange(len(rows))[:, None], -1), axis=0)
-        if len(rows) == 0:
+        if known.all():
+            self._last = rows[-1] if len(rows) else self._last
             return rows
+        source = np.maximum.accumulate(np.where(known, np.arange(len(rows))[:, None], -1), axis=0)
         held = np.where(source >= 0, np.take_along_axis(rows, np.maximum(source, 0), axis=0), self._last)
         self._last = held[-1]
         return held
