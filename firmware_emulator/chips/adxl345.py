@@ -103,8 +103,8 @@ class Adxl345Chip(Chip):
         self._reading = False
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Byte by byte, but one whole set in one piece, alone or after INT_SOURCE and DATA_FORMAT: its bytes don't change
-        while they are read (ADX-49).
+        """Byte by byte, but one whole set in one piece, alone or after INT_SOURCE and DATA_FORMAT: its bytes don't
+        change while they are read (ADX-49).
         """
         before = DATA.start - self.pointer
         if count != before + len(DATA) or before not in (0, 2) or self._reading:

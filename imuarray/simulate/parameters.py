@@ -68,7 +68,7 @@ def from_table(kind: type[SomeEffect], table: Mapping[str, object], unit: str, w
     try:
         return kind(**arguments)
     except ValueError as error:
-        raise ConfigError(f"{where}: {_respelled(str(error), known)}") from None
+        raise ConfigError(f"{where}: {_respell(str(error), known)}") from None
 
 
 def _of_events(name: str, values: Any, first: str, count: int) -> tuple[float, ...]:
@@ -116,7 +116,7 @@ def _unknown(key: str, allowed: list[str]) -> str:
     return f"{key}: unknown key{guess}; allowed are {', '.join(allowed)}"
 
 
-def _respelled(complaint: str, known: Mapping[str, Field[Any]]) -> str:
+def _respell(complaint: str, known: Mapping[str, Field[Any]]) -> str:
     """Return an effect's complaint "rms: ...", with the key that the reader of the file knows instead of the
     parameter.
     """

@@ -161,7 +161,7 @@ class Place:
 
 
 @lru_cache(maxsize=64)
-def _tiled(values: Triple, count: int, dtype: str) -> Reals:
+def _tile(values: Triple, count: int, dtype: str) -> Reals:
     tiled: Reals = np.tile(np.asarray(values, dtype), (count, 1))
     tiled.flags.writeable = False
     return tiled
@@ -172,4 +172,4 @@ def per_row(values: Triple, like: Reals) -> Reals:
 
     Ten times faster to multiply and add than a broadcast over an inner axis of three.
     """
-    return _tiled(values, len(like), like.dtype.str)
+    return _tile(values, len(like), like.dtype.str)

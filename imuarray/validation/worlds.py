@@ -200,7 +200,7 @@ def draw_world(seed: int) -> World:
     sessions = [
         session for kind in kinds for session in _SESSIONS[kind](lengths[kind], _stream(seed, kind), even, limits)
     ]
-    sessions = [_labelled(session, labels, _stream(seed, "labels")) for session in sessions]
+    sessions = [_label(session, labels, _stream(seed, "labels")) for session in sessions]
     recorder = _recorder(even, rate_hz, _stream(seed, "recorder"))
     if "motion" not in kinds:
         recorder["reference"] = bool(even["reference"] < 0.3)
@@ -506,7 +506,7 @@ _SESSIONS = MappingProxyType(
 )
 
 
-def _labelled(session: Table, labels: str, random: np.random.Generator) -> Table:
+def _label(session: Table, labels: str, random: np.random.Generator) -> Table:
     """Return the session with its labels: complete, missing, or with two faces of a tumble exchanged."""
     if labels == "missing":
         return {**session, "phases": []}

@@ -70,9 +70,9 @@ def causes_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -
     single = [cause for unit, unit_rounds in rounds.items() for cause in _of_unit(bench, unit, unit_rounds, seed)]
     merged = [
         replace(joint, probability=calibrated_probability(joint.share, joint.all_closed))
-        for joint in _merged(bench, single)
+        for joint in _merge(bench, single)
     ]
-    return _ranked(merged)
+    return _rank(merged)
 
 
 def nearest_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -> tuple[Cause, ...]:
@@ -125,7 +125,7 @@ def _log_odds(round_: Round, evaluation: Evaluation) -> float:
     return evaluation.gain_of_both - max(round_.placebo_gain, 0.0) - cost
 
 
-def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
+def _rank(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Return the causes, the most probable first.
 
     A cause that was detected with another cause of the same sensor in the model is no more probable than that one, and
@@ -288,7 +288,7 @@ def _origin(trial: Hypothesis) -> Origin:
     return "metadata" if trial.name in _METADATA or trial.everywhere or from_boot else "sensor"
 
 
-def _merged(bench: Bench, causes: Sequence[Cause]) -> list[Cause]:
+def _merge(bench: Bench, causes: Sequence[Cause]) -> list[Cause]:
     """Merge causes that are the same in several sensors of a chip."""
     merged: list[Cause] = []
     for cause in causes:

@@ -91,14 +91,14 @@ def lines_of(causes: Sequence[Cause], headers: Mapping[str, SensorHeader]) -> tu
 def notes_of(lines: Sequence[CommonLine], shared: Sequence[SharedSignal] = ()) -> tuple[str, ...]:
     """Return sentences on what the box felt."""
     sentences = [
-        f"{_listed(line.sensors)} have the same line at {line.frequency_hz:.1f} Hz"
+        f"{_list(line.sensors)} have the same line at {line.frequency_hz:.1f} Hz"
         f"{f' along the box axis {line.axis}' if line.axis else ''}: a vibration of the box, not a fault of the "
         "sensors."
         for line in lines
     ]
     words = {"slow": "wander together", "fast": "shake together"}
     sentences += [
-        f"{_listed(signal.sensors)} {words[signal.pace]} along the box axis {signal.axis} in phase {signal.phase!r} "
+        f"{_list(signal.sensors)} {words[signal.pace]} along the box axis {signal.axis} in phase {signal.phase!r} "
         f"(correlation {signal.correlation:.2g}), whatever their mounting: motion of the box, "
         "not a fault of the sensors."
         for signal in shared
@@ -182,5 +182,5 @@ def _sizes(table: Mapping[str, Any], *names: str) -> Floats:
     return np.asarray(np.broadcast_to(np.asarray(value, float), (3,)))
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list(names: Sequence[str]) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]

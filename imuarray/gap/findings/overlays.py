@@ -114,7 +114,7 @@ def overlays_of(
     groups = [numbers[first : first + TOGETHER] for first in range(0, REPLICATES, TOGETHER)]
     simulated = list(
         chain.from_iterable(
-            run(_simulated, [_CurveRequest(side, some, curves) for side in without_duplicates for some in groups])
+            run(_simulate, [_CurveRequest(side, some, curves) for side in without_duplicates for some in groups])
         )
     )
     before, after = simulated[:REPLICATES], simulated[-REPLICATES:]
@@ -174,7 +174,7 @@ def bands(replicates: Sequence[Floats]) -> Floats:
     return table
 
 
-def _simulated(bench: Bench, request: _CurveRequest) -> list[list[Floats]]:
+def _simulate(bench: Bench, request: _CurveRequest) -> list[list[Floats]]:
     """Return all curves in each replicate, with only their logs simulated."""
     replicates = [(request.models, number) for number in request.numbers]
     campaigns = bench.campaigns(replicates, logs={curve.log for curve, _ in request.curves})

@@ -204,7 +204,7 @@ def _causes(diagnosis: Diagnosis) -> Iterator[str]:
         [share(cause.probability), cause.action, cause.effect, places_text(cause), _closes(cause)]
         for cause in diagnosis.causes
     ]
-    for cause, line in zip(diagnosis.causes, _aligned(rows, (0,), (8, 8, 20, 44, 26)), strict=True):
+    for cause, line in zip(diagnosis.causes, _align(rows, (0,), (8, 8, 20, 44, 26)), strict=True):
         yield line
         more = [parameters_text(cause.parameters)] if cause.parameters else []
         more += [f"may also be {' or '.join(cause.confusable_with)}"] if cause.confusable_with else []
@@ -232,7 +232,7 @@ def _where(where: Sequence[Where]) -> Iterator[str]:
     more = f", the worst {len(worst)}" if len(where) > len(worst) else ""
     yield f"Where it differs: {len(where)} statistics{more} (sd of chance; size in margins, matters from 1 on)"
     heading = ["sensor", "domain", "statistic", "phase", "real", "sim.", "unit", "sd", "size", ""]
-    yield from _aligned([heading, *map(_row, worst)], (4, 5, 7, 8), _COLUMNS)
+    yield from _align([heading, *map(_row, worst)], (4, 5, 7, 8), _COLUMNS)
 
 
 def _row(entry: Where) -> list[str]:
@@ -295,7 +295,7 @@ def _pulls(pulls: Sequence[Pull]) -> Iterator[str]:
         ]
         for pull in outside
     ]
-    yield from _aligned([heading, *rows], (2, 3, 5), (16, 28, 10, 10, 14, 8, 20))
+    yield from _align([heading, *rows], (2, 3, 5), (16, 28, 10, 10, 14, 8, 20))
 
 
 def _missing(missing: Sequence[str]) -> Iterator[str]:
@@ -305,7 +305,7 @@ def _missing(missing: Sequence[str]) -> Iterator[str]:
         yield from _hanging("  ", phrase)
 
 
-def _aligned(rows: Sequence[Sequence[str]], right: Collection[int], most: Sequence[int]) -> Iterator[str]:
+def _align(rows: Sequence[Sequence[str]], right: Collection[int], most: Sequence[int]) -> Iterator[str]:
     """Columns two spaces apart, `right` ones to the right, none wider than its `most`."""
     clean = [[_cut(cell, wide) for cell, wide in zip(row, most, strict=True)] for row in rows]
     widths = [max(len(row[place]) for row in clean) for place in range(len(most))]

@@ -157,10 +157,10 @@ def calibrated_probability(share: float, all_closed: float | None, rates: Rates 
     """
     closed = min(max(all_closed or 0.0, 0.0), 1.0)
     right = rates.least + (rates.most - rates.least) * math.pow(closed, rates.steep)
-    return right * _tempered(share, rates.rivals)
+    return right * _temper(share, rates.rivals)
 
 
-def _tempered(share: float, power: float) -> float:
+def _temper(share: float, power: float) -> float:
     """Return a probability whose odds are raised to that power."""
     share = min(max(share, _SURE), 1 - _SURE)
     return 1 / (1 + math.exp(-power * math.log(share / (1 - share))))

@@ -297,8 +297,8 @@ def views(evidence: Evidence) -> Iterator[Evidence]:
     yield evidence
     logs = sorted({phase.log for phase in evidence.phases})
     parts = [
-        *_grouped(logs, [round(math.log(_rows_per_s(evidence, log), SAME_RATE)) for log in logs]),
-        *_grouped(logs, [next(phase.kind for phase in evidence.phases if phase.log == log) for log in logs]),
+        *_group(logs, [round(math.log(_rows_per_s(evidence, log), SAME_RATE)) for log in logs]),
+        *_group(logs, [next(phase.kind for phase in evidence.phases if phase.log == log) for log in logs]),
         *((log,) for log in logs),
     ]
     alone = [evidence.within(part) for part in dict.fromkeys(parts) if len(part) < len(logs)]
@@ -308,7 +308,7 @@ def views(evidence: Evidence) -> Iterator[Evidence]:
         yield from (view for view in ranked[:VIEWS] if view.furthest > _SAYS)
 
 
-def _grouped(logs: Sequence[int], by: Sequence[object]) -> Iterator[tuple[int, ...]]:
+def _group(logs: Sequence[int], by: Sequence[object]) -> Iterator[tuple[int, ...]]:
     for value in dict.fromkeys(by):
         yield tuple(log for log, log_value in zip(logs, by, strict=True) if log_value == value)
 

@@ -53,11 +53,11 @@ def move_factors(trial: Hypothesis, factors: Sequence[Factor], steps: Floats) ->
     """Return the trial with its factors times exp(steps); shares and probabilities stay below 1."""
     effects = list(trial.effects)
     for factor, step in zip(factors, steps.tolist(), strict=True):
-        effects[factor.effect] = _scaled(effects[factor.effect], factor, float(np.exp(step)), trial.limits)
+        effects[factor.effect] = _scale(effects[factor.effect], factor, float(np.exp(step)), trial.limits)
     return replace(trial, effects=tuple(effects))
 
 
-def _scaled(effect: Effect, factor: Factor, by: float, limits: Mapping[str, tuple[float, float]]) -> Effect:
+def _scale(effect: Effect, factor: Factor, by: float, limits: Mapping[str, tuple[float, float]]) -> Effect:
     value: Any = getattr(effect, factor.name)
     if factor.place is not None:
         changed: Any = tuple(item * by if place == factor.place else item for place, item in enumerate(value))

@@ -124,7 +124,7 @@ def uses(real: Uses, before: Sequence[Uses], after: Sequence[Uses]) -> tuple[Use
     for (name, sensor), (value, unit) in real.items():
         first, second = (_values(replicates, (name, sensor)) for replicates in (before, after))
         scatter = second if len(second) >= _LEAST_REPLICATES else first
-        table.append(Use(name, sensor, unit, _recorded(value, scatter), _simulated(first), _simulated(second)))
+        table.append(Use(name, sensor, unit, _recorded(value, scatter), _interval_of(first), _interval_of(second)))
     return tuple(table)
 
 
@@ -213,7 +213,7 @@ def _values(replicates: Sequence[Uses], place: tuple[str, str]) -> Floats:
     return np.array([replicate[place][0] for replicate in replicates if place in replicate])
 
 
-def _simulated(values: Floats) -> IntervalEstimate:
+def _interval_of(values: Floats) -> IntervalEstimate:
     low, middle, high = np.quantile(values, (0.025, 0.5, 0.975)) if len(values) else np.full(3, np.nan)
     return IntervalEstimate(float(middle), float(low), float(high))
 

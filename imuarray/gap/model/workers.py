@@ -137,14 +137,14 @@ class _Job(Generic[Item, Result]):
         return self._job(item)
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, bytes]]:
-        return _unpacked, (self._name, self._packed)
+        return _unpack, (self._name, self._packed)
 
     @cached_property
     def _packed(self) -> bytes:
         return bytes(ForkingPickler.dumps(self._job))
 
 
-def _unpacked(name: str, packed: bytes) -> Callable[[Any], Any]:
+def _unpack(name: str, packed: bytes) -> Callable[[Any], Any]:
     """Return the job of this name as first received; earlier jobs are dropped."""
     if name not in _LATEST:
         _LATEST.clear()

@@ -78,11 +78,11 @@ class LogSummary:
         have in common stays.
         """
         names = {first: second, second: first}
-        phases = [replace(part, sensors=_renamed(part.sensors, names)) for part in self.phases]
+        phases = [replace(part, sensors=_rename_sensors(part.sensors, names)) for part in self.phases]
         return replace(self, phases=tuple(phases))
 
 
-def _renamed(sensors: Mapping[str, Summary], names: Mapping[str, str]) -> dict[str, Summary]:
+def _rename_sensors(sensors: Mapping[str, Summary], names: Mapping[str, str]) -> dict[str, Summary]:
     """Return the summaries under the names and with the headers of other sensors; sensors that lack a counterpart are
     left out.
     """
@@ -254,7 +254,7 @@ def _crosses(
     waiting = {
         name: list(zip(*(block[name] for block in blocks), strict=True)) for name in sources if name in cross.sensors
     }
-    for name, several in _interleaved({name: iter(sensor_blocks) for name, sensor_blocks in waiting.items()}, phase):
+    for name, several in _interleave({name: iter(sensor_blocks) for name, sensor_blocks in waiting.items()}, phase):
         cross.accept(name, several)
     return cross.results()
 
@@ -273,7 +273,7 @@ def _summarise_in_one_pass(
     }
     cross = _cross(sources, phase, reference.track, layout.window_ns, 1, recorded=recorded)
     waiting = {name: zip(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
-    for name, blocks in _interleaved(waiting, phase):
+    for name, blocks in _interleave(waiting, phase):
         if blocks is not None:
             tallies[name].update(*blocks)
         if cross is not None and name in cross.sensors:
@@ -282,7 +282,7 @@ def _summarise_in_one_pass(
     return PhaseSummary(phase, number, layout, sensors, None if cross is None else cross.result())
 
 
-def _interleaved(
+def _interleave(
     blocks: Mapping[str, Iterator[tuple[Block, ...]]], phase: Phase
 ) -> Iterator[tuple[str, tuple[Block, ...] | None]]:
     """Yield the blocks of all sensors, None after a sensor's last: the sensor that is furthest behind in time comes

@@ -154,7 +154,7 @@ def _of_phase(replicates: Sequence[PhaseSummary], only: Collection[str] | None) 
     first = replicates[0]
     sensors = _sensors([first], only)
     single = {sensor: [phase.sensors[sensor] for phase in replicates] for sensor in sensors}
-    together = {sensor: _grouped(several) for sensor, several in single.items()}
+    together = {sensor: _group(several) for sensor, several in single.items()}
     crosses = [phase.cross for phase in replicates if phase.cross is not None]
     crossed = [item.name for item in crosses[0].sensors if item.name in single] if crosses else []
     by_sensor: dict[str, list[_ProbeValues]] = {sensor: [] for sensor in sensors}
@@ -170,7 +170,7 @@ def _of_phase(replicates: Sequence[PhaseSummary], only: Collection[str] | None) 
     return by_sensor
 
 
-def _grouped(replicates: Sequence[Summary]) -> list[tuple[list[int], Summary]]:
+def _group(replicates: Sequence[Summary]) -> list[tuple[list[int], Summary]]:
     """Return replicates whose rows have the same times, as places and their joint summary."""
     sets: dict[tuple[int, bytes, bytes], list[int]] = {}
     for at, summary in enumerate(replicates):

@@ -228,15 +228,15 @@ def _temperatures(part: PhaseSummary, count: int) -> Floats:
     """Return temperatures (count, k): the reference and its change, or the chips' thermometers if the reference is
     constant or missing.
     """
-    columns = _normalised(part.sensors, "temperature_degc", count)[:1]
+    columns = _normalise(part.sensors, "temperature_degc", count)[:1]
     if columns and count > 1:
         return np.stack([columns[0], np.gradient(columns[0])], axis=1)
     by_chip = {summary.header.chip: summary for summary in part.sensors.values()}
-    columns = _normalised(by_chip, "thermometer", count)
+    columns = _normalise(by_chip, "thermometer", count)
     return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
 
 
-def _normalised(sensors: Mapping[str, Summary], name: str, count: int) -> list[Floats]:
+def _normalise(sensors: Mapping[str, Summary], name: str, count: int) -> list[Floats]:
     """Return the varying ones of the sensors' values of this name, at `count` equal parts of the phase, less their mean
     and over their range; none for no parts.
     """

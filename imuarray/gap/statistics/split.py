@@ -83,11 +83,11 @@ def split_of(kinds: Sequence[str], phases: Sequence[Sequence[Phase]]) -> Split:
             out = several[:number].count(kind) % 2 == 1
             shares.append(Share(tuple(log_phases), tuple(range(len(log_phases))), (out,) * len(log_phases), False))
         else:
-            shares.append(_halved(log_phases))
+            shares.append(_halve(log_phases))
     return Split(tuple(shares))
 
 
-def _halved(phases: Sequence[Phase]) -> Share:
+def _halve(phases: Sequence[Phase]) -> Share:
     halves: list[Phase] = []
     for phase in phases:
         middle = (phase.start_ns + phase.end_ns) // 2

@@ -52,17 +52,17 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """
     if evidence.when.spans:
         yield from (
-            replace(trial, effects=tuple(_quieter(evidence, trial)), free=_OF_SPELL) for trial in _found(evidence)
+            replace(trial, effects=tuple(_quieter(evidence, trial)), free=_OF_SPELL) for trial in _hypotheses(evidence)
         )
         yield from _in_quiet_spell(evidence)
         return
     yield from _in_quiet_logs(evidence)
-    yield from with_removal(evidence, Bandwidth.name, _found(evidence))
+    yield from with_removal(evidence, Bandwidth.name, _hypotheses(evidence))
     if not any(isinstance(effect, Bandwidth) and effect.share for effect in evidence.effects):
         yield from _by_delay(evidence)
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*_TRACES, beyond=_BEYOND):
         return
     first, second = (float(np.tanh(evidence.typical(f"lag_{lag}")).mean()) for lag in (1, 2))

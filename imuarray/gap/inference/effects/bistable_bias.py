@@ -22,10 +22,10 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest the logs on either side of the widest gap between their levels: how far apart, and how often the rarer
     ones.
     """
-    yield from with_removal(evidence, BistableBias.name, _found(evidence))
+    yield from with_removal(evidence, BistableBias.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*TRACES, beyond=BEYOND):
         return
     _, means, errors = log_levels(levels(evidence))

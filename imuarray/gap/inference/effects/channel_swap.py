@@ -117,10 +117,8 @@ def _for_a_while(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]
         evidence,
         other,
         when,
-        _refitted(evidence.fitted, course, inside, evidence.header),
-        _refitted(evidence.twin_fitted[other], other_course, other_inside, phases[0].raw.header)
-        if is_exchange
-        else None,
+        _refit(evidence.fitted, course, inside, evidence.header),
+        _refit(evidence.twin_fitted[other], other_course, other_inside, phases[0].raw.header) if is_exchange else None,
     )
 
 
@@ -387,7 +385,7 @@ def _is_within(when: When, log: int, time_s: float) -> bool:
     return any(number == log and begin_s <= time_s < end_s for number, begin_s, end_s in when.triples)
 
 
-def _refitted(fitted: FittedParameters, course: _Course, inside: Booleans, header: SensorHeader) -> FittedParameters:
+def _refit(fitted: FittedParameters, course: _Course, inside: Booleans, header: SensorHeader) -> FittedParameters:
     """Return the parameters with the offset of the segments that are not inside."""
     if inside.all():
         return fitted

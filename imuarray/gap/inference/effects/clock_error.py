@@ -61,7 +61,7 @@ def _of_the_host(evidence: Evidence) -> Iterator[Hypothesis]:
         return
     at_s, lag_s, error_s = np.array(host_lags).T
     weight = 1 / np.hypot(error_s, _FLOOR_S)
-    still, steady = _fitted([np.ones_like(at_s)], lag_s, weight), _steady(at_s, lag_s, weight)
+    still, steady = _fit([np.ones_like(at_s)], lag_s, weight), _steady(at_s, lag_s, weight)
     if still.nats - steady.nats > _TELLING and abs(steady.ppm[0]) < _MOST_PPM:
         yield Hypothesis((ClockError(steady.ppm[0]),), ("error_ppm",), shared=True, everywhere=True, whole=True)
     longest_s = float(np.ptp(at_s))
@@ -83,14 +83,14 @@ class _Fit(NamedTuple):
 
 
 def _steady(at_s: Floats, lag_s: Floats, weight: Floats) -> _Fit:
-    return _fitted([np.ones_like(at_s), at_s], lag_s, weight)
+    return _fit([np.ones_like(at_s), at_s], lag_s, weight)
 
 
 def _settling(at_s: Floats, lag_s: Floats, weight: Floats, warm_up_s: float) -> _Fit:
-    return _fitted([np.ones_like(at_s), at_s, -warm_up_s * np.expm1(-at_s / warm_up_s)], lag_s, weight)
+    return _fit([np.ones_like(at_s), at_s, -warm_up_s * np.expm1(-at_s / warm_up_s)], lag_s, weight)
 
 
-def _fitted(columns: list[Floats], lag_s: Floats, weight: Floats) -> _Fit:
+def _fit(columns: list[Floats], lag_s: Floats, weight: Floats) -> _Fit:
     """Fit the columns to the lag. A log whose clock is fast is behind, and its error is negative."""
     design = np.stack(columns, axis=1) * weight[:, None]
     coefficients = np.linalg.lstsq(design, lag_s * weight, rcond=None)[0]

@@ -56,7 +56,7 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     one slower; or all of this wander. Of two logs, what they differ by, constant within each: alone, and with what the
     others don't share of it. What lasts within a log is tried in the spells of the sensor, too.
     """
-    always = list(_found(evidence))
+    always = list(_hypotheses(evidence))
     during = [_during(trial, spell, evidence) for spell in evidence.spells[:_SPELLS] for trial in always]
     yield from with_removal(evidence, CommonMode.name, [*always, *(trial for trial in during if trial is not None)])
 
@@ -67,18 +67,18 @@ def _during(trial: Hypothesis, spell: Spell, evidence: Evidence) -> Hypothesis |
     if trial.needs_both or not 0 < share < 1:
         return None
     effects = [
-        replace(effect, rms=_scaled(effect.rms, 1 / math.sqrt(share))) if isinstance(effect, CommonMode) else effect
+        replace(effect, rms=_scale(effect.rms, 1 / math.sqrt(share))) if isinstance(effect, CommonMode) else effect
         for effect in trial.effects
     ]
     return replace(trial, effects=tuple(effects)).at(spell.when)
 
 
-def _scaled(rms: Triple, by: float) -> Triple:
+def _scale(rms: Triple, by: float) -> Triple:
     x, y, z = rms
     return x * by, y * by, z * by
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     yield from _between_logs(evidence)
     yield from _slow_or_fast(evidence)
     yield from _in_pairs(evidence)

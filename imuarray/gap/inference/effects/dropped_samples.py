@@ -20,10 +20,10 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest the share of rows lost, and how many at a time; and where they are few, just those that are missing,
     since chance takes others, from other phases.
     """
-    yield from with_removal(evidence, DroppedSamples.name, _found(evidence))
+    yield from with_removal(evidence, DroppedSamples.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*_PROBES):
         return
     yield from _one_by_one(evidence)

@@ -54,10 +54,10 @@ class _Tail(NamedTuple):
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """Spikes, torn words, words that read -1; each with its frequency."""
-    yield from with_removal(evidence, Glitches.name, _found(evidence))
+    yield from with_removal(evidence, Glitches.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if evidence.is_odd("words"):
         yield from _words([phase.raw for phase in evidence.phases])
     if evidence.is_odd(*_STEPS):

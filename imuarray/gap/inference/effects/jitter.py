@@ -30,10 +30,10 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest the rms lateness that explains the residual variance by the speed at which readings change, and the share
     of late rows that explains both this and the repetitions.
     """
-    yield from with_removal(evidence, Jitter.name, _found(evidence))
+    yield from with_removal(evidence, Jitter.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if evidence.is_odd(*_OF_THE_HOST):
         yield from _of_the_host(evidence)
     rms_s = _rms_s(evidence) if (evidence.score("motion_residual") > 2.5).any() else 0.0

@@ -29,10 +29,10 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """Quadratic terms by the even part on faces, a gyroscope's by the squares of rates in motion; its cubic ones by the
     cubes of rates, an accelerometer's by what is left in motion, as of a sine.
     """
-    yield from with_removal(evidence, Nonlinearity.name, _found(evidence))
+    yield from with_removal(evidence, Nonlinearity.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     quadratic = np.zeros(3)
     if evidence.header.quantity != "angular_rate":
         quadratic = np.where(np.abs(evidence.score("force_square")) > _BEYOND, evidence.shift("force_square"), 0.0)

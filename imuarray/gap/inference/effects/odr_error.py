@@ -34,10 +34,10 @@ any other there is no other way to a wrong rate.
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest rates that the chip can be set to, or the one that is seen; bandwidths likewise."""
-    yield from with_removal(evidence, OdrError.name, _found(evidence))
+    yield from with_removal(evidence, OdrError.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if evidence.is_odd(*_REPEATS):
         yield from _by_repeats(evidence)
     else:

@@ -20,10 +20,10 @@ _ALIKE = 2.0
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """From Allan variances, density^2 tau / 3; another from how far levels are apart, density^2 t, if that differs."""
-    yield from with_removal(evidence, RandomWalk.name, _found(evidence))
+    yield from with_removal(evidence, RandomWalk.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*TRACES, beyond=BEYOND):
         return
     score = evidence.score(*TRACES)

@@ -56,10 +56,10 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     otherwise; or from the row on at which level or noise change: the offset is what the range leaves of the level,
     `noise_share` what it leaves of the noise.
     """
-    yield from with_removal(evidence, RangeReset.name, _found(evidence))
+    yield from with_removal(evidence, RangeReset.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if evidence.header.chip not in CHIPS:
         return
     if evidence.is_odd(*_WHOLE, beyond=_BEYOND):

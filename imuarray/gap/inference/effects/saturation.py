@@ -26,10 +26,10 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     alone; and both ends of each axis, about a centre of its own, where an axis piles up at both, or at one and passes
     the opposite of it at the other, which then is the converter's.
     """
-    yield from with_removal(evidence, Saturation.name, _found(evidence))
+    yield from with_removal(evidence, Saturation.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*_PROBES):
         return
     span = code_span(evidence.header)

@@ -17,10 +17,10 @@ _LEAST, _MOST = 1e-4, 0.95
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest the share of repetitions beyond what the model makes."""
-    yield from with_removal(evidence, StaleSamples.name, _found(evidence))
+    yield from with_removal(evidence, StaleSamples.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     probability = repeated_share(evidence) if evidence.is_odd(*_PROBES) else 0.0
     if probability > _LEAST:
         yield Hypothesis((StaleSamples(min(probability, _MOST)),), ("probability",))

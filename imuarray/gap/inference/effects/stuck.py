@@ -44,10 +44,10 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     Where many phases have one: again and again, as much time in all as rows are held; and where they are few enough,
     each of them, since chance puts them into other phases.
     """
-    yield from with_removal(evidence, Stuck.name, _found(evidence))
+    yield from with_removal(evidence, Stuck.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*_PROBES):
         return
     runs = sorted(_runs(evidence), key=lambda run: run.onset_s - run.end_s)

@@ -21,10 +21,10 @@ _SMALL = 0.2
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest the spread of the logs' levels on the faces that they share; of two logs, what they differ by."""
-    yield from with_removal(evidence, TurnOnBias.name, _found(evidence))
+    yield from with_removal(evidence, TurnOnBias.name, _hypotheses(evidence))
 
 
-def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     change = change_between_logs(evidence)
     if change.any():
         x, y, z = (np.abs(change) / np.sqrt(2)).tolist()

@@ -38,7 +38,7 @@ def line(summary: Summary) -> Floats:
     density = summary.spectrum.density
     if summary.spectrum.segments == 0:
         return NOTHING
-    mirrored = density.T[:, _mirrored(len(density))]  # one line after the other: faster than three, or two dimensions
+    mirrored = density.T[:, _mirror(len(density))]  # one line after the other: faster than three, or two dimensions
     floor = median_filter(mirrored.ravel(), size=_NEIGHBOURHOOD).reshape(mirrored.shape)[:, _SIDE:-_SIDE].T
     ratio = density / np.where(floor > 0, floor, np.nan)
     scatter = 2 / (9 * summary.spectrum.freedom[_FIRST])
@@ -88,7 +88,7 @@ def _edges(bins: int) -> Places:
 
 
 @cache
-def _mirrored(bins: int) -> Places:
+def _mirror(bins: int) -> Places:
     """Return the bins, and at either end those that a median of `_NEIGHBOURHOOD` reaches for beyond it."""
     return np.asarray(np.abs((bins - 1) - np.abs((bins - 1) - np.arange(-_SIDE, bins + _SIDE))))
 

@@ -28,7 +28,7 @@ def noise(summary: Summary) -> Floats:
 
 def excess(summary: Summary) -> Floats:
     """Return the log of the standard deviation within segments over the noise from row to row."""
-    return np.asarray(log(_pooled(summary)) / 2 - log(noise_lsb(summary)))
+    return np.asarray(log(_pooled_variance(summary)) / 2 - log(noise_lsb(summary)))
 
 
 def halves(summary: Summary) -> Floats:
@@ -57,7 +57,7 @@ def with_force(phases: Sequence[Summary]) -> Floats:
     if len({phase.phase.up for phase in phases}) < 2:
         return NOTHING
     felt = felt_g(phases)
-    values = np.array([log(_pooled(phase)) for phase in phases])
+    values = np.array([log(_pooled_variance(phase)) for phase in phases])
     loaded = np.abs(felt) > 0.5
     known = np.isfinite(felt[:, :1]) & np.isfinite(values)
     on, off = known & loaded, known & ~loaded
@@ -67,7 +67,7 @@ def with_force(phases: Sequence[Summary]) -> Floats:
 
 
 @once
-def _pooled(summary: Summary) -> Floats:
+def _pooled_variance(summary: Summary) -> Floats:
     return _mean_variance(summary.segments.steady_variance, summary.segments.rows)
 
 
