@@ -20,7 +20,7 @@ import pytest
 from imuarray.acquire import RecordingCounts
 from imuarray.cli import COMMANDS, main
 from imuarray.commands.log import Interruptible
-from imuarray.commands.log_page import LogScreen
+from imuarray.commands.log_display import LogScreen
 from imuarray.log import open_log
 from imuarray.log.format import Event
 from tests.selection import some
@@ -165,7 +165,7 @@ def test_a_log_needs_no_import_and_phases_are_suggested(run: Run, here: Path) ->
     arguments = ("--bus", "emulated:", "-o", "r.h5", "--seconds", "1", "--sensor", "A", "--phase", "z_up")
     assert run("log", "one.toml", *arguments)[0] == 0
     code, _, err = run("import", "r.h5", "-o", "again.h5")
-    assert (code, err) == (2, ["imuarray: r.h5: is a log already; every command reads it as it is"])
+    assert (code, err) == (2, ["imuarray: r.h5: is a log already; all commands can read it"])
     code, _, err = run("characterise", "r.h5", "--phase", "zup", "-o", "noise")
     assert code == 2 and err[0].endswith("it has z_up; did you mean z_up?")
 
@@ -459,7 +459,7 @@ def test_the_parts_with_the_events_are_named(run: Run, here: Path) -> None:
 
 def test_how_far_it_is_stands_on_a_terminal(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    monkeypatch.setattr("imuarray.commands.log_page._PAUSE_S", 0)
+    monkeypatch.setattr("imuarray.commands.log_display._PAUSE_S", 0)
     _, out, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "3")
     shown = "\n".join(err).split("\x1b[K")
     assert "r.h5: 100 frames, 2 of 3 s, 0 readings lost" in [line.strip() for line in shown]

@@ -1,3 +1,3 @@
-"""The commands: each file reads its arguments, calls the library, and prints. Only click is imported at the top of
-them.
+"""The commands: each module reads its arguments, calls the library, and prints. At its top it imports only click and
+modules that need no NumPy, so that a command starts fast.
 """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from imuarray.printable import printable
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
+    from imuarray.calibrate.pointing import Pointing
     from imuarray.log import Log
 
 Report = dict[str, Any]
@@ -59,7 +60,7 @@ def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_j
     log per face, they are evaluated as in Appendix B of the paper. Otherwise at least nine static poses are detected in
     the logs. If the box was turned slowly to all sides without resting, accelerometers are calibrated by the magnitude
     of gravity along the path. The scale factors and axes of gyroscopes need at least six turns between poses of one
-    log. Faces and poses that were disturbed are left out and listed.
+    log. Faces and poses that were disturbed are excluded and listed.
 
     \b
     imuarray calibrate tumble z_up.h5 x_up.h5 y_up.h5 z_down.h5 x_down.h5 y_down.h5 -o cal.toml
@@ -184,7 +185,6 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
     """
     from imuarray.atomic import write_text
     from imuarray.calibrate.pointing import find_pointing, upright_poses, with_axes
-    from imuarray.commands.calibrate_axes import print_report, report_of
     from imuarray.log import open_log
 
     refuse_existing(output, force, source=run)
@@ -193,21 +193,19 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
             raise click.UsageError(f"{run}: this log has no configuration to write the axes into")
         pointings = find_pointing(log, upright_poses(log, poses.split(",") if poses else ()))
         text = with_axes(log.config, pointings, str(run))
-        report = report_of(pointings, {name: sensor.axes for name, sensor in log.sensors.items()})
+        report = _axes_report(pointings, {name: sensor.axes for name, sensor in log.sensors.items()})
     write_text(output, text, force=force)
-    _print_result({**report, "configuration": str(output)}, print_report, output, as_json)
+    _print_result({**report, "configuration": str(output)}, _print_axes, output, as_json)
 
 
 @command.command("compare", short_help="what changed between calibrations of one array")
 @click.argument("files", metavar="A.toml B.toml...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @json_option
 def compare(files: tuple[Path, ...], as_json: bool) -> None:
-    """Compare calibrations of one array.
+    """Compare calibrations of one array: print what changed, and by how many standard errors.
 
-    Prints what changed and by how many standard errors.
-
-    Also shows which part of the bias changes is common to the units of a design, and how much of it opposing axes
-    cancel. Biases are compared at one temperature where the calibrations state temperatures and slopes.
+    Also shows which part of the changes of biases is common to the units of a design, and how much of it opposing axes
+    cancel. Biases are compared at one temperature if the calibrations state temperatures and slopes.
 
     \b
     imuarray calibrate compare march.toml june.toml
@@ -228,7 +226,7 @@ def compare(files: tuple[Path, ...], as_json: bool) -> None:
 
 @contextmanager
 def _opened(runs: Sequence[Path], output: Path, update: bool, force: bool) -> Iterator[list[Log]]:
-    """The logs, once it is sure that the output can be written."""
+    """Open the logs, after a check that the output can be written."""
     from imuarray.log import open_log
 
     for run in runs:
@@ -239,7 +237,9 @@ def _opened(runs: Sequence[Path], output: Path, update: bool, force: bool) -> It
 
 @dataclass(frozen=True)
 class CalibrationOutput:
-    """The calibration file to write: added to with `update`, overwritten with `force`; printed `as_json` or as text."""
+    """The calibration file to write: `update` adds to it, `force` overwrites it; `as_json` prints JSON instead of
+    text.
+    """
 
     output: Path
     update: bool
@@ -262,7 +262,7 @@ def _finish(
 
 
 def _print_verdict(target: CalibrationOutput) -> None:
-    """Print how good the whole calibration file is, in one sentence."""
+    """Print the verdict on the whole calibration file."""
     from imuarray.calibrate import load_calibration
     from imuarray.report.verdicts import calibration_verdict
 
@@ -271,7 +271,7 @@ def _print_verdict(target: CalibrationOutput) -> None:
 
 
 def _print_result(report: Report, show: Callable[[Report], None], output: Path, as_json: bool) -> None:
-    """Print what was found and written, as text or JSON."""
+    """Print the report and the name of the file, as text or JSON."""
     from imuarray.characterise.result import json_ready
 
     known = json_ready(report)
@@ -280,3 +280,20 @@ def _print_result(report: Report, show: Callable[[Report], None], output: Path, 
     else:
         show(known)
         click.echo(f"wrote {output}")
+
+
+def _axes_report(pointings: Sequence[Pointing], before: dict[str, str]) -> dict[str, Any]:
+    """Return every sensor's axes before and now, JSON-ready; an empty text where they could not be determined.
+
+    `left` is the former name of `residual`, for programs that read it.
+    """
+    return {"sensors": [{**asdict(each), "left": each.residual, "before": before[each.sensor]} for each in pointings]}
+
+
+def _print_axes(report: dict[str, Any]) -> None:
+    """Print the report as a table."""
+    click.echo(f"{'sensor':12} {'axes':8} {'residual':>8} {'next best':>9}")
+    for row in report["sensors"]:
+        note = row["reason"] and f"  not determined: {row['reason']}; {row['before']} kept"
+        fit = f"{row['residual'] or 0:8.2f} {row['next_best'] or 0:9.2f}" if row["axes"] else ""
+        click.echo(f"{row['sensor']:12} {row['axes'] or '?':8} {fit}{note}".rstrip())

@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from imuarray.calibrate.comparison import CalibrationComparison
 
 _MOST = 40
-"""Changes that are printed."""
+"""Most changes that are printed."""
 
 _PAIRS = 12
-"""Opposing pairs that are printed."""
+"""Most opposing pairs that are printed."""
 
 _UNITS = {"g": (1e3, "mg"), "dps": (1.0, "dps"), "g/degC": (1e3, "mg/degC"), "gauss": (1e3, "mgauss")}
 
@@ -32,14 +32,14 @@ def report_of(comparison: CalibrationComparison) -> dict[str, Any]:
 
 
 def print_report(report: dict[str, Any]) -> None:
-    """Print what changed, largest first; what is common; and what opposed axes cancel."""
+    """Print the changes, the largest first, the common part of biases, and what opposing axes cancel."""
     for number, name in enumerate(report["calibrations"], start=1):
         click.echo(printable(f"{number}: {name}"))
     _print_changes(report["changes"])
     if report["common"]:
         click.echo(
-            "standard deviation of biases over the calibrations: common to all units of a design, and of"
-            " each unit alone"
+            "standard deviation of biases over the calibrations: the part common to all units of a design, and that of"
+            " each unit"
         )
         for row in report["common"]:
             factor, unit = _in_words(row["unit"])

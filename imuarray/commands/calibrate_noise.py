@@ -16,16 +16,18 @@ if TYPE_CHECKING:
     from imuarray.calibrate.stability import NoiseLine
 
 _WORTH_SAYING = 0.2
-"""The share of the variance from which a sentence reports the lines of an axis."""
+"""Least share of the variance for which a sentence reports the lines of an axis."""
 
 
 def report_of(calibration: Calibration) -> dict[str, Any]:
-    """Return every sensor's noise, its colour and its drift, JSON-ready: counts, and mg or dps."""
+    """Return the noise, its correlation and lines, and the drift of every sensor in counts and in mg or dps,
+    JSON-ready.
+    """
     return {"sensors": [_row(sensor) for sensor in calibration.sensors.values()]}
 
 
 def print_report(report: dict[str, Any]) -> None:
-    """The same as a table, and the lines in a sentence each."""
+    """Print the report as a table, and a sentence for each axis with strong lines."""
     drifting = any(row["drift"] is not None for row in report["sensors"])
     drift_heads = f" {'drift, LSB rms':>18} {'time constant':>24}" if drifting else ""
     click.echo(f"{'axis':14} {'noise, LSB rms':>19} {'noise':>17} {'lag-1':>8} {'lines':>6}{drift_heads}")
@@ -91,7 +93,7 @@ def _correlation(values: list[float], index: int) -> str:
 
 
 def _drift(row: dict[str, Any], index: int) -> str:
-    """Return the rms with its error; where that is less than twice the error, the bound that it stays below."""
+    """Return the rms with its standard error; its upper bound if it is less than two standard errors."""
     drift = row["drift"]
     if drift is None:
         return "-"
@@ -102,7 +104,7 @@ def _drift(row: dict[str, Any], index: int) -> str:
 
 
 def _time_constant(row: dict[str, Any]) -> str:
-    """Return the time constant with its interval; nothing where no axis drifts significantly."""
+    """Return the time constant with its interval; "-" if no axis drifts significantly."""
     drift = row["drift"]
     if drift is None or not any(
         rms >= 2 * sem for rms, sem in zip(drift["rms_lsb"], drift["rms_sem_lsb"], strict=True)
@@ -118,18 +120,18 @@ def _time_constant(row: dict[str, Any]) -> str:
 
 
 def _whole(seconds: float) -> str:
-    """Return three digits without an exponent."""
+    """Return seconds with at least three digits and without an exponent."""
     return f"{seconds:.0f}" if seconds >= 100 else f"{seconds:.3g}"
 
 
 def _lines(row: dict[str, Any], axis: str) -> str:
-    """Share of all lines of an axis in its variance."""
+    """Return the share of all lines of an axis in its variance."""
     share = sum(line["share"] for line in row["lines"] if line["axis"] == axis)
     return "-" if share == 0 else f"{100 * share:.0f} %" if share >= 0.01 else "< 1 %"
 
 
 def _where(line: dict[str, Any]) -> str:
-    """Its frequency; where it wandered, from which to which."""
+    """Return the frequency of a line, or its range if it wandered."""
     return "{:.2f} to {:.2f}".format(*line["range_hz"]) if line["range_hz"] else f"{line['frequency_hz']:.2f}"
 
 

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 
 def report_of(result: ThermalResult) -> dict[str, Any]:
-    """Return every sensor's slopes, every sensor in every log, and the opposing pairs with their p-values, of `pairs`
-    looked at at once (Holm), JSON-ready.
+    """Return the slopes of every sensor, the fit of every sensor in every log, and the opposing pairs with p-values
+    that are corrected for the number of pairs (Holm), JSON-ready.
     """
     from imuarray.calibrate import holm
 
@@ -58,7 +58,7 @@ def _pair(pair: OpposedSlopes, cancels: float, nothing: float) -> dict[str, Any]
 
 
 def print_report(report: dict[str, Any]) -> None:
-    """Slopes of every axis, then what opposing axes cancel."""
+    """Print the slopes of every axis, then what opposing axes cancel."""
     for log in dict.fromkeys(heating["log"] for heating in report["heatings"]):
         first = next(heating for heating in report["heatings"] if heating["log"] == log)
         low, high = first["span_degc"]
@@ -80,17 +80,17 @@ def print_report(report: dict[str, Any]) -> None:
         " it equals the mean slope over that range"
     )
     click.echo("curvature: half the change of the slope per degree; [0] if not significant")
-    click.echo("+-: standard error, slow noise allowed for; 1.96 standard errors give a 95 % interval")
+    click.echo("+-: standard error, which includes slow noise; 1.96 standard errors give a 95 % interval")
     click.echo("lag: delay of the sensor behind the thermometer, with its 95 % interval")
     click.echo(
-        "of: the quantity that has this slope; an axis along gravity that was heated on one face only does not separate"
-        " bias from scale"
+        "of: the quantity that has this slope; bias and scale of an axis along gravity are separated only by heating on"
+        " opposite faces"
     )
     _print_pairs(report["pairs"])
 
 
 def _curvature(row: dict[str, Any], index: int) -> str:
-    """Return the quadratic term and its standard error, as far as there are any."""
+    """Return the quadratic term and its standard error, as far as they are known."""
     if row.get("quadratic_sem_lsb_per_degc2") is None:
         return f"{'-':>11} {'':>8}"
     curvature = row.get("quadratic_lsb_per_degc2") or [0.0] * 3
@@ -118,5 +118,5 @@ def _print_pairs(pairs: list[dict[str, Any]]) -> None:
         line += f" {pair['sem']:8.4f} {less:>8} {pair['p_cancels']:9.2g}"
         click.echo(line + ("" if pair["is_bias"] else "  (bias or scale)"))
     click.echo(
-        "factor: slope of one axis over that of the mean; p: probability of such slopes if opposing gained nothing"
+        "factor: slope of one axis over that of the mean; p: probability of such slopes if opposing axes gained nothing"
     )

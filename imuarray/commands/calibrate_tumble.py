@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 _METHODS = {
     "faces": "named faces",
-    "gravity": "static poses found in the log",
+    "gravity": "static poses detected in the logs",
     "six faces": "static poses on the six faces, whose names are unknown",
-    "path": "stretches of a path without stops, each by how much it moved",
+    "path": "stretches of a path without stops, weighted by how little each moved",
 }
 
 
 _RESIDUAL_KEY = (
     "  fitted: after removing the drift of the bias; predicted: each pose by a fit to the other poses;",
-    "  stored: with the mean bias, as in the file; over noise: fitted residuals over what their noise explains;",
+    "  stored: with the mean bias, as in the file; over noise: fitted residuals divided by those expected from noise;",
     "  drift: how much the bias changed from the first to the last pose (mg)",
 )
 
@@ -55,7 +55,7 @@ def report_of(log: Log, result: TumbleResult) -> dict[str, Any]:
 
 
 def _sensor(sensor: SensorLog, result: TumbleResult) -> dict[str, Any]:
-    """One sensor's Appendix B figures; the matrices, too."""
+    """Return the figures of one sensor as in Appendix B of the paper, and its matrices."""
     known = result.calibration.of(sensor)
     row: dict[str, Any] = {
         "name": sensor.name,
@@ -104,16 +104,18 @@ def _turns(fit: TurnFit) -> dict[str, Any]:
 
 
 def print_report(report: dict[str, Any]) -> None:
-    """Appendix B and Table 4, gyroscopes by turns, residuals, what was left out, and what opposing axes cancel."""
+    """Print the figures of Appendix B and Table 4 of the paper, responses of gyroscopes, residuals, exclusions, and
+    what opposing axes cancel.
+    """
     click.echo(f"{report['poses']} {_METHODS[report['method']]}")
     _print_axes(report["sensors"])
     _print_g_sensitivity([row for row in report["sensors"] if "g_sensitivity_lsb_per_g" in row], report["method"])
     _print_turns([row for row in report["sensors"] if "turns" in row])
     _print_residuals(report)
-    several = len({each["log"] for each in report["left_out"]}) > 1
+    has_logs = len({each["log"] for each in report["left_out"]}) > 1
     for each in report["left_out"]:
-        of = f" of {each['log']}" if several else ""
-        click.echo(printable(f"left out: {each['phase']}{of}: {each['reason']}"))
+        of = f" of {each['log']}" if has_logs else ""
+        click.echo(printable(f"excluded: {each['phase']}{of}: {each['reason']}"))
     _print_cancellation(report["cancellation"])
     for sentence in report["warnings"]:
         click.echo(printable(f"warning: {sentence}"))
@@ -135,7 +137,9 @@ def _print_axes(rows: Sequence[dict[str, Any]]) -> None:
 
 
 def _print_g_sensitivity(rows: Sequence[dict[str, Any]], method: str) -> None:
-    """The matrix by box axes; in brackets what two standard errors, or between faces half the drift, make alone."""
+    """Print the matrices by box axes; values that two standard errors, or half the drift between faces, can explain are
+    in brackets.
+    """
     by_drift = "" if method == "gravity" else ", or than half the drift"
     if rows:
         click.echo(
@@ -154,7 +158,7 @@ def _print_g_sensitivity(rows: Sequence[dict[str, Any]], method: str) -> None:
 
 
 def _print_turns(rows: Sequence[dict[str, Any]]) -> None:
-    """Response to rates about the box axes; what turns do not tell."""
+    """Print the responses to rates about the box axes, and which of them the turns do not determine."""
     if rows:
         click.echo("response (LSB/dps) to rates about box X, Y, Z, from turns between poses")
     for row in rows:
@@ -170,11 +174,13 @@ def _print_turns(rows: Sequence[dict[str, Any]]) -> None:
             f" direction{missing if turns['untold'] else ''}"
         )
         for each in turns["left_out"]:
-            click.echo(printable(f"{'':14} left out: {each['phase']}: {each['reason']}"))
+            click.echo(printable(f"{'':14} excluded: {each['phase']}: {each['reason']}"))
 
 
 def _print_residuals(report: dict[str, Any]) -> None:
-    """Rms over the poses in mg: as fitted, in poses left out in turn, and by the bias that is kept; the drift."""
+    """Print the rms residuals over the poses in mg (fitted, cross-validated, and with the stored bias) and the
+    drift.
+    """
     click.echo("length of the calibrated specific force less 1 g, rms over the poses (mg):")
     click.echo(
         f"{'':14} {'fitted':>8} {'predicted':>9} {'stored':>8} {'over noise':>11}   {'worst pose':20} drift x, y, z"
@@ -197,7 +203,7 @@ def _print_residuals(report: dict[str, Any]) -> None:
 
 
 def _print_cancellation(pairs: Sequence[dict[str, Any]]) -> None:
-    """Print what opposing axes of one design would leave, but nothing of an axis that has no other of its design."""
+    """Print the mean biases of axes of one design by direction; axes without another of their design are omitted."""
     pairs = [pair for pair in pairs if not _is_single(pair)]
     if not pairs:
         return
@@ -211,6 +217,6 @@ def _print_cancellation(pairs: Sequence[dict[str, Any]]) -> None:
 
 
 def _is_single(pair: dict[str, Any]) -> bool:
-    """Return whether the row is of one axis: its mean is then as large as its rms."""
+    """Return whether a row is of a single axis, whose mean is as large as its rms."""
     ways = [pair[key] for key in ("along", "against") if pair[key] is not None]
     return len(ways) == 1 and bool(abs(abs(ways[0]) - pair["single_rms"]) <= 1e-9 * pair["single_rms"])

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def report_of(results: Sequence[TurnOnResult]) -> dict[str, Any]:
-    """Return every sensor's runs, JSON-ready; `p_value` allows for all axes that were looked at (Holm)."""
+    """Return the runs of every sensor, JSON-ready; `p_value` is corrected for the number of axes (Holm)."""
     from imuarray.calibrate import holm
 
     allowed = holm(np.concatenate([result.p_value for result in results])).reshape(-1, 3)
@@ -50,7 +50,7 @@ def _sensor(result: TurnOnResult, p_values: Sequence[float]) -> dict[str, Any]:
 
 
 def print_report(report: dict[str, Any]) -> None:
-    """Change from run to run by axis; then states and runs that came up wrong."""
+    """Print the change from run to run by axis, then the states, and the runs that started wrong."""
     click.echo(f"{'axis':14} {'runs':>4} {'run to run':>10} {'+-':>8} {'within':>8}  {'run to run':>10}       {'p':>8}")
     click.echo(f"{'':14} {'':>4} {'LSB rms':>10} {'LSB':>8} {'LSB':>8}  {'mg or dps':>10}")
     for row in report["sensors"]:
@@ -72,7 +72,7 @@ def print_report(report: dict[str, Any]) -> None:
 
 
 def _print_states(row: dict[str, Any]) -> None:
-    """The biases of a sensor that has two."""
+    """Print the states of a sensor that has more than one."""
     if len(row["states"]) > 1:
         click.echo(f"{row['name']}: starts in one of {len(row['states'])} states (p {row['p_states']:.2g} by chance)")
         for state in row["states"]:

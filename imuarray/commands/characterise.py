@@ -116,25 +116,27 @@ def _characterise(log: Log, options: CharacteriseOptions) -> dict[str, Any]:
 
 
 def _scales(log: Log, calibration: Path | None) -> dict[str, list[float]]:
-    """Counts per unit of the sensors that a calibration file knows."""
+    """Return the counts per unit of the sensors in a calibration file."""
     if calibration is None:
         return {}
     from imuarray.calibrate import load_calibration
 
     known = load_calibration(calibration)
-    fitting = [sensor for sensor in log.sensors.values() if sensor.name in known.sensors]
-    return {sensor.name: known.of(sensor).scale_lsb_per_unit.tolist() for sensor in fitting}
+    calibrated = [sensor for sensor in log.sensors.values() if sensor.name in known.sensors]
+    return {sensor.name: known.of(sensor).scale_lsb_per_unit.tolist() for sensor in calibrated}
 
 
 def _files() -> list[str]:
-    """Return the files that are written into a folder."""
+    """Return the names of the files that are written into a folder."""
     from imuarray.characterise.plots import FIGURES
 
     return [RESULT, *FIGURES]
 
 
 def _write(result: dict[str, Any], output: Path) -> list[Path]:
-    """Return the files that were written into `output`; without matplotlib figures are left out and that is said."""
+    """Write the result and its figures into `output`, and return the files; without matplotlib, print that there are no
+    figures.
+    """
     from imuarray.characterise.plots import FIGURES
 
     paths = [output / RESULT]
@@ -152,8 +154,8 @@ def _write(result: dict[str, Any], output: Path) -> list[Path]:
 
 
 def json_text(value: Any, depth: int = 0) -> str:
-    """JSON with a line for each entry of an object, and one for each list of numbers or texts: the curves are long, and
-    the encoder of the standard library indents in Python, number by number.
+    """Return JSON with one line for each entry of an object and for each list of numbers. The encoder of the standard
+    library would put each number of the long curves on a line of its own, and is slower.
     """
     import json
 
@@ -167,7 +169,7 @@ def json_text(value: Any, depth: int = 0) -> str:
 
 
 def _write_kalibr(result: dict[str, Any], output: Path) -> list[Path]:
-    """Return the noise figures for Kalibr, a file an IMU."""
+    """Write the noise figures for Kalibr, one file for each IMU, and return the files."""
     from imuarray.characterise.imu_noise import imu_files
 
     paths = []

@@ -11,7 +11,7 @@ from imuarray.commands.options import Duration, force_option, json_option, print
 from imuarray.shipped import find_config
 
 PAPERS_ARRAY = "martin2013"
-"""Name of the array whose demonstration also checks the paper's claims."""
+"""Name of the array whose demonstration also checks the claims of the paper."""
 
 
 @click.command("demo")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from imuarray.bus.protocol import OpenBus
 
 _USUAL_RATE_HZ = 50.0
-"""Frames a second of `imuarray log`, if nothing else is said."""
+"""Default frame rate of `imuarray log`."""
 _SENSOR_ADVICE = "check its supply, its wiring and its address pin, and the channel in CONFIG"
 
 
@@ -75,7 +75,7 @@ class DetectOptions:
 
 
 def _run(options: DetectOptions) -> int:
-    """Check the options, and examine the bus as they say; the exit code."""
+    """Check the options and examine the bus; return the exit code."""
     if options.config is None and (options.self_test or (options.bus_url is None and not options.doctor)):
         raise click.UsageError("CONFIG or --bus URL is required; --self-test requires CONFIG")
     if options.logs is not None and not options.doctor:
@@ -94,7 +94,7 @@ def _run(options: DetectOptions) -> int:
 
 
 def _verify(config: Path, bus_url: str | None, self_test: bool, as_json: bool) -> int:
-    """Report whether the sensors of CONFIG answer, and what else does."""
+    """Report whether the sensors of CONFIG answer, and which other chips do; return the exit code."""
     from imuarray.acquire import detect
     from imuarray.array import load_array
     from imuarray.bus import open_bus
@@ -127,13 +127,13 @@ def _verify(config: Path, bus_url: str | None, self_test: bool, as_json: bool) -
 
 
 def _explore(url: str, output: Path | None, force: bool, as_json: bool) -> int:
-    """Report which chips answer on a bus that no configuration describes; write a configuration of them to `output`."""
+    """Report which chips answer on a bus without a configuration, and write a configuration of them to `output`."""
     from imuarray.acquire import explore
     from imuarray.acquire.detect import tell_apart
     from imuarray.array import load_array
     from imuarray.bus import open_bus
 
-    array = load_array(find_config(Path("martin2013")))  # that of an emulated bus
+    array = load_array(find_config(Path("martin2013")))  # needed only by an emulated bus
     with open_bus(url, array) as bus:
         detections = explore(bus)
         if output is not None:
@@ -157,7 +157,7 @@ def _explore(url: str, output: Path | None, force: bool, as_json: bool) -> int:
 
 
 def _firmware(bus: OpenBus) -> dict[str, Any] | None:
-    """Capacity and counters of the firmware of a microcontroller; None on other buses."""
+    """Return the capacity and counters of a microcontroller's firmware; None on other buses."""
     from imuarray.bus.serial_bus import SerialBus
 
     if not isinstance(bus, SerialBus):
@@ -167,7 +167,7 @@ def _firmware(bus: OpenBus) -> dict[str, Any] | None:
 
 
 def _print_firmware(firmware: dict[str, Any] | None) -> None:
-    """A line on the microcontroller, and one on what it has counted since it booted."""
+    """Print the capacity of the microcontroller and its counters since it booted."""
     if firmware is None:
         return
     room = (
@@ -227,7 +227,7 @@ def _write(detections: Sequence[Detection], url: str, output: Path, force: bool)
 
 
 def _doctor(config: Path | None, bus_url: str | None, logs: Path, as_json: bool) -> int:
-    """Report every check, without a CONFIG those that need none; 0 if all is well, 1 otherwise."""
+    """Report every check that is possible with or without a CONFIG; return 0 if all pass, else 1."""
     from imuarray.acquire import detect, explore
     from imuarray.acquire.doctor import examine
     from imuarray.array import load_array
@@ -262,7 +262,7 @@ def _doctor(config: Path | None, bus_url: str | None, logs: Path, as_json: bool)
 
 
 def _sensor_checks(detections: Sequence[Detection]) -> list[Check]:
-    """Sensors of a CONFIG that are not what answers, or one line for all."""
+    """Return a failed check for each sensor of CONFIG that does not answer as configured, or one passed check."""
     from imuarray.acquire.doctor import Check
 
     silent = [
@@ -274,7 +274,7 @@ def _sensor_checks(detections: Sequence[Detection]) -> list[Check]:
 
 
 def _chip_check(detections: Sequence[Detection]) -> Check:
-    """Whatever answers, without a CONFIG."""
+    """Return the check that any chip answers, for a bus without a CONFIG."""
     from imuarray.acquire.doctor import Check
 
     if not detections:

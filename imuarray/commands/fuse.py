@@ -33,21 +33,21 @@ _STEPS = 1000
 """Steps of a progress bar."""
 
 _AVERAGE = 0.1
-"""Share of the time that the average takes before an estimator of the whole array."""
+"""Share of the time that the average takes if it is computed before an estimator of the whole array."""
 
 _NOTHING = {
     "opposed": "changes nothing on this array: the axes of a design that point both ways are already balanced",
     "planes": "changes nothing on this array: the errors of in-plane and out-of-plane axes of a design are too similar",
     "ranges": "changes nothing on this array: all its sensors of a quantity have one measuring range",
 }
-"""The remark on a technique whose result is the mean."""
+"""Remarks on a technique whose result equals the mean."""
 
 _EFFECTS = {
     "opposed": "cancels the common bias of",
     "planes": "weighs the axes of a design differently:",
     "ranges": "relies on wider ranges near the end of the range of",
 }
-"""What a technique does, before the list of what it does it to."""
+"""What a technique does, followed by the sensors or axes that it concerns."""
 
 _WORDS = {
     "rms": "rms error against the truth",
@@ -80,7 +80,7 @@ _WORDS = {
 @click.option(
     "--watch/--no-watch",
     default=None,
-    help="detect and report failing sensors, and leave them out (default: only with optimal)",
+    help="detect, report and exclude failing sensors (default: only with optimal)",
 )
 @click.option("--evaluate", is_flag=True, help="compare every technique with the truth in the log, and with the mean")
 @force_option
@@ -212,7 +212,7 @@ class _Work:
 
 
 def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[str, Any], FusionNotes]:
-    """Write the fused file; return its path and figures, beside the average's, and the technique's notes."""
+    """Write the fused file; return its path, its figures and those of the average, and the notes of the technique."""
     from imuarray.fuse import write_fused
 
     log, technique = work.log, work.technique
@@ -250,8 +250,8 @@ def _measured(
     take_notes: Callable[[FusionNotes], None],
     progress: Callable[[float], None],
 ) -> Iterator[FusedBlock]:
-    """Yield the result; `quality` is given its blocks, and the average's of the same frames before them. Where nothing
-    is left out of the frames they are aligned once for both.
+    """Yield the blocks of the result; `quality` gets each of them, and the blocks of the average before them. If the
+    technique excludes no readings, both are computed from the same aligned frames.
     """
     from imuarray.fuse import TECHNIQUES, ComparisonPipeline
 
@@ -284,7 +284,7 @@ def _sensors(log: Log, names: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence[str]) -> list[str]:
-    """Return what the technique treats differently from the average, for both quantities."""
+    """Return in what the technique differs from the average, for both quantities."""
     from imuarray.fuse import axes_of, changes
 
     sentences = []
@@ -295,7 +295,7 @@ def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence
 
 
 class _Errors:
-    """Errors of results against the log's truth; SI, JSON-ready. A context manager."""
+    """The errors of results with respect to the truth in the log, in SI, JSON-ready. A context manager."""
 
     def __init__(self, log: Log) -> None:
         from imuarray.fuse import ErrorEvaluation
@@ -303,7 +303,7 @@ class _Errors:
         self._evaluation = ErrorEvaluation(log)
 
     def add(self, together: Mapping[str, FusedBlock]) -> None:
-        """The next block of each result, by technique."""
+        """Add the next block of each result, by technique."""
         self._evaluation.add(together)
 
     def results(self) -> dict[str, Any]:
@@ -321,13 +321,13 @@ class _Errors:
 
 
 class _Noise:
-    """Noise of results at rest, where the truth is unknown. A context manager."""
+    """The noise of results at rest, for a log without truth. A context manager."""
 
     def __init__(self) -> None:
         self._noise: dict[str, QuietNoise] = {}
 
     def add(self, together: Mapping[str, FusedBlock]) -> None:
-        """The next block of each result, by technique."""
+        """Add the next block of each result, by technique."""
         from imuarray.fuse import QuietNoise
 
         for technique, block in together.items():
@@ -344,16 +344,16 @@ class _Noise:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Release nothing."""
+        """Do nothing."""
 
 
 def _quality_of(log: Log) -> _Errors | _Noise:
-    """Return the measure of quality that this log allows."""
+    """Return errors if the log contains truth, else noise."""
     return _Errors(log) if log.truth or log.reference else _Noise()
 
 
 def _error(error: Error) -> dict[str, Any]:
-    """Errors against the truth, JSON-ready, SI."""
+    """Return errors with respect to the truth in SI, JSON-ready."""
     return {
         "mean": error.mean.tolist(),
         "noise": error.noise.tolist(),

@@ -1,4 +1,4 @@
-"""The reports of `imuarray fuse`: what it estimated of the sensors, what opposing axes cancel, and its evaluation."""
+"""The reports of `imuarray fuse`: estimated slow errors, what opposing axes cancel, and the evaluation."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from imuarray.log import Log
 
 _MOST_REMARKS = 40
-"""Remarks that are printed."""
+"""Most remarks that are printed."""
 
 
 def notes_sentences(notes: FusionNotes) -> Iterator[str]:
-    """Yield a table of biases, a row a sensor, and the remarks."""
+    """Yield a table of slow errors with a row for each sensor, and the remarks."""
     for quantity, biases in notes.biases.items():
         yield from _bias_table(quantity, biases)
     yield from notes.remarks[:_MOST_REMARKS]
@@ -35,9 +35,7 @@ def notes_sentences(notes: FusionNotes) -> Iterator[str]:
 
 
 def _bias_table(quantity: str, biases: Sequence[LearnedBias]) -> Iterator[str]:
-    """Yield the table of one quantity: the slow error of every axis with its uncertainty, and the uncertainty
-    before.
-    """
+    """Yield the table of one quantity: the slow error of every axis with its standard deviation, and the prior one."""
     factor, unit = READABLE_SI[quantity]
     before = [factor * bias.sd_before for bias in biases]
     span = f"{min(before):.3g}" if max(before) < 1.005 * min(before) else f"{min(before):.3g} to {max(before):.3g}"
@@ -51,16 +49,16 @@ def _bias_table(quantity: str, biases: Sequence[LearnedBias]) -> Iterator[str]:
 
 _SIGNIFICANT = 0.05
 _WORTH = 1.25
-"""The significant reduction of the error from which opposing axes are recommended."""
+"""Least significant reduction of the error for which opposing axes are recommended."""
 
 _MOST_PAIRS = 20
-"""Pairs that are printed."""
+"""Most pairs that are printed."""
 
 _HEADING = f"{'each':>8} {'together':>9} {'factor':>12}"
 
 
 def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Return every pair of the fused sensors, SI, JSON-ready: None stands for infinite."""
+    """Return every opposing pair of the fused sensors in SI, JSON-ready; None stands for infinity."""
     from imuarray.characterise.result import json_ready
     from imuarray.fuse.techniques.opposed import capabilities
 
@@ -74,17 +72,15 @@ def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[d
 
 
 def _former_names(error: Reduction | None) -> dict[str, Any] | None:
-    """Return the figures of an error, and the former names `left` and `left_sem` of two, for programs that read
-    them.
-    """
+    """Return the figures of an error, two of them also by their former names `left` and `left_sem`."""
     if error is None:
         return None
     return {**vars(error), "left": error.remaining, "left_sem": error.remaining_sem}
 
 
 def pair_lines(pairs: Sequence[dict[str, Any]], *, follows_temperature: bool) -> Iterator[str]:
-    """Yield a table of the first pairs that the calibration knows something of, and a line for all others;
-    `follows_temperature`: slopes are taken out before the axes meet.
+    """Yield a table of the first pairs whose errors the calibration states, and a line on all others.
+    `follows_temperature`: known slopes are removed before axes are averaged.
     """
     known = [pair for pair in pairs if pair["drift"] is not None or pair["bias"] is not None]
     if known:
@@ -96,9 +92,9 @@ def pair_lines(pairs: Sequence[dict[str, Any]], *, follows_temperature: bool) ->
         for pair in known[:_MOST_PAIRS]:
             yield _pair_row(pair, width, drift=drift)
         scale = "; *: the slope may be that of scale, which does not cancel" if drift else ""
-        yield f"factor: by which opposing the axes reduces it, 95 % interval; -: no significant gain{scale}"
-        taken = "biases and slopes" if follows_temperature else "biases"
-        yield f"the calibration removes known {taken}; opposing the axes cancels what has changed since"
+        yield f"factor: by which averaging opposing axes reduces it, 95 % interval; -: no significant gain{scale}"
+        known_errors = "biases and slopes" if follows_temperature else "biases"
+        yield f"the calibration removes known {known_errors}; opposing axes cancel what has changed since"
     if len(known) > _MOST_PAIRS:
         yield f"{len(known) - _MOST_PAIRS} more opposing pairs (--json lists all)"
     if len(known) < len(pairs):
@@ -110,7 +106,7 @@ def _axes(pair: dict[str, Any]) -> str:
 
 
 def _pair_row(pair: dict[str, Any], width: int, *, drift: bool) -> str:
-    """Return a pair in the table, its axes in `width` characters."""
+    """Return the row of a pair, whose axes take `width` characters."""
     factor, unit = READABLE_SI[pair["quantity"]]
     doubt = " " if pair["is_bias"] else "*"
     slope = f"{_cells(pair['drift'], factor)} {doubt} " if drift else ""
@@ -119,7 +115,7 @@ def _pair_row(pair: dict[str, Any], width: int, *, drift: bool) -> str:
 
 
 def _cells(error: dict[str, Any] | None, factor: float) -> str:
-    """Return the errors of each axis and of both together, and their ratio where the gain is significant."""
+    """Return the errors of a single axis and of the mean, and their ratio if the gain is significant."""
     if error is None:
         return " " * len(_HEADING)
     sizes = f"{factor * error['single']:8.3g} {factor * abs(error['remaining']):9.3g}"
@@ -137,7 +133,9 @@ _STEPS = 1000
 
 
 def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[str, Any]:
-    """Return all techniques on a log (with these sensors, if any are named), JSON-ready; a bar on standard error."""
+    """Return the evaluation of all techniques on a log, JSON-ready, with a progress bar; `names`: only these
+    sensors.
+    """
     from imuarray.fuse import compare
 
     with progress(_STEPS, "techniques") as done:
@@ -146,7 +144,7 @@ def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[
 
 
 def evaluation_of(comparison: TechniqueComparison) -> dict[str, Any]:
-    """Return the whole evaluation, JSON-ready, SI but for headings in degrees."""
+    """Return the whole evaluation, JSON-ready, in SI except for headings in degrees."""
     return {
         "scores": [_score(score) for score in comparison.scores],
         "coasting": {technique: _coasting(coast) for technique, coast in comparison.coasting.items()},
@@ -183,7 +181,7 @@ _SHOWN = ("rms", "noise", "drift")
 
 
 def print_evaluation(report: dict[str, Any]) -> None:
-    """A table per quantity, then coasting; mean errors are for programs."""
+    """Print a table for each quantity, then coasting; mean errors are only in JSON."""
     for quantity, (factor, unit) in READABLE_SI.items():
         scores = [score for score in report["scores"] if score["quantity"] == quantity]
         if scores:
@@ -211,9 +209,9 @@ def _print_coasting(coasting: dict[str, Any]) -> None:
     if not coasting:
         return
     if not any(coast["coasts"] for coast in coasting.values()):
-        click.echo("coasting: the box never stood still long enough before a coast")
+        click.echo("coasting: the box was never at rest long enough before a coast")
         return
-    click.echo("coasting for a minute after standing still for ten seconds, rms")
+    click.echo("coasting for 60 s after 10 s at rest, rms")
     for technique, coast in coasting.items():
         heading, velocity = coast["heading_rms_deg"], coast["velocity_rms_mps"]
         if heading is not None:

@@ -1,4 +1,4 @@
-"""`imuarray gap`: the sim-to-real gap."""
+"""`imuarray gap`: differences between recordings and simulations."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def _model(name: str | None) -> Model | None:
 
 
 def _write(folder: Path, diagnosis: Diagnosis) -> None:
-    """The numbers, the repaired model, and the page with as much as the optional packages allow."""
+    """Write the numbers, the repaired model, and the page as far as optional packages allow."""
     import json
 
     from imuarray.errors import MissingExtraError
@@ -169,7 +169,7 @@ def _write(folder: Path, diagnosis: Diagnosis) -> None:
     try:
         write_gap_page(page, diagnosis, force=True)
     except MissingExtraError as error:
-        click.echo(f"{folder}: gap.json and repaired.toml only; the page: {error}", err=True)
+        click.echo(f"{folder}: gap.json and repaired.toml written; no page: {error}", err=True)
         return
     click.echo(f"{folder}: report.html, gap.json, repaired.toml written", err=True)
 

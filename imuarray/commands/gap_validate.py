@@ -1,4 +1,4 @@
-"""`imuarray gap validate`: the check of the diagnosis on cases whose truth is sealed."""
+"""`imuarray gap validate`: the diagnosis on cases whose truth is withheld."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from imuarray.validation.scoring import Figures
 
 _SIZES = ("none", "glance", "reduced", "bench", "short", "medium", "full")
-"""`imuarray.validation.plans.SIZES`, which costs too much to import for a list of names; a test compares."""
+"""The keys of `imuarray.validation.plans.SIZES`, whose import would be slow; a test compares them."""
 
 
 @click.command("validate", short_help="score the diagnosis on cases whose cause is withheld")
@@ -125,7 +125,7 @@ def _validate(options: ValidateOptions) -> None:
 
 
 def _begin(folder: Path, plan: dict[str, Any]) -> None:
-    """Note once what is run with which thresholds; ConfigError if the folder is another run's."""
+    """Record the plan and the thresholds of a new run; ConfigError if the folder belongs to another run."""
     import json
 
     from imuarray.errors import ConfigError
@@ -141,7 +141,8 @@ def _begin(folder: Path, plan: dict[str, Any]) -> None:
     noted = json.loads(path.read_text(encoding="utf-8"))
     for key, value in wanted.items():
         if noted.get(key) != value:
-            raise ConfigError(f"{path}: begun with another {key}; use the same {key}, or another folder")
+            name = "set of thresholds" if key == "frozen" else key
+            raise ConfigError(f"{path}: the run began with another {name}; use the same {name}, or another folder")
 
 
 def _run(folder: Path, planned: list[Any], where: str, workers: int, again: bool) -> None:
@@ -151,7 +152,7 @@ def _run(folder: Path, planned: list[Any], where: str, workers: int, again: bool
     with executor_of(where, workers) as executor, progress(len(planned), "cases") as tell:
         ran = run_cases(planned, folder, diagnose_case, executor, again=again, progress=tell)
     for name in (*ran.failed, *ran.lost):
-        click.echo(f"{folder}/outcomes/{name}.json: failed; --again tries it once more", err=True)
+        click.echo(f"{folder}/outcomes/{name}.json: failed; --again retries it", err=True)
 
 
 def _scored(folder: Path, planned: list[Any]) -> Figures:
@@ -178,7 +179,7 @@ def _write(folder: Path, figures: Figures, command: str) -> None:
     try:
         write_validation_page(folder / "results.html", figures, command=command, plots=plots, force=True)
     except MissingExtraError as error:
-        click.echo(f"{folder}: figures.json and results.md only; the page: {error}", err=True)
+        click.echo(f"{folder}: figures.json and results.md written; no page: {error}", err=True)
 
 
 def _say(figures: Figures, as_json: bool) -> None:

@@ -73,7 +73,7 @@ class ImportOptions:
 
 
 def _is_log(source: Path) -> bool:
-    """Return whether a file is a log, which needs no import."""
+    """Return whether a file is a log already."""
     from imuarray.log import Log
 
     if source.suffix != ".h5" or not source.is_file():
@@ -100,7 +100,7 @@ def _run(options: ImportOptions) -> None:
     ours = _exported(options.source) if options.map_path is None and options.format_name is None else None
     if ours is None and (options.map_path is None) == (options.format_name is None):
         if _is_log(options.source):
-            raise click.UsageError(f"{options.source}: is a log already; every command reads it as it is")
+            raise click.UsageError(f"{options.source}: is a log already; all commands can read it")
         raise click.UsageError(f"give either --map MAP.toml or --format {'|'.join(FORMATS)}; --guess proposes a map")
     if options.up is not None and options.map_path is None:
         raise click.UsageError("--up requires --map")
@@ -178,7 +178,7 @@ def _print_result(summary: ImportSummary, output: Path, as_json: bool) -> None:
         if count == 1 and kind in messages:
             click.echo(f"  {printable(messages[kind])}")
         else:
-            click.echo(f"  {kind}: {count} events, which imuarray info {output} lists")
+            click.echo(f"  {kind}: {count} events; `imuarray info {output}` lists them")
     for mark, sentences in (("~", (*report.facts, *summary.remarks, *report.quirks)), ("?", report.doubts)):
         for text in sentences:
             for line in textwrap.wrap(printable(text), _WIDTH, initial_indent=f"  {mark} ", subsequent_indent="    "):

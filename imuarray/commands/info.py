@@ -36,7 +36,7 @@ def command(run: Path, as_json: bool) -> None:
 
 
 def describe(log: Log) -> dict[str, Any]:
-    """Return the log as one object for JSON."""
+    """Return the summary of a log, JSON-ready."""
     from imuarray.log.missed_frames import frame_timing
 
     timing = frame_timing(log)
@@ -66,7 +66,7 @@ def describe(log: Log) -> dict[str, Any]:
 
 
 def _span(log: Log) -> dict[str, Any]:
-    """Return the wall times of its first and last rows: a part of a rotated log begins after its epoch."""
+    """Return the wall times of the first and last rows: a part of a rotated log begins after its epoch."""
     rows = [sensor for sensor in log.sensors.values() if len(sensor)]
     first = min((int(sensor.time[0]) for sensor in rows), default=None)
     last = max((int(sensor.time[-1]) for sensor in rows), default=None)
@@ -78,7 +78,7 @@ def _span(log: Log) -> dict[str, Any]:
 
 
 def _wall_time(epoch: str, at_ns: int | None) -> str | None:
-    """ISO 8601 UTC, None for a log without rows or without a date."""
+    """Return a time in ISO 8601 (UTC); None for a log without rows or without a date."""
     from datetime import UTC, datetime, timedelta
 
     if at_ns is None:
@@ -92,7 +92,7 @@ def _wall_time(epoch: str, at_ns: int | None) -> str | None:
 
 
 def _sensor(sensor: SensorLog) -> dict[str, Any]:
-    """One sensor's line."""
+    """Return the summary of one sensor."""
     rows = len(sensor)
     seconds = float(sensor.time[-1] - sensor.time[0]) * 1e-9 if rows > 1 else 0.0
     return {
@@ -111,7 +111,9 @@ def _sensor(sensor: SensorLog) -> dict[str, Any]:
 
 
 def _time_uncertainty(sensor: SensorLog) -> dict[str, float] | None:
-    """Median (of at most `_SAMPLED` rows) and maximum of the largest errors of the times; None if the log has none."""
+    """Return the median (of at most about `_SAMPLED` rows) and the maximum of `time_uncertainty`; None if the log has
+    none.
+    """
     import numpy as np
 
     column = sensor.time_uncertainty
@@ -138,9 +140,9 @@ def _print(summary: dict[str, Any]) -> None:
     elif summary["begins"]:
         _say(f"  rows over {summary['seconds']:.1f} s")
     if summary["state"] != "finished":
-        hint = f"; imuarray recover {summary['log']} finishes it" if summary["state"] == "interrupted" else ""
-        shown = "what could be read" if summary["losses"] else "all that was acknowledged"
-        _say(f"  {summary['state']}: {shown} is shown{hint}")
+        hint = f"; `imuarray recover {summary['log']}` finishes it" if summary["state"] == "interrupted" else ""
+        shown = "all readable rows" if summary["losses"] else "all acknowledged rows"
+        _say(f"  {summary['state']}: {shown} are shown{hint}")
     for loss in summary["losses"]:
         _say(f"  {loss}")
     if summary["frame_rate_hz"]:
@@ -161,7 +163,7 @@ def _print(summary: dict[str, Any]) -> None:
             f"  {sensor['name']:{names}} {sensor['chip']:{chips}} {sensor['quantity']:15} {scale:12} {sensor['axes']:8}"
             f" {sensor['rows']:8d} rows {sensor['rate_hz']:7.2f} Hz  {times}{flags}".rstrip()
         )
-    zero_s = summary["starts_s"] if dated and imported else 0.0  # the seconds since 1970 mean nothing to a reader
+    zero_s = summary["starts_s"] if dated and imported else 0.0  # instead of seconds since 1970
     for phase in summary["phases"]:
         up = f" ({phase['up']} up)" if phase["up"] else ""
         start_s, end_s = phase["start_s"] - zero_s, phase["end_s"] - zero_s
@@ -173,5 +175,5 @@ def _print(summary: dict[str, Any]) -> None:
 
 
 def _say(text: str) -> None:
-    """A line that may hold words from a file: what would steer a terminal is spelled out."""
+    """Print a line with control characters escaped, because it may contain text from a file."""
     click.echo(printable(text))

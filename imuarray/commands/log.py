@@ -40,8 +40,9 @@ _HANG_UP: int | None = getattr(signal, "SIGHUP", None)  # Windows has none
 
 
 class Interruptible:
-    """SIGINT, SIGTERM and SIGHUP (the terminal is gone) end a log cleanly instead of breaking it off; a SIGHUP that is
-    ignored (nohup) stays so. A context manager; `asked` whether one came, `hung_up` whether it was SIGHUP.
+    """Context manager in which SIGINT, SIGTERM and SIGHUP (the terminal is closed) request the end of a log instead of
+    ending the program. `asked`: a signal was received; `hung_up`: it was SIGHUP. A SIGHUP that is ignored (nohup) stays
+    ignored.
     """
 
     def __init__(self) -> None:
@@ -65,7 +66,7 @@ class Interruptible:
 
 
 _CARRIES = ("bus", "channel", "link", "adapter", "refused")
-"""Kinds of events of no one sensor that cost readings."""
+"""Kinds of events that belong to no sensor and can lose readings."""
 _NAMED = 3
 
 
@@ -128,7 +129,7 @@ def _why_missed(summary: RecordingCounts) -> str:
 
 
 def _logs_with_events(logs: Sequence[Path], sensor: str) -> list[Path]:
-    """Return the logs with events about a sensor, or about what carries its readings; all of them if there are none."""
+    """Return the logs with events of a sensor or of its bus or link; all logs if there are none."""
     from imuarray.log import open_log
 
     if len(logs) == 1:
@@ -191,7 +192,7 @@ def _logs_with_events(logs: Sequence[Path], sensor: str) -> list[Path]:
 @click.option(
     "--watch/--no-watch",
     default=None,
-    help="for --fuse: detect and report failing sensors, and leave them out (default: only with optimal)",
+    help="for --fuse: detect, report and exclude failing sensors (default: only with optimal)",
 )
 @click.option(
     "--rotate",
@@ -261,7 +262,7 @@ class LogOptions:
         return self.output if self.rotate_s is None else part_of(self.output, 1)
 
     def check(self) -> None:
-        """Refuse options that contradict each other, and an output that can't be written."""
+        """Raise click.UsageError for options that contradict each other and for an output that cannot be written."""
         _mention_misspelt(self.phase)
         if self.up and not self.phase:
             raise click.UsageError("--up needs --phase: it is the direction of the box in that phase")
@@ -276,19 +277,19 @@ class LogOptions:
 
 _FACES = tuple(f"{axis}_{way}" for axis in "xyz" for way in ("up", "down"))
 _PHASES = ("static", "room", "heat", "cool", "motion", "run 1", *_FACES, *(f"{face}_check" for face in _FACES))
-"""Names of phases that the commands know; others are allowed and mean nothing to them."""
+"""Names of phases that other commands recognise; any other name is allowed."""
 
 
 def _mention_misspelt(phase: str) -> None:
-    """Say that a phase is called almost as one that the commands know."""
+    """Print a remark if the name of a phase differs only slightly from one that other commands recognise."""
     if phase and phase not in _PHASES and not re.fullmatch(r"run \d+", phase) and (near := guess(phase, _PHASES)):
         click.echo(f"imuarray: phase {phase!r} is not a name that other commands recognise{near}", err=True)
 
 
 def _record(options: LogOptions) -> int:
-    """Record; the exit code."""
+    """Record, print the summary, and return the exit code."""
     from imuarray.acquire import RecordingOptions, record
-    from imuarray.commands.log_page import LogScreen, serve_page
+    from imuarray.commands.log_display import LogScreen, serve_page
 
     options.check()
     array, url = _array_and_bus(options)
@@ -334,7 +335,7 @@ def _record(options: LogOptions) -> int:
 
 
 def _refuse_without(option: str, is_given: bool, dependent: dict[str, Any]) -> None:
-    """UsageError if one of the options that need another is given, and that one isn't."""
+    """Raise click.UsageError if one of the `dependent` options is given without `option`."""
     for name, value in dependent.items():
         if value is not None and not is_given:
             raise click.UsageError(f"{name} needs {option}")
@@ -355,8 +356,8 @@ def _array_and_bus(options: LogOptions) -> tuple[ArrayConfig, str]:
 
 
 def _judge(options: LogOptions, array: ArrayConfig) -> StartUpJudge | None:
-    """Return the judge of how sensors start; None without a calibration, or for one that serves --fuse and knows
-    no states.
+    """Return the detector of wrong start-up states; None without a calibration, and if --calibration is for --fuse and
+    states none.
     """
     if options.calibration is None:
         return None
@@ -410,7 +411,7 @@ def _page_arguments(options: LogOptions) -> dict[str, Any]:
 def _connect(
     stack: ExitStack, options: LogOptions, url: str, array: ArrayConfig
 ) -> tuple[OpenBus, RecordingBus | None]:
-    """Return the bus, open as long as `stack` is, and what writes its transcript, if one is required."""
+    """Return the bus, which is open as long as `stack`, and the recorder of its transcript, if there is one."""
     from imuarray.bus import open_bus
     from imuarray.bus.transcript import RecordingBus
 

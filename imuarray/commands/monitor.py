@@ -1,6 +1,6 @@
 """`imuarray monitor`.
 
-With `--text` on a terminal each screen overwrites the last one in one piece, so that nothing flickers.
+With `--text`, each screen overwrites the previous one in a single write, so that the terminal does not flicker.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _NAP_S = 0.1
 
 
 class MonitorScreen:
-    """Standard output; a context manager, which notices when the terminal changes its size."""
+    """Standard output; a context manager that notices changes of the terminal's size."""
 
     def __init__(self) -> None:
         self.is_terminal = sys.stdout.isatty()
@@ -39,11 +39,11 @@ class MonitorScreen:
 
     @property
     def columns(self) -> int:
-        """The columns of a line: the last one stays free, as some terminals wrap otherwise."""
+        """Return the usable columns: the last one stays free, because some terminals would wrap."""
         return shutil.get_terminal_size().columns - 1 if self.is_terminal else 80
 
     def show(self, lines: Sequence[str]) -> None:
-        """Print over the previous output of a terminal, as many lines as fit."""
+        """Overwrite the previous screen with as many lines as fit."""
         if not self.is_terminal:
             click.echo("\n".join(lines))
             return
@@ -52,7 +52,7 @@ class MonitorScreen:
         click.echo(_HOME + "".join(shown) + _REST_OF_SCREEN, nl=False, color=True)
 
     def rest(self, seconds: float) -> None:
-        """Wait; no longer than until the size changes."""
+        """Wait, at most until the size changes."""
         end_s = time.monotonic() + seconds
         while not self.resized and (left_s := end_s - time.monotonic()) > 0:
             time.sleep(min(_NAP_S, left_s))
@@ -179,10 +179,10 @@ def _calibration(path: Path | None) -> Calibration | None:
 
 
 def _show(monitor: LogMonitor, every_s: float, *, as_json: bool, once: bool) -> None:
-    """Look and show, again and again until the log has ended, or Ctrl-C."""
+    """Show the log repeatedly until it has ended or Ctrl-C is pressed."""
     from imuarray.monitor.text import text_lines
 
-    ends = nullcontext() if once else suppress(KeyboardInterrupt)  # Ctrl-C is the usual end of looking on
+    ends = nullcontext() if once else suppress(KeyboardInterrupt)  # the usual way to end
     with ends, MonitorScreen() as screen:
         while True:
             snapshot = _complete(monitor) if once else monitor.refresh(time.monotonic())
@@ -198,7 +198,7 @@ def _show(monitor: LogMonitor, every_s: float, *, as_json: bool, once: bool) -> 
 
 
 def _complete(monitor: LogMonitor) -> Snapshot:
-    """Return the first look in which all of the log was counted."""
+    """Return the first snapshot in which the whole log is counted."""
     while True:
         snapshot = monitor.refresh(time.monotonic())
         if snapshot.counted == 1.0:

@@ -1,4 +1,4 @@
-"""Arguments and options that several commands share, so that they read and behave alike."""
+"""Arguments, options and progress bars that several commands share."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import click
 
 from imuarray.errors import ImuArrayError, OutputExistsError
+from imuarray.printable import duration
 
 config_argument = click.argument("config", type=click.Path(path_type=Path))
 log_argument = click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
@@ -48,11 +49,11 @@ _USUAL = (signal.default_int_handler,)
 _ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 _EVERY_S = 5.0
-"""Time between two progress lines where no bar can be shown."""
+"""Time between two progress lines if no bar can be shown."""
 
 if TYPE_CHECKING:
     _Seconds = click.ParamType[float]
-else:  # a type with a parameter from click 8.4 on only
+else:  # has a type parameter only since click 8.4
     _Seconds = click.ParamType
 
 
@@ -75,7 +76,7 @@ class Duration(_Seconds):
     }
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Seconds; a usage error says what is allowed."""
+        """Return the seconds; a usage error states what is allowed."""
         number = str(value).rstrip("abcdefghijklmnopqrstuvwxyz")
         try:
             seconds = float(number) * self._SECONDS[str(value)[len(number) :]]
@@ -90,10 +91,10 @@ class Duration(_Seconds):
 
 
 def refuse_existing(path: Path, force: bool, source: Path | None = None, *, in_new_folder: bool = False) -> None:
-    """Refuse an output that can't be or must not be written: long work should fail before it begins.
+    """Raise an error if an output cannot or must not be written, before long work begins.
 
-    OutputExistsError if `path` is there and `--force` was not said; click.UsageError for a folder, for a file in a
-    folder that is not there (unless it will be made), and for the `source` that the output is made from.
+    OutputExistsError if `path` exists and not `force`; click.UsageError for a folder, for a file in a folder that does
+    not exist (unless `in_new_folder`), and if `path` is the `source` of the output.
     """
     if path.is_dir():
         raise click.UsageError(f"{path}: is a folder; the output must be a file")
@@ -106,8 +107,8 @@ def refuse_existing(path: Path, force: bool, source: Path | None = None, *, in_n
 
 
 def prepare_folder(folder: Path, names: Sequence[str], force: bool) -> None:
-    """Make a folder for files of these names, or say at once why it can't be written to: `refuse_existing` for each;
-    ImuArrayError where no folder can be.
+    """Make a folder for files of these names, after `refuse_existing` for each. ImuArrayError if the folder cannot be
+    made.
     """
     for name in names:
         refuse_existing(folder / name, force, in_new_folder=True)
@@ -118,15 +119,15 @@ def prepare_folder(folder: Path, names: Sequence[str], force: bool) -> None:
 
 
 def print_json(value: Any) -> None:
-    """One JSON object on standard output."""
+    """Print one JSON object on standard output."""
     click.echo(json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False))
 
 
 @contextmanager
 def progress(length: int, label: str) -> Iterator[Callable[[int], None]]:
-    """A bar on standard error; yields a function that moves it to a position.
+    """Show a progress bar on standard error; yields a function that moves it to a position.
 
-    Hidden unless a person watches, and where the `length` is not known (0).
+    The bar is hidden without a terminal and if the `length` is unknown (0).
     """
     hidden = not length or not sys.stderr.isatty()
     with (
@@ -143,7 +144,7 @@ def progress(length: int, label: str) -> Iterator[Callable[[int], None]]:
 
 @contextmanager
 def bars() -> Iterator[Callable[[str, int, int], None]]:
-    """One bar after the other: yields a function of the step, how much of it is done, and of how much."""
+    """Show a progress bar for each step of the work; yields a function of the step, its progress and its length."""
     with ExitStack() as stack:
         current: tuple[str, Callable[[int], None]] | None = None
 
@@ -158,8 +159,8 @@ def bars() -> Iterator[Callable[[str, int, int], None]]:
 
 
 class Steps:
-    """Progress of work in several steps: a bar for each (`progress`), or, without a terminal, a line on standard error
-    every few seconds, even while there is no progress. A context manager.
+    """Progress of work in several steps: a bar for each, or, without a terminal, a line on standard error every few
+    seconds, even without progress. A context manager.
     """
 
     def __init__(self) -> None:
@@ -168,14 +169,14 @@ class Steps:
         self._thread = threading.Thread(target=self._tell, daemon=True)
 
     def begin(self, label: str) -> None:
-        """Begin the next step, whose length is not known yet."""
+        """Begin the next step, whose length is still unknown."""
         self._label, self._done, self._length, self._begin_s = label, 0, 0, time.monotonic()
         if self._watched:
             click.echo(label, err=True)
 
     @contextmanager
     def bar(self, length: int) -> Iterator[Callable[[int], None]]:
-        """Show a bar of so much of it: yields a function of how far it is."""
+        """Show the progress of the step, whose length is now known; yields a function that sets it."""
         self._done, self._length, self._begin_s = 0, length, time.monotonic()
         with progress(length, "") as move:
 
@@ -205,19 +206,15 @@ class Steps:
 def progress_line(label: str, done: int, length: int, took_s: float) -> str:
     """Return the progress of a step (`length` 0: unknown), with the remaining time at the same rate."""
     if not length:
-        return f"{label}: {_span(took_s)}"
-    remaining = f", {_span(took_s * (length - done) / done)} left" if done else ""
-    return f"{label}: {done} of {length} in {_span(took_s)}{remaining}"
-
-
-def _span(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 99.5 else f"{seconds / 60:.0f} min"
+        return f"{label}: {duration(took_s)}"
+    remaining = f", {duration(took_s * (length - done) / done)} left" if done else ""
+    return f"{label}: {done} of {length} in {duration(took_s)}{remaining}"
 
 
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """SIGTERM and SIGHUP (the terminal is gone) raise KeyboardInterrupt, as Ctrl-C does, so that everything is cleaned
-    up; a SIGHUP that is ignored (nohup) stays so. Nothing changes outside the main thread.
+    """Let SIGTERM and SIGHUP raise KeyboardInterrupt as Ctrl-C does, so that everything is cleaned up. A SIGHUP that is
+    ignored (nohup) stays ignored. Does nothing outside the main thread.
     """
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
@@ -232,8 +229,8 @@ def ended_by_signals() -> Iterator[None]:
 
 
 class _Interrupt:
-    """Ctrl-C during long work is heeded even where Python loses the exception that it raises: one that comes up inside
-    a callback of the garbage collector is printed and forgotten. So is what else raises it (`ended_by_signals`).
+    """Context manager that remembers a KeyboardInterrupt which Python loses, because it was raised inside a callback of
+    the garbage collector; `heed` raises it again.
     """
 
     def __init__(self) -> None:

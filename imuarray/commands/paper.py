@@ -67,7 +67,7 @@ def command(output: Path | None, replica: bool, gap: bool, seed: int, as_json: b
 
 
 def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None:
-    """The paper's experiments on the simulated array beside its tables."""
+    """Simulate the experiments of the paper, and compare the results with its tables."""
     from imuarray.studies.paper.replica import Replica, compare, observe, render_text
 
     if output:
@@ -84,7 +84,7 @@ def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None
 
 
 def _gap(output: Path | None, as_json: bool, force: bool) -> None:
-    """Return the part of the paper's tables that the data sheets do not predict."""
+    """Print the statistics of the paper's tables that the data sheets do not predict."""
     import json
 
     from imuarray.studies.paper import findings
@@ -104,7 +104,7 @@ def _gap(output: Path | None, as_json: bool, force: bool) -> None:
 
 
 def _write_replica(folder: Path, replica: Replica, observed: ExperimentData) -> None:
-    """The numbers, and the page with as much as the optional packages allow."""
+    """Write the numbers, and the page as far as optional packages allow."""
     import json
 
     from imuarray.errors import MissingExtraError
@@ -117,6 +117,6 @@ def _write_replica(folder: Path, replica: Replica, observed: ExperimentData) -> 
     try:
         write_paper_page(page, replica, curves_of(observed) if can_draw() else None, force=True)
     except MissingExtraError as error:
-        click.echo(f"{folder}: replica.json only; the page: {error}", err=True)
+        click.echo(f"{folder}: replica.json written; no page: {error}", err=True)
         return
     click.echo(f"{folder}: 2 files written{'' if can_draw() else _NO_FIGURES}", err=True)

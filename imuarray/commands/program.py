@@ -1,4 +1,4 @@
-"""The end of every program of this project: the exit code, and one line for bad input."""
+"""Runs a command as a program: its exit code, and one line for each error."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ EXIT_CODES = (
 
 
 def run(command: click.Command, name: str, arguments: Sequence[str] | None = None) -> int:
-    """Run a command as the program `name` (with `arguments`, else those of this process): what it returns is the exit
-    code, that of the error with one line (2 for bad input, 3 for a full disk), 130 if it was interrupted.
+    """Run a command as the program `name` with `arguments` (None: those of the process), and return the exit code:
+    `EXIT_CODES`. An error is printed in one line on standard error.
     """
     try:
         given = None if arguments is None else list(arguments)
@@ -37,7 +37,7 @@ def run(command: click.Command, name: str, arguments: Sequence[str] | None = Non
         return _ended(name, error.format_message(), 2)
     except ImuArrayError as error:
         return _ended(name, str(error), error.exit_code)
-    except OSError as error:  # of a file or a bus that nobody had a better word for
+    except OSError as error:  # of a file or a bus, without an error of its own
         place = f"{error.filename}: " if error.filename else ""
         return _ended(name, f"{place}{error.strerror or error}", 3 if error.errno in NO_ROOM else 2)
     return result if isinstance(result, int) else 0
@@ -63,6 +63,6 @@ def _warnings_as_lines(name: str) -> Iterator[None]:
 
 
 def _ended(name: str, text: str, exit_code: int) -> int:
-    """One line on standard error."""
+    """Print one line on standard error, and return the exit code."""
     click.echo(printable(f"{name}: {' '.join(text.split())}"), err=True)
     return exit_code

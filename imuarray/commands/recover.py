@@ -42,8 +42,8 @@ def command(run: Path, output: Path | None, force: bool, as_json: bool) -> None:
     elif recovered.changed:
         click.echo(f"{output or run}: recovered {sum(recovered.rows.values())} rows of {len(recovered.rows)} sensors")
     elif output is not None:
-        click.echo(f"{run}: is finished, there is nothing to recover; {output} is a copy of it")
+        click.echo(f"{run}: was finished already; {output} is a copy of it")
     else:
-        click.echo(f"{run}: is finished, there is nothing to recover")
+        click.echo(f"{run}: was finished already; nothing to recover")
     if recovered.kept is not None and not as_json:
-        click.echo(f"{run}: a journal that holds more than could be read, or another log, is kept as {recovered.kept}")
+        click.echo(f"{run}: its journal has unreadable data or belongs to another log; kept as {recovered.kept}")

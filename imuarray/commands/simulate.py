@@ -190,12 +190,12 @@ class SimulateOptions:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """The effects of --without."""
+        """Return the effects of --without."""
         return tuple(name.strip() for name in self.without.split(",") if name.strip())
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """The sensors of --only; none: all."""
+        """Return the sensors of --only; empty: all."""
         return tuple(self.only.split(",")) if self.only else ()
 
 
@@ -215,7 +215,7 @@ def _run(options: SimulateOptions) -> None:
             refuse_existing(run.path, options.force, source=options.like)
         for sentence in remarks_on(runs[0].plan, model, log, population=population):
             click.echo(f"imuarray: {sentence}", err=True)
-        effects = effects_of(runs[0].plan, model, seed, population=population, without=left_out)  # units stay, boots go
+        effects = effects_of(runs[0].plan, model, seed, population=population, without=left_out)  # of all boots
         reports = []
         for run in runs:
             dtype = "float32" if options.single else "float64"
@@ -237,11 +237,11 @@ _FOR = {
     "up": ("--up", ("static", "heating")),
     "temperature_degc": ("--temperature", ("static", "tumble", "turn-on", "motion")),
 }
-"""Options that apply to some experiments only."""
+"""Options that apply only to some experiments."""
 
 
 def _refuse_idle(context: click.Context, experiment: str, like: Path | None) -> None:
-    """click.UsageError for an option that would do nothing."""
+    """Raise click.UsageError for an option that would have no effect."""
     given = [
         name
         for name in (*_FOR, "experiment", "seconds", "rate_hz")
@@ -256,7 +256,7 @@ def _refuse_idle(context: click.Context, experiment: str, like: Path | None) -> 
 
 
 def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[BootRun]]:
-    """Return the logs to write; the recorded log that they are like, if there is one."""
+    """Return the log of --like, if there is one, and the runs to simulate."""
     from imuarray.array import load_array
     from imuarray.errors import ConfigError
     from imuarray.log import open_log
@@ -299,7 +299,7 @@ def _model(name: str, calibration: Path | None, plan: Plan) -> Model:
 
 
 def _write(simulation: Any, path: Path, log: Log | None, note: str, workers: int, force: bool) -> Written:
-    """Write one log, with a bar on standard error."""
+    """Write one log, with a progress bar."""
     from imuarray.simulate import total_rows, write_log
     from imuarray.simulate.record import EPOCH, Division, Origin
 
@@ -317,13 +317,13 @@ def _write(simulation: Any, path: Path, log: Log | None, note: str, workers: int
 
 
 def _note(model: str, seed: int, boot: int, without: tuple[str, ...], population: bool) -> str:
-    """Return the note of a log's origin."""
+    """Return the note on the origin of a log."""
     drawn = ", units drawn" if population else ""
     return f"model {model}{drawn}, seed {seed}, boot {boot}" + (f", without {', '.join(without)}" if without else "")
 
 
 def _spelled(effects: Any, unit: str) -> list[dict[str, Any]]:
-    """Return the effects of one unit with their parameters, as a model file spells them."""
+    """Return the effects of one unit and their parameters, as in a model file."""
     from imuarray.simulate.parameters import to_table
 
     return [{"effect": effect.name, **to_table(effect, unit)} for effect in effects]
@@ -343,7 +343,7 @@ def _report(path: Path, written: Written, seed: int, boot: int, model: str) -> d
 
 
 def _line(report: Mapping[str, Any]) -> str:
-    """One line about one log."""
+    """Return one line about one log."""
     lost, most = sum(report["lost"].values()), max(report["rows"].values())
     return (
         f"{report['log']}: simulated, {most} rows a sensor in {report['seconds']:.1f} s, model {report['model']},"

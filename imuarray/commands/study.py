@@ -117,14 +117,14 @@ def _run(options: StudyOptions) -> None:
 
 
 def _run_numbers(options: StudyOptions) -> None:
-    """Study how many gyroscopes of an array there are and how they are mounted; print the result."""
+    """Study the gain from the number and the mounting of an array's gyroscopes, and print the result."""
     from imuarray.array import load_array
     from imuarray.shipped import find_config
     from imuarray.studies.fusion_gain import QUICK_SEEDS, SEEDS
     from imuarray.studies.fusion_gain.chip_number import render_numbers, study_numbers
 
     if options.output is not None:
-        raise click.UsageError("--output: not with --array, whose result is printed; --json prints it as JSON")
+        raise click.UsageError("--output can't be combined with --array, whose result is printed (--json: as JSON)")
     count = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
     with progress(count, "study") as done:
         result = study_numbers(load_array(find_config(options.array or Path())), count, done)
@@ -135,7 +135,7 @@ def _run_numbers(options: StudyOptions) -> None:
 
 
 def _write(folder: Path, result: Study) -> None:
-    """The numbers; figures and the page as far as the optional packages allow."""
+    """Write the numbers, and figures and the page as far as optional packages allow."""
     import json
 
     from imuarray.atomic import write_text
@@ -151,4 +151,4 @@ def _write(folder: Path, result: Study) -> None:
             drawing.savefig(folder / name, dpi=150, metadata={"Software": None})
         write_study_page(folder / "study.html", result, drawings, force=True)
     except MissingExtraError as error:
-        click.echo(f"{folder}: study.json only; figures and page: {error}", err=True)
+        click.echo(f"{folder}: study.json written; no figures and no page: {error}", err=True)

@@ -1,4 +1,4 @@
-"""The versions that results may depend on: Python, HDF5 and the packages behind the numbers."""
+"""The versions on which results can depend: Python, HDF5 and the numerical packages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _PACKAGES = ("numpy", "scipy", "h5py", "smbus2", "pyserial", "matplotlib")
 
 
 def versions() -> dict[str, str]:
-    """Name to version; without what is not installed."""
+    """Return the version of each installed package by name."""
     import h5py
 
     numbers = {

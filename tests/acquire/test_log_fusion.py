@@ -21,7 +21,7 @@ from imuarray.acquire import RecordingCounts
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import nominal
 from imuarray.cli import main
-from imuarray.commands.log_page import LogScreen
+from imuarray.commands.log_display import LogScreen
 from imuarray.errors import FusionError
 from imuarray.fuse import FusedBlock, FusionStream, read_fused, read_fused_events, read_fused_head
 from imuarray.fuse.live_fusion import FusionOutput, LiveFusion, LiveFusionOptions

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from imuarray.cli import main
-from imuarray.commands import log_page
+from imuarray.commands import log_display
 from imuarray.log import open_log
 
 ROOT = Path(__file__).parents[2]
@@ -51,7 +51,7 @@ def pages(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
         text = "print('http://here/', flush=True); import time; time.sleep(60)"
         return real([sys.executable, "-c", text], **options)
 
-    monkeypatch.setattr(log_page.subprocess, "Popen", begin)
+    monkeypatch.setattr(log_display.subprocess, "Popen", begin)
     return begun
 
 
@@ -84,7 +84,7 @@ def test_options_of_no_page_are_refused(log: Call, option: str) -> None:
 
 
 def test_without_the_extra_nothing_is_recorded(log: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log_page, "find_spec", lambda name: None)
+    monkeypatch.setattr(log_display, "find_spec", lambda name: None)
     code, _, err = log("--monitor")
     assert code == 2 and "pip install 'imuarray[monitor]'" in err
     assert not Path("run.h5").exists()
@@ -92,7 +92,7 @@ def test_without_the_extra_nothing_is_recorded(log: Call, monkeypatch: pytest.Mo
 
 def test_what_the_page_says_is_told(tmp_path: Path) -> None:
     heard: list[str] = []
-    log_page._report_lines(
+    log_display._report_lines(
         ["http://127.0.0.1:8765/\n", "imuarray: 127.0.0.1:8765: can't serve the page there\n"], heard.append
     )
     assert heard == ["watch it at http://127.0.0.1:8765/", "no page: 127.0.0.1:8765: can't serve the page there"]
@@ -151,7 +151,7 @@ def test_a_page_beside_a_real_recording(tmp_path: Path) -> None:
 def test_a_page_ends_with_a_logger_that_is_killed(tmp_path: Path) -> None:
     program = (
         "import sys, pathlib\n"
-        "from imuarray.commands.log_page import serve_page\n"
+        "from imuarray.commands.log_display import serve_page\n"
         "with serve_page(pathlib.Path('run.h5'), {'--port': 0}):\n"
         "    sys.stdin.readline()\n"
     )

@@ -411,7 +411,7 @@ class TestVerify:
         assert main(["verify", str(run)]) == 0
         assert "imuarray recover" in capsys.readouterr().out
         assert main(["info", str(run)]) == 0
-        assert "interrupted: all that was acknowledged is shown" in capsys.readouterr().out
+        assert "interrupted: all acknowledged rows are shown" in capsys.readouterr().out
 
     @pytest.mark.parametrize("column", some(["sensors/Acc/counts", "sensors/Acc/time", "sensors/Baro/pressure"], 1))
     def test_a_damaged_chunk(self, finished: Path, column: str, capsys: pytest.CaptureFixture[str]) -> None:

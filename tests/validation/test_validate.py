@@ -23,13 +23,13 @@ def test_a_run_is_not_mixed_with_another(tmp_path: Path, capsys: pytest.CaptureF
     """Neither other cases nor other thresholds; nothing is run."""
     gap_validate._begin(tmp_path, {"half": "sealed", "size": "glance", "seed": 0, "cases": 1})
     assert main(["gap", "validate", "-o", str(tmp_path), "--size", "glance"]) == 2
-    assert "begun with another half; use the same half, or another folder" in capsys.readouterr().err
+    assert "the run began with another half; use the same half, or another folder" in capsys.readouterr().err
     plan = tmp_path / "plan.json"
     table = json.loads(plan.read_text())
     table["frozen"]["nats to be accepted"] = 0.0
     plan.write_text(json.dumps(table))
     assert main(["gap", "validate", "-o", str(tmp_path), "--size", "glance", "--half", "sealed"]) == 2
-    assert "begun with another frozen" in capsys.readouterr().err
+    assert "the run began with another set of thresholds" in capsys.readouterr().err
     assert not (tmp_path / "outcomes").exists()
 
 

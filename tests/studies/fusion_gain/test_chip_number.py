@@ -51,4 +51,4 @@ def test_fewer_than_two_gyroscopes_are_refused() -> None:
 
 def test_a_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", "--array", "icm42688x8", "-o", str(tmp_path / "s")]) == 2
-    assert "--output: not with --array" in capsys.readouterr().err
+    assert "--output can't be combined with --array" in capsys.readouterr().err

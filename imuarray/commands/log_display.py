@@ -1,7 +1,7 @@
-"""Shows a running recording: on the terminal (every event, and the progress), and as a page.
+"""Display of a running recording: events and progress on the terminal, and a live page.
 
-The page is served by a process of its own at low priority, which ends with this one. Its modules are not loaded here:
-that would take a logger longer than everything else.
+A separate process of low priority serves the page and ends with this one. Its modules are not imported here, because
+that would delay the start of the recording.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ if TYPE_CHECKING:
     from imuarray.log.format import Event
 
 _PAUSE_S = 0.5
-"""Between two counter lines."""
+"""Time between two updates of the progress line."""
 _CLEAR = "\r\x1b[K"
 
 
 class LogScreen:
-    """Standard error. A terminal that goes away (ssh drops) does not disturb the recording."""
+    """Events and progress on standard error. A terminal that is closed does not disturb the recording."""
 
     def __init__(self, label: str, rate_hz: float, seconds: float | None, more: Callable[[], str] = lambda: "") -> None:
-        """`more` returns a text to append to the progress line."""
+        """Begin; `more` returns a text to append to the progress line."""
         self._more = more
         self._label, self._rate_hz, self._seconds = label, rate_hz, seconds
         self._terminal = sys.stderr.isatty()
@@ -44,16 +44,16 @@ class LogScreen:
         self._line = ""
 
     def event(self, event: Event) -> None:
-        """One line: seconds of the log, sensor, kind, message."""
+        """Print an event: seconds of the log, sensor, kind, message."""
         about = " ".join(word for word in (event.sensor, f"{event.kind}:", event.message) if word)
         self._write(f"{self._clear()}{event.time_ns * 1e-9:9.1f} s  {printable(about)}\n{self._line}")
 
     def remark(self, text: str) -> None:
-        """A line about something else than the log."""
+        """Print a remark of the program."""
         self._write(f"{self._clear()}imuarray: {printable(text)}\n{self._line}")
 
     def counted(self, summary: RecordingCounts) -> None:
-        """Show the progress now and then in a line that is written over; only on a terminal."""
+        """Update the progress line, at most twice a second and only on a terminal."""
         now_s = time.monotonic()
         if not self._terminal or now_s - self._counted_s < _PAUSE_S:
             return
@@ -81,7 +81,7 @@ class LogScreen:
 
 
 _PATIENCE_S = 8.0
-"""An open page is served for three more seconds after the end."""
+"""Longest time to wait for the page's process, which serves an open page for three seconds after the end."""
 _NICENESS = 10
 
 
@@ -92,11 +92,11 @@ def _print(text: str) -> None:
 
 @contextmanager
 def serve_page(run: Path, arguments: Mapping[str, object], tell: Callable[[str], None] = _print) -> Iterator[None]:
-    """Serve the page of the log at `run`, which need not exist yet, in a process of its own.
+    """Serve the page of the log at `run`, which need not exist yet, in a separate process.
 
-    `arguments` are options of `imuarray monitor` by name; None values are left out. `tell` receives the page's address
-    and what goes wrong, from another thread. A page that is being viewed is served for a moment after the end, so that
-    it shows how the log ended. Whatever happens to the page, the log goes on. MissingExtraError without Bokeh.
+    `arguments` are options of `imuarray monitor` by name; None values are omitted. `tell` receives the address of the
+    page, or why there is none, from another thread. An open page is served for a moment after the end, so that it shows
+    how the log ended. A failure of the page does not affect the recording. MissingExtraError without Bokeh.
     """
     if find_spec("bokeh") is None:
         raise MissingExtraError("bokeh", "monitor")
@@ -110,7 +110,7 @@ def serve_page(run: Path, arguments: Mapping[str, object], tell: Callable[[str],
         stderr=subprocess.STDOUT,
         text=True,
         errors="replace",
-        start_new_session=True,  # Ctrl-C is the logger's
+        start_new_session=True,  # so that Ctrl-C reaches only the logger
     )
     _lower_priority(process.pid)
     reporting = threading.Thread(target=_report_lines, args=(process.stdout, tell), name="page", daemon=True)
@@ -125,14 +125,14 @@ def serve_page(run: Path, arguments: Mapping[str, object], tell: Callable[[str],
 
 
 def _lower_priority(process: int) -> None:
-    """Lower the priority at once: to load what a page needs is work too."""
+    """Lower the priority of a process, before it imports its modules."""
     if hasattr(os, "setpriority"):  # Windows has none
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, process, os.getpriority(os.PRIO_PROCESS, 0) + _NICENESS)
 
 
 def _report_lines(lines: Iterable[str] | None, tell: Callable[[str], None]) -> None:
-    """Report what the page's process prints: the page's address, or why there is none."""
+    """Report the output of the page's process: the address of the page, or why there is none."""
     for line in lines or ():
         text = line.strip()
         tell(f"watch it at {text}" if text.startswith("http://") else f"no page: {text.removeprefix('imuarray: ')}")
