@@ -429,8 +429,8 @@ _NO_GAP_NS = 1e18
 
 
 def clock_of(stretches: Stretches) -> ReadingInterval:
-    """Return the interval of readings in the first block of the longest stretch; rate 0 without two valid readings. Rows
-    that arrived in bursts were read steadily, at their mean rate and without gaps.
+    """Return the interval of readings in the first block of the longest stretch; rate 0 without two valid readings.
+    Rows that arrived in bursts were read steadily, at their mean rate and without gaps.
     """
     sensor, rows = max(stretches, key=lambda stretch: stretch[1].stop - stretch[1].start)
     timing = row_timing(sensor)

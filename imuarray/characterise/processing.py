@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Booleans, Floats
 from imuarray.characterise.interpolation import find_interpolation
 from imuarray.log import SensorLog
 from imuarray.log.format import ASSUMED, RESOLUTION
@@ -22,6 +22,9 @@ _WINDOW_ROWS = 256
 FEWEST_WINDOWS = 6
 _AT_REST = 2.5
 """Windows in which noise is looked at: they scatter at most this much more than the quietest."""
+
+_REST_WINDOWS = 3
+"""Windows at rest, one after the other, in which resampling shows better than in all rows, which motion disturbs."""
 
 _LEAST_MOTION = {"g": 0.03, "dps": 1.0, "gauss": 0.02}
 """Scatter of a window, by unit, above which the box moves: the spectrum of motion falls as that of a filter does."""
@@ -80,7 +83,8 @@ def find_filters(sensor: SensorLog) -> Iterator[str]:
     if not sensor.is_triad or len(sensor) < FEWEST_ROWS:
         return
     values, rate_hz = _middle_rows(sensor)
-    windows = _windows(values, _LEAST_MOTION.get(sensor.unit, 0.0) * sensor.sensitivity)
+    most = _LEAST_MOTION.get(sensor.unit, 0.0) * sensor.sensitivity
+    windows, rest = _windows(values, most), _longest_rest(values, most)
     is_seen = len(windows) >= FEWEST_WINDOWS
     if is_seen and (share := _share_of_held_axes(windows)):
         yield (
@@ -89,7 +93,7 @@ def find_filters(sensor: SensorLog) -> Iterator[str]:
         )
     if sensor.attributes.get(RESOLUTION) != ASSUMED or not rate_hz:
         return
-    if beat_hz := _beat_hz(values, rate_hz):
+    if beat_hz := _beat_hz(values if len(rest) < _REST_WINDOWS * _WINDOW_ROWS else rest, rate_hz):
         rates = f"about {rate_hz - beat_hz:.4g} or {rate_hz + beat_hz:.4g}"
         yield (
             f"is resampled by a program, from {rates} readings a second: its noise comes and goes {beat_hz:.3g} times a"
@@ -126,10 +130,26 @@ def _share_of_held_axes(windows: Floats) -> float:
 
 def _windows(values: Floats, most: float) -> Floats:
     """Return the windows at rest (w, rows, 3): the quietest, which scatter by less than `most`."""
+    windows, is_still = _still_windows(values, most)
+    return np.asarray(windows[is_still])
+
+
+def _longest_rest(values: Floats, most: float) -> Floats:
+    """Return the rows (n, 3) of the longest run of windows at rest."""
+    _, is_still = _still_windows(values, most)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_still.astype(int), [0]])))
+    if not len(edges):
+        return values[:0]
+    begins, ends = edges[::2], edges[1::2]
+    longest = int(np.argmax(ends - begins))
+    return values[begins[longest] * _WINDOW_ROWS : ends[longest] * _WINDOW_ROWS]
+
+
+def _still_windows(values: Floats, most: float) -> tuple[Floats, Booleans]:
     count = len(values) // _WINDOW_ROWS
     windows = values[: count * _WINDOW_ROWS].reshape(count, _WINDOW_ROWS, 3)
     spread = windows.std(axis=1).max(axis=1)
-    return np.asarray(windows[(spread <= _AT_REST * np.quantile(spread, 0.1)) & (spread < most)])
+    return windows, (spread <= _AT_REST * np.quantile(spread, 0.1)) & (spread < most)
 
 
 def _densities(windows: Floats) -> Floats:

@@ -243,8 +243,8 @@ def test_lines_are_said_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_a_line_of_rows_that_arrived_in_bursts(tmp_path: Path) -> None:
-    """Read at 100 Hz, taken by a host that comes by every 50 to 90 ms: neighbours and lines are those of the readings, whose
-    line of amplitude 15 is a fifth of 15^2 / 2 + 20^2.
+    """Read at 100 Hz, taken by a host that comes by every 50 to 90 ms: lines are those of the readings, and one of
+    amplitude 15 has a fifth of the variance, 15^2 / 2 of 15^2 / 2 + 20^2.
     """
     rows, rng = 30_000, np.random.default_rng(6)
     read_s = np.arange(rows) / 100.0
