@@ -4,6 +4,9 @@ A log of nine triads at 100 Hz, six minutes of it, with `full` an hour. The figu
 kernel included, of a process from its start to its end, both sides in one run. Neither side uses more than one thread
 of linear algebra, and our modules are compiled to bytecode as those of an installed package are. Peak memory is that of
 the process, beside that of the script, which holds the log; of a log ten times as long it is to be the same.
+
+`python tests/benchmarks/commands.py --beside FOLDER` measures the commands beside those of another version instead,
+whose source is in a folder (`git archive COMMIT | tar -x -C FOLDER`), in turn and on one log.
 """
 
 from __future__ import annotations
@@ -13,8 +16,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from statistics import median
 from typing import NamedTuple
 
 import h5py
@@ -62,6 +66,16 @@ start-up, 50 times as fast as a real one.
 """
 
 
+GAINS = {
+    "report": 21.7, "characterise": 3.7, "fuse mean": 10.3, "fuse planes": 7.85, "fuse optimal": 9.2, "simulate": 4.4,
+    "demo": 2.5, "log": 2.1, "info": 2.15, "export": 16.7, "verify": 1.0,
+}  # fmt: skip
+"""How many times as fast each is wanted as it was at commit faee4471, on an hour."""
+
+TURNS, LONG_TURN_S = 3, 10.0
+"""Measurements of each version, in turn, of which the median counts; one where it takes longer than so many seconds."""
+
+
 class Spent(NamedTuple):
     """Processor time of a process, and its peak memory."""
 
@@ -82,6 +96,23 @@ def rows(full: bool = False) -> list[Row]:
         if full:
             found += _memory_rows(log, _simulated(folder / "longer.h5", FACTOR * seconds), folder)
     return found
+
+
+def rows_beside(folder: Path, full: bool = False) -> Iterator[Row]:
+    """Every command of this version beside that of the version in a folder, on an hour (`full`) or six minutes."""
+    with tempfile.TemporaryDirectory() as name:
+        seconds = LONG_S if full else SHORT_S
+        log = _simulated(Path(name) / "log.h5", seconds)
+        commands = [(_said(command), command.words, command.suffix) for command in COMMANDS]
+        commands += [(words.split()[0], words, suffix) for words, suffix, _ in BOUNDS]
+        for said, words, suffix in commands:
+            line = _ours(words, log, Path(name) / f"made{suffix}", seconds)
+            ours, theirs = [], list[float]()
+            while len(theirs) < TURNS and max(theirs, default=0.0) < LONG_TURN_S:
+                ours.append(_run(line).seconds)
+                theirs.append(_run(line, folder).seconds)
+            title = f"imuarray {said}, {seconds // 60} min of nine triads, against {folder.name}"
+            yield row(title, median(ours), median(theirs), "s of processor", 1 / GAINS[said], "lower")
 
 
 def _memory_rows(log: Path, longer: Path, folder: Path) -> list[Row]:
@@ -149,11 +180,12 @@ def _ours(words: str, log: Path, output: Path, seconds: int) -> list[str]:
     return [sys.executable, "-m", "imuarray", *(stands_for.get(word, word) for word in words.split()), *force]
 
 
-def _run(words: Sequence[str]) -> Spent:
-    """Run a process to its end; RuntimeError if it fails."""
+def _run(words: Sequence[str], source: Path = HERE.parent.parent) -> Spent:
+    """Run a process to its end, with the version of a source folder; RuntimeError if it fails."""
     one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"} | one_thread
-    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment)
+    environment["PYTHONPATH"] = str(source)
+    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment, cwd=source)
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode != 0:
@@ -162,5 +194,6 @@ def _run(words: Sequence[str]) -> Spent:
 
 
 if __name__ == "__main__":
-    for made in rows("--full" in sys.argv):
-        print(made)
+    other = Path(sys.argv[sys.argv.index("--beside") + 1]).resolve() if "--beside" in sys.argv else None
+    for made in rows("--full" in sys.argv) if other is None else rows_beside(other, "--full" in sys.argv):
+        print(made, flush=True)
