@@ -45,14 +45,14 @@ class Command(NamedTuple):
 COMMANDS = (
     Command("info LOG", ("info",), "", 2.0, 2.0),
     Command("verify LOG", ("verify",), "", 3.0, 3.0),
-    Command("export LOG -o OUT", ("export",), ".mcap", 0.5, 0.25),
-    Command("fuse LOG --technique mean -o OUT", ("mean",), ".h5", 2.0, 1.0),
-    Command("fuse LOG --technique planes -o OUT", ("planes",), ".h5", 4.0, 1.5),
-    Command("fuse LOG --technique optimal -o OUT", ("optimal",), ".h5", 1.0, 0.8),
+    Command("export LOG -o OUT", ("export",), ".mcap", 0.5, 0.16),
+    Command("fuse LOG --technique mean -o OUT", ("mean",), ".h5", 2.0, 0.5),
+    Command("fuse LOG --technique planes -o OUT", ("planes",), ".h5", 4.0, 1.0),
+    Command("fuse LOG --technique optimal -o OUT", ("optimal",), ".h5", 1.0, 0.5),
     Command("characterise LOG -o OUT", ("characterise",), "", 2.0, 1.5),
-    Command("report LOG -o OUT", ("characterise", "mean", "planes", "optimal"), ".html", 1.5, 1.0),
+    Command("report LOG -o OUT", ("characterise", "mean", "planes", "optimal"), ".html", 1.5, 0.6),
     Command(
-        f"simulate martin2013 --only {TRIADS} --rate-hz 100 --seconds SECONDS -o OUT", ("simulate",), ".h5", 4.0, 2.0
+        f"simulate martin2013 --only {TRIADS} --rate-hz 100 --seconds SECONDS -o OUT", ("simulate",), ".h5", 4.0, 1.2
     ),
 )
 """Each with its peers; where start-up is most of a short run the ratio that is required is above one."""
