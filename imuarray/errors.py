@@ -8,7 +8,7 @@
     +-- SensorError               a chip that is missing, wrong, or does not keep what was written to it
     +-- LogError                  a log that is missing, foreign, truncated, hostile or malformed
     |   +-- LogBusyError          a log that is being written by somebody else
-    |   +-- DiskFullError         no room to go on: the log was ended, all that was acknowledged is in it; exit code 3
+    |   +-- DiskFullError         no space left: the log was ended and contains all acknowledged rows; exit code 3
     +-- SourceError               a foreign recording that `import` can't read: names the file and the row
     +-- CalibrationError          data from which the wanted parameters can't be had, or a bad calibration file
     +-- FusionError               a technique that this array or this log can't feed
@@ -95,7 +95,7 @@ class DiskFullError(LogError):
         self,
         path: str | PathLike[str],
         why: str,
-        kept: str = "nothing was recorded; make room or choose another disk",
+        kept: str = "nothing was recorded; free space or choose another disk",
     ) -> None:
         """`kept` says what there is all the same."""
         self.path, self.why, self.kept = path, why, kept

@@ -1,5 +1,5 @@
-"""Columns that behave like HDF5 datasets: those of a growing log (`Column`), those of any log with their place in error
-messages (`NamedColumn`), and the tracks `/truth`, `/reference` and `/clocks`.
+"""Columns that behave like HDF5 datasets: `Column` of a log that is being written, `NamedColumn` that names its place
+in errors, and the tracks `/truth`, `/reference` and `/clocks`.
 """
 
 from __future__ import annotations
@@ -22,51 +22,55 @@ UNREADABLE = (OSError, RuntimeError, KeyError, MemoryError)
 
 
 CACHED_BYTES = 1 << 26
-"""Bytes of the rows of a log that stay in memory: an hour of nine triads at 100 Hz has 57 MB."""
+"""Most bytes of a log's rows that stay in memory: one hour of nine triads at 100 Hz has 57 MB."""
 
 RECENT_BYTES = 1 << 24
-"""The same of a longer log, which is not kept from one pass to the next: a block of each column of a dozen sensors."""
+"""Most bytes of a longer log, which can't be kept from one pass to the next: a block of each column of twelve
+sensors.
+"""
 
 TRACK_BYTES = 1 << 23
-"""The same of the tracks, which few analyses read more than once: two blocks of each column."""
+"""Most bytes of the tracks, which few analyses read more than once: two blocks of each column."""
 
 _BLOCK_ROWS = 1 << 16
 """Rows of a column that are read and kept together: sixteen chunks."""
 
 _FEW_ROWS = 1 << 10
-"""Fewer rows are read by themselves: a block takes longer than they do."""
+"""Fewer rows are read alone, which is faster than reading their block."""
 
 
 class RowCache:
-    """The blocks of rows that were used last, of all columns of a log, once it is `used`.
+    """The most recently used blocks of rows of all columns of a log; it keeps rows after `use` was called.
 
     Most analyses read a log several times, and reading means decompressing: reading an hour of nine triads takes a
-    fifth as long as fusing it by the mean does.
+    fifth of the time of fusing it by the mean.
     """
 
     def __init__(self, limit_bytes: int | None = None) -> None:
-        """`limit_bytes` may be kept, by default `CACHED_BYTES`."""
+        """Keep up to `limit_bytes` (None: `CACHED_BYTES`)."""
         self._limit_bytes, self._bytes = CACHED_BYTES if limit_bytes is None else limit_bytes, 0
         self.used = False
         self._blocks: OrderedDict[tuple[str, int], npt.NDArray[Any]] = OrderedDict()
         self._lock = Lock()
 
     def use(self, size_bytes: int) -> None:
-        """Keep rows from now on: all of a log of so many bytes, or if that is more than the limit those that were used
-        last, because a pass over all rows would find none of the pass before.
+        """Keep rows from now on. If the log has more bytes than the limit, keep only `RECENT_BYTES`, because a pass
+        over all rows would not find any row of the previous pass.
         """
         self.used = True
         if size_bytes > self._limit_bytes:
             self._limit_bytes = min(self._limit_bytes, RECENT_BYTES)
 
     def rows(self, column: h5py.Dataset, name: str, start: int, stop: int) -> npt.NDArray[Any]:
-        """Return a copy of rows `start` to `stop` of a column of this name, `start` < `stop`; the errors of HDF5."""
+        """Return a copy of the rows from `start` to `stop` (`start` < `stop`) of a column; raises the errors of
+        HDF5.
+        """
         first = range(start - start % _BLOCK_ROWS, stop, _BLOCK_ROWS)
         parts = [self._block(column, name, at)[max(start - at, 0) : stop - at] for at in first]
         return parts[0].copy() if len(parts) == 1 else np.concatenate(parts)
 
     def held(self, name: str, start: int, stop: int) -> npt.NDArray[Any] | None:
-        """Return a copy of a few rows of a column of this name if they are in memory, else None."""
+        """Return a copy of a few rows of a column if they are in memory, else None."""
         first = start - start % _BLOCK_ROWS
         with self._lock:
             block = self._blocks.get((name, first))
@@ -124,7 +128,7 @@ class NamedColumn:
             if isinstance(key, slice) and key.step in (None, 1):
                 start, stop, _ = key.indices(len(self))
                 if stop - start >= _FEW_ROWS:
-                    with suppress(*UNREADABLE):  # where rows nearby are damaged, those asked for may be intact
+                    with suppress(*UNREADABLE):  # the requested rows may be intact although others of the block are not
                         return self._cache.rows(self._column, self._where, start, stop)
                 if stop > start and (rows := self._cache.held(self._where, start, stop)) is not None:
                     return rows

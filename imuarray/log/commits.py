@@ -50,7 +50,7 @@ class Commit(NamedTuple):
 
 
 def width(groups: Sequence[ColumnGroup]) -> int:
-    """Columns of the table."""
+    """Return the number of columns of the table."""
     return _FIXED + len(groups) + 1
 
 
@@ -85,7 +85,7 @@ def _own_crc(words: Integers, identity: str) -> int:
 
 
 def block_crc(groups: Sequence[ColumnGroup], stretches: Mapping[int, Mapping[str, npt.NDArray[Any]]]) -> int:
-    """The CRC of rows of several groups, by number."""
+    """Return the CRC of rows of several groups, by number."""
     crc = 0
     for number in sorted(stretches):
         for name, kind, _ in groups[number].columns:
@@ -130,8 +130,8 @@ class CommittedRows:
         return [end - start for start, end in zip(segment.start, segment.end, strict=True)]
 
     def check(self) -> list[str]:
-        """Check every commit. Rows that are damaged both here and in the journal are left out from now on, and
-        reported.
+        """Check every commit. Rows that are damaged both here and in the journal are reported, and omitted from
+        now on.
         """
         lost = np.zeros(len(self._groups), np.int64)
         for segment in self._segments:
@@ -145,7 +145,7 @@ class CommittedRows:
             for group, rows in zip(self._groups, lost.tolist(), strict=True)
             if rows
         ]
-        return [f"damaged, and in no journal: {', '.join(counts)}"] if counts else []
+        return [f"damaged, and not in the journal: {', '.join(counts)}"] if counts else []
 
     def _salvaged(self, segment: Segment) -> list[Columns]:
         """Return the rows, by group, that the journal has of a commit that is damaged in both places."""
@@ -197,7 +197,7 @@ class CommittedRows:
         return np.asarray(column[start:stop])
 
     def _fits(self, segment: Segment) -> bool:
-        """Return whether the rows of a commit are those that were written."""
+        """Return whether the rows of a commit are undamaged."""
         if segment.number not in self._is_good:
             try:
                 crc = self._commits[segment.number].crc

@@ -91,8 +91,8 @@ def log_tree(log: Log, calibration: Calibration | None = None) -> Any:
 
 
 def dataset(time: Times, epoch: str, variables: Mapping[str, _Variable], attributes: Mapping[str, Any]) -> Any:
-    """Return an `xarray.Dataset` over `time` (n,) ns since `epoch`: dates, or durations where the epoch is no date. The
-    axes get the coordinates x, y, z and X, Y, Z. MissingExtraError.
+    """Return an `xarray.Dataset` over `time` (n,) in ns since `epoch`, as dates, or as durations if the epoch is not a
+    date. The axes have the coordinates x, y, z and X, Y, Z. MissingExtraError.
     """
     xarray = optional_package("xarray")
     used = {name for dims, _, _ in variables.values() for name in dims}
@@ -132,9 +132,9 @@ def times_of(time: Times, epoch: str) -> Any:
 
 
 def physical_values(sensor: SensorLog, calibration: Calibration | None = None) -> Floats | None:
-    """Return (n, 3) SI values in the box frame of all rows of a triad; None if the log states no sensitivity. A
-    calibration's bias is subtracted as it is, without following the temperature. CalibrationError if the calibration
-    does not fit the sensor.
+    """Return (n, 3) SI values in the box frame of all rows of a triad; None if the log states no sensitivity. The bias
+    of a calibration is subtracted without temperature compensation. CalibrationError if the calibration does not fit
+    the sensor.
     """
     counts = np.asarray(sensor.counts[:], float)
     if calibration is not None:

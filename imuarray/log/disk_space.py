@@ -19,11 +19,9 @@ from imuarray.errors import NO_ROOM, DiskFullError, LogError, errno_of, reason_o
 if sys.platform != "win32":
     import resource
 
-FULL = NO_ROOM
-
-_NO_ROOM: Mapping[int, str] = {
-    errno.EDQUOT: "no room left: the quota of the user is used up",
-    errno.EFBIG: "no room left: the limit on the length of a file is reached",
+_NO_SPACE: Mapping[int, str] = {
+    errno.EDQUOT: "no space left: the quota of the user is used up",
+    errno.EFBIG: "no space left: the limit on the length of a file is reached",
 }
 
 WATERMARK = 64 << 20
@@ -48,8 +46,8 @@ def unwritable(path: Path, error: Exception, *kept: str) -> LogError:
     (`kept` says what remains), else LogError.
     """
     number = errno_of(error)
-    if number in FULL:
-        return DiskFullError(path, _NO_ROOM.get(number, "no room left on the disk"), *kept)
+    if number in NO_ROOM:
+        return DiskFullError(path, _NO_SPACE.get(number, "no space left on the disk"), *kept)
     return LogError(f"{path}: can't be written: {reason_of(error)}")
 
 
@@ -80,17 +78,17 @@ def _allocate(fd: int, start: int, length: int) -> None:
 
 
 class Allowance:
-    """The disk space reserved for one HDF5 file, allocated beyond its end; call `ask` before every write."""
+    """The disk space for one HDF5 file, allocated beyond its end; call `reserve` before every write."""
 
     def __init__(self, path: Path, name: Path, *, allocate: bool = True) -> None:
-        """`path` is the file, `name` its name in errors; without `allocate`, free space is only checked."""
+        """Open the file at `path`, called `name` in errors; without `allocate`, free space is only checked."""
         self._path, self._name = path, name
         self._step = _STEP if allocate else _LOOK_STEP
         self._allocates = allocate
         self.fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         self._used = self._allocated = os.fstat(self.fd).st_size
 
-    def ask(self, size: int) -> None:
+    def reserve(self, size: int) -> None:
         """Reserve space for `size` more bytes of data and what HDF5 adds; DiskFullError if there is none."""
         self._used += size + size // 64
         if self._used <= self._allocated:
@@ -168,7 +166,7 @@ def reserve_of(path: Path) -> Path:
 
 def sync_folder(path: Path) -> None:
     """Wait until the names in the folder of `path` are on the disk."""
-    with contextlib.suppress(OSError):  # not every file system lets a folder be synced
+    with contextlib.suppress(OSError):  # some file systems cannot sync a folder
         fd = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
             os.fsync(fd)

@@ -42,10 +42,10 @@ if sys.platform != "win32":
     import fcntl
 
 _EMPTY_BYTES = 1 << 14
-"""A generous estimate of the space that HDF5 needs for a group and its columns."""
+"""Upper estimate of the space that HDF5 needs for a group and its columns."""
 
 _REVISED_CHUNKS = 16
-"""Chunks of a column that are revised at once: half a megabyte."""
+"""Chunks of a column that are revised together: half a megabyte."""
 
 _TEXT_BYTES = 64
 _SETTLED_BYTES = 1 << 24
@@ -61,7 +61,7 @@ def sweep(path: Path) -> None:
     for part in path.parent.glob(f".*{glob.escape(path.suffix)}.*.part"):
         name = _PART.fullmatch(part.name)
         if name is not None and not _is_alive(int(name[1])) and not _is_locked(part):
-            with contextlib.suppress(OSError):  # it is another user's
+            with contextlib.suppress(OSError):  # it belongs to another user
                 part.unlink()
 
 
@@ -76,7 +76,7 @@ def _is_alive(process: int) -> bool:
 
 
 def _is_locked(path: Path) -> bool:
-    """Return whether HDF5 has the file open somewhere, perhaps on another machine: it locks what it writes."""
+    """Return whether HDF5 has the file open for writing, perhaps on another machine; it then holds a lock."""
     if sys.platform == "win32":
         return False
     try:
@@ -98,9 +98,10 @@ class Draft:
     """
 
     def __init__(self, path: Path, preamble: Preamble, chunk: int = CHUNK, *, durable: bool = False) -> None:
-        """Begin; LogError if nothing can be written there, ValueError for impossible headers.
+        """Begin; LogError if the file cannot be written, ValueError for impossible headers.
 
-        `durable` takes time: room is allocated before it is needed, not just looked for; `close` waits for the disk.
+        `durable` is slower: space is allocated before it is needed instead of only checked, and `close` waits for the
+        disk.
         """
         self.path = path
         self.part = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -121,12 +122,12 @@ class Draft:
                 self.file = h5py.File(self.part, "w", libver=LIBVER, rdcc_nbytes=CACHE_BYTES)
                 self._room = Allowance(self.part, path, allocate=durable)
         except LogError:
-            with contextlib.suppress(OSError):  # a full disk takes the name, and then not the first bytes
+            with contextlib.suppress(OSError):  # a full disk may accept the name but not the first bytes
                 self.part.unlink(missing_ok=True)
             raise
         try:
             with write_errors(path):
-                self._room.ask(len(self.groups) * _EMPTY_BYTES + len(preamble.config) * 4)
+                self._room.reserve(len(self.groups) * _EMPTY_BYTES + len(preamble.config) * 4)
                 self.file.attrs.update(log_attributes(preamble))
                 self.file.create_group("sensors")
                 for header in preamble.sensors:
@@ -147,16 +148,16 @@ class Draft:
             self._write(number, whole)
 
     def _write(self, number: int, count: int) -> None:
-        """Write the first `count` waiting rows of a group."""
+        """Write the first `count` buffered rows of a group."""
         if count:
             with write_errors(self.path):
                 self._write_rows(self.groups[number], number, count)
 
     def _write_rows(self, group: ColumnGroup, number: int, count: int) -> None:
         if group.path in TRACK_COLUMNS and group.path not in self.file:
-            self._room.ask(_EMPTY_BYTES)
+            self._room.reserve(_EMPTY_BYTES)
             create_track(self.file, group.path, self._epoch, self._chunk, COMPRESSED)
-        self._room.ask(count * group.row_bytes)
+        self._room.reserve(count * group.row_bytes)
         self._asked += count * group.row_bytes
         rows = group.joined(self._waiting[number])
         if group.path in STIMULI:
@@ -176,14 +177,14 @@ class Draft:
             self._asked = 0
 
     def flush(self) -> None:
-        """Write all rows that wait for their chunk to fill."""
+        """Write all buffered rows."""
         for number, count in enumerate(self._unwritten):
             self._write(number, count)
         with write_errors(self.path):
             self.file.flush()
 
     def stretches(self, number: int) -> Sequence[Columns]:
-        """Yield the rows of a group so far, read back in blocks."""
+        """Return the rows of a group so far, read back from the file."""
         self.flush()
         group: ColumnGroup = self.groups[number]
         if self._rows[number] == 0:
@@ -213,7 +214,7 @@ class Draft:
         self.flush()
         texts = sum(len(event.sensor + event.kind + event.message) * 4 + _TEXT_BYTES for event in self.notes.events)
         texts += sum(len(phase.name) * 4 + _TEXT_BYTES for phase in self.notes.phases)
-        self._room.ask(texts + 4 * _EMPTY_BYTES)
+        self._room.reserve(texts + 4 * _EMPTY_BYTES)
         with write_errors(self.path):
             self._close()
         if self._durable:
@@ -224,7 +225,7 @@ class Draft:
         """Write everything except the columns, and close the file."""
         for group in self.groups:
             if group.path in self.file:
-                if group.path in STIMULI:  # what nobody measured is missing, and no column of nan
+                if group.path in STIMULI:  # a quantity that was not measured has no column, instead of one of nan
                     for name, _, _ in group.columns:
                         if (group.path, name) not in self._known:
                             del self.file[group.path][name]

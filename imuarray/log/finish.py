@@ -1,5 +1,5 @@
-"""Finishing a log: its rows are copied into a compressed file, the copy is compared with the original row by row,
-replaces it, and the journal is removed. If this is interrupted at any point, the log is still complete.
+"""Finishing a log: its rows are copied into a compressed file, the copy is compared with the original row by row and
+replaces it, and the journal is removed. The log remains complete if this is interrupted at any point.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from imuarray.log.layout import NOTES, TRACK_COLUMNS, ColumnGroup, Notes, groups
 from imuarray.log.reader import Log
 
 _ROWS = 1 << 16
-_LEFT = "the log is left as it was"
+_UNCHANGED = "the log is unchanged"
 
 
 class Recovery(NamedTuple):
-    """A log that was finished: rows by sensor; `changed` is False if there was nothing to do. `kept` is the name of a
-    journal that holds more than could be read, or another log.
+    """The result of finishing a log: rows by sensor; `changed` is False if there was nothing to do. `kept` is the name
+    of a journal that has unreadable data or belongs to another log.
     """
 
     rows: dict[str, int]
@@ -75,8 +75,8 @@ def recover(
 
 
 def _is_journal_of(log: Log) -> bool:
-    """Return whether the journal at a finished log belongs to it (epoch and sensors are the same), as after a kill just
-    before its removal, and not to another log.
+    """Return whether the journal beside a finished log belongs to it (same epoch and sensors), because the process was
+    killed just before it removed the journal.
     """
     try:
         with JournalReader(log.path) as journal:
@@ -102,15 +102,15 @@ def _end_ns(log: Log) -> int:
 
 
 def _losses(log: Log) -> tuple[Event, ...]:
-    """Return events for what could not be recovered of an unfinished log."""
+    """Return an event for each loss of an unfinished log."""
     return tuple(Event(_end_ns(log), "", "damaged", loss) for loss in log.losses)
 
 
 def _trace(log: Log, now: datetime) -> Event:
-    """Return the event that a log was interrupted and recovered."""
+    """Return the event that says that the log was interrupted and recovered."""
     rows = sum(len(sensor) for sensor in log.sensors.values())
     when = now.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-    return Event(_end_ns(log), "", "recovered", f"the log was cut short; its {rows} rows were recovered {when}")
+    return Event(_end_ns(log), "", "recovered", f"the log was interrupted; its {rows} rows were recovered {when}")
 
 
 def _copy(path: Path, output: Path) -> None:
@@ -120,22 +120,22 @@ def _copy(path: Path, output: Path) -> None:
         shutil.copyfile(path, part)
         part.replace(output)
     except OSError as error:
-        raise unwritable(output, error, _LEFT) from None
+        raise unwritable(output, error, _UNCHANGED) from None
     finally:
         part.unlink(missing_ok=True)
     sync_folder(output)
 
 
 def _rewrite(log: Log, target: Path, progress: Callable[[int], None], added: tuple[Event, ...]) -> None:
-    """Write a finished copy of an unfinished log with the events `added`, and rename it to `target` once it is known to
-    be equal.
+    """Write a finished copy of an unfinished log with the events `added`, check that it is equal, and rename it to
+    `target`.
     """
     if log.preamble is None:
         raise LogError(f"{log.path}: is finished")
     try:
         draft = Draft(target, log.preamble, durable=True)
     except DiskFullError as error:
-        raise DiskFullError(target, error.why, _LEFT) from None
+        raise DiskFullError(target, error.why, _UNCHANGED) from None
     try:
         done = 0
         for number, group in enumerate(draft.groups):
@@ -150,9 +150,9 @@ def _rewrite(log: Log, target: Path, progress: Callable[[int], None], added: tup
         draft.publish(target)
         sync_folder(target)
     except DiskFullError as error:
-        raise DiskFullError(target, error.why, _LEFT) from None
+        raise DiskFullError(target, error.why, _UNCHANGED) from None
     except OSError as error:
-        raise unwritable(target, error, _LEFT) from None
+        raise unwritable(target, error, _UNCHANGED) from None
     finally:
         draft.discard()
 
@@ -178,13 +178,13 @@ def _stretches(log: Log, group: ColumnGroup) -> Iterator[dict[str, Any]]:
 
 
 def _compare(log: Log, copy: Log, groups: tuple[ColumnGroup, ...], added: tuple[Event, ...]) -> None:
-    """Raise LogError unless the copy holds, bit by bit, the contents of the log and the events `added`."""
+    """Raise LogError unless the copy has, bit by bit, the contents of the log and the events `added`."""
     for group in groups:
         for ours, theirs in zip(_stretches(log, group), _stretches(copy, group), strict=True):
             if any(ours[name].tobytes() != theirs[name].tobytes() for name in ours):
-                raise LogError(f"{log.path}: its finished copy differs in /{group.path}; the log is left as it was")
+                raise LogError(f"{log.path}: its finished copy differs in /{group.path}; {_UNCHANGED}")
     if (log.phases, (*log.events, *added)) != (copy.phases, copy.events):
-        raise LogError(f"{log.path}: its finished copy differs in phases or events; the log is left as it was")
+        raise LogError(f"{log.path}: its finished copy differs in phases or events; {_UNCHANGED}")
 
 
 def _sweep(path: Path, lock: JournalLock | None, *, keep: bool) -> Path | None:

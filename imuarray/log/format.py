@@ -25,24 +25,26 @@ if TYPE_CHECKING:
 FORMAT = "imuarray-log"
 FORMAT_VERSION = 1
 FUSED = "imuarray-fused"
-"""The format of another kind of file: what was fused of a log."""
+"""The format of a fused result."""
 
 PLOTS = "plots"
-"""The group of a finished log that NeXus viewers open first."""
+"""The group of a finished log that NeXus viewers open by default."""
 
 CACHE_BYTES = 1 << 20
-"""The chunk cache of each column that is read or written; HDF5 2.0 would keep 8 MB, 400 MB for fifty columns."""
+"""The chunk cache of each column that is read or written; the default of HDF5 2.0, 8 MB, is 400 MB for fifty
+columns.
+"""
 
 STALE = 1
-"""The same reading as the one before: the chip had nothing newer."""
+"""The same reading as the previous one: the chip had no newer one."""
 OVERRUN = 2
-"""The chip dropped readings that this log was meant to have."""
+"""The chip dropped readings before this one."""
 SATURATED = 4
-"""An axis stands at an end of its code span."""
+"""An axis is at an end of its range of codes."""
 LOST_BEFORE = 8
-"""Readings were lost just before this one; an event says why."""
+"""Readings were lost just before this one; an event states why."""
 RECONFIGURED = 16
-"""First reading after the chip was set up again."""
+"""First reading after the chip was configured again."""
 SUSPECT = 32
 """The chip may not have been in its configured state."""
 
@@ -59,18 +61,20 @@ MOST_SENSORS = 512
 """Most sensors of a log: an array of a hundred six-axis chips has two hundred."""
 
 THERMOMETER_ATTRIBUTES = ("thermometer_zero_degc", "thermometer_lsb_per_degc")
-"""Attributes of a sensor whose log says itself what its `temperature_counts` mean; both or none."""
+"""Attributes of a sensor whose log states the scale of its `temperature_counts`; both or none."""
 
 ADJUSTMENT_ATTRIBUTES = ("asa_x", "asa_y", "asa_z")
-"""Attributes of a magnetometer whose factory adjusted its sensitivity, each axis by (ASA + 128) / 256 (AKM-16):
-a field is so much larger than counts over `sensitivity`."""
+"""Attributes of a magnetometer with a factory adjustment of its sensitivity: the field along each axis is counts /
+`sensitivity` times (ASA + 128) / 256 (AKM-16).
+"""
 
 ARRIVAL = "arrival_delay"
-"""Column (n,) of a sensor whose rows arrived in bursts and whose `time` was counted out: by how many s each row arrived
-after that. `time` plus it is when the row arrived, to the nanosecond."""
+"""Column (n,) of a sensor whose rows arrived in bursts and whose `time` was computed from their number: the delay in s
+of each row. `time` plus this delay is the time of arrival, to the nanosecond.
+"""
 
 TIME_UNCERTAINTY = "time_uncertainty"
-"""Column (n,) of a sensor whose queue was drained: by how many s the `time` of each row may be off at most."""
+"""Column (n,) of a sensor whose queue was drained: the largest possible error of `time` in s."""
 
 SOURCES = ("i2c", "spi", "iio", "serial", "emulated", "simulated", "imported", "replay")
 
@@ -83,16 +87,16 @@ LONG_NAME: Mapping[str, str] = {
 }
 
 COUNT_BITS = "count_bits"
+"""Attribute of a triad whose counts have more than 16 bits: the number of bits."""
 
 RESOLUTION = "resolution"
-"""Attribute of a sensor of an imported log whose counts are no codes of a chip: `ASSUMED` or `DIGITS`."""
+"""Attribute of a sensor of an imported log whose counts are not the codes of a chip: `ASSUMED` or `DIGITS`."""
 
 ASSUMED = "assumed"
-"""Values that lie on no grid of codes were rounded to counts as fine as 16 bits allow."""
+"""Values on no grid of codes, which were rounded to counts as fine as 16 bits allow."""
 
 DIGITS = "digits"
-"""The step of the counts is that of decimal digits, to which a program rounded the values."""
-"""Attribute of a triad whose counts have more than 16 bits: how many."""
+"""Values that a program rounded to decimal digits, whose step is one count."""
 
 TRIADS = ("specific_force", "angular_rate", "magnetic_field")
 """Quantities that have three axes."""
@@ -129,9 +133,9 @@ class Event(NamedTuple):
 
 
 class ClockRow(NamedTuple):
-    """A row of `/clocks`: the log's own time and four clocks of the machine (CLOCK_MONOTONIC, ..._RAW, CLOCK_BOOTTIME,
-    CLOCK_REALTIME), in ns, read together. These rows give the wall time of any sample, however often the wall clock was
-    set.
+    """A row of `/clocks`: the time of the log and four clocks of the machine (CLOCK_MONOTONIC, ..._RAW, CLOCK_BOOTTIME,
+    CLOCK_REALTIME), in ns, read together. With these rows the wall time of any sample is known even if the wall clock
+    was set.
     """
 
     time_ns: int
@@ -149,14 +153,14 @@ class CountScale:
 
     @property
     def adjustment(self) -> tuple[float, float, float]:
-        """The factory's factors of `sensitivity` along x, y and z, 256 / (ASA + 128); 1 where the log has none."""
+        """The factory adjustment of `sensitivity` along x, y and z, 256 / (ASA + 128); 1 without one."""
         words = [self._adjustment_attributes.get(name) for name in ADJUSTMENT_ATTRIBUTES]
         x, y, z = (256 / (word + 128) if isinstance(word, int) and 0 <= word <= 255 else 1.0 for word in words)
         return x, y, z
 
     @property
     def axis_sensitivity(self) -> tuple[float, float, float]:
-        """Counts per `unit` along x, y and z, as the factory adjusted them if the log says so."""
+        """Counts per `unit` along x, y and z, with the factory adjustment if the log states one."""
         x, y, z = (self.sensitivity * factor for factor in self.adjustment)
         return x, y, z
 
@@ -174,8 +178,8 @@ class CountScale:
 class SensorHeader(CountScale):
     """The header of one sensor in a log: the attributes of `/sensors/<NAME>`.
 
-    `sensitivity` is the data sheet's typical counts per `unit`; `rate_hz` the chip's own update rate. `columns` names
-    what the columns of `counts` are; `extra` holds attributes of one chip only (a barometer's calibration words).
+    `sensitivity` is the data sheet's typical counts per `unit`; `rate_hz` the chip's own update rate. `columns` are the
+    names of the columns of `counts`; `extra` has attributes of particular chips (a barometer's calibration words).
     """
 
     name: str
@@ -224,9 +228,9 @@ class SensorHeader(CountScale):
 
 
 PREAMBLE = "preamble"
-"""The attribute of an unfinished HDF5 file that holds it; a finished one has none."""
+"""The attribute of an unfinished HDF5 file with the preamble; a finished file does not have it."""
 PREAMBLE_CRC = "preamble_crc32"
-"""The check sum of that text (UTF-8), which HDF5 does not guard."""
+"""The checksum of that text (UTF-8), which HDF5 does not protect."""
 
 _NO_TEXTS = frozenset({"sensors", "frame_rate_hz"})
 _TUPLES = ("position_mm", "columns", "compensated")
@@ -266,7 +270,7 @@ class Preamble:
                 raise TypeError(f"sensors are a list of at most {MOST_SENSORS}")
             sensors = tuple(_header(header) for header in listed)
             if len({header.name for header in sensors}) < len(sensors):
-                raise TypeError("sensors have names of their own")
+                raise TypeError("sensors have different names")
             preamble = cls(sensors=sensors, **values)
         except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
             raise LogError(f"the log's preamble can't be read: {printable(repr(error))[:_LONGEST_TEXT]}") from None
@@ -285,7 +289,7 @@ def _header(values: dict[str, Any]) -> SensorHeader:
     if not all(_is_word(name) for name in names) or not 0 < len(header.columns) <= len(names) <= _MOST_COLUMNS:
         raise TypeError("names of sensors and columns are words")
     if not _RESERVED.isdisjoint(header.compensated) or len(set(header.compensated)) < len(header.compensated):
-        raise TypeError("a column of that name is there already")
+        raise TypeError("a column of that name exists already")
     numbers = (header.range, header.sensitivity, header.rate_hz, header.bandwidth_hz, *header.position_mm)
     if len(header.position_mm) != 3 or not all(_is_number(number) for number in numbers):
         raise TypeError("finite numbers are required")

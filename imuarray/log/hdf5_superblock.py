@@ -1,18 +1,17 @@
-"""Opens an HDF5 file that was never closed for reading, without changing it.
+"""Opens for reading an HDF5 file that was never closed, without changing it.
 
 Its superblock says that it is open for writing, so HDF5 opens it only as a reader of a file with an active writer
-(SWMR). Such a reader waits for damaged blocks to be repaired, twice as long each time and in the end for ever; after a
-power cut no writer will repair them. HDF5 is therefore given the file with that one flag cleared and with its actual
-end: the superblock states the end at the last flush of the whole file, and a chunk that was flushed alone may follow
-it.
+(SWMR). Such a reader waits for damaged blocks to be repaired, each time twice as long; after a power cut no writer will
+repair them. HDF5 is therefore given the file with that flag cleared and with its actual end: the superblock states the
+end at the last flush of the whole file, and a chunk that was flushed alone may follow it.
 
 Text heaps are validated before HDF5 reads them: texts of varying length are stored in global heaps, which have no check
-sum. A damaged heap sends HDF5 (2.0 and before) into an endless loop: an object of no size, or of nearly 2^64 bytes,
-leads it back to where it was. The bytes are therefore read here first, and an inconsistent heap is reported as an error
-of the disk.
+sum. A damaged heap sends HDF5 (2.0 and earlier) into an endless loop, because an object of size 0 or of nearly 2^64
+bytes leads back to its own position. The bytes are therefore read here first, and an inconsistent heap is reported as a
+disk error.
 
-One length is not visible here: the one that the reference to a text states (32 bits). HDF5 allocates that much memory
-before it notices that the text is shorter and reports an error.
+One length is not checked here: that in the reference to a text (32 bits). HDF5 allocates that much memory before it
+notices that the text is shorter, and reports an error.
 """
 
 from __future__ import annotations
@@ -31,12 +30,10 @@ LONGEST = 1 << 24
 
 
 class HeapCheckedFile(io.RawIOBase):
-    """The bytes of a file, for h5py's driver for Python files; OSError (EBADMSG) for a heap that does not add up."""
+    """The bytes of a file, for h5py's driver for Python files; OSError (EBADMSG) for an inconsistent heap."""
 
     def __init__(self, path: Path, *, check_heaps: bool = True) -> None:
-        """`check_heaps` switches the check on. It must be off while numbers are read, since any bytes may occur among
-        them.
-        """
+        """Open the file. `check_heaps` must be off while numbers are read, because they may contain any bytes."""
         self._file = path.open("rb", buffering=0)
         self._check_heaps = check_heaps
         self._at = 0

@@ -20,14 +20,15 @@ HARMLESS = frozenset(
 """Kinds of events that report no fault, or the end of one."""
 
 _ENDS = re.compile(r"works again|in all \d|the adapter is back|answers again|set up again")
-"""Beginning of the message with which an event ends a fault (`imuarray.acquire.fault_episode`); its kind is that of the
-fault, which another event reported when it began."""
+"""Beginning of the message of an event that ends a fault (`imuarray.acquire.fault_episode`); its kind is that of the
+event with which the fault began.
+"""
 
 MANY_MISSED = 0.05
-"""The share of missed frames from which a recording does not meet its frame rate."""
+"""Share of missed frames above which a recording does not meet its frame rate."""
 
 SHORT_ROOM_S, NO_ROOM_S = 3600.0, 600.0
-"""Seconds until the disk is full, below which that is a warning, or urgent."""
+"""Seconds until the disk is full below which there is a warning, or a red light."""
 
 _KINDS: Mapping[str, str] = {
     "checksum": "packets with a wrong checksum",
@@ -35,10 +36,10 @@ _KINDS: Mapping[str, str] = {
     "repeated": "packets received twice",
     "lost": "readings lost",
 }
-"""Kinds of events that a word of their own would not explain."""
+"""Descriptions of kinds of events whose name does not explain them."""
 
 _NAMED = 3
-"""Reasons, and sensors of a reason, that are named."""
+"""Most reasons, and most sensors of a reason, that are named."""
 
 
 def is_trouble(event: Event) -> bool:
@@ -48,12 +49,13 @@ def is_trouble(event: Event) -> bool:
 
 @dataclass(frozen=True)
 class Observations:
-    """The observations of a recording: its number of sensors and frames, `missed` frames, and whether the
-    bus was at fault at times (`bus_failed`: it hung or did not answer in time); by name the seconds for which
-    sensors are `silent`, the readings that they `lost`, their `gaps` of unknown length and `clipped` readings; `faults`
-    by sensor ("": the array) and kind of event; `stopped`: why it does not go on ("" it does, or ended as it should);
-    `room_s` until the disk is full (None: not known). `stalled`: by name the share of the time without readings,
-    where the recorder stalled again and again.
+    """The observations of a recording from which its health follows.
+
+    The numbers of `sensors`, `frames` and `missed` frames; `bus_failed`: the bus hung or did not answer in time. By
+    name of the sensor: seconds for which it is `silent`, readings `lost`, `gaps` of unknown length, `clipped` readings,
+    and the share of the time for which the recorder `stalled`. `faults` by sensor ("": the array) and kind of event;
+    `stopped`: why the recording ended unexpectedly ("": it did not); `room_s`: seconds until the disk is full (None:
+    unknown).
     """
 
     sensors: int
@@ -72,8 +74,8 @@ class Observations:
 
 @dataclass(frozen=True)
 class Health:
-    """Green: as intended; amber: something was lost or failed; red: a fault persists, or much is lost. `reason` gives
-    the reason without a full stop, `advice` what to do about the first reason ("": nothing).
+    """Green: as intended; amber: something was lost or failed; red: a fault persists, or much is lost. `reason` is a
+    phrase without a full stop, `advice` what to do about the first reason ("": nothing).
     """
 
     level: Level

@@ -27,34 +27,32 @@ from imuarray.printable import printable
 
 MAX_DEPTH = 4
 MAX_OBJECTS = 4096
-"""Groups and datasets of a file: `MOST_SENSORS` of six each, their plots, and what stands beside them."""
+"""Most groups and datasets of a file: `MOST_SENSORS` with six each, their plots, and the tables."""
 MAX_ATTRIBUTES = 256
 MAX_ATTRIBUTE_BYTES = 1 << 22
 """Size of all attributes of a group or dataset together."""
 MAX_TEXTS = 256
-"""Texts in one attribute: each may be as long as the file, and all of them the same one."""
+"""Most texts in one attribute: each may be as long as the file, because several can refer to the same bytes."""
 MAX_NAME_BYTES = 255
 MAX_ITEM_BYTES = 1 << 16
 MAX_RANK = 4
 MAX_CHUNK_BYTES = 1 << 20
-"""HDF5 reads whole chunks; ours have less than a tenth of that."""
+"""HDF5 reads whole chunks; those of a log have less than a tenth of this."""
 SLACK_BYTES = 1 << 24
-"""Rows that may be declared and not yet written, in a log whose writing was cut short."""
+"""Bytes of rows that an interrupted log may have declared but not yet written."""
 MOST_DEFLATED = 1032
-"""Bytes that zlib's method makes of one at most (RFC 1951: 258 by two bits)."""
+"""Highest ratio of zlib's compression (RFC 1951: 258 bytes in two bits)."""
 
 _PACKERS = frozenset({h5z.FILTER_DEFLATE, h5z.FILTER_LZF})
 _FILTERS = _PACKERS | {h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32}
 _PLAIN = frozenset({h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.ENUM})
 _SCALES = frozenset({b"DIMENSION_LIST", b"REFERENCE_LIST"})
-"""Attributes with which HDF5 notes what belongs to which dimension, references; nothing here ever follows them."""
+"""Attributes with references, by which HDF5 links dimensions and scales; they are never followed here."""
 
 
 def inspect(path: Path, file: h5py.File) -> list[str]:
-    """Raise LogError if the open `file` was built to do harm. A file of another kind passes, because it is not read
-    further.
-
-    Damaged groups and datasets of a log are not opened again; their paths are returned.
+    """Raise LogError if the open `file` is hostile; return the paths of damaged groups and datasets, which must not be
+    opened again. A file of another kind passes, because it is not read further.
     """
     damaged: list[str] = []
     try:
@@ -69,10 +67,11 @@ def inspect(path: Path, file: h5py.File) -> list[str]:
 
 
 def refuse_hostile(file: h5py.File, inspected: h5py.File, where: str, damaged: list[str] | None = None) -> None:
-    """LogError for anything that leads outside the file, is reached twice, or declares what the file can't hold.
+    """Raise LogError for anything that leads outside the file, is reached twice, or declares more than the file can
+    hold.
 
     `inspected` is the same file opened through `HeapCheckedFile`. Its texts are read last, because that takes longest.
-    If HDF5 can't decode something, LogError is raised, or the path is added to `damaged` if that is given.
+    If HDF5 can't decode an object, LogError is raised, or its path is added to `damaged` if that is given.
     """
     size = file.id.get_filesize()
     root = _Place(h5o.open(file.id, b"/"), b"")
@@ -111,7 +110,7 @@ class _Damage:
 
 
 def _walk(root: _Place, where: str, bad: _Damage) -> Iterator[_Place]:
-    """Yield all groups and datasets, those near the root first; LogError for too many, too deep or one twice."""
+    """Yield all groups and datasets, level by level; LogError for too many, too deep or one that is reached twice."""
     seen = {h5o.get_info(root.item).addr}
     level = [root]
     for depth in range(MAX_DEPTH + 2):
@@ -181,14 +180,14 @@ def _linked(group: _Place, where: str) -> list[bytes]:
         if kind == h5l.TYPE_SOFT and _is_plot(group, name):
             continue
         if kind != h5l.TYPE_HARD:
-            raise LogError(f"{where}: {place}: a link that leads elsewhere; a log holds its own data")
+            raise LogError(f"{where}: {place}: a link to another place; a log contains its own data")
         names.append(name)
     return names
 
 
 def _is_plot(group: _Place, name: bytes) -> bool:
-    """Return whether a soft link is one of `/plots`, for viewers: to the column of this name, of the sensor that its
-    group is called after. It is not followed here; the column is looked at where it is.
+    """Return whether a soft link is one of `/plots`: to the column of the same name, of the sensor with the name of its
+    group. It is not followed; the column is inspected at its own place.
     """
     _, *path = group.path.split(b"/")
     target: bytes = group.item.links.get_val(name)
@@ -201,7 +200,7 @@ def _look_at(node: _Place, place: str, file_bytes: int) -> list[_Text]:
         return _look_at_dataset(node, place, file_bytes)
     if not isinstance(node.item, h5g.GroupID):
         raise LogError(f"{place}: neither group nor dataset")
-    node.item.get_create_plist()  # who lists its attributes later asks for it: here damage is a LogError
+    node.item.get_create_plist()  # needed later to list its attributes; damage raises LogError only here
     return []
 
 
@@ -211,7 +210,7 @@ def _look_at_attributes(node: _Place, place: str) -> list[_Text]:
     info = h5o.get_info(node.item)
     if info.num_attrs > MAX_ATTRIBUTES:
         raise LogError(f"{place}: {info.num_attrs} attributes; at most {MAX_ATTRIBUTES}")
-    held = info.meta_size.attr.heap_size  # looked at before one is opened: that reads it
+    held = info.meta_size.attr.heap_size  # checked before an attribute is opened, which reads it
     if held > MAX_ATTRIBUTE_BYTES:
         raise LogError(f"{place}: {held} bytes of attributes; at most {MAX_ATTRIBUTE_BYTES}")
     names: list[bytes] = []
@@ -262,15 +261,16 @@ def _look_at_dataset(node: _Place, place: str, file_bytes: int) -> list[_Text]:
     varies = isinstance(kind, h5t.TypeStringID) and kind.is_variable_str()
     if not varies or not declared:
         return []
-    if _text_bytes(item) > MAX_TEXT_BYTES:  # before any of them is read: they may all be the same long one
+    if _text_bytes(item) > MAX_TEXT_BYTES:  # checked before any is read: all may refer to the same long text
         raise LogError(f"{place}: texts of more than {MAX_TEXT_BYTES} bytes")
     return [_Text(node.path, None)]
 
 
 def _text_bytes(item: h5d.DatasetID) -> int:
-    """Return how long the texts of a column say they are, together; 0 where it is not contiguous in the file.
+    """Return the total length that the descriptors of a column's texts state; 0 if it is not contiguous in the file.
 
-    Each is a descriptor: length (32 bits), address of its heap, number in it (HDF5 file format, III.E and IV.A.2.d).
+    A descriptor is the length (32 bits), the address of a heap, and a number in it (HDF5 file format, III.E and
+    IV.A.2.d).
     """
     offset, width = item.get_offset(), item.get_type().get_size()
     file = h5i.get_file_id(item)
@@ -296,7 +296,7 @@ def _read(item: Any, text: _Text, where: str) -> None:
 
 
 def _look_at_filters(plan: Any, place: str) -> bool:
-    """Return whether data are packed; LogError for filters that no log has, or one twice."""
+    """Return whether data are compressed; LogError for filters that no log has, or one that occurs twice."""
     filters = [plan.get_filter(index)[0] for index in range(plan.get_nfilters())]
     if not _FILTERS.issuperset(filters) or len(set(filters)) < len(filters) or len(_PACKERS.intersection(filters)) > 1:
         raise LogError(f"{place}: data stored outside the file or behind an unknown filter")

@@ -71,7 +71,7 @@ class LiveView:
 
     @property
     def damaged_commits(self) -> int:
-        """Commits of the HDF5 file that were found damaged so far, and whose rows come from the journal."""
+        """Number of damaged commits of the HDF5 file so far, whose rows come from the journal."""
         return self._committed.damaged
 
     def get(self, name: str) -> Any:
@@ -106,7 +106,7 @@ def _column(committed: CommittedRows, number: int, group: ColumnGroup, name: str
 
 
 def _table(names: tuple[str, ...], rows: list[Phase] | list[Event]) -> dict[str, npt.NDArray[Any]]:
-    """Columns of named tuples."""
+    """Return the columns of named tuples."""
     table = {name: np.empty(len(rows), object) for name in names}
     for index, row in enumerate(rows):
         for name, value in zip(names, row, strict=True):
@@ -115,7 +115,7 @@ def _table(names: tuple[str, ...], rows: list[Phase] | list[Event]) -> dict[str,
 
 
 class RebuiltFile(h5py.File):  # type: ignore[misc]  # h5py ships no types
-    """A log that was rebuilt from its journal, in a file that has no name any more."""
+    """A log that was rebuilt from its journal, in a temporary file that is already unlinked."""
 
     preamble: Preamble
     losses: tuple[str, ...]
@@ -127,9 +127,9 @@ def open_interrupted(
 ) -> LiveView | RebuiltFile | None:
     """Return the view of an unfinished log at `path`; None if it is finished or no log; LogError.
 
-    `thorough` checks every commit at once, which is always done if the journal is missing. `journal_fd` is the open
-    journal, for callers that can't rely on its name; the log is then unfinished whatever the file states. If the writer
-    finishes the log meanwhile (the draft was opened, and its journal is gone), the file is opened again.
+    `thorough` checks every commit at once, as is always done if the journal is missing. `journal_fd` is the open
+    journal, for callers that can't rely on its name; the log then counts as unfinished. If the writer finishes the log
+    meanwhile (its journal is removed), the file is opened again.
     """
     with ExitStack() as opened:
         version = _version(path)
@@ -282,7 +282,7 @@ def _newest_ns(groups: tuple[ColumnGroup, ...], committed: CommittedRows) -> Map
     for number, rows in sensors:
         try:
             newest[number] = int(committed.read(number, "time", rows - 1, rows)[0])
-        except OSError:  # damaged in both: what is behind is checked against nothing
+        except OSError:  # damaged in both files: later rows can't be checked
             continue
     return newest
 

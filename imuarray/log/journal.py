@@ -3,12 +3,13 @@
 ::
 
     "imuarray journal 2\\n"  length u32  preamble (JSON)  crc32 u32                         twice
-    group u16  tag u16  rows u32  crc32 u32  rows of the group (imuarray.log.layout)      again and again
+    group u16  tag u16  rows u32  crc32 u32  rows of the group (imuarray.log.layout)      for each block
 
-All little-endian. Each block's CRC continues from the one before it (the first from the preamble's), so that stale data
-behind the last good block after a crash or a power cut is rejected. Behind damage in the middle, blocks are good again
-from where the chain continues in blocks of this log: the tag comes from its identity. Journals of earlier versions
-("imuarray journal 1") have their preamble once, and the oldest bear the tag 0; they are read as well.
+All little-endian. The CRC of each block continues from that of the previous one (the first from that of the preamble),
+so that stale data after the last good block is rejected after a crash or a power cut. After damage in the middle,
+blocks are good again from where the chain continues in blocks of this log, whose tag comes from its identity. Journals
+of earlier versions ("imuarray journal 1") have their preamble once, and the oldest have the tag 0; they can be read
+too.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from imuarray.log.format import Preamble
 from imuarray.log.layout import ColumnGroup, Columns, groups_of
 from imuarray.log.salvage import CRC, HEAD, LONGEST_BLOCK, Salvage
 
-if sys.platform != "win32":  # logs are read there, not recorded
+if sys.platform != "win32":  # where logs can be read but not recorded
     import fcntl
 
 MAGIC = b"imuarray journal 2\n"
@@ -38,7 +39,7 @@ MAGIC_1 = b"imuarray journal 1\n"
 LONGEST_PREAMBLE = 1 << 24
 
 _TRIES, _PAUSE_S = 20, 0.005
-"""How often the lock is asked for while others only look, and how long after each time."""
+"""Most attempts to lock a journal while readers hold it for a moment, and the pause between them."""
 
 
 class Mark(NamedTuple):
@@ -125,7 +126,7 @@ class JournalLock:
                 raise LogBusyError(path)
             if self.is_named:
                 return
-            os.close(self.fd)  # it was removed between opening and locking: somebody finished that log
+            os.close(self.fd)  # it was removed between opening and locking, because another process finished that log
 
     @property
     def is_named(self) -> bool:
@@ -141,8 +142,8 @@ class JournalLock:
             self.path.unlink(missing_ok=True)
 
     def put_aside(self) -> Path | None:
-        """Rename the journal to `RUN.h5.journal.damaged`, with a number appended if that name exists, because it holds
-        more than could be read, or another log. Return the new name.
+        """Rename a journal that has unreadable data or belongs to another log to `RUN.h5.journal.damaged`, with a
+        number appended if that name exists. Return the new name.
         """
         if not self.is_named:
             return None
@@ -211,7 +212,7 @@ class JournalReader:
         `known` is the log's preamble from another source; it replaces a damaged one.
         """
         self.path = journal_of(path)
-        if fd is None and self.path.exists() and not self.path.is_file():  # to open a pipe would wait for its other end
+        if fd is None and self.path.exists() and not self.path.is_file():  # opening a pipe would wait for its writer
             raise LogError(f"{self.path}: is not a file")
         self._file: BinaryIO = self.path.open("rb") if fd is None else os.fdopen(os.dup(fd), "rb")
         try:
@@ -221,7 +222,7 @@ class JournalReader:
             raise
         self.groups: tuple[ColumnGroup, ...] = groups_of(self.preamble.sensors)
         self.damage: list[str] = []
-        """The stretches that `records` left out."""
+        """The stretches that `records` skipped, one line each."""
         own = tag_of(self.preamble.identity)
         self._tags = (own,) if version == 2 else (own, 0)
 
@@ -254,7 +255,7 @@ class JournalReader:
                 times = self._times(record)
                 before = newest.get(record.group, -(1 << 62))
                 if self.damage and (np.diff(times, prepend=before) <= 0).any():
-                    self.damage.append(f"journal: from byte {mark.position} on it is not this log's, or damaged")
+                    self.damage.append(f"journal: damaged, or of another log, from byte {mark.position}")
                     return
                 if len(times):
                     newest[record.group] = int(times[-1])
@@ -298,7 +299,7 @@ class JournalReader:
         size = os.fstat(self._file.fileno()).st_size
         if size <= end.position:
             return None
-        if salvage.is_good(*end):  # it was being written a moment ago
+        if salvage.is_good(*end):  # its writing ended only now
             return end, None
         resumed = salvage.resume(*end)
         if resumed is not None:

@@ -71,7 +71,7 @@ class ColumnGroup:
         return checked
 
     def encode(self, columns: Columns) -> bytes:
-        """`checked` columns as bytes."""
+        """Return `checked` columns as bytes."""
         return b"".join([columns[name].tobytes() for name, _, _ in self.columns])
 
     def decode(self, payload: bytes | memoryview, rows: int) -> dict[str, npt.NDArray[Any]]:
@@ -183,19 +183,19 @@ def note_columns(note: Phase | Event | OpenPhase) -> dict[str, npt.NDArray[np.ui
 
 
 COMPRESSED: Mapping[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
-"""How the columns of a finished log are stored: every chunk with its check sum."""
+"""How the columns of a finished log are stored: compressed, each chunk with a checksum."""
 
 PLAIN: Mapping[str, Any] = {}
 """How the columns of a log are stored while it is written."""
 
 LIBVER = "v110"
-"""The format that a reader beside a writer needs (SWMR), and no later one: "latest" is another with every HDF5 that is
-installed, and MATLAB's library, say, can't read that of HDF5 2.0.
+"""The earliest file format with single writer and multiple readers (SWMR). "latest" would depend on the installed HDF5,
+and MATLAB, for example, cannot read that of HDF5 2.0.
 """
 
 _STRING = h5py.string_dtype("utf-8")
 _PLOTTED: Mapping[str, Any] = {"NX_class": "NXdata", "axes": ["time", "."]}
-"""NeXus: rows over time; what is beside each other has no axis of numbers."""
+"""NeXus: rows over time; the second dimension has no numeric axis."""
 
 
 def log_attributes(preamble: Preamble) -> dict[str, Any]:
@@ -303,7 +303,7 @@ def write_plots(file: h5py.File, names: Sequence[str]) -> None:
     for name in names:
         plot = plots.create_group(name)
         plot.attrs.update(_PLOTTED, signal="counts")
-        for column in ("time", "counts", "axis"):  # netCDF wants the names of both dimensions
+        for column in ("time", "counts", "axis"):  # netCDF requires the names of both dimensions
             plot[column] = h5py.SoftLink(f"/sensors/{name}/{column}")
 
 

@@ -25,17 +25,17 @@ from imuarray.log.sensor_log import SensorLog
 from imuarray.units import INERTIAL
 
 _SAME_CLOCK = frozenset({"i2c", "spi", "emulated", "replay"})
-"""Sources whose times are of the clock by which the logger begins its frames: a period is exact on it."""
+"""Sources whose times are those of the clock by which the logger begins frames, on which periods are exact."""
 _EARLY = 0.25
-"""Share of a period by which a row may be too early for its frame: the first row may have taken a little longer."""
+"""Share of a period by which a row may be too early for its frame, because the first row may have taken longer."""
 _OWN_PACE = 1.25
-"""A sensor that gives more rows than this a frame has a queue, which it fills at a pace of its own."""
+"""A sensor with more rows per frame than this has a queue, which it fills at its own rate."""
 
 MISSED = re.compile(r"(in all )?(\d+) frames? missed")
-"""The message of an event of the kind "late": how many frames were missed when a delay began, or in the whole of it."""
+"""The message of an event of the kind "late": the frames missed when a delay began, or in the whole delay."""
 
 BUS_WAS_LATE = "the bus did not answer in time"
-"""The reason in such a message if a transaction timed out in the frame before; the machine was late otherwise."""
+"""The reason in such a message if a transaction timed out in the previous frame; otherwise the machine was late."""
 
 
 class FrameTiming(NamedTuple):
@@ -131,7 +131,7 @@ def frame_timing(log: Log) -> FrameTiming:
     by_events = missed_by_events(log.events)
     if by_rows is None:
         return FrameTiming(by_events or None if period_ns else None, _span_s(log))
-    # Rows tell to one frame how many are missing between them, and nothing of what was missed behind the last one.
+    # Rows show to one frame how many are missing between them, but not how many were missed after the last one.
     complete = log.state == "finished" and all(event.kind != "recovered" for event in log.events)
     if by_events is None or (by_events == 0 and by_rows > 1):
         missed = by_rows

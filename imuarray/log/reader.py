@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 _OLDEST_NS = 10 * 365 * 86_400 * 1_000_000_000
-"""The end of 1979, in ns since 1970: MEMS sensors are younger, so that smaller times of an import are no dates."""
+"""The end of 1979 in ns since 1970: earlier times of an import are not dates, because there were no MEMS sensors."""
 
 
 class Log:
@@ -63,7 +63,7 @@ class Log:
             self._file, self._damaged = _open(self.path, thorough, journal_fd)
         except DAMAGE as error:
             raise LogError(f"{path}: damaged or malformed: {' '.join(str(error).split())}") from None
-        except LogError as error:  # what is wrong with its parts does not say whose they are
+        except LogError as error:  # errors of its parts do not name the log
             if str(error).startswith(str(path)):
                 raise
             raise LogError(f"{path}: {error}") from None
@@ -124,7 +124,7 @@ class Log:
         if isinstance(self._file, LiveView | RebuiltFile):
             return self._file.losses
         if self._damaged:
-            return tuple(f"{path} is damaged and left out" for path in self._damaged)
+            return tuple(f"{path} is damaged, and omitted" for path in self._damaged)
         return tuple(f"its {part} differ from what was written: damaged, or changed since" for part in self._changed)
 
     @property
@@ -253,8 +253,8 @@ class Log:
         return None if group is None else track_of(group, f"{self.path}: group {name}", self._track_cache)
 
     def keep_rows(self) -> None:
-        """Keep the rows that are read from now on in memory, of a log of up to 64 MB all of them, of a longer one the
-        last 16 MB: for analyses that read a log several times. Nothing is kept of a log that is being written.
+        """Keep the rows that are read from now on in memory, for analyses that read a log several times: all rows of a
+        log of up to 64 MB, the last 16 MB of a longer one, none of a log that is being written.
         """
         if self._cache is not None and self._track_cache is not None:
             self._track_cache.use(0)
@@ -350,16 +350,16 @@ def _open(path: Path, thorough: bool, journal_fd: int | None) -> tuple[h5py.File
 def _open_unfinished(path: Path, thorough: bool) -> LiveView | RebuiltFile:
     """Open a log that was closed properly but never finished, and whose journal is missing."""
     unfinished = open_interrupted(path, thorough=thorough)
-    if unfinished is None:  # it was finished a moment ago
+    if unfinished is None:  # it was finished meanwhile
         raise LogError(f"{path}: changed while it was opened; open it again")
     return unfinished
 
 
 def open_log(path: str | PathLike[str]) -> Log:
-    """Open a log for reading; LogError, one line, if it is missing, truncated, foreign, malformed or hostile.
+    """Open a log for reading; LogError if it is missing, truncated, of another format, malformed or hostile.
 
-    One that is being written, or whose writing was cut short, is read as far as its rows were acknowledged when it was
-    opened (`Log.state`); nothing on the disk is changed. A LogWarning says what is damaged or lost (`Log.losses`).
+    A log that is being written or was interrupted is read up to the rows that were acknowledged when it was opened
+    (`Log.state`); nothing on the disk is changed. A LogWarning states what is damaged or lost (`Log.losses`).
 
     >>> with open_log("run.h5") as log:
     ...     gyro = log["Gyro1"]
@@ -373,7 +373,7 @@ def open_log(path: str | PathLike[str]) -> Log:
 
 
 _SHARED: WeakValueDictionary[Path, Log] = WeakValueDictionary()
-"""Logs that came to this process as their paths."""
+"""Logs that were unpickled in this process, by path."""
 
 
 def _shared(path: Path) -> Log:
@@ -398,8 +398,8 @@ _ROWS = 1 << 16
 
 
 class LogVerification(NamedTuple):
-    """The result of a verification: `problems` are rows that can't be read or can't be right, `remarks` are defects
-    that a reader corrects.
+    """The result of a verification: `problems` are rows that can't be read or are inconsistent, `remarks` are defects
+    that reading corrects.
     """
 
     state: str
@@ -435,7 +435,7 @@ def _sensor(sensor: SensorLog) -> Iterator[tuple[int, list[str]]]:
     if sensor.temperature_counts is not None:
         columns["temperature_counts"] = sensor.temperature_counts
     for name in ("temperature", "pressure") if sensor.quantity == "pressure" else ():
-        if sensor.has_compensated(name) or sensor.counts.shape[1:] == (2,):  # one that was imported has no words
+        if sensor.has_compensated(name) or sensor.counts.shape[1:] == (2,):  # an imported one may lack the column
             columns[name] = sensor.compensated(name)
     place = f"sensor {sensor.name}"
     yield 0, [problem for name, column in columns.items() for problem in _holes(place, name, column)]
@@ -479,7 +479,7 @@ def _read(place: str, columns: Mapping[str, Any], block: slice) -> tuple[dict[st
 
 def _holes(place: str, name: str, column: Any) -> list[str]:
     """Return a complaint if chunks are missing: HDF5 would return zeros for them without an error."""
-    if not hasattr(column, "id") or column.chunks is None:  # zeros in place of none, or of a log that still grows
+    if not hasattr(column, "id") or column.chunks is None:  # not stored, or of a log that is being written
         return []
     try:
         wanted = int(np.prod([-(-length // chunk) for length, chunk in zip(column.shape, column.chunks, strict=True)]))
@@ -491,9 +491,9 @@ def _holes(place: str, name: str, column: Any) -> list[str]:
 
 def _remarks(log: Log) -> Iterator[str]:
     if log.state == "interrupted":
-        there = "" if log.losses else "; all that was acknowledged is there"
-        yield f"it was not finished{there}: imuarray recover {log.path} finishes it"
+        complete = "" if log.losses else "; all acknowledged rows are present"
+        yield f"it was not finished{complete}: `imuarray recover {log.path}` finishes it"
     if log.damaged_commits:
         yield f"{counted(log.damaged_commits, 'commit')} of its HDF5 file damaged: those rows are read from its journal"
     if log.is_rebuilt:
-        yield f"its HDF5 file is {'damaged' if log.path.exists() else 'gone'}: all rows are read from its journal"
+        yield f"its HDF5 file is {'damaged' if log.path.exists() else 'missing'}: all rows are read from its journal"

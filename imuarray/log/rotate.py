@@ -29,7 +29,7 @@ from imuarray.log.layout import Notes, OpenPhase
 from imuarray.log.writer import KEPT, Block, LogWriter, Stimulus, WriterSettings
 
 _LEAD_NS = 5_000_000_000
-"""How long before its time a part is begun, at most; rows come a second or two after theirs."""
+"""Most time before its start at which a part is created; rows arrive one or two seconds after their time."""
 
 
 def part_of(path: Path, number: int) -> Path:
@@ -38,7 +38,7 @@ def part_of(path: Path, number: int) -> Path:
 
 
 def runs_of(numbers: Integers) -> list[tuple[int, slice]]:
-    """Yield the runs of equal numbers (n,), n > 0: the number, and its rows."""
+    """Return the runs of equal numbers (n,), n > 0: each number with its rows."""
     edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
     return [(int(numbers[start]), slice(start, end)) for start, end in pairwise(edges)]
 
@@ -74,7 +74,7 @@ class RotatingWriter:
         self._ahead: dict[int, Future[LogWriter]] = {}
         self._beginning = ThreadPoolExecutor(1, f"begin parts of {self.path.name}")
         self._last_ns = {header.name: -(2**63) for header in sensors}
-        """How far every sensor came, and every stimulus that there is."""
+        """Time of the newest row of each sensor and stimulus."""
         self._phases: list[Phase] = []
         self._begun: list[Phase] = []
         self._parts: list[LogWriter] = []
@@ -156,13 +156,13 @@ class RotatingWriter:
         self._turn()
 
     def _split(self, time: Times) -> list[tuple[int, slice]]:
-        """Yield the number of each part, and its rows."""
+        """Return the number of each part, with its rows."""
         if len(time) == 0:
             return []
         return runs_of((time - self._origin_ns) // self._every_ns)
 
     def event(self, event: Event) -> None:
-        """Note that something happened, in the part of that time."""
+        """Add an event to the part of its time."""
         self._raise()
         self._part(self._number(event.time_ns) if self._open else 0).event(event)
 
@@ -217,7 +217,7 @@ class RotatingWriter:
             part.__exit__(None, None, None)
         except ImuArrayError as error:
             self._error = self._error or error
-        with self._counting:  # its rows are counted, and nothing else of it is kept
+        with self._counting:
             self._finished = {name: rows + part.acknowledged[name] for name, rows in self._finished.items()}
             self._parts.remove(part)
 
@@ -233,7 +233,7 @@ class RotatingWriter:
             return {name: sum(part[name] for part in parts) for name in self._finished}
 
     def flush(self) -> None:
-        """Write everything that waits, in parts that are being finished too."""
+        """Write everything that is buffered, also in parts that are being finished."""
         for part in self._open.values():
             part.flush()
         with self._counting:
@@ -280,7 +280,7 @@ class RotatingWriter:
             return failure
         names = ", ".join(path.name for path in unfinished)
         return DiskFullError(
-            failure.path, failure.why, f"{KEPT}; not finished: {names}: make room, then imuarray recover"
+            failure.path, failure.why, f"{KEPT}; not finished: {names}: free space, then run `imuarray recover`"
         )
 
 

@@ -67,15 +67,15 @@ class Resumption(NamedTuple):
 
 
 class LastBlock(NamedTuple):
-    """A restored block at the end of a journal, and its check sum."""
+    """A restored block at the end of a journal, and its checksum."""
 
     block: JournalBlock
     chain: int
 
 
 class Salvage:
-    """Searches one journal (an open file descriptor). `row_bytes` are those of the groups, `tags` those that blocks of
-    this log may have; the first is its own.
+    """Searches one journal (an open file descriptor). `row_bytes` are those of the groups, `tags` those of the blocks
+    of this log; the first is the tag of its identity.
     """
 
     def __init__(self, fd: int, row_bytes: Sequence[int], tags: Sequence[int]) -> None:
@@ -231,7 +231,7 @@ class Salvage:
 
 
 def _chained(head: bytes, payload: bytes, chain: int) -> int:
-    """Return the check sum of a block that continues from `chain`."""
+    """Return the checksum of a block that continues from `chain`."""
     return zlib.crc32(payload, zlib.crc32(head[: HEAD.size], chain))
 
 

@@ -1,4 +1,4 @@
-"""The part of a log that belongs to one sensor: its attributes, checked, and its columns."""
+"""One sensor of a log: its attributes, which are checked, and its columns."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class SensorLog(CountScale):
         self._group, self._cache = group, cache
         self._columns: dict[str, NamedColumn] = {}
         self._opened = opened
-        self._log, self._path = ref(log), log.path  # no cycle: a log that nobody has any more is closed at once
+        self._log, self._path = ref(log), log.path  # a weak reference, so that an unused log is closed at once
         self.name = str(group.name).rsplit("/", 1)[-1]
         self.where = where
         self.chip = self._text("chip")
@@ -150,10 +150,10 @@ class SensorLog(CountScale):
                 raise LogError(f"{self.where}: column {name} has another length than time")
         if self.counts.ndim != 2 or (self.is_triad and self.counts.shape[1] != 3):
             raise LogError(f"{self.where}: column counts is not an (n, 3) table")
-        for edge in (slice(_EDGE_ROWS), slice(-_EDGE_ROWS, None)):  # all of it is for `verify` to read
+        for edge in (slice(_EDGE_ROWS), slice(-_EDGE_ROWS, None)):  # `verify` checks all rows
             try:
                 times = self.time[edge]
-            except LogError:  # for who reads these rows: the other sensors are good
+            except LogError:  # is raised again when these rows are read; other sensors may be intact
                 continue
             if (np.diff(times) <= 0).any():
                 raise LogError(f"{self.where}: column time does not increase")
@@ -184,7 +184,7 @@ class SensorLog(CountScale):
 
     @property
     def status(self) -> NamedColumn | npt.NDArray[np.uint16]:
-        """The flags (n,) of `imuarray.log.format`; zeros in a log that has none."""
+        """The flags (n,) of `imuarray.log.format`; zeros if the log has none."""
         return self._column("status") if self._has("status") else np.zeros(len(self), np.uint16)
 
     def compensated(self, name: str) -> NamedColumn:
@@ -206,8 +206,8 @@ class SensorLog(CountScale):
         return name in self._columns or self._group.get(name) is not None
 
     def _column(self, name: str) -> NamedColumn:
-        """Return a column by its name, looked up once: HDF5 takes as long for that as for reading some thousand
-        rows.
+        """Return a column by its name. It is looked up once, because HDF5 takes as long for it as for reading some
+        thousand rows.
         """
         if name not in self._columns:
             self._columns[name] = named_column(self._group[name], f"{self.where}: {name}", self._cache)
@@ -226,26 +226,27 @@ class SensorLog(CountScale):
     def to_xarray(self, calibration: Calibration | None = None) -> Any:
         """Return an `xarray.Dataset` of all rows: physical values in SI in the box frame under the name of the
         quantity, by `calibration` or else the data sheet's sensitivity, raw counts, status and temperature, over `time`
-        (datetime64, UTC). Every variable says its unit. MissingExtraError without xarray (extra "analysis").
+        (datetime64, UTC). Every variable has its unit. MissingExtraError without xarray (extra "analysis").
 
-        A calibration's biases are taken out as they are; `imuarray.export` and fusion follow the temperature.
+        The biases of a calibration are subtracted without temperature compensation, unlike in `imuarray.export` and
+        fusion.
         """
         from imuarray.log.datasets import sensor_dataset
 
         return sensor_dataset(self, self._epoch(), calibration)
 
     def to_pandas(self, calibration: Calibration | None = None) -> Any:
-        """Return the same as a `pandas.DataFrame` indexed by time, a column for each number: `angular_rate_X`,
-        `counts_x`, `status`, ...; units by column in its `attrs`. MissingExtraError without xarray and pandas (extra
-        "analysis").
+        """Return the contents of `to_xarray` as a `pandas.DataFrame` indexed by time, with a column for each number:
+        `angular_rate_X`, `counts_x`, `status`, ...; units by column in its `attrs`. MissingExtraError without xarray
+        and pandas (extra "analysis").
         """
         from imuarray.log.datasets import table
 
         return table(self.to_xarray(calibration))
 
     def plot(self, calibration: Calibration | None = None) -> Figure:
-        """Draw the physical values in the box frame over time, or the counts where no unit is known; MissingExtraError
-        without matplotlib (extra "report").
+        """Draw the physical values in the box frame over time, or the counts if their unit is unknown;
+        MissingExtraError without matplotlib (extra "report").
         """
         from imuarray.log.datasets import log_figure
 
@@ -301,7 +302,7 @@ def first_at(time: NamedColumn, at_ns: int, rows: int | None = None) -> int:
 
 
 def recorded_header(sensor: SensorLog) -> SensorHeader:
-    """Return the header with which a log like that of `sensor` would be written."""
+    """Return the header with which the data of `sensor` can be written again."""
     x, y, z = sensor.position_mm.tolist()
     bits = {COUNT_BITS: sensor.count_bits} if sensor.is_triad and sensor.count_bits > 16 else {}
     columns = {"pressure": ("ut", "up"), "temperature": ("t",)}.get(sensor.quantity, ("x", "y", "z"))

@@ -18,11 +18,11 @@ from imuarray.log.format import CACHE_BYTES, FORMAT
 from imuarray.spelling import guess_file
 
 MAX_TEXT_BYTES = 1 << 24
-"""Size of all texts in a column together: the messages of a hundred thousand events."""
+"""Most bytes of all texts in a column: the messages of a hundred thousand events."""
 _BLOCK_BYTES = 1 << 22
-"""Read at a time, as far as the texts before tell how long the next ones are."""
+"""Bytes that are read at a time, as estimated from the length of previous texts."""
 _IMPORTED = (".csv", ".npz", ".txt", ".bin")
-"""Names of foreign recordings end so."""
+"""Suffixes of recordings that can be imported."""
 
 DAMAGE = (
     OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, IndexError, ArithmeticError, MemoryError,
@@ -44,7 +44,7 @@ def open_file(path: Path) -> h5py.File:
 
 
 def positive(value: Any) -> float:
-    """Return an attribute that is one positive, finite number; else 0."""
+    """Return an attribute if it is one positive, finite number, else 0."""
     number = value.item() if isinstance(value, np.generic) else value
     fits = isinstance(number, int | float) and not isinstance(number, bool) and 0 < number < math.inf
     return float(number) if fits else 0.0
@@ -60,8 +60,8 @@ def check_note(fields: Any, numbers: int) -> None:
 
 
 def read_texts(column: Any) -> list[Any]:
-    """Read a whole column of texts or numbers, a few rows at a time, since each text may be as long as a heap and all
-    of them may be the same one. ValueError for more than `MAX_TEXT_BYTES`, TypeError for anything but a column.
+    """Read a whole column of texts or numbers, a few rows at a time, because each text may be as long as a heap and all
+    may refer to the same one. ValueError for more than `MAX_TEXT_BYTES`, TypeError for anything but a column.
     """
     if not isinstance(column, h5py.Dataset) or column.dtype.kind != "O":
         return list(column[:].tolist())

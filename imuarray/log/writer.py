@@ -33,10 +33,9 @@ import numpy.typing as npt
 
 from imuarray import __version__
 from imuarray.arrays import Floats, Times
-from imuarray.errors import DiskFullError, ImuArrayError, LogBusyError, LogError, OutputExistsError
+from imuarray.errors import NO_ROOM, DiskFullError, ImuArrayError, LogBusyError, LogError, OutputExistsError
 from imuarray.log.commits import COMMITS, block_crc, row_of, width
 from imuarray.log.disk_space import (
-    FULL,
     WATERMARK,
     Allowance,
     Reserve,
@@ -78,12 +77,10 @@ from imuarray.log.layout import (
 from imuarray.log.sensor_log import SensorLog
 
 QUEUE_BLOCKS = 1024
-"""Blocks that may wait for a slow disk; then `put` waits too."""
+"""Most blocks that wait for a slow disk; `put` waits when there are more."""
 
-KEPT = "everything acknowledged until then is in the log"
-_JOURNAL_LOST = (
-    "the journal was removed or replaced while the log was written: from now on every sync commits to the file"
-)
+KEPT = "all acknowledged rows are in the log"
+_JOURNAL_LOST = "the journal was removed or replaced while the log was written; every sync now commits to the file"
 _AT_ONCE = 256
 _COMMIT_ROWS = 64
 _EMPTY_BYTES = 1 << 14
@@ -103,7 +100,7 @@ class LiveFile:
         self.file = h5py.File(part, "w", libver=LIBVER, rdcc_nbytes=CACHE_BYTES)
         self._room = Allowance(part, path)
         try:
-            self._room.ask((len(self._groups) + 1) * _EMPTY_BYTES + len(preamble.config) * 8)
+            self._room.reserve((len(self._groups) + 1) * _EMPTY_BYTES + len(preamble.config) * 8)
             self._create(preamble, chunk)
             self._room.sync()
             part.replace(path)
@@ -134,7 +131,7 @@ class LiveFile:
         self.file.flush()
         self._room.sync()
         table = self.file[COMMITS]
-        self._room.ask(_COMMIT_ROWS * 8 * table.shape[1] if len(table) % _COMMIT_ROWS == 0 else 0)
+        self._room.reserve(_COMMIT_ROWS * 8 * table.shape[1] if len(table) % _COMMIT_ROWS == 0 else 0)
         table.resize(len(table) + 1, axis=0)
         table[-1] = row_of(mark, block_crc(self._groups, added), self._rows, self._identity)
         table.flush()
@@ -143,7 +140,7 @@ class LiveFile:
         group, start = self._groups[number], self._rows[number]
         count = len(next(iter(rows.values())))
         chunks = -(-(start + count) // self._chunk) - -(-start // self._chunk)
-        self._room.ask(chunks * self._chunk * group.row_bytes)
+        self._room.reserve(chunks * self._chunk * group.row_bytes)
         for name, values in rows.items():
             dataset = self.file[group.path][name]
             dataset.resize(start + count, axis=0)
@@ -152,7 +149,7 @@ class LiveFile:
 
     def close(self) -> None:
         """Close the file; committed rows are in it."""
-        with contextlib.suppress(Exception):  # the journal has what this can't write any more
+        with contextlib.suppress(Exception):  # the journal has the rows that this can't write
             self.file.close()
         self._room.close()
 
@@ -169,7 +166,7 @@ class Live:
     def __init__(
         self, path: Path, preamble: Preamble, *, watermark: int, sync_s: float, force: bool, chunk: int = CHUNK
     ) -> None:
-        """Begin: lock, journal and file exist on the disk under their names when this returns. LogBusyError,
+        """Begin: when this returns, the locked journal and the file exist on the disk under their names. LogBusyError,
         DiskFullError, LogError.
         """
         self.path = path
@@ -194,14 +191,14 @@ class Live:
         try:
             is_empty = not os.fstat(self.lock.fd).st_size
             if not is_empty and not force:
-                raise LogError(f"{self.lock.path}: is left over from another log; move it away, or use --force")
+                raise LogError(f"{self.lock.path}: belongs to another log; move it away, or use --force")
             self._begin(preamble, is_empty)
         except BaseException:
             self.lock.close()
             raise
 
     def _begin(self, preamble: Preamble, is_empty: bool) -> None:
-        """Create journal, reserve and file: all of them or none. `is_empty`: the journal belongs to no other log."""
+        """Create journal, reserve and file, all or none. `is_empty`: the journal does not belong to another log."""
         reserve = None
         try:
             self._reserve = reserve = Reserve(self.path)
@@ -236,7 +233,7 @@ class Live:
         self._thread.join()
 
     def close(self) -> None:
-        """Write what waits and close the file; the journal remains, locked (`lock`). Errors are stored in `error`."""
+        """Write buffered rows and close the file; the journal remains locked (`lock`). Errors are stored in `error`."""
         if self._thread.is_alive():
             self._queue.put(None)
             self._thread.join()
@@ -244,7 +241,7 @@ class Live:
         self._file.close()
 
     def _run(self) -> None:
-        """Run the thread: write all blocks that wait, at once, until no more can come."""
+        """Run the thread: write waiting blocks together, until the log is closed."""
         while True:
             items, flushed, more = self._take()
             if self.error is None:
@@ -262,7 +259,7 @@ class Live:
                 return
 
     def _take(self) -> tuple[list[_Item], list[threading.Event], bool]:
-        """Return the blocks that wait, the callers that wait for them, and whether more can come."""
+        """Return the waiting blocks, the callers that wait for them, and whether more can follow."""
         items: list[_Item] = []
         try:
             item = self._queue.get(timeout=self._sync_s if self._dirty else None)
@@ -293,8 +290,8 @@ class Live:
             raise DiskFullError(self.path, f"the log was ended: less than {self._watermark >> 20} MiB are free")
 
     def _has_lost_journal(self) -> bool:
-        """Return whether the journal can't be found under its name any more, so that a crash would leave the HDF5 file
-        alone: then each sync commits. An event says so once.
+        """Return whether the journal has lost its name, so that only the HDF5 file would survive a crash and each sync
+        has to commit. An event reports it once.
         """
         if self.lock.is_named:
             return False
@@ -307,16 +304,16 @@ class Live:
         return True
 
     def _append(self, items: Sequence[_Item]) -> None:
-        """Append to the journal; if the disk is full, try again with the space of the reserve."""
+        """Append to the journal; if the disk is full, retry with the space of the reserve."""
         try:
             self._journal.append(items)
         except OSError as error:
-            if error.errno not in FULL:
+            if error.errno not in NO_ROOM:
                 raise
             self._reserve.release()
             self._journal.append(items)
             self._acknowledge(items)
-            raise DiskFullError(self.path, "the log was ended: no room left on the disk") from None
+            raise DiskFullError(self.path, "the log was ended: no space left on the disk") from None
         self._acknowledge(items)
 
     def _acknowledge(self, items: Sequence[_Item]) -> None:
@@ -337,7 +334,7 @@ class Live:
 
 
 SYNC_S = 1.0
-"""Seconds after which acknowledged rows survive a power cut."""
+"""Time after which acknowledged rows survive a power cut."""
 
 
 class Block(NamedTuple):
@@ -459,7 +456,7 @@ class LogWriter:
         self._put(len(self._groups) - 1, note_columns(OpenPhase(*phase)))
 
     def event(self, event: Event) -> None:
-        """Note that something happened."""
+        """Add an event."""
         self._put(len(self._groups) - 1, note_columns(event))
 
     def __getitem__(self, sensor: str) -> SensorLog:
@@ -575,7 +572,7 @@ class LogWriter:
         except ImuArrayError:
             if live.error is None:
                 raise
-            kept = f"{KEPT}, which is not finished: make room, then imuarray recover {self.path}"
+            kept = f"{KEPT}, which is not finished: free space, then run `imuarray recover {self.path}`"
         finally:
             live.lock.close()
         failure = live.error

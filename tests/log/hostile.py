@@ -146,9 +146,9 @@ def named(name: bytes) -> Spoil:
 
 KINDS: Mapping[str, tuple[Spoil, str]] = MappingProxyType(
     {
-        "external link": (instead(COUNTS, h5py.ExternalLink("/etc/passwd", "/x")), "a link that leads elsewhere"),
-        "intermediate external link": (intermediate, "/sensors: a link that leads elsewhere"),
-        "soft link": (instead(COUNTS, h5py.SoftLink("/sensors/Gyro/counts")), "a link that leads elsewhere"),
+        "external link": (instead(COUNTS, h5py.ExternalLink("/etc/passwd", "/x")), "a link to another place"),
+        "intermediate external link": (intermediate, "/sensors: a link to another place"),
+        "soft link": (instead(COUNTS, h5py.SoftLink("/sensors/Gyro/counts")), "a link to another place"),
         "external raw storage": (outside, "data stored outside"),
         "virtual dataset": (virtual, "data stored outside"),
         "2 TB in no chunk": (made((1 << 39, 3), chunks=(4096, 3)), "declares 3298534883328 bytes"),

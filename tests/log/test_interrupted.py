@@ -236,7 +236,7 @@ def test_a_recovered_log_says_that_it_was_cut_short(run: Path) -> None:
     recover(run, now=datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC))
     with open_log(run) as log:
         last_ns = int(log["Acc"].time[-1])
-        text = f"the log was cut short; its {ROWS + 23} rows were recovered 2026-01-02T03:04:05Z"
+        text = f"the log was interrupted; its {ROWS + 23} rows were recovered 2026-01-02T03:04:05Z"
         assert log.events[-1] == Event(last_ns, "", "recovered", text)
 
 
@@ -254,7 +254,7 @@ def test_no_room_to_recover_does_not_say_that_nothing_was_recorded(run: Path, mo
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("imuarray.log.disk_space._allocate", full)
-    with pytest.raises(DiskFullError, match=r"no room left on the disk; the log is left as it was$"):
+    with pytest.raises(DiskFullError, match=r"no space left on the disk; the log is unchanged$"):
         recover(run)
     assert {path: path.read_bytes() for path in run.parent.iterdir()} == before
 
@@ -372,7 +372,7 @@ def test_the_journal_of_another_log_beside_a_finished_one_is_kept(
         shutil.copy(journal_of(tmp_path / "other" / "run.h5"), journal_of(run))
     content = journal_of(run).read_bytes()
     assert main(["recover", str(run)]) == 0
-    assert "is kept as run.h5.journal.damaged.2" in capsys.readouterr().out
+    assert "kept as run.h5.journal.damaged.2" in capsys.readouterr().out
     assert run.with_name("run.h5.journal.damaged").read_text() == "precious"
     assert run.with_name("run.h5.journal.damaged.2").read_bytes() == content
 
@@ -388,7 +388,7 @@ def test_a_copy_that_is_not_equal_does_not_take_the_logs_place(run: Path, monkey
     before = {path: path.read_bytes() for path in run.parent.iterdir()}
     with monkeypatch.context() as patch:
         patch.setattr(draft.Draft, "append", wrong)
-        with pytest.raises(LogError, match="its finished copy differs in /sensors/Acc; the log is left as it was"):
+        with pytest.raises(LogError, match="its finished copy differs in /sensors/Acc; the log is unchanged"):
             recover(run)
     assert {path: path.read_bytes() for path in run.parent.iterdir()} == before
     check(run)

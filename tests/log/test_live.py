@@ -220,7 +220,7 @@ def test_a_second_log_into_a_running_one_is_refused(tmp_path: Path, writer: Writ
 def test_a_journal_left_over_is_not_overwritten(tmp_path: Path, writer: Writer) -> None:
     journal = journal_of(tmp_path / "run.h5")
     journal.write_text("precious")
-    with pytest.raises(LogError, match=r"run\.h5\.journal: is left over"), writer(tmp_path / "run.h5") as log:
+    with pytest.raises(LogError, match=r"run\.h5\.journal: belongs to another log"), writer(tmp_path / "run.h5") as log:
         log.keep()
     assert journal.read_text() == "precious"
     with writer(tmp_path / "run.h5", force=True) as log:
@@ -395,7 +395,7 @@ def test_a_log_that_could_not_be_finished_never_passes_as_finished(
     path = tmp_path / "run.h5"
 
     def full(path: Path, lock: object) -> None:
-        raise DiskFullError(path, "no room left on the disk")
+        raise DiskFullError(path, "no space left on the disk")
 
     monkeypatch.setattr(writing, "finish", full)
     with pytest.raises(DiskFullError), writer(path) as log:
@@ -467,9 +467,9 @@ HDF5_TEXT = """Can't write data (file write failed: time = Mon Nov 23 12:38:50 2
 @pytest.mark.parametrize(
     ("number", "kind", "said"),
     [
-        (28, DiskFullError, "no room left on the disk; nothing was recorded; make room or choose another disk"),
-        (27, DiskFullError, "no room left: the limit on the length of a file is reached; nothing was recorded"),
-        (122, DiskFullError, "no room left: the quota of the user is used up; nothing was recorded"),
+        (28, DiskFullError, "no space left on the disk; nothing was recorded; free space or choose another disk"),
+        (27, DiskFullError, "no space left: the limit on the length of a file is reached; nothing was recorded"),
+        (122, DiskFullError, "no space left: the quota of the user is used up; nothing was recorded"),
         (5, LogError, "can't be written: Input/output error"),
     ],
 )

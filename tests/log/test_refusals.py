@@ -281,14 +281,14 @@ def unknown_filter(file: h5py.File) -> None:
     [
         (
             replace("sensors/Acc/counts", h5py.ExternalLink("/etc/passwd", "/x")),
-            "sensors/Acc/counts: a link that leads elsewhere",
+            "sensors/Acc/counts: a link to another place",
         ),
-        (replace("sensors/Acc", h5py.ExternalLink("other.h5", "/x")), "sensors/Acc: a link that leads elsewhere"),
+        (replace("sensors/Acc", h5py.ExternalLink("other.h5", "/x")), "sensors/Acc: a link to another place"),
         (
             replace("sensors/Acc/counts", h5py.SoftLink("/sensors/Gyro/counts")),
-            "sensors/Acc/counts: a link that leads elsewhere",
+            "sensors/Acc/counts: a link to another place",
         ),
-        (replace("sensors/Acc/counts", h5py.SoftLink("/nowhere")), "sensors/Acc/counts: a link that leads elsewhere"),
+        (replace("sensors/Acc/counts", h5py.SoftLink("/nowhere")), "sensors/Acc/counts: a link to another place"),
         (lambda file: file.__setitem__("type", np.dtype("f8")), "type: neither group nor dataset"),
         (virtual, "sensors/Acc/counts: data stored outside"),
         (outside, "sensors/Acc/counts: data stored outside"),

@@ -66,7 +66,7 @@ def check(done: subprocess.CompletedProcess[str], folder: Path) -> int:
     """Exit code 3, no signal, one line; frames that the log holds, all that were acknowledged."""
     assert done.returncode == DiskFullError.exit_code == 3
     assert len(done.stderr.splitlines()) == 1
-    assert "the log was ended" in done.stderr or "no room left" in done.stderr
+    assert "the log was ended" in done.stderr or "no space left" in done.stderr
     acknowledged = rows.counted(folder.parent / "acknowledged")
     frames, problems = rows.wrong(folder / "run.h5")
     assert problems == []
@@ -134,7 +134,7 @@ def test_a_short_limit_on_files_is_one_line(tmp_path: Path, limit: int) -> None:
     )
     assert done.returncode == 3
     assert len([line for line in done.stderr.splitlines() if "no hardware" not in line]) == 1
-    assert "no room left: the limit on the length of a file is reached" in done.stderr
+    assert "no space left: the limit on the length of a file is reached" in done.stderr
     if "nothing was recorded" in done.stderr:
         assert list(folder.iterdir()) == []
     else:
@@ -208,7 +208,7 @@ def test_a_rotated_log_on_a_full_disk_names_what_is_not_finished(
     unfinished = [path for path in log.paths if journal_of(path).exists()]
     assert unfinished
     assert all(path.name in str(failed.value) for path in unfinished)
-    assert "make room, then imuarray recover" in str(failed.value)
+    assert "free space, then run `imuarray recover" in str(failed.value)
     assert [path.name for path in small_disk.iterdir() if path.name.startswith(".")] == []
     total = 0
     for path in log.paths:
@@ -224,7 +224,7 @@ def test_it_does_not_begin_below_the_watermark(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr("imuarray.log.writer.free_bytes", lambda path: 10 * MIB)
     with (
         pytest.raises(
-            DiskFullError, match=r"less than 64 MiB are free; nothing was recorded; make room or choose another disk$"
+            DiskFullError, match=r"less than 64 MiB are free; nothing was recorded; free space or choose another disk$"
         ),
         LogWriter(tmp_path / "run.h5", rows.SENSORS, source="simulated", epoch=rows.EPOCH) as log,
     ):
@@ -244,7 +244,7 @@ def test_a_disk_that_takes_the_name_and_no_byte_keeps_nothing(tmp_path: Path) ->
 
 def test_a_draft_on_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with (
-        pytest.raises(DiskFullError, match="no room left on the disk"),
+        pytest.raises(DiskFullError, match="no space left on the disk"),
         LogWriter(tmp_path / "run.h5", rows.SENSORS, source="simulated", epoch=rows.EPOCH) as log,
     ):
         monkeypatch.setattr(disk_space, "free_bytes", lambda path: 2 * MIB)
