@@ -47,7 +47,7 @@ def frames_of(rate_hz: float) -> int:
 
 @dataclass
 class _Check:
-    """A register of a chip that is read back; without a `setting`, only the owner of the chip's address is checked."""
+    """A register of a chip that is read back; without a `setting`, the check is for the owner of the chip's address."""
 
     buffer: SampleBuffer
     setting: Setting | None
@@ -191,7 +191,7 @@ SEARCH_NS = 250_000_000
 FIRST_PAUSE_NS = 50_000_000
 LONGEST_PAUSE_NS = 400_000_000
 SLACK_NS = 1_000_000
-"""A reading that took so much longer than its bits need was interrupted: its time is not known better than that."""
+"""A reading that takes so much longer than its bits was interrupted, and its time is uncertain by the excess."""
 
 
 class AdapterState:
@@ -277,7 +277,7 @@ class Channel:
         self._order = (pca9544a.ENABLE(1) | pca9544a.CHANNEL(bus.number)).value
         self.twins = [route for route in here if twins_of(route, everywhere)]
         witnesses = [witness for route in here for witness in witnesses_of(route, everywhere)]
-        self.witnesses = sorted(witnesses, key=lambda witness: not witness.others)[:limit]  # a register tells most
+        self.witnesses = sorted(witnesses, key=lambda witness: not witness.others)[:limit]  # registers first
         self.seen: Witness | None = None
         self.doubted: Witness | None = None
         self._turn = 0
@@ -291,17 +291,17 @@ class Channel:
         self.seen = self.doubted = None
         if self.witnesses:
             self._turn = (self._turn + 1) % len(self.witnesses)
-            if self._hear(self.witnesses[self._turn]):
+            if self._ask_witness(self.witnesses[self._turn]):
                 return True
         if not self._read_back():
             return False
         for witness in self.witnesses:
-            verdict = self._hear(witness)
+            verdict = self._ask_witness(witness)
             if verdict is not None:
                 return verdict
         return True
 
-    def _hear(self, witness: Witness) -> bool | None:
+    def _ask_witness(self, witness: Witness) -> bool | None:
         """Return True if the witness confirms the channel, False if not, None if the chip is silent or returns neither
         its own value nor that of its twin.
         """
@@ -461,7 +461,7 @@ class BusSegment:
             names = ", ".join(item.route.sensor.name for item in self._twins)
             text = f"channel {self.key} was not connected: readings of {names} are discarded"
             self._misrouted.happened(self._clock.now_ns(), text)
-        for item in self._queues:  # drained in another's place: what was in them is lost
+        for item in self._queues:  # another chip's queue was drained: its readings are lost
             item.mark_lost()
             if item.queue is not None:
                 item.queue.restart()

@@ -18,7 +18,7 @@ from imuarray.log.format import ClockRow
 
 PERIOD_NS = 10_000_000_000
 STEP_NS = 10_000_000
-"""Change of the wall clock against the monotonic clock that counts as an event; slewing changes it by less in 10 s."""
+"""Least change of the wall clock relative to the monotonic clock that is an event; slewing changes less in 10 s."""
 
 
 Read = Callable[[], tuple[int, int, int, int]]

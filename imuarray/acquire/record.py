@@ -1,8 +1,8 @@
 """Records an array into a log: connects its sensors, polls them or receives a stream, and names the phases.
 
-The poll loop (`Poll`) reads frame after frame at a steady rate; bursts are stored as raw bytes, and decoded and written
-in blocks. A sensor that does not answer, has lost its configuration or repeats its reading is recovered in its own
-place in the frame (`imuarray.acquire.sensor_health`); the others are read as before.
+The poll loop (`Poll`) reads frame after frame at a constant rate; bursts are stored as raw bytes, which are decoded and
+written in blocks. A sensor that does not answer, has lost its configuration or repeats its reading is recovered during
+its own visits (`imuarray.acquire.sensor_health`), while the others are read as before.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from imuarray.acquire.fault_episode import FaultEpisodes, event_writer
 from imuarray.acquire.recording import RecordingCounts, RecordingOptions, Service
 from imuarray.acquire.sample_buffer import Intake, SampleBuffer
 from imuarray.acquire.sensor_health import SensorHealth
-from imuarray.acquire.sensor_routes import SensorRoute, connect, there_and_back
+from imuarray.acquire.sensor_routes import SensorRoute, alternating_orders, connect
 from imuarray.acquire.start_up import StartUpCheck
 from imuarray.acquire.stream import Streaming, streams
 from imuarray.array import ArrayConfig
@@ -35,14 +35,15 @@ from imuarray.log.writer import LogWriter, Stimulus
 from imuarray.printable import counted
 
 BATCH = 1024
-"""Frames between two writes, at most; `BATCH_S` seconds' worth otherwise."""
+"""Most frames between two writes; usually those of `BATCH_S`."""
 BATCH_S = 1.0
 TICK_S = 0.2
-"""The interval between two checks of conditions that are too slow to be checked in every frame."""
+"""The interval between two checks of conditions that change slowly."""
 _NAP_NS = 200_000_000
 _FAR_NS = 100_000_000
-"""A set-up that has begun does not wait for a frame that is further away; nor can a conversion's result get too old
-in less (`imuarray.drivers.OnDemandDriver`)."""
+"""A configuration in progress does not wait for a frame that is later than this. No result of a conversion becomes too
+old in a shorter time (`imuarray.drivers.OnDemandDriver`).
+"""
 
 
 class Poll:
@@ -75,7 +76,7 @@ class Poll:
         self.readback = ConfigurationReadback(
             [item for segment in forth for item in segment.items],
             rate_hz,
-            lambda buffer, kind, text: self.health.not_as_it_was(buffer, self.clock.now_ns(), kind, text),
+            lambda buffer, kind, text: self.health.lost_configuration(buffer, self.clock.now_ns(), kind, text),
             [witness for segment in forth if segment.channel for witness in segment.channel.witnesses],
         )
         self.health = SensorHealth(items, self.readback, self.start_up, self.faults, self.summary.lost)
@@ -103,7 +104,7 @@ class Poll:
                 AdapterState() if isinstance(part[0].segment, str) else shared,
                 polling,
             )
-            for part in there_and_back(routes)[0]
+            for part in alternating_orders(routes)[0]
         ]
 
     def lose(self, adapter: AdapterState, at_ns: int) -> None:
@@ -111,7 +112,7 @@ class Poll:
         for segment in self.orders[0]:
             if segment.adapter is adapter:
                 for buffer in segment.items:
-                    self.health.set_up_later(buffer, at_ns)
+                    self.health.configure_later(buffer, at_ns)
 
     def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
         """Read frame after frame on a grid of times: a frame that begins late is counted as late, one whose time has
@@ -139,7 +140,7 @@ class Poll:
                     due_ns += self.skip(max(remaining_ns, 0) // period_ns) * period_ns
                 else:
                     self.wait(due_ns, stopped)
-        finally:  # whatever ended it: what was read is vouched for or flagged, and written
+        finally:  # rows that were read are verified or flagged, and written
             self.finish()
 
     def _time_outs(self) -> int:
@@ -154,9 +155,11 @@ class Poll:
             by_bus = self._time_outs() > self._earlier_time_outs
             self.summary.missed += frames
             self.summary.missed_by_bus += frames if by_bus else 0
-            text = f"{counted(frames, 'frame')} missed: {BUS_WAS_LATE if by_bus else 'the frame before ended too late'}"
+            text = (
+                f"{counted(frames, 'frame')} missed: {BUS_WAS_LATE if by_bus else 'the previous frame ended too late'}"
+            )
             now_ns = self.clock.now_ns()
-            if isinstance(self.log, RotatingWriter):  # each part tells what was missed in it
+            if isinstance(self.log, RotatingWriter):  # each part reports its own missed frames
                 part = self.log.part_at(now_ns - self.epoch_ns)
                 if part != self.part:
                     self.missed.close(now_ns)
@@ -182,7 +185,7 @@ class Poll:
                 if buffer.recovery is None:
                     self.group(segment, buffer)
                 else:
-                    buffer.recovery.go_on(now_ns)
+                    buffer.recovery.step(now_ns)
             if now_ns < due_ns and stopped():
                 return
 
@@ -199,8 +202,8 @@ class Poll:
             if segment.adapter.removed:
                 continue
             at_ns = buffer.conversion_before(due_ns)
-            if buffer.recovery is not None and (goes_on_ns := buffer.recovery.goes_on_ns) is not None:
-                at_ns = goes_on_ns if due_ns - goes_on_ns > _FAR_NS else None
+            if buffer.recovery is not None and (next_step_ns := buffer.recovery.next_step_ns) is not None:
+                at_ns = next_step_ns if due_ns - next_step_ns > _FAR_NS else None
             if at_ns is not None and (place, at_ns) not in tried:
                 visits.append((at_ns, place))
         return min(visits, default=(due_ns, 0))
@@ -258,10 +261,10 @@ class Poll:
             burst = buffer.driver.fetch()
         except OSError as error:
             segment.failed(error)
-            if error.errno in REMOVED:  # told once for all of its sensors
+            if error.errno in REMOVED:  # reported once for all sensors of the adapter
                 self.health.lost(buffer, now_ns, None)
                 return
-            if error.errno == errno.ETIMEDOUT:  # to ask again would cost as much time again
+            if error.errno == errno.ETIMEDOUT:  # a second attempt would take as long
                 self.health.lost(buffer, now_ns, error)
                 return
             if segment.channel is not None:
@@ -273,7 +276,7 @@ class Poll:
                 segment.failed(second)
                 self.health.lost(buffer, now_ns, second)
                 return
-        if not burst:  # nothing to give yet; maybe it was not even asked
+        if not burst:  # no reading is ready yet
             return
         adapter = segment.adapter
         if adapter.time_outs:
@@ -368,7 +371,7 @@ def record(
         recording = loop(routes, bus, log, replace(options, wall_time=epoch, progress=report), start_ns)
         whole = [Phase(0, _OPEN_END_NS, options.phase, options.up)] if options.phase else []
         phases = [*whole, *_since(options.phases, start_ns)]
-        for phase in phases:  # at once: a log that is cut short has them too
+        for phase in phases:  # before any row, so that an interrupted log has them too
             log.begins(phase)
         try:
             recording.run(options.seconds, stopped)

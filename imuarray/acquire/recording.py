@@ -69,7 +69,7 @@ class Service:
         self._send(["STOPPING=1", f"STATUS={' '.join(status.split())}"])
 
     def _send(self, words: list[str]) -> None:
-        """Send one datagram; whether it is received does not matter here."""
+        """Send one datagram; errors are ignored."""
         if self._address is None or not words:
             return
         try:
@@ -143,7 +143,7 @@ class RecordingOptions:
     force: bool = False
     """Overwrite the log if it exists."""
     judge: Judge | None = None
-    """States how sensors started; a sensor that started wrong is flagged and configured again."""
+    """Determines how sensors started; a sensor in a wrong state is flagged and configured again."""
     service: Service | None = None
     """The service manager to notify; None: the one that started this process, if any."""
     stopped: Callable[[], bool] = lambda: False

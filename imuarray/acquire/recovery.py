@@ -1,4 +1,4 @@
-"""Recovers a sensor, one step per frame in its own place in the frame, so that no other sensor waits for it.
+"""Recovers a sensor, one step per frame during its own visits, so that no other sensor waits for it.
 
 The steps are: read its identity, at growing intervals while it does not answer; compare its configuration with the
 intended one; if they differ, configure it from the start, and let its filters settle while the others are read.
@@ -13,7 +13,7 @@ from imuarray.errors import SensorError
 
 FIRST_PAUSE_NS = 100_000_000
 LONGEST_PAUSE_NS = 3_200_000_000
-"""Between two attempts to reach a sensor; doubled each time. A silent address costs 30 microseconds to ask."""
+"""Pause between two attempts to reach a sensor, doubled each time. An attempt at a silent address takes 30 us."""
 
 
 class SensorRecovery:
@@ -37,15 +37,15 @@ class SensorRecovery:
         self._way: Iterator[float] | None = None
 
     def waits(self, now_ns: int) -> bool:
-        """Return whether nothing is due at the moment."""
+        """Return whether the next step is not due yet."""
         return now_ns < self._next_ns
 
     @property
-    def goes_on_ns(self) -> int | None:
+    def next_step_ns(self) -> int | None:
         """The time of the next step of a configuration in progress; None if none is in progress."""
         return None if self._way is None or self.done else self._next_ns
 
-    def go_on(self, now_ns: int) -> None:
+    def step(self, now_ns: int) -> None:
         """Do one step. An error is stored in `failure`, and the recovery starts again after a pause."""
         self._way = self._way or self._steps()
         self.failure = None

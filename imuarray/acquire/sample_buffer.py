@@ -33,30 +33,30 @@ from imuarray.log.writer import Block
 from imuarray.printable import counted
 
 _NEXT_FRAME = 1.1e9
-"""A frame later, in ns at 1 Hz, with a margin for the way there and back."""
+"""Time until the next visit in ns at 1 Hz, with a margin for the alternating order."""
 _FROZEN_READINGS = 24
 _FROZEN_S = 1.0
 _FROZEN_BANDWIDTHS = 30.0
-"""A reading that stands still for so many readings, seconds and correlation times is no chance: at half a code of noise
-rms on a single axis, three in four readings repeat the code before."""
+"""A sensor is frozen if its reading is constant for so many readings, seconds and correlation times. With noise of half
+a code rms on a single axis, three of four readings repeat the previous code.
+"""
 _FROZEN_LONGEST = 64 * _FROZEN_READINGS
 _FROZEN_SHARE = 0.9
-"""The least share of the nominal duration of the readings: frames that follow each other faster than the chip measures
-repeat its reading.
-"""
+"""Least share of the nominal duration of these readings: frames in quick succession repeat a reading of the chip."""
 _SILENT_S = 2.0
 _SILENT_READINGS = 3.0
 """A sensor counts as silent after this many seconds, and after the duration of this many readings, without a reading.
 """
 HELD_S = 10.0
-"""No row waits longer. One that nobody could vouch for in this time is written as suspect; where a sensor is read so
-seldom that it takes longer to tell a frozen reading from chance, rows from before that are written."""
+"""Longest time that a row waits. A row that was not verified in this time is written as suspect. Rows of a sensor that
+is read so rarely that a frozen reading is recognised only later are written before that.
+"""
 
 
 class SampleBuffer:
     """Bursts of the sensor at `route`, read in `rate_hz` frames per second, until they are written.
 
-    Row numbers count from the oldest row that waits. All flags are set through methods.
+    Row numbers count from the oldest waiting row. All flags are set through methods.
     """
 
     def __init__(self, route: SensorRoute, rate_hz: float) -> None:
@@ -282,7 +282,7 @@ class SampleBuffer:
         if not self._condemned:
             self._suspect = [(first, len(self._times_ns) if last is None else last) for first, last in self._suspect]
 
-    def begin_anew(self) -> None:
+    def note_configured(self) -> None:
         """Note that the chip was configured: its next reading is flagged, and may equal its last one."""
         self._set_up_again = True
         self._since_set_up = self._still = len(self._times_ns)
@@ -290,8 +290,8 @@ class SampleBuffer:
         self._watch_still = self.frozen_reading is not None
 
     def frozen_since(self) -> int | None:
-        """Return the row from which on the reading has not changed, if that is no longer chance; None otherwise. Rows
-        that are already written are counted, but can no longer be flagged.
+        """Return the row since which the reading has been constant for too long to be chance; None otherwise. Rows that
+        are already written are counted, but can no longer be flagged.
         """
         rows, enough, oldest = len(self._times_ns), self.frozen_rows, self._since_set_up
         if rows == oldest or rows - oldest + self._written_run < enough:
@@ -313,14 +313,14 @@ class SampleBuffer:
         goes_on = row == 0 and self._written_run and self._written_reading == self._reading(0)
         return self._written_since_ns if goes_on else self._times_ns[row]
 
-    def thaw(self) -> None:
+    def note_frozen(self) -> None:
         """Note that the reading is frozen. If configuring the chip did not help, wait longer before the next attempt,
         since the signal may be quiet.
         """
         self.frozen_rows = min(2 * self.frozen_rows, _FROZEN_LONGEST) if self._watch_still else self._frozen_rows
         self.frozen_reading = self._reading(len(self._times_ns) - 1)
 
-    def flag_what_is_frozen_still(self) -> None:
+    def flag_frozen_rows(self) -> None:
         """Flag rows after a configuration that still repeat the frozen reading."""
         while self._watch_still and self._still < len(self._times_ns):
             self._watch_still = self._reading(self._still) == self.frozen_reading
@@ -379,7 +379,7 @@ class SampleBuffer:
         return Block(times, decoded.counts, status, decoded.temperature_counts, further)
 
     def _count_run(self, count: int) -> None:
-        """Return how often the last of the oldest `count` rows, which are being written, repeats its reading."""
+        """Count how often the last of the oldest `count` rows, which are being written, repeats its reading."""
         oldest = min(self._since_set_up, count)
         if oldest == count:
             return
@@ -427,16 +427,18 @@ def _later(rows: Sequence[int], count: int) -> list[int]:
 
 
 IDLE_NS = 450_000_000
-"""A queue that gives nothing for so long has stopped: with a tick of `Poll` before and after this time it is reported
-within a second. A chip that takes fewer than `IDLE_SAMPLES` in this time has as long as they take."""
+"""A queue that is empty for so long has stopped; with a tick of `Poll` before and after this time it is reported within
+a second. For a slow chip it is the duration of `IDLE_SAMPLES` samples.
+"""
 IDLE_SAMPLES = 5
 
 AHEAD_NS = 1_000_000_000
-"""A row that lies further ahead of the clock has an invented time; the times of a microcontroller's rows are estimated
-to some milliseconds."""
+"""A row further ahead of the clock has a wrong time; the times of a microcontroller's rows are estimated to within some
+milliseconds.
+"""
 
 _INHERITED = np.uint16(LOST_BEFORE | OVERRUN | RECONFIGURED)
-"""Flags that tell of what was before a row: they pass to the row after a refused one."""
+"""Flags about the time before a row: they pass from a rejected row to the next one."""
 
 
 class Intake:

@@ -1,7 +1,7 @@
 """The health of polled sensors: silence, lost configuration, frozen readings, a wrong start-up state, and the response
 to each.
 
-Rows in doubt wait or are flagged; the sensor is looked for or configured again (`imuarray.acquire.recovery`); events
+Doubtful rows wait or are flagged; the sensor is searched for or configured again (`imuarray.acquire.recovery`); events
 report it.
 
 `Freshness` decides whether a chip must have had a new reading. A chip's data-ready flag says whether there is a new
@@ -33,7 +33,7 @@ from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPE
 from imuarray.log.writer import Block
 
 _UNRELATED = LOST_BEFORE | RECONFIGURED | SUSPECT
-"""Rows before which the chip may have been read without our hearing of it, or was not as configured."""
+"""Flags of rows before which another read may have occurred, or the chip was not as configured."""
 
 
 class Freshness:
@@ -47,8 +47,8 @@ class Freshness:
         """Return (n,) True for rows that are stale although the chip must have had a new reading.
 
         `times_ns` (n,) are the times of the reads, `status` (n,) their flags; `doubtful` (n,) marks reads whose time is
-        uncertain, or before which another read may have taken the new reading. Such a read is not judged, and the time
-        since the one before it says nothing either.
+        uncertain, or before which another read may have taken the new reading. Such a read is not judged, nor is the
+        time since the previous one.
         """
         unrelated = doubtful | ((status & _UNRELATED) != 0)
         stale = (status & STALE) != 0
@@ -66,8 +66,9 @@ class Freshness:
 
 
 AWAY_NS = 250_000_000
-"""After this time of silence a sensor is searched for instead of read, at growing intervals; one that holds the clock
-costs everybody time, and is left alone after two frames."""
+"""After this time of silence a sensor is searched for at growing intervals instead of read. A sensor that holds the
+clock delays all others, and is no longer read after two frames.
+"""
 
 
 class _SensorState:
@@ -80,7 +81,7 @@ class _SensorState:
         self.stale = faults.of(self.name, "stale")
         self.overrun = faults.of(self.name, "overrun")
         self.frozen = faults.of(self.name, "frozen")
-        self.unwell: list[FaultEpisode] = []
+        self.lasting: list[FaultEpisode] = []
         self.freshness = Freshness(buffer.route.sensor)
         self.last_row_ns: int | None = None
         self.rows = 0
@@ -90,15 +91,15 @@ class _SensorState:
         """Report an event of this sensor."""
         self._faults.of(self.name, kind).happened(at_ns, message)
 
-    def falls_ill(self, at_ns: int, kind: str, message: str) -> None:
+    def begin_fault(self, at_ns: int, kind: str, message: str) -> None:
         """Begin a fault that lasts until the sensor is configured again."""
         episode = self._faults.of(self.name, kind)
         episode.begin(at_ns, message)
-        self.unwell.append(episode)  # a kernel driver that takes a chip configures it too: two at once
+        self.lasting.append(episode)  # several at once: a kernel driver that takes a chip also configures it
 
-    def is_ill(self, kind: str) -> bool:
+    def has_fault(self, kind: str) -> bool:
         """Return whether a fault of this kind lasts."""
-        return self._faults.of(self.name, kind) in self.unwell
+        return self._faults.of(self.name, kind) in self.lasting
 
 
 class SensorHealth:
@@ -134,7 +135,7 @@ class SensorHealth:
         if was_silent and (error.errno in HUNG or silent_ns >= AWAY_NS):
             buffer.recover(at_ns, look=True)
 
-    def set_up_later(self, buffer: SampleBuffer, at_ns: int) -> None:
+    def configure_later(self, buffer: SampleBuffer, at_ns: int) -> None:
         """Configure a sensor once its removed adapter is back, since it may have lost its supply."""
         buffer.recover(at_ns, look=False)
 
@@ -147,9 +148,9 @@ class SensorHealth:
             state.lost.happened(now_ns, "", count)
         if recovery is None or recovery.waits(now_ns):
             return None
-        recovery.go_on(now_ns)
-        if recovery.refusal and not state.is_ill("taken"):  # and the watch, which asks now and then, has not seen it
-            state.falls_ill(now_ns, "taken", recovery.refusal)
+        recovery.step(now_ns)
+        if recovery.refusal and not state.has_fault("taken"):  # not yet reported by the read-back of the configuration
+            state.begin_fault(now_ns, "taken", recovery.refusal)
         if recovery.done:
             self._recovered(buffer, recovery, state, now_ns)
         return recovery.failure if isinstance(recovery.failure, OSError) else None
@@ -174,53 +175,53 @@ class SensorHealth:
         buffer.end_recovery()
         state.last_row_ns = now_ns
         state.lost.over(now_ns)
-        for episode in state.unwell:
+        for episode in state.lasting:
             episode.over(now_ns, reported=True)  # by what follows
-        state.unwell.clear()
+        state.lasting.clear()
         if recovery.intact:
             state.tell(now_ns, "back", f"answers again with its configuration intact, after {took_s:.2f} s")
         else:
             self._readback.give_up(buffer)
             buffer.trust()
-            buffer.begin_anew()
+            buffer.note_configured()
             state.tell(now_ns, "reconfigured", f"set up again after {took_s:.2f} s")
             if self._start_up is not None:
                 self._start_up.again(buffer, now_ns)
         self._readback.restart(buffer)
 
-    def not_as_it_was(self, buffer: SampleBuffer, at_ns: int, kind: str, message: str) -> None:
+    def lost_configuration(self, buffer: SampleBuffer, at_ns: int, kind: str, message: str) -> None:
         """Handle a chip that has lost its configuration or its address; its rows are already flagged."""
-        self._states[id(buffer)].falls_ill(at_ns, kind, message)
+        self._states[id(buffer)].begin_fault(at_ns, kind, message)
         buffer.recover(at_ns, look=False)
 
-    # Now and then ---------------------------------------------------------------------------------------------------
+    # At each tick ---------------------------------------------------------------------------------------------------
 
     def tick(self, now_ns: int) -> None:
         """Look for frozen sensors and wrong start-up states."""
         for buffer in self._buffers:
             state = self._states[id(buffer)]
             if buffer.recovery is None:
-                self._see_whether_it_moves(buffer, state, now_ns)
+                self._check_frozen(buffer, state, now_ns)
         if self._start_up is not None:
             self._judge(self._start_up, now_ns, last=False)
 
-    def _see_whether_it_moves(self, buffer: SampleBuffer, state: _SensorState, now_ns: int) -> None:
+    def _check_frozen(self, buffer: SampleBuffer, state: _SensorState, now_ns: int) -> None:
         if len(buffer.times_ns) != state.rows or state.last_row_ns is None:
             state.rows, state.last_row_ns = len(buffer.times_ns), now_ns
             if isinstance(buffer.queue, QueueReader):
                 state.overruns = buffer.queue.overruns
-        buffer.flag_what_is_frozen_still()
+        buffer.flag_frozen_rows()
         row = buffer.frozen_since()
         if row is not None:
             began_ns = buffer.still_since_ns(row)
-            buffer.thaw()
+            buffer.note_frozen()
             buffer.distrust(row)
             state.frozen.begin(now_ns, f"the same reading for {(now_ns - began_ns) * 1e-9:.2f} s")
         elif buffer.queue is not None and now_ns - state.last_row_ns > buffer.idle_ns:
             overruns = buffer.queue.overruns if isinstance(buffer.queue, QueueReader) else 0
             if overruns > state.overruns:  # there are samples
                 state.overruns = overruns
-                state.overrun.happened(now_ns, "its queue runs over between two frames: read more frames a second")
+                state.overrun.happened(now_ns, "its queue runs over between two frames: raise the frame rate")
                 return
             idle_s = (now_ns - state.last_row_ns) * 1e-9
             state.frozen.begin(now_ns, f"nothing in its queue for {idle_s:.1f} s{_lost_setting(buffer.driver)}")
@@ -237,7 +238,7 @@ class SensorHealth:
             if not verdict.fault:
                 continue
             buffer.distrust(0)
-            if start_up.hopeless(buffer):
+            if start_up.has_given_up(buffer):
                 buffer.condemn()
             elif not last:
                 buffer.recover(now_ns, look=False)
@@ -245,7 +246,7 @@ class SensorHealth:
     def finish(self, now_ns: int) -> None:
         """Judge the remaining rows at the end of the log."""
         for buffer in self._buffers:
-            buffer.flag_what_is_frozen_still()
+            buffer.flag_frozen_rows()
             if buffer.recovery is None and (row := buffer.frozen_since()) is not None:
                 buffer.distrust(row)
                 self._states[id(buffer)].tell(now_ns, "frozen", "the same reading until the end")
@@ -270,19 +271,19 @@ class SensorHealth:
         return min(self._readback.trusted_rows(buffer), rows - held)
 
     def written(self, buffer: SampleBuffer, block: Block, epoch_ns: int) -> None:
-        """Report what only the decoded status shows."""
+        """Report stale readings and overruns, which only the decoded status shows."""
         state = self._states[id(buffer)]
         state.rows -= len(block.time)
         if buffer.queue is None and buffer.driver.tells_fresh:
             late = state.freshness.overdue(block.time, block.status, buffer.doubtful_rows)
             if late.any():
-                _tell_at(block.time[late] + epoch_ns, state.stale, "no new reading although one was due")
+                _report_at(block.time[late] + epoch_ns, state.stale, "no new reading although one was due")
         if (block.status & OVERRUN).any():
             overrun = block.time[(block.status & OVERRUN) != 0] + epoch_ns
             why = (
                 "they were overwritten before they were read" if buffer.queue is None else "the chip's buffer was full"
             )
-            _tell_at(overrun, state.overrun, f"samples were lost: {why}")
+            _report_at(overrun, state.overrun, f"samples were lost: {why}")
 
 
 def _lost_setting(driver: Driver) -> str:
@@ -298,7 +299,7 @@ def _lost_setting(driver: Driver) -> str:
     return ""
 
 
-def _tell_at(times_ns: Times, episode: FaultEpisode, message: str) -> None:
+def _report_at(times_ns: Times, episode: FaultEpisode, message: str) -> None:
     """Note occurrences at all these times, as several episodes if there are long gaps."""
     for part in np.split(times_ns, np.flatnonzero(np.diff(times_ns) > QUIET_NS) + 1):
         if len(part):

@@ -35,7 +35,7 @@ class SensorRoute:
     driver: Driver
     segment: int | str | None
     claim: Callable[[], None] = _nobody_asks
-    """SensorError when a driver of the kernel has the sensor's address now."""
+    """Raises SensorError if a kernel driver owns the address of the sensor."""
 
     @property
     def header(self) -> SensorHeader:
@@ -130,7 +130,7 @@ def connect(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
 
 
 def _claim_mux(array: ArrayConfig, bus: OpenBus) -> None:
-    """Claim the multiplexer's address where the bus knows the owners of addresses; SensorError if the kernel owns it
+    """Claim the multiplexer's address if the bus knows the owners of addresses; SensorError if the kernel owns it
     (LNX-12).
     """
     ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
@@ -152,9 +152,9 @@ def _claim(ask: Callable[[int, str | None], None], sensor: SensorConfig) -> None
         ) from error
 
 
-def there_and_back(routes: Sequence[SensorRoute]) -> tuple[list[list[SensorRoute]], list[list[SensorRoute]]]:
-    """Return the visiting order of even and of odd frames, segment by segment, in alternating direction: a frame begins
-    where the previous one ended.
+def alternating_orders(routes: Sequence[SensorRoute]) -> tuple[list[list[SensorRoute]], list[list[SensorRoute]]]:
+    """Return the visiting orders of even and of odd frames, in opposite directions: a frame begins with the segment
+    with which the previous one ended.
 
     With k segments behind a multiplexer, a frame then needs k - 1 switches, the fewest possible. Within a segment the
     order of the configuration is kept in both directions. The spacing of a sensor's readings alternates by the time

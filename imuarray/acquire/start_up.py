@@ -1,4 +1,4 @@
-"""Start-up states of sensors: the rows of the first seconds wait until a `Judge` that knows the states has given a
+"""Start-up states of sensors: the rows of the first seconds wait until a `Judge`, which knows the states, has given a
 verdict.
 
 Some chips start with a different bias each time (the paper's Gyro3 has two), or in another range, and do not report it.
@@ -16,9 +16,9 @@ from imuarray.acquire.sample_buffer import SampleBuffer
 
 SECONDS = 10.0
 FEWEST_READINGS = 10
-"""The mean of fewer is too uncertain to be judged: noise would pass for another state."""
+"""The mean of fewer readings is too uncertain: noise could look like another state."""
 ATTEMPTS = 3
-"""How often a sensor that started wrong is configured again before none of its readings are trusted."""
+"""Most attempts to configure a sensor that started wrong; after them, none of its readings are trusted."""
 
 
 class StateVerdict(NamedTuple):
@@ -87,6 +87,6 @@ class StartUpCheck:
                 self._attempts[id(item)] = self._attempts.get(id(item), 0) + 1
         return judged
 
-    def hopeless(self, buffer: SampleBuffer) -> bool:
+    def has_given_up(self, buffer: SampleBuffer) -> bool:
         """Return whether all attempts to configure the sensor are used up."""
         return self._attempts.get(id(buffer), 0) >= ATTEMPTS

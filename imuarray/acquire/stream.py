@@ -106,7 +106,7 @@ class StreamHealth:
             row = rows.buffer.frozen_since()
             if row is not None and id(rows) not in self.ill:
                 lasted_s = (rows.buffer.times_ns[-1] - rows.buffer.still_since_ns(row)) * 1e-9
-                rows.buffer.thaw()
+                rows.buffer.note_frozen()
                 rows.buffer.distrust(row)
                 self.ill[id(rows)] = rows
                 self._note(rows, "frozen", f"the same reading for {lasted_s:.2f} s")
@@ -121,7 +121,7 @@ class StreamHealth:
                 self._note(rows, "start_up", verdict.text)
             if verdict.fault:
                 buffer.distrust(0)
-                if start_up.hopeless(buffer):
+                if start_up.has_given_up(buffer):
                     buffer.condemn()
                 else:
                     self.ill[id(rows)] = rows
@@ -137,7 +137,7 @@ class StreamHealth:
                 continue
             del self.ill[key]
             rows.buffer.trust()
-            rows.buffer.begin_anew()
+            rows.buffer.note_configured()
             for check in self._checks[id(rows)]:
                 check.wrong, check.good_rows = 0, len(rows.buffer.times_ns)
             self._note(rows, "reconfigured", "set up again")

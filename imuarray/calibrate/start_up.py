@@ -176,7 +176,7 @@ class StartUpVerdict(NamedTuple):
     text: str = ""
 
 
-class StartUpJudge:
+class StartStateDetector:
     """Judges the first readings of sensors (an `imuarray.acquire.start_up.Judge`): a call returns verdicts by name.
 
     `sentences` keeps every sentence; `report` is called with each new one. If the box moved, there are no verdicts.

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from imuarray.array import ArrayConfig
     from imuarray.bus.protocol import OpenBus
     from imuarray.bus.transcript import RecordingBus
-    from imuarray.calibrate.start_up import StartUpJudge
+    from imuarray.calibrate.start_up import StartStateDetector
     from imuarray.fuse.live_fusion import LiveFusion
 
 _HANG_UP: int | None = getattr(signal, "SIGHUP", None)  # Windows has none
@@ -355,16 +355,16 @@ def _array_and_bus(options: LogOptions) -> tuple[ArrayConfig, str]:
     return array.only(tuple(options.only.split(","))) if options.only else array, url
 
 
-def _judge(options: LogOptions, array: ArrayConfig) -> StartUpJudge | None:
+def _judge(options: LogOptions, array: ArrayConfig) -> StartStateDetector | None:
     """Return the detector of wrong start-up states; None without a calibration, and if --calibration is for --fuse and
     states none.
     """
     if options.calibration is None:
         return None
     from imuarray.calibrate import load_calibration
-    from imuarray.calibrate.start_up import StartUpJudge
+    from imuarray.calibrate.start_up import StartStateDetector
 
-    judge = StartUpJudge(load_calibration(options.calibration), array.sensitivities, _remark)
+    judge = StartStateDetector(load_calibration(options.calibration), array.sensitivities, _remark)
     return judge if judge.knows_states or not options.fuse else None
 
 
@@ -372,7 +372,7 @@ def _remark(text: str) -> None:
     click.echo(f"imuarray: {text}", err=True)
 
 
-def _fusion(options: LogOptions, judge: StartUpJudge | None) -> LiveFusion:
+def _fusion(options: LogOptions, judge: StartStateDetector | None) -> LiveFusion:
     """Return the fusion that runs while the log is recorded."""
     from imuarray.calibrate import Calibration, load_calibration
     from imuarray.chips import SENSITIVITIES

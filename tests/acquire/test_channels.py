@@ -12,7 +12,7 @@ import pytest
 
 from imuarray.acquire import connect, record
 from imuarray.acquire.bus_segment import channel_of
-from imuarray.acquire.sensor_routes import routes_of, there_and_back
+from imuarray.acquire.sensor_routes import alternating_orders, routes_of
 from imuarray.array import parse_array
 from imuarray.bus import open_bus
 from imuarray.log import open_log
@@ -27,7 +27,7 @@ def connected(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> Calla
         array = an_array(**channels)
         bus = tapped(array)
         routes = connect(array, bus)
-        return bus, [channel_of(part, routes, 40) for part in there_and_back(routes)[0]]
+        return bus, [channel_of(part, routes, 40) for part in alternating_orders(routes)[0]]
 
     return make
 

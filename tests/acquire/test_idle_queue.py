@@ -127,5 +127,5 @@ def test_a_queue_that_always_runs_over_is_told_from_an_empty_one(tmp_path: Path)
     with open_log(tmp_path / "run.h5") as log:
         assert {(event.sensor, event.kind) for event in log.events} == {("acc", "overrun"), ("gyro", "overrun")}
         first = min(log.events, key=lambda event: event.time_ns)
-        assert first.message.startswith("its queue runs over between two frames: read more frames a second")
+        assert first.message.startswith("its queue runs over between two frames: raise the frame rate")
         assert not (np.asarray(log["acc"].status[:]) & ~np.uint16(OVERRUN)).any()

@@ -15,7 +15,7 @@ import pytest
 from imuarray.acquire import connect, record
 from imuarray.acquire.record import Poll
 from imuarray.acquire.recording import Service
-from imuarray.acquire.sensor_routes import routes_of, there_and_back
+from imuarray.acquire.sensor_routes import alternating_orders, routes_of
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.errors import OutputExistsError, SensorError
@@ -35,9 +35,9 @@ def logged(path: Path, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return sensor.time[:], sensor.counts[:], np.asarray(sensor.status[:])
 
 
-def test_there_and_back(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None:
+def test_orders_alternate(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None:
     array = an_array(A=0, B=1, G=0, M=1, P=None)
-    there, back = there_and_back(routes_of(array, tapped(array)))
+    there, back = alternating_orders(routes_of(array, tapped(array)))
     names = [[[route.sensor.name for route in segment] for segment in order] for order in (there, back)]
     assert names == [[["A", "G"], ["B", "M"], ["P"]], [["P"], ["B", "M"], ["A", "G"]]]
 

@@ -77,7 +77,7 @@ def test_flags_stay_with_their_rows(steps: list[tuple[str, int]]) -> None:
             ours.trust()
             plain.doubt = False
         elif step == "set up":
-            ours.begin_anew()
+            ours.note_configured()
             plain.anew = True
         elif step == "take" and row:
             block = ours.take(row, 0)
@@ -94,7 +94,7 @@ def test_the_row_behind_the_written_ones_keeps_its_flags() -> None:
     ours.add(burst_of(1), 0)
     ours.add(burst_of(2), 1000)
     ours.mark_lost()
-    ours.begin_anew()
+    ours.note_configured()
     ours.add(burst_of(3), 2000, doubtful=True)
     assert ours.take(2, 0).status.tolist() == [0, 0]
     ours.add(burst_of(4), 3000)
@@ -152,15 +152,15 @@ def test_a_frozen_chip_that_a_set_up_did_not_change_is_flagged_from_its_first_re
     for index in range(60):
         ours.add(burst_of(5), index * FRAME_NS)
     assert ours.frozen_since() == 0
-    ours.thaw()
+    ours.note_frozen()
     ours.distrust(0)
     ours.trust()
-    ours.begin_anew()
+    ours.note_configured()
     for index in range(60, 70):
         ours.add(burst_of(5), index * FRAME_NS)
     for index in range(70, 80):
         ours.add(burst_of(6), index * FRAME_NS)
-    ours.flag_what_is_frozen_still()
+    ours.flag_frozen_rows()
     status = ours.take(80, 0).status
     np.testing.assert_array_equal((status & SUSPECT) != 0, np.arange(80) < 70)
 
@@ -185,7 +185,7 @@ def test_a_reading_that_stands_still_is_found_across_rows_that_were_written() ->
     ours.add(burst_of(77), 53 * STEP_NS)
     assert ours.frozen_since() == 0
     assert ours.still_since_ns(0) == 30 * STEP_NS
-    ours.begin_anew()
+    ours.note_configured()
     for index in range(54, 77):
         ours.add(burst_of(77), index * STEP_NS)
         ours.take(len(ours.times_ns) - 2, 0)

@@ -1,4 +1,6 @@
-"""Sensors that are unwell are told of, and looked after in their own place of the frame; the others lose no reading."""
+"""Sensors that are lasting are told of, and looked after in their own place of the frame; the others lose no
+reading.
+"""
 
 from __future__ import annotations
 

@@ -311,10 +311,10 @@ def test_a_chip_whose_reading_stands_still(an_array: Callable[..., ArrayConfig],
 
         bench.answered = answered
 
-    def thaw() -> None:
+    def note_frozen() -> None:
         bench.answered = lambda address, write, answer: answer
 
-    stream(bench, array, tmp_path / "r.h5", seconds=10, at={3.0: freeze, 6.0: thaw})
+    stream(bench, array, tmp_path / "r.h5", seconds=10, at={3.0: freeze, 6.0: note_frozen})
     time, counts, status = logged(tmp_path / "r.h5", "G")
     same = np.flatnonzero((counts[1:] == counts[:-1]).all(axis=1)) + 1
     assert len(same) > 100

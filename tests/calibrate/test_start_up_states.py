@@ -13,7 +13,7 @@ import pytest
 
 from imuarray.array import parse_array
 from imuarray.calibrate import load_calibration
-from imuarray.calibrate.start_up import StartUpJudge, _restlessness, start_up_states
+from imuarray.calibrate.start_up import StartStateDetector, _restlessness, start_up_states
 from imuarray.calibrate.turn_on import calibrate_turn_on
 from imuarray.chips import CHIPS
 from imuarray.cli import main
@@ -100,7 +100,7 @@ def test_the_bias_of_the_state_is_taken(calibration_file: Path, tmp_path: Path, 
 
 def test_live_fusion_is_given_the_same_biases(calibration_file: Path, tmp_path: Path) -> None:
     """By the judge of a recording, who has seen the same first seconds."""
-    judge = StartUpJudge(load_calibration(calibration_file), ARRAY.sensitivities)
+    judge = StartStateDetector(load_calibration(calibration_file), ARRAY.sensitivities)
     before = judge.in_states().sensors["G"].bias_lsb
     with open_log(write(tmp_path / "today.h5", 51, second=True)) as log:
         judge({name: np.asarray(log[name].counts[:500]) for name in ("B", "B2", "G")})
