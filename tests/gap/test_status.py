@@ -88,3 +88,4 @@ def test_repeats_are_not_compared_where_readings_come_while_they_are_read(doubtf
         probe = PROBES[name]
         assert isinstance(probe, PhaseProbe)
         assert np.isfinite(probe.statistic(summary)).all() == is_told
+        assert np.shape(probe.statistic(summary)) == ()  # the same in phases with a value and without

@@ -20,7 +20,7 @@ def flagged(names: tuple[str, ...], summary: Summary) -> Floats:
 
 def stale(summary: Summary) -> Floats:
     """arcsine of the share of rows that are no new reading; nan if polls do not tell it."""
-    return flagged(("stale",), summary) if tells_repetitions(summary) else np.full(1, np.nan)
+    return flagged(("stale",), summary) if tells_repetitions(summary) else np.asarray(np.nan)
 
 
 def words(summary: Summary) -> Floats:

@@ -49,7 +49,7 @@ def tells_repetitions(summary: Summary) -> bool:
 def repeats(summary: Summary) -> Floats:
     """arcsine of the share of rows that equal the one before on all axes; nan if polls do not tell it."""
     if not tells_repetitions(summary):
-        return np.full(1, np.nan)
+        return np.asarray(np.nan)
     share = summary.repeats.repeat_share
     return arcsine(share * (summary.rows - 1), summary.rows - 1)
 
