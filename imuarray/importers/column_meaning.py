@@ -42,8 +42,8 @@ _BEGIN = r"(?<![a-z])"
 """Before a letter that names a quantity: the beginning of the name, or of its last part (`imu0_gx`)."""
 _QUANTITIES: Sequence[tuple[str, re.Pattern[str]]] = (
     ("magnetic_field", re.compile(rf"mag|compass|field|{_BEGIN}[mihb]\*", re.IGNORECASE)),
-    ("angular_rate", re.compile(rf"gyr|rot|omega|{_BEGIN}ang|rate(?!d)|{_BEGIN}(?:[gwpr]|rg)\*", re.IGNORECASE)),
-    ("specific_force", re.compile(rf"acc|force|{_BEGIN}(?:l?a|g?_?f)\*|gravity|lin", re.IGNORECASE)),
+    ("angular_rate", re.compile(rf"gyr|rot|omega|{_BEGIN}ang(?!le)|rate(?!d)|{_BEGIN}(?:[gwpr]|rg)\*", re.IGNORECASE)),
+    ("specific_force", re.compile(rf"acc|beschl|force|{_BEGIN}(?:l?a|g?_?f)\*|gravity|lin", re.IGNORECASE)),
 )
 _QUANTITY_OF_UNIT: Mapping[str, str] = {unit: quantity for quantity, units in UNITS_OF.items() for unit in units}
 """Every unit belongs to one quantity."""
@@ -78,7 +78,8 @@ _VALUES = re.compile(r"v(al(ue)?s?)?[._ ]?\[?\*\]?|[bl]e\[\*\]", re.IGNORECASE)
 _QUATERNION = re.compile(r"q(uat)?[._ ]?\*|.*quat.*", re.IGNORECASE)
 _WRAPS = (2.0**32, 2.0**24, 2.0**16)
 _INDEX = re.compile(
-    r"(sample|row|index|count(er)?|cnt|no|nr|n|i|seq|packet)s?[ _]?(no|nr|number|index|counter)?", re.IGNORECASE
+    r"(sample|row|index|count(er)?|cnt|no|nr|n|i|seq(uence)?|packet|frame)s?[ _]?(no|nr|number|index|count(er)?)?",
+    re.IGNORECASE,
 )
 """Names of columns that number the rows."""
 
@@ -145,6 +146,11 @@ def instance_column(names: Sequence[str], columns: Sequence[Floats]) -> int | No
         if 1 < len(np.unique(values)) <= _MOST_INSTANCES and np.mean(np.diff(values) != 0) > _ALTERNATES:
             return index
     return None
+
+
+def is_time(name: str) -> bool:
+    """Return whether a column is called a time."""
+    return bool(_TIME.search(name))
 
 
 def column_label(names: Sequence[str], index: int) -> str:
@@ -574,6 +580,10 @@ def _with_quantity(
     known = [triad for triad in triads if triad[0]]
     if not known:
         return [("specific_force", indices) for _, indices in triads]
+    if not any(quantity == "specific_force" for quantity, _ in known):
+        felt = [triad for triad in triads if not triad[0] and _is_steady_gravity(columns, triad[1])]
+        triads = [("specific_force", triad[1]) if triad in felt[:1] else triad for triad in triads]
+        known = [triad for triad in triads if triad[0]]
     others = [first_name(triad) for triad in triads if not triad[0]]
     if others:
         proposal.doubts.append(

@@ -33,6 +33,7 @@ from imuarray.importers.column_meaning import (
     is_gravity,
     is_in_mg,
     is_of_a_quantity,
+    is_time,
     kind_column,
     propose_columns,
     propose_kind,
@@ -46,7 +47,7 @@ from imuarray.importers.mimu4444 import is_recording
 from imuarray.importers.plausibility import radii_of, report_of, turns_of
 from imuarray.importers.records import FIRST_WORDS, WORD_ORDERS
 from imuarray.importers.resolution import SENSITIVITIES
-from imuarray.importers.sources import ZIP, RecordingRows, open_rows, reader_of, texts_in, unpack_texts
+from imuarray.importers.sources import ZIP, RecordingRows, open_rows, reader_of, stem_of, texts_in, unpack_texts
 from imuarray.importers.table import import_table
 from imuarray.importers.text_layout import (
     INVERTED_Y,
@@ -365,7 +366,7 @@ def _propose_map(path: Path) -> Proposal:
                         proposal.time = time_lines([], cells, 1, {}, proposal)
                     force_unit = propose_kind(proposal, kind, cells, force_unit)
             return proposal
-        return _propose_table(_Text(layout, names, rows, path.name.partition(".")[0]))
+        return _propose_table(_Text(layout, names, rows, stem_of(path)))
     map_ = parse_map(_PROBE, "guess")
     source = open_rows(path, path.with_suffix(".guess"), map_, lambda done: None)
     proposal = Proposal(TextLayout())
@@ -450,6 +451,9 @@ class _Text(NamedTuple):
 def _propose_table(text: _Text) -> Proposal:
     """Propose a map of a text with one table, whose rows may be of several instances of a sensor."""
     columns, dates = columns_of(text.rows, text.layout), dates_of(text.rows)
+    if dates and len({row[min(dates)] for row in text.rows}) < _FEW_DATES * len(text.rows):
+        timed = [name for name, values in zip(text.names, columns, strict=False) if is_time(name) and increases(values)]
+        dates = {} if timed else dates  # the phone's time of a packet, and the sensor's of each row
     units = units_below_header(text.layout, text.names)
     words = kind_column(text.names, text.rows)
     instance = instance_column(text.names, columns) if words is None else words
@@ -474,6 +478,10 @@ def _propose_table(text: _Text) -> Proposal:
         partial = propose_columns(text.layout, text.names, of_kind, dates, stem, units)
         _add_kind(proposal, kind, partial)
     return proposal
+
+
+_FEW_DATES = 0.5
+"""Share of the rows that have a date of their own, below which a column of numbers is the better time."""
 
 
 def _propose_folder(folder: Path) -> Proposal:

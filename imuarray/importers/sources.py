@@ -117,7 +117,14 @@ _TEXTS = (".csv", ".txt", ".tsv", ".csv.gz", ".txt.gz", ".tsv.gz")
 def texts_in(folder: Path) -> dict[str, Path]:
     """Return the texts of a folder by their names without suffix."""
     paths = sorted(path for path in folder.iterdir() if path.is_file() and path.name.lower().endswith(_TEXTS))
-    return {path.name.partition(".")[0]: path for path in paths}
+    return {stem_of(path): path for path in paths}
+
+
+def stem_of(path: Path) -> str:
+    """Return the name of a text without its suffix; dots in it stay, as in times of recording."""
+    name = path.name.lower()
+    suffix = next((suffix for suffix in sorted(_TEXTS, key=len, reverse=True) if name.endswith(suffix)), path.suffix)
+    return path.name[: len(path.name) - len(suffix)] if suffix else path.name
 
 
 MOST_UNPACKED = 1 << 34

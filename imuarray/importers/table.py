@@ -590,7 +590,7 @@ class _Recording:
             said = f"{resolution.sensitivity:.6g} counts per {unit}, range {resolution.range:g} {unit}, {how}"
             alike.setdefault(said, []).append(name)
         remarks = [f"{listed(names)}: {said}" for said, names in alike.items()]
-        return [*remarks, *self._changes()]
+        return list(dict.fromkeys([*remarks, *self._changes()]))
 
 
 def _phase(phase: PhaseTable, time_of: dict[int, int], first_ns: int) -> Phase:
