@@ -151,6 +151,7 @@ def means_of(left: Campaign) -> Floats:
     return found.values[[key.probe == "mean" and key.sensor.startswith("A") for key in found.keys]]
 
 
+@pytest.mark.slow
 def test_one_sensors_scale_is_seen_and_that_of_all_alike_is_half_hidden() -> None:
     """A1 alone reads 5 % more: half of it goes into the direction's length, which is taken as 1; the rest is left."""
     motion = posed(directions(12))

@@ -33,6 +33,7 @@ def fitted_to(kind: str, more: object = None, seed: int = 0) -> Base:
     return fit(campaign_of(kind, more, seed), PLANS[kind])  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_heated_array_gives_back_what_was_put_in() -> None:
     """Noise within 5 standard errors of a median of 64 variances, slopes and offsets within 5 of a straight line."""
     rows = sum(part.sensors["A1"].rows for part in campaign_of("heating").logs[0].phases)
@@ -87,6 +88,7 @@ def test_a_sensor_that_was_never_at_rest_is_ideal() -> None:
     )
 
 
+@pytest.mark.slow
 def test_what_is_predicted_is_taken_away() -> None:
     """A fitted mean is left at 0; of a scale error of 5 % the 2 % that the data sheet allows (BMA-74) are fitted, and
     the 0.3 % that gravity may be off.
@@ -463,6 +465,7 @@ def test_rows_of_a_queue_are_readings_whatever_the_clock_does() -> None:
     assert (polled["G1"], polled["G2"]) == ([], [1.0])
 
 
+@pytest.mark.slow
 def test_accelerometers_of_a_replicate_have_a_bias_in_common() -> None:
     """The same in the box, whatever way a chip is mounted; gyroscopes have none. 400 draws give the standard deviation
     to 3.5 %.

@@ -79,12 +79,14 @@ def test_a_faint_line_from_a_moment_on() -> None:
         assert end_s == np.inf
 
 
+@pytest.mark.slow
 def test_a_line_that_is_always_on_and_noise_have_no_stretch() -> None:
     """In one of twenty logs at most: of 60 logs of each kind 6 or more have one with a probability of 0.03."""
     assert sum(bool(lines_on(line_source(5200, seed, 3.0), 5200)) for seed in range(60)) <= 5
     assert sum(bool(lines_on(line_source(5200, seed), 5200)) for seed in range(60)) <= 5
 
 
+@pytest.mark.slow
 def test_a_long_phase_needs_little_memory() -> None:
     """A line in the second half of 400,000 rows: 64 windows have 2000 stretches, and windows of 64 rows 20 million."""
     source = line_source(400_000, 1, 1.0, 200_000)

@@ -61,6 +61,7 @@ def test_an_axis_within_the_population_has_no_part_in_it() -> None:
     assert found.error[1:] == (0.0, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effect", [Scale((0.1,) * 3, spans=(0, 17.0, 1e9)), Bias((0.0, 0.0, 0.1), spans=(0, 17.0, 1e9))]
 )
@@ -78,6 +79,7 @@ def test_a_level_that_changes_in_a_motion_is_that_of_a_bias_or_of_a_scale(effect
         assert trial.free == ({"bias": "offset", "scale": "error"}[trial.name],)
 
 
+@pytest.mark.slow
 def test_a_level_that_changes_at_rest_is_that_of_a_bias() -> None:
     evidence = evidence_of("static", "A1", {"A1": (Scale((0.1,) * 3, spans=(0, 15.0, 1e9)),)})
     (trial,) = bias.guesses(evidence)

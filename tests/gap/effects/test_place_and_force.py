@@ -166,6 +166,7 @@ def test_an_exchange_shows_by_its_axes(kind: str) -> None:
         assert (exchange.sensor, exchange.others) == (sensor, (other,))
 
 
+@pytest.mark.slow
 def test_two_opposite_faces_show_an_exchange_by_a_level() -> None:
     """They measure no response; an axis reads 1 g where another should."""
     both = {"A1": (ChannelSwap("A2", "place"),), "A2": (ChannelSwap("A1", "place"),)}
@@ -218,6 +219,7 @@ def test_readings_of_another_for_a_while(
         assert trial.opposite_fitted.offset == pytest.approx((-1.0,) * 3, abs=0.02)
 
 
+@pytest.mark.slow
 def test_an_exchange_from_a_moment_of_a_tumble_on() -> None:
     """Each face follows once, so that no level comes twice; both logs after the moment are exchanged."""
     acting = spans_of(((0, 70.0, math.inf), (1, 0.0, math.inf)))
@@ -230,6 +232,7 @@ def test_an_exchange_from_a_moment_of_a_tumble_on() -> None:
     assert first[1] == pytest.approx(70.0, abs=5.0)
 
 
+@pytest.mark.slow
 def test_an_exchange_in_any_of_the_logs() -> None:
     """Each segment of two accelerometers that lie differently tells whose readings it has: all of the log at rest and
     the end of the tumble, in whatever order they were recorded.

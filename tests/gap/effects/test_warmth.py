@@ -62,6 +62,7 @@ def test_a_part_of_the_bias_that_lags(time_constant_s: float) -> None:
     assert trial.fitted.slope == pytest.approx((0.05,) * 3, abs=0.002)
 
 
+@pytest.mark.slow
 def test_the_lagged_temperature() -> None:
     """Behind a slow ramp by its slope times the time constant, once that has passed."""
     found = levels(evidence_of("heating", "A1", seed=7))
