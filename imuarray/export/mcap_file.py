@@ -294,10 +294,14 @@ def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Met
     for rows in table.blocks(_BLOCK):
         time_ns = np.asarray(table.columns[0].read(rows) + zero_ns, np.int64)
         cells = [np.asarray(column.read(rows)).reshape(len(time_ns), -1) for column in columns]
-        finite = np.stack([np.isfinite(cell).all(axis=1) for cell in cells], axis=1)
+        known = [np.isfinite(cell) for cell in cells]
+        if len(time_ns) and all(each.all() for each in known):  # the usual case: row by row takes long
+            finite = np.ones((1, len(cells)), bool)
+        else:
+            finite = np.stack([each.all(axis=1) for each in known], axis=1)
         sequence = np.arange(rows.start, rows.stop) & 0xFFFF_FFFF
-        if len(finite) and (finite == finite[0]).all():  # the usual case: to compare rows of flags takes long
-            patterns, which = finite[:1], np.zeros(len(finite), np.intp)
+        if len(finite) and (finite == finite[0]).all():
+            patterns, which = finite[:1], np.zeros(len(time_ns), np.intp)
         else:
             patterns, which = np.unique(finite, axis=0, return_inverse=True)
         parts = []
