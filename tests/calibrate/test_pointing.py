@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imuarray.calibrate.pointing import TURNS, Pointing, find_pointing, upright_poses, with_axes
-from imuarray.commands.calibrate_axes import print_report, report_of
+from imuarray.commands.calibrate import _axes_report, _print_axes
 from imuarray.errors import CalibrationError, ConfigError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Phase, SensorHeader
@@ -198,9 +198,9 @@ def test_names_that_are_none_are_nobodys() -> None:
 def test_the_report_names_the_residual_of_each_sensor(capsys: pytest.CaptureFixture[str]) -> None:
     """Programs that read the former key `left` still find it."""
     pointings = [Pointing("A1", "bma180", "+Y-X+Z", 0.02, 1.41), Pointing("G1", "l3g4200d", "", 0.6, 0.7, "no turn")]
-    report = report_of(pointings, {"A1": "+X+Y+Z", "G1": "+X+Y+Z"})
+    report = _axes_report(pointings, {"A1": "+X+Y+Z", "G1": "+X+Y+Z"})
     assert report["sensors"][0]["residual"] == report["sensors"][0]["left"] == 0.02
-    print_report(report)
+    _print_axes(report)
     lines = capsys.readouterr().out.splitlines()
     assert [line.split() for line in lines[:2]] == [
         ["sensor", "axes", "residual", "next", "best"],
