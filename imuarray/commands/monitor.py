@@ -166,9 +166,9 @@ def _run(options: MonitorOptions) -> None:
 
 def _monitor(run: Path, calibration: Calibration | None, result: Path | None) -> LogMonitor:
     from imuarray.monitor import LogMonitor
-    from imuarray.monitor.server import step_back
+    from imuarray.monitor.server import lower_priority
 
-    step_back()
+    lower_priority()
     return LogMonitor(run, calibration=calibration, result=result)
 
 

@@ -1,7 +1,7 @@
 """Composition of a snapshot from rows that were read: sensors in data sheet units, frames, disk space, fused output.
 
-The fused output of the last seconds is the result that is written next to the log, else the average of the rows at
-hand.
+The fused output of the last seconds is the result that is being written beside the log, or else the average of the
+rows that were read.
 """
 
 from __future__ import annotations
@@ -32,22 +32,21 @@ from imuarray.monitor.window import Gaps, LatestRows, MemoryLog, Rows
 from imuarray.units import INERTIAL
 
 _LAST_NS = 1_000_000_000
-"""Last part of the log, whose mean is shown as the current reading; a sensor without readings in it is silent."""
+"""Length of the last part of the log, whose mean is the current reading; a sensor without readings in it is silent."""
 _PATIENCE = 2.5
-"""Periods of a slow sensor before it is silent."""
+"""Periods without a reading after which a slow sensor is silent."""
 _LEAST_ROWS = 128
-"""For a spectrum."""
+"""Least number of rows for a spectrum."""
 _BREAK = 3.0
-"""Periods: behind a longer step the rows are a run of their own."""
+"""Step in periods above which the rows after it are a separate run."""
 _PRESSURE = "pressure"
 
 
 def view_of(
     sensor: SensorLog, window: LatestRows, earlier: Gaps, extent: tuple[int, int], frame_period_ns: int = 0
 ) -> SensorView:
-    """Return the view of a sensor: `sensor` holds the window's rows, `earlier` are gaps before them. `extent`
-    are the times of the first and of the newest row of the log. Frames lie on a grid of `frame_period_ns` (0: on none
-    that is known).
+    """Return the view of a sensor: `sensor` has the rows of the window, `earlier` are gaps before them. `extent` are
+    the times of the first and of the newest row of the log; `frame_period_ns` is the period of its frames (0: unknown).
     """
     time = window.time
     values, unit, columns = _values(sensor, window)
@@ -81,19 +80,21 @@ def view_of(
 
 
 def _reach_ns(window: LatestRows) -> float:
-    """Before the newest row of the log, in which a sensor gives one at least."""
+    """Return the time before the newest row of the log in which a sensor that is not silent has a row."""
     return max(float(_LAST_NS), _PATIENCE * window.usual_ns)
 
 
 def _silence(window: LatestRows, extent: tuple[int, int]) -> int:
-    """Return how long a sensor gave nothing, in ns up to the newest row of the log; 0 for one that is not silent."""
+    """Return how long a sensor has been silent, in ns up to the newest row of the log; 0 if it is not silent."""
     begins_ns, ends_ns = extent
     since_ns = ends_ns - (int(window.newest[-1]) if len(window.newest) else begins_ns)
     return since_ns if since_ns > _reach_ns(window) else 0
 
 
 def _missed_rows(window: LatestRows, earlier: Gaps, silent_ns: int, frame_period_ns: int) -> int:
-    """Rows that are missing up to the newest one of the log, of a sensor that is read once a frame (0: it is not)."""
+    """Return the number of missing rows up to the newest row of the log; `frame_period_ns` is 0 for a sensor that is
+    not read once per frame.
+    """
     if frame_period_ns:
         missing = missing_rows(window.first_ns or 0, window.newest, window.total, frame_period_ns)
     else:
@@ -103,7 +104,7 @@ def _missed_rows(window: LatestRows, earlier: Gaps, silent_ns: int, frame_period
 
 
 def _values(sensor: SensorLog, window: LatestRows) -> tuple[Floats, str, tuple[str, ...]]:
-    """Return the rows (n, k) in physical units, the unit, what the columns are called."""
+    """Return the rows (n, k) in physical units, the unit, and the names of the columns."""
     counts = np.asarray(window.rows.get("counts", np.empty((0, 3))), float)
     if sensor.is_triad and sensor.sensitivity > 0:
         return counts / sensor.axis_sensitivity, sensor.unit, ("x", "y", "z")
@@ -113,7 +114,7 @@ def _values(sensor: SensorLog, window: LatestRows) -> tuple[Floats, str, tuple[s
 
 
 def _use(sensor: SensorLog, window: LatestRows) -> tuple[Floats | None, Floats | None]:
-    """Return the share of the range that is used, in the window and at most so far."""
+    """Return the largest used share of the range in the window and in the log so far."""
     full = sensor.range * sensor.sensitivity
     if not (sensor.is_triad and full > 0 and len(window.time)) or window.peak_lsb is None:
         return None, None
@@ -138,14 +139,14 @@ def _finite_mean(rows: Any) -> float | None:
 
 
 def _flags(window: LatestRows) -> dict[str, int]:
-    """Rows of the window that bear a flag, by its name."""
+    """Return the number of rows of the window with each flag that occurs."""
     status = np.asarray(window.rows.get("status", np.empty(0, np.uint16)))
     counts = {name: int(((status & flag) != 0).sum()) for name, flag in FLAGS.items()}
     return {name: count for name, count in counts.items() if count}
 
 
 def _spectrum(window: LatestRows, values: Floats) -> Spectrum | None:
-    """Return the power spectral density of the window's rows in squared units per Hz; None for too few of them."""
+    """Return the power spectral density of the window's rows in squared units per Hz; None if there are too few."""
     if len(values) < _LEAST_ROWS or window.period_ns <= 0 or not np.isfinite(values).all():
         return None
     welch = Welch(1e9 / window.period_ns, segment_rows(len(values)), values.shape[1])
@@ -159,21 +160,21 @@ def _spectrum(window: LatestRows, values: Floats) -> Spectrum | None:
 
 TECHNIQUE = "mean"
 _PATIENCE_S = (0.02, 0.05, 0.0)
-"""Pause after each attempt to read a result that is just being written."""
+"""Pause after each attempt to read a result that is being written."""
 
 
 def fused_now(log: Log, calibration: Calibration) -> FusedView:
-    """Return the average of the sensors of `log`, which holds the last seconds; ImuArrayError says why it can't
-    be had.
+    """Return the average of the sensors of `log`, which has the last seconds; ImuArrayError states why there is
+    none.
     """
     block = FusedBlock.joined(list(fuse(log, calibration, TECHNIQUE)))
     return _view(TECHNIQUE, bool(calibration.sensors), block)
 
 
 def fused_beside(path: Path, epoch: str, start_ns: int, given: Path | None = None) -> FusedView | None:
-    """Return the last rows of the result that is written, or was, beside the log at `path`, from `start_ns` on:
-    `RUN_fused.h5` or the file `given`; of a log cut into parts that of the part (`RUN_001_fused.h5`, `GIVEN_001.h5`) or
-    of the whole. None if it is not there, is of another log or ends before.
+    """Return the rows from `start_ns` of the fused result beside the log at `path`: `RUN_fused.h5` or the file `given`;
+    for a log that is split into parts, the result of the part (`RUN_001_fused.h5`, `GIVEN_001.h5`) or of the whole.
+    None if it does not exist, belongs to another log or ends before.
     """
     cut = re.fullmatch(r"(.+)(_\d{3,})", path.stem)
     whole, part = (cut[1], cut[2]) if cut else (path.stem, "")
@@ -185,7 +186,7 @@ def fused_beside(path: Path, epoch: str, start_ns: int, given: Path | None = Non
         for patience_s in _PATIENCE_S if candidate.is_file() else ():
             try:
                 view = _read(candidate, epoch, start_ns)
-            except LogError:  # it was being written just then, or is none
+            except LogError:  # it is being written, or is not a fused result
                 time.sleep(patience_s)
                 continue
             if view is not None:
@@ -195,11 +196,11 @@ def fused_beside(path: Path, epoch: str, start_ns: int, given: Path | None = Non
 
 
 def _read(path: Path, epoch: str, start_ns: int) -> FusedView | None:
-    """Read it as it is on the disk now, without a lock that could block its writer. LogError."""
+    """Read a result as it is on the disk now, without a lock that could block its writer. LogError."""
     with fused_columns(path) as (said, columns):
         if said.get("epoch") != epoch:
             return None
-        rows = rows_of(columns)  # the newest may be there in part
+        rows = rows_of(columns)  # the newest row may be incomplete
         first = first_at(columns["time"], start_ns, rows)
         at_ns = np.asarray(columns["time"][first:rows], np.int64)
         triads: dict[str, Floats] = {
@@ -222,9 +223,9 @@ def _view(technique: str, calibrated: bool, block: FusedBlock) -> FusedView:
 
 
 _ALIKE = 0.05
-"""Sensors are read in the same frames if their rates differ by no more than this share."""
+"""Sensors are read in the same frames if their rates differ by at most this share."""
 _COPIES = 2
-"""A row stands in the journal and in the HDF5 file."""
+"""Each row is stored in the journal and in the HDF5 file."""
 
 
 def snapshot_of(
@@ -326,14 +327,14 @@ def _frames(views: Sequence[SensorView]) -> list[SensorView]:
 
 
 def _missed_frames(frames: Sequence[SensorView], period_ns: int) -> int:
-    """Count missed frames by the grid that they lie on, else by what is missing from every sensor."""
+    """Count missed frames by the grid of the frames, or else by the rows that all sensors lack."""
     framed = [(view.first_ns, view.missed) for view in frames if view.framed and view.first_ns is not None]
     known = missed_by_all(framed, period_ns)
     return min((view.missed for view in frames), default=0) if known is None else known
 
 
 def _disk(source: LogSource, views: Sequence[SensorView]) -> Disk | None:
-    """Room, and how long it lasts; None where the disk does not say."""
+    """Return the free space and how long it lasts; None if it is unknown."""
     try:
         free = free_bytes(source.path)
     except OSError:

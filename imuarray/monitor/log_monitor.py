@@ -1,7 +1,7 @@
 """Monitors a log from outside: `LogMonitor(path).refresh(now_s)` returns a snapshot of it, at bounded cost.
 
-It only reads, follows a log that is split into parts from one to the next, and starts again where another log takes the
-name.
+It only reads, follows a log that is split into parts from each part to the next, and starts again if another log takes
+the name.
 
 All pages share snapshots, which are taken on request and at most once per interval. Bokeh draws the figures in the
 browser: axes and colours are defined here, the data are in the snapshots. The page labels the curves next to the
@@ -39,8 +39,8 @@ SPAN_S = 10.0
 
 
 class LogMonitor:
-    """The log at `path`, which need not be there yet, or of that name cut into parts; its last `span_s`. A context
-    manager. `result` is where its fused output is written (None: `RUN_fused.h5` beside it).
+    """The monitor of the last `span_s` of the log at `path`, which need not exist yet, or of the parts into which it is
+    split. A context manager. `result` is the file of its fused output (None: `RUN_fused.h5` beside it).
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class LogMonitor:
         self._remark = ""
 
     def refresh(self, now_s: float) -> Snapshot:
-        """Return the snapshot at `now_s`, a monotonic time. Errors of the log are its remark, not raised."""
+        """Return the snapshot at `now_s`, a monotonic time. Errors of the log are not raised but are its remark."""
         start_s = self._stopwatch()
         try:
             self._look(now_s)
@@ -73,7 +73,7 @@ class LogMonitor:
         except ImuArrayError as error:
             self._remark = str(error)
             self.close()
-        except DAMAGE as error:  # the file changes while it is read: it is looked at anew
+        except DAMAGE as error:  # the file changes while it is read: the next refresh opens it again
             self._remark = f"{self.path}: {reason_of(error)}"
             self.close()
         return Snapshot(self.path, WAITING, self._remark)
@@ -95,7 +95,7 @@ class LogMonitor:
         source.backlog.step({name: window.usual_ns for name, window in source.read_rows.windows.items()})
 
     def _found(self) -> Path:
-        """Return the log, or where there is none of that name, its newest part that has begun."""
+        """Return the log, or if there is none of that name its newest part that has rows."""
         if self.path.exists() or not self.path.parent.is_dir():
             return self.path
         pattern = re.compile(rf"{re.escape(self.path.stem)}_(\d{{3,}}){re.escape(self.path.suffix)}")
@@ -105,19 +105,19 @@ class LogMonitor:
         return next((part for part in reversed(parts) if _has_begun(part)), parts[-1] if parts else self.path)
 
     def _open(self, path: Path, now_s: float) -> LogSource | None:
-        """Start anew with what is there; None if it is not there yet."""
+        """Open a log and start again; None if it does not exist yet."""
         self.close()
         self._fresh_s = now_s
         if not path.exists():
-            self._remark = f"{path}: not there yet"
+            self._remark = f"{path}: does not exist yet"
             return None
         self._there, self._remark = look(path), ""
         self._source = _source(path, ReadRows(self._span_ns))
         return self._source
 
     def _turned(self, source: LogSource, followed: bool) -> LogSource:
-        """Return the part in which the log goes on. One that was `followed` while it was written is followed on,
-        whatever became of the next; what was seen goes on too, as long as no part is passed over.
+        """Return the part in which the log continues. A part that was `followed` while it was written is succeeded by
+        the next part even if that is finished; the rows that were read are kept unless a part is skipped.
         """
         parts = _parts_behind(source.path)
         if not parts or not (followed or is_running(parts[-1])):
@@ -130,15 +130,15 @@ class LogMonitor:
         self._there = look(part)
         for name, window in source.read_rows.windows.items():
             window.gaps += source.backlog.gaps(name)
-        source.read()  # what came just before the next part began
+        source.read()  # the rows that were written before the next part began
         turned = _source(part, source.read_rows if goes_on else ReadRows(self._span_ns))
         source.close()
-        self._source, self._remark = turned, f"goes on in {part.name}"
+        self._source, self._remark = turned, f"continues in {part.name}"
         turned.read()
         return turned
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         if self._source is not None:
             self._source.close()
         self._source = None
@@ -155,7 +155,7 @@ def _source(path: Path, read_rows: ReadRows) -> LogSource:
 
 
 def _parts_behind(path: Path) -> list[Path]:
-    """Return the parts that are there behind this one, in order; none for what is no part."""
+    """Return the existing parts after this one, in order; none if `path` is not a part."""
     match = re.fullmatch(r"(.+)_(\d{3,})", path.stem)
     if match is None:
         return []
@@ -164,7 +164,7 @@ def _parts_behind(path: Path) -> list[Path]:
 
 
 def _has_begun(path: Path) -> bool:
-    """Return whether a log is there and has rows: the next part of one is begun seconds before it is required."""
+    """Return whether a log exists and has rows: the next part is created some seconds before it is needed."""
     if not path.exists():
         return False
     if not is_running(path):
@@ -205,8 +205,8 @@ THEMES: Mapping[str, Theme] = MappingProxyType(
 
 
 class FigureKind(NamedTuple):
-    """Figures that differ by their data alone: "trace" over time or "density" over frequency, what the columns are
-    called, the unit.
+    """The kind of figures that differ only by their data: "trace" over time or "density" over frequency, the names of
+    the columns, and the unit.
     """
 
     plot: str
@@ -260,7 +260,7 @@ def _ticks(steps: tuple[int, ...]) -> list[float]:
 
 
 def _dress(plot: Any, theme: Theme) -> None:
-    """Quiet surroundings in the colours of the page."""
+    """Draw the surroundings of the curves unobtrusively in the colours of the page."""
     plot.background_fill_alpha = plot.border_fill_alpha = 0.0
     plot.outline_line_color = None
     plot.grid.grid_line_color = theme.grid
@@ -276,7 +276,7 @@ _XYZ = ("x", "y", "z")
 
 
 class SharedSnapshots:
-    """Snapshots of one log, shared by all clients; taken in a thread of their own, one at a time."""
+    """Snapshots of one log, shared by all clients; taken in a separate thread, one at a time."""
 
     def __init__(self, monitor: LogMonitor, every_s: float) -> None:
         self.every_s = every_s
@@ -319,7 +319,7 @@ class SharedSnapshots:
         return await asyncio.get_running_loop().run_in_executor(self._thread, make)
 
     def close(self) -> None:
-        """Take no more snapshots: further requests get the last one."""
+        """Take no more snapshots; further requests get the last one."""
         self._is_closed = True
         self._thread.shutdown()
         self._monitor.close()

@@ -1,9 +1,8 @@
 """The sources of a monitor: a log that is being written, read through its journal (`Growing`), and any other (`Whole`).
 
-The reader of a growing log continues from where it was, so that a refresh costs what has arrived since, however long
-the log is. What was before it began is known from the last commits of the HDF5 file, whose rows are read as far as they
-were committed. `Backlog` counts delayed and missed rows from before the monitor began a piece at a time, so that a long
-log makes no refresh longer.
+The reader of a growing log continues from its last position, so that the cost of a refresh depends only on the new
+rows. Rows from before the monitor began are read from the HDF5 file up to its last commits. `Backlog` counts delayed
+and missed rows among them a piece at a time, so that no refresh of a long log takes longer.
 """
 
 from __future__ import annotations
@@ -32,11 +31,13 @@ from imuarray.monitor.window import STRIDE, Attributes, Gaps, LatestRows, gaps_o
 from imuarray.units import INERTIAL
 
 AT_ONCE = 1 << 19
-"""Rows that are read at one look."""
+"""Most rows that one refresh counts."""
 
 
 class Backlog:
-    """The first rows of time columns by sensor: (column, rows). `close` is called once all of them are counted."""
+    """The rows from before the monitor began: (time column, number of rows) by sensor. `close` is called when all are
+    counted.
+    """
 
     def __init__(self, columns: Mapping[str, tuple[Any, int]], close: Callable[[], None] = lambda: None) -> None:
         self._columns = dict(columns)
@@ -47,15 +48,15 @@ class Backlog:
 
     @property
     def counted(self) -> float:
-        """The share of its rows that were counted."""
+        """The share of the rows that are counted."""
         return sum(self._done.values()) / self._total if self._total else 1.0
 
     def gaps(self, name: str) -> Gaps:
-        """Return the gaps of a sensor, as far as they were counted."""
+        """Return the gaps of a sensor that are counted so far."""
         return self._gaps.get(name, Gaps())
 
     def step(self, periods_ns: Mapping[str, float]) -> None:
-        """Count some more rows; what can't be read is passed over, and a sensor of which no period is known."""
+        """Count some more rows; rows that can't be read and sensors whose period is unknown are skipped."""
         budget = AT_ONCE
         for name, (column, rows) in self._columns.items():
             start = self._done[name]
@@ -68,14 +69,14 @@ class Backlog:
             self.close()
 
     def close(self) -> None:
-        """Let go of the columns."""
+        """Release the columns."""
         if self._close is not None:
             self._close()
         self._columns, self._close = {}, None
 
 
 def _counted(column: Any, start: int, stop: int, period_ns: float) -> Gaps:
-    """Gaps that begin in rows `start` to `stop`."""
+    """Return the gaps that begin in rows `start` to `stop`."""
     try:
         return gaps_of(np.asarray(column[start : min(stop + STRIDE, len(column))]), period_ns)
     except (LogError, *DAMAGE):
@@ -91,14 +92,14 @@ class ReadRows:
     events: EventCounts = field(default_factory=EventCounts)
 
     def expect(self, names: Iterable[str]) -> None:
-        """These sensors: windows of the same ones go on, others begin empty."""
+        """Prepare windows for these sensors; existing windows are kept if the sensors are the same."""
         names = list(names)
         if list(self.windows) != names:
             self.windows = {name: LatestRows(self.span_ns) for name in names}
 
 
 class LogSource(Protocol):
-    """A log that is read from into `read_rows`; `attributes` of its sensors, `state` as it was last seen."""
+    """A log whose rows are read into `read_rows`; `attributes` of its sensors, `state` at the last refresh."""
 
     path: Path
     source: str
@@ -111,7 +112,7 @@ class LogSource(Protocol):
     backlog: Backlog
 
     def read(self) -> int:
-        """Add what is new; the number of rows."""
+        """Read new rows and return their number."""
 
     def close(self) -> None:
         """Let go of the files."""
@@ -156,7 +157,7 @@ class Whole:
         self._log: Log | None = log
 
     def read(self) -> int:
-        """Return the last rows, once; then nothing is new."""
+        """Read the last rows at the first call; return the number of new rows."""
         if self._log is None:
             return 0
         log, self._log = self._log, None
@@ -182,28 +183,28 @@ class Whole:
 
 
 def _rows_of(sensor: SensorLog, first: int) -> dict[str, Any]:
-    """Return the columns of a sensor from a row on."""
+    """Return the columns of a sensor from the row `first`."""
     columns = {"time": sensor.time, "counts": sensor.counts, "status": sensor.status}
     if sensor.temperature_counts is not None:
         columns["temperature_counts"] = sensor.temperature_counts
     for name in ("temperature", "pressure") if sensor.quantity == "pressure" else ():
         try:
             columns[name] = sensor.compensated(name)
-        except LogError:  # imported without it, say
+        except LogError:  # an imported log may lack it
             continue
     return {name: np.asarray(column[first:]) for name, column in columns.items()}
 
 
 _SENSORS = "sensors/"
 _MOST_BYTES = 1 << 25
-"""Bytes of the journal that one update reads: after a long sleep, catching up takes several updates."""
+"""Most bytes of the journal that one refresh reads; after a long pause, several refreshes catch up."""
 
 
 class Growing:
     """A log that is being written. LogError, OSError if it can't be read (yet)."""
 
     def __init__(self, path: Path, read_rows: ReadRows) -> None:
-        """Begin so far back that the first `read` covers at least the last `read_rows.span_ns`."""
+        """Begin early enough that the first `read` covers at least the last `read_rows.span_ns`."""
         self.path, self.state, self.read_rows = path, WRITTEN, read_rows
         self._journal_file = identity(journal_of(path))
         self._reader = JournalReader(path)
@@ -245,10 +246,10 @@ class Growing:
             raise
 
     def read(self) -> int:
-        """Read what the journal has gained; if nothing, determine whether it is still being written."""
+        """Read the new rows of the journal; if there are none, determine whether it is still being written."""
         count = self._drain()
         if not count and not (self._is_ours() and is_running(self.path)):
-            count = self._drain()  # what was written between the two looks
+            count = self._drain()  # rows that were written meanwhile
             if not count:
                 self.state = INTERRUPTED if self._is_ours() else FINISHED
         return count
@@ -268,7 +269,7 @@ class Growing:
         return rows
 
     def _is_ours(self) -> bool:
-        """Return whether the journal by that name is the one that is read."""
+        """Return whether the journal with that name is the one that is being read."""
         return identity(journal_of(self.path)) == self._journal_file
 
     def close(self) -> None:
@@ -278,11 +279,11 @@ class Growing:
 
 
 def _opened(path: Path, preamble: Preamble) -> h5py.File:
-    """The HDF5 file of a log with that preamble; LogError."""
+    """Open the HDF5 file of the log with this preamble; LogError."""
     try:
         file = h5py.File(UnclosedFile(path, check_heaps=False), "r")
     except DAMAGE:
-        raise LogError(f"{path}: is not there yet, or damaged") from None
+        raise LogError(f"{path}: does not exist yet, or is damaged") from None
     try:
         with h5py.File(UnclosedFile(path), "r") as inspected:
             refuse_hostile(file, inspected, str(path))
@@ -298,7 +299,7 @@ def _opened(path: Path, preamble: Preamble) -> h5py.File:
 
 
 def _before(file: h5py.File, groups: Sequence[ColumnGroup], commits: list[Commit], span_ns: int) -> Commit | None:
-    """Return the last commit behind which there are `span_ns` at least; None: all of the journal is required."""
+    """Return the last commit after which there are at least `span_ns` of rows; None if the whole journal is needed."""
     sensors = [(number, group.path) for number, group in enumerate(groups) if group.path.startswith(_SENSORS)]
 
     def newest_ns(commit: Commit) -> int:

@@ -1,32 +1,33 @@
-"""A snapshot as JSON: numbers as a program wants them, or thinned out as a page draws them.
+"""A snapshot as JSON: with the numbers for a program, or with the curves for the page.
 
-`imuarray monitor --json` prints one such object a line. These keys stay, others may come; null: nothing is to be said.
+`imuarray monitor --json` prints one such object per line. These keys are stable, others may be added; null: unknown or
+not applicable.
 
 ================  ======================================================================================================
-`log`             name of the file: that of the newest part of a log that is cut into parts
-`state`           "waiting" (for the log), "being written", "finished" or "interrupted"; `remark`: what else there is
-`source` `epoch`  of the log; `phase`: the one that is on, or ""
-`begins_s`        time of the first row since `epoch`; `ends_s`: of the newest; `quiet_s`: how long nothing came
-`rate_hz`         frames a second, lately; `frame_rate_hz`: that were asked for, null where the log does not say
-`missed`          frames whose time had passed before the one before them ended: what the logger calls so
+`log`             name of the file; for a log that is split into parts, that of the newest part
+`state`           "waiting" (for the log), "being written", "finished" or "interrupted"; `remark`: further information
+`source` `epoch`  of the log; `phase`: the current phase, or ""
+`begins_s`        time of the first row since `epoch`; `ends_s`: of the newest row; `quiet_s`: time without new rows
+`rate_hz`         current frames per second; `frame_rate_hz`: requested ones, null if the log does not state them
+`missed`          frames whose time had passed before the previous frame ended, as the logger counts them
 `delayed`         frames that were read more than a quarter of a period later than usual. The logger's "late" is another
-                  number: every frame that began after its time, however little
-`counted`         share of the log in which `delayed` was counted, 1 at last
-`events`          how many, by kind; `problems`: how many of them tell of trouble
+                  number: all frames that began after their time
+`counted`         share of the log in which `delayed` has been counted, 1 in the end
+`events`          number of events by kind; `problems`: number of those that report a fault
 `recent`          the last 50, the newest first: `time_s`, `sensor` ("": the array), `kind`, `message`, `trouble`
 `repeated`        the last 50 that differ in more than numbers: the newest of each, with `count` and `first_s`
 `health`          `level`, "green", "amber" or "red", its `reason`, and `advice`; null before the first row
-`disk`            `free_bytes`; `bytes_per_s` that the log takes; `left_s` until the log is ended for want of it
+`disk`            `free_bytes`; `bytes_per_s` that the log takes; `left_s` until the log ends because the disk is full
 `sensors`         in the order of the log: `name`, `chip`, `quantity`, `unit`, `columns`; `rows`, `rate_hz`;
-                  `silent_s`: how long nothing came from it before the newest row of the log, null if something did in
-                  the last second; `delayed`; `missed`, with those since it is silent; `flags` of the last 10 s, by
+                  `silent_s`: time without readings before the newest row of the log, null if there are readings in the
+                  last second; `delayed`; `missed`, including those since it is silent; `flags` of the last 10 s, by
                   name; in `unit` and for each column `mean` of the last second (null: it is silent) and `sd` of the
-                  last 10; `use_percent` of the range in the last 10 s and `peak_use_percent` at most so far, or null;
-                  `temperature_degc` or null, `temperature_is_relative`: only its changes count; `density_unit`: of
-                  spectra, on the page. The last second and the last 10 are those of the log, not of the sensor
-`fused`           null, and `not_fused` says why; or `technique`, `calibrated` and `quantities`: "specific_force" and
-                  "angular_rate", of each `unit`, `mean` of the last second and `noise` from frame to frame
-`took_ms`         what it took to look
+                  last 10 s; `use_percent` of the range in the last 10 s and `peak_use_percent` in the log so far, or
+                  null; `temperature_degc` or null, `temperature_is_relative`: only its changes are meaningful;
+                  `density_unit` of the spectra on the page. The last second and the last 10 s are those of the log
+`fused`           null, and `not_fused` states why; or `technique`, `calibrated` and `quantities`: "specific_force" and
+                  "angular_rate", each with `unit`, `mean` of the last second and `noise` from frame to frame
+`took_ms`         duration of the refresh
 ================  ======================================================================================================
 """
 
@@ -45,15 +46,15 @@ from imuarray.printable import printable
 from imuarray.units import READABLE, READABLE_SI
 
 DRAWN = 160
-"""Pieces into which a curve is cut: of each its smallest and its largest value are drawn."""
+"""Pieces of a curve, of each of which the smallest and the largest value are drawn."""
 
 _DIGITS = 5
 _LOWEST_BIN = 1
-"""The bin at 0 holds what is left of the mean."""
+"""The first bin that is drawn: the bin at 0 Hz has a residue of the mean."""
 
 
 def described(snapshot: Snapshot) -> dict[str, Any]:
-    """Return the figures, without curves; None where there is nothing to say."""
+    """Return the numbers, without curves; None where a value is unknown."""
     return {
         "log": snapshot.path.name,
         "state": snapshot.state,
@@ -92,7 +93,7 @@ def described(snapshot: Snapshot) -> dict[str, Any]:
 
 
 def drawn(snapshot: Snapshot) -> dict[str, Any]:
-    """Return the figures and the curves of the last seconds: times in s before the end, spectra as amplitude
+    """Return the numbers and the curves of the last seconds: times in s before the end, spectra as amplitude spectral
     densities.
     """
     figures = described(snapshot)
@@ -166,11 +167,11 @@ def _fused(fused: FusedView) -> dict[str, Any]:
 
 
 def _curves(since_end_ns: Times, values: Floats, columns: tuple[str, ...]) -> dict[str, list[float | None]]:
-    """Curves that fit on a page: of a piece its two ends, in their order."""
+    """Return curves with at most two points per piece, its smallest and largest value in their order."""
     time_s, rows = since_end_ns * 1e-9, values
     size = -(-len(time_s) // DRAWN)
     if size > 2:
-        kept = len(time_s) // size * size  # of the oldest rows a few are left out
+        kept = len(time_s) // size * size  # without a few of the oldest rows
         pieces = np.nan_to_num(values[-kept:]).reshape(-1, size, values.shape[1])
         ends = np.sort(np.stack([pieces.argmin(axis=1), pieces.argmax(axis=1)], axis=1), axis=1)
         rows = np.take_along_axis(pieces, ends, axis=1).reshape(-1, values.shape[1])
@@ -182,7 +183,7 @@ def _curves(since_end_ns: Times, values: Floats, columns: tuple[str, ...]) -> di
 
 
 def _density(view: SensorView) -> dict[str, list[float | None]] | None:
-    """Square roots of the spectrum, per root hertz."""
+    """Return the amplitude spectral density, in units per root hertz."""
     if view.spectrum is None:
         return None
     kept = slice(_LOWEST_BIN, None)
@@ -196,5 +197,5 @@ def _numbers(values: Floats) -> list[float | None]:
 
 
 def _number(value: float) -> float | None:
-    """Five digits; None for what is not a number."""
+    """Return a number with five digits; None if it is not finite."""
     return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None

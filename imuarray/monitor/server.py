@@ -1,10 +1,9 @@
 """The page's server and its HTTP handlers, on Tornado: it reads the log only when a client asks, and at most once per
 interval.
 
-The page polls (it needs no lasting connection, so that none can be lost); several pages share a snapshot. Nothing is
-written.
+The page polls, so that no permanent connection can be lost; several pages share a snapshot. Nothing is written.
 
-Access: clients on this machine or with the token, and no request that another page makes a browser send.
+Access is for clients on this machine or with the token. Requests that another page makes a browser send are refused.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ HEADERS: Mapping[str, str] = MappingProxyType(
         "Cache-Control": "no-store",
     }
 )
-"""Headers of every response. Bokeh styles what it draws in the page, hence 'unsafe-inline' for styles alone."""
+"""Headers of every response. 'unsafe-inline' is allowed for styles because Bokeh styles its figures in the page."""
 
 _OWN_SITE = frozenset({"", "none", "same-origin"})
 _TOKEN_BYTES = 24
@@ -69,9 +68,8 @@ def new_token() -> str:
 
 
 def refusal(token: str, given: str, host: str, headers: Mapping[str, str]) -> str | None:
-    """Return why a request is refused; None: it is not. `token` "" is for pages that only this machine can reach: then
-    `host`, the name under which it was asked for, has to be one of its own, or else a foreign name was made to lead
-    here.
+    """Return why a request is refused; None if it is not. `token` is "" for a page that only this machine can reach;
+    then the requested `host` must be a name of this machine, as a protection against DNS rebinding.
     """
     if headers.get("Sec-Fetch-Site", "") not in _OWN_SITE:
         return "requested by another page"
@@ -90,7 +88,7 @@ _BOKEH = "bokeh.min.js"
 
 
 class _CheckedHandler(RequestHandler):
-    """GET and HEAD, for whom the page is. A subclass has `get`; of its answer to HEAD, Tornado sends the headers."""
+    """Handles GET and HEAD of permitted clients. A subclass has `get`; for HEAD, Tornado sends only its headers."""
 
     SUPPORTED_METHODS = ("GET", "HEAD")
 
@@ -174,9 +172,9 @@ class _MissingPage(_CheckedHandler):
 
 PORT = 8765
 NICENESS = 10
-"""Added to this process's: at equal demand the logger gets ten times as much of a processor."""
+"""Increase of this process's niceness: with equal demand the logger gets ten times the share of a processor."""
 LINGER_S = 3.0
-"""How long a page that is looked at is served on when the server is asked to end: it learns how the log ended."""
+"""Time for which an open page is still served after a request to end, so that it shows how the log ended."""
 
 _STEP_S = 0.2
 
@@ -206,19 +204,19 @@ def serve(path: Path, options: PageOptions) -> None:
     MissingExtraError without Bokeh, ImuArrayError if the address can't be served.
     """
     try:
-        import bokeh  # noqa: F401  # reports at once what is missing, not at the first figure
+        import bokeh  # noqa: F401  # reports a missing package now, not at the first figure
         import tornado.web  # noqa: F401
     except ModuleNotFoundError as error:
         raise MissingExtraError(error.name or "bokeh", "monitor") from None
     token = "" if is_own(options.host) else (options.token or new_token())
     listening = _socket(options.host, options.port)
-    if options.parent is None:  # else it did that already
-        step_back()
+    if options.parent is None:  # a parent has lowered the priority already
+        lower_priority()
     asyncio.run(_serve(path, listening, token, options))
 
 
-def step_back() -> None:
-    """Lower the priority of this process: recording comes first."""
+def lower_priority() -> None:
+    """Lower the priority of this process, because recording is more important."""
     if hasattr(os, "nice"):  # Windows has none
         with contextlib.suppress(OSError):
             os.nice(NICENESS)
@@ -263,7 +261,7 @@ def address_of(host: str, port: int, token: str) -> str:
 
 
 async def _until_asked_to_end(snapshots: SharedSnapshots, parent: int | None) -> None:
-    """Ctrl-C ends it at once; where a page was looking a moment ago, SIGTERM and the end of `parent` a little later."""
+    """Wait for Ctrl-C, SIGTERM or the end of `parent`; after the last two, `LINGER_S` longer if a page is open."""
     at_once, soon = asyncio.Event(), asyncio.Event()
     loop = asyncio.get_running_loop()
     with contextlib.suppress(NotImplementedError):  # Windows: Ctrl-C ends it, with KeyboardInterrupt

@@ -25,17 +25,17 @@ from imuarray.log.layout import Notes
 from imuarray.log.missed_frames import MISSED, is_fault_of_bus
 
 KEPT = 50
-"""Events that are kept to be shown."""
+"""Most events that are kept."""
 
 _MOST_BYTES = 1 << 20
-"""Size of the latest notes that are read: some ten thousand events."""
+"""Most bytes of the latest notes that are read: some ten thousand events."""
 
 
 _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
 class RepeatedEvent(NamedTuple):
-    """The newest of some events that are alike but for numbers, how many `times` they happened, and when first."""
+    """The newest of events that differ only in numbers, their number `times`, and the time of the first."""
 
     event: Event
     times: int
@@ -43,7 +43,7 @@ class RepeatedEvent(NamedTuple):
 
 
 class EventCounts:
-    """Events and phases that were taken so far."""
+    """The events and phases so far."""
 
     def __init__(self) -> None:
         self._kinds: Counter[str] = Counter()
@@ -52,17 +52,17 @@ class EventCounts:
         self._faults: Counter[tuple[str, str]] = Counter()
         self._on: dict[tuple[int, str], None] = {}
         self.missed = 0
-        """Missed frames as reported by events. A machine that is always too slow misses frames that the times of its
-        rows don't show: the rows are evenly spaced, only too far apart.
+        """Missed frames according to events. The rows of a machine that is always too slow are evenly spaced, so that
+        their times do not show missed frames.
         """
         self._missed_first = 0
         self.bus_failed = False
         """True if an event says that the bus hung or did not answer in time."""
         self.complete = True
-        """True if all notes of the log were counted; False if there were too many before."""
+        """True if all notes of the log are counted; False if there were too many."""
 
     def take(self, text: npt.NDArray[Any]) -> None:
-        """Take rows of the group `notes`, lines of text as bytes; lines that are none are passed over."""
+        """Add rows of the group `notes`, lines of text as bytes; invalid lines are skipped."""
         notes = Notes()
         try:
             notes.add({"text": text})
@@ -75,7 +75,7 @@ class EventCounts:
             self._on.pop((phase.start_ns, phase.name), None)
 
     def take_stored(self, column: Any, rows: int) -> None:
-        """Take the first `rows` bytes of a stored column of notes; the last mebibyte if there are more."""
+        """Add the first `rows` bytes of a stored column of notes, at most the last mebibyte of them."""
         start = max(0, rows - _MOST_BYTES)
         text = np.asarray(column[start:rows], np.uint8)
         if start:
@@ -84,7 +84,7 @@ class EventCounts:
         self.take(text)
 
     def take_events(self, events: Iterable[Event]) -> None:
-        """Take events, the oldest first."""
+        """Add events, the oldest first."""
         for event in events:
             self._kinds[event.kind] += 1
             self._last.append(event)
@@ -114,11 +114,11 @@ class EventCounts:
 
     @property
     def repeated(self) -> tuple[RepeatedEvent, ...]:
-        """The last events that differ in more than numbers, each with how often it happened; the newest first."""
+        """The last events that differ in more than numbers, each with its number; the newest first."""
         return tuple(sorted(self._groups.values(), key=lambda repeated: repeated.event.time_ns)[::-1])
 
     def _add_to_group(self, event: Event) -> None:
-        """Count an event with those that differ from it in numbers only."""
+        """Count an event together with those that differ from it only in numbers."""
         key = event.sensor, event.kind, _NUMBER.sub("#", event.message)
         before = self._groups.pop(key, None)
         first_ns = event.time_ns if before is None else before.first_ns
@@ -129,7 +129,7 @@ class EventCounts:
     @property
     def recent(self) -> tuple[Event, ...]:
         """The last events, the newest first."""
-        return tuple(sorted(self._last, key=lambda event: event.time_ns)[::-1])  # of equal times the later note first
+        return tuple(sorted(self._last, key=lambda event: event.time_ns)[::-1])  # at equal times, the later note first
 
     @property
     def phase(self) -> str:
@@ -138,13 +138,13 @@ class EventCounts:
 
 
 WAITING, WRITTEN, FINISHED, INTERRUPTED = "waiting", "being written", "finished", "interrupted"
-"""The states of a log that is watched."""
+"""The states of a monitored log."""
 
 
 @dataclass(frozen=True)
 class Disk:
-    """Bytes that are free beside the log, bytes a second that it takes, and seconds until the logger will end it for
-    want of room (None: it takes nothing).
+    """The free bytes on the log's disk, the bytes per second that the log takes, and the seconds until the logger ends
+    because the disk is full (None: it takes nothing).
     """
 
     free_bytes: int
@@ -154,14 +154,14 @@ class Disk:
 
 @dataclass(frozen=True)
 class SensorView:
-    """A sensor in the last seconds of the log, which are those before the newest row of any sensor.
+    """A sensor in the last seconds of the log, which end at the newest row of any sensor.
 
-    From one that is silent nothing came for `silent_s` (None: something did in the last second), nor is its mean known.
-    `rows` of the log so far, the first of them at `first_ns`; `delayed` and `missed` among those that were counted, and
-    since it is silent; `framed`, whether there is one in every frame. `flags`, rows of the last seconds by flag.
-    `time` (n,) ns and `values` (n, k) in `unit`, their `mean` (k,) over the last second and `sd` (k,) over all of
-    them. `use` and `peak_use` (k,): share of the measuring range, in the last seconds and at most so far; None for a
-    sensor without a range. `temperature_degc` of the last second, where `relative` says that its zero is not known.
+    A silent sensor has had no readings for `silent_s` (None: it is not silent), and its mean is unknown. `rows`: number
+    of rows of the log so far, the first at `first_ns`; `delayed` and `missed` rows among those that are counted, and
+    since it is silent; `framed`: it has one row in every frame; `flags`: rows of the last seconds by flag. `time` (n,)
+    in ns and `values` (n, k) in `unit`, with their `mean` (k,) over the last second and `sd` (k,) over all. `use` and
+    `peak_use` (k,): used share of the measuring range in the last seconds and in the log so far; None for a sensor
+    without a range. `temperature_degc` of the last second; `relative`: its zero is unknown.
     """
 
     name: str
@@ -191,7 +191,7 @@ class SensorView:
 @dataclass(frozen=True)
 class FusedView:
     """The fused result of the last seconds by quantity: `time` (n,) ns, `triads` (n, 3) in SI in the box frame, their
-    `mean` (3,) over the last second, and `noise` (3,), the scatter from frame to frame. `technique` gave it.
+    `mean` (3,) over the last second, and `noise` (3,), the scatter from frame to frame.
     """
 
     technique: str
@@ -206,14 +206,14 @@ class FusedView:
 class Snapshot:
     """A log at one moment.
 
-    `state` is one of the four above, `remark` what else is to be said of it ("" nothing). `begins_ns` and `ends_ns` are
-    the first and the last time in it, since `epoch`; `quiet_s` how long nothing came. `rate_hz` is that of
-    frames, `frame_rate_hz` what was asked for (0: not known). `missed` are frames whose time had passed, as the logger
-    counts them; `delayed` those that were read more than a quarter of a period later than usual, which is fewer than
-    the logger calls late: there it is every frame that began behind its time, however little. `counted` is the share of
-    the log that was counted so far. `events` by kind, of which `problems` tell of trouble; `recent` are the last ones,
-    the newest first, and `repeated` the last ones that differ in more than numbers. `health` is the sign of all of it.
-    `took_s` is what it took to look.
+    `state` is one of the four above, `remark` further information ("": none). `begins_ns` and `ends_ns` are the times
+    of the first and the newest row since `epoch`; `quiet_s` is the time without new rows. `rate_hz` is the current rate
+    of frames, `frame_rate_hz` the requested one (0: unknown). `missed` are frames whose time had passed, as the logger
+    counts them; `delayed` are those that were read more than a quarter of a period later than usual, which are fewer
+    than the logger's late frames, which began after their time. `counted` is the share of the log that is counted so
+    far. `events` are counted by kind; `problems` of them report a fault. `recent` are the last events, the newest
+    first, `repeated` the last that differ in more than numbers. `health` follows from all of it. `took_s` is the
+    duration of the refresh.
     """
 
     path: Path

@@ -1,4 +1,4 @@
-"""A snapshot as lines of text: what the page shows, for a terminal, over ssh. Everything fits into 80 columns."""
+"""A snapshot as lines of text for a terminal, with the contents of the page, in at least 80 columns."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from imuarray.units import READABLE_SI
 
 COLUMNS = 80
 EVENTS = 5
-"""Number of events that are shown."""
+"""Most events that are shown."""
 
 _SIGNS = {"specific_force": "force", "angular_rate": "rate"}
 _GIB = 1 << 30
 _NUMBERS = 70
-"""Columns of the table but those of the names."""
+"""Columns of the table without the names."""
 
 
 def text_lines(snapshot: Snapshot, columns: int = COLUMNS) -> list[str]:
-    """Return the whole of it, in so many `columns` if there are 80 of them; no line steers a terminal."""
+    """Return the snapshot in lines of at most `columns` (80 or more), without control characters."""
     lines = _wrapped(_head(snapshot), columns, first="")
     if snapshot.remark:
         lines += _wrapped(printable(snapshot.remark), columns)

@@ -1,10 +1,9 @@
 """The last seconds of one sensor's rows, with counts of delayed and missing rows.
 
-Frames are read forth and back: a sensor that is first in one frame is last in the next, so that the distance to the
-next row may be anything up to two periods, but the row after that is two periods away. Steps over two rows are
-therefore evaluated. A missed frame makes two of them a period longer; one that is delayed by more than a quarter of a
-period makes one of them longer by that. Where the log states its frame rate, the number of missing rows is determined
-from it instead (`imuarray.log.missed_frames`).
+Frames are read in alternating order: a sensor that is first in one frame is last in the next, so that the time to the
+next row can be up to two periods, but the row after that is two periods away. Steps over two rows are therefore
+evaluated. A missed frame makes two of them longer by one period, and a delayed frame one of them by its delay. If the
+log states its frame rate, the number of missing rows is determined from it instead (`imuarray.log.missed_frames`).
 
 `MemoryLog` is a log whose rows are in memory, for functions that read a log.
 """
@@ -29,26 +28,26 @@ Attributes = Mapping[str, Any]
 
 
 class _File:
-    """A file that has sensors and nothing beside them."""
+    """A file that has only sensors."""
 
     def __init__(self, sensors: Mapping[str, Any]) -> None:
         self.attrs: Attributes = {"source": "imported"}
         self._items = {"sensors": sensors}
 
     def get(self, name: str) -> Any:
-        """Return a part, None if it is not there."""
+        """Return a group; None if it does not exist."""
         return self._items.get(name)
 
     def __getitem__(self, name: str) -> Any:
         return self._items[name]
 
     def close(self) -> None:
-        """Do nothing: there is nothing to close."""
+        """Do nothing."""
 
 
 class MemoryLog(Log):
-    """A log of rows that are held in memory: `sensors` gives attributes and columns by name; LogError where the
-    attributes are no sensor's. It has no phases, no events and no truth, and can't be sent to another process.
+    """A log of rows in memory: `sensors` are attributes and columns by name; LogError for invalid attributes. It has no
+    phases, no events and no truth, and can't be sent to another process.
     """
 
     def __init__(self, path: Path, sensors: Mapping[str, tuple[Attributes, Rows]]) -> None:
@@ -61,7 +60,7 @@ class MemoryLog(Log):
 
 
 def _held(name: str, attributes: Attributes, rows: Rows) -> LiveGroup:
-    """Return a sensor's group."""
+    """Return the group of a sensor."""
     columns = {key: Column(key, np.ascontiguousarray(values)) for key, values in rows.items()}
     return LiveGroup(f"/sensors/{name}", attributes, columns)
 
@@ -77,12 +76,12 @@ MOST_ROWS = 1 << 16
 """Most rows of a window, whatever its duration: 20 s at 3200 Hz."""
 
 STRIDE = 2
-"""Rows from one to the next that was read in the same order."""
+"""Number of rows between two that were read in the same order."""
 
 _DELAYED = 0.25
-"""Delay from which a frame counts as delayed, as a share of a period."""
+"""Share of a period above which a frame counts as delayed."""
 _FEWEST = 8
-"""Rows from which a period is taken."""
+"""Least number of rows from which a period is determined."""
 
 
 @dataclass(frozen=True)
@@ -97,12 +96,12 @@ class Gaps:
 
     @property
     def missed(self) -> int:
-        """Rows that are missing between others."""
+        """The number of rows that are missing between others."""
         return max(0, self.twice_missed // STRIDE)
 
 
 def period_of(time: Times) -> float:
-    """Return the usual distance in ns of neighbours among times (n,); 0 if there are too few."""
+    """Return the usual step in ns between consecutive times (n,); 0 if there are too few."""
     return float(np.median(time[STRIDE:] - time[:-STRIDE])) / STRIDE if len(time) >= _FEWEST else 0.0
 
 
@@ -152,13 +151,13 @@ class LatestRows:
         self.newest, self._earlier_ns = last[-STRIDE:], period_of(last)
 
     def forget(self, before_ns: int) -> None:
-        """Let go of older rows: a sensor that fell silent adds none before which its last ones would go."""
+        """Remove older rows, also of a sensor that became silent and adds no new ones."""
         start = int(np.searchsorted(self.time, before_ns))
         if start:
             self.rows = {name: column[start:].copy() for name, column in self.rows.items()}
 
     def add(self, rows: Rows) -> int:
-        """Take rows behind those that are there, and say how many; those that are not behind them are left out."""
+        """Add rows that are newer than the existing ones, and return their number; others are ignored."""
         new = np.asarray(rows["time"])
         fresh = int(np.searchsorted(new, self.newest[-1], side="right")) if len(self.newest) else 0
         count = len(new) - fresh
@@ -175,11 +174,11 @@ class LatestRows:
         self.newest = np.concatenate([self.newest, new[fresh:]])[-STRIDE:]
         start = int(np.searchsorted(joined["time"], int(new[-1]) - self._span_ns))
         start = max(start, len(joined["time"]) - MOST_ROWS)
-        self.rows = {name: column[start:].copy() for name, column in joined.items()}  # not a view of all that came
+        self.rows = {name: column[start:].copy() for name, column in joined.items()}  # a view would keep all rows
         return count
 
     def _count(self, time: Times, new: Times) -> None:
-        """Gaps up to the last rows, `new`; among all of them as soon as the period is known."""
+        """Count the gaps among the `new` rows; when the period becomes known, among all rows of the window."""
         known = self.period_ns > 0
         self.period_ns = period_of(time) or self.period_ns
         self.gaps += gaps_of(np.concatenate([self.newest, new]) if known else time, self.period_ns)

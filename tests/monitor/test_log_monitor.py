@@ -37,7 +37,7 @@ def test_a_log_that_is_not_there_yet_is_waited_for(log_path: Path) -> None:
     with LogMonitor(log_path) as watch:
         first = watch.refresh(0.0)
         assert (first.state, first.sensors) == ("waiting", ())
-        assert "not there yet" in first.remark
+        assert "does not exist yet" in first.remark
         with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
             writer.keep()
             Logger(writer).go_on(1.0)
@@ -394,7 +394,7 @@ def test_a_log_cut_into_parts_is_followed(tmp_path: Path) -> None:
             assert len(sensor(seen, "Acc").time) == total  # the last seconds go on over the cut
     watch.close()
     assert sorted(set(names)) == [f"night_00{number}.h5" for number in (1, 2, 3)]
-    assert seen.remark == "goes on in night_003.h5"
+    assert seen.remark == "continues in night_003.h5"
     with LogMonitor(path) as late:
         assert late.refresh(0.0).path.name == "night_003.h5"
         assert late.refresh(1.0).remark == ""
