@@ -399,6 +399,8 @@ def _propose_map(path: Path) -> Proposal:
         if kind and len(partial.items) == 1:
             _name_by_topic(partial.items[0], kind)
         _add_kind(proposal, kind, partial)
+    if not proposal.items and reader_of(path) in ("records", "row_files"):
+        raise SourceError(f"{path}: no readings of a sensor are recognised: {'; '.join(proposal.doubts)}")
     return proposal
 
 

@@ -164,8 +164,8 @@ class RecordRows:
                 begin = file.read(_BEGIN_BYTES)
                 file.seek(0)
                 text = begin.decode("utf-8-sig", WINDOWS_1252).lstrip()
-                first = text.split("\n", 1)[0]
-                if text[:1] in ("{", "[") and not (_parses(first) and text.count("\n") > 0 and text[:1] == "{"):
+                lines = [line for line in text.split("\n") if line.strip()][:2]
+                if text[:1] in ("{", "[") and not (len(lines) > 1 and all(map(_parses, lines))):
                     yield from self._of_document(file)
                     return
                 yield from self._of_lines(file, raw)
@@ -182,7 +182,10 @@ class RecordRows:
             document = json.loads(data.decode("utf-8-sig", WINDOWS_1252), parse_float=_Number, parse_int=_Number)
         except (ValueError, RecursionError) as error:
             raise SourceError(f"{self._path}: damaged JSON: {printable(str(error))[:120]}") from None
-        yield from enumerate(_flattened(document), start=1)
+        try:
+            yield from enumerate(_flattened(document), start=1)
+        except RecursionError:
+            raise SourceError(f"{self._path}: JSON that is nested too deeply") from None
 
     def _of_lines(self, file: BinaryIO, raw: BinaryIO) -> Iterator[tuple[int, Record]]:
         number = 0

@@ -233,3 +233,24 @@ def test_a_guess_has_the_true_values(
                 most *= 10
             np.testing.assert_allclose(values, there, atol=most + 0.02 * float(np.abs(there).max()))
     assert "? Acc" not in report and "? acc" not in report, report
+
+
+def test_lists_of_numbers_on_each_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As MicroPython prints them."""
+    rows = [json.dumps([round(at, 3), *row]) for at, row in zip(T.tolist(), SI.tolist(), strict=True)]
+    (tmp_path / "repl.txt").write_text(text(*rows))
+    assert main(["import", str(tmp_path / "repl.txt"), "--guess", "-o", str(tmp_path / "map.toml")]) == 0
+    words = [str(tmp_path / "repl.txt"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
+    assert main(["import", *words]) == 0, capsys.readouterr().err
+    assert "Acc: measures 0.99" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "content", ["{}", "[]", '{"a": [', "[1, 2", '{"a": ' * 900 + "1" + "}" * 900, '{"a": "b"}\n' * 9]
+)
+def test_json_without_readings_is_refused_in_one_line(
+    content: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "run.json").write_text(content)
+    assert main(["import", str(tmp_path / "run.json"), "--guess"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
