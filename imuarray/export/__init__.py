@@ -2,9 +2,9 @@
 
 ::
 
-    .csv   a table for each sensor, readable by everything that reads text; comes back by `imuarray import`
-    .npz   numpy's archive, an array a column, a header in JSON; comes back too
-    .parquet  a table for each sensor with types, times and units; comes back too
+    .csv   a text table for each sensor; `imuarray import` restores it
+    .npz   numpy's archive, an array for each column, a header in JSON; `imuarray import` restores it
+    .parquet  a table for each sensor with types, times and units; `imuarray import` restores it
     .mcap  Foxglove: messages of JSON with their schemas, IMU data in SI in the box frame, events;
            or ROS 2: sensor_msgs in CDR
     .mat   MATLAB, version 5: a struct for each sensor
@@ -55,7 +55,7 @@ def export(  # noqa: PLR0913
     write = _writer(target)
     tools = TOOLS.get(target.suffix.lower(), ())
     if tool is not None and tool not in tools:
-        known = ", ".join(tools) or "none: every tool reads it as it is"
+        known = ", ".join(tools) or "none, because the file is the same for all tools"
         raise ExportError(f"{path}: tool {tool!r}: allowed for {target.suffix} are {known}{guess(tool, tools)}")
     log_path = source if isinstance(source, str | PathLike) else source.path
     exported: ExportSummary = write(

@@ -1,8 +1,8 @@
 """A log or a fused file as tables: raw counts with all that is needed to convert them, or physical values.
 
-Physical values are specific force, angular rate and magnetic flux density in the box frame, degrees and pascals. A
-calibration's bias follows the temperature recorded in the log, where the calibration has slopes, as in fusion. Its
-other corrections (g-sensitivity, the state in which a gyroscope came up) are not applied.
+Physical values are specific force, angular rate and magnetic flux density in the box frame, degrees and pascals. The
+bias of a calibration with temperature slopes follows the temperature recorded in the log, as in fusion. Its other
+corrections (g-sensitivity, the start-up state of a gyroscope) are not applied.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from imuarray.units import SI_NAME, SI_PER_UNIT
 _AXES = ("x", "y", "z")
 
 
-def warmth(log: Log, calibration: Calibration) -> dict[str, TemperatureSeries]:
-    """Return the temperature that the bias of each sensor follows, of those whose slopes are known."""
+def bias_temperatures(log: Log, calibration: Calibration) -> dict[str, TemperatureSeries]:
+    """Return the temperature that the bias of each sensor with known slopes follows."""
     inertial = [*log.of("specific_force"), *log.of("angular_rate")]
     return element_temperatures(log, (sensor for sensor in inertial if len(sensor)), calibration)
 
@@ -42,8 +42,8 @@ def warmth(log: Log, calibration: Calibration) -> dict[str, TemperatureSeries]:
 def physical_columns(
     sensor: SensorLog, calibration: Calibration, units: str, warm: Mapping[str, TemperatureSeries]
 ) -> tuple[TableColumn, ...]:
-    """Return the columns of a sensor, but for time and status, in `units` ("si" or "sensor"); CalibrationError if what
-    is known does not fit, or nothing is. Counts stay where there is no way to a unit.
+    """Return the columns of a sensor, except time and status, in `units` ("si" or "sensor"); counts if no unit is
+    known. CalibrationError if the calibration does not fit, or if neither it nor the log states a sensitivity.
     """
     if sensor.is_triad:
         return (_triad(sensor, calibration.or_nominal(sensor), units, warm.get(sensor.name)), *_temperature(sensor))
@@ -51,8 +51,8 @@ def physical_columns(
 
 
 def compensated_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
-    """Return the columns beside counts that have units of their own, if the log has them: what a barometer's
-    calibration words made of them, how late a row arrived, how well its time is known.
+    """Return the columns with physical units of their own that the log has: compensated values of a barometer, delays
+    of arrival, and the uncertainty of times.
     """
     columns = []
     for name, unit in COMPENSATED_UNITS.items():
@@ -107,7 +107,7 @@ def open_content(request: ExportRequest, usual: str = "counts") -> Iterator[Cont
             yield content
         return
     with open_log(request.source) as log:
-        log.keep_rows()  # tables read a few rows at a time
+        log.keep_rows()  # because tables read a few rows at a time
         yield _content(log, request, request.units or ("si" if request.calibration else usual))
 
 
@@ -115,7 +115,7 @@ def _content(log: Log, request: ExportRequest, units: str) -> Content:
     sensors = [log[name] for name in request.sensors] or list(log.sensors.values())
     calibration = request.calibration or Calibration()
     uncalibrated = () if request.calibration is None else _uncalibrated(log, sensors, calibration)
-    warm = warmth(log, calibration) if units != "counts" else {}
+    warm = bias_temperatures(log, calibration) if units != "counts" else {}
     tables = []
     for sensor in sensors:
         rest = _raw_columns(sensor) if units == "counts" else physical_columns(sensor, calibration, units, warm)
@@ -136,7 +136,7 @@ def _content(log: Log, request: ExportRequest, units: str) -> Content:
 
 
 def _uncalibrated(log: Log, sensors: list[SensorLog], calibration: Calibration) -> tuple[str, ...]:
-    """Triads that a calibration does not know; ExportError if it knows none of them."""
+    """Return the triads that a calibration lacks; ExportError if it lacks all of them."""
     triads = [sensor.name for sensor in sensors if sensor.is_triad]
     unknown = tuple(name for name in triads if name not in calibration.sensors)
     if triads and len(unknown) == len(triads):
@@ -157,7 +157,7 @@ def _table(sensor: SensorLog, rest: tuple[TableColumn, ...], calibrated: bool) -
 
 
 def _raw_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
-    """Everything that a log holds of a sensor, as it holds it."""
+    """Return all columns of a sensor as they are stored in the log, except time and status."""
     counts, degrees = sensor.counts, sensor.temperature_counts
     kind = counts.dtype.newbyteorder("<").str
     columns = [TableColumn("counts", kind, "counts", _cells(sensor), lambda rows: np.asarray(counts[rows]))]
@@ -182,7 +182,7 @@ def _cells(sensor: SensorLog) -> tuple[str, ...]:
 
 
 def full_header(sensor: SensorLog) -> SensorHeader:
-    """Return all that a log says of a sensor, as the header with which it would be written again."""
+    """Return the header with which the sensor can be written again, with all its attributes."""
     extra = {name: value for name, item in sensor.attributes.items() if (value := _plain(item)) is not None}
     delay = extra.pop("delay_ns", None)
     return replace(
@@ -204,7 +204,7 @@ def _plain(value: Any) -> int | float | str | None:
 
 
 def _tracks(log: Log) -> Iterator[ExportTable]:
-    """Yield the tables beside those of the sensors: truth, reference, clocks."""
+    """Yield the tables of truth, reference and clocks."""
     for name, track in (("truth", log.truth), ("reference", log.reference), ("clocks", log.clocks)):
         if track is None:
             continue
@@ -223,5 +223,5 @@ def _track_column(name: str, column: Any) -> TableColumn:
 
 
 def head_with(content: Content, **more: Any) -> Mapping[str, Any]:
-    """Return the head with what is said of each table, and more."""
+    """Return the head with the description of each table and the entries `more`."""
     return {**content.head, "tables": {table.name: dict(table.about) for table in content.tables}, **more}

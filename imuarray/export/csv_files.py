@@ -1,12 +1,12 @@
-"""CSV: one table a file, a row of names and rows of numbers, as spreadsheets and `pandas.read_csv` take it.
+"""CSV: one file for each table, a row of names and rows of numbers, for spreadsheets and `pandas.read_csv`.
 
 ::
 
     time_s,counts_x,counts_y,counts_z,status        run_Acc.csv: seconds, exact to the nanosecond; units end the names
     {"imuarray_csv": 2, "epoch": "2013-...", ...}   run.json: everything else that is known
 
-One table (a fused result, one chosen sensor) is the file itself. A log of several is a file for each beside it,
-run_Acc.csv, run_events.csv, ..., and run.csv, written last, says which file holds what.
+A single table (a fused result, one selected sensor) is the file itself. For several tables there is a file for each,
+run_Acc.csv, run_events.csv, ..., and run.csv, written last, lists the files and their tables.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from imuarray.export.tables import Content, ExportTable, Meter, TableColumn, num
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
-    """Write one table to `path`, or a file for each table beside it and what they hold to `path`."""
+    """Write a single table to `path`, or a file for each table beside it and their list to `path`."""
     with open_content(request) as content:
         meter = Meter(content, progress)
         described = path.with_suffix(".json")
@@ -51,9 +51,7 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[Path]:
-    """Return a file for each table, for phases and for events, and their list: all of them or, if one can't be,
-    none.
-    """
+    """Write a file for each table, for phases and for events, and their list, all or none; return the files."""
     names = [*(table.short for table in content.tables), "phases", "events"]
     files = [path.with_name(name) for name in file_names(path, names)]
     phases = [(seconds(phase.start_ns), seconds(phase.end_ns), phase.name, phase.up) for phase in content.phases]
@@ -78,8 +76,8 @@ def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[
 
 
 def file_names(path: Path, names: Sequence[str]) -> list[str]:
-    """run_Acc.csv and so on; where names differ in case only, which not every disk tells apart, or a sensor is called
-    as a group is, with a number.
+    """Return the names of the files: run_Acc.csv and so on. Equal names, and those that differ only in case, which some
+    file systems do not distinguish, get a number.
     """
     taken: dict[str, str] = {}
     for name in names:
@@ -89,7 +87,7 @@ def file_names(path: Path, names: Sequence[str]) -> list[str]:
 
 
 def _write_head(path: Path, content: Content, **more: Any) -> None:
-    """Write everything that is no column, a line for each entry: its first says what it is."""
+    """Write everything except the columns as JSON, a line for each entry; the first states the format."""
     units = {table.name: dict(_columns(table)) for table in content.tables}
     head = {CSV_VERSION: 2, **head_with(content, **more, column_units=units)}
     entries = (f"{json.dumps(name)}: {json.dumps(value)}" for name, value in head.items())
@@ -118,7 +116,7 @@ def _write_texts(path: Path, names: Sequence[str], rows: Sequence[Sequence[str]]
 
 
 def _texts(column: TableColumn, rows: slice) -> Iterator[list[str]]:
-    """Yield the cells of a column as text that gives the same numbers again."""
+    """Yield the cells of a column as text from which exactly the same numbers can be read."""
     values: npt.NDArray[Any] = column.read(rows)
     if column.name == "time":
         yield [seconds(time_ns) for time_ns in values.tolist()]
@@ -129,6 +127,6 @@ def _texts(column: TableColumn, rows: slice) -> Iterator[list[str]]:
 
 
 def seconds(time_ns: int) -> str:
-    """Nanoseconds as seconds, exactly."""
+    """Return the exact text of nanoseconds in seconds."""
     whole, rest = divmod(abs(time_ns), 1_000_000_000)
     return f"{'-' if time_ns < 0 else ''}{whole}.{rest:09d}"

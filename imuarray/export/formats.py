@@ -1,4 +1,4 @@
-"""File formats, the request to a writer and its answer. Loads nothing: `--help` shows it too."""
+"""File formats, the request for an export and its summary. It imports nothing, because `--help` needs it."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ WRITERS: Mapping[str, str] = MappingProxyType(
         ".sdf": "imuarray.export.noise_files",
     }
 )
-"""Suffix and the module (loaded when it is asked for) that writes it: `write(request, path, force, progress)`."""
+"""The module that writes each suffix, imported when it is needed: `write(request, path, force, progress)`."""
 
 TOOLS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {".mcap": ("foxglove", "ros2"), ".yaml": ("kalibr", "openvins", "vins-fusion"), ".sdf": ("gazebo", "px4")}
 )
-"""The tools for which files of a suffix are written differently; the first is the default."""
+"""The tools for which the files of a suffix differ; the first is the default."""
 
 UNITS = ("counts", "si", "sensor")
 """Raw counts along the sensor's axes; m/s2, rad/s, T in the box frame; g, dps, gauss in the box frame."""
@@ -34,7 +34,7 @@ UNITS = ("counts", "si", "sensor")
 CSV_VERSION = "imuarray_csv"
 """First entry of the JSON file beside CSV files."""
 CSV_MAGIC = "# imuarray-csv 1: "
-"""Beginning of every CSV file that earlier versions exported: two lines of comment in place of that file."""
+"""Beginning of the CSV files of earlier versions, which had two lines of comment instead of the JSON file."""
 CSV_INDEX = ("file", "table", "rows")
 CSV_PHASES = ("start_s", "end_s", "name", "up")
 CSV_EVENTS = ("time_s", "sensor", "kind", "message")
@@ -53,7 +53,7 @@ CSV_SUFFIX: Mapping[str, str] = MappingProxyType(
         "gauss": "_gauss",
     }
 )
-"""How a unit ends the name of a column; counts and flags have none."""
+"""The suffix of a column's name for each unit; counts and flags have none."""
 
 
 def csv_names(column: str, cells: Sequence[str], unit: str) -> list[str]:
@@ -65,19 +65,19 @@ def csv_names(column: str, cells: Sequence[str], unit: str) -> list[str]:
 
 
 PARQUET_HEAD = "imuarray"
-"""The entry of a Parquet file's metadata that holds everything but columns, as JSON."""
+"""The entry of a Parquet file's metadata with everything except the columns, as JSON."""
 
 NPZ_HEADER = "header"
-"""The array of an npz file that holds everything but columns: the bytes of a JSON object."""
+"""The array of an npz file with everything except the columns: the bytes of a JSON object."""
 
 Progress = Callable[[float], None]
-"""Told from time to time what share of the work is done, 0 ... 1."""
+"""Callback that receives the share of the work that is done, 0 to 1."""
 
 
 class ExportRequest(NamedTuple):
-    """A request for an export: a log or fused file, `sensors` of it (none named: everything), one of `UNITS` (None:
-    what suits the format), a calibration to convert with (None: the data sheets' figures), and one of `TOOLS` (None:
-    the first of the format).
+    """A request for an export: a log or fused file, its `sensors` (empty: everything), one of `UNITS` (None: the
+    default of the format), a calibration for the conversion (None: values of the data sheets), and one of `TOOLS`
+    (None: the first of the format).
     """
 
     source: Path
@@ -88,8 +88,8 @@ class ExportRequest(NamedTuple):
 
 
 class ExportSummary(NamedTuple):
-    """The result of an export: files, rows by table, one of `UNITS`, in which they are, the sensors whose physical
-    values are the data sheets' though there was a calibration, and what is missing in them, as sentences.
+    """The result of an export: files, rows by table, their unit of `UNITS`, sensors that the calibration lacks and
+    whose values are those of the data sheets, and sentences on what is missing.
     """
 
     files: tuple[Path, ...]

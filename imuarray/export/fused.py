@@ -19,8 +19,8 @@ from imuarray.log.columns import NamedColumn
 
 @contextmanager
 def fused_content(request: ExportRequest) -> Iterator[Content]:
-    """The one table of a fused file; ExportError for what only a log can be asked for, LogError for a file that is
-    damaged or built to do harm.
+    """Open the table of a fused file; ExportError for options that apply only to a log, LogError for a damaged or
+    hostile file.
     """
     path = request.source
     if request.sensors or request.calibration is not None or request.units not in (None, "si"):

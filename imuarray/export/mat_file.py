@@ -1,8 +1,8 @@
-"""MATLAB, version 5: a struct for each sensor, a column a field, n-by-3 as in MATLAB; read by `load run.mat` alone.
+"""MATLAB, version 5: a struct for each sensor with a field for each column, n-by-3; `load run.mat` reads it.
 
-`time_ns` is int64, exact; `time_s` beside it is double. Times count from `imuarray.epoch`. One sensor at a time is in
-memory. An array of 2 GB or more does not fit the format. Such a log need not be exported: it is HDF5, which MATLAB
-reads with `h5read("run.h5", "/sensors/Gyro1/counts")`, there 3-by-n, because HDF5 counts dimensions the other way.
+`time_ns` is exact, in int64; `time_s` is double. Times count from `imuarray.epoch`. One sensor at a time is in memory.
+The format has no arrays of 2 GB or more. A larger log need not be exported: it is HDF5, which MATLAB reads with
+`h5read("run.h5", "/sensors/Gyro1/counts")`, as 3-by-n, because MATLAB reverses the dimensions of HDF5.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from imuarray.export.formats import ExportRequest, ExportSummary, Progress
 from imuarray.export.tables import Content, ExportTable, Meter, numbered
 
 MOST_BYTES = (1 << 31) - 1
-"""Size of one array: lengths are 32 bits wide (MATLAB MAT-File Format, R2019b, chapter 1)."""
+"""Largest size of an array, whose length has 32 bits (MATLAB MAT-File Format, R2019b, chapter 1)."""
 
 _LONGEST_NAME = 63
 _HEAD = "imuarray"
@@ -48,12 +48,12 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def _save(file: IO[bytes], name: str, struct: dict[str, Any]) -> None:
-    """One more variable behind those that the file has; scipy writes the file's head where there is none yet."""
+    """Append a variable to the file; scipy writes the head of an empty file."""
     savemat(file, {name: struct}, long_field_names=True, do_compression=True, oned_as="column")
 
 
 def _head(content: Content, names: list[str]) -> dict[str, Any]:
-    """Return the description of the file: plain fields for people, all of it as JSON for programs."""
+    """Return the description of the file: some fields for people, everything as JSON for programs."""
     columns = zip(*content.phases, strict=True) if content.phases else [[]] * 4
     start, end, phase, up = (list(column) for column in columns)
     columns = zip(*content.events, strict=True) if content.events else [[]] * 4
@@ -80,7 +80,7 @@ def _texts(values: list[Any]) -> Any:
 
 
 def _struct(table: ExportTable, meter: Meter) -> dict[str, Any]:
-    """Return a table as a struct; units of its columns and what else is known of it are in it."""
+    """Return a table as a struct, with the units of its columns and its description."""
     fields: dict[str, Any] = {}
     for column in table.columns:
         values = column.read(slice(0, table.rows))
@@ -95,7 +95,7 @@ def _struct(table: ExportTable, meter: Meter) -> dict[str, Any]:
 
 
 def _names(tables: tuple[ExportTable, ...]) -> list[str]:
-    """Return a variable for each table: its name, as far as MATLAB lets it be one, and different from all others."""
+    """Return a unique variable name for each table: its own name, changed as MATLAB requires."""
     names: list[str] = []
     for table in tables:
         wish = re.sub(r"\W", "_", table.short, flags=re.ASCII)

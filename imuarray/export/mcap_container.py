@@ -23,7 +23,7 @@ from imuarray.arrays import Times
 _MAGIC = b"\x89MCAP0\r\n"
 _COMPRESSION = "zstd"
 _LEVEL = 1
-"""Takes two thirds of the time of the usual 3, for files that are 4 % longer."""
+"""Compression level: two thirds of the time of the default, 3, for files that are 4 % longer."""
 _INDEX_HEAD = struct.Struct("<BQHI")
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 
@@ -86,13 +86,13 @@ class Container:
         return number
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Texts by name."""
+        """Write texts by name."""
         start = self._file.tell()
         length = self._put(records.Metadata(name=name, metadata=dict(values)))
         self._metadata.append(records.MetadataIndex(offset=start, length=length, name=name))
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
-        """A file within the file."""
+        """Write a file within the file."""
         start = self._file.tell()
         length = self._put(records.Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data))
         self._attachments.append(
@@ -110,9 +110,7 @@ class Container:
     def chunk(
         self, content: npt.NDArray[np.uint8], channels: npt.NDArray[np.intp], time_ns: Times, offsets: Times
     ) -> None:
-        """Write messages with their heads, which follow each other in the bytes `content`: n > 0 channels, times and
-        places in it.
-        """
+        """Write the messages with heads in the bytes `content`: their channels, times and offsets in it (n,), n > 0."""
         data = content.data
         first_ns, last_ns, start = int(time_ns.min()), int(time_ns.max()), self._file.tell()
         length = self._put(
@@ -150,7 +148,7 @@ class Container:
         ).write(self._chunk_index)
 
     def finish(self) -> None:
-        """The end of the data, and the summary: everything but messages again, and where it is."""
+        """Write the end of the data, and the summary: all records except messages, and the index."""
         self._put(records.DataEnd(data_section_crc=0))
         start = at = self._file.tell()
         groups: dict[Opcode, bytes] = {
@@ -188,7 +186,7 @@ class Container:
         )
 
     def _put(self, record: Any) -> int:
-        """Write a record; its length."""
+        """Write a record, and return its length."""
         text = _bytes_of([record])
         self._file.write(text)
         return len(text)

@@ -1,12 +1,12 @@
 """MCAP, which Foxglove opens: a channel for each sensor, events and phases, in the order of their times.
 
-Topics: /sensors/NAME, /fused, /truth, /reference, /events, /phases. Messages are made and written in blocks of rows, in
-chunks that are compressed one by one: memory doesn't grow with the log. Their kinds are `imuarray.export.mcap_schemas`
-or, in a file for the tool "ros2", `imuarray.export.ros2_messages`.
+Topics: /sensors/NAME, /fused, /truth, /reference, /events, /phases. Messages are created and written in blocks of rows,
+in chunks that are compressed one by one, so that memory does not grow with the log. Their types are defined by
+`imuarray.export.mcap_schemas` or, for the tool "ros2", by `imuarray.export.ros2_messages`.
 
-A JSON message consists of a template, shared by all rows in which the same values are known, and the texts of the
-values. These are padded to equal length within a block, as JSON lets spaces stand before and after a number, so that
-numpy assembles the rows together.
+A JSON message consists of a template, which all rows with the same known values share, and the texts of the values.
+Within a block these are padded with spaces to equal length, which JSON allows around numbers, so that numpy can
+assemble all rows at once.
 """
 
 from __future__ import annotations
@@ -38,37 +38,37 @@ if TYPE_CHECKING:
     from imuarray.export.mcap_container import Container
 
 _BLOCK = 1 << 12
-"""Rows of each table that are held at once."""
+"""Rows of each table that are in memory at a time."""
 _CHUNK_BYTES = 1 << 20
-"""Messages that are packed together: what must be read to see one of them."""
+"""Bytes of messages that are compressed together, and must be read to see one of them."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST_NS = 2**63
 
 Texts = npt.NDArray[np.uint8]
 
 _STAND_IN_NS = 1234567890_987654321
-"""A time in a form: its seconds and nanoseconds stand for those of the rows."""
+"""A time in a template: its seconds and nanoseconds are placeholders for those of the rows."""
 _SECONDS, _NANOSECONDS = _STAND_IN_NS // 10**9, _STAND_IN_NS % 10**9
 _STAND_IN = re.compile(rf"(?<=:){_SECONDS}(?=,)|(?<=:){_NANOSECONDS}(?=}})|7\.(\d{{5}})1e-301")
-"""Those, and the numbers that stand for cells in a form: no text of a message holds the like."""
+"""The placeholders of times and of cells in a template; no other text of a message matches."""
 
 
 class _Part(NamedTuple):
-    """Equally long messages, each with its head, as items of numpy: `places` (k,), ascending, among the rows."""
+    """Equally long messages with their heads, as numpy items; `places` (k,) are their rows, ascending."""
 
     places: Indices
     messages: npt.NDArray[np.void]
 
 
 class _Rows(NamedTuple):
-    """Messages of one channel in the order of their times: when (n,) ns, how many bytes (n,), and their parts."""
+    """Messages of one channel in the order of their times (n,) in ns, with their lengths (n,) in bytes and parts."""
 
     time_ns: Times
     lengths: Times
     parts: list[_Part]
 
     def then(self, other: _Rows) -> _Rows:
-        """These messages and then the others."""
+        """Return these messages followed by the others."""
         count = len(self.time_ns)
         return _Rows(
             np.concatenate([self.time_ns, other.time_ns]),
@@ -91,7 +91,7 @@ class _Rows(NamedTuple):
         )
 
     def copy_to(self, content: npt.NDArray[np.uint8], starts: Indices) -> None:
-        """Copy each message into the bytes `content`, to where it starts (n,)."""
+        """Copy each message into the bytes `content`, at its start (n,)."""
         for places, messages in self.parts:
             width = messages.dtype.itemsize
             anywhere = as_strided(content[:width].view(messages.dtype), (len(content) - width + 1,), (1,))
@@ -99,7 +99,7 @@ class _Rows(NamedTuple):
 
 
 def _ordered(time_ns: Times, parts: Sequence[_Part]) -> _Rows:
-    """Return the messages of rows at times (n,), in the order of these: whoever wrote the rows, messages are in it."""
+    """Return the messages of rows at times (n,), sorted by time, even if the rows are not."""
     if (np.diff(time_ns) < 0).any():
         order = np.argsort(time_ns, kind="stable")
         ranks = np.empty(len(order), np.intp)
@@ -128,11 +128,11 @@ class _Stream:
 
     @property
     def ended(self) -> bool:
-        """Return whether all of them were taken."""
+        """True if all messages were taken."""
         return self._last and not len(self.waiting.time_ns)
 
     def fill(self) -> None:
-        """Have many rows waiting: what is merged at once ends where the first stream does."""
+        """Read blocks until many rows are buffered, because a merge ends at the earliest end of all buffers."""
         while not self._last and len(self.waiting.time_ns) < _BLOCK:
             block = next(self._blocks, None)
             if block is None:
@@ -141,7 +141,7 @@ class _Stream:
             self.waiting = self.waiting.then(block)
 
     def take(self, until_ns: int) -> _Rows:
-        """Return the messages that wait, up to a time."""
+        """Return the buffered messages up to a time, and remove them."""
         count = int(np.searchsorted(self.waiting.time_ns, until_ns, "right"))
         taken, self.waiting = self.waiting.split(count)
         return taken
@@ -164,7 +164,7 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
         zero_ns = epoch_ns(content.epoch, path)
         with whole_file(path, force=force) as draft, draft.open("wb") as file:
             container = Container(file, f"imuarray {__version__}", "ros2" if for_ros2 else "")
-            _say(container, content)
+            _write_head(container, content)
             streams = _ros2_streams if for_ros2 else _streams
             _merge(container, streams(container, content, zero_ns, Meter(content, progress)), str(request.source))
             container.finish()
@@ -172,8 +172,8 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 
 def _merge(container: Container, streams: Sequence[_Stream], source: str) -> None:
-    """Write all messages in the order of their times; of equal times that of the first stream first. ExportError for a
-    time that MCAP does not have.
+    """Write all messages in the order of their times, and of the streams at equal times. ExportError for a time that
+    MCAP can't represent.
     """
     while True:
         for stream in streams:
@@ -206,7 +206,7 @@ def _merge(container: Container, streams: Sequence[_Stream], source: str) -> Non
 
 
 def epoch_ns(epoch: str, path: Path) -> int:
-    """Nanoseconds from 1970 to an ISO 8601 time, UTC if it does not say; ExportError."""
+    """Return the nanoseconds from 1970 to an ISO 8601 time (without a zone: UTC); ExportError if it is not a date."""
     try:
         when = datetime.fromisoformat(epoch)
     except ValueError:
@@ -215,7 +215,7 @@ def epoch_ns(epoch: str, path: Path) -> int:
     return (since.days * 86_400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
 
 
-def _say(container: Container, content: Content) -> None:
+def _write_head(container: Container, content: Content) -> None:
     """Write the log's head as metadata and the array's configuration as an attachment."""
     container.metadata("imuarray", {name: str(value) for name, value in content.head.items() if name != "config"})
     if config := content.head.get("config"):
@@ -223,7 +223,7 @@ def _say(container: Container, content: Content) -> None:
 
 
 def _streams(container: Container, content: Content, zero_ns: int, meter: Meter) -> list[_Stream]:
-    """Messages of each channel, in the order of their times."""
+    """Return the messages of each channel, in the order of their times."""
     streams = []
     for table in content.tables:
         if len(table.columns) > 1 and table.name != "clocks":
@@ -242,7 +242,7 @@ def _streams(container: Container, content: Content, zero_ns: int, meter: Meter)
 
 
 def _ros2_streams(container: Container, content: Content, zero_ns: int, meter: Meter) -> list[_Stream]:
-    """Messages of each topic of ROS 2; those of the same type share its definition."""
+    """Return the messages of each topic of ROS 2; topics of the same type share its definition."""
     streams, schemas_of = [], dict.fromkeys(ros2.DEFINITIONS, 0)
 
     def channel_of(topic: str, kind: str) -> int:
@@ -273,7 +273,7 @@ def _ros2_rows(blocks: Iterator[tuple[Times, Texts]], channel: int) -> Iterator[
 
 
 def _frame(content: Content) -> str:
-    """Physical values are in the box frame; counts are along each sensor's own axes."""
+    """Return the frame of the values: the box for physical values, the sensor for counts."""
     return "sensor" if content.units == "counts" else "box"
 
 
@@ -295,7 +295,7 @@ def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Met
         time_ns = np.asarray(table.columns[0].read(rows) + zero_ns, np.int64)
         cells = [np.asarray(column.read(rows)).reshape(len(time_ns), -1) for column in columns]
         known = [np.isfinite(cell) for cell in cells]
-        if len(time_ns) and all(each.all() for each in known):  # the usual case: row by row takes long
+        if len(time_ns) and all(each.all() for each in known):  # the usual case, which is faster
             finite = np.ones((1, len(cells)), bool)
         else:
             finite = np.stack([each.all(axis=1) for each in known], axis=1)
@@ -320,8 +320,8 @@ def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Met
 def _form(
     message: Callable[[Sequence[Any]], dict[str, Any]], columns: Sequence[TableColumn], there: Sequence[bool]
 ) -> list[bytes | int]:
-    """Return the form of messages in which the columns that are `there` have values: texts, and between them -2 where
-    the seconds, -1 where the nanoseconds stand, else the number of a cell, counted through all columns.
+    """Return the template of messages in which the columns `there` have values: texts, and between them -2 for the
+    seconds, -1 for the nanoseconds, or the number of a cell, counted over all columns.
     """
     row, number = [], 0
     for column, known in zip(columns, there, strict=True):
@@ -340,7 +340,7 @@ def _form(
 
 
 def _filled(form: Sequence[bytes | int], time_ns: Times, columns: Sequence[npt.NDArray[Any]]) -> Texts:
-    """Return (n, l) messages by their form, at times (n,), from columns (n, cells)."""
+    """Return messages (n, l) from their template, times (n,) and columns (n, cells)."""
     cells = [cell for column in columns for cell in column.T]
     made: dict[int, Texts] = {}
     for part in form:
@@ -350,7 +350,7 @@ def _filled(form: Sequence[bytes | int], time_ns: Times, columns: Sequence[npt.N
             )
     line = b"".join(part if isinstance(part, bytes) else made[part][0].tobytes() for part in form)
     messages = np.empty((len(time_ns), len(line)), np.uint8)
-    messages[:] = np.frombuffer(line, np.uint8)  # a copy of the first message, and over it what differs
+    messages[:] = np.frombuffer(line, np.uint8)  # the first message, over which differences are written
     at = 0
     for part in form:
         width = len(part) if isinstance(part, bytes) else made[part].shape[1]
@@ -361,7 +361,7 @@ def _filled(form: Sequence[bytes | int], time_ns: Times, columns: Sequence[npt.N
 
 
 def _digits(values: Times) -> Texts:
-    """Return (n, w) integers from 0 as text, with spaces before them."""
+    """Return the text (n, w) of non-negative integers, right-aligned with spaces."""
     most = int(values.max(initial=0))
     width, table = len(str(most)), _four_digits()
     words = np.empty((len(values), -(-width // 4)), np.uint32)
@@ -380,12 +380,12 @@ def _digits(values: Times) -> Texts:
 
 @cache
 def _four_digits() -> npt.NDArray[np.uint32]:
-    """Return (10000,) the texts 0000 ... 9999 as words: a division for four digits instead of one for each."""
+    """Return the texts 0000 to 9999 as words (10000,), which save three of four divisions."""
     return np.frombuffer("".join(f"{number:04d}" for number in range(10**4)).encode(), np.uint32)
 
 
 def _texts(values: npt.NDArray[Any]) -> Texts:
-    """Return (n, w) numbers as JSON, with spaces behind them; a number that is there often is spelled once."""
+    """Return the JSON text (n, w) of numbers, left-aligned with spaces; each different number is converted once."""
     if len(values) and (values == values[0]).all() and values[0] != 0:
         text = np.frombuffer(json.dumps(values[0].item()).encode(), np.uint8)
         return np.broadcast_to(text, (len(values), len(text)))
@@ -409,7 +409,7 @@ def _with_heads(texts: Texts, channel: int, sequence: Times, time_ns: Times) -> 
 
 
 class _Entry(NamedTuple):
-    """A line for the log panel."""
+    """An entry of the log panel."""
 
     time_ns: int
     level: str
@@ -429,7 +429,7 @@ def _ros2_entry(nanoseconds: int, entry: _Entry) -> bytes:
 def _entries(
     said: Sequence[_Entry], channel: int, zero_ns: int, encode: Callable[[int, _Entry], bytes]
 ) -> Iterator[_Rows]:
-    """Lines in the order of their times, each message by itself; no rows where there are no lines."""
+    """Yield the entries in the order of their times, one part for each; nothing without entries."""
     if not said:
         return
     time_ns = np.array([entry.time_ns + zero_ns for entry in said], np.int64)
@@ -454,7 +454,7 @@ def _events(content: Content) -> list[_Entry]:
 
 
 def _phases(content: Content) -> list[_Entry]:
-    """Return a line where each phase begins, and one where it ends."""
+    """Return an entry for the beginning and one for the end of each phase."""
     said = [
         (phase.start_ns, f"{phase.name} begins{f', {phase.up} up' if phase.up else ''}") for phase in content.phases
     ]

@@ -1,9 +1,9 @@
 """The messages of an MCAP file: JSON, each kind with its JSON Schema, as Foxglove reads them.
 
-A sensor's message has its time, its frame and a field a column: ``{"x", "y", "z"}`` for a triad. Messages with both
+A sensor's message has its time, its frame and a field for each column: ``{"x", "y", "z"}`` for a triad. Messages with
 specific force and angular rate (a fused result, the truth) have the names of ROS's sensor_msgs/Imu: covariances row by
-row, with -1 first where there is no such estimate, which then is left out; `linear_acceleration` is specific force, as
-it is there. Events are foxglove.Log (docs.foxglove.dev/docs/sdk/schemas/log), so that its Log panel shows them.
+row, whose first entry is -1 if the quantity is missing; `linear_acceleration` is specific force, as in ROS. Events are
+foxglove.Log (docs.foxglove.dev/docs/sdk/schemas/log), so that the Log panel shows them.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _IMU = {"angular_rate": "angular_velocity", "specific_force": "linear_accelerati
 
 
 def time_of(nanoseconds: int) -> dict[str, int]:
-    """Nanoseconds since 1970 as Foxglove writes a time."""
+    """Return nanoseconds since 1970 in Foxglove's form of a time."""
     return {"sec": nanoseconds // 1_000_000_000, "nsec": nanoseconds % 1_000_000_000}
 
 
@@ -45,7 +45,7 @@ def is_imu(table: ExportTable) -> bool:
 
 
 def log_schema() -> dict[str, Any]:
-    """foxglove.Log."""
+    """Return the schema of foxglove.Log."""
     levels = [{"title": name, "const": number} for name, number in LEVELS.items()]
     text = {"type": "string"}
     fields = {"timestamp": TIME, "level": {"oneOf": levels}, "message": text, "name": text, "file": text}
@@ -53,7 +53,7 @@ def log_schema() -> dict[str, Any]:
 
 
 def log_message(nanoseconds: int, level: str, name: str, message: str) -> dict[str, Any]:
-    """Return an entry of a log, for its panel."""
+    """Return a foxglove.Log message."""
     said = {"timestamp": time_of(nanoseconds), "level": LEVELS[level], "message": message, "name": name}
     return {**said, "file": "", "line": 0}
 
@@ -69,7 +69,9 @@ def imu_schema() -> dict[str, Any]:
 
 
 def imu_message(nanoseconds: int, row: Mapping[str, Any]) -> dict[str, Any]:
-    """`row`: a triad by quantity, its covariance's six entries by quantity with "_covariance", a temperature."""
+    """Return an Imu message. `row` has a triad by quantity, the six entries of its covariance by quantity with
+    "_covariance", and a temperature.
+    """
     message: dict[str, Any] = {"header": {"stamp": time_of(nanoseconds), "frame_id": "box"}}
     message["orientation_covariance"] = _NOT_KNOWN
     for quantity, name in _IMU.items():
@@ -93,7 +95,7 @@ def table_schema(table: ExportTable) -> dict[str, Any]:
 
 
 def table_message(nanoseconds: int, frame: str, columns: Sequence[TableColumn], row: Sequence[Any]) -> dict[str, Any]:
-    """Return a row of a sensor's table, but for its time; what is not a number is left out."""
+    """Return the message of a row of a sensor's table; values that are not finite are omitted."""
     message: dict[str, Any] = {"timestamp": time_of(nanoseconds), "frame_id": frame}
     for column, value in zip(columns, row, strict=True):
         cells = value if column.cells else [value]

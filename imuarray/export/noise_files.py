@@ -1,8 +1,8 @@
 """Noise figures for Kalibr, OpenVINS, VINS-Fusion (.yaml), Gazebo and PX4 (.sdf): `imuarray.characterise.imu_noise`.
 
-Figures come from a log at rest, from a fused result at rest, or from what `characterise` wrote of one (JSON). One
-accelerometer, one gyroscope, one of each, or a fused result are one IMU and one file. Of more sensors there is a file
-for each beside it, run_BMA1.yaml, ...: an array has no figures of its own before it is fused.
+Figures come from a log at rest, from a fused result at rest, or from the JSON file that `characterise` wrote. One
+accelerometer, one gyroscope, one of each, or a fused result are one IMU and one file. For more sensors there is a file
+for each, run_BMA1.yaml, ..., because an array has no figures of its own before it is fused.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from imuarray.spelling import guess
 from imuarray.units import INERTIAL, SI_PER_UNIT, UNITS_OF, Quantity
 
 _LARGEST = 1 << 28
-"""Bytes of a characterisation; one of an array takes a hundredth."""
+"""Most bytes of a characterisation; that of an array has a hundredth of this."""
 
 _FUSED_TOPIC = "/fused"
 _REGULAR = 0.5
-"""Share of the usual interval by which one may differ within a run."""
+"""Share of the usual interval by which an interval may differ within a run."""
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
-    """Write one file or several; ExportError where there is no noise to tell."""
+    """Write one file or several; ExportError if no noise could be determined."""
     tool = request.tool or TOOLS[path.suffix.lower()][0]
     if request.units not in (None, "si"):
         raise ExportError(f"{path}: noise figures are in SI; leave units out")
@@ -62,7 +62,7 @@ def _beside(path: Path, name: str) -> Path:
 
 
 def _imus(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise], dict[str, int]]:
-    """The IMUs of a source, and how many rows they are from."""
+    """Return the IMUs of a source, and the number of rows of each sensor."""
     if request.source.is_file() and is_fused(request.source):
         return _of_fused(request, progress)
     result = _stored(request) if request.source.suffix == ".json" else _characterised(request, progress)
@@ -73,7 +73,7 @@ def _imus(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise], d
 
 
 def _stored(request: ExportRequest) -> Mapping[str, Any]:
-    """Return what `characterise` wrote of the requested sensors."""
+    """Return the result that `characterise` wrote, reduced to the requested sensors."""
     if request.calibration is not None:
         raise ExportError(
             f"{request.source}: was made with its own calibration; give --calibration to `characterise` instead"
@@ -113,13 +113,13 @@ def _characterised(request: ExportRequest, progress: Progress) -> Mapping[str, A
 
 
 def _scales(log: Log, names: list[str], calibration: Calibration) -> dict[str, list[float]]:
-    """Counts per unit of the sensors that a calibration knows."""
+    """Return the counts per unit of the calibrated sensors."""
     known = [name for name in names if name in calibration.sensors]
     return {name: calibration.of(log[name]).scale_lsb_per_unit.tolist() for name in known}
 
 
 def _of_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise], dict[str, int]]:
-    """The IMU that a fused result at rest is; ExportError if it moves or is too short."""
+    """Return the noise of a fused result at rest as one IMU; ExportError if it moves or is too short."""
     path = request.source
     if request.sensors or request.calibration is not None:
         raise ExportError(f"{path}: a fused result; it has no sensors to choose or convert")

@@ -82,7 +82,7 @@ def _write_table(path: Path, table: ExportTable, content: Content, head: Mapping
 
 
 def _zero_ns(epoch: str) -> int | None:
-    """Nanoseconds from 1970 to the epoch; None if it is no date."""
+    """Return the nanoseconds from 1970 to the epoch; None if it is not a date."""
     try:
         return epoch_ns(epoch, Path())
     except ExportError:
@@ -113,7 +113,7 @@ def _arrays(column: TableColumn, rows: slice, zero_ns: int | None) -> Iterator[p
 
 
 def _write_texts(path: Path, names: Sequence[str], rows: Sequence[Sequence[Any]], head: Mapping[str, Any]) -> None:
-    """A short table of texts and of integers, ns since the epoch where they are times."""
+    """Write a short table of texts and integers; times are in ns since the epoch."""
     import pyarrow
     from pyarrow import parquet
 

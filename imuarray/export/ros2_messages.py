@@ -9,9 +9,9 @@
 
 The two halves of a six-axis chip (NAME_acc, NAME_gyro) whose rows have equal times are one Imu, /sensors/NAME.
 
-A message of `sensor_msgs` is a header and then numbers of 64 bits. Its frame is the same in all messages, so that all
-are equally long and numpy writes a block of them at once (CDR: OMG "DDS-RTPS" 2.2, chapter 10, little endian). ROS
-marks an estimate that does not exist with -1 as the first covariance, and leaves a covariance that is not known zero.
+A message of `sensor_msgs` is a header followed by numbers of 64 bits. Its frame is the same in all messages, so that
+they are equally long and numpy writes a block of them at once (CDR: OMG "DDS-RTPS" 2.2, chapter 10, little endian). In
+ROS, the first covariance of a missing estimate is -1, and an unknown covariance is zero.
 """
 
 from __future__ import annotations
@@ -78,23 +78,23 @@ DEFINITIONS: Mapping[str, str] = {
         builtin_interfaces__Time=_TIME,
     ),
 }
-"""Type of message to the definition that stands in the bag, with which any reader decodes it."""
+"""The definition of each type of message, which the bag contains so that any reader can decode it."""
 
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _ENTRIES = (0, 3, 4, 3, 1, 5, 4, 5, 2)
-"""Places of the nine entries of a covariance among the six that are kept (xx yy zz xy xz yz)."""
+"""Positions of the nine entries of a covariance among the six that are stored (xx yy zz xy xz yz)."""
 _IMU_NUMBERS = 37
 _ORIENTATION_W, _ORIENTATION_COVARIANCE = 3, 4
 _IMU = {"angular_rate": 13, "specific_force": 25}
-"""Place of each triad among the numbers of an Imu; its covariance stands behind it."""
+"""Position of each triad among the numbers of an Imu; its covariance follows."""
 
 Cells = Mapping[str, npt.NDArray[np.float64]]
 """The columns of some rows by name, (n, cells) each."""
 
 
 class Topic(NamedTuple):
-    """A topic of a bag: its name and type, the time of its rows, the columns it needs, and what makes numbers of them:
-    (n, k), a row with nan is no message.
+    """A topic of a bag: its name and type, its table, the columns that it needs, and the function that computes the
+    numbers (n, k) of its messages; a row with nan has no message.
     """
 
     name: str
@@ -104,7 +104,9 @@ class Topic(NamedTuple):
     numbers: Callable[[Cells], Floats]
 
     def blocks(self, zero_ns: int, rows: int, meter: Meter) -> Iterator[tuple[Times, npt.NDArray[np.uint8]]]:
-        """Yield times (n,) in ns since 1970 and messages (n, bytes); ExportError for a time that ROS does not have."""
+        """Yield times (n,) in ns since 1970 and messages (n, bytes); ExportError for a time that ROS can't
+        represent.
+        """
         for part in self.table.blocks(rows):
             time_ns = np.asarray(self.table.columns[0].read(part) + zero_ns, np.int64)
             cells = {column.name: np.asarray(column.read(part), float) for column in self.columns}
@@ -172,7 +174,7 @@ def _equal_times(first: ExportTable, second: ExportTable) -> bool:
 
 
 def _imu(cells: Cells) -> Floats:
-    """Return the numbers of an Imu (n, 37): no orientation, and what there is of rate and force."""
+    """Return the numbers of an Imu (n, 37): no orientation, and rate and force if they are known."""
     count = len(next(iter(cells.values())))
     numbers = np.zeros((count, _IMU_NUMBERS))
     numbers[:, _ORIENTATION_W], numbers[:, _ORIENTATION_COVARIANCE] = 1.0, -1.0
@@ -200,7 +202,7 @@ def _scalar(cells: Cells) -> Floats:
 
 
 def _check(time_ns: int) -> None:
-    """Raise ExportError for a time in ns since 1970 that builtin_interfaces/Time does not have."""
+    """Raise ExportError for a time in ns since 1970 that builtin_interfaces/Time can't represent."""
     if not 0 <= time_ns // 10**9 <= _LAST_SECOND:
         raise ExportError(f"a row of {time_ns} ns since 1970; ROS 2 has times from 1970 to 2038-01-19")
 
@@ -210,7 +212,7 @@ def _stamped(time_ns: Times, numbers: Floats) -> npt.NDArray[np.uint8]:
     for extreme in (time_ns.min(initial=0), time_ns.max(initial=0)):
         _check(int(extreme))
     text = FRAME.encode() + b"\0"
-    fill = -(12 + len(text)) % 8  # numbers begin at multiples of 8, counted from behind the first four bytes
+    fill = -(12 + len(text)) % 8  # numbers begin at multiples of 8 after the first four bytes
     layout = np.dtype(
         [
             ("encoding", "S4"),

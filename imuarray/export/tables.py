@@ -1,6 +1,6 @@
-"""Tables of an export: groups of equally long columns, read a stretch of rows at a time, with their descriptions.
+"""Tables of an export: groups of equally long columns, which are read a block of rows at a time, with descriptions.
 
-Every writer takes the same tables, whether they come from a log, in counts or in physical units, or from a fused file.
+All writers use the same tables, whether they come from a log, in counts or in physical units, or from a fused file.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from imuarray.export.formats import ExportSummary, Progress
 from imuarray.log.format import Event, Phase
 
 ROWS = 1 << 14
-"""Rows that are held at once; no output depends on it."""
+"""Rows that are in memory at a time; the output does not depend on it."""
 
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A column of a table: a number a row, or one for each of `cells`; `kind` is its numpy type, `unit` as CF spells it
-    ("counts" for raw ones, "1" for flags).
+    """A column of a table with one number per row, or one for each of `cells`; `kind` is its numpy type, `unit` is
+    spelled as in CF ("counts" for raw values, "1" for flags).
     """
 
     name: str

@@ -205,7 +205,7 @@ def test_all_of_it_or_nothing(run: Path, monkeypatch: pytest.MonkeyPatch, failur
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (lambda file: file.__setitem__("fused/out", h5py.ExternalLink("/etc/passwd", "/x")), "a link that leads"),
+        (lambda file: file.__setitem__("fused/out", h5py.ExternalLink("/etc/passwd", "/x")), "a link to another"),
         (lambda file: file.__delitem__("fused/time"), "not a fused result"),
         (lambda file: file["fused"].create_dataset("big", (1 << 40,), "i2", chunks=(4,)), "more than this file"),
     ],
