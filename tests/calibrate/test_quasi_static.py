@@ -149,7 +149,7 @@ def test_the_command_says_how(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     rng = np.random.default_rng(1)
     run = record(tmp_path / "run.h5", tumbled(SECONDS, rng, sway_m=0.003)[:5000], planted(rng), 1)
     assert main(["calibrate", "tumble", str(run), "-o", str(tmp_path / "cal.toml")]) == 0
-    assert "stretches of a path without stops, each by how much it moved" in capsys.readouterr().out
+    assert "stretches of a path without stops, weighted by how little each moved" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

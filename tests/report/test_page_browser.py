@@ -45,6 +45,7 @@ async def background(page: Browser) -> float:
 def test_what_is_folded_on_the_screen_is_open_on_paper(tmp_path: Path) -> None:
     async def visit(address: str) -> None:
         async with browser(tmp_path / "profile", address) as page:
+            await page.until("document.querySelector('details table') !== null")
             shown = "document.querySelector('details table').checkVisibility()"
             assert not await page.value(shown)
             await page.call("Emulation.setEmulatedMedia", media="print")
