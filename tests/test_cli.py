@@ -478,3 +478,16 @@ def test_a_full_disk_has_an_exit_code_of_its_own(run: Run, here: Path, monkeypat
     code, _, err = run("log", "one.toml", "--bus", "emulated:", "-o", "n.h5", "--seconds", "1")
     assert code == 3
     assert err[-1].startswith("imuarray: n.h5: less than ")
+
+
+@pytest.mark.parametrize("arguments", [["demo", "-o", "demo"], ["report", "log.h5", "-o", "report.html"]])
+def test_a_package_that_pages_need_is_asked_for_before_the_work(
+    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "log.h5").touch()
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error == "imuarray: this needs jinja2, which is not installed: pip install 'imuarray[report]'\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["log.h5"]

@@ -51,8 +51,10 @@ def command(**options: Any) -> None:
     imuarray demo --array icm42688x8 -o demo8
     """
     from imuarray.array import load_array
+    from imuarray.report.page import require_page_package
     from imuarray.studies.emulated_runs import DemoOptions
 
+    require_page_package()
     wanted = DemoOptions(options["seconds"], options["seed"], options["force"], options["workers"])
     config, output = find_config(Path(options["array"])), options["output"]
     name = load_array(config).name

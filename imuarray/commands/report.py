@@ -29,7 +29,9 @@ def command(files: tuple[Path, ...], output: Path, title: str, workers: int, for
     imuarray report heating.h5 cal.toml fused.h5 gap/ -o report.html
     """
     from imuarray.report.files import file_kind, reportable_files, write_report
+    from imuarray.report.page import require_page_package
 
+    require_page_package()
     if output.suffix.lower() not in (".html", ".htm"):
         name = output.with_suffix(".html").name if output.suffix else f"{output.name}.html"
         raise click.UsageError(f"{output}: a report is an HTML page; name it {name}")

@@ -166,6 +166,12 @@ def can_draw() -> bool:
     return find_spec("matplotlib") is not None
 
 
+def require_page_package() -> None:
+    """Raise MissingExtraError if the package that pages need is not installed: to be called before long work."""
+    if find_spec("jinja2") is None:
+        raise MissingExtraError("jinja2", "report")
+
+
 def write_page(
     path: str | PathLike[str],
     title: str,
