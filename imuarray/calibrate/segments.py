@@ -174,8 +174,8 @@ def chip_thermometer(log: Log, width_s: float) -> TemperatureSeries | None:
     alike = [sensor for sensor in known if sensor.is_triad and sensor.chip == known[0].chip]
     if first is None or not known[0].is_triad or len(alike) < FEWEST_ALIKE:
         return first
-    series = [_chip_thermometer(log, sensor, width_s) for sensor in alike]
-    degc = [other.at(first.time_s) for other in series if other is not None]
+    others = [_chip_thermometer(log, sensor, width_s) for sensor in alike[1:]]
+    degc = [first.degc, *(other.at(first.time_s) for other in others if other is not None)]
     means = [each.mean() for each in degc]
     changes = np.median([each - mean for each, mean in zip(degc, means, strict=True)], axis=0)
     return replace(first, degc=np.median(means) + changes)

@@ -168,8 +168,10 @@ def can_draw() -> bool:
 
 def require_page_package() -> None:
     """Raise MissingExtraError if the package that pages need is not installed: to be called before long work."""
-    if find_spec("jinja2") is None:
-        raise MissingExtraError("jinja2", "report")
+    try:
+        import jinja2  # noqa: F401
+    except ImportError:
+        raise MissingExtraError("jinja2", "report") from None
 
 
 def write_page(
@@ -184,10 +186,9 @@ def write_page(
     """Write the page; OutputExistsError if the file exists and not `force`, OutputError, MissingExtraError without
     jinja2.
     """
-    try:
-        from jinja2 import Environment
-    except ImportError:
-        raise MissingExtraError("jinja2", "report") from None
+    require_page_package()
+    from jinja2 import Environment
+
     template = files("imuarray.report").joinpath("page.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, finalize=_shown)
     environment.tests["table"] = lambda part: isinstance(part, Table)

@@ -196,7 +196,7 @@ def likeliest(trials: Iterable[FittedHypothesis], count: int) -> list[FittedHypo
 
 def _likeliest(trials: Sequence[FittedHypothesis], count: int) -> list[FittedHypothesis]:
     ranked = sorted(trials, key=lambda trial: -trial.gain)
-    ranked = [trial for trial in ranked if trial.gain > 0 and trial.gain * trial.counts > WORTH]
+    ranked = [trial for trial in ranked if trial.gain * trial.counts > WORTH]
     least = ranked[0].gain - max(_MOST_BEHIND, ranked[0].gain / 2) if ranked else 0.0
     likely: list[FittedHypothesis] = []
     for trial in ranked:
