@@ -179,7 +179,7 @@ class StreamHealth:
             check.good_rows = max(check.good_rows - count, 0)
 
     def finish(self, now_ns: int) -> None:
-        """At the end of the log, after the stream was stopped, read every register back twice, and flag the rows that
+        """Read every register back twice after the stream was stopped, at the end of the log, and flag the rows that
         remain unverified.
         """
         if self._start_up is not None:

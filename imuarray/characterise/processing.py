@@ -61,14 +61,14 @@ def find_processing(sensor: SensorLog) -> list[str]:
     """
     if not sensor.is_triad or len(sensor) < FEWEST_ROWS:
         return []
-    found = [find_missing_gravity(sensor), *find_filters(sensor)]
+    predicates = [find_missing_gravity(sensor), *find_filters(sensor)]
     if find_interpolation(sensor) is not None:
-        found.append("is interpolated by a program")
-    return [text for text in found if text]
+        predicates.append("is interpolated by a program")
+    return [text for text in predicates if text]
 
 
 def find_missing_gravity(sensor: SensorLog) -> str:
-    """Say that an accelerometer has no gravity; "" if it has."""
+    """Return the predicate of an accelerometer without gravity; "" of one with it."""
     if sensor.quantity != "specific_force" or sensor.unit != "g" or len(sensor) < FEWEST_ROWS:
         return ""
     values, _ = _middle_rows(sensor)

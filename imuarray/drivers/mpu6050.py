@@ -148,7 +148,7 @@ class _QueuedHalf(QueuedHalf, _Half):
         return MpuQueue(self.registers, self.clock, self.rate_hz, _FIFO_BYTES, control, vars(facts))
 
     def _queue_settings(self) -> tuple[Setting, ...]:
-        """On, with everything in it (INV-27)."""
+        """Return the settings of a queue that holds everything (INV-27)."""
         return facts.USER_CTRL[7:0](facts.FIFO_ON(1).value), facts.FIFO_EN[7:0](EVERYTHING)
 
 

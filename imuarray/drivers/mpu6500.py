@@ -120,7 +120,7 @@ class _QueuedHalf(QueuedHalf, _Half):
         return MpuQueue(self.registers, self.clock, self.rate_hz, _FIFO_BYTES, control, vars(facts))
 
     def _queue_settings(self) -> tuple[Setting, ...]:
-        """On, with everything in it (INV-98)."""
+        """Return the settings of a queue that holds everything (INV-98)."""
         control = facts.USER_CTRL[7:0]((facts.FIFO_ON(1) | facts.I2C_OFF(int(self.on_spi))).value)
         return control, facts.FIFO_EN[7:0](EVERYTHING)
 

@@ -196,10 +196,10 @@ def diagnose(  # noqa: PLR0913
     LogError for a log that can't be read, in which nothing can be compared, or that is of another array; ConfigError
     for an effect or a model that isn't known.
 
-    >>> found = diagnose(["run.h5"], only=["Gyro1"], replicates=40)
-    >>> found.verdict in ("no gap", "explained", "partly explained", "unexplained")
+    >>> diagnosis = diagnose(["run.h5"], only=["Gyro1"], replicates=40)
+    >>> diagnosis.verdict in ("no gap", "explained", "partly explained", "unexplained")
     True
-    >>> [recording.name for recording in found.recorded]
+    >>> [recording.name for recording in diagnosis.recorded]
     ['run.h5']
     """
     candidates = library(without)

@@ -614,8 +614,8 @@ def _nameless(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[
     The magnitude of specific force is constant under rotation, so the first is taken for a force.
     """
     if len(free) > _PLAIN_COLUMNS or len(free) % 3:
-        if found := list(_behaving(columns, free)):
-            yield from found
+        if triads_by_behaviour := list(_behaving(columns, free)):
+            yield from triads_by_behaviour
             return
         free = [index for index in free if not _is_label(columns[index])]
     triads = [(free[start], free[start + 1], free[start + 2]) for start in range(0, len(free) - 2, 3)][:3]

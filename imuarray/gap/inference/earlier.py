@@ -152,7 +152,7 @@ def _replicated(bench: Bench, requests: Sequence[ReplicateRequest]) -> list[Floa
 
 
 def _counterparts(bench: Bench, earlier: Bench) -> list[Indices]:
-    """For each of the bench's keys, the places of its counterparts among the earlier keys."""
+    """Return the places of the counterparts of each of the bench's keys among the earlier keys."""
     places_of: dict[_Place, list[int]] = {}
     for at, names in enumerate(_names(earlier)):
         for name in names:

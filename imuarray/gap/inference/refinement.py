@@ -261,8 +261,9 @@ def _nudge(
     statistics: _TrialStatistics,
     groups: Sequence[list[int]],
 ) -> list[tuple[float, Floats]]:
-    """For each group of factors the step in their logs, upwards or where that can't be simulated downwards, and the
-    statistics then; the old ones if neither can.
+    """Return, for each group of factors, the step in their logarithms and the statistics after it.
+
+    The step is upwards, or downwards where that cannot be simulated; if neither can, the statistics are the old ones.
     """
     outcomes = [(_NUDGE, statistics.values)] * len(groups)
     open_groups = list(range(len(groups)))

@@ -328,14 +328,14 @@ def _guesses_of(
         evidence = _evidence(comparison, train, standing, False)
         lasting = [trial for trial in guesses_of(evidence, candidates) if not trial.needs_both]
         everything = guesses_of(_evidence(comparison, both, standing, True), candidates)
-        again = _OF_EXTREMES
+        of_both = _OF_EXTREMES
         if any(phase.kind == "heating" for phase in evidence.phases):
-            again |= _THERMAL
+            of_both |= _THERMAL
         known = {(trial.name, trial.when, trial.shared) for trial in lasting}
         late = [
             replace(trial, whole=True)
             for trial in everything
-            if trial.needs_both or trial.name in again or (trial.name, trial.when, trial.shared) not in known
+            if trial.needs_both or trial.name in of_both or (trial.name, trial.when, trial.shared) not in known
         ]
         every = [
             trial if trial.when.is_in_both(comparison.bench.split) else replace(trial, whole=True)

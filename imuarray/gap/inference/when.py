@@ -39,7 +39,7 @@ class When:
 
     @property
     def numbers(self) -> int:
-        """How many say when."""
+        """The number of fitted or chosen numbers that determine the time."""
         if self.chosen is not None:
             return self.chosen
         return sum(1 + (span.moment_s > 0) + math.isfinite(span.length_s) for span in self.spans)
@@ -63,7 +63,7 @@ class When:
 ALWAYS = When()
 
 SINGLE = 64
-"""More events than this are not told one by one."""
+"""More events than this are not listed one by one."""
 
 NUMBERS = 1.0
 """Nats that a number costs which was chosen to say when: the moment of an event, or how long it is. What is told by
@@ -75,12 +75,12 @@ _SHARE = 0.2
 
 
 def in_logs(logs: Collection[int]) -> When:
-    """In these logs, all of the time."""
+    """Return the whole of these logs."""
     return When(tuple(Span(log, 0.0, math.inf) for log in sorted(logs)))
 
 
 def since(first: Span, logs: Collection[int]) -> When:
-    """From the beginning of a span on, in its log and in those after it: a log and a moment say all."""
+    """Return the time from the beginning of a span on, in its log and in the later `logs`."""
     return When((first, *in_logs([log for log in logs if log > first.log]).spans), 2)
 
 
@@ -98,7 +98,7 @@ class Stretches(TypedDict):
 
 
 def stretches(spans: Sequence[Span]) -> Stretches:
-    """In which log, when, and for how long."""
+    """Return the stretches of the spans: log, begin and length."""
     return {
         "runs": tuple(float(span.log) for span in spans),
         "moments_s": tuple(span.moment_s for span in spans),

@@ -227,12 +227,12 @@ def _slopes(time_ns: Integers, rows: Reals) -> Reals:
 
 
 def _gaps(time_ns: Integers) -> Booleans:
-    """Mask (k - 1,) of the intervals that are gaps."""
+    """Return a mask (k - 1,) of the intervals that are gaps."""
     lengths = np.diff(time_ns)
     if len(lengths) < 2:
         return np.zeros(len(lengths), bool)
-    beside = np.pad(lengths.astype(float), 1, constant_values=math.inf)
-    return np.asarray(lengths > _GAP * np.minimum(beside[:-2], beside[2:]))
+    neighbours = np.pad(lengths.astype(float), 1, constant_values=math.inf)
+    return np.asarray(lengths > _GAP * np.minimum(neighbours[:-2], neighbours[2:]))
 
 
 def _between(time_ns: Integers, rows: Reals, slopes: Reals, is_gap: Booleans) -> _Block:

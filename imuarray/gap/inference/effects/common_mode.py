@@ -177,7 +177,9 @@ def _each(covariance: Floats, shared: float) -> Triple:
 
 
 def _common(crosses: Sequence[Cross], sensor: str, partner: str) -> _Common:
-    """Over phases; the score of a correlation r of n windows is artanh(r) sqrt(n)."""
+    """Return what two sensors have in common over the phases. The score of a correlation r of n windows is artanh(r)
+    sqrt(n).
+    """
     fast, slow, scores, weights = [], [], [], []
     for cross in crosses:
         if not any(item.name == partner for item in cross.sensors) or not cross.windows:

@@ -84,7 +84,7 @@ class LogLevels(NamedTuple):
 
 
 def log_levels(table: Levels) -> LogLevels:
-    """In the order of the logs' numbers; empty without two logs that share a face."""
+    """Return the levels in the order of the logs' numbers; empty without two logs that share a face."""
     members = list(table.groups())
     groups = [(int(table.log[at[0]]), tuple(np.nan_to_num(table.felt_g[at[0]], nan=9.0).round(3))) for at in members]
     means = np.array([table.mean[at].mean(axis=0) for at in members]).reshape(-1, 3)

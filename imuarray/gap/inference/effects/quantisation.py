@@ -87,7 +87,7 @@ def _with_power(divisor: int) -> tuple[int, int]:
 
 
 def _with_what_hides(evidence: Evidence, coarse: Quantisation, period: int, stretch: int) -> Iterator[Hypothesis]:
-    """With the parameters of the fit, and with those that the sensor has behind the codes that come."""
+    """Suggest the step with the fitted parameters, and with those that the sensor has before its codes are rounded."""
     yield Hypothesis((coarse,))
     fitted = behind(evidence, coarse.coded, period, stretch)
     if fitted is not None:

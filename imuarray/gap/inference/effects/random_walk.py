@@ -19,7 +19,9 @@ _ALIKE = 2.0
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """From Allan variances, density^2 tau / 3; another from how far levels are apart, density^2 t, if that differs."""
+    """Suggest a density by the Allan variances, density^2 tau / 3, and by the differences of levels, density^2 t, if
+    that differs.
+    """
     yield from with_removal(evidence, RandomWalk.name, _hypotheses(evidence))
 
 

@@ -114,8 +114,10 @@ def _since(evidence: Evidence, first: RangeReset, steps: Sequence[Onset]) -> Ite
 
 
 def _just_in(evidence: Evidence, states: States, logs: Sequence[int]) -> Iterator[Hypothesis]:
-    """In these logs and no others: chance may put all of them into one part, of which the other knows nothing. Noise
-    has to be another one too, as that of a mere bias is not. Level and noise of the sensor are those of the other logs.
+    """Suggest a reset in these logs alone, all of which may belong to one part of the data.
+
+    The noise must differ as well, which a change of the bias leaves as it is. Level and noise of the sensor are those
+    of the other logs.
     """
     others = [phase.residual for phase in evidence.still if phase.log not in logs and phase.raw.rows]
     level = np.median([np.nanmean(phase.segments.mean, axis=0) for phase in others], axis=0)

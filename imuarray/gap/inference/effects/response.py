@@ -42,7 +42,7 @@ class Response:
 
 
 def response(evidence: Evidence) -> Response | None:
-    """From the phases at rest on several faces, and from motion; None without either."""
+    """Return the response by the phases at rest on several faces and by motion; None without either."""
     parts = [part for part in (_of_faces(evidence), _of_motion(evidence)) if part is not None]
     if not parts:
         return None

@@ -119,7 +119,7 @@ def _gain(series: _Series, at: int, ratio: float) -> float:
 
 
 def _states(series: _Series, at: int, ratio: float) -> States:
-    """From the segments that are wholly on either side, referred to the face that is up at the step."""
+    """Return the states by the segments that lie wholly on either side, for the face that is up at the step."""
     before, after = slice(None, at - 1), slice(at + 1, None)
     face = series.predicted[at]
     return States(

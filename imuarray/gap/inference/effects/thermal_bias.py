@@ -32,8 +32,8 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _squares(table: Levels) -> Iterator[Hypothesis]:
-    """With the slope that goes with them: the straight line that was fitted lies along the curve where the sensor was
-    warm, and would turn away from it there if the square were put on top.
+    """Suggest quadratic terms with the slope that belongs to them: the fitted straight line follows the curve where the
+    sensor was warm, and would deviate from it there if the square were only added.
     """
     warm = warmth(table)
     fit = fitted(np.stack([warm, warm**2], axis=1), table.mean, table.group)

@@ -54,7 +54,7 @@ def _by_scale(evidence: Evidence, table: Levels) -> Floats:
 
 
 def _slope(table: Levels, axis: int) -> float:
-    """From slopes within logs, else from their levels; 0 if neither says anything."""
+    """Return the slope by slopes within logs, or else by their levels; 0 if neither determines it."""
     known = np.isfinite(table.felt_g[:, axis])
     felt, warm, mean = table.felt_g[known, axis], warmth(table)[known], table.mean[known, axis : axis + 1]
     if not known.any():

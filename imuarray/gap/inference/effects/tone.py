@@ -169,7 +169,7 @@ def _sightings(evidence: Evidence, known_hz: list[float]) -> Iterator[_Sighting]
 
 
 def _amplitude(evidence: Evidence, power: Floats, height: Floats) -> Triple:
-    """In the sensor's unit, of the axes on which the line is clear."""
+    """Return the amplitude, in the sensor's unit, on the axes on which the line is clear."""
     x, y, z = (np.sqrt(2 * np.where(height > _CLEAR, power, 0.0)) / evidence.header.sensitivity).tolist()
     return assign_signs((x, y, z), evidence.typical(_BETWEEN_AXES))
 
@@ -210,8 +210,10 @@ def _true_hz(seen_hz: float, bin_hz: float, rate: _Rate, rates: Sequence[_Rate])
 
 
 def unaliased_hz(seen_hz: float, bin_hz: float, rows_per_s: float) -> float:
-    """That of the mains or of its lowest multiple of which this can be an alias, to a bin; else what is seen. Multiples
-    beside the mains' frequency itself are looked for as far as a line anywhere seldom comes so near one of them.
+    """Return the frequency of the mains, or its lowest multiple, of which `seen_hz` is an alias to a bin; else
+    `seen_hz`.
+
+    Multiples are tried as long as a line at an arbitrary frequency would rarely be so near to one of them.
     """
     share = 2 * len(MAINS_HZ) * bin_hz / (rows_per_s / 2)  # of all frequencies is so near an alias of one multiple each
     most = min(HARMONICS, max(1, int(BY_CHANCE / share)))

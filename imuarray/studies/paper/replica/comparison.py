@@ -329,7 +329,7 @@ def _derived(statistic: Statistic, *, fitted: bool = False) -> Statistic:
 
 
 def _wander(channel: str) -> float:
-    """In-run wander of the mean over a face, counts."""
+    """Return the in-run wander of the mean over a face, counts."""
     return own(channel, lambda unit: unit.in_run) * sqrt(variance_of_mean(FACE_SECONDS))
 
 
