@@ -1,9 +1,10 @@
 """Acquisition: detects the sensors of an array on a bus, connects them and records them into a log."""
 
+from imuarray.acquire.bus_segment import connect
 from imuarray.acquire.detect import Detection, detect, explore
 from imuarray.acquire.record import record
 from imuarray.acquire.recording import RecordingCounts, RecordingOptions
-from imuarray.acquire.sensor_routes import SensorRoute, connect
+from imuarray.acquire.sample_buffer import SensorRoute
 
 Summary = RecordingCounts
 """The former name of `RecordingCounts`."""

@@ -1,4 +1,7 @@
-"""One segment of the bus (a multiplexer channel, or a separate bus): its adapter, its sensors, and its identity.
+"""The way to each sensor: the segment of the bus that it is on (a multiplexer channel, or a separate bus), its adapter
+and identity, and the order in which a frame visits the segments.
+
+`connect` identifies and configures every sensor; `SensorRoute` is its driver and the key of its segment.
 
 `AdapterState` is the I2C adapter as the poll loop sees it: whether it hangs, whether it is plugged in, and how long one
 of its clocks takes. A hung bus (a wire held low) costs a time-out per transaction. Two time-outs in a row without an
@@ -25,16 +28,175 @@ from __future__ import annotations
 import errno
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
 
 from imuarray.acquire.fault_episode import FaultEpisodes
-from imuarray.acquire.sample_buffer import SampleBuffer
-from imuarray.acquire.sensor_routes import SensorRoute, Witness, twins_of, witnesses_of
-from imuarray.bus.protocol import MuxChannel
+from imuarray.acquire.sample_buffer import SampleBuffer, SensorRoute
+from imuarray.array import IIO, ArrayConfig, SensorConfig
+from imuarray.bus.iio import IioBus, IioDevice
+from imuarray.bus.protocol import Bus, MuxChannel, OpenBus, Pca9544a
+from imuarray.bus.spi import SpiChip
+from imuarray.chips import die_of
 from imuarray.clock import Clock
-from imuarray.errors import SensorError
+from imuarray.drivers import driver_of
+from imuarray.drivers.iio import IioCapture, iio_sensor
+from imuarray.drivers.six_axis import QueuedHalf
+from imuarray.errors import BusUrlError, SensorError
 from imuarray.facts import pca9544a
 from imuarray.facts.registers import Setting
+
+
+class Witness(NamedTuple):
+    """One register of one chip, and its values on the other channels; empty if the chip has no twin."""
+
+    route: SensorRoute
+    setting: Setting
+    others: frozenset[int]
+
+
+def routes_of(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
+    """Create a route to every sensor of `array`; nothing is sent yet."""
+    mux = Pca9544a(bus, array.mux.address) if array.mux else None
+    ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
+    routes = []
+    halves: dict[tuple[int, int | str | None], QueuedHalf] = {}
+    captures: dict[str, IioCapture] = {}
+    for sensor in array.sensors:
+        if sensor.on_iio:
+            capture = captures.setdefault(str(sensor.bus), IioCapture(_device(bus, sensor), bus.clock))
+            routes.append(SensorRoute(sensor, iio_sensor(sensor, capture), sensor.bus))
+            continue
+        driver = driver_of(sensor)(_segment_bus(bus, mux, sensor), sensor, bus.clock)
+        if isinstance(driver, QueuedHalf):
+            first = halves.setdefault((driver.registers.address, sensor.bus or sensor.channel), driver)
+            if first is not driver:
+                driver.share(first)
+        route = SensorRoute(sensor, driver, sensor.bus or sensor.channel)
+        routes.append(replace(route, claim=partial(_claim, ask, sensor)) if ask and sensor.on_i2c else route)
+    return routes
+
+
+def _segment_bus(bus: OpenBus, mux: Pca9544a | None, sensor: SensorConfig) -> Bus:
+    """Return the bus of a sensor's segment; BusUrlError names the sensor if it can't be opened."""
+    try:
+        if sensor.on_spi:
+            rules = sensor.spi_rules
+            return SpiChip(bus.spi_port(str(sensor.bus), rules.mode, rules.clock_hz), rules)
+        if sensor.bus is not None:
+            return bus.channel_bus(sensor.bus)
+    except OSError as error:
+        kind = "chip select" if sensor.on_spi else "bus"
+        raise BusUrlError(f"{sensor.name}: {kind} {sensor.bus}: {error.strerror or error}") from error
+    return bus if mux is None or sensor.channel is None else mux.channel(sensor.channel)
+
+
+def _device(bus: OpenBus, sensor: SensorConfig) -> IioDevice:
+    """Return the kernel device that serves a sensor; BusUrlError for a bus that has none."""
+    if not isinstance(bus, IioBus):
+        raise BusUrlError(
+            f"{sensor.name}: {sensor.bus} is served by the kernel, which --bus iio: reads; it cannot write a transcript"
+        )
+    return bus.iio_device(str(sensor.bus).removeprefix(IIO))
+
+
+def connect(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
+    """Identify and configure every sensor. SensorError names the first sensor that is owned by a kernel driver,
+    missing, wrong, refuses its configuration, or has lost it by the time that the last one is configured.
+    """
+    routes = routes_of(array, bus)
+    ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
+    if ask is not None and array.mux is not None:  # a driver of the kernel may own the multiplexer (LNX-12)
+        ask(array.mux.address, None)
+    for route in routes:
+        route.claim()
+    for route in routes:
+        route.driver.identify()
+    mark_twins(routes)
+    for route in routes:
+        try:
+            route.driver.configure()
+        except OSError as error:
+            name, place = route.sensor.name, route.sensor.place
+            raise SensorError(
+                f"{name} at {place}: the bus fails while it is configured: {error.strerror or error}"
+            ) from error
+    return routes
+
+
+def _claim(ask: Callable[[int, str | None], None], sensor: SensorConfig) -> None:
+    """Claim the address of a sensor; behind a multiplexer, on the root bus."""
+    try:
+        ask(sensor.address, sensor.bus)
+    except SensorError as error:
+        raise SensorError(f"{sensor.name} ({sensor.chip}): {error}") from error
+    except OSError as error:
+        if error.errno != errno.EBUSY:
+            raise
+        raise SensorError(
+            f"{sensor.name} ({sensor.chip}): {sensor.place} belongs to a driver of the kernel; unbind that driver"
+        ) from error
+
+
+def alternating_orders(routes: Sequence[SensorRoute]) -> tuple[list[list[SensorRoute]], list[list[SensorRoute]]]:
+    """Return the visiting orders of even and of odd frames, in opposite directions: a frame begins with the segment
+    with which the previous one ended.
+
+    With k segments behind a multiplexer, a frame then needs k - 1 switches, the fewest possible. Within a segment the
+    order of the configuration is kept in both directions. The spacing of a sensor's readings alternates by the time
+    that the other segments take, and each reading has its own time.
+    """
+    segments: dict[int | str | None, list[SensorRoute]] = {}
+    for route in routes:
+        segments.setdefault(route.segment, []).append(route)
+    forth = list(segments.values())
+    return forth, forth[::-1]
+
+
+def twins_of(route: SensorRoute, everywhere: Iterable[SensorRoute]) -> list[SensorRoute]:
+    """Return the routes at the same address of other channels."""
+    if not isinstance(route.driver.registers.bus, MuxChannel):
+        return []
+    return [
+        other
+        for other in everywhere
+        if other.segment != route.segment
+        and isinstance(other.driver.registers.bus, MuxChannel)
+        and other.sensor.address == route.sensor.address
+    ]
+
+
+def mark_twins(routes: Sequence[SensorRoute]) -> None:
+    """Give twins with equal configurations different values in a register that has no effect, before they are
+    configured.
+    """
+    ambiguous: dict[int, SensorRoute] = {}
+    for route in routes:
+        twins = twins_of(route, routes)
+        if twins and not witnesses_of(route, routes):
+            ambiguous.update((id(twin), twin) for twin in (route, *twins))
+    for route in ambiguous.values():
+        route.driver.mark(int(route.segment or 0) + 1)
+
+
+def witnesses_of(route: SensorRoute, everywhere: Sequence[SensorRoute]) -> list[Witness]:
+    """Return the registers in which this chip differs from all its twins, even after one of them was reset; all its
+    registers if it has no twin.
+    """
+    twins = twins_of(route, everywhere)
+    witnesses = []
+    for setting in route.driver.watched:
+        theirs = [
+            {other.value for other in twin.driver.watched if other.register == setting.register}
+            for twin in twins
+            if die_of(twin.sensor.chip) == die_of(route.sensor.chip)
+        ]
+        mine = {setting.value, setting.register.reset & setting.mask}
+        if len(theirs) == len(twins) and all(values and not values & mine for values in theirs):
+            witnesses.append(Witness(route, setting, frozenset().union(*theirs)))
+    return witnesses
+
 
 SWEEP_S = 0.85
 """Longest time between two reads of the same register; a wrong one is read again in the next frame."""

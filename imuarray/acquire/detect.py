@@ -17,7 +17,8 @@ from typing import Any
 
 import tomli_w
 
-from imuarray.acquire.sensor_routes import SensorRoute, routes_of
+from imuarray.acquire.bus_segment import routes_of
+from imuarray.acquire.sample_buffer import SensorRoute
 from imuarray.array import IIO, ArrayConfig, SensorConfig
 from imuarray.bus.iio import IioBus, IioDevice
 from imuarray.bus.protocol import Bus, OpenBus, Pca9544a

@@ -17,13 +17,20 @@ from typing import Any
 
 import numpy as np
 
-from imuarray.acquire.bus_segment import REMOVED, AdapterState, BusSegment, ConfigurationReadback, Polling
+from imuarray.acquire.bus_segment import (
+    REMOVED,
+    AdapterState,
+    BusSegment,
+    ConfigurationReadback,
+    Polling,
+    alternating_orders,
+    connect,
+)
 from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.fault_episode import FaultEpisodes, event_writer
 from imuarray.acquire.recording import RecordingCounts, RecordingOptions, Service
-from imuarray.acquire.sample_buffer import Intake, SampleBuffer
+from imuarray.acquire.sample_buffer import Intake, SampleBuffer, SensorRoute
 from imuarray.acquire.sensor_health import SensorHealth
-from imuarray.acquire.sensor_routes import SensorRoute, alternating_orders, connect
 from imuarray.acquire.start_up import StartUpCheck
 from imuarray.acquire.stream import Streaming, streams
 from imuarray.array import ArrayConfig

@@ -1,9 +1,13 @@
 """The readings of one sensor between bus and log: stored as raw bytes, decoded in blocks, and written once they are
-trusted.
+trusted; and the recovery of a sensor that gives none.
 
 A row is written only after the chip's configuration was verified *after* the row was read. A chip that falls back to
 its defaults is noticed with a delay, and the readings in between must not be stored as good. The same applies to a chip
 whose reading no longer changes, which takes a while to distinguish from chance.
+
+`SensorRecovery` takes one step per frame during the sensor's own visits, so that no other sensor waits for it: read its
+identity, at growing intervals while it does not answer; compare its configuration with the intended one; if they
+differ, configure it from the start, and let its filters settle while the others are read.
 
 `Intake` writes decoded rows into the log, for every bus. Times in a log strictly increase. A row whose time does not
 (after a miscounted queue, a bad fit of the clock, a frame that was delivered twice) must end neither the log nor the
@@ -14,23 +18,121 @@ rows around it: it is rejected and counted as a lost reading, an event reports i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.acquire.fault_episode import FaultEpisodes
-from imuarray.acquire.recovery import SensorRecovery
-from imuarray.acquire.sensor_routes import SensorRoute
 from imuarray.array import SensorConfig
 from imuarray.arrays import Booleans, Times
-from imuarray.drivers import FifoDriver, OnDemandDriver
+from imuarray.drivers import Driver, FifoDriver, OnDemandDriver
 from imuarray.drivers.fifo_clock import TOLERANCE
-from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT, TIME_UNCERTAINTY
+from imuarray.drivers.iio import IioSensor
+from imuarray.errors import SensorError
+from imuarray.log.format import (
+    LOST_BEFORE,
+    OVERRUN,
+    RECONFIGURED,
+    STALE,
+    SUSPECT,
+    TIME_UNCERTAINTY,
+    SensorHeader,
+    header_of,
+)
 from imuarray.log.rotate import Writer
 from imuarray.log.writer import Block
 from imuarray.printable import counted
+
+FIRST_PAUSE_NS = 100_000_000
+LONGEST_PAUSE_NS = 3_200_000_000
+"""Pause between two attempts to reach a sensor, doubled each time. An attempt at a silent address takes 30 us."""
+
+
+class SensorRecovery:
+    """The recovery of one sensor. `intact` is True if it still had its configuration, `done` when it can be read
+    again.
+
+    With `look`, its configuration is compared first; without, the chip is configured anew in any case.
+    """
+
+    def __init__(self, route: SensorRoute, now_ns: int, *, look: bool) -> None:
+        self.route = route
+        self.since_ns = now_ns
+        self.intact = False
+        self.done = False
+        self.failure: Exception | None = None
+        self.refusal = ""
+        """The kernel driver that owns the address now, if there is one."""
+        self._look = look
+        self._pause_ns = FIRST_PAUSE_NS
+        self._next_ns = now_ns
+        self._way: Iterator[float] | None = None
+
+    def waits(self, now_ns: int) -> bool:
+        """Return whether the next step is not due yet."""
+        return now_ns < self._next_ns
+
+    @property
+    def next_step_ns(self) -> int | None:
+        """The time of the next step of a configuration in progress; None if none is in progress."""
+        return None if self._way is None or self.done else self._next_ns
+
+    def step(self, now_ns: int) -> None:
+        """Do one step. An error is stored in `failure`, and the recovery starts again after a pause."""
+        self._way = self._way or self._steps()
+        self.failure = None
+        try:
+            self._next_ns = now_ns + round(next(self._way) * 1e9)
+        except StopIteration:
+            self.done = True
+        except (OSError, SensorError) as error:
+            cause = error.__cause__
+            self.failure = cause if isinstance(cause, OSError) else error
+            self._way = None
+            self._next_ns = now_ns + self._pause_ns
+            self._pause_ns = min(2 * self._pause_ns, LONGEST_PAUSE_NS)
+
+    def _steps(self) -> Iterator[float]:
+        driver = self.route.driver
+        self._claim()
+        driver.identify()
+        if self._look and driver.watched:
+            settings = [(setting, driver.registers.read_back(setting.register)) for setting in driver.watched]
+            if all(byte & setting.mask == setting.value for setting, byte in settings):
+                self.intact = True
+                return
+        self._look = False
+        yield 0.0
+        yield from driver.steps()
+
+    def _claim(self) -> None:
+        try:
+            self.route.claim()
+        except SensorError as error:
+            self.refusal = str(error)
+            raise
+        self.refusal = ""
+
+
+@dataclass(frozen=True)
+class SensorRoute:
+    """One sensor, its driver, and its segment of the bus (channels of one multiplexer exclude each other)."""
+
+    sensor: SensorConfig
+    driver: Driver
+    segment: int | str | None
+    claim: Callable[[], None] = lambda: None
+    """Raises SensorError if a kernel driver owns the address of the sensor; a bus without such drivers never does."""
+
+    @property
+    def header(self) -> SensorHeader:
+        """Return the header of the sensor in a log, once it is configured."""
+        header = header_of(self.sensor, self.driver.header(), is_estimated=self.sensor.estimates_times)
+        return self.driver.described(header) if isinstance(self.driver, IioSensor) else header
+
 
 _NEXT_FRAME = 1.1e9
 """Time until the next visit in ns at 1 Hz, with a margin for the alternating order."""

@@ -1,7 +1,7 @@
 """The health of polled sensors: silence, lost configuration, frozen readings, a wrong start-up state, and the response
 to each.
 
-Doubtful rows wait or are flagged; the sensor is searched for or configured again (`imuarray.acquire.recovery`); events
+Doubtful rows wait or are flagged; the sensor is searched for or configured again (`SensorRecovery`); events
 report it.
 
 `Freshness` decides whether a chip must have had a new reading. A chip's data-ready flag says whether there is a new
@@ -21,8 +21,7 @@ import numpy.typing as npt
 
 from imuarray.acquire.bus_segment import HUNG, SLACK_NS, ConfigurationReadback
 from imuarray.acquire.fault_episode import QUIET_NS, FaultEpisode, FaultEpisodes
-from imuarray.acquire.recovery import SensorRecovery
-from imuarray.acquire.sample_buffer import HELD_S, SampleBuffer
+from imuarray.acquire.sample_buffer import HELD_S, SampleBuffer, SensorRecovery
 from imuarray.acquire.start_up import StartUpCheck
 from imuarray.array import SensorConfig
 from imuarray.arrays import Booleans, Times

@@ -21,8 +21,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.acquire.sample_buffer import SampleBuffer
-from imuarray.acquire.sensor_routes import SensorRoute
+from imuarray.acquire.sample_buffer import SampleBuffer, SensorRoute
 from imuarray.arrays import Integers
 from imuarray.bus.protocol import MuxChannel
 from imuarray.bus.serial_bus import Samples, SerialSpiPort

@@ -12,8 +12,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from imuarray.acquire.sample_buffer import SampleBuffer
-from imuarray.acquire.sensor_routes import SensorRoute
+from imuarray.acquire.sample_buffer import SampleBuffer, SensorRoute
 from imuarray.acquire.stream_plan import WHY, Rows, StreamPlan, VisitPlace, ages_at
 from imuarray.bus.serial_bus import Samples
 from imuarray.bus.serial_link import AGE_HELD, AGE_LONGEST

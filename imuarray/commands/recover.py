@@ -29,7 +29,7 @@ def command(run: Path, output: Path | None, force: bool, as_json: bool) -> None:
     imuarray recover run.h5
     """
     from imuarray.log import Log
-    from imuarray.log.finish import recover
+    from imuarray.log.writer import recover
 
     if output is not None:
         refuse_existing(output, force, run)

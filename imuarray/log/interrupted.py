@@ -24,9 +24,9 @@ import numpy.typing as npt
 from imuarray.errors import LogError
 from imuarray.log.columns import Column, LiveGroup
 from imuarray.log.commits import COMMITS, CommittedRows, read_commits
-from imuarray.log.draft import Draft
 from imuarray.log.format import PREAMBLE, PREAMBLE_CRC, Event, Phase, Preamble
 from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
+from imuarray.log.hdf5_writer import Draft
 from imuarray.log.inspection import inspect, refuse_hostile
 from imuarray.log.journal import JournalReader, journal_of
 from imuarray.log.layout import (

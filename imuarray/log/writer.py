@@ -1,15 +1,19 @@
-"""The writer of a log: a draft until it is worth keeping, then a live file with a journal.
+"""The writer of a log: a draft until it is worth keeping, then a live file with a journal, and then a finished file.
 
 Until the caller decides to keep it (`keep`), a log is a draft: a compressed file under a temporary name that takes its
 own name when it is complete, and of which nothing remains if that never happens. From `keep` on it is live: `RUN.h5`,
 an uncompressed single-writer/multiple-reader file, and its journal exist before the first row, and whatever happens
-then, every acknowledged row can be read. A clean end makes both the same finished file (`imuarray.log.finish`).
+then, every acknowledged row can be read.
 
 Blocks of a live log (`Live`) pass through a bounded queue to a thread, which appends them to the journal (from then on
 they are acknowledged: they survive the process), syncs the journal every second (then they survive a power cut), and
 whenever a chunk is full adds all waiting rows to the HDF5 file: rows, sync, then a row of the commit table. Nothing is
 compressed yet: a chunk has its place from the start and is filled in it. A full disk ends the log before anything is
 lost.
+
+A clean end makes both the same finished file (`finish`), and `recover` does so for a log that was interrupted: its rows
+are copied into a compressed file, the copy is compared with the original row by row and replaces it, and the journal is
+removed. The log remains complete if this is interrupted at any point.
 """
 
 from __future__ import annotations
@@ -17,63 +21,56 @@ from __future__ import annotations
 import contextlib
 import os
 import queue
+import shutil
 import threading
 import time
 import uuid
-import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, NoReturn, NotRequired, Self, TypedDict
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
 from imuarray import __version__
 from imuarray.arrays import Floats, Times
 from imuarray.errors import NO_ROOM, DiskFullError, ImuArrayError, LogBusyError, LogError, OutputExistsError
-from imuarray.log.commits import COMMITS, block_crc, row_of, width
 from imuarray.log.disk_space import (
     WATERMARK,
-    Allowance,
     Reserve,
     free_bytes,
+    reserve_of,
     sync_folder,
     unwritable,
     write_errors,
 )
-from imuarray.log.draft import Draft
-from imuarray.log.finish import finish
 from imuarray.log.format import (
-    CACHE_BYTES,
     MOST_SENSORS,
-    PREAMBLE,
-    PREAMBLE_CRC,
     ClockRow,
     Event,
     Phase,
     Preamble,
     SensorHeader,
 )
-from imuarray.log.journal import JournalLock, JournalWriter, Mark, is_running
+from imuarray.log.hdf5_writer import Draft, LiveFile, sweep
+from imuarray.log.journal import JournalLock, JournalReader, JournalWriter, is_running, journal_of
 from imuarray.log.layout import (
     CHUNK,
     CLOCKS,
-    LIBVER,
-    PLAIN,
+    NOTES,
     STIMULI,
     TRACK_COLUMNS,
+    ColumnGroup,
     Columns,
+    Notes,
     OpenPhase,
-    create_columns,
-    create_sensor,
-    create_track,
     groups_of,
-    log_attributes,
     note_columns,
 )
+from imuarray.log.reader import Log
 from imuarray.log.sensor_log import SensorLog
 
 QUEUE_BLOCKS = 1024
@@ -82,76 +79,6 @@ QUEUE_BLOCKS = 1024
 KEPT = "all acknowledged rows are in the log"
 _JOURNAL_LOST = "the journal was removed or replaced while the log was written; every sync now commits to the file"
 _AT_ONCE = 256
-_COMMIT_ROWS = 64
-_EMPTY_BYTES = 1 << 14
-
-
-class LiveFile:
-    """The HDF5 file of a log that is being recorded. Its columns only ever grow, by commits."""
-
-    def __init__(self, path: Path, preamble: Preamble, chunk: int = CHUNK) -> None:
-        """Create the file with all groups and attributes under a temporary name; rename it once it is on the disk."""
-        self._groups = groups_of(preamble.sensors)
-        self._rows = [0] * len(self._groups)
-        self._identity = preamble.identity
-        self._chunk = chunk
-        part = path.with_name(f".{path.name}.{os.getpid()}.live.part")
-        part.unlink(missing_ok=True)
-        self.file = h5py.File(part, "w", libver=LIBVER, rdcc_nbytes=CACHE_BYTES)
-        self._room = Allowance(part, path)
-        try:
-            self._room.reserve((len(self._groups) + 1) * _EMPTY_BYTES + len(preamble.config) * 8)
-            self._create(preamble, chunk)
-            self._room.sync()
-            part.replace(path)
-            sync_folder(path)
-        except BaseException:
-            self.close()
-            part.unlink(missing_ok=True)
-            raise
-
-    def _create(self, preamble: Preamble, chunk: int) -> None:
-        self.file.attrs.update(log_attributes(preamble))
-        text = preamble.to_json()
-        self.file.attrs.update({PREAMBLE: text, PREAMBLE_CRC: zlib.crc32(text.encode())})
-        for header in preamble.sensors:
-            create_sensor(self.file, header, preamble.epoch, chunk, PLAIN)
-        for name in TRACK_COLUMNS:
-            create_track(self.file, name, preamble.epoch, chunk, PLAIN)
-        create_columns(self.file, self._groups[-1], chunk, PLAIN)
-        columns = width(self._groups)
-        self.file.create_dataset(COMMITS, (0, columns), "<i8", maxshape=(None, columns), chunks=(_COMMIT_ROWS, columns))
-        self.file.swmr_mode = True
-
-    def commit(self, waiting: Sequence[Sequence[Columns]], mark: Mark) -> None:
-        """Add rows of all groups: everything that the journal holds before `mark`; LogError."""
-        added = {number: self._groups[number].joined(parts) for number, parts in enumerate(waiting) if parts}
-        for number, rows in added.items():
-            self._add(number, rows)
-        self.file.flush()
-        self._room.sync()
-        table = self.file[COMMITS]
-        self._room.reserve(_COMMIT_ROWS * 8 * table.shape[1] if len(table) % _COMMIT_ROWS == 0 else 0)
-        table.resize(len(table) + 1, axis=0)
-        table[-1] = row_of(mark, block_crc(self._groups, added), self._rows, self._identity)
-        table.flush()
-
-    def _add(self, number: int, rows: Columns) -> None:
-        group, start = self._groups[number], self._rows[number]
-        count = len(next(iter(rows.values())))
-        chunks = -(-(start + count) // self._chunk) - -(-start // self._chunk)
-        self._room.reserve(chunks * self._chunk * group.row_bytes)
-        for name, values in rows.items():
-            dataset = self.file[group.path][name]
-            dataset.resize(start + count, axis=0)
-            dataset[start:] = values
-        self._rows[number] = start + count
-
-    def close(self) -> None:
-        """Close the file; committed rows are in it."""
-        with contextlib.suppress(Exception):  # the journal has the rows that this can't write
-            self.file.close()
-        self._room.close()
 
 
 class _Item(NamedTuple):
@@ -580,3 +507,184 @@ class LogWriter:
             failure = DiskFullError(self.path, failure.why, kept)
         if failure is not None and error is not failure:
             raise failure
+
+
+_ROWS = 1 << 16
+_UNCHANGED = "the log is unchanged"
+
+
+class Recovery(NamedTuple):
+    """The result of finishing a log: rows by sensor; `changed` is False if there was nothing to do. `kept` is the name
+    of a journal that has unreadable data or belongs to another log.
+    """
+
+    rows: dict[str, int]
+    changed: bool
+    kept: str | None = None
+
+
+def recover(
+    path: Path,
+    output: Path | None = None,
+    progress: Callable[[int], None] = lambda rows: None,
+    *,
+    force: bool = False,
+    now: datetime | None = None,
+) -> Recovery:
+    """Finish the interrupted log at `path`, in place or as `output`; a log that is already finished is copied to
+    `output`.
+
+    A log whose journal is missing is finished only with `force`. An event in the log records the time (`now`; None: the
+    current time) and the number of rows. LogBusyError, DiskFullError, LogError.
+    """
+    try:
+        lock = JournalLock(path, create=False)
+    except FileNotFoundError:
+        lock = None
+    try:
+        with Log(path, thorough=True) as log:
+            rows = {name: len(sensor) for name, sensor in log.sensors.items()}
+            changed, losses = log.preamble is not None, log.losses
+            keep = bool(losses) if changed else not _is_journal_of(log)
+            if changed:
+                if not log.has_journal and not force:
+                    raise LogError(
+                        f"{path}: {losses[0]}; copy {path.name} and {journal_of(path).name} together, or use --force"
+                        " to finish it without them"
+                    )
+                _rewrite(log, output or path, progress, (*_losses(log), _trace(log, now or datetime.now(UTC))))
+        kept = _sweep(path, lock, keep=keep) if output is None else None
+        if output is not None and not changed:
+            _copy(path, output)
+    finally:
+        if lock is not None:
+            lock.close()
+    return Recovery(rows, changed, None if kept is None else kept.name)
+
+
+def _is_journal_of(log: Log) -> bool:
+    """Return whether the journal beside a finished log belongs to it (same epoch and sensors), because the process was
+    killed just before it removed the journal.
+    """
+    try:
+        with JournalReader(log.path) as journal:
+            preamble = journal.preamble
+    except FileNotFoundError:
+        return True
+    except (LogError, OSError):
+        return journal_of(log.path).stat().st_size == 0
+    return preamble.epoch == log.epoch and {header.name for header in preamble.sensors} == set(log.sensors)
+
+
+def finish(path: Path, lock: JournalLock) -> None:
+    """Finish the log at `path`, whose writer has closed it and holds its `lock`; DiskFullError, LogError."""
+    with Log(path, journal_fd=lock.fd) as log:
+        losses = log.losses
+        _rewrite(log, path, lambda rows: None, _losses(log))
+    _sweep(path, lock, keep=bool(losses))
+
+
+def _end_ns(log: Log) -> int:
+    """Return the time of the last row of all."""
+    return max((int(sensor.time[-1]) for sensor in log.sensors.values() if len(sensor)), default=0)
+
+
+def _losses(log: Log) -> tuple[Event, ...]:
+    """Return an event for each loss of an unfinished log."""
+    return tuple(Event(_end_ns(log), "", "damaged", loss) for loss in log.losses)
+
+
+def _trace(log: Log, now: datetime) -> Event:
+    """Return the event that says that the log was interrupted and recovered."""
+    rows = sum(len(sensor) for sensor in log.sensors.values())
+    when = now.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    return Event(_end_ns(log), "", "recovered", f"the log was interrupted; its {rows} rows were recovered {when}")
+
+
+def _copy(path: Path, output: Path) -> None:
+    """Copy a finished log to another name; LogError."""
+    part = output.with_name(f".{output.name}.{os.getpid()}.part")
+    try:
+        shutil.copyfile(path, part)
+        part.replace(output)
+    except OSError as error:
+        raise unwritable(output, error, _UNCHANGED) from None
+    finally:
+        part.unlink(missing_ok=True)
+    sync_folder(output)
+
+
+def _rewrite(log: Log, target: Path, progress: Callable[[int], None], added: tuple[Event, ...]) -> None:
+    """Write a finished copy of an unfinished log with the events `added`, check that it is equal, and rename it to
+    `target`.
+    """
+    if log.preamble is None:
+        raise LogError(f"{log.path}: is finished")
+    try:
+        draft = Draft(target, log.preamble, durable=True)
+    except DiskFullError as error:
+        raise DiskFullError(target, error.why, _UNCHANGED) from None
+    try:
+        done = 0
+        for number, group in enumerate(draft.groups):
+            for rows in _stretches(log, group):
+                draft.append(number, rows)
+                done += len(rows["time"])
+                progress(done)
+        draft.notes = Notes(list(log.phases), [*log.events, *added])
+        draft.close()
+        with Log(draft.part) as copy:
+            _compare(log, copy, groups_of(log.preamble.sensors), added)
+        draft.publish(target)
+        sync_folder(target)
+    except DiskFullError as error:
+        raise DiskFullError(target, error.why, _UNCHANGED) from None
+    except OSError as error:
+        raise unwritable(target, error, _UNCHANGED) from None
+    finally:
+        draft.discard()
+
+
+def _columns(log: Log, group: ColumnGroup) -> Mapping[str, Any] | None:
+    """Return the stored columns of a group; None if the log has no such group."""
+    if group.path in TRACK_COLUMNS:
+        track = {"truth": log.truth, "reference": log.reference, "clocks": log.clocks}[group.path]
+        return None if track is None else track._asdict()
+    sensor = log[group.path.removeprefix("sensors/")]
+    own: dict[str, Any] = {"time": sensor.time, "counts": sensor.counts, "status": sensor.status}
+    own["temperature_counts"] = sensor.temperature_counts
+    return {name: own[name] if name in own else sensor.compensated(name) for name, _, _ in group.columns}
+
+
+def _stretches(log: Log, group: ColumnGroup) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a group in large blocks."""
+    columns = None if group.path == NOTES else _columns(log, group)
+    if columns is None:
+        return
+    for start in range(0, len(columns["time"]), _ROWS):
+        yield {name: np.asarray(column[start : start + _ROWS]) for name, column in columns.items()}
+
+
+def _compare(log: Log, copy: Log, groups: tuple[ColumnGroup, ...], added: tuple[Event, ...]) -> None:
+    """Raise LogError unless the copy has, bit by bit, the contents of the log and the events `added`."""
+    for group in groups:
+        for ours, theirs in zip(_stretches(log, group), _stretches(copy, group), strict=True):
+            if any(ours[name].tobytes() != theirs[name].tobytes() for name in ours):
+                raise LogError(f"{log.path}: its finished copy differs in /{group.path}; {_UNCHANGED}")
+    if (log.phases, (*log.events, *added)) != (copy.phases, copy.events):
+        raise LogError(f"{log.path}: its finished copy differs in phases or events; {_UNCHANGED}")
+
+
+def _sweep(path: Path, lock: JournalLock | None, *, keep: bool) -> Path | None:
+    """Remove the files that a finished log does not need: its journal (renamed instead, with `keep`), the reserve, and
+    copies of terminated processes. Return the new name of the journal if it was renamed.
+    """
+    kept = None
+    if lock is not None and keep:
+        kept = lock.put_aside()
+    elif lock is not None:
+        lock.remove()
+    reserve_of(path).unlink(missing_ok=True)
+    sweep(path)
+    sync_folder(path)
+    return kept

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from imuarray.acquire import connect, record
-from imuarray.acquire.bus_segment import channel_of
-from imuarray.acquire.sensor_routes import alternating_orders, routes_of
+from imuarray.acquire.bus_segment import alternating_orders, channel_of, routes_of
 from imuarray.array import parse_array
 from imuarray.bus import open_bus
 from imuarray.log import open_log

@@ -12,7 +12,7 @@ from firmware_emulator.array import open_array
 from firmware_emulator.device_file import Adapter, device_files
 from firmware_emulator.wire import Wire
 from imuarray.acquire import Detection, detect, explore
-from imuarray.acquire.sensor_routes import connect
+from imuarray.acquire.bus_segment import connect
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.bus.linux import LinuxBus

@@ -144,7 +144,7 @@ def test_readings_that_repeat_faster_than_the_chip_measures_are_not_frozen(
     gap_ms: float, frozen: bool, an_array: Callable[..., Any], tapped: Callable[..., Any]
 ) -> None:
     """50 readings take a second at 50 Hz; in a burst of frames they take less, and then 50 equal ones mean nothing."""
-    from imuarray.acquire.sensor_routes import routes_of
+    from imuarray.acquire.bus_segment import routes_of
 
     array = an_array(B=0)
     (route,) = routes_of(array, tapped(array))

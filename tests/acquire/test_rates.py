@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imuarray.acquire.bus_segment import connect
 from imuarray.acquire.record import record
 from imuarray.acquire.sample_buffer import HELD_S
-from imuarray.acquire.sensor_routes import connect
 from imuarray.acquire.start_up import StateVerdict
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from imuarray.acquire import connect, record
+from imuarray.acquire.bus_segment import alternating_orders, routes_of
 from imuarray.acquire.record import Poll
 from imuarray.acquire.recording import Service
-from imuarray.acquire.sensor_routes import alternating_orders, routes_of
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.errors import OutputExistsError, SensorError

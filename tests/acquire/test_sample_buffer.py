@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imuarray.acquire.bus_segment import routes_of
 from imuarray.acquire.sample_buffer import SampleBuffer
-from imuarray.acquire.sensor_routes import routes_of
 from imuarray.array import parse_array
 from imuarray.bus import open_bus
 from imuarray.log.format import LOST_BEFORE, RECONFIGURED, SUSPECT

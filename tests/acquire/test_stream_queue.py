@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imuarray.acquire.bus_segment import routes_of
 from imuarray.acquire.recording import RecordingCounts
-from imuarray.acquire.sensor_routes import routes_of
 from imuarray.acquire.stream_plan import plan
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.log import open_log

@@ -12,9 +12,9 @@ from typing import Any
 
 from compare import Row, row
 
+from imuarray.acquire.bus_segment import connect
 from imuarray.acquire.record import Poll
 from imuarray.acquire.recording import RecordingOptions
-from imuarray.acquire.sensor_routes import connect
 from imuarray.array import load_array
 from imuarray.bus import open_bus
 from imuarray.log.writer import LogWriter

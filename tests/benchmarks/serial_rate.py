@@ -25,7 +25,7 @@ from typing import Any
 from firmware_emulator.array import open_array
 from firmware_emulator.serial_firmware import Firmware
 from firmware_emulator.serial_port import SerialPort
-from imuarray.acquire.sensor_routes import connect
+from imuarray.acquire.bus_segment import connect
 from imuarray.acquire.stream_plan import plan
 from imuarray.array import load_array
 from imuarray.bus.serial_bus import SerialBus, open_serial

@@ -17,7 +17,8 @@ import pytest
 from firmware_emulator.array import EmulatedBus, open_array
 from firmware_emulator.board import Board
 from firmware_emulator.chip import Triple
-from imuarray.acquire.sensor_routes import SensorRoute, connect
+from imuarray.acquire.bus_segment import connect
+from imuarray.acquire.sample_buffer import SensorRoute
 from imuarray.array import parse_array
 from imuarray.bus import message_limits
 from imuarray.drivers import six_axis_queue

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from firmware_emulator.array import EmulatedBus, open_array
 from firmware_emulator.chips.mpu_queue import AuxiliaryMaster, swapped
 from firmware_emulator.world import StillWorld
-from imuarray.acquire.sensor_routes import connect
+from imuarray.acquire.bus_segment import connect
 from imuarray.array import parse_array
 
 MS = 1_000_000

@@ -8,10 +8,10 @@ import h5py
 import numpy as np
 import pytest
 
-from imuarray.log import draft
+from imuarray.log import hdf5_writer as draft
 from imuarray.log.disk_space import Allowance
-from imuarray.log.draft import Draft
 from imuarray.log.format import Preamble
+from imuarray.log.hdf5_writer import Draft
 from tests.log.conftest import EPOCH, GYRO
 
 

@@ -22,11 +22,11 @@ from imuarray.cli import main
 from imuarray.errors import DiskFullError, LogError, LogWarning
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.columns import Column
-from imuarray.log.finish import recover
 from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
 from imuarray.log.journal import JournalReader, journal_of
 from imuarray.log.reader import verify
+from imuarray.log.writer import recover
 from tests.selection import examples, some
 
 HEADERS = (
@@ -378,7 +378,7 @@ def test_the_journal_of_another_log_beside_a_finished_one_is_kept(
 
 
 def test_a_copy_that_is_not_equal_does_not_take_the_logs_place(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import imuarray.log.draft as draft
+    import imuarray.log.hdf5_writer as draft
 
     write = draft.Draft.append
 

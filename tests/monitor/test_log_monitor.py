@@ -19,8 +19,8 @@ from imuarray.calibrate import Calibration
 from imuarray.fuse import FusedBlock, write_fused
 from imuarray.fuse.fused_file import LiveFused
 from imuarray.log import LogWriter, RotatingWriter
-from imuarray.log.finish import recover
 from imuarray.log.format import Event, Phase
+from imuarray.log.writer import recover
 from imuarray.monitor import LogMonitor, SensorView, Snapshot
 from imuarray.monitor.snapshot import KEPT
 from tests.monitor.conftest import EPOCH, HEADERS, Logger, rows

@@ -20,10 +20,10 @@ import pytest
 import imuarray.log.writer as writing
 from imuarray.errors import LogError
 from imuarray.log import Block, Log, LogWriter, Stimulus
-from imuarray.log.finish import recover
 from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.journal import journal_of
 from imuarray.log.reader import verify
+from imuarray.log.writer import recover
 from tests.selection import some
 
 EPOCH, CONFIG = "2026-01-01T00:00:00Z", '# toml\nname = "x"\n' * 20

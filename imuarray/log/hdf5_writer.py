@@ -1,4 +1,6 @@
-"""A log in preparation: compressed columns in a file under a temporary name, which is renamed when it is complete."""
+"""The HDF5 file of a log that is being written: compressed columns under a temporary name, which is renamed when it is
+complete (`Draft`), or a file that others can read while it grows (`LiveFile`).
+"""
 
 from __future__ import annotations
 
@@ -7,6 +9,7 @@ import glob
 import os
 import re
 import sys
+import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,19 +19,34 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import LogError
-from imuarray.log.disk_space import Allowance, write_errors
-from imuarray.log.format import CACHE_BYTES, Event, Phase, Preamble
+from imuarray.log.commits import COMMITS, block_crc, row_of, width
+from imuarray.log.disk_space import (
+    Allowance,
+    sync_folder,
+    write_errors,
+)
+from imuarray.log.format import (
+    CACHE_BYTES,
+    PREAMBLE,
+    PREAMBLE_CRC,
+    Event,
+    Phase,
+    Preamble,
+)
+from imuarray.log.journal import Mark
 from imuarray.log.layout import (
     CHUNK,
     COMPRESSED,
     LIBVER,
     NOTES,
+    PLAIN,
     STIMULI,
     TRACK_COLUMNS,
     ColumnGroup,
     Columns,
     Notes,
     attach_scales,
+    create_columns,
     create_sensor,
     create_track,
     groups_of,
@@ -249,3 +267,74 @@ class Draft:
             self.file.close()
         self._room.close()
         self.part.unlink(missing_ok=True)
+
+
+_COMMIT_ROWS = 64
+
+
+class LiveFile:
+    """The HDF5 file of a log that is being recorded. Its columns only ever grow, by commits."""
+
+    def __init__(self, path: Path, preamble: Preamble, chunk: int = CHUNK) -> None:
+        """Create the file with all groups and attributes under a temporary name; rename it once it is on the disk."""
+        self._groups = groups_of(preamble.sensors)
+        self._rows = [0] * len(self._groups)
+        self._identity = preamble.identity
+        self._chunk = chunk
+        part = path.with_name(f".{path.name}.{os.getpid()}.live.part")
+        part.unlink(missing_ok=True)
+        self.file = h5py.File(part, "w", libver=LIBVER, rdcc_nbytes=CACHE_BYTES)
+        self._room = Allowance(part, path)
+        try:
+            self._room.reserve((len(self._groups) + 1) * _EMPTY_BYTES + len(preamble.config) * 8)
+            self._create(preamble, chunk)
+            self._room.sync()
+            part.replace(path)
+            sync_folder(path)
+        except BaseException:
+            self.close()
+            part.unlink(missing_ok=True)
+            raise
+
+    def _create(self, preamble: Preamble, chunk: int) -> None:
+        self.file.attrs.update(log_attributes(preamble))
+        text = preamble.to_json()
+        self.file.attrs.update({PREAMBLE: text, PREAMBLE_CRC: zlib.crc32(text.encode())})
+        for header in preamble.sensors:
+            create_sensor(self.file, header, preamble.epoch, chunk, PLAIN)
+        for name in TRACK_COLUMNS:
+            create_track(self.file, name, preamble.epoch, chunk, PLAIN)
+        create_columns(self.file, self._groups[-1], chunk, PLAIN)
+        columns = width(self._groups)
+        self.file.create_dataset(COMMITS, (0, columns), "<i8", maxshape=(None, columns), chunks=(_COMMIT_ROWS, columns))
+        self.file.swmr_mode = True
+
+    def commit(self, waiting: Sequence[Sequence[Columns]], mark: Mark) -> None:
+        """Add rows of all groups: everything that the journal holds before `mark`; LogError."""
+        added = {number: self._groups[number].joined(parts) for number, parts in enumerate(waiting) if parts}
+        for number, rows in added.items():
+            self._add(number, rows)
+        self.file.flush()
+        self._room.sync()
+        table = self.file[COMMITS]
+        self._room.reserve(_COMMIT_ROWS * 8 * table.shape[1] if len(table) % _COMMIT_ROWS == 0 else 0)
+        table.resize(len(table) + 1, axis=0)
+        table[-1] = row_of(mark, block_crc(self._groups, added), self._rows, self._identity)
+        table.flush()
+
+    def _add(self, number: int, rows: Columns) -> None:
+        group, start = self._groups[number], self._rows[number]
+        count = len(next(iter(rows.values())))
+        chunks = -(-(start + count) // self._chunk) - -(-start // self._chunk)
+        self._room.reserve(chunks * self._chunk * group.row_bytes)
+        for name, values in rows.items():
+            dataset = self.file[group.path][name]
+            dataset.resize(start + count, axis=0)
+            dataset[start:] = values
+        self._rows[number] = start + count
+
+    def close(self) -> None:
+        """Close the file; committed rows are in it."""
+        with contextlib.suppress(Exception):  # the journal has the rows that this can't write
+            self.file.close()
+        self._room.close()
