@@ -319,7 +319,7 @@ class _ArrayTable(BaseModel):
     mux: MuxConfig | None = None
 
 
-class _File(BaseModel):
+class _ArrayFile(BaseModel):
     """The whole TOML file."""
 
     model_config = _STRICT
@@ -376,7 +376,7 @@ def load_array(path: str | PathLike[str]) -> ArrayConfig:
 
 def parse_array(text: str, where: str = "configuration") -> ArrayConfig:
     """Return an array from TOML text; `where` stands at the head of every message."""
-    file = parse_toml(text, _File, where)
+    file = parse_toml(text, _ArrayFile, where)
     array = ArrayConfig(
         name=file.array.name, bus=file.array.bus, mux=file.array.mux, sensors=tuple(file.sensor), text=text
     )

@@ -36,7 +36,7 @@ Note = Callable[[Rows, str, str], None]
 
 
 @dataclass
-class _Check:
+class _StreamCheck:
     """One register of one chip."""
 
     watched: ReadbackPlace
@@ -56,7 +56,7 @@ class StreamHealth:
         self._start_up = start_up
         self._note = note
         self._checks = {
-            id(item): [_Check(place) for place in watched if place.route is item.buffer.route] for item in rows
+            id(item): [_StreamCheck(place) for place in watched if place.route is item.buffer.route] for item in rows
         }
 
     def look(self, samples_by_list: Mapping[int, Samples], rate: float) -> None:
@@ -69,7 +69,7 @@ class StreamHealth:
                     for time_ns, part in zip(values.times_ns.tolist(), values.parts.tolist(), strict=True):
                         self._judge(rows, check, part[0], bisect_left(rows.buffer.times_ns, time_ns))
 
-    def _judge(self, rows: Rows, check: _Check, value: int, before: int) -> None:
+    def _judge(self, rows: Rows, check: _StreamCheck, value: int, before: int) -> None:
         """Judge one value of one register that was read after `before` of the waiting rows; two wrong values in a row
         count.
         """

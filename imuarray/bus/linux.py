@@ -82,8 +82,8 @@ class LinuxBus:
         self._alone = True
         self._known: dict[str, int] = {}
         self._search_ns = 0
-        self._one = lru_cache(KEPT)(lambda address, write, read: _Block.of(((address, write, read),)))
-        self._many = lru_cache(KEPT)(_Block.of)
+        self._one = lru_cache(KEPT)(lambda address, write, read: _Ioctl.of(((address, write, read),)))
+        self._many = lru_cache(KEPT)(_Ioctl.of)
         self._grouping = True
         self._adapter: Any = SMBus()
         self._file = -1
@@ -297,7 +297,7 @@ class SpiBus:
         self._ports.close()
 
 
-class _Block(NamedTuple):
+class _Ioctl(NamedTuple):
     """The structures of one I2C_RDWR; the kernel leaves what was read in `answers`, one for each request."""
 
     structure: Any
@@ -306,7 +306,7 @@ class _Block(NamedTuple):
     """Held because the structure points into them."""
 
     @classmethod
-    def of(cls, requests: Sequence[Request]) -> _Block:
+    def of(cls, requests: Sequence[Request]) -> _Ioctl:
         """ValueError for a message that is too long or an address of more than seven bits."""
         messages: list[Any] = []
         answers = []

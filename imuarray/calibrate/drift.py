@@ -148,7 +148,7 @@ def _likelihood(parts: Sequence[SegmentMeans], width_s: float, times: Floats, ra
     return _Grid(times, ratios, -(freedom * np.log(variance) + logs) / 2, np.sqrt(variance))
 
 
-class _Sums(NamedTuple):
+class _LikelihoodSums(NamedTuple):
     """Sums over a stretch, each divided by the variance: squared innovations of the means (`values`), those of a
     constant 1 (`ones`), their products (`mixed`), and the logarithms of the variance.
     """
@@ -159,14 +159,14 @@ class _Sums(NamedTuple):
     logs: Floats
 
 
-def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) -> _Sums:
+def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) -> _LikelihoodSums:
     """Filter one stretch; `shared` is the variance of the sampled process, `noise` that of a mean about it. Compiled
     code goes from point to point of the grid; without it, all points are filtered at once.
     """
     steps = np.diff(part.time_s, append=np.inf)
     compiled = drift_sums(part.mean, np.exp(-steps[:, None] / times.ravel()), shared, noise)
     if compiled is not None:
-        return _Sums(*compiled)
+        return _LikelihoodSums(*compiled)
     values, mixed, state = (np.zeros((*shared.shape[:2], part.mean.shape[1])) for _ in range(3))
     ones, logs, level, variance = *(np.zeros(shared.shape) for _ in range(3)), shared
     for mean, step in zip(part.mean, steps, strict=True):
@@ -180,4 +180,4 @@ def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) 
         gain = variance / spread
         state, level = kept * (state + gain * innovation), kept * (level + gain * unit_innovation)
         variance = kept**2 * variance * (1 - gain) + (1 - kept**2) * shared
-    return _Sums(values, ones, mixed, logs)
+    return _LikelihoodSums(values, ones, mixed, logs)

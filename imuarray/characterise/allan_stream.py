@@ -104,9 +104,9 @@ class _Pyramid:
         distances: dict[int, set[int]] = {stride: set() for stride in {1, *strides, *factors}}
         for m, stride in zip(factors, strides, strict=True):
             distances[stride].add(m // stride)
-        self._levels: dict[int, _Level] = {}
+        self._levels: dict[int, _Stride] = {}
         for stride in sorted(distances):
-            level = _Level(sorted(distances[stride]), _ROWS if stride == 1 else _ROWS // 2)
+            level = _Stride(sorted(distances[stride]), _ROWS if stride == 1 else _ROWS // 2)
             finer = max((known for known in self._levels if stride % known == 0), default=None)
             if finer is not None:
                 self._levels[finer].coarser.append(_Link(stride // finer, level))
@@ -140,7 +140,7 @@ class _Pyramid:
 class _Link:
     """Passes every `ratio`-th value to a coarser level, the next one after `skip` others."""
 
-    def __init__(self, ratio: int, level: _Level) -> None:
+    def __init__(self, ratio: int, level: _Stride) -> None:
         self.ratio, self.level, self.skip = ratio, level, 0
 
     def pass_on(self, phase: Floats) -> None:
@@ -148,7 +148,7 @@ class _Link:
         self.skip = (self.skip - len(phase)) % self.ratio
 
 
-class _Level:
+class _Stride:
     """The running sum at one stride: its latest values, its first, and the sums of squares at its distances."""
 
     def __init__(self, distances: Sequence[int], rows: int) -> None:

@@ -53,14 +53,14 @@ class NoiseStatistics:
     even_share: Floats
 
 
-class _Moments(NamedTuple):
+class _RunningMoments(NamedTuple):
     """Number of rows, their mean (k,) and the sum of squares about it (k,)."""
 
     number: int
     mean: Floats
     squares: Floats
 
-    def merge(self, other: _Moments) -> _Moments:
+    def merge(self, other: _RunningMoments) -> _RunningMoments:
         """Return the moments of both together."""
         number = self.number + other.number
         if number == 0:
@@ -68,19 +68,19 @@ class _Moments(NamedTuple):
         apart = other.mean - self.mean
         mean = self.mean + apart * (other.number / number)
         squares = self.squares + other.squares + apart**2 * (self.number * other.number / number)
-        return _Moments(number, mean, squares)
+        return _RunningMoments(number, mean, squares)
 
 
-class _Pairs(NamedTuple):
+class _LagPairs(NamedTuple):
     """Neighbouring rows about a fixed origin: how many, sum of both rows' values and sum of their products (k,)."""
 
     number: int
     both: Floats
     product: Floats
 
-    def merge(self, other: _Pairs) -> _Pairs:
+    def merge(self, other: _LagPairs) -> _LagPairs:
         """Return the sums of both together."""
-        return _Pairs(self.number + other.number, self.both + other.both, self.product + other.product)
+        return _LagPairs(self.number + other.number, self.both + other.both, self.product + other.product)
 
     def covariance(self, offset: Floats) -> Floats:
         """Mean product about a mean that lies `offset` from the origin."""
@@ -90,12 +90,12 @@ class _Pairs(NamedTuple):
 def noise_statistics(sensor: SensorLog, rows: slice, left_out: Spans = ()) -> NoiseStatistics:
     """Statistics of a sensor's `rows`, which should be a stretch at rest, without those in the spans `left_out`."""
     zeros = np.zeros(int(sensor.counts.shape[1]))
-    total, pairs, even = _Moments(0, zeros, zeros), _Pairs(0, zeros, zeros), zeros
+    total, pairs, even = _RunningMoments(0, zeros, zeros), _LagPairs(0, zeros, zeros), zeros
     flags = dict.fromkeys(FLAGS, 0)
     means: list[Floats] = []
     origin: Floats | None = None
     for batch in _batches(rows):
-        in_batch = _Moments(0, zeros, zeros)
+        in_batch = _RunningMoments(0, zeros, zeros)
         for kept in _used_rows(sensor, batch, flags, left_out):
             origin = kept.mean(axis=1) if origin is None else origin
             in_batch = in_batch.merge(_moments(kept))
@@ -105,7 +105,7 @@ def noise_statistics(sensor: SensorLog, rows: slice, left_out: Spans = ()) -> No
         if in_batch.number:
             means.append(in_batch.mean)
     offset = zeros if origin is None else total.mean - origin
-    return _finish(_Sums(rows.stop - rows.start, flags, total, pairs, even, means, offset))
+    return _finish(_NoiseSums(rows.stop - rows.start, flags, total, pairs, even, means, offset))
 
 
 def _used_rows(
@@ -130,31 +130,31 @@ def _batches(rows: slice) -> Iterator[slice]:
     return (slice(start, stop) for start, stop in pairwise(edges) if stop > start)
 
 
-def _moments(rows: npt.NDArray[np.int64]) -> _Moments:
+def _moments(rows: npt.NDArray[np.int64]) -> _RunningMoments:
     """Moments of rows (k, n)."""
     mean = rows.mean(axis=1)
-    return _Moments(rows.shape[1], mean, ((rows - mean[:, np.newaxis]) ** 2).sum(axis=1))
+    return _RunningMoments(rows.shape[1], mean, ((rows - mean[:, np.newaxis]) ** 2).sum(axis=1))
 
 
-def _pairs(rows: Floats) -> _Pairs:
+def _pairs(rows: Floats) -> _LagPairs:
     """Return sums over every row (k, n) and the next; pairs across two blocks are ignored."""
     first, second = rows[:, :-1], rows[:, 1:]
-    return _Pairs(first.shape[1], (first + second).sum(axis=1), (first * second).sum(axis=1))
+    return _LagPairs(first.shape[1], (first + second).sum(axis=1), (first * second).sum(axis=1))
 
 
-class _Sums(NamedTuple):
+class _NoiseSums(NamedTuple):
     """Sums that a pass over the rows collects; `offset` (k,) is where the mean lies from the origin of `pairs`."""
 
     rows: int
     flags: Mapping[str, int]
-    total: _Moments
-    pairs: _Pairs
+    total: _RunningMoments
+    pairs: _LagPairs
     even: Floats
     means: list[Floats]
     offset: Floats
 
 
-def _finish(sums: _Sums) -> NoiseStatistics:
+def _finish(sums: _NoiseSums) -> NoiseStatistics:
     """Convert sums to statistics; nan where there are too few rows."""
     used, squares = sums.total.number, sums.total.squares
     std = sem = lag1 = mean = share = np.full(len(squares), np.nan)

@@ -53,41 +53,41 @@ _STAND_IN = re.compile(rf"(?<=:){_SECONDS}(?=,)|(?<=:){_NANOSECONDS}(?=}})|7\.(\
 """The placeholders of times and of cells in a template; no other text of a message matches."""
 
 
-class _Part(NamedTuple):
+class _EqualMessages(NamedTuple):
     """Equally long messages with their heads, as numpy items; `places` (k,) are their rows, ascending."""
 
     places: Indices
     messages: npt.NDArray[np.void]
 
 
-class _Rows(NamedTuple):
+class _ChannelMessages(NamedTuple):
     """Messages of one channel in the order of their times (n,) in ns, with their lengths (n,) in bytes and parts."""
 
     time_ns: Times
     lengths: Times
-    parts: list[_Part]
+    parts: list[_EqualMessages]
 
-    def then(self, other: _Rows) -> _Rows:
+    def then(self, other: _ChannelMessages) -> _ChannelMessages:
         """Return these messages followed by the others."""
         count = len(self.time_ns)
-        return _Rows(
+        return _ChannelMessages(
             np.concatenate([self.time_ns, other.time_ns]),
             np.concatenate([self.lengths, other.lengths]),
-            [*self.parts, *(_Part(part.places + count, part.messages) for part in other.parts)],
+            [*self.parts, *(_EqualMessages(part.places + count, part.messages) for part in other.parts)],
         )
 
-    def split(self, count: int) -> tuple[_Rows, _Rows]:
+    def split(self, count: int) -> tuple[_ChannelMessages, _ChannelMessages]:
         """Return the first messages, and the rest."""
         first, rest = [], []
         for places, messages in self.parts:
             at = int(np.searchsorted(places, count))
             if at:
-                first.append(_Part(places[:at], messages[:at]))
+                first.append(_EqualMessages(places[:at], messages[:at]))
             if at < len(places):
-                rest.append(_Part(places[at:] - count, messages[at:]))
+                rest.append(_EqualMessages(places[at:] - count, messages[at:]))
         return (
-            _Rows(self.time_ns[:count], self.lengths[:count], first),
-            _Rows(self.time_ns[count:], self.lengths[count:], rest),
+            _ChannelMessages(self.time_ns[:count], self.lengths[:count], first),
+            _ChannelMessages(self.time_ns[count:], self.lengths[count:], rest),
         )
 
     def copy_to(self, content: npt.NDArray[np.uint8], starts: Indices) -> None:
@@ -98,18 +98,18 @@ class _Rows(NamedTuple):
             anywhere[starts[places]] = messages
 
 
-def _ordered(time_ns: Times, parts: Sequence[_Part]) -> _Rows:
+def _ordered(time_ns: Times, parts: Sequence[_EqualMessages]) -> _ChannelMessages:
     """Return the messages of rows at times (n,), sorted by time, even if the rows are not."""
     if (np.diff(time_ns) < 0).any():
         order = np.argsort(time_ns, kind="stable")
         ranks = np.empty(len(order), np.intp)
         ranks[order] = np.arange(len(order))
         time_ns = time_ns[order]
-        parts = [_Part(*_sorted(ranks[places], messages)) for places, messages in parts]
+        parts = [_EqualMessages(*_sorted(ranks[places], messages)) for places, messages in parts]
     lengths = np.empty(len(time_ns), np.int64)
     for places, messages in parts:
         lengths[places] = messages.dtype.itemsize
-    return _Rows(time_ns, lengths, list(parts))
+    return _ChannelMessages(time_ns, lengths, list(parts))
 
 
 def _sorted(places: Indices, messages: npt.NDArray[np.void]) -> tuple[Indices, npt.NDArray[np.void]]:
@@ -118,12 +118,12 @@ def _sorted(places: Indices, messages: npt.NDArray[np.void]) -> tuple[Indices, n
     return places[order], messages[order]
 
 
-class _Stream:
+class _ChannelStream:
     """The messages of one channel, a block of rows at a time."""
 
-    def __init__(self, channel: int, blocks: Iterator[_Rows]) -> None:
+    def __init__(self, channel: int, blocks: Iterator[_ChannelMessages]) -> None:
         self.channel, self._blocks = channel, blocks
-        self.waiting = _Rows(np.zeros(0, np.int64), np.zeros(0, np.int64), [])
+        self.waiting = _ChannelMessages(np.zeros(0, np.int64), np.zeros(0, np.int64), [])
         self._last = False
 
     @property
@@ -140,7 +140,7 @@ class _Stream:
                 continue
             self.waiting = self.waiting.then(block)
 
-    def take(self, until_ns: int) -> _Rows:
+    def take(self, until_ns: int) -> _ChannelMessages:
         """Return the buffered messages up to a time, and remove them."""
         count = int(np.searchsorted(self.waiting.time_ns, until_ns, "right"))
         taken, self.waiting = self.waiting.split(count)
@@ -171,7 +171,7 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
         return content.exported(path)
 
 
-def _merge(container: Container, streams: Sequence[_Stream], source: str) -> None:
+def _merge(container: Container, streams: Sequence[_ChannelStream], source: str) -> None:
     """Write all messages in the order of their times, and of the streams at equal times. ExportError for a time that
     MCAP can't represent.
     """
@@ -222,7 +222,7 @@ def _write_head(container: Container, content: Content) -> None:
         container.attachment("array.toml", "application/toml", str(config).encode())
 
 
-def _streams(container: Container, content: Content, zero_ns: int, meter: Meter) -> list[_Stream]:
+def _streams(container: Container, content: Content, zero_ns: int, meter: Meter) -> list[_ChannelStream]:
     """Return the messages of each channel, in the order of their times."""
     streams = []
     for table in content.tables:
@@ -232,16 +232,16 @@ def _streams(container: Container, content: Content, zero_ns: int, meter: Meter)
             }
             kind = schemas.imu_schema() if schemas.is_imu(table) else schemas.table_schema(table)
             channel = _channel(container, f"/{table.name}", kind, about)
-            streams.append(_Stream(channel, _rows(table, channel, zero_ns, _frame(content), meter)))
+            streams.append(_ChannelStream(channel, _rows(table, channel, zero_ns, _frame(content), meter)))
     if content.events or content.phases:
         kind = schemas.log_schema()
         for topic, said in (("/events", _events(content)), ("/phases", _phases(content))):
             channel = _channel(container, topic, kind, {})
-            streams.append(_Stream(channel, _entries(said, channel, zero_ns, _json_entry)))
+            streams.append(_ChannelStream(channel, _entries(said, channel, zero_ns, _json_entry)))
     return streams
 
 
-def _ros2_streams(container: Container, content: Content, zero_ns: int, meter: Meter) -> list[_Stream]:
+def _ros2_streams(container: Container, content: Content, zero_ns: int, meter: Meter) -> list[_ChannelStream]:
     """Return the messages of each topic of ROS 2; topics of the same type share its definition."""
     streams, schemas_of = [], dict.fromkeys(ros2.DEFINITIONS, 0)
 
@@ -251,15 +251,15 @@ def _ros2_streams(container: Container, content: Content, zero_ns: int, meter: M
 
     for topic in ros2.topics(content.tables):
         channel = channel_of(topic.name, topic.kind)
-        streams.append(_Stream(channel, _ros2_rows(topic.blocks(zero_ns, _BLOCK, meter), channel)))
+        streams.append(_ChannelStream(channel, _ros2_rows(topic.blocks(zero_ns, _BLOCK, meter), channel)))
     for name, said in (("/events", _events(content)), ("/phases", _phases(content))):
         if said:
             channel = channel_of(name, ros2.LOG)
-            streams.append(_Stream(channel, _entries(said, channel, zero_ns, _ros2_entry)))
+            streams.append(_ChannelStream(channel, _entries(said, channel, zero_ns, _ros2_entry)))
     return streams
 
 
-def _ros2_rows(blocks: Iterator[tuple[Times, Texts]], channel: int) -> Iterator[_Rows]:
+def _ros2_rows(blocks: Iterator[tuple[Times, Texts]], channel: int) -> Iterator[_ChannelMessages]:
     """Yield the messages of a topic with their heads."""
     first = 0
     for time_ns, texts in blocks:
@@ -269,7 +269,7 @@ def _ros2_rows(blocks: Iterator[tuple[Times, Texts]], channel: int) -> Iterator[
             order = np.argsort(time_ns, kind="stable")
             time_ns, texts = time_ns[order], texts[order]
         messages = _with_heads(texts, channel, sequence & 0xFFFF_FFFF, time_ns)
-        yield _ordered(time_ns, [_Part(np.arange(len(time_ns)), messages)])
+        yield _ordered(time_ns, [_EqualMessages(np.arange(len(time_ns)), messages)])
 
 
 def _frame(content: Content) -> str:
@@ -282,7 +282,7 @@ def _channel(container: Container, topic: str, schema: Mapping[str, Any], about:
     return container.channel(topic, kind, about, "json")
 
 
-def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Meter) -> Iterator[_Rows]:
+def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Meter) -> Iterator[_ChannelMessages]:
     """Yield the rows of a table as messages."""
     columns = table.columns[1:]
     message: Callable[[Sequence[Any]], dict[str, Any]]
@@ -312,7 +312,7 @@ def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Met
                 chosen = places = np.flatnonzero(which.reshape(-1) == number)
             form = _form(message, columns, there.tolist())
             texts = _filled(form, time_ns[chosen], [cell[chosen] for cell in cells])
-            parts.append(_Part(places, _with_heads(texts, channel, sequence[chosen], time_ns[chosen])))
+            parts.append(_EqualMessages(places, _with_heads(texts, channel, sequence[chosen], time_ns[chosen])))
         yield _ordered(time_ns, parts)
         meter.add(rows.stop - rows.start, len(table.columns))
 
@@ -428,7 +428,7 @@ def _ros2_entry(nanoseconds: int, entry: _Entry) -> bytes:
 
 def _entries(
     said: Sequence[_Entry], channel: int, zero_ns: int, encode: Callable[[int, _Entry], bytes]
-) -> Iterator[_Rows]:
+) -> Iterator[_ChannelMessages]:
     """Yield the entries in the order of their times, one part for each; nothing without entries."""
     if not said:
         return
@@ -436,7 +436,7 @@ def _entries(
     parts = []
     for number, entry in enumerate(said):
         text, place = np.frombuffer(encode(int(time_ns[number]), entry), np.uint8), np.array([number])
-        parts.append(_Part(place, _with_heads(text[None], channel, place, time_ns[number : number + 1])))
+        parts.append(_EqualMessages(place, _with_heads(text[None], channel, place, time_ns[number : number + 1])))
     yield _ordered(time_ns, parts)
 
 

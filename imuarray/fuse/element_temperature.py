@@ -324,8 +324,8 @@ class ElementThermometer:
 
 @dataclass(frozen=True)
 class TemperatureSources:
-    """By sensor: the `elements` whose temperature the bias follows, the functions (`feeds`) to call with rows of
-    thermometers, and the age of these rows with respect to a frame (`delays_s`).
+    """The sources of the sensors' temperatures, by sensor: the `elements` whose temperature the bias follows, the functions
+    (`feeds`) to call with rows of thermometers, and the age of these rows with respect to a frame (`delays_s`).
     """
 
     elements: Mapping[str, ElementTemperature]

@@ -57,7 +57,7 @@ def inspect(path: Path, file: h5py.File) -> list[str]:
     damaged: list[str] = []
     try:
         with h5py.File(HeapCheckedFile(path), "r") as inspected:
-            _look_at_attributes(_Place(h5o.open(file.id, b"/"), b""), f"{path}: /")
+            _look_at_attributes(_OpenObject(h5o.open(file.id, b"/"), b""), f"{path}: /")
             kind = inspected.attrs.get("format")
             if isinstance(kind, str | bytes) and kind in (FORMAT, FORMAT.encode()):
                 refuse_hostile(file, inspected, str(path), damaged)
@@ -74,10 +74,10 @@ def refuse_hostile(file: h5py.File, inspected: h5py.File, where: str, damaged: l
     If HDF5 can't decode an object, LogError is raised, or its path is added to `damaged` if that is given.
     """
     size = file.id.get_filesize()
-    root = _Place(h5o.open(file.id, b"/"), b"")
+    root = _OpenObject(h5o.open(file.id, b"/"), b"")
     bad = _Damage(damaged)
     places = list(_walk(root, where, bad))
-    texts: list[_Text] = []
+    texts: list[_TextPlace] = []
     for place in places:
         with bad.noted(place.path):
             texts += _look_at(place, f"{where}: {place.name}", size)
@@ -109,13 +109,13 @@ class _Damage:
                 self._paths.append(_shown(path))
 
 
-def _walk(root: _Place, where: str, bad: _Damage) -> Iterator[_Place]:
+def _walk(root: _OpenObject, where: str, bad: _Damage) -> Iterator[_OpenObject]:
     """Yield all groups and datasets, level by level; LogError for too many, too deep or one that is reached twice."""
     seen = {h5o.get_info(root.item).addr}
     level = [root]
     for depth in range(MAX_DEPTH + 2):
-        below: list[_Place] = []
-        counts: dict[_Place, int] = {}  # before any of them is opened
+        below: list[_OpenObject] = []
+        counts: dict[_OpenObject, int] = {}  # before any of them is opened
         for place in level:
             if isinstance(place.item, h5g.GroupID):
                 with bad.noted(place.path):
@@ -130,7 +130,7 @@ def _walk(root: _Place, where: str, bad: _Damage) -> Iterator[_Place]:
                 names = _linked(group, where)
             for name in names:
                 with bad.noted(group.path + b"/" + name):
-                    place = _Place(h5o.open(group.item, name), group.path + b"/" + name)
+                    place = _OpenObject(h5o.open(group.item, name), group.path + b"/" + name)
                     if depth > MAX_DEPTH:
                         raise LogError(f"{where}: groups nested deeper than {MAX_DEPTH}")
                     address = h5o.get_info(place.item).addr
@@ -144,7 +144,7 @@ def _walk(root: _Place, where: str, bad: _Damage) -> Iterator[_Place]:
         level = below
 
 
-class _Place(NamedTuple):
+class _OpenObject(NamedTuple):
     """An open object, and its path."""
 
     item: Any
@@ -156,7 +156,7 @@ class _Place(NamedTuple):
         return _shown(self.path)
 
 
-class _Text(NamedTuple):
+class _TextPlace(NamedTuple):
     """A place with texts: a column, or an attribute of an object."""
 
     path: bytes
@@ -168,7 +168,7 @@ def _shown(name: bytes) -> str:
     return printable(name.decode(errors="backslashreplace"))
 
 
-def _linked(group: _Place, where: str) -> list[bytes]:
+def _linked(group: _OpenObject, where: str) -> list[bytes]:
     """Return the names in a group; LogError for links other than plain ones, and for names with invalid characters."""
     links: list[tuple[bytes, int]] = []
     group.item.links.iterate(lambda name, info: links.append((name, info.type)), info=True)
@@ -185,7 +185,7 @@ def _linked(group: _Place, where: str) -> list[bytes]:
     return names
 
 
-def _is_plot(group: _Place, name: bytes) -> bool:
+def _is_plot(group: _OpenObject, name: bytes) -> bool:
     """Return whether a soft link is one of `/plots`: to the column of the same name, of the sensor with the name of its
     group. It is not followed; the column is inspected at its own place.
     """
@@ -194,7 +194,7 @@ def _is_plot(group: _Place, name: bytes) -> bool:
     return len(path) == 2 and path[0] == PLOTS.encode() and target == b"/sensors/" + path[1] + b"/" + name
 
 
-def _look_at(node: _Place, place: str, file_bytes: int) -> list[_Text]:
+def _look_at(node: _OpenObject, place: str, file_bytes: int) -> list[_TextPlace]:
     """Check the type and the header of one object; returns the places of its texts."""
     if isinstance(node.item, h5d.DatasetID):
         return _look_at_dataset(node, place, file_bytes)
@@ -204,9 +204,9 @@ def _look_at(node: _Place, place: str, file_bytes: int) -> list[_Text]:
     return []
 
 
-def _look_at_attributes(node: _Place, place: str) -> list[_Text]:
+def _look_at_attributes(node: _OpenObject, place: str) -> list[_TextPlace]:
     """Check that attributes are numbers and texts and not too many; return the places of the texts."""
-    texts: list[_Text] = []
+    texts: list[_TextPlace] = []
     info = h5o.get_info(node.item)
     if info.num_attrs > MAX_ATTRIBUTES:
         raise LogError(f"{place}: {info.num_attrs} attributes; at most {MAX_ATTRIBUTES}")
@@ -229,11 +229,11 @@ def _look_at_attributes(node: _Place, place: str) -> list[_Text]:
         if varies and count > MAX_TEXTS:
             raise LogError(f"{where}: more than {MAX_TEXTS} texts")
         if varies and count:
-            texts.append(_Text(node.path or b"/", name))
+            texts.append(_TextPlace(node.path or b"/", name))
     return texts
 
 
-def _look_at_dataset(node: _Place, place: str, file_bytes: int) -> list[_Text]:
+def _look_at_dataset(node: _OpenObject, place: str, file_bytes: int) -> list[_TextPlace]:
     """Check type, storage and declared size of a dataset; return the place of its texts."""
     item = node.item
     kind, plan = item.get_type(), item.get_create_plist()
@@ -263,7 +263,7 @@ def _look_at_dataset(node: _Place, place: str, file_bytes: int) -> list[_Text]:
         return []
     if _text_bytes(item) > MAX_TEXT_BYTES:  # checked before any is read: all may refer to the same long text
         raise LogError(f"{place}: texts of more than {MAX_TEXT_BYTES} bytes")
-    return [_Text(node.path, None)]
+    return [_TextPlace(node.path, None)]
 
 
 def _text_bytes(item: h5d.DatasetID) -> int:
@@ -281,7 +281,7 @@ def _text_bytes(item: h5d.DatasetID) -> int:
     return int(np.ascontiguousarray(lengths).view("<u4").sum(dtype=np.int64))
 
 
-def _read(item: Any, text: _Text, where: str) -> None:
+def _read(item: Any, text: _TextPlace, where: str) -> None:
     """Read the texts of an object from a file whose heaps are checked."""
     if text.attribute is not None:
         attribute = h5a.open(item, text.attribute)

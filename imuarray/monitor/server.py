@@ -122,7 +122,7 @@ class _Page(_CheckedHandler):
         self.finish(template.generate(query=query, every_ms=round(self.snapshots.every_s * 1e3)))
 
 
-class _Part(_CheckedHandler):
+class _PageFile(_CheckedHandler):
     def get(self, name: str) -> None:
         if name == _BOKEH:
             content, kind = (Path(bokehjs_path()) / "js" / _BOKEH).read_bytes(), _PARTS["page.js"]
@@ -153,7 +153,7 @@ def application(snapshots: SharedSnapshots, token: str, parts: Traversable) -> A
     return Application(
         [
             (r"/", _Page, shared),
-            (rf"/({names})", _Part, shared),
+            (rf"/({names})", _PageFile, shared),
             (r"/snapshot\.json", _Snapshot, shared),
             (r"/figures\.json", _Figures, shared),
         ],

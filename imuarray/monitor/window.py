@@ -27,7 +27,7 @@ from imuarray.log.columns import Column, LiveGroup
 Attributes = Mapping[str, Any]
 
 
-class _File:
+class _SensorsFile:
     """A file that has only sensors."""
 
     def __init__(self, sensors: Mapping[str, Any]) -> None:
@@ -53,7 +53,7 @@ class MemoryLog(Log):
     def __init__(self, path: Path, sensors: Mapping[str, tuple[Attributes, Rows]]) -> None:
         self.path = path
         groups = {name: _held(name, attributes, rows) for name, (attributes, rows) in sensors.items()}
-        self._file, self._damaged = cast(h5py.File, _File(groups)), []
+        self._file, self._damaged = cast(h5py.File, _SensorsFile(groups)), []
         self.sensors = {
             name: SensorLog(group, f"{path}, sensor {name}", self, _not_sent) for name, group in groups.items()
         }

@@ -41,7 +41,7 @@ _NOISE = 0.2
 
 @dataclass(frozen=True)
 class PageContext:
-    """What the sections of all files of a page share: the calibrations, merged in their order, whether there are
+    """The data that the sections of all files of a page share: the calibrations, merged in their order, whether there are
     figures, the callback for the share of the file that is done, and the number of processes, on which the result
     does not depend.
     """
@@ -53,7 +53,7 @@ class PageContext:
 
 
 class PagePart(NamedTuple):
-    """What one file contributes to a page: verdicts, lines of the summary, and sections."""
+    """The contribution of one file to a page: verdicts, lines of the summary, and sections."""
 
     verdicts: Sequence[Verdict]
     summary: Sequence[str]

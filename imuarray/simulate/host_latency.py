@@ -110,7 +110,7 @@ class _HostDelays(NamedTuple):
     after_loss_ns: Integers
 
 
-class _Rows(NamedTuple):
+class _FrameRows(NamedTuple):
     """Rows of all sensors in the order of time (n,): of `which` sensor, their `number` there, whether they are flagged
     as ones before which others were lost, and whether they lie within the window and not in its margins.
     """
@@ -122,7 +122,7 @@ class _Rows(NamedTuple):
     inner: Booleans
 
 
-class _Pairs(NamedTuple):
+class _SensorPairs(NamedTuple):
     """(s, s) of the sensors: the interval in ns at which the second is usually read right after the first; nan unless
     that is within a frame, as fast as the bus gives. `idle_ns` is that of the others.
     """
@@ -135,7 +135,7 @@ class _Pairs(NamedTuple):
         return bool(np.isfinite(self.usual_ns[which]).any() or np.isfinite(self.usual_ns[:, which]).any())
 
 
-def _windows(sensors: Sequence[SensorLog]) -> Iterator[_Rows]:
+def _windows(sensors: Sequence[SensorLog]) -> Iterator[_FrameRows]:
     """Yield all rows, many at a time."""
     longest = max(sensors, key=len)
     for block in longest.blocks(_WINDOW_ROWS):
@@ -145,7 +145,7 @@ def _windows(sensors: Sequence[SensorLog]) -> Iterator[_Rows]:
         yield _rows(sensors, begin_ns, end_ns)
 
 
-def _rows(sensors: Sequence[SensorLog], begin_ns: int, end_ns: int) -> _Rows:
+def _rows(sensors: Sequence[SensorLog], begin_ns: int, end_ns: int) -> _FrameRows:
     parts = []
     for which, sensor in enumerate(sensors):
         span = sensor.between(begin_ns - _MARGIN_NS, end_ns + _MARGIN_NS)
@@ -155,10 +155,10 @@ def _rows(sensors: Sequence[SensorLog], begin_ns: int, end_ns: int) -> _Rows:
         parts.append((times, np.full(len(times), which), number, flags, (times >= begin_ns) & (times < end_ns)))
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     order = np.argsort(columns[0], kind="stable")
-    return _Rows(*(column[order] for column in columns))
+    return _FrameRows(*(column[order] for column in columns))
 
 
-def _of_window(rows: _Rows, pairs: _Pairs, sensors: int) -> list[_HostDelays]:
+def _of_window(rows: _FrameRows, pairs: _SensorPairs, sensors: int) -> list[_HostDelays]:
     halves = _halves(rows, pairs)
     late = rows.inner & (halves >= _LEAST_NS)
     lost = rows.inner & rows.is_after_loss
@@ -170,7 +170,7 @@ def _of_window(rows: _Rows, pairs: _Pairs, sensors: int) -> list[_HostDelays]:
     return windows
 
 
-def _pairs(rows: _Rows, count: int) -> _Pairs:
+def _pairs(rows: _FrameRows, count: int) -> _SensorPairs:
     """Return the intervals between the rows of each pair of the first `count` sensors."""
     usual, idle = np.full((2, count, count), np.nan)
     intervals = np.diff(rows.time_ns)
@@ -182,10 +182,10 @@ def _pairs(rows: _Rows, count: int) -> _Pairs:
             least, middle, upper = np.percentile(own, (0, 50, 75))
             tight = first != second and middle - least < _TIGHT_NS and upper - middle < _TIGHT_NS
             (usual if tight else idle)[first, second] = middle
-    return _Pairs(usual, idle)
+    return _SensorPairs(usual, idle)
 
 
-def _halves(rows: _Rows, pairs: _Pairs) -> Floats:
+def _halves(rows: _FrameRows, pairs: _SensorPairs) -> Floats:
     """Return (n,) half of how long the host waited before each row: what the intervals before and after it have in
     common, or if one of these tells nothing what the other has more than its neighbour's part.
     """

@@ -137,7 +137,7 @@ def load_model(path: str | PathLike[str]) -> Model:
 
 def parse_model(text: str, where: str = "model") -> Model:
     """Return a model from TOML text; `where` stands at the head of every message."""
-    return _model_of(parse_toml(text, _File, where), text, where)
+    return _model_of(parse_toml(text, _ModelFile, where), text, where)
 
 
 def noise_bandwidth_hz(sensor: SensorHeader) -> float:
@@ -204,7 +204,7 @@ _Design = create_model("_Design", __base__=_DesignTable, **_EFFECT_TABLES)
 _Sensor = create_model("_Sensor", __base__=_SensorTable, **_EFFECT_TABLES)
 
 
-class _File(BaseModel):
+class _ModelFile(BaseModel):
     """The whole TOML file."""
 
     model_config = _STRICT
@@ -213,7 +213,7 @@ class _File(BaseModel):
     sensor: list[_Sensor] = []  # type: ignore[valid-type]
 
 
-def _model_of(file: _File, text: str, where: str) -> Model:
+def _model_of(file: _ModelFile, text: str, where: str) -> Model:
     mistakes: list[Mistake] = []
     designs, sensors = (
         tuple(_part(entry, (key, index), mistakes) for index, entry in enumerate(getattr(file, key)))

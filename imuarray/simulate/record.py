@@ -34,7 +34,7 @@ class Written(NamedTuple):
     lost: dict[str, int]
 
 
-class _Part(NamedTuple):
+class _ArrivingRows(NamedTuple):
     """A stretch of one sensor's rows: those that arrive, and when the first of each lost few should have come."""
 
     sensor: str
@@ -123,7 +123,7 @@ def phases_within(phases: tuple[Phase, ...], end_ns: int) -> list[Phase]:
     return [phase._replace(end_ns=min(phase.end_ns, end_ns)) for phase in phases if phase.start_ns < end_ns]
 
 
-def _stretches(simulation: Simulation, block_rows: int) -> Iterator[Callable[[], _Part]]:
+def _stretches(simulation: Simulation, block_rows: int) -> Iterator[Callable[[], _ArrivingRows]]:
     """Yield the work, sensor after sensor, a block of each at a time."""
     longest = max(sensor.rows for sensor in simulation.sensors.values())
     for start in range(0, longest, block_rows):
@@ -132,20 +132,22 @@ def _stretches(simulation: Simulation, block_rows: int) -> Iterator[Callable[[],
                 yield partial(_part, simulation, name, start, min(start + block_rows, sensor.rows))
 
 
-def _part(simulation: Simulation, name: str, start: int, stop: int) -> _Part:
+def _part(simulation: Simulation, name: str, start: int, stop: int) -> _ArrivingRows:
     sensor = simulation.sensors[name]
     lost = sensor.lost_rows(max(start - 1, 0), stop)
     begins = lost[(np.diff(lost, prepend=-2) > 1) & (lost >= start)]
     silent = [int(sensor.timeline.stamps(row, row + 1)[0]) for row in begins.tolist()]
-    return _Part(name, sensor.block(start, stop), int((lost >= start).sum()), np.array(silent, np.int64))
+    return _ArrivingRows(name, sensor.block(start, stop), int((lost >= start).sum()), np.array(silent, np.int64))
 
 
-def _in_order(work: Iterator[Callable[[], _Part]], executor: Executor | None, workers: int) -> Iterator[_Part]:
+def _in_order(
+    work: Iterator[Callable[[], _ArrivingRows]], executor: Executor | None, workers: int
+) -> Iterator[_ArrivingRows]:
     """Yield the results in the order of the work, a few of them worked out ahead."""
     if executor is None:
         yield from (job() for job in work)
         return
-    waiting: deque[Future[_Part]] = deque()
+    waiting: deque[Future[_ArrivingRows]] = deque()
     for job in work:
         waiting.append(executor.submit(job))
         if len(waiting) >= _AHEAD * workers:

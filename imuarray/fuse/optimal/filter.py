@@ -98,7 +98,7 @@ class Dynamics:
         valid, (rows, unknowns, terms) = readings.valid[0], view.sizes
         if valid.tobytes() != view.packed_rows:
             return False
-        sums = _Sums(terms, rows) if evidence is None else evidence.sums_of(valid)
+        sums = _RegressionSums(terms, rows) if evidence is None else evidence.sums_of(valid)
         weights = np.empty(count)
         given = (
             np.ascontiguousarray(readings.values, float),
@@ -162,7 +162,7 @@ _KEPT = 1024
 """Number of parities that are cached for the next segments."""
 
 
-class _Sums:
+class _RegressionSums:
     """Sums over the frames with the same rows in use: of the products of (1, stimulus) with itself (`squares`) and with
     the readings (`products`), and of the stimulus's covariances, which the squares include (`blur`).
     """
@@ -179,7 +179,7 @@ class SegmentEvidence:
     def __init__(self, geometry: Geometry, terms: int) -> None:
         self._geometry, self._terms = geometry, terms
         self._parities: dict[bytes, Floats] = {}
-        self._sums: dict[bytes, _Sums] = {}
+        self._sums: dict[bytes, _RegressionSums] = {}
 
     def add(
         self, readings: FrameReadings, solution: FrameSolution, frames: slice, weights: Floats | None = None
@@ -203,13 +203,13 @@ class SegmentEvidence:
             sums.products += weighted @ values
             sums.blur += np.tensordot(weight, covariance[which], axes=1)
 
-    def sums_of(self, valid: Booleans) -> _Sums:
+    def sums_of(self, valid: Booleans) -> _RegressionSums:
         """Return the sums over the frames with these rows in use."""
         key = valid.tobytes()
         if key not in self._parities:
             self._parities[key] = self._geometry.parity(valid)
         if key not in self._sums:
-            self._sums[key] = _Sums(self._terms, len(valid))
+            self._sums[key] = _RegressionSums(self._terms, len(valid))
         return self._sums[key]
 
     def measurements(self, rows: Floats) -> tuple[Floats, Floats]:
@@ -248,7 +248,7 @@ class SegmentEvidence:
         return valid & (np.abs(np.nan_to_num(triad) @ self._geometry.rows[:, :3].T) < fair)
 
 
-def _components(sums: _Sums) -> tuple[Floats, Floats]:
+def _components(sums: _RegressionSums) -> tuple[Floats, Floats]:
     """Roots of the sizes (c,), and weights (c, terms), of the independent components of the sums of (1, stimulus),
     without what the stimulus's own noise makes of them.
     """

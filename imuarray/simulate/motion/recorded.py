@@ -36,7 +36,7 @@ _KEPT_BYTES = 1 << 24
 """
 
 
-class _Block(NamedTuple):
+class _CubicPieces(NamedTuple):
     """Rows at times (k,) ns, the last row the first of the next block, and the k - 1 cubic pieces between them, p0 + x
     (p1 + x (p2 + x p3)) for a column where 0 <= x <= 1: p0 of all is `start` (c, k - 1). `moves` (k,): how many of the
     pieces before a row are not constant; of these m pieces alone the lengths `length_s` (m,) and `curve` (3, c, m), p1,
@@ -127,7 +127,7 @@ class SplineColumns:
         value = block.start[:, end] + 0.0
         return np.broadcast_to(value, (len(within), len(value)))
 
-    def _joined(self, within: Integers, worked_out: Callable[[_Block, Integers], Reals], of_each: int) -> Reals:
+    def _joined(self, within: Integers, worked_out: Callable[[_CubicPieces, Integers], Reals], of_each: int) -> Reals:
         """Return (c * of_each, n) what each block makes of the times in it."""
         if (within[1:] >= within[:-1]).all():
             return self._in_order(within, worked_out, of_each)
@@ -136,7 +136,7 @@ class SplineColumns:
         result[:, order] = self._in_order(within[order], worked_out, of_each)
         return result
 
-    def _in_order(self, within: Integers, worked_out: Callable[[_Block, Integers], Reals], of_each: int) -> Reals:
+    def _in_order(self, within: Integers, worked_out: Callable[[_CubicPieces, Integers], Reals], of_each: int) -> Reals:
         """Return the same of times that ascend."""
         first, last = self._numbers(within[[0, -1]]).tolist() if len(within) else (0, 0)
         if first == last:
@@ -173,11 +173,11 @@ class SplineColumns:
         return np.array([self.time[row] for row in rows], np.int64)
 
     @cached_property
-    def _blocks(self) -> dict[int, _Block]:
+    def _blocks(self) -> dict[int, _CubicPieces]:
         """The blocks in memory, the most recently used last."""
         return {}
 
-    def _block(self, number: int) -> _Block:
+    def _block(self, number: int) -> _CubicPieces:
         blocks = self._blocks
         block = blocks.pop(number, None)
         if block is not None:
@@ -188,7 +188,7 @@ class SplineColumns:
             del blocks[next(iter(blocks))]
         return block
 
-    def _read(self, number: int) -> _Block:
+    def _read(self, number: int) -> _CubicPieces:
         """One block, with a row more on either side while slopes are taken."""
         start = number * BLOCK
         before = min(start, 1)
@@ -235,14 +235,14 @@ def _gaps(time_ns: Integers) -> Booleans:
     return np.asarray(lengths > _GAP * np.minimum(neighbours[:-2], neighbours[2:]))
 
 
-def _between(time_ns: Integers, rows: Reals, slopes: Reals, is_gap: Booleans) -> _Block:
+def _between(time_ns: Integers, rows: Reals, slopes: Reals, is_gap: Booleans) -> _CubicPieces:
     """Return the cubic pieces (Hermite) between rows (k, c) with these slopes per s.
 
     In gaps (k - 1,) they are monotonic: no slope exceeds three times the mean one, or has another sign (Fritsch and
     Carlson, SIAM J. Numer. Anal. 17, 1980).
     """
     if len(rows) == 1:
-        return _Block(time_ns, rows.T.copy(), np.zeros(2, np.int64), np.zeros(0), np.zeros((3, rows.shape[1], 0)))
+        return _CubicPieces(time_ns, rows.T.copy(), np.zeros(2, np.int64), np.zeros(0), np.zeros((3, rows.shape[1], 0)))
     length_s = np.diff(time_ns) * 1e-9
     start, rise = rows[:-1].T, rows[1:].T - rows[:-1].T
     begin, end = slopes[:-1].T * length_s, slopes[1:].T * length_s
@@ -253,13 +253,13 @@ def _between(time_ns: Integers, rows: Reals, slopes: Reals, is_gap: Booleans) ->
     moves = np.concatenate([[0], np.cumsum(moving)])
     if not moving.any():
         still = np.broadcast_to(start[:, :1].copy(), start.shape)
-        return _Block(time_ns, still, moves, np.zeros(0), np.zeros((3, len(start), 0)))
+        return _CubicPieces(time_ns, still, moves, np.zeros(0), np.zeros((3, len(start), 0)))
     rise, begin, end = rise[:, moving], begin[:, moving], end[:, moving]
     curve = np.stack([begin, 3 * rise - 2 * begin - end, begin + end - 2 * rise])
-    return _Block(time_ns, np.ascontiguousarray(start), moves, length_s[moving], curve)
+    return _CubicPieces(time_ns, np.ascontiguousarray(start), moves, length_s[moving], curve)
 
 
-def _values(block: _Block, time_ns: Integers) -> Reals:
+def _values(block: _CubicPieces, time_ns: Integers) -> Reals:
     """Return (c, n) at times within the block."""
     row = block.row_before(time_ns)
     start: Reals = block.start.take(row, axis=1)
@@ -273,7 +273,7 @@ def _values(block: _Block, time_ns: Integers) -> Reals:
     return start
 
 
-def _values_and_slopes(block: _Block, time_ns: Integers) -> Reals:
+def _values_and_slopes(block: _CubicPieces, time_ns: Integers) -> Reals:
     """Return (2 c, n) values, and their derivatives per s below."""
     row = block.row_before(time_ns)
     moving = _moving(block, row)
@@ -287,12 +287,12 @@ def _values_and_slopes(block: _Block, time_ns: Integers) -> Reals:
     return result
 
 
-def _moving(block: _Block, row: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+def _moving(block: _CubicPieces, row: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
     """Return which of these pieces are not constant."""
     return np.flatnonzero(block.moves.take(row + 1) > block.moves.take(row))
 
 
-def _pieces(block: _Block, time_ns: Integers, row: npt.NDArray[np.intp]) -> tuple[Reals, Reals, Reals]:
+def _pieces(block: _CubicPieces, time_ns: Integers, row: npt.NDArray[np.intp]) -> tuple[Reals, Reals, Reals]:
     """Return (n,) where in their pieces, none of which is constant, the times lie, 0 to 1; (n,) the lengths of these in
     s; (3, c, n) p1, p2, p3.
     """

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
+class _TrajectoryRows:
     """Rows at `time_ns` (n,), the first at 0, and `temperature_degc` (n,); one phase, motion."""
 
     time_ns: Integers
@@ -66,7 +66,7 @@ class _Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory(_Rows):
+class Trajectory(_TrajectoryRows):
     """Position `place_m` (n, 3) in the level frame and `attitudes` (n, from the box to the level frame), joined by
     cubic splines (a rotation spline for the attitude: angular acceleration without jumps).
 
@@ -113,7 +113,7 @@ class Trajectory(_Rows):
 
 
 @dataclass(frozen=True, eq=False)
-class FeltRows(_Rows):
+class FeltRows(_TrajectoryRows):
     """Specific force `force_box` (n, 3) in m/s2 and angular rate `rate_box` (n, 3) in rad/s, joined by cubic splines.
 
     Nothing is known of attitude and height: field and pressure are those of a box that stands upright.
