@@ -324,7 +324,7 @@ class ElementThermometer:
 
 @dataclass(frozen=True)
 class TemperatureSources:
-    """The sources of the sensors' temperatures, by sensor: the `elements` whose temperature the bias follows, the functions
+    """The sources of temperatures, by sensor: the `elements` whose temperature the bias follows, the functions
     (`feeds`) to call with rows of thermometers, and the age of these rows with respect to a frame (`delays_s`).
     """
 
