@@ -394,21 +394,29 @@ class CellBlock(NamedTuple):
 
 
 class CodeConversion(NamedTuple):
-    """The conversion of cells into counts: minus `offset`, or as two's complement of `bits`; with a `sensitivity`
-    (counts per unit) they are in a unit.
+    """The conversion of cells into counts of `count_bits`: minus `offset`, or as two's complement of `bits`; with a
+    `sensitivity` (counts per unit) they are in a unit.
     """
 
     sensitivity: float | None = None
     offset: int = 0
     bits: int | None = None
+    count_bits: int = 16
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """The lowest and the highest count."""
+        return -(1 << self.count_bits - 1), (1 << self.count_bits - 1) - 1
 
 
 CODES = CodeConversion()
 """Cells that are counts."""
 
 
-def counts(column: CellColumn, codes: CodeConversion = CODES) -> npt.NDArray[np.int16]:
-    """Return (n,) counts; SourceError for a cell that is not a number, not an integer, or not a 16-bit count."""
+def counts(column: CellColumn, codes: CodeConversion = CODES) -> npt.NDArray[np.signedinteger]:
+    """Return (n,) counts, int32 if they have more than 16 bits; SourceError for a cell that is not a number, not an
+    integer, or a count of more bits.
+    """
     values = numbers(column)
     whole = np.rint(values if codes.sensitivity is None else values * codes.sensitivity)
     if codes.sensitivity is None and (whole != values).any():
@@ -423,19 +431,22 @@ def counts(column: CellColumn, codes: CodeConversion = CODES) -> npt.NDArray[np.
             raise column.refuse(row, f"{column.text(row)}; codes of {codes.bits} bits are allowed")
         whole = np.where(whole >= span / 2, whole - span, whole)
     whole = whole - codes.offset
-    outside = (whole < INT16[0]) | (whole > INT16[1])
+    low, high = codes.span
+    outside = (whole < low) | (whole > high)
     if outside.any():
         row = int(np.argmax(outside))
         as_counts = "" if codes.sensitivity is None and not codes.offset else f" is {whole[row]:.6g} counts"
-        raise column.refuse(row, f"{column.text(row)}{as_counts}; allowed are {INT16[0]} to {INT16[1]}" + _hint(codes))
-    return whole.astype(np.int16)
+        raise column.refuse(row, f"{column.text(row)}{as_counts}; allowed are {low} to {high}" + _hint(codes))
+    return whole.astype(np.int16) if codes.count_bits <= 16 else whole.astype(np.int32)
 
 
 def _hint(codes: CodeConversion) -> str:
     """Return a likely reason for a count that is too large."""
     if codes.sensitivity is not None:
         return "; are unit and sensitivity those of the column?"
-    return "" if codes.offset or codes.bits else "; for unsigned codes, set offset or bits in the map"
+    if codes.offset or codes.bits:
+        return ""
+    return "; for unsigned codes, set offset or bits in the map, and for codes of more than 16 bits, bits"
 
 
 class TimeColumn:

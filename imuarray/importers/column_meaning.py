@@ -19,6 +19,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.importers.mapping import NS_PER_UNIT
 from imuarray.importers.plausibility import RATES_HZ, USUAL_RATES_HZ
+from imuarray.importers.resolution import WIDE_SENSITIVITIES, usual_bits
 from imuarray.importers.sphere import fit_sphere
 from imuarray.importers.text_layout import TextLayout, quoted
 from imuarray.printable import printable
@@ -776,8 +777,9 @@ def _sensor(
         item.append('signs = "---"   # ? Apple\'s CoreMotion has the opposite sign: -1 g along the axis that points up')
     if said in UNITS_OF[quantity]:  # type: ignore[index]
         return [*item, f'unit = "{said}"'], said
-    if is_wide:  # codes of more than 16 bits
-        return [*item, 'unit = "g"', f"factor = {1 / length:.6g}   # ? from gravity: {length:.6g} counts"], "g"
+    if is_wide:
+        sphere = fit_sphere(values)
+        return [*item, *_wide_codes(length if sphere is None else sphere.radius, beyond)], "g"
     if not whole:
         unit, lines = _measured(quantity, values, force_unit)
         return [*item, *lines], unit
@@ -822,6 +824,21 @@ def _signed(values: Floats) -> tuple[Floats, list[str], float]:
             _CODES_16 / 2,
         )
     return values - _CODES_16 / 2, [f"offset = {_CODES_16 // 2}   # ? none is negative"], _CODES_16 / 2
+
+
+def _wide_codes(length: float, beyond: float) -> list[str]:
+    """Return the scale of an accelerometer's codes of more than 16 bits, up to `beyond`."""
+    per_g = min(WIDE_SENSITIVITIES["specific_force"], key=lambda known: abs(ln(length / known)))
+    if abs(ln(length / per_g)) > _NEAR_GRAVITY:
+        per_g = 2.0 ** round(ln(length) / ln(2))
+    if abs(ln(length / per_g)) > _NEAR_GRAVITY:
+        per_g = float(f"{length:.3g}")
+    bits = usual_bits(beyond)
+    return [
+        'unit = "g"',
+        f"range = {(1 << bits - 1) / per_g:.6g}   # ? of {bits} bits",
+        f"sensitivity = {per_g:.9g}   # ? from gravity: {length:.6g} counts",
+    ]
 
 
 def _counted(quantity: str, length: float, largest: float) -> tuple[str, list[str]]:

@@ -46,7 +46,7 @@ from imuarray.importers.mapping import parse_map
 from imuarray.importers.mimu4444 import is_recording
 from imuarray.importers.plausibility import radii_of, report_of, turns_of
 from imuarray.importers.records import FIRST_WORDS, WORD_ORDERS
-from imuarray.importers.resolution import SENSITIVITIES
+from imuarray.importers.resolution import MOST_BITS, SENSITIVITIES, WIDE_SENSITIVITIES
 from imuarray.importers.sources import ZIP, RecordingRows, open_rows, reader_of, stem_of, texts_in, unpack_texts
 from imuarray.importers.table import import_table
 from imuarray.importers.text_layout import (
@@ -325,9 +325,24 @@ def _correct_unit(item: list[str], factor: float) -> bool:
     guessed = item[place].split('"')[1]
     wanted = factor * units[guessed]
     nearest = min(units, key=lambda unit: abs(ln(units[unit] / wanted)))
-    if nearest == guessed or units[nearest] == units[guessed] or abs(ln(units[nearest] / wanted)) > _NEAR_UNIT:
+    if abs(ln(units[nearest] / wanted)) > _NEAR_UNIT:
+        return _correct_wide_codes(item, place, 1 / wanted)
+    if nearest == guessed or units[nearest] == units[guessed]:
         return False
     item[place] = f'unit = "{nearest}"   # ? from the rotation of gravity in the accelerometer'
+    return True
+
+
+def _correct_wide_codes(item: list[str], place: int, per_dps: float) -> bool:
+    """Replace the guessed unit of a gyroscope, the line `place`, by the scale of codes of more than 16 bits, if that
+    of a data sheet fits.
+    """
+    known = min(WIDE_SENSITIVITIES["angular_rate"], key=lambda known: abs(ln(known / per_dps)))
+    if abs(ln(known / per_dps)) > _NEAR_UNIT:
+        return False
+    item[place] = 'unit = "dps"'
+    item.append(f"range = {(1 << MOST_BITS - 1) / known:.6g}   # ? of {MOST_BITS} bits")
+    item.append(f"sensitivity = {known:.9g}   # ? from the rotation of gravity in the accelerometer")
     return True
 
 

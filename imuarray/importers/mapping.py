@@ -253,8 +253,9 @@ class SensorTable(LogColumn):
     `values` says whether they hold counts or numbers in `unit`, which are converted to counts; without `sensitivity`
     and `scale` they are in `unit`. `range`, `sensitivity` (counts per `unit`) and `scale` (`unit` per count) are in
     `unit` too; for numbers in `unit` they are optional and inferred from the values. `offset` is subtracted from codes;
-    with `bits` they are two's complement that was read as unsigned. Values of `columns` times `factor` are in `unit`,
-    which codes of more than 16 bits need; `signs` ("+-+") changes the sign of axes whose columns have the opposite one.
+    with `bits` they are two's complement of so many bits, also if it was read as unsigned. A log keeps codes of up to
+    32 bits without loss: as many as `bits`, or as range times sensitivity takes. Values of `columns` times `factor` are
+    in `unit`; `signs` ("+-+") changes the sign of axes whose columns have the opposite one.
     `bandwidth_hz`: the -3 dB bandwidth to which the chip was set, 0 if unknown. `gravity_columns`: gravity that a
     program subtracted, in `unit`; it is added again. `thermometer` is given if a
     chip's data sheet is not known to this package, or a unit was calibrated.
@@ -269,7 +270,7 @@ class SensorTable(LogColumn):
     scale: Positive | None = None
     values: Literal["counts", "physical"] | None = None
     offset: int = 0
-    bits: Annotated[int, Field(ge=8, le=16)] | None = None
+    bits: Annotated[int, Field(ge=8, le=32)] | None = None
     factor: Positive | None = None
     signs: Annotated[str, Field(pattern=r"^[+-]{3}$")] = "+++"
     gravity_columns: Triad | None = None

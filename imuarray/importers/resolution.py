@@ -1,7 +1,8 @@
 """Counts per unit of columns in physical units: inferred from the grid of their values, or from their size.
 
 Most such recordings are counts that a driver has multiplied: the values lie on a grid whose step is the scale, and the
-original counts are recovered. Other values are rounded to counts as fine as 16 bits allow.
+original counts are recovered. Other values are rounded to counts as fine as 16 bits allow, or finer if their noise is
+less than such a count. A log keeps counts of up to 32 bits.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.importers.cells import INT16
-from imuarray.log.format import ASSUMED, DIGITS, RESOLUTION
+from imuarray.log.format import ASSUMED, COUNT_BITS, DIGITS, RESOLUTION
 
 RANGES = {
     "specific_force": (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 100.0, 200.0, 400.0),
@@ -31,6 +32,15 @@ SENSITIVITIES = {
 }
 """Counts per unit in data sheets: a grid that is within `NEAR` of one is taken for it."""
 
+WIDE_SENSITIVITIES = {
+    "specific_force": (12_800.0, 25_600.0, 51_200.0, 64_000.0, 128_000.0, 256_000.0, 52_428_800.0, 262_144_000.0),
+    "angular_rate": (655_360.0, 2_621_440.0, 10_485_760.0),
+    "magnetic_field": (16_384.0,),
+}
+"""The same of chips with codes of more than 16 bits: Analog Devices' ADXL355 and ADXL357 (20 bits), the ADIS16470 and
+ADIS16495 (32 bits); the MMC5983MA (18 bits).
+"""
+
 NEAR = 3e-4
 """Greatest relative difference between a step found from rounded values and that of the data sheet."""
 
@@ -41,6 +51,15 @@ digits of a text.
 
 SAMPLE_ROWS = 20_000
 """Number of rows from which the grid is found."""
+
+MOST_BITS = 32
+"""Bits of the widest counts of a log."""
+
+FINE = 1.0
+"""Noise (rms) in counts of 16 bits from which on rounding adds less than a tenth to its variance."""
+
+_WIDE_NOISE = 16.0
+"""Noise in counts, at least, of values whose noise is less than a count of 16 bits: rounding then adds a 3000th."""
 
 _FEWEST_VALUES = 8
 _OFF_GRID = 0.1
@@ -98,20 +117,24 @@ def _refined(distinct: Floats, step: float) -> float:
 
 @dataclass(frozen=True)
 class Resolution:
-    """Counts per unit and range, both in the log's unit; `is_exact`: the values lie on the grid of these counts."""
+    """Counts per unit and range, both in the log's unit; `is_exact`: the values lie on the grid of these counts, which
+    have `bits`.
+    """
 
     sensitivity: float
     range: float
     is_exact: bool
+    bits: int = 16
 
-    def attributes(self, log_units: float) -> dict[str, str]:
+    def attributes(self, log_units: float) -> dict[str, int | float | str]:
         """Return the attributes of a log's sensor whose columns were in units of `log_units`: its counts are no codes
         of a chip if they were assumed, or step by decimal digits.
         """
+        wide: dict[str, int | float | str] = {COUNT_BITS: self.bits} if self.bits > 16 else {}
         if not self.is_exact:
-            return {RESOLUTION: ASSUMED}
+            return {RESOLUTION: ASSUMED, **wide}
         digits = math.log10(self.sensitivity * log_units)
-        return {RESOLUTION: DIGITS} if abs(digits - round(digits)) < _DECIMAL else {}
+        return {RESOLUTION: DIGITS, **wide} if abs(digits - round(digits)) < _DECIMAL else wide
 
 
 _DECIMAL = 1e-4
@@ -127,12 +150,59 @@ def resolution_of(
     if range_ is None:
         range_ = next((value for value in RANGES[quantity] if largest <= value), largest)
     if sensitivity is None:
-        step = common_step(axes)
-        if step is not None:
-            sensitivity = next((value for value in SENSITIVITIES[quantity] if abs(value * step - 1) < NEAR), 1 / step)
-            if largest * sensitivity <= INT16[1] and range_ * sensitivity <= FULL_SPAN:
-                return Resolution(sensitivity, range_, True)
-        return Resolution(INT16[1] / max(range_, largest), range_, False)
+        return _inferred(quantity, axes, largest, range_)
     counts = np.concatenate(axes) * sensitivity
     off = counts - np.rint(counts)
-    return Resolution(sensitivity, range_, bool(len(off)) and float(np.mean(np.abs(off) < _OFF_GRID)) > _ON_GRID)
+    is_exact = bool(len(off)) and float(np.mean(np.abs(off) < _OFF_GRID)) > _ON_GRID
+    return Resolution(sensitivity, range_, is_exact, bits_of(largest * sensitivity, range_ * sensitivity))
+
+
+def bits_of(largest: float, end: float) -> int:
+    """Return the bits of counts of which the `largest` is known and `end` is the end of their range: 16, or as many as
+    the range takes; at most `MOST_BITS`.
+    """
+    if largest <= INT16[1]:
+        return 16
+    return min(MOST_BITS, 1 + math.ceil(math.log2(max(largest, end * (1 - _DECIMAL)))))
+
+
+def usual_bits(largest: float) -> int:
+    """Return the least usual number of bits of codes of more than 16 bits, of which the `largest` is known."""
+    return next((bits for bits in _USUAL_BITS if largest <= 1 << bits - 1), MOST_BITS)
+
+
+_USUAL_BITS = (18, 19, 20, 24)
+"""Widths of codes of chips, besides 16 and 32."""
+
+
+def _inferred(quantity: str, axes: Sequence[Floats], largest: float, range_: float) -> Resolution:
+    """Return the resolution of values whose counts per unit nobody states."""
+    widest = max(range_, largest)
+    coarse = INT16[1] / widest
+    noise = _noise(axes)
+    step = common_step(axes)
+    if step is not None:
+        known = (*SENSITIVITIES[quantity], *WIDE_SENSITIVITIES[quantity])
+        named = next((value for value in known if abs(value * step - 1) < NEAR), None)
+        sensitivity = 1 / step if named is None else named
+        if largest * sensitivity <= INT16[1] and range_ * sensitivity <= FULL_SPAN:
+            return Resolution(sensitivity, range_, True)
+        is_needed = named is not None or noise * coarse < FINE
+        if is_needed and widest * sensitivity < 1 << MOST_BITS - 1:
+            bits = usual_bits(largest * sensitivity)
+            return Resolution(sensitivity, min(range_, (1 << bits - 1) / sensitivity), True, bits)
+    if not 0 < noise * coarse < FINE:
+        return Resolution(coarse, range_, False)
+    bits = min(MOST_BITS, 16 + math.ceil(math.log2(_WIDE_NOISE / (noise * coarse))))
+    return Resolution(((1 << bits - 1) - 1) / widest, range_, False, bits)
+
+
+def _noise(axes: Sequence[Floats]) -> float:
+    """Return the noise (rms) of the quietest axis that changes, from its median change between rows; 0 without one."""
+    changes = [np.abs(np.diff(values)) for values in axes]
+    usual = [float(np.median(change[change > 0])) for change in changes if (change > 0).any()]
+    return min(usual, default=0.0) / _MEDIAN_CHANGE
+
+
+_MEDIAN_CHANGE = 0.6745 * math.sqrt(2)
+"""Median of the absolute difference of two normal deviates with unit variance."""

@@ -16,7 +16,6 @@ from imuarray.arrays import Booleans, Floats, Times
 from imuarray.errors import ConfigError, SourceError
 from imuarray.importers import NO_WALL_TIME, ImportSummary, importer
 from imuarray.importers.cells import (
-    INT16,
     INT32,
     ROWS,
     CellBlock,
@@ -44,11 +43,20 @@ from imuarray.importers.mapping import (
     has_no_day,
     load_map,
 )
-from imuarray.importers.resolution import SAMPLE_ROWS, Resolution, resolution_of
+from imuarray.importers.resolution import FULL_SPAN, SAMPLE_ROWS, Resolution, bits_of, resolution_of
 from imuarray.importers.row_order import Blocks, RowOrder, count_out
 from imuarray.importers.sources import RecordingRows, Reference, open_rows
 from imuarray.log import Block, LogWriter, Stimulus
-from imuarray.log.format import ARRIVAL, LOST_BEFORE, SATURATED, Event, Phase, SensorHeader, ThermometerScale
+from imuarray.log.format import (
+    ARRIVAL,
+    COUNT_BITS,
+    LOST_BEFORE,
+    SATURATED,
+    Event,
+    Phase,
+    SensorHeader,
+    ThermometerScale,
+)
 from imuarray.log.sensor_log import first_at
 from imuarray.printable import counted, listed
 from imuarray.units import SI_PER_UNIT, UNITS_OF
@@ -154,13 +162,12 @@ def _streams(table_map: TableMap) -> list[RowGroup]:
 def _inferred(
     plan: RowGroup, rows: RecordingRows, table_map: TableMap, block_rows: int
 ) -> Iterator[tuple[SensorTable, Resolution]]:
-    """Infer range and sensitivity of sensors with columns in a unit that the map leaves open; the recording is read
-    once more for this.
+    """Infer what the map leaves open: range and sensitivity of columns in a unit, the bits of codes whose range takes
+    more than 16. The recording is read once more for this.
     """
-    sensors = [item for item in plan.items if isinstance(item, SensorTable) and item.is_physical]
-    largest = dict.fromkeys((sensor.name for sensor in sensors), 0.0)
-    samples: dict[str, list[list[Floats]]] = {sensor.name: [[], [], []] for sensor in sensors}
-    open_ = [sensor for sensor in sensors if sensor.range is None or sensor.counts_per_unit is None]
+    open_ = [item for item in plan.items if isinstance(item, SensorTable) and _is_open(item)]
+    largest = dict.fromkeys((sensor.name for sensor in open_), 0.0)
+    samples: dict[str, list[list[Floats]]] = {sensor.name: [[], [], []] for sensor in open_}
     seen = 0
     if open_:
         for block, where in rows.blocks(plan.columns, plan.kind, block_rows):
@@ -169,22 +176,42 @@ def _inferred(
                 cells = _triad_of({name: block.column(at[name], repr(name)) for name in columns_of(sensor)}, sensor)
                 kept = ~_missing(cells)
                 for axis, cell in zip(samples[sensor.name], cells, strict=True):
-                    values = numbers(cell.where(kept)) * sensor.log_units
+                    values = numbers(cell.where(kept))
+                    values = values * sensor.log_units if sensor.is_physical else values - sensor.offset
                     largest[sensor.name] = max(largest[sensor.name], float(np.abs(values).max(initial=0.0)))
                     if seen < SAMPLE_ROWS:
                         axis.append(values)
             seen += len(block.lines)
     for sensor in open_:
+        if not sensor.is_physical:
+            per_unit, range_ = sensor.counts_per_unit or 1.0, sensor.range or 0.0
+            bits = bits_of(largest[sensor.name], per_unit * range_)
+            yield sensor, Resolution(per_unit / sensor.log_units, range_ * sensor.log_units, True, bits)
+            continue
         sample = [np.concatenate([np.zeros(0), *axis]) for axis in samples[sensor.name]]
         known = None if sensor.counts_per_unit is None else sensor.counts_per_unit / sensor.log_units
         stated = None if sensor.range is None else sensor.range * sensor.log_units
         yield sensor, resolution_of(sensor.quantity, sample, largest[sensor.name], stated, known)
 
 
+def _is_open(sensor: SensorTable) -> bool:
+    """Return whether the recording must say range, sensitivity or bits of a sensor."""
+    if sensor.is_physical:
+        return sensor.range is None or sensor.counts_per_unit is None or _has_wide_range(sensor)
+    return sensor.bits is None and _has_wide_range(sensor)
+
+
+def _has_wide_range(sensor: SensorTable) -> bool:
+    """Return whether the range that the map states takes more than 16 bits."""
+    return (sensor.range or 0.0) * (sensor.counts_per_unit or 0.0) > FULL_SPAN
+
+
 def _header(sensor: SensorTable, table_map: TableMap, learnt: Resolution | None) -> SensorHeader:
     x, y, z = sensor.position_mm
     scale = None if sensor.thermometer is None else ThermometerScale(*sensor.thermometer.scale)
     per_unit = sensor.counts_per_unit
+    bits = (sensor.bits or 16) if learnt is None else learnt.bits
+    resolution = learnt.attributes(sensor.log_units) if learnt and sensor.is_physical else {}
     return SensorHeader(
         name=sensor.name,
         chip=sensor.chip,
@@ -200,7 +227,8 @@ def _header(sensor: SensorTable, table_map: TableMap, learnt: Resolution | None)
         compensated=(ARRIVAL,) if table_map.clock.stamps == "arrival" else (),
         extra={
             **({} if scale is None else scale.attributes),
-            **({} if learnt is None else learnt.attributes(sensor.log_units)),
+            **resolution,
+            **({COUNT_BITS: bits} if bits > 16 else {}),
         },
     )
 
@@ -275,7 +303,7 @@ class _Rounding:
         self.rows = 0
         self._off = self._steps = np.zeros(3)
 
-    def add(self, values: npt.NDArray[np.float64], whole: npt.NDArray[np.int16]) -> None:
+    def add(self, values: npt.NDArray[np.float64], whole: npt.NDArray[np.signedinteger]) -> None:
         """Add values (n, 3) in counts, and the counts."""
         self.rows += len(values)
         self._off = self._off + ((values - whole) ** 2).sum(axis=0)
@@ -392,13 +420,14 @@ class _Stream:
         triad = _triad_of(cells, sensor)
         missing = _missing(triad)
         kept = ~missing
-        per_unit = self._headers[sensor.name].sensitivity * sensor.log_units if sensor.is_physical else None
-        codes = CodeConversion(per_unit, sensor.offset, sensor.bits)
+        header = self._headers[sensor.name]
+        per_unit = header.sensitivity * sensor.log_units if sensor.is_physical else None
+        codes = CodeConversion(per_unit, sensor.offset, sensor.bits, header.count_bits)
         triads = np.stack([counts(cell.where(kept), codes) for cell in triad], axis=1)
         if per_unit is not None:
             values = np.stack([numbers(cell.where(kept)) for cell in triad], axis=1) * per_unit
             self._rounding[sensor.name].add(values, triads)
-        full = ((triads == INT16[0]) | (triads == INT16[1])).any(axis=1)
+        full = ((triads == codes.span[0]) | (triads == codes.span[1])).any(axis=1)
         degrees = None
         if sensor.temperature_column is not None:
             cell = cells[sensor.temperature_column].where(kept)
@@ -409,7 +438,7 @@ class _Stream:
                     f" temperature_column of {sensor.name}",
                 )
             degrees = _degrees(cell, sensor.thermometer)
-        late = {name: np.zeros(len(triads)) for name in self._headers[sensor.name].compensated}
+        late = {name: np.zeros(len(triads)) for name in header.compensated}
         status = np.where(full, SATURATED, 0).astype(np.uint16)
         status |= self._lost_before(sensor.name, missing & ~_blank(triad), kept)
         if self._clock.restarted.any():
@@ -507,10 +536,10 @@ def _zeros(cell: CellColumn) -> Booleans:
 def _degrees(cell: CellColumn, thermometer: ThermometerTable | None) -> npt.NDArray[np.int16]:
     """Return (n,) counts of a thermometer."""
     if thermometer is None or thermometer.unit == "counts":
-        return counts(cell)
+        return counts(cell).astype(np.int16)
     zero_degc, lsb_per_degc = thermometer.scale
     values = (numbers(cell) + ZERO_OF_UNIT[thermometer.unit] - zero_degc) * lsb_per_degc
-    return counts(CellColumn(cell.source, cell.label, cell.lines, (), np.rint(values)))
+    return counts(CellColumn(cell.source, cell.label, cell.lines, (), np.rint(values))).astype(np.int16)
 
 
 class _Recording:
@@ -582,12 +611,17 @@ class _Recording:
     def remarks(self, learnt: dict[str, Resolution]) -> list[str]:
         """Return what was inferred, changed and left out, as sentences."""
         alike: dict[str, list[str]] = {}
+        of_codes = {sensor.name for sensor in self._map.sensor if not sensor.is_physical}
         for name, resolution in learnt.items():
-            unit = self._headers[name].unit
-            how = "as the grid of its values says"
+            unit, bits = self._headers[name].unit, resolution.bits
+            if name in of_codes and bits == 16:
+                continue
+            how = "as the map says" if name in of_codes else "as the grid of its values says"
             if not resolution.is_exact:
-                how = "assumed so that 16 bits hold its values; state both in the map if several files are of one array"
-            said = f"{resolution.sensitivity:.6g} counts per {unit}, range {resolution.range:g} {unit}, {how}"
+                how = f"assumed so that {bits} bits hold its values"
+                how += "; state both in the map if several files are of one array"
+            wide = f", stored without loss as counts of {bits} bits" if bits > 16 and resolution.is_exact else ""
+            said = f"{resolution.sensitivity:.9g} counts per {unit}, range {resolution.range:g} {unit}, {how}{wide}"
             alike.setdefault(said, []).append(name)
         remarks = [f"{listed(names)}: {said}" for said, names in alike.items()]
         return list(dict.fromkeys([*remarks, *self._changes()]))

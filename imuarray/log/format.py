@@ -93,7 +93,7 @@ RESOLUTION = "resolution"
 """Attribute of a sensor of an imported log whose counts are not the codes of a chip: `ASSUMED` or `DIGITS`."""
 
 ASSUMED = "assumed"
-"""Values on no grid of codes, which were rounded to counts as fine as 16 bits allow."""
+"""Values on no grid of codes, which were rounded to counts as fine as 16 bits, or their noise, allow."""
 
 DIGITS = "digits"
 """Values that a program rounded to decimal digits, whose step is one count."""
