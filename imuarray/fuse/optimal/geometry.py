@@ -1,7 +1,9 @@
 """Geometry and readings of an array: the sensitivity of its rows to the unknowns of a frame, their noise and validity.
 
 `readings_of` prepares frames: it decides which readings are values, which are only bounds (clipped axes), and which are
-ignored.
+ignored. A reading near the end of the range that the chip did not flag is a bound only while axes of a wider range
+determine the same direction. Otherwise it is a value: without it, the direction would follow from the small components
+of the other axes alone, whose errors are a hundred times larger at a misalignment of 10 mrad.
 """
 
 from __future__ import annotations
@@ -20,6 +22,13 @@ from imuarray.fuse.optimal.error_model import ErrorModel
 
 AT_END = 0.98
 """Share of the measuring range above which a reading is a bound: the truth is there or beyond."""
+
+_LEAST = 0.25
+"""Least sum of the squared cosines between a direction and the axes in use that determines it: one axis at 60 degrees.
+"""
+
+_WIDER = 1.05
+"""Least ratio of two ranges of which the larger one counts as wider."""
 
 _NEAR = 3.0
 """Distance from the bound, in standard deviations, within which readings are not used to estimate slow errors: there,
@@ -46,6 +55,7 @@ class Geometry:
     timing: Floats
     axes: int
     _spanning: dict[bytes, bool] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _lacking: dict[bytes, Booleans] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def fair(self) -> Floats:
@@ -66,6 +76,17 @@ class Geometry:
             rows = self.rows[: self.axes, :3][valid[: self.axes]]
             self._spanning[key] = bool(spans(rows.T @ rows))
         return self._spanning[key]
+
+    def lacking(self, valid: Booleans) -> Booleans:
+        """Return the axes (m,) along directions that the valid axes (m,) do not determine (`_LEAST`)."""
+        key = valid.tobytes()
+        if key not in self._lacking:
+            if len(self._lacking) >= _KEPT:
+                self._lacking.clear()
+            rows = self.rows[: self.axes, :3]
+            squares, directions_box = np.linalg.eigh(rows[valid].T @ rows[valid])
+            self._lacking[key] = np.asarray(((rows @ directions_box[:, squares < _LEAST]) ** 2).sum(axis=1) > _LEAST)
+        return self._lacking[key]
 
     def parity(self, valid: Booleans) -> Floats:
         """Return the parity matrix (p, r) of the rows in use, which depends on their errors only, whitened for means:
@@ -148,14 +169,14 @@ def hold_last(triad: Floats) -> Floats:
 
 
 def readings_of(frames: Frames, geometry: Geometry) -> FrameReadings:
-    """Return the axes' readings: beyond the end of the range a bound; stale ones are ignored unless the others do not
-    span space.
+    """Return the axes' readings: a clipped one is a bound, and so is one near the end of its range if axes of a wider
+    range determine its direction; stale ones are ignored unless the others do not span space.
     """
     valid, bounds = frames.valid, None
     limits = geometry.end[: geometry.axes]
     clipped = frames.clipped if frames.clipped is not None and frames.clipped.any() else None
     if clipped is not None or _any_beyond(frames.values, limits):
-        beyond = valid & (np.abs(frames.values) > limits)
+        beyond = _redundant(valid & (np.abs(frames.values) > limits), valid, geometry)
         signs = np.sign(np.nan_to_num(frames.values))
         ends = np.where(beyond, signs, 0 if clipped is None else clipped).astype(np.int8)
         at = ends * np.minimum(np.abs(np.nan_to_num(frames.values, nan=np.inf)), limits)
@@ -166,6 +187,18 @@ def readings_of(frames: Frames, geometry: Geometry) -> FrameReadings:
     whole = bool(valid.all())
     values = frames.values if whole else np.where(valid, frames.values, 0.0)
     return FrameReadings(frames.time, values, valid, bounds, whole or bool((valid == valid[:1]).all()))
+
+
+def _redundant(beyond: Booleans, valid: Booleans, geometry: Geometry) -> Booleans:
+    """Return those of the readings (n, m) near the end of the range whose directions are determined by valid axes of a
+    wider range.
+    """
+    frames = np.flatnonzero(beyond.any(axis=1))
+    within, ends = (valid & ~beyond)[frames], geometry.end[: geometry.axes]
+    for end in np.unique(ends[beyond.any(axis=0)]):
+        for pattern, which in patterns(within & (ends > _WIDER * end)):
+            beyond[frames[which]] &= ~(geometry.lacking(pattern) & (ends == end))
+    return beyond
 
 
 def _any_beyond(values: Floats, limits: Floats) -> bool:

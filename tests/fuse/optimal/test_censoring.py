@@ -88,6 +88,54 @@ def test_a_reading_near_the_end_is_taken_for_a_bound() -> None:
     assert estimate[FORCE].triad_box[0, 0] == pytest.approx(12.0, abs=1e-3)
 
 
+def test_readings_near_the_end_are_values_where_no_others_determine_the_direction() -> None:
+    """Two triads of 0.2 and 0.3, the second turned by 10 mrad about Y, X at 9.9 of 10 on both: the triad is the
+    weighted least squares of all six readings (the formula of Gauss and Markov), not what Z of the second says about X,
+    whose deviation is 0.36 / 0.01 = 36.
+    """
+    turned = np.array([[np.cos(0.01), 0, -np.sin(0.01)], [0, 1, 0], [np.sin(0.01), 0, np.cos(0.01)]])
+    axes = [*triad("S0", np.eye(3), noise_si=0.2, range_si=10.0), *triad("S1", turned, noise_si=0.3, range_si=10.0)]
+    rows = np.concatenate([np.eye(3), turned])
+    values = rows @ np.array([9.95, 1.0, 2.0]) + np.array([-0.02, 0.1, -0.1, 0.01, 0.2, 0.3])
+    estimate = Optimal({FORCE: axes}, model_of(axes), period_s=PERIOD_S)(
+        {FORCE: Frames(times(1), values[None], np.ones((1, 6), bool))}
+    )[FORCE]
+    weights = np.repeat([1 / 0.2**2, 1 / 0.3**2], 3)
+    covariance = np.linalg.inv(rows.T @ (rows * weights[:, None]))
+    assert estimate.triad_box[0] == pytest.approx(covariance @ rows.T @ (weights * values), abs=1e-9)
+    assert matrices(estimate.covariance_box[0]) == pytest.approx(covariance)
+    assert estimate.used.all()
+
+
+def test_a_reading_near_the_end_stays_a_value_while_another_of_the_same_range_is_below() -> None:
+    """9.81 and 9.79 of 10, both of 0.2: their mean, 9.8."""
+    axes = [*triad("S0", np.eye(3), noise_si=0.2, range_si=10.0), *triad("S1", np.eye(3), noise_si=0.2, range_si=10.0)]
+    values = np.array([[9.81, 0, 0, 9.79, 0, 0]])
+    estimate = Optimal({FORCE: axes}, model_of(axes), period_s=PERIOD_S)(
+        {FORCE: Frames(times(1), values, np.ones((1, 6), bool))}
+    )[FORCE]
+    assert estimate.triad_box[0] == pytest.approx([9.8, 0, 0])
+    assert matrices(estimate.covariance_box[0]) == pytest.approx(0.02 * np.eye(3))
+
+
+def test_a_flagged_reading_is_a_bound_even_where_no_others_determine_the_direction() -> None:
+    """The first triad is flagged, the second says 9.9: one value and one bound, of one unknown. Integrals on a grid."""
+    axes = [
+        *triad("S0", np.eye(3), noise_si=0.5, range_si=10.0),
+        *triad("S1", np.eye(3), noise_si=0.2, range_si=10.0),
+    ]
+    values = np.array([[10.0, 1.0, 2.0, 9.9, 1.0, 2.0]])
+    flagged = np.array([[1, 0, 0, 0, 0, 0]], np.int8)
+    frames = Frames(times(1), values, np.array([[False] * 3 + [True] * 3]), flagged)
+    estimate = Optimal({FORCE: axes}, model_of(axes), period_s=PERIOD_S)({FORCE: frames})[FORCE]
+    grid = np.linspace(8.0, 12.0, 20_001)
+    weights = norm.pdf(grid, 9.9, 0.2) * norm.sf(END, grid, 0.5)
+    mean = np.average(grid, weights=weights)
+    spread = np.sqrt(np.average((grid - mean) ** 2, weights=weights))
+    assert estimate.triad_box[0, 0] == pytest.approx(mean, abs=1e-6)
+    assert np.sqrt(estimate.covariance_box[0, 0]) == pytest.approx(spread, rel=1e-6)
+
+
 @pytest.mark.slow
 def test_through_the_end_of_the_range_and_back() -> None:
     """A ramp from 8 to 12 and back, 20 000 readings. Errors are as large as is told: 3000 to 5000 squares of an axis,
@@ -111,3 +159,30 @@ def test_through_the_end_of_the_range_and_back() -> None:
         assert np.mean(error[there] ** 2 / estimate.covariance_box[there, 0]) == pytest.approx(1.0, rel=0.1)
     beyond = (ramp > 10.0) & (ramp < 10.5)
     assert np.mean(error[beyond] ** 2) < 0.75 * np.mean((values[:, 0] - ramp)[beyond] ** 2)
+
+
+@pytest.mark.slow
+def test_readings_that_all_end_alike_are_as_accurate_as_claimed_up_to_the_end() -> None:
+    """Eight triads of one range, tilted by some 10 mrad, in a box whose X goes from 9 to 9.85 of 10: in the last 2 %
+    the errors are those of the mean of eight (0.05 / sqrt(8)), and as large as their covariances say.
+    """
+    rng = np.random.default_rng(25)
+    tilts = np.cross(np.eye(3), rng.normal(0, 0.01, (8, 1, 3)))
+    axes = [
+        axis for i, tilt in enumerate(tilts) for axis in triad(f"S{i}", np.eye(3) + tilt, noise_si=0.05, range_si=10.0)
+    ]
+    ramp = np.linspace(9.0, 9.85, 4_000)
+    truth = np.stack([ramp, np.zeros(4_000), np.full(4_000, 3.0)], axis=1)
+    whole = truth @ np.concatenate([np.eye(3) + tilt for tilt in tilts]).T + rng.normal(0, 0.05, (4_000, 24))
+    values = np.clip(whole, -10.0, 10.0)
+    clipped = (whole >= 10.0).astype(np.int8)
+    valid = ~np.repeat(clipped.reshape(-1, 8, 3).any(axis=2), 3, axis=1)
+    estimate = Optimal({FORCE: axes}, model_of(axes), period_s=PERIOD_S)(
+        {FORCE: Frames(times(4_000), values, valid, clipped)}
+    )[FORCE]
+    error = (estimate.triad_box - truth)[:, 0]
+    last = (ramp > 9.8) & valid.all(axis=1)
+    assert last.sum() > 200
+    assert np.sqrt(np.mean(error[last] ** 2)) == pytest.approx(0.05 / np.sqrt(8), rel=0.15)
+    assert np.abs(error).max() < 0.15
+    assert np.mean(error**2 / estimate.covariance_box[:, 0]) == pytest.approx(1.0, rel=0.1)
