@@ -27,7 +27,7 @@ import numpy as np
 from imuarray.arrays import Floats, Integers
 from imuarray.log import Log, open_log
 from imuarray.validation.case_folder import write_truth
-from imuarray.validation.severity import find_severity
+from imuarray.validation.severity import find_severity, matched_statistic
 
 LIMITS = 5.0
 """Default size of an injected effect in detection limits."""
@@ -219,13 +219,13 @@ def _find_size(
     if not injection.first:
         return 1.0, None
 
-    def logs_at(severity: float) -> list[Log]:
+    def statistic(severity: float) -> float:
         copy = Path(stack.enter_context(TemporaryDirectory())) / target.path.name
         shutil.copyfile(target.path, copy)
         inject(copy, injection, target.sensor, target.axis, severity * injection.first, target.seed)
-        return [stack.enter_context(open_log(copy))]
+        return matched_statistic([plain], [stack.enter_context(open_log(copy))])
 
-    fit = find_severity(logs_at, [plain], limits, 1.0)
+    fit = find_severity(statistic, limits, 1.0)
     return (fit.severity * injection.first, fit.limits) if isfinite(fit.limits) else None
 
 

@@ -14,7 +14,10 @@ part of the noise is drawn anew; its expected contribution, p for p summaries, i
 Nuisance quantities are those that data sheets leave to the part, with the tolerances that the diagnosis has for them
 (`imuarray.gap.model.populations`): bias, its slope with temperature, its scatter from log to log, the lag of the
 element's temperature, the response to force and rate, the noise, the cutoff of the filter and the delay of the signal.
-So is the attitude of the box, if no log says which axis was up and no other accelerometer shows it.
+So is the attitude of the box, if no log says which axis was up and no other accelerometer shows it, and the phase of
+the level within a code (Widrow and Kollar, Quantization Noise, 2008, ch. 4: the moments and the shares of codes of a
+rounded normal quantity vary with its mean by the characteristic function at multiples of 2 pi). The motion is known if
+the recordings have a track or another sensor of the quantity.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import inf, nan, radians, sin, sqrt
+from math import inf, nan, pi, radians, sin, sqrt
 
 import numpy as np
 
@@ -74,17 +77,15 @@ class SeverityFit:
     limits: float
 
 
-def find_severity(
-    record: Callable[[float], Sequence[Log]], plain: Sequence[Log], wanted: float, first: float
-) -> SeverityFit:
-    """Search the severity of `wanted` limits in this case. `record` makes the logs of a severity; the search starts at
-    `first` and follows a power law for at most `PROBES` recordings. limits is nan if the greatest severity does not
-    reach them.
+def find_severity(statistic: Callable[[float], float], wanted: float, first: float) -> SeverityFit:
+    """Search the severity of `wanted` limits in a case. `statistic` returns the matched statistic of a severity; the
+    search starts at `first` and follows a power law for at most `PROBES` recordings. limits is nan if the greatest
+    severity does not reach them.
     """
     trials: list[tuple[float, float]] = []
     severity = first
     for _ in range(PROBES):
-        reached = matched_statistic(plain, record(severity)) / LIMIT
+        reached = statistic(severity) / LIMIT
         trials.append((severity, reached))
         if 1 / NEAR < reached / wanted < NEAR:
             return SeverityFit(severity, reached)
@@ -108,14 +109,17 @@ def _next_severity(trials: Sequence[tuple[float, float]], wanted: float) -> floa
     return float(np.clip(severity * (wanted / reached) ** (1 / power), 1 / FURTHEST, FURTHEST))
 
 
-def matched_statistic(plain: Sequence[Log], changed: Sequence[Log]) -> float:
-    """Return the largest matched statistic of any sensor's axis. `plain` logs have a reference if anything moved."""
+def matched_statistic(plain: Sequence[Log], changed: Sequence[Log], has_track: bool = True) -> float:
+    """Return the largest matched statistic of any sensor's axis. `plain` logs have a reference if anything moved;
+    `has_track` tells whether the diagnosis will see it too.
+    """
+    quantities = {name: sensor.quantity for log in plain for name, sensor in log.sensors.items()}
+    inertial = [name for name, quantity in quantities.items() if quantity in INERTIAL]
     largest = 0.0
-    for name in dict.fromkeys(
-        name for log in plain for name, sensor in log.sensors.items() if sensor.quantity in INERTIAL
-    ):
+    for name in inertial:
+        is_motion_known = has_track or [quantities[other] for other in inertial].count(quantities[name]) > 1
         pairs = [_LogPair(log, other, name) for log, other in zip(plain, changed, strict=True) if name in log.sensors]
-        largest = max([largest, *_of_sensor(pairs)])
+        largest = max([largest, *_of_sensor(pairs, is_motion_known)])
     return largest
 
 
@@ -132,7 +136,11 @@ class _LogPair:
         self.rows = rows
         self.quiet = _quiet(self.counts[:rows])
         self.noise = _density(self.counts[:rows], self.quiet) * _louder(self.counts, self.new_counts)
-        self.anew = _share_drawn_anew(self.counts[:rows], self.new_counts[:rows], self.quiet)
+        self.row_sigma = _row_sigma(self.counts[:rows], self.quiet)
+        self.new_row_sigma = _row_sigma(self.new_counts[:rows], self.quiet)
+        # The noise of rounding is another one in any case; powers correlate by the square of what they share.
+        rounding = float((1 - (1 - 1 / (12 * self.row_sigma**2 + 1)) ** 2).max())
+        self.anew = max(rounding, _share_drawn_anew(self.counts[:rows], self.new_counts[:rows], self.quiet))
         self.track = _track(plain)
 
     def motion(self) -> tuple[Floats, Floats, Floats]:
@@ -250,7 +258,7 @@ def _share_drawn_anew(plain: Floats, changed: Floats, quiet: Booleans) -> float:
     return float(np.clip(np.max(scatter[0] ** 2 / np.maximum(2 * scatter[1] ** 2, 0.5)), 0.0, 1.0))
 
 
-def _of_sensor(pairs: Sequence[_LogPair]) -> Iterator[float]:
+def _of_sensor(pairs: Sequence[_LogPair], is_motion_known: bool) -> Iterator[float]:
     used = [pair for pair in pairs if pair.rows >= 4]
     if not used:
         yield inf if any(len(pair.time) for pair in pairs) else 0.0
@@ -258,7 +266,8 @@ def _of_sensor(pairs: Sequence[_LogPair]) -> Iterator[float]:
     anew = max(pair.anew for pair in used)
     yield from _levels(used, anew)
     yield from _spectrum(used, anew)
-    yield from _motion_responses(used, anew)
+    if is_motion_known:
+        yield from _motion_responses(used, anew)
     for pair in used:
         yield from _events(pair, anew)
 
@@ -287,7 +296,8 @@ def _levels(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
             if own.sum() < 2 or new.sum() < 2:
                 continue
             difference = pair.new_counts[new].mean(axis=0) - pair.counts[own].mean(axis=0)
-            rows.append((difference, pair.noise / own.sum()))
+            rounding = 0.5 * (_rounding_share(pair.row_sigma, 1) / pi) ** 2
+            rows.append((difference, pair.noise / own.sum() + rounding))
             log = np.eye(len(pairs))[number]
             responses = (*force[own].mean(axis=0), *rate[own].mean(axis=0))
             columns.append(np.array([1.0, degc[own].mean() - 25.0, warming[own].mean(), *responses, *log]))
@@ -328,22 +338,28 @@ def _responses(header: SensorHeader, axis: int) -> list[float]:
 
 
 def _spectrum(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
-    """Yield the statistic of the log spectrum at rest in each log, less the noise power and another cutoff."""
-    changes, filters = list[tuple[Floats, float]](), list[Floats]()
+    """Yield the statistic of the log spectrum at rest in each log, less the noise power, another cutoff and the noise
+    of rounding.
+    """
+    changes, filters, roundings = list[tuple[Floats, float]](), list[Floats](), list[Floats]()
     for pair in pairs:
         before, after = (_spectra(counts[: pair.rows], pair.quiet) for counts in (pair.counts, pair.new_counts))
         if len(before) and len(before) == len(after):
-            change = np.log(after.mean(axis=0)[1:] + 0.01) - np.log(before.mean(axis=0)[1:] + 0.01)
+            powers = before.mean(axis=0)[1:] + 0.01
+            change = np.log(after.mean(axis=0)[1:] + 0.01) - np.log(powers)
             changes.append((change, 1.0 / len(before)))
             filters.append(_cutoff_slope(pair, len(change)))
+            roundings.append(1 / 12 / powers)
     if not changes:
         return
     bins = len(changes[0][0])
     variance = np.repeat([item for _, item in changes], bins)
     for axis in range(3):
-        change = np.concatenate([item[:, axis] for item, _ in changes])
-        explained = np.stack([np.full(len(change), _FREE), CUTOFF_TOLERANCE * np.concatenate(filters)], axis=1)
-        yield _score(change, variance, explained, anew)
+        change, rounding = (
+            np.concatenate([v[:, axis] for v in values]) for values in ([c for c, _ in changes], roundings)
+        )
+        explained = [np.full(len(change), _FREE), CUTOFF_TOLERANCE * np.concatenate(filters), rounding]
+        yield _score(change, variance, np.stack(explained, axis=1), anew)
 
 
 def _cutoff_slope(pair: _LogPair, bins: int) -> Floats:
@@ -370,11 +386,13 @@ def _motion_responses(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]
         spin = np.radians(rate)
         changes = [np.gradient(values, pair.time * 1e-9, axis=0) for values in (force, spin)]
         products = [spin[:, [a]] * spin[:, [b]] for a in range(3) for b in range(a, 3)]
-        designs.append(np.hstack([np.ones((len(force), 1)), force, rate, *changes, force**2, *products]))
+        designs.append(np.hstack([force, rate, *changes, force**2, *products]))
         interpolated = np.stack([np.interp(pair.time, pair.new_time, axis) for axis in pair.new_counts.T], axis=1)
         differences.append(interpolated - pair.counts)
         weights.append(np.repeat(pair.noise[None], len(force), axis=0))
-    design, difference, variance = (np.vstack(values) for values in (designs, differences, weights))
+    # Less the mean of each log: its bias is fitted.
+    design, difference = (np.vstack([v - v.mean(axis=0) for v in values]) for values in (designs, differences))
+    variance = np.vstack(weights)
     spread = design.std(axis=0)
     used = np.flatnonzero(spread > 1e-6)
     if not len(used):
@@ -382,9 +400,9 @@ def _motion_responses(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]
     scaled = design[:, used] / spread[used]
     for axis in range(3):
         reach = np.zeros(design.shape[1])
-        reach[:7] = [_FREE, *_responses(header, axis)]
-        reach[1:4] = np.where(np.arange(3) == axis, reach[1:4], np.hypot(reach[1:4], max(pair.tilt for pair in parts)))
-        reach[7 + axis if header.unit == "g" else 10 + axis] = _delay_s(header) / SI_PER_UNIT[header.unit]
+        reach[:6] = _responses(header, axis)
+        reach[:3] = np.where(np.arange(3) == axis, reach[:3], np.hypot(reach[:3], max(pair.tilt for pair in parts)))
+        reach[6 + axis if header.unit == "g" else 9 + axis] = _delay_s(header) / SI_PER_UNIT[header.unit]
         basis, values, tolerance = np.linalg.svd(scaled / np.sqrt(variance[:, [axis]]), full_matrices=False)
         kept = values > 1e-6 * values[0]
         coefficient = basis[:, kept].T @ (difference[:, axis] / np.sqrt(variance[:, axis]))
@@ -404,9 +422,8 @@ def _delay_s(header: SensorHeader) -> float:
 def _events(pair: _LogPair, anew: float) -> Iterator[float]:
     """Yield the statistics of event counts: outliers, missing codes, repeated rows, late or lost rows."""
     before, after = pair.counts, pair.new_counts
-    yield _count_statistic(_far(before), _far(after), anew)
-    repeated = [int((np.diff(counts, axis=0) == 0).all(axis=1).sum()) for counts in (before, after)]
-    yield _count_statistic(repeated[0], repeated[1], anew)
+    yield _count_statistic(_far(before, pair.row_sigma), _far(after, pair.new_row_sigma), anew)
+    yield _repetition_statistic(pair, anew)
     period = np.median(np.diff(pair.time))
     for beyond in (0.02, 0.5):
         late = [
@@ -417,13 +434,47 @@ def _events(pair: _LogPair, anew: float) -> Iterator[float]:
     for step in (2, 4, 8):
         shares = [[(counts % step == rest).mean(axis=0) for rest in range(step)] for counts in (before, after)]
         change = np.abs(np.array(shares[1]) - np.array(shares[0]))
+        # What another level changes, at the smaller noise.
+        level = 2 / step * _rounding_share(np.minimum(pair.row_sigma, pair.new_row_sigma), step).max()
         if min(_spread(before)) > 0.3 * step:
-            yield float(change.max() * sqrt(len(before) * step / 2))  # any effect moves each row to another code
+            # Any effect moves each row to another code.
+            yield float(change.max() / sqrt(2 / (len(before) * step) + level**2))
 
 
-def _far(counts: Floats) -> int:
+def _repetition_statistic(pair: _LogPair, anew: float) -> float:
+    """Compare how many rows repeat the codes of the row before: less what the noise, of which white noise repeats the
+    codes of three axes with the inverse of the third power, and another level within a code change.
+    """
+    before, after = (int((np.diff(counts, axis=0) == 0).all(axis=1).sum()) for counts in (pair.counts, pair.new_counts))
+    expected = before * float(np.clip(np.prod(pair.row_sigma / pair.new_row_sigma), 0.1, 10.0))
+    level = sqrt(float(np.sum(np.exp(-((pi * pair.row_sigma) ** 2)) ** 2)) * 2)  # relative, three axes
+    noise = max(1.0, 2 * anew) / 4 + (level**2 + (expected / max(before, 1) - 1) ** 2 / 4) * expected / 4
+    return abs(sqrt(after + 0.375) - sqrt(expected + 0.375)) / sqrt(noise)
+
+
+def _row_sigma(counts: Floats, quiet: Booleans) -> Floats:
+    """Return (3,) the standard deviation of the white noise of a row at rest; a fifth of a code at least."""
+    count = len(quiet) * _WINDOW
+    at_rest = counts[:count].reshape(len(quiet), _WINDOW, 3)[quiet] if count else counts[None]
+    leaps = np.diff(at_rest, 2, axis=1).reshape(-1, 3)
+    if not len(leaps):
+        return np.full(3, 0.2)
+    bounded = np.minimum(np.abs(leaps), _FAR * _leap(counts))
+    return np.asarray(np.maximum(np.sqrt((bounded**2).mean(axis=0) / 6), 0.2))
+
+
+def _rounding_share(row_sigma: Floats, step: int) -> Floats:
+    """Return (3,) half the relative amplitude at which the share of codes of a residue class modulo `step` varies with
+    the level of a rounded normal quantity: its first harmonic. Over pi, for a step of 1, it is the amplitude of the
+    error of the mean code.
+    """
+    return np.asarray(np.exp(-2 * (pi * row_sigma / step) ** 2))
+
+
+def _far(counts: Floats, row_sigma: Floats) -> int:
     """Return the number of rows that leap by more than `_FAR` standard deviations of their own noise."""
-    return int((np.abs(np.diff(counts, 2, axis=0)) > _FAR * _leap(counts)).any(axis=1).sum())
+    threshold = _FAR * np.maximum(_leap(counts), sqrt(6) * row_sigma)
+    return int((np.abs(np.diff(counts, 2, axis=0)) > threshold).any(axis=1).sum())
 
 
 def _count_statistic(before: int, after: int, anew: float) -> float:

@@ -31,7 +31,7 @@ from imuarray.validation.bench import limit
 from imuarray.validation.case import Case, Outcome, Put, write_json
 from imuarray.validation.case_folder import read_case
 from imuarray.validation.generator import mechanisms, record, record_in
-from imuarray.validation.severity import FURTHEST, SeverityFit, find_severity
+from imuarray.validation.severity import FURTHEST, SeverityFit, find_severity, matched_statistic
 from imuarray.validation.worlds import draw_world
 
 REPLICATES = 40
@@ -96,12 +96,12 @@ def record_case(case: Case, folder: Path) -> CaseRecording:
             known = limit(put.mechanism, chip) * put.limits
             first = min(known, FURTHEST) if math.isfinite(known) else 1.0
 
-            def logs_at(severity: float, put: Put = put) -> list[Any]:
-                paths = written(replace(put, severity=severity))
-                return [stack.enter_context(open_log(path)) for path in paths]
+            def statistic(severity: float, put: Put = put) -> float:
+                paths = (written(), written(replace(put, severity=severity)))
+                plain, changed = ([stack.enter_context(open_log(path)) for path in logs] for logs in paths)
+                return matched_statistic(plain, changed, has_track=world["recorder"]["reference"])
 
-            plain = [stack.enter_context(open_log(path)) for path in written()]
-            puts.append(_with_severity(put, find_severity(logs_at, plain, put.limits, first)))
+            puts.append(_with_severity(put, find_severity(statistic, put.limits, first)))
     named = [replace(put, limits=wanted.limits) for put, wanted in zip(puts, case.puts, strict=True)]
     logs = written(*named)
     if not world["recorder"]["reference"]:

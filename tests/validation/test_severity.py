@@ -18,7 +18,8 @@ from scipy.signal import lfilter
 from imuarray.errors import ConfigError
 from imuarray.log import Block, Log, LogWriter, open_log
 from imuarray.log.format import Phase, SensorHeader
-from imuarray.validation import generator, severity
+from imuarray.log.writer import Stimulus
+from imuarray.validation import generator
 from imuarray.validation.case import Put
 from imuarray.validation.severity import LIMIT, find_severity, matched_statistic
 from imuarray.validation.thresholds import frozen_thresholds
@@ -109,6 +110,66 @@ def test_the_attitude_of_one_accelerometer_is_known_if_it_is_noted(tmp_path: Pat
         assert matched_statistic([plain], [moved]) > LIMIT
 
 
+SECONDS = np.arange(ROWS) / 100
+ANGLE_RAD = np.where(np.arange(ROWS) // 800 % 2, 2 * np.pi * 0.2 * SECONDS, 0.0)
+
+
+def turning(folder: Path, *added: Floats) -> list[Log]:
+    """Return logs of an accelerometer that turns about z at times, with `added` counts, and the motion as commanded."""
+    opened = []
+    force_g = np.stack([np.sin(ANGLE_RAD), np.cos(ANGLE_RAD), 0 * ANGLE_RAD], axis=1)
+    time = np.arange(ROWS, dtype=np.int64) * 10_000_000
+    for number, counts in enumerate(added):
+        path = folder / f"turning-{number}.h5"
+        with LogWriter(path, [HEADER], source="imported", epoch="2024-01-01T00:00:00Z") as log:
+            rounded = np.round(2048 * force_g + noise() + counts).astype(np.int16)
+            log.append("A", Block(time, rounded, np.zeros(ROWS, np.uint16)))
+            rate = np.zeros((ROWS, 3))
+            rate[:, 2] = np.gradient(ANGLE_RAD, SECONDS)
+            log.stimulus("reference", Stimulus(time, 9.80665 * force_g, rate, np.full(ROWS, 25.0)))
+        opened.append(open_log(path))
+    return opened
+
+
+def test_a_bias_does_not_show_in_motion(tmp_path: Path) -> None:
+    """What the bias adds to all rows of a log is fitted, in motion too; what grows with the square of the force is
+    not.
+    """
+    square = on_x(40.0 * np.sin(ANGLE_RAD) ** 2)
+    plain, biased, bent = turning(tmp_path, on_x(np.zeros(ROWS)), np.full((ROWS, 3), 30.0), square)
+    assert matched_statistic([plain], [biased]) < LIMIT
+    assert matched_statistic([plain], [bent]) > LIMIT
+
+
+def test_motion_shows_only_what_the_recordings_can_compare(tmp_path: Path) -> None:
+    """An accelerometer 20 ms late, beyond the 9 ms that its filter and a sample of 10 ms explain by half, shows against
+    a track; without one, and without another accelerometer, it shows nowhere.
+    """
+    late = np.zeros((ROWS, 3))
+    plain = turning(tmp_path, late)[0]
+    counts = np.asarray(plain["A"].counts[:], float)
+    late[5:] = counts[:-5] - counts[5:]
+    (tmp_path / "late").mkdir()
+    delayed = turning(tmp_path / "late", late)[0]
+    assert matched_statistic([plain], [delayed], has_track=True) > 1.5 * matched_statistic(
+        [plain], [delayed], has_track=False
+    )
+
+
+@pytest.mark.parametrize("sigma", [0.25, 0.4, 0.6])
+def test_another_level_within_a_code_is_no_effect(tmp_path: Path, sigma: float) -> None:
+    """With little noise another bias changes the noise of rounding, how often codes repeat, and the share of even ones
+    (its first harmonic at a sigma of 0.4 counts is 0.21 of the mean); codes that are all even are an effect.
+    """
+    white = sigma * np.random.default_rng(3).standard_normal((ROWS, 3))
+    levels = [white + 500.0 + level for level in (0.0, 0.25, 0.5)]
+    even = 2 * np.round((3 * white + 500) / 2)
+    with logs(tmp_path, *levels, 3 * white + 500, even) as (plain, quarter, half, loud, changed):
+        assert matched_statistic([plain], [quarter]) < LIMIT
+        assert matched_statistic([plain], [half]) < LIMIT
+        assert sigma < 0.3 or matched_statistic([loud], [changed]) > LIMIT
+
+
 @pytest.mark.slow
 def test_noise_that_is_drawn_anew_is_no_effect(tmp_path: Path) -> None:
     with logs(tmp_path, *(noise(seed) for seed in range(6))) as (plain, *others):
@@ -127,22 +188,19 @@ def test_a_line_is_in_the_spectrum(tmp_path: Path) -> None:
 def test_a_severity_is_found_in_a_few_tries(limit: float, power: float, wanted: float) -> None:
     asked: list[float] = []
 
-    def scored(plain: object, changed: float) -> float:
-        asked.append(changed)
-        return LIMIT * (changed / limit) ** power
+    def statistic(size: float) -> float:
+        asked.append(size)
+        return LIMIT * (size / limit) ** power
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(severity, "matched_statistic", scored)
-        score = find_severity(lambda size: size, [], wanted, 1.0)  # type: ignore[arg-type,return-value]
+    score = find_severity(statistic, wanted, 1.0)
     assert len(asked) <= 4
     if math.isfinite(score.limits):
         assert score.limits == pytest.approx((score.severity / limit) ** power)
         assert 0.5 < score.limits / wanted < 2.0
 
 
-def test_what_never_shows_has_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(severity, "matched_statistic", lambda plain, changed: 0.01)
-    score = find_severity(lambda size: [], [], 5.0, 1.0)
+def test_what_never_shows_has_no_limit() -> None:
+    score = find_severity(lambda size: 0.01, 5.0, 1.0)
     assert math.isnan(score.limits)
     assert score.severity == 64.0
     assert LIMIT == 4.0
