@@ -21,7 +21,7 @@ from imuarray.cli import main
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase, SensorHeader
-from imuarray.studies.paper.thermal import pair_of
+from imuarray.studies.paper.systematic import pair_of
 from tests.calibrate.conftest import EPOCH, Floats, accelerometer, gyroscope, ideal
 from tests.selection import some
 

@@ -232,7 +232,9 @@ def law_of(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effec
     for number, header in enumerate(headers):
         per_si = SI_PER_UNIT[header.unit] / (1 + _triple(effects[header.name], Scale, "error"))
         for effect in effects[header.name]:
-            times_s = _time_constants_s(effect)
+            times_s: tuple[float, ...] = (getattr(effect, "time_constant_s", math.inf),)
+            if isinstance(effect, BiasInstability):  # independent processes of equal variance
+                times_s = effect.time_constants_s
             axes = range(3) if isinstance(effect, TurnOnBias | BiasInstability | CommonMode) else ()
             for axis, time_s in product(axes, times_s):
                 loading = np.zeros(3 * len(headers))
@@ -246,17 +248,14 @@ def law_of(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effec
     return ErrorLaw(rows, noise, tuple(slow))
 
 
-def _time_constants_s(effect: Effect) -> tuple[float, ...]:
-    """Return the time constants of an effect's independent processes of equal variance."""
-    if isinstance(effect, BiasInstability):
-        return effect.time_constants_s
-    return (getattr(effect, "time_constant_s", math.inf),)
-
-
 def _calibrated(header: SensorHeader, effects: Sequence[Effect]) -> SensorCalibration:
     gains = 1 + _triple(effects, Scale, "error")
     leaning = next((each.directions for each in effects if isinstance(each, Misalignment)), np.eye(3))
     noise = header.sensitivity * _triple(effects, WhiteNoise, "rms")
+    reference_degc = next((each.reference_degc for each in effects if isinstance(each, ThermalBias)), 25.0)
+    slope, quadratic = (header.sensitivity * _triple(effects, ThermalBias, name) for name in ("slope", "quadratic"))
+    turn_on, drift = (header.sensitivity * _triple(effects, kind, "rms") for kind in (TurnOnBias, BiasInstability))
+    time_constant_s = next((each.time_constant_s for each in effects if isinstance(each, BiasInstability)), math.inf)
     return SensorCalibration(
         name=header.name,
         quantity=header.quantity,
@@ -266,38 +265,16 @@ def _calibrated(header: SensorHeader, effects: Sequence[Effect]) -> SensorCalibr
         bias_sem_lsb=np.zeros(3),
         response_sem_lsb_per_unit=np.zeros(3),
         noise_lsb=np.sqrt(noise**2 + code_span(header).step ** 2 / 12),  # rounding as noise of its own (Sheppard)
-        temperature_degc=_thermal_reference(effects),
+        temperature_degc=reference_degc,
         range=header.range,
-        thermal=_thermal(header, effects),
-        turn_on=_turn_on(header, effects),
-        drift=_drift(header, effects),
+        thermal=Thermal(
+            slope, np.zeros(3), reference_degc, (BIAS,) * 3, "barometer", quadratic_lsb_per_degc2=quadratic
+        ),
+        turn_on=TurnOn(turn_on, np.zeros(3), turn_on, np.full(3, np.nan), runs=0),
+        drift=Drift(drift, np.zeros(3), time_constant_s),
         g_sensitivity_lsb_per_g=np.zeros((3, 3)) if header.quantity == "angular_rate" else None,
         g_sensitivity_sem_lsb_per_g=np.zeros((3, 3)) if header.quantity == "angular_rate" else None,
     )
-
-
-def _thermal(header: SensorHeader, effects: Sequence[Effect]) -> Thermal:
-    """Slopes that are known not to be there are known too."""
-    slope = header.sensitivity * _triple(effects, ThermalBias, "slope")
-    quadratic = header.sensitivity * _triple(effects, ThermalBias, "quadratic")
-    return Thermal(
-        slope, np.zeros(3), _thermal_reference(effects), (BIAS,) * 3, "barometer", quadratic_lsb_per_degc2=quadratic
-    )
-
-
-def _turn_on(header: SensorHeader, effects: Sequence[Effect]) -> TurnOn:
-    rms = header.sensitivity * _triple(effects, TurnOnBias, "rms")
-    return TurnOn(rms, np.zeros(3), rms, np.full(3, np.nan), runs=0)
-
-
-def _drift(header: SensorHeader, effects: Sequence[Effect]) -> Drift:
-    rms = header.sensitivity * _triple(effects, BiasInstability, "rms")
-    times = [effect.time_constant_s for effect in effects if isinstance(effect, BiasInstability)]
-    return Drift(rms, np.zeros(3), times[0] if times else math.inf)
-
-
-def _thermal_reference(effects: Sequence[Effect]) -> float:
-    return next((each.reference_degc for each in effects if isinstance(each, ThermalBias)), 25.0)
 
 
 def _triple(effects: Sequence[Effect], kind: type[Effect], name: str) -> Floats:

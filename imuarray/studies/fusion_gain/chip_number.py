@@ -9,7 +9,7 @@ direction.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -123,25 +123,20 @@ def _in_one_direction(array: ArrayConfig) -> ArrayConfig:
 def _simulate(
     array: ArrayConfig, experiment: str, frames: tuple[float, float], seed: int, path: Path, slopes: str = OWN
 ) -> None:
-    """One log; `frames` are their rate in Hz and their duration in s."""
+    """One log; `frames` are their rate in Hz and their duration in s. With `SHARED` slopes, all sensors have the
+    temperature slope of the first, in their own axes.
+    """
     plan = plan_of(array, *frames)
     model = load_model(configs() / "models" / "datasheet.toml")
     effects = dict(effects_of(plan, model, seed))
     if slopes == SHARED:
-        effects = _with_shared_slopes(effects)
+        first = next(effect for effect in next(iter(effects.values())) if isinstance(effect, ThermalBias))
+        effects = {
+            name: tuple(replace(each, slope=first.slope) if isinstance(each, ThermalBias) else each for each in several)
+            for name, several in effects.items()
+        }
     motion = MOTIONS[experiment](ExperimentOptions(seconds=frames[1]))
     write_log(Simulation(plan, motion, effects, seed=seed), path, force=True)
-
-
-def _with_shared_slopes(effects: Mapping[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
-    """Give all sensors the temperature slope of the first, in their own axes."""
-    first = next(effect for effect in next(iter(effects.values())) if isinstance(effect, ThermalBias))
-    return {
-        name: tuple(
-            replace(effect, slope=first.slope) if isinstance(effect, ThermalBias) else effect for effect in several
-        )
-        for name, several in effects.items()
-    }
 
 
 def _errors(path: Path) -> tuple[Times, Floats]:

@@ -23,12 +23,11 @@ from imuarray.array import ArrayConfig
 from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.start_up import start_up_states
-from imuarray.fuse import OPTIMAL, Coasting, ErrorFrames, FusedBlock, coasting, error_frames, fuse, technique_names
+from imuarray.fuse import OPTIMAL, ErrorFrames, FusedBlock, coasting, error_frames, fuse, technique_names
 from imuarray.fuse.compare import both, consistency
 from imuarray.fuse.evaluation import Ratio, ratio_of, ten_second_means
 from imuarray.fuse.fuse import AVERAGE
 from imuarray.log import Log, open_log
-from imuarray.log.format import SensorHeader
 from imuarray.printable import percent
 from imuarray.simulate import Simulation, write_log
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
@@ -175,7 +174,9 @@ def _beside_bound(log: Log, simulation: Simulation, names: tuple[str, ...], labe
     """Yield the techniques with the true calibration, and the posterior mean, each beside the bound."""
     headers = {
         quantity: [
-            sensor.header for sensor in simulation.sensors.values() if _is_chosen(sensor.header, quantity, names)
+            sensor.header
+            for sensor in simulation.sensors.values()
+            if (sensor.header.quantity == quantity and (not names or sensor.header.name in names))
         ]
         for quantity in INERTIAL
     }
@@ -193,18 +194,24 @@ def _beside_bound(log: Log, simulation: Simulation, names: tuple[str, ...], labe
         yield from _measured(error_frames(log, blocks()), partial(label, technique=technique), least)
 
 
-def _is_chosen(header: SensorHeader, quantity: str, names: tuple[str, ...]) -> bool:
-    return header.quantity == quantity and (not names or header.name in names)
-
-
 def _measured(
     frames_by_quantity: Mapping[str, ErrorFrames], label: Label, least: Mapping[str, Floats]
 ) -> Iterator[RunErrors]:
     for quantity, frames in frames_by_quantity.items():
         held = consistency(frames.errors, frames.covariances)
+        measures = {
+            "rms": frames.errors,
+            "noise": np.diff(frames.errors, axis=0) / np.sqrt(2),
+            "drift": ten_second_means(frames.time, frames.errors)[1:],  # less the first of them
+        }
         yield label(
             quantity=quantity,
-            squares=_squares(frames),
+            squares={
+                (measure, axis): value
+                for measure, part in measures.items()
+                if len(part)
+                for axis, value in _by_axis(np.mean(part**2, axis=0)).items()
+            },
             bound=_by_axis(least[quantity]) if quantity in least else {},
             normalised=None if held is None else held.normalised,
             holds=None if held is None else held.holds,
@@ -212,30 +219,8 @@ def _measured(
     if len(frames_by_quantity) == len(INERTIAL):
         coast = coasting(both(frames_by_quantity))
         if len(coast.begins_s):
-            yield label(quantity="", squares=_coasting_squares(coast))
-
-
-def _squares(frames: ErrorFrames) -> dict[tuple[str, str], float]:
-    """Mean squares by measure and box axis: of the errors, of their changes from frame to frame (halved), of ten-second
-    means less the first of them.
-    """
-    errors = frames.errors
-    rows = {
-        "rms": errors,
-        "noise": np.diff(errors, axis=0) / np.sqrt(2),
-        "drift": ten_second_means(frames.time, errors)[1:],
-    }
-    return {
-        (measure, axis): value
-        for measure, part in rows.items()
-        if len(part)
-        for axis, value in _by_axis(np.mean(part**2, axis=0)).items()
-    }
-
-
-def _coasting_squares(coast: Coasting) -> dict[tuple[str, str], float]:
-    ends = zip(COASTING, (coast.heading_deg, coast.velocity_mps), strict=True)
-    return {(measure, ""): float(np.mean(values**2)) for measure, values in ends}
+            ends = zip(COASTING, (coast.heading_deg, coast.velocity_mps), strict=True)
+            yield label(quantity="", squares={(measure, ""): float(np.mean(values**2)) for measure, values in ends})
 
 
 def _by_axis(squares: Floats) -> dict[str, float]:

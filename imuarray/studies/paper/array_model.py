@@ -33,7 +33,7 @@ A fault that one unit of several showed (two bias states, a range lost at power-
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import cache
@@ -41,6 +41,7 @@ from math import atan2, degrees, exp, floor, sqrt
 from textwrap import wrap
 
 import numpy as np
+from scipy.optimize import brentq
 
 from imuarray.arrays import Floats
 from imuarray.axes import orientation_of
@@ -310,15 +311,15 @@ def _code_variance(name: str, codes_per_degc: float) -> float:
 def rms_before_rounding(variance: float) -> float:
     """Noise that, rounded to whole codes about a mean anywhere between two, has this variance on average.
 
-    The average is s^2 + 1/12 - sum_k exp(-4 pi^2 k^2 s^2) / (2 pi^2 k^2); it grows with s from 0. Bisection.
+    The average is s^2 + 1/12 - sum_k exp(-4 pi^2 k^2 s^2) / (2 pi^2 k^2); it grows with s from 0.
     """
     k = np.arange(1, 200)
-    low, high = 0.0, 2.0
-    for _ in range(60):
-        middle = (low + high) / 2
-        bias = np.sum(np.exp(-4 * np.pi**2 * k**2 * middle**2) / (2 * np.pi**2 * k**2))
-        low, high = (middle, high) if middle**2 + 1 / 12 - bias < variance else (low, middle)
-    return (low + high) / 2
+
+    def excess(s: float) -> float:
+        bias = np.sum(np.exp(-4 * np.pi**2 * k**2 * s**2) / (2 * np.pi**2 * k**2))
+        return float(s**2 + 1 / 12 - bias - variance)
+
+    return float(brentq(excess, 0.0, 2.0, xtol=1e-15))
 
 
 Table = dict[str, object]
@@ -342,7 +343,8 @@ class NormalPopulation:
 def spread(values: Floats, known: int, *, positive: bool = False) -> NormalPopulation:
     """Return the population that `values` (any shape) of `known` units foretell."""
     mean, sigma = float(values.mean()), float(values.std(ddof=1)) * sqrt(1 + 1 / known)
-    return _limited(mean, sigma, 1 / (known + 1), positive)
+    limit = floor(mean * 1e6) / 1e6 if positive and mean < 3 * sigma else None
+    return NormalPopulation(mean, sigma, 1 / (known + 1), limit)
 
 
 def about_zero(values: Floats, known: int) -> NormalPopulation:
@@ -357,80 +359,45 @@ def designs() -> Iterator[tuple[Table, dict[str, Table]]]:
         head: Table = {"chip": chip}
         if chip in NOISE_BANDWIDTH_HZ:
             head["noise_bandwidth_hz"] = NOISE_BANDWIDTH_HZ[chip]
-        yield head, {**_scale(group), **_any_range(group), **_by_range(group), **_population_line(design)}
+        yield head, _population(group, _POPULATION_EFFECTS)
         ranges = dict.fromkeys(unit.range for unit in group)
-        for name in ranges if len(ranges) > 1 else ():
+        for name in ranges if len(ranges) > 1 else ():  # but for the bias, gyroscopes are alike at both (section 5.1)
             members = [unit for unit in group if unit.range == name]
-            yield {**head, "range": RANGE[name]}, _by_range(members) if design == "BMA" else _bias(members)
+            yield {**head, "range": RANGE[name]}, _population(members, _OF_RANGE if design == "BMA" else ("bias",))
 
 
-def _scale(group: Sequence[SensorUnit]) -> dict[str, Table]:
-    """Return the response of accelerometers' axes; of gyroscopes only the response to force was measured."""
-    unit, known = group[0].unit, len(group)
-    if unit == "dps":
-        response = np.array([member.response for member in group])
-        return {"g_sensitivity": {"response_dps_per_g": about_zero(response, known)}}
-    angles = np.array([member.angles_deg for member in group])
+_OF_RANGE = ("bias", "turn_on_bias", "bias_instability", "white_noise")
+_POPULATION_EFFECTS = (
+    "g_sensitivity", "misalignment", "scale", "thermal_bias", "thermometer", *_OF_RANGE, "tone", "bandwidth"
+)  # fmt: skip
+"""Effects of units of a design, in the order of the file; faults of single units are no population."""
+
+
+def _population(group: Sequence[SensorUnit], names: Sequence[str]) -> dict[str, Table]:
+    """Return the effects that these units foretell for others; those that none of them has are left out."""
+    measured = [unit_effects(unit) for unit in group]
+    design, first = group[0].design, measured[0]
     return {
-        "misalignment": {"angles_deg": about_zero(angles, known)},
-        "scale": {"error": _planes(group, lambda member: member.scale_error)},
+        name: {key: _foretold(design, name, key, [each[name][key] for each in measured]) for key in first[name]}
+        for name in names
+        if name in first
     }
 
 
-def _any_range(group: Sequence[SensorUnit]) -> dict[str, Table]:
-    slope = _planes(group, lambda member: member.slope)
-    thermal: dict[str, Table] = {"thermal_bias": {f"slope_{group[0].unit}_per_degc": slope}}
-    return thermal | ({} if group[0].thermometer is None else {"thermometer": _thermometer_population(group)})
-
-
-def _bias(group: Sequence[SensorUnit]) -> dict[str, Table]:
-    """Gyroscopes: all else is the same at both ranges, in dps (section 5.1)."""
-    return {"bias": {f"offset_{group[0].unit}": _planes(group, lambda member: member.bias)}}
-
-
-def _by_range(group: Sequence[SensorUnit]) -> dict[str, Table]:
-    unit = group[0].unit
-    return {
-        **_bias(group),
-        "turn_on_bias": {f"rms_{unit}": _planes(group, lambda member: member.turn_on, positive=True)},
-        "bias_instability": {
-            f"rms_{unit}": _planes(group, lambda member: member.in_run, positive=True),
-            "time_constant_s": TIME_CONSTANT_S,
-        },
-        "white_noise": {f"rms_{unit}": _planes(group, lambda member: member.noise, positive=True)},
-    }
-
-
-def _population_line(design: str) -> dict[str, Table]:
-    if design != "Gyro":
-        return {}
-    return {
-        "tone": {"amplitude_dps": [0.0, tone_dps(), 0.0], "frequency_hz": TONE_HZ},
-        "bandwidth": {"cutoff_hz": CUTOFF_HZ},
-    }
-
-
-def _thermometer_population(group: Sequence[SensorUnit]) -> Table:
-    reported = np.array([member.thermometer for member in group])
-    known = len(group)
-    return {"offset_degc": spread(reported[:, 0], known), "rms_degc": spread(reported[:, 1], known, positive=True)}
-
-
-def _planes(
-    group: Sequence[SensorUnit], value: Callable[[SensorUnit], Floats], *, positive: bool = False
-) -> NormalPopulation | list[NormalPopulation]:
-    """One population for all axes, or, where x and y are one design and z another (ADXL345, section 2.2), two."""
-    values = np.array([value(unit) for unit in group])
-    if group[0].design != "ADXL":
-        return spread(values, len(group), positive=positive)
-    plane, across = (spread(part, len(group), positive=positive) for part in (values[:, :2], values[:, 2]))
+def _foretold(design: str, effect: str, key: str, values: Sequence[object]) -> object:
+    """Return a parameter's population, one for all axes; two where x and y are one design and z another (ADXL345,
+    section 2.2).
+    """
+    if effect in ("tone", "bandwidth") or key == "time_constant_s":
+        return values[0]
+    measured, known = np.array(values, float), len(values)
+    if effect in ("g_sensitivity", "misalignment"):  # no direction is preferred
+        return about_zero(measured, known)
+    positive = key.startswith("rms_")
+    if design != "ADXL":
+        return spread(measured, known, positive=positive)
+    plane, across = (spread(part, known, positive=positive) for part in (measured[:, :2], measured[:, 2]))
     return [plane, plane, across]
-
-
-def _limited(mean: float, sigma: float, shared: float, positive: bool) -> NormalPopulation:
-    if not positive or mean >= 3 * sigma:
-        return NormalPopulation(mean, sigma, shared)
-    return NormalPopulation(mean, sigma, shared, limit=floor(mean * 1e6) / 1e6)
 
 
 _HEAD = """\
@@ -492,46 +459,25 @@ def fit_text() -> str:
 def unit_effects(unit: SensorUnit) -> dict[str, Table]:
     """Return the effects of a known unit: keys and figures as a model file has them."""
     u = unit.unit
-    return {
-        **_response(unit),
-        "bias": {f"offset_{u}": unit.bias},
-        "turn_on_bias": {f"rms_{u}": unit.turn_on},
-        **_faults(unit),
-        "thermal_bias": {f"slope_{u}_per_degc": unit.slope},
-        "bias_instability": {f"rms_{u}": unit.in_run, "time_constant_s": TIME_CONSTANT_S},
-        **_line(unit),
-        "white_noise": {f"rms_{u}": unit.noise},
-        **_thermometer_text(unit),
-    }
-
-
-def _response(unit: SensorUnit) -> dict[str, Table]:
-    if unit.unit == "dps":
-        return {"g_sensitivity": {"response_dps_per_g": unit.response.ravel()}}
-    return {"misalignment": {"angles_deg": np.array(unit.angles_deg)}, "scale": {"error": unit.scale_error}}
-
-
-def _faults(unit: SensorUnit) -> dict[str, Table]:
+    effects: dict[str, Table] = {"g_sensitivity": {"response_dps_per_g": unit.response.ravel()}}
+    if u == "g":
+        effects = {"misalignment": {"angles_deg": np.array(unit.angles_deg)}, "scale": {"error": unit.scale_error}}
+    effects["bias"] = {f"offset_{u}": unit.bias}
+    effects["turn_on_bias"] = {f"rms_{u}": unit.turn_on}
     if unit.name == "Gyro3":
-        return {"bistable_bias": {"offset_dps": gyro3_other_state_lsb() * unit.lsb, "probability": 8 / 15}}
+        effects["bistable_bias"] = {"offset_dps": gyro3_other_state_lsb() * unit.lsb, "probability": 8 / 15}
     if unit.name == "BMA1":
-        offset, share = bma1_reset_offset_g(), bma1_reset_noise_share()
-        return {"range_reset": {"range_g": 2.0, "offset_g": offset, "noise_share": share, "probability": 1 / 15}}
-    return {}
-
-
-def _line(unit: SensorUnit) -> dict[str, Table]:
-    if unit.unit == "g":
-        return {}
-    tone: Table = {"amplitude_dps": np.array([0.0, tone_dps(), 0.0]), "frequency_hz": TONE_HZ}
-    return {"tone": tone, "bandwidth": {"cutoff_hz": CUTOFF_HZ}}
-
-
-def _thermometer_text(unit: SensorUnit) -> dict[str, Table]:
-    if unit.thermometer is None:
-        return {}
-    offset, rms = unit.thermometer
-    return {"thermometer": {"offset_degc": offset, "rms_degc": rms}}
+        fault: Table = {"range_g": 2.0, "offset_g": bma1_reset_offset_g(), "noise_share": bma1_reset_noise_share()}
+        effects["range_reset"] = {**fault, "probability": 1 / 15}
+    effects["thermal_bias"] = {f"slope_{u}_per_degc": unit.slope}
+    effects["bias_instability"] = {f"rms_{u}": unit.in_run, "time_constant_s": TIME_CONSTANT_S}
+    if u == "dps":
+        effects["tone"] = {"amplitude_dps": np.array([0.0, tone_dps(), 0.0]), "frequency_hz": TONE_HZ}
+        effects["bandwidth"] = {"cutoff_hz": CUTOFF_HZ}
+    effects["white_noise"] = {f"rms_{u}": unit.noise}
+    if unit.thermometer is not None:
+        effects["thermometer"] = dict(zip(("offset_degc", "rms_degc"), unit.thermometer, strict=True))
+    return effects
 
 
 def _sensor(unit: SensorUnit) -> str:
@@ -540,25 +486,21 @@ def _sensor(unit: SensorUnit) -> str:
         head["range"] = RANGE[unit.range]
     if head["chip"] in NOISE_BANDWIDTH_HZ:
         head["noise_bandwidth_hz"] = NOISE_BANDWIDTH_HZ[CHIP[unit.design]]
-    effects = {kind: table for kind, table in unit_effects(unit).items() if _does_something(table)}
+    effects = {
+        kind: table
+        for kind, table in unit_effects(unit).items()
+        if any(np.any(np.asarray(value) != 0) for key, value in table.items() if key != "time_constant_s")
+    }
     return _part("sensor", head, effects, unit.name)
-
-
-def _does_something(table: Table) -> bool:
-    return any(np.any(np.asarray(value) != 0) for key, value in table.items() if key != "time_constant_s")
 
 
 def _part(kind: str, head: Table, effects: Mapping[str, Table], name: str = "") -> str:
     texts = [_lines(head, f"[[{kind}]]")]
     for effect, parameters in effects.items():
         source = _NOTES.get((name, effect), "") or (_SOURCES[effect] if kind == "sensor" else "")
-        texts.append("".join(_comment(source)) + _lines(parameters, f"[{kind}.{effect}]"))
+        comment = "".join(f"# {line}\n" for line in wrap(source, 118))
+        texts.append(comment + _lines(parameters, f"[{kind}.{effect}]"))
     return "\n".join(texts)
-
-
-def _comment(text: str) -> Iterator[str]:
-    for line in wrap(text, 118):
-        yield f"# {line}\n"
 
 
 def _lines(table: Table, title: str) -> str:

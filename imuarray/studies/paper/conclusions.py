@@ -23,10 +23,13 @@ from imuarray.studies.paper.systematic import (
     main_axis,
     measured_axes,
     mirrored,
+    pair_of,
+    pairs,
     printed_axes,
     printed_azimuth_deg,
     reproduced,
     response_of,
+    slopes,
     table4,
 )
 from imuarray.studies.paper.tables import (
@@ -44,7 +47,6 @@ from imuarray.studies.paper.tables import (
     row_of,
     table,
 )
-from imuarray.studies.paper.thermal import pair_of, pairs, slopes
 from imuarray.studies.paper.variation import (
     FACE_SECONDS,
     HIGH_RATE_HZ,

@@ -60,16 +60,17 @@ def _draw_slopes(axes: Axes, pairs: Sequence[dict[str, Any]], scale: float, unit
         rows = [row + 0.27 * (place - 1) for row in range(len(pairs))]
         bars = axes.barh(rows, sizes, 0.25, color=colour, label=label)
         if place == len(styles) - 1:
-            axes.bar_label(bars, [_times_less(pair) for pair in pairs], padding=3, fontsize=8)
+            axes.bar_label(
+                bars,
+                [(f"{pair['reduction']:.3g} times less" if pair["reduction"] > 1.05 else "no less") for pair in pairs],
+                padding=3,
+                fontsize=8,
+            )
     axes.set_yticks(range(len(pairs)), [_pair_name(pair) for pair in pairs])
     axes.invert_yaxis()
     axes.set_xlabel(f"size of the slope, {unit}")
     axes.margins(x=0.2)
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def _times_less(pair: dict[str, Any]) -> str:
-    return f"{pair['reduction']:.3g} times less" if pair["reduction"] > 1.05 else "no less"
 
 
 def _pair_name(pair: dict[str, Any]) -> str:

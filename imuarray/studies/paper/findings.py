@@ -88,7 +88,21 @@ def as_json() -> dict[str, Any]:
         "verdict": "partly explained" if remaining else "explained",
         "gap": dict.fromkeys(("before", "after", "floor", "closed", "closed_ci95")),
         "where": [place for finding in findings() for place in _places(finding)],
-        "causes": [_cause(finding) for finding in explained],
+        "causes": [
+            {
+                "effect": finding.effect,
+                "action": finding.action,
+                "sensors": list(finding.sensors),
+                "axes": list(finding.axes),
+                "probability": None,
+                "parameters": dict(finding.parameters),
+                "closed": None,
+                "closed_ci95": None,
+                "confusable_with": list(finding.confusable_with),
+                "finding": finding.name,
+            }
+            for finding in explained
+        ],
         "unknown": None,
         "unexplained": [place for finding in remaining for place in _places(finding)],
         "next_experiment": NEXT_EXPERIMENT,
@@ -124,21 +138,6 @@ def _places(finding: Finding) -> Iterator[dict[str, Any]]:
         }
 
 
-def _cause(finding: Finding) -> dict[str, Any]:
-    return {
-        "effect": finding.effect,
-        "action": finding.action,
-        "sensors": list(finding.sensors),
-        "axes": list(finding.axes),
-        "probability": None,
-        "parameters": dict(finding.parameters),
-        "closed": None,
-        "closed_ci95": None,
-        "confusable_with": list(finding.confusable_with),
-        "finding": finding.name,
-    }
-
-
 def render_text() -> str:
     """Return every finding for a terminal, in lines of at most 100 columns."""
     lines = ["The paper's tables beside its chips' data sheets: anomalies and their likely causes", ""]
@@ -154,16 +153,15 @@ def _paragraph(finding: Finding) -> Iterator[str]:
     yield from _hanging("  ", finding.anomaly)
     yield from _hanging("  cause    ", f"{finding.effect or 'unknown'}{confusable}; {at}")
     for figure in finding.figures:
-        yield from _hanging("  figure   ", _sentence(figure))
+        neighbours = {"data sheet": figure.data_sheet, "with the cause": figure.with_cause}
+        others = [f"{name} {value:g}" for name, value in neighbours.items() if value is not None]
+        where = f"{figure.channel}, " if figure.channel else ""
+        unit = f" {figure.unit}" if figure.unit else ""
+        yield from _hanging(
+            "  figure   ",
+            f"{where}{figure.of}: {figure.printed:g}{unit}" + (f" ({', '.join(others)})" if others else ""),
+        )
     yield from _hanging("  open     ", finding.open)
-
-
-def _sentence(figure: FindingFigure) -> str:
-    neighbours = {"data sheet": figure.data_sheet, "with the cause": figure.with_cause}
-    others = [f"{name} {value:g}" for name, value in neighbours.items() if value is not None]
-    where = f"{figure.channel}, " if figure.channel else ""
-    unit = f" {figure.unit}" if figure.unit else ""
-    return f"{where}{figure.of}: {figure.printed:g}{unit}" + (f" ({', '.join(others)})" if others else "")
 
 
 def _hanging(head: str, text: str) -> list[str]:

@@ -15,8 +15,8 @@ from imuarray.errors import MissingExtraError
 from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, write_page
 from imuarray.studies.paper import figures
 from imuarray.studies.paper.results import SOURCE, recompute, recomputed_rows
+from imuarray.studies.paper.systematic import AxisPair, pairs
 from imuarray.studies.paper.tables import Cell, RecomputedRow, Row, number_in, row_of, table
-from imuarray.studies.paper.thermal import AxisPair, pairs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing

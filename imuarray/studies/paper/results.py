@@ -18,7 +18,7 @@ from typing import Any
 
 from imuarray.atomic import write_text
 from imuarray.errors import ImuArrayError, OutputExistsError
-from imuarray.studies.paper import systematic, thermal, variation
+from imuarray.studies.paper import systematic, variation
 from imuarray.studies.paper.conclusions import conclusions, slips, stated
 from imuarray.studies.paper.tables import RecomputedRow, tally
 from imuarray.studies.paper.variation import derived, readings
@@ -38,7 +38,7 @@ TABLES: dict[str, Callable[[], tuple[RecomputedRow, ...]]] = {
     "table5": variation.table5,
     "table6": variation.table6,
     "table7": variation.table7,
-    "table8": thermal.table8,
+    "table8": systematic.table8,
     "table9": systematic.table9,
     "table10": variation.table10,
     "table11": variation.table11,
@@ -70,14 +70,19 @@ def recompute() -> dict[str, Any]:
     """
     tables = recomputed_rows()
     with localcontext(_DIGITS):
+        states = variation.bias_states()
         return {
             "source": SOURCE,
             "matches": _tallies(tables, within_input_rounding=False),
             "within_input_rounding": _tallies(tables, within_input_rounding=True),
             **{name: [row.as_json() for row in rows] for name, rows in tables.items()},
-            "pairs": [pair.as_json() for pair in thermal.pairs()],
+            "pairs": [pair.as_json() for pair in systematic.pairs()],
             "boot_fault": [fault.as_json() for fault in variation.boot_faults()],
-            "bias_states": _bias_states(),
+            "bias_states": {
+                "sensor": "Gyro3",
+                "states": [state.as_json() for state in states],
+                "separation": round(variation.separation(states), 2),
+            },
             "blending": variation.bma180_blend().as_json(),
             "planes": variation.planes(),
             "logging_rate": variation.logging_rate(),
@@ -93,15 +98,6 @@ def _tallies(
 ) -> dict[str, dict[str, list[int]]]:
     counts = {name: tally(rows, within_input_rounding=within_input_rounding) for name, rows in tables.items()}
     return {name: count for name, count in counts.items() if count}
-
-
-def _bias_states() -> dict[str, Any]:
-    states = variation.bias_states()
-    return {
-        "sensor": "Gyro3",
-        "states": [state.as_json() for state in states],
-        "separation": round(variation.separation(states), 2),
-    }
 
 
 _WIDTH = 100
@@ -233,12 +229,11 @@ def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     text = StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
-    writer.writerows({column: _cell(value) for column, value in row.items()} for row in rows)
+    writer.writerows(
+        {column: (" ".join(map(str, value)) if isinstance(value, list) else value) for column, value in row.items()}
+        for row in rows
+    )
     return text.getvalue()
-
-
-def _cell(value: Any) -> Any:
-    return " ".join(map(str, value)) if isinstance(value, list) else value
 
 
 def write(result: Mapping[str, Any], directory: Path, *, force: bool) -> tuple[Path, ...]:
@@ -257,7 +252,11 @@ def write(result: Mapping[str, Any], directory: Path, *, force: bool) -> tuple[P
 def _write_all(
     texts: Mapping[str, str], result: Mapping[str, Any], directory: Path, *, force: bool
 ) -> tuple[Path, ...]:
-    drawings = _drawings()
+    drawings: Mapping[str, Any] = {}
+    if can_draw():
+        from imuarray.studies.paper.figures import FIGURES  # matplotlib is slow to import and optional
+
+        drawings = FIGURES
     paths = [directory / name for name in (*texts, *drawings)]
     if not force and (taken := next((path for path in paths if path.exists()), None)):
         raise OutputExistsError(taken)
@@ -267,11 +266,3 @@ def _write_all(
     for name, draw in drawings.items():
         draw(result, directory / name)
     return tuple(paths)
-
-
-def _drawings() -> Mapping[str, Any]:
-    if not can_draw():
-        return {}
-    from imuarray.studies.paper.figures import FIGURES  # matplotlib is slow to import and optional
-
-    return FIGURES

@@ -1,4 +1,4 @@
-"""Systematic errors: Tables 1, 3 and 4 recomputed from Table 10, Tables 2 and 9 in degrees per second, and Appendix B.
+"""Systematic errors: Tables 1, 3 and 4 from Table 10, Tables 2 and 9 in degrees per second, Appendix B, and Table 8.
 
 Table 1 names, for each box axis, the sensor axis along it. The three names make a signed permutation; its determinant
 is +1 for a right-handed triad, the only kind that is sold, and -1 for a mirrored one. For accelerometers Table 10 gives
@@ -19,12 +19,21 @@ Appendix B turns the three half-differences of a channel into azimuth, elevation
 six faces. It has two slips: the quotient of the azimuth is upside down, and the factor cos(azimuth), which belongs to
 the first of the six terms, stands in the third. The formulas are evaluated as printed and with each slip corrected, to
 count which form reproduces Table 3.
+
+Table 8 tells what is left of the temperature drift when two sensors of one design and range are averaged along a box
+axis. Bringing a reading into the box frame multiplies it by the sign s of its axis there, so the mean of two drifts with
+(s1 k1 + s2 k2) / 2. Parallel axes keep a drift that both share, opposed axes cancel it, and it is the other way round
+for drifts of opposite sign. Directions are those of Table 10's responses for accelerometers and of Table 1 for
+gyroscopes. During the heating +Z was up: an accelerometer axis along box Z carried 1 g, so its slope mixes bias and scale-factor
+drift, and neither can be told from this one orientation (`carries_1g`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from decimal import Decimal
+from itertools import combinations
 from math import atan, atan2, cos, degrees, hypot, sin
 from typing import Any
 
@@ -32,6 +41,7 @@ from imuarray.studies.paper.tables import (
     Cell,
     RecomputedRow,
     Row,
+    channels,
     design_of,
     dps,
     is_inertial,
@@ -40,6 +50,7 @@ from imuarray.studies.paper.tables import (
     number_in,
     numbers_in,
     numeric_cell,
+    physical,
     row_of,
     table,
     text_cell,
@@ -100,17 +111,18 @@ def _row(row: Row) -> RecomputedRow:
         numeric_cell(row, "bias_mg", lambda inputs: milli_g(row, six_face_bias(inputs)), readings),
         numeric_cell(row, "scale_lsb_per_g", printed_scale, readings),
     )
-    return RecomputedRow(row, cells, _direction(half_differences(readings)))
-
-
-def _direction(response: Response) -> dict[str, Any]:
+    response = half_differences(readings)
     along_x, along_y, along_z = (float(part) for part in response)
-    return {
-        "response_lsb_per_g": [round(along_x, 4), round(along_y, 4), round(along_z, 4)],
-        "main_axis": main_axis(response),
-        "azimuth_deg": round(degrees(atan2(along_y, along_x)), 3),
-        "elevation_deg": round(degrees(atan2(along_z, hypot(along_x, along_y))), 3),
-    }
+    return RecomputedRow(
+        row,
+        cells,
+        {
+            "response_lsb_per_g": [round(along_x, 4), round(along_y, 4), round(along_z, 4)],
+            "main_axis": main_axis(response),
+            "azimuth_deg": round(degrees(atan2(along_y, along_x)), 3),
+            "elevation_deg": round(degrees(atan2(along_z, hypot(along_x, along_y))), 3),
+        },
+    )
 
 
 def table3() -> tuple[RecomputedRow, ...]:
@@ -229,13 +241,13 @@ def table2() -> tuple[RecomputedRow, ...]:
 def table9() -> tuple[RecomputedRow, ...]:
     """Table 9 with its dps columns recomputed; `samples` is how many readings its standard errors imply."""
     return tuple(
-        RecomputedRow(row, _dps_cells(row, ("mean", "sem", "std")), {"samples": round(_samples(row))})
+        RecomputedRow(
+            row,
+            _dps_cells(row, ("mean", "sem", "std")),
+            {"samples": round((number_in(row, "std_lsb") / number_in(row, "sem_lsb")) ** 2)},
+        )
         for row in table(9)
     )
-
-
-def _samples(row: Row) -> Decimal:
-    return (number_in(row, "std_lsb") / number_in(row, "sem_lsb")) ** 2
 
 
 _LAST_DIGIT = 0.01
@@ -275,3 +287,107 @@ def reproduced(*, quotient_mended: bool, sum_mended: bool) -> int:
 def printed_azimuth_deg(channel: str) -> float:
     """Return the azimuth in degrees that Appendix B's formula, as printed, gives for a channel."""
     return degrees(azimuth(numbers_in(row_of(10, channel), READINGS), quotient_mended=False))
+
+
+@dataclass(frozen=True)
+class AxisPair:
+    """The same-named axes of two sensors of one design and range that lie along the same box axis."""
+
+    first: Row
+    second: Row
+    axis_first: str
+    """Box axis with sign, such as "+Y"."""
+    axis_second: str
+
+    @property
+    def opposed(self) -> bool:
+        """Return whether the two axes point in opposite directions."""
+        return self.axis_first[0] != self.axis_second[0]
+
+    @property
+    def carries_1g(self) -> bool:
+        """Return whether gravity lay along the pair while it was heated (accelerometers along box Z)."""
+        return design_of(self.first["channel"]) != "Gyro" and self.axis_first[1] == "Z"
+
+    @property
+    def slopes(self) -> tuple[Decimal, Decimal]:
+        """The two printed slopes, counts per degree Celsius, sensor axes."""
+        return number_in(self.first, "slope_lsb_per_degc"), number_in(self.second, "slope_lsb_per_degc")
+
+    @property
+    def fused_slope(self) -> Decimal:
+        """Slope of the mean of the two along the positive box axis, counts per degree Celsius."""
+        first, second = self.slopes
+        return (_signed(self.axis_first, first) + _signed(self.axis_second, second)) / 2
+
+    @property
+    def turned_slope(self) -> Decimal:
+        """The same had the second sensor been mounted the other way round."""
+        first, second = self.slopes
+        return (_signed(self.axis_first, first) - _signed(self.axis_second, second)) / 2
+
+    @property
+    def reduction(self) -> Decimal:
+        """Return how many times less the mean drifts than a single sensor does (mean of the two magnitudes)."""
+        return mean([abs(slope) for slope in self.slopes]) / abs(self.fused_slope)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the pair with its slopes in counts and in mg or dps per degree Celsius."""
+        unit = "dps" if design_of(self.first["channel"]) == "Gyro" else "mg"
+        first, second = self.slopes
+        return {
+            "first": self.first["channel"],
+            "second": self.second["channel"],
+            "range": self.first["range"],
+            "box_axis": self.axis_first[1],
+            "relation": "opposed" if self.opposed else "parallel",
+            "carries_1g": self.carries_1g,
+            "slope_first_lsb_per_degc": float(first),
+            "slope_second_lsb_per_degc": float(second),
+            "fused_slope_lsb_per_degc": float(self.fused_slope),
+            "fused_slope_if_turned_lsb_per_degc": float(self.turned_slope),
+            "reduction": round(float(self.reduction), 2),
+            "fused_slope_per_degc": round(float(physical(self.first, self.fused_slope)), 6),
+            "unit": unit,
+        }
+
+
+def _signed(axis: str, slope: Decimal) -> Decimal:
+    return -slope if axis[0] == "-" else slope
+
+
+def _pair(first: Row, second: Row) -> AxisPair | None:
+    (sensor_first, axis), (sensor_second, other) = first["channel"].split(), second["channel"].split()
+    same_kind = design_of(sensor_first) == design_of(sensor_second) and first["range"] == second["range"]
+    if not same_kind or axis != other:
+        return None
+    along_first, along_second = believed_axes(sensor_first)[axis], believed_axes(sensor_second)[axis]
+    return AxisPair(first, second, along_first, along_second) if along_first[1] == along_second[1] else None
+
+
+def pairs() -> tuple[AxisPair, ...]:
+    """Return every pair of Table 8's axes of the same design, range, axis name and box axis."""
+    result = (_pair(first, second) for first, second in combinations(table(8), 2))
+    return tuple(pair for pair in result if pair is not None)
+
+
+def pair_of(first: str, second: str) -> AxisPair:
+    """Return the pair of two channels such as "Gyro1 y" and "Gyro2 y"."""
+    return next(pair for pair in pairs() if (pair.first["channel"], pair.second["channel"]) == (first, second))
+
+
+def slopes(design: str, range_name: str | None = None, axes: str = "xyz") -> tuple[Decimal, ...]:
+    """Printed slopes of one design in counts per degree Celsius, Table 8's order."""
+    return tuple(number_in(row, "slope_lsb_per_degc") for row in channels(8, design, range_name, axes))
+
+
+def table8() -> tuple[RecomputedRow, ...]:
+    """Table 8 with each slope in physical units (typical sensitivity) and the channel's box axis."""
+    return tuple(RecomputedRow(row, (), _extra(row)) for row in table(8))
+
+
+def _extra(row: Row) -> dict[str, Any]:
+    sensor, axis = row["channel"].split()
+    slope = round(float(physical(row, number_in(row, "slope_lsb_per_degc"))), 6)
+    unit = "dps" if design_of(sensor) == "Gyro" else "mg"
+    return {"main_axis": believed_axes(sensor)[axis], "slope_per_degc": slope, "unit": unit}

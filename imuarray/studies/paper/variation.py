@@ -29,7 +29,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from math import dist, log, sqrt
+from itertools import product
+from math import dist, hypot, log, sqrt
 from statistics import fmean, median, stdev
 from typing import Any
 
@@ -116,12 +117,11 @@ def group_members(group: str) -> tuple[Row, ...]:
 
 def table5() -> tuple[RecomputedRow, ...]:
     """Table 5 as the mean of Table 11's in-run standard deviations over each group."""
-    return tuple(RecomputedRow(row, (_group_cell(row),)) for row in table(5))
-
-
-def _group_cell(row: Row) -> Cell:
-    inputs = [number_in(member, "cont_std_of_means") for member in group_members(row["group"])]
-    return numeric_cell(row, "std_of_5min_means_lsb", mean, inputs)
+    rows = []
+    for row in table(5):
+        inputs = [number_in(member, "cont_std_of_means") for member in group_members(row["group"])]
+        rows.append(RecomputedRow(row, (numeric_cell(row, "std_of_5min_means_lsb", mean, inputs),)))
+    return tuple(rows)
 
 
 def deviation_bounds(spread: float, count: int) -> tuple[float, float]:
@@ -154,7 +154,13 @@ def range_over_deviation() -> dict[str, Any]:
     average over their sample deviation.
     """
     least, most = (1 / bound for bound in reversed(deviation_bounds(1.0, _RUNS)))
-    rows = [_range_row(row, half) for row in table(11) for half in ("runs", "cont")]
+    forbidden = {(channel, column) for channel, column, *_ in impossible_deviations()}
+    rows: list[dict[str, Any]] = []
+    for row, half in product(table(11), ("runs", "cont")):
+        spread, deviation = (number_in(row, f"{half}_{what}_of_means") for what in ("range", "std"))
+        ratio = round(float(spread / deviation), 3)
+        possible = (row["channel"], f"{half}_std_of_means") not in forbidden
+        rows.append({"channel": row["channel"], "half": half, "range_over_deviation": ratio, "possible": possible})
     inertial = [row for row in rows if not row["channel"].endswith(" t") and row["channel"].split()[0] not in _SOURCES]
     return {
         "least": round(least, 3),
@@ -166,17 +172,6 @@ def range_over_deviation() -> dict[str, Any]:
             for half in ("runs", "cont")
         },
         "rows": rows,
-    }
-
-
-def _range_row(row: Row, half: str) -> dict[str, Any]:
-    spread, deviation = (number_in(row, f"{half}_{what}_of_means") for what in ("range", "std"))
-    forbidden = {(channel, column) for channel, column, *_ in impossible_deviations()}
-    return {
-        "channel": row["channel"],
-        "half": half,
-        "range_over_deviation": round(float(spread / deviation), 3),
-        "possible": (row["channel"], f"{half}_std_of_means") not in forbidden,
     }
 
 
@@ -301,8 +296,7 @@ def bias_states() -> tuple[TurnOnState, TurnOnState]:
 
 def separation(states: tuple[TurnOnState, TurnOnState]) -> float:
     """Distance between two states' centres over the larger of their spreads (root sum of squares over the axes)."""
-    spreads = [sqrt(_dot(state.spread, state.spread)) for state in states]
-    return dist(states[0].centre, states[1].centre) / max(spreads)
+    return dist(states[0].centre, states[1].centre) / max(hypot(*state.spread) for state in states)
 
 
 def table7() -> tuple[RecomputedRow, ...]:
@@ -468,15 +462,14 @@ def _summary(rates: Sequence[Decimal]) -> dict[str, float]:
 
 def table10() -> tuple[RecomputedRow, ...]:
     """Table 10 with each channel's implied logging rate and its noise in physical units (typical sensitivity)."""
-    return tuple(RecomputedRow(row, (), _extra(row)) for row in table(10))
-
-
-def _extra(row: Row) -> dict[str, Any]:
-    extra: dict[str, Any] = {"rate_hz": round(float(_row_rate(row)), 2)}
-    if is_inertial(row):
-        extra["noise"] = round(float(physical(row, number_in(row, "std_lsb"))), 4)
-        extra["unit"] = "dps" if design_of(row["channel"]) == "Gyro" else "mg"
-    return extra
+    rows = []
+    for row in table(10):
+        extra: dict[str, Any] = {"rate_hz": round(float(_row_rate(row)), 2)}
+        if is_inertial(row):
+            extra["noise"] = round(float(physical(row, number_in(row, "std_lsb"))), 4)
+            extra["unit"] = "dps" if design_of(row["channel"]) == "Gyro" else "mg"
+        rows.append(RecomputedRow(row, (), extra))
+    return tuple(rows)
 
 
 @dataclass(frozen=True)
@@ -529,29 +522,23 @@ def table9_rows(range_name: str) -> tuple[Row, ...]:
 
 def readings() -> tuple[ReadingCount, ...]:
     """Return the numbers of readings that Table 9's two logs (at 350 Hz) and Table 11's two series (five minutes each)
-    admit.
+    admit: those that all channels of a log admit; the least is above the most if there is none.
     """
     result = []
     for name in ("250dps", "2k dps"):
-        least, most = _common((row, "") for row in table9_rows(name))
-        result.append(
-            ReadingCount(9, name, len(table9_rows(name)), least, most, None, (least + most) / 2 / HIGH_RATE_HZ)
-        )
+        rows = table9_rows(name)
+        least, most = _common((number_in(row, "std_lsb"), number_in(row, "sem_lsb")) for row in rows)
+        result.append(ReadingCount(9, name, len(rows), least, most, None, (least + most) / 2 / HIGH_RATE_HZ))
     for half in ("runs", "cont"):
-        least, most = _common((row, f"{half}_") for row in table(11))
+        least, most = _common((number_in(row, f"{half}_std"), number_in(row, f"{half}_sem")) for row in table(11))
         result.append(ReadingCount(11, half, len(table(11)), least, most, (least + most) / 2 / SAMPLE_SECONDS, None))
     return tuple(result)
 
 
-def _common(rows: Iterable[tuple[Row, str]]) -> tuple[Decimal, Decimal]:
-    """Return the interval that all of them admit; least above most if there is none."""
-    ends = [_ends(row, prefix) for row, prefix in rows]
+def _common(printed: Iterable[tuple[Decimal, Decimal]]) -> tuple[Decimal, Decimal]:
+    """Return the interval that all pairs of deviation and standard error admit."""
+    ends = [admitted(*pair) for pair in printed]
     return max(least for least, _ in ends), min(most for _, most in ends)
-
-
-def _ends(row: Row, prefix: str) -> tuple[Decimal, Decimal]:
-    unit = "" if prefix else "_lsb"
-    return admitted(number_in(row, f"{prefix}std{unit}"), number_in(row, f"{prefix}sem{unit}"))
 
 
 def judged(place: str, channel: str, printed: Row, cell: Cell, source: str) -> RecomputedRow:
@@ -568,33 +555,21 @@ def judged(place: str, channel: str, printed: Row, cell: Cell, source: str) -> R
 
 def derived() -> tuple[RecomputedRow, ...]:
     """Table 2 from Table 9; the standard errors of Tables 9 and 11 from deviation and number of readings."""
-    return (*_table2(), *_table9(), *_table11())
-
-
-def _table2() -> Iterable[RecomputedRow]:
+    rows = []
     for row in table(2):
         source = next(r for r in table(9) if (r["output"], r["range"]) == (row["output"], row["range"]))
         for column in ("mean_lsb", "std_lsb"):
-            cell = numeric_cell(row, column, _same, [number_in(source, column)])
-            yield judged("Table 2", f"{row['output']} {row['range']}", row, cell, f"Table 9, {column}")
-
-
-def _table9() -> Iterable[RecomputedRow]:
+            cell = numeric_cell(row, column, lambda values: values[0], [number_in(source, column)])
+            rows.append(judged("Table 2", f"{row['output']} {row['range']}", row, cell, f"Table 9, {column}"))
     for reading in readings()[:2]:
         for row in table9_rows(reading.log):
-            yield _standard_error(reading, row, "sem_lsb", "std_lsb", f"{row['output']} {reading.log}")
-
-
-def _table11() -> Iterable[RecomputedRow]:
+            rows.append(_standard_error(reading, row, "sem_lsb", "std_lsb", f"{row['output']} {reading.log}"))
     for reading in readings()[2:]:
         for row in table(11):
-            yield _standard_error(reading, row, f"{reading.log}_sem", f"{reading.log}_std", row["channel"])
+            rows.append(_standard_error(reading, row, f"{reading.log}_sem", f"{reading.log}_std", row["channel"]))
+    return tuple(rows)
 
 
 def _standard_error(readings: ReadingCount, row: Row, column: str, deviation: str, channel: str) -> RecomputedRow:
     cell = numeric_cell(row, column, lambda values: values[0] / readings.middle.sqrt(), [number_in(row, deviation)])
     return judged(f"Table {readings.table}", channel, row, cell, f"{deviation} / sqrt({round(readings.middle)})")
-
-
-def _same(values: Sequence[Decimal]) -> Decimal:
-    return values[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from imuarray.studies.paper.thermal import pair_of, pairs, table8
+from imuarray.studies.paper.systematic import pair_of, pairs, table8
 
 
 @pytest.mark.parametrize(

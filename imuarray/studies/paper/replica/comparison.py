@@ -57,6 +57,7 @@ from imuarray.studies.paper.replica.statistic import (
     run_windows,
     slope,
     thermometer_residual,
+    with_cause,
 )
 from imuarray.studies.paper.systematic import READINGS
 from imuarray.studies.paper.tables import number_in, table
@@ -222,11 +223,6 @@ def _group(eleven: Table, group: str) -> float:
     return float(np.mean([eleven[row["channel"]]["cont_std_of_means"] for row in group_members(group)]))
 
 
-def neighbour_correlation(counts: npt.NDArray[np.int16]) -> Floats:
-    """Return (3,) autocorrelation at lag 1 (Figure 13)."""
-    return autocorrelation(counts, 1)
-
-
 def autocorrelation(counts: npt.NDArray[np.int16], lag: int) -> Floats:
     """Return (3,) autocorrelation of counts (n, 3) at one lag."""
     centred = counts - counts.mean(axis=0)
@@ -257,8 +253,8 @@ def compare_faces(ten: Table) -> Iterator[Statistic]:
         for column in ("sem_lsb", "std_lsb"):
             at = ("Table 10", channel, column)
             values = printed(10, channel, column), ten[channel][column]
-            deviation = logarithmic(at, *values, {"between experiments": noise_residual(channel)})
-            yield replace(deviation, derived=column == "sem_lsb", fitted=True)
+            parts = {"between experiments": noise_residual(channel)}
+            yield logarithmic(at, *values, parts, derived=column == "sem_lsb", fitted=True)
 
 
 def compare_accelerometers(three: Table) -> Iterator[Statistic]:
@@ -270,10 +266,10 @@ def compare_accelerometers(three: Table) -> Iterator[Statistic]:
         values = {column: (abs(float(number_in(row, column))), result[column]) for column in ("sem_lsb", _SCALE)}
         yield _drift("Table 3", channel, float(number_in(row, "drift_lsb")), result["drift_lsb"])
         sem_parts = {"between experiments": noise_residual(channel)}
-        yield _derived(logarithmic(("Table 3", channel, "sem_lsb"), *values["sem_lsb"], sem_parts), fitted=True)
+        yield logarithmic(("Table 3", channel, "sem_lsb"), *values["sem_lsb"], sem_parts, derived=True, fitted=True)
         yield _bias("Table 3", channel, float(number_in(row, "bias_lsb")), result["bias_lsb"])
         parts = {"in-run": wander / sqrt(2), "sem": sem / sqrt(2), "rounding": 0.005 / sqrt(3)}
-        yield _derived(linear(("Table 3", channel, _SCALE), *values[_SCALE], parts), fitted=True)
+        yield linear(("Table 3", channel, _SCALE), *values[_SCALE], parts, derived=True, fitted=True)
 
 
 _SCALE = "scale_lsb_per_g"
@@ -287,7 +283,7 @@ def compare_gyroscopes(four: Table) -> Iterator[Statistic]:
         for column in ("dbias_x_lsb", "dbias_y_lsb", "dbias_z_lsb"):
             parts = {"in-run": _wander(channel) * sqrt(2), "sem": printed(10, channel, "sem_lsb") * sqrt(2)}
             values = float(number_in(row, column)), result[column]
-            yield _derived(linear(("Table 4", channel, column), *values, parts), fitted=True)
+            yield linear(("Table 4", channel, column), *values, parts, derived=True, fitted=True)
         yield _drift("Table 4", channel, float(number_in(row, "drift_lsb")), result["drift_lsb"])
 
 
@@ -298,13 +294,11 @@ def _face(channel: str, face: str, simulated: float) -> Statistic:
     if axis_of(channel) == 3:
         days = thermometer_residual(channel)
         parts = {"day-to-day": days, "face repeatability": face_residual(channel) * sqrt(3)}
-        result = linear(at, published, simulated, parts)
-        return replace(result, group=f"{channel}, Table 10", shared=(days / result.uncertainty) ** 2, fitted=True)
+        return with_cause(linear(at, published, simulated, parts, fitted=True), f"{channel}, Table 10", days)
     turn_on = own(channel, lambda unit: unit.turn_on)
     parts = {"turn-on": turn_on, "in-run": _wander(channel), "sem": printed(10, channel, "sem_lsb")}
-    result = linear(at, published, simulated, parts | {"face repeatability": residual})
-    share = (turn_on / result.uncertainty) ** 2
-    return replace(result, group=f"{channel}, Table 10", shared=share, fitted=not repeated)
+    result = linear(at, published, simulated, parts | {"face repeatability": residual}, fitted=not repeated)
+    return with_cause(result, f"{channel}, Table 10", turn_on)
 
 
 def _bias(name: str, channel: str, published: float, simulated: float) -> Statistic:
@@ -312,7 +306,7 @@ def _bias(name: str, channel: str, published: float, simulated: float) -> Statis
     parts = {"turn-on": own(channel, lambda unit: unit.turn_on), "in-run": _wander(channel) / sqrt(6), "sem": sem}
     if name == "Table 4":  # the repeated face is in its mean
         parts["face repeatability"] = face_residual(channel) * sqrt(5) / 7
-    return _derived(linear((name, channel, "bias_lsb"), published, simulated, parts), fitted=True)
+    return linear((name, channel, "bias_lsb"), published, simulated, parts, derived=True, fitted=True)
 
 
 def _drift(name: str, channel: str, published: float, simulated: float) -> Statistic:
@@ -321,11 +315,7 @@ def _drift(name: str, channel: str, published: float, simulated: float) -> Stati
         "in-run": _wander(channel) * sqrt(2),
         "sem": printed(10, channel, "sem_lsb") * sqrt(2),
     }
-    return _derived(linear((name, channel, "drift_lsb"), published, simulated, parts))
-
-
-def _derived(statistic: Statistic, *, fitted: bool = False) -> Statistic:
-    return replace(statistic, derived=True, fitted=fitted)
+    return linear((name, channel, "drift_lsb"), published, simulated, parts, derived=True)
 
 
 def _wander(channel: str) -> float:
@@ -346,15 +336,18 @@ def compare_turn_on(simulated: Table) -> Iterator[Statistic]:
             yield _mean(channel, half, result[f"{half}_mean"])
             for column in (f"{half}_sem", f"{half}_std"):
                 values = printed(11, channel, column), result[column]
-                noise = logarithmic(
-                    ("Table 11", channel, column), *values, {"between experiments": noise_residual(channel)}
-                )
-                yield replace(noise, derived=column.endswith("sem"), fitted=True)
-            yield _deviation(channel, half, result[f"{half}_std_of_means"], spread)
-            yield _range(channel, half, result[f"{half}_range_of_means"], spread)
+                at, parts = ("Table 11", channel, column), {"between experiments": noise_residual(channel)}
+                yield logarithmic(at, *values, parts, derived=column.endswith("sem"), fitted=True)
+            scatter = {"between units" if axis_of(channel) == 3 else "scatter of fifteen": spread}
+            shape = {"range over deviation": sqrt(2) * RANGE_OVER_DEVIATION}
+            own_marks = {"fitted": _is_fitted(channel, half), "derived": _is_derived(channel, half)}
+            for name, parts, marks in (("std", scatter, own_marks), ("range", scatter | shape, {"derived": True})):
+                column = f"{half}_{name}_of_means"
+                values = printed(11, channel, column), result[column]
+                yield logarithmic(("Table 11", channel, column), *values, parts, **marks)
         both = {"runs": spreads["runs"], "windows": spreads["cont"]}
-        ratio = logarithmic(("Table 11", channel, "ratio"), printed(11, channel, "ratio"), result["ratio"], both)
-        yield replace(ratio, derived=True, fitted=True)
+        at, values = ("Table 11", channel, "ratio"), (printed(11, channel, "ratio"), result["ratio"])
+        yield logarithmic(at, *values, both, derived=True, fitted=True)
 
 
 def compare_in_run(simulated: Table) -> Iterator[Statistic]:
@@ -365,11 +358,9 @@ def compare_in_run(simulated: Table) -> Iterator[Statistic]:
         errors = [size * deviation_spread(member, "cont") for member, size in zip(members, sizes, strict=True)]
         spread = sqrt(sum(error**2 for error in errors)) / sum(sizes)
         column = "std_of_5min_means_lsb"
-        at = ("Table 5", row["group"], column)
-        result = logarithmic(
-            at, float(number_in(row, column)), simulated[row["group"]][column], {"scatter of fifteen": spread}
-        )
-        yield replace(result, derived=True, fitted=True)
+        values = float(number_in(row, column)), simulated[row["group"]][column]
+        parts = {"scatter of fifteen": spread}
+        yield logarithmic(("Table 5", row["group"], column), *values, parts, derived=True, fitted=True)
 
 
 def compare_runs(number: int, name: str, simulated: Table) -> Iterator[Statistic]:
@@ -421,38 +412,16 @@ def _mean(channel: str, half: str, simulated: float) -> Statistic:
     column = f"{half}_mean"
     at, published = ("Table 11", channel, column), printed(11, channel, column)
     if axis_of(channel) == 3:
-        result = linear(at, published, simulated, {"day-to-day": thermometer_residual(channel)})
-        return replace(result, fitted=True, derived=_is_derived(channel, half))
+        offset = {"day-to-day": thermometer_residual(channel)}
+        return linear(at, published, simulated, offset, fitted=True, derived=_is_derived(channel, half))
     windows = run_windows(channel) if half == "runs" else part_windows(channel)
     own_boot = 0.0 if half == "runs" else own(channel, lambda unit: unit.turn_on)
     factor = (PARTS - 1 + _RESET_RATIO) / PARTS if channel.startswith("BMA1") and half == "runs" else 1.0
     parts, share = level_parts(channel)
     days = {name: part * factor for name, part in parts.items()}
     wander = {"in-run and sem": float(sqrt(windows.sum())) / PARTS, "turn-on": own_boot}
-    result = linear(at, published, simulated, days | wander)
-    common = share * (hypot(*days.values()) / result.uncertainty) ** 2
-    return replace(result, group=f"{channel}, other days", shared=common, derived=_is_derived(channel, half))
-
-
-def _deviation(channel: str, half: str, simulated: float, spread: float) -> Statistic:
-    column = f"{half}_std_of_means"
-    values = printed(11, channel, column), simulated
-    result = logarithmic(("Table 11", channel, column), *values, _scatter(channel, spread))
-    return replace(result, fitted=_is_fitted(channel, half), derived=_is_derived(channel, half))
-
-
-def _scatter(channel: str, spread: float) -> dict[str, float]:
-    return {"between units" if axis_of(channel) == 3 else "scatter of fifteen": spread}
-
-
-def _range(channel: str, half: str, simulated: float, spread: float) -> Statistic:
-    column = f"{half}_range_of_means"
-    values = printed(11, channel, column), simulated
-    shape = sqrt(2) * RANGE_OVER_DEVIATION
-    result = logarithmic(
-        ("Table 11", channel, column), *values, _scatter(channel, spread) | {"range over deviation": shape}
-    )
-    return replace(result, derived=True)
+    result = linear(at, published, simulated, days | wander, derived=_is_derived(channel, half))
+    return with_cause(result, f"{channel}, other days", sqrt(share) * hypot(*days.values()))
 
 
 def _one_run(at: tuple[str, str, str], published: float, simulated: float, ratio: float) -> Statistic:
@@ -460,8 +429,7 @@ def _one_run(at: tuple[str, str, str], published: float, simulated: float, ratio
     if axis_of(channel) == 3:
         offset = thermometer_residual(channel)
         parts = {"day-to-day": offset, "in-run": printed(11, channel, "cont_std_of_means")}
-        result = linear(at, published, simulated, parts)
-        return replace(result, group=f"{channel}, {at[0]}", shared=(offset / result.uncertainty) ** 2, fitted=True)
+        return with_cause(linear(at, published, simulated, parts, fitted=True), f"{channel}, {at[0]}", offset)
     days = {name: part * ratio for name, part in level_parts(channel)[0].items()}
     twice = sqrt(2) * ratio
     parts = {
@@ -470,7 +438,7 @@ def _one_run(at: tuple[str, str, str], published: float, simulated: float, ratio
         "sem": twice * printed(11, channel, "runs_sem"),
     }
     result = linear(at, published, simulated, days | parts)
-    return replace(result, group=f"{channel}, other days", shared=(hypot(*days.values()) / result.uncertainty) ** 2)
+    return with_cause(result, f"{channel}, other days", hypot(*days.values()))
 
 
 DPS_AT_250 = 0.00875
@@ -506,7 +474,7 @@ def compare_slopes(simulated: Table) -> Iterator[Statistic]:
 
 def _slope(heated: _HeatingSpread, channel: str, published: float, simulated: float) -> Statistic:
     parts = _tilts(heated, channel) | {"rounding": 0.001 * _HALF_A_DIGIT}
-    return replace(linear(("Table 8", channel, "slope_lsb_per_degc"), published, simulated, parts), fitted=True)
+    return linear(("Table 8", channel, "slope_lsb_per_degc"), published, simulated, parts, fitted=True)
 
 
 def _intercept(heated: _HeatingSpread, channel: str, published: float, simulated: float) -> Statistic:
@@ -517,8 +485,7 @@ def _intercept(heated: _HeatingSpread, channel: str, published: float, simulated
         "in-run": own(channel, lambda unit: unit.in_run) * heated.level_of_wander,
     }
     result = linear(("Table 8", channel, "intercept_lsb"), published, simulated, days | own_boot)
-    common = share * (hypot(*days.values()) / result.uncertainty) ** 2
-    return replace(result, group=f"{channel}, other days", shared=common)
+    return with_cause(result, f"{channel}, other days", sqrt(share) * hypot(*days.values()))
 
 
 def _tilts(heated: _HeatingSpread, channel: str) -> dict[str, float]:
@@ -559,10 +526,10 @@ def _nine(number: int, channel: str, name: str, column: str, published: float, s
     if column != "mean_lsb":
         spread = noise_residual(channel) * sqrt(2)  # of a fourth experiment against the mean of three
         other = 0.0 if channel.endswith("t") else _between_filters()
-        result = logarithmic(at, published, simulated, {"between experiments": spread, "filters": other})
-        return replace(result, derived=column == "sem_lsb")
+        own_parts = {"between experiments": spread, "filters": other}
+        return logarithmic(at, published, simulated, own_parts, derived=column == "sem_lsb")
     if channel.endswith("t"):
-        return replace(linear(at, published, simulated, {"day-to-day": thermometer_residual(channel)}), fitted=True)
+        return linear(at, published, simulated, {"day-to-day": thermometer_residual(channel)}, fitted=True)
     boot = {
         "turn-on": own(channel, lambda unit: unit.turn_on),
         "in-run": own(channel, lambda unit: unit.in_run) * sqrt(variance_of_mean(high_rate_s(name))),
@@ -571,12 +538,11 @@ def _nine(number: int, channel: str, name: str, column: str, published: float, s
     if name == "250dps":
         coarser = unit_of("Gyro1").lsb / DPS_AT_250  # counts are that much smaller
         parts = {part: size * coarser for part, size in boot.items()}
-        return replace(linear(at, published, simulated, parts), fitted=True)
+        return linear(at, published, simulated, parts, fitted=True)
     days, share = level_parts(channel)
     warmth = {"temperature": slope(channel) * thermometer_residual("Gyro1 t")}
     result = linear(at, published, simulated, boot | days | warmth)
-    common = share * (hypot(*days.values()) / result.uncertainty) ** 2
-    return replace(result, group=f"{channel}, other days", shared=common)
+    return with_cause(result, f"{channel}, other days", sqrt(share) * hypot(*days.values()))
 
 
 def _between_filters() -> float:
@@ -593,17 +559,17 @@ def _between_filters() -> float:
 def compare_figures(observed: ExperimentData) -> Iterator[Statistic]:
     """Figures 13 and 14 (Gyro1 at 250 dps)."""
     counts = observed.high_rate["250dps"].counts
-    neighbours = neighbour_correlation(counts)
+    neighbours = autocorrelation(counts, 1)
     for i, axis in enumerate("xyz"):
         at = ("Figure 13", f"Gyro1 {axis}", "correlation of neighbours")
-        yield replace(linear(at, 0.4, float(neighbours[i]), {"around": 0.1 * _AROUND}), fitted=True)
+        yield linear(at, 0.4, float(neighbours[i]), {"around": 0.1 * _AROUND}, fitted=True)
     yield linear(("Figure 13", "Gyro1 y", "period, samples"), 6.0, float(period(counts, 1)), {"around": _AROUND})
     for i, axis in enumerate("xyz"):
         hz = line_hz(counts, i)
         yield _yes_or_no(("Figure 14", f"Gyro1 {axis}", "line near 50 Hz"), float(axis == "y"), float(not isnan(hz)))
         if axis == "y":
             at = ("Figure 14", "Gyro1 y", "line, Hz")
-            yield replace(linear(at, 50.0, 0.0 if isnan(hz) else hz, {"around": 10 * _AROUND}), fitted=True)
+            yield linear(at, 50.0, 0.0 if isnan(hz) else hz, {"around": 10 * _AROUND}, fitted=True)
 
 
 def compare_text(observed: ExperimentData, ten: Table, six: Table) -> Iterator[Statistic]:
@@ -630,15 +596,14 @@ def _reset(six: Table) -> Statistic:
     printed_others = np.mean([float(number_in(row, "z_lsb")) for row in table(6) if int(row["run"]) != fault.run])
     scatter = sqrt(2) * own("BMA1 z", lambda unit: np.hypot(unit.turn_on, unit.in_run)) / float(printed_others) * 8
     values = float(fault.reading_lsb) / float(printed_others), six[str(fault.run)]["z_lsb"] / float(others)
-    result = linear(("Table 6", "BMA1 z", f"run {fault.run} over the others"), *values, {"turn-on and in-run": scatter})
-    return replace(result, derived=True, fitted=True)
+    at = ("Table 6", "BMA1 z", f"run {fault.run} over the others")
+    return linear(at, *values, {"turn-on and in-run": scatter}, derived=True, fitted=True)
 
 
 def _share(at: tuple[str, str, str], published: float, simulated: float) -> Statistic:
     """The model has the printed share; the simulated one is a binomial number of `BOOTS`."""
-    spread = sqrt(published * (1 - published) / BOOTS)
-    return replace(linear(at, published, simulated, {"binomial": spread}), fitted=True)
+    return linear(at, published, simulated, {"binomial": sqrt(published * (1 - published) / BOOTS)}, fitted=True)
 
 
 def _yes_or_no(at: tuple[str, str, str], published: float, simulated: float) -> Statistic:
-    return replace(linear(at, published, simulated, {"yes or no": 1 / 3}), fitted=True)
+    return linear(at, published, simulated, {"yes or no": 1 / 3}, fitted=True)

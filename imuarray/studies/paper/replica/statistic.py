@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from math import copysign, inf, log, sqrt
 from typing import Any
@@ -242,16 +242,37 @@ def combined(parts: Mapping[str, float]) -> tuple[float, str]:
     return total, ", ".join(f"{name} {part:.2g}" for part, name in named if part > 0.1 * total)
 
 
-def linear(at: Place, published: float, simulated: float, parts: Mapping[str, float]) -> Statistic:
+def linear(
+    at: Place,
+    published: float,
+    simulated: float,
+    parts: Mapping[str, float],
+    *,
+    fitted: bool = False,
+    derived: bool = False,
+) -> Statistic:
     """Return a statistic compared as it is; `at` is (table, channel, statistic), `parts` of its uncertainty by
     cause.
     """
-    return Statistic(*at, published, simulated, *combined(parts))
+    return Statistic(*at, published, simulated, *combined(parts), fitted=fitted, derived=derived)
 
 
-def logarithmic(at: Place, published: float, simulated: float, parts: Mapping[str, float]) -> Statistic:
+def logarithmic(
+    at: Place,
+    published: float,
+    simulated: float,
+    parts: Mapping[str, float],
+    *,
+    fitted: bool = False,
+    derived: bool = False,
+) -> Statistic:
     """Return a standard deviation, compared by its logarithm; parts are relative."""
-    return Statistic(*at, published, simulated, *combined(parts), scale="log")
+    return replace(linear(at, published, simulated, parts, fitted=fitted, derived=derived), scale="log")
+
+
+def with_cause(statistic: Statistic, group: str, cause: float) -> Statistic:
+    """Return the statistic as one of a `group` that has a part of the uncertainty, `cause`, in common."""
+    return replace(statistic, group=group, shared=(cause / statistic.uncertainty) ** 2)
 
 
 @dataclass(frozen=True)
