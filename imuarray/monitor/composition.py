@@ -32,9 +32,15 @@ from imuarray.monitor.window import Gaps, LatestRows, MemoryLog, Rows
 from imuarray.units import INERTIAL
 
 _LAST_NS = 1_000_000_000
-"""Length of the last part of the log, whose mean is the current reading; a sensor without readings in it is silent."""
-_PATIENCE = 2.5
-"""Periods without a reading after which a slow sensor is silent."""
+"""Length of the last part of the log, whose mean is the current reading."""
+_LAST_PERIODS = 2.5
+"""Length of this part in periods of a slow sensor."""
+_HELD_PERIODS = 26.0
+_HELD_BANDWIDTHS = 30.0
+_HELD_NS = 10_500_000_000
+"""The logger writes readings once it is certain that the sensor is not frozen: after 24 readings and 30 correlation
+times, and after 10 s at the latest. Up to these times, the newest row of a slow sensor is older than that of the log.
+"""
 _LEAST_ROWS = 128
 """Least number of rows for a spectrum."""
 _BREAK = 3.0
@@ -50,8 +56,9 @@ def view_of(
     """
     time = window.time
     values, unit, columns = _values(sensor, window)
-    silent_ns = _silence(window, extent)
-    last = slice(int(np.searchsorted(time, extent[1] - _reach_ns(window))), 0 if silent_ns else len(time))
+    silent_ns = _silence(sensor, window, extent)
+    since_ns = (int(time[-1]) if len(time) else 0) - max(_LAST_NS, _LAST_PERIODS * window.usual_ns)
+    last = slice(int(np.searchsorted(time, since_ns)), 0 if silent_ns else len(time))
     use, peak = _use(sensor, window)
     degc, relative = _temperature(sensor, window, last)
     rate_hz = (len(time) - 1) / ((time[-1] - time[0] + silent_ns) * 1e-9) if len(time) > 1 else 0.0
@@ -79,16 +86,13 @@ def view_of(
     )  # fmt: skip
 
 
-def _reach_ns(window: LatestRows) -> float:
-    """Return the time before the newest row of the log in which a sensor that is not silent has a row."""
-    return max(float(_LAST_NS), _PATIENCE * window.usual_ns)
-
-
-def _silence(window: LatestRows, extent: tuple[int, int]) -> int:
+def _silence(sensor: SensorLog, window: LatestRows, extent: tuple[int, int]) -> int:
     """Return how long a sensor has been silent, in ns up to the newest row of the log; 0 if it is not silent."""
     begins_ns, ends_ns = extent
     since_ns = ends_ns - (int(window.newest[-1]) if len(window.newest) else begins_ns)
-    return since_ns if since_ns > _reach_ns(window) else 0
+    period_ns = window.usual_ns or (1e9 / sensor.rate_hz if sensor.rate_hz else 0.0)
+    held_ns = max(_HELD_PERIODS * period_ns, _HELD_BANDWIDTHS * 1e9 / sensor.bandwidth_hz if sensor.bandwidth_hz else 0)
+    return since_ns if since_ns > max(_LAST_NS, _LAST_PERIODS * period_ns, min(held_ns, _HELD_NS)) else 0
 
 
 def _missed_rows(window: LatestRows, earlier: Gaps, silent_ns: int, frame_period_ns: int) -> int:

@@ -19,12 +19,13 @@ not applicable.
 `health`          `level`, "green", "amber" or "red", its `reason`, and `advice`; null before the first row
 `disk`            `free_bytes`; `bytes_per_s` that the log takes; `left_s` until the log ends because the disk is full
 `sensors`         in the order of the log: `name`, `chip`, `quantity`, `unit`, `columns`; `rows`, `rate_hz`;
-                  `silent_s`: time without readings before the newest row of the log, null if there are readings in the
-                  last second; `delayed`; `missed`, including those since it is silent; `flags` of the last 10 s, by
-                  name; in `unit` and for each column `mean` of the last second (null: it is silent) and `sd` of the
-                  last 10 s; `use_percent` of the range in the last 10 s and `peak_use_percent` in the log so far, or
-                  null; `temperature_degc` or null, `temperature_is_relative`: only its changes are meaningful;
-                  `density_unit` of the spectra on the page. The last second and the last 10 s are those of the log
+                  `silent_s`: time without readings before the newest row of the log, null if that is within a second
+                  or within the time for which the logger holds the readings of a slow sensor; `delayed`; `missed`,
+                  including those since it is silent; `flags` of the last 10 s, by name; in `unit` and for each column
+                  `mean` of the last second (null: it is silent) and `sd` of the last 10 s; `use_percent` of the range
+                  in the last 10 s and `peak_use_percent` in the log so far, or null; `temperature_degc` or null,
+                  `temperature_is_relative`: only its changes are meaningful; `density_unit` of the spectra on the page.
+                  The last second and the last 10 s are those of the log
 `fused`           null, and `not_fused` states why; or `technique`, `calibrated` and `quantities`: "specific_force" and
                   "angular_rate", each with `unit`, `mean` of the last second and `noise` from frame to frame
 `took_ms`         duration of the refresh

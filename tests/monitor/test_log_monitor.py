@@ -15,13 +15,14 @@ import numpy as np
 import pytest
 
 import imuarray.log.writer as writing
+from imuarray.acquire import sample_buffer
 from imuarray.calibrate import Calibration
 from imuarray.fuse import FusedBlock, write_fused
 from imuarray.fuse.fused_file import LiveFused
 from imuarray.log import LogWriter, RotatingWriter
 from imuarray.log.format import Event, Phase
 from imuarray.log.writer import recover
-from imuarray.monitor import LogMonitor, SensorView, Snapshot
+from imuarray.monitor import LogMonitor, SensorView, Snapshot, composition
 from imuarray.monitor.snapshot import KEPT
 from tests.monitor.conftest import EPOCH, HEADERS, Logger, rows
 from tests.selection import some
@@ -523,6 +524,29 @@ def test_a_slow_sensor_is_not_silent_between_its_rows(log_path: Path) -> None:
     with LogMonitor(log_path, span_s=20.0) as watch:
         baro = sensor(watch.refresh(0.0), "Baro")
     assert (baro.silent_s, baro.missed, baro.mean.tolist()) == (None, 0, [1002.5])
+
+
+def test_a_barometer_whose_readings_the_logger_holds_is_not_silent(log_path: Path) -> None:
+    """The logger writes a row once it knows that the sensor is not frozen: 24 readings of 4 Hz are six seconds."""
+    seen = []
+    with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer, LogMonitor(log_path) as watch:
+        for acc_s, seconds, baro_s in ((0, 5.9, 0), (5.9, 13.8, 14), (19.7, 0.1, 0), (19.8, 1, 0), (20.8, 0.1, 0)):
+            if baro_s:
+                writer.append("Baro", rows("Baro", 0.0, baro_s, 250_000_000))
+            writer.append("Acc", rows("Acc", acc_s, seconds))
+            writer.keep()
+            seen.append(watch.refresh(acc_s))
+    begin, _, held, _, dead = seen
+    assert sensor(begin, "Baro").silent_s is None
+    assert (sensor(held, "Baro").silent_s, sensor(held, "Baro").missed) == (None, 0)
+    assert np.isfinite(sensor(held, "Baro").mean).all()
+    assert sensor(dead, "Baro").silent_s == pytest.approx(7.04, abs=0.3)
+
+
+def test_the_monitor_waits_as_long_as_the_logger_holds_readings() -> None:
+    assert composition._HELD_PERIODS > sample_buffer._FROZEN_READINGS
+    assert composition._HELD_BANDWIDTHS >= sample_buffer._FROZEN_BANDWIDTHS
+    assert composition._HELD_NS * 1e-9 > sample_buffer.HELD_S
 
 
 def test_a_sensor_without_rows_is_shown_as_such(logger: Logger, log_path: Path) -> None:
