@@ -66,10 +66,12 @@ CLOCKS: dict[str, type[VirtualClock] | type[RealClock]] = {"virtual": VirtualClo
 Switches = Mapping[str, Mapping[str, Any]]
 ERRNOS = (6, 121)
 """The errors of Linux adapters when no chip acknowledges (LNX-40, LNX-41)."""
-SETTINGS = ("clock", "world", "seed", "bit_rate", "errno", "oscillators")
+SETTINGS = ("clock", "world", "seed", "bit_rate", "errno", "oscillators", "pulse_hz")
 OSCILLATORS = ("exact", "drawn")
 OSCILLATOR_ERROR = typical(0.01)
 """By which share the oscillator of a six-axis chip is fast: its data sheets allow some percent over temperature."""
+PULSE_HZ = 10.0
+"""Frequency of the synchronisation pulses, if the URL does not say it."""
 FITTINGS = ("mechanism", "severity", "sensor", "units", "run")
 """Parameters that `firmware_emulator.mechanisms` understands."""
 BOARD = "board"
@@ -215,6 +217,7 @@ def powered_chip(board: Board, sensor: SensorLike, now_ns: int, switches: Switch
     """Return the chip of one sensor with its unit's imperfections, powered up at `now_ns`."""
     clock_hz = getattr(sensor, "external_clock_hz", None)
     wired = {} if clock_hz is None else {"clock_input_hz": clock_hz}
+    wired |= {"pulse_hz": PULSE_HZ} if getattr(sensor, "sync_pulse", False) else {}
     given = {**wired, **board.switches(sensor), **switches.get(sensor.chip, {}), **switches.get(sensor.name, {})}
     chip = board.kind(sensor)
     element = board.element(sensor)
@@ -248,26 +251,34 @@ def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
         seed=whole_number(query, "seed", 0),
         bit_rate_hz=whole_number(query, "bit_rate", 400_000),
         nack_errno=nack_errno,
-        switches=oscillator_switches(query, array),
+        switches=six_axis_switches(query, array),
         board=board_kind(query, array),
     )
 
 
-def oscillator_switches(query: Mapping[str, str], array: ArrayLike) -> Switches:
-    """Rate errors of the six-axis chips, each drawn by seed and name of its first sensor, if the query asks for them;
-    ValueError for another word.
+def six_axis_switches(query: Mapping[str, str], array: ArrayLike) -> Switches:
+    """Switches of the six-axis chips, by the name of the first sensor of each: rate errors, each drawn by seed and that
+    name, and the frequency of the pulses of chips that use them, if the query asks for these. ValueError for a value
+    that is not allowed.
     """
     asked = query.get("oscillators", OSCILLATORS[0])
     if asked not in OSCILLATORS:
         raise ValueError(f"oscillators={asked}; allowed are {', '.join(OSCILLATORS)}")
+    pulse_hz = number("pulse_hz", query.get("pulse_hz", str(PULSE_HZ)))
+    if not 0 <= pulse_hz <= 1e6:
+        raise ValueError(f"pulse_hz={pulse_hz:g}; allowed is 0 (no pulses) to 1e6")
     seed = whole_number(query, "seed", 0)
-    firsts: dict[tuple[str | int | None, int], str] = {}
-    for sensor in array.sensors if asked == "drawn" else ():
+    firsts: dict[tuple[str | int | None, int], SensorLike] = {}
+    for sensor in array.sensors:
         if sensor.chip in HALVES:
-            firsts.setdefault((sensor.bus or sensor.channel, sensor.address), sensor.name)
-    return {
-        name: {"rate_error": OSCILLATOR_ERROR.draw(stream(seed, f"oscillator of {name}"))} for name in firsts.values()
-    }
+            firsts.setdefault((sensor.bus or sensor.channel, sensor.address), sensor)
+    switches: dict[str, dict[str, float]] = {sensor.name: {} for sensor in firsts.values()}
+    for sensor in firsts.values():
+        if asked == "drawn":
+            switches[sensor.name]["rate_error"] = OSCILLATOR_ERROR.draw(stream(seed, f"oscillator of {sensor.name}"))
+        if getattr(sensor, "sync_pulse", False):
+            switches[sensor.name]["pulse_hz"] = pulse_hz
+    return switches
 
 
 def board_kind(query: Mapping[str, str], array: ArrayLike) -> BoardKind:

@@ -63,7 +63,8 @@ class SixAxis(Chip):
     reset_bit: ClassVar[Field]
     reset_ns: ClassVar[int]
 
-    def __init__(
+    # What a part is, and what it is connected to: independent of one another.
+    def __init__(  # noqa: PLR0913
         self,
         address: int,
         element: Element,
@@ -72,9 +73,14 @@ class SixAxis(Chip):
         half: str = ACCELEROMETER,
         identity: int | None = None,
         rate_error: float = 0.0,
+        pulse_hz: float = 0.0,
     ) -> None:
-        """`rate_error`: by which share the die's oscillator runs fast."""
+        """`rate_error`: by which share the die's oscillator runs fast. `pulse_hz`: frequency of the pulses on its
+        synchronisation input (0: none are connected), short ones at multiples of their period of the bus's clock, so
+        that they are the same for all chips.
+        """
         self._oscillator = 1 + rate_error
+        self._pulse_ns = round(1e9 / pulse_hz) if pulse_hz else 0
         self._elements: dict[str, Element] = {half: element}
         self._identity = self.who_am_i.reset if identity is None else identity
         super().__init__(address, self.table, element, powered_on_ns)
@@ -82,6 +88,15 @@ class SixAxis(Chip):
     def own_period_ns(self, period_ns: float) -> int:
         """Return the duration, by the die's oscillator, of a period with this nominal length."""
         return round(period_ns / self._oscillator)
+
+    def latest_pulse_ns(self, at_ns: int) -> int | None:
+        """Return the time of the last pulse at `at_ns`; None without pulses."""
+        return at_ns - at_ns % self._pulse_ns if self._pulse_ns else None
+
+    def is_marked(self, grid: SampleGrid, at_ns: int) -> bool:
+        """Return whether a pulse came since the sample before the one at `at_ns`."""
+        pulse_ns = self.latest_pulse_ns(at_ns)
+        return pulse_ns is not None and pulse_ns > at_ns - grid.period_ns
 
     def power_on(self, at_ns: int) -> None:
         """Every register at its reset value, no reset in progress."""

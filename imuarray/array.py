@@ -66,6 +66,8 @@ class SensorConfig(BaseModel):
     """Let the queue deliver counts of more bits, at the largest range."""
     external_clock_hz: FiniteFloat | None = None
     """Frequency of the clock on the chip's clock input, by which it then samples; None: by its own oscillator."""
+    sync_pulse: bool = False
+    """Mark the samples that follow a pulse on the chip's synchronisation input."""
     trigger: str | None = None
     """The trigger of each sample of a device that the kernel serves, where its driver has no trigger of its own."""
     axes: str = "+X+Y+Z"
@@ -102,6 +104,7 @@ class SensorConfig(BaseModel):
             self._check_rates,
             self._check_resolution,
             self._check_clock,
+            self._check_pulse,
             self._check_place,
         ):
             try:
@@ -217,6 +220,22 @@ class SensorConfig(BaseModel):
             spans = " or ".join("{:.8g} to {:.8g} Hz".format(*clock.allowed_hz) for clock in spec.external_clocks)
             raise ValueError(f"external_clock_hz {self.external_clock_hz:.8g}: the {self.chip} supports {spans}")
 
+    def _check_pulse(self) -> None:
+        if not self.sync_pulse:
+            return
+        spec = None if self.on_iio else CHIPS.get(self.chip)
+        if spec is None or spec.pulse_input is None:
+            chips = ", ".join(name for name, other in CHIPS.items() if other.pulse_input is not None)
+            raise ValueError(f"sync_pulse true: the {self.chip} has no such input; allowed for {chips}")
+        if not self.fifo:
+            raise ValueError("sync_pulse: only with fifo = true, a polled chip may lose the sample that has the mark")
+        if self.high_resolution:
+            raise ValueError("sync_pulse: not with high_resolution = true")
+        if spec.pulse_input.is_on_clock_pin and self.external_clock_hz is not None:
+            raise ValueError(f"sync_pulse: the {self.chip} has one pin for pulses and for external_clock_hz")
+        if self.rate_hz is not None and self.rate_hz < spec.pulse_input.least_rate_hz:
+            raise ValueError(f"sync_pulse: only with rate_hz of {spec.pulse_input.least_rate_hz:g} and more")
+
     def _check_place(self) -> None:
         if self.channel is not None and self.bus is not None:
             raise ValueError("channel and bus: a sensor is on a channel of the mux or on a bus of its own, not both")
@@ -264,6 +283,11 @@ class SensorConfig(BaseModel):
         if self.external_clock_hz is None or clock is None:
             return self.nominal_rate_hz
         return self.nominal_rate_hz * self.external_clock_hz / clock.nominal_hz
+
+    @property
+    def marks_pulses(self) -> bool:
+        """True if the sensor's samples that follow a synchronisation pulse are marked."""
+        return self.sync_pulse and self.spec.pulse_input is not None and self.spec.pulse_input.is_marked
 
     @property
     def chip_bandwidth_hz(self) -> float:
@@ -446,7 +470,7 @@ def _choice(words: Iterable[str]) -> str:
     return ", ".join(words)
 
 
-_OF_DIE = ("axes", "position_mm", "fifo", "high_resolution", "external_clock_hz", "spi_clock_hz")
+_OF_DIE = ("axes", "position_mm", "fifo", "high_resolution", "external_clock_hz", "sync_pulse", "spi_clock_hz")
 """Keys that both halves of a six-axis chip share."""
 
 

@@ -71,6 +71,28 @@ class ExternalClock:
 
 
 @dataclass(frozen=True)
+class PulseInput:
+    """Input for synchronisation pulses, which mark the next sample.
+
+    `is_marked`: the sensor's own samples are marked; otherwise those of the other half of the chip alone.
+    `resolution_s`: resolution of the time from the pulse to that sample, of a chip that measures it; 0 for one that
+    marks the sample only. `least_rate_hz`: the lowest data rate at which the chip can do so. `is_on_clock_pin`: pulses
+    and an external clock use the same pin.
+    """
+
+    resolution_s: float = 0.0
+    least_rate_hz: float = 0.0
+    is_on_clock_pin: bool = False
+    is_marked: bool = True
+
+    def error_s(self, rate_hz: float) -> float:
+        """Return the largest error of the time from a pulse to the next sample at this data rate, with an oscillator
+        that is up to one percent off: a hundredth of the period beside the resolution, or half the period.
+        """
+        return self.resolution_s / 2 + 0.01 / rate_hz if self.resolution_s else 0.505 / rate_hz
+
+
+@dataclass(frozen=True)
 class ChipSpec:
     """The settings of one chip that a configuration may name.
 
@@ -101,6 +123,8 @@ class ChipSpec:
     """None: its queue has no packets of more bits."""
     external_clocks: tuple[ExternalClock, ...] = ()
     """Empty: it has no clock input that is supported."""
+    pulse_input: PulseInput | None = None
+    """None: it has no input for synchronisation pulses."""
     thermometer: ChipThermometer | None = None
     conversions_s: tuple[float, ...] = ()
     """The conversions of one reading and the longest they take, of a chip that converts only when asked."""
@@ -141,6 +165,9 @@ _ADXL345_RATES_HZ = tuple(3200.0 / 2**octave for octave in range(16))  # exact p
 _MPU6050_RATES_HZ = tuple(1000.0 / divider for divider in (1, 2, 4, 5, 8, 10, 16, 20, 25, 40, 50, 100, 125, 200, 250))
 """1 kHz over whole numbers up to 256 (INV-11), of which these give whole or short figures."""
 
+_MPU_PULSES = PulseInput()  # INV-38
+_ICM42688_PULSES = PulseInput(1e-6, 25.0, is_on_clock_pin=True)  # TDK-24, TDK-90: 16 bits of microseconds
+
 _MPU6500_ACC = ChipSpec(
     quantity="specific_force",
     unit="g",
@@ -156,6 +183,7 @@ _MPU6500_ACC = ChipSpec(
     thermometer=THERMOMETERS["mpu6500"],
     has_fifo=True,
     fifo_has_temperature=True,
+    pulse_input=_MPU_PULSES,
     spi=SpiRules(1_000_000),  # INV-95
     proposed={"range": 4, "rate_hz": 500, "bandwidth_hz": 41},
 )
@@ -250,6 +278,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             bandwidths_hz={0.0: (184.0, 94.0, 44.0, 21.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
             default_bandwidth_hz=44.0,
             external_clocks=_MPU6050_CLOCKS,
+            pulse_input=_MPU_PULSES,
             thermometer=THERMOMETERS["mpu6050"],
             has_fifo=True,
             fifo_has_temperature=True,
@@ -268,6 +297,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             bandwidths_hz={0.0: (188.0, 98.0, 42.0, 20.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
             default_bandwidth_hz=42.0,
             external_clocks=_MPU6050_CLOCKS,
+            pulse_input=_MPU_PULSES,
             thermometer=THERMOMETERS["mpu6050"],
             has_fifo=True,
             fifo_has_temperature=True,
@@ -294,6 +324,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             fifo_has_temperature=True,
             high_resolution=HighResolution(16.0, 8192.0, 18),  # TDK-89
             external_clocks=_ICM42688_CLOCKS,
+            pulse_input=_ICM42688_PULSES,
             spi=SpiRules(24_000_000),  # TDK-70
             proposed={"range": 4, "rate_hz": 1000, "bandwidth_hz": 100},
         ),
@@ -323,6 +354,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             fifo_has_temperature=True,
             high_resolution=HighResolution(2000.0, 131.0, 19),  # TDK-89
             external_clocks=_ICM42688_CLOCKS,
+            pulse_input=_ICM42688_PULSES,
             spi=SpiRules(24_000_000),  # TDK-70
             proposed={"range": 500, "rate_hz": 1000, "bandwidth_hz": 100},
         ),
@@ -340,6 +372,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             thermometer=THERMOMETERS["lsm6dso"],
             has_fifo=True,
             fifo_has_temperature=True,
+            pulse_input=PulseInput(is_marked=False),  # LSM-49
             spi=SpiRules(10_000_000),  # LSM-70
             proposed={"range": 4, "rate_hz": 416},
         ),
@@ -364,6 +397,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             thermometer=THERMOMETERS["lsm6dso"],
             has_fifo=True,
             fifo_has_temperature=True,
+            pulse_input=PulseInput(),  # LSM-49
             spi=SpiRules(10_000_000),  # LSM-70
             proposed={"range": 500, "rate_hz": 416},
         ),

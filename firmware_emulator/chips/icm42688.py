@@ -34,7 +34,7 @@ TRIM_CODE = 120
 """Trim code of every axis by default (DEC-62): a deflection of 65 dps and of 0.52 g."""
 STALL_DPS, STALL_NS = 100.0, 1_500_000  # TDK-18, DEC-63
 
-CLOCK_INPUT = 0b10  # TDK-24
+CLOCK_INPUT, PULSE_INPUT = 0b10, 0b01  # TDK-24
 CLOCK_HZ = 32_000.0
 """Frequency of an external clock at which rates are as their codes say: TDK-25."""
 FIFO_BYTES = 2048  # TDK-80
@@ -131,7 +131,7 @@ class Icm42688Chip(SixAxis):
             for index in range(max(first, latest - most), latest + 1):
                 sampled_ns = grid.time_ns(index)
                 self._sample(sampled_ns)
-                self._enqueue(self._packet(sampled_ns), most, mode)
+                self._enqueue(self._packet(sampled_ns, self.is_marked(grid, sampled_ns)), most, mode)
         self._sample(at_ns)
 
     def _enqueue(self, packet: bytes, most: int, mode: int) -> None:
@@ -177,9 +177,21 @@ class Icm42688Chip(SixAxis):
         control = self._packet_control
         return control & 0b11 == 0b11 and bool(facts.FIFO_HIGH_RESOLUTION.of(control))
 
-    def _packet(self, at_ns: int) -> bytes:
-        """Header, triads, temperature of 8 bits, and with both triads a time stamp (TDK-81 ... TDK-83); in high
-        resolution the temperature has 16 bits, and the triads' lowest four stand last (TDK-88).
+    def _stamp_ns(self, at_ns: int) -> int:
+        """Return the time that stamps count: since the last pulse with FSYNC on (TDK-90, DEC-66), or since power-on."""
+        pulse_ns = self.latest_pulse_ns(at_ns) if self._has_pulse_input else None
+        if pulse_ns is None or not facts.TIMESTAMP_FSYNC.of(self.page[facts.TMST_CONFIG.address]):
+            return at_ns - self.powered_on_ns
+        return at_ns - pulse_ns
+
+    @property
+    def _has_pulse_input(self) -> bool:
+        return facts.PIN_9.of(self.banks[1][facts.INTF_CONFIG5.address]) == PULSE_INPUT
+
+    def _packet(self, at_ns: int, is_marked: bool) -> bytes:
+        """Header, triads, temperature of 8 bits, and with both triads a time stamp (TDK-81 ... TDK-83), which is that
+        since a pulse in the first packet after it (TDK-90); in high resolution the temperature has 16 bits, and the
+        triads' lowest four stand last (TDK-88).
         """
         control, page = self._packet_control, self.page
         header, data = 0, b""
@@ -194,8 +206,10 @@ class Icm42688Chip(SixAxis):
         if header == 0x60:
             timestamps = page[facts.TMST_CONFIG.address]
             header |= 0x08 if facts.TIMESTAMP_ON.of(timestamps) and facts.FIFO_TIMESTAMP.of(control) else 0
+            is_after_pulse = is_marked and facts.TIMESTAMP_FSYNC.of(timestamps) and self._has_pulse_input
+            header |= 0x04 if header & 0x08 and is_after_pulse else 0
             unit_ns = 16_000 if facts.TIMESTAMP_16_US.of(timestamps) else 1_000
-            stamp = int((at_ns - self.powered_on_ns) * self._speed / unit_ns) & 0xFFFF
+            stamp = int(self._stamp_ns(at_ns) * self._speed / unit_ns) & 0xFFFF
             data += stamp.to_bytes(2, "big" if big else "little") if header & 0x08 else b"\x00\x00"
         if self._is_fine:
             header |= 0x10

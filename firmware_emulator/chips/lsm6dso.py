@@ -44,6 +44,7 @@ FREQ_FINE_STEP = 0.0015  # LSM-47
 SLOTS_PER_TIMESTAMP = (0, 1, 8, 32)  # LSM-48
 TEMPERATURE_RATES_HZ = (0.0, 1.6, 12.5, 52.0)  # LSM-42
 CONTINUOUS = 0b110  # LSM-43
+LATCHED = 0b011  # LSM-49
 _TIMESTAMP = range(facts.TIMESTAMP0.address, facts.TIMESTAMP3.address + 1)
 FIFO_OUT = range(facts.FIFO_DATA_OUT_TAG.address, facts.FIFO_DATA_OUT_Z_H.address + 1)
 
@@ -194,7 +195,19 @@ class Lsm6dsoChip(SixAxis):
             bandwidth_hz = min(GYRO_BANDWIDTHS_HZ.items(), key=lambda known: abs(known[0] - rate_hz))[1]
             felt = self.felt(GYROSCOPE, at_ns, full_scale, bandwidth_hz)
             push = {0b01: PUSH_DPS, 0b11: -PUSH_DPS}.get(facts.GYRO_SELF_TEST.of(test), 0.0)
-        self._put(half.first.address, self._codes(felt, push, step))
+        codes = self._codes(felt, push, step)
+        self._put(half.first.address, self._marked(codes, half, at_ns) if name == GYROSCOPE else codes)
+
+    def _marked(self, codes: list[int], half: _Half, at_ns: int) -> list[int]:
+        """Return the gyroscope's codes, the lowest bit of chosen axes being that of the first sample after a pulse
+        (LSM-49). A pulse is high: if the active level is low, the input is active all the time (DEC-75).
+        """
+        control = self.page[facts.CTRL9_XL.address]
+        if facts.EDGE_MODE.of(self.page[facts.CTRL6_C.address]) != LATCHED or facts.MARK_ACCEL.of(control):
+            return codes
+        mark = int(self.is_marked(half.grid, at_ns) or not facts.PULSE_ACTIVE_HIGH.of(control))
+        axes = (facts.MARK_X, facts.MARK_Y, facts.MARK_Z)
+        return [code & ~1 | mark if axis.of(control) else code for code, axis in zip(codes, axes, strict=True)]
 
     def _codes(self, felt: Triple, push: float, step: float) -> list[int]:
         return [clipped(round((value + push) * 1000.0 / step)) for value in felt]

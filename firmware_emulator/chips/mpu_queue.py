@@ -99,6 +99,9 @@ DATA = range(0x3B, 0x49)  # INV-20, INV-75
 INT_PIN_CFG, BYPASS, MASTER = 0x37, 0x02, 0x20  # INV-97
 FIFO_EN, INT_STATUS, USER_CTRL, COUNT_HIGH, COUNT_LOW, FIFO = 0x23, 0x3A, 0x6A, 0x72, 0x73, 0x74
 OVERFLOW, DATA_READY = 0x10, 0x01
+CONFIG = facts.CONFIG.address
+PULSE_MARKS = (None, 0x42, 0x44, 0x46, 0x48, 0x3C, 0x3E, 0x40)
+"""The byte whose lowest bit marks the first sample after a pulse, by EXT_SYNC_SET (INV-38)."""
 ON, RESET = 0x40, 0x04
 MASTER_CONTROL, MASTER_STATUS = facts.I2C_MST_CTRL.address, facts.I2C_MST_STATUS.address
 MOST_TRANSFERS = 64
@@ -167,7 +170,10 @@ class MpuFamily(SixAxis):
         self._queued = latest
 
     def _sample(self, index: int) -> None:
-        self._convert(self._grid.time_ns(index))
+        at_ns = self._grid.time_ns(index)
+        self._convert(at_ns)
+        if (place := PULSE_MARKS[facts.EXT_SYNC.of(self.page[CONFIG])]) is not None:
+            self.page[place] = self.page[place] & 0xFE | self.is_marked(self._grid, at_ns)
         if self.page[USER_CTRL] & MASTER:
             self.auxiliary.transfer(self.page, index, self._grid.time_ns(index))
         self._grid.index = index

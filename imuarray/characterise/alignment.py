@@ -1,5 +1,5 @@
-"""Alignment of an array's sensors in time: the rates of their rows, the distances of their rows in time, and delays of
-gyroscopes, in addition to their known filter delays, that are visible in motion.
+"""Alignment of an array's sensors in time: the rates of their rows, the distances of their rows in time, delays of
+gyroscopes, in addition to their known filter delays, that are visible in motion, and times of synchronisation pulses.
 
 Rows are compared with those of a reference, the first inertial sensor of the log. A delay d of a gyroscope is estimated
 in the `WINDOW_S` with the most motion: its rate is a sum of the reference's rates, a bias, and -d times the derivative
@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imuarray.arrays import Floats, Integers
+from imuarray.characterise.pulses import PulseOffset, pulse_offsets
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, STALE, SUSPECT
 from imuarray.robust import MEDIAN_ABSOLUTE
@@ -46,7 +47,8 @@ class SensorAlignment:
     `row_apart_s` is the time in which the sensor gains or loses a row; None if the rates are equal. `delay_s`, with its
     standard error, is the delay of the sensor's response to a rotation; None if no motion determines it, and for
     sensors other than gyroscopes. `time_uncertainty_s` is the median of the largest errors of the sensor's times as
-    stated in the log; None if not stated.
+    stated in the log; None if not stated. `pulse_offset_s`, with its error, is the mean time by which the sensor has
+    the `pulses` synchronisation pulses later that it has in common with the sensor `pulses_from`; None without pulses.
     """
 
     name: str
@@ -58,17 +60,22 @@ class SensorAlignment:
     delay_s: float | None = None
     delay_error_s: float | None = None
     time_uncertainty_s: float | None = None
+    pulses: int = 0
+    pulse_offset_s: float | None = None
+    pulse_error_s: float | None = None
 
 
 @dataclass(frozen=True)
 class Alignment:
     """Alignment of all inertial sensors of a log with `reference`; delays are those of the rotation from
-    `motion_from_s` on (None: no motion determines them), relative to the gyroscope `delays_from`.
+    `motion_from_s` on (None: no motion determines them), relative to the gyroscope `delays_from`, and times of pulses
+    relative to the sensor `pulses_from`.
     """
 
     reference: str
     sensors: tuple[SensorAlignment, ...]
     delays_from: str = ""
+    pulses_from: str = ""
     motion_from_s: float | None = None
 
     @property
@@ -76,7 +83,7 @@ class Alignment:
         """True if all rows have the times of the reference and no delay is known: there is nothing to report."""
         return all(
             sensor.offset_s == sensor.spread_s == 0.0
-            and sensor.row_apart_s is sensor.delay_s is sensor.time_uncertainty_s is None
+            and sensor.row_apart_s is sensor.delay_s is sensor.time_uncertainty_s is sensor.pulse_offset_s is None
             for sensor in self.sensors
         )
 
@@ -93,9 +100,21 @@ def find_alignment(log: Log) -> Alignment | None:
     start_ns = _motion_from_ns(gyroscopes[0]) if len(gyroscopes) > 1 else None
     delays = {} if start_ns is None else _delays(gyroscopes, start_ns)
     rows = tuple(_against(reference, sensor, delays.get(sensor.name)) for sensor in chosen)
-    if not delays or start_ns is None:
-        return Alignment(reference.name, rows)
-    return Alignment(reference.name, rows, gyroscopes[0].name, start_ns * 1e-9)
+    pulses = pulse_offsets(chosen, [row.rate_hz for row in rows])
+    rows = tuple(_with_pulses(row, pulses.get(row.name)) for row in rows)
+    return Alignment(
+        reference.name,
+        rows,
+        delays_from=gyroscopes[0].name if delays else "",
+        pulses_from=next(iter(pulses), ""),
+        motion_from_s=start_ns * 1e-9 if delays and start_ns is not None else None,
+    )
+
+
+def _with_pulses(row: SensorAlignment, pulses: PulseOffset | None) -> SensorAlignment:
+    if pulses is None:
+        return row
+    return replace(row, pulses=pulses.pulses, pulse_offset_s=pulses.offset_s, pulse_error_s=pulses.error_s)
 
 
 def _rate_hz(sensor: SensorLog) -> float:

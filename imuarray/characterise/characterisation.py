@@ -37,7 +37,8 @@ _ALIGNMENT_NOTES = (
     " of the reference to the nearest row of the sensor, which varies if chips sample by their own clocks. gains or"
     " loses a row: the time in which it gets one row ahead or behind. time known: largest error of the times of a"
     " drained queue, as stated in the log (median). delay: delay of a gyroscope's response to the rotation in addition"
-    " to its known filter delay, with its 95 % interval."
+    " to its known filter delay, with its 95 % interval. pulses: later by is the mean error of the sensor's times"
+    " against those of the first, with its 95 % interval."
 )
 _NOTES = (
     "error of the mean: its standard error, including correlation. repeat: rows without a new reading, flagged as "
@@ -86,6 +87,22 @@ def _alignment(alignment: Mapping[str, Any]) -> Iterator[str]:
             f"{_micro(sensor['offset_s']):>9} {_micro(sensor['spread_s']):>9} {apart:>15} "
             f"{_micro(sensor['time_uncertainty_s']):>11} {delay:>16}"
         )
+    if alignment["pulses_from"]:
+        yield ""
+        yield from _pulses(alignment)
+
+
+def _pulses(alignment: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the table of the times of synchronisation pulses, one line per sensor that has them."""
+    yield from _wrapped(f"synchronisation pulses, relative to {alignment['pulses_from']}")
+    yield f"{'sensor':12} {'pulses':>10} {'later by us':>20}"
+    for sensor in alignment["sensors"]:
+        if sensor["pulse_offset_s"] is not None:
+            offset = f"{1e6 * sensor['pulse_offset_s']:.1f}"
+            if sensor["name"] != alignment["pulses_from"]:
+                offset += f" +-{1e6 * sensor['pulse_error_s']:.1f}"
+            yield f"{_cut(sensor['name'], 12):12} {sensor['pulses']:>10} {offset:>20}"
+    yield ""
 
 
 def _seconds(seconds: float) -> str:

@@ -20,8 +20,8 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
+from imuarray.drivers import icm42688_packets as packet_format
 from imuarray.drivers.driver import Bytes, DecodedBursts, Limits, SelfTest, compared
-from imuarray.drivers.icm42688_packets import ROW_BYTES
 from imuarray.drivers.six_axis import INVENSENSE, QueuedHalf, SixAxisHalf, factory_change, upward
 from imuarray.drivers.six_axis_queue import DieQueue, Icm42688Queue
 from imuarray.facts import icm42688 as facts
@@ -35,9 +35,10 @@ _SECOND_ORDER = 0b01  # of both filters, as after power-on: TDK-16
 _I2C_OFF = 0b11  # else noise on the lines may pass for I2C: TDK-71
 _ADAPTIVE_RANGE_OFF = 0b01  # otherwise the gyroscope stalls near 100 dps: TDK-18
 _ANTI_ALIAS = (13, 170, 8)  # 585 Hz, of both: TDK-17
-_CLOCK_INPUT = 0b10  # TDK-24
+_CLOCK_INPUT, _PULSE_INPUT = 0b10, 0b01  # TDK-24
 _STREAM = 0b01  # TDK-80
 _INVALID = -32768  # TDK-13
+_STAMPS_PER_S = 1e6  # TDK-83, TDK-90
 _SELF_TEST_SETTLE_S = 0.2  # TDK-42
 
 
@@ -85,6 +86,7 @@ class _Half(SixAxisHalf):
             facts.GYRO_CONFIG_STATIC4[7:0](low),
             facts.GYRO_CONFIG_STATIC5[7:0]((facts.GYRO_ANTI_ALIAS_SHIFT(shift)).value | high),
             *((facts.PIN_9(_CLOCK_INPUT),) if has_clock else ()),
+            *((facts.PIN_9(_PULSE_INPUT),) if sensor.sync_pulse else ()),
             facts.ACCEL_CONFIG_STATIC2[7:0](facts.ACCEL_ANTI_ALIAS_DELTA(delta).value),
             facts.ACCEL_CONFIG_STATIC3[7:0](low),
             facts.ACCEL_CONFIG_STATIC4[7:0]((facts.ACCEL_ANTI_ALIAS_SHIFT(shift)).value | high),
@@ -222,16 +224,21 @@ class _QueuedHalf(QueuedHalf, _Half):
     burst: ClassVar[int] = 16
 
     def _new_queue(self) -> DieQueue:
-        return Icm42688Queue(self.registers, self.clock, (self.rate_hz, self.nominal_rate_hz))
+        rates_hz = self.rate_hz, self.nominal_rate_hz
+        return Icm42688Queue(self.registers, self.clock, rates_hz, has_pulses=self.has_pulses)
 
     def _queue_settings(self) -> tuple[Setting, ...]:
-        """Packets of the halves that are read, the oldest lost first (TDK-80), stamped in microseconds (TDK-83)."""
-        halves = self.die_queue.halves
+        """Packets of the halves that are read, the oldest lost first (TDK-80), stamped in microseconds (TDK-83).
+
+        Only packets of both halves have a stamp, and so room for the time since a pulse (TDK-90).
+        """
+        halves = packet_format.HALVES if self.has_pulses else self.die_queue.halves
         both = len(halves) > 1
+        stamps = facts.TMST_CONFIG_KEPT(1) | facts.TIMESTAMP_FSYNC(int(self.has_pulses)) | facts.TIMESTAMP_ON(1)
         packets = facts.FIFO_ACCEL(int("acc" in halves)) | facts.FIFO_GYRO(int("gyro" in halves))
         packets |= facts.FIFO_TEMPERATURE(1) | facts.FIFO_TIMESTAMP(int(both))
         return (
-            facts.TMST_CONFIG[7:0]((facts.TMST_CONFIG_KEPT(1) | facts.TIMESTAMP_ON(1)).value),
+            facts.TMST_CONFIG[7:0](stamps.value),
             facts.FIFO_CONFIG1[7:0](packets.value),
             facts.FIFO_CONFIG[7:0](facts.FIFO_MODE(_STREAM).value),
         )
@@ -241,7 +248,11 @@ class _QueuedHalf(QueuedHalf, _Half):
         counts = np.ascontiguousarray(bursts[:, self.reading]).view(">i2").astype(np.int16)
         coarse = np.ascontiguousarray(bursts[:, 13]).view(np.int8).astype(np.int16)
         temperature = np.where(coarse == -128, _INVALID, coarse * 64).astype(np.int16)  # TDK-82
-        return DecodedBursts(counts, temperature, _status(counts))
+        decoded = DecodedBursts(counts, temperature, _status(counts))
+        if not self.has_pulses:
+            return decoded
+        stamps = np.ascontiguousarray(bursts[:, 14:16]).view(">u2")[:, 0]
+        return self.with_marks(decoded, packet_format.are_after_pulse(bursts[:, 0]), (stamps + 0.5) / _STAMPS_PER_S)
 
 
 class Icm42688AccelerometerFifo(_QueuedHalf, Icm42688Accelerometer):
@@ -261,7 +272,7 @@ class Icm42688GyroscopeFifo(_QueuedHalf, Icm42688Gyroscope):
 class _HighResolutionHalf(_QueuedHalf):
     """One half read by the queue in packets of 20 bytes, which hold the largest range whatever is set (TDK-89)."""
 
-    burst: ClassVar[int] = ROW_BYTES
+    burst: ClassVar[int] = packet_format.ROW_BYTES
     reading: ClassVar[slice] = slice(0, 12)
     bits: ClassVar[int]
 

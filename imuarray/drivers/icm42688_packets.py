@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping
 from types import MappingProxyType
 
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.drivers.driver import Bytes
 
@@ -23,7 +24,7 @@ first.
 """
 HALVES: Mapping[str, int] = MappingProxyType({"acc": 0x40, "gyro": 0x20})
 """Bit of the header that says that the triad of this half is in the packet."""
-_EMPTY, _MORE_BITS = 0x80, 0x10
+_EMPTY, _MORE_BITS, _PULSE = 0x80, 0x10, 0x0C
 _FIRST: Mapping[str, int] = MappingProxyType({"acc": 1, "gyro": 7})
 _EXTENSION = slice(17, 20)
 _ZERO_BITS: Mapping[str, int] = MappingProxyType({"acc": 2, "gyro": 1})
@@ -37,6 +38,11 @@ def header_of(halves: Collection[str], *, high_resolution: bool = False) -> int:
 def is_empty(header: int) -> bool:
     """True for the header that says that the queue is empty."""
     return bool(header & _EMPTY)
+
+
+def are_after_pulse(headers: Bytes) -> npt.NDArray[np.bool_]:
+    """Return (n,) which packets with these headers (n,) are the first after a synchronisation pulse (TDK-90)."""
+    return np.asarray((headers & _PULSE) == _PULSE, np.bool_)
 
 
 def packet_size(header: int) -> int:

@@ -30,6 +30,8 @@ _SELF_TEST_SETTLE_S = 0.1  # LSM-20
 _QUEUE_ON = facts.FIFO_CTRL4[7:0](
     (facts.FIFO_MODE(0b110) | facts.TEMPERATURE_BATCH_RATE(0b11)).value  # the oldest is lost; 52 temperatures a second
 )
+_LATCHED = 0b011  # the first sample after a pulse is marked: LSM-49
+_MARKS = facts.CTRL9_XL[7:0]((facts.MARK_Z(1) | facts.PULSE_ACTIVE_HIGH(1)).value)  # of the gyroscope
 _RELATIVES: Mapping[int, str] = MappingProxyType(
     {
         0x69: "an LSM6DS3",
@@ -69,9 +71,10 @@ class _Half(SixAxisHalf):
             facts.CTRL3_C[7:0]((facts.BLOCK_UPDATE(1) | facts.AUTO_INCREMENT(1)).value),
             facts.CTRL4_C[7:0](facts.I2C_OFF(int(self.on_spi)).value),  # LSM-71
             facts.CTRL5_C[7:0](0),
-            facts.CTRL6_C[7:0](0),
+            facts.CTRL6_C[7:0](facts.EDGE_MODE(_LATCHED if sensor.sync_pulse else 0).value),
             facts.CTRL7_G[7:0](0),
             facts.CTRL8_XL[7:0](0),
+            *((_MARKS,) if sensor.sync_pulse else ()),
             self._range_and_rate(full_scale, _RATE_CODES[self.rate_hz]),
         )
         self.watched = self.settings
@@ -146,10 +149,15 @@ class _QueuedHalf(QueuedHalf, _Half):
         return facts.FIFO_CTRL3[7:0](batches.value), _QUEUE_ON
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 16 bits, low byte first."""
+        """Counts of 16 bits, low byte first; with pulses the lowest bit of the gyroscope's z is the mark (LSM-49)."""
         counts = np.ascontiguousarray(bursts[:, 1:7]).view("<i2").astype(np.int16)
         temperature = np.ascontiguousarray(bursts[:, 7:9]).view("<i2")[:, 0].astype(np.int16)
-        return DecodedBursts(counts, temperature, saturated(counts, -32768, 32767))
+        decoded = DecodedBursts(counts, temperature, saturated(counts, -32768, 32767))
+        if not self.marks_pulses:
+            return decoded
+        marks = (counts[:, 2] & 1) == 1
+        counts[:, 2] &= ~np.int16(1)
+        return self.with_marks(decoded, marks)
 
 
 class Lsm6dsoAccelerometerFifo(_QueuedHalf, Lsm6dsoAccelerometer):

@@ -15,7 +15,7 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import SelfTest, compared
+from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, compared
 from imuarray.drivers.six_axis import INVENSENSE, QueuedHalf, SixAxisHalf
 from imuarray.drivers.six_axis_queue import EVERYTHING, DieQueue, MpuQueue
 from imuarray.facts import mpu6050 as facts
@@ -26,6 +26,7 @@ _X_GYRO_CLOCK = 1  # steadier than the internal oscillator: INV-25
 _EXTERNAL_CLOCKS = (4, 5)  # 32.768 kHz and 19.2 MHz: INV-37
 _BASE_RATE_HZ = 1000.0  # with the low-pass filter on: INV-11
 _FIFO_BYTES = 1024  # INV-27
+_IN_TEMPERATURE = 1  # its lowest bit marks a sample: INV-38
 _SELF_TEST_SETTLE_S = 0.2  # the filter's
 _SELF_TEST_SHARE = 0.14  # INV-45
 _ACCEL_SELF_TEST_RANGE = 0b10  # 8 g: INV-46
@@ -49,12 +50,13 @@ class _Half(SixAxisHalf):
         filter_code = 1 + sensor.spec.allowed_bandwidths_hz(nominal_rate_hz).index(sensor.chip_bandwidth_hz)
         external_hz = sensor.external_clock_hz
         source = _X_GYRO_CLOCK if external_hz is None else _EXTERNAL_CLOCKS[external_hz > 1e6]
+        marked = _IN_TEMPERATURE if sensor.sync_pulse else 0
         self.power = facts.PWR_MGMT_1[7:0](facts.CLOCK(source).value)
         self.range_setting = self.full_scale(ranges.index(sensor.range or ranges[0])) | self.deflected(0)
         self.settings = (
             facts.PWR_MGMT_2[7:0](0),
             facts.SMPLRT_DIV[7:0](round(_BASE_RATE_HZ / nominal_rate_hz) - 1),
-            facts.CONFIG[7:0](facts.DLPF(filter_code).value),
+            facts.CONFIG[7:0]((facts.DLPF(filter_code) | facts.EXT_SYNC(marked)).value),
             self.range_setting,
             facts.USER_CTRL[7:0](0),
         )
@@ -150,6 +152,10 @@ class _QueuedHalf(QueuedHalf, _Half):
     def _queue_settings(self) -> tuple[Setting, ...]:
         """Return the settings of a queue that holds everything (INV-27)."""
         return facts.USER_CTRL[7:0](facts.FIFO_ON(1).value), facts.FIFO_EN[7:0](EVERYTHING)
+
+    def decode(self, bursts: Bytes) -> DecodedBursts:
+        """Counts of 16 bits, and the marks of synchronisation pulses."""
+        return self.decode_marked_temperature(super().decode(bursts))
 
 
 class Mpu6050AccelerometerFifo(_QueuedHalf, Mpu6050Accelerometer):

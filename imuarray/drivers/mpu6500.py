@@ -17,7 +17,7 @@ import numpy as np
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Limits, SelfTest, compared
+from imuarray.drivers.driver import Bytes, DecodedBursts, Limits, SelfTest, compared
 from imuarray.drivers.six_axis import INVENSENSE, QueuedHalf, SixAxisHalf, factory_change, upward
 from imuarray.drivers.six_axis_queue import EVERYTHING, DieQueue, MpuQueue
 from imuarray.facts import mpu6500 as facts
@@ -27,6 +27,7 @@ _WAKE_S = 0.1  # the kernel's driver waits as long for the outputs to settle: IN
 _BEST_CLOCK = 1  # of a gyroscope once it runs: INV-71
 _BASE_RATE_HZ = 1000.0  # with the low-pass filter on: INV-72
 _FIFO_BYTES = 512  # INV-98
+_IN_TEMPERATURE = 1  # its lowest bit marks a sample: INV-38
 _SELF_TEST_SETTLE_S = 0.2  # the filter's
 
 
@@ -48,13 +49,14 @@ class _Half(SixAxisHalf):
         super().__init__(bus, sensor, clock)
         ranges = tuple(sensor.spec.sensitivity)
         filter_code = 1 + sensor.spec.allowed_bandwidths_hz(self.rate_hz).index(sensor.chip_bandwidth_hz)
+        marked = _IN_TEMPERATURE if sensor.sync_pulse else 0
         self.power = facts.PWR_MGMT_1[7:0](facts.CLOCK(_BEST_CLOCK).value)
         self.range_setting = self.full_scale(ranges.index(sensor.range or ranges[0])) | self.deflected(0)
         interface = facts.USER_CTRL[7:0](facts.I2C_OFF(int(self.on_spi)).value)  # INV-96
         self.settings = (
             facts.PWR_MGMT_2[7:0](0),
             facts.SMPLRT_DIV[7:0](round(_BASE_RATE_HZ / self.rate_hz) - 1),
-            facts.CONFIG[7:0](facts.DLPF(filter_code).value),
+            facts.CONFIG[7:0]((facts.DLPF(filter_code) | facts.EXT_SYNC(marked)).value),
             facts.ACCEL_CONFIG_2[7:0](facts.ACCEL_DLPF(filter_code).value),
             facts.GYRO_UNFILTERED(0),  # the divider has no effect otherwise: INV-72
             self.range_setting,
@@ -123,6 +125,10 @@ class _QueuedHalf(QueuedHalf, _Half):
         """Return the settings of a queue that holds everything (INV-98)."""
         control = facts.USER_CTRL[7:0]((facts.FIFO_ON(1) | facts.I2C_OFF(int(self.on_spi))).value)
         return control, facts.FIFO_EN[7:0](EVERYTHING)
+
+    def decode(self, bursts: Bytes) -> DecodedBursts:
+        """Counts of 16 bits, and the marks of synchronisation pulses."""
+        return self.decode_marked_temperature(super().decode(bursts))
 
 
 class Mpu6500AccelerometerFifo(_QueuedHalf, Mpu6500Accelerometer):

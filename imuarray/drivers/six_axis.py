@@ -16,12 +16,13 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.array import SensorConfig
-from imuarray.arrays import Floats
+from imuarray.arrays import Booleans, Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
 from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, saturated
 from imuarray.drivers.six_axis_queue import DieQueue
 from imuarray.facts.registers import Register, Setting
+from imuarray.log.format import SYNC_PULSE
 
 SELF_TEST_SAMPLES = 32
 INVENSENSE: Mapping[int, str] = MappingProxyType(
@@ -133,6 +134,7 @@ class QueuedHalf(SixAxisHalf):
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
+        self.has_pulses, self.marks_pulses = sensor.sync_pulse, sensor.marks_pulses
         self._own = self.settings, self.watched
         self._use(self._new_queue())
 
@@ -168,3 +170,19 @@ class QueuedHalf(SixAxisHalf):
     def fetch(self) -> bytes:
         """Return every row of this half that waits, oldest first."""
         return self.die_queue.fetch(self.queue)
+
+    def with_marks(
+        self, decoded: DecodedBursts, marks: Booleans, ages_s: float | Floats | None = None
+    ) -> DecodedBursts:
+        """Return `decoded` with the time from the pulse to each of the rows that `marks` (n,) selects: `ages_s`, or
+        half a period where the chip does not measure it.
+        """
+        ages_s = 0.5 / self.rate_hz if ages_s is None else ages_s
+        return decoded._replace(compensated={SYNC_PULSE: np.where(marks, ages_s, np.nan)})
+
+    def decode_marked_temperature(self, decoded: DecodedBursts) -> DecodedBursts:
+        """Return `decoded` with the marks of the chips that have them in the lowest bit of the temperature (INV-38)."""
+        words = decoded.temperature_counts
+        if not self.has_pulses or words is None:
+            return decoded
+        return self.with_marks(decoded._replace(temperature_counts=words & ~np.int16(1)), (words & 1) == 1)

@@ -276,14 +276,22 @@ class Icm42688Queue(DieQueue):
     survives_overrun: ClassVar[bool] = True
 
     def __init__(
-        self, registers: Registers, clock: Clock, rates_hz: tuple[float, float], *, high_resolution: bool = False
+        self,
+        registers: Registers,
+        clock: Clock,
+        rates_hz: tuple[float, float],
+        *,
+        high_resolution: bool = False,
+        has_pulses: bool = False,
     ) -> None:
         """`rates_hz`: the data rate, and the one that the registers name. Stamps count by the clock of the samples: a
-        period has as many of their microseconds whatever the clock's frequency is (DEC-65).
+        period has as many of their microseconds whatever the clock's frequency is (DEC-65). With `has_pulses` packets
+        have both halves, whichever are read, and stamps may count from the last synchronisation pulse (DEC-66): they do
+        not show missing samples.
         """
         rate_hz, nominal_rate_hz = rates_hz
         super().__init__(registers, clock, rate_hz)
-        self.high_resolution = high_resolution
+        self.high_resolution, self.has_pulses = high_resolution, has_pulses
         self._stamp: int | None = None
         self._full = False
         self.ran_over = False
@@ -292,7 +300,7 @@ class Icm42688Queue(DieQueue):
 
     @property
     def _has_stamp(self) -> bool:
-        return self.size != packet_format.ONE_TRIAD
+        return self.size != packet_format.ONE_TRIAD and not self.has_pulses
 
     @property
     def size(self) -> int:
@@ -387,14 +395,14 @@ class Icm42688Queue(DieQueue):
         """Return the rows of one half."""
         if self.high_resolution:
             return packet_format.high_resolution_rows(packets, half)
-        return packets if len(self._readers) > 1 else packet_format.widened(packets, half)
+        return packet_format.widened(packets, half) if self.size == packet_format.ONE_TRIAD else packets
 
     @property
     def _header(self) -> int:
         """Bits 7:4 of a header: not empty, accelerometer, gyroscope, 16 bits (TDK-81)."""
         if self.high_resolution:
             return packet_format.header_of(packet_format.HALVES, high_resolution=True)
-        return packet_format.header_of(self.halves)
+        return packet_format.header_of(packet_format.HALVES if self.has_pulses else self.halves)
 
     def _are_missing(self, stamps: int, periods: int) -> bool:
         """True if a difference of time stamps, known to 16 bits, is not so many periods."""

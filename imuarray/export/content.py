@@ -25,7 +25,7 @@ from imuarray.export.tables import Content, ExportTable, TableColumn
 from imuarray.fuse.element_temperature import element_temperatures
 from imuarray.fuse.fused_file import is_fused
 from imuarray.log import Log, SensorLog, open_log
-from imuarray.log.format import FORMAT, FORMAT_VERSION, TIME_UNCERTAINTY, SensorHeader
+from imuarray.log.format import FORMAT, FORMAT_VERSION, SINGLE_PRECISION, SensorHeader
 from imuarray.log.layout import COMPENSATED_UNITS, TRACK_UNITS
 from imuarray.log.sensor_log import recorded_header
 from imuarray.units import SI_NAME, SI_PER_UNIT
@@ -52,12 +52,12 @@ def physical_columns(
 
 def compensated_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
     """Return the columns with physical units of their own that the log has: compensated values of a barometer, delays
-    of arrival, and the uncertainty of times.
+    of arrival, the uncertainty of times, and the times since synchronisation pulses.
     """
     columns = []
     for name, unit in COMPENSATED_UNITS.items():
         with suppress(LogError):
-            kind = "<f4" if name == TIME_UNCERTAINTY else "<f8"
+            kind = "<f4" if name in SINGLE_PRECISION else "<f8"
             columns.append(TableColumn(name, kind, unit, (), _numbers(sensor.compensated(name), kind)))
     return tuple(columns)
 

@@ -1,7 +1,7 @@
 """LSM6DSO six-axis sensor: STMicroelectronics DS12140 Rev 2.
 
-Facts LSM-01 ... LSM-48. Registers of interrupts and of the embedded functions are left out; on the queue's watermark
-nothing depends without interrupts.
+Facts LSM-01 ... LSM-49. Registers of interrupts and of the embedded functions are left out; on the queue's
+watermark nothing depends without interrupts.
 """
 
 from imuarray.facts.registers import Register
@@ -21,6 +21,7 @@ CTRL5_C = Register(0x14, reserved=0x10)
 CTRL6_C = Register(0x15)
 CTRL7_G = Register(0x16, reserved=0x08)
 CTRL8_XL = Register(0x17)
+CTRL9_XL = Register(0x18, reset=0xE0, reserved=0x01)
 CTRL10_C = Register(0x19, reserved=0xDF)
 STATUS_REG = Register(0x1E, "r", reserved=0xF8)
 OUT_TEMP_L = Register(0x20, "r")
@@ -96,6 +97,13 @@ ACCEL_FAST_SETTLING = CTRL8_XL[3]
 ACCEL_HIGH_PASS_ON = CTRL8_XL[2]
 ACCEL_RANGE_MODE = CTRL8_XL[1]
 LOW_PASS_ON_6D = CTRL8_XL[0]
+MARK_X = CTRL9_XL[7]
+MARK_Y = CTRL9_XL[6]
+MARK_Z = CTRL9_XL[5]
+MARK_ACCEL = CTRL9_XL[4]
+MARK_ACCEL_TOO = CTRL9_XL[3]
+PULSE_ACTIVE_HIGH = CTRL9_XL[2]
+I3C_OFF = CTRL9_XL[1]
 TIMESTAMP_ON = CTRL10_C[5]
 FIFO_WATERMARK = FIFO_STATUS2[7]
 FIFO_OVERRUN = FIFO_STATUS2[6]

@@ -19,7 +19,7 @@ import numpy as np
 from imuarray.arrays import Floats, Reals, Times
 from imuarray.errors import MissingExtraError
 from imuarray.figures import time_series_figure
-from imuarray.log.format import FLAGS, TIME_UNCERTAINTY
+from imuarray.log.format import FLAGS, SYNC_PULSE, TIME_UNCERTAINTY
 from imuarray.log.layout import TRACK_UNITS
 from imuarray.units import SI_NAME, SI_PER_UNIT
 
@@ -165,6 +165,9 @@ def _sensor_variables(sensor: SensorLog, calibration: Calibration | None) -> dic
     if (uncertainty := sensor.time_uncertainty) is not None:
         about = {"units": "s", "long_name": "largest error of time"}
         variables[TIME_UNCERTAINTY] = ("time",), np.asarray(uncertainty[:]), about
+    if (pulse := sensor.sync_pulse) is not None:
+        about = {"units": "s", "long_name": "time since the synchronisation pulse before the row"}
+        variables[SYNC_PULSE] = ("time",), np.asarray(pulse[:]), about
     flags = {"units": "1", "flag_masks": list(FLAGS.values()), "flag_meanings": " ".join(FLAGS)}
     variables["status"] = ("time",), np.asarray(sensor.status[:]), flags
     return variables

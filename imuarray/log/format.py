@@ -76,6 +76,17 @@ of each row. `time` plus this delay is the time of arrival, to the nanosecond.
 TIME_UNCERTAINTY = "time_uncertainty"
 """Column (n,) of a sensor whose queue was drained: the largest possible error of `time` in s."""
 
+SYNC_PULSE = "sync_pulse"
+"""Column (n,) of a sensor with an input for synchronisation pulses: the time in s from the pulse to the sample that it
+marks, the first after it; nan in all other rows.
+"""
+
+SYNC_PULSE_ERROR = "sync_pulse_error"
+"""Attribute of such a sensor: the largest error of that time in s."""
+
+SINGLE_PRECISION = (TIME_UNCERTAINTY, SYNC_PULSE)
+"""The columns in physical units that a log holds in 32 bits."""
+
 SOURCES = ("i2c", "spi", "iio", "serial", "emulated", "simulated", "imported", "replay")
 
 LONG_NAME: Mapping[str, str] = {
@@ -332,6 +343,11 @@ def header_of(
     spec = sensor.spec
     barometer = spec.quantity == "pressure"
     x, y, z = sensor.position_mm
+    further = {COUNT_BITS: sensor.count_bits} if sensor.count_bits > 16 else {}
+    pulses = {}
+    if sensor.marks_pulses and spec.pulse_input is not None:
+        pulses = {SYNC_PULSE_ERROR: spec.pulse_input.error_s(sensor.chip_rate_hz)}
+    timing = (*((TIME_UNCERTAINTY,) if is_estimated else ()), *((SYNC_PULSE,) if pulses else ()))
     return SensorHeader(
         name=sensor.name,
         chip=sensor.chip,
@@ -345,6 +361,6 @@ def header_of(
         position_mm=(x, y, z),
         columns=("ut", "up") if barometer else ("x", "y", "z"),
         has_temperature=spec.has_thermometer and (spec.fifo_has_temperature or not sensor.fifo),
-        compensated=("temperature", "pressure") if barometer else (TIME_UNCERTAINTY,) if is_estimated else (),
-        extra={**extra, COUNT_BITS: sensor.count_bits} if sensor.count_bits > 16 else extra,
+        compensated=("temperature", "pressure") if barometer else timing,
+        extra={**extra, **further, **pulses},
     )

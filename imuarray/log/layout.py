@@ -25,6 +25,8 @@ from imuarray.log.format import (
     FORMAT_VERSION,
     LONG_NAME,
     PLOTS,
+    SINGLE_PRECISION,
+    SYNC_PULSE,
     TIME_UNCERTAINTY,
     ClockRow,
     Event,
@@ -113,7 +115,7 @@ TRACK_UNITS: Mapping[str, str] = MappingProxyType(
 STIMULI = ("truth", "reference")
 
 COMPENSATED_UNITS: Mapping[str, str] = MappingProxyType(
-    {"temperature": "degC", "pressure": "Pa", ARRIVAL: "s", TIME_UNCERTAINTY: "s"}
+    {"temperature": "degC", "pressure": "Pa", ARRIVAL: "s", TIME_UNCERTAINTY: "s", SYNC_PULSE: "s"}
 )
 """The units of the columns of a sensor that `SensorHeader.compensated` names."""
 
@@ -125,7 +127,7 @@ def sensor_group(header: SensorHeader) -> ColumnGroup:
     columns: _Columns = (("time", "<i8", ()), ("counts", counts, width), ("status", "<u2", ()))
     if header.has_temperature:
         columns += (("temperature_counts", "<i2", ()),)
-    further = ((name, "<f4" if name == TIME_UNCERTAINTY else "<f8", ()) for name in header.compensated)
+    further = ((name, "<f4" if name in SINGLE_PRECISION else "<f8", ()) for name in header.compensated)
     return ColumnGroup(f"sensors/{header.name}", (*columns, *further))
 
 

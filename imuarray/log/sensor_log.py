@@ -21,6 +21,7 @@ from imuarray.log.format import (
     COUNT_BITS,
     FLAGS,
     RESOLUTION,
+    SYNC_PULSE,
     THERMOMETER_ATTRIBUTES,
     TIME_UNCERTAINTY,
     CountScale,
@@ -201,6 +202,13 @@ class SensorLog(CountScale):
         the log does not state it.
         """
         return self._column(TIME_UNCERTAINTY) if self.has_compensated(TIME_UNCERTAINTY) else None
+
+    @property
+    def sync_pulse(self) -> NamedColumn | None:
+        """The time (n,) in s from a synchronisation pulse to the row that it marks, the first after it; nan in all
+        other rows. None for a sensor without pulses.
+        """
+        return self._column(SYNC_PULSE) if self.has_compensated(SYNC_PULSE) else None
 
     def _has(self, name: str) -> bool:
         return name in self._columns or self._group.get(name) is not None

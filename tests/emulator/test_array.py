@@ -190,7 +190,7 @@ def test_parameters_of_a_url() -> None:
 @pytest.mark.parametrize(
     ("query", "said"),
     [
-        ({"wurld": "still"}, "allowed are clock, world, seed, bit_rate, errno, oscillators, up, temperature_degc"),
+        ({"wurld": "still"}, "allowed are clock, world, seed, bit_rate, errno, oscillators, pulse_hz, up, temperature_degc"),
         ({"face_s": "3"}, "face_s: no such parameter"),
         ({"world": "moon"}, "allowed are still, tumble, heating, shaking"),
         ({"clock": "sundial"}, "allowed are virtual, real"),

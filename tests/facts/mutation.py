@@ -176,6 +176,10 @@ def judge(mutant: Mutant) -> Verdict:
         for name in _ours():
             del sys.modules[name]
         sys.modules.update(before)
+        for name, module in before.items():  # a package has its modules as attributes, too
+            parent, _, child = name.rpartition(".")
+            if parent in before:
+                setattr(before[parent], child, module)
         setattr(package, mutant.chip, right)
 
 

@@ -233,11 +233,16 @@ def _fetch(driver: Any, script: Script, conversation: Conversation) -> None:
     found |= {name: ((decoded.status & FLAGS[name]) != 0).tolist() for name in ("stale", "saturated", "suspect")}
     if decoded.temperature_counts is not None:
         found["temperature_counts"] = decoded.temperature_counts.tolist()
-    found |= {name: values.tolist() for name, values in decoded.compensated.items()}
+    found |= {name: _numbers(values) for name, values in decoded.compensated.items()}
     meant = {key: value for key, value in meaning.content.items() if key not in ("source", "times")}
     for key, value in {**meant, "counts": wanted}.items():
         if found.get(key) != value:
             raise DifferenceError(f"{meaning.place}: {key} {found.get(key)}, expected {value} ({meaning.source})")
+
+
+def _numbers(values: Any) -> list[float | None]:
+    """A column as JSON has it: null for no number."""
+    return [None if value != value else value for value in values.tolist()]
 
 
 # Against the chip -----------------------------------------------------------------------------------------------------
@@ -272,7 +277,7 @@ def play_to_chip(conversation: Conversation) -> None:
             behind.setdefault(entry["channel"], []).append(CHIPS[entry["chip"]](int(entry["address"], 16), element, 0))
         wire.connect_router(Pca9544aChip(conversation.address, behind))
     else:
-        chip = CHIPS[conversation.chip](conversation.address, element, 0)
+        chip = CHIPS[conversation.chip](conversation.address, element, 0, **conversation.head.get("pins", {}))
         for entry in conversation.head.get("auxiliary", ()):  # on the bus of its own master
             chip.auxiliary.devices.append(CHIPS[entry["chip"]](int(entry["address"], 16), element, 0))
         wire.connect(chip)
