@@ -34,7 +34,8 @@ tail of Student's t that is fitted to the replicates; those of each replicate ar
 
 **Pooled scores** (`statistics.pooled`). The norm of what the normal scores of a sensor exceed one standard deviation by
 is formed for each log and for all logs, and compared with chance like a single score: an effect that moves tens of
-statistics a little is beyond chance there before it is in one place.
+statistics a little is beyond chance there before it is in one place. The scores of a response to motion are also
+summed over the axes of a sensor, which a delay or another position shifts alike.
 
 **Localisation** (`inference.localisation`). A tree (array, chip, sensor, axis, domain, statistic) is tested downwards
 by the largest normal score among siblings, against the same maximum over the replicates (Westfall and Young 1993;

@@ -24,12 +24,13 @@ def keys(probe: str, sensor: str = "A1", axes: str = "xyz", phases: int = PHASES
 
 
 ALL = [*keys("absent_codes"), *keys("odd_codes"), *keys("mean"), *keys("noise")]
+MOVING = [*ALL, *keys("motion_delay"), *keys("motion_residual")]
 
 
-def normal(random: np.random.Generator, *, shared: float = 0.0) -> Floats:
+def normal(random: np.random.Generator, *, shared: float = 0.0, count: int = len(ALL)) -> Floats:
     """Scores of 41 campaigns; a share of their variance is common to all places of a campaign."""
     common = random.standard_normal((41, 1))
-    return np.sqrt(1 - shared) * random.standard_normal((41, len(ALL))) + np.sqrt(shared) * common
+    return np.sqrt(1 - shared) * random.standard_normal((41, count)) + np.sqrt(shared) * common
 
 
 def p_of(scores: PooledScores) -> float:
@@ -43,7 +44,8 @@ def test_chance_exceeds_them_as_rarely_as_it_should(shared: float) -> None:
     8 and 34 of them with a probability of 0.997.
     """
     random = np.random.default_rng(4)
-    alarms = sum(p_of(pooled_scores(normal(random, shared=shared), ALL)) <= 0.05 for _ in range(400))
+    count = len(MOVING)
+    alarms = sum(p_of(pooled_scores(normal(random, shared=shared, count=count), MOVING)) <= 0.05 for _ in range(400))
     assert 8 <= alarms <= 34
 
 
@@ -75,6 +77,27 @@ def test_each_log_is_pooled_and_all_logs_together() -> None:
     furthest = int(pooled.scores[0].argmax())
     assert pooled.places[furthest] == of_log[5]
     assert p_of(pooled) == pytest.approx(1 / 41)
+
+
+def test_axes_that_respond_alike_to_a_motion_are_summed() -> None:
+    """A delay of 2.8 standard deviations on each of three axes is one of 2.8 sqrt(3) = 4.8 of the sensor; with another
+    sign on one axis it is 1.6, which chance exceeds.
+    """
+    moving = keys("motion_delay", phases=4)
+    scores = np.random.default_rng(9).standard_normal((41, len(moving)))
+    scores[0] = [2.8 if key.phase_number == 2 else 0.0 for key in moving]
+    pooled = pooled_scores(scores, moving)
+    assert pooled.scores.shape == (41, 1 + 4)
+    assert int(pooled.scores[0, 1:].argmax()) == 2
+    assert moving[pooled.places[3]].phase_number == 2
+    assert p_of(pooled) == pytest.approx(1 / 41)
+    scores[0, [at for at, key in enumerate(moving) if key.axis == "y"]] *= -1
+    assert p_value(*_largest_sum(pooled_scores(scores, moving))) > 0.1
+
+
+def _largest_sum(pooled: PooledScores) -> tuple[float, Floats]:
+    largest = np.abs(pooled.scores[:, 1:]).max(axis=1)
+    return float(largest[0]), largest[1:]
 
 
 def test_few_places_are_not_pooled() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from imuarray.gap.recording.resets import MOST, resets_in
 from imuarray.log import Block, Log, LogWriter, open_log
-from imuarray.log.format import STALE, SUSPECT, SensorHeader
+from imuarray.log.format import RECONFIGURED, STALE, SUSPECT, SensorHeader
 
 ROW_NS = 10_000_000
 USUAL, OTHER = np.array([40.0, -30.0, 520.0]), np.array([20.0, 90.0, 4160.0])
@@ -30,11 +30,15 @@ def recorded(
     doubted: Collection[int],
     lost: Collection[int] = (),
     blank: Collection[int] = (),
+    configured: Collection[int] = (),
 ) -> Log:
-    """Rows every 10 ms, some of them flagged; those that are `lost` don't come, those `blank` are zeros, not fresh."""
+    """Rows every 10 ms, some of them flagged; those that are `lost` are missing, those `blank` are zeros, not fresh,
+    and at those `configured` the chip was set up again.
+    """
     rows = np.array([row for row in range(len(counts)) if row not in lost])
     status = np.where(np.isin(rows, list(doubted)), SUSPECT, 0).astype(np.uint16)
     status[np.isin(rows, list(blank))] |= STALE
+    status[np.isin(rows, list(configured))] |= RECONFIGURED
     counts = np.where(np.isin(np.arange(len(counts)), list(blank))[:, None], 0, counts)
     header = SensorHeader("A", "bma180", "specific_force", "g", 16.0, 512.0, rate_hz=2400.0)
     with LogWriter(path, [header], source="imported", epoch="2024-01-01T00:00:00Z", force=True) as log:
@@ -90,6 +94,15 @@ def test_doubt_alone_is_no_reset(tmp_path: Path) -> None:
         assert resets_in(log["A"]) == ()
     with recorded(tmp_path / "none.h5", readings(200, range(100, 120)), ()) as log:
         assert resets_in(log["A"]) == ()
+
+
+def test_another_setting_than_the_range_may_be_lost(tmp_path: Path) -> None:
+    """Doubted from row 300 on with the same readings, and set up again at row 330, after 18 lost rows."""
+    doubted, lost = range(300, 312), range(312, 330)
+    with recorded(tmp_path / "log.h5", readings(500), doubted, lost, configured=[330]) as log:
+        (reset,) = resets_in(log["A"])
+    assert (reset.doubt_s, reset.moment_s, reset.end_s) == pytest.approx((2.995, 2.995, 3.115))
+    np.testing.assert_allclose(reset.within, USUAL, atol=3)
 
 
 def test_so_many_are_kept(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from imuarray.arrays import Booleans, Floats
 from imuarray.gap.recording.outliers import robust_std
 from imuarray.log import SensorLog
-from imuarray.log.format import STALE, SUSPECT
+from imuarray.log.format import RECONFIGURED, STALE, SUSPECT
 
 MOST = 64
 """The most resets of a log that are kept, the first."""
@@ -46,8 +46,8 @@ class Reset(NamedTuple):
 
 
 def resets_in(sensor: SensorLog) -> tuple[Reset, ...]:
-    """Return the resets of a sensor in the order of time. Stretches in which no reading changes, or before which there
-    are none, are left out.
+    """Return the resets of a sensor in the order of time. Stretches before which there are no readings are left out,
+    and those in which no reading changes, unless the chip was then set up again: it may have lost a filter's settings.
     """
     resets: list[Reset] = []
     for begin, end in _doubtful_stretches(sensor):
@@ -84,6 +84,8 @@ def _reset(sensor: SensorLog, begin: int, end: int) -> Reset | None:
     blank = _is_blank(sensor, begin, inside)
     rows = np.flatnonzero(~blank)
     onset = _onset(inside[rows], level, noise)
+    if onset is None and len(rows) and _is_set_up_again(sensor, end):
+        onset = 0
     if onset is None:
         return None
     changed = inside[rows[onset:]]
@@ -109,6 +111,10 @@ def _onset(inside: Floats, level: Floats, noise: Floats) -> int | None:
             if onset < len(inside):
                 return onset
     return None
+
+
+def _is_set_up_again(sensor: SensorLog, row: int) -> bool:
+    return row < len(sensor) and bool(np.asarray(sensor.status[row : row + 1])[0] & RECONFIGURED)
 
 
 def _is_blank(sensor: SensorLog, begin: int, inside: Floats) -> Booleans:

@@ -9,6 +9,9 @@ normal scores z of a sensor in a log exceed `BEYOND` by,
 shows it: once for each log of a sensor, and once for all of its logs. Smaller scores are left out, since a fit that is
 slightly wrong shifts many of them. Statistics are not independent, since the noise, the attitude and the fit are common
 to them; S is therefore compared with its mean and scatter in the other campaigns, as each single statistic is.
+
+A sensor that is late, or at another place in the box, deviates on all of its axes in the same direction in its response
+to motion. The scores of each statistic of a motion are therefore summed over the axes too.
 """
 
 from __future__ import annotations
@@ -42,8 +45,8 @@ _LEAST_STRETCH = 0.1
 
 
 class PooledScores(NamedTuple):
-    """Scores (b, k) of k pools in b campaigns, and the places (k,) of the single statistic of each pool that deviates
-    most in the first campaign.
+    """Scores (b, k) of k pools and sums in b campaigns, and the places (k,) of the single statistic of each that
+    deviates most in the first campaign.
 
     They are comparable with the normal scores of single statistics: the largest of a campaign has the same median and
     the same 90 % quantile. Neither hides the other.
@@ -58,14 +61,27 @@ def pooled_scores(normal: Floats, keys: Sequence[Key]) -> PooledScores:
 
     Each campaign is scored by the others: if all are of one kind, each is equally likely to be the most extreme.
     """
-    pools = list(_pools(keys))
-    if not pools:
-        return PooledScores(np.zeros((len(normal), 0)), np.zeros(0, np.intp))
     sizes = np.nan_to_num(np.abs(normal))
     excess = np.maximum(sizes - BEYOND, 0.0)
-    norms = np.stack([np.linalg.norm(excess[:, places], axis=1) for places in pools], axis=1)
-    strongest = np.array([places[int(sizes[0, places].argmax())] for places in pools], np.intp)
-    return PooledScores(_with_largest_of(_standardise_by_others(norms), sizes), strongest)
+    pools, axes = list(_pools(keys)), list(_motion_axes(keys))
+    norms = [np.linalg.norm(excess[:, places], axis=1) for places in pools]
+    sums = [np.nan_to_num(normal[:, places]).sum(axis=1) / np.sqrt(len(places)) for places in axes]
+    scores = [np.zeros((len(normal), 0))]
+    if norms:
+        scores.append(_with_largest_of(_standardise_by_others(np.stack(norms, axis=1)), sizes))
+    if sums:
+        scores.append(_with_largest_of(np.abs(_standardise_by_others(np.stack(sums, axis=1))), sizes))
+    strongest = [places[int(sizes[0, places].argmax())] for places in (*pools, *axes)]
+    return PooledScores(np.concatenate(scores, axis=1), np.array(strongest, np.intp))
+
+
+def _motion_axes(keys: Sequence[Key]) -> Iterator[Indices]:
+    """Yield the places of each statistic of the response to a motion, on all axes of a sensor."""
+    by_statistic: dict[tuple[int, str, int, str], list[int]] = {}
+    for at, key in enumerate(keys):
+        if key.domain == "motion":
+            by_statistic.setdefault((key.log, key.sensor, key.phase_number, key.probe), []).append(at)
+    yield from (np.array(places, np.intp) for places in by_statistic.values() if len(places) > 1)
 
 
 def _pools(keys: Sequence[Key]) -> Iterator[Indices]:

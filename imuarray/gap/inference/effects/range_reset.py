@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -133,8 +133,8 @@ def _just_in(evidence: Evidence, states: States, logs: Sequence[int]) -> Iterato
 
 
 def _noticed(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Stretches that the recorder noticed, however short: the range that takes readings before to those within, and the
-    rows that were lost while the chip was set up again.
+    """Stretches that the recorder noticed, however short: the range that takes readings before to those within, or the
+    configured one if the chip lost another setting, and the rows that were lost while the chip was set up again.
     """
     resets = [reset for _, reset in evidence.resets]
     scale = evidence.header.sensitivity
@@ -152,7 +152,8 @@ def _noticed(evidence: Evidence) -> Iterator[Hypothesis]:
     doubts_s = tuple(reset.moment_s - reset.doubt_s for reset in resets)
     missing = DroppedSamples(**stretches(lost))
     numbers = NUMBERS * (len(resets) + len(lost))
-    candidates = [(_unlike(evidence, guess.size), guess.effect) for guess in _guesses(evidence, sides)]
+    ratios = {evidence.header.range: 1.0, **_ratios(evidence)}
+    candidates = [(_unlike(evidence, guess.size), guess.effect) for guess in _guesses(evidence, sides, ratios)]
     for rarity, effect in sorted(candidates, key=lambda candidate: candidate[0])[
         :_RANGES
     ]:  # so few readings say little of the noise
@@ -203,10 +204,14 @@ def _in_some_boots(evidence: Evidence, states: States, probability: float) -> It
         yield Hypothesis((replace(guess.effect, probability=probability),), free)
 
 
-def _guesses(evidence: Evidence, sides: Sequence[States]) -> Iterator[_Guess]:
-    """Yield a guess for each other range, with the median offset and noise that it leaves over all pairs of sides."""
+def _guesses(
+    evidence: Evidence, sides: Sequence[States], ratios: Mapping[float, float] | None = None
+) -> Iterator[_Guess]:
+    """Yield a guess for each range of `ratios` (the other ranges by default), with the median offset and noise that it
+    leaves over all pairs of sides.
+    """
     step = float(np.median([np.linalg.norm(side.after - side.before) for side in sides]))
-    for other, ratio in _ratios(evidence).items():
+    for other, ratio in (_ratios(evidence) if ratios is None else ratios).items():
         offsets = np.array([side.after / ratio - side.before for side in sides])
         offset = np.median(offsets, axis=0)
         shares = np.array([side.noise_after / (ratio * side.noise_before) for side in sides])
@@ -218,7 +223,7 @@ def _guesses(evidence: Evidence, sides: Sequence[States]) -> Iterator[_Guess]:
         if size > _MOST * step:
             continue
         (x, y, z), (a, b, c) = offset.tolist(), share.tolist()
-        cost = size / step + float(np.abs(np.log(share)).mean())
+        cost = size / max(step, 1e-9) + float(np.abs(np.log(share)).mean())
         yield _Guess(cost, size, RangeReset(other, (x, y, z), (a, b, c)))
 
 
