@@ -11,9 +11,9 @@ and temperatures as far as the logs tell them. A **simulator** makes such record
   element behind the temperature of the box (`model.element_temperature`), the delay of a signal in the chip's filter,
   the offset of the times of rows from a queue, or of the sensors' clock from a track's (`model.signal_delay`), and
   faint lines that the room shakes into all accelerometers (`model.vibration`). The phase and rate of the data clock,
-  the scatter of biases from one power-on to the next, nonlinearity, the slope of the scale over temperature, slopes
-  that no temperature tells, a bias that all accelerometers have in common, and the course of a room's temperature that
-  nobody recorded (`model.room_temperature`) are drawn anew for every replicate.
+  the scatter of biases from one power-on to the next, the position of an accelerometer, nonlinearity, the slope of the
+  scale over temperature, slopes that no temperature tells, a bias that all accelerometers have in common, and the
+  course of a room's temperature that nobody recorded (`model.room_temperature`) are drawn anew for every replicate.
   Their estimates are reported as **pulls**, value over tolerance (`model.nuisance`), and are no causes;
 * **effects** e with parameters eta, a place (sensor, axes, family or all) and a *when* (always, from a moment on, in
   some logs, in stretches): what may be missing in the simulator, or be in it and not in the sensors

@@ -13,7 +13,8 @@ part of the noise is drawn anew; its expected contribution, p for p summaries, i
 
 Nuisance quantities are those that data sheets leave to the part, with the tolerances that the diagnosis has for them
 (`imuarray.gap.model.populations`): bias, its slope with temperature, its scatter from log to log, the lag of the
-element's temperature, the response to force and rate, the noise, the cutoff of the filter and the delay of the signal.
+element's temperature, the response to force and rate, the noise, the cutoff of the filter, the delay of the signal and
+the position of an accelerometer.
 So is the attitude of the box, if no log says which axis was up and no other accelerometer shows it, and the phase of
 the level within a code (Widrow and Kollar, Quantization Noise, 2008, ch. 4: the moments and the shares of codes of a
 rounded normal quantity vary with its mean by the characteristic function at multiples of 2 pi). The motion is known if
@@ -24,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations_with_replacement, pairwise
 from math import inf, nan, pi, radians, sin, sqrt
 
 import numpy as np
@@ -34,6 +35,7 @@ from imuarray.gap.model.element_temperature import LONGEST_LAG_S
 from imuarray.gap.model.populations import (
     ANGLE_SIGMA_DEG,
     CUTOFF_TOLERANCE,
+    POSITION_SIGMA_MM,
     TOLERANCE_SIGMAS,
     response_tolerance,
     scale_tolerance,
@@ -63,6 +65,8 @@ _BLOCKS = 12
 _WINDOW = 64
 _QUIET = 3.0
 _FAR = 6.0
+_COLUMNS = 21
+"""Columns of the response to a motion: force, rate, their changes, squares of the force, products of rates."""
 _FREE = 1e3
 """Prior of a fitted parameter: practically unbounded."""
 _TILT_DEG = 1.0
@@ -385,7 +389,7 @@ def _motion_responses(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]
         force, rate, _ = pair.motion()
         spin = np.radians(rate)
         changes = [np.gradient(values, pair.time * 1e-9, axis=0) for values in (force, spin)]
-        products = [spin[:, [a]] * spin[:, [b]] for a in range(3) for b in range(a, 3)]
+        products = [spin[:, [a]] * spin[:, [b]] for a, b in combinations_with_replacement(range(3), 2)]
         designs.append(np.hstack([force, rate, *changes, force**2, *products]))
         interpolated = np.stack([np.interp(pair.time, pair.new_time, axis) for axis in pair.new_counts.T], axis=1)
         differences.append(interpolated - pair.counts)
@@ -406,8 +410,28 @@ def _motion_responses(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]
         basis, values, tolerance = np.linalg.svd(scaled / np.sqrt(variance[:, [axis]]), full_matrices=False)
         kept = values > 1e-6 * values[0]
         coefficient = basis[:, kept].T @ (difference[:, axis] / np.sqrt(variance[:, axis]))
-        explained = (values[kept, None] * tolerance[kept]) * (spread * reach)[used] * header.sensitivity
-        yield _score(coefficient, np.ones(int(kept.sum())), explained[:, reach[used] > 0], anew)
+        nuisances = np.concatenate([np.diag(reach)[:, reach > 0], _displacements(header, axis)], axis=1)
+        explained = (values[kept, None] * tolerance[kept]) @ (spread[:, None] * nuisances)[used] * header.sensitivity
+        yield _score(coefficient, np.ones(int(kept.sum())), explained, anew)
+
+
+def _displacements(header: SensorHeader, axis: int) -> Floats:
+    """Return (21, 3) what a displacement along each axis (one sigma) adds to an axis of an accelerometer, in g by
+    column of the design of `_motion_responses`: acceleration x r + rate x (rate x r).
+    """
+    added = np.zeros((_COLUMNS, 3))
+    if header.unit != "g":
+        return added
+    reach = POSITION_SIGMA_MM * 1e-3 / SI_PER_UNIT["g"]
+    for along, place in enumerate(np.eye(3) * reach):
+        for turning, acceleration in enumerate(np.eye(3)):
+            added[9 + turning, along] = np.cross(acceleration, place)[axis]
+        for column, (first, second) in enumerate(combinations_with_replacement(range(3), 2)):
+            # rate (rate . r) - r |rate|^2, the coefficient of this product of rates
+            for own, other in {(first, second), (second, first)}:
+                added[15 + column, along] += (own == axis) * place[other]
+            added[15 + column, along] -= (first == second) * place[axis]
+    return added
 
 
 def _delay_s(header: SensorHeader) -> float:

@@ -111,7 +111,7 @@ def test_the_attitude_of_one_accelerometer_is_known_if_it_is_noted(tmp_path: Pat
 
 
 SECONDS = np.arange(ROWS) / 100
-ANGLE_RAD = np.where(np.arange(ROWS) // 800 % 2, 2 * np.pi * 0.2 * SECONDS, 0.0)
+ANGLE_RAD = np.where(np.arange(ROWS) // 800 % 2, 2 * np.pi * np.sin(np.pi * SECONDS / 8) ** 2, 0.0)
 
 
 def turning(folder: Path, *added: Floats) -> list[Log]:
@@ -154,6 +154,16 @@ def test_motion_shows_only_what_the_recordings_can_compare(tmp_path: Path) -> No
     assert matched_statistic([plain], [delayed], has_track=True) > 1.5 * matched_statistic(
         [plain], [delayed], has_track=False
     )
+
+
+def test_a_displacement_within_the_tolerance_is_no_effect(tmp_path: Path) -> None:
+    """An accelerometer 3 mm from its noted place feels rate x (rate x r) + acceleration x r (about z: -x w^2 along x,
+    x w' along y); at 50 mm it is an effect.
+    """
+    rate = np.gradient(ANGLE_RAD, SECONDS)
+    per_metre = np.stack([-(rate**2), np.gradient(rate, SECONDS), 0 * rate], axis=1) / 9.80665 * 2048
+    plain, near, far = turning(tmp_path, *(metres * per_metre for metres in (0.0, 0.003, 0.05)))
+    assert matched_statistic([plain], [near]) < LIMIT < matched_statistic([plain], [far])
 
 
 @pytest.mark.parametrize("sigma", [0.25, 0.4, 0.6])

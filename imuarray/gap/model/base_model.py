@@ -25,6 +25,7 @@ from imuarray.gap.model.populations import (
     CLOCK_SIGMA,
     CUTOFF_TOLERANCE,
     LEAST_CORRELATION,
+    POSITION_SIGMA_MM,
     TOLERANCE_SIGMAS,
     clock_tolerance,
     is_usual,
@@ -52,12 +53,13 @@ from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import SEVERAL_SAMPLES, Bandwidth, correlation
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.own_clock import AT_ITS_RATE, OwnClock
-from imuarray.simulate.effects.size_effect import with_position
+from imuarray.simulate.effects.size_effect import SizeEffect, with_position
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.model import Model, noise_bandwidth_hz
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.sensor import NO_READY_BIT
+from imuarray.simulate.signal import Triple
 from imuarray.simulate.streams import Streams
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
@@ -156,7 +158,8 @@ class Base:
 
     def drawn(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
         """Return the effects that aren't fitted: no noise and no bias; of a bias over temperature the curve, and the
-        slope if the recording's temperatures don't determine it; an accelerometer's position in the box, by its header.
+        slope if the recording's temperatures don't determine it; an accelerometer's position in the box, about that of
+        its header.
 
         Parts of even replicates have data clocks in step with the polls and the same bias at each power-on, those of
         odd ones clocks with a rate error and biases that scatter: a recording may be like either.
@@ -176,7 +179,7 @@ class Base:
         is_slope_known = self.fitted[header.name].is_slope_known
         effects = tuple(_unfitted((self.model or self._usual).effects(header, units), is_slope_known))
         if header.quantity == "specific_force":
-            effects = (*with_position(effects, header.position_mm), *self._tones(header, units))
+            effects = (*with_position(effects, _position_mm(header, units)), *self._tones(header, units))
             effects = (*effects, *self._common_bias(header, units))
         is_odd = bool(replicate % 2)
         effects = tuple(effect for effect in effects if is_odd or not is_usual(effect, header))
@@ -208,6 +211,12 @@ class Base:
             if header.name in vibration.sensors:
                 stream = units.of_unit("", Tone.name, f"{vibration.frequency_hz!r} Hz")
                 yield vibration.tone(header, float(stream.uniform(0.0, MOST_FACTOR)))
+
+
+def _position_mm(header: SensorHeader, units: Streams) -> Triple:
+    deviation_mm = POSITION_SIGMA_MM * units.of_unit(header.name, SizeEffect.name, "position").standard_normal(3)
+    x, y, z = (np.array(header.position_mm) + deviation_mm).tolist()
+    return x, y, z
 
 
 def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = None, seed: int = 0) -> Base:

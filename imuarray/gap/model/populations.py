@@ -57,6 +57,11 @@ GRAVITY_TOLERANCE = 0.003
 being standard; 300 m of height take 0.01 %.
 """
 
+POSITION_SIGMA_MM = 1.5
+"""Standard deviation of an accelerometer's place in the box about the noted one, along each axis: three of them are
+about the size of a package, and no data sheet prints where the element sits in it.
+"""
+
 CUTOFF_TOLERANCE = 0.5
 """Relative tolerance. Few data sheets print a filter's order or the tolerance of its cutoff; the paper's gyroscopes,
 set to 35 Hz, have the correlation of a first-order filter of 51 Hz.
