@@ -197,7 +197,7 @@ Indices = npt.NDArray[np.int64]
 class RestWindows(NamedTuple):
     """Windows of a log: window k starts at `begin_ns` + k `width_ns`. `mean` (w, 3) and `spread` (w,), the largest
     standard deviation, are in the unit of the `quantity` from which rests are detected; `spread` is infinite without
-    readings. `still` (w,) is true at rest.
+    readings. `still` (w,) is true at rest. `rate_dps` (w, 3) are the means of the gyroscopes, if there are others.
     """
 
     quantity: str
@@ -206,6 +206,7 @@ class RestWindows(NamedTuple):
     mean: Floats
     spread: Floats
     still: npt.NDArray[np.bool_]
+    rate_dps: Floats | None = None
 
     @property
     def read(self) -> Indices:
@@ -234,13 +235,18 @@ def _windows(log: Log, sensors: Sequence[SensorLog], only: Collection[str]) -> R
         raise CalibrationError(
             f"{sensors[0].where}: {(end - begin) * 1e-9:.1f} s of data, too short to hold several poses"
         )
-    starts_ns = begin + width_ns * np.arange(count)
     mean, std = windows_of(sensors, begin, count, width_ns)
     # Most logs contain long rests: the quietest quarter of the windows shows the noise at rest.
     known = np.isfinite(std)
     still = known & (std <= 2.5 * np.quantile(std[known], 0.25)) if known.any() else known
-    still &= ~_turning(_rows_of(log, "angular_rate", only), starts_ns, still, width_ns)
-    return RestWindows(sensors[0].quantity, begin, width_ns, mean, std, still)
+    gyroscopes = _rows_of(log, "angular_rate", only)
+    if not gyroscopes:
+        return RestWindows(sensors[0].quantity, begin, width_ns, mean, std, still)
+    rate_dps, rate_std_dps = windows_of(gyroscopes, begin, count, width_ns)
+    if still.any():
+        rows = max(1.0, width_ns * 1e-9 * min(len(sensor) / _length_s(sensor) for sensor in gyroscopes))
+        still &= ~_turning(rate_dps, rate_std_dps, still, rows)
+    return RestWindows(sensors[0].quantity, begin, width_ns, mean, std, still, rate_dps)
 
 
 def poses_in(log: Log, windows: RestWindows) -> list[Pose]:
@@ -253,10 +259,46 @@ def poses_in(log: Log, windows: RestWindows) -> list[Pose]:
     poses: list[Pose] = []
     for run in np.split(read, edges):
         if len(run) and still[run[0]] and len(run) * width_ns >= MIN_POSE_S * 1e9:
-            margin_ns = width_ns if len(run) >= 5 else 0
-            start_ns, end_ns = int(starts_ns[run[0]]), int(starts_ns[run[-1]]) + width_ns
-            poses.append(Pose(Phase(start_ns + margin_ns, end_ns - margin_ns, f"pose {len(poses) + 1}"), None, log))
+            seen = [windows.mean[run]] if windows.rate_dps is None else [windows.mean[run], windows.rate_dps[run]]
+            first, last = _slow_ends(np.hstack(seen))
+            start_ns = int(starts_ns[run[0]]) if not first else int(starts_ns[run[first - 1]]) + width_ns
+            end_ns = int(starts_ns[run[-1]]) + width_ns if not last else int(starts_ns[run[-last]])
+            poses.append(Pose(Phase(start_ns, end_ns, f"pose {len(poses) + 1}"), None, log))
     return poses
+
+
+def _slow_ends(mean: Floats) -> tuple[int, int]:
+    """Return how many windows at the beginning and at the end of a stretch at rest, with these means (w, k), may belong
+    to the motion beside it: one, and in a long stretch as many again as those that differ from the next ones beyond
+    chance. A motion that begins slowly, say with a rate that grows with the square of the time, is a quarter as large
+    in half the time.
+    """
+    if len(mean) < _LEAST_MARGINED:
+        return 0, 0
+    if len(mean) < 2 * _MOST_SLOW + _NEXT_WINDOWS:
+        return 1, 1
+    # Windows beside a stall have fewer rows, and a larger error: the tail of the changes contains them.
+    noise = np.quantile(np.abs(np.diff(mean, axis=0)), 0.9, axis=0) / _TAIL_OF_CHANGES
+    most = SLOW_MOTION * noise * np.sqrt(1 + 1 / _NEXT_WINDOWS)
+
+    def slow(ordered: Floats) -> int:
+        next_ones = np.stack([ordered[k + 1 : k + 1 + _NEXT_WINDOWS].mean(axis=0) for k in range(_MOST_SLOW)])
+        differs = (np.abs(ordered[:_MOST_SLOW] - next_ones) > most).any(axis=1)
+        return max(1, 2 * int(np.argmin([*differs, False])))
+
+    return slow(mean), slow(mean[::-1])
+
+
+_LEAST_MARGINED = 5
+_MOST_SLOW = 6
+_NEXT_WINDOWS = 6
+"""Fewest windows of a stretch without its ends; windows at an end that are compared with so many next ones."""
+
+SLOW_MOTION = 5.0
+"""Difference of a window's mean from the next ones in standard errors, beyond which the box moved in it."""
+
+_TAIL_OF_CHANGES = 1.6449 * 2**0.5
+"""0.9 quantile of the absolute difference of two normal deviates with unit variance."""
 
 
 def _rows_of(log: Log, quantity: str, only: Collection[str]) -> list[SensorLog]:
@@ -264,23 +306,13 @@ def _rows_of(log: Log, quantity: str, only: Collection[str]) -> list[SensorLog]:
     return [sensor for sensor in log.of(quantity) if len(sensor) and (not only or sensor.name in only)]
 
 
-def _turning(
-    gyroscopes: Sequence[SensorLog],
-    starts_ns: npt.NDArray[np.int64],
-    still: npt.NDArray[np.bool_],
-    width_ns: int,
-) -> npt.NDArray[np.bool_]:
-    """Return (w,) whether the box turns in a window: the gyroscopes' mean differs from the median of the `still` ones.
-
-    A window without readings of a gyroscope counts as still.
+def _turning(rate_dps: Floats, std_dps: Floats, still: npt.NDArray[np.bool_], rows: float) -> npt.NDArray[np.bool_]:
+    """Return (w,) whether the box turns in a window of so many rows: the gyroscopes' mean differs from the median of
+    the `still` ones. A window without readings of a gyroscope counts as still.
     """
-    if not gyroscopes or not still.any():
-        return np.zeros(len(starts_ns), bool)
-    mean_dps, std_dps = windows_of(gyroscopes, int(starts_ns[0]), len(starts_ns), width_ns)
-    usual = np.median(mean_dps[still], axis=0)
-    rows = max(1.0, width_ns * 1e-9 * min(len(sensor) / _length_s(sensor) for sensor in gyroscopes))
+    usual = np.median(rate_dps[still], axis=0)
     noise = float(np.median(std_dps[still])) / np.sqrt(rows)
-    off = np.abs(mean_dps - usual).max(axis=1)
+    off = np.abs(rate_dps - usual).max(axis=1)
     return np.asarray(np.isfinite(std_dps) & (off > TURNING_DPS + 5 * np.nan_to_num(noise, posinf=0.0)))
 
 

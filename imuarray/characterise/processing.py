@@ -1,13 +1,16 @@
 """Readings that a program has processed: filtered, averaged, resampled or freed of gravity. A simulated chip does none
 of this, and noise after it is not that of the sensor.
 
-An import whose values lie on no grid of codes says so in the attribute `resolution` of a log's sensor; filters and
-resampling are looked for in such values only, as a chip may filter its own codes.
+An import whose values lie on no grid of codes says so in the attribute `resolution` of a log's sensor. Resampling is
+looked for in such values only. A chip may filter its own codes: a filter of codes is named only if their spectrum falls
+more steeply than chips' filters do.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,6 +36,12 @@ DEPLETED = 0.1
 """Density of the noise in the highest fifth of the band, relative to that at low frequencies, below which a filter has
 removed it. A first-order filter with a cutoff of a quarter of the rate leaves more.
 """
+
+CHIP_ORDER = 3
+"""Highest order of the filters that chips have after their converters (ICM-42688-P: first to third)."""
+
+_BEYOND_ORDER = 0.5
+"""Share of the density that a filter of this order leaves an octave above its cutoff below which it is no such one."""
 
 _LOW, _HIGH = (0.03, 0.15), (0.8, 1.0)
 """Bands that are compared, relative to half the rate."""
@@ -91,7 +100,16 @@ def find_filters(sensor: SensorLog) -> Iterator[str]:
             f"repeats single axes ({100 * share:.0f} % of their values): a program made them by a running median or a"
             " dead band"
         )
-    if sensor.attributes.get(RESOLUTION) != ASSUMED or not rate_hz:
+    if not rate_hz:
+        return
+    low_pass = _low_pass(windows, rate_hz) if is_seen and not sensor.bandwidth_hz else None
+    if low_pass is not None and low_pass.is_steep:
+        yield (
+            f"is low-passed to about {low_pass.cutoff_hz:.2g} Hz, by a program: its spectrum falls more steeply than"
+            " with the filter of a chip"
+        )
+        return
+    if sensor.attributes.get(RESOLUTION) != ASSUMED:
         return
     if beat_hz := _beat_hz(values if len(rest) < _REST_WINDOWS * _WINDOW_ROWS else rest, rate_hz):
         rates = f"about {rate_hz - beat_hz:.4g} or {rate_hz + beat_hz:.4g}"
@@ -99,9 +117,9 @@ def find_filters(sensor: SensorLog) -> Iterator[str]:
             f"is resampled by a program, from {rates} readings a second: its noise comes and goes {beat_hz:.3g} times a"
             " second"
         )
-    elif is_seen and not sensor.bandwidth_hz and (cutoff_hz := _cutoff_hz(windows, rate_hz)):
+    elif low_pass is not None:
         yield (
-            f"is low-passed to about {cutoff_hz:.2g} Hz, by a program or by its chip (if by the chip, state"
+            f"is low-passed to about {low_pass.cutoff_hz:.2g} Hz, by a program or by its chip (if by the chip, state"
             " bandwidth_hz in the map)"
         )
 
@@ -161,15 +179,41 @@ def _densities(windows: Floats) -> Floats:
     return np.asarray((np.abs(np.fft.rfft(level * shape, axis=1)) ** 2).mean(axis=0))
 
 
-def _cutoff_hz(windows: Floats, rate_hz: float) -> float:
-    """Return the frequency above which the noise of the quiet windows is missing; 0 if it is not."""
+class _LowPass(NamedTuple):
+    """The frequency above which noise is missing; `is_steep`: an octave above it, less remains than a chip's filter
+    leaves.
+    """
+
+    cutoff_hz: float
+    is_steep: bool
+
+
+def _low_pass(windows: Floats, rate_hz: float) -> _LowPass | None:
+    """Return the low pass that the noise of the quiet windows shows; None without one."""
     density = np.median(_densities(windows), axis=1)
     place = np.linspace(0, 1, len(density))
     low, high = (float(np.median(density[(place >= begin) & (place <= end)])) for begin, end in (_LOW, _HIGH))
     if not high < DEPLETED * low:
-        return 0.0
+        return None
     below = np.flatnonzero((density < low / 2) & (place > _LOW[0]))
-    return float(place[below[0]] * rate_hz / 2) if len(below) else 0.0
+    if not len(below):
+        return None
+    cutoff = float(place[below[0]])
+    near = density[(place >= 1.9 * cutoff) & (place <= 2.1 * cutoff)]
+    is_steep = bool(len(near)) and cutoff < _OCTAVE_BELOW_END and float(near.mean()) < low * _octave_above(cutoff)
+    return _LowPass(cutoff * rate_hz / 2, is_steep)
+
+
+_OCTAVE_BELOW_END = 0.42
+"""Highest cutoff, relative to half the rate, of which an octave above is in the band."""
+
+
+def _octave_above(cutoff: float) -> float:
+    """Return the density an octave above a cutoff (relative to half the rate) below which a filter has a higher order
+    than `CHIP_ORDER`: that of a Butterworth filter by the bilinear transform, whose frequencies are tan(pi f / rate).
+    """
+    ratio = math.tan(math.pi * cutoff) / math.tan(math.pi * cutoff / 2)
+    return _BEYOND_ORDER / (1 + ratio ** (2 * CHIP_ORDER))
 
 
 def _beat_hz(values: Floats, rate_hz: float) -> float:

@@ -277,3 +277,31 @@ def test_a_short_shake_ends_a_pose(tmp_path: Path) -> None:
         writer.append(header.name, Block(time, counts, np.zeros(3000, np.uint16)))
     with open_log(path) as log:
         assert len(find_rests(log)) == 2
+
+
+@pytest.mark.parametrize("quantity", ["specific_force", "angular_rate", "both"])
+def test_the_slow_beginning_of_a_motion_is_no_rest(tmp_path: Path, quantity: str) -> None:
+    """From 30 s on the box turns at 0.1 dps/s2 times the squared time: 0.9 dps after 3 s, when the angle is 0.9 degrees
+    and gravity along x 16 mg. At 31 s the rate is as large as the noise.
+    """
+    seconds = np.arange(0, 40, 0.01)
+    since = np.clip(seconds - 30, 0, None)
+    angle = np.radians(since**3 / 30)
+    nothing = np.zeros(len(seconds))
+    acc, gyro = accelerometer("A"), gyroscope("G")
+    force_g = np.stack([np.sin(angle), nothing, np.cos(angle)], axis=1)
+    rate_dps = np.stack([nothing, 0.1 * since**2, nothing], axis=1)
+    rng = np.random.default_rng(30)
+    felt = {
+        "A": (force_g + rng.normal(0, 2e-3, force_g.shape)) * acc.sensitivity,
+        "G": (rate_dps + rng.normal(0, 0.1, rate_dps.shape)) * gyro.sensitivity,
+    }
+    kept = [header for header in (acc, gyro) if quantity in ("both", header.quantity)]
+    path = tmp_path / "slow.h5"
+    with LogWriter(path, kept, source="imported", epoch=EPOCH) as writer:
+        for header in kept:
+            counts, flags = np.rint(felt[header.name]).astype(np.int16), np.zeros(len(seconds), np.uint16)
+            writer.append(header.name, Block(np.rint(seconds * 1e9).astype(np.int64), counts, flags))
+    with open_log(path) as log:
+        rest = find_rests(log)[0].phase
+    assert 25.0 < rest.end_ns * 1e-9 <= 31.5

@@ -120,6 +120,17 @@ def test_raw_readings_are_not(name: str, tmp_path: Path) -> None:
             assert [text for text in find_processing(sensor) if "gravity" not in text] == []
 
 
+@pytest.mark.parametrize(("order", "is_named"), [(2, False), (3, False), (4, True), (6, True)])
+def test_a_filter_of_codes_is_a_programs_if_no_chip_has_its_order(order: int, is_named: bool, tmp_path: Path) -> None:
+    """The rounded output of a Butterworth filter; chips have filters up to the third order (ICM-42688-P)."""
+    smooth = lfilter(*butter(order, 0.2), readings(ROWS + 300), axis=0)[300:]
+    with open_log(imported(np.rint(smooth / STEPS) * STEPS, tmp_path)) as log:
+        for sensor in log.sensors.values():
+            assert RESOLUTION not in sensor.attributes
+            named = [text for text in find_processing(sensor) if "by a program: its spectrum falls more" in text]
+            assert bool(named) == is_named
+
+
 def test_an_accelerometer_without_gravity_is_left_out(tmp_path: Path) -> None:
     with open_log(imported(without_gravity(), tmp_path)) as log:
         (recording,) = recordings_of([log])

@@ -129,7 +129,8 @@ def _detected_poses(log: Log) -> tuple[list[Phase], list[str]]:
         return [], []
     lengths = [phase.end_ns - phase.start_ns for phase in rests]
     long_rests = [phase for phase, length in zip(rests, lengths, strict=True) if length >= _SHORT * max(lengths)]
-    notes = [f"No phase is marked as at rest: {len(long_rests)} static stretches were detected."] if long_rests else []
+    stretches = "1 static stretch was" if len(long_rests) == 1 else f"{len(long_rests)} static stretches were"
+    notes = [f"No phase is marked as at rest: {stretches} detected."] if long_rests else []
     if (short := len(rests) - len(long_rests)) > 0:
         notes.append(f"Static stretches left out because they are much shorter than the longest: {short}.")
     return long_rests, notes
