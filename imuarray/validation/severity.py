@@ -26,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, pairwise
-from math import inf, nan, pi, radians, sin, sqrt
+from math import degrees, inf, nan, pi, radians, sin, sqrt
 
 import numpy as np
 
@@ -127,6 +127,10 @@ def matched_statistic(plain: Sequence[Log], changed: Sequence[Log], has_track: b
     return largest
 
 
+_Tilt = tuple[Floats, float, int]
+"""Force (3,) on a block in g, one sigma of the box's angle in rad, number of the log."""
+
+
 class _LogPair:
     """One sensor in one log without the effect and in the log with it."""
 
@@ -148,21 +152,25 @@ class _LogPair:
         self.track = _track(plain)
 
     def motion(self) -> tuple[Floats, Floats, Floats]:
-        """Return the motion at the rows: force (n, 3) and rate (n, 3) in the sensor's axes, in its unit or its
-        companion's, and temperature (n,). What the sensor measures is taken from its own readings without the effect,
-        since an error of scale multiplies delays and vibrations too; the rest is as commanded.
+        """Return the commanded motion at the rows: force (n, 3) in g and rate (n, 3) in dps, in the sensor's axes, and
+        temperature (n,) in degC; zeros without a track.
         """
-        own = self.counts / self.sensor.sensitivity
-        force, rate, degc = np.zeros_like(own), np.zeros_like(own), np.zeros(len(own))
-        if self.track is not None:
-            times, force_box, rate_box, degc = self.track
-            turned = np.asarray(self.sensor.orientation)
-            force, rate = (
-                np.stack([np.interp(self.time, times, axis) for axis in values.T], axis=1) @ turned / SI_PER_UNIT[unit]
-                for values, unit in ((force_box, "g"), (rate_box, "dps"))
-            )
-            degc = np.interp(self.time, times, degc)
-        return (own, rate, degc) if self.sensor.unit == "g" else (force, own, degc)
+        count = len(self.time)
+        if self.track is None:
+            return np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
+        times, force_box, rate_box, degc = self.track
+        turned = np.asarray(self.sensor.orientation)
+        force, rate = (
+            np.stack([np.interp(self.time, times, axis) for axis in values.T], axis=1) @ turned / SI_PER_UNIT[unit]
+            for values, unit in ((force_box, "g"), (rate_box, "dps"))
+        )
+        return force, rate, np.interp(self.time, times, degc)
+
+    def rows_at_rest(self) -> Booleans:
+        """Return (n,) which rows lie in windows at rest."""
+        at_rest = np.zeros(len(self.time), bool)
+        at_rest[: len(self.quiet) * _WINDOW] = np.repeat(self.quiet, _WINDOW)
+        return at_rest
 
     def lagging_degc(self, degc: Floats) -> Floats:
         """Return the temperature (n,) of an element that follows `degc` by half of the longest usual time constant."""
@@ -268,7 +276,7 @@ def _of_sensor(pairs: Sequence[_LogPair], is_motion_known: bool) -> Iterator[flo
         yield inf if any(len(pair.time) for pair in pairs) else 0.0
         return
     anew = max(pair.anew for pair in used)
-    yield from _levels(used, anew)
+    yield from _levels(used, anew, is_motion_known)
     yield from _spectrum(used, anew)
     if is_motion_known:
         yield from _motion_responses(used, anew)
@@ -286,39 +294,48 @@ def _score(difference: Floats, variance: Floats, explained: Floats, anew: float)
     return sqrt(max(square - 2 * anew * len(difference), 0.0) / max(1.0, 2 * anew))
 
 
-def _levels(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]:
+def _levels(pairs: Sequence[_LogPair], anew: float, is_motion_known: bool) -> Iterator[float]:
     """Yield the statistic of block means over all logs, less bias, its slope with temperature and the lag of that, a
-    part's response, and an unknown attitude.
+    part's response and delay, and an unknown attitude. If the motion is not known, rows in motion are left out.
     """
-    rows, columns, tilts = list[tuple[Floats, Floats]](), list[Floats](), list[tuple[Floats, float, int]]()
+    rows, columns, tilts, changes = list[tuple[Floats, Floats]](), list[Floats](), list[_Tilt](), list[Floats]()
+    header = pairs[0].header
     for number, pair in enumerate(pairs):
         edges = np.linspace(pair.time[0], pair.time[-1] + 1, _BLOCKS + 1)
         force, rate, degc = pair.motion()
         warming = pair.lagging_degc(degc) - degc
+        felt = pair.counts / pair.sensor.sensitivity  # as read, since an error of scale multiplies vibrations too
+        at_rest = np.ones(len(pair.time), bool) if is_motion_known else pair.rows_at_rest()
+        new_at_rest = np.interp(pair.new_time, pair.time, at_rest.astype(float)) > 0.5
         for begin, end in pairwise(edges):
-            own, new = (pair.time >= begin) & (pair.time < end), (pair.new_time >= begin) & (pair.new_time < end)
+            own = at_rest & (pair.time >= begin) & (pair.time < end)
+            new = new_at_rest & (pair.new_time >= begin) & (pair.new_time < end)
             if own.sum() < 2 or new.sum() < 2:
                 continue
             difference = pair.new_counts[new].mean(axis=0) - pair.counts[own].mean(axis=0)
             rounding = 0.5 * (_rounding_share(pair.row_sigma, 1) / pi) ** 2
             rows.append((difference, pair.noise / own.sum() + rounding))
             log = np.eye(len(pairs))[number]
-            responses = (*force[own].mean(axis=0), *rate[own].mean(axis=0))
+            own_force = felt if header.unit == "g" else force
+            own_rate = rate if header.unit == "g" else felt
+            responses = (*own_force[own].mean(axis=0), *own_rate[own].mean(axis=0))
             columns.append(np.array([1.0, degc[own].mean() - 25.0, warming[own].mean(), *responses, *log]))
-            tilts.append((force[own].mean(axis=0), pair.tilt, number))
+            tilts.append((own_force[own].mean(axis=0), pair.tilt, number))
+            values = (force if header.unit == "g" else rate)[own]
+            changes.append((values[-1] - values[0]) / max((end - begin) * 1e-9, 1e-9))
     if not rows:
         return
-    header = pairs[0].header
     table = np.array(columns)
     slopes = np.nan_to_num(slope_tolerance(header), nan=0.0) / TOLERANCE_SIGMAS
     for axis in range(3):
         one_sigma = [_FREE, _FREE, slopes[axis], *_responses(header, axis), *[turn_on_rms(header)] * len(pairs)]
-        explained = np.hstack([table * np.array(one_sigma), _leans(tilts, axis)]) * header.sensitivity
+        late = _delay_s(header) * np.array(changes)[:, [axis]]
+        explained = np.hstack([table * np.array(one_sigma), late, _leans(tilts, axis)]) * header.sensitivity
         difference, variance = (np.array([row[part][axis] for row in rows]) for part in (0, 1))
         yield _score(difference, variance, explained, anew)
 
 
-def _leans(tilts: Sequence[tuple[Floats, float, int]], axis: int) -> Floats:
+def _leans(tilts: Sequence[_Tilt], axis: int) -> Floats:
     """Return (p, k) what an unknown attitude changes in the readings of an axis, one sigma each, in g: the force (3,)
     of a block along the two other axes times the angle, common to the blocks of a log in one attitude.
     """
@@ -394,8 +411,11 @@ def _motion_responses(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]
         interpolated = np.stack([np.interp(pair.time, pair.new_time, axis) for axis in pair.new_counts.T], axis=1)
         differences.append(interpolated - pair.counts)
         weights.append(np.repeat(pair.noise[None], len(force), axis=0))
-    # Less the mean of each log: its bias is fitted.
-    design, difference = (np.vstack([v - v.mean(axis=0) for v in values]) for values in (designs, differences))
+    # Less the means of blocks: these are levels, with biases that follow the temperature.
+    design, difference = (
+        np.vstack([block - block.mean(axis=0) for log in logs for block in np.array_split(log, _BLOCKS) if len(block)])
+        for logs in (designs, differences)
+    )
     variance = np.vstack(weights)
     spread = design.std(axis=0)
     used = np.flatnonzero(spread > 1e-6)
@@ -406,7 +426,9 @@ def _motion_responses(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]
         reach = np.zeros(design.shape[1])
         reach[:6] = _responses(header, axis)
         reach[:3] = np.where(np.arange(3) == axis, reach[:3], np.hypot(reach[:3], max(pair.tilt for pair in parts)))
-        reach[6 + axis if header.unit == "g" else 9 + axis] = _delay_s(header) / SI_PER_UNIT[header.unit]
+        reach[6 + axis if header.unit == "g" else 9 + axis] = _delay_s(header) * (
+            1 if header.unit == "g" else degrees(1)
+        )
         basis, values, tolerance = np.linalg.svd(scaled / np.sqrt(variance[:, [axis]]), full_matrices=False)
         kept = values > 1e-6 * values[0]
         coefficient = basis[:, kept].T @ (difference[:, axis] / np.sqrt(variance[:, axis]))

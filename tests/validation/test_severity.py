@@ -141,6 +141,14 @@ def test_a_bias_does_not_show_in_motion(tmp_path: Path) -> None:
     assert matched_statistic([plain], [bent]) > LIMIT
 
 
+def test_other_noise_does_not_show_in_motion(tmp_path: Path) -> None:
+    """The response is that to the commanded motion: the sensor's own noise, 80 times its standard error in the readings
+    of all rows, is no motion that it responds to. Spectra of fifty windows differ by up to 1.5 limits.
+    """
+    plain, other = turning(tmp_path, np.zeros((ROWS, 3)), noise(2) - noise())
+    assert matched_statistic([plain], [other]) < 1.5 * LIMIT
+
+
 def test_motion_shows_only_what_the_recordings_can_compare(tmp_path: Path) -> None:
     """An accelerometer 20 ms late, beyond the 9 ms that its filter and a sample of 10 ms explain by half, shows against
     a track; without one, and without another accelerometer, it shows nowhere.
