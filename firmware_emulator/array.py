@@ -14,7 +14,7 @@ from dataclasses import fields
 from types import MappingProxyType
 from typing import Any, Self
 
-from firmware_emulator.board import ArrayLike, Board, BoardKind, SensorLike, named
+from firmware_emulator.board import ArrayLike, Board, BoardKind, SensorLike, allowed_text, named
 from firmware_emulator.chip import Chip, Target
 from firmware_emulator.chips import BAROMETERS, CHIPS, HALVES, ON_AUXILIARY_BUS
 from firmware_emulator.chips.mpu_queue import MpuFamily
@@ -240,7 +240,7 @@ def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
     allowed = (*SETTINGS, *own, *FITTINGS, FAULTS, BOARD)
     for key in query:
         if key not in allowed:
-            raise ValueError(f"{key}: no such parameter; allowed are {', '.join(allowed)}")
+            raise ValueError(f"{key}: no such parameter; {allowed_text(key, allowed)}")
     nack_errno = whole_number(query, "errno", 121)
     if nack_errno not in ERRNOS:
         raise ValueError(f"errno={nack_errno}; allowed are {', '.join(map(str, ERRNOS))}")
@@ -263,7 +263,7 @@ def six_axis_switches(query: Mapping[str, str], array: ArrayLike) -> Switches:
     """
     asked = query.get("oscillators", OSCILLATORS[0])
     if asked not in OSCILLATORS:
-        raise ValueError(f"oscillators={asked}; allowed are {', '.join(OSCILLATORS)}")
+        raise ValueError(f"oscillators={asked}; {allowed_text(asked, OSCILLATORS)}")
     pulse_hz = number("pulse_hz", query.get("pulse_hz", str(PULSE_HZ)))
     if not 0 <= pulse_hz <= 1e6:
         raise ValueError(f"pulse_hz={pulse_hz:g}; allowed is 0 (no pulses) to 1e6")

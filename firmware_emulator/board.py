@@ -8,7 +8,7 @@ the piece in which they do; the array is then put together and polled in the sam
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol, TypeVar
 
 from firmware_emulator.chip import Chip, Element, Target
@@ -88,8 +88,17 @@ MUXES = {"pca9544a": Pca9544aChip}
 def named(name: str, known: Mapping[str, T], what: str) -> T:
     """Return the entry of that name; ValueError that lists the others."""
     if name not in known:
-        raise ValueError(f"{what} {name!r}; allowed are {', '.join(known)}")
+        raise ValueError(f"{what} {name!r}; {allowed_text(name, known)}")
     return known[name]
+
+
+def allowed_text(name: str, known: Iterable[str]) -> str:
+    """Return "allowed are A, B", and "; did you mean A?" if a known name resembles `name`."""
+    from difflib import get_close_matches
+
+    names = {word.casefold(): word for word in known}
+    near = get_close_matches(name.casefold(), list(names), n=1)
+    return f"allowed are {', '.join(names.values())}" + (f"; did you mean {names[near[0]]}?" if near else "")
 
 
 class Board:

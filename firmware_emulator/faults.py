@@ -27,7 +27,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from firmware_emulator.board import ArrayLike
+from firmware_emulator.board import ArrayLike, allowed_text
 from firmware_emulator.faulty_parts import LAYOUTS, TEARS, Times
 
 CHIP_FAULTS = MappingProxyType(
@@ -123,11 +123,11 @@ def faults_from(tables: Mapping[str, Any], array: ArrayLike, text: str = "", pat
 def _fault(table: Mapping[str, Any], array: ArrayLike) -> Fault:
     kind = table.get("kind")
     if kind not in FAULTS:
-        raise ValueError(f"kind {kind!r}; allowed are {', '.join(FAULTS)}")
+        raise ValueError(f"kind {kind!r}; {allowed_text(str(kind), FAULTS)}")
     for key in table:
         if key not in KEYS or kind not in OWN_KEYS.get(key, (kind,)):
             allowed = [known for known in KEYS if kind in OWN_KEYS.get(known, (kind,))]
-            raise ValueError(f"{key}: no such key of {kind}; allowed are {', '.join(allowed)}")
+            raise ValueError(f"{key}: no such key of {kind}; {allowed_text(key, allowed)}")
     sensor = _sensor(kind, table.get("sensor", ""), array)
     if kind in ("wrong_channel", "mux_reset") and array.mux is None:
         raise ValueError(f"{kind}: array {array.name} has no multiplexer")

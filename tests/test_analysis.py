@@ -154,6 +154,8 @@ def test_a_characterisation_is_that_of_the_command(folder: Path, tmp_path: Path)
     white = found.coefficient("Gyro1", "x")
     assert white is not None
     assert white.low < white.value < white.high
+    assert white.unit == "dps/sqrt(Hz)"
+    assert repr(white).startswith(f"Coefficient(value={white.value:.4g}, low={white.low:.4g}")
     # counts that are white with a scatter of s at r rows a second have N = s / sqrt(r)
     entry = found.axis("Gyro1", "x")
     assert white.value == pytest.approx(entry["unit"]["std"] / np.sqrt(50.0), rel=0.1)

@@ -155,4 +155,5 @@ def main() -> list[float]:
 
 
 if __name__ == "__main__":
-    print(main())
+    x, y, z = main()
+    print(f"The driver holds the golden conversation; the burst in it reads x {x:+.2f} g, y {y:+.2f} g, z {z:+.2f} g.")

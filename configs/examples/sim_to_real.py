@@ -1,7 +1,7 @@
 """From logs to a diagnosis in thirty lines: `python configs/examples/sim_to_real.py [FOLDER]`.
 
-The logs are simulated, so the example runs anywhere; replace them by your own. Figures need the extra "report",
-tables the extra "analysis".
+The logs are simulated, so the example runs anywhere; replace them by your own. FOLDER (default: sim_to_real) holds
+all files that it writes. Figures need the extra "report", tables the extra "analysis".
 """
 
 import sys
@@ -11,8 +11,9 @@ import imuarray as ia
 from imuarray.simulate import EFFECTS
 
 
-def main(folder: Path = Path()) -> dict[str, object]:
+def main(folder: Path) -> dict[str, object]:
     """The results, by name."""
+    folder.mkdir(exist_ok=True)
     hum = EFFECTS["tone"](amplitude=0.6, frequency_hz=11.0)  # dps: unknown to the simulator below
     tumble = ia.simulate("martin2013", folder / "tumble.h5", experiment="tumble", seconds=70, seed=1, force=True)
     night = ia.simulate("martin2013", folder / "night.h5", seconds=120, effects={"Gyro2": [hum]}, seed=1, force=True)
@@ -35,4 +36,4 @@ def main(folder: Path = Path()) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path())
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path("sim_to_real"))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from firmware_emulator.board import MUXES, Board, named
+from firmware_emulator.board import MUXES, Board, allowed_text, named
 from firmware_emulator.chip import Chip, Target
 from firmware_emulator.chips import HALVES
 from firmware_emulator.clock import WireClock
@@ -126,7 +126,7 @@ def sites_of(array: ArrayLike, fitting: Fitting) -> list[SensorLike]:
     allowed = [sensor.name for sensor in array.sensors if sensor.chip in mechanism.touches]
     for name in fitting.sensors:
         if name not in by_name or name not in allowed:
-            raise ValueError(f"sensor {name!r} for {what}; allowed are {', '.join(allowed)}")
+            raise ValueError(f"sensor {name!r} for {what}; {allowed_text(name, allowed)}")
     chosen = [by_name[name] for name in fitting.sensors]
     least = LEAST_SENSORS.get(mechanism.place, 1)
     if len(chosen) < least or (mechanism.place == "pair" and len(chosen) != least):

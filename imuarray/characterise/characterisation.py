@@ -240,8 +240,8 @@ PLOTS = ("allan", "spectrum", "autocorrelation", "histogram")
 
 
 class Coefficient(NamedTuple):
-    """A noise coefficient with its 95 % interval, in the sensor's unit (g or dps; per root hertz for "white", per root
-    second for "random walk"). Not `significant`: not seen in the log, and at most `high`. `doubtful`: the Allan
+    """A noise coefficient with its 95 % interval, in `unit`: the sensor's unit (g or dps), per root hertz for "white",
+    per root second for "random walk". Not `significant`: not seen in the log, and at most `high`. `doubtful`: the Allan
     deviation is not a sum of the fitted noises, and the value may be that of a line, a drift or coloured noise.
     """
 
@@ -250,6 +250,15 @@ class Coefficient(NamedTuple):
     high: float
     significant: bool
     doubtful: bool = False
+    unit: str = ""
+
+    def __repr__(self) -> str:
+        values = f"value={self.value:.4g}, low={self.low:.4g}, high={self.high:.4g}, unit={self.unit!r}"
+        return f"Coefficient({values}, significant={self.significant}, doubtful={self.doubtful})"
+
+
+_PER = {"white": "/sqrt(Hz)", "flicker": "", "random walk": "/sqrt(s)"}
+"""The unit of a coefficient, after that of the sensor."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -288,7 +297,8 @@ class Characterisation:
             return None
         scale = abs(entry["unit_per_count"] or 1.0)
         value, low, high = (scale * fitted[name] for name in ("value", "low", "high"))
-        return Coefficient(value, low, high, fitted["significant"], fitted["doubtful"])
+        unit = next(row["unit"] for row in self.result["sensors"] if row["name"] == sensor)
+        return Coefficient(value, low, high, fitted["significant"], fitted["doubtful"], unit + _PER[term])
 
     def plot(self, kind: str = "allan") -> Figure:
         """Return a figure of all sensors: "allan", "spectrum", "autocorrelation" or "histogram". LogError for another

@@ -304,8 +304,10 @@ class Log:
         from imuarray.html_table import html_table
 
         sensors = self.sensors.values() if self.is_open else ()
-        rows = [(s.name, s.chip, s.quantity, f"{s.range:g}", s.unit, s.axes, len(s)) for s in sensors]
-        return html_table(repr(self), ("sensor", "chip", "quantity", "range", "unit", "axes", "rows"), rows)
+        rows = [
+            (s.name, s.chip, s.quantity, f"±{s.range:g} {s.unit}" if s.range else "–", s.axes, len(s)) for s in sensors
+        ]
+        return html_table(repr(self), ("sensor", "chip", "quantity", "range", "axes", "rows"), rows)
 
     def __reduce__(self) -> tuple[Callable[[Path], Log], tuple[Path]]:
         return _shared, (self.path.absolute(),)

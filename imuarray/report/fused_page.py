@@ -28,6 +28,7 @@ from imuarray.fuse import (
     read_fused_events,
 )
 from imuarray.log import Log
+from imuarray.printable import counted
 from imuarray.report.page import Figure, Section, Table, Verdict
 from imuarray.report.verdicts import fused_verdict, techniques_verdict
 from imuarray.units import READABLE_SI
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 
 _POINTS = 2000
 """Most points of a drawn time series, each a mean of frames."""
+
+_WHOLE = "1"
 
 _EVENTS = 50
 """Most events that the table shows."""
@@ -87,14 +90,18 @@ def fused_sections(path: Path, head: FusedHead, *, with_figures: bool) -> tuple[
         "Scatter from frame to frame in the quietest quarter, and the standard error that the result claims there."
     )
     parts: list[Table | Figure] = [Table(heading, rows, caption, (1,))]
-    if use := _use_rows(head, series):
-        words = "Share of frames in which each axis of a sensor was used; below 1, it was excluded from some frames."
-        parts.append(Table(["sensor", "x", "y", "z"], use, words))
+    words = "The result in the box frame."
+    use = _use_rows(head, series)
+    if use and all(share == _WHOLE for row in use for share in row[1:]):
+        words += f" Every axis of {counted(len(use), 'sensor')} was used in every frame."
+    elif use:
+        shares = "Share of frames in which each axis of a sensor was used; below 1, it was excluded from some frames."
+        parts.append(Table(["sensor", "x", "y", "z"], use, shares))
     if events := _events_table(path):
         parts.append(events)
     if with_figures:
         parts += [_time_plot(quantity, series) for quantity in series.triads]
-    section = Section(f"{path.name}: fused by {head.technique}", "The result in the box frame.", parts)
+    section = Section(f"{path.name}: fused by {head.technique}", words, parts)
     return fused_verdict(path, head, noise, series.sigma, _failed_sensors(path)), section
 
 
@@ -120,7 +127,10 @@ def _use_rows(head: FusedHead, series: _TimeSeries) -> list[list[str]]:
     for quantity, names in head.sensors.items():
         shares = series.used.get(quantity)
         if shares is not None and len(names) == len(shares):
-            rows += [[name, *(f"{part:.4f}" for part in own)] for name, own in zip(names, shares, strict=True)]
+            rows += [
+                [name, *(_WHOLE if part == 1 else f"{min(part, 0.9999):.4f}" for part in own)]
+                for name, own in zip(names, shares, strict=True)
+            ]
     return rows
 
 
@@ -211,6 +221,11 @@ def techniques_section(
         "Rms error against the log's truth, divided by that of the simple average of the same sensors."
         " Below one is better."
     )
+    if not calibration.sensors:
+        words += (
+            " There is no calibration: the biases of the sensors dominate these errors, and no technique removes them."
+            " Add a calibration (cal.toml) to the files of this report."
+        )
     parts: list[Table | Figure] = []
     if with_figures:
         labels = [f"{score.technique}: {score.quantity.replace('_', ' ')}" for score in scores]
@@ -236,7 +251,7 @@ def _table(comparison: TechniqueComparison) -> Table:
         factor, unit = READABLE_SI[score.quantity]
         ratio, held = score.ratio["XYZ"], score.consistency
         interval = f" ({ratio.low:.3f} to {ratio.high:.3f})" if np.isfinite([ratio.low, ratio.high]).all() else ""
-        claimed = "–" if held is None else f"{held.normalised:.2f} ({held.low:.2f} to {held.high:.2f})"
+        claimed = "–" if held is None else f"{held.normalised:.3g} ({held.low:.2f} to {held.high:.2f})"
         axes = [f"{factor * value:.3f}" for value in score.error.rms]
         name = f"{score.technique}: {score.quantity.replace('_', ' ')}"
         rows.append([name, unit, *axes, f"{ratio.ratio:.3f}{interval}", claimed])

@@ -82,7 +82,7 @@ def gap_verdict(diagnosis: Diagnosis) -> Verdict:
     levels: dict[str, Level] = {"no gap": "good", "unexplained": "bad"}
     sentence = {
         "no gap": "The simulator is good enough for what these recordings show: they agree with it within chance.",
-        "explained": f"The simulator is not good enough as it is. With {names} added it is good enough.",
+        "explained": f"The simulator is not good enough as it is. {_remainder(diagnosis, names)}",
         "partly explained": f"The simulator is not good enough; {names or 'no cause'} explains only a part of it."
         if len(effects) < 2
         else f"The simulator is not good enough; {names} explain only a part of it.",
@@ -105,8 +105,17 @@ def gap_verdict(diagnosis: Diagnosis) -> Verdict:
     return Verdict(sentence, levels.get(diagnosis.verdict, "doubtful"), tuple(figures))
 
 
+def _remainder(diagnosis: Diagnosis, names: str) -> str:
+    """State whether the simulator with the effects `names` is good enough, or where a material difference remains."""
+    sensors = dict.fromkeys(place.sensor or "the array" for place in diagnosis.unexplained if place.size == "material")
+    if not sensors:
+        return f"With {names} added it is good enough."
+    places = ", ".join(list(sensors)[:_NAMED]) + (f" and {len(sensors) - _NAMED} more" if len(sensors) > _NAMED else "")
+    return f"With {names} added most of the gap closes, but {places} still differs by more than matters to a user."
+
+
 _NAMED = 3
-"""Most effects that the verdict names."""
+"""Most effects or sensors that the verdict names."""
 
 
 def _worst_use(uses: Sequence[Use]) -> Use | None:

@@ -20,7 +20,16 @@ from imuarray.report.validation_figures import plots_of
 from imuarray.validation.rates import Bin
 from imuarray.validation.score_answers import NO_GAP
 from imuarray.validation.score_rows import ScoreRow
-from imuarray.validation.scoring import HEADLINE, MOST_CELLS, Figures, decimal, format_row, lost_by, transfer_line
+from imuarray.validation.scoring import (
+    HEADLINE,
+    MOST_CELLS,
+    Figures,
+    decimal,
+    format_row,
+    lost_by,
+    shown_rows,
+    transfer_line,
+)
 
 Parts = list[Table | Figure]
 Plots = Mapping[str, Any]
@@ -61,9 +70,12 @@ def validation_verdict(figures: Figures) -> Verdict:
         )
     else:
         sentence = f"The diagnosis meets all {len(judged)} bars, which were set in advance."
+    without = sum(row.mark == "n.a." for row in figures.rows)
     key_figures = (
         (str(figures.cases), "cases"),
-        (f"{len(judged) - len(failed)} of {len(judged)}", "bars met"),
+        (f"{len(judged) - len(failed)} of {len(judged)}", "bars met")
+        if judged
+        else (str(without), "bars without cases"),
         (str(len(figures.lost)), "cases lost"),
     )
     return Verdict(sentence, "neutral" if not judged else "doubtful" if failed else "good", key_figures)
@@ -85,9 +97,12 @@ def validation_sections(figures: Figures, plots: Plots, command: str = "") -> tu
 
 
 def _figures(figures: Figures) -> Section:
-    rows = [[row.name, marked("FAIL") if row.mark == "FAIL" else row.mark, *format_row(row)] for row in figures.rows]
+    shown = shown_rows(figures)
+    rows = [[row.name, marked("FAIL") if row.mark == "FAIL" else row.mark, *format_row(row)] for row in shown]
     heading = ["figure", "", "value", "95 %", "cases", "bar"]
     caption = "Marked where a bar is missed; n.a.: no cases; empty: no bar."
+    if len(shown) < len(figures.rows):
+        caption = f"{len(figures.rows) - len(shown)} figures without cases are not shown."
     counted = [[name, about] for about, name in _names_by_meaning(figures).items()]
     words = "Each figure with its interval, the number of cases, and the bar, which was set in advance."
     descriptions = Table(["figure", "what is counted"], counted, "What is counted.", (1,))
@@ -338,7 +353,8 @@ def summary_lines(figures: Figures) -> Iterator[str]:
     sure = [row.name for row in figures.failed if row.is_refuted]
     maybe = [row.name for row in figures.failed if not row.is_refuted]
     empty = [row.name for row in figures.rows if row.mark == "n.a."]
-    yield f"{sum(row.passes is True for row in judged)} of {len(judged)} figures reach their bar."
+    if judged:
+        yield f"{sum(row.passes is True for row in judged)} of {len(judged)} figures reach their bar."
     if sure:
         yield f"Missed significantly (the whole interval is outside the bar): {'; '.join(sure)}."
     if maybe:

@@ -4,6 +4,7 @@ what to do, with a few figures.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +25,8 @@ from imuarray.units import INERTIAL, READABLE, READABLE_SI
 
 _LEVELS: dict[str, Level] = {"green": "good", "amber": "doubtful", "red": "bad"}
 _FIGURES = 5
+_NOTICEABLE = 0.95
+"""Largest ratio of errors that the verdict calls a reduction."""
 _CLAIMED = 1.5
 """Ratio of scatter to claimed error above which a fused result is worse than it claims."""
 
@@ -200,9 +203,14 @@ def techniques_verdict(log: Log, comparison: TechniqueComparison) -> Verdict | N
         f"the error of {_words(score)} to {score.ratio['XYZ'].ratio:.2f} times that of the simple average"
         f" ({score.technique})"
         for score in best.values()
-        if _is_sure(score)
+        if _is_sure(score) and score.ratio["XYZ"].ratio < _NOTICEABLE
     ]
-    sentence = f"reduces {' and '.join(gains)}" if gains else "has no significant gain over the simple average"
+    if gains:
+        sentence = f"reduces {' and '.join(gains)}"
+    elif any(map(_is_sure, best.values())):
+        sentence = f"gains less than {100 * (1 - _NOTICEABLE):.0f} % over the simple average"
+    else:
+        sentence = "has no significant gain over the simple average"
     figures = tuple(
         (f"{score.ratio['XYZ'].ratio:.2f} ×", f"the simple average's error of {_words(score)}, with {score.technique}")
         for score in best.values()
@@ -220,6 +228,9 @@ def _is_sure(score: Score) -> bool:
         return False
     return bool(ratio.high < 1) if np.isfinite(ratio.high) else ratio.ratio < 1
 
+
+_FEW = 2
+"""Number of verdicts up to which the joint one also names the gain of fusion."""
 
 _ORDER = ("bad", "doubtful", "neutral", "good")
 
@@ -241,7 +252,8 @@ def joined(verdicts: Sequence[Verdict]) -> Verdict | None:
     worst = ranked[0]
     if worst.level in ("bad", "doubtful"):
         return Verdict(worst.sentence, worst.level, tuple(figures[:_FIGURES]))
-    brief = "; ".join(
-        verdict.sentence.split(": ")[0].rstrip(".").replace("Fusion of", "fusion of") for verdict in verdicts
-    )
+    gains = "Fusion of"
+    kept = [verdict for verdict in verdicts if len(verdicts) == _FEW or not verdict.sentence.startswith(gains)]
+    texts = [re.sub(", fused by [^,]*,", "", verdict.sentence.split(": ")[0].rstrip(".")) for verdict in kept]
+    brief = "; ".join(text.replace(gains, "fusion of") for text in texts)
     return Verdict(f"Everything is in order: {brief}.", "good", tuple(figures[:_FIGURES]))

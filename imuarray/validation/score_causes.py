@@ -198,7 +198,9 @@ def _control(singles: Sequence[Answer], seed: int) -> ScoreRow:
     chance = permute_labels(hits, seed)
     share: RateEstimate = rate(chance.hits, len(singles))
     bar = (None, chance.mean + _SURE * chance.deviation) if isfinite(chance.mean) else (None, 0.5)
-    about = f"a control of the scoring: labels of cases permuted once, which gives {chance.mean:.3f} on average"
+    about = "a control of the scoring: labels of cases permuted once"
+    if isfinite(chance.mean):
+        about += f", which gives {chance.mean:.3f} on average"
     return make_row("right cause first, labels shuffled", share, bar, about)
 
 

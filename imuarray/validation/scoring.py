@@ -333,7 +333,10 @@ def format_text(figures: Figures) -> str:
     """
     heading = f"{figures.half or 'validation'} half: {figures.cases} cases, {len(figures.lost)} lost"
     lines = [heading, "", _format_line("", "figure", "value", "95 %", "cases", "bar")]
-    lines += [_format_line(row.mark, row.name, *format_row(row)) for row in figures.rows]
+    shown = shown_rows(figures)
+    lines += [_format_line(row.mark, row.name, *format_row(row)) for row in shown]
+    if len(shown) < len(figures.rows):
+        lines += ["", f"{len(figures.rows) - len(shown)} figures have no cases: a longer run is needed to judge any."]
     for world, rows in figures.elsewhere.items():
         filled = [row for row in rows if row.cases]
         lines += ["", f"world: {world}", *(_format_line(row.mark, row.name, *format_row(row)) for row in filled)]
@@ -345,6 +348,12 @@ def format_text(figures: Figures) -> str:
     )
     lines += ["", *(line for note in figures.notes for line in wrap(note, WIDTH))] if figures.notes else []
     return "\n".join(line.rstrip()[:WIDTH] for line in lines) + "\n"
+
+
+def shown_rows(figures: Figures) -> tuple[ScoreRow, ...]:
+    """Return the rows of a table: all of them, or those with cases if no figure with a bar has any."""
+    judged = any(row.passes is not None for row in figures.rows)
+    return figures.rows if judged else tuple(row for row in figures.rows if row.cases)
 
 
 def transfer_line(transfer: TransferRow) -> str:

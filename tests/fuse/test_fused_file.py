@@ -148,6 +148,21 @@ def test_a_variance_below_zero_does_no_harm(tmp_path: Path) -> None:
     assert [row[-1] for row in section.parts[0].rows] == ["–"] * 3
 
 
+def test_the_page_lists_the_use_of_sensors_only_if_it_differs(tmp_path: Path) -> None:
+    path = written(tmp_path / "f.h5")
+    texts = []
+    for used in (7, 5):
+        with h5py.File(path, "a") as file:
+            flags = file["fused"]["specific_force_used"]
+            flags[:1] = used
+            flags[1:] = 7
+        _, section = fused_sections(path, read_fused_head(path), with_figures=False)
+        texts.append((section.text, [part.heading for part in section.parts if isinstance(part, Table)]))
+    (whole, tables), (part, more) = texts
+    assert "was used in every frame." in whole and len(tables) == 1
+    assert "every frame" not in part and more[1] == ["sensor", "x", "y", "z"]
+
+
 def test_a_result_can_be_read_while_it_is_written_and_if_its_writing_was_cut_short(tmp_path: Path) -> None:
     """HDF5 refuses a file that says it is open for writing; one column is longer, for it came first."""
     live = LiveFused(tmp_path / "live.h5", epoch=EPOCH, technique="mean", log="run.h5")

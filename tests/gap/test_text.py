@@ -165,6 +165,8 @@ def test_shares(value: float | None, text: str) -> None:
 def test_closed_and_chance() -> None:
     assert closed_text(0.86, (0.75, 0.94)) == "86 % (75 to 94)"
     assert closed_text(0.86, None) == "86 %"
+    assert closed_text(0.999, (0.996, 1.0)) == ">99 %"
+    assert closed_text(1.0, (0.97, 1.0)) == "100 % (97 to 100)"
     assert closed_text(None, None) == "–"
     assert [chance(p) for p in (0.5, 0.0312, 0.00049, nan)] == ["p = 0.5", "p = 0.031", "p < 0.001", "p –"]
 

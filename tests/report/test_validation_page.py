@@ -208,7 +208,9 @@ def test_a_run_without_cases_makes_a_page(tmp_path: Path) -> None:
     write_validation_page(tmp_path / "page.html", score)
     page = Page((tmp_path / "page.html").read_text(encoding="utf-8"))
     assert page.images == [] and list(page.rows) == ORDER
-    assert page.summary[0] == "0 of 0 figures reach their bar."
+    assert page.summary[0] == "22 figures have no cases."
+    assert [row[0] for row in page.rows["Figures and their bars"][:2]] == ["figure", "figure"]  # no empty rows
+    assert "nan" not in (tmp_path / "page.html").read_text(encoding="utf-8").split("<main>")[1]
     assert "No threshold was fixed" in markdown(score, "2026-01-31")
 
 

@@ -170,6 +170,13 @@ def test_the_worst_of_several_is_the_verdict() -> None:
     order = joined([good, replace(good, sentence="c.toml is good: yes.")])
     assert order is not None
     assert order.sentence == "Everything is in order: a.h5 is healthy; c.toml is good."
+    gain = Verdict("Fusion of a.h5 reduces the error to 0.61 times (optimal).", "good", [])
+    fused = Verdict("o.h5, fused by optimal, scatters by 5 mg at rest.", "good", [])
+    two, three = joined([good, gain]), joined([good, gain, fused])
+    assert two is not None and two.sentence.endswith(
+        "a.h5 is healthy; fusion of a.h5 reduces the error to 0.61 times (optimal)."
+    )
+    assert three is not None and three.sentence.endswith("a.h5 is healthy; o.h5 scatters by 5 mg at rest.")
 
 
 def test_is_the_simulator_good_enough() -> None:
@@ -184,6 +191,12 @@ def test_is_the_simulator_good_enough() -> None:
     assert named.level == "doubtful"
     effects = list(dict.fromkeys(cause.effect.replace("_", " ") for cause in made().causes))
     assert effects[0] in named.sentence
+    assert named.sentence.endswith(
+        "added most of the gap closes, but ADXL1 still differs by more than matters to a user."
+    )
+    harmless = tuple(place for place in made().unexplained if place.size != "material")
+    enough = gap_verdict(replace(made(), verdict="explained", unexplained=harmless))
+    assert harmless and enough.sentence.endswith("added it is good enough.")
 
 
 def test_a_page_opens_with_it(tmp_path: Path) -> None:
@@ -203,6 +216,7 @@ def test_a_page_opens_with_it(tmp_path: Path) -> None:
     ("ratio", "words", "level"),
     [
         (0.61, "reduces the error of specific force to 0.61 times that of the simple average (optimal).", "good"),
+        (0.97, "gains less than 5 % over the simple average.", "neutral"),
         (0.9985, "has no significant gain over the simple average.", "neutral"),  # significant, but 1.00 when rounded
     ],
 )

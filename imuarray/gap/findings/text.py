@@ -94,8 +94,8 @@ def chance(p: float) -> str:
 
 
 def closed_text(closed: float | None, interval: Interval | None) -> str:
-    """Format a closed share and its 95 % interval: "86 % (75 to 94)"."""
-    if closed is None or interval is None:
+    """Format a closed share and its 95 % interval: "86 % (75 to 94)"; without the interval if that rounds to 100 %."""
+    if closed is None or interval is None or round(100 * interval[0]) == round(100 * interval[1]) == 100:
         return share(closed)
     low, high = (f"{100 * end:.0f}" if isfinite(end) else NOTHING for end in interval)
     return f"{share(closed)} ({low} to {high})"
