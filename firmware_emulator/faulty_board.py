@@ -10,12 +10,11 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from firmware_emulator.board import MUXES, Board, BoardKind, SensorLike, named
+from firmware_emulator.board import MUXES, NO_CHANNEL, Board, BoardKind, Pca9544aChip, SensorLike, named
 from firmware_emulator.chip import Chip, Element, Target
 from firmware_emulator.clock import WireClock
 from firmware_emulator.faults import BUS_FAULTS, CHIP_FAULTS, Fault
 from firmware_emulator.faulty_parts import ChipFault, FaultyDevice, ShiftedElement, Times
-from firmware_emulator.mux import NO_CHANNEL, Pca9544aChip
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import DelayedWorld
 

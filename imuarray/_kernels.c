@@ -1,7 +1,7 @@
 /* Recursions over rows or segments, of which each needs the one before, so that NumPy can't take all of them at once.
 
    `tridiagonal` serves the splines of `imuarray.fuse.alignment`, `drift` the likelihood of `imuarray.calibrate.drift`,
-   `track` the filter of `imuarray.fuse.techniques.ranges.relative`, and `non_negative` the fits of
+   `track` the filter of `imuarray.fuse.techniques.ranges`, and `non_negative` the fits of
    `imuarray.characterise.allan_fit`, of which a log needs a thousand. The names are those of the Python code, where every
    step is explained, and which does the same to rounding. */
 

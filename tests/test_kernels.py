@@ -8,9 +8,9 @@ from scipy.optimize import nnls
 
 from imuarray import kernels
 from imuarray.arrays import Floats
-from imuarray.calibrate import drift
+from imuarray.calibrate import noise
 from imuarray.calibrate.segments import SegmentMeans
-from imuarray.fuse.techniques.ranges import relative
+from imuarray.fuse.techniques import ranges
 
 pytestmark = pytest.mark.skipif(not kernels.COMPILED, reason="installed without a C compiler")
 
@@ -40,9 +40,9 @@ def test_the_likelihood_of_a_drift(rows: int, axes: int, monkeypatch: pytest.Mon
     """Of one grid for all axes, and of a grid for each, from a drift of a fiftieth of the noise to 500 times it."""
     times = np.geomspace(4.0, 400.0, 5)
     ratios = np.geomspace(0.02, 500.0, 9)[:, None] * np.linspace(1.0, 1.3, axes)
-    compiled = drift._likelihood([stretch(rows)], 2.0, times, ratios)
+    compiled = noise._likelihood([stretch(rows)], 2.0, times, ratios)
     monkeypatch.setattr(kernels, "COMPILED", False)
-    wanted = drift._likelihood([stretch(rows)], 2.0, times, ratios)
+    wanted = noise._likelihood([stretch(rows)], 2.0, times, ratios)
     np.testing.assert_allclose(compiled.log_likelihood, wanted.log_likelihood, rtol=1e-12, atol=1e-10)
 
 
@@ -62,7 +62,7 @@ def test_a_drift_beside_the_covariance_of_all_means() -> None:
     np.testing.assert_allclose(sums[3].ravel(), np.linalg.slogdet(covariance)[1], rtol=1e-10)
 
 
-def segments_of(count: int, axes: int) -> relative.SegmentMoments:
+def segments_of(count: int, axes: int) -> ranges.SegmentMoments:
     """Moments of frames with some motion; a few segments tell nothing, in some no axis moved, in some one did."""
     rng = np.random.default_rng(3)
     terms = rng.normal(size=(count, axes, 62, 3)) * [0.0, 2.0, 0.5] + [1.0, 3.0, 0.0]
@@ -71,7 +71,7 @@ def segments_of(count: int, axes: int) -> relative.SegmentMoments:
     nothing = rng.random(count) < 0.2
     products[nothing], residual[nothing] = 0.0, 0.0
     moved = rng.random((count, axes)) < rng.choice([0.0, 0.5, 1.0], (count, 1))
-    return relative.SegmentMoments(np.arange(count), np.ones((count, axes), bool), moved, products, residual)
+    return ranges.SegmentMoments(np.arange(count), np.ones((count, axes), bool), moved, products, residual)
 
 
 def start_of(axes: int) -> tuple[Floats, Floats]:
@@ -82,12 +82,12 @@ def start_of(axes: int) -> tuple[Floats, Floats]:
 @pytest.mark.parametrize("count", [0, 1, 40])
 def test_differences_of_axes_over_segments(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = np.vstack([np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0] for seed in range(3)])
-    blend = relative.Blends(rows, np.linspace(1, 2, 9), np.full(9, 0.2)).of(np.ones(9, bool))
+    blend = ranges.Blends(rows, np.linspace(1, 2, 9), np.full(9, 0.2)).of(np.ones(9, bool))
     assert blend is not None
     segments, walks = segments_of(count, 9), np.random.default_rng(5).uniform(0, 1e-4, (count, 9, 3))
-    compiled = relative._track(start_of(9), segments, walks, blend)
+    compiled = ranges._track(start_of(9), segments, walks, blend)
     monkeypatch.setattr(kernels, "COMPILED", False)
-    wanted = relative._track(start_of(9), segments, walks, blend)
+    wanted = ranges._track(start_of(9), segments, walks, blend)
     for found, each in zip(compiled, wanted, strict=True):
         assert found.shape == each.shape
         np.testing.assert_allclose(found, each, rtol=1e-9, atol=1e-12)

@@ -16,9 +16,8 @@ from firmware_emulator.chips.bma180_converter import RANGES as BMA180
 from firmware_emulator.chips.bma180_converter import UPDATE_HZ
 from firmware_emulator.chips.l3g4200d import L3g4200dChip
 from firmware_emulator.chips.l3g4200d_signal import RANGES_DPS as L3G4200D_DPS
-from firmware_emulator.mechanisms.line import LAYOUTS, Codes
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
-from firmware_emulator.mechanisms.site import Site, plus
+from firmware_emulator.mechanisms.site import LAYOUTS, Codes, Site, plus
 from imuarray.facts import adxl345, bma180, l3g4200d
 from imuarray.facts.registers import Field
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from firmware_emulator.board import NO_CHANNEL, Pca9544aChip
 from firmware_emulator.chip import Target
 from firmware_emulator.clock import WireClock
-from firmware_emulator.mux import NO_CHANNEL, Pca9544aChip
 from firmware_emulator.wire import Wire
 
 Reading = Callable[[int], int]

@@ -9,16 +9,13 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from firmware_emulator.board import MUXES, Board, allowed_text, named
+from firmware_emulator.board import MUXES, Board, Pca9544aChip, allowed_text, named
 from firmware_emulator.chip import Chip, Target
 from firmware_emulator.chips import HALVES
 from firmware_emulator.clock import WireClock
 from firmware_emulator.element import IDENTITY, NOTHING, SensingElement, UnitDeviations, stream
-from firmware_emulator.mechanisms.element import MountedElement
 from firmware_emulator.mechanisms.host import HostClock, LatentWire, Reading, WatchedMux
-from firmware_emulator.mechanisms.line import ChipLine
-from firmware_emulator.mechanisms.site import INERTIAL, Site
-from firmware_emulator.mux import Pca9544aChip
+from firmware_emulator.mechanisms.site import INERTIAL, ChipLine, MountedElement, Site
 from firmware_emulator.tolerances import TruncatedNormal, typical
 from firmware_emulator.units import TOLERANCES, drawn_unit, unit_of
 from firmware_emulator.wire import Wire

@@ -1,22 +1,218 @@
-"""One sensor as a mechanism finds it: where to act, how large, and random numbers of its own."""
+"""One sensor as a mechanism finds it: where to act, how large, and random numbers of its own.
+
+Mechanisms act on a sensing element stage by stage::
+
+    world -> felt -> [the unit's own imperfections] -> sensed -> + noise -> amplified -> converter
+
+A stage is a list of functions of the instant, in ns since power-on, and of what the stage before gave. Instants never
+go back for one sensor.
+
+The line between a chip's converter and the two wires is the output latch, the contacts and the cable. `ChipLine` takes
+the place of the chip and answers to its address. It knows where each chip keeps its triad (ADX-27, BMA-12, BMA-60,
+L3G-44) and which bit says that the triad is new (ADX-50, BMA-62, L3G-52).
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from struct import Struct
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
 from firmware_emulator.chip import Chip, Triple
-from firmware_emulator.element import SENSED, Matrix, stream
-from firmware_emulator.mechanisms.element import Chain
-from firmware_emulator.mechanisms.line import Links
-from firmware_emulator.world import World
+from firmware_emulator.element import BLOCK, SENSED, Matrix, SensingElement, stream
+from firmware_emulator.world import World, WorldStimulus
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from typing import Any
+
+Felt = Callable[[int, WorldStimulus], WorldStimulus]
+Sensed = Callable[[int, Triple, WorldStimulus], Triple]
+Noise = Callable[[int, Triple, Triple, float], Triple]
+Amplified = Callable[[int, Triple, float], Triple]
+Setting = Callable[[float], float]
+Thermometer = Callable[[int, float], float]
+
+
+@dataclass
+class Chain:
+    """The stages. Data sheet units (g, dps), axes of the sensor.
+
+    felt: (at_ns, stimulus) -> stimulus at the sensor's place. sensed: (at_ns, input, stimulus) -> input without noise.
+    noise: (at_ns, noise, rms, bandwidth_hz) -> noise. amplified: (at_ns, input, full scale) -> converter's input.
+    full_scale: the full scale that the analogue part is really set to, of the one that the registers say.
+    thermometer: (at_ns, degC of the box) -> degC that the chip's own thermometer feels.
+    """
+
+    felt: list[Felt] = field(default_factory=list)
+    sensed: list[Sensed] = field(default_factory=list)
+    noise: list[Noise] = field(default_factory=list)
+    amplified: list[Amplified] = field(default_factory=list)
+    full_scale: list[Setting] = field(default_factory=list)
+    thermometer: list[Thermometer] = field(default_factory=list)
+
+
+class MountedElement(SensingElement):
+    """`SensingElement` with the stages of `chain` between its own."""
+
+    _chain = Chain()
+    _powered_on_ns = 0
+
+    def mount(self, chain: Chain, powered_on_ns: int) -> Self:
+        """Put the stages of `chain` between its own; their time counts from when it was powered on. Returns itself."""
+        self._chain, self._powered_on_ns = chain, powered_on_ns
+        return self
+
+    def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
+        """Input of the converter along the sensor's x, y, z, in the data sheet's unit, noise included."""
+        chain, gain = self._chain, 1.0
+        for setting in chain.full_scale:
+            actual = setting(full_scale)
+            gain, full_scale = gain * full_scale / actual, actual
+        if (full_scale, bandwidth_hz) != self._setting:
+            self._set(full_scale, bandwidth_hz)
+        since_ns = at_ns - self._powered_on_ns
+        x, y, z = self._noiseless(self._world(at_ns), since_ns)
+        dx, dy, dz = self._noise_now(since_ns, bandwidth_hz)
+        total = x + dx, y + dy, z + dz
+        for amplified in chain.amplified:
+            total = amplified(since_ns, total, full_scale)
+        return total if gain == 1.0 else (total[0] * gain, total[1] * gain, total[2] * gain)
+
+    def temperature(self, at_ns: int) -> float:
+        """Return the temperature that the chip's own thermometer feels, its offset included, in degC."""
+        degc = self._world(at_ns).temperature_degc
+        for thermometer in self._chain.thermometer:
+            degc = thermometer(at_ns - self._powered_on_ns, degc)
+        return degc + self.unit.thermometer_offset_degc
+
+    def _noiseless(self, stimulus: WorldStimulus, at_ns: int) -> Triple:
+        for felt in self._chain.felt:
+            stimulus = felt(at_ns, stimulus)
+        if stimulus is not self._felt:
+            self._felt, self._ideal = stimulus, self._without_noise(stimulus)
+        value = self._ideal
+        for sensed in self._chain.sensed:
+            value = sensed(at_ns, value, stimulus)
+        return value
+
+    def _noise_now(self, at_ns: int, bandwidth_hz: float) -> Triple:
+        used = self._used
+        if used >= len(self._noise):
+            self._noise, used = self._random.standard_normal(BLOCK).tolist(), 0
+        self._used = used + 3
+        drawn, (dx, dy, dz) = self._noise, self._deviation
+        noise = dx * drawn[used], dy * drawn[used + 1], dz * drawn[used + 2]
+        for shape in self._chain.noise:
+            noise = shape(at_ns, noise, self._deviation, bandwidth_hz)
+        return noise
+
+
+Codes = tuple[int, int, int]
+WORDS = Struct("<3h")
+
+
+class TriadLayout(NamedTuple):
+    """The place of a chip's triad: its first register, how far its codes are shifted up, and their width in bits."""
+
+    first: int
+    shift: int
+    bits: int
+
+
+LAYOUTS = MappingProxyType(
+    {"adxl345": TriadLayout(0x32, 0, 13), "bma180": TriadLayout(0x02, 2, 14), "l3g4200d": TriadLayout(0x28, 0, 16)}
+)
+"""Layouts by chip; inertial chips only."""
+
+Latch = Callable[[int, Codes], Codes]
+Contact = Callable[[int], bool]
+Cable = Callable[[int, bytes], bytes]
+Reset = Callable[[int], int | None]
+
+
+@dataclass
+class Links:
+    """The disturbances of a line, each a function of the instant in ns since power-on.
+
+    latches: (at_ns, codes) -> codes as they are read. contacts: (at_ns) -> whether the chip is connected at all.
+    cables: (at_ns, bytes sent) -> bytes received. resets: (at_ns) -> when the supply failed since last asked, or None.
+    """
+
+    latches: list[Latch] = field(default_factory=list)
+    contacts: list[Contact] = field(default_factory=list)
+    cables: list[Cable] = field(default_factory=list)
+    resets: list[Reset] = field(default_factory=list)
+
+    @property
+    def idle(self) -> bool:
+        """True if nothing acts."""
+        return not (self.latches or self.contacts or self.cables or self.resets)
+
+
+class ChipLine:
+    """A chip of that `kind`, seen through `links`."""
+
+    def __init__(self, chip: Chip, kind: str, links: Links, powered_on_ns: int = 0) -> None:
+        self._chip = chip
+        self._powered_on_ns = powered_on_ns
+        self._links = links
+        self._layout = LAYOUTS[kind]
+        self._pointer = 0
+
+    @property
+    def address(self) -> int:
+        """The chip's."""
+        return self._chip.address
+
+    @address.setter
+    def address(self, value: int) -> None:
+        self._chip.address = value
+
+    def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
+        """Write to the chip; nothing is acknowledged while a contact is open."""
+        since_ns = at_ns - self._powered_on_ns
+        for reset in self._links.resets:
+            failed_ns = reset(since_ns)
+            if failed_ns is not None:
+                self._chip.power_on(self._powered_on_ns + failed_ns)
+        for closed in self._links.contacts:
+            if not closed(since_ns):
+                return -1 if not data else 0
+        if data:
+            self._pointer = data[0] & 0x7F
+        return self._chip.write(data, at_ns, byte_ns)
+
+    def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
+        """Read the chip, the triad through the latches, all bytes through the cable."""
+        sent = self._chip.read(count, at_ns, byte_ns)
+        at_ns -= self._powered_on_ns
+        offset = self._layout.first - self._pointer
+        if self._links.latches and offset >= 0 and count >= offset + WORDS.size:
+            sent = self._latched(sent, offset, at_ns)
+        for cable in self._links.cables:
+            sent = cable(at_ns, sent)
+        return sent
+
+    def stop(self, at_ns: int) -> None:
+        """Pass the STOP on to the chip."""
+        self._chip.stop(at_ns)
+
+    def _latched(self, sent: bytes, offset: int, at_ns: int) -> bytes:
+        _, shift, bits = self._layout
+        words = WORDS.unpack_from(sent, offset)
+        low = (1 << shift) - 1
+        codes = words[0] >> shift, words[1] >> shift, words[2] >> shift
+        for latch in self._links.latches:
+            codes = latch(at_ns, codes)
+        top = (1 << bits - 1) - 1
+        kept = [max(-top - 1, min(top, code)) << shift | word & low for code, word in zip(codes, words, strict=True)]
+        return sent[:offset] + WORDS.pack(*kept) + sent[offset + WORDS.size :]
+
 
 ACCELEROMETERS = ("adxl345", "bma180")
 GYROSCOPES = ("l3g4200d",)

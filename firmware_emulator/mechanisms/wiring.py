@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 from firmware_emulator.chip import Triple
 from firmware_emulator.element import stream
-from firmware_emulator.mechanisms.line import Codes, Latch
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Mechanism, SensorMechanism
-from firmware_emulator.mechanisms.site import WHILE_SET_UP_S, Site, plus
+from firmware_emulator.mechanisms.site import WHILE_SET_UP_S, Codes, Latch, Site, plus
 from firmware_emulator.world import WorldStimulus
 
 if TYPE_CHECKING:

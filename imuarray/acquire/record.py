@@ -385,7 +385,7 @@ def record(
         finally:
             service.stopping()
         end_ns = bus.clock.now_ns() - start_ns
-        for phase in _until(phases, end_ns):
+        for phase in [phase._replace(end_ns=min(phase.end_ns, end_ns)) for phase in phases if phase.start_ns < end_ns]:
             log.phase(phase)
     summary = recording.summary
     summary.seconds = duration_s(summary.frames, summary.missed, options.rate_hz)
@@ -410,11 +410,6 @@ def _since(phases: Sequence[Phase], start_ns: int) -> list[Phase]:
         for phase in phases
         if phase.end_ns > start_ns
     ]
-
-
-def _until(phases: Sequence[Phase], end_ns: int) -> list[Phase]:
-    """Return the phases as seen by a log that ended at `end_ns`, without what would have been after it."""
-    return [phase._replace(end_ns=min(phase.end_ns, end_ns)) for phase in phases if phase.start_ns < end_ns]
 
 
 def _iso(moment: datetime) -> str:

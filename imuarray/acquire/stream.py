@@ -309,7 +309,9 @@ class Streaming:
             if now_ns - self._heard_ns > self._silence_ns:
                 self._find_link("it sends nothing")
             elif self._health.ill and now_ns - self._tried_ns > PAUSE_NS:
-                self._set_up_again()
+                self._bus.stop()
+                self._take(self._receive())
+                self._repair()
         except OSError as error:
             self._find_link(str(error.strerror or error))
         now_ns = self._bus.clock.now_ns()
@@ -364,12 +366,6 @@ class Streaming:
         self._count_lost(rows, count)
         lost = self._faults.of(rows.buffer.route.sensor.name, "lost")
         lost.happened(self._bus.clock.now_ns(), f"no reading: {why}", count)
-
-    def _set_up_again(self) -> None:
-        """Stop the stream, configure the failed sensors, and resume."""
-        self._bus.stop()
-        self._take(self._receive())
-        self._repair()
 
     def _find_link(self, why: str) -> None:
         """Look for the microcontroller, and configure everything, since it may have supplied the chips."""

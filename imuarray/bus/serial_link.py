@@ -38,7 +38,7 @@ place means that no chip acknowledged, FFFE that the clock was held too long, an
 that comes late leaves frames out, and one whose line is full leaves out what it would have sent; their numbers are
 missing.
 
-A host refuses DATA that can't be of the running stream; `imuarray.bus.serial_admission` says how it tells.
+A host refuses DATA that can't be of the running stream; `imuarray.bus.serial_session` says how it tells.
 
 Firmware that can do more says so behind the four bytes of its answer to HELLO: features u8 (bit 0 RESEND, bit 1
 STATUS, bit 2 counted requests), chip selects of SPI u8, bytes of DATA that it keeps u32. More commands::

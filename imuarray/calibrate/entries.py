@@ -58,11 +58,11 @@ def to_table(record: object) -> dict[str, Any]:
     if not is_dataclass(record):
         raise TypeError(f"{type(record).__name__} is not a dataclass")
     values = {item.name: getattr(record, item.name) for item in fields(record)}
-    return {key: _plain(value) for key, value in values.items() if not (value is None or _is_empty(value))}
-
-
-def _is_empty(value: object) -> bool:
-    return isinstance(value, Mapping | tuple) and not value
+    return {
+        key: _plain(value)
+        for key, value in values.items()
+        if not (value is None or (isinstance(value, Mapping | tuple) and not value))
+    }
 
 
 def _plain(value: object) -> object:

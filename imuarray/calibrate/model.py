@@ -341,7 +341,9 @@ class Calibration:
         text = tomli_w.dumps(
             {"calibration": head, "sensor": [to_table(sensor) for sensor in self.sensors.values()]}, indent=2
         )
-        return _LIST.sub(lambda match: match[0] if len(match[1]) > _SHORT else _on_one_line(match[1]), text)
+        return _LIST.sub(
+            lambda match: match[0] if len(match[1]) > _SHORT else ("[" + re.sub(r",\n *", ", ", match[1]) + "]"), text
+        )
 
     def save(self, path: str | PathLike[str], *, force: bool = False) -> None:
         """Write the file; OutputExistsError if it exists and not `force`, OutputError if it can't be written."""
@@ -395,11 +397,6 @@ def _stamped(sensor: SensorCalibration, logs: Sequence[Log]) -> SensorCalibratio
     warm = replace(origin, temperature_degc=sensor.temperature_degc)
     fresh = {group: warm if group == "bias" else origin for group in sensor.measured()}
     return replace(sensor, provenance={**fresh, **sensor.provenance})
-
-
-def _on_one_line(entries: str) -> str:
-    """Return a list on one line from entries with one line each."""
-    return "[" + re.sub(r",\n *", ", ", entries) + "]"
 
 
 _UNITS = {"specific_force": "g", "angular_rate": "dps", "magnetic_field": "gauss"}

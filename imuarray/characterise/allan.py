@@ -29,9 +29,10 @@ from imuarray.characterise.allan_curve import (
     make_curve,
     octaves,
 )
-from imuarray.characterise.allan_stream import AllanStream, Estimator
-from imuarray.characterise.second_differences import (
+from imuarray.characterise.allan_stream import (
+    AllanStream,
     CountColumn,
+    Estimator,
     compact_running_sum,
     running_sum,
     sums_of_squares,

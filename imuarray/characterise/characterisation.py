@@ -60,7 +60,15 @@ def render_text(result: Mapping[str, Any]) -> str:
         sensors = [sensor for sensor in result["sensors"] if sensor["quantity"] == quantity]
         lines += ["", *_table(quantity, sensors), "", *_fits(sensors)]
     if sentences := findings(result):
-        lines += ["", "remarks", *(line for sentence in sentences for line in _indented(sentence))]
+        lines += [
+            "",
+            "remarks",
+            *(
+                line
+                for sentence in sentences
+                for line in textwrap.wrap(sentence, WIDTH, initial_indent="  ", subsequent_indent="    ")
+            ),
+        ]
     lines += ["", _ROWS_HEAD, *(line for sensor in result["sensors"] for line in _rows(sensor))]
     if result["alignment"] is not None:
         lines += ["", *_alignment(result["alignment"]), *_wrapped(_ALIGNMENT_NOTES)]
@@ -112,10 +120,6 @@ def _seconds(seconds: float) -> str:
 
 def _micro(seconds: float | None) -> str:
     return "-" if seconds is None else f"{1e6 * seconds:.1f}"
-
-
-def _indented(text: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH, initial_indent="  ", subsequent_indent="    ")
 
 
 def _wrapped(text: str) -> list[str]:

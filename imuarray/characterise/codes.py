@@ -221,15 +221,8 @@ def _end(seen: Histogram, at: int, inwards: int, std: float) -> End:
     p_value = nan
     if inwards and std >= NARROW * abs(inwards):
         next_count = int(seen.counts[seen.codes == code + inwards].sum())
-        p_value = _at_least(count, count + next_count)
+        p_value = float(betainc(count, (count + next_count) - count + 1, 0.5)) if count > 0 else 1.0
     return End(code, count / int(seen.counts.sum()), p_value)
-
-
-def _at_least(successes: int, trials: int) -> float:
-    """Return the probability of at least so many heads in fair throws: the regularised incomplete beta function (NIST
-    DLMF 8.17.5).
-    """
-    return float(betainc(successes, trials - successes + 1, 0.5)) if successes > 0 else 1.0
 
 
 Counts = npt.NDArray[np.int64]

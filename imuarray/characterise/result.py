@@ -6,6 +6,13 @@ by the data sheet's typical sensitivity (null if the log has none). Statistics a
 `Stalls` are frozen readings where a rate passes 100 dps, of an ICM-42688-P whose adaptive range is on (TDK-18): the
 chip has no new reading for 1 to 2 ms at each passage, so that the row before the passage equals the row before that in
 all axes.
+
+`find_bands` looks for lines of a spectrum wider than a bin or two: of a motor whose speed wanders, of a fan, of a slow
+sway. Boxes of neighbouring bins, from a few to many, are compared with the bins on either side of them: the mean
+density in a box over the higher of the two sides' medians, so that neither a slope nor the corner of a filter looks
+like a line. For noise this ratio has Fisher's F distribution; the false-alarm probability applies to all boxes of all
+widths together (Bonferroni). Narrow lines (`imuarray.characterise.lines`) are removed first. Boxes begin at the third
+bin, where a floor that needs many bins below it is not available: slow lines are detected here even if they are narrow.
 """
 
 from __future__ import annotations
@@ -13,22 +20,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from math import sqrt
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 
+from imuarray.arrays import Floats, Indices
 from imuarray.characterise.alignment import find_alignment
 from imuarray.characterise.allan import CONFIDENCE, AllanCurve, Estimator
 from imuarray.characterise.allan_curve import floor, white_noise
 from imuarray.characterise.allan_fit import NoiseFit, fit_noise
-from imuarray.characterise.bands import find_bands
-from imuarray.characterise.codes import Histogram, code_density, find_rails
-from imuarray.characterise.interpolation import find_interpolation
-from imuarray.characterise.lines import aliases, find_lines
+from imuarray.characterise.codes import code_density, find_rails
+from imuarray.characterise.lines import FALSE_ALARM, SpectralLine, aliases, find_lines
 from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statistics
-from imuarray.characterise.processing import find_filters, find_missing_gravity
+from imuarray.characterise.processing import find_filters, find_interpolation, find_missing_gravity
 from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
 from imuarray.characterise.spectrum import Spectrum
 from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
@@ -38,6 +46,151 @@ from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import FLAGS
 from imuarray.units import SI_NAME, SI_PER_UNIT
+
+WIDTHS = (4, 8, 16, 32, 64, 128)
+"""Widths of a box in bins; the narrowest is the main lobe of the Hann window."""
+
+RISES = 1.35
+"""Least ratio of a box to both its sides: ripples of filters and of floors are smaller."""
+
+SLACK = 1.08
+"""The allowance for the curvature of a floor: a box may rise by this above its sides' medians without a line."""
+
+_FIRST = 3
+_LOWEST = 2
+"""First bin of a side: bins 0 and 1 have lost power with the mean of their segment."""
+
+_LEAST_SIDE = 4
+_SIDE = 2
+"""The width of a side in boxes; it begins half a box away, because a line as wide as its box has skirts."""
+
+_SHARED = 1.94
+"""Number of bins with the information of one independent bin: Hann-windowed neighbours correlate by 4/9 and 1/36 in
+power."""
+
+_MEDIAN = 0.64
+"""A median is as precise as the mean of this share of its values."""
+
+_CLEARED = 3
+"""Number of bins on either side of a narrow line that contain its power."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """A wide line: the middle and the `width_hz` of its power (twice its standard deviation), and the amplitude of a
+    sine of that power, in the series' unit. `false_alarm` and `over_floor` as of a `SpectralLine`.
+    """
+
+    frequency_hz: float
+    frequency_error_hz: float
+    amplitude: float
+    amplitude_error: float
+    false_alarm: float
+    over_floor: float
+    width_hz: float
+
+
+@dataclass(frozen=True)
+class _Box:
+    """Indices [first, stop), the density of the floor about them, and the chance of noise so high in all boxes."""
+
+    first: int
+    stop: int
+    floor: float
+    chance: float
+
+
+def find_bands(
+    spectrum: Spectrum, column: int = 0, narrow: Sequence[SpectralLine] = (), false_alarm: float = FALSE_ALARM
+) -> tuple[Band, ...]:
+    """Return the wide lines in one column of a spectrum, strongest first, beside the `narrow` ones that are known."""
+    density = np.array(spectrum.density[:, column])
+    density[-1] *= 2  # the bin at half the rate has no twin
+    last = len(density) - 1
+    if last < 4 * WIDTHS[0] or not (density[_FIRST:] > 0).all():
+        return ()
+    for line in narrow:
+        _level(density, round(line.frequency_hz / spectrum.resolution_hz))
+    boxes = sorted(_boxes(density, float(np.median(spectrum.freedom)), false_alarm), key=lambda box: box.chance)
+    taken = np.zeros(len(density), bool)
+    bands = []
+    for box in boxes:
+        around = slice(max(box.first - (box.stop - box.first), 0), box.stop + (box.stop - box.first))
+        if not taken[around].any():
+            bands.append(_band(spectrum, density, box))
+            taken[around] = True
+    return tuple(sorted(bands, key=lambda band: -band.amplitude))
+
+
+def _level(density: Floats, at: int) -> None:
+    """Replace a narrow line by the median of its neighbours."""
+    first, stop = max(at - _CLEARED, 0), min(at + _CLEARED + 1, len(density))
+    neighbours = np.concatenate([density[max(first - 2 * _CLEARED, 2) : first], density[stop : stop + 2 * _CLEARED]])
+    if len(neighbours):
+        density[first:stop] = np.median(neighbours)
+
+
+def _boxes(density: Floats, freedom: float, false_alarm: float) -> list[_Box]:
+    """Return the boxes of all widths that exceed their sides significantly."""
+    from scipy.special import fdtrc  # scipy.stats is slow to import
+
+    widths = [width for width in WIDTHS if 8 * width < len(density)]
+    tried = sum(2 * len(density) // width for width in widths)
+    mirrored = np.concatenate([density, density[-2 : -2 - 4 * WIDTHS[-1] : -1]])  # the bins above half the rate
+    boxes = []
+    for width in widths:
+        starts = np.arange(_FIRST, len(density) - width, width // 2)
+        floor, bins = _floors(mirrored, starts, width)
+        means = sliding_window_view(density, width)[starts].mean(axis=1)
+        ratio = means / floor
+        sure = freedom * max(width / _SHARED, 1.0), freedom * np.maximum(_MEDIAN * bins / _SHARED, 1.0)
+        chance = tried * fdtrc(*sure, ratio / SLACK)
+        for at in np.flatnonzero((ratio > RISES) & (chance < false_alarm)).tolist():
+            first = int(starts[at])
+            boxes.append(_Box(first, first + width, float(floor[at]), float(chance[at])))
+    return boxes
+
+
+def _floors(density: Floats, starts: Indices, width: int) -> tuple[Floats, Indices]:
+    """Return the higher of the medians of the sides of each box (b,), inf where there is no room for one, and how many
+    bins the shorter side has.
+    """
+    span = _SIDE * width
+    floor, bins = np.full(len(starts), np.inf), np.full(len(starts), span)
+    windows = sliding_window_view(density, span)
+    below = starts - width // 2 - span
+    whole = below >= _LOWEST
+    above = np.median(windows[starts + 3 * width // 2], axis=1)
+    floor[whole] = np.maximum(np.median(windows[below[whole]], axis=1), above[whole])
+    for at in np.flatnonzero(~whole).tolist():
+        side = density[_LOWEST : max(int(starts[at]) - width // 2, _LOWEST)]
+        if len(side) >= _LEAST_SIDE:
+            floor[at], bins[at] = max(float(np.median(side)), float(above[at])), len(side)
+    return floor, bins
+
+
+def _band(spectrum: Spectrum, density: Floats, box: _Box) -> Band:
+    """Return the line in a box: its power above the floor, there and as far beside it as it rises."""
+    width = box.stop - box.first
+    bins = np.arange(max(box.first - width // 2, 1), min(box.stop + width // 2, len(density)))
+    excess = density[bins] - box.floor
+    kept = np.maximum(excess, 0.0)
+    total = max(float(excess.sum()), float(kept.max()))
+    weights = kept**2 / float((kept**2).sum())
+    middle = float(bins @ weights)
+    spread = sqrt(max(float(((bins - middle) ** 2) @ (kept / float(kept.sum()))), 0.25))
+    sure = float(np.median(spectrum.freedom)) * max(spread / _SHARED, 1.0)
+    amplitude = sqrt(2 * total * spectrum.resolution_hz)
+    return Band(
+        middle * spectrum.resolution_hz,
+        spread * spectrum.resolution_hz / sqrt(sure / 2),
+        amplitude,
+        amplitude / 2 * sqrt(2 / sure),
+        min(1.0, box.chance),
+        float(np.max(density[box.first : box.stop])) / box.floor,
+        2 * spread * spectrum.resolution_hz,
+    )
+
 
 FILTER_TIMES = 5.0
 """Shortest tau of the fit in time constants of the chip's low-pass filter, which affects shorter ones."""
@@ -87,7 +240,7 @@ def column_of(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any]:
             "p_value": correlation.p_value[column],
         },
         "codes": asdict(code_density(seen)) if seen.counts.sum() else None,
-        "histogram": _histogram(seen),
+        "histogram": (asdict(seen) if len(seen.codes) <= _LISTED_CODES else None),
     }
 
 
@@ -137,20 +290,14 @@ def _with_harmonics(lines: list[dict[str, Any]], resolution_hz: float) -> list[d
             order = round(line["frequency_hz"] / other["frequency_hz"])
             apart = abs(line["frequency_hz"] - order * other["frequency_hz"])
             sure = 3 * (line["frequency_error_hz"] + order * other["frequency_error_hz"])
-            if 2 <= order <= HARMONICS and apart < min(sure, resolution_hz) and _is_harmonic(order, other, apart):
+            if (
+                2 <= order <= HARMONICS
+                and apart < min(sure, resolution_hz)
+                and bool(apart < CHANCE * other["frequency_hz"] / order)
+            ):
                 line["fundamental_hz"] = other["frequency_hz"]
                 break
     return lines
-
-
-def _is_harmonic(order: int, other: Mapping[str, Any], apart: float) -> bool:
-    """Return whether the distance from a multiple is too small for chance, relative to the distance of multiples."""
-    return bool(apart < CHANCE * other["frequency_hz"] / order)
-
-
-def _histogram(seen: Histogram) -> dict[str, Any] | None:
-    """Return codes and their frequencies; None for too many different codes for a histogram of noise."""
-    return asdict(seen) if len(seen.codes) <= _LISTED_CODES else None
 
 
 THRESHOLD_DPS = 100.0

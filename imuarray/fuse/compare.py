@@ -48,7 +48,7 @@ from imuarray.fuse.evaluation import (
     ratio_of,
 )
 from imuarray.fuse.fuse import AVERAGE, NAMES, Progress, fuse, fuse_together
-from imuarray.fuse.row_spool import AT_ONCE, RowSource, RowSpool, row_blocks
+from imuarray.fuse.spools import AT_ONCE, RowSource, RowSpool, row_blocks
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import Log, open_log
 

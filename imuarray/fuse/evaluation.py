@@ -20,7 +20,7 @@ from imuarray.errors import FusionError
 from imuarray.fuse.alignment import between_gaps
 from imuarray.fuse.frames import FusedBlock
 from imuarray.fuse.fuse import fuse
-from imuarray.fuse.row_spool import RowSource, RowSpool, parts_of, row_blocks, square_sum
+from imuarray.fuse.spools import RowSource, RowSpool, parts_of, row_blocks, square_sum
 from imuarray.log import Log, Track, first_at
 from imuarray.log.format import Phase
 from imuarray.units import INERTIAL
@@ -190,7 +190,13 @@ def error_frames(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase]
     for block in blocks:
         for _, quantity, frames in _errors_in(track, stretches, {"": block}):
             result[quantity].append(frames)
-    return {quantity: _joined(parts) for quantity, parts in result.items() if parts}
+    return {
+        quantity: ErrorFrames(
+            *(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(ErrorFrames))
+        )
+        for quantity, parts in result.items()
+        if parts
+    }
 
 
 class ErrorFramesOnDisk:
@@ -340,10 +346,6 @@ class ErrorFrameSpool:
     def __exit__(self, *error: object) -> None:
         for spool in self._spools:
             spool.close()
-
-
-def _joined(parts: Sequence[ErrorFrames]) -> ErrorFrames:
-    return ErrorFrames(*(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(ErrorFrames)))
 
 
 def _truth_at(track: Track, quantities: Sequence[str], time: npt.NDArray[np.int64]) -> dict[str, Floats]:

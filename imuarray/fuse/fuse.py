@@ -30,11 +30,11 @@ from imuarray.fuse.element_temperature import (
 )
 from imuarray.fuse.faults import FaultEvent, Ranges
 from imuarray.fuse.faults.monitor import NO_RANGES, MaskedPipeline, MonitoredPipeline
-from imuarray.fuse.frame_spool import FrameSpool
 from imuarray.fuse.frames import Axis, Frames, FusedBlock, axes_of
 from imuarray.fuse.optimal import ErrorModel, error_model
 from imuarray.fuse.optimal.optimal import CausalPipeline, FrameBlock, FramePipeline, smoothed
 from imuarray.fuse.pipeline import FusionNotes, Pipeline, PipelineFactory, QuantityPipeline, TechniqueSet, notes_of
+from imuarray.fuse.spools import FrameSpool
 from imuarray.fuse.stream import TIMEOUT_S, FusionStream
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import Block, Log, SensorLog

@@ -41,8 +41,7 @@ from imuarray.fuse.frames import ENTRIES, FusedBlock
 from imuarray.log.columns import NamedColumn
 from imuarray.log.disk_space import free_bytes, longest_file
 from imuarray.log.format import FUSED
-from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
-from imuarray.log.inspection import refuse_hostile
+from imuarray.log.inspection import UnclosedFile, is_marked_open, refuse_hostile
 from imuarray.log.untrusted_input import DAMAGE, MAX_TEXT_BYTES, open_file, read_texts
 from imuarray.printable import printable
 from imuarray.units import INERTIAL

@@ -314,7 +314,9 @@ class FusionStream(Generic[Out]):
         yield from self._fuse(self._pipeline, self._grid, slice(self._given, ready))
         first = max(0, ready - MARGIN)
         self._times, self._given = self._times[first:], ready - first
-        self._forget(int(self._times[0]) - 2 * self._grid.ahead_ns)
+        before_ns = int(self._times[0]) - 2 * self._grid.ahead_ns
+        for rows in self._rows.values():
+            rows.forget(before_ns)
 
     def _known_ns(self) -> int:
         """Return the time up to which the rows of all sensors that have not timed out are known."""
@@ -414,7 +416,3 @@ class FusionStream(Generic[Out]):
             None if item.g_sensitivity_lsb_per_g is None else item.g_sensitivity_lsb_per_g / item.lsb_per_si[:, None]
             for item in known
         ]
-
-    def _forget(self, before_ns: int) -> None:
-        for rows in self._rows.values():
-            rows.forget(before_ns)

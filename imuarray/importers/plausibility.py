@@ -27,8 +27,7 @@ from imuarray.calibrate.pose_readings import RestWindows
 from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.characterise.codes import NOTHING, Histogram, histogram, usual_step
 from imuarray.characterise.findings import SURE, shares_times
-from imuarray.characterise.interpolation import find_interpolation
-from imuarray.characterise.processing import NO_GRAVITY, find_filters
+from imuarray.characterise.processing import NO_GRAVITY, find_filters, find_interpolation
 from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
 from imuarray.characterise.repeats import STALE_SHARE, Repeats, RepeatTally
 from imuarray.gap.recording.row_timing import GAP, RowTiming, row_timing

@@ -35,6 +35,7 @@ from imuarray.log.format import (
 )
 from imuarray.log.journal import Mark
 from imuarray.log.layout import (
+    CHECK_SUMS,
     CHUNK,
     COMPRESSED,
     LIBVER,
@@ -46,6 +47,7 @@ from imuarray.log.layout import (
     Columns,
     Notes,
     attach_scales,
+    check_sums,
     create_columns,
     create_sensor,
     create_track,
@@ -54,7 +56,6 @@ from imuarray.log.layout import (
     write_plots,
     write_table,
 )
-from imuarray.log.text_checksums import CHECK_SUMS, check_sums
 
 if sys.platform != "win32":
     import fcntl

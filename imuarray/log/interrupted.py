@@ -25,9 +25,8 @@ from imuarray.errors import LogError
 from imuarray.log.columns import Column, LiveGroup
 from imuarray.log.commits import COMMITS, CommittedRows, read_commits
 from imuarray.log.format import PREAMBLE, PREAMBLE_CRC, Event, Phase, Preamble
-from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
 from imuarray.log.hdf5_writer import Draft
-from imuarray.log.inspection import inspect, refuse_hostile
+from imuarray.log.inspection import UnclosedFile, inspect, is_marked_open, refuse_hostile
 from imuarray.log.journal import JournalReader, journal_of
 from imuarray.log.layout import (
     NOTES,
@@ -201,7 +200,7 @@ def stored_preamble(path: Path) -> Preamble | None:
     """Return the preamble in the unfinished file at `path`; None if it is damaged or missing. On damage h5py may raise
     its own errors.
 
-    Its heap of texts is checked before HDF5 reads it (`imuarray.log.hdf5_superblock`).
+    Its heap of texts is checked before HDF5 reads it (`imuarray.log.inspection`).
     """
     with h5py.File(UnclosedFile(path), "r") as inspected:
         text = inspected.attrs.get(PREAMBLE)

@@ -334,7 +334,7 @@ class JournalReader:
             if tag not in self._tags or not rows or group >= len(self.groups):
                 return
             wanted = rows * self.groups[group].row_bytes
-            if wanted > min(LONGEST_BLOCK, self._rest()):
+            if wanted > min(LONGEST_BLOCK, os.fstat(self._file.fileno()).st_size - self._file.tell()):
                 return
             payload = self._file.read(wanted)
             chain = zlib.crc32(payload, zlib.crc32(head[: HEAD.size], chain))
@@ -343,10 +343,6 @@ class JournalReader:
             position += len(head) + len(payload)
             yield Record(group, rows, payload, Mark(position, chain))
             self._file.seek(position)
-
-    def _rest(self) -> int:
-        """Return the number of bytes from here to the current end; the log may be growing."""
-        return os.fstat(self._file.fileno()).st_size - self._file.tell()
 
     def close(self) -> None:
         """Close the file."""

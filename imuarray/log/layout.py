@@ -3,13 +3,18 @@
 A block of rows in the journal is the columns of its group one after the other, little-endian. The groups are those of
 the sensors in their order, then those of `TRACK_COLUMNS`, then `notes` (phases and events, one line of JSON each, as
 bytes). The HDF5 attributes are those by which xarray (engine h5netcdf) and NeXus viewers recognise a group.
+
+HDF5 protects its own structures, and `fletcher32` the chunks of columns. Texts of varying length are stored in heaps
+without a checksum, and short tables contiguously in the file. A finished log therefore stores checksums of its texts
+and of the tables of phases and events, as they were written. Attributes that other programs add are ignored.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -27,6 +32,7 @@ from imuarray.log.format import (
     PLOTS,
     SINGLE_PRECISION,
     SYNC_PULSE,
+    THERMOMETER_ATTRIBUTES,
     TIME_UNCERTAINTY,
     ClockRow,
     Event,
@@ -34,7 +40,7 @@ from imuarray.log.format import (
     Preamble,
     SensorHeader,
 )
-from imuarray.log.untrusted_input import check_note
+from imuarray.log.untrusted_input import DAMAGE, check_note, read_texts
 from imuarray.units import SI_NAME, SI_PER_UNIT
 
 CHUNK = 4096
@@ -323,3 +329,64 @@ def write_table(
             group.create_dataset(column, data=np.array(values, np.int64))
         else:
             group.create_dataset(column, data=values, dtype=_STRING)
+
+
+CHECK_SUMS = "text_crc32"
+"""The root attribute: a CRC-32 for each of `PARTS`."""
+
+_LOG = ("format", "epoch", "source", "config", "software", "Conventions", "NX_class")
+_SENSOR = ("chip", "quantity", "unit", "axes", "columns", "NX_class", *THERMOMETER_ATTRIBUTES)
+_TABLES: Mapping[str, Sequence[str]] = {
+    "phases": ("start", "end", "name", "up"),
+    "events": ("time", "sensor", "kind", "message"),
+}
+PARTS = ("attributes", *_TABLES)
+
+
+def check_sums(file: Any) -> list[int]:
+    """Return the CRC-32 of the attributes, the phases and the events of an open HDF5 file; on damage h5py raises its
+    own errors.
+    """
+    crcs = [0, *(_crc(_column(file[table][name]) for name in names) for table, names in _TABLES.items())]
+    attributes = [_attributes(file.attrs, _LOG)]
+    for name in sorted(file["sensors"]):
+        group = file["sensors"][name]
+        attributes += [name.encode(), _attributes(group.attrs, _SENSOR), _column(group["axis"])]
+    crcs[0] = _crc(iter(attributes))
+    return crcs
+
+
+def changed_parts(file: Any) -> list[str]:
+    """Return the `PARTS` that differ from what was written; none for a log without checksums."""
+    written = file.attrs.get(CHECK_SUMS)
+    if not isinstance(written, np.ndarray) or written.shape != (len(PARTS),):
+        return []
+    try:
+        return [part for part, crc, was in zip(PARTS, check_sums(file), written.tolist(), strict=True) if crc != was]
+    except DAMAGE:
+        return ["attributes, phases or events"]
+
+
+def _crc(parts: Iterator[bytes]) -> int:
+    crc = 0
+    for part in parts:
+        crc = zlib.crc32(part + b"\0", crc)
+    return crc
+
+
+def _attributes(attributes: Mapping[str, Any], names: Sequence[str]) -> bytes:
+    """Return the values of the attributes of these names that exist."""
+    return b"\0".join(
+        b"\1".join([name.encode(), *map(_bytes, np.ravel(attributes[name]))]) for name in names if name in attributes
+    )
+
+
+def _column(column: Any) -> bytes:
+    """Read a whole column of numbers or texts."""
+    if column.dtype.kind != "O":
+        return np.ascontiguousarray(column[:]).tobytes()
+    return b"\1".join(map(_bytes, read_texts(column)))
+
+
+def _bytes(value: Any) -> bytes:
+    return value if isinstance(value, bytes) else str(value).encode("utf-8", "surrogateescape")

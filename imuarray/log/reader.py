@@ -28,8 +28,8 @@ from imuarray.log.format import FORMAT, FORMAT_VERSION, FUSED, SOURCES, Event, P
 from imuarray.log.inspection import inspect
 from imuarray.log.interrupted import LiveView, RebuiltFile, is_unfinished, may_be_unfinished, open_interrupted
 from imuarray.log.journal import is_running
+from imuarray.log.layout import changed_parts
 from imuarray.log.sensor_log import SensorLog
-from imuarray.log.text_checksums import changed_parts
 from imuarray.log.untrusted_input import DAMAGE, open_file, positive, read_texts
 from imuarray.printable import counted
 from imuarray.spelling import guess

@@ -20,8 +20,7 @@ from imuarray.errors import LogError
 from imuarray.log import Log, SensorLog, open_log
 from imuarray.log.commits import COMMITS, Commit, read_commits
 from imuarray.log.format import Preamble
-from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
-from imuarray.log.inspection import refuse_hostile
+from imuarray.log.inspection import UnclosedFile, is_marked_open, refuse_hostile
 from imuarray.log.interrupted import stored_preamble
 from imuarray.log.journal import JournalReader, is_running, journal_of
 from imuarray.log.layout import NOTES, ColumnGroup, sensor_attributes

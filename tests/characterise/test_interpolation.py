@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.characterise.interpolation import find_interpolation
+from imuarray.characterise.processing import find_interpolation
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import SensorHeader
 

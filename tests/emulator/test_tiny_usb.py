@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_emulator.board import Pca9544aChip
 from firmware_emulator.clock import VirtualClock
-from firmware_emulator.mux import Pca9544aChip
 from firmware_emulator.serve import TinyUsb
 from firmware_emulator.usbip import Setup
 from firmware_emulator.wire import Wire

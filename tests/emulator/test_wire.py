@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_emulator.board import Pca9544aChip
 from firmware_emulator.clock import RealClock, VirtualClock
-from firmware_emulator.mux import Pca9544aChip
 from firmware_emulator.wire import Wire
 
 

@@ -12,8 +12,8 @@ import pytest
 
 from imuarray.acquire.recording import RecordingCounts
 from imuarray.array import ArrayConfig
-from imuarray.bus.serial_admission import Admission
 from imuarray.bus.serial_link import Frame, PollList, Request
+from imuarray.bus.serial_session import Admission
 from tests.acquire.conftest import an_array
 from tests.acquire.streams import DATA, LOST, SUSPECT, BadLine, S, events, logged, on_the_wire, stream
 from tests.bus import serial_bench

@@ -98,7 +98,7 @@ def test_another_process_makes_the_same_figures(run: Path) -> None:
 def test_what_is_told_does_not_depend_on_blocks(run: Path, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
     with open_log(run) as log:
         wanted = compare(log, calibration(parts()), ("ranges",))
-        monkeypatch.setattr("imuarray.fuse.row_spool.AT_ONCE", block)
+        monkeypatch.setattr("imuarray.fuse.spools.AT_ONCE", block)
         monkeypatch.setattr(sys.modules[compare.__module__], "AT_ONCE", block)  # the function hides its module
         found = compare(log, calibration(parts()), ("ranges",))
     for score, other in zip(found.scores, wanted.scores, strict=True):

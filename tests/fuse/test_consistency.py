@@ -104,7 +104,7 @@ def test_the_freedom_is_that_of_all_lags_wherever_blocks_are_cut(
     segment: int, block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The sum of the module's docstring, lag by lag; lags beyond half of 401 are as those of its upper half."""
-    monkeypatch.setattr("imuarray.fuse.row_spool.AT_ONCE", block)
+    monkeypatch.setattr("imuarray.fuse.spools.AT_ONCE", block)
     monkeypatch.setattr(sys.modules[consistency.__module__], "_SEGMENT", segment)  # the function hides its module
     unit = slow(np.random.default_rng(9))[:401]
     unit /= np.sqrt(np.mean(unit**2))

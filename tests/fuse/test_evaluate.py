@@ -165,7 +165,7 @@ def test_the_quiet_noise_of_a_quantity_that_is_slower_than_the_frames(faster: in
 def test_figures_of_errors_on_the_disk_are_those_of_all_errors_at_once(
     write_run: WriteRun, rows: int, block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("imuarray.fuse.row_spool.AT_ONCE", block)
+    monkeypatch.setattr("imuarray.fuse.spools.AT_ONCE", block)
     error = np.random.default_rng(2).normal(0.5, 0.1, (rows, 3)) + np.linspace(0, 1, rows)[:, None]
     with open_log(log_of(write_run)) as log:
         found = evaluate(log, results(error, cut=rows // 2))["specific_force"]

@@ -6,8 +6,8 @@ from contextlib import closing
 
 import numpy as np
 
-from imuarray.fuse.frame_spool import FrameSpool
 from imuarray.fuse.frames import Frames
+from imuarray.fuse.spools import FrameSpool
 
 
 def block(rng: np.random.Generator, first: int, frames: int, flags: bool) -> dict[str, Frames]:

@@ -16,8 +16,7 @@ from imuarray.calibrate import Calibration
 from imuarray.cli import main
 from imuarray.fuse import TECHNIQUES, Axis, Estimate, Frames, fuse
 from imuarray.fuse.techniques import changes
-from imuarray.fuse.techniques.ranges import RangeBlend
-from imuarray.fuse.techniques.ranges.fading import SETTLED, Fading, settling_s
+from imuarray.fuse.techniques.ranges import SETTLED, Fading, RangeBlend, settling_s
 from imuarray.log import open_log
 from tests.fuse.arrays import HIGH_MG, LOW_MG, at_once, low_and_high, triad, weights
 from tests.fuse.conftest import Floats, G, Motion, Part, WriteRun, calibration, joined, nothing

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from firmware_emulator.board import Pca9544aChip
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.clock import VirtualClock
-from firmware_emulator.mux import Pca9544aChip
 from firmware_emulator.wire import Wire
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Pca9544a as MuxDriver

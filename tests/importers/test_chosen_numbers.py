@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from imuarray.calibrate import gravity
-from imuarray.characterise import bands, codes, interpolation, rate_changes, result
+from imuarray.characterise import codes, processing, rate_changes, result
 from imuarray.importers import arrays, cells, guess, plausibility, resolution, sphere, table
 
 CHOSEN = {
@@ -39,13 +39,13 @@ CHOSEN = {
     (guess, "_OPENED"): 0.25,
     (cells, "MOST_RESTARTS"): 1000,
     (codes, "TURNING"): 1 / 3,
-    (interpolation, "SCATTER"): 6.0,
-    (interpolation, "LEAST_SHARE"): 0.3,
+    (processing, "SCATTER"): 6.0,
+    (processing, "LEAST_SHARE"): 0.3,
     (rate_changes, "PIECE_ROWS"): 64,
     (rate_changes, "CHANGED"): 1.25,
     (gravity, "FACE_COSINE"): 0.97,
-    (bands, "RISES"): 1.35,
-    (bands, "SLACK"): 1.08,
+    (result, "RISES"): 1.35,
+    (result, "SLACK"): 1.08,
 }
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from imuarray.errors import LogError
 from imuarray.log import open_log
-from imuarray.log.hdf5_superblock import _checksum
+from imuarray.log.inspection import _checksum
 from imuarray.log.journal import journal_of
 
 MEMORY = 2 << 30

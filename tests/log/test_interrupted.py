@@ -23,7 +23,7 @@ from imuarray.errors import DiskFullError, LogError, LogWarning
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.columns import Column
 from imuarray.log.format import Event, Phase, SensorHeader
-from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
+from imuarray.log.inspection import UnclosedFile, is_marked_open
 from imuarray.log.journal import JournalReader, journal_of
 from imuarray.log.reader import verify
 from imuarray.log.writer import recover

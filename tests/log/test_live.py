@@ -22,7 +22,7 @@ from imuarray.cli import main
 from imuarray.errors import DiskFullError, LogBusyError, LogError, LogWarning, OutputExistsError
 from imuarray.log import Block, Log, LogWriter, Stimulus, disk_space, open_log
 from imuarray.log.format import Event, Phase
-from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
+from imuarray.log.inspection import UnclosedFile, is_marked_open
 from imuarray.log.journal import JournalLock, is_running, journal_of
 from tests.selection import some
 

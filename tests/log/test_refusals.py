@@ -16,7 +16,7 @@ from h5py._hl.base import phil
 
 from imuarray.errors import LogError
 from imuarray.log import Log, open_log
-from imuarray.log.hdf5_superblock import HeapCheckedFile
+from imuarray.log.inspection import HeapCheckedFile
 from imuarray.log.reader import verify
 from tests.selection import some
 

@@ -175,17 +175,13 @@ def _draw(panel: Axes, axis: Table, level: float) -> None:
         heights, edges = bars(axis["histogram"], step)
         panel.stairs(heights, edges, fill=True, color=COLOURS[5], linewidth=0)
         if codes["std"]:
-            _draw_gaussian(panel, codes, step, np.linspace(edges[0], edges[-1], 200))
+            x = np.linspace(edges[0], edges[-1], 200)
+            share = np.exp(-0.5 * ((x - codes["mean"]) / codes["std"]) ** 2) / (codes["std"] * sqrt(2 * pi))
+            panel.plot(x, share * step, color="black", linewidth=0.8)
         else:
             panel.set_xlim(edges[0] - 4, edges[1] + 4)  # room, so that it looks like one code
         _draw_marks(panel, codes, level)
         _write_marks(panel, codes["mean"], marks(axis, level))
-
-
-def _draw_gaussian(panel: Axes, codes: Table, step: int, x: Floats) -> None:
-    """Draw the share per possible code of Gaussian noise."""
-    share = np.exp(-0.5 * ((x - codes["mean"]) / codes["std"]) ** 2) / (codes["std"] * sqrt(2 * pi))
-    panel.plot(x, share * step, color="black", linewidth=0.8)
 
 
 def _write_marks(panel: Axes, mean: float, texts: list[str]) -> None:

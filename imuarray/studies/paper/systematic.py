@@ -21,11 +21,11 @@ the first of the six terms, stands in the third. The formulas are evaluated as p
 count which form reproduces Table 3.
 
 Table 8 tells what is left of the temperature drift when two sensors of one design and range are averaged along a box
-axis. Bringing a reading into the box frame multiplies it by the sign s of its axis there, so the mean of two drifts with
-(s1 k1 + s2 k2) / 2. Parallel axes keep a drift that both share, opposed axes cancel it, and it is the other way round
-for drifts of opposite sign. Directions are those of Table 10's responses for accelerometers and of Table 1 for
-gyroscopes. During the heating +Z was up: an accelerometer axis along box Z carried 1 g, so its slope mixes bias and scale-factor
-drift, and neither can be told from this one orientation (`carries_1g`).
+axis. Bringing a reading into the box frame multiplies it by the sign s of its axis there, so the mean of two drifts
+with (s1 k1 + s2 k2) / 2. Parallel axes keep a drift that both share, opposed axes cancel it, and it is the other way
+round for drifts of opposite sign. Directions are those of Table 10's responses for accelerometers and of Table 1 for
+gyroscopes. During the heating +Z was up: an accelerometer axis along box Z carried 1 g, so its slope mixes bias and
+scale-factor drift, and neither can be told from this one orientation (`carries_1g`).
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from imuarray.errors import LogError
 from imuarray.log import Block, Log, LogWriter, Stimulus
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.motion import HandShake
-from imuarray.simulate.motion import recorded as recorded_module
+from imuarray.simulate.motion import like as like_module
 from imuarray.simulate.motion.like import LikeLog, _average
 
 G = 9.80665
@@ -86,7 +86,7 @@ def test_results_do_not_depend_on_blocks_nor_on_what_was_asked(tmp_path: Path, m
     asked = np.random.default_rng(3).integers(-S, 12 * S, 3000)
     with Log(path) as log:
         whole = LikeLog(log).felt(asked)
-    monkeypatch.setattr(recorded_module, "BLOCK", 64)
+    monkeypatch.setattr(like_module, "BLOCK", 64)
     with Log(path) as log:
         motion = LikeLog(log)
         felt = motion.felt(asked)
@@ -96,16 +96,16 @@ def test_results_do_not_depend_on_blocks_nor_on_what_was_asked(tmp_path: Path, m
 
 
 def test_only_a_few_blocks_are_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recorded_module, "BLOCK", 64)
+    monkeypatch.setattr(like_module, "BLOCK", 64)
     read: list[int] = []
-    whole = recorded_module.SplineColumns._read
+    whole = like_module.SplineColumns._read
     monkeypatch.setattr(
-        recorded_module.SplineColumns, "_read", lambda own, number: read.append(number) or whole(own, number)
+        like_module.SplineColumns, "_read", lambda own, number: read.append(number) or whole(own, number)
     )
     rows = np.arange(0, 10 * S, 5_000_000)
     with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:
         for kept_bytes, kept in ((0, 4), (1 << 20, 32)):
-            monkeypatch.setattr(recorded_module, "_KEPT_BYTES", kept_bytes)
+            monkeypatch.setattr(like_module, "_KEPT_BYTES", kept_bytes)
             read.clear()
             moving = LikeLog(log)._moving
             assert moving is not None
@@ -120,10 +120,10 @@ def test_a_gap_in_the_rows_is_crossed_without_overshoot() -> None:
     """
     time_ns = np.r_[np.arange(20), np.arange(44, 60)] * 50_000_000
     rate = np.where(time_ns < 44 * 50_000_000, 0.0, -0.4 - 100.0 * (time_ns * 1e-9 - 2.2))[:, None] * np.ones((1, 3))
-    columns = recorded_module.SplineColumns(time_ns, (rate,), "a track")
+    columns = like_module.SplineColumns(time_ns, (rate,), "a track")
     across = columns.values_at(np.linspace(0.95e9, 2.2e9, 100).astype(np.int64))
     assert across.max() <= 0 and across.min() >= -0.4 - 1e-12
-    even = recorded_module.SplineColumns(np.arange(36) * 50_000_000, (rate,), "a track")
+    even = like_module.SplineColumns(np.arange(36) * 50_000_000, (rate,), "a track")
     assert even.values_at(np.array([975_000_000]))[0, 0] > 0.1  # an ordinary interval keeps the slopes
 
 

@@ -1,4 +1,9 @@
-"""Tracking of the differences between each axis and the blend of all axes: a bias, a scale and a delay.
+"""`ranges`: low and high measuring ranges blended, of one design or several, without a step at the low range's end.
+
+`Fading` determines how far a low-range sensor may be trusted (away from the end of its range, its filter settled),
+`Tracker` tracks the differences between each axis and the blend of all axes (a bias, a scale and a delay) while all of
+them are trusted, and `RangeBlend` combines the two with inverse-variance weights: the low range fades out, the rest
+keeps its level.
 
 `Blends` are the weighted means of any set of an array's axes, with the share of each axis's error that is visible with
 respect to them. For an axis along ``r`` the residual with respect to the blend B of all axes is ::
@@ -13,13 +18,20 @@ and delay; a segment without enough of it determines the bias alone. At the star
 
 Weighted by the blend, the residuals add up to zero: only differences between axes are observable, and the blend's own
 level is kept. While a sensor is not used its last estimate is kept, and its uncertainty grows.
+
+A low-range sensor fades near the end of the range, and until its filter has settled. A reading near the end of the
+range is less linear, and one at the end is not a measurement. For some time after it the output of the sensor's
+low-pass still depends on the clipped input, which was too small by up to the difference of the ranges. The response of
+a second-order low-pass (damping 1/sqrt 2) to it decays at least as fast as ``exp(-sqrt(2) pi bandwidth t)``; that of a
+first-order one decays faster (``exp(-2 pi bandwidth t)``). The BMA180's data sheet states a shorter time: 7.5 ms at 150
+Hz (BMA-85), for which this formula gives 14 ms with an excess of 14.5 g.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -27,11 +39,120 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats, Times
-from imuarray.fuse.frames import Axis, directions
-from imuarray.fuse.least_squares import whole_gain
-from imuarray.fuse.techniques.ranges.fading import UNKNOWN_BANDWIDTH_HZ
+from imuarray.fuse.frames import Axis, Estimate, Frames, directions, entries
+from imuarray.fuse.least_squares import SlowErrors, frame_gains, solve_frames, weighted, whole_gain
+from imuarray.fuse.techniques.technique import WORTH_WEIGHING, FixedWeights, Technique, known_noise_of
 from imuarray.kernels import track_differences
 from imuarray.units import READABLE_SI
+
+TAPER = (0.75, 0.95)
+"""Shares of the measuring range at which the weight of a low-range sensor begins to decrease, and at which it is zero.
+"""
+
+SETTLED = 0.1
+"""Largest remaining effect of a clipped input on a settled sensor, relative to the noise of a reading."""
+
+UNKNOWN_BANDWIDTH_HZ = 10.0
+"""Assumed bandwidth of a sensor whose bandwidth is not known: the slowest low-pass of a BMA180 (BMA-81)."""
+
+OTHER_RANGE = 0.9
+"""Least share of the widest range for a range to count as equally wide: full scales of 2000 and 2048 are one range."""
+
+_NEVER = np.iinfo(np.int64).min // 2
+
+
+def widest(axes: Sequence[Axis]) -> float:
+    """Return the widest measuring range of all chips."""
+    return max(axis.range_si for axis in axes)
+
+
+def has_low_range(axis: Axis, axes: Sequence[Axis]) -> bool:
+    """Return whether another axis has a wider range."""
+    return axis.range_si < OTHER_RANGE * widest(axes)
+
+
+def settling_s(bandwidth_hz: float | None, excess_si: float, noise_si: float) -> float:
+    """Return the seconds until the response of a second-order low-pass to an input `excess_si` beyond its range has
+    decayed to `SETTLED` times the noise; at least one time constant.
+    """
+    decay_per_s = math.sqrt(2) * math.pi * (bandwidth_hz or UNKNOWN_BANDWIDTH_HZ)
+    return max(1.0, math.log(max(excess_si, 1e-300) / (SETTLED * noise_si))) / decay_per_s
+
+
+class Fading:
+    """The factor (n, m) of each axis's weight, over consecutive blocks.
+
+    The three axes of a sensor, in the order of `axes_of`, fade together, by the largest of them, smoothly to exactly
+    zero at `TAPER[1]` of its range. After it was there, or clipped, or the wide ranges measured more than its range, it
+    is not used for its settling time (`settling_s`), counted from the middle between the last frame out of range and
+    the first one within, and fades in over another such time. The widest range never fades.
+
+    A sensor clips before its low-pass: at a step steeper than the filter, some frames are wrong until the wide ranges,
+    which are filtered too, show the excess.
+    """
+
+    def __init__(self, axes: Sequence[Axis]) -> None:
+        sensors = axes[::3]
+        self.fades = np.array([has_low_range(axis, axes) for axis in sensors])
+        self._span = np.array([axis.range_si for axis in sensors])
+        self._settling_ns = 1e9 * np.array(
+            [
+                settling_s(
+                    axis.bandwidth_hz,
+                    widest(axes) - axis.range_si,
+                    min(its.noise_si or math.inf for its in axes[3 * index : 3 * index + 3]),
+                )
+                if fades
+                else 1.0
+                for index, (axis, fades) in enumerate(zip(sensors, self.fades, strict=True))
+            ]
+        )
+        self._out_ns = np.full(len(sensors), _NEVER)
+        self._was_at_end = np.zeros(len(sensors), bool)
+        self._last_ns: Times | None = None
+
+    def __call__(self, frames: Frames, expected: Floats) -> Floats:
+        """Return the factors of the next block; `expected` (n, m) are the readings of each axis predicted by the wide
+        ranges (NaN: unknown).
+        """
+        count = len(frames.time)
+        if self._is_calm(frames, expected):
+            self._last_ns = frames.time[-1:] if count else self._last_ns
+            return np.ones(frames.values.shape)
+        level = np.abs(frames.values).reshape(count, -1, 3).max(axis=2) / self._span
+        beyond = (np.abs(expected).reshape(count, -1, 3) > self._span[:, None]).any(axis=2)
+        at_end = np.asarray((level >= TAPER[1]) | beyond)
+        if frames.clipped is not None:
+            at_end |= (frames.clipped != 0).reshape(count, -1, 3).any(axis=2)
+        inside = np.minimum(_smooth((TAPER[1] - level) / (TAPER[1] - TAPER[0])), self._settled(frames, at_end))
+        share = np.where(self.fades, np.where(at_end, 0.0, inside), 1.0)
+        return np.asarray(share.repeat(3, axis=1))
+
+    def _is_calm(self, frames: Frames, expected: Floats) -> bool:
+        """Return whether no low range is, or was, near its end: all factors are one then."""
+        fades = self.fades
+        if self._was_at_end[fades].any() or (self._out_ns[fades] != _NEVER).any():
+            return False
+        if frames.clipped is not None and frames.clipped.any():
+            return False
+        ends = np.where(fades, self._span, np.inf).repeat(3)
+        return not ((np.abs(frames.values) > TAPER[0] * ends).any() or (np.abs(expected) > ends).any())
+
+    def _settled(self, frames: Frames, at_end: Booleans) -> Floats:
+        """Return the factor (n, s): 0 while a sensor settles, then rising to 1."""
+        before = np.concatenate([self._was_at_end[None], at_end[:-1]])
+        times = np.concatenate([frames.time[:1] if self._last_ns is None else self._last_ns, frames.time])
+        returned = times[1:] - np.diff(times) // 2  # in the middle between two frames, on average
+        seen = np.where(at_end, frames.time[:, None], np.where(before, returned[:, None], _NEVER))
+        out_ns = np.maximum(np.maximum.accumulate(seen, axis=0), self._out_ns)
+        self._out_ns, self._was_at_end, self._last_ns = out_ns[-1], at_end[-1], frames.time[-1:]
+        return _smooth((frames.time[:, None] - out_ns) / self._settling_ns - 1)
+
+
+def _smooth(share: Floats) -> Floats:
+    """Return a cubic from 0 at 0 to 1 at 1, with zero slope at both ends and constant beyond."""
+    inside = np.clip(share, 0, 1)
+    return np.asarray(inside * inside * (3 - 2 * inside))
 
 
 class Blend(NamedTuple):
@@ -392,3 +513,123 @@ def _updated(covariances: Floats, information: Floats, moved: Booleans) -> tuple
     kept = _ONE - gain @ information
     after = kept @ covariances @ kept.transpose(0, 2, 1) + gain @ information @ gain.transpose(0, 2, 1)
     return np.asarray(gain), np.asarray((after + after.transpose(0, 2, 1)) / 2)
+
+
+FOLLOWED_PERIODS = 3
+"""Longest time between two frames from which the slope of the motion is computed, in periods of the sensors' bandwidth.
+"""
+
+
+def ranges(axes: Sequence[Axis]) -> Technique:
+    """Return a `RangeBlend`: low and high measuring ranges blended by inverse variance (paper, section 2.3; there of
+    one design, here also of designs with one range each).
+    """
+    return RangeBlend(axes)
+
+
+class RangeBlend:
+    """Weights by `range_weights`; a low range fades out before its end and returns when it has settled (`Fading`).
+
+    The differences between the axes (`Tracker`) are removed from each of them. Which axis is right is unknown, so the
+    level of the whole blend is kept, and while the low range is out the others are corrected to that level. The
+    corrections cancel in the weighted mean of all axes, so that the transition has no step. While the low range is out
+    the last corrections are used, and their growing uncertainty is part of the covariance.
+    """
+
+    def __init__(self, axes: Sequence[Axis]) -> None:
+        """FusionError if the noise of an axis is not known."""
+        self._rows, self._noise, self._slow = directions(axes), known_noise_of(axes), SlowErrors(axes)
+        self._weights = range_weights(axes)
+        self._fading = Fading(axes) if changes(axes) else None
+        self.tracker = Tracker(axes, self._weights, self._noise)
+        """The estimated differences between the axes (empty for an array without a low range)."""
+        self._followed_s = min([GAP_S, *(FOLLOWED_PERIODS / axis.bandwidth_hz for axis in axes if axis.bandwidth_hz)])
+        self._last_time = np.zeros(0, np.int64)
+        self._last_triad = np.zeros((0, 3))
+
+    def __call__(self, frames: Frames) -> Estimate:
+        """Estimate the next block."""
+        if self._fading is None:
+            return FixedWeights(self._rows, self._weights, self._noise, self._slow)(frames)
+        wide = self._weights * ~self._fading.fades.repeat(3) * frames.valid
+        share = self._fading(frames, solve_frames(frames.values, wide, self._rows) @ self._rows.T)
+        weights = self._weights * share * frames.valid
+        steady = np.asarray((share == 1).all(axis=1))
+        states = self.tracker.follow(TrackedFrames(frames.time, frames.values, frames.valid, steady))
+        bias, scale, delay = np.moveaxis(states.differences, -1, 0)[:, states.which]
+        level = (frames.values - bias) / (1 + scale)
+        first = solve_frames(level, weights, self._rows)
+        slope = self._slope(frames.time, first)
+        level += delay / (1 + scale) * (slope @ self._rows.T)
+        estimate = weighted(level, weights, self._rows, self._noise, self._slow)
+        extra = self._uncertainty(states, weights, frames.valid, share, estimate.triad_box, slope)
+        return replace(estimate, covariance_box=estimate.covariance_box + extra)
+
+    def remarks(self, quantity: str) -> list[str]:
+        """Describe how the sensors of low ranges differ from the blend of all."""
+        if self._fading is None:
+            return []
+        fades = self._fading.fades.repeat(3)
+        result = zip(self.tracker.relative(), fades, strict=True)
+        return [relative.sentence(quantity) for relative, low in result if low]
+
+    def _slope(self, time: npt.NDArray[np.int64], triad: Floats) -> Floats:
+        """Return the change per second (n, 3) over the last two frames, which is causal; zero if not known, or if the
+        motion may have changed within two frames: delays are then not corrected.
+        """
+        times, triads = np.concatenate([self._last_time, time]), np.concatenate([self._last_triad, triad])
+        slope = np.zeros_like(triads)
+        passed_s = (times[2:] - times[:-2])[:, None] * 1e-9
+        near = passed_s <= self._followed_s
+        slope[2:] = np.where(near, (triads[2:] - triads[:-2]) / np.maximum(passed_s, 1e-9), 0.0)
+        self._last_time, self._last_triad = times[-2:], triads[-2:]
+        return np.asarray(np.nan_to_num(slope[len(times) - len(time) :]))
+
+    def _uncertainty(
+        self, states: DifferenceStates, weights: Floats, valid: Booleans, share: Floats, triad: Floats, slope: Floats
+    ) -> Floats:
+        """Return the covariance (n, 6) by errors of the corrections where they do not cancel, from the difference of
+        the gains from those of the whole blend.
+        """
+        extra = np.zeros((len(triad), 6))
+        off = np.flatnonzero((share < 1).any(axis=1) & np.isfinite(triad).all(axis=1))
+        if len(off):
+            whole = self._weights * (valid[off] | (share[off] < 1))
+            apart = frame_gains(weights[off], self._rows)[0] - frame_gains(whole, self._rows)[0]
+            variance = states.variances(off, triad[off] @ self._rows.T, slope[off] @ self._rows.T)
+            extra[off] = entries(np.einsum("nim,nm,njm->nij", apart, variance, apart))
+        return extra
+
+
+def range_weights(axes: Sequence[Axis]) -> Floats:
+    """Return the weights (m,): within a design of several measuring ranges, the inverse variance of each range, a mean
+    over its units and axes; likewise for the ranges of all designs with a single range together.
+
+    Ranges with similar variances have equal weights, because weights would gain little, and designs of the same range
+    have equal weights. FusionError if the noise of an axis is not known.
+    """
+    noise = known_noise_of(axes)
+    weights = np.ones(len(axes))
+    for members in _families(axes):
+        spans = {axes[index].range_si for index in members}
+        variance = {span: np.mean([noise[i] ** 2 for i in members if axes[i].range_si == span]) for span in spans}
+        if max(variance.values()) > WORTH_WEIGHING * min(variance.values()):
+            weights[members] = [1 / variance[axes[index].range_si] for index in members]
+            weights[members] *= len(members) / weights[members].sum()
+    return weights
+
+
+def _families(axes: Sequence[Axis]) -> list[list[int]]:
+    """Return the axes (indices) of every design of several ranges, and those of all other designs together."""
+    ranges_of: dict[str, set[float]] = {}
+    for axis in axes:
+        ranges_of.setdefault(axis.chip, set()).add(axis.range_si)
+    families: dict[str, list[int]] = {}
+    for index, axis in enumerate(axes):
+        families.setdefault(axis.chip if len(ranges_of[axis.chip]) > 1 else "", []).append(index)
+    return list(families.values())
+
+
+def changes(axes: Sequence[Axis]) -> list[str]:
+    """Return the sensors whose low range fades out."""
+    return list(dict.fromkeys(axis.sensor for axis in axes if has_low_range(axis, axes)))

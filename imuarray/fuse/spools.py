@@ -1,17 +1,21 @@
-"""Rows of numbers in a file, so that results of a whole log are computed in memory that does not grow with it."""
+"""Blocks of frames and rows of numbers in temporary files, so that results of a whole log, and a second pass over it,
+need no memory that grows with it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from io import SEEK_END
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Protocol, Self
+from typing import IO, Any, NamedTuple, Protocol, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.arrays import Floats
+from imuarray.fuse.frames import Frames
 
 AT_ONCE = 1 << 15
 """Number of rows of a block."""
@@ -87,3 +91,57 @@ def parts_of(rows: int, parts: int) -> Iterator[tuple[int, int]]:
     """Yield the first row of each part of `numpy.array_split`, and that of the next."""
     size, longer = divmod(rows, parts)
     return pairwise(part * size + min(part, longer) for part in range(parts + 1))
+
+
+_COLUMNS = ("time", "values", "valid", "clipped", "stale", "offsets")
+
+
+class _ArrayHeader(NamedTuple):
+    """Type and shape of an array in the file."""
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+
+
+class FrameSpool:
+    """Frames by quantity and temperatures by sensor, block by block, in a temporary file of 9 bytes per axis and frame,
+    which is deleted with the object.
+    """
+
+    def __init__(self) -> None:
+        self._file = TemporaryFile()  # noqa: SIM115, it lives as long as the spool
+        self._blocks: list[tuple[dict[str, dict[str, _ArrayHeader]], dict[str, _ArrayHeader]]] = []
+        self.frames = 0
+        """Number of frames in all blocks."""
+
+    def add(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> None:
+        """Write the next block. OSError."""
+        columns = {
+            quantity: {name: self._put(column) for name in _COLUMNS if (column := getattr(part, name)) is not None}
+            for quantity, part in frames.items()
+        }
+        self._blocks.append((columns, {sensor: self._put(column) for sensor, column in degc.items()}))
+        self.frames += len(next(iter(frames.values())).time)
+
+    def blocks(self) -> Iterator[tuple[dict[str, Frames], dict[str, Floats]]]:
+        """Yield all blocks in their order."""
+        self._file.seek(0)
+        for columns, degc in self._blocks:
+            frames = {
+                quantity: Frames(**{name: self._get(place) for name, place in part.items()})
+                for quantity, part in columns.items()
+            }
+            yield frames, {sensor: self._get(place) for sensor, place in degc.items()}
+
+    def _put(self, column: npt.NDArray[Any]) -> _ArrayHeader:
+        self._file.write(np.ascontiguousarray(column).data)
+        return _ArrayHeader(column.dtype, column.shape)
+
+    def _get(self, place: _ArrayHeader) -> npt.NDArray[Any]:
+        column = np.empty(place.shape, place.dtype)
+        self._file.readinto(column.data)
+        return column
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
