@@ -34,7 +34,7 @@ from imuarray.gap.recording.row_timing import GAP, RowTiming, row_timing
 from imuarray.importers.sphere import fit_sphere
 from imuarray.log import Log, SensorLog
 from imuarray.printable import counted, listed, percent
-from imuarray.units import INERTIAL, STANDARD_GRAVITY
+from imuarray.units import INERTIAL, STANDARD_GRAVITY, Quantity
 
 WINDOW_S = 0.5
 """Length of the windows in which rest and rotation are detected: gravity changes little, noise averages out."""
@@ -115,6 +115,12 @@ soldered within a few degrees, and 26 degrees are more than any bias makes.
 
 FEWEST_RESTS = 8
 """Windows at rest in which gravities are compared."""
+
+ALWAYS = 0.9
+"""Share of the windows at rest in which the same axis must point down for a statement about all of them."""
+
+LEAST_DIP_DEG = 20.0
+"""Angle of the magnetic field below or above the horizon from which on it tells up from down, in spite of biases."""
 
 LEAST_HELD = 32
 """Least number of equal rows in a row that is called a stop: sensors that are read too often repeat fewer."""
@@ -267,6 +273,8 @@ def report_of(log: Log) -> Report:
                 doubts.add(sensor.name, text)
     for name, text in [*_turns(log, windows, short), *_directions(log, windows), *_twins(log)]:
         doubts.add(name, text)
+    for name, text in _upside_down(log, windows):
+        quirks.add(name, text)
     forces = next((sensor.name for sensor in log.of("specific_force") if sensor.name in windows), None)
     if forces is not None and (knocks := windows[forces].knocks()):
         quirks.add(forces, knocks)
@@ -583,6 +591,56 @@ def _directions(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str
                 f"its gravity is {angle_deg:.0f} degrees from that of {forces[0]}: it is mounted in another direction,"
                 " which axes in the map states, or its columns are exchanged",
             )
+
+
+def _upside_down(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:
+    """Yield accelerometers that read -1 g along an axis whenever they rest. No gyroscope can tell whether that is their
+    sign: gravity with the opposite sign turns in the same way, df/dt = -omega x f. The earth's field can.
+    """
+    for sensor in log.of("specific_force"):
+        if sensor.name not in windows or not windows[sensor.name].has_gravity:
+            continue
+        own = windows[sensor.name]
+        still = own.still()
+        up = own.mean[still] / np.maximum(np.linalg.norm(own.mean[still], axis=1), 1e-9)[:, None]
+        middle = np.median(up, axis=0)
+        axis = int(np.argmax(np.abs(middle)))
+        if len(up) < FEWEST_RESTS or middle[axis] > 0 or np.mean(up[:, axis] < -MISALIGNED) < ALWAYS:
+            continue
+        others = [windows[name] for name in _names_of(log, "magnetic_field", windows)]
+        yield (
+            sensor.name,
+            f"reads -1 g along box {'XYZ'[axis]} whenever it rests: the box is upside down, or this axis points down"
+            f" (axes in the map), or the sign is the opposite, as in Apple's CoreMotion (signs = '---')"
+            f"{_dip_in_words(own, others)}",
+        )
+
+
+def _names_of(log: Log, quantity: Quantity, windows: Mapping[str, _Windows]) -> list[str]:
+    return [sensor.name for sensor in log.of(quantity) if sensor.name in windows]
+
+
+def _dip_in_words(force: _Windows, fields: Sequence[_Windows]) -> str:
+    """Return what the first magnetometer's field says about the sign of an accelerometer at rest; "" without a field of
+    the earth's size that is steep enough.
+    """
+    field = next((each for each in fields if each.width_ns == force.width_ns), None)
+    if field is None:
+        return ""
+    numbers = np.intersect1d(force.number[force.still()], field.number)
+    f, m = (each.mean[np.searchsorted(each.number, numbers)] for each in (force, field))
+    lengths = np.linalg.norm(m, axis=1)
+    if not len(m) or not EARTH_GAUSS[0] <= float(np.median(lengths)) <= EARTH_GAUSS[1]:
+        return ""
+    upward = np.sum(f * m, axis=1) / np.maximum(np.linalg.norm(f, axis=1) * lengths, 1e-9)
+    dip_deg = -float(np.degrees(np.arcsin(np.clip(np.median(upward), -1, 1))))
+    if abs(dip_deg) < LEAST_DIP_DEG:
+        return ""
+    where = "southern" if dip_deg < 0 else "northern"
+    return (
+        f"; by this sign the magnetic field points {abs(dip_deg):.0f} degrees {'up' if dip_deg < 0 else 'down'}, as it"
+        f" does in the {where} hemisphere"
+    )
 
 
 def _turns(log: Log, windows: Mapping[str, _Windows], short: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:

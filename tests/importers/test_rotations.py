@@ -57,3 +57,37 @@ def test_a_mirrored_gyroscope_is_doubted(tmp_path: Path, mirrored: np.ndarray) -
     record(tmp_path / "run.h5", "+X+Y+Z", mirrored)
     (text,) = doubts(tmp_path / "run.h5")
     assert text.startswith("G: its rotations fit those of the accelerometers only with a mirrored axis")
+
+
+def at_rest(path: Path, sign: int, field: np.ndarray | None = None) -> tuple[str, ...]:
+    """What is said of a box that rests with +Z up, by an accelerometer of this sign and a magnetometer."""
+    headers = [SensorHeader("A", "any", "specific_force", "g", 8.0, 4096.0)]
+    rng = np.random.default_rng(9)
+    readings = {"A": sign * 4096 * (np.array([0.0, 0.0, 1.0]) + rng.normal(0, 0.003, (ROWS, 3)))}
+    if field is not None:
+        headers.append(SensorHeader("M", "any", "magnetic_field", "gauss", 4.0, 1000.0))
+        readings["M"] = 1000 * (field + rng.normal(0, 0.003, (ROWS, 3)))
+    time_ns = np.arange(ROWS, dtype=np.int64) * 10_000_000
+    with LogWriter(path, headers, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        for name, counts in readings.items():
+            log.append(name, Block(time_ns, np.rint(counts).astype(np.int16), np.zeros(ROWS, np.uint16)))
+    with open_log(path) as log:
+        return report_of(log).quirks
+
+
+def test_gravity_along_a_negative_axis_is_said_to_be_one_of_three_things(tmp_path: Path) -> None:
+    """The field in Central Europe: 0.2 gauss to the north and 0.43 down, 65 degrees below the horizon (IGRF)."""
+    assert at_rest(tmp_path / "up.h5", 1) == ()
+    (text,) = at_rest(tmp_path / "down.h5", -1)
+    assert text.startswith(
+        "A: reads -1 g along box Z whenever it rests: the box is upside down, or this axis points down"
+    )
+    assert "signs = '---'" in text
+    (text,) = at_rest(tmp_path / "dip.h5", -1, np.array([0.2, 0.0, -0.43]))
+    assert text.endswith(
+        "; by this sign the magnetic field points 65 degrees up, as it does in the southern hemisphere"
+    )
+    (text,) = at_rest(tmp_path / "turned.h5", -1, np.array([0.2, 0.0, 0.43]))
+    assert text.endswith(
+        "; by this sign the magnetic field points 65 degrees down, as it does in the northern hemisphere"
+    )
