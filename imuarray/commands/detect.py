@@ -60,6 +60,10 @@ def command(**options: Any) -> int:
     return _run(DetectOptions(**options))
 
 
+_NOTHING_ON_BUS = "no chip answers; imuarray detect --doctor --bus {url} looks for the cause"
+_NOTHING_ON_IIO = "the kernel serves no device; load the module of the sensor's driver, and bind it"
+
+
 @dataclass(frozen=True)
 class DetectOptions:
     """The options of `imuarray detect`, as they were given."""
@@ -147,6 +151,8 @@ def _explore(url: str, output: Path | None, force: bool, as_json: bool) -> int:
     _print_head("chips", url, source)
     for detection in detections:
         _print_row("   ", "", detection)
+    if not detections:
+        click.echo(f"  {_NOTHING_ON_IIO if source == 'iio' else _NOTHING_ON_BUS.format(url=url)}")
     _print_firmware(firmware)
     if output is not None:
         click.echo(

@@ -75,6 +75,19 @@ def test_a_missing_mux(an_array: Callable[..., Any], tmp_path: Path) -> None:
     assert lines[0].found.startswith("no answer")
 
 
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [("emulated", "no chip answers; imuarray detect --doctor --bus emulated:"), ("iio", "the kernel serves no device")],
+)
+def test_a_bus_without_chips(
+    source: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("imuarray.acquire.explore", lambda bus: [])
+    monkeypatch.setattr("firmware_emulator.array.EmulatedBus.source", source)
+    assert main(["detect", "--bus", "emulated:"]) == 0
+    assert said in capsys.readouterr().out
+
+
 def test_without_a_mux(tmp_path: Path) -> None:
     text = '[array]\nname="x"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\n'
     stranger = text + '[[sensor]]\nname="P"\nchip="bmp180"\naddress=0x77\n'
