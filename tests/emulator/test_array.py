@@ -190,15 +190,11 @@ def test_parameters_of_a_url() -> None:
 @pytest.mark.parametrize(
     ("query", "said"),
     [
-<<<<<<< HEAD
-        ({"wurld": "still"}, "allowed are clock, world, seed, bit_rate, errno, oscillators, pulse_hz, up, temperature_degc"),
+        ({"wurld": "still"}, "allowed are clock, world, seed, bit_rate, errno, oscillators, pulse_hz, up"),
         ({"wrld": "still"}, r"did you mean world\?"),
         ({"world": "stil"}, r"did you mean still\?"),
         ({"mechanism": "mains_riple", "sensor": "Gyro2"}, r"did you mean mains_ripple\?"),
         ({"mechanism": "mains_ripple", "sensor": "gyro2"}, r"did you mean Gyro2\?"),
-=======
-        ({"wurld": "still"}, "allowed are clock, world, seed, bit_rate, errno, oscillators, pulse_hz, up"),
->>>>>>> 63ce6d9f (detect: a bus without chips is named as such, with the next step)
         ({"face_s": "3"}, "face_s: no such parameter"),
         ({"world": "moon"}, "allowed are still, tumble, heating, shaking"),
         ({"clock": "sundial"}, "allowed are virtual, real"),
