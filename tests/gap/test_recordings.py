@@ -102,6 +102,35 @@ def test_a_reference_tells_of_it(tmp_path: Path) -> None:
     assert temperature_of(found.experiment.motion)(np.array([5 * SECOND])) == pytest.approx([31.0])
 
 
+def test_the_turns_between_rests_are_compared_where_a_track_shows_them(tmp_path: Path) -> None:
+    """The box turns by 90 degrees in 4 s, pauses for 2 s without turning, and turns in 1 s, which is short. A
+    magnetometer has no statistics of a turn, since nobody knows the field then, and is not left out.
+    """
+    path = tmp_path / "log.h5"
+    phases = [phase(0, 4, "z_up", "+Z"), phase(8, 12, "x_up", "+X"), phase(14, 18, "x_up", "+X")]
+    phases.append(phase(19, 23, "z_up", "+Z"))
+    times = np.arange(0, 23 * SECOND, SECOND // 20)
+    share = np.interp(times / SECOND, [0, 4, 8, 18, 19, 23], [0, 0, 1, 1, 0, 0])
+    force = 9.80665 * np.stack([np.sin(np.pi / 2 * share), 0 * share, np.cos(np.pi / 2 * share)], axis=1)
+    rate = np.stack([0 * share, np.gradient(np.pi / 2 * share, times / SECOND), 0 * share], axis=1)
+    with LogWriter(path, [*FOREIGN, COMPASS], source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        for sensor in (*FOREIGN, COMPASS):
+            rows = np.random.default_rng(2).integers(-20, 20, (len(times), 3)).astype(np.int16)
+            warm = np.zeros(len(times), np.int16) if sensor.has_temperature else None
+            log.append(sensor.name, Block(times, rows, np.zeros(len(times), np.uint16), warm))
+        log.stimulus("reference", Stimulus(times, force, rate, np.full(len(times), 25.0)))
+        for noted in phases:
+            log.phase(noted)
+    recording = recorded(path)
+    turn = Phase(4 * SECOND, 8 * SECOND, "turn")
+    assert recording.kind == "tumble"
+    assert recording.phases == tuple(sorted([*phases, turn]))
+    assert "Mag" in recording.experiment.plan.sensors
+    summary = summarised(recording)
+    assert summary.phases[1].sensors.keys() == {"Acc", "Gyro"}
+    assert "Mag" in summary.phases[0].sensors
+
+
 def test_static_stretches_are_found_and_their_attitudes_estimated(tmp_path: Path) -> None:
     """Ten poses; the array's common bias is left in no direction: 1.5e-3 is 0.1 degree."""
     ups = directions(10)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -43,6 +44,9 @@ NEEDED_S, NEEDED_ROWS = 3.0, 24
 second or four rows, of which the first and the last are cut off.
 """
 
+TURN = "turn"
+"""Name of a stretch between two noted rests in which the box turns by the track."""
+
 _SAME_COSINE = np.cos(np.radians(10))
 """Cosine of the largest angle between poses on one face."""
 
@@ -58,8 +62,8 @@ def is_at_rest(phase: Phase) -> bool:
 def phases_of(log: Log, motion: LikeLog) -> tuple[tuple[Phase, ...], list[str]]:
     """Return the phases that can be compared, and notes on those that cannot.
 
-    Phases at rest, or detected static stretches if none is noted; other phases where `motion` follows a track. LogError
-    if there is nothing to compare.
+    Phases at rest, or detected static stretches if none is noted; where `motion` follows a track, other phases too, and
+    the turns between noted rests. LogError if there is nothing to compare.
     """
     is_tracked = motion.source != "phases"
     noted = [_without_false_face(phase, motion) if is_tracked else phase for phase in log.phases]
@@ -73,6 +77,8 @@ def phases_of(log: Log, motion: LikeLog) -> tuple[tuple[Phase, ...], list[str]]:
         moving = []
     elif not log.phases:
         moving = list(_between_rests(log, detected))
+    else:
+        moving += _turns(sorted(noted), motion)
     phases = tuple(sorted([*still, *detected, *moving]))
     if not phases:
         raise LogError(f"{log.path}: nothing to compare: {_what_is_lacking(log)}")
@@ -144,6 +150,15 @@ def _between_rests(log: Log, still: Sequence[Phase]) -> Iterator[Phase]:
     for start_ns, end_ns in zip(starts, ends, strict=True):
         if end_ns - start_ns >= MIN_POSE_S * 1e9:
             yield Phase(start_ns, end_ns, "motion")
+
+
+def _turns(phases: Sequence[Phase], motion: LikeLog) -> Iterator[Phase]:
+    """Yield the stretches between consecutive phases at rest in which the box moves, if they are as long as a rest."""
+    for before, after in pairwise(phases):
+        between = Phase(before.end_ns, after.start_ns, TURN)
+        is_long = between.end_ns - between.start_ns >= MIN_POSE_S * 1e9
+        if is_long and is_at_rest(before) and is_at_rest(after) and moves_by_track(between, motion):
+            yield between
 
 
 def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[PoseAttitude, ...], list[str]]:

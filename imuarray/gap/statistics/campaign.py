@@ -149,8 +149,14 @@ def _summarise_phases(
 ) -> list[PhaseSummary]:
     """Summarise one phase of each replicate: short phases jointly, long ones one after the other, to bound the memory.
 
-    Phases with a `layout` are simulated ones, for which only what statistics need is computed.
+    Phases with a `layout` are simulated ones, for which only what statistics need is computed. While the box moves only
+    its inertial sensors are summarised, since nobody knows the field.
     """
+    if not is_at_rest(phase):
+        replicates = [
+            {name: source for name, source in sources.items() if source.header.quantity in INERTIAL}
+            for sources in replicates
+        ]
     chosen, recorded = layout or layout_of(replicates[0], phase), layout is None
     rows = max((source.rows(phase.start_ns, phase.end_ns) for source in replicates[0].values()), default=0)
     at_once = max(CHUNK // max(rows, 1), 1)
