@@ -128,7 +128,7 @@ def load(path: Path) -> Conversation:
     lines = tuple(Line(f"{path.name}, line {number}", content) for number, content in enumerate(contents[1:], 2))
     for line in lines:
         if not _FACT.search(line.source):
-            raise DifferenceError(f"{line.place}: no source")
+            raise DifferenceError(f"{line.place}: the source has no id of a fact, such as LIS-14; a new prefix: _FACT")
         kinds = [kind for kind in ("write", "wait_ms", "counts") if kind in line.content]
         if len(kinds) != 1 or len(line.mask) != len(line.read):
             raise DifferenceError(

@@ -126,7 +126,7 @@ def test_only_what_the_facts_settle_is_compared(replay, changed):
 @pytest.mark.parametrize(
     ("values", "complaint"),
     [
-        ({"source": "somebody said so"}, "line 2: no source"),
+        ({"source": "somebody said so"}, "line 2: the source has no id of a fact"),
         ({"mask": "ffff"}, "line 2: neither .* or a mask of another length"),
         ({"wait_ms": 1}, "line 2: neither transaction nor wait"),
     ],
