@@ -271,7 +271,7 @@ def test_bad_input_is_one_line_exit_2_and_nothing_left(
     ("phase", "said"),
     some(
         [
-            ("zup", "did you mean z_up?"),
+            ("zoup", "did you mean z_up?"),
             ("statik", "did you mean static?"),
             ("z_up", ""),
             ("z_up_check", ""),
@@ -289,6 +289,37 @@ def test_a_phase_called_almost_as_a_known_one_is_mentioned(run: Run, here: Path,
     assert all(said in line for line in mentioned)
     with open_log(here / "r.h5") as log:
         assert [one.name for one in log.phases] == [phase]
+
+
+@pytest.mark.parametrize("phase", ["zup", "Z-UP", "z up"])
+def test_a_phase_that_differs_in_punctuation_only_is_refused(run: Run, here: Path, phase: str) -> None:
+    code, _, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "0.1", "--phase", phase)
+    assert (code, err) == (
+        2,
+        [f"imuarray: phase {phase!r}: other commands recognise 'z_up' only; write --phase z_up"],
+    )
+    assert not (here / "r.h5").exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("fuse cal.toml run.h5 -o f.h5", "unexpected argument run.h5; allowed are imuarray fuse [OPTIONS] RUN.h5"),
+        ("log martin2013 --rate-hz 50Hz -o r.h5", "'50Hz' is not a number from 0.01 to 3200"),
+        ("demo --workers two", "'two' is not a whole number from 1 to 256"),
+        ("fuse run.h5 -o f.csv", "f.csv: a fused result is an HDF5 file; name it f.h5"),
+        ("simulate martin2013 -o s.csv", "s.csv: a log is an HDF5 file; name it s.h5"),
+        ("import run.csv --map freeimu_thermal -o i.csv", "i.csv: a log is an HDF5 file; name it i.h5"),
+        ("log martin2013 --bus emulated: -o r.csv", "r.csv: a log is an HDF5 file; name it r.h5"),
+        ("monitor cal.toml --text", "cal.toml: is not a log; allowed is an HDF5 file (.h5) that is written or will be"),
+    ],
+)
+def test_a_mistake_is_answered_by_what_is_allowed(run: Run, here: Path, line: str, said: str) -> None:
+    for name in ("cal.toml", "run.csv"):
+        (here / name).write_text("")
+    code, out, err = run(*line.split())
+    assert (code, out, len(err)) == (2, "", 1)
+    assert err[0].endswith(said)
 
 
 def test_a_folder_is_never_replaced(run: Run, here: Path) -> None:

@@ -18,6 +18,7 @@ from imuarray.commands.options import (
     print_json,
     progress,
     refuse_existing,
+    refuse_other_suffix,
 )
 from imuarray.printable import listed
 from imuarray.units import INERTIAL, READABLE_SI
@@ -128,6 +129,7 @@ def _run(options: FuseOptions) -> None:
     from imuarray.log import open_log
 
     if options.output is not None:
+        refuse_other_suffix(options.output, "a fused result")
         refuse_existing(options.output, options.force, source=options.run)
     elif not options.evaluate:
         raise click.UsageError("Missing option '-o' / '--output'.")

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imuarray.axes import UP_AXES
-from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
+from imuarray.commands.options import (
+    force_option,
+    json_option,
+    print_json,
+    progress,
+    refuse_existing,
+    refuse_other_suffix,
+)
 from imuarray.errors import LogError
 from imuarray.importers import FORMATS
 from imuarray.printable import counted, printable
@@ -104,6 +111,7 @@ def _run(options: ImportOptions) -> None:
         raise click.UsageError(f"give either --map MAP.toml or --format {'|'.join(FORMATS)}; --guess proposes a map")
     if options.up is not None and options.map_path is None:
         raise click.UsageError("--up requires --map")
+    refuse_other_suffix(options.output, "a log")
     refuse_existing(options.output, options.force)
     size = options.source.stat().st_size if options.source.is_file() else 0
     with progress(size, str(options.source)) as done:

@@ -22,6 +22,7 @@ from imuarray.commands.options import (
     print_json,
     rate_option,
     refuse_existing,
+    refuse_other_suffix,
 )
 from imuarray.errors import ConfigError
 from imuarray.printable import counted
@@ -263,12 +264,11 @@ class LogOptions:
 
     def check(self) -> None:
         """Raise click.UsageError for options that contradict each other and for an output that cannot be written."""
-        _mention_misspelt(self.phase)
+        _check_phase(self.phase)
         if self.up and not self.phase:
             raise click.UsageError("--up needs --phase: it is the direction of the box in that phase")
         refuse_existing(self.first, self.force)
-        if self.output.suffix not in (".h5", ".hdf5"):
-            raise click.UsageError(f"{self.output}: a log is an HDF5 file; name it {self.output.name}.h5")
+        refuse_other_suffix(self.output, "a log")
         fusion = {"--technique": self.technique, "--fused": self.fused_file, "--watch": self.watch}
         _refuse_without("--fuse", self.fuse, fusion)
         page = {"--monitor-host": self.monitor_host, "--monitor-port": self.monitor_port}
@@ -280,9 +280,16 @@ _PHASES = ("static", "room", "heat", "cool", "motion", "run 1", *_FACES, *(f"{fa
 """Names of phases that other commands recognise; any other name is allowed."""
 
 
-def _mention_misspelt(phase: str) -> None:
-    """Print a remark if the name of a phase differs only slightly from one that other commands recognise."""
-    if phase and phase not in _PHASES and not re.fullmatch(r"run \d+", phase) and (near := guess(phase, _PHASES)):
+def _check_phase(phase: str) -> None:
+    """Raise click.UsageError if the name of a phase differs from one that other commands recognise in letter case and
+    punctuation only; print a remark if it differs slightly.
+    """
+    if not phase or phase in _PHASES or re.fullmatch(r"run \d+", phase):
+        return
+    plain = {re.sub(r"[\W_]", "", name): name for name in _PHASES}
+    if known := plain.get(re.sub(r"[\W_]", "", phase.casefold())):
+        raise click.UsageError(f"phase {phase!r}: other commands recognise {known!r} only; write --phase {known}")
+    if near := guess(phase, _PHASES):
         click.echo(f"imuarray: phase {phase!r} is not a name that other commands recognise{near}", err=True)
 
 

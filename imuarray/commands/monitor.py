@@ -140,6 +140,8 @@ class MonitorOptions:
 
 def _run(options: MonitorOptions) -> None:
     """Show the log in the terminal, or serve the page."""
+    if options.run.is_file() and options.run.suffix not in (".h5", ".hdf5"):
+        raise click.UsageError(f"{options.run}: is not a log; allowed is an HDF5 file (.h5) that is written or will be")
     known = _calibration(options.calibration)
     if options.once and not (options.as_text or options.as_json):
         raise click.UsageError("--once needs --text or --json")

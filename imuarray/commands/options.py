@@ -90,6 +90,12 @@ class Duration(_Seconds):
         return seconds
 
 
+def refuse_other_suffix(path: Path, content: str) -> None:
+    """Raise click.UsageError if the name of a log or fused result (`content`) has the suffix of another format."""
+    if path.suffix not in (".h5", ".hdf5"):
+        raise click.UsageError(f"{path}: {content} is an HDF5 file; name it {path.with_suffix('.h5').name}")
+
+
 def refuse_existing(path: Path, force: bool, source: Path | None = None, *, in_new_folder: bool = False) -> None:
     """Raise an error if an output cannot or must not be written, before long work begins.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -34,13 +35,28 @@ def run(command: click.Command, name: str, arguments: Sequence[str] | None = Non
         click.echo(f"{name}: interrupted", err=True)
         return 130
     except click.ClickException as error:
-        return _ended(name, error.format_message(), 2)
+        return _ended(name, _explained(error), 2)
     except ImuArrayError as error:
         return _ended(name, str(error), error.exit_code)
     except OSError as error:  # of a file or a bus, without an error of its own
         place = f"{error.filename}: " if error.filename else ""
         return _ended(name, f"{place}{error.strerror or error}", 3 if error.errno in NO_ROOM else 2)
     return result if isinstance(result, int) else 0
+
+
+def _explained(error: click.ClickException) -> str:
+    """Return the message of an error, with what is allowed where click does not say it."""
+    text = error.format_message()
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    if context is not None and (extra := re.fullmatch(r"Got unexpected extra arguments? \((.*)\)", text)):
+        usage = " ".join(context.command.collect_usage_pieces(context))
+        return f"unexpected argument {extra[1]}; allowed are {context.command_path} {usage}"
+    kind = error.param.type if isinstance(error, click.BadParameter) and error.param is not None else None
+    if isinstance(kind, click.FloatRange | click.IntRange):
+        number = "a number" if isinstance(kind, click.FloatRange) else "a whole number"
+        ends = f"{'' if kind.min is None else f' from {kind.min:g}'}{'' if kind.max is None else f' to {kind.max:g}'}"
+        return re.sub(r"is not a valid (float|integer) range\.", f"is not {number}{ends}", text)
+    return text
 
 
 @contextmanager

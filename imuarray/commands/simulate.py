@@ -20,6 +20,7 @@ from imuarray.commands.options import (
     progress,
     rate_option,
     refuse_existing,
+    refuse_other_suffix,
 )
 from imuarray.shipped import find_config, find_model
 
@@ -212,6 +213,7 @@ def _run(options: SimulateOptions) -> None:
         log, runs = _runs(stack, options)
         model = _model(options.model_name, options.calibration, runs[0].plan)
         for run in runs:
+            refuse_other_suffix(run.path, "a log")
             refuse_existing(run.path, options.force, source=options.like)
         for sentence in remarks_on(runs[0].plan, model, log, population=population):
             click.echo(f"imuarray: {sentence}", err=True)

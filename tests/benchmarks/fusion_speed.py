@@ -176,7 +176,7 @@ def kalman(values: np.ndarray, geometry: Geometry, states: ErrorStates) -> np.nd
     mean, covariance = np.zeros(3 + slow), np.zeros((3 + slow, 3 + slow))
     covariance[3:, 3:] = states.prior
     noise, one, triads = np.diag(geometry.noise**2), np.eye(3 + slow), np.empty((len(values), 3))
-    steady, *response = states.rows(np.zeros(count))
+    steady, *response = states.response_at(np.zeros(count)).dense
     felt = np.linalg.lstsq(geometry.rows, values[0], rcond=None)[0]
     for index, reading in enumerate(values):
         mean = remaining * mean
