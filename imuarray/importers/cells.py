@@ -18,14 +18,14 @@ from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 from fractions import Fraction
 from gzip import BadGzipFile
-from itertools import islice
+from itertools import chain, islice
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import SourceError
-from imuarray.importers.mapping import ISO, NS_PER_UNIT, FileTable, has_no_day, is_date_format
+from imuarray.importers.mapping import ISO, NS_PER_UNIT, FileTable, has_no_day, has_no_hour, is_date_format
 from imuarray.printable import counted
 
 ROWS = 4096
@@ -51,7 +51,7 @@ MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
 """Cells in lower case that hold no value, as pandas, R, SQL and Python write them."""
 
 _LAST_NS = 2**62
-DAY_NS = 86_400_000_000_000
+DAY_NS, HOUR_NS = 86_400_000_000_000, 3_600_000_000_000
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]")
 _OTHER_DATE = re.compile(r"\d\d?:\d\d:\d\d")
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
@@ -266,6 +266,7 @@ class TextTable:
         return [text.format(counted(self.left_out[what], "line")) for what, text in said.items() if self.left_out[what]]
 
 
+_PREFIX = re.compile(r"(?P<word>[A-Za-z_]\w{0,15})\s*[:>]\s*(?=[-+.\d])(?P<rest>[^:=]*)")
 _MONITOR_STAMP = re.compile(r"(\d\d:\d\d:\d\d[.,]\d+) -> ")
 _CHECKSUM = re.compile(r"(\$.*)\*[0-9A-Fa-f]{2}")
 _NOVATEL = re.compile(r"[#%]([A-Z0-9]+A,[^;]*);(.*)\*[0-9A-Fa-f]{8}")
@@ -273,17 +274,25 @@ _NOVATEL = re.compile(r"[#%]([A-Z0-9]+A,[^;]*);(.*)\*[0-9A-Fa-f]{8}")
 
 def plain_line(line: str, delimiter: str) -> str:
     """Return a line without what terminals and instruments wrap it in: the Arduino IDE's "12:34:56.789 -> " becomes a
-    cell of its own, and the checksum of a sentence "$VNYMR,...*5C" (NMEA 0183) or "%RAWIMUSA,...;...*5aa97065"
-    (NovAtel) is left out. A semicolon behind the last of cells that commas separate ends the row.
+    cell of its own, and so does a word before numbers, "IMU: 1,2,3"; the checksum of a sentence "$VNYMR,...*5C" (NMEA
+    0183) or "%RAWIMUSA,...;...*5aa97065" (NovAtel) is left out. A semicolon behind the last of cells that commas
+    separate ends the row.
     """
     line = plain_sentence(line)
     if line.endswith(";") and delimiter == "," and ";" not in line[:-1]:
         line = line[:-1]
     if (stamp := _MONITOR_STAMP.match(line)) is not None:
         line = stamp[1].replace(",", ".") + delimiter + line[stamp.end() :]
+    prefix = _PREFIX.fullmatch(line)
+    if prefix is not None and prefix["rest"].count(delimiter) >= _FEWEST_BEHIND_WORD - 1:
+        return prefix["word"] + delimiter + prefix["rest"]
     if line.startswith("$") and (sentence := _CHECKSUM.fullmatch(line)) is not None:
         return sentence[1]
     return line
+
+
+_FEWEST_BEHIND_WORD = 3
+"""Fewest cells behind a word and a colon that are a row of numbers, and not a remark or a labelled value."""
 
 
 def plain_sentence(line: str) -> str:
@@ -301,10 +310,11 @@ _LABELLED = re.compile(
 
 def labelled(cells: Sequence[str]) -> list[str]:
     """Return a row whose values have labels ("ax: 0.02, ay: -0.98 g") as their labels, joined by commas, and the
-    values; [] of a row without a label. The labels are the kind of the row: text between readings has others.
+    values; [] of a row without a label. The labels are the kind of the row: text between readings has others. A stamp
+    in brackets, "[1234] ax: 0.02", and values that a bar separates are values of their own.
     """
     labels, values = [], []
-    for cell in map(str.strip, cells):
+    for cell in map(str.strip, chain.from_iterable(map(_SEPARATED.split, cells))):
         if (match := _LABELLED.fullmatch(cell)) is not None:
             unit = f" [{match['unit'].strip()}]" if match["unit"] else ""
             labels.append(match["label"].strip() + unit)
@@ -316,6 +326,9 @@ def labelled(cells: Sequence[str]) -> list[str]:
             return []
     return [",".join(labels), *values] if any(labels) else []
 
+
+_SEPARATED = re.compile(r"\||(?<=\d)\](?=\s*[A-Za-z])|^\s*\[(?=\d)")
+"""Bars between labelled values, and the brackets around a stamp before them."""
 
 _REMARKS = re.compile(r"(comment|remark|note|annotation)s?|kommentar|bemerkung(en)?", re.IGNORECASE)
 """Name of a last column for remarks, whose cell programs leave out of rows without one."""
@@ -474,7 +487,7 @@ class TimeColumn:
         self._tick_ns: int | Fraction = tick_ns.numerator if tick_ns.denominator == 1 else tick_ns
         self._span_ns = 0 if wraps_at is None else round(wraps_at * tick_ns)
         if self._format and has_no_day(self._format):
-            self._span_ns = DAY_NS
+            self._span_ns = HOUR_NS if has_no_hour(self._format) else DAY_NS
         self._ties = ties
         self._turns_ns = self._tie_place = 0
         self._untied_ns: int | None = None

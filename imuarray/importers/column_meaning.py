@@ -149,9 +149,13 @@ def instance_column(names: Sequence[str], columns: Sequence[Floats]) -> int | No
     return None
 
 
-def is_time(name: str) -> bool:
-    """Return whether a column is called a time."""
-    return bool(_TIME.search(name))
+def is_time_of_rows(name: str, values: Floats) -> bool:
+    """Return whether a column has an increasing time for each row: it is called a time, or grows without being called
+    a number of the rows.
+    """
+    if not increases(values):
+        return False
+    return bool(_TIME.search(name)) or (bool((np.diff(values) > 0).all()) and not _INDEX.fullmatch(name.strip()))
 
 
 def column_label(names: Sequence[str], index: int) -> str:

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import islice, pairwise
 from math import log as ln
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -33,7 +34,7 @@ from imuarray.importers.column_meaning import (
     is_gravity,
     is_in_mg,
     is_of_a_quantity,
-    is_time,
+    is_time_of_rows,
     kind_column,
     propose_columns,
     propose_kind,
@@ -60,6 +61,7 @@ from imuarray.importers.text_layout import (
     read_text,
 )
 from imuarray.log import Log, open_log
+from imuarray.printable import listed as listed_names
 from imuarray.units import UNITS_OF
 
 _MIMU4444 = 'file = { format = "mimu4444" }'
@@ -377,6 +379,9 @@ def _propose_map(path: Path) -> Proposal:
                 of_kind = [row for row in rows if row[0] == kind and len(row) >= 5]
                 if of_kind:
                     cells = columns_of([row[: len(of_kind[0])] for row in of_kind], layout)
+                    if len(cells) >= _KIND_TIME_AND_TRIADS and increases(cells[1]):
+                        _propose_described(proposal, kind, [""] * (len(of_kind[0]) - 1), of_kind)
+                        continue
                     if increases(cells[1]) and not proposal.items:
                         proposal.time = time_lines([], cells, 1, {}, proposal)
                     force_unit = propose_kind(proposal, kind, cells, force_unit)
@@ -392,7 +397,9 @@ def _propose_map(path: Path) -> Proposal:
             if len(rows) < 2:
                 proposal.doubts.append(f"left out: the only row of kind {kind!r}")
                 continue
-            partial = propose_columns(TextLayout(), list(chosen), columns_of(rows, TextLayout()), dates_of(rows), stem)
+            columns = columns_of(rows, TextLayout())
+            dates = _dates_of_rows(rows, chosen, columns)
+            partial = propose_columns(TextLayout(), list(chosen), columns, dates, stem)
             if not partial.items:
                 proposal.doubts.append(
                     f"left out: rows of kind {kind!r}, which have no triad that is known by its name"
@@ -467,10 +474,8 @@ class _Text(NamedTuple):
 
 def _propose_table(text: _Text) -> Proposal:
     """Propose a map of a text with one table, whose rows may be of several instances of a sensor."""
-    columns, dates = columns_of(text.rows, text.layout), dates_of(text.rows)
-    if dates and len({row[min(dates)] for row in text.rows}) < _FEW_DATES * len(text.rows):
-        timed = [name for name, values in zip(text.names, columns, strict=False) if is_time(name) and increases(values)]
-        dates = {} if timed else dates  # the phone's time of a packet, and the sensor's of each row
+    columns = columns_of(text.rows, text.layout)
+    dates = _dates_of_rows(text.rows, text.names, columns)
     units = units_below_header(text.layout, text.names)
     words = kind_column(text.names, text.rows)
     instance = instance_column(text.names, columns) if words is None else words
@@ -497,6 +502,18 @@ def _propose_table(text: _Text) -> Proposal:
     return proposal
 
 
+def _dates_of_rows(rows: Sequence[Sequence[str]], names: Sequence[str], columns: Sequence[Floats]) -> dict[int, str]:
+    """Return the columns of dates and the unit of each; none if they are those of packets, while another column has the
+    time of each row.
+    """
+    dates = dates_of(rows)
+    if not dates or len({row[min(dates)] for row in rows}) >= _FEW_DATES * len(rows):
+        return dates
+    named = list(zip(names, columns, strict=False))
+    is_timed = any(is_time_of_rows(name, values) for name, values in named)
+    return {} if is_timed else dates
+
+
 _FEW_DATES = 0.5
 """Share of the rows that have a date of their own, below which a column of numbers is the better time."""
 
@@ -505,6 +522,7 @@ def _propose_folder(folder: Path) -> Proposal:
     """Propose a map of a folder with a text for each sensor."""
     proposal: Proposal | None = None
     doubts: list[str] = []
+    parts: dict[tuple[str, ...], list[tuple[str, Floats]]] = {}
     is_named = sum(bool(quantity_of(name)) for name in texts_in(folder)) > 1
     for name, path in texts_in(folder).items():
         try:
@@ -516,7 +534,8 @@ def _propose_folder(folder: Path) -> Proposal:
             doubts.append(f"left out: {path.name}: neither its name nor its columns state a quantity")
             continue
         units = units_below_header(layout, names)
-        partial = propose_columns(layout, names, columns_of(rows, layout), dates_of(rows), name, units)
+        columns = columns_of(rows, layout)
+        partial = propose_columns(layout, names, columns, _dates_of_rows(rows, names, columns), name, units)
         if not partial.items:
             doubts.append(f"left out: {path.name} has no triad, temperature or pressure that is known by its name")
             continue
@@ -524,14 +543,37 @@ def _propose_folder(folder: Path) -> Proposal:
         if layout.lines() != proposal.layout.lines():
             doubts.append(f"left out: {path.name} has another layout than the other files")
             continue
+        timed = (values for each, values in zip(names, columns, strict=False) if is_time_of_rows(each, values))
+        parts.setdefault(tuple(names), []).extend((path.name, values) for values in islice(timed, 1))
         for item in partial.items:
             if len(partial.items) == 1 and _NAME.fullmatch(name):
                 item[1] = f'name = "{name}"'
         _add_kind(proposal, name, partial)
     if proposal is None:
         raise SourceError(f"{folder}: no file in this folder contains readings: {'; '.join(doubts)}")
-    proposal.doubts += doubts
+    proposal.doubts += [*doubts, *_doubted_parts(parts.values())]
     return proposal
+
+
+def _doubted_parts(files: Iterable[Sequence[tuple[str, Floats]]]) -> Iterator[str]:
+    """Yield doubts about files of equal columns, with the times of their first rows, that begin one after the other:
+    they may be parts of one recording.
+    """
+    for same in files:
+        begins = sorted((float(times[0]), float(times[-1] - times[0]), name) for name, times in same)
+        later = [a[2] for a, b in pairwise(begins) if b[0] - a[0] > _LATER * a[1]]
+        if later:
+            names = listed_names([name for _, _, name in begins])
+            yield (
+                f"{names} have the same columns and begin one after the other: if they are parts of one recording, join"
+                " them into one file (sort = true puts rows in order); here they are different sensors"
+            )
+
+
+_LATER = 0.1
+"""Difference between the beginnings of two files, as a share of the first one's time, that sensors of one recorder do
+not have.
+"""
 
 
 def _with_values(names: Sequence[str], columns: Sequence[Floats]) -> tuple[list[str], list[Floats]]:
@@ -567,16 +609,20 @@ def _finite(values: npt.NDArray[np.number] | None) -> Floats:
 
 
 def _full_labels(kind: str) -> list[str]:
-    """Return the labels of a row with the words and the unit that all of them share, which programs write once:
-    "Acceleration X", "Y", "Z [m/s^2]".
+    """Return the labels of a row with the words and the unit that several share, which programs write once:
+    "Acceleration X", "Y", "Z [m/s^2]", "Rotation X", "Y", "Z [rad/s]".
     """
-    labels = kind.split(",")
-    stem = labels[0].rstrip("xX")
-    unit = re.search(r" \[[^]]*\]$", labels[-1])
-    if stem == labels[0] or not all(re.fullmatch(r"[A-Za-z]( \[[^]]*\])?", label) for label in labels[1:]):
-        return labels
-    names = [labels[0], *(stem + label for label in labels[1:])]
-    return [name if unit is None or name.endswith("]") else name + unit[0] for name in names]
+    names: list[str] = []
+    stem, first = "", 0
+    for label in kind.split(","):
+        if not re.fullmatch(r"[A-Za-z]( \[[^]]*\])?", label):
+            stem, first = label.rstrip("xX"), len(names)
+            stem = "" if stem == label else stem
+        names.append(stem + label if stem and len(names) > first else label)
+        unit = re.search(r" \[[^]]*\]$", label)
+        if unit and stem:
+            names[first:] = [name if name.endswith("]") else name + unit[0] for name in names[first:]]
+    return names
 
 
 def _numbered_kinds(
@@ -607,23 +653,30 @@ def _numbered_kinds(
 
 
 _MOST_INSTANCES = 16
+_KIND_TIME_AND_TRIADS = 8
+"""Columns of rows of a kind, of their time, and of two triads."""
 
 
 def _propose_described(proposal: Proposal, kind: str, names: list[str], rows: Sequence[Sequence[str]]) -> None:
     """Propose the sensors of a kind of rows whose columns after that of the kind have names."""
     layout = proposal.layout
+    named = [name or f"#{number}" for number, name in enumerate(names)]  # values without a label, as stamps are
     places = layout.kind_column if isinstance(layout.kind_column, list) else [0]
     of_kind = (row for row in rows if len(row) > len(names) and " ".join(row[at].strip() for at in places) == kind)
     cells = columns_of([row[1 : len(names) + 1] for row in of_kind], layout)
     if not cells or len(cells[0]) < 2:
         return
-    partial = propose_columns(layout, names, cells, {})
+    partial = propose_columns(layout, named if any(names) else [], cells, {})
     if not partial.items:
         return
+
+    def place_in_row(column: re.Match[str]) -> str:
+        return str(1 + (int(column[2]) if column[1] is None else named.index(column[1])))
+
     for lines in (*partial.items, partial.time):
         for place, line in enumerate(lines):
             if re.match(r"\w*columns? = ", line):
-                lines[place] = re.sub(r'"([^"]*)"', lambda name: str(names.index(name[1]) + 1), line)
+                lines[place] = re.sub(r'"([^"]*)"|\b(\d+)\b', place_in_row, line)
     if kind in INVERTED_Y:
         for item in partial.items:
             item.append('signs = "+-+"   # the y axis of this sentence is inverted')

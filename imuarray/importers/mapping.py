@@ -94,6 +94,11 @@ def has_no_day(unit: str) -> bool:
     return is_date_format(unit) and not re.search(r"%[dj]", unit)
 
 
+def has_no_hour(unit: str) -> bool:
+    """Return whether a format of times has minutes and seconds alone, which restart every hour."""
+    return is_date_format(unit) and not re.search(r"%[HI]", unit)
+
+
 def _time_unit(unit: str) -> str:
     """Validate a unit of times; ValueError."""
     allowed = f"allowed are {', '.join([*NS_PER_UNIT, ISO])}, or the format of dates, such as %d.%m.%Y %H:%M:%S.%f"
@@ -101,8 +106,12 @@ def _time_unit(unit: str) -> str:
         if unit not in (*NS_PER_UNIT, ISO):
             raise ValueError(f"{unit!r}: {allowed}")
         return unit
-    if "%" in DATE_DIRECTIVES.sub("", unit) or not re.search(r"%[HI]", unit):
-        raise ValueError(f"{unit!r}: a format of dates has %H and others of %Y %y %m %d %j %b %B %I %M %S %p %f %z")
+    is_short = has_no_hour(unit) and not unit.startswith("%M")
+    if "%" in DATE_DIRECTIVES.sub("", unit) or is_short:
+        raise ValueError(
+            f"{unit!r}: a format of dates has %H and others of %Y %y %m %d %j %b %B %I %M %S %p %f %z; or begins with"
+            " %M"
+        )
     return unit
 
 
@@ -145,12 +154,12 @@ class TimeTable(BaseModel):
     """`[time]`: a column of times in a unit, or the rate of the rows.
 
     A column counts `ticks` of its unit (0.5: half a unit each) and wraps at `wraps_at`. With `ties`, rows of equal time
-    are separated by 1 ns. With `sort`, rows that come late are put in the order of their times
-    (`imuarray.importers.row_order`). With `restarts`, times that fall go on from the row before: the clock was set back
-    (the end of daylight saving time, a leap second), or the recorder started again. A unit with `%` is the format of
-    dates, as `datetime.strptime` has them; a time of day alone goes on after midnight. `stamps = "arrival"`: the times
-    are those at which rows arrived in bursts; the log's times are then reconstructed (`imuarray.importers.row_order`),
-    and the delays are stored.
+    are separated by 1 ns. With `sort`, rows that come late are put in the order of their times, and rows that the file
+    holds twice are kept once (`imuarray.importers.row_order`). With `restarts`, times that fall go on from the row
+    before: the clock was set back (the end of daylight saving time, a leap second), or the recorder started again. A
+    unit with `%` is the format of dates, as `datetime.strptime` has them; a time of day alone goes on after midnight,
+    and minutes and seconds alone after the hour. `stamps = "arrival"`: the times are those at which rows arrived in
+    bursts; the log's times are then reconstructed (`imuarray.importers.row_order`), and the delays are stored.
     """
 
     model_config = _STRICT

@@ -68,13 +68,15 @@ Blocks = Iterator[tuple[CellBlock, list[int]]]
 
 
 class RowOrder:
-    """Sorts rows by their times; `late` counts those that came after a row with a later time."""
+    """Sorts rows by their times; `late` counts those that came after a row with a later time. Rows that a file holds
+    twice, as two that overlap and were joined do, are kept once; `repeated` counts the others.
+    """
 
     def __init__(self, times: Callable[[CellBlock, Sequence[int]], Times]) -> None:
         """`times` returns the times (n,) of the rows of the next block, whatever their order."""
         self._times = times
         self._latest: int | None = None
-        self.late = 0
+        self.late = self.repeated = 0
 
     def in_order(self, blocks: Blocks) -> Blocks:
         """Yield the rows of the blocks, sorted by time; rows of equal time keep their order."""
@@ -86,12 +88,24 @@ class RowOrder:
             self._count(times)
             joined = block if held is None else _joined(held, block)
             times = np.concatenate([held_times, times])
-            order = np.argsort(times, kind="stable")
+            order = self._once(joined, times, np.argsort(times, kind="stable"))
             if len(order) > MOST_ROWS_LATE:
                 yield _chosen(joined, order[:-MOST_ROWS_LATE]), where
             held, held_times = _chosen(joined, order[-MOST_ROWS_LATE:]), times[order[-MOST_ROWS_LATE:]]
         if held is not None:
             yield held, where
+
+    def _once(self, block: CellBlock, times: Times, order: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+        """Return the order (n,) without rows that are equal to the one before, in time and in all cells, but were not
+        written after it: a coarse clock has rows like that, and so has padding.
+        """
+        kept = np.ones(len(order), bool)
+        for place in (np.flatnonzero(np.diff(times[order]) == 0) + 1).tolist():
+            row, before = order[place], order[place - 1]
+            is_next = block.lines[row] == block.lines[before] + 1
+            kept[place] = is_next or any(column[row] != column[before] for column in block.columns)
+        self.repeated += int(np.count_nonzero(~kept))
+        return order[kept]
 
     def _count(self, times: Times) -> None:
         """Count the rows that come after a later one."""

@@ -498,6 +498,8 @@ class _Stream:
         if self._order is not None and self._order.late:
             rows = counted(self._order.late, "row")
             yield f"{rows} out of order in the file sorted by time; the file's order is not kept"
+        if self._order is not None and self._order.repeated:
+            yield f"{counted(self._order.repeated, 'row')} that the file holds twice kept once"
         if self._clock.tied:
             yield f"{counted(self._clock.tied, 'row')} with the time of the row before put 1 ns later"
         if self._clock.set_back_ns:

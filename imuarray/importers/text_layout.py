@@ -205,6 +205,7 @@ _MOSTLY = 0.9
 def _labelled_share(lines: Sequence[str], delimiter: str) -> float:
     """Return the share of lines whose cells are values with labels; more cells count a little more."""
     rows = [labelled(split_cells(line, delimiter)) for line in lines]
+    rows = [row if row and 2 * row[0].split(",").count("") < len(row) else [] for row in rows]
     return sum(bool(row) for row in rows) / len(rows) + 1e-4 * min(sum(map(len, rows)) / len(rows), 100)
 
 
@@ -256,6 +257,7 @@ _DATES: Sequence[tuple[str, str]] = (
     (r"\d\d?/\d\d?/\d{4} \d\d?:\d\d:\d\d", "%m/%d/%Y %H:%M:%S.%f"),
     (r"\d{8}T\d{6}", "%Y%m%dT%H%M%S.%f"),
     (r"\d\d?:\d\d:\d\d", "%H:%M:%S.%f"),
+    (r"\d\d?:\d\d\.\d+$", "%M:%S.%f"),
 )
 """How dates and times are written, and the unit that a map states for them."""
 
@@ -273,7 +275,24 @@ def dates_of(rows: Sequence[Sequence[str]]) -> dict[int, str]:
         if unit is not None:
             twelve = text[-2:].upper() in ("AM", "PM")
             dates[index] = unit.replace("%H", "%I").replace(".%f", " %p") if twelve else unit
+        elif _CLOCK.fullmatch(text) and _is_clock([row[index].strip() for row in rows if len(row) > index]):
+            dates[index] = "%H%M%S.%f"
     return dates
+
+
+_CLOCK = re.compile(r"([01]\d|2[0-3])[0-5]\d[0-5]\d\.\d+")
+"""A time of day as GPS receivers write it (NMEA 0183): 235959.98."""
+
+
+def _is_clock(cells: Sequence[str]) -> bool:
+    """Return whether numbers are times of day: all have such digits, and they step by 40 more after second 59, as
+    seconds do not.
+    """
+    if not all(map(_CLOCK.fullmatch, cells)):
+        return False
+    values = np.array([float(cell) for cell in cells])
+    full = np.flatnonzero(np.diff(np.floor(values / 100)) != 0)
+    return len(full) > 0 and bool((np.diff(values)[full] % 100 > 40).all())
 
 
 def quoted(text: str) -> str:

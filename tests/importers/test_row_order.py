@@ -94,7 +94,7 @@ def test_sort_and_a_wrapping_counter_exclude_each_other() -> None:
 def test_any_order_within_reach_comes_out_as_sorting_says(times: list[int], rows: int) -> None:
     assert len(times) <= MOST_ROWS_LATE
     blocks = [
-        (CellBlock("s", list(range(at, at + len(part))), [[str(time) for time in part], np.array(part)]), [0])
+        (CellBlock("s", list(range(at, at + len(part))), [[str(t) for t in part], np.arange(at, at + len(part))]), [0])
         for at in range(0, len(times), rows)
         if (part := times[at : at + rows])
     ]
@@ -106,6 +106,22 @@ def test_any_order_within_reach_comes_out_as_sorting_says(times: list[int], rows
     ]
     assert out == sorted(zip(times, range(len(times)), strict=True))
     assert order.late == sum(time < max(times[:at], default=0) for at, time in enumerate(times))
+
+
+@pytest.mark.parametrize("overlap", [2, 300, 4096])
+def test_rows_of_an_overlap_are_kept_once(tmp_path: Path, overlap: int) -> None:
+    rows = np.r_[0:6000, 6000 - overlap : 8000]
+    counts, remarks = imported(tmp_path, table(0.01 * rows + 1, rows), ", sort = true")
+    np.testing.assert_array_equal(counts, np.arange(8000))
+    assert f"{overlap} rows that the file holds twice kept once" in remarks
+
+
+def test_equal_readings_of_a_coarse_clock_are_kept(tmp_path: Path) -> None:
+    """Four rows have the same time, and two of them the same reading."""
+    rows = np.arange(1000)
+    counts, remarks = imported(tmp_path, table(0.01 * (rows // 4) + 1, rows // 2), ", sort = true, ties = true")
+    np.testing.assert_array_equal(counts, rows // 2)
+    assert not [text for text in remarks if "twice" in text]
 
 
 def test_a_column_that_numbers_rows_is_no_time(tmp_path: Path) -> None:
