@@ -39,12 +39,12 @@ class Bandwidth(Effect):
     cutoff, correlation exp(-a t) (cos a t + sin a t) after a time t, delay 1 / a.
 
     A digital filter behind a converter that samples at `sampled_hz` passes white noise up to half that rate only
-    (infinite: no limit). The correlations are those of that part of the filter's response; `_MEMORY` rows before each
+    (infinite: no limit). The correlations are those of that part of the filter's response; the 8 rows before each
     row reproduce them (Yule and Walker).
 
     If a chip is polled faster than it samples, the noise depends on the previous sample, not on the previous row: rows
     that repeat a sample repeat its noise. If it is polled more slowly, consecutive rows are one or two samples apart
-    (or up to `SEVERAL_SAMPLES`); the filter also processes the samples that no row reads.
+    (or up to four); the filter also processes the samples that no row reads.
 
     `noise_share` of the noise's rms passes the filter. For a filter that is always present the noise is measured behind
     it, so the share is 1; a filter that starts at some moment reduces the noise. `signal_only` (1) leaves the noise
