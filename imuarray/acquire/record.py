@@ -30,8 +30,7 @@ from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.fault_episode import FaultEpisodes, event_writer
 from imuarray.acquire.recording import RecordingCounts, RecordingOptions, Service
 from imuarray.acquire.sample_buffer import Intake, SampleBuffer, SensorRoute
-from imuarray.acquire.sensor_health import SensorHealth
-from imuarray.acquire.start_up import StartUpCheck
+from imuarray.acquire.sensor_health import SensorHealth, StartUpCheck
 from imuarray.acquire.stream import Streaming, streams
 from imuarray.array import ArrayConfig
 from imuarray.bus.protocol import OpenBus

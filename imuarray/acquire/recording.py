@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from imuarray.acquire.start_up import Judge
+from imuarray.acquire.sensor_health import Judge
 from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.writer import Block
 

@@ -19,7 +19,7 @@ from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.fault_episode import FaultEpisodes, event_writer
 from imuarray.acquire.recording import RecordingCounts, RecordingOptions
 from imuarray.acquire.sample_buffer import HELD_S, Intake, SensorRoute
-from imuarray.acquire.start_up import StartUpCheck
+from imuarray.acquire.sensor_health import StartUpCheck
 from imuarray.acquire.stream_plan import LINK, ReadbackPlace, Rows, plan, readings_at
 from imuarray.acquire.stream_queue import rows_of
 from imuarray.bus.protocol import MuxChannel, OpenBus

@@ -12,9 +12,9 @@ from imuarray.callable_package import public_name
 
 if TYPE_CHECKING:
     from imuarray.calibrate.comparison import CalibrationComparison, compare_calibrations
+    from imuarray.calibrate.fits import Outlier
     from imuarray.calibrate.model import Calibration, SensorCalibration, load_calibration, nominal
     from imuarray.calibrate.noise import calibrate_noise
-    from imuarray.calibrate.outliers import Outlier
     from imuarray.calibrate.thermal import ThermalResult, calibrate_thermal
     from imuarray.calibrate.tumble import TumbleResult, calibrate_tumble
     from imuarray.calibrate.turn_on import TurnOnResult, calibrate_turn_on, holm

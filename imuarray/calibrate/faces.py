@@ -26,9 +26,16 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
-from imuarray.calibrate.fits import TriadFit, straight_lines
+from imuarray.calibrate.fits import (
+    Outlier,
+    TriadFit,
+    find_outlier,
+    misfit_probability,
+    moving_poses,
+    outlier_of,
+    straight_lines,
+)
 from imuarray.calibrate.model import SensorCalibration, nominal
-from imuarray.calibrate.outliers import Outlier, find_outlier, misfit_probability, moving_poses, outlier_of
 from imuarray.calibrate.pose_readings import Pose, PoseReadings, read_poses
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog

@@ -34,16 +34,18 @@ from scipy.special import chdtrc
 
 from imuarray.arrays import Floats
 from imuarray.calibrate.faces import accelerometer_of
-from imuarray.calibrate.fits import DRIFTS, TriadFit, beyond_noise
-from imuarray.calibrate.model import SensorCalibration
-from imuarray.calibrate.outliers import (
+from imuarray.calibrate.fits import (
+    DRIFTS,
     Outlier,
+    TriadFit,
+    beyond_noise,
     find_outlier,
     misfit_probability,
     moving_poses,
     outlier_of,
     separated_poses,
 )
+from imuarray.calibrate.model import SensorCalibration
 from imuarray.calibrate.pose_readings import Pose, PoseReadings, read_poses
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog

@@ -177,7 +177,8 @@ class StartUpVerdict(NamedTuple):
 
 
 class StartStateDetector:
-    """Judges the first readings of sensors (an `imuarray.acquire.start_up.Judge`): a call returns verdicts by name.
+    """Judges the first readings of sensors (an `imuarray.acquire.sensor_health.Judge`): a call returns verdicts by
+    name.
 
     `sentences` keeps every sentence; `report` is called with each new one. If the box moved, there are no verdicts.
     """

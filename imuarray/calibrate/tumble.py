@@ -46,10 +46,9 @@ from imuarray.calibrate.faces import (
     leave_one_out_residual,
     select_faces,
 )
-from imuarray.calibrate.fits import DRIFTS, TriadFit, straight_lines
+from imuarray.calibrate.fits import DRIFTS, Outlier, TriadFit, misfit_probability, outlier_of, straight_lines
 from imuarray.calibrate.gravity import FACE_COSINE, MIN_POSES, GravityFit, fit_gravity, fit_weighted
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
-from imuarray.calibrate.outliers import Outlier, misfit_probability, outlier_of
 from imuarray.calibrate.pose_readings import Pose, PoseReadings, find_poses, labelled_faces, read_poses
 from imuarray.calibrate.segments import TemperatureSeries, thermometer_of
 from imuarray.calibrate.thermal import SEGMENT_S

@@ -23,9 +23,8 @@ from itertools import pairwise
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.fits import beyond_noise
+from imuarray.calibrate.fits import Outlier, beyond_noise, find_outlier, misfit_probability
 from imuarray.calibrate.model import SensorCalibration, uncertain_columns
-from imuarray.calibrate.outliers import Outlier, find_outlier, misfit_probability
 from imuarray.calibrate.pose_readings import Pose, read_pose
 from imuarray.log import SensorLog
 from imuarray.log.format import SATURATED, SUSPECT

@@ -5,8 +5,8 @@ Rows pass through a bounded queue. If it is full, rows are dropped and counted u
 contains all rows, so `imuarray fuse` can fuse them later.
 
 Fusion starts with the first inertial rows. If a calibration contains start-up states, these rows arrive as soon as the
-states are known (`imuarray.acquire.start_up`), and the biases are those of these states; a sensor that is configured
-again later keeps its first state.
+states are known (`imuarray.acquire.sensor_health`), and the biases are those of these states; a sensor that is
+configured again later keeps its first state.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import pytest
 from imuarray.acquire.bus_segment import connect
 from imuarray.acquire.record import record
 from imuarray.acquire.sample_buffer import HELD_S
-from imuarray.acquire.start_up import StateVerdict
+from imuarray.acquire.sensor_health import StateVerdict
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.drivers import OnDemandDriver

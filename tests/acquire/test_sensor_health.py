@@ -14,7 +14,7 @@ import pytest
 
 from imuarray.acquire import record
 from imuarray.acquire.fault_episode import FaultEpisode
-from imuarray.acquire.start_up import StateVerdict
+from imuarray.acquire.sensor_health import StateVerdict
 from imuarray.array import parse_array
 from imuarray.bus import open_bus
 from imuarray.cli import main

@@ -17,7 +17,7 @@ import pytest
 
 from firmware_emulator import serial_firmware
 from imuarray.acquire import connect
-from imuarray.acquire.start_up import StateVerdict
+from imuarray.acquire.sensor_health import StateVerdict
 from imuarray.acquire.stream import streams
 from imuarray.acquire.stream_plan import plan
 from imuarray.array import ArrayConfig, load_array, parse_array

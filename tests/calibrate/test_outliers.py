@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imuarray.calibrate import TumbleResult, calibrate_tumble
-from imuarray.calibrate.outliers import find_outlier, misfit_probability, separated_poses
+from imuarray.calibrate.fits import find_outlier, misfit_probability, separated_poses
 from imuarray.calibrate.pose_readings import Pose
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, open_log

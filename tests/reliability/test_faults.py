@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.acquire.start_up import StateVerdict
+from imuarray.acquire.sensor_health import StateVerdict
 from imuarray.array import ArrayConfig
 from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
 

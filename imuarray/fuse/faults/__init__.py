@@ -7,7 +7,7 @@
 """
 
 from imuarray.fuse.faults.exclusions import FaultEvent
-from imuarray.fuse.faults.kinds import Ranges
+from imuarray.fuse.faults.hypotheses import Ranges
 from imuarray.fuse.faults.monitor import ExclusionMasks, FaultMonitor
 
 __all__ = ["ExclusionMasks", "FaultEvent", "FaultMonitor", "Ranges"]

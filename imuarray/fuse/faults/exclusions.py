@@ -10,10 +10,8 @@ from typing import Any, Literal
 import numpy as np
 
 from imuarray.arrays import Booleans
-from imuarray.fuse.faults.hypotheses import AXIS_GAIN, energy_limit
-from imuarray.fuse.faults.kinds import FaultKind
-from imuarray.fuse.faults.normal import NormalModel
-from imuarray.fuse.faults.window import WindowResiduals
+from imuarray.fuse.faults.hypotheses import AXIS_GAIN, FaultKind, energy_limit
+from imuarray.fuse.faults.window import NormalModel, WindowResiduals
 from imuarray.units import READABLE_SI
 
 UNIT: Mapping[str, str] = MappingProxyType({"specific_force": "g", "angular_rate": "dps"})

@@ -21,10 +21,8 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.faults.exclusions import AGREES
-from imuarray.fuse.faults.hypotheses import AXIS_GAIN, least_energy_limit
-from imuarray.fuse.faults.kinds import QUIET
-from imuarray.fuse.faults.normal import KAPPA_WINDOWS, LEAST_SHARE, Q_WINDOWS, STATES, NormalModel
-from imuarray.fuse.faults.window import Parity, slopes
+from imuarray.fuse.faults.hypotheses import AXIS_GAIN, QUIET, least_energy_limit
+from imuarray.fuse.faults.window import KAPPA_WINDOWS, LEAST_SHARE, Q_WINDOWS, STATES, NormalModel, Parity, slopes
 
 try:
     from imuarray.fuse.faults._windows import advance

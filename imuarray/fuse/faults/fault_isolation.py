@@ -15,10 +15,22 @@ import numpy as np
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.faults.exclusions import UNIT, Exclusion, FaultReport, agreeing, needs
 from imuarray.fuse.faults.fast_path import QUIETEST, WindowSeries
-from imuarray.fuse.faults.hypotheses import AXIS_GAIN, Baseline, Suspect, disagreement, separate_rivals, strongest
-from imuarray.fuse.faults.kinds import QUIET, FaultKind, Ranges, TriadComparison, compare_triad, fault_kind, reset_to
-from imuarray.fuse.faults.normal import NormalModel
-from imuarray.fuse.faults.window import DecisionWindow, Spaces, WindowResiduals, window_residuals
+from imuarray.fuse.faults.hypotheses import (
+    AXIS_GAIN,
+    QUIET,
+    Baseline,
+    FaultKind,
+    Ranges,
+    Suspect,
+    TriadComparison,
+    compare_triad,
+    disagreement,
+    fault_kind,
+    reset_to,
+    separate_rivals,
+    strongest,
+)
+from imuarray.fuse.faults.window import DecisionWindow, NormalModel, Spaces, WindowResiduals, window_residuals
 from imuarray.fuse.frames import Axis
 from imuarray.fuse.least_squares import spans
 from imuarray.fuse.techniques.technique import noise_of

@@ -23,7 +23,7 @@ from imuarray.errors import FusionError
 from imuarray.fuse.faults.exclusions import FaultEvent
 from imuarray.fuse.faults.fast_path import WindowSeries
 from imuarray.fuse.faults.fault_isolation import FaultIsolation
-from imuarray.fuse.faults.kinds import Ranges
+from imuarray.fuse.faults.hypotheses import Ranges
 from imuarray.fuse.faults.window import DecisionWindow, lever_arms
 from imuarray.fuse.frames import Axis, Frames, directions
 from imuarray.fuse.least_squares import consensus

@@ -23,17 +23,23 @@ from imuarray.report import Figure, Section, Table, Verdict, write_page
 from imuarray.simulate import write_log
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
-from imuarray.studies.fusion_gain.arrays import ARRAY, ARRAYS, FAULTS, NO_SLOPES, RANGES, measured, simulated
 from imuarray.studies.fusion_gain.study import (
+    ARRAY,
+    ARRAYS,
     CAUSAL,
     EXPERIMENTS,
+    FAULTS,
+    NO_SLOPES,
     OPTIMAL_CAUSAL,
+    RANGES,
     SMOOTHED,
     WORDS,
     GainRow,
     Study,
     changed,
     interval_text,
+    measured,
+    simulated,
 )
 from imuarray.units import INERTIAL, READABLE_SI
 

@@ -8,8 +8,7 @@ import pytest
 from imuarray.arrays import Floats
 from imuarray.fuse.faults import hypotheses
 from imuarray.fuse.faults.hypotheses import disagreement, strongest
-from imuarray.fuse.faults.normal import NormalModel
-from imuarray.fuse.faults.window import DecisionWindow, Spaces, WindowResiduals, window_residuals
+from imuarray.fuse.faults.window import DecisionWindow, NormalModel, Spaces, WindowResiduals, window_residuals
 
 FRAMES = 6
 PERIOD_S = 0.016

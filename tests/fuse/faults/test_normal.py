@@ -7,8 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from imuarray.arrays import Floats
-from imuarray.fuse.faults.normal import NormalModel
-from imuarray.fuse.faults.window import DecisionWindow, Spaces, window_residuals
+from imuarray.fuse.faults.window import DecisionWindow, NormalModel, Spaces, window_residuals
 
 ROWS = np.tile(np.eye(3), (3, 1))
 PERIOD_S = 0.01

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
+
 import pytest
 
-from imuarray.studies.fusion_gain import Study, arrays, study
+from imuarray.studies.fusion_gain import Study, study
 from imuarray.studies.fusion_gain.page import HeatingErrors, heated
+
+module = importlib.import_module("imuarray.studies.fusion_gain.study")  # the package has a function of this name
 
 
 @pytest.fixture(scope="session")
@@ -13,10 +17,10 @@ def short_and_warm() -> tuple[Study, HeatingErrors]:
     """Made with short calibrating logs: enough to see rows and curves, too little to learn from them."""
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (("TUMBLE_S", 56.0), ("HEATING_S", 120.0), ("BOOTS", 3), ("BOOT_S", 12.0)):
-            patch.setattr(arrays, name, value)
-        arrays.measured.cache_clear()
+            patch.setattr(module, name, value)
+        module.measured.cache_clear()
         found = study(("static",), 1, seconds=12.0), heated(1, 100.0)
-    arrays.measured.cache_clear()
+    module.measured.cache_clear()
     return found
 
 

@@ -23,8 +23,15 @@ from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
 from imuarray.studies.fusion_gain import GainRow, Study, study, true_calibration
-from imuarray.studies.fusion_gain.arrays import FAULTS, NO_SLOPES, martin2013, measured, simulated
-from imuarray.studies.fusion_gain.study import CAUSAL, OPTIMAL_CAUSAL
+from imuarray.studies.fusion_gain.study import (
+    CAUSAL,
+    FAULTS,
+    NO_SLOPES,
+    OPTIMAL_CAUSAL,
+    martin2013,
+    measured,
+    simulated,
+)
 
 MG = 9.80665e-3
 BOUNDED = ("static", "tumble", "heating", "turn-on", "motion")
