@@ -70,19 +70,24 @@ def envelope(time_s: Reals, values: Reals, most: int = _MOST_POINTS) -> tuple[Re
 
 
 def estimates_figure(
-    labels: Sequence[str], values: Sequence[float], errors: Sequence[float], quantity: str, title: str = ""
+    labels: Sequence[str], values: Sequence[float], errors: Sequence[float], units: Sequence[str], quantity: str
 ) -> Figure:
-    """Estimates, a dot a line, with two standard errors to either side; nan: not known, no dot or no bar."""
+    """Estimates, a dot a line, with two standard errors to either side, and a panel for each unit; nan: not known, no
+    dot or no bar.
+    """
     figure = new_figure(8.0, 1.1 + 0.24 * max(3, len(labels)))
-    panel = figure.subplots()
-    rows = np.arange(len(labels))
-    bars = 2 * np.nan_to_num(np.asarray(errors, float))
-    panel.axvline(0, color=PALETTE[0], linewidth=0.8)
-    panel.errorbar(values, rows, xerr=bars, fmt="o", color=PALETTE[1], ecolor=PALETTE[0], markersize=4, elinewidth=1)
-    panel.set_yticks(rows, labels, fontsize=8)
-    panel.set_ylim(len(labels) - 0.4, -0.6)
-    panel.set_xlabel(f"{quantity}; bars: two standard errors")
-    panel.grid(axis="x", linewidth=0.4, alpha=0.6)
-    if title:
-        figure.suptitle(title.replace("$", r"\$"), fontsize=10.5, x=0.02, ha="left")
+    groups = list(dict.fromkeys(units)) or [""]
+    places = {unit: [row for row, own in enumerate(units) if own == unit] for unit in groups}
+    heights = [max(3, len(rows)) for rows in places.values()]
+    panels = figure.subplots(len(groups), 1, squeeze=False, height_ratios=heights)[:, 0]
+    for panel, (unit, rows) in zip(panels, places.items(), strict=True):
+        lines = np.arange(len(rows))
+        bars = 2 * np.nan_to_num(np.asarray([errors[row] for row in rows], float))
+        dots = [values[row] for row in rows]
+        panel.axvline(0, color=PALETTE[0], linewidth=0.8)
+        panel.errorbar(dots, lines, xerr=bars, fmt="o", color=PALETTE[1], ecolor=PALETTE[0], markersize=4, elinewidth=1)
+        panel.set_yticks(lines, [labels[row] for row in rows], fontsize=8)
+        panel.set_ylim(len(rows) - 0.4, -0.6)
+        panel.set_xlabel(f"{quantity}, {unit}; bars: two standard errors")
+        panel.grid(axis="x", linewidth=0.4, alpha=0.6)
     return figure

@@ -188,6 +188,8 @@ def test_every_result_draws_itself_and_shows_a_table(folder: Path, tmp_path: Pat
 
 def test_a_group_that_was_not_measured_is_no_figure(folder: Path) -> None:
     known = ia.load_calibration(folder / "cal.toml")
+    panels = [axes.get_xlabel() for axes in known.plot("bias").axes]
+    assert panels == ["bias, mg; bars: two standard errors", "bias, dps; bars: two standard errors"]
     with pytest.raises(CalibrationError, match="thermal was not measured; the calibration contains bias"):
         known.plot("thermal")
     with pytest.raises(CalibrationError, match="allowed are bias, noise, thermal, turn_on"):

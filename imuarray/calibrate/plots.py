@@ -51,6 +51,7 @@ def calibration_figure(calibration: Calibration, group: str | None = None) -> Fi
         )
     chosen = group or groups[0]
     labels: list[str] = []
+    units: list[str] = []
     values: list[float] = []
     errors: list[float] = []
     for sensor in calibration.sensors.values():
@@ -59,10 +60,11 @@ def calibration_figure(calibration: Calibration, group: str | None = None) -> Fi
             continue
         factor, unit = READABLE[sensor.unit]
         per_count = factor / sensor.scale_lsb_per_unit
-        labels += [f"{sensor.name} {axis} ({unit})" for axis in "xyz"]
+        labels += [f"{sensor.name} {axis}" for axis in "xyz"]
+        units += [unit] * 3
         values += (per_count * estimates.value_lsb).tolist()
         errors += [np.nan] * 3 if estimates.sem_lsb is None else (per_count * estimates.sem_lsb).tolist()
-    return estimates_figure(labels, values, errors, _LABELS[chosen])
+    return estimates_figure(labels, values, errors, units, _LABELS[chosen])
 
 
 def bias_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
