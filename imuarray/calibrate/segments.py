@@ -171,10 +171,10 @@ def chip_thermometer(log: Log, width_s: float) -> TemperatureSeries | None:
     known = [sensor for sensor in sensors if len(sensor) and degc_of(sensor) is not None]
     known.sort(key=has_zero, reverse=True)
     first = _chip_thermometer(log, known[0], width_s) if known else None
-    alike = [sensor for sensor in known if sensor.is_triad and sensor.chip == known[0].chip]
-    if first is None or not known[0].is_triad or len(alike) < FEWEST_ALIKE:
+    of_same_chip = [sensor for sensor in known if sensor.is_triad and sensor.chip == known[0].chip]
+    if first is None or not known[0].is_triad or len(of_same_chip) < FEWEST_ALIKE:
         return first
-    others = [_chip_thermometer(log, sensor, width_s) for sensor in alike[1:]]
+    others = [_chip_thermometer(log, sensor, width_s) for sensor in of_same_chip[1:]]
     degc = [first.degc, *(other.at(first.time_s) for other in others if other is not None)]
     means = [each.mean() for each in degc]
     changes = np.median([each - mean for each, mean in zip(degc, means, strict=True)], axis=0)

@@ -398,11 +398,17 @@ def _smoothed(
     axes, model = array.axes, array.model(temperatures)
     period_s = _period_s(array)
     supervised: list[Pipeline[FrameBlock]] = []
-    average = None if callbacks.average is None else _Average(axes, callbacks.average)
+    average = QuantityPipeline(axes, AVERAGE)
+
+    def observe(frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> None:
+        spool.add(frames, degc)
+        if callbacks.average is not None:
+            for averaged in average(frames, degc):
+                callbacks.average(averaged)
 
     def factory(period_s: float) -> Pipeline[FrameBlock]:
         supervised.append(array.supervised(FramePipeline(), axes, period_s))
-        return _SpooledPipeline(supervised[0], spool, average)
+        return _ObservedPipeline(supervised[0], observe)
 
     def first_pass() -> Iterator[FrameBlock]:
         stream = FusionStream(array.groups, array.calibration, factory, temperatures, timeout_s=float("inf"))
@@ -429,33 +435,21 @@ def _smoothed(
         yield from smoothed(lambda: next(passes)(), axes, model, period_s, with_remarks)
 
 
-class _Average:
-    """Calls `observe` with blocks of the simple average of frames."""
+class _ObservedPipeline:
+    """A `Pipeline` whose input is passed to `observe` first."""
 
-    def __init__(self, axes: Mapping[str, Sequence[Axis]], observe: Callable[[FusedBlock], None]) -> None:
-        self._pipeline, self._observe = QuantityPipeline(axes, AVERAGE), observe
-
-    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> None:
-        for block in self._pipeline(frames, degc):
-            self._observe(block)
-
-
-class _SpooledPipeline:
-    """A `Pipeline` that stores its input on a spool, and averages it if required."""
-
-    def __init__(self, inner: Pipeline[FrameBlock], spool: FrameSpool, average: _Average | None) -> None:
-        self._inner, self._spool, self._average = inner, spool, average
+    def __init__(
+        self,
+        inner: Pipeline[FrameBlock],
+        observe: Callable[[Mapping[str, Frames], Mapping[str, Floats]], None],
+    ) -> None:
+        self._inner, self._observe = inner, observe
+        self.finish = inner.finish
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FrameBlock]:
         """See `Pipeline`."""
-        self._spool.add(frames, degc)
-        if self._average is not None:
-            self._average(frames, degc)
+        self._observe(frames, degc)
         yield from self._inner(frames, degc)
-
-    def finish(self) -> Iterator[FrameBlock]:
-        """See `Pipeline`."""
-        return self._inner.finish()
 
 
 def _period_s(array: _Array[SensorLog]) -> float:

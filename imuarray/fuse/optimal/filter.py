@@ -93,7 +93,7 @@ class Dynamics:
     ) -> bool:
         """Do the same by compiled code; return whether that is possible."""
         count, back = len(readings.time), self._back if self._worst > 0 else 0
-        if not readings.alike or readings.bounds is not None or (back and len(self._time) < back):
+        if not readings.same_rows or readings.bounds is not None or (back and len(self._time) < back):
             return False
         valid, (rows, unknowns, terms) = readings.valid[0], view.sizes
         if valid.tobytes() != view.packed_rows:

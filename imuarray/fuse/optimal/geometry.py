@@ -128,24 +128,24 @@ Patterns = list[tuple[Booleans, npt.NDArray[np.intp] | slice]]
 
 
 class FrameReadings(NamedTuple):
-    """n frames of r rows: `values` (n, r), 0 where not `valid` (n, r), and bounds if there are any; `alike` is true if
-    all frames have the same valid rows.
+    """n frames of r rows: `values` (n, r), 0 where not `valid` (n, r), and bounds if there are any; `same_rows` is true
+    if all frames have the same valid rows.
     """
 
     time: Times
     values: Floats
     valid: Booleans
     bounds: Bounds | None = None
-    alike: bool = False
+    same_rows: bool = False
 
     def part(self, frames: slice) -> FrameReadings:
         """Return some of the frames."""
         bounds = None if self.bounds is None else Bounds(self.bounds.ends[frames], self.bounds.at[frames])
-        return FrameReadings(self.time[frames], self.values[frames], self.valid[frames], bounds, self.alike)
+        return FrameReadings(self.time[frames], self.values[frames], self.valid[frames], bounds, self.same_rows)
 
     def patterns(self) -> Patterns:
         """Return the distinct sets of valid rows."""
-        return [(self.valid[0], slice(None))] if self.alike and len(self.valid) else patterns(self.valid)
+        return [(self.valid[0], slice(None))] if self.same_rows and len(self.valid) else patterns(self.valid)
 
 
 def patterns(flags: Booleans) -> Patterns:

@@ -117,7 +117,7 @@ class Lever:
             np.concatenate([values, reported, np.zeros((len(known), 3))], axis=1),
             np.concatenate([readings.valid, others], axis=1),
             None if readings.bounds is None else Bounds(readings.bounds.ends, readings.bounds.at - turning),
-            readings.alike and bool((known == known[:1]).all()),
+            readings.same_rows and bool((known == known[:1]).all()),
         )
 
     def _centripetal(self, rate: Floats) -> Floats:
