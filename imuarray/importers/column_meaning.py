@@ -134,7 +134,7 @@ def is_of_a_quantity(words: str) -> bool:
     return any(pattern.search(words) for pattern in patterns)
 
 
-_MOST_INSTANCES = 16
+MOST_INSTANCES = 16
 _ALTERNATES = 0.3
 
 
@@ -144,7 +144,7 @@ def instance_column(names: Sequence[str], columns: Sequence[Floats]) -> int | No
         values = columns[index]
         if not _INSTANCE.fullmatch(name.strip()) or not len(values) or not np.isfinite(values).all():
             continue
-        if 1 < len(np.unique(values)) <= _MOST_INSTANCES and np.mean(np.diff(values) != 0) > _ALTERNATES:
+        if 1 < len(np.unique(values)) <= MOST_INSTANCES and np.mean(np.diff(values) != 0) > _ALTERNATES:
             return index
     return None
 
@@ -193,7 +193,7 @@ def kind_column(names: Sequence[str], rows: Sequence[Sequence[str]]) -> int | No
     for index in range(min(len(names), len(rows[0]))):
         words = [row[index].strip() for row in rows]
         kinds = set(words)
-        if not 1 < len(kinds) <= _MOST_INSTANCES or not all(kind[:1].isalpha() for kind in kinds):
+        if not 1 < len(kinds) <= MOST_INSTANCES or not all(kind[:1].isalpha() for kind in kinds):
             continue
         if sum(any(spelt.search(kind) for _, spelt in _QUANTITIES) for kind in kinds) > 1:
             return index
