@@ -298,6 +298,12 @@ class SensorConfig(BaseModel):
         return self.bandwidth_hz or (default if default in allowed else (*allowed, 0.0)[0])
 
     @property
+    def delay_ns(self) -> int | None:
+        """By how much the chip's filter delays the signal; None where no data sheet says it, or the kernel sets it."""
+        delay_s = None if self.on_iio else self.spec.delays_s.get(self.chip_bandwidth_hz)
+        return None if delay_s is None else round(delay_s * 1e9)
+
+    @property
     def on_spi(self) -> bool:
         """True if its bus is a chip select of an SPI controller."""
         return self.bus is not None and self.bus.startswith(SPI_DEVICE)

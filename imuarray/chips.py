@@ -115,6 +115,8 @@ class ChipSpec:
     fixed_rate_hz: float = 0.0
     bandwidths_hz: Mapping[float, tuple[float, ...]] = field(default_factory=dict)
     default_bandwidth_hz: float = 0.0
+    delays_s: Mapping[float, float] = field(default_factory=dict)
+    """By how much the filter delays the signal, by bandwidth; empty where no data sheet says it."""
     has_fifo: bool = False
     count_bits: int = 16
     """Bits of each axis's counts in a log; more than 16 are stored in 32."""
@@ -180,6 +182,7 @@ _MPU6500_ACC = ChipSpec(
     default_rate_hz=500.0,
     bandwidths_hz={0.0: (184.0, 92.0, 41.0, 20.0, 10.0, 5.0)},  # INV-74, by filter code from 1 on
     default_bandwidth_hz=41.0,
+    delays_s={184.0: 5.8e-3, 92.0: 7.8e-3, 41.0: 11.8e-3, 20.0: 19.8e-3, 10.0: 35.7e-3, 5.0: 66.96e-3},  # INV-79
     thermometer=THERMOMETERS["mpu6500"],
     has_fifo=True,
     fifo_has_temperature=True,
@@ -193,6 +196,7 @@ _MPU6500_GYRO = replace(
     unit="dps",
     label="IMU{}_gyro",
     sensitivity={250.0: 131.0, 500.0: 65.5, 1000.0: 32.8, 2000.0: 16.4},  # INV-77
+    delays_s={184.0: 2.9e-3, 92.0: 3.9e-3, 41.0: 5.9e-3, 20.0: 9.9e-3, 10.0: 17.85e-3, 5.0: 33.48e-3},  # INV-79
     proposed={"range": 500, "rate_hz": 500, "bandwidth_hz": 41},
 )
 _MPU9250_IDENTITY = replace(mpu6500.WHO_AM_I, reset=0x71)  # INV-70
@@ -277,6 +281,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             default_rate_hz=500.0,
             bandwidths_hz={0.0: (184.0, 94.0, 44.0, 21.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
             default_bandwidth_hz=44.0,
+            delays_s={184.0: 2e-3, 94.0: 3e-3, 44.0: 4.9e-3, 21.0: 8.5e-3, 10.0: 13.8e-3, 5.0: 19e-3},  # INV-12
             external_clocks=_MPU6050_CLOCKS,
             pulse_input=_MPU_PULSES,
             thermometer=THERMOMETERS["mpu6050"],
@@ -296,6 +301,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             default_rate_hz=500.0,
             bandwidths_hz={0.0: (188.0, 98.0, 42.0, 20.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
             default_bandwidth_hz=42.0,
+            delays_s={188.0: 1.9e-3, 98.0: 2.8e-3, 42.0: 4.8e-3, 20.0: 8.3e-3, 10.0: 13.4e-3, 5.0: 18.6e-3},  # INV-12
             external_clocks=_MPU6050_CLOCKS,
             pulse_input=_MPU_PULSES,
             thermometer=THERMOMETERS["mpu6050"],

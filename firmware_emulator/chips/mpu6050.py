@@ -25,8 +25,15 @@ CODES_PER_G = (16384.0, 8192.0, 4096.0, 2048.0)  # INV-40
 CODES_PER_DPS = (131.0, 65.5, 32.8, 16.4)  # INV-41
 RANGES_G = (2.0, 4.0, 8.0, 16.0)
 RANGES_DPS = (250.0, 500.0, 1000.0, 2000.0)
-ACCEL_BANDWIDTHS_HZ = (260.0, 184.0, 94.0, 44.0, 21.0, 10.0, 5.0, 260.0)  # by DLPF_CFG: INV-12, DEC-252
-GYRO_BANDWIDTHS_HZ = (256.0, 188.0, 98.0, 42.0, 20.0, 10.0, 5.0, 256.0)
+ACCEL_FILTERS = (
+    *((260.0, 0.0), (184.0, 0.002), (94.0, 0.003), (44.0, 0.0049), (21.0, 0.0085), (10.0, 0.0138), (5.0, 0.019)),
+    (260.0, 0.0),
+)
+"""Bandwidth (Hz) and delay (s) by DLPF_CFG: INV-12, DEC-252. A filter changes the noise, and delays motion only."""
+GYRO_FILTERS = (
+    *((256.0, 0.00098), (188.0, 0.0019), (98.0, 0.0028), (42.0, 0.0048), (20.0, 0.0083), (10.0, 0.0134), (5.0, 0.0186)),
+    (256.0, 0.00098),
+)
 CLOCK_INPUTS_HZ = {4: 32_000.0, 5: 19_200_000.0}
 """The clock at CLKIN with which 1 kHz is 1 kHz, by CLKSEL: with 32.768 kHz it is 1.024 kHz (INV-37)."""
 UNFILTERED = (0, 7)  # the gyroscope then delivers 8 kHz: INV-11
@@ -85,11 +92,11 @@ class Mpu6050Chip(MpuFamily):
         accel, gyro = page[facts.ACCEL_CONFIG.address], page[facts.GYRO_CONFIG.address]
         low_pass = facts.DLPF.of(page[facts.CONFIG.address])
         scale = facts.ACCEL_RANGE.of(accel)
-        force = self.felt(ACCELEROMETER, at_ns, RANGES_G[scale], ACCEL_BANDWIDTHS_HZ[low_pass])
+        force = self.felt(ACCELEROMETER, at_ns, RANGES_G[scale], *ACCEL_FILTERS[low_pass])
         push = self._accel_push() * CODES_PER_G[scale] / CODES_PER_G[0b10]
         ax, ay, az = _codes(force, CODES_PER_G[scale], (push, push, push), facts.ACCEL_SELF_TEST.of(accel))
         scale = facts.GYRO_RANGE.of(gyro)
-        rate = self.felt(GYROSCOPE, at_ns, RANGES_DPS[scale], GYRO_BANDWIDTHS_HZ[low_pass])
+        rate = self.felt(GYROSCOPE, at_ns, RANGES_DPS[scale], *GYRO_FILTERS[low_pass])
         push = self._gyro_push() * CODES_PER_DPS[scale] / CODES_PER_DPS[0]
         gx, gy, gz = _codes(rate, CODES_PER_DPS[scale], (push, -push, push), facts.GYRO_SELF_TEST.of(gyro))
         temperature = clipped(round((self.degc(at_ns) - 35.0) * 340.0 - 521.0))  # INV-42

@@ -1,6 +1,6 @@
 """MPU-6500 accelerometer and gyroscope, and those of the MPU-9250: InvenSense RM-MPU-9250A rev. 1.4.
 
-Facts INV-70 ... INV-78, DEC-80 and -81. The die is awake after power-on; samples fall on its own grid from then on. Not
+Facts INV-70 ... INV-79, DEC-80 and -81. The die is awake after power-on; samples fall on its own grid from then on. Not
 modelled: the fifth slot of the auxiliary bus, motion detection, low-power cycle, the settling of the zero-rate level.
 """
 
@@ -24,8 +24,17 @@ CODES_PER_G = (16384.0, 8192.0, 4096.0, 2048.0)  # INV-77
 CODES_PER_DPS = (131.0, 65.5, 32.8, 16.4)
 RANGES_G = (2.0, 4.0, 8.0, 16.0)
 RANGES_DPS = (250.0, 500.0, 1000.0, 2000.0)
-GYRO_BANDWIDTHS_HZ = (250.0, 184.0, 92.0, 41.0, 20.0, 10.0, 5.0, 3600.0)  # by DLPF_CFG: INV-73
-ACCEL_BANDWIDTHS_HZ = (460.0, 184.0, 92.0, 41.0, 20.0, 10.0, 5.0, 460.0)  # by A_DLPF_CFG: INV-74
+GYRO_FILTERS = (
+    *((250.0, 0.00097), (184.0, 0.0029), (92.0, 0.0039), (41.0, 0.0059), (20.0, 0.0099), (10.0, 0.01785)),
+    *((5.0, 0.03348), (3600.0, 0.00017)),
+)
+"""Bandwidth (Hz) and delay (s) by DLPF_CFG: INV-73, INV-79. A filter changes the noise, and delays motion only."""
+ACCEL_FILTERS = (
+    *((460.0, 0.00194), (184.0, 0.0058), (92.0, 0.0078), (41.0, 0.0118), (20.0, 0.0198), (10.0, 0.0357)),
+    *((5.0, 0.06696), (460.0, 0.00194)),
+)
+"""The same by A_DLPF_CFG: INV-74, INV-79."""
+UNFILTERED_ACCEL = (1130.0, 0.00075)
 WORDS = Struct(">7h")
 TRIM_CODE = 120
 """Trim code of every axis by default: a deflection of 65 dps and of 0.52 g (DEC-81)."""
@@ -56,13 +65,12 @@ class Mpu6500Chip(MpuFamily):
         scale = facts.ACCEL_RANGE.of(page[facts.ACCEL_CONFIG.address])
         control = page[facts.ACCEL_CONFIG_2.address]
         unfiltered = facts.ACCEL_UNFILTERED.of(control)
-        bandwidth_hz = 1130.0 if unfiltered else ACCEL_BANDWIDTHS_HZ[facts.ACCEL_DLPF.of(control)]  # INV-74
-        force = self.felt(ACCELEROMETER, at_ns, RANGES_G[scale], bandwidth_hz)
+        low_pass = UNFILTERED_ACCEL if unfiltered else ACCEL_FILTERS[facts.ACCEL_DLPF.of(control)]
+        force = self.felt(ACCELEROMETER, at_ns, RANGES_G[scale], *low_pass)
         pushed = facts.ACCEL_SELF_TEST.of(page[facts.ACCEL_CONFIG.address])
         ax, ay, az = self._codes(force, CODES_PER_G[scale], CODES_PER_G[0], pushed)
         scale = facts.GYRO_RANGE.of(page[facts.GYRO_CONFIG.address])
-        bandwidth_hz = GYRO_BANDWIDTHS_HZ[facts.DLPF.of(page[facts.CONFIG.address])]
-        rate = self.felt(GYROSCOPE, at_ns, RANGES_DPS[scale], bandwidth_hz)
+        rate = self.felt(GYROSCOPE, at_ns, RANGES_DPS[scale], *GYRO_FILTERS[facts.DLPF.of(page[facts.CONFIG.address])])
         pushed = facts.GYRO_SELF_TEST.of(page[facts.GYRO_CONFIG.address])
         gx, gy, gz = self._codes(rate, CODES_PER_DPS[scale], CODES_PER_DPS[0], pushed)
         temperature = clipped(round((self.degc(at_ns) - 21.0) * 333.87))  # INV-76

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -131,7 +131,9 @@ class SensorRoute:
     def header(self) -> SensorHeader:
         """Return the header of the sensor in a log, once it is configured."""
         header = header_of(self.sensor, self.driver.header(), is_estimated=self.sensor.estimates_times)
-        return self.driver.described(header) if isinstance(self.driver, IioSensor) else header
+        if isinstance(self.driver, IioSensor):
+            return self.driver.described(header)
+        return replace(header, delay_ns=self.sensor.delay_ns)
 
 
 _NEXT_FRAME = 1.1e9
