@@ -65,7 +65,7 @@ def check(
             assert not counts[good, 1:].any()
             if name == "acc":  # a gyroscope of 500 dps is no clock: 16 g are
                 share = counts[:, 0] / sensor.sensitivity / (SPAN_G * 0.999) + 0.5
-                off_ns = ((time_ns + start_ns) * 1e-9 - share + 0.5) % 1.0 * 1e9 - 0.5e9
+                off_ns = ((time_ns - sensor.delay_ns + start_ns) * 1e-9 - share + 0.5) % 1.0 * 1e9 - 0.5e9
                 step_ns = 1e9 / sensor.sensitivity / SPAN_G
                 assert (np.abs(off_ns[good]) <= stated_ns[good] + step_ns).all()
                 true_ns = time_ns - off_ns

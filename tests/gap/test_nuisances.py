@@ -14,7 +14,7 @@ from imuarray.arrays import Integers
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.element_temperature import LONGEST_LAG_S
 from imuarray.gap.model.nuisance import nuisance_estimates
-from imuarray.gap.model.signal_delay import NO_DELAY, _slopes, fit_signal_delays
+from imuarray.gap.model.signal_delay import NO_DELAY, _slopes, fit_signal_delays, stated_delay
 from imuarray.gap.model.vibration import MOST_G, fit_vibrations
 from imuarray.gap.recording.attitude import attitude_numbers, shared_readings
 from imuarray.gap.recording.recordings import reference_of
@@ -111,6 +111,17 @@ def test_a_filter_that_delays_nothing_is_none() -> None:
     headers["G1"] = replace(headers["G1"], bandwidth_hz=1e4)
     delays = fit_signal_delays(campaign, headers, (), [(dict.fromkeys(headers, NO_DELAY), [campaign])])
     assert {delays[name].filter_s for name in ("G1", "G2")} == {0.0}
+
+
+def test_a_delay_that_the_log_states_is_simulated_as_it_is() -> None:
+    """It is no parameter of the fit, which then finds nothing else in a motion that both gyroscopes follow in step."""
+    campaign = campaign_of("motion", seed=2)
+    headers = {name: part.header for name, part in campaign.logs[0].phases[0].sensors.items()}
+    headers["G1"] = replace(headers["G1"], bandwidth_hz=41.0, delay_ns=5_900_000)
+    simulated = {name: stated_delay(header) for name, header in headers.items()}
+    delays = fit_signal_delays(campaign, headers, (), [(simulated, [campaign])])
+    assert delays["G1"] == pytest.approx((0.0, 0.0059))
+    assert delays["G2"].stamp_s == 0.0
 
 
 def phases(*ends_s: tuple[float, float, str]) -> list[Phase]:

@@ -22,7 +22,7 @@ from imuarray.gap.model.base_model import Base, fit
 from imuarray.gap.model.bench import Bench, StatisticValues, bench_of
 from imuarray.gap.model.populations import common_bias_sigma_g
 from imuarray.gap.model.replication import Models, ReplicateRequest
-from imuarray.gap.model.signal_delay import NO_DELAY, DelayTrial, can_fit_signal_delays, fit_signal_delays
+from imuarray.gap.model.signal_delay import DelayTrial, can_fit_signal_delays, fit_signal_delays, stated_delay
 from imuarray.gap.model.vibration import fit_vibrations
 from imuarray.gap.model.workers import Run
 from imuarray.gap.recording.course import Stretches, stretches_of
@@ -216,7 +216,8 @@ def with_signal_delays(bench: Bench, campaign: Campaign, replicates: int = 6) ->
         trials.append(({name: parameters.delay for name, parameters in base.fitted.items()}, simulated))
         delays = fit_signal_delays(campaign, base.headers, base.queued, trials)
         fitted = {
-            name: replace(parameters, delay=delays.get(name, NO_DELAY)) for name, parameters in base.fitted.items()
+            name: replace(parameters, delay=delays.get(name, stated_delay(base.headers[name])))
+            for name, parameters in base.fitted.items()
         }
         bench = replace(bench, base=replace(base, fitted=fitted))
     return bench

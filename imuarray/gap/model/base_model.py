@@ -33,6 +33,7 @@ from imuarray.gap.model.populations import (
     usual_model,
 )
 from imuarray.gap.model.rest import REFERENCE_DEGC, FittedParameters, Rest, felt, fit_sensor, rms_of, slope_of
+from imuarray.gap.model.signal_delay import stated_delay
 from imuarray.gap.model.vibration import MOST_FACTOR, Vibration
 from imuarray.gap.recording.attitude import attitude_numbers
 from imuarray.gap.statistics.campaign import Campaign, PhaseSummary
@@ -237,7 +238,7 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
     for name, lag_s in lags_s.items():
         fitted[name] = replace(fitted[name], lag_s=lag_s)
     for name, header in headers.items():
-        fitted[name] = replace(fitted[name], clock_error=_clock_error(campaign, header))
+        fitted[name] = replace(fitted[name], clock_error=_clock_error(campaign, header), delay=stated_delay(header))
         if model is not None and Bandwidth.name in model.parts(header):
             continue  # the model says what the filter is
         filter_effect = _filter_of(campaign, header, fitted[name])

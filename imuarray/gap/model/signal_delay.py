@@ -3,7 +3,8 @@
 A low-pass filter of two poles with the configured cutoff f delays the signal by 1 / (sqrt(2) pi f). No data sheet
 prints the order of the filter or the tolerance of its cutoff, and some print a cutoff that is that of the noise alone:
 the ratio of the delay to this figure, between 0 and `MOST_RATIO`, is a nuisance parameter that sensors of one quantity
-have in common. A sensor that is late by another ratio has another cause.
+have in common. A sensor that is late by another ratio has another cause. A delay that the log states is that of the
+data sheet: it is simulated as it is, and is no parameter.
 
 Rows from a queue in the chip have times that the recorder works out from those of its polls; these may be off by a
 period of the chip, which is another nuisance parameter of each such sensor. So may the times of a sensor that nothing
@@ -55,6 +56,11 @@ DelayTrial = tuple[SignalDelays, Sequence[Campaign]]
 """Delays, and replicates simulated with them."""
 
 
+def stated_delay(header: SensorHeader) -> SignalDelay:
+    """Return the delay that the log states for the sensor's filter; none if it states none."""
+    return SignalDelay(stamp_s=(header.delay_ns or 0) * 1e-9)
+
+
 def fit_signal_delays(
     campaign: Campaign, headers: Mapping[str, SensorHeader], queued: Collection[str], trials: Sequence[DelayTrial]
 ) -> dict[str, SignalDelay]:
@@ -65,6 +71,7 @@ def fit_signal_delays(
     of a delay than there is: by how much the last two trials tell. Empty without such phases.
     """
     nominal_s = {name: _nominal_delay_s(header) for name, header in headers.items()}
+    stated_s = {name: stated_delay(header).stamp_s for name, header in headers.items()}
     delays: dict[str, SignalDelay] = {}
     for quantity in dict.fromkeys(header.quantity for header in headers.values()):
         names = [name for name, header in headers.items() if header.quantity == quantity]
@@ -77,7 +84,7 @@ def fit_signal_delays(
             simulated_s = [_rows(_crosses(replicate), names, nominal_s, late).delay_s for replicate in replicates]
             comparable = [delay_s for delay_s in simulated_s if len(delay_s) == len(observed.delay_s)]
             ratios = [simulated[name].filter_s / nominal_s[name] for name in names if nominal_s[name] > 0]
-            start = np.array([max(ratios, default=0.0), *(simulated[name].stamp_s for name in late)])
+            start = np.array([max(ratios, default=0.0), *(simulated[name].stamp_s - stated_s[name] for name in late)])
             if comparable and len(observed.delay_s):
                 steps.append((start, np.mean(comparable, axis=0)))
         if not steps:
@@ -90,7 +97,8 @@ def fit_signal_delays(
         ratio, *stamps_s = _solve(observed, seen_s, start, (least, most)).tolist()
         stamp_s_by_name = dict(zip(late, stamps_s, strict=True))
         delays |= {
-            name: SignalDelay(_truncate(ratio * nominal_s[name]), stamp_s_by_name.get(name, 0.0)) for name in names
+            name: SignalDelay(_truncate(ratio * nominal_s[name]), stated_s[name] + stamp_s_by_name.get(name, 0.0))
+            for name in names
         }
     return delays
 
@@ -114,7 +122,9 @@ def can_fit_signal_delays(campaign: Campaign, headers: Mapping[str, SensorHeader
 
 
 def _nominal_delay_s(header: SensorHeader) -> float:
-    """Delay at the configured cutoff; 0 where none is known."""
+    """Delay at the configured cutoff; 0 where none is known, and where the log states the delay."""
+    if header.delay_ns:
+        return 0.0
     cutoff_hz = noise_bandwidth_hz(header)
     return two_pole_cutoff_hz(cutoff_hz) if cutoff_hz > 0 else 0.0
 

@@ -219,4 +219,4 @@ def _header_in(sensor: SensorLog) -> SensorHeader:
     if not sensor.is_triad:
         raise ValueError(f"{sensor.where}: {sensor.quantity} has no three axes")
     header = recorded_header(sensor)
-    return replace(header, sensitivity=header.sensitivity or 1.0)
+    return replace(header, sensitivity=header.sensitivity or 1.0, delay_ns=sensor.delay_ns or None)
