@@ -20,6 +20,7 @@ UNIT: Mapping[str, str] = MappingProxyType({"specific_force": "g", "angular_rate
 _PLURAL: Mapping[str, str] = MappingProxyType(
     {
         "agrees": "agree",
+        "disagrees": "disagree",
         "gives": "give",
         "gave": "gave",
         "is": "are",
@@ -90,7 +91,7 @@ class FaultEvent:
         span = f"{self.range or 0:g} {UNIT[self.quantity]}"
         reset = f"has {self.size_si:.3g} times its scale, as if set to a range of {span}"
         words = {
-            "bias": f"is off by {size}",
+            "bias": f"is off by {size}" if self.size_si else "disagrees with the others in its few valid readings",
             "random_walk": f"has drifted by {size}",
             "scale": f"reads {self.size_si:.3g} times what the others read",
             "range_reset": reset,

@@ -243,3 +243,9 @@ def test_sentences_of_one_axis_of_two_and_of_a_sensor(axes: str, state: State, s
         2_000_000_000, "specific_force", "A", tuple(axes), "white_noise", state, 3.0, 9.0, others=("B", "C")
     )
     assert event.sentence == sentence
+
+
+@pytest.mark.parametrize(("axes", "verb"), [("z", "disagrees"), ("xz", "disagree")])
+def test_a_sensor_with_too_few_valid_readings_for_a_size_is_not_off_by_zero(axes: str, verb: str) -> None:
+    event = FaultEvent(2_000_000_000, "angular_rate", "A", tuple(axes), "bias", "isolated", 0.0, 8.0)
+    assert event.sentence.endswith(f"{verb} with the others in its few valid readings (8 sigma): excluded")
