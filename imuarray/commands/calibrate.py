@@ -32,6 +32,13 @@ _update = click.option("--update", is_flag=True, help="keep the contents of CAL.
 _logs = click.argument("runs", metavar="RUN.h5...", nargs=-1, required=True, type=click.Path(path_type=Path))
 
 
+def _by_logs(function: Callable[..., None]) -> Callable[..., None]:
+    """Add the arguments of a command that calibrates by logs: these, and those of `CalibrationOutput`."""
+    for parameter in (json_option, force_option, _update, _output, _logs):
+        function = parameter(function)
+    return function
+
+
 @click.group("calibrate", invoke_without_command=True)
 @click.pass_context
 def command(context: click.Context) -> None:
@@ -48,12 +55,8 @@ def command(context: click.Context) -> None:
 
 
 @command.command("tumble", short_help="bias and response, from six faces or from poses")
-@_logs
-@_output
-@_update
-@force_option
-@json_option
-def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_json: bool) -> None:
+@_by_logs
+def tumble(runs: tuple[Path, ...], **options: Any) -> None:
     """Determine bias and response of accelerometers, and bias, g-sensitivity and response of gyroscopes.
 
     If phases name the six faces (z_up, x_down, ...) or the axis that was up (`imuarray log --up`), in one log or in one
@@ -68,21 +71,16 @@ def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_j
     from imuarray.calibrate import calibrate_tumble
     from imuarray.commands.calibrate_tumble import print_report, report_of
 
-    with _opened(runs, output, update, force) as logs, bars() as moved:
+    target = CalibrationOutput(**options)
+    with target.opened(runs) as logs, bars() as moved:
         result = calibrate_tumble(*logs, progress=moved)
         report = report_of(logs[0], result)
-    target = CalibrationOutput(output, update, force, as_json)
-    _finish(result.calibration, report, print_report, target)
-    _print_verdict(target)
+    target.write(result.calibration, report, print_report)
 
 
 @command.command("noise", short_help="noise, its spectrum and drift, from rest")
-@_logs
-@_output
-@_update
-@force_option
-@json_option
-def noise(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_json: bool) -> None:
+@_by_logs
+def noise(runs: tuple[Path, ...], **options: Any) -> None:
     """Determine noise, its spectrum and drift of every sensor axis from stretches in which the box was at rest.
 
     The spectrum is described by the correlation of neighbouring readings and by lines. Drift needs stretches of some
@@ -91,24 +89,18 @@ def noise(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_js
     \b
     imuarray calibrate noise rest.h5 -o cal.toml --update
     """
-    from imuarray.calibrate import calibrate_noise, load_calibration
+    from imuarray.calibrate import calibrate_noise
     from imuarray.commands.calibrate_noise import print_report, report_of
 
-    with _opened(runs, output, update, force) as logs, bars() as moved:
-        known = load_calibration(output) if update and output.exists() else None
-        calibration = calibrate_noise(*logs, known=known, progress=moved).stamped(logs)
-    target = CalibrationOutput(output, update, force, as_json)
-    _finish(calibration, report_of(calibration), print_report, target)
-    _print_verdict(target)
+    target = CalibrationOutput(**options)
+    with target.opened(runs) as logs, bars() as moved:
+        calibration = calibrate_noise(*logs, known=target.existing(), progress=moved).stamped(logs)
+    target.write(calibration, report_of(calibration), print_report)
 
 
 @command.command("thermal", short_help="how biases change with temperature")
-@_logs
-@_output
-@_update
-@force_option
-@json_option
-def thermal(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_json: bool) -> None:
+@_by_logs
+def thermal(runs: tuple[Path, ...], **options: Any) -> None:
     """Determine how biases change with temperature, from logs in which the box was at rest while heated or cooled.
 
     On the axis that carries gravity, one orientation cannot separate bias from scale factor; logs of opposite faces
@@ -120,23 +112,18 @@ def thermal(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
     from imuarray.calibrate import calibrate_thermal
     from imuarray.commands.calibrate_thermal import print_report, report_of
 
-    with _opened(runs, output, update, force) as logs:
+    target = CalibrationOutput(**options)
+    with target.opened(runs) as logs:
         result = calibrate_thermal(*logs)
-    target = CalibrationOutput(output, update, force, as_json)
-    _finish(result.calibration, report_of(result), print_report, target)
-    _print_verdict(target)
+    target.write(result.calibration, report_of(result), print_report)
 
 
 @command.command("turn-on", short_help="how biases change from one switch-on to the next")
-@_logs
-@_output
-@_update
-@force_option
-@json_option
+@_by_logs
 @click.option(
     "--seed", default=1, show_default=True, help="seed of the test that decides whether two states are due to chance"
 )
-def turn_on(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_json: bool, seed: int) -> None:
+def turn_on(runs: tuple[Path, ...], seed: int, **options: Any) -> None:
     """Determine how much biases change from one switch-on to the next.
 
     Give one log per run, all in one pose, or one log whose phases `run 1`, `run 2`, ... are the runs; at least three.
@@ -148,10 +135,11 @@ def turn_on(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
     from imuarray.chips import SENSITIVITIES
     from imuarray.commands.calibrate_turn_on import print_report, report_of
 
-    with _opened(runs, output, update, force) as logs:
+    target = CalibrationOutput(**options)
+    with target.opened(runs) as logs:
         calibration, results = calibrate_turn_on(logs, SENSITIVITIES, seed)
         report = report_of(results)
-    _finish(calibration, report, print_report, CalibrationOutput(output, update, force, as_json))
+    target.write(calibration, report, print_report, with_verdict=False)
 
 
 @command.command("axes", short_help="axes of every sensor, from a few poses held by hand")
@@ -224,17 +212,6 @@ def compare(files: tuple[Path, ...], as_json: bool) -> None:
         print_report(report)
 
 
-@contextmanager
-def _opened(runs: Sequence[Path], output: Path, update: bool, force: bool) -> Iterator[list[Log]]:
-    """Open the logs, after a check that the output can be written."""
-    from imuarray.log import open_log
-
-    for run in runs:
-        refuse_existing(output, force or update, source=run)
-    with ExitStack() as stack:
-        yield [stack.enter_context(open_log(run)) for run in runs]
-
-
 @dataclass(frozen=True)
 class CalibrationOutput:
     """The calibration file to write: `update` adds to it, `force` overwrites it; `as_json` prints JSON instead of
@@ -246,28 +223,37 @@ class CalibrationOutput:
     force: bool
     as_json: bool
 
+    @contextmanager
+    def opened(self, runs: Sequence[Path]) -> Iterator[list[Log]]:
+        """Open the logs, after a check that the file can be written."""
+        from imuarray.log import open_log
 
-def _finish(
-    calibration: Calibration, report: Report, show: Callable[[Report], None], target: CalibrationOutput
-) -> None:
-    """Write the calibration file and print the report."""
-    from imuarray.calibrate import load_calibration
+        for run in runs:
+            refuse_existing(self.output, self.force or self.update, source=run)
+        with ExitStack() as stack:
+            yield [stack.enter_context(open_log(run)) for run in runs]
 
-    output = target.output
-    if target.update and output.exists():
-        load_calibration(output).merged(calibration).save(output, force=True)
-    else:
-        calibration.save(output, force=target.force)
-    _print_result({**report, "calibration": str(output)}, show, output, target.as_json)
+    def existing(self) -> Calibration | None:
+        """Return the calibration that is added to; None if there is none."""
+        from imuarray.calibrate import load_calibration
 
+        return load_calibration(self.output) if self.update and self.output.exists() else None
 
-def _print_verdict(target: CalibrationOutput) -> None:
-    """Print the verdict on the whole calibration file."""
-    from imuarray.calibrate import load_calibration
-    from imuarray.report.verdicts import calibration_verdict
+    def write(
+        self, calibration: Calibration, report: Report, show: Callable[[Report], None], *, with_verdict: bool = True
+    ) -> None:
+        """Write the file and print the report, and the verdict on the whole file."""
+        older = self.existing()
+        if older is None:
+            calibration.save(self.output, force=self.force)
+        else:
+            older.merged(calibration).save(self.output, force=True)
+        _print_result({**report, "calibration": str(self.output)}, show, self.output, self.as_json)
+        if with_verdict and not self.as_json:
+            from imuarray.calibrate import load_calibration
+            from imuarray.report.verdicts import calibration_verdict
 
-    if not target.as_json:
-        click.echo(printable(calibration_verdict(target.output, load_calibration(target.output)).sentence))
+            click.echo(printable(calibration_verdict(self.output, load_calibration(self.output)).sentence))
 
 
 def _print_result(report: Report, show: Callable[[Report], None], output: Path, as_json: bool) -> None:
