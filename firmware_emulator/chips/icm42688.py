@@ -357,6 +357,8 @@ class Icm42688Chip(SixAxis):
         if address == facts.SIGNAL_PATH_RESET.address:
             if value & facts.FIFO_FLUSH.mask:
                 self._clear_queue()
+            if value & facts.TIMESTAMP_STROBE.mask:
+                self._hold_timestamp(at_ns)
             return
         before = self.page[address]
         super().store(address, value, at_ns)
@@ -365,6 +367,15 @@ class Icm42688Chip(SixAxis):
         if address in (facts.PWR_MGMT0.address, facts.GYRO_CONFIG0.address, facts.ACCEL_CONFIG0.address):
             for half in self._halves.values():
                 self._restart(half, at_ns)
+
+    def _hold_timestamp(self, at_ns: int) -> None:
+        """Put the time since power-on, in 20 bits, low byte first, into its registers, if it may be read (TDK-91)."""
+        control = self.page[facts.TMST_CONFIG.address]
+        is_read = facts.TIMESTAMP_ON.of(control) and facts.TIMESTAMP_TO_REGISTERS.of(control)
+        unit_ns = 16_000 if facts.TIMESTAMP_16_US.of(control) else 1_000
+        count = int((at_ns - self.powered_on_ns) * self._speed / unit_ns) & 0xFFFFF if is_read else 0
+        first = facts.TMSTVAL0.address
+        self.banks[1][first : first + 3] = count.to_bytes(3, "little")
 
     def _restart(self, half: _Half, at_ns: int) -> None:
         """The grid begins anew with another rate, and when the half is switched on (DEC-61); off, it is invalid."""

@@ -1,6 +1,6 @@
 """ICM-42688-P six-axis sensor: TDK InvenSense DS-000347 v1.7.
 
-Facts TDK-01 ... TDK-42, TDK-71, TDK-80 ... TDK-89. Registers of interrupts, of motion detection and of the notch filter
+Facts TDK-01 ... TDK-42, TDK-71, TDK-80 ... TDK-91. Registers of interrupts, of motion detection and of the notch filter
 are left out. Bits that the data sheet reserves but that are 1 after power-on have a field, `..._KEPT`.
 """
 
@@ -52,6 +52,9 @@ GYRO_CONFIG_STATIC5 = Register(0x0E, reset=0x80, bank=1)
 XG_ST_DATA = Register(0x5F, bank=1)
 YG_ST_DATA = Register(0x60, bank=1)
 ZG_ST_DATA = Register(0x61, bank=1)
+TMSTVAL0 = Register(0x62, "r", bank=1)
+TMSTVAL1 = Register(0x63, "r", bank=1)
+TMSTVAL2 = Register(0x64, "r", bank=1)
 INTF_CONFIG5 = Register(0x7B, reserved=0xF9, bank=1)
 
 ACCEL_CONFIG_STATIC2 = Register(0x03, reset=0x30, reserved=0x80, bank=2)
