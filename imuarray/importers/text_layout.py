@@ -65,13 +65,13 @@ class TextLayout:
         return ["[file]", *said, ""] if said else []
 
 
+_Row = tuple[int, list[str]]
+"""The number of a line, counted from 0, and its cells."""
+
+
 def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
     """Return the layout of a text, its columns' names ([] of a table without a header), and some rows; SourceError."""
-    with open_source(path, path.with_suffix(".guess")) as file:
-        data = decompress(file).read(_HEAD_BYTES)
-    encoding = "utf-16" if is_utf16(data) else "utf-8-sig"
-    whole = data.decode(encoding, WINDOWS_1252).split("\n")
-    whole = whole[:-1] if len(data) == _HEAD_BYTES else whole
+    whole = _first_lines(path)
     lines = [(number, plain_sentence(line.strip("\r\0 "))) for number, line in enumerate(whole)]
     lines = [(number, line) for number, line in lines if line and "\0" not in line]
     comment = next((mark for mark in _COMMENTS if any(line.startswith(mark) for _, line in lines)), "#")
@@ -81,60 +81,83 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
         raise SourceError(f"{path}: contains no line of text that could be a row")
     layout = TextLayout(comment=comment)
     tail = [plain_line(line, "\0").split("\0")[-1] for _, line in lines[len(lines) // 2 :]][:200]
-    layout.delimiter = max(_DELIMITERS, key=lambda mark: _fitness(tail, mark))
     mark = max(_DELIMITERS, key=lambda mark: _labelled_share(tail, mark))
     if _labelled_share(tail, mark) > _MOSTLY:
         layout.delimiter, layout.labels, layout.kind_column, layout.named = mark, True, 0, False
         cells = [labelled(split_cells(plain_line(line, mark), mark)) for _, line in lines]
         return layout, [], [row for row in cells if row]
-    lines = [(number, plain_line(line, layout.delimiter)) for number, line in lines]
-    rows = _padded([(number, split_cells(line, layout.delimiter)) for number, line in lines])
-    if layout.delimiter != "," and sum(cell.count(",") for _, row in rows[-20:] for cell in row) >= len(rows[-20:]):
+    layout.delimiter = mark = max(_DELIMITERS, key=lambda mark: _fitness(tail, mark))
+    rows = _padded([(number, split_cells(plain_line(line, mark), mark)) for number, line in lines])
+    if mark != "," and sum(cell.count(",") for _, row in rows[-20:] for cell in row) >= len(rows[-20:]):
         layout.decimal = ","
-    numeric = [
-        sum(is_number(cell, layout) for cell in row) >= max(1, len(row) // 2)
-        and any(is_number(cell, layout) and cell.strip() for cell in row)
-        for _, row in rows
-    ]
+    numeric = [_is_of_numbers(row, layout) for _, row in rows]
     if not any(numeric):
         raise SourceError(f"{path}: no row of numbers in its first {len(whole)} lines")
     first = _first_of_table(rows, numeric, layout)
-    is_plain = first is not None
-    first = numeric.index(True) if first is None else first
-    widths = {len(row) for _, row in rows[first:]}
-    starts = {row[0] for _, row in rows[first:] if row and not is_number(row[0], layout)}
-    heads = [row[0] for _, row in rows[first:] if row]
-    worded = sum(head in starts for head in heads)
-    changes = sum(a != b for a, b in pairwise(heads))
-    alternate = worded > 0.9 * len(heads) and changes > 0.1 * len(heads)
-    are_sentences = all(start.startswith("$") or start in SENTENCES for start in starts) and worded > 0.9 * len(heads)
+    begin = numeric.index(True) if first is None else first
     is_described = any(line.startswith("FMT,") for _, line in lines)
-    alternate = (len(widths) > 1 or alternate) and 1 < len(starts) < 20
-    if is_described or (not is_plain and (alternate or (starts and are_sentences))):
+    if is_described or (first is None and _are_of_kinds([row for _, row in rows[begin:]], layout)):
         layout.kind_column, layout.named = 0, False
-        return layout, [], [row for _, row in rows[first:]]
+        return layout, [], [row for _, row in rows[begin:]]
     if (stated := _rate_in_cells(rows)) is not None:
         layout.skip_rows, layout.rate_hz, layout.rate_source = stated
         layout.named = False
         return layout, [], [row for _, row in rows[2:]][:LOOKED_AT_ROWS]
-    width = len(rows[first][1])
-    before = [(number, split_cells(line, layout.delimiter)) for number, line in remarks if number < rows[first][0]]
-    commented = before[-1] if before and len(before[-1][1]) == width else None
-    header = rows[first - 1] if first else commented
+    before = [(number, split_cells(line, mark)) for number, line in remarks if number < rows[begin][0]]
+    names = _header(layout, before, rows, begin, whole)
+    least = min(len(rows[begin][1]), len(names) or len(rows[begin][1]))
+    return layout, names, [row for _, row in rows[begin:] if len(row) >= least][:LOOKED_AT_ROWS]
+
+
+def _first_lines(path: Path) -> list[str]:
+    """Return the first lines of a text, whole ones; SourceError."""
+    with open_source(path, path.with_suffix(".guess")) as file:
+        data = decompress(file).read(_HEAD_BYTES)
+    lines = data.decode("utf-16" if is_utf16(data) else "utf-8-sig", WINDOWS_1252).split("\n")
+    return lines[:-1] if len(data) == _HEAD_BYTES else lines
+
+
+def _is_of_numbers(row: Sequence[str], layout: TextLayout) -> bool:
+    """Return whether half of a row's cells or more hold a number or nothing, and one a number."""
+    numbers = [cell for cell in row if is_number(cell, layout)]
+    return len(numbers) >= max(1, len(row) // 2) and any(cell.strip() for cell in numbers)
+
+
+def _are_of_kinds(rows: Sequence[Sequence[str]], layout: TextLayout) -> bool:
+    """Return whether rows begin with words that alternate, or are of several widths, or are sentences."""
+    heads = [row[0] for row in rows if row]
+    words = {head for head in heads if not is_number(head, layout)}
+    worded = sum(head in words for head in heads) > 0.9 * len(heads)
+    if worded and words and all(word.startswith("$") or word in SENTENCES for word in words):
+        return True
+    changes = sum(a != b for a, b in pairwise(heads))
+    are_several = len({len(row) for row in rows}) > 1 or (worded and changes > 0.1 * len(heads))
+    return are_several and 1 < len(words) < _MOST_KINDS
+
+
+_MOST_KINDS = 20
+
+
+def _header(
+    layout: TextLayout, remarks: Sequence[_Row], rows: Sequence[_Row], first: int, whole: Sequence[str]
+) -> list[str]:
+    """Return the names of the columns of a table whose first row of numbers is `rows[first]`: the row above, without
+    rows of units, or else the last of the `remarks` above; [] without. Sets what the lines above say in the layout.
+    """
+    number, cells = rows[first]
+    header = rows[first - 1] if first else next((r for r in remarks[-1:] if len(r[1]) == len(cells)), None)
     above = first - 2
     while header is not None and above >= 0 and len(rows[above][1]) == len(header[1]) and is_unit_row(header[1]):
         layout.unit_cells = layout.unit_cells or tuple(header[1])
         header, above = rows[above], above - 1
-    layout.named = header is not None and abs(len(header[1]) - width) <= 1
-    begin = header[0] if header is not None and layout.named else rows[first][0]
-    layout.rate_hz, layout.rate_source = _stated_rate(whole[: rows[first][0]])
-    layout.skip_rows = begin if any(line and not line.startswith(comment) for line in whole[:begin]) else 0
-    names = [name.strip() for name in header[1]] if header is not None and layout.named else []
-    body = [row for _, row in rows[first:] if len(row) >= min(width, len(names) or width)]
-    return layout, names, body[:LOOKED_AT_ROWS]
+    layout.named = header is not None and abs(len(header[1]) - len(cells)) <= 1
+    layout.rate_hz, layout.rate_source = _stated_rate(whole[:number])
+    begin = header[0] if header is not None and layout.named else number
+    layout.skip_rows = begin if any(line and not line.startswith(layout.comment) for line in whole[:begin]) else 0
+    return [name.strip() for name in header[1]] if header is not None and layout.named else []
 
 
-def _padded(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+def _padded(rows: list[_Row]) -> list[_Row]:
     """Return rows of several widths below a header that is as wide as the widest, all as wide as it: readings of
     several kinds have different numbers of values.
     """
@@ -149,7 +172,7 @@ def _padded(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
     return [(number, [*row, *[""] * (width - len(row))]) for number, row in rows]
 
 
-def _first_of_table(rows: Sequence[tuple[int, list[str]]], numeric: Sequence[bool], layout: TextLayout) -> int | None:
+def _first_of_table(rows: Sequence[_Row], numeric: Sequence[bool], layout: TextLayout) -> int | None:
     """Return the first row of a table of numbers below a preamble of other widths; None if the rows below are of
     several widths or begin with words, so that they may be of several kinds.
     """
@@ -183,7 +206,7 @@ _UNIX_S = (3e8, 4e9)
 """Times in seconds since 1970 of recordings."""
 
 
-def _rate_in_cells(rows: Sequence[tuple[int, list[str]]]) -> tuple[int, float, str] | None:
+def _rate_in_cells(rows: Sequence[_Row]) -> tuple[int, float, str] | None:
     """Return the rows to skip, the rate and its source of a table that begins with its time of beginning and its rate,
     once in each column (as Empatica's wristbands write it); None for others.
     """
