@@ -695,7 +695,9 @@ def turns_of(log: Log) -> float | None:
         return None
     for window_s in (TURN_WINDOW_S, WINDOW_S):
         force, rate = (_Windows(sensor, row_timing(sensor), window_s=window_s) for sensor in pair if sensor is not None)
-        if (ratio := _turn_ratio(force, rate)) is not None:
+        rotations = _rotations(force, rate)
+        ratio, correlation = (0.0, 0.0) if rotations is None else _factor(rotations)
+        if correlation >= FOLLOWS:
             return ratio
     return None
 
@@ -709,15 +711,6 @@ class _Rotations(NamedTuple):
     middle: Floats
     rates: Floats
     width_s: float
-
-
-def _turn_ratio(force: _Windows, rate: _Windows) -> float | None:
-    """Return the factor by which a gyroscope's rates must be multiplied to agree with the rotation of gravity; None
-    without sufficient rotation, or if the two do not follow each other.
-    """
-    rotations = _rotations(force, rate)
-    factor, correlation = (0.0, 0.0) if rotations is None else _factor(rotations)
-    return factor if correlation >= FOLLOWS else None
 
 
 def _rotations(force: _Windows, rate: _Windows) -> _Rotations | None:

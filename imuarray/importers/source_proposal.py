@@ -20,21 +20,15 @@ from imuarray.arrays import Floats
 from imuarray.errors import SourceError
 from imuarray.importers.column_meaning import (
     MOST_INSTANCES,
-    Proposal,
-    increases,
     instance_column,
-    is_gravity,
-    is_of_a_quantity,
-    is_time_of_rows,
     kind_column,
     propose_columns,
     propose_kind,
-    quantity_of,
-    time_lines,
-    units_below_header,
     words_of_kind,
 )
+from imuarray.importers.column_names import is_of_a_quantity, quantity_of, units_below_header
 from imuarray.importers.mapping import parse_map
+from imuarray.importers.proposal import Proposal
 from imuarray.importers.records import FIRST_WORDS, WORD_ORDERS
 from imuarray.importers.sources import ZIP, RecordingRows, open_rows, reader_of, stem_of, texts_in, unpack_texts
 from imuarray.importers.text_layout import (
@@ -47,6 +41,8 @@ from imuarray.importers.text_layout import (
     quoted,
     read_text,
 )
+from imuarray.importers.time_proposal import increases, is_time_of_rows, time_lines
+from imuarray.importers.triad_behaviour import is_gravity
 from imuarray.printable import listed as listed_names
 
 

@@ -19,6 +19,7 @@ from imuarray.errors import SourceError
 from imuarray.importers import decompress, open_source
 from imuarray.importers.cells import WINDOWS_1252, is_unit_row, is_utf16, labelled, plain_line, plain_sentence
 from imuarray.importers.mapping import ISO
+from imuarray.importers.plausibility import RATES_HZ
 
 LOOKED_AT_ROWS = 20_000
 """Number of rows from which the columns are inferred."""
@@ -189,7 +190,6 @@ def _first_of_table(rows: Sequence[_Row], numeric: Sequence[bool], layout: TextL
 _RATE = re.compile(
     r"(?:rate|freq\w*|sampl\w*)[^\d\n]{0,30}?(?P<named>\d+(?:\.\d+)?)|\bat (?P<hertz>\d+(?:\.\d+)?) ?Hz", re.IGNORECASE
 )
-_RATES_HZ = (1.0, 20_000.0)
 
 
 def _stated_rate(lines: Sequence[str]) -> tuple[float | None, str]:
@@ -197,7 +197,7 @@ def _stated_rate(lines: Sequence[str]) -> tuple[float | None, str]:
     for line in lines:
         if (match := _RATE.search(line)) is not None:
             rate_hz = float(match["named"] or match["hertz"])
-            if _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]:
+            if RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
                 return rate_hz, line.strip("\r\0 -#%/,")
     return None, ""
 
@@ -216,7 +216,7 @@ def _rate_in_cells(rows: Sequence[_Row]) -> tuple[int, float, str] | None:
     if len(begins) != 1 or len(rates) != 1 or len(rows[0][1]) != len(rows[2][1]):
         return None
     begin_s, rate_hz = begins.pop(), rates.pop()
-    if not (_UNIX_S[0] <= begin_s <= _UNIX_S[1] and _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]):
+    if not (_UNIX_S[0] <= begin_s <= _UNIX_S[1] and RATES_HZ[0] <= rate_hz <= RATES_HZ[1]):
         return None
     return rows[2][0], rate_hz, f"the second row; the first is the time of beginning, {begin_s:.0f} s after 1970"
 

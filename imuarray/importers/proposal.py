@@ -1,0 +1,44 @@
+"""A proposed map under construction."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from imuarray.importers.text_layout import TextLayout
+from imuarray.printable import printable
+
+_WIDTH = 110
+
+
+@dataclass
+class Proposal:
+    """A map under construction: its lines, remarks and doubts, and the units of columns that are known."""
+
+    layout: TextLayout
+    time: list[str] = field(default_factory=list)
+    items: list[list[str]] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    units: Mapping[str, str] = field(default_factory=dict)
+    gravity: dict[tuple[int, int, int], tuple[int, int, int]] = field(default_factory=dict)
+    """Columns of accelerations without gravity, and those of the gravity that was subtracted."""
+
+    def name_line(self, stem: str) -> str:
+        """Return the line with the next free name that begins with a stem: Acc, Acc2, ..."""
+        number = sum(item[1].startswith(f'name = "{stem}') for item in self.items)
+        return f'name = "{stem}{number + 1 if number else ""}"'
+
+    def text(self, head: Sequence[str]) -> str:
+        """Return the map as TOML."""
+        comments = [f"# {line}" for line in head]
+        for mark, sentences in (("~", self.remarks), ("?", self.doubts)):
+            for text in sentences:
+                comments += textwrap.wrap(
+                    printable(text), _WIDTH, initial_indent=f"# {mark} ", subsequent_indent="#   "
+                )
+        parts = [*comments, "", *self.layout.lines(), "[time]", *self.time]
+        for item in self.items:
+            parts += ["", *item]
+        return "\n".join(parts) + "\n"

@@ -1,0 +1,139 @@
+"""What the values of columns say: gravity has one length and turns as a gyroscope says, quaternions have length 1,
+labels are constant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from imuarray.arrays import Floats
+from imuarray.units import STANDARD_GRAVITY
+
+_GRAVITIES = (1.0, STANDARD_GRAVITY, 1000.0, *(2.0**power for power in range(8, 15)))
+"""1 g in g, m/s2, mg, and in counts of the usual ranges."""
+NEAR_GRAVITY = 0.15
+
+
+def is_computed_gravity(columns: Sequence[Floats], indices: tuple[int, int, int]) -> bool:
+    """Return whether a triad is gravity from a filter: its length is 1, or g, to a thousandth while it turns."""
+    lengths = _lengths(columns, indices)
+    if not len(lengths) or not keeps_its_length(columns, indices):
+        return False
+    low, middle, high = np.quantile(lengths, (0.05, 0.5, 0.95))
+    return bool(high - low < 2 * _UNIT_LENGTH * middle)
+
+
+_MOST_LABELS = 64
+_KNOWN_SHARE = 0.5
+_UNIT_LENGTH = 2e-3
+"""Scatter of the length of a quaternion, or of gravity from a filter, relative to it: no sensor scatters so little."""
+
+_FOLLOWS_GRAVITY = 0.35
+"""Correlation between the change of gravity and that by a rate from which on the rate is that of a gyroscope."""
+
+_SMOOTHED_ROWS = 5
+
+
+def triads_by_values(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:
+    """Yield the triads that behave like gravity, and like the rates and fields of sensors beside them."""
+    kept = [index for index in free if not is_label(columns[index])]
+    forces: list[tuple[int, int, int]] = []
+    runs: list[list[int]] = [[]]
+    at = 0
+    while at < len(kept):
+        if at + 4 <= len(kept) and _has_unit_length(columns, kept[at : at + 4]):
+            runs.append([])
+            at += 4
+        elif at + 3 <= len(kept) and is_steady_gravity(columns, kept[at : at + 3]):
+            forces.append((kept[at], kept[at + 1], kept[at + 2]))
+            runs.append([])
+            at += 3
+        else:
+            runs[-1].append(kept[at])
+            at += 1
+    if not forces:
+        return
+    yield from (("specific_force", force) for force in forces)
+    others = [
+        (run[at], run[at + 1], run[at + 2])
+        for number, run in enumerate(runs)
+        for at in range(0 if number else len(run) % 3, len(run) - 2, 3)
+    ]
+    rates = [triad for triad in others if any(_turns_gravity(columns, triad, force) for force in forces)]
+    if not rates:  # at rest, the first triad after a force is taken for a rate, and the second for a field
+        firsts = {run[0] for run in runs[1:] if len(run) >= 3}
+        seconds = {run[3] for run in runs[1:] if len(run) >= 6}
+        yield from (("angular_rate", triad) for triad in others if triad[0] in firsts)
+        yield from (("magnetic_field", triad) for triad in others if triad[0] in seconds)
+        return
+    yield from (("angular_rate", triad) for triad in rates)
+    fields = (triad for triad in others if triad not in rates and keeps_its_length(columns, triad))
+    yield from (("magnetic_field", triad) for triad in fields)
+
+
+def is_label(values: Floats) -> bool:
+    """Return whether a column is constant, mostly empty, or has few whole numbers, as labels of activities are."""
+    known = values[np.isfinite(values)]
+    if len(known) < _KNOWN_SHARE * len(values):
+        return True
+    few = len(np.unique(known)) <= _MOST_LABELS and bool((known == np.rint(known)).all())
+    return float(np.ptp(known)) == 0 or (few and float(np.mean(np.diff(known) == 0)) > 1 - _KNOWN_SHARE)
+
+
+def _lengths(columns: Sequence[Floats], indices: Sequence[int]) -> Floats:
+    """Return the lengths (n,) of the rows that are known."""
+    values = np.stack([columns[index] for index in indices], axis=1)
+    return np.asarray(np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1))
+
+
+def _has_unit_length(columns: Sequence[Floats], indices: Sequence[int]) -> bool:
+    """Return whether vectors have length 1 to a thousandth, as quaternions have."""
+    lengths = _lengths(columns, indices)
+    return len(lengths) > 0 and bool(np.quantile(np.abs(lengths - 1), 0.95) < _UNIT_LENGTH)
+
+
+def is_steady_gravity(columns: Sequence[Floats], indices: Sequence[int]) -> bool:
+    """Return whether a triad has the length of gravity in most rows."""
+    triad = (indices[0], indices[1], indices[2])
+    if not is_gravity(columns, triad) or min(float(np.nanstd(columns[index])) for index in triad) == 0:
+        return False
+    low, middle, high = np.quantile(_lengths(columns, triad), (0.1, 0.5, 0.9))
+    return bool(high - low < 0.6 * middle)
+
+
+def _turns_gravity(columns: Sequence[Floats], rate: tuple[int, int, int], force: tuple[int, int, int]) -> bool:
+    """Return whether gravity turns as a rate says, df/dt = -omega x f, in any unit of both."""
+    w, f = (np.stack([columns[index] for index in triad], axis=1) for triad in (rate, force))
+    known = np.isfinite(w).all(axis=1) & np.isfinite(f).all(axis=1)
+    kernel = np.ones(_SMOOTHED_ROWS) / _SMOOTHED_ROWS
+    if known.sum() < 10 * _SMOOTHED_ROWS:
+        return False
+    w, f = (np.stack([np.convolve(axis, kernel, "valid") for axis in values[known].T], axis=1) for values in (w, f))
+    change = (f[2 * _SMOOTHED_ROWS :] - f[: -2 * _SMOOTHED_ROWS]).ravel()
+    middle = slice(_SMOOTHED_ROWS, -_SMOOTHED_ROWS)
+    turned = -np.cross(w[middle], f[middle]).ravel()
+    size = float(np.linalg.norm(change) * np.linalg.norm(turned))
+    return size > 0 and float(change @ turned) / size > _FOLLOWS_GRAVITY
+
+
+def keeps_its_length(columns: Sequence[Floats], triad: tuple[int, int, int]) -> bool:
+    """Return whether a triad turns without getting longer, as gravity does in a sensor that is turned."""
+    values = np.stack([columns[index] for index in triad], axis=1)
+    values = values[np.isfinite(values).all(axis=1)]
+    if not len(values):
+        return False
+    length = np.linalg.norm(values, axis=1)
+    low, middle, high = np.quantile(length, (0.1, 0.5, 0.9))
+    turned = np.linalg.norm(np.quantile(values, 0.9, axis=0) - np.quantile(values, 0.1, axis=0))
+    return bool(high - low < NEAR_GRAVITY * middle and turned > 0.5 * middle)
+
+
+def is_gravity(columns: Sequence[Floats], triad: tuple[int, int, int]) -> bool:
+    """Return whether the median length of a triad is 1 g in some unit."""
+    lengths = np.sqrt(sum(columns[index] ** 2 for index in triad))
+    if np.isnan(lengths).all():
+        return False
+    length = float(np.nanmedian(lengths))
+    return any(abs(length / gravity - 1) < NEAR_GRAVITY for gravity in _GRAVITIES)
