@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ from imuarray.shipped import find_config, find_model
 
 if TYPE_CHECKING:
     from imuarray.log import Log
-    from imuarray.simulate import Model, Plan, Written
+    from imuarray.simulate import Model, Plan, Simulation, Written
     from imuarray.simulate.experiments import BootRun
 
 EXPERIMENTS = ("static", "tumble", "heating", "turn-on", "motion")
@@ -204,6 +203,7 @@ def _run(options: SimulateOptions) -> None:
     """Write the logs, and print what was written."""
     from imuarray.simulate import Simulation, effects_of
     from imuarray.simulate.experiments import remarks_on
+    from imuarray.simulate.parameters import to_table
 
     if (options.config is None) == (options.like is None):
         raise click.UsageError("give either a CONFIG or --like RUN.h5")
@@ -218,19 +218,40 @@ def _run(options: SimulateOptions) -> None:
         for sentence in remarks_on(runs[0].plan, model, log, population=population):
             click.echo(f"imuarray: {sentence}", err=True)
         effects = effects_of(runs[0].plan, model, seed, population=population, without=left_out)  # of all boots
-        reports = []
+        reports: list[dict[str, Any]] = []
+        drawn = ", units drawn" if population else ""
+        without = f", without {', '.join(left_out)}" if left_out else ""
         for run in runs:
             dtype = "float32" if options.single else "float64"
             simulation = Simulation(run.plan, run.motion, effects, seed=seed, boot=run.boot, dtype=dtype)
-            note = _note(model.name, seed, run.boot, left_out, population)
-            written = _write(simulation, run.path, log, note, options.workers, options.force)
-            reports.append(_report(run.path, written, seed, run.boot, model.name))
-    spelled = {name: _spelled(effects[name], runs[0].plan.sensors[name][0].unit) for name in effects}
+            note = f"model {model.name}{drawn}, seed {seed}, boot {run.boot}{without}"
+            written = _write(simulation, run.path, log, note, options)
+            reports.append(
+                {
+                    "log": str(run.path),
+                    "model": model.name,
+                    "seed": seed,
+                    "boot": run.boot,
+                    "frames": written.frames,
+                    "seconds": written.seconds,
+                    "rows": written.rows,
+                    "lost": {name: count for name, count in written.lost.items() if count},
+                }
+            )
     if options.as_json:
+        units = {name: header.unit for name, (header, _) in runs[0].plan.sensors.items()}
+        spelled = {
+            name: [{"effect": effect.name, **to_table(effect, units[name])} for effect in of_unit]
+            for name, of_unit in effects.items()
+        }
         print_json({"logs": reports, "effects": spelled})
         return
     for report in reports:
-        click.echo(_line(report))
+        dropped, most = sum(report["lost"].values()), max(report["rows"].values())
+        click.echo(
+            f"{report['log']}: simulated, {most} rows a sensor in {report['seconds']:.1f} s, model {report['model']},"
+            f" seed {report['seed']}, boot {report['boot']}" + (f", {dropped} readings dropped" if dropped else "")
+        )
 
 
 _FOR = {
@@ -300,13 +321,14 @@ def _model(name: str, calibration: Path | None, plan: Plan) -> Model:
     return calibrated(model, known, [header for header, _ in plan.sensors.values()])
 
 
-def _write(simulation: Any, path: Path, log: Log | None, note: str, workers: int, force: bool) -> Written:
+def _write(simulation: Simulation, path: Path, log: Log | None, note: str, options: SimulateOptions) -> Written:
     """Write one log, with a progress bar."""
     from imuarray.simulate import total_rows, write_log
     from imuarray.simulate.record import EPOCH, Division, Origin
 
     with ExitStack() as stack:
         done = stack.enter_context(progress(total_rows(simulation), str(path)))
+        workers = options.workers
         threads = stack.enter_context(ThreadPoolExecutor(workers)) if workers > 1 else None
         return write_log(
             simulation,
@@ -314,40 +336,5 @@ def _write(simulation: Any, path: Path, log: Log | None, note: str, workers: int
             origin=Origin(log.epoch if log else EPOCH, note),
             division=Division(executor=threads, workers=workers),
             progress=done,
-            force=force,
+            force=options.force,
         )
-
-
-def _note(model: str, seed: int, boot: int, without: tuple[str, ...], population: bool) -> str:
-    """Return the note on the origin of a log."""
-    drawn = ", units drawn" if population else ""
-    return f"model {model}{drawn}, seed {seed}, boot {boot}" + (f", without {', '.join(without)}" if without else "")
-
-
-def _spelled(effects: Any, unit: str) -> list[dict[str, Any]]:
-    """Return the effects of one unit and their parameters, as in a model file."""
-    from imuarray.simulate.parameters import to_table
-
-    return [{"effect": effect.name, **to_table(effect, unit)} for effect in effects]
-
-
-def _report(path: Path, written: Written, seed: int, boot: int, model: str) -> dict[str, Any]:
-    return {
-        "log": str(path),
-        "model": model,
-        "seed": seed,
-        "boot": boot,
-        "frames": written.frames,
-        "seconds": written.seconds,
-        "rows": written.rows,
-        "lost": {name: count for name, count in written.lost.items() if count},
-    }
-
-
-def _line(report: Mapping[str, Any]) -> str:
-    """Return one line about one log."""
-    lost, most = sum(report["lost"].values()), max(report["rows"].values())
-    return (
-        f"{report['log']}: simulated, {most} rows a sensor in {report['seconds']:.1f} s, model {report['model']},"
-        f" seed {report['seed']}, boot {report['boot']}" + (f", {lost} readings dropped" if lost else "")
-    )
