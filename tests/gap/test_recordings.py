@@ -83,7 +83,10 @@ def test_a_motion_that_nothing_tells_of_is_left_out(tmp_path: Path) -> None:
     phases = [phase(0, 4, "static", "+Z"), phase(4, 8, "motion")]
     found = recorded(foreign_log(tmp_path / "log.h5", phases))
     assert (found.kind, found.phases) == ("static", (phases[0],))
-    assert found.notes[0] == "Phase 'motion' is left out: the log has no track of the box's motion."
+    assert found.notes[0] == (
+        "Phase 'motion' is left out: the log has no track of the box's motion, nor two sensors of a kind and a "
+        "gyroscope that show it."
+    )
 
 
 def test_a_reference_tells_of_it(tmp_path: Path) -> None:

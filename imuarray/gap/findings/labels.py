@@ -349,9 +349,12 @@ def _with_labels(recording: Recording, wrong: Sequence[WrongLabel]) -> Recording
     phases = tuple(phase._replace(up=ups.get(phase, phase.up)) for phase in recording.phases)
     motion = recording.experiment.motion
     of_log = motion.surroundings if isinstance(motion, PoseSequence) else motion
+    movements = motion.movements if isinstance(motion, PoseSequence) else ()
     attitudes = attitudes_of(recording.log, phases, of_log)[0] if isinstance(of_log, LikeLog) else ()
     lies: Motion = (
-        PoseSequence(attitudes, of_log, of_log.fields) if attitudes and isinstance(of_log, LikeLog) else motion
+        PoseSequence(attitudes, of_log, of_log.fields, movements)
+        if attitudes and isinstance(of_log, LikeLog)
+        else motion
     )
     experiment = recording.experiment._replace(motion=lies)
     notes = (*recording.notes, *(note_of(label).partition(": ")[2] for label in wrong))

@@ -112,7 +112,7 @@ _ABSENT: Mapping[str, str] = MappingProxyType(
     {
         "temperature": "temperature: no log spans 1 degC",
         "force": "force: no log has faces",
-        "motion": "motion: no log has a track of the box's motion",
+        "motion": "motion: no log has a motion that a track or several sensors show",
         "run_to_run": "runs: there is only one log of each kind",
         "cross_sensor": "shared errors: there is only one sensor",
     }

@@ -231,7 +231,8 @@ def _with_known_attitudes(motion: Motion) -> Motion:
     """Return the motion with estimated attitudes taken as known."""
     if not isinstance(motion, PoseSequence):
         return motion
-    return PoseSequence(tuple(attitude._replace(estimated=False) for attitude in motion.attitudes), motion.surroundings)
+    known = tuple(attitude._replace(estimated=False) for attitude in motion.attitudes)
+    return PoseSequence(known, motion.surroundings, movements=motion.movements)
 
 
 def _is_shared(probe: Probe) -> bool:

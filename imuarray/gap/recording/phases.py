@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,12 +14,13 @@ from imuarray.calibrate.pose_readings import MIN_POSE_S, find_rests
 from imuarray.characterise.stretch import FACE_NAMES, STILL_NAMES
 from imuarray.errors import CalibrationError, LogError
 from imuarray.gap.recording.attitude import array_mean, attitude_numbers, shared_readings, ups_of
+from imuarray.gap.recording.movement import movement_of, shows_motion
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.like import LikeLog
-from imuarray.simulate.motion.posed import PoseAttitude
+from imuarray.simulate.motion.posed import Movement, PoseAttitude
 
 Up = tuple[float, float, float]
 
@@ -31,11 +33,6 @@ MOST_TILT_DEG = 5.0
 MOST_RATE_DPS, _TRACK_TIMES = 3.0, 1000
 """A box that turns faster by its track (rms over so many moments of a phase) is not at rest, whatever is noted."""
 
-_LEAST_FORCE, _LEAST_RATE, _NOISE_MARGIN = 0.02, 0.003, 2.0
-"""Changes of force (m/s2, rms) and rate (rad/s, rms) by a track that are motion, and the factor of the variance of the
-track's noise that is taken off before.
-"""
-
 HEATED_DEGC = 3.0
 """A larger change of temperature in a phase at rest is heating: a room changes less in minutes."""
 
@@ -45,7 +42,13 @@ second or four rows, of which the first and the last are cut off.
 """
 
 TURN = "turn"
-"""Name of a stretch between two noted rests in which the box turns by the track."""
+"""Name of a stretch between two noted rests in which the box turns."""
+
+_UNKNOWN_MOTION = "the log has no track of the box's motion, nor two sensors of a kind and a gyroscope that show it"
+_SHARED_MOTION = (
+    "There is no track of the box's motion: it is estimated from the array's own sensors, so that an error of all of "
+    "them does not show in motion."
+)
 
 _SAME_COSINE = np.cos(np.radians(10))
 """Cosine of the largest angle between poses on one face."""
@@ -59,11 +62,19 @@ def is_at_rest(phase: Phase) -> bool:
     return bool(phase.up) or name in STILL_NAMES or name in FACE_NAMES or name.startswith(("run ", "pose "))
 
 
-def phases_of(log: Log, motion: LikeLog) -> tuple[tuple[Phase, ...], list[str]]:
-    """Return the phases that can be compared, and notes on those that cannot.
+class ComparablePhases(NamedTuple):
+    """The phases of a log that can be compared, its motions as far as its own sensors show them, and notes."""
 
-    Phases at rest, or detected static stretches if none is noted; where `motion` follows a track, other phases too, and
-    the turns between noted rests. LogError if there is nothing to compare.
+    phases: tuple[Phase, ...]
+    movements: tuple[Movement, ...]
+    notes: list[str]
+
+
+def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePhases:
+    """Return the phases in which these sensors can be compared, and notes on those in which they cannot.
+
+    Phases at rest, or detected static stretches if none is noted; other phases, and the turns between rests, where
+    `motion` follows a track or several sensors show the motion. LogError if there is nothing to compare.
     """
     is_tracked = motion.source != "phases"
     noted = [_without_false_face(phase, motion) if is_tracked else phase for phase in log.phases]
@@ -72,17 +83,26 @@ def phases_of(log: Log, motion: LikeLog) -> tuple[tuple[Phase, ...], list[str]]:
     if is_tracked:
         detected = [phase for phase in detected if not moves_by_track(phase, motion)]
     moving = [phase for phase in noted if phase not in still]
-    if not is_tracked:
-        notes += [f"Phase {phase.name!r} is left out: the log has no track of the box's motion." for phase in moving]
-        moving = []
-    elif not log.phases:
+    turns = list(_turns(sorted(noted)))
+    movements: list[Movement] = []
+    if is_tracked and log.phases:
+        moving += [turn for turn in turns if moves_by_track(turn, motion)]
+    elif is_tracked:
         moving = list(_between_rests(log, detected))
     else:
-        moving += _turns(sorted(noted), motion)
+        rests = [*still, *detected]
+        shown = {
+            phase: movement
+            for phase in (*moving, *turns)
+            if rests and (movement := movement_of(log, sensors, phase, rests)) is not None
+        }
+        notes += [f"Phase {phase.name!r} is left out: {_UNKNOWN_MOTION}." for phase in moving if phase not in shown]
+        notes += [_SHARED_MOTION] if shown else []
+        moving, movements = list(shown), sorted(shown.values(), key=lambda movement: movement.start_ns)
     phases = tuple(sorted([*still, *detected, *moving]))
     if not phases:
         raise LogError(f"{log.path}: nothing to compare: {_what_is_lacking(log)}")
-    return phases, notes
+    return ComparablePhases(phases, tuple(movements), notes)
 
 
 def _without_false_face(phase: Phase, motion: LikeLog) -> Phase:
@@ -97,15 +117,7 @@ def moves_by_track(phase: Phase, motion: LikeLog) -> bool:
     sensors that are noisier than a gentle motion take it for rest.
     """
     moment = _sampled(phase, motion)
-    for column, least in ((moment.force_box, _LEAST_FORCE), (moment.rate_box, _LEAST_RATE)):
-        values = np.asarray(column, float)
-        noise = (
-            np.diff(values, n=2, axis=0).var(axis=0) / 6
-        )  # of white noise, in which rows do not depend on each other
-        smooth = np.maximum(values.var(axis=0) - _NOISE_MARGIN * noise, 0.0)
-        if np.sqrt(smooth.max()) > least:
-            return True
-    return False
+    return shows_motion(np.asarray(moment.force_box, float), np.asarray(moment.rate_box, float))
 
 
 def _sampled(phase: Phase, motion: LikeLog) -> Felt:
@@ -152,12 +164,11 @@ def _between_rests(log: Log, still: Sequence[Phase]) -> Iterator[Phase]:
             yield Phase(start_ns, end_ns, "motion")
 
 
-def _turns(phases: Sequence[Phase], motion: LikeLog) -> Iterator[Phase]:
-    """Yield the stretches between consecutive phases at rest in which the box moves, if they are as long as a rest."""
+def _turns(phases: Sequence[Phase]) -> Iterator[Phase]:
+    """Yield the stretches between consecutive phases at rest, if they are as long as a rest."""
     for before, after in pairwise(phases):
         between = Phase(before.end_ns, after.start_ns, TURN)
-        is_long = between.end_ns - between.start_ns >= MIN_POSE_S * 1e9
-        if is_long and is_at_rest(before) and is_at_rest(after) and moves_by_track(between, motion):
+        if is_at_rest(before) and is_at_rest(after) and between.end_ns - between.start_ns >= MIN_POSE_S * 1e9:
             yield between
 
 
@@ -232,7 +243,7 @@ def kind_of(phases: Sequence[Phase], attitudes: Sequence[PoseAttitude], *, heate
         return "turn-on"
     if _count_attitudes(phases, attitudes) > 1:
         return "tumble"
-    return "static" if all(is_at_rest(phase) for phase in phases) else "motion"
+    return "static" if all(is_at_rest(phase) or phase.name == TURN for phase in phases) else "motion"
 
 
 def _count_attitudes(phases: Sequence[Phase], attitudes: Sequence[PoseAttitude]) -> int:

@@ -2,7 +2,8 @@
 
 Notes in a log are believed: phases that name the axis that was up, `/truth` or `/reference` for the motion. Without
 them static poses are detected and their attitudes estimated from the accelerometers
-(`imuarray.gap.recording.attitude`); motion without a track is left out. Every such decision is a note.
+(`imuarray.gap.recording.attitude`), and a motion without a track from several sensors
+(`imuarray.gap.recording.movement`). Every such decision is a note.
 """
 
 from __future__ import annotations
@@ -135,9 +136,10 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     chosen, left_out = _chosen_sensors(log, only)
     chosen, processed = _without_processed(log, chosen)
     motion = LikeLog(log)
-    phases, skipped = phases_of(log, motion)
+    phases, movements, skipped = phases_of(log, motion, chosen)
     heated = is_heated(phases, motion)
-    chosen, unknown = _without_unknown_field(log, chosen, phases, heated=heated)
+    tracked = phases if motion.source != "phases" else tuple(filter(is_at_rest, phases))
+    chosen, unknown = _without_unknown_field(log, chosen, tracked, heated=heated)
     plan = plan_like(log, chosen)
     timings = {name: row_timing(log[name]) for name in plan.sensors}
     gaps = _timelines(log, timings)
@@ -159,7 +161,8 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     notes = (*notes, *([gaps.note] if gaps.note else []))
     fields = fields_of([log[name] for name in chosen], phases)
     motion = replace(motion, fields=fields, rests=_rests_of(phases, motion))
-    posed = PoseSequence(attitudes, motion, fields) if any(attitude.estimated for attitude in attitudes) else motion
+    is_posed = movements or any(attitude.estimated for attitude in attitudes)
+    posed = PoseSequence(attitudes, motion, fields, movements) if is_posed and attitudes else motion
     has_temperature = motion.temperature_source not in UNREFERENCED
     experiment = Experiment(replace(plan, sensors=sensors), posed, gaps.uncertain_ns, has_temperature)
     return Recording(

@@ -16,6 +16,7 @@ from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, resting
 from imuarray.simulate.motion.felt import Felt, Motion
 from imuarray.simulate.motion.fields import PhaseField, field_at, field_until_ns
+from imuarray.simulate.motion.like import SplineColumns
 from imuarray.simulate.motion.timeline import FOREVER_NS
 
 Triple = tuple[float, float, float]
@@ -87,17 +88,29 @@ class PoseAttitude(NamedTuple):
     estimated: bool
 
 
+class Movement(NamedTuple):
+    """A motion of the box from `start_ns` to `end_ns`: `columns` are the force (3) in m/s2 and the rate (3) in rad/s in
+    the box frame.
+    """
+
+    start_ns: int
+    end_ns: int
+    columns: SplineColumns
+
+
 @dataclass(frozen=True, eq=False)
 class PoseSequence:
-    """The box lies in `attitudes`, phases in order of time; from one to the next it jumps half-way between them, since
-    nobody says how it was turned. Temperature and pressure are those of `surroundings`, gravity the standard one; the
-    field is that of `fields`, if there are any, else the earth's as after the shortest turn from upright, since up
-    tells no heading. ValueError for no attitude, or a direction that is none.
+    """The box lies in `attitudes`, phases in order of time, and moves by `movements` between them, in order of time,
+    too; elsewhere it jumps half-way from one attitude to the next, since nobody says how it was turned. Temperature and
+    pressure are those of `surroundings`, gravity the standard one; the field is that of `fields`, if there are any,
+    else the earth's as after the shortest turn from upright, since up tells no heading. ValueError for no attitude, or
+    a direction that is none.
     """
 
     attitudes: tuple[PoseAttitude, ...]
     surroundings: Motion
     fields: tuple[PhaseField, ...] = ()
+    movements: tuple[Movement, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.attitudes:
@@ -135,13 +148,34 @@ class PoseSequence:
             )
         if self.fields:
             still = replace(still, field_box=field_at(self.fields, time_ns))
-        return replace(still, pressure_pa=around.pressure_pa)
+        return self._moved(replace(still, pressure_pa=around.pressure_pa), time_ns)
+
+    def _moved(self, still: Felt, time_ns: Integers) -> Felt:
+        """Return what is felt at rest, with the movements."""
+        moved = [
+            (movement, inside)
+            for movement in self.movements
+            if (inside := (movement.start_ns <= time_ns) & (time_ns < movement.end_ns)).any()
+        ]
+        if not moved:
+            return still
+        force, rate, acceleration = (
+            np.array(values, float) for values in (still.force_box, still.rate_box, still.angular_acceleration_box)
+        )
+        for movement, inside in moved:
+            values, slopes = movement.columns.at(time_ns[inside])
+            force[inside], rate[inside], acceleration[inside] = values[:, :3], values[:, 3:], slopes[:, 3:]
+        return replace(still, force_box=force, rate_box=rate, angular_acceleration_box=acceleration)
 
     def unchanged_until_ns(self, at_ns: int) -> int:
         """Return the time up to which the stimulus of `at_ns` stays the same, exclusive."""
         around = self.surroundings
         later = self._turns_ns[self._turns_ns > at_ns]
         turn_ns = min(int(later[0]) if len(later) else FOREVER_NS, field_until_ns(self.fields, at_ns))
+        for movement in self.movements:
+            if movement.start_ns <= at_ns < movement.end_ns:
+                return at_ns
+            turn_ns = min(turn_ns, movement.start_ns) if at_ns < movement.start_ns else turn_ns
         return min(turn_ns, around.unchanged_until_ns(at_ns)) if isinstance(around, Steady) else at_ns
 
     @cached_property

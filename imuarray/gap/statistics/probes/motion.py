@@ -32,13 +32,18 @@ _MOVES = 1e-2
 axes mix in.
 """
 
+_TURNS_ABOUT_ALL = 0.01
+"""Least variance of the motion along any direction, as a share of that along the strongest one, from which on responses
+to the motion along three axes are told apart: below it, noise tells them, which is another one in each sensor.
+"""
+
 _ENDS = 0.02
 """Share of the residual that is kept: about that of the windows at segments' ends, whose change is not known."""
 
 
 def gain(cross: Cross, sensor: str) -> Floats:
     """Response of each axis to motion along it, as a share."""
-    return np.asarray(_gains(cross, sensor)[AXES, AXES])
+    return np.asarray(_separate_gains(cross, sensor)[AXES, AXES])
 
 
 def along(cross: Cross, sensor: str) -> Floats:
@@ -54,12 +59,12 @@ def along(cross: Cross, sensor: str) -> Floats:
 
 def next_axis(cross: Cross, sensor: str) -> Floats:
     """Response of each axis to motion along the next one."""
-    return np.asarray(_gains(cross, sensor)[AXES, (AXES + 1) % 3])
+    return np.asarray(_separate_gains(cross, sensor)[AXES, (AXES + 1) % 3])
 
 
 def axis_after(cross: Cross, sensor: str) -> Floats:
     """Response of each axis to motion along the axis after the next."""
-    return np.asarray(_gains(cross, sensor)[AXES, (AXES + 2) % 3])
+    return np.asarray(_separate_gains(cross, sensor)[AXES, (AXES + 2) % 3])
 
 
 def delay(cross: Cross, sensor: str) -> Floats:
@@ -202,6 +207,15 @@ def _moments_with_others(cross: Cross, sensor: str) -> _JointMoments | None:
     if not cross.others(sensor, family=False):  # the mean of other sensors has a noise of its own
         joint.moments[AXES + 3, AXES + 3] += _STILL * np.diag(joint.moments)[AXES + 3].mean()
     return joint
+
+
+def _separate_gains(cross: Cross, sensor: str) -> Floats:
+    """Return the gains (3, 3); nan if the motion does not tell those against the noisy mean of others apart."""
+    joint = _joint_moments(cross, sensor)
+    if joint is None or not cross.others(sensor, family=False):
+        return _gains(cross, sensor)
+    smallest, _, largest = np.linalg.eigvalsh(joint.moments[np.ix_(AXES + 3, AXES + 3)])
+    return _gains(cross, sensor) if smallest > _TURNS_ABOUT_ALL * largest else np.full((3, 3), np.nan)
 
 
 def _gains(cross: Cross, sensor: str) -> Floats:

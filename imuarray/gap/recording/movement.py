@@ -1,0 +1,166 @@
+"""The motion of the box in a log without a track, as the sensors of the array feel it together.
+
+A turn or a stroke is felt by all sensors of a quantity alike, so that each can be compared with the others although no
+instrument recorded the motion. What a simulation needs is the motion itself, which is taken as the mean of the sensors
+in windows of time: an error that all of them share is a part of it and does not show. The noise of the mean would be
+felt by all simulated sensors alike, where recorded ones have nothing in common on an axis that hardly moves. It is
+therefore subtracted in the spectrum, by the noise with which the sensors differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from imuarray.arrays import Floats, Integers
+from imuarray.gap.recording.source import RecordedSource
+from imuarray.log import Log, SensorLog
+from imuarray.log.format import Phase
+from imuarray.robust import MEDIAN_ABSOLUTE
+from imuarray.simulate.motion.like import SplineColumns
+from imuarray.simulate.motion.posed import Movement
+from imuarray.units import INERTIAL, SI_PER_UNIT, STANDARD_GRAVITY
+
+_WINDOW_ROWS, _SHORTEST_S = 2.0, 0.02
+"""Rows of the slowest sensor in a window of time, and the shortest window: a hand turns a box in seconds."""
+
+_FEWEST_WINDOWS = 16
+
+_ENDS, _BINS, _ABOVE_NOISE = 5, 25, 1.5
+"""Windows that tell the ends of a phase, neighbouring bins of a spectrum that are averaged, and the multiple of the
+noise from which on their power is a motion: that of noise alone hardly exceeds it.
+"""
+
+_LEAST_FORCE, _LEAST_RATE, NOISE_MARGIN = 0.02, 0.003, 2.0
+"""Changes of force (m/s2, rms) and rate (rad/s, rms) that are motion, and the factor of the variance of the noise that
+is taken off before.
+"""
+
+
+def movement_of(log: Log, sensors: Sequence[str], phase: Phase, rests: Sequence[Phase]) -> Movement | None:
+    """Return the motion in a phase by the readings of these sensors; `rests` are phases at rest, in which gyroscopes
+    show their biases. None if the box does not move, no two sensors measure the same, or there is no gyroscope, since
+    accelerometers at different places then feel an unknown rotation.
+    """
+    by_quantity = {
+        quantity: [
+            sensor
+            for name in sensors
+            if (sensor := log[name]).quantity == quantity and sensor.sensitivity and _rows_in(sensor, phase) > 0
+        ]
+        for quantity in INERTIAL
+    }
+    gyroscopes = by_quantity["angular_rate"]
+    together = [sensor for group in by_quantity.values() for sensor in group]
+    if not gyroscopes or max(map(len, by_quantity.values())) < 2:
+        return None
+    seconds = (phase.end_ns - phase.start_ns) * 1e-9
+    slowest_hz = min(_rows_in(sensor, phase) for sensor in together) / seconds
+    edges_ns = _edges_ns(phase, max(_WINDOW_ROWS / slowest_hz, _SHORTEST_S))
+    if len(edges_ns) <= _FEWEST_WINDOWS:
+        return None
+    middles_ns = (edges_ns[:-1] + edges_ns[1:]) // 2
+    rate = _mean_of([_window_means(sensor, edges_ns) - _mean_at_rest(sensor, rests) for sensor in gyroscopes])
+    accelerometers = by_quantity["specific_force"]
+    if accelerometers:
+        force = _mean_of([_window_means(sensor, edges_ns) for sensor in accelerometers])
+    else:
+        force = np.tile([0.0, 0.0, STANDARD_GRAVITY], (len(middles_ns), 1))
+    known = np.isfinite(force).all(axis=1) & np.isfinite(rate).all(axis=1)
+    if np.count_nonzero(known) < _FEWEST_WINDOWS or not shows_motion(force[known], rate[known]):
+        return None
+    columns = SplineColumns(middles_ns[known], (force[known], rate[known]), f"{log.path}, motion")
+    return Movement(phase.start_ns, phase.end_ns, columns)
+
+
+def shows_motion(force: Floats, rate: Floats) -> bool:
+    """Return whether force (n, 3) in m/s2 or rate (n, 3) in rad/s change by more than their own noise."""
+    for values, least in ((force, _LEAST_FORCE), (rate, _LEAST_RATE)):
+        # The noise is taken as white: its rows do not depend on each other.
+        noise = np.diff(values, n=2, axis=0).var(axis=0) / 6
+        smooth = np.maximum(values.var(axis=0) - NOISE_MARGIN * noise, 0.0)
+        if np.sqrt(smooth.max()) > least:
+            return True
+    return False
+
+
+def _rows_in(sensor: SensorLog, phase: Phase) -> int:
+    return RecordedSource(sensor).rows(phase.start_ns, phase.end_ns)
+
+
+def _edges_ns(phase: Phase, window_s: float) -> Integers:
+    """Return edges of windows of time in a phase and one window beyond it on either side."""
+    window_ns = round(window_s * 1e9)
+    return np.arange(phase.start_ns - window_ns, phase.end_ns + 2 * window_ns, window_ns, dtype=np.int64)
+
+
+def _window_means(sensor: SensorLog, edges_ns: Integers) -> Floats:
+    """Return the mean readings (w, 3) in the windows, at their middles, in SI units along the box's axes; nan in those
+    without rows.
+    """
+    count = len(edges_ns) - 1
+    sums, rows = np.zeros((count, 4)), np.zeros(count)
+    for block in RecordedSource(sensor).blocks(int(edges_ns[0]), int(edges_ns[-1])):
+        windows = np.searchsorted(edges_ns, block.time, side="right") - 1
+        since_ns = (block.time - edges_ns[windows]).astype(float)
+        np.add.at(sums, windows, np.column_stack([block.counts, since_ns]))
+        np.add.at(rows, windows, 1)
+    known = rows > 0
+    means = np.full((count, 3), np.nan)
+    if not known.any():
+        return means
+    readings = sums[known] / rows[known, None]
+    middles_ns = ((edges_ns[:-1] + edges_ns[1:]) / 2)[known]
+    times_ns = edges_ns[:-1][known] + readings[:, 3]
+    for axis in range(3):
+        means[known, axis] = np.interp(middles_ns, times_ns, readings[:, axis])
+    return np.asarray(means @ np.asarray(sensor.orientation).T / sensor.sensitivity * SI_PER_UNIT[sensor.unit])
+
+
+def _mean_at_rest(sensor: SensorLog, rests: Sequence[Phase]) -> Floats:
+    """Return the mean reading (3,) over the phases at rest in which the sensor was read; 0 if there are none."""
+    parts = [_window_means(sensor, np.array([rest.start_ns, rest.end_ns], np.int64))[0] for rest in rests]
+    known = [part for part in parts if np.isfinite(part).all()]
+    return np.mean(known, axis=0) if known else np.zeros(3)
+
+
+def _mean_of(sensors: Sequence[Floats]) -> Floats:
+    """Return the mean (w, 3) of the readings (w, 3) of sensors without its noise, of three or more the median, each
+    less its own deviation from it: a sensor that lacks a window then leaves no step. nan where no sensor has readings.
+    """
+    readings = np.array(sensors)
+    middle = np.nanmedian if len(readings) > 2 else np.nanmean
+    known = np.flatnonzero(np.isfinite(readings[:, :, 0]).any(axis=0))
+    means = np.full(readings.shape[1:], np.nan)
+    if len(known) < _FEWEST_WINDOWS:
+        return means
+    shown = readings[:, known]
+    apart = shown - middle(shown, axis=0)
+    mean = middle(shown - np.nanmean(apart, axis=1, keepdims=True), axis=0)
+    # White noise of variance 1 has second differences of variance 6; the mean of s sensors differs from each by a share
+    # (s - 1) / s of its variance, and has 1 / s of it.
+    of_each = mean[None] if len(readings) == 1 else apart
+    scatter = np.nanmedian(np.diff(of_each, n=2, axis=1) ** 2, axis=(0, 1)) / MEDIAN_ABSOLUTE**2 / 6
+    means[known] = _without_noise(mean, scatter / max(len(readings) - 1, 1))
+    return means
+
+
+def _without_noise(values: Floats, variance: Floats) -> Floats:
+    """Return values (w, 3) without white noise of this variance (3,): of what is left of a line, each frequency keeps
+    the power that exceeds that of the noise (spectral subtraction), so that the motion has the variance that it had.
+
+    This is done along the principal axes: of a rotation about a single axis, which is oblique to those of the box, no
+    noise about the others may be left, since it would tell the axes of simulated sensors apart.
+    """
+    count = len(values)
+    ends = values[:_ENDS].mean(axis=0), values[-_ENDS:].mean(axis=0)
+    line = ends[0] + np.linspace(0, 1, count)[:, None] * (ends[1] - ends[0])
+    moved = values - line
+    principal = np.linalg.eigh(moved.T @ moved)[1]
+    spectrum = np.fft.rfft(moved @ principal, axis=0)
+    power = uniform_filter1d(np.abs(spectrum) ** 2, _BINS, axis=0, mode="nearest") / count
+    noise = variance @ principal**2
+    share = np.where(power > _ABOVE_NOISE * noise, 1 - noise / np.maximum(power, 1e-30), 0.0)
+    return np.asarray(line + np.fft.irfft(np.sqrt(share) * spectrum, count, axis=0) @ principal.T)

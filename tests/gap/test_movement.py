@@ -1,0 +1,174 @@
+"""The motion of the box by the array's own sensors, in logs of a turn with known kinematics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from imuarray.gap.recording.movement import movement_of, shows_motion
+from imuarray.gap.recording.recordings import recording_of
+from imuarray.log import Block, Log, LogWriter, open_log
+from imuarray.log.format import Phase, SensorHeader
+from imuarray.simulate.motion.posed import PoseSequence
+
+Floats = npt.NDArray[np.float64]
+SECOND = 1_000_000_000
+ACC = SensorHeader("Acc", "unheard_of", "specific_force", "g", 4.0, 8000.0)
+GYRO = SensorHeader("Gyro", "unheard_of", "angular_rate", "dps", 250.0, 100.0)
+GRAVITY = 9.80665
+REST, TURN, AFTER = (
+    Phase(0, 4 * SECOND, "z_up", "+Z"),
+    Phase(4 * SECOND, 8 * SECOND, "turn"),
+    Phase(8 * SECOND, 12 * SECOND, "x_down", "-X"),
+)
+
+
+def angle_rad(seconds: Floats) -> Floats:
+    """A smooth turn by a right angle about y from 4 s to 8 s."""
+    share = np.clip((seconds - 4) / 4, 0.0, 1.0)
+    return np.asarray(np.pi / 2 * (share - np.sin(2 * np.pi * share) / (2 * np.pi)))
+
+
+def rate_rad_s(seconds: Floats) -> Floats:
+    share = np.clip((seconds - 4) / 4, 0.0, 1.0)
+    return np.asarray(np.pi / 8 * (1 - np.cos(2 * np.pi * share)))
+
+
+def felt(header: SensorHeader, seconds: Floats) -> Floats:
+    """What a sensor reads (n, 3) along its own axes, in its unit: gravity's reaction in the box is (-sin, 0, cos)."""
+    turned = angle_rad(seconds)
+    if header.unit == "g":
+        box = np.stack([-np.sin(turned), 0 * turned, np.cos(turned)], axis=1)
+    else:
+        box = np.stack([0 * turned, np.degrees(rate_rad_s(seconds)), 0 * turned], axis=1)
+    return np.asarray(box @ np.asarray(header.orientation))
+
+
+def written(
+    path: Path,
+    sensors: Sequence[SensorHeader],
+    biases: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
+    rates_hz: Sequence[float] = (100.0, 100.0, 50.0, 100.0, 80.0),
+    phases: Sequence[Phase] = (REST, AFTER),
+    missing_s: tuple[float, float] = (0.0, 0.0),
+) -> Log:
+    """Noise of two counts; the first sensor lacks the rows of a stretch."""
+    with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        for number, header in enumerate(sensors):
+            time = np.arange(0, 12 * SECOND, round(SECOND / rates_hz[number]), dtype=np.int64)
+            if number == 0:
+                time = time[~((missing_s[0] * SECOND <= time) & (time < missing_s[1] * SECOND))]
+            reading = (felt(header, time * 1e-9) + biases[number]) * header.sensitivity
+            noise = np.random.default_rng(number).normal(0, 2, (len(time), 3))
+            log.append(
+                header.name, Block(time, np.rint(reading + noise).astype(np.int16), np.zeros(len(time), np.uint16))
+            )
+        for phase in phases:
+            log.phase(phase)
+    return open_log(path)
+
+
+def array(*, accelerometers: int, gyroscopes: int) -> list[SensorHeader]:
+    """Sensors with axes of their own."""
+    axes = ("+X+Y+Z", "+Y-X+Z", "-Z+Y+X")
+    return [
+        *(replace(ACC, name=f"Acc{number}", axes=axes[number]) for number in range(accelerometers)),
+        *(replace(GYRO, name=f"Gyro{number}", axes=axes[number]) for number in range(gyroscopes)),
+    ]
+
+
+def names(sensors: Sequence[SensorHeader]) -> list[str]:
+    return [sensor.name for sensor in sensors]
+
+
+@pytest.mark.parametrize("missing_s", [(0.0, 0.0), (5.0, 6.5)])
+def test_it_is_the_mean_of_the_sensors(tmp_path: Path, missing_s: tuple[float, float]) -> None:
+    """Force and rate within 4 mg and 0.1 dps (biases average to 2.5 mg, those of gyroscopes show at rest), and the
+    angular acceleration within 5 %, wherever the sensors' axes point; a sensor that lacks a stretch leaves no step.
+    """
+    sensors = array(accelerometers=2, gyroscopes=3)
+    log = written(tmp_path / "log.h5", sensors, (0.003, -0.002, 3.0, -2.0, 1.0), missing_s=missing_s)
+    movement = movement_of(log, names(sensors), TURN, [REST, AFTER])
+    assert movement is not None
+    seconds = np.linspace(4.2, 7.8, 60)
+    values, slopes = movement.columns.at((seconds * SECOND).astype(np.int64))
+    turned = angle_rad(seconds)
+    force = GRAVITY * np.stack([-np.sin(turned), 0 * turned, np.cos(turned)], axis=1)
+    np.testing.assert_allclose(values[:, :3], force, atol=0.004 * GRAVITY)
+    np.testing.assert_allclose(values[:, 4], rate_rad_s(seconds), atol=np.radians(0.1))
+    np.testing.assert_allclose(values[:, [3, 5]], 0.0, atol=np.radians(0.1))
+    acceleration = np.pi**2 / 16 * np.sin(2 * np.pi * (seconds - 4) / 4)
+    np.testing.assert_allclose(slopes[:, 4], acceleration, atol=0.03)
+
+
+def test_one_of_three_that_is_mounted_otherwise_does_not_count(tmp_path: Path) -> None:
+    """The median of three: a gyroscope whose axes are not those in its header changes nothing."""
+    sensors = array(accelerometers=0, gyroscopes=3)
+    log = written(tmp_path / "log.h5", [replace(sensors[0], axes="+Z+X+Y"), *sensors[1:]])
+    movement = movement_of(log, names(sensors), TURN, [REST])
+    assert movement is not None
+    rate = movement.columns.at(np.array([6 * SECOND]))[0][0, 3:]
+    np.testing.assert_allclose(rate, [0.0, np.pi / 4, 0.0], atol=np.radians(0.5))
+
+
+@pytest.mark.parametrize(("accelerometers", "gyroscopes"), [(1, 1), (0, 1), (3, 0)])
+def test_it_needs_two_of_a_kind_and_a_gyroscope(tmp_path: Path, accelerometers: int, gyroscopes: int) -> None:
+    sensors = array(accelerometers=accelerometers, gyroscopes=gyroscopes)
+    log = written(tmp_path / "log.h5", sensors)
+    assert movement_of(log, names(sensors), TURN, [REST]) is None
+
+
+def test_a_rest_is_no_motion(tmp_path: Path) -> None:
+    sensors = array(accelerometers=2, gyroscopes=2)
+    log = written(tmp_path / "log.h5", sensors)
+    assert movement_of(log, names(sensors), Phase(0, 4 * SECOND, "turn"), [REST]) is None
+    assert movement_of(log, names(sensors), Phase(5 * SECOND, 5 * SECOND + SECOND // 10, "turn"), [REST]) is None
+
+
+def test_an_axis_that_does_not_move_has_no_noise(tmp_path: Path) -> None:
+    """Two gyroscopes of 0.02 dps (two counts) in windows of two rows: their mean has 0.01 dps, of which at most
+    two thirds are left about the axes that do not turn.
+    """
+    sensors = array(accelerometers=0, gyroscopes=2)
+    movement = movement_of(written(tmp_path / "log.h5", sensors), names(sensors), TURN, [REST, AFTER])
+    assert movement is not None
+    times = np.linspace(4.1, 7.9, 500) * SECOND
+    rate_dps = np.degrees(movement.columns.at(times.astype(np.int64))[0][:, [3, 5]])
+    assert rate_dps.std() < 0.007
+
+
+def test_noise_alone_is_no_motion() -> None:
+    """White noise of 0.5 m/s2 and 0.05 rad/s; a drift of as much is motion."""
+    noise = np.random.default_rng(1).standard_normal((500, 3))
+    drift = np.linspace(-1, 1, 500)[:, None] * np.ones(3)
+    assert not shows_motion(0.5 * noise, 0.05 * noise)
+    assert shows_motion(0.5 * noise + drift, 0.05 * noise)
+
+
+def test_a_log_without_a_track_has_its_turns(tmp_path: Path) -> None:
+    """The simulation of it turns as the array did, and lies on its faces before and after."""
+    sensors = array(accelerometers=2, gyroscopes=2)
+    recording = recording_of(written(tmp_path / "log.h5", sensors))
+    assert recording.phases == (REST, TURN, AFTER)
+    assert recording.kind == "tumble"
+    assert any("estimated from the array's own sensors" in note for note in recording.notes)
+    motion = recording.experiment.motion
+    assert isinstance(motion, PoseSequence)
+    times = np.array([2, 6, 10], np.int64) * SECOND
+    felt_box = motion.felt(times)
+    half = GRAVITY / np.sqrt(2)
+    np.testing.assert_allclose(felt_box.force_box, [[0, 0, GRAVITY], [-half, 0, half], [-GRAVITY, 0, 0]], atol=0.05)
+    np.testing.assert_allclose(felt_box.rate_box[:, 1], [0.0, np.pi / 4, 0.0], atol=0.01)
+    assert motion.unchanged_until_ns(SECOND) == 4 * SECOND
+    assert motion.unchanged_until_ns(5 * SECOND) == 5 * SECOND
+
+
+def test_a_noted_motion_that_two_sensors_show_is_compared(tmp_path: Path) -> None:
+    sensors = array(accelerometers=1, gyroscopes=2)
+    phases = (REST, TURN._replace(name="motion"), AFTER)
+    assert recording_of(written(tmp_path / "log.h5", sensors, phases=phases)).phases == phases
