@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _PUBLIC = {
     "comparison": "CalibrationComparison compare_calibrations",
-    "outliers": "Outlier",
+    "fits": "Outlier",
     "model": "Calibration SensorCalibration load_calibration nominal",
     "noise": "calibrate_noise",
     "thermal": "ThermalResult calibrate_thermal",
