@@ -19,10 +19,11 @@ and temperatures as far as the logs tell them. A **simulator** makes such record
   some logs, in stretches): what may be missing in the simulator, or be in it and not in the sensors
   (`inference.effects`).
 
-**Statistics** s(x) are some 80 numbers for each axis and phase (`statistics.probes`), of what the fit leaves, never
-of raw samples; each is such that it scatters nearly normally where nothing is wrong. In motion a sensor is compared
-with the others of its quantity, the only one of its quantity with the track of the log. Without a track the motion is
-estimated from the sensors together (`recording.movement`). Turns between noted rests are motions, too. A statistic that one side lacks is missing: it has no score.
+**Statistics** s(x) are some 80 numbers for each axis and phase (`statistics.probes`), of what the fit leaves, never of
+raw samples; each is such that it scatters nearly normally where nothing is wrong. In motion a sensor is compared with
+the others of its quantity, the only one of its quantity with the track of the log. Without a track the motion is
+estimated from the sensors together (`recording.movement`). Turns between noted rests are motions, too. A statistic
+that one side lacks is missing: it has no score.
 
 **Null distribution.** The gap is judged by parametric bootstrap: replicates x* ~ p(x | theta_hat, nu*), nu* drawn
 from its population, theta fitted again to each. So both kinds of uncertainty are in it, that of the fit and that of
