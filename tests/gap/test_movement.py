@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from imuarray.gap.recording import movement
 from imuarray.gap.recording.movement import movement_of, shows_motion
 from imuarray.gap.recording.recordings import recording_of
 from imuarray.log import Block, Log, LogWriter, open_log
@@ -93,10 +94,10 @@ def test_it_is_the_mean_of_the_sensors(tmp_path: Path, missing_s: tuple[float, f
     """
     sensors = array(accelerometers=2, gyroscopes=3)
     log = written(tmp_path / "log.h5", sensors, (0.003, -0.002, 3.0, -2.0, 1.0), missing_s=missing_s)
-    movement = movement_of(log, names(sensors), TURN, [REST, AFTER])
-    assert movement is not None
+    motion = movement_of(log, names(sensors), TURN, [REST, AFTER])
+    assert motion is not None
     seconds = np.linspace(4.2, 7.8, 60)
-    values, slopes = movement.columns.at((seconds * SECOND).astype(np.int64))
+    values, slopes = motion.columns.at((seconds * SECOND).astype(np.int64))
     turned = angle_rad(seconds)
     force = GRAVITY * np.stack([-np.sin(turned), 0 * turned, np.cos(turned)], axis=1)
     np.testing.assert_allclose(values[:, :3], force, atol=0.004 * GRAVITY)
@@ -110,9 +111,9 @@ def test_one_of_three_that_is_mounted_otherwise_does_not_count(tmp_path: Path) -
     """The median of three: a gyroscope whose axes are not those in its header changes nothing."""
     sensors = array(accelerometers=0, gyroscopes=3)
     log = written(tmp_path / "log.h5", [replace(sensors[0], axes="+Z+X+Y"), *sensors[1:]])
-    movement = movement_of(log, names(sensors), TURN, [REST])
-    assert movement is not None
-    rate = movement.columns.at(np.array([6 * SECOND]))[0][0, 3:]
+    motion = movement_of(log, names(sensors), TURN, [REST])
+    assert motion is not None
+    rate = motion.columns.at(np.array([6 * SECOND]))[0][0, 3:]
     np.testing.assert_allclose(rate, [0.0, np.pi / 4, 0.0], atol=np.radians(0.5))
 
 
@@ -130,15 +131,22 @@ def test_a_rest_is_no_motion(tmp_path: Path) -> None:
     assert movement_of(log, names(sensors), Phase(5 * SECOND, 5 * SECOND + SECOND // 10, "turn"), [REST]) is None
 
 
+def test_hours_are_not_kept_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sensors = array(accelerometers=2, gyroscopes=2)
+    log = written(tmp_path / "log.h5", sensors)
+    monkeypatch.setattr(movement, "MOST_WINDOWS", 50)
+    assert movement_of(log, names(sensors), TURN, [REST]) is None
+
+
 def test_an_axis_that_does_not_move_has_no_noise(tmp_path: Path) -> None:
     """Two gyroscopes of 0.02 dps (two counts) in windows of two rows: their mean has 0.01 dps, of which at most
     two thirds are left about the axes that do not turn.
     """
     sensors = array(accelerometers=0, gyroscopes=2)
-    movement = movement_of(written(tmp_path / "log.h5", sensors), names(sensors), TURN, [REST, AFTER])
-    assert movement is not None
+    motion = movement_of(written(tmp_path / "log.h5", sensors), names(sensors), TURN, [REST, AFTER])
+    assert motion is not None
     times = np.linspace(4.1, 7.9, 500) * SECOND
-    rate_dps = np.degrees(movement.columns.at(times.astype(np.int64))[0][:, [3, 5]])
+    rate_dps = np.degrees(motion.columns.at(times.astype(np.int64))[0][:, [3, 5]])
     assert rate_dps.std() < 0.007
 
 

@@ -85,7 +85,7 @@ def test_a_motion_that_nothing_tells_of_is_left_out(tmp_path: Path) -> None:
     assert (found.kind, found.phases) == ("static", (phases[0],))
     assert found.notes[0] == (
         "Phase 'motion' is left out: the log has no track of the box's motion, nor two sensors of a kind and a "
-        "gyroscope that show it."
+        "gyroscope that show it (in phases of up to an hour)."
     )
 
 

@@ -26,7 +26,8 @@ from imuarray.units import INERTIAL, SI_PER_UNIT, STANDARD_GRAVITY
 _WINDOW_ROWS, _SHORTEST_S = 2.0, 0.02
 """Rows of the slowest sensor in a window of time, and the shortest window: a hand turns a box in seconds."""
 
-_FEWEST_WINDOWS = 16
+_FEWEST_WINDOWS, MOST_WINDOWS = 16, 200_000
+"""Fewest windows of a motion, and the most that are kept in memory: an hour of 20 ms, 80 MB for 16 sensors."""
 
 _ENDS, _BINS, _ABOVE_NOISE = 5, 25, 1.5
 """Windows that tell the ends of a phase, neighbouring bins of a spectrum that are averaged, and the multiple of the
@@ -41,8 +42,8 @@ is taken off before.
 
 def movement_of(log: Log, sensors: Sequence[str], phase: Phase, rests: Sequence[Phase]) -> Movement | None:
     """Return the motion in a phase by the readings of these sensors; `rests` are phases at rest, in which gyroscopes
-    show their biases. None if the box does not move, no two sensors measure the same, or there is no gyroscope, since
-    accelerometers at different places then feel an unknown rotation.
+    show their biases. None if the box does not move, no two sensors measure the same, the phase has more than
+    `MOST_WINDOWS`, or there is no gyroscope, since accelerometers at different places then feel an unknown rotation.
     """
     by_quantity = {
         quantity: [
@@ -59,7 +60,7 @@ def movement_of(log: Log, sensors: Sequence[str], phase: Phase, rests: Sequence[
     seconds = (phase.end_ns - phase.start_ns) * 1e-9
     slowest_hz = min(_rows_in(sensor, phase) for sensor in together) / seconds
     edges_ns = _edges_ns(phase, max(_WINDOW_ROWS / slowest_hz, _SHORTEST_S))
-    if len(edges_ns) <= _FEWEST_WINDOWS:
+    if not _FEWEST_WINDOWS < len(edges_ns) <= MOST_WINDOWS:
         return None
     middles_ns = (edges_ns[:-1] + edges_ns[1:]) // 2
     rate = _mean_of([_window_means(sensor, edges_ns) - _mean_at_rest(sensor, rests) for sensor in gyroscopes])

@@ -44,7 +44,10 @@ second or four rows, of which the first and the last are cut off.
 TURN = "turn"
 """Name of a stretch between two noted rests in which the box turns."""
 
-_UNKNOWN_MOTION = "the log has no track of the box's motion, nor two sensors of a kind and a gyroscope that show it"
+_UNKNOWN_MOTION = (
+    "the log has no track of the box's motion, nor two sensors of a kind and a gyroscope that show it (in phases of up "
+    "to an hour)"
+)
 _SHARED_MOTION = (
     "There is no track of the box's motion: it is estimated from the array's own sensors, so that an error of all of "
     "them does not show in motion."
