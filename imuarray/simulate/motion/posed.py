@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -16,8 +16,10 @@ from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, resting
 from imuarray.simulate.motion.felt import Felt, Motion
 from imuarray.simulate.motion.fields import PhaseField, field_at, field_until_ns
-from imuarray.simulate.motion.like import SplineColumns
 from imuarray.simulate.motion.timeline import FOREVER_NS
+
+if TYPE_CHECKING:  # it reads logs, which a world without one does not need
+    from imuarray.simulate.motion.like import SplineColumns
 
 Triple = tuple[float, float, float]
 
