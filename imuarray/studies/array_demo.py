@@ -27,21 +27,22 @@ from imuarray.log import Log, open_log
 from imuarray.report import Figure, Section, Table, Verdict, write_page
 from imuarray.report.gap_page import write_gap_page
 from imuarray.studies.demo import (
-    calibrate_run,
+    REPLICATES,
     calibration_section,
+    common_figures,
+    demo_summary,
     drift_of_gyroscopes,
-    fuse_run,
     gap_section,
     noise_section,
     prepare_folder,
+    record_and_fuse,
     recorded_section,
 )
-from imuarray.studies.emulated_runs import DemoOptions, Say, record_all
+from imuarray.studies.emulated_runs import DemoOptions, Say
 from imuarray.units import INERTIAL, READABLE_SI
 
 TECHNIQUES = ("mean", "opposed", "optimal")
 _RUNS = {"static": "at rest", "heating": "heated", "shaking": "shaken"}
-_REPLICATES = 60
 
 
 @dataclass(frozen=True)
@@ -75,15 +76,11 @@ def run_array_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -
             raise ConfigError(f"{config}: no sensor of {quantity.replace('_', ' ')}; the demonstration needs both")
     polled = prepare_folder(folder, options.force, ("array.toml",)) / "array.toml"
     write_text(polled, polled_text(array), force=True)
-    logs = record_all(polled, folder, options, say)
-    say("calibrating")
-    tumble, calibration = calibrate_run(logs["tumble"], folder)
-    say("fusing")
-    fuse_run(logs["heating"], calibration, folder)
+    logs, tumble, calibration = record_and_fuse(polled, folder, options, say)
     errors = [error for run in _RUNS for error in errors_in(run, logs[run], calibration)]
     say("diagnosing")
     with open_log(logs["static"]) as log:
-        diagnosis = diagnose([log], only=one_of_each(array), seed=options.seed, replicates=_REPLICATES)
+        diagnosis = diagnose([log], only=one_of_each(array), seed=options.seed, replicates=REPLICATES)
         noise = characterise_log(log)
     write_gap_page(folder / "gap.html", diagnosis, force=True)
     say("drawing")
@@ -99,14 +96,7 @@ def run_array_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -
     verdict = verdict_of(errors, tumble, diagnosis)
     title = f"The array {array.name}, emulated, recorded, calibrated and fused"
     write_page(folder / "report.html", title, lines, parts, verdict=verdict, force=True)
-    return {
-        "folder": str(folder),
-        "report": str(folder / "report.html"),
-        "summary": lines,
-        "errors": [vars(error) for error in errors],
-        "residual_mg": {name: 1e3 * value for name, value in tumble.residual_g.items()},
-        "gap": {"verdict": diagnosis.verdict, "sentence": diagnosis.sentence, "page": str(folder / "gap.html")},
-    }
+    return demo_summary(folder, lines, {"errors": [vars(error) for error in errors]}, tumble, diagnosis)
 
 
 def polled_text(array: ArrayConfig) -> str:
@@ -178,9 +168,7 @@ def verdict_of(errors: list[ArrayError], tumble: TumbleResult, diagnosis: Diagno
         (f"{error.ratio('mean'):.2f} ×", f"error of the average over one sensor's, {error.quantity.replace('_', ' ')}")
         for error in at_rest
     ]
-    residual_mg = 1e3 * max(tumble.residual_g.values(), default=0.0)
-    figures.append((f"{residual_mg:.2g} mg", "largest residual of a calibrated accelerometer"))
-    figures.append((diagnosis.verdict, "recordings against a simulator of the data sheets"))
+    figures += common_figures(tumble, diagnosis)
     best = min(at_rest, key=lambda error: error.ratio("mean"))
     sentence = (
         f"The average of {len(best.single)} sensors has {best.ratio('mean'):.2f} of one sensor's error at rest,"

@@ -117,16 +117,23 @@ def demo_verdict(rows: Rows, tumble: TumbleResult, diagnosis: Diagnosis) -> Verd
     """
     gained = [(case, _best(rows, case)) for case in CASES if case.claim]
     case, best = min(gained, key=lambda pair: pair[1].ratio)
-    residual_mg = 1e3 * max(tumble.residual_g.values(), default=0.0)
     figures = [
         (f"{gain.ratio:.2f} ×", f"{which.technique}: error over the average's, {gain.quantity.replace('_', ' ')}")
         for which, gain in gained
     ]
-    figures.append((f"{residual_mg:.2g} mg", "largest residual of a calibrated accelerometer"))
-    figures.append((diagnosis.verdict, "recordings against a simulator of the data sheets"))
+    figures += common_figures(tumble, diagnosis)
     what = f"{best.quantity.replace('_', ' ')} error along box {best.box_axis}"
     sentence = f"Fusion works: {case.technique} reduces the {what} to {best.ratio:.2f} times that of the average."
     return Verdict(sentence, "good" if best.ratio < 1 else "doubtful", tuple(figures))
+
+
+def common_figures(tumble: TumbleResult, diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """Return the figures of a verdict on the calibration and on the gap of the simulator."""
+    residual_mg = 1e3 * max(tumble.residual_g.values(), default=0.0)
+    return [
+        (f"{residual_mg:.2g} mg", "largest residual of a calibrated accelerometer"),
+        (diagnosis.verdict, "recordings against a simulator of the data sheets"),
+    ]
 
 
 def _comparison(gain: Gain) -> str:
@@ -391,7 +398,7 @@ FUSED = ("mean", "opposed")
 DIAGNOSED = ("ADXL1", "BMA2", "Gyro1")
 """One sensor of each inertial chip."""
 
-_REPLICATES = 60
+REPLICATES = 60
 
 
 def run_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -> dict[str, Any]:
@@ -399,18 +406,14 @@ def run_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -> dict
     recorded, unless forced.
     """
     prepare_folder(folder, options.force)
-    logs = record_all(config, folder, options, say)
-    say("calibrating")
-    tumble, calibration = calibrate_run(logs["tumble"], folder)
-    say("fusing")
-    fuse_run(logs["heating"], calibration, folder)
+    logs, tumble, calibration = record_and_fuse(config, folder, options, say)
     rows = compare(logs, calibration)
     say("diagnosing")
-    diagnosis = _diagnosed(logs["static"], options.seed)
+    with open_log(logs["static"]) as log:
+        diagnosis = diagnose([log], only=DIAGNOSED, seed=options.seed, replicates=REPLICATES)
+        noise = characterise_log(log)
     write_gap_page(folder / "gap.html", diagnosis, force=True)
     say("drawing")
-    with open_log(logs["static"]) as log:
-        noise = characterise_log(log)
     lines = summary(rows)
     title = "An emulated array, recorded, calibrated and fused"
     parts = [
@@ -423,11 +426,19 @@ def run_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -> dict
         gap_section(diagnosis),
     ]
     write_page(folder / "report.html", title, lines, parts, verdict=demo_verdict(rows, tumble, diagnosis), force=True)
+    measured = {"gains": [{"case": case.label, **vars(gain)} for case, gain in rows]}
+    return demo_summary(folder, lines, measured, tumble, diagnosis)
+
+
+def demo_summary(
+    folder: Path, lines: Sequence[str], measured: Mapping[str, Any], tumble: TumbleResult, diagnosis: Diagnosis
+) -> dict[str, Any]:
+    """Return the summary of a demonstration in `folder`, JSON-ready; `measured` is what fusion gained."""
     return {
         "folder": str(folder),
         "report": str(folder / "report.html"),
         "summary": lines,
-        "gains": [{"case": case.label, **vars(gain)} for case, gain in rows],
+        **measured,
         "residual_mg": {name: 1e3 * value for name, value in tumble.residual_g.items()},
         "gap": {"verdict": diagnosis.verdict, "sentence": diagnosis.sentence, "page": str(folder / "gap.html")},
     }
@@ -452,27 +463,25 @@ def prepare_folder(folder: Path, force: bool, more: Sequence[str] = ()) -> Path:
     return folder
 
 
-def _diagnosed(path: Path, seed: int) -> Diagnosis:
-    """Return some sensors at rest beside what their data sheets say."""
-    with open_log(path) as log:
-        return diagnose([log], only=DIAGNOSED, seed=seed, replicates=_REPLICATES)
-
-
-def calibrate_run(path: Path, folder: Path) -> tuple[TumbleResult, Calibration]:
-    """Calibrate by a run on six faces, and save the result as calibration.toml."""
-    with open_log(path) as log:
+def record_and_fuse(
+    config: Path, folder: Path, options: DemoOptions, say: Say
+) -> tuple[dict[str, Path], TumbleResult, Calibration]:
+    """Record all runs, calibrate by the run on six faces (calibration.toml), and write the heated run as fused by each
+    technique of `FUSED` (fused_NAME.h5). Return the logs by run, and the calibration.
+    """
+    logs = record_all(config, folder, options, say)
+    say("calibrating")
+    with open_log(logs["tumble"]) as log:
         tumble = calibrate_tumble(log)
         calibration = tumble.calibration.merged(calibrate_noise(log))
     calibration.save(folder / "calibration.toml", force=True)
-    return tumble, calibration
-
-
-def fuse_run(path: Path, calibration: Calibration, folder: Path) -> None:
-    """Write the result of each technique of `FUSED` as fused_NAME.h5."""
-    with open_log(path) as log:
+    say("fusing")
+    with open_log(logs["heating"]) as log:
         for name in FUSED:
             blocks = fuse(log, calibration, name)
-            write_fused(folder / f"fused_{name}.h5", blocks, epoch=log.epoch, technique=name, log=str(path), force=True)
+            path = folder / f"fused_{name}.h5"
+            write_fused(path, blocks, epoch=log.epoch, technique=name, log=str(log.path), force=True)
+    return logs, tumble, calibration
 
 
 def drift_figure(
