@@ -14,11 +14,10 @@ part of the noise is drawn anew; its expected contribution, p for p summaries, i
 Nuisance quantities are those that data sheets leave to the part, with the tolerances that the diagnosis has for them
 (`imuarray.gap.model.populations`): bias, its slope with temperature, its scatter from log to log, the lag of the
 element's temperature, the response to force and rate, the noise, the cutoff of the filter, the delay of the signal and
-the position of an accelerometer.
-So is the attitude of the box, if no log says which axis was up and no other accelerometer shows it, and the phase of
-the level within a code (Widrow and Kollar, Quantization Noise, 2008, ch. 4: the moments and the shares of codes of a
-rounded normal quantity vary with its mean by the characteristic function at multiples of 2 pi). The motion is known if
-the recordings have a track or another sensor of the quantity.
+the position of an accelerometer. So are the attitude of the box, if no log says which axis was up and no other
+accelerometer shows it, and the place of the level within a code (Widrow and Kollar, Quantization Noise, 2008, ch. 4:
+the moments and the shares of codes of a rounded normal quantity vary with its mean by the characteristic function at
+multiples of 2 pi). The motion is known if the recordings have a track or another sensor of the quantity.
 """
 
 from __future__ import annotations
@@ -27,6 +26,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, pairwise
 from math import degrees, inf, nan, pi, radians, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -69,6 +69,7 @@ _COLUMNS = 21
 """Columns of the response to a motion: force, rate, their changes, squares of the force, products of rates."""
 _FREE = 1e3
 """Prior of a fitted parameter: practically unbounded."""
+_ROOM_DEGC = 25.0
 _TILT_DEG = 1.0
 """Angle (one sigma) between the axis that is noted as up and the vertical."""
 
@@ -125,10 +126,6 @@ def matched_statistic(plain: Sequence[Log], changed: Sequence[Log], has_track: b
         pairs = [_LogPair(log, other, name) for log, other in zip(plain, changed, strict=True) if name in log.sensors]
         largest = max([largest, *_of_sensor(pairs, is_motion_known)])
     return largest
-
-
-_Tilt = tuple[Floats, float, int]
-"""Force (3,) on a block in g, one sigma of the box's angle in rad, number of the log."""
 
 
 class _LogPair:
@@ -294,57 +291,91 @@ def _score(difference: Floats, variance: Floats, explained: Floats, anew: float)
     return sqrt(max(square - 2 * anew * len(difference), 0.0) / max(1.0, 2 * anew))
 
 
+class _Block(NamedTuple):
+    """Means over one of the blocks of log `number`: `difference` (3,) in counts with its noise `variance` (3,); force
+    and rate (3,) that the axes respond to, their `change` (3,) per s in the sensor's unit, temperature and by how much
+    that of the element lags, in degC; one sigma of the box's unknown `tilt` in rad.
+    """
+
+    number: int
+    difference: Floats
+    variance: Floats
+    force: Floats
+    rate: Floats
+    change: Floats
+    degc: float
+    lag_degc: float
+    tilt: float
+
+
 def _levels(pairs: Sequence[_LogPair], anew: float, is_motion_known: bool) -> Iterator[float]:
     """Yield the statistic of block means over all logs, less bias, its slope with temperature and the lag of that, a
     part's response and delay, and an unknown attitude. If the motion is not known, rows in motion are left out.
     """
-    rows, columns, tilts, changes = list[tuple[Floats, Floats]](), list[Floats](), list[_Tilt](), list[Floats]()
-    header = pairs[0].header
-    for number, pair in enumerate(pairs):
-        edges = np.linspace(pair.time[0], pair.time[-1] + 1, _BLOCKS + 1)
-        force, rate, degc = pair.motion()
-        warming = pair.lagging_degc(degc) - degc
-        felt = pair.counts / pair.sensor.sensitivity  # as read, since an error of scale multiplies vibrations too
-        at_rest = np.ones(len(pair.time), bool) if is_motion_known else pair.rows_at_rest()
-        new_at_rest = np.interp(pair.new_time, pair.time, at_rest.astype(float)) > 0.5
-        for begin, end in pairwise(edges):
-            own = at_rest & (pair.time >= begin) & (pair.time < end)
-            new = new_at_rest & (pair.new_time >= begin) & (pair.new_time < end)
-            if own.sum() < 2 or new.sum() < 2:
-                continue
-            difference = pair.new_counts[new].mean(axis=0) - pair.counts[own].mean(axis=0)
-            rounding = 0.5 * (_rounding_share(pair.row_sigma, 1) / pi) ** 2
-            rows.append((difference, pair.noise / own.sum() + rounding))
-            log = np.eye(len(pairs))[number]
-            own_force = felt if header.unit == "g" else force
-            own_rate = rate if header.unit == "g" else felt
-            responses = (*own_force[own].mean(axis=0), *own_rate[own].mean(axis=0))
-            columns.append(np.array([1.0, degc[own].mean() - 25.0, warming[own].mean(), *responses, *log]))
-            tilts.append((own_force[own].mean(axis=0), pair.tilt, number))
-            values = (force if header.unit == "g" else rate)[own]
-            changes.append((values[-1] - values[0]) / max((end - begin) * 1e-9, 1e-9))
-    if not rows:
+    blocks = [block for number, pair in enumerate(pairs) for block in _blocks(pair, number, is_motion_known)]
+    if not blocks:
         return
-    table = np.array(columns)
+    header = pairs[0].header
     slopes = np.nan_to_num(slope_tolerance(header), nan=0.0) / TOLERANCE_SIGMAS
+    logs = np.eye(len(pairs))[[block.number for block in blocks]]
+    warmth, lags = np.array([[block.degc, block.lag_degc] for block in blocks]).T[:, :, None]
+    responses = np.array([[*block.force, *block.rate] for block in blocks])
     for axis in range(3):
-        one_sigma = [_FREE, _FREE, slopes[axis], *_responses(header, axis), *[turn_on_rms(header)] * len(pairs)]
-        late = _delay_s(header) * np.array(changes)[:, [axis]]
-        explained = np.hstack([table * np.array(one_sigma), late, _leans(tilts, axis)]) * header.sensitivity
-        difference, variance = (np.array([row[part][axis] for row in rows]) for part in (0, 1))
-        yield _score(difference, variance, explained, anew)
+        explained = np.hstack(
+            [
+                np.full((len(blocks), 1), _FREE),
+                _FREE * warmth,
+                slopes[axis] * lags,
+                responses * _responses(header, axis),
+                turn_on_rms(header) * logs,
+                [[_delay_s(header) * block.change[axis]] for block in blocks],
+                _leans(blocks, axis),
+            ]
+        )
+        difference = np.array([block.difference[axis] for block in blocks])
+        variance = np.array([block.variance[axis] for block in blocks])
+        yield _score(difference, variance, explained * header.sensitivity, anew)
 
 
-def _leans(tilts: Sequence[_Tilt], axis: int) -> Floats:
-    """Return (p, k) what an unknown attitude changes in the readings of an axis, one sigma each, in g: the force (3,)
-    of a block along the two other axes times the angle, common to the blocks of a log in one attitude.
+def _blocks(pair: _LogPair, number: int, is_motion_known: bool) -> Iterator[_Block]:
+    force, rate, degc = pair.motion()
+    lag_degc = pair.lagging_degc(degc) - degc
+    is_accelerometer = pair.header.unit == "g"
+    commanded = force if is_accelerometer else rate
+    own_readings = pair.counts / pair.sensor.sensitivity  # an error of scale multiplies vibrations too
+    felt, turned = (own_readings, rate) if is_accelerometer else (force, own_readings)
+    at_rest = np.ones(len(pair.time), bool) if is_motion_known else pair.rows_at_rest()
+    new_at_rest = np.interp(pair.new_time, pair.time, at_rest.astype(float)) > 0.5
+    rounding = 0.5 * (_rounding_share(pair.row_sigma, 1) / pi) ** 2
+    for begin, end in pairwise(np.linspace(pair.time[0], pair.time[-1] + 1, _BLOCKS + 1)):
+        rows = at_rest & (pair.time >= begin) & (pair.time < end)
+        new_rows = new_at_rest & (pair.new_time >= begin) & (pair.new_time < end)
+        if rows.sum() < 2 or new_rows.sum() < 2:
+            continue
+        first, last = np.flatnonzero(rows)[[0, -1]]
+        yield _Block(
+            number,
+            pair.new_counts[new_rows].mean(axis=0) - pair.counts[rows].mean(axis=0),
+            pair.noise / rows.sum() + rounding,
+            felt[rows].mean(axis=0),
+            turned[rows].mean(axis=0),
+            (commanded[last] - commanded[first]) / ((end - begin) * 1e-9),
+            float(degc[rows].mean()) - _ROOM_DEGC,
+            float(lag_degc[rows].mean()),
+            pair.tilt,
+        )
+
+
+def _leans(blocks: Sequence[_Block], axis: int) -> Floats:
+    """Return (p, k) what an unknown attitude changes in the readings of an axis, one sigma each, in g: the force on a
+    block along the two other axes times the angle, common to the blocks of a log in one attitude.
     """
-    poses = [(number, *np.round(force, 1).tolist()) for force, _, number in tilts]
+    poses = [(block.number, *np.round(block.force, 1).tolist()) for block in blocks]
     names = list(dict.fromkeys(poses))
-    table = np.zeros((len(tilts), 2 * len(names)))
-    for row, (pose, (force, tilt, _)) in enumerate(zip(poses, tilts, strict=True)):
+    table = np.zeros((len(blocks), 2 * len(names)))
+    for row, (pose, block) in enumerate(zip(poses, blocks, strict=True)):
         place = 2 * names.index(pose)
-        table[row, place : place + 2] = tilt * np.delete(force, axis)
+        table[row, place : place + 2] = block.tilt * np.delete(block.force, axis)
     return table
 
 
