@@ -19,6 +19,9 @@ LIKELY = 0.5
 """Probability from which on a cause counts as named."""
 
 NO_GAP, NOTHING_NAMED = "no gap", "nothing named"
+NEVER_BEGUN = "never begun"
+"""Why there is no result of the cases that a run did not reach before it was stopped."""
+
 Cause = Mapping[str, Any]
 """A cause, as the JSON of a diagnosis has it."""
 
@@ -318,7 +321,7 @@ def _without_truth(
     known = {case.name: case for case in planned}
     for name in sorted({*known, *outcomes} - set(sealed)):
         kind, plan = (known[name].kind, known[name].plan) if name in known else ("unknown", "unknown")
-        yield LostCase(name, kind, plan, _why(Outcome(**outcomes[name])) if name in outcomes else "never begun")
+        yield LostCase(name, kind, plan, _why(Outcome(**outcomes[name])) if name in outcomes else NEVER_BEGUN)
 
 
 def _why(outcome: Outcome | None) -> str:

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 from imuarray.validation.case import Case
 from imuarray.validation.rates import Bin, rate
-from imuarray.validation.score_answers import Answer, LostCase, ValidationRun, read_run
+from imuarray.validation.score_answers import NEVER_BEGUN, Answer, LostCase, ValidationRun, read_run
 from imuarray.validation.score_causes import LARGE, Confusion, cause_rows, confusion_of, is_in_class
 from imuarray.validation.score_closure import (
     Closure,
@@ -381,10 +381,10 @@ def decimal(value: float) -> str:
 
 
 def lost_by(lost: Iterable[LostCase]) -> Mapping[str, int]:
-    """Count the lost cases by kind, plan and reason."""
+    """Count the lost cases by kind, plan and reason; those that were never begun together."""
     counts: dict[str, int] = {}
     for case in lost:
-        name = f"{case.kind}, plan {case.plan}, {case.why}"
+        name = case.why if case.why == NEVER_BEGUN else f"{case.kind}, plan {case.plan}, {case.why}"
         counts[name] = counts.get(name, 0) + 1
     return counts
 

@@ -341,7 +341,9 @@ def test_lost_cases_are_told(made: Made) -> None:
     ]
     assert score.cases == 7 and shares(score.row("cases lost")) == (pytest.approx(6 / 7), 7)
     assert shares(score.row("false alarms, plan full")) == (0.0, 1)
-    assert "lost: 1 of none, plan full, MemoryError: too large" in format_text(score)
+    text = format_text(score)
+    assert "lost: 1 of none, plan full, MemoryError: too large" in text
+    assert "lost: 1 of never begun" in text
 
 
 @pytest.mark.slow
