@@ -24,6 +24,7 @@ from imuarray.errors import ConfigError
 from imuarray.fuse import fuse
 from imuarray.fuse.evaluation import errors_of, ten_second_means
 from imuarray.log import open_log
+from imuarray.printable import counted
 from imuarray.shipped import configs
 from imuarray.simulate import Simulation, effects_of, load_model, plan_of, write_log
 from imuarray.simulate.effects.thermal_bias import ThermalBias
@@ -162,7 +163,7 @@ def render_numbers(study: NumberStudy) -> str:
     """Return the rows as text; the last line is ended."""
     single = study.rows[0]
     lines = [
-        f"mean of n gyroscopes of {study.array}, drawn from the data sheets, {study.seeds} seeds",
+        f"mean of n gyroscopes of {study.array}, drawn from the data sheets, {counted(study.seeds, 'seed')}",
         f"{'':3} {'angle random walk':>23} {'bus time':>9} {'drift while heated, deg/s: each its':>37}"
         f" {'shared slope,':>15} {'shared slope,':>15}",
         f"{'n':>3} {'deg/sqrt(h)':>12} {'x sqrt(n)':>10} {'us':>9} {'own slope':>37} {'all alike':>15}"
