@@ -14,6 +14,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.importers.column_names import COMPUTED, PRESSURE, QUANTITIES, TEMPERATURE, quantity_of, unit_in
+from imuarray.importers.mapping import ZERO_OF_UNIT
 from imuarray.importers.proposal import Proposal
 from imuarray.importers.sensor_proposal import propose_barometer, propose_sensor, propose_thermometer
 from imuarray.importers.text_layout import TextLayout, quoted
@@ -123,7 +124,7 @@ def propose_columns(
         add_own_time(item, names, columns, indices[0], (time, dates), proposal)
         proposal.items.append(item)
         taken |= set(indices)
-    others = any(TEMPERATURE.search(name) or PRESSURE.search(name) for name in names)
+    others = any(_is_temperature(name, units) or PRESSURE.search(name) for name in names)
     if not triads and not others:
         proposal.doubts.append(
             "no three columns whose names differ only in x, y and z, or in 0, 1 and 2: which form a triad?"
@@ -131,11 +132,16 @@ def propose_columns(
     for index, name in enumerate(names):
         if index in taken or index >= len(columns):
             continue
-        if TEMPERATURE.search(name):
+        if _is_temperature(name, units):
             propose_thermometer(proposal, name, columns[index])
         elif PRESSURE.search(name):
             propose_barometer(proposal, name, columns[index])
     return proposal
+
+
+def _is_temperature(name: str, units: Mapping[str, str]) -> bool:
+    """Return whether a column is called a temperature or has a unit of one."""
+    return bool(TEMPERATURE.search(name)) or (units.get(name) or unit_in(name)) in ZERO_OF_UNIT
 
 
 def propose_kind(proposal: Proposal, kind: str, columns: Sequence[Floats], force_unit: str) -> str:

@@ -594,8 +594,9 @@ def _directions(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str
 
 
 def _upside_down(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:
-    """Yield accelerometers that read -1 g along an axis whenever they rest. No gyroscope can tell whether that is their
-    sign: gravity with the opposite sign turns in the same way, df/dt = -omega x f. The earth's field can.
+    """Yield accelerometers that read -1 g along an axis whenever they rest, unless a phase notes that. No gyroscope can
+    tell whether it is their sign: gravity with the opposite sign turns in the same way, df/dt = -omega x f. The earth's
+    field can.
     """
     for sensor in log.of("specific_force"):
         if sensor.name not in windows or not windows[sensor.name].has_gravity:
@@ -605,7 +606,8 @@ def _upside_down(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[st
         up = own.mean[still] / np.maximum(np.linalg.norm(own.mean[still], axis=1), 1e-9)[:, None]
         middle = np.median(up, axis=0)
         axis = int(np.argmax(np.abs(middle)))
-        if len(up) < FEWEST_RESTS or middle[axis] > 0 or np.mean(up[:, axis] < -MISALIGNED) < ALWAYS:
+        is_noted = any(phase.up == f"-{'XYZ'[axis]}" for phase in log.phases)
+        if is_noted or len(up) < FEWEST_RESTS or middle[axis] > 0 or np.mean(up[:, axis] < -MISALIGNED) < ALWAYS:
             continue
         others = [windows[name] for name in _names_of(log, "magnetic_field", windows)]
         yield (

@@ -10,6 +10,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.importers.column_names import column_label, unit_in
+from imuarray.importers.mapping import ZERO_OF_UNIT
 from imuarray.importers.proposal import Proposal
 from imuarray.importers.resolution import WIDE_SENSITIVITIES, usual_bits
 from imuarray.importers.sphere import fit_sphere
@@ -195,7 +196,8 @@ def propose_thermometer(proposal: Proposal, name: str, values: Floats) -> None:
     known = values[np.isfinite(values)]
     if len(known) == 0:
         return
-    unit = proposal.units.get(name)
+    unit = proposal.units.get(name) or unit_in(name)
+    unit = unit if unit in ZERO_OF_UNIT else ""
     if not unit and known.min() > 200 and known.max() < 420 and (known != np.rint(known)).any():
         unit = "K"
     if unit or (known.min() > -60 and known.max() < 150 and (known != np.rint(known)).any()):

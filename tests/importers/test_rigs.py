@@ -147,3 +147,11 @@ def test_readings_in_seconds_are_no_times_of_day(tmp_path: Path) -> None:
     """Six digits before the point, and no step at the end of a minute."""
     source = stamped("t", lambda at: f"{120000 + at:.2f}")(tmp_path)
     assert 'unit = "s"' in guess_map(source)
+
+
+@pytest.mark.parametrize("name", ["Zimmer [°C]", "room_degC", "T1 (K)"])
+def test_a_unit_of_temperature_is_a_thermometers(name: str, tmp_path: Path) -> None:
+    rows = [f"{line},23.45" if "K" not in name else f"{line},296.6" for line in lines_of(T, SI, "{:.6f}")]
+    with imported(tmp_path, written(tmp_path / "warm.csv", [f"t,{NAMES},{name}", *rows])) as log:
+        degrees = np.asarray(log["Thermometer"].compensated("temperature"))
+    assert float(np.abs(degrees - 23.45).max()) < 0.011

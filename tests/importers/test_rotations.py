@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from imuarray.importers.plausibility import report_of
 from imuarray.log import Block, LogWriter, open_log
-from imuarray.log.format import SensorHeader
+from imuarray.log.format import Phase, SensorHeader
 
 ROWS, RATE_HZ = 3000, 100.0
 
@@ -59,8 +59,8 @@ def test_a_mirrored_gyroscope_is_doubted(tmp_path: Path, mirrored: np.ndarray) -
     assert text.startswith("G: its rotations fit those of the accelerometers only with a mirrored axis")
 
 
-def at_rest(path: Path, sign: int, field: np.ndarray | None = None) -> tuple[str, ...]:
-    """What is said of a box that rests with +Z up, by an accelerometer of this sign and a magnetometer."""
+def at_rest(path: Path, sign: int, field: np.ndarray | None = None, up: str = "") -> tuple[str, ...]:
+    """What is said of a box at rest with +Z up, by an accelerometer of this sign and a magnetometer; `up` is noted."""
     headers = [SensorHeader("A", "any", "specific_force", "g", 8.0, 4096.0)]
     rng = np.random.default_rng(9)
     readings = {"A": sign * 4096 * (np.array([0.0, 0.0, 1.0]) + rng.normal(0, 0.003, (ROWS, 3)))}
@@ -71,6 +71,8 @@ def at_rest(path: Path, sign: int, field: np.ndarray | None = None) -> tuple[str
     with LogWriter(path, headers, source="imported", epoch="2024-01-01T00:00:00Z") as log:
         for name, counts in readings.items():
             log.append(name, Block(time_ns, np.rint(counts).astype(np.int16), np.zeros(ROWS, np.uint16)))
+        if up:
+            log.phase(Phase(0, int(time_ns[-1]), "z_down", up))
     with open_log(path) as log:
         return report_of(log).quirks
 
@@ -78,6 +80,7 @@ def at_rest(path: Path, sign: int, field: np.ndarray | None = None) -> tuple[str
 def test_gravity_along_a_negative_axis_is_said_to_be_one_of_three_things(tmp_path: Path) -> None:
     """The field in Central Europe: 0.2 gauss to the north and 0.43 down, 65 degrees below the horizon (IGRF)."""
     assert at_rest(tmp_path / "up.h5", 1) == ()
+    assert at_rest(tmp_path / "noted.h5", -1, up="-Z") == ()
     (text,) = at_rest(tmp_path / "down.h5", -1)
     assert text.startswith(
         "A: reads -1 g along box Z whenever it rests: the box is upside down, or this axis points down"
