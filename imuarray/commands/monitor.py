@@ -168,7 +168,7 @@ def _run(options: MonitorOptions) -> None:
 
 def _monitor(run: Path, calibration: Calibration | None, result: Path | None) -> LogMonitor:
     from imuarray.monitor import LogMonitor
-    from imuarray.monitor.server import lower_priority
+    from imuarray.monitor.log_monitor import lower_priority
 
     lower_priority()
     return LogMonitor(run, calibration=calibration, result=result)

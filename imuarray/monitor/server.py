@@ -1,5 +1,5 @@
 """The page's server and its HTTP handlers, on Tornado: it reads the log only when a client asks, and at most once per
-interval.
+interval. Importing this module raises MissingExtraError without Bokeh or Tornado.
 
 The page polls, so that no permanent connection can be lost; several pages share a snapshot. Nothing is written.
 
@@ -26,14 +26,17 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from bokeh.util.paths import bokehjs_path
-from tornado.escape import url_escape
-from tornado.template import Template
-from tornado.web import Application, HTTPError, RequestHandler
-
 from imuarray.calibrate import Calibration
 from imuarray.errors import ImuArrayError, MissingExtraError
-from imuarray.monitor.log_monitor import LogMonitor, SharedSnapshots
+from imuarray.monitor.log_monitor import LogMonitor, SharedSnapshots, lower_priority
+
+try:
+    from bokeh.util.paths import bokehjs_path
+    from tornado.escape import url_escape
+    from tornado.template import Template
+    from tornado.web import Application, HTTPError, RequestHandler
+except ModuleNotFoundError as error:
+    raise MissingExtraError(error.name or "bokeh", "monitor") from None
 
 HEADERS: Mapping[str, str] = MappingProxyType(
     {
@@ -171,8 +174,6 @@ class _MissingPage(_CheckedHandler):
 
 
 PORT = 8765
-NICENESS = 10
-"""Increase of this process's niceness: with equal demand the logger gets ten times the share of a processor."""
 LINGER_S = 3.0
 """Time for which an open page is still served after a request to end, so that it shows how the log ended."""
 
@@ -201,25 +202,13 @@ class PageOptions:
 def serve(path: Path, options: PageOptions) -> None:
     """Serve the page of the log at `path` until SIGINT, SIGTERM or the end of `options.parent`, at low priority.
 
-    MissingExtraError without Bokeh, ImuArrayError if the address can't be served.
+    ImuArrayError if the address can't be served.
     """
-    try:
-        import bokeh  # noqa: F401  # reports a missing package now, not at the first figure
-        import tornado.web  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(error.name or "bokeh", "monitor") from None
     token = "" if is_own(options.host) else (options.token or new_token())
     listening = _socket(options.host, options.port)
     if options.parent is None:  # a parent has lowered the priority already
         lower_priority()
     asyncio.run(_serve(path, listening, token, options))
-
-
-def lower_priority() -> None:
-    """Lower the priority of this process, because recording is more important."""
-    if hasattr(os, "nice"):  # Windows has none
-        with contextlib.suppress(OSError):
-            os.nice(NICENESS)
 
 
 def _socket(host: str, port: int) -> socket.socket:

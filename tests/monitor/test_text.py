@@ -299,7 +299,8 @@ def test_without_the_extra_the_text_form_works_and_the_page_says_what_to_install
 ) -> None:
     import sys
 
-    for name in [name for name in sys.modules if name.split(".")[0] in ("bokeh", "tornado")]:
+    extra = [name for name in sys.modules if name.split(".")[0] in ("bokeh", "tornado")]
+    for name in [*extra, *({"imuarray.monitor.server"} & set(sys.modules))]:
         monkeypatch.delitem(sys.modules, name)
     for name in ("bokeh", "tornado"):
         monkeypatch.setitem(sys.modules, name, None)
