@@ -187,5 +187,5 @@ def test_noise_with_a_time_constant_is_no_bias_instability(tmp_path: Path, capsy
     assert flicker_of_x is not None and flicker_of_x.doubtful
     assert f"<td>({flicker_of_x.value:.3g})</td>" in known._repr_html_()
     write_report([tmp_path / "run.h5"], tmp_path / "page.html")
-    row = (tmp_path / "page.html").read_text().split('>Gyro x</th>')[1].split("</tr>")[0]
+    row = (tmp_path / "page.html").read_text().split(">Gyro x</th>")[1].split("</tr>")[0]
     assert f"<td>({flicker_of_x.value:.3g})</td>" in row

@@ -176,7 +176,7 @@ def test_a_log_without_anything_at_rest_still_says_what_was_recorded(made: Path,
         rates = [len(sensor) for sensor in log.of("specific_force")]
     page = tmp_path / "page.html"
     write_report([made / "tumble.h5"], page)
-    row = page.read_text().split('>BMA1</th>')[1].split("</tr>")[0]
+    row = page.read_text().split(">BMA1</th>")[1].split("</tr>")[0]
     assert f"<td>{rates[0]}</td>" in row
     assert np.isfinite(float(re.findall(r"<td>([\d.]+)</td>", row)[1]))
 
