@@ -50,7 +50,7 @@ def test_no_bus_at_all(url: str) -> None:
         ("colour", "colour: no such parameter"),
         (
             "?colour=red&world=still",
-            "colour: no such parameter; allowed are clock, world, seed, bit_rate, errno, oscillators, up,"
+            "colour: no such parameter; allowed are clock, world, seed, bit_rate, errno, oscillators, pulse_hz, up,"
             " temperature_degc, mechanism, severity, sensor, units, run, faults, board",
         ),
     ],
