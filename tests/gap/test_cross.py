@@ -9,6 +9,7 @@ import pytest
 
 from imuarray.gap.statistics.cross import Cross, CrossTally, window_ns
 from imuarray.gap.statistics.probes import PROBES, CrossProbe
+from imuarray.gap.statistics.probes.motion import joint_gains
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.motion.faces import resting
 from imuarray.simulate.motion.felt import Felt
@@ -172,6 +173,21 @@ def test_motion_about_one_axis_tells_the_scale_along_it() -> None:
     assert np.isnan(along[2])
     for probe in ("motion_gain", "motion_next", "motion_after"):
         assert np.isnan(value(probe, found, "A")).all()
+
+
+def test_turns_about_single_axes_tell_the_response_together() -> None:
+    """Three turns, each about another oblique axis: none tells the axes apart, all three do."""
+    response = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.02], [0.0, 0.0, 0.97]])
+    rng = np.random.default_rng(4)
+    crosses = []
+    for axis in ([0.8, 0.6, 0.0], [0.0, 0.8, 0.6], [0.6, 0.0, 0.8]):
+        sway = swaying(SECONDS)[:, :1] * axis
+        counts = [np.rint(20_000 * sway @ matrix.T + rng.normal(0, 30, (ROWS, 3))) for matrix in (response, np.eye(3))]
+        crosses.append(crossed([header("A"), header("B")], counts, MOVING, window=50_000_000))
+        assert np.isnan(joint_gains(crosses[-1:], "A")).all()
+    np.testing.assert_allclose(joint_gains(crosses, "A"), response, atol=5e-3)
+    assert np.isnan(joint_gains([], "A")).all()
+    assert np.isnan(joint_gains(crosses, "C")).all()
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,16 @@ def test_scale_by_a_rotation_that_tells_no_axes_apart() -> None:
     assert isinstance(each.effects[0], Scale)
 
 
+@pytest.mark.slow
+def test_exchanged_axes_by_motions_of_which_none_tells_the_axes_apart() -> None:
+    """Gains of single phases have no value, as of turns about single axes; the motions together tell the exchange."""
+    wrong = AxisError("-Y+X+Z")
+    evidence = evidence_of("motion", "G1", {"G1": (wrong,)})
+    unknown = {probe: np.full_like(evidence.values[probe], np.nan) for probe in ("motion_gain", "motion_next")}
+    blind = replace(evidence, **{name: {**getattr(evidence, name), **unknown} for name in ("values", "scores")})
+    assert wrong in [hypothesis.effects[0] for hypothesis in axis_errors(blind)]
+
+
 def test_an_axis_within_the_population_has_no_part_in_it() -> None:
     (trial,) = scale.guesses(evidence_of("tumble", "A1", {"A1": (Scale((0.05, 0.0, 0.0)),)}))
     (found,) = trial.effects

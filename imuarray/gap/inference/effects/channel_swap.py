@@ -13,6 +13,7 @@ from imuarray.arrays import Booleans, Floats, Integers
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.in_motion import takes_part
 from imuarray.gap.inference.effects.removal import with_removal
+from imuarray.gap.inference.effects.response import of_all_motions
 from imuarray.gap.inference.effects.turn_on_bias import TRACES as RUN_TO_RUN
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.inference.when import Span, When
@@ -58,7 +59,7 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     twins = _twins(evidence) if evidence.is_odd(*_NOISE, beyond=_BEYOND) else set()
-    odd = evidence.is_odd(*(probe for pair in _AXES for probe in pair), beyond=_BEYOND)
+    odd = evidence.is_odd("motion_along", *(probe for pair in _AXES for probe in pair), beyond=_BEYOND)
     for other in evidence.others:
         is_rescaled = odd and _lies_along(evidence, other, other.sensitivity / evidence.header.sensitivity)
         if other.name in twins or is_rescaled:
@@ -437,8 +438,8 @@ def _lies_along(evidence: Evidence, other: SensorHeader, scale: float = 1.0) -> 
 
 
 def _shown(evidence: Evidence) -> Iterator[Floats]:
-    """Yield (3, 3) response of the axes (rows) to force or motion along the nominal ones; residual probes lack the
-    ideal.
+    """Yield (3, 3) response of the axes (rows) to force or motion along the nominal ones, by the medians of phases and
+    by all motions together; residual probes lack the ideal.
     """
     rows = np.arange(3)
     for kind, ideal in ((0, np.eye(3)), (1, np.zeros((3, 3)))):
@@ -451,6 +452,9 @@ def _shown(evidence: Evidence) -> Iterator[Floats]:
             turned[rows, (rows + step) % 3] += np.median(response[known], axis=0) if known.any() else np.nan
         if np.isfinite(turned).all():
             yield turned
+    turned = of_all_motions(evidence)
+    if np.isfinite(turned).all():
+        yield turned
 
 
 CHANNEL_SWAP = Candidate(

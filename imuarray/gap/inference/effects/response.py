@@ -9,6 +9,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.statistics.probes.level import mean
+from imuarray.gap.statistics.probes.motion import joint_gains
 
 MOTION_WEIGHT = 0.1
 """Of a motion beside a face: shares of a noisy reference fill in what no face tells."""
@@ -74,14 +75,23 @@ def _of_faces(evidence: Evidence) -> Response | None:
 
 def _of_motion(evidence: Evidence) -> Response | None:
     """Shares of the reference's motion beside what the model makes of them, in the mean over phases; along an axis
-    about which the box hardly turned, or along which it hardly moved, both are small.
+    about which the box hardly turned, or along which it hardly moved, both are small. If no phase tells them, as in
+    turns about single axes, those of all motions together.
     """
     reading, felt = np.zeros((2, 3, 3))
     for step, probe in enumerate(("motion_gain", "motion_next", "motion_after")):
         reading[_AXES, (_AXES + step) % 3], felt[_AXES, (_AXES + step) % 3] = _mean(evidence, probe)
-    if not (np.isfinite([reading, felt]).all() and (np.abs(felt) > _LEAST_SHARE).any()):
+    if not np.isfinite([reading, felt]).all():
+        reading, felt = of_all_motions(evidence), np.eye(3)
+    if not (np.isfinite(reading).all() and (np.abs(felt) > _LEAST_SHARE).any()):
         return None
     return Response(MOTION_WEIGHT * felt.T, MOTION_WEIGHT * reading.T)
+
+
+def of_all_motions(evidence: Evidence) -> Floats:
+    """Return (3, 3) response of the axes to the motions of all phases together, nan if these do not tell it."""
+    crosses = [phase.cross for phase in evidence.phases if not phase.is_still and phase.cross is not None]
+    return joint_gains(crosses, evidence.header.name)
 
 
 def _mean(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:

@@ -218,6 +218,21 @@ def _separate_gains(cross: Cross, sensor: str) -> Floats:
     return _gains(cross, sensor) if smallest > _TURNS_ABOUT_ALL * largest else np.full((3, 3), np.nan)
 
 
+def joint_gains(crosses: Sequence[Cross], sensor: str) -> Floats:
+    """Return (3, 3) response of the sensor's axes (rows) to the reference's (columns) over several phases together:
+    turns about single axes tell the axes apart if there are several of them. nan if they do not.
+    """
+    moments = np.zeros((6, 6))
+    for cross in crosses:
+        joint = _joint_moments(cross, sensor) if sensor in {item.name for item in cross.sensors} else None
+        if joint is not None:
+            moments += cross.windows * joint.moments[:6, :6]
+    smallest, _, largest = np.linalg.eigvalsh(moments[3:, 3:])
+    if not smallest > _TURNS_ABOUT_ALL * largest:
+        return np.full((3, 3), np.nan)
+    return _coefficients(moments, AXES, AXES + 3).T
+
+
 def _gains(cross: Cross, sensor: str) -> Floats:
     """Return (3, 3) response of the sensor's axes (rows) to the reference's (columns)."""
     return _all_gains(cross)[sensor]
