@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import log as ln
 from types import MappingProxyType
@@ -210,6 +210,11 @@ class _Sentences:
         """Add a sentence for a sensor."""
         self.sentences.setdefault(sentence, []).append(name)
 
+    def add_all(self, name: str, sentences: Iterable[str]) -> None:
+        """Add sentences for a sensor."""
+        for sentence in sentences:
+            self.add(name, sentence)
+
     def all(self) -> tuple[str, ...]:
         """Return the sentences; sensors with the same sentence share it, those that differ in their number together."""
         return tuple(f"{listed(_by_kind(names))}: {sentence}" for sentence, names in self.sentences.items())
@@ -225,60 +230,69 @@ def _by_kind(names: Sequence[str]) -> list[str]:
 
 def report_of(log: Log) -> Report:
     """Return the report on all triads and thermometers of a log."""
-    quirks, doubts = _Sentences(), _Sentences()
-    levels: dict[str, dict[str, float]] = {}
-    windows: dict[str, _Windows] = {}
-    short: dict[str, _Windows] = {}
+    seen = _Examination()
     for sensor in log.sensors.values():
         if len(sensor) < FEWEST_ROWS:
             continue
         known, doubted = _degrees(sensor)
-        for text in doubted:
-            doubts.add(sensor.name, text)
-        for text in known:
-            quirks.add(sensor.name, text)
-        if not sensor.is_triad:
-            continue
-        timing = row_timing(sensor)
-        if shares_times(timing.kind, timing.usual_s):
-            quirks.add(sensor.name, _shared_times(timing))
-        elif timing.sentence:
-            hint = "; stamps = 'arrival' in the map reconstructs the reading times" if timing.kind == "bursts" else ""
-            quirks.add(sensor.name, timing.sentence + hint)
-        elif text := rate_change_sentence(find_rate_changes(sensor)) or _missing_rows(sensor, timing):
-            quirks.add(sensor.name, text)
-        is_timed = True
-        for text in _rate(timing):
-            doubts.add(sensor.name, text)
-            is_timed = False
-        codes = _Codes(sensor)
-        if (interpolation := find_interpolation(sensor)) is not None:
-            quirks.add(sensor.name, interpolation.sentence)
-        for text in find_filters(sensor):
-            quirks.add(sensor.name, text)
-        for text in codes.quirks():
-            quirks.add(sensor.name, text)
-        for text in codes.doubts(sensor):
-            doubts.add(sensor.name, text)
-        if sensor.sensitivity and not codes.is_constant:
-            own = _Windows(sensor, timing, codes.held)
-            if is_timed:  # rotations follow from rates and times
-                windows[sensor.name] = own
-                if sensor.quantity in INERTIAL:
-                    short[sensor.name] = _Windows(sensor, timing, codes.held, TURN_WINDOW_S)
-            level, doubted = _level(sensor, own)
-            if level is not None:
-                levels.setdefault(level[0], {})[sensor.name] = level[1]
-            for text in doubted:
-                doubts.add(sensor.name, text)
-    for name, text in [*_turns(log, windows, short), *_directions(log, windows), *_twins(log)]:
-        doubts.add(name, text)
+        seen.quirks.add_all(sensor.name, known)
+        seen.doubts.add_all(sensor.name, doubted)
+        if sensor.is_triad:
+            seen.add_triad(sensor)
+    windows = seen.windows
+    for name, text in [*_turns(log, windows, seen.short_windows), *_directions(log, windows), *_twins(log)]:
+        seen.doubts.add(name, text)
     for name, text in _upside_down(log, windows):
-        quirks.add(name, text)
-    forces = next((sensor.name for sensor in log.of("specific_force") if sensor.name in windows), None)
-    if forces is not None and (knocks := windows[forces].knocks()):
-        quirks.add(forces, knocks)
-    return Report(tuple(_facts(levels)), quirks.all(), doubts.all())
+        seen.quirks.add(name, text)
+    forces = _names_of(log, "specific_force", windows)
+    if forces and (knocks := windows[forces[0]].knocks()):
+        seen.quirks.add(forces[0], knocks)
+    return Report(tuple(_facts(seen.levels)), seen.quirks.all(), seen.doubts.all())
+
+
+@dataclass
+class _Examination:
+    """What single sensors show: sentences, their `levels` at rest by wording, and the windows of those whose times and
+    codes can be trusted.
+    """
+
+    quirks: _Sentences = field(default_factory=_Sentences)
+    doubts: _Sentences = field(default_factory=_Sentences)
+    levels: dict[str, dict[str, float]] = field(default_factory=dict)
+    windows: dict[str, _Windows] = field(default_factory=dict)
+    short_windows: dict[str, _Windows] = field(default_factory=dict)
+
+    def add_triad(self, sensor: SensorLog) -> None:
+        """Examine the times, the codes and the level of a triad."""
+        timing, codes = row_timing(sensor), _Codes(sensor)
+        interpolation = find_interpolation(sensor)
+        self.quirks.add_all(sensor.name, _times(sensor, timing))
+        self.quirks.add_all(sensor.name, [] if interpolation is None else [interpolation.sentence])
+        self.quirks.add_all(sensor.name, [*find_filters(sensor), *codes.quirks()])
+        of_rate = list(_rate(timing))
+        self.doubts.add_all(sensor.name, [*of_rate, *codes.doubts(sensor)])
+        if not sensor.sensitivity or codes.is_constant:
+            return
+        own = _Windows(sensor, timing, codes.held)
+        if not of_rate:  # rotations follow from rates and times
+            self.windows[sensor.name] = own
+            if sensor.quantity in INERTIAL:
+                self.short_windows[sensor.name] = _Windows(sensor, timing, codes.held, TURN_WINDOW_S)
+        level, doubted = _level(sensor, own)
+        if level is not None:
+            self.levels.setdefault(level[0], {})[sensor.name] = level[1]
+        self.doubts.add_all(sensor.name, doubted)
+
+
+def _times(sensor: SensorLog, timing: RowTiming) -> Iterator[str]:
+    """Yield what is unusual in the times of a sensor's rows."""
+    if shares_times(timing.kind, timing.usual_s):
+        yield _shared_times(timing)
+    elif timing.sentence:
+        hint = "; stamps = 'arrival' in the map reconstructs the reading times" if timing.kind == "bursts" else ""
+        yield timing.sentence + hint
+    elif text := rate_change_sentence(find_rate_changes(sensor)) or _missing_rows(sensor, timing):
+        yield text
 
 
 def _facts(levels: Mapping[str, Mapping[str, float]]) -> Iterator[str]:

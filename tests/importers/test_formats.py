@@ -182,9 +182,10 @@ def test_values_in_any_unit(triads: list[tuple[int, int, int]], form: str, which
 
 @pytest.mark.slow
 @settings(max_examples=examples(20), deadline=None)
-@given(TRIADS, st.integers(8, 16))
+@given(TRIADS, st.integers(8, 32))
 def test_twos_complement_that_was_read_as_unsigned(triads: list[tuple[int, int, int]], bits: int) -> None:
-    counts = np.array(triads, np.int64) >> (16 - bits)
+    counts = np.array(triads, np.int64) >> max(16 - bits, 0) << max(bits - 16, 0)
+    counts += np.arange(counts.size).reshape(counts.shape) % (1 << max(bits - 16, 0))  # the lowest bits occur, too
     sensor = SENSOR.format(quantity="angular_rate", unit="mdps", range=1e6, how=f"scale = 61.0\nbits = {bits}")
     with TemporaryDirectory() as name:
         found, _ = exported(Path(name), write_csv(Path(name), columns_of(counts % (1 << bits))), TIME + sensor)
