@@ -177,7 +177,7 @@ def test_a_queue_that_ran_over_is_flagged_and_its_rows_are_whole(die: str) -> No
         times = np.concatenate([times for _, times, _ in told])
         assert times[0] > last_ns[number]
         felt_ns = (rows[:, 0].astype(float) + 30000) / 20 * MS
-        taken_ns = felt_ns + (bench.routes[number].header().delay_ns or 0)  # the filter shows what was felt before
+        taken_ns = felt_ns + (bench.routes[number].header.delay_ns or 0)  # the filter shows what was felt before
         assert np.abs(times - taken_ns).max() < 1.2e9 / RATES_HZ[die]
 
 
