@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from imuarray.gap.diagnose import diagnose
 from imuarray.gap.recording import movement
 from imuarray.gap.recording.movement import movement_of, shows_motion
 from imuarray.gap.recording.recordings import recording_of
-from imuarray.log import Block, Log, LogWriter, open_log
+from imuarray.log import Block, Log, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate.motion.posed import PoseSequence
 
@@ -46,7 +47,8 @@ def felt(header: SensorHeader, seconds: Floats) -> Floats:
     if header.unit == "g":
         box = np.stack([-np.sin(turned), 0 * turned, np.cos(turned)], axis=1)
     else:
-        box = np.stack([0 * turned, np.degrees(rate_rad_s(seconds)), 0 * turned], axis=1)
+        turning = header.unit == "dps"  # a magnetometer reads nothing
+        box = np.stack([0 * turned, turning * np.degrees(rate_rad_s(seconds)), 0 * turned], axis=1)
     return np.asarray(box @ np.asarray(header.orientation))
 
 
@@ -57,6 +59,7 @@ def written(
     rates_hz: Sequence[float] = (100.0, 100.0, 50.0, 100.0, 80.0),
     phases: Sequence[Phase] = (REST, AFTER),
     missing_s: tuple[float, float] = (0.0, 0.0),
+    is_tracked: bool = False,
 ) -> Log:
     """Noise of two counts; the first sensor lacks the rows of a stretch."""
     with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
@@ -69,6 +72,10 @@ def written(
             log.append(
                 header.name, Block(time, np.rint(reading + noise).astype(np.int16), np.zeros(len(time), np.uint16))
             )
+        if is_tracked:
+            time = np.arange(0, 12 * SECOND, SECOND // 50, dtype=np.int64)
+            rate = np.radians(felt(GYRO, time * 1e-9))
+            log.stimulus("reference", Stimulus(time, GRAVITY * felt(ACC, time * 1e-9), rate, np.full(len(time), 25.0)))
         for phase in phases:
             log.phase(phase)
     return open_log(path)
@@ -174,6 +181,25 @@ def test_a_log_without_a_track_has_its_turns(tmp_path: Path) -> None:
     np.testing.assert_allclose(felt_box.rate_box[:, 1], [0.0, np.pi / 4, 0.0], atol=0.01)
     assert motion.unchanged_until_ns(SECOND) == 4 * SECOND
     assert motion.unchanged_until_ns(5 * SECOND) == 5 * SECOND
+
+
+@pytest.mark.slow
+def test_turns_in_the_held_out_log_alone(tmp_path: Path) -> None:
+    """Two logs of one kind, of which the second, with turns, is held out: its sensors are simulated together, and those
+    that the search does not fit have no parameters in a replicate.
+    """
+    compass = SensorHeader("Mag", "unheard_of", "magnetic_field", "gauss", 1.3, 1090.0)
+    sensors = [*array(accelerometers=2, gyroscopes=1), compass]
+    still = (Phase(0, 4 * SECOND, "static"),)
+    poses = (REST._replace(name="pose 1", up=""), AFTER._replace(name="pose 2", up=""))
+    logs = [
+        written(tmp_path / f"{name}.h5", sensors, (bias, 0.0, 0.0, 0.0), phases=phases, is_tracked=True)
+        for name, phases, bias in (("static", still, 0.0), ("turned", poses, 0.05))
+    ]
+    assert [recording_of(log).kind for log in logs] == ["static", "static"]
+    diagnosis = diagnose(logs, replicates=20)
+    assert diagnosis.verdict != "no gap"
+    assert "Acc0" in {deviation.sensor for deviation in diagnosis.where}
 
 
 def test_a_noted_motion_that_two_sensors_show_is_compared(tmp_path: Path) -> None:

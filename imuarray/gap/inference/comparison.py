@@ -18,7 +18,7 @@ from imuarray.arrays import Floats
 from imuarray.gap.inference.assessment import Assessment, assess
 from imuarray.gap.inference.earlier import Earlier
 from imuarray.gap.inference.localisation import Localisation, localise
-from imuarray.gap.model.base_model import Base, fit
+from imuarray.gap.model.base_model import Base, fit, of_fitted
 from imuarray.gap.model.bench import Bench, StatisticValues, bench_of
 from imuarray.gap.model.populations import common_bias_sigma_g
 from imuarray.gap.model.replication import Models, ReplicateRequest
@@ -88,7 +88,7 @@ def prepare(
     experiments = [recording.experiment for recording in recordings]
     if fitted_to:
         base = _base_of(fitted_to, model, seed)
-        campaign = _of_fitted(campaign, base)
+        campaign = of_fitted(campaign, base.fitted)
         return replace(bench_of(campaign, split, experiments, base), is_refitted=False), campaign
     train = split.train(campaign)
     base = fit(train.campaign, [experiments[at].motion for at in train.logs], model=model, seed=seed)
@@ -98,7 +98,7 @@ def prepare(
         vibrations=fit_vibrations(train.campaign, base.headers),
         common_bias_g=common_bias_sigma_g(base.headers.values()),
     )
-    campaign = _of_fitted(campaign, base)
+    campaign = of_fitted(campaign, base.fitted)
     return _correct(bench_of(campaign, split, experiments, base), campaign), campaign
 
 
@@ -180,18 +180,6 @@ def _cut(phases: Sequence[Phase], stretches: Stretches, source: Source) -> Itera
             end_ns = phase.end_ns if math.isinf(end_s) else min(phase.end_ns, round(end_s * 1e9))
             if start_ns < end_ns and source.rows(start_ns, end_ns) >= _PART_ROWS:
                 yield phase._replace(start_ns=start_ns, end_ns=end_ns)
-
-
-def _of_fitted(campaign: Campaign, base: Base) -> Campaign:
-    """Return the campaign without sensors that have no fitted parameters, such as those in the held-out part only."""
-    logs = []
-    for log in campaign.logs:
-        phases = [
-            replace(part, sensors={name: summary for name, summary in part.sensors.items() if name in base.fitted})
-            for part in log.phases
-        ]
-        logs.append(replace(log, phases=tuple(phases)))
-    return Campaign(tuple(logs))
 
 
 def _correct(bench: Bench, campaign: Campaign) -> Bench:

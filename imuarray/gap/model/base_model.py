@@ -64,7 +64,7 @@ from imuarray.simulate.signal import Triple
 from imuarray.simulate.streams import Streams
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
-__all__ = ["Base", "FittedParameters", "fit", "headers_in", "replicate_seed", "residual"]
+__all__ = ["Base", "FittedParameters", "fit", "headers_in", "of_fitted", "replicate_seed", "residual"]
 
 
 _IN_STEP = OwnClock(phase_deg=math.nan)
@@ -266,6 +266,7 @@ def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campa
     nobody noted is the one that its accelerometers tell on average, by their parameters.
     """
     fitted = base.fitted
+    campaign = of_fitted(campaign, fitted)
     campaign = with_element_temperatures(campaign, motions, {name: part.lag_s for name, part in fitted.items()})
     forces = residual_forces(campaign, motions, lambda summary: fitted[summary.header.name].force_felt(summary))
     logs = []
@@ -275,6 +276,18 @@ def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campa
             for part in log.phases
         ]
         logs.append(replace(log, phases=tuple(parts)))
+    return Campaign(tuple(logs))
+
+
+def of_fitted(campaign: Campaign, fitted: Collection[str]) -> Campaign:
+    """Return the campaign with these sensors only: others, as those in the held-out part alone, have no parameters."""
+    logs = []
+    for log in campaign.logs:
+        phases = [
+            replace(part, sensors={name: summary for name, summary in part.sensors.items() if name in fitted})
+            for part in log.phases
+        ]
+        logs.append(replace(log, phases=tuple(phases)))
     return Campaign(tuple(logs))
 
 

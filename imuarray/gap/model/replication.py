@@ -23,6 +23,7 @@ from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.simulation import Simulation
 from imuarray.simulate.streams import CHUNK, Streams
+from imuarray.units import INERTIAL
 
 ORDINARY = frozenset({"white_noise", "bias", "thermal_bias"})
 """Kinds of effect whose parameters are fitted to every recording and every replicate."""
@@ -147,8 +148,8 @@ class Stage:
 
     def _sources(self, log: int, models: Models, number: int, effects: Effects, *, alone: bool) -> dict[str, Source]:
         """One replicate of a log: these sensors; if there are several, also the others of their quantities, with which
-        they are compared; if the box moves all others. Many models share the others. `alone`: only parts of the log are
-        needed.
+        they are compared; if the box moves all other inertial ones. Many models share the others. `alone`: only parts
+        of the log are needed.
         """
         experiment = self.experiments[log]
         plan = experiment.plan
@@ -175,9 +176,9 @@ class Stage:
 
     def _is_compared_with(self, log: int, name: str, models: Models) -> bool:
         """Return whether statistics of the sensors with these models depend on this sensor."""
-        if self._moves[log]:
-            return True
         headers = self.base.headers
+        if self._moves[log]:
+            return headers[name].quantity in INERTIAL
         return len(models) > 1 and headers[name].quantity in {headers[model].quantity for model in models}
 
     @cached_property
