@@ -42,7 +42,9 @@ def peak(work: Callable[[], object]) -> int:
     ],
 )
 def test_there_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, few: int, many: int) -> None:
-    """A row takes half a kilobyte as text, and 16 bytes as an array: held, they would show."""
+    """A row takes half a kilobyte as text, and 16 bytes as an array: held, they would show, as nearly twice as much or
+    more. When garbage is collected differs from run to run.
+    """
     monkeypatch.setattr("imuarray.export.tables.ExportTable.blocks.__defaults__", (250,))
     monkeypatch.setattr("imuarray.export.mcap_file._BLOCK", 250)
     monkeypatch.setattr("imuarray.export.mcap_file._CHUNK_BYTES", 1 << 14)
@@ -62,4 +64,4 @@ def test_there_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix:
 
     peaks(500)  # modules are loaded
     for less, more in zip(peaks(few), peaks(many), strict=True):
-        assert more <= 1.3 * less
+        assert more <= 1.5 * less

@@ -19,6 +19,7 @@ from imuarray.arrays import Floats
 from imuarray.log.format import SensorHeader
 from imuarray.shipped import configs
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.size_effect import SizeEffect
 from imuarray.simulate.effects.turn_on_bias import TurnOnBias
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.model import TRIADS, Model, Part, load_model, noise_bandwidth_hz
@@ -158,6 +159,14 @@ def response_tolerance(header: SensorHeader) -> Floats:
 def is_usual(effect: Effect, header: SensorHeader) -> bool:
     """Return whether an effect is a nuisance quantity that every such sensor has."""
     return isinstance(effect, TurnOnBias) and max(effect.rms) <= turn_on_rms(header)
+
+
+def is_near_noted_position(effect: Effect, header: SensorHeader) -> bool:
+    """Return whether an effect is the position that an accelerometer has by its header, within the tolerance."""
+    if not isinstance(effect, SizeEffect):
+        return False
+    deviation_mm = np.subtract(effect.position_mm, header.position_mm)
+    return bool(np.abs(deviation_mm).max() <= (TOLERANCE_SIGMAS + 1) * POSITION_SIGMA_MM)
 
 
 def turn_on_rms(header: SensorHeader) -> float:

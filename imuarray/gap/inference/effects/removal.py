@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.model.populations import PRINTED, is_usual
+from imuarray.gap.model.populations import PRINTED, is_near_noted_position, is_usual
 
 ORDINARY = frozenset({"white_noise", "bias", "misalignment", "own_clock"}) | PRINTED
 """What every sensor has: fitted, or drawn from a population."""
@@ -41,6 +41,8 @@ def _is_fitted(evidence: Evidence, name: str) -> bool:
 
 
 def _has(evidence: Evidence, name: str) -> bool:
+    ordinary = (is_usual, is_near_noted_position)
     return name not in ORDINARY and any(
-        effect.name == name and not is_usual(effect, evidence.header) for effect in evidence.effects
+        effect.name == name and not any(is_ordinary(effect, evidence.header) for is_ordinary in ordinary)
+        for effect in evidence.effects
     )
