@@ -299,7 +299,7 @@ class SensorConfig(BaseModel):
 
     @property
     def delay_ns(self) -> int | None:
-        """By how much the chip's filter delays the signal; None where no data sheet says it, or the kernel sets it."""
+        """Delay of the signal in the chip's filter; None where no data sheet says it, or the kernel sets the filter."""
         delay_s = None if self.on_iio else self.spec.delays_s.get(self.chip_bandwidth_hz)
         return None if delay_s is None else round(delay_s * 1e9)
 

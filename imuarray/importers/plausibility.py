@@ -252,8 +252,8 @@ def report_of(log: Log) -> Report:
 
 @dataclass
 class _Examination:
-    """What single sensors show: sentences, their `levels` at rest by wording, and the windows of those whose times and
-    codes can be trusted.
+    """Observations of single sensors: sentences, their `levels` at rest by wording, and the windows of those whose
+    times and codes can be trusted.
     """
 
     quirks: _Sentences = field(default_factory=_Sentences)
@@ -333,7 +333,7 @@ class _Windows:
 
     @property
     def has_gravity(self) -> bool:
-        """Whether an accelerometer measures more than a program leaves that subtracts gravity."""
+        """True if an accelerometer measures more than a program leaves that subtracts gravity."""
         return len(self.mean) > 0 and float(np.median(np.linalg.norm(self.mean, axis=1))) > NO_GRAVITY
 
     def still(self) -> npt.NDArray[np.bool_]:

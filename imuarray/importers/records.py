@@ -112,7 +112,7 @@ class RecordRows:
 
     @property
     def remarks(self) -> list[str]:
-        """What was left out."""
+        """Sentences on the lines that were left out."""
         count = self._left_out["lines"]
         return [f"{counted(count, 'line')} left out that cannot be read as the others"] if count else []
 

@@ -232,7 +232,7 @@ class Stage:
 
     @cached_property
     def _moves(self) -> tuple[bool, ...]:
-        """Whether the box moves in the phases of each log that are used."""
+        """For each log, true if the box moves in the phases that are used."""
         return tuple(not all(map(is_at_rest, share.phases)) for share in self.split.shares)
 
     def __getstate__(self) -> dict[str, Any]:
