@@ -76,17 +76,11 @@ _CLEARED = 3
 
 
 @dataclass(frozen=True)
-class Band:
+class Band(SpectralLine):
     """A wide line: the middle and the `width_hz` of its power (twice its standard deviation), and the amplitude of a
-    sine of that power, in the series' unit. `false_alarm` and `over_floor` as of a `SpectralLine`.
+    sine of that power, in the series' unit.
     """
 
-    frequency_hz: float
-    frequency_error_hz: float
-    amplitude: float
-    amplitude_error: float
-    false_alarm: float
-    over_floor: float
     width_hz: float
 
 

@@ -31,6 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats
+from imuarray.gap.inference.effects.size_effect import rotation_columns
 from imuarray.gap.model.element_temperature import LONGEST_LAG_S
 from imuarray.gap.model.populations import (
     ANGLE_SIGMA_DEG,
@@ -42,6 +43,7 @@ from imuarray.gap.model.populations import (
     slope_tolerance,
     turn_on_rms,
 )
+from imuarray.gap.model.rest import REFERENCE_DEGC
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SensorHeader
 from imuarray.log.sensor_log import recorded_header
@@ -69,7 +71,6 @@ _COLUMNS = 21
 """Columns of the response to a motion: force, rate, their changes, squares of the force, products of rates."""
 _FREE = 1e3
 """Prior of a fitted parameter: practically unbounded."""
-_ROOM_DEGC = 25.0
 _TILT_DEG = 1.0
 """Angle (one sigma) between the axis that is noted as up and the vertical."""
 
@@ -360,7 +361,7 @@ def _blocks(pair: _LogPair, number: int, is_motion_known: bool) -> Iterator[_Blo
             felt[rows].mean(axis=0),
             turned[rows].mean(axis=0),
             (commanded[last] - commanded[first]) / ((end - begin) * 1e-9),
-            float(degc[rows].mean()) - _ROOM_DEGC,
+            float(degc[rows].mean()) - REFERENCE_DEGC,
             float(lag_degc[rows].mean()),
             pair.tilt,
         )
@@ -470,20 +471,12 @@ def _motion_responses(pairs: Sequence[_LogPair], anew: float) -> Iterator[float]
 
 def _displacements(header: SensorHeader, axis: int) -> Floats:
     """Return (21, 3) what a displacement along each axis (one sigma) adds to an axis of an accelerometer, in g by
-    column of the design of `_motion_responses`: acceleration x r + rate x (rate x r).
+    column of the design of `_motion_responses`.
     """
     added = np.zeros((_COLUMNS, 3))
-    if header.unit != "g":
-        return added
-    reach = POSITION_SIGMA_MM * 1e-3 / SI_PER_UNIT["g"]
-    for along, place in enumerate(np.eye(3) * reach):
-        for turning, acceleration in enumerate(np.eye(3)):
-            added[9 + turning, along] = np.cross(acceleration, place)[axis]
-        for column, (first, second) in enumerate(combinations_with_replacement(range(3), 2)):
-            # rate (rate . r) - r |rate|^2, the coefficient of this product of rates
-            for own, other in {(first, second), (second, first)}:
-                added[15 + column, along] += (own == axis) * place[other]
-            added[15 + column, along] -= (first == second) * place[axis]
+    if header.unit == "g":
+        products, turns = np.split(rotation_columns()[:, axis] * POSITION_SIGMA_MM * 1e-3 / SI_PER_UNIT["g"], [6])
+        added[9:12], added[15:] = turns, products
     return added
 
 

@@ -12,11 +12,11 @@ import pytest
 
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.recording import movement
-from imuarray.gap.recording.movement import movement_of, shows_motion
+from imuarray.gap.recording.movement import movements_of, shows_motion
 from imuarray.gap.recording.recordings import recording_of
 from imuarray.log import Block, Log, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase, SensorHeader
-from imuarray.simulate.motion.posed import PoseSequence
+from imuarray.simulate.motion.posed import Movement, PoseSequence
 
 Floats = npt.NDArray[np.float64]
 SECOND = 1_000_000_000
@@ -90,8 +90,8 @@ def array(*, accelerometers: int, gyroscopes: int) -> list[SensorHeader]:
     ]
 
 
-def names(sensors: Sequence[SensorHeader]) -> list[str]:
-    return [sensor.name for sensor in sensors]
+def movement_of(log: Log, phase: Phase, rests: Sequence[Phase]) -> Movement | None:
+    return movements_of(log, list(log.sensors), [phase], rests).get(phase)
 
 
 @pytest.mark.parametrize("missing_s", [(0.0, 0.0), (5.0, 6.5)])
@@ -101,7 +101,7 @@ def test_it_is_the_mean_of_the_sensors(tmp_path: Path, missing_s: tuple[float, f
     """
     sensors = array(accelerometers=2, gyroscopes=3)
     log = written(tmp_path / "log.h5", sensors, (0.003, -0.002, 3.0, -2.0, 1.0), missing_s=missing_s)
-    motion = movement_of(log, names(sensors), TURN, [REST, AFTER])
+    motion = movement_of(log, TURN, [REST, AFTER])
     assert motion is not None
     seconds = np.linspace(4.2, 7.8, 60)
     values, slopes = motion.columns.at((seconds * SECOND).astype(np.int64))
@@ -118,7 +118,7 @@ def test_one_of_three_that_is_mounted_otherwise_does_not_count(tmp_path: Path) -
     """The median of three: a gyroscope whose axes are not those in its header changes nothing."""
     sensors = array(accelerometers=0, gyroscopes=3)
     log = written(tmp_path / "log.h5", [replace(sensors[0], axes="+Z+X+Y"), *sensors[1:]])
-    motion = movement_of(log, names(sensors), TURN, [REST])
+    motion = movement_of(log, TURN, [REST])
     assert motion is not None
     rate = motion.columns.at(np.array([6 * SECOND]))[0][0, 3:]
     np.testing.assert_allclose(rate, [0.0, np.pi / 4, 0.0], atol=np.radians(0.5))
@@ -128,21 +128,21 @@ def test_one_of_three_that_is_mounted_otherwise_does_not_count(tmp_path: Path) -
 def test_it_needs_two_of_a_kind_and_a_gyroscope(tmp_path: Path, accelerometers: int, gyroscopes: int) -> None:
     sensors = array(accelerometers=accelerometers, gyroscopes=gyroscopes)
     log = written(tmp_path / "log.h5", sensors)
-    assert movement_of(log, names(sensors), TURN, [REST]) is None
+    assert movement_of(log, TURN, [REST]) is None
 
 
 def test_a_rest_is_no_motion(tmp_path: Path) -> None:
     sensors = array(accelerometers=2, gyroscopes=2)
     log = written(tmp_path / "log.h5", sensors)
-    assert movement_of(log, names(sensors), Phase(0, 4 * SECOND, "turn"), [REST]) is None
-    assert movement_of(log, names(sensors), Phase(5 * SECOND, 5 * SECOND + SECOND // 10, "turn"), [REST]) is None
+    assert movement_of(log, Phase(0, 4 * SECOND, "turn"), [REST]) is None
+    assert movement_of(log, Phase(5 * SECOND, 5 * SECOND + SECOND // 10, "turn"), [REST]) is None
 
 
 def test_hours_are_not_kept_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sensors = array(accelerometers=2, gyroscopes=2)
     log = written(tmp_path / "log.h5", sensors)
     monkeypatch.setattr(movement, "MOST_WINDOWS", 50)
-    assert movement_of(log, names(sensors), TURN, [REST]) is None
+    assert movement_of(log, TURN, [REST]) is None
 
 
 def test_an_axis_that_does_not_move_has_no_noise(tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_an_axis_that_does_not_move_has_no_noise(tmp_path: Path) -> None:
     two thirds are left about the axes that do not turn.
     """
     sensors = array(accelerometers=0, gyroscopes=2)
-    motion = movement_of(written(tmp_path / "log.h5", sensors), names(sensors), TURN, [REST, AFTER])
+    motion = movement_of(written(tmp_path / "log.h5", sensors), TURN, [REST, AFTER])
     assert motion is not None
     times = np.linspace(4.1, 7.9, 500) * SECOND
     rate_dps = np.degrees(motion.columns.at(times.astype(np.int64))[0][:, [3, 5]])

@@ -18,7 +18,7 @@ from imuarray.arrays import Floats
 from imuarray.gap.inference.assessment import Assessment, assess
 from imuarray.gap.inference.earlier import Earlier
 from imuarray.gap.inference.localisation import Localisation, localise
-from imuarray.gap.model.base_model import Base, fit, of_fitted
+from imuarray.gap.model.base_model import Base, fit, select_fitted
 from imuarray.gap.model.bench import Bench, StatisticValues, bench_of
 from imuarray.gap.model.populations import common_bias_sigma_g
 from imuarray.gap.model.replication import Models, ReplicateRequest
@@ -88,7 +88,7 @@ def prepare(
     experiments = [recording.experiment for recording in recordings]
     if fitted_to:
         base = _base_of(fitted_to, model, seed)
-        campaign = of_fitted(campaign, base.fitted)
+        campaign = select_fitted(campaign, base.fitted)
         return replace(bench_of(campaign, split, experiments, base), is_refitted=False), campaign
     train = split.train(campaign)
     base = fit(train.campaign, [experiments[at].motion for at in train.logs], model=model, seed=seed)
@@ -98,7 +98,7 @@ def prepare(
         vibrations=fit_vibrations(train.campaign, base.headers),
         common_bias_g=common_bias_sigma_g(base.headers.values()),
     )
-    campaign = of_fitted(campaign, base.fitted)
+    campaign = select_fitted(campaign, base.fitted)
     return _correct(bench_of(campaign, split, experiments, base), campaign), campaign
 
 

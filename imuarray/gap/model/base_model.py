@@ -64,7 +64,7 @@ from imuarray.simulate.signal import Triple
 from imuarray.simulate.streams import Streams
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
-__all__ = ["Base", "FittedParameters", "fit", "headers_in", "of_fitted", "replicate_seed", "residual"]
+__all__ = ["Base", "FittedParameters", "fit", "headers_in", "replicate_seed", "residual", "select_fitted"]
 
 
 _IN_STEP = OwnClock(phase_deg=math.nan)
@@ -266,7 +266,7 @@ def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campa
     nobody noted is the one that its accelerometers tell on average, by their parameters.
     """
     fitted = base.fitted
-    campaign = of_fitted(campaign, fitted)
+    campaign = select_fitted(campaign, fitted)
     campaign = with_element_temperatures(campaign, motions, {name: part.lag_s for name, part in fitted.items()})
     forces = residual_forces(campaign, motions, lambda summary: fitted[summary.header.name].force_felt(summary))
     logs = []
@@ -279,8 +279,10 @@ def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campa
     return Campaign(tuple(logs))
 
 
-def of_fitted(campaign: Campaign, fitted: Collection[str]) -> Campaign:
+def select_fitted(campaign: Campaign, fitted: Collection[str]) -> Campaign:
     """Return the campaign with these sensors only: others, as those in the held-out part alone, have no parameters."""
+    if headers_in(campaign).keys() <= set(fitted):
+        return campaign
     logs = []
     for log in campaign.logs:
         phases = [

@@ -9,7 +9,7 @@ therefore subtracted in the spectrum, by the noise with which the sensors differ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -34,37 +34,43 @@ _ENDS, _BINS, _ABOVE_NOISE = 5, 25, 1.5
 noise from which on their power is a motion: that of noise alone hardly exceeds it.
 """
 
-_LEAST_FORCE, _LEAST_RATE, NOISE_MARGIN = 0.02, 0.003, 2.0
+_LEAST_FORCE, _LEAST_RATE, _NOISE_MARGIN = 0.02, 0.003, 2.0
 """Changes of force (m/s2, rms) and rate (rad/s, rms) that are motion, and the factor of the variance of the noise that
 is taken off before.
 """
 
 
-def movement_of(log: Log, sensors: Sequence[str], phase: Phase, rests: Sequence[Phase]) -> Movement | None:
-    """Return the motion in a phase by the readings of these sensors; `rests` are phases at rest, in which gyroscopes
-    show their biases. None if the box does not move, no two sensors measure the same, the phase has more than
-    `MOST_WINDOWS`, or there is no gyroscope, since accelerometers at different places then feel an unknown rotation.
+def movements_of(
+    log: Log, sensors: Sequence[str], phases: Sequence[Phase], rests: Sequence[Phase]
+) -> dict[Phase, Movement]:
+    """Return the motions in phases by the readings of these sensors; `rests` are phases at rest, in which gyroscopes
+    show their biases. Without rests there are none.
+
+    A phase is left out if the box does not move, no two sensors measure the same, it has more than `MOST_WINDOWS`, or
+    there is no gyroscope, since accelerometers at different places then feel an unknown rotation.
     """
-    by_quantity = {
-        quantity: [
-            sensor
-            for name in sensors
-            if (sensor := log[name]).quantity == quantity and sensor.sensitivity and _rows_in(sensor, phase) > 0
-        ]
-        for quantity in INERTIAL
-    }
-    gyroscopes = by_quantity["angular_rate"]
-    together = [sensor for group in by_quantity.values() for sensor in group]
-    if not gyroscopes or max(map(len, by_quantity.values())) < 2:
+    if not phases or not rests:
+        return {}
+    triads = [sensor for name in sensors if (sensor := log[name]).quantity in INERTIAL and sensor.sensitivity]
+    biases = {sensor.name: _mean_at_rest(sensor, rests) for sensor in triads if sensor.quantity == "angular_rate"}
+    motions = ((phase, _movement(log, triads, phase, biases)) for phase in phases)
+    return {phase: motion for phase, motion in motions if motion is not None}
+
+
+def _movement(log: Log, triads: Sequence[SensorLog], phase: Phase, biases: Mapping[str, Floats]) -> Movement | None:
+    rows = {sensor.name: RecordedSource(sensor).rows(phase.start_ns, phase.end_ns) for sensor in triads}
+    there = [sensor for sensor in triads if rows[sensor.name]]
+    gyroscopes = [sensor for sensor in there if sensor.quantity == "angular_rate"]
+    accelerometers = [sensor for sensor in there if sensor.quantity == "specific_force"]
+    if not gyroscopes or max(len(gyroscopes), len(accelerometers)) < 2:
         return None
     seconds = (phase.end_ns - phase.start_ns) * 1e-9
-    slowest_hz = min(_rows_in(sensor, phase) for sensor in together) / seconds
+    slowest_hz = min(rows[sensor.name] for sensor in there) / seconds
     edges_ns = _edges_ns(phase, max(_WINDOW_ROWS / slowest_hz, _SHORTEST_S))
     if not _FEWEST_WINDOWS < len(edges_ns) <= MOST_WINDOWS:
         return None
     middles_ns = (edges_ns[:-1] + edges_ns[1:]) // 2
-    rate = _mean_of([_window_means(sensor, edges_ns) - _mean_at_rest(sensor, rests) for sensor in gyroscopes])
-    accelerometers = by_quantity["specific_force"]
+    rate = _mean_of([_window_means(sensor, edges_ns) - biases[sensor.name] for sensor in gyroscopes])
     if accelerometers:
         force = _mean_of([_window_means(sensor, edges_ns) for sensor in accelerometers])
     else:
@@ -81,14 +87,10 @@ def shows_motion(force: Floats, rate: Floats) -> bool:
     for values, least in ((force, _LEAST_FORCE), (rate, _LEAST_RATE)):
         # The noise is taken as white: its rows do not depend on each other.
         noise = np.diff(values, n=2, axis=0).var(axis=0) / 6
-        smooth = np.maximum(values.var(axis=0) - NOISE_MARGIN * noise, 0.0)
+        smooth = np.maximum(values.var(axis=0) - _NOISE_MARGIN * noise, 0.0)
         if np.sqrt(smooth.max()) > least:
             return True
     return False
-
-
-def _rows_in(sensor: SensorLog, phase: Phase) -> int:
-    return RecordedSource(sensor).rows(phase.start_ns, phase.end_ns)
 
 
 def _edges_ns(phase: Phase, window_s: float) -> Integers:

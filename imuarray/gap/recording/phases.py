@@ -14,7 +14,7 @@ from imuarray.calibrate.pose_readings import MIN_POSE_S, find_rests
 from imuarray.characterise.stretch import FACE_NAMES, STILL_NAMES
 from imuarray.errors import CalibrationError, LogError
 from imuarray.gap.recording.attitude import array_mean, attitude_numbers, shared_readings, ups_of
-from imuarray.gap.recording.movement import movement_of, shows_motion
+from imuarray.gap.recording.movement import movements_of, shows_motion
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
@@ -73,6 +73,11 @@ class ComparablePhases(NamedTuple):
     notes: list[str]
 
 
+def is_motion(phase: Phase) -> bool:
+    """Return whether the box moves for more than a turn from one rest to the next."""
+    return not is_at_rest(phase) and phase.name != TURN
+
+
 def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePhases:
     """Return the phases in which these sensors can be compared, and notes on those in which they cannot.
 
@@ -93,12 +98,7 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
     elif is_tracked:
         moving = list(_between_rests(log, detected))
     else:
-        rests = [*still, *detected]
-        shown = {
-            phase: movement
-            for phase in (*moving, *turns)
-            if rests and (movement := movement_of(log, sensors, phase, rests)) is not None
-        }
+        shown = movements_of(log, sensors, [*moving, *turns], [*still, *detected])
         notes += [f"Phase {phase.name!r} is left out: {_UNKNOWN_MOTION}." for phase in moving if phase not in shown]
         notes += [_SHARED_MOTION] if shown else []
         moving, movements = list(shown), sorted(shown.values(), key=lambda movement: movement.start_ns)
@@ -246,7 +246,7 @@ def kind_of(phases: Sequence[Phase], attitudes: Sequence[PoseAttitude], *, heate
         return "turn-on"
     if _count_attitudes(phases, attitudes) > 1:
         return "tumble"
-    return "static" if all(is_at_rest(phase) or phase.name == TURN for phase in phases) else "motion"
+    return "motion" if any(map(is_motion, phases)) else "static"
 
 
 def _count_attitudes(phases: Sequence[Phase], attitudes: Sequence[PoseAttitude]) -> int:

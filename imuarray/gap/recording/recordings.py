@@ -22,10 +22,10 @@ from imuarray.characterise.processing import find_processing
 from imuarray.errors import LogError
 from imuarray.gap.recording.field import fields_of
 from imuarray.gap.recording.phases import (
-    TURN,
     attitudes_of,
     is_at_rest,
     is_heated,
+    is_motion,
     kind_of,
     moves_by_track,
     phases_of,
@@ -405,7 +405,7 @@ def _without_unknown_field(
     No log records the magnetic field while the box moves, or in a box that is heated on several faces, since a
     magnetometer's scale follows the temperature (HMC-57). LogError if no sensor remains.
     """
-    moves = not all(is_at_rest(phase) or phase.name == TURN for phase in phases)
+    moves = any(map(is_motion, phases))
     if not moves and not (heated and len(phases) > 1):
         return list(names), []
     when = "while the box moves" if moves else "in a box that is heated on several faces"

@@ -13,7 +13,7 @@ from imuarray.arrays import Booleans, Floats, Integers
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.in_motion import takes_part
 from imuarray.gap.inference.effects.removal import with_removal
-from imuarray.gap.inference.effects.response import of_all_motions
+from imuarray.gap.inference.effects.response import response_to_all_motions
 from imuarray.gap.inference.effects.turn_on_bias import TRACES as RUN_TO_RUN
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.inference.when import Span, When
@@ -452,7 +452,7 @@ def _shown(evidence: Evidence) -> Iterator[Floats]:
             turned[rows, (rows + step) % 3] += np.median(response[known], axis=0) if known.any() else np.nan
         if np.isfinite(turned).all():
             yield turned
-    turned = of_all_motions(evidence)
+    turned = response_to_all_motions(evidence)
     if np.isfinite(turned).all():
         yield turned
 

@@ -133,8 +133,9 @@ def _just_in(evidence: Evidence, states: States, logs: Sequence[int]) -> Iterato
 
 
 def _noticed(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Stretches that the recorder noticed, however short: the range that takes readings before to those within, or the
-    configured one if the chip lost another setting, and the rows that were lost while the chip was set up again.
+    """Suggest resets in the stretches that the recorder noticed, however short: the range that takes readings before to
+    those within, or the configured one if the chip lost another setting, and the rows that were lost while the chip was
+    set up again.
     """
     resets = [reset for _, reset in evidence.resets]
     scale = evidence.header.sensitivity

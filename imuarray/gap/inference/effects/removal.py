@@ -41,8 +41,8 @@ def _is_fitted(evidence: Evidence, name: str) -> bool:
 
 
 def _has(evidence: Evidence, name: str) -> bool:
-    ordinary = (is_usual, is_near_noted_position)
+    header = evidence.header
     return name not in ORDINARY and any(
-        effect.name == name and not any(is_ordinary(effect, evidence.header) for is_ordinary in ordinary)
+        effect.name == name and not (is_usual(effect, header) or is_near_noted_position(effect, header))
         for effect in evidence.effects
     )

@@ -82,13 +82,13 @@ def _of_motion(evidence: Evidence) -> Response | None:
     for step, probe in enumerate(("motion_gain", "motion_next", "motion_after")):
         reading[_AXES, (_AXES + step) % 3], felt[_AXES, (_AXES + step) % 3] = _mean(evidence, probe)
     if not np.isfinite([reading, felt]).all():
-        reading, felt = of_all_motions(evidence), np.eye(3)
+        reading, felt = response_to_all_motions(evidence), np.eye(3)
     if not (np.isfinite(reading).all() and (np.abs(felt) > _LEAST_SHARE).any()):
         return None
     return Response(MOTION_WEIGHT * felt.T, MOTION_WEIGHT * reading.T)
 
 
-def of_all_motions(evidence: Evidence) -> Floats:
+def response_to_all_motions(evidence: Evidence) -> Floats:
     """Return (3, 3) response of the axes to the motions of all phases together, nan if these do not tell it."""
     crosses = [phase.cross for phase in evidence.phases if not phase.is_still and phase.cross is not None]
     return joint_gains(crosses, evidence.header.name)

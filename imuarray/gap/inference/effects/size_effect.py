@@ -42,12 +42,12 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
 def _place(evidence: Evidence, rotation: Floats, shared: Floats) -> Floats:
     """Return (3,) metres in the box: force = sum of column k times B_k r, B_k (3, 3) along the sensor's axes."""
     turn = np.array(evidence.header.orientation).T / SI_PER_UNIT[evidence.header.unit]
-    columns = turn @ _columns()
+    columns = turn @ rotation_columns()
     normal = np.einsum("kl,kij,lim->jm", rotation, columns, columns)
     return np.asarray(np.linalg.pinv(normal, rcond=1e-6) @ np.einsum("kij,ki->j", columns, shared))
 
 
-def _columns() -> Floats:
+def rotation_columns() -> Floats:
     """Return (9, 3, 3): rate x (rate x r) = (rate rate^T - rate^2) r by the products xx, xy, xz, yy, yz, zz, and
     angular acceleration x r.
     """

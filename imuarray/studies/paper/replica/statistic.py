@@ -257,17 +257,9 @@ def linear(
     return Statistic(*at, published, simulated, *combined(parts), fitted=fitted, derived=derived)
 
 
-def logarithmic(
-    at: Place,
-    published: float,
-    simulated: float,
-    parts: Mapping[str, float],
-    *,
-    fitted: bool = False,
-    derived: bool = False,
-) -> Statistic:
-    """Return a standard deviation, compared by its logarithm; parts are relative."""
-    return replace(linear(at, published, simulated, parts, fitted=fitted, derived=derived), scale="log")
+def logarithmic(at: Place, published: float, simulated: float, parts: Mapping[str, float], **marks: bool) -> Statistic:
+    """Return a standard deviation, compared by its logarithm; parts are relative, `marks` those of `linear`."""
+    return replace(linear(at, published, simulated, parts, **marks), scale="log")
 
 
 def with_cause(statistic: Statistic, group: str, cause: float) -> Statistic:
