@@ -163,7 +163,7 @@ def judge(mutant: Mutant) -> Verdict:
     for name in READERS:
         import_module(name)
     package, before = import_module("imuarray.facts"), _ours()
-    right = before[f"imuarray.facts.{mutant.chip}"]
+    attributes = {name: dict(vars(module)) for name, module in before.items() if hasattr(module, "__path__")}
     previous = signal.signal(signal.SIGALRM, _hangs)
     signal.alarm(HANGS_S)
     try:
@@ -176,11 +176,8 @@ def judge(mutant: Mutant) -> Verdict:
         for name in _ours():
             del sys.modules[name]
         sys.modules.update(before)
-        for name, module in before.items():  # a package has its modules as attributes, too
-            parent, _, child = name.rpartition(".")
-            if parent in before:
-                setattr(before[parent], child, module)
-        setattr(package, mutant.chip, right)
+        for name, names in attributes.items():  # an import replaces them; some are functions with a module's name
+            vars(before[name]).update(names)
 
 
 def _ours() -> dict[str, ModuleType]:

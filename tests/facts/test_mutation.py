@@ -57,3 +57,14 @@ def test_what_is_made_wrong(mutation):
 def test_who_notices(mutation, chip, fact, change, tables, golden):
     (mutant,) = [mutant for mutant in mutation.mutants(chip) if (mutant.fact, mutant.change) == (fact, change)]
     assert mutation.judge(mutant)[1:] == (tables, golden)
+
+
+def test_judging_leaves_the_packages_as_they_were(mutation):
+    """A function with the name of its module, such as `imuarray.acquire.record`, is not replaced by the module."""
+    import imuarray.acquire
+    import imuarray.facts
+
+    before = dict(vars(imuarray.acquire)), dict(vars(imuarray.facts))
+    (mutant, *_) = mutation.mutants("bmp180")
+    mutation.judge(mutant)
+    assert (vars(imuarray.acquire), vars(imuarray.facts)) == before
