@@ -353,7 +353,7 @@ _TECHNIQUE_TITLES = {
 
 
 def _technique_names() -> tuple[str, ...]:
-    from imuarray.fuse.fuse import NAMES
+    from imuarray.fuse.fusion import NAMES
 
     return tuple(NAMES)
 

@@ -160,9 +160,9 @@ def fuse(  # noqa: PLR0913
     from imuarray.chips import SENSITIVITIES
     from imuarray.fuse import FusedBlock, Watch, evaluate
     from imuarray.fuse.faults import FaultEvent
-    from imuarray.fuse.fuse import complete_responses, prepare_inputs, require_known_sensors
-    from imuarray.fuse.fuse import fuse as fused_blocks
     from imuarray.fuse.fused_result import FusedResult
+    from imuarray.fuse.fusion import complete_responses, prepare_inputs, require_known_sensors
+    from imuarray.fuse.fusion import fuse as fused_blocks
     from imuarray.fuse.pipeline import FusionNotes
     from imuarray.units import INERTIAL
 

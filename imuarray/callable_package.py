@@ -8,7 +8,7 @@ of its own (Python Language Reference, 3.3.2.1).
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from importlib import import_module
 from inspect import Signature, signature
 from types import ModuleType
@@ -17,13 +17,6 @@ from typing import Any
 
 class CallablePackage(ModuleType):
     """A package `imuarray.NAME` that can be called like `imuarray.analysis.NAME`, which the first call imports."""
-
-    _functions: Collection[str] = ()
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        """Set an attribute; a module does not hide the public function that has its name."""
-        if not (isinstance(value, ModuleType) and name in self._functions):
-            super().__setattr__(name, value)
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         """Call the function of the package's name and return its result."""
@@ -47,10 +40,6 @@ def public_name(package: str, modules: Mapping[str, str], name: str) -> Any:
     raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
 
-def make_callable(package: str, functions: Collection[str] = ()) -> None:
-    """Make a package that is being imported the function of its name; modules in it do not hide its `functions`, which
-    are loaded on first use.
-    """
-    module = sys.modules[package]
-    module.__class__ = CallablePackage
-    vars(module)["_functions"] = functions
+def make_callable(package: str) -> None:
+    """Make a package that is being imported the function of its name."""
+    sys.modules[package].__class__ = CallablePackage

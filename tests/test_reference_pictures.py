@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from imuarray.fuse.fuse import NAMES
+from imuarray.fuse.fusion import NAMES
 from imuarray.gap.statistics.probes import Domain
 from imuarray.simulate import EFFECTS
 

@@ -33,6 +33,35 @@ def offered() -> set[str]:
     return {name for name in names if not name.startswith("_")} | {"__version__"}
 
 
+PACKAGES = sorted(
+    path.parent for name in ("imuarray", "firmware_emulator") for path in (ROOT / name).rglob("__init__.py")
+)
+
+
+def bound_names(init: Path) -> set[str]:
+    """The names that a package's `__init__.py` binds at its top, or loads on first use (`__all__`), without modules."""
+    names: set[str] = set()
+    body = ast.parse(init.read_text()).body
+    for node in [*body, *(line for block in body if isinstance(block, ast.If) for line in block.body)]:
+        if isinstance(node, ast.ImportFrom) and node.module != ".".join(init.parent.relative_to(ROOT).parts):
+            names |= {alias.asname or alias.name for alias in node.names}
+        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        elif isinstance(node, ast.Assign):
+            names |= {target.id for target in node.targets if isinstance(target, ast.Name)}
+            if any(isinstance(target, ast.Name) and target.id == "__all__" for target in node.targets):
+                names |= set(ast.literal_eval(node.value))
+    return names
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: ".".join(package.relative_to(ROOT).parts))
+def test_no_name_of_a_package_is_that_of_a_module_in_it(package: Path) -> None:
+    """The import of such a module would replace the function, or the function would hide the module."""
+    modules = {path.stem for path in package.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    functions = {"characterise", "fuse", "simulate"} if package.name == "imuarray" else set()  # `CallablePackage`
+    assert (bound_names(package / "__init__.py") & modules) == functions
+
+
 def test_all_is_what_is_public() -> None:
     assert set(imuarray.__all__) == offered()
     assert list(imuarray.__all__) == sorted(imuarray.__all__)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from imuarray.calibrate.opposed import Cancellation, cancellation  # a function that hides its module
 from imuarray.callable_package import public_name
 
 if TYPE_CHECKING:
@@ -15,6 +14,7 @@ if TYPE_CHECKING:
     from imuarray.calibrate.fits import Outlier
     from imuarray.calibrate.model import Calibration, SensorCalibration, load_calibration, nominal
     from imuarray.calibrate.noise import calibrate_noise
+    from imuarray.calibrate.opposed import Cancellation, cancellation
     from imuarray.calibrate.thermal import ThermalResult, calibrate_thermal
     from imuarray.calibrate.tumble import TumbleResult, calibrate_tumble
     from imuarray.calibrate.turn_on import TurnOnResult, calibrate_turn_on, holm
@@ -25,6 +25,7 @@ _PUBLIC = {
     "fits": "Outlier",
     "model": "Calibration SensorCalibration load_calibration nominal",
     "noise": "calibrate_noise",
+    "opposed": "Cancellation cancellation",
     "thermal": "ThermalResult calibrate_thermal",
     "tumble": "TumbleResult calibrate_tumble",
     "turn_on": "TurnOnResult calibrate_turn_on holm",

@@ -133,7 +133,7 @@ def _verify(config: Path, bus_url: str | None, self_test: bool, as_json: bool) -
 def _explore(url: str, output: Path | None, force: bool, as_json: bool) -> int:
     """Report which chips answer on a bus without a configuration, and write a configuration of them to `output`."""
     from imuarray.acquire import explore
-    from imuarray.acquire.detect import tell_apart
+    from imuarray.acquire.detection import tell_apart
     from imuarray.array import load_array
     from imuarray.bus import open_bus
 
@@ -223,7 +223,7 @@ def _print_row(mark: str, wanted: str, detection: Detection) -> None:
 
 def _write(detections: Sequence[Detection], url: str, output: Path, force: bool) -> None:
     """Write a configuration of the chips that answered."""
-    from imuarray.acquire.detect import propose
+    from imuarray.acquire.detection import propose
     from imuarray.array import parse_array
     from imuarray.atomic import write_text
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from imuarray.callable_package import make_callable, public_name
 
 if TYPE_CHECKING:
-    from imuarray.fuse.coasting import Coasting, Errors, coasting
-    from imuarray.fuse.compare import Consistency, Score, TechniqueComparison, compare, consistency, technique_names
+    from imuarray.fuse.coasting_errors import Coasting, Errors, coasting
+    from imuarray.fuse.comparison import Consistency, Score, TechniqueComparison, compare, consistency, technique_names
     from imuarray.fuse.element_temperature import (
         causal_temperatures,
         element_temperatures,
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     )
     from imuarray.fuse.faults import FaultEvent
     from imuarray.fuse.frames import Axis, Estimate, Frames, FusedBlock, axes_of
-    from imuarray.fuse.fuse import NAMES, NEEDS_NOISE, OPTIMAL, Watch, aligned, fuse, live
     from imuarray.fuse.fused_file import (
         FusedEvent,
         FusedHead,
@@ -50,6 +49,7 @@ if TYPE_CHECKING:
         write_fused,
     )
     from imuarray.fuse.fused_result import FusedResult
+    from imuarray.fuse.fusion import NAMES, NEEDS_NOISE, OPTIMAL, Watch, aligned, fuse, live
     from imuarray.fuse.pipeline import (
         ComparisonPipeline,
         FusionNotes,
@@ -63,8 +63,8 @@ if TYPE_CHECKING:
     from imuarray.fuse.techniques import TECHNIQUES, changes
 
 _PUBLIC = {
-    "coasting": "Coasting Errors coasting",
-    "compare": "TechniqueComparison Consistency Score compare consistency technique_names",
+    "coasting_errors": "Coasting Errors coasting",
+    "comparison": "TechniqueComparison Consistency Score compare consistency technique_names",
     "element_temperature": (
         "causal_temperatures element_temperatures mismatch_sentences slopes_of temperature_mismatch with_mismatch"
     ),
@@ -74,7 +74,7 @@ _PUBLIC = {
     ),
     "faults": "FaultEvent",
     "frames": "Axis Estimate Frames FusedBlock axes_of",
-    "fuse": "NAMES NEEDS_NOISE OPTIMAL Watch aligned fuse live",
+    "fusion": "NAMES NEEDS_NOISE OPTIMAL Watch aligned fuse live",
     "fused_file": "FusedEvent FusedHead read_fused read_fused_events read_fused_head write_fused",
     "fused_result": "FusedResult",
     "pipeline": "ComparisonPipeline FusionNotes Pipeline PipelineFactory QuantityPipeline fused_block notes_of",
@@ -151,4 +151,4 @@ def __getattr__(name: str) -> Any:
     return public_name(__name__, _PUBLIC, _FORMER_NAMES.get(name, name))
 
 
-make_callable(__name__, __all__)
+make_callable(__name__)

@@ -23,7 +23,7 @@ from imuarray.calibrate.segments import TemperatureSeries, degc_of, has_zero, th
 from imuarray.calibrate.stability import BIAS, Thermal
 from imuarray.calibrate.thermal import SEGMENT_S
 from imuarray.fuse.alignment import ElementTemperature
-from imuarray.fuse.optimal.error_model import STEEP, USUAL
+from imuarray.fuse.optimal.prior import STEEP, USUAL
 from imuarray.log import Block, Log, SensorLog
 from imuarray.log.rotate import runs_of
 from imuarray.printable import listed

@@ -19,7 +19,7 @@ from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse.alignment import between_gaps
 from imuarray.fuse.frames import FusedBlock
-from imuarray.fuse.fuse import fuse
+from imuarray.fuse.fusion import fuse
 from imuarray.fuse.spools import RowSource, RowSpool, parts_of, row_blocks, square_sum
 from imuarray.log import Log, Track, first_at
 from imuarray.log.format import Phase

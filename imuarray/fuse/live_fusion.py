@@ -27,8 +27,8 @@ from imuarray.calibrate import Calibration
 from imuarray.errors import ImuArrayError
 from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import FusedBlock
-from imuarray.fuse.fuse import Patience, Watch, live
 from imuarray.fuse.fused_file import LiveFused
+from imuarray.fuse.fusion import Patience, Watch, live
 from imuarray.fuse.pipeline import FusionNotes, notes_of
 from imuarray.fuse.stream import FusionStream
 from imuarray.log import Block

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from imuarray.acquire import connect, record
-from imuarray.acquire.detect import detect, explore
+from imuarray.acquire.detection import detect, explore
 from imuarray.acquire.doctor import Machine, examine
 from imuarray.array import ArrayConfig, load_array, parse_array
 from imuarray.bus import open_bus

@@ -12,7 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from imuarray.acquire.fault_episode import FaultEpisodes
-from imuarray.acquire.record import record
+from imuarray.acquire.recorder import record
 from imuarray.acquire.sample_buffer import AHEAD_NS, Intake, in_order, selected
 from imuarray.array import parse_array
 from imuarray.bus import open_bus

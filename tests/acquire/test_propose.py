@@ -8,7 +8,7 @@ import pytest
 
 from firmware_emulator.clock import VirtualClock
 from imuarray.acquire import Detection, explore
-from imuarray.acquire.detect import propose, tell_apart
+from imuarray.acquire.detection import propose, tell_apart
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.cli import main

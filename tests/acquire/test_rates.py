@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imuarray.acquire.bus_segment import connect
-from imuarray.acquire.record import record
+from imuarray.acquire.recorder import record
 from imuarray.acquire.sample_buffer import HELD_S
 from imuarray.acquire.sensor_health import StateVerdict
 from imuarray.array import load_array, parse_array

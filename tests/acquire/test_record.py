@@ -14,7 +14,7 @@ import pytest
 
 from imuarray.acquire import connect, record
 from imuarray.acquire.bus_segment import alternating_orders, routes_of
-from imuarray.acquire.record import Poll
+from imuarray.acquire.recorder import Poll
 from imuarray.acquire.recording import Service
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus

@@ -10,7 +10,7 @@ import pytest
 
 from firmware_emulator.array import open_array
 from imuarray.acquire import connect
-from imuarray.acquire.detect import explore, propose
+from imuarray.acquire.detection import explore, propose
 from imuarray.array import load_array, parse_array
 from imuarray.calibrate.segments import degc_of
 from imuarray.cli import main

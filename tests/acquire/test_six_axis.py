@@ -12,7 +12,7 @@ import pytest
 from firmware_emulator.array import open_array
 from imuarray.acquire import connect
 from imuarray.acquire.bus_segment import routes_of, witnesses_of
-from imuarray.acquire.detect import detect, explore, propose
+from imuarray.acquire.detection import detect, explore, propose
 from imuarray.array import load_array, parse_array
 from imuarray.cli import main
 from imuarray.errors import ConfigError, SensorError

@@ -13,7 +13,7 @@ from typing import Any
 from compare import Row, row
 
 from imuarray.acquire.bus_segment import connect
-from imuarray.acquire.record import Poll
+from imuarray.acquire.recorder import Poll
 from imuarray.acquire.recording import RecordingOptions
 from imuarray.array import load_array
 from imuarray.bus import open_bus

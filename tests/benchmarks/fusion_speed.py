@@ -30,7 +30,7 @@ from imuarray.calibrate.model import nominal
 from imuarray.fuse import axes_of, fuse, live
 from imuarray.fuse.alignment import cut
 from imuarray.fuse.frames import Estimate, directions
-from imuarray.fuse.fuse import aligned
+from imuarray.fuse.fusion import aligned
 from imuarray.fuse.least_squares import ConstantGain, whole_gain
 from imuarray.fuse.optimal import error_model
 from imuarray.fuse.optimal.geometry import Geometry, geometry_of

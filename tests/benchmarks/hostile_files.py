@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from compare import Row, row
 
-from imuarray.acquire.record import record
+from imuarray.acquire.recorder import record
 from imuarray.array import load_array
 from imuarray.bus import open_bus
 from imuarray.errors import LogError

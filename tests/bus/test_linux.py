@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from firmware_emulator.array import EmulatedBus, open_array
 from firmware_emulator.device_file import Adapter, Message, device_files
 from imuarray.acquire.bus_segment import connect
-from imuarray.acquire.record import record
+from imuarray.acquire.recorder import record
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.bus import open_bus
 from imuarray.bus.linux import LinuxBus

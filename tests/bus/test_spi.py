@@ -16,7 +16,7 @@ import pytest
 from firmware_emulator.array import open_array
 from firmware_emulator.device_file import replace_everywhere, with_address
 from imuarray.acquire import connect
-from imuarray.acquire.detect import detect
+from imuarray.acquire.detection import detect
 from imuarray.acquire.doctor import Machine, examine
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from firmware_emulator.array import EmulatedBus, open_array
-from imuarray.acquire.record import record
+from imuarray.acquire.recorder import record
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.bus import linux
 from imuarray.bus.identity import adapters, is_alone, ports, search

@@ -11,7 +11,7 @@ import pytest
 from imuarray.calibrate import Calibration, SensorCalibration, calibrate_noise, load_calibration
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
-from imuarray.fuse.fuse import prepare_inputs
+from imuarray.fuse.fusion import prepare_inputs
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
 from tests.calibrate.conftest import EPOCH, Floats, accelerometer, gyroscope

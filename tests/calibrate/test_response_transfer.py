@@ -11,8 +11,8 @@ from scipy.stats import chi2
 
 from imuarray.calibrate import Calibration, calibrate_noise, calibrate_tumble
 from imuarray.calibrate.response_transfer import transfer_response
-from imuarray.fuse.compare import compare
-from imuarray.fuse.fuse import complete_responses, prepare_inputs
+from imuarray.fuse.comparison import compare
+from imuarray.fuse.fusion import complete_responses, prepare_inputs
 from imuarray.log import Log, open_log
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.white_noise import WhiteNoise

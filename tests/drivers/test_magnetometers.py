@@ -14,8 +14,8 @@ from firmware_emulator.chips import CHIPS
 from firmware_emulator.units import unit_of
 from firmware_emulator.world import StillWorld
 from imuarray.acquire.bus_segment import connect
-from imuarray.acquire.detect import explore, propose, tell_apart
-from imuarray.acquire.record import record
+from imuarray.acquire.detection import explore, propose, tell_apart
+from imuarray.acquire.recorder import record
 from imuarray.array import ArrayConfig, SensorConfig, parse_array
 from imuarray.bus import open_bus
 from imuarray.bus.serial_link import Request

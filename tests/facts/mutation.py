@@ -176,7 +176,7 @@ def judge(mutant: Mutant) -> Verdict:
         for name in _ours():
             del sys.modules[name]
         sys.modules.update(before)
-        for name, names in attributes.items():  # an import replaces them; some are functions with a module's name
+        for name, names in attributes.items():  # an import replaces them
             vars(before[name]).update(names)
 
 

@@ -60,7 +60,7 @@ def test_who_notices(mutation, chip, fact, change, tables, golden):
 
 
 def test_judging_leaves_the_packages_as_they_were(mutation):
-    """A function with the name of its module, such as `imuarray.acquire.record`, is not replaced by the module."""
+    """The import of the mutated table sets attributes of the packages; these are restored."""
     import imuarray.acquire
     import imuarray.facts
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imuarray.fuse.coasting import Coasting, Errors, coasting, propagate
+from imuarray.fuse.coasting_errors import Coasting, Errors, coasting, propagate
 from tests.fuse.conftest import Floats, G
 
 RATE_HZ = 50

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import astuple
 from pathlib import Path
 
@@ -14,9 +13,9 @@ from imuarray.calibrate.noise import with_noise_of
 from imuarray.cli import main
 from imuarray.commands.fuse_report import print_evaluation
 from imuarray.fuse import ErrorFrames, FusedBlock, compare, fuse, technique_names
-from imuarray.fuse.compare import both
+from imuarray.fuse.comparison import both
 from imuarray.fuse.evaluation import ratio_of
-from imuarray.fuse.fuse import fuse_together
+from imuarray.fuse.fusion import fuse_together
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.gap.model.workers import processes
 from imuarray.log import open_log
@@ -99,7 +98,7 @@ def test_what_is_told_does_not_depend_on_blocks(run: Path, block: int, monkeypat
     with open_log(run) as log:
         wanted = compare(log, calibration(parts()), ("ranges",))
         monkeypatch.setattr("imuarray.fuse.spools.AT_ONCE", block)
-        monkeypatch.setattr(sys.modules[compare.__module__], "AT_ONCE", block)  # the function hides its module
+        monkeypatch.setattr("imuarray.fuse.comparison.AT_ONCE", block)
         found = compare(log, calibration(parts()), ("ranges",))
     for score, other in zip(found.scores, wanted.scores, strict=True):
         for axis, ratio in score.ratio.items():

@@ -23,7 +23,7 @@ from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import nominal
 from imuarray.chips import CHIPS
 from imuarray.fuse import FaultEvent, FusedBlock, Watch, fuse, live
-from imuarray.fuse.fuse import Patience
+from imuarray.fuse.fusion import Patience
 from imuarray.log import open_log
 from imuarray.log.format import SUSPECT
 from imuarray.log.sensor_log import recorded_header

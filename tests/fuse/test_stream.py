@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from imuarray.errors import FusionError
 from imuarray.fuse import TECHNIQUES, Axis, Frames, FusedBlock, FusionStream, Pipeline, QuantityPipeline, fuse, live
 from imuarray.fuse.alignment import RowWindow, cut
-from imuarray.fuse.fuse import Patience
+from imuarray.fuse.fusion import Patience
 from imuarray.log import Block, Log, open_log
 from imuarray.log.sensor_log import recorded_header
 from tests.fuse.conftest import Floats, Part, WriteRun, calibration, joined

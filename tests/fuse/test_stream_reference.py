@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.fuse import FusedBlock, live
-from imuarray.fuse.fuse import Patience
+from imuarray.fuse.fusion import Patience
 from imuarray.log import Block
 from imuarray.log.format import SATURATED, STALE, SUSPECT
 from tests.fuse.conftest import G, Part, calibration, pointing

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.acquire.record import record
+from imuarray.acquire.recorder import record
 from imuarray.array import load_array
 from imuarray.bus import open_bus
 from imuarray.commands.info import describe

@@ -18,7 +18,7 @@ from firmware_emulator.faults import faults_from
 from firmware_emulator.faulty_board import with_faults
 from imuarray.acquire import fault_episode
 from imuarray.acquire.bus_segment import connect
-from imuarray.acquire.record import Poll
+from imuarray.acquire.recorder import Poll
 from imuarray.acquire.recording import RecordingCounts, RecordingOptions
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.log.format import Event

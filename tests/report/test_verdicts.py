@@ -12,7 +12,7 @@ import pytest
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.stability import BIAS, Thermal
 from imuarray.fuse import FusedHead
-from imuarray.fuse.compare import Score, TechniqueComparison
+from imuarray.fuse.comparison import Score, TechniqueComparison
 from imuarray.fuse.evaluation import Error, Ratio
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Event, SensorHeader

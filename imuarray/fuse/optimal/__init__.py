@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel, error_model
 from imuarray.fuse.optimal.optimal import SEGMENT_S, Optimal, Temperatures
+from imuarray.fuse.optimal.prior import AxisErrors, DesignErrors, ErrorModel, error_model
 from imuarray.fuse.pipeline import LearnedBias
 
 __all__ = [

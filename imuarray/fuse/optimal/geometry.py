@@ -18,7 +18,7 @@ import numpy.typing as npt
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.frames import Axis, Frames, directions
 from imuarray.fuse.least_squares import spans
-from imuarray.fuse.optimal.error_model import ErrorModel
+from imuarray.fuse.optimal.prior import ErrorModel
 
 AT_END = 0.98
 """Share of the measuring range above which a reading is a bound: the truth is there or beyond."""

@@ -32,10 +32,10 @@ import numpy as np
 from imuarray.arrays import Floats, Times
 from imuarray.errors import FusionError
 from imuarray.fuse.frames import Axis, Estimate, Frames, FusedBlock, entries
-from imuarray.fuse.optimal.error_model import ErrorModel
 from imuarray.fuse.optimal.filter import ArrayFilter, Dynamics, SegmentEnds, SegmentSmoother
 from imuarray.fuse.optimal.frame_solution import FrameSolution, SegmentView
 from imuarray.fuse.optimal.geometry import Bounds, FrameReadings, Geometry, geometry_of, hold_last, readings_of
+from imuarray.fuse.optimal.prior import ErrorModel
 from imuarray.fuse.optimal.states import states_of
 from imuarray.fuse.pipeline import FusionNotes, LearnedBias, fused_block
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from imuarray.arrays import Floats, Indices
 from imuarray.fuse.frames import Axis
-from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel
+from imuarray.fuse.optimal.prior import AxisErrors, DesignErrors, ErrorModel
 
 
 class Gaussian(NamedTuple):

@@ -2,7 +2,7 @@
 Cramer-Rao bound of the true model (the future work of the paper's section 8).
 """
 
-from imuarray.studies.fusion_gain.bound import (
+from imuarray.studies.fusion_gain.cramer_rao import (
     OUTSIDE,
     Bound,
     BoundStretch,
@@ -14,7 +14,7 @@ from imuarray.studies.fusion_gain.bound import (
     law_of,
     true_calibration,
 )
-from imuarray.studies.fusion_gain.study import (
+from imuarray.studies.fusion_gain.gain_study import (
     EXPERIMENTS,
     QUICK_S,
     QUICK_SEEDS,

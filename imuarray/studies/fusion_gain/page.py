@@ -16,14 +16,14 @@ from imuarray.errors import LogError
 from imuarray.figures import PALETTE, new_figure
 from imuarray.fuse import errors_of, fuse, technique_names
 from imuarray.fuse.evaluation import ten_second_means
-from imuarray.fuse.fuse import AVERAGE
+from imuarray.fuse.fusion import AVERAGE
 from imuarray.log import open_log
 from imuarray.printable import counted
 from imuarray.report import Figure, Section, Table, Verdict, write_page
 from imuarray.simulate import write_log
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
-from imuarray.studies.fusion_gain.study import (
+from imuarray.studies.fusion_gain.gain_study import (
     ARRAY,
     ARRAYS,
     CAUSAL,

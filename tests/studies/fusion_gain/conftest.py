@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
-
 import pytest
 
-from imuarray.studies.fusion_gain import Study, study
+from imuarray.studies.fusion_gain import Study, gain_study, study
 from imuarray.studies.fusion_gain.page import HeatingErrors, heated
-
-module = importlib.import_module("imuarray.studies.fusion_gain.study")  # the package has a function of this name
 
 
 @pytest.fixture(scope="session")
@@ -17,10 +13,10 @@ def short_and_warm() -> tuple[Study, HeatingErrors]:
     """Made with short calibrating logs: enough to see rows and curves, too little to learn from them."""
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (("TUMBLE_S", 56.0), ("HEATING_S", 120.0), ("BOOTS", 3), ("BOOT_S", 12.0)):
-            patch.setattr(module, name, value)
-        module.measured.cache_clear()
+            patch.setattr(gain_study, name, value)
+        gain_study.measured.cache_clear()
         found = study(("static",), 1, seconds=12.0), heated(1, 100.0)
-    module.measured.cache_clear()
+    gain_study.measured.cache_clear()
     return found
 
 

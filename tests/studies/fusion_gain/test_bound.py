@@ -8,7 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.errors import FusionError
-from imuarray.studies.fusion_gain.bound import BoundStretch, ErrorLaw, SlowError, StretchReadings, bound, frame_weights
+from imuarray.studies.fusion_gain.cramer_rao import (
+    BoundStretch,
+    ErrorLaw,
+    SlowError,
+    StretchReadings,
+    bound,
+    frame_weights,
+)
 from tests.selection import examples
 
 MG = 9.80665e-3

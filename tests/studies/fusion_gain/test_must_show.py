@@ -23,7 +23,7 @@ from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
 from imuarray.studies.fusion_gain import GainRow, Study, study, true_calibration
-from imuarray.studies.fusion_gain.study import (
+from imuarray.studies.fusion_gain.gain_study import (
     CAUSAL,
     FAULTS,
     NO_SLOPES,

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from imuarray.fuse import Ratio
+from imuarray.studies.fusion_gain.gain_study import GainRow, Study
 from imuarray.studies.fusion_gain.page import ratios_figure, study_verdict, write_study_page
-from imuarray.studies.fusion_gain.study import GainRow, Study
 
 
 def row(technique: str, ratio: float, high: float, experiment: str = "heating") -> GainRow:

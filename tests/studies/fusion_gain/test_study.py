@@ -15,8 +15,8 @@ from imuarray.commands import study as command
 from imuarray.fuse import technique_names
 from imuarray.gap.model.workers import processes
 from imuarray.studies.fusion_gain import EXPERIMENTS, RunErrors, Study, render_text, study
+from imuarray.studies.fusion_gain.gain_study import rows_of
 from imuarray.studies.fusion_gain.page import HeatingErrors, drawings_of
-from imuarray.studies.fusion_gain.study import rows_of
 
 
 def measured(technique: str, seed: int, boot: int, square: float, **more: object) -> RunErrors:

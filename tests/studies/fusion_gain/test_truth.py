@@ -14,7 +14,7 @@ from imuarray.simulate import EFFECTS, write_log
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
 from imuarray.studies.fusion_gain import OUTSIDE, ErrorLaw, law_of, true_calibration
-from imuarray.studies.fusion_gain.study import martin2013, perpendicular, simulated
+from imuarray.studies.fusion_gain.gain_study import martin2013, perpendicular, simulated
 from tests.selection import some
 
 G = 9.80665

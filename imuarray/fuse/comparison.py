@@ -1,8 +1,8 @@
 """Comparison of every technique on one log with known truth: errors, gains over the simple average, and covariances.
 
 All techniques use the same sensors and the same calibration. Only frames that both the average and the technique
-estimate are counted. The errors of a coasting navigator are compared as well (`imuarray.fuse.coasting`). The interval
-of a ratio covers chance within this log; the turn-on bias of a sensor is the same throughout it.
+estimate are counted. The errors of a coasting navigator are compared as well (`imuarray.fuse.coasting_errors`). The
+interval of a ratio covers chance within this log; the turn-on bias of a sensor is the same throughout it.
 
 An estimator of the whole array takes longer than all simple techniques together. With an executor another process
 computes its frames at the same time; the figures are the same as from one process.
@@ -34,7 +34,7 @@ import numpy as np
 from imuarray.arrays import Booleans, Floats
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
-from imuarray.fuse.coasting import Coasting, Errors, coasting
+from imuarray.fuse.coasting_errors import Coasting, Errors, coasting
 from imuarray.fuse.evaluation import (
     BLOCKS,
     FEWEST_BLOCKS,
@@ -47,7 +47,7 @@ from imuarray.fuse.evaluation import (
     error_of,
     ratio_of,
 )
-from imuarray.fuse.fuse import AVERAGE, NAMES, Progress, fuse, fuse_together
+from imuarray.fuse.fusion import AVERAGE, NAMES, Progress, fuse, fuse_together
 from imuarray.fuse.spools import AT_ONCE, RowSource, RowSpool, row_blocks
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import Log, open_log

@@ -32,16 +32,16 @@ from imuarray.calibrate import Calibration, calibrate_noise, calibrate_thermal, 
 from imuarray.calibrate.start_up import start_up_states
 from imuarray.chips import CHIPS
 from imuarray.fuse import OPTIMAL, ErrorFrames, FusedBlock, coasting, error_frames, fuse, technique_names
-from imuarray.fuse.compare import both, consistency
+from imuarray.fuse.comparison import both, consistency
 from imuarray.fuse.evaluation import Ratio, ratio_of, ten_second_means
-from imuarray.fuse.fuse import AVERAGE
+from imuarray.fuse.fusion import AVERAGE
 from imuarray.log import Log, open_log
 from imuarray.printable import percent
 from imuarray.shipped import configs
 from imuarray.simulate import Motion, Simulation, effects_of, load_model, plan_of, write_log
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
-from imuarray.studies.fusion_gain.bound import OUTSIDE, ErrorLaw, Posterior, law_of, true_calibration
+from imuarray.studies.fusion_gain.cramer_rao import OUTSIDE, ErrorLaw, Posterior, law_of, true_calibration
 from imuarray.units import INERTIAL, READABLE_SI
 
 ARRAY = "martin2013"
