@@ -25,9 +25,9 @@ from imuarray.axes import UP_AXES, face_up, up_vector
 from imuarray.characterise.noise import LEFT_OUT
 from imuarray.characterise.stretch import GAP, broken_rows
 from imuarray.errors import CalibrationError
-from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, SUSPECT, Phase
+from imuarray.log.row_timing import row_timing
 
 WINDOW_S = 0.5
 MIN_POSE_S = 1.5

@@ -42,9 +42,9 @@ from imuarray.characterise.spectrum import Spectrum
 from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
 from imuarray.characterise.survey import Survey, runs_of_curve, survey
 from imuarray.errors import LogError
-from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import FLAGS
+from imuarray.log.row_timing import row_timing
 from imuarray.units import SI_NAME, SI_PER_UNIT
 
 WIDTHS = (4, 8, 16, 32, 64, 128)

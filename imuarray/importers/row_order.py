@@ -5,7 +5,7 @@ A logger with several threads, or a transport that repeats packets, writes rows 
 
 The reading times of rows that arrived in bursts are reconstructed: a chip samples steadily, whatever its host does.
 Rows are assumed to be read evenly between the mean arrival times of long stretches, so that the chip's oscillator may
-drift against the host's clock (`imuarray.gap.recording.row_timing`). The delay of each row is kept as a column, so the
+drift against the host's clock (`imuarray.log.row_timing`). The delay of each row is kept as a column, so the
 arrival times are not lost.
 """
 
@@ -17,11 +17,11 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Times
-from imuarray.gap.recording.row_timing import EvenRows, even_rows, row_timing
 from imuarray.importers.cells import CellBlock
 from imuarray.log import LogWriter
 from imuarray.log.format import ARRIVAL
 from imuarray.log.layout import Columns
+from imuarray.log.row_timing import EvenRows, even_rows, row_timing
 
 
 def count_out(log: LogWriter, sensor: str) -> list[str]:

@@ -22,9 +22,9 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats, Times
 from imuarray.calibrate import Calibration
-from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import LOST_BEFORE, SATURATED
+from imuarray.log.row_timing import row_timing
 from imuarray.printable import counted
 from imuarray.units import SI_PER_UNIT
 

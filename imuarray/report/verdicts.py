@@ -14,10 +14,10 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.fuse import FusedHead, Score, TechniqueComparison
-from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log
 from imuarray.log.health import Observations, health_of, is_trouble
 from imuarray.log.missed_frames import frame_timing, is_fault_of_bus
+from imuarray.log.row_timing import row_timing
 from imuarray.printable import counted, duration
 from imuarray.report.page import Level, Verdict
 from imuarray.report.recording import silent_s

@@ -16,9 +16,9 @@ from imuarray.gap.findings.description import lines_shown
 from imuarray.gap.findings.diagnosis import Cause, Diagnosis
 from imuarray.gap.inference.comparison import prepare
 from imuarray.gap.recording.recordings import Recording, recording_of
-from imuarray.gap.recording.row_timing import row_timing
 from imuarray.importers.table import import_table
 from imuarray.log import open_log
+from imuarray.log.row_timing import row_timing
 from tests.gap.made import where
 
 RECORDINGS = Path(os.environ.get("IMUARRAY_RECORDINGS") or Path(__file__).parents[3] / "shared" / "data")

@@ -16,7 +16,10 @@ from typing import Any
 
 import tomli_w
 
-SOURCE = Path(__file__).parents[2] / "imuarray" / "gap"
+ROOT = Path(__file__).parents[2]
+SOURCE = ROOT / "imuarray" / "gap"
+SHARED = ("imuarray.log.row_timing",)
+"""Modules elsewhere whose numbers the diagnosis uses."""
 TABLE = Path(__file__).with_name("tuned_numbers.toml")
 
 
@@ -39,14 +42,15 @@ def test_the_table_has_all_of_them() -> None:
 
 def tuned_numbers() -> Iterator[tuple[str, Mapping[str, Any]]]:
     """By module, the numbers that stand at its top level under a name in capitals."""
-    for path in sorted(SOURCE.rglob("*.py")):
-        module = ".".join(path.relative_to(SOURCE).with_suffix("").parts)
+    shared = (ROOT.joinpath(*module.split(".")).with_suffix(".py") for module in SHARED)
+    for path in [*sorted(SOURCE.rglob("*.py")), *shared]:
+        module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
         names = list(_capitals(ast.parse(path.read_text(encoding="utf-8"))))
         if names:
-            values = vars(importlib.import_module(f"imuarray.gap.{module}".removesuffix(".__init__")))
+            values = vars(importlib.import_module(module.removesuffix(".__init__")))
             tuned = {name: plain for name in names if (plain := _plain(values[name])) is not None}
             if tuned:
-                yield module, tuned
+                yield module.removeprefix("imuarray.gap."), tuned
 
 
 def _capitals(tree: ast.Module) -> Iterator[str]:

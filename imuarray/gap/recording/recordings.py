@@ -32,10 +32,10 @@ from imuarray.gap.recording.phases import (
     temperature_notes,
 )
 from imuarray.gap.recording.recorder_gaps import EARLY, RecorderGaps, recorder_gaps, usual_interval_ns
-from imuarray.gap.recording.row_timing import RowTiming, even_rows, notes_of, row_timing
 from imuarray.gap.recording.source import RowFilter, Source, recorded_source
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
+from imuarray.log.row_timing import RowTiming, even_rows, notes_of, row_timing
 from imuarray.log.writer import Block
 from imuarray.printable import listed
 from imuarray.simulate.converters import thermometer_of

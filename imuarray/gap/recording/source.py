@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Times
-from imuarray.gap.recording.row_timing import EvenRows
 from imuarray.log import SensorLog
 from imuarray.log.format import OVERRUN, STALE, SensorHeader
+from imuarray.log.row_timing import EvenRows
 from imuarray.log.sensor_log import first_at, recorded_header
 from imuarray.log.writer import Block
 from imuarray.simulate.sensor import NO_READY_BIT, SimulatedSensor

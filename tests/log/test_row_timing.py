@@ -9,7 +9,9 @@ import numpy.typing as npt
 import pytest
 
 from imuarray.gap.recording.recordings import recording_of, sources_of
-from imuarray.gap.recording.row_timing import (
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
+from imuarray.log.row_timing import (
     EvenRows,
     RowTiming,
     _is_burst,
@@ -17,8 +19,6 @@ from imuarray.gap.recording.row_timing import (
     notes_of,
     row_timing,
 )
-from imuarray.log import Block, LogWriter, open_log
-from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
 
 Times = npt.NDArray[np.int64]
 
