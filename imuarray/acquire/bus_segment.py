@@ -3,6 +3,10 @@ and identity, and the order in which a frame visits the segments.
 
 `connect` identifies and configures every sensor; `SensorRoute` is its driver and the key of its segment.
 
+`Pca9544a` is the multiplexer, and each of its four channels a `Bus` (NXP data sheet Rev 5). It has one control byte and
+no register address (PCA-02): bit 2 enables, bits 1:0 choose the channel (PCA-03). The new channel is connected from the
+STOP on (PCA-06), so that selecting is a transaction of its own. The chip has no reset (PCA-09).
+
 `AdapterState` is the I2C adapter as the poll loop sees it: whether it hangs, whether it is plugged in, and how long one
 of its clocks takes. A hung bus (a wire held low) costs a time-out per transaction. Two time-outs in a row without an
 answer in between are attributed to the bus and not to a sensor; the bus is then tried at growing intervals until
@@ -36,7 +40,7 @@ from imuarray.acquire.fault_episode import FaultEpisodes
 from imuarray.acquire.sample_buffer import SampleBuffer, SensorRoute
 from imuarray.array import IIO, ArrayConfig, SensorConfig
 from imuarray.bus.iio import IioBus, IioDevice
-from imuarray.bus.protocol import Bus, MuxChannel, OpenBus, Pca9544a
+from imuarray.bus.protocol import Bus, OpenBus
 from imuarray.bus.spi import SpiChip
 from imuarray.chips import die_of
 from imuarray.clock import Clock
@@ -46,6 +50,67 @@ from imuarray.drivers.six_axis import QueuedHalf
 from imuarray.errors import BusUrlError, SensorError
 from imuarray.facts import pca9544a
 from imuarray.facts.registers import Setting
+
+
+def control_byte(channel: int) -> int:
+    """Return the control byte that connects `channel`."""
+    return (pca9544a.ENABLE(1) | pca9544a.CHANNEL(channel)).value
+
+
+class Pca9544a:
+    """One multiplexer; remembers what is selected, and forgets it whenever a transaction fails."""
+
+    def __init__(self, bus: Bus, address: int) -> None:
+        self.bus = bus
+        self.address = address
+        self._selected: int | None = None
+
+    def select(self, channel: int) -> None:
+        """Connect `channel` if it is not connected; OSError when the multiplexer does not answer."""
+        if channel == self._selected:
+            return
+        self._selected = None
+        self.bus.transfer(self.address, bytes([control_byte(channel)]))
+        self._selected = channel
+
+    def forget(self) -> None:
+        """Select the channel again before the next transaction."""
+        self._selected = None
+
+    def is_connected(self, channel: int) -> bool:
+        """Return whether the control byte, read back, names `channel`; False if the multiplexer does not answer."""
+        try:
+            control = self.bus.transfer(self.address, read=1)[0]
+        except OSError:
+            return False
+        return control & (pca9544a.ENABLE.mask | pca9544a.CHANNEL.mask) == control_byte(channel)
+
+    def channel(self, channel: int) -> MuxChannel:
+        """Return the bus behind one channel."""
+        return MuxChannel(self, channel)
+
+
+class MuxChannel:
+    """One channel of a multiplexer: a bus that selects itself before a transaction."""
+
+    def __init__(self, mux: Pca9544a, channel: int) -> None:
+        self.mux = mux
+        self.number = channel
+
+    def select(self) -> None:
+        """Connect this channel now, so that the next transaction starts at once; OSError if the multiplexer does not
+        answer.
+        """
+        self.mux.select(self.number)
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        """Transfer as `Bus.transfer`; after a failed transaction the next one selects the channel again."""
+        self.mux.select(self.number)
+        try:
+            return self.mux.bus.transfer(address, write, read)
+        except OSError:
+            self.mux.forget()
+            raise
 
 
 class Witness(NamedTuple):
@@ -435,8 +500,7 @@ class Channel:
     def __init__(
         self, bus: MuxChannel, here: Sequence[SensorRoute], everywhere: Sequence[SensorRoute], limit: int
     ) -> None:
-        self._mux = bus.mux
-        self._order = (pca9544a.ENABLE(1) | pca9544a.CHANNEL(bus.number)).value
+        self._mux, self._number = bus.mux, bus.number
         self.twins = [route for route in here if twins_of(route, everywhere)]
         witnesses = [witness for route in here for witness in witnesses_of(route, everywhere)]
         self.witnesses = sorted(witnesses, key=lambda witness: not witness.others)[:limit]  # registers first
@@ -455,7 +519,7 @@ class Channel:
             self._turn = (self._turn + 1) % len(self.witnesses)
             if self._ask_witness(self.witnesses[self._turn]):
                 return True
-        if not self._read_back():
+        if not self._mux.is_connected(self._number):
             return False
         for witness in self.witnesses:
             verdict = self._ask_witness(witness)
@@ -482,17 +546,9 @@ class Channel:
         self.doubted = witness
         return None if witness.others else True
 
-    def _read_back(self) -> bool:
-        """Return whether the multiplexer's control byte names this channel."""
-        try:
-            control = self._mux.bus.transfer(self._mux.address, read=1)[0]
-        except OSError:
-            return False
-        return control & (pca9544a.ENABLE.mask | pca9544a.CHANNEL.mask) == self._order
-
     def forget(self) -> None:
         """Select the channel again before the next transaction."""
-        self._mux.selected = None
+        self._mux.forget()
 
 
 def channel_of(here: Sequence[SensorRoute], everywhere: Sequence[SensorRoute], limit: int) -> Channel | None:
@@ -588,7 +644,7 @@ class BusSegment:
         for item in self.items:
             bus = item.driver.registers.bus
             if isinstance(bus, MuxChannel):  # the multiplexer may have been without its supply
-                bus.mux.selected = None
+                bus.mux.forget()
 
     def has_returned(self, buffer: SampleBuffer) -> bool:
         """Send a request to the sensor's address: any result except `REMOVED` shows that the adapter is present."""

@@ -17,11 +17,11 @@ from typing import Any
 
 import tomli_w
 
-from imuarray.acquire.bus_segment import routes_of
+from imuarray.acquire.bus_segment import Pca9544a, routes_of
 from imuarray.acquire.sample_buffer import SensorRoute
 from imuarray.array import IIO, ArrayConfig, SensorConfig
 from imuarray.bus.iio import IioBus, IioDevice
-from imuarray.bus.protocol import Bus, OpenBus, Pca9544a
+from imuarray.bus.protocol import Bus, OpenBus
 from imuarray.chips import CHIPS, HALVES, die_of
 from imuarray.drivers import DRIVERS, RemarkingDriver, SelfTest
 from imuarray.drivers.iio import rates_of

@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from imuarray.acquire.bus_segment import MuxChannel
 from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.fault_episode import FaultEpisodes, event_writer
 from imuarray.acquire.recording import RecordingCounts, RecordingOptions
@@ -22,7 +23,7 @@ from imuarray.acquire.sample_buffer import HELD_S, Intake, SensorRoute
 from imuarray.acquire.sensor_health import StartUpCheck
 from imuarray.acquire.stream_plan import LINK, ReadbackPlace, Rows, plan, readings_at
 from imuarray.acquire.stream_queue import rows_of
-from imuarray.bus.protocol import MuxChannel, OpenBus
+from imuarray.bus.protocol import OpenBus
 from imuarray.bus.serial_bus import Samples, SerialBus
 from imuarray.bus.serial_link import CAN_COUNT, LinkError
 from imuarray.drivers.unattended import needs_counting, unattended_queue_of
@@ -409,7 +410,7 @@ class Streaming:
         for rows in self._rows:
             bus = rows.buffer.driver.registers.bus
             if isinstance(bus, MuxChannel):
-                bus.mux.selected = None
+                bus.mux.forget()
 
     def _finish(self) -> None:
         """Take the last samples, verify or flag them, and write all."""

@@ -21,15 +21,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.acquire.bus_segment import MuxChannel, control_byte
 from imuarray.acquire.sample_buffer import SampleBuffer, SensorRoute
 from imuarray.arrays import Integers
-from imuarray.bus.protocol import MuxChannel
 from imuarray.bus.serial_bus import Samples, SerialSpiPort
 from imuarray.bus.serial_link import AGE_HELD, AGE_NOBODY, MAX_PAYLOAD, PollList, Request
 from imuarray.bus.spi import SpiChip
 from imuarray.drivers import OnDemandDriver
 from imuarray.drivers.unattended import Visit, drain_of, least_drains_hz, unattended_queue_of, visits_of
-from imuarray.facts import pca9544a
 from imuarray.facts.registers import Setting
 
 SWEEP_S = 0.84
@@ -133,8 +132,7 @@ class _Lists:
             raise TypeError(f"{route.sensor.name} is behind no multiplexer")
         address, channel, age = self._selected.get(key, (-1, -1, -1))
         if (address, channel) != (bus.mux.address, bus.number):
-            setting = pca9544a.ENABLE(1) | pca9544a.CHANNEL(bus.number)
-            age = self._ask(key, Request(bus.mux.address, bytes([setting.value]), 0))
+            age = self._ask(key, Request(bus.mux.address, bytes([control_byte(bus.number)]), 0))
             self._selected[key] = bus.mux.address, bus.number, age
         return age
 

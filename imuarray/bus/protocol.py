@@ -1,9 +1,4 @@
-"""The interface between the library and the wire, and the PCA9544A multiplexer, whose four channels are each a `Bus`.
-
-NXP data sheet Rev 5. One control byte, no register address (PCA-02): bit 2 enables, bits 1:0 choose the channel
-(PCA-03). The new channel is connected from the STOP on (PCA-06), so that selecting is a transaction of its own. The
-chip has no reset (PCA-09).
-"""
+"""The interface between the library and the wire."""
 
 from __future__ import annotations
 
@@ -11,7 +6,6 @@ from contextlib import AbstractContextManager
 from typing import Protocol
 
 from imuarray.clock import Clock
-from imuarray.facts import pca9544a
 
 
 class Bus(Protocol):
@@ -45,46 +39,3 @@ class OpenBus(Bus, AbstractContextManager["OpenBus"], Protocol):
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
         """Return the chip select at `path`, clocked so; closed together with this bus. OSError or BusUrlError."""
-
-
-class Pca9544a:
-    """One multiplexer; remembers what is selected, and forgets it whenever a transaction fails."""
-
-    def __init__(self, bus: Bus, address: int) -> None:
-        self.bus = bus
-        self.address = address
-        self.selected: int | None = None
-
-    def select(self, channel: int) -> None:
-        """Connect `channel` if it is not connected; OSError when the mux does not answer."""
-        if channel == self.selected:
-            return
-        self.selected = None
-        setting = pca9544a.ENABLE(1) | pca9544a.CHANNEL(channel)
-        self.bus.transfer(self.address, bytes([setting.value]))
-        self.selected = channel
-
-    def channel(self, channel: int) -> MuxChannel:
-        """Return the bus behind one channel."""
-        return MuxChannel(self, channel)
-
-
-class MuxChannel:
-    """One channel of a multiplexer: a bus that selects itself before it talks."""
-
-    def __init__(self, mux: Pca9544a, channel: int) -> None:
-        self.mux = mux
-        self.number = channel
-
-    def select(self) -> None:
-        """Connect this channel now, so that the next transaction starts at once; OSError if the mux is silent."""
-        self.mux.select(self.number)
-
-    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """See `Bus.transfer`; a failed transaction makes the next one select anew."""
-        self.mux.select(self.number)
-        try:
-            return self.mux.bus.transfer(address, write, read)
-        except OSError:
-            self.mux.selected = None
-            raise

@@ -17,10 +17,10 @@ from typing import Any
 import pytest
 
 from firmware_emulator.device_file import Adapter, device_files
+from imuarray.acquire.bus_segment import Pca9544a
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.bus import Bus, open_bus
 from imuarray.bus.linux import LinuxBus
-from imuarray.bus.protocol import Pca9544a
 from imuarray.bus.replay import ReplayBus
 from imuarray.bus.transcript import RecordingBus
 from imuarray.errors import BusUrlError

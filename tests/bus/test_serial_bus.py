@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imuarray.acquire.bus_segment import Pca9544a
 from imuarray.array import parse_array
 from imuarray.bus import Bus, open_bus, serial_bus, serial_session
-from imuarray.bus.protocol import Pca9544a
 from imuarray.bus.serial_bus import SerialBus
 from imuarray.bus.serial_link import ANSWER, LinkError, PollList, Request, framed
 from imuarray.errors import BusUrlError

@@ -36,7 +36,7 @@ CHIPS = sorted(
 ACCESSES = ("r", "w", "rw")
 HANGS_S = 10
 CONTROL_EVERY = 25
-READERS = ("imuarray.drivers", "firmware_emulator.chips", "imuarray.bus.protocol", "firmware_emulator.board")
+READERS = ("imuarray.drivers", "firmware_emulator.chips", "imuarray.acquire.bus_segment", "firmware_emulator.board")
 INERT: dict[tuple[str, str, str], str] = {
     ("bma180", "CTRL_REG0 reset", "0x00 -> 0x20"): "update_image clears itself when the download of power-on ends",
     ("icm42688", "DEVICE_CONFIG reset", "0x00 -> 0x01"): "SOFT_RESET clears itself when the reset of power-on ends",

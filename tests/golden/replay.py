@@ -21,8 +21,8 @@ from firmware_emulator.board import Pca9544aChip
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.clock import VirtualClock
 from firmware_emulator.wire import Wire
+from imuarray.acquire.bus_segment import Pca9544a as MuxDriver
 from imuarray.array import SensorConfig
-from imuarray.bus.protocol import Pca9544a as MuxDriver
 from imuarray.drivers import driver_of
 from imuarray.log.format import FLAGS
 

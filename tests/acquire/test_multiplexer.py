@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from imuarray.acquire.bus_segment import Pca9544a
 from imuarray.array import parse_array
 from imuarray.bus import open_bus
-from imuarray.bus.protocol import Pca9544a
 
 
 class Wires:
