@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import ModuleType
 from typing import ClassVar, NamedTuple
@@ -54,8 +54,9 @@ class SampleGrid:
 
 
 class SixAxis(Chip):
-    """Registers with two elements behind them: built with the one of `half`, it takes the other by `take_element`. A
-    half without element feels nothing. `identity` is what WHO_AM_I says, that of the part unless told otherwise.
+    """Registers with two elements behind them. It is built with the `elements` of one half or of both, by half, and
+    takes another one by `take_element`; the converter of a half without element has an input of zero. `identity` is the
+    content of WHO_AM_I (None: that of the part).
     """
 
     table: ClassVar[ModuleType]
@@ -63,14 +64,12 @@ class SixAxis(Chip):
     reset_bit: ClassVar[Field]
     reset_ns: ClassVar[int]
 
-    # What a part is, and what it is connected to: independent of one another.
-    def __init__(  # noqa: PLR0913
+    def __init__(
         self,
         address: int,
-        element: Element,
+        elements: Mapping[str, Element],
         powered_on_ns: int = 0,
         *,
-        half: str = ACCELEROMETER,
         identity: int | None = None,
         rate_error: float = 0.0,
         pulse_hz: float = 0.0,
@@ -81,9 +80,9 @@ class SixAxis(Chip):
         """
         self._oscillator = 1 + rate_error
         self._pulse_ns = round(1e9 / pulse_hz) if pulse_hz else 0
-        self._elements: dict[str, Element] = {half: element}
+        self._elements = dict(elements)
         self._identity = self.who_am_i.reset if identity is None else identity
-        super().__init__(address, self.table, element, powered_on_ns)
+        super().__init__(address, self.table, next(iter(elements.values())), powered_on_ns)
 
     def own_period_ns(self, period_ns: float) -> int:
         """Return the duration, by the die's oscillator, of a period with this nominal length."""

@@ -1,9 +1,9 @@
 """The chips: what reading and writing each register does, and when a conversion is finished."""
 
 from collections.abc import Callable
-from functools import partial
+from typing import Any
 
-from firmware_emulator.chip import Chip
+from firmware_emulator.chip import Chip, Element
 from firmware_emulator.chips import icm42688, lsm6dso, mpu6050, mpu6500
 from firmware_emulator.chips.adxl345 import Adxl345Chip
 from firmware_emulator.chips.ak8963 import Ak8963Chip
@@ -32,15 +32,21 @@ HALVES: dict[str, Half] = {
 }
 """Chips of which two sensors in one place are one die."""
 
+
+def _chip_of(die: Die, half: Half) -> Callable[..., Chip]:
+    """Return the function that builds a die from the element of one half."""
+
+    def build(address: int, element: Element, powered_on_ns: int = 0, **switches: Any) -> Chip:
+        return die.build(address, {half.name: element}, powered_on_ns, **switches)
+
+    return build
+
+
 CHIPS: dict[str, Callable[..., Chip]] = {
     "adxl345": Adxl345Chip,
     "bma180": Bma180Chip,
     "l3g4200d": L3g4200dChip,
-    **{
-        f"{name}_{suffix}": partial(die.build, half=half.name)
-        for name, die in DIES.items()
-        for suffix, half in die.halves.items()
-    },
+    **{f"{name}_{suffix}": _chip_of(die, half) for name, die in DIES.items() for suffix, half in die.halves.items()},
     "bmp180": Bmp180Chip,
     "bmp280": Bmp280Chip,
     "bmp388": Bmp388Chip,

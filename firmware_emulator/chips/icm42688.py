@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, ClassVar
@@ -73,7 +74,7 @@ class Icm42688Chip(SixAxis):
     def __init__(
         self,
         address: int,
-        element: Element,
+        elements: Mapping[str, Element],
         powered_on_ns: int = 0,
         *,
         trim_code: int = TRIM_CODE,
@@ -81,7 +82,7 @@ class Icm42688Chip(SixAxis):
         **switches: Any,
     ) -> None:
         self._trim_code, self._clock_input_hz = trim_code, clock_input_hz
-        super().__init__(address, element, powered_on_ns, **switches)
+        super().__init__(address, elements, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:
         """Both halves off, every register of every bank at its reset value (TDK-10, TDK-11)."""

@@ -9,6 +9,7 @@ detection, the low-power cycle, standby of single axes, and the settling of the 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from struct import Struct
 from types import ModuleType
 from typing import Any, ClassVar
@@ -59,14 +60,14 @@ class Mpu6050Chip(MpuFamily):
     def __init__(
         self,
         address: int,
-        element: Element,
+        elements: Mapping[str, Element],
         powered_on_ns: int = 0,
         *,
         clock_input_hz: float = 0.0,
         **switches: Any,
     ) -> None:
         self._clock_input_hz = clock_input_hz
-        super().__init__(address, element, powered_on_ns, **switches)
+        super().__init__(address, elements, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:
         """Asleep, every register at its reset value, the queue empty (INV-10, INV-25)."""

@@ -11,7 +11,7 @@ slot, except for the delay that all others share; other masters; the time that t
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 from firmware_emulator.chip import Element, Target
@@ -124,7 +124,7 @@ class MpuFamily(SixAxis):
     def __init__(
         self,
         address: int,
-        element: Element,
+        elements: Mapping[str, Element],
         powered_on_ns: int = 0,
         *,
         trim_code: int | None = None,
@@ -133,7 +133,7 @@ class MpuFamily(SixAxis):
         self._trim_code = self.default_trim_code if trim_code is None else trim_code
         self._queue: deque[int] = deque(maxlen=self.fifo_bytes)
         self.auxiliary = AuxiliaryMaster()
-        super().__init__(address, element, powered_on_ns, **switches)
+        super().__init__(address, elements, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:
         """Bring it to its reset values, the queue empty."""

@@ -33,7 +33,7 @@ class Bench:
     def __init__(self) -> None:
         self.clock = VirtualClock()
         self.wire = Wire(self.clock)
-        self.chip = Mpu6050Chip(0x68, Ramp(), 0, half=ACCELEROMETER)
+        self.chip = Mpu6050Chip(0x68, {ACCELEROMETER: Ramp()}, 0)
         self.chip.take_element(GYROSCOPE, Ramp())
         self.wire.connect(self.chip)
         self.write(0x6B, 0x01)

@@ -62,7 +62,7 @@ def words(data: bytes, order: str) -> list[int]:
 
 def lsm6dso(control: str) -> Bench:
     """1666 Hz at 2 g, on a ramp of 39 counts a sample, so that a byte carries at every seventh."""
-    return Bench(Lsm6dsoChip(0x6A, Ramp(4.0), half=ACCELEROMETER), control, "1080")
+    return Bench(Lsm6dsoChip(0x6A, {ACCELEROMETER: Ramp(4.0)}), control, "1080")
 
 
 @pytest.mark.parametrize(("control", "torn"), [("1204", True), ("1244", False)])
@@ -82,8 +82,8 @@ def test_without_block_update_the_two_bytes_of_a_number_are_of_two_samples(contr
 @pytest.mark.parametrize(
     ("bench", "register", "order", "delay_s"),
     [
-        (lambda: Bench(Icm42688Chip(0x68, Ramp(), half=ACCELEROMETER), "5066", "4e0f"), 0x1F, ">", 0.0),
-        (lambda: Bench(Mpu6500Chip(0x68, Ramp(), half=ACCELEROMETER), "1a01"), 0x3B, ">", 1.94e-3),
+        (lambda: Bench(Icm42688Chip(0x68, {ACCELEROMETER: Ramp()}), "5066", "4e0f"), 0x1F, ">", 0.0),
+        (lambda: Bench(Mpu6500Chip(0x68, {ACCELEROMETER: Ramp()}), "1a01"), 0x3B, ">", 1.94e-3),
     ],
     ids=["icm42688", "mpu6500"],
 )
@@ -103,7 +103,7 @@ def test_a_burst_is_of_one_instant(bench: Callable[[], Bench], register: int, or
 
 def test_each_half_of_an_lsm6dso_has_its_own_rate() -> None:
     """LSM-11, LSM-15: the accelerometer at 104 Hz, the gyroscope at 416 Hz."""
-    chip = Lsm6dsoChip(0x6A, Ramp(), half=ACCELEROMETER)
+    chip = Lsm6dsoChip(0x6A, {ACCELEROMETER: Ramp()})
     chip.take_element(GYROSCOPE, Ramp(20.0))
     bench = Bench(chip, "1244", "1040", "1160")
     fresh = [0, 0]
@@ -122,7 +122,7 @@ def test_each_half_of_an_lsm6dso_has_its_own_rate() -> None:
 def test_the_stall_of_an_icm_42688_ends_after_two_milliseconds_and_comes_again_at_each_crossing() -> None:
     """TDK-18, DEC-63: a ramp of 1000 dps a second passes 100 dps once; 1 kHz, 2000 dps."""
     for control, held in (("4d91", True), ("4d51", False)):
-        bench = Bench(Icm42688Chip(0x68, Ramp(1000.0), half=GYROSCOPE), control, "4e0c")
+        bench = Bench(Icm42688Chip(0x68, {GYROSCOPE: Ramp(1000.0)}), control, "4e0c")
         readings = []
         while bench.clock.now_ns() < 130 * MS:
             bench.wait(0.5)
@@ -150,7 +150,7 @@ def test_samples_fall_on_the_grid() -> None:
 
 @pytest.mark.parametrize("name", DIES)
 def test_a_half_is_taken_once(name: str) -> None:
-    chip = DIES[name].build(0x68, Ramp(), half=ACCELEROMETER)
+    chip = DIES[name].build(0x68, {ACCELEROMETER: Ramp()})
     chip.take_element(GYROSCOPE, Ramp())
     with pytest.raises(ValueError, match="two sensors are the gyroscope"):
         chip.take_element(GYROSCOPE, Ramp())
