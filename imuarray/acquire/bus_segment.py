@@ -118,7 +118,7 @@ class Witness(NamedTuple):
 
     route: SensorRoute
     setting: Setting
-    others: frozenset[int]
+    twin_values: frozenset[int]
 
 
 def routes_of(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
@@ -215,17 +215,17 @@ def alternating_orders(routes: Sequence[SensorRoute]) -> tuple[list[list[SensorR
     segments: dict[int | str | None, list[SensorRoute]] = {}
     for route in routes:
         segments.setdefault(route.segment, []).append(route)
-    forth = list(segments.values())
-    return forth, forth[::-1]
+    order = list(segments.values())
+    return order, order[::-1]
 
 
-def twins_of(route: SensorRoute, everywhere: Iterable[SensorRoute]) -> list[SensorRoute]:
+def twins_of(route: SensorRoute, all_routes: Iterable[SensorRoute]) -> list[SensorRoute]:
     """Return the routes at the same address of other channels."""
     if not isinstance(route.driver.registers.bus, MuxChannel):
         return []
     return [
         other
-        for other in everywhere
+        for other in all_routes
         if other.segment != route.segment
         and isinstance(other.driver.registers.bus, MuxChannel)
         and other.sensor.address == route.sensor.address
@@ -245,21 +245,21 @@ def mark_twins(routes: Sequence[SensorRoute]) -> None:
         route.driver.mark(int(route.segment or 0) + 1)
 
 
-def witnesses_of(route: SensorRoute, everywhere: Sequence[SensorRoute]) -> list[Witness]:
+def witnesses_of(route: SensorRoute, all_routes: Sequence[SensorRoute]) -> list[Witness]:
     """Return the registers in which this chip differs from all its twins, even after one of them was reset; all its
     registers if it has no twin.
     """
-    twins = twins_of(route, everywhere)
+    twins = twins_of(route, all_routes)
     witnesses = []
     for setting in route.driver.watched:
-        theirs = [
+        twin_values = [
             {other.value for other in twin.driver.watched if other.register == setting.register}
             for twin in twins
             if die_of(twin.sensor.chip) == die_of(route.sensor.chip)
         ]
-        mine = {setting.value, setting.register.reset & setting.mask}
-        if len(theirs) == len(twins) and all(values and not values & mine for values in theirs):
-            witnesses.append(Witness(route, setting, frozenset().union(*theirs)))
+        own_values = {setting.value, setting.register.reset & setting.mask}
+        if len(twin_values) == len(twins) and all(values and not values & own_values for values in twin_values):
+            witnesses.append(Witness(route, setting, frozenset().union(*twin_values)))
     return witnesses
 
 
@@ -295,8 +295,8 @@ class ConfigurationReadback:
         witnesses: Iterable[Witness] = (),
     ) -> None:
         """`buffers` in visiting order; `report` (sensor, kind of event, message) is called when a chip has lost its
-        configuration or its address. The registers of `witnesses` are read by `Channel`, which reports them to `saw`
-        and `doubts`.
+        configuration or its address. The registers of `witnesses` are read by `Channel`, which reports them to
+        `note_right` and `note_wrong`.
         """
         self._checks = [_Check(item, setting) for item in buffers for setting in (*item.driver.watched, None)]
         self._of = {id(item): [check for check in self._checks if check.buffer is item] for item in buffers}
@@ -312,8 +312,8 @@ class ConfigurationReadback:
 
     def due(self) -> list[_Check]:
         """Return this frame's checks: those that were wrong last time first, then the next in turn."""
-        again = [check for check in self._checks if check.wrong == 1 and check.buffer.recovery is None]
-        turn: list[_Check] = []
+        repeated = [check for check in self._checks if check.wrong == 1 and check.buffer.recovery is None]
+        regular: list[_Check] = []
         reads, index, count = 0, self._next, len(self._in_turn)
         for _ in range(count):
             check = self._in_turn[index]
@@ -322,17 +322,17 @@ class ConfigurationReadback:
             reads += check.setting is not None
             index = (index + 1) % count
             if check.wrong != 1 and check.buffer.recovery is None:
-                turn.append(check)
+                regular.append(check)
         self._next = index
-        return again + turn
+        return repeated + regular
 
-    def saw(self, witness: Witness) -> None:
+    def note_right(self, witness: Witness) -> None:
         """Note that this register was read elsewhere and is right."""
         check = self._by_setting[id(witness.route), witness.setting]
         check.wrong = 0
         check.good_rows = len(check.buffer.times_ns)
 
-    def doubts(self, witness: Witness) -> None:
+    def note_wrong(self, witness: Witness) -> None:
         """Note that this register was read elsewhere and is not as configured."""
         check = self._by_setting[id(witness.route), witness.setting]
         check.wrong = max(check.wrong, 1)
@@ -351,8 +351,8 @@ class ConfigurationReadback:
             check.wrong = 0
             check.good_rows = len(check.buffer.times_ns)
         else:
-            address, wanted = check.setting.register.address, check.setting.into(value)
-            text = f"register {address:#04x} reads {value:#04x}, configured {wanted:#04x}"
+            address, configured = check.setting.register.address, check.setting.into(value)
+            text = f"register {address:#04x} reads {value:#04x}, configured {configured:#04x}"
             self._wrong(check, "configuration", text)
 
     def _ask(self, check: _Check) -> None:
@@ -374,7 +374,7 @@ class ConfigurationReadback:
             check.buffer.distrust(check.good_rows)
             self._report(check.buffer, kind, message)
 
-    def restart(self, buffer: SampleBuffer) -> None:
+    def note_configured(self, buffer: SampleBuffer) -> None:
         """Note that all registers of a chip are right, because they were just read or configured."""
         for check in self._of[id(buffer)]:
             check.wrong = 0
@@ -397,13 +397,13 @@ class ConfigurationReadback:
         trusted = self.trusted_rows(buffer)
         if trusted < len(buffer.times_ns):
             buffer.flag_suspect(trusted, len(buffer.times_ns))
-            self.restart(buffer)
+            self.note_configured(buffer)
 
     def trusted_rows(self, buffer: SampleBuffer) -> int:
         """Return how many waiting rows were followed by a successful check of every register."""
         return min(check.good_rows for check in self._of[id(buffer)])
 
-    def taken(self, buffer: SampleBuffer, count: int) -> None:
+    def note_written(self, buffer: SampleBuffer, count: int) -> None:
         """Note that the oldest `count` rows were written."""
         for check in self._of[id(buffer)]:
             check.good_rows = max(check.good_rows - count, 0)
@@ -437,23 +437,23 @@ class AdapterState:
         self._pause_ns = FIRST_PAUSE_NS
 
     @property
-    def down(self) -> bool:
-        """True if nothing on it can be reached."""
+    def is_unreachable(self) -> bool:
+        """True if no chip on it can be reached."""
         return self.hangs or self.removed
 
-    def was_removed(self, now_ns: int) -> bool:
+    def note_removal(self, now_ns: int) -> bool:
         """Note that a transaction ended with one of `REMOVED`; return whether the adapter was removed just now."""
         began = not self.removed
         self.removed = True
         self.silent_until_ns = now_ns + SEARCH_NS
         return began
 
-    def returned(self) -> None:
+    def note_return(self) -> None:
         """Note that the adapter is present again."""
         self.removed = False
         self.silent_until_ns = -(1 << 62)
 
-    def timed_out(self, now_ns: int) -> bool:
+    def note_time_out(self, now_ns: int) -> bool:
         """Note that a transaction ended with one of `HUNG`; return whether the bus began to hang just now."""
         self.time_outs += 1
         self.all_time_outs += 1
@@ -465,7 +465,7 @@ class AdapterState:
         self._pause_ns = min(2 * self._pause_ns, LONGEST_PAUSE_NS)
         return began
 
-    def answered(self) -> bool:
+    def note_answer(self) -> bool:
         """Note that something was received; return whether that ended a hang."""
         ended = self.hangs
         self.hangs = False
@@ -493,28 +493,28 @@ class Channel:
     """One channel of a multiplexer, and the witnesses on it that prove that it is connected; `twins` have a twin
     elsewhere.
 
-    Witness registers are read in turn, at most `limit` of them, which also checks their configuration: `seen` is the
-    one that was right last time, `doubted` one that answered with a wrong value.
+    Witness registers are read in turn, at most `limit` of them, which also checks their configuration. `right_witness`
+    is the one that was right last time, `wrong_witness` one that returned a wrong value.
     """
 
     def __init__(
-        self, bus: MuxChannel, here: Sequence[SensorRoute], everywhere: Sequence[SensorRoute], limit: int
+        self, bus: MuxChannel, routes: Sequence[SensorRoute], all_routes: Sequence[SensorRoute], limit: int
     ) -> None:
         self._mux, self._number = bus.mux, bus.number
-        self.twins = [route for route in here if twins_of(route, everywhere)]
-        witnesses = [witness for route in here for witness in witnesses_of(route, everywhere)]
-        self.witnesses = sorted(witnesses, key=lambda witness: not witness.others)[:limit]  # registers first
-        self.seen: Witness | None = None
-        self.doubted: Witness | None = None
+        self.twins = [route for route in routes if twins_of(route, all_routes)]
+        witnesses = [witness for route in routes for witness in witnesses_of(route, all_routes)]
+        self.witnesses = sorted(witnesses, key=lambda witness: not witness.twin_values)[:limit]  # registers first
+        self.right_witness: Witness | None = None
+        self.wrong_witness: Witness | None = None
         self._turn = 0
 
-    def right(self) -> bool:
+    def is_connected(self) -> bool:
         """Return whether the channel is connected: ask the next witness; unless it confirms, read the multiplexer's
         control byte and the other witnesses.
 
         A chip that was reset or removed is no evidence against a channel.
         """
-        self.seen = self.doubted = None
+        self.right_witness = self.wrong_witness = None
         if self.witnesses:
             self._turn = (self._turn + 1) % len(self.witnesses)
             if self._ask_witness(self.witnesses[self._turn]):
@@ -539,22 +539,22 @@ class Channel:
         except OSError:
             return None
         if value == setting.value:
-            self.seen = witness
+            self.right_witness = witness
             return True
-        if value in witness.others:
+        if value in witness.twin_values:
             return False
-        self.doubted = witness
-        return None if witness.others else True
+        self.wrong_witness = witness
+        return None if witness.twin_values else True
 
     def forget(self) -> None:
         """Select the channel again before the next transaction."""
         self._mux.forget()
 
 
-def channel_of(here: Sequence[SensorRoute], everywhere: Sequence[SensorRoute], limit: int) -> Channel | None:
+def channel_of(routes: Sequence[SensorRoute], all_routes: Sequence[SensorRoute], limit: int) -> Channel | None:
     """Return the channel of these routes if a chip on it has a twin on another channel."""
-    bus = here[0].driver.registers.bus
-    channel = Channel(bus, here, everywhere, limit) if isinstance(bus, MuxChannel) else None
+    bus = routes[0].driver.registers.bus
+    channel = Channel(bus, routes, all_routes, limit) if isinstance(bus, MuxChannel) else None
     return channel if channel is not None and channel.twins else None
 
 
@@ -576,23 +576,23 @@ class BusSegment:
     def __init__(
         self,
         items: list[SampleBuffer],
-        everybody: Sequence[SampleBuffer],
+        all_buffers: Sequence[SampleBuffer],
         adapter: AdapterState,
         polling: Polling,
     ) -> None:
         self.items = items
         self.key = items[0].route.segment
         self.adapter = adapter
-        here, everywhere = [item.route for item in items], [item.route for item in everybody]
-        self.channel = channel_of(here, everywhere, frames_of(polling.rate_hz))
+        routes, all_routes = [item.route for item in items], [item.route for item in all_buffers]
+        self.channel = channel_of(routes, all_routes, frames_of(polling.rate_hz))
         doubtful = [id(route) for route in self.channel.twins] if self.channel else []
-        self._misrouted = polling.faults.of("", "channel")
-        self._hang = polling.faults.of("", "bus", id(adapter))
-        self._removal = polling.faults.of("", "adapter", id(adapter))
+        self._misrouted = polling.faults.episode("", "channel")
+        self._hang = polling.faults.episode("", "bus", id(adapter))
+        self._removal = polling.faults.episode("", "adapter", id(adapter))
         self._lose = polling.lose
         self._twins = [item for item in items if id(item.route) in doubtful]
         shared = {item.route.sensor.address for item in self._twins if item.queue is not None}
-        self._queues = [item for item in everybody if item.queue is not None and item.route.sensor.address in shared]
+        self._queues = [item for item in all_buffers if item.queue is not None and item.route.sensor.address in shared]
         self._marks: list[int] = []
         self._clock = polling.clock
         bus = items[0].driver.registers.bus
@@ -607,40 +607,40 @@ class BusSegment:
             try:
                 self._select()
             except OSError as error:
-                self.failed(error)
+                self.note_error(error)
         if self.channel is not None:
             self._marks = [len(item.times_ns) for item in self._twins]
         return self._clock.now_ns()
 
-    def failed(self, error: OSError) -> None:
+    def note_error(self, error: OSError) -> None:
         """Conclude from an error that the bus hangs, that its adapter was removed, or that it works."""
         now_ns = self._clock.now_ns()
         if error.errno in REMOVED:
-            if self.adapter.was_removed(now_ns):
+            if self.adapter.note_removal(now_ns):
                 self._removal.begin(now_ns, f"{error.strerror or error} (errno {error.errno})")
                 self._lose(self.adapter, now_ns)
         elif error.errno not in HUNG:
-            self.answered()
+            self.note_answer()
         else:
-            self._return(now_ns)
-            if self.adapter.timed_out(now_ns):
+            self._note_return(now_ns)
+            if self.adapter.note_time_out(now_ns):
                 self._hang.begin(now_ns, f"hangs: {error.strerror or error} (errno {error.errno})")
 
-    def answered(self) -> None:
+    def note_answer(self) -> None:
         """Note that the bus works."""
         now_ns = self._clock.now_ns()
-        self._return(now_ns)
-        if self.adapter.answered():
-            self._hang.over(now_ns, "works again")
+        self._note_return(now_ns)
+        if self.adapter.note_answer():
+            self._hang.end(now_ns, "works again")
 
-    def _return(self, now_ns: int) -> None:
+    def _note_return(self, now_ns: int) -> None:
         """Note that the adapter is present again."""
         if not self.adapter.removed:
             return
-        self.adapter.returned()
-        where = getattr(self._root, "where", None)
-        place = f" as {where}" if where else ""
-        self._removal.over(now_ns, f"the adapter is back{place}, its sensors are configured again")
+        self.adapter.note_return()
+        device = getattr(self._root, "where", None)
+        place = f" as {device}" if device else ""
+        self._removal.end(now_ns, f"the adapter is back{place}, its sensors are configured again")
         for item in self.items:
             bus = item.driver.registers.bus
             if isinstance(bus, MuxChannel):  # the multiplexer may have been without its supply
@@ -652,9 +652,9 @@ class BusSegment:
         try:
             registers.bus.transfer(registers.address)
         except OSError as error:
-            self.failed(error)
+            self.note_error(error)
         else:
-            self.answered()
+            self.note_answer()
         return not self.adapter.removed
 
     def confirm(self, readback: ConfigurationReadback, lost: dict[str, int]) -> bool:
@@ -664,18 +664,18 @@ class BusSegment:
         If a hung bus makes this impossible, the readings are discarded as well.
         """
         if self.channel is None:
-            return not self.adapter.down
-        right = not self.adapter.down and self.channel.right()
+            return not self.adapter.is_unreachable
+        right = not self.adapter.is_unreachable and self.channel.is_connected()
         if right:
-            if self.channel.seen:
-                readback.saw(self.channel.seen)
-            if self.channel.doubted:
-                readback.doubts(self.channel.doubted)
+            if self.channel.right_witness:
+                readback.note_right(self.channel.right_witness)
+            if self.channel.wrong_witness:
+                readback.note_wrong(self.channel.wrong_witness)
             self._marks = [len(item.times_ns) for item in self._twins]
             return True
         for item, mark in zip(self._twins, self._marks, strict=True):
             lost[item.route.sensor.name] += item.cut(mark)
-        if not self.adapter.down:
+        if not self.adapter.is_unreachable:
             names = ", ".join(item.route.sensor.name for item in self._twins)
             text = f"channel {self.key} was not connected: readings of {names} are discarded"
             self._misrouted.happened(self._clock.now_ns(), text)

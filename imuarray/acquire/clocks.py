@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from datetime import datetime
 
-from imuarray.acquire.fault_episode import Tell
+from imuarray.acquire.fault_episode import Report
 from imuarray.clock import Clock, MonotonicClock
 from imuarray.log.format import ClockRow
 
@@ -21,7 +21,7 @@ STEP_NS = 10_000_000
 """Least change of the wall clock relative to the monotonic clock that is an event; slewing changes less in 10 s."""
 
 
-Read = Callable[[], tuple[int, int, int, int]]
+ClockReader = Callable[[], tuple[int, int, int, int]]
 """CLOCK_MONOTONIC, CLOCK_MONOTONIC_RAW, CLOCK_BOOTTIME and CLOCK_REALTIME in ns."""
 
 
@@ -35,7 +35,7 @@ def machine_clocks() -> tuple[int, int, int, int]:
     )
 
 
-def clocks_beside(clock: Clock, start_ns: int, wall_time: datetime) -> Read:
+def clock_reader(clock: Clock, start_ns: int, wall_time: datetime) -> ClockReader:
     """Return the machine's clocks for a bus that follows them; for an emulated bus, four clocks that agree with
     its own.
     """
@@ -51,10 +51,12 @@ def clocks_beside(clock: Clock, start_ns: int, wall_time: datetime) -> Read:
 
 
 class Clocks:
-    """Reads the clocks: passes a row to `keep` every 10 s, and a sentence to `tell` when the wall clock steps."""
+    """Reads the clocks: passes a row to `add_row` every 10 s, and an event to `report` when the wall clock steps."""
 
-    def __init__(self, read: Read, epoch_ns: int, keep: Callable[[ClockRow], None], tell: Tell) -> None:
-        self._read, self._epoch_ns, self._keep, self._tell = read, epoch_ns, keep, tell
+    def __init__(
+        self, read_clocks: ClockReader, epoch_ns: int, add_row: Callable[[ClockRow], None], report: Report
+    ) -> None:
+        self._read_clocks, self._epoch_ns, self._add_row, self._report = read_clocks, epoch_ns, add_row, report
         self._due_ns = -(1 << 62)
         self._wall_ns: int | None = None
 
@@ -63,10 +65,10 @@ class Clocks:
         if now_ns < self._due_ns:
             return
         self._due_ns = now_ns + PERIOD_NS
-        clocks = self._read()
+        clocks = self._read_clocks()
         row = ClockRow(clocks[0] - self._epoch_ns, *clocks)
-        self._keep(row)
+        self._add_row(row)
         wall_ns = row.realtime_ns - row.monotonic_ns
         if self._wall_ns is not None and abs(wall_ns - self._wall_ns) > STEP_NS:
-            self._tell(now_ns, "clock", f"the wall clock was set by {(wall_ns - self._wall_ns) * 1e-9:+.3f} s")
+            self._report(now_ns, "clock", f"the wall clock was set by {(wall_ns - self._wall_ns) * 1e-9:+.3f} s")
         self._wall_ns = wall_ns

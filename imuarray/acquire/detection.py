@@ -107,27 +107,29 @@ def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list
     """
     mux = array.mux.address if array.mux else None
     owner = "" if mux is None else owner_of(mux, bus)
-    detections = [] if mux is None else [_ask_mux(mux, owner, bus)]
+    detections = [] if mux is None else [_check_mux(mux, owner, bus)]
     for route in routes_of(array, bus):
         if owner and route.sensor.channel is not None:
             sensor, text = route.sensor, "not checked: its multiplexer belongs to the kernel"
             detections.append(Detection(sensor.place, sensor.name, sensor.chip, text, False))
         else:
-            detections.append(_ask(route, self_test))
-    taken = {(sensor.channel, sensor.address) for sensor in array.sensors if sensor.bus is None}
+            detections.append(_check_sensor(route, self_test))
+    occupied = {(sensor.channel, sensor.address) for sensor in array.sensors if sensor.bus is None}
     owned = _owned(bus)
-    taken |= {(None, line.address) for line in owned if line.address is not None}
-    wanted = {mux, *(sensor.address for sensor in array.sensors)}  # of them it is said already
-    detections += [line for line in owned if line.address not in wanted]
-    return detections if owner else detections + _strangers(mux, taken, bus)
+    occupied |= {(None, line.address) for line in owned if line.address is not None}
+    configured = {mux, *(sensor.address for sensor in array.sensors)}  # they have lines already
+    detections += [line for line in owned if line.address not in configured]
+    return detections if owner else detections + _unconfigured_chips(mux, occupied, bus)
 
 
 def _owned(bus: OpenBus) -> list[Detection]:
     """Report addresses of known chips that a kernel driver owns. The chip may be one of an array or a clock on the same
     bus, so this is no error.
     """
-    known = sorted({*pca9544a.ADDRESSES, *(address for _, addresses, _ in _IDENTITIES for address in addresses)})
-    owners = {address: owner_of(address, bus) for address in known}
+    known_addresses = sorted(
+        {*pca9544a.ADDRESSES, *(address for _, addresses, _ in _IDENTITIES for address in addresses)}
+    )
+    owners = {address: owner_of(address, bus) for address in known_addresses}
     return [
         Detection(f"trunk address {address:#04x}", "", "", owner, True, address=address, owner=owner)
         for address, owner in owners.items()
@@ -135,7 +137,7 @@ def _owned(bus: OpenBus) -> list[Detection]:
     ]
 
 
-def _ask(route: SensorRoute, self_test: bool) -> Detection:
+def _check_sensor(route: SensorRoute, self_test: bool) -> Detection:
     """Check one sensor: is it the configured chip, is its address free, and does it pass its self-test?"""
     sensor = route.sensor
     try:
@@ -155,13 +157,13 @@ def _ask(route: SensorRoute, self_test: bool) -> Detection:
         return Detection(sensor.place, sensor.name, sensor.chip, f"the bus fails: {error.strerror or error}", False)
     verdict = f"self-test {_VERDICTS[result.passed]}: {result.text}" if self_test else ""
     unknown = result.passed is None
-    well = result.passed is not False
+    is_ok = result.passed is not False
     return Detection(
-        sensor.place, sensor.name, sensor.chip, sensor.chip, well, verdict, undetermined=unknown, remark=remark
+        sensor.place, sensor.name, sensor.chip, sensor.chip, is_ok, verdict, undetermined=unknown, remark=remark
     )
 
 
-def _ask_mux(address: int, owner: str, bus: OpenBus) -> Detection:
+def _check_mux(address: int, owner: str, bus: OpenBus) -> Detection:
     """Check the multiplexer: does it answer, and is its address free?"""
     if owner:
         return Detection(f"trunk address {address:#04x}", "mux", MUX, owner, False, owner=owner)
@@ -182,10 +184,10 @@ def explore(bus: OpenBus) -> list[Detection]:
     if isinstance(bus, IioBus):
         return [_served(device) for device in bus.devices()]
     owned = _owned(bus)
-    taken = {line.address for line in owned if line.address is not None}
-    mux = _find_mux(bus, taken)
+    occupied = {line.address for line in owned if line.address is not None}
+    mux = _find_mux(bus, occupied)
     detections = [] if mux is None else [Detection(f"trunk address {mux:#04x}", "", "", MUX, True, address=mux)]
-    return [*detections, *owned, *_strangers(mux, {(None, address) for address in taken}, bus)]
+    return [*detections, *owned, *_unconfigured_chips(mux, {(None, address) for address in occupied}, bus)]
 
 
 def _served(device: IioDevice) -> Detection:
@@ -222,8 +224,8 @@ def _keeps_control(bus: OpenBus, address: int) -> bool:
     """
     for control in (pca9544a.ENABLE(1) | pca9544a.CHANNEL(1), pca9544a.ENABLE(0) | pca9544a.CHANNEL(0)):
         bus.transfer(address, bytes([control.value]))
-        read = bus.transfer(address, read=1)[0]
-        if (pca9544a.ENABLE.of(read), pca9544a.CHANNEL.of(read)) != (
+        returned = bus.transfer(address, read=1)[0]
+        if (pca9544a.ENABLE.of(returned), pca9544a.CHANNEL.of(returned)) != (
             pca9544a.ENABLE.of(control.value),
             pca9544a.CHANNEL.of(control.value),
         ):
@@ -231,34 +233,36 @@ def _keeps_control(bus: OpenBus, address: int) -> bool:
     return True
 
 
-def _strangers(mux_address: int | None, taken: set[tuple[int | None, int]], bus: OpenBus) -> list[Detection]:
-    """Find known chips at places (channel and address) that are not `taken`.
+def _unconfigured_chips(
+    mux_address: int | None, occupied: set[tuple[int | None, int]], bus: OpenBus
+) -> list[Detection]:
+    """Find known chips at places (channel and address) that are not `occupied`.
 
     The trunk is searched while no channel is connected. What answers there answers on every channel, and is not
     searched for again. Only the control byte is sent to the multiplexer's own address.
     """
     if mux_address is None:
-        return _look(bus, None, {address for _, address in taken})
+        return _find_on_segment(bus, None, {address for _, address in occupied})
     with contextlib.suppress(OSError):
         bus.transfer(mux_address, b"\x00")  # no channel: PCA-03
-    upstream = {mux_address} | {address for channel, address in taken if channel is None}
-    detections = _look(bus, None, upstream)
+    upstream = {mux_address} | {address for channel, address in occupied if channel is None}
+    detections = _find_on_segment(bus, None, upstream)
     upstream |= {address for _, addresses, _ in _IDENTITIES for address in addresses if _is_found(detections, address)}
     mux = Pca9544a(bus, mux_address)
     for channel in pca9544a.CHANNELS:
-        here = {address for number, address in taken if number == channel}
-        detections += _look(mux.channel(channel), channel, upstream | here)
+        on_channel = {address for number, address in occupied if number == channel}
+        detections += _find_on_segment(mux.channel(channel), channel, upstream | on_channel)
     return detections
 
 
-def _look(segment: Bus, channel: int | None, known: set[int]) -> list[Detection]:
-    """Find chips that answer on one segment at addresses that are not `known`."""
-    where = "trunk" if channel is None else f"channel {channel}"
+def _find_on_segment(segment: Bus, channel: int | None, excluded: set[int]) -> list[Detection]:
+    """Find chips that answer on one segment at addresses that are not `excluded`."""
+    segment_name = "trunk" if channel is None else f"channel {channel}"
     return [
-        Detection(f"{where} address {address:#04x}", "", "", chip, True, channel=channel, address=address)
+        Detection(f"{segment_name} address {address:#04x}", "", "", chip, True, channel=channel, address=address)
         for chip, addresses, register in _IDENTITIES
         for address in addresses
-        if address not in known and _answers(segment, address, register)
+        if address not in excluded and _answers(segment, address, register)
     ]
 
 
@@ -274,7 +278,7 @@ def _answers(segment: Bus, address: int, register: Register) -> bool:
         return False
 
 
-_ALIKE: Mapping[str, tuple[str, ...]] = MappingProxyType(
+_SAME_IDENTITY: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"hmc5883 or hmc5883l": ("hmc5883l", "hmc5883"), "ak8963 or ak8975": ("ak8963", "ak8975")}
 )
 """Chips that say the same of themselves, the more common one first; what tells them apart is their self-test."""
@@ -292,7 +296,7 @@ _HEAD = """\
 """
 
 
-def tell_apart(detections: Sequence[Detection], bus: OpenBus) -> list[Detection]:
+def distinguish_alike(detections: Sequence[Detection], bus: OpenBus) -> list[Detection]:
     """Distinguish chips with the same identity by which of their self-tests they pass; chips that pass none, or can't
     be asked often enough, keep their identity. Their settings are lost.
     """
@@ -305,7 +309,7 @@ def _passing(line: Detection, mux: int | None, bus: OpenBus) -> str | None:
     if line.address is None:
         return None
     segment: Bus = bus if line.channel is None or mux is None else Pca9544a(bus, mux).channel(line.channel)
-    for chip in _ALIKE.get(line.found, ()):
+    for chip in _SAME_IDENTITY.get(line.found, ()):
         sensor = SensorConfig(name="Unknown", chip=chip, address=line.address, **CHIPS[chip].proposed)
         try:
             if DRIVERS[chip](segment, sensor, bus.clock).self_test().passed:
@@ -324,7 +328,7 @@ def propose(detections: Sequence[Detection], bus: str, name: str = "array") -> s
         (chip, line)
         for line in detections
         if line.found != MUX and not line.owner
-        for chip in HALVES.get(line.found, _ALIKE.get(line.found, (line.found,))[:1])
+        for chip in HALVES.get(line.found, _SAME_IDENTITY.get(line.found, (line.found,))[:1])
     ]
     if not chips:
         advice = f"try `imuarray detect --bus {printable(bus)} --doctor`"
@@ -371,6 +375,8 @@ def _propose_devices(devices: Sequence[Detection], bus: str, name: str) -> str:
 def _sensor(name: str, chip: str, line: Detection, settings: Mapping[str, Any]) -> str:
     """Return the text of one [[sensor]] table."""
     place = "" if line.channel is None else f"channel = {line.channel}\n"
-    own = "".join(f"{key} = {value}\n" for key, value in settings.items())
+    settings_text = "".join(f"{key} = {value}\n" for key, value in settings.items())
     remark = f"  # {_REMARKS[line.found]}" if line.found in _REMARKS else ""
-    return f'\n[[sensor]]\nname = "{name}"\nchip = "{chip}"{remark}\n{place}address = {line.address:#04x}\n{own}'
+    return (
+        f'\n[[sensor]]\nname = "{name}"\nchip = "{chip}"{remark}\n{place}address = {line.address:#04x}\n{settings_text}'
+    )

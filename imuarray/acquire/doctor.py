@@ -81,18 +81,18 @@ class Machine:
             return ""
 
 
-def permission(machine: Machine, device: str) -> Check:
+def check_permission(machine: Machine, device: str) -> Check:
     """Check whether this user may read and write an existing device file."""
     try:
-        about = machine.path(device).stat()
+        status = machine.path(device).stat()
     except OSError as error:
         return Check("permission", False, f"{device}: {error.strerror}", "check the folders above it")
-    shift = 6 if about.st_uid == machine.user else 3 if about.st_gid in machine.groups else 0
-    group = _group(machine, about.st_gid)
-    state = f"{device}: group {group}, mode {about.st_mode & 0o777:04o}"
-    if machine.user == 0 or about.st_mode >> shift & 0o6 == 0o6:
+    shift = 6 if status.st_uid == machine.user else 3 if status.st_gid in machine.groups else 0
+    group = _group(machine, status.st_gid)
+    state = f"{device}: group {group}, mode {status.st_mode & 0o777:04o}"
+    if machine.user == 0 or status.st_mode >> shift & 0o6 == 0o6:
         return Check("permission", True, state)
-    if about.st_mode & 0o060 == 0o060 and about.st_gid:
+    if status.st_mode & 0o060 == 0o060 and status.st_gid:
         return Check("permission", False, state, f"sudo adduser $USER {group}, then log in again")
     kinds = {SPI_DEVICE: ("spi", "spidev*"), "/dev/iio:": ("iio", "iio:device*")}
     group, files = next((kind for start, kind in kinds.items() if device.startswith(start)), ("i2c", "i2c-[0-9]*"))
@@ -134,14 +134,18 @@ def i2c_checks(machine: Machine, array: ArrayConfig | None, buses: Sequence[str]
     """
     checks: list[Check] = []
     for device in buses:
-        check = there(machine, device)
+        check = check_adapter(machine, device)
         checks.append(check)
         if check.ok:
-            checks += [permission(machine, device), *abilities(machine, device)]
-            checks += owners(machine, array, device, device == buses[0]) if array else bound(machine, device)
+            checks += [check_permission(machine, device), *check_abilities(machine, device)]
+            checks += (
+                check_owners(machine, array, device, device == buses[0])
+                if array
+                else list_kernel_drivers(machine, device)
+            )
     if checks and checks[0].ok:
-        checks.append(clock(machine, array, buses[0], rate_hz))
-    return [*checks, *(address_0x77(machine, array) if array else [])]
+        checks.append(check_clock(machine, array, buses[0], rate_hz))
+    return [*checks, *(check_address_0x77(machine, array) if array else [])]
 
 
 def _number(machine: Machine, device: str) -> str:
@@ -149,7 +153,7 @@ def _number(machine: Machine, device: str) -> str:
     return os.path.realpath(machine.path(device)).rpartition("-")[2]
 
 
-def there(machine: Machine, device: str) -> Check:
+def check_adapter(machine: Machine, device: str) -> Check:
     """Check whether the adapter and its device file exist."""
     adapters = sorted(path.name for path in machine.path(DEVICES).glob("i2c-[0-9]*"))
     if not adapters:
@@ -165,7 +169,7 @@ def there(machine: Machine, device: str) -> Check:
     return Check("adapter", False, f"{device or 'no bus named'}; there are {', '.join(files)}", "name one that exists")
 
 
-def abilities(machine: Machine, device: str) -> Iterator[Check]:
+def check_abilities(machine: Machine, device: str) -> Iterator[Check]:
     """Check whether the adapter can transfer plain I2C messages, and report unusual properties."""
     bits = machine.functionality(machine.path(device))
     if bits is not None and not bits & _FUNC_I2C:
@@ -173,19 +177,19 @@ def abilities(machine: Machine, device: str) -> Iterator[Check]:
     elif bits is not None:
         yield Check("abilities", True, f"{device}: plain I2C (functionality {bits:#010x})")
     name = machine.text(f"{DEVICES}/i2c-{_number(machine, device)}/name")
-    for known, odd in _QUIRKS.items():
-        if known in name:
-            yield Check("quirks", True, f"{device}: {known} {odd}")
+    for adapter, property_text in _QUIRKS.items():
+        if adapter in name:
+            yield Check("quirks", True, f"{device}: {adapter} {property_text}")
 
 
-def owners(machine: Machine, array: ArrayConfig, device: str, is_root: bool) -> Iterator[Check]:
+def check_owners(machine: Machine, array: ArrayConfig, device: str, is_root: bool) -> Iterator[Check]:
     """Check whether a kernel driver owns one of the array's addresses on this bus (LNX-12)."""
     number = _number(machine, device)
     on_i2c = [sensor for sensor in array.sensors if sensor.on_i2c]
-    ours = {sensor.address: sensor.name for sensor in on_i2c if _is_on(sensor, device, is_root)}
+    names = {sensor.address: sensor.name for sensor in on_i2c if _is_on(sensor, device, is_root)}
     if is_root and array.mux is not None:
-        ours[array.mux.address] = "the multiplexer"
-    for address, name in sorted(ours.items()):
+        names[array.mux.address] = "the multiplexer"
+    for address, name in sorted(names.items()):
         link = machine.path(f"{DEVICES}/{number}-{address:04x}/driver")
         if link.is_symlink():
             driver = link.readlink().name
@@ -194,11 +198,11 @@ def owners(machine: Machine, array: ArrayConfig, device: str, is_root: bool) -> 
             if channels:
                 unbind += f"; or leave out mux and give each sensor its bus: {channels}"
             yield Check("kernel driver", False, f"{device} {address:#04x} ({name}) belongs to {driver}", unbind)
-    if not any(machine.path(f"{DEVICES}/{number}-{address:04x}/driver").is_symlink() for address in ours):
+    if not any(machine.path(f"{DEVICES}/{number}-{address:04x}/driver").is_symlink() for address in names):
         yield Check("kernel driver", True, f"{device}: none has one of our addresses")
 
 
-def bound(machine: Machine, device: str) -> Iterator[Check]:
+def list_kernel_drivers(machine: Machine, device: str) -> Iterator[Check]:
     """Check for kernel drivers that own addresses on this bus. One blocks a sensor only at the same address."""
     number = _number(machine, device)
     places = sorted(path for path in machine.path(DEVICES).glob(f"{number}-*") if (path / "driver").is_symlink())
@@ -220,18 +224,18 @@ def _channels(machine: Machine, place: str) -> str:
     return ", ".join(f"{link.name} is /dev/{link.resolve().name}" for link in links)
 
 
-def clock(machine: Machine, array: ArrayConfig | None, device: str, rate_hz: float) -> Check:
+def check_clock(machine: Machine, array: ArrayConfig | None, device: str, rate_hz: float) -> Check:
     """Check that the bus is fast enough for frames at `rate_hz`."""
     path = machine.path(f"{DEVICES}/i2c-{_number(machine, device)}/of_node/clock-frequency")
     try:
         clock_hz = int.from_bytes(path.read_bytes()[:4], "big")
     except OSError:
         clock_hz = 0
-    said = f"{clock_hz / 1000:g} kHz" if clock_hz else f"unknown; {DEFAULT_HZ / 1000:g} kHz is usual"
+    clock_text = f"{clock_hz / 1000:g} kHz" if clock_hz else f"unknown; {DEFAULT_HZ / 1000:g} kHz is usual"
     if array is None:
-        return Check("bus clock", True, said)
+        return Check("bus clock", True, clock_text)
     most_hz = (clock_hz or DEFAULT_HZ) / frame_clocks(array)
-    finding = f"{said}: at most {most_hz:.0f} frames of this array a second"
+    finding = f"{clock_text}: at most {most_hz:.0f} frames of this array a second"
     return Check("bus clock", most_hz >= rate_hz or not clock_hz, finding, _FASTER)
 
 
@@ -251,15 +255,15 @@ def spi_checks(machine: Machine, array: ArrayConfig | None) -> list[Check]:
     checks: list[Check] = []
     for device in named:
         if machine.path(device).exists():
-            checks += [Check("chip select", True, device), permission(machine, device)]
+            checks += [Check("chip select", True, device), check_permission(machine, device)]
         else:
             files = sorted(f"/dev/{path.name}" for path in machine.path("/dev").glob("spidev*"))
-            there = f"there are {', '.join(files)}" if files else "there is none"
+            listing = f"there are {', '.join(files)}" if files else "there is none"
             advice = (
                 "enable SPI: on a Raspberry Pi raspi-config, or dtparam=spi=on in config.txt; more chip selects than"
                 " two need an overlay or cs-gpios in the device tree"
             )
-            checks.append(Check("chip select", False, f"{device}; {there}", advice))
+            checks.append(Check("chip select", False, f"{device}; {listing}", advice))
     return checks
 
 
@@ -283,11 +287,11 @@ def iio_checks(machine: Machine, array: ArrayConfig | None) -> list[Check]:
             checks.append(Check("device", False, str(error), _NO_DRIVER))
             continue
         if is_captured:
-            checks.append(permission(machine, f"/{device.device_file.relative_to(machine.root)}"))
+            checks.append(check_permission(machine, f"/{device.device_file.relative_to(machine.root)}"))
     return checks
 
 
-def address_0x77(machine: Machine, array: ArrayConfig) -> list[Check]:
+def check_address_0x77(machine: Machine, array: ArrayConfig) -> list[Check]:
     """Check for a multiplexer at 0x77 and a BMP180, which has no other address: both would answer (PCA-11)."""
     (address,) = bmp180.ADDRESSES
     advice = "strap the multiplexer's address pins to one of 0x70 to 0x76, or no BMP180 behind it can be read"
@@ -314,10 +318,10 @@ def log_checks(machine: Machine, array: ArrayConfig | None, folder: Path, rate_h
         return [Check("folder", False, f"{folder}: it does not exist", f"mkdir -p {folder}")]
     writable = os.access(folder, os.W_OK | os.X_OK)
     checks = [Check("folder", writable, f"{folder}", "choose another, or change its owner")]
-    return [*checks, room(machine, array, folder, rate_hz), *left_over(machine, folder)]
+    return [*checks, check_disk(machine, array, folder, rate_hz), *list_unfinished(machine, folder)]
 
 
-def room(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: float) -> Check:
+def check_disk(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: float) -> Check:
     """Check how long this array can be logged before the disk is full; without an array, whether there is any space."""
     free = machine.free_bytes(folder)
     advice = f"free some space: a log ends when less than {WATERMARK >> 20} MiB are free; --rotate 1h needs half"
@@ -329,18 +333,18 @@ def room(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: flo
         for sensor in array.sensors
     )
     seconds = max(0.0, free - WATERMARK - RESERVE) / rate
-    finding = f"{free / 2**20:.0f} MiB free: about {_about(seconds / 3600)} at {rate_hz:g} frames a second"
+    finding = f"{free / 2**20:.0f} MiB free: about {_duration_text(seconds / 3600)} at {rate_hz:g} frames a second"
     return Check("disk", seconds >= NIGHT_S, finding, advice)
 
 
-def _about(hours: float) -> str:
+def _duration_text(hours: float) -> str:
     """Format hours, rounded to the precision of the estimate."""
     if hours < 10:
         return f"{hours:.1f} h"
     return f"{hours:.0f} h" if hours < 48 else f"{hours / 24:.0f} days"
 
 
-def left_over(machine: Machine, folder: Path) -> Iterator[Check]:
+def list_unfinished(machine: Machine, folder: Path) -> Iterator[Check]:
     """List logs that were never finished, and other files of terminated processes."""
     clean = True
     for journal in sorted(folder.glob("*.journal")):
@@ -349,7 +353,7 @@ def left_over(machine: Machine, folder: Path) -> Iterator[Check]:
             yield Check("journal", True, f"{log.name} is being written")
         else:
             clean = False
-            finding = f"{journal.name} is left over: its log was never finished"
+            finding = f"{journal.name} remains: its log was never finished"
             yield Check("journal", False, finding, f"imuarray recover {log}")
     for part in sorted(folder.glob(".*.part")):
         process = part.name.split(".")[-2]
@@ -394,30 +398,30 @@ def examine(
     else:
         checks = [Check("bus", scheme == "emulated", "emulated, no hardware" if scheme == "emulated" else url)]
     if talk is not None and scheme != "replay" and all(check.ok for check in checks):
-        checks += _heard(talk)
+        checks += _talk(talk)
     checks += log_checks(machine, array, logs, rate_hz)
     return [check._replace(advice="") if check.ok else check for check in checks]
 
 
-def _heard(talk: Callable[[], list[Check]]) -> list[Check]:
+def _talk(talk: Callable[[], list[Check]]) -> list[Check]:
     try:
         return talk()
     except ImuArrayError as error:
         return [Check("opening", False, str(error), "end the other program, or see the lines above")]
     except OSError as error:
-        held = error.errno in (errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY)
-        advice = "a device holds a wire low: unplug sensors one by one" if held else "check wires and supply"
+        is_held = error.errno in (errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY)
+        advice = "a device holds a wire low: unplug sensors one by one" if is_held else "check wires and supply"
         return [Check("talking", False, f"{error.strerror or error} (errno {error.errno})", advice)]
 
 
 def serial_checks(machine: Machine, device: str) -> list[Check]:
     """Check a microcontroller's port: it exists, may be opened, and no other program uses it."""
     folder = machine.path("/dev")
-    there = sorted(f"/dev/{path.name}" for kind in ("ttyACM*", "ttyUSB*") for path in folder.glob(kind))
+    ports = sorted(f"/dev/{path.name}" for kind in ("ttyACM*", "ttyUSB*") for path in folder.glob(kind))
     if not device or not machine.path(device).exists():
-        finding = f"{device or 'no port named'}; there are {', '.join(there) or 'none'}"
+        finding = f"{device or 'no port named'}; there are {', '.join(ports) or 'none'}"
         return [Check("port", False, finding, "plug it in with a cable that carries data; dmesg shows its name")]
-    checks = [Check("port", True, device), permission(machine, device)]
+    checks = [Check("port", True, device), check_permission(machine, device)]
     names = (path.read_text(errors="replace").strip() for path in machine.path("/proc").glob("[0-9]*/comm"))
     if "ModemManager" in names:
         advice = "it talks to every new port for some seconds: sudo systemctl disable --now ModemManager"

@@ -24,9 +24,9 @@ MOST_EVENTS_AN_HOUR = 28
 seconds between its episodes no more than 14 of them begin in an hour.
 """
 
-Tell = Callable[[int, str, str], None]
+Report = Callable[[int, str, str], None]
 """(at_ns, kind, message)."""
-Note = Callable[[str, int, str, str], None]
+SensorReport = Callable[[str, int, str, str], None]
 """(sensor, at_ns, kind, message)."""
 
 UNITS: Mapping[str, str] = MappingProxyType(
@@ -43,19 +43,19 @@ UNITS: Mapping[str, str] = MappingProxyType(
 
 
 class FaultEpisode:
-    """The episodes of one kind of fault of one sensor; `tell` receives the events.
+    """The episodes of one kind of fault of one sensor; `report` receives the events.
 
-    Use `happened` for faults that recur and are over when they no longer occur, `begin` and `over` for faults that
+    Use `happened` for faults that recur and are over when they no longer occur, `begin` and `end` for faults that
     last. A fault that occurred once has no event for its end.
     """
 
-    def __init__(self, kind: str, unit: str, tell: Tell) -> None:
+    def __init__(self, kind: str, unit: str, report: Report) -> None:
         self.kind = kind
-        self.on = False
+        self.is_open = False
         self.count = 0
         self.last_ns = 0
         self._unit = unit
-        self._tell = tell
+        self._report = report
         self._since_ns = 0
         self._quiet_ns = QUIET_NS
         self._ended_ns: int | None = None
@@ -65,38 +65,38 @@ class FaultEpisode:
 
     def happened(self, at_ns: int, message: str, count: int = 1, until_ns: int | None = None) -> None:
         """Note an occurrence at `at_ns`, the first or a later one; `count` of them until `until_ns`."""
-        if not self.on:
-            self.on, self._since_ns, self.last_ns = True, at_ns, at_ns
+        if not self.is_open:
+            self.is_open, self._since_ns, self.last_ns = True, at_ns, at_ns
             relapse = self._ended_ns is not None and at_ns - self._ended_ns <= RELAPSE_NS
             self._quiet_ns = min(2 * self._quiet_ns, LONGEST_QUIET_NS) if relapse else QUIET_NS
-            self._tell(at_ns, self.kind, message)
+            self._report(at_ns, self.kind, message)
         self.count += count
         self.last_ns = max(self.last_ns, at_ns if until_ns is None else until_ns)
         self._end, self._reported = "", False
 
     @property
     def lasts(self) -> bool:
-        """True between `begin` and `over`."""
+        """True between `begin` and `end`."""
         return self._lasts
 
     def begin(self, at_ns: int, message: str) -> None:
-        """Begin a lasting episode, until `over`."""
+        """Begin a lasting episode, until `end`."""
         self.happened(at_ns, message)
         self._lasts = True
 
-    def over(self, at_ns: int, message: str = "", *, reported: bool = False) -> None:
+    def end(self, at_ns: int, message: str = "", *, reported: bool = False) -> None:
         """End a lasting episode: reported at once unless it recurs, and not at all if another event has `reported`
         it.
         """
         self._lasts, self._reported = False, reported
-        if self.on:
+        if self.is_open:
             self.last_ns, self._end = max(self.last_ns, at_ns), message
             if self._quiet_ns <= QUIET_NS:
                 self._close()
 
     def settle(self, now_ns: int) -> None:
         """Report the end if it has not occurred for long enough."""
-        if self.on and not self._lasts and now_ns - self.last_ns > self._quiet_ns:
+        if self.is_open and not self._lasts and now_ns - self.last_ns > self._quiet_ns:
             self._close()
 
     def close(self, now_ns: int) -> None:
@@ -108,7 +108,7 @@ class FaultEpisode:
                 "still present when the log ended",
                 False,
             )
-        if self.on:
+        if self.is_open:
             self._close()
 
     def _close(self) -> None:
@@ -118,48 +118,48 @@ class FaultEpisode:
             text = f"in all {self.count} {self._unit} {lasted}"
             if self._end:
                 text = f"{self._end}, {text}" if self.count > 1 else f"{self._end}, {lasted.replace('in', 'after')}"
-            self._tell(self.last_ns, self.kind, text)
-        self.on, self.count, self._end = False, 0, ""
+            self._report(self.last_ns, self.kind, text)
+        self.is_open, self.count, self._end = False, 0, ""
         self._ended_ns = self.last_ns
 
 
-def event_writer(log: Writer, epoch_ns: int, tell: Callable[[Event], None]) -> Note:
+def event_writer(log: Writer, epoch_ns: int, on_event: Callable[[Event], None]) -> SensorReport:
     """Return the function that writes an event of a sensor ("": of the array) into a log that began at `epoch_ns`, and
-    reports it to `tell`.
+    passes it to `on_event`.
     """
 
     def note(sensor: str, at_ns: int, kind: str, message: str) -> None:
         event = Event(at_ns - epoch_ns, sensor, kind, message)
         log.event(event)
-        tell(event)
+        on_event(event)
 
     return note
 
 
 class FaultEpisodes:
-    """All fault episodes of a recording; `tell` receives their events."""
+    """All fault episodes of a recording; `report` receives their events."""
 
-    def __init__(self, tell: Note) -> None:
-        self._tell = tell
-        self._all: dict[tuple[str, str, Hashable], FaultEpisode] = {}
+    def __init__(self, report: SensorReport) -> None:
+        self._report = report
+        self._episodes: dict[tuple[str, str, Hashable], FaultEpisode] = {}
 
-    def of(self, sensor: str, kind: str, which: Hashable = None) -> FaultEpisode:
-        """Return the episode of this kind of `sensor` ("": the array); `which` distinguishes several of a kind."""
-        key = sensor, kind, which
-        if key not in self._all:
-            self._all[key] = FaultEpisode(kind, UNITS.get(kind, "times"), partial(self._tell, sensor))
-        return self._all[key]
+    def episode(self, sensor: str, kind: str, instance: Hashable = None) -> FaultEpisode:
+        """Return the episode of this kind of `sensor` ("": the array); `instance` distinguishes several of a kind."""
+        key = sensor, kind, instance
+        if key not in self._episodes:
+            self._episodes[key] = FaultEpisode(kind, UNITS.get(kind, "times"), partial(self._report, sensor))
+        return self._episodes[key]
 
     def note(self, at_ns: int, kind: str, message: str) -> None:
         """Note an event of the array as a whole."""
-        self.of("", kind).happened(at_ns, message)
+        self.episode("", kind).happened(at_ns, message)
 
     def settle(self, now_ns: int) -> None:
         """See `FaultEpisode.settle`."""
-        for episode in self._all.values():
+        for episode in self._episodes.values():
             episode.settle(now_ns)
 
     def close(self, now_ns: int) -> None:
         """See `FaultEpisode.close`."""
-        for episode in self._all.values():
+        for episode in self._episodes.values():
             episode.close(now_ns)

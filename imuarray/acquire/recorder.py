@@ -26,7 +26,7 @@ from imuarray.acquire.bus_segment import (
     alternating_orders,
     connect,
 )
-from imuarray.acquire.clocks import Clocks, clocks_beside
+from imuarray.acquire.clocks import Clocks, clock_reader
 from imuarray.acquire.fault_episode import FaultEpisodes, event_writer
 from imuarray.acquire.recording import RecordingCounts, RecordingOptions, Service
 from imuarray.acquire.sample_buffer import Intake, SampleBuffer, SensorRoute
@@ -72,24 +72,24 @@ class Poll:
         self.summary = RecordingCounts(lost={route.sensor.name: 0 for route in routes})
         self.buffers = {id(route): SampleBuffer(route, rate_hz) for route in routes}
         items = list(self.buffers.values())
-        self.faults = FaultEpisodes(event_writer(log, epoch_ns, options.tell))
-        self.intake = Intake(log, epoch_ns, options.observe, self.faults, self.summary.lost)
-        forth = self._segments(routes)
-        self.orders = forth, forth[::-1]
-        self.places = [(segment, item) for segment in forth for item in segment.items]
+        self.faults = FaultEpisodes(event_writer(log, epoch_ns, options.on_event))
+        self.intake = Intake(log, epoch_ns, options.on_block, self.faults, self.summary.lost)
+        order = self._segments(routes)
+        self.orders = order, order[::-1]
+        self.places = [(segment, item) for segment in order for item in segment.items]
         start_ns = self.clock.now_ns()
         self.start_up = StartUpCheck(items, options.judge, start_ns) if options.judge else None
         self.readback = ConfigurationReadback(
-            [item for segment in forth for item in segment.items],
+            [item for segment in order for item in segment.items],
             rate_hz,
-            lambda buffer, kind, text: self.health.lost_configuration(buffer, self.clock.now_ns(), kind, text),
-            [witness for segment in forth if segment.channel for witness in segment.channel.witnesses],
+            lambda buffer, kind, text: self.health.note_lost_configuration(buffer, self.clock.now_ns(), kind, text),
+            [witness for segment in order if segment.channel for witness in segment.channel.witnesses],
         )
         self.health = SensorHealth(items, self.readback, self.start_up, self.faults, self.summary.lost)
-        read = clocks_beside(self.clock, epoch_ns, options.wall_time or datetime.fromtimestamp(0, UTC))
-        self.clocks = Clocks(read, epoch_ns, log.clocks, self.faults.note)
-        self.missed = self.faults.of("", "late")
-        self._adapters = list({id(segment.adapter): segment.adapter for segment in forth}.values())
+        read_clocks = clock_reader(self.clock, epoch_ns, options.wall_time or datetime.fromtimestamp(0, UTC))
+        self.clocks = Clocks(read_clocks, epoch_ns, log.clocks, self.faults.note)
+        self.missed = self.faults.episode("", "late")
+        self._adapters = list({id(segment.adapter): segment.adapter for segment in order}.values())
         self._earlier_time_outs = 0
         self.part = 0
         self.tick_frames = max(1, round(TICK_S * rate_hz))
@@ -101,12 +101,12 @@ class Poll:
         """Group the sensors in the order of the configuration. The channels of one multiplexer, and its trunk, share an
         adapter; a separate bus has another.
         """
-        shared, everybody = AdapterState(), list(self.buffers.values())
+        shared, all_buffers = AdapterState(), list(self.buffers.values())
         polling = Polling(self.clock, self.rate_hz, self.faults, self.lose)
         return [
             BusSegment(
                 [self.buffers[id(route)] for route in part],
-                everybody,
+                all_buffers,
                 AdapterState() if isinstance(part[0].segment, str) else shared,
                 polling,
             )
@@ -180,13 +180,13 @@ class Poll:
         """Sleep until the next frame. Wake at intervals to check for a request to stop, and to do what can't wait for a
         frame that is far away (`_soonest`).
         """
-        tried: set[tuple[int, int]] = set()
+        visited: set[tuple[int, int]] = set()
         while (now_ns := self.clock.now_ns()) < due_ns:
-            at_ns, place = self._soonest(due_ns, tried)
+            at_ns, place = self._soonest(due_ns, visited)
             self.clock.sleep_until(min(due_ns, now_ns + _NAP_NS, at_ns))
             now_ns = self.clock.now_ns()
             if at_ns <= now_ns < due_ns:
-                tried.add((place, at_ns))
+                visited.add((place, at_ns))
                 segment, buffer = self.places[place]
                 if buffer.recovery is None:
                     self.group(segment, buffer)
@@ -195,7 +195,7 @@ class Poll:
             if now_ns < due_ns and stopped():
                 return
 
-    def _soonest(self, due_ns: int, tried: set[tuple[int, int]]) -> tuple[int, int]:
+    def _soonest(self, due_ns: int, visited: set[tuple[int, int]]) -> tuple[int, int]:
         """Return when a sensor must be visited before the frame at `due_ns`, and its place; `due_ns` if none must.
 
         The reasons are the result of a conversion that would be too old by then, and a configuration in progress, which
@@ -210,7 +210,7 @@ class Poll:
             at_ns = buffer.conversion_before(due_ns)
             if buffer.recovery is not None and (next_step_ns := buffer.recovery.next_step_ns) is not None:
                 at_ns = next_step_ns if due_ns - next_step_ns > _FAR_NS else None
-            if at_ns is not None and (place, at_ns) not in tried:
+            if at_ns is not None and (place, at_ns) not in visited:
                 visits.append((at_ns, place))
         return min(visits, default=(due_ns, 0))
 
@@ -249,7 +249,7 @@ class Poll:
             if buffer.recovery is not None:
                 error = self.health.step(buffer, now_ns)
                 if error is not None:
-                    segment.failed(error)
+                    segment.note_error(error)
             else:
                 self.visit(buffer, segment, now_ns)
             now_ns = self.clock.now_ns()
@@ -262,11 +262,11 @@ class Poll:
         Before the second attempt the connected channel is verified: a silent address may be due to a wrong channel, and
         earlier readings of this visit may be another chip's.
         """
-        again = False
+        is_repeated = False
         try:
             burst = buffer.driver.fetch()
         except OSError as error:
-            segment.failed(error)
+            segment.note_error(error)
             if error.errno in REMOVED:  # reported once for all sensors of the adapter
                 self.health.lost(buffer, now_ns, None)
                 return
@@ -275,24 +275,24 @@ class Poll:
                 return
             if segment.channel is not None:
                 segment.confirm(self.readback, self.summary.lost)
-            now_ns, again = self.clock.now_ns(), True
+            now_ns, is_repeated = self.clock.now_ns(), True
             try:
                 burst = buffer.driver.fetch()
             except OSError as second:
-                segment.failed(second)
+                segment.note_error(second)
                 self.health.lost(buffer, now_ns, second)
                 return
         if not burst:  # no reading is ready yet
             return
         adapter = segment.adapter
         if adapter.time_outs:
-            segment.answered()
+            segment.note_answer()
         start_ns, certain = adapter.start_of(now_ns, self.clock.now_ns(), buffer.clocks)
         self.summary.uncertain += not certain and buffer.queue is None  # those of a queue have bounds
         buffer.end_silence()
         if buffer.has_failed:
-            self.health.arrived(buffer, start_ns)
-        buffer.add(burst, start_ns, doubtful=again or not certain)
+            self.health.note_arrival(buffer, start_ns)
+        buffer.add(burst, start_ns, doubtful=is_repeated or not certain)
 
     def tick(self) -> None:
         """Do what is not due in every frame."""
@@ -317,9 +317,9 @@ class Poll:
             count = len(buffer.times_ns) if last else self.health.trusted_rows(buffer, now_ns)
             if count > 0:
                 block = self.intake.write(buffer, count, now_ns)
-                self.readback.taken(buffer, count)
+                self.readback.note_written(buffer, count)
                 if len(block.time):
-                    self.health.written(buffer, block, self.epoch_ns)
+                    self.health.note_written(buffer, block, self.epoch_ns)
         if self.truth_rows:
             self.log.stimulus("truth", _truth_block(self.truth_rows, self.epoch_ns))
             self.truth_rows = []
@@ -330,9 +330,9 @@ def _truth_block(rows: Sequence[tuple[int, Any]], epoch_ns: int) -> Stimulus:
     """Return the true state of an emulated world as rows of `/truth`."""
     return Stimulus(
         np.array([at_ns for at_ns, _ in rows], np.int64) - epoch_ns,
-        np.array([felt.force_box for _, felt in rows]),
-        np.array([felt.rate_box for _, felt in rows]),
-        np.array([felt.temperature_degc for _, felt in rows]),
+        np.array([state.force_box for _, state in rows]),
+        np.array([state.rate_box for _, state in rows]),
+        np.array([state.temperature_degc for _, state in rows]),
     )
 
 
@@ -365,12 +365,12 @@ def record(
         stopped = bus.stopping(stopped)
     headers = [route.header for route in routes]
     service = options.service or Service()
-    options.begun(_iso(epoch), headers)
+    options.on_headers(_iso(epoch), headers)
     with _writer(path, headers, options, epoch=_iso(epoch), source=bus.source, config=array.text) as log:
 
         def report(frames: int) -> None:
             options.progress(frames)
-            options.counted(recording.summary)
+            options.on_counts(recording.summary)
             service.stored(sum(log.acknowledged.values()))
 
         loop = Streaming if streams(bus, routes) else Poll
@@ -393,13 +393,13 @@ def record(
 
 
 def _writer(
-    path: str | PathLike[str], headers: Sequence[SensorHeader], options: RecordingOptions, **about: Any
+    path: str | PathLike[str], headers: Sequence[SensorHeader], options: RecordingOptions, **attributes: Any
 ) -> Writer:
-    """Create the writer of one log, or of one that is split into parts; `about` holds the attributes of the log."""
-    about |= {"frame_rate_hz": options.rate_hz, "force": options.force}
+    """Create the writer of one log, or of one that is split into parts; `attributes` are those of the log."""
+    attributes |= {"frame_rate_hz": options.rate_hz, "force": options.force}
     if options.rotate_s is None:
-        return LogWriter(path, headers, **about)
-    return RotatingWriter(path, headers, every_s=options.rotate_s, started=options.started, **about)
+        return LogWriter(path, headers, **attributes)
+    return RotatingWriter(path, headers, every_s=options.rotate_s, on_first_frame=options.on_first_frame, **attributes)
 
 
 def _since(phases: Sequence[Phase], start_ns: int) -> list[Phase]:

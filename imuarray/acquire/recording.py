@@ -35,12 +35,12 @@ class Service:
         now_ns: Callable[[], int] = time.monotonic_ns,
         process: int | None = None,
     ) -> None:
-        given = os.environ if environment is None else environment
-        self._address = _address(given.get("NOTIFY_SOCKET", ""))
-        self._watchdog_ns = _watchdog_ns(given, os.getpid() if process is None else process)
+        variables = os.environ if environment is None else environment
+        self._address = _address(variables.get("NOTIFY_SOCKET", ""))
+        self._watchdog_ns = _watchdog_ns(variables, os.getpid() if process is None else process)
         self._now_ns = now_ns
         self._rows = 0
-        self._fed_ns = self._told_ns = -(1 << 62)
+        self._watchdog_sent_ns = self._status_sent_ns = -(1 << 62)
         self._ready = False
 
     def stored(self, rows: int) -> None:
@@ -52,14 +52,14 @@ class Service:
         now_ns, words = self._now_ns(), []
         if not self._ready:
             words.append("READY=1")
-        if self._watchdog_ns is not None and now_ns - self._fed_ns >= self._watchdog_ns * _SHARE:
+        if self._watchdog_ns is not None and now_ns - self._watchdog_sent_ns >= self._watchdog_ns * _SHARE:
             words.append("WATCHDOG=1")
-        if not self._ready or now_ns - self._told_ns >= _STATUS_NS:
+        if not self._ready or now_ns - self._status_sent_ns >= _STATUS_NS:
             words.append(f"STATUS=recording, {rows} rows stored")
-            self._told_ns = now_ns
+            self._status_sent_ns = now_ns
         self._rows, self._ready = rows, True
         if "WATCHDOG=1" in words:
-            self._fed_ns = now_ns
+            self._watchdog_sent_ns = now_ns
         self._send(words)
 
     def stopping(self, status: str = "finishing the log") -> None:
@@ -73,9 +73,9 @@ class Service:
         if self._address is None or not words:
             return
         try:
-            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as out:
-                out.setblocking(False)
-                out.sendto("\n".join(words).encode(), self._address)
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as connection:
+                connection.setblocking(False)
+                connection.sendto("\n".join(words).encode(), self._address)
         except OSError:
             return
 
@@ -91,10 +91,10 @@ def _address(name: str) -> str | bytes | None:
 
 def _watchdog_ns(environment: Mapping[str, str], process: int) -> int | None:
     """Return the time without a message after which this process is killed; None without a watchdog."""
-    allowed, whose = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID", str(process))
-    if not (allowed.isascii() and allowed.isdigit() and int(allowed)) or whose != str(process):
+    interval_us, owner = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID", str(process))
+    if not (interval_us.isascii() and interval_us.isdigit() and int(interval_us)) or owner != str(process):
         return None
-    return int(allowed) * 1000
+    return int(interval_us) * 1000
 
 
 @dataclass
@@ -150,13 +150,13 @@ class RecordingOptions:
     """Polled between frames; True ends the recording."""
     progress: Callable[[int], None] = lambda frames: None
     """Receives the number of frames, after every write."""
-    observe: Callable[[str, Block], None] = lambda sensor, block: None
+    on_block: Callable[[str, Block], None] = lambda sensor, block: None
     """Receives every block of a sensor's rows as it is written."""
-    tell: Callable[[Event], None] = lambda event: None
+    on_event: Callable[[Event], None] = lambda event: None
     """Receives every event."""
-    counted: Callable[[RecordingCounts], None] = lambda summary: None
+    on_counts: Callable[[RecordingCounts], None] = lambda summary: None
     """Receives the summary so far, after every write."""
-    begun: Callable[[str, Sequence[SensorHeader]], None] = lambda epoch, sensors: None
+    on_headers: Callable[[str, Sequence[SensorHeader]], None] = lambda epoch, sensors: None
     """Receives the log's epoch and sensor headers before the log is created; an exception ends the recording."""
-    started: Callable[[int], None] = lambda time_ns: None
-    """Receives the start time of the first of several parts."""
+    on_first_frame: Callable[[int], None] = lambda time_ns: None
+    """Receives the time of the first frame, if the log is split into parts."""

@@ -52,24 +52,24 @@ LONGEST_PAUSE_NS = 3_200_000_000
 
 
 class SensorRecovery:
-    """The recovery of one sensor. `intact` is True if it still had its configuration, `done` when it can be read
-    again.
+    """The recovery of one sensor. `is_intact` is True if it still had its configuration, `is_done` when it can be
+    read again.
 
-    With `look`, its configuration is compared first; without, the chip is configured anew in any case.
+    With `compare`, its configuration is compared first; without, the chip is configured anew in any case.
     """
 
-    def __init__(self, route: SensorRoute, now_ns: int, *, look: bool) -> None:
+    def __init__(self, route: SensorRoute, now_ns: int, *, compare: bool) -> None:
         self.route = route
         self.since_ns = now_ns
-        self.intact = False
-        self.done = False
+        self.is_intact = False
+        self.is_done = False
         self.failure: Exception | None = None
         self.refusal = ""
         """The kernel driver that owns the address now, if there is one."""
-        self._look = look
+        self._compares = compare
         self._pause_ns = FIRST_PAUSE_NS
         self._next_ns = now_ns
-        self._way: Iterator[float] | None = None
+        self._progress: Iterator[float] | None = None
 
     def waits(self, now_ns: int) -> bool:
         """Return whether the next step is not due yet."""
@@ -78,20 +78,20 @@ class SensorRecovery:
     @property
     def next_step_ns(self) -> int | None:
         """The time of the next step of a configuration in progress; None if none is in progress."""
-        return None if self._way is None or self.done else self._next_ns
+        return None if self._progress is None or self.is_done else self._next_ns
 
     def step(self, now_ns: int) -> None:
         """Do one step. An error is stored in `failure`, and the recovery starts again after a pause."""
-        self._way = self._way or self._steps()
+        self._progress = self._progress or self._steps()
         self.failure = None
         try:
-            self._next_ns = now_ns + round(next(self._way) * 1e9)
+            self._next_ns = now_ns + round(next(self._progress) * 1e9)
         except StopIteration:
-            self.done = True
+            self.is_done = True
         except (OSError, SensorError) as error:
             cause = error.__cause__
             self.failure = cause if isinstance(cause, OSError) else error
-            self._way = None
+            self._progress = None
             self._next_ns = now_ns + self._pause_ns
             self._pause_ns = min(2 * self._pause_ns, LONGEST_PAUSE_NS)
 
@@ -99,12 +99,12 @@ class SensorRecovery:
         driver = self.route.driver
         self._claim()
         driver.identify()
-        if self._look and driver.watched:
+        if self._compares and driver.watched:
             settings = [(setting, driver.registers.read_back(setting.register)) for setting in driver.watched]
             if all(byte & setting.mask == setting.value for setting, byte in settings):
-                self.intact = True
+                self.is_intact = True
                 return
-        self._look = False
+        self._compares = False
         yield 0.0
         yield from driver.steps()
 
@@ -201,7 +201,7 @@ class SampleBuffer:
         self._frozen_rows = max(_FROZEN_READINGS, math.ceil(self._frozen_s * self.row_rate_hz))
         self.frozen_rows = self._frozen_rows
         self.frozen_reading: bytes | None = None
-        self._since_set_up = self._still = 0
+        self._since_set_up = self._still_row = 0
         self._watch_still = False
         self.doubtful_rows = np.zeros(0, bool)
         self.newest_ns: int | None = None
@@ -228,9 +228,9 @@ class SampleBuffer:
         """Flag the next row: readings were lost just before it."""
         self._missing = True
 
-    def recover(self, at_ns: int, *, look: bool) -> None:
+    def recover(self, at_ns: int, *, compare: bool) -> None:
         """Begin a recovery at `at_ns` in place of readings (`SensorRecovery`)."""
-        self._recovery = SensorRecovery(self.route, at_ns, look=look)
+        self._recovery = SensorRecovery(self.route, at_ns, compare=compare)
 
     def end_recovery(self) -> None:
         """Return to reading the sensor."""
@@ -301,9 +301,9 @@ class SampleBuffer:
         self._failed = True
         if self._awaited_ns is None:
             self._awaited_ns = at_ns
-        known = self._overdue
+        reported = self._overdue
         self._overdue = max(math.floor((at_ns - self._awaited_ns) / self._reading_period_ns + 0.5), 0)
-        return max(self._overdue - known, 0)
+        return max(self._overdue - reported, 0)
 
     def silent(self, now_ns: int) -> bool:
         """Return whether `take` received none of the readings of the last seconds, or of the last few that were due."""
@@ -370,7 +370,7 @@ class SampleBuffer:
             self._suspect = [
                 (min(first, row), None if last is None else min(last, row)) for first, last in self._suspect
             ]
-            self._still = min(self._still, row)
+            self._still_row = min(self._still_row, row)
         return count
 
     def distrust(self, row: int) -> None:
@@ -389,7 +389,7 @@ class SampleBuffer:
     def note_configured(self) -> None:
         """Note that the chip was configured: its next reading is flagged, and may equal its last one."""
         self._set_up_again = True
-        self._since_set_up = self._still = len(self._times_ns)
+        self._since_set_up = self._still_row = len(self._times_ns)
         self._written_run = 0
         self._watch_still = self.frozen_reading is not None
 
@@ -397,25 +397,25 @@ class SampleBuffer:
         """Return the row since which the reading has been constant for too long to be chance; None otherwise. Rows that
         are already written are counted, but can no longer be flagged.
         """
-        rows, enough, oldest = len(self._times_ns), self.frozen_rows, self._since_set_up
-        if rows == oldest or rows - oldest + self._written_run < enough:
+        rows, needed, oldest = len(self._times_ns), self.frozen_rows, self._since_set_up
+        if rows == oldest or rows - oldest + self._written_run < needed:
             return None
         reading = self._reading(rows - 1)
-        for steps in (enough // 2, enough - 1):  # most often one of these differs
+        for steps in (needed // 2, needed - 1):  # most often one of these differs
             if steps < rows - oldest and self._reading(rows - 1 - steps) != reading:
                 return None
         first = rows - 1
         while first > oldest and self._reading(first - 1) == reading:
             first -= 1
-        before = self._written_run if first == 0 and self._written_reading == reading else 0
+        written = self._written_run if first == 0 and self._written_reading == reading else 0
         lasted_ns = self._times_ns[-1] - self.still_since_ns(first)
-        enough_s = lasted_ns >= _FROZEN_SHARE * self._frozen_s * 1e9
-        return first if rows - first + before >= enough and enough_s else None
+        is_long_enough = lasted_ns >= _FROZEN_SHARE * self._frozen_s * 1e9
+        return first if rows - first + written >= needed and is_long_enough else None
 
     def still_since_ns(self, row: int) -> int:
         """Return when the reading that is constant from `row` on was read first."""
-        goes_on = row == 0 and self._written_run and self._written_reading == self._reading(0)
-        return self._written_since_ns if goes_on else self._times_ns[row]
+        continues = row == 0 and self._written_run and self._written_reading == self._reading(0)
+        return self._written_since_ns if continues else self._times_ns[row]
 
     def note_frozen(self) -> None:
         """Note that the reading is frozen. If configuring the chip did not help, wait longer before the next attempt,
@@ -426,11 +426,11 @@ class SampleBuffer:
 
     def flag_frozen_rows(self) -> None:
         """Flag rows after a configuration that still repeat the frozen reading."""
-        while self._watch_still and self._still < len(self._times_ns):
-            self._watch_still = self._reading(self._still) == self.frozen_reading
+        while self._watch_still and self._still_row < len(self._times_ns):
+            self._watch_still = self._reading(self._still_row) == self.frozen_reading
             if self._watch_still:
-                self._suspect.append((self._still, self._still + 1))
-                self._still += 1
+                self._suspect.append((self._still_row, self._still_row + 1))
+                self._still_row += 1
 
     @property
     def moves(self) -> bool:
@@ -490,8 +490,8 @@ class SampleBuffer:
         reading, first = self._reading(count - 1), count - 1
         while first > oldest and self._reading(first - 1) == reading:
             first -= 1
-        goes_on = first == 0 and self._written_run > 0 and reading == self._written_reading
-        if not goes_on:
+        continues = first == 0 and self._written_run > 0 and reading == self._written_reading
+        if not continues:
             self._written_run, self._written_since_ns = 0, self._times_ns[first]
         self._written_run += count - first
         self._written_reading = reading
@@ -503,7 +503,7 @@ class SampleBuffer:
         self._doubtful = _later(self._doubtful, count)
         self._reconfigured = _later(self._reconfigured, count)
         self._since_set_up = max(self._since_set_up - count, 0)
-        self._still = max(self._still - count, 0)
+        self._still_row = max(self._still_row - count, 0)
         self._suspect = [
             (max(first - count, 0), None if last is None else last - count)
             for first, last in self._suspect
@@ -514,9 +514,9 @@ class SampleBuffer:
         """Return STALE where the bytes of a reading equal the previous ones, the only evidence without a data-ready
         bit.
         """
-        before = np.concatenate([~readings[:1] if self._last is None else self._last, readings[:-1]])
+        previous = np.concatenate([~readings[:1] if self._last is None else self._last, readings[:-1]])
         self._last = readings[-1:]
-        return np.where((readings == before).all(axis=1), STALE, 0).astype(np.uint16)
+        return np.where((readings == previous).all(axis=1), STALE, 0).astype(np.uint16)
 
 
 def _frozen_s(sensor: SensorConfig) -> float:
@@ -546,7 +546,7 @@ _INHERITED = np.uint16(LOST_BEFORE | OVERRUN | RECONFIGURED)
 
 
 class Intake:
-    """Writes blocks of rows into `log`; `observe` receives each block as it was written, `faults` report rejected rows,
+    """Writes blocks of rows into `log`; `on_block` receives each written block, `faults` report rejected rows,
     which are counted in `lost` by sensor.
     """
 
@@ -554,11 +554,11 @@ class Intake:
         self,
         log: Writer,
         epoch_ns: int,
-        observe: Callable[[str, Block], None],
+        on_block: Callable[[str, Block], None],
         faults: FaultEpisodes,
         lost: dict[str, int],
     ) -> None:
-        self._log, self._epoch_ns, self._observe, self._faults, self._lost = log, epoch_ns, observe, faults, lost
+        self._log, self._epoch_ns, self._on_block, self._faults, self._lost = log, epoch_ns, on_block, faults, lost
         self._newest_ns: dict[str, int] = {}
         self._inherited: dict[str, np.uint16] = {}
 
@@ -570,21 +570,21 @@ class Intake:
         """
         name = buffer.route.sensor.name
         block = buffer.take(count, self._epoch_ns)
-        kept = in_order(block.time, self._newest_ns.get(name), now_ns - self._epoch_ns + AHEAD_NS)
-        if not kept.all():
-            self._refuse(name, int(np.count_nonzero(~kept)), now_ns)
-            buffer.doubtful_rows = buffer.doubtful_rows[kept]
-        block, self._inherited[name] = selected(block, kept, self._inherited.get(name, np.uint16(0)))
+        accepted = in_order(block.time, self._newest_ns.get(name), now_ns - self._epoch_ns + AHEAD_NS)
+        if not accepted.all():
+            self._refuse(name, int(np.count_nonzero(~accepted)), now_ns)
+            buffer.doubtful_rows = buffer.doubtful_rows[accepted]
+        block, self._inherited[name] = selected(block, accepted, self._inherited.get(name, np.uint16(0)))
         if len(block.time):
             self._newest_ns[name] = int(block.time[-1])
             self._log.append(name, block)
-            self._observe(name, block)
+            self._on_block(name, block)
         return block
 
     def _refuse(self, name: str, count: int, now_ns: int) -> None:
         self._lost[name] += count
         text = f"{counted(count, 'reading')} refused: not later than the reading before, or ahead of the clock"
-        self._faults.of(name, "refused").happened(now_ns, text, count)
+        self._faults.episode(name, "refused").happened(now_ns, text, count)
 
 
 def in_order(times: Times, newest_ns: int | None, latest_ns: int) -> Booleans:
@@ -594,25 +594,25 @@ def in_order(times: Times, newest_ns: int | None, latest_ns: int) -> Booleans:
     possible = times <= latest_ns
     floor = np.iinfo(np.int64).min
     reached = np.maximum.accumulate(np.where(possible, times, floor))
-    before = np.concatenate([[floor if newest_ns is None else newest_ns], reached[:-1]])
-    return np.asarray(possible & (times > np.maximum.accumulate(before)), np.bool_)
+    latest = np.concatenate([[floor if newest_ns is None else newest_ns], reached[:-1]])
+    return np.asarray(possible & (times > np.maximum.accumulate(latest)), np.bool_)
 
 
-def selected(block: Block, kept: Booleans, inherited: np.uint16) -> tuple[Block, np.uint16]:
-    """Return the rows of `block` that are `kept` (n,), and the flags that its next row inherits.
+def selected(block: Block, accepted: Booleans, inherited: np.uint16) -> tuple[Block, np.uint16]:
+    """Return the rows of `block` that are `accepted` (n,), and the flags that its next row inherits.
 
     The first row takes over the flags `inherited` from before the block; each row takes over those of rejected rows
     just before it, and is flagged as following lost readings.
     """
-    if kept.all() and not inherited:
+    if accepted.all() and not inherited:
         return block, np.uint16(0)
     status = block.status.copy()
-    for row, keep in enumerate(kept.tolist()):
-        if keep:
+    for row, is_accepted in enumerate(accepted.tolist()):
+        if is_accepted:
             status[row] |= inherited
             inherited = np.uint16(0)
         else:
             inherited |= (status[row] & _INHERITED) | np.uint16(LOST_BEFORE)
-    temperature = None if block.temperature_counts is None else block.temperature_counts[kept]
-    compensated = {name: column[kept] for name, column in block.compensated.items()}
-    return Block(block.time[kept], block.counts[kept], status[kept], temperature, compensated), inherited
+    temperature = None if block.temperature_counts is None else block.temperature_counts[accepted]
+    compensated = {name: column[accepted] for name, column in block.compensated.items()}
+    return Block(block.time[accepted], block.counts[accepted], status[accepted], temperature, compensated), inherited

@@ -80,33 +80,33 @@ class StartUpCheck:
         """Return whether the rows of this sensor must wait."""
         return id(buffer) in self._since_ns
 
-    def again(self, buffer: SampleBuffer, now_ns: int) -> None:
+    def judge_again(self, buffer: SampleBuffer, now_ns: int) -> None:
         """Judge a sensor again after it was configured again because of a wrong start-up state."""
         if id(buffer) in self._attempts:
             self._since_ns[id(buffer)] = now_ns
 
     def verdicts(self, now_ns: int, *, last: bool = False) -> list[tuple[SampleBuffer, StartVerdict]]:
         """Return the verdicts on sensors whose first seconds are over (or all, at the end of the log, `last`)."""
-        ripe = [
+        due = [
             item
             for item in self._buffers
             if self.holds(item)
             and (last or now_ns - self._since_ns[id(item)] >= SECONDS * 1e9)
             and (last or item.recovery is None)
         ]
-        heard = {item.route.sensor.name: item.counts() for item in ripe if item.times_ns}
-        readings = {name: counts for name, counts in heard.items() if len(counts) >= FEWEST_READINGS}
+        counts_by_name = {item.route.sensor.name: item.counts() for item in due if item.times_ns}
+        readings = {name: counts for name, counts in counts_by_name.items() if len(counts) >= FEWEST_READINGS}
         verdicts = dict(self._judge(readings)) if readings else {}
-        for name in heard.keys() - readings.keys():
+        for name in counts_by_name.keys() - readings.keys():
             verdicts[name] = StateVerdict(
-                False, f"not checked: {len(heard[name])} readings of at least {FEWEST_READINGS}"
+                False, f"not checked: {len(counts_by_name[name])} readings of at least {FEWEST_READINGS}"
             )
-        judged = [(item, verdicts.get(item.route.sensor.name, StateVerdict(False))) for item in ripe]
-        for item, verdict in judged:
+        results = [(item, verdicts.get(item.route.sensor.name, StateVerdict(False))) for item in due]
+        for item, verdict in results:
             del self._since_ns[id(item)]
             if verdict.fault:
                 self._attempts[id(item)] = self._attempts.get(id(item), 0) + 1
-        return judged
+        return results
 
     def has_given_up(self, buffer: SampleBuffer) -> bool:
         """Return whether all attempts to configure the sensor are used up."""
@@ -158,29 +158,29 @@ class _SensorState:
     def __init__(self, buffer: SampleBuffer, faults: FaultEpisodes) -> None:
         self.name = buffer.route.sensor.name
         self._faults = faults
-        self.lost = faults.of(self.name, "lost")
-        self.stale = faults.of(self.name, "stale")
-        self.overrun = faults.of(self.name, "overrun")
-        self.frozen = faults.of(self.name, "frozen")
-        self.lasting: list[FaultEpisode] = []
+        self.lost = faults.episode(self.name, "lost")
+        self.stale = faults.episode(self.name, "stale")
+        self.overrun = faults.episode(self.name, "overrun")
+        self.frozen = faults.episode(self.name, "frozen")
+        self.open_faults: list[FaultEpisode] = []
         self.freshness = Freshness(buffer.route.sensor)
         self.last_row_ns: int | None = None
         self.rows = 0
         self.overruns = 0
 
-    def tell(self, at_ns: int, kind: str, message: str) -> None:
+    def report(self, at_ns: int, kind: str, message: str) -> None:
         """Report an event of this sensor."""
-        self._faults.of(self.name, kind).happened(at_ns, message)
+        self._faults.episode(self.name, kind).happened(at_ns, message)
 
     def begin_fault(self, at_ns: int, kind: str, message: str) -> None:
         """Begin a fault that lasts until the sensor is configured again."""
-        episode = self._faults.of(self.name, kind)
+        episode = self._faults.episode(self.name, kind)
         episode.begin(at_ns, message)
-        self.lasting.append(episode)  # several at once: a kernel driver that takes a chip also configures it
+        self.open_faults.append(episode)  # several at once: a kernel driver that takes a chip also configures it
 
     def has_fault(self, kind: str) -> bool:
         """Return whether a fault of this kind lasts."""
-        return self._faults.of(self.name, kind) in self.lasting
+        return self._faults.episode(self.name, kind) in self.open_faults
 
 
 class SensorHealth:
@@ -214,33 +214,33 @@ class SensorHealth:
         was_silent = buffer.is_silent
         silent_ns = buffer.note_silence(at_ns)
         if was_silent and (error.errno in HUNG or silent_ns >= AWAY_NS):
-            buffer.recover(at_ns, look=True)
+            buffer.recover(at_ns, compare=True)
 
     def configure_later(self, buffer: SampleBuffer, at_ns: int) -> None:
         """Configure a sensor once its removed adapter is back, since it may have lost its supply."""
-        buffer.recover(at_ns, look=False)
+        buffer.recover(at_ns, compare=False)
 
     def step(self, buffer: SampleBuffer, now_ns: int) -> OSError | None:
         """Do one step of a recovery in place of a reading; return the error of the bus, if there is one."""
         recovery = buffer.recovery
         state = self._states[id(buffer)]
         count = self._count(buffer, now_ns)
-        if state.lost.on:
+        if state.lost.is_open:
             state.lost.happened(now_ns, "", count)
         if recovery is None or recovery.waits(now_ns):
             return None
         recovery.step(now_ns)
         if recovery.refusal and not state.has_fault("taken"):  # not yet reported by the read-back of the configuration
             state.begin_fault(now_ns, "taken", recovery.refusal)
-        if recovery.done:
+        if recovery.is_done:
             self._recovered(buffer, recovery, state, now_ns)
         return recovery.failure if isinstance(recovery.failure, OSError) else None
 
-    def arrived(self, buffer: SampleBuffer, at_ns: int) -> None:
+    def note_arrival(self, buffer: SampleBuffer, at_ns: int) -> None:
         """Count the lost readings, at the first reading after a failed visit and before it is added."""
         state = self._states[id(buffer)]
         count = self._count(buffer, at_ns)
-        if state.lost.on:
+        if state.lost.is_open:
             state.lost.count += count
 
     def _count(self, buffer: SampleBuffer, at_ns: int) -> int:
@@ -255,25 +255,25 @@ class SensorHealth:
         took_s = (now_ns - recovery.since_ns) * 1e-9
         buffer.end_recovery()
         state.last_row_ns = now_ns
-        state.lost.over(now_ns)
-        for episode in state.lasting:
-            episode.over(now_ns, reported=True)  # by what follows
-        state.lasting.clear()
-        if recovery.intact:
-            state.tell(now_ns, "back", f"answers again with its configuration intact, after {took_s:.2f} s")
+        state.lost.end(now_ns)
+        for episode in state.open_faults:
+            episode.end(now_ns, reported=True)  # by what follows
+        state.open_faults.clear()
+        if recovery.is_intact:
+            state.report(now_ns, "back", f"answers again with its configuration intact, after {took_s:.2f} s")
         else:
             self._readback.give_up(buffer)
             buffer.trust()
             buffer.note_configured()
-            state.tell(now_ns, "reconfigured", f"set up again after {took_s:.2f} s")
+            state.report(now_ns, "reconfigured", f"set up again after {took_s:.2f} s")
             if self._start_up is not None:
-                self._start_up.again(buffer, now_ns)
-        self._readback.restart(buffer)
+                self._start_up.judge_again(buffer, now_ns)
+        self._readback.note_configured(buffer)
 
-    def lost_configuration(self, buffer: SampleBuffer, at_ns: int, kind: str, message: str) -> None:
+    def note_lost_configuration(self, buffer: SampleBuffer, at_ns: int, kind: str, message: str) -> None:
         """Handle a chip that has lost its configuration or its address; its rows are already flagged."""
         self._states[id(buffer)].begin_fault(at_ns, kind, message)
-        buffer.recover(at_ns, look=False)
+        buffer.recover(at_ns, compare=False)
 
     # At each tick ---------------------------------------------------------------------------------------------------
 
@@ -308,21 +308,21 @@ class SensorHealth:
             state.frozen.begin(now_ns, f"nothing in its queue for {idle_s:.1f} s{_lost_setting(buffer.driver)}")
         else:
             if state.frozen.lasts and buffer.moves:
-                state.frozen.over(now_ns, reported=True)  # by the event that it was set up again
+                state.frozen.end(now_ns, reported=True)  # by the event that it was set up again
             return
-        buffer.recover(now_ns, look=False)
+        buffer.recover(now_ns, compare=False)
 
     def _judge(self, start_up: StartUpCheck, now_ns: int, *, last: bool) -> None:
         for buffer, verdict in start_up.verdicts(now_ns, last=last):
             if verdict.text:
-                self._states[id(buffer)].tell(now_ns, "start_up", verdict.text)
+                self._states[id(buffer)].report(now_ns, "start_up", verdict.text)
             if not verdict.fault:
                 continue
             buffer.distrust(0)
             if start_up.has_given_up(buffer):
                 buffer.condemn()
             elif not last:
-                buffer.recover(now_ns, look=False)
+                buffer.recover(now_ns, compare=False)
 
     def finish(self, now_ns: int) -> None:
         """Judge the remaining rows at the end of the log."""
@@ -330,7 +330,7 @@ class SensorHealth:
             buffer.flag_frozen_rows()
             if buffer.recovery is None and (row := buffer.frozen_since()) is not None:
                 buffer.distrust(row)
-                self._states[id(buffer)].tell(now_ns, "frozen", "the same reading until the end")
+                self._states[id(buffer)].report(now_ns, "frozen", "the same reading until the end")
         if self._start_up is not None:
             self._judge(self._start_up, now_ns, last=True)
 
@@ -346,12 +346,12 @@ class SensorHealth:
         if buffer.recovery is not None and now_ns - buffer.recovery.since_ns > HELD_S * 1e9:
             self._readback.give_up(buffer)
             return rows
-        held = buffer.held_rows
-        if rows - self._readback.trusted_rows(buffer) > max(HELD_S * buffer.row_rate_hz, held):
+        held_rows = buffer.held_rows
+        if rows - self._readback.trusted_rows(buffer) > max(HELD_S * buffer.row_rate_hz, held_rows):
             self._readback.give_up(buffer)
-        return min(self._readback.trusted_rows(buffer), rows - held)
+        return min(self._readback.trusted_rows(buffer), rows - held_rows)
 
-    def written(self, buffer: SampleBuffer, block: Block, epoch_ns: int) -> None:
+    def note_written(self, buffer: SampleBuffer, block: Block, epoch_ns: int) -> None:
         """Report stale readings and overruns, which only the decoded status shows."""
         state = self._states[id(buffer)]
         state.rows -= len(block.time)
@@ -361,10 +361,10 @@ class SensorHealth:
                 _report_at(block.time[late] + epoch_ns, state.stale, "no new reading although one was due")
         if (block.status & OVERRUN).any():
             overrun = block.time[(block.status & OVERRUN) != 0] + epoch_ns
-            why = (
+            cause = (
                 "they were overwritten before they were read" if buffer.queue is None else "the chip's buffer was full"
             )
-            _report_at(overrun, state.overrun, f"samples were lost: {why}")
+            _report_at(overrun, state.overrun, f"samples were lost: {cause}")
 
 
 def _lost_setting(driver: Driver) -> str:
@@ -375,8 +375,8 @@ def _lost_setting(driver: Driver) -> str:
         for setting in driver.watched:
             value = driver.registers.read_back(setting.register)
             if value & setting.mask != setting.value:
-                wanted = setting.into(value)
-                return f": register {setting.register.address:#04x} reads {value:#04x}, configured {wanted:#04x}"
+                configured = setting.into(value)
+                return f": register {setting.register.address:#04x} reads {value:#04x}, configured {configured:#04x}"
     return ""
 
 

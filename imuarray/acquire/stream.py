@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from imuarray.acquire.bus_segment import MuxChannel
-from imuarray.acquire.clocks import Clocks, clocks_beside
+from imuarray.acquire.clocks import Clocks, clock_reader
 from imuarray.acquire.fault_episode import FaultEpisodes, event_writer
 from imuarray.acquire.recording import RecordingCounts, RecordingOptions
 from imuarray.acquire.sample_buffer import HELD_S, Intake, SensorRoute
@@ -33,7 +33,7 @@ from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.printable import counted
 
 Note = Callable[[Rows, str, str], None]
-"""(whose, kind, message)."""
+"""(rows of the sensor, kind, message)."""
 
 
 @dataclass
@@ -47,12 +47,12 @@ class _StreamCheck:
 
 
 class StreamHealth:
-    """The health of all sensors. `ill` are those that must be configured again."""
+    """The health of all sensors. `failed` are those that must be configured again."""
 
     def __init__(
         self, rows: Sequence[Rows], watched: Sequence[ReadbackPlace], start_up: StartUpCheck | None, note: Note
     ) -> None:
-        self.ill: dict[int, Rows] = {}
+        self.failed: dict[int, Rows] = {}
         self._rows = rows
         self._start_up = start_up
         self._note = note
@@ -60,7 +60,7 @@ class StreamHealth:
             id(item): [_StreamCheck(place) for place in watched if place.route is item.buffer.route] for item in rows
         }
 
-    def look(self, samples_by_list: Mapping[int, Samples], rate: float) -> None:
+    def check_readback(self, samples_by_list: Mapping[int, Samples], rate: float) -> None:
         """Check the registers that were read back."""
         for rows in self._rows:
             for check in self._checks[id(rows)]:
@@ -70,53 +70,55 @@ class StreamHealth:
                     for time_ns, part in zip(values.times_ns.tolist(), values.parts.tolist(), strict=True):
                         self._judge(rows, check, part[0], bisect_left(rows.buffer.times_ns, time_ns))
 
-    def _judge(self, rows: Rows, check: _StreamCheck, value: int, before: int) -> None:
-        """Judge one value of one register that was read after `before` of the waiting rows; two wrong values in a row
+    def _judge(self, rows: Rows, check: _StreamCheck, value: int, rows_before: int) -> None:
+        """Judge one value of one register, read after `rows_before` of the waiting rows; two wrong values in a row
         count.
         """
         setting = check.watched.setting
         if value & setting.mask == setting.value:
-            check.wrong, check.good_rows = 0, before
+            check.wrong, check.good_rows = 0, rows_before
             return
         check.wrong += 1
         if check.wrong != 2:
             return
         rows.buffer.distrust(check.good_rows)
-        if id(rows) not in self.ill:
-            self.ill[id(rows)] = rows
-            address, wanted = setting.register.address, setting.into(value)
-            self._note(rows, "configuration", f"register {address:#04x} reads {value:#04x}, configured {wanted:#04x}")
+        if id(rows) not in self.failed:
+            self.failed[id(rows)] = rows
+            address, configured = setting.register.address, setting.into(value)
+            self._note(
+                rows, "configuration", f"register {address:#04x} reads {value:#04x}, configured {configured:#04x}"
+            )
 
     def doubt_queue(self, rows: Rows) -> None:
         """Have the chip configured again, because the bytes from its queue are not a sequence of samples."""
-        if id(rows) not in self.ill:
-            self.ill[id(rows)] = rows
+        if id(rows) not in self.failed:
+            self.failed[id(rows)] = rows
             self._note(rows, "configuration", rows.doubt)
 
     def note_idle(self, rows: Rows) -> None:
         """Have the chip configured again, because its queue does not fill."""
-        if id(rows) not in self.ill:
-            self.ill[id(rows)] = rows
-            rows.buffer.distrust(self._vouched(rows))
+        if id(rows) not in self.failed:
+            self.failed[id(rows)] = rows
+            rows.buffer.distrust(self._verified_rows(rows))
             self._note(rows, "frozen", f"nothing in its queue for {rows.idle_ns * 1e-9:.1f} s")
 
     def tick(self, now_ns: int) -> None:
         """Look for frozen sensors and wrong start-up states."""
         for rows in self._rows:
             row = rows.buffer.frozen_since()
-            if row is not None and id(rows) not in self.ill:
+            if row is not None and id(rows) not in self.failed:
                 lasted_s = (rows.buffer.times_ns[-1] - rows.buffer.still_since_ns(row)) * 1e-9
                 rows.buffer.note_frozen()
                 rows.buffer.distrust(row)
-                self.ill[id(rows)] = rows
+                self.failed[id(rows)] = rows
                 self._note(rows, "frozen", f"the same reading for {lasted_s:.2f} s")
         if self._start_up is not None:
             self._judge_start(self._start_up, now_ns, last=False)
 
     def _judge_start(self, start_up: StartUpCheck, now_ns: int, *, last: bool) -> None:
-        whose = {id(rows.buffer): rows for rows in self._rows}
+        rows_by_buffer = {id(rows.buffer): rows for rows in self._rows}
         for buffer, verdict in start_up.verdicts(now_ns, last=last):
-            rows = whose[id(buffer)]
+            rows = rows_by_buffer[id(buffer)]
             if verdict.text:
                 self._note(rows, "start_up", verdict.text)
             if verdict.fault:
@@ -124,33 +126,33 @@ class StreamHealth:
                 if start_up.has_given_up(buffer):
                     buffer.condemn()
                 else:
-                    self.ill[id(rows)] = rows
+                    self.failed[id(rows)] = rows
 
-    def set_up_again(self, now_ns: int) -> None:
+    def configure_failed(self, now_ns: int) -> None:
         """Configure the failed sensors while the stream is stopped; one that can't be configured remains failed."""
-        for key, rows in list(self.ill.items()):
+        for key, rows in list(self.failed.items()):
             try:
                 rows.buffer.driver.identify()
                 rows.buffer.driver.configure()
             except (OSError, SensorError) as error:
                 self._note(rows, "configuration", f"can't be set up again: {error}")
                 continue
-            del self.ill[key]
+            del self.failed[key]
             rows.buffer.trust()
             rows.buffer.note_configured()
             for check in self._checks[id(rows)]:
                 check.wrong, check.good_rows = 0, len(rows.buffer.times_ns)
             self._note(rows, "reconfigured", "set up again")
             if self._start_up is not None:
-                self._start_up.again(rows.buffer, now_ns)
+                self._start_up.judge_again(rows.buffer, now_ns)
 
-    def doubt_everything(self) -> None:
-        """Mark all chips as ill, and their rows since the last verification as suspect, because they may have lost
+    def doubt_all(self) -> None:
+        """Mark all chips as failed, and their rows since the last verification as suspect, because they may have lost
         their supply.
         """
         for rows in self._rows:
-            rows.buffer.distrust(self._vouched(rows))
-            self.ill[id(rows)] = rows
+            rows.buffer.distrust(self._verified_rows(rows))
+            self.failed[id(rows)] = rows
 
     def trusted_rows(self, rows: Rows) -> int:
         """Return how many of the waiting rows can be written; rows that nothing verified within `HELD_S` are written as
@@ -159,21 +161,21 @@ class StreamHealth:
         if self._start_up is not None and self._start_up.holds(rows.buffer):
             return 0
         buffer = rows.buffer
-        waiting, held = len(buffer.times_ns), buffer.held_rows
-        if id(rows) in self.ill:  # flagged already
+        waiting, held_rows = len(buffer.times_ns), buffer.held_rows
+        if id(rows) in self.failed:  # flagged already
             return waiting
-        vouched = self._vouched(rows)
-        if waiting - vouched > max(HELD_S * buffer.row_rate_hz, held):
+        vouched = self._verified_rows(rows)
+        if waiting - vouched > max(HELD_S * buffer.row_rate_hz, held_rows):
             buffer.flag_suspect(vouched, waiting)
             for check in self._checks[id(rows)]:
                 check.good_rows = waiting
-        return max(0, min(self._vouched(rows), waiting - held))
+        return max(0, min(self._verified_rows(rows), waiting - held_rows))
 
-    def _vouched(self, rows: Rows) -> int:
+    def _verified_rows(self, rows: Rows) -> int:
         """Return the number of rows that were followed by a successful check of every register."""
         return min((check.good_rows for check in self._checks[id(rows)]), default=len(rows.buffer.times_ns))
 
-    def written(self, rows: Rows, count: int) -> None:
+    def note_written(self, rows: Rows, count: int) -> None:
         """Note that the oldest `count` rows were written."""
         for check in self._checks[id(rows)]:
             check.good_rows = max(check.good_rows - count, 0)
@@ -194,7 +196,7 @@ class StreamHealth:
                     continue
                 if any(value & setting.mask == setting.value for value in values):
                     check.good_rows = waiting
-            first = self._vouched(rows)
+            first = self._verified_rows(rows)
             frozen = rows.buffer.frozen_since()
             if frozen is not None:
                 self._note(rows, "frozen", "the same reading until the end")
@@ -244,25 +246,25 @@ class Streaming:
         self._rate_hz = rate_hz = options.rate_hz
         self._bus, self._log, self._epoch_ns, self._options = bus, log, epoch_ns, options
         self.summary = RecordingCounts(lost={route.sensor.name: 0 for route in routes})
-        self._faults = FaultEpisodes(event_writer(log, epoch_ns, options.tell))
-        self._intake = Intake(log, epoch_ns, options.observe, self._faults, self.summary.lost)
+        self._faults = FaultEpisodes(event_writer(log, epoch_ns, options.on_event))
+        self._intake = Intake(log, epoch_ns, options.on_block, self._faults, self.summary.lost)
         self._plan = plan(routes, rate_hz)
         self._rows = rows_of(routes, self._plan, rate_hz)
         now_ns = bus.clock.now_ns()
         start_up = StartUpCheck([rows.buffer for rows in self._rows], options.judge, now_ns) if options.judge else None
         self._health = StreamHealth(self._rows, self._plan.watched, start_up, self._note)
-        self._link = self._faults.of("", "link")
-        self._refused = self._faults.of("", "refused")
+        self._link = self._faults.episode("", "link")
+        self._refused = self._faults.episode("", "refused")
         self._refused_before = Counter(bus.refused)
         self._period_rate_hz = rate_hz * self._plan.split
         self._silence_ns = max(SILENCE_NS, round(SILENT_PERIODS * self._longest_pause_s() * 1e9))
-        read = clocks_beside(bus.clock, epoch_ns, options.wall_time or datetime.fromtimestamp(0, UTC))
-        self._clocks = Clocks(read, epoch_ns, log.clocks, self._faults.note)
+        read_clocks = clock_reader(bus.clock, epoch_ns, options.wall_time or datetime.fromtimestamp(0, UTC))
+        self._clocks = Clocks(read_clocks, epoch_ns, log.clocks, self._faults.note)
         self._periods: int | None = None  # how many are required; `split` of them are a frame
-        self._begun = 0  # periods before the stream was last started
+        self._earlier_periods = 0  # periods before the stream was last started
         self._newest = -1  # number of the newest period since
-        self._heard_ns = self._written_ns = now_ns
-        self._tried_ns = now_ns - PAUSE_NS
+        self._received_ns = self._written_ns = now_ns
+        self._repaired_ns = now_ns - PAUSE_NS
 
     def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
         """Record for `seconds` of frames, or until `stopped()`."""
@@ -271,7 +273,7 @@ class Streaming:
         end_ns = None if seconds is None else clock.now_ns() + round(seconds * 1e9) + self._silence_ns
         self._start()
         if isinstance(self._log, RotatingWriter):
-            self._log.starts(self._heard_ns - self._epoch_ns)
+            self._log.starts(self._received_ns - self._epoch_ns)
         self._log.keep()
         try:
             while not self._complete() and not stopped():
@@ -287,7 +289,7 @@ class Streaming:
             return False
         split = self._plan.split
         last = max(place.offset for places in self._plan.visits for place in places)
-        return self._begun + self._newest >= self._periods - split + min(last, split - 1)
+        return self._earlier_periods + self._newest >= self._periods - split + min(last, split - 1)
 
     def _start(self) -> None:
         def begin() -> None:
@@ -298,7 +300,7 @@ class Streaming:
             self._bus.start(self._plan.lists, round(1e6 / self._period_rate_hz), begin)
         except OSError as error:
             raise BusUrlError(f"serial: the stream can't be started: {error.strerror or error}") from error
-        self._heard_ns = self._bus.clock.now_ns()
+        self._received_ns = self._bus.clock.now_ns()
 
     def _step(self) -> None:
         """Receive once; if they are due, configure failed sensors and write rows."""
@@ -307,9 +309,9 @@ class Streaming:
                 raise LinkError("it does not answer")
             self._take(self._receive())
             now_ns = self._bus.clock.now_ns()
-            if now_ns - self._heard_ns > self._silence_ns:
+            if now_ns - self._received_ns > self._silence_ns:
                 self._find_link("it sends nothing")
-            elif self._health.ill and now_ns - self._tried_ns > PAUSE_NS:
+            elif self._health.failed and now_ns - self._repaired_ns > PAUSE_NS:
                 self._bus.stop()
                 self._take(self._receive())
                 self._repair()
@@ -323,10 +325,10 @@ class Streaming:
 
     def _longest_pause_s(self) -> float:
         """Return the longest time between two frames in which the microcontroller sends something."""
-        return min(asked.every for asked in self._plan.lists) / self._period_rate_hz
+        return min(poll_list.every for poll_list in self._plan.lists) / self._period_rate_hz
 
     def _count_frames(self) -> None:
-        self.summary.frames = -(-(self._begun + self._newest + 1) // self._plan.split)
+        self.summary.frames = -(-(self._earlier_periods + self._newest + 1) // self._plan.split)
 
     def _receive(self) -> Mapping[int, Samples]:
         """Return the samples of the running stream, and report rejected frames."""
@@ -336,8 +338,8 @@ class Streaming:
         if count:
             self._refused_before += refused
             self.summary.refused += count
-            why = ", ".join(f"{number} {reason}" for reason, number in refused.most_common())
-            text = f"{counted(count, 'frame')} of the link refused: {why}"
+            reasons = ", ".join(f"{number} {reason}" for reason, number in refused.most_common())
+            text = f"{counted(count, 'frame')} of the link refused: {reasons}"
             self._refused.happened(self._bus.clock.now_ns(), text, count)
         return samples
 
@@ -345,35 +347,35 @@ class Streaming:
         """Distribute the samples to the sensors; frames after the last requested one are ignored."""
         if not samples_by_list:
             return
-        self._heard_ns = self._bus.clock.now_ns()
+        self._received_ns = self._bus.clock.now_ns()
         self._newest = max(self._newest, *(int(samples.numbers[-1]) for samples in samples_by_list.values()))
         if self._periods is not None:
-            remaining = self._periods - self._begun
+            remaining = self._periods - self._earlier_periods
             self._newest = min(self._newest, remaining - 1)
             samples_by_list = {number: _until(samples, remaining) for number, samples in samples_by_list.items()}
         self._count_frames()
         for rows in self._rows:
-            missing, why = rows.take(samples_by_list, self._bus.fit.rate)
+            missing, cause = rows.take(samples_by_list, self._bus.fit.rate)
             if missing or rows.missing(self._newest) > 1:
-                self._lost(rows, missing, why or LINK)
+                self._report_lost(rows, missing, cause or LINK)
             if rows.doubt:
                 self._health.doubt_queue(rows)
             elif rows.idle_ns:
                 self._health.note_idle(rows)
-        self._health.look(samples_by_list, self._bus.fit.rate)
+        self._health.check_readback(samples_by_list, self._bus.fit.rate)
 
-    def _lost(self, rows: Rows, count: int, why: str) -> None:
+    def _report_lost(self, rows: Rows, count: int, cause: str) -> None:
         """Note that `count` readings of one sensor are known to be missing, and report it."""
         self._count_lost(rows, count)
-        lost = self._faults.of(rows.buffer.route.sensor.name, "lost")
-        lost.happened(self._bus.clock.now_ns(), f"no reading: {why}", count)
+        episode = self._faults.episode(rows.buffer.route.sensor.name, "lost")
+        episode.happened(self._bus.clock.now_ns(), f"no reading: {cause}", count)
 
-    def _find_link(self, why: str) -> None:
+    def _find_link(self, cause: str) -> None:
         """Look for the microcontroller, and configure everything, since it may have supplied the chips."""
-        self._link.happened(self._bus.clock.now_ns(), f"the microcontroller is lost: {why}")
+        self._link.happened(self._bus.clock.now_ns(), f"the microcontroller is lost: {cause}")
         try:
             self._bus.reconnect(patience_s=PAUSE_NS * 1e-9)
-            self._health.doubt_everything()
+            self._health.doubt_all()
             self._repair()
         except OSError:
             self._bus.clock.sleep_until(self._bus.clock.now_ns() + PAUSE_NS // 10)
@@ -382,21 +384,21 @@ class Streaming:
         """Stop the stream, configure the failed sensors, count the readings that were lost meanwhile, and start
         again.
         """
-        self._tried_ns = self._bus.clock.now_ns()
+        self._repaired_ns = self._bus.clock.now_ns()
         self._forget_channels()
-        self._health.set_up_again(self._tried_ns)
-        self._begun += self._newest + 1
+        self._health.configure_failed(self._repaired_ns)
+        self._earlier_periods += self._newest + 1
         for rows in self._rows:
             self._count_lost(rows, rows.interrupted(self._newest))
             rows.restart()
         self._newest = -1
         self._bus.start(self._plan.lists, round(1e6 / self._period_rate_hz), self._resume)
         now_ns = self._bus.clock.now_ns()
-        left_out = max(0, round((now_ns - self._heard_ns) * 1e-9 * self._period_rate_hz))
+        left_out = max(0, round((now_ns - self._received_ns) * 1e-9 * self._period_rate_hz))
         for rows in self._rows:
             self._count_lost(rows, rows.left_out(left_out))
-        self._begun += left_out
-        self._heard_ns = now_ns
+        self._earlier_periods += left_out
+        self._received_ns = now_ns
 
     def _resume(self) -> None:
         for rows in self._rows:
@@ -414,14 +416,14 @@ class Streaming:
 
     def _finish(self) -> None:
         """Take the last samples, verify or flag them, and write all."""
-        lost = not self._bus.streaming
+        is_lost = not self._bus.streaming
         try:
             self._bus.stop()
             self._take(self._receive())
         except OSError as error:
             self._link.happened(self._bus.clock.now_ns(), f"the microcontroller is lost: {error.strerror or error}")
-            lost = True
-        self._count_silence(lost)
+            is_lost = True
+        self._count_silence(is_lost)
         self._forget_channels()
         self._health.finish(self._bus.clock.now_ns())
         for rows in self._rows:
@@ -431,16 +433,16 @@ class Streaming:
         self._faults.close(now_ns)
         self.summary.silent = [rows.buffer.route.sensor.name for rows in self._rows if rows.buffer.silent(now_ns)]
 
-    def _count_silence(self, lost: bool) -> None:
-        """Count the frames that were due since the last data as lost, if the link is lost (`lost`, or silent for so
+    def _count_silence(self, is_lost: bool) -> None:
+        """Count the frames that were due since the last data as lost, if the link is lost (`is_lost`, or silent for so
         long that it must be).
         """
-        silent_s = (self._bus.clock.now_ns() - self._heard_ns) * 1e-9
-        if not lost and silent_s <= QUIET_S + 2 * self._longest_pause_s():
+        silent_s = (self._bus.clock.now_ns() - self._received_ns) * 1e-9
+        if not is_lost and silent_s <= QUIET_S + 2 * self._longest_pause_s():
             return
         silent = round(silent_s * self._period_rate_hz)
         if self._periods is not None:
-            silent = min(silent, self._periods - self._begun - self._newest - 1)
+            silent = min(silent, self._periods - self._earlier_periods - self._newest - 1)
         self._newest += max(silent, 0)
         self._count_frames()
 
@@ -451,13 +453,13 @@ class Streaming:
             count = len(rows.buffer.times_ns) if last else self._health.trusted_rows(rows)
             if count:
                 self._intake.write(rows.buffer, count, self._written_ns)
-                self._health.written(rows, count)
+                self._health.note_written(rows, count)
         self._faults.settle(self._written_ns)
         self._options.progress(self.summary.frames)
 
     def _note(self, rows: Rows, kind: str, text: str) -> None:
         """Note an event of a sensor."""
-        self._faults.of(rows.buffer.route.sensor.name, kind).happened(self._bus.clock.now_ns(), text)
+        self._faults.episode(rows.buffer.route.sensor.name, kind).happened(self._bus.clock.now_ns(), text)
 
 
 def _until(samples: Samples, number: int) -> Samples:

@@ -93,7 +93,7 @@ class _Lists:
     """Lists under construction, by (every, offset)."""
 
     def __init__(self) -> None:
-        self._asked: dict[_Key, list[Request]] = {}
+        self._requests: dict[_Key, list[Request]] = {}
         self._numbers: dict[_Key, int] = {}
         self._sizes: dict[_Key, int] = {}
         self._selected: dict[_Key, tuple[int, int, int]] = {}
@@ -102,17 +102,25 @@ class _Lists:
 
     def visit(self, route: SensorRoute, visit: Visit, every: int, offset: int) -> VisitPlace:
         """Add a visit at the end of its list, after a switch to its channel if another one is selected there."""
-        requests = [_on_the_bus(route, request) for request in visit.requests]
+        requests = [_wire_request(route, request) for request in visit.requests]
         key = self._with_room(every, offset, requests)
         number = self._numbers.setdefault(key, len(self._numbers))
         ages = [self._select(key, route)] if isinstance(route.driver.registers.bus, MuxChannel) else []
-        own = [self._ask(key, request) for request in requests]
-        first = own[0] + 2
+        request_ages = [self._add_request(key, request) for request in requests]
+        first = request_ages[0] + 2
         stop = first + visit.requests[0].read
         if any(request.rule is not None for request in visit.requests):  # a drain: all answers belong to it
-            stop = own[-1] + 2 + visit.requests[-1].read
+            stop = request_ages[-1] + 2 + visit.requests[-1].read
         return VisitPlace(
-            number, every, offset, (*ages, *own), own[0], first, min(first + visit.skipped, stop), stop, visit.busy
+            number,
+            every,
+            offset,
+            (*ages, *request_ages),
+            request_ages[0],
+            first,
+            min(first + visit.skipped, stop),
+            stop,
+            visit.busy,
         )
 
     def _with_room(self, every: int, offset: int, requests: Sequence[Request]) -> _Key:
@@ -132,11 +140,11 @@ class _Lists:
             raise TypeError(f"{route.sensor.name} is behind no multiplexer")
         address, channel, age = self._selected.get(key, (-1, -1, -1))
         if (address, channel) != (bus.mux.address, bus.number):
-            age = self._ask(key, Request(bus.mux.address, bytes([control_byte(bus.number)]), 0))
+            age = self._add_request(key, Request(bus.mux.address, bytes([control_byte(bus.number)]), 0))
             self._selected[key] = bus.mux.address, bus.number, age
         return age
 
-    def _ask(self, key: _Key, request: Request) -> int:
+    def _add_request(self, key: _Key, request: Request) -> int:
         """Return the position of the age of this request. The two halves of a six-axis chip, read one after the other,
         need the same bytes, which are read once.
         """
@@ -144,17 +152,17 @@ class _Lists:
         if newest == request and request.read:
             return position
         position = self._sizes.get(key, 0)
-        self._asked.setdefault(key, []).append(request)
+        self._requests.setdefault(key, []).append(request)
         self._sizes[key] = position + 2 + request.read
         self._newest[key] = request, position
         return position
 
     def finished(self) -> tuple[PollList, ...]:
         """Return all lists, by number."""
-        return tuple(PollList(*key[:2], tuple(self._asked[key])) for key in self._numbers)
+        return tuple(PollList(*key[:2], tuple(self._requests[key])) for key in self._numbers)
 
 
-def _on_the_bus(route: SensorRoute, request: Request) -> Request:
+def _wire_request(route: SensorRoute, request: Request) -> Request:
     """Return a request as the microcontroller carries it out: on SPI its address is the chip select."""
     bus = route.driver.registers.bus
     if not isinstance(bus, SpiChip) or not isinstance(bus.port, SerialSpiPort):
@@ -191,16 +199,16 @@ def plan(routes: Sequence[SensorRoute], rate_hz: float) -> StreamPlan:
         )
         if queue is not None:
             drained[id(queue)] = places[id(route)]
-    wanted = [(route, setting) for route in ordered for setting in route.driver.watched]
+    registers = [(route, setting) for route in ordered for setting in route.driver.watched]
     sweep = max(1, math.floor(SWEEP_S / 2 * period_rate_hz))
-    turns = min(sweep, len(wanted), MAX_TURNS)
+    turns = min(sweep, len(registers), MAX_TURNS)
     watched = tuple(
         ReadbackPlace(
             route,
             setting,
-            lists.visit(route, _read_back(route, setting), sweep, _turn(index, len(wanted), turns, sweep)),
+            lists.visit(route, _read_back(route, setting), sweep, _turn(index, len(registers), turns, sweep)),
         )
-        for index, (route, setting) in enumerate(wanted)
+        for index, (route, setting) in enumerate(registers)
     )
     return StreamPlan(split, lists.finished(), tuple(places[id(route)] for route in routes), watched)
 
@@ -243,13 +251,13 @@ def _rhythm(route: SensorRoute, visits: Sequence[Visit], rate_hz: float, split: 
     return offsets, split * max(1, math.floor(rate_hz / (_SLACK * chip_rate_hz)))
 
 
-WHY = {
+FAILURE_TEXTS = {
     AGE_NOBODY: "no acknowledgement (errno 121)",
     AGE_HELD: "the clock is held (errno 110)",
     0: "the conversion was not finished",
 }
 """The words of an event for an age that tells of a failure."""
-_KEPT = 1024
+_MOST_PENDING = 1024
 LINK = "lost on the link, or the microcontroller was late"
 
 
@@ -269,14 +277,14 @@ def readings_at(place: VisitPlace, samples: Samples, rate: float) -> Readings:
     payload = samples.payload
     ages = np.stack([ages_at(payload, position) for position in place.ages], axis=1)
     worst = ages.max(axis=1)
-    why = np.where(worst >= AGE_HELD, worst, 1)
+    outcome = np.where(worst >= AGE_HELD, worst, 1)
     if place.busy:
-        why = np.where((why == 1) & (payload[:, place.first] & place.busy != 0), 0, why)
-    good = why == 1
+        outcome = np.where((outcome == 1) & (payload[:, place.first] & place.busy != 0), 0, outcome)
+    is_read = outcome == 1
     times_ns = samples.sent_ns - np.rint(ages_at(payload, place.age) * (1000 * rate)).astype(np.int64)
-    failed = why[~good]
-    failure = WHY[int(failed[-1])] if len(failed) else ""
-    return Readings(samples.numbers[good], times_ns[good], payload[good, place.start : place.stop], failure)
+    failed = outcome[~is_read]
+    failure = FAILURE_TEXTS[int(failed[-1])] if len(failed) else ""
+    return Readings(samples.numbers[is_read], times_ns[is_read], payload[is_read, place.start : place.stop], failure)
 
 
 def ages_at(payload: npt.NDArray[np.uint8], position: int) -> Integers:
@@ -363,10 +371,10 @@ class Rows:
             failure = earlier.failure or failure
             shift = last.offset - place.offset
             self._parts.update(zip((earlier.numbers + shift).tolist(), earlier.parts, strict=True))
-            for number in sorted(self._parts)[:-_KEPT]:  # whose last visit never came
+            for number in sorted(self._parts)[:-_MOST_PENDING]:  # whose last visit never came
                 del self._parts[number]
         if last.number not in samples_by_list:
-            return Readings(_NONE, _NONE, np.empty((0, 0), np.uint8), failure)
+            return Readings(_EMPTY, _EMPTY, np.empty((0, 0), np.uint8), failure)
         readings = readings_at(last, samples_by_list[last.number], rate)
         failure = readings.failure or failure
         if all(place.start == place.stop for place in self.places[:-1]):
@@ -375,11 +383,11 @@ class Rows:
         numbers = readings.numbers[whole]
         earlier_parts = [self._parts.pop(number) for number in numbers.tolist()]
         if not len(numbers):
-            return Readings(_NONE, _NONE, readings.parts[:0], failure)
+            return Readings(_EMPTY, _EMPTY, readings.parts[:0], failure)
         parts = np.array(earlier_parts, np.uint8)
         return Readings(
             numbers, readings.times_ns[whole], np.concatenate([parts, readings.parts[whole]], axis=1), failure
         )
 
 
-_NONE: Integers = np.empty(0, np.int64)
+_EMPTY: Integers = np.empty(0, np.int64)

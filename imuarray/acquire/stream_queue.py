@@ -13,7 +13,7 @@ from contextlib import suppress
 import numpy as np
 
 from imuarray.acquire.sample_buffer import SampleBuffer, SensorRoute
-from imuarray.acquire.stream_plan import WHY, Rows, StreamPlan, VisitPlace, ages_at
+from imuarray.acquire.stream_plan import FAILURE_TEXTS, Rows, StreamPlan, VisitPlace, ages_at
 from imuarray.bus.serial_bus import Samples
 from imuarray.bus.serial_link import AGE_HELD, AGE_LONGEST
 from imuarray.drivers.six_axis import QueuedHalf
@@ -23,11 +23,11 @@ from imuarray.drivers.unattended import unattended_queue_of
 _I2C_BYTE_NS = 9_000
 """Least time of a byte on an I2C bus: 9 clocks at 1 MHz (fast-mode plus)."""
 LONGEST_US = 1_000_000
-"""A transaction whose age is the longest that can be told took place within this time: a watchdog would have ended it.
+"""A transaction with the largest age that can be sent took place within this time; a watchdog ends longer ones.
 """
 _COUNTER_NS = 2_000
 """Ages and times of the microcontroller are whole microseconds: a time and an age are off by one each."""
-IDLE_TOLD_NS = 900_000_000
+IDLE_REPORT_NS = 900_000_000
 """An empty queue is reported at the last drain before this time. Registers are read back twice in `SWEEP_S`: a lost
 configuration is reported earlier.
 """
@@ -70,9 +70,9 @@ class QueueRows(Rows):
         sensor = buffer.route.sensor
         self._period_ns = 1e9 / sensor.chip_rate_hz
         self._byte_ns = 8e9 / sensor.spi_rules.clock_hz if sensor.on_spi else _I2C_BYTE_NS
-        own = places[0].ages[-len(queue.drain_requests(1)) :]
-        self._ages = own
-        self._answers = [slice(begin + 2, end) for begin, end in zip(own, (*own[1:], places[0].stop), strict=True)]
+        ages = places[0].ages[-len(queue.drain_requests(1)) :]
+        self._ages = ages
+        self._answers = [slice(start + 2, end) for start, end in zip(ages, (*ages[1:], places[0].stop), strict=True)]
         self._newest_ns: int | None = None
         self._empty_ns = self._pause_ns = 0
         self._visited_ns: int | None = None
@@ -101,7 +101,7 @@ class QueueRows(Rows):
     @property
     def idle_ns(self) -> int:
         """See `Rows.idle_ns`."""
-        is_idle = self._empty_ns > self.buffer.idle_ns and self._empty_ns + self._pause_ns > IDLE_TOLD_NS
+        is_idle = self._empty_ns > self.buffer.idle_ns and self._empty_ns + self._pause_ns > IDLE_REPORT_NS
         return self._empty_ns if is_idle else 0
 
     def interrupted(self, number: int) -> int:
@@ -132,8 +132,8 @@ class QueueRows(Rows):
             samples = samples_by_list.get(self.places[0].number)
             if samples is not None:
                 self._drain(samples, rate)
-        lost, self._lost = self._lost, 0
-        return lost, self._leader._failure
+        count, self._lost = self._lost, 0
+        return count, self._leader._failure
 
     def _drain(self, samples: Samples, rate: float) -> None:
         """Decode all bursts, in order, for all halves."""
@@ -158,21 +158,21 @@ class QueueRows(Rows):
         place, payload = self.places[0], samples.payload
         ages = [ages_at(payload, position) for position in place.ages]
         worst = np.max(ages, axis=0)
-        after = np.zeros(len(payload), np.int64)
+        age_after = np.zeros(len(payload), np.int64)
         following_at = self._ages[1] if len(self._ages) > 1 else place.stop
         if following_at + 2 <= payload.shape[1]:
             following = ages_at(payload, following_at)
-            after = np.where(following < AGE_HELD, following, 0)
-        own = ages_at(payload, place.age)
+            age_after = np.where(following < AGE_HELD, following, 0)
+        own_ages = ages_at(payload, place.age)
         for index, age in enumerate(worst.tolist()):
             if age >= AGE_HELD:
-                self._failure = WHY[age]
-                if own[index] < AGE_HELD and len(self._ages) > 1:  # counted, and who knows what was read
+                self._failure = FAILURE_TEXTS[age]
+                if own_ages[index] < AGE_HELD and len(self._ages) > 1:  # counted, but not known which were read
                     self._die_queue.distrust()
                 continue
             sent_us = int(samples.sent_us[index])
-            age_us = int(own[index])
-            yield index, sent_us - (age_us if age_us < AGE_LONGEST else LONGEST_US), sent_us - int(after[index])
+            age_us = int(own_ages[index])
+            yield index, sent_us - (age_us if age_us < AGE_LONGEST else LONGEST_US), sent_us - int(age_after[index])
 
     def _add(self, sent_host_ns: int, sent_ns: int, rate: float, link_ns: float) -> None:
         """Add the waiting samples of this half; `sent_ns` on the microcontroller's counter is `sent_host_ns` on the

@@ -133,7 +133,7 @@ def _verify(config: Path, bus_url: str | None, self_test: bool, as_json: bool) -
 def _explore(url: str, output: Path | None, force: bool, as_json: bool) -> int:
     """Report which chips answer on a bus without a configuration, and write a configuration of them to `output`."""
     from imuarray.acquire import explore
-    from imuarray.acquire.detection import tell_apart
+    from imuarray.acquire.detection import distinguish_alike
     from imuarray.array import load_array
     from imuarray.bus import open_bus
 
@@ -141,7 +141,7 @@ def _explore(url: str, output: Path | None, force: bool, as_json: bool) -> int:
     with open_bus(url, array) as bus:
         detections = explore(bus)
         if output is not None:
-            detections = tell_apart(detections, bus)
+            detections = distinguish_alike(detections, bus)
         source, firmware = bus.source, _firmware(bus)
     if output is not None:
         _write(detections, url, output, force)

@@ -313,7 +313,7 @@ def _record(options: LogOptions) -> int:
         if fusion:
             fusion.tell = screen.remark
             stack.enter_context(closing(fusion))
-            listeners = {"begun": fusion.begin, "started": fusion.set_start, "observe": fusion.observe}
+            listeners = {"on_headers": fusion.begin, "on_first_frame": fusion.set_start, "on_block": fusion.observe}
         recording = RecordingOptions(
             rate_hz=options.rate_hz,
             seconds=options.seconds,
@@ -322,8 +322,8 @@ def _record(options: LogOptions) -> int:
             up=options.up or face_up(options.phase),
             rotate_s=options.rotate_s,
             stopped=lambda: stop.asked,
-            tell=screen.event,
-            counted=screen.counted,
+            on_event=screen.event,
+            on_counts=screen.counted,
             judge=judge,
             force=options.force,
             **listeners,

@@ -55,11 +55,11 @@ class RotatingWriter:
         sensors: Sequence[SensorHeader],
         *,
         every_s: float,
-        started: Callable[[int], None] = lambda time_ns: None,
+        on_first_frame: Callable[[int], None] = lambda time_ns: None,
         **settings: Unpack[WriterSettings],
     ) -> None:
         """Create the first part; ValueError unless `every_s` is positive, and as LogWriter, which gets the `settings`.
-        `started` is called with the time of the first part's first frame, before there are rows.
+        `on_first_frame` is called with the time of the first part's first frame, before there are rows.
         """
         if every_s <= 0:
             raise ValueError(f"parts of {every_s} s: a positive length is required")
@@ -67,7 +67,7 @@ class RotatingWriter:
         self.paths: list[Path] = []
         self._sensors, self._every_ns = tuple(sensors), round(every_s * 1e9)
         self._make = partial(LogWriter, sensors=self._sensors, **settings)
-        self._keep, self._started = False, started
+        self._keep, self._on_first_frame = False, on_first_frame
         self._open: dict[int, LogWriter] = {}
         self._first = 0
         self._origin_ns = 0
@@ -102,7 +102,7 @@ class RotatingWriter:
     def starts(self, time_ns: int) -> None:
         """Note the time of the first frame: the first part lasts `every_s` from here on."""
         self._origin_ns = time_ns
-        self._started(time_ns)
+        self._on_first_frame(time_ns)
 
     def part_at(self, time_ns: int) -> int:
         """Return the number of the part that contains this time, counted from 0."""

@@ -48,18 +48,18 @@ def test_a_quick_chip_tells_what_a_clock_takes_for_a_slow_one_too() -> None:
 
 def test_two_time_outs_in_a_row_are_the_bus() -> None:
     adapter = AdapterState()
-    assert not adapter.timed_out(0)
-    assert adapter.timed_out(30 * MS)
+    assert not adapter.note_time_out(0)
+    assert adapter.note_time_out(30 * MS)
     assert adapter.hangs
     assert adapter.silent_until_ns == 80 * MS
-    assert not adapter.timed_out(110 * MS)  # it is known
+    assert not adapter.note_time_out(110 * MS)  # it is known
     assert adapter.silent_until_ns == 210 * MS  # and asked half as often
     for at_ms in range(1000, 2000, 100):
-        adapter.timed_out(at_ms * MS)
+        adapter.note_time_out(at_ms * MS)
     assert adapter.silent_until_ns == 1900 * MS + 400 * MS
-    assert adapter.answered()
-    assert not adapter.answered()
-    assert not adapter.timed_out(5000 * MS)
+    assert adapter.note_answer()
+    assert not adapter.note_answer()
+    assert not adapter.note_time_out(5000 * MS)
 
 
 class Dawdling:

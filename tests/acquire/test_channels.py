@@ -48,8 +48,8 @@ def test_twins_that_are_configured_alike_are_marked(
     for order, channel, mark in ((b"\x04", channels[0], marks[0]), (b"\x05", channels[1], marks[1])):
         bus.transfer(0x70, order)
         assert bus.transfer(address, bytes([register]), 1) == bytes([mark])
-        assert channel.right()
-        assert not channels[2 - mark].right()  # the other one
+        assert channel.is_connected()
+        assert not channels[2 - mark].is_connected()  # the other one
 
 
 def test_a_sensor_without_a_twin_is_not_marked(connected: Callable[..., Any]) -> None:
@@ -62,11 +62,11 @@ def test_where_no_register_can_tell_another_chip_can(connected: Callable[..., An
     """Two magnetometers look alike; the accelerometer beside the first is on its channel alone."""
     bus, (first, second) = connected(M1=0, A=0, M2=1)
     bus.transfer(0x70, b"\x04")
-    assert first.right()
-    assert not second.right()  # its own witness is the multiplexer's control byte
+    assert first.is_connected()
+    assert not second.is_connected()  # its own witness is the multiplexer's control byte
     bus.transfer(0x70, b"\x05")
-    assert second.right()
-    assert not first.right()
+    assert second.is_connected()
+    assert not first.is_connected()
 
 
 def test_a_chip_that_was_reset_or_is_gone_does_not_make_its_channel_wrong(connected: Callable[..., Any]) -> None:
@@ -75,16 +75,16 @@ def test_a_chip_that_was_reset_or_is_gone_does_not_make_its_channel_wrong(connec
     for name in ("B1", "G1"):
         bus.chips[name].power_on(bus.clock.now_ns())
         bus.clock.sleep_until(bus.clock.now_ns() + 50_000_000)
-        assert all(first.right() for _ in range(4))
+        assert all(first.is_connected() for _ in range(4))
     bus.fails = lambda call: call.address in (0x40, 0x68)
-    assert all(first.right() for _ in range(4))
+    assert all(first.is_connected() for _ in range(4))
 
 
 def test_it_asks_without_selecting(connected: Callable[..., Any]) -> None:
     bus, (first, _) = connected(A1=0, A2=1)
     bus.transfer(0x70, b"\x05")
     before = len(bus.calls)
-    assert not first.right()
+    assert not first.is_connected()
     assert [call for call in bus.calls[before:] if call.address == 0x70 and call.write] == []
 
 
@@ -92,7 +92,7 @@ def test_witnesses_take_turns_and_say_what_they_saw(connected: Callable[..., Any
     bus, (first, _) = connected(B1=0, A=0, B2=1)
     bus.transfer(0x70, b"\x04")
     number = len(first.witnesses)
-    turns = [(first.right(), first.witnesses.index(first.seen))[1] for _ in range(2 * number)]
+    turns = [(first.is_connected(), first.witnesses.index(first.right_witness))[1] for _ in range(2 * number)]
     assert {witness.route.sensor.name for witness in first.witnesses} == {"A", "B1"}
     assert [(after - before) % number for before, after in pairwise(turns)] == [1] * (2 * number - 1)
 

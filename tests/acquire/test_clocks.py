@@ -6,7 +6,7 @@ import time
 from datetime import UTC, datetime
 from typing import Any
 
-from imuarray.acquire.clocks import ClockRow, Clocks, clocks_beside, machine_clocks
+from imuarray.acquire.clocks import ClockRow, Clocks, clock_reader, machine_clocks
 from imuarray.clock import MonotonicClock
 
 SECOND = 1_000_000_000
@@ -54,6 +54,6 @@ def test_an_emulated_bus_has_clocks_that_agree() -> None:
         def sleep_until(self, at_ns: int) -> None:
             pass
 
-    read = clocks_beside(Emulated(), 2 * SECOND, datetime(2026, 3, 1, tzinfo=UTC))
+    read = clock_reader(Emulated(), 2 * SECOND, datetime(2026, 3, 1, tzinfo=UTC))
     assert read() == (7 * SECOND, 7 * SECOND, 7 * SECOND, 1_772_323_205 * SECOND)  # date -d 2026-03-01T00:00:05Z +%s
-    assert clocks_beside(MonotonicClock(), 0, datetime.now(UTC)) is machine_clocks
+    assert clock_reader(MonotonicClock(), 0, datetime.now(UTC)) is machine_clocks

@@ -47,7 +47,7 @@ def test_what_lasts_is_told_at_both_ends() -> None:
     for at_s in range(1, 300):
         heard.episode.settle(at_s * SECOND)
     assert heard.events == [(0, "hangs")]
-    heard.episode.over(300 * SECOND, "works again")
+    heard.episode.end(300 * SECOND, "works again")
     assert heard.events[1:] == [(300 * SECOND, "works again, after 300.0 s")]
 
 
@@ -66,7 +66,7 @@ def test_what_comes_and_goes_is_one_trouble_ever_longer() -> None:
     for at_s in range(0, 3600, 5):
         heard.episode.settle(at_s * SECOND)
         heard.episode.begin(at_s * SECOND, "hangs")
-        heard.episode.over(at_s * SECOND + SECOND // 2, "works again")
+        heard.episode.end(at_s * SECOND + SECOND // 2, "works again")
     heard.episode.settle(3700 * SECOND)
     assert [at_ns / SECOND for at_ns, _ in heard.events] == [0, 0.5, 5, 5.5, 10, 10.5, 15, 3595.5]
     assert heard.events[-1][1] == "works again, in all 717 times in 3580.5 s"
@@ -78,7 +78,7 @@ def test_after_an_hour_of_peace_it_is_a_new_trouble() -> None:
         for at_s in (start_s, start_s + 3):
             heard.episode.settle(at_s * SECOND)
             heard.episode.begin(at_s * SECOND, "hangs")
-            heard.episode.over(at_s * SECOND + 1, "works again")
+            heard.episode.end(at_s * SECOND + 1, "works again")
             told = len(heard.events)
             heard.episode.settle(at_s * SECOND + 2)
         assert told in (3, 7)  # the second time it waits for two seconds
@@ -99,7 +99,7 @@ def test_whatever_happens_events_are_few_and_their_counts_add_up(
         if lasts:
             heard.episode.begin(now_ns, "bad 1")
             now_ns += SECOND // 10
-            heard.episode.over(now_ns, "well")
+            heard.episode.end(now_ns, "well")
             total += 1
         else:
             heard.episode.happened(now_ns, f"bad {count}", count)

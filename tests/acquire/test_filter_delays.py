@@ -55,7 +55,7 @@ def test_a_row_shows_what_was_felt_a_delay_ago(
             tmp_path / "run.h5",
             rate_hz=200.0,
             seconds=1.0,
-            begun=lambda *_: starts_ns.append(bus.clock.now_ns()),
+            on_headers=lambda *_: starts_ns.append(bus.clock.now_ns()),
         )
     with open_log(tmp_path / "run.h5") as log:
         assert [log[name].delay_ns for name in "AG"] == [round(delay * 1e6) for delay in delays_ms]

@@ -64,7 +64,7 @@ def logged(
         def begun(*_: Any) -> None:
             starts_ns.append(bus.clock.now_ns())
 
-        record(array, bus, path, rate_hz=frames_hz, seconds=5.0, begun=begun, stopped=stopped)
+        record(array, bus, path, rate_hz=frames_hz, seconds=5.0, on_headers=begun, stopped=stopped)
     assert not todo
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from firmware_emulator.clock import VirtualClock
 from imuarray.acquire import Detection, explore
-from imuarray.acquire.detection import propose, tell_apart
+from imuarray.acquire.detection import distinguish_alike, propose
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.cli import main
@@ -114,7 +114,7 @@ def test_both_kinds_of_compass_on_one_board_have_names_of_their_own(tmp_path: Pa
         text += f"[[sensor]]\n{sensor}address=0x1E\nchannel={channel}\n"
     board = parse_array(text)
     with open_bus("emulated:", board) as bus:
-        found = tell_apart(explore(bus), bus)
+        found = distinguish_alike(explore(bus), bus)
     proposed = parse_array(propose(found, "i2c:/dev/i2c-1"))
     assert [(sensor.name, sensor.chip, sensor.channel) for sensor in proposed.sensors] == [
         ("HMC1", "hmc5883", 0),
@@ -126,7 +126,7 @@ def test_both_kinds_of_compass_on_one_board_have_names_of_their_own(tmp_path: Pa
 def test_what_no_self_test_tells_apart_is_said(tmp_path: Path) -> None:
     """A compass that nobody can test comes out as the more common one, with a remark."""
     bus = Chips({0x1E: {0x0A: 0x48, 0x0B: 0x34, 0x0C: 0x33}})
-    found = tell_apart(explore(bus), bus)  # type: ignore[arg-type]
+    found = distinguish_alike(explore(bus), bus)  # type: ignore[arg-type]
     text = propose(found, "i2c:/dev/i2c-1")
     assert 'chip = "hmc5883l"  # or hmc5883, with range = 1.2: they identify themselves alike' in text
     assert parse_array(text).sensors[0].chip == "hmc5883l"

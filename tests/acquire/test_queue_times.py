@@ -87,7 +87,7 @@ def test_a_row_is_within_50_us_rms_of_when_its_sample_was_taken(
             tmp_path / "run.h5",
             rate_hz=40.0,
             seconds=SECONDS,
-            begun=lambda *_: starts_ns.append(bus.clock.now_ns()),
+            on_headers=lambda *_: starts_ns.append(bus.clock.now_ns()),
         )
         assert not any(summary.lost.values())
         assert summary.uncertain == 0  # the times of a queue have bounds of their own

@@ -37,7 +37,7 @@ def recorded(array: ArrayConfig, path: Path, seconds: float, switches: Any = OSC
     starts_ns: list[int] = []
     with open_array(array, switches=switches) as bus:
         summary = record(
-            array, bus, path, rate_hz=40.0, seconds=seconds, begun=lambda *_: starts_ns.append(bus.clock.now_ns())
+            array, bus, path, rate_hz=40.0, seconds=seconds, on_headers=lambda *_: starts_ns.append(bus.clock.now_ns())
         )
     assert not any(summary.lost.values())
     return starts_ns[0]

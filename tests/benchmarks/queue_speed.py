@@ -112,7 +112,7 @@ def processor_us(seconds: float) -> tuple[float, float]:
             Path(folder) / "run.h5",
             rate_hz=FRAMES_PER_S,
             seconds=seconds,
-            begun=mark,
+            on_headers=mark,
             progress=mark,
         )
         recorded_s = marks_s[-1] - marks_s[0]
@@ -136,7 +136,7 @@ def bus_share(seconds: float) -> tuple[float, int]:
             Path(folder) / "run.h5",
             rate_hz=FRAMES_PER_S,
             seconds=seconds,
-            begun=lambda *_: before.append(sum(select.busy_ns for select in bus.selects.values())),
+            on_headers=lambda *_: before.append(sum(select.busy_ns for select in bus.selects.values())),
         )
         busy_ns = sum(select.busy_ns for select in bus.selects.values()) - before[0]
         missing = 0

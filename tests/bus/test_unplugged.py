@@ -94,7 +94,7 @@ class Bench:
                 rate_hz=50,
                 seconds=seconds,
                 stopped=stopped,
-                tell=told.append,  # type: ignore[arg-type]
+                on_event=told.append,  # type: ignore[arg-type]
             )
         assert not todo
         return done, [(event.time_ns / SECOND, event.sensor, event.kind, event.message) for event in told]
@@ -394,7 +394,7 @@ def test_a_microcontroller_that_is_asked_for_each_transaction_is_found_again(tmp
 
     told: list[Any] = []
     with RecordingBus(it.bus(), tmp_path / "t.jsonl") as bus:
-        done = record(array, bus, tmp_path / "r.h5", rate_hz=20, seconds=15, stopped=stopped, tell=told.append)
+        done = record(array, bus, tmp_path / "r.h5", rate_hz=20, seconds=15, stopped=stopped, on_event=told.append)
     assert done.silent == []
     adapter = [event for event in told if event.kind == "adapter"]
     assert len(adapter) == 2

@@ -14,7 +14,7 @@ from firmware_emulator.chips import CHIPS
 from firmware_emulator.units import unit_of
 from firmware_emulator.world import StillWorld
 from imuarray.acquire.bus_segment import connect
-from imuarray.acquire.detection import explore, propose, tell_apart
+from imuarray.acquire.detection import distinguish_alike, explore, propose
 from imuarray.acquire.recorder import record
 from imuarray.array import ArrayConfig, SensorConfig, parse_array
 from imuarray.bus import open_bus
@@ -332,7 +332,7 @@ def test_the_magnetometers_of_an_mpu9150_and_an_mpu9250_are_told_apart_by_their_
         bus.transfer(0x69, b"\x37\x02")
         listed = explore(bus)
         assert [line.found for line in listed if line.address == 0x0C] == ["ak8963 or ak8975"]
-        distinct = tell_apart(listed, bus)
+        distinct = distinguish_alike(listed, bus)
         assert [line.found for line in distinct if line.address == 0x0C] == [chip]
         assert [sensor.chip for sensor in parse_array(propose(distinct, "spi:")).sensors].count(chip) == 1
 
