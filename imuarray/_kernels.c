@@ -1,6 +1,6 @@
 /* Recursions over rows or segments, of which each needs the one before, so that NumPy can't take all of them at once.
 
-   `tridiagonal` serves the splines of `imuarray.fuse.alignment`, `drift` the likelihood of `imuarray.calibrate.drift`,
+   `tridiagonal` serves the recursions of `imuarray.recursion`, `drift` the likelihood of `imuarray.calibrate.drift`,
    `track` the filter of `imuarray.fuse.techniques.ranges`, and `non_negative` the fits of
    `imuarray.characterise.allan_fit`, of which a log needs a thousand. The names are those of the Python code, where every
    step is explained, and which does the same to rounding. */

@@ -31,9 +31,10 @@ import numpy.typing as npt
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.calibrate import SensorCalibration
 from imuarray.errors import FusionError
+from imuarray.fuse import compiled_frames
+from imuarray.fuse.compiled_frames import Tolerance, nearest_readings
 from imuarray.fuse.frames import Frames
 from imuarray.fuse.least_squares import consensus
-from imuarray.kernels import tridiagonal
 from imuarray.log import Block
 from imuarray.log.format import SATURATED, STALE, SUSPECT
 
@@ -238,8 +239,8 @@ class _Spline:
     def __init__(self, knots: Floats, rows: Floats) -> None:
         self._knots, self._columns = knots, np.ascontiguousarray(rows.T)
         self._widths = np.diff(knots)
-        self._rises = np.diff(self._columns) / self._widths
-        self._slopes = self._solved()
+        compiled = compiled_frames.spline_slopes(self._widths, self._columns) if len(knots) > 3 else None
+        self._slopes = np.ascontiguousarray(self._solved()) if compiled is None else compiled
 
     @property
     def slopes(self) -> Floats:
@@ -248,12 +249,18 @@ class _Spline:
 
     def curvatures(self) -> Floats:
         """Return (k, c) second derivatives at the knots."""
+        compiled = compiled_frames.spline_curvatures(self._widths, self._columns, self._slopes)
+        if compiled is not None:
+            return compiled.T
         square, cube = self._powers()
         last = 2 * square[:, -1:] + 6 * cube[:, -1:] * self._widths[-1]
         return np.concatenate([2 * square, last], axis=1).T
 
     def at(self, places: Floats) -> Floats:
-        """Return the spline (n, c) at places (n,) from the first to the last knot."""
+        """Return the spline (n, c) at increasing places (n,) from the first to the last knot."""
+        compiled = compiled_frames.spline_at((self._knots, self._widths), self._columns, self._slopes, places)
+        if compiled is not None:
+            return compiled.T
         piece = np.clip(np.searchsorted(self._knots, places, "right") - 1, 0, len(self._knots) - 2)
         square, cube = self._powers()
         beyond = places - self._knots[piece]
@@ -265,12 +272,17 @@ class _Spline:
 
     def _powers(self) -> tuple[Floats, Floats]:
         """Return the coefficients (c, k - 1) of the square and the cube of the distance from the knot before."""
-        bend = (self._slopes[:, :-1] + self._slopes[:, 1:] - 2 * self._rises) / self._widths
-        return (self._rises - self._slopes[:, :-1]) / self._widths - bend, bend / self._widths
+        rises = self._rises()
+        bend = (self._slopes[:, :-1] + self._slopes[:, 1:] - 2 * rises) / self._widths
+        return (rises - self._slopes[:, :-1]) / self._widths - bend, bend / self._widths
+
+    def _rises(self) -> Floats:
+        """Return the slopes (c, k - 1) of straight lines between the knots."""
+        return np.asarray(np.diff(self._columns) / self._widths)
 
     def _solved(self) -> Floats:
         """Return the slopes (c, k) at the knots that make the second derivative continuous."""
-        widths, rises, count = self._widths, self._rises, len(self._knots)
+        widths, rises, count = self._widths, self._rises(), len(self._knots)
         if count == 2:
             return np.repeat(rises, 2, axis=1)
         right = np.empty(self._columns.shape)
@@ -291,8 +303,7 @@ class _Spline:
         before[0] = after[-1] = 0.0
         slopes = right
         inner = right[:, 1:-1] / diagonal
-        compiled = tridiagonal(before, after, inner)
-        slopes[:, 1:-1] = _cyclic_reduction(before, after, inner) if compiled is None else compiled
+        slopes[:, 1:-1] = _cyclic_reduction(before, after, inner)
         slopes[:, 0] = (right[:, 0] - first * slopes[:, 1]) / widths[1]
         slopes[:, -1] = (right[:, -1] - last * slopes[:, -2]) / widths[-2]
         return slopes
@@ -377,12 +388,12 @@ class AlignedSensor:
 
 
 class _GridReadings(NamedTuple):
-    """Readings of one sensor on the grid: values (3, n) and clipped (n, 3) along its axes; valid, stale and late_s
-    (n,).
+    """Readings of one sensor on the grid: values (3, n) and clipped (n, 3; None: nowhere) along its axes; valid, stale
+    and late_s (n,).
     """
 
     values: Floats
-    clipped: npt.NDArray[np.int8]
+    clipped: npt.NDArray[np.int8] | None
     valid: Booleans
     stale: Booleans
     late_s: Floats
@@ -402,14 +413,20 @@ def align(
     each_valid = _by_axis(valid)
     if late_s.any():
         mean = consensus(columns.T, each_valid, directions, units[0].known.quantity)
-        columns -= _motion(grid, mean, valid, late_s, period_ns, directions)
-    clipped = np.concatenate([part.clipped for part in parts], axis=1)
+        _remove_motion(columns, derivatives(grid, mean, gap_ns=5 * period_ns), valid, late_s, directions)
+    clipped = np.zeros((len(grid), len(columns)), np.int8)
+    for place, part in enumerate(parts):
+        if part.clipped is not None:
+            clipped[:, 3 * place : 3 * place + 3] = part.clipped
     stale = _by_axis(np.stack([part.stale for part in parts]))
     return Frames(grid, np.ascontiguousarray(columns.T), each_valid, clipped, stale)
 
 
 def _by_axis(sensors: Booleans) -> Booleans:
     """Repeat flags (s, n) of sensors for each of their axes: (n, 3 s)."""
+    first = bool(sensors.flat[0]) if sensors.size else False
+    if (sensors == first).all():  # the usual case
+        return np.full((sensors.shape[1], 3 * len(sensors)), first)
     return np.ascontiguousarray(np.repeat(sensors, 3, axis=0).T)
 
 
@@ -417,18 +434,24 @@ def _on_grid(unit: AlignedSensor, block: Block | None, grid: Times, period_ns: f
     """Return the readings nearest to each grid time, within half a frame."""
     if block is None or len(block.time) == 0:
         nothing, empty = np.zeros(len(grid), bool), np.zeros((3, len(grid)))
-        return _GridReadings(empty, np.zeros((len(grid), 3), np.int8), nothing, nothing, np.zeros(len(grid)))
+        return _GridReadings(empty, None, nothing, nothing, np.zeros(len(grid)))
+    half_ns, age_ns = int(period_ns / 2), 1e9 * unit.age_s(period_ns * 1e-9)
+    if unit.element is None:
+        tolerance = Tolerance(half_ns, age_ns, SATURATED, SATURATED | SUSPECT, STALE)
+        columns = block.time, block.counts, block.status
+        compiled = nearest_readings(columns, grid, unit.known.bias_lsb, unit.known.lsb_per_si, tolerance)
+        if compiled is not None:
+            return _GridReadings(compiled.values, None, *compiled[1:])
     rows = nearest(block.time, grid)
     index: Times | slice = rows
     if len(rows) and (np.diff(rows) == 1).all():  # one reading in each frame: a slice avoids copies
         index = slice(int(rows[0]), int(rows[-1]) + 1)
     time, status = block.time[index], block.status[index]
     late_ns = (time - grid).astype(float)
-    age_ns = 1e9 * unit.age_s(period_ns * 1e-9)
     counts = block.counts[index]
     values: Floats = np.subtract(counts.T, np.atleast_2d(_bias(unit, time)).T, out=np.empty((3, len(grid))))
     values /= unit.known.lsb_per_si[:, None]
-    near = np.abs(late_ns) <= int(period_ns / 2)
+    near = np.abs(late_ns) <= half_ns
     if not near.all():  # other readings belong to other frames
         values, status, late_ns = np.where(near, values, 0.0), status * near, late_ns * near
     late_ns -= age_ns * near
@@ -444,21 +467,29 @@ def _bias(unit: AlignedSensor, time: Times) -> Floats:
     return np.where(np.isfinite(degc)[:, None], unit.known.bias_at(np.nan_to_num(degc)), unit.known.bias_lsb)
 
 
-def _clipped(unit: AlignedSensor, counts: npt.NDArray[Any], status: npt.NDArray[np.uint16]) -> npt.NDArray[np.int8]:
-    """Return the end of the range (n, 3), +1 or -1, of the clipped axes of triads flagged as saturated; 0 elsewhere."""
+def _clipped(
+    unit: AlignedSensor, counts: npt.NDArray[Any], status: npt.NDArray[np.uint16]
+) -> npt.NDArray[np.int8] | None:
+    """Return the end of the range (n, 3), +1 or -1, of the clipped axes of triads flagged as saturated, 0 elsewhere;
+    None if no triad is flagged.
+    """
     flagged = (status & SATURATED) != 0
     if not flagged.any():
-        return np.zeros(counts.shape, np.int8)
+        return None
     counts = counts.astype(float)
     at_end = (np.abs(counts) >= _AT_END * unit.end_lsb) & flagged[:, None]
     return np.where(at_end, np.sign(counts), 0).astype(np.int8)
 
 
-def _motion(grid: Times, mean: Floats, valid: Booleans, late_s: Floats, period_ns: float, directions: Floats) -> Floats:
-    """Return the change (m, n) of the motion, the array's `mean` (n, 3), along each axis from the grid time to the
-    reading of each sensor (s, n); zero where the derivatives are not known.
+def _remove_motion(
+    columns: Floats, derivatives: tuple[Floats, Floats], valid: Booleans, late_s: Floats, directions: Floats
+) -> None:
+    """Subtract from columns (m, n) the change of the motion along each axis from the grid time to the reading of each
+    sensor, `late_s` (s, n) later; `derivatives` (n, 3) are those of the array's mean.
     """
-    slope, curvature = derivatives(grid, mean, gap_ns=5 * period_ns)
+    slope, curvature = derivatives
+    if compiled_frames.remove_motion(columns, (slope.T, curvature.T), (valid, late_s), directions, _SECOND_ORDER):
+        return
     usual_s = (late_s * valid).sum(axis=0) / np.maximum(valid.sum(axis=0), 1)
     motion: Floats = directions @ (slope.T - _SECOND_ORDER * usual_s * curvature.T)
-    return motion * np.repeat(late_s, 3, axis=0)
+    columns -= motion * np.repeat(late_s, 3, axis=0)

@@ -253,6 +253,6 @@ def axis_bits(used: Booleans, axes: Sequence[Axis]) -> npt.NDArray[np.uint8]:
     table = np.zeros((len(axes), len(sensors)), np.uint8)
     for index, axis in enumerate(axes):
         table[index, sensors.index(axis.sensor)] = 1 << axis.index
-    if len(used) and (used == used[0]).all():
+    if len(used) and (used.strides[0] == 0 or (used == used[0]).all()):
         return np.broadcast_to(used[0].astype(np.uint8) @ table, (len(used), len(sensors)))
     return np.asarray(used.astype(np.uint8) @ table)

@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats
+from imuarray.fuse import compiled_frames
 from imuarray.fuse.frames import Axis, Estimate, entries
 from imuarray.units import STANDARD_GRAVITY
 
@@ -67,6 +68,15 @@ def _pairs(triads: Floats) -> Floats:
     return np.asarray((ones[:, None] * ones).reshape(16, len(triads)))
 
 
+_FIRST, _SECOND = [0, 1, 2, 3, 5, 10, 15, 6, 7, 11], [0, 4, 8, 12, 5, 10, 15, 9, 13, 14]
+"""Places among the products of (1, X, Y, Z) with each other of 1, X, Y, Z, XX, YY, ZZ, XY, XZ, YZ, and of these
+products in the opposite order.
+"""
+
+_TWICE = np.array([0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+"""1 for products of two different factors, which occur twice."""
+
+
 class SlowErrors:
     """Remaining errors of calibrated axes, and the covariance of triads that they cause."""
 
@@ -88,6 +98,9 @@ class SlowErrors:
         """
         if len(gains) == 1:
             factors = entries(gains[0] @ self._terms @ gains[0].T)
+            compiled = compiled_frames.quadratic(factors[_FIRST].T + factors[_SECOND].T * _TWICE, triads.T)
+            if compiled is not None:
+                return compiled.T
             result = np.empty((6, len(triads)))
             for start in range(0, len(triads), _PAIRED):  # so few that their products stay in the cache
                 part = slice(start, start + _PAIRED)
@@ -99,15 +112,15 @@ class SlowErrors:
 
 
 def weighted(values: Floats, weights: Floats, rows: Floats, noise: Floats, slow: SlowErrors | None = None) -> Estimate:
-    """Solve weighted least squares for each frame; the covariance includes the `noise` (m,) and the `slow` errors of
-    the axes.
+    """Solve weighted least squares for each frame, with weights (n, m), or (1, m) for all; the covariance includes the
+    `noise` (m,) and the `slow` errors of the axes.
     """
     used = weights > 0
     triad, gains, solvable = _solved(values, weights, rows)
     covariance = _covariances(gains, solvable, used[: len(gains)], noise)
     if slow is not None and slow.known:
         covariance = covariance + slow.covariance(gains, triad)
-    return Estimate(triad, np.broadcast_to(covariance, (len(values), 6)), used)
+    return Estimate(triad, np.broadcast_to(covariance, (len(values), 6)), np.broadcast_to(used, values.shape))
 
 
 def whole_gain(weights: Floats, rows: Floats) -> Floats:
@@ -199,12 +212,31 @@ def consensus(values: Floats, valid: Booleans, rows: Floats, quantity: str) -> F
     """Return the robust mean (n, 3) of the valid `values` (n, m) in SI of axes along `rows` (m, 3), in triads; NaN
     where they do not span space.
     """
+    gains, solvable = frame_gains(np.ones((1, len(rows))), rows)
+    if solvable[0] and len(values):
+        sound = np.asarray(valid.all(axis=1))
+        every = bool(sound.all())
+        some = slice(None) if every else np.flatnonzero(sound)
+        compiled = compiled_frames.agreed(values[some].T, rows, gains[0], TOLERATED_SI[quantity])
+        if compiled is not None and every:
+            return compiled.T
+        if compiled is not None:
+            result = np.empty((3, len(values)))
+            result[:, some] = compiled
+            others = np.flatnonzero(~sound)
+            result[:, others] = _consensus_of(values[others], valid[others], rows, TOLERATED_SI[quantity]).T
+            return result.T
+    return _consensus_of(values, valid, rows, TOLERATED_SI[quantity])
+
+
+def _consensus_of(values: Floats, valid: Booleans, rows: Floats, tolerated: float) -> Floats:
+    """Return the `consensus` (n, 3) with NumPy."""
     mean = np.empty((3, len(values)))
     at_once = max(1, _CONSENSUS_BYTES // (8 * len(rows)))
     for start in range(0, len(values), at_once):
         part = slice(start, start + at_once)
         columns, sound = np.ascontiguousarray(values[part].T), np.ascontiguousarray(valid[part].T)
-        mean[:, part] = _agreed(columns, sound, rows, TOLERATED_SI[quantity])
+        mean[:, part] = _agreed(columns, sound, rows, tolerated)
     return mean.T
 
 

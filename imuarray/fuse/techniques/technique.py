@@ -31,7 +31,7 @@ class FixedWeights:
         """Solve weighted least squares of the valid axes. A frame that lacks a reading keeps the level of the whole
         array if its offsets are known: they are removed first, and their own weighted mean is added.
         """
-        weights = self.weights * frames.valid
+        weights = self.weights[None] if frames.valid.all() else self.weights * frames.valid
         if frames.offsets is None:
             return weighted(frames.values, weights, self.rows, self.noise, self.slow)
         offsets = np.nan_to_num(frames.offsets)

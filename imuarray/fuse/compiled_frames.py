@@ -1,0 +1,138 @@
+"""Compiled passes over frames (`_frames.c`), which return None where the package was installed without a C compiler,
+and for arrays that they don't handle: callers then do the same with NumPy, to rounding.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.arrays import Booleans, Floats, Times
+
+try:
+    from imuarray.fuse import _frames
+except ImportError:  # installed without a C compiler
+    COMPILED = False
+else:
+    COMPILED = True
+
+_MOST_AXES = 96
+
+
+class Readings(NamedTuple):
+    """Readings of one sensor on the grid: values (3, n) along its axes; valid, stale and late_s (n,)."""
+
+    values: Floats
+    valid: Booleans
+    stale: Booleans
+    late_s: Floats
+
+
+class Tolerance(NamedTuple):
+    """How near to its frame a reading is, its age, and the flags of a row: `special` ones, which the compiled code does
+    not handle, `doubtful` ones, and `stale`.
+    """
+
+    half_ns: int
+    age_ns: float
+    special: int
+    doubtful: int
+    stale: int
+
+
+def nearest_readings(
+    rows: tuple[Times, npt.NDArray[Any], npt.NDArray[np.uint16]],
+    grid: Times,
+    bias: Floats,
+    scale: Floats,
+    tolerance: Tolerance,
+) -> Readings | None:
+    """Return the readings nearest to each time of the increasing `grid` (n,) from `rows`: time (k,), k > 0, counts
+    (k, 3) and status (k,). `bias` and `scale` (3,) are in counts. None without compiled code, for counts that are not
+    int16, and if a row in use has a special flag.
+    """
+    time, counts, status = rows
+    if not COMPILED or counts.dtype != np.int16 or time.dtype != np.int64 or status.dtype != np.uint16:
+        return None
+    count = len(grid)
+    result = Readings(np.empty((3, count)), np.empty(count, bool), np.empty(count, bool), np.empty(count))
+    given = tuple(np.ascontiguousarray(part) for part in (time, counts, status, np.asarray(grid, np.int64)))
+    factors = np.ascontiguousarray(bias, float), np.ascontiguousarray(scale, float)
+    special = _frames.readings(
+        (*given, *factors, *result), (len(time), count), tolerance.half_ns, tolerance.age_ns, tolerance[2:]
+    )
+    return None if special else result
+
+
+def agreed(values: Floats, rows: Floats, gain: Floats, tolerated: float) -> Floats | None:
+    """Return the `consensus` (3, n) of valid `values` (m, n) along `rows` (m, 3); `gain` (3, m) is that of least
+    squares. None without compiled code.
+    """
+    if not COMPILED or len(rows) > _MOST_AXES or len(rows) % 3:
+        return None
+    inverse = np.linalg.inv(rows.reshape(-1, 3, 3))
+    result = np.empty((3, values.shape[1]))
+    given = tuple(np.ascontiguousarray(part, float) for part in (values, rows, gain, inverse))
+    _frames.consensus((*given, result), values.shape, tolerated)
+    return result
+
+
+def remove_motion(
+    columns: Floats, derivatives: tuple[Floats, Floats], late: tuple[Booleans, Floats], directions: Floats, share: float
+) -> bool:
+    """Subtract from `columns` (m, n) the change of the motion, slope and curvature (3, n) in `derivatives`, from the
+    frame to the reading, valid and late_s (s, n) in `late`; return False without compiled code.
+    """
+    if not COMPILED or not columns.flags.c_contiguous:
+        return False
+    slope, curvature = (np.ascontiguousarray(part) for part in derivatives)
+    valid, late_s = (np.ascontiguousarray(part) for part in late)
+    given = slope, curvature, valid, late_s, np.ascontiguousarray(directions, float)
+    _frames.motion((*given, columns), valid.shape, share)
+    return True
+
+
+def spline_slopes(widths: Floats, columns: Floats) -> Floats | None:
+    """Return the slopes (c, k) of a spline through columns (c, k), k > 3, whose knots are `widths` (k - 1,) apart. None
+    without compiled code.
+    """
+    if not COMPILED:
+        return None
+    result = np.empty(columns.shape)
+    _frames.slopes((widths, columns, result, np.empty((5, columns.shape[1]))), columns.shape)
+    return result
+
+
+def spline_curvatures(widths: Floats, columns: Floats, slopes: Floats) -> Floats | None:
+    """Return the second derivatives (c, k) of a spline at its knots. None without compiled code."""
+    if not COMPILED:
+        return None
+    result = np.empty(columns.shape)
+    _frames.curvatures((widths, columns, slopes, result), columns.shape)
+    return result
+
+
+def spline_at(knots: tuple[Floats, Floats], columns: Floats, slopes: Floats, places: Floats) -> Floats | None:
+    """Return a spline (c, n) at increasing places (n,); `knots` are its knots (k,) and their distances (k - 1,). None
+    without compiled code.
+    """
+    if not COMPILED:
+        return None
+    result = np.empty((len(columns), len(places)))
+    sizes = (*columns.shape, len(places))
+    _frames.at((*knots, columns, slopes, np.ascontiguousarray(places), result), sizes)
+    return result
+
+
+def quadratic(factors: Floats, triads: Floats) -> Floats | None:
+    """Return (6, n) the quadratic functions of triads (3, n) whose `factors` (6, 10) are those of 1, x, y, z, xx, yy,
+    zz, xy, xz and yz. None without compiled code.
+    """
+    if not COMPILED:
+        return None
+    result = np.empty((6, triads.shape[1]))
+    given = np.ascontiguousarray(factors, float), np.ascontiguousarray(triads, float)
+    _frames.covariances((*given, result), (triads.shape[1],))
+    return result

@@ -1,0 +1,126 @@
+"""Compiled passes over frames beside NumPy's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.fuse import compiled_frames, fuse
+from imuarray.fuse.alignment import between_gaps, derivatives
+from imuarray.fuse.frames import Axis, CalibrationErrors
+from imuarray.fuse.least_squares import TOLERATED_SI, SlowErrors, consensus
+from imuarray.log import open_log
+from tests.fuse.conftest import Floats, Part, WriteRun, calibration, pointing
+
+pytestmark = pytest.mark.skipif(not compiled_frames.COMPILED, reason="installed without a C compiler")
+
+AXES = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z", "+Y-X+Z", "+X-Y-Z")
+FORCE = "specific_force"
+
+
+def leave_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled_frames, "COMPILED", False)
+
+
+def swinging(seconds: Floats) -> Floats:
+    return np.asarray(0.4 * np.sin(np.outer(seconds, [3.0, 2.0, 1.0])) + [0.0, 0.0, 1.0])
+
+
+def fused(path: Path, parts: list[Part], technique: str) -> list[Floats]:
+    """All columns of the result: triads, covariances and axes in use, of every block."""
+    with open_log(path) as log:
+        blocks = list(fuse(log, calibration([part._replace(sigma=0.01) for part in parts]), technique, block=700))
+    columns = [np.concatenate([getattr(block, name)[FORCE] for block in blocks]) for name in ("triads", "covariances")]
+    return [*columns, np.concatenate([block.used[FORCE] for block in blocks])]
+
+
+@pytest.mark.parametrize("technique", ["mean", "planes", "ranges"])
+@pytest.mark.parametrize("case", ["sound", "suspect", "lost", "clipped"])
+def test_a_fusion_is_that_of_numpy(
+    write_run: WriteRun, monkeypatch: pytest.MonkeyPatch, technique: str, case: str
+) -> None:
+    """Of sensors that are read one after the other, one of them far off."""
+    parts = [Part(f"A{number}", axes, late_s=0.001 * number, sigma=0.004) for number, axes in enumerate(AXES)]
+    parts[2] = parts[2]._replace(error=lambda seconds: np.full((len(seconds), 3), 0.6))
+    if case == "suspect":
+        parts[1] = parts[1]._replace(suspect=lambda seconds: seconds > 8.0)
+    if case == "lost":
+        parts[3] = parts[3]._replace(lost=lambda seconds: np.sin(40 * seconds) > 0.9)
+    if case == "clipped":
+        parts[4] = parts[4]._replace(range=1.2)
+    path = write_run(parts, force=swinging)
+    compiled = fused(path, parts, technique)
+    leave_out(monkeypatch)
+    for result, wanted in zip(compiled, fused(path, parts, technique), strict=True):
+        np.testing.assert_allclose(result, wanted, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("sensors", [1, 2, 3, 4, 6, 9, 12, 33])
+@pytest.mark.parametrize("frames", [1, 31, 32, 100])
+def test_a_consensus_is_that_of_numpy(sensors: int, frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of sensors that agree in some frames and not in others; more sensors than the compiled code takes are NumPy's."""
+    rng = np.random.default_rng(sensors)
+    rows = np.concatenate([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(sensors)])
+    spread = rng.choice([0.05, 3.0], (frames, 1)) * TOLERATED_SI[FORCE]
+    values = rng.normal(0, 5, (frames, 3)) @ rows.T + spread * rng.normal(size=(frames, 3 * sensors))
+    valid = np.ones(values.shape, bool)
+    valid[::7, 0] = False
+    result = consensus(values, valid, rows, FORCE)
+    leave_out(monkeypatch)
+    np.testing.assert_allclose(result, consensus(values, valid, rows, FORCE), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("rows", [4, 5, 200])
+def test_a_spline_is_that_of_numpy(rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(rows)
+    known = np.cumsum(rng.integers(5_000_000, 15_000_000, rows))
+    at = np.sort(rng.integers(known[0], known[-1] + 1, 300))
+    values = rng.normal(size=(rows, 3))
+    results = between_gaps(known, values, at, 1e9), *derivatives(known, values, 1e9)
+    leave_out(monkeypatch)
+    for result, wanted in zip(
+        results, (between_gaps(known, values, at, 1e9), *derivatives(known, values, 1e9)), strict=True
+    ):
+        np.testing.assert_allclose(result, wanted, rtol=1e-11, atol=1e-11 * np.abs(wanted).max())
+
+
+def test_covariances_of_slow_errors_are_those_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(2)
+    axes = []
+    for sensor in range(3):
+        bias, response = rng.normal(size=(3, 3)), rng.normal(size=(9, 9))
+        errors = CalibrationErrors(bias @ bias.T, (response @ response.T).reshape(3, 3, 3, 3))
+        for index, direction in enumerate(pointing(AXES[sensor])):
+            axes.append(Axis(f"A{sensor}", "chip", index, tuple(direction), 10.0, 0.1, errors=errors))
+    slow, gain, triads = SlowErrors(axes), rng.normal(size=(1, 3, 9)), rng.normal(size=(70, 3))
+    result = slow.covariance(gain, triads)
+    each = slow.covariance(np.repeat(gain, 70, axis=0), triads)  # frame by frame, with the matrices as they are defined
+    np.testing.assert_allclose(result, each, rtol=1e-12, atol=1e-11)
+    leave_out(monkeypatch)
+    np.testing.assert_allclose(result, slow.covariance(gain, triads), rtol=1e-12, atol=1e-11)
+
+
+def test_other_sizes_are_refused() -> None:
+    from imuarray.fuse import _frames
+
+    numbers = np.zeros(12)
+    with pytest.raises(ValueError, match="number of arrays"):
+        _frames.consensus((numbers,), (3, 4), 1.0)
+    with pytest.raises(ValueError, match="array 1: 72 bytes"):
+        _frames.consensus((numbers, numbers, numbers, numbers, numbers), (3, 4), 1.0)
+    with pytest.raises(ValueError, match="sizes"):
+        _frames.consensus((numbers, numbers, numbers, numbers, numbers), (4, 3), 1.0)
+    with pytest.raises(ValueError, match="sizes"):
+        _frames.slopes((numbers, numbers, numbers, numbers), (1, 3))
+    with pytest.raises(ValueError, match="sizes"):
+        _frames.curvatures((numbers, numbers, numbers, numbers), (1, 1))
+    with pytest.raises(ValueError, match="sizes"):
+        _frames.at((numbers,) * 6, (1, 2, -1))
+    with pytest.raises(ValueError, match="sizes"):
+        _frames.readings((numbers,) * 10, (0, 3), 5, 0.0, (1, 2, 4))
+    with pytest.raises(ValueError, match="sizes"):
+        _frames.motion((numbers,) * 6, (0, 3), 0.5)
+    with pytest.raises(ValueError, match="array 0: 480 bytes"):
+        _frames.covariances((numbers, numbers, numbers), (1,))
