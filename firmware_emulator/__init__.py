@@ -1,4 +1,4 @@
-"""An emulated bus that behaves like the real one: chips, multiplexer, time and the world that they feel.
+"""An emulated bus that behaves like the real one: chips, multiplexer, time, and the world that acts on the sensors.
 
 ::
 

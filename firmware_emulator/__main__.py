@@ -63,14 +63,14 @@ def real_time_bus(query: str, array: ArrayConfig) -> EmulatedBus:
 
 
 def serve_serial(array: ArrayConfig, bus: EmulatedBus) -> None:
-    """Say where it is, and serve until interrupted."""
+    """Print the address, and serve until interrupted."""
     with SerialPort(Firmware(MicrocontrollerBus(bus), bus.clock, selects=SELECTS)) as port:
         click.echo(f"{array.name}: serial:{port.path}")
         port.serve_forever()
 
 
 def serve_usbip(array: ArrayConfig, bus: EmulatedBus, host: str, port: int) -> None:
-    """Say where it is, and serve until interrupted."""
+    """Print the port, and serve until interrupted."""
     try:
         server = UsbipServer(bus.wires, array.name, host, port, log=lambda line: click.echo(line, err=True))
     except OSError as error:

@@ -31,7 +31,7 @@ NOWHERE = -1
 
 
 class BehindBypass:
-    """A device that has its address while the bypass of `host` is open; always, while it has no host."""
+    """A device that has its address while the bypass of `host` is open, or always if it has no host."""
 
     def __init__(self, device: Target) -> None:
         self.device = device
@@ -61,7 +61,7 @@ class BehindBypass:
 
 TRUNK = ""
 SPI_DEVICE = "/dev/spidev"
-"""Prefix of the bus of a sensor on SPI."""
+"""Prefix of the bus name of a sensor on SPI."""
 CLOCKS: dict[str, type[VirtualClock] | type[RealClock]] = {"virtual": VirtualClock, "real": RealClock}
 Switches = Mapping[str, Mapping[str, Any]]
 ERRNOS = (6, 121)
@@ -69,23 +69,23 @@ ERRNOS = (6, 121)
 SETTINGS = ("clock", "world", "seed", "bit_rate", "errno", "oscillators", "pulse_hz")
 OSCILLATORS = ("exact", "drawn")
 OSCILLATOR_ERROR = typical(0.01)
-"""By which share the oscillator of a six-axis chip is fast: its data sheets allow some percent over temperature."""
+"""Rate error of the oscillator of a six-axis chip as a share: its data sheets allow some percent over temperature."""
 PULSE_HZ = 10.0
-"""Frequency of the synchronisation pulses, if the URL does not say it."""
+"""Frequency of the synchronisation pulses if the URL does not state it."""
 FITTINGS = ("mechanism", "severity", "sensor", "units", "run")
 """Parameters that `firmware_emulator.mechanisms` understands."""
 BOARD = "board"
 """Parameter that names the array's configuration file; the caller has read that file already."""
 FAULTS = "faults"
-"""Names a file of faults that happen by the clock (`firmware_emulator.faults`)."""
+"""Parameter that names a file of scheduled faults (`firmware_emulator.faults`)."""
 
 
 class EmulatedBus:
     """The bus of an emulated array. `chips` are its chips by name of the sensor, `wire` is its trunk, `selects` are the
     chip selects of those on SPI.
 
-    `transfer` is the trunk's (`Wire.transfer`). `phases` and ``truth(at_ns)`` are in times of `clock`: what the world
-    calls its stretches, and what the box truly felt.
+    `transfer` is the trunk's (`Wire.transfer`). `phases` (the named stretches of the world) and ``truth(at_ns)`` (the
+    true stimulus of the box) are in times of `clock`.
     """
 
     source = "emulated"
@@ -110,12 +110,12 @@ class EmulatedBus:
         self._owned = owned
 
     def claim(self, address: int, path: str | None = None) -> None:
-        """OSError with EBUSY, as of I2C_SLAVE, while a driver of the kernel has that address (LNX-12)."""
+        """Raise OSError with EBUSY, as I2C_SLAVE does, if a kernel driver owns that address (LNX-12)."""
         if self._owned(address, path or TRUNK):
             raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
 
     def channel_bus(self, bus: str) -> Wire:
-        """Return the trunk of that name; OSError, as for a device file that isn't there, when no sensor is on it."""
+        """Return the trunk of that name; OSError, as for a missing device file, if it has no sensor."""
         if bus == TRUNK or bus not in self.wires:
             raise FileNotFoundError(2, "no emulated sensor on this bus", bus)
         return self.wires[bus]
@@ -133,7 +133,7 @@ class EmulatedBus:
         """Release nothing: an emulated array holds no resource of the system."""
 
 
-# Keyword-only and independent of one another: what an emulated bus can be asked for, in code or in its URL.
+# Keyword-only and independent of one another: the options of an emulated bus, in code or in its URL.
 def open_array(  # noqa: PLR0913
     array: ArrayLike,
     *,
@@ -146,12 +146,12 @@ def open_array(  # noqa: PLR0913
     switches: Switches = MappingProxyType({}),
     board: BoardKind = Board,
 ) -> EmulatedBus:
-    """Power the array up, now, in `world` (at rest on its -Z face by default), which begins now as well.
+    """Power the array up in `world` (at rest on its -Z face by default); both begin now.
 
     `seed` keys noise and the units that are drawn. `switches` are keyword arguments of chips, by sensor or by chip
-    (``{"BMA2": {"download_ns": 0}, "l3g4200d": {"wrap_always": True}}``): what data sheets leave open, and what an
-    earlier program left behind. `board` (name of the array, world, seed) gives the parts. ValueError for a chip, a
-    clock, a multiplexer or a switch that isn't known.
+    (``{"BMA2": {"download_ns": 0}, "l3g4200d": {"wrap_always": True}}``): properties that data sheets do not specify,
+    and settings of an earlier program. `board` (name of the array, world, seed) creates the parts. ValueError for an
+    unknown chip, clock, multiplexer or switch.
     """
     unknown = set(switches) - {sensor.name for sensor in array.sensors} - set(CHIPS)
     if unknown:
@@ -170,7 +170,7 @@ def open_array(  # noqa: PLR0913
     for sensor in array.sensors:
         place = sensor.bus or sensor.channel, sensor.address
         die = dies.get(place)
-        if isinstance(die, SixAxis) and sensor.chip in HALVES:  # on the wire already
+        if isinstance(die, SixAxis) and sensor.chip in HALVES:  # the die is connected already
             die.take_element(HALVES[sensor.chip].name, parts.element(sensor))
             chips[sensor.name] = die
             if parts.device(sensor, die) is not die:
@@ -232,8 +232,8 @@ def powered_chip(board: Board, sensor: SensorLike, now_ns: int, switches: Switch
 def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
     """`open_array` from the parameters of a URL such as ``emulated:?clock=real&world=tumble&face_s=10``.
 
-    `board` may say which file `array` is from. ValueError, one line that says what is allowed, for a parameter or a
-    value that isn't known.
+    `board` may name the file of `array`. ValueError, one line that states what is allowed, for an unknown parameter or
+    value.
     """
     kind = named(query.get("world", "still"), WORLDS, "world")
     own = [field.name for field in fields(kind)]
@@ -257,9 +257,9 @@ def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
 
 
 def six_axis_switches(query: Mapping[str, str], array: ArrayLike) -> Switches:
-    """Switches of the six-axis chips, by the name of the first sensor of each: rate errors, each drawn by seed and that
-    name, and the frequency of the pulses of chips that use them, if the query asks for these. ValueError for a value
-    that is not allowed.
+    """Return switches of the six-axis chips, by the name of the first sensor of each: rate errors, each drawn by seed
+    and that name, and the frequency of the pulses of chips that use them, if the query has these parameters. ValueError
+    for a value that is not allowed.
     """
     asked = query.get("oscillators", OSCILLATORS[0])
     if asked not in OSCILLATORS:
@@ -299,7 +299,7 @@ def board_kind(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
 
 
 def world_from(kind: WorldKind, query: Mapping[str, str]) -> PhasedWorld:
-    """Return the world with those of its own fields that the query names."""
+    """Return the world with the values of its fields that are in the query."""
     given: dict[str, float | str] = {}
     for field in fields(kind):
         if field.name in query:
@@ -310,7 +310,7 @@ def world_from(kind: WorldKind, query: Mapping[str, str]) -> PhasedWorld:
 
 
 def axis(text: str) -> str:
-    """Return a box axis; the plus sign of ``up=+X`` reaches us as a space, as in every URL."""
+    """Return a box axis; the plus sign of ``up=+X`` arrives as a space, as in every URL."""
     name = text.strip()
     return name if name[:1] in ("+", "-") else f"+{name}"
 

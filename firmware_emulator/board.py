@@ -1,13 +1,13 @@
-"""Parts of the emulated array: the parts and the host that `open_array` asks for, piece by piece.
+"""Parts of the emulated array, and the host, as `open_array` creates them.
 
-`Board` gives what the array's description says. A board whose parts differ (`firmware_emulator.mechanisms`) overrides
-the piece in which they do; the array is then put together and polled in the same way.
+`Board` creates the parts of the array's description. A board with other parts (`firmware_emulator.mechanisms`)
+overrides single methods; the array is assembled and polled in the same way.
 
 `ArrayLike` is the description of an array as the emulator needs it; `imuarray.array` satisfies it.
 
 `Pca9544aChip` has one control byte that says which of four channels joins the trunk, if any (NXP data sheet Rev 5,
-2014). The byte reads back at once, but the wires are switched only by the STOP that ends the transaction
-(PCA-06, DEC-40), also when that transaction was broken off (DEC-41).
+2014). The byte reads back at once, but the wires are switched only by the STOP that ends the transaction (PCA-06,
+DEC-40), even if that transaction was aborted (DEC-41).
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ class Pca9544aChip:
         self.power_on(powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
-        """Control register 0, no channel connected (PCA-05)."""
+        """Reset the control register to 0: no channel is connected (PCA-05)."""
         self.control = facts.CONTROL.reset
         self.route = NO_CHANNEL
 
     @property
     def ordered(self) -> int:
-        """The channel that the control register asks for, `NO_CHANNEL` if none."""
+        """The channel that the control register selects, `NO_CHANNEL` if none."""
         return facts.CHANNEL.of(self.control) if facts.ENABLE.of(self.control) else NO_CHANNEL
 
     def branch(self) -> Sequence[Target]:
@@ -57,7 +57,7 @@ class Pca9544aChip:
         return self.channels.get(self.route, ())
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """Every byte goes to the control register: the last one stays (PCA-02, PCA-08)."""
+        """Write every byte to the control register, which keeps the last one (PCA-02, PCA-08)."""
         if data:
             self.control = data[-1] & (facts.ENABLE.mask | facts.CHANNEL.mask)
         return len(data)
@@ -67,7 +67,7 @@ class Pca9544aChip:
         return bytes([self.interrupts << 4 & 0xF0 | self.control]) * count
 
     def stop(self, at_ns: int) -> None:
-        """Switch the wires to what the control register says."""
+        """Connect the channel that the control register selects."""
         self.route = self.ordered
 
 
@@ -100,11 +100,11 @@ class SensorLike(Protocol):
 
     @property
     def bus(self) -> str | None:
-        """Another trunk than the array's own: a channel that the kernel drives."""
+        """A trunk other than the array's own: a channel that the kernel drives."""
 
     @property
     def address(self) -> int:
-        """Seven bits."""
+        """The address, seven bits."""
 
     @property
     def range(self) -> float | None:
@@ -136,7 +136,7 @@ MUXES = {"pca9544a": Pca9544aChip}
 
 
 def named(name: str, known: Mapping[str, T], what: str) -> T:
-    """Return the entry of that name; ValueError that lists the others."""
+    """Return the entry of that name; ValueError lists the others."""
     if name not in known:
         raise ValueError(f"{what} {name!r}; {allowed_text(name, known)}")
     return known[name]
@@ -160,7 +160,7 @@ class Board:
         self.seed = seed
 
     def wire(self, clock: WireClock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
-        """One adapter."""
+        """Return the wire of one adapter."""
         return Wire(clock, bit_rate_hz, nack_errno, host_ns)
 
     def router(
@@ -180,15 +180,15 @@ class Board:
         return named(sensor.chip, CHIPS, f"sensor {sensor.name}: chip")
 
     def switches(self, sensor: SensorLike) -> Mapping[str, Any]:
-        """Keyword arguments of that chip, which the caller's go before."""
+        """Return keyword arguments of that chip; those of the caller take precedence."""
         return {}
 
     def generator_key(self, sensor: SensorLike) -> str:
-        """Keys the noise that a chip draws itself."""
+        """Return the key of the noise that a chip draws itself."""
         return f"{self.seed} {sensor.name}"
 
     def device(self, sensor: SensorLike, chip: Chip) -> Target:
-        """Return the device that is connected to the wire for one sensor: the chip itself, or what stands before it."""
+        """Return the device that is connected to the wire for one sensor: the chip, or a device in front of it."""
         return chip
 
     def owned(self, address: int, bus: str, clock: WireClock) -> bool:
@@ -201,4 +201,4 @@ class Board:
 
 
 BoardKind = Callable[[str, World, int], Board]
-"""Makes a board from the name of the array, the world and the seed."""
+"""Function that makes a board from the name of the array, the world and the seed."""

@@ -1,8 +1,8 @@
-"""Cases: series of logs of an emulated array with mechanisms at work, and apart from them a sealed file with the truth.
+"""Cases: series of logs of an emulated array with mechanisms at work, and a separate sealed file with the truth.
 
-A case is like the data that a user brings from a bench: units nobody has measured, a log for each experiment, no truth.
-It is polled by the real drivers and written by the real acquisition. Neither the names nor the attributes of its logs
-reveal the mechanism, its severity or the seed.
+A case resembles a user's data from a bench: units that were never measured, a log for each experiment, no truth. It is
+polled by the real drivers and written by the real acquisition. Neither the names nor the attributes of its logs reveal
+the mechanism, its severity or the seed.
 
 ::
 
@@ -56,8 +56,8 @@ class BenchCase:
     """`experiments` (keys of `EXPERIMENTS`, or own ones) with `fittings` at work on the array; none: nothing is wrong.
 
     `seed` draws units, noise and whatever mechanisms leave to chance. `severities` go into the truth, a fitting each.
-    With `reference` the logs tell what the bench was told to do; without, only its phases and what the barometer felt.
-    `recorder` is the program that reads them, if it isn't one that always comes in time; its parts are toleranced.
+    With `reference` the logs contain the commanded motion of the bench; without, only its phases and the barometer.
+    `recorder` describes the recording program, None if it is always in time; with a recorder, parts are toleranced.
     """
 
     array: ArrayConfig
@@ -82,7 +82,7 @@ class BenchCase:
         """Make a case by names: `mechanisms` are (name, severity, sensors), no sensors meaning all on which it can be
         put.
 
-        ValueError, one line, for a name, a severity or a sensor that isn't possible.
+        ValueError, one line, for an impossible name, severity or sensor.
         """
         chosen = [
             experiment if isinstance(experiment, BenchExperiment) else known_experiment(experiment)
@@ -94,8 +94,8 @@ class BenchCase:
 
     @classmethod
     def of_world(cls, world: Mapping[str, Any], *mechanisms: tuple[str, float, tuple[str, ...]], seed: int = 0) -> Self:
-        """Make a case in a world that somebody drew: a table with the `array` (TOML text), its `sessions`, `room` and
-        `recorder` (`firmware_emulator.sessions`). ValueError, one line, for what isn't known.
+        """Make a case in a world that was drawn by another program: a table with the `array` (TOML text), its
+        `sessions`, `room` and `recorder` (`firmware_emulator.sessions`). ValueError, one line, for an unknown entry.
         """
         if missing := sorted({"array", "sessions", "room", "recorder"} - set(world)):
             raise ValueError(f"world: {missing[0]} is missing")
@@ -105,9 +105,9 @@ class BenchCase:
         return replace(plain, recorder=recorder)
 
     def write(self, folder: Path, truth: Path, *, force: bool = False) -> list[Path]:
-        """Record every log into `folder` and seal the truth in another place; the logs' paths.
+        """Record every log into `folder` and seal the truth in another place; return the logs' paths.
 
-        ValueError if `truth` would lie beside the logs, OutputExistsError for a file that is there already.
+        ValueError if `truth` would be in the folder of the logs, OutputExistsError for an existing file.
         """
         if folder.resolve() == truth.resolve().parent:
             raise ValueError(f"{truth}: the truth is in the folder of the logs; choose another folder")
@@ -126,8 +126,8 @@ class BenchCase:
         return paths
 
     def truth(self, logs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Return the contents of the sealed file; `logs` say what happened in each, and where if that was left to
-        chance.
+        """Return the contents of the sealed file; `logs` state what happened in each log, and at which sensors if that
+        was random.
         """
         return {
             "array": self.array.name,
@@ -164,7 +164,7 @@ class BenchCase:
         begin = _LogBegin(bus.truth)
         bus.truth = begin
         if not self.reference:
-            del bus.truth  # nobody is told
+            del bus.truth  # a case has no truth in its logs
         record(
             self.array,
             cast(OpenBus, bus),
@@ -200,7 +200,9 @@ class _LogBegin:
 
 
 def _where(mechanism: str, fitting: Fitting, logs: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the sensors that a mechanism is put on, or those of them that it touched in any log, if it says so."""
+    """Return the sensors on which a mechanism is put, or those of them that it affected in any log, if it states
+    that.
+    """
     touched = {name for log in logs for name in log["touched"].get(mechanism, ())}
     return [name for name in fitting.sensors if name in touched] or list(fitting.sensors)
 
@@ -216,7 +218,7 @@ def as_shown(phases: Sequence[WorldPhase], bus: EmulatedBus) -> tuple[WorldPhase
 
 
 def leave_thermometers_out(path: Path) -> None:
-    """Rewrite the log without the temperatures of the chips, as a program writes it that does not read them."""
+    """Rewrite the log without the temperatures of the chips, like that of a program that does not read them."""
     with h5py.File(path, "r+") as file:
         for group in file["sensors"].values():
             if "temperature_counts" in group:
@@ -230,7 +232,7 @@ def call_it_reference(path: Path) -> None:
 
 
 def read_reference(path: Path, experiment: BenchExperiment, begun_ns: int) -> None:
-    """The reference at its own rate, by a clock of its own that is right, from `begun_ns` of the world on."""
+    """Yield the reference at its own rate, timed by its own correct clock, from `begun_ns` of the world on."""
     times = np.arange(0, round(experiment.seconds * 1e9), round(1e9 / experiment.reference_hz))
     world = ReferenceWorld(experiment.world) if isinstance(experiment.world, Course) else experiment.world
     felt = [world(begun_ns + at_ns) for at_ns in times.tolist()]
@@ -250,7 +252,9 @@ def read_reference(path: Path, experiment: BenchExperiment, begun_ns: int) -> No
 def asked(
     names: Sequence[str], severities: Sequence[float], sensors: Sequence[str]
 ) -> list[tuple[str, float, tuple[str, ...]]]:
-    """Options that come once for each mechanism; ValueError unless they are given for all of them or for none."""
+    """Return options that are given once for each mechanism; ValueError unless they are given for all of them or for
+    none.
+    """
     severities, sensors = severities or (1.0,) * len(names), sensors or ("",) * len(names)
     if not len(names) == len(severities) == len(sensors):
         raise ValueError("--severity and --sensor: as often as --mechanism, or not at all")
@@ -262,7 +266,7 @@ def asked(
 
 def described() -> dict[str, dict[str, Any]]:
     """Return every mechanism: the chips that it `touches`, how many sensors it takes (`place`), what it `resembles`,
-    whether it is `graded`: there more or less, not merely there or not.
+    whether it is `graded`: of variable size, not merely present or absent.
     """
     return {
         name: {
@@ -346,7 +350,7 @@ def _write(options: CaseOptions) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; what it returns is the exit code: 2 for bad input, with one line."""
+    """Run the command line and return the exit code: 2 for bad input, with one line."""
     return run(program, PROGRAM, arguments)
 
 

@@ -1,7 +1,7 @@
 """The interface of every emulated chip: a page of registers behind an address pointer, fed by a sensing element.
 
-The wire speaks to a `Target`; a `Chip` is the usual one. Its subclasses (`firmware_emulator.chips`) say what reading
-and writing each register does, at which instant. Times are integer nanoseconds of the emulated clock.
+The wire speaks to a `Target`; a `Chip` is the usual one. Its subclasses (`firmware_emulator.chips`) define the effect
+of reading and writing each register, and its time. Times are integer nanoseconds of the emulated clock.
 """
 
 from __future__ import annotations
@@ -20,32 +20,34 @@ class Target(Protocol):
     address: int
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """Receive `data`, whose first byte is complete at `at_ns` and every further one `byte_ns` later; how many
-        were acknowledged.
+        """Receive `data`, whose first byte is complete at `at_ns` and every further one `byte_ns` later; return how
+        many bytes were acknowledged.
         """
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
         """Send `count` bytes, the first of which is fetched at `at_ns` and every further one `byte_ns` later."""
 
     def stop(self, at_ns: int) -> None:
-        """A STOP ends the transaction in which this device was addressed."""
+        """Note the STOP that ends a transaction in which this device was addressed."""
 
 
 class Element(Protocol):
-    """The sensing element behind a chip's converter: what the world does to it, its own imperfections included."""
+    """The sensing element in front of a chip's converter: the effect of the world on it, its own imperfections
+    included.
+    """
 
     def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
-        """Input of the converter along the sensor's x, y, z at `at_ns`, in the data sheet's unit (g, dps, gauss),
-        noise included.
+        """Return the input of the converter along the sensor's x, y, z at `at_ns`, in the data sheet's unit (g, dps,
+        gauss), noise included.
 
         `full_scale` (same unit) and `bandwidth_hz` are the settings in force: noise depends on them.
         """
 
     def temperature(self, at_ns: int) -> float:
-        """Temperature of the chip in degC."""
+        """Return the temperature of the chip in degC."""
 
     def pressure(self, at_ns: int) -> float:
-        """Air pressure in Pa."""
+        """Return the air pressure in Pa."""
 
 
 def registers_of(facts: ModuleType, bank: int = 0) -> dict[int, Register]:
@@ -54,7 +56,7 @@ def registers_of(facts: ModuleType, bank: int = 0) -> dict[int, Register]:
 
 
 class Chip:
-    """A page of 256 bytes behind a pointer that counts on, byte by byte; unmapped registers read 0 and keep nothing
+    """A page of 256 bytes behind a pointer that increments after each byte; unmapped registers read 0 and store nothing
     (DEC-01).
     """
 
@@ -77,7 +79,7 @@ class Chip:
             self.page[address] = register.reset
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """First byte: pointer; the others are stored one after the other. Every byte is acknowledged."""
+        """Set the pointer to the first byte; store the others one after the other. Every byte is acknowledged."""
         if data:
             self.pointer = data[0]
         for index in range(1, len(data)):
@@ -86,7 +88,7 @@ class Chip:
         return len(data)
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """`count` bytes from the pointer on, each as it stands when it is fetched."""
+        """Return `count` bytes from the pointer on, each with its value at the instant at which it is fetched."""
         sent = bytearray(count)
         for index in range(count):
             sent[index] = self.load(self.pointer, at_ns + index * byte_ns)
@@ -105,7 +107,7 @@ class Chip:
         return self.page[address]
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A byte written to register `address`: kept if the register exists and can be written, ignored otherwise."""
+        """Store a byte written to register `address` if the register exists and can be written; ignore it otherwise."""
         register = self.registers.get(address)
         if register is not None and register.access != "r":
             self.page[address] = value & ~register.reserved & 0xFF

@@ -1,7 +1,7 @@
 """Emulated and real time, in integer nanoseconds.
 
-On the virtual clock a transfer takes exactly what the bus arithmetic says and a sleep takes nothing, so that torn
-reads, overruns and update ticks come out the same in every run (DEC-50). On the real clock bus time passes by itself.
+On the virtual clock a transfer takes exactly the time of the bus arithmetic and a sleep no real time, so that torn
+reads, overruns and update ticks are the same in every run (DEC-50). On the real clock time passes on its own.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ class WireClock(Protocol):
         """Return the present time."""
 
     def advance(self, ns: int) -> None:
-        """The wire was busy for `ns`."""
+        """Note that the wire was busy for `ns`."""
 
     def sleep_until(self, ns: int) -> None:
-        """Return when `now_ns()` is at least `ns`."""
+        """Wait until `now_ns()` is at least `ns`."""
 
 
 class VirtualClock:
@@ -34,13 +34,13 @@ class VirtualClock:
         return self._now_ns
 
     def advance(self, ns: int) -> None:
-        """Let `ns` pass; ValueError when negative."""
+        """Advance by `ns`; ValueError when negative."""
         if ns < 0:
             raise ValueError(f"time can't go back: {ns} ns")
         self._now_ns += ns
 
     def sleep_until(self, ns: int) -> None:
-        """Be at `ns` at once; a time that has passed changes nothing."""
+        """Advance to `ns` at once; a time in the past changes nothing."""
         if ns > self._now_ns:
             self._now_ns = ns
 

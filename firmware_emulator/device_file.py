@@ -1,4 +1,4 @@
-"""Emulated adapters at paths such as /dev/i2c-1, for code of this process that does not know of an emulator.
+"""Emulated adapters at paths such as /dev/i2c-1, for code of this process that expects real adapters.
 
 ::
 
@@ -10,9 +10,9 @@ also where a module has imported it by name. Closing and flock are the real ones
 not supported.
 
 `Adapter` is a Linux I2C adapter over a `Wire`: the ioctls of /dev/i2c-N, with C structures at their addresses. Sources:
-kernel documentation of i2c-dev, facts LNX-03 ... LNX-15 and LNX-40 ... LNX-49. SMBus calls become the same messages
-that the kernel makes of them (LNX-15). Packet error codes, addresses of ten bits, SMBus block reads, and all mangling
-flags but I2C_M_STOP are not emulated and are refused with EOPNOTSUPP.
+kernel documentation of i2c-dev, facts LNX-03 ... LNX-15 and LNX-40 ... LNX-49. SMBus calls become the messages to which
+the kernel converts them (LNX-15). Packet error codes, addresses of ten bits, SMBus block reads, and all mangling flags
+but I2C_M_STOP are not emulated and are refused with EOPNOTSUPP.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ I2C_FUNCS, I2C_SLAVE_FORCE, I2C_RDWR, I2C_PEC, I2C_SMBUS = 0x0705, 0x0706, 0x070
 I2C_M_RD, I2C_M_STOP = 0x0001, 0x8000
 
 FUNC_I2C, FUNC_PROTOCOL_MANGLING = 0x00000001, 0x00000004
-FUNC_SMBUS = 0x0EFF0000  # what the kernel emulates on any I2C adapter, packet error codes left out
+FUNC_SMBUS = 0x0EFF0000  # emulated by the kernel on any I2C adapter, without packet error codes
 
 MAX_MESSAGES = 42  # LNX-04
 MAX_BYTES = 8192  # a message: LNX-05
@@ -88,20 +88,21 @@ class Kind(NamedTuple):
     """The differences between adapters."""
 
     mangling: bool = False
-    """Says PROTOCOL_MANGLING, and ends a message with a STOP when I2C_M_STOP asks for it (LNX-08)."""
+    """Capability PROTOCOL_MANGLING: a message ends with a STOP when I2C_M_STOP requests it (LNX-08)."""
     one_read: bool = False
-    """Reads only in the last message (LNX-10)."""
+    """Reads are possible only in the last message (LNX-10)."""
 
 
 KINDS: dict[str, Kind] = {"plain": Kind(), "bcm2835": Kind(one_read=True), "gpio": Kind(mangling=True)}
-"""Adapters: one without limits, the Raspberry Pi's, and the one that toggles two pins (LNX-09)."""
+"""Adapters: one without limits, that of the Raspberry Pi, and the one that drives two GPIO pins (LNX-09)."""
 
 
 class Adapter:
     """One adapter: `kind` is a key of `KINDS`, `owned` holds the kernel driver of each address that has one.
 
     While `stuck` is set, the clock is held low: every transfer takes the whole timeout and ends with ETIMEDOUT.
-    `timeout_ns` and `retries` are what programs set; only arbitration is retried (LNX-14), and it is never lost here.
+    `timeout_ns` and `retries` are settings of programs; only arbitration is retried (LNX-14), and it is never lost
+    here.
     """
 
     def __init__(self, wire: Wire, kind: str = "plain", owned: Mapping[int, str] | None = None) -> None:
@@ -116,16 +117,16 @@ class Adapter:
 
     @property
     def functionality(self) -> int:
-        """The mask of I2C_FUNCS."""
+        """Return the mask of I2C_FUNCS."""
         return FUNC_I2C | FUNC_SMBUS | (FUNC_PROTOCOL_MANGLING if self.kind.mangling else 0)
 
     def open(self) -> OpenFile:
-        """Return what open("/dev/i2c-N") gives a program: address and flags are its own."""
+        """Return what open("/dev/i2c-N") gives a program, with its own address and flags."""
         return OpenFile(self)
 
     def transfer(self, messages: Sequence[Message]) -> list[bytes]:
-        """START, messages joined by repeated STARTs, STOP (LNX-06): what the reading ones brought. OSError as the
-        kernel's.
+        """Transfer a START, messages joined by repeated STARTs, and a STOP (LNX-06); return the bytes of each read.
+        OSError as the kernel's.
         """
         self._check(messages)
         if self.stuck:
@@ -170,7 +171,7 @@ class OpenFile:
         }
 
     def ioctl(self, request: int, argument: int) -> int:
-        """Return the system call's result; OSError with its errno. Nothing is copied back on error (LNX-13)."""
+        """Return the system call's result; OSError with its errno. No data are copied back on error (LNX-13)."""
         call = self._calls.get(request)
         if call is None:
             refuse(errno.ENOTTY)
@@ -203,7 +204,7 @@ class OpenFile:
         return 0
 
     def _transfer(self, at: int) -> int:
-        """I2C_RDWR: how many messages were sent."""
+        """Carry out I2C_RDWR; return how many messages were sent."""
         request = TransferStruct.from_address(pointer(at))
         count = int(request.nmsgs)
         if not request.msgs or not 0 < count <= MAX_MESSAGES:
@@ -216,7 +217,7 @@ class OpenFile:
         return count
 
     def _smbus(self, at: int) -> int:
-        """I2C_SMBUS: the kernel's emulation, sent as messages."""
+        """Carry out I2C_SMBUS: the kernel's emulation, sent as messages."""
         call = SmbusStruct.from_address(pointer(at))
         if call.size not in range(QUICK, I2C_BLOCK + 1) or call.read_write not in (0, 1):
             refuse(errno.EINVAL)
@@ -238,7 +239,7 @@ class OpenFile:
         return self._read(0) if call.read_write else self._write(b"")
 
     def _messages(self, call: SmbusStruct, given: bytes) -> list[Message]:
-        """Return the messages of a call that carries data."""
+        """Return the messages of a call with data."""
         size, command = call.size, bytes([call.command])
         if size == PROC_CALL:
             return [self._write(command + as_word(given)), self._read(2)]
@@ -259,23 +260,23 @@ class OpenFile:
 
 
 DATA_BYTES = {BYTE: 1, BYTE_DATA: 1, WORD_DATA: 2, PROC_CALL: 2}
-"""Size of the union's member by SMBus size; the others use the block."""
+"""Return the size of the union's member by SMBus size; the others use the block."""
 
 
 def refuse(number: int) -> NoReturn:
-    """OSError as from the system call."""
+    """Return an OSError as the system call's."""
     raise OSError(number, os.strerror(number))
 
 
 def checked(value: int, largest: int) -> int:
-    """`value`; EINVAL when it is above `largest`."""
+    """Return `value`; EINVAL if it is above `largest`."""
     if value > largest:
         refuse(errno.EINVAL)
     return value
 
 
 def pointer(at: int) -> int:
-    """`at`; EFAULT when nothing can be there."""
+    """Return `at`; EFAULT if it is a null pointer."""
     if at < 4096:
         refuse(errno.EFAULT)
     return at
@@ -287,7 +288,7 @@ def put(at: int, data: bytes) -> None:
 
 
 def message_at(struct: MessageStruct) -> Message:
-    """Return the message that a structure describes, what it writes copied (LNX-05)."""
+    """Return the message that a structure describes, with a copy of the bytes to write (LNX-05)."""
     count = checked(struct.len, MAX_BYTES)
     if count:
         pointer(struct.buf or 0)
@@ -302,7 +303,9 @@ def as_word(data: bytes) -> bytes:
 
 
 def outgoing(size: int, given: bytes) -> bytes:
-    """Return what follows the command of a write: a byte, a word, a block with its length (SMBus) or without (I2C)."""
+    """Return the bytes after the command of a write: a byte, a word, a block with its length (SMBus) or without
+    (I2C).
+    """
     if size == BYTE_DATA:
         return given
     if size == WORD_DATA:
@@ -323,7 +326,7 @@ Identity = tuple[int, int]
 
 @contextmanager
 def device_files(adapters: Mapping[str, Adapter]) -> Iterator[None]:
-    """Serve `adapters` by path to everything that runs in this process inside the block."""
+    """Serve `adapters` by path to all code of this process inside the block."""
     real_ioctl, real_open = fcntl.ioctl, os.open
 
     def ioctl(fd: Any, request: int, arg: Any = 0, mutate_flag: bool = True, /) -> Any:
@@ -347,14 +350,14 @@ def device_files(adapters: Mapping[str, Adapter]) -> Iterator[None]:
 
 
 def replace_everywhere(name: str, old: object, new: object) -> None:
-    """Let every module that knows `old` by `name` know `new`."""
+    """Replace `old` by `new` under `name` in every module that has imported it."""
     for module in list(sys.modules.values()):
         if getattr(module, "__dict__", {}).get(name) is old:
             setattr(module, name, new)
 
 
 class _DeviceFolder:
-    """The adapters of one block: which file stands for which, and what has been opened."""
+    """The adapters of one block: the file of each adapter, and the open descriptors."""
 
     def __init__(self, adapters: Mapping[str, Adapter], folder: Path) -> None:
         self._stand_ins: dict[str, Path] = {}
@@ -367,16 +370,16 @@ class _DeviceFolder:
             self._adapters[identity(stand_in.stat())] = adapter
 
     def stand_in(self, path: Any) -> Any:
-        """Return the file that stands for `path`; `path` itself when it is not ours."""
+        """Return the file that represents `path`; `path` itself if it is not an adapter of ours."""
         return self._stand_ins.get(os.fspath(path), path) if isinstance(path, str | os.PathLike) else path
 
     def opened(self, number: int) -> int:
-        """A descriptor has been opened: whatever was set on the one of this number before is forgotten."""
+        """Note that a descriptor was opened: settings of an earlier one with this number are discarded."""
         self._open_files.pop(number, None)
         return number
 
     def file(self, number: int) -> OpenFile | None:
-        """Return the opened adapter behind a descriptor; None when another file is."""
+        """Return the opened adapter of a descriptor; None for any other file."""
         adapter = self._adapters.get(identity(os.fstat(number)))
         if adapter is None:
             return None
@@ -389,8 +392,8 @@ def identity(status: os.stat_result) -> Identity:
 
 
 def with_address(argument: Any, call: Callable[[int], int]) -> Any:
-    """`call` with a Python argument as `fcntl.ioctl` hands it on: a number as it is, a buffer by its address, of
-    immutable bytes a copy, which is then the result.
+    """Call `call` with a Python argument as `fcntl.ioctl` does: a number as it is, a buffer by its address, a copy of
+    immutable bytes, which is then the result.
     """
     if isinstance(argument, int):
         return call(argument)

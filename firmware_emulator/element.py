@@ -5,7 +5,7 @@ For a sensor with axes s, in the data sheet's unit and at temperature T:
     input = (1 + k (T - 25)) R s  +  G f  +  b + d (T - 25)  +  white noise
 
 R (3x3) is scale and misalignment, k the change of scale, G f the effect of specific force on a gyroscope, b the bias
-and d its slope. Where the sensor sits in the box is not felt: every sensor is at the box's origin.
+and d its slope. The position of the sensor in the box has no effect: every sensor is at the box's origin.
 """
 
 from __future__ import annotations
@@ -80,31 +80,33 @@ def product(a: Matrix, b: Matrix) -> Matrix:
 
 
 def sum_of(row: Triple, column: int, matrix: Matrix) -> float:
-    """One element of a product of matrices."""
+    """Return one element of a product of matrices."""
     return row[0] * matrix[0][column] + row[1] * matrix[1][column] + row[2] * matrix[2][column]
 
 
 def times(matrix: Matrix, factor: float) -> Matrix:
-    """`factor` times `matrix`."""
+    """Return `factor` times `matrix`."""
     x, y, z = ((a * factor, b * factor, c * factor) for a, b, c in matrix)
     return x, y, z
 
 
 def transposed(matrix: Matrix) -> Matrix:
-    """Rows for columns."""
+    """Return the transpose."""
     x, y, z = zip(*matrix, strict=True)
     return x, y, z
 
 
 def applied(matrix: Matrix, vector: Triple) -> Triple:
-    """matrix @ vector."""
+    """Return matrix @ vector."""
     (a, b, c), (d, e, f), (g, h, i) = matrix
     x, y, z = vector
     return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
 
 
 def stream(seed: int, key: str) -> np.random.Generator:
-    """Random numbers of their own for everything that has a name: leaving one out changes no other."""
+    """Return a random generator of its own for each name: without one of them, the numbers of the others are the
+    same.
+    """
     return np.random.default_rng([seed, crc32(key.encode())])
 
 
@@ -131,11 +133,11 @@ class SensingElement:
         self._ideal = ZERO
 
     def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
-        """Input of the converter along the sensor's x, y, z, in the data sheet's unit, noise included."""
+        """Return the input of the converter along the sensor's x, y, z, in the data sheet's unit, noise included."""
         if (full_scale, bandwidth_hz) != self._setting:
             self._set(full_scale, bandwidth_hz)
         stimulus = self._world(at_ns)
-        if stimulus is not self._felt:  # a box at rest feels the very same thing again and again
+        if stimulus is not self._felt:  # the stimulus of a box at rest is the same object for a long time
             self._felt, self._ideal = stimulus, self._without_noise(stimulus)
         used = self._used
         if used >= len(self._noise):
@@ -145,11 +147,11 @@ class SensingElement:
         return x + dx * noise[used], y + dy * noise[used + 1], z + dz * noise[used + 2]
 
     def temperature(self, at_ns: int) -> float:
-        """Return the temperature that the chip's own thermometer feels, its offset included, in degC."""
+        """Return the temperature of the chip's own thermometer, its offset included, in degC."""
         return self._world(at_ns).temperature_degc + self.unit.thermometer_offset_degc
 
     def pressure(self, at_ns: int) -> float:
-        """Air pressure in Pa, the part's offset included."""
+        """Return the air pressure in Pa, the part's offset included."""
         return self._world(at_ns).pressure_pa + self.unit.pressure_offset_pa
 
     def _set(self, full_scale: float, bandwidth_hz: float) -> None:

@@ -43,12 +43,14 @@ CHIP_FAULTS = MappingProxyType(
         "clock_held": "hangs",
     }
 )
-"""Faults of one sensor: it does not acknowledge; is unplugged and plugged in again; falls back to its defaults; loses
-the bit that keeps a reading in one piece; gives the same reading again, as a new one or as an old one; comes up with
-another bias; a driver of the kernel takes its address; it holds the clock whenever it is addressed."""
+"""Faults of one sensor: it does not acknowledge; it is unplugged and plugged in again; it resets to its defaults; it
+loses the setting that keeps the bytes of a reading together; it repeats a reading, as a new one or as an old one; it
+starts with another bias; a driver of the kernel takes its address; it holds the clock whenever it is addressed.
+"""
 BUS_FAULTS = ("stuck_bus", "wrong_channel", "mux_reset", "stall", "adapter_unplugged")
-"""Faults of all: somebody holds a wire; the multiplexer takes no order; forgets the last; the program is not run; the
-adapter is unplugged, from which the chips had their supply, and plugged in again."""
+"""Faults of all sensors: a device holds a wire; the multiplexer ignores a command, or loses the last one; the program
+is not run; the adapter, which supplies the chips, is unplugged and plugged in again.
+"""
 FAULTS = (*CHIP_FAULTS, *BUS_FAULTS)
 MOMENTARY = ("reset", "torn", "mux_reset")
 TRIADS = ("frozen", "stale", "start_up")
@@ -93,7 +95,7 @@ _HEADER = re.compile(r"\s*\[\[\s*fault\s*\]\]")
 
 
 def _line_of(text: str, number: int, key: str) -> int:
-    """Return the line of a key of the fault `number`, else of its header; 0 if it has none."""
+    """Return the line of a key of the fault `number`, or of its header; 0 if it has none."""
     lines = text.splitlines()
     headers = [place for place, line in enumerate(lines) if _HEADER.match(line)]
     if number > len(headers):

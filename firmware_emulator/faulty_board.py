@@ -1,4 +1,4 @@
-"""A board on which faults happen by the clock (`firmware_emulator.faults`); its parts are another board's.
+"""A board with scheduled faults (`firmware_emulator.faults`); its parts are those of another board.
 
 The multiplexer, the wires and the program itself fail between the chips. Instants are in ns since power-on.
 """
@@ -23,7 +23,9 @@ TIME_OUT_NS = 30_000_000
 
 
 class FaultyMux(Pca9544aChip):
-    """A multiplexer that sometimes takes no order, or another; or says so and does not switch (`reads_right`)."""
+    """A multiplexer that sometimes ignores a command or carries out another one; with `reads_right` its control byte
+    reads back as written without effect.
+    """
 
     def __init__(
         self,
@@ -38,7 +40,7 @@ class FaultyMux(Pca9544aChip):
         super().__init__(address, channels, powered_on_ns)
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """Acknowledged whatever becomes of it."""
+        """Acknowledge in any case."""
         self._kept = None
         for times, channel, reads_right in self._orders:
             if times.during(at_ns - self._powered_on_ns):
@@ -50,7 +52,7 @@ class FaultyMux(Pca9544aChip):
         return super().write(data, at_ns, byte_ns)
 
     def stop(self, at_ns: int) -> None:
-        """Switch, or stay."""
+        """Switch, or keep the channel."""
         super().stop(at_ns)
         if self._kept is not None:
             self.route = self._kept
@@ -83,7 +85,7 @@ class FaultyWires:
         self.mux: FaultyMux | None = None
 
     def __call__(self, wire: Wire, devices: Sequence[Target]) -> None:
-        """Before a transaction with these devices."""
+        """Apply faults before a transaction with these devices."""
         clock = wire.clock
         since_ns = clock.now_ns() - self._powered_on_ns
         for index, times in enumerate(self._removals):
@@ -107,7 +109,7 @@ class FaultyWires:
             raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
 
     def _plug_in(self, wire: Wire, since_ns: int) -> None:
-        """Everything has its supply again, since then."""
+        """Note that all chips have their supply again, since then."""
         for chip in self.chips:
             chip.power_on(self._powered_on_ns + since_ns)
         if self.mux is not None:
@@ -150,7 +152,7 @@ class FaultyBoard(Board):
         self._switching = bool(self._orders or by_kind["mux_reset"] or by_kind["adapter_unplugged"])
 
     def wire(self, clock: WireClock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
-        """Return the other board's, interfered with."""
+        """Return the element of the other board, with the faults of the sensor."""
         wire = self._inner.wire(clock, bit_rate_hz, nack_errno, host_ns)
         if self._interfering:
             wire.interference = self._wires
@@ -159,7 +161,9 @@ class FaultyBoard(Board):
     def router(
         self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int
     ) -> Pca9544aChip:
-        """One that takes wrong orders, if it does; a mechanism's own is then left out."""
+        """Return a multiplexer that carries out wrong commands, if there is such a fault; a mechanism's own one is not
+        used then.
+        """
         if not self._switching:
             return self._inner.router(chip, address, channels, powered_on_ns)
         named(chip, MUXES, "mux")
@@ -167,25 +171,25 @@ class FaultyBoard(Board):
         return self._wires.mux
 
     def element(self, sensor: SensorLike) -> Element:
-        """Return the other board's, with another bias if it starts up so."""
+        """Return the other board's element, with another bias if it starts with one."""
         element = self._inner.element(sensor)
         shifts = [fault for fault in self.chip_faults.get(sensor.name, []) if fault.action == "start_up"]
         return ShiftedElement(element, shifts, self._powered_on_ns) if shifts else element
 
     def kind(self, sensor: SensorLike) -> Callable[..., Chip]:
-        """Return the other board's."""
+        """Return the other board's builder."""
         return self._inner.kind(sensor)
 
     def switches(self, sensor: SensorLike) -> Mapping[str, Any]:
-        """Return the other board's."""
+        """Return the other board's switches."""
         return self._inner.switches(sensor)
 
     def generator_key(self, sensor: SensorLike) -> str:
-        """Return the other board's."""
+        """Return the other board's key."""
         return self._inner.generator_key(sensor)
 
     def device(self, sensor: SensorLike, chip: Chip) -> Target:
-        """Return the other board's, with its faults."""
+        """Return the other board's device, with its faults."""
         device = self._inner.device(sensor, chip)
         self._wires.chips.append(chip)
         faults = self.chip_faults.get(sensor.name, [])
@@ -194,10 +198,10 @@ class FaultyBoard(Board):
         return FaultyDevice(device, chip, sensor.chip, faults, self._powered_on_ns) if faults else device
 
     def owned(self, address: int, bus: str, clock: WireClock) -> bool:
-        """Return true if a driver of the kernel has that address now."""
+        """Return whether a driver of the kernel has that address now."""
         since_ns = clock.now_ns() - self._powered_on_ns
         return any(fault.active(since_ns) for fault in self._places.get((address, bus), []))
 
     def host_clock(self, clock: WireClock) -> WireClock:
-        """Return the other board's."""
+        """Return the other board's clock."""
         return self._inner.host_clock(clock)

@@ -1,4 +1,4 @@
-"""Parts that fail at given times: a chip behind its pins, a sensing element.
+"""Parts that fail at given times: a chip, a sensing element.
 
 Instants are in ns since power-on. A fault takes effect on a chip when the chip is next addressed, as of the instant at
 which it was due.
@@ -18,8 +18,8 @@ from imuarray.facts import bma180, l3g4200d
 
 @dataclass(frozen=True)
 class Times:
-    """The times of a fault: from `begin_ns` on for `length_ns`, and again every `period_ns` (0: never), `count` times
-    (0: for ever).
+    """The times of a fault: from `begin_ns` on for `length_ns`, and again every `period_ns` (0: once), `count` times
+    (0: without end).
     """
 
     begin_ns: int
@@ -28,28 +28,28 @@ class Times:
     count: int = 0
 
     def begun(self, at_ns: int) -> int:
-        """Return how often it has begun by then."""
+        """Return how many times it has begun by then."""
         if at_ns < self.begin_ns:
             return 0
         number = (at_ns - self.begin_ns) // self.period_ns + 1 if self.period_ns else 1
         return min(number, self.count) if self.count else number
 
     def start_ns(self, number: int) -> int:
-        """Return when it began for that time, counted from 1."""
+        """Return when occurrence number `index`, counted from 1, begins."""
         return self.begin_ns + (number - 1) * self.period_ns
 
     def during(self, at_ns: int) -> bool:
-        """Return true if it is there."""
+        """Return whether it lasts at that time."""
         number = self.begun(at_ns)
         return number > 0 and at_ns - self.start_ns(number) < self.length_ns
 
     def ended(self, at_ns: int) -> int:
-        """Return how often it has ended by then."""
+        """Return how many times it has ended by then."""
         return self.begun(at_ns - self.length_ns)
 
 
 class ReadyLayout(NamedTuple):
-    """The place of a chip's triad; which bits of which register, and of which bytes of the triad, say it is new."""
+    """The place of a chip's triad; the bits of a register, and of the bytes of the triad, that mark it as new."""
 
     first: int
     ready: int
@@ -90,12 +90,12 @@ class ChipFault:
     held: bytes = b""
 
     def active(self, at_ns: int) -> bool:
-        """Return true if it is there and has not been cured."""
+        """Return whether it lasts and has not been ended by a set-up."""
         return self.times.during(at_ns) and self.times.begun(at_ns) > self.cured
 
 
 class FaultyDevice:
-    """A chip of that `kind` with its faults, in place of `device`, which is the chip or what stands before it."""
+    """A chip of that `kind` with its faults, in place of `device`, which is the chip or a device in front of it."""
 
     def __init__(
         self, device: Target, chip: Chip, kind: str, faults: Sequence[ChipFault], powered_on_ns: int = 0
@@ -107,7 +107,7 @@ class FaultyDevice:
 
     @property
     def address(self) -> int:
-        """The chip's."""
+        """The chip's address."""
         return self._device.address
 
     @address.setter
@@ -115,11 +115,13 @@ class FaultyDevice:
         self._device.address = value
 
     def hangs(self, at_ns: int) -> bool:
-        """Return true if it holds the clock for good when it is addressed."""
+        """Return whether it holds the clock without end when it is addressed."""
         return any(fault.action == "hangs" and fault.active(at_ns - self._powered_on_ns) for fault in self._faults)
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """Write to the device, unless it is deaf or gone; what was due happens first."""
+        """Write to the device, unless it does not answer or is unplugged, after carrying out the faults that were
+        due.
+        """
         since_ns = at_ns - self._powered_on_ns
         for fault in self._faults:
             self._catch_up(fault, since_ns)
@@ -145,7 +147,7 @@ class FaultyDevice:
         self._device.stop(at_ns)
 
     def _catch_up(self, fault: ChipFault, since_ns: int) -> None:
-        """Apply to the chip what happened since the last transaction."""
+        """Apply the faults that began or ended since the last transaction."""
         plugged_in = fault.action == "unplugged"
         number = fault.times.ended(since_ns) if plugged_in else fault.times.begun(since_ns)
         if number <= fault.done or fault.action not in ("unplugged", "reset", "torn"):
@@ -176,7 +178,7 @@ class FaultyDevice:
 
 
 def _unshadow(chip: Chip, at_ns: int) -> None:
-    """The bit that keeps low and high byte together flips (BMA-99)."""
+    """Flip the bit that keeps low and high byte together (BMA-99)."""
     control = chip.page[bma180.CTRL_REG0.address]
     chip.store(bma180.CTRL_REG0.address, control | bma180.EE_W.mask, at_ns)
     chip.store(bma180.GAIN_Y.address, chip.page[bma180.GAIN_Y.address] | bma180.SHADOW_DIS.mask, at_ns)
@@ -184,7 +186,7 @@ def _unshadow(chip: Chip, at_ns: int) -> None:
 
 
 def _update_at_once(chip: Chip, at_ns: int) -> None:
-    """The bit that keeps low and high byte together flips (L3G-50)."""
+    """Flip the bit that keeps low and high byte together (L3G-50)."""
     control = chip.page[l3g4200d.CTRL_REG4.address]
     chip.store(l3g4200d.CTRL_REG4.address, control & ~l3g4200d.BLOCK_DATA_UPDATE.mask, at_ns)
 
@@ -192,17 +194,17 @@ def _update_at_once(chip: Chip, at_ns: int) -> None:
 TEARS: MappingProxyType[str, Callable[[Chip, int], None]] = MappingProxyType(
     {"bma180": _unshadow, "l3g4200d": _update_at_once}
 )
-"""How readings come to be torn, by chip; the others have no such bit (ADX-49, HMC-33)."""
+"""Functions that make readings torn, by chip; the others have no such bit (ADX-49, HMC-33)."""
 
 
 class ShiftedElement:
-    """A sensing element whose bias is another one while a start-up fault is there."""
+    """A sensing element whose bias is different during a start-up fault."""
 
     def __init__(self, element: Element, faults: Sequence[ChipFault], powered_on_ns: int) -> None:
         self._element, self._faults, self._powered_on_ns = element, faults, powered_on_ns
 
     def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
-        """Return the element's sample, plus the biases of the faults that are there."""
+        """Return the element's sample, plus the biases of present faults."""
         x, y, z = self._element.sample(at_ns, full_scale, bandwidth_hz)
         for fault in self._faults:
             if fault.active(at_ns - self._powered_on_ns):

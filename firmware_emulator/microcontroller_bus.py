@@ -23,7 +23,7 @@ SELECTS = 8
 DONE, NOBODY, HELD, REFUSED = 0, 1, 2, 3
 """Results of a transaction: done, no acknowledge, bus held, refused."""
 SPI_PATH = "/dev/spidev0."
-"""A sensor that an array has on chip select N of controller 0 is on chip select N of the microcontroller."""
+"""Chip select N of controller 0 in the array is chip select N of the microcontroller."""
 SLOWEST_HZ = 1_000_000
 """The clock of a chip select that was not configured."""
 
@@ -35,16 +35,16 @@ class Transfers(Protocol):
         """One transaction; OSError as the emulated wire gives it."""
 
     def set_select(self, select: int, mode: int, clock_hz: int) -> None:
-        """Set mode and clock of a chip select; ValueError for what no controller can do. Without SPI it is not
-        called.
+        """Set mode and clock of a chip select; ValueError if no controller supports them. It is not called without
+        SPI.
         """
 
 
 class SelectPort(Protocol):
-    """A chip select, clocked as it was set."""
+    """A chip select with its clock setting."""
 
     def exchange(self, sent: bytes) -> bytes:
-        """Send bytes; as many that came back."""
+        """Send bytes; return as many received bytes."""
 
 
 class Buses(Protocol):
@@ -60,7 +60,7 @@ class Buses(Protocol):
 class MicrocontrollerBus:
     """The buses of a microcontroller that is connected to `array`.
 
-    An SPI transaction of no chip reads FF, as an open line does.
+    An SPI transaction without a chip reads FF, as an open line does.
     """
 
     def __init__(self, array: Buses) -> None:
@@ -68,7 +68,7 @@ class MicrocontrollerBus:
         self._ports: dict[int, SelectPort | None] = {}
 
     def set_select(self, select: int, mode: int, clock_hz: int) -> None:
-        """Set mode and clock of a chip select; ValueError for what no controller can do."""
+        """Set mode and clock of a chip select; ValueError if no controller supports them."""
         if select not in range(SELECTS):
             raise ValueError(f"chip select {select}: allowed are 0 to {SELECTS - 1}")
         try:
@@ -77,9 +77,9 @@ class MicrocontrollerBus:
             self._ports[select] = None
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """One transaction; on SPI the bytes that came after `write`, while zeros were sent.
+        """Carry out one transaction; on SPI return the bytes that are received after `write`, while zeros are sent.
 
-        OSError as the emulated wire gives it; ValueError for a chip select that there isn't.
+        OSError as the emulated wire gives it; ValueError for a chip select that does not exist.
         """
         if address < FIRST_SELECT:
             return self._array.transfer(address, write, read)

@@ -5,7 +5,7 @@ which, and how. Commands are processed between two frames. A command that cannot
 result that states so.
 
 The framing of the link is written from the description in `imuarray.bus.serial_link` and shares no code with it, so
-that a mistake in one of them shows.
+that a mistake in one of them is detected.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Command(NamedTuple):
 
 
 class Receiver:
-    """Finds frames in what arrives."""
+    """A parser that finds frames in the received bytes."""
 
     def __init__(self) -> None:
         self._frame = bytearray()
@@ -56,7 +56,7 @@ class Receiver:
             yield from self._complete()
 
     def _complete(self) -> Iterator[Command]:
-        """Frames at the front; what can't become one is dropped, byte by byte."""
+        """Yield frames at the front; bytes that can't begin a frame are dropped."""
         while self._frame and (size := self._size()) <= len(self._frame):
             raw = bytes(self._frame[:size])
             if size and zlib.crc32(raw[2:-4]) == int.from_bytes(raw[-4:], "little"):
@@ -77,7 +77,7 @@ class Receiver:
 
 
 def frame(kind: int, sequence: int, time_us: int, payload: bytes) -> bytes:
-    """Return what is sent."""
+    """Return the bytes to send."""
     body = struct.pack("<HBHI", len(payload), kind, sequence & 0xFFFF, time_us & 0xFFFFFFFF) + payload
     return bytes([FIRST, SECOND]) + body + struct.pack("<I", zlib.crc32(body))
 
@@ -87,7 +87,7 @@ LONGEST_AGE_US = 0xFFFD
 ANSWER, DATA = 0x80, 0xD0
 LISTS = 128
 REQUEST_BYTES = 1536
-"""The size that fits into 2.5 KiB of memory, all that the paper's microcontroller has, with everything else."""
+"""The size that fits into 2.5 KiB of memory, which is all that the paper's microcontroller has, with the other data."""
 
 
 COUNTED = 0x80
@@ -104,7 +104,7 @@ class FirmwareRequest(NamedTuple):
     rule: bytes = b""
 
     def bytes_of(self, answer: bytes) -> int:
-        """How many bytes are read behind this answer."""
+        """Return how many bytes are read after this answer."""
         if not self.rule:
             return self.read
         offset, order, mask, packet = struct.unpack("<BBHB", self.rule)
@@ -116,7 +116,7 @@ class FirmwareRequest(NamedTuple):
 
 @dataclass
 class FirmwarePollList:
-    """Gone through in frames number `offset`, `offset` + `every`, ..."""
+    """A list of requests for frames number `offset`, `offset` + `every`, ..."""
 
     every: int
     offset: int
@@ -124,9 +124,9 @@ class FirmwarePollList:
 
 
 class Firmware:
-    """One microcontroller on `bus`. Its counter stands at `counter_us` as it starts and runs fast by `drift` (1e-4: by
-    100 parts in a million); `clock` is true time. With `selects` chip selects it speaks of SPI, and otherwise as
-    firmware did before there was any.
+    """One microcontroller on `bus`. Its counter starts at `counter_us` and is fast by `drift` (1e-4: by 100 parts in a
+    million); `clock` is true time. With `selects` chip selects it reports SPI; otherwise it answers like earlier
+    firmware without SPI.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class Firmware:
             self._commands[8] = self._select
 
     def time_us(self) -> int:
-        """Return the counter, which has no end here."""
+        """Return the counter, which does not wrap here."""
         return self._counter_us + int((self.clock.now_ns() - self._started_ns) * self.rate) // 1000
 
     @property
@@ -158,12 +158,12 @@ class Firmware:
         return self._begun_ns + round(self._number * self._period_ns) if self._period_ns else None
 
     def feed(self, data: bytes) -> bytes:
-        """Bytes from the host; what is answered."""
+        """Process bytes from the host; return the answers."""
         return b"".join(self._answer(command) for command in self._receiver.feed(data))
 
     def tick(self) -> list[bytes]:
-        """Begin the next frame if it is time to: what it sends, list by list. One that would begin a whole frame late
-        is left out.
+        """Begin the next frame if it is due; return the bytes to send, list by list. A frame that would begin a whole
+        period late is omitted.
         """
         if self.due_ns is None or self.due_ns > self.clock.now_ns():
             return []
@@ -193,7 +193,7 @@ class Firmware:
         return frame(DATA, number, now_us, bytes(payload))
 
     def _try_twice(self, request: FirmwareRequest, size: int) -> tuple[int, int, bytes]:
-        """Result, when its START was on the wire, and the `size` bytes that are read, with zeros behind them."""
+        """Return the result, the time of its START, and the `size` bytes that were read, padded with zeros."""
         for _ in range(2):
             begun_us = self.time_us()
             result, data = self._transaction(request.address, request.write, size)
@@ -285,5 +285,5 @@ def requests_in(body: bytes, selects: int) -> list[FirmwareRequest] | None:
 
 
 def size_of(requests: list[FirmwareRequest]) -> int:
-    """Bytes that they take in memory."""
+    """Return the bytes that they occupy in memory."""
     return sum(3 + len(request.rule) + len(request.write) for request in requests)

@@ -1,4 +1,4 @@
-"""The emulated microcontroller behind a pseudo-terminal, which other programs open as they would /dev/ttyACM0."""
+"""The emulated microcontroller at a pseudo-terminal, which other programs open like /dev/ttyACM0."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Self
 from firmware_emulator.serial_firmware import Firmware
 
 ROOM = 4096
-"""Bytes that wait while the terminal is not read, besides the terminal's own buffer; a list that does not fit is
+"""Most bytes that wait while the terminal is not read, besides the terminal's own buffer; a list that does not fit is
 dropped.
 """
 CHUNK = 65536
@@ -39,7 +39,7 @@ class SerialPort:
             pass
 
     def shutdown(self) -> None:
-        """Let `serve_forever` return."""
+        """End `serve_forever`."""
         os.write(self._waker, b"\0")
 
     def _step(self) -> bool:

@@ -1,6 +1,6 @@
 """Serves the emulated array on a TCP port to Linux's USB/IP client, with one USB I2C adapter for each bus.
 
-USB/IP has neither passwords nor encryption: everybody who reaches the port can use the bus. One thread serves all
+USB/IP has neither passwords nor encryption: any program that reaches the port can use the bus. One thread serves all
 clients, so that two requests never use the wire at the same time.
 
 `TinyUsb` is an adapter that Linux drives with its own module i2c-tiny-usb. The commands are those of
@@ -31,7 +31,7 @@ ECHO, GET_FUNCTIONALITY, SET_DELAY, GET_STATUS, I2C_IO = 0, 1, 2, 3, 4
 BEGIN, END = 1, 2
 COMMANDS_OF_IO = (I2C_IO, I2C_IO | BEGIN, I2C_IO | END, I2C_IO | BEGIN | END)
 READ = 0x0001
-"""I2C_M_RD; the other message flags are not looked at, none of them is advertised."""
+"""I2C_M_RD; the other message flags are ignored, none of them is advertised."""
 IDLE, ACKNOWLEDGED, NOT_ACKNOWLEDGED = 0, 1, 2
 FUNCTIONALITY = 0x0EFF0009
 """I2C_FUNC_I2C | I2C_FUNC_SMBUS_EMUL."""
@@ -47,7 +47,7 @@ LONGEST_STRING = 252
 
 
 class TinyUsb:
-    """The adapter: `control` is its endpoint 0. `title` is its serial number, so that several can be told apart."""
+    """The adapter: `control` is its endpoint 0. `title` is its serial number, which distinguishes several adapters."""
 
     identity = IDENTITY
 
@@ -74,7 +74,9 @@ class TinyUsb:
         self.status, self.configuration = IDLE, 0
 
     def _standard(self, setup: Setup) -> bytes | None:
-        """USB 2.0, table 9-3: neither remote wake-up nor a halted endpoint exists, so that no feature can be set."""
+        """Answer a standard request (USB 2.0, table 9-3): neither remote wake-up nor a halted endpoint exists, so that
+        no feature can be set.
+        """
         match setup.request_type >> 7, setup.request:
             case 1, 0 | 10:  # GET_STATUS, GET_INTERFACE
                 return b"\0\0"
@@ -115,7 +117,9 @@ class TinyUsb:
         return bytes([self.status]) if setup.request == GET_STATUS else None
 
     def _message(self, setup: Setup, data: bytes) -> bytes | None:
-        """One I2C message. The host asks for the status afterwards: not acknowledged, it reads zeros (the firmware)."""
+        """Transfer one I2C message. The host reads the status afterwards: without acknowledge, it reads zeros (the
+        firmware).
+        """
         if setup.request & BEGIN:
             self._finish()
         self._start()
@@ -141,7 +145,8 @@ class TinyUsb:
         self._messages += 1
 
     def _finish(self) -> None:
-        """STOP, and wait until a real bus would be free: the next transaction must not begin before this one is over.
+        """Send a STOP, and wait until a real bus would be free: the next transaction must not begin before this one is
+        over.
 
         START or repeated START takes less than one clock, STOP and the pause after it less than two (BUS-06).
         """
@@ -154,7 +159,7 @@ class TinyUsb:
 
 
 def string_descriptor(text: str) -> bytes:
-    """USB 2.0, 9.6.7: length, type 3, UTF-16LE; cut where the length byte ends."""
+    """Return a string descriptor (USB 2.0, 9.6.7): length, type 3, UTF-16LE; cut where the length byte ends."""
     encoded = text.encode("utf-16-le", "replace")[:LONGEST_STRING]
     return bytes([2 + len(encoded), 3]) + encoded
 
@@ -191,7 +196,7 @@ class UsbipServer:
     """Serves `wires` (by name of the bus, "" for the trunk) as busid 1-1, 1-2, ...; OSError if the port is not
     available.
 
-    `title` is what the adapters call themselves; `log` gets one line for everything that happens to a client.
+    `title` is the name of the adapters; `log` receives one line for each event of a client.
     """
 
     def __init__(
@@ -216,7 +221,7 @@ class UsbipServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port: the one that was given by the system for port 0."""
+        """The host and the port, which the system has chosen for port 0."""
         host, port = self._listener.getsockname()[:2]
         return host, port
 
@@ -231,7 +236,7 @@ class UsbipServer:
                 self._drop(client, "said nothing")
 
     def shutdown(self) -> None:
-        """Let `serve_forever` return."""
+        """End `serve_forever`."""
         self._waker.send(b"\0")
 
     def __enter__(self) -> Self:
@@ -286,5 +291,5 @@ class UsbipServer:
 
 
 def family_of(host: str) -> socket.AddressFamily:
-    """IPv6 for an address with colons."""
+    """Return the address family: IPv6 for an address with colons."""
     return socket.AF_INET6 if ":" in host else socket.AF_INET

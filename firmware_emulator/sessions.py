@@ -1,4 +1,4 @@
-"""A bench session that was drawn elsewhere: poses, temperature, motions, the room, the recorder, labels.
+"""A bench session from another program: poses, temperature, motions, the room, the recorder, labels.
 
 ::
 
@@ -34,13 +34,13 @@ from firmware_emulator.world import (
 
 UPWARDS: Triple = (0.0, 0.0, 1.0)
 RAMP_S = 1.0
-"""A motion sets in and dies down within so long."""
+"""Duration of the beginning and the end of a motion."""
 DRAUGHT_PERIODS_S = (23.0, 61.0, 173.0, 431.0)
-"""Periods of the swings of a draught; each swing has its own phase."""
+"""Periods of the temperature swings of a draught; each swing has its own phase."""
 
 
 def of_table(kind: Callable[..., Any], table: Mapping[str, Any]) -> Any:
-    """Return a record of a table's entries, lists as tuples; ValueError for an entry that it doesn't have."""
+    """Return a record of a table's entries, lists as tuples; ValueError for an unknown entry."""
     known = {field.name for field in fields(kind)}  # type: ignore[arg-type]
     if unknown := sorted(set(table) - known):
         raise ValueError(f"{unknown[0]}: no entry of a {_words_of(kind)}; allowed are {', '.join(sorted(known))}")
@@ -88,7 +88,7 @@ class Rocking:
     shake_hz: float
 
     def felt(self, at_s: float, still: WorldStimulus) -> WorldStimulus:
-        """Return the stimulus of a box that would feel `still` at rest."""
+        """Return the stimulus of a box whose stimulus at rest would be `still`."""
         if not self.start_s < at_s < self.end_s:
             return still
         passed_s, left_s = at_s - self.start_s, self.end_s - at_s
@@ -125,13 +125,15 @@ class TableVibration:
     share: float = 1.0
 
     def is_on(self, at_s: float) -> bool:
-        """Return true if it runs."""
+        """Return whether it runs."""
         return not self.cycle_s or at_s % self.cycle_s < self.share * self.cycle_s
 
 
 @dataclass(frozen=True)
 class Room:
-    """A room: temperature at the start, its drift, swings of `draught_degc` rms, and what makes the table vibrate."""
+    """A room: temperature at the start, its drift, swings of `draught_degc` rms, and sources of vibration of the
+    table.
+    """
 
     degc: float = ROOM_DEGC
     drift_degc_per_s: float = 0.0
@@ -149,7 +151,8 @@ class Room:
 @dataclass(frozen=True)
 class Recorder:
     """A share of transactions waits `mean_ms` (exponentially); `stalls_per_min` times a minute nothing is read for
-    `stall_s`. Whether it reads the chips' thermometers, and notes what the bench was told (`reference`).
+    `stall_s`. The flags are whether it reads the chips' thermometers, and whether it stores the commanded motion
+    (`reference`).
     """
 
     rate_hz: float
@@ -161,7 +164,7 @@ class Recorder:
     reference: bool = True
 
     def waits_ns(self, seed: int, run: int, transactions_per_s: float) -> Callable[[], int]:
-        """Return the wait of a transaction, drawn anew for each."""
+        """Return a wait that is drawn for each transaction."""
         random = stream(seed, f"recorder, run {run}")
         stall = self.stalls_per_min / 60.0 / transactions_per_s
 
@@ -176,7 +179,7 @@ class Recorder:
 
 @dataclass(frozen=True)
 class Course:
-    """A world: the box goes from pose to pose by turns of `turn_s`, is heated and moved, in a room of that seed."""
+    """A world: the box turns from pose to pose in `turn_s` each, is heated and moved, in a room of that seed."""
 
     poses: tuple[RestPose, ...]
     turn_s: float
@@ -187,7 +190,7 @@ class Course:
     phases: tuple[WorldPhase, ...] = ()
 
     def __call__(self, at_ns: int) -> WorldStimulus:
-        """Return what the box feels at `at_ns`."""
+        """Return the stimulus of the box at `at_ns`."""
         at_s = max(at_ns, 0) * 1e-9
         return self.shaken(at_s, self.commanded(at_ns))
 
@@ -200,7 +203,7 @@ class Course:
         return felt
 
     def posed(self, at_s: float) -> WorldStimulus:
-        """Return the stimulus at rest in a pose, or on the way to the next; forces of turning are not felt."""
+        """Return the stimulus at rest in a pose, or during the turn to the next; forces of the turn are omitted."""
         index = min(bisect_right(self._starts_s, at_s) - 1, len(self.poses) - 1)
         since_s = at_s - self._starts_s[index]
         if since_s <= self.poses[index].hold_s or index == len(self.poses) - 1:
@@ -233,7 +236,7 @@ class Course:
         return degc + stretch.towards_degc + (self._begin_degc[index] - stretch.towards_degc) * remaining
 
     def shaken(self, at_s: float, felt: WorldStimulus) -> WorldStimulus:
-        """Add what makes the table vibrate."""
+        """Add the vibration of the table."""
         for vibration, phase in zip(self.room.vibrations, self._phases, strict=False):
             if vibration.is_on(at_s):
                 wave = math.sin(2 * math.pi * vibration.hz * at_s + phase)
@@ -285,7 +288,7 @@ class Course:
 
 @dataclass(frozen=True)
 class ReferenceWorld:
-    """The commanded course as a world: the world of a reference instrument."""
+    """The commanded motion as a world: the world of a reference instrument."""
 
     course: Course
 
@@ -296,7 +299,7 @@ class ReferenceWorld:
 
 def session(table: Mapping[str, Any], room: Room, seed: int) -> BenchExperiment:
     """One log: its `name`, `seconds`, `poses`, `turn_s`, `stretches`, `motions` and `phases` (start_s, end_s, name,
-    up), as somebody noted them; `reference_hz` as in `BenchExperiment`.
+    up), as noted by a person; `reference_hz` as in `BenchExperiment`.
     """
     phases = [
         WorldPhase(round(start_s * 1e9), round(end_s * 1e9), str(name), str(up))
@@ -320,8 +323,8 @@ def session(table: Mapping[str, Any], room: Room, seed: int) -> BenchExperiment:
 
 
 def turn_to(before: Triple, after: Triple) -> tuple[Triple, float]:
-    """Unit axis and angle (rad) of the shortest turn after which `after` is where `before` was; half a turn goes about
-    any axis across.
+    """Return unit axis and angle (rad) of the shortest turn from `before` to `after`; half a turn is about any
+    perpendicular axis.
     """
     axis = cross(after, before)
     sine = math.sqrt(sum(part * part for part in axis))
@@ -337,5 +340,5 @@ def turn_to(before: Triple, after: Triple) -> tuple[Triple, float]:
 
 
 def sessions(table: Sequence[Mapping[str, Any]], room: Room, seed: int) -> tuple[BenchExperiment, ...]:
-    """Return all of a case, in this order; the room's phases are another's in each."""
+    """Return all logs of a case, in this order; the room's phases differ between them."""
     return tuple(session(entry, room, seed * 1000 + run) for run, entry in enumerate(table))

@@ -42,7 +42,7 @@ class SampleGrid:
         return self.time_ns(latest)
 
     def set(self, at_ns: int, period_ns: int) -> bool:
-        """Take a period, 0 for off; samples begin anew with another, and when it was off: True if it was."""
+        """Set the period, 0 for off; samples restart if it changes or was off. Return True if it was off."""
         if not period_ns:
             self.start_ns = NEVER_NS
             return False
@@ -74,7 +74,7 @@ class SixAxis(Chip):
         rate_error: float = 0.0,
         pulse_hz: float = 0.0,
     ) -> None:
-        """`rate_error`: by which share the die's oscillator runs fast. `pulse_hz`: frequency of the pulses on its
+        """`rate_error`: the relative rate error of the die's oscillator. `pulse_hz`: frequency of the pulses on its
         synchronisation input (0: none are connected), short ones at multiples of their period of the bus's clock, so
         that they are the same for all chips.
         """
@@ -93,18 +93,18 @@ class SixAxis(Chip):
         return at_ns - at_ns % self._pulse_ns if self._pulse_ns else None
 
     def is_marked(self, grid: SampleGrid, at_ns: int) -> bool:
-        """Return whether a pulse came since the sample before the one at `at_ns`."""
+        """Return whether a pulse occurred since the sample before the one at `at_ns`."""
         pulse_ns = self.latest_pulse_ns(at_ns)
         return pulse_ns is not None and pulse_ns > at_ns - grid.period_ns
 
     def power_on(self, at_ns: int) -> None:
-        """Every register at its reset value, no reset in progress."""
+        """Set every register to its reset value; no reset is in progress."""
         super().power_on(at_ns)
         self.page[self.who_am_i.address] = self._identity
         self._reset_end_ns = at_ns
 
     def begin_reset(self, address: int, value: int, at_ns: int) -> bool:
-        """Power on anew if this byte sets the reset bit, which then reads 1 until the reset is over."""
+        """Power on again if this byte sets the reset bit, which then reads 1 until the reset is over."""
         if address != self.reset_bit.register.address or not value & self.reset_bit.mask:
             return False
         pointer = self.pointer
@@ -126,18 +126,18 @@ class SixAxis(Chip):
         self._elements[half] = element
 
     def felt(self, half: str, at_ns: int, full_scale: float, bandwidth_hz: float, delay_s: float = 0.0) -> Triple:
-        """Input of one half's converter, in g or dps, of `delay_s` ago."""
+        """Return the input of one half's converter, in g or dps, of `delay_s` ago."""
         element = self._elements.get(half)
         felt_ns = max(self.powered_on_ns, at_ns - round(delay_s * 1e9)) if delay_s else at_ns
         return (0.0, 0.0, 0.0) if element is None else element.sample(felt_ns, full_scale, bandwidth_hz)
 
     def degc(self, at_ns: int) -> float:
-        """Temperature of the die."""
+        """Return the temperature of the die."""
         return next(iter(self._elements.values())).temperature(at_ns)
 
 
 class Half(NamedTuple):
-    """One sensor of a die: which half it is, where its triad begins, and how units differ."""
+    """One sensor of a die: its half, the first register of its triad, and the tolerances of its units."""
 
     name: str
     first: Register
@@ -145,8 +145,8 @@ class Half(NamedTuple):
 
 
 class Die(NamedTuple):
-    """The properties of a six-axis chip: how it is built, and of both halves, accelerometer first, where the
-    triad begins and what the data sheet says of units.
+    """The properties of a six-axis chip: its class, and for both halves, accelerometer first, the first register of the
+    triad and the tolerances of the data sheet.
     """
 
     build: Callable[..., SixAxis]
@@ -155,7 +155,7 @@ class Die(NamedTuple):
 
     @property
     def halves(self) -> dict[str, Half]:
-        """Both halves by what is put behind the name of the die."""
+        """Return both halves by the suffix of the die's name."""
         return {
             suffix: Half(name, first, sheet)
             for suffix, name, first, sheet in zip(

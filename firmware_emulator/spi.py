@@ -2,8 +2,8 @@
 
 A transfer is: select, eight clocks a byte without a gap, release. The first byte is the command: bit 7 reads, the rest
 is a register's address, of which some chips use one bit to request auto-increment. The chip sends nothing during that
-byte, nor while it is written to. With a faster clock than the chip bears, or in a mode that it does not know, each byte
-of an answer comes one bit late, and nothing that is written is understood (DEC-110).
+byte, nor while it is written to. With a clock that is too fast for the chip, or in an unsupported mode, each byte of an
+answer is late by one bit, and written bytes have no effect (DEC-110).
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from firmware_emulator.wire import Wire
 
 READ = 0x80
 SELECT_NS, RELEASE_NS = 50, 150
-"""Time from the select to the first clock, and from the last clock to the next select: the data sheets ask for less
-(DEC-110)."""
+"""Time from the select to the first clock, and from the last clock to the next select: the data sheets require less
+(DEC-110).
+"""
 OPEN_LINE = 0xFF
 """Byte that is read where no chip drives the line: a pull-up."""
 
@@ -24,7 +25,7 @@ OPEN_LINE = 0xFF
 class Dialect(NamedTuple):
     """A chip's SPI protocol: the meaning of the first byte, the fastest clock, and the modes.
 
-    `counts_on`: the bit that makes it go on to the next register (0: it always does); `on_i2c`: the same on I2C.
+    `counts_on`: the bit that requests auto-increment (0: it always increments); `on_i2c`: the same on I2C.
     """
 
     clock_hz: int
@@ -49,10 +50,9 @@ DIALECTS: dict[str, Dialect] = {
 
 
 class ChipSelect:
-    """One chip select of a controller; `wire` has the clock and what goes wrong with the host, `device` is the chip.
+    """One chip select of a controller; `wire` has the clock and the faults of the host, `device` is the chip.
 
-    `clocks` and `transfers` count what went over the wires, `busy_ns` how long a chip was selected.
-    """
+    `clocks` and `transfers` count the traffic, `busy_ns` how long a chip was selected."""
 
     def __init__(self, wire: Wire, device: Target, dialect: Dialect) -> None:
         self.wire = wire
@@ -61,13 +61,13 @@ class ChipSelect:
         self.clocks = self.transfers = self.busy_ns = 0
 
     def port(self, mode: int, clock_hz: int) -> ChipSelectPort:
-        """Return the chip select, clocked so; ValueError for what no controller can do."""
+        """Return the chip select with this clock and mode; ValueError if no controller supports them."""
         if mode not in range(4) or clock_hz <= 0:
             raise ValueError(f"SPI mode {mode}, {clock_hz} Hz: allowed are modes 0 to 3 and clocks above 0")
         return ChipSelectPort(self, clock_hz, mode in self._dialect.modes and clock_hz <= self._dialect.clock_hz)
 
     def exchange(self, sent: bytes, clock_hz: int, understood: bool) -> bytes:
-        """Send bytes; what came back meanwhile."""
+        """Send bytes; return the bytes received during that time."""
         if not sent:
             raise ValueError("an SPI transfer of no bytes")
         wire = self.wire

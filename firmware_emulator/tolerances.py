@@ -24,7 +24,7 @@ class TruncatedNormal:
     mean: float = 0.0
 
     def draw(self, random: np.random.Generator) -> float:
-        """One value."""
+        """Draw one value."""
         while True:
             deviation = float(random.normal(0.0, self.sigma)) if self.sigma else 0.0
             if abs(deviation) <= self.limit:

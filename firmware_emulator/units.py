@@ -30,8 +30,8 @@ class PublishedUnit:
     """One triad of Tables 4, 8 and 10, rows x, y, z. `counts_per_unit` is the typical scale of the data sheet.
 
     An accelerometer's `faces` are the readings with +X, +Y, +Z, -X, -Y, -Z up; a gyroscope's `bias` and `differences`
-    (Table 4) are the mean reading and what it changes from +X, +Y, +Z to -X, -Y, -Z up. `step` is the distance of codes
-    that occur. `thermometer_offset_degc` makes the thermometer's mean of Table 10 come back in a room of 24 degC.
+    (Table 4) are the mean reading and its changes from +X, +Y, +Z to -X, -Y, -Z up. `step` is the distance of codes
+    that occur. `thermometer_offset_degc` gives the thermometer's mean of Table 10 in a room of 24 degC.
     """
 
     chip: str
@@ -155,14 +155,15 @@ MOUNTED: dict[str, Matrix] = {
 
 
 def bias_of(published: PublishedUnit) -> Triple:
-    """Mean of the six faces, or what Table 4 says, in the data sheet's unit."""
+    """The mean of the six faces, or that of Table 4, in the data sheet's unit."""
     counts = [sum(row) / 6 for row in published.faces] if published.faces else published.bias
     x, y, z = (count / published.counts_per_unit for count in counts)
     return x, y, z
 
 
 def force_response(published: PublishedUnit, mounted: Matrix | None = None) -> Matrix:
-    """Half differences of opposite faces: data sheet units per g, rows the sensor's axes, columns those of the sensor.
+    """Return half differences of opposite faces: data sheet units per g, rows the sensor's axes, columns those of the
+    sensor.
 
     `mounted` is the ideal orientation, box = `mounted` @ sensor; without it, the nearest one for an accelerometer.
     """
@@ -185,7 +186,9 @@ def nearest_orientation(by_box_axis: Matrix) -> Matrix:
 
 
 def noise_of(published: PublishedUnit) -> Triple:
-    """Noise before the converter's rounding, in the data sheet's unit; rounding adds step**2 / 12 to the variance."""
+    """Return the noise before the converter's rounding, in the data sheet's unit; rounding adds step**2 / 12 to the
+    variance.
+    """
     rounding = published.step**2 / 12
     x, y, z = (math.sqrt(rms**2 - rounding) / published.counts_per_unit for rms in published.noise)
     return x, y, z
@@ -284,7 +287,7 @@ def lis3mdl(_: float) -> Tolerances:
 
 
 def mmc5983(_: float) -> Tolerances:
-    """MMC-20; where the bridges stand is the chip's own, alignment is left out."""
+    """Tolerances MMC-20; the offset of the bridges is the chip's own, alignment is not modelled."""
     return Tolerances(
         scale=typical(0.05),
         noise=(0.4e-3,) * 3,
@@ -294,7 +297,7 @@ def mmc5983(_: float) -> Tolerances:
 
 
 def ak8963(_: float) -> Tolerances:
-    """AKM-17; noise of two counts is ours (DEC-233), alignment is left out."""
+    """Tolerances AKM-17; noise of two counts is our assumption (DEC-233), alignment is not modelled."""
     return Tolerances(
         bias=(typical(0.75),) * 3,
         scale=typical(0.05),
@@ -305,7 +308,7 @@ def ak8963(_: float) -> Tolerances:
 
 
 def ak8975(_: float) -> Tolerances:
-    """AKM-28; noise of a count is ours (DEC-233), alignment is left out."""
+    """Tolerances AKM-28; noise of a count is our assumption (DEC-233), alignment is not modelled."""
     return Tolerances(
         bias=(typical(3.0),) * 3,
         scale=typical(0.05),
@@ -351,7 +354,7 @@ TOLERANCES: dict[str, Sheet] = {
 
 
 def drawn_response(tolerances: Tolerances, random: np.random.Generator) -> Matrix:
-    """Scale of each axis, a small rotation of the triad, and cross-axis sensitivity of every pair."""
+    """Return the scale of each axis, a small rotation of the triad, and the cross-axis sensitivity of every pair."""
     a, b, c = (math.radians(tolerances.alignment_deg.draw(random)) for _ in range(3))
     rotated = ((1.0, -c, b), (c, 1.0, -a), (-b, a, 1.0))
     rows = []
@@ -364,12 +367,12 @@ def drawn_response(tolerances: Tolerances, random: np.random.Generator) -> Matri
 
 
 def drawn_triple(spread: TruncatedNormal, random: np.random.Generator) -> Triple:
-    """Three independent draws."""
+    """Draw three independent values."""
     return spread.draw(random), spread.draw(random), spread.draw(random)
 
 
 def drawn_unit(chip: str, name: str, full_scale: float, seed: int) -> UnitDeviations:
-    """Return a part bought somewhere: drawn from the tolerances of its data sheet."""
+    """Return a purchased part: drawn from the tolerances of its data sheet."""
     random = stream(seed, f"unit {name}")
     tolerances = TOLERANCES[chip](full_scale)
     bias_x, bias_y, bias_z = (spread.draw(random) for spread in tolerances.bias)
@@ -396,7 +399,9 @@ def drawn_unit(chip: str, name: str, full_scale: float, seed: int) -> UnitDeviat
 
 
 def paper_unit(name: str, seed: int) -> UnitDeviations:
-    """Return a unit of the paper's array. What its tables don't tell (a gyroscope's scale and alignment) is drawn."""
+    """Return a unit of the paper's array. Properties that are not in its tables (a gyroscope's scale and alignment) are
+    drawn.
+    """
     published = TABLES[name]
     drawn = drawn_unit(published.chip, name, published.range, seed)
     x, y, z = (count / published.counts_per_unit for count in published.slope)
@@ -418,7 +423,7 @@ def paper_unit(name: str, seed: int) -> UnitDeviations:
 
 
 def with_low_range_bias(unit: UnitDeviations, low_range_bias: Triple) -> UnitDeviations:
-    """Return the same bias at high ranges, but `low_range_bias` at low ones: the paper tells only the sum of both."""
+    """Return the same bias at high ranges, but `low_range_bias` at low ones: the paper states only the sum of both."""
     x, y, z = (bias - low for bias, low in zip(unit.bias, low_range_bias, strict=True))
     return replace(unit, bias=low_range_bias, shift=(x, y, z))
 

@@ -19,7 +19,7 @@ SUBMIT, UNLINK, RETURN_SUBMIT, RETURN_UNLINK = 1, 2, 3, 4
 OUT, IN = 0, 1
 REFUSED = 1
 STALL = -32
-"""-EPIPE: what Linux makes of an endpoint that refuses a request."""
+"""-EPIPE: the error of Linux when an endpoint refuses a request."""
 FULL_SPEED = 2
 MAX_TRANSFER = 0xFFFF
 
@@ -34,7 +34,7 @@ SETUP = struct.Struct("<BBHHH")
 
 
 class ProtocolError(Exception):
-    """A frame after which the connection can only be closed; one line that says what came and what is allowed."""
+    """A frame after which the connection can only be closed; one line that states the frame and what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,9 @@ class UsbDevice(Protocol):
     identity: UsbIdentity
 
     def control(self, setup: Setup, data: bytes) -> bytes | None:
-        """One control transfer: `data` is its data stage if that goes out, the answer if it comes in; None stalls."""
+        """Carry out one control transfer: `data` is its data stage if that goes out, the answer if it comes in; None
+        stalls.
+        """
 
     def reset(self) -> None:
         """Note that the client has disconnected, perhaps in the middle of a frame."""
@@ -80,7 +82,7 @@ class Export:
         self.taken = False
 
     def description(self) -> bytes:
-        """The 312 bytes that stand for it in both kinds of reply."""
+        """Return the 312 bytes that describe it in both kinds of reply."""
         identity = self.device.identity
         path = f"/sys/devices/platform/imuarray/usb1/{self.busid}"
         place = self.devid >> 16, self.devid & 0xFFFF, FULL_SPEED
@@ -92,7 +94,9 @@ class Export:
 
 
 class Conversation:
-    """One connection. `over` says that the server should close it; `imported` is what this client has, if anything."""
+    """One connection. `over` is True if the server should close it; `imported` is the port that this client has, if
+    any.
+    """
 
     def __init__(self, exports: Sequence[Export]) -> None:
         self.exports = exports
@@ -101,16 +105,15 @@ class Conversation:
         self._pending = bytearray()
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """Yield the answers to every frame that `data` completes, each made when it is asked for.
+        """Yield the answers to every frame that `data` completes, each made when it is requested.
 
-        ProtocolError for a frame that no client sends; nothing is kept for a length that is out of bounds.
-        """
+        ProtocolError for a frame that no client sends; no memory is reserved for a length that is out of bounds."""
         self._pending += data
         while not self.over and (answer := self._answer()) is not None:
             yield answer
 
     def close(self) -> None:
-        """The connection is gone: others may import the device."""
+        """Note that the connection is closed: others may import the device."""
         self.over = True
         if self.imported is not None:
             self.imported.device.reset()
@@ -182,6 +185,6 @@ class Conversation:
         answer = None if endpoint else device.control(setup, frame[ANSWER_SUBMIT.size :])
         status, received = (STALL, b"") if answer is None else (0, answer[:length] if direction == IN else b"")
         actual = length if direction == OUT and answer is not None else len(received)
-        # The number of packets means nothing here; the document wants 0xffffffff, Linux sends 0: give back what came.
+        # The number of packets has no meaning here; the document requires 0xffffffff, Linux sends 0: send it back.
         head = ANSWER_SUBMIT.pack(RETURN_SUBMIT, seqnum, 0, 0, 0, status, actual, start_frame, packets, 0)
         return head + received

@@ -1,4 +1,4 @@
-"""The two wires of one adapter: who answers, which bytes come back, and how long it takes.
+"""The two wires of one adapter: which devices answer, which bytes they send, and how long a transaction takes.
 
 A transaction is START, one or more messages joined by repeated STARTs (`send`, `receive`), STOP (`stop`); `transfer`
 is the usual one, register address out and bytes in. Every byte takes 9 clocks (BUS-01); START, repeated START and STOP
@@ -19,7 +19,7 @@ from firmware_emulator.clock import WireClock
 
 
 class Router(Target, Protocol):
-    """A device that joins others to the trunk: `route` tells which, and changes only in its `stop`."""
+    """A device that connects others to the trunk; `route` names which, and changes only in its `stop`."""
 
     route: int
 
@@ -41,13 +41,16 @@ STANDARD_MODE_MAX_HZ = 100_000
 
 Responders = dict[int, tuple[Target, ...]]
 Interference = Callable[["Wire", Sequence[Target]], None]
-"""Asked at every START, with the wire and the devices that will be addressed; may raise OSError or let time pass."""
+"""Function that is called at every START, with the wire and the devices that will be addressed; it may raise OSError or
+advance the time.
+"""
 
 
 class Wire:
-    """One adapter and what hangs on it. An address without an answer is OSError(`nack_errno`), raised after a STOP.
+    """One adapter and the devices that are connected to it. An address without an answer is OSError(`nack_errno`),
+    raised after a STOP.
 
-    `host_ns` is software time before every START. `scl_clocks` and `transactions` count what went over the wire.
+    `host_ns` is software time before every START. `scl_clocks` and `transactions` count the traffic.
     """
 
     def __init__(self, clock: WireClock, bit_rate_hz: int = 400_000, nack_errno: int = 121, host_ns: int = 0) -> None:
@@ -69,35 +72,37 @@ class Wire:
         self._start_ns = host_ns + self._overhead.start_ns
         self._open = False
         self._begun_ns = 0
-        self._at_ns = 0  # within a transaction the wire counts for itself; the clock hears of it at STOP
+        self._at_ns = 0  # within a transaction the wire counts time itself; the clock is advanced at STOP
         self._addressed: Responders = {}
         self.interference: Interference | None = None
 
     def delay(self) -> None:
-        """Let the time pass for which the program is kept waiting before a transaction: none, unless overridden."""
+        """Advance by the latency of the program before a transaction: none, unless overridden."""
 
     def connect(self, *devices: Target) -> None:
-        """Solder devices to the trunk."""
+        """Connect devices to the trunk."""
         self._trunk += devices
         self.reroute()
 
     def connect_router(self, router: Router) -> None:
-        """Solder a multiplexer to the trunk."""
+        """Connect a multiplexer to the trunk."""
         self._routers.append(router)
         self._router_addresses.add(router.address)
         self.connect(router)
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """START, `write`, repeated START, `read` bytes, STOP; with neither, the address alone asks for an acknowledge.
+        """Transfer START, `write`, repeated START, `read` bytes, STOP; with neither, only the address, which tests for
+        an acknowledge.
 
-        OSError(`nack_errno`) when address or data are not acknowledged, ValueError for what no adapter can send.
+        OSError(`nack_errno`) when address or data are not acknowledged, ValueError for a transfer that no adapter can
+        send.
         """
         if self.interference is not None:
             self._interfere(address)
         responders = self._responders.get(address, ())
         if len(responders) != 1 or self._open or not write or read < 0:
             return self._transfer_by_messages(address, write, read)
-        # The usual case in one piece, four times a sample and chip: one device, a register address, bytes out or in.
+        # A faster path for the usual case, four times a sample and chip: one device, a register address, and bytes.
         device, byte_ns, count = responders[0], self._byte_ns, len(write)
         begun_ns = self.clock.now_ns()
         at_ns = begun_ns + self._start_ns + byte_ns
@@ -124,7 +129,7 @@ class Wire:
         return received
 
     def send(self, address: int, data: bytes) -> None:
-        """One writing message: (repeated) START, address, `data`. OSError, after a STOP, without acknowledge."""
+        """Send one writing message: (repeated) START, address, `data`. OSError, after a STOP, without acknowledge."""
         self._interfere(address)
         self._send(address, data)
 
@@ -138,7 +143,7 @@ class Wire:
         self._bytes(count)
 
     def receive(self, address: int, count: int) -> bytes:
-        """One reading message: (repeated) START, address, `count` bytes. OSError, after a STOP, when no chip
+        """Send one reading message: (repeated) START, address, `count` bytes. OSError, after a STOP, when no chip
         acknowledges.
         """
         self._interfere(address)
@@ -154,7 +159,9 @@ class Wire:
         return bytes([reduce(and_, column) for column in zip(*answers, strict=True)])
 
     def stop(self) -> None:
-        """STOP: every addressed device receives it, and a multiplexer among them switches. No effect on a free bus."""
+        """Send a STOP: every addressed device receives it, and a multiplexer among them switches. No effect on a free
+        bus.
+        """
         if not self._open:
             return
         self._open = False
@@ -172,7 +179,7 @@ class Wire:
         self._addressed.clear()
 
     def reroute(self) -> None:
-        """See again who is where: needed when a device was switched off and on behind the wire's back."""
+        """Update the addresses: needed when a device was switched off and on outside a transaction."""
         self._by_routes.clear()
         self._follow_routes()
 
@@ -193,12 +200,12 @@ class Wire:
         self.scl_clocks += 9
 
     def _interfere(self, address: int) -> None:
-        """Let faults of the wires act before a transaction begins."""
+        """Carry out faults of the wires before a transaction begins."""
         if self.interference is not None and not self._open:
             self.interference(self, self._responders.get(address, ()))
 
     def _address(self, address: int) -> tuple[Target, ...]:
-        """(Repeated) START and address: who answers."""
+        """Send a (repeated) START and the address; return the devices that answer."""
         if self._open:
             self._at_ns += self._overhead.repeated_start_ns
         else:

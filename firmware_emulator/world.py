@@ -1,11 +1,11 @@
 """Stimulus of the box as a function of time.
 
-A world is a callable ``at_ns -> WorldStimulus`` plus the phases that a person with a stopwatch would note. Any callable
-will do: a simulated or a recorded motion can drive the emulated array just as well. Vectors are in the box frame:
-specific force in m/s2 (a box at rest on its -Z face feels +g along +Z), angular rate in rad/s, magnetic flux density in
-gauss.
+A world is a callable ``at_ns -> WorldStimulus`` plus the phases that a person with a stopwatch would note. Any such
+callable is a world: a simulated or a recorded motion can drive the emulated array as well. Vectors are in the box
+frame: specific force in m/s2 (a box at rest on its -Z face feels +g along +Z), angular rate in rad/s, magnetic flux
+density in gauss.
 
-The worlds here begin at 0 ns and never end: they hold their last state.
+The worlds of this module begin at 0 ns and keep their last state without end.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ UP: dict[str, Triple] = {
     "+Z": (0.0, 0.0, 1.0),
     "-Z": (0.0, 0.0, -1.0),
 }
-"""Upwards, seen from a box of which this axis points up."""
+"""The upward direction in the frame of a box of which this axis points up."""
 
 
 def cross(a: Triple, b: Triple) -> Triple:
-    """Vector product."""
+    """Return the vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def scaled(vector: Triple, factor: float) -> Triple:
-    """`factor` times `vector`."""
+    """Return `factor` times `vector`."""
     return vector[0] * factor, vector[1] * factor, vector[2] * factor
 
 
 def seen_after_turn(vector: Triple, axis: Triple, cosine: float, sine: float) -> Triple:
-    """Return a vector fixed to the earth, seen from a box that has turned about its unit `axis` by an angle
+    """Return an earth-fixed vector in the frame of a box that has turned about its unit `axis` by an angle
     (Rodrigues).
     """
     along = (axis[0] * vector[0] + axis[1] * vector[1] + axis[2] * vector[2]) * (1.0 - cosine)
@@ -52,7 +52,9 @@ def seen_after_turn(vector: Triple, axis: Triple, cosine: float, sine: float) ->
 
 
 def turn_between(up_before: str, up_after: str) -> tuple[Triple, float]:
-    """Axis in the box and angle (rad) of the shortest turn that brings `up_after` up; half a turn goes about X or Y."""
+    """Return axis in the box and angle (rad) of the shortest turn that brings `up_after` up; half a turn is about X or
+    Y.
+    """
     before, after = UP[up_before], UP[up_after]
     axis = cross(after, before)
     if any(axis):
@@ -98,21 +100,21 @@ class PhasedWorld(Protocol):
 
     @property
     def phases(self) -> tuple[WorldPhase, ...]:
-        """The phases in order of time, not overlapping."""
+        """Return the phases in order of time, without overlap."""
 
     def __call__(self, at_ns: int) -> WorldStimulus:
-        """Return what the box feels at `at_ns`."""
+        """Return the stimulus of the box at `at_ns`."""
 
 
 def positive(**durations: float) -> None:
-    """ValueError that names the first of the arguments that is not above zero."""
+    """Raise ValueError that names the first of the arguments that is not above zero."""
     for name, value in durations.items():
         if not value > 0:
             raise ValueError(f"{name}: {value}; allowed is anything above 0")
 
 
 def resting(up: str, field_box: Triple, temperature_degc: float = ROOM_DEGC) -> WorldStimulus:
-    """Return a box at rest with this axis up."""
+    """Return the stimulus of a box at rest with this axis up."""
     return WorldStimulus(scaled(UP[up], STANDARD_GRAVITY), temperature_degc=temperature_degc, field_box=field_box)
 
 
@@ -129,7 +131,7 @@ class StillWorld:
 
     @property
     def phases(self) -> tuple[WorldPhase, ...]:
-        """One, for ever."""
+        """Return one phase without end."""
         return (WorldPhase(0, FOREVER_NS, "static", self.up),)
 
     @cached_property
@@ -140,16 +142,16 @@ class StillWorld:
         return resting(self.up, field, self.temperature_degc)
 
     def __call__(self, at_ns: int) -> WorldStimulus:
-        """The same at any time."""
+        """Return the same stimulus at any time."""
         return self.stimulus
 
 
 @dataclass(frozen=True)
 class TumbleWorld:
-    """Every face up for `face_s` in the paper's order (section 4), smooth turns of `turn_s` between them.
+    """Each face is up for `face_s` in the paper's order (section 4), with smooth turns of `turn_s` between them.
 
-    A turn's rate rises and falls as 1 - cos. Its phases cover only the still parts; forces of the turning itself (the
-    box turns about its own origin) are not felt.
+    A turn's rate rises and falls as 1 - cos. Its phases cover only the still parts; there are no forces of the turn,
+    because the box turns about its own origin.
     """
 
     face_s: float = 60.0
@@ -170,24 +172,24 @@ class TumbleWorld:
 
     @cached_property
     def face_ns(self) -> int:
-        """Length of a still part."""
+        """Return the length of a part at rest."""
         return round(self.face_s * 1e9)
 
     @cached_property
     def turn_ns(self) -> int:
-        """Length of a turn."""
+        """Return the length of a turn."""
         return round(self.turn_s * 1e9)
 
     @cached_property
     def phases(self) -> tuple[WorldPhase, ...]:
-        """The seven still parts."""
+        """Return the seven parts at rest."""
         starts = [index * (self.face_ns + self.turn_ns) for index in range(len(self.ORDER))]
         stops = [start + self.face_ns for start in starts]
         return tuple(WorldPhase(a, b, *face) for a, b, face in zip(starts, stops, self.ORDER, strict=True))
 
     @cached_property
     def turns(self) -> tuple[tuple[Triple, float], ...]:
-        """Axis and angle between each face and the next."""
+        """Return axis and angle between each face and the next."""
         ups = [up for _, up in self.ORDER]
         return tuple(turn_between(before, after) for before, after in pairwise(ups))
 
@@ -200,14 +202,14 @@ class TumbleWorld:
         return tuple(resting(up, field) for (_, up), field in zip(self.ORDER, fields, strict=True))
 
     def __call__(self, at_ns: int) -> WorldStimulus:
-        """A face, or the way to the next."""
+        """Return the stimulus on a face, or during the turn to the next."""
         index, since_ns = divmod(max(at_ns, 0), self.face_ns + self.turn_ns)
         if index >= len(self.turns) or since_ns < self.face_ns:
             return self.faces[min(index, len(self.turns))]
         return self.turning(index, (since_ns - self.face_ns) / self.turn_ns)
 
     def turning(self, index: int, share: float) -> WorldStimulus:
-        """Return the turn after face `index`, of which `share` of the time has passed."""
+        """Return the stimulus of the turn after face `index`, of which `share` of the time has passed."""
         axis, angle = self.turns[index]
         phase = 2 * math.pi * share
         turned = angle * (share - math.sin(phase) / (2 * math.pi))
@@ -221,7 +223,9 @@ class TumbleWorld:
 
 
 class ProfileStretch(NamedTuple):
-    """A part of a temperature profile: its phase's name, minutes, degC that it tends to, time constant in minutes."""
+    """A part of a temperature profile: its phase's name, minutes, final temperature in degC, time constant in
+    minutes.
+    """
 
     name: str
     minutes: float
@@ -247,12 +251,14 @@ PROFILE = (
     heating_to(52.0, WARM_DEGC, 5.0, HEATING_MIN),
     ProfileStretch("cool", 90.0, 25.0, COOLING_MIN),
 )
-"""Times and peaks of the paper's section 5.2.5, which ended a little warmer than it began. Time constants are ours."""
+"""Times and peaks of the paper's section 5.2.5, whose experiment ended a little warmer than it began. Time constants
+are our assumption.
+"""
 
 
 @dataclass(frozen=True)
 class HeatingWorld:
-    """A box on its -Z face, warmed twice by a hairdryer and left to cool; `scale` below 1 shortens all times."""
+    """A box on its -Z face that is warmed twice by a hairdryer and cools; `scale` below 1 shortens all times."""
 
     scale: float = 1.0
 
@@ -261,13 +267,13 @@ class HeatingWorld:
 
     @cached_property
     def starts_ns(self) -> tuple[int, ...]:
-        """The start of each stretch, and the end of the last one."""
+        """Return the start of each stretch, and the end of the last one."""
         minutes = [sum(stretch.minutes for stretch in PROFILE[:index]) for index in range(len(PROFILE) + 1)]
         return tuple(round(self.scale * passed * 60e9) for passed in minutes)
 
     @cached_property
     def starts_degc(self) -> tuple[float, ...]:
-        """The temperature at the start of each stretch."""
+        """Return the temperature at the start of each stretch."""
         reached = [PROFILE_START_DEGC]
         for _, minutes, towards, constant in PROFILE:
             reached.append(towards + (reached[-1] - towards) * math.exp(-minutes / constant))
@@ -275,17 +281,17 @@ class HeatingWorld:
 
     @cached_property
     def phases(self) -> tuple[WorldPhase, ...]:
-        """room, heat, cool, heat, cool."""
+        """Return the phases room, heat, cool, heat, cool."""
         ends = zip(self.starts_ns, self.starts_ns[1:], PROFILE, strict=False)
         return tuple(WorldPhase(start, end, stretch.name, "+Z") for start, end, stretch in ends)
 
     @cached_property
     def constants_ns(self) -> tuple[float, ...]:
-        """Time constant of each stretch."""
+        """Return the time constant of each stretch."""
         return tuple(self.scale * stretch.constant_min * 60e9 for stretch in PROFILE)
 
     def __call__(self, at_ns: int) -> WorldStimulus:
-        """Return the stimulus at rest, at the temperature of that moment."""
+        """Return the stimulus at rest, at the temperature of that time."""
         index = min(max(bisect_right(self.starts_ns, at_ns) - 1, 0), len(PROFILE) - 1)
         towards = PROFILE[index].towards_degc
         passed_ns = max(at_ns - self.starts_ns[index], 0)
@@ -299,7 +305,7 @@ class Shaking:
 
     Force along each axis and rate about it are each a sum of two sines of incommensurate frequencies (hertz), bounded
     by `peak_g` on top of gravity and by `peak_dps`, under an envelope that rises and falls as 1 - cos within `RAMP_S`.
-    Force and rate are set apart from each other: no attitude is followed, gravity stays along +Z.
+    Force and rate are independent: there is no attitude, gravity remains along +Z.
     """
 
     peak_g: float = 8.0
@@ -317,13 +323,13 @@ class Shaking:
 
     @cached_property
     def edges_ns(self) -> tuple[int, int, int, int]:
-        """Begin, begin and end of the motion, end."""
+        """Return begin, begin of the motion, end of the motion, and end."""
         still_ns, motion_ns = round(self.still_s * 1e9), round(self.motion_s * 1e9)
         return 0, still_ns, still_ns + motion_ns, 2 * still_ns + motion_ns
 
     @property
     def phases(self) -> tuple[WorldPhase, ...]:
-        """static, motion, static."""
+        """Return the phases static, motion, static."""
         begin, shaken, calm, end = self.edges_ns
         return (
             WorldPhase(begin, shaken, "static", "+Z"),
@@ -344,7 +350,7 @@ class Shaking:
         return WorldStimulus((force_x, force_y, force_z + STANDARD_GRAVITY), rate)
 
     def swings(self, frequencies_hz: tuple[tuple[float, float], ...], at_s: float, bound: float) -> Triple:
-        """One sum of sines an axis, none above `bound`."""
+        """Return one sum of sines for each axis, none above `bound`."""
         more, less = bound * self.SHARES[0], bound * self.SHARES[1]
         angle = 2 * math.pi * at_s
         x, y, z = [more * math.sin(angle * first) + less * math.sin(angle * last) for first, last in frequencies_hz]
@@ -360,17 +366,17 @@ class DelayedWorld:
 
     @property
     def phases(self) -> tuple[WorldPhase, ...]:
-        """The world's own phases, by the clock."""
+        """Return the world's own phases, by the clock."""
         own: tuple[WorldPhase, ...] = getattr(self.world, "phases", ())
         return tuple(WorldPhase(start + self.start_ns, end + self.start_ns, name, up) for start, end, name, up in own)
 
     def __call__(self, at_ns: int) -> WorldStimulus:
-        """Return what the world shows at `at_ns` of the clock."""
+        """Return the stimulus of the world at `at_ns` of the clock."""
         return self._latest(at_ns - self.start_ns)
 
     @cached_property
     def _latest(self) -> World:
-        """The world, which all elements of a die ask for the same instant."""
+        """Return the world's stimulus, which all elements of a die request for the same instant."""
         return lru_cache(maxsize=4)(self.world)
 
 

@@ -1,4 +1,4 @@
-"""The chips: what reading and writing each register does, and when a conversion is finished."""
+"""The chips: the effects of reading and writing each register, and the times of conversions."""
 
 from collections.abc import Callable
 from typing import Any
@@ -60,7 +60,7 @@ CHIPS: dict[str, Callable[..., Chip]] = {
 """Chips by the name that configurations use; each is built as ``(address, element, powered_on_ns, **switches)``."""
 
 ON_AUXILIARY_BUS = ("ak8963", "ak8975")
-"""Chips that an MPU-9150 or MPU-9250 on the same bus hides until its bypass is open."""
+"""Chips that can't be reached until the bypass of an MPU-9150 or MPU-9250 on the same bus is open."""
 
 BAROMETERS = ("bmp180", "bmp280", "bmp388")
 """Chips that have no axes, and draw their noise themselves, from a `generator`."""

@@ -19,7 +19,7 @@ FASTEST_PERIOD_NS = 312_500  # rate code 15 is 3200 Hz, every code below it half
 TURN_ON_NS = 1_100_000  # ADX-38
 BYPASS, FIFO, STREAM, TRIGGER = range(4)
 SLOTS = 32
-HELD = SLOTS + 1  # one more set waits in the data registers (ADX-51, DEC-24)
+HELD = SLOTS + 1  # one more set is held in the data registers (ADX-51, DEC-24)
 OFFSET_STEP_G = 1 / 64  # 15.6 mg (ADX-12)
 SELF_TEST_G: Triple = (1.15, -1.15, 1.85)
 """Middle of the limits at 2.5 V, within those at 3.3 V too (ADX-58)."""
@@ -84,7 +84,7 @@ class Adxl345Chip(Chip):
         self._configure(at_ns)
 
     def event(self, pin: int, at_ns: int) -> None:
-        """An edge on INT1 (`pin` 0) or INT2 (1): in trigger mode the chosen one freezes the history (ADX-53)."""
+        """Note an edge on INT1 (`pin` 0) or INT2 (1): in trigger mode the chosen one freezes the history (ADX-53)."""
         self._convert(at_ns)
         control = self.page[facts.FIFO_CTL.address]
         if self._mode == TRIGGER and pin == facts.TRIGGER.of(control) and not self._triggered:
@@ -93,18 +93,18 @@ class Adxl345Chip(Chip):
                 self._sets.popleft()
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Return the next register; going on from the last data byte ends the read of a set (ADX-55)."""
+        """Return the next register; after the last data byte the read of a set is over (ADX-55)."""
         if reading and pointer == DATA[-1]:
             self._reading = False
         return pointer + 1 & 0xFF
 
     def stop(self, at_ns: int) -> None:
-        """The transaction's end ends the read of a set as well (ADX-55)."""
+        """End the read of a set with the transaction (ADX-55)."""
         self._reading = False
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Byte by byte, but one whole set in one piece, alone or after INT_SOURCE and DATA_FORMAT: its bytes don't
-        change while they are read (ADX-49).
+        """Read byte by byte, but a whole set at once, alone or after INT_SOURCE and DATA_FORMAT: its bytes don't change
+        while they are read (ADX-49).
         """
         before = DATA.start - self.pointer
         if count != before + len(DATA) or before not in (0, 2) or self._reading:
@@ -116,7 +116,7 @@ class Adxl345Chip(Chip):
         return begin + self.page[DATA.start : DATA.stop]
 
     def load(self, address: int, at_ns: int) -> int:
-        """Data of one set for a whole transaction (ADX-49); INT_SOURCE and FIFO_STATUS as they stand."""
+        """Return the data of one set for a whole transaction (ADX-49), with the present INT_SOURCE and FIFO_STATUS."""
         if address in DATA:
             if not self._reading:
                 self._take(at_ns)
@@ -128,7 +128,7 @@ class Adxl345Chip(Chip):
         return self.page[address]
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """Conversions up to now are made with the old setting; going to bypass empties the FIFO (ADX-57)."""
+        """Make conversions up to now with the old setting; bypass empties the FIFO (ADX-57)."""
         self._convert(at_ns)
         mode = self._mode
         super().store(address, value, at_ns)

@@ -1,7 +1,7 @@
 """AK8963 magnetometer behind its registers: AKM data sheet MS1356-E-02 (2013); AKM-01 ... AKM-16, DEC-230 to -233.
 
-Not modelled: the external trigger, the I2C disable register. Whether it can be reached is for the bypass of the
-MPU-9250 around it to say (`firmware_emulator.array`).
+Not modelled: the external trigger, the I2C disable register. The bypass of the MPU-9250 around it determines whether it
+can be reached (`firmware_emulator.array`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ GAUSS_A_COUNT = (0.006, 0.0015)  # 14 and 16 bits: AKM-11
 HIGHEST = (8190, 32760)
 OVERFLOWS_GAUSS = 49.12  # sum of the sizes: AKM-12
 OWN_FIELD = (0, 0, -2000)
-"""Counts of 16 bits, adjusted, that the self-test answers: inside the data sheet's limits (AKM-15, DEC-232)."""
+"""The response of the self-test in adjusted counts of 16 bits: inside the data sheet's limits (AKM-15, DEC-232)."""
 
 _ST1, _ST2, _DATA = facts.ST1.address, facts.ST2.address, facts.HXL.address
 _CONTROL, _RESET = facts.CNTL1.address, facts.CNTL2.address
@@ -32,7 +32,7 @@ class Ak8963Chip(AkmFamily):
     table: ClassVar[ModuleType] = facts
 
     def power_on(self, at_ns: int) -> None:
-        """Reset values, powered down."""
+        """Set the reset values, powered down."""
         super().power_on(at_ns)
         self.page[facts.INFO.address] = 0x9A
         self._grid = SampleGrid()
@@ -42,7 +42,9 @@ class Ak8963Chip(AkmFamily):
     # Measuring --------------------------------------------------------------------------------------------------------
 
     def _sync(self, at_ns: int) -> None:
-        """Every measurement that has ended by `at_ns` into the data registers, unless somebody is reading (AKM-12)."""
+        """Write every measurement that has ended by `at_ns` into the data registers, unless a read is in progress
+        (AKM-12).
+        """
         if self._reading:
             return
         if at_ns >= self._once_ns:
@@ -71,7 +73,9 @@ class Ak8963Chip(AkmFamily):
     # Reading and writing ----------------------------------------------------------------------------------------------
 
     def load(self, address: int, at_ns: int) -> int:
-        """Return a byte; reading data or ST2 clears ST1, data keep others out until ST2 is read (AKM-12)."""
+        """Return a byte; reading data or ST2 clears ST1, and reading data locks the registers until ST2 is read
+        (AKM-12).
+        """
         self._sync(at_ns)
         byte = self._byte(address, self.page[_CONTROL])
         if _DATA <= address <= _ST2:
@@ -80,7 +84,7 @@ class Ak8963Chip(AkmFamily):
         return byte
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A mode, a setting, a reset, or nothing."""
+        """Carry out a mode, a setting or a reset; ignore other writes."""
         self._sync(at_ns)
         if address == _RESET:
             if facts.SOFT_RESET.of(value):

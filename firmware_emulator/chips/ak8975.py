@@ -1,7 +1,7 @@
 """AK8975 magnetometer behind its registers, as it is in the MPU-9150; AKM-21 ... AKM-28, DEC-231 to -235.
 
-It measures once on command and powers down afterwards. Whether it can be reached is for the bypass of the
-MPU-9150 around it to say (`firmware_emulator.array`).
+It measures once on command and powers down afterwards. The bypass of the MPU-9150 around it determines whether it can
+be reached (`firmware_emulator.array`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ LOWEST, HIGHEST = -4096, 4095
 OVERFLOWS_GAUSS = 24.0  # sum of the sizes: AKM-23
 FULL_SCALE_GAUSS = 12.29
 OWN_FIELD = (0.0, 0.0, -1.8)
-"""Gauss that the self-test adds in the place of the field: -600 counts, adjusted (AKM-26, DEC-234)."""
+"""Field of the self-test in gauss, in place of the external field: -600 counts, adjusted (AKM-26, DEC-234)."""
 
 _ST1, _ST2, _DATA = facts.ST1.address, facts.ST2.address, facts.HXL.address
 _CONTROL = facts.CNTL.address
@@ -30,12 +30,12 @@ class Ak8975Chip(AkmFamily):
     table: ClassVar[ModuleType] = facts
 
     def power_on(self, at_ns: int) -> None:
-        """Reset values, powered down."""
+        """Set the reset values, powered down."""
         super().power_on(at_ns)
         self._over_ns = FAR_NS
 
     def _sync(self, at_ns: int) -> None:
-        """A measurement that is over into the data registers; then it is powered down (AKM-24)."""
+        """Write a completed measurement into the data registers, then power down (AKM-24)."""
         if at_ns < self._over_ns:
             return
         gauss = self.element.sample(self._over_ns, FULL_SCALE_GAUSS, 50.0)
@@ -57,7 +57,7 @@ class Ak8975Chip(AkmFamily):
         return byte
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A mode or a setting; a mode ends a measurement that is in progress (DEC-235)."""
+        """Carry out a mode or a setting; a mode ends a measurement in progress (DEC-235)."""
         self._sync(at_ns)
         super().store(address, value, at_ns)
         if address == _CONTROL:

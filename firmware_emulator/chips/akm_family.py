@@ -38,7 +38,7 @@ class AkmFamily(Chip):
         super().__init__(address, self.table, element, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
-        """Reset values, powered down."""
+        """Set the reset values, powered down."""
         super().power_on(at_ns)
         self.page[self.table.WIA.address] = self._identity
 
@@ -51,7 +51,7 @@ class AkmFamily(Chip):
         return b"".join(max(lowest, min(highest, code)).to_bytes(2, "little", signed=True) for code in codes)
 
     def _byte(self, address: int, control: int) -> int:
-        """Return a byte; the fuse ROM shows in its own mode only (AKM-16, AKM-27, DEC-230)."""
+        """Return a byte; the fuse ROM can be read in its own mode only (AKM-16, AKM-27, DEC-230)."""
         first, last = self.table.ASAX.address, self.table.ASAZ.address
         if not first <= address <= last:
             return self.page[address]

@@ -1,11 +1,11 @@
 """BMA180 accelerometer behind its registers, after the Bosch data sheet v2.5 (facts BMA-01 ... BMA-107).
 
-Three regions: operational registers, the image 0x20 ... 0x3B that acts on the chip, and the EEPROM from which the
-image is loaded. It wakes up measuring at +/-2 g, 150 Hz. The traps are all there: image writes that are
-acknowledged and dropped while ee_w is 0, the 10 ms download that undoes early writes, trims beside settings, writes
-in (register, value) pairs.
+Three regions: operational registers, the image 0x20 ... 0x3B that acts on the chip, and the EEPROM from which the image
+is loaded. It wakes up measuring at +/-2 g, 150 Hz. It models the known pitfalls: image writes that are acknowledged and
+dropped while ee_w is 0, the 10 ms download that undoes early writes, trims beside settings, writes in (register, value)
+pairs.
 
-Left out: the interrupt logic and the offset regulation, so their status bits read 0; wake-up mode; the
+Not modelled: the interrupt logic and the offset regulation, so their status bits read 0; wake-up mode; the
 thermometer's gain trim.
 """
 
@@ -64,7 +64,7 @@ def settings_of(page: bytes | bytearray) -> Settings:
 
 
 class Bma180Chip(Chip):
-    """The chip. `eeprom_writes` counts what a driver must never do: writing to 0x40 and above (BMA-55, DEC-13).
+    """The chip. `eeprom_writes` counts writes to 0x40 and above, which a driver must never do (BMA-55, DEC-13).
 
     eeprom: bytes by register address that differ from BMA-58: a part's own trims, a previous owner's settings (BMA-59).
     left_over: registers as an earlier program left them; the part then neither boots nor warms up.
@@ -73,7 +73,7 @@ class Bma180Chip(Chip):
     rate_error: relative error of the oscillator, within +/-0.1 (BMA-107).
     """
 
-    # The switches are what data sheets leave open or an earlier program left behind; `open_array` sets them by name.
+    # The switches are properties that data sheets do not specify, or settings of an earlier program.
     def __init__(  # noqa: PLR0913
         self,
         address: int,
@@ -101,7 +101,7 @@ class Bma180Chip(Chip):
             self._leave(left_over, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
-        """Registers at their reset values, the image as the EEPROM has it; the download begins (BMA-52, BMA-57)."""
+        """Set the registers to their reset values and the image to the EEPROM; the download begins (BMA-52, BMA-57)."""
         super().power_on(at_ns)
         self.address = self._strapped
         self.page[facts.VERSION.address] = VERSION
@@ -127,7 +127,7 @@ class Bma180Chip(Chip):
     # What happens by itself -----------------------------------------------------------------------------------------
 
     def _catch_up(self, at_ns: int) -> None:
-        """Let everything happen that was due by `at_ns`, in its order."""
+        """Carry out everything that was due by `at_ns`, in order of time."""
         while self._next_ns <= at_ns:
             due = self._next_ns
             if due == self._download_end_ns:
@@ -143,7 +143,7 @@ class Bma180Chip(Chip):
             self._act(due)
 
     def _act(self, at_ns: int) -> None:
-        """The registers have changed: let them act."""
+        """Apply changed registers."""
         self._next_ns = min(self._download_end_ns, self._self_test_end_ns, self._burn_end_ns)
         self._converter.apply(at_ns, settings_of(self.page), self._ready_ns)
         if facts.DIS_I2C.of(self.page[facts.HIGH_DUR.address]):
@@ -152,7 +152,9 @@ class Bma180Chip(Chip):
     # Reading --------------------------------------------------------------------------------------------------------
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """`count` bytes from the pointer on; a shadowed burst from acc_x_lsb takes a short cut to the same bytes."""
+        """Return `count` bytes from the pointer on; a faster path returns the same bytes for a shadowed burst from
+        acc_x_lsb.
+        """
         self._pending = None
         if at_ns >= self._next_ns:
             self._catch_up(at_ns)
@@ -187,7 +189,9 @@ class Bma180Chip(Chip):
     # Writing --------------------------------------------------------------------------------------------------------
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """Register and value in turn (BMA-05). Every byte is acknowledged, also where nothing is stored (BMA-07)."""
+        """Write registers and values in turn (BMA-05). Every byte is acknowledged, also where nothing is stored
+        (BMA-07).
+        """
         self._catch_up(at_ns)
         for index, byte in enumerate(data):
             if self.address == NO_ADDRESS:
@@ -200,13 +204,13 @@ class Bma180Chip(Chip):
         return len(data)
 
     def stop(self, at_ns: int) -> None:
-        """A write to the EEPROM's window may do without its data byte (BMA-55), unless a read follows."""
+        """End the transaction: a write to the EEPROM's window needs no data byte (BMA-55), unless a read follows."""
         if self._pending is not None and self._pending in WINDOW and self._pending % 2 == 0:
             self._burn(self._pending, at_ns)
         self._pending = None
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A byte written to a register, if the register listens."""
+        """Store a byte in a register, if the register accepts it."""
         if at_ns >= self._next_ns:
             self._catch_up(at_ns)
         if address >= WINDOW.start:
@@ -231,7 +235,9 @@ class Bma180Chip(Chip):
             super().store(address, value, at_ns)  # ctrl_reg1 is one-shot (BMA-22) and reads 0
 
     def _control(self, value: int, at_ns: int) -> None:
-        """ctrl_reg0 (BMA-21): update_image and st0 last until they clear themselves, reset_int is over at once."""
+        """Carry out ctrl_reg0 (BMA-21): update_image and st0 last until they clear themselves, reset_int is over at
+        once.
+        """
         before = self.page[_CONTROL]
         self.page[_CONTROL] = value & ~(facts.CTRL_REG0.reserved | facts.RESET_INT.mask) & 0xFF
         self.page[_CONTROL] |= before & facts.UPDATE_IMAGE.mask
@@ -254,7 +260,9 @@ class Bma180Chip(Chip):
         self._begin(at_ns)
 
     def _burn(self, address: int, at_ns: int) -> None:
-        """Two bytes of the image into the EEPROM, if the address is even and the EEPROM not busy; counted anyway."""
+        """Copy two bytes of the image into the EEPROM, if the address is even and the EEPROM not busy; count the write
+        in any case.
+        """
         self.eeprom_writes += 1
         if address not in WINDOW or address % 2 or self._burn_end_ns != FAR_NS or self._download_end_ns != FAR_NS:
             return

@@ -1,12 +1,12 @@
-"""The BMA180's signal path: a sensing element, a converter that never stops, a filter that settles.
+"""The BMA180's signal path: sensing element, free-running converter, filter.
 
 One cycle converts temperature, x, y, z, a quarter of a period each (BMA-94). The model evaluates the element once per
 cycle, when x is ready, and publishes each axis when its own quarter is over; if quarters are so long that the box moves
 in them, it evaluates the element once per axis, when that is ready. Cycles count from the last change of a setting;
-index -1 stands for what the registers held at that change. Codes are signed 14-bit integers (BMA-60).
+index -1 denotes the contents of the registers at that change. Codes are signed 14-bit integers (BMA-60).
 
 Choices where the data sheet is silent: the filter settles exponentially (DEC-14), in codes, at its cut-off frequency;
-with an unauthorised range or bandwidth code (BMA-77, BMA-91) the converter stands still, so that nobody takes its codes
+with an unauthorised range or bandwidth code (BMA-77, BMA-91) the converter stops, so that its codes are not mistaken
 for data; modes 01 and 10 act as 00 (BMA-96). The steps of the trims are choices too, see `Trims`.
 """
 
@@ -20,7 +20,7 @@ from firmware_emulator.chip import Element, Triple
 from firmware_emulator.chips.high_pass import HighPass
 
 FAR_NS = 1 << 62
-"""A time that never comes."""
+"""A time in the infinite future."""
 
 RANGES = {  # code: g, mg per code (BMA-70 ... BMA-76, the exact column)
     0b000: (1.0, 0.12207),
@@ -49,18 +49,21 @@ SELF_TEST_NS = 8_000_000  # less than 10 ms, BMA-104
 SELF_TEST_G = 700 / 4096  # typical response, 700 codes at 2 g (BMA-104)
 
 IN_TURN_NS = 500_000
-"""Quarters from which on every axis is looked at when it is ready: five times those of a sound oscillator."""
+"""Quarters from which on the element is evaluated for every axis when it is ready: five times those of an accurate
+oscillator.
+"""
 
 _BURST = Struct("<hhh")
 Codes = tuple[int, int, int]
 
 
 class Trims(NamedTuple):
-    """Factory trims. Only their distance from the part's own values acts: those cancel the errors of the raw element.
+    """Factory trims. Only their difference from the part's own values has an effect: those cancel the errors of the raw
+    element.
 
     One step of a 12-bit offset is a sixteenth of 27 codes at 2 g (BMA-121 read as a step of its upper eight bits).
-    Chosen, for want of figures: 0.5 % per step of gain; steps of tco and tcs of twice the drift that the factory
-    leaves (BMA-115, BMA-116); 1 code per step of offset_t.
+    Chosen, because no figures are published: 0.5 % per step of gain; steps of tco and tcs of twice the drift that the
+    factory leaves (BMA-115, BMA-116); 1 code per step of offset_t.
     """
 
     offset: Codes
@@ -98,7 +101,7 @@ class Converter:
         self._rate_hz = UPDATE_HZ * (1 + rate_error)
 
     def power_on(self, at_ns: int, settings: Settings, ready_ns: int) -> None:
-        """Registers empty, filter empty; the first cycle begins at `ready_ns`."""
+        """Begin with empty registers and filter; the first cycle begins at `ready_ns`."""
         self._held: Codes = (0, 0, 0)
         self._held_temperature = 0
         self._seen = [-1, -1, -1]  # latest cycle read, per axis
@@ -106,7 +109,7 @@ class Converter:
         self._start(at_ns, settings, ready_ns)
 
     def apply(self, at_ns: int, settings: Settings, ready_ns: int) -> None:
-        """Convert from `at_ns` on with `settings`, not before `ready_ns`; what is already converted stays."""
+        """Convert from `at_ns` on with `settings`, not before `ready_ns`; existing codes remain."""
         if settings == self._settings and ready_ns == self._ready_ns:
             return
         cycles = [self._cycle(axis, at_ns) for axis in range(3)]
@@ -158,7 +161,7 @@ class Converter:
             return self._earlier
         oldest = self._cycle(2, at_ns)
         if self._latest_index < oldest < cycle:
-            self._convert(oldest)  # z still shows it: the element is never asked back in time
+            self._convert(oldest)  # z still shows it: the element is never evaluated at an earlier time
         return self._convert(cycle)
 
     def _convert(self, cycle: int) -> Codes:
@@ -189,7 +192,7 @@ class Converter:
         return self._element.sample(at_ns, self._range_g, self._bandwidth_hz)
 
     def _disturbed(self, g: Triple, at_ns: int) -> Triple:
-        """`g` as a self-test, wrong temperature trims and a high-pass leave it."""
+        """Return `g` after a self-test, wrong temperature trims and a high-pass."""
         x, y, z = g
         if self._settings.self_test:
             push = SELF_TEST_G if at_ns - self._start_ns < SELF_TEST_NS // 2 else -SELF_TEST_G
@@ -204,7 +207,7 @@ class Converter:
         return self._high_pass((x, y, z), at_ns) if self._high_pass else (x, y, z)
 
     def low_byte(self, axis: int, at_ns: int) -> int:
-        """Six bits of the code and new_data; copies the other eight to the shadow (BMA-12, BMA-62, BMA-99)."""
+        """Return six bits of the code and new_data; copy the other eight to the shadow (BMA-12, BMA-62, BMA-99)."""
         cycle = self._cycle(axis, at_ns)
         code = self._codes(cycle, at_ns)[axis]
         new = self._seen[axis] < cycle
@@ -213,7 +216,7 @@ class Converter:
         return (code << 2 & 0xFC) | new
 
     def high_byte(self, axis: int, at_ns: int, shadowed: bool) -> int:
-        """Eight bits of the code: the shadow's (BMA-100) or, unshadowed, of what is converted by now (BMA-101)."""
+        """Return eight bits of the code: of the shadow (BMA-100) or, unshadowed, of the latest conversion (BMA-101)."""
         cycle = self._cycle(axis, at_ns)
         self._seen[axis] = cycle
         return self._shadow[axis] if shadowed else self._codes(cycle, at_ns)[axis] >> 6 & 0xFF
@@ -230,7 +233,9 @@ class Converter:
         return self._temperature
 
     def burst(self, at_ns: int, byte_ns: int) -> bytes:
-        """Six bytes, x low to z high, shadowed: what `low_byte` and `high_byte` give in turn, at less expense."""
+        """Return six bytes, x low to z high, shadowed: the results of `low_byte` and `high_byte` in turn, computed
+        faster.
+        """
         period, two = self._period_ns, 2 * byte_ns
         after_x, after_y, after_z = self._ready_after_ns
         x_ns = at_ns - self._start_ns - after_x

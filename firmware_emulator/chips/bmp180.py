@@ -3,11 +3,11 @@
 One command, one conversion; temperature and pressure share the result registers, which keep the previous result
 until the new one is finished (BMP-48). Conversions take the typical time (BMP-40 ... BMP-44).
 
-Choices: commands in the 10 ms after power-on or reset (BMP-50) are acknowledged and lost; a command during a
-conversion takes its place; an unknown measurement starts nothing, and sco reads 0 at once.
+Choices: commands in the 10 ms after power-on or reset (BMP-50) are acknowledged and lost; a command during a conversion
+replaces it; an unknown measurement starts nothing, and sco reads 0 at once.
 
 Raw words follow from temperature and pressure by inverting the compensation (facts BMP-60 ... BMP-66): the formulas, in
-floor arithmetic, are searched by bisection for the words that give the wanted values; both rise with their word.
+floor arithmetic, are solved by bisection for the words that give the required values; both increase with their word.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ class Bmp180Words(NamedTuple):
 
 
 def b5_of(words: Bmp180Words, ut: int) -> int:
-    """BMP-60; ZeroDivisionError for a word far outside the sensor's range (BMP-66)."""
+    """Return B5 (BMP-60); ZeroDivisionError for a word far outside the sensor's range (BMP-66)."""
     x1 = (ut - words.AC6) * words.AC5 >> 15
     return x1 + words.MC * 2048 // (x1 + words.MD)
 
 
 def pressure_function(words: Bmp180Words, b5: int, oss: int) -> tuple[int, Callable[[int], int]]:
-    """Return the lowest word that makes sense, and the function from a word to Pa (BMP-61 ... BMP-63)."""
+    """Return the lowest valid word, and the function from a word to Pa (BMP-61 ... BMP-63)."""
     b6 = b5 - 4000
     square = b6 * b6 >> 12
     x3 = (words.B2 * square >> 11) + (words.AC2 * b6 >> 11)
@@ -71,13 +71,13 @@ def pressure_function(words: Bmp180Words, b5: int, oss: int) -> tuple[int, Calla
 
 
 def ut_of(words: Bmp180Words, degc: float) -> int:
-    """UT at a temperature; 16 bits."""
+    """Return UT at a temperature; 16 bits."""
     coldest = words.AC6 - words.MD * 32768 // words.AC5 + 2  # below, X1 + MD is no longer positive
     return nearest(lambda ut: b5_of(words, ut), max(0, coldest), 0xFFFF, degc * STEPS_PER_DEGC)
 
 
 def up_of(words: Bmp180Words, ut: int, oss: int, pascal: float) -> int:
-    """UP at a pressure, for a part that is as warm as `ut` says; 16 + oss bits."""
+    """Return UP at a pressure, for a part at the temperature of `ut`; 16 + oss bits."""
     lowest, pressure = pressure_function(words, b5_of(words, ut), oss)
     return nearest(pressure, lowest, (1 << 16 + oss) - 1, pascal)
 
@@ -91,7 +91,9 @@ class Bmp180Chip(BoschBarometer):
     byte_order: ClassVar[Literal["little", "big"]] = "big"
 
     def __init__(self, *arguments: Any, start_up_ns: int = START_UP_NS, **switches: Any) -> None:
-        """Arguments of `BoschBarometer`, and how long after power-on or reset commands are lost."""
+        """The arguments are those of `BoschBarometer`, and the time after power-on or reset in which commands are
+        lost.
+        """
         self.start_up_ns = start_up_ns
         super().__init__(*arguments, **switches)
 
@@ -107,7 +109,7 @@ class Bmp180Chip(BoschBarometer):
         return self.page[address]
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A command, a reset, or nothing: every other register is read-only."""
+        """Carry out a command or a reset; every other register is read-only."""
         if at_ns >= self._end_ns:
             self._finish()
         if at_ns < self._ready_ns:
@@ -130,7 +132,7 @@ class Bmp180Chip(BoschBarometer):
             self._end_ns = at_ns + PRESSURE_NS[facts.OVERSAMPLING.of(value)]
 
     def _finish(self) -> None:
-        """The result into the shared registers, sco to 0 (BMP-46)."""
+        """Write the result into the shared registers and clear sco (BMP-46)."""
         at_ns, self._end_ns = self._end_ns, FAR_NS
         self.page[_CONTROL] &= ~facts.CONVERTING.mask
         ut = self.ut(at_ns)

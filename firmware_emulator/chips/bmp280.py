@@ -4,11 +4,11 @@ It sleeps after power-on. In forced mode it measures once and sleeps again, in n
 between (BMP-107). A measurement takes the typical time (BMP-109).
 
 Choices (DEC-90, DEC-91): writes in the first 2 ms after power-on or reset are acknowledged and lost, and the bit that
-says that calibration words are being copied is set meanwhile; a write to ctrl_meas breaks a measurement off.
+indicates the copying of calibration words is set during that time; a write to ctrl_meas aborts a measurement.
 
 Raw words follow from temperature and pressure by inverting the compensation (facts BMP-103, BMP-121): the data sheet's
-formulas in real numbers (its section 8.1), which its integer formulas approximate, are searched for the words that give
-the wanted temperature and pressure. The temperature rises with its word, the pressure falls.
+formulas in real numbers (its section 8.1), which its integer formulas approximate, are solved for the words that give
+the required temperature and pressure. The temperature increases with its word, the pressure decreases.
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ def pascal_of(words: Bmp280Words, fine: float, adc: float) -> float:
 
 
 def ut_of(words: Bmp280Words, degc: float) -> int:
-    """UT at a temperature; 20 bits."""
+    """Return UT at a temperature; 20 bits."""
     return nearest(lambda adc: fine_of(words, adc), 0, (1 << BITS) - 1, degc * 5120)
 
 
 def up_of(words: Bmp280Words, ut: int, pascal: float) -> int:
-    """UP at a pressure, for a part that is as warm as `ut` says; 20 bits."""
+    """Return UP at a pressure, for a part at the temperature of `ut`; 20 bits."""
     fine = fine_of(words, ut)
     return nearest(lambda adc: -pascal_of(words, fine, adc), 0, (1 << BITS) - 1, -pascal)
 
@@ -88,7 +88,9 @@ class Bmp280Chip(CyclicBarometer):
 
     @property
     def duration_ns(self) -> int:
-        """1 ms, 2 ms for each sample, and 0.5 ms where the pressure is measured (BMP-109)."""
+        """Return the time of a measurement: 1 ms, 2 ms for each sample, and 0.5 ms where the pressure is measured
+        (BMP-109).
+        """
         control = self.page[_CONTROL]
         pressure = OVERSAMPLING[facts.PRESSURE_OVERSAMPLING.of(control)]
         samples = OVERSAMPLING[facts.TEMPERATURE_OVERSAMPLING.of(control)] + pressure
@@ -96,12 +98,12 @@ class Bmp280Chip(CyclicBarometer):
 
     @property
     def period_ns(self) -> int:
-        """A measurement and the pause after it (BMP-108)."""
+        """Return the time of a measurement and the pause after it (BMP-108)."""
         return self.duration_ns + STANDBY_NS[facts.STANDBY.of(self.page[_CONFIG])]
 
     @property
     def filter_divisor(self) -> int:
-        """The coefficient (BMP-110)."""
+        """Return the filter coefficient (BMP-110)."""
         return COEFFICIENTS[facts.FILTER.of(self.page[_CONFIG])]
 
     def ut_of(self, degc: float) -> int:
@@ -109,7 +111,7 @@ class Bmp280Chip(CyclicBarometer):
         return ut_of(self.words, degc)
 
     def show(self, at_ns: int) -> None:
-        """Pressure, then temperature, 20 bits each (BMP-111)."""
+        """Return pressure, then temperature, 20 bits each (BMP-111)."""
         control = self.page[_CONTROL]
         codes = facts.TEMPERATURE_OVERSAMPLING.of(control), facts.PRESSURE_OVERSAMPLING.of(control)
         ut = self.ut(at_ns)
@@ -120,14 +122,16 @@ class Bmp280Chip(CyclicBarometer):
         self.page[_DATA : _DATA + len(data)] = data
 
     def _rounded(self, value: float, code: int) -> int:
-        """16 bits and one more for each doubling of samples; with the filter always 20 (BMP-106, BMP-110)."""
+        """Return the number of bits: 16 and one more for each doubling of samples; with the filter always 20 (BMP-106,
+        BMP-110).
+        """
         if not code:
             return SKIPPED
         unused_bits = BITS - 16 - (min(code, 5) - 1) if self.filter_divisor == 1 else 0
         return min(round(value / (1 << unused_bits)), (1 << BITS - unused_bits) - 1) << unused_bits
 
     def load(self, address: int, at_ns: int) -> int:
-        """Return a register's byte; the status says whether a measurement is in progress (BMP-105)."""
+        """Return a register's byte; the status shows whether a measurement is in progress (BMP-105)."""
         self.sync(at_ns)
         if address == _STATUS:
             return facts.COPYING.mask * (at_ns < self._ready_ns) | facts.MEASURING.mask * self._measures(at_ns)
@@ -137,7 +141,7 @@ class Bmp280Chip(CyclicBarometer):
         return self._end_ns - self.duration_ns <= at_ns < self._end_ns
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A mode, a setting, a reset, or nothing: every other register is read-only."""
+        """Carry out a mode, a setting or a reset; every other register is read-only."""
         self.sync(at_ns)
         if at_ns < self._ready_ns:
             return

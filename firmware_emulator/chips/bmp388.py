@@ -4,11 +4,11 @@ It sleeps after power-on. In forced mode it measures once and sleeps again, in n
 A measurement takes the typical time (BMP-209).
 
 Choices (DEC-220 to -222): writes in the first 2 ms after power-on or reset are acknowledged and lost; noise without
-filter is the BMP280's. The queue, interrupts and the sensor's clock are left out.
+filter is the BMP280's. The queue, interrupts and the sensor's clock are not modelled.
 
 Raw words follow from temperature and pressure by inverting the compensation (facts BMP-203, BMP-221): the data sheet's
-formulas in real numbers (its chapter 9), which its integer formulas approximate, are searched for the words that give
-the wanted temperature and pressure. The temperature rises with its word, the pressure falls.
+formulas in real numbers (its chapter 9), which its integer formulas approximate, are solved for the words that give the
+required temperature and pressure. The temperature increases with its word, the pressure decreases.
 """
 
 from __future__ import annotations
@@ -59,12 +59,12 @@ def pascal_of(words: Bmp388Words, degc: float, raw: float) -> float:
 
 
 def ut_of(words: Bmp388Words, degc: float) -> int:
-    """UT at a temperature; 24 bits."""
+    """Return UT at a temperature; 24 bits."""
     return nearest(lambda raw: degc_of(words, raw), 0, (1 << BITS) - 1, degc)
 
 
 def up_of(words: Bmp388Words, ut: int, pascal: float) -> int:
-    """UP at a pressure, for a part that is as warm as `ut` says; 24 bits."""
+    """Return UP at a pressure, for a part at the temperature of `ut`; 24 bits."""
     degc = degc_of(words, ut)
     return nearest(lambda raw: -pascal_of(words, degc, raw), 0, (1 << BITS) - 1, -pascal)
 
@@ -92,7 +92,9 @@ class Bmp388Chip(CyclicBarometer):
 
     @property
     def duration_ns(self) -> int:
-        """234 us, and 392 us and 2020 us a sample of pressure, 163 us and 2020 us a sample of temperature (BMP-209)."""
+        """Return the time of a measurement: 234 us, and 392 us and 2020 us a sample of pressure, 163 us and 2020 us a
+        sample of temperature (BMP-209).
+        """
         control, oversampling = self.page[_POWER], self.page[facts.OSR.address]
         pressure = 392_000 + (2_020_000 << facts.PRESSURE_OVERSAMPLING.of(oversampling))
         temperature = 163_000 + (2_020_000 << facts.TEMPERATURE_OVERSAMPLING.of(oversampling))
@@ -100,12 +102,12 @@ class Bmp388Chip(CyclicBarometer):
 
     @property
     def period_ns(self) -> int:
-        """The set period (BMP-208)."""
+        """Return the set period (BMP-208)."""
         return 5_000_000 << facts.PERIOD.of(self.page[facts.ODR.address])
 
     @property
     def filter_divisor(self) -> int:
-        """The coefficient, 0, 1, 3, ... 127, and one (BMP-210)."""
+        """Return the filter coefficient, 0, 1, 3, ... 127, plus one (BMP-210)."""
         return 1 << facts.FILTER.of(self.page[_CONFIG])
 
     def ut_of(self, degc: float) -> int:
@@ -113,7 +115,7 @@ class Bmp388Chip(CyclicBarometer):
         return ut_of(self.words, degc)
 
     def show(self, at_ns: int) -> None:
-        """Pressure, then temperature, 24 bits each, with a flag for either (BMP-205, BMP-211)."""
+        """Return pressure, then temperature, 24 bits each, with a flag for each (BMP-205, BMP-211)."""
         control, oversampling = self.page[_POWER], self.page[facts.OSR.address]
         codes = facts.TEMPERATURE_OVERSAMPLING.of(oversampling), facts.PRESSURE_OVERSAMPLING.of(oversampling)
         on = facts.TEMPERATURE_ON.of(control), facts.PRESSURE_ON.of(control)
@@ -128,7 +130,9 @@ class Bmp388Chip(CyclicBarometer):
         self.page[_STATUS] |= facts.TEMPERATURE_READY.mask * on[0] | facts.PRESSURE_READY.mask * on[1]
 
     def load(self, address: int, at_ns: int) -> int:
-        """Return a register's byte; reading a result clears its flag, reading the errors clears these (BMP-205)."""
+        """Return a register's byte; reading a result clears its flag, reading the error register clears it
+        (BMP-205).
+        """
         self.sync(at_ns)
         byte = self.page[address]
         if _DATA <= address < _DATA + 3:
@@ -140,7 +144,7 @@ class Bmp388Chip(CyclicBarometer):
         return byte
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A mode, a setting, a command, or nothing: every other register is read-only."""
+        """Carry out a mode, a setting or a command; every other register is read-only."""
         self.sync(at_ns)
         if at_ns < self._ready_ns:
             return
@@ -153,7 +157,7 @@ class Bmp388Chip(CyclicBarometer):
             self._switch(facts.MODE.of(value), at_ns)
 
     def _switch(self, mode: int, at_ns: int) -> None:
-        """Begin to measure, or stop; normal mode needs a period that is long enough (BMP-207)."""
+        """Begin to measure, or stop; normal mode needs a sufficiently long period (BMP-207)."""
         if mode == NORMAL and self.duration_ns > self.period_ns:
             self.page[_ERROR] |= facts.CONFIGURATION_ERROR.mask
             self.page[_POWER] &= ~facts.MODE.mask & 0xFF

@@ -42,8 +42,8 @@ class BoschBarometer(Chip):
         identity: int | None = None,
     ) -> None:
         """`calibration` holds the words by name that differ from the data sheet's example, `generator` draws the
-        pressure noise (without one there is none; temperature noise is left out: BMP-77), `identity` is the content of
-        the identity register (None: as the data sheet prints).
+        pressure noise (None: no noise; temperature noise is not modelled: BMP-77), `identity` is the content of the
+        identity register (None: as the data sheet prints).
         """
         self._generator, self._identity = generator, identity
         self._ut_at: tuple[float, int] = (float("nan"), 0)
@@ -51,7 +51,7 @@ class BoschBarometer(Chip):
         super().__init__(address, self.facts, element, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
-        """Reset values, this part's identity and calibration words, no conversion."""
+        """Set the reset values, this part's identity and calibration words; no conversion is in progress."""
         super().power_on(at_ns)
         identity = self.facts.CHIP_ID
         self.page[identity.address] = identity.reset if self._identity is None else self._identity
@@ -85,42 +85,42 @@ class CyclicBarometer(BoschBarometer):
     """A barometer that sleeps, measures once in forced mode, or measures periodically.
 
     `control` is the address of the register with the mode. BMP280 and BMP388 differ in registers, times and formulas;
-    the sequence of their measurements and the memory of their filters are the same. Of measurements that were not read,
-    only the last 64 pass through the filter (DEC-91, DEC-222).
+    the sequence of their measurements and the memory of their filters are the same. If measurements are not read, only
+    the last 64 of them pass through the filter (DEC-91, DEC-222).
     """
 
     control: int
 
     def power_on(self, at_ns: int) -> None:
-        """Start up asleep, the filter without memory."""
+        """Start up asleep, with an empty filter."""
         super().power_on(at_ns)
         self._memory: tuple[float, float] | None = None
 
     @property
     @abstractmethod
     def duration_ns(self) -> int:
-        """Time of one measurement with the present settings."""
+        """Return the time of one measurement with the present settings."""
 
     @property
     @abstractmethod
     def period_ns(self) -> int:
-        """Time from one measurement to the next in normal mode."""
+        """Return the time from one measurement to the next in normal mode."""
 
     @property
     @abstractmethod
     def filter_divisor(self) -> int:
-        """Divisor by which the filter takes a new value in; 1: no filter."""
+        """Return the divisor by which the filter weights a new value; 1: no filter."""
 
     @abstractmethod
     def show(self, at_ns: int) -> None:
         """Measure, and write the result into the data registers."""
 
     def begin(self, mode: int, at_ns: int) -> None:
-        """Take up a mode: measurements end from now on."""
+        """Start a mode: measurements end from now on."""
         self._end_ns = FAR_NS if mode == SLEEP else at_ns + self.duration_ns
 
     def sync(self, at_ns: int) -> None:
-        """Every measurement that has ended by `at_ns` into the data registers."""
+        """Write every measurement that has ended by `at_ns` into the data registers."""
         if at_ns < self._end_ns:
             return
         if self.facts.MODE.of(self.page[self.control]) != NORMAL:
@@ -135,19 +135,19 @@ class CyclicBarometer(BoschBarometer):
         self._end_ns += count * period_ns
 
     def filtered(self, ut: int, up: int) -> tuple[float, float]:
-        """Return both words behind the filter, which takes the first ones as they are."""
+        """Return both words after the filter, which returns the first ones unchanged."""
         new, divisor = (float(ut), float(up)), self.filter_divisor
         old = self._memory or new
         self._memory = old[0] + (new[0] - old[0]) / divisor, old[1] + (new[1] - old[1]) / divisor
         return self._memory
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """A burst shows the registers as they are when it begins (BMP-112, BMP-211)."""
+        """Read a burst, which shows the registers as they are at its beginning (BMP-112, BMP-211)."""
         return super().read(count, at_ns, 0)
 
 
 def nearest(function: Callable[[int], float], low: int, high: int, target: float) -> int:
-    """Return the argument in low ... high at which a rising function comes closest to `target`, the lower of two
+    """Return the argument in low ... high at which a rising function is closest to `target`, the lower of two
     equals.
     """
     bottom, top = low, high

@@ -1,6 +1,6 @@
 """A first-order high-pass that is evaluated at irregular times, whenever the emulated filter is read.
 
-Between two calls the input is taken to have stayed as it was at the earlier one. Any unit; times in integer
+The input is taken to be constant between two calls, at its value of the earlier one. Any unit; times in integer
 nanoseconds.
 """
 
@@ -12,7 +12,7 @@ from firmware_emulator.chip import Triple
 
 
 class HighPass:
-    """Removes what is slower than `cutoff_hz`; switched on at `since_ns` with an empty memory."""
+    """A high-pass filter with the cut-off `cutoff_hz`, switched on at `since_ns` with an empty state."""
 
     def __init__(self, cutoff_hz: float, since_ns: int) -> None:
         self._per_ns = -2e-9 * math.pi * cutoff_hz
@@ -21,7 +21,7 @@ class HighPass:
         self._removed: Triple = (0.0, 0.0, 0.0)
 
     def __call__(self, value: Triple, at_ns: int) -> Triple:
-        """Filter `value`, the input at `at_ns`, which is never earlier than in the call before."""
+        """Filter `value`, the input at `at_ns`, which never decreases between calls."""
         earlier = value if self._input is None else self._input
         kept = math.exp(self._per_ns * max(0, at_ns - self._at_ns))
         x, y, z = (old + (new - old) * kept for new, old in zip(self._removed, earlier, strict=True))

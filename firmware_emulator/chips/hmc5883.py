@@ -1,8 +1,8 @@
 """HMC5883 and HMC5883L magnetometers: Honeywell Form 900405 Rev A (2010), Rev E; HMC-01 ... HMC-53, DEC-30 ... DEC-32.
 
 Continuous mode measures on a grid that begins with the last write to a configuration register (HMC-37), single mode
-once. Not modelled: that bus traffic delays a measurement (HMC-39). The pointer counts on after bytes read, not written
-(HMC-05).
+once. Not modelled: that bus traffic delays a measurement (HMC-39). The pointer increments after bytes that are read,
+not after those that are written (HMC-05).
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from imuarray.facts import hmc5883 as facts
 NEVER_NS = 1 << 62
 CONTINUOUS, SINGLE, IDLE, IDLE_TOO = range(4)
 PERIODS_NS = tuple(round(1e9 / rate_hz) for rate_hz in (0.75, 1.5, 3.0, 7.5, 15.0, 30.0, 75.0, 75.0))
-"""Periods by rate code (HMC-28); the reserved code 111 is taken for 75 Hz."""
+"""Periods by rate code (HMC-28); the reserved code 111 is treated as 75 Hz."""
 BANDWIDTH_HZ = 80.0
 """Bandwidth of one measurement: half the fastest rate, 160 Hz (HMC-29)."""
 INVALID = -4096
-"""Stands for what the 12-bit converter can't express (HMC-32)."""
+"""Code of values that the 12-bit converter can't express (HMC-32)."""
 DATA = range(facts.DATA_X_MSB.address, facts.DATA_Y_LSB.address + 1)
 ALL_SIX = 0b111111
 WORDS = Struct(">3h")
@@ -72,7 +72,7 @@ def word(code: int) -> int:
 
 
 class Hmc5883Chip(Chip):
-    """An HMC5883 or HMC5883L, by `variant`; `wrap` is the register whose read sends the pointer back to 3: 8 or 9
+    """An HMC5883 or HMC5883L, by `variant`; `wrap` is the register after whose read the pointer returns to 3: 8 or 9
     (DEC-30).
     """
 
@@ -86,7 +86,9 @@ class Hmc5883Chip(Chip):
         super().__init__(address, facts, element, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
-        """The reset value of the mode register asks for one measurement, when the part is ready (HMC-12, HMC-51)."""
+        """Start up: the reset value of the mode register requests one measurement when the part is ready (HMC-12,
+        HMC-51).
+        """
         super().power_on(at_ns)
         self._gain = self._selected_gain()
         self._read = 0
@@ -94,7 +96,9 @@ class Hmc5883Chip(Chip):
         self._begin(at_ns)
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Counts on after bytes read only, back to 3 after the data, back to 0 after the identity (HMC-05, DEC-30)."""
+        """Return the next register: the pointer increments after bytes that are read, returns to 3 after the data, and
+        to 0 after the identity (HMC-05, DEC-30).
+        """
         if not reading:
             return pointer
         if pointer >= facts.IDENTITY_C.address:
@@ -102,7 +106,7 @@ class Hmc5883Chip(Chip):
         return DATA.start if pointer == self.wrap else pointer + 1
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """Byte by byte, but all six data bytes in one piece: the first locks the others (HMC-33)."""
+        """Read byte by byte, but all six data bytes at once: the first locks the others (HMC-33)."""
         if count != len(DATA) or self.pointer != DATA.start:
             return super().read(count, at_ns, byte_ns)
         self._convert(at_ns)
@@ -111,7 +115,9 @@ class Hmc5883Chip(Chip):
         return bytes(self.page[DATA.start : DATA.stop])
 
     def load(self, address: int, at_ns: int) -> int:
-        """Data bytes lock the output until all six are read; on the L so does reading the mode (HMC-33, HMC-34)."""
+        """Return a byte: data bytes lock the output until all six are read; on the L so does reading the mode (HMC-33,
+        HMC-34).
+        """
         self._convert(at_ns)
         if address in DATA:
             self._note_read(address)
@@ -122,7 +128,9 @@ class Hmc5883Chip(Chip):
         return self.page[address]
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """All three writable registers start measuring afresh; A and the mode unlock the output (HMC-34, HMC-37)."""
+        """Write a register: all three writable registers restart the measurement; A and the mode unlock the output
+        (HMC-34, HMC-37).
+        """
         self._convert(at_ns)
         super().store(address, value, at_ns)
         if address in (facts.CONFIG_A.address, facts.MODE.address):
@@ -162,7 +170,7 @@ class Hmc5883Chip(Chip):
                 self._gain = self._selected_gain()
         if not (self._locked or self._read):
             self._put(self._field(due_ns))
-        self._gain = self._selected_gain()  # only the measurement after the next knows a new gain (HMC-36)
+        self._gain = self._selected_gain()  # a new gain takes effect with the measurement after the next (HMC-36)
 
     def _put(self, field: Triple) -> None:
         gain = self.variant.gains[self._gain]
@@ -200,7 +208,7 @@ class Hmc5883Chip(Chip):
 
 
 class Hmc5883lChip(Hmc5883Chip):
-    """The L, under the name that configurations use."""
+    """The HMC5883L, under the name that configurations use."""
 
     def __init__(
         self, address: int, element: Element, powered_on_ns: int = 0, *, variant: str = "hmc5883l", wrap: int = 8

@@ -37,7 +37,7 @@ STALL_DPS, STALL_NS = 100.0, 1_500_000  # TDK-18, DEC-63
 
 CLOCK_INPUT, PULSE_INPUT = 0b10, 0b01  # TDK-24
 CLOCK_HZ = 32_000.0
-"""Frequency of an external clock at which rates are as their codes say: TDK-25."""
+"""Frequency of an external clock at which rates equal their codes: TDK-25."""
 FIFO_BYTES = 2048  # TDK-80
 EMPTY = 0xFF  # TDK-81
 STOP_ON_FULL = 0b10
@@ -47,7 +47,9 @@ _DATA = range(facts.TEMP_DATA1.address, facts.GYRO_DATA_Z0.address + 1)
 
 @dataclass
 class _Half:
-    """One half: the fields of its mode and rate, where its triad is, and from when on its readings are valid."""
+    """One half: the fields of its mode and rate, the registers of its triad, and the time from which on its readings
+    are valid.
+    """
 
     mode: Field
     rate: Field
@@ -55,15 +57,15 @@ class _Half:
     place: slice
     grid: SampleGrid
     zero_bits: int
-    """The lowest bits that are always 0 of its 20 in packets of high resolution (TDK-89)."""
+    """The lowest bits of the 20 that are always 0 in packets of high resolution (TDK-89)."""
     valid_ns: int = NEVER_NS
     fine: tuple[int, ...] = (FINE_INVALID,) * 3
     """Its latest reading in 20 bits."""
 
 
 class Icm42688Chip(SixAxis):
-    """The registers of three banks; `trim_code` is what the factory stored, `clock_input_hz` the frequency at pin 9 (0:
-    no clock is connected).
+    """The registers of three banks; `trim_code` is that of the factory, `clock_input_hz` the frequency at pin 9 (0: no
+    clock is connected).
     """
 
     table: ClassVar[ModuleType] = facts
@@ -85,7 +87,7 @@ class Icm42688Chip(SixAxis):
         super().__init__(address, elements, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:
-        """Both halves off, every register of every bank at its reset value (TDK-10, TDK-11)."""
+        """Switch both halves off and set every register of every bank to its reset value (TDK-10, TDK-11)."""
         super().power_on(at_ns)
         self.banks = {bank: bytearray(256) for bank in (1, 2)}
         for bank, page in self.banks.items():
@@ -113,7 +115,7 @@ class Icm42688Chip(SixAxis):
         return self._oscillator
 
     def own_period_ns(self, period_ns: float) -> int:
-        """See `SixAxis.own_period_ns`; 0 without a clock."""
+        """Return the period as `SixAxis.own_period_ns`; 0 without a clock."""
         speed = self._speed
         return round(period_ns / speed) if speed else 0
 
@@ -136,7 +138,7 @@ class Icm42688Chip(SixAxis):
         self._sample(at_ns)
 
     def _enqueue(self, packet: bytes, most: int, mode: int) -> None:
-        """A packet into the queue; when it is full the oldest is lost, or this one (TDK-80)."""
+        """Append a packet to the queue; if it is full, the oldest or this one is lost (TDK-80)."""
         if len(self._packets) >= most:
             self._flags |= facts.FIFO_FULL.mask
             if mode == STOP_ON_FULL:
@@ -174,12 +176,12 @@ class Icm42688Chip(SixAxis):
 
     @property
     def _is_fine(self) -> bool:
-        """True if packets have high resolution, which needs both triads (DEC-64)."""
+        """Return whether packets have high resolution, which needs both triads (DEC-64)."""
         control = self._packet_control
         return control & 0b11 == 0b11 and bool(facts.FIFO_HIGH_RESOLUTION.of(control))
 
     def _stamp_ns(self, at_ns: int) -> int:
-        """Return the time that stamps count: since the last pulse with FSYNC on (TDK-90, DEC-66), or since power-on."""
+        """Return the time in stamps: since the last pulse with FSYNC on (TDK-90, DEC-66), or since power-on."""
         pulse_ns = self.latest_pulse_ns(at_ns) if self._has_pulse_input else None
         if pulse_ns is None or not facts.TIMESTAMP_FSYNC.of(self.page[facts.TMST_CONFIG.address]):
             return at_ns - self.powered_on_ns
@@ -190,9 +192,9 @@ class Icm42688Chip(SixAxis):
         return facts.PIN_9.of(self.banks[1][facts.INTF_CONFIG5.address]) == PULSE_INPUT
 
     def _packet(self, at_ns: int, is_marked: bool) -> bytes:
-        """Header, triads, temperature of 8 bits, and with both triads a time stamp (TDK-81 ... TDK-83), which is that
-        since a pulse in the first packet after it (TDK-90); in high resolution the temperature has 16 bits, and the
-        triads' lowest four stand last (TDK-88).
+        """Return a packet: header, triads, temperature of 8 bits, and with both triads a time stamp (TDK-81 ...
+        TDK-83), which is the time since a pulse in the first packet after it (TDK-90); in high resolution the
+        temperature has 16 bits, and the triads' lowest four bits are last (TDK-88).
         """
         control, page = self._packet_control, self.page
         header, data = 0, b""
@@ -223,7 +225,7 @@ class Icm42688Chip(SixAxis):
         return b"".join(self._word(code >> 4) for code in half.fine)
 
     def _take_bytes(self, count: int) -> bytes:
-        """Return the next bytes of the queue, and what it reads behind its end."""
+        """Return the next bytes of the queue, followed by those that are read after its end."""
         taken = self._part
         while len(taken) < count and self._packets:
             self._whole = self._packets.popleft()
@@ -232,13 +234,15 @@ class Icm42688Chip(SixAxis):
         return taken[:count] + bytes([EMPTY]) * (count - len(taken))
 
     def stop(self, at_ns: int) -> None:
-        """A packet that was read in part is read again from its beginning, unless reading may resume (TDK-86)."""
+        """End the transaction: a partly read packet is read again from its beginning, unless reading may resume
+        (TDK-86).
+        """
         if self._part and not facts.FIFO_RESUME.of(self._packet_control):
             self._packets.appendleft(self._whole)
             self._part = b""
 
     def _sample(self, at_ns: int) -> None:
-        """The latest sample of each half into the data registers."""
+        """Write the latest sample of each half into the data registers."""
         for name, half in self._halves.items():
             sampled_ns = half.grid.take(at_ns)
             if sampled_ns is None:
@@ -292,7 +296,7 @@ class Icm42688Chip(SixAxis):
         return self._codes(rate, CODES_PER_DPS[code], code, pushed)
 
     def _codes(self, felt: Triple, scale: float, range_code: int, pushed: int) -> list[int]:
-        """Three codes; bit 0 of `pushed` deflects x (TDK-41), by the factory's change at this range (TDK-40)."""
+        """Return three codes; bit 0 of `pushed` deflects x (TDK-41), by the factory's change at this range (TDK-40)."""
         push = self._push(range_code)
         return [clipped(round(value * scale + push * (pushed >> axis & 1)), LOWEST) for axis, value in enumerate(felt)]
 
@@ -301,7 +305,7 @@ class Icm42688Chip(SixAxis):
         return 2620.0 / 2.0 ** (3 - range_code) * 1.01 ** (self._trim_code - 1) if self._trim_code else 0.0
 
     def _convert_finely(self, half: _Half, felt: Triple, scale: float, pushed: int) -> None:
-        """Keep a reading in 20 bits, of which the lowest are 0; it does not depend on the range."""
+        """Store a reading in 20 bits, of which the lowest are 0; it does not depend on the range."""
         highest = (1 << 19 - half.zero_bits) - 1
         push = self._push(0) * (1 << 4 - half.zero_bits)
         codes = (round(value * scale + push * (pushed >> axis & 1)) for axis, value in enumerate(felt))
@@ -314,7 +318,7 @@ class Icm42688Chip(SixAxis):
         return facts.BANK.of(self.page[facts.REG_BANK_SEL.address])
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """One burst shows one instant (DEC-60)."""
+        """Read a burst, which shows one instant (DEC-60)."""
         self.end_reset(at_ns)
         self._sync(at_ns)
         before = min(count, facts.FIFO_DATA.address - self.pointer)
@@ -334,7 +338,7 @@ class Icm42688Chip(SixAxis):
         return self.page[address]
 
     def _count_byte(self, first: bool) -> int:
-        """Return the count in bytes or records, both bytes taken with the first; 0 once after a flush (TDK-84)."""
+        """Return the count in bytes or records, both bytes latched by the first; 0 once after a flush (TDK-84)."""
         control = self.page[facts.INTF_CONFIG0.address]
         if first:
             records = facts.FIFO_COUNT_RECORDS.of(control)
@@ -344,7 +348,7 @@ class Icm42688Chip(SixAxis):
         return self._count >> 8 if high else self._count & 0xFF
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A byte written to a register: what was sampled before stays as it was."""
+        """Write a byte to a register; samples before it are unchanged."""
         self.end_reset(at_ns)
         self._sync(at_ns)
         bank = self._bank if address != facts.REG_BANK_SEL.address else 0
@@ -370,7 +374,7 @@ class Icm42688Chip(SixAxis):
                 self._restart(half, at_ns)
 
     def _hold_timestamp(self, at_ns: int) -> None:
-        """Put the time since power-on, in 20 bits, low byte first, into its registers, if it may be read (TDK-91)."""
+        """Write the time since power-on, in 20 bits, low byte first, into its registers, if it may be read (TDK-91)."""
         control = self.page[facts.TMST_CONFIG.address]
         is_read = facts.TIMESTAMP_ON.of(control) and facts.TIMESTAMP_TO_REGISTERS.of(control)
         unit_ns = 16_000 if facts.TIMESTAMP_16_US.of(control) else 1_000
@@ -379,7 +383,9 @@ class Icm42688Chip(SixAxis):
         self.banks[1][first : first + 3] = count.to_bytes(3, "little")
 
     def _restart(self, half: _Half, at_ns: int) -> None:
-        """The grid begins anew with another rate, and when the half is switched on (DEC-61); off, it is invalid."""
+        """Restart the grid if the rate changed or the half was switched on (DEC-61); readings of a half that is off are
+        invalid.
+        """
         rate_hz = RATES_HZ.get(half.rate.of(self.page[half.rate.register.address]), 1000.0)
         mode = half.mode.of(self.page[facts.PWR_MGMT0.address])
         on = mode == 0b11 or (mode == 0b10 and half.mode == facts.ACCEL_MODE)  # TDK-11
@@ -393,7 +399,7 @@ class Icm42688Chip(SixAxis):
 
 
 def accelerometer_tolerances(_: float) -> Tolerances:
-    """TDK-50 ... TDK-54; alignment is not specified apart from the cross-axis sensitivity."""
+    """Return the tolerances TDK-50 ... TDK-54; alignment is not specified apart from the cross-axis sensitivity."""
     return Tolerances(
         bias=(typical(0.020),) * 3,
         slope_per_degc=(typical(0.15e-3),) * 3,
@@ -408,7 +414,7 @@ def accelerometer_tolerances(_: float) -> Tolerances:
 
 
 def gyroscope_tolerances(_: float) -> Tolerances:
-    """TDK-60 ... TDK-64; a sensitivity to force is not printed."""
+    """Return the tolerances TDK-60 ... TDK-64; a sensitivity to force is not printed."""
     return Tolerances(
         bias=(typical(0.5),) * 3,
         slope_per_degc=(typical(0.005),) * 3,

@@ -1,12 +1,11 @@
 """L3G4200D gyroscope behind its registers, after the ST data sheet Doc ID 17116 Rev 3 (facts L3G-01 ... L3G-65).
 
-It wakes up in power-down and has no reset. Sub-address bit 7 asks for the next register after every byte; without
-it a burst is the same register over and over. Left out: the interrupts (INT1_SRC reads 0), the 3-wire
-SPI.
+It wakes up in power-down and has no reset. Sub-address bit 7 requests the next register after every byte; without it a
+burst repeats the same register. Not modelled: the interrupts (INT1_SRC reads 0), the 3-wire SPI.
 
-Choices: an axis counts as read when both its bytes are; with BDU it stands still from the first byte to the second
-(L3G-50, L3G-51). An axis switched off keeps its value and is never new. BOOT clears itself after 5 ms and changes
-nothing. The two modes of the FIFO that wait for an interrupt stay what they are before it: stream-to-FIFO streams,
+Choices: an axis counts as read when both its bytes are; with BDU it does not change between its first and its second
+byte (L3G-50, L3G-51). An axis that is switched off keeps its value and is never new. BOOT clears itself after 5 ms and
+has no other effect. The two modes of the FIFO that wait for an interrupt remain as before it: stream-to-FIFO streams,
 bypass-to-stream bypasses. A set is taken out when its first byte is read and stays on the output registers until its
 last one, OUT_Z_H, is; with the FIFO empty the registers keep the last set read.
 """
@@ -49,11 +48,11 @@ class Fifo:
 
     @property
     def waiting(self) -> bool:
-        """True if there is a set that has not been read to its end."""
+        """True if there is a set that has not been read completely."""
         return self._open or bool(self._sets)
 
     def switch(self, mode: int, latest: int, shown: Codes) -> None:
-        """Another mode from conversion `latest` on; going through bypass empties (L3G-54)."""
+        """Change the mode from conversion `latest` on; bypass empties the FIFO (L3G-54)."""
         was_active = self.active
         self.mode = mode
         if not self.active:
@@ -63,7 +62,7 @@ class Fifo:
             self._open, self._shown, self._upto = False, shown, latest
 
     def fill(self, latest: int, convert: Callable[[int], Codes]) -> None:
-        """Take in the conversions up to `latest`, as far as the mode keeps them."""
+        """Take in the conversions up to `latest` that the mode stores."""
         begin, end = self._upto + 1, latest + 1
         if self.mode == FIFO:
             end = begin if self._stopped else min(end, begin + DEPTH - len(self._sets))
@@ -85,14 +84,14 @@ class Fifo:
         return self._shown
 
     def source(self, watermark: int) -> int:
-        """FIFO_SRC_REG: watermark reached, full, empty, level up to 31 (L3G-55, L3G-58)."""
+        """Return FIFO_SRC_REG: watermark reached, full, empty, level up to 31 (L3G-55, L3G-58)."""
         level = len(self._sets)
         full = level == DEPTH
         return (level >= watermark) << 7 | full << 6 | (not level) << 5 | level - full
 
 
 FAR_NS = 1 << 62
-START_UP_NS = 0  # some 300 ms from power-down are said, but by no document that could be read: L3G-65
+START_UP_NS = 0  # some sources state 300 ms from power-down, but no document that is available: L3G-65
 BOOT_NS = 5_000_000
 SECOND_NS = 1_000_000_000  # OUT_TEMP is refreshed at 1 Hz, L3G-60
 ALL_AXES = 0b111
@@ -108,13 +107,13 @@ class L3g4200dChip(Chip):
     """The chip. `forbidden_writes` counts writes to reserved registers, which may destroy a real part (L3G-07).
 
     temperature_zero: OUT_TEMP at 0 degC, unknown for a real part (L3G-60).
-    left_over: registers as an earlier program left them; the part then neither boots nor warms up.
-    start_up_ns: from leaving power-down to the first conversion; L3G-65 is unverified, so none unless asked for.
+    left_over: registers as set by an earlier program; the part then neither boots nor warms up.
+    start_up_ns: from leaving power-down to the first conversion; L3G-65 is unverified, so the default is none.
     wrap_always: 0x2D is followed by 0x28 also without FIFO (DEC-20).
     rate_error: relative error of the output data rate.
     """
 
-    # The switches are what data sheets leave open or an earlier program left behind; `open_array` sets them by name.
+    # The switches are properties that data sheets do not specify, or settings of an earlier program.
     def __init__(  # noqa: PLR0913
         self,
         address: int,
@@ -139,13 +138,13 @@ class L3g4200dChip(Chip):
             self._start_up_ns = start_up_ns
 
     def power_on(self, at_ns: int) -> None:
-        """Reset values, power-down, outputs 0."""
+        """Set the reset values: power-down, outputs 0."""
         super().power_on(at_ns)
         self._increment = False
         self._signal, self._fifo = Signal(self.element, self.page), Fifo()
         self._powered, self._running, self._rate, self._ready_ns = False, False, -1, at_ns
-        self._base, self._start_ns, self._period_ns = -1, FAR_NS, SECOND_NS  # conversions are numbered from 0, for ever
-        self._index, self._codes = -1, (0, 0, 0)  # the latest conversion that somebody looked at
+        self._base, self._start_ns, self._period_ns = -1, FAR_NS, SECOND_NS  # conversions are numbered from 0
+        self._index, self._codes = -1, (0, 0, 0)  # the latest conversion that was evaluated
         self._axes = ALL_AXES
         self._stopped = [-1, -1, -1]  # latest conversion of an axis that is switched off
         self._read_upto = [-1, -1, -1]
@@ -158,11 +157,11 @@ class L3g4200dChip(Chip):
     # Conversions ----------------------------------------------------------------------------------------------------
 
     def _latest(self, at_ns: int) -> int:
-        """Number of the latest conversion at `at_ns`."""
+        """Return the number of the latest conversion at `at_ns`."""
         return self._base if at_ns < self._start_ns else self._base + 1 + (at_ns - self._start_ns) // self._period_ns
 
     def _convert(self, index: int) -> Codes:
-        """Look at conversion `index`, the latest one or one still to be queued."""
+        """Evaluate conversion `index`, the latest one or one that is still to be queued."""
         codes = self._signal.codes(self._start_ns + (index - self._base - 1) * self._period_ns)
         if self._axes != ALL_AXES:
             x, y, z = (new if self._axes >> axis & 1 else self._codes[axis] for axis, new in enumerate(codes))
@@ -171,7 +170,7 @@ class L3g4200dChip(Chip):
         return codes
 
     def _sync(self, at_ns: int) -> int:
-        """Bring outputs and FIFO up to `at_ns`; the number of the latest conversion."""
+        """Bring outputs and FIFO up to `at_ns`; return the number of the latest conversion."""
         latest = self._latest(at_ns)
         if self._fifo.active:
             self._fifo.fill(latest, self._convert)
@@ -180,7 +179,7 @@ class L3g4200dChip(Chip):
         return latest
 
     def _reconfigure(self, at_ns: int) -> None:
-        """Let the control registers act from `at_ns` on; `_sync` has been called with the old ones."""
+        """Apply the control registers from `at_ns` on; `_sync` has been called with the old ones."""
         ctrl1, ctrl5 = self.page[_CTRL1], self.page[_CTRL5]
         latest = self._latest(at_ns)
         self._set_axes(facts.AXES_ON.of(ctrl1), latest)
@@ -198,7 +197,7 @@ class L3g4200dChip(Chip):
         self._axes = axes
 
     def _set_clock(self, ctrl1: int, at_ns: int, latest: int) -> None:
-        """Power mode (L3G-34) and data rate; a change of either restarts the grid of conversions."""
+        """Apply power mode (L3G-34) and data rate; a change of either restarts the grid of conversions."""
         powered, rate = bool(facts.POWER_ON.of(ctrl1)), facts.DATA_RATE.of(ctrl1)
         running = powered and facts.AXES_ON.of(ctrl1) != 0
         waking, started = powered and not self._powered, running and not self._running
@@ -215,7 +214,7 @@ class L3g4200dChip(Chip):
         self._powered, self._running, self._rate = powered, running, rate
 
     def _status(self, latest: int) -> int:
-        """STATUS_REG: new data per axis and altogether, and the same for overwritten data (L3G-52)."""
+        """Return STATUS_REG: new data per axis and altogether, and the same for overwritten data (L3G-52)."""
         if self._fifo.active:
             return (0x0F if self._fifo.waiting else 0) | (0xF0 if self._fifo.level == DEPTH else 0)
         x, y, z = self._read_upto
@@ -229,7 +228,7 @@ class L3g4200dChip(Chip):
         return (overrun == 7) << 7 | overrun << 4 | (available == 7) << 3 | available
 
     def _temperature_byte(self, at_ns: int) -> int:
-        """OUT_TEMP: one code less per degree (L3G-60); holds its value in power-down."""
+        """Return OUT_TEMP: one code less per degree (L3G-60); it holds its value in power-down."""
         second = (at_ns - self._temperature_start_ns) // SECOND_NS
         if second > self._second:
             self._second = second
@@ -240,7 +239,7 @@ class L3g4200dChip(Chip):
     # Reading --------------------------------------------------------------------------------------------------------
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """`count` bytes from the pointer on; a burst that no conversion interrupts takes a short cut."""
+        """Return `count` bytes from the pointer on; a faster path serves a burst that no conversion interrupts."""
         if not self._increment or (self.pointer, count) not in ((_X_LOW, 6), (_TEMP, 8)):
             return super().read(count, at_ns, byte_ns)
         latest = self._latest(at_ns)
@@ -274,7 +273,9 @@ class L3g4200dChip(Chip):
         return self.page[address]
 
     def _output(self, byte: int, at_ns: int) -> int:
-        """Byte 0 ... 5 of the output registers: of each axis the low half first, with BLE the high one (L3G-44)."""
+        """Return byte 0 ... 5 of the output registers: the low byte of each axis first, with BLE the high one
+        (L3G-44).
+        """
         latest = self._sync(at_ns)
         axis, half = divmod(byte, 2)
         big = self.page[_CTRL4] & facts.BIG_ENDIAN.mask
@@ -292,7 +293,7 @@ class L3g4200dChip(Chip):
         return code >> shift & 0xFF
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Return the next register if sub-address bit 7 asked for it (L3G-03, L3G-04); a FIFO is read in circles
+        """Return the next register if sub-address bit 7 requested it (L3G-03, L3G-04); the addresses of a FIFO wrap
         (L3G-05).
         """
         if not self._increment:
@@ -304,20 +305,20 @@ class L3g4200dChip(Chip):
     # Writing --------------------------------------------------------------------------------------------------------
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """First byte: sub-address, whose bit 7 asks for auto-increment; then the values."""
+        """Write: the first byte is the sub-address, whose bit 7 requests auto-increment; the values follow."""
         if data:
             self._increment = data[0] >= 0x80
             data = bytes((data[0] & 0x7F,)) + data[1:]
         return super().write(data, at_ns, byte_ns)
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A byte written to a register: what was converted before it stays as it was."""
+        """Write a byte to a register; conversions before it are unchanged."""
         if address < facts.WHO_AM_I.address or 0x10 <= address < _CTRL1:
             self.forbidden_writes += 1
             return
         latest = self._sync(at_ns)
         if latest != self._index:
-            self._convert(latest)  # passed over by a FIFO that is full
+            self._convert(latest)  # not stored by a full FIFO
         self._temperature_byte(at_ns)
         super().store(address, value, at_ns)
         if address == _CTRL5 and value & facts.BOOT.mask:

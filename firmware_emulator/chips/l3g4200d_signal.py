@@ -1,7 +1,7 @@
 """The L3G4200D between its element and its output registers: scale, filters, self-test (facts L3G-30 ... L3G-45).
 
-28571 codes are the range, whichever it is (250 dps at 8.75 mdps, L3G-40 ... L3G-43). Choices: in high-pass mode 01
-the output is what exceeds REFERENCE, read as the high byte of a code; mode 11 acts as mode 00, for the interrupt is
+28571 codes are the full scale of every range (250 dps at 8.75 mdps, L3G-40 ... L3G-43). Choices: in high-pass mode 01
+the output is what exceeds REFERENCE, read as the high byte of a code; mode 11 acts as mode 00, because the interrupt is
 not modelled.
 """
 
@@ -32,7 +32,7 @@ Codes = tuple[int, int, int]
 
 
 class Path(NamedTuple):
-    """The signal path that CTRL_REG1 ... CTRL_REG5 ask for."""
+    """The signal path that CTRL_REG1 ... CTRL_REG5 select."""
 
     range_dps: float
     bandwidth_hz: float
@@ -42,7 +42,7 @@ class Path(NamedTuple):
 
 
 def path_of(page: bytes | bytearray) -> Path:
-    """Return the path set up in a register page (L3G-36, L3G-37)."""
+    """Return the path that a register page selects (L3G-36, L3G-37)."""
     ctrl1, ctrl2, ctrl4, ctrl5 = page[0x20], page[0x21], page[0x23], page[0x24]
     rate, scale, select = facts.DATA_RATE.of(ctrl1), facts.FULL_SCALE.of(ctrl4), facts.OUT_SELECT.of(ctrl5)
     filtered = select == 0b01 or (select >= 0b10 and bool(facts.HIGH_PASS_EN.of(ctrl5)))
@@ -57,7 +57,7 @@ def path_of(page: bytes | bytearray) -> Path:
 
 
 class Signal:
-    """Codes of the element's rate at any instant, along the path in force."""
+    """Codes of the element's rate at any instant, along the path that is selected."""
 
     def __init__(self, element: Element, page: bytearray) -> None:
         self._element = element
@@ -81,7 +81,7 @@ class Signal:
             self._offset -= (reference - 256 if reference > 127 else reference) * 256
 
     def zero(self, at_ns: int) -> None:
-        """Reading REFERENCE makes the present rate the high-pass filter's zero (L3G-12)."""
+        """Make the present rate the high-pass filter's zero, as reading REFERENCE does (L3G-12)."""
         if self._high_pass is not None:
             path = self._path
             x, y, z = self._element.sample(at_ns, path.range_dps, path.bandwidth_hz)

@@ -1,7 +1,7 @@
 """LIS3MDL magnetometer behind its registers: ST data sheet DocID024204 Rev 6; LIS-01 ... LIS-21, DEC-100 to -104.
 
-It wakes up powered down. Sub-address bit 7 asks for the next register after every byte. Not modelled: interrupts,
-FAST_READ.
+It is powered down after power-on. Sub-address bit 7 requests the next register after every byte. Not modelled:
+interrupts, FAST_READ.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _CONTROL1, _CONTROL2, _CONTROL3 = facts.CTRL_REG1.address, facts.CTRL_REG2.addre
 
 
 class _Settings(NamedTuple):
-    """The settings that decide when samples come."""
+    """The settings that determine the times of samples."""
 
     operation: int
     rate_hz: float
@@ -40,7 +40,7 @@ class Lis3mdlChip(Chip):
         super().__init__(address, facts, element, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
-        """Reset values, powered down."""
+        """Set the reset values, powered down."""
         super().power_on(at_ns)
         self.page[facts.WHO_AM_I.address] = self._identity
         self._increment = False
@@ -51,7 +51,9 @@ class Lis3mdlChip(Chip):
     # Sampling ---------------------------------------------------------------------------------------------------------
 
     def _sync(self, at_ns: int) -> None:
-        """The latest sample into the data registers, and what became of those before it into the status."""
+        """Write the latest sample into the data registers; the status shows whether earlier samples were
+        overwritten.
+        """
         before = self._grid.index
         sampled_ns = self._grid.take(at_ns)
         if sampled_ns is None:
@@ -82,7 +84,7 @@ class Lis3mdlChip(Chip):
             self.page[_TEMPERATURE : _TEMPERATURE + 2] = code.to_bytes(2, "little", signed=True)
 
     def _restart(self, at_ns: int) -> None:
-        """Samples begin anew with another rate and when the chip is woken up (DEC-100)."""
+        """Restart the samples if the rate changed or the chip was woken up (DEC-100)."""
         control = self.page[_CONTROL1]
         rate_hz = RATES_HZ[facts.DATA_RATE.of(control)]
         if facts.FAST_RATE.of(control):
@@ -99,14 +101,16 @@ class Lis3mdlChip(Chip):
     # Reading and writing ----------------------------------------------------------------------------------------------
 
     def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
-        """First byte: sub-address, whose bit 7 asks for the next register after each byte; then the values (LIS-03)."""
+        """Write: the first byte is the sub-address, whose bit 7 requests the next register after each byte; the values
+        follow (LIS-03).
+        """
         if data:
             self._increment = data[0] >= 0x80
             data = bytes((data[0] & 0x7F,)) + data[1:]
         return super().write(data, at_ns, byte_ns)
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Return the next register if sub-address bit 7 asked for it (LIS-03); x again after z (LIS-18, DEC-104)."""
+        """Return the next register if sub-address bit 7 requested it (LIS-03); after z follows x (LIS-18, DEC-104)."""
         if not self._increment:
             return pointer
         return _FIRST if reading and pointer == _LAST else pointer + 1 & 0x7F
@@ -128,12 +132,12 @@ class Lis3mdlChip(Chip):
         return self.page[address]
 
     def _taken(self, axis: int) -> None:
-        """Reading the high byte of an axis clears its flags (LIS-12)."""
+        """Clear the flags of an axis when its high byte is read (LIS-12)."""
         status = self.page[_STATUS] & ~(0x11 << axis | facts.ZYX_AVAILABLE.mask | facts.ZYX_OVERRUN.mask)
         self.page[_STATUS] = status & 0xFF
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A byte written to a register: what was sampled before stays as it was."""
+        """Write a byte to a register; samples before it are unchanged."""
         self._sync(at_ns)
         if address == _CONTROL2 and value & facts.SOFT_RESET.mask:
             pointer, increment = self.pointer, self._increment

@@ -1,7 +1,7 @@
 """LSM6DSO accelerometer and gyroscope: ST DS12140 Rev 2; LSM-*, DEC-70 to -74.
 
-After power-on both halves are off. Each has a grid of samples of its own, which begins when its rate is set, at a
-sample of the other half if that is on: both rates are divided from one clock. Not modelled: the queue's compression and
+After power-on both halves are off. Each has its own grid of samples, which begins when its rate is set, at a sample of
+the other half if that is on: both rates are divided from one clock. Not modelled: the queue's compression and
 watermark, interrupts, embedded functions, low-power modes, the gyroscope's optional filters, settling.
 """
 
@@ -53,7 +53,7 @@ _DATA = range(facts.OUT_TEMP_L.address, facts.OUTZ_H_A.address + 1)
 
 @dataclass
 class _Half:
-    """One half: the field of its rate, where its triad begins, the flag that says it is new."""
+    """One half: the field of its rate, the first register of its triad, and the flag of a new sample."""
 
     rate: Field
     first: Register
@@ -74,7 +74,7 @@ class Lsm6dsoChip(SixAxis):
     reset_ns: ClassVar[int] = RESET_NS
 
     def power_on(self, at_ns: int) -> None:
-        """Both halves off, every register at its reset value (LSM-10)."""
+        """Switch both halves off and set every register to its reset value (LSM-10)."""
         super().power_on(at_ns)
         self._halves = {
             ACCELEROMETER: _Half(facts.ACCEL_RATE, facts.OUTX_L_A, facts.ACCEL_READY, SampleGrid()),
@@ -100,7 +100,7 @@ class Lsm6dsoChip(SixAxis):
         self._sample(at_ns)
 
     def _due(self, at_ns: int) -> list[tuple[int, str]]:
-        """Return the samples that go to the queue now, in order of time; no more than it holds twice."""
+        """Return the samples that go to the queue now, in order of time; at most twice its capacity."""
         batched = self.page[facts.FIFO_CTRL3.address]
         due = []
         for name, field in ((GYROSCOPE, facts.GYRO_BATCH_RATE), (ACCELEROMETER, facts.ACCEL_BATCH_RATE)):
@@ -112,11 +112,11 @@ class Lsm6dsoChip(SixAxis):
         return sorted(due, key=lambda sample: sample[0])
 
     def _timestamp(self, at_ns: int) -> int:
-        """Ticks of the die's oscillator since the count was switched on or last reset (LSM-46)."""
+        """Return the ticks of the die's oscillator since the count was switched on or last reset (LSM-46)."""
         return int((at_ns - self._timestamp_from_ns) * self._oscillator / TIMESTAMP_NS) & 0xFFFFFFFF
 
     def _enqueue_timestamp(self, at_ns: int) -> None:
-        """A time before the samples of an instant, of every one, eighth or 32nd instant (LSM-48, DEC-74)."""
+        """Append a time before the samples of an instant, of every one, eighth or 32nd instant (LSM-48, DEC-74)."""
         every = SLOTS_PER_TIMESTAMP[facts.TIMESTAMP_BATCH.of(self.page[facts.FIFO_CTRL4.address])]
         if not every or not facts.TIMESTAMP_ON.of(self.page[facts.CTRL10_C.address]) or at_ns == self._slot_ns:
             return
@@ -131,7 +131,7 @@ class Lsm6dsoChip(SixAxis):
             self._enqueue(TEMPERATURE_TAG, bytes(self.page[_DATA.start : _DATA.start + 2]) + bytes(4))
 
     def _enqueue(self, tag: int, data: bytes) -> None:
-        """A word into the queue, of which the oldest is lost when it is full (LSM-43)."""
+        """Append a word to the queue; the oldest is lost if it is full (LSM-43)."""
         if len(self._words) >= FIFO_WORDS:
             self._lost = self._lost_latched = True
             if facts.FIFO_MODE.of(self.page[facts.FIFO_CTRL4.address]) != CONTINUOUS:
@@ -165,7 +165,7 @@ class Lsm6dsoChip(SixAxis):
         return self._word[address - FIFO_OUT.start]
 
     def _sample(self, at_ns: int) -> None:
-        """The latest sample of each half into the data registers."""
+        """Write the latest sample of each half into the data registers."""
         for name, half in self._halves.items():
             sampled_ns = half.grid.take(at_ns)
             if sampled_ns is None:
@@ -179,7 +179,7 @@ class Lsm6dsoChip(SixAxis):
         self.page[address : address + len(data)] = data
 
     def _convert(self, name: str, half: _Half, at_ns: int) -> None:
-        """One sample of one half; the self-test adds to it, or takes from it (LSM-20)."""
+        """Return one sample of one half; the self-test adds to it, or subtracts from it (LSM-20)."""
         rate_hz, page = 1e9 / half.grid.period_ns, self.page
         test = page[facts.CTRL5_C.address]
         if name == ACCELEROMETER:
@@ -215,7 +215,9 @@ class Lsm6dsoChip(SixAxis):
     # Reading and writing ----------------------------------------------------------------------------------------------
 
     def load(self, address: int, at_ns: int) -> int:
-        """Return a byte as it stands when it is fetched; with BDU a number's two bytes are of one sample (LSM-13)."""
+        """Return a byte with its value at the instant at which it is fetched; with BDU the two bytes of a number are of
+        one sample (LSM-13).
+        """
         self.end_reset(at_ns)
         self._sync(at_ns)
         if self.page[facts.FUNC_CFG_ACCESS.address] and address != facts.FUNC_CFG_ACCESS.address:
@@ -238,7 +240,7 @@ class Lsm6dsoChip(SixAxis):
         return self.page[address]
 
     def _taken(self, address: int) -> None:
-        """Reading the high byte of any number clears the flag of its sensor (LSM-11)."""
+        """Clear the flag of a sensor when the high byte of any of its numbers is read (LSM-11)."""
         if address == facts.OUT_TEMP_H.address:
             mask = facts.TEMPERATURE_READY.mask
         else:
@@ -246,7 +248,7 @@ class Lsm6dsoChip(SixAxis):
         self.page[facts.STATUS_REG.address] &= ~mask & 0xFF
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Return the next register, with IF_INC; otherwise the same (LSM-12). From the end of a word to its tag
+        """Return the next register with IF_INC, otherwise the same (LSM-12). After the end of a word follows its tag
         (LSM-45).
         """
         if pointer == FIFO_OUT[-1] and facts.AUTO_INCREMENT.of(self.page[facts.CTRL3_C.address]):
@@ -256,7 +258,7 @@ class Lsm6dsoChip(SixAxis):
         )
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A byte written to a register: what was sampled before stays as it was."""
+        """Write a byte to a register; samples before it are unchanged."""
         self.end_reset(at_ns)
         self._sync(at_ns)
         if self.page[facts.FUNC_CFG_ACCESS.address] and address != facts.FUNC_CFG_ACCESS.address:
@@ -279,7 +281,7 @@ class Lsm6dsoChip(SixAxis):
                 self._restart(half, at_ns)
 
     def _restart(self, half: _Half, at_ns: int) -> None:
-        """The grid begins anew with another rate, and when the half is switched on (DEC-70)."""
+        """Restart the grid if the rate changed or the half was switched on (DEC-70)."""
         code = half.rate.of(self.page[half.rate.register.address])
         asleep = half.rate == facts.GYRO_RATE and facts.GYRO_SLEEP.of(self.page[facts.CTRL4_C.address])
         on = 1 <= code <= len(RATES_HZ) and not asleep
@@ -289,7 +291,7 @@ class Lsm6dsoChip(SixAxis):
 
 
 def accelerometer_tolerances(range_g: float) -> Tolerances:
-    """LSM-50 ... LSM-52; alignment, cross-axis and linearity are not specified."""
+    """Return the tolerances LSM-50 ... LSM-52; alignment, cross-axis sensitivity and linearity are not specified."""
     density = {2.0: 70e-6, 4.0: 75e-6, 8.0: 80e-6, 16.0: 110e-6}.get(range_g, 70e-6)
     return Tolerances(
         bias=(typical(0.020),) * 3,
@@ -304,7 +306,7 @@ def accelerometer_tolerances(range_g: float) -> Tolerances:
 
 
 def gyroscope_tolerances(_: float) -> Tolerances:
-    """LSM-60 ... LSM-62; alignment, linearity and a sensitivity to force are not specified."""
+    """Return the tolerances LSM-60 ... LSM-62; alignment, linearity and a sensitivity to force are not specified."""
     return Tolerances(
         bias=(typical(1.0),) * 3,
         slope_per_degc=(typical(0.01),) * 3,

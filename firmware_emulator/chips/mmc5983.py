@@ -1,7 +1,7 @@
 """MMC5983MA magnetometer behind its registers: MEMSIC data sheet Rev A (2019); MMC-01 ... MMC-20, DEC-210 to -213.
 
-SET and RESET turn the elements over: what they add to the zero code changes its sign, where the bridges stand does not.
-Not modelled: interrupts, the three-wire SPI, magnetisation by strong fields.
+SET and RESET reverse the magnetisation of the elements: their response changes sign, the offset of the bridges does
+not. Not modelled: interrupts, the three-wire SPI, magnetisation by strong fields.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _CONTROL2, _CONTROL3 = facts.CONTROL_2.address, facts.CONTROL_3.address
 
 
 class Mmc5983Chip(Chip):
-    """The chip; `bridge` is where its bridges stand in gauss, `identity` what the product ID says."""
+    """The chip; `bridge` is the offset of its bridges in gauss, `identity` the product ID."""
 
     def __init__(
         self,
@@ -42,7 +42,7 @@ class Mmc5983Chip(Chip):
         super().__init__(address, facts, element, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
-        """Reset values, idle, turned over as by a SET (DEC-211)."""
+        """Set the reset values: idle, magnetised as by a SET (DEC-211)."""
         super().power_on(at_ns)
         self.page[facts.PRODUCT_ID.address] = self._identity
         self.page[_STATUS] = facts.OTP_READ_DONE.mask
@@ -55,7 +55,7 @@ class Mmc5983Chip(Chip):
     # Measuring --------------------------------------------------------------------------------------------------------
 
     def _sync(self, at_ns: int) -> None:
-        """Every measurement that has ended by `at_ns` into the data registers."""
+        """Write every measurement that has ended by `at_ns` into the data registers."""
         if at_ns >= self._field_ns:
             self._measure(self._field_ns)
             self._field_ns = FAR_NS
@@ -96,7 +96,7 @@ class Mmc5983Chip(Chip):
         return 0 if self.registers.get(address, facts.STATUS).access == "w" else self.page[address]
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A command, a setting, or what clears a bit of the status (MMC-17)."""
+        """Carry out a command or a setting, or clear a bit of the status (MMC-17)."""
         self._sync(at_ns)
         register = self.registers.get(address)
         if register is None or register.access == "r" or at_ns < self._ready_ns:
@@ -118,7 +118,7 @@ class Mmc5983Chip(Chip):
             self._grid.set(at_ns, round(1e9 / RATES_HZ[facts.FREQUENCY.of(value)]) if on else 0)
 
     def _command(self, value: int, at_ns: int) -> None:
-        """SET, RESET, and measurements that are asked for once (MMC-14, MMC-17)."""
+        """Carry out SET, RESET and single measurements (MMC-14, MMC-17)."""
         if facts.SET_COIL.of(value):
             self._sign = 1.0
         if facts.RESET_COIL.of(value):

@@ -36,7 +36,7 @@ GYRO_FILTERS = (
     (256.0, 0.00098),
 )
 CLOCK_INPUTS_HZ = {4: 32_000.0, 5: 19_200_000.0}
-"""The clock at CLKIN with which 1 kHz is 1 kHz, by CLKSEL: with 32.768 kHz it is 1.024 kHz (INV-37)."""
+"""The frequency at CLKIN at which 1 kHz is 1 kHz, by CLKSEL: with 32.768 kHz it is 1.024 kHz (INV-37)."""
 UNFILTERED = (0, 7)  # the gyroscope then delivers 8 kHz: INV-11
 WORDS = Struct(">7h")
 TRIM_CODE = 17
@@ -70,7 +70,7 @@ class Mpu6050Chip(MpuFamily):
         super().__init__(address, elements, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:
-        """Asleep, every register at its reset value, the queue empty (INV-10, INV-25)."""
+        """Set every register to its reset value, asleep, with an empty queue (INV-10, INV-25)."""
         super().power_on(at_ns)
         code = self._trim_code
         high, low = (code >> 2) << 5 | code, code & 0b11
@@ -79,8 +79,8 @@ class Mpu6050Chip(MpuFamily):
         )
 
     def own_period_ns(self, period_ns: float) -> int:
-        """See `SixAxis.own_period_ns`; by the clock at CLKIN where PWR_MGMT_1 says so, 0 if there is none (INV-37,
-        DEC-254).
+        """Return the period as `SixAxis.own_period_ns`; by the clock at CLKIN if PWR_MGMT_1 selects it, 0 if there is
+        none (INV-37, DEC-254).
         """
         source = facts.CLOCK.of(self.page[facts.PWR_MGMT_1.address])
         if source not in CLOCK_INPUTS_HZ:
@@ -88,7 +88,7 @@ class Mpu6050Chip(MpuFamily):
         return round(period_ns * CLOCK_INPUTS_HZ[source] / self._clock_input_hz) if self._clock_input_hz else 0
 
     def _convert(self, at_ns: int) -> None:
-        """Bring the sample of this instant into the data registers."""
+        """Write the sample of this instant into the data registers."""
         page = self.page
         accel, gyro = page[facts.ACCEL_CONFIG.address], page[facts.GYRO_CONFIG.address]
         low_pass = facts.DLPF.of(page[facts.CONFIG.address])
@@ -104,17 +104,17 @@ class Mpu6050Chip(MpuFamily):
         page[_DATA.start : _DATA.stop] = WORDS.pack(ax, ay, az, temperature, gx, gy, gz)
 
     def _accel_push(self) -> float:
-        """Codes at 8 g that the self-test adds (INV-46)."""
+        """The change by the self-test in codes at 8 g (INV-46)."""
         return 1392.64 * (0.92 / 0.34) ** ((self._trim_code - 1) / 30) if self._trim_code else 0.0
 
     def _gyro_push(self) -> float:
-        """Codes at 250 dps that the self-test adds to x and z and takes from y (INV-47)."""
+        """The change by the self-test in codes at 250 dps: added to x and z, subtracted from y (INV-47)."""
         return 3275.0 * 1.046 ** (self._trim_code - 1) if self._trim_code else 0.0
 
     # Reading --------------------------------------------------------------------------------------------------------
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """A burst reads one instant: the data registers do not change until STOP (INV-30)."""
+        """Read a burst, which shows one instant: the data registers do not change until STOP (INV-30)."""
         self.end_reset(at_ns)
         self._sync(at_ns)
         data = bytes(self.page[_DATA.start : _DATA.stop])
@@ -129,7 +129,7 @@ class Mpu6050Chip(MpuFamily):
         return sent
 
     def _restart(self, address: int, at_ns: int) -> None:
-        """The grid of samples begins anew with another rate, and when the die wakes (DEC-250)."""
+        """Restart the grid of samples if the rate changed or the die was woken up (DEC-250)."""
         if address not in (facts.PWR_MGMT_1.address, facts.SMPLRT_DIV.address, facts.CONFIG.address):
             return
         fast = facts.DLPF.of(self.page[facts.CONFIG.address]) in UNFILTERED
@@ -140,7 +140,7 @@ class Mpu6050Chip(MpuFamily):
 
 
 def _codes(felt: Triple, scale: float, push: Triple, pushed: int) -> tuple[int, int, int]:
-    """Three codes; bit 2 of `pushed` deflects x, bit 0 z (INV-13, INV-14)."""
+    """Return three codes; bit 2 of `pushed` deflects x, bit 0 z (INV-13, INV-14)."""
     x, y, z = (
         clipped(round(value * scale + (more if pushed >> bit & 1 else 0.0)))
         for value, more, bit in zip(felt, push, (2, 1, 0), strict=True)
@@ -149,7 +149,7 @@ def _codes(felt: Triple, scale: float, push: Triple, pushed: int) -> tuple[int, 
 
 
 def accelerometer_tolerances(_: float) -> Tolerances:
-    """INV-50 ... INV-55; alignment is not specified apart from the cross-axis sensitivity."""
+    """Return the tolerances INV-50 ... INV-55; alignment is not specified apart from the cross-axis sensitivity."""
     warmer = 45.0  # from 25 degC to the end of the range over which the change is printed
     return Tolerances(
         bias=(typical(0.050), typical(0.050), typical(0.080)),
@@ -165,7 +165,7 @@ def accelerometer_tolerances(_: float) -> Tolerances:
 
 
 def gyroscope_tolerances(_: float) -> Tolerances:
-    """INV-60 ... INV-66."""
+    """Return the tolerances INV-60 ... INV-66."""
     warmer = 65.0  # from 25 degC to the far end of -40 ... 85 degC
     return Tolerances(
         bias=(typical(20.0),) * 3,

@@ -53,14 +53,14 @@ class Mpu6500Chip(MpuFamily):
     default_trim_code: ClassVar[int] = TRIM_CODE
 
     def power_on(self, at_ns: int) -> None:
-        """Awake, every register at its reset value (INV-71)."""
+        """Set every register to its reset value, awake (INV-71)."""
         super().power_on(at_ns)
         for register in (facts.SELF_TEST_X_GYRO, facts.SELF_TEST_X_ACCEL):
             self.page[register.address : register.address + 3] = bytes([self._trim_code] * 3)
         self._restart(facts.PWR_MGMT_1.address, at_ns)
 
     def _convert(self, at_ns: int) -> None:
-        """Bring the sample of this instant into the data registers."""
+        """Write the sample of this instant into the data registers."""
         page = self.page
         scale = facts.ACCEL_RANGE.of(page[facts.ACCEL_CONFIG.address])
         control = page[facts.ACCEL_CONFIG_2.address]
@@ -77,7 +77,9 @@ class Mpu6500Chip(MpuFamily):
         page[_DATA.start : _DATA.stop] = WORDS.pack(ax, ay, az, temperature, gx, gy, gz)
 
     def _codes(self, felt: Triple, scale: float, finest: float, pushed: int) -> list[int]:
-        """Three codes; bit 2 of `pushed` deflects x, by the factory's change at the smallest range (INV-75, INV-78)."""
+        """Return three codes; bit 2 of `pushed` deflects x, by the factory's change at the smallest range (INV-75,
+        INV-78).
+        """
         push = 2620.0 * 1.01 ** (self._trim_code - 1) * scale / finest if self._trim_code else 0.0
         return [
             clipped(round(value * scale + push * (pushed >> bit & 1)))
@@ -85,13 +87,13 @@ class Mpu6500Chip(MpuFamily):
         ]
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
-        """One burst shows one instant (INV-75)."""
+        """Read a burst, which shows one instant (INV-75)."""
         self.end_reset(at_ns)
         self._sync(at_ns)
         return super().read(count, at_ns, byte_ns)
 
     def _restart(self, address: int, at_ns: int) -> None:
-        """The grid begins anew with another rate, and when the die wakes (DEC-80)."""
+        """Restart the grid if the rate changed or the die was woken up (DEC-80)."""
         config, gyro = self.page[facts.CONFIG.address], self.page[facts.GYRO_CONFIG.address]
         divided = 0 < facts.DLPF.of(config) < 7 and not facts.GYRO_UNFILTERED.of(gyro)
         period_ns = BASE_PERIOD_NS * (1 + self.page[facts.SMPLRT_DIV.address]) if divided else UNFILTERED_PERIOD_NS
@@ -100,7 +102,7 @@ class Mpu6500Chip(MpuFamily):
 
 
 def accelerometer_tolerances(_: float) -> Tolerances:
-    """INV-80 ... INV-84; alignment is not specified apart from the cross-axis sensitivity."""
+    """Return the tolerances INV-80 ... INV-84; alignment is not specified apart from the cross-axis sensitivity."""
     return Tolerances(
         bias=(typical(0.060), typical(0.060), typical(0.080)),
         slope_per_degc=(typical(1.5e-3),) * 3,
@@ -114,7 +116,7 @@ def accelerometer_tolerances(_: float) -> Tolerances:
 
 
 def gyroscope_tolerances(_: float) -> Tolerances:
-    """INV-90 ... INV-94; a sensitivity to force is not printed."""
+    """Return the tolerances INV-90 ... INV-94; a sensitivity to force is not printed."""
     warmer = 65.0  # from 25 degC to the far end of -40 ... 85 degC
     return Tolerances(
         bias=(typical(5.0),) * 3,

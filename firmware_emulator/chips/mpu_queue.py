@@ -3,8 +3,8 @@
 Facts INV-26, INV-27 and INV-98 (queue), INV-97 (bypass). A full queue loses its oldest bytes, one by one, so that a
 record may begin anywhere afterwards; an empty one repeats its last byte.
 
-The master of the auxiliary bus (MPU-6500, MPU-9250; INV-110 ... INV-116) reads and writes registers of the devices
-behind it at each sample, by four slots, and shows the bytes that it read in EXT_SENS_DATA. Not modelled: the fifth
+The master of the auxiliary bus (MPU-6500, MPU-9250; INV-110 ... INV-116) reads and writes registers of the devices on
+that bus at each sample, by four slots, and stores the bytes that it read in EXT_SENS_DATA. Not modelled: the fifth
 slot, except for the delay that all others share; other masters; the time that transfers take.
 """
 
@@ -32,13 +32,13 @@ _STATUS, _DELAYS, _LAST = (
 
 
 class AuxiliaryMaster:
-    """The master; `devices` are what is on its bus, `page` the registers of the die."""
+    """The master; `devices` are on its bus, `page` holds the registers of the die."""
 
     def __init__(self) -> None:
         self.devices: list[Target] = []
 
     def transfer(self, page: bytearray, index: int, at_ns: int) -> None:
-        """Every transfer that belongs to sample number `index`, at `at_ns`."""
+        """Carry out every transfer of sample number `index`, at `at_ns`."""
         place, delay = EXTERNAL.start, delay_of(page)
         for slot in range(SLOTS):
             address, register, control = page[_FIRST + slot * _STEP : _FIRST + (slot + 1) * _STEP]
@@ -64,7 +64,7 @@ class AuxiliaryMaster:
 
     @staticmethod
     def recorded(page: bytearray, slots: int) -> bytes:
-        """Return what the slots whose bits are set in `slots` have read, for the queue."""
+        """Return the bytes that the slots whose bits are set in `slots` have read, for the queue."""
         data, place = b"", EXTERNAL.start
         for slot in range(SLOTS):
             address, _, control = page[_FIRST + slot * _STEP : _FIRST + (slot + 1) * _STEP]
@@ -76,7 +76,7 @@ class AuxiliaryMaster:
 
 
 def delay_of(page: bytearray) -> int:
-    """Samples between two transfers of a slot whose delay is on, less one (INV-115)."""
+    """Return the samples between two transfers of a slot whose delay is on, less one (INV-115)."""
     return facts.MASTER_DELAY.of(page[_LAST])
 
 
@@ -87,7 +87,9 @@ def _read(device: Target, begin: bytes, count: int, at_ns: int) -> bytes:
 
 
 def swapped(data: bytes, first_is_alone: int) -> bytes:
-    """Bytes with each pair turned round; the first is alone if its pair began before it, so may be the last."""
+    """Return the bytes with each pair swapped; the first is single if its pair began before it, and so may be the
+    last.
+    """
     turned = bytearray(data)
     for at in range(first_is_alone, len(data) - 1, 2):
         turned[at], turned[at + 1] = turned[at + 1], turned[at]
@@ -101,15 +103,16 @@ FIFO_EN, INT_STATUS, USER_CTRL, COUNT_HIGH, COUNT_LOW, FIFO = 0x23, 0x3A, 0x6A, 
 OVERFLOW, DATA_READY = 0x10, 0x01
 CONFIG = facts.CONFIG.address
 PULSE_MARKS = (None, 0x42, 0x44, 0x46, 0x48, 0x3C, 0x3E, 0x40)
-"""The byte whose lowest bit marks the first sample after a pulse, by EXT_SYNC_SET (INV-38)."""
+"""The register whose lowest bit marks the first sample after a pulse, by EXT_SYNC_SET (INV-38)."""
 ON, RESET = 0x40, 0x04
 MASTER_CONTROL, MASTER_STATUS = facts.I2C_MST_CTRL.address, facts.I2C_MST_STATUS.address
 MOST_TRANSFERS = 64
-"""The largest number of samples whose transfers on the auxiliary bus are made up for, times the delay in samples."""
+"""The largest number of samples whose transfers on the auxiliary bus are carried out later, times the delay in samples.
+"""
 
 
 class MpuFamily(SixAxis):
-    """A die with one grid of samples, a queue of `fifo_bytes`, and a factory's `trim_code` of every axis."""
+    """A die with one grid of samples, a queue of `fifo_bytes`, and one `trim_code` of the factory for every axis."""
 
     fifo_bytes: ClassVar[int]
     default_trim_code: ClassVar[int]
@@ -136,7 +139,7 @@ class MpuFamily(SixAxis):
         super().__init__(address, elements, powered_on_ns, **switches)
 
     def power_on(self, at_ns: int) -> None:
-        """Bring it to its reset values, the queue empty."""
+        """Set its reset values, with an empty queue."""
         super().power_on(at_ns)
         self._queue.clear()
         self._last_byte = self._count = self._flags = 0
@@ -144,7 +147,7 @@ class MpuFamily(SixAxis):
         self._queued = -1
 
     def _convert(self, at_ns: int) -> None:
-        """Bring the sample of this instant into the data registers."""
+        """Write the sample of this instant into the data registers."""
         raise NotImplementedError
 
     def _sync(self, at_ns: int) -> None:
@@ -180,8 +183,8 @@ class MpuFamily(SixAxis):
 
     def _record(self) -> bytes:
         """Return the data bytes that FIFO_EN selects, in the order of their registers: bit 7 temperature, 6 ... 4
-        gyroscope x to z, 3 accelerometer, then what the slots of the auxiliary bus read: bits 2 ... 0 and bit 5 of
-        I2C_MST_CTRL.
+        gyroscope x to z, 3 accelerometer, then the bytes that the slots of the auxiliary bus read: bits 2 ... 0 and bit
+        5 of I2C_MST_CTRL.
         """
         enabled = self.page[FIFO_EN]
         data = bytes(self.page[DATA.start : DATA.stop])
@@ -193,8 +196,8 @@ class MpuFamily(SixAxis):
         return selected + self.auxiliary.recorded(self.page, slots) if slots else selected
 
     def load(self, address: int, at_ns: int) -> int:
-        """Return a register's byte; flags are cleared by reading them, and both bytes of the count taken with the
-        high one.
+        """Return a register's byte; reading flags clears them, and both bytes of the count are latched by the high
+        one.
         """
         if address == INT_STATUS:
             flags, self._flags = self._flags, 0
@@ -214,18 +217,18 @@ class MpuFamily(SixAxis):
         return self.page[address]
 
     def advance(self, pointer: int, reading: bool) -> int:
-        """Return the next register; the queue's stays where it is."""
+        """Return the next register; that of the queue does not change."""
         return pointer if pointer == FIFO else super().advance(pointer, reading)
 
     def store(self, address: int, value: int, at_ns: int) -> None:
-        """A byte written to a register; `on_bypass` is called when the bypass is opened or closed."""
+        """Write a byte to a register; `on_bypass` is called when the bypass is opened or closed."""
         was_open = self.bypass_open
         self._store(address, value, at_ns)
         if self.on_bypass is not None and was_open != self.bypass_open:
             self.on_bypass()
 
     def _store(self, address: int, value: int, at_ns: int) -> None:
-        """Write to a register; what that does to the queue."""
+        """Write to a register, and apply the effect on the queue."""
         self.end_reset(at_ns)
         self._sync(at_ns)
         if self.begin_reset(address, value, at_ns):
@@ -241,5 +244,5 @@ class MpuFamily(SixAxis):
         self._queued = self._grid.index
 
     def _restart(self, address: int, at_ns: int) -> None:
-        """Begin the grid anew if this register was written and changed the rate, or woke the die."""
+        """Restart the grid if the write of this register changed the rate or woke the die."""
         raise NotImplementedError

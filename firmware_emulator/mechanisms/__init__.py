@@ -1,9 +1,9 @@
-"""Mechanisms that make the emulated array differ from what its data sheets promise.
+"""Mechanisms that make the emulated array differ from its data sheets.
 
-Each is a piece of physics or a fault: heat that flows, a supply that hums, a cable that errs, a switch that hangs. It
+Each is a physical effect or a fault: heat flow, ripple of the supply, bit errors of a cable, a switch that hangs. It
 acts on an emulated chip, its wiring, the multiplexer or the host, and the real drivers poll the result. Mechanisms are
-a second source of logs for the diagnosis of differences: they were written apart from the simulator, share neither code
-nor form with it, and some of them have no name there.
+a second source of logs for the diagnosis of differences: they were written independently of the simulator, share
+neither code nor form with it, and some of them have no name there.
 
 `at(severity)` gives a mechanism of `severity` times a stated reference size. `resembles` is for the sealed truth: the
 names by which a diagnosis may rightly call it. See `firmware_emulator.mechanisms.query` for the bus URL, and
@@ -59,7 +59,7 @@ MECHANISMS: Mapping[str, type[Mechanism]] = MappingProxyType(
         "crossed_wiring": mounting.CrossedWiring,
         "mux_hang": wiring.MuxHang,
         "adaptive_range": converter.AdaptiveRange,
-        # What follows resembles no effect that has a name.
+        # The following mechanisms resemble no effect that has a name.
         "log_creep": power.LogCreep,
         "one_sided_noise": disturbances.OneSidedNoise,
         "spinning_motor": disturbances.SpinningMotor,

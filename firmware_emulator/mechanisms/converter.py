@@ -26,7 +26,7 @@ from imuarray.facts.registers import Field
 class StuckBit(SensorMechanism):
     """One line of the output latch is shorted to ground: a bit that is always 0.
 
-    code & ~(1 << `bit`): codes keep to every other stretch of 2^bit, the mean falls by 2^(bit - 1).
+    code & ~(1 << `bit`): codes lie in every other interval of 2^bit, the mean decreases by 2^(bit - 1).
 
     Reference: bit 2; each doubling of severity is the next bit.
     """
@@ -37,11 +37,11 @@ class StuckBit(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Return a more significant bit."""
+        """Return the mechanism with a more significant bit."""
         return cls(bit=min(7, max(1, cls.bit + round(math.log2(severity)))))
 
     def put_on(self, site: Site) -> None:
-        """The line is shared by all axes."""
+        """Return one random share for all axes: they share the line."""
         mask = ~(1 << self.bit)
 
         def latch(at_ns: int, codes: Codes) -> Codes:
@@ -55,10 +55,10 @@ PERIOD = 16
 
 @dataclass(frozen=True)
 class MissingCodes(SensorMechanism):
-    """A converter with poorly matched capacitors: some codes never come, their neighbours come instead.
+    """A converter with poorly matched capacitors: some codes never occur, their neighbours occur instead.
 
-    Missing codes: of every 16 codes the last `missing` before a carry are skipped: they come out as the code of the
-    carry.
+    Missing codes: of every 16 codes the last `missing` before a carry are skipped: the code of the carry is the result
+    instead.
 
     Differential nonlinearity of -1 LSB at the carry of bit 4. Reference: 4 of 16.
     """
@@ -69,7 +69,7 @@ class MissingCodes(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Return one with more missing codes."""
+        """Return the mechanism with more missing codes."""
         return cls(missing=min(PERIOD - 2, max(2, round(cls.missing * severity))))
 
     def put_on(self, site: Site) -> None:
@@ -87,7 +87,7 @@ class MissingCodes(SensorMechanism):
 
 @dataclass(frozen=True)
 class ConverterHold(SensorMechanism):
-    """The converter latches up for a while: the same triad over and over, said to be new.
+    """The converter latches up for a while: it repeats the same triad, marked as new.
 
     Free for `free_s` on average, exponential; then held for `held_s`. Reference: 1 s in every 20 s or so.
     """
@@ -119,9 +119,9 @@ class ConverterHold(SensorMechanism):
 
 @dataclass(frozen=True)
 class TornReads(SensorMechanism):
-    """The shadow register fails to hold: a reading whose halves belong to two conversions.
+    """The shadow register fails: the bytes of a reading belong to two conversions.
 
-    Torn readings: with probability `share` a reading has the high byte of the one before and its own low byte, on all
+    Torn readings: with probability `share` a reading has the high byte of the previous one and its own low byte, on all
     axes.
 
     Wrong by 256 codes (64 of the BMA180's) when the two differ in the high byte, as around 0. Reference: 1 %.
@@ -133,7 +133,7 @@ class TornReads(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Return one that acts more often."""
+        """Return the mechanism with a larger share."""
         return cls(share=min(1.0, cls.share * severity))
 
     def put_on(self, site: Site) -> None:
@@ -171,7 +171,7 @@ class InterleavedConverters(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("offset_g", "offset_dps")
 
     def put_on(self, site: Site) -> None:
-        """All axes go through both."""
+        """Return one random share for all axes: they use both converters."""
         offset, before_ns = site.by_unit(self.offset_g, self.offset_dps), 0
 
         def amplified(at_ns: int, value: Triple, full_scale: float) -> Triple:
@@ -185,7 +185,7 @@ class InterleavedConverters(SensorMechanism):
 
 
 class LimpingAdxl345(Adxl345Chip):
-    """An ADXL345 that converts every `period_ns`, whatever its rate register says."""
+    """An ADXL345 that converts every `period_ns`, independent of its rate register."""
 
     period_ns = 0
 
@@ -194,7 +194,7 @@ class LimpingAdxl345(Adxl345Chip):
 
 
 class LimpingL3g4200d(L3g4200dChip):
-    """An L3G4200D that converts every `period_ns`, whatever its rate bits say."""
+    """An L3G4200D that converts every `period_ns`, independent of its rate bits."""
 
     period_ns = 0
 
@@ -210,9 +210,9 @@ LIMPING: dict[str, type[Chip]] = {"adxl345": LimpingAdxl345, "l3g4200d": Limping
 class SlowOscillator(SensorMechanism):
     """The chip's own oscillator is slow: it converts less often than configured.
 
-    `rate_hz` conversions a second on the chip's own grid; a reading asked for in between is the one before.
+    `rate_hz` conversions a second on the chip's own grid; a reading that is requested in between is the previous one.
 
-    The chip's ready flags tell the truth about it. Reference: 40 Hz, slower as severity grows.
+    The chip's ready flags show it. Reference: 40 Hz, slower as severity grows.
     """
 
     rate_hz: float = 40.0
@@ -221,11 +221,11 @@ class SlowOscillator(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Return a slower oscillator."""
+        """Return the mechanism with a slower oscillator."""
         return cls(rate_hz=cls.rate_hz / severity)
 
     def put_on(self, site: Site) -> None:
-        """A BMA180 has its rate error as a switch; the others have another clock."""
+        """Set the rate error of a BMA180, which is a switch; give the others another clock."""
         if site.chip == "bma180":
             site.switches["rate_error"] = self.rate_hz / UPDATE_HZ - 1
             return
@@ -237,14 +237,16 @@ FIELDS: dict[str, Field] = {"adxl345": adxl345.RATE, "bma180": bma180.BANDWIDTH,
 
 
 def without_bit(code: int, which: int) -> int:
-    """`code` without its set bit number `which`, counted from the lowest; without the highest if there are fewer."""
+    """Return `code` without its set bit number `which`, counted from the lowest; without the highest if there are
+    fewer.
+    """
     bits = [bit for bit in range(code.bit_length()) if code >> bit & 1]
     return code & ~(1 << bits[min(which, len(bits) - 1)]) if bits else code
 
 
 @contextmanager
 def lost(page: bytearray, field: Field, which: int) -> Iterator[None]:
-    """The register as the divider sees it."""
+    """Return the register as the divider receives it."""
     written = page[field.register.address]
     page[field.register.address] = field(without_bit(field.of(written), which)).into(written)
     try:
@@ -254,13 +256,13 @@ def lost(page: bytearray, field: Field, which: int) -> Iterator[None]:
 
 
 class Divider:
-    """Mixed into a chip: what its rate bits really do."""
+    """A mix-in of a chip: the actual effect of its rate bits."""
 
     which = 0
     page: bytearray
 
     def as_wired(self, field: Field) -> AbstractContextManager[None]:
-        """Act while a setting is taken over."""
+        """Apply a setting with the lost bit."""
         return lost(self.page, field, self.which)
 
 
@@ -273,7 +275,7 @@ class DividedAdxl345(Divider, Adxl345Chip):
 
 
 class DividedBma180(Divider, Bma180Chip):
-    """A BMA180 whose rate follows the filter code, for its rate can't be set (BMA-81 ... BMA-88)."""
+    """A BMA180 whose rate follows the filter code, because its rate can't be set (BMA-81 ... BMA-88)."""
 
     def _act(self, at_ns: int) -> None:
         with self.as_wired(bma180.BANDWIDTH):
@@ -293,7 +295,7 @@ DIVIDED: dict[str, type[Chip]] = {"adxl345": DividedAdxl345, "bma180": DividedBm
 
 @dataclass(frozen=True)
 class RateDivider(SensorMechanism):
-    """A bit of the rate register does not reach the divider behind it: it reads back right and acts wrong.
+    """A bit of the rate register does not reach the divider: it reads back as written but has no effect.
 
     The set bit number `lost_bit` of the rate code, counted from the lowest, acts as 0; rate, filter and with them noise
     are those of the remaining code. Reference: the lowest set bit; higher ones from severities 2 and 4 on.
@@ -305,11 +307,11 @@ class RateDivider(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Return a more significant bit."""
+        """Return the mechanism with a more significant bit."""
         return cls(lost_bit=min(2, max(0, math.floor(math.log2(severity)))))
 
     def put_on(self, site: Site) -> None:
-        """Inside the chip."""
+        """Replace the chip's class."""
         kind = type(f"Divided{site.chip}", (DIVIDED[site.chip],), {"which": self.lost_bit})
         site.kinds.append(lambda _: cast(Callable[..., Any], kind))
 
@@ -322,15 +324,15 @@ RANGES: Mapping[str, tuple[float, ...]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class RangeSwitch(SensorMechanism):
-    """The switch behind the range bits does not close after some power-ups: the register reads right, the range is not.
+    """The switch of the range bits does not close after some power-ups: the register reads back as written, the range
+    differs.
 
-    A wrong range: after every `every`-th power-up the amplifier stays in the range below the one that the range bits
-    ask, or above it where that is the smallest: codes are as much larger and clip at their ends; the offset is that of
-    the range in force (BMA-79). In full resolution an ADXL345 has one scale in all ranges (ADX-40): it has nothing to
-    switch.
+    A wrong range: after every `every`-th power-up the amplifier stays in the range below that of the range bits, or
+    above it if that is the smallest: codes are larger by the ratio and clip at their ends; the offset is that of the
+    range in force (BMA-79). In full resolution an ADXL345 has one scale in all ranges (ADX-40): it has no switch.
 
-    Looks like run 10 of BMA1 in the paper's Table 6. There or not, every fourth power-up: the next range shows whatever
-    it is.
+    Resembles run 10 of BMA1 in the paper's Table 6. It is present or absent, in every fourth power-up: the change is a
+    whole range in any case.
     """
 
     every: int = 4
@@ -339,7 +341,7 @@ class RangeSwitch(SensorMechanism):
     resembles: ClassVar[tuple[str, ...]] = ("range_reset",)
 
     def put_on(self, site: Site) -> None:
-        """Choose the part's own wrong power-ups; the first two never."""
+        """Choose the part's own wrong power-ups, never the first two."""
         first = 2 + int(site.unit_random("range switch").integers(self.every))
         if site.run < first or (site.run - first) % self.every:
             return
@@ -358,13 +360,13 @@ THRESHOLD_DPS = 100.0
 
 @dataclass(frozen=True)
 class AdaptiveRange(SensorMechanism):
-    """A gyroscope that changes its full-scale range by itself, and gives nothing new meanwhile.
+    """A gyroscope that changes its full-scale range automatically, without new readings during the change.
 
     An adaptive range that stays on: at the sample at which the size of an axis has passed 100 dps, either way, the
     converter keeps its reading, and for `held_s` from then on.
 
-    An ICM-42688-P does so unless INTF_CONFIG1 says otherwise (TDK-18), which the driver sets and verifies; this is a
-    part that obeys the register by its reading back alone. Reference: 1.5 ms (DEC-63).
+    An ICM-42688-P does so unless INTF_CONFIG1 says otherwise (TDK-18), which the driver sets and verifies; this part
+    reads the register back as written, but ignores it. Reference: 1.5 ms (DEC-63).
     """
 
     held_s: float = 1.5e-3
@@ -374,7 +376,7 @@ class AdaptiveRange(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("held_s",)
 
     def put_on(self, site: Site) -> None:
-        """All axes share the range."""
+        """Return one random share for all axes: they share the range."""
         was_inside: tuple[bool, ...] | None = None
         until_ns, shown = -1.0, (0.0, 0.0, 0.0)
 

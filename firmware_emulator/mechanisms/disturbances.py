@@ -16,7 +16,7 @@ from firmware_emulator.world import WorldStimulus
 
 @dataclass(frozen=True)
 class CarrierShotNoise(SensorMechanism):
-    """Shot noise: the front end counts charge carriers that come one by one.
+    """Shot noise: the front end counts single charge carriers.
 
     Two leakage currents of opposite sign, each `carriers` a conversion on average; each carrier moves the output.
 
@@ -32,11 +32,11 @@ class CarrierShotNoise(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Larger currents: more carriers, each with the charge that it has."""
+        """Return larger currents: more carriers of the same charge."""
         return cls(carriers=cls.carriers * severity**2)
 
     def put_on(self, site: Site) -> None:
-        """One pair of currents an axis."""
+        """Add one pair of currents to each axis."""
         random, step = site.run_random("carriers"), site.by_unit(self.step_g, self.step_dps)
 
         def noise(at_ns: int, value: Triple, rms: Triple, bandwidth_hz: float) -> Triple:
@@ -49,13 +49,13 @@ class CarrierShotNoise(SensorMechanism):
 
 @dataclass(frozen=True)
 class TrappedCharges(SensorMechanism):
-    """Flicker: a bank of charge traps, each of which fills and empties in its own time.
+    """Flicker noise: a bank of charge traps, each of which fills and empties with its own time constant.
 
     `traps` per axis, full or empty, time constants spread evenly in log(tau) from `fastest_s` to `slowest_s`.
 
     A trap that contributes +-a has the autocorrelation a^2 exp(-dt/tau), the bank a spectrum of 1/f between the two
-    corner frequencies (McWhorter 1957). Between two looks a trap flips with probability (1 - exp(-dt/tau)) / 2. Rms of
-    the bank is a sqrt(traps). Reference: a bank of 2 mg or 0.06 dps rms.
+    corner frequencies (McWhorter 1957). Between two evaluations a trap flips with probability (1 - exp(-dt/tau)) / 2.
+    Rms of the bank is a sqrt(traps). Reference: a bank of 2 mg or 0.06 dps rms.
     """
 
     rms_g: float = 2e-3
@@ -68,7 +68,7 @@ class TrappedCharges(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("rms_g", "rms_dps")
 
     def put_on(self, site: Site) -> None:
-        """A bank for each axis."""
+        """Add a bank to each axis."""
         random, elapsed = site.run_random("traps"), Stopwatch()
         each = site.by_unit(self.rms_g, self.rms_dps) / self.traps**0.5
         constants_s = np.geomspace(self.fastest_s, self.slowest_s, self.traps)
@@ -88,7 +88,7 @@ class TrappedCharges(SensorMechanism):
 
 @dataclass(frozen=True)
 class StressRelaxation(SensorMechanism):
-    """The package gives way: small slips of the glue, now here, now there, whose sum wanders off.
+    """The attachment of the package relaxes: small slips of the glue add up to a random walk.
 
     Slips at `slips_per_s` on each axis (Poisson), each of a size with Laplace's distribution of scale b.
 
@@ -104,7 +104,7 @@ class StressRelaxation(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("scale_g", "scale_dps")
 
     def put_on(self, site: Site) -> None:
-        """Each axis slips by itself."""
+        """Add independent slips to each axis."""
         random, scale = site.run_random("slips"), site.by_unit(self.scale_g, self.scale_dps)
         mean_ns = 1e9 / self.slips_per_s
         due_ns = [random.exponential(mean_ns) for _ in range(3)]
@@ -122,7 +122,7 @@ class StressRelaxation(SensorMechanism):
 
 @dataclass(frozen=True)
 class SingleTrap(SensorMechanism):
-    """Popcorn: one defect in the amplifier of one axis, which catches a carrier and keeps it for a while.
+    """Popcorn noise: one defect in the amplifier of one axis traps a carrier for a while.
 
     Empty for `capture_s` on average, full for `emission_s`, both exponential; full adds `size_g` or `size_dps`.
 
@@ -138,7 +138,7 @@ class SingleTrap(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("size_g", "size_dps")
 
     def put_on(self, site: Site) -> None:
-        """Act in the amplifier of an axis that is the part's own."""
+        """Act in the amplifier of one axis, which depends on the part."""
         random, size = site.run_random("trap"), site.by_unit(self.size_g, self.size_dps)
         axis = int(site.unit_random("trap").integers(3))
         place = (float(axis == 0), float(axis == 1), float(axis == 2))
@@ -157,7 +157,7 @@ class SingleTrap(SensorMechanism):
 
 @dataclass(frozen=True)
 class MainsRipple(SensorMechanism):
-    """Mains hum on the supply: a fundamental with harmonics, whose frequency the power stations let wander.
+    """Mains ripple on the supply: a fundamental with harmonics, whose frequency wanders as that of the grid.
 
     error = s (sin p + h2 sin 2p + h3 sin 3p), dp/dt = 2 pi (`mains_hz` + w), with h2, h3 = `harmonics`.
 
@@ -177,7 +177,7 @@ class MainsRipple(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("peak_g", "peak_dps")
 
     def put_on(self, site: Site) -> None:
-        """The ripple reaches every axis in the same phase."""
+        """Add the ripple to every axis in the same phase."""
         random, elapsed = site.run_random("mains"), Stopwatch()
         direction, peak = site.direction("mains"), site.by_unit(self.peak_g, self.peak_dps)
         phase, wander = random.uniform(0.0, 2 * math.pi), random.normal(0.0, self.wander_hz)
@@ -197,7 +197,7 @@ class MainsRipple(SensorMechanism):
 
 @dataclass(frozen=True)
 class SpinningMotor(SensorMechanism):
-    """A fan beside the sensor spins up, again and again.
+    """A fan near the sensor spins up periodically.
 
     Every `cycle_s` the motor is switched on for three quarters of the time: f = F (1 - exp(-t / `spin_up_s`)).
 
@@ -232,7 +232,7 @@ class SpinningMotor(SensorMechanism):
 
 @dataclass(frozen=True)
 class KeyedTransmitter(SensorMechanism):
-    """A radio that is keyed nearby: noise while it sends, none while it doesn't.
+    """A nearby radio transmitter that is keyed: noise while it sends, none otherwise.
 
     A transmitter nearby: for `sending_s` of every `period_s` the demodulated carrier adds Gaussian noise of `rms_g` or
     `rms_dps`.
@@ -247,7 +247,7 @@ class KeyedTransmitter(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("rms_g", "rms_dps")
 
     def put_on(self, site: Site) -> None:
-        """The sender keeps to its own time."""
+        """Act at the sender's own times."""
         random, rms = site.run_random("radio"), site.by_unit(self.rms_g, self.rms_dps)
         offset_s = random.uniform(0.0, self.period_s)
 
@@ -262,7 +262,7 @@ class KeyedTransmitter(SensorMechanism):
 
 @dataclass(frozen=True)
 class OneSidedNoise(SensorMechanism):
-    """Noise that a rectifying contact lets through in one direction only.
+    """Noise that is rectified by a contact.
 
     Adds e - mean, e exponential with `mean_g` or `mean_dps`: variance mean^2, skewness 2.
 
@@ -274,7 +274,7 @@ class OneSidedNoise(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("mean_g", "mean_dps")
 
     def put_on(self, site: Site) -> None:
-        """Independent on each axis."""
+        """Add independent noise to each axis."""
         random, mean = site.run_random("rectifier"), site.by_unit(self.mean_g, self.mean_dps)
 
         def noise(at_ns: int, value: Triple, rms: Triple, bandwidth_hz: float) -> Triple:
@@ -295,7 +295,7 @@ class ReferenceNoise(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("share",)
 
     def put_on(self, site: Site) -> None:
-        """Axes are wrong together, each by its own size."""
+        """Scale all axes of a conversion by one error."""
         random = site.run_random("reference")
 
         def amplified(at_ns: int, value: Triple, full_scale: float) -> Triple:

@@ -1,4 +1,4 @@
-"""Experiments with an array on a bench: the experiments of the paper, in short."""
+"""Experiments with an array on a bench: short versions of the experiments of the paper."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class BenchExperiment:
     reference_hz: float = 0.0
 
     def file(self, index: int) -> str:
-        """Name of log number `index`."""
+        """Return the name of log number `index`."""
         return f"{self.name}.h5" if self.logs == 1 else f"{self.name}_{index + 1:02d}.h5"
 
     def phases(self, index: int) -> tuple[WorldPhase, ...]:
-        """Return the notes of a person with a stopwatch during log number `index`."""
+        """Return the phases that a person with a stopwatch notes during log number `index`."""
         if not self.phase:
             return self.world.phases
         name = f"{self.phase} {index + 1}" if self.logs > 1 else self.phase
@@ -48,7 +48,7 @@ EXPERIMENTS: Mapping[str, BenchExperiment] = MappingProxyType(
 
 
 def known_experiment(name: str) -> BenchExperiment:
-    """Return an entry of `EXPERIMENTS`; ValueError that lists the others."""
+    """Return an entry of `EXPERIMENTS`; ValueError lists the others."""
     if name not in EXPERIMENTS:
         raise ValueError(f"experiment {name!r}; allowed are {', '.join(EXPERIMENTS)}")
     return EXPERIMENTS[name]

@@ -1,4 +1,4 @@
-"""Imperfections of the polling computer and the multiplexer: clocks that err, programs that wait, switches that hang.
+"""Imperfections of the polling computer and the multiplexer: clock errors, scheduling latency, a switch that hangs.
 
 Instants passed to mechanisms are in ns since power-on.
 """
@@ -16,10 +16,11 @@ Reading = Callable[[int], int]
 
 
 class HostClock:
-    """The host's clock, while the world's `clock` passes.
+    """The host's clock as a function of the world's `clock`.
 
-    `shown` turns a time of the world into what is displayed, in nanoseconds, and never falls; `when` is the earliest
-    time of the world at which a given display is reached; both count from power-on, when the display was right.
+    `shown` turns a time of the world into what is displayed, in nanoseconds, and never decreases; `when` is the
+    earliest time of the world at which a given display is reached; both count from power-on, when the display was
+    correct.
     """
 
     def __init__(self, clock: WireClock, shown: Reading, when: Reading, powered_on_ns: int = 0) -> None:
@@ -41,16 +42,16 @@ class HostClock:
         return self._display(self._clock.now_ns())
 
     def advance(self, ns: int) -> None:
-        """Time of the world passes."""
+        """Advance the world's clock."""
         self._clock.advance(ns)
 
     def sleep_until(self, ns: int) -> None:
-        """Return when the display is at least `ns`."""
+        """Wait until the display is at least `ns`."""
         self._clock.sleep_until(self._powered_on_ns + self._when(ns - self._powered_on_ns))
 
 
 class LatentWire(Wire):
-    """An adapter before which the program is kept waiting: `waits_ns` are drawn before every transaction."""
+    """An adapter with latency of the program: `waits_ns` are drawn before every transaction."""
 
     def __init__(
         self, clock: WireClock, bit_rate_hz: int, nack_errno: int, host_ns: int, waits_ns: Sequence[Callable[[], int]]
@@ -59,17 +60,17 @@ class LatentWire(Wire):
         self._waits_ns = waits_ns
 
     def delay(self) -> None:
-        """Wait as long as is drawn."""
+        """Wait for the drawn latencies."""
         self.clock.advance(sum(wait() for wait in self._waits_ns))
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """Transfer as `Wire.transfer`, later."""
+        """Transfer as `Wire.transfer`, after the latency."""
         self.delay()
         return super().transfer(address, write, read)
 
 
 class WatchedMux(Pca9544aChip):
-    """A multiplexer whose switch obeys only if all of `obeys` agree, and that tells `switched` when it moved."""
+    """A multiplexer that switches only if all of `obeys` agree, and calls `switched` after it has switched."""
 
     def __init__(
         self,
@@ -85,11 +86,11 @@ class WatchedMux(Pca9544aChip):
 
     @property
     def astray_for(self) -> int:
-        """The channel that was ordered while another one is connected, `NO_CHANNEL` if there is no such."""
+        """The channel that was selected while another one is connected, `NO_CHANNEL` if there is none."""
         return NO_CHANNEL if self.ordered == self.route else self.ordered
 
     def stop(self, at_ns: int) -> None:
-        """Switch the wires, if the switch moves at all; the control register reads back as written either way."""
+        """Switch the wires, unless the switch hangs; the control register reads back as written in any case."""
         before = self.route
         super().stop(at_ns)
         if self.route == before:

@@ -16,7 +16,7 @@ ROUNDS = 8
 
 @dataclass(frozen=True)
 class HostResonator(Mechanism):
-    """The host keeps time with a cheap resonator that drifts away as it warms up.
+    """The host's clock is a cheap resonator whose frequency changes as it warms up.
 
     Rate error e (1 - exp(-t / `warm_up_s`)), e = `error`: shown = t + e (t - w (1 - exp(-t / w))).
 
@@ -49,13 +49,13 @@ class HostResonator(Mechanism):
         return at_ns
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """One clock for all."""
+        """Put one clock error on the host."""
         board.host.clocks.append((self.shown, self.when))
 
 
 @dataclass(frozen=True)
 class SchedulerLatency(Mechanism):
-    """Other programs on the host: between the look at the clock and the transfer somebody else had the processor.
+    """Other programs on the host run between the reading of the clock and the transfer.
 
     A `share` of transactions waits, exponentially with mean `mean_ms`. Reference: 3 % wait 1 ms.
     """
@@ -68,7 +68,7 @@ class SchedulerLatency(Mechanism):
     scaled: ClassVar[tuple[str, ...]] = ("mean_ms",)
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """Act on every transaction of every adapter."""
+        """Add latency to every transaction of every adapter."""
         random = stream(board.seed, f"scheduler, run {board.run}")
 
         def wait_ns() -> int:
@@ -84,9 +84,9 @@ COARSEST_MS = 15.0
 class CoarseTimestamps(Mechanism):
     """A kernel with a tick: the clock does not change between two ticks, and sleeping programs wake at ticks.
 
-    Times are cut to whole ticks of `tick_ms`. Reference: 10 ms, the jiffy of a kernel with HZ=100.
+    Times are rounded down to whole ticks of `tick_ms`. Reference: 10 ms, the jiffy of a kernel with HZ=100.
 
-    At most `COARSEST_MS`: two readings within a tick would bear the same time.
+    At most `COARSEST_MS`: two readings within a tick would have the same time.
     """
 
     tick_ms: float = 10.0
@@ -95,11 +95,11 @@ class CoarseTimestamps(Mechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Return a longer tick."""
+        """Return the mechanism with a longer tick."""
         return cls(tick_ms=min(COARSEST_MS, cls.tick_ms * severity))
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """One clock for all."""
+        """Put one coarse clock on the host."""
         tick_ns = round(self.tick_ms * 1e6)
         board.host.clocks.append(
             (lambda at_ns: at_ns // tick_ns * tick_ns, lambda shown_ns: -(-shown_ns // tick_ns) * tick_ns)

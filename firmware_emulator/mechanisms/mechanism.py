@@ -1,4 +1,6 @@
-"""The interface of every mechanism: physical parameters, where it can act, and what it does to a board."""
+"""The interface of every mechanism: its physical parameters, the sensors on which it can act, and its effect on a
+board.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Mechanism(ABC):
-    """Physical parameters of one cause of difference; a subclass says in SI or data sheet units what they mean.
+    """Physical parameters of one cause of difference; a subclass defines them in SI or data sheet units.
 
     `touches` are the chips on which it can be put, `place` how many sensors it takes: "sensor" (any number), "pair"
     (two of one chip), "design" (all of one chip), "host" (the whole array). `resembles` names the effects that a
@@ -47,10 +49,10 @@ class Mechanism(ABC):
 
     @abstractmethod
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """Put it to work on these sensors of the board."""
+        """Put it on these sensors of the board."""
 
     def wherever(self, sensors: Sequence[SensorLike]) -> tuple[str, ...]:
-        """Return its usual places: all on which it can be put; of a design, those of the commonest chip."""
+        """Return its usual sensors: all on which it can be put; of a design, those of the commonest chip."""
         touched = [sensor for sensor in sensors if sensor.chip in self.touches]
         if self.place == "design":
             ((chip, _),) = Counter(sensor.chip for sensor in touched).most_common(1) or [("", 0)]
@@ -60,26 +62,28 @@ class Mechanism(ABC):
 
 @dataclass(frozen=True)
 class SensorMechanism(Mechanism):
-    """One that acts on every sensor by itself."""
+    """A mechanism that acts on every sensor independently."""
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """Fit it on each sensor in turn."""
+        """Put it on each sensor in turn."""
         for site in sites:
             self.put_on(site)
 
     @abstractmethod
     def put_on(self, site: Site) -> None:
-        """Put it to work on one sensor."""
+        """Put it on one sensor."""
 
 
 UNITS = ("paper", "drawn", "toleranced")
-"""The paper's; drawn, but only in what everybody expects of a part; drawn in all that a data sheet leaves to it."""
+"""Units of the parts: those of the paper; drawn, but only in properties that every part has; drawn in all properties
+that a data sheet specifies by a tolerance.
+"""
 TURN_ON_SHARE = 0.003
-"""Scatter (one sigma) of a toleranced part's bias between power-ups, as a share of the bias that its sheet allows: what
-the paper's parts have (left half of its Table 11: up to 0.65 mg and 0.036 dps).
+"""Scatter (one sigma) of a toleranced part's bias between power-ups, as a share of the bias that its sheet allows: that
+of the paper's parts (left half of its Table 11: up to 0.65 mg and 0.036 dps).
 """
 RATE_ERROR: Mapping[str, TruncatedNormal] = MappingProxyType({"bma180": typical(0.10), "l3g4200d": typical(0.02)})
-"""Relative error of a toleranced part's oscillator: BMA-107; an RC oscillator where no sheet says it. That of an
+"""Relative error of a toleranced part's oscillator: BMA-107; an RC oscillator where no data sheet states it. That of an
 ADXL345 is exact.
 """
 LEAST_SENSORS = {"pair": 2, "design": 2}
@@ -94,18 +98,18 @@ class Fitting:
 
 
 def plain_part(chip: str, name: str, full_scale: float, seed: int) -> UnitDeviations:
-    """Return a part drawn from its data sheet's tolerances, but only in what everybody expects of one.
+    """Return a part drawn from its data sheet's tolerances, but only in properties that every part has.
 
-    Noise, bias, its slope with temperature, scale, alignment; no scale that changes with temperature, no g-sensitivity
-    and no thermometer that is off: those are mechanisms.
+    Noise, bias, its slope with temperature, scale, alignment; no temperature slope of the scale, no g-sensitivity and
+    no error of the thermometer: those are mechanisms.
     """
     drawn = drawn_unit(chip, name, full_scale, seed)
     return replace(drawn, scale_slope_per_degc=0.0, g_sensitivity=NOTHING, thermometer_offset_degc=0.0)
 
 
 def toleranced_part(chip: str, name: str, full_scale: float, seed: int, run: int) -> UnitDeviations:
-    """Return a part drawn in all that its data sheet leaves to the part; its bias scatters from power-up to
-    power-up.
+    """Return a part drawn in all properties that its data sheet specifies by a tolerance; its bias scatters between
+    power-ups.
     """
     drawn, random = drawn_unit(chip, name, full_scale, seed), stream(seed, f"power-up {run} of {name}")
     allowed = [spread.limit for spread in TOLERANCES[chip](full_scale).bias]
@@ -117,7 +121,9 @@ def toleranced_part(chip: str, name: str, full_scale: float, seed: int, run: int
 
 
 def sites_of(array: ArrayLike, fitting: Fitting) -> list[SensorLike]:
-    """Return the sensors of a fitting; ValueError for one that isn't there or on which the mechanism can't be put."""
+    """Return the sensors of a fitting; ValueError for one that does not exist or on which the mechanism can't be
+    put.
+    """
     mechanism, by_name = fitting.mechanism, {sensor.name: sensor for sensor in array.sensors}
     what = type(mechanism).__name__
     allowed = [sensor.name for sensor in array.sensors if sensor.chip in mechanism.touches]
@@ -137,8 +143,8 @@ def sites_of(array: ArrayLike, fitting: Fitting) -> list[SensorLike]:
 class BenchHost:
     """The host and the multiplexer on which mechanisms act; see `firmware_emulator.mechanisms.host`.
 
-    `clocks` are pairs (shown, when), each reading what the one before shows. `mux` is there when the array is soldered,
-    if a mechanism acts on it.
+    `clocks` are pairs (shown, when), each of which reads the display of the one before. `mux` exists once the array is
+    assembled, if a mechanism acts on it.
     """
 
     waits_ns: list[Callable[[], int]] = field(default_factory=list)
@@ -151,9 +157,9 @@ class BenchHost:
 class FittedBoard(Board):
     """The board of `array` after power-up number `run`, with `fittings` at work; `units` as in `UNITS`.
 
-    `notes` collects what mechanisms did that parameters don't tell, `touched` the sensors of which readings were false,
-    of mechanisms that leave that to chance; `crossed` says whose wiring leads to whom. ValueError for mechanisms that
-    this array has no place for.
+    `notes` collects events of mechanisms that do not follow from their parameters, `touched` the sensors with false
+    readings, for mechanisms that affect random ones; `crossed` maps sensors with swapped wiring. ValueError for
+    mechanisms that can't be put on this array.
     """
 
     def __init__(
@@ -186,7 +192,7 @@ class FittedBoard(Board):
                 raise ValueError(f"sensor {site.name}: two mechanisms would change the inside of its {site.chip}")
 
     def site(self, sensor: SensorLike) -> Site:
-        """Return where mechanisms act on that sensor."""
+        """Return the site of that sensor, on which mechanisms act."""
         if sensor.name not in self._sites:
             self._sites[sensor.name] = Site(
                 sensor.name,
@@ -202,7 +208,7 @@ class FittedBoard(Board):
         return self._sites[sensor.name]
 
     def wire(self, clock: WireClock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
-        """One adapter, late if the host makes it so."""
+        """Return one adapter, with latency if the host has it."""
         if self.host.waits_ns:
             return LatentWire(clock, bit_rate_hz, nack_errno, host_ns, self.host.waits_ns)
         return super().wire(clock, bit_rate_hz, nack_errno, host_ns)
@@ -210,7 +216,7 @@ class FittedBoard(Board):
     def router(
         self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int
     ) -> Pca9544aChip:
-        """Return the multiplexer, watched if a mechanism wants to."""
+        """Return the multiplexer, with the mechanisms that act on it."""
         if not (self.host.obeys or self.host.switched):
             return super().router(chip, address, channels, powered_on_ns)
         named(chip, MUXES, "mux")
@@ -218,7 +224,7 @@ class FittedBoard(Board):
         return self.host.mux
 
     def element(self, sensor: SensorLike) -> SensingElement:
-        """Return the sensing element that is found at that sensor's place, with its unit and what acts on it."""
+        """Return the sensing element at that sensor's place, with its unit and the mechanisms that act on it."""
         there = self.sensors[self.crossed.get(sensor.name, sensor.name)]
         orientation = IDENTITY if there.orientation is None else there.orientation
         site = self._sites.get(sensor.name)
@@ -252,25 +258,25 @@ class FittedBoard(Board):
         return {**own, **(self._sites[sensor.name].switches if sensor.name in self._sites else {})}
 
     def generator_key(self, sensor: SensorLike) -> str:
-        """Another noise after each power-up."""
+        """Return another key of the noise after each power-up."""
         return f"{self.seed} {sensor.name} {self.run}" if self.run else super().generator_key(sensor)
 
     def device(self, sensor: SensorLike, chip: Chip) -> Target:
-        """Return the chip, behind its wiring if something acts there."""
+        """Return the chip, or its line if a mechanism acts there."""
         site = self._sites.get(sensor.name)
         if site is None or site.links.idle:
             return chip
         return ChipLine(chip, sensor.chip, site.links, self.powered_on_ns)
 
     def host_clock(self, clock: WireClock) -> WireClock:
-        """Return the world's clock, or what the host takes for it."""
+        """Return the world's clock, or the host's clock with its errors."""
         for shown, when in self.host.clocks:
             clock = HostClock(clock, shown, when, self.powered_on_ns)
         return clock
 
 
 def chosen(name: str, known: Mapping[str, type[Mechanism]], severity: float) -> Mechanism:
-    """Return the mechanism of that name at `severity`; ValueError for a name or a severity that isn't possible."""
+    """Return the mechanism of that name at `severity`; ValueError for an impossible name or severity."""
     if not severity > 0:
         raise ValueError(f"severity={severity}; allowed is anything above 0")
     return named(name, known, "mechanism").at(severity)

@@ -1,4 +1,4 @@
-"""Mechanisms of mounting: a sensor's place and direction on the box, and the socket into which it is plugged."""
+"""Mechanisms of mounting: a sensor's position and direction on the box, and the socket into which it is plugged."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from firmware_emulator.world import WorldStimulus, cross, seen_after_turn
 
 @dataclass(frozen=True)
 class PackageTilt(SensorMechanism):
-    """The package floated on its solder and froze askew.
+    """The package was tilted when the solder solidified.
 
     A package that is turned by `tilt_deg` about an axis of the part's own (Rodrigues). Reference: 2 degrees.
     """
@@ -26,7 +26,7 @@ class PackageTilt(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("tilt_deg",)
 
     def put_on(self, site: Site) -> None:
-        """Force, rate and field alike."""
+        """Rotate force, rate and field together."""
         x, y, z = site.direction("tilt")
         length = math.sqrt(x * x + y * y + z * z)
         axis = x / length, y / length, z / length
@@ -35,7 +35,9 @@ class PackageTilt(SensorMechanism):
 
 
 class Rotation:
-    """stimulus -> stimulus, seen after a turn about `axis`; a box at rest goes on feeling the very same object."""
+    """Return a function stimulus -> stimulus after a rotation about `axis`; for a box at rest it returns the same
+    object.
+    """
 
     def __init__(self, axis: tuple[float, float, float], cosine: float, sine: float) -> None:
         self._turn = axis, cosine, sine
@@ -43,7 +45,7 @@ class Rotation:
         self._after = WorldStimulus()
 
     def __call__(self, at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
-        """The same object as long as `stimulus` is."""
+        """Return the same object as long as `stimulus` is the same."""
         if stimulus is not self._before:
             self._before = stimulus
             self._after = stimulus._replace(
@@ -56,11 +58,11 @@ class Rotation:
 
 @dataclass(frozen=True)
 class RotatedPackage(SensorMechanism):
-    """A square package soldered a quarter turn round.
+    """A square package that was soldered with a rotation of 90 degrees.
 
     Turned by `quarters` quarter turns about the sensor's own z: x feels what y should, y the negative of x.
 
-    It is either so or not: every severity is one quarter turn.
+    It is present or absent: every severity is one quarter turn.
     """
 
     quarters: int = 1
@@ -79,7 +81,7 @@ HALF_NS = 500_000
 
 @dataclass(frozen=True)
 class LeverArm(SensorMechanism):
-    """A sensor that sits beside the point about which the box turns.
+    """A sensor at a distance from the point about which the box turns.
 
     f' = f + a x r + w x (w x r), r of length `arm_m` in a direction of the part's own, a the change of the rate w.
 
@@ -112,18 +114,18 @@ class LeverArm(SensorMechanism):
 
 @dataclass(frozen=True)
 class CrossedWiring(Mechanism):
-    """Two sensors of a kind, plugged in the wrong way round.
+    """Two sensors of one kind that are plugged into each other's socket.
 
     Each of two sensors of one chip answers in the other's place, with its own unit and orientation.
 
-    It is either so or not: every severity is the same.
+    It is present or absent: every severity is the same.
     """
 
     place: ClassVar[str] = "pair"
     resembles: ClassVar[tuple[str, ...]] = ("channel_swap",)
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """Chips are set up through the same crossed wires: ranges are those of the place."""
+        """Swap the ranges too: chips are set up through the same crossed wires."""
         first, second = sites
         board.crossed |= {first.name: second.name, second.name: first.name}
 

@@ -1,4 +1,4 @@
-"""The supply, and what begins anew at each power-up."""
+"""Mechanisms of the supply, and those that start again at each power-up."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ GRID_S = 0.1
 
 @dataclass(frozen=True)
 class SupplyDrift(Mechanism):
-    """The regulator that feeds all chips of a kind drifts, and each of them feels its supply.
+    """The regulator of all chips of a kind drifts, and each of them is sensitive to its supply.
 
-    Volts away from nominal: a first-order Gauss-Markov process of `drift_v` rms and correlation time `drift_s`.
+    Deviation of the supply in volts: a first-order Gauss-Markov process of `drift_v` rms and correlation time
+    `drift_s`.
 
-    Each axis answers with its sensitivity to the supply, which the design gives and each part varies by a tenth;
+    Each axis responds with its sensitivity to the supply, which the design gives and each part varies by a tenth;
     `per_v_g` or `per_v_dps` on average. ADX-71 knows such an effect of the supply on bias. Reference: 8 mg or 0.25 dps
     rms over 20 s.
     """
@@ -39,7 +40,7 @@ class SupplyDrift(Mechanism):
     scaled: ClassVar[tuple[str, ...]] = ("drift_v",)
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """One supply; axes of one design answer alike, in the sensors' own frames."""
+        """Put one supply on all sensors; axes of one design respond with the same sign, in the sensors' own frames."""
         volts = self.volts(stream(board.seed, f"supply, run {board.run}"))
         of_design = stream(board.seed, f"supply of {sites[0].chip}").standard_normal(3)
         of_design *= math.sqrt(3) / float(np.linalg.norm(of_design))
@@ -48,7 +49,9 @@ class SupplyDrift(Mechanism):
             site.chain.sensed.append(answer(volts, (x, y, z), site.by_unit(self.per_v_g, self.per_v_dps)))
 
     def volts(self, random: np.random.Generator) -> Callable[[int], float]:
-        """Deviation of the supply at any time from 0 on, straight between grid points, in whatever order asked."""
+        """Return the deviation of the supply at any time from 0 on, linear between grid points, in any order of
+        times.
+        """
         kept = math.exp(-GRID_S / self.drift_s)
         grid = [float(random.normal(0.0, self.drift_v))]
 
@@ -64,17 +67,17 @@ class SupplyDrift(Mechanism):
 def answer(
     volts: Callable[[int], float], direction: Triple, per_v: float
 ) -> Callable[[int, Triple, WorldStimulus], Triple]:
-    """Return what a supply adds to one sensor."""
+    """Return the contribution of a supply to one sensor."""
     return lambda at_ns, value, stimulus: plus(value, direction, per_v * volts(at_ns))
 
 
 @dataclass(frozen=True)
 class SupplyDroop(SensorMechanism):
-    """A battery that sags under load, and a sensor whose scale hangs on it.
+    """A battery whose voltage sags under load, and a sensor whose scale depends on it.
 
     scale = 1 - `droop` (1 - exp(-t / `sag_s`)), t since power-on: polarisation of a cell under load.
 
-    Bias is not concerned: the bridge is ratiometric, its amplifier is not. Reference: 2 % within 40 s.
+    Bias is not affected: the bridge is ratiometric, its amplifier is not. Reference: 2 % within 40 s.
     """
 
     droop: float = 0.02
@@ -102,7 +105,7 @@ class BrownOut(SensorMechanism):
     One dip a power-up, after an exponential time of mean `mean_s` from `WHILE_SET_UP_S` on: every register at its reset
     value, the range the one of the EEPROM, as after power-on (BMA-52, BMA-57).
 
-    The driver's checks may notice. Reference: a mean of 300 s, shorter as severity grows.
+    The driver's checks may detect it. Reference: a mean of 300 s, shorter as severity grows.
     """
 
     mean_s: float = 300.0
@@ -112,7 +115,7 @@ class BrownOut(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Sooner."""
+        """Return the mechanism with a shorter mean time."""
         return cls(mean_s=cls.mean_s / severity)
 
     def put_on(self, site: Site) -> None:
@@ -134,7 +137,7 @@ class BrownOut(SensorMechanism):
 
 @dataclass(frozen=True)
 class PowerOnStress(SensorMechanism):
-    """The die clamps anew whenever it warms up: each power-up freezes another stress into the bias.
+    """The stress of the die changes at each power-up, and the bias with it.
 
     Bias of each axis and power-up: Laplace's distribution of scale b (rms b sqrt 2), kept until power-off.
 
@@ -148,7 +151,7 @@ class PowerOnStress(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("scale_g", "scale_dps")
 
     def put_on(self, site: Site) -> None:
-        """Drawn once, now."""
+        """Draw the bias once, now."""
         x, y, z = site.run_random("stress").laplace(0.0, site.by_unit(self.scale_g, self.scale_dps), 3).tolist()
 
         def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
@@ -159,12 +162,12 @@ class PowerOnStress(SensorMechanism):
 
 @dataclass(frozen=True)
 class BiasCurrentDac(SensorMechanism):
-    """The converter that sets the bias current has one bit that comes up either way.
+    """One bit of the converter that sets the bias current has a random state after power-up.
 
     A bias-current bit that is set in a `share` of power-ups: all three axes move at once, by `step_g` or `step_dps` on
     average.
 
-    As Gyro3 of the paper's Table 7, which came up in two states. Reference: 15 mg or 0.5 dps.
+    Like Gyro3 of the paper's Table 7, which started in two states. Reference: 15 mg or 0.5 dps.
     """
 
     step_g: float = 15e-3
@@ -189,7 +192,7 @@ class BiasCurrentDac(SensorMechanism):
 
 @dataclass(frozen=True)
 class LogCreep(SensorMechanism):
-    """Ageing since power-on: the bias creeps with the logarithm of time, in the same way after every power-up.
+    """Ageing since power-on: the bias changes with the logarithm of time, in the same way after every power-up.
 
     error = c log10(1 + t / `onset_s`), t since power-on, c `per_decade_g` or `per_decade_dps` on average.
 
@@ -202,7 +205,7 @@ class LogCreep(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("per_decade_g", "per_decade_dps")
 
     def put_on(self, site: Site) -> None:
-        """The world's clock starts at power-on."""
+        """Act by the world's clock, which starts at power-on."""
         direction, creep = site.direction("creep"), site.by_unit(self.per_decade_g, self.per_decade_dps)
 
         def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 def fittings_from(query: Mapping[str, str], array: ArrayLike) -> tuple[Fitting, ...]:
-    """Return the mechanisms that `mechanism`, `severity` and `sensor` ask for; ValueError, one line, for what isn't
-    possible.
+    """Return the mechanisms of the parameters `mechanism`, `severity` and `sensor`; ValueError, one line, for an
+    impossible value.
     """
     names = split(query.get("mechanism", ""), ",")
     severities = split(query.get("severity", ""), ",") or ["1"] * len(names)
@@ -34,19 +34,19 @@ def fittings_from(query: Mapping[str, str], array: ArrayLike) -> tuple[Fitting, 
 
 
 def fitting_of(array: ArrayLike, name: str, severity: float, sensors: tuple[str, ...] = ()) -> Fitting:
-    """One mechanism on these sensors, or on all that it touches; ValueError for an unknown name."""
+    """Return one mechanism on these sensors, or on all on which it can be put; ValueError for an unknown name."""
     mechanism = chosen(name, MECHANISMS, severity)
     return Fitting(mechanism, sensors or mechanism.wherever(array.sensors))
 
 
 def checked(array: ArrayLike, fitting: Fitting) -> Fitting:
-    """`fitting`, if the mechanism can be put on those sensors."""
+    """Return `fitting` if the mechanism can be put on those sensors; ValueError."""
     sites_of(array, fitting)
     return fitting
 
 
 def board_from(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
-    """Return the board that the query asks for; its notes stay within it."""
+    """Return the board of the query; its notes remain in it."""
     fittings = fittings_from(query, array)
     run, units = query.get("run", "0"), query.get("units", "paper")
     if not (run.isascii() and run.isdigit()):

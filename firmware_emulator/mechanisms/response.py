@@ -16,7 +16,7 @@ from firmware_emulator.world import STANDARD_GRAVITY, WorldStimulus, cross
 
 @dataclass(frozen=True)
 class ReferenceVoltage(SensorMechanism):
-    """The converter's reference voltage is wrong: everything it converts, bias and noise included, is too small.
+    """The converter's reference voltage is wrong: all codes, bias and noise included, are too small.
 
     code = input / (1 + `error`): the reference is `error` too high. Reference size: 3 %.
     """
@@ -41,7 +41,7 @@ CLOSEST = 0.8
 
 @dataclass(frozen=True)
 class PlateGap(SensorMechanism):
-    """A capacitor that is read from one side: its plates come closer the more they are pulled.
+    """A capacitor that is read on one side: the gap between its plates decreases with the force.
 
     C = C0 / (1 - u): output = x / (1 - x / gap), where `gap_g` or `gap_dps` is the input that would close the gap.
 
@@ -56,11 +56,11 @@ class PlateGap(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Return a narrower gap."""
+        """Return the mechanism with a narrower gap."""
         return cls(gap_g=cls.gap_g / severity, gap_dps=cls.gap_dps / severity)
 
     def put_on(self, site: Site) -> None:
-        """Each axis has its own plates; a stop keeps them from touching."""
+        """Act on each axis separately; a stop limits the movement of the plates."""
         gap = site.by_unit(self.gap_g, self.gap_dps)
 
         def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
@@ -75,9 +75,9 @@ KNEE = 8
 
 @dataclass(frozen=True)
 class SoftClipping(SensorMechanism):
-    """The output stage runs out of supply before the converter runs out of codes.
+    """The output stage saturates below the full scale of the converter.
 
-    output = x / (1 + |x / A|^8)^(1/8), A = `share` of the full scale: straight up to 3/4 A, never above A.
+    output = x / (1 + |x / A|^8)^(1/8), A = `share` of the full scale: linear up to 3/4 A, never above A.
 
     Reference: half of the full scale, less as severity grows.
     """
@@ -88,11 +88,11 @@ class SoftClipping(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Return one with less supply."""
+        """Return the mechanism with a lower supply."""
         return cls(share=cls.share / severity)
 
     def put_on(self, site: Site) -> None:
-        """Noise is clipped with the signal."""
+        """Clip the noise with the signal."""
 
         def amplified(at_ns: int, value: Triple, full_scale: float) -> Triple:
             most = self.share * full_scale
@@ -104,9 +104,9 @@ class SoftClipping(SensorMechanism):
 
 @dataclass(frozen=True)
 class DriveImbalance(SensorMechanism):
-    """The mass of a gyroscope hangs a little beside the line of its drive.
+    """The mass of a gyroscope is not balanced about the line of its drive.
 
-    error = m x f: a pendulous mass with its lever m feels the torque of the specific force f (IEEE Std 1431).
+    error = m x f: a pendulous mass with its lever m responds to the torque of the specific force f (IEEE Std 1431).
 
     m is `imbalance_dps_per_g` along each axis on average, f in g. Reference: 0.3 dps/g.
     """
@@ -118,7 +118,7 @@ class DriveImbalance(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("imbalance_dps_per_g",)
 
     def put_on(self, site: Site) -> None:
-        """Act along axes of the part's own."""
+        """Act along axes that depend on the part."""
         lever, from_box = site.direction("imbalance"), transposed(site.orientation)
         factor = self.imbalance_dps_per_g / STANDARD_GRAVITY
 
@@ -130,7 +130,7 @@ class DriveImbalance(SensorMechanism):
 
 @dataclass(frozen=True)
 class VibrationRectification(SensorMechanism):
-    """Asymmetric stops: shaking that has no mean gives the output one.
+    """Asymmetric stops: vibration with zero mean changes the mean of the output.
 
     error = c v^2, v^2 the mean square in g^2 of how far the force is from its own mean, both over `memory_s`.
 
@@ -144,7 +144,7 @@ class VibrationRectification(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("per_g2_g", "per_g2_dps")
 
     def put_on(self, site: Site) -> None:
-        """Act along axes of the part's own."""
+        """Act along axes that depend on the part."""
         direction, factor = site.direction("stops"), site.by_unit(self.per_g2_g, self.per_g2_dps)
         elapsed = Stopwatch()
         mean: Triple | None = None
@@ -167,19 +167,22 @@ NOISE_BANDWIDTH = math.pi / (2 * math.sqrt(2))
 """Equivalent noise bandwidth of a second-order Butterworth filter by its cut-off: 1.11."""
 Step = tuple[float, float, float, float]
 FAR_S = 0.2
-"""Looks further apart than that are those before and after a chip is set up: what changed did so at once."""
+"""Evaluations that are further apart lie before and after the set-up of a chip: changes are then taken to be
+instantaneous.
+"""
 
 
 @dataclass(frozen=True)
 class OutputFilter(SensorMechanism):
-    """The output filter passes less than its register says: a low-pass of second order before the converter.
+    """The bandwidth of the output filter is lower than that of its register: a low-pass of second order before the
+    converter.
 
     Butterworth of second order at `cutoff_hz`: x'' + sqrt(2) w x' + w^2 x = w^2 u, w = 2 pi cutoff.
 
     White noise of density D gives x an rms of D sqrt(1.11 cutoff) and the autocorrelation exp(-a t) (cos a t + sin a
-    t), a = w / sqrt(2); between two looks the state is propagated exactly. The stimulus is filtered too, exactly so if
-    it is straight between looks; over a longer time without any, as when another range shifts the offset, as what it is
-    at its end. Reference: 20 Hz, narrower as severity grows.
+    t), a = w / sqrt(2); between two evaluations the state is propagated exactly. The stimulus is filtered too, exactly
+    if it is linear between evaluations; after a longer time without evaluations, as when another range shifts the
+    offset, it is taken to be constant at its last value. Reference: 20 Hz, narrower as severity grows.
     """
 
     cutoff_hz: float = 20.0
@@ -188,34 +191,35 @@ class OutputFilter(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Return a lower cut-off."""
+        """Return the mechanism with a lower cut-off."""
         return cls(cutoff_hz=cls.cutoff_hz / severity)
 
     @property
     def decay(self) -> float:
-        """Real and imaginary part of the poles, per second."""
+        """Return real and imaginary part of the poles, per second."""
         return 2 * math.pi * self.cutoff_hz / math.sqrt(2)
 
     @property
     def delay_s(self) -> float:
-        """The delay of a slow signal: sqrt(2) / w."""
+        """Return the delay of a slow signal: sqrt(2) / w."""
         return 1 / self.decay
 
     def step(self, seconds: float) -> Step:
-        """Transition matrix of (x, x') over that time, row by row, for an input of 0."""
+        """Return the transition matrix of (x, x') over that time, row by row, for an input of 0."""
         a = self.decay
         fade, cosine, sine = math.exp(-a * seconds), math.cos(a * seconds), math.sin(a * seconds)
         return fade * (cosine + sine), fade * sine / a, -2 * a * fade * sine, fade * (cosine - sine)
 
     def correlation(self, seconds: float) -> float:
-        """Autocorrelation of the noise that passes."""
+        """Return the autocorrelation of the filtered noise."""
         return self.step(seconds)[0]
 
     def put_on(self, site: Site) -> None:
-        """Signal and noise through a filter each, which is the same as both through one."""
+        """Filter signal and noise separately, which is equivalent to filtering their sum."""
         random = site.run_random("filter")
         site.chain.sensed.append(self._signal())
-        site.chain.noise.insert(0, self._noise(lambda: float(random.standard_normal())))  # others' noise comes later
+        # At first: noise of other mechanisms is added after the filter.
+        site.chain.noise.insert(0, self._noise(lambda: float(random.standard_normal())))
 
     def _signal(self) -> Callable[[int, Triple, WorldStimulus], Triple]:
         elapsed = Stopwatch()
@@ -234,7 +238,7 @@ class OutputFilter(SensorMechanism):
             for axis, (old, new) in enumerate(zip(before, value, strict=True)):
                 x, speed = state[axis]
                 slope = (new - old) / seconds if seconds > 0 else 0.0
-                behind = slope * self.delay_s  # what follows a straight line, once it has settled
+                behind = slope * self.delay_s  # the settled response to a ramp
                 off, faster = x - (old - behind), speed - slope
                 state[axis] = new - behind + a * off + b * faster, slope + c * off + d * faster
             before = value
@@ -264,7 +268,9 @@ class OutputFilter(SensorMechanism):
         return noise
 
     def innovation(self, seconds: float) -> Triple:
-        """Cholesky factor (11, 21, 22) of what noise adds to (x, x') in that time: P - F P F^T, P = diag(1, 2 a^2)."""
+        """Return the Cholesky factor (11, 21, 22) of the covariance that noise adds to (x, x') in that time: P - F P
+        F^T, P = diag(1, 2 a^2).
+        """
         a, b, c, d = self.step(seconds)
         power = 2 * self.decay**2
         xx = max(0.0, 1 - a * a - b * b * power)
@@ -279,7 +285,7 @@ class OutputFilter(SensorMechanism):
 class PipelineDelay(SensorMechanism):
     """A decimation filter with a long pipeline: the output is delayed.
 
-    The chip feels the world as it was `delay_s` ago: a group delay that its data sheet is silent about.
+    The output shows the world as it was `delay_s` ago: a group delay that is not in its data sheet.
 
     Reference: 20 ms.
     """
@@ -290,7 +296,7 @@ class PipelineDelay(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("delay_s",)
 
     def put_on(self, site: Site) -> None:
-        """Heat comes from the world as it is now: it does not go through the filter."""
+        """Use the present temperature, which is not filtered."""
         delay_ns, world = round(self.delay_s * 1e9), site.world
 
         def felt(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:

@@ -1,15 +1,15 @@
-"""One sensor as a mechanism finds it: where to act, how large, and random numbers of its own.
+"""One sensor as a mechanism acts on it: its stages, the size of the effect, and random numbers of its own.
 
 Mechanisms act on a sensing element stage by stage::
 
     world -> felt -> [the unit's own imperfections] -> sensed -> + noise -> amplified -> converter
 
-A stage is a list of functions of the instant, in ns since power-on, and of what the stage before gave. Instants never
-go back for one sensor.
+A stage is a list of functions of the instant, in ns since power-on, and of the output of the stage before. Instants
+never decrease for one sensor.
 
 The line between a chip's converter and the two wires is the output latch, the contacts and the cable. `ChipLine` takes
 the place of the chip and answers to its address. It knows where each chip keeps its triad (ADX-27, BMA-12, BMA-60,
-L3G-44) and which bit says that the triad is new (ADX-50, BMA-62, L3G-52).
+L3G-44) and which bit marks the triad as new (ADX-50, BMA-62, L3G-52).
 """
 
 from __future__ import annotations
@@ -57,18 +57,18 @@ class Chain:
 
 
 class MountedElement(SensingElement):
-    """`SensingElement` with the stages of `chain` between its own."""
+    """`SensingElement` with the stages of `chain` between its own stages."""
 
     _chain = Chain()
     _powered_on_ns = 0
 
     def mount(self, chain: Chain, powered_on_ns: int) -> Self:
-        """Put the stages of `chain` between its own; their time counts from when it was powered on. Returns itself."""
+        """Insert the stages of `chain` between its own; their time counts from power-on. Return itself."""
         self._chain, self._powered_on_ns = chain, powered_on_ns
         return self
 
     def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
-        """Input of the converter along the sensor's x, y, z, in the data sheet's unit, noise included."""
+        """Return the input of the converter along the sensor's x, y, z, in the data sheet's unit, noise included."""
         chain, gain = self._chain, 1.0
         for setting in chain.full_scale:
             actual = setting(full_scale)
@@ -84,7 +84,7 @@ class MountedElement(SensingElement):
         return total if gain == 1.0 else (total[0] * gain, total[1] * gain, total[2] * gain)
 
     def temperature(self, at_ns: int) -> float:
-        """Return the temperature that the chip's own thermometer feels, its offset included, in degC."""
+        """Return the temperature of the chip's own thermometer, its offset included, in degC."""
         degc = self._world(at_ns).temperature_degc
         for thermometer in self._chain.thermometer:
             degc = thermometer(at_ns - self._powered_on_ns, degc)
@@ -117,7 +117,7 @@ WORDS = Struct("<3h")
 
 
 class TriadLayout(NamedTuple):
-    """The place of a chip's triad: its first register, how far its codes are shifted up, and their width in bits."""
+    """The place of a chip's triad: its first register, the left shift of its codes, and their width in bits."""
 
     first: int
     shift: int
@@ -155,7 +155,7 @@ class Links:
 
 
 class ChipLine:
-    """A chip of that `kind`, seen through `links`."""
+    """A chip of that `kind`, read through `links`."""
 
     def __init__(self, chip: Chip, kind: str, links: Links, powered_on_ns: int = 0) -> None:
         self._chip = chip
@@ -166,7 +166,7 @@ class ChipLine:
 
     @property
     def address(self) -> int:
-        """The chip's."""
+        """The chip's address."""
         return self._chip.address
 
     @address.setter
@@ -218,18 +218,20 @@ ACCELEROMETERS = ("adxl345", "bma180")
 GYROSCOPES = ("l3g4200d",)
 INERTIAL = ACCELEROMETERS + GYROSCOPES
 WHILE_SET_UP_S = 5.0
-"""Faults of the wiring begin that long after power-on: an array whose chips can't be set up is never logged."""
+"""Time after power-on from which on faults of the wiring begin: an array whose chips can't be set up is never
+logged.
+"""
 
 
 @dataclass
 class Site:
     """The sensor `name`: a `chip` in a range of `full_scale` (g or dps), box = `orientation` @ sensor.
 
-    `world` is a function of ns since power-on, like everything that mechanisms are asked.
+    `world` is a function of ns since power-on, like all functions of mechanisms.
 
     `run` counts the times that the array was powered up, from 0. `chain` and `links` are where mechanisms act on its
-    signal and on its wiring; `kinds` changes the chip itself, `switches` its keyword arguments; `notes` says what
-    happened, for the sealed truth, and `touched` to whom, by the mechanisms that leave that to chance.
+    signal and on its wiring; `kinds` changes the chip itself, `switches` its keyword arguments; `notes` collects events
+    for the sealed truth, and `touched` the affected sensors, for mechanisms that affect random ones.
     """
 
     name: str
@@ -247,15 +249,15 @@ class Site:
     switches: dict[str, Any] = field(default_factory=dict)
 
     def by_unit(self, g: float, dps: float) -> float:
-        """`g` for an accelerometer, `dps` for a gyroscope."""
+        """Return `g` for an accelerometer, `dps` for a gyroscope."""
         return g if SENSED[self.chip][0] == "force_box" else dps
 
     def unit_random(self, key: str) -> np.random.Generator:
-        """Random numbers of this part, the same after every power-up."""
+        """Return random numbers of this part, the same after every power-up."""
         return stream(self.seed, f"{key} in {self.name}")
 
     def run_random(self, key: str) -> np.random.Generator:
-        """Random numbers of this part and this power-up."""
+        """Return random numbers of this part and this power-up."""
         return stream(self.seed, f"{key} in {self.name}, run {self.run}")
 
     def direction(self, key: str) -> Triple:
@@ -267,25 +269,25 @@ class Site:
         return x, y, z
 
     def note(self, what: str) -> None:
-        """Note for the truth: something happened here."""
+        """Add an event to the truth, which happened at this sensor."""
         self.notes.append(f"{self.name}: {what}")
 
 
 class Stopwatch:
-    """Seconds since the previous call; 0 at the first."""
+    """The seconds since the previous call; 0 at the first."""
 
     def __init__(self) -> None:
         self._before_ns: int | None = None
 
     def __call__(self, at_ns: int) -> float:
-        """`at_ns` never falls."""
+        """Return the seconds; `at_ns` never decreases."""
         before = at_ns if self._before_ns is None else self._before_ns
         self._before_ns = at_ns
         return (at_ns - before) * 1e-9
 
 
 def plus(value: Triple, direction: Triple, factor: float) -> Triple:
-    """value + factor * direction."""
+    """Return value + factor * direction."""
     x, y, z = value
     dx, dy, dz = direction
     return x + factor * dx, y + factor * dy, z + factor * dz

@@ -14,7 +14,7 @@ from firmware_emulator.world import ROOM_DEGC, WorldStimulus
 
 @dataclass(frozen=True)
 class ThermistorBow(SensorMechanism):
-    """The compensation of temperature is linear, the physical dependence is not: a curved residual remains.
+    """The temperature compensation is linear, the physical dependence is not: a quadratic residual remains.
 
     error = d (T - 25)^2, d on each axis `bow_g_per_k2` or `bow_dps_per_k2` on average. Reference: 50 ug/K^2 (20 mg at
     45 degC) or 1.5 mdps/K^2.
@@ -27,7 +27,7 @@ class ThermistorBow(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("bow_g_per_k2", "bow_dps_per_k2")
 
     def put_on(self, site: Site) -> None:
-        """Sign and share of each axis are the part's own."""
+        """Act with a sign and share of each axis that depend on the part."""
         direction, bow = site.direction("bow"), site.by_unit(self.bow_g_per_k2, self.bow_dps_per_k2)
 
         def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
@@ -49,7 +49,7 @@ class GainResistor(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("per_k",)
 
     def put_on(self, site: Site) -> None:
-        """Bias is amplified too."""
+        """Amplify the bias too."""
 
         def sensed(at_ns: int, value: Triple, stimulus: WorldStimulus) -> Triple:
             gain = math.exp(self.per_k * (stimulus.temperature_degc - ROOM_DEGC))
@@ -60,12 +60,12 @@ class GainResistor(SensorMechanism):
 
 @dataclass(frozen=True)
 class BoardToDie(SensorMechanism):
-    """Heat takes its way through the board before it reaches the mass that moves.
+    """Heat reaches the proof mass through the board.
 
     Two nodes: board dTb/dt = (T - Tb) / `board_s`, die dTd/dt = (Tb - Td) / `die_s`; bias follows Td.
 
-    The chip's thermometer, on the side of the pads, shows Tb. Under a ramp of T it is late by board_s, the bias by
-    board_s + die_s. Reference: 6 s and 2 s.
+    The chip's thermometer, near the pads, shows Tb. Under a ramp of T it lags by board_s, the bias by board_s + die_s.
+    Reference: 6 s and 2 s.
     """
 
     board_s: float = 6.0
@@ -75,7 +75,7 @@ class BoardToDie(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("board_s", "die_s")
 
     def put_on(self, site: Site) -> None:
-        """The two nodes begin at the temperature that is first felt."""
+        """Start both nodes at the first temperature."""
         elapsed = Stopwatch()
         board = die = math.nan
 
@@ -96,10 +96,9 @@ class BoardToDie(SensorMechanism):
 
 @dataclass(frozen=True)
 class SelfHeating(SensorMechanism):
-    """A chip warms itself: its thermometer, beside the regulator on the die, is warmer than the box.
+    """Self-heating of a chip: its thermometer, near the regulator on the die, is warmer than the box.
 
-    Self-heating: the chip's thermometer shows T + `rise_k` (1 - exp(-t / `settling_s`)), t since power-on; bias follows
-    the mass, T.
+    The chip's thermometer shows T + `rise_k` (1 - exp(-t / `settling_s`)), t since power-on; bias follows the mass, T.
 
     rise = power x thermal resistance; only chips whose thermometer has a zero. Reference: 3 K after 5 s.
     """
@@ -112,7 +111,7 @@ class SelfHeating(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("rise_k",)
 
     def put_on(self, site: Site) -> None:
-        """Act on the thermometer alone."""
+        """Act on the thermometer only."""
 
         def thermometer(at_ns: int, degc: float) -> float:
             return degc - self.rise_k * math.expm1(-at_ns * 1e-9 / self.settling_s)
@@ -122,7 +121,7 @@ class SelfHeating(SensorMechanism):
 
 @dataclass(frozen=True)
 class ThermalHysteresis(SensorMechanism):
-    """Solder that yields: the way up in temperature is not the way down.
+    """Hysteresis of yielding solder: the bias differs between rising and falling temperature.
 
     error = s (p - T), p following T with a backlash of +-w kelvin (Prandtl's play operator), w = `backlash_k`.
 
@@ -136,7 +135,7 @@ class ThermalHysteresis(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("size_g", "size_dps")
 
     def put_on(self, site: Site) -> None:
-        """Sign and share of each axis are the part's own."""
+        """Act with a sign and share of each axis that depend on the part."""
         direction, width = site.direction("hysteresis"), self.backlash_k
         per_k = site.by_unit(self.size_g, self.size_dps) / width
         follower: float | None = None

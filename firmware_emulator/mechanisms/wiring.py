@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CableBitErrors(SensorMechanism):
-    """A cable too long for its pull-ups: now and then the adapter samples a bit on the slope.
+    """A cable that is too long for its pull-ups: the adapter sometimes samples a bit on the edge.
 
-    Every bit that the chip sends arrives flipped with probability `per_bit`, below the notice of acknowledges.
+    Every bit that the chip sends arrives inverted with probability `per_bit`, which acknowledges do not detect.
 
-    I2C has no checksum. Only what the chip sends is hit: the adapter drives its own bits harder. Begins
+    I2C has no checksum. Only bytes from the chip are affected: the adapter drives its own bits more strongly. Begins
     `WHILE_SET_UP_S` after power-on. Reference: 1e-5, some one in 2000 readings.
     """
 
@@ -34,11 +34,11 @@ class CableBitErrors(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Return a worse cable."""
+        """Return the mechanism with a worse cable."""
         return cls(per_bit=min(0.5, cls.per_bit * severity))
 
     def put_on(self, site: Site) -> None:
-        """Act on the bytes as they arrive."""
+        """Invert bits of the bytes that arrive."""
         random = site.run_random("bits")
         gap = int(random.geometric(self.per_bit))
         begin_ns = round(WHILE_SET_UP_S * 1e9)
@@ -59,11 +59,11 @@ class CableBitErrors(SensorMechanism):
 
 @dataclass(frozen=True)
 class LooseContact(SensorMechanism):
-    """A plug that is not quite in: for moments the chip is not there.
+    """A loose plug: the chip is disconnected for moments.
 
     Closed for `closed_s` on average, then open for `open_s`, both exponential (Gilbert 1960).
 
-    Nothing is acknowledged while open. Begins `WHILE_SET_UP_S` after power-on. Reference: 50 ms in every 10 s.
+    No message is acknowledged while it is open. Begins `WHILE_SET_UP_S` after power-on. Reference: 50 ms in every 10 s.
     """
 
     open_s: float = 0.05
@@ -73,7 +73,7 @@ class LooseContact(SensorMechanism):
     scaled: ClassVar[tuple[str, ...]] = ("open_s",)
 
     def put_on(self, site: Site) -> None:
-        """Act on every message to the chip."""
+        """Interrupt messages to the chip."""
         random = site.run_random("contact")
         is_open, due_ns = False, (WHILE_SET_UP_S + random.exponential(self.closed_s)) * 1e9
 
@@ -89,11 +89,11 @@ class LooseContact(SensorMechanism):
 
 @dataclass(frozen=True)
 class MuxHang(Mechanism):
-    """The multiplexer acknowledges its order and does not switch, for once: twins on the other channel answer.
+    """The multiplexer sometimes acknowledges a command without switching: twins on the other channel answer.
 
-    A `share` of the orders is not obeyed; who has no twin at his address on the other channel is not acknowledged, the
-    others are answered for, and those are its sensors in the truth. Begins `WHILE_SET_UP_S` after power-on. Reference:
-    0.5 % of the orders.
+    A `share` of the commands has no effect; a sensor without a twin at its address on the other channel does not
+    acknowledge, a twin answers for the others, which are its sensors in the truth. Begins `WHILE_SET_UP_S` after
+    power-on. Reference: 0.5 % of the commands.
     """
 
     share: float = 0.005
@@ -103,7 +103,7 @@ class MuxHang(Mechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Return one that acts more often."""
+        """Return the mechanism with a larger share."""
         return cls(share=min(0.5, cls.share * severity))
 
     def wherever(self, sensors: Sequence[SensorLike]) -> tuple[str, ...]:
@@ -113,7 +113,7 @@ class MuxHang(Mechanism):
         return tuple(sensor.name for sensor in touched if places[sensor.chip, sensor.address] > 1)
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """Act at the STOP of an order."""
+        """Act at the STOP of a command."""
         random, begin_ns = stream(board.seed, f"multiplexer, run {board.run}"), round(WHILE_SET_UP_S * 1e9)
 
         def obeys(at_ns: int) -> bool:
@@ -129,7 +129,7 @@ class MuxHang(Mechanism):
 
 
 def _answers(board: FittedBoard, site: Site, touched: set[str]) -> Latch:
-    """Readings of the site as they are; whoever they pass for while the switch is astray is `touched`."""
+    """Return readings unchanged; the sensor in whose place they are read while the switch hangs is `touched`."""
     own = board.sensors[site.name]
     twins = {
         config.channel: name
@@ -150,11 +150,11 @@ LONG_AGO_NS = -(1 << 62)
 
 @dataclass(frozen=True)
 class MuxCrosstalk(Mechanism):
-    """The multiplexer's switch kicks the supply: who converts just after it is off.
+    """The multiplexer's switch disturbs the supply: conversions just after it have an error.
 
     error = k exp(-t / `decay_ms`), t since the last switch, k `kick_g` or `kick_dps` on average of the axes.
 
-    Who is read early in a segment feels it, and only in frames that come to the segment by a switch. Reference: 20 mg
+    It affects sensors that are read early in a segment, in frames that reach the segment by a switch. Reference: 20 mg
     or 0.6 dps, 2 ms.
     """
 
@@ -164,7 +164,7 @@ class MuxCrosstalk(Mechanism):
     scaled: ClassVar[tuple[str, ...]] = ("kick_g", "kick_dps")
 
     def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
-        """One multiplexer, heard by every site."""
+        """Connect every site to one multiplexer."""
         switched_ns = LONG_AGO_NS
 
         def switched(at_ns: int) -> None:
