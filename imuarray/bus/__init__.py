@@ -23,7 +23,7 @@ __all__ = ["Bus", "OpenBus", "open_bus"]
 def open_bus(url: str, array: ArrayConfig) -> OpenBus:
     """Open the bus that `url` names, for the sensors of `array`; a context manager.
 
-    BusUrlError when the URL names no bus, or the bus can't be opened here.
+    BusUrlError if the URL names no bus, or the bus can't be opened.
 
     >>> from imuarray import load_array
     >>> with open_bus("emulated:", load_array("configs/martin2013.toml")) as bus:
@@ -38,7 +38,9 @@ def open_bus(url: str, array: ArrayConfig) -> OpenBus:
 
 
 def _linux(rest: str, array: ArrayConfig) -> OpenBus:
-    """``i2c:/dev/i2c-1``; with no path, the first bus that a sensor names (kernel-driven channels need no root bus)."""
+    """Open ``i2c:/dev/i2c-1``; without a path, the first bus that a sensor names (kernel-driven channels need no root
+    bus).
+    """
     from imuarray.bus.linux import LinuxBus
 
     path = rest or next((sensor.bus for sensor in array.sensors if sensor.bus and sensor.on_i2c), "")
@@ -48,7 +50,7 @@ def _linux(rest: str, array: ArrayConfig) -> OpenBus:
 
 
 def _spi(rest: str, array: ArrayConfig) -> OpenBus:
-    """``spi:``; each sensor names its chip select."""
+    """Open ``spi:``; each sensor names its chip select."""
     from imuarray.bus.linux import SpiBus
 
     if rest:
@@ -57,32 +59,31 @@ def _spi(rest: str, array: ArrayConfig) -> OpenBus:
 
 
 def _iio(rest: str, array: ArrayConfig) -> OpenBus:
-    """``iio:``; each sensor names its device. ``iio:/folder`` has the folders sys and dev of another machine."""
+    """Open ``iio:``; each sensor names its device. ``iio:/folder`` has the folders sys and dev of another machine."""
     from imuarray.bus.iio import IioBus
 
     return IioBus(Path(rest or "/"))
 
 
 def _serial(rest: str, array: ArrayConfig) -> OpenBus:
-    """``serial:/dev/ttyACM0``, ``serial:/dev/ttyUSB0?baud=921600``."""
+    """Open ``serial:/dev/ttyACM0``, ``serial:/dev/ttyUSB0?baud=921600``."""
     from imuarray.bus.serial_bus import open_serial
 
     return open_serial(rest)
 
 
 def _replay(rest: str, array: ArrayConfig) -> OpenBus:
-    """``replay:T.jsonl``."""
+    """Open ``replay:T.jsonl``."""
     from imuarray.bus.replay import ReplayBus
 
     return ReplayBus(rest)
 
 
 def _emulated(rest: str, array: ArrayConfig) -> OpenBus:
-    """``emulated:?name=value&...``; ``board=other.toml`` solders the emulated board by another file than the one in
-    use.
+    """Open ``emulated:?name=value&...``; ``board=other.toml`` builds the emulated board from another file than the one
+    in use.
 
-    The emulator is imported by name: nothing else in this package knows that it exists.
-    """
+    The emulator is imported by name: nothing else in this package depends on it."""
     query = dict(parse_qsl(rest.removeprefix("?"), keep_blank_values=True))
     board = query.get("board")
     try:

@@ -1,14 +1,14 @@
-"""The identity of a device in sysfs, whatever number the kernel gives it.
+"""The identity of a device in sysfs, independent of the number that the kernel gives it.
 
 /dev/i2c-3 and /dev/ttyACM0 are numbers in the order of appearance (LNX-02): an adapter that was unplugged and plugged
-in again may come back under another one, and another adapter may have taken the old one. What stays is the USB device
-(vendor, product, serial number), the port that it is plugged into and its interface; of a built-in adapter the place of
-its parent device; of a channel that the kernel drives the multiplexer's address, the channel and the adapter before it
+in again may have another one, and another adapter may have the old one. What does not change is the USB device (vendor,
+product, serial number), the port that it is plugged into and its interface; of a built-in adapter the place of its
+parent device; of a channel that the kernel drives the multiplexer's address, the channel and the adapter before it
 (LNX-21).
 
 While a descriptor of an I2C adapter is open the kernel can't finish its removal (`i2c_del_adapter` waits for the last
-reference), and the USB port stays blocked. The adapter's entry in sysfs is gone before that wait: there the removal
-shows.
+reference), and the USB port stays blocked. The adapter's entry in sysfs is removed before that wait, so the removal is
+detected there.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _NUMBER = re.compile(r"\b\d+\b")
 
 @dataclass(frozen=True)
 class BusIdentity:
-    """`device` is what the device says of itself, `part` which adapter or port of it, `place` where it is plugged in
-    ("" for what can't be moved).
+    """`device` is the device's own description, `part` the adapter or port of it, `place` the port that it is plugged
+    into ("" for a built-in device).
     """
 
     device: str
@@ -49,8 +49,8 @@ class BusIdentity:
 
 @dataclass(frozen=True)
 class Entry:
-    """One device file's entry in sysfs: its name, its `mark` (inode), which another entry of that name does not share,
-    and what it is.
+    """One device file's entry in sysfs: its name, its `mark` (inode), which no later entry of that name shares, and its
+    identity.
     """
 
     name: str
@@ -59,7 +59,9 @@ class Entry:
 
 
 def adapters(devices: Path = I2C_DEVICES) -> dict[str, Entry]:
-    """Every I2C adapter of this machine by the name of its device file ("i2c-1"); empty where there is no sysfs."""
+    """Return every I2C adapter of this machine by the name of its device file ("i2c-1"); empty where there is no
+    sysfs.
+    """
     names = sorted((path.name for path in _listed(devices) if _ADAPTER.fullmatch(path.name)), key=_number)
     entries = {}
     for name in names:
@@ -77,7 +79,7 @@ def adapter_entry(devices: Path, name: str) -> Entry | None:
 
 
 def ports(devices: Path = TTY_DEVICES) -> dict[str, Entry]:
-    """Return every serial port that has a device behind it, by the name of its device file ("ttyACM0")."""
+    """Return every serial port with a device, by the name of its device file ("ttyACM0")."""
     entries = {}
     for path in sorted(_listed(devices)):
         mark = mark_of(devices, path.name)
@@ -92,8 +94,8 @@ def ports(devices: Path = TTY_DEVICES) -> dict[str, Entry]:
 
 
 def mark_of(devices: Path, name: str) -> int | None:
-    """Return the inode of an entry; None if the device was removed. Any other failure to look leaves it there:
-    OSError.
+    """Return the inode of an entry; None if the device was removed. OSError for any other failure, which does not mean
+    a removal.
     """
     try:
         return (devices / name).stat().st_ino
@@ -102,10 +104,10 @@ def mark_of(devices: Path, name: str) -> int | None:
 
 
 def search(wanted: BusIdentity, listed: Mapping[str, Entry], known: Mapping[str, int], *, alone: bool) -> str | None:
-    """Return the name under which a device that was removed is there again; None if it isn't.
+    """Return the name under which a removed device has reappeared; None if it has not.
 
-    `known` are names and marks of the entries that were there without it. A device at another port is taken only if no
-    other of its kind was there (`alone`), and only if it is one: which of two is ours can't be told.
+    `known` are names and marks of the entries that existed without it. A device at another port is accepted only if no
+    other of its kind was present (`alone`), and only if there is one: two can't be distinguished.
     """
     new = [entry for entry in listed.values() if known.get(entry.name) != entry.mark]
     for entry in new:
@@ -116,7 +118,7 @@ def search(wanted: BusIdentity, listed: Mapping[str, Entry], known: Mapping[str,
 
 
 def is_alone(wanted: BusIdentity, listed: Mapping[str, Entry]) -> bool:
-    """Return whether no other device among those listed says the same of itself."""
+    """Return whether no other device among those listed has the same description."""
     return not any(entry.identity != wanted and entry.identity.elsewhere(wanted) for entry in listed.values())
 
 
@@ -142,7 +144,7 @@ def _adapter_identity(devices: Path, name: str) -> BusIdentity | None:
         return _channel_identity(devices, real, mux)
     usb = _usb_device(real)
     if usb is not None:
-        return _usb_identity(usb, real, _NUMBER.sub("#", title))  # names have the USB device's number in them
+        return _usb_identity(usb, real, _NUMBER.sub("#", title))  # names contain the USB device's number
     return BusIdentity(f"{title or 'adapter'} of {real.parent.name}", str(real.parent))
 
 
@@ -169,10 +171,10 @@ def _usb_device(real: Path) -> Path | None:
 
 
 def _usb_identity(usb: Path, real: Path, title: str) -> BusIdentity:
-    """`real` is the folder of an adapter or port, or of the device behind it, somewhere below the USB device's.
+    """Return the identity of `real`, the folder of an adapter or port, or of its device, below the USB device's.
 
-    Interfaces are named PORT:CONFIGURATION.INTERFACE (the kernel's USB documentation, sysfs); where one has several
-    adapters they are told apart by their order.
+    Interfaces are named PORT:CONFIGURATION.INTERFACE (the kernel's USB documentation, sysfs); several adapters of one
+    interface are distinguished by their order.
     """
     serial = _text(usb / "serial")
     device = f"USB {_text(usb / 'idVendor')}:{_text(usb / 'idProduct')}" + (f" serial {serial}" if serial else "")
@@ -188,7 +190,7 @@ def _usb_identity(usb: Path, real: Path, title: str) -> BusIdentity:
 
 
 def _text(path: Path) -> str:
-    """Return a file's one line; empty if there is none."""
+    """Return the line of a file; empty if there is none."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:

@@ -1,9 +1,8 @@
 """Devices of Linux's industrial I/O subsystem (IIO): sensors that a driver of the kernel reads, through sysfs.
 
-A device is a folder of attributes, one small text file each, and a character device that gives the scans of its
-buffer. Kernel `Documentation/ABI/testing/sysfs-bus-iio` and
-`Documentation/iio/iio_devbuf.rst`; facts LNX-60 to -68. `IioDevice` speaks OSError with the errno and the file, as
-Linux does.
+A device is a folder of attributes, one small text file each, and a character device with the scans of its buffer.
+Kernel `Documentation/ABI/testing/sysfs-bus-iio` and `Documentation/iio/iio_devbuf.rst`; facts LNX-60 to -68.
+`IioDevice` raises OSError with the errno and the file, as Linux does.
 
 A scan, as read from /dev/iio:deviceN, is the values of all enabled channels of one instant. Its layout follows from two
 attributes of each channel in sysfs: its index, which orders the channels, and its type, for example ``le:s12/16>>4``.
@@ -56,7 +55,7 @@ class ScanElement:
 
     @classmethod
     def parse(cls, name: str, index: str, kind: str) -> ScanElement:
-        """Return the channel `name` by the texts of its index and type; ValueError says what is allowed.
+        """Return the channel `name` by the texts of its index and type; ValueError states what is allowed.
 
         >>> ScanElement.parse("in_accel_y", "1", "le:s12/16>>4").shift
         4
@@ -77,18 +76,18 @@ class ScanElement:
 
     @property
     def size(self) -> int:
-        """Bytes in a scan, to which the value is aligned as well."""
+        """The bytes in a scan, to which the value is also aligned."""
         return self.stored_bits // 8 * self.repeat
 
     @property
     def range_bits(self) -> int:
-        """Bits of a signed number that holds every value: one more than `bits` where the type is unsigned."""
+        """The bits of a signed number that holds every value: one more than `bits` if the type is unsigned."""
         return self.bits + (not self.is_signed)
 
 
 @dataclass(frozen=True)
 class ScanLayout:
-    """The enabled channels in the order of their indices, and where in a scan of `size` bytes each begins."""
+    """The enabled channels in the order of their indices, and the position of each in a scan of `size` bytes."""
 
     elements: tuple[ScanElement, ...]
     offsets: tuple[int, ...]
@@ -134,7 +133,7 @@ class ScanLayout:
 
 
 def _values(stored: npt.NDArray[Any], element: ScanElement) -> npt.NDArray[Any]:
-    """Shift, mask and sign (n, repeat) stored words."""
+    """Shift, mask and sign-extend (n, repeat) stored words."""
     unused = np.uint64(64 - element.bits)
     words = (stored.astype(np.uint64) >> np.uint64(element.shift)) << unused
     values: npt.NDArray[Any]
@@ -150,17 +149,17 @@ def _values(stored: npt.NDArray[Any], element: ScanElement) -> npt.NDArray[Any]:
 DEVICES = "sys/bus/iio/devices"
 DEVICE = re.compile(r"iio:device[0-9]+", re.ASCII)
 LONGEST_TEXT = 4096
-"""Bytes of an attribute: sysfs gives a page at most."""
+"""Bytes of an attribute: at most a page of sysfs."""
 MOST_ELEMENTS = 256
 MOST_BYTES = 1 << 20
-"""Bytes of scans that one call of `scans` takes; what is left is taken by the next."""
+"""Bytes of scans that one call of `scans` reads; the next call reads the rest."""
 
 
 class IioDevice:
     """The device that `wanted` names, below `root`: the label or name of its driver ("mpu6050"), its number
-    ("device0"), each with ``@`` and its place ("mpu6050@1-0068") where several have the name.
+    ("device0"), each with ``@`` and its place ("mpu6050@1-0068") if several have the name.
 
-    It is a `Bus` without registers: a transfer only asks whether the device is there, ENODEV if not.
+    It is a `Bus` without registers: a transfer only checks whether the device exists, ENODEV if not.
     """
 
     def __init__(self, wanted: str, root: Path) -> None:
@@ -178,7 +177,7 @@ class IioDevice:
 
     @property
     def folder(self) -> Path:
-        """Its folder in sysfs; SensorError, which names the devices that exist, if none or several have the name."""
+        """Its folder in sysfs; SensorError, which lists the existing devices, if none or several have the name."""
         if self._folder is None or not self._folder.is_dir():
             self._folder = self._find()
         return self._folder
@@ -205,12 +204,12 @@ class IioDevice:
 
     @property
     def name(self) -> str:
-        """The name that its driver gives it."""
+        """The name from its driver."""
         return printable(_text(self.folder / "name") or self.folder.name)
 
     @property
     def place(self) -> str:
-        """The place of the chip on its bus, as the kernel names it: 1-0068 is address 0x68 of /dev/i2c-1."""
+        """The place of the chip on its bus in the kernel's notation: 1-0068 is address 0x68 of /dev/i2c-1."""
         return printable(_place(self.folder))
 
     @property
@@ -219,7 +218,7 @@ class IioDevice:
         return self._root / "dev" / self.folder.name
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """Ask whether the device is there: OSError with ENODEV if not, with ENXIO for any register."""
+        """Check whether the device exists: OSError with ENODEV if not, with ENXIO for any register."""
         try:
             folder = self.folder
         except SensorError as error:
@@ -231,7 +230,7 @@ class IioDevice:
     # Attributes ---------------------------------------------------------------------------------------------------
 
     def read(self, attribute: str) -> str | None:
-        """Return the text of an attribute; None if the device has no such one, or several devices have. OSError."""
+        """Return the text of an attribute; None if the device has none, or shares it with other devices. OSError."""
         path = self.folder / attribute
         try:
             return _read(path)
@@ -253,7 +252,7 @@ class IioDevice:
             raise _at(error, path) from error
 
     def keep(self, attribute: str, text: str) -> None:
-        """Write an attribute unless it says so already, and read it back; SensorError if it does not keep it."""
+        """Write an attribute unless it has this value already, and read it back; SensorError if it does not keep it."""
         if self.read(attribute) == text:
             return
         self.write(attribute, text)
@@ -276,7 +275,7 @@ class IioDevice:
         return "scan_elements" if (self.folder / "scan_elements").is_dir() else "buffer0"
 
     def elements(self) -> dict[str, ScanElement]:
-        """Return the channels that its buffer can have, by name; none without a buffer. SensorError for a wrong
+        """Return the channels that its buffer can have, by name; none without a buffer. SensorError for an invalid
         type.
         """
         where = self._elements_folder()
@@ -304,10 +303,10 @@ class IioDevice:
         self.stop()
 
     def start(self, wanted: set[str], length: int, watermark: int) -> ScanLayout:
-        """Enable the channels `wanted` and no others, and start the capture into `length` scans; their layout.
+        """Enable the channels `wanted` and no others, start the capture into a buffer of `length` scans, and return
+        their layout.
 
-        Channels that the driver enables with them are in it, too. OSError, SensorError.
-        """
+        It also has channels that the driver enables with them. OSError, SensorError."""
         elements, where = self.elements(), self._elements_folder()
         for name in elements:
             if name not in wanted and self.read(f"{where}/{name}_en") != "0":
@@ -315,7 +314,7 @@ class IioDevice:
         for name in sorted(wanted):
             self.keep(f"{where}/{name}_en", "1")
         self.write(self._buffer("length"), str(length))
-        with contextlib.suppress(OSError):  # read-only or missing where the driver sets it by itself
+        with contextlib.suppress(OSError):  # read-only or missing where the driver sets it itself
             self.write(self._buffer("watermark"), str(watermark))
         self.write(self._buffer("enable"), "1")
         enabled = [element for name, element in elements.items() if self.read(f"{where}/{name}_en") == "1"]
@@ -327,13 +326,13 @@ class IioDevice:
         return self._layout
 
     def stop(self) -> None:
-        """Stop the capture, also one that another program started; OSError."""
+        """Stop the capture, also one of another program; OSError."""
         if self.read(self._buffer("enable")) not in ("0", None):
             self.write(self._buffer("enable"), "0")
         self._layout = None
 
     def scans(self) -> bytes:
-        """Return the whole scans that wait, oldest first; OSError with ENODEV if the device was removed."""
+        """Return the whole waiting scans, oldest first; OSError with ENODEV if the device was removed."""
         if self._layout is None or self._file < 0:
             raise OSError(errno.ENODEV, f"{self} is not set up")
         size, parts = self._layout.size, [self._rest]
@@ -361,7 +360,7 @@ class IioDevice:
         return data[:whole]
 
     def release(self) -> None:
-        """Stop the capture and give the buffer back."""
+        """Stop the capture and close the buffer."""
         if self._file >= 0:
             with contextlib.suppress(OSError, SensorError):
                 self.stop()
@@ -393,7 +392,7 @@ def _name(folder: Path) -> str:
 
 
 def _place(folder: Path) -> str:
-    """Return the name of the device of which the kernel made this one: the chip on its bus (LNX-63)."""
+    """Return the name of the parent device: the chip on its bus (LNX-63)."""
     return folder.resolve().parent.name
 
 
@@ -414,7 +413,7 @@ def _text(path: Path) -> str:
 
 
 def _at(error: OSError, path: Path) -> OSError:
-    """Return the same error, which names its file."""
+    """Return the same error with the name of its file."""
     return OSError(error.errno, error.strerror or str(error), str(path))
 
 
@@ -435,7 +434,7 @@ class IioBus:
         self._wired = SpiBus(clock=self.clock)
 
     def iio_device(self, wanted: str) -> IioDevice:
-        """Return the device that `wanted` names, made once; it need not be there yet."""
+        """Return the device that `wanted` names, made once; it need not exist yet."""
         return self._devices.setdefault(wanted, IioDevice(wanted, self._root))
 
     def devices(self) -> list[IioDevice]:
@@ -451,11 +450,11 @@ class IioBus:
         return self._wired.spi_port(path, mode, clock_hz)
 
     def channel_bus(self, path: str) -> Bus:
-        """The I2C adapter at `path`, opened once."""
+        """Return the I2C adapter at `path`, opened once."""
         return self._wired.channel_bus(path)
 
     def claim(self, address: int, path: str | None = None) -> None:
-        """See `LinuxBus.claim`."""
+        """Claim an address as `LinuxBus.claim`."""
         self._wired.claim(address, path)
 
     def __enter__(self) -> Self:

@@ -1,16 +1,17 @@
 """A bus of Linux: /dev/i2c-N through I2C_RDWR. Facts LNX-*.
 
 One call is one transaction with one STOP at its end (LNX-06), with at most one read message, as the last: i2c-bcm2835,
-the Raspberry Pi's adapter, refuses anything else (LNX-10). The poll loop repeats the same few transactions, so their C
-structures are kept: a transaction is one ioctl on a prepared block. smbus2 opens the device and defines the structures.
+the Raspberry Pi's adapter, refuses other transactions (LNX-10). The poll loop repeats the same few transactions, so
+their C structures are kept: a transaction is one ioctl on a prepared block. smbus2 opens the device and defines the
+structures.
 
 I2C_RDWR checks neither whether a kernel driver owns an address (LNX-12) nor whether another program uses the bus:
 `claim` checks the former, a lock on the device excludes the latter. A bus belongs to one thread.
 
-An adapter that is unplugged while it is open is noticed by its missing entry in sysfs, after a transaction that failed.
-The descriptor is closed, without which the kernel could not finish the removal. From then on every transaction ends
-with ENODEV, and from time to time the adapter is looked for by its identity (`imuarray.bus.identity`). When it is there
-again the bus works as before.
+The removal of an open adapter is detected by its missing entry in sysfs, after a failed transaction. The descriptor is
+closed, because the kernel could not finish the removal otherwise. From then on every transaction ends with ENODEV, and
+the adapter is searched for at intervals by its identity (`imuarray.bus.identity`). When it has reappeared the bus works
+as before.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ MAX_MESSAGES = 42
 KEPT = 256
 """Transactions whose structures are kept; an array of a dozen chips uses about as many dozens."""
 TIMEOUT_S = 0.03
-"""The kernel's own is 1 s a transfer: a hung bus would stop the log for as long, sensor after sensor."""
+"""The kernel's default is 1 s for a transfer: a hung bus would stop the log for that time, for each sensor."""
 I2C_TIMEOUT = 0x0702  # in units of 10 ms (LNX-03); smbus2 does not name it
 SEARCH_NS = 200_000_000
 """The interval between two searches for an adapter that was removed: each lists the adapters of the machine."""
@@ -51,11 +52,11 @@ Request = tuple[int, bytes, int]
 
 
 class LinuxBus:
-    """An I2C adapter of this machine, locked for this object alone; BusUrlError when it can't be had.
+    """An I2C adapter of this machine, locked for this object; BusUrlError if it can't be opened.
 
-    `timeout_s` is set on the adapter itself and stays there (LNX-03). `devices` is the kernel's list of I2C devices in
-    sysfs, `device_files` the folder in which an adapter that was unplugged appears again. `where` is the device file
-    that is in use now; None while the adapter is removed.
+    `timeout_s` is set on the adapter itself and persists (LNX-03). `devices` is the kernel's list of I2C devices in
+    sysfs, `device_files` the folder in which an unplugged adapter reappears. `where` is the present device file; None
+    while the adapter is removed.
     """
 
     source = "i2c"
@@ -77,7 +78,7 @@ class LinuxBus:
         self._device_files = DEVICE_FILES if device_files is None else device_files
         self._others: dict[str, LinuxBus] = {}
         self._spi = SpiPorts()
-        self._together = [self]  # with the channels, whose removal the kernel waits for as well
+        self._together = [self]  # with the channels, for whose removal the kernel also waits
         self._entry: Entry | None = None
         self._alone = True
         self._known: dict[str, int] = {}
@@ -95,7 +96,7 @@ class LinuxBus:
             ) from error
 
     def _open(self, path: str) -> None:
-        """Open and lock `path`, and note what it is; what fails leaves nothing open."""
+        """Open and lock `path`, and note its identity; a failure leaves nothing open."""
         try:
             self._adapter.open(path)
             self._set_up()
@@ -105,7 +106,7 @@ class LinuxBus:
         self.where, self._file = path, self._adapter.fd
         name = Path(os.path.realpath(path)).name
         entry = adapter_entry(self._devices, name)
-        if entry is not None:  # else there is no sysfs to watch
+        if entry is not None:  # otherwise there is no sysfs
             self._entry = entry
             self._alone = is_alone(entry.identity, adapters(self._devices))
 
@@ -121,7 +122,7 @@ class LinuxBus:
         fcntl.ioctl(self._adapter.fd, I2C_TIMEOUT, max(1, round(self._timeout_s * 100)))
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """See `Bus.transfer`; ValueError for more than a message can carry (the kernel's field is 16 bits wide:
+        """Transfer as `Bus.transfer`; ValueError for more than a message can carry (the kernel's field is 16 bits wide:
         LNX-33). OSError with ENODEV while the adapter is removed.
         """
         block = self._one(address, write, read)
@@ -137,7 +138,7 @@ class LinuxBus:
     def _notice_removal(self) -> None:
         """Close every adapter of this bus that the kernel has removed; OSError with ENODEV if this one is removed.
 
-        All of them, because the kernel removes a root adapter only after the channels behind it are closed.
+        All of them are closed, because the kernel removes a root adapter only after its channels are closed.
         """
         for bus in self._together:
             bus._close_if_removed()
@@ -159,7 +160,7 @@ class LinuxBus:
         return OSError(errno.ENODEV, f"the adapter {self.path}{what} was removed")
 
     def _find_again(self) -> None:
-        """Open the adapter if it is there again, at most every `SEARCH_NS`; OSError with ENODEV otherwise."""
+        """Open the adapter if it has reappeared, at most every `SEARCH_NS`; OSError with ENODEV otherwise."""
         now_ns = self.clock.now_ns()
         if self._entry is None or now_ns < self._search_ns:
             raise self._removed()
@@ -171,15 +172,15 @@ class LinuxBus:
             raise self._removed()
         try:
             self._open(str(self._device_files / name))
-        except (OSError, BusUrlError) as error:  # udev has not given it its rights yet, or another program was faster
+        except (OSError, BusUrlError) as error:  # udev has not set its permissions yet, or another program was faster
             raise self._removed() from error
 
     def transfer_all(self, requests: Sequence[Request]) -> list[bytes]:
         """Return the answers to `requests`, each as of `transfer`, in one transaction where the adapter allows it,
         joined by repeated STARTs; otherwise one after the other.
 
-        When one fails nothing comes back, and which it was is not known (LNX-13). What depends on a STOP, the
-        multiplexer's channel for one (LNX-07), must not be among them.
+        If one fails, nothing is returned, and it is not known which one (LNX-13). Requests that depend on a STOP, such
+        as the multiplexer's channel (LNX-07), must not be among them.
         """
         if self._grouping and 1 < len(requests) <= MAX_MESSAGES // 2:
             block = self._many(tuple(requests))
@@ -196,8 +197,9 @@ class LinuxBus:
         return [self.transfer(*request) for request in requests]
 
     def claim(self, address: int, path: str | None = None) -> None:
-        """SensorError if a driver of the kernel owns `address` of this bus (of the channel bus at `path`): two
-        drivers of one chip undo each other's work, and of a multiplexer reroute each other's transactions (LNX-24).
+        """Raise SensorError if a driver of the kernel owns `address` of this bus (of the channel bus at `path`): two
+        drivers of one chip overwrite each other's settings, and two of a multiplexer reroute each other's transactions
+        (LNX-24).
         """
         bus = self if path is None else self._other(path)
         if bus._file < 0:
@@ -214,7 +216,7 @@ class LinuxBus:
             ) from error
 
     def _owner(self, address: int) -> str:
-        """Return the kernel driver of `address`, by name if the kernel tells."""
+        """Return the kernel driver of `address`, by name if the kernel states it."""
         number = os.path.realpath(self.where or self.path).rpartition("-")[2]
         link = self._devices / f"{number}-{address:04x}" / "driver"
         return f"the kernel's driver {link.readlink().name!r}" if link.is_symlink() else "a driver of the kernel"
@@ -224,7 +226,7 @@ class LinuxBus:
         return self._other(path)
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """Return the chip select at `path`, opened once; for sensors on SPI beside those on this bus."""
+        """Return the chip select at `path`, opened once; for sensors on SPI in addition to those on this bus."""
         return self._spi.port(path, mode, clock_hz)
 
     def _other(self, path: str) -> LinuxBus:
@@ -274,13 +276,13 @@ class SpiBus:
         return self._ports.port(path, mode, clock_hz)
 
     def channel_bus(self, path: str) -> Bus:
-        """The I2C adapter at `path`, opened once."""
+        """Return the I2C adapter at `path`, opened once."""
         if path not in self._others:
             self._others[path] = LinuxBus(path, clock=self.clock)
         return self._others[path]
 
     def claim(self, address: int, path: str | None = None) -> None:
-        """See `LinuxBus.claim`."""
+        """Claim an address as `LinuxBus.claim`."""
         if path is None:
             return
         self.channel_bus(path)
@@ -298,16 +300,16 @@ class SpiBus:
 
 
 class _Ioctl(NamedTuple):
-    """The structures of one I2C_RDWR; the kernel leaves what was read in `answers`, one for each request."""
+    """The structures of one I2C_RDWR; the kernel stores the bytes that were read in `answers`, one for each request."""
 
     structure: Any
     answers: list[ctypes.Array[ctypes.c_char]]
     messages: list[Any]
-    """Held because the structure points into them."""
+    """The memory to which the structure points."""
 
     @classmethod
     def of(cls, requests: Sequence[Request]) -> _Ioctl:
-        """ValueError for a message that is too long or an address of more than seven bits."""
+        """Raise ValueError for a message that is too long or an address of more than seven bits."""
         messages: list[Any] = []
         answers = []
         for address, write, read in requests:

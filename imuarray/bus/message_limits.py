@@ -1,7 +1,7 @@
-"""The longest read that each bus carries in one transaction, and the longest that all of them carry.
+"""The longest read of each bus in one transaction, and the longest that all of them can carry.
 
-Drivers keep to the latter, so that a transcript of one bus can be replayed in the place of another: the same chip is
-then asked in the same pieces everywhere.
+Drivers use the latter, so that a transcript of one bus can replace another bus: reads of a chip are then split in the
+same way on all of them.
 """
 
 from __future__ import annotations

@@ -9,13 +9,14 @@ from imuarray.clock import Clock
 
 
 class Bus(Protocol):
-    """Anything that can carry one I2C transaction; a channel of a multiplexer is one too."""
+    """An object that can carry one I2C transaction: a bus, or a channel of a multiplexer."""
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """One transaction: ``S address+W write... [Sr address+R read...] P``; the bytes that were read.
+        """Carry out one transaction, ``S address+W write... [Sr address+R read...] P``; return the bytes that were
+        read.
 
         With nothing to write the transaction is ``S address+R read... P``, and ``transfer(address)`` alone, ``S
-        address+W P``, asks whether anybody answers. Raises OSError as Linux does: errno 6 or 121 when no chip
+        address+W P``, checks for an acknowledge. Raises OSError as Linux does: errno 6 or 121 when no chip
         acknowledges, 110 when the clock is held too long.
         """
 
@@ -24,11 +25,11 @@ class SpiPort(Protocol):
     """One chip select of an SPI controller."""
 
     def exchange(self, sent: bytes) -> bytes:
-        """Send bytes while the chip is selected; the bytes, as many, that came back meanwhile. OSError as Linux."""
+        """Send bytes while the chip is selected; return as many received bytes. OSError as Linux."""
 
 
 class OpenBus(Bus, AbstractContextManager["OpenBus"], Protocol):
-    """A bus that was opened from a URL, with the clock that its traffic obeys."""
+    """A bus that was opened from a URL, with the clock of its traffic."""
 
     clock: Clock
     source: str
@@ -38,4 +39,6 @@ class OpenBus(Bus, AbstractContextManager["OpenBus"], Protocol):
         """Return the bus at `path`, for a sensor behind a kernel-driven mux channel; closed together with this one."""
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
-        """Return the chip select at `path`, clocked so; closed together with this bus. OSError or BusUrlError."""
+        """Return the chip select at `path` with this mode and clock; closed together with this bus. OSError or
+        BusUrlError.
+        """

@@ -23,31 +23,31 @@ _MOST_ERRNO = 4095
 
 
 class ReplayClock:
-    """A clock that stands where the transcript stands, and shows what was seen there."""
+    """A clock that shows the times that were recorded in the transcript."""
 
     def __init__(self) -> None:
         self._now_ns = 0
         self._seen_ns: deque[int] = deque()
 
     def now_ns(self) -> int:
-        """Return what the program saw then; else when the last transaction ended, or the last sleep."""
+        """Return the time that the program read then; otherwise the end of the last transaction or sleep."""
         if self._seen_ns:
             self._now_ns = max(self._now_ns, self._seen_ns.popleft())
         return self._now_ns
 
     def sleep_until(self, at_ns: int) -> None:
-        """No need to wait."""
+        """Do nothing: a replay needs no wait."""
         self._now_ns = max(self._now_ns, at_ns)
 
     def stand(self, at_ns: int, seen_ns: list[int]) -> None:
-        """A transaction has ended; before the next one the clock will have been seen at these times."""
+        """Note the end of a transaction, and the readings of the clock before the next one."""
         self._now_ns = max(self._now_ns, at_ns)
         self._seen_ns = deque(seen_ns)
 
 
 class ReplayBus:
-    """A transcript played back: gives the recorded answers, refuses whatever was not asked then. `epoch` is the wall
-    time at which its log began, once it has come to that; `stopped` whether it has come to where that was stopped.
+    """A bus that returns the answers of a transcript and refuses other requests. `epoch` is the wall time at which its
+    log began, once the replay has reached it; `stopped` is True once it has reached the end of the recorded program.
     """
 
     source = "replay"
@@ -72,11 +72,11 @@ class ReplayBus:
             self._file.close()
             raise BusUrlError(f"replay:{path}: {getattr(error, 'strerror', None) or 'is not a transcript'}") from None
         self._show_ahead(0)
-        if self._next and "claim" in self._next:  # else this bus could not tell whose an address is
+        if self._next and "claim" in self._next:  # otherwise the transcript has no owners of addresses
             self.claim = self._claim
 
     def _read(self) -> dict[str, Any] | None:
-        """Return the next line, past an epoch, which is noted; None behind the last, empty for one that is no
+        """Return the next line after an epoch, which is noted; None after the last line, empty for a line that is no
         transaction.
         """
         while text := self._file.readline(LONGEST_LINE):
@@ -94,11 +94,11 @@ class ReplayBus:
         self._clock.stand(end_ns, self._next.get("seen_ns", []) if self._next else [])
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """See `Bus.transfer`; SensorError at the first transaction that differs from the recorded one."""
+        """Transfer as `Bus.transfer`; SensorError at the first transaction that differs from the recorded one."""
         return self._play("", address, write, read)
 
     def stopping(self, stopped: Callable[[], bool]) -> Callable[[], bool]:
-        """`stopped`, or that the recorded program was stopped then."""
+        """Return a function that is True if `stopped` is, or if the recorded program was stopped at that place."""
 
         def asked() -> bool:
             self._asked += 1
@@ -159,7 +159,7 @@ class ReplayBus:
         return recorded
 
     def _go_on(self, end_ns: int) -> None:
-        """Go on to the next line, from one that ended then."""
+        """Advance to the next line; the last one ended then."""
         self._asked = 0
         try:
             self._next = self._read()
@@ -168,7 +168,7 @@ class ReplayBus:
         self._show_ahead(end_ns)
 
     def finished(self) -> None:
-        """SensorError if part of the transcript was never asked for."""
+        """Raise SensorError if part of the transcript was not requested."""
         remaining = 0
         while self._next is not None:
             remaining += not self._next or "words" in self._next
@@ -206,8 +206,8 @@ class _ReplayedPort:
 
 
 def _parsed(line: dict[str, Any]) -> dict[str, Any]:
-    """Return a line with its numbers; ValueError, KeyError, TypeError, AttributeError, OverflowError for what is
-    none.
+    """Return a line with its numbers; ValueError, KeyError, TypeError, AttributeError, OverflowError for an invalid
+    one.
     """
     at_ns = _time(line.get("at_ns", 0))
     call = {
@@ -241,12 +241,12 @@ def _time(value: Any) -> int:
 
 
 def _words(path: str, address: int, write: bytes, read: int) -> str:
-    """Return a transaction in words."""
+    """Describe a transaction in words."""
     where = f"{path} " if path else ""
     return f"{where}{address:#04x} write {write.hex() or 'nothing'} read {read}"
 
 
 def _claimed(path: str, address: int) -> str:
-    """Return the question whose an address is, in words."""
+    """Describe a query for the owner of an address in words."""
     where = f"{path} " if path else ""
     return f"{where}{address:#04x}: owner query"

@@ -1,8 +1,8 @@
 """An array on a microcontroller, over the link of `imuarray.bus.serial_link`.
 
-As a `Bus` it has the microcontroller carry out one transaction after the other: drivers configure and check their chips
-through it as through any other bus. `start` hands it lists to work through on its own, and `receive` collects its data
-in bulk: the port is read seldom and in large pieces, and the frames of a list become the rows of a matrix.
+As a `Bus` it lets the microcontroller carry out one transaction after the other: drivers configure and check their
+chips through it as through any other bus. `start` sends it lists to execute on its own, and `receive` returns its data
+in bulk: the port is read rarely and in large pieces, and the frames of a list become the rows of a matrix.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from imuarray.errors import BusUrlError
 SPI_CONTROLLER = "/dev/spidev0"
 """The name of the microcontroller's controller in a configuration, as on a computer with one controller."""
 NAP_S = 0.02
-"""Between two pieces of a stream: what comes in the meantime is read at once."""
+"""Pause between two reads of a stream: the bytes that arrive in it are read at once."""
 SEARCH_NS = 1_000_000_000
 """The interval between two searches for a microcontroller that was removed, while single transactions are requested."""
 BUSY_BYTES = 8192
-"""When more than this came in a nap, the next one is left out: the system's own buffers are no larger."""
+"""If more bytes than these arrived in a pause, the next one is omitted: the system's own buffers are no larger."""
 
 
 class Samples(NamedTuple):
-    """The frames of one list that arrived: numbers of the frames (n,), when each was sent (n,) in ns on the host's
-    clock and in us of the microcontroller's counter, and what was sent (n, size), the list's number left out.
+    """The frames of one list that arrived: numbers of the frames (n,), the times (n,) at which they were sent, in ns on
+    the host's clock and in us of the microcontroller's counter, and their payload (n, size) without the list's number.
     `link_ns` is the largest error of the conversion between the two clocks.
     """
 
@@ -52,7 +52,7 @@ class Samples(NamedTuple):
 
 
 class SerialBus:
-    """The microcontroller on the port that `open_port` opens; LinkError if no device there speaks the link's protocol.
+    """The microcontroller on the port that `open_port` opens; LinkError if its device does not use the link's protocol.
     `clock` is the host's.
 
     While lists are executed, they control the multiplexer: call `stop` before single transactions.
@@ -82,19 +82,19 @@ class SerialBus:
         return self._session.capacity
 
     def firmware_counts(self) -> FirmwareCounts | None:
-        """Counters of the firmware since it booted; None if it keeps none. OSError if it does not answer."""
+        """Return the counters of the firmware since it booted; None if it has none. OSError if it does not answer."""
         if not self.capacity.features & link.CAN_STATUS:
             return None
         return link.counts_of(self._session.ask(link.STATUS).payload)
 
     @property
     def skipped(self) -> int:
-        """Bytes that came and belonged to no frame."""
+        """Received bytes that belonged to no frame."""
         return self._session.skipped
 
     @property
     def refused(self) -> Mapping[str, int]:
-        """Frames with a good checksum that were not taken, by reason: old, repeated, out of order, of another boot."""
+        """Frames with a valid checksum that were rejected, by reason: old, repeated, out of order, of another boot."""
         return self._session.refused
 
     @property
@@ -103,16 +103,18 @@ class SerialBus:
         return self._period_us > 0
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """See `Bus.transfer`; LinkError if the microcontroller does not answer, ValueError for what no frame holds.
+        """Transfer as `Bus.transfer`; LinkError if the microcontroller does not answer, ValueError for a transfer that
+        does not fit into a frame.
 
-        After that it is looked for, at most every `SEARCH_NS`, and until it is there OSError has ENODEV.
+        After a LinkError it is searched for, at most every `SEARCH_NS`, and OSError has ENODEV until it has
+        reappeared.
         """
         payload = link.transfer_payload(address, write, read)
         return self._transact(link.TRANSFER, payload, read, f"address {address:#04x} over the link")
 
     def exchange(self, select: int, write: bytes, read: int) -> bytes:
-        """One transaction on a chip select of SPI: bytes out, then zeros while `read` bytes come in; errors as of
-        `transfer`.
+        """Carry out one transaction on a chip select of SPI: bytes out, then zeros while `read` bytes come in; errors
+        as of `transfer`.
         """
         payload = link.exchange_payload(select, write, read)
         return self._transact(link.TRANSFER, payload, read, f"chip select {select} over the link")
@@ -128,7 +130,7 @@ class SerialBus:
         return link.outcome_of(answer.payload, read, what)
 
     def _find_again(self) -> None:
-        """Open the port anew; OSError with ENODEV if no device there speaks the link's protocol."""
+        """Open the port again; OSError with ENODEV if its device does not use the link's protocol."""
         now_ns = self.clock.now_ns()
         if now_ns < self._search_ns:
             raise OSError(errno.ENODEV, "the microcontroller was disconnected")
@@ -139,7 +141,7 @@ class SerialBus:
             raise OSError(errno.ENODEV, f"the microcontroller was disconnected: {error.strerror}") from error
 
     def channel_bus(self, path: str) -> Bus:
-        """Raise an error: OSError, as for a device file that isn't there."""
+        """Raise OSError, as for a missing device file."""
         raise FileNotFoundError(errno.ENOENT, "a microcontroller has no buses of the kernel", path)
 
     def spi_port(self, path: str, mode: int, clock_hz: int) -> SpiPort:
@@ -178,14 +180,14 @@ class SerialBus:
         self._period_us = period_us
 
     def stop(self) -> None:
-        """End it; what was sent before is still there for `receive`."""
+        """Stop the stream; data that were sent before can still be received."""
         self._period_us = 0
         self._do(link.STOP, b"", "stop")
 
     def receive(self) -> Mapping[int, Samples]:
-        """Return everything that arrived since the last call, by number of the list; while streaming after a nap, when
-        a frame has arrived or a moment has passed, without delay if there is more than can be kept up with. LinkError
-        when the port is gone.
+        """Return all data that arrived since the last call, by number of the list; while streaming after a pause, when
+        a frame has arrived or a short time has passed, without delay if more data arrive than can be processed.
+        LinkError if the port was removed.
         """
         if self.streaming:
             if not self._behind:
@@ -198,7 +200,7 @@ class SerialBus:
         return self._by_list(data) if data.frames else {}
 
     def reconnect(self, patience_s: float = PATIENCE_S) -> None:
-        """Open the port anew and begin from the beginning, after it was unplugged or its microcontroller was reset: the
+        """Open the port again and start a new session, after it was unplugged or its microcontroller was reset: the
         chips may have lost their supply too. LinkError if no device answers.
         """
         self._period_us = 0
@@ -211,7 +213,7 @@ class SerialBus:
         link.outcome_of(self._session.ask(kind, payload).payload, 0, what)
 
     def _by_list(self, data: Data) -> dict[int, Samples]:
-        """Frames as matrices, one a list."""
+        """Return frames as matrices, one for each list."""
         sent_ns = self.fit.host_ns(data.sent_us * 1000)
         rows: dict[int, list[int]] = defaultdict(list)
         for row, frame in enumerate(data.frames):
@@ -245,8 +247,9 @@ class SerialSpiPort:
         self._select = select
 
     def exchange(self, sent: bytes) -> bytes:
-        """See `SpiPort.exchange`. What comes back before the zeros at the end of `sent`, and before its second byte, is
-        not carried by the link and reads FF: no chip of an array says anything while it is told what is meant.
+        """Exchange bytes as `SpiPort.exchange`. The link does not carry the bytes that are received before the zeros at
+        the end of `sent`, and before its second byte; they read FF, because no chip of an array sends data during the
+        command.
         """
         meant = max(1, len(sent.rstrip(b"\0")))
         return b"\xff" * meant + self._bus.exchange(self._select, sent[:meant], len(sent) - meant)

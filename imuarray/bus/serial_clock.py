@@ -1,12 +1,12 @@
 """Converts the microcontroller's counters to the host's clock.
 
-Counters on the link are 16 and 32 bits wide and wrap; `nearest` determines the turn.
+Counters on the link are 16 and 32 bits wide and wrap; `nearest` determines the number of wraps.
 
-A frame can arrive late but never early. The true straight line through (sent, arrived) therefore lies under every
+A frame can arrive late but never early. The true straight line through (sent, arrived) therefore lies below every
 point, and close to the earliest: it is estimated by the edge of the lower convex hull that spans the middle of the
 data, which is the line under all points with the least sum of distances to them (Moon, Skelly and Towsley, "Estimation
 and removal of clock skew from network delay measurements", INFOCOM 1999; Zhang, Liu and Xia, INFOCOM 2002, for the
-hull). Late deliveries, however many and however late, don't move it.
+hull). Late deliveries do not affect it, independent of their number and delay.
 """
 
 from __future__ import annotations
@@ -20,23 +20,25 @@ import numpy as np
 from imuarray.arrays import Floats, Times
 
 MAX_DRIFT = 0.01
-"""Ceramic resonators are good to half a percent; what a fit says beyond twice that is the fault of its data."""
+"""Ceramic resonators are accurate to half a percent; a fit with more than twice that error has wrong data."""
 BLOCK_NS = 100_000_000
-"""Length of a stretch of which only the earliest arrival is kept."""
+"""Length of a block of which only the earliest arrival is kept."""
 WINDOW_BLOCKS = 600
-"""A minute or more: long beside the jitter of a delivery, short beside the warming up of an oscillator."""
+"""At least a minute: long compared with the jitter of a delivery, short compared with the warming up of an
+oscillator.
+"""
 MIN_SPAN_NS = 200_000_000
-"""A shorter stretch says nothing about drift."""
+"""A shorter span has no information on the drift."""
 REFIT_NS = 1_000_000_000
 SLEW_NS = 2_000_000_000
-"""A better fit is approached over so long, instead of jumped to."""
+"""Time over which a better fit is approached, instead of at once."""
 RECENT_BLOCKS = 64
-"""The quickest delivery of these says what the microcontroller's counter shows now."""
+"""Interval whose quickest delivery determines the present count of the microcontroller."""
 
 
 def nearest(values: Times, modulus: int, expected: int) -> Times:
-    """Return the numbers (n,) that a counter of `modulus` (even) steps shows as `values` (n,), the nearest to
-    `expected`; of two equally near ones the lower.
+    """Return the numbers (n,) whose counter of `modulus` (even) steps shows `values` (n,), nearest to `expected`; of
+    two equally near ones the lower.
     """
     half = modulus // 2
     numbers: Times = expected - half + (values - expected + half) % modulus
@@ -44,10 +46,10 @@ def nearest(values: Times, modulus: int, expected: int) -> Times:
 
 
 class ClockFit:
-    """The host's time as a line over the microcontroller's: `rate` nanoseconds here for one there.
+    """The host's time as a line over the microcontroller's, with a slope of `rate`.
 
-    `latency_ns` is how long the quickest delivery takes, and is taken off. Times that were given out stay in order,
-    whatever the fit learns later.
+    `latency_ns` is the delay of the quickest delivery, which is subtracted. Converted times stay in order when the fit
+    changes.
     """
 
     def __init__(self, latency_ns: int = 0) -> None:
@@ -55,19 +57,21 @@ class ClockFit:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything: the microcontroller counts from another beginning."""
+        """Discard all data: the microcontroller's counter has restarted."""
         self.rate = 1.0
         self._sent_ns: deque[int] = deque(maxlen=WINDOW_BLOCKS)
         self._arrived_ns: deque[int] = deque(maxlen=WINDOW_BLOCKS)
-        self._block_ns = 0  # where the newest block began
+        self._block_ns = 0  # the start of the newest block
         self._fitted_ns: int | None = None
-        self._line = (0, 0.0)  # a time there, and the time here
-        self._slew: tuple[int, float] = (0, 0.0)  # from which time there on how much is made up for
+        self._line = (0, 0.0)  # a time of the microcontroller, and that of the host
+        self._slew: tuple[int, float] = 0, 0.0  # the microcontroller's time from which on a correction is applied
         self._given_ns: int | None = None
-        self._above_ns = 0.0  # how far the earliest arrivals of the blocks are above the line, in the median
+        self._above_ns = 0.0  # median distance of the earliest arrivals of the blocks from the line
 
     def add(self, sent_ns: int, arrived_ns: int) -> None:
-        """Add a frame that was sent at `sent_ns` of the microcontroller's time and arrived by `arrived_ns` of ours."""
+        """Add a frame that was sent at `sent_ns` of the microcontroller's time and arrived by `arrived_ns` of the
+        host's.
+        """
         if not self._sent_ns or sent_ns - self._block_ns >= BLOCK_NS:
             self._block_ns = sent_ns
             self._sent_ns.append(sent_ns)
@@ -77,14 +81,14 @@ class ClockFit:
 
     @property
     def newest_arrival_ns(self) -> int:
-        """The arrival time of the newest frame; ValueError before any was added."""
+        """The arrival time of the newest frame; ValueError before the first."""
         if not self._arrived_ns:
             raise ValueError("a clock fit without data")
         return self._arrived_ns[-1]
 
     def latest_sent_ns(self, arrived_ns: int) -> int | None:
-        """Return the microcontroller's time at which a frame that arrives here at `arrived_ns` was sent, if it came as
-        quickly as the quickest of late; None before anything was added.
+        """Return the microcontroller's time at which a frame that arrives at `arrived_ns` was sent, if its delivery was
+        as quick as the quickest of the last seconds; None before the first frame.
         """
         recent = zip(reversed(self._sent_ns), reversed(self._arrived_ns), strict=True)
         return max(
@@ -94,18 +98,20 @@ class ClockFit:
 
     @property
     def uncertainty_ns(self) -> float:
-        """Largest error of the newest converted times if the quickest deliveries of the window take between nothing and
-        twice `latency_ns`, give or take twice the usual scatter of the quickest of a block.
+        """Return the largest error of the newest converted times if the quickest deliveries of the window take between
+        zero and twice `latency_ns`, with twice the usual scatter of the quickest of a block.
 
-        The sum of this latency, of that scatter, of the part of an earlier fit that is still made up for, and, while
-        the rate is not known (the first `MIN_SPAN_NS`), of the largest drift over the window.
+        The sum of this latency, of that scatter, of the correction of an earlier fit that is still in progress, and,
+        while the rate is not known (the first `MIN_SPAN_NS`), of the largest drift over the window.
         """
         span_ns = self._sent_ns[-1] - self._sent_ns[0] if self._sent_ns else 0
         drift_ns = MAX_DRIFT * span_ns if span_ns < MIN_SPAN_NS else 0.0
         return self.latency_ns + 2 * self._above_ns + abs(self._slew[1]) + drift_ns
 
     def host_ns(self, sent_ns: Times) -> Times:
-        """Our time of each of the times (n,) of the microcontroller; ValueError before anything was added."""
+        """Return the host's time of each of the times (n,) of the microcontroller; ValueError before the first
+        frame.
+        """
         if not self._sent_ns:
             raise ValueError("a clock fit without data")
         newest_ns = self._sent_ns[-1]
@@ -125,7 +131,7 @@ class ClockFit:
         return host + round(here_ns) - self.latency_ns
 
     def _fit(self) -> None:
-        """The line under everything that was added, approached from where the last one led."""
+        """Return the line below all points, approached from the end of the previous one."""
         given = None if self._given_ns is None else np.array([self._given_ns])
         before = None if given is None else int(self._mapped(given)[0])
         at_ns, base_ns = self._sent_ns[0], self._arrived_ns[0]
@@ -140,10 +146,9 @@ class ClockFit:
 
 
 def line_under(sent: Floats, arrived: Floats) -> tuple[float, float]:
-    """Slope and intercept of the line under all points (n,), in ns, with the least sum of distances to them.
+    """Return slope and intercept of the line below all points (n,), in ns, with the least sum of distances to them.
 
-    Slope 1 where the points span too little to tell; never further from 1 than `MAX_DRIFT`.
-    """
+    The slope is 1 if the span of the points is too short, and within `MAX_DRIFT` of 1."""
     slope = 1.0
     if sent[-1] - sent[0] >= MIN_SPAN_NS:
         (x0, y0), (x1, y1) = _edge(_lower_hull(sent.tolist(), arrived.tolist()), float(sent.mean()))
@@ -155,7 +160,7 @@ Point = tuple[float, float]
 
 
 def _lower_hull(xs: Sequence[float], ys: Sequence[float]) -> list[Point]:
-    """Corners of the lower convex hull, from left to right; `xs` increase (Andrew's monotone chain)."""
+    """Return the corners of the lower convex hull, from left to right; `xs` increase (Andrew's monotone chain)."""
     hull: list[Point] = []
     for x, y in zip(xs, ys, strict=True):
         while len(hull) > 1:

@@ -1,19 +1,19 @@
-"""The serial link to an array on a microcontroller, byte by byte; all that firmware needs to know to be spoken to.
+"""The serial link to an array on a microcontroller, byte by byte: the complete description for firmware.
 
-Both sides speak in frames; every number is little-endian::
+Both sides send frames; every number is little-endian::
 
     offset  bytes
     0       2       sync: A5 5A
     2       2       n, length of the payload: at most 1024
     4       1       kind
     5       2       sequence
-    7       4       time: microseconds on the microcontroller's counter as the frame is begun; 0 from the host
+    7       4       time: microseconds on the microcontroller's counter at the beginning of the frame; 0 from the host
     11      n       payload
     11 + n  4       CRC-32 (zlib's and Ethernet's) of bytes 2 to 10 + n
 
-A receiver that meets anything else looks for the next sync one byte further: a frame in one piece is found whatever
-stands around it. Commands of the host, and what the answer carries; an answer has bit 7 of the kind set and the
-command's sequence::
+A receiver of other bytes searches for the next sync one byte further: an intact frame is found between any other bytes.
+These are the commands of the host, and the payload of the answer, which has bit 7 of the kind set and the command's
+sequence::
 
     01 HELLO                                                  version, lists u8, bytes u16
     02 TRANSFER  address, count u16, bytes to write           result, bytes that were read
@@ -21,47 +21,46 @@ command's sequence::
     04 START     period u32 (microseconds)                    result
     05 STOP                                                   result
 
-`result` is 0 done, 1 nobody acknowledged, 2 the clock was held too long, 3 refused. A TRANSFER is one transaction,
-register address out and bytes in (`imuarray.bus.protocol.Bus`). HELLO ends what an earlier program left going on, and
-tells how many lists, and bytes of requests in them, there is room for. A command that is repeated, the very same frame,
-is answered again and not done again; HELLO alone is always new.
+`result` is 0 done, 1 no acknowledge, 2 the clock was held too long, 3 refused. A TRANSFER is one transaction: register
+address out and bytes in (`imuarray.bus.protocol.Bus`). HELLO stops the stream of an earlier program; its answer states
+the memory for lists: their number, and the bytes of their requests. A repeated command (the identical frame) is
+answered again and not carried out again; HELLO is always carried out.
 
-A list is what is asked in one frame of the array. Its requests follow each other as ``address, bytes to write u8, bytes
-to read u8, what to write``. From START on, frame number 0, 1, 2, ... begins every `period`; in frame k the lists with
-``k mod every == offset`` are gone through, in order of their numbers, and each is sent at once. One without an
-acknowledge is tried a second time. STOP forgets all lists. What comes in between, and after each list, is::
+A list contains the requests of one frame of the array, as ``address, bytes to write u8, bytes to read u8, data to
+write``. From START on, frame number 0, 1, 2, ... begins every `period`; in frame k the lists with ``k mod every ==
+offset`` are executed, in order of their numbers, and the answer to each is sent at once. A request without an
+acknowledge is tried a second time. STOP deletes all lists. After each list the microcontroller sends::
 
     D0 DATA      sequence: frame number mod 65536;  list number, then for each request: age u16, the bytes read
 
-`age` is how many microseconds before `time` the request's START was on the wire, FFFD for any longer time; FFFF in its
-place means that no chip acknowledged, FFFE that the clock was held too long, and the bytes are 0. A microcontroller
-that comes late leaves frames out, and one whose line is full leaves out what it would have sent; their numbers are
-missing.
+`age` is the time in microseconds from the START of the request to `time`, FFFD for any longer time; FFFF means that no
+chip acknowledged, FFFE that the clock was held too long, and the bytes are 0. A microcontroller that is late omits
+frames, and one whose line is full omits DATA; their numbers are missing.
 
-A host refuses DATA that can't be of the running stream; `imuarray.bus.serial_session` says how it tells.
+A host rejects DATA that can't be of the running stream (`imuarray.bus.serial_session`).
 
-Firmware that can do more says so behind the four bytes of its answer to HELLO: features u8 (bit 0 RESEND, bit 1
-STATUS, bit 2 counted requests), chip selects of SPI u8, bytes of DATA that it keeps u32. More commands::
+Firmware with further functions adds to the four bytes of its answer to HELLO: features u8 (bit 0 RESEND, bit 1 STATUS,
+bit 2 counted requests), chip selects of SPI u8, bytes of DATA that it keeps u32. The further commands are::
 
     06 RESEND    first u16, count u16                         result, frames u16, next u16
     07 STATUS                                                 result, and the numbers below
     08 SELECT    chip select, mode, clock u32 (Hz)            result
 
-DATA is kept, also after STOP, until it is acknowledged or newer DATA needs its room. RESEND acknowledges the frame
-numbers before `first` and has DATA of the numbers `first` ... `first + count - 1` sent again, the very same bytes,
-before it is answered with the number of frames sent and the frame number to go on with if the line had no room for
-all. STATUS tells, each a u32 unless said otherwise: u8 1 after a reset by the watchdog, u64 microseconds since the
-start, then the numbers of DATA sent, frames left out for want of time, DATA for which the line had no room, DATA
+DATA is kept, also after STOP, until it is acknowledged or newer DATA needs its memory. RESEND acknowledges the frame
+numbers before `first` and requests DATA of the numbers `first` ... `first + count - 1` again, as identical bytes,
+before its answer, which has the number of frames sent and the frame number to continue with if the line had no room for
+all. STATUS returns, each as a u32 unless stated otherwise: u8 1 after a reset by the watchdog, u64 microseconds since
+the start, then the numbers of DATA sent, frames omitted for lack of time, DATA for which the line had no room, DATA
 overwritten before it was acknowledged, requests of lists that failed, bytes received that belonged to no frame. An
-address from 80 on, in TRANSFER and LIST, is chip select `address - 80` of SPI: what is to be written goes out, then
-zeros while the bytes to be read come in; nobody acknowledges there.
+address from 80 on, in TRANSFER and LIST, is chip select `address - 80` of SPI: the data to write are sent, then zeros
+while the requested bytes are received; there is no acknowledge.
 
 Feature bit 2: a request of a list may be counted, so that a chip's queue is drained by its own count. Bit 7 of its
-bytes to write is set (they are at most 127), and its rule stands between the bytes to read and what to write: offset
-u8, order u8, mask u16, packet u8. The two bytes at `offset` in the answer to the request before it, high byte first if
-bit 0 of `order` is set, and with `mask`, are a count of packets of `packet` bytes if bit 1 is set, else of bytes. As
-many whole packets are read as are counted and fit into the bytes to read; the rest of the answer is 0. Of no packet
-nothing is sent. If the request before it failed, it has failed likewise.
+bytes to write is set (they are at most 127), and its rule is between the bytes to read and the data to write: offset
+u8, order u8, mask u16, packet u8. The two bytes at `offset` in the answer to the previous request, high byte first if
+bit 0 of `order` is set, and with `mask`, are a count of packets of `packet` bytes if bit 1 is set, else of bytes. The
+number of whole packets that is read is the count, as far as the bytes to read have room; the rest of the answer is 0.
+With a count of 0 there is no transaction. If the previous request failed, this one has failed in the same way.
 """
 
 from __future__ import annotations
@@ -78,7 +77,7 @@ VERSION = 1
 SYNC = b"\xa5\x5a"
 MAX_PAYLOAD = 1024
 MAX_LIST_READ = 255
-"""Bytes that one request of a list reads at most."""
+"""Most bytes that one request of a list reads."""
 HELLO, TRANSFER, LIST, START, STOP = 0x01, 0x02, 0x03, 0x04, 0x05
 RESEND, STATUS, SELECT = 0x06, 0x07, 0x08
 CAN_RESEND, CAN_STATUS, CAN_COUNT = 0x01, 0x02, 0x04
@@ -111,7 +110,7 @@ _ERRNO = {NOBODY: errno.EREMOTEIO, HELD: errno.ETIMEDOUT, REFUSED: errno.EOPNOTS
 
 
 class LinkError(OSError):
-    """An answer over the link is meaningless or missing; errno is EPROTO (71)."""
+    """An answer over the link is invalid or missing; errno is EPROTO (71)."""
 
     def __init__(self, text: str) -> None:
         super().__init__(errno.EPROTO, text)
@@ -140,7 +139,7 @@ class Capacity(NamedTuple):
 
 
 class FirmwareCounts(NamedTuple):
-    """The answer to STATUS: is this boot one after a reset by the watchdog, microseconds since it, then DATA sent,
+    """The answer to STATUS: whether this boot followed a reset by the watchdog, microseconds since it, then DATA sent,
     frames left out for want of time, DATA for which the line had no room, DATA overwritten before it was acknowledged,
     requests of lists that failed, bytes received that belonged to no frame.
     """
@@ -185,11 +184,11 @@ class Request:
 
     @property
     def size(self) -> int:
-        """Bytes that it takes in a LIST."""
+        """The bytes that it occupies in a LIST."""
         return 3 + len(self.write) + (0 if self.rule is None else _RULE.size)
 
     def encode(self) -> bytes:
-        """Return the request as it stands in a LIST; ValueError if it writes more than a request can."""
+        """Return the bytes of the request in a LIST; ValueError if it writes more than a request can."""
         if len(self.write) > _LONGEST_WRITE:
             raise ValueError(f"{len(self.write)} bytes to write in a list; at most {_LONGEST_WRITE}")
         if self.rule is None:
@@ -209,7 +208,7 @@ class PollList:
 
     @property
     def size(self) -> int:
-        """Bytes of the payload with which it is answered, its number included."""
+        """The bytes of the payload of its answer, its number included."""
         return 1 + sum(2 + request.read for request in self.requests)
 
 
@@ -222,15 +221,17 @@ def framed(kind: int, sequence: int, payload: bytes = b"", time_us: int = 0) -> 
 
 
 class Deframer:
-    """Bytes in, in pieces of any length; frames out. `skipped` counts the bytes that belonged to none."""
+    """A parser of received bytes, in pieces of any length, into frames. `skipped` counts the bytes that belonged to
+    none.
+    """
 
     def __init__(self) -> None:
         self.skipped = 0
         self._waiting = b""
 
     def feed(self, data: bytes, *, final: bool = False) -> list[Frame]:
-        """Return the frames that `data` completes; never raises. `final`: nothing follows, what looks like the
-        beginning of a frame is none.
+        """Return the frames that `data` completes; never raises. `final`: nothing follows, so that an incomplete frame
+        is none.
         """
         buffer = self._waiting + data
         frames: list[Frame] = []
@@ -247,7 +248,7 @@ class Deframer:
                     continue
             elif length <= MAX_PAYLOAD and not final:
                 break
-            skipped += start + 1 - at  # this sync begins no frame
+            skipped += start + 1 - at  # no frame begins with this sync
             at = start + 1
         half = buffer.endswith(SYNC[:1]) and not final
         kept = max(at, start if start >= 0 else size - half)
@@ -257,15 +258,15 @@ class Deframer:
 
 
 def transfer_payload(address: int, write: bytes, read: int) -> bytes:
-    """Payload of TRANSFER; ValueError for what no adapter can send or no frame can carry."""
+    """Return the payload of TRANSFER; ValueError for a transfer that no adapter or no frame can carry."""
     if not 0 <= address <= 0x7F or read < 0:
         raise ValueError(f"transfer({address:#x}, read={read}): allowed are addresses of 7 bits and counts from 0")
     return _transfer_payload(address, write, read)
 
 
 def exchange_payload(select: int, write: bytes, read: int) -> bytes:
-    """Payload of TRANSFER on SPI: bytes out, then zeros while `read` bytes come in; ValueError for what no frame can
-    carry.
+    """Return the payload of TRANSFER on SPI: bytes out, then zeros while `read` bytes come in; ValueError for a
+    transfer that no frame can carry.
     """
     return _transfer_payload(FIRST_SELECT + select, write, read)
 
@@ -279,12 +280,12 @@ def _transfer_payload(address: int, write: bytes, read: int) -> bytes:
 
 
 def select_payload(select: int, mode: int, clock_hz: int) -> bytes:
-    """Payload of SELECT."""
+    """Return the payload of SELECT."""
     return _SELECT.pack(select, mode, clock_hz)
 
 
 def list_payload(number: int, asked: PollList) -> bytes:
-    """Payload of LIST; ValueError for a list that does not fit into frames."""
+    """Return the payload of LIST; ValueError for a list that does not fit into frames."""
     body = b"".join(request.encode() for request in asked.requests)
     if max(_LIST.size + len(body), asked.size) > MAX_PAYLOAD:
         raise ValueError(f"list {number}: {max(len(body), asked.size)} bytes; a frame of the link holds {MAX_PAYLOAD}")
@@ -292,17 +293,17 @@ def list_payload(number: int, asked: PollList) -> bytes:
 
 
 def request_bytes(lists: Sequence[PollList]) -> int:
-    """Bytes of requests in all lists, as HELLO counts them."""
+    """Return the bytes of requests in all lists, as HELLO counts them."""
     return sum(request.size for asked in lists for request in asked.requests)
 
 
 def start_payload(period_us: int) -> bytes:
-    """Payload of START."""
+    """Return the payload of START."""
     return struct.pack("<I", period_us)
 
 
 def resend_payload(first: int, count: int) -> bytes:
-    """Payload of RESEND: `count` frame numbers from `first` on."""
+    """Return the payload of RESEND: `count` frame numbers from `first` on."""
     return struct.pack("<HH", first % SEQUENCES, count)
 
 
@@ -315,7 +316,7 @@ def sent_again(payload: bytes) -> tuple[int, int]:
 
 
 def capacity_of(payload: bytes) -> Capacity:
-    """Decode the answer to HELLO; LinkError for a payload that can't be one."""
+    """Decode the answer to HELLO; LinkError for an invalid payload."""
     if len(payload) < _HELLO.size:
         raise LinkError(f"the answer to HELLO has {len(payload)} bytes; {_HELLO.size} are required")
     further = _FEATURES.unpack_from(payload, _HELLO.size) if len(payload) >= _HELLO.size + _FEATURES.size else ()
@@ -323,13 +324,13 @@ def capacity_of(payload: bytes) -> Capacity:
 
 
 def counts_of(payload: bytes) -> FirmwareCounts:
-    """Decode the answer to STATUS; LinkError for a payload that can't be one."""
+    """Decode the answer to STATUS; LinkError for an invalid payload."""
     return FirmwareCounts(*_COUNTS.unpack(outcome_of(payload, _COUNTS.size, "status")))
 
 
 def outcome_of(payload: bytes, count: int, what: str) -> bytes:
-    """Return the `count` bytes behind a result of 0; OSError as Linux gives it for 1 to 3, LinkError for anything
-    else.
+    """Return the `count` bytes after a result of 0; OSError as Linux raises it for 1 to 3, LinkError for any other
+    result.
     """
     if not payload or payload[0] not in (DONE, *_ERRNO):
         raise LinkError(f"{what}: the microcontroller answers {payload[:8].hex() or 'nothing'}")

@@ -1,7 +1,7 @@
 """The serial port of a microcontroller, opened by pyserial and read in large pieces only.
 
-`read_until` and `readline` of pyserial fetch one byte a system call; a read of all that waits is several hundred times
-faster.
+`read_until` and `readline` of pyserial fetch one byte a system call; a read of all waiting bytes is several hundred
+times faster.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ WRITE_S = 0.25
 
 
 class Port(Protocol):
-    """The part of pyserial's `Serial` that is used; a read that times out returns what there is."""
+    """The part of pyserial's `Serial` that is used; a read that times out returns the bytes that have arrived."""
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that can be read at once."""
+        """The bytes that can be read at once."""
 
     def read(self, size: int = 1, /) -> bytes:
-        """Up to `size` bytes."""
+        """Read up to `size` bytes."""
 
     def write(self, data: bytes, /) -> int | None:
-        """Send."""
+        """Send bytes."""
 
     def close(self) -> None:
-        """Give it back."""
+        """Close the port."""
 
 
 def usual_port(path: str, baud: int) -> Port:
-    """Return the port at `path`, for this program alone; pyserial's SerialException, an OSError, or ValueError."""
+    """Open the port at `path` exclusively; pyserial's SerialException, an OSError, or ValueError."""
     from serial import Serial
 
     port: Port = Serial(path, baud, timeout=READ_S, write_timeout=WRITE_S, exclusive=True)
@@ -51,9 +51,9 @@ def usual_port(path: str, baud: int) -> Port:
 
 
 class UsualPort:
-    """Opens the port at `path`, and later the same device wherever it appears again (`imuarray.bus.identity`): its
-    number may be another one after it was unplugged. `devices` is the kernel's list of serial ports, `where` the one
-    that was opened last.
+    """A function that opens the port at `path`, and later the same device after it has reappeared
+    (`imuarray.bus.identity`), possibly with another number. `devices` is the kernel's list of serial ports, `where` the
+    one that was opened last.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class UsualPort:
         self._known: dict[str, int] = {}
 
     def __call__(self) -> Port:
-        """The port, open; what `usual_port` raises, FileNotFoundError while the device is removed."""
+        """Return the open port; errors of `usual_port`, FileNotFoundError while the device is removed."""
         listed = ports(self._devices)
         if self._entry is not None and listed.get(self._entry.name) != self._entry:
             name = search(self._entry.identity, listed, self._known, alone=self._alone)
@@ -91,7 +91,7 @@ class UsualPort:
 
 
 def port_of(rest: str) -> tuple[str, int]:
-    """Path and speed from a URL without its ``serial:``; BusUrlError."""
+    """Return path and speed from a URL without its ``serial:``; BusUrlError."""
     path, _, query = rest.partition("?")
     asked = dict(parse_qsl(query, keep_blank_values=True))
     baud = asked.pop("baud", str(BAUD))
@@ -104,7 +104,7 @@ def port_of(rest: str) -> tuple[str, int]:
 
 @contextmanager
 def port_errors() -> Iterator[None]:
-    """Turn what a port that is gone says into LinkError; pyserial's errors have no errno of their own."""
+    """Convert errors of a removed port to LinkError; pyserial's errors have no errno of their own."""
     try:
         yield
     except LinkError:

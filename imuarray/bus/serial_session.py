@@ -1,15 +1,15 @@
 """One session with a microcontroller: commands and their answers, and the data that arrives in between.
 
 Received frames are sorted as they arrive: answers are kept for the caller of the command, data for `receive`, with the
-counter's time extended by the host's clock. A frame that this boot of the microcontroller can't have sent by now is
-refused, and so is data that the running stream does not contain (`Admission`). Every accepted frame contributes
-to the estimate of the microcontroller's clock. Missing data is requested again before later data is handed out, where
-the firmware keeps it.
+counter's time extended by the host's clock. A frame that this boot of the microcontroller can't have sent yet is
+rejected, and so are data that are not of the running stream (`Admission`). Every accepted frame contributes to the
+estimate of the microcontroller's clock. Missing data are requested again before later data are returned, if the
+firmware keeps them.
 
-Admission decides which frames of the link belong to the running stream, by their numbers, times and lists. A whole
-frame with a good checksum may still be old, repeated, out of order or of an earlier boot of the
-microcontroller: a driver or a hub sends a buffer twice, a buffer survives a reset. Four properties identify the frames
-of the stream:
+Admission decides which frames of the link belong to the running stream, by their numbers, times and lists. A complete
+frame with a valid checksum may still be old, repeated, out of order or of an earlier boot of the microcontroller: a
+driver or a hub may send a buffer twice, a buffer may survive a reset. Four properties identify the frames of the
+stream:
 
 * Time. A frame arrives after it was sent, and the host knows how the microcontroller's counter runs. A frame whose
   counter lies ahead of what the counter can show by now was not sent by this boot.
@@ -43,12 +43,15 @@ from imuarray.bus.serial_port import Port, port_errors
 from imuarray.clock import Clock, sleep_for
 
 EARLY_US = 5_000
-"""A frame may be sent so much earlier than its number says: an interrupt that keeps the period is late now and then."""
+"""Largest time by which a frame may be sent before its number allows: an interrupt that keeps the period is sometimes
+late.
+"""
 PERIOD_ERROR = 0.01
-"""A timer that can't count the period exactly (a coarse tick) gains or loses at most this share."""
+"""Relative error of the period of a timer that can't count it exactly (a coarse tick)."""
 MEMORY_US = 300_000_000
-"""The earliest frame of this time and of as much before it says where the grid of frames lies: longer than a bus is
-held, and short enough for `PERIOD_ERROR` to stay below the turn of the frame numbers at any rate."""
+"""Time from which the earliest frame, and that of the previous interval of this length, determine the grid of frames:
+longer than a bus is held, and short enough for `PERIOD_ERROR` to stay below the wrap of the frame numbers at any rate.
+"""
 
 OUT_OF_ORDER = "old, repeated or out of order"
 ANOTHER_TIME = "not sent since the microcontroller was last connected"
@@ -81,10 +84,12 @@ class Admission:
         """The position of the newest admitted frame: its number and its list as one number."""
         self._newest_us = started_us
         self._grid_us = self._earlier_grid_us = started_us
-        """When frame 0 would have been sent, from the earliest frame of the current and of the previous `MEMORY_US`."""
+        """Return when frame 0 would have been sent, from the earliest frame of the current and of the previous
+        `MEMORY_US`.
+        """
         self._grid_since_us = started_us
         self._usual_us = started_us
-        """When frame 0 would have been sent, from the newest frame."""
+        """Return when frame 0 would have been sent, from the newest frame."""
 
     @property
     def newest_us(self) -> int:
@@ -95,8 +100,7 @@ class Admission:
         """Return the frames that belong to the stream, of those that were sent at `sent_us` (n,) of the widened
         counter; the others are counted in `refused`.
 
-        FrameSelection numbers with their lists strictly increase, their times do not decrease, over all calls.
-        """
+        Numbers with their lists strictly increase, their times do not decrease, over all calls."""
         names, numbers, due = self._due(frames, sent_us)
         if not due.all():
             sizes = np.fromiter((len(frame.payload) for frame in frames), np.int64, len(frames))
@@ -106,7 +110,7 @@ class Admission:
         places = np.flatnonzero(due)
         order = numbers[places] << 8 | names[places]
         unusual_us = np.abs(sent_us[places] - numbers[places] * self._period_us - self._usual_us)
-        ranks = np.lexsort((unusual_us, order))  # of two frames of one number the one that is as late as usual
+        ranks = np.lexsort((unusual_us, order))  # of two frames of one number, the one with the usual delay
         places = self._increasing(order[ranks], sent_us[places[ranks]], places[ranks])
         if len(places):
             self._usual_us = int(sent_us[places[-1]] - numbers[places[-1]] * self._period_us)
@@ -115,7 +119,7 @@ class Admission:
 
     def missing(self, frames: Sequence[Frame], sent_us: Integers) -> list[tuple[int, int]]:
         """Return the runs, (first, count), of frame numbers that lack a list between the newest admitted frame and the
-        newest of these, which were sent at `sent_us` (n,). Nothing is admitted by asking.
+        newest of these, which were sent at `sent_us` (n,). This call admits no frame.
         """
         names, numbers, due = self._due(frames, sent_us)
         keys = np.unique(numbers[due] << 8 | names[due])
@@ -137,7 +141,9 @@ class Admission:
         return _runs(sorted(absent))
 
     def _due(self, frames: Sequence[Frame], sent_us: Integers) -> tuple[Integers, Integers, npt.NDArray[np.bool_]]:
-        """Return (n,) each: list of a frame, widened number, and whether this list with this length is sent in it."""
+        """Return (n,) each: the list of a frame, its widened number, and whether this list with this length is sent in
+        it.
+        """
         names = np.fromiter((frame.payload[0] if frame.payload else 0 for frame in frames), np.int64, len(frames))
         sizes = np.fromiter((len(frame.payload) for frame in frames), np.int64, len(frames))
         sequences = np.fromiter((frame.sequence for frame in frames), np.int64, len(frames))
@@ -155,11 +161,11 @@ class Admission:
         return numbers
 
     def _increasing(self, order: Integers, sent_us: Integers, places: Integers) -> Integers:
-        """Return the `places` (n,), sorted by `order` (n,), of frames that follow each other and the newest of
-        before.
+        """Return the `places` (n,), sorted by `order` (n,), of frames that follow each other and the newest earlier
+        one.
         """
         follows = (np.diff(order, prepend=self._newest) > 0) & (np.diff(sent_us, prepend=self._newest_us) >= 0)
-        if not follows.all():  # one that does not may stand before others that do
+        if not follows.all():  # one that does not may precede others that do
             newest, newest_us = self._newest, self._newest_us
             for row, (at, at_us) in enumerate(zip(order.tolist(), sent_us.tolist(), strict=True)):
                 follows[row] = at > newest and at_us >= newest_us
@@ -172,7 +178,7 @@ class Admission:
         return places[kept]
 
     def _remember(self, grid_us: Integers, sent_us: int) -> None:
-        """Remember the position of the grid, from frames of which the newest was sent at `sent_us`."""
+        """Store the position of the grid, from frames of which the newest was sent at `sent_us`."""
         earliest_us = int(grid_us.min())
         if sent_us - self._grid_since_us > MEMORY_US:
             self._earlier_grid_us, self._grid_us, self._grid_since_us = self._grid_us, earliest_us, sent_us
@@ -180,7 +186,7 @@ class Admission:
 
 
 def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
-    """Increasing numbers as runs (first, count)."""
+    """Return increasing numbers as runs (first, count)."""
     runs: list[tuple[int, int]] = []
     for number in numbers:
         if runs and number == sum(runs[-1]):
@@ -191,29 +197,33 @@ def _runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
 
 
 ANSWER_S = 0.25
-"""A microcontroller that has not answered for so long is asked again."""
+"""A microcontroller that has not answered for this time gets the command again."""
 TRIES = 3
 PATIENCE_S = 4.0
 """Opening the port resets many boards, whose boot loader then waits for two seconds."""
 PINGS = 8
 PING_S = 0.04
-"""Between them: a third of a second tells how fast the microcontroller's clock runs, to a part in ten thousand."""
+"""Time between two greetings: a third of a second determines the rate of the microcontroller's clock to a part in ten
+thousand.
+"""
 DRAIN_READS = 64
 EARLY_NS = 10_000_000
-"""How much quicker a delivery may be than the quickest of the last seconds, which an adapter that collects bytes for
-16 ms has delivered in less than one. What seems to arrive earlier than that was sent by another boot."""
+"""Time by which a delivery may be quicker than the quickest of the last seconds, which an adapter that collects bytes
+for 16 ms has delivered in less than one. A frame that seems to arrive earlier than that was sent by another boot.
+"""
 LEARNT_NS = 1_000_000
 """Largest shift that one observation may cause in the fit of the microcontroller's clock: a false frame shifts it no
 more.
 """
 
 RESENDS = 3
-"""Attempts to get frames that are missing; what is sent again gets lost as often as anything else."""
+"""Attempts to get missing frames; frames that are sent again are lost as often as others."""
 RUNS = 8
-"""Gaps for which an attempt asks."""
+"""Gaps that one attempt requests."""
 MAX_PAUSE = 64
-"""Pieces of data in which nothing is asked for after frames were missing that the microcontroller does not have: those
-for which it had no time."""
+"""Pieces of data without requests after frames were missing that the microcontroller does not have, because it omitted
+them.
+"""
 
 _ANEW_NS = 2 * round(TRIES * ANSWER_S * 1e9)
 """The time for a repeated greeting after a first answer."""
@@ -222,8 +232,8 @@ _NONE: Times = np.empty(0, np.int64)
 
 
 class Data(NamedTuple):
-    """Data of the running stream, in its order: frames, their widened numbers (n,), and when each was sent (n,), in
-    microseconds of the widened counter.
+    """Data of the running stream, in its order: frames, their widened numbers (n,), and the times (n,) at which they
+    were sent, in microseconds of the widened counter.
     """
 
     frames: list[Frame]
@@ -238,8 +248,8 @@ class _Answer(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """Data frames that were read together, and when they were sent (n,): by `arrived_ns` they had arrived, and not much
-    earlier if it is `tight`.
+    """Data frames that were read together, and the times (n,) at which they were sent: they had arrived by
+    `arrived_ns`, and not much earlier if it is `tight`.
     """
 
     frames: Sequence[Frame]
@@ -264,10 +274,10 @@ class _Piece(NamedTuple):
 
 
 class Session:
-    """A session with the device at the port that `open_port` opens; LinkError if it does not speak the protocol.
+    """A session with the device at the port that `open_port` opens; LinkError if it does not use the protocol.
 
-    `clock` is the host's, `fit` leads to it from the microcontroller's; `skipped` counts bytes that belonged to no
-    frame, `refused` frames that were not taken, by reason.
+    `clock` is the host's, `fit` converts the microcontroller's to it; `skipped` counts bytes that belonged to no frame,
+    `refused` rejected frames by reason.
     """
 
     def __init__(self, open_port: Callable[[], Port], clock: Clock, patience_s: float) -> None:
@@ -286,7 +296,7 @@ class Session:
             raise
 
     def reconnect(self, patience_s: float) -> None:
-        """Open the port anew and begin from the beginning; LinkError."""
+        """Open the port again and start a new session; LinkError."""
         with suppress(LinkError), port_errors():
             self.port.close()
         with port_errors():
@@ -294,8 +304,8 @@ class Session:
         self.capacity = self._greet(patience_s)
 
     def _greet(self, patience_s: float) -> Capacity:
-        """Send HELLO until there is an answer, then a few times more to measure the delay of an answer. A left-over
-        answer to an earlier program does not fit to the answers that follow; then all begins anew.
+        """Send HELLO until there is an answer, then a few times more to measure the delay of an answer. An old answer
+        to an earlier program does not match the answers that follow; then the greeting starts again.
         """
         self._deframer = link.Deframer()
         until_ns = self.clock.now_ns() + round(patience_s * 1e9)
@@ -317,7 +327,7 @@ class Session:
         return capacity
 
     def _measure_trip(self) -> None:
-        """Take half of the quickest way there and back for the quickest way back."""
+        """Estimate the quickest way back as half of the quickest round trip."""
         self._forget()
         trips_ns = []
         for _ in range(PINGS):
@@ -328,16 +338,16 @@ class Session:
         self.fit.latency_ns = min(trips_ns) // 2
 
     def _forget(self) -> None:
-        """Forget what belongs to another session, perhaps to another boot of the microcontroller."""
+        """Discard data of another session, perhaps of another boot of the microcontroller."""
         self._answers: list[_Answer] = []
         self._pieces: list[_Piece] = []
         self._newest: tuple[int, int] | None = None
-        """When the newest frame of the running stream was sent (us) and had arrived (ns)."""
+        """Return when the newest frame of the running stream was sent (us) and had arrived (ns)."""
         self._admission: Admission | None = None
         self.fit.restart()
 
     def start(self, lists: Sequence[PollList], period_us: int) -> bytes:
-        """START: what is sent from its answer on is the data of these lists. The payload of the answer; LinkError."""
+        """Send START: data from its answer on are those of these lists. Return the payload of the answer; LinkError."""
         answer = self._ask(link.START, link.start_payload(period_us))
         self._pieces = [piece.since(answer.sent_us) for piece in self._pieces]
         self._newest = None
@@ -345,7 +355,7 @@ class Session:
         return answer.frame.payload
 
     def ask(self, kind: int, payload: bytes = b"") -> Frame:
-        """One command and its answer; the same again when none comes; LinkError."""
+        """Send one command and return its answer; send it again without an answer; LinkError."""
         return self._ask(kind, payload).frame
 
     def _ask(self, kind: int, payload: bytes) -> _Answer:
@@ -367,7 +377,7 @@ class Session:
         raise LinkError("the microcontroller does not answer")
 
     def _answer_to(self, kind: int, asked_ns: int) -> _Answer | None:
-        """Return the answer to the last command, which was asked at `asked_ns`. An earlier command of the same number
+        """Return the answer to the last command, which was sent at `asked_ns`. An earlier command of the same number
         may have been answered by the same kind of frame: that one was sent before.
         """
         since_us = self._latest_us(asked_ns)
@@ -384,7 +394,7 @@ class Session:
         return None
 
     def drain(self) -> int:
-        """Read what waits, since when is not known; how many bytes there were."""
+        """Read the waiting bytes, whose arrival time is unknown; return their number."""
         count = 0
         for _ in range(DRAIN_READS):
             with port_errors():
@@ -397,7 +407,7 @@ class Session:
         return count
 
     def read(self) -> int:
-        """Wait a little for bytes; how many frames they completed, just now."""
+        """Wait for bytes for a short time; return how many frames they completed, at a known time."""
         with port_errors():
             data = self.port.read(max(1, self.port.in_waiting))
         frames = self._deframer.feed(data)
@@ -420,8 +430,8 @@ class Session:
         return Data([frames[place] for place in places.tolist()], numbers, sent_us[places])
 
     def _recover(self, admission: Admission, pieces: Sequence[_Piece]) -> list[_Piece]:
-        """Ask for the frames that are missing before the newest of `pieces`; the pieces that are sent again. What
-        arrives meanwhile and was sent later stays for the next call.
+        """Request the frames that are missing before the newest of `pieces`; return the pieces that are sent again.
+        Later frames that arrive in the meantime are kept for the next call.
         """
         if self._pause:
             self._pause -= 1
@@ -440,7 +450,7 @@ class Session:
             attempts += 1
             try:
                 sent = sum(self._ask_again(first, number) for first, number in runs[:RUNS])
-            except OSError:  # no answer: what has arrived is kept, and the silence is noticed where data is required
+            except OSError:  # no answer: received data are kept, and the silence is detected where data are required
                 sent = 0
             arrived, self._pieces = self._pieces, []
             for piece in arrived:
@@ -456,7 +466,7 @@ class Session:
         return [piece for piece in recovered if piece.frames]
 
     def _ask_again(self, first: int, number: int) -> int:
-        """Have `number` frames from `first` on sent again; how many the microcontroller sent. LinkError."""
+        """Request `number` frames from `first` on again; return how many the microcontroller sent. LinkError."""
         end, count = first + number, 0
         while first < end:
             answer = self.ask(link.RESEND, link.resend_payload(first, min(end - first, link.SEQUENCES - 1)))
@@ -469,7 +479,7 @@ class Session:
         return count
 
     def _learn(self, admitted: Times, sent_us: Times, pieces: Sequence[_Piece]) -> None:
-        """Tell the fit when the newest admitted frame of each piece that was read as it arrived was sent."""
+        """Pass to the fit when the newest admitted frame was sent, for each piece that was read as it arrived."""
         start = 0
         for piece in pieces:
             end = start + len(piece.frames)
@@ -487,20 +497,20 @@ class Session:
 
     def _latest_us(self, arrived_ns: int) -> int | None:
         """Return the count of the microcontroller at which a frame that arrives at `arrived_ns` is sent at the latest,
-        if its delivery is as quick as the quickest of the last seconds; None while nothing is known of the counter.
+        if its delivery is as quick as the quickest of the last seconds; None while the counter is unknown.
         """
         latest_ns = self.fit.latest_sent_ns(arrived_ns)
         return None if latest_ns is None else latest_ns // 1000
 
     def _early_us(self, at_ns: int) -> int:
-        """Return how much later than `_latest_us` a frame may have been sent: the counter's drift is known only so
-        well.
+        """Return how much later than `_latest_us` a frame may have been sent, by the uncertainty of the counter's
+        drift.
         """
         return (EARLY_NS + round(MAX_DRIFT * max(at_ns - self.fit.newest_arrival_ns, 0))) // 1000
 
     def _bound_us(self, latest_us: int, arrived_ns: int) -> int:
-        """No frame of this boot that has arrived by `arrived_ns` was sent later. While the host is behind nothing is
-        learnt of the quickest way here: then it is no quicker than for the newest frame.
+        """Return the latest time at which a frame of this boot that has arrived by `arrived_ns` was sent. While the
+        host is late, the quickest delivery is unknown: it is then taken to be that of the newest frame.
         """
         bound_us = latest_us + self._early_us(arrived_ns)
         if self._newest is None:
@@ -508,7 +518,7 @@ class Session:
         return max(bound_us, self._newest[0] + round((1 + MAX_DRIFT) * (arrived_ns - self._newest[1])) // 1000)
 
     def _take(self, frames: Sequence[Frame], arrived_ns: int, *, tight: bool) -> None:
-        """Sort out frames that have arrived by now; `tight`: and not much earlier."""
+        """Sort frames that have arrived by now; with `tight` not much earlier."""
         self.skipped = self._deframer.skipped
         if not frames:
             return

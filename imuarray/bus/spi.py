@@ -1,9 +1,9 @@
 """SPI of Linux: /dev/spidevN.M through SPI_IOC_MESSAGE, one device file for each chip select. Facts LNX-50 ... LNX-53.
 
 `SpiChip` makes a chip select a `Bus`: a register is read and written by the same calls as on I2C, so that drivers do
-not depend on the kind of bus. SPI has no acknowledge: a chip that is missing reads 00 or ff, and only its identity or
-its configuration reveals that. The structure of each message is kept, as those of I2C are (`imuarray.bus.linux`),
-because the poll loop repeats the same few.
+not depend on the kind of bus. SPI has no acknowledge: a missing chip reads 00 or ff, which only its identity or its
+configuration reveals. The structure of each message is kept, as those of I2C are (`imuarray.bus.linux`), because the
+poll loop repeats the same few.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from imuarray.chips import SpiRules
 from imuarray.errors import BusUrlError
 
 READ = 0x80
-"""Bit of the first byte that makes a transfer a read, for every chip here."""
+"""Bit of the first byte that makes a transfer a read, for all supported chips."""
 MAX_MESSAGE = 4096
 """Bytes of one message, unless spidev was loaded with another bufsiz (LNX-52)."""
 KEPT = 256
@@ -32,18 +32,17 @@ SPI_IOC_MESSAGE_1 = 0x40206B00
 
 
 class SpiChip:
-    """The chip behind `port` as a `Bus`; the address of a transfer has no meaning.
+    """The chip at `port` as a `Bus`; the address of a transfer is ignored.
 
-    ValueError for what has no counterpart on SPI: reading without the address of one register.
-    """
+    ValueError for a read without the address of one register, which SPI does not have."""
 
     def __init__(self, port: SpiPort, rules: SpiRules) -> None:
         self.port = port
         self._rules = rules
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """Write a register's address and bytes for it, or read bytes from it on. With neither a register is read and
-        forgotten: there is no acknowledge, only the controller can fail.
+        """Write a register's address and bytes for it, or read bytes from it on. With neither, a register is read and
+        discarded: there is no acknowledge, only the controller can fail.
         """
         if not read and not write:
             self.port.exchange(bytes([READ, 0]))
@@ -53,7 +52,7 @@ class SpiChip:
         return answer[len(message) :]
 
     def message(self, write: bytes, read: int) -> bytes:
-        """Return what is sent for this transfer before `read` bytes come back; ValueError as of `transfer`."""
+        """Return the bytes to send for this transfer before `read` bytes are received; ValueError as of `transfer`."""
         if len(write) != 1 if read else not write:
             raise ValueError("SPI: a read begins with the address of one register")
         several = read > 1 or len(write) > 2  # an address and one byte
@@ -80,7 +79,7 @@ class SpiTransfer(ctypes.Structure):
 
 
 class _Message(NamedTuple):
-    """A kept message; `sent` is held because the structure points to it."""
+    """A kept message; `sent` is the memory to which the structure points."""
 
     structure: SpiTransfer
     answer: ctypes.Array[ctypes.c_char]
@@ -95,7 +94,7 @@ class _Message(NamedTuple):
 
 
 class LinuxSpiPort:
-    """A chip select of this machine, locked for this object alone; BusUrlError when it can't be had."""
+    """A chip select of this machine, locked for this object; BusUrlError if it can't be opened."""
 
     def __init__(self, path: str, mode: int, clock_hz: int) -> None:
         self.path = path
@@ -121,7 +120,7 @@ class LinuxSpiPort:
             ) from error
 
     def exchange(self, sent: bytes) -> bytes:
-        """See `SpiPort.exchange`; ValueError for more than a message carries."""
+        """Exchange bytes as `SpiPort.exchange`; ValueError for more than a message carries."""
         if len(sent) > MAX_MESSAGE:
             raise ValueError(f"spi:{self.path}: {len(sent)} bytes, a message carries at most {MAX_MESSAGE}")
         message = self._kept(sent)
@@ -129,7 +128,7 @@ class LinuxSpiPort:
         return message.answer.raw
 
     def close(self) -> None:
-        """Give the chip select back."""
+        """Close the chip select."""
         os.close(self._file)
 
 
@@ -146,7 +145,7 @@ class SpiPorts:
         return self._ports[path]
 
     def close(self) -> None:
-        """Give all of them back."""
+        """Close all of them."""
         for port in self._ports.values():
             port.close()
         self._ports.clear()

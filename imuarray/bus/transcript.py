@@ -1,10 +1,10 @@
-"""Transcripts: every transaction of a bus as one line of JSON, and a bus that plays them back.
+"""Transcripts: every transaction of a bus as one line of JSON, and a bus that records them.
 
 A line is ``{"to": "53", "write": "00", "read": "e5", "at_ns": 1200, "end_ns": 94950}``, bytes as hexadecimal digits. A
-transaction that failed has ``"errno": 121`` in place of ``"read"``, and ``"error"`` if the bus gave a message of its
-own. A query for the owner of an address (`claim`) is ``{"claim": "53", ...}``, with the answer as ``"errno"`` or
-``"error"`` if it was not "yours". ``"seen"`` are the times at which the program read the clock before that line, in ns
-before its ``at_ns``: a replay gives the same times, so that the program takes the same decisions. ``{"epoch":
+transaction that failed has ``"errno": 121`` in place of ``"read"``, and ``"error"`` if the bus has its own message. A
+query for the owner of an address (`claim`) is ``{"claim": "53", ...}``, with the answer as ``"errno"`` or ``"error"``
+if it was not "yours". ``"seen"`` are the times at which the program read the clock before that line, in ns before its
+``at_ns``: a replay gives the same times, so that the program makes the same decisions. ``{"epoch":
 "2026-03-01T00:00:00+00:00"}`` is the wall time at which a log began; ``{"stopped": 2, ...}`` says that the second query
 for a stop since the previous line was answered with yes. A replayed bus refuses the first transaction that differs,
 naming the line, so that a user's transcript can become a test.
@@ -31,7 +31,7 @@ _MOST = 1 << 63
 
 
 def open_output(path: Path, force: bool) -> IO[str]:
-    """`path` for writing text; FileExistsError unless `force`."""
+    """Open `path` for writing text; FileExistsError unless `force`."""
     return path.open("w" if force else "x", encoding="utf-8")
 
 
@@ -51,14 +51,14 @@ class _Notes:
         self.standing_ns = max(self.standing_ns, at_ns)
 
     def take(self, at_ns: int) -> list[int]:
-        """Return how long before `at_ns` it looked; nothing if a clock that stands still would have shown the same."""
+        """Return the readings in ns before `at_ns`; none if a clock that stands still would have shown the same."""
         seen = [at_ns - stamp for stamp in self._seen] if self._moved else []
         self._seen, self._moved = [], False
         return seen
 
 
 class _NotedClock:
-    """Another clock; each reading of it is noted."""
+    """A clock that records each reading of another one."""
 
     def __init__(self, clock: Clock, notes: _Notes) -> None:
         self._clock, self._notes = clock, notes
@@ -79,12 +79,12 @@ class _NotedClock:
 
 
 class _NotedMonotonicClock(_NotedClock, MonotonicClock):
-    """The machine's own, and known as such."""
+    """The machine's own clock, recorded."""
 
 
 class RecordingBus:
-    """Any open bus, with everything that passes written to a file. `failed` says why nothing more is written, if the
-    file could not take it: the recording goes on. `remark` is what should be known of such a transcript.
+    """An open bus that records its traffic in a file. `failed` is the reason if the file could not be written any more;
+    the recording continues. `remark` is a remark on such a transcript for the user.
 
     Through it a microcontroller executes one transaction at a time and does not stream.
     """
@@ -107,7 +107,7 @@ class RecordingBus:
 
     @property
     def remark(self) -> str:
-        """One line, or nothing."""
+        """Return one line, or ""."""
         if self.source != "serial":
             return ""
         return (
@@ -141,16 +141,16 @@ class RecordingBus:
                 line["error"] = str(error.strerror)
             raise
         finally:
-            if "read" in line or "errno" in line:  # a request that no adapter can send never went over the wire
+            if "read" in line or "errno" in line:  # a request that no adapter can send was not transferred
                 self._write(line)
 
     def _claim(self, address: int, path: str | None = None) -> None:
-        """Ask whose an address is, where the bus can tell."""
+        """Query the owner of an address, if the bus knows owners."""
         line: dict[str, Any] = {"claim": f"{address:02x}", "at_ns": self.bus.clock.now_ns()}
         if path:
             line["bus"] = path
         try:
-            self.bus.claim(address, path)  # type: ignore[attr-defined]  # `__getattr__` has looked
+            self.bus.claim(address, path)  # type: ignore[attr-defined]  # checked by `__getattr__`
         except OSError as error:
             line["errno"] = error.errno
             raise
@@ -161,11 +161,11 @@ class RecordingBus:
             self._write(line)
 
     def begins(self, epoch: datetime) -> None:
-        """A log begins now, at this wall time."""
+        """Note that a log begins now, at this wall time."""
         self._put({"epoch": epoch.astimezone(UTC).isoformat()})
 
     def stopping(self, stopped: Callable[[], bool]) -> Callable[[], bool]:
-        """`stopped`; when it first says so is written down."""
+        """Return `stopped`, recorded when it is first True."""
         inner = getattr(self.bus, "stopping", None)
         stopped = inner(stopped) if inner else stopped
         is_noted = False
@@ -181,7 +181,7 @@ class RecordingBus:
         return asked
 
     def _write(self, line: dict[str, Any]) -> None:
-        """A line, and what was seen of the clock before it."""
+        """Write a line with the readings of the clock before it."""
         line["end_ns"] = self.bus.clock.now_ns()
         seen = self._notes.take(line["at_ns"])
         if seen:
@@ -191,7 +191,7 @@ class RecordingBus:
         self._put(line)
 
     def _put(self, line: dict[str, Any]) -> None:
-        """A line; a file that can't take it is no failure of the bus."""
+        """Write a line; a failure of the file is no failure of the bus."""
         if self.failed:
             return
         try:
@@ -203,7 +203,7 @@ class RecordingBus:
         self.failed = f"transcript {self.path}: not complete: {error.strerror or error}"
 
     def __getattr__(self, name: str) -> Any:
-        """Other attributes of the bus (an emulated one knows the truth), except for transactions that would not be
+        """Return other attributes of the bus (an emulated one has the truth), except for transactions that would not be
         recorded.
         """
         if name == "transfer_all":
@@ -240,7 +240,7 @@ class _RecordedChannel:
 
 
 class _RecordedPort:
-    """A chip select of a recorded bus; as a `Bus` it writes and reads at once."""
+    """A chip select of a recorded bus; as a `Bus` it writes and reads at the same time."""
 
     def __init__(self, recording: RecordingBus, path: str, port: SpiPort) -> None:
         self._recording, self._path, self._port = recording, path, port

@@ -1,5 +1,5 @@
 """One driver a chip. To add a chip: its registers in `imuarray.facts`, its entry in `imuarray.chips`, a file here, a
-line below; docs/how_to/extend.md says what else.
+line below; docs/how_to/extend.md lists the other steps.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """ADXL345 accelerometer. Analog Devices data sheet Rev. E (2015); facts ADX-*.
 
-There is no reset (ADX-31), so every register that matters is written. Full resolution: 256 counts per g in every range
-(ADX-40), right-justified, low byte first (ADX-45). One burst carries INT_SOURCE, DATA_FORMAT and the triad, 0x30 ...
-0x37. The queue gives one set a transaction (ADX-05, ADX-55).
+There is no reset (ADX-31), so every register that affects readings is written. Full resolution: 256 counts per g in
+every range (ADX-40), right-justified, low byte first (ADX-45). One burst carries INT_SOURCE, DATA_FORMAT and the triad,
+0x30 ... 0x37. The queue gives one set a transaction (ADX-05, ADX-55).
 """
 
 from __future__ import annotations
@@ -58,11 +58,11 @@ class Adxl345(ChipDriver):
         self.watched: tuple[Setting, ...] = (self.power, *self.settings[:3])
 
     def identify(self) -> None:
-        """DEVID is 0xE5 (ADX-10)."""
+        """Check that DEVID is 0xE5 (ADX-10); SensorError."""
         self.registers.expect(facts.DEVID)
 
     def steps(self) -> Iterator[float]:
-        """Standby, settings, measure; wait for the first sample (1/ODR + 1.1 ms, ADX-38)."""
+        """Set standby, the settings and measurement; wait for the first sample (1/ODR + 1.1 ms, ADX-38)."""
         for setting in (facts.POWER_CTL[7:0](0), *self.settings, self.power):
             self.registers.set(setting)
             yield 0.0
@@ -75,7 +75,7 @@ class Adxl345(ChipDriver):
         return True
 
     def self_test(self) -> SelfTest:
-        """Deflection with SELF_TEST set, against the limits of ADX-58 from 2.5 V to 3.3 V."""
+        """Measure the deflection with SELF_TEST set, against the limits of ADX-58 from 2.5 V to 3.3 V."""
         still = (facts.FULL_RES(1) | facts.RANGE(0b11)).value
         self.registers.poke(facts.FIFO_CTL, 0)
         self.registers.poke(facts.BW_RATE, facts.RATE(_SELF_TEST_RATE).value)
@@ -91,7 +91,7 @@ class Adxl345(ChipDriver):
         return compared(before, during, _SELF_TEST_G, text, still=_SELF_TEST_STILL_G)
 
     def _readings_g(self) -> Floats:
-        """Specific forces (n, 3) in g, after the four samples that the filter needs (ADX-58)."""
+        """Return specific forces (n, 3) in g, after the four samples that the filter needs (ADX-58)."""
         sleep_for(self.clock, 5 / 400)
         counts = []
         for _ in range(_SELF_TEST_SAMPLES):
@@ -100,25 +100,27 @@ class Adxl345(ChipDriver):
         return np.asarray(np.array(counts) / _LSB_PER_G)
 
     def fetch(self) -> bytes:
-        """0x30 ... 0x37: what happened, how the data is formatted, x, y, z."""
+        """Read 0x30 ... 0x37: events, the data format, x, y, z."""
         return self.registers.peek(facts.INT_SOURCE, self.burst)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts at 256 per g; stale where DATA_READY was clear, overrun where a set was replaced unread (ADX-52)."""
+        """Return counts at 256 per g; stale where DATA_READY was clear, overrun where a set was replaced unread
+        (ADX-52).
+        """
         decoded, source = self._triads(bursts[:, 2:8]), bursts[:, 0]
         stale = flagged(~source, facts.DATA_READY.mask, STALE)
         overrun = flagged(source, facts.OVERRUN.mask, OVERRUN)
         return decoded._replace(status=decoded.status | stale | overrun)
 
     def _triads(self, data: Bytes) -> DecodedBursts:
-        """Counts from (n, 6) data bytes."""
+        """Return counts of (n, 6) data bytes."""
         counts = np.ascontiguousarray(data).view("<i2").astype(np.int16)
         half_span = int(self.range_g * _LSB_PER_G)
         highest = half_span - (2 if self.rate_hz > 800 else 1)  # only even codes at 1600 and 3200 Hz: ADX-47
         return DecodedBursts(counts, None, saturated(counts, -half_span, highest))
 
     def header(self) -> Mapping[str, int]:
-        """No attributes of its own."""
+        """Return no attributes."""
         return {}
 
 
@@ -139,7 +141,7 @@ class Adxl345Fifo(Adxl345):
         self.queue.restart()
 
     def fetch(self) -> bytes:
-        """Return every set that is waiting, oldest first; those that were read before the bus failed are not lost."""
+        """Return every set in the queue, oldest first; those that were read before the bus failed are kept."""
         at_ns = self.clock.now_ns()
         entries = facts.ENTRIES.of(self.registers.peek(facts.FIFO_STATUS)[0])
         until_ns = self.clock.now_ns()
@@ -155,5 +157,5 @@ class Adxl345Fifo(Adxl345):
         return b"".join(sets)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts at 256 per g; a set in the queue is always new."""
+        """Return counts at 256 per g; a set in the queue is always new."""
         return self._triads(bursts)

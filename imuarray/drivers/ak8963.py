@@ -1,9 +1,9 @@
 """AK8963 magnetometer, as it is in the MPU-9250. AKM data sheet MS1356-E-02 (2013); facts AKM-*.
 
-It is on the MPU-9250's auxiliary bus, and answers on the array's while that chip's bypass is open (INV-97): this driver
-opens it. One burst is ST1, x, y, z low byte first, and ST2, which must be read last: it lets the next measurement in
-(AKM-12). The factory's adjustment of the sensitivity, a byte for each axis, is in the header of a log; counts are as
-they come. Its x lies along the y of the MPU-9250, its y along x, its z against z (AKM-03).
+It is on the MPU-9250's auxiliary bus, and answers on the array's bus while that chip's bypass is open (INV-97): this
+driver opens it. One burst is ST1, x, y, z low byte first, and ST2, which must be read last: it unlocks the data
+registers (AKM-12). The factory's adjustment of the sensitivity, a byte for each axis, is in the header of a log; counts
+are not adjusted. Its x is along the y of the MPU-9250, its y along x, its z opposite to z (AKM-03).
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ class Ak8963(ChipDriver):
         self.adjustment = bytes(3)
 
     def settings(self) -> tuple[Setting, tuple[Setting, ...]]:
-        """Return the mode in which it measures, and what can be read back while it does."""
+        """Return the mode in which it measures, and the settings that can be read back during measurement."""
         mode = facts.SIXTEEN_BITS(1) | facts.MODE(_MODES[self.rate_hz])
         return mode, (mode, facts.SELF_TEST(0))
 
     def open_bypass(self) -> None:
-        """Open the bypass of the MPU on this bus, if there is one; SensorError where there are two, whose
-        magnetometers have one address.
+        """Open the bypass of the MPU on this bus, if there is one; SensorError for two of them, whose magnetometers
+        have one address.
         """
         hosts = []
         for address in mpu6500.ADDRESSES:
@@ -70,12 +70,12 @@ class Ak8963(ChipDriver):
                 " address: connect them to two channels"
             )
         for host in hosts:
-            if mpu6500.MASTER_ON.of(host.peek(mpu6500.USER_CTRL)[0]):  # another program's; it keeps the bypass shut
+            if mpu6500.MASTER_ON.of(host.peek(mpu6500.USER_CTRL)[0]):  # by another program; it closes the bypass
                 host.change(mpu6500.MASTER_ON(0))
             host.change(mpu6500.BYPASS(1))
 
     def identify(self) -> None:
-        """WIA is 0x48, once the bypass is open (AKM-02)."""
+        """Check that WIA is 0x48, with the bypass open (AKM-02); SensorError."""
         self.open_bypass()
         self.registers.expect(facts.WIA)
 
@@ -93,21 +93,21 @@ class Ak8963(ChipDriver):
         yield 2 / self.rate_hz
 
     def start_measuring(self) -> None:
-        """Write the mode, and check that it is kept."""
+        """Write the mode, and verify it."""
         self.registers.set(self.mode)
 
     def _set_mode(self, mode: int) -> Iterator[float]:
-        """A mode is set through power-down (AKM-13)."""
+        """Set a mode through power-down (AKM-13)."""
         self.registers.poke(facts.CNTL1, (facts.SIXTEEN_BITS(1) | facts.MODE(mode)).value)
         yield _MODE_CHANGE_S
 
     @property
     def factors(self) -> Floats:
-        """Factors (3,) of the counts: (ASA + 128) / 256 (AKM-16)."""
+        """Return the factors (3,) of the counts: (ASA + 128) / 256 (AKM-16)."""
         return (np.frombuffer(self.adjustment, np.uint8).astype(float) + 128) / 256
 
     def self_test(self) -> SelfTest:
-        """Answer to the chip's own field, adjusted (AKM-15)."""
+        """Measure the field of the self-test, adjusted (AKM-15)."""
         self.configure()
         carry_out(self.clock, self._set_mode(_POWER_DOWN))
         self.registers.poke(facts.ASTC, facts.SELF_TEST(1).value)
@@ -125,7 +125,7 @@ class Ak8963(ChipDriver):
         return SelfTest(within(answer, self.self_test_limits), f"answers {said} counts; limits {wanted}")
 
     def fetch(self) -> bytes:
-        """0x02 ... 0x09: ST1, x, y, z, ST2 (AKM-12)."""
+        """Read 0x02 ... 0x09: ST1, x, y, z, ST2 (AKM-12)."""
         return self.registers.peek(facts.ST1, self.burst)
 
     def measured(self) -> bytes:
@@ -133,8 +133,8 @@ class Ak8963(ChipDriver):
         return self.fetch()
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 16 bits, low byte first; stale where ST1 said that nothing was ready, overrun where it said that
-        data were skipped, saturated where ST2 said that the sensor overflowed (AKM-11, AKM-12).
+        """Return counts of 16 bits, low byte first; stale where ST1 showed no new data, overrun where it showed skipped
+        data, saturated where ST2 showed an overflow of the sensor (AKM-11, AKM-12).
         """
         counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16)
         status = flagged(~bursts[:, 0], facts.DATA_READY.mask, STALE)

@@ -1,8 +1,8 @@
 """AK8975 magnetometer, as it is in the MPU-9150; facts AKM-21 ... AKM-28.
 
-It measures only when it is asked to: a call takes the last measurement and starts the next, so that a reading was
-measured right after the call before, at most 100 times a second. Otherwise it is like the AK8963
-(`imuarray.drivers.ak8963`): behind the bypass of the MPU, with a fuse ROM, and with the same axes.
+It measures only on command: a call reads the last measurement and starts the next, so that a reading was measured right
+after the previous call, at most 100 times a second. Otherwise it is like the AK8963 (`imuarray.drivers.ak8963`): behind
+the bypass of the MPU, with a fuse ROM, and with the same axes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ _SINGLE = 0b0001
 _PERIOD_NS = 9_500_000
 """Shortest time from one measurement to the next at 100 Hz: a poll may be early."""
 _LONGEST_NS = 20_000_000
-"""A measurement that is not over after so long never began: twice the longest that any source states (AKM-25)."""
+"""A measurement that is not over after this time never began: twice the longest time that any source states
+(AKM-25).
+"""
 
 
 class Ak8975(Ak8963):
@@ -40,11 +42,11 @@ class Ak8975(Ak8963):
         self._is_over, self._started_ns = True, -_PERIOD_NS
 
     def settings(self) -> tuple[Setting, tuple[Setting, ...]]:
-        """Measure once, and what stays as it was written: the mode does not (AKM-24)."""
+        """Return the single-measurement mode, and the settings that remain as written: the mode does not (AKM-24)."""
         return facts.MODE(_SINGLE), (facts.SELF_TEST(0),)
 
     def _set_mode(self, mode: int) -> Iterator[float]:
-        """A mode is set through power-down (AKM-24)."""
+        """Set a mode through power-down (AKM-24)."""
         self.registers.poke(facts.CNTL, facts.MODE(mode).value)
         yield 0.001
 
@@ -54,12 +56,12 @@ class Ak8975(Ak8963):
         self._is_over, self._started_ns = True, self.clock.now_ns() - _PERIOD_NS
 
     def start_measuring(self) -> None:
-        """Start the first measurement; the chip is powered down again when it is over."""
+        """Start the first measurement; the chip powers down when it is over."""
         self.registers.poke(facts.CNTL, self.mode.value)
 
     def fetch(self) -> bytes:
-        """0x02 ... 0x09: ST1, x, y, z, ST2; then a new measurement if that one is over: a mode that is written would
-        end it (AKM-23, DEC-235).
+        """Read 0x02 ... 0x09: ST1, x, y, z, ST2; then start a new measurement if that one is over: a write of the mode
+        would abort it (AKM-23, DEC-235).
         """
         block = self.registers.peek(facts.ST1, self.burst)
         self._is_over |= bool(block[0] & facts.DATA_READY.mask)
@@ -74,8 +76,8 @@ class Ak8975(Ak8963):
         return self.registers.peek(facts.ST1, self.burst)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 13 bits in words of 16, low byte first; stale where ST1 said that nothing was ready, saturated
-        where ST2 said that the sensor overflowed (AKM-22, AKM-23).
+        """Return counts of 13 bits in words of 16, low byte first; stale where ST1 showed no new data, saturated where
+        ST2 showed an overflow of the sensor (AKM-22, AKM-23).
         """
         counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16)
         status = flagged(~bursts[:, 0], facts.DATA_READY.mask, STALE)

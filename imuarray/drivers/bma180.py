@@ -36,9 +36,9 @@ _SOFT_RESET = 0xB6
 _EEPROM_DOWNLOAD_S = 0.020  # the 10 us of the data sheet are not enough: BMA-53
 _SELF_TEST_NS = 12_000_000  # the test lasts less than 10 ms: BMA-104
 _SELF_TEST_LSB = 200
-_SELF_TEST_REST_S = 0.0015  # between readings at rest: eight take as long as the test, and show what moves meanwhile
+_SELF_TEST_REST_S = 0.0015  # between readings at rest: eight take as long as the test, and show motion during it
 _SELF_TEST_GAP_NS = 2_000_000
-"""The longest interval between two readings in self-test: the deflection lasts less than 10 ms in all (BMA-104)."""
+"""The longest interval between two readings in self-test: the deflection lasts less than 10 ms in total (BMA-104)."""
 _SELF_TEST_SIGMAS = 4.0
 """The number of standard deviations at rest that a deflection must also exceed, so that noise and motion do not count.
 """
@@ -59,12 +59,12 @@ class Bma180(ChipDriver):
             facts.MODE_CONFIG(0b00),  # low noise: BMA-96
             facts.SHADOW_DIS(0),  # low and high byte of an axis from one conversion: BMA-99
             facts.RANGE(_RANGE_CODES[sensor.range or 2.0]) | facts.SMP_SKIP(0),
-            facts.READOUT_12BIT(0),  # a previous owner's EEPROM may say otherwise: BMA-59, BMA-61
+            facts.READOUT_12BIT(0),  # the EEPROM of a used part may differ: BMA-59, BMA-61
         )
         self.watched: tuple[Setting, ...] = self.settings
 
     def identify(self) -> None:
-        """chip_id is 3 (BMA-10)."""
+        """Check that chip_id is 3 (BMA-10); SensorError."""
         self.registers.expect(facts.CHIP_ID)
 
     def steps(self) -> Iterator[float]:
@@ -86,12 +86,12 @@ class Bma180(ChipDriver):
             yield 0.0
 
     def mark(self, code: int) -> bool:
-        """Mark the chip in cd1, a byte for the customer (BMA-35); the EEPROM is unchanged."""
+        """Mark the chip in cd1, a byte for the user (BMA-35); the EEPROM is unchanged."""
         self.settings = self.watched = (*self.settings, facts.CD1[7:0](code))
         return True
 
     def self_test(self) -> SelfTest:
-        """Return the largest deflection while st0 is set, at 2 g and 1200 Hz: more than 200 counts on every axis
+        """Measure the largest deflection while st0 is set, at 2 g and 1200 Hz: more than 200 counts on every axis
         (BMA-104).
         """
         quick = (facts.BANDWIDTH(_BANDWIDTH_CODES[1200.0]), facts.RANGE(_RANGE_CODES[2.0]) | facts.SMP_SKIP(0))
@@ -122,17 +122,21 @@ class Bma180(ChipDriver):
         return SelfTest(passed, text)
 
     def _counts_after(self, seconds: float) -> Floats:
-        """One reading (3,) in counts, after a wait."""
+        """Return one reading (3,) in counts, after a wait."""
         sleep_for(self.clock, seconds)
         burst = np.frombuffer(self.fetch(), np.uint8).reshape(1, self.burst)
         return np.asarray(self.decode(burst).counts[0], float)
 
     def fetch(self) -> bytes:
-        """0x02 ... 0x08: x, y, z and temperature, low byte first, so that the shadow keeps each axis whole."""
+        """Read 0x02 ... 0x08: x, y, z and temperature, low byte first, so that the shadow keeps the bytes of each axis
+        together.
+        """
         return self.registers.peek(facts.ACC_X_LSB, self.burst)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 14 bits; temperature at 0.5 K per count, 0 at 24 degC (BMA-63); stale where no axis was new."""
+        """Return counts of 14 bits; temperature at 0.5 K per count, 0 at 24 degC (BMA-63); stale where no axis was
+        new.
+        """
         words = np.ascontiguousarray(bursts[:, 0:6]).view("<i2")
         counts = (words >> 2).astype(np.int16)
         fresh = (words & facts.NEW_DATA_X.mask).any(axis=1)
@@ -140,5 +144,5 @@ class Bma180(ChipDriver):
         return DecodedBursts(counts, bursts[:, 6].view(np.int8).astype(np.int16), status)
 
     def header(self) -> Mapping[str, int]:
-        """No attributes of its own."""
+        """Return no attributes."""
         return {}

@@ -1,6 +1,6 @@
 """BMP180 barometer. Bosch data sheet v2.8 (2015); facts BMP-*.
 
-It converts only when asked, temperature first, then pressure, into the same registers (BMP-48). No call waits for it:
+It converts only on command, temperature first, then pressure, into the same registers (BMP-48). No call waits for it:
 each call of `fetch` checks whether a conversion that was started earlier must be over by now, and starts the next. The
 conversion of its words to degrees and pascals is in `imuarray.barometer`.
 """
@@ -41,7 +41,7 @@ class Bmp180(OnDemandBarometer):
     _temperature = b""
 
     def identify(self) -> None:
-        """The identity register holds 0x55 (BMP-11)."""
+        """Check that the identity register holds 0x55 (BMP-11); SensorError."""
         self.registers.expect(facts.CHIP_ID)
 
     def steps(self) -> Iterator[float]:
@@ -57,9 +57,8 @@ class Bmp180(OnDemandBarometer):
         self.begin()
 
     def fetch(self) -> bytes:
-        """UT and UP, five bytes, when a pair is complete; empty otherwise.
-
-        A call that fails with OSError changes nothing and can be repeated; EIO if a conversion is overdue (BMP-46).
+        """Return UT and UP, five bytes, when a pair is complete; empty otherwise. A call that fails with OSError
+        changes nothing and can be repeated; EIO if a conversion is overdue (BMP-46).
         """
         now_ns = self.clock.now_ns()
         done_ns = self._result_due_ns(now_ns)
@@ -84,14 +83,16 @@ class Bmp180(OnDemandBarometer):
         self._converting, self._done_ns = command, done_ns
 
     def _result(self, count: int) -> bytes:
-        """`count` bytes of result, with the register in one burst that says whether the conversion is over."""
+        """Read `count` bytes of the result, in one burst with the register that shows whether the conversion is
+        over.
+        """
         block = self.registers.peek(facts.CTRL_MEAS, 2 + count)
         if facts.CONVERTING.of(block[0]):
             raise OSError(errno.EIO, f"{self.registers.label}: conversion not finished in time")
         return block[2:]
 
     def words_of(self, bursts: Bytes) -> tuple[Integers, Integers]:
-        """Sixteen bits of temperature, then nineteen of pressure (BMP-47)."""
+        """Return sixteen bits of temperature, then nineteen of pressure (BMP-47)."""
         wide = bursts.astype(np.int64)
         up = (wide[:, 2] << 16 | wide[:, 3] << 8 | wide[:, 4]) >> 8 - _OVERSAMPLING
         return wide[:, 0] << 8 | wide[:, 1], up

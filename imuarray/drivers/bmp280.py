@@ -1,7 +1,7 @@
 """BMP280 barometer. Bosch data sheet BST-BMP280-DS001 rev. 1.23; facts BMP-101 to -126.
 
-Forced mode, sixteen samples of pressure and two of temperature, no filter: the quietest measurement of which no earlier
-one is a part (BMP-106). What its words mean in degrees and pascals is in `imuarray.barometer`.
+Forced mode, sixteen samples of pressure and two of temperature, no filter: the measurement with the least noise that is
+independent of earlier ones (BMP-106). The conversion of its words to degrees and pascals is in `imuarray.barometer`.
 """
 
 from __future__ import annotations
@@ -49,15 +49,15 @@ class Bmp280(ForcedBarometer):
         self.watched = (facts.STANDBY(0) | facts.FILTER(0) | facts.SPI_THREE_WIRE(0),)
 
     def identify(self) -> None:
-        """The identity register holds 0x58 (BMP-102)."""
+        """Check that the identity register holds 0x58 (BMP-102); SensorError."""
         self.registers.expect(facts.CHIP_ID, relatives=_RELATIVES)
 
     def steps(self) -> Iterator[float]:
-        """Reset, read the twelve calibration words, switch the filter off; SensorError if a word can't be one."""
+        """Reset, read the twelve calibration words, switch the filter off; SensorError for an impossible word."""
         self.registers.poke(facts.SOFT_RESET, _SOFT_RESET)
         yield _START_UP_S
         self.words = calibration_words(self.registers.peek(facts.CALIBRATION, 2 * len(facts.CALIBRATION_WORDS)))
-        for name in ("T1", "T2", "P1"):  # by these the formulas multiply and divide: BMP-103
+        for name in ("T1", "T2", "P1"):  # the formulas multiply and divide by these: BMP-103
             if self.words[name] in (0, 0xFFFF, -1):
                 raise SensorError(
                     f"{self.registers.label}: calibration word {name} reads {self.words[name]}: not a BMP280"
@@ -66,14 +66,14 @@ class Bmp280(ForcedBarometer):
         self.begin()
 
     def is_over(self, head: bytes) -> bool:
-        """It sleeps, with the configured oversampling: a chip that was reset meanwhile has none (BMP-105,
+        """Return whether it sleeps, with the configured oversampling: a chip that was reset has none (BMP-105,
         BMP-107).
         """
         asleep = Setting(self.force.register, self.force.mask, self.force.value & ~facts.MODE.mask)
         return not facts.MEASURING.of(head[0]) and head[1] == asleep.value
 
     def words_of(self, bursts: Bytes) -> tuple[Integers, Integers]:
-        """Twenty bits each, the pressure first (BMP-111)."""
+        """Return twenty bits each, the pressure first (BMP-111)."""
         wide = bursts.astype(np.int64)
         up = wide[:, 0] << 12 | wide[:, 1] << 4 | wide[:, 2] >> 4
         return wide[:, 3] << 12 | wide[:, 4] << 4 | wide[:, 5] >> 4, up

@@ -1,7 +1,7 @@
 """BMP388 barometer. Bosch data sheet BST-BMP388-DS001 rev. 1.0; facts BMP-201 to -223.
 
-Forced mode, sixteen samples of pressure and two of temperature, no filter, as of the BMP280. What its words mean in
-degrees and pascals is in `imuarray.barometer`.
+Forced mode, sixteen samples of pressure and two of temperature, no filter, as of the BMP280. The conversion of its
+words to degrees and pascals is in `imuarray.barometer`.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ class Bmp388(ForcedBarometer):
         )
 
     def identify(self) -> None:
-        """The identity register holds 0x50 (BMP-202)."""
+        """Check that the identity register holds 0x50 (BMP-202); SensorError."""
         self.registers.expect(facts.CHIP_ID, relatives=_RELATIVES)
 
     def steps(self) -> Iterator[float]:
-        """Reset, read the calibration words, set oversampling and filter; SensorError if a word can't be one."""
+        """Reset, read the calibration words, set oversampling and filter; SensorError for an impossible word."""
         self.registers.poke(facts.CMD, _SOFT_RESET)
         yield _START_UP_S
         self.words = calibration_words(self.registers.peek(facts.CALIBRATION, sum(_BYTES)))
@@ -67,11 +67,11 @@ class Bmp388(ForcedBarometer):
         self.begin()
 
     def is_over(self, head: bytes) -> bool:
-        """Both results are there; a chip that was reset meanwhile has none (BMP-205)."""
+        """Return whether both results are ready; a chip that was reset has none (BMP-205)."""
         return bool(facts.TEMPERATURE_READY.of(head[0]) and facts.PRESSURE_READY.of(head[0]))
 
     def words_of(self, bursts: Bytes) -> tuple[Integers, Integers]:
-        """Twenty-four bits each, low byte first, the pressure first (BMP-211)."""
+        """Return twenty-four bits each, low byte first, the pressure first (BMP-211)."""
         wide = bursts.astype(np.int64)
         up = wide[:, 0] | wide[:, 1] << 8 | wide[:, 2] << 16
         return wide[:, 3] | wide[:, 4] << 8 | wide[:, 5] << 16, up

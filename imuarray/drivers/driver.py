@@ -32,11 +32,11 @@ class Registers:
         self.label = label
 
     def peek(self, register: Register, count: int = 1) -> bytes:
-        """`count` bytes from `register` on, in one transaction."""
+        """Read `count` bytes from `register` on, in one transaction."""
         return self.bus.transfer(self.address, bytes([register.address]), count)
 
     def read_back(self, register: Register) -> int:
-        """Read a register of a chip that goes on measuring."""
+        """Read a register without affecting the measurement."""
         return self.peek(register, register.readback_bytes)[0]
 
     def poke(self, register: Register, value: int) -> None:
@@ -44,7 +44,7 @@ class Registers:
         self.bus.transfer(self.address, bytes([register.address, value]))
 
     def change(self, setting: Setting) -> None:
-        """Read-modify-write: bits beside the setting (a factory trim, say) keep their value."""
+        """Read, modify and write: other bits of the register (such as a factory trim) keep their value."""
         self.poke(setting.register, setting.into(self.peek(setting.register)[0]))
 
     def set(self, *settings: Setting) -> None:
@@ -54,7 +54,7 @@ class Registers:
             self.verify(setting)
 
     def verify(self, setting: Setting) -> None:
-        """SensorError if the chip did not keep `setting`."""
+        """Raise SensorError if the chip did not store `setting`."""
         kept = self.peek(setting.register)[0]
         if kept & setting.mask != setting.value:
             raise SensorError(
@@ -63,8 +63,8 @@ class Registers:
             )
 
     def expect(self, *registers: Register, relatives: Mapping[int, str] = MappingProxyType({})) -> None:
-        """SensorError unless a chip answers whose identity registers hold what the data sheet says. `relatives` names
-        other chips at these addresses, by what the first register holds.
+        """Raise SensorError unless a chip answers whose identity registers have the values of the data sheet.
+        `relatives` names other chips at these addresses, by the value of the first register.
         """
         try:
             identity = b"".join(self.peek(register) for register in registers)
@@ -89,8 +89,8 @@ class DecodedBursts(NamedTuple):
     """The readings of n bursts.
 
     counts (n, 3) int16 for triads (int32 for chips of more bits), (n, 2) int32 for barometers; temperature_counts (n,)
-    int16 where the chip has a thermometer; status (n,) uint16, flags of `imuarray.log.format` that the burst itself
-    tells; `compensated`: further columns in physical units by name, where the chip's own calibration gives them.
+    int16 where the chip has a thermometer; status (n,) uint16, flags of `imuarray.log.format` that follow from the
+    burst; `compensated`: further columns in physical units by name, where the chip's own calibration gives them.
     """
 
     counts: npt.NDArray[np.int16] | npt.NDArray[np.int32]
@@ -100,8 +100,8 @@ class DecodedBursts(NamedTuple):
 
 
 def barometer_readings(ut: Integers, up: Integers, temperature_degc: Floats, pressure_pa: Floats) -> DecodedBursts:
-    """Return the readings of a barometer: its words UT and UP (n,) as counts, what follows from them in physical units
-    beside them, and no flags.
+    """Return the readings of a barometer: its words UT and UP (n,) as counts, the physical values that follow from
+    them, and no flags.
     """
     counts = np.stack([ut, up], axis=1).astype(np.int32)
     compensated = {"temperature": temperature_degc, "pressure": pressure_pa}
@@ -118,8 +118,8 @@ class SelfTest(NamedTuple):
 
 
 def compared(before: Floats, during: Floats, limits: Limits, text: str, *, still: float) -> SelfTest:
-    """Return the verdict on (n, 3) readings before a self-test and (m, 3) during it: do their means differ by what
-    `limits` allow?
+    """Return the verdict on (n, 3) readings before a self-test and (m, 3) during it: is the difference of their means
+    within `limits`?
 
     It can't be determined if the readings of either scatter by more than `still` (one standard deviation): the box
     moved. `text` is a template with {change}.
@@ -145,9 +145,11 @@ class Driver(Protocol):
     burst: ClassVar[int]
     """Length of one fetched burst in bytes."""
     tells_fresh: ClassVar[bool]
-    """True if the burst says whether the reading is new; otherwise the logger compares with the reading before."""
+    """True if the burst shows whether the reading is new; otherwise the logger compares it with the previous
+    reading.
+    """
     reading: ClassVar[slice]
-    """Position of the reading in a burst, status and temperature left out: two bursts can be compared raw."""
+    """Position of the reading in a burst, without status and temperature: two bursts can be compared byte by byte."""
 
     watched: tuple[Setting, ...]
     registers: Registers
@@ -155,40 +157,43 @@ class Driver(Protocol):
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None: ...
 
     def identify(self) -> None:
-        """SensorError unless this very chip answers."""
+        """Check that this chip answers; SensorError."""
 
     def steps(self) -> Iterator[float]:
-        """Set the chip up from any state, and read back, piece by piece: each time the seconds to wait before going on.
+        """Set the chip up from any state, and verify the settings, step by step; yield the seconds to wait before each
+        next step.
 
-        A poll loop goes on with other chips meanwhile. SensorError if the chip does not keep what it was told.
+        A poll loop reads other chips during a wait. SensorError if the chip does not store a setting.
         """
 
     def configure(self) -> None:
-        """All `steps`, waiting in between."""
+        """Carry out all `steps`, with their waits."""
 
     def mark(self, code: int) -> bool:
         """Write `code`, 1 ... 31, to an unused register from the next `steps` on, and verify it with the configuration.
 
-        It tells this chip from its twin at the same address of another channel. False if there is no such register.
+        It distinguishes this chip from its twin at the same address of another channel. False if there is no such
+        register.
         """
 
     def self_test(self) -> SelfTest:
-        """Let the chip deflect its own elements, judge the answer by the data sheet, and configure it again.
+        """Run the chip's self-test, compare the response with the limits of the data sheet, and configure the chip
+        again.
 
-        What could not be looked at often enough, or moved meanwhile, is neither good nor bad (`SelfTest`).
+        The result is undetermined if the chip could not be read often enough, or moved during the test (`SelfTest`).
         """
 
     def fetch(self) -> bytes:
-        """One burst, one instant; empty if the chip has nothing to give yet. OSError as the bus gives it.
+        """Return one burst of one instant; empty if there is no reading yet. OSError from the bus.
 
-        A driver that drains a queue (`FifoDriver`) gives any number of bursts.
+        A driver that drains a queue (`FifoDriver`) returns any number of bursts.
         """
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Pure: what (n, burst) bytes say; the chip is not asked."""
+        """Decode (n, burst) bytes; the chip is not accessed."""
 
     def header(self) -> Mapping[str, int] | Mapping[str, float]:
-        """Attributes of the chip itself that its log needs (the barometer's calibration words)."""
+        """Return attributes of the chip that its log needs (the barometer's calibration words)."""
 
 
 class QueueTimes(Protocol):
@@ -205,32 +210,32 @@ class QueueTimes(Protocol):
         """Largest error of each time in `drained`; empty where it is not known."""
 
     def restart(self) -> None:
-        """Forget everything: the chip was set up again, or its queue drained in another's place."""
+        """Discard the state: the chip was set up again, or another chip's queue was drained in its place."""
 
 
 @runtime_checkable
 class FifoDriver(Protocol):
-    """A driver whose `fetch` drains a queue: any number of bursts, whose times `queue` works out."""
+    """A driver whose `fetch` drains a queue: any number of bursts, with the times of `queue`."""
 
     queue: QueueTimes
 
 
 @runtime_checkable
 class RemarkingDriver(Protocol):
-    """A driver that knows a setting of its chip with which readings are wrong."""
+    """A driver of a chip with a setting that makes readings wrong."""
 
     def remark(self) -> str:
-        """Read how the chip is set now, before it is configured, and say what is worth knowing; empty if nothing is.
-        OSError as the bus gives it.
+        """Read the present settings, before the chip is configured, and return a remark on them; empty if there is
+        none. OSError from the bus.
         """
 
 
 @runtime_checkable
 class OnDemandDriver(Protocol):
-    """A driver whose chip converts when it is asked to: `fetch` looks for the result and starts what is next.
+    """A driver whose chip converts on command: `fetch` reads the result and starts the next conversion.
 
-    A reading consists of `conversions_ns`, in this order and at the longest. A result is taken `lasting_ns` after its
-    conversion at the latest, unless `fetch` is called more seldom than that.
+    A reading consists of `conversions_ns`, the longest times, in this order. A result is used until `lasting_ns` after
+    its conversion, unless `fetch` is called less often than that.
     """
 
     conversions_ns: ClassVar[tuple[int, ...]]
@@ -248,7 +253,7 @@ def carry_out(clock: Clock, steps: Iterator[float]) -> None:
 
 
 class ChipDriver:
-    """The part that the drivers of this package share: the registers of one chip, and a set-up that waits.
+    """The common part of the drivers of this package: the registers of one chip, and a set-up with waits.
 
     `clock` is the bus's. A chip without an unused register can't be marked.
     """
@@ -276,7 +281,7 @@ def registers_for(sensor: SensorConfig, bus: Bus) -> Registers:
 
 
 def flagged(bits: Bytes, mask: int, flag: int) -> npt.NDArray[np.uint16]:
-    """`flag` for each of (n,) status bytes in which `mask` is set."""
+    """Return `flag` for each of (n,) status bytes in which `mask` is set."""
     return np.where(bits & mask, flag, 0).astype(np.uint16)
 
 

@@ -1,12 +1,11 @@
 """Estimates when the samples of a chip's queue were taken, from their numbers and the times of counting.
 
 A chip samples by its own oscillator, some percent off (BMA-107 states 10 % for one of them). A count gives two bounds:
-the newest sample that was counted was there by the end of the count, and the next one was not before its beginning.
-Each is a bound on a straight line, time over number of the sample. All counts of the last seconds leave a small region
-of possible lines (offset and period), a convex polygon that every count cuts; the estimate is its centre, the
-uncertainty its extent. A host that is late by milliseconds gives wide bounds, which cut nothing and do no harm. The
-method is set-membership estimation (Milanese and Vicino, Automatica 27, 1991): no distribution of delays has to be
-known.
+the newest counted sample existed at the end of the count, and the next one did not exist at its beginning. Each is a
+bound on a straight line, time over number of the sample. All counts of the last seconds leave a small region of
+possible lines (offset and period), a convex polygon that every count cuts; the estimate is its centre, the uncertainty
+its extent. A host that is late by milliseconds gives wide bounds, which have no effect. The method is set-membership
+estimation (Milanese and Vicino, Automatica 27, 1991): no distribution of delays has to be known.
 """
 
 from __future__ import annotations
@@ -17,14 +16,16 @@ from itertools import pairwise
 import numpy as np
 
 TOLERANCE = 0.15
-"""How far a chip's oscillator may be off its nominal rate."""
+"""Largest relative error of a chip's oscillator."""
 DRIFT = 2e-4
-"""How far its rate may change within a window: warming by a few degrees changes it by less."""
+"""Largest relative change of its rate within a window: warming by a few degrees changes it by less."""
 WINDOW_NS = 5e9
-"""A window begins anew after so long; the one before is used meanwhile, so that no bound is more than twice as old."""
+"""A new window begins after this time; the previous one is used until then, so that no bound is more than twice as
+old.
+"""
 
 SLIVER_NS = 1e3
-"""A bound that would cut off less than this is left out: it would add a corner and tell nothing."""
+"""A bound that would cut off less than this is omitted: it would add a corner without information."""
 MANY_VERTICES = 16
 SAME_NS = 10.0
 """Where counts always fall at the same phase of the samples, their bounds all meet in one corner: beyond this number of
@@ -45,8 +46,8 @@ class _Window:
         self._center: tuple[float, float] | None = None
 
     def cut(self, newest: int, from_ns: float, until_ns: float) -> bool:
-        """Take a count in: sample number `newest` came by `until_ns`, and the next not before `from_ns`. False if no
-        line is left.
+        """Apply a count: sample number `newest` existed at `until_ns`, and the next one not before `from_ns`. Return
+        False if no line remains.
         """
         steps = newest - self.first
         before, after = until_ns - self.origin_ns, from_ns - self.origin_ns
@@ -60,7 +61,7 @@ class _Window:
 
     @property
     def center(self) -> tuple[float, float]:
-        """The centre of the possible lines."""
+        """The centre of the region of possible lines."""
         if self._center is None:
             self._center = _centroid(self.vertices)
         return self._center
@@ -104,7 +105,7 @@ def _kept(vertices: Vertices, excess: list[float]) -> Vertices:
 
 
 def _is_same(vertex: tuple[float, float], other: tuple[float, float]) -> bool:
-    """True for two corners of which one is enough."""
+    """Return whether two corners are so close that one is sufficient."""
     return abs(vertex[0] - other[0]) < SAME_NS and abs(vertex[1] - other[1]) < SAME_NS * 1e-4
 
 
@@ -127,9 +128,9 @@ def _centroid(vertices: Vertices) -> tuple[float, float]:
 class FifoClock:
     """Times of consecutive samples of one chip of nominal rate `rate_hz`.
 
-    `drained` and `overrun` tell of the last count: the times of its samples, and whether the queue had run over.
-    `uncertainty_ns`: by how much any of these times may be off at most, if the chip counted within the times that
-    `times` was given and its rate was constant since the window began (up to twice `WINDOW_NS`).
+    `drained` and `overrun` describe the last count: the times of its samples, and whether the queue had overflowed.
+    `uncertainty_ns`: the largest possible error of these times, if the chip counted within the times that `times`
+    received and its rate was constant since the window began (up to twice `WINDOW_NS`).
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -147,7 +148,7 @@ class FifoClock:
         return [self.uncertainty_ns] * len(self.drained)
 
     def restart(self) -> None:
-        """Forget everything: the chip was set up again."""
+        """Discard the state: the chip was set up again."""
         self.period_ns = self.nominal_ns
         self.uncertainty_ns = self.nominal_ns / 2
         self.drained: list[int] = []
@@ -161,10 +162,11 @@ class FifoClock:
     def times(
         self, level: int, at_ns: int, overrun: bool = False, *, until_ns: int | None = None, unread: int = 0
     ) -> list[int]:
-        """ns of the oldest `level` samples of a queue that was counted between `at_ns` and `until_ns` (`at_ns` unless
-        given), oldest first, strictly increasing; `unread` newer ones were counted and stay in the queue.
+        """Return the times in ns of the oldest `level` samples of a queue that was counted between `at_ns` and
+        `until_ns` (`at_ns` unless given), oldest first, strictly increasing; `unread` newer ones were counted and stay
+        in the queue.
 
-        After an overrun samples are missing before them, and the estimate begins anew, with the period as it is known.
+        After an overrun samples are missing before them, and the estimate restarts with the known period.
         """
         self.overrun = overrun
         if not level:
@@ -175,7 +177,7 @@ class FifoClock:
         if self._window is None or overrun or not self._cut(newest, from_ns, end_ns):
             self._begin()
         window = self._window
-        if window is None:  # the first count: the newest sample is half a period old, give or take as much
+        if window is None:  # the first count: the newest sample is half a period old, with the same uncertainty
             start_ns, first = (from_ns + end_ns - self.period_ns) / 2, newest
             low, high = self._periods
             slack_ns = max(self.period_ns - low, high - self.period_ns)
@@ -194,13 +196,13 @@ class FifoClock:
         return self.drained
 
     def look(self, waiting: int, from_ns: int, until_ns: int) -> None:
-        """Take in a count of `waiting` samples of which none is drained."""
+        """Apply a count of `waiting` samples of which none is drained."""
         if self._window is not None and not self._cut(self._taken + waiting - 1, float(from_ns), float(until_ns)):
             self._begin()
 
     def best_look_ns(self, now_ns: int, wanted_ns: float) -> int | None:
         """Return the time of the next count that halves the uncertainty: the middle of the possible times of the next
-        sample. None if it is known to `wanted_ns`, or nothing is known yet.
+        sample. None if it is known to `wanted_ns`, or if no sample is known yet.
         """
         if self._window is None or self._window.half_extent_ns(self._taken) <= wanted_ns:
             return None
@@ -210,7 +212,7 @@ class FifoClock:
         return round(next_ns + steps * period_ns)
 
     def _cut(self, newest: int, from_ns: float, end_ns: float) -> bool:
-        """Take a count in; False if no window explains it, and the estimate must begin anew."""
+        """Apply a count; return False if no window is consistent with it, and the estimate must restart."""
         window, following = self._window, self._next
         if following is not None and not following.cut(newest, from_ns, end_ns):
             following = self._next = None
@@ -224,7 +226,9 @@ class FifoClock:
         return window is not None
 
     def _begin(self) -> None:
-        """Forget where the samples were; of the period what the last window knew, unless none explains the count."""
+        """Discard the times of samples; keep the period of the last window, unless no window is consistent with the
+        count.
+        """
         if self._window is not None and self.overrun:
             self._periods = self._window.periods
         else:
@@ -232,7 +236,7 @@ class FifoClock:
         self._window = self._next = None
 
     def _increasing(self, oldest_ns: float, level: int) -> list[int]:
-        """`level` times from `oldest_ns` on, all later than those before."""
+        """Return `level` times from `oldest_ns` on, all later than earlier ones."""
         period_ns, latest_ns = self.period_ns, self._latest_ns
         times: list[int] = np.rint(oldest_ns + np.arange(level) * period_ns).astype(np.int64).tolist()
         if times[0] <= latest_ns:

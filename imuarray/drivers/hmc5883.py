@@ -1,8 +1,8 @@
 """HMC5883 and HMC5883L magnetometers. Honeywell Form 900405 Rev A (2010) and Rev E; facts HMC-*.
 
-Both answer "H43"; the configuration says which one it is, because their gains differ (HMC-30). Data comes as X, Z, Y,
-high byte first (HMC-31); -4096 means that the converter overflowed (HMC-32). The register pointer is always written
-(HMC-06).
+Both identify themselves as "H43"; the configuration must name the chip, because their gains differ (HMC-30). Data comes
+as X, Z, Y, high byte first (HMC-31); -4096 means that the converter overflowed (HMC-32). The register pointer is always
+written (HMC-06).
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from imuarray.facts.registers import Setting
 _CONTINUOUS = 0b00
 _SELF_TEST_GAIN = 5
 _SELF_TEST_L = ((243.0, 575.0),) * 3  # HMC-41, at gain code 5
-# The plain HMC5883 answers about +655, +655, -604 at its default 1024 LSB/G (HMC-42), without limits: half to twice.
+# The plain HMC5883 responds with about +655, +655, -604 at its default 1024 LSB/G (HMC-42): half to twice that.
 _SELF_TEST_PLAIN = tuple((min(v * k, v / k), max(v * k, v / k)) for v, k in ((231.0, 2), (231.0, 2), (-213.0, 2)))
-_SELF_TEST_STILL = 50.0  # counts; a quarter of the smallest answer, and noise is one count: HMC-53
+_SELF_TEST_STILL = 50.0  # counts; a quarter of the smallest response, and noise is one count: HMC-53
 _READY_S = 0.050  # after power-on: HMC-51
 
 
@@ -34,7 +34,7 @@ class Hmc5883(ChipDriver):
 
     burst: ClassVar[int] = 6
     reading: ClassVar[slice] = slice(0, 6)
-    tells_fresh: ClassVar[bool] = False  # the status register sits behind a wrap that data sheets dispute: HMC-06
+    tells_fresh: ClassVar[bool] = False  # the status register follows a wrap on which data sheets differ: HMC-06
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
@@ -45,16 +45,17 @@ class Hmc5883(ChipDriver):
             facts.GAIN(ranges.index(sensor.range or ranges[1])),
         )
         self.mode = facts.HIGH_SPEED(0) | facts.OPERATION(_CONTINUOUS)
-        # Reading the mode locks the data of the L until the next fetch (HMC-34); unwatched, a reset would go unseen.
+        # Reading the mode locks the data of the L until the next fetch (HMC-34); unread, a reset would not be detected.
         self.watched: tuple[Setting, ...] = (*self.settings, self.mode)
         self.is_l = sensor.chip == "hmc5883l"
 
     def identify(self) -> None:
-        """The identity registers spell "H43" (HMC-17)."""
+        """Check that the identity registers contain "H43" (HMC-17); SensorError."""
         self.registers.expect(facts.IDENTITY_A, facts.IDENTITY_B, facts.IDENTITY_C)
 
     def steps(self) -> Iterator[float]:
-        """Rate, gain, continuous mode, read back; the first set still has the old gain and is thrown away (HMC-36).
+        """Set rate, gain and continuous mode, and verify them; the first set still has the old gain and is discarded
+        (HMC-36).
 
         Reading the mode register locks the data registers of the L until all six have been read (HMC-34).
         """
@@ -68,7 +69,9 @@ class Hmc5883(ChipDriver):
         yield 1 / self.rate_hz
 
     def self_test(self) -> SelfTest:
-        """Answer to the chip's own field at gain code 5; the chip subtracts the earth's by itself (HMC-41, HMC-42)."""
+        """Measure the response to the chip's own field at gain code 5; the chip subtracts the earth's field (HMC-41,
+        HMC-42).
+        """
         biased = facts.AVERAGING(0) | facts.OUTPUT_RATE(0b110) | facts.MEASUREMENT_BIAS(0b01)
         self.registers.set(biased, facts.GAIN(_SELF_TEST_GAIN))
         self.registers.poke(facts.MODE, facts.OPERATION(_CONTINUOUS).value)
@@ -84,7 +87,7 @@ class Hmc5883(ChipDriver):
         return verdict
 
     def _settled(self) -> Floats:
-        """Return a few readings (n, 3) in counts, the first ones thrown away."""
+        """Return a few readings (n, 3) in counts, without the first ones."""
         readings = []
         for _ in range(7):
             sleep_for(self.clock, 2 / 75)
@@ -92,15 +95,15 @@ class Hmc5883(ChipDriver):
         return np.asarray(readings[3:], float)
 
     def fetch(self) -> bytes:
-        """0x03 ... 0x08, all six bytes, so that the data registers unlock again (HMC-33)."""
+        """Read 0x03 ... 0x08, all six bytes, so that the data registers unlock again (HMC-33)."""
         return self.registers.peek(facts.DATA_X_MSB, self.burst)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts in the order x, y, z; saturated where the converter overflowed."""
+        """Return counts in the order x, y, z; saturated where the converter overflowed."""
         words = np.ascontiguousarray(bursts).view(">i2").astype(np.int16)
         counts = words[:, [0, 2, 1]]
         return DecodedBursts(counts, None, saturated(counts, -2048, 2047))
 
     def header(self) -> Mapping[str, int]:
-        """No attributes of its own."""
+        """Return no attributes."""
         return {}

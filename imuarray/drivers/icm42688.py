@@ -1,10 +1,10 @@
 """ICM-42688-P: accelerometer and gyroscope of one die, two sensors that share a place.
 
 TDK InvenSense DS-000347; facts TDK-*. A burst is 0x1D ... 0x2A, thermometer, accelerometer and gyroscope, high byte
-first as INTF_CONFIG0 is set; 132.48 counts a degC, 0 at 25 degC (TDK-12, -32). A count of -32768 says that there is no
-valid reading (TDK-13): the sensor is off, or starts. While it measures only range, rate and mode may be written
-(TDK-22), so that the die is switched off for everything else, unless all of it is set already: then the half that
-measures is not disturbed by the other's set-up.
+first by INTF_CONFIG0; 132.48 counts a degC, 0 at 25 degC (TDK-12, -32). A count of -32768 means that there is no valid
+reading (TDK-13): the sensor is off, or starts. During measurement only range, rate and mode may be written (TDK-22), so
+the die is switched off for other settings, unless they are all set already: then the set-up of one half does not
+disturb the other.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _START_S = 0.06  # of the gyroscope, the slower half: TDK-21
 _LOW_NOISE = 0b11  # TDK-11
 _RATE_CODES = {4000.0: 4, 2000.0: 5, 1000.0: 6, 500.0: 15, 200.0: 7, 100.0: 8, 50.0: 9, 25.0: 10, 12.5: 11}  # TDK-15
 _SECOND_ORDER = 0b01  # of both filters, as after power-on: TDK-16
-_I2C_OFF = 0b11  # else noise on the lines may pass for I2C: TDK-71
+_I2C_OFF = 0b11  # otherwise noise on the lines may be taken for I2C: TDK-71
 _ADAPTIVE_RANGE_OFF = 0b01  # otherwise the gyroscope stalls near 100 dps: TDK-18
 _ANTI_ALIAS = (13, 170, 8)  # 585 Hz, of both: TDK-17
 _CLOCK_INPUT, _PULSE_INPUT = 0b10, 0b01  # TDK-24
@@ -101,9 +101,10 @@ class _Half(SixAxisHalf):
         return facts.REG_BANK_SEL[7:0](facts.BANK(number).value)
 
     def steps(self) -> Iterator[float]:
-        """Set what both halves share, with the die off, unless it is set; then this half's range and rate.
+        """Set the common settings of both halves, with the die off, unless they are set; then this half's range and
+        rate.
 
-        The die is off for no longer than these transactions take: nothing else is done meanwhile.
+        The die is off only during these transactions.
         """
         self.registers.set(self._bank(0))
         if not self._is_set():
@@ -115,7 +116,7 @@ class _Half(SixAxisHalf):
         yield 2 / self.rate_hz
 
     def _is_set(self) -> bool:
-        """Return whether the die measures with everything set that both halves share."""
+        """Return whether the die measures with all common settings of both halves."""
         if not all(self._holds(setting) for setting in (self.power, *self.settings)):
             return False
         different = [setting for setting in self._filters_by_bank() if not self._holds(setting)]
@@ -125,7 +126,7 @@ class _Half(SixAxisHalf):
         return self.registers.peek(setting.register)[0] & setting.mask == setting.value
 
     def _write_shared(self) -> None:
-        """Bits that are not named keep their value."""
+        """Write settings; other bits keep their value."""
         for setting in chain(self.settings, self._filters_by_bank()):
             if setting.mask == 0xFF:
                 self.registers.poke(setting.register, setting.value)
@@ -144,7 +145,7 @@ class _Half(SixAxisHalf):
         self.registers.set(self._bank(0))
 
     def self_test(self) -> SelfTest:
-        """Change of the counts with the self-test on, in shares of the factory's (TDK-40 ... TDK-42)."""
+        """Measure the change of the counts with the self-test on, as a share of the factory's (TDK-40 ... TDK-42)."""
         self.configure()
         trim = self._trim_counts()
         if not trim.all():
@@ -160,8 +161,8 @@ class _Half(SixAxisHalf):
         return compared(*upward(before, during), self.limits, text, still=0.05)
 
     def _trim_counts(self) -> Floats:
-        """Return the factory's change (3,) at the range of the self-test, half as much at twice the smallest
-        (TDK-40).
+        """Return the factory's change (3,) at the range of the self-test, which is half as large at twice the smallest
+        range (TDK-40).
         """
         self.registers.set(self._bank(self.trim.bank))
         codes = self.registers.peek(self.trim, 3)
@@ -169,14 +170,14 @@ class _Half(SixAxisHalf):
         return factory_change(codes) / 2.0 ** (3 - self.self_test_range)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 16 bits, of which -32768 is none: such a row is suspect, not saturated."""
+        """Return counts of 16 bits; a row with -32768 has no reading and is suspect, not saturated."""
         decoded = super().decode(bursts)
         return decoded._replace(status=_status(decoded.counts))
 
 
 def _status(counts: npt.NDArray[Any], bits: int = 16) -> npt.NDArray[np.uint16]:
-    """Return (n,) flags of (n, 3) counts: suspect where the lowest code, -32768 of 16 bits, says that there is no
-    reading, saturated at the ends of the rest.
+    """Return (n,) flags of (n, 3) counts: suspect for the lowest code, -32768 of 16 bits, which means no reading;
+    saturated at the other ends of the range.
     """
     lowest = -1 << bits - 1
     invalid = (counts == lowest).any(axis=1)
@@ -228,9 +229,10 @@ class _QueuedHalf(QueuedHalf, _Half):
         return Icm42688Queue(self.registers, self.clock, rates_hz, has_pulses=self.has_pulses)
 
     def _queue_settings(self) -> tuple[Setting, ...]:
-        """Packets of the halves that are read, the oldest lost first (TDK-80), stamped in microseconds (TDK-83).
+        """Return the queue: packets of the halves that are read, of which the oldest are lost first (TDK-80), with
+        stamps in microseconds (TDK-83).
 
-        Only packets of both halves have a stamp, and so room for the time since a pulse (TDK-90).
+        Only packets of both halves have a stamp, and thus the time since a pulse (TDK-90).
         """
         halves = packet_format.HALVES if self.has_pulses else self.die_queue.halves
         both = len(halves) > 1
@@ -244,7 +246,7 @@ class _QueuedHalf(QueuedHalf, _Half):
         )
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 16 bits; the temperature in the counts of its register, 64 for each of its own (TDK-82)."""
+        """Return counts of 16 bits, and the temperature in counts of its register, 64 for each of its own (TDK-82)."""
         counts = np.ascontiguousarray(bursts[:, self.reading]).view(">i2").astype(np.int16)
         coarse = np.ascontiguousarray(bursts[:, 13]).view(np.int8).astype(np.int16)
         temperature = np.where(coarse == -128, _INVALID, coarse * 64).astype(np.int16)  # TDK-82
@@ -270,7 +272,7 @@ class Icm42688GyroscopeFifo(_QueuedHalf, Icm42688Gyroscope):
 
 
 class _HighResolutionHalf(_QueuedHalf):
-    """One half read by the queue in packets of 20 bytes, which hold the largest range whatever is set (TDK-89)."""
+    """One half read by the queue in packets of 20 bytes, which have the largest range in any case (TDK-89)."""
 
     burst: ClassVar[int] = packet_format.ROW_BYTES
     reading: ClassVar[slice] = slice(0, 12)
@@ -280,7 +282,7 @@ class _HighResolutionHalf(_QueuedHalf):
         return Icm42688Queue(self.registers, self.clock, (self.rate_hz, self.nominal_rate_hz), high_resolution=True)
 
     def _queue_settings(self) -> tuple[Setting, ...]:
-        """Packets of both halves, whichever are read (TDK-88)."""
+        """Return the queue: packets of both halves in any case (TDK-88)."""
         packets = facts.FIFO_HIGH_RESOLUTION(1) | facts.FIFO_ACCEL(1) | facts.FIFO_GYRO(1)
         packets |= facts.FIFO_TEMPERATURE(1) | facts.FIFO_TIMESTAMP(1)
         return (
@@ -290,7 +292,9 @@ class _HighResolutionHalf(_QueuedHalf):
         )
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 18 or 19 bits, whose lowest code is no reading, and the temperature register's own counts."""
+        """Return counts of 18 or 19 bits, of which the lowest code is no reading, and the temperature register's own
+        counts.
+        """
         counts = np.ascontiguousarray(bursts[:, self.reading]).view(">i4").astype(np.int32)
         temperature = np.ascontiguousarray(bursts[:, 12:]).view(">i2")[:, 0].astype(np.int16)
         return DecodedBursts(counts, temperature, _status(counts, self.bits))

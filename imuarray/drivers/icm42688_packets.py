@@ -1,9 +1,9 @@
 """Packets in the queue of an ICM-42688-P: bytes to bytes, without a chip.
 
-A packet begins with a header that says what is in it and so how long it is (TDK-81): 8 bytes with one triad, 16 with
-both and a time stamp, 20 with both in 20 bits. In the last the four lowest bits of each axis stand behind everything
-else, those of the accelerometer above those of the gyroscope (TDK-88). Of its 20 bits the accelerometer leaves two at
-0, the gyroscope one (TDK-89): a row has 18 and 19 bits.
+A packet begins with a header that determines its contents and length (TDK-81): 8 bytes with one triad, 16 with both and
+a time stamp, 20 with both in 20 bits. In the last, the four lowest bits of each axis are at the end, those of the
+accelerometer above those of the gyroscope (TDK-88). Of its 20 bits the accelerometer leaves two at 0, the gyroscope one
+(TDK-89): a row has 18 and 19 bits.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ROW_BYTES = 14
 first.
 """
 HALVES: Mapping[str, int] = MappingProxyType({"acc": 0x40, "gyro": 0x20})
-"""Bit of the header that says that the triad of this half is in the packet."""
+"""Bit of the header that is set if the triad of this half is in the packet."""
 _EMPTY, _MORE_BITS, _PULSE = 0x80, 0x10, 0x0C
 _FIRST: Mapping[str, int] = MappingProxyType({"acc": 1, "gyro": 7})
 _EXTENSION = slice(17, 20)
@@ -36,7 +36,7 @@ def header_of(halves: Collection[str], *, high_resolution: bool = False) -> int:
 
 
 def is_empty(header: int) -> bool:
-    """True for the header that says that the queue is empty."""
+    """Return whether a header means that the queue is empty."""
     return bool(header & _EMPTY)
 
 
@@ -46,7 +46,7 @@ def are_after_pulse(headers: Bytes) -> npt.NDArray[np.bool_]:
 
 
 def packet_size(header: int) -> int:
-    """Bytes of a packet with this header; 0 if the header says that the queue is empty, or belongs to no packet."""
+    """Return the length of a packet with this header; 0 if the queue is empty, or if no packet has it."""
     triads = header & (HALVES["acc"] | HALVES["gyro"])
     if is_empty(header) or not triads:
         return 0
@@ -57,12 +57,12 @@ def packet_size(header: int) -> int:
 
 
 def stamp_offset(size: int) -> int:
-    """Position of the 16-bit time stamp in a packet of this size, high byte first."""
+    """Return the position of the 16-bit time stamp in a packet of this size, high byte first."""
     return 15 if size == HIGH_RESOLUTION else 14
 
 
 def widened(packets: bytes, half: str) -> bytes:
-    """Packets of one half as packets of both, with nothing in the place of the other."""
+    """Return packets of one half as packets of both, without readings of the other."""
     table = np.frombuffer(packets, np.uint8).reshape(-1, ONE_TRIAD)
     wide = np.zeros((len(table), BOTH_TRIADS), np.uint8)
     first = _FIRST[half]
@@ -71,7 +71,7 @@ def widened(packets: bytes, half: str) -> bytes:
 
 
 def high_resolution_rows(packets: bytes, half: str) -> bytes:
-    """Rows of one half (`ROW_BYTES` each) of packets of 20 bytes; one without a reading has the lowest code."""
+    """Return rows of one half (`ROW_BYTES` each) of packets of 20 bytes; one without a reading has the lowest code."""
     table = np.frombuffer(packets, np.uint8).reshape(-1, HIGH_RESOLUTION)
     first = _FIRST[half]
     upper = np.ascontiguousarray(table[:, first : first + 6]).view(">i2").astype(np.int32)

@@ -4,10 +4,10 @@ A sensor is one triad of a device (its accelerometer, gyroscope or magnetometer)
 halves of a six-axis chip do. With `fifo = true` the kernel captures into its buffer, and every sample arrives with the
 time that the kernel gave it; without it the three attributes `in_..._raw` are read in each frame, one after the other.
 
-The log holds raw counts. What a count means comes from the kernel's `scale`, which is the log's sensitivity, and its
+The log holds raw counts. Their unit follows from the kernel's `scale`, which is the log's sensitivity, and its
 `offset`, which is added to the counts as a whole number. The mounting matrix gives the axes where the configuration
-does not. Register read-back is lost: nobody but the kernel reads the chip's registers, and a chip that fell back to its
-defaults is only noticed if its samples stop. Facts LNX-60 to -68.
+does not. There is no register read-back: only the kernel reads the chip's registers, and a chip that was reset to its
+defaults is detected only if its samples stop. Facts LNX-60 to -68.
 """
 
 from __future__ import annotations
@@ -47,20 +47,20 @@ TEMPERATURE = "in_temp"
 MOST_BITS = 31
 """Bits of a count in a log, which is 32 bits wide and signed."""
 RANGE_MARGIN = 0.98
-"""A full scale of so much of the wanted range is that range: 32767 counts of 0.488 mg are 15.99 g."""
+"""A full scale of at least this share of the required range is accepted: 32767 counts of 0.488 mg are 15.99 g."""
 RATE_MARGIN = 0.01
 """A driver that rounds the data rate by less keeps it."""
 SCALE_MARGIN = 1e-3
-"""Axes whose scales differ by less have one: sysfs prints six digits after the point."""
+"""Scales of the axes that differ by less are taken to be equal: sysfs prints six digits after the point."""
 ROUNDED = 2e-3
-"""A scale that is off by less than this share of the data sheet's is the data sheet's, rounded."""
+"""A scale within this share of the data sheet's is taken to be the data sheet's, rounded."""
 BUFFER_S = 4.0
 SHORTEST_BUFFER = 128
 LONGEST_BUFFER = 1 << 15
 WATERMARK_S = 0.05
-"""Samples of so long wait in the chip's own queue, where the driver uses one."""
+"""Duration of the samples that wait in the chip's own queue, where the driver uses one."""
 GAP_PERIODS = 1.6
-"""Samples further apart than that have others missing between them: oscillators are off by some percent."""
+"""Interval in nominal intervals from which on samples are missing: oscillators have errors of some percent."""
 BURST = np.dtype("<i4")
 _WORDS = 4  # x, y, z and the temperature
 
@@ -88,21 +88,21 @@ class Conversion(NamedTuple):
     scale: float
     offset: int
     reach: int
-    """Counts are from -reach up to reach, not included; one that is further out is cut off there."""
+    """Counts are from -reach to below reach; others are clipped."""
     full_scale: float
     """Largest value in the log's unit."""
     thermometer: ThermometerScale | None = None
 
     @property
     def bits(self) -> int:
-        """Bits of a signed number that holds every count."""
+        """Return the bits of a signed number that holds every count."""
         return (self.reach - 1).bit_length() + 1
 
 
 class IioQueue:
-    """Samples of one sensor that wait until it is visited. `drained`, `gaps` and `uncertainties_ns` tell of what `take`
-    gave last: times, before which of them samples are missing, which the kernel's buffer does not tell, and the largest
-    error of each time where it is known: of times by count, not of those of the kernel, which states none.
+    """Samples of one sensor that wait until it is visited. `drained`, `gaps` and `uncertainties_ns` describe the last
+    result of `take`: the times, the positions before which samples are missing (unknown for the kernel's buffer), and
+    the largest error of each time where it is known: for times by count, not for those of the kernel.
     """
 
     def __init__(self, period_ns: float) -> None:
@@ -119,12 +119,12 @@ class IioQueue:
         self._rows, self._times_ns, self._uncertainties_ns = bytearray(), [], []
 
     def restart(self) -> None:
-        """The device was set up again: forget everything."""
+        """Discard the state: the device was set up again."""
         self._forget()
         self._newest_ns = None
 
     def put(self, rows: bytes, times_ns: Sequence[int], uncertainties_ns: Sequence[float] = ()) -> None:
-        """Let these rows wait, one for each time; if they are not fetched, they are dropped."""
+        """Store rows, one for each time; if they are not fetched, they are dropped."""
         if len(self._times_ns) > LONGEST_BUFFER:
             self._forget()
         self._rows += rows
@@ -132,7 +132,7 @@ class IioQueue:
         self._uncertainties_ns += uncertainties_ns
 
     def take(self) -> bytes:
-        """Return all rows that wait, and let none wait any more."""
+        """Return and remove all waiting rows."""
         self.drained, self.uncertainties_ns, taken = self._times_ns, self._uncertainties_ns, bytes(self._rows)
         self._forget()
         before = [] if self._newest_ns is None else [self._newest_ns]
@@ -162,7 +162,7 @@ class IioSensor:
 
     @property
     def device(self) -> IioDevice:
-        """The device that it is a part of."""
+        """The device of this triad."""
         return self._capture.device
 
     @property
@@ -173,7 +173,7 @@ class IioSensor:
     # Set-up -------------------------------------------------------------------------------------------------------
 
     def identify(self) -> None:
-        """SensorError unless the device is there and has all three axes of this quantity."""
+        """Check that the device exists and has all three axes of this quantity; SensorError."""
         folder = self.device.folder
         missing = [name for name in self.names if not (folder / f"{name}_raw").exists()]
         if missing:
@@ -197,11 +197,11 @@ class IioSensor:
         yield 0.0
 
     def configure(self) -> None:
-        """All `steps`."""
+        """Carry out all `steps`."""
         carry_out(self._capture.clock, self.steps())
 
     def set_scale(self, elements: Mapping[str, ScanElement]) -> None:
-        """Choose the scale of the wanted range and read what counts mean; while nothing is captured."""
+        """Choose the scale of the required range and read scale and offset, while no capture runs."""
         wanted, attribute = self.sensor.range, self._attribute("scale")
         offset = self._common("offset", 0.0)
         if not abs(offset) < 2**MOST_BITS:
@@ -227,7 +227,7 @@ class IioSensor:
         self.axes = self._mounting()
 
     def _choose_scale(self, attribute: str, wanted: float, reach: int) -> None:
-        """Set the smallest full scale that has the wanted range; SensorError names those that there are."""
+        """Set the smallest full scale that has the required range; SensorError lists the possible ones."""
         available = _numbers(self._text("scale_available"))
         full = {text: reach * float(text) / self.unit_si for text in available if float(text) > 0}
         if not full:
@@ -243,8 +243,8 @@ class IioSensor:
             raise SensorError(f"{self.device}: {attribute} reads {kept:g} after {text} was written")
 
     def _unrounded(self, scale: float, text: str) -> float:
-        """Return the data sheet's scale that the kernel means by `text`, if there is one: some drivers give six digits
-        after the point, of which three are zeros for a gyroscope, or multiples of one that was rounded before.
+        """Return the data sheet's scale that `text` of the kernel stands for, if there is one: some drivers print six
+        digits after the point, of which three are zeros for a gyroscope, or multiples of a rounded value.
         """
         digit = 10.0 ** -len(text.partition(".")[2])
         exact = [self.unit_si / counts for counts in self.sensor.spec.sensitivity.values()]
@@ -276,9 +276,7 @@ class IioSensor:
         return values[0]
 
     def _thermometer(self, elements: Mapping[str, ScanElement]) -> ThermometerScale | None:
-        """Return the thermometer that is captured with it, if there is one whose counts are known and fit 16 bits
-        (LNX-65).
-        """
+        """Return the thermometer that is captured with it, if its counts are known and fit 16 bits (LNX-65)."""
         element = elements.get(TEMPERATURE)
         if element is None or element.range_bits > 16 or not self.sensor.fifo:
             return None
@@ -306,7 +304,7 @@ class IioSensor:
 
     @property
     def mount_matrix(self) -> str:
-        """The device's mounting matrix as sysfs has it; "" if it has none."""
+        """The device's mounting matrix as in sysfs; "" if it has none."""
         names = (f"{self.channel}_mount_matrix", "in_mount_matrix", "mount_matrix")
         return next((text for name in names if (text := self.device.read(name))), "")
 
@@ -315,7 +313,7 @@ class IioSensor:
         return False
 
     def self_test(self) -> SelfTest:
-        """IIO has none that all drivers share."""
+        """Raise an error: IIO has no self-test that all drivers share."""
         return SelfTest(None, "the kernel's driver offers no self-test")
 
     # Reading ------------------------------------------------------------------------------------------------------
@@ -351,7 +349,7 @@ class IioSensor:
         return {}
 
     def described(self, header: SensorHeader) -> SensorHeader:
-        """`header` with what the kernel says of the sensor: sensitivity, range, axes, and texts of its own."""
+        """Return `header` with the kernel's description of the sensor: sensitivity, range, axes, and texts."""
         conversion, thermometer = self.conversion, self.conversion.thermometer
         extra: dict[str, int | float | str] = {
             "iio_name": self.device.name[:255],
@@ -386,7 +384,7 @@ class BufferedIioSensor(IioSensor):
         super().__init__(sensor, capture)
 
     def fetch(self) -> bytes:
-        """Return all samples that wait. OSError with ENODEV if the device was removed."""
+        """Return all waiting samples. OSError with ENODEV if the device was removed."""
         self._capture.drain()
         return self.queue.take()
 
@@ -404,16 +402,16 @@ class IioCapture:
         self._clock: FifoClock | None = None
 
     def join(self, sensor: IioSensor) -> None:
-        """Make `sensor` one of those that the device serves."""
+        """Add `sensor` to those that the device serves."""
         self._members.append(sensor)
 
     @property
     def counts_out_times(self) -> bool:
-        """True if the buffer has no times: those of its samples then follow from their counts."""
+        """Return whether the buffer has no times: those of its samples then follow from their counts."""
         return self._clock is not None
 
     def set_up(self, sensor: IioSensor) -> None:
-        """Set the device up for all its sensors, unless that was done for another of them just now. OSError,
+        """Set the device up for all its sensors, unless that was just done for another of them. OSError,
         SensorError.
         """
         if self._set_up and sensor not in self._set_up:
@@ -437,8 +435,8 @@ class IioCapture:
         self._set_up = [sensor]
 
     def _set_rate(self, config: SensorConfig, channels: Sequence[str]) -> None:
-        """Set the data rate, where the driver has one: the wanted one, or with a trigger the least that is not slower.
-        SensorError names those that there are.
+        """Set the data rate, if the driver has one: the configured one, or with a trigger the lowest that is not
+        slower. SensorError lists the possible ones.
         """
         rate_hz = config.chip_rate_hz
         names = ("sampling_frequency", *(f"{channel}_sampling_frequency" for channel in channels))
@@ -480,8 +478,8 @@ class IioCapture:
                 member.queue.restart()
 
     def _choose_trigger(self, config: SensorConfig) -> None:
-        """Set the trigger that the configuration names, and its pace where it has one, or leave the trigger that is
-        set; SensorError if there is none.
+        """Set the configured trigger, and its rate where it has one, or keep the trigger that is set; SensorError if
+        there is none.
         """
         attribute, wanted = "trigger/current_trigger", config.trigger
         current = self.device.read(attribute)
@@ -503,7 +501,7 @@ class IioCapture:
             )
 
     def drain(self) -> None:
-        """Take all scans that wait and give each sensor its share. OSError."""
+        """Read all waiting scans and pass each sensor its part. OSError."""
         layout = self._layout
         from_ns = self.clock.now_ns()
         scans = self.device.scans()
@@ -542,17 +540,17 @@ def _rows(columns: Mapping[str, Any], member: IioSensor) -> bytes:
 
 
 def _choice(triggers: Iterable[str]) -> str:
-    """Return the triggers that there are, for a message."""
+    """Return the existing triggers, for a message."""
     return ", ".join(printable(name) for name in triggers) or "none yet: the module iio-trig-hrtimer creates them"
 
 
 def _plain(number: float) -> str:
-    """Return a number as sysfs takes it."""
+    """Format a number for sysfs."""
     return f"{number:.6f}".rstrip("0").rstrip(".")
 
 
 def _signed_axis(column: Sequence[float]) -> str:
-    """Return the signed box axis that a column of a rotation by quarter turns is; ValueError for another."""
+    """Return the signed box axis of a column of a rotation by quarter turns; ValueError for another rotation."""
     rounded = [round(value) for value in column]
     if max(abs(value - whole) for value, whole in zip(column, rounded, strict=True)) > 1e-3:
         raise ValueError
@@ -574,7 +572,7 @@ def _number(name: str, text: str | None) -> float:
 
 
 def _numbers(text: str) -> list[str]:
-    """Return the values of an attribute `..._available`, as they are written; none for a span, "[least step most]"."""
+    """Return the values of an attribute `..._available`, as text; none for a range, "[least step most]"."""
     if text.startswith("["):
         return []
     values = text.split()
@@ -584,7 +582,7 @@ def _numbers(text: str) -> list[str]:
 
 
 def _advice(error: OSError) -> str:
-    """Return a sentence on what failed at which file, and what can be done about it."""
+    """Return a sentence on an error of a file, with advice."""
     where = error.filename or "the device"
     advice = {
         errno.EACCES: "; give your group write access by a udev rule, or run as root",

@@ -1,8 +1,8 @@
 """L3G4200D gyroscope. ST data sheet Doc ID 17116 Rev 3 (2010); facts L3G-*.
 
-Bit 7 of the register address makes it count on (L3G-03). BDU keeps the two bytes of an axis together (L3G-50). The
-bandwidth bits act only where Out_Sel routes the data through the second low-pass (L3G-36, L3G-37). One burst carries
-temperature, status and the triad, 0x26 ... 0x2D.
+Bit 7 of the register address requests auto-increment (L3G-03). BDU keeps the two bytes of an axis together (L3G-50).
+The bandwidth bits act only where Out_Sel routes the data through the second low-pass (L3G-36, L3G-37). One burst
+carries temperature, status and the triad, 0x26 ... 0x2D.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class L3g4200d(ChipDriver):
         self.range_dps = sensor.range or 250.0
         self.sensitivity = sensor.spec.sensitivity[self.range_dps]
         bandwidths = sensor.spec.allowed_bandwidths_hz(self.rate_hz)
-        # At 100 Hz three of the four codes mean 25 Hz; the first will do.
+        # At 100 Hz three of the four codes are 25 Hz; the first is used.
         bandwidth_code = bandwidths.index(sensor.chip_bandwidth_hz) if sensor.chip_bandwidth_hz in bandwidths else 0
         self.power = (
             facts.DATA_RATE(_RATE_CODES[self.rate_hz])
@@ -66,12 +66,12 @@ class L3g4200d(ChipDriver):
         self.watched: tuple[Setting, ...] = (self.power, *self.settings[2:])
 
     def identify(self) -> None:
-        """WHO_AM_I is 0xD3 (L3G-10)."""
+        """Check that WHO_AM_I is 0xD3 (L3G-10); SensorError."""
         self.registers.expect(facts.WHO_AM_I)
 
     def steps(self) -> Iterator[float]:
-        """Yield the steps of its configuration, without a reset, since there is none: every control register is
-        written, then the power bit; wait out the turn-on.
+        """Yield the steps of its configuration, without a reset, because there is none: every control register is
+        written, then the power bit; wait for the turn-on.
         """
         for setting in (*self.settings, self.power):
             self.registers.set(setting)
@@ -86,7 +86,9 @@ class L3g4200d(ChipDriver):
         return True
 
     def self_test(self) -> SelfTest:
-        """Output change with the self-test on, positive sign: a third to three times the typical one (L3G-62)."""
+        """Measure the change of the output with the self-test on, positive sign: a third to three times the typical one
+        (L3G-62).
+        """
         normal = self.settings[2]
         self.registers.set(*self.settings[:2], facts.OUT_SELECT(0b00), normal, facts.FIFO_MODE(_BYPASS), self.power)
         sleep_for(self.clock, _TURN_ON_S)
@@ -99,7 +101,7 @@ class L3g4200d(ChipDriver):
         return compared(before, during, ((typical / 3, typical * 3),) * 3, text, still=typical / 12)
 
     def _readings_dps(self) -> Floats:
-        """Angular rates (n, 3) in dps, once the filter has settled."""
+        """Return angular rates (n, 3) in dps, once the filter has settled."""
         sleep_for(self.clock, 0.1)
         counts = []
         for _ in range(_SELF_TEST_SAMPLES):
@@ -109,17 +111,17 @@ class L3g4200d(ChipDriver):
         return np.asarray(np.array(counts) / self.sensitivity)
 
     def _read(self, register: Register, count: int) -> bytes:
-        """`count` registers from `register` on."""
+        """Read `count` registers from `register` on."""
         return self.registers.bus.transfer(self.registers.address, bytes([register.address | _COUNT_ON]), count)
 
     def fetch(self) -> bytes:
-        """0x26 ... 0x2D with the count-on bit: temperature, status, x, y, z."""
+        """Read 0x26 ... 0x2D with auto-increment: temperature, status, x, y, z."""
         return self._read(facts.OUT_TEMP, self.burst)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 16 bits, low byte first; temperature falls by one count per degC (L3G-60).
+        """Return counts of 16 bits, low byte first; the temperature decreases by one count per degC (L3G-60).
 
-        Stale where ZYXDA was clear, overrun where ZYXOR was set: new data replaced data that nobody had read (L3G-52).
+        Stale where ZYXDA was clear, overrun where ZYXOR was set: new data replaced unread data (L3G-52).
         """
         triads, source = _triads(bursts[:, 2:8]), bursts[:, 1]
         stale = flagged(~source, facts.ZYX_AVAILABLE.mask, STALE)
@@ -129,15 +131,15 @@ class L3g4200d(ChipDriver):
         )
 
     def header(self) -> Mapping[str, int]:
-        """No attributes of its own."""
+        """Return no attributes."""
         return {}
 
 
 class L3g4200dFifo(L3g4200d):
-    """The same chip with its queue of 32 sets drained: one transaction says how many there are, one fetches them all.
+    """The same chip with its queue of 32 sets drained: one transaction reads their number, one fetches all of them.
 
-    The address wraps from 0x2D to 0x28 (L3G-05), so that a drain is one burst. The thermometer sits before the wrap and
-    is left alone.
+    The address wraps from 0x2D to 0x28 (L3G-05), so that a drain is one burst. The thermometer is before the wrap and
+    is not read.
     """
 
     burst: ClassVar[int] = 6
@@ -155,22 +157,22 @@ class L3g4200dFifo(L3g4200d):
         self.queue.restart()
 
     def fetch(self) -> bytes:
-        """Return every set that is waiting, oldest first."""
+        """Return every set in the queue, oldest first."""
         at_ns = self.clock.now_ns()
         source = self.registers.peek(facts.FIFO_SRC_REG)[0]
         until_ns = self.clock.now_ns()
         overrun = facts.FIFO_OVERRUN.of(source)
-        level = facts.FIFO_LEVEL.of(source) + overrun  # five bits can't say 32: L3G-58
+        level = facts.FIFO_LEVEL.of(source) + overrun  # five bits can't express 32: L3G-58
         sets = self._read(facts.OUT_X_L, self.burst * level) if level else b""
         self.queue.times(level, at_ns, bool(overrun), until_ns=until_ns)
         return sets
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 16 bits, low byte first; a set in the queue is always new."""
+        """Return counts of 16 bits, low byte first; a set in the queue is always new."""
         return _triads(bursts)
 
 
 def _triads(data: Bytes) -> DecodedBursts:
-    """Counts from (n, 6) data bytes."""
+    """Return counts of (n, 6) data bytes."""
     counts = np.ascontiguousarray(data).view("<i2").astype(np.int16)
     return DecodedBursts(counts, None, saturated(counts, -32768, 32767))

@@ -1,8 +1,8 @@
 """LIS3MDL magnetometer. ST data sheet DocID024204 Rev 6; facts LIS-*.
 
-Bit 7 of the register address makes it count on (LIS-03). BDU keeps the two bytes of an axis together (LIS-13). It
-averages as many samples as its data rate allows: ultra-high performance (LIS-11). The temperature is read on its own,
-before status and triad: a burst does not go on from the triad to the temperature (LIS-18).
+Bit 7 of the register address requests auto-increment (LIS-03). BDU keeps the two bytes of an axis together (LIS-13). It
+averages as many samples as its data rate allows: ultra-high performance (LIS-11). The temperature is read separately,
+before status and triad: a burst does not continue from the triad to the temperature (LIS-18).
 """
 
 from __future__ import annotations
@@ -72,11 +72,11 @@ class Lis3mdl(ChipDriver):
         self.watched: tuple[Setting, ...] = self.settings[len(_OFFSETS) :]
 
     def identify(self) -> None:
-        """WHO_AM_I is 0x3D (LIS-02)."""
+        """Check that WHO_AM_I is 0x3D (LIS-02); SensorError."""
         self.registers.expect(facts.WHO_AM_I, relatives=_RELATIVES)
 
     def steps(self) -> Iterator[float]:
-        """Offsets off, every setting, continuous measurement last; then until its first samples are over."""
+        """Set offsets to zero, every setting, and continuous measurement last; then wait for its first samples."""
         for setting in self.settings:
             self.registers.set(setting)
             yield 0.0
@@ -91,7 +91,7 @@ class Lis3mdl(ChipDriver):
         return True
 
     def self_test(self) -> SelfTest:
-        """Change of the field with the self-test on, at 12 gauss and 80 Hz (LIS-16)."""
+        """Measure the change of the field with the self-test on, at 12 gauss and 80 Hz (LIS-16)."""
         self.configure()
         normal = facts.XY_PERFORMANCE(_ULTRA_HIGH) | facts.DATA_RATE(_SELF_TEST_RATE)
         self.registers.poke(facts.CTRL_REG2, facts.FULL_SCALE(_RANGE_CODES[_SELF_TEST_RANGE]).value)
@@ -105,7 +105,7 @@ class Lis3mdl(ChipDriver):
         return compared(before, during, _SELF_TEST_GAUSS, text, still=_SELF_TEST_STILL)
 
     def _readings_gauss(self) -> Floats:
-        """Fields (n, 3) in gauss, the first ones left out."""
+        """Return fields (n, 3) in gauss, without the first ones."""
         sleep_for(self.clock, _SELF_TEST_SETTLE_S)
         counts = []
         for _ in range(_SELF_TEST_SAMPLES):
@@ -117,13 +117,12 @@ class Lis3mdl(ChipDriver):
         return self.registers.bus.transfer(self.registers.address, bytes([register.address | _COUNT_ON]), count)
 
     def fetch(self) -> bytes:
-        """0x2E and 0x2F, then 0x27 ... 0x2D, with the count-on bit: temperature; status, x, y, z."""
+        """Read 0x2E and 0x2F, then 0x27 ... 0x2D, with auto-increment: temperature; status, x, y, z."""
         return self._read(facts.TEMP_OUT_L, 2) + self._read(facts.STATUS_REG, 7)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 16 bits, low byte first (LIS-14), as the temperature.
-
-        Stale where ZYXDA was clear, overrun where ZYXOR was set (LIS-12).
+        """Return counts of 16 bits, low byte first (LIS-14), as the temperature. Stale where ZYXDA was clear, overrun
+        where ZYXOR was set (LIS-12).
         """
         counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16)
         temperature = np.ascontiguousarray(bursts[:, 0:2]).view("<i2").astype(np.int16)[:, 0]
@@ -132,5 +131,5 @@ class Lis3mdl(ChipDriver):
         return DecodedBursts(counts, temperature, status | flagged(bursts[:, 2], facts.ZYX_OVERRUN.mask, OVERRUN))
 
     def header(self) -> Mapping[str, int]:
-        """No attributes of its own."""
+        """Return no attributes."""
         return {}

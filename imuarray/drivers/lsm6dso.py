@@ -2,8 +2,8 @@
 
 ST DS12140 Rev 2; facts LSM-*. A burst is 0x20 ... 0x2D, thermometer, gyroscope and accelerometer, low byte first, with
 IF_INC (LSM-12); 256 counts a degC, 0 at 25 degC (LSM-32). BDU keeps the two bytes of each number together (LSM-13); a
-sample that falls into a burst may still come between two axes. Each half has a register of its own for rate and range
-and is on when its rate is not 0. Both filters are left as they are after power-on: their bandwidths follow the rate.
+new sample during a burst may still fall between two axes. Each half has its own register for rate and range and is on
+when its rate is not 0. Both filters keep their settings of power-on: their bandwidths follow the rate.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class _Half(SixAxisHalf):
         yield 2 / self.rate_hz
 
     def self_test(self) -> SelfTest:
-        """Size of the change with the self-test on, in g or dps (LSM-20, LSM-21)."""
+        """Measure the change with the self-test on, in g or dps (LSM-20, LSM-21)."""
         self.configure()
         setting = self._range_and_rate(self.self_test_range, _SELF_TEST_RATE)
         self.registers.poke(setting.register, setting.value)
@@ -143,13 +143,17 @@ class _QueuedHalf(QueuedHalf, _Half):
         return Lsm6dsoQueue(self.registers, self.clock, self.rate_hz, _QUEUE_ON)
 
     def _queue_settings(self) -> tuple[Setting, ...]:
-        """Return the halves that are read at their data rate, and a temperature now and then (LSM-42, LSM-43)."""
+        """Return the queue of the halves that are read at their data rate, with a temperature at intervals (LSM-42,
+        LSM-43).
+        """
         rates = dict.fromkeys(self.die_queue.halves, _RATE_CODES[self.rate_hz])
         batches = facts.GYRO_BATCH_RATE(rates.get("gyro", 0)) | facts.ACCEL_BATCH_RATE(rates.get("acc", 0))
         return facts.FIFO_CTRL3[7:0](batches.value), _QUEUE_ON
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 16 bits, low byte first; with pulses the lowest bit of the gyroscope's z is the mark (LSM-49)."""
+        """Return counts of 16 bits, low byte first; with pulses the lowest bit of the gyroscope's z is the mark
+        (LSM-49).
+        """
         counts = np.ascontiguousarray(bursts[:, 1:7]).view("<i2").astype(np.int16)
         temperature = np.ascontiguousarray(bursts[:, 7:9]).view("<i2")[:, 0].astype(np.int16)
         decoded = DecodedBursts(counts, temperature, saturated(counts, -32768, 32767))

@@ -1,9 +1,9 @@
 """MMC5983MA magnetometer. MEMSIC data sheet Rev A (2019); facts MMC-*.
 
 18 bits, unsigned, 131072 at no field (MMC-11). Its control registers can't be read (MMC-12): a setting is never
-verified, and a chip that lost its settings is noticed only by its readings, which then stand still. Instead, the set-up
-takes one reading after a SET and one after a RESET, which must both be done in time; a log's header holds the middle
-between them, at which the bridges stand without a field (MMC-14), in counts. Counts are as they come after a SET.
+verified, and a chip that lost its settings is detected only by its readings, which then no longer change. Instead, the
+set-up takes one reading after a SET and one after a RESET, which must both be completed in time; a log's header
+contains their mean, the output of the bridges without a field (MMC-14), in counts. Counts are those after a SET.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from imuarray.log.format import SATURATED
 _ZERO = 1 << 17  # MMC-11
 _HIGHEST = (1 << 18) - 1
 _RESET_S = 0.010  # MMC-15
-_COIL_S = 0.001  # MMC-14: 500 ns, and what the coil's capacitor needs
+_COIL_S = 0.001  # MMC-14: 500 ns, and the time of the coil's capacitor
 _MEASURED_S = {100.0: 0.008, 200.0: 0.004, 400.0: 0.002, 800.0: 0.0005}  # by bandwidth: MMC-13
 _MARGIN_S = 0.001
 _BANDWIDTHS_HZ = tuple(_MEASURED_S)
@@ -41,7 +41,7 @@ class Mmc5983(ChipDriver):
 
     burst: ClassVar[int] = 7
     reading: ClassVar[slice] = slice(0, 7)
-    tells_fresh: ClassVar[bool] = False  # the done bit stays set until somebody clears it: MMC-17
+    tells_fresh: ClassVar[bool] = False  # the done bit stays set until it is cleared: MMC-17
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
@@ -62,12 +62,12 @@ class Mmc5983(ChipDriver):
         self._bridge = self._flipped = np.zeros(3)
 
     def identify(self) -> None:
-        """The product ID is 0x30 (MMC-02)."""
+        """Check that the product ID is 0x30 (MMC-02); SensorError."""
         self.registers.expect(facts.PRODUCT_ID)
 
     def steps(self) -> Iterator[float]:
-        """Reset, a reading after a RESET and one after a SET, then continuous readings; SensorError if one of the two
-        is not done in time.
+        """Reset, take a reading after a RESET and one after a SET, then start continuous readings; SensorError if one
+        of the two is not completed in time.
         """
         self.registers.poke(facts.CONTROL_1, facts.SOFT_RESET(1).value)
         yield _RESET_S
@@ -94,8 +94,8 @@ class Mmc5983(ChipDriver):
         self.registers.poke(setting.register, setting.value)
 
     def self_test(self) -> SelfTest:
-        """True if SET and RESET turn the elements over: half the difference of the readings after them is the field,
-        their middle is where the bridges stand (MMC-14).
+        """Return whether SET and RESET reverse the elements: half the difference of the readings after them is the
+        field, their mean is the offset of the bridges (MMC-14).
         """
         self.configure()
         field, middle = self._flipped / self.sensitivity, self._bridge / self.sensitivity
@@ -108,22 +108,22 @@ class Mmc5983(ChipDriver):
         return SelfTest(True, text)
 
     def fetch(self) -> bytes:
-        """0x00 ... 0x06: the high sixteen bits of each axis, then the low two of all."""
+        """Read 0x00 ... 0x06: the high sixteen bits of each axis, then the low two of all."""
         return self.registers.peek(facts.X_OUT_0, self.burst)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 18 bits, 0 at no field; saturated where a code is the first or the last (MMC-11)."""
+        """Return counts of 18 bits, 0 at no field; saturated where a code is the first or the last (MMC-11)."""
         counts = _counts(bursts)
         at_end = ((counts <= -_ZERO) | (counts >= _HIGHEST - _ZERO)).any(axis=1)
         return DecodedBursts(counts, None, np.where(at_end, SATURATED, 0).astype(np.uint16))
 
     def header(self) -> Mapping[str, float]:
-        """Return the counts of the bridges without a field: readings less these are fields."""
+        """Return the counts of the bridges without a field, which are subtracted from readings."""
         return dict(zip(("bridge_x", "bridge_y", "bridge_z"), self._bridge.tolist(), strict=True))
 
 
 def _counts(bursts: Bytes) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
-    """Signed counts (n, 3): the zero at 131072 taken off (MMC-11)."""
+    """Return signed counts (n, 3): less the zero at 131072 (MMC-11)."""
     wide = bursts.astype(np.int32)
     high = wide[:, 0:6:2] << 10 | wide[:, 1:6:2] << 2
     return high + (wide[:, 6:7] >> np.array([6, 4, 2], np.int32) & 0b11) - _ZERO

@@ -72,7 +72,7 @@ class _Half(SixAxisHalf):
         yield 2 / self.rate_hz
 
     def self_test(self) -> SelfTest:
-        """Change of the counts with the self-test on, in shares of the factory's: within 14 % (INV-45)."""
+        """Measure the change of the counts with the self-test on, as a share of the factory's: within 14 % (INV-45)."""
         self.configure()
         trim = self._trim_counts()
         if not trim.all():
@@ -105,7 +105,7 @@ class Mpu6050Accelerometer(_Half):
     deflected: ClassVar[Field] = facts.ACCEL_SELF_TEST
 
     def _trim_counts(self) -> Floats:
-        """4096 * 0.34 * (0.92 / 0.34)**((code - 1) / 30) counts (INV-46)."""
+        """Return 4096 * 0.34 * (0.92 / 0.34)**((code - 1) / 30) counts (INV-46)."""
         x, y, z, low = self.registers.peek(facts.SELF_TEST_X, 4)
         codes = np.array(
             [
@@ -130,7 +130,7 @@ class Mpu6050Gyroscope(_Half):
     deflected: ClassVar[Field] = facts.GYRO_SELF_TEST
 
     def _trim_counts(self) -> Floats:
-        """25 * 131 * 1.046**(code - 1) counts, y with the other sign (INV-47)."""
+        """Return 25 * 131 * 1.046**(code - 1) counts, y with the other sign (INV-47)."""
         block = self.registers.peek(facts.SELF_TEST_X, 3)
         fields = (facts.TRIM_GYRO_X, facts.TRIM_GYRO_Y, facts.TRIM_GYRO_Z)
         codes = np.array([field.of(byte) for field, byte in zip(fields, block, strict=True)])
@@ -143,7 +143,7 @@ class Mpu6050Gyroscope(_Half):
 
 
 class _QueuedHalf(QueuedHalf, _Half):
-    """One half read by the queue, whose records are as a burst of the registers is."""
+    """One half read by the queue, whose records have the format of a burst."""
 
     def _new_queue(self) -> DieQueue:
         control = facts.USER_CTRL[7:0](facts.FIFO_ON(1).value)
@@ -154,7 +154,7 @@ class _QueuedHalf(QueuedHalf, _Half):
         return facts.USER_CTRL[7:0](facts.FIFO_ON(1).value), facts.FIFO_EN[7:0](EVERYTHING)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 16 bits, and the marks of synchronisation pulses."""
+        """Return counts of 16 bits, and the marks of synchronisation pulses."""
         return self.decode_marked_temperature(super().decode(bursts))
 
 

@@ -1,9 +1,9 @@
 """MPU-6500, and the MPU-9250 that holds one: accelerometer and gyroscope of one die, two sensors that share a place.
 
 InvenSense register map RM-MPU-9250A rev. 1.4; facts INV-70 ... INV-78. A burst is 0x3B ... 0x48, accelerometer,
-thermometer and gyroscope, high byte first, as on the MPU-6050; 333.87 counts a degC, 0 at 21 degC (INV-76). Unlike the
-MPU-6050 the accelerometer has a filter register of its own, which is set to the same code, and the die is awake after
-power-on. The magnetometer of the MPU-9250, an AK8963 on its auxiliary bus, is a sensor of its own.
+thermometer and gyroscope, high byte first, as on the MPU-6050; 333.87 counts a degC, 0 at 21 degC (INV-76). Unlike on
+the MPU-6050, the accelerometer has its own filter register, which is set to the same code, and the die is awake after
+power-on. The magnetometer of the MPU-9250, an AK8963 on its auxiliary bus, is a separate sensor.
 """
 
 from __future__ import annotations
@@ -78,7 +78,9 @@ class _Half(SixAxisHalf):
         yield 2 / self.rate_hz
 
     def self_test(self) -> SelfTest:
-        """Change of the counts with the self-test on, in shares of the factory's, at the smallest range (INV-78)."""
+        """Measure the change of the counts with the self-test on, as a share of the factory's, at the smallest range
+        (INV-78).
+        """
         self.configure()
         trim = factory_change(self.registers.peek(self.trim, 3))
         if not trim.all():
@@ -115,7 +117,7 @@ class Mpu6500Gyroscope(_Half):
 
 
 class _QueuedHalf(QueuedHalf, _Half):
-    """One half read by the queue, whose records are as a burst of the registers is."""
+    """One half read by the queue, whose records have the format of a burst."""
 
     def _new_queue(self) -> DieQueue:
         control = facts.USER_CTRL[7:0]((facts.FIFO_ON(1) | facts.I2C_OFF(int(self.on_spi))).value)
@@ -127,7 +129,7 @@ class _QueuedHalf(QueuedHalf, _Half):
         return control, facts.FIFO_EN[7:0](EVERYTHING)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 16 bits, and the marks of synchronisation pulses."""
+        """Return counts of 16 bits, and the marks of synchronisation pulses."""
         return self.decode_marked_temperature(super().decode(bursts))
 
 

@@ -1,7 +1,7 @@
 """Barometers that measure once on command and sleep otherwise.
 
-No call waits for a measurement: each call of `fetch` checks whether the one that was started must be over by now, and
-starts the next when it is due. Every reading is therefore new, and belongs to an instant that the log knows.
+No call waits for a measurement: each call of `fetch` checks whether the started one must be over by now, and starts the
+next when it is due. Every reading is therefore new, and its time is known.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ _CALLS = 3
 
 
 class OnDemandBarometer(ChipDriver):
-    """The common part of their drivers: when a result is taken, and a check in place of the self-test that they lack.
+    """The common part of their drivers: the time at which a result is read, and a check in place of the missing
+    self-test.
 
     `limits_pa`: the operating range of the pressure.
     """
@@ -36,7 +37,7 @@ class OnDemandBarometer(ChipDriver):
     tells_fresh: ClassVar[bool] = True
     conversions_ns: ClassVar[tuple[int, ...]]
     lasting_ns: ClassVar[int] = 100_000_000
-    """A result that is older is not waited for, nor taken for a new one, unless every call comes so late."""
+    """An older result is not used as a new one, unless every call is so late."""
     limits_pa: ClassVar[tuple[float, float]]
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
@@ -56,7 +57,7 @@ class OnDemandBarometer(ChipDriver):
         return self._done_ns
 
     def begin(self) -> None:
-        """Forget what is in progress: the next call of `fetch` starts a measurement."""
+        """Discard the measurement in progress: the next call of `fetch` starts another."""
         self._due_ns, self._done_ns = self.clock.now_ns(), None
 
     def fetch(self) -> bytes:
@@ -64,12 +65,12 @@ class OnDemandBarometer(ChipDriver):
         raise NotImplementedError
 
     def words_of(self, bursts: Bytes) -> tuple[Integers, Integers]:
-        """UT (n,) and UP (n,)."""
+        """Return UT (n,) and UP (n,)."""
         raise NotImplementedError
 
     def self_test(self) -> SelfTest:
-        """Replace the self-test that it lacks: one measurement, whose temperature and pressure must lie within the
-        operating range.
+        """Check one measurement, whose temperature and pressure must lie within the operating range; the chip has no
+        self-test.
         """
         self.configure()
         burst, tries, longest_ns = b"", 0, 0
@@ -90,7 +91,7 @@ class OnDemandBarometer(ChipDriver):
         return SelfTest(passed, f"no self-test in the chip; reads {temperature_degc:.1f} degC, {pressure_pa:.0f} Pa")
 
     def _result_due_ns(self, now_ns: int) -> int | None:
-        """Return when the measurement in progress is over; None if there is none, or if its result would be too old in
+        """Return the end of the measurement in progress; None if there is none, or if its result would be too old in
         this call. Where calls are rare, it may be as old as the call interval.
         """
         seldom_ns = min(self._intervals_ns) if len(self._intervals_ns) == _CALLS else 0
@@ -102,21 +103,21 @@ class OnDemandBarometer(ChipDriver):
         return self._done_ns
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """UT and UP as counts, temperature in degC and pressure in Pa beside them."""
+        """Return UT and UP as counts, with temperature in degC and pressure in Pa."""
         ut, up = self.words_of(bursts)
         temperature_degc, pressure_pa = self.arithmetic.compensate(ut, up, self.words)
         return barometer_readings(ut, up, temperature_degc, pressure_pa)
 
     def header(self) -> Mapping[str, int]:
-        """Return the calibration words, without which the counts mean nothing."""
+        """Return the calibration words, which the conversion of the counts requires."""
         return {**self.words, **self.arithmetic.settings}
 
 
 class ForcedBarometer(OnDemandBarometer):
     """The common part of drivers of chips that measure temperature and pressure at once ("forced mode").
 
-    `first`: the register with which a look at the chip begins; `head` bytes come before the reading; `busy`: bits of
-    the first byte that are set while the chip measures. `force`: the setting that starts a measurement.
+    `first`: the register at which a read of the chip begins; `head` bytes come before the reading; `busy`: bits of the
+    first byte that are set while the chip measures. `force`: the setting that starts a measurement.
     """
 
     first: ClassVar[Register]
@@ -125,14 +126,14 @@ class ForcedBarometer(OnDemandBarometer):
     force: ClassVar[Setting]
 
     def is_over(self, head: bytes) -> bool:
-        """Return whether the measurement that was asked for is over, by the bytes before the reading."""
+        """Return whether the requested measurement is over, by the bytes before the reading."""
         raise NotImplementedError
 
     def fetch(self) -> bytes:
-        """Six bytes when a measurement is over; empty otherwise.
+        """Return six bytes when a measurement is over; empty otherwise.
 
-        A call that fails with OSError changes nothing and can be repeated, but EIO, where the chip has not done what it
-        was asked to: the next call asks anew.
+        A call that fails with OSError changes nothing and can be repeated, except EIO, where the chip did not measure:
+        the next call starts a measurement.
         """
         now_ns = self.clock.now_ns()
         done_ns = self._result_due_ns(now_ns)

@@ -1,10 +1,11 @@
 """Common parts of the drivers of six-axis chips: accelerometer and gyroscope of one die, two sensors in one place.
 
-Each half is a driver of its own that sets the shared registers to the same values (the configuration is refused if they
-differ) and never resets the die, which would take the other half's range. A burst holds both triads and the
-thermometer. The data-ready bits of these chips are cleared by whoever reads them, or reads the data, and can't serve
-two readers: a reading is not new if its bytes are those of the burst before, which noise in six axes prevents. That is
-why each half fetches both. The one queue of a die is drained once for both (`imuarray.drivers.six_axis_queue`).
+Each half is a separate driver that sets the shared registers to the same values (the configuration is refused if they
+differ) and never resets the die, which would change the other half's range. A burst holds both triads and the
+thermometer. The data-ready bits of these chips are cleared by reading them, or by reading the data, and can't serve two
+readers: a reading is not new if its bytes equal those of the previous burst, which noise in six axes prevents
+otherwise. Each half therefore fetches both. The one queue of a die is drained once for both
+(`imuarray.drivers.six_axis_queue`).
 """
 
 from __future__ import annotations
@@ -48,21 +49,23 @@ TDK-03).
 
 
 def factory_change(codes: bytes) -> Floats:
-    """Counts (n,) by which the self-test changed the readings at the factory, from the codes that it stored: 2620 *
-    1.01**(code - 1), and 0 where none is stored (INV-78, TDK-40).
+    """Return the counts (n,) by which the self-test changed the readings at the factory, from the codes that it stored:
+    2620 * 1.01**(code - 1), and 0 where none is stored (INV-78, TDK-40).
     """
     stored = np.frombuffer(codes, np.uint8).astype(np.float64)
     return np.where(stored > 0, 2620 * 1.01 ** (stored - 1), 0.0)
 
 
 def upward(before: Floats, during: Floats) -> tuple[Floats, Floats]:
-    """Return the readings (n, 3) before a self-test and during it, axes that it turns down with their sign changed."""
+    """Return the readings (n, 3) before a self-test and during it, with the sign changed of axes that it deflects
+    downwards.
+    """
     sign = np.where(during.mean(axis=0) < before.mean(axis=0), -1.0, 1.0)
     return before * sign, during * sign
 
 
 class SixAxisHalf(ChipDriver):
-    """One half of a die; a chip's driver says where its data are and how it is set up."""
+    """One half of a die; a chip's driver defines the place of its data and its set-up."""
 
     burst: ClassVar[int] = 14
     tells_fresh: ClassVar[bool] = False
@@ -73,7 +76,7 @@ class SixAxisHalf(ChipDriver):
     relatives: ClassVar[Mapping[int, str]] = {}
     """Names of other chips that answer at these addresses, by identity."""
     marked: ClassVar[Register]
-    """A register on which nothing depends, to tell the die from its twins."""
+    """A register without effect, which distinguishes the die from its twins."""
     triad: ClassVar[slice]
     temperature: ClassVar[slice]
     order: ClassVar[str] = ">i2"
@@ -86,21 +89,21 @@ class SixAxisHalf(ChipDriver):
         self.watched: tuple[Setting, ...] = ()
 
     def identify(self) -> None:
-        """SensorError unless the identity is right; it names a relative or a clone as what it is."""
+        """Check the identity; SensorError names a related chip or a clone."""
         self.registers.expect(self.identity, relatives=self.relatives)
 
     def steps(self) -> Iterator[float]:
-        """Set this half up, and what both share."""
+        """Set this half up, with the common settings."""
         raise NotImplementedError
 
     def mark(self, code: int) -> bool:
-        """Mark the die. Both halves of a die are given the same code."""
+        """Mark the die, with the same code by both halves."""
         setting = self.marked[7:0](code)
         self.settings, self.watched = (*self.settings, setting), (*self.watched, setting)
         return True
 
     def readings(self, settle_s: float) -> Floats:
-        """Counts (n, 3) for a self-test, the first of them after `settle_s`."""
+        """Return counts (n, 3) for a self-test, the first of them after `settle_s`."""
         sleep_for(self.clock, settle_s)
         counts = []
         for _ in range(SELF_TEST_SAMPLES):
@@ -116,13 +119,13 @@ class SixAxisHalf(ChipDriver):
         return self.registers.peek(self.first, 14)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 16 bits."""
+        """Return counts of 16 bits."""
         counts = np.ascontiguousarray(bursts[:, self.triad]).view(self.order).astype(np.int16)
         temperature = np.ascontiguousarray(bursts[:, self.temperature]).view(self.order)[:, 0].astype(np.int16)
         return DecodedBursts(counts, temperature, saturated(counts, -32768, 32767))
 
     def header(self) -> Mapping[str, int]:
-        """No attributes of its own."""
+        """Return no attributes."""
         return {}
 
 
@@ -143,7 +146,7 @@ class QueuedHalf(SixAxisHalf):
         raise NotImplementedError
 
     def _queue_settings(self) -> tuple[Setting, ...]:
-        """Settings of the queue, with the halves that read it."""
+        """Return the settings of the queue, with the halves that read it."""
         raise NotImplementedError
 
     def _use(self, queue: DieQueue) -> None:
@@ -158,7 +161,7 @@ class QueuedHalf(SixAxisHalf):
         self.watched = (*(each for each in watched if each.register not in replaced), *queued)
 
     def share(self, other: QueuedHalf) -> None:
-        """Read the queue of `other`, the driver of the other half; before either is set up."""
+        """Read the queue of `other`, the driver of the other half; call it before either is set up."""
         self._use(other.die_queue)
         other._set_queue()
 
@@ -168,7 +171,7 @@ class QueuedHalf(SixAxisHalf):
         self.die_queue.empty(self.queue)
 
     def fetch(self) -> bytes:
-        """Return every row of this half that waits, oldest first."""
+        """Return every waiting row of this half, oldest first."""
         return self.die_queue.fetch(self.queue)
 
     def with_marks(

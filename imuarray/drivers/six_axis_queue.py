@@ -1,8 +1,8 @@
 """The one queue of a six-axis die, and its two readers, the drivers of the accelerometer and the gyroscope.
 
 The half that is visited first drains the queue; the rows of the other half wait for its visit. A doubtful drain is
-discarded as a whole: if the queue ran over in a way that may have shifted its bytes, a transfer broke off, or bytes are
-no valid packet, the queue is emptied, and the next rows of both halves carry the flag "overrun".
+discarded as a whole: if the queue overflowed in a way that may have shifted its bytes, a transfer was aborted, or bytes
+are no valid packet, the queue is emptied, and the next rows of both halves carry the flag "overrun".
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ from imuarray.facts import icm42688, lsm6dso
 from imuarray.facts.registers import Register, Setting
 
 WANTED_NS = 20e3
-"""The time of a sample that is less certain is looked at again, ..."""
+"""A sample with a larger uncertainty of its time is counted again, ..."""
 LONGEST_WAIT_NS = 1_000_000
-"""... if it takes no longer than this to wait for the best instant."""
+"""... if the wait for the best instant is no longer than this."""
 BEFORE_COUNT = 0.4
-"""Share of a transaction that has passed before a chip takes its count: three bytes of five or six on I2C, one of three
-or four on SPI.
+"""Share of a transaction after which a chip latches its count: three bytes of five or six on I2C, one of three or four
+on SPI.
 """
 _FLAGS_AND_COUNT = 3
 """Bytes of INT_STATUS and the count of an ICM-42688-P, which FIFO_DATA follows (TDK-85)."""
 _UNEVEN_SAMPLES, _UNEVEN_SHARE = 4, 0.02
-"""How far a count may be from what the time since the last one promises: by some samples, and by a share that a chip is
-slow.
+"""Largest difference of a count from that expected for the time since the last one: a number of samples, and a share
+for a slow chip.
 """
 MOST_ROWS = 4096
-"""Rows that wait for a half that is not visited; then they are dropped, and its next row is flagged."""
+"""Most rows that wait for a half that is not visited; then they are dropped, and its next row is flagged."""
 
 
 class QueueReader:
     """One half's share of the queue of its die.
 
-    `drained`, `uncertainties_ns` and `overrun` describe the last result of `take`: its times, by how much each may be
-    off, and whether samples are missing before it.
+    `drained`, `uncertainties_ns` and `overrun` describe the last result of `take`: its times, their largest errors, and
+    whether samples are missing before it.
     """
 
     def __init__(self, queue: DieQueue) -> None:
@@ -66,12 +66,12 @@ class QueueReader:
         return (0,) if self.overrun and self.drained else ()
 
     def restart(self) -> None:
-        """The chip was set up again, or another chip was drained in its place: forget what waits."""
+        """Discard the waiting rows: the chip was set up again, or another chip was drained in its place."""
         self._queue.distrust()
         self.clear()
 
     def clear(self, *, gap: bool = False) -> None:
-        """Forget what waits; with `gap` samples that were due are missing."""
+        """Discard the waiting rows; with `gap` samples that were due are missing."""
         self._bursts, self._times_ns, self._uncertainties_ns = [], [], []
         self._gap = gap and self._has_given
 
@@ -82,11 +82,11 @@ class QueueReader:
 
     @property
     def waits(self) -> bool:
-        """True if something waits for this half."""
+        """Return whether rows wait for this half."""
         return bool(self._times_ns)
 
     def put(self, bursts: bytes, clock: FifoClock, *, gap: bool) -> None:
-        """Let these rows wait, at the times that `clock` gave last; with `gap` samples are missing before them."""
+        """Store rows at the times that `clock` returned last; with `gap` samples are missing before them."""
         if len(self._times_ns) > MOST_ROWS:
             self.clear(gap=True)
         self._gap |= gap and self._has_given
@@ -95,7 +95,7 @@ class QueueReader:
         self._uncertainties_ns += clock.uncertainties_ns
 
     def take(self) -> bytes:
-        """Return all bursts that wait, and let none wait any more."""
+        """Return and remove all waiting bursts."""
         self.drained, self.uncertainties_ns = self._times_ns, self._uncertainties_ns
         if not self.drained:
             self.overrun = False
@@ -116,7 +116,7 @@ class DieQueue:
         self._readers: dict[str, QueueReader] = {}
         self._trusted = False
         self.overruns = 0
-        """Drains that gave no samples because the queue had run over."""
+        """Drains without samples because the queue had overflowed."""
         self._shortest_ns = 1 << 62
 
     def join(self, half: str) -> QueueReader:
@@ -130,7 +130,7 @@ class DieQueue:
 
     @property
     def is_trusted(self) -> bool:
-        """False if it must be emptied before its samples are of use."""
+        """False if it must be emptied before its samples can be used."""
         return self._trusted
 
     def distrust(self) -> None:
@@ -138,7 +138,9 @@ class DieQueue:
         self._trusted = False
 
     def empty(self, by: QueueReader | None = None) -> None:
-        """Empty it, which begins anew: samples of the halves are missing, but for the half `by`, which asked for it."""
+        """Empty the queue, which restarts it: samples of the halves are missing, except for the half `by`, which
+        requested it.
+        """
         self._flush()
         self._trusted = True
         self._restart()
@@ -146,21 +148,23 @@ class DieQueue:
             reader.clear(gap=reader is not by)
 
     def fetch(self, reader: QueueReader) -> bytes:
-        """Return the rows of one half. The half that joined first drains the queue at every visit, the other one if
-        nothing waits for it.
+        """Return the rows of one half. The half that joined first drains the queue at every visit, the other one if no
+        rows wait for it.
         """
         if not reader.waits or reader is next(iter(self._readers.values())):
             if not self._trusted:
                 self.empty()
             else:
-                self._trusted = False  # until all of the drain went well
+                self._trusted = False  # until the drain is complete
                 self._trusted = self._drain()
                 if self._trusted:
                     self._look_again()
         return reader.take()
 
     def _look_again(self) -> None:
-        """Count once more when that tells most of when samples are taken, if it is not known well and soon."""
+        """Count once more when a count gives the most information on the times of samples, if they are uncertain and
+        the wait is short.
+        """
         now_ns = self.clock.now_ns()
         at_ns = self.times.best_look_ns(now_ns, max(WANTED_NS, (1 - BEFORE_COUNT) * self._shortest_ns))
         if at_ns is None or at_ns - now_ns > LONGEST_WAIT_NS:
@@ -174,7 +178,7 @@ class DieQueue:
         raise NotImplementedError
 
     def _counted(self) -> tuple[int, int, tuple[int, int]]:
-        """Samples in the chip, flags, and between which times the chip counted."""
+        """Return the samples in the chip, flags, and the times between which the chip counted."""
         begun_ns = self.clock.now_ns()
         count, flags = self._count()
         ended_ns = self.clock.now_ns()
@@ -182,7 +186,7 @@ class DieQueue:
         return count, flags, (begun_ns + round(BEFORE_COUNT * self._shortest_ns), ended_ns)
 
     def _read(self, register: Register, count: int, size: int) -> bytes:
-        """`count` samples of `size` bytes from the queue's register, in as many transactions as that takes."""
+        """Read `count` samples of `size` bytes from the queue's register, in as many transactions as necessary."""
         most = LONGEST_READ // size
         pieces = (min(most, count - begin) for begin in range(0, count, most))
         return b"".join(self.registers.peek(register, samples * size) for samples in pieces)
@@ -195,12 +199,12 @@ class DieQueue:
         raise NotImplementedError
 
     def _drain(self) -> bool:
-        """Read it and `put` what belongs to each reader; False if what was read can't be trusted."""
+        """Read the queue and `put` the rows of each reader; return False if the bytes can't be trusted."""
         raise NotImplementedError
 
 
 class QueueRequest(NamedTuple):
-    """One transaction of a drain: `read` bytes from `register` on, or with `rule` as many as the last answer counts."""
+    """One transaction of a drain: `read` bytes from `register` on, or with `rule` as many as the last answer states."""
 
     register: Register
     read: int
@@ -209,39 +213,40 @@ class QueueRequest(NamedTuple):
 
 @runtime_checkable
 class UnattendedQueue(Protocol):
-    """A queue that a microcontroller drains which knows no chip: by one transaction, whose length need not suit the
-    count, or by a count, the packets that it counts, and flags.
+    """A queue that a microcontroller without drivers drains: by one transaction, whose length need not match the count,
+    or by a count, the counted packets, and flags.
     """
 
     ran_over: bool
-    """True if it had run over before the samples that were accepted last."""
+    """True if it had overflowed before the samples that were accepted last."""
     survives_overrun: bool
-    """False if it must be emptied after it ran over: its packets may begin anywhere."""
+    """False if it must be emptied after an overflow: its packets may begin anywhere."""
 
     def most_samples(self, bytes_read: int) -> int:
-        """How many samples of the die one request can bring that reads so many bytes."""
+        """Return how many samples of the die one request of so many bytes can read."""
 
     def drain_requests(self, samples: int) -> tuple[QueueRequest, ...]:
         """Return the transactions of a drain of up to so many samples; the count is taken in the first of them."""
 
     def packet_bytes(self, answers: Sequence[bytes]) -> int:
-        """How many bytes of the first transaction at least followed its count."""
+        """The least number of bytes of the first transaction that followed its count."""
 
     def accept(self, answers: Sequence[bytes], counted_ns: tuple[int, int]) -> bool:
-        """Let the samples of a drain wait for their readers; their number was counted in the given time. False if the
-        bytes can't be trusted; then nothing is accepted until the queue was emptied. OSError for an impossible count.
+        """Store the samples of a drain for their readers; their number was counted in the given time. Return False if
+        the bytes can't be trusted; then no drain is accepted until the queue was emptied. OSError for an impossible
+        count.
         """
 
 
 def impossible(count: int, capacity: int) -> OSError:
-    """Return the error of a count that no queue of this capacity can have: a dead bus reads so."""
+    """Return the error of a count that no queue of this capacity can have: a dead bus reads like this."""
     return OSError(errno.EIO, f"its queue reports {count} and holds {capacity}")
 
 
 class AcceptedDrains:
-    """The last drain of a queue that a microcontroller drains. The next count shows whether one in between was carried
-    out and never arrived: then fewer samples wait than were taken meanwhile. Time stamps do not tell if that is as long
-    ago as they take to begin anew.
+    """The last drain of a queue that a microcontroller drains. The next count shows whether a drain in between was
+    carried out but did not arrive: then fewer samples wait than were taken since. Time stamps do not show it after the
+    time in which they wrap.
     """
 
     def __init__(self) -> None:
@@ -249,27 +254,27 @@ class AcceptedDrains:
         self._unread = 0
 
     def note(self, unread: int, at_ns: int) -> None:
-        """A drain was accepted that left so many packets in the queue."""
+        """Note that a drain was accepted that left so many packets in the queue."""
         self._at_ns, self._unread = at_ns, unread
 
     def since_ns(self, at_ns: int) -> int:
-        """How long ago that was; 0 before the first."""
+        """Return the time since then; 0 before the first."""
         return 0 if self._at_ns is None else at_ns - self._at_ns
 
     def is_missing(self, count: int, taken: float, slack: float = _UNEVEN_SAMPLES) -> bool:
-        """True if the count of packets shows that a drain is missing, about `taken` having come since the last; of the
-        first one, always.
+        """Return whether the count of packets shows that a drain is missing, about `taken` having been taken since the
+        last; always for the first one.
         """
         return self._at_ns is None or self._unread + taken - count > slack + _UNEVEN_SHARE * taken
 
 
 class Icm42688Queue(DieQueue):
-    """2048 bytes in packets that begin with a header (TDK-80 ... TDK-86): of both halves 16 bytes with a time stamp, of
-    one half 8. A row is a packet of 16 bytes. With `high_resolution` packets have 20 bytes and both halves, whichever
-    are read, and a row is what `high_resolution_rows` makes of one.
+    """The queue of an ICM-42688-P: 2048 bytes in packets that begin with a header (TDK-80 ... TDK-86): of both halves
+    16 bytes with a time stamp, of one half 8. A row is a packet of 16 bytes. With `high_resolution` packets have 20
+    bytes and both halves in any case, and `high_resolution_rows` makes the rows.
 
     Flags and count are read together, then the packets. The stamps show where samples are missing, and the flag "full"
-    where so many are that the 65.536 ms of the stamps have passed.
+    where more are missing than the 65.536 ms of the stamps.
     """
 
     CAPACITY: ClassVar[int] = 2048
@@ -285,8 +290,8 @@ class Icm42688Queue(DieQueue):
         has_pulses: bool = False,
     ) -> None:
         """`rates_hz`: the data rate, and the one that the registers name. Stamps count by the clock of the samples: a
-        period has as many of their microseconds whatever the clock's frequency is (DEC-65). With `has_pulses` packets
-        have both halves, whichever are read, and stamps may count from the last synchronisation pulse (DEC-66): they do
+        period has the same number of their microseconds at any frequency of the clock (DEC-65). With `has_pulses`
+        packets have both halves in any case, and stamps may count from the last synchronisation pulse (DEC-66): they do
         not show missing samples.
         """
         rate_hz, nominal_rate_hz = rates_hz
@@ -304,7 +309,7 @@ class Icm42688Queue(DieQueue):
 
     @property
     def size(self) -> int:
-        """Bytes of a packet."""
+        """Return the bytes of a packet."""
         return packet_format.packet_size(self._header)
 
     def _flush(self) -> None:
@@ -329,7 +334,7 @@ class Icm42688Queue(DieQueue):
 
     def _drain(self) -> bool:
         count, full, counted_ns = self._counted()
-        if full and not self._has_stamp:  # nothing would show where packets are missing
+        if full and not self._has_stamp:  # missing packets would not be detected
             self.overruns += 1
             return False
         if not count:
@@ -343,8 +348,8 @@ class Icm42688Queue(DieQueue):
         return (bytes_read - _FLAGS_AND_COUNT) // self.size
 
     def drain_requests(self, samples: int) -> tuple[QueueRequest, ...]:
-        """See `UnattendedQueue`: flags, count and packets are registers that follow each other, and the last one stays,
-        so that one transaction reads them all.
+        """Implement `UnattendedQueue`: flags, count and packets are consecutive registers, of which the last one does
+        not increment, so that one transaction reads them all.
         """
         return (QueueRequest(icm42688.INT_STATUS, _FLAGS_AND_COUNT + samples * self.size),)
 
@@ -353,7 +358,7 @@ class Icm42688Queue(DieQueue):
         return len(answers[0]) - _FLAGS_AND_COUNT
 
     def accept(self, answers: Sequence[bytes], counted_ns: tuple[int, int]) -> bool:
-        """See `UnattendedQueue`. Behind the packets that there were, headers say that the queue is empty (TDK-81)."""
+        """Implement `UnattendedQueue`. After the packets of the queue, headers state that it is empty (TDK-81)."""
         (burst,) = answers
         count, full = self._counted_in(burst)
         headers = burst[_FLAGS_AND_COUNT :: self.size]
@@ -375,7 +380,9 @@ class Icm42688Queue(DieQueue):
         return is_trusted
 
     def _put(self, packets: bytes, unread: int, counted_ns: tuple[int, int], *, gap: bool) -> bool:
-        """Let packets wait for their readers; `unread` more were counted. False if packets are missing among them."""
+        """Store packets for their readers; `unread` more were counted. Return False if packets are missing among
+        them.
+        """
         size = self.size
         count = len(packets) // size
         self._full = False
@@ -405,30 +412,30 @@ class Icm42688Queue(DieQueue):
         return packet_format.header_of(packet_format.HALVES if self.has_pulses else self.halves)
 
     def _are_missing(self, stamps: int, periods: int) -> bool:
-        """True if a difference of time stamps, known to 16 bits, is not so many periods."""
+        """Return whether a difference of time stamps, known to 16 bits, is not so many periods."""
         off_us = (stamps - periods * self._period_us + 0x8000) % 0x10000 - 0x8000
         return abs(off_us) > self._period_us / 4
 
 
 FIFO_ON, FIFO_RESET, OVERFLOW, EVERYTHING = 0x40, 0x04, 0x10, 0xF8
-"""USER_CTRL bits 6 and 2, INT_STATUS bit 4, and FIFO_EN with thermometer, gyroscope and accelerometer, alike in the
+"""Bits of USER_CTRL (6 and 2), INT_STATUS (4), and FIFO_EN with thermometer, gyroscope and accelerometer, equal in the
 family (INV-24, INV-27, INV-98).
 """
 
 
 class MpuQueue(DieQueue):
-    """A queue of bytes that loses its oldest ones when it is full (INV-27, INV-98): records of 14 bytes as the data
-    registers have them, accelerometer, thermometer, gyroscope.
+    """A queue of bytes that loses its oldest ones when it is full (INV-27, INV-98): records of 14 bytes in the format
+    of the data registers, accelerometer, thermometer, gyroscope.
 
-    After it ran over a record may begin anywhere: the flag is read after the records, so that a queue that ran over
-    meanwhile is noticed too, and then it is emptied. More is never read than was counted, for an empty queue repeats
-    its last byte.
+    After an overflow a record may begin anywhere: the flag is read after the records, so that an overflow during the
+    read is detected too, and then the queue is emptied. Never more bytes are read than were counted, because an empty
+    queue repeats its last byte.
     """
 
     SIZE: ClassVar[int] = 14
     survives_overrun: ClassVar[bool] = False
 
-    # What the chip calls its registers, and what is in them: independent of one another.
+    # The registers and their contents: independent of one another.
     def __init__(
         self,
         registers: Registers,
@@ -445,7 +452,7 @@ class MpuQueue(DieQueue):
         self.ran_over = False
 
     def _flush(self) -> None:
-        """Off, emptied, on (INV-99); the flags are cleared by reading them."""
+        """Switch the queue off, empty it, and switch it on (INV-99); reading the flags clears them."""
         enable, user = self._table["FIFO_EN"], self._control.register
         self.registers.poke(enable, 0)
         self.registers.poke(user, self._control.value & ~FIFO_ON | FIFO_RESET)
@@ -486,7 +493,7 @@ class MpuQueue(DieQueue):
         return bytes_read // self.SIZE
 
     def drain_requests(self, samples: int) -> tuple[QueueRequest, ...]:
-        """See `UnattendedQueue`: no more may be read than was counted, or a record is torn; then the flags."""
+        """Implement `UnattendedQueue`: no more may be read than was counted, or a record is torn; then the flags."""
         records = QueueRequest(self._table["FIFO_R_W"], samples * self.SIZE, CountRule(self.SIZE, is_big_endian=True))
         return QueueRequest(self._table["FIFO_COUNT_H"], 2), records, QueueRequest(self._table["INT_STATUS"], 1)
 
@@ -495,7 +502,7 @@ class MpuQueue(DieQueue):
         return 0
 
     def accept(self, answers: Sequence[bytes], counted_ns: tuple[int, int]) -> bool:
-        """See `UnattendedQueue`. A drain that never arrived may have had the flag of an overrun: it is believed
+        """Implement `UnattendedQueue`. A drain that did not arrive may have had the flag of an overrun: it is assumed
         that there was none if the queue can't have filled since the last one.
         """
         counted, records, flags = answers
@@ -518,8 +525,9 @@ class MpuQueue(DieQueue):
 
 
 class Lsm6dsoQueue(DieQueue):
-    """512 words of 7 bytes, each a tag and three numbers (LSM-40 ... LSM-45): samples of either half in the order in
-    which they were taken, and now and then a temperature. A row is a word with the last temperature behind it.
+    """The queue of an LSM6DSO: 512 words of 7 bytes, each a tag and three numbers (LSM-40 ... LSM-45): samples of
+    either half in the order in which they were taken, and at intervals a temperature. A row is a word followed by the
+    last temperature.
     """
 
     CAPACITY: ClassVar[int] = 512
@@ -539,7 +547,7 @@ class Lsm6dsoQueue(DieQueue):
         self._temperature = b"\x00\x00"
 
     def _flush(self) -> None:
-        """Through bypass, which empties it (LSM-43)."""
+        """Empty the queue through bypass (LSM-43)."""
         self.registers.poke(self._mode.register, 0)
         self.registers.poke(self._mode.register, self._mode.value)
         self.registers.peek(lsm6dso.FIFO_STATUS1, 2)
@@ -551,7 +559,7 @@ class Lsm6dsoQueue(DieQueue):
         self._drains, self.ran_over = AcceptedDrains(), False
 
     def _count(self) -> tuple[int, int]:
-        """Words, of which a sample of each half and the temperature are several."""
+        """Return the number of words for samples: each half and the temperature are separate words."""
         return self._counted_in(self.registers.peek(lsm6dso.FIFO_STATUS1, 2))
 
     def _counted_in(self, status: bytes) -> tuple[int, int]:
@@ -562,7 +570,7 @@ class Lsm6dsoQueue(DieQueue):
         return count, high & (lsm6dso.FIFO_OVERRUN.mask | lsm6dso.FIFO_OVERRUN_LATCHED.mask)
 
     def _look_again(self) -> None:
-        """No: a count of words does not tell whose they are."""
+        """Return False: a count of words does not show to which half they belong."""
 
     def _drain(self) -> bool:
         count, lost, counted_ns = self._counted()
@@ -572,7 +580,7 @@ class Lsm6dsoQueue(DieQueue):
         return self._put(data, 0, counted_ns, gap=bool(lost))
 
     def _put(self, data: bytes, unread: int, counted_ns: tuple[int, int], *, gap: bool) -> bool:
-        """Let words wait for their readers; `unread` more were counted. False if a word is none that was asked for."""
+        """Store words for their readers; `unread` more were counted. Return False for a word that was not requested."""
         words = np.frombuffer(data, np.uint8).reshape(-1, self.WORD)
         tags = np.asarray(words[:, 0] >> 3, np.uint8)
         if not np.isin(tags, (*self.TAGS.values(), self.TEMPERATURE)).all():
@@ -582,7 +590,7 @@ class Lsm6dsoQueue(DieQueue):
             mine = rows[tags == self.TAGS[half]]
             clock = self._clocks[half]
             from_ns, until_ns = counted_ns
-            if unread:  # whose words these are is not known, so that the count may be off by two samples
+            if unread:  # the halves of these words are unknown, so that the count may have an error of two samples
                 from_ns -= round(2 * clock.nominal_ns)
                 until_ns += round(2 * clock.nominal_ns)
             unread_samples = round(unread / self._words_per_sample)
@@ -599,7 +607,7 @@ class Lsm6dsoQueue(DieQueue):
         return int(bytes_read // self.WORD / self._words_per_sample)
 
     def drain_requests(self, samples: int) -> tuple[QueueRequest, ...]:
-        """See `UnattendedQueue`: ten bits of the count, low byte first, are words."""
+        """Implement `UnattendedQueue`: ten bits of the count, low byte first, are words."""
         rule = CountRule(self.WORD, mask=0x03FF, is_of_packets=True)
         words = math.ceil(samples * self._words_per_sample)
         return (
@@ -627,7 +635,7 @@ class Lsm6dsoQueue(DieQueue):
         return self._trusted
 
     def _temperatures(self, words: Bytes, tags: Bytes) -> Bytes:
-        """Return (n, 2) the last temperature before or in each word."""
+        """Return (n, 2) bytes of the last temperature before or in each word."""
         known = tags == self.TEMPERATURE
         latest = np.maximum.accumulate(np.where(known, np.arange(len(tags)), -1))
         values = np.where((latest >= 0)[:, None], words[latest, 1:3], np.frombuffer(self._temperature, np.uint8))

@@ -1,8 +1,8 @@
 """The transactions of one reading, for a microcontroller that has no drivers.
 
 Most readings are one transaction, those of an LIS3MDL two at once; the driver fetches once from a bus that records
-them. A barometer is asked two or three times, with waits in between. The answers are put together to the burst that the
-driver's `decode` reads.
+them. A barometer needs two or three, with waits in between. The answers are joined to the burst that the driver's
+`decode` reads.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from imuarray.facts import bmp180
 @dataclass(frozen=True)
 class Visit:
     """The requests to one chip in one frame. The first request's answer, from byte `skipped` on, is a part of the
-    burst; if one of the bits `busy` is set in its first byte the chip had not finished, and there is no reading.
+    burst; if one of the bits `busy` is set in its first byte the conversion was not finished, and there is no reading.
     """
 
     requests: tuple[Request, ...]
@@ -35,7 +35,7 @@ class Visit:
 
 
 class _NotingBus:
-    """Records the requests and answers with zeros."""
+    """A bus that records the requests and answers with zeros."""
 
     def __init__(self) -> None:
         self.asked: list[Request] = []
@@ -46,7 +46,7 @@ class _NotingBus:
 
 
 class _NoClock:
-    """A clock on which nothing takes time."""
+    """A clock that does not advance."""
 
     def now_ns(self) -> int:
         return 0
@@ -62,7 +62,7 @@ def unattended_queue_of(driver: Driver) -> UnattendedQueue | None:
 
 
 def needs_counting(queue: UnattendedQueue) -> bool:
-    """True if the microcontroller must read as many samples as it counted, which older firmware can't."""
+    """Return whether the microcontroller must read as many samples as it counted, which older firmware can't."""
     return any(request.rule is not None for request in queue.drain_requests(1))
 
 
@@ -95,13 +95,13 @@ def visits_of(sensor: SensorConfig) -> tuple[Visit, ...]:
     if isinstance(driver, ForcedBarometer):
         return _forced_barometer(sensor.address, driver)
     driver.fetch()
-    if isinstance(driver, Ak8975):  # read, and told to measure again, at once
+    if isinstance(driver, Ak8975):  # read, and another measurement is started at once
         return (Visit(tuple(bus.asked)),)
     return tuple(Visit((request,)) for request in bus.asked)
 
 
 def _forced_barometer(address: int, driver: ForcedBarometer) -> tuple[Visit, ...]:
-    """One measurement: started, and read when it is over at the latest."""
+    """Return the visits of one measurement: started, and read when it is over at the latest."""
     start = Request(address, bytes([driver.force.register.address, driver.force.value]), 0)
     look = Request(address, bytes([driver.first.address]), driver.head + driver.burst)
     (longest_ns,) = driver.conversions_ns
@@ -109,7 +109,9 @@ def _forced_barometer(address: int, driver: ForcedBarometer) -> tuple[Visit, ...
 
 
 def _bmp180(address: int) -> tuple[Visit, ...]:
-    """Temperature, then pressure: started, and read when it is over at the latest (BMP-40, BMP-44, BMP-46)."""
+    """Return the visits of temperature, then pressure: started, and read when they are over at the latest (BMP-40,
+    BMP-44, BMP-46).
+    """
     register = bytes([bmp180.CTRL_MEAS.address])
     start_temperature = Request(address, register + b"\x2e", 0)
     start_pressure = Request(address, register + b"\xf4", 0)
