@@ -15,12 +15,12 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Floats, Times
 from imuarray.axes import UP_AXES, face_up, up_vector
 from imuarray.characterise.noise import LEFT_OUT
 from imuarray.characterise.stretch import GAP, broken_rows
@@ -28,6 +28,7 @@ from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, SUSPECT, Phase
 from imuarray.log.row_timing import row_timing
+from imuarray.series import add_windows
 
 WINDOW_S = 0.5
 MIN_POSE_S = 1.5
@@ -330,26 +331,14 @@ def windows_of(
     """
     means, spreads = np.zeros((count, 3)), np.zeros((count, 3))
     for sensor in sensors:
-        sums, squares, rows = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
-        lowest, highest = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+        rows, figures = np.zeros(count), np.zeros((4, count, 3))
+        sums, squares, lowest, highest = figures
+        lowest[:], highest[:] = np.inf, -np.inf
         for block in sensor.blocks():
-            window = (np.asarray(sensor.time[block]) - begin) // width_ns
-            inside = (window >= 0) & (window < count)
-            if flags:
-                inside &= (np.asarray(sensor.status[block]) & flags) == 0
-            counts = np.asarray(sensor.counts[block], float)
-            if not inside.all():
-                window, counts = window[inside], counts[inside]
-            if not len(window):
-                continue
-            starts = np.flatnonzero(np.diff(window, prepend=-1))
-            value = sensor.orientation / sensor.sensitivity @ np.ascontiguousarray(counts.T)
-            places = window[starts]
-            rows[places] += np.diff(starts, append=len(window))  # times increase: a window begins once in a block
-            sums[places] += np.add.reduceat(value, starts, axis=1).T
-            squares[places] += np.add.reduceat(value**2, starts, axis=1).T
-            lowest[places] = np.minimum(lowest[places], np.minimum.reduceat(value, starts, axis=1).T)
-            highest[places] = np.maximum(highest[places], np.maximum.reduceat(value, starts, axis=1).T)
+            part = sensor.time[block], sensor.counts[block], sensor.status[block]
+            turn = sensor.orientation / sensor.sensitivity
+            if not add_windows(part, turn, (rows, figures), (begin, width_ns), flags):
+                _add_windows(part, turn, (rows, figures), (begin, width_ns), flags)
         spreads[rows < 2] = np.inf  # no scatter is known without readings of every sensor
         may_spike = rows >= _SPIKED_ROWS
         low, high, middle = lowest[may_spike], highest[may_spike], (sums[may_spike].T / rows[may_spike]).T
@@ -360,6 +349,32 @@ def windows_of(
         means += sums / rows / len(sensors)
         spreads += np.sqrt(np.maximum(squares / rows - (sums / rows) ** 2, 0)) / len(sensors)
     return means, spreads.max(axis=1)
+
+
+def _add_windows(
+    block: tuple[Times, npt.NDArray[Any], npt.NDArray[np.uint16]],
+    turn: Floats,
+    figures: tuple[Floats, Floats],
+    windows: tuple[int, int],
+    flags: int,
+) -> None:
+    """Add as `imuarray.series.add_windows` does, with NumPy."""
+    rows, (sums, squares, lowest, highest) = figures[0], figures[1]
+    (begin, width_ns), (time, counts, status) = windows, block
+    window = (time - begin) // width_ns
+    inside = (window >= 0) & (window < len(rows)) & ((status & flags) == 0)
+    if not inside.all():
+        window, counts = window[inside], counts[inside]
+    if not len(window):
+        return
+    starts = np.flatnonzero(np.diff(window, prepend=-1))
+    value = turn @ np.ascontiguousarray(counts.T, float)
+    places = window[starts]
+    rows[places] += np.diff(starts, append=len(window))  # times increase: a window begins once in a block
+    sums[places] += np.add.reduceat(value, starts, axis=1).T
+    squares[places] += np.add.reduceat(value**2, starts, axis=1).T
+    lowest[places] = np.minimum(lowest[places], np.minimum.reduceat(value, starts, axis=1).T)
+    highest[places] = np.maximum(highest[places], np.maximum.reduceat(value, starts, axis=1).T)
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ from imuarray.characterise.allan_curve import (
     make_curve,
     stride_of,
 )
+from imuarray.series import second_difference_sums
 
 Values = npt.NDArray[Any]
 
@@ -119,6 +120,9 @@ def sums_of_squares(phase: Values, distances: Sequence[int], first: int = 0) -> 
     """Return for each distance m the sum of (x[e] - 2 x[e-m] + x[e-2m])^2 over the ends e from `first` on, as far as x
     reaches; x is float64, or int32, whose differences are float64 all the same.
     """
+    compiled = second_difference_sums(phase, distances, first)
+    if compiled is not None:
+        return compiled
     totals = [0.0] * len(distances)
     work = np.empty((2, min(2 * _BLOCK, len(phase))))
     for start in range(first, len(phase), _BLOCK):

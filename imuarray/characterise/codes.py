@@ -255,8 +255,8 @@ MOVING_STEPS = 20.0
 """Least spread of another axis, in steps of its codes, that shows motion while readings accumulate: noise alone seldom
 has as much, and a coarse sensor at rest has none."""
 
-_BLOCK_ROWS = 4096
-"""Rows that are read at once: those of an import, so that its memory does not grow."""
+_BLOCK_ROWS = 1 << 14
+"""Rows that are read at once, as of most passes over a log: an import then needs no more memory either."""
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,10 @@ not change the median. The row of the change is the one that best divides the in
 
 from __future__ import annotations
 
+from bisect import insort
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import log, nan
 
 import numpy as np
 
@@ -90,12 +92,18 @@ def _intervals_s(sensor: SensorLog, edges: Indices, piece_rows: int) -> Floats:
 
 def _runs(levels: Floats) -> list[int]:
     """Return the first pieces of runs of equal levels (n, 2), the logarithms of intervals."""
-    begins, least = [0], np.log(CHANGED)
-    for piece in range(2, len(levels) - 1):
-        own = levels[begins[-1] + 1 : piece]  # the first piece may be of both rates
-        changes = levels[piece : piece + 2] - (np.median(own, axis=0) if len(own) else np.nan)
-        if (changes > least).all() or (changes < -least).all():
+    begins, least = [0], log(CHANGED)
+    rows = levels.tolist()
+    own: tuple[list[float], list[float]] = [], []  # of the run, in order, without its first piece, of both rates
+    for piece in range(2, len(rows) - 1):
+        for column, ordered in enumerate(own):
+            if piece - 1 > begins[-1]:
+                insort(ordered, rows[piece - 1][column])
+        usual = [(each[(len(each) - 1) // 2] + each[len(each) // 2]) / 2 if each else nan for each in own]
+        changes = [row[column] - usual[column] for row in rows[piece : piece + 2] for column in range(2)]
+        if all(change > least for change in changes) or all(change < -least for change in changes):
             begins.append(piece)
+            own = [], []
     return begins
 
 

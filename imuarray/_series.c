@@ -1,0 +1,224 @@
+/* Passes over long series that need the rows before: medians of windows that move, figures of consecutive windows, sums of
+   second differences, and counts of codes. `imuarray.series` has the Python side; NumPy does the same, to rounding, by
+   sorting every window and by an array for each step. */
+
+#define PY_SSIZE_T_CLEAN
+#define Py_LIMITED_API 0x030B0000
+#include <Python.h>
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#define WIDEST 256 /* rows of a window whose median moves */
+#define LANES 8    /* partial sums, which a processor adds at once */
+#define DOUBLES(count) ((count) * (Py_ssize_t)sizeof(double))
+
+/* Code for processors with AVX2 beside the code for all others, chosen when the module is loaded; both add in the same
+   order. */
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__GLIBC__)
+#define CLONES __attribute__((target_clones("avx2", "default")))
+#else
+#define CLONES
+#endif
+
+/* The buffers of a tuple of arrays, each of so many bytes, the first `read` of them read only; how many are held, less
+   than `count` after an error. */
+static Py_ssize_t hold(PyObject *sequence, Py_buffer *views, Py_ssize_t count, const Py_ssize_t *bytes, Py_ssize_t read) {
+    if (PyTuple_Size(sequence) != count) {
+        PyErr_SetString(PyExc_ValueError, "another number of arrays is required");
+        return 0;
+    }
+    for (Py_ssize_t held = 0; held < count; held++) {
+        int flags = held >= read ? PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE : PyBUF_C_CONTIGUOUS;
+        if (PyObject_GetBuffer(PyTuple_GetItem(sequence, held), &views[held], flags) < 0) return held;
+        if (views[held].len != bytes[held]) {
+            PyErr_Format(PyExc_ValueError, "array %zd: %zd bytes are required", held, bytes[held]);
+            return held + 1;
+        }
+    }
+    return count;
+}
+
+static PyObject *released(Py_buffer *views, Py_ssize_t held) {
+    while (held > 0) PyBuffer_Release(&views[--held]);
+    if (PyErr_Occurred()) return NULL;
+    return Py_NewRef(Py_None);
+}
+
+static int sizes_allowed(int allowed) {
+    if (!allowed) PyErr_SetString(PyExc_ValueError, "other sizes are required");
+    return allowed;
+}
+
+/* The first place in `sorted` (count) whose value is not below `value`. */
+static Py_ssize_t place_of(const double *sorted, Py_ssize_t count, double value) {
+    Py_ssize_t low = 0;
+    while (count > 0) {
+        const Py_ssize_t half = count / 2;
+        if (sorted[low + half] < value) {
+            low += half + 1;
+            count -= half + 1;
+        } else
+            count = half;
+    }
+    return low;
+}
+
+static void insert(double *sorted, Py_ssize_t *count, double value) {
+    const Py_ssize_t at = place_of(sorted, *count, value);
+    memmove(sorted + at + 1, sorted + at, (size_t)DOUBLES(*count - at));
+    sorted[at] = value;
+    ++*count;
+}
+
+static void discard(double *sorted, Py_ssize_t *count, double value) {
+    const Py_ssize_t at = place_of(sorted, *count, value);
+    --*count;
+    memmove(sorted + at, sorted + at + 1, (size_t)DOUBLES(*count - at));
+}
+
+/* Medians of the heights (n), none of them NaN, from first (b) on, side (b) of each; 0 if a window is too wide, empty or
+   beyond the end. */
+static int medians_of(const double *height, Py_ssize_t n, const int64_t *first, const int64_t *side, Py_ssize_t b,
+                      double *result) {
+    double sorted[WIDEST];
+    Py_ssize_t count = 0, from = 0, to = 0;
+    for (Py_ssize_t i = 0; i < b; i++) {
+        const Py_ssize_t start = (Py_ssize_t)first[i], stop = start + (Py_ssize_t)side[i];
+        if (start < 0 || side[i] < 1 || side[i] > WIDEST || stop > n) return 0;
+        if (start < from || start >= to || stop < to || stop - from > WIDEST) { /* begin again */
+            count = 0;
+            from = to = start;
+        }
+        while (to < stop) insert(sorted, &count, height[to++]);
+        while (from < start) discard(sorted, &count, height[from++]);
+        result[i] = count % 2 ? sorted[count / 2] : (sorted[count / 2 - 1] + sorted[count / 2]) / 2;
+    }
+    return 1;
+}
+
+static PyObject *medians(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t n, b;
+    if (!PyArg_ParseTuple(args, "O!(nn)", &PyTuple_Type, &sequence, &n, &b)) return NULL;
+    if (!sizes_allowed(n >= 0 && b >= 0)) return NULL;
+    const Py_ssize_t bytes[] = {DOUBLES(n), 8 * b, 8 * b, DOUBLES(b)};
+    Py_buffer views[4];
+    Py_ssize_t held = hold(sequence, views, 4, bytes, 3);
+    int done = 0;
+    if (!PyErr_Occurred()) done = medians_of(views[0].buf, n, views[1].buf, views[2].buf, b, views[3].buf);
+    while (held > 0) PyBuffer_Release(&views[--held]);
+    return PyErr_Occurred() ? NULL : PyBool_FromLong(done);
+}
+
+/* Add to the figures of w windows of a width those of counts (n, 3) at increasing times (n), turned by a matrix (3, 3):
+   rows (w), sums (w, 3), squares (w, 3), lowest (w, 3), highest (w, 3). Rows with one of the flags are left out. */
+static void windows_in(const int64_t *time, const int16_t *counts, const uint16_t *status, const double *turn, double *rows,
+                       double *figures, Py_ssize_t n, Py_ssize_t w, int64_t begin, int64_t width, int flags) {
+    Py_ssize_t i = 0;
+    while (i < n && time[i] < begin) i++;
+    while (i < n) {
+        const int64_t window = (time[i] - begin) / width, end = begin + (window + 1) * width;
+        if (window >= w) return;
+        double number = 0, sum[3] = {0}, square[3] = {0}, low[3], high[3];
+        for (int axis = 0; axis < 3; axis++) low[axis] = HUGE_VAL, high[axis] = -HUGE_VAL;
+        for (; i < n && time[i] < end; i++) {
+            if (status[i] & flags) continue;
+            const double x = counts[3 * i], y = counts[3 * i + 1], z = counts[3 * i + 2];
+            number += 1;
+            for (int axis = 0; axis < 3; axis++) {
+                const double value = (turn[3 * axis] * x + turn[3 * axis + 1] * y) + turn[3 * axis + 2] * z;
+                sum[axis] += value;
+                square[axis] += value * value;
+                low[axis] = value < low[axis] ? value : low[axis];
+                high[axis] = value > high[axis] ? value : high[axis];
+            }
+        }
+        rows[window] += number;
+        for (int axis = 0; axis < 3; axis++) {
+            double *own = figures + 3 * window + axis;
+            own[0] += sum[axis];
+            own[3 * w] += square[axis];
+            own[6 * w] = low[axis] < own[6 * w] ? low[axis] : own[6 * w];
+            own[9 * w] = high[axis] > own[9 * w] ? high[axis] : own[9 * w];
+        }
+    }
+}
+
+static PyObject *windows(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t n, w;
+    long long begin, width;
+    int flags;
+    if (!PyArg_ParseTuple(args, "O!(nn)LLi", &PyTuple_Type, &sequence, &n, &w, &begin, &width, &flags)) return NULL;
+    if (!sizes_allowed(n >= 0 && w > 0 && width > 0)) return NULL;
+    const Py_ssize_t bytes[] = {8 * n, 6 * n, 2 * n, DOUBLES(9), DOUBLES(w), DOUBLES(12 * w)};
+    Py_buffer views[6];
+    Py_ssize_t held = hold(sequence, views, 6, bytes, 4);
+    if (!PyErr_Occurred())
+        windows_in(views[0].buf, views[1].buf, views[2].buf, views[3].buf, views[4].buf, views[5].buf, n, w, begin, width,
+                   flags);
+    return released(views, held);
+}
+
+#define SQUARES(name, type)                                                                                              \
+    CLONES static double name(const type *x, Py_ssize_t m, Py_ssize_t start, Py_ssize_t stop) {                          \
+        double sums[LANES] = {0}, total = 0;                                                                             \
+        Py_ssize_t end = start;                                                                                          \
+        for (; end + LANES <= stop; end += LANES)                                                                        \
+            for (int lane = 0; lane < LANES; lane++) {                                                                   \
+                const double middle = x[end - m + lane];                                                                 \
+                const double change = (x[end + lane] - middle) - (middle - x[end - 2 * m + lane]);                       \
+                sums[lane] += change * change;                                                                           \
+            }                                                                                                            \
+        for (; end < stop; end++) {                                                                                      \
+            const double middle = x[end - m], change = (x[end] - middle) - (middle - x[end - 2 * m]);                    \
+            total += change * change;                                                                                    \
+        }                                                                                                                \
+        for (int lane = 0; lane < LANES; lane++) total += sums[lane];                                                    \
+        return total;                                                                                                    \
+    }
+SQUARES(squares_of_whole, int32_t)
+SQUARES(squares_of_real, double)
+
+/* Add to totals (d) the sums of the squares of the second differences of x (n) at distances (d), which end from `start` to
+   `stop`. */
+static PyObject *second_differences(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t n, d, size, start, stop;
+    if (!PyArg_ParseTuple(args, "O!(nn)nnn", &PyTuple_Type, &sequence, &n, &d, &size, &start, &stop)) return NULL;
+    if (!sizes_allowed(n >= 0 && d >= 0 && (size == 4 || size == 8) && start >= 0 && stop <= n)) return NULL;
+    const Py_ssize_t bytes[] = {size * n, 8 * d, DOUBLES(d)};
+    Py_buffer views[3];
+    Py_ssize_t held = hold(sequence, views, 3, bytes, 2);
+    for (Py_ssize_t i = 0; i < d && !PyErr_Occurred(); i++) {
+        const int64_t m = ((const int64_t *)views[1].buf)[i];
+        if (m < 1) {
+            PyErr_SetString(PyExc_ValueError, "a distance is not positive");
+            break;
+        }
+        if (m > stop / 2) continue;
+        const Py_ssize_t first = start > 2 * m ? start : (Py_ssize_t)(2 * m);
+        double *total = (double *)views[2].buf + i;
+        *total += size == 4 ? squares_of_whole(views[0].buf, (Py_ssize_t)m, first, stop)
+                            : squares_of_real(views[0].buf, (Py_ssize_t)m, first, stop);
+    }
+    return released(views, held);
+}
+
+static PyMethodDef methods[] = {
+    {"medians", medians, METH_VARARGS, "medians(arrays, sizes): medians of windows, and whether all were possible."},
+    {"windows", windows, METH_VARARGS, "windows(arrays, sizes, begin, width, flags): figures of consecutive windows."},
+    {"second_differences", second_differences, METH_VARARGS,
+     "second_differences(arrays, sizes, size, start, stop): sums of squares at several distances."},
+    {NULL, NULL, 0, NULL}};
+
+static PyModuleDef_Slot slots[] = {{0, NULL}};
+
+static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_series", "Passes over series.", 0, methods, slots, NULL,
+                                        NULL, NULL};
+
+PyMODINIT_FUNC PyInit__series(void) { return PyModuleDef_Init(&definition); }

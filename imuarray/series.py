@@ -1,0 +1,70 @@
+"""Compiled passes over long series (`_series.c`), which return None where the package was installed without a C
+compiler, and for arrays that they don't handle: callers then do the same with NumPy, to rounding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.arrays import Floats, Indices, Times
+
+try:
+    from imuarray import _series
+except ImportError:  # installed without a C compiler
+    COMPILED = False
+else:
+    COMPILED = True
+
+_BLOCK = 1 << 16
+"""Values of a series whose differences at all distances are summed together, so that they stay in the cache."""
+
+
+def window_medians(height: Floats, first: Indices, side: Indices) -> Floats | None:
+    """Return the medians (b,) of `side` (b,), or (1,) for all, heights each from `first` (b,) on; no height is NaN.
+    None without compiled code, and for windows of more than 256 heights or beyond the end.
+    """
+    if not COMPILED:
+        return None
+    result = np.empty(len(first))
+    sides = np.ascontiguousarray(np.broadcast_to(side, first.shape), np.int64)
+    given = np.ascontiguousarray(height, float), np.ascontiguousarray(first, np.int64), sides
+    possible = _series.medians((*given, result), (len(height), len(first)))
+    return result if possible else None
+
+
+def add_windows(
+    block: tuple[Times, npt.NDArray[Any], npt.NDArray[np.uint16]],
+    turn: Floats,
+    figures: tuple[Floats, Floats],
+    windows: tuple[int, int],
+    flags: int,
+) -> bool:
+    """Add to the `figures` of w windows, their rows (w,) and sums, squares, lowest and highest values (4, w, 3), those
+    of a block of time (n,), counts (n, 3) and status (n,); `turn` (3, 3) turns counts into values. `windows` are the
+    begin of the first one and their width in ns; rows with one of the flags are left out. Return False without compiled
+    code, and for counts that are not int16.
+    """
+    time, counts, status = (np.ascontiguousarray(part) for part in block)
+    if not COMPILED or counts.dtype != np.int16 or time.dtype != np.int64 or status.dtype != np.uint16:
+        return False
+    sizes = len(time), len(figures[0])
+    _series.windows((time, counts, status, np.ascontiguousarray(turn, float), *figures), sizes, *windows, flags)
+    return True
+
+
+def second_difference_sums(series: npt.NDArray[Any], distances: Sequence[int], first: int) -> list[float] | None:
+    """Return for each distance m the sum of (x[e] - 2 x[e-m] + x[e-2m])^2 over the ends e from `first` on of a `series`
+    (n,) of int32 or float64. None without compiled code, and for other types.
+    """
+    if not COMPILED or series.dtype not in (np.int32, np.float64) or not series.flags.c_contiguous:
+        return None
+    totals, each = np.zeros(len(distances)), np.array(distances, np.int64)
+    for start in range(first, len(series), _BLOCK):
+        stop = min(start + _BLOCK, len(series))
+        sizes = len(series), len(each)
+        _series.second_differences((series, each, totals), sizes, series.dtype.itemsize, start, stop)
+    return totals.tolist()
