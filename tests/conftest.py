@@ -6,6 +6,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # tests run side by side: threads
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import gc
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,6 +26,22 @@ settings.register_profile("quick", deadline=None, derandomize=True, max_examples
 settings.register_profile("full", deadline=None, derandomize=True)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("quick")
+
+
+MEMORY = Path("/dev/shm")
+LEAST_FREE_BYTES = 4 << 30
+"""Free memory disk from which temporary files are kept there; the quick half takes less than a tenth of it."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep the temporary files of the quick half in memory, if TMPDIR and --basetemp name no other place. A log is
+    synchronised to the disk several times, and a thousand of them are written: on a disk they take most of the time.
+    """
+    if "not slow" not in config.option.markexpr or "TMPDIR" in os.environ or not MEMORY.is_dir():
+        return
+    is_executable = not os.statvfs(MEMORY).f_flag & os.ST_NOEXEC  # tests compile programs and run them
+    if is_executable and shutil.disk_usage(MEMORY).free >= LEAST_FREE_BYTES:
+        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
 
 
 LONGEST = (

@@ -122,7 +122,7 @@ def test_a_log_that_is_simulated_again_has_its_own_conditions(folder: Path, tmp_
         ia.simulate(folder / "rest.h5", tmp_path / "a.h5", seconds=1.0)
 
 
-@pytest.mark.parametrize("technique", some(["optimal", "mean"], 1))
+@pytest.mark.parametrize("technique", some(["mean", "optimal"], 1))
 def test_a_fusion_is_that_of_the_command(folder: Path, tmp_path: Path, technique: str) -> None:
     command, own = tmp_path / "command.h5", tmp_path / "own.h5"
     run("fuse", folder / "rest.h5", "--calibration", folder / "cal.toml", "--technique", technique, "-o", command)
@@ -196,6 +196,7 @@ def test_a_group_that_was_not_measured_is_no_figure(folder: Path) -> None:
         known.plot("therml")
 
 
+@pytest.mark.slow
 def test_one_log_is_diagnosed_without_a_list(folder: Path, tmp_path: Path) -> None:
     found = ia.diagnose(folder / "rest.h5", model="martin2013", only=["Gyro1"], replicates=40)
     assert [recording.name for recording in found.recorded] == ["rest.h5"]

@@ -68,7 +68,8 @@ def run(here: Path, capsys: pytest.CaptureFixture[str]) -> Run:
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["-h"], ["completion", "-h"], ["log", "--help"], ["detect", "-h"], ["info", "--help"]]
+    "arguments",
+    some([["--help"], ["-h"], ["completion", "-h"], ["log", "--help"], ["detect", "-h"], ["info", "--help"]], 3),
 )
 def test_help_is_light(arguments: list[str]) -> None:
     program = (

@@ -89,6 +89,7 @@ def test_importing_costs_nothing() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_the_library_does_not_reach_for_the_emulator() -> None:
     program = (
         "import sys, imuarray.acquire, imuarray.drivers, imuarray.log, imuarray.bus.transcript\n"

@@ -28,6 +28,7 @@ def test_a_burst_starts_when_it_was_asked_for_if_nothing_came_between() -> None:
         assert adapter.start_of(begun_ns, begun_ns + (225 + extra_us) * 1000, 90) == (begun_ns, True)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 20 * MS), st.integers(0, 20 * MS))
 def test_after_an_interruption_the_error_is_half_of_it_at_most(before_ns: int, after_ns: int) -> None:
     """Whether the program was interrupted before the burst or after it can't be known."""

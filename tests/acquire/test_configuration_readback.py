@@ -114,6 +114,7 @@ def test_a_sound_array_has_no_suspect_row_and_every_row_is_written(tmp_path: Pat
         assert not any((np.asarray(sensor.status) & SUSPECT).any() for sensor in log.sensors.values())
 
 
+@pytest.mark.slow
 def test_looking_at_the_mode_does_not_hold_back_readings_of_an_hmc5883l(tmp_path: Path) -> None:
     """Reading its mode alone would lock the data until the next fetch, which then repeats them (HMC-34)."""
     text = "[array]\nname = 'two'\nmux = {chip = 'pca9544a', address = 0x70}\n" + "".join(

@@ -153,7 +153,7 @@ MOMENTARY = ("reset", "torn", "mux_reset")
         pytest.param(5.3, 3600, marks=pytest.mark.campaign),
     ],
 )
-@pytest.mark.parametrize("kind", some(FAULTS, 2))
+@pytest.mark.parametrize("kind", some(FAULTS, 1))
 def test_no_fault_fills_a_log_with_events(kind: str, every_s: float | None, seconds: int) -> None:
     """A fault of every kind for the whole recording, or again and again: few events, and the last of them is an end."""
     table = {"at_s": 20.0, **TABLES[kind]}

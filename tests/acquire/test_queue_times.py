@@ -66,7 +66,7 @@ def array_text(die: str, rate_hz: int, *, on_spi: bool) -> str:
 @pytest.mark.parametrize(
     ("die", "rate_hz", "error", "on_spi"),
     [
-        ("icm42688", 1000, 0.01, True),
+        pytest.param("icm42688", 1000, 0.01, True, marks=pytest.mark.slow),
         pytest.param("icm42688", 1000, -0.01, True, marks=pytest.mark.slow),
         pytest.param("icm42688", 1000, 0.0, False, marks=pytest.mark.slow),
         pytest.param("icm42688", 200, -0.004, True, marks=pytest.mark.slow),

@@ -78,7 +78,7 @@ def test_every_chip_of_the_papers_array(tmp_path: Path, rate_hz: float) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
-@pytest.mark.parametrize("chip", some(ALONE, 2))
+@pytest.mark.parametrize("chip", some(ALONE, 1))
 def test_every_chip_alone_and_without_a_multiplexer(tmp_path: Path, chip: str, rate_hz: float) -> None:
     array = parse_array(f'[array]\nname="a"\n[[sensor]]\nname="S"\nchip="{chip}"\n{ALONE[chip]}')
     frames = max(20, round(20 * rate_hz))
@@ -116,6 +116,7 @@ def test_queues(tmp_path: Path, chip: str, rate_hz: float) -> None:
     assert summary.lost == {"S": 0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", some([0.1, 1.0, 7.0, 9.0, 20.0], 1))
 def test_a_pressure_is_not_old_when_it_is_read(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path, rate_hz: float
@@ -136,6 +137,7 @@ def test_a_pressure_is_not_old_when_it_is_read(
         assert len(log["P"]) == len(ages_ns)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", some([0.1, 0.5, 1.0, 50.0], 1))
 def test_no_row_waits_long(
     an_array: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rate_hz: float

@@ -124,6 +124,7 @@ def test_an_export_has_the_pulses(tmp_path: Path) -> None:
         assert dataset["sync_pulse"].attrs["units"] == "s"
 
 
+@pytest.mark.slow
 def test_without_pulses_no_row_is_marked(tmp_path: Path) -> None:
     array = array_of("icm42688")
     with open_bus({"pulse_hz": "0"}, array) as bus:

@@ -277,6 +277,7 @@ def test_biases_that_wander_from_pose_to_pose_are_in_the_covariance(pair: tuple[
     assert np.mean(totals) / 21 == pytest.approx(1.2, abs=3.3 * np.std(totals) / 21 / 30**0.5)
 
 
+@pytest.mark.slow
 def test_only_the_axis_that_wanders_is_given_a_scatter(pair: tuple[SensorLog, ...]) -> None:
     """The y axis of the second sensor wanders by 30 counts, six times the noise, known from some 54 degrees of freedom
     to a tenth. It turns the fitted directions a little, so its triad scatters too, but by less than the noise of 5.
@@ -340,6 +341,7 @@ def test_fewer_than_nine_poses(write_log: WriteLog, count: int) -> None:
         fit_gravity(list(log.sensors.values()), [Pose(phase, None) for phase in log.phases[:count]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", some([0.0, 5.0, 40.0, 200.0], 1))
 @pytest.mark.parametrize("seed", some([1, 2], 1))
 def test_poses_in_one_plane_are_refused(write_log: WriteLog, sigma: float, seed: int) -> None:

@@ -16,6 +16,7 @@ from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Phase
 from tests.calibrate.conftest import EPOCH, FACES, Floats, Part, WriteLog, accelerometer, ideal, skewed
+from tests.selection import some
 
 AXES = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z")
 ROWS = 400
@@ -91,7 +92,7 @@ def test_undisturbed_faces_are_all_used(write_log: WriteLog) -> None:
     assert result.poses == 7
 
 
-@pytest.mark.parametrize("face", ["x_up", "z_down", "z_up_check"])
+@pytest.mark.parametrize("face", some(["x_up", "z_down", "z_up_check"], 1))
 def test_a_face_that_moved_is_left_out_and_named(tmp_path: Path, face: str) -> None:
     """By 1 degree in the middle of the reading: 17.5 mg between the halves."""
     axis = [0.0, 0.0, 1.0] if face == "x_up" else [1.0, 0.0, 0.0]

@@ -232,6 +232,7 @@ def test_saturated_and_suspect_readings_are_left_out_of_a_pose_and_stale_ones_ar
         read_pose(log["A"], pose)
 
 
+@pytest.mark.slow
 def test_standard_error_of_a_pose_holds_for_correlated_noise(tmp_path: Path) -> None:
     """A moving average of 8 rows is 8 times more uncertain in its mean's variance than single rows say.
 

@@ -138,6 +138,7 @@ def test_a_log_without_rest_says_nothing(calibration_file: Path, tmp_path: Path)
     assert "B" not in starts or not starts["B"].fault
 
 
+@pytest.mark.slow
 def test_log_says_it_while_it_records(
     calibration_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -65,6 +65,7 @@ def test_faces_tell_of_gyroscopes_what_their_turns_do(tmp_path: Path) -> None:
     assert set(result.calibration.sensors["Gyro3"].provenance) >= {"bias", "g_sensitivity"}
 
 
+@pytest.mark.slow
 def test_a_leaning_table_widens_the_standard_errors_of_faces(tmp_path: Path) -> None:
     """Leaning by 0.3 degrees rms, 5 mg: level standard errors would be 20 times too small."""
     rng = np.random.default_rng(8)

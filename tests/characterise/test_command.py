@@ -86,6 +86,7 @@ def test_bad_input_is_one_line(
     assert out == ""
 
 
+@pytest.mark.slow
 def test_figure_has_a_panel_per_quantity(log_path: Path) -> None:
     with open_log(log_path) as log:
         figure = allan_figure(characterise_log(log, sensors=["A", "E", "G", "P"]))
@@ -109,6 +110,7 @@ def test_figure_of_many_or_no_curves(log_path: Path) -> None:
     assert allan_figure(result | {"sensors": []}).get_axes() == []
 
 
+@pytest.mark.slow
 def test_heavy_packages_stay_out() -> None:
     """The library needs NumPy and h5py until intervals or figures are asked for; a figure never loads pyplot."""
     code = (

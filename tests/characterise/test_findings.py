@@ -17,6 +17,7 @@ from imuarray.log import open_log
 from imuarray.printable import listed
 from imuarray.simulate import EFFECTS, Simulation, plan_of, write_log
 from imuarray.simulate.motion import HandShake, Still
+from tests.selection import some
 
 ARRAY = parse_array(
     '[array]\nname = "a"\n[[sensor]]\nname = "G"\nchip = "l3g4200d"\naddress = 0x68\nrange = 250\nrate_hz = 800\n'
@@ -43,6 +44,7 @@ def test_a_sound_sensor_gives_nothing_to_say(characterised: Characterise) -> Non
     assert findings(characterised(NOISE)) == []
 
 
+@pytest.mark.slow
 def test_the_papers_gyroscope_has_its_line_and_its_correlation(characterised: Characterise) -> None:
     """Appendix A: neighbours correlate by 0.4 at 350 Hz, and y alone has a line near 50 Hz (Figures 13 and 14).
 
@@ -114,7 +116,7 @@ SIX_AXIS = parse_array(
 )
 
 
-@pytest.mark.parametrize("hold_s", [0.0, 0.0015])
+@pytest.mark.parametrize("hold_s", some([0.0, 0.0015], 1))
 def test_an_adaptive_range_that_is_on(tmp_path: Path, hold_s: float) -> None:
     """A gyroscope that is turned by hand, up to 286 dps, in a log of every sample."""
     effects = [

@@ -198,6 +198,7 @@ def test_drawn_units_keep_the_tolerances(chip: str, full_scale: float) -> None:
     assert max(map(abs, errors)) > 0.25 * scale
 
 
+@pytest.mark.slow
 def test_spread_of_drawn_biases() -> None:
     """sigma = typ / 2 cut off at 2 sigma has a standard deviation of 0.880 sigma (DEC-51); 3 % is 4.4 sigma of it."""
     biases = [bias for index in range(3600) for bias in unit_of("mine", f"S{index}", "bma180", 2.0).bias]

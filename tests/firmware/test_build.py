@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 
 from tests.firmware.build import COMPILER, CORE, SOURCES, STRICT, compiled
+from tests.selection import some
 
 
-@pytest.mark.parametrize("sizes", [(), ("-DFIRMWARE_KEPT_BYTES=4096u", "-DFIRMWARE_LINE_BYTES=2560u")])
+@pytest.mark.parametrize("sizes", some([((),), (("-DFIRMWARE_KEPT_BYTES=4096u", "-DFIRMWARE_LINE_BYTES=2560u"),)], 1))
 def test_the_core_calls_nothing_but_the_memory_functions_of_c(folder: Path, sizes: tuple[str, ...]) -> None:
     if shutil.which("nm") is None:
         pytest.skip("no nm (Debian's package binutils)")
@@ -44,6 +45,7 @@ def test_the_port_for_the_rp2040_uses_the_sdk_as_it_is_declared(folder: Path) ->
     assert ran.returncode == 0
 
 
+@pytest.mark.slow
 def test_the_makefile_builds_both(folder: Path) -> None:
     if shutil.which("make") is None:
         pytest.skip("no make")

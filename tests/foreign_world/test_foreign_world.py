@@ -289,7 +289,7 @@ def test_known_effects_bear_names_of_the_vocabulary() -> None:
     assert KINDS == ("control", "effect", "unknown", "pair")
 
 
-@pytest.mark.parametrize("name", some(sorted(EFFECTS), 8))
+@pytest.mark.parametrize("name", some(sorted(EFFECTS), 4))
 def test_an_effect_changes_the_sensors_that_it_concerns(name: str) -> None:
     effect = EFFECTS[name]
     for attempt in range(200):

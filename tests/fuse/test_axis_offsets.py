@@ -14,6 +14,7 @@ from imuarray.fuse.techniques.technique import FixedWeights
 from imuarray.log import open_log
 from tests.fuse.arrays import triad
 from tests.fuse.conftest import DPS, Floats, Part, WriteRun, calibration, joined, nothing
+from tests.selection import some
 
 BIASES = np.random.default_rng(8).normal(0.0, 0.2, (8, 3))
 ROWS = np.tile(np.eye(3), (8, 1))
@@ -79,7 +80,7 @@ def test_blocks_and_unknown_offsets() -> None:
     assert AxisOffsets(ROWS)(Frames(clipped.time, clipped.values, clipped.valid, ends)).offsets is None
 
 
-@pytest.mark.parametrize("technique", [name for name in TECHNIQUES if name != "opposed"])
+@pytest.mark.parametrize("technique", some([name for name in TECHNIQUES if name != "opposed"], 1))
 def test_a_slow_oscillator_leaves_no_steps_in_the_fused_log(write_run: WriteRun, technique: str) -> None:
     """Eight gyroscopes at rest with a bias each, in whole counts; one misses a frame of fifty, one after the other.
     Every fused frame is the mean of the biases, whether it was combined directly or not.

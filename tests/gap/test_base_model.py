@@ -30,6 +30,7 @@ from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.signal import Triple
 from tests.gap.made import BASE, PLANS, OneBlock, block, campaign_of, gaussian, header, summary
+from tests.selection import some
 
 
 def fitted_to(kind: str, more: object = None, seed: int = 0) -> Base:
@@ -346,6 +347,7 @@ def test_a_filter_is_fitted_beside_a_slow_wander(wander_rms: float) -> None:
     assert result.cutoff_hz == pytest.approx(35.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_drift_in_short_phases_is_no_filter() -> None:
     """White noise: 600 rows without a drift, and 12 phases of 550 rows that drift by 0.8 of its standard deviation,
     which adds 0.05 to their correlations. Fitted to all phases 9 of 20 recordings have a filter, by chance one of 250.
@@ -362,7 +364,7 @@ def test_a_drift_in_short_phases_is_no_filter() -> None:
     assert sum(math.isfinite(fitted.cutoff_hz) for fitted in each) <= 1
 
 
-@pytest.mark.parametrize(("cutoff_hz", "poles"), [(25.0, 1), (12.0, 1), (12.0, 2), (6.0, 2)])
+@pytest.mark.parametrize(("cutoff_hz", "poles"), some([(25.0, 1), (12.0, 1), (12.0, 2), (6.0, 2)], 2))
 def test_noise_with_a_memory_is_not_taken_for_less(cutoff_hz: float, poles: int) -> None:
     """Segments of 312 rows: about their own mean rows behind 6 Hz vary by 5 % less, and their median lies lower."""
     white = np.random.default_rng(8).normal(size=(400_000, 3))
@@ -448,6 +450,7 @@ def fitted_to_rows(
     return fit(Campaign(tuple(logs)), [Still()] * len(logs)).fitted["G"]
 
 
+@pytest.mark.slow
 def test_an_accelerometer_sits_near_the_place_in_its_header() -> None:
     """Within 1.5 mm (one sigma) along each axis, each at a place of its own; a gyroscope feels the same everywhere. 200
     draws give the mean to 0.11 mm and the standard deviation to 0.08 mm.

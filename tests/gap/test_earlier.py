@@ -52,6 +52,7 @@ def since(folder: Path, before: Sequence[Effect], now: Sequence[Effect], **more:
     return found
 
 
+@pytest.mark.slow
 def test_the_same_array_twice_is_no_gap(tmp_path: Path) -> None:
     found = since(tmp_path, (), ())
     assert (found.verdict, found.causes) == ("no gap", ())

@@ -200,6 +200,7 @@ def test_several_that_are_turned_are_not_the_labels(tmp_path: Path) -> None:
     assert (found.phase.name, found.up, found.agree) == ("y_up", "+Y", ("B1", "B2", "D1"))
 
 
+@pytest.mark.slow
 def test_two_sensors_in_each_others_place_are_not_the_labels(tmp_path: Path) -> None:
     """From 7 s on, so that three of five faces are felt as each other's: one exchange rather than three wrong labels.
     With a third accelerometer no face is contradicted by most.

@@ -25,6 +25,7 @@ def courses(count: int) -> np.ndarray:
     return degc - degc.mean(axis=1, keepdims=True)
 
 
+@pytest.mark.slow
 def test_courses_wander_by_what_rooms_do() -> None:
     """Between 0.02 and 0.5 degC (rms), half of the rooms below their geometric mean of 0.1 degC; 200 rooms are below it
     in 80 to 120 cases with a probability of 0.996.
@@ -34,8 +35,9 @@ def test_courses_wander_by_what_rooms_do() -> None:
     assert 80 <= np.count_nonzero(rms_degc < 0.1) <= 120
 
 
+@pytest.mark.slow
 def test_they_have_periods_of_20_s_to_half_an_hour() -> None:
-    spectra = np.abs(np.fft.rfft(courses(100))) ** 2
+    spectra = np.abs(np.fft.rfft(courses(30))) ** 2
     frequency_hz = np.fft.rfftfreq(len(DAY_NS))
     is_within = (frequency_hz > 1 / 2000) & (frequency_hz < 1 / 18)
     assert (spectra[:, is_within].sum(axis=1) > 0.95 * spectra.sum(axis=1)).all()

@@ -110,6 +110,7 @@ def told(found: Sequence[SharedSignal]) -> set[tuple[str, str, str]]:
     return {(one.quantity, one.pace, one.axis) for one in found}
 
 
+@pytest.mark.slow
 def test_a_phase_without_common_segments_shows_nothing() -> None:
     """The sensors' segments lie at different times, as behind a gap of one of them; the thermometers warm up."""
     (log,) = campaign(Heating()).logs

@@ -39,10 +39,8 @@ def counts_of(recording: Walk) -> np.ndarray:
 
 
 def lines_of(time_s: np.ndarray, values: np.ndarray, form: str = "{:g}") -> list[str]:
-    return [
-        f"{stamp:.6f}," + ",".join(form.format(value) for value in row)
-        for stamp, row in zip(time_s.tolist(), values.tolist(), strict=True)
-    ]
+    line = ",".join(["{:.6f}", *[form] * values.shape[1]])
+    return [line.format(stamp, *row) for stamp, row in zip(time_s.tolist(), values.tolist(), strict=True)]
 
 
 def joined(lines: list[str]) -> bytes:

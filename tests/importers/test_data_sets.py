@@ -197,7 +197,7 @@ def angles_beside_rates(folder: Path) -> Path:
     return folder / "wit.txt"
 
 
-QUICK = (kitti, json_lines)
+QUICK = (json_lines,)
 SENSORS = {
     kitti: 2, json_lines: 2, json_lists: 2, json_document: 2, influx: 2, can_frames: 2, novatel: 2, ardupilot: 4,
     wide: 3, nameless_files: 2, torn_serial: 2, kinds_behind_the_time: 2, arrays: 2, packets_of_a_phone: 1,
@@ -235,6 +235,7 @@ def test_a_guess_has_the_true_values(
     assert "? Acc" not in report and "? acc" not in report, report
 
 
+@pytest.mark.slow
 def test_lists_of_numbers_on_each_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As MicroPython prints them."""
     rows = [json.dumps([round(at, 3), *row]) for at, row in zip(T.tolist(), SI.tolist(), strict=True)]

@@ -271,6 +271,7 @@ def test_the_extract_holds_twenty_static_orientations(extract: Path) -> None:
     assert np.degrees(np.arccos(cosines.max())) > 15
 
 
+@pytest.mark.slow
 def test_the_two_sides_of_the_board_agree_in_the_box_frame(extract: Path) -> None:
     """Rates of the shaken stretch, saturated rows left out: what one side shows, the other shows turned."""
     rows = slice(10_000, 12_500)

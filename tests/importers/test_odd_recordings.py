@@ -508,6 +508,19 @@ SLOW = (
     "a counter that begins anew",
     "blank cells of a slower sensor",
     "exchanged signs",
+    "m/s2 and rad/s, said so",
+    "clipping below the range",
+    "bursts, counted out",
+    "decimal commas",
+    "another delimiter",
+    "several tables of different rates",
+    "single rows that are missing",
+    "a rate that changes early",
+    "a rate that rises",
+    "a gyroscope that stops for three seconds",
+    "rad/s as dps, at rest",
+    "lines above the header",
+    "another delimiter, of a header",
 )
 """Of the slow half, so that the quick one stays quick."""
 

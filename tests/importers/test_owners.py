@@ -302,6 +302,7 @@ def test_garbage_that_looks_like_a_byte_order_mark(tmp_path: Path) -> None:
     assert 'columns = ["ax", "ay", "az"]' in guess_map(tmp_path / "data.csv")
 
 
+@pytest.mark.slow
 def test_a_row_after_a_clock_was_set_back_is_flagged(tmp_path: Path) -> None:
     _, path = imported(CASES["a recorder that starts again"].files, tmp_path, "data.csv")
     with open_log(path) as log:

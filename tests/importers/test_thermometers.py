@@ -78,6 +78,7 @@ def test_a_temperature_is_calibrated_against(sensor: str, more: str, kind: str, 
         assert (np.abs(thermal.slope_lsb_per_degc - SLOPE_LSB_PER_DEGC) < np.maximum(4 * error, 0.1)).all()
 
 
+@pytest.mark.slow
 def test_a_simulation_like_the_log_takes_the_temperature_of_its_own_thermometer(tmp_path: Path) -> None:
     """Beside a chip whose counts of temperature nobody explains."""
     degc = warming(tmp_path)

@@ -15,6 +15,7 @@ from imuarray.importers.plausibility import report_of
 from imuarray.importers.table import import_table
 from imuarray.log import SensorLog, open_log
 from tests.importers.recordings import G, joined, lines_of, walk
+from tests.selection import some
 
 HEAD = "t,ax,ay,az"
 MAP = """
@@ -120,7 +121,7 @@ def test_coarse_noise_stays_in_16_bits(tmp_path: Path) -> None:
     assert sensor.count_bits == 16
 
 
-@pytest.mark.parametrize("suffix", ["npz", "csv", "parquet"])
+@pytest.mark.parametrize("suffix", some(["npz", "csv", "parquet"], 1))
 def test_exported_counts_come_back(tmp_path: Path, suffix: str) -> None:
     codes = codes_of_20_bits()
     imported(tmp_path, write(tmp_path, codes, "{:d}"), ADXL355)
@@ -134,6 +135,7 @@ def test_exported_counts_come_back(tmp_path: Path, suffix: str) -> None:
         assert np.array_equal(np.asarray(log["Acc"].counts[:]), codes)
 
 
+@pytest.mark.slow
 def test_guess_names_the_scale_of_wide_codes(tmp_path: Path) -> None:
     """ADIS16470: 52428800 counts per g and 655360 counts per dps in 32 bits (data sheet, tables of the outputs)."""
     recording = walk(4000)

@@ -13,6 +13,7 @@ from imuarray.characterise import characterise_log, render_text
 from imuarray.cli import main
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import TIME_UNCERTAINTY, SensorHeader
+from tests.selection import some
 
 ROWS = 1000
 STATED_S = np.where(np.arange(ROWS) < 10, 500e-6, 21e-6)
@@ -69,7 +70,7 @@ def test_characterise_has_it_in_the_alignment(queue: Path) -> None:
     assert any(line.split()[-2:] == ["21.0", "-"] for line in table)
 
 
-@pytest.mark.parametrize("suffix", ["npz", "csv", "parquet"])
+@pytest.mark.parametrize("suffix", some(["npz", "csv", "parquet"], 1))
 def test_an_export_keeps_it(suffix: str, queue: Path, tmp_path: Path) -> None:
     assert main(["export", str(queue), "-o", str(tmp_path / f"q.{suffix}")]) == 0
     assert main(["import", str(tmp_path / f"q.{suffix}"), "-o", str(tmp_path / "again.h5")]) == 0

@@ -232,6 +232,7 @@ def test_it_does_not_begin_below_the_watermark(tmp_path: Path, monkeypatch: pyte
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_disk_that_takes_the_name_and_no_byte_keeps_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "disk"
     folder.mkdir()

@@ -150,6 +150,7 @@ def evil() -> Diagnosis:
 
 
 def test_all_sections_in_order(page: Page) -> None:
+    assert 'class="verdict' in page.source.split("<main>")[0]
     assert [heading for heading in page.words if heading in ORDER] == ORDER
     assert page.open_tags == []
     assert [tag for tag in page.tags if tag in ("script", "link", "iframe")] == []

@@ -17,7 +17,7 @@ from imuarray.fuse.evaluation import Error, Ratio
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Event, SensorHeader
 from imuarray.report import Verdict, write_page
-from imuarray.report.gap_page import gap_verdict, write_gap_page
+from imuarray.report.gap_page import gap_verdict
 from imuarray.report.log_page import log_sections
 from imuarray.report.verdicts import calibration_verdict, fused_verdict, joined, recording_verdict, techniques_verdict
 from tests.report.made_diagnosis import made, made_unexplained, made_without_gap
@@ -208,8 +208,6 @@ def test_a_page_opens_with_it(tmp_path: Path) -> None:
     assert '<section class="verdict doubtful" aria-label="Verdict">' in opening
     assert "▲</span> &lt;b&gt;a&lt;/b&gt; is good." in opening
     assert re.findall(r"<div><dt>(.*?)</dt><dd>(.*?)</dd></div>", opening)[0] == ("of &amp; all", "1 &lt;i&gt;")
-    write_gap_page(tmp_path / "gap.html", made())
-    assert 'class="verdict' in (tmp_path / "gap.html").read_text().split("<main>")[0]
 
 
 @pytest.mark.parametrize(

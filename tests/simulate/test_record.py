@@ -77,6 +77,7 @@ def test_its_shape_is_that_of_a_recorded_log(array: ArrayConfig, tmp_path: Path)
         assert theirs[name] == described, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("block_rows", "workers"), some([(1000, 1), (16384, 2), (777, 3)], 1))
 def test_neither_block_nor_workers_change_a_value(
     array: ArrayConfig, tmp_path: Path, block_rows: int, workers: int

@@ -74,11 +74,13 @@ def test_where_mechanisms_are_put() -> None:
     assert all(case.without == case.resembles[0] for case in withheld)
 
 
+@pytest.mark.slow
 def test_severity_is_in_detection_limits() -> None:
     (case,) = cases("development", Size(singles=1, severities=(5.0,), mechanisms=("mains_ripple",)))
     assert case.puts[0].severity == pytest.approx(5 * limit("mains_ripple", CHIPS[case.puts[0].sensors[0]]))
 
 
+@pytest.mark.slow
 def test_limits_are_of_mechanisms_that_are_graded() -> None:
     graded = {name for name, facts in mechanisms().items() if facts["graded"]}
     assert set(LIMITS) <= graded
@@ -164,6 +166,7 @@ def test_what_leaves_no_trace_is_no_case() -> None:
             assert {"axis_error", "channel_swap"}.isdisjoint(hidden_in(world, chip)) == is_level_known
 
 
+@pytest.mark.slow
 def test_one_sensor_answers_for_another_only_at_the_same_address() -> None:
     hung = [case for case in cases("development", SIZES["short"]) if "mux_hang" in {put.mechanism for put in case.puts}]
     assert hung

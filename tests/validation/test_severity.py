@@ -23,7 +23,7 @@ from imuarray.validation import generator
 from imuarray.validation.case import Put
 from imuarray.validation.severity import LIMIT, find_severity, matched_statistic
 from imuarray.validation.thresholds import frozen_thresholds
-from tests.selection import examples
+from tests.selection import examples, some
 
 Floats = npt.NDArray[np.float64]
 ROWS, SIGMA = 6400, 20.0
@@ -73,6 +73,7 @@ def test_what_is_fitted_has_no_ratio(tmp_path: Path) -> None:
         assert matched_statistic([plain], [loud]) < LIMIT
 
 
+@pytest.mark.slow
 def test_what_the_part_may_have_is_no_effect(tmp_path: Path) -> None:
     """A scale factor within 2.3 % (BMA-70), four times the noise, and a bias that scatters by half of what is usual
     from one log to the next (0.3 mg, 0.6 counts); ten times as much of a scale or a scatter is one.
@@ -174,7 +175,7 @@ def test_a_displacement_within_the_tolerance_is_no_effect(tmp_path: Path) -> Non
     assert matched_statistic([plain], [near]) < LIMIT < matched_statistic([plain], [far])
 
 
-@pytest.mark.parametrize("sigma", [0.25, 0.4, 0.6])
+@pytest.mark.parametrize("sigma", some([0.25, 0.4, 0.6], 1))
 def test_another_level_within_a_code_is_no_effect(tmp_path: Path, sigma: float) -> None:
     """With little noise another bias changes the noise of rounding, how often codes repeat, and the share of even ones
     (its first harmonic at a sigma of 0.4 counts is 0.21 of the mean); codes that are all even are an effect.

@@ -57,6 +57,7 @@ def test_slips_add_up_to_a_random_walk():
     assert stats.kurtosis(increments, axis=None) == pytest.approx(6 * 4 / (50 * 4), abs=0.25)  # lambda E x^4 / var^2
 
 
+@pytest.mark.slow
 def test_a_trap_is_full_for_its_share_of_the_time_and_on_one_axis():
     found = errors(SingleTrap(size_dps=0.4, capture_s=0.3, emission_s=0.1), "Gyro", every(10, 40000))
     assert np.count_nonzero(found.any(axis=0)) == 1

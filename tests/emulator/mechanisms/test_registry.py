@@ -105,6 +105,7 @@ def test_no_file_imports_the_simulator_or_its_judges():
                 assert not module.startswith(("importlib", "tests")), (file.name, module)
 
 
+@pytest.mark.slow
 def test_nothing_of_the_simulator_is_loaded_by_making_a_case():
     """By what a fresh interpreter has loaded, whoever imported it."""
     code = (

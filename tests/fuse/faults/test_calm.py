@@ -40,7 +40,7 @@ def cases(quantity: str) -> dict[str, tuple[Run, Frames]]:
 @pytest.mark.parametrize(
     "case", some(["at rest", "in motion", "readings are missing", "faults at rest", "faults in motion"], 1)
 )
-@pytest.mark.parametrize("quantity", QUANTITIES)
+@pytest.mark.parametrize("quantity", some(QUANTITIES, 1))
 def test_both_ways_leave_out_the_same_and_learn_the_same(
     quantity: str, case: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,7 @@ from imuarray.arrays import Floats
 from imuarray.fuse.faults import hypotheses
 from imuarray.fuse.faults.hypotheses import disagreement, strongest
 from imuarray.fuse.faults.window import DecisionWindow, NormalModel, Spaces, WindowResiduals, window_residuals
+from tests.selection import some
 
 FRAMES = 6
 PERIOD_S = 0.016
@@ -69,7 +70,8 @@ def test_one_reading_that_is_off_is_its_sensors_fault(sensor: int) -> None:
     assert suspect is not None and suspect.axes == (3 * sensor + 1,) and suspect.rivals == ()
 
 
-def test_the_bounds_hide_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("sizes", some([3, 12], 1))
+def test_the_bounds_hide_no_fault(sizes: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Readings that are off by more and more, of one axis after the other: with and without the bounds the verdict is
     the same; small errors are within the bounds, large ones are not.
     """
@@ -78,7 +80,7 @@ def test_the_bounds_hide_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
         if not bounded:
             monkeypatch.setattr(hypotheses, "_is_quiet", lambda seen: False)
         verdicts = []
-        for axis, size in enumerate(np.linspace(0.0, 40.0, 12)):
+        for axis, size in enumerate(np.linspace(0.0, 40.0, sizes)):
             off = np.zeros(24)
             off[2 * axis] = size
             verdicts.append(strongest(*window_of(off)))

@@ -11,6 +11,7 @@ import pytest
 from imuarray.fuse.frames import Axis, Frames
 from imuarray.fuse.optimal import AxisErrors, DesignErrors, ErrorModel, Optimal, compiled_segments
 from tests.fuse.optimal.conftest import FORCE, PERIOD_S, Floats, blocks_of, times, triad
+from tests.selection import some
 
 RATE = "angular_rate"
 COUNT = 900
@@ -87,7 +88,7 @@ def fused(case: str, smoothed: bool) -> dict[str, Floats]:
 
 
 @pytest.mark.parametrize("smoothed", [False, True])
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", some(CASES, 2))
 def test_compiled_segments_are_those_of_numpy(case: str, smoothed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[int] = []
     frames = compiled_segments.frames

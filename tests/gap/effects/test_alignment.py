@@ -117,7 +117,7 @@ def test_misalignment(kind: str, sensor: str, within: float) -> None:
             ("motion", "G1", "-X+Y+Z"),
             ("motion", "A1", "+Z-Y+X"),
         ],
-        2,
+        1,
     ),
 )
 def test_axis_error(kind: str, sensor: str, axes: str) -> None:
@@ -170,6 +170,7 @@ def test_what_two_faces_do_not_tell_is_no_error() -> None:
     np.testing.assert_allclose(found, [[0, 0, 0.3]] * 3, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_without_any_turn_nothing_is_guessed() -> None:
     evidence = replace(evidence_of("static", "A1"), scores={"mean": np.full((1, 3), 50.0)})
     for guesses in (scale.guesses, misalignment.guesses, axis_errors):

@@ -113,6 +113,7 @@ def test_another_range_from_another_row_on_in_each_log() -> None:
     assert found[1.0].onset_s == pytest.approx(20.0, abs=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "sensor", "range_"), some([("tumble", "A1", 2.0), ("tumble", "A1", 8.0), ("motion", "G1", 500.0)], 1)
 )

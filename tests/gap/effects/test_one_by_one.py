@@ -74,7 +74,7 @@ def _flagged(status: npt.ArrayLike, flag: int) -> npt.NDArray[np.bool_]:
     return np.asarray(np.asarray(status) & flag != 0)
 
 
-@pytest.mark.parametrize("has_readings", [False, True])
+@pytest.mark.parametrize("has_readings", some([False, True], 1))
 @pytest.mark.parametrize(("sensor", "kind"), some([("G1", "new"), ("G2", "stale")], 1))
 def test_rows_that_are_held(made: Made, sensor: str, kind: str, has_readings: bool) -> None:
     """By a noise of some counts three rows are not equal by chance; the flag is as it was. The readings are those of

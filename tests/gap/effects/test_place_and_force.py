@@ -153,6 +153,7 @@ def test_readings_of_another(kind: str, sensor: str) -> None:
     assert [trial.effects for trial in CHANNEL_SWAP.guesses(evidence)] == [(ChannelSwap(other),)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", some(["data", "place"], 1))
 def test_an_exchange_shows_by_its_axes(kind: str) -> None:
     """Either has the other's data, or both sit in each other's place."""

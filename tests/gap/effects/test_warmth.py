@@ -96,6 +96,7 @@ def test_a_scale_that_is_off_in_warmth() -> None:
     assert effect.slope == pytest.approx((1e-3, 1e-3, 1e-3), rel=0.2)
 
 
+@pytest.mark.slow
 def test_nothing_follows_temperature() -> None:
     evidence = evidence_of("heating", "G1", seed=5)
     for candidate in (THERMAL_BIAS, THERMAL_LAG, THERMAL_SCALE):

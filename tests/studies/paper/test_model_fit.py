@@ -59,6 +59,7 @@ def test_the_shipped_file_is_what_the_fit_writes() -> None:
     assert SHIPPED.read_text(encoding="utf-8") == fit_text()
 
 
+@pytest.mark.slow
 def test_it_is_printed_by_running_the_module() -> None:
     ran = subprocess.run(
         [sys.executable, "-m", "imuarray.studies.paper.array_model"], capture_output=True, text=True, check=True
