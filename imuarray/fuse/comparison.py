@@ -24,6 +24,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
@@ -55,7 +56,10 @@ from imuarray.log import Log, open_log
 _FEWEST = 20
 
 _SEGMENT = 1 << 17
-"""Number of rows of one spectrum."""
+"""Number of rows of one spectrum of long errors."""
+
+_AT_ONCE = 4
+"""Number of such segments up to which one spectrum for all rows needs no more memory than those of the segments."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +150,10 @@ def _lagged_products(white: RowSource, last: int) -> Iterator[tuple[int, Floats]
     from scipy.fft import next_fast_len
 
     rows = len(white)
-    segment = min(_SEGMENT, rows)
+    if rows <= _AT_ONCE * _SEGMENT:
+        yield 1, _lagged_products_at_once(white[:rows], last, next_fast_len(rows + last, real=True))
+        return
+    segment = _SEGMENT
     size = next_fast_len(2 * segment, real=True)
     width = size // 2 + 1
     count = -(-rows // segment)
@@ -176,6 +183,21 @@ def _lagged_products(white: RowSource, last: int) -> Iterator[tuple[int, Floats]
             yield (first, products) if first else (1, products[1:])
             lagged[...] = ahead[..., :segment]
             del ahead  # frees memory before the next one is computed
+
+
+def _lagged_products_at_once(white: Floats, last: int, size: int) -> Floats:
+    """Return the products of the lags from 1 to `last` by a spectrum of `size` values of each column of `white` (n, 3),
+    n + `last` or more, so that no product of distant rows is added. The correlation of one axis with a later one has
+    that of the later with the earlier one at its negative lags.
+    """
+    spectra = [np.fft.rfft(column, size) for column in np.ascontiguousarray(white.T)]
+    products = np.zeros(last)
+    for first, second in combinations_with_replacement(range(3), 2):
+        lagged = np.fft.irfft(spectra[first].conj() * spectra[second], size)
+        products += lagged[1 : last + 1] ** 2
+        if first != second:
+            products += lagged[: -last - 1 : -1] ** 2
+    return products
 
 
 _POLL_S = 0.5
