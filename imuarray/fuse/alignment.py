@@ -130,22 +130,27 @@ class FrameGrid:
         in the pauses of the better ones. It is final except within `ahead_ns` of either end.
         """
         kept = rows[self.order[0]]
+        pauses = self._pauses(kept)
         for number in self.order[1:]:
-            more = rows[number]
-            if len(more := self._between(kept, more)):
+            if len(more := self._within(pauses, rows[number])):
                 kept = np.sort(np.concatenate([kept, more]))
+                pauses = self._pauses(kept)
         return kept
 
-    def _between(self, kept: Times, more: Times) -> Times:
-        """Return the times of `more` within the pauses of `kept`; the time before its first row and after its last row
+    def _pauses(self, kept: Times) -> tuple[Times, Times]:
+        """Return begin and end (p,) of the pauses of `kept`; the time before its first row and after its last row
         counts as a pause.
         """
         edges = np.concatenate([[-FOREVER_NS // 2], kept, [FOREVER_NS // 2]])  # half, so that differences fit int64
         pauses = np.flatnonzero(np.diff(edges) >= _SILENT * self.period_ns)
+        return edges[pauses], edges[pauses + 1]
+
+    def _within(self, pauses: tuple[Times, Times], rows: Times) -> Times:
+        """Return the times of `rows` within pauses."""
         apart_ns = round(_APART * self.period_ns)
-        first = np.searchsorted(more, edges[pauses] + apart_ns)
-        last = np.searchsorted(more, edges[pauses + 1] - apart_ns, "right")
-        return np.concatenate([more[:0], *(more[start:stop] for start, stop in zip(first, last, strict=True))])
+        first = np.searchsorted(rows, pauses[0] + apart_ns)
+        last = np.searchsorted(rows, pauses[1] - apart_ns, "right")
+        return np.concatenate([rows[:0], *(rows[start:stop] for start, stop in zip(first, last, strict=True))])
 
 
 def choose_grid(first: Sequence[Times], groups: Sequence[Sequence[int]], where: Sequence[str]) -> FrameGrid:
@@ -204,13 +209,21 @@ def between_gaps(known: Times, rows: Floats, at: Times, gap_ns: float) -> Floats
     for run in _stretches(known, rows, gap_ns):
         first, last = int(np.searchsorted(at, known[run][0])), int(np.searchsorted(at, known[run][-1], "right"))
         inside = at[first:last]
-        row = run.start + np.searchsorted(known[run], inside)
-        if np.array_equal(known[row], inside):  # all times are those of rows
-            result[first:last] = rows[row]
+        if _are_rows(known[run], inside[:_SAMPLE]) and _are_rows(known[run], inside):  # usually the first are not
+            result[first:last] = rows[run.start + np.searchsorted(known[run], inside)]
             continue
         spline = _Spline((known[run] - known[0]) * 1e-9, rows[run])
         result[first:last] = spline.at((inside - known[0]) * 1e-9)
     return result
+
+
+_SAMPLE = 8
+"""Number of times of which it is seen whether they are those of rows before all of them are compared."""
+
+
+def _are_rows(known: Times, at: Times) -> bool:
+    """Return whether the times `at`, which are within `known`, are all in `known`."""
+    return bool(np.array_equal(known[np.searchsorted(known, at)], at))
 
 
 def derivatives(known: Times, rows: Floats, gap_ns: float) -> tuple[Floats, Floats]:
