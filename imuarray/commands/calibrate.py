@@ -273,7 +273,11 @@ def _axes_report(pointings: Sequence[Pointing], before: dict[str, str]) -> dict[
 
     `left` is the former name of `residual`, for programs that read it.
     """
-    return {"sensors": [{**asdict(each), "left": each.residual, "before": before[each.sensor]} for each in pointings]}
+    return {
+        "sensors": [
+            {**asdict(pointing), "left": pointing.residual, "before": before[pointing.sensor]} for pointing in pointings
+        ]
+    }
 
 
 def _print_axes(report: dict[str, Any]) -> None:

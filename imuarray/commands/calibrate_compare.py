@@ -26,8 +26,8 @@ def report_of(comparison: CalibrationComparison) -> dict[str, Any]:
     return {
         "calibrations": list(comparison.names),
         "changes": [{**asdict(change), "changed": change.changed} for change in comparison.changes],
-        "common": [asdict(each) for each in comparison.common],
-        "opposed": [asdict(each) for each in comparison.opposed],
+        "common": [asdict(row) for row in comparison.common],
+        "opposed": [asdict(row) for row in comparison.opposed],
     }
 
 

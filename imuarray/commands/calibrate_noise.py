@@ -130,7 +130,7 @@ def _lines(row: dict[str, Any], axis: str) -> str:
     return "-" if share == 0 else f"{100 * share:.0f} %" if share >= 0.01 else "< 1 %"
 
 
-def _where(line: dict[str, Any]) -> str:
+def _place(line: dict[str, Any]) -> str:
     """Return the frequency of a line, or its range if it wandered."""
     return "{:.2f} to {:.2f}".format(*line["range_hz"]) if line["range_hz"] else f"{line['frequency_hz']:.2f}"
 
@@ -141,7 +141,7 @@ def _sentences(report: dict[str, Any]) -> Iterator[str]:
             lines = [line for line in row["lines"] if line["axis"] == axis]
             if lines and lines[0]["share"] >= _WORTH_SAYING:
                 strong = [line for line in lines if line["share"] >= lines[0]["share"] / 4]
-                which = ", ".join(_where(line) for line in strong)
+                which = ", ".join(_place(line) for line in strong)
                 share = 100 * sum(line["share"] for line in strong)
                 yield (
                     f"{row['name']} {axis}: {'a line' if len(strong) == 1 else 'lines'} at {which} Hz"

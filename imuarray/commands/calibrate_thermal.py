@@ -23,7 +23,9 @@ def report_of(result: ThermalResult) -> dict[str, Any]:
     return {
         "sensors": [_sensor(sensor) for sensor in result.calibration.sensors.values()],
         "heatings": [_heating(heating) for heating in result.heatings],
-        "pairs": [_pair(*each) for each in zip(result.pairs, cancels.tolist(), nothing.tolist(), strict=True)],
+        "pairs": [
+            _pair(*pair_tests) for pair_tests in zip(result.pairs, cancels.tolist(), nothing.tolist(), strict=True)
+        ],
     }
 
 
@@ -75,9 +77,9 @@ def print_report(report: dict[str, Any]) -> None:
             line += f"  {row['lag_s']:6.0f} {low:9.0f} {high:6.0f}"
             click.echo(f"{line}  {row['meaning'][index]}{_scale(row, index)}")
     references = sorted({row["reference_degc"] for row in report["sensors"]})
+    middle = " and ".join(f"{reference:.1f}" for reference in references)
     click.echo(
-        f"slope: at {' and '.join(f'{each:.1f}' for each in references)} degC, the middle of the temperature range;"
-        " it equals the mean slope over that range"
+        f"slope: at {middle} degC, the middle of the temperature range; it equals the mean slope over that range"
     )
     click.echo("curvature: half the change of the slope per degree; [0] if not significant")
     click.echo("+-: standard error, which includes slow noise; 1.96 standard errors give a 95 % interval")

@@ -47,7 +47,7 @@ def report_of(log: Log, result: TumbleResult) -> dict[str, Any]:
             name: dict(zip(result.pose_names, (1e3 * residual).tolist(), strict=True))
             for name, residual in result.pose_residual_g.items()
         },
-        "left_out": [vars(each) for each in result.left_out],
+        "left_out": [vars(outlier) for outlier in result.left_out],
         "warnings": list(result.warnings),
         "sensors": [_sensor(sensor, result) for sensor in inertial],
         "cancellation": [vars(pair) for pair in cancellation(inertial, result.calibration)],
@@ -56,24 +56,24 @@ def report_of(log: Log, result: TumbleResult) -> dict[str, Any]:
 
 def _sensor(sensor: SensorLog, result: TumbleResult) -> dict[str, Any]:
     """Return the figures of one sensor as in Appendix B of the paper, and its matrices."""
-    known = result.calibration.of(sensor)
+    parameters = result.calibration.of(sensor)
     row: dict[str, Any] = {
         "name": sensor.name,
         "chip": sensor.chip,
         "quantity": sensor.quantity,
         "range": sensor.range,
         "unit": sensor.unit,
-        "bias_lsb": known.bias_lsb.tolist(),
-        "bias_sem_lsb": None if known.bias_sem_lsb is None else known.bias_sem_lsb.tolist(),
-        "bias": known.bias_in_units().tolist(),
+        "bias_lsb": parameters.bias_lsb.tolist(),
+        "bias_sem_lsb": None if parameters.bias_sem_lsb is None else parameters.bias_sem_lsb.tolist(),
+        "bias": parameters.bias_in_units().tolist(),
     }
     if sensor.quantity == "specific_force":
-        row["scale_lsb_per_g"] = known.scale_lsb_per_unit.tolist()
-        row["azimuth_deg"], row["elevation_deg"] = known.azimuth_elevation_deg().T.tolist()
-        row["response_lsb_per_g"] = known.response_lsb_per_unit.tolist()
-    if known.g_sensitivity_lsb_per_g is not None and known.g_sensitivity_sem_lsb_per_g is not None:
-        row["g_sensitivity_lsb_per_g"] = known.g_sensitivity_lsb_per_g.tolist()
-        row["g_sensitivity_sem_lsb_per_g"] = known.g_sensitivity_sem_lsb_per_g.tolist()
+        row["scale_lsb_per_g"] = parameters.scale_lsb_per_unit.tolist()
+        row["azimuth_deg"], row["elevation_deg"] = parameters.azimuth_elevation_deg().T.tolist()
+        row["response_lsb_per_g"] = parameters.response_lsb_per_unit.tolist()
+    if parameters.g_sensitivity_lsb_per_g is not None and parameters.g_sensitivity_sem_lsb_per_g is not None:
+        row["g_sensitivity_lsb_per_g"] = parameters.g_sensitivity_lsb_per_g.tolist()
+        row["g_sensitivity_sem_lsb_per_g"] = parameters.g_sensitivity_sem_lsb_per_g.tolist()
     if sensor.name in result.drift_lsb:
         row["drift_lsb"] = result.drift_lsb[sensor.name].tolist()
     if sensor.name in result.fits:
@@ -99,7 +99,7 @@ def _turns(fit: TurnFit) -> dict[str, Any]:
         "sem_lsb_per_dps": fit.sem.tolist(),
         "residual_deg": fit.residual_deg,
         "reduced_chi_squared": fit.chi_squared / fit.freedom,
-        "left_out": [vars(each) for each in fit.left_out],
+        "left_out": [vars(outlier) for outlier in fit.left_out],
     }
 
 
@@ -112,10 +112,10 @@ def print_report(report: dict[str, Any]) -> None:
     _print_g_sensitivity([row for row in report["sensors"] if "g_sensitivity_lsb_per_g" in row], report["method"])
     _print_turns([row for row in report["sensors"] if "turns" in row])
     _print_residuals(report)
-    has_logs = len({each["log"] for each in report["left_out"]}) > 1
-    for each in report["left_out"]:
-        of = f" of {each['log']}" if has_logs else ""
-        click.echo(printable(f"excluded: {each['phase']}{of}: {each['reason']}"))
+    has_logs = len({outlier["log"] for outlier in report["left_out"]}) > 1
+    for outlier in report["left_out"]:
+        log_text = f" of {outlier['log']}" if has_logs else ""
+        click.echo(printable(f"excluded: {outlier['phase']}{log_text}: {outlier['reason']}"))
     _print_cancellation(report["cancellation"])
     for sentence in report["warnings"]:
         click.echo(printable(f"warning: {sentence}"))
@@ -173,8 +173,8 @@ def _print_turns(rows: Sequence[dict[str, Any]]) -> None:
             f"{'':14} {turns['used']} turns, which end within {turns['residual_deg']:.2f} deg rms of gravity's"
             f" direction{missing if turns['untold'] else ''}"
         )
-        for each in turns["left_out"]:
-            click.echo(printable(f"{'':14} excluded: {each['phase']}: {each['reason']}"))
+        for outlier in turns["left_out"]:
+            click.echo(printable(f"{'':14} excluded: {outlier['phase']}: {outlier['reason']}"))
 
 
 def _print_residuals(report: dict[str, Any]) -> None:
@@ -187,10 +187,10 @@ def _print_residuals(report: dict[str, Any]) -> None:
     )
     rows = {row["name"]: row for row in report["sensors"]}
     for name, value in report["residual_mg"].items():
-        apart, reduced = report["residual_apart_mg"].get(name), rows[name].get("reduced_chi_squared")
+        held_out, reduced = report["residual_apart_mg"].get(name), rows[name].get("reduced_chi_squared")
         cells = [
             f"{'-' if value is None else f'{value:.3f}':>8}",
-            f"{'-' if apart is None else f'{apart:.3f}':>9}",
+            f"{'-' if held_out is None else f'{held_out:.3f}':>9}",
             f"{report['residual_steady_mg'][name]:8.3f}",
             f"{'-' if reduced is None else f'{reduced**0.5:.2f}':>11}",
         ]

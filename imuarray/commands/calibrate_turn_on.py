@@ -19,19 +19,19 @@ def report_of(results: Sequence[TurnOnResult]) -> dict[str, Any]:
     """Return the runs of every sensor, JSON-ready; `p_value` is corrected for the number of axes (Holm)."""
     from imuarray.calibrate import holm
 
-    allowed = holm(np.concatenate([result.p_value for result in results])).reshape(-1, 3)
-    return {"sensors": [_sensor(*each) for each in zip(results, allowed.tolist(), strict=True)]}
+    p_values = holm(np.concatenate([result.p_value for result in results])).reshape(-1, 3)
+    return {"sensors": [_sensor(*row) for row in zip(results, p_values.tolist(), strict=True)]}
 
 
 def _sensor(result: TurnOnResult, p_values: Sequence[float]) -> dict[str, Any]:
-    kept, slope = result.turn_on(), result.slope_lsb_per_degc
+    turn_on, slope = result.turn_on(), result.slope_lsb_per_degc
     return {
         "name": result.runs.sensor,
         "unit": result.runs.unit,
         "sensitivity": result.runs.sensitivity,
-        "runs": kept.runs,
-        "rms_lsb": kept.rms_lsb.tolist(),
-        "rms_sem_lsb": kept.rms_sem_lsb.tolist(),
+        "runs": turn_on.runs,
+        "rms_lsb": turn_on.rms_lsb.tolist(),
+        "rms_sem_lsb": turn_on.rms_sem_lsb.tolist(),
         "run_sd_lsb": result.run_sd_lsb.tolist(),
         "run_freedom": result.run_freedom,
         "in_run_sd_lsb": result.in_run_sd_lsb.tolist(),
@@ -56,10 +56,10 @@ def print_report(report: dict[str, Any]) -> None:
     for row in report["sensors"]:
         factor, unit = READABLE[row["unit"]]
         for index, axis in enumerate("xyz"):
-            rms, within, p = row["rms_lsb"][index], row["in_run_sd_lsb"][index], row["p_value"][index]
+            rms, in_run, p = row["rms_lsb"][index], row["in_run_sd_lsb"][index], row["p_value"][index]
             click.echo(
                 f"{row['name'] + ' ' + axis:14} {row['runs']:4} {rms:10.3f} {row['rms_sem_lsb'][index]:8.3f}"
-                f" {'-' if within is None else f'{within:.3f}':>8}  {factor * rms / row['sensitivity']:10.3f} {unit:3}"
+                f" {'-' if in_run is None else f'{in_run:.3f}':>8}  {factor * rms / row['sensitivity']:10.3f} {unit:3}"
                 f"  {'-' if p is None else f'{p:.2g}':>8}"
             )
     click.echo(

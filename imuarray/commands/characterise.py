@@ -82,16 +82,16 @@ def _run(options: CharacteriseOptions) -> None:
 
     for name in _files() if options.output else ():
         refuse_existing(Path(options.output or "") / name, options.force, in_new_folder=True)
-    if options.output and not options.force and (there := sorted(options.output.glob("imu_*.yaml"))):
-        raise OutputExistsError(there[0])
+    if options.output and not options.force and (existing := sorted(options.output.glob("imu_*.yaml"))):
+        raise OutputExistsError(existing[0])
     with open_log(options.run) as log:
         result = _characterise(log, options)
-    written = [*_write(result, options.output), *_write_kalibr(result, options.output)] if options.output else []
+    paths = [*_write(result, options.output), *_write_kalibr(result, options.output)] if options.output else []
     if options.as_json:
         print_json(result)
     else:
         click.echo(render_text(result), nl=False)
-    for path in written:
+    for path in paths:
         click.echo(f"imuarray: wrote {path}", err=True)
 
 
@@ -101,15 +101,15 @@ def _characterise(log: Log, options: CharacteriseOptions) -> dict[str, Any]:
     from imuarray.characterise import characterise_log
 
     sensors = tuple(options.sensors.split(",")) if options.sensors else None
-    chosen = [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
-    columns = sum(int(sensor.counts.shape[1]) for sensor in chosen)
+    selected = [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
+    columns = sum(int(sensor.counts.shape[1]) for sensor in selected)
     count = itertools.count(1)
-    with progress(columns, str(log.path)) as done:
+    with progress(columns, str(log.path)) as set_progress:
         return characterise_log(
             log,
             longest_rest(log, options.phase) or options.phase,
             sensors,
-            lambda: done(next(count)),
+            lambda: set_progress(next(count)),
             options.estimator,
             _scales(log, options.calibration),
         )
@@ -121,9 +121,9 @@ def _scales(log: Log, calibration: Path | None) -> dict[str, list[float]]:
         return {}
     from imuarray.calibrate import load_calibration
 
-    known = load_calibration(calibration)
-    calibrated = [sensor for sensor in log.sensors.values() if sensor.name in known.sensors]
-    return {sensor.name: known.of(sensor).scale_lsb_per_unit.tolist() for sensor in calibrated}
+    parameters = load_calibration(calibration)
+    calibrated = [sensor for sensor in log.sensors.values() if sensor.name in parameters.sensors]
+    return {sensor.name: parameters.of(sensor).scale_lsb_per_unit.tolist() for sensor in calibrated}
 
 
 def _files() -> list[str]:

@@ -55,14 +55,14 @@ def command(**options: Any) -> None:
     from imuarray.studies.emulated_runs import DemoOptions
 
     require_page_package()
-    wanted = DemoOptions(options["seconds"], options["seed"], options["force"], options["workers"])
+    demo_options = DemoOptions(options["seconds"], options["seed"], options["force"], options["workers"])
     config, output = find_config(Path(options["array"])), options["output"]
     name = load_array(config).name
     if name == PAPERS_ARRAY:
         from imuarray.studies.demo import run_demo as run
     else:
         from imuarray.studies.array_demo import run_array_demo as run
-    result = run(config, output, wanted, lambda step: click.echo(f"imuarray: {step}", err=True))
+    result = run(config, output, demo_options, lambda step: click.echo(f"imuarray: {step}", err=True))
     if options["as_json"]:
         print_json(result)
         return

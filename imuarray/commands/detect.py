@@ -121,12 +121,12 @@ def _verify(config: Path, bus_url: str | None, self_test: bool, as_json: bool) -
     for detection in detections:
         certain = detection.ok and detection.expected and not detection.undetermined
         mark = "ok " if certain else "?  " if detection.ok else "NO "
-        wanted = f"{detection.sensor} ({detection.expected})" if detection.expected else "not in the configuration"
-        _print_row(mark, wanted, detection)
+        configured = f"{detection.sensor} ({detection.expected})" if detection.expected else "not in the configuration"
+        _print_row(mark, configured, detection)
     _print_firmware(firmware)
     expected = sum(bool(detection.expected) for detection in detections)
-    more = f", {unknown} undetermined" if unknown else ""
-    click.echo(f"{expected - wrong - unknown} of {expected} as configured, {wrong} not{more}")
+    undetermined = f", {unknown} undetermined" if unknown else ""
+    click.echo(f"{expected - wrong - unknown} of {expected} as configured, {wrong} not{undetermined}")
     return exit_code
 
 
@@ -201,7 +201,7 @@ def _print_json(
         {
             "array": name,
             "source": source,
-            "found": [asdict(each) for each in detections],
+            "found": [asdict(row) for row in detections],
             "firmware": firmware,
             "ok": ok,
         }
@@ -212,13 +212,13 @@ def _print_head(name: str, url: str, source: str) -> None:
     click.echo(f"{name} on {url}{' (emulated, no hardware)' if source == 'emulated' else ''}")
 
 
-def _print_row(mark: str, wanted: str, detection: Detection) -> None:
+def _print_row(mark: str, configured: str, detection: Detection) -> None:
     parts = [
         text
         for text in (detection.found, detection.self_test, detection.remark)
         if text not in ("", detection.expected)
     ]
-    click.echo(f"  {mark} {detection.place:24} {wanted:28} {'; '.join(parts)}".rstrip())
+    click.echo(f"  {mark} {detection.place:24} {configured:28} {'; '.join(parts)}".rstrip())
 
 
 def _write(detections: Sequence[Detection], url: str, output: Path, force: bool) -> None:

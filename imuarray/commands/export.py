@@ -93,8 +93,8 @@ def _run(options: ExportOptions) -> None:
     refuse_existing(options.output, options.force, source=options.source)
     calibration = load_calibration(options.calibration_file) if options.calibration_file else None
     names = tuple(options.sensors.split(",")) if options.sensors else ()
-    with progress(_STEPS, str(options.output)) as done:
-        written = export(
+    with progress(_STEPS, str(options.output)) as set_progress:
+        summary = export(
             options.source,
             options.output,
             sensors=names,
@@ -102,26 +102,26 @@ def _run(options: ExportOptions) -> None:
             units=options.units,
             tool=options.tool,
             force=options.force,
-            progress=lambda share: done(int(share * _STEPS)),
+            progress=lambda share: set_progress(int(share * _STEPS)),
         )
     if options.as_json:
-        files = [str(file) for file in written.files]
-        said = {"files": files, "units": written.units, "rows": dict(written.rows)}
+        files = [str(file) for file in summary.files]
+        report = {"files": files, "units": summary.units, "rows": dict(summary.rows)}
         print_json(
             {
                 "source": str(options.source),
-                **said,
-                "uncalibrated": list(written.uncalibrated),
-                "notes": list(written.notes),
+                **report,
+                "uncalibrated": list(summary.uncalibrated),
+                "notes": list(summary.notes),
             }
         )
         return
-    rows, tables = sum(written.rows.values()), counted(len(written.rows), "table")
-    click.echo(f"{options.output}: {rows} rows of {tables}, units: {written.units}")
-    if written.uncalibrated:
-        click.echo(f"  not calibrated, data-sheet values used: {listed(written.uncalibrated)}")
-    for note in written.notes:
+    rows, tables = sum(summary.rows.values()), counted(len(summary.rows), "table")
+    click.echo(f"{options.output}: {rows} rows of {tables}, units: {summary.units}")
+    if summary.uncalibrated:
+        click.echo(f"  not calibrated, data-sheet values used: {listed(summary.uncalibrated)}")
+    for note in summary.notes:
         click.echo(f"  {note}")
-    for file in written.files:
+    for file in summary.files:
         if file != options.output:
             click.echo(f"  {file}")

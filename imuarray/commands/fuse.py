@@ -135,15 +135,15 @@ def _run(options: FuseOptions) -> None:
         raise click.UsageError("Missing option '-o' / '--output'.")
     calibration = load_calibration(options.calibration_file) if options.calibration_file else Calibration()
     with open_log(options.run) as log:
-        only = [log[name].name for name in options.only.split(",")] if options.only else []
+        selected = [log[name].name for name in options.only.split(",")] if options.only else []
         if options.calibration_file:
-            require_known_sensors(log, calibration, only, str(options.calibration_file))
+            require_known_sensors(log, calibration, selected, str(options.calibration_file))
         with bars() as moved:
             inputs = prepare_inputs(
                 log,
                 calibration,
                 technique=None if options.evaluate else options.technique,
-                only=only,
+                only=selected,
                 ranges=SENSITIVITIES,
                 progress=moved,
             )
@@ -164,8 +164,8 @@ def _run(options: FuseOptions) -> None:
         }
         notes = None
         if options.output is not None:
-            written, notes = _written(work, options.output, str(options.calibration_file or ""), options.force)
-            report |= written
+            evaluation, notes = _write_fused(work, options.output, str(options.calibration_file or ""), options.force)
+            report |= evaluation
         if options.evaluate:
             report["evaluation"] = evaluated(log, calibration, names)
     if options.as_json:
@@ -213,17 +213,17 @@ class _Work:
         )
 
 
-def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[str, Any], FusionNotes]:
+def _write_fused(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[str, Any], FusionNotes]:
     """Write the fused file; return its path, its figures and those of the average, and the notes of the technique."""
     from imuarray.fuse import write_fused
 
     log, technique = work.log, work.technique
     events: list[FaultEvent] = []
     notes: list[FusionNotes] = []
-    with progress(_STEPS, technique) as done, _quality_of(log) as quality:
+    with progress(_STEPS, technique) as set_progress, _quality_of(log) as quality:
         frames = write_fused(
             output,
-            _measured(work, quality, events.append, notes.append, lambda share: done(int(share * _STEPS))),
+            _measure(work, quality, events.append, notes.append, lambda share: set_progress(int(share * _STEPS))),
             epoch=log.epoch,
             technique=technique,
             log=str(log.path),
@@ -233,19 +233,19 @@ def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[
             force=force,
         )
         results = quality.results()
-    known = bool(log.truth or log.reference)
+    has_truth = bool(log.truth or log.reference)
     report = {
         "fused": str(output),
         "frames": frames,
         "faults": [event.as_json() for event in sorted(events, key=lambda event: event.time_ns)],
         "learned": notes[0].as_json(),
-        "error": results[technique] if known else {},
+        "error": results[technique] if has_truth else {},
         "results": results,
     }
     return report, notes[0]
 
 
-def _measured(
+def _measure(
     work: _Work,
     quality: _Errors | _Noise,
     on_fault: Callable[[FaultEvent], None],
@@ -265,17 +265,17 @@ def _measured(
             yield block
         return
     if technique == _MEAN or technique not in TECHNIQUES or work.watch:
-        before = 0.0 if technique == _MEAN else _AVERAGE
+        start = 0.0 if technique == _MEAN else _AVERAGE
         if technique != _MEAN:
-            for block in work.fused(_MEAN, progress=lambda share: progress(before * share)):
+            for block in work.fused(_MEAN, progress=lambda share: progress(start * share)):
                 quality.add({_MEAN: block})
-        for block in work.fused(technique, on_fault, take_notes, lambda share: progress(before + (1 - before) * share)):
+        for block in work.fused(technique, on_fault, take_notes, lambda share: progress(start + (1 - start) * share)):
             quality.add({technique: block})
             yield block
         return
     averages: list[FusedBlock] = []
-    both: PipelineFactory = lambda axes, period_s: ComparisonPipeline(axes, technique, _MEAN, averages.append)  # noqa: E731
-    for block in work.fused(both, on_fault, take_notes, progress):
+    comparison: PipelineFactory = lambda axes, period_s: ComparisonPipeline(axes, technique, _MEAN, averages.append)  # noqa: E731
+    for block in work.fused(comparison, on_fault, take_notes, progress):
         quality.add({_MEAN: averages.pop(), technique: block})
         yield block
 

@@ -37,11 +37,13 @@ def notes_sentences(notes: FusionNotes) -> Iterator[str]:
 def _bias_table(quantity: str, biases: Sequence[LearnedBias]) -> Iterator[str]:
     """Yield the table of one quantity: the slow error of every axis with its standard deviation, and the prior one."""
     factor, unit = READABLE_SI[quantity]
-    before = [factor * bias.sd_before for bias in biases]
-    span = f"{min(before):.3g}" if max(before) < 1.005 * min(before) else f"{min(before):.3g} to {max(before):.3g}"
+    earlier = [factor * bias.sd_before for bias in biases]
+    span = f"{min(earlier):.3g}" if max(earlier) < 1.005 * min(earlier) else f"{min(earlier):.3g} to {max(earlier):.3g}"
     yield f"slow errors of the {quantity} sensors at the end, {unit} (before: 0 +- {span})"
     for sensor, axes in groupby(biases, key=lambda bias: bias.axis.rpartition(" ")[0]):
-        cells = (f"{each.axis[-1]} {factor * each.bias:+9.3f} +- {factor * each.sd:.3f}" for each in axes)
+        cells = (
+            f"{axis_bias.axis[-1]} {factor * axis_bias.bias:+9.3f} +- {factor * axis_bias.sd:.3f}" for axis_bias in axes
+        )
         yield f"  {sensor:8} {'  '.join(cells)}"
 
 
@@ -82,23 +84,23 @@ def pair_lines(pairs: Sequence[dict[str, Any]], *, follows_temperature: bool) ->
     """Yield a table of the first pairs whose errors the calibration states, and a line on all others.
     `follows_temperature`: known slopes are removed before axes are averaged.
     """
-    known = [pair for pair in pairs if pair["drift"] is not None or pair["bias"] is not None]
-    if known:
-        drift = any(pair["drift"] is not None for pair in known)
-        width = max(22, *(len(_axes(pair)) for pair in known[:_MOST_PAIRS]))
+    stated = [pair for pair in pairs if pair["drift"] is not None or pair["bias"] is not None]
+    if stated:
+        drift = any(pair["drift"] is not None for pair in stated)
+        width = max(22, *(len(_axes(pair)) for pair in stated[:_MOST_PAIRS]))
         heads = f"   {'drift with 1 degC':{len(_HEADING)}}  " if drift else ""
         yield f"{'opposing axes of one design':{width + 22}}{heads} bias"
         yield f"{'':{width + 22}}{f'{_HEADING}   ' if drift else ''}{_HEADING}"
-        for pair in known[:_MOST_PAIRS]:
+        for pair in stated[:_MOST_PAIRS]:
             yield _pair_row(pair, width, drift=drift)
         scale = "; *: the slope may be that of scale, which does not cancel" if drift else ""
         yield f"factor: by which averaging opposing axes reduces it, 95 % interval; -: no significant gain{scale}"
         known_errors = "biases and slopes" if follows_temperature else "biases"
         yield f"the calibration removes known {known_errors}; opposing axes cancel what has changed since"
-    if len(known) > _MOST_PAIRS:
-        yield f"{len(known) - _MOST_PAIRS} more opposing pairs (--json lists all)"
-    if len(known) < len(pairs):
-        yield f"{len(pairs) - len(known)} opposing pairs: cancellation unknown; run `imuarray calibrate thermal`"
+    if len(stated) > _MOST_PAIRS:
+        yield f"{len(stated) - _MOST_PAIRS} more opposing pairs (--json lists all)"
+    if len(stated) < len(pairs):
+        yield f"{len(pairs) - len(stated)} opposing pairs: cancellation unknown; run `imuarray calibrate thermal`"
 
 
 def _axes(pair: dict[str, Any]) -> str:
@@ -138,8 +140,8 @@ def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[
     """
     from imuarray.fuse import compare
 
-    with progress(_STEPS, "techniques") as done:
-        comparison = compare(log, calibration, only=names, progress=lambda share: done(int(share * _STEPS)))
+    with progress(_STEPS, "techniques") as set_progress:
+        comparison = compare(log, calibration, only=names, progress=lambda share: set_progress(int(share * _STEPS)))
     return evaluation_of(comparison)
 
 
@@ -177,7 +179,7 @@ def _coasting(coast: Coasting) -> dict[str, Any]:
     }
 
 
-_SHOWN = ("rms", "noise", "drift")
+_PRINTED_MEASURES = ("rms", "noise", "drift")
 
 
 def print_evaluation(report: dict[str, Any]) -> None:
@@ -189,7 +191,7 @@ def print_evaluation(report: dict[str, Any]) -> None:
             click.echo(
                 f"{quantity.replace('_', ' ')}: errors against the truth along box x, y, z in {unit}, {frames} frames"
             )
-            heads = "".join(f" {name:^23}" for name in _SHOWN)
+            heads = "".join(f" {name:^23}" for name in _PRINTED_MEASURES)
             click.echo(f"  {'':8}{heads} {'rms over the mean':^22} normalised^2")
         for score in scores:
             click.echo(_score_line(score, factor))
@@ -197,11 +199,15 @@ def print_evaluation(report: dict[str, Any]) -> None:
 
 
 def _score_line(score: dict[str, Any], factor: float) -> str:
-    figures = " ".join(_three(factor * value for value in score[name]) for name in _SHOWN)
-    ratio, held = score["ratio_to_mean"]["XYZ"], score["consistency"]
+    figures = " ".join(_three(factor * value for value in score[name]) for name in _PRINTED_MEASURES)
+    ratio, consistency = score["ratio_to_mean"]["XYZ"], score["consistency"]
     interval = "-" if ratio["high"] is None else f"{ratio['ratio']:6.3f} ({ratio['low']:.3f} to {ratio['high']:.3f})"
-    normal = "-" if held is None else f"{held['normalised']:.3g} ({held['low']:.2f} to {held['high']:.2f})"
-    wrong = "" if held is None or held["holds"] else " !"
+    normal = (
+        "-"
+        if consistency is None
+        else f"{consistency['normalised']:.3g} ({consistency['low']:.2f} to {consistency['high']:.2f})"
+    )
+    wrong = "" if consistency is None or consistency["holds"] else " !"
     return f"  {score['technique']:8} {figures} {interval:22} {normal}{wrong}"
 
 

@@ -142,7 +142,7 @@ def _diagnose(options: DiagnoseOptions) -> None:
         )
     if options.output is not None:
         _write(options.output, diagnosis)
-    _say(diagnosis, options.as_json)
+    _print_diagnosis(diagnosis, options.as_json)
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -174,7 +174,7 @@ def _write(folder: Path, diagnosis: Diagnosis) -> None:
     click.echo(f"{folder}: report.html, gap.json, repaired.toml written", err=True)
 
 
-def _say(diagnosis: Diagnosis, as_json: bool) -> None:
+def _print_diagnosis(diagnosis: Diagnosis, as_json: bool) -> None:
     from imuarray.gap.findings.text import text_of
 
     if as_json:

@@ -113,18 +113,18 @@ def _validate(options: ValidateOptions) -> None:
     names = [folder.name for folder in options.folders]
     if not options.score_only:
         plan = {"half": options.half, "size": options.size, "seed": options.seed, "cases": len(planned)}
-        _begin(options.output, {**plan, "folders": names} if names else plan)
+        _prepare_folder(options.output, {**plan, "folders": names} if names else plan)
         _run(options.output, planned, options.where, options.workers, options.again)
     figures = _scored(options.output, planned)
     words = " ".join(f"--cases {name}" for name in names) + " " * bool(names)
-    chosen = f"--half {options.half} --size {options.size} --seed {options.seed} {words}-o {options.output.name}"
-    _write(options.output, figures, f"imuarray gap validate {chosen}")
-    _say(figures, options.as_json)
+    arguments = f"--half {options.half} --size {options.size} --seed {options.seed} {words}-o {options.output.name}"
+    _write(options.output, figures, f"imuarray gap validate {arguments}")
+    _print_figures(figures, options.as_json)
     if any(row.is_refuted for row in figures.failed):
         raise click.exceptions.Exit(1)
 
 
-def _begin(folder: Path, plan: dict[str, Any]) -> None:
+def _prepare_folder(folder: Path, plan: dict[str, Any]) -> None:
     """Record the plan and the thresholds of a new run; ConfigError if the folder belongs to another run."""
     import json
 
@@ -132,14 +132,14 @@ def _begin(folder: Path, plan: dict[str, Any]) -> None:
     from imuarray.validation.case import write_json
     from imuarray.validation.thresholds import frozen_thresholds
 
-    wanted = {**plan, "frozen": frozen_thresholds()}
+    frozen_plan = {**plan, "frozen": frozen_thresholds()}
     path = folder / "plan.json"
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        write_json(path, wanted)
+        write_json(path, frozen_plan)
         return
     noted = json.loads(path.read_text(encoding="utf-8"))
-    for key, value in wanted.items():
+    for key, value in frozen_plan.items():
         if noted.get(key) != value:
             name = "set of thresholds" if key == "frozen" else key
             raise ConfigError(f"{path}: the run began with another {name}; use the same {name}, or another folder")
@@ -182,7 +182,7 @@ def _write(folder: Path, figures: Figures, command: str) -> None:
         click.echo(f"{folder}: figures.json and results.md written; no page: {error}", err=True)
 
 
-def _say(figures: Figures, as_json: bool) -> None:
+def _print_figures(figures: Figures, as_json: bool) -> None:
     from imuarray.validation.scoring import as_json as table_of
     from imuarray.validation.scoring import format_text
 

@@ -104,8 +104,8 @@ def _run(options: ImportOptions) -> None:
         return
     if options.output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
-    ours = _exported(options.source) if options.map_path is None and options.format_name is None else None
-    if ours is None and (options.map_path is None) == (options.format_name is None):
+    exported = _exported(options.source) if options.map_path is None and options.format_name is None else None
+    if exported is None and (options.map_path is None) == (options.format_name is None):
         if _is_log(options.source):
             raise click.UsageError(f"{options.source}: is a log already; all commands can read it")
         raise click.UsageError(f"give either --map MAP.toml or --format {'|'.join(FORMATS)}; --guess proposes a map")
@@ -114,15 +114,20 @@ def _run(options: ImportOptions) -> None:
     refuse_other_suffix(options.output, "a log")
     refuse_existing(options.output, options.force)
     size = options.source.stat().st_size if options.source.is_file() else 0
-    with progress(size, str(options.source)) as done:
+    with progress(size, str(options.source)) as set_progress:
         if options.map_path is not None:
             map_file = find_map(options.map_path)
             summary = import_table(
-                options.source, map_file, options.output, force=options.force, progress=done, up=options.up or ""
+                options.source,
+                map_file,
+                options.output,
+                force=options.force,
+                progress=set_progress,
+                up=options.up or "",
             )
         else:
-            summary = (ours or importer(options.format_name or ""))(
-                options.source, options.output, force=options.force, progress=done
+            summary = (exported or importer(options.format_name or ""))(
+                options.source, options.output, force=options.force, progress=set_progress
             )
     _print_result(summary, options.output, options.as_json)
 
@@ -178,10 +183,10 @@ def _print_result(summary: ImportSummary, output: Path, as_json: bool) -> None:
             }
         )
         return
-    each = "each" if summary.same_rows else "at most"
-    lost = "" if summary.lost is None else f", {summary.lost} lost"
-    size = f"{counted(len(summary.sensors), 'sensor')}, {counted(summary.rows, 'row')} {each}"
-    click.echo(f"{output}: {size} over {summary.seconds:.1f} s{lost}")
+    per_sensor = "each" if summary.same_rows else "at most"
+    lost_text = "" if summary.lost is None else f", {summary.lost} lost"
+    size = f"{counted(len(summary.sensors), 'sensor')}, {counted(summary.rows, 'row')} {per_sensor}"
+    click.echo(f"{output}: {size} over {summary.seconds:.1f} s{lost_text}")
     for kind, count in summary.events.items():
         if count == 1 and kind in messages:
             click.echo(f"  {printable(messages[kind])}")

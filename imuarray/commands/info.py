@@ -133,21 +133,21 @@ def _print(summary: dict[str, Any]) -> None:
     emulated = " (no hardware)" if summary["source"] == "emulated" else ""
     dated = summary["dated"]
     imported = summary["source"] == "imported"
-    begin = ", without a date" if not dated else "" if imported else f", from {summary['epoch']}"
-    _say(f"{summary['log']}: {summary['source']}{emulated}{begin}, written by {summary['software']}")
+    start_text = ", without a date" if not dated else "" if imported else f", from {summary['epoch']}"
+    _print_line(f"{summary['log']}: {summary['source']}{emulated}{start_text}, written by {summary['software']}")
     if summary["begins"] and dated:
-        _say(f"  rows from {summary['begins']} to {summary['ends']}, {summary['seconds']:.1f} s")
+        _print_line(f"  rows from {summary['begins']} to {summary['ends']}, {summary['seconds']:.1f} s")
     elif summary["begins"]:
-        _say(f"  rows over {summary['seconds']:.1f} s")
+        _print_line(f"  rows over {summary['seconds']:.1f} s")
     if summary["state"] != "finished":
         hint = f"; `imuarray recover {summary['log']}` finishes it" if summary["state"] == "interrupted" else ""
-        shown = "all readable rows" if summary["losses"] else "all acknowledged rows"
-        _say(f"  {summary['state']}: {shown} are shown{hint}")
+        readable = "all readable rows" if summary["losses"] else "all acknowledged rows"
+        _print_line(f"  {summary['state']}: {readable} are shown{hint}")
     for loss in summary["losses"]:
-        _say(f"  {loss}")
+        _print_line(f"  {loss}")
     if summary["frame_rate_hz"]:
         missed = "" if summary["missed"] is None else f", {counted(summary['missed'], 'frame')} missed"
-        _say(f"  {summary['frame_rate_hz']:g} frames per second requested{missed}")
+        _print_line(f"  {summary['frame_rate_hz']:g} frames per second requested{missed}")
     names, chips = (
         max([least, *(len(sensor[key]) for sensor in summary["sensors"])])
         for key, least in (("name", 12), ("chip", 10))
@@ -159,21 +159,21 @@ def _print(summary: dict[str, Any]) -> None:
             median_us, most_us = 1e6 * uncertainty["median"], 1e6 * uncertainty["max"]
             times = f"times known within {median_us:.0f} us (at worst {most_us:.0f} us)  "
         flags = ", ".join(f"{count} {name}" for name, count in sensor["flags"].items())
-        _say(
+        _print_line(
             f"  {sensor['name']:{names}} {sensor['chip']:{chips}} {sensor['quantity']:15} {scale:12} {sensor['axes']:8}"
             f" {sensor['rows']:8d} rows {sensor['rate_hz']:7.2f} Hz  {times}{flags}".rstrip()
         )
     zero_s = summary["starts_s"] if dated and imported else 0.0  # instead of seconds since 1970
     for phase in summary["phases"]:
-        up = f" ({phase['up']} up)" if phase["up"] else ""
+        up_text = f" ({phase['up']} up)" if phase["up"] else ""
         start_s, end_s = phase["start_s"] - zero_s, phase["end_s"] - zero_s
-        _say(f"  phase {phase['name']:12} {start_s:9.1f} s to {end_s:9.1f} s{up}")
+        _print_line(f"  phase {phase['name']:12} {start_s:9.1f} s to {end_s:9.1f} s{up_text}")
     for event in summary["events"][:20]:
-        _say(f"  event {event['time_s'] - zero_s:9.3f} s {event['sensor']} {event['kind']}: {event['message']}")
+        _print_line(f"  event {event['time_s'] - zero_s:9.3f} s {event['sensor']} {event['kind']}: {event['message']}")
     if len(summary["events"]) > 20:
-        _say(f"  and {len(summary['events']) - 20} more events (--json lists all)")
+        _print_line(f"  and {len(summary['events']) - 20} more events (--json lists all)")
 
 
-def _say(text: str) -> None:
+def _print_line(text: str) -> None:
     """Print a line with control characters escaped, because it may contain text from a file."""
     click.echo(printable(text))

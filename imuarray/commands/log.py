@@ -48,7 +48,7 @@ class Interruptible:
 
     def __init__(self) -> None:
         self.asked = self.hung_up = False
-        self._before: dict[int, Any] = {}
+        self._handlers: dict[int, Any] = {}
 
     def _ask(self, number: int, frame: Any) -> None:
         self.asked = True
@@ -58,11 +58,11 @@ class Interruptible:
         for number in (signal.SIGINT, signal.SIGTERM, _HANG_UP):
             if number is None or (number == _HANG_UP and signal.getsignal(number) == signal.SIG_IGN):
                 continue
-            self._before[number] = signal.signal(number, self._ask)
+            self._handlers[number] = signal.signal(number, self._ask)
         return self
 
     def __exit__(self, *error: object) -> None:
-        for number, handler in self._before.items():
+        for number, handler in self._handlers.items():
             signal.signal(number, handler)
 
 
@@ -75,7 +75,7 @@ def print_summary(
     summary: RecordingCounts, output: Path, start_up: list[str], fusion: LiveFusion | None, as_json: bool
 ) -> None:
     """Print what was recorded, as text or JSON; `start_up` holds the sentences on how sensors started."""
-    lost = {name: count for name, count in summary.lost.items() if count}
+    lost_readings = {name: count for name, count in summary.lost.items() if count}
     if as_json:
         print_json(
             {
@@ -87,7 +87,7 @@ def print_summary(
                 "missed_by_bus": summary.missed_by_bus,
                 "uncertain": summary.uncertain,
                 "refused": summary.refused,
-                "lost": lost,
+                "lost": lost_readings,
                 "silent": summary.silent,
                 "seconds": summary.seconds,
                 "start_up": start_up,
@@ -96,8 +96,8 @@ def print_summary(
         )
         return
     rate = summary.frames / summary.seconds if summary.seconds else 0.0
-    where = output if len(summary.logs) == 1 else f"{summary.logs[0]} ... {summary.logs[-1].name}"
-    click.echo(f"{where}: {summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} Hz), {summary.late} late")
+    files_text = output if len(summary.logs) == 1 else f"{summary.logs[0]} ... {summary.logs[-1].name}"
+    click.echo(f"{files_text}: {summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} Hz), {summary.late} late")
     if fusion:
         files = fusion.paths or [fusion.path]
         named = files[0] if len(files) == 1 else f"{files[0]} ... {files[-1].name}"
@@ -110,11 +110,11 @@ def print_summary(
         click.echo(
             f"  {counted(summary.refused, 'frame')} of the link rejected: old, repeated, out of order or unsolicited"
         )
-    for name, count in lost.items():
+    for name, count in lost_readings.items():
         first, *further = _logs_with_events(summary.logs, name)
-        more = f", {', '.join(path.name for path in further[:_NAMED])}" if further else ""
-        more += f" and {len(further) - _NAMED} more" if len(further) > _NAMED else ""
-        click.echo(f"  {name}: {counted(count, 'reading')} lost (see events: imuarray info {first}{more})")
+        others_text = f", {', '.join(path.name for path in further[:_NAMED])}" if further else ""
+        others_text += f" and {len(further) - _NAMED} more" if len(further) > _NAMED else ""
+        click.echo(f"  {name}: {counted(count, 'reading')} lost (see events: imuarray info {first}{others_text})")
 
 
 def _why_missed(summary: RecordingCounts) -> str:
@@ -287,8 +287,10 @@ def _check_phase(phase: str) -> None:
     if not phase or phase in _PHASES or re.fullmatch(r"run \d+", phase):
         return
     plain = {re.sub(r"[\W_]", "", name): name for name in _PHASES}
-    if known := plain.get(re.sub(r"[\W_]", "", phase.casefold())):
-        raise click.UsageError(f"phase {phase!r}: other commands recognise {known!r} only; write --phase {known}")
+    if recognised := plain.get(re.sub(r"[\W_]", "", phase.casefold())):
+        raise click.UsageError(
+            f"phase {phase!r}: other commands recognise {recognised!r} only; write --phase {recognised}"
+        )
     if near := guess(phase, _PHASES):
         click.echo(f"imuarray: phase {phase!r} is not a name that other commands recognise{near}", err=True)
 
@@ -394,13 +396,13 @@ def _fusion(options: LogOptions, judge: StartStateDetector | None) -> LiveFusion
         rotate_s=options.rotate_s,
         force=options.force,
     )
-    how = LiveFusionOptions(
+    fusion_options = LiveFusionOptions(
         options.rate_hz,
         watch=options.watch,
         ranges=SENSITIVITIES,
         start_calibration=judge.in_states if judge else None,
     )
-    fusion = LiveFusion(output, calibration, how, _remark)
+    fusion = LiveFusion(output, calibration, fusion_options, _remark)
     refuse_existing(fusion.first_path, options.force, source=options.output)
     return fusion
 

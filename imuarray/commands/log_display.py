@@ -35,9 +35,11 @@ _CLEAR = "\r\x1b[K"
 class LogScreen:
     """Events and progress on standard error. A terminal that is closed does not disturb the recording."""
 
-    def __init__(self, label: str, rate_hz: float, seconds: float | None, more: Callable[[], str] = lambda: "") -> None:
-        """Begin; `more` returns a text to append to the progress line."""
-        self._more = more
+    def __init__(
+        self, label: str, rate_hz: float, seconds: float | None, status: Callable[[], str] = lambda: ""
+    ) -> None:
+        """Begin; `status` returns a text to append to the progress line."""
+        self._status = status
         self._label, self._rate_hz, self._seconds = label, rate_hz, seconds
         self._terminal = sys.stderr.isatty()
         self._counted_s = -_PAUSE_S
@@ -45,8 +47,8 @@ class LogScreen:
 
     def event(self, event: Event) -> None:
         """Print an event: seconds of the log, sensor, kind, message."""
-        about = " ".join(word for word in (event.sensor, f"{event.kind}:", event.message) if word)
-        self._write(f"{self._clear()}{event.time_ns * 1e-9:9.1f} s  {printable(about)}\n{self._line}")
+        text = " ".join(word for word in (event.sensor, f"{event.kind}:", event.message) if word)
+        self._write(f"{self._clear()}{event.time_ns * 1e-9:9.1f} s  {printable(text)}\n{self._line}")
 
     def remark(self, text: str) -> None:
         """Print a remark of the program."""
@@ -60,10 +62,12 @@ class LogScreen:
         self._counted_s = now_s
         whole = "" if self._seconds is None else f" of {self._seconds:g}"
         lasted_s = (summary.frames + summary.missed) / self._rate_hz
-        lost = sum(summary.lost.values())
-        self._line = f"{printable(self._label)}: {summary.frames} frames, {lasted_s:.0f}{whole} s, {lost} readings lost"
-        if more := self._more():
-            self._line += f"; {printable(more)}"
+        lost_readings = sum(summary.lost.values())
+        self._line = (
+            f"{printable(self._label)}: {summary.frames} frames, {lasted_s:.0f}{whole} s, {lost_readings} readings lost"
+        )
+        if status := self._status():
+            self._line += f"; {printable(status)}"
         self._write(_CLEAR + self._line)
 
     def close(self) -> None:
@@ -91,10 +95,10 @@ def _print(text: str) -> None:
 
 
 @contextmanager
-def serve_page(run: Path, arguments: Mapping[str, object], tell: Callable[[str], None] = _print) -> Iterator[None]:
+def serve_page(run: Path, arguments: Mapping[str, object], report: Callable[[str], None] = _print) -> Iterator[None]:
     """Serve the page of the log at `run`, which need not exist yet, in a separate process.
 
-    `arguments` are options of `imuarray monitor` by name; None values are omitted. `tell` receives the address of the
+    `arguments` are options of `imuarray monitor` by name; None values are omitted. `report` receives the address of the
     page, or why there is none, from another thread. An open page is served for a moment after the end, so that it shows
     how the log ended. A failure of the page does not affect the recording. MissingExtraError without Bokeh.
     """
@@ -113,7 +117,7 @@ def serve_page(run: Path, arguments: Mapping[str, object], tell: Callable[[str],
         start_new_session=True,  # so that Ctrl-C reaches only the logger
     )
     _lower_priority(process.pid)
-    reporting = threading.Thread(target=_report_lines, args=(process.stdout, tell), name="page", daemon=True)
+    reporting = threading.Thread(target=_report_lines, args=(process.stdout, report), name="page", daemon=True)
     reporting.start()
     try:
         yield
@@ -131,11 +135,11 @@ def _lower_priority(process: int) -> None:
             os.setpriority(os.PRIO_PROCESS, process, os.getpriority(os.PRIO_PROCESS, 0) + _NICENESS)
 
 
-def _report_lines(lines: Iterable[str] | None, tell: Callable[[str], None]) -> None:
+def _report_lines(lines: Iterable[str] | None, report: Callable[[str], None]) -> None:
     """Report the output of the page's process: the address of the page, or why there is none."""
     for line in lines or ():
         text = line.strip()
-        tell(f"watch it at {text}" if text.startswith("http://") else f"no page: {text.removeprefix('imuarray: ')}")
+        report(f"watch it at {text}" if text.startswith("http://") else f"no page: {text.removeprefix('imuarray: ')}")
 
 
 def _end(process: subprocess.Popen[str]) -> None:

@@ -35,7 +35,7 @@ class MonitorScreen:
     def __init__(self) -> None:
         self.is_terminal = sys.stdout.isatty()
         self.resized = False
-        self._before: Any = None
+        self._attributes: Any = None
 
     @property
     def columns(self) -> int:
@@ -48,8 +48,8 @@ class MonitorScreen:
             click.echo("\n".join(lines))
             return
         room = shutil.get_terminal_size()
-        shown = [line[: room.columns - 1] + _REST_OF_LINE + "\n" for line in lines[: room.lines - 1]]
-        click.echo(_HOME + "".join(shown) + _REST_OF_SCREEN, nl=False, color=True)
+        visible = [line[: room.columns - 1] + _REST_OF_LINE + "\n" for line in lines[: room.lines - 1]]
+        click.echo(_HOME + "".join(visible) + _REST_OF_SCREEN, nl=False, color=True)
 
     def rest(self, seconds: float) -> None:
         """Wait, at most until the size changes."""
@@ -60,7 +60,7 @@ class MonitorScreen:
 
     def __enter__(self) -> Self:
         if self.is_terminal and hasattr(signal, "SIGWINCH"):
-            self._before = signal.signal(signal.SIGWINCH, self._resize)
+            self._attributes = signal.signal(signal.SIGWINCH, self._resize)
         return self
 
     def _resize(self, number: int, frame: Any) -> None:
@@ -69,8 +69,8 @@ class MonitorScreen:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._before is not None:
-            signal.signal(signal.SIGWINCH, self._before)
+        if self._attributes is not None:
+            signal.signal(signal.SIGWINCH, self._attributes)
 
 
 @click.command("monitor")
@@ -142,14 +142,14 @@ def _run(options: MonitorOptions) -> None:
     """Show the log in the terminal, or serve the page."""
     if options.run.is_file() and options.run.suffix not in (".h5", ".hdf5"):
         raise click.UsageError(f"{options.run}: is not a log; allowed is an HDF5 file (.h5) that is written or will be")
-    known = _calibration(options.calibration)
+    calibration = _calibration(options.calibration)
     if options.once and not (options.as_text or options.as_json):
         raise click.UsageError("--once needs --text or --json")
     run = options.run
     if options.once and not (run.exists() or run.with_name(f"{run.stem}_001{run.suffix}").exists()):
         raise click.UsageError(f"{run}: no such file{guess_file(run)}")
     if options.as_text or options.as_json:
-        with _monitor(options.run, known, options.result) as monitor:
+        with _monitor(options.run, calibration, options.result) as monitor:
             _show(monitor, options.every_s, as_json=options.as_json, once=options.once)
     else:
         from imuarray.monitor.server import PageOptions, serve
@@ -157,7 +157,7 @@ def _run(options: MonitorOptions) -> None:
         page = PageOptions(
             host=options.host,
             port=options.port,
-            calibration=known,
+            calibration=calibration,
             result=options.result,
             every_s=options.every_s,
             announce=click.echo,

@@ -60,10 +60,10 @@ def command(output: Path | None, replica: bool, gap: bool, seed: int, as_json: b
     from imuarray.studies.paper.results import can_draw, write
 
     result = recompute()
-    written = write(result, output, force=force) if output else ()
+    paths = write(result, output, force=force) if output else ()
     click.echo(to_json(result) if as_json else render_text(result), nl=False)
     if output:
-        click.echo(f"{output}: {len(written)} files written{'' if can_draw() else _NO_FIGURES}", err=True)
+        click.echo(f"{output}: {len(paths)} files written{'' if can_draw() else _NO_FIGURES}", err=True)
 
 
 def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None:
@@ -72,8 +72,8 @@ def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None
 
     if output:
         prepare_folder(output, _REPLICA_FILES, force)
-    with progress(100, "replica") as done:
-        observed = observe(seed, progress=lambda so_far, total, what: done(round(100 * so_far / total)))
+    with progress(100, "replica") as set_progress:
+        observed = observe(seed, progress=lambda so_far, total, what: set_progress(round(100 * so_far / total)))
     replica = Replica(seed, tuple(compare(observed)))
     if output:
         _write_replica(output, replica, observed)

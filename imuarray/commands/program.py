@@ -26,9 +26,9 @@ def run(command: click.Command, name: str, arguments: Sequence[str] | None = Non
     `EXIT_CODES`. An error is printed in one line on standard error.
     """
     try:
-        given = None if arguments is None else list(arguments)
+        words = None if arguments is None else list(arguments)
         with _warnings_as_lines(name):
-            result = command.main(args=given, prog_name=name, standalone_mode=False)
+            result = command.main(args=words, prog_name=name, standalone_mode=False)
     except click.exceptions.Exit as stop:
         return stop.exit_code
     except (click.Abort, KeyboardInterrupt):
@@ -62,7 +62,7 @@ def _explained(error: click.ClickException) -> str:
 @contextmanager
 def _warnings_as_lines(name: str) -> Iterator[None]:
     """Print each LogWarning as one line on standard error, once."""
-    said: set[str] = set()
+    printed: set[str] = set()
     with warnings.catch_warnings():
         warnings.simplefilter("always", LogWarning)
         show = warnings.showwarning
@@ -70,8 +70,8 @@ def _warnings_as_lines(name: str) -> Iterator[None]:
         def print_line(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
             if not issubclass(category, LogWarning):
                 show(message, category, *place, **more)
-            elif str(message) not in said:
-                said.add(str(message))
+            elif str(message) not in printed:
+                printed.add(str(message))
                 click.echo(printable(f"{name}: warning: {message}"), err=True)
 
         warnings.showwarning = print_line

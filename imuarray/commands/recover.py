@@ -35,8 +35,8 @@ def command(run: Path, output: Path | None, force: bool, as_json: bool) -> None:
         refuse_existing(output, force, run)
     with Log(run) as log:
         rows = sum(len(sensor) for sensor in log.sensors.values())
-    with progress(rows, str(run)) as done:
-        recovered = recover(run, output, done, force=force)
+    with progress(rows, str(run)) as set_progress:
+        recovered = recover(run, output, set_progress, force=force)
     if as_json:
         print_json({"log": str(output or run), **recovered._asdict()})
     elif recovered.changed:

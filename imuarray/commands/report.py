@@ -38,8 +38,8 @@ def command(files: tuple[Path, ...], output: Path, title: str, workers: int, for
     for path in (member for file in files for member in reportable_files(file)):
         refuse_existing(output, force, source=path if path.is_file() else None)
         file_kind(path)
-    with progress(_STEPS, "report") as done:
-        moved = lambda share: done(int(share * _STEPS))  # noqa: E731
+    with progress(_STEPS, "report") as set_progress:
+        moved = lambda share: set_progress(int(share * _STEPS))  # noqa: E731
         kinds = write_report(files, output, title=title, force=force, progress=moved, workers=workers)
     if as_json:
         print_json({"report": str(output), "files": kinds})

@@ -32,9 +32,9 @@ EXPERIMENTS = ("static", "tumble", "heating", "turn-on", "motion")
 """Experiments of `imuarray.simulate.experiments`, repeated here because that module imports NumPy."""
 
 
-def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> None:
+def _list_effects(context: click.Context, _: click.Parameter, is_given: bool) -> None:
     """Print the effects that a model may contain, and exit."""
-    if not asked or context.resilient_parsing:
+    if not is_given or context.resilient_parsing:
         return
     from imuarray.simulate.effects import EFFECTS, meaning
     from imuarray.simulate.parameters import spelled
@@ -219,23 +219,23 @@ def _run(options: SimulateOptions) -> None:
             click.echo(f"imuarray: {sentence}", err=True)
         effects = effects_of(runs[0].plan, model, seed, population=population, without=left_out)  # of all boots
         reports: list[dict[str, Any]] = []
-        drawn = ", units drawn" if population else ""
-        without = f", without {', '.join(left_out)}" if left_out else ""
+        population_text = ", units drawn" if population else ""
+        without_text = f", without {', '.join(left_out)}" if left_out else ""
         for run in runs:
             dtype = "float32" if options.single else "float64"
             simulation = Simulation(run.plan, run.motion, effects, seed=seed, boot=run.boot, dtype=dtype)
-            note = f"model {model.name}{drawn}, seed {seed}, boot {run.boot}{without}"
-            written = _write(simulation, run.path, log, note, options)
+            note = f"model {model.name}{population_text}, seed {seed}, boot {run.boot}{without_text}"
+            totals = _write(simulation, run.path, log, note, options)
             reports.append(
                 {
                     "log": str(run.path),
                     "model": model.name,
                     "seed": seed,
                     "boot": run.boot,
-                    "frames": written.frames,
-                    "seconds": written.seconds,
-                    "rows": written.rows,
-                    "lost": {name: count for name, count in written.lost.items() if count},
+                    "frames": totals.frames,
+                    "seconds": totals.seconds,
+                    "rows": totals.rows,
+                    "lost": {name: count for name, count in totals.lost.items() if count},
                 }
             )
     if options.as_json:
@@ -265,12 +265,12 @@ _FOR = {
 
 def _refuse_idle(context: click.Context, experiment: str, like: Path | None) -> None:
     """Raise click.UsageError for an option that would have no effect."""
-    given = [
+    idle = [
         name
         for name in (*_FOR, "experiment", "seconds", "rate_hz")
         if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
     ]
-    for name in given:
+    for name in idle:
         option, experiments = _FOR.get(name, (f"--{name.replace('_', '-')}", (experiment,)))
         if like is not None:
             raise click.UsageError(f"{option}: with --like it comes from the log")
@@ -297,11 +297,13 @@ def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[
                 " it and use"
                 " --like RUN.h5, or configure a chip with a data sheet, and its range"
             )
-    wanted = ExperimentOptions(options.seconds, options.up, options.temperature_degc, options.drive)
+    experiment = ExperimentOptions(options.seconds, options.up, options.temperature_degc, options.drive)
     if options.experiment == "turn-on":
         boots = range(options.boot, options.boot + options.runs)
-        return None, turn_on_series(array, options.output, wanted, options.rate_hz, boots)
-    return None, [run_of(array, options.output, options.experiment, wanted, rate_hz=options.rate_hz, boot=options.boot)]
+        return None, turn_on_series(array, options.output, experiment, options.rate_hz, boots)
+    return None, [
+        run_of(array, options.output, options.experiment, experiment, rate_hz=options.rate_hz, boot=options.boot)
+    ]
 
 
 def _model(name: str, calibration: Path | None, plan: Plan) -> Model:
@@ -313,12 +315,11 @@ def _model(name: str, calibration: Path | None, plan: Plan) -> Model:
     from imuarray.calibrate import load_calibration
     from imuarray.simulate.from_calibration import calibrated
 
-    known = load_calibration(calibration)
-    if not set(known.sensors) & set(plan.sensors):
-        raise click.UsageError(
-            f"{calibration}: contains {', '.join(known.sensors) or 'no sensor'}, but none of {', '.join(plan.sensors)}"
-        )
-    return calibrated(model, known, [header for header, _ in plan.sensors.values()])
+    parameters = load_calibration(calibration)
+    if not set(parameters.sensors) & set(plan.sensors):
+        names = ", ".join(parameters.sensors) or "no sensor"
+        raise click.UsageError(f"{calibration}: contains {names}, but none of {', '.join(plan.sensors)}")
+    return calibrated(model, parameters, [header for header, _ in plan.sensors.values()])
 
 
 def _write(simulation: Simulation, path: Path, log: Log | None, note: str, options: SimulateOptions) -> Written:
@@ -327,7 +328,7 @@ def _write(simulation: Simulation, path: Path, log: Log | None, note: str, optio
     from imuarray.simulate.record import EPOCH, Division, Origin
 
     with ExitStack() as stack:
-        done = stack.enter_context(progress(total_rows(simulation), str(path)))
+        set_progress = stack.enter_context(progress(total_rows(simulation), str(path)))
         workers = options.workers
         threads = stack.enter_context(ThreadPoolExecutor(workers)) if workers > 1 else None
         return write_log(
@@ -335,6 +336,6 @@ def _write(simulation: Simulation, path: Path, log: Log | None, note: str, optio
             path,
             origin=Origin(log.epoch if log else EPOCH, note),
             division=Division(executor=threads, workers=workers),
-            progress=done,
+            progress=set_progress,
             force=options.force,
         )

@@ -98,16 +98,18 @@ def _run(options: StudyOptions) -> None:
     names = tuple(dict.fromkeys(name.strip() for name in options.experiments.split(",") if name.strip()))
     if not names or set(names) - set(EXPERIMENTS):
         strange = next((name for name in names if name not in EXPERIMENTS), "")
-        allowed = f"allowed are {', '.join(EXPERIMENTS)}{guess(strange, EXPERIMENTS)}"
-        raise click.UsageError(f"--experiments {options.experiments!r}: {allowed}")
+        allowed_text = f"allowed are {', '.join(EXPERIMENTS)}{guess(strange, EXPERIMENTS)}"
+        raise click.UsageError(f"--experiments {options.experiments!r}: {allowed_text}")
     if options.output:
         prepare_folder(options.output, FILES, options.force)
     count = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
     with ExitStack() as stack:
-        done = stack.enter_context(progress(len(names) * count, "study"))
+        set_progress = stack.enter_context(progress(len(names) * count, "study"))
         executor = stack.enter_context(processes(options.workers)) if options.workers > 1 else None
         seconds = QUICK_S if options.quick else None
-        result = study(names, count, seconds=seconds, executor=executor, progress=lambda so_far, *_: done(so_far))
+        result = study(
+            names, count, seconds=seconds, executor=executor, progress=lambda so_far, *_: set_progress(so_far)
+        )
     if options.output:
         _write(options.output, result)
     if options.as_json:
@@ -126,8 +128,8 @@ def _run_numbers(options: StudyOptions) -> None:
     if options.output is not None:
         raise click.UsageError("--output can't be combined with --array, whose result is printed (--json: as JSON)")
     count = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
-    with progress(count, "study") as done:
-        result = study_numbers(load_array(find_config(options.array or Path())), count, done)
+    with progress(count, "study") as set_progress:
+        result = study_numbers(load_array(find_config(options.array or Path())), count, set_progress)
     if options.as_json:
         print_json(result.as_json())
     else:

@@ -31,15 +31,15 @@ def command(run: Path, as_json: bool) -> None:
 
     with Log(run) as log:
         rows = sum(len(sensor) for sensor in log.sensors.values())
-    with progress(rows, str(run)) as done:
-        verdict = verify(run, done)
+    with progress(rows, str(run)) as set_progress:
+        verdict = verify(run, set_progress)
     if as_json:
         print_json({"log": str(run), "good": not verdict.problems, **verdict._asdict()})
     else:
         _print(run, verdict)
     if verdict.problems:
-        more = f" (and {len(verdict.problems) - 1} more)" if len(verdict.problems) > 1 else ""
-        raise LogError(f"{run}: {verdict.problems[0]}{more}")
+        others_text = f" (and {len(verdict.problems) - 1} more)" if len(verdict.problems) > 1 else ""
+        raise LogError(f"{run}: {verdict.problems[0]}{others_text}")
 
 
 def _print(run: Path, verdict: LogVerification) -> None:

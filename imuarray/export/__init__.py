@@ -55,8 +55,8 @@ def export(  # noqa: PLR0913
     write = _writer(target)
     tools = TOOLS.get(target.suffix.lower(), ())
     if tool is not None and tool not in tools:
-        known = ", ".join(tools) or "none, because the file is the same for all tools"
-        raise ExportError(f"{path}: tool {tool!r}: allowed for {target.suffix} are {known}{guess(tool, tools)}")
+        tools_text = ", ".join(tools) or "none, because the file is the same for all tools"
+        raise ExportError(f"{path}: tool {tool!r}: allowed for {target.suffix} are {tools_text}{guess(tool, tools)}")
     log_path = source if isinstance(source, str | PathLike) else source.path
     exported: ExportSummary = write(
         ExportRequest(Path(log_path), tuple(sensors), calibration, units, tool), target, force, progress

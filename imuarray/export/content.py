@@ -62,14 +62,14 @@ def compensated_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
     return tuple(columns)
 
 
-def _triad(sensor: SensorLog, known: SensorCalibration, units: str, warm: TemperatureSeries | None) -> TableColumn:
+def _triad(sensor: SensorLog, parameters: SensorCalibration, units: str, warm: TemperatureSeries | None) -> TableColumn:
     scale = 1.0 if units == "si" else 1 / SI_PER_UNIT[sensor.unit]
 
     def read(rows: slice) -> npt.NDArray[np.float64]:
         counts = np.asarray(sensor.counts[rows], float)
         if warm is not None:
-            counts -= known.bias_at(warm.at(np.asarray(sensor.time[rows]) * 1e-9)) - known.bias_lsb
-        return known.stimulus_box(counts) * scale
+            counts -= parameters.bias_at(warm.at(np.asarray(sensor.time[rows]) * 1e-9)) - parameters.bias_lsb
+        return parameters.stimulus_box(counts) * scale
 
     return TableColumn(sensor.quantity, "<f8", SI_NAME[sensor.unit] if units == "si" else sensor.unit, _AXES, read)
 
@@ -90,7 +90,9 @@ def _numbers(column: Any, kind: str = "<f8") -> Callable[[slice], npt.NDArray[An
     return lambda rows: np.asarray(column[rows], kind)
 
 
-_KNOWN = frozenset({field.name for field in fields(SensorHeader)} | {"orientation", "NX_class", "signal", "comment"})
+_OTHER_FIELDS = frozenset(
+    {field.name for field in fields(SensorHeader)} | {"orientation", "NX_class", "signal", "comment"}
+)
 
 
 @contextmanager
@@ -140,20 +142,20 @@ def _uncalibrated(log: Log, sensors: list[SensorLog], calibration: Calibration) 
     triads = [sensor.name for sensor in sensors if sensor.is_triad]
     unknown = tuple(name for name in triads if name not in calibration.sensors)
     if triads and len(unknown) == len(triads):
-        known = ", ".join(calibration.sensors) or "no sensor"
-        raise ExportError(f"{log.path}: has {', '.join(triads)}; the calibration contains {known}")
+        names = ", ".join(calibration.sensors) or "no sensor"
+        raise ExportError(f"{log.path}: has {', '.join(triads)}; the calibration contains {names}")
     return unknown
 
 
 def _table(sensor: SensorLog, rest: tuple[TableColumn, ...], calibrated: bool) -> ExportTable:
     """Return a sensor's table, with its header."""
     header = asdict(full_header(sensor))
-    more: dict[str, Any] = {"orientation": sensor.orientation.tolist(), "calibrated": calibrated}
+    attributes: dict[str, Any] = {"orientation": sensor.orientation.tolist(), "calibrated": calibrated}
     if sensor.is_triad and sensor.sensitivity:
-        more["si_per_count"] = SI_PER_UNIT[sensor.unit] / sensor.sensitivity
+        attributes["si_per_count"] = SI_PER_UNIT[sensor.unit] / sensor.sensitivity
     status = TableColumn("status", "<u2", "1", (), lambda rows: np.asarray(sensor.status[rows]))
     columns = (_time(sensor.time), *rest[:1], status, *rest[1:])
-    return ExportTable(f"sensors/{sensor.name}", len(sensor), columns, header | more)
+    return ExportTable(f"sensors/{sensor.name}", len(sensor), columns, header | attributes)
 
 
 def _raw_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
@@ -190,7 +192,7 @@ def full_header(sensor: SensorLog) -> SensorHeader:
         columns=_cells(sensor),
         compensated=tuple(column.name for column in compensated_columns(sensor)),
         delay_ns=delay if isinstance(delay, int) else None,
-        extra={name: value for name, value in extra.items() if name not in _KNOWN},
+        extra={name: value for name, value in extra.items() if name not in _OTHER_FIELDS},
     )
 
 
@@ -208,9 +210,9 @@ def _tracks(log: Log) -> Iterator[ExportTable]:
     for name, track in (("truth", log.truth), ("reference", log.reference), ("clocks", log.clocks)):
         if track is None:
             continue
-        there = {part: column for part, column in track._asdict().items() if column is not None}
-        columns = tuple(_track_column(part, column) for part, column in there.items())
-        yield ExportTable(name, len(track.time), columns, {"name": name, "frame": "box", "columns": list(there)})
+        stored = {part: column for part, column in track._asdict().items() if column is not None}
+        columns = tuple(_track_column(part, column) for part, column in stored.items())
+        yield ExportTable(name, len(track.time), columns, {"name": name, "frame": "box", "columns": list(stored)})
 
 
 def _track_column(name: str, column: Any) -> TableColumn:

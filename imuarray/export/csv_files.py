@@ -43,8 +43,8 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
         described = path.with_suffix(".json")
         if len(content.tables) == 1 and (request.sensors or content.head["format"] != "imuarray-log"):
             (table,) = content.tables
-            with whole_file(path, force=force) as draft, whole_file(described, force=force) as about:
-                _write_head(about, content, table=table.name)
+            with whole_file(path, force=force) as draft, whole_file(described, force=force) as json_file:
+                _write_head(json_file, content, table=table.name)
                 _write_table(draft, table, meter)
             return content.exported(path, described)
         return content.exported(*_write_set(path, content, force, meter), described, path)
@@ -57,18 +57,18 @@ def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[
     phases = [(seconds(phase.start_ns), seconds(phase.end_ns), phase.name, phase.up) for phase in content.phases]
     events = [(seconds(event.time_ns), event.sensor, event.kind, event.message) for event in content.events]
     with ExitStack() as stack:  # files get their names when it is left, the list, entered first, after all others
-        wanted = (path, path.with_suffix(".json"), *files)
-        listed, described, *drafts = (stack.enter_context(whole_file(file, force=force)) for file in wanted)
+        targets = (path, path.with_suffix(".json"), *files)
+        listed, described, *drafts = (stack.enter_context(whole_file(file, force=force)) for file in targets)
         for table, draft in zip(content.tables, drafts, strict=False):
             _write_table(draft, table, meter)
         _write_texts(drafts[-2], CSV_PHASES, phases)
         _write_texts(drafts[-1], CSV_EVENTS, events)
-        held = [
+        tables = [
             *((table.name, table.rows) for table in content.tables),
             ("phases", len(phases)),
             ("events", len(events)),
         ]
-        index = [(file.name, table, rows) for file, (table, rows) in zip(files, held, strict=True)]
+        index = [(file.name, table, rows) for file, (table, rows) in zip(files, tables, strict=True)]
         _write_head(described, content, files={name: table for name, table, _ in index})
         with listed.open("w", encoding="utf-8", newline="") as text:
             csv.writer(text, lineterminator="\n").writerows([CSV_INDEX, *index])
@@ -79,11 +79,11 @@ def file_names(path: Path, names: Sequence[str]) -> list[str]:
     """Return the names of the files: run_Acc.csv and so on. Equal names, and those that differ only in case, which some
     file systems do not distinguish, get a number.
     """
-    taken: dict[str, str] = {}
+    sensors_by_name: dict[str, str] = {}
     for name in names:
-        free = next(stem for stem in numbered(f"{path.stem}_{name}") if stem.lower() not in taken)
-        taken[free.lower()] = f"{free}{path.suffix}"
-    return list(taken.values())
+        free = next(stem for stem in numbered(f"{path.stem}_{name}") if stem.lower() not in sensors_by_name)
+        sensors_by_name[free.lower()] = f"{free}{path.suffix}"
+    return list(sensors_by_name.values())
 
 
 def _write_head(path: Path, content: Content, **more: Any) -> None:

@@ -25,9 +25,9 @@ def fused_content(request: ExportRequest) -> Iterator[Content]:
     path = request.source
     if request.sensors or request.calibration is not None or request.units not in (None, "si"):
         raise ExportError(f"{path}: a fused result; it has no sensors to choose or convert, and is in SI")
-    with fused_columns(path) as (said, columns):
+    with fused_columns(path) as (attributes, columns):
         head: dict[str, Any] = {"format": FORMAT, "format_version": FORMAT_VERSION, "units": "si"}
-        head |= {name: said.get(name, "") for name in ("epoch", "technique", "log", "calibration", "software")}
+        head |= {name: attributes.get(name, "") for name in ("epoch", "technique", "log", "calibration", "software")}
         listed = sorted(columns.items(), key=lambda item: (item[0] != "time", item[0]))
         table = ExportTable(
             "fused",

@@ -70,19 +70,19 @@ class Container:
 
     def schema(self, name: str, text: bytes, encoding: str) -> int:
         """Return the number of a new schema; its `encoding` is one of MCAP's registry ("jsonschema", "ros2msg")."""
-        made = records.Schema(id=len(self._schemas) + 1, data=text, encoding=encoding, name=name)
-        self._schemas.append(made)
-        self._put(made)
+        record = records.Schema(id=len(self._schemas) + 1, data=text, encoding=encoding, name=name)
+        self._schemas.append(record)
+        self._put(record)
         return len(self._schemas)
 
-    def channel(self, topic: str, schema: int, about: Mapping[str, str], encoding: str) -> int:
+    def channel(self, topic: str, schema: int, metadata: Mapping[str, str], encoding: str) -> int:
         """Return the number of a new channel of messages; their `encoding` is "json" or "cdr"."""
         number = len(self._channels) + 1
-        made = records.Channel(
-            id=number, topic=topic, message_encoding=encoding, schema_id=schema, metadata=dict(about)
+        record = records.Channel(
+            id=number, topic=topic, message_encoding=encoding, schema_id=schema, metadata=dict(metadata)
         )
-        self._channels.append(made)
-        self._put(made)
+        self._channels.append(record)
+        self._put(record)
         return number
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
@@ -125,12 +125,12 @@ class Container:
         )
         index_start, places = self._file.tell(), {}
         for channel in np.unique(channels).tolist():
-            mine = channels == channel
-            entries = np.stack([time_ns[mine], offsets[mine]], axis=1).astype("<u8").tobytes()
+            of_channel = channels == channel
+            entries = np.stack([time_ns[of_channel], offsets[of_channel]], axis=1).astype("<u8").tobytes()
             places[channel] = self._file.tell()
             self._file.write(_INDEX_HEAD.pack(int(Opcode.MESSAGE_INDEX), 6 + len(entries), channel, len(entries)))
             self._file.write(entries)
-            self._counts[channel] = self._counts.get(channel, 0) + int(mine.sum())
+            self._counts[channel] = self._counts.get(channel, 0) + int(of_channel.sum())
         packed = length - (_BEFORE_LENGTH + 40 + len(_COMPRESSION))  # less the other fields of a chunk
         self._first_ns = min(self._first_ns, first_ns) if self._chunks else first_ns
         self._last_ns = max(self._last_ns, last_ns)

@@ -67,7 +67,7 @@ class _ChannelMessages(NamedTuple):
     lengths: Times
     parts: list[_EqualMessages]
 
-    def then(self, other: _ChannelMessages) -> _ChannelMessages:
+    def joined(self, other: _ChannelMessages) -> _ChannelMessages:
         """Return these messages followed by the others."""
         count = len(self.time_ns)
         return _ChannelMessages(
@@ -80,11 +80,11 @@ class _ChannelMessages(NamedTuple):
         """Return the first messages, and the rest."""
         first, rest = [], []
         for places, messages in self.parts:
-            at = int(np.searchsorted(places, count))
-            if at:
-                first.append(_EqualMessages(places[:at], messages[:at]))
-            if at < len(places):
-                rest.append(_EqualMessages(places[at:] - count, messages[at:]))
+            index = int(np.searchsorted(places, count))
+            if index:
+                first.append(_EqualMessages(places[:index], messages[:index]))
+            if index < len(places):
+                rest.append(_EqualMessages(places[index:] - count, messages[index:]))
         return (
             _ChannelMessages(self.time_ns[:count], self.lengths[:count], first),
             _ChannelMessages(self.time_ns[count:], self.lengths[count:], rest),
@@ -138,13 +138,13 @@ class _ChannelStream:
             if block is None:
                 self._last = True
                 continue
-            self.waiting = self.waiting.then(block)
+            self.waiting = self.waiting.joined(block)
 
     def take(self, until_ns: int) -> _ChannelMessages:
         """Return the buffered messages up to a time, and remove them."""
         count = int(np.searchsorted(self.waiting.time_ns, until_ns, "right"))
-        taken, self.waiting = self.waiting.split(count)
-        return taken
+        messages, self.waiting = self.waiting.split(count)
+        return messages
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
@@ -198,20 +198,20 @@ def _merge(container: Container, streams: Sequence[_ChannelStream], source: str)
             part.copy_to(content, own)
         first = 0
         while first < len(ends):
-            begin = int(ends[first - 1]) if first else 0
-            last = min(int(np.searchsorted(ends, begin + _CHUNK_BYTES)) + 1, len(ends))
-            chosen, offsets = slice(first, last), np.concatenate([[0], ends[first : last - 1] - begin])
-            container.chunk(content[begin : ends[last - 1]], channels[chosen], time_ns[chosen], offsets)
+            start = int(ends[first - 1]) if first else 0
+            last = min(int(np.searchsorted(ends, start + _CHUNK_BYTES)) + 1, len(ends))
+            rows, offsets = slice(first, last), np.concatenate([[0], ends[first : last - 1] - start])
+            container.chunk(content[start : ends[last - 1]], channels[rows], time_ns[rows], offsets)
             first = last
 
 
 def epoch_ns(epoch: str, path: Path) -> int:
     """Return the nanoseconds from 1970 to an ISO 8601 time (without a zone: UTC); ExportError if it is not a date."""
     try:
-        when = datetime.fromisoformat(epoch)
+        moment = datetime.fromisoformat(epoch)
     except ValueError:
         raise ExportError(f"{path}: the epoch {epoch!r} is not a date, which MCAP needs") from None
-    since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - _EPOCH
+    since = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - _EPOCH
     return (since.days * 86_400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
 
 
@@ -227,17 +227,17 @@ def _streams(container: Container, content: Content, zero_ns: int, meter: Meter)
     streams = []
     for table in content.tables:
         if len(table.columns) > 1 and table.name != "clocks":
-            about = {
+            metadata = {
                 name: value if isinstance(value, str) else json.dumps(value) for name, value in table.about.items()
             }
             kind = schemas.imu_schema() if schemas.is_imu(table) else schemas.table_schema(table)
-            channel = _channel(container, f"/{table.name}", kind, about)
+            channel = _channel(container, f"/{table.name}", kind, metadata)
             streams.append(_ChannelStream(channel, _rows(table, channel, zero_ns, _frame(content), meter)))
     if content.events or content.phases:
         kind = schemas.log_schema()
-        for topic, said in (("/events", _events(content)), ("/phases", _phases(content))):
+        for topic, entries in (("/events", _events(content)), ("/phases", _phases(content))):
             channel = _channel(container, topic, kind, {})
-            streams.append(_ChannelStream(channel, _entries(said, channel, zero_ns, _json_entry)))
+            streams.append(_ChannelStream(channel, _entries(entries, channel, zero_ns, _json_entry)))
     return streams
 
 
@@ -252,10 +252,10 @@ def _ros2_streams(container: Container, content: Content, zero_ns: int, meter: M
     for topic in ros2.topics(content.tables):
         channel = channel_of(topic.name, topic.kind)
         streams.append(_ChannelStream(channel, _ros2_rows(topic.blocks(zero_ns, _BLOCK, meter), channel)))
-    for name, said in (("/events", _events(content)), ("/phases", _phases(content))):
-        if said:
+    for name, entries in (("/events", _events(content)), ("/phases", _phases(content))):
+        if entries:
             channel = channel_of(name, ros2.LOG)
-            streams.append(_ChannelStream(channel, _entries(said, channel, zero_ns, _ros2_entry)))
+            streams.append(_ChannelStream(channel, _entries(entries, channel, zero_ns, _ros2_entry)))
     return streams
 
 
@@ -277,9 +277,9 @@ def _frame(content: Content) -> str:
     return "sensor" if content.units == "counts" else "box"
 
 
-def _channel(container: Container, topic: str, schema: Mapping[str, Any], about: dict[str, str]) -> int:
+def _channel(container: Container, topic: str, schema: Mapping[str, Any], metadata: dict[str, str]) -> int:
     kind = container.schema(str(schema["title"]), json.dumps(schema).encode(), "jsonschema")
-    return container.channel(topic, kind, about, "json")
+    return container.channel(topic, kind, metadata, "json")
 
 
 def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Meter) -> Iterator[_ChannelMessages]:
@@ -294,39 +294,39 @@ def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Met
     for rows in table.blocks(_BLOCK):
         time_ns = np.asarray(table.columns[0].read(rows) + zero_ns, np.int64)
         cells = [np.asarray(column.read(rows)).reshape(len(time_ns), -1) for column in columns]
-        known = [np.isfinite(cell) for cell in cells]
-        if len(time_ns) and all(each.all() for each in known):  # the usual case, which is faster
+        finite_cells = [np.isfinite(cell) for cell in cells]
+        if len(time_ns) and all(cells_finite.all() for cells_finite in finite_cells):  # the usual case, which is faster
             finite = np.ones((1, len(cells)), bool)
         else:
-            finite = np.stack([each.all(axis=1) for each in known], axis=1)
+            finite = np.stack([cells_finite.all(axis=1) for cells_finite in finite_cells], axis=1)
         sequence = np.arange(rows.start, rows.stop) & 0xFFFF_FFFF
         if len(finite) and (finite == finite[0]).all():
-            patterns, which = finite[:1], np.zeros(len(time_ns), np.intp)
+            patterns, pattern_of = finite[:1], np.zeros(len(time_ns), np.intp)
         else:
-            patterns, which = np.unique(finite, axis=0, return_inverse=True)
+            patterns, pattern_of = np.unique(finite, axis=0, return_inverse=True)
         parts = []
-        for number, there in enumerate(patterns):
-            chosen: Indices | slice = slice(None)
+        for number, present in enumerate(patterns):
+            selection: Indices | slice = slice(None)
             places = np.arange(len(time_ns))
             if len(patterns) > 1:
-                chosen = places = np.flatnonzero(which.reshape(-1) == number)
-            form = _form(message, columns, there.tolist())
-            texts = _filled(form, time_ns[chosen], [cell[chosen] for cell in cells])
-            parts.append(_EqualMessages(places, _with_heads(texts, channel, sequence[chosen], time_ns[chosen])))
+                selection = places = np.flatnonzero(pattern_of.reshape(-1) == number)
+            form = _form(message, columns, present.tolist())
+            texts = _filled(form, time_ns[selection], [cell[selection] for cell in cells])
+            parts.append(_EqualMessages(places, _with_heads(texts, channel, sequence[selection], time_ns[selection])))
         yield _ordered(time_ns, parts)
         meter.add(rows.stop - rows.start, len(table.columns))
 
 
 def _form(
-    message: Callable[[Sequence[Any]], dict[str, Any]], columns: Sequence[TableColumn], there: Sequence[bool]
+    message: Callable[[Sequence[Any]], dict[str, Any]], columns: Sequence[TableColumn], present: Sequence[bool]
 ) -> list[bytes | int]:
-    """Return the template of messages in which the columns `there` have values: texts, and between them -2 for the
+    """Return the template of messages in which the columns `present` have values: texts, and between them -2 for the
     seconds, -1 for the nanoseconds, or the number of a cell, counted over all columns.
     """
     row, number = [], 0
-    for column, known in zip(columns, there, strict=True):
+    for column, is_present in zip(columns, present, strict=True):
         count = max(1, len(column.cells))
-        numbers = [float(f"7.{number + cell:05d}1e-301") if known else np.nan for cell in range(count)]
+        numbers = [float(f"7.{number + cell:05d}1e-301") if is_present else np.nan for cell in range(count)]
         row.append(numbers if column.cells else numbers[0])
         number += count
     text = json.dumps(message(row), allow_nan=False, separators=(",", ":"))
@@ -342,34 +342,34 @@ def _form(
 def _filled(form: Sequence[bytes | int], time_ns: Times, columns: Sequence[npt.NDArray[Any]]) -> Texts:
     """Return messages (n, l) from their template, times (n,) and columns (n, cells)."""
     cells = [cell for column in columns for cell in column.T]
-    made: dict[int, Texts] = {}
+    texts_by_form: dict[int, Texts] = {}
     for part in form:
-        if not isinstance(part, bytes) and part not in made:
-            made[part] = (
+        if not isinstance(part, bytes) and part not in texts_by_form:
+            texts_by_form[part] = (
                 _digits(time_ns // 10**9 if part == -2 else time_ns % 10**9) if part < 0 else _texts(cells[part])
             )
-    line = b"".join(part if isinstance(part, bytes) else made[part][0].tobytes() for part in form)
+    line = b"".join(part if isinstance(part, bytes) else texts_by_form[part][0].tobytes() for part in form)
     messages = np.empty((len(time_ns), len(line)), np.uint8)
     messages[:] = np.frombuffer(line, np.uint8)  # the first message, over which differences are written
-    at = 0
+    position = 0
     for part in form:
-        width = len(part) if isinstance(part, bytes) else made[part].shape[1]
-        if not isinstance(part, bytes) and made[part].strides[0]:
-            messages[:, at : at + width] = made[part]
-        at += width
+        width = len(part) if isinstance(part, bytes) else texts_by_form[part].shape[1]
+        if not isinstance(part, bytes) and texts_by_form[part].strides[0]:
+            messages[:, position : position + width] = texts_by_form[part]
+        position += width
     return messages
 
 
 def _digits(values: Times) -> Texts:
     """Return the text (n, w) of non-negative integers, right-aligned with spaces."""
-    most = int(values.max(initial=0))
-    width, table = len(str(most)), _four_digits()
+    largest = int(values.max(initial=0))
+    width, table = len(str(largest)), _four_digits()
     words = np.empty((len(values), -(-width // 4)), np.uint32)
-    rest = values.astype(np.uint32) if most < 1 << 32 else values
+    rest = values.astype(np.uint32) if largest < 1 << 32 else values
     for group in range(words.shape[1] - 1, -1, -1):
-        above = rest // 10**4
-        words[:, group] = table[rest - above * 10**4]
-        rest = above
+        upper = rest // 10**4
+        words[:, group] = table[rest - upper * 10**4]
+        rest = upper
     texts = words.view(np.uint8)[:, -width:]
     short = np.flatnonzero(values < 10 ** (width - 1))
     if width > 1 and len(short):
@@ -391,12 +391,12 @@ def _texts(values: npt.NDArray[Any]) -> Texts:
         return np.broadcast_to(text, (len(values), len(text)))
     is_float = values.dtype == np.float64
     bits = np.ascontiguousarray(values).view(np.int64) if is_float else values  # -0.0 is another number than 0.0
-    different, which = np.unique(bits, return_inverse=True)
+    different, index_of = np.unique(bits, return_inverse=True)
     numbers = (different.view(np.float64) if is_float else different).tolist()
     table = np.array(json.dumps(numbers, separators=(",", ":"))[1:-1].encode().split(b","))
     texts = table.view(np.uint8).reshape(len(table), -1)
     texts[texts == 0] = ord(" ")
-    return np.asarray(table[which.reshape(-1)].view(np.uint8).reshape(len(values), -1))
+    return np.asarray(table[index_of.reshape(-1)].view(np.uint8).reshape(len(values), -1))
 
 
 def _with_heads(texts: Texts, channel: int, sequence: Times, time_ns: Times) -> npt.NDArray[np.void]:
@@ -427,14 +427,14 @@ def _ros2_entry(nanoseconds: int, entry: _Entry) -> bytes:
 
 
 def _entries(
-    said: Sequence[_Entry], channel: int, zero_ns: int, encode: Callable[[int, _Entry], bytes]
+    entries: Sequence[_Entry], channel: int, zero_ns: int, encode: Callable[[int, _Entry], bytes]
 ) -> Iterator[_ChannelMessages]:
     """Yield the entries in the order of their times, one part for each; nothing without entries."""
-    if not said:
+    if not entries:
         return
-    time_ns = np.array([entry.time_ns + zero_ns for entry in said], np.int64)
+    time_ns = np.array([entry.time_ns + zero_ns for entry in entries], np.int64)
     parts = []
-    for number, entry in enumerate(said):
+    for number, entry in enumerate(entries):
         text, place = np.frombuffer(encode(int(time_ns[number]), entry), np.uint8), np.array([number])
         parts.append(_EqualMessages(place, _with_heads(text[None], channel, place, time_ns[number : number + 1])))
     yield _ordered(time_ns, parts)
@@ -455,8 +455,8 @@ def _events(content: Content) -> list[_Entry]:
 
 def _phases(content: Content) -> list[_Entry]:
     """Return an entry for the beginning and one for the end of each phase."""
-    said = [
+    entries = [
         (phase.start_ns, f"{phase.name} begins{f', {phase.up} up' if phase.up else ''}") for phase in content.phases
     ]
-    said += [(phase.end_ns, f"{phase.name} ends") for phase in content.phases]
-    return [_Entry(time_ns, "INFO", "phase", text) for time_ns, text in sorted(said)]
+    entries += [(phase.end_ns, f"{phase.name} ends") for phase in content.phases]
+    return [_Entry(time_ns, "INFO", "phase", text) for time_ns, text in sorted(entries)]

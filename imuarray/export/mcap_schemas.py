@@ -54,8 +54,8 @@ def log_schema() -> dict[str, Any]:
 
 def log_message(nanoseconds: int, level: str, name: str, message: str) -> dict[str, Any]:
     """Return a foxglove.Log message."""
-    said = {"timestamp": time_of(nanoseconds), "level": LEVELS[level], "message": message, "name": name}
-    return {**said, "file": "", "line": 0}
+    message_log = {"timestamp": time_of(nanoseconds), "level": LEVELS[level], "message": message, "name": name}
+    return {**message_log, "file": "", "line": 0}
 
 
 def imu_schema() -> dict[str, Any]:
@@ -76,11 +76,11 @@ def imu_message(nanoseconds: int, row: Mapping[str, Any]) -> dict[str, Any]:
     message["orientation_covariance"] = _NOT_KNOWN
     for quantity, name in _IMU.items():
         triad, six = row[quantity], row.get(f"{quantity}_covariance", [math.nan] * 6)
-        there = _finite(triad)
-        if there:
+        is_finite = _finite(triad)
+        if is_finite:
             message[name] = dict(zip("xyz", triad, strict=True))
-        known = [six[entry] for entry in _ENTRIES] if _finite(six) else [0.0] * 9  # ROS: all zero, not known
-        message[f"{name}_covariance"] = known if there else _NOT_KNOWN
+        covariance = [six[entry] for entry in _ENTRIES] if _finite(six) else [0.0] * 9  # ROS: all zero, not known
+        message[f"{name}_covariance"] = covariance if is_finite else _NOT_KNOWN
     if _finite([row.get("temperature", math.nan)]):
         message["temperature"] = row["temperature"]
     return message

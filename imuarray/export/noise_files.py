@@ -46,7 +46,7 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
     imus, rows = _imus(request, progress)
     if not imus:
         raise ExportError(f"{request.source}: no inertial sensor whose noise could be fitted")
-    files = {path: imus[0]} if len(imus) == 1 else {_beside(path, imu.name): imu for imu in imus}
+    files = {path: imus[0]} if len(imus) == 1 else {_sensor_path(path, imu.name): imu for imu in imus}
     for file in files:
         if file.exists() and not force:
             raise OutputExistsError(file)
@@ -57,7 +57,7 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
     return ExportSummary(tuple(files), rows, "si", notes=notes)
 
 
-def _beside(path: Path, name: str) -> Path:
+def _sensor_path(path: Path, name: str) -> Path:
     return path.with_name(f"{path.stem}_{name}{path.suffix}")
 
 
@@ -91,8 +91,8 @@ def _stored(request: ExportRequest) -> Mapping[str, Any]:
         raise ExportError(
             f"{request.source}: no sensor {unknown[0]!r}; it has {', '.join(names)}{guess(unknown[0], names)}"
         )
-    chosen = [sensor for sensor in result["sensors"] if not request.sensors or sensor["name"] in request.sensors]
-    return {**result, "sensors": chosen}
+    sensors = [sensor for sensor in result["sensors"] if not request.sensors or sensor["name"] in request.sensors]
+    return {**result, "sensors": sensors}
 
 
 def _characterised(request: ExportRequest, progress: Progress) -> Mapping[str, Any]:
@@ -102,20 +102,20 @@ def _characterised(request: ExportRequest, progress: Progress) -> Mapping[str, A
         names = [log[name].name for name in request.sensors] or inertial
         if not names:
             raise ExportError(f"{request.source}: it has no accelerometer and no gyroscope")
-        done = iter(range(1, 3 * len(names) + 1))
+        steps = iter(range(1, 3 * len(names) + 1))
         return characterise_log(
             log,
             longest_rest(log),
             names,
-            progress=lambda: progress(next(done, 0) / (3 * len(names))),
+            progress=lambda: progress(next(steps, 0) / (3 * len(names))),
             scales=_scales(log, names, request.calibration or Calibration()),
         )
 
 
 def _scales(log: Log, names: list[str], calibration: Calibration) -> dict[str, list[float]]:
     """Return the counts per unit of the calibrated sensors."""
-    known = [name for name in names if name in calibration.sensors]
-    return {name: calibration.of(log[name]).scale_lsb_per_unit.tolist() for name in known}
+    calibrated = [name for name in names if name in calibration.sensors]
+    return {name: calibration.of(log[name]).scale_lsb_per_unit.tolist() for name in calibrated}
 
 
 def _of_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise], dict[str, int]]:
@@ -127,7 +127,7 @@ def _of_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise
     with fused_columns(path) as (attributes, columns):
         time = np.asarray(columns["time"][:], np.int64)
         values = {quantity: np.asarray(columns[quantity][:], float) for quantity in INERTIAL if quantity in columns}
-    moving = _moving(time, values)
+    moving = _is_moving(time, values)
     rates, seconds, rows = [0.0], 0.0, 0
     for number, (quantity, triad) in enumerate(values.items(), start=1):
         run = _longest_run(time, np.isfinite(triad).all(axis=1) & ~moving)
@@ -146,37 +146,39 @@ def _of_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise
     return [imu], {"fused": rows}
 
 
-def _moving(time: Times, values: Mapping[Quantity, Floats]) -> Booleans:
+def _is_moving(time: Times, values: Mapping[Quantity, Floats]) -> Booleans:
     """Return which frames (n,) are in a second of motion: of readings that scatter more than those of a box at rest, or
     whose mean differs from that of the second before or after.
     """
     second = (time - time[:1]) // 1_000_000_000
     moving = np.zeros(int(second[-1]) + 1 if len(second) else 0, bool)
     for quantity, triad in values.items():
-        there = np.isfinite(triad).all(axis=1)
-        count = np.maximum(np.bincount(second[there], minlength=len(moving)), 1)
-        allowed = STILL[quantity] * SI_PER_UNIT[next(iter(UNITS_OF[quantity]))]
-        for axis in triad[there].T:
-            mean = np.bincount(second[there], axis, len(moving)) / count
-            spread = np.sqrt(np.bincount(second[there], (axis - mean[second[there]]) ** 2, len(moving)) / count)
-            steps = np.abs(np.diff(mean)) > allowed
-            moving |= spread > allowed
+        is_finite = np.isfinite(triad).all(axis=1)
+        count = np.maximum(np.bincount(second[is_finite], minlength=len(moving)), 1)
+        limit = STILL[quantity] * SI_PER_UNIT[next(iter(UNITS_OF[quantity]))]
+        for axis in triad[is_finite].T:
+            mean = np.bincount(second[is_finite], axis, len(moving)) / count
+            deviation = np.sqrt(
+                np.bincount(second[is_finite], (axis - mean[second[is_finite]]) ** 2, len(moving)) / count
+            )
+            steps = np.abs(np.diff(mean)) > limit
+            moving |= deviation > limit
             moving[1:] |= steps
             moving[:-1] |= steps
     return np.asarray(moving[second], bool)
 
 
-def _longest_run(time: Times, there: Booleans) -> slice:
+def _longest_run(time: Times, is_finite: Booleans) -> slice:
     """Return the longest stretch of regular frames that are all there."""
     steps = np.diff(time)
     usual = float(np.median(steps)) if len(steps) else 0.0
-    joined = there[1:] & there[:-1] & (np.abs(steps - usual) <= _REGULAR * usual)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], joined.astype(np.int8), [0]])))
+    is_joined = is_finite[1:] & is_finite[:-1] & (np.abs(steps - usual) <= _REGULAR * usual)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_joined.astype(np.int8), [0]])))
     if not len(edges):
         return slice(0, 0)
-    begins, ends = edges[::2], edges[1::2]
-    longest = int(np.argmax(ends - begins))
-    return slice(int(begins[longest]), int(ends[longest]) + 1)
+    starts, ends = edges[::2], edges[1::2]
+    longest = int(np.argmax(ends - starts))
+    return slice(int(starts[longest]), int(ends[longest]) + 1)
 
 
 def _interval_s(time: Times) -> float:

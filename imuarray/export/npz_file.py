@@ -42,12 +42,12 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
 
 def array_names(tables: Iterable[ExportTable]) -> dict[str, dict[str, str]]:
     """Return the name of the array of each column of each table: Gyro1_counts; once more is Gyro1_counts_2."""
-    taken = {NPZ_HEADER}
+    used = {NPZ_HEADER}
     names: dict[str, dict[str, str]] = {}
     for table in tables:
         for column in table.columns:
-            free = next(name for name in numbered(f"{table.short}_{column.name}") if name not in taken)
-            taken.add(free)
+            free = next(name for name in numbered(f"{table.short}_{column.name}") if name not in used)
+            used.add(free)
             names.setdefault(table.name, {})[column.name] = free
     return names
 

@@ -60,9 +60,9 @@ def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[
             _write_table(draft, table, content, {"table": table.name, "about": dict(table.about)}, meter)
         _write_texts(drafts[-2], ("start", "end", "name", "up"), content.phases, {"table": "phases"})
         _write_texts(drafts[-1], ("time", "sensor", "kind", "message"), content.events, {"table": "events"})
-        held = [*((table.name, table.rows) for table in content.tables)]
-        held += [("phases", len(content.phases)), ("events", len(content.events))]
-        index = [(file.name, table, rows) for file, (table, rows) in zip(files, held, strict=True)]
+        tables = [*((table.name, table.rows) for table in content.tables)]
+        tables += [("phases", len(content.phases)), ("events", len(content.events))]
+        index = [(file.name, table, rows) for file, (table, rows) in zip(files, tables, strict=True)]
         _write_texts(listed, CSV_INDEX, index, head_with(content))
     return files
 

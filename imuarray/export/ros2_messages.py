@@ -44,9 +44,9 @@ _HEADER = "builtin_interfaces/Time stamp\nstring frame_id"
 _VECTOR = "float64 x\nfloat64 y\nfloat64 z"
 
 
-def _definition(own: str, **parts: str) -> str:
+def _definition(definition: str, **parts: str) -> str:
     """Return a message's definition, followed by those of its parts, as rosbag2 stores it."""
-    texts = [own, *(f"MSG: {name.replace('__', '/')}\n{text}" for name, text in parts.items())]
+    texts = [definition, *(f"MSG: {name.replace('__', '/')}\n{text}" for name, text in parts.items())]
     return f"\n{_RULE}\n".join(texts) + "\n"
 
 
@@ -111,14 +111,14 @@ class Topic(NamedTuple):
             time_ns = np.asarray(self.table.columns[0].read(part) + zero_ns, np.int64)
             cells = {column.name: np.asarray(column.read(part), float) for column in self.columns}
             numbers = self.numbers({name: values.reshape(len(time_ns), -1) for name, values in cells.items()})
-            kept = ~np.isnan(numbers[:, 0])
-            yield time_ns[kept], _stamped(time_ns[kept], numbers[kept])
+            has_values = ~np.isnan(numbers[:, 0])
+            yield time_ns[has_values], _stamped(time_ns[has_values], numbers[has_values])
             meter.add(part.stop - part.start, len(self.columns))
 
 
 def topics(tables: Sequence[ExportTable]) -> Iterator[Topic]:
     """Yield the topics of the tables of a log or a fused file; a table without physical values has none."""
-    taken: set[str] = set()
+    names: set[str] = set()
     twins = _twins(tables)
     for table in tables:
         if table.name == "clocks" or table.name in twins.values():
@@ -126,11 +126,11 @@ def topics(tables: Sequence[ExportTable]) -> Iterator[Topic]:
         columns = {column.name: column for column in table.columns[1:]}
         name = table.name
         if table.name in twins:
-            twin = next(other for other in tables if other.name == twins[table.name])
+            twin = next(table_of_twin for table_of_twin in tables if table_of_twin.name == twins[table.name])
             columns = {column.name: column for column in twin.columns[1:]} | columns
             name = table.name.removesuffix("_acc")
-        free = next(wish for wish in numbered(_topic_name(name)) if wish not in taken)
-        taken.add(free)
+        free = next(wish for wish in numbered(_topic_name(name)) if wish not in names)
+        names.add(free)
         yield from _topics_of(free, table, columns)
 
 
@@ -181,11 +181,11 @@ def _imu(cells: Cells) -> Floats:
     for quantity, place in _IMU.items():
         triad = cells.get(quantity, np.full((count, 3), np.nan))
         six = cells.get(f"{quantity}_covariance", np.full((count, 6), np.nan))
-        there = np.isfinite(triad).all(axis=1)
-        known = there & np.isfinite(six).all(axis=1)
-        numbers[there, place : place + 3] = triad[there]
-        numbers[known, place + 3 : place + 12] = six[known][:, _ENTRIES]
-        numbers[~there, place + 3] = -1.0
+        is_finite = np.isfinite(triad).all(axis=1)
+        has_covariance = is_finite & np.isfinite(six).all(axis=1)
+        numbers[is_finite, place : place + 3] = triad[is_finite]
+        numbers[has_covariance, place + 3 : place + 12] = six[has_covariance][:, _ENTRIES]
+        numbers[~is_finite, place + 3] = -1.0
     return numbers
 
 
@@ -224,10 +224,14 @@ def _stamped(time_ns: Times, numbers: Floats) -> npt.NDArray[np.uint8]:
             ("numbers", "<f8", (numbers.shape[1],)),
         ]
     )
-    made = np.zeros(len(time_ns), layout)
-    made["encoding"], made["length"], made["frame"] = _LITTLE_ENDIAN, len(text), np.frombuffer(text, np.uint8)
-    made["sec"], made["nanosec"], made["numbers"] = time_ns // 10**9, time_ns % 10**9, numbers
-    return made.view(np.uint8).reshape(len(made), -1)
+    messages = np.zeros(len(time_ns), layout)
+    messages["encoding"], messages["length"], messages["frame"] = (
+        _LITTLE_ENDIAN,
+        len(text),
+        np.frombuffer(text, np.uint8),
+    )
+    messages["sec"], messages["nanosec"], messages["numbers"] = time_ns // 10**9, time_ns % 10**9, numbers
+    return messages.view(np.uint8).reshape(len(messages), -1)
 
 
 def log_message(time_ns: int, level: str, name: str, text: str) -> bytes:

@@ -66,7 +66,10 @@ class RowCache:
         HDF5.
         """
         first = range(start - start % _BLOCK_ROWS, stop, _BLOCK_ROWS)
-        parts = [self._block(column, name, at)[max(start - at, 0) : stop - at] for at in first]
+        parts = [
+            self._block(column, name, block_start)[max(start - block_start, 0) : stop - block_start]
+            for block_start in first
+        ]
         return parts[0].copy() if len(parts) == 1 else np.concatenate(parts)
 
     def held(self, name: str, start: int, stop: int) -> npt.NDArray[Any] | None:
@@ -96,11 +99,11 @@ class RowCache:
 class NamedColumn:
     """An HDF5 dataset (or a `Column`) that names its place in errors: reading damaged rows raises LogError."""
 
-    __slots__ = ("_cache", "_column", "_where")
+    __slots__ = ("_cache", "_column", "_place")
 
-    def __init__(self, column: h5py.Dataset | Column, where: str, cache: RowCache | None = None) -> None:
+    def __init__(self, column: h5py.Dataset | Column, place: str, cache: RowCache | None = None) -> None:
         """`cache` keeps rows that are read; only for a dataset that does not change."""
-        self._column, self._where, self._cache = column, where, cache
+        self._column, self._place, self._cache = column, place, cache
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -129,10 +132,10 @@ class NamedColumn:
                 start, stop, _ = key.indices(len(self))
                 if stop - start >= _FEW_ROWS:
                     with suppress(*UNREADABLE):  # the requested rows may be intact although others of the block are not
-                        return self._cache.rows(self._column, self._where, start, stop)
-                if stop > start and (rows := self._cache.held(self._where, start, stop)) is not None:
+                        return self._cache.rows(self._column, self._place, start, stop)
+                if stop > start and (rows := self._cache.held(self._place, start, stop)) is not None:
                     return rows
-            elif isinstance(key, int) and (row := self._cache.held(self._where, *self._only(key))) is not None:
+            elif isinstance(key, int) and (row := self._cache.held(self._place, *self._single_row(key))) is not None:
                 return row[0]
         try:
             return self._column[key]
@@ -142,7 +145,7 @@ class NamedColumn:
     def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
         return np.asarray(self[()] if self.shape == () else self[:], dtype)
 
-    def _only(self, row: int) -> tuple[int, int]:
+    def _single_row(self, row: int) -> tuple[int, int]:
         """Return the bounds of the slice of a single row, which counts from the end if it is negative."""
         start = row + len(self) if row < 0 else row
         return start, start + 1
@@ -157,8 +160,8 @@ class NamedColumn:
             stop = start + 1
         else:
             start, stop = 0, len(self)
-        which = f"row {start} is" if stop == start + 1 else f"rows {start} to {stop - 1} are"
-        return LogError(f"{self._where}: {which} damaged (imuarray verify lists all)")
+        rows_text = f"row {start} is" if stop == start + 1 else f"rows {start} to {stop - 1} are"
+        return LogError(f"{self._place}: {rows_text} damaged (imuarray verify lists all)")
 
 
 class Column:
@@ -259,39 +262,39 @@ class ClockTrack(NamedTuple):
     realtime: NamedColumn
 
 
-def track_of(group: Any, where: str, cache: RowCache | None = None) -> Track:
-    """Return the track that a group of the file contains, whose rows `cache` keeps; LogError, which names the place
-    `where`, if it contains none.
+def track_of(group: Any, place: str, cache: RowCache | None = None) -> Track:
+    """Return the track that a group of the file contains, whose rows `cache` keeps; LogError, which names its `place`,
+    if it contains none.
     """
     if not isinstance(group, GROUP) or "time" not in group:
-        raise LogError(f"{where} has no time")
+        raise LogError(f"{place} has no time")
     columns = [group.get(column) for column in Track._fields]
     for column, tail in zip(columns, ((), (3,), (3,), ()), strict=True):
         if column is not None and column.shape != (*group["time"].shape, *tail):
-            raise LogError(f"{where}: a column has another shape than time")
-    return Track(*_named(columns, where, cache))
+            raise LogError(f"{place}: a column has another shape than time")
+    return Track(*_named(columns, place, cache))
 
 
-def clocks_of(group: Any, where: str) -> ClockTrack:
-    """Return the clock rows that a group of the file contains; LogError, which names the place `where`, if it contains
+def clocks_of(group: Any, place: str) -> ClockTrack:
+    """Return the clock rows that a group of the file contains; LogError, which names its `place`, if it contains
     none.
     """
     columns = [group.get(column) for column, _, _ in CLOCKS]
     if any(not isinstance(column, DATASET) or column.dtype.kind != "i" for column in columns) or (
         len({column.shape for column in columns}) != 1
     ):
-        raise LogError(f"{where} is missing a column, or its columns differ in length")
-    return ClockTrack(*_named(columns, where))
+        raise LogError(f"{place} is missing a column, or its columns differ in length")
+    return ClockTrack(*_named(columns, place))
 
 
-def _named(columns: Sequence[Any], where: str, cache: RowCache | None = None) -> Iterator[Any]:
+def _named(columns: Sequence[Any], place: str, cache: RowCache | None = None) -> Iterator[Any]:
     """Return the columns that exist, and None for the others."""
     return (
-        None if column is None else named_column(column, f"{where}: {column.name.rsplit('/', 1)[-1]}", cache)
+        None if column is None else named_column(column, f"{place}: {column.name.rsplit('/', 1)[-1]}", cache)
         for column in columns
     )
 
 
-def named_column(column: h5py.Dataset | Column, where: str, cache: RowCache | None) -> NamedColumn:
+def named_column(column: h5py.Dataset | Column, place: str, cache: RowCache | None) -> NamedColumn:
     """Return a column whose rows `cache` keeps if they can't change: those of a growing log are not kept."""
-    return NamedColumn(column, where, cache if isinstance(column, h5py.Dataset) else None)
+    return NamedColumn(column, place, cache if isinstance(column, h5py.Dataset) else None)

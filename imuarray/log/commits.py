@@ -65,17 +65,17 @@ def read_commits(table: npt.NDArray[Any], identity: str, groups: Sequence[Column
     commits: list[Commit] = []
     if table.ndim != 2 or table.shape[1] != width(groups) or table.dtype != np.dtype("<i8"):
         return commits
-    before: tuple[int, ...] = (0,) * len(groups)
+    previous: tuple[int, ...] = (0,) * len(groups)
     follows = True
     for row in table:
         position, chain, crc, *rows = row.tolist()[:-1]
-        added = [(end - start) * group.row_bytes for start, end, group in zip(before, rows, groups, strict=True)]
+        added = [(end - start) * group.row_bytes for start, end, group in zip(previous, rows, groups, strict=True)]
         is_whole = int(row[-1]) == _own_crc(row[:-1], identity)
         if not is_whole or min(added) < 0 or sum(added) > _LONGEST_COMMIT or position < 0:
             follows = False
             continue
-        before = tuple(rows)
-        commits.append(Commit(Mark(position, chain), crc if follows else None, before))
+        previous = tuple(rows)
+        commits.append(Commit(Mark(position, chain), crc if follows else None, previous))
         follows = True
     return commits
 
@@ -114,7 +114,7 @@ class CommittedRows:
         self._segments = [Segment(number, *rows) for number, rows in enumerate(pairwise([zero, *ends]))]
         self._is_good: dict[int, bool] = {}
         self._replacements: OrderedDict[int, list[Columns]] = OrderedDict()
-        self._remains: dict[int, list[Columns]] = {}
+        self._rest: dict[int, list[Columns]] = {}
         self._count()
 
     def _count(self) -> None:
@@ -125,24 +125,24 @@ class CommittedRows:
 
     def _lengths(self, segment: Segment) -> list[int]:
         """Return the rows of each group in a segment, as far as they can be read."""
-        if segment.number in self._remains:
-            return [len(next(iter(columns.values()))) for columns in self._remains[segment.number]]
+        if segment.number in self._rest:
+            return [len(next(iter(columns.values()))) for columns in self._rest[segment.number]]
         return [end - start for start, end in zip(segment.start, segment.end, strict=True)]
 
     def check(self) -> list[str]:
         """Check every commit. Rows that are damaged both here and in the journal are reported, and omitted from
         now on.
         """
-        lost = np.zeros(len(self._groups), np.int64)
+        lost_rows = np.zeros(len(self._groups), np.int64)
         for segment in self._segments:
             if not self._fits(segment) and self._replaced(segment) is None:
-                lost += self._lengths(segment)
-                self._remains[segment.number] = self._salvaged(segment)
-                lost -= self._lengths(segment)
+                lost_rows += self._lengths(segment)
+                self._rest[segment.number] = self._salvaged(segment)
+                lost_rows -= self._lengths(segment)
         self._count()
         counts = [
             f"{counted(rows, 'byte' if group.path == NOTES else 'row')} of {group.path}"
-            for group, rows in zip(self._groups, lost.tolist(), strict=True)
+            for group, rows in zip(self._groups, lost_rows.tolist(), strict=True)
             if rows
         ]
         return [f"damaged, and not in the journal: {', '.join(counts)}"] if counts else []
@@ -151,14 +151,14 @@ class CommittedRows:
         """Return the rows, by group, that the journal has of a commit that is damaged in both places."""
         if self._journal is None:
             return [group.joined([]) for group in self._groups]
-        begin, end = self._marks(segment)
-        records = self._journal.records(begin)
+        start, end = self._marks(segment)
+        records = self._journal.records(start)
         return self._journal.columns(takewhile(lambda record: record.after.position <= end.position, records))
 
     def _marks(self, segment: Segment) -> tuple[Mark | None, Mark]:
         """Return the marks between which the journal has the rows of a commit."""
-        begin = self._commits[segment.number - 1].mark if segment.number else None
-        return begin, self._commits[segment.number].mark
+        start = self._commits[segment.number - 1].mark if segment.number else None
+        return start, self._commits[segment.number].mark
 
     @property
     def damaged(self) -> int:
@@ -170,11 +170,11 @@ class CommittedRows:
         kind, tail = next((kind, tail) for column, kind, tail in self._groups[number].columns if column == name)
         pieces: list[npt.NDArray[Any]] = [np.empty((0, *tail), kind)]
         edges = self._edges[number]
-        at = start
-        while at < stop:
-            index = bisect_right(edges, at) - 1
-            segment, offset = self._segments[index], at - edges[index]
-            count = min(stop, edges[index + 1]) - at
+        position = start
+        while position < stop:
+            index = bisect_right(edges, position) - 1
+            segment, offset = self._segments[index], position - edges[index]
+            count = min(stop, edges[index + 1]) - position
             if self._fits(segment):
                 first = segment.start[number] + offset
                 pieces.append(self._stored(number, name, first, first + count))
@@ -183,7 +183,7 @@ class CommittedRows:
                 if replaced is None:
                     raise OSError(errno.EBADMSG, "rows are damaged, and the journal does not have them")
                 pieces.append(replaced[number][name][offset : offset + count])
-            at += count
+            position += count
         return pieces[1] if len(pieces) == 2 else np.concatenate(pieces)
 
     def _stored(self, number: int, name: str, start: int, stop: int) -> npt.NDArray[Any]:
@@ -218,8 +218,8 @@ class CommittedRows:
         """Return the rows of a commit from the journal, by group; None if the journal lacks some of them, unless
         `check` has accepted the loss.
         """
-        if segment.number in self._remains:
-            return self._remains[segment.number]
+        if segment.number in self._rest:
+            return self._rest[segment.number]
         if self._journal is None:
             return None
         if segment.number not in self._replacements:

@@ -76,7 +76,7 @@ def track_dataset(track: Track, epoch: str) -> Any:
     for name, column in track._asdict().items():
         if name != "time" and column is not None:
             dims = ("time", BOX_AXIS)[: len(column.shape)]
-            variables[name] = dims, np.asarray(column[:]), _about(name, TRACK_UNITS[name])
+            variables[name] = dims, np.asarray(column[:]), _attributes_of(name, TRACK_UNITS[name])
     return dataset(np.asarray(track.time[:]), epoch, variables, {"epoch": epoch})
 
 
@@ -149,31 +149,35 @@ def _sensor_variables(sensor: SensorLog, calibration: Calibration | None) -> dic
     if sensor.is_triad:
         values = physical_values(sensor, calibration)
         if values is not None:
-            variables[sensor.quantity] = ("time", BOX_AXIS), values, _about(sensor.quantity, SI_NAME[sensor.unit])
+            variables[sensor.quantity] = (
+                ("time", BOX_AXIS),
+                values,
+                _attributes_of(sensor.quantity, SI_NAME[sensor.unit]),
+            )
         counts = {"units": "count", "long_name": "raw register values along the sensor's axes"}
         variables["counts"] = ("time", AXIS), np.asarray(sensor.counts[:]), counts
     for name, unit in (("pressure", "Pa"), ("temperature", "degC")):
         if sensor.has_compensated(name):
-            variables[name] = ("time",), np.asarray(sensor.compensated(name)[:]), _about(name, unit)
+            variables[name] = ("time",), np.asarray(sensor.compensated(name)[:]), _attributes_of(name, unit)
     degrees = sensor.temperature_counts
     if degrees is not None:
         raw = np.asarray(degrees[:])
         if (scale := sensor.thermometer) is not None:
             values = scale.zero_degc + raw / scale.lsb_per_degc
-            variables["temperature"] = ("time",), values, _about("temperature", "degC")
+            variables["temperature"] = ("time",), values, _attributes_of("temperature", "degC")
         variables["temperature_counts"] = ("time",), raw, {"units": "count", "long_name": "the chip's own thermometer"}
     if (uncertainty := sensor.time_uncertainty) is not None:
-        about = {"units": "s", "long_name": "largest error of time"}
-        variables[TIME_UNCERTAINTY] = ("time",), np.asarray(uncertainty[:]), about
+        attributes = {"units": "s", "long_name": "largest error of time"}
+        variables[TIME_UNCERTAINTY] = ("time",), np.asarray(uncertainty[:]), attributes
     if (pulse := sensor.sync_pulse) is not None:
-        about = {"units": "s", "long_name": "time since the synchronisation pulse before the row"}
-        variables[SYNC_PULSE] = ("time",), np.asarray(pulse[:]), about
+        attributes = {"units": "s", "long_name": "time since the synchronisation pulse before the row"}
+        variables[SYNC_PULSE] = ("time",), np.asarray(pulse[:]), attributes
     flags = {"units": "1", "flag_masks": list(FLAGS.values()), "flag_meanings": " ".join(FLAGS)}
     variables["status"] = ("time",), np.asarray(sensor.status[:]), flags
     return variables
 
 
-def _about(quantity: str, unit: str) -> dict[str, Any]:
+def _attributes_of(quantity: str, unit: str) -> dict[str, Any]:
     return {"units": unit, "long_name": _LONG_NAME[quantity]}
 
 

@@ -93,10 +93,10 @@ class Allowance:
         self._used += size + size // 64
         if self._used <= self._allocated:
             return
-        wanted = self._used + self._step
+        required = self._used + self._step
         if self._allocates:
             try:
-                _allocate(self.fd, self._allocated, wanted - self._allocated)
+                _allocate(self.fd, self._allocated, required - self._allocated)
             except OSError as error:
                 if error.errno not in _NOT_SUPPORTED:
                     raise unwritable(self._name, error) from None
@@ -104,9 +104,9 @@ class Allowance:
         limit = longest_file()
         if limit is not None and self._used > limit:
             raise unwritable(self._name, OSError(errno.EFBIG, ""))
-        if not self._allocates and free_bytes(self._path) < wanted - self._allocated + RESERVE:
+        if not self._allocates and free_bytes(self._path) < required - self._allocated + RESERVE:
             raise unwritable(self._name, OSError(errno.ENOSPC, ""))
-        self._allocated = wanted
+        self._allocated = required
 
     def sync(self) -> None:
         """Wait until everything written is on the disk; LogError."""

@@ -329,9 +329,9 @@ def _is_number(value: Any) -> bool:
 
 def _is_extra(name: Any, value: Any) -> bool:
     """Return whether this can be an attribute of a particular chip."""
-    known = {field.name for field in fields(SensorHeader)} | _OWN_ATTRIBUTES
+    names = {field.name for field in fields(SensorHeader)} | _OWN_ATTRIBUTES
     fits = _is_number(value) and abs(value) < 1 << 63
-    return _is_word(name) and name not in known and (fits or (isinstance(value, str) and len(value) <= _LONGEST_TEXT))
+    return _is_word(name) and name not in names and (fits or (isinstance(value, str) and len(value) <= _LONGEST_TEXT))
 
 
 def header_of(

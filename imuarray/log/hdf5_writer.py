@@ -127,12 +127,12 @@ class Draft:
         self.groups = groups_of(preamble.sensors)
         self.notes = Notes()
         self._end_ns = 0
-        self._known: set[tuple[str, str]] = set()
+        self._measured: set[tuple[str, str]] = set()
         self._epoch, self._chunk = preamble.epoch, chunk
         self._waiting: list[list[Columns]] = [[] for _ in self.groups]
         self._rows = [0] * len(self.groups)
         self._unwritten = [0] * len(self.groups)
-        self._asked = 0
+        self._reserved_bytes = 0
         self._durable = durable
         sweep(path)
         try:
@@ -177,10 +177,10 @@ class Draft:
             self._room.reserve(_EMPTY_BYTES)
             create_track(self.file, group.path, self._epoch, self._chunk, COMPRESSED)
         self._room.reserve(count * group.row_bytes)
-        self._asked += count * group.row_bytes
+        self._reserved_bytes += count * group.row_bytes
         rows = group.joined(self._waiting[number])
         if group.path in STIMULI:
-            self._known |= {(group.path, name) for name, values in rows.items() if np.isfinite(values[:count]).any()}
+            self._measured |= {(group.path, name) for name, values in rows.items() if np.isfinite(values[:count]).any()}
         self._end_ns = max(self._end_ns, int(rows["time"][count - 1]) + 1)
         stored = self.file[group.path]
         for name, values in rows.items():
@@ -190,10 +190,10 @@ class Draft:
         self._rows[number] += count
         self._unwritten[number] -= count
         self._waiting[number] = [{name: values[count:] for name, values in rows.items()}]
-        if self._asked > _SETTLED_BYTES:
+        if self._reserved_bytes > _SETTLED_BYTES:
             self.file.flush()
             self._room.settle()
-            self._asked = 0
+            self._reserved_bytes = 0
 
     def flush(self) -> None:
         """Write all buffered rows."""
@@ -246,7 +246,7 @@ class Draft:
             if group.path in self.file:
                 if group.path in STIMULI:  # a quantity that was not measured has no column, instead of one of nan
                     for name, _, _ in group.columns:
-                        if (group.path, name) not in self._known:
+                        if (group.path, name) not in self._measured:
                             del self.file[group.path][name]
                 attach_scales(self.file[group.path])
         names = [group.path.removeprefix("sensors/") for group in self.groups if "/" in group.path]

@@ -88,55 +88,62 @@ class _Reason(NamedTuple):
     advice: str
 
 
-def health_of(seen: Observations) -> Health:
+def health_of(observations: Observations) -> Health:
     """Return the health of a recording from its observations."""
-    urgent, minor = list(_urgent(seen)), list(_minor(seen))
+    urgent, minor = list(_urgent(observations)), list(_minor(observations))
     reasons = [*urgent, *minor]
     if not reasons:
-        delivering = "the sensor delivers" if seen.sensors == 1 else f"all {seen.sensors} sensors deliver"
+        delivering = (
+            "the sensor delivers" if observations.sensors == 1 else f"all {observations.sensors} sensors deliver"
+        )
         return Health("green", f"{delivering}, no frame was missed, no fault reported")
     text = "; ".join(reason.text for reason in reasons[:_NAMED])
     return Health("red" if urgent else "amber", text, reasons[0].advice)
 
 
-def _urgent(seen: Observations) -> Iterator[_Reason]:
-    if seen.stopped:
-        yield _Reason(seen.stopped, "check whether the logger is running")
-    if seen.silent:
-        longest = max(seen.silent.values())
-        yield _Reason(f"{_names(seen.silent)} silent for {duration(longest)}", "check cable, power and address")
-    if _share(seen) >= MANY_MISSED:
-        yield _missed(seen, f"{percent(_share(seen))} of the frames missed")
-    if seen.room_s is not None and seen.room_s < NO_ROOM_S:
-        yield _Reason(f"the disk is full in {duration(seen.room_s)}", _ROOM)
+def _urgent(observations: Observations) -> Iterator[_Reason]:
+    if observations.stopped:
+        yield _Reason(observations.stopped, "check whether the logger is running")
+    if observations.silent:
+        longest = max(observations.silent.values())
+        yield _Reason(f"{_names(observations.silent)} silent for {duration(longest)}", "check cable, power and address")
+    if _share(observations) >= MANY_MISSED:
+        yield _missed(observations, f"{percent(_share(observations))} of the frames missed")
+    if observations.room_s is not None and observations.room_s < NO_ROOM_S:
+        yield _Reason(f"the disk is full in {duration(observations.room_s)}", _ROOM)
 
 
-def _minor(seen: Observations) -> Iterator[_Reason]:
-    if 0 < _share(seen) < MANY_MISSED:
-        yield _missed(seen, f"{counted(seen.missed, 'frame')} missed")
-    if lost := {name: count for name, count in seen.lost.items() if count}:
-        yield _Reason(f"{counted(sum(lost.values()), 'reading')} of {_names(lost)} lost", _EVENTS)
-    if seen.stalled:
-        share = max(seen.stalled.values())
+def _minor(observations: Observations) -> Iterator[_Reason]:
+    if 0 < _share(observations) < MANY_MISSED:
+        yield _missed(observations, f"{counted(observations.missed, 'frame')} missed")
+    if lost_rows := {name: count for name, count in observations.lost.items() if count}:
+        yield _Reason(f"{counted(sum(lost_rows.values()), 'reading')} of {_names(lost_rows)} lost", _EVENTS)
+    if observations.stalled:
+        share = max(observations.stalled.values())
         yield _Reason(
-            f"no readings of {_names(seen.stalled)} in {percent(share)} of the time: the recorder stalled", _STALLS
+            f"no readings of {_names(observations.stalled)} in {percent(share)} of the time: the recorder stalled",
+            _STALLS,
         )
-    if gaps := {name: count for name, count in seen.gaps.items() if count}:
+    if gaps := {name: count for name, count in observations.gaps.items() if count}:
         yield _Reason(f"{counted(sum(gaps.values()), 'gap')} in the readings of {_names(gaps)}", _EVENTS)
-    if clipped := {name: count for name, count in seen.clipped.items() if count}:
+    if clipped := {name: count for name, count in observations.clipped.items() if count}:
         text = f"{counted(sum(clipped.values()), 'reading')} of {_names(clipped)} at the end of the range"
         yield _Reason(text, "choose a wider range if the motion was intended")
-    if faults := {key: count for key, count in seen.faults.items() if not _is_counted(seen, *key)}:
+    if faults := {key: count for key, count in observations.faults.items() if not _is_counted(observations, *key)}:
         kinds = dict.fromkeys(_KINDS.get(kind, kind.replace("_", " ")) for _, kind in faults)
         total = counted(sum(faults.values()), "fault")
-        of = dict.fromkeys(sensor for sensor, _ in faults if sensor)
-        yield _Reason(f"{total}{f' of {_names(of)}' if of else ''} reported ({_names(kinds)})", _EVENTS)
-    if seen.room_s is not None and NO_ROOM_S <= seen.room_s < SHORT_ROOM_S:
-        yield _Reason(f"the disk is full in {duration(seen.room_s)}", _ROOM)
+        faulty = dict.fromkeys(sensor for sensor, _ in faults if sensor)
+        yield _Reason(f"{total}{f' of {_names(faulty)}' if faulty else ''} reported ({_names(kinds)})", _EVENTS)
+    if observations.room_s is not None and NO_ROOM_S <= observations.room_s < SHORT_ROOM_S:
+        yield _Reason(f"the disk is full in {duration(observations.room_s)}", _ROOM)
 
 
-def _missed(seen: Observations, text: str) -> _Reason:
-    return _Reason(f"{text}, the bus did not always answer", _WIRING) if seen.bus_failed else _Reason(text, _SLOWER)
+def _missed(observations: Observations, text: str) -> _Reason:
+    return (
+        _Reason(f"{text}, the bus did not always answer", _WIRING)
+        if observations.bus_failed
+        else _Reason(text, _SLOWER)
+    )
 
 
 _WIRING = "check the wires and pull-up resistors of the bus"
@@ -146,20 +153,22 @@ _EVENTS = "read the events, which say why"
 _ROOM = "free space, or log to another disk"
 
 
-def _is_counted(seen: Observations, sensor: str, kind: str) -> bool:
+def _is_counted(observations: Observations, sensor: str, kind: str) -> bool:
     """Return whether the content of these events is already counted as missed frames, lost readings or silence."""
     if kind == "late":
-        return seen.missed > 0
-    return kind == "lost" and (seen.lost.get(sensor, 0) > 0 or seen.gaps.get(sensor, 0) > 0 or sensor in seen.silent)
+        return observations.missed > 0
+    return kind == "lost" and (
+        observations.lost.get(sensor, 0) > 0 or observations.gaps.get(sensor, 0) > 0 or sensor in observations.silent
+    )
 
 
-def _share(seen: Observations) -> float:
-    return seen.missed / max(1, seen.frames + seen.missed)
+def _share(observations: Observations) -> float:
+    return observations.missed / max(1, observations.frames + observations.missed)
 
 
 def _names(names: Mapping[str, object]) -> str:
     spelled = [printable(name) for name in names]
     if len(spelled) <= _NAMED or (short := listed(spelled)).count(",") >= _NAMED:
-        more = f" and {len(spelled) - _NAMED} more" if len(spelled) > _NAMED else ""
-        return ", ".join(spelled[:_NAMED]) + more
+        rest = f" and {len(spelled) - _NAMED} more" if len(spelled) > _NAMED else ""
+        return ", ".join(spelled[:_NAMED]) + rest
     return short

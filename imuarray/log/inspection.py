@@ -54,7 +54,7 @@ class HeapCheckedFile(io.RawIOBase):
         """Open the file. `check_heaps` must be off while numbers are read, because they may contain any bytes."""
         self._file = path.open("rb", buffering=0)
         self._check_heaps = check_heaps
-        self._at = 0
+        self._position = 0
         self._good: set[int] = set()
 
     def readable(self) -> bool:
@@ -67,27 +67,29 @@ class HeapCheckedFile(io.RawIOBase):
 
     def seek(self, offset: int, whence: int = os.SEEK_SET, /) -> int:
         """Move or return the position, as of any file."""
-        start = (0, self._at, os.fstat(self._file.fileno()).st_size)[whence]
-        self._at = start + offset
-        return self._at
+        start = (0, self._position, os.fstat(self._file.fileno()).st_size)[whence]
+        self._position = start + offset
+        return self._position
 
     def tell(self) -> int:
         """Move or return the position, as of any file."""
-        return self._at
+        return self._position
 
     def readinto(self, buffer: Any, /) -> int:
         """Read bytes, and check the heaps among them."""
         view = memoryview(buffer).cast("B")
-        count = os.preadv(self._file.fileno(), [view], self._at)
+        count = os.preadv(self._file.fileno(), [view], self._position)
         if self._check_heaps:
-            self._look(bytes(view[:count]))
-        self._at += count
+            self._check(bytes(view[:count]))
+        self._position += count
         return count
 
-    def _look(self, data: bytes) -> None:
+    def _check(self, data: bytes) -> None:
         """Check heaps that begin in these bytes or just before them, since HDF5 may read a heap in two pieces."""
-        before = os.pread(self._file.fileno(), min(self._at, len(_SIGN) - 1), max(self._at - len(_SIGN) + 1, 0))
-        data, start = before + data, self._at - len(before)
+        previous = os.pread(
+            self._file.fileno(), min(self._position, len(_SIGN) - 1), max(self._position - len(_SIGN) + 1, 0)
+        )
+        data, start = previous + data, self._position - len(previous)
         offset = data.find(_SIGN)
         while offset >= 0:
             if start + offset not in self._good:
@@ -102,12 +104,12 @@ class HeapCheckedFile(io.RawIOBase):
         super().close()
 
 
-def _adds_up(fd: int, at: int) -> bool:
+def _adds_up(fd: int, position: int) -> bool:
     """Return whether the objects of the heap at this place fill it exactly."""
-    length = int.from_bytes(os.pread(fd, _HEAD, at)[8:], "little")
+    length = int.from_bytes(os.pread(fd, _HEAD, position)[8:], "little")
     if not _HEAD <= length <= LONGEST:
         return False
-    heap = os.pread(fd, length, at)
+    heap = os.pread(fd, length, position)
     if len(heap) < length:
         return False
     place = _HEAD
@@ -156,10 +158,10 @@ class UnclosedFile(HeapCheckedFile):
 
     def readinto(self, buffer: Any, /) -> int:
         """Read bytes; those of the superblock are the corrected ones."""
-        at = self._at
+        position = self._position
         count = super().readinto(buffer)
-        if at < len(self._head):
-            piece = self._head[at : at + count]
+        if position < len(self._head):
+            piece = self._head[position : position + count]
             memoryview(buffer).cast("B")[: len(piece)] = piece
         return count
 
@@ -219,7 +221,7 @@ def inspect(path: Path, file: h5py.File) -> list[str]:
     damaged: list[str] = []
     try:
         with h5py.File(HeapCheckedFile(path), "r") as inspected:
-            _look_at_attributes(_OpenObject(h5o.open(file.id, b"/"), b""), f"{path}: /")
+            _check_attributes(_OpenObject(h5o.open(file.id, b"/"), b""), f"{path}: /")
             kind = inspected.attrs.get("format")
             if isinstance(kind, str | bytes) and kind in (FORMAT, FORMAT.encode()):
                 refuse_hostile(file, inspected, str(path), damaged)
@@ -245,12 +247,12 @@ def refuse_hostile(file: h5py.File, inspected: h5py.File, where: str, damaged: l
             texts += _look_at(place, f"{where}: {place.name}", size)
     for place in (root, *places):
         with bad.noted(place.path):
-            texts += _look_at_attributes(place, f"{where}: {place.name or '/'}")
+            texts += _check_attributes(place, f"{where}: {place.name or '/'}")
     for path, of_object in groupby(texts, attrgetter("path")):
         with bad.noted(path):
             item = h5o.open(inspected.id, path)  # once for all its texts
             for text in of_object:
-                _read(item, text, where)
+                _read_text(item, text, where)
 
 
 class _Damage:
@@ -267,22 +269,22 @@ class _Damage:
         except DAMAGE:
             if self._paths is None or path in (b"", b"/"):
                 raise
-            if _shown(path) not in self._paths:
-                self._paths.append(_shown(path))
+            if _printable_name(path) not in self._paths:
+                self._paths.append(_printable_name(path))
 
 
 def _walk(root: _OpenObject, where: str, bad: _Damage) -> Iterator[_OpenObject]:
     """Yield all groups and datasets, level by level; LogError for too many, too deep or one that is reached twice."""
-    seen = {h5o.get_info(root.item).addr}
+    visited = {h5o.get_info(root.item).addr}
     level = [root]
     for depth in range(MAX_DEPTH + 2):
-        below: list[_OpenObject] = []
+        children: list[_OpenObject] = []
         counts: dict[_OpenObject, int] = {}  # before any of them is opened
         for place in level:
             if isinstance(place.item, h5g.GroupID):
                 with bad.noted(place.path):
                     counts[place] = place.item.get_num_objs()
-        if len(seen) + sum(counts.values()) > MAX_OBJECTS:
+        if len(visited) + sum(counts.values()) > MAX_OBJECTS:
             raise LogError(f"{where}: more than {MAX_OBJECTS} groups and datasets")
         for group, count in counts.items():
             if group.path == b"/sensors" and count > MOST_SENSORS:
@@ -296,14 +298,14 @@ def _walk(root: _OpenObject, where: str, bad: _Damage) -> Iterator[_OpenObject]:
                     if depth > MAX_DEPTH:
                         raise LogError(f"{where}: groups nested deeper than {MAX_DEPTH}")
                     address = h5o.get_info(place.item).addr
-                    if address in seen:
+                    if address in visited:
                         raise LogError(
                             f"{where}: {place.name}: reached twice, by links in a circle or to the same place"
                         )
-                    seen.add(address)
-                    below.append(place)
-        yield from below
-        level = below
+                    visited.add(address)
+                    children.append(place)
+        yield from children
+        level = children
 
 
 class _OpenObject(NamedTuple):
@@ -315,7 +317,7 @@ class _OpenObject(NamedTuple):
     @property
     def name(self) -> str:
         """The path as it can be shown."""
-        return _shown(self.path)
+        return _printable_name(self.path)
 
 
 class _TextPlace(NamedTuple):
@@ -325,7 +327,7 @@ class _TextPlace(NamedTuple):
     attribute: bytes | None
 
 
-def _shown(name: bytes) -> str:
+def _printable_name(name: bytes) -> str:
     """Return a name, or a path of valid names, for a message."""
     return printable(name.decode(errors="backslashreplace"))
 
@@ -336,8 +338,8 @@ def _linked(group: _OpenObject, where: str) -> list[bytes]:
     group.item.links.iterate(lambda name, info: links.append((name, info.type)), info=True)
     names = []
     for name, kind in links:
-        place = f"{group.name}/{_shown(name)[:MAX_NAME_BYTES]}"
-        if _shown(name).encode() != name or len(name) > MAX_NAME_BYTES:
+        place = f"{group.name}/{_printable_name(name)[:MAX_NAME_BYTES]}"
+        if _printable_name(name).encode() != name or len(name) > MAX_NAME_BYTES:
             raise LogError(f"{where}: {place}: an invalid name")
         if kind == h5l.TYPE_SOFT and _is_plot(group, name):
             continue
@@ -359,27 +361,27 @@ def _is_plot(group: _OpenObject, name: bytes) -> bool:
 def _look_at(node: _OpenObject, place: str, file_bytes: int) -> list[_TextPlace]:
     """Check the type and the header of one object; returns the places of its texts."""
     if isinstance(node.item, h5d.DatasetID):
-        return _look_at_dataset(node, place, file_bytes)
+        return _check_dataset(node, place, file_bytes)
     if not isinstance(node.item, h5g.GroupID):
         raise LogError(f"{place}: neither group nor dataset")
     node.item.get_create_plist()  # needed later to list its attributes; damage raises LogError only here
     return []
 
 
-def _look_at_attributes(node: _OpenObject, place: str) -> list[_TextPlace]:
+def _check_attributes(node: _OpenObject, place: str) -> list[_TextPlace]:
     """Check that attributes are numbers and texts and not too many; return the places of the texts."""
     texts: list[_TextPlace] = []
     info = h5o.get_info(node.item)
     if info.num_attrs > MAX_ATTRIBUTES:
         raise LogError(f"{place}: {info.num_attrs} attributes; at most {MAX_ATTRIBUTES}")
-    held = info.meta_size.attr.heap_size  # checked before an attribute is opened, which reads it
-    if held > MAX_ATTRIBUTE_BYTES:
-        raise LogError(f"{place}: {held} bytes of attributes; at most {MAX_ATTRIBUTE_BYTES}")
+    heap_bytes = info.meta_size.attr.heap_size  # checked before an attribute is opened, which reads it
+    if heap_bytes > MAX_ATTRIBUTE_BYTES:
+        raise LogError(f"{place}: {heap_bytes} bytes of attributes; at most {MAX_ATTRIBUTE_BYTES}")
     names: list[bytes] = []
     h5a.iterate(node.item, names.append)
     for name in names:
         attribute = h5a.open(node.item, name)
-        where = f"{place}: attribute {_shown(name)[:MAX_NAME_BYTES]}"
+        where = f"{place}: attribute {_printable_name(name)[:MAX_NAME_BYTES]}"
         kind = attribute.get_type()
         if kind.get_class() not in _PLAIN and name not in _SCALES:
             raise LogError(f"{where}: neither numbers nor text")
@@ -395,7 +397,7 @@ def _look_at_attributes(node: _OpenObject, place: str) -> list[_TextPlace]:
     return texts
 
 
-def _look_at_dataset(node: _OpenObject, place: str, file_bytes: int) -> list[_TextPlace]:
+def _check_dataset(node: _OpenObject, place: str, file_bytes: int) -> list[_TextPlace]:
     """Check type, storage and declared size of a dataset; return the place of its texts."""
     item = node.item
     kind, plan = item.get_type(), item.get_create_plist()
@@ -415,10 +417,10 @@ def _look_at_dataset(node: _OpenObject, place: str, file_bytes: int) -> list[_Te
         chunk = _product(plan.get_chunk()) * width
         if chunk > MAX_CHUNK_BYTES:
             raise LogError(f"{place}: chunks of {chunk} bytes; at most {MAX_CHUNK_BYTES}")
-        held = file_bytes * (MOST_DEFLATED if packed else 1) + SLACK_BYTES
+        limit_bytes = file_bytes * (MOST_DEFLATED if packed else 1) + SLACK_BYTES
     else:
-        held = item.get_storage_size()
-    if declared > held:
+        limit_bytes = item.get_storage_size()
+    if declared > limit_bytes:
         raise LogError(f"{place}: declares {declared} bytes, more than this file of {file_bytes} bytes can hold")
     varies = isinstance(kind, h5t.TypeStringID) and kind.is_variable_str()
     if not varies or not declared:
@@ -443,7 +445,7 @@ def _text_bytes(item: h5d.DatasetID) -> int:
     return int(np.ascontiguousarray(lengths).view("<u4").sum(dtype=np.int64))
 
 
-def _read(item: Any, text: _TextPlace, where: str) -> None:
+def _read_text(item: Any, text: _TextPlace, where: str) -> None:
     """Read the texts of an object from a file whose heaps are checked."""
     if text.attribute is not None:
         attribute = h5a.open(item, text.attribute)
@@ -454,7 +456,7 @@ def _read(item: Any, text: _TextPlace, where: str) -> None:
         try:
             read_texts(h5py.Dataset(item))
         except ValueError as error:
-            raise LogError(f"{where}: {_shown(text.path)}: {error}") from None
+            raise LogError(f"{where}: {_printable_name(text.path)}: {error}") from None
 
 
 def _look_at_filters(plan: Any, place: str) -> bool:

@@ -135,16 +135,16 @@ def open_interrupted(
         file = _open(path)
         if file is not None:
             opened.callback(file.close)
-        is_live, known = _marks(path, file)
-        journal, why = _journal(path, journal_fd, known)
+        is_live, preamble = _marks(path, file)
+        journal, failure = _journal(path, journal_fd, preamble)
         if journal is not None:
             opened.callback(journal.close)
         if file is not None and not is_live and journal_fd is None and (journal is None or _is_sound(path, file)):
             return None
-        if known is not None and journal is not None and journal.preamble.identity != known.identity:
+        if preamble is not None and journal is not None and journal.preamble.identity != preamble.identity:
             journal.close()
-            journal, why = None, "belongs to another log"
-        view = _view(path, file, known, journal, why, thorough) if file is not None and is_live else None
+            journal, failure = None, "belongs to another log"
+        view = _view(path, file, preamble, journal, failure, thorough) if file is not None and is_live else None
         if view is not None:
             opened.pop_all()  # the view closes them
             return view
@@ -152,7 +152,7 @@ def open_interrupted(
             return rebuilt(journal)
     if journal_fd is None and _version(path) != version:
         return open_interrupted(path, thorough=thorough)
-    raise LogError(f"{path}: was not finished, and is damaged; its journal {why}")
+    raise LogError(f"{path}: was not finished, and is damaged; its journal {failure}")
 
 
 def _version(path: Path) -> tuple[int, int, int] | None:
@@ -232,17 +232,22 @@ def may_be_unfinished(path: Path) -> bool:
 
 
 def _view(
-    path: Path, file: h5py.File, known: Preamble | None, journal: JournalReader | None, why: str, thorough: bool
+    path: Path,
+    file: h5py.File,
+    own_preamble: Preamble | None,
+    journal: JournalReader | None,
+    failure: str,
+    thorough: bool,
 ) -> LiveView | None:
-    """Combine the undamaged part of the file and the journal (or `why` it is missing); return None if the file is
+    """Combine the undamaged part of the file and the journal (or `failure` it is missing); return None if the file is
     unusable.
     """
-    preamble = known if journal is None else journal.preamble
+    preamble = own_preamble if journal is None else journal.preamble
     try:
         with h5py.File(UnclosedFile(path), "r") as inspected:
             refuse_hostile(file, inspected, str(path))
         if preamble is not None:
-            return LiveView(file, journal, _content(path, file, preamble, journal, why, thorough))
+            return LiveView(file, journal, _content(path, file, preamble, journal, failure, thorough))
     except LogError:
         if journal is None:
             raise
@@ -252,7 +257,7 @@ def _view(
 
 
 def _content(
-    path: Path, file: h5py.File, preamble: Preamble, journal: JournalReader | None, why: str, thorough: bool
+    path: Path, file: h5py.File, preamble: Preamble, journal: JournalReader | None, failure: str, thorough: bool
 ) -> _Content:
     groups = groups_of(preamble.sensors)
     for group in groups:
@@ -265,7 +270,7 @@ def _content(
     losses = committed.check() if thorough or journal is None else []
     if journal is None:
         tail: list[Columns] = [group.joined([]) for group in groups]
-        losses.append(f"its journal {journal_of(path).name} {why}: rows since the last commit are missing")
+        losses.append(f"its journal {journal_of(path).name} {failure}: rows since the last commit are missing")
     else:
         mark = commits[-1].mark if commits else None
         tail = journal.columns(journal.records(mark, _newest_ns(groups, committed)))

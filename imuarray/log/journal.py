@@ -216,17 +216,17 @@ class JournalReader:
             raise LogError(f"{self.path}: is not a file")
         self._file: BinaryIO = self.path.open("rb") if fd is None else os.fdopen(os.dup(fd), "rb")
         try:
-            self.preamble, self.start, version = self._begin(known)
+            self.preamble, self.start, version = self._read_preamble(known)
         except BaseException:
             self._file.close()
             raise
         self.groups: tuple[ColumnGroup, ...] = groups_of(self.preamble.sensors)
         self.damage: list[str] = []
         """The stretches that `records` skipped, one line each."""
-        own = tag_of(self.preamble.identity)
-        self._tags = (own,) if version == 2 else (own, 0)
+        tag = tag_of(self.preamble.identity)
+        self._tags = (tag,) if version == 2 else (tag, 0)
 
-    def _begin(self, known: Preamble | None) -> tuple[Preamble, Mark, int]:
+    def _read_preamble(self, known: Preamble | None) -> tuple[Preamble, Mark, int]:
         """Return the preamble, the position of the first block, and the version of the format."""
         fd = self._file.fileno()
         copy = _copy_at(fd, 0)
@@ -253,15 +253,15 @@ class JournalReader:
         while True:
             for record in self._chained(mark):
                 times = self._times(record)
-                before = newest.get(record.group, -(1 << 62))
-                if self.damage and (np.diff(times, prepend=before) <= 0).any():
+                previous = newest.get(record.group, -(1 << 62))
+                if self.damage and (np.diff(times, prepend=previous) <= 0).any():
                     self.damage.append(f"journal: damaged, or of another log, from byte {mark.position}")
                     return
                 if len(times):
                     newest[record.group] = int(times[-1])
                 mark = record.after
                 yield record
-            resumed = self._behind(mark, salvage)
+            resumed = self._resume_after(mark, salvage)
             if resumed is None:
                 return
             mark, restored = resumed
@@ -273,7 +273,7 @@ class JournalReader:
         parts: list[list[Columns]] = [[] for _ in self.groups]
         for record in records:
             parts[record.group].append(self.groups[record.group].decode(record.payload, record.rows))
-        return [group.joined(some) for group, some in zip(self.groups, parts, strict=True)]
+        return [group.joined(rows) for group, rows in zip(self.groups, parts, strict=True)]
 
     def between(self, start: Mark | None, end: Mark) -> list[Record]:
         """Return the blocks between two positions (None: from the beginning); LogError unless all of them are good."""
@@ -292,7 +292,7 @@ class JournalReader:
         rows = record.rows if self.groups[record.group].path.startswith("sensors/") else 0
         return np.frombuffer(record.payload, "<i8", rows)
 
-    def _behind(self, end: Mark, salvage: Salvage) -> tuple[Mark, Record | None] | None:
+    def _resume_after(self, end: Mark, salvage: Salvage) -> tuple[Mark, Record | None] | None:
         """Return where good blocks resume after a bad one at `end`, and the bad block if it could be restored; None at
         the end of the journal. Lost data are recorded in `damage`.
         """
@@ -333,12 +333,12 @@ class JournalReader:
             group, tag, rows = HEAD.unpack_from(head)
             if tag not in self._tags or not rows or group >= len(self.groups):
                 return
-            wanted = rows * self.groups[group].row_bytes
-            if wanted > min(LONGEST_BLOCK, os.fstat(self._file.fileno()).st_size - self._file.tell()):
+            expected = rows * self.groups[group].row_bytes
+            if expected > min(LONGEST_BLOCK, os.fstat(self._file.fileno()).st_size - self._file.tell()):
                 return
-            payload = self._file.read(wanted)
+            payload = self._file.read(expected)
             chain = zlib.crc32(payload, zlib.crc32(head[: HEAD.size], chain))
-            if len(payload) < wanted or head[HEAD.size :] != CRC.pack(chain):
+            if len(payload) < expected or head[HEAD.size :] != CRC.pack(chain):
                 return
             position += len(head) + len(payload)
             yield Record(group, rows, payload, Mark(position, chain))
@@ -369,19 +369,19 @@ class _Copy(NamedTuple):
     version: int
 
 
-def _copy_at(fd: int, at: int) -> _Copy | None:
-    """Return the copy of the preamble at byte `at` of a journal; None if it is damaged or missing."""
-    start = os.pread(fd, len(MAGIC) + CRC.size, at)
+def _copy_at(fd: int, position: int) -> _Copy | None:
+    """Return the copy of the preamble at byte `position` of a journal; None if it is damaged or missing."""
+    start = os.pread(fd, len(MAGIC) + CRC.size, position)
     magic = start[: len(MAGIC)]
     if magic not in (MAGIC, MAGIC_1) or len(start) < len(MAGIC) + CRC.size:
         return None
     (length,) = CRC.unpack_from(start, len(MAGIC))
     if length > LONGEST_PREAMBLE:
         return None
-    text = os.pread(fd, length, at + len(start))
+    text = os.pread(fd, length, position + len(start))
     crc = zlib.crc32(start + text)
-    end = at + len(start) + length + CRC.size
+    end = position + len(start) + length + CRC.size
     if os.pread(fd, CRC.size, end - CRC.size) != CRC.pack(crc):
         return None
     version = 2 if magic == MAGIC else 1
-    return _Copy(text, Mark(2 * end if version == 2 and at == 0 else end, crc), version)
+    return _Copy(text, Mark(2 * end if version == 2 and position == 0 else end, crc), version)

@@ -69,9 +69,9 @@ class ColumnGroup:
         """Return the columns in order and converted to their types; ValueError unless names match and lengths agree."""
         names = {name for name, _, _ in self.columns}
         if columns.keys() != names or len({len(rows) for rows in columns.values()}) != 1:
-            given = ", ".join(f"{name} {len(rows)}" for name, rows in columns.items())
-            wanted = ", ".join(name for name, _, _ in self.columns)
-            raise ValueError(f"/{self.path}: columns {wanted} of one length; got {given}")
+            lengths = ", ".join(f"{name} {len(rows)}" for name, rows in columns.items())
+            expected = ", ".join(name for name, _, _ in self.columns)
+            raise ValueError(f"/{self.path}: columns {expected} of one length; got {lengths}")
         checked = {name: np.ascontiguousarray(columns[name], kind) for name, kind, _ in self.columns}
         for name, _, tail in self.columns:
             if checked[name].shape[1:] != tail:
@@ -179,8 +179,8 @@ class Notes:
         """Return all phases of a log that ends at `end_ns`; a phase that was never ended lasts until then."""
         ended = {(phase.start_ns, phase.name) for phase in self.phases}
         open_ended = (begun for begun in self.begun if (begun.start_ns, begun.name) not in ended)
-        lasting = (Phase(*begun)._replace(end_ns=min(begun.end_ns, end_ns)) for begun in open_ended)
-        return [*self.phases, *(phase for phase in lasting if phase.end_ns > phase.start_ns)]
+        unfinished = (Phase(*begun)._replace(end_ns=min(begun.end_ns, end_ns)) for begun in open_ended)
+        return [*self.phases, *(phase for phase in unfinished if phase.end_ns > phase.start_ns)]
 
 
 def note_columns(note: Phase | Event | OpenPhase) -> dict[str, npt.NDArray[np.uint8]]:
@@ -243,10 +243,10 @@ def sensor_attributes(header: SensorHeader) -> dict[str, Any]:
 
 def create_columns(file: h5py.File, group: ColumnGroup, chunk: int, storage: Mapping[str, Any]) -> h5py.Group:
     """Create a group with its columns, empty and resizable."""
-    made = file.create_group(group.path)
+    created = file.create_group(group.path)
     for name, kind, tail in group.columns:
-        made.create_dataset(name, (0, *tail), kind, maxshape=(None, *tail), chunks=(chunk, *tail), **storage)
-    return made
+        created.create_dataset(name, (0, *tail), kind, maxshape=(None, *tail), chunks=(chunk, *tail), **storage)
+    return created
 
 
 def create_sensor(
@@ -358,11 +358,11 @@ def check_sums(file: Any) -> list[int]:
 
 def changed_parts(file: Any) -> list[str]:
     """Return the `PARTS` that differ from what was written; none for a log without checksums."""
-    written = file.attrs.get(CHECK_SUMS)
-    if not isinstance(written, np.ndarray) or written.shape != (len(PARTS),):
+    stored = file.attrs.get(CHECK_SUMS)
+    if not isinstance(stored, np.ndarray) or stored.shape != (len(PARTS),):
         return []
     try:
-        return [part for part, crc, was in zip(PARTS, check_sums(file), written.tolist(), strict=True) if crc != was]
+        return [part for part, crc, was in zip(PARTS, check_sums(file), stored.tolist(), strict=True) if crc != was]
     except DAMAGE:
         return ["attributes, phases or events"]
 

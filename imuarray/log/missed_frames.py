@@ -100,9 +100,9 @@ def missing_rows(first_ns: int, last_ns: Times, rows: int, frame_period_ns: int)
     """
     if rows < 2 or frame_period_ns <= 0:
         return 0
-    back = min((rows - 1) % 2, len(last_ns) - 1)
-    periods = math.floor((int(last_ns[-1 - back]) - first_ns) / frame_period_ns + _EARLY)
-    return max(0, periods - (rows - 1 - back))
+    parity = min((rows - 1) % 2, len(last_ns) - 1)
+    periods = math.floor((int(last_ns[-1 - parity]) - first_ns) / frame_period_ns + _EARLY)
+    return max(0, periods - (rows - 1 - parity))
 
 
 def missed_by_all(missing: Sequence[tuple[int, int]], frame_period_ns: int) -> int | None:
@@ -137,8 +137,8 @@ def frame_timing(log: Log) -> FrameTiming:
         missed = by_rows
     else:
         missed = by_events if complete else max(by_events, by_rows)
-    lost = (max(count - by_rows, 0) for _, count in missing)
-    frames = max(len(sensor) + (count if count > 1 else 0) for sensor, count in zip(once, lost, strict=True))
+    lost_frames = (max(count - by_rows, 0) for _, count in missing)
+    frames = max(len(sensor) + (count if count > 1 else 0) for sensor, count in zip(once, lost_frames, strict=True))
     return FrameTiming(missed, duration_s(frames, missed, log.frame_rate_hz))
 
 

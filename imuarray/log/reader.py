@@ -414,12 +414,12 @@ def verify(path: Path, progress: Callable[[int], None] = lambda rows: None) -> L
     """Read all of the log at `path`; `progress` gets the number of rows read. LogError if it can't be opened."""
     with Log(path, thorough=True) as log:
         problems = list(log.losses)
-        done = 0
+        count = 0
         for sensor in log.sensors.values():
-            for read, complaints in _sensor(sensor):
+            for block_rows, complaints in _sensor(sensor):
                 problems += complaints
-                progress(done + read)
-            done += len(sensor)
+                progress(count + block_rows)
+            count += len(sensor)
         for name in ("truth", "reference"):
             problems += _stimulus(log, name)
         for name in ("phases", "events"):
@@ -443,13 +443,13 @@ def _sensor(sensor: SensorLog) -> Iterator[tuple[int, list[str]]]:
     yield 0, [problem for name, column in columns.items() for problem in _holes(place, name, column)]
     last_ns = None
     for block in sensor.blocks(_ROWS):
-        read, problems = _read(place, columns, block)
-        if "time" in read:
-            time = read["time"].astype(np.int64)
-            before = time[:0] if last_ns is None else np.array([last_ns])
-            late = np.flatnonzero(np.diff(np.concatenate([before, time])) <= 0)
+        values, problems = _read_block(place, columns, block)
+        if "time" in values:
+            time = values["time"].astype(np.int64)
+            previous = time[:0] if last_ns is None else np.array([last_ns])
+            late = np.flatnonzero(np.diff(np.concatenate([previous, time])) <= 0)
             if len(late):
-                problems.append(f"{place}: time does not increase after row {block.start + late[0] - len(before)}")
+                problems.append(f"{place}: time does not increase after row {block.start + late[0] - len(previous)}")
             last_ns = int(time[-1])
         yield block.stop, problems
 
@@ -464,19 +464,19 @@ def _stimulus(log: Log, name: str) -> list[str]:
     columns = {column: dataset for column, dataset in track._asdict().items() if dataset is not None}
     problems = [problem for column, dataset in columns.items() for problem in _holes(name, column, dataset)]
     for start in range(0, len(track.time), _ROWS):
-        problems += _read(name, columns, slice(start, min(start + _ROWS, len(track.time))))[1]
+        problems += _read_block(name, columns, slice(start, min(start + _ROWS, len(track.time))))[1]
     return problems
 
 
-def _read(place: str, columns: Mapping[str, Any], block: slice) -> tuple[dict[str, Any], list[str]]:
+def _read_block(place: str, columns: Mapping[str, Any], block: slice) -> tuple[dict[str, Any], list[str]]:
     """Read a block of all columns that can be read, and return complaints about the others."""
-    read, problems = {}, []
+    values, problems = {}, []
     for name, column in columns.items():
         try:
-            read[name] = np.asarray(column[block])
+            values[name] = np.asarray(column[block])
         except (LogError, *DAMAGE):
             problems.append(f"{place}: column {name}: rows {block.start} to {block.stop - 1} are damaged")
-    return read, problems
+    return values, problems
 
 
 def _holes(place: str, name: str, column: Any) -> list[str]:
@@ -484,11 +484,13 @@ def _holes(place: str, name: str, column: Any) -> list[str]:
     if not hasattr(column, "id") or column.chunks is None:  # not stored, or of a log that is being written
         return []
     try:
-        wanted = int(np.prod([-(-length // chunk) for length, chunk in zip(column.shape, column.chunks, strict=True)]))
-        missing = wanted - int(column.id.get_num_chunks())
+        expected = int(
+            np.prod([-(-length // chunk) for length, chunk in zip(column.shape, column.chunks, strict=True)])
+        )
+        missing = expected - int(column.id.get_num_chunks())
     except DAMAGE:
         return [f"{place}: column {name}: its index of chunks is damaged"]
-    return [f"{place}: column {name}: {missing} of {wanted} chunks were never written"] if missing > 0 else []
+    return [f"{place}: column {name}: {missing} of {expected} chunks were never written"] if missing > 0 else []
 
 
 def _remarks(log: Log) -> Iterator[str]:

@@ -76,7 +76,7 @@ class RotatingWriter:
         self._last_ns = {header.name: -(2**63) for header in sensors}
         """Time of the newest row of each sensor and stimulus."""
         self._phases: list[Phase] = []
-        self._begun: list[Phase] = []
+        self._open_phases: list[Phase] = []
         self._parts: list[LogWriter] = []
         self._finished = {header.name: 0 for header in sensors}
         self._counting = threading.Lock()
@@ -95,8 +95,8 @@ class RotatingWriter:
             self._parts.append(part)
             if self._keep and ahead is None:
                 part.keep()
-            for phase in self._begun:
-                self._begin(phase, number, part)
+            for phase in self._open_phases:
+                self._begin_phase(phase, number, part)
         return self._open[number]
 
     def starts(self, time_ns: int) -> None:
@@ -116,14 +116,14 @@ class RotatingWriter:
         start_ns = self._origin_ns + number * self._every_ns
         return start_ns if number else min(start_ns, 0), start_ns + self._every_ns
 
-    def _look_ahead(self, time_ns: int) -> None:
+    def _prepare_next(self, time_ns: int) -> None:
         """Create the part after this time, if it will be needed soon. A part that would replace an older log (`force`)
         is created only when it is needed, since that may never happen.
         """
         number = max(self._number(time_ns), self._first) + 1
         lead_ns = min(_LEAD_NS, self._every_ns)
-        known = number in self._open or number in self._ahead
-        if not self._keep or known or self._span_ns(number)[0] - time_ns > lead_ns:
+        is_open = number in self._open or number in self._ahead
+        if not self._keep or is_open or self._span_ns(number)[0] - time_ns > lead_ns:
             return
         path = part_of(self.path, number + 1)
         if not (path.exists() or journal_of(path).exists()):
@@ -143,14 +143,19 @@ class RotatingWriter:
             part = Block(block.time[rows], block.counts[rows], block.status[rows], temperature, compensated)
             self._part(number).append(sensor, part)
             self._last_ns[sensor] = int(part.time[-1])
-            self._look_ahead(self._last_ns[sensor])
+            self._prepare_next(self._last_ns[sensor])
         self._turn()
 
     def stimulus(self, name: str, rows: Stimulus) -> None:
         """Add rows to `/truth` or `/reference`."""
         self._raise()
-        for number, some in self._split(rows.time):
-            part = Stimulus(rows.time[some], rows.specific_force[some], rows.angular_rate[some], rows.temperature[some])
+        for number, part_rows in self._split(rows.time):
+            part = Stimulus(
+                rows.time[part_rows],
+                rows.specific_force[part_rows],
+                rows.angular_rate[part_rows],
+                rows.temperature[part_rows],
+            )
             self._part(number).stimulus(name, part)
             self._last_ns[name] = int(part.time[-1])
         self._turn()
@@ -170,7 +175,7 @@ class RotatingWriter:
         """Add a row of the machine's clocks to the part of that time."""
         self._raise()
         self._part(self._number(row.time_ns) if self._open else 0).clocks(row)
-        self._look_ahead(row.time_ns)
+        self._prepare_next(row.time_ns)
 
     def phase(self, phase: Phase) -> None:
         """Name a stretch of time."""
@@ -178,11 +183,11 @@ class RotatingWriter:
 
     def begins(self, phase: Phase) -> None:
         """Name a stretch of time that ends at `phase.end_ns` at the latest; `phase` ends it."""
-        self._begun.append(phase)
+        self._open_phases.append(phase)
         for number, part in self._open.items():
-            self._begin(phase, number, part)
+            self._begin_phase(phase, number, part)
 
-    def _begin(self, phase: Phase, number: int, part: LogWriter) -> None:
+    def _begin_phase(self, phase: Phase, number: int, part: LogWriter) -> None:
         start_ns, end_ns = self._span_ns(number)
         if phase.start_ns < end_ns and phase.end_ns > start_ns:
             part.begins(phase._replace(start_ns=max(phase.start_ns, start_ns)))
@@ -208,7 +213,7 @@ class RotatingWriter:
         """Give each part its share of the phases; phases that have not ended last to its end."""
         start_ns, end_ns = self._span_ns(number)
         end_ns = min(end_ns, max(self._last_ns.values()) + 1)
-        for phase in Notes(self._phases, begun=[OpenPhase(*phase) for phase in self._begun]).phases_until(end_ns):
+        for phase in Notes(self._phases, begun=[OpenPhase(*phase) for phase in self._open_phases]).phases_until(end_ns):
             if phase.start_ns < end_ns and phase.end_ns > start_ns:
                 part.phase(phase._replace(start_ns=max(phase.start_ns, start_ns), end_ns=min(phase.end_ns, end_ns)))
 

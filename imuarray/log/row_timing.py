@@ -88,9 +88,9 @@ class RowTiming:
     def sentence(self) -> str:
         """Describe the timing for the reader of a log; "" if it is steady."""
         if self.kind == "stalls":
-            after = f" after every {self.period_rows} rows" if self.period_rows else f", {self.gaps} times"
+            pattern = f" after every {self.period_rows} rows" if self.period_rows else f", {self.gaps} times"
             return (
-                f"rows stall for {self.gap_s:.3g} s{after}: no rows in {self.gaps_s:.0f} of {self.seconds:.0f} s; "
+                f"rows stall for {self.gap_s:.3g} s{pattern}: no rows in {self.gaps_s:.0f} of {self.seconds:.0f} s; "
                 f"between the stalls they are {1e3 * self.usual_s:.3g} ms apart ({1 / self.usual_s:.4g} Hz)"
             )
         if self.kind == "bursts":
@@ -109,16 +109,16 @@ def row_timing(sensor: SensorLog) -> RowTiming:
         return RowTiming("steady", rows, 0.0, 0.0)
     seconds = (int(sensor.time[-1]) - int(sensor.time[0])) * 1e-9
     usual_s = float(np.median(_intervals_ns(sensor))) * 1e-9
-    after, length_s, next_s, is_lost = _gaps(sensor, GAP * usual_s)
+    gap_rows, length_s, next_s, is_lost = _gaps(sensor, GAP * usual_s)
     steady = RowTiming("steady", rows, seconds, usual_s)
-    if len(after):
-        steady = replace(steady, gaps=len(after), gap_s=float(np.median(length_s)), gaps_s=float(length_s.sum()))
-    if len(after) < LEAST_GAPS or length_s.sum() < LEAST_SHARE * seconds:
+    if len(gap_rows):
+        steady = replace(steady, gaps=len(gap_rows), gap_s=float(np.median(length_s)), gaps_s=float(length_s.sum()))
+    if len(gap_rows) < LEAST_GAPS or length_s.sum() < LEAST_SHARE * seconds:
         return steady
-    rows_after = np.diff(np.append(after, rows - 1))
-    before = np.diff(after)
-    period_rows = int(np.median(before))
-    is_periodic = np.mean(before == period_rows) >= SAME
+    rows_after = np.diff(np.append(gap_rows, rows - 1))
+    rows_between = np.diff(gap_rows)
+    period_rows = int(np.median(rows_between))
+    is_periodic = np.mean(rows_between == period_rows) >= SAME
     hurry = seconds / (rows - 1) / usual_s
     makes_up = hurry > LEAST_HURRY or float(np.median(next_s)) < usual_s / LEAST_HURRY
     in_bursts = makes_up and _is_burst(length_s, rows_after, hurry)
@@ -129,7 +129,7 @@ def row_timing(sensor: SensorLog) -> RowTiming:
         rows,
         seconds,
         usual_s,
-        len(after),
+        len(gap_rows),
         float(np.median(length_s)),
         float(length_s.sum()),
         period_rows if is_periodic else 0,
@@ -144,7 +144,7 @@ def _intervals_ns(sensor: SensorLog) -> Integers:
     if rows <= _STRETCHES * _STRETCH_ROWS:
         return _intervals_of(sensor, 0, rows)
     firsts = np.linspace(0, rows - _STRETCH_ROWS, _STRETCHES).astype(int).tolist()
-    return np.concatenate([_intervals_of(sensor, at, at + _STRETCH_ROWS) for at in firsts])
+    return np.concatenate([_intervals_of(sensor, first, first + _STRETCH_ROWS) for first in firsts])
 
 
 def _intervals_of(sensor: SensorLog, first: int, stop: int) -> Integers:
@@ -156,18 +156,18 @@ def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats, Floats, 
     """Return the row before each gap (k,), its length (k,), and the second interval after it (k,), in s: the first one
     may only bring the rows back to the grid of the frames. And whether rows in it are flagged as lost (k,).
     """
-    after, length_s, next_s, is_lost = [np.zeros(0, np.int64)], [np.zeros(0)], [np.zeros(0)], [np.zeros(0, bool)]
+    gap_rows, length_s, next_s, is_lost = [np.zeros(0, np.int64)], [np.zeros(0)], [np.zeros(0)], [np.zeros(0, bool)]
     for block in sensor.blocks():
         first = max(block.start - 1, 0)
         times_ns = np.asarray(sensor.time[first : block.stop], np.int64)
         intervals_s = (times_ns[1:] - times_ns[:-1]).astype(float) * 1e-9
         long = np.flatnonzero(intervals_s > least_s)
-        after.append(first + long)
+        gap_rows.append(first + long)
         length_s.append(intervals_s[long])
         next_s.append(intervals_s[np.minimum(long + 2, len(intervals_s) - 1)])
         flags = np.asarray(sensor.status[first : block.stop])[long + 1] if len(long) else np.zeros(0, np.uint16)
         is_lost.append((flags & LOST_BEFORE) != 0)
-    return np.concatenate(after), np.concatenate(length_s), np.concatenate(next_s), np.concatenate(is_lost)
+    return np.concatenate(gap_rows), np.concatenate(length_s), np.concatenate(next_s), np.concatenate(is_lost)
 
 
 def _is_burst(length_s: Floats, rows_after: Integers, hurry: float) -> bool:
@@ -196,7 +196,7 @@ class EvenRows:
 
     def stamps(self, start: int, stop: int) -> Times:
         """Return (stop - start,) ns since the log's epoch."""
-        return np.asarray(np.rint(self._at(np.arange(start, stop, dtype=float))) + self._origin_ns, np.int64)
+        return np.asarray(np.rint(self._times_at(np.arange(start, stop, dtype=float))) + self._origin_ns, np.int64)
 
     def row_at(self, at_ns: int) -> int:
         """Return the first row stamped `at_ns` or later."""
@@ -211,7 +211,7 @@ class EvenRows:
         """The first knot, subtracted before floating-point arithmetic: a day in ns has more digits than a float."""
         return int(self.knots_ns[0])
 
-    def _at(self, rows: Floats) -> Floats:
+    def _times_at(self, rows: Floats) -> Floats:
         """Return times of rows in ns since the origin, extrapolated beyond the first and the last knot."""
         knots_ns = self.knots_ns - self._origin_ns
         piece = np.clip(np.searchsorted(self.knot_rows, rows, side="right") - 1, 0, len(self.knot_rows) - 2)

@@ -87,7 +87,7 @@ class Salvage:
         """Return the current length of the journal."""
         return os.fstat(self._fd).st_size
 
-    def _read(self, size: int, position: int) -> bytes:
+    def _read_bytes(self, size: int, position: int) -> bytes:
         """Read bytes of the journal; memory is allocated only for bytes that exist."""
         return os.pread(self._fd, max(0, min(size, self._end - position)), position)
 
@@ -101,11 +101,11 @@ class Salvage:
         self._check_bytes -= _LEAST_CHECK
         if self._check_bytes <= 0:
             return False
-        head = self._read(OVERHEAD, position)
+        head = self._read_bytes(OVERHEAD, position)
         size = self._declared(head)
         if size is None or size > min(LONGEST_BLOCK, self._check_bytes):
             return False
-        payload = self._read(size, position + OVERHEAD)
+        payload = self._read_bytes(size, position + OVERHEAD)
         self._check_bytes -= size
         return len(payload) == size and head[HEAD.size :] == CRC.pack(_chained(head, payload, chain))
 
@@ -123,20 +123,20 @@ class Salvage:
         there is no such place within the budget.
         """
         chains = self._chains(position, chain)
-        for at in self._heads(position):
+        for head_position in self._heads(position):
             if self.is_spent:
                 break
-            head = self._read(OVERHEAD, at)
+            head = self._read_bytes(OVERHEAD, head_position)
             size = self._declared(head)
             if size is None:
                 continue
-            for candidate in chains if at > position else ():
-                if self.is_good(at, candidate):
-                    return Resumption(at, candidate, self._gap(position, chain, at, candidate))
-            behind, (stored,) = at + OVERHEAD + size, CRC.unpack_from(head, HEAD.size)
-            own = HEAD.unpack_from(head)[1] == self._tags[0]
-            if own and self.is_good(behind, stored):
-                return Resumption(behind, stored, self._gap(position, chain, behind, stored))
+            for candidate in chains if head_position > position else ():
+                if self.is_good(head_position, candidate):
+                    return Resumption(head_position, candidate, self._gap(position, chain, head_position, candidate))
+            end, (stored,) = head_position + OVERHEAD + size, CRC.unpack_from(head, HEAD.size)
+            is_own = HEAD.unpack_from(head)[1] == self._tags[0]
+            if is_own and self.is_good(end, stored):
+                return Resumption(end, stored, self._gap(position, chain, end, stored))
         return None
 
     def last(self, position: int, chain: int) -> LastBlock | None:
@@ -144,16 +144,16 @@ class Salvage:
         block = self._reheaded(position, chain, self._end)
         if block is None:
             return None
-        return LastBlock(block, CRC.unpack(self._read(CRC.size, position + HEAD.size))[0])
+        return LastBlock(block, CRC.unpack(self._read_bytes(CRC.size, position + HEAD.size))[0])
 
     def _gap(self, position: int, chain: int, end: int, after: int) -> JournalBlock | None:
         """Return the bad bytes as one block, if its payload can be proved good: by its own checksum under another head,
         or by the next block, which continues from `after`.
         """
-        head = self._read(OVERHEAD, position)
+        head = self._read_bytes(OVERHEAD, position)
         size = self._declared(head)
         if size is not None and position + OVERHEAD + size == end:
-            payload = self._read(size, position + OVERHEAD)
+            payload = self._read_bytes(size, position + OVERHEAD)
             group, _, rows = HEAD.unpack_from(head)
             return JournalBlock(group, rows, payload) if _chained(head, payload, chain) == after else None
         return self._reheaded(position, chain, end)
@@ -162,7 +162,7 @@ class Salvage:
         """Return the bytes from `position` to `end` as one block with the head that fits its checksum."""
         if not OVERHEAD < end - position <= _LONGEST_GAP:
             return None
-        content = self._read(end - position, position)
+        content = self._read_bytes(end - position, position)
         (stored,), payload = CRC.unpack_from(content, HEAD.size), content[OVERHEAD:]
         for group, row_bytes in enumerate(self._row_bytes):
             rows, rest = divmod(len(payload), row_bytes)
@@ -178,11 +178,11 @@ class Salvage:
         The stored one is valid only if it certainly belongs to this log: if it lies in the same sector as the end of
         the previous block.
         """
-        head = self._read(OVERHEAD, position)
+        head = self._read_bytes(OVERHEAD, position)
         if len(head) < OVERHEAD:
             return []
         size = self._declared(head) or 0
-        payload = self._read(min(size, LONGEST_BLOCK, self._check_bytes), position + OVERHEAD)
+        payload = self._read_bytes(min(size, LONGEST_BLOCK, self._check_bytes), position + OVERHEAD)
         self._check_bytes -= len(payload)
         is_own = 0 < position % _SECTOR <= _SECTOR - OVERHEAD
         return [_chained(head, payload, chain), *(CRC.unpack_from(head, HEAD.size) if is_own else ())]
@@ -193,10 +193,10 @@ class Salvage:
         windows = iter(_WINDOWS)
         length = next(windows)
         while position < end and self._search_bytes > 0:
-            data = self._read(length + OVERHEAD - 1, position)
+            data = self._read_bytes(length + OVERHEAD - 1, position)
             self._search_bytes -= len(data)
-            for at in _plausible(data, self._tags, len(self._row_bytes)):
-                yield position + at
+            for offset in _plausible(data, self._tags, len(self._row_bytes)):
+                yield position + offset
             position += length
             length = next(windows, length)
 
@@ -205,7 +205,7 @@ class Salvage:
         of a block, and zeros of pages that never reached the disk.
         """
         length = self._end - position
-        size = self._declared(self._read(OVERHEAD, position))
+        size = self._declared(self._read_bytes(OVERHEAD, position))
         if length < OVERHEAD or (size is not None and OVERHEAD + size > length):
             return True
         if size is not None and OVERHEAD + size == length:
@@ -217,7 +217,7 @@ class Salvage:
 
     def _is_zero(self, position: int) -> bool:
         """Return whether there are only zeros from `position` on."""
-        while piece := self._read(1 << 20, position):
+        while piece := self._read_bytes(1 << 20, position):
             if piece.count(0) < len(piece):
                 return False
             position += len(piece)
@@ -225,7 +225,7 @@ class Salvage:
 
     def has_hole(self, start: int, end: int) -> bool:
         """Return whether a page between two positions is all zeros, as after a power cut that kept it from the disk."""
-        data = self._read(min(end - start, SEARCH_BYTES), start)
+        data = self._read_bytes(min(end - start, SEARCH_BYTES), start)
         ends = range(_PAGE - start % _PAGE, len(data) + 1, _PAGE)
         return any(not any(data[max(0, stop - _PAGE) : stop]) for stop in ends)
 
@@ -248,6 +248,6 @@ def _plausible(data: bytes, tags: Sequence[int], groups: int) -> list[int]:
     has_rows = content[4 : 4 + count] != 0
     for byte in (5, 6, 7):
         has_rows |= content[byte : byte + count] != 0
-    at = np.flatnonzero(fits & has_rows)
-    group = content[at].astype(np.uint16) | content[at + 1].astype(np.uint16) << 8
-    return [int(offset) for offset in at[group < groups]]
+    positions = np.flatnonzero(fits & has_rows)
+    group = content[positions].astype(np.uint16) | content[positions + 1].astype(np.uint16) << 8
+    return [int(offset) for offset in positions[group < groups]]

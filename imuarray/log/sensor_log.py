@@ -274,7 +274,7 @@ class SensorLog(CountScale):
     def __reduce__(self) -> tuple[Callable[..., SensorLog], tuple[Any, ...]]:
         if (log := self._log()) is not None:
             return getitem, (log, self.name)
-        return _again, (self._opened, self._path.absolute(), self.name)
+        return _reopen, (self._opened, self._path.absolute(), self.name)
 
     def blocks(self, rows: int = 1 << 16) -> Iterator[slice]:
         """Yield slices that cover the log, `rows` at a time."""
@@ -294,7 +294,7 @@ class SensorLog(CountScale):
         return slice(first_at(self.time, start_ns), first_at(self.time, end_ns))
 
 
-def _again(opened: Callable[[Path], OpenLog], path: Path, name: str) -> SensorLog:
+def _reopen(opened: Callable[[Path], OpenLog], path: Path, name: str) -> SensorLog:
     return opened(path)[name]
 
 

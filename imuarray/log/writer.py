@@ -119,12 +119,12 @@ class Live:
             is_empty = not os.fstat(self.lock.fd).st_size
             if not is_empty and not force:
                 raise LogError(f"{self.lock.path}: belongs to another log; move it away, or use --force")
-            self._begin(preamble, is_empty)
+            self._create(preamble, is_empty)
         except BaseException:
             self.lock.close()
             raise
 
-    def _begin(self, preamble: Preamble, is_empty: bool) -> None:
+    def _create(self, preamble: Preamble, is_empty: bool) -> None:
         """Create journal, reserve and file, all or none. `is_empty`: the journal does not belong to another log."""
         reserve = None
         try:
@@ -149,9 +149,9 @@ class Live:
 
     def flush(self) -> None:
         """Wait until everything that was put is acknowledged and on the disk; DiskFullError, LogError."""
-        done = threading.Event()
-        self._queue.put(done)
-        done.wait()
+        is_written = threading.Event()
+        self._queue.put(is_written)
+        is_written.wait()
         if self.error is not None:
             raise self.error
 
@@ -170,19 +170,19 @@ class Live:
     def _run(self) -> None:
         """Run the thread: write waiting blocks together, until the log is closed."""
         while True:
-            items, flushed, more = self._take()
+            items, flushed, is_open = self._take()
             if self.error is None:
                 try:
-                    self._work(items, sync=bool(flushed) or not more, last=not more)
+                    self._work(items, sync=bool(flushed) or not is_open, last=not is_open)
                 except (OSError, RuntimeError) as error:  # HDF5 uses both
                     self._stop(unwritable(self.path, error))
                 except ImuArrayError as error:
                     self._stop(error)
                 except Exception as error:
                     self._stop(LogError(f"{self.path}: can't be written: {error!r}"))
-            for done in flushed:
-                done.set()
-            if not more:
+            for event in flushed:
+                event.set()
+            if not is_open:
                 return
 
     def _take(self) -> tuple[list[_Item], list[threading.Event], bool]:
@@ -434,7 +434,7 @@ class LogWriter:
         """
         if self._live is not None:
             return
-        before = [(number, self._draft.stretches(number)) for number in range(len(self._groups) - 1)]
+        draft_rows = [(number, self._draft.stretches(number)) for number in range(len(self._groups) - 1)]
         live = Live(
             self.path,
             self._preamble,
@@ -445,12 +445,12 @@ class LogWriter:
         )
         self._draft.discard()
         self._live = live
-        for number, stretches in before:
+        for number, stretches in draft_rows:
             for columns in stretches:
                 live.put(number, columns)
         notes = self._draft.notes
-        noted: list[Phase | Event | OpenPhase] = [*notes.phases, *notes.events, *notes.begun]
-        for note in noted:
+        draft_notes: list[Phase | Event | OpenPhase] = [*notes.phases, *notes.events, *notes.begun]
+        for note in draft_notes:
             live.put(len(self._groups) - 1, note_columns(note))
 
     def abandon(self) -> None:
@@ -491,7 +491,7 @@ class LogWriter:
         """Finish the live log, if there is space; otherwise it remains unfinished and readable. An error of the thread
         is raised unless it was raised before.
         """
-        kept = KEPT
+        remark = KEPT
         try:
             live.close()
             if live.error is None or isinstance(live.error, DiskFullError):
@@ -499,12 +499,12 @@ class LogWriter:
         except ImuArrayError:
             if live.error is None:
                 raise
-            kept = f"{KEPT}, which is not finished: free space, then run `imuarray recover {self.path}`"
+            remark = f"{KEPT}, which is not finished: free space, then run `imuarray recover {self.path}`"
         finally:
             live.lock.close()
         failure = live.error
-        if isinstance(failure, DiskFullError) and kept != failure.kept:
-            failure = DiskFullError(self.path, failure.why, kept)
+        if isinstance(failure, DiskFullError) and remark != failure.kept:
+            failure = DiskFullError(self.path, failure.why, remark)
         if failure is not None and error is not failure:
             raise failure
 
@@ -553,13 +553,13 @@ def recover(
                         " to finish it without them"
                     )
                 _rewrite(log, output or path, progress, (*_losses(log), _trace(log, now or datetime.now(UTC))))
-        kept = _sweep(path, lock, keep=keep) if output is None else None
+        journal_copy = _sweep(path, lock, keep=keep) if output is None else None
         if output is not None and not changed:
             _copy(path, output)
     finally:
         if lock is not None:
             lock.close()
-    return Recovery(rows, changed, None if kept is None else kept.name)
+    return Recovery(rows, changed, None if journal_copy is None else journal_copy.name)
 
 
 def _is_journal_of(log: Log) -> bool:
@@ -597,8 +597,8 @@ def _losses(log: Log) -> tuple[Event, ...]:
 def _trace(log: Log, now: datetime) -> Event:
     """Return the event that says that the log was interrupted and recovered."""
     rows = sum(len(sensor) for sensor in log.sensors.values())
-    when = now.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-    return Event(_end_ns(log), "", "recovered", f"the log was interrupted; its {rows} rows were recovered {when}")
+    time_text = now.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    return Event(_end_ns(log), "", "recovered", f"the log was interrupted; its {rows} rows were recovered {time_text}")
 
 
 def _copy(path: Path, output: Path) -> None:
@@ -625,12 +625,12 @@ def _rewrite(log: Log, target: Path, progress: Callable[[int], None], added: tup
     except DiskFullError as error:
         raise DiskFullError(target, error.why, _UNCHANGED) from None
     try:
-        done = 0
+        rows_done = 0
         for number, group in enumerate(draft.groups):
             for rows in _stretches(log, group):
                 draft.append(number, rows)
-                done += len(rows["time"])
-                progress(done)
+                rows_done += len(rows["time"])
+                progress(rows_done)
         draft.notes = Notes(list(log.phases), [*log.events, *added])
         draft.close()
         with Log(draft.part) as copy:
@@ -651,9 +651,9 @@ def _columns(log: Log, group: ColumnGroup) -> Mapping[str, Any] | None:
         track = {"truth": log.truth, "reference": log.reference, "clocks": log.clocks}[group.path]
         return None if track is None else track._asdict()
     sensor = log[group.path.removeprefix("sensors/")]
-    own: dict[str, Any] = {"time": sensor.time, "counts": sensor.counts, "status": sensor.status}
-    own["temperature_counts"] = sensor.temperature_counts
-    return {name: own[name] if name in own else sensor.compensated(name) for name, _, _ in group.columns}
+    columns: dict[str, Any] = {"time": sensor.time, "counts": sensor.counts, "status": sensor.status}
+    columns["temperature_counts"] = sensor.temperature_counts
+    return {name: columns[name] if name in columns else sensor.compensated(name) for name, _, _ in group.columns}
 
 
 def _stretches(log: Log, group: ColumnGroup) -> Iterator[dict[str, Any]]:
@@ -668,8 +668,8 @@ def _stretches(log: Log, group: ColumnGroup) -> Iterator[dict[str, Any]]:
 def _compare(log: Log, copy: Log, groups: tuple[ColumnGroup, ...], added: tuple[Event, ...]) -> None:
     """Raise LogError unless the copy has, bit by bit, the contents of the log and the events `added`."""
     for group in groups:
-        for ours, theirs in zip(_stretches(log, group), _stretches(copy, group), strict=True):
-            if any(ours[name].tobytes() != theirs[name].tobytes() for name in ours):
+        for rows, copied in zip(_stretches(log, group), _stretches(copy, group), strict=True):
+            if any(rows[name].tobytes() != copied[name].tobytes() for name in rows):
                 raise LogError(f"{log.path}: its finished copy differs in /{group.path}; {_UNCHANGED}")
     if (log.phases, (*log.events, *added)) != (copy.phases, copy.events):
         raise LogError(f"{log.path}: its finished copy differs in phases or events; {_UNCHANGED}")
@@ -679,12 +679,12 @@ def _sweep(path: Path, lock: JournalLock | None, *, keep: bool) -> Path | None:
     """Remove the files that a finished log does not need: its journal (renamed instead, with `keep`), the reserve, and
     copies of terminated processes. Return the new name of the journal if it was renamed.
     """
-    kept = None
+    journal_copy = None
     if lock is not None and keep:
-        kept = lock.put_aside()
+        journal_copy = lock.put_aside()
     elif lock is not None:
         lock.remove()
     reserve_of(path).unlink(missing_ok=True)
     sweep(path)
     sync_folder(path)
-    return kept
+    return journal_copy

@@ -38,7 +38,7 @@ from imuarray.studies.demo import (
     record_and_fuse,
     recorded_section,
 )
-from imuarray.studies.emulated_runs import DemoOptions, Say
+from imuarray.studies.emulated_runs import DemoOptions, Report
 from imuarray.units import INERTIAL, READABLE_SI
 
 TECHNIQUES = ("mean", "opposed", "optimal")
@@ -66,7 +66,7 @@ class ArrayError:
         return self.fused[technique] / self.typical
 
 
-def run_array_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -> dict[str, Any]:
+def run_array_demo(config: Path, folder: Path, options: DemoOptions, report: Report) -> dict[str, Any]:
     """Record, calibrate, fuse and report an array into `folder`; the summary, JSON-ready. ConfigError for an array
     without accelerometers or gyroscopes, OutputExistsError before anything is recorded, unless forced.
     """
@@ -76,14 +76,14 @@ def run_array_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -
             raise ConfigError(f"{config}: no sensor of {quantity.replace('_', ' ')}; the demonstration needs both")
     polled = prepare_folder(folder, options.force, ("array.toml",)) / "array.toml"
     write_text(polled, polled_text(array), force=True)
-    logs, tumble, calibration = record_and_fuse(polled, folder, options, say)
+    logs, tumble, calibration = record_and_fuse(polled, folder, options, report)
     errors = [error for run in _RUNS for error in errors_in(run, logs[run], calibration)]
-    say("diagnosing")
+    report("diagnosing")
     with open_log(logs["static"]) as log:
         diagnosis = diagnose([log], only=one_of_each(array), seed=options.seed, replicates=REPLICATES)
         noise = characterise_log(log)
     write_gap_page(folder / "gap.html", diagnosis, force=True)
-    say("drawing")
+    report("drawing")
     parts = [
         errors_section(errors),
         heating_section(logs["heating"], calibration),
@@ -134,9 +134,9 @@ def errors_in(run: str, path: Path, calibration: Calibration) -> list[ArrayError
         ]
 
 
-def _rms(log: Log, calibration: Calibration, technique: str, *only: str) -> dict[str, float]:
+def _rms(log: Log, calibration: Calibration, technique: str, *names: str) -> dict[str, float]:
     """Return the rms error of a result by quantity, all axes and frames together, frames without a result left out."""
-    errors = errors_of(log, fuse(log, calibration, technique, only=list(only)))
+    errors = errors_of(log, fuse(log, calibration, technique, only=list(names)))
     return {quantity: float(np.sqrt(np.nanmean(np.square(error)))) for quantity, (_, error) in errors.items()}
 
 
@@ -184,13 +184,13 @@ def errors_section(errors: list[ArrayError]) -> Section:
         factor, unit = READABLE_SI[error.quantity]
         single = factor * np.array(list(error.single.values()))
         fused = [f"{factor * error.fused[technique]:.4f}" for technique in TECHNIQUES]
-        spread = [f"{np.median(single):.4f}", f"{single.min():.4f} to {single.max():.4f}"]
+        range_texts = [f"{np.median(single):.4f}", f"{single.min():.4f} to {single.max():.4f}"]
         count = len(error.single)
         rows.append(
             [
                 f"{error.quantity.replace('_', ' ')}, {_RUNS[error.run]}",
                 str(count),
-                *spread,
+                *range_texts,
                 *fused,
                 unit,
                 f"{error.ratio('mean'):.3f}",

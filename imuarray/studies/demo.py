@@ -31,7 +31,7 @@ from imuarray.printable import listed
 from imuarray.report import Figure, Section, Table, Verdict, write_page
 from imuarray.report.fused_page import ratio_figure
 from imuarray.report.gap_page import write_gap_page
-from imuarray.studies.emulated_runs import RUNS, DemoOptions, Say, record_all
+from imuarray.studies.emulated_runs import RUNS, DemoOptions, Report, record_all
 from imuarray.units import INERTIAL, READABLE, READABLE_SI, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -59,8 +59,8 @@ class GainCase:
     @property
     def label(self) -> str:
         """Return the name in words, for a table."""
-        which = f", {self.only[0]} to {self.only[-1]}" if self.only else ""
-        return f"{self.technique}, {self.run}{which}{', drift' if self.slow else ''}"
+        sensors_text = f", {self.only[0]} to {self.only[-1]}" if self.only else ""
+        return f"{self.technique}, {self.run}{sensors_text}{', drift' if self.slow else ''}"
 
 
 CASES = (
@@ -118,12 +118,12 @@ def demo_verdict(rows: Rows, tumble: TumbleResult, diagnosis: Diagnosis) -> Verd
     gained = [(case, _best(rows, case)) for case in CASES if case.claim]
     case, best = min(gained, key=lambda pair: pair[1].ratio)
     figures = [
-        (f"{gain.ratio:.2f} ×", f"{which.technique}: error over the average's, {gain.quantity.replace('_', ' ')}")
-        for which, gain in gained
+        (f"{gain.ratio:.2f} ×", f"{gain_case.technique}: error over the average's, {gain.quantity.replace('_', ' ')}")
+        for gain_case, gain in gained
     ]
     figures += common_figures(tumble, diagnosis)
-    what = f"{best.quantity.replace('_', ' ')} error along box {best.box_axis}"
-    sentence = f"Fusion works: {case.technique} reduces the {what} to {best.ratio:.2f} times that of the average."
+    error_text = f"{best.quantity.replace('_', ' ')} error along box {best.box_axis}"
+    sentence = f"Fusion works: {case.technique} reduces the {error_text} to {best.ratio:.2f} times that of the average."
     return Verdict(sentence, "good" if best.ratio < 1 else "doubtful", tuple(figures))
 
 
@@ -167,8 +167,8 @@ ABOUT_PAPERS_ARRAY = (
 )
 
 
-def recorded_section(logs: Mapping[str, Path], about: str = ABOUT_PAPERS_ARRAY) -> Section:
-    """Return the section on the contents of every log; `about` is a sentence on the array."""
+def recorded_section(logs: Mapping[str, Path], lead: str = ABOUT_PAPERS_ARRAY) -> Section:
+    """Return the section on the contents of every log; `lead` is a sentence on the array."""
     rows = []
     for run, path in logs.items():
         with open_log(path) as log:
@@ -185,7 +185,7 @@ def recorded_section(logs: Mapping[str, Path], about: str = ABOUT_PAPERS_ARRAY) 
             )
     return Section(
         "What was recorded",
-        f"{about} Every log holds raw counts.",
+        f"{lead} Every log holds raw counts.",
         [
             Table(
                 ["run", "seconds", "readings", "phases", "events"],
@@ -374,15 +374,15 @@ def motion_section(path: Path, calibration: Calibration) -> Section:
         track = log.truth
         if track is None or track.specific_force is None:
             raise LogError(f"{path}: an emulated log without a truth")
-        known = track.time[:]
-        inside = (known >= window.start_ns) & (known < window.end_ns)
-        felt = (known[inside] * 1e-9, track.specific_force[:][inside, 0] / STANDARD_GRAVITY)
+        times_ns = track.time[:]
+        inside = (times_ns >= window.start_ns) & (times_ns < window.end_ns)
+        truth = (times_ns[inside] * 1e-9, track.specific_force[:][inside, 0] / STANDARD_GRAVITY)
     return Section(
         "Shaken: low and high range blended",
         "Two of the four BMA180 measure up to 1.5 g, two up to 16 g. The low range is the quieter one, until it clips.",
         [
             Figure(
-                motion_figure(felt, times, curves, 1.5),
+                motion_figure(truth, times, curves, 1.5),
                 "Above: the specific force of the box; the dashed lines are the ends of the low range. Below: errors. "
                 "The low range alone has gaps where it clips; the blend has none, makes no step, and is quieter "
                 "at rest than either range.",
@@ -401,19 +401,19 @@ DIAGNOSED = ("ADXL1", "BMA2", "Gyro1")
 REPLICATES = 60
 
 
-def run_demo(config: Path, folder: Path, options: DemoOptions, say: Say) -> dict[str, Any]:
+def run_demo(config: Path, folder: Path, options: DemoOptions, report: Report) -> dict[str, Any]:
     """Record, calibrate, fuse and report into `folder`; the summary, JSON-ready. OutputExistsError before anything is
     recorded, unless forced.
     """
     prepare_folder(folder, options.force)
-    logs, tumble, calibration = record_and_fuse(config, folder, options, say)
+    logs, tumble, calibration = record_and_fuse(config, folder, options, report)
     rows = compare(logs, calibration)
-    say("diagnosing")
+    report("diagnosing")
     with open_log(logs["static"]) as log:
         diagnosis = diagnose([log], only=DIAGNOSED, seed=options.seed, replicates=REPLICATES)
         noise = characterise_log(log)
     write_gap_page(folder / "gap.html", diagnosis, force=True)
-    say("drawing")
+    report("drawing")
     lines = summary(rows)
     title = "An emulated array, recorded, calibrated and fused"
     parts = [
@@ -444,38 +444,38 @@ def demo_summary(
     }
 
 
-def prepare_folder(folder: Path, force: bool, more: Sequence[str] = ()) -> Path:
-    """Make the folder, and return it; OutputExistsError if it holds a file of the demonstration or one of `more`,
-    unless forced.
+def prepare_folder(folder: Path, force: bool, further_files: Sequence[str] = ()) -> Path:
+    """Make the folder, and return it; OutputExistsError if it contains a file of the demonstration or one of
+    `further_files`, unless forced.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    ours = [
+    existing = [
         "report.html",
         "gap.html",
         "calibration.toml",
         *(f"{run}.h5" for run in RUNS),
         *(f"fused_{name}.h5" for name in FUSED),
-        *more,
+        *further_files,
     ]
-    for name in ours:
+    for name in existing:
         if (folder / name).exists() and not force:
             raise OutputExistsError(folder / name)
     return folder
 
 
 def record_and_fuse(
-    config: Path, folder: Path, options: DemoOptions, say: Say
+    config: Path, folder: Path, options: DemoOptions, report: Report
 ) -> tuple[dict[str, Path], TumbleResult, Calibration]:
     """Record all runs, calibrate by the run on six faces (calibration.toml), and write the heated run as fused by each
     technique of `FUSED` (fused_NAME.h5). Return the logs by run, and the calibration.
     """
-    logs = record_all(config, folder, options, say)
-    say("calibrating")
+    logs = record_all(config, folder, options, report)
+    report("calibrating")
     with open_log(logs["tumble"]) as log:
         tumble = calibrate_tumble(log)
         calibration = tumble.calibration.merged(calibrate_noise(log))
     calibration.save(folder / "calibration.toml", force=True)
-    say("fusing")
+    report("fusing")
     with open_log(logs["heating"]) as log:
         for name in FUSED:
             blocks = fuse(log, calibration, name)

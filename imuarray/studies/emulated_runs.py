@@ -22,7 +22,7 @@ RATE_HZ = 48.0
 RUNS = {"tumble": 0.25, "static": 0.25, "heating": 0.42, "shaking": 0.08}
 """The runs, and the share of the recorded time that each of them gets."""
 
-Say = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 def _world(run: str, seconds: float) -> str:
@@ -48,13 +48,13 @@ class DemoOptions:
     workers: int = 1
 
 
-def record_all(config: Path, folder: Path, options: DemoOptions, say: Say) -> dict[str, Path]:
+def record_all(config: Path, folder: Path, options: DemoOptions, report: Report) -> dict[str, Path]:
     """Record every run into its own log, the longest first."""
     with processes(options.workers) if options.workers > 1 else nullcontext() as executor:
         waiting: list[Future[None]] = []
         for run in sorted(RUNS, key=lambda run: -RUNS[run]):
             length = RUNS[run] * options.seconds
-            say(f"recording {run}: {length:.0f} s of array time")
+            report(f"recording {run}: {length:.0f} s of array time")
             path = folder / f"{run}.h5"
             if executor is None:
                 record_run(config, path, run, length, options.seed)

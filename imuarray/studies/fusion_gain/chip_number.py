@@ -86,8 +86,8 @@ def study_numbers(array: ArrayConfig, seeds: int, progress: Callable[[int], None
         progress(seed)
     means = np.sqrt(np.mean(squares, axis=0))
     rows = tuple(
-        NumberRow(count, walk, own, same_way, mounted, bus_us=sum(map(_bus_us, gyroscopes[:count])))
-        for count, (walk, own, same_way, mounted) in zip(counts, means.tolist(), strict=True)
+        NumberRow(count, walk, own_slope, same_way, mounted, bus_us=sum(map(_bus_us, gyroscopes[:count])))
+        for count, (walk, own_slope, same_way, mounted) in zip(counts, means.tolist(), strict=True)
     )
     return NumberStudy(array.name, seeds, rows)
 
@@ -133,7 +133,10 @@ def _simulate(
     if slopes == SHARED:
         first = next(effect for effect in next(iter(effects.values())) if isinstance(effect, ThermalBias))
         effects = {
-            name: tuple(replace(each, slope=first.slope) if isinstance(each, ThermalBias) else each for each in several)
+            name: tuple(
+                replace(own_effect, slope=first.slope) if isinstance(own_effect, ThermalBias) else own_effect
+                for own_effect in several
+            )
             for name, several in effects.items()
         }
     motion = MOTIONS[experiment](ExperimentOptions(seconds=frames[1]))
@@ -143,12 +146,12 @@ def _simulate(
 def _errors(path: Path) -> tuple[Times, Floats]:
     """Times (n,) in ns of the first gyroscope's frames, and errors (k, n, 3) in rad/s of each gyroscope."""
     with open_log(path) as log:
-        each = [
+        axis_errors = [
             errors_of(log, fuse(log, Calibration(), "mean", only=[gyroscope.name]))["angular_rate"]
             for gyroscope in log.of("angular_rate")
         ]
-    rows = min(len(time) for time, _ in each)
-    return each[0][0][:rows], np.array([errors[:rows] for _, errors in each])
+    rows = min(len(time) for time, _ in axis_errors)
+    return axis_errors[0][0][:rows], np.array([errors[:rows] for _, errors in axis_errors])
 
 
 def _bus_us(sensor: SensorConfig) -> float:

@@ -132,14 +132,14 @@ def bound(law: ErrorLaw, stretches: Sequence[BoundStretch]) -> Bound:
     mean = np.zeros(count * axes)
     causal, past = np.empty((count, 3, 3)), np.empty((count, axes))
     for number, stretch in enumerate(stretches):
-        here = slice(number * axes, (number + 1) * axes)
-        for seen in stretch.seen:
-            _condition(covariance, mean, here, law, seen)
-        causal[number] = _of_motion(law, stretch.seen, covariance[here, here])
-        past[number] = mean[here]
+        block = slice(number * axes, (number + 1) * axes)
+        for readings in stretch.seen:
+            _condition(covariance, mean, block, law, readings)
+        causal[number] = _of_motion(law, stretch.seen, covariance[block, block])
+        past[number] = mean[block]
     blocks = [slice(k * axes, (k + 1) * axes) for k in range(count)]
     smoothed = [_of_motion(law, stretch.seen, covariance[b, b]) for b, stretch in zip(blocks, stretches, strict=True)]
-    frames = np.array([sum(seen.frames for seen in stretch.seen) for stretch in stretches])
+    frames = np.array([sum(readings.frames for readings in stretch.seen) for stretch in stretches])
     return Bound(causal, np.array(smoothed), frames, past, mean.reshape(count, axes))
 
 
@@ -157,42 +157,42 @@ def slow_covariance(law: ErrorLaw, stretches: Sequence[BoundStretch]) -> Floats:
     return total
 
 
-def frame_weights(law: ErrorLaw, known: Booleans) -> tuple[Floats, Floats]:
+def frame_weights(law: ErrorLaw, present: Booleans) -> tuple[Floats, Floats]:
     """Return the weights G (3, m) of one frame alone, zero for axes without a reading, and its covariance (3, 3);
     FusionError if the axes don't span space.
     """
-    rows = law.directions_box / law.noise_si[:, None] * known[:, None]
+    rows = law.directions_box / law.noise_si[:, None] * present[:, None]
     normal = rows.T @ rows
     if not np.linalg.cond(normal) < 1e9:
-        raise FusionError(f"{int(known.sum())} of {len(known)} axes known in a frame: they don't span space")
+        raise FusionError(f"{int(present.sum())} of {len(present)} axes known in a frame: they don't span space")
     covariance: Floats = np.asarray(np.linalg.inv(normal), float)
     return np.asarray(covariance @ rows.T / law.noise_si), covariance
 
 
-def _condition(covariance: Floats, mean: Floats, here: slice, law: ErrorLaw, seen: StretchReadings) -> None:
+def _condition(covariance: Floats, mean: Floats, block: slice, law: ErrorLaw, readings: StretchReadings) -> None:
     """Take in what the parity space of some frames tells, in place."""
-    whitened = law.directions_box[seen.known] / law.noise_si[seen.known, None]
+    whitened = law.directions_box[readings.known] / law.noise_si[readings.known, None]
     basis = np.linalg.svd(whitened)[0][:, 3:]
-    if seen.frames == 0 or basis.shape[1] == 0:
+    if readings.frames == 0 or basis.shape[1] == 0:
         return
     parity = np.zeros((basis.shape[1], len(law.noise_si)))
-    parity[:, seen.known] = basis.T / law.noise_si[seen.known]
-    cross = covariance[:, here] @ parity.T
-    expected = parity @ cross[here] + np.eye(len(parity)) / seen.frames
+    parity[:, readings.known] = basis.T / law.noise_si[readings.known]
+    cross = covariance[:, block] @ parity.T
+    expected = parity @ cross[block] + np.eye(len(parity)) / readings.frames
     gain = np.linalg.solve(expected, cross.T).T
-    if seen.mean_si is not None:
-        read = np.where(seen.known, seen.mean_si, 0.0)
-        mean += gain @ (parity @ (read - mean[here]))
+    if readings.mean_si is not None:
+        means = np.where(readings.known, readings.mean_si, 0.0)
+        mean += gain @ (parity @ (means - mean[block]))
     covariance -= gain @ cross.T
 
 
 def _of_motion(law: ErrorLaw, several: Sequence[StretchReadings], slow: Floats) -> Floats:
     """Return (3, 3) covariance of u, a mean over the frames, where that of the slow errors is `slow` (m, m)."""
     total = np.zeros((3, 3))
-    for seen in several:
-        weights, alone = frame_weights(law, seen.known)
-        total += seen.frames * (alone + weights @ slow @ weights.T)
-    return np.asarray(total / max(sum(seen.frames for seen in several), 1))
+    for readings in several:
+        weights, alone = frame_weights(law, readings.known)
+        total += readings.frames * (alone + weights @ slow @ weights.T)
+    return np.asarray(total / max(sum(readings.frames for readings in several), 1))
 
 
 def _rms(covariances: Floats, frames: npt.NDArray[np.int64]) -> Floats:
@@ -215,8 +215,8 @@ def true_calibration(headers: Sequence[SensorHeader], effects: Mapping[str, Sequ
     """Return the true parameters of these units as a calibration: every figure that stays the same from boot to boot,
     without error.
     """
-    known = {header.name: header for header in headers if header.quantity in INERTIAL}
-    sensors = {name: _calibrated(header, effects.get(name, ())) for name, header in known.items()}
+    inertial = {header.name: header for header in headers if header.quantity in INERTIAL}
+    sensors = {name: _calibrated(header, effects.get(name, ())) for name, header in inertial.items()}
     return Calibration(sensors, ("the simulated units' own parameters",))
 
 
@@ -298,8 +298,8 @@ class Posterior:
     ) -> None:
         """`laws` by quantity over the axes of the log's sensors (or of those in `names`), in the log's order."""
         self._log, self._calibration, self._laws = log, calibration, laws
-        chosen = {quantity: [s for s in log.of(quantity) if not names or s.name in names] for quantity in laws}
-        self._sensors = {quantity: sensors for quantity, sensors in chosen.items() if sensors}
+        selected = {quantity: [s for s in log.of(quantity) if not names or s.name in names] for quantity in laws}
+        self._sensors = {quantity: sensors for quantity, sensors in selected.items() if sensors}
         rows = [sensor for sensors in self._sensors.values() for sensor in sensors]
         first_ns, last_ns = min(int(s.time[0]) for s in rows), max(int(s.time[-1]) for s in rows)
         self._edges = np.linspace(first_ns, last_ns + 1, STRETCHES + 1)
@@ -309,10 +309,10 @@ class Posterior:
 
     def blocks(self, *, smoothed: bool = False) -> Iterator[FusedBlock]:
         """Yield the posterior mean of each frame with its covariance: what the bound is the bound of."""
-        for given in self._frames():
-            result = {quantity: self._estimated(quantity, part, smoothed) for quantity, part in given.items()}
+        for frames in self._frames():
+            result = {quantity: self._estimated(quantity, part, smoothed) for quantity, part in frames.items()}
             triads = {quantity: triad for quantity, (triad, _) in result.items()}
-            time = next(iter(given.values())).time
+            time = next(iter(frames.values())).time
             yield FusedBlock(time, triads, {quantity: covariance for quantity, (_, covariance) in result.items()})
 
     def _frames(self) -> Iterator[Mapping[str, Frames]]:
@@ -323,33 +323,33 @@ class Posterior:
         """Return the observations of each stretch, pattern by pattern of the axes that had a reading."""
         sums: list[dict[bytes, tuple[int, Floats]]] = [{} for _ in range(STRETCHES)]
         for part in (frames[quantity] for frames in self._frames()):
-            known, stretch = axes_known(part), self._stretch_of(part.time)
+            present, stretch = axes_known(part), self._stretch_of(part.time)
             for number in np.unique(stretch).tolist():
-                for pattern, rows in _patterns(known, stretch == number):
+                for pattern, rows in _patterns(present, stretch == number):
                     count, total = sums[number].get(pattern.tobytes(), (0, np.zeros(len(pattern))))
-                    read = np.where(pattern, part.values[rows], 0.0).sum(axis=0)
-                    sums[number][pattern.tobytes()] = count + len(rows), total + read
+                    sums_si = np.where(pattern, part.values[rows], 0.0).sum(axis=0)
+                    sums[number][pattern.tobytes()] = count + len(rows), total + sums_si
         middle_s = (self._edges[:-1] + self._edges[1:]) / 2e9
         return [
             BoundStretch(
                 time_s,
-                tuple(StretchReadings(np.frombuffer(key, bool), n, total / n) for key, (n, total) in seen.items()),
+                tuple(StretchReadings(np.frombuffer(key, bool), n, total / n) for key, (n, total) in readings.items()),
             )
-            for time_s, seen in zip(middle_s.tolist(), sums, strict=True)
+            for time_s, readings in zip(middle_s.tolist(), sums, strict=True)
         ]
 
     def _stretch_of(self, time: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         return np.clip(np.searchsorted(self._edges, time, side="right") - 1, 0, STRETCHES - 1)
 
     def _estimated(self, quantity: str, part: Frames, smoothed: bool) -> tuple[Floats, Floats]:
-        law, known, stretch = self._laws[quantity], axes_known(part), self._stretch_of(part.time)
+        law, present, stretch = self._laws[quantity], axes_known(part), self._stretch_of(part.time)
         slow = self.bounds[quantity].slow_smoothed if smoothed else self.bounds[quantity].slow_causal
-        spread = self.bounds[quantity].smoothed if smoothed else self.bounds[quantity].causal
+        covariances = self.bounds[quantity].smoothed if smoothed else self.bounds[quantity].causal
         triad = np.empty((len(stretch), 3))
-        for pattern, rows in _patterns(known, np.ones(len(known), bool)):
+        for pattern, rows in _patterns(present, np.ones(len(present), bool)):
             weights, _ = frame_weights(law, pattern)
             triad[rows] = np.where(pattern, part.values[rows] - slow[stretch[rows]], 0.0) @ weights.T
-        return triad, entries(spread)[stretch]
+        return triad, entries(covariances)[stretch]
 
 
 def axes_known(part: Frames) -> Booleans:

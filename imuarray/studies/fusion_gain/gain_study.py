@@ -122,10 +122,10 @@ def measured(array_name: str, seed: int) -> Mapping[str, Calibration]:
 
         tumble = recorded("tumble", TUMBLE_S, 0)
         boots = [recorded("turn-on", BOOT_S, boot) for boot in range(1, BOOTS + 1)]
-        known = calibrate_tumble(tumble).calibration.merged(calibrate_noise(tumble))
-        known = known.merged(calibrate_turn_on(boots, RANGES)[0])
+        calibration = calibrate_tumble(tumble).calibration.merged(calibrate_noise(tumble))
+        calibration = calibration.merged(calibrate_turn_on(boots, RANGES)[0])
         slopes = calibrate_thermal(recorded("heating", HEATING_S, BOOTS + 1)).calibration
-        return MappingProxyType({NO_SLOPES: known, SLOPES: known.merged(slopes)})
+        return MappingProxyType({NO_SLOPES: calibration, SLOPES: calibration.merged(slopes)})
 
 
 CAUSAL, SMOOTHED = "bound, causal", "bound, smoothed"
@@ -197,10 +197,10 @@ def run(name: str, seed: int, seconds: float | None = None) -> list[RunErrors]:
         for array_name, make in ARRAYS.items():
             array = make()
             (place := Path(folder) / array_name).mkdir()
-            known = measured(array_name, seed)
+            calibrations = measured(array_name, seed)
             first = _BOOTS_APART * list(EXPERIMENTS).index(name)
             for boot in range(first, first + EXPERIMENTS[name].boots):
-                rows += _of_boot(name, (seed, boot), seconds, array, known, place)
+                rows += _of_boot(name, (seed, boot), seconds, array, calibrations, place)
     return rows
 
 
@@ -209,15 +209,17 @@ def _of_boot(
     replicate: tuple[int, int],
     seconds: float | None,
     array: ArrayConfig,
-    known: Mapping[str, Calibration],
+    calibrations: Mapping[str, Calibration],
     folder: Path,
 ) -> Iterator[RunErrors]:
     """One log of all effects and one of those that the law has."""
-    about = EXPERIMENTS[name]
-    motion = MOTIONS[about.motion](ExperimentOptions(seconds=seconds or about.seconds, drive=about.drive))
+    experiment = EXPERIMENTS[name]
+    motion = MOTIONS[experiment.motion](
+        ExperimentOptions(seconds=seconds or experiment.seconds, drive=experiment.drive)
+    )
     sets = {chosen: names for chosen, (whose, names) in SETS.items() if whose == array.name}
     kinds = ((FAULTS, "all.h5"), (OUTSIDE, "law.h5"))
-    for without, file in kinds if about.is_bounded else kinds[:1]:
+    for without, file in kinds if experiment.is_bounded else kinds[:1]:
         simulation = simulated(array, motion, *replicate, without)
         write_log(simulation, folder / file, force=True)
         with open_log(folder / file) as log:
@@ -225,12 +227,12 @@ def _of_boot(
             for sensors, names in sets.items():
                 label = partial(RunErrors, name, sensors=sensors, replicate=replicate)
                 if file == "all.h5":
-                    wanted = (SLOPES, NO_SLOPES) if name == "heating" else (SLOPES,)
-                    for which in wanted:
-                        calibration, _ = start_up_states(log, known[which], ranges)
-                        yield from _compared(log, calibration, names, partial(label, calibration=which))
+                    slopes_used = (SLOPES, NO_SLOPES) if name == "heating" else (SLOPES,)
+                    for slopes in slopes_used:
+                        calibration, _ = start_up_states(log, calibrations[slopes], ranges)
+                        yield from _compared(log, calibration, names, partial(label, calibration=slopes))
                 else:
-                    yield from _beside_bound(log, simulation, names, partial(label, calibration=TRUE))
+                    yield from _compare_with_bound(log, simulation, names, partial(label, calibration=TRUE))
 
 
 Label = Callable[..., RunErrors]
@@ -245,14 +247,14 @@ def _results(
     log: Log, calibration: Calibration, names: tuple[str, ...]
 ) -> dict[str, Callable[[], Iterator[FusedBlock]]]:
     """Return the functions that fuse the log, by technique."""
-    made: dict[str, Callable[[], Iterator[FusedBlock]]] = {
+    results: dict[str, Callable[[], Iterator[FusedBlock]]] = {
         technique: partial(fuse, log, calibration, technique, only=names) for technique in technique_names()
     }
-    made[OPTIMAL_CAUSAL] = partial(fuse, log, calibration, OPTIMAL, only=names, causal=True)
-    return made
+    results[OPTIMAL_CAUSAL] = partial(fuse, log, calibration, OPTIMAL, only=names, causal=True)
+    return results
 
 
-def _beside_bound(log: Log, simulation: Simulation, names: tuple[str, ...], label: Label) -> Iterator[RunErrors]:
+def _compare_with_bound(log: Log, simulation: Simulation, names: tuple[str, ...], label: Label) -> Iterator[RunErrors]:
     """Yield the techniques with the true calibration, and the posterior mean, each beside the bound."""
     headers = {
         quantity: [
@@ -272,15 +274,15 @@ def _beside_bound(log: Log, simulation: Simulation, names: tuple[str, ...], labe
     results[CAUSAL] = posterior.blocks
     results[SMOOTHED] = partial(posterior.blocks, smoothed=True)
     for technique, blocks in results.items():
-        least = smoothed if technique in (OPTIMAL, SMOOTHED) else causal
-        yield from _errors_of(error_frames(log, blocks()), partial(label, technique=technique), least)
+        bounds = smoothed if technique in (OPTIMAL, SMOOTHED) else causal
+        yield from _errors_of(error_frames(log, blocks()), partial(label, technique=technique), bounds)
 
 
 def _errors_of(
-    frames_by_quantity: Mapping[str, ErrorFrames], label: Label, least: Mapping[str, Floats]
+    frames_by_quantity: Mapping[str, ErrorFrames], label: Label, bounds: Mapping[str, Floats]
 ) -> Iterator[RunErrors]:
     for quantity, frames in frames_by_quantity.items():
-        held = consistency(frames.errors, frames.covariances)
+        result = consistency(frames.errors, frames.covariances)
         measures = {
             "rms": frames.errors,
             "noise": np.diff(frames.errors, axis=0) / np.sqrt(2),
@@ -294,9 +296,9 @@ def _errors_of(
                 if len(part)
                 for axis, value in _by_axis(np.mean(part**2, axis=0)).items()
             },
-            bound=_by_axis(least[quantity]) if quantity in least else {},
-            normalised=None if held is None else held.normalised,
-            holds=None if held is None else held.holds,
+            bound=_by_axis(bounds[quantity]) if quantity in bounds else {},
+            normalised=None if result is None else result.normalised,
+            holds=None if result is None else result.holds,
         )
     if len(frames_by_quantity) == len(INERTIAL):
         coast = coasting(both(frames_by_quantity))
@@ -344,7 +346,7 @@ class GainRow:
 
     def as_json(self) -> dict[str, Any]:
         """JSON-ready; None for an end of an interval that one seed alone can't tell."""
-        ratios = {name: _known(getattr(self, name)) for name in ("over_mean", "over_bound")}
+        ratios = {name: _ratio_json(getattr(self, name)) for name in ("over_mean", "over_bound")}
         return {**vars(self), **ratios}
 
 
@@ -406,16 +408,16 @@ def rows_of(measured: Iterable[RunErrors]) -> list[GainRow]:
             before, after = (
                 _by_seed(several, [item.squares[measure, axis] for item in several]) for several in (average, runs)
             )
-            known = measure == "rms"
-            least = _by_seed(runs, [item.bound[axis] for item in runs]) if known and runs[0].bound else None
+            is_rms = measure == "rms"
+            bounds = _by_seed(runs, [item.bound[axis] for item in runs]) if is_rms and runs[0].bound else None
             rows.append(
                 GainRow(
                     experiment, calibration, sensors, technique, quantity, measure, axis,
                     value=math.sqrt(after.mean()),
                     over_mean=ratio_of(before, after),
-                    over_bound=None if least is None else ratio_of(least, after),
-                    normalised=_mean([item.normalised for item in runs]) if known else None,
-                    consistent=_mean([item.holds for item in runs]) if known else None,
+                    over_bound=None if bounds is None else ratio_of(bounds, after),
+                    normalised=_mean([item.normalised for item in runs]) if is_rms else None,
+                    consistent=_mean([item.holds for item in runs]) if is_rms else None,
                 )
             )  # fmt: skip
     return rows
@@ -430,11 +432,11 @@ def _by_seed(runs: Sequence[RunErrors], squares: Sequence[float]) -> np.ndarray[
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
-    known = [float(value) for value in values if value is not None]
-    return sum(known) / len(known) if known else None
+    numbers = [float(value) for value in values if value is not None]
+    return sum(numbers) / len(numbers) if numbers else None
 
 
-def _known(ratio: Ratio | None) -> dict[str, float | None] | None:
+def _ratio_json(ratio: Ratio | None) -> dict[str, float | None] | None:
     if ratio is None:
         return None
     return {name: value if math.isfinite(value) else None for name, value in vars(ratio).items()}
@@ -442,7 +444,7 @@ def _known(ratio: Ratio | None) -> dict[str, float | None] | None:
 
 _HEAD = f"  {'':18} {'rms':>8} {'over the average':>23} {'its drift':>23} {'over the bound':>23} {'normalised^2':>12}"
 
-_NOTHING = 5e-4
+_NEGLIGIBLE = 5e-4
 """A change of a ratio that three digits don't show."""
 
 _WIDE = 20.0
@@ -465,20 +467,20 @@ def _lines(study: Study) -> Iterator[str]:
     yield f"seeds {study.seeds[0]} to {study.seeds[-1]}; error of the whole vector, 95 % intervals over the seeds"
     groups = dict.fromkeys((row.experiment, row.sensors, row.calibration) for row in study.rows)
     for experiment, sensors, calibration in groups:
-        chosen = study.of(experiment=experiment, sensors=sensors, calibration=calibration)
+        rows = study.of(experiment=experiment, sensors=sensors, calibration=calibration)
         yield ""
         yield f"{experiment}: {sensors}, {WORDS[calibration]}"
         yield _HEAD
         for quantity in INERTIAL:
-            vectors = [row for row in chosen if row.quantity == quantity and row.box_axis == "XYZ"]
+            vectors = [row for row in rows if row.quantity == quantity and row.box_axis == "XYZ"]
             for row in [row for row in vectors if row.measure == "rms" and _shows(row)]:
                 yield _vector_line(row, next(r for r in vectors if _same(r, row) and r.measure == "drift"))
-        yield from _coasting_lines([row for row in chosen if not row.quantity])
+        yield from _coasting_lines([row for row in rows if not row.quantity])
 
 
 def changed(row: GainRow) -> bool:
     """Return whether a technique does anything here."""
-    return abs(row.over_mean.ratio - 1) > _NOTHING
+    return abs(row.over_mean.ratio - 1) > _NEGLIGIBLE
 
 
 def _shows(row: GainRow) -> bool:

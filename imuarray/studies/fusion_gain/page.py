@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from imuarray.fuse import Ratio
 
 
-_NOTHING = 1e-6
+_NEGLIGIBLE = 1e-6
 """Difference in rad/s below which two techniques are drawn once."""
 
 
@@ -68,8 +68,8 @@ def heated(seed: int = 1, seconds: float | None = None) -> HeatingErrors:
     """One heating of the paper's array, fused with a calibration that knows no slopes; techniques that give the same as
     the average are left out.
     """
-    about = EXPERIMENTS["heating"]
-    motion = MOTIONS[about.motion](ExperimentOptions(seconds=seconds or about.seconds))
+    experiment = EXPERIMENTS["heating"]
+    motion = MOTIONS[experiment.motion](ExperimentOptions(seconds=seconds or experiment.seconds))
     results: dict[str, Floats] = {}
     with TemporaryDirectory(prefix="imuarray_study_") as folder:
         path = Path(folder) / "heating.h5"
@@ -80,7 +80,9 @@ def heated(seed: int = 1, seconds: float | None = None) -> HeatingErrors:
             for technique in technique_names():
                 time, errors = errors_of(log, fuse(log, calibration, technique))["angular_rate"]
                 means = ten_second_means(time, errors)
-                if not any(np.allclose(means, other, rtol=0, atol=_NOTHING) for other in results.values()):
+                if not any(
+                    np.allclose(means, means_drawn, rtol=0, atol=_NEGLIGIBLE) for means_drawn in results.values()
+                ):
                     results[technique] = means
             truth = log.truth
             if truth is None or truth.temperature is None:
@@ -93,33 +95,35 @@ def heated(seed: int = 1, seconds: float | None = None) -> HeatingErrors:
 _MARKERS = "osD^vPX*"
 
 
-def ratios_figure(panels: Mapping[str, Sequence[GainRow]], of: str) -> Drawing:
-    """Return a panel for each heading, a row an experiment, a mark a technique: its `over_mean` or `over_bound` (`of`)
-    with its interval.
+def ratios_figure(panels: Mapping[str, Sequence[GainRow]], ratio_name: str) -> Drawing:
+    """Return a panel for each heading, a row for each experiment and a mark for each technique: its `over_mean` or
+    `over_bound` (`ratio_name`) with its interval.
     """
     figure = new_figure(9.0, 1.6 + 0.62 * max(len({row.experiment for row in rows}) for rows in panels.values()))
-    drawn = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    axes_row = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     techniques = list(dict.fromkeys((*technique_names(), OPTIMAL_CAUSAL, CAUSAL, SMOOTHED)))
-    for axes, (heading, rows) in zip(drawn, panels.items(), strict=True):
-        _panel(axes, heading, rows, techniques, of)
-    drawn[0].invert_yaxis()
-    shown = [marks for axes in drawn for marks in zip(*axes.get_legend_handles_labels(), strict=True)]
-    result = {label: handle for handle, label in shown}
+    for axes, (heading, rows) in zip(axes_row, panels.items(), strict=True):
+        _panel(axes, heading, rows, techniques, ratio_name)
+    axes_row[0].invert_yaxis()
+    handles = [marks for axes in axes_row for marks in zip(*axes.get_legend_handles_labels(), strict=True)]
+    result = {label: handle for handle, label in handles}
     named = {technique: result[technique] for technique in techniques if technique in result}
     figure.legend(named.values(), named, loc="outside upper center", ncols=7, frameon=False, fontsize=9)
     words = {"over_mean": "error over that of the simple average", "over_bound": "error over the causal bound"}
-    figure.supxlabel(words[of], fontsize=10)
+    figure.supxlabel(words[ratio_name], fontsize=10)
     return figure
 
 
-def _panel(axes: Axes, heading: str, rows: Sequence[GainRow], techniques: Sequence[str], of: str) -> None:
+def _panel(axes: Axes, heading: str, rows: Sequence[GainRow], techniques: Sequence[str], ratio_name: str) -> None:
     experiments = list(dict.fromkeys(row.experiment for row in rows))
     for number, technique in enumerate(techniques):
-        mine = [row for row in rows if row.technique == technique]
-        if not mine:
+        own_rows = [row for row in rows if row.technique == technique]
+        if not own_rows:
             continue
-        places = [experiments.index(row.experiment) + 0.7 * ((number + 0.5) / len(techniques) - 0.5) for row in mine]
-        ratios = [ratio for row in mine if (ratio := getattr(row, of)) is not None]
+        places = [
+            experiments.index(row.experiment) + 0.7 * ((number + 0.5) / len(techniques) - 0.5) for row in own_rows
+        ]
+        ratios = [ratio for row in own_rows if (ratio := getattr(row, ratio_name)) is not None]
         colour = PALETTE[number % len(PALETTE)]
         axes.errorbar(
             [ratio.ratio for ratio in ratios], places, xerr=_reach(ratios), fmt=_MARKERS[number % len(_MARKERS)],
@@ -127,7 +131,7 @@ def _panel(axes: Axes, heading: str, rows: Sequence[GainRow], techniques: Sequen
         )  # fmt: skip
         _mark_beyond(axes, ratios, places, colour)
     axes.axvline(1, color="black", linewidth=0.8)
-    axes.set_xlim(0, _furthest([ratio for row in rows if (ratio := getattr(row, of)) is not None]))
+    axes.set_xlim(0, _furthest([ratio for row in rows if (ratio := getattr(row, ratio_name)) is not None]))
     axes.set_yticks(range(len(experiments)), experiments)
     axes.set_title(heading, fontsize=10)
     axes.grid(axis="x", linewidth=0.4, alpha=0.6)
@@ -157,9 +161,9 @@ def _furthest(ratios: Sequence[Ratio]) -> float:
     """Return the right end of an axis that shows all ratios up to `_MOST_RATIO`, and their intervals up to
     `_BEYOND`.
     """
-    drawn = [ratio for ratio in ratios if ratio.ratio <= _MOST_RATIO]
-    largest = max((ratio.ratio for ratio in drawn), default=1.0)
-    ends = [min(ratio.high, _BEYOND * largest, _MOST_RATIO) for ratio in drawn if np.isfinite(ratio.high)]
+    visible = [ratio for ratio in ratios if ratio.ratio <= _MOST_RATIO]
+    largest = max((ratio.ratio for ratio in visible), default=1.0)
+    ends = [min(ratio.high, _BEYOND * largest, _MOST_RATIO) for ratio in visible if np.isfinite(ratio.high)]
     return 1.05 * max(1.0, largest, *ends)
 
 
@@ -175,17 +179,17 @@ def heating_figure(
 ) -> Drawing:
     """Ten-second means of the errors along box X, Y and Z of some techniques (three (n,) each), and the temperature."""
     figure = new_figure(9.0, 7.0)
-    drawn = figure.subplots(4, 1, sharex=True, height_ratios=(3, 3, 3, 2))
-    for axis, axes in enumerate(drawn[:3]):
+    axes_column = figure.subplots(4, 1, sharex=True, height_ratios=(3, 3, 3, 2))
+    for axis, axes in enumerate(axes_column[:3]):
         for number, (technique, values) in enumerate(curves.items()):
             colour = PALETTE[number % len(PALETTE)]
             axes.plot(time_s, values[axis], color=colour, linewidth=1.6, label=technique)
         axes.axhline(0, color="black", linewidth=0.6)
         axes.set_ylabel(f"box {'XYZ'[axis]} ({unit})")
-    drawn[0].legend(frameon=False, fontsize=9, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    drawn[3].plot(*temperature, color=PALETTE[2], linewidth=1.2)
-    drawn[3].set_ylabel("°C")
-    drawn[3].set_xlabel("time (s)")
+    axes_column[0].legend(frameon=False, fontsize=9, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    axes_column[3].plot(*temperature, color=PALETTE[2], linewidth=1.2)
+    axes_column[3].set_ylabel("°C")
+    axes_column[3].set_xlabel("time (s)")
     return figure
 
 
@@ -203,16 +207,16 @@ def drawings_of(study: Study, warm: HeatingErrors | None) -> dict[str, Drawing]:
             "over_mean",
         ),
     }
-    drawn = {
-        name: ratios_figure({heading: rows for heading, rows in chosen.items() if rows}, of)
-        for name, (chosen, of) in panels.items()
-        if any(chosen.values())
+    drawings = {
+        name: ratios_figure({heading: rows for heading, rows in panel_rows.items() if rows}, ratio_name)
+        for name, (panel_rows, ratio_name) in panels.items()
+        if any(panel_rows.values())
     }
     if warm is not None:
         factor, unit = READABLE_SI["angular_rate"]
         curves = {name: list(factor * errors.T) for name, errors in warm.errors.items()}
-        drawn["heating.png"] = heating_figure(warm.time_s, curves, warm.temperature, unit)
-    return drawn
+        drawings["heating.png"] = heating_figure(warm.time_s, curves, warm.temperature, unit)
+    return drawings
 
 
 def _by_sensors(rows: Sequence[GainRow]) -> dict[str, list[GainRow]]:
@@ -275,10 +279,10 @@ def study_verdict(study: Study) -> Verdict:
     if not best:
         return Verdict("No technique was compared with the simple average.")
     first = best[0]
-    where = f"{first.experiment}, {first.sensors}, {first.quantity.replace('_', ' ')}"
+    place = f"{first.experiment}, {first.sensors}, {first.quantity.replace('_', ' ')}"
     sure = bool(first.over_mean.high < 1)
     times = f"{first.over_mean.ratio:.2f} times that of the simple average"
-    sentence = f"The technique {first.technique} gains most: at best, its error is {times} ({where})."
+    sentence = f"The technique {first.technique} gains most: at best, its error is {times} ({place})."
     if not sure:
         sentence = "No technique is better than the simple average beyond chance."
     figures = tuple((f"{row.over_mean.ratio:.2f} ×", f"{row.technique} at best: {row.experiment}") for row in best[:5])
@@ -291,8 +295,8 @@ def summary(study: Study) -> list[str]:
     """
     lines = []
     for technique, best in _best_rows(study).items():
-        where = f"{best.experiment}, {best.sensors}, {best.quantity.replace('_', ' ')}"
-        lines.append(f"{technique}: at best {interval_text(best.over_mean)} times the average's error ({where})")
+        place = f"{best.experiment}, {best.sensors}, {best.quantity.replace('_', ' ')}"
+        lines.append(f"{technique}: at best {interval_text(best.over_mean)} times the average's error ({place})")
     lines.append(f"seeds {study.seeds[0]} to {study.seeds[-1]}; intervals are 95 %, over the seeds")
     return lines
 
@@ -327,10 +331,10 @@ def _is_told(row: GainRow) -> bool:
 def _line(row: GainRow) -> list[str]:
     factor, unit = READABLE_SI[row.quantity] if row.quantity in INERTIAL else (1.0, _END_UNITS[row.measure])
     over_bound = "" if row.over_bound is None else interval_text(row.over_bound)
-    what = f"{row.quantity.replace('_', ' ')} {row.measure}".strip()
-    lost = row.measure == "heading" and row.value > _LOST_DEG
-    value = f"{factor * row.value:.4g}" + (" (lost)" if lost else "")
-    return [row.technique, row.sensors, what, row.box_axis, value, unit, interval_text(row.over_mean), over_bound]
+    subject = f"{row.quantity.replace('_', ' ')} {row.measure}".strip()
+    is_lost = row.measure == "heading" and row.value > _LOST_DEG
+    value = f"{factor * row.value:.4g}" + (" (lost)" if is_lost else "")
+    return [row.technique, row.sensors, subject, row.box_axis, value, unit, interval_text(row.over_mean), over_bound]
 
 
 _LOST_DEG = 60.0

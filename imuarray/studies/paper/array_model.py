@@ -79,11 +79,11 @@ def variance_of_mean(window_s: float, time_constant_s: float = TIME_CONSTANT_S) 
     return 2 * ratio * (1 - ratio * (1 - exp(-1 / ratio)))
 
 
-def covariance_of_means(apart: int, window_s: float, time_constant_s: float = TIME_CONSTANT_S) -> float:
-    """Covariance of the means over two windows of which the second begins `apart` >= 1 windows later."""
+def covariance_of_means(windows_apart: int, window_s: float, time_constant_s: float = TIME_CONSTANT_S) -> float:
+    """Covariance of the means over two windows of which the second begins `windows_apart` >= 1 windows later."""
     ratio = time_constant_s / window_s
     decay = exp(-1 / ratio)
-    return ratio**2 * (1 - decay) ** 2 * decay ** (apart - 1)
+    return ratio**2 * (1 - decay) ** 2 * decay ** (windows_apart - 1)
 
 
 def expected_scatter(window_s: float = WINDOW_S, time_constant_s: float = TIME_CONSTANT_S, parts: int = PARTS) -> float:
@@ -304,8 +304,8 @@ def _thermometer_parameters(name: str, design: str) -> tuple[float, float]:
 
 def _code_variance(name: str, codes_per_degc: float) -> float:
     """Mean variance of the thermometer's codes in three experiments, less that of the temperature itself."""
-    own = [float(number_in(row_of(number, f"{name} t"), column)) ** 2 for number, column in _STDS]
-    return float(np.mean(own) - codes_per_degc**2 * np.mean([DEGC[key] ** 2 for key in _STDS]))
+    variances = [float(number_in(row_of(number, f"{name} t"), column)) ** 2 for number, column in _STDS]
+    return float(np.mean(variances) - codes_per_degc**2 * np.mean([DEGC[key] ** 2 for key in _STDS]))
 
 
 def rms_before_rounding(variance: float) -> float:
@@ -340,16 +340,16 @@ class NormalPopulation:
     limit: float | None = None
 
 
-def spread(values: Floats, known: int, *, positive: bool = False) -> NormalPopulation:
-    """Return the population that `values` (any shape) of `known` units foretell."""
-    mean, sigma = float(values.mean()), float(values.std(ddof=1)) * sqrt(1 + 1 / known)
+def spread(values: Floats, count: int, *, positive: bool = False) -> NormalPopulation:
+    """Return the population that `values` (any shape) of `count` units foretell."""
+    mean, sigma = float(values.mean()), float(values.std(ddof=1)) * sqrt(1 + 1 / count)
     limit = floor(mean * 1e6) / 1e6 if positive and mean < 3 * sigma else None
-    return NormalPopulation(mean, sigma, 1 / (known + 1), limit)
+    return NormalPopulation(mean, sigma, 1 / (count + 1), limit)
 
 
-def about_zero(values: Floats, known: int) -> NormalPopulation:
+def about_zero(values: Floats, count: int) -> NormalPopulation:
     """Return the same where no direction is preferred: mean 0."""
-    return NormalPopulation(0.0, float(np.sqrt(np.mean(values**2))) * sqrt(1 + 1 / known), 1 / (known + 1))
+    return NormalPopulation(0.0, float(np.sqrt(np.mean(values**2))) * sqrt(1 + 1 / count), 1 / (count + 1))
 
 
 def designs() -> Iterator[tuple[Table, dict[str, Table]]]:
@@ -378,7 +378,9 @@ def _population(group: Sequence[SensorUnit], names: Sequence[str]) -> dict[str, 
     measured = [unit_effects(unit) for unit in group]
     design, first = group[0].design, measured[0]
     return {
-        name: {key: _foretold(design, name, key, [each[name][key] for each in measured]) for key in first[name]}
+        name: {
+            key: _foretold(design, name, key, [known_unit[name][key] for known_unit in measured]) for key in first[name]
+        }
         for name in names
         if name in first
     }
@@ -390,13 +392,13 @@ def _foretold(design: str, effect: str, key: str, values: Sequence[object]) -> o
     """
     if effect in ("tone", "bandwidth") or key == "time_constant_s":
         return values[0]
-    measured, known = np.array(values, float), len(values)
+    measured, count = np.array(values, float), len(values)
     if effect in ("g_sensitivity", "misalignment"):  # no direction is preferred
-        return about_zero(measured, known)
+        return about_zero(measured, count)
     positive = key.startswith("rms_")
     if design != "ADXL":
-        return spread(measured, known, positive=positive)
-    plane, across = (spread(part, known, positive=positive) for part in (measured[:, :2], measured[:, 2]))
+        return spread(measured, count, positive=positive)
+    plane, across = (spread(part, count, positive=positive) for part in (measured[:, :2], measured[:, 2]))
     return [plane, plane, across]
 
 

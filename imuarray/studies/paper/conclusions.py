@@ -131,10 +131,10 @@ def _opposed_gyros() -> Statement:
     opposed = [pair for pair in pairs() if pair.opposed and pair.first["channel"].startswith("Gyro")]
     parallel = [pair for pair in pairs() if not pair.opposed and pair.first["channel"].startswith("Gyro")]
     listed = ", ".join(_remainder(pair.first["channel"], pair.second["channel"]) for pair in opposed)
-    kept = ", ".join(_remainder(pair.first["channel"], pair.second["channel"]) for pair in parallel)
+    remainders = ", ".join(_remainder(pair.first["channel"], pair.second["channel"]) for pair in parallel)
     return Statement(
         "6.1, 7: opposed L3G4200D axes cancel temperature drift",
-        f"opposed pairs keep {listed}; parallel ones keep {kept}; criterion: every opposed pair at "
+        f"opposed pairs keep {listed}; parallel ones keep {remainders}; criterion: every opposed pair at "
         "least halves the drift",
         bool(opposed) and all(pair.reduction >= 2 for pair in opposed),
     )
@@ -157,16 +157,16 @@ def _not_every_pair() -> Statement:
 
 
 def _adxl_drift() -> Statement:
-    out, plane = slopes("ADXL", axes="z"), slopes("ADXL", axes="xy")
-    ratio = mean([abs(slope) for slope in out]) / mean([abs(slope) for slope in plane])
+    perpendicular, plane = slopes("ADXL", axes="z"), slopes("ADXL", axes="xy")
+    ratio = mean([abs(slope) for slope in perpendicular]) / mean([abs(slope) for slope in plane])
     pair = pair_of("ADXL1 z", "ADXL2 z")
     return Statement(
         "6.1: both ADXL345 z axes drift clearly negative with temperature, the others much less",
-        f"z {', '.join(map(str, out))} LSB/degC, mean magnitude {figure(ratio, 1)} times that of x "
+        f"z {', '.join(map(str, perpendicular))} LSB/degC, mean magnitude {figure(ratio, 1)} times that of x "
         "and y; they are parallel here "
         f"(mean {pair.fused_slope}), turned round they would keep {abs(pair.turned_slope)}; "
         "criterion: both negative, 5 times",
-        max(out) < 0 and ratio >= 5,
+        max(perpendicular) < 0 and ratio >= 5,
     )
 
 
@@ -186,18 +186,18 @@ def _bma_drift() -> Statement:
 
 def _adxl_planes() -> Statement:
     noise, drift, in_run = (
-        [plane_ratio(name, what) for name in _ADXL] for what in ("noise", "thermal_slope", "in_run")
+        [plane_ratio(name, quantity) for name in _ADXL] for quantity in ("noise", "thermal_slope", "in_run")
     )
     return Statement(
         "6.2: the ADXL345's z axis has about double the noise, far more temperature drift and less stable bias",
-        f"z over the mean of x and y: noise {_both(noise)}, temperature slope {_both(drift)}, "
-        f"in-run variation {_both(in_run)}; "
+        f"z over the mean of x and y: noise {_pair_text(noise)}, temperature slope {_pair_text(drift)}, "
+        f"in-run variation {_pair_text(in_run)}; "
         "criterion: noise 1.8 to 2.2, slope above 3, in-run above 1.5, on both",
         all(Decimal("1.8") <= n <= Decimal("2.2") for n in noise) and min(drift) > 3 and min(in_run) > Decimal("1.5"),
     )
 
 
-def _both(values: Sequence[Decimal]) -> str:
+def _pair_text(values: Sequence[Decimal]) -> str:
     return " and ".join(figure(value, 2) for value in values)
 
 
@@ -213,7 +213,7 @@ def _bma_turn_on() -> Statement:
 
 
 def _gyro_planes() -> Statement:
-    noise, in_run = ([plane_ratio(name, what) for name in _GYROS] for what in ("noise", "in_run"))
+    noise, in_run = ([plane_ratio(name, quantity) for name in _GYROS] for quantity in ("noise", "in_run"))
     return Statement(
         "6.2: the gyroscopes' z axis differs little from x and y",
         f"z over the mean of x and y: noise {', '.join(figure(n, 2) for n in noise)}; in-run variation "
@@ -280,7 +280,7 @@ def _gyro_noise() -> Statement:
 
 def _gyro_only_bias() -> Statement:
     bias = range_ratio("Gyro", 4, ["bias_lsb"])
-    others = {
+    deviations = {
         "in-run": range_ratio("Gyro", 11, ["cont_std_of_means"]),
         "g-dependence": range_ratio("Gyro", 4, ["dbias_x_lsb", "dbias_y_lsb", "dbias_z_lsb"]),
         "temperature": range_ratio("Gyro", 8, ["slope_lsb_per_degc"]),
@@ -288,9 +288,9 @@ def _gyro_only_bias() -> Statement:
     return Statement(
         "6.3: of the L3G4200D's systematic errors only the fixed bias improves at 250 dps",
         f"250 over 2000 dps in physical units: bias {figure(bias, 2)}, "
-        + ", ".join(f"{name} {figure(ratio, 2)}" for name, ratio in others.items())
+        + ", ".join(f"{name} {figure(ratio, 2)}" for name, ratio in deviations.items())
         + f" (one sensor against two); criterion: bias at most {_HALVED}, all others above",
-        bias <= _HALVED and min(others.values()) > _HALVED,
+        bias <= _HALVED and min(deviations.values()) > _HALVED,
     )
 
 
@@ -325,14 +325,14 @@ def _boot_fault() -> Statement:
 
 def _two_states() -> Statement:
     result = bias_states()
-    apart = max(dist(state.centre, stated) for state, stated in zip(result, _STATED_STATES, strict=True))
+    largest_distance = max(dist(state.centre, stated) for state, stated in zip(result, _STATED_STATES, strict=True))
     centres = " and ".join(f"({', '.join(figure(value, 1) for value in state.centre)})" for state in result)
     return Statement(
         "5.2.4: Gyro3 comes up in one of two sets of biases, (0, 69, 2) and (-13, 75, 0) LSB",
         f"best two-way split: {centres}, {len(result[0].runs)} and {len(result[1].runs)} runs, "
-        f"{figure(apart, 1)} LSB from "
+        f"{figure(largest_distance, 1)} LSB from "
         "those at most; criterion: within 2 LSB",
-        apart <= 2,
+        largest_distance <= 2,
     )
 
 
@@ -520,7 +520,7 @@ def _thermometers() -> Statement:
         f"{channel} {deviation} (at most {figure(bound, 3)})" for channel, _, deviation, bound in impossible
     )
     ratios = ", ".join(channel for channel, cell in unexplained if cell.column == "ratio")
-    others = "; ".join(
+    other_chips = "; ".join(
         f"{channel} {cell.value} for {cell.printed}" for channel, cell in unexplained if cell.column != "ratio"
     )
     affected = {channel for channel, *_ in impossible} | {channel for channel, _ in unexplained}
@@ -528,7 +528,7 @@ def _thermometers() -> Statement:
         "Table 11: standard deviations, ranges and ratios belong together",
         f"{len(impossible)} standard deviations of 15 means are impossible beside their printed "
         f"range: {worst}; the ratio is "
-        f"not the quotient of its columns for {ratios}; Tables 6 and 7 give {others}; of the channels so affected "
+        f"not the quotient of its columns for {ratios}; Tables 6 and 7 give {other_chips}; of the channels so affected "
         f"{sum(is_inertial(row_of(11, channel)) for channel in affected)} are inertial, all others thermometers",
         not affected,
     )
@@ -607,19 +607,21 @@ def _section_5_2_4() -> Iterator[_Figure]:
 
 
 def _section_5_2_5() -> Iterator[_Figure]:
-    at, source = "Section 5.2.5", "Table 8"
-    yield _Figure(at, "ADXL345 x and y with a negative slope, of 4", "3", _negative, slopes("ADXL", axes="xy"), source)
+    section, source = "Section 5.2.5", "Table 8"
+    yield _Figure(
+        section, "ADXL345 x and y with a negative slope, of 4", "3", _negative, slopes("ADXL", axes="xy"), source
+    )
     ratios = [_out_of_plane(name) for name in ("ADXL1", "ADXL2")]
-    yield from _ends(at, "ADXL345 z slope over mean of x and y", ("5", "10"), ratios, source)
-    yield _Figure(at, "BMA180 z with a positive slope, of 4", "3", _positive, slopes("BMA", axes="z"), source)
+    yield from _ends(section, "ADXL345 z slope over mean of x and y", ("5", "10"), ratios, source)
+    yield _Figure(section, "BMA180 z with a positive slope, of 4", "3", _positive, slopes("BMA", axes="z"), source)
     ranges = [*slopes("BMA", "1.5g"), *slopes("BMA", "16g")]
-    yield _Figure(at, "BMA180 slope in LSB, 1.5 g over 16 g", "1E+1", _halves, ranges, source)
-    yield _Figure(at, "L3G4200D with a positive slope, of 9", "8", _positive, slopes("Gyro"), source)
+    yield _Figure(section, "BMA180 slope in LSB, 1.5 g over 16 g", "1E+1", _halves, ranges, source)
+    yield _Figure(section, "L3G4200D with a positive slope, of 9", "8", _positive, slopes("Gyro"), source)
     but_one = sorted(slopes("Gyro", "2k dps"))[:-1]
-    yield from _ends(at, "Gyro1, Gyro2 slope but for one, LSB/degC", ("1.9", "2.6"), but_one, source)
+    yield from _ends(section, "Gyro1, Gyro2 slope but for one, LSB/degC", ("1.9", "2.6"), but_one, source)
     opposed = [slopes("Gyro", "2k dps", "y")[i] for i in (0, 1)]
     half = "Table 8, half the difference"
-    yield _Figure(at, "Gyro1 y, Gyro2 y together, LSB/degC", "0.004", lambda v: (v[0] - v[1]) / 2, opposed, half)
+    yield _Figure(section, "Gyro1 y, Gyro2 y together, LSB/degC", "0.004", lambda v: (v[0] - v[1]) / 2, opposed, half)
 
 
 def _section_6() -> Iterator[_Figure]:

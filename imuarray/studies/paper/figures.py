@@ -210,10 +210,10 @@ def temperature_figure(curves: Curves, channel: str, slope: float, intercept: fl
     points = panel.plot(result.degc, result.lsb, color=_GREY, linestyle="none", marker=".", markersize=3, alpha=0.35)
     points[0].set_label("readings, one in four seconds")
     ends = np.array([result.degc.min(), result.degc.max()])
-    ours = f"simulated: {result.slope:+.3f} LSB/°C, {result.intercept:.2f} LSB at 0 °C"
-    panel.plot(ends, result.slope * ends + result.intercept, color=_RED, linewidth=2.2, label=ours)
-    theirs = f"Table 8: {slope:+.3f} LSB/°C, {intercept:.2f} LSB at 0 °C"
-    panel.plot(ends, slope * ends + intercept, color="black", linewidth=1.4, linestyle="--", label=theirs)
+    simulated = f"simulated: {result.slope:+.3f} LSB/°C, {result.intercept:.2f} LSB at 0 °C"
+    panel.plot(ends, result.slope * ends + result.intercept, color=_RED, linewidth=2.2, label=simulated)
+    published = f"Table 8: {slope:+.3f} LSB/°C, {intercept:.2f} LSB at 0 °C"
+    panel.plot(ends, slope * ends + intercept, color="black", linewidth=1.4, linestyle="--", label=published)
     panel.set_xlabel("temperature (°C)")
     panel.set_ylabel(f"{channel} (LSB)")
     panel.legend(frameon=False, fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=1)
@@ -222,15 +222,15 @@ def temperature_figure(curves: Curves, channel: str, slope: float, intercept: fl
 
 def opposed_figure(curves: Curves) -> Figure:
     """Draw a figure like Figure 10: two gyroscopes that point in opposite directions and half of their difference."""
-    figure, (panel, below) = _sheet(7.5, 5.6, 2, (5, 2))
+    figure, (panel, lower_panel) = _sheet(7.5, 5.6, 2, (5, 2))
     curve = curves.opposed
     styles = (("Gyro1 y", _BLUE), ("Gyro2 y", _RED), ("half of the difference", _GREEN))
     for (label, colour), values in zip(styles, curve.lsb.T, strict=True):
         panel.plot(curve.seconds / 60, values, color=colour, linewidth=1.5, label=label)
     panel.set_ylabel("output (LSB)")
     panel.legend(frameon=False, fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
-    _draw_profile(below, curves)
-    below.set_xlabel("time (min)")
+    _draw_profile(lower_panel, curves)
+    lower_panel.set_xlabel("time (min)")
     return figure
 
 

@@ -148,18 +148,19 @@ def render_text() -> str:
 
 def _paragraph(finding: Finding) -> Iterator[str]:
     confusable = f", or {' or '.join(finding.confusable_with)}" if finding.confusable_with else ""
-    at = f"{', '.join(finding.sensors)}{' ' if finding.axes else ''}{', '.join(finding.axes)}"
+    place = f"{', '.join(finding.sensors)}{' ' if finding.axes else ''}{', '.join(finding.axes)}"
     yield f"{finding.name[0].upper()}{finding.name[1:]} ({finding.place})"
     yield from _hanging("  ", finding.anomaly)
-    yield from _hanging("  cause    ", f"{finding.effect or 'unknown'}{confusable}; {at}")
+    yield from _hanging("  cause    ", f"{finding.effect or 'unknown'}{confusable}; {place}")
     for figure in finding.figures:
         neighbours = {"data sheet": figure.data_sheet, "with the cause": figure.with_cause}
-        others = [f"{name} {value:g}" for name, value in neighbours.items() if value is not None]
-        where = f"{figure.channel}, " if figure.channel else ""
+        neighbour_texts = [f"{name} {value:g}" for name, value in neighbours.items() if value is not None]
+        channel_text = f"{figure.channel}, " if figure.channel else ""
         unit = f" {figure.unit}" if figure.unit else ""
         yield from _hanging(
             "  figure   ",
-            f"{where}{figure.of}: {figure.printed:g}{unit}" + (f" ({', '.join(others)})" if others else ""),
+            f"{channel_text}{figure.of}: {figure.printed:g}{unit}"
+            + (f" ({', '.join(neighbour_texts)})" if neighbour_texts else ""),
         )
     yield from _hanging("  open     ", finding.open)
 

@@ -130,8 +130,8 @@ FIGURE_WORDS: Mapping[str, tuple[str, str]] = {
 def further_words(result: Mapping[str, Any]) -> dict[int, str]:
     """Describe what recomputing shows of whole columns, by table."""
     slow, fast, runs, windows = result["readings"]
-    spread = result["range_over_deviation"]
-    possible, total = spread["possible"]
+    ratio = result["range_over_deviation"]
+    possible, total = ratio["possible"]
     return {
         9: (
             f"All four standard errors at ±250 dps fit {slow['least']} to {slow['most']} readings "
@@ -141,10 +141,10 @@ def further_words(result: Mapping[str, Any]) -> dict[int, str]:
         11: (
             f"One number of readings explains all {runs['channels']} standard errors of a series: {runs['least']} to "
             f"{runs['most']} for the runs ({runs['rate_hz']:.2f} Hz), {windows['least']} to {windows['most']} for the "
-            f"windows ({windows['rate_hz']:.2f} Hz). Fifteen numbers have a range of {spread['least']:.2f} to "
-            f"{spread['most']:.2f} of their deviations; {possible} of {total} printed pairs do, the others are of "
-            f"thermometers. Inertial axes (not of BMA1 and Gyro3) have {spread['mean']['runs']:.2f} and "
-            f"{spread['mean']['cont']:.2f} on average, normal numbers {spread['normal']:.2f}."
+            f"windows ({windows['rate_hz']:.2f} Hz). Fifteen numbers have a range of {ratio['least']:.2f} to "
+            f"{ratio['most']:.2f} of their deviations; {possible} of {total} printed pairs do, the others are of "
+            f"thermometers. Inertial axes (not of BMA1 and Gyro3) have {ratio['mean']['runs']:.2f} and "
+            f"{ratio['mean']['cont']:.2f} on average, normal numbers {ratio['normal']:.2f}."
         ),
     }
 
@@ -229,8 +229,8 @@ def _text(key: Key, texts: Mapping[Key, str], twin: Statistic | None) -> str:
 
 def _in_digits(twin: Statistic) -> str:
     """Return a number that stands in no table; a quotient of printed ones in as many digits as its uncertainty has."""
-    few = _decimals(twin.published) <= _PRINTED_DECIMALS
-    return plain(twin.published if few else round(twin.published, _places(twin, "")))
+    has_few_digits = _decimals(twin.published) <= _PRINTED_DECIMALS
+    return plain(twin.published if has_few_digits else round(twin.published, _places(twin, "")))
 
 
 def _cells(name: str, recomputed: Recomputed) -> Iterator[tuple[Key, Cell]]:
@@ -285,8 +285,8 @@ def _decimals(value: float) -> int:
 def _places(twin: Statistic, printed: str) -> int:
     """Decimals that show what is printed and two digits of the uncertainty."""
     size = twin.uncertainty * (abs(twin.published) if twin.scale == "log" else 1.0)
-    wanted = 1 - floor(log10(size)) if size > 0 else 0
-    return min(_DECIMALS, max(len(printed.partition(".")[2]), wanted, 0))
+    decimals = 1 - floor(log10(size)) if size > 0 else 0
+    return min(_DECIMALS, max(len(printed.partition(".")[2]), decimals, 0))
 
 
 def table_sections(
@@ -295,7 +295,7 @@ def table_sections(
     """Yield a section per table, with the figures that belong to it if there are `curves`; `result` is of
     `recompute()`.
     """
-    more = further_words(result)
+    further = further_words(result)
     for number, (title, words) in TABLE_WORDS.items():
         name = f"Table {number}"
         lines = compared(name, replica, recomputed)
@@ -303,27 +303,27 @@ def table_sections(
         parts.append(_table(lines))
         if number == 8:
             parts.append(_pairs(replica))
-        text = f"{words} {more[number]}" if number in more else words
+        text = f"{words} {further[number]}" if number in further else words
         yield Section(f"{name}: {title}", text, parts, fold=_fold_of(lines, len(parts) - 1 - (number == 8)))
 
 
 def _fold_of(lines: Sequence[PrintedNumber], drawings: int = 0) -> str:
     """Return the line behind which a table is hidden: how much there is to see, and how much of it agrees."""
     count, _, two, _, cells, equal, near, _ = counted(lines)
-    said = [f"{len(lines)} numbers"]
-    said += [f"{drawings} figure{'s' if drawings > 1 else ''}"] if drawings else []
-    said += [f"{two} of {count} simulated agree within two uncertainties"] if count != NOTHING else []
-    said += [f"{int(equal) + int(near)} of {cells} recomputed agree within rounding"] if cells != NOTHING else []
-    return "; ".join(said)
+    words = [f"{len(lines)} numbers"]
+    words += [f"{drawings} figure{'s' if drawings > 1 else ''}"] if drawings else []
+    words += [f"{two} of {count} simulated agree within two uncertainties"] if count != NOTHING else []
+    words += [f"{int(equal) + int(near)} of {cells} recomputed agree within rounding"] if cells != NOTHING else []
+    return "; ".join(words)
 
 
 def _table(lines: Sequence[PrintedNumber], caption: str = "") -> Table:
     rows = [_row(line) for line in lines]
-    shown = [i for i in range(len(HEADING)) if any(row[i] != NOTHING for row in rows)]
+    columns = [i for i in range(len(HEADING)) if any(row[i] != NOTHING for row in rows)]
     count, item, two, three, cells, equal, near, _ = counted(lines)
     caption += f"{count} simulated, within 1, 2, 3 uncertainties: {item}, {two}, {three}. " if count != NOTHING else ""
     caption += f"{cells} recomputed: {equal} equal, {near} more within rounding." if cells != NOTHING else ""
-    return Table([HEADING[i] for i in shown], [[row[i] for i in shown] for row in rows], caption, (1,))
+    return Table([HEADING[i] for i in columns], [[row[i] for i in columns] for row in rows], caption, (1,))
 
 
 def _row(line: PrintedNumber) -> list[str]:
@@ -398,10 +398,10 @@ def counted(lines: Sequence[PrintedNumber]) -> list[str]:
     """
     sizes = [abs(line.twin.z) for line in lines if line.twin]
     cells = [line.cell for line in lines if line.cell]
-    within = [sum(size <= limit for size in sizes) for limit in (1, 2, 3)]
+    counts = [sum(size <= limit for size in sizes) for limit in (1, 2, 3)]
     equal = sum(cell.matches for cell in cells)
     explained = sum(cell.within_input_rounding for cell in cells)
-    simulated = [len(sizes), *within] if sizes else [NOTHING] * 4
+    simulated = [len(sizes), *counts] if sizes else [NOTHING] * 4
     followed = [len(cells), equal, explained - equal, len(cells) - explained] if cells else [NOTHING] * 4
     return [str(count) for count in (*simulated, *followed)]
 
@@ -466,16 +466,16 @@ def paper_verdict(replica: Replica, result: dict[str, Any]) -> Verdict:
     """Return how far the simulated array reproduces the paper's numbers, and how many of its conclusions hold."""
     whole = replica.summary
     agreeing = whole.within[1] / max(1, whole.count)
-    held, of = sum(statement["holds"] for statement in result["conclusions"]), len(result["conclusions"])
+    holding, total = sum(statement["holds"] for statement in result["conclusions"]), len(result["conclusions"])
     sentence = (
         f"A simulated array reproduces {100 * agreeing:.0f} % of the paper's numbers within two uncertainties,"
-        f" and {held} of its {of} conclusions hold in its own data."
+        f" and {holding} of its {total} conclusions hold in its own data."
     )
     figures = (
         (str(whole.count), "statistics of the paper, simulated"),
         (f"{100 * agreeing:.1f} %", "within two uncertainties; normal deviates give 95.4 %"),
         (f"{whole.chi_square:.2f}", "chi-square per degree of freedom"),
-        (f"{held} of {of}", "conclusions that hold"),
+        (f"{holding} of {total}", "conclusions that hold"),
         (str(len(replica.beyond(_FAR))), "statistics more than three uncertainties off"),
     )
     return Verdict(sentence, "good" if agreeing >= _ENOUGH else "doubtful", figures)
@@ -517,11 +517,11 @@ def _recomputed_words(result: dict[str, Any]) -> str:
     equal = sum(count[0] for columns in tables.values() for count in columns.values())
     total = sum(count[1] for columns in tables.values() for count in columns.values())
     explained = sum(result["within_input_rounding"][name][column][0] for name in tables for column in tables[name])
-    said = result["matches"]["stated"]["value"]
+    stated = result["matches"]["stated"]["value"]
     return (
         f"{total} cells of the paper can be computed from other cells: {equal} agree in every digit, "
-        f"{explained - equal} more within the rounding of their inputs, {total - explained} do not. Of {said[1]} "
-        f"figures in the text, {said[0]} follow from the tables."
+        f"{explained - equal} more within the rounding of their inputs, {total - explained} do not. Of {stated[1]} "
+        f"figures in the text, {stated[0]} follow from the tables."
     )
 
 
@@ -591,8 +591,8 @@ def _without_recomputed(line: PrintedNumber) -> list[str]:
 def _conclusions(result: dict[str, Any]) -> Section:
     words = "Judged from the paper's printed numbers alone; every criterion is stated."
     claims = result["conclusions"]
-    held = f"{sum(claim['holds'] for claim in claims)} of {len(claims)} conclusions hold"
-    return Section("The paper's conclusions", words, [_statements(claims, "holds")], fold=held)
+    holding = f"{sum(claim['holds'] for claim in claims)} of {len(claims)} conclusions hold"
+    return Section("The paper's conclusions", words, [_statements(claims, "holds")], fold=holding)
 
 
 def _slips(result: dict[str, Any]) -> Section:

@@ -196,8 +196,8 @@ def _slips(result: dict[str, Any]) -> Iterator[str]:
 
 
 def _conclusions(result: dict[str, Any]) -> Iterator[str]:
-    held = sum(conclusion["holds"] for conclusion in result["conclusions"])
-    yield f"Conclusions of the paper: {held} of {len(result['conclusions'])} hold (evidence and criteria: --json)"
+    holding = sum(conclusion["holds"] for conclusion in result["conclusions"])
+    yield f"Conclusions of the paper: {holding} of {len(result['conclusions'])} hold (evidence and criteria: --json)"
     for conclusion in result["conclusions"]:
         yield from _hanging("  yes " if conclusion["holds"] else "  NO  ", conclusion["claim"])
         if not conclusion["holds"]:
@@ -258,8 +258,8 @@ def _write_all(
 
         drawings = FIGURES
     paths = [directory / name for name in (*texts, *drawings)]
-    if not force and (taken := next((path for path in paths if path.exists()), None)):
-        raise OutputExistsError(taken)
+    if not force and (existing := next((path for path in paths if path.exists()), None)):
+        raise OutputExistsError(existing)
     directory.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         write_text(directory / name, text, force=True)

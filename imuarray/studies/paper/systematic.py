@@ -176,8 +176,8 @@ def _recomputed(row: Row) -> RecomputedRow:
     }
     if design_of(row["sensor"]) == "Gyro":
         return RecomputedRow(row, (), extra)
-    along = {box[1]: box[0] + axis.upper() for axis, box in axes.items()}
-    return RecomputedRow(row, tuple(text_cell(row, column, along[box]) for box, column in _COLUMNS.items()), extra)
+    directions = {box[1]: box[0] + axis.upper() for axis, box in axes.items()}
+    return RecomputedRow(row, tuple(text_cell(row, column, directions[box]) for box, column in _COLUMNS.items()), extra)
 
 
 def table1() -> tuple[RecomputedRow, ...]:
@@ -357,9 +357,9 @@ def _signed(axis: str, slope: Decimal) -> Decimal:
 
 
 def _pair(first: Row, second: Row) -> AxisPair | None:
-    (sensor_first, axis), (sensor_second, other) = first["channel"].split(), second["channel"].split()
+    (sensor_first, axis), (sensor_second, second_axis) = first["channel"].split(), second["channel"].split()
     same_kind = design_of(sensor_first) == design_of(sensor_second) and first["range"] == second["range"]
-    if not same_kind or axis != other:
+    if not same_kind or axis != second_axis:
         return None
     along_first, along_second = believed_axes(sensor_first)[axis], believed_axes(sensor_second)[axis]
     return AxisPair(first, second, along_first, along_second) if along_first[1] == along_second[1] else None

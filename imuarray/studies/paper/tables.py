@@ -218,11 +218,11 @@ def numeric_cell(row: Row, column: str, formula: Formula, inputs: Sequence[Decim
     agree.
     """
     printed, value = Decimal(row[column]), formula(inputs)
-    within = abs(value - printed) <= half_unit(printed) + reach(formula, inputs)
-    shown = rounded_like(value, printed)
-    if shown != printed:
-        shown = value.quantize(last_unit(printed) / 100) + 0
-    return Cell(column, float(shown), float(printed), within)
+    is_within = abs(value - printed) <= half_unit(printed) + reach(formula, inputs)
+    rounded = rounded_like(value, printed)
+    if rounded != printed:
+        rounded = value.quantize(last_unit(printed) / 100) + 0
+    return Cell(column, float(rounded), float(printed), is_within)
 
 
 def text_cell(row: Row, column: str, value: str) -> Cell:

@@ -59,7 +59,7 @@ _NORMAL_RANGE = 3.534
 """
 
 
-def _spread(values: Sequence[Decimal]) -> Decimal:
+def _largest_difference(values: Sequence[Decimal]) -> Decimal:
     return max(values) - min(values)
 
 
@@ -72,7 +72,7 @@ def _deviation(values: Sequence[Decimal]) -> Decimal:
 _RUN_COLUMNS: dict[str, Callable[[Sequence[Decimal]], Decimal]] = {
     "runs_mean": mean,
     "runs_std_of_means": _deviation,
-    "runs_range_of_means": _spread,
+    "runs_range_of_means": _largest_difference,
 }
 
 

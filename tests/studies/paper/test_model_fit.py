@@ -197,12 +197,12 @@ def test_noise_before_rounding(rms: float) -> None:
 
 
 def test_what_two_units_foretell_of_a_third() -> None:
-    found = spread(np.array([[1.0, 2.0], [3.0, 4.0]]), known=2)
+    found = spread(np.array([[1.0, 2.0], [3.0, 4.0]]), count=2)
     assert (found.mean, found.limit) == (2.5, None)
     assert found.shared == pytest.approx(1 / 3)
     assert found.sigma == pytest.approx(sqrt(5 / 3) * sqrt(1.5))
-    assert spread(np.array([1.0, 3.0]), known=2, positive=True).limit == 2.0  # sqrt(2) sqrt(1.5) thrice is beyond 0
-    assert about_zero(np.array([3.0, -4.0]), known=3).sigma == pytest.approx(sqrt(12.5) * sqrt(4 / 3))
+    assert spread(np.array([1.0, 3.0]), count=2, positive=True).limit == 2.0  # sqrt(2) sqrt(1.5) thrice is beyond 0
+    assert about_zero(np.array([3.0, -4.0]), count=3).sigma == pytest.approx(sqrt(12.5) * sqrt(4 / 3))
 
 
 @pytest.mark.slow

@@ -251,10 +251,10 @@ def compare_faces(ten: Table) -> Iterator[Statistic]:
         for face in READINGS:
             yield _face(channel, face, ten[channel][face])
         for column in ("sem_lsb", "std_lsb"):
-            at = ("Table 10", channel, column)
+            place = ("Table 10", channel, column)
             values = printed(10, channel, column), ten[channel][column]
             parts = {"between experiments": noise_residual(channel)}
-            yield logarithmic(at, *values, parts, derived=column == "sem_lsb", fitted=True)
+            yield logarithmic(place, *values, parts, derived=column == "sem_lsb", fitted=True)
 
 
 def compare_accelerometers(three: Table) -> Iterator[Statistic]:
@@ -288,16 +288,16 @@ def compare_gyroscopes(four: Table) -> Iterator[Statistic]:
 
 
 def _face(channel: str, face: str, simulated: float) -> Statistic:
-    published, at = printed(10, channel, face), ("Table 10", channel, face)
+    published, place = printed(10, channel, face), ("Table 10", channel, face)
     repeated = face == READINGS[-1]
     residual = face_residual(channel) * (sqrt(5) if repeated else 1.0)  # s^2 (1 + 2/3) against s^2 / 3
     if axis_of(channel) == 3:
         days = thermometer_residual(channel)
         parts = {"day-to-day": days, "face repeatability": face_residual(channel) * sqrt(3)}
-        return with_cause(linear(at, published, simulated, parts, fitted=True), f"{channel}, Table 10", days)
+        return with_cause(linear(place, published, simulated, parts, fitted=True), f"{channel}, Table 10", days)
     turn_on = own(channel, lambda unit: unit.turn_on)
     parts = {"turn-on": turn_on, "in-run": _wander(channel), "sem": printed(10, channel, "sem_lsb")}
-    result = linear(at, published, simulated, parts | {"face repeatability": residual}, fitted=not repeated)
+    result = linear(place, published, simulated, parts | {"face repeatability": residual}, fitted=not repeated)
     return with_cause(result, f"{channel}, Table 10", turn_on)
 
 
@@ -332,22 +332,22 @@ def compare_turn_on(simulated: Table) -> Iterator[Statistic]:
     for row in table(11):
         channel, result = row["channel"], simulated[row["channel"]]
         spreads = {half: deviation_spread(channel, half) for half in ("runs", "cont")}
-        for half, spread in spreads.items():
+        for half, values_of_half in spreads.items():
             yield _mean(channel, half, result[f"{half}_mean"])
             for column in (f"{half}_sem", f"{half}_std"):
                 values = printed(11, channel, column), result[column]
-                at, parts = ("Table 11", channel, column), {"between experiments": noise_residual(channel)}
-                yield logarithmic(at, *values, parts, derived=column.endswith("sem"), fitted=True)
-            scatter = {"between units" if axis_of(channel) == 3 else "scatter of fifteen": spread}
+                place, parts = ("Table 11", channel, column), {"between experiments": noise_residual(channel)}
+                yield logarithmic(place, *values, parts, derived=column.endswith("sem"), fitted=True)
+            scatter = {"between units" if axis_of(channel) == 3 else "scatter of fifteen": values_of_half}
             shape = {"range over deviation": sqrt(2) * RANGE_OVER_DEVIATION}
             own_marks = {"fitted": _is_fitted(channel, half), "derived": _is_derived(channel, half)}
             for name, parts, marks in (("std", scatter, own_marks), ("range", scatter | shape, {"derived": True})):
                 column = f"{half}_{name}_of_means"
                 values = printed(11, channel, column), result[column]
                 yield logarithmic(("Table 11", channel, column), *values, parts, **marks)
-        both = {"runs": spreads["runs"], "windows": spreads["cont"]}
-        at, values = ("Table 11", channel, "ratio"), (printed(11, channel, "ratio"), result["ratio"])
-        yield logarithmic(at, *values, both, derived=True, fitted=True)
+        halves = {"runs": spreads["runs"], "windows": spreads["cont"]}
+        place, values = ("Table 11", channel, "ratio"), (printed(11, channel, "ratio"), result["ratio"])
+        yield logarithmic(place, *values, halves, derived=True, fitted=True)
 
 
 def compare_in_run(simulated: Table) -> Iterator[Statistic]:
@@ -369,9 +369,9 @@ def compare_runs(number: int, name: str, simulated: Table) -> Iterator[Statistic
     for row in table(number):
         run = int(row["run"])
         for axis, column in zip("xyzt", ("x_lsb", "y_lsb", "z_lsb", "temp_int"), strict=True):
-            at = (f"Table {number}", f"{name} {axis}", f"run {run}")
+            place = (f"Table {number}", f"{name} {axis}", f"run {run}")
             values = float(number_in(row, column)), simulated[row["run"]][column]
-            yield _one_run(at, *values, _RESET_RATIO if run in faulty and axis != "t" else 1.0)
+            yield _one_run(place, *values, _RESET_RATIO if run in faulty and axis != "t" else 1.0)
 
 
 def deviation_spread(channel: str, half: str) -> float:
@@ -410,26 +410,26 @@ def _is_derived(channel: str, half: str) -> bool:
 
 def _mean(channel: str, half: str, simulated: float) -> Statistic:
     column = f"{half}_mean"
-    at, published = ("Table 11", channel, column), printed(11, channel, column)
+    place, published = ("Table 11", channel, column), printed(11, channel, column)
     if axis_of(channel) == 3:
         offset = {"day-to-day": thermometer_residual(channel)}
-        return linear(at, published, simulated, offset, fitted=True, derived=_is_derived(channel, half))
+        return linear(place, published, simulated, offset, fitted=True, derived=_is_derived(channel, half))
     windows = run_windows(channel) if half == "runs" else part_windows(channel)
     own_boot = 0.0 if half == "runs" else own(channel, lambda unit: unit.turn_on)
     factor = (PARTS - 1 + _RESET_RATIO) / PARTS if channel.startswith("BMA1") and half == "runs" else 1.0
     parts, share = level_parts(channel)
     days = {name: part * factor for name, part in parts.items()}
     wander = {"in-run and sem": float(sqrt(windows.sum())) / PARTS, "turn-on": own_boot}
-    result = linear(at, published, simulated, days | wander, derived=_is_derived(channel, half))
+    result = linear(place, published, simulated, days | wander, derived=_is_derived(channel, half))
     return with_cause(result, f"{channel}, other days", sqrt(share) * hypot(*days.values()))
 
 
-def _one_run(at: tuple[str, str, str], published: float, simulated: float, ratio: float) -> Statistic:
-    channel = at[1]
+def _one_run(place: tuple[str, str, str], published: float, simulated: float, ratio: float) -> Statistic:
+    channel = place[1]
     if axis_of(channel) == 3:
         offset = thermometer_residual(channel)
         parts = {"day-to-day": offset, "in-run": printed(11, channel, "cont_std_of_means")}
-        return with_cause(linear(at, published, simulated, parts, fitted=True), f"{channel}, {at[0]}", offset)
+        return with_cause(linear(place, published, simulated, parts, fitted=True), f"{channel}, {place[0]}", offset)
     days = {name: part * ratio for name, part in level_parts(channel)[0].items()}
     twice = sqrt(2) * ratio
     parts = {
@@ -437,7 +437,7 @@ def _one_run(at: tuple[str, str, str], published: float, simulated: float, ratio
         "in-run": twice * own(channel, lambda unit: unit.in_run) * sqrt(variance_of_mean(WINDOW_S)),
         "sem": twice * printed(11, channel, "runs_sem"),
     }
-    result = linear(at, published, simulated, days | parts)
+    result = linear(place, published, simulated, days | parts)
     return with_cause(result, f"{channel}, other days", hypot(*days.values()))
 
 
@@ -502,8 +502,8 @@ def _heated() -> _HeatingSpread:
     motion = Heating()
     seconds = np.arange(0.0, motion.seconds, 30.0)
     degc = np.asarray(motion.felt((seconds * 1e9).astype(np.int64)).temperature_degc, float)
-    away = degc - degc.mean()
-    weights = away / (away**2).sum()
+    deviation = degc - degc.mean()
+    weights = deviation / (deviation**2).sum()
     wander = np.exp(-np.abs(np.subtract.outer(seconds, seconds)) / TIME_CONSTANT_S)
     of_noise = 1 / sqrt(array_rate_hz(10) * motion.seconds) / float(degc.std())
     level = sqrt(variance_of_mean(motion.seconds))
@@ -522,14 +522,14 @@ def compare_gyro_noise(number: int, simulated: Table) -> Iterator[Statistic]:
 
 
 def _nine(number: int, channel: str, name: str, column: str, published: float, simulated: float) -> Statistic:
-    at = (f"Table {number}", f"{channel} {name}", column)
+    place = (f"Table {number}", f"{channel} {name}", column)
     if column != "mean_lsb":
-        spread = noise_residual(channel) * sqrt(2)  # of a fourth experiment against the mean of three
-        other = 0.0 if channel.endswith("t") else _between_filters()
-        own_parts = {"between experiments": spread, "filters": other}
-        return logarithmic(at, published, simulated, own_parts, derived=column == "sem_lsb")
+        noise_sd = noise_residual(channel) * sqrt(2)  # of a fourth experiment against the mean of three
+        filter_sd = 0.0 if channel.endswith("t") else _between_filters()
+        own_parts = {"between experiments": noise_sd, "filters": filter_sd}
+        return logarithmic(place, published, simulated, own_parts, derived=column == "sem_lsb")
     if channel.endswith("t"):
-        return linear(at, published, simulated, {"day-to-day": thermometer_residual(channel)}, fitted=True)
+        return linear(place, published, simulated, {"day-to-day": thermometer_residual(channel)}, fitted=True)
     boot = {
         "turn-on": own(channel, lambda unit: unit.turn_on),
         "in-run": own(channel, lambda unit: unit.in_run) * sqrt(variance_of_mean(high_rate_s(name))),
@@ -538,10 +538,10 @@ def _nine(number: int, channel: str, name: str, column: str, published: float, s
     if name == "250dps":
         coarser = unit_of("Gyro1").lsb / DPS_AT_250  # counts are that much smaller
         parts = {part: size * coarser for part, size in boot.items()}
-        return linear(at, published, simulated, parts, fitted=True)
+        return linear(place, published, simulated, parts, fitted=True)
     days, share = level_parts(channel)
     warmth = {"temperature": slope(channel) * thermometer_residual("Gyro1 t")}
-    result = linear(at, published, simulated, boot | days | warmth)
+    result = linear(place, published, simulated, boot | days | warmth)
     return with_cause(result, f"{channel}, other days", sqrt(share) * hypot(*days.values()))
 
 
@@ -561,15 +561,15 @@ def compare_figures(observed: ExperimentData) -> Iterator[Statistic]:
     counts = observed.high_rate["250dps"].counts
     neighbours = autocorrelation(counts, 1)
     for i, axis in enumerate("xyz"):
-        at = ("Figure 13", f"Gyro1 {axis}", "correlation of neighbours")
-        yield linear(at, 0.4, float(neighbours[i]), {"around": 0.1 * _AROUND}, fitted=True)
+        place = ("Figure 13", f"Gyro1 {axis}", "correlation of neighbours")
+        yield linear(place, 0.4, float(neighbours[i]), {"around": 0.1 * _AROUND}, fitted=True)
     yield linear(("Figure 13", "Gyro1 y", "period, samples"), 6.0, float(period(counts, 1)), {"around": _AROUND})
     for i, axis in enumerate("xyz"):
         hz = line_hz(counts, i)
         yield _yes_or_no(("Figure 14", f"Gyro1 {axis}", "line near 50 Hz"), float(axis == "y"), float(not isnan(hz)))
         if axis == "y":
-            at = ("Figure 14", "Gyro1 y", "line, Hz")
-            yield linear(at, 50.0, 0.0 if isnan(hz) else hz, {"around": 10 * _AROUND}, fitted=True)
+            place = ("Figure 14", "Gyro1 y", "line, Hz")
+            yield linear(place, 50.0, 0.0 if isnan(hz) else hz, {"around": 10 * _AROUND}, fitted=True)
 
 
 def compare_text(observed: ExperimentData, ten: Table, six: Table) -> Iterator[Statistic]:
@@ -580,8 +580,8 @@ def compare_text(observed: ExperimentData, ten: Table, six: Table) -> Iterator[S
         first, second = (ten[f"{name} {axis}"]["std_lsb"] for name in ("BMA1", "BMA2"))
         units = abs(log(printed(10, f"BMA1 {axis}", "std_lsb") / printed(10, f"BMA2 {axis}", "std_lsb"))) / sqrt(2)
         days = noise_residual(f"BMA1 {axis}") * sqrt(2)
-        at = ("Appendix A.3", f"BMA1, BMA2 {axis}", "std_lsb")
-        yield logarithmic(at, std, sqrt(first * second), {"between units": units, "between experiments": days})
+        place = ("Appendix A.3", f"BMA1, BMA2 {axis}", "std_lsb")
+        yield logarithmic(place, std, sqrt(first * second), {"between units": units, "between experiments": days})
     yield _reset(six)
     second = len(bias_states()[1].runs) / PARTS
     yield _share(("Table 7", "Gyro3", "share of runs in second state"), second, observed.second / BOOTS)
@@ -592,18 +592,18 @@ def compare_text(observed: ExperimentData, ten: Table, six: Table) -> Iterator[S
 def _reset(six: Table) -> Statistic:
     """Return the factor by which the faulty run shows more gravity."""
     (fault,) = boot_faults()
-    others = np.mean([row["z_lsb"] for run, row in six.items() if int(run) != fault.run])
+    mean_of_others = np.mean([row["z_lsb"] for run, row in six.items() if int(run) != fault.run])
     printed_others = np.mean([float(number_in(row, "z_lsb")) for row in table(6) if int(row["run"]) != fault.run])
     scatter = sqrt(2) * own("BMA1 z", lambda unit: np.hypot(unit.turn_on, unit.in_run)) / float(printed_others) * 8
-    values = float(fault.reading_lsb) / float(printed_others), six[str(fault.run)]["z_lsb"] / float(others)
-    at = ("Table 6", "BMA1 z", f"run {fault.run} over the others")
-    return linear(at, *values, {"turn-on and in-run": scatter}, derived=True, fitted=True)
+    values = float(fault.reading_lsb) / float(printed_others), six[str(fault.run)]["z_lsb"] / float(mean_of_others)
+    place = ("Table 6", "BMA1 z", f"run {fault.run} over the others")
+    return linear(place, *values, {"turn-on and in-run": scatter}, derived=True, fitted=True)
 
 
-def _share(at: tuple[str, str, str], published: float, simulated: float) -> Statistic:
+def _share(place: tuple[str, str, str], published: float, simulated: float) -> Statistic:
     """The model has the printed share; the simulated one is a binomial number of `BOOTS`."""
-    return linear(at, published, simulated, {"binomial": sqrt(published * (1 - published) / BOOTS)}, fitted=True)
+    return linear(place, published, simulated, {"binomial": sqrt(published * (1 - published) / BOOTS)}, fitted=True)
 
 
-def _yes_or_no(at: tuple[str, str, str], published: float, simulated: float) -> Statistic:
-    return linear(at, published, simulated, {"yes or no": 1 / 3}, fitted=True)
+def _yes_or_no(place: tuple[str, str, str], published: float, simulated: float) -> Statistic:
+    return linear(place, published, simulated, {"yes or no": 1 / 3}, fitted=True)

@@ -109,9 +109,9 @@ def against_temperature(observed: ExperimentData, channel: str, every_s: float =
     """Return a channel such as "Gyro2 x" of a sensor of `WARMED` against temperature (Figures 8 and 9)."""
     name, letter = channel.split()
     axis, series, line = "xyz".index(letter), observed.warm[name], observed.heated[name]
-    some = slice(None, None, max(1, round(every_s * rate_hz(series))))
-    degc = np.asarray(Heating().felt(series.time_ns[some]).temperature_degc, float)
-    lsb = series.counts[some, axis].astype(float)
+    sampled = slice(None, None, max(1, round(every_s * rate_hz(series))))
+    degc = np.asarray(Heating().felt(series.time_ns[sampled]).temperature_degc, float)
+    lsb = series.counts[sampled, axis].astype(float)
     return Scatter(degc, lsb, float(line.slope[axis]), float(line.intercept[axis]))
 
 

@@ -99,8 +99,8 @@ def windows(sensor: Triad, spans: Spans) -> list[Window]:
     sums = np.zeros((3, len(spans), 4))
     centre: Floats | None = None
     for block in blocks(sensor):
-        known = block.temperature_counts
-        column = np.full(len(block.time), np.nan) if known is None else known
+        temperature_counts = block.temperature_counts
+        column = np.full(len(block.time), np.nan) if temperature_counts is None else temperature_counts
         rows = np.column_stack([block.counts, column]).astype(float)  # int16 squares would overflow
         centre = rows[0] if centre is None else centre
         for index, (start, stop) in enumerate(spans):
@@ -175,12 +175,12 @@ def observe(seed: int, executor: Executor | None = None, progress: Progress | No
     states = [state(seed, boot) for boot in range(1, BOOTS + 1)]
     jobs = list(_jobs(seed))
     results: Iterator[Any] = (executor.map if executor else map)(_called, [job for _, job in jobs])
-    done = []
+    observed = []
     for number, ((name, _), result) in enumerate(zip(jobs, results, strict=True), start=1):
-        done.append(result)
+        observed.append(result)
         if progress:
             progress(number, len(jobs), name)
-    faces, (parts, still), (heated, warm), slow, fast, even, *runs = done
+    faces, (parts, still), (heated, warm), slow, fast, even, *runs = observed
     by_run = {name: [run[name][0] for run in runs] for name in SENSORS}
     high_rate = {"250dps": slow, "2k dps": fast}
     counts = (sum(state.faulty for state in states), sum(state.second for state in states))
@@ -218,11 +218,11 @@ def high_rate_s(range_name: str) -> float:
 
 
 def _jobs(seed: int) -> Iterator[tuple[str, Callable[[], object]]]:
-    taken: set[int] = set()
+    seeds_used: set[int] = set()
 
     def boot(faulty: bool, second: bool) -> int:
-        number = next(n for n in count(1) if n not in taken and state(seed, n) == (faulty, second))
-        taken.add(number)
+        number = next(n for n in count(1) if n not in seeds_used and state(seed, n) == (faulty, second))
+        seeds_used.add(number)
         return number
 
     yield "faces", partial(_faces, seed, boot(False, True))
@@ -281,8 +281,8 @@ def _parts(seed: int, boot: int) -> tuple[dict[str, list[Window]], dict[str, Ser
     spans = [(part * step, (part + 1) * step) for part in range(PARTS)]
     means, still = {}, {}
     for name, sensor in _simulation(seed, boot, motion, array_rate_hz(11)):
-        kept = Kept(sensor)
-        means[name], still[name] = windows(kept, spans), kept.series
+        recorded = Kept(sensor)
+        means[name], still[name] = windows(recorded, spans), recorded.series
     return means, still
 
 
@@ -296,10 +296,10 @@ def _heating(seed: int, boot: int) -> tuple[dict[str, TemperatureLine], dict[str
     motion = Heating()
     lines, warm = {}, {}
     for name, sensor in _simulation(seed, boot, motion, array_rate_hz(10)):
-        kept = Kept(sensor) if name in WARMED else sensor
-        lines[name] = line(kept, motion)
-        if isinstance(kept, Kept):
-            warm[name] = kept.series
+        recorded = Kept(sensor) if name in WARMED else sensor
+        lines[name] = line(recorded, motion)
+        if isinstance(recorded, Kept):
+            warm[name] = recorded.series
     return lines, warm
 
 

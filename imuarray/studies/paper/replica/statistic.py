@@ -77,12 +77,12 @@ def levels(channel: str) -> Floats:
     """
     k = slope(channel)
     name, axis = channel.split()[0], axis_of(channel)
-    other = float(gyro3_other_state_lsb()[axis]) if name == "Gyro3" and axis < 3 else 0.0
-    runs = printed(11, channel, "runs_mean") - other * len(bias_states()[1].runs) / PARTS
+    other_state = float(gyro3_other_state_lsb()[axis]) if name == "Gyro3" and axis < 3 else 0.0
+    runs = printed(11, channel, "runs_mean") - other_state * len(bias_states()[1].runs) / PARTS
     if name == "BMA1" and axis < 3:
         runs = float(np.delete(runs_of(name)[:, axis], [fault.run - 1 for fault in boot_faults()]).mean())
     result = [
-        printed(10, channel, "z_up") - other - k * (FACES_DEGC[0] - REFERENCE_DEGC),
+        printed(10, channel, "z_up") - other_state - k * (FACES_DEGC[0] - REFERENCE_DEGC),
         runs - k * (DEGC[11, "runs_mean"] - REFERENCE_DEGC),
         printed(11, channel, "cont_mean") - k * (DEGC[11, "cont_mean"] - REFERENCE_DEGC),
     ]
@@ -151,10 +151,10 @@ def run_windows(channel: str) -> Floats:
 @cache
 def part_windows(channel: str) -> Floats:
     """Return (15, 15) covariance of the means of windows in a row that the model gives."""
-    apart = np.abs(np.subtract.outer(np.arange(PARTS), np.arange(PARTS)))
+    distance = np.abs(np.subtract.outer(np.arange(PARTS), np.arange(PARTS)))
     of_wander = np.array([variance_of_mean(WINDOW_S), *(covariance_of_means(k, WINDOW_S) for k in range(1, PARTS))])
     sem = printed(11, channel, "cont_sem")
-    return np.asarray(own(channel, lambda unit: unit.in_run) ** 2 * of_wander[apart] + np.eye(PARTS) * sem**2)
+    return np.asarray(own(channel, lambda unit: unit.in_run) ** 2 * of_wander[distance] + np.eye(PARTS) * sem**2)
 
 
 def run_steps(channel: str) -> float:
@@ -229,10 +229,10 @@ class Statistic:
         if self.simulated == self.published:
             return 0.0
         if self.scale == "log":
-            away = log(self.simulated / self.published) if self.simulated > 0 and self.published > 0 else -inf
+            log_ratio = log(self.simulated / self.published) if self.simulated > 0 and self.published > 0 else -inf
         else:
-            away = self.simulated - self.published
-        return away / self.uncertainty if self.uncertainty else copysign(inf, away)
+            log_ratio = self.simulated - self.published
+        return log_ratio / self.uncertainty if self.uncertainty else copysign(inf, log_ratio)
 
 
 def combined(parts: Mapping[str, float]) -> tuple[float, str]:
@@ -292,9 +292,9 @@ def summary(statistics: Iterable[Statistic]) -> AgreementSummary:
     free = [row for row in rows if not row.derived]
     degrees = effective_degrees(free)
     low, high = (float(chi2.ppf(share, degrees)) / degrees for share in _EXPECTED)
-    within = (sum(size <= 1 for size in sizes), sum(size <= 2 for size in sizes), sum(size <= 3 for size in sizes))
+    counts = (sum(size <= 1 for size in sizes), sum(size <= 2 for size in sizes), sum(size <= 3 for size in sizes))
     chi_square = sum(row.z**2 for row in free) / len(free)
-    return AgreementSummary(len(rows), within, len(free), chi_square, degrees, (low, high))
+    return AgreementSummary(len(rows), counts, len(free), chi_square, degrees, (low, high))
 
 
 def effective_degrees(rows: Sequence[Statistic]) -> float:
