@@ -2,7 +2,7 @@
 
 The runs are those of `imuarray.studies.demo`: six faces, a long rest, a heating, a shaking. The emulated world knows
 the truth, so that the error of each sensor, of their average and of each technique is measured. The sensors are polled;
-the queues of chips that have some are left off, because the demonstration needs few samples.
+queues are switched off, because the demonstration needs few samples.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ _RUNS = {"static": "at rest", "heating": "heated", "shaking": "shaken"}
 
 @dataclass(frozen=True)
 class ArrayError:
-    """Errors against the truth in one run, of one quantity, in SI, rms over the three axes: of each sensor alone by its
-    name, and of all together by technique.
+    """The errors of one quantity against the truth in one run, in SI, rms over the three axes: of each single sensor by
+    its name, and of all together by technique.
     """
 
     run: str
@@ -67,8 +67,8 @@ class ArrayError:
 
 
 def run_array_demo(config: Path, folder: Path, options: DemoOptions, report: Report) -> dict[str, Any]:
-    """Record, calibrate, fuse and report an array into `folder`; the summary, JSON-ready. ConfigError for an array
-    without accelerometers or gyroscopes, OutputExistsError before anything is recorded, unless forced.
+    """Record, calibrate, fuse and report an array into `folder`; return the summary, JSON-ready. ConfigError for an
+    array without accelerometers or gyroscopes, OutputExistsError before anything is recorded, unless forced.
     """
     array = load_array(config)
     for quantity in INERTIAL:
@@ -135,13 +135,13 @@ def errors_in(run: str, path: Path, calibration: Calibration) -> list[ArrayError
 
 
 def _rms(log: Log, calibration: Calibration, technique: str, *names: str) -> dict[str, float]:
-    """Return the rms error of a result by quantity, all axes and frames together, frames without a result left out."""
+    """Return the rms error of a result by quantity, over all axes and frames with a result."""
     errors = errors_of(log, fuse(log, calibration, technique, only=list(names)))
     return {quantity: float(np.sqrt(np.nanmean(np.square(error)))) for quantity, (_, error) in errors.items()}
 
 
 def summary(errors: list[ArrayError]) -> list[str]:
-    """Return what averaging gained, run by run."""
+    """Return the section on the gain of averaging, run by run."""
     lines = [_sentence(error) for error in errors]
     return [
         *lines,
@@ -162,7 +162,7 @@ def _sentence(error: ArrayError) -> str:
 
 
 def verdict_of(errors: list[ArrayError], tumble: TumbleResult, diagnosis: Diagnosis) -> Verdict:
-    """Return the verdict: what averaging gains at rest, the quality of the calibration, the gap of the simulator."""
+    """Return the verdict: the gain of averaging at rest, the quality of the calibration, the gap of the simulator."""
     at_rest = [error for error in errors if error.run == "static"]
     figures = [
         (f"{error.ratio('mean'):.2f} ×", f"error of the average over one sensor's, {error.quantity.replace('_', ' ')}")
@@ -208,7 +208,7 @@ def errors_section(errors: list[ArrayError]) -> Section:
 
 
 def heating_section(path: Path, calibration: Calibration) -> Section:
-    """Gyroscopes about box Y while the box is heated."""
+    """Draw the gyroscopes about box Y while the box is heated."""
     with open_log(path) as log:
         truth = log.truth
         if truth is None or truth.temperature is None:

@@ -1,9 +1,9 @@
 """`imuarray demo`: the whole path on the emulated array, from the bus to a page.
 
-It records four runs that a user with a box, a table and a hair dryer would record: the six faces of the box, a long
-rest, a heating, and a shaking that exceeds the low range. The first run calibrates the array; the others show what each
-technique gains over the simple average of the same sensors. The emulated world knows the truth, so every gain is
-measured. Finally, `gap` compares three sensors at rest with a simulator that knows only the data sheets.
+It records four runs that need only a box, a table and a hair dryer: the six faces of the box, a long rest, a heating,
+and a shaking that exceeds the low range. The first run calibrates the array; the others show what each technique gains
+over the simple average of the same sensors. The emulated world knows the truth, so every gain is measured. Finally,
+`gap` compares three sensors at rest with a simulator of the data sheets.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ CASES = (
     GainCase("ranges", "static"),
     GainCase("ranges", "heating"),
 )
-"""First where the paper says that a technique helps, then elsewhere."""
+"""The cases: first where the paper states that a technique helps, then others."""
 
 
 def compare(logs: Mapping[str, Path], calibration: Calibration) -> list[tuple[GainCase, Gain]]:
@@ -90,7 +90,7 @@ def compare(logs: Mapping[str, Path], calibration: Calibration) -> list[tuple[Ga
 
 
 def _best(rows: Rows, case: GainCase) -> Gain:
-    """Return the axis on which a technique gains most where it should."""
+    """Return the axis with the largest gain of a technique among those where the paper expects one."""
     of_case = [
         gain for result, gain in rows if result == case and gain.quantity == case.claim and gain.box_axis != "XYZ"
     ]
@@ -98,7 +98,7 @@ def _best(rows: Rows, case: GainCase) -> Gain:
 
 
 def summary(rows: Rows) -> list[str]:
-    """Return the summary that takes half a minute to read."""
+    """Return the summary."""
     opposed, planes, ranges = (_best(rows, case) for case in CASES if case.claim)
     case, worst = max((row for row in rows if row[1].box_axis == "XYZ"), key=lambda row: row[1].ratio)
     return [
@@ -147,7 +147,7 @@ _AXIS_WORDS = {axis: f" along {axis}" for axis in "XYZ"}
 
 
 def gap_section(diagnosis: Diagnosis) -> Section:
-    """Return the section on what a simulator of the data sheets lacks."""
+    """Return the section on the effects that a simulator of the data sheets lacks."""
     rows = [
         [cause.effect, places_text(cause), parameters_text(cause.parameters), f"{cause.probability:.2f}"]
         for cause in diagnosis.causes
@@ -198,7 +198,7 @@ def recorded_section(logs: Mapping[str, Path], lead: str = ABOUT_PAPERS_ARRAY) -
 
 
 def calibration_section(tumble: TumbleResult) -> Section:
-    """Bias and scale factor of every axis, with standard errors."""
+    """Return the table of bias and scale factor of every axis, with standard errors."""
     rows = []
     for name, sensor in tumble.calibration.sensors.items():
         factor, unit = READABLE[sensor.unit]
@@ -224,7 +224,7 @@ def calibration_section(tumble: TumbleResult) -> Section:
 
 
 def noise_section(noise: dict[str, Any]) -> Section:
-    """Noise table and Allan curves of a `characterise_log` result."""
+    """Return noise table and Allan curves of a `characterise_log` result."""
     rows = []
     for sensor in noise["sensors"]:
         if sensor["quantity"] not in INERTIAL:
@@ -264,7 +264,7 @@ def noise_section(noise: dict[str, Any]) -> Section:
 
 
 def gain_section(rows: Rows) -> Section:
-    """Return every technique against the average."""
+    """Return the section that compares every technique with the average."""
     table, labels, ratios, errors = [], [], [], []
     unchanged: list[str] = []
     for case, gain in rows:
@@ -301,7 +301,7 @@ def gain_section(rows: Rows) -> Section:
 
 
 def heating_section(path: Path, calibration: Calibration) -> Section:
-    """Gyroscopes about box Y, the axes that the paper's Figure 10 shows."""
+    """Draw the gyroscopes about box Y, the axes of the paper's Figure 10."""
     with open_log(path) as log:
         barometer = log.of("pressure")[0]
         temperature = (np.asarray(barometer.time) * 1e-9, np.asarray(barometer.compensated("temperature")))
@@ -347,7 +347,7 @@ def drift_of_gyroscopes(log: Log, calibration: Calibration, temperature: tuple[A
 
 
 def _slow_error(time: Any, error: Any) -> tuple[Any, Any]:
-    """Time (s) and five-second means of the error about box Y in dps, from where it starts."""
+    """Return time (s) and five-second means of the error about box Y in dps, less its first value."""
     groups = (time - time[0]) // 5_000_000_000
     _, first = np.unique(groups, return_index=True)
     means = np.add.reduceat(error[:, 1], first) / np.diff(np.append(first, len(error)))
@@ -355,7 +355,7 @@ def _slow_error(time: Any, error: Any) -> tuple[Any, Any]:
 
 
 def motion_section(path: Path, calibration: Calibration) -> Section:
-    """BMA180 along box X while the box is shaken: the low range alone, the high range alone, both blended."""
+    """Draw the BMA180 along box X while the box is shaken: the low range, the high range, and both blended."""
     choices = {
         "±16 g alone": ("mean", BMA180S[:2]),
         "±1.5 g alone": ("mean", BMA180S[2:]),
@@ -393,7 +393,7 @@ def motion_section(path: Path, calibration: Calibration) -> Section:
 
 
 FUSED = ("mean", "opposed")
-"""Techniques whose result on the heating run is kept as a file."""
+"""Techniques whose result on the heating run is stored in a file."""
 
 DIAGNOSED = ("ADXL1", "BMA2", "Gyro1")
 """One sensor of each inertial chip."""
@@ -402,8 +402,8 @@ REPLICATES = 60
 
 
 def run_demo(config: Path, folder: Path, options: DemoOptions, report: Report) -> dict[str, Any]:
-    """Record, calibrate, fuse and report into `folder`; the summary, JSON-ready. OutputExistsError before anything is
-    recorded, unless forced.
+    """Record, calibrate, fuse and report into `folder`; return the summary, JSON-ready. OutputExistsError before
+    anything is recorded, unless forced.
     """
     prepare_folder(folder, options.force)
     logs, tumble, calibration = record_and_fuse(config, folder, options, report)
@@ -433,7 +433,7 @@ def run_demo(config: Path, folder: Path, options: DemoOptions, report: Report) -
 def demo_summary(
     folder: Path, lines: Sequence[str], measured: Mapping[str, Any], tumble: TumbleResult, diagnosis: Diagnosis
 ) -> dict[str, Any]:
-    """Return the summary of a demonstration in `folder`, JSON-ready; `measured` is what fusion gained."""
+    """Return the summary of a demonstration in `folder`, JSON-ready; `measured` has the gains of fusion."""
     return {
         "folder": str(folder),
         "report": str(folder / "report.html"),

@@ -1,5 +1,5 @@
 """The runs of the demonstration: four recordings of the emulated array, each independent of the others, so that several
-processes may record them. Those load this module alone and nothing that analyses a recording.
+processes may record them. Those processes load this module only, without any analysis.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ RATE_HZ = 48.0
 """The rate at which the paper logged its full array: (std/sem)^2 / 900 s of its Table 10."""
 
 RUNS = {"tumble": 0.25, "static": 0.25, "heating": 0.42, "shaking": 0.08}
-"""The runs, and the share of the recorded time that each of them gets."""
+"""The runs, and the share of the recorded time of each."""
 
 Report = Callable[[str], None]
 
@@ -38,8 +38,8 @@ def _world(run: str, seconds: float) -> str:
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """`seconds` of array time are recorded in all; `seed` draws the emulated noise; `force` overwrites what is there;
-    up to `workers` runs are recorded at a time, which changes nothing in them.
+    """`seconds` of array time are recorded in total; `seed` draws the emulated noise; `force` overwrites existing
+    files; up to `workers` runs are recorded at a time, without effect on the result.
     """
 
     seconds: float
@@ -66,7 +66,7 @@ def record_all(config: Path, folder: Path, options: DemoOptions, report: Report)
 
 
 def record_run(config: Path, path: Path, run: str, seconds: float, seed: int) -> None:
-    """Record one run of the emulated array, this many seconds long."""
+    """Record one run of the emulated array with a length of `seconds`."""
     array = load_array(config)
     with open_bus(f"emulated:?{_world(run, seconds)}&seed={seed}", array) as bus:
         start_s = bus.clock.now_ns() * 1e-9

@@ -1,9 +1,9 @@
 """Gain of the number of gyroscopes in an array, and of mounting them in opposite directions, by simulation.
 
-The units are drawn from the data sheets (`configs/models/datasheet.toml`). Data sheets state how far temperature slopes
-of the bias scatter, but not which part of them all units of a design share. So the heating is simulated with slopes
-that are drawn for each unit, and with the slope of the first unit for all, mounted as the array is and all in one
-direction.
+The units are drawn from the data sheets (`configs/models/datasheet.toml`). Data sheets state the scatter of the
+temperature slopes of the bias, but not the part that all units of a design share. The heating is therefore simulated
+with slopes that are drawn for each unit, and with the slope of the first unit for all, in the mounting of the array and
+with all in one direction.
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ from imuarray.simulate.experiments import ExperimentOptions
 from imuarray.studies.array_demo import polled_text
 
 NOISE_HZ, NOISE_S, NOISE_ROWS = 200.0, 120.0, 50
-"""Frames per second at rest: twice the usual bandwidth of 100 Hz, so that the noise keeps its density; and the rows of
-the means that are compared, because the mean of sensors that are read one after the other is smooth from row to row.
+"""Frames per second at rest: twice the usual bandwidth of 100 Hz, so that the noise keeps its density. It is also the
+rate of the means that are compared, because the mean of sensors that are read one after the other is smooth from row to
+row.
 """
 HEATING_HZ, HEATING_S = 20.0, 240.0
 I2C_HZ = 400_000
@@ -66,13 +67,13 @@ class NumberStudy:
     rows: tuple[NumberRow, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """JSON-ready."""
+        """Return the rows, JSON-ready."""
         return {"array": self.array, "seeds": self.seeds, "rows": [vars(row) for row in self.rows]}
 
 
 def study_numbers(array: ArrayConfig, seeds: int, progress: Callable[[int], None] = lambda done: None) -> NumberStudy:
     """Simulate the gyroscopes of `array` with seeds 1 ... `seeds` and fuse the first 1, 2, 4, ... of them; ConfigError
-    for an array with fewer than two. `progress` is called with the seeds that are done.
+    for an array with fewer than two. `progress` is called with the number of completed seeds.
     """
     gyroscopes = [sensor for sensor in array.sensors if sensor.spec.quantity == "angular_rate"]
     if len(gyroscopes) < 2:
@@ -93,7 +94,7 @@ def study_numbers(array: ArrayConfig, seeds: int, progress: Callable[[int], None
 
 
 def _squares(array: ArrayConfig, counts: Sequence[int], seed: int) -> Floats:
-    """Return (counts, 4) mean squares of what a `NumberRow` has."""
+    """Return (counts, 4) mean squares of the quantities of a `NumberRow`."""
     results = np.zeros((len(counts), 4))
     with TemporaryDirectory(prefix="imuarray_study_") as folder:
         path = Path(folder) / "run.h5"
@@ -124,8 +125,8 @@ def _in_one_direction(array: ArrayConfig) -> ArrayConfig:
 def _simulate(
     array: ArrayConfig, experiment: str, frames: tuple[float, float], seed: int, path: Path, slopes: str = OWN
 ) -> None:
-    """One log; `frames` are their rate in Hz and their duration in s. With `SHARED` slopes, all sensors have the
-    temperature slope of the first, in their own axes.
+    """Simulate one log; `frames` are their rate in Hz and their duration in s. With `SHARED` slopes, all sensors have
+    the temperature slope of the first, in their own axes.
     """
     plan = plan_of(array, *frames)
     model = load_model(configs() / "models" / "datasheet.toml")
@@ -144,7 +145,7 @@ def _simulate(
 
 
 def _errors(path: Path) -> tuple[Times, Floats]:
-    """Times (n,) in ns of the first gyroscope's frames, and errors (k, n, 3) in rad/s of each gyroscope."""
+    """Return the times (n,) in ns of the first gyroscope's frames, and errors (k, n, 3) in rad/s of each gyroscope."""
     with open_log(path) as log:
         axis_errors = [
             errors_of(log, fuse(log, Calibration(), "mean", only=[gyroscope.name]))["angular_rate"]
@@ -155,7 +156,7 @@ def _errors(path: Path) -> tuple[Times, Floats]:
 
 
 def _bus_us(sensor: SensorConfig) -> float:
-    """Time of one burst of the chip, by the clocks of its bytes: BUS-07, and the first byte on SPI."""
+    """Return the time of one burst of the chip, by the clocks of its bytes: BUS-07, and the first byte on SPI."""
     size = sensor.spec.burst_bytes
     if sensor.on_spi:
         return 1e6 * 8 * (size + 1) / sensor.spi_rules.clock_hz
@@ -163,7 +164,7 @@ def _bus_us(sensor: SensorConfig) -> float:
 
 
 def render_numbers(study: NumberStudy) -> str:
-    """Return the rows as text; the last line is ended."""
+    """Return the rows as text, with a line end after the last one."""
     single = study.rows[0]
     lines = [
         f"mean of n gyroscopes of {study.array}, drawn from the data sheets, {counted(study.seeds, 'seed')}",

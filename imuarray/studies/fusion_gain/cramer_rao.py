@@ -1,9 +1,9 @@
 """The Bayesian Cramer-Rao bound of an array whose errors have a known distribution, and the estimate that reaches it.
 
-Reading i of axis k is ``d_k . u(t_i) + c_k(t_i) + w_k(t_i)``. About u, anything may happen from frame to frame (a flat
-prior, independent in time); the slow errors c are jointly normal, the noise w is white. All is linear and normal, so
-the bound (Van Trees, Detection, Estimation, and Modulation Theory, Part I, 1968, section 2.4) is the posterior
-covariance itself, and it is reached.
+Reading i of axis k is ``d_k . u(t_i) + c_k(t_i) + w_k(t_i)``. u is unknown in every frame (a flat prior, independent in
+time); the slow errors c are jointly normal, the noise w is white. The model is linear and normal, so the bound (Van
+Trees, Detection, Estimation, and Modulation Theory, Part I, 1968, section 2.4) is the posterior covariance itself, and
+it is reached.
 
 With noise whitened, N = R^-1/2, the columns of V an orthonormal basis of what N D can't reach (the parity space: m - 3
 directions), and G = (D' R^-1 D)^-1 D' R^-1 the weights of one frame alone::
@@ -11,14 +11,14 @@ directions), and G = (D' R^-1 D)^-1 D' R^-1 the weights of one frame alone::
     y = V' N z = V' N c + unit noise           tells of c whatever u is, and nothing else does
     cov u(t)   = (D' R^-1 D)^-1 + G cov(c(t) | y) G'
 
-for G w and V' N w are uncorrelated. Over a stretch in which c stays as it is, L frames of y are as good as their mean
-with noise 1 / L: the white noise is aggregated without loss, whatever the log's rate. c at all stretches is one normal
+for G w and V' N w are uncorrelated. Over a stretch in which c is constant, L frames of y are equivalent to their mean
+with noise 1 / L: the white noise is aggregated without loss, at any rate of the log. c at all stretches is one normal
 vector (T m,), conditioned on one stretch after the other by dense linear algebra; no state-space form, no filter.
 
-Causal: at each stretch after its own readings (all of them, so that the bound is below what a filter reaches within
+Causal: at each stretch after its own readings (all of them, so that the bound is below the error of a filter within
 it); smoothed: after all readings.
 
-`true_calibration` and `law_of` give what a simulation knows of its units: the constant errors (response, bias and its
+`true_calibration` and `law_of` give the true parameters of simulated units: the constant errors (response, bias and its
 temperature slope) as a calibration, and the distribution of the errors that change at each switch-on or continuously
 (turn-on bias, bias instability, common mode, white noise). The bound holds only for simulations without the effects in
 `OUTSIDE`. `Posterior` computes bound and posterior mean over a log.
@@ -59,11 +59,9 @@ from imuarray.units import INERTIAL, SI_PER_UNIT
 
 @dataclass(frozen=True)
 class SlowError:
-    """``loading x(t)`` on the m axes, x ~ N(0, 1) at any time, loading (m,) in SI: on one axis its own, on several one
-    that they share.
-
-    x forgets itself as ``exp(-|t| / time_constant_s)`` (first-order Gauss-Markov; inf: a constant, as turn-on). With
-    `per_degc` it is a slope: x times the temperature's distance from that reference, in degC.
+    """``loading x(t)`` on the m axes, x ~ N(0, 1) at any time, loading (m,) in SI: of one axis, or shared by several.
+    The correlation of x is ``exp(-|t| / time_constant_s)`` (first-order Gauss-Markov; inf: a constant, as turn-on).
+    With `per_degc` it is a slope: x times the temperature's distance from that reference, in degC.
     """
 
     loading: Floats
@@ -74,7 +72,7 @@ class SlowError:
 @dataclass(frozen=True)
 class ErrorLaw:
     """The law of m axes of one quantity: directions_box (m, 3) unit vectors, noise_si (m,) white noise of a reading
-    (rounding in it), and their slow errors, independent of each other.
+    (including rounding), and their slow errors, independent of each other.
     """
 
     directions_box: Floats
@@ -84,8 +82,8 @@ class ErrorLaw:
 
 @dataclass(frozen=True)
 class StretchReadings:
-    """`frames` frames of one stretch in which the same axes `known` (m,) had a reading; `mean_si` (m,), if wanted, the
-    mean of what they read.
+    """`frames` frames of one stretch in which the same axes `known` (m,) had a reading; `mean_si` (m,) is the mean of
+    their readings, if it is needed.
     """
 
     known: Booleans
@@ -95,7 +93,7 @@ class StretchReadings:
 
 @dataclass(frozen=True)
 class BoundStretch:
-    """Frames about `time_s` in which slow errors are taken as constant, at a temperature."""
+    """Frames about `time_s` in which slow errors are taken as constant, at one temperature."""
 
     time_s: float
     seen: tuple[StretchReadings, ...]
@@ -104,8 +102,8 @@ class BoundStretch:
 
 @dataclass(frozen=True)
 class Bound:
-    """Covariances of what is known of u, means over the frames of each of T stretches: causal and smoothed (T, 3, 3)
-    in SI; `frames` (T,). What is known of the slow errors: their posterior means (T, m), zero if no readings came.
+    """Posterior covariances of u, means over the frames of each of T stretches: causal and smoothed (T, 3, 3) in SI;
+    `frames` (T,). The slow errors have their posterior means (T, m), zero without readings.
     """
 
     causal: Floats
@@ -116,17 +114,17 @@ class Bound:
 
     @property
     def causal_rms(self) -> Floats:
-        """(3,) the least rms error about each box axis of an estimator that does not see the future."""
+        """The least rms error (3,) about each box axis of an estimator without future readings."""
         return _rms(self.causal, self.frames)
 
     @property
     def smoothed_rms(self) -> Floats:
-        """(3,) the least rms error of any estimator."""
+        """The least rms error (3,) of any estimator."""
         return _rms(self.smoothed, self.frames)
 
 
 def bound(law: ErrorLaw, stretches: Sequence[BoundStretch]) -> Bound:
-    """Return the bound over a log; FusionError if the axes known in some frame don't span space."""
+    """Return the bound over a log; FusionError if the axes with readings in some frame don't span space."""
     axes, count = len(law.noise_si), len(stretches)
     covariance = slow_covariance(law, stretches)
     mean = np.zeros(count * axes)
@@ -144,7 +142,7 @@ def bound(law: ErrorLaw, stretches: Sequence[BoundStretch]) -> Bound:
 
 
 def slow_covariance(law: ErrorLaw, stretches: Sequence[BoundStretch]) -> Floats:
-    """(T m, T m) prior covariance of the slow errors, stretch after stretch."""
+    """Return the prior covariance (T m, T m) of the slow errors, stretch after stretch."""
     time_s = np.array([stretch.time_s for stretch in stretches])
     degc = np.array([stretch.temperature_degc for stretch in stretches])
     size = len(time_s) * len(law.noise_si)
@@ -170,7 +168,7 @@ def frame_weights(law: ErrorLaw, present: Booleans) -> tuple[Floats, Floats]:
 
 
 def _condition(covariance: Floats, mean: Floats, block: slice, law: ErrorLaw, readings: StretchReadings) -> None:
-    """Take in what the parity space of some frames tells, in place."""
+    """Condition the slow errors on the parity space of some frames, in place."""
     whitened = law.directions_box[readings.known] / law.noise_si[readings.known, None]
     basis = np.linalg.svd(whitened)[0][:, 3:]
     if readings.frames == 0 or basis.shape[1] == 0:
@@ -187,7 +185,7 @@ def _condition(covariance: Floats, mean: Floats, block: slice, law: ErrorLaw, re
 
 
 def _of_motion(law: ErrorLaw, several: Sequence[StretchReadings], slow: Floats) -> Floats:
-    """Return (3, 3) covariance of u, a mean over the frames, where that of the slow errors is `slow` (m, m)."""
+    """Return (3, 3) covariance of u, a mean over the frames, for the covariance `slow` (m, m) of the slow errors."""
     total = np.zeros((3, 3))
     for readings in several:
         weights, alone = frame_weights(law, readings.known)
@@ -212,7 +210,7 @@ OUTSIDE = tuple(name for name in EFFECTS if name not in _INSIDE)
 
 
 def true_calibration(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effect]]) -> Calibration:
-    """Return the true parameters of these units as a calibration: every figure that stays the same from boot to boot,
+    """Return the true parameters of these units as a calibration: all parameters that are the same in every boot,
     without error.
     """
     inertial = {header.name: header for header in headers if header.quantity in INERTIAL}
@@ -221,8 +219,8 @@ def true_calibration(headers: Sequence[SensorHeader], effects: Mapping[str, Sequ
 
 
 def law_of(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effect]]) -> ErrorLaw:
-    """Return the law of what `true_calibration` leaves, per axis of these sensors (of one quantity), in order, in SI
-    along the axes that they really have.
+    """Return the law of the errors that `true_calibration` does not remove, per axis of these sensors (of one
+    quantity), in order, in SI along their true axes.
     """
     units = [_calibrated(header, effects.get(header.name, ())) for header in headers]
     noise = np.concatenate([unit.noise_lsb / unit.lsb_per_si for unit in units if unit.noise_lsb is not None])
@@ -264,7 +262,7 @@ def _calibrated(header: SensorHeader, effects: Sequence[Effect]) -> SensorCalibr
         response_lsb_per_unit=header.sensitivity * gains[:, None] * (leaning @ np.array(header.orientation).T),
         bias_sem_lsb=np.zeros(3),
         response_sem_lsb_per_unit=np.zeros(3),
-        noise_lsb=np.sqrt(noise**2 + code_span(header).step ** 2 / 12),  # rounding as noise of its own (Sheppard)
+        noise_lsb=np.sqrt(noise**2 + code_span(header).step ** 2 / 12),  # rounding as independent noise (Sheppard)
         temperature_degc=reference_degc,
         range=header.range,
         thermal=Thermal(
@@ -278,20 +276,20 @@ def _calibrated(header: SensorHeader, effects: Sequence[Effect]) -> SensorCalibr
 
 
 def _triple(effects: Sequence[Effect], kind: type[Effect], name: str) -> Floats:
-    """Return (3,) a parameter of the effects of one kind, their root sum of squares or sum; zero without any."""
+    """Return a parameter (3,) of the effects of one kind, their root sum of squares or sum; zero without any."""
     result = np.array([np.zeros(3), *(getattr(effect, name) for effect in effects if isinstance(effect, kind))])
     return np.asarray(np.sqrt((result**2).sum(axis=0)) if name == "rms" else result.sum(axis=0))
 
 
 STRETCHES = 60
 """Number of stretches of a log: 11 s each of the longest. Slow errors of the simulated array have time constants of 600
-s: about its mean over 11 s such an error scatters by 11 / 600 / 3 = 0.6 % of its variance, which itself is little
-beside the noise.
+s: about its mean over 11 s such an error scatters by 11 / 600 / 3 = 0.6 % of its variance, which is itself small
+compared with the noise.
 """
 
 
 class Posterior:
-    """Bounds of both quantities over a log, whose calibration is true and whose errors follow `laws`."""
+    """The bounds of both quantities over a log with a true calibration, whose errors follow `laws`."""
 
     def __init__(
         self, log: Log, calibration: Calibration, laws: Mapping[str, ErrorLaw], names: Sequence[str] = ()
@@ -308,7 +306,7 @@ class Posterior:
         }
 
     def blocks(self, *, smoothed: bool = False) -> Iterator[FusedBlock]:
-        """Yield the posterior mean of each frame with its covariance: what the bound is the bound of."""
+        """Yield the posterior mean of each frame with its covariance, the bound."""
         for frames in self._frames():
             result = {quantity: self._estimated(quantity, part, smoothed) for quantity, part in frames.items()}
             triads = {quantity: triad for quantity, (triad, _) in result.items()}
@@ -353,9 +351,7 @@ class Posterior:
 
 
 def axes_known(part: Frames) -> Booleans:
-    """Return (n, m) axes that had a reading: valid, or off the ends of the range though another axis of the triad
-    was not.
-    """
+    """Return (n, m) axes that had a reading: valid, or beyond the range while another axis of the triad was not."""
     if part.clipped is None or not part.clipped.any():
         return part.valid
     triads = (part.clipped != 0).reshape(len(part.clipped), -1, 3)

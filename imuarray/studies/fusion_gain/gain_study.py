@@ -53,8 +53,8 @@ def martin2013() -> ArrayConfig:
 
 
 def perpendicular() -> ArrayConfig:
-    """Return the paper's ADXL345, ADXL2's board stood up: its z, twice as noisy as x and y, lies along X instead of Z,
-    and its x along Z (the paper's section 2.2; its own boards lie in parallel).
+    """Return the paper's ADXL345, with ADXL2's board mounted perpendicularly: its z, twice as noisy as x and y, lies
+    along X instead of Z, and its x along Z (the paper's section 2.2; its own boards lie in parallel).
     """
     table = tomllib.loads(martin2013().text)
     table["array"]["name"] = "perpendicular"
@@ -80,17 +80,19 @@ of Gyro1, Gyro2 and Gyro3, and its specific force that of all six accelerometers
 """
 
 RATE_HZ = 48.0
-"""Frames per second: the paper's array was read about as often. At a rate of 50 Hz the gyroscopes' 50 Hz tone would
-stand still.
+"""Frames per second: the paper's array was read about as often. At a rate of 50 Hz the gyroscopes' 50 Hz tone would be
+a constant.
 """
 
 TUMBLE_S, HEATING_S, BOOT_S = 300.0, 900.0, 30.0
 BOOTS = 12
 _FIRST_BOOT = 1000
-"""Boots of calibrating logs are numbered from here: none of them is one that is fused."""
+"""First boot of the calibrating logs: it is larger than that of any log that is fused."""
 
 FAULTS = ("range_reset",)
-"""Left out everywhere: a unit that came up in another range is a fault to be found, not an error to be averaged."""
+"""Effect that is never simulated: a unit that starts in another range is a fault to be detected, not an error to be
+averaged.
+"""
 
 SLOPES = "measured"
 NO_SLOPES = "no slopes"
@@ -109,7 +111,8 @@ def simulated(array: ArrayConfig, motion: Motion, seed: int, boot: int, without:
 @lru_cache(maxsize=4)
 def measured(array_name: str, seed: int) -> Mapping[str, Calibration]:
     """Return the calibrations by name: "no slopes", biases and responses from the six faces with noise and turn-on;
-    "measured", the same with slopes from a heating log. Kept: all experiments with one seed are of the same units.
+    "measured", the same with slopes from a heating log. The result is cached: all experiments with one seed have the
+    same units.
     """
     array = ARRAYS[array_name]()
     with TemporaryDirectory(prefix="imuarray_study_") as folder, ExitStack() as stack:
@@ -129,10 +132,10 @@ def measured(array_name: str, seed: int) -> Mapping[str, Calibration]:
 
 
 CAUSAL, SMOOTHED = "bound, causal", "bound, smoothed"
-"""The posterior mean beside the techniques: it reaches the bound on the very readings that they are given."""
+"""Name of the posterior mean among the techniques: it reaches the bound on the same readings."""
 
 OPTIMAL_CAUSAL = "optimal, causal"
-"""`optimal` as a live log is fused; `optimal` itself sees the whole log."""
+"""`optimal` as in the fusion of a live log; `optimal` itself uses the whole log."""
 
 BOX_AXES = ("X", "Y", "Z", "XYZ")
 COASTING = ("heading", "velocity")
@@ -140,11 +143,11 @@ COASTING = ("heading", "velocity")
 
 @dataclass(frozen=True)
 class StudyExperiment:
-    """Experiment of the study: what happens to the box (`imuarray.simulate.experiments`), for how long, how often it is
-    switched on, and whether the bound holds.
+    """Experiment of the study: the motion of the box (`imuarray.simulate.experiments`), its length, the number of
+    switch-ons, and whether the bound holds.
 
-    It does not under a motion that is fast for the chips' converters: a reading is up to a converter's period old, of
-    which the bound knows nothing.
+    It does not under a motion that is fast for the chips' converters: a reading is up to a converter's period old,
+    which the bound does not include.
     """
 
     motion: str
@@ -173,9 +176,9 @@ _BOOTS_APART = 100
 
 @dataclass(frozen=True)
 class RunErrors:
-    """Mean squares of one run: what was fused how, of which quantity ("" for coasting), and by `measure` and box axis
-    the mean square in SI (deg, m/s for coasting). `bound`, the same of the bound ("rms" alone); `normalised`, the mean
-    error squared by its covariance, and whether that holds.
+    """Mean squares of one run: experiment, sensors and technique, the quantity ("" for coasting), and by `measure` and
+    box axis the mean square in SI (deg, m/s for coasting). `bound` has the mean squares of the bound (only for "rms");
+    `normalised` the mean normalised error squared, and whether it is in its interval.
     """
 
     experiment: str
@@ -191,7 +194,7 @@ class RunErrors:
 
 
 def run(name: str, seed: int, seconds: float | None = None) -> list[RunErrors]:
-    """Return everything about one experiment with one seed; `seconds` instead of its own length."""
+    """Return all results of one experiment with one seed; `seconds` replaces its own length."""
     rows: list[RunErrors] = []
     with TemporaryDirectory(prefix="imuarray_study_") as folder:
         for array_name, make in ARRAYS.items():
@@ -212,7 +215,7 @@ def _of_boot(
     calibrations: Mapping[str, Calibration],
     folder: Path,
 ) -> Iterator[RunErrors]:
-    """One log of all effects and one of those that the law has."""
+    """Return the results of one log of all effects and one with the effects of the law."""
     experiment = EXPERIMENTS[name]
     motion = MOTIONS[experiment.motion](
         ExperimentOptions(seconds=seconds or experiment.seconds, drive=experiment.drive)
@@ -255,7 +258,7 @@ def _results(
 
 
 def _compare_with_bound(log: Log, simulation: Simulation, names: tuple[str, ...], label: Label) -> Iterator[RunErrors]:
-    """Yield the techniques with the true calibration, and the posterior mean, each beside the bound."""
+    """Yield the techniques with the true calibration, and the posterior mean, each with the bound."""
     headers = {
         quantity: [
             sensor.header
@@ -313,7 +316,7 @@ def _by_axis(squares: Floats) -> dict[str, float]:
 
 
 Progress = Callable[[int, int, str], None]
-"""Told how many runs are done, of how many, and which one was."""
+"""Function that receives the number of completed runs, of all runs, and the name of the last one."""
 
 SEEDS = 6
 QUICK_SEEDS, QUICK_S = 2, 80.0
@@ -325,10 +328,10 @@ Job = tuple[str, int, float | None]
 class GainRow:
     """One measure of one technique, over all seeds.
 
-    `value`: root mean square in SI (degrees of heading, m/s of velocity). `over_mean`: over that of the simple average
-    of the same sensors; `over_bound`: over the bound ("rms" with the true calibration alone), the smoothed one for what
-    sees the whole log, else the causal one. `normalised`: the
-    mean error squared by the claimed covariance, and in what share of the runs that was in its interval ("rms").
+    `value`: root mean square in SI (degrees of heading, m/s of velocity). `over_mean`: relative to the simple average
+    of the same sensors; `over_bound`: relative to the bound (only for "rms" with the true calibration), the smoothed
+    one for techniques that use the whole log, else the causal one. `normalised`: the mean normalised error squared, and
+    the share of runs in which it was in its interval ("rms").
     """
 
     experiment: str
@@ -345,14 +348,14 @@ class GainRow:
     consistent: float | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """JSON-ready; None for an end of an interval that one seed alone can't tell."""
+        """Return the row, JSON-ready; an end of an interval that one seed can't determine is None."""
         ratios = {name: _ratio_json(getattr(self, name)) for name in ("over_mean", "over_bound")}
         return {**vars(self), **ratios}
 
 
 @dataclass(frozen=True)
 class Study:
-    """The rows, the seeds that they are over, and the length that was asked for (None: each experiment's own)."""
+    """The rows, their seeds, and the requested length (None: that of each experiment)."""
 
     rows: tuple[GainRow, ...]
     seeds: tuple[int, ...]
@@ -363,7 +366,7 @@ class Study:
         return [row for row in self.rows if all(getattr(row, name) == value for name, value in wanted.items())]
 
     def as_json(self) -> dict[str, Any]:
-        """JSON-ready."""
+        """Return the study, JSON-ready."""
         return {
             "seeds": list(self.seeds),
             "experiments": {name: vars(EXPERIMENTS[name]) for name in dict.fromkeys(r.experiment for r in self.rows)},
@@ -380,8 +383,8 @@ def study(
     executor: Executor | None = None,
     progress: Progress = lambda done, total, what: None,
 ) -> Study:
-    """Return every technique in these experiments with seeds 1 ... `seeds`; `executor` shares the runs out, and changes
-    nothing else. `seconds`: of every log instead of its own length.
+    """Return every technique in these experiments with seeds 1 ... `seeds`; `executor` distributes the runs, without
+    effect on the result. `seconds` replaces the length of every log.
     """
     jobs: list[Job] = [(name, seed, seconds) for seed in range(1, seeds + 1) for name in experiments]
     measured: list[RunErrors] = []
@@ -392,12 +395,12 @@ def study(
 
 
 def _ran(job: Job) -> list[RunErrors]:
-    """One job, where a process can find it."""
+    """Carry out one job; a function of the module, so that another process can import it."""
     return run(*job)
 
 
 def rows_of(measured: Iterable[RunErrors]) -> list[GainRow]:
-    """Return the rows that runs give together; boots of one seed share their calibration and count as one."""
+    """Return the rows of all runs; boots of one seed share their calibration and count as one."""
     groups: dict[tuple[str, ...], list[RunErrors]] = defaultdict(list)
     for item in measured:
         groups[item.experiment, item.calibration, item.sensors, item.technique, item.quantity].append(item)
@@ -424,7 +427,7 @@ def rows_of(measured: Iterable[RunErrors]) -> list[GainRow]:
 
 
 def _by_seed(runs: Sequence[RunErrors], squares: Sequence[float]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Means of the runs' squares, one a seed."""
+    """Return means of the runs' squares, one for each seed."""
     results: dict[int, list[float]] = defaultdict(list)
     for item, square in zip(runs, squares, strict=True):
         results[item.replicate[0]].append(square)
@@ -445,10 +448,10 @@ def _ratio_json(ratio: Ratio | None) -> dict[str, float | None] | None:
 _HEAD = f"  {'':18} {'rms':>8} {'over the average':>23} {'its drift':>23} {'over the bound':>23} {'normalised^2':>12}"
 
 _NEGLIGIBLE = 5e-4
-"""A change of a ratio that three digits don't show."""
+"""A change of a ratio that three digits do not show."""
 
 _WIDE = 20.0
-"""The ratio of the ends of an interval from which it says nothing."""
+"""Ratio of the ends of an interval above which it has no information."""
 
 WORDS = {
     "measured": "calibrated",
@@ -459,7 +462,7 @@ WORDS = {
 
 
 def render_text(study: Study) -> str:
-    """Lengths of error vectors, a line a technique that changes something; then coasting."""
+    """Yield the lengths of error vectors, a line for each technique with an effect; then coasting."""
     return "".join(f"{line}\n" for line in _lines(study))
 
 
@@ -479,7 +482,7 @@ def _lines(study: Study) -> Iterator[str]:
 
 
 def changed(row: GainRow) -> bool:
-    """Return whether a technique does anything here."""
+    """Return whether a technique has an effect."""
     return abs(row.over_mean.ratio - 1) > _NEGLIGIBLE
 
 

@@ -1,4 +1,4 @@
-"""The page of the study: the gain of each technique, where it gains, and its distance from the bound, with drawings."""
+"""The page of the study: the gain of each technique by experiment, and its distance from the bound, with drawings."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ class HeatingErrors(NamedTuple):
 
 
 def heated(seed: int = 1, seconds: float | None = None) -> HeatingErrors:
-    """One heating of the paper's array, fused with a calibration that knows no slopes; techniques that give the same as
-    the average are left out.
+    """Return one heating of the paper's array, fused with a calibration without slopes; techniques with the result of
+    the average are omitted.
     """
     experiment = EXPERIMENTS["heating"]
     motion = MOTIONS[experiment.motion](ExperimentOptions(seconds=seconds or experiment.seconds))
@@ -138,17 +138,19 @@ def _panel(axes: Axes, heading: str, rows: Sequence[GainRow], techniques: Sequen
 
 
 _BEYOND = 3.0
-"""Times the largest ratio: an interval that reaches further is cut there, since few seeds can make one very long."""
+"""Limit of an interval in multiples of the largest ratio: it is cut there, because few seeds can make an interval very
+long.
+"""
 
 
 _MOST_RATIO = 4.0
-"""Largest ratio that is drawn in its place: one that is beyond is an arrow with its number at the edge, since it would
-squeeze all others into the first millimetres of the axis.
+"""Largest ratio that is drawn at its place: a larger one is an arrow with its number at the edge, because it would
+compress all others.
 """
 
 
 def _mark_beyond(axes: Axes, ratios: Sequence[Ratio], places: Sequence[float], colour: str) -> None:
-    """An arrow at the right edge, and the number, for each ratio beyond `_MOST_RATIO`."""
+    """Draw an arrow at the right edge, and the number, for each ratio above `_MOST_RATIO`."""
     for ratio, place in zip(ratios, places, strict=True):
         if ratio.ratio > _MOST_RATIO:
             across = axes.get_yaxis_transform()
@@ -168,7 +170,7 @@ def _furthest(ratios: Sequence[Ratio]) -> float:
 
 
 def _reach(ratios: Sequence[Ratio]) -> Floats:
-    """Return (2, n) how far intervals reach to both sides; nowhere where there is none."""
+    """Return the lengths (2, n) of intervals to both sides; nan without an interval."""
     low = [ratio.ratio - ratio.low for ratio in ratios]
     high = [ratio.high - ratio.ratio for ratio in ratios]
     return np.asarray(np.maximum(np.nan_to_num(np.array([low, high])), 0.0))
@@ -177,7 +179,9 @@ def _reach(ratios: Sequence[Ratio]) -> Floats:
 def heating_figure(
     time_s: Floats, curves: Mapping[str, Sequence[Floats]], temperature: tuple[Floats, Floats], unit: str
 ) -> Drawing:
-    """Ten-second means of the errors along box X, Y and Z of some techniques (three (n,) each), and the temperature."""
+    """Draw ten-second means of the errors along box X, Y and Z of some techniques (three (n,) each), and the
+    temperature.
+    """
     figure = new_figure(9.0, 7.0)
     axes_column = figure.subplots(4, 1, sharex=True, height_ratios=(3, 3, 3, 2))
     for axis, axes in enumerate(axes_column[:3]):
@@ -194,7 +198,7 @@ def heating_figure(
 
 
 def drawings_of(study: Study, warm: HeatingErrors | None) -> dict[str, Drawing]:
-    """Return the figures by file name, as many as there are rows for; MissingExtraError without matplotlib."""
+    """Return the figures by file name, those that have rows; MissingExtraError without matplotlib."""
     vectors = [row for row in study.of(measure="rms", box_axis="XYZ", calibration="measured") if changed(row)]
     bounded = study.of(measure="rms", box_axis="XYZ", calibration="true")
     bounded = [row for row in bounded if row.technique != SMOOTHED and (row.technique == AVERAGE or changed(row))]
@@ -274,7 +278,7 @@ def write_study_page(
 
 
 def study_verdict(study: Study) -> Verdict:
-    """Return the verdict: which technique gains most, and how much each gains at best."""
+    """Return the verdict: the technique with the largest gain, and the largest gain of each."""
     best = sorted(_best_rows(study).values(), key=lambda row: row.over_mean.ratio)
     if not best:
         return Verdict("No technique was compared with the simple average.")
@@ -290,9 +294,7 @@ def study_verdict(study: Study) -> Verdict:
 
 
 def summary(study: Study) -> list[str]:
-    """Return the summary that takes half a minute to read: each technique where it gains most, and how far the best is
-    from the bound.
-    """
+    """Return the summary: each technique in its best case, and the distance of the best one from the bound."""
     lines = []
     for technique, best in _best_rows(study).items():
         place = f"{best.experiment}, {best.sensors}, {best.quantity.replace('_', ' ')}"
@@ -302,7 +304,7 @@ def summary(study: Study) -> list[str]:
 
 
 def _best_rows(study: Study) -> dict[str, GainRow]:
-    """Return each technique's row where it gains most."""
+    """Return the row with the largest gain of each technique."""
     vectors = [
         row for row in study.of(measure="rms", box_axis="XYZ", calibration="measured") if row.technique != AVERAGE
     ]
@@ -338,6 +340,6 @@ def _line(row: GainRow) -> list[str]:
 
 
 _LOST_DEG = 60.0
-"""Root mean square error of a heading that is as good as unknown: one drawn at random errs by 104 degrees."""
+"""Root mean square error from which a heading is unknown: a random heading has an error of 104 degrees."""
 
 _END_UNITS = {"heading": "deg", "velocity": "m/s"}

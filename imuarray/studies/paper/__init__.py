@@ -1,13 +1,13 @@
 """The paper's own numbers, recomputed from the tables that it prints, and its conclusions checked against them.
 
 H. Martin, P. Groves, M. Newman, R. Faragher, A New Approach to Better Low-Cost MEMS IMU Performance Using Sensor
-Arrays, 26th International Technical Meeting of the Satellite Division of The Institute of Navigation (ION GNSS+
-2013), Nashville, Tennessee, September 2013: "the paper" everywhere in this project. Its raw logs are not public; its
-Tables 1 to 11 (`tables/`) are the only measurements of that array there are.
+Arrays, 26th International Technical Meeting of the Satellite Division of The Institute of Navigation (ION GNSS+ 2013),
+Nashville, Tennessee, September 2013: "the paper" everywhere in this project. Its raw logs are not public; its Tables 1
+to 11 (`tables/`) are the only published measurements of that array.
 
 Counts are "lsb", specific force mg and angular rate degrees per second here, as the paper prints them. Numbers are
-decimal, so nothing is lost to binary rounding before it is compared with a printed digit. Needs only the standard
-library.
+decimal, so that there is no binary rounding before the comparison with a printed digit. Only the standard library is
+needed.
 """
 
 from __future__ import annotations

@@ -62,32 +62,34 @@ from imuarray.studies.paper.variation import bias_states, boot_faults
 WINDOW_S = 300.0
 """Table 11's means are over five minutes (section 4)."""
 PARTS = 15
-"""Windows in a row, and runs, of which Table 11 gives the standard deviation."""
+"""Number of consecutive windows, and of runs, of which Table 11 gives the standard deviation."""
 TIME_CONSTANT_S = 600.0
 """Time constant of the in-run wander, one for all channels. The paper prints none; three columns bracket it.
 
-Longer than 100 s: first and last face of Table 10 differ, drift with temperature taken out, by a median of 1.6 of
-Table 11's in-run deviations, where a wander of 100 s makes it 0.64, one of 600 s 0.94 and one of 3000 s 1.4; and range
-over deviation of Table 11's fifteen windows is 3.39 on average, where windows that know nothing of each other have
-3.54 and those of a wander of 600 s 3.45. Shorter than 1000 s: BMA3's x and y vary less from run to run than within one.
+Longer than 100 s: first and last face of Table 10 differ, drift with temperature taken out, by a median of 1.6 of Table
+11's in-run deviations, where a wander of 100 s makes it 0.64, one of 600 s 0.94 and one of 3000 s 1.4; and range over
+deviation of Table 11's fifteen windows is 3.39 on average, where independent windows have 3.54 and those of a wander of
+600 s 3.45. Shorter than 1000 s: BMA3's x and y vary less from run to run than within one.
 """
 
 
 def variance_of_mean(window_s: float, time_constant_s: float = TIME_CONSTANT_S) -> float:
-    """Variance of the mean over one window, as a share of the process's."""
+    """Return the variance of the mean over one window, as a share of the process's."""
     ratio = time_constant_s / window_s
     return 2 * ratio * (1 - ratio * (1 - exp(-1 / ratio)))
 
 
 def covariance_of_means(windows_apart: int, window_s: float, time_constant_s: float = TIME_CONSTANT_S) -> float:
-    """Covariance of the means over two windows of which the second begins `windows_apart` >= 1 windows later."""
+    """Return the covariance of the means over two windows of which the second begins `windows_apart` >= 1 windows
+    later.
+    """
     ratio = time_constant_s / window_s
     decay = exp(-1 / ratio)
     return ratio**2 * (1 - decay) ** 2 * decay ** (windows_apart - 1)
 
 
 def expected_scatter(window_s: float = WINDOW_S, time_constant_s: float = TIME_CONSTANT_S, parts: int = PARTS) -> float:
-    """Expected sample variance of the means of `parts` windows in a row."""
+    """Return the expected sample variance of the means of `parts` consecutive windows."""
     pairs = sum((parts - k) * covariance_of_means(k, window_s, time_constant_s) for k in range(1, parts))
     return variance_of_mean(window_s, time_constant_s) - 2 * pairs / (parts * (parts - 1))
 
@@ -97,16 +99,15 @@ CHIP = {"ADXL": "adxl345", "BMA": "bma180", "Gyro": "l3g4200d"}
 RANGE = {"16g": 16.0, "1.5g": 1.5, "2k dps": 2000.0, "250dps": 250.0}
 """Ranges as the tables print them, in the sensor's unit."""
 STEP_LSB = {"ADXL": 2.0, "BMA": 1.0, "Gyro": 1.0}
-"""Distance of the codes that occur: the ADXL345 gave even ones only (appendix A.2)."""
+"""Distance of the codes that occur: the ADXL345 returned even ones only (appendix A.2)."""
 TONE_HZ = 50.0
 """The line on the gyroscopes' y axis (appendix A.1, Figure 14)."""
 CUTOFF_HZ = 51.0
 """exp(-2 pi cutoff / 350 Hz) = 0.4, the correlation of neighbours in Figure 13."""
 TONE_SHARE = 0.03
-"""Our guess at its share of Table 9's variance on y; no number is printed.
-
-The autocorrelation of 480 000 readings then ripples by 0.03, twenty times its sampling error ("can be clearly seen"),
-and y's deviation grows by 1.5 %, less than the 5 % by which Table 9's x and z differ from each other.
+"""Our assumption of its share of Table 9's variance on y; no number is printed. The autocorrelation of 480 000 readings
+then ripples by 0.03, twenty times its sampling error ("can be clearly seen"), and y's deviation grows by 1.5 %, less
+than the 5 % by which Table 9's x and z differ from each other.
 """
 _STDS = ((10, "std_lsb"), (11, "runs_std"), (11, "cont_std"))
 
@@ -116,8 +117,8 @@ class SensorUnit:
     """One sensor: vectors have an entry for each of its axes, `response` (3, 3) a row; unit is "g" or "dps".
 
     `bias` at 25 degC (Gyro3: in its first state), `response` to force along the sensor's nominal axes, `slope` per
-    degC, `noise` of single readings, `in_run` the stationary wander's rms, `turn_on` what runs differ by.
-    `thermometer` is what the chip's own one is off by, (offset, rms) in degC; None without one.
+    degC, `noise` of single readings, `in_run` the stationary wander's rms, `turn_on` the scatter between runs.
+    `thermometer` is the error of the chip's own one, (offset, rms) in degC; None without one.
     """
 
     name: str
@@ -139,12 +140,12 @@ class SensorUnit:
 
     @property
     def scale_error(self) -> Floats:
-        """An accelerometer's scale factors over the typical one, less one."""
+        """The accelerometer's scale factors relative to the typical one, less one."""
         return np.asarray(np.linalg.norm(self.response, axis=1) - 1)
 
     @property
     def angles_deg(self) -> list[float]:
-        """Return the angles by which an accelerometer's axes lean towards the others: xy, xz, yx, yz, zx, zy."""
+        """Return the misalignments of an accelerometer's axes towards the others: xy, xz, yx, yz, zx, zy."""
         r = self.response
         return [degrees(atan2(r[i, j], r[i, i])) for i in range(3) for j in range(3) if i != j]
 
@@ -161,19 +162,21 @@ def unit_of(name: str) -> SensorUnit:
 
 
 def tone_dps() -> float:
-    """Amplitude of the line on the gyroscopes' y axis: `TONE_SHARE` of the variance that Table 9 gives at 250 dps."""
+    """Return the amplitude of the line on the gyroscopes' y axis: `TONE_SHARE` of the variance that Table 9 gives at
+    250 dps.
+    """
     row = next(row for row in table(9) if row["output"] == "Gyro1 y" and row["range"] == "250dps")
     return sqrt(2 * TONE_SHARE) * float(number_in(row, "std_dps"))
 
 
 def gyro3_other_state_lsb() -> Floats:
-    """Return the step from Gyro3's first state of Table 7 to its second, in counts: 8 of 15 runs came up in that."""
+    """Return the step from Gyro3's first state of Table 7 to its second, in counts: 8 of 15 runs started in that."""
     first, second = bias_states()
     return np.asarray(np.array(second.centre) - np.array(first.centre))
 
 
 def bma1_reset_offset_g() -> Floats:
-    """Return what BMA1 reads more in run 10 of Table 6, taken at 2 g, than in its other runs, in g."""
+    """Return the difference of BMA1's reading in run 10 of Table 6, taken at 2 g, from its other runs, in g."""
     faulty = {fault.run: float(fault.range_lsb_per_g) for fault in boot_faults()}
     ((run, lsb_per_g),) = faulty.items()
     runs = runs_of("BMA1")
@@ -182,10 +185,10 @@ def bma1_reset_offset_g() -> Floats:
 
 
 def bma1_reset_noise_share() -> Floats:
-    """Return how noisy BMA1 is in run 10, as a share of its usual noise in g.
+    """Return the noise of BMA1 in run 10 over its usual noise in g.
 
     Table 11 prints the mean deviation of the 15 runs; the fourteen sound ones are taken to differ from the continuous
-    run as BMA2's do, and what is left is run 10's.
+    run as BMA2's do, and the rest is run 10's.
     """
     continuous, runs = (_column(11, "BMA1", column) for column in ("cont_std", "runs_std"))
     sound = continuous * _column(11, "BMA2", "runs_std") / _column(11, "BMA2", "cont_std")
@@ -201,7 +204,7 @@ def runs_of(name: str) -> Floats:
 
 
 def gyro1_bias_at_250dps() -> Floats:
-    """Gyro1 at 250 dps, from Table 9 (+X up): another range, another bias (section 5.1)."""
+    """Return Gyro1 at 250 dps, from Table 9 (+X up): another range, another bias (section 5.1)."""
     gyro = unit_of("Gyro1")
     rows = [row for row in table(9) if row["range"] == "250dps"]
     means = np.array([float(number_in(row, "mean_dps")) for row in rows])
@@ -210,7 +213,7 @@ def gyro1_bias_at_250dps() -> Floats:
 
 
 def high_rate_degc(range_name: str) -> float:
-    """Temperature of a high-rate experiment of Table 9, told by Gyro1's own thermometer: no other is printed."""
+    """Return the temperature of a high-rate experiment of Table 9 by Gyro1's own thermometer: no other is printed."""
     rows = [row for row in table(9) if row["output"] == "Gyro1 t"]
     row = rows[0] if range_name == "250dps" else rows[1]
     return _zero("Gyro1") - float(number_in(row, "mean_lsb"))
@@ -238,7 +241,7 @@ def _column(number: int, name: str, column: str) -> Floats:
 
 
 def _six_faces(name: str, rows: Sequence[Row], slope: Floats) -> tuple[Floats, Floats]:
-    """Bias (3,) at 25 degC and response (3, 3) along the sensor's nominal axes, counts and counts per g."""
+    """Return bias (3,) at 25 degC and response (3, 3) along the sensor's nominal axes, counts and counts per g."""
     readings = np.array([[float(number_in(row, face)) for face in READINGS[:6]] for row in rows])
     readings = readings - slope[:, None] * (np.array(FACES_DEGC[:6]) - REFERENCE_DEGC)
     z_up, x_up, y_up, x_down, y_down, z_down = readings.T
@@ -248,27 +251,29 @@ def _six_faces(name: str, rows: Sequence[Row], slope: Floats) -> tuple[Floats, F
 
 
 def _noise(name: str, design: str, lsb: float) -> Floats:
-    """Root of the mean variance in three experiments, less what rounding and the line add, counts."""
+    """Return the root of the mean variance in three experiments, less rounding and the line, counts."""
     variance = np.mean([_column(number, name, column) ** 2 for number, column in _STDS], axis=0)
     tone = np.array([0.0, (tone_dps() / lsb) ** 2 / 2, 0.0]) if design == "Gyro" else 0.0
     return np.asarray(np.sqrt(variance - STEP_LSB[design] ** 2 / 12 - tone))
 
 
 def _in_run(name: str, slope: Floats) -> Floats:
-    """Table 11's in-run deviation, less white noise and the drift with temperature, as the wander behind it."""
+    """Return Table 11's in-run deviation, less white noise and the drift with temperature, as a wander."""
     scatter = _column(11, name, "cont_std_of_means") ** 2 - _column(11, name, "cont_sem") ** 2
     remaining = scatter - (slope * DEGC[11, "cont_std_of_means"]) ** 2
     return np.asarray(np.sqrt(np.maximum(remaining, 0) / expected_scatter()))
 
 
 def _turn_on(name: str, slope: Floats, in_run: Floats) -> Floats:
-    """Table 11's run-to-run deviation, less white noise, temperature and the in-run wander of a run's mean."""
+    """Return Table 11's run-to-run deviation, less white noise, temperature and the in-run wander of a run's mean."""
     remaining = _run_variance(name) - _column(11, name, "runs_sem") ** 2 - in_run**2 * variance_of_mean(WINDOW_S)
     return np.asarray(np.sqrt(np.maximum(remaining - (slope * DEGC[11, "runs_std_of_means"]) ** 2, 0)))
 
 
 def _run_variance(name: str) -> Floats:
-    """Variance of the runs' means: BMA1's without its fault, Gyro3's within its states, else Table 11's column."""
+    """Return the variance of the runs' means: BMA1's without its fault, Gyro3's within its states, else Table 11's
+    column.
+    """
     if name == "BMA1":
         return np.asarray(np.delete(runs_of(name), [fault.run - 1 for fault in boot_faults()], axis=0).var(0, ddof=1))
     if name == "Gyro3":
@@ -279,7 +284,7 @@ def _run_variance(name: str) -> Floats:
 
 
 def _zero(name: str) -> float:
-    """Code of a gyroscope's thermometer at 0 degC: it falls by one per degC (L3G-60)."""
+    """Return the code of a gyroscope's thermometer at 0 degC: it decreases by one per degC (L3G-60)."""
     return float(np.mean([code + degc for code, degc in _thermometer_readings(name)]))
 
 
@@ -303,13 +308,14 @@ def _thermometer_parameters(name: str, design: str) -> tuple[float, float]:
 
 
 def _code_variance(name: str, codes_per_degc: float) -> float:
-    """Mean variance of the thermometer's codes in three experiments, less that of the temperature itself."""
+    """Return the mean variance of the thermometer's codes in three experiments, less that of the temperature itself."""
     variances = [float(number_in(row_of(number, f"{name} t"), column)) ** 2 for number, column in _STDS]
     return float(np.mean(variances) - codes_per_degc**2 * np.mean([DEGC[key] ** 2 for key in _STDS]))
 
 
 def rms_before_rounding(variance: float) -> float:
-    """Noise that, rounded to whole codes about a mean anywhere between two, has this variance on average.
+    """Return the noise that, rounded to whole codes about a mean at a random place between two, has this variance on
+    average.
 
     The average is s^2 + 1/12 - sum_k exp(-4 pi^2 k^2 s^2) / (2 pi^2 k^2); it grows with s from 0.
     """
@@ -325,8 +331,8 @@ def rms_before_rounding(variance: float) -> float:
 Table = dict[str, object]
 
 NOISE_BANDWIDTH_HZ = {"adxl345": 800.0, "l3g4200d": 35.0}
-"""Bandwidths of `configs/martin2013.toml` at which the noise of Tables 10 and 11 holds: half of 1600 Hz (ADX-32) and
-35 Hz (finding: 0.03 dps/sqrt(Hz), L3G-74). The paper says nothing of the BMA180's; its noise stands as it is.
+"""Bandwidths of `configs/martin2013.toml` at which the noise of Tables 10 and 11 holds: half of 1600 Hz (ADX-32) and 35
+Hz (finding: 0.03 dps/sqrt(Hz), L3G-74). The paper does not state the BMA180's; its noise is used as printed.
 """
 
 
@@ -341,19 +347,21 @@ class NormalPopulation:
 
 
 def spread(values: Floats, count: int, *, positive: bool = False) -> NormalPopulation:
-    """Return the population that `values` (any shape) of `count` units foretell."""
+    """Return the population that is predicted by `values` (any shape) of `count` units."""
     mean, sigma = float(values.mean()), float(values.std(ddof=1)) * sqrt(1 + 1 / count)
     limit = floor(mean * 1e6) / 1e6 if positive and mean < 3 * sigma else None
     return NormalPopulation(mean, sigma, 1 / (count + 1), limit)
 
 
 def about_zero(values: Floats, count: int) -> NormalPopulation:
-    """Return the same where no direction is preferred: mean 0."""
+    """Return the same if no direction is preferred: mean 0."""
     return NormalPopulation(0.0, float(np.sqrt(np.mean(values**2))) * sqrt(1 + 1 / count), 1 / (count + 1))
 
 
 def designs() -> Iterator[tuple[Table, dict[str, Table]]]:
-    """Yield (head, effects) of every [[design]] table: each chip at any range, then what depends on the range."""
+    """Yield (head, effects) of every [[design]] table: each chip at any range, then the effects that depend on the
+    range.
+    """
     for design, chip in CHIP.items():
         group = [unit for unit in units() if unit.design == design]
         head: Table = {"chip": chip}
@@ -370,11 +378,11 @@ _OF_RANGE = ("bias", "turn_on_bias", "bias_instability", "white_noise")
 _POPULATION_EFFECTS = (
     "g_sensitivity", "misalignment", "scale", "thermal_bias", "thermometer", *_OF_RANGE, "tone", "bandwidth"
 )  # fmt: skip
-"""Effects of units of a design, in the order of the file; faults of single units are no population."""
+"""Return the effects of units of a design, in the order of the file; faults of single units are no population."""
 
 
 def _population(group: Sequence[SensorUnit], names: Sequence[str]) -> dict[str, Table]:
-    """Return the effects that these units foretell for others; those that none of them has are left out."""
+    """Return the effects that these units predict for others, without those that none of them has."""
     measured = [unit_effects(unit) for unit in group]
     design, first = group[0].design, measured[0]
     return {
@@ -510,7 +518,7 @@ def _lines(table: Table, title: str) -> str:
 
 
 def _value(value: object) -> str:
-    """TOML of a text, a number (six digits), a population, or a list of them."""
+    """Format as TOML a text, a number (six digits), a population, or a list of them."""
     if isinstance(value, str):
         return f'"{value}"'
     if isinstance(value, NormalPopulation) and value.sigma == 0:

@@ -94,13 +94,17 @@ _RANGES = {"BMA": ("1.5g", "16g"), "Gyro": ("250dps", "2k dps")}
 
 
 def sign_test(positive: int, total: int) -> float:
-    """Exact two-sided probability of a split at least as uneven as `positive` of `total`, were both signs as likely."""
+    """Return the exact two-sided probability of a split at least as uneven as `positive` of `total` under equal
+    probabilities.
+    """
     tail = sum(comb(total, k) for k in range(min(positive, total - positive) + 1))
     return min(1.0, 2.0 * tail / (1 << total))
 
 
 def range_ratio(design: str, number: int, columns: Sequence[str], leave_out: str = "") -> Decimal:
-    """Mean |column| of a design's low range over that of its high range, in physical units, from Table `number`."""
+    """Return the mean |column| of a design's low range over that of its high range, in physical units, from Table
+    `number`.
+    """
     low, high = (
         mean(
             [
@@ -561,7 +565,7 @@ _LSB_PER_G_AT_16 = 512
 
 
 class _Figure(NamedTuple):
-    """A figure in the text: section, what it is of, the figure, how it follows from the inputs."""
+    """A figure in the text: section, subject, the figure, and its derivation from the inputs."""
 
     place: str
     what: str
@@ -646,7 +650,7 @@ def _appendix_a() -> Iterator[_Figure]:
 
 
 def _ends(place: str, what: str, printed: Sequence[str], values: Sequence[Decimal], source: str) -> Iterator[_Figure]:
-    """Yield the least and the most of several, as "1.2 to 1.8"."""
+    """Yield the least and the greatest of several, as "1.2 to 1.8"."""
     yield _Figure(place, f"{what}: least", printed[0], min, values, source)
     yield _Figure(place, f"{what}: most", printed[1], max, values, source)
 
@@ -665,7 +669,7 @@ def _negative(values: Sequence[Decimal]) -> Decimal:
 
 
 def _halves(values: Sequence[Decimal]) -> Decimal:
-    """Mean size of the first half over that of the second."""
+    """Return the mean size of the first half over that of the second."""
     sizes = [abs(value) for value in values]
     return mean(sizes[: len(sizes) // 2]) / mean(sizes[len(sizes) // 2 :])
 

@@ -35,7 +35,7 @@ def _save(figure: Figure, path: Path) -> None:
 
 
 def draw_pairs(result: Result, path: Path) -> None:
-    """Temperature slopes of every pair as printed (Table 8) and of its mean as recomputed, in physical units."""
+    """Draw temperature slopes of every pair as printed (Table 8) and of its mean as recomputed, in physical units."""
     figure = new_figure(11, 6.2)
     gyros, accelerometers = figure.subplots(1, 2, width_ratios=(2, 3))
     pairs: Sequence[dict[str, Any]] = result["pairs"]
@@ -79,7 +79,7 @@ def _pair_name(pair: dict[str, Any]) -> str:
 
 
 def draw_blending(result: Result, path: Path) -> None:
-    """Noise of every accelerometer axis (Table 10) and what weighting two ranges of BMA180 makes of it."""
+    """Draw the noise of every accelerometer axis (Table 10) and the result of weighting two ranges of BMA180."""
     figure = new_figure(11, 4.6)
     remaining, right = figure.subplots(1, 2)
     rows = [row for row in result["table10"] if row.get("unit") == "mg"]
@@ -117,7 +117,7 @@ def _draw_weights(axes: Axes, blend: dict[str, Any]) -> None:
 
 
 def draw_runs(result: Result, path: Path) -> None:
-    """BMA1's runs with the boot fault (Table 6) and Gyro3's two bias states (Table 7)."""
+    """Draw BMA1's runs with the boot fault (Table 6) and Gyro3's two bias states (Table 7)."""
     figure = new_figure(11, 4.8)
     grid = figure.add_gridspec(3, 2)
     fault = figure.add_subplot(grid[:, 0])
@@ -260,8 +260,8 @@ def gyro_memory_figure(curves: Curves) -> Figure:
 
 
 def histogram_figure(curves: Curves) -> Figure:
-    """Draw a figure like Figure 15: how often Gyro1 x read each code, at both ranges, and the normal curve of that
-    deviation.
+    """Draw a figure like Figure 15: the number of readings of each code of Gyro1 x, at both ranges, and the normal
+    curve of that deviation.
     """
     figure, panels = _sheet(7.5, 5.0, 2, shared=False)
     for panel, (name, (label, _, colour)) in zip(panels, _RANGES.items(), strict=True):
@@ -304,7 +304,9 @@ def _draw_allan(panel: Axes, noise: RestNoise, scale: float, colours: Mapping[st
 
 
 def _finish_allan(panel: Axes, label: str) -> None:
-    """Logarithmic scales, plain numbers, and below the curves a grey line of slope -1/2: white noise falls so."""
+    """Set logarithmic scales and plain numbers, and draw a grey line of slope -1/2 below the curves: the slope of white
+    noise.
+    """
     from matplotlib.ticker import FuncFormatter
 
     points = [np.asarray(line.get_xydata(), float) for line in panel.get_lines()]
@@ -344,7 +346,7 @@ def _title(panel: Axes, text: str) -> None:
 
 
 def _legend(panel: Axes, colours: Mapping[str, str]) -> None:
-    """Above the panel, at its right: names by colour, axes by dashes."""
+    """Place a legend above the panel, at its right: names by colour, axes by dashes."""
     from matplotlib.lines import Line2D
 
     handles = [Line2D([], [], color=colour, linewidth=3, label=name) for name, colour in colours.items()]

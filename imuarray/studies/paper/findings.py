@@ -1,4 +1,4 @@
-"""Contents of the paper's tables that the chips' data sheets do not foretell, with the likely cause of each.
+"""Properties in the paper's tables that the chips' data sheets do not predict, with the likely cause of each.
 
 A fixed list, `findings.toml`: nothing is fitted, simulated or ranked here, so no finding has a probability or a share
 that it closes. `imuarray gap diagnose` gives those for logs; the paper publishes none.
@@ -23,16 +23,16 @@ NEXT_EXPERIMENT = (
     "one run of a day: random_walk keeps growing, bias_instability levels off; "
     "log Gyro1 alone at 350 Hz with its data-ready bits: repeated triads are stale_samples, none is bandwidth"
 )
-"""Measurements that tell confusable causes apart."""
+"""Measurements that distinguish similar causes."""
 _WIDTH = 100
 
 
 @dataclass(frozen=True)
 class FindingFigure:
-    """A number that shows a finding: `of` says what it is of, `printed` what the tables make it, in `unit`.
+    """A number that shows a finding: `of` is its subject, `printed` its value by the tables, in `unit`.
 
-    `data_sheet` is its value without the cause (a limit, where the data sheet prints one), `with_cause` what the cause
-    foretells; None where there is none. `channel` is such as "Gyro3 x", "" for several axes.
+    `data_sheet` is its value without the cause (a limit, where the data sheet prints one), `with_cause` the prediction
+    with the cause; None where there is none. `channel` is such as "Gyro3 x", "" for several axes.
     """
 
     of: str
@@ -45,7 +45,7 @@ class FindingFigure:
 
 @dataclass(frozen=True)
 class Finding:
-    """An anomaly of the published tables, its place in the paper, its likely cause and what stays open.
+    """An anomaly of the published tables, its place in the paper, its likely cause and open questions.
 
     `effect` is a name of `imuarray.simulate.effects`, "" where none is known; `action`, `sensors`, `axes`, `domain`,
     `confusable_with` and `parameters` are those of `gap diagnose`.
@@ -79,8 +79,8 @@ def _finding(entry: Mapping[str, Any]) -> Finding:
 
 
 def as_json() -> dict[str, Any]:
-    """Return the keys of `gap diagnose` and `findings`. What takes a diagnosis of logs is None: the numbers of `gap`,
-    `significance`, `probability`, `closed`, `unknown`, `seed`.
+    """Return the keys of `gap diagnose` and `findings`. Keys that need a diagnosis of logs are None: the numbers of
+    `gap`, `significance`, `probability`, `closed`, `unknown`, `seed`.
     """
     explained = [finding for finding in findings() if finding.effect]
     remaining = [finding for finding in findings() if not finding.effect]
@@ -114,7 +114,7 @@ def as_json() -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Convert to what JSON reads back: lists for tuples."""
+    """Convert to the values that JSON returns: lists for tuples."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

@@ -1,6 +1,6 @@
 """The paper's page: printed, recomputed and simulated numbers side by side.
 
-Every table of the paper is a section; figures stand with the table to which they belong.
+Every table of the paper is a section, with the figures that belong to it.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ TABLE_WORDS: Mapping[int, tuple[str, str]] = {
         "readings, deviation and range of the means, and the ratio of the two deviations.",
     ),
 }
-"""Keyed by the number of the table: the rest of the heading, and what it is."""
+"""Keyed by the number of the table: the rest of the heading, and a description."""
 
 FIGURE_WORDS: Mapping[str, tuple[str, str]] = {
     "6": (
@@ -128,7 +128,7 @@ FIGURE_WORDS: Mapping[str, tuple[str, str]] = {
 
 
 def further_words(result: Mapping[str, Any]) -> dict[int, str]:
-    """Describe what recomputing shows of whole columns, by table."""
+    """Descriptions of the recomputation of whole columns, by table."""
     slow, fast, runs, windows = result["readings"]
     ratio = result["range_over_deviation"]
     possible, total = ratio["possible"]
@@ -151,7 +151,7 @@ def further_words(result: Mapping[str, Any]) -> dict[int, str]:
 
 HEADING = ("channel", "statistic", "paper", "recomputed", "simulated", "difference", "z")
 MARKED_Z = 2.0
-"""Size from which a z score is marked."""
+"""Size from which on a z score is marked."""
 
 Key = tuple[str, str]
 """Channel and statistic."""
@@ -162,13 +162,13 @@ NOTHING = "–"
 """The text of a cell without a number."""
 _DECIMALS = 6
 _PRINTED_DECIMALS = 4
-"""The most that the text prints."""
+"""Largest number of decimals that the text prints."""
 _RUNS = {6: "BMA1", 7: "Gyro3"}
 
 
 @dataclass(frozen=True)
 class PrintedNumber:
-    """One number of a table: as printed, its recomputation and its simulated twin as far as there are such."""
+    """One number of a table: as printed, its recomputation and its simulated value, if they exist."""
 
     channel: str
     statistic: str
@@ -178,7 +178,7 @@ class PrintedNumber:
 
     @property
     def marked(self) -> bool:
-        """Return whether the simulation is far off."""
+        """Return whether the simulated value disagrees."""
         return self.twin is not None and abs(self.twin.z) > MARKED_Z
 
     def texts(self) -> list[str]:
@@ -188,7 +188,9 @@ class PrintedNumber:
 
 
 def lines_of(name: str, recomputed: Recomputed, twins: Sequence[Statistic]) -> list[PrintedNumber]:
-    """Return every number of "Table 3": channel by channel, what was only recomputed after what was simulated."""
+    """Return every number of "Table 3": channel by channel, those that were only recomputed after those that were
+    simulated.
+    """
     cells = dict(_cells(name, recomputed))
     by_key = {(twin.channel, twin.statistic): twin for twin in twins}
     channels = list(dict.fromkeys(channel for channel, _ in (*by_key, *cells)))
@@ -212,7 +214,7 @@ def _texts(number: int) -> dict[Key, str]:
         }
     rows = table(number)
     texts = {(_channel(row), column): text for row in rows for column, text in row.items()}
-    if number == 9:  # the two rows of the thermometer are told apart by the half that they stand in
+    if number == 9:  # the two rows of the thermometer are distinguished by their half of the table
         for index, row in enumerate(rows):
             name = "250dps" if 2 * index < len(rows) else "2k dps"
             texts |= {(f"{row['output']} {name}", column): text for column, text in row.items()}
@@ -228,7 +230,7 @@ def _text(key: Key, texts: Mapping[Key, str], twin: Statistic | None) -> str:
 
 
 def _in_digits(twin: Statistic) -> str:
-    """Return a number that stands in no table; a quotient of printed ones in as many digits as its uncertainty has."""
+    """Return a number that is in no table; a quotient of printed ones in as many digits as its uncertainty allows."""
     has_few_digits = _decimals(twin.published) <= _PRINTED_DECIMALS
     return plain(twin.published if has_few_digits else round(twin.published, _places(twin, "")))
 
@@ -249,7 +251,7 @@ def _channel(row: Row) -> str:
 
 
 def _simulated(twin: Statistic | None, printed: str) -> tuple[str, str, str]:
-    """Simulated, difference, z."""
+    """Return simulated value, difference and z."""
     if twin is None:
         return NOTHING, NOTHING, NOTHING
     places, z = _places(twin, printed), f"{round(twin.z, 1) + 0.0:+.1f}"
@@ -263,7 +265,7 @@ def recomputed_text(cell: Cell, printed: str) -> str:
     """Return the recomputed value, as printed if it is equal; "≈" after a value within its inputs' rounding, "≠" after
     any other.
 
-    Without a sign if what is printed is shown without.
+    Without a sign if the printed number is shown without one.
     """
     if cell.matches:
         return printed
@@ -274,7 +276,7 @@ def recomputed_text(cell: Cell, printed: str) -> str:
 
 
 def plain(value: float | str) -> str:
-    """Return a number with the digits that it has, words as they are."""
+    """Return a number with its digits, or words unchanged."""
     return value if isinstance(value, str) else f"{value:.{_decimals(value)}f}"
 
 
@@ -283,7 +285,7 @@ def _decimals(value: float) -> int:
 
 
 def _places(twin: Statistic, printed: str) -> int:
-    """Decimals that show what is printed and two digits of the uncertainty."""
+    """Return the decimals that show the printed number and two digits of the uncertainty."""
     size = twin.uncertainty * (abs(twin.published) if twin.scale == "log" else 1.0)
     decimals = 1 - floor(log10(size)) if size > 0 else 0
     return min(_DECIMALS, max(len(printed.partition(".")[2]), decimals, 0))
@@ -308,7 +310,7 @@ def table_sections(
 
 
 def _fold_of(lines: Sequence[PrintedNumber], drawings: int = 0) -> str:
-    """Return the line behind which a table is hidden: how much there is to see, and how much of it agrees."""
+    """Return the line that is shown for a folded table: the number of its entries, and how many of them agree."""
     count, _, two, _, cells, equal, near, _ = counted(lines)
     words = [f"{len(lines)} numbers"]
     words += [f"{drawings} figure{'s' if drawings > 1 else ''}"] if drawings else []
@@ -332,7 +334,7 @@ def _row(line: PrintedNumber) -> list[str]:
 
 
 def _marked(text: str) -> str:
-    """Escaped and marked; MissingExtraError without jinja2's escaping."""
+    """Return text, escaped and marked; MissingExtraError without jinja2's escaping."""
     try:
         from markupsafe import Markup
     except ImportError:
@@ -431,7 +433,7 @@ _FAR = 3.0
 def write_paper_page(
     path: str | PathLike[str], replica: Replica, curves: Curves | None, *, force: bool = False
 ) -> None:
-    """Write the page; figures are of `curves`, without them (None) it says so.
+    """Write the page; figures are those of `curves`; without them (None) the page states that they are missing.
 
     OutputExistsError if it is there and not `force`, MissingExtraError without jinja2 (or matplotlib to draw with).
     """
@@ -463,7 +465,9 @@ _ENOUGH = 0.9
 
 
 def paper_verdict(replica: Replica, result: dict[str, Any]) -> Verdict:
-    """Return how far the simulated array reproduces the paper's numbers, and how many of its conclusions hold."""
+    """Return the share of the paper's numbers that the simulated array reproduces, and how many of its conclusions
+    hold.
+    """
     whole = replica.summary
     agreeing = whole.within[1] / max(1, whole.count)
     holding, total = sum(statement["holds"] for statement in result["conclusions"]), len(result["conclusions"])

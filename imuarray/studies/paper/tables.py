@@ -6,12 +6,12 @@ counts).
 
 `Cell` compares a printed number with its recomputation. `matches`: the recomputed value, rounded to the digits printed,
 is the printed one. `within_input_rounding`: the printed value can be reached when each input moves by at most half a
-unit of its own last printed digit (to first order), which is all that a recomputation from printed tables can ask for.
-Neither: a slip.
+unit of its own last printed digit (to first order), which is the limit of a recomputation from printed tables. Neither:
+a slip.
 
-A recomputed value can fall exactly half-way between two printable ones (six cells of Tables 2 to 9 do). Printed
-inputs can't decide such a tie, and the paper prints some up and some down; both neighbours are right, so a tie
-matches either.
+A recomputed value can fall exactly half-way between two printable ones (six cells of Tables 2 to 9 do). Printed inputs
+can't resolve such a tie, and the paper rounds some up and some down; both neighbours are right, so a tie matches
+either.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def number_in(row: Row, column: str) -> Decimal:
 
 
 def numbers_in(row: Row, columns: Sequence[str]) -> tuple[Decimal, ...]:
-    """Several printed numbers of one row, exact."""
+    """Return several printed numbers of one row, exact."""
     return tuple(Decimal(row[column]) for column in columns)
 
 
@@ -127,22 +127,22 @@ def channels(number: int, design: str, range_name: str | None = None, axes: str 
 
 
 def milli_g(row: Row, counts: Decimal) -> Decimal:
-    """Accelerometer counts in mg with the data sheet's typical sensitivity for the row's design and range."""
+    """Return accelerometer counts in mg with the data sheet's typical sensitivity for the row's design and range."""
     return counts * _MILLI / _LSB_PER_G[design_of(row["channel"]), row["range"]]
 
 
 def dps(range_name: str, counts: Decimal) -> Decimal:
-    """L3G4200D counts in degrees per second with the data sheet's typical sensitivity for a range as printed."""
+    """Return L3G4200D counts in degrees per second with the data sheet's typical sensitivity for a range as printed."""
     return counts * _DPS_PER_LSB[range_name]
 
 
 def physical(row: Row, counts: Decimal) -> Decimal:
-    """Counts in mg (accelerometers) or degrees per second (gyroscopes), typical sensitivities."""
+    """Return counts in mg (accelerometers) or degrees per second (gyroscopes), with typical sensitivities."""
     return dps(row["range"], counts) if design_of(row["channel"]) == "Gyro" else milli_g(row, counts)
 
 
 def mean(values: Sequence[Decimal]) -> Decimal:
-    """Arithmetic mean in decimal arithmetic; at least one value."""
+    """Return the arithmetic mean in decimal arithmetic; at least one value."""
     return sum(values, Decimal(0)) / len(values)
 
 
@@ -154,7 +154,7 @@ Formula = Callable[[Sequence[Decimal]], Decimal]
 class Cell:
     """One recomputed cell: the value, what is printed, and whether the inputs explain the difference.
 
-    A value that agrees stands with the digits printed; one that does not stands with two more, to show by how much.
+    A value that agrees has the printed digits; one that does not has two more, which show the difference.
     """
 
     column: str
@@ -195,12 +195,14 @@ def last_unit(value: Decimal) -> Decimal:
 
 
 def half_unit(value: Decimal) -> Decimal:
-    """Half a unit of the last printed digit: how far a correctly rounded number can be off."""
+    """Return half a unit of the last printed digit: the largest error of a correctly rounded number."""
     return last_unit(value) / 2
 
 
 def rounded_like(value: Decimal, printed: Decimal) -> Decimal:
-    """`value` with the decimals of `printed`; a tie goes to `printed` if that is one of the two. No negative zero."""
+    """Return `value` with the decimals of `printed`; a tie is rounded to `printed` if that is one of the two. No
+    negative zero.
+    """
     if abs(value - printed) <= half_unit(printed):
         return printed + 0
     return value.quantize(last_unit(printed)) + 0
@@ -231,7 +233,7 @@ def text_cell(row: Row, column: str, value: str) -> Cell:
 
 
 def plain(text: str) -> float | int | str | None:
-    """Return a printed cell as JSON: an empty one is null, whole numbers stay whole, words stay words."""
+    """Return a printed cell as JSON: an empty one is null, whole numbers and words are unchanged."""
     if not text:
         return None
     try:

@@ -9,7 +9,7 @@ deviation: it lies between R sqrt(1 / (2 (n - 1))) (all but two in the middle) a
 A boot fault (Table 6) is a run in the wrong range. The channel that carries gravity is the one with the largest median
 over the runs. Each run's reading over that median, times the configured sensitivity, is the sensitivity that the run
 appears to have had; the nearest of the chip's ranges (nearest in ratio) is the range it was really in. A run is faulty
-when that is not the configured range, so the threshold is the chip's own range table and not a number chosen here.
+when that is not the configured range, so the threshold follows from the chip's own range table.
 
 Two bias states (Table 7) are separated with the three axes together: runs are sorted along the principal axis of their
 scatter and cut at the place that leaves the least scatter within the two parts, over all three axes.
@@ -91,7 +91,7 @@ def _ratio_cell(row: Row) -> Cell:
 
 
 def table11() -> tuple[RecomputedRow, ...]:
-    """Table 11 with its ratio recomputed, and for BMA1 and Gyro3 the run-to-run columns from Tables 6 and 7."""
+    """Return Table 11 with its ratio recomputed, and for BMA1 and Gyro3 the run-to-run columns from Tables 6 and 7."""
     return tuple(RecomputedRow(row, (*_run_cells(row), _ratio_cell(row))) for row in table(11))
 
 
@@ -116,7 +116,7 @@ def group_members(group: str) -> tuple[Row, ...]:
 
 
 def table5() -> tuple[RecomputedRow, ...]:
-    """Table 5 as the mean of Table 11's in-run standard deviations over each group."""
+    """Return Table 5 as the mean of Table 11's in-run standard deviations over each group."""
     rows = []
     for row in table(5):
         inputs = [number_in(member, "cont_std_of_means") for member in group_members(row["group"])]
@@ -125,7 +125,7 @@ def table5() -> tuple[RecomputedRow, ...]:
 
 
 def deviation_bounds(spread: float, count: int) -> tuple[float, float]:
-    """Smallest and largest sample standard deviation that `count` numbers with range `spread` can have."""
+    """Return the smallest and largest sample standard deviation that `count` numbers with range `spread` can have."""
     smallest = spread * sqrt(1 / (2 * (count - 1)))
     return smallest, spread * sqrt((count // 2) * ((count + 1) // 2) / (count * (count - 1)))
 
@@ -147,11 +147,11 @@ def impossible_deviations() -> tuple[tuple[str, str, Decimal, float], ...]:
 
 
 def range_over_deviation() -> dict[str, Any]:
-    """Return how many ranges of fifteen means were over their standard deviations in Table 11, and what is possible at
-    all.
+    """Return the ratios of the ranges of fifteen means to their standard deviations in Table 11, and the possible
+    interval.
 
-    `rows` hold a channel's two series; `mean` is over the inertial ones, `normal` what fifteen normal numbers have on
-    average over their sample deviation.
+    `rows` hold a channel's two series; `mean` is over the inertial ones, `normal` is the mean ratio of fifteen normal
+    numbers.
     """
     least, most = (1 / bound for bound in reversed(deviation_bounds(1.0, _RUNS)))
     forbidden = {(channel, column) for channel, column, *_ in impossible_deviations()}
@@ -191,12 +191,12 @@ class WrongRangeRun:
     column: str
     reading_lsb: Decimal
     ratio: Decimal
-    """Reading over the median of all runs."""
+    """The reading over the median of all runs."""
     range_g: str
     range_lsb_per_g: Decimal
 
     def as_json(self) -> dict[str, Any]:
-        """Return the fault with the ratio that the range it was in would give exactly."""
+        """Return the fault with the exact ratio of the range that it was in."""
         return {
             "sensor": "BMA1",
             "run": self.run,
@@ -216,7 +216,7 @@ def gravity_column(rows: Sequence[Row]) -> str:
 
 
 def nearest_range(lsb_per_g: Decimal) -> str:
-    """The BMA180 range whose sensitivity is nearest in ratio to a positive sensitivity in counts per g."""
+    """Return the BMA180 range whose sensitivity is nearest in ratio to a positive sensitivity in counts per g."""
     return min(BMA180_LSB_PER_G, key=lambda name: abs(log(lsb_per_g / BMA180_LSB_PER_G[name])))
 
 
@@ -240,7 +240,7 @@ def boot_faults() -> tuple[WrongRangeRun, ...]:
 
 
 def table6() -> tuple[RecomputedRow, ...]:
-    """Table 6 with each run's gravity reading over the median, and the range that this belongs to."""
+    """Return Table 6 with each run's gravity reading over the median, and the range of that ratio."""
     return tuple(
         RecomputedRow(row, (), {"ratio_to_median": round(float(_ratio(row)), 4), "nearest_range": _range_of(row)})
         for row in table(6)
@@ -249,7 +249,7 @@ def table6() -> tuple[RecomputedRow, ...]:
 
 @dataclass(frozen=True)
 class TurnOnState:
-    """One of the states that a sensor comes up in: its runs, their centre and their spread, in counts."""
+    """One of the states in which a sensor starts: its runs, their centre and their spread, in counts."""
 
     runs: tuple[int, ...]
     centre: Point
@@ -279,7 +279,9 @@ def principal_axis(points: Sequence[Point]) -> Point:
 
 
 def two_way_split(points: Sequence[Point]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Indices of the two groups, of two points at least, with the least squared scatter within (module docstring)."""
+    """Return the indices of the two groups, of two points at least, with the least squared scatter within (module
+    docstring).
+    """
     axis = principal_axis(points)
     order = sorted(range(len(points)), key=lambda i: _dot(points[i], axis))
     cuts = range(2, len(points) - 1)
@@ -295,12 +297,14 @@ def bias_states() -> tuple[TurnOnState, TurnOnState]:
 
 
 def separation(states: tuple[TurnOnState, TurnOnState]) -> float:
-    """Distance between two states' centres over the larger of their spreads (root sum of squares over the axes)."""
+    """Return the distance between two states' centres over the larger of their spreads (root sum of squares over the
+    axes).
+    """
     return dist(states[0].centre, states[1].centre) / max(hypot(*state.spread) for state in states)
 
 
 def table7() -> tuple[RecomputedRow, ...]:
-    """Table 7 with the state that each run came up in: 1 for the first run's state, 2 for the other."""
+    """Return Table 7 with the state in which each run started: 1 for the first run's state, 2 for the other."""
     first, _ = bias_states()
     return tuple(RecomputedRow(row, (), {"state": 1 if int(row["run"]) in first.runs else 2}) for row in table(7))
 
@@ -336,7 +340,7 @@ TRIADS = 12
 
 @dataclass(frozen=True)
 class RangeNoise:
-    """Noise of a low-range and a high-range sensor, alone and combined, in mg."""
+    """Noise of a low-range and a high-range sensor, and of their combinations, in mg."""
 
     low_mg: Decimal
     high_mg: Decimal
@@ -379,7 +383,7 @@ class RangeNoise:
 
 
 def bma180_blend() -> RangeNoise:
-    """The BMA180's noise per range, each the mean of Table 10's six channels with the typical sensitivity."""
+    """Return the BMA180's noise per range, each the mean of Table 10's six channels with the typical sensitivity."""
     low, high = (
         mean([milli_g(row, number_in(row, "std_lsb")) for row in channels(10, "BMA", name)]) for name in ("1.5g", "16g")
     )
@@ -396,7 +400,7 @@ PLANE_COLUMNS: dict[str, tuple[int, str]] = {
 
 
 def plane_ratio(sensor: str, quantity: str) -> Decimal:
-    """|z| over the mean of |x| and |y| of one sensor, for a key of `PLANE_COLUMNS`."""
+    """Return |z| over the mean of |x| and |y| of one sensor, for a key of `PLANE_COLUMNS`."""
     number, column = PLANE_COLUMNS[quantity]
     rows = {row["channel"]: abs(number_in(row, column)) for row in table(number) if is_inertial(row)}
     return rows[f"{sensor} z"] / mean([rows[f"{sensor} x"], rows[f"{sensor} y"]])
@@ -415,7 +419,7 @@ def planes() -> list[dict[str, Any]]:
 
 
 def rate_hz(deviation: Decimal, standard_error: Decimal, seconds: int) -> Decimal:
-    """Samples per second that a standard deviation and a standard error imply over `seconds`."""
+    """Return the samples per second that a standard deviation and a standard error imply over `seconds`."""
     return (deviation / standard_error) ** 2 / seconds
 
 
@@ -441,9 +445,7 @@ def table11_rates() -> tuple[Decimal, ...]:
 
 
 def logging_rate() -> dict[str, Any]:
-    """Return the array's logging rate in Hz by Tables 10 and 11, beside what section 4's factor of twelve makes
-    of 350 Hz.
-    """
+    """Return the array's logging rate in Hz by Tables 10 and 11, and 350 Hz divided by section 4's factor of twelve."""
     return {
         "table10_hz": _summary(table10_rates()),
         "table11_hz": _summary(table11_rates()),
@@ -461,7 +463,9 @@ def _summary(rates: Sequence[Decimal]) -> dict[str, float]:
 
 
 def table10() -> tuple[RecomputedRow, ...]:
-    """Table 10 with each channel's implied logging rate and its noise in physical units (typical sensitivity)."""
+    """Return Table 10 with each channel's implied logging rate and its noise in physical units (typical
+    sensitivity).
+    """
     rows = []
     for row in table(10):
         extra: dict[str, Any] = {"rate_hz": round(float(_row_rate(row)), 2)}
@@ -474,7 +478,9 @@ def table10() -> tuple[RecomputedRow, ...]:
 
 @dataclass(frozen=True)
 class ReadingCount:
-    """The number of readings that a column of standard errors admits, `least` to `most`, and what that tells."""
+    """The number of readings that a column of standard errors admits, `least` to `most`, and the rate or duration that
+    follows.
+    """
 
     table: int
     log: str
@@ -482,9 +488,9 @@ class ReadingCount:
     least: Decimal
     most: Decimal
     rate_hz: Decimal | None
-    """Rate by the middle number, if the paper says for how long (Table 11)."""
+    """Return the rate by the middle number, if the paper states the duration (Table 11)."""
     seconds: Decimal | None
-    """Duration by the middle number, if the paper says how fast (Table 9)."""
+    """Return the duration by the middle number, if the paper states the rate (Table 9)."""
 
     @property
     def middle(self) -> Decimal:
@@ -542,7 +548,7 @@ def _common(printed: Iterable[tuple[Decimal, Decimal]]) -> tuple[Decimal, Decima
 
 
 def judged(place: str, channel: str, printed: Row, cell: Cell, source: str) -> RecomputedRow:
-    """One recomputed number as a row: where it is printed, the cell, the difference, both verdicts, how it follows."""
+    """Return one recomputed number as a row: its place, the cell, the difference, both verdicts, its derivation."""
     row = {"table": place, "channel": channel, cell.column: printed[cell.column]}
     extra = {
         "difference": round(float(cell.value) - float(cell.printed), 9) + 0.0,
@@ -554,7 +560,7 @@ def judged(place: str, channel: str, printed: Row, cell: Cell, source: str) -> R
 
 
 def derived() -> tuple[RecomputedRow, ...]:
-    """Table 2 from Table 9; the standard errors of Tables 9 and 11 from deviation and number of readings."""
+    """Return Table 2 from Table 9, and the standard errors of Tables 9 and 11 from deviation and number of readings."""
     rows = []
     for row in table(2):
         source = next(r for r in table(9) if (r["output"], r["range"]) == (row["output"], row["range"]))

@@ -1,7 +1,8 @@
-"""The paper's experiments once more, on the simulated array: does the model repeat the tables to which it was fitted?
+"""The paper's experiments on the simulated array: does the model reproduce the tables to which it was fitted?
 
-`replicate` simulates every experiment of section 4 and compares each printed statistic with its twin; columns that give
-the same number in another unit (mg, dps) are compared once. No statistic is left out because it does not agree.
+`replicate` simulates every experiment of section 4 and compares each printed statistic with its simulated value;
+columns with the same number in another unit (mg, dps) are compared once. No statistic is omitted because it does not
+agree.
 """
 
 from __future__ import annotations

@@ -72,11 +72,10 @@ _AROUND_HZ = (40.0, 60.0)
 
 
 def replicate(seed: int = 1, executor: Executor | None = None, progress: Progress | None = None) -> Replica:
-    """Return all experiments with this seed, compared; `executor` shares them out, `progress` is told (done, all,
-    what).
+    """Return all experiments with this seed, compared; `executor` distributes them, `progress` receives (number
+    completed, all, name).
 
-    The result depends on the seed alone.
-    """
+    The result depends only on the seed."""
     return Replica(seed, tuple(compare(observe(seed, executor, progress))))
 
 
@@ -98,7 +97,7 @@ def compare(observed: ExperimentData) -> Iterator[Statistic]:
 
 
 def tabulate(observed: ExperimentData) -> dict[int, Table]:
-    """Tables 2 to 11 as the simulated array gives them."""
+    """Return Tables 2 to 11 of the simulated array."""
     ten, eleven = table10(observed), table11(observed)
     nine = table9(observed)
     return {
@@ -116,7 +115,7 @@ def tabulate(observed: ExperimentData) -> dict[int, Table]:
 
 
 def table8(observed: ExperimentData) -> Table:
-    """Slopes and intercepts."""
+    """Return slopes and intercepts."""
     columns = ("slope_lsb_per_degc", "intercept_lsb")
     return {
         f"{name} {axis}": dict(zip(columns, (float(fit.slope[i]), float(fit.intercept[i])), strict=True))
@@ -126,7 +125,7 @@ def table8(observed: ExperimentData) -> Table:
 
 
 def table9(observed: ExperimentData) -> Table:
-    """Gyro1 alone at both ranges."""
+    """Return Gyro1 at both ranges."""
     return {
         f"Gyro1 {axis} {name}": {
             "mean_lsb": float(result.window.mean[i]),
@@ -139,7 +138,7 @@ def table9(observed: ExperimentData) -> Table:
 
 
 def table10(observed: ExperimentData) -> Table:
-    """Means over the faces; standard error and deviation are means over the six (section 5.2)."""
+    """Return means over the faces; standard error and deviation are means over the six (section 5.2)."""
     return _per_channel(observed.faces, _faces)
 
 
@@ -178,7 +177,7 @@ def _half(half: str) -> Callable[[Floats, Floats, Floats], Columns]:
 def _per_channel(
     windows: Mapping[str, Sequence[Window]], columns: Callable[[Floats, Floats, Floats], Columns]
 ) -> dict[str, Columns]:
-    """`columns` of (means, standard deviations, numbers of readings) over the windows, for every axis that there is."""
+    """Return `columns` of (means, standard deviations, numbers of readings) over the windows, for every axis."""
     return {
         f"{name} {axis}": columns(
             np.array([window.mean[i] for window in result]),
@@ -192,7 +191,7 @@ def _per_channel(
 
 
 def accelerometer(row: Columns) -> Columns:
-    """Table 3's columns from a row of Table 10; the scale factor without the sign that the paper gives it."""
+    """Return Table 3's columns from a row of Table 10; the scale factor without the sign that the paper gives it."""
     faces = np.array([row[face] for face in READINGS])
     return {
         "drift_lsb": float(faces[0] - faces[6]),
@@ -203,7 +202,7 @@ def accelerometer(row: Columns) -> Columns:
 
 
 def gyroscope(row: Columns) -> Columns:
-    """Table 4's columns from a row of Table 10; its bias is the mean of all seven readings."""
+    """Return Table 4's columns from a row of Table 10; its bias is the mean of all seven readings."""
     return {
         "bias_lsb": float(np.mean([row[face] for face in READINGS])),
         **{f"dbias_{k}_lsb": row[f"{k}_up"] - row[f"{k}_down"] for k in "xyz"},
@@ -324,7 +323,7 @@ def _wander(channel: str) -> float:
 
 
 _RESET_RATIO = 8.0
-"""Counts per g at 2 g over those at 16 g."""
+"""Return counts per g at 2 g over those at 16 g."""
 
 
 def compare_turn_on(simulated: Table) -> Iterator[Statistic]:
@@ -375,8 +374,8 @@ def compare_runs(number: int, name: str, simulated: Table) -> Iterator[Statistic
 
 
 def deviation_spread(channel: str, half: str) -> float:
-    """Standard deviation of ln(simulated / published) for a deviation of fifteen means of Table 11."""
-    if axis_of(channel) == 3:  # chips follow the room each in its way
+    """Return the standard deviation of ln(simulated / published) for a deviation of fifteen means of Table 11."""
+    if axis_of(channel) == 3:  # each chip follows the room in its own way
         return between_units(channel, f"{half}_std_of_means")
     if half == "cont":
         spread = log_deviation(part_windows(channel), part_steps(channel))
@@ -388,7 +387,7 @@ def deviation_spread(channel: str, half: str) -> float:
 def _step_of_fault(channel: str) -> float:
     """Return the relative uncertainty of the faulty run's distance from the others; 0 where there is none.
 
-    Seven times what a day moves them by, eight times what a run does.
+    It is seven times the change of a day, and eight times that of a run.
     """
     if not channel.startswith("BMA1"):
         return 0.0
@@ -399,7 +398,7 @@ def _step_of_fault(channel: str) -> float:
 
 
 def _is_fitted(channel: str, half: str) -> bool:
-    """Return whether the model has something of its own for this deviation."""
+    """Return whether the model has its own parameter for this deviation."""
     return axis_of(channel) < 3 and own(channel, lambda unit: unit.turn_on if half == "runs" else unit.in_run) > 0
 
 
@@ -447,7 +446,7 @@ DPS_AT_250 = 0.00875
 _AROUND = 1 / sqrt(3)
 _HALF_A_DIGIT = 0.5 / sqrt(3)
 _FAST_NOISE = sqrt(110 / 35 * 1.4 / 0.6)
-"""The mean's noise at 110 Hz over that of as many independent readings at 35 Hz: neighbours correlate by 0.4."""
+"""Return the mean's noise at 110 Hz over that of as many independent readings at 35 Hz: neighbours correlate by 0.4."""
 _A3_STDS = {"x": 8.0201, "y": 9.8857, "z": 9.3002}
 """Appendix A.3: LSB of a BMA180 at 16 g, which one isn't said."""
 
@@ -546,9 +545,8 @@ def _nine(number: int, channel: str, name: str, column: str, published: float, s
 
 
 def _between_filters() -> float:
-    """Standard deviation over the axes of ln(noise at 110 Hz over that in the array runs), Tables 9 (2000 dps), 10, 11.
-
-    The model has the root of the ratio of the bandwidths for all of them.
+    """Return the standard deviation over the axes of ln(noise at 110 Hz over that in the array runs), Tables 9 (2000
+    dps), 10, 11. The model has the root of the ratio of the bandwidths for all of them.
     """
     rows = [row for row in table(9) if row["range"] == "2k dps"]
     noise = [own(row["output"], lambda unit: unit.noise) for row in rows]
@@ -590,7 +588,7 @@ def compare_text(observed: ExperimentData, ten: Table, six: Table) -> Iterator[S
 
 
 def _reset(six: Table) -> Statistic:
-    """Return the factor by which the faulty run shows more gravity."""
+    """Return the factor by which gravity reads larger in the faulty run."""
     (fault,) = boot_faults()
     mean_of_others = np.mean([row["z_lsb"] for run, row in six.items() if int(run) != fault.run])
     printed_others = np.mean([float(number_in(row, "z_lsb")) for row in table(6) if int(row["run"]) != fault.run])
@@ -601,7 +599,7 @@ def _reset(six: Table) -> Statistic:
 
 
 def _share(place: tuple[str, str, str], published: float, simulated: float) -> Statistic:
-    """The model has the printed share; the simulated one is a binomial number of `BOOTS`."""
+    """Compare a share: the model has the printed one; the simulated one is a binomial number of `BOOTS`."""
     return linear(place, published, simulated, {"binomial": sqrt(published * (1 - published) / BOOTS)}, fitted=True)
 
 

@@ -1,4 +1,4 @@
-"""Curves of the paper's Figures 6 to 19, from the simulated experiments: plain arrays, for whoever draws them."""
+"""Curves of the paper's Figures 6 to 19, from the simulated experiments: plain arrays, to be drawn elsewhere."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from imuarray.studies.paper.replica.simulation import ExperimentData, Series
 from imuarray.studies.paper.variation import HIGH_RATE_HZ
 
 SEGMENT = 2048
-"""Rows of which a spectrum is made, averaged over all of them."""
+"""Rows of a segment of a spectrum, which is averaged over all segments."""
 LAGS = 31
 _STEP_S = 10.0
 
@@ -53,9 +53,7 @@ class RestNoise(NamedTuple):
 
 
 class Curves(NamedTuple):
-    """All curves that are drawn: by sensor, by channel, and noise by the range of Gyro1 as Table 9 prints it or by the
-    sensor.
-    """
+    """All curves: by sensor, by channel, and noise by the range of Gyro1 as Table 9 prints it or by the sensor."""
 
     in_run: Mapping[str, TimeCurve]
     profile: TimeCurve
@@ -83,12 +81,12 @@ def _noise(counts: npt.NDArray[np.int16], rate: float) -> RestNoise:
 
 
 def rate_hz(series: Series) -> float:
-    """Readings per second."""
+    """Return the readings per second."""
     return float((len(series.time_ns) - 1) / (series.time_ns[-1] - series.time_ns[0]) * 1e9)
 
 
 def smoothed(series: Series, window_s: float = WINDOW_S, step_s: float = _STEP_S) -> TimeCurve:
-    """Moving average less the mean of everything, every `step_s`, at the middle of the window (Figure 6)."""
+    """Return the moving average less the total mean, every `step_s`, at the middle of the window (Figure 6)."""
     rows, step = (max(1, round(seconds * rate_hz(series))) for seconds in (window_s, step_s))
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(series.counts, axis=0, dtype=float)])
     starts = np.arange(0, len(sums) - rows, step)
@@ -116,7 +114,7 @@ def against_temperature(observed: ExperimentData, channel: str, every_s: float =
 
 
 def opposed(observed: ExperimentData, window_s: float = 30.0) -> TimeCurve:
-    """Gyro1 y, Gyro2 y and half of their difference while heated, averaged over half a minute (Figure 10)."""
+    """Return Gyro1 y, Gyro2 y and half of their difference while heated, averaged over half a minute (Figure 10)."""
     means = []
     for name in ("Gyro1", "Gyro2"):
         series = observed.warm[name]
@@ -134,15 +132,15 @@ def correlogram(counts: npt.NDArray[np.int16]) -> Floats:
 
 
 def spectrum(counts: npt.NDArray[np.int16], rate: float) -> tuple[Floats, Floats]:
-    """Hz (k,) and amplitude density (k, 3) in LSB/sqrt(Hz) by Welch (Figures 14, 17 and 19), without 0 Hz and the
-    Nyquist frequency, which are half a bin wide.
+    """Return Hz (k,) and amplitude density (k, 3) in LSB/sqrt(Hz) by Welch (Figures 14, 17 and 19), without 0 Hz and
+    the Nyquist frequency, which are half a bin wide.
     """
     hz, power = signal.welch(counts.astype(float), rate, nperseg=SEGMENT, axis=0)
     return np.asarray(hz[1:-1]), np.sqrt(power[1:-1])
 
 
 def histogram(counts: npt.NDArray[np.int16]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Codes (k,) from the least to the most, and how often each was read (Figure 15)."""
+    """Return codes (k,) from the least to the greatest, and how often each was read (Figure 15)."""
     lowest = int(counts.min())
     often = np.bincount(counts.astype(np.int64) - lowest)
     return np.arange(lowest, lowest + len(often)), often

@@ -1,4 +1,5 @@
-"""The paper's experiments on the simulated array: what every sensor read, window by window; no row is kept.
+"""The paper's experiments on the simulated array: statistics of every sensor's readings, window by window; rows are not
+stored.
 
 The stimulus is as printed: Table 10's face temperatures, Table 11's mean temperatures and their deviations (a straight
 drift within the continuous run; from run to run as BMA1's own thermometer in Table 6), the profile of the heating, and
@@ -44,7 +45,7 @@ class Triad(Protocol):
     rows: int
 
     def block(self, start: int, stop: int) -> Block:
-        """Rows start ... stop - 1."""
+        """Return rows start ... stop - 1."""
 
 
 class Window(NamedTuple):
@@ -63,7 +64,7 @@ class Series(NamedTuple):
 
 
 class Kept:
-    """A sensor that keeps what is read of it: a figure needs no second simulation."""
+    """A sensor that stores its readings: a figure needs no second simulation."""
 
     def __init__(self, sensor: Triad) -> None:
         self.rows = sensor.rows
@@ -71,7 +72,7 @@ class Kept:
         self._blocks: list[Block] = []
 
     def block(self, start: int, stop: int) -> Block:
-        """Rows start ... stop - 1 of the sensor."""
+        """Return rows start ... stop - 1 of the sensor."""
         self._blocks.append(self._sensor.block(start, stop))
         return self._blocks[-1]
 
@@ -89,7 +90,7 @@ class TemperatureLine(NamedTuple):
 
 
 def blocks(sensor: Triad) -> Iterator[Block]:
-    """Yield all rows of a sensor, a stretch at a time."""
+    """Yield all rows of a sensor, stretch by stretch."""
     for start in range(0, sensor.rows, _BLOCK):
         yield sensor.block(start, min(start + _BLOCK, sensor.rows))
 
@@ -116,7 +117,7 @@ def _window(count: Floats, total: Floats, squares: Floats, centre: Floats | None
 
 
 def line(sensor: Triad, motion: Motion) -> TemperatureLine:
-    """Counts against the box's temperature, by least squares."""
+    """Fit counts to the box's temperature by least squares."""
     moments = np.zeros((2, 5))
     for block in blocks(sensor):
         degc = motion.felt(block.time).temperature_degc
@@ -129,7 +130,7 @@ def line(sensor: Triad, motion: Motion) -> TemperatureLine:
 Progress = Callable[[int, int, str], None]
 
 BOOTS = 150
-"""Switch-ons that are looked at."""
+"""Number of switch-ons that are examined."""
 SENSORS = tuple(row["sensor"] for row in table(1))
 WARMED = ("ADXL1", "Gyro1", "Gyro2")
 """The sensors of Figures 8 to 10."""
@@ -137,7 +138,7 @@ _PEEK_S = 4.0
 
 
 class HighRate(NamedTuple):
-    """Gyro1 alone: the whole stretch as a window, and its counts (n, 3)."""
+    """Return Gyro1: the whole stretch as a window, and its counts (n, 3)."""
 
     window: Window
     counts: npt.NDArray[np.int16]
@@ -164,14 +165,14 @@ class ExperimentData:
 
 
 class State(NamedTuple):
-    """The states in which the two odd sensors came up."""
+    """The states in which the two odd sensors started."""
 
     faulty: bool
     second: bool
 
 
 def observe(seed: int, executor: Executor | None = None, progress: Progress | None = None) -> ExperimentData:
-    """Return all experiments; `progress` is told (done, all, what) after each."""
+    """Return all experiments; `progress` receives (number completed, all, name) after each."""
     states = [state(seed, boot) for boot in range(1, BOOTS + 1)]
     jobs = list(_jobs(seed))
     results: Iterator[Any] = (executor.map if executor else map)(_called, [job for _, job in jobs])
@@ -189,7 +190,7 @@ def observe(seed: int, executor: Executor | None = None, progress: Progress | No
 
 @lru_cache(maxsize=1024)
 def state(seed: int, boot: int) -> State:
-    """Return the state that a few seconds after switching on show."""
+    """Return the state of a sensor by a few seconds after switching on."""
     short = _simulation(seed, boot, Still(seconds=_PEEK_S), 50.0, ("BMA1", "Gyro3"))
     means = {name: sensor.block(0, sensor.rows).counts.mean(axis=0) for name, sensor in short}
     first, second = (np.array(bias_state.centre) for bias_state in bias_states())
