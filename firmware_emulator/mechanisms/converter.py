@@ -233,9 +233,6 @@ class SlowOscillator(SensorMechanism):
         site.kinds.append(lambda _: cast(Callable[..., Any], kind))
 
 
-FIELDS: dict[str, Field] = {"adxl345": adxl345.RATE, "bma180": bma180.BANDWIDTH, "l3g4200d": l3g4200d.DATA_RATE}
-
-
 def without_bit(code: int, which: int) -> int:
     """Return `code` without its set bit number `which`, counted from the lowest; without the highest if there are
     fewer.

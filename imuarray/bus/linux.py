@@ -20,7 +20,6 @@ import ctypes
 import errno
 import fcntl
 import os
-from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
@@ -37,8 +36,6 @@ from imuarray.errors import BusUrlError, SensorError
 
 MAX_MESSAGE = 8192
 """Bytes that one message may carry (LNX-05)."""
-MAX_MESSAGES = 42
-"""Messages in one call (LNX-04)."""
 KEPT = 256
 """Transactions whose structures are kept; an array of a dozen chips uses about as many dozens."""
 TIMEOUT_S = 0.03
@@ -46,9 +43,6 @@ TIMEOUT_S = 0.03
 I2C_TIMEOUT = 0x0702  # in units of 10 ms (LNX-03); smbus2 does not name it
 SEARCH_NS = 200_000_000
 """The interval between two searches for an adapter that was removed: each lists the adapters of the machine."""
-
-Request = tuple[int, bytes, int]
-"""Address, bytes to write, count to read: the arguments of `transfer`."""
 
 
 class LinuxBus:
@@ -83,9 +77,7 @@ class LinuxBus:
         self._alone = True
         self._known: dict[str, int] = {}
         self._search_ns = 0
-        self._one = lru_cache(KEPT)(lambda address, write, read: _Ioctl.of(((address, write, read),)))
-        self._many = lru_cache(KEPT)(_Ioctl.of)
-        self._grouping = True
+        self._prepared = lru_cache(KEPT)(_Ioctl.of)
         self._adapter: Any = SMBus()
         self._file = -1
         try:
@@ -125,7 +117,7 @@ class LinuxBus:
         """Transfer as `Bus.transfer`; ValueError for more than a message can carry (the kernel's field is 16 bits wide:
         LNX-33). OSError with ENODEV while the adapter is removed.
         """
-        block = self._one(address, write, read)
+        block = self._prepared(address, write, read)
         if self._file < 0:
             self._find_again()
         try:
@@ -133,7 +125,7 @@ class LinuxBus:
         except OSError:
             self._notice_removal()
             raise
-        return block.answers[0].raw
+        return block.answer.raw
 
     def _notice_removal(self) -> None:
         """Close every adapter of this bus that the kernel has removed; OSError with ENODEV if this one is removed.
@@ -174,27 +166,6 @@ class LinuxBus:
             self._open(str(self._device_files / name))
         except (OSError, BusUrlError) as error:  # udev has not set its permissions yet, or another program was faster
             raise self._removed() from error
-
-    def transfer_all(self, requests: Sequence[Request]) -> list[bytes]:
-        """Return the answers to `requests`, each as of `transfer`, in one transaction where the adapter allows it,
-        joined by repeated STARTs; otherwise one after the other.
-
-        If one fails, nothing is returned, and it is not known which one (LNX-13). Requests that depend on a STOP, such
-        as the multiplexer's channel (LNX-07), must not be among them.
-        """
-        if self._grouping and 1 < len(requests) <= MAX_MESSAGES // 2:
-            block = self._many(tuple(requests))
-            if self._file < 0:
-                self._find_again()
-            try:
-                fcntl.ioctl(self._file, I2C_RDWR, block.structure)
-                return [answer.raw for answer in block.answers]
-            except OSError as error:
-                if error.errno != errno.EOPNOTSUPP:
-                    self._notice_removal()
-                    raise
-                self._grouping = False
-        return [self.transfer(*request) for request in requests]
 
     def claim(self, address: int, path: str | None = None) -> None:
         """Raise SensorError if a driver of the kernel owns `address` of this bus (of the channel bus at `path`): two
@@ -300,28 +271,24 @@ class SpiBus:
 
 
 class _Ioctl(NamedTuple):
-    """The structures of one I2C_RDWR; the kernel stores the bytes that were read in `answers`, one for each request."""
+    """The structures of one I2C_RDWR; the kernel stores the bytes that were read in `answer`."""
 
     structure: Any
-    answers: list[ctypes.Array[ctypes.c_char]]
+    answer: ctypes.Array[ctypes.c_char]
     messages: list[Any]
     """The memory to which the structure points."""
 
     @classmethod
-    def of(cls, requests: Sequence[Request]) -> _Ioctl:
+    def of(cls, address: int, write: bytes, read: int) -> _Ioctl:
         """Raise ValueError for a message that is too long or an address of more than seven bits."""
-        messages: list[Any] = []
-        answers = []
-        for address, write, read in requests:
-            if not 0 <= address <= 0x7F:
-                raise ValueError(f"address {address:#x}: addresses have seven bits")
-            if len(write) > MAX_MESSAGE or read > MAX_MESSAGE:
-                raise ValueError(
-                    f"address {address:#04x}: {max(len(write), read)} bytes, a message carries at most {MAX_MESSAGE}"
-                )
-            if write or not read:
-                messages.append(i2c_msg.write(address, write))
-            answers.append((ctypes.c_char * read)())
-            if read:
-                messages.append(i2c_msg(addr=address, flags=1, len=read, buf=answers[-1]))
-        return cls(i2c_rdwr_ioctl_data.create(*messages), answers, messages)
+        if not 0 <= address <= 0x7F:
+            raise ValueError(f"address {address:#x}: addresses have seven bits")
+        if len(write) > MAX_MESSAGE or read > MAX_MESSAGE:
+            raise ValueError(
+                f"address {address:#04x}: {max(len(write), read)} bytes, a message carries at most {MAX_MESSAGE}"
+            )
+        messages: list[Any] = [i2c_msg.write(address, write)] if write or not read else []
+        answer = (ctypes.c_char * read)()
+        if read:
+            messages.append(i2c_msg(addr=address, flags=1, len=read, buf=answer))
+        return cls(i2c_rdwr_ioctl_data.create(*messages), answer, messages)

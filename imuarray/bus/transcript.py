@@ -203,11 +203,7 @@ class RecordingBus:
         self.failed = f"transcript {self.path}: not complete: {error.strerror or error}"
 
     def __getattr__(self, name: str) -> Any:
-        """Return other attributes of the bus (an emulated one has the truth), except for transactions that would not be
-        recorded.
-        """
-        if name == "transfer_all":
-            raise AttributeError(name)
+        """Return other attributes of the bus (an emulated one has the truth)."""
         offered = getattr(self.bus, name)
         return self._claim if name == "claim" else offered
 

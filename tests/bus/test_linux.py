@@ -195,45 +195,6 @@ def structures() -> int:
     return sum(type(thing).__name__ == "i2c_rdwr_ioctl_data" for thing in gc.get_objects())
 
 
-class TestGrouped:
-    REQUESTS = ((0x53, b"\x00", 1), (0x53, b"\x1e\x07", 0), (0x53, b"\x2c", 1), (0x53, b"\x1e", 1))
-    ANSWERS = (b"\xe5", b"", b"\x0a", b"\x07")
-
-    def test_one_transaction_where_the_adapter_allows(self, served: Any) -> None:
-        board, _ = board_of(ON_TRUNK)
-        served(board, "plain")
-        with LinuxBus(ROOT) as bus:
-            for repeat in (1, 2):
-                assert bus.transfer_all(self.REQUESTS) == [*self.ANSWERS]
-                assert board.wire.transactions == repeat
-
-    def test_one_after_the_other_where_it_does_not(self) -> None:
-        board, _ = board_of(ON_TRUNK)
-        adapter = Counting(board.wire, "bcm2835")
-        with device_files({ROOT: adapter}), LinuxBus(ROOT) as bus:
-            assert bus.transfer_all(self.REQUESTS) == [*self.ANSWERS]
-            assert adapter.asked == [7, 2, 1, 2, 2]  # refused as a whole: LNX-45
-            assert bus.transfer_all(self.REQUESTS) == [*self.ANSWERS]
-            assert adapter.asked == [7, 2, 1, 2, 2, 2, 1, 2, 2]  # and not asked again
-
-    def test_more_than_fits_into_one_call(self, served: Any) -> None:
-        board, _ = board_of(ON_TRUNK)
-        served(board, "plain")
-        with LinuxBus(ROOT) as bus:
-            assert bus.transfer_all([(0x53, b"\x00", 1)] * 30) == [b"\xe5"] * 30  # 60 messages, 42 fit: LNX-04
-            assert bus.transfer_all([]) == []
-            assert bus.transfer_all([(0x53, b"\x00", 1)]) == [b"\xe5"]
-
-    def test_a_missing_chip_is_an_error_and_not_a_fallback(self, served: Any) -> None:
-        board, _ = board_of(ON_TRUNK)
-        served(board, "plain")
-        with LinuxBus(ROOT) as bus:
-            with pytest.raises(OSError, match="Remote I/O error"):
-                bus.transfer_all([(0x53, b"\x00", 1), (0x1D, b"\x00", 1)])
-            assert bus.transfer_all(self.REQUESTS) == [*self.ANSWERS]
-        assert board.wire.transactions == 2
-
-
 class TestClaim:
     def devices(self, folder: Path, *owned: tuple[str, str]) -> Path:
         """A folder like /sys/bus/i2c/devices."""

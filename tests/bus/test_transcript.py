@@ -435,15 +435,6 @@ def test_a_disk_that_is_full_is_no_failure_of_the_bus(tmp_path: Path) -> None:
         assert bus.transfer(0x53, b"\x00", 1) == b"\x02"
 
 
-def test_transactions_that_nobody_would_see_are_not_offered(tmp_path: Path) -> None:
-    class Grouping(Script):
-        def transfer_all(self, requests: Any) -> list[bytes]:
-            return []
-
-    with RecordingBus(Grouping([]), tmp_path / "t.jsonl") as bus:
-        assert not hasattr(bus, "transfer_all")
-
-
 def test_a_microcontroller_is_polled_while_a_transcript_is_written(tmp_path: Path) -> None:
     text = '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\n'
     array = parse_array(text)
