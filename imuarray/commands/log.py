@@ -313,7 +313,7 @@ def _record(options: LogOptions) -> int:
         if options.monitor:  # the page follows parts from the first one on
             stack.enter_context(serve_page(options.first, _page_arguments(options), screen.remark))
         if fusion:
-            fusion.tell = screen.remark
+            fusion.on_remark = screen.remark
             stack.enter_context(closing(fusion))
             listeners = {"on_headers": fusion.begin, "on_first_frame": fusion.set_start, "on_block": fusion.observe}
         recording = RecordingOptions(

@@ -87,28 +87,28 @@ def coasting(errors: Errors | Iterable[Errors], still_s: float = STILL_S, coast_
     frames = _FrameBuffer([errors] if isinstance(errors, Errors) else errors)
     if len(frames.seconds) < 2:
         return Coasting(np.zeros(0), np.zeros(0), np.zeros(0))
-    result, begin = [], 0.0
+    result, start_s = [], 0.0
     length_s, period_s = still_s + coast_s, frames.period_s
     while True:
-        frames.extend(begin + length_s + period_s)
-        if begin + length_s > frames.seconds[-1] + 1.5 * period_s:
+        frames.extend(start_s + length_s + period_s)
+        if start_s + length_s > frames.seconds[-1] + 1.5 * period_s:
             break
-        frames.forget(begin - period_s)
+        frames.forget(start_s - period_s)
         seconds = frames.seconds
-        first, go, last = np.searchsorted(seconds, np.array([0, still_s, length_s]) + begin - period_s / 2)
+        first, go, last = np.searchsorted(seconds, np.array([0, still_s, length_s]) + start_s - period_s / 2)
         window, rest = frames.errors[first : last + 1], frames.errors[first:go]
         if (still_s > 0 and not _is_still(rest)) or np.diff(seconds[first:last]).max(initial=0.0) > _PAUSE_S:
-            begin += _STEP_S
+            start_s += _STEP_S
             continue
         offsets = [part.mean(axis=0) if still_s > 0 else 0.0 for part in (rest.rate_error, rest.force_error)]
         upwards = (rest if still_s > 0 else window[:1]).force.mean(axis=0)
         tilt, velocity = propagate(window[go - first :], *offsets)
         upwards /= np.linalg.norm(upwards)
         level = velocity - velocity @ upwards * upwards
-        result.append((np.degrees(tilt @ upwards), np.linalg.norm(level), begin + still_s + frames.start_ns * 1e-9))
-        begin += length_s
-    heading, velocity, begins = np.array(result, float).reshape(-1, 3).T
-    return Coasting(heading, velocity, begins)
+        result.append((np.degrees(tilt @ upwards), np.linalg.norm(level), start_s + still_s + frames.start_ns * 1e-9))
+        start_s += length_s
+    heading, velocity, starts_s = np.array(result, float).reshape(-1, 3).T
+    return Coasting(heading, velocity, starts_s)
 
 
 class _FrameBuffer:

@@ -88,8 +88,8 @@ def consistency(errors: RowSource, covariances: RowSource) -> Consistency | None
     with RowSpool(3) as white:
         squares = 0.0
         for error, covariance in zip(row_blocks(errors), row_blocks(covariances), strict=True):
-            known = np.isfinite(covariance).all(axis=1) & np.isfinite(error).all(axis=1)
-            block, definite = _whitened(error[known], covariance[known])
+            is_finite = np.isfinite(covariance).all(axis=1) & np.isfinite(error).all(axis=1)
+            block, definite = _whitened(error[is_finite], covariance[is_finite])
             block = block[definite]
             squares += float(np.sum(block**2))
             white.append(block)
@@ -158,8 +158,8 @@ def _lagged_products(white: RowSource, last: int) -> Iterator[tuple[int, Floats]
     width = size // 2 + 1
     count = -(-rows // segment)
     with RowSpool(6 * width) as spectra:
-        for begin in range(0, rows, segment):
-            spectrum = np.fft.rfft(white[begin : begin + segment].T, size)
+        for start in range(0, rows, segment):
+            spectrum = np.fft.rfft(white[start : start + segment].T, size)
             spectra.append(np.ascontiguousarray(spectrum).view(np.float64).reshape(1, -1))
 
         def correlations(distance: int) -> Floats:
@@ -354,14 +354,14 @@ class _ProgressParts:
     """Progress of work that consists of parts with these weights."""
 
     def __init__(self, progress: Progress, weights: Sequence[float]) -> None:
-        self._progress, self._done = progress, 0.0
+        self._progress, self._completed = progress, 0.0
         self._weights = iter([weight / sum(weights) for weight in weights])
 
     def next(self) -> Progress:
         """Return the progress callback of the next part."""
-        begin, weight = self._done, next(self._weights)
-        self._done += weight
-        return lambda share: self._progress(begin + weight * share)
+        start, weight = self._completed, next(self._weights)
+        self._completed += weight
+        return lambda share: self._progress(start + weight * share)
 
 
 ErrorFrameSource = ErrorFrames | ErrorFrameSpool
@@ -381,11 +381,13 @@ def _common(first: ErrorFrameSource, second: ErrorFrameSource) -> Iterator[tuple
         end = bisect_right(
             range(len(second)), block.time[-1], lo=begin, key=lambda row: second.times(slice(row, row + 1))[0]
         )
-        other = second[begin:end]
-        if not np.array_equal(block.time, other.time):  # they are usually equal
-            _, rows, others = np.intersect1d(block.time, other.time, assume_unique=True, return_indices=True)
-            block, other = block[rows], other[others]
-        yield block, other
+        second_block = second[begin:end]
+        if not np.array_equal(block.time, second_block.time):  # they are usually equal
+            _, rows, second_rows = np.intersect1d(
+                block.time, second_block.time, assume_unique=True, return_indices=True
+            )
+            block, second_block = block[rows], second_block[second_rows]
+        yield block, second_block
 
 
 def _score(technique: str, quantity: str, average: ErrorFrameSource, estimate: ErrorFrameSource) -> Score:
@@ -393,11 +395,11 @@ def _score(technique: str, quantity: str, average: ErrorFrameSource, estimate: E
     if _have_the_same_times(average, estimate):
         squares = _squares_of(technique, quantity, average.errors, estimate.errors)
     else:
-        with RowSpool(3) as before, RowSpool(3) as after:
-            for block, other in _common(average, estimate):
-                before.append(block.errors)
-                after.append(other.errors)
-            squares = _squares_of(technique, quantity, before, after)
+        with RowSpool(3) as average_errors, RowSpool(3) as technique_errors:
+            for block, estimated in _common(average, estimate):
+                average_errors.append(block.errors)
+                technique_errors.append(estimated.errors)
+            squares = _squares_of(technique, quantity, average_errors, technique_errors)
     ratio = {axis: ratio_of(squares[:, k], squares[:, k + 3]) for k, axis in enumerate(AXES[:3])}
     ratio[AXES[3]] = ratio_of(squares[:, :3].sum(axis=1), squares[:, 3:].sum(axis=1))
     return Score(
@@ -411,12 +413,12 @@ def _have_the_same_times(first: ErrorFrameSource, second: ErrorFrameSource) -> b
     return len(first) == len(second) and all(np.array_equal(first.times(part), second.times(part)) for part in parts)
 
 
-def _squares_of(technique: str, quantity: str, before: RowSource, after: RowSource) -> Floats:
+def _squares_of(technique: str, quantity: str, average_errors: RowSource, technique_errors: RowSource) -> Floats:
     """Return the sums (b, 6) of squared errors before and after in consecutive stretches; FusionError for too few
     errors.
     """
-    count = min(BLOCKS, len(after) // 2)
+    count = min(BLOCKS, len(technique_errors) // 2)
     if count < FEWEST_BLOCKS:
-        known = f"{len(after)} values of {quantity} with a truth"
-        raise FusionError(f"technique {technique}: {known}, too few to compare")
-    return np.concatenate([block_squares(before, count), block_squares(after, count)], axis=1)
+        counts_text = f"{len(technique_errors)} values of {quantity} with a truth"
+        raise FusionError(f"technique {technique}: {counts_text}, too few to compare")
+    return np.concatenate([block_squares(average_errors, count), block_squares(technique_errors, count)], axis=1)

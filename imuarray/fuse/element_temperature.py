@@ -60,7 +60,7 @@ def element_temperatures(
     sensors = list(sensors)
     slopes = {sensor.name: slopes_of(calibration, sensor) for sensor in sensors}
     return {
-        sensor.name: thermometer if (thermal := slopes[sensor.name]) is None else _behind(thermometer, thermal)
+        sensor.name: thermometer if (thermal := slopes[sensor.name]) is None else _after_lag(thermometer, thermal)
         for sensor, thermometer in _thermometers(log, [s for s in sensors if of_all or slopes[s.name] is not None])
         if is_compatible(thermometer.kind, slopes[sensor.name])
     }
@@ -83,7 +83,7 @@ def is_compatible(kind: str, thermal: Thermal | None) -> bool:
     return (kind == "relative") == (thermal is not None and thermal.thermometer == "relative")
 
 
-def _behind(thermometer: TemperatureSeries, thermal: Thermal) -> TemperatureSeries:
+def _after_lag(thermometer: TemperatureSeries, thermal: Thermal) -> TemperatureSeries:
     """Return the temperature after the lag of the slopes, if that is significant."""
     lag_s = thermal.significant_lag_s
     if lag_s == 0:
@@ -124,59 +124,59 @@ def temperature_mismatch(
     measured = [s for s in sensors if calibrated[s.name].bias_sem_lsb is not None]
     comparable = [s for s in measured if calibrated[s.name].temperature_degc is not None]
     for sensor, thermometer in _thermometers(log, comparable):
-        known = calibrated[sensor.name]
-        if known.temperature_degc is None or thermometer.kind == "relative":
+        parameters = calibrated[sensor.name]
+        if parameters.temperature_degc is None or thermometer.kind == "relative":
             continue
-        off = thermometer.degc - known.temperature_degc
+        difference = thermometer.degc - parameters.temperature_degc
         usual = [STEEP.get((sensor.chip, axis), USUAL[sensor.quantity].slope_per_degc) for axis in range(3)]
-        unsure = np.array(usual) * known.lsb_per_si
-        thermal = known.thermal
+        unsure = np.array(usual) * parameters.lsb_per_si
+        thermal = parameters.thermal
         if thermal is not None and thermal.thermometer != "relative":
             follows = np.array([meaning == BIAS for meaning in thermal.meaning])
             doubt = np.hypot(thermal.slope_lsb_per_degc, thermal.slope_sem_lsb_per_degc)
             unsure = np.where(follows, thermal.slope_sem_lsb_per_degc, doubt)
-        mean, rms = known.temperature_degc + float(off.mean()), float(np.sqrt(np.mean(off**2)))
-        mismatches[sensor.name] = TemperatureMismatch(sensor.name, known.temperature_degc, mean, rms, unsure)
+        mean, rms = parameters.temperature_degc + float(difference.mean()), float(np.sqrt(np.mean(difference**2)))
+        mismatches[sensor.name] = TemperatureMismatch(sensor.name, parameters.temperature_degc, mean, rms, unsure)
     return mismatches
 
 
-def with_mismatch(calibration: Calibration, away: Mapping[str, TemperatureMismatch]) -> Calibration:
+def with_mismatch(calibration: Calibration, mismatches: Mapping[str, TemperatureMismatch]) -> Calibration:
     """Return the calibration with covariances of bias and response that are valid at the temperatures of a log."""
     sensors = dict(calibration.sensors)
-    for name, each in away.items():
-        known = sensors[name]
-        bias = known.bias_covariance_lsb2
-        if bias is None and known.bias_sem_lsb is not None:
-            bias = np.diag(known.bias_sem_lsb**2)
-        response = known.response_covariance()
+    for name, mismatch in mismatches.items():
+        parameters = sensors[name]
+        bias = parameters.bias_covariance_lsb2
+        if bias is None and parameters.bias_sem_lsb is not None:
+            bias = np.diag(parameters.bias_sem_lsb**2)
+        response = parameters.response_covariance()
         if response is not None:
-            rows = known.response_lsb_per_unit
+            rows = parameters.response_lsb_per_unit
             scale = np.zeros((3, 3, 3, 3))
             for axis, row in enumerate(rows):
-                scale[axis, :, axis] = (SCALE_PER_DEGC * each.rms_degc) ** 2 * np.outer(row, row)
+                scale[axis, :, axis] = (SCALE_PER_DEGC * mismatch.rms_degc) ** 2 * np.outer(row, row)
             response = response + scale.reshape(9, 9)
         sensors[name] = replace(
-            known,
-            bias_covariance_lsb2=None if bias is None else bias + np.diag(each.bias_sd_lsb**2),
+            parameters,
+            bias_covariance_lsb2=None if bias is None else bias + np.diag(mismatch.bias_sd_lsb**2),
             response_covariance_lsb2_per_unit2=response,
         )
     return replace(calibration, sensors=sensors)
 
 
-def mismatch_sentences(calibration: Calibration, away: Mapping[str, TemperatureMismatch]) -> Iterator[str]:
+def mismatch_sentences(calibration: Calibration, mismatches: Mapping[str, TemperatureMismatch]) -> Iterator[str]:
     """Yield one sentence for all sensors that were calibrated at one temperature, if that of the log differs much."""
-    far = [each for each in away.values() if each.rms_degc > AWAY_DEGC]
-    for calibrated_degc in sorted({round(each.calibrated_degc, 1) for each in far}):
-        group = [each for each in far if round(each.calibrated_degc, 1) == calibrated_degc]
-        most: dict[str, float] = {}
-        for each in group:
-            known = calibration.sensors[each.sensor]
-            factor, unit = READABLE[known.unit]
-            worst = factor * float((each.bias_sd_lsb / known.scale_lsb_per_unit).max())
-            most[unit] = max(most.get(unit, 0.0), worst)
-        names = listed([each.sensor for each in group])
-        sizes = " and ".join(f"{size:.2g} {unit}" for unit, size in most.items())
-        unknown = [each.sensor for each in group if calibration.sensors[each.sensor].noise_lsb is None]
+    far = [mismatch for mismatch in mismatches.values() if mismatch.rms_degc > AWAY_DEGC]
+    for calibrated_degc in sorted({round(mismatch.calibrated_degc, 1) for mismatch in far}):
+        group = [mismatch for mismatch in far if round(mismatch.calibrated_degc, 1) == calibrated_degc]
+        largest: dict[str, float] = {}
+        for mismatch in group:
+            parameters = calibration.sensors[mismatch.sensor]
+            factor, unit = READABLE[parameters.unit]
+            worst = factor * float((mismatch.bias_sd_lsb / parameters.scale_lsb_per_unit).max())
+            largest[unit] = max(largest.get(unit, 0.0), worst)
+        names = listed([mismatch.sensor for mismatch in group])
+        sizes = " and ".join(f"{size:.2g} {unit}" for unit, size in largest.items())
+        unknown = [mismatch.sensor for mismatch in group if calibration.sensors[mismatch.sensor].noise_lsb is None]
         covariances = (
             "the covariances are unknown without the noise (calibrate noise)"
             if unknown
@@ -202,7 +202,7 @@ _FEWEST = 3
 """Fewest segments for a trend."""
 
 _WIDTH_NS = round(SEGMENT_S * 1e9)
-_KEPT = 64
+_MOST_SEGMENTS = 64
 """Number of segments that are kept before the requested times."""
 
 
@@ -238,8 +238,8 @@ class CausalThermometer:
 
     def add(self, time: Times, degc: Floats) -> None:
         """Add rows: times (n,) in ns and degC (n,); values that are not finite are ignored."""
-        kept = np.isfinite(degc)
-        time, degc = time[kept], degc[kept]
+        is_finite = np.isfinite(degc)
+        time, degc = time[is_finite], degc[is_finite]
         if len(time) == 0:
             return
         if self._begin_ns is None:
@@ -267,21 +267,25 @@ class CausalThermometer:
         begin_ns = self._begin_ns or 0
         mid_s = (begin_ns + self._moment / self._count) * 1e-9
         degc = self._sum / self._count
-        behind = np.full(len(self._lags), degc)
+        lagged = np.full(len(self._lags), degc)
         if self._closed:
             last = self._closed[-1]
             late = (degc - last.degc) / (mid_s - last.mid_s) * self._lags
-            kept = np.exp(-(mid_s - last.mid_s) / self._lags)
-            behind = degc - late + (last.behind - last.degc + late) * kept
-        return _Segment((begin_ns + (self._number + 1) * _WIDTH_NS) * 1e-9, mid_s, degc, behind)
+            remaining = np.exp(-(mid_s - last.mid_s) / self._lags)
+            lagged = degc - late + (last.behind - last.degc + late) * remaining
+        return _Segment((begin_ns + (self._number + 1) * _WIDTH_NS) * 1e-9, mid_s, degc, lagged)
 
     def _trend(self, last: _Segment) -> float:
         """Return the slope of the line through the segments up to `last`."""
-        recent = [each for each in self._closed[-_KEPT:] if each.mid_s > last.mid_s - TREND_S + SEGMENT_S / 2]
+        recent = [
+            segment
+            for segment in self._closed[-_MOST_SEGMENTS:]
+            if segment.mid_s > last.mid_s - TREND_S + SEGMENT_S / 2
+        ]
         if len(recent) + 1 < _FEWEST:
             return 0.0
-        since = np.array([each.mid_s - last.mid_s for each in (*recent, last)])
-        return float(np.polyfit(since, [each.degc for each in (*recent, last)], 1)[0])
+        since = np.array([segment.mid_s - last.mid_s for segment in (*recent, last)])
+        return float(np.polyfit(since, [segment.degc for segment in (*recent, last)], 1)[0])
 
     def at(self, time_s: Floats, column: int) -> Floats:
         """Return the temperature (n,) after one of the lags at times (n,) in s; NaN before the first row."""
@@ -291,13 +295,13 @@ class CausalThermometer:
         self._forget(float(known_s.min()))
         segments = [*self._closed, self._open()]
         end, mid, degc, trend = (np.array([segment[k] for segment in segments]) for k in (0, 1, 2, 4))
-        behind = np.array([segment.behind[column] for segment in segments])
+        lagged = np.array([segment.behind[column] for segment in segments])
         last = np.searchsorted(end, known_s, "right") - 1
         whole = np.maximum(last, 0)
         since = np.maximum(time_s - mid[whole], 0.0)
         late = trend * self._lags[column]
-        kept = np.exp(-since / self._lags[column])
-        going = (degc - late)[whole] + trend[whole] * since + (behind - degc + late)[whole] * kept
+        remaining = np.exp(-since / self._lags[column])
+        going = (degc - late)[whole] + trend[whole] * since + (lagged - degc + late)[whole] * remaining
         return np.where(last >= 0, going, self._at_first(known_s))
 
     def _at_first(self, time_s: Floats) -> Floats:
@@ -306,8 +310,8 @@ class CausalThermometer:
         return np.asarray(means[np.maximum(np.searchsorted(self._first_s, time_s, "right") - 1, 0)])
 
     def _forget(self, before_s: float) -> None:
-        done = sum(segment.end_s < before_s for segment in self._closed)
-        del self._closed[: max(0, done - _KEPT)]
+        count = sum(segment.end_s < before_s for segment in self._closed)
+        del self._closed[: max(0, count - _MOST_SEGMENTS)]
 
 
 @dataclass(frozen=True)
@@ -334,23 +338,23 @@ class TemperatureSources:
 
 
 def causal_temperatures(
-    everything: Sequence[Described], sensors: Iterable[Described], calibration: Calibration, *, of_all: bool = False
+    all_sensors: Sequence[Described], sensors: Iterable[Described], calibration: Calibration, *, of_all: bool = False
 ) -> TemperatureSources:
     """Return element temperatures as `element_temperatures` does, from rows before a frame only: the barometer, the
-    chip's own thermometer, or that of another chip among `everything`. A reference is known only afterwards and not
+    chip's own thermometer, or that of another chip among `all_sensors`. A reference is known only afterwards and not
     used.
     """
     lags_by_source: dict[str, dict[str, float]] = {}
     for sensor in sensors:
         thermal = slopes_of(calibration, sensor)
-        source = _source(everything, sensor) if of_all or thermal is not None else None
+        source = _source(all_sensors, sensor) if of_all or thermal is not None else None
         if source is not None and is_compatible(_kind(source), thermal):
             lag_s = 0.0 if thermal is None else thermal.significant_lag_s
             lags_by_source.setdefault(source.name, {})[sensor.name] = lag_s
     elements: dict[str, ElementTemperature] = {}
     feeds: dict[str, Callable[[Block], None]] = {}
     delays_s: dict[str, float] = {}
-    for source in everything:
+    for source in all_sensors:
         if lags := lags_by_source.get(source.name):
             delays_s[source.name] = BAROMETER_S if source.quantity == "pressure" else 0.0
             thermometer = CausalThermometer(list(lags.values()), delays_s[source.name])
@@ -359,10 +363,10 @@ def causal_temperatures(
     return TemperatureSources(elements, feeds, delays_s)
 
 
-def _source(everything: Sequence[Described], sensor: Described) -> Described | None:
+def _source(all_sensors: Sequence[Described], sensor: Described) -> Described | None:
     """Return the best thermometer for a sensor."""
-    barometers = [other for other in everything if other.quantity == "pressure" and _compensates(other)]
-    chips = [other for other in everything if degc_of(other) is not None]
+    barometers = [other for other in all_sensors if other.quantity == "pressure" and _compensates(other)]
+    chips = [other for other in all_sensors if degc_of(other) is not None]
     chips.sort(key=lambda other: (other.name != sensor.name, not has_zero(other)))
     return next(iter([*barometers, *chips]), None)
 

@@ -79,21 +79,21 @@ class ErrorEvaluation:
         self._track = _track_of(log)
         self._stretches = [(phase.start_ns, phase.end_ns) for phase in phases]
         self._stack = ExitStack()
-        self._kept: dict[str, dict[str, RowSpool]] = {}
+        self._spools: dict[str, dict[str, RowSpool]] = {}
 
     def add(self, together: Mapping[str, FusedBlock]) -> None:
         """Add the next block of each result, by name; all blocks have the same frames."""
         for name, quantity, frames in _errors_in(self._track, self._stretches, together):
-            kept = self._kept.setdefault(name, {})
-            if quantity not in kept:
-                kept[quantity] = self._stack.enter_context(RowSpool(3))
-            kept[quantity].append(frames.errors)
+            spools = self._spools.setdefault(name, {})
+            if quantity not in spools:
+                spools[quantity] = self._stack.enter_context(RowSpool(3))
+            spools[quantity].append(frames.errors)
 
     def errors(self) -> dict[str, dict[str, Error]]:
         """Return the errors by name and quantity, for those with at least two frames."""
         return {
-            name: {quantity: error_of(kept[quantity]) for quantity in INERTIAL if len(kept.get(quantity, ())) > 1}
-            for name, kept in self._kept.items()
+            name: {quantity: error_of(spools[quantity]) for quantity in INERTIAL if len(spools.get(quantity, ())) > 1}
+            for name, spools in self._spools.items()
         }
 
     def __enter__(self) -> Self:
@@ -128,8 +128,8 @@ class QuietNoise:
     def add(self, block: FusedBlock) -> None:
         """Add the next frames."""
         for quantity, triad in block.triads.items():
-            known = triad[np.isfinite(triad).all(axis=1)]
-            frames = np.concatenate([self._rest[quantity], known])
+            finite = triad[np.isfinite(triad).all(axis=1)]
+            frames = np.concatenate([self._rest[quantity], finite])
             whole = len(frames) // SEGMENT * SEGMENT
             self._rest[quantity] = frames[whole:]
             self._scatters[quantity].append(_scatters(frames[:whole].reshape(-1, SEGMENT, 3)))
@@ -138,9 +138,9 @@ class QuietNoise:
         """Return the standard deviation of all frames so far, (3,) by quantity."""
         result = {}
         for quantity, parts in self._scatters.items():
-            every = np.concatenate([*parts, _scatters(self._rest[quantity][None])])
-            if len(every):
-                result[quantity] = np.quantile(every, 0.25, axis=0)
+            scatters = np.concatenate([*parts, _scatters(self._rest[quantity][None])])
+            if len(scatters):
+                result[quantity] = np.quantile(scatters, 0.25, axis=0)
         return result
 
 
@@ -206,33 +206,33 @@ class ErrorFramesOnDisk:
         """Store the frames in temporary files, or in permanent files in `folder`. FusionError without a truth."""
         self._track, self._folder = _track_of(log), folder
         self._stack = ExitStack()
-        self._kept: dict[str, dict[str, ErrorFrameSpool]] = {}
+        self._spools: dict[str, dict[str, ErrorFrameSpool]] = {}
 
     def add(self, together: Mapping[str, FusedBlock]) -> None:
         """Add the next block of each result, by name; all blocks have the same frames."""
         for name, quantity, frames in _errors_in(self._track, (), together):
-            kept = self._kept.setdefault(name, {})
-            if quantity not in kept:
+            spools = self._spools.setdefault(name, {})
+            if quantity not in spools:
                 path = None if self._folder is None else self._folder / f"{name}.{quantity}"
-                kept[quantity] = self._stack.enter_context(ErrorFrameSpool(path))
-            kept[quantity].add(frames)
+                spools[quantity] = self._stack.enter_context(ErrorFrameSpool(path))
+            spools[quantity].add(frames)
 
     def files(self, name: str) -> dict[str, Path]:
         """Complete the files of one result in the folder; return them by quantity."""
-        return {quantity: kept.complete() for quantity, kept in self._kept.get(name, {}).items()}
+        return {quantity: spool.complete() for quantity, spool in self._spools.get(name, {}).items()}
 
     def take(self, name: str, files: Mapping[str, Path]) -> None:
         """Take the frames of one result from such files, possibly of another process; they must exist until read."""
-        kept = self._kept.setdefault(name, {})
+        spools = self._spools.setdefault(name, {})
         for quantity, path in files.items():
-            kept[quantity] = self._stack.enter_context(ErrorFrameSpool(path, "rb"))
+            spools[quantity] = self._stack.enter_context(ErrorFrameSpool(path, "rb"))
 
     def __contains__(self, name: str) -> bool:
-        return name in self._kept
+        return name in self._spools
 
     def of(self, name: str) -> dict[str, ErrorFrameSpool]:
         """Return the frames of one result by quantity."""
-        return dict(self._kept.get(name, {}))
+        return dict(self._spools.get(name, {}))
 
     def __enter__(self) -> Self:
         return self
@@ -279,16 +279,16 @@ def error_of(rows: RowSource) -> Error:
     steps = frames - 1
     change = ((rows[steps:frames][0] - rows[0:1][0]) / steps)[:, None]
     sums, squares, changes = np.zeros((len(ends), 3)), np.zeros(3), np.zeros(3)
-    done, before = 0, np.zeros((3, 0))
+    rows_done, previous = 0, np.zeros((3, 0))
     for block in row_blocks(rows):
         columns = np.ascontiguousarray(block.T)  # several times as fast
-        cuts = [*(ends[(ends > done) & (ends < done + len(block))] - done).tolist(), len(block)]
-        first = int(np.searchsorted(ends, done, "right"))
-        for part, (begin, end) in enumerate(pairwise([0, *cuts]), first):
-            sums[part] += columns[:, begin:end].sum(axis=1)
+        cuts = [*(ends[(ends > rows_done) & (ends < rows_done + len(block))] - rows_done).tolist(), len(block)]
+        first = int(np.searchsorted(ends, rows_done, "right"))
+        for part, (start, end) in enumerate(pairwise([0, *cuts]), first):
+            sums[part] += columns[:, start:end].sum(axis=1)
         squares += np.square(columns).sum(axis=1)
-        changes += np.square(np.diff(columns, prepend=before) - change).sum(axis=1)
-        done, before = done + len(block), columns[:, -1:]
+        changes += np.square(np.diff(columns, prepend=previous) - change).sum(axis=1)
+        rows_done, previous = rows_done + len(block), columns[:, -1:]
     return Error(
         mean=sums.sum(axis=0) / frames,
         noise=np.sqrt(changes / steps) / np.sqrt(2),
@@ -353,18 +353,18 @@ def _truth_at(track: Track, quantities: Sequence[str], time: npt.NDArray[np.int6
     rows: a straight line would not follow a shaken box between rows.
     """
     columns = {"specific_force": track.specific_force, "angular_rate": track.angular_rate}
-    known = {quantity: column for quantity in quantities if (column := columns[quantity]) is not None}
+    measured = {quantity: column for quantity in quantities if (column := columns[quantity]) is not None}
     first = max(0, first_at(track.time, int(time[0])) - _MARGIN)
     last = first_at(track.time, int(time[-1])) + _MARGIN
-    at = np.asarray(track.time[first:last])
-    if len(at) < 2:
-        return {quantity: np.full((len(time), 3), np.nan) for quantity in known}
-    gap_ns = 5 * float(np.median(np.diff(at)))
-    rows = {quantity: np.asarray(column[first:last], float) for quantity, column in known.items()}
-    together = np.concatenate([*rows.values(), np.zeros((len(at), 0))], axis=1)
+    times = np.asarray(track.time[first:last])
+    if len(times) < 2:
+        return {quantity: np.full((len(time), 3), np.nan) for quantity in measured}
+    gap_ns = 5 * float(np.median(np.diff(times)))
+    rows = {quantity: np.asarray(column[first:last], float) for quantity, column in measured.items()}
+    together = np.concatenate([*rows.values(), np.zeros((len(times), 0))], axis=1)
     if not np.isfinite(together).all():  # a gap of one quantity is not a gap of the other
-        return {quantity: between_gaps(at, each, time, gap_ns) for quantity, each in rows.items()}
-    truth = between_gaps(at, together, time, gap_ns)
+        return {quantity: between_gaps(times, values, time, gap_ns) for quantity, values in rows.items()}
+    truth = between_gaps(times, together, time, gap_ns)
     return {quantity: truth[:, 3 * place : 3 * place + 3] for place, quantity in enumerate(rows)}
 
 
@@ -407,12 +407,22 @@ def gains(
     rows = []
     for quantity in errors[0]:
         time, first, second = np.intersect1d(errors[0][quantity][0], errors[1][quantity][0], return_indices=True)
-        before, after = errors[0][quantity][1][first], errors[1][quantity][1][second]
+        average_errors, technique_errors = errors[0][quantity][1][first], errors[1][quantity][1][second]
         if slow:
-            before, after = (ten_second_means(time, part) for part in (before, after))
+            average_errors, technique_errors = (
+                ten_second_means(time, part) for part in (average_errors, technique_errors)
+            )
         for axis in range(3):
-            rows.append(_gain(technique, quantity, "XYZ"[axis], before[:, axis : axis + 1], after[:, axis : axis + 1]))
-        lengths = (np.linalg.norm(part, axis=1, keepdims=True) for part in (before, after))
+            rows.append(
+                _gain(
+                    technique,
+                    quantity,
+                    "XYZ"[axis],
+                    average_errors[:, axis : axis + 1],
+                    technique_errors[:, axis : axis + 1],
+                )
+            )
+        lengths = (np.linalg.norm(part, axis=1, keepdims=True) for part in (average_errors, technique_errors))
         rows.append(_gain(technique, quantity, "XYZ", *lengths))
     return rows
 
@@ -425,12 +435,12 @@ def ten_second_means(time: npt.NDArray[np.int64], rows: Floats) -> Floats:
     return np.asarray(means - means[0])
 
 
-def _gain(technique: str, quantity: str, box_axis: str, before: Floats, after: Floats) -> Gain:
-    count = min(BLOCKS, len(before) // 2)
+def _gain(technique: str, quantity: str, box_axis: str, average_errors: Floats, technique_errors: Floats) -> Gain:
+    count = min(BLOCKS, len(average_errors) // 2)
     if count < FEWEST_BLOCKS:
-        raise FusionError(f"technique {technique}: {len(before)} values with a truth, too few to compare")
-    result = ratio_of(block_squares(before, count)[:, 0], block_squares(after, count)[:, 0])
-    average, error = (float(np.sqrt(np.mean(rows**2))) for rows in (before, after))
+        raise FusionError(f"technique {technique}: {len(average_errors)} values with a truth, too few to compare")
+    result = ratio_of(block_squares(average_errors, count)[:, 0], block_squares(technique_errors, count)[:, 0])
+    average, error = (float(np.sqrt(np.mean(rows**2))) for rows in (average_errors, technique_errors))
     return Gain(technique, quantity, box_axis, average, error, result.ratio, result.ratio_se)
 
 
@@ -444,7 +454,7 @@ class Ratio:
     high: float
 
 
-def ratio_of(before: Floats, after: Floats) -> Ratio:
+def ratio_of(average_squares: Floats, technique_squares: Floats) -> Ratio:
     """Return the root of the ratio of two sums of squared errors from their parts (b,), blocks of a log or runs; b > 1.
 
     Its standard error is that of the jackknife (Tukey 1958), with each part omitted in turn. The interval is Student's
@@ -452,18 +462,18 @@ def ratio_of(before: Floats, after: Floats) -> Ratio:
     """
     from scipy.special import stdtrit  # scipy.stats is slow to import
 
-    count = len(before)
-    total = before.sum(), after.sum()
+    count = len(average_squares)
+    total = average_squares.sum(), technique_squares.sum()
     if not total[0] > 0 or not total[1] > 0:
         same = 1.0 if total[0] == total[1] else float("inf") if total[0] == 0 else 0.0
         return Ratio(same, 0.0, same, same)
     ratio = float(np.sqrt(total[1] / total[0]))
-    omitted = np.sqrt(np.maximum(total[1] - after, 0) / np.maximum(total[0] - before, 1e-300))
-    spread = float(np.sqrt((count - 1) / count * np.sum((omitted - omitted.mean()) ** 2)))
-    reach = float(np.exp(stdtrit(count - 1, 0.975) * spread / ratio))
-    return Ratio(ratio, spread, ratio / reach, ratio * reach)
+    omitted = np.sqrt(np.maximum(total[1] - technique_squares, 0) / np.maximum(total[0] - average_squares, 1e-300))
+    standard_error = float(np.sqrt((count - 1) / count * np.sum((omitted - omitted.mean()) ** 2)))
+    reach = float(np.exp(stdtrit(count - 1, 0.975) * standard_error / ratio))
+    return Ratio(ratio, standard_error, ratio / reach, ratio * reach)
 
 
 def block_squares(rows: RowSource, count: int = BLOCKS) -> Floats:
     """Return the sums of squares (count, k) of `count` consecutive stretches of rows (n, k)."""
-    return np.array([square_sum(rows, begin, end) for begin, end in parts_of(len(rows), count)])
+    return np.array([square_sum(rows, start, end) for start, end in parts_of(len(rows), count)])

@@ -230,15 +230,15 @@ class StoredEvents:
     def append(self, event: FaultEvent) -> None:
         """Append an event. OSError."""
         texts = (event.sensor, event.kind, event.state, event.sentence)
-        kept = [_shortened(text, length) for text, length in zip(texts, _TEXTS.values(), strict=True)]
-        for name, value in zip(("time", *_TEXTS), (event.time_ns, *kept), strict=True):
+        shortened = [_shortened(text, length) for text, length in zip(texts, _TEXTS.values(), strict=True)]
+        for name, value in zip(("time", *_TEXTS), (event.time_ns, *shortened), strict=True):
             column = self._group[name]
             column.resize(column.shape[0] + 1, axis=0)
             column[-1] = value
             column.flush()
 
 
-def events_in(file: h5py.File, where: str) -> tuple[FusedEvent, ...]:
+def events_in(file: h5py.File, place: str) -> tuple[FusedEvent, ...]:
     """Return the events of a file that every column contains: after an interrupted write some columns are longer than
     others. LogError if they can't be read.
     """
@@ -249,7 +249,7 @@ def events_in(file: h5py.File, where: str) -> tuple[FusedEvent, ...]:
         rows = zip(*(_column(group[name]) for name in ("time", *_TEXTS)), strict=False)
         return tuple(FusedEvent(int(time), *(_decoded(text) for text in texts)) for time, *texts in rows)
     except DAMAGE:
-        raise LogError(f"{where}: its events can't be read") from None
+        raise LogError(f"{place}: its events can't be read") from None
 
 
 def _column(column: h5py.Dataset) -> list[Any]:
@@ -459,10 +459,10 @@ class _FusedColumns:
         _require_disk_space(self._path, block)
         columns = _columns(block)
         if not len(self._group):
-            signal, *others = block.triads
+            signal, *other_quantities = block.triads
             self._group.attrs.update(NX_class="NXdata", axes=["time", "."], signal=signal)
-            if others:
-                self._group.attrs["auxiliary_signals"] = others
+            if other_quantities:
+                self._group.attrs["auxiliary_signals"] = other_quantities
         for name in [name for name in columns if name not in self._group]:  # time first: it is a dimension of the rest
             self._create(name, columns[name])
         for name, rows in columns.items():

@@ -100,8 +100,8 @@ class FusedResult:
         attributes = {"technique": self.technique, "log": self.log, "calibration": self.calibration}
         labelled = dataset(self.time, self.epoch, variables, {**attributes, "epoch": self.epoch})
         labels = {"entry": ENTRIES} | {f"{quantity}_sensor": names for quantity, names in self.sensors.items()}
-        known = {name: list(values) for name, values in labels.items() if labelled.sizes.get(name) == len(values)}
-        return labelled.assign_coords(known)
+        coordinates = {name: list(values) for name, values in labels.items() if labelled.sizes.get(name) == len(values)}
+        return labelled.assign_coords(coordinates)
 
     def to_pandas(self) -> Any:
         """Return a `pandas.DataFrame` indexed by time, one column per number; MissingExtraError without pandas."""
@@ -131,10 +131,10 @@ class FusedResult:
         rows = []
         for quantity, triad in self.frames.triads.items():
             factor, unit = READABLE_SI[quantity]
-            known = np.isfinite(triad).all(axis=1)
-            mean = triad[known].mean(axis=0) if known.any() else np.full(3, np.nan)
-            variance = self.standard_error(quantity)[known] ** 2
-            sem = np.sqrt(variance.mean(axis=0)) if known.any() else np.full(3, np.nan)
+            is_finite = np.isfinite(triad).all(axis=1)
+            mean = triad[is_finite].mean(axis=0) if is_finite.any() else np.full(3, np.nan)
+            variance = self.standard_error(quantity)[is_finite] ** 2
+            sem = np.sqrt(variance.mean(axis=0)) if is_finite.any() else np.full(3, np.nan)
             rms = self.errors[quantity].rms if quantity in self.errors else np.full(3, np.nan)
             for axis in range(3):
                 cells = (number(factor * values[axis]) for values in (mean, sem, rms))

@@ -89,8 +89,8 @@ def prepare_inputs(
     ...     blocks = list(fuse(log, inputs.calibration, "planes", only=inputs.only))
     """
     uncalibrated = [sensor.name for sensor in _inertial(log, only) if sensor.name not in calibration.sensors]
-    calibration, start_up, chosen = _in_start_states(log, calibration, only, ranges)
-    sensors = _inertial(log, chosen)
+    calibration, start_up, names = _in_start_states(log, calibration, only, ranges)
+    sensors = _inertial(log, names)
     sloped = [sensor for sensor in sensors if slopes_of(calibration, sensor) is not None]
     warm = element_temperatures(log, sloped, calibration)
     cold = [sensor.name for sensor in sloped if sensor.name not in warm]
@@ -99,22 +99,22 @@ def prepare_inputs(
         remarks.append(f"{log.path}: no thermometer for the slopes of {', '.join(cold)}; calibrated biases are used")
     lacking = [sensor.name for sensor in sensors if calibration.or_nominal(sensor).noise_lsb is None]
     if lacking and (technique is None or technique in NEEDS_NOISE):
-        which = "" if len(lacking) == len(sensors) else f" of {', '.join(lacking)}"
+        sensors_text = "" if len(lacking) == len(sensors) else f" of {', '.join(lacking)}"
         from imuarray.calibrate.noise import with_noise_of  # slow to import
 
-        remarks.append(f"no noise{which} in the calibration; it was measured in this log at rest")
+        remarks.append(f"no noise{sensors_text} in the calibration; it was measured in this log at rest")
         try:
             calibration = with_noise_of(log, calibration, lacking, progress)
         except CalibrationError as error:
             raise FusionError(
-                f"{error}, to measure the noise{which}, which the calibration lacks; record the box at rest, run"
+                f"{error}, to measure the noise{sensors_text}, which the calibration lacks; record the box at rest, run"
                 " `imuarray calibrate noise` on that log and pass the file as calibration, or choose a technique"
                 " that needs no noise (mean, opposed)"
             ) from None
     mismatch = temperature_mismatch(log, sensors, calibration)
     return FusionInputs(
         calibration,
-        tuple(chosen),
+        tuple(names),
         tuple(uncalibrated),
         tuple(start_up),
         tuple(warm),
@@ -171,12 +171,12 @@ def _in_start_states(
     sensors to fuse.
     """
     by_sensor = {name: ranges[sensor.chip] for name, sensor in log.sensors.items() if sensor.chip in ranges}
-    chosen, starts = start_up_states(log, calibration, by_sensor)
+    adapted, starts = start_up_states(log, calibration, by_sensor)
     wrong = [name for name, start in starts.items() if start.fault]
     sentences = [start.sentence(name, calibration) for name, start in starts.items()]
     if wrong:
         only = [name for name in only or [sensor.name for sensor in _inertial(log, ())] if name not in wrong]
-    return chosen, [sentence for sentence in sentences if sentence], only
+    return adapted, [sentence for sentence in sentences if sentence], only
 
 
 BLOCK = 1 << 14
@@ -217,12 +217,12 @@ WATCH = Watch()
 
 @dataclass(frozen=True)
 class Patience:
-    """Time that frames wait for rows of a sensor; `tell` is called with a sentence when a sensor times out, and when
-    its rows arrive again.
+    """Time that frames wait for rows of a sensor; `on_remark` receives a sentence when a sensor times out, and when its
+    rows arrive again.
     """
 
     timeout_s: float = TIMEOUT_S
-    tell: Callable[[str], None] = lambda text: None
+    on_remark: Callable[[str], None] = lambda text: None
 
 
 PATIENCE = Patience()
@@ -260,14 +260,14 @@ def fuse(  # noqa: PLR0913
     >>> sorted(blocks[0].triads), blocks[0].triads["angular_rate"].shape[1]
     (['angular_rate', 'specific_force'], 3)
     """
-    everything = list(log.sensors.values())
-    chosen = _chosen(everything, only, str(log.path))
+    sensors_of_log = list(log.sensors.values())
+    by_quantity = _by_quantity(sensors_of_log, only, str(log.path))
     if not causal and technique != OPTIMAL:  # `optimal` follows the temperature itself
-        inertial = [sensor for sensors in chosen.values() for sensor in sensors]
+        inertial = [sensor for sensors in by_quantity.values() for sensor in sensors]
         calibration = with_mismatch(calibration, temperature_mismatch(log, inertial, calibration))
-    array = _Array(chosen, calibration, technique, watch)
+    array = _Array(by_quantity, calibration, technique, watch)
     if causal:
-        temperatures = causal_temperatures(everything, array.inertial, calibration, of_all=array.is_optimal)
+        temperatures = causal_temperatures(sensors_of_log, array.inertial, calibration, of_all=array.is_optimal)
     else:
         of_all = element_temperatures(log, array.inertial, calibration, of_all=array.is_optimal)
         temperatures = TemperatureSources(of_all, {}, {})
@@ -291,7 +291,7 @@ def fuse_together(
     """Fuse by several techniques that fuse each quantity separately (`TECHNIQUES`); frames are aligned once. Returns
     blocks by the name of the technique. FusionError.
     """
-    array = _Array(_chosen(list(log.sensors.values()), only, str(log.path)), calibration, AVERAGE, Watch(on=False))
+    array = _Array(_by_quantity(list(log.sensors.values()), only, str(log.path)), calibration, AVERAGE, Watch(on=False))
     temperatures = TemperatureSources(element_temperatures(log, array.inertial, calibration), {}, {})
     axes = array.axes
     stream = FusionStream(
@@ -313,12 +313,12 @@ def live(
     FusionError if the sensors are not sufficient for the technique.
     """
     sensors = sorted(sensors, key=lambda sensor: sensor.name)  # the order in a log
-    array = _Array(_chosen(sensors, only, "the array"), calibration, technique, watch)
+    array = _Array(_by_quantity(sensors, only, "the array"), calibration, technique, watch)
     temperatures = causal_temperatures(sensors, array.inertial, calibration, of_all=array.is_optimal)
     factory = array.factory(temperatures)
     factory(1.0)  # raises before anything is read
     return FusionStream(
-        array.groups, calibration, factory, temperatures, timeout_s=patience.timeout_s, tell=patience.tell
+        array.groups, calibration, factory, temperatures, timeout_s=patience.timeout_s, on_remark=patience.on_remark
     )
 
 
@@ -328,7 +328,7 @@ def aligned(
     """Yield the input of techniques from a log: blocks of frames by quantity, with the temperatures of elements by
     sensor. FusionError.
     """
-    array = _Array(_chosen(list(log.sensors.values()), only, str(log.path)), calibration, OPTIMAL, Watch(on=False))
+    array = _Array(_by_quantity(list(log.sensors.values()), only, str(log.path)), calibration, OPTIMAL, Watch(on=False))
     temperatures = TemperatureSources(element_temperatures(log, array.inertial, calibration, of_all=True), {}, {})
     stream = FusionStream(
         array.groups, calibration, lambda period_s: FramePipeline(), temperatures, timeout_s=float("inf")
@@ -412,16 +412,16 @@ def _smoothed(
 
     def first_pass() -> Iterator[FrameBlock]:
         stream = FusionStream(array.groups, array.calibration, factory, temperatures, timeout_s=float("inf"))
-        yield from _replay(log, stream, block, lambda done: callbacks.progress(_FIRST_PASS * done))
+        yield from _replay(log, stream, block, lambda frames_done: callbacks.progress(_FIRST_PASS * frames_done))
 
     def second_pass() -> Iterator[FrameBlock]:
         first = supervised[0]  # faults are detected and reported once
         inner: Pipeline[FrameBlock] = FramePipeline()
         again = MaskedPipeline(inner, first.left_out) if isinstance(first, MonitoredPipeline) else inner
-        done = 0  # frames
+        frames_done = 0  # frames
         for frames, degc in spool.blocks():
-            done += len(next(iter(frames.values())).time)
-            callbacks.progress(_FIRST_PASS + (1 - _FIRST_PASS) * done / spool.frames)
+            frames_done += len(next(iter(frames.values())).time)
+            callbacks.progress(_FIRST_PASS + (1 - _FIRST_PASS) * frames_done / spool.frames)
             yield from again(frames, degc)
         yield from again.finish()
 
@@ -460,15 +460,15 @@ def _period_s(array: _Array[SensorLog]) -> float:
     return choose_grid(first, groups, [sensor.where for sensor in array.inertial]).period_ns * 1e-9
 
 
-def _chosen(sensors: Sequence[_Sensor], only: Collection[str], where: str) -> dict[str, list[_Sensor]]:
+def _by_quantity(sensors: Sequence[_Sensor], only: Collection[str], where: str) -> dict[str, list[_Sensor]]:
     """Return the inertial sensors to fuse, by quantity; FusionError if there are none."""
-    chosen: dict[str, list[_Sensor]] = {
+    by_quantity: dict[str, list[_Sensor]] = {
         quantity: [s for s in sensors if s.quantity == quantity and (not only or s.name in only)]
         for quantity in INERTIAL
     }
-    if not any(chosen.values()):
+    if not any(by_quantity.values()):
         raise FusionError(f"{where}: no inertial sensor{f' among {sorted(only)}' if only else ''}")
-    return {quantity: group for quantity, group in chosen.items() if group}
+    return {quantity: group for quantity, group in by_quantity.items() if group}
 
 
 def _replay(
@@ -484,7 +484,9 @@ def _replay(
     total = max(1, sum(len(sensor) for sensor in sensors))
     while remaining:
         sensor = remaining[min(remaining, key=lambda name: reached_ns[name])]
-        part = _read(sensor, slice(row[sensor.name], row[sensor.name] + block), sensor.name in stream.thermometers)
+        part = _read_block(
+            sensor, slice(row[sensor.name], row[sensor.name] + block), sensor.name in stream.thermometers
+        )
         if len(part.time):
             reached_ns[sensor.name] = int(part.time[-1])
             row[sensor.name] += len(part.time)
@@ -496,7 +498,7 @@ def _replay(
     yield from stream.finish()
 
 
-def _read(sensor: SensorLog, rows: slice, with_temperature: bool) -> Block:
+def _read_block(sensor: SensorLog, rows: slice, with_temperature: bool) -> Block:
     """Read some rows of a sensor, with the temperature if required."""
     time, counts = np.asarray(sensor.time[rows]), np.asarray(sensor.counts[rows])
     status, degrees = np.asarray(sensor.status[rows]), sensor.temperature_counts

@@ -160,12 +160,12 @@ class LiveFusion:
         output: FusionOutput,
         calibration: Calibration,
         options: LiveFusionOptions,
-        tell: Callable[[str], None] = lambda text: None,
+        on_remark: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """`tell` receives sentences about the fusion: failing sensors, skipped frames, its end."""
+        """`on_remark` receives sentences about the fusion: failing sensors, skipped frames, its end."""
         self.output, self.skipped, self.failure = output, 0, ""
         self.frames = 0
-        self._calibration, self._options, self.tell = calibration, options, tell
+        self._calibration, self._options, self.on_remark = calibration, options, on_remark
         self._start_calibration = options.start_calibration or (lambda: calibration)
         self._watch = Watch(options.watch, options.ranges, self._record_fault)
         self._faults: deque[FaultEvent] = deque(maxlen=_FAULTS_KEPT)
@@ -200,8 +200,8 @@ class LiveFusion:
             quantity: [h.name for h in ordered if h.quantity == quantity] for quantity in INERTIAL
         }
         self._files = FusedFiles(self.output, epoch=epoch, sensors=names)
-        self._wanted = frozenset(stream.sensors)
-        blocks = self._options.queue_blocks or round(_SECONDS_WAITING * len(self._wanted))
+        self._fused_sensors = frozenset(stream.sensors)
+        blocks = self._options.queue_blocks or round(_SECONDS_WAITING * len(self._fused_sensors))
         self._queue: queue.Queue[tuple[str, Block]] = queue.Queue(blocks)
         sys.setswitchinterval(min(self._switch_s, _SWITCH_S))
         self._thread = threading.Thread(target=self._work, args=(headers, self._files), name="fusion", daemon=True)
@@ -214,7 +214,7 @@ class LiveFusion:
 
     def observe(self, sensor: str, block: Block) -> None:
         """Queue rows without waiting."""
-        if self.failure or self._thread is None or sensor not in self._wanted:
+        if self.failure or self._thread is None or sensor not in self._fused_sensors:
             return
         if self._overrun and self._queue.qsize() <= self._queue.maxsize // 2:
             self._overrun = False
@@ -224,7 +224,7 @@ class LiveFusion:
                 return
             except queue.Full:
                 self._overrun = True
-                self.tell("fusion can't keep up: its file lacks frames; the log contains them")
+                self.on_remark("fusion can't keep up: its file lacks frames; the log contains them")
         self._dropped[sensor] = self._dropped.get(sensor, 0) + len(block.time)
         self.skipped = max(self._dropped.values())
 
@@ -247,7 +247,7 @@ class LiveFusion:
             self._thread = None
             sys.setswitchinterval(self._switch_s)
             if self.skipped:
-                self.tell(f"{self.path}: {counted(self.skipped, 'frame')} skipped: fusion could not keep up")
+                self.on_remark(f"{self.path}: {counted(self.skipped, 'frame')} skipped: fusion could not keep up")
 
     @property
     def paths(self) -> list[Path]:
@@ -272,14 +272,14 @@ class LiveFusion:
             calibration,
             self.output.technique,
             watch=self._watch,
-            patience=Patience(self._timeout_s, lambda text: self.tell(text)),
+            patience=Patience(self._timeout_s, lambda text: self.on_remark(text)),
         )
 
     def _record_fault(self, event: FaultEvent) -> None:
         """Store and report a failure or recovery of a sensor."""
         self._faults.append(event)
         self._unwritten.append(event)
-        self.tell(event.sentence)
+        self.on_remark(event.sentence)
 
     def _work(self, headers: Sequence[SensorHeader], files: FusedFiles) -> None:
         """Run in the thread. An error is reported once and ends the fusion."""
@@ -296,9 +296,9 @@ class LiveFusion:
                 self._write(files, [*blocks, *stream.finish()])
                 self._notes = notes_of(stream.pipeline)
         except Exception as error:  # no error may stop the recording
-            known = isinstance(error, ImuArrayError | OSError)
-            self.failure = str(error) if known else f"{type(error).__name__}: {error}"
-            self.tell(f"fusion stops, recording continues: {self.failure}")
+            is_own_error = isinstance(error, ImuArrayError | OSError)
+            self.failure = str(error) if is_own_error else f"{type(error).__name__}: {error}"
+            self.on_remark(f"fusion stops, recording continues: {self.failure}")
         finally:
             with suppress(queue.Empty):
                 while True:

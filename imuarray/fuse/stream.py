@@ -205,10 +205,10 @@ class FusionStream(Generic[Out]):
         temperatures: TemperatureSources,
         *,
         timeout_s: float = TIMEOUT_S,
-        tell: Callable[[str], None] = lambda text: None,
+        on_remark: Callable[[str], None] = lambda text: None,
     ) -> None:
         """`sensors` by quantity; `factory` creates their pipeline once the seconds from frame to frame are known;
-        `temperatures` are those of their elements. `tell` is called with a sentence when a sensor times out, and when
+        `temperatures` are those of their elements. `on_remark` receives a sentence when a sensor times out, and when
         its rows arrive again. CalibrationError if the calibration does not fit.
         """
         inertial = [sensor for group in sensors.values() for sensor in group]
@@ -240,7 +240,7 @@ class FusionStream(Generic[Out]):
         self._pipeline: Pipeline[Out] | None = None
         self._direct: Mapping[str, DirectCombination] = {}
         self._timeout_ns = timeout_s * 1e9
-        self._tell = tell
+        self._on_remark = on_remark
         self._silent: set[str] = set()
         self._grid: FrameGrid | None = None
         self._asleep_until_ns = -FOREVER_NS
@@ -328,7 +328,7 @@ class FusionStream(Generic[Out]):
             late = newest_ns - max(reached_ns, delay_ns) > self._timeout_ns
             if late != (name in self._silent) and not rows.ended:
                 self._silent ^= {name}
-                self._tell(f"{name}: {'silent, fused without it' if late else 'fused again'}")
+                self._on_remark(f"{name}: {'silent, fused without it' if late else 'fused again'}")
             if not rows.ended:
                 known_ns = min(known_ns, newest_ns if late else reached_ns)
         return known_ns

@@ -80,8 +80,10 @@ class FaultEvent:
             return "is excluded; the remaining axes can't check each other: no further fault can be detected"
         significance = f"{self.significance:.0f} sigma"
         if self.state == "not isolated":
-            others = " or ".join(self.others)
-            return f"{self._fault()} ({significance}), or the fault is in {others}: not isolated, all remain in use"
+            rivals_text = " or ".join(self.others)
+            return (
+                f"{self._fault()} ({significance}), or the fault is in {rivals_text}: not isolated, all remain in use"
+            )
         return f"{self._fault()} ({significance}): excluded"
 
     def _fault(self) -> str:
@@ -160,12 +162,12 @@ def agreeing(seen: WindowResiduals, normal: NormalModel, present: Booleans) -> B
     """Return (m,) the axes, included or not, whose readings agree with the included ones and the normal model."""
     mean = seen.means**2 < AGREES * seen.spread
     centred = np.where(seen.residual == 0, 0.0, seen.residual - seen.means)
-    others = ((seen.rows @ seen.white.spread) * seen.rows).sum(axis=1)
+    variances = ((seen.rows @ seen.white.spread) * seen.rows).sum(axis=1)
     known = seen.regressors - seen.regressors.mean(axis=1, keepdims=True)
-    lasting = normal.doubt_within(known)
-    total = normal.variance + others + lasting
+    doubt = normal.doubt_within(known)
+    total = normal.variance + variances + doubt
     energy = (centred**2).sum(axis=0) / total
-    limit = energy_limit(len(seen.triad), normal.colour, lasting / total)
+    limit = energy_limit(len(seen.triad), normal.colour, doubt / total)
     return np.asarray(mean & (energy < limit / 2) & present)
 
 
@@ -203,7 +205,7 @@ class FaultReport:
         self, axes: Sequence[int], rivals: Sequence[int], time_ns: int, kind: FaultKind | None, gain: float
     ) -> None:
         """Report a fault of one sensor that other sensors may explain as well."""
-        others = tuple(self._names[rival] for rival in rivals)
+        rival_names = tuple(self._names[rival] for rival in rivals)
         self._add(
             axes[0] // 3,
             axes,
@@ -211,7 +213,7 @@ class FaultReport:
             kind or _UNKNOWN,
             "not isolated",
             significance=float(np.sqrt(gain)),
-            others=others,
+            others=rival_names,
         )
 
     def count_disagreement(self) -> None:
@@ -222,7 +224,7 @@ class FaultReport:
         """Report a sensor without valid readings for some time."""
         self._add(sensor, _ALL, time_ns, FaultKind("dropped_samples", seconds), "silent")
 
-    def back(self, sensor: int, time_ns: int) -> None:
+    def note_return(self, sensor: int, time_ns: int) -> None:
         """Report a sensor that gives valid readings again."""
         self._add(sensor, _ALL, time_ns, FaultKind("dropped_samples", 0.0), "back")
 

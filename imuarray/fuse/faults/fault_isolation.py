@@ -68,7 +68,7 @@ class Silence:
             report.silent(sensor, self._patience * self._window_s, time_ns)
             self._reported[sensor] = True
         for sensor in np.flatnonzero(self._reported & (self._heard >= self._patience)).tolist():
-            report.back(sensor, time_ns)
+            report.note_return(sensor, time_ns)
             self._reported[sensor] = False
 
 

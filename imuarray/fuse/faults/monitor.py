@@ -116,26 +116,26 @@ class FaultMonitor:
         starts = range(first, len(held.time) - self.window + 1, self.window)
         sound = _sound(held, first, len(starts), self.window) if starts else np.zeros(0, bool)
         disturbed = np.append(np.flatnonzero(~sound), len(sound))
-        stretch, begin, ahead, number = None, 0, _AT_FIRST, 0
+        stretch, start, ahead, number = None, 0, _AT_FIRST, 0
         while number < len(starts):
             if sound[number]:
-                if stretch is None or number - begin >= len(stretch.changes):
-                    stretch, begin = self._stretch(held, starts[number : number + ahead]), number
+                if stretch is None or number - start >= len(stretch.changes):
+                    stretch, start = self._stretch(held, starts[number : number + ahead]), number
                     ahead = min(2 * ahead, _AT_ONCE)
                 if stretch is not None:
-                    last = min(int(disturbed[np.searchsorted(disturbed, number)]), begin + len(stretch.changes))
-                    passed = self._isolation.advance(stretch, range(number - begin, last - begin))
+                    last = min(int(disturbed[np.searchsorted(disturbed, number)]), start + len(stretch.changes))
+                    passed = self._isolation.advance(stretch, range(number - start, last - start))
                     self._masks += [stretch.out.copy() for _ in range(passed)]
                     number += passed
                     if passed:
                         continue
             self._masks.append(np.zeros(held.valid.shape[1], bool))
-            masks, out = self._masks[-2:], self._isolation.out
+            masks, excluded = self._masks[-2:], self._isolation.out
             window = partial(self._window_at, held, starts[number])
             short = stretch if sound[number] else None
-            if short is None or not self._isolation.undisturbed(short, number - begin, window, masks):
+            if short is None or not self._isolation.undisturbed(short, number - start, window, masks):
                 self._isolation(window(), masks)
-            if (self._isolation.out != out).any():
+            if (self._isolation.out != excluded).any():
                 stretch, ahead = None, _AT_FIRST
             number += 1
         return self._release(held, max(0, len(self._masks) - 1))
@@ -150,38 +150,38 @@ class FaultMonitor:
         self._masks.append(self._isolation.out)
         return self._release(self._held, len(self._masks))
 
-    def _stretch(self, held: Frames, starts: range) -> WindowSeries | None:
+    def _stretch(self, frames: Frames, starts: range) -> WindowSeries | None:
         """Return the fast path for the windows that begin at these rows; None if it does not apply."""
         rows = slice(starts[0], starts[-1] + self.window)
         shape = (len(starts), self.window)
-        time, values = held.time[rows].reshape(shape), held.values[rows].reshape(*shape, -1)
+        time, values = frames.time[rows].reshape(shape), frames.values[rows].reshape(*shape, -1)
         if self._spread_out:
             rates = self._rates[rows].reshape(*shape, 3)
             values = values - np.stack(
-                [lever_arms(*each, self._positions_m, self._rows) for each in zip(time, rates, strict=True)]
+                [lever_arms(*window, self._positions_m, self._rows) for window in zip(time, rates, strict=True)]
             )
         return self._isolation.stretch(time, values)
 
-    def _window_at(self, held: Frames, start: int) -> DecisionWindow:
+    def _window_at(self, frames: Frames, start: int) -> DecisionWindow:
         """Return the decision window that begins at a row."""
         rows = slice(start, start + self.window)
-        values = held.values[rows]
+        values = frames.values[rows]
         if self._spread_out:
-            values = values - lever_arms(held.time[rows], self._rates[rows], self._positions_m, self._rows)
-        stale = None if held.stale is None else held.stale[rows]
-        return DecisionWindow(held.time[rows], values, held.valid[rows], stale)
+            values = values - lever_arms(frames.time[rows], self._rates[rows], self._positions_m, self._rows)
+        stale = None if frames.stale is None else frames.stale[rows]
+        return DecisionWindow(frames.time[rows], values, frames.valid[rows], stale)
 
-    def _release(self, held: Frames, windows: int) -> Frames:
+    def _release(self, frames: Frames, windows: int) -> Frames:
         """Return the frames of the first `windows` windows, masked, and keep the others."""
-        stop = min(windows * self.window, len(held.time))
-        self._held, self._rates = held.part(slice(stop, None)), self._rates[stop:]
-        done = held.part(slice(stop))
+        stop = min(windows * self.window, len(frames.time))
+        self._held, self._rates = frames.part(slice(stop, None)), self._rates[stop:]
+        released = frames.part(slice(stop))
         masks, self._masks = self._masks[:windows], self._masks[windows:]
         self.left_out.add(masks)
         if not any(mask.any() for mask in masks):
-            return done
-        out = np.repeat(np.array(masks), self.window, axis=0)[:stop]
-        return done.without(out)
+            return released
+        excluded = np.repeat(np.array(masks), self.window, axis=0)[:stop]
+        return released.without(excluded)
 
 
 def _sound(frames: Frames, first: int, windows: int, length: int) -> Booleans:
@@ -233,7 +233,9 @@ class MonitoredPipeline(Generic[Out]):
         }
         self._report, self._reported = report, dict.fromkeys(axes, 0)
         self._gyroscopes = directions(axes.get(_RATE, []))
-        self._apart = any(axis.position_m != triads[0].position_m for triads in axes.values() for axis in triads)
+        self._has_lever_arms = any(
+            axis.position_m != triads[0].position_m for triads in axes.values() for axis in triads
+        )
         self._degc: dict[str, Floats] = {}
         """Temperatures of the frames that the monitors have not returned yet."""
 
@@ -245,16 +247,16 @@ class MonitoredPipeline(Generic[Out]):
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Out]:
         """See `Pipeline`."""
         rate_box = self._rate_box(frames)
-        done = {quantity: self._monitors[quantity](part, rate_box) for quantity, part in frames.items()}
+        released = {quantity: self._monitors[quantity](part, rate_box) for quantity, part in frames.items()}
         self._report_events()
         self._degc = {name: np.concatenate([self._degc.get(name, values[:0]), values]) for name, values in degc.items()}
-        yield from self._passed(done)
+        yield from self._passed(released)
 
     def _rate_box(self, frames: Mapping[str, Frames]) -> Floats | None:
         """Return the angular rate (n, 3) of the box, which affects sensors at different positions; None if not known or
         not required.
         """
-        if _RATE not in frames or not self._apart:
+        if _RATE not in frames or not self._has_lever_arms:
             return None
         part = frames[_RATE]
         return np.nan_to_num(consensus(part.values, part.valid, self._gyroscopes, _RATE))

@@ -129,8 +129,8 @@ class NormalModel:
         fresh = ~self._begun & (changes > _A_CHANGE * usual)
         self.variance = np.where(fresh, changes, self.variance)
         self._begun |= fresh
-        known = float(np.median(self.variance[self._begun])) if self._begun.any() else 1.0
-        self.variance = np.where(self._begun, self.variance, known)
+        typical = float(np.median(self.variance[self._begun])) if self._begun.any() else 1.0
+        self.variance = np.where(self._begun, self.variance, typical)
         self.change = np.where(fresh | ~self._begun | np.isnan(self.change), 2 * self.variance, self.change)
 
     @property
@@ -141,9 +141,9 @@ class NormalModel:
     @property
     def learnt_now(self) -> Learnt:
         """A copy of the part that windows change."""
-        before = np.full(len(self._seen), np.nan) if self._before is None else self._before
-        every = (self.state, self.covariance, self.colour, self.change, self._seen, before)
-        return Learnt(*(np.array(each, float, order="C") for each in every))
+        previous_means = np.full(len(self._seen), np.nan) if self._before is None else self._before
+        values = (self.state, self.covariance, self.colour, self.change, self._seen, previous_means)
+        return Learnt(*(np.array(value, float, order="C") for value in values))
 
     def relearn(self, learnt: Learnt) -> None:
         """Replace the part that windows change."""
@@ -232,15 +232,15 @@ class NormalModel:
         change = self.change + rate * (np.minimum(step, 4 * self.change) - self.change)
         self.change = change if every else np.where(which, change, self.change)
         if self.learnt.any():
-            within = own.var(axis=0) / share * (len(own) / max(1, len(own) - 1))
-            moved = self.variance + rate * (np.minimum(within, 2 * self.variance) - self.variance)
+            within_window = own.var(axis=0) / share * (len(own) / max(1, len(own) - 1))
+            moved = self.variance + rate * (np.minimum(within_window, 2 * self.variance) - self.variance)
             self.variance = np.where(self.learnt & which & (seen < Q_WINDOWS), moved, self.variance)
         if self._before is not None:
-            spread = counts * (means - self._before) ** 2 / (2 * share * self.variance)
+            between_windows = counts * (means - self._before) ** 2 / (2 * share * self.variance)
             rate = 1 / np.minimum(seen + 10, KAPPA_WINDOWS)
-            colour = self.colour + rate * (np.minimum(spread, 9 * self.colour) - self.colour)
+            colour = self.colour + rate * (np.minimum(between_windows, 9 * self.colour) - self.colour)
             colour = np.minimum(np.maximum(colour, 1.0), self.longest_colour)
-            self.colour = np.where(which & np.isfinite(spread), colour, self.colour)
+            self.colour = np.where(which & np.isfinite(between_windows), colour, self.colour)
         self._before = means if every else np.where(which, means, np.nan)
         self._seen = seen + which
 
@@ -295,20 +295,20 @@ class Parity:
         """Return twice the log-likelihood ratio (m,) of an error in one axis, for `errors` (m,): one degree of
         freedom.
         """
-        shown = self.matrix @ errors
+        residuals = self.matrix @ errors
         return np.asarray(
-            np.where(self.observable, shown**2 / np.where(self.observable, self.matrix.diagonal(), 1.0), 0.0)
+            np.where(self.observable, residuals**2 / np.where(self.observable, self.matrix.diagonal(), 1.0), 0.0)
         )
 
     def sensor_gains(self, errors: Floats) -> Floats:
         """Return the same (m / 3,) for an error in all axes of one triad: three degrees of freedom."""
         sensors = len(errors) // 3
         blocks = np.einsum("sisj->sij", self.matrix.reshape(sensors, 3, sensors, 3))
-        shown = (self.matrix @ errors).reshape(sensors, 3, 1)
+        residuals = (self.matrix @ errors).reshape(sensors, 3, 1)
         scale = np.maximum(np.einsum("sii->s", blocks), 1e-300)
         firm = blocks + (1e-9 * scale)[:, None, None] * np.eye(3)
         shows = self.observable.reshape(sensors, 3).any(axis=1)
-        return np.asarray(np.where(shows, (shown * np.linalg.solve(firm, shown)).sum(axis=(1, 2)), 0.0))
+        return np.asarray(np.where(shows, (residuals * np.linalg.solve(firm, residuals)).sum(axis=(1, 2)), 0.0))
 
 
 def parity(rows: Floats, weights: Floats) -> Parity | None:
@@ -381,9 +381,9 @@ class DecisionWindow:
     @cached_property
     def changes(self) -> Floats:
         """Mean square (m,) of the change from reading to reading, NaN without two consecutive valid ones."""
-        both = self.valid[1:] & self.valid[:-1]
-        squares = np.where(both, np.diff(self.values, axis=0), 0.0) ** 2
-        counts = both.sum(axis=0)
+        consecutive = self.valid[1:] & self.valid[:-1]
+        squares = np.where(consecutive, np.diff(self.values, axis=0), 0.0) ** 2
+        counts = consecutive.sum(axis=0)
         return np.where(counts > 0, squares.sum(axis=0) / np.maximum(counts, 1), np.nan)
 
 
@@ -416,8 +416,8 @@ class WindowResiduals:
     @property
     def spread(self) -> Floats:
         """Variance (m,) of the mean residual of an axis that is not included."""
-        others = ((self.rows @ self.slow.spread) * self.rows).sum(axis=1)
-        return np.asarray(self.doubt + others)
+        variances = ((self.rows @ self.slow.spread) * self.rows).sum(axis=1)
+        return np.asarray(self.doubt + variances)
 
     @cached_property
     def deleted_squares(self) -> Floats:
@@ -434,10 +434,10 @@ class WindowResiduals:
         noise = np.where(
             self.white.observable, 1 / np.where(self.white.observable, self.white.matrix.diagonal(), 1.0), np.inf
         )
-        known = self.regressors - self.regressors.mean(axis=1, keepdims=True)
-        lasting = deleted**2 @ normal.doubt_within(known)
+        centred = self.regressors - self.regressors.mean(axis=1, keepdims=True)
+        doubt = deleted**2 @ normal.doubt_within(centred)
         noise = noise + deleted**2 @ normal.jitter(self.regressors)
-        return self.deleted_squares / (noise + lasting), lasting / (noise + lasting)
+        return self.deleted_squares / (noise + doubt), doubt / (noise + doubt)
 
 
 def window_residuals(

@@ -84,9 +84,9 @@ class SegmentView:
         """Compute stimulus, nominal gain and reach by compiled code."""
         rows, unknowns, terms = sizes = self.sizes
         packed = np.empty(rows + 3 + unknowns * (rows + 1) + (2 + terms**2) * unknowns**2)
-        known = (self.rows, self.geometry.noise, self.geometry.timing, self.offset, self.errors)
+        constants = (self.rows, self.geometry.noise, self.geometry.timing, self.offset, self.errors)
         first = np.ascontiguousarray(readings.values[0], float), readings.valid[0]
-        reach = compiled_segments.begin((*known, *first, packed), sizes, self.final, change, _TOLERATED)
+        reach = compiled_segments.begin((*constants, *first, packed), sizes, self.final, change, _TOLERATED)
         if reach >= 0:
             self.packed, self.packed_rows, self.reach = packed, readings.valid[0].tobytes(), reach
             self._variance, self.stimulus = packed[:rows], packed[rows : rows + 3]
@@ -131,8 +131,8 @@ class SegmentView:
         gain = np.zeros(self.rows.shape[::-1])
         (gain[:, valid],) = self.gains(valid, self.terms(self.stimulus[None]))
         noise = (gain * self.geometry.noise**2) @ gain.T
-        both = (gain[:, None, :, None] * gain[None, :, None, :]).reshape(noise.size, -1)
-        errors = (self.errors.reshape(-1, both.shape[1]) @ both.T).reshape(-1, *noise.shape)
+        products = (gain[:, None, :, None] * gain[None, :, None, :]).reshape(noise.size, -1)
+        errors = (self.errors.reshape(-1, products.shape[1]) @ products.T).reshape(-1, *noise.shape)
         timing = (gain * self.geometry.timing**2) @ gain.T
         return NominalGain(gain, gain @ self.offset, noise, errors, timing)
 
@@ -212,10 +212,10 @@ def censored(unknowns: Floats, covariance: Floats, clipped: ClippedReadings) -> 
     joint = _joint(covariance, clipped)
     for index in range(len(clipped.rows)):
         place = count + index
-        sign, spread = clipped.signs[:, index], np.sqrt(np.maximum(joint[:, place, place], 1e-300))
-        distance = sign * (clipped.bounds[:, index] - mean[:, place]) / spread
+        sign, deviation = clipped.signs[:, index], np.sqrt(np.maximum(joint[:, place, place], 1e-300))
+        distance = sign * (clipped.bounds[:, index] - mean[:, place]) / deviation
         moved, remaining = truncated(distance)
-        gain = joint[:, :, place] / spread[:, None]
+        gain = joint[:, :, place] / deviation[:, None]
         mean = mean + gain * (sign * moved)[:, None]
         joint = joint - gain[:, :, None] * gain[:, None, :] * (1 - remaining)[:, None, None]
     return mean[:, :count], joint[:, :count, :count]
@@ -263,24 +263,24 @@ class FrameSolution:
 def solve(view: SegmentView, readings: FrameReadings, into: FrameSolution, frames: slice) -> None:
     """Solve the triads of `readings`, which are `frames` of `into`."""
     into = into.part(frames)
-    every = np.arange(len(readings.time))
-    for valid, which in readings.patterns():
+    all_frames = np.arange(len(readings.time))
+    for valid, pattern_frames in readings.patterns():
         usual = view.usual(valid)
         if usual is None:
             continue
-        solved = readings.values[which] @ usual.gain.T - usual.expected
-        into.unknowns[which], into.used[which] = solved, valid[: view.geometry.axes]
-        into.covariance[which] = view.usual_spreads(usual, solved[:, :3])
+        solved = readings.values[pattern_frames] @ usual.gain.T - usual.expected
+        into.unknowns[pattern_frames], into.used[pattern_frames] = solved, valid[: view.geometry.axes]
+        into.covariance[pattern_frames] = view.usual_spreads(usual, solved[:, :3])
         odd = np.zeros(len(solved), bool)
         if view.reach < np.inf:
             odd |= np.linalg.norm(solved[:, :3] - view.stimulus, axis=1) > view.reach
         informative = None
         if readings.bounds is not None:
-            informative = _informative(view, readings.bounds, which, into)
+            informative = _informative(view, readings.bounds, pattern_frames, into)
             odd |= informative.any(axis=1)
         if odd.any():
             clipped = None if informative is None else informative[odd]
-            _solve_odd(view, readings, valid, every[which][odd], into, clipped)
+            _solve_odd(view, readings, valid, all_frames[pattern_frames][odd], into, clipped)
 
 
 def _solve_odd(
@@ -298,12 +298,16 @@ def _solve_odd(
     into.covariance[frames] = view.spreads(valid, gains, terms)
     if clipped is None or readings.bounds is None:
         return
-    for axes, which in patterns(clipped):
+    for axes, pattern_frames in patterns(clipped):
         if axes.any():
-            at = frames[which]
-            bounds = Bounds(readings.bounds.ends[at], readings.bounds.at[at])
-            beyond = _clipped_readings(view, bounds, valid, np.flatnonzero(axes), terms[which], gains[which])
-            into.unknowns[at], into.covariance[at] = censored(into.unknowns[at], into.covariance[at], beyond)
+            selected = frames[pattern_frames]
+            bounds = Bounds(readings.bounds.ends[selected], readings.bounds.at[selected])
+            beyond = _clipped_readings(
+                view, bounds, valid, np.flatnonzero(axes), terms[pattern_frames], gains[pattern_frames]
+            )
+            into.unknowns[selected], into.covariance[selected] = censored(
+                into.unknowns[selected], into.covariance[selected], beyond
+            )
 
 
 def _informative(view: SegmentView, bounds: Bounds, which: Indices | slice, into: FrameSolution) -> Booleans:
@@ -314,10 +318,10 @@ def _informative(view: SegmentView, bounds: Bounds, which: Indices | slice, into
     informative: Booleans = np.asarray(ends != 0)
     frames = np.flatnonzero(informative.any(axis=1))
     if len(frames):
-        solved, spread = into.unknowns[which][frames], into.covariance[which][frames]
+        solved, covariances = into.unknowns[which][frames], into.covariance[which][frames]
         rows, noise = view.rows[: ends.shape[1]], view.geometry.noise[: ends.shape[1]]
-        known = ((rows @ spread) * rows).sum(axis=2)
-        variance = 2 * (known + view.own(view.terms(solved[:, :3]))[:, : len(noise)] + noise**2)
+        variances = ((rows @ covariances) * rows).sum(axis=2)
+        variance = 2 * (variances + view.own(view.terms(solved[:, :3]))[:, : len(noise)] + noise**2)
         short = ends[frames] * (bounds.at[which][frames] - solved @ rows.T - view.offset[: len(noise)])
         informative[frames] &= short > -_CERTAIN * np.sqrt(variance)
     return informative

@@ -164,8 +164,8 @@ def patterns(flags: Booleans) -> Patterns:
 
 def hold_last(triad: Floats) -> Floats:
     """Replace NaN in triads (n, 3) by the last known triad; NaN remains before the first one."""
-    known = np.isfinite(triad).all(axis=1)
-    return triad if known.all() else triad[np.maximum.accumulate(np.where(known, np.arange(len(triad)), 0))]
+    is_finite = np.isfinite(triad).all(axis=1)
+    return triad if is_finite.all() else triad[np.maximum.accumulate(np.where(is_finite, np.arange(len(triad)), 0))]
 
 
 def readings_of(frames: Frames, geometry: Geometry) -> FrameReadings:
@@ -179,8 +179,8 @@ def readings_of(frames: Frames, geometry: Geometry) -> FrameReadings:
         beyond = _redundant(valid & (np.abs(frames.values) > limits), valid, geometry)
         signs = np.sign(np.nan_to_num(frames.values))
         ends = np.where(beyond, signs, 0 if clipped is None else clipped).astype(np.int8)
-        at = ends * np.minimum(np.abs(np.nan_to_num(frames.values, nan=np.inf)), limits)
-        bounds = Bounds(ends, np.asarray(at, float))
+        bounds_at = ends * np.minimum(np.abs(np.nan_to_num(frames.values, nan=np.inf)), limits)
+        bounds = Bounds(ends, np.asarray(bounds_at, float))
         valid = valid & (ends == 0)
     if frames.stale is not None and (valid & frames.stale).any():
         valid = _without_stale(valid, frames.stale, geometry)
@@ -194,10 +194,10 @@ def _redundant(beyond: Booleans, valid: Booleans, geometry: Geometry) -> Boolean
     wider range.
     """
     frames = np.flatnonzero(beyond.any(axis=1))
-    within, ends = (valid & ~beyond)[frames], geometry.end[: geometry.axes]
+    valid_within, ends = (valid & ~beyond)[frames], geometry.end[: geometry.axes]
     for end in np.unique(ends[beyond.any(axis=0)]):
-        for pattern, which in patterns(within & (ends > _WIDER * end)):
-            beyond[frames[which]] &= ~(geometry.lacking(pattern) & (ends == end))
+        for pattern, pattern_frames in patterns(valid_within & (ends > _WIDER * end)):
+            beyond[frames[pattern_frames]] &= ~(geometry.lacking(pattern) & (ends == end))
     return beyond
 
 
@@ -208,7 +208,7 @@ def _any_beyond(values: Floats, limits: Floats) -> bool:
 
 def _without_stale(valid: Booleans, stale: Booleans, geometry: Geometry) -> Booleans:
     fresh = valid & ~stale
-    for pattern, which in patterns(fresh):
+    for pattern, pattern_frames in patterns(fresh):
         if not geometry.spans(pattern):
-            fresh[which] = valid[which]
+            fresh[pattern_frames] = valid[pattern_frames]
     return fresh

@@ -97,7 +97,7 @@ class Lever:
     def forget(self) -> None:
         """Restart: the rate before the next frame is unknown."""
         self._time, self._rate = np.zeros(2, np.int64), np.full((2, 3), np.nan)
-        self._held = np.zeros(3)
+        self._last_rate = np.zeros(3)
 
     def __call__(self, readings: FrameReadings, rate: Floats) -> FrameReadings:
         """Return `readings` with the centripetal term removed, and the readings of the angular acceleration. Where
@@ -105,19 +105,25 @@ class Lever:
         """
         time, rates = np.concatenate([self._time, readings.time]), np.concatenate([self._rate, rate])
         acceleration = self._slopes(time, rates)
-        lasting = hold_last(np.concatenate([self._held[None], rate]))[1:]
-        self._time, self._rate, self._held = time[-2:], rates[-2:], (lasting[-1] if len(lasting) else self._held)
-        known = np.asarray(np.isfinite(acceleration).all(axis=1))
-        turning = self._centripetal(lasting)
+        held_rate = hold_last(np.concatenate([self._last_rate[None], rate]))[1:]
+        self._time, self._rate, self._last_rate = (
+            time[-2:],
+            rates[-2:],
+            (held_rate[-1] if len(held_rate) else self._last_rate),
+        )
+        is_finite = np.asarray(np.isfinite(acceleration).all(axis=1))
+        turning = self._centripetal(held_rate)
         values = np.where(readings.valid, readings.values - turning, 0.0)
-        reported = np.where(known[:, None], acceleration, 0.0) @ self.whitening.T
-        others = np.concatenate([np.repeat(known[:, None], 3, axis=1), np.ones((len(known), 3), bool)], axis=1)
+        reported = np.where(is_finite[:, None], acceleration, 0.0) @ self.whitening.T
+        valid_columns = np.concatenate(
+            [np.repeat(is_finite[:, None], 3, axis=1), np.ones((len(is_finite), 3), bool)], axis=1
+        )
         return FrameReadings(
             readings.time,
-            np.concatenate([values, reported, np.zeros((len(known), 3))], axis=1),
-            np.concatenate([readings.valid, others], axis=1),
+            np.concatenate([values, reported, np.zeros((len(is_finite), 3))], axis=1),
+            np.concatenate([readings.valid, valid_columns], axis=1),
             None if readings.bounds is None else Bounds(readings.bounds.ends, readings.bounds.at - turning),
-            readings.same_rows and bool((known == known[:1]).all()),
+            readings.same_rows and bool((is_finite == is_finite[:1]).all()),
         )
 
     def _centripetal(self, rate: Floats) -> Floats:
@@ -167,7 +173,7 @@ class BiasTemperature:
         """`others` rows follow those of the axes, and have no temperature."""
         self._sensors = [axis.sensor for axis in axes]
         degc = [error.bias_degc for error in model.of(axes)]
-        self._bias_degc = np.array([np.nan if known is None else known for known in degc])
+        self._bias_degc = np.array([np.nan if bias_degc is None else bias_degc for bias_degc in degc])
         self._warmer = np.zeros(len(axes) + others)
 
     def of(self, degc: Mapping[str, Floats]) -> Callable[[int], Floats]:
@@ -294,7 +300,7 @@ class _Group:
             geometry, states, timing.segment_frames, Dynamics(geometry, timing.period_s), self._recorder
         )
         self._bias_temperature = BiasTemperature(axes, model, others)
-        self._again: SegmentEnds | None = None
+        self._other_ends: SegmentEnds | None = None
         self._view: SegmentView | None = None
         self._stimulus = np.zeros(3)
         self._segment_frames, self._dynamics = timing.segment_frames, Dynamics(geometry, timing.period_s)
@@ -303,8 +309,8 @@ class _Group:
         readings = readings_of(frames, self._geometry)
         if self.lever is not None:
             readings = self.lever(readings, np.full((len(frames.time), 3), np.nan) if rate is None else rate)
-        if self._again is not None:
-            return self._with_views(readings, self._again)
+        if self._other_ends is not None:
+            return self._with_views(readings, self._other_ends)
         return self.filter(readings, self._bias_temperature.of(degc))
 
     def noise_covariance(self) -> Floats:
@@ -323,7 +329,7 @@ class _Group:
             self._recorder.smooth()
         if self.lever is not None:
             self.lever.forget()
-        self._again = SegmentEnds(self._segment_frames)
+        self._other_ends = SegmentEnds(self._segment_frames)
 
     def close(self) -> None:
         """Delete the temporary files."""

@@ -178,14 +178,14 @@ def error_model(
     covariances: dict[str, Floats] = {}
     responses: dict[str, Floats] = {}
     for sensor in sensors:
-        known, has_temperature = calibration.or_nominal(sensor), watched is None or sensor.name in watched
+        parameters, has_temperature = calibration.or_nominal(sensor), watched is None or sensor.name in watched
         usual = USUAL[sensor.quantity]
         slopes = np.array([STEEP.get((sensor.chip, index), usual.slope_per_degc) for index in range(3)])
         timing_s = _AGE / sensor.rate_hz if sensor.rate_hz > 0 else TIMING_S
         own_slopes = slopes * np.sqrt(1 - usual.common_share)
-        for index, errors in enumerate(_of_sensor(known, usual, own_slopes, has_temperature)):
-            wander = 0.0 if known.drift is not None else usual.drift_share * errors.noise
-            slope = 0.0 if known.thermal is not None else float(slopes[index] * np.sqrt(usual.common_share))
+        for index, errors in enumerate(_of_sensor(parameters, usual, own_slopes, has_temperature)):
+            wander = 0.0 if parameters.drift is not None else usual.drift_share * errors.noise
+            slope = 0.0 if parameters.thermal is not None else float(slopes[index] * np.sqrt(usual.common_share))
             shared = _of_design(wander, slope, has_temperature)
             axes[sensor.name, index] = replace(
                 errors,
@@ -195,9 +195,11 @@ def error_model(
             )
             place = (sensor.chip, index)
             designs[place] = _of_both(designs[place], shared) if place in designs else shared
-        if known.bias_covariance_lsb2 is not None:
-            covariances[sensor.name] = known.bias_covariance_lsb2 / np.outer(known.lsb_per_si, known.lsb_per_si)
-        shares = response_shares(known)
+        if parameters.bias_covariance_lsb2 is not None:
+            covariances[sensor.name] = parameters.bias_covariance_lsb2 / np.outer(
+                parameters.lsb_per_si, parameters.lsb_per_si
+            )
+        shares = response_shares(parameters)
         if shares is not None:
             responses[sensor.name] = shares
     return ErrorModel(
@@ -222,23 +224,29 @@ def _of_both(first: DesignErrors, second: DesignErrors) -> DesignErrors:
 
 
 def _of_sensor(
-    known: SensorCalibration, usual: DesignDefaults, slopes_per_degc: Floats, has_temperature: bool
+    parameters: SensorCalibration, usual: DesignDefaults, slopes_per_degc: Floats, has_temperature: bool
 ) -> list[AxisErrors]:
     """Return the errors of the three axes of one sensor; `slopes_per_degc` are their own if none were measured."""
-    if known.noise_lsb is None:
+    if parameters.noise_lsb is None:
         raise FusionError(
-            f"sensor {known.name}: its noise is not known; run `imuarray calibrate noise` and pass the file"
+            f"sensor {parameters.name}: its noise is not known; run `imuarray calibrate noise` and pass the file"
         )
-    noise = known.noise_lsb / known.lsb_per_si
+    noise = parameters.noise_lsb / parameters.lsb_per_si
     for index in np.flatnonzero(~(noise > 0)):
-        raise FusionError(f"sensor {known.name} axis {'xyz'[index]}: noise {noise[index]:g}: its readings never change")
-    drift, time_constant_s = _drift(known, usual, noise)
-    bias, response = _bias(known, usual, noise, drift), _response(known, usual)
-    slope, bias_degc = _slope(known, slopes_per_degc)
+        raise FusionError(
+            f"sensor {parameters.name} axis {'xyz'[index]}: noise {noise[index]:g}: its readings never change"
+        )
+    drift, time_constant_s = _drift(parameters, usual, noise)
+    bias, response = _bias(parameters, usual, noise, drift), _response(parameters, usual)
+    slope, bias_degc = _slope(parameters, slopes_per_degc)
     if not has_temperature:  # the bias does not follow measured slopes either
-        slope = slope if known.thermal is None else np.hypot(slope, known.thermal.slope_lsb_per_degc / known.lsb_per_si)
+        slope = (
+            slope
+            if parameters.thermal is None
+            else np.hypot(slope, parameters.thermal.slope_lsb_per_degc / parameters.lsb_per_si)
+        )
         drift, slope = np.hypot(drift, UNWATCHED_DEGC * slope), np.zeros(3)
-    correlation = known.noise_correlation
+    correlation = parameters.noise_correlation
     return [
         AxisErrors(
             noise=float(noise[index]),
@@ -258,30 +266,32 @@ _COLOURED = 0.99
 """Largest correlation of neighbouring readings."""
 
 
-def _bias(known: SensorCalibration, usual: DesignDefaults, noise: Floats, drift: Floats) -> Floats:
+def _bias(parameters: SensorCalibration, usual: DesignDefaults, noise: Floats, drift: Floats) -> Floats:
     """Return the standard deviations (3,) of independent errors of a bias: that of the calibration if it has no
     covariance, the turn-on change, both now and at the calibration, the drift at the calibration, and the effect of
     gravity on a gyroscope, which is nearly constant at rest.
     """
-    if known.bias_sem_lsb is None:
+    if parameters.bias_sem_lsb is None:
         return np.full(3, usual.bias)
-    measured = np.zeros(3) if known.bias_covariance_lsb2 is not None else known.bias_sem_lsb / known.lsb_per_si
+    measured = (
+        np.zeros(3) if parameters.bias_covariance_lsb2 is not None else parameters.bias_sem_lsb / parameters.lsb_per_si
+    )
     turn_on, states = usual.turn_on_share * noise, np.zeros(3)
-    if known.turn_on is not None:
-        turn_on = np.hypot(known.turn_on.rms_lsb, known.turn_on.rms_sem_lsb) / known.lsb_per_si
-        states = _between_states(known.turn_on) / known.lsb_per_si**2
+    if parameters.turn_on is not None:
+        turn_on = np.hypot(parameters.turn_on.rms_lsb, parameters.turn_on.rms_sem_lsb) / parameters.lsb_per_si
+        states = _between_states(parameters.turn_on) / parameters.lsb_per_si**2
     gravity = np.full(3, usual.g_sensitivity)
-    if known.g_sensitivity_sem_lsb_per_g is not None:
-        gravity = np.sqrt(np.mean(known.g_sensitivity_sem_lsb_per_g**2, axis=1)) / known.lsb_per_si
-    at_calibration = (turn_on**2 + drift**2) * _of_calibration(known)
+    if parameters.g_sensitivity_sem_lsb_per_g is not None:
+        gravity = np.sqrt(np.mean(parameters.g_sensitivity_sem_lsb_per_g**2, axis=1)) / parameters.lsb_per_si
+    at_calibration = (turn_on**2 + drift**2) * _of_calibration(parameters)
     return np.asarray(np.sqrt(measured**2 + turn_on**2 + at_calibration + states + gravity**2))
 
 
-def _of_calibration(known: SensorCalibration) -> float:
+def _of_calibration(parameters: SensorCalibration) -> float:
     """Return the share of the variance between switch-ons in a calibrated bias: 1 over the number of logs, each of
     which began with a switch-on; 0 for a bias that was not measured in logs.
     """
-    origin = known.provenance.get("bias")
+    origin = parameters.provenance.get("bias")
     return 0.0 if origin is None or not origin.logs else 1 / len(origin.logs)
 
 
@@ -294,32 +304,32 @@ def _between_states(turn_on: TurnOn) -> Floats:
     return np.asarray(2 * np.average((biases - mean) ** 2, axis=0, weights=shares))
 
 
-def _drift(known: SensorCalibration, usual: DesignDefaults, noise: Floats) -> tuple[Floats, float]:
+def _drift(parameters: SensorCalibration, usual: DesignDefaults, noise: Floats) -> tuple[Floats, float]:
     """Return the rms (3,) and the time constant of the drift."""
-    drift = known.drift
+    drift = parameters.drift
     if drift is None:
         return usual.drift_share * noise, DRIFT_TIME_CONSTANT_S
-    return np.hypot(drift.rms_lsb, drift.rms_sem_lsb) / known.lsb_per_si, float(drift.time_constant_s)
+    return np.hypot(drift.rms_lsb, drift.rms_sem_lsb) / parameters.lsb_per_si, float(drift.time_constant_s)
 
 
-def _response(known: SensorCalibration, usual: DesignDefaults) -> Floats:
+def _response(parameters: SensorCalibration, usual: DesignDefaults) -> Floats:
     """Return the relative standard errors (3,) of the response."""
-    if known.response_sem_lsb_per_unit is None:
+    if parameters.response_sem_lsb_per_unit is None:
         return np.full(3, usual.response)
-    return np.asarray(known.response_sem_lsb_per_unit / known.scale_lsb_per_unit)
+    return np.asarray(parameters.response_sem_lsb_per_unit / parameters.scale_lsb_per_unit)
 
 
-def _slope(known: SensorCalibration, usual_per_degc: Floats) -> tuple[Floats, float | None]:
+def _slope(parameters: SensorCalibration, usual_per_degc: Floats) -> tuple[Floats, float | None]:
     """Return the standard deviation (3,) of the slopes in SI per degC, and the temperature at which the bias is valid.
 
     A slope that may be one of scale is not applied to the bias, so its full size is uncertainty.
     """
-    thermal = known.thermal
+    thermal = parameters.thermal
     if thermal is None:
-        return usual_per_degc, known.temperature_degc if known.bias_sem_lsb is not None else None
+        return usual_per_degc, parameters.temperature_degc if parameters.bias_sem_lsb is not None else None
     is_ambiguous = np.array([meaning != BIAS for meaning in thermal.meaning])
     whole = np.hypot(thermal.slope_lsb_per_degc, thermal.slope_sem_lsb_per_degc)
-    spread = np.where(is_ambiguous, whole, thermal.slope_sem_lsb_per_degc) / known.lsb_per_si
+    deviation = np.where(is_ambiguous, whole, thermal.slope_sem_lsb_per_degc) / parameters.lsb_per_si
     if thermal.thermometer == "relative":
-        return spread, thermal.reference_degc
-    return spread, thermal.reference_degc if known.temperature_degc is None else known.temperature_degc
+        return deviation, thermal.reference_degc
+    return deviation, thermal.reference_degc if parameters.temperature_degc is None else parameters.temperature_degc

@@ -48,35 +48,35 @@ class Adjoint(NamedTuple):
     matrix: Floats
 
 
-def predicted(before: Gaussian, remaining: Floats, added: Floats) -> Gaussian:
+def predicted(prior: Gaussian, remaining: Floats, added: Floats) -> Gaussian:
     """Return the predicted states: the share `remaining` (n,) of each, and the variance `added` (n,)."""
-    covariance = before.covariance * (remaining[:, None] * remaining)
+    covariance = prior.covariance * (remaining[:, None] * remaining)
     covariance.ravel()[:: len(remaining) + 1] += added  # the diagonal
-    return Gaussian(before.mean * remaining, covariance)
+    return Gaussian(prior.mean * remaining, covariance)
 
 
-def corrected(before: Gaussian, rows: Floats, values: Floats) -> tuple[Gaussian, Innovation]:
+def corrected(prior: Gaussian, rows: Floats, values: Floats) -> tuple[Gaussian, Innovation]:
     """Return the states after measurements `values` (p,) by `rows` (p, n), with errors of unit variance."""
-    seen = rows @ before.covariance
+    seen = rows @ prior.covariance
     innovations = seen @ rows.T
     innovations.ravel()[:: len(rows) + 1] += 1.0  # the diagonal
     root = np.linalg.cholesky(innovations)
     inverse_root = np.linalg.inv(root)
     gain = inverse_root @ seen
-    innovation = inverse_root @ (values - rows @ before.mean)
-    after = Gaussian(before.mean + gain.T @ innovation, before.covariance - gain.T @ gain)
-    return after, Innovation(rows, inverse_root.T @ inverse_root, inverse_root.T @ innovation)
+    innovation = inverse_root @ (values - rows @ prior.mean)
+    posterior = Gaussian(prior.mean + gain.T @ innovation, prior.covariance - gain.T @ gain)
+    return posterior, Innovation(rows, inverse_root.T @ inverse_root, inverse_root.T @ innovation)
 
 
-def backwards(later: Adjoint, at: Gaussian, step: Innovation) -> Adjoint:
-    """Return the information of these and all later measurements on the state `at`, as predicted before them.
+def backwards(later: Adjoint, belief: Gaussian, step: Innovation) -> Adjoint:
+    """Return the information of these and all later measurements on the state `belief`, as predicted before them.
 
     With ``kept = 1 - covariance rows' inverse rows`` the vector is ``kept' vector - rows' weighted`` and the matrix
     ``kept' matrix kept + rows' inverse rows``. There are few measurements compared with states, so products with `kept`
     are not formed.
     """
     weighed = step.inverse @ step.rows
-    seen = at.covariance @ step.rows.T
+    seen = belief.covariance @ step.rows.T
     across = later.matrix @ seen
     vector = later.vector - weighed.T @ (seen.T @ later.vector) - step.rows.T @ step.weighted
     half = weighed.T @ (seen.T @ across @ weighed / 2 - across.T) + step.rows.T @ weighed / 2
@@ -105,12 +105,12 @@ class StateResponse:
         rows, columns = np.nonzero(flat)
         place = np.arange(len(rows)) - np.searchsorted(rows, rows)
         for layer in range(int(place.max(initial=-1)) + 1):
-            which = place == layer
-            entries = flat[rows[which], columns[which]]
+            in_layer = place == layer
+            entries = flat[rows[in_layer], columns[in_layer]]
             self._layers.append(
                 _Layer(
-                    slice(None) if which.sum() == len(flat) else rows[which],
-                    columns[which],
+                    slice(None) if in_layer.sum() == len(flat) else rows[in_layer],
+                    columns[in_layer],
                     None if (entries == 1).all() else entries[:, None],
                 )
             )
@@ -208,17 +208,17 @@ def _of_axis(axes: Sequence[Axis], errors: Sequence[AxisErrors], model: ErrorMod
     axis, error = axes[index], errors[index]
     calibrated = model.bias_covariances.get(axis.sensor)
     together = model.response_covariances.get(axis.sensor)
-    off = [error.response] * 3
+    deviations = [error.response] * 3
     if together is not None:
-        off = np.sqrt(np.diag(together)[3 * axis.index : 3 * axis.index + 3]).tolist()
+        deviations = np.sqrt(np.diag(together)[3 * axis.index : 3 * axis.index + 3]).tolist()
     bias = np.sqrt(error.bias**2 + (0.0 if calibrated is None else calibrated[axis.index, axis.index]))
     states = [
         _State(f"{axis.label} bias", float(bias), np.inf, [index]),
         _State(f"{axis.label} drift", error.drift, error.drift_time_constant_s, [index]),
         _State(f"{axis.label} slope", error.slope_per_degc, np.inf, [index], "thermal"),
         *(
-            _State(f"{axis.label} response {box}", spread, np.inf, [index], box)
-            for box, spread in zip("XYZ", off, strict=True)
+            _State(f"{axis.label} response {box}", deviation, np.inf, [index], box)
+            for box, deviation in zip("XYZ", deviations, strict=True)
         ),
     ]
     return [state for state in states if state.spread > 0]
@@ -230,11 +230,11 @@ def _of_designs(axes: Sequence[Axis], model: ErrorModel) -> list[_State]:
         members.setdefault((axis.chip, axis.index), []).append(index)
     of_axes = model.of(axes)
     states = []
-    for (chip, index), its in members.items():
+    for (chip, index), member_axes in members.items():
         errors = model.designs.get((chip, index), DesignErrors())
         label = f"{chip} {'xyz'[index]}"
-        wander = [axis for axis in its if of_axes[axis].shares_wander]
-        slope = [axis for axis in its if of_axes[axis].shares_slope]
+        wander = [axis for axis in member_axes if of_axes[axis].shares_wander]
+        slope = [axis for axis in member_axes if of_axes[axis].shares_slope]
         states.append(_State(f"{label} common", errors.common, errors.common_time_constant_s, wander))
         states.append(_State(f"{label} common slope", errors.slope_per_degc, np.inf, slope, "thermal"))
     return [state for state in states if state.spread > 0 and state.members]
@@ -247,10 +247,10 @@ def _prior(states: Sequence[_State], axes: Sequence[Axis], model: ErrorModel) ->
     prior = np.diag(np.array([state.spread**2 for state in states]))
     place = {state.members[0]: row for row, state in enumerate(states) if state.name.endswith(" bias")}
     for item, row in place.items():
-        for other, column in place.items():
+        for name, column in place.items():
             covariance = model.bias_covariances.get(axes[item].sensor)
-            if item != other and covariance is not None and axes[item].sensor == axes[other].sensor:
-                prior[row, column] = covariance[axes[item].index, axes[other].index]
+            if item != name and covariance is not None and axes[item].sensor == axes[name].sensor:
+                prior[row, column] = covariance[axes[item].index, axes[name].index]
     turned = [
         (row, axes[state.members[0]], "XYZ".index(state.kind))
         for row, state in enumerate(states)

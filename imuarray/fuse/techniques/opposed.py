@@ -86,16 +86,16 @@ def capabilities(sensors: Sequence[SensorLog], calibration: Calibration) -> list
     """Return every pair of opposing axes of two of `sensors` (of one quantity) of one design, by their calibrated
     directions; measuring ranges may differ.
     """
-    known = {sensor.name: calibration.or_nominal(sensor) for sensor in sensors}
+    parameters = {sensor.name: calibration.or_nominal(sensor) for sensor in sensors}
     return [
         Pair(
             first.label,
             second.label,
             first.chip,
             "XYZ"[int(np.abs(first.direction_box).argmax())],
-            _drift(known[first.sensor], first.index, known[second.sensor], second.index),
-            _bias(known[first.sensor], first.index, known[second.sensor], second.index),
-            all(_is_bias(known[axis.sensor], axis.index) for axis in (first, second)),
+            _drift(parameters[first.sensor], first.index, parameters[second.sensor], second.index),
+            _bias(parameters[first.sensor], first.index, parameters[second.sensor], second.index),
+            all(_is_bias(parameters[axis.sensor], axis.index) for axis in (first, second)),
         )
         for first, second in _opposing(axes_of(sensors, calibration))
     ]
@@ -108,8 +108,8 @@ def _opposing(axes: Sequence[Axis]) -> Iterator[tuple[Axis, Axis]]:
             yield first, second
 
 
-def _is_bias(known: SensorCalibration, index: int) -> bool:
-    return known.thermal is None or known.thermal.meaning[index] == BIAS
+def _is_bias(parameters: SensorCalibration, index: int) -> bool:
+    return parameters.thermal is None or parameters.thermal.meaning[index] == BIAS
 
 
 def _drift(first: SensorCalibration, i: int, second: SensorCalibration, j: int) -> Reduction | None:
@@ -231,16 +231,16 @@ class CommonErrorEstimate:
         """
         errors = np.where(valid[:, self.members], residual[:, self.members], np.nan)
         slow = self._slow(time, errors)
-        begin = self._slow.begin  # the level is the low-pass at this row
-        if begin < len(slow) and self._seen == 0:
-            self._level = slow[begin].copy()
-        level = np.concatenate([slow[:begin], np.broadcast_to(self._level, (len(slow) - begin, len(self.members)))])
+        start = self._slow.begin  # the level is the low-pass at this row
+        if start < len(slow) and self._seen == 0:
+            self._level = slow[start].copy()
+        level = np.concatenate([slow[:start], np.broadcast_to(self._level, (len(slow) - start, len(self.members)))])
         parts = self._parts(level)
         common = self._trust(parts**2) * parts[:, 0] / 2
-        if begin < len(slow):
-            change = slow[begin:] - self._level
-            judged = self._parts(self._slower(time[begin:], change))
-            common[begin:] += self._trust(self._variances(judged)) * self._parts(change)[:, 0] / 2
+        if start < len(slow):
+            change = slow[start:] - self._level
+            slow_parts = self._parts(self._slower(time[start:], change))
+            common[start:] += self._trust(self._variances(slow_parts)) * self._parts(change)[:, 0] / 2
         return np.asarray(common)
 
     def _parts(self, errors: Floats) -> Floats:
@@ -261,9 +261,9 @@ class CommonErrorEstimate:
 
     def _trust(self, squares: Floats) -> Floats:
         """Return the factor (n,) of the common part, 0 to 1, from the squares (n, 1 + m) of `_parts`."""
-        own = squares[:, 1:].sum(axis=1) / self._freedom * self._spread
+        variances = squares[:, 1:].sum(axis=1) / self._freedom * self._spread
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where(squares[:, 0] > 0, squares[:, 0] / own, 0.0)
+            ratio = np.where(squares[:, 0] > 0, squares[:, 0] / variances, 0.0)
             low, high = np.log(self._limits)
             surely = np.clip((np.log(ratio) - low) / (high - low), 0, 1)
         return np.asarray(surely * (1 - 1 / np.maximum(ratio, 1.0)))
@@ -288,21 +288,21 @@ class Smoother:
 
     def __call__(self, time: npt.NDArray[np.int64], rows: Floats) -> Floats:
         """Return the low-passed `rows` at `time` (n,) ns."""
-        held = self._hold(rows)
+        filled = self._hold(rows)
         begin = self.begin = self._begin(time)
-        out = np.empty_like(held)
+        smoothed = np.empty_like(filled)
         if begin:
             counts = self._seen + np.arange(1, begin + 1)[:, None]
-            out[:begin] = (self._state * self._seen + np.cumsum(held[:begin], axis=0)) / counts
-            self._state = out[begin - 1]
-        if begin < len(held):
+            smoothed[:begin] = (self._state * self._seen + np.cumsum(filled[:begin], axis=0)) / counts
+            self._state = smoothed[begin - 1]
+        if begin < len(filled):
             gain = 1 / self._rows_held
-            drive = gain * held[begin:]
+            drive = gain * filled[begin:]
             drive[0] += (1 - gain) * self._state
-            out[begin:] = first_order(drive, 1 - gain)
-            self._state = out[-1]
-        self._seen += len(held)
-        return out
+            smoothed[begin:] = first_order(drive, 1 - gain)
+            self._state = smoothed[-1]
+        self._seen += len(filled)
+        return smoothed
 
     def _begin(self, time: npt.NDArray[np.int64]) -> int:
         """Return the first row after the running mean."""
@@ -315,14 +315,14 @@ class Smoother:
 
     def _hold(self, rows: Floats) -> Floats:
         """Return `rows` with NaN replaced by the last finite value."""
-        known = np.isfinite(rows)
-        if known.all():
+        is_finite = np.isfinite(rows)
+        if is_finite.all():
             self._last = rows[-1] if len(rows) else self._last
             return rows
-        source = np.maximum.accumulate(np.where(known, np.arange(len(rows))[:, None], -1), axis=0)
-        held = np.where(source >= 0, np.take_along_axis(rows, np.maximum(source, 0), axis=0), self._last)
-        self._last = held[-1]
-        return held
+        source = np.maximum.accumulate(np.where(is_finite, np.arange(len(rows))[:, None], -1), axis=0)
+        filled = np.where(source >= 0, np.take_along_axis(rows, np.maximum(source, 0), axis=0), self._last)
+        self._last = filled[-1]
+        return filled
 
 
 def opposed(axes: Sequence[Axis]) -> Technique:

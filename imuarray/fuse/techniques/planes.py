@@ -73,8 +73,8 @@ class PlaneBlend:
         weights = plane_weights(axes)
         self._mean = FixedWeights(self._rows, weights, known_noise_of(axes), SlowErrors(axes))
         self._watched = np.flatnonzero(weights < 1 - 1e-9)
-        others = self._rows[weights >= 1 - 1e-9]
-        self._comparable = dilution(self._rows[self._watched], others) <= _MOST_DILUTION
+        full_rows = self._rows[weights >= 1 - 1e-9]
+        self._comparable = dilution(self._rows[self._watched], full_rows) <= _MOST_DILUTION
         self._sums = np.zeros((3, len(self._watched)))
 
     def __call__(self, frames: Frames) -> Estimate:
@@ -92,20 +92,22 @@ class PlaneBlend:
         """Describe how the axes that weigh less differ from the others, and count those that do not."""
         monitors = self.monitors()
         result = [monitor for monitor in monitors if monitor.frames]
-        apart = [monitor for monitor in result if not abs(monitor.sigmas) < _REMARKABLE_SIGMAS]
-        said = [monitor.sentence(quantity) for monitor in apart]
-        if agreed := len(result) - len(apart):
-            more = "more " if apart else ""
+        remarkable = [monitor for monitor in result if not abs(monitor.sigmas) < _REMARKABLE_SIGMAS]
+        sentences = [monitor.sentence(quantity) for monitor in remarkable]
+        if agreed := len(result) - len(remarkable):
+            more = "more " if remarkable else ""
             axes = (
                 f"1 {more}axis of lower weight differs"
                 if agreed == 1
                 else f"{agreed} {more}axes of lower weight differ"
             )
-            said.append(f"{axes} by less than {_REMARKABLE_SIGMAS:g} sigma")
+            sentences.append(f"{axes} by less than {_REMARKABLE_SIGMAS:g} sigma")
         if alone := len(monitors) - len(result):
             axes = "1 axis" if alone == 1 else f"{alone} axes"
-            said.append(f"{axes} of lower weight cannot be compared: no axis of full weight lies near their direction")
-        return said
+            sentences.append(
+                f"{axes} of lower weight cannot be compared: no axis of full weight lies near their direction"
+            )
+        return sentences
 
     def _watch(self, frames: Frames) -> None:
         """Add up the differences of the watched axes from the others: frames, sum, sum of squares. Stale readings are
@@ -113,13 +115,13 @@ class PlaneBlend:
         """
         full = np.ones(len(self._axes))
         full[self._watched] = 0.0
-        others = solve_frames(frames.values, full * frames.valid, self._rows)
-        difference = frames.values[:, self._watched] - others @ self._rows[self._watched].T
-        known = np.isfinite(difference) & frames.valid[:, self._watched] & self._comparable
+        reference = solve_frames(frames.values, full * frames.valid, self._rows)
+        difference = frames.values[:, self._watched] - reference @ self._rows[self._watched].T
+        comparable = np.isfinite(difference) & frames.valid[:, self._watched] & self._comparable
         if frames.stale is not None:
-            known &= ~frames.stale[:, self._watched]
-        difference = np.where(known, difference, 0.0)
-        self._sums += np.array([known.sum(axis=0), difference.sum(axis=0), (difference**2).sum(axis=0)])
+            comparable &= ~frames.stale[:, self._watched]
+        difference = np.where(comparable, difference, 0.0)
+        self._sums += np.array([comparable.sum(axis=0), difference.sum(axis=0), (difference**2).sum(axis=0)])
 
     def _monitor(self, axis: Axis, count: float, total: float, squares: float) -> Monitor:
         if count < 2:
@@ -127,8 +129,8 @@ class PlaneBlend:
         mean = total / count
         sem = math.sqrt(max(squares / count - mean**2, 0.0) / (count - 1))
         slow = 0.0 if axis.stability_si is None else axis.stability_si
-        allowed = math.hypot(sem, slow)
-        return Monitor(axis.label, mean, sem, mean / allowed if allowed > 0 else math.nan, int(count))
+        tolerance = math.hypot(sem, slow)
+        return Monitor(axis.label, mean, sem, mean / tolerance if tolerance > 0 else math.nan, int(count))
 
 
 def dilution(watched: Floats, others: Floats) -> Floats:
@@ -194,8 +196,8 @@ def _shares(error: dict[bool, float], variance: dict[bool, float]) -> dict[bool,
 
 def _stability(axes: Sequence[Axis], chip: str) -> Floats | None:
     """Return the slow errors (m,) of a design's axes (others: zero); None if one of them is not known."""
-    known = [axis.stability_si for axis in axes if axis.chip == chip]
-    if None in known:
+    figures = [axis.stability_si for axis in axes if axis.chip == chip]
+    if None in figures:
         return None
     return np.array([(axis.stability_si or 0.0) if axis.chip == chip else 0.0 for axis in axes])
 
