@@ -53,11 +53,11 @@ def real_time_bus(query: str, array: ArrayConfig) -> EmulatedBus:
     """Return the emulated bus with these parameters of a URL, on the real clock, because kernels and foreign
     drivers sleep.
     """
-    asked = {"clock": "real", **dict(parse_qsl(query, keep_blank_values=True))}
+    parameters = {"clock": "real", **dict(parse_qsl(query, keep_blank_values=True))}
     try:
-        if asked["clock"] != "real":
-            raise ValueError(f"clock={asked['clock']}; allowed is real")
-        return open_bus(asked, array)
+        if parameters["clock"] != "real":
+            raise ValueError(f"clock={parameters['clock']}; allowed is real")
+        return open_bus(parameters, array)
     except ValueError as error:
         raise click.UsageError(f"--query {query!r}: {error}") from None
 

@@ -158,8 +158,8 @@ def open_array(  # noqa: PLR0913
         raise ValueError(f"switches for {', '.join(sorted(unknown))}: allowed are sensors of the array and chips")
     time = named(clock, CLOCKS, "clock")() if isinstance(clock, str) else clock
     now_ns = time.now_ns()
-    begun = DelayedWorld(world or StillWorld(), now_ns)
-    parts = board(array.name, begun, seed)
+    started_world = DelayedWorld(world or StillWorld(), now_ns)
+    parts = board(array.name, started_world, seed)
     names = [TRUNK, *(sensor.bus for sensor in array.sensors if sensor.bus and not on_spi(sensor))]
     wires = {name: parts.wire(time, bit_rate_hz, nack_errno, host_ns) for name in names}
     selects: dict[str, ChipSelect] = {}
@@ -190,13 +190,13 @@ def open_array(  # noqa: PLR0913
             wires[sensor.bus or TRUNK].connect(device)
         else:
             branches.setdefault(sensor.channel, []).append(device)
-    for (own_bus, channel), behind in bypassed.items():
+    for (own_bus, channel), bypassed_device in bypassed.items():
         hosts = [dies.get((own_bus or channel, address)) for address in mpu6500.ADDRESSES]
-        behind.host = next((host for host in hosts if isinstance(host, MpuFamily)), None)
-        if behind.host is not None:
-            behind.host.auxiliary.devices.append(behind.device)
-            behind.host.on_bypass = wires[own_bus or TRUNK].reroute
-            behind.host.on_bypass()
+        bypassed_device.host = next((host for host in hosts if isinstance(host, MpuFamily)), None)
+        if bypassed_device.host is not None:
+            bypassed_device.host.auxiliary.devices.append(bypassed_device.device)
+            bypassed_device.host.on_bypass = wires[own_bus or TRUNK].reroute
+            bypassed_device.host.on_bypass()
     if array.mux is not None:
         wires[TRUNK].connect_router(parts.router(array.mux.chip, array.mux.address, branches, now_ns))
     elif branches:
@@ -205,7 +205,7 @@ def open_array(  # noqa: PLR0913
     def owned(address: int, bus: str) -> bool:
         return parts.owned(address, bus, time)
 
-    return EmulatedBus(wires, chips, begun, parts.host_clock(time), owned, selects)
+    return EmulatedBus(wires, chips, started_world, parts.host_clock(time), owned, selects)
 
 
 def on_spi(sensor: SensorLike) -> bool:
@@ -218,13 +218,13 @@ def powered_chip(board: Board, sensor: SensorLike, now_ns: int, switches: Switch
     clock_hz = getattr(sensor, "external_clock_hz", None)
     wired = {} if clock_hz is None else {"clock_input_hz": clock_hz}
     wired |= {"pulse_hz": PULSE_HZ} if getattr(sensor, "sync_pulse", False) else {}
-    given = {**wired, **board.switches(sensor), **switches.get(sensor.chip, {}), **switches.get(sensor.name, {})}
+    arguments = {**wired, **board.switches(sensor), **switches.get(sensor.chip, {}), **switches.get(sensor.name, {})}
     chip = board.kind(sensor)
     element = board.element(sensor)
     if sensor.chip in BAROMETERS:
-        given = {"generator": random.Random(board.generator_key(sensor)), **given}
+        arguments = {"generator": random.Random(board.generator_key(sensor)), **arguments}
     try:
-        return chip(sensor.address, element, now_ns, **given)
+        return chip(sensor.address, element, now_ns, **arguments)
     except TypeError as error:
         raise ValueError(f"sensor {sensor.name}: {error}") from None
 
@@ -236,11 +236,11 @@ def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
     value.
     """
     kind = named(query.get("world", "still"), WORLDS, "world")
-    own = [field.name for field in fields(kind)]
-    allowed = (*SETTINGS, *own, *FITTINGS, FAULTS, BOARD)
+    field_names = [field.name for field in fields(kind)]
+    allowed_keys = (*SETTINGS, *field_names, *FITTINGS, FAULTS, BOARD)
     for key in query:
-        if key not in allowed:
-            raise ValueError(f"{key}: no such parameter; {allowed_text(key, allowed)}")
+        if key not in allowed_keys:
+            raise ValueError(f"{key}: no such parameter; {allowed_text(key, allowed_keys)}")
     nack_errno = whole_number(query, "errno", 121)
     if nack_errno not in ERRNOS:
         raise ValueError(f"errno={nack_errno}; allowed are {', '.join(map(str, ERRNOS))}")
@@ -261,9 +261,9 @@ def six_axis_switches(query: Mapping[str, str], array: ArrayLike) -> Switches:
     and that name, and the frequency of the pulses of chips that use them, if the query has these parameters. ValueError
     for a value that is not allowed.
     """
-    asked = query.get("oscillators", OSCILLATORS[0])
-    if asked not in OSCILLATORS:
-        raise ValueError(f"oscillators={asked}; {allowed_text(asked, OSCILLATORS)}")
+    kind = query.get("oscillators", OSCILLATORS[0])
+    if kind not in OSCILLATORS:
+        raise ValueError(f"oscillators={kind}; {allowed_text(kind, OSCILLATORS)}")
     pulse_hz = number("pulse_hz", query.get("pulse_hz", str(PULSE_HZ)))
     if not 0 <= pulse_hz <= 1e6:
         raise ValueError(f"pulse_hz={pulse_hz:g}; allowed is 0 (no pulses) to 1e6")
@@ -274,7 +274,7 @@ def six_axis_switches(query: Mapping[str, str], array: ArrayLike) -> Switches:
             firsts.setdefault((sensor.bus or sensor.channel, sensor.address), sensor)
     switches: dict[str, dict[str, float]] = {sensor.name: {} for sensor in firsts.values()}
     for sensor in firsts.values():
-        if asked == "drawn":
+        if kind == "drawn":
             switches[sensor.name]["rate_error"] = OSCILLATOR_ERROR.draw(stream(seed, f"oscillator of {sensor.name}"))
         if getattr(sensor, "sync_pulse", False):
             switches[sensor.name]["pulse_hz"] = pulse_hz
@@ -300,13 +300,13 @@ def board_kind(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
 
 def world_from(kind: WorldKind, query: Mapping[str, str]) -> PhasedWorld:
     """Return the world with the values of its fields that are in the query."""
-    given: dict[str, float | str] = {}
+    values: dict[str, float | str] = {}
     for field in fields(kind):
         if field.name in query:
             text = query[field.name]
-            given[field.name] = number(field.name, text) if isinstance(field.default, float) else axis(text)
+            values[field.name] = number(field.name, text) if isinstance(field.default, float) else axis(text)
     build: Callable[..., PhasedWorld] = kind
-    return build(**given)
+    return build(**values)
 
 
 def axis(text: str) -> str:

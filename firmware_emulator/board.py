@@ -135,18 +135,18 @@ T = TypeVar("T")
 MUXES = {"pca9544a": Pca9544aChip}
 
 
-def named(name: str, known: Mapping[str, T], what: str) -> T:
+def named(name: str, entries: Mapping[str, T], kind: str) -> T:
     """Return the entry of that name; ValueError lists the others."""
-    if name not in known:
-        raise ValueError(f"{what} {name!r}; {allowed_text(name, known)}")
-    return known[name]
+    if name not in entries:
+        raise ValueError(f"{kind} {name!r}; {allowed_text(name, entries)}")
+    return entries[name]
 
 
-def allowed_text(name: str, known: Iterable[str]) -> str:
+def allowed_text(name: str, entries: Iterable[str]) -> str:
     """Return "allowed are A, B", and "; did you mean A?" if a known name resembles `name`."""
     from difflib import get_close_matches
 
-    names = {word.casefold(): word for word in known}
+    names = {word.casefold(): word for word in entries}
     near = get_close_matches(name.casefold(), list(names), n=1)
     return f"allowed are {', '.join(names.values())}" + (f"; did you mean {names[near[0]]}?" if near else "")
 

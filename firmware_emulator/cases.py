@@ -84,13 +84,13 @@ class BenchCase:
 
         ValueError, one line, for an impossible name, severity or sensor.
         """
-        chosen = [
+        selected = [
             experiment if isinstance(experiment, BenchExperiment) else known_experiment(experiment)
             for experiment in experiments
         ]
         fittings = [checked(array, fitting_of(array, *mechanism)) for mechanism in mechanisms]
         severities = tuple(severity for _, severity, _ in mechanisms)
-        return cls(array, tuple(chosen), tuple(fittings), severities, seed, rate_hz, reference)
+        return cls(array, tuple(selected), tuple(fittings), severities, seed, rate_hz, reference)
 
     @classmethod
     def of_world(cls, world: Mapping[str, Any], *mechanisms: tuple[str, float, tuple[str, ...]], seed: int = 0) -> Self:
@@ -100,8 +100,10 @@ class BenchCase:
         if missing := sorted({"array", "sessions", "room", "recorder"} - set(world)):
             raise ValueError(f"world: {missing[0]} is missing")
         array, recorder = parse_array(world["array"], "world"), of_table(Recorder, world["recorder"])
-        chosen = sessions(world["sessions"], Room.of_table(world["room"]), seed)
-        plain = cls.of(array, chosen, *mechanisms, seed=seed, rate_hz=recorder.rate_hz, reference=recorder.reference)
+        experiments = sessions(world["sessions"], Room.of_table(world["room"]), seed)
+        plain = cls.of(
+            array, experiments, *mechanisms, seed=seed, rate_hz=recorder.rate_hz, reference=recorder.reference
+        )
         return replace(plain, recorder=recorder)
 
     def write(self, folder: Path, truth: Path, *, force: bool = False) -> list[Path]:
@@ -137,7 +139,7 @@ class BenchCase:
                 {
                     "mechanism": _NAMES[type(fitting.mechanism)],
                     "severity": severity,
-                    "sensors": _where(_NAMES[type(fitting.mechanism)], fitting, logs),
+                    "sensors": _affected_sensors(_NAMES[type(fitting.mechanism)], fitting, logs),
                     "parameters": asdict(fitting.mechanism),
                     "resembles": list(fitting.mechanism.resembles),
                 }
@@ -151,18 +153,18 @@ class BenchCase:
 
         def board(name: str, world: World, seed: int) -> FittedBoard:
             units = "toleranced" if self.recorder else "drawn"
-            made = FittedBoard(self.array, world, seed, self.fittings, run=run, units=units)
+            fitted_board = FittedBoard(self.array, world, seed, self.fittings, run=run, units=units)
             if self.recorder:
                 per_s = self.rate_hz * len(self.array.sensors)
-                made.host.waits_ns.append(self.recorder.waits_ns(seed, run, per_s))
-            boards.append(made)
-            return made
+                fitted_board.host.waits_ns.append(self.recorder.waits_ns(seed, run, per_s))
+            boards.append(fitted_board)
+            return fitted_board
 
         bus = open_array(self.array, world=experiment.world, seed=self.seed, board=board)
         if isinstance(experiment.world, Course):
             bus.truth = ReferenceWorld(experiment.world)
-        begin = _LogBegin(bus.truth)
-        bus.truth = begin
+        log_begin = _LogBegin(bus.truth)
+        bus.truth = log_begin
         if not self.reference:
             del bus.truth  # a case has no truth in its logs
         record(
@@ -180,7 +182,7 @@ class BenchCase:
         if self.reference:
             call_it_reference(path)
         if self.reference and experiment.reference_hz:
-            read_reference(path, experiment, begin.at_ns)
+            read_reference(path, experiment, log_begin.at_ns)
         touched = {_NAMES[type(mechanism)]: sorted(sensors) for mechanism, sensors in boards[0].touched.items()}
         return {"log": path.name, "run": run, "notes": boards[0].notes, "touched": touched}
 
@@ -199,7 +201,7 @@ class _LogBegin:
         return self._world(at_ns)
 
 
-def _where(mechanism: str, fitting: Fitting, logs: Sequence[Mapping[str, Any]]) -> list[str]:
+def _affected_sensors(mechanism: str, fitting: Fitting, logs: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the sensors on which a mechanism is put, or those of them that it affected in any log, if it states
     that.
     """
@@ -235,12 +237,12 @@ def read_reference(path: Path, experiment: BenchExperiment, begun_ns: int) -> No
     """Yield the reference at its own rate, timed by its own correct clock, from `begun_ns` of the world on."""
     times = np.arange(0, round(experiment.seconds * 1e9), round(1e9 / experiment.reference_hz))
     world = ReferenceWorld(experiment.world) if isinstance(experiment.world, Course) else experiment.world
-    felt = [world(begun_ns + at_ns) for at_ns in times.tolist()]
+    stimuli = [world(begun_ns + at_ns) for at_ns in times.tolist()]
     columns = {
         "time": times,
-        "specific_force": np.array([stimulus.force_box for stimulus in felt]),
-        "angular_rate": np.array([stimulus.rate_box for stimulus in felt]),
-        "temperature": np.array([stimulus.temperature_degc for stimulus in felt]),
+        "specific_force": np.array([stimulus.force_box for stimulus in stimuli]),
+        "angular_rate": np.array([stimulus.rate_box for stimulus in stimuli]),
+        "temperature": np.array([stimulus.temperature_degc for stimulus in stimuli]),
     }
     with h5py.File(path, "r+") as file:
         for name, values in columns.items():
@@ -338,9 +340,9 @@ def _write(options: CaseOptions) -> None:
         else:
             array = load_array(find_config(options.config))
             array = array.only(tuple(options.only.split(","))) if options.only else array
-            chosen = options.experiments.split(",")
+            names = options.experiments.split(",")
             case = BenchCase.of(
-                array, chosen, *mechanisms, seed=options.seed, rate_hz=options.rate_hz, reference=options.reference
+                array, names, *mechanisms, seed=options.seed, rate_hz=options.rate_hz, reference=options.reference
             )
         paths = case.write(options.output, options.truth, force=options.force)
     except ValueError as error:

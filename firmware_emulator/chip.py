@@ -89,11 +89,11 @@ class Chip:
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
         """Return `count` bytes from the pointer on, each with its value at the instant at which it is fetched."""
-        sent = bytearray(count)
+        answer = bytearray(count)
         for index in range(count):
-            sent[index] = self.load(self.pointer, at_ns + index * byte_ns)
+            answer[index] = self.load(self.pointer, at_ns + index * byte_ns)
             self.pointer = self.advance(self.pointer, reading=True)
-        return bytes(sent)
+        return bytes(answer)
 
     def stop(self, at_ns: int) -> None:
         """Do nothing at STOP, unless a chip overrides this."""

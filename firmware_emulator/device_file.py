@@ -199,13 +199,13 @@ class OpenFile:
             refuse(errno.EOPNOTSUPP)
         return 0
 
-    def _functionality(self, at: int) -> int:
-        ctypes.c_ulong.from_address(pointer(at)).value = self.adapter.functionality
+    def _functionality(self, argument: int) -> int:
+        ctypes.c_ulong.from_address(pointer(argument)).value = self.adapter.functionality
         return 0
 
-    def _transfer(self, at: int) -> int:
+    def _transfer(self, argument: int) -> int:
         """Carry out I2C_RDWR; return how many messages were sent."""
-        request = TransferStruct.from_address(pointer(at))
+        request = TransferStruct.from_address(pointer(argument))
         count = int(request.nmsgs)
         if not request.msgs or not 0 < count <= MAX_MESSAGES:
             refuse(errno.EINVAL)
@@ -216,9 +216,9 @@ class OpenFile:
                 put(struct.buf, next(received))
         return count
 
-    def _smbus(self, at: int) -> int:
+    def _smbus(self, argument: int) -> int:
         """Carry out I2C_SMBUS: the kernel's emulation, sent as messages."""
-        call = SmbusStruct.from_address(pointer(at))
+        call = SmbusStruct.from_address(pointer(argument))
         if call.size not in range(QUICK, I2C_BLOCK + 1) or call.read_write not in (0, 1):
             refuse(errno.EINVAL)
         if call.size in (QUICK, BYTE) and not (call.size == BYTE and call.read_write):
@@ -226,8 +226,8 @@ class OpenFile:
             return 0
         if not call.data:
             refuse(errno.EINVAL)
-        given = ctypes.string_at(call.data, DATA_BYTES.get(call.size, MAX_BLOCK + 2))
-        messages = self._messages(call, given)
+        data = ctypes.string_at(call.data, DATA_BYTES.get(call.size, MAX_BLOCK + 2))
+        messages = self._messages(call, data)
         received = self.adapter.transfer(messages)
         if received:
             put(call.data, smbus_data(call.size, received[0]))
@@ -238,19 +238,19 @@ class OpenFile:
             return self._write(bytes([call.command]))
         return self._read(0) if call.read_write else self._write(b"")
 
-    def _messages(self, call: SmbusStruct, given: bytes) -> list[Message]:
+    def _messages(self, call: SmbusStruct, data: bytes) -> list[Message]:
         """Return the messages of a call with data."""
         size, command = call.size, bytes([call.command])
         if size == PROC_CALL:
-            return [self._write(command + as_word(given)), self._read(2)]
+            return [self._write(command + as_word(data)), self._read(2)]
         if size == BLOCK_PROC_CALL or (size == BLOCK_DATA and call.read_write):
             refuse(errno.EOPNOTSUPP)
         if size == BYTE:
             return [self._read(1)]
         if call.read_write:
-            count = MAX_BLOCK if size == OLD_I2C_BLOCK else DATA_BYTES.get(size, given[0])
+            count = MAX_BLOCK if size == OLD_I2C_BLOCK else DATA_BYTES.get(size, data[0])
             return [self._write(command), self._read(checked(count, MAX_BLOCK))]
-        return [self._write(command + outgoing(size, given))]
+        return [self._write(command + outgoing(size, data))]
 
     def _write(self, data: bytes) -> Message:
         return Message(self.address, 0, data)
@@ -302,16 +302,16 @@ def as_word(data: bytes) -> bytes:
     return data[:2] if sys.byteorder == "little" else data[1::-1]
 
 
-def outgoing(size: int, given: bytes) -> bytes:
+def outgoing(size: int, data: bytes) -> bytes:
     """Return the bytes after the command of a write: a byte, a word, a block with its length (SMBus) or without
     (I2C).
     """
     if size == BYTE_DATA:
-        return given
+        return data
     if size == WORD_DATA:
-        return as_word(given)
-    end = 1 + checked(given[0], MAX_BLOCK)
-    return given[:end] if size == BLOCK_DATA else given[1:end]
+        return as_word(data)
+    end = 1 + checked(data[0], MAX_BLOCK)
+    return data[:end] if size == BLOCK_DATA else data[1:end]
 
 
 def smbus_data(size: int, received: bytes) -> bytes:

@@ -160,7 +160,7 @@ class SensingElement:
         share *= (full_scale / unit.noise_full_scale) ** unit.noise_exponent
         shifted = full_scale >= unit.shift_from
         self._deviation = unit.noise[0] * share, unit.noise[1] * share, unit.noise[2] * share
-        x, y, z = (bias + shifted * more for bias, more in zip(unit.bias, unit.shift, strict=True))
+        x, y, z = (bias + shifted * shift for bias, shift in zip(unit.bias, unit.shift, strict=True))
         self._bias = x, y, z
         self._setting = full_scale, bandwidth_hz
         self._felt = None

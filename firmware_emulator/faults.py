@@ -100,9 +100,9 @@ def _line_of(text: str, number: int, key: str) -> int:
     headers = [place for place, line in enumerate(lines) if _HEADER.match(line)]
     if number > len(headers):
         return 0
-    begin, end = headers[number - 1], [*headers, len(lines)][number]
-    of_key = (place for place in range(begin, end) if re.match(rf"\s*{re.escape(key)}\s*=", lines[place]))
-    return next(of_key, begin) + 1
+    start, end = headers[number - 1], [*headers, len(lines)][number]
+    of_key = (place for place in range(start, end) if re.match(rf"\s*{re.escape(key)}\s*=", lines[place]))
+    return next(of_key, start) + 1
 
 
 def faults_from(tables: Mapping[str, Any], array: ArrayLike, text: str = "", path: str = "") -> tuple[Fault, ...]:
@@ -128,8 +128,8 @@ def _fault(table: Mapping[str, Any], array: ArrayLike) -> Fault:
         raise ValueError(f"kind {kind!r}; {allowed_text(str(kind), FAULTS)}")
     for key in table:
         if key not in KEYS or kind not in OWN_KEYS.get(key, (kind,)):
-            allowed = [known for known in KEYS if kind in OWN_KEYS.get(known, (kind,))]
-            raise ValueError(f"{key}: no such key of {kind}; {allowed_text(key, allowed)}")
+            allowed_keys = [key_name for key_name in KEYS if kind in OWN_KEYS.get(key_name, (kind,))]
+            raise ValueError(f"{key}: no such key of {kind}; {allowed_text(key, allowed_keys)}")
     sensor = _sensor(kind, table.get("sensor", ""), array)
     if kind in ("wrong_channel", "mux_reset") and array.mux is None:
         raise ValueError(f"{kind}: array {array.name} has no multiplexer")
@@ -154,9 +154,9 @@ def _sensor(kind: str, name: Any, array: ArrayLike) -> str:
         return ""
     chips = {sensor.name: sensor.chip for sensor in array.sensors}
     able = TEARS if kind == "torn" else LAYOUTS if kind in TRIADS else set(chips.values())
-    allowed = [known for known, chip in chips.items() if chip in able]
-    if name not in allowed:
-        raise ValueError(f"sensor {name!r} for {kind}; allowed are {', '.join(allowed) or 'none of this array'}")
+    sensors = [sensor_name for sensor_name, chip in chips.items() if chip in able]
+    if name not in sensors:
+        raise ValueError(f"sensor {name!r} for {kind}; allowed are {', '.join(sensors) or 'none of this array'}")
     return str(name)
 
 
@@ -167,10 +167,10 @@ def _seconds(table: Mapping[str, Any], key: str, default: float | None) -> float
     return float(value)
 
 
-def _whole(table: Mapping[str, Any], key: str, default: int, most: int) -> int:
+def _whole(table: Mapping[str, Any], key: str, default: int, largest: int) -> int:
     value = table.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
-        raise ValueError(f"{key} = {value!r}; allowed is a whole number up to {most}")
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= largest:
+        raise ValueError(f"{key} = {value!r}; allowed is a whole number up to {largest}")
     return value
 
 

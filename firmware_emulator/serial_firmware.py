@@ -171,23 +171,23 @@ class Firmware:
         self._number += int(late_ns // self._period_ns)
         number, self._number = self._number, self._number + 1
         return [
-            self._gone_through(name, asked.requests, number)
-            for name, asked in sorted(self._lists.items())
-            if number % asked.every == asked.offset
+            self._execute(name, poll_list.requests, number)
+            for name, poll_list in sorted(self._lists.items())
+            if number % poll_list.every == poll_list.offset
         ]
 
-    def _gone_through(self, name: int, requests: list[FirmwareRequest], number: int) -> bytes:
-        done: list[tuple[int, int, bytes]] = []
-        before, answer = DONE, b""
+    def _execute(self, name: int, requests: list[FirmwareRequest], number: int) -> bytes:
+        results: list[tuple[int, int, bytes]] = []
+        previous, answer = DONE, b""
         for request in requests:
-            size = request.bytes_of(answer) if before == DONE else 0
+            size = request.bytes_of(answer) if previous == DONE else 0
             if request.rule and not size:
-                done.append((before, self.time_us(), bytes(request.read)))
+                results.append((previous, self.time_us(), bytes(request.read)))
             else:
-                done.append(self._try_twice(request, size if request.rule else request.read))
-            before, _, answer = done[-1]
+                results.append(self._try_twice(request, size if request.rule else request.read))
+            previous, _, answer = results[-1]
         now_us, payload = self.time_us(), bytearray([name])
-        for result, begun_us, data in done:
+        for result, begun_us, data in results:
             age_us = FAILED_AGES.get(result, min(now_us - begun_us, LONGEST_AGE_US))
             payload += age_us.to_bytes(2, "little") + data
         return frame(DATA, number, now_us, bytes(payload))
@@ -234,13 +234,20 @@ class Firmware:
         if len(payload) < 5:
             return bytes([REFUSED])
         number, every, offset = struct.unpack_from("<BHH", payload)
-        asked = requests_in(payload[5:], self._selects)
-        others = [request for name, other in self._lists.items() if name != number for request in other.requests]
-        if asked is None or not offset < every or number >= LISTS or size_of(others + asked) > REQUEST_BYTES:
+        requests = requests_in(payload[5:], self._selects)
+        other_requests = [
+            request for name, other in self._lists.items() if name != number for request in other.requests
+        ]
+        if (
+            requests is None
+            or not offset < every
+            or number >= LISTS
+            or size_of(other_requests + requests) > REQUEST_BYTES
+        ):
             return bytes([REFUSED])
-        if 1 + sum(2 + request.read for request in asked) > LONGEST:
+        if 1 + sum(2 + request.read for request in requests) > LONGEST:
             return bytes([REFUSED])
-        self._lists[number] = FirmwarePollList(every, offset, asked)
+        self._lists[number] = FirmwarePollList(every, offset, requests)
         return bytes([DONE])
 
     def _start(self, payload: bytes) -> bytes:
@@ -273,11 +280,11 @@ def requests_in(body: bytes, selects: int) -> list[FirmwareRequest] | None:
     while body:
         if len(body) < 3 or body[0] >= FIRST_SELECT + selects:
             return None
-        begin = 8 if body[1] & COUNTED else 3
-        end = begin + (body[1] & ~COUNTED)
-        request = FirmwareRequest(body[0], body[begin:end], body[2], body[3:begin])
-        before = requests[-1].read if requests else 0
-        if len(body) < end or (request.rule and (request.rule[0] + 2 > before or not request.rule[4])):
+        header = 8 if body[1] & COUNTED else 3
+        end = header + (body[1] & ~COUNTED)
+        request = FirmwareRequest(body[0], body[header:end], body[2], body[3:header])
+        previous = requests[-1].read if requests else 0
+        if len(body) < end or (request.rule and (request.rule[0] + 2 > previous or not request.rule[4])):
             return None
         requests.append(request)
         body = body[end:]

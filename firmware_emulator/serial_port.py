@@ -51,11 +51,11 @@ class SerialPort:
         if self._host in readable:
             self._out += self.firmware.feed(os.read(self._host, CHUNK))
             self._send()
-        for sent in self.firmware.tick():
-            if len(self._out) + len(sent) > ROOM:
+        for frame in self.firmware.tick():
+            if len(self._out) + len(frame) > ROOM:
                 self.dropped += 1
             else:
-                self._out += sent
+                self._out += frame
                 self._send()
         self._send()
         return self._woken in readable

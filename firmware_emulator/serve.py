@@ -269,25 +269,25 @@ class UsbipServer:
     def _serve(self, client: Client) -> None:
         had = client.conversation.imported
         try:
-            goes_on, why = client.serve(), ""
+            goes_on, reason = client.serve(), ""
         except ProtocolError as error:
-            goes_on, why = False, f"not USB/IP: {error}"
+            goes_on, reason = False, f"not USB/IP: {error}"
         except OSError as error:
-            goes_on, why = False, str(error)
+            goes_on, reason = False, str(error)
         now = client.conversation.imported
         if now is not had and now is not None:
             self._log(f"{client.name}: attached {now.busid}")
         if not goes_on:
-            self._drop(client, why or (f"detached {now.busid}" if now else ""))
+            self._drop(client, reason or (f"detached {now.busid}" if now else ""))
 
-    def _drop(self, client: Client, why: str) -> None:
+    def _drop(self, client: Client, reason: str) -> None:
         """Close the connection; a reason, if there is one, is logged."""
         self._selector.unregister(client.connection)
         self._clients.remove(client)
         client.conversation.close()
         client.connection.close()
-        if why:
-            self._log(f"{client.name}: {why}; closed")
+        if reason:
+            self._log(f"{client.name}: {reason}; closed")
 
 
 def family_of(host: str) -> socket.AddressFamily:

@@ -41,9 +41,9 @@ DRAUGHT_PERIODS_S = (23.0, 61.0, 173.0, 431.0)
 
 def of_table(kind: Callable[..., Any], table: Mapping[str, Any]) -> Any:
     """Return a record of a table's entries, lists as tuples; ValueError for an unknown entry."""
-    known = {field.name for field in fields(kind)}  # type: ignore[arg-type]
-    if unknown := sorted(set(table) - known):
-        raise ValueError(f"{unknown[0]}: no entry of a {_words_of(kind)}; allowed are {', '.join(sorted(known))}")
+    names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
+    if unknown := sorted(set(table) - names):
+        raise ValueError(f"{unknown[0]}: no entry of a {_words_of(kind)}; allowed are {', '.join(sorted(names))}")
     try:
         return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in table.items()})
     except TypeError as error:
@@ -197,10 +197,10 @@ class Course:
     def commanded(self, at_ns: int) -> WorldStimulus:
         """Return the commanded motion of the bench at room temperature, without the vibration of the table."""
         at_s = max(at_ns, 0) * 1e-9
-        felt = self.posed(at_s)._replace(temperature_degc=self.temperature_degc(at_s))
+        stimulus = self.posed(at_s)._replace(temperature_degc=self.temperature_degc(at_s))
         for motion in self.motions:
-            felt = motion.felt(at_s, felt)
-        return felt
+            stimulus = motion.felt(at_s, stimulus)
+        return stimulus
 
     def posed(self, at_s: float) -> WorldStimulus:
         """Return the stimulus at rest in a pose, or during the turn to the next; forces of the turn are omitted."""
@@ -235,18 +235,18 @@ class Course:
         remaining = math.exp(-(at_s - self._begin_s[index]) / stretch.constant_s)
         return degc + stretch.towards_degc + (self._begin_degc[index] - stretch.towards_degc) * remaining
 
-    def shaken(self, at_s: float, felt: WorldStimulus) -> WorldStimulus:
+    def shaken(self, at_s: float, stimulus: WorldStimulus) -> WorldStimulus:
         """Add the vibration of the table."""
         for vibration, phase in zip(self.room.vibrations, self._phases, strict=False):
             if vibration.is_on(at_s):
                 wave = math.sin(2 * math.pi * vibration.hz * at_s + phase)
-                (x, y, z), (a, b, c), (dx, dy, dz) = felt.force_box, felt.rate_box, vibration.direction
+                (x, y, z), (a, b, c), (dx, dy, dz) = stimulus.force_box, stimulus.rate_box, vibration.direction
                 push, rock = vibration.peak_g * STANDARD_GRAVITY * wave, math.radians(vibration.peak_dps) * wave
-                felt = felt._replace(
+                stimulus = stimulus._replace(
                     force_box=(x + push * dx, y + push * dy, z + push * dz),
                     rate_box=(a + rock * dy, b + rock * dz, c + rock * dx),
                 )
-        return felt
+        return stimulus
 
     @cached_property
     def _starts_s(self) -> list[float]:
@@ -282,8 +282,8 @@ class Course:
 
     @cached_property
     def _phases(self) -> list[float]:
-        drawn: list[float] = stream(self.seed, "room").uniform(0, 2 * math.pi, len(DRAUGHT_PERIODS_S)).tolist()
-        return drawn
+        phases: list[float] = stream(self.seed, "room").uniform(0, 2 * math.pi, len(DRAUGHT_PERIODS_S)).tolist()
+        return phases
 
 
 @dataclass(frozen=True)
@@ -322,18 +322,18 @@ def session(table: Mapping[str, Any], room: Room, seed: int) -> BenchExperiment:
         raise ValueError(f"session: {error} is missing") from None
 
 
-def turn_to(before: Triple, after: Triple) -> tuple[Triple, float]:
-    """Return unit axis and angle (rad) of the shortest turn from `before` to `after`; half a turn is about any
+def turn_to(start: Triple, end: Triple) -> tuple[Triple, float]:
+    """Return unit axis and angle (rad) of the shortest turn from `start` to `end`; half a turn is about any
     perpendicular axis.
     """
-    axis = cross(after, before)
+    axis = cross(end, start)
     sine = math.sqrt(sum(part * part for part in axis))
-    cosine = sum(a * b for a, b in zip(before, after, strict=True))
+    cosine = sum(a * b for a, b in zip(start, end, strict=True))
     if sine > 1e-9:
         return scaled(axis, 1 / sine), math.atan2(sine, cosine)
     if cosine > 0:
         return UPWARDS, 0.0
-    x, y, z = before
+    x, y, z = start
     across = (0.0, z, -y) if abs(x) < 0.9 else (-z, 0.0, x)
     length = math.sqrt(sum(part * part for part in across))
     return scaled(across, 1 / length), math.pi

@@ -46,11 +46,11 @@ class SampleGrid:
         if not period_ns:
             self.start_ns = NEVER_NS
             return False
-        begins = self.start_ns == NEVER_NS
-        if begins or period_ns != self.period_ns:
+        was_off = self.start_ns == NEVER_NS
+        if was_off or period_ns != self.period_ns:
             self.start_ns, self.index = at_ns, -1
         self.period_ns = period_ns
-        return begins
+        return was_off
 
 
 class SixAxis(Chip):

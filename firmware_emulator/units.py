@@ -366,17 +366,17 @@ def drawn_response(tolerances: Tolerances, random: np.random.Generator) -> Matri
     return (xx, xy, xz), (yx, yy, yz), (zx, zy, zz)
 
 
-def drawn_triple(spread: TruncatedNormal, random: np.random.Generator) -> Triple:
+def drawn_triple(tolerance: TruncatedNormal, random: np.random.Generator) -> Triple:
     """Draw three independent values."""
-    return spread.draw(random), spread.draw(random), spread.draw(random)
+    return tolerance.draw(random), tolerance.draw(random), tolerance.draw(random)
 
 
 def drawn_unit(chip: str, name: str, full_scale: float, seed: int) -> UnitDeviations:
     """Return a purchased part: drawn from the tolerances of its data sheet."""
     random = stream(seed, f"unit {name}")
     tolerances = TOLERANCES[chip](full_scale)
-    bias_x, bias_y, bias_z = (spread.draw(random) for spread in tolerances.bias)
-    slope_x, slope_y, slope_z = (spread.draw(random) for spread in tolerances.slope_per_degc)
+    bias_x, bias_y, bias_z = (tolerance.draw(random) for tolerance in tolerances.bias)
+    slope_x, slope_y, slope_z = (tolerance.draw(random) for tolerance in tolerances.slope_per_degc)
     return UnitDeviations(
         bias=(bias_x, bias_y, bias_z),
         slope_per_degc=(slope_x, slope_y, slope_z),
@@ -403,11 +403,11 @@ def paper_unit(name: str, seed: int) -> UnitDeviations:
     drawn.
     """
     published = TABLES[name]
-    drawn = drawn_unit(published.chip, name, published.range, seed)
+    drawn_part = drawn_unit(published.chip, name, published.range, seed)
     x, y, z = (count / published.counts_per_unit for count in published.slope)
     bias = bias_of(published)
     unit = replace(
-        drawn,
+        drawn_part,
         bias=bias,
         slope_per_degc=(x, y, z),
         scale_slope_per_degc=0.0,
@@ -419,7 +419,7 @@ def paper_unit(name: str, seed: int) -> UnitDeviations:
     if published.differences is not None:
         return replace(unit, g_sensitivity=force_response(published, MOUNTED[name]))
     unit = replace(unit, response=force_response(published))
-    return with_low_range_bias(unit, drawn.bias) if published.range >= unit.shift_from else unit
+    return with_low_range_bias(unit, drawn_part.bias) if published.range >= unit.shift_from else unit
 
 
 def with_low_range_bias(unit: UnitDeviations, low_range_bias: Triple) -> UnitDeviations:

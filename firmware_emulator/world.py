@@ -45,9 +45,9 @@ def seen_after_turn(vector: Triple, axis: Triple, cosine: float, sine: float) ->
     """Return an earth-fixed vector in the frame of a box that has turned about its unit `axis` by an angle
     (Rodrigues).
     """
-    along = (axis[0] * vector[0] + axis[1] * vector[1] + axis[2] * vector[2]) * (1.0 - cosine)
+    projection = (axis[0] * vector[0] + axis[1] * vector[1] + axis[2] * vector[2]) * (1.0 - cosine)
     aside = cross(vector, axis)
-    x, y, z = (vector[i] * cosine + aside[i] * sine + axis[i] * along for i in range(3))
+    x, y, z = (vector[i] * cosine + aside[i] * sine + axis[i] * projection for i in range(3))
     return x, y, z
 
 
@@ -55,11 +55,11 @@ def turn_between(up_before: str, up_after: str) -> tuple[Triple, float]:
     """Return axis in the box and angle (rad) of the shortest turn that brings `up_after` up; half a turn is about X or
     Y.
     """
-    before, after = UP[up_before], UP[up_after]
-    axis = cross(after, before)
+    start, end = UP[up_before], UP[up_after]
+    axis = cross(end, start)
     if any(axis):
         return axis, math.pi / 2
-    return UP["+Y" if up_before[1] == "X" else "+X"], 0.0 if before == after else math.pi
+    return UP["+Y" if up_before[1] == "X" else "+X"], 0.0 if start == end else math.pi
 
 
 STANDARD_GRAVITY = 9.80665
@@ -214,11 +214,11 @@ class TumbleWorld:
         phase = 2 * math.pi * share
         turned = angle * (share - math.sin(phase) / (2 * math.pi))
         rate = angle / (self.turn_ns * 1e-9) * (1 - math.cos(phase))
-        before, cosine, sine = self.faces[index], math.cos(turned), math.sin(turned)
+        stimulus, cosine, sine = self.faces[index], math.cos(turned), math.sin(turned)
         return WorldStimulus(
-            seen_after_turn(before.force_box, axis, cosine, sine),
+            seen_after_turn(stimulus.force_box, axis, cosine, sine),
             scaled(axis, rate),
-            field_box=seen_after_turn(before.field_box, axis, cosine, sine),
+            field_box=seen_after_turn(stimulus.field_box, axis, cosine, sine),
         )
 
 
@@ -330,9 +330,9 @@ class Shaking:
     @property
     def phases(self) -> tuple[WorldPhase, ...]:
         """Return the phases static, motion, static."""
-        begin, shaken, calm, end = self.edges_ns
+        start, shaken, calm, end = self.edges_ns
         return (
-            WorldPhase(begin, shaken, "static", "+Z"),
+            WorldPhase(start, shaken, "static", "+Z"),
             WorldPhase(shaken, calm, "motion"),
             WorldPhase(calm, end, "static", "+Z"),
         )
@@ -351,9 +351,12 @@ class Shaking:
 
     def swings(self, frequencies_hz: tuple[tuple[float, float], ...], at_s: float, bound: float) -> Triple:
         """Return one sum of sines for each axis, none above `bound`."""
-        more, less = bound * self.SHARES[0], bound * self.SHARES[1]
+        first_bound, second_bound = bound * self.SHARES[0], bound * self.SHARES[1]
         angle = 2 * math.pi * at_s
-        x, y, z = [more * math.sin(angle * first) + less * math.sin(angle * last) for first, last in frequencies_hz]
+        x, y, z = [
+            first_bound * math.sin(angle * first) + second_bound * math.sin(angle * last)
+            for first, last in frequencies_hz
+        ]
         return x, y, z
 
 
@@ -367,8 +370,10 @@ class DelayedWorld:
     @property
     def phases(self) -> tuple[WorldPhase, ...]:
         """Return the world's own phases, by the clock."""
-        own: tuple[WorldPhase, ...] = getattr(self.world, "phases", ())
-        return tuple(WorldPhase(start + self.start_ns, end + self.start_ns, name, up) for start, end, name, up in own)
+        phases: tuple[WorldPhase, ...] = getattr(self.world, "phases", ())
+        return tuple(
+            WorldPhase(start + self.start_ns, end + self.start_ns, name, up) for start, end, name, up in phases
+        )
 
     def __call__(self, at_ns: int) -> WorldStimulus:
         """Return the stimulus of the world at `at_ns` of the clock."""

@@ -19,7 +19,7 @@ FASTEST_PERIOD_NS = 312_500  # rate code 15 is 3200 Hz, every code below it half
 TURN_ON_NS = 1_100_000  # ADX-38
 BYPASS, FIFO, STREAM, TRIGGER = range(4)
 SLOTS = 32
-HELD = SLOTS + 1  # one more set is held in the data registers (ADX-51, DEC-24)
+MOST_SETS = SLOTS + 1  # one more set is held in the data registers (ADX-51, DEC-24)
 OFFSET_STEP_G = 1 / 64  # 15.6 mg (ADX-12)
 SELF_TEST_G: Triple = (1.15, -1.15, 1.85)
 """Middle of the limits at 2.5 V, within those at 3.3 V too (ADX-58)."""
@@ -71,7 +71,7 @@ class Adxl345Chip(Chip):
     """The registers and the 32 + 1 sets of its FIFO."""
 
     def __init__(self, address: int, element: Element, powered_on_ns: int = 0) -> None:
-        self._sets: deque[bytes] = deque(maxlen=HELD)
+        self._sets: deque[bytes] = deque(maxlen=MOST_SETS)
         super().__init__(address, facts, element, powered_on_ns)
 
     def power_on(self, at_ns: int) -> None:
@@ -106,14 +106,14 @@ class Adxl345Chip(Chip):
         """Read byte by byte, but a whole set at once, alone or after INT_SOURCE and DATA_FORMAT: its bytes don't change
         while they are read (ADX-49).
         """
-        before = DATA.start - self.pointer
-        if count != before + len(DATA) or before not in (0, 2) or self._reading:
+        head_bytes = DATA.start - self.pointer
+        if count != head_bytes + len(DATA) or head_bytes not in (0, 2) or self._reading:
             return super().read(count, at_ns, byte_ns)
-        begin = bytes((self._int_source(at_ns), self.page[facts.DATA_FORMAT.address])) if before else b""
-        self._take(at_ns + before * byte_ns)
+        head = bytes((self._int_source(at_ns), self.page[facts.DATA_FORMAT.address])) if head_bytes else b""
+        self._take(at_ns + head_bytes * byte_ns)
         self._reading = False
         self.pointer = DATA.stop
-        return begin + self.page[DATA.start : DATA.stop]
+        return head + self.page[DATA.start : DATA.stop]
 
     def load(self, address: int, at_ns: int) -> int:
         """Return the data of one set for a whole transaction (ADX-49), with the present INT_SOURCE and FIFO_STATUS."""
@@ -180,9 +180,9 @@ class Adxl345Chip(Chip):
     def _collect(self, due_ns: int, finished: int) -> None:
         # Stream keeps the newest sets (the deque drops the oldest), FIFO mode the first that fit.
         filling = self._mode == FIFO or self._triggered
-        kept = min(finished, HELD - len(self._sets) if filling else HELD)
-        first_ns = due_ns if filling else self._due_ns - kept * self._period_ns
-        for index in range(kept):
+        stored = min(finished, MOST_SETS - len(self._sets) if filling else MOST_SETS)
+        first_ns = due_ns if filling else self._due_ns - stored * self._period_ns
+        for index in range(stored):
             self._sets.append(self._set(first_ns + index * self._period_ns))
         if len(self._sets) >= SLOTS:
             self._overrun = True

@@ -51,18 +51,18 @@ class Ak8963Chip(AkmFamily):
             ended_ns, self._once_ns = self._once_ns, FAR_NS
             self._measure(ended_ns, facts.MODE.of(self.page[_CONTROL]) == SELF_TEST)
             self.page[_CONTROL] &= ~facts.MODE.mask & 0xFF
-        before = self._grid.index
+        previous = self._grid.index
         sampled_ns = self._grid.take(at_ns)
         if sampled_ns is not None:
-            lost = self.page[_ST1] & facts.DATA_READY.mask or self._grid.index - before > 1
+            overrun = self.page[_ST1] & facts.DATA_READY.mask or self._grid.index - previous > 1
             self._measure(sampled_ns, False)
-            self.page[_ST1] |= facts.DATA_OVERRUN.mask if lost else 0
+            self.page[_ST1] |= facts.DATA_OVERRUN.mask if overrun else 0
 
-    def _measure(self, at_ns: int, own: bool) -> None:
+    def _measure(self, at_ns: int, self_test: bool) -> None:
         control = self.page[_CONTROL]
         fine = facts.SIXTEEN_BITS.of(control)
         gauss = self.element.sample(at_ns, OVERFLOWS_GAUSS, 50.0)
-        if own and facts.SELF_TEST.of(self.page[facts.ASTC.address]):
+        if self_test and facts.SELF_TEST.of(self.page[facts.ASTC.address]):
             x, y, z = (count * GAUSS_A_COUNT[1] for count in OWN_FIELD)
             gauss = x, y, z
         self.page[_DATA : _DATA + 6] = self._data(gauss, GAUSS_A_COUNT[fine], -HIGHEST[fine], HIGHEST[fine])

@@ -164,8 +164,8 @@ class Bma180Chip(Chip):
         if self.pointer != _X_LOW or not 6 <= count <= 7 or end_ns >= self._next_ns or self.page[_UNSHADOWED] & 1:
             return super().read(count, at_ns, byte_ns)
         self.pointer = _X_LOW + count
-        sent = self._converter.burst(at_ns, byte_ns)
-        return sent if count == 6 else sent + bytes((self._converter.temperature(end_ns - byte_ns),))
+        answer = self._converter.burst(at_ns, byte_ns)
+        return answer if count == 6 else answer + bytes((self._converter.temperature(end_ns - byte_ns),))
 
     def load(self, address: int, at_ns: int) -> int:
         """Return a register's byte; the EEPROM's window shows the image (BMA-54)."""
@@ -238,12 +238,12 @@ class Bma180Chip(Chip):
         """Carry out ctrl_reg0 (BMA-21): update_image and st0 last until they clear themselves, reset_int is over at
         once.
         """
-        before = self.page[_CONTROL]
+        previous = self.page[_CONTROL]
         self.page[_CONTROL] = value & ~(facts.CTRL_REG0.reserved | facts.RESET_INT.mask) & 0xFF
-        self.page[_CONTROL] |= before & facts.UPDATE_IMAGE.mask
+        self.page[_CONTROL] |= previous & facts.UPDATE_IMAGE.mask
         if value & facts.UPDATE_IMAGE.mask and self._download_end_ns == FAR_NS:
             self._download_end_ns = at_ns + self._download_ns
-        if before & facts.SLEEP.mask and not value & facts.SLEEP.mask:
+        if previous & facts.SLEEP.mask and not value & facts.SLEEP.mask:
             self._ready_ns = at_ns + WAKE_NS
         if not value & facts.SELF_TEST_0.mask:
             self._self_test_end_ns = FAR_NS

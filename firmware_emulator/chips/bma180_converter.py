@@ -125,8 +125,8 @@ class Converter:
         period = round(1e9 / self._rate_hz) * (2 if slow else 1)
         self._period_ns, self._quarter_ns = period, period // 4
         self._ready_after_ns = (period // 2, period // 2 + period // 4, period)
-        known = settings.range_code in RANGES and settings.bandwidth_code in BANDWIDTHS
-        self._start_ns = max(at_ns, ready_ns) if known and not settings.asleep else FAR_NS
+        is_known = settings.range_code in RANGES and settings.bandwidth_code in BANDWIDTHS
+        self._start_ns = max(at_ns, ready_ns) if is_known and not settings.asleep else FAR_NS
         self._latest_index = self._earlier_index = self._temperature_index = -1
         self._latest = self._earlier = self._held
         self._temperature = self._held_temperature
@@ -141,9 +141,13 @@ class Converter:
     def _set_scales(self, codes_per_g: float) -> None:
         trims, factory = self._settings.trims, self._factory
         sx, sy, sz = (
-            codes_per_g * (1 + GAIN_STEP * (gain - own)) for gain, own in zip(trims.gain, factory.gain, strict=True)
+            codes_per_g * (1 + GAIN_STEP * (gain - factory_gain))
+            for gain, factory_gain in zip(trims.gain, factory.gain, strict=True)
         )
-        ox, oy, oz = (OFFSET_STEP_G * (offset - own) for offset, own in zip(trims.offset, factory.offset, strict=True))
+        ox, oy, oz = (
+            OFFSET_STEP_G * (offset - factory_gain)
+            for offset, factory_gain in zip(trims.offset, factory.offset, strict=True)
+        )
         self._scales = sx, ox * sx, sy, oy * sy, sz, oz * sz
         self._thermal = trims.tco != factory.tco or trims.tcs != factory.tcs
         self._plain = not (self._thermal or self._settings.self_test or self._high_pass)
@@ -202,7 +206,7 @@ class Converter:
             trims, factory = self._settings.trims, self._factory
             gain = 1 + TCS_STEP * (trims.tcs - factory.tcs) * warmer
             step = TCO_STEP_G * warmer
-            dx, dy, dz = (step * (tco - own) for tco, own in zip(trims.tco, factory.tco, strict=True))
+            dx, dy, dz = (step * (tco - factory_tco) for tco, factory_tco in zip(trims.tco, factory.tco, strict=True))
             x, y, z = x * gain + dx, y * gain + dy, z * gain + dz
         return self._high_pass((x, y, z), at_ns) if self._high_pass else (x, y, z)
 
@@ -226,8 +230,8 @@ class Converter:
         cycle = (at_ns - self._start_ns - self._quarter_ns) // self._period_ns
         if cycle > self._temperature_index:
             self._temperature_index = cycle
-            when = self._start_ns + cycle * self._period_ns + self._quarter_ns
-            code = round((self._element.temperature(when) - 24) * 128 / 64)
+            time_ns = self._start_ns + cycle * self._period_ns + self._quarter_ns
+            code = round((self._element.temperature(time_ns) - 24) * 128 / 64)
             code += self._settings.trims.offset_t - self._factory.offset_t
             self._temperature = max(-128, min(127, code)) & 0xFF
         return self._temperature

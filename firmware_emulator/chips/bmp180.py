@@ -122,8 +122,8 @@ class Bmp180Chip(BoschBarometer):
 
     def _command(self, value: int, at_ns: int) -> None:
         measurement = facts.MEASUREMENT.of(value)
-        known = measurement in (TEMPERATURE, PRESSURE) and facts.CONVERTING.of(value)
-        if not known:
+        is_known = measurement in (TEMPERATURE, PRESSURE) and facts.CONVERTING.of(value)
+        if not is_known:
             self.page[_CONTROL] &= ~facts.CONVERTING.mask
             self._end_ns = FAR_NS
         elif measurement == TEMPERATURE:

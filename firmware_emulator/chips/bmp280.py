@@ -42,8 +42,8 @@ class Bmp280Words(NamedTuple):
 
 def fine_of(words: Bmp280Words, adc: float) -> float:
     """Return the temperature in 5120ths of a degC."""
-    away = adc / 16384 - words.T1 / 1024
-    return away * words.T2 + (away / 8) ** 2 * words.T3
+    difference = adc / 16384 - words.T1 / 1024
+    return difference * words.T2 + (difference / 8) ** 2 * words.T3
 
 
 def pascal_of(words: Bmp280Words, fine: float, adc: float) -> float:

@@ -44,8 +44,8 @@ class Bmp388Words(NamedTuple):
 
 def degc_of(words: Bmp388Words, raw: float) -> float:
     """Return the temperature in degC."""
-    away = raw - words.T1 * 2.0**8
-    return away * words.T2 / 2.0**30 + away * away * words.T3 / 2.0**48
+    difference = raw - words.T1 * 2.0**8
+    return difference * words.T2 / 2.0**30 + difference * difference * words.T3 / 2.0**48
 
 
 def pascal_of(words: Bmp388Words, degc: float, raw: float) -> float:
@@ -118,16 +118,16 @@ class Bmp388Chip(CyclicBarometer):
         """Return pressure, then temperature, 24 bits each, with a flag for each (BMP-205, BMP-211)."""
         control, oversampling = self.page[_POWER], self.page[facts.OSR.address]
         codes = facts.TEMPERATURE_OVERSAMPLING.of(oversampling), facts.PRESSURE_OVERSAMPLING.of(oversampling)
-        on = facts.TEMPERATURE_ON.of(control), facts.PRESSURE_ON.of(control)
+        enabled = facts.TEMPERATURE_ON.of(control), facts.PRESSURE_ON.of(control)
         ut = self.ut(at_ns)
         pascal = self.pressure_pa(at_ns, NOISE_PA[codes[1]])
-        shown = []
-        for value, code, is_on in zip(self.filtered(ut, up_of(self.words, ut, pascal)), codes, on, strict=True):
+        results = []
+        for value, code, is_on in zip(self.filtered(ut, up_of(self.words, ut, pascal)), codes, enabled, strict=True):
             unused_bits = max(0, BITS - 16 - code) if self.filter_divisor == 1 else 0
             rounded = min(round(value / (1 << unused_bits)) << unused_bits, (1 << BITS) - 1)
-            shown.append(rounded if is_on else SKIPPED)
-        self.page[_DATA : _DATA + 6] = shown[1].to_bytes(3, "little") + shown[0].to_bytes(3, "little")
-        self.page[_STATUS] |= facts.TEMPERATURE_READY.mask * on[0] | facts.PRESSURE_READY.mask * on[1]
+            results.append(rounded if is_on else SKIPPED)
+        self.page[_DATA : _DATA + 6] = results[1].to_bytes(3, "little") + results[0].to_bytes(3, "little")
+        self.page[_STATUS] |= facts.TEMPERATURE_READY.mask * enabled[0] | facts.PRESSURE_READY.mask * enabled[1]
 
     def load(self, address: int, at_ns: int) -> int:
         """Return a register's byte; reading a result clears its flag, reading the error register clears it

@@ -23,8 +23,8 @@ class HighPass:
     def __call__(self, value: Triple, at_ns: int) -> Triple:
         """Filter `value`, the input at `at_ns`, which never decreases between calls."""
         earlier = value if self._input is None else self._input
-        kept = math.exp(self._per_ns * max(0, at_ns - self._at_ns))
-        x, y, z = (old + (new - old) * kept for new, old in zip(self._removed, earlier, strict=True))
+        share = math.exp(self._per_ns * max(0, at_ns - self._at_ns))
+        x, y, z = (old + (new - old) * share for new, old in zip(self._removed, earlier, strict=True))
         self._at_ns, self._input, self._removed = at_ns, value, (x, y, z)
         return value[0] - x, value[1] - y, value[2] - z
 

@@ -127,19 +127,19 @@ class Icm42688Chip(SixAxis):
         if mode and packets:
             name = ACCELEROMETER if packets & 1 and self._halves[ACCELEROMETER].grid.start_ns != NEVER_NS else GYROSCOPE
             grid = self._halves[name].grid
-            latest, most = grid.latest(at_ns), FIFO_BYTES // self._packet_size
+            latest, capacity = grid.latest(at_ns), FIFO_BYTES // self._packet_size
             first = grid.index + 1
             if mode == STOP_ON_FULL:
-                latest = min(latest, first + most)
-            for index in range(max(first, latest - most), latest + 1):
+                latest = min(latest, first + capacity)
+            for index in range(max(first, latest - capacity), latest + 1):
                 sampled_ns = grid.time_ns(index)
                 self._sample(sampled_ns)
-                self._enqueue(self._packet(sampled_ns, self.is_marked(grid, sampled_ns)), most, mode)
+                self._enqueue(self._packet(sampled_ns, self.is_marked(grid, sampled_ns)), capacity, mode)
         self._sample(at_ns)
 
-    def _enqueue(self, packet: bytes, most: int, mode: int) -> None:
+    def _enqueue(self, packet: bytes, capacity: int, mode: int) -> None:
         """Append a packet to the queue; if it is full, the oldest or this one is lost (TDK-80)."""
-        if len(self._packets) >= most:
+        if len(self._packets) >= capacity:
             self._flags |= facts.FIFO_FULL.mask
             if mode == STOP_ON_FULL:
                 return
@@ -226,12 +226,12 @@ class Icm42688Chip(SixAxis):
 
     def _take_bytes(self, count: int) -> bytes:
         """Return the next bytes of the queue, followed by those that are read after its end."""
-        taken = self._part
-        while len(taken) < count and self._packets:
+        packet = self._part
+        while len(packet) < count and self._packets:
             self._whole = self._packets.popleft()
-            taken += self._whole
-        self._part = taken[count:]
-        return taken[:count] + bytes([EMPTY]) * (count - len(taken))
+            packet += self._whole
+        self._part = packet[count:]
+        return packet[:count] + bytes([EMPTY]) * (count - len(packet))
 
     def stop(self, at_ns: int) -> None:
         """End the transaction: a partly read packet is read again from its beginning, unless reading may resume
@@ -280,13 +280,13 @@ class Icm42688Chip(SixAxis):
         code = facts.GYRO_RANGE.of(self.page[facts.GYRO_CONFIG0.address])
         filter_code = facts.GYRO_FILTER.of(self.page[facts.GYRO_ACCEL_CONFIG0.address])
         bandwidth_hz = self._bandwidth_hz(self._halves[GYROSCOPE], filter_code)
-        before, rate = (
+        previous, rate = (
             self._rate_dps,
             self.felt(GYROSCOPE, at_ns, RANGES_DPS[0 if self._is_fine else code], bandwidth_hz),
         )
         self._rate_dps = rate
         if facts.ADAPTIVE_RANGE.of(self.page[facts.INTF_CONFIG1.address]) != 0b01:
-            if any((abs(a) < STALL_DPS) != (abs(b) < STALL_DPS) for a, b in zip(before, rate, strict=True)):
+            if any((abs(a) < STALL_DPS) != (abs(b) < STALL_DPS) for a, b in zip(previous, rate, strict=True)):
                 self._stalled_until_ns = at_ns + STALL_NS
             if at_ns < self._stalled_until_ns:
                 return None
@@ -295,20 +295,22 @@ class Icm42688Chip(SixAxis):
             self._convert_finely(self._halves[GYROSCOPE], rate, FINE_PER_DPS, pushed)
         return self._codes(rate, CODES_PER_DPS[code], code, pushed)
 
-    def _codes(self, felt: Triple, scale: float, range_code: int, pushed: int) -> list[int]:
+    def _codes(self, sample: Triple, scale: float, range_code: int, pushed: int) -> list[int]:
         """Return three codes; bit 0 of `pushed` deflects x (TDK-41), by the factory's change at this range (TDK-40)."""
         push = self._push(range_code)
-        return [clipped(round(value * scale + push * (pushed >> axis & 1)), LOWEST) for axis, value in enumerate(felt)]
+        return [
+            clipped(round(value * scale + push * (pushed >> axis & 1)), LOWEST) for axis, value in enumerate(sample)
+        ]
 
     def _push(self, range_code: int) -> float:
         """Return the factory's change by the self-test, in counts of this range; 0 if none is stored."""
         return 2620.0 / 2.0 ** (3 - range_code) * 1.01 ** (self._trim_code - 1) if self._trim_code else 0.0
 
-    def _convert_finely(self, half: _Half, felt: Triple, scale: float, pushed: int) -> None:
+    def _convert_finely(self, half: _Half, sample: Triple, scale: float, pushed: int) -> None:
         """Store a reading in 20 bits, of which the lowest are 0; it does not depend on the range."""
         highest = (1 << 19 - half.zero_bits) - 1
         push = self._push(0) * (1 << 4 - half.zero_bits)
-        codes = (round(value * scale + push * (pushed >> axis & 1)) for axis, value in enumerate(felt))
+        codes = (round(value * scale + push * (pushed >> axis & 1)) for axis, value in enumerate(sample))
         half.fine = tuple(max(-highest, min(highest, code)) << half.zero_bits for code in codes)
 
     # Reading and writing ----------------------------------------------------------------------------------------------
@@ -321,10 +323,10 @@ class Icm42688Chip(SixAxis):
         """Read a burst, which shows one instant (DEC-60)."""
         self.end_reset(at_ns)
         self._sync(at_ns)
-        before = min(count, facts.FIFO_DATA.address - self.pointer)
-        if before < 0 or self._bank:
+        head_bytes = min(count, facts.FIFO_DATA.address - self.pointer)
+        if head_bytes < 0 or self._bank:
             return super().read(count, at_ns, byte_ns)
-        return super().read(before, at_ns, byte_ns) + self._take_bytes(count - before)
+        return super().read(head_bytes, at_ns, byte_ns) + self._take_bytes(count - head_bytes)
 
     def load(self, address: int, at_ns: int) -> int:
         """Return a register's byte in the selected bank; the bank's own register is in all of them (TDK-04)."""
@@ -365,9 +367,9 @@ class Icm42688Chip(SixAxis):
             if value & facts.TIMESTAMP_STROBE.mask:
                 self._hold_timestamp(at_ns)
             return
-        before = self.page[address]
+        previous = self.page[address]
         super().store(address, value, at_ns)
-        if address in (facts.FIFO_CONFIG.address, facts.FIFO_CONFIG1.address) and self.page[address] != before:
+        if address in (facts.FIFO_CONFIG.address, facts.FIFO_CONFIG1.address) and self.page[address] != previous:
             self._clear_queue()  # DEC-64
         if address in (facts.PWR_MGMT0.address, facts.GYRO_CONFIG0.address, facts.ACCEL_CONFIG0.address):
             for half in self._halves.values():
@@ -388,10 +390,10 @@ class Icm42688Chip(SixAxis):
         """
         rate_hz = RATES_HZ.get(half.rate.of(self.page[half.rate.register.address]), 1000.0)
         mode = half.mode.of(self.page[facts.PWR_MGMT0.address])
-        on = mode == 0b11 or (mode == 0b10 and half.mode == facts.ACCEL_MODE)  # TDK-11
-        if half.grid.set(at_ns, self.own_period_ns(1e9 / rate_hz) if on else 0):
+        is_on = mode == 0b11 or (mode == 0b10 and half.mode == facts.ACCEL_MODE)  # TDK-11
+        if half.grid.set(at_ns, self.own_period_ns(1e9 / rate_hz) if is_on else 0):
             half.valid_ns = at_ns + half.startup_ns
-        elif not on:
+        elif not is_on:
             self.page[half.place] = INVALID * 3
             half.fine = (FINE_INVALID,) * 3
             if all(other.grid.start_ns == NEVER_NS for other in self._halves.values()):

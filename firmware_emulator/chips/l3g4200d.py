@@ -63,12 +63,12 @@ class Fifo:
 
     def fill(self, latest: int, convert: Callable[[int], Codes]) -> None:
         """Take in the conversions up to `latest` that the mode stores."""
-        begin, end = self._upto + 1, latest + 1
+        first, end = self._upto + 1, latest + 1
         if self.mode == FIFO:
-            end = begin if self._stopped else min(end, begin + DEPTH - len(self._sets))
+            end = first if self._stopped else min(end, first + DEPTH - len(self._sets))
         else:
-            begin = max(begin, end - DEPTH)  # older ones would be discarded anyway
-        for index in range(begin, end):
+            first = max(first, end - DEPTH)  # older ones would be discarded anyway
+        for index in range(first, end):
             if len(self._sets) == DEPTH:
                 self._sets.popleft()
             self._sets.append(convert(index))
@@ -200,7 +200,7 @@ class L3g4200dChip(Chip):
         """Apply power mode (L3G-34) and data rate; a change of either restarts the grid of conversions."""
         powered, rate = bool(facts.POWER_ON.of(ctrl1)), facts.DATA_RATE.of(ctrl1)
         running = powered and facts.AXES_ON.of(ctrl1) != 0
-        waking, started = powered and not self._powered, running and not self._running
+        waking, starting = powered and not self._powered, running and not self._running
         if powered != self._powered:
             self._ready_ns = at_ns + self._start_up_ns
             self._temperature_start_ns = self._ready_ns if powered else FAR_NS
@@ -208,7 +208,7 @@ class L3g4200dChip(Chip):
         if (running, rate) != (self._running, self._rate) or waking:
             self._period_ns = round(1e9 / (RATES_HZ[rate] * (1 + self._rate_error)))
             filtered = facts.OUT_SELECT.of(self.page[_CTRL5]) >= 0b10
-            periods = 6 if started and filtered else 1  # L3G-64
+            periods = 6 if starting and filtered else 1  # L3G-64
             soonest = at_ns if waking else at_ns + periods * self._period_ns
             self._base, self._start_ns = latest, max(self._ready_ns, soonest) if running else FAR_NS
         self._powered, self._running, self._rate = powered, running, rate
@@ -247,12 +247,12 @@ class L3g4200dChip(Chip):
         if self._half != [-1, -1, -1] or self._axes != ALL_AXES or self._fifo.active or self._latest(end_ns) != latest:
             return super().read(count, at_ns, byte_ns)
         codes = self._codes if latest == self._index else self._convert(latest)
-        sent = self._pack(*codes)
+        answer = self._pack(*codes)
         if count == 8:
-            sent = bytes((self._temperature_byte(at_ns), self._status(latest))) + sent
+            answer = bytes((self._temperature_byte(at_ns), self._status(latest))) + answer
         self._read_upto = [latest, latest, latest]
         self.pointer = _X_LOW if self._wrap_always else _Z_HIGH + 1
-        return sent
+        return answer
 
     def load(self, address: int, at_ns: int) -> int:
         """Return a register's byte."""

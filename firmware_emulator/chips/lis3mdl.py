@@ -54,13 +54,13 @@ class Lis3mdlChip(Chip):
         """Write the latest sample into the data registers; the status shows whether earlier samples were
         overwritten.
         """
-        before = self._grid.index
+        previous = self._grid.index
         sampled_ns = self._grid.take(at_ns)
         if sampled_ns is None:
             return
         available = facts.AXIS_AVAILABLE.of(self.page[_STATUS])
-        lost = 0b111 if self._grid.index - before > 1 else available
-        overrun = facts.AXIS_OVERRUN.of(self.page[_STATUS]) | lost
+        overwritten = 0b111 if self._grid.index - previous > 1 else available
+        overrun = facts.AXIS_OVERRUN.of(self.page[_STATUS]) | overwritten
         self.page[_STATUS] = (overrun == 0b111) << 7 | overrun << 4 | 0x0F
         self._convert(sampled_ns)
         if self._settings.operation == SINGLE:  # DEC-102
@@ -95,8 +95,8 @@ class Lis3mdlChip(Chip):
         if settings != self._settings:
             self._grid.set(at_ns, 0)
             self._settings = settings
-        on = settings.operation in (CONTINUOUS, SINGLE)
-        self._grid.set(at_ns, round(1e9 / rate_hz) if on else 0)
+        is_on = settings.operation in (CONTINUOUS, SINGLE)
+        self._grid.set(at_ns, round(1e9 / rate_hz) if is_on else 0)
 
     # Reading and writing ----------------------------------------------------------------------------------------------
 
@@ -122,16 +122,16 @@ class Lis3mdlChip(Chip):
             return self.page[address]
         axis, half = divmod(address - _FIRST, 2)
         if half and address not in self._held:  # read alone
-            self._taken(axis)
+            self._clear_flags(axis)
             return self.page[address]
         if half:
-            self._taken(axis)
+            self._clear_flags(axis)
             return self._held.pop(address)
         if facts.BLOCK_UPDATE.of(self.page[facts.CTRL_REG5.address]):
             self._held[address + 1] = self.page[address + 1]
         return self.page[address]
 
-    def _taken(self, axis: int) -> None:
+    def _clear_flags(self, axis: int) -> None:
         """Clear the flags of an axis when its high byte is read (LIS-12)."""
         status = self.page[_STATUS] & ~(0x11 << axis | facts.ZYX_AVAILABLE.mask | facts.ZYX_OVERRUN.mask)
         self.page[_STATUS] = status & 0xFF

@@ -117,10 +117,10 @@ class Lsm6dsoChip(SixAxis):
 
     def _enqueue_timestamp(self, at_ns: int) -> None:
         """Append a time before the samples of an instant, of every one, eighth or 32nd instant (LSM-48, DEC-74)."""
-        every = SLOTS_PER_TIMESTAMP[facts.TIMESTAMP_BATCH.of(self.page[facts.FIFO_CTRL4.address])]
-        if not every or not facts.TIMESTAMP_ON.of(self.page[facts.CTRL10_C.address]) or at_ns == self._slot_ns:
+        interval = SLOTS_PER_TIMESTAMP[facts.TIMESTAMP_BATCH.of(self.page[facts.FIFO_CTRL4.address])]
+        if not interval or not facts.TIMESTAMP_ON.of(self.page[facts.CTRL10_C.address]) or at_ns == self._slot_ns:
             return
-        if self._slots % every == 0:
+        if self._slots % interval == 0:
             self._enqueue(TIMESTAMP_TAG, self._timestamp(at_ns).to_bytes(4, "little") + bytes(2))
         self._slot_ns, self._slots = at_ns, self._slots + 1
 
@@ -133,7 +133,7 @@ class Lsm6dsoChip(SixAxis):
     def _enqueue(self, tag: int, data: bytes) -> None:
         """Append a word to the queue; the oldest is lost if it is full (LSM-43)."""
         if len(self._words) >= FIFO_WORDS:
-            self._lost = self._lost_latched = True
+            self._has_overrun = self._lost_latched = True
             if facts.FIFO_MODE.of(self.page[facts.FIFO_CTRL4.address]) != CONTINUOUS:
                 return
             self._words.popleft()
@@ -143,7 +143,7 @@ class Lsm6dsoChip(SixAxis):
     def _clear_queue(self, at_ns: int) -> None:
         self._words: deque[bytes] = deque()
         self._word = bytes(len(FIFO_OUT))
-        self._lost = self._lost_latched = False
+        self._has_overrun = self._lost_latched = False
         self._temperature_due_ns = at_ns
         self._slot_ns, self._slots = -1, 0
 
@@ -154,14 +154,14 @@ class Lsm6dsoChip(SixAxis):
         level = len(self._words)
         latched, self._lost_latched = self._lost_latched, False
         full = facts.FIFO_FULL.mask if level >= FIFO_WORDS else 0
-        lost = facts.FIFO_OVERRUN.mask if self._lost else 0
-        return lost | full | (facts.FIFO_OVERRUN_LATCHED.mask if latched else 0) | level >> 8
+        overrun_bit = facts.FIFO_OVERRUN.mask if self._has_overrun else 0
+        return overrun_bit | full | (facts.FIFO_OVERRUN_LATCHED.mask if latched else 0) | level >> 8
 
-    def _out(self, address: int) -> int:
+    def _word_byte(self, address: int) -> int:
         """Return a byte of the word that left the queue when its tag was read (LSM-45)."""
         if address == FIFO_OUT.start:
             self._word = self._words.popleft() if self._words else bytes(len(FIFO_OUT))
-            self._lost = False
+            self._has_overrun = False
         return self._word[address - FIFO_OUT.start]
 
     def _sample(self, at_ns: int) -> None:
@@ -187,15 +187,15 @@ class Lsm6dsoChip(SixAxis):
             full_scale, step = RANGES_G[facts.ACCEL_RANGE.of(control)]
             filtered = facts.ACCEL_LPF2_ON.of(control)
             share = ACCEL_FILTER_SHARES[facts.ACCEL_FILTER.of(page[facts.CTRL8_XL.address])] if filtered else 2
-            felt = self.felt(ACCELEROMETER, at_ns, full_scale, rate_hz / share)
+            sample = self.felt(ACCELEROMETER, at_ns, full_scale, rate_hz / share)
             push = {0b01: PUSH_G, 0b10: -PUSH_G}.get(facts.ACCEL_SELF_TEST.of(test), 0.0)
         else:
             control = page[facts.CTRL2_G.address]
             full_scale, step = RANGES_DPS.get(facts.GYRO_RANGE.of(control), RANGES_DPS[0])
             bandwidth_hz = min(GYRO_BANDWIDTHS_HZ.items(), key=lambda known: abs(known[0] - rate_hz))[1]
-            felt = self.felt(GYROSCOPE, at_ns, full_scale, bandwidth_hz)
+            sample = self.felt(GYROSCOPE, at_ns, full_scale, bandwidth_hz)
             push = {0b01: PUSH_DPS, 0b11: -PUSH_DPS}.get(facts.GYRO_SELF_TEST.of(test), 0.0)
-        codes = self._codes(felt, push, step)
+        codes = self._codes(sample, push, step)
         self._put(half.first.address, self._marked(codes, half, at_ns) if name == GYROSCOPE else codes)
 
     def _marked(self, codes: list[int], half: _Half, at_ns: int) -> list[int]:
@@ -209,8 +209,8 @@ class Lsm6dsoChip(SixAxis):
         axes = (facts.MARK_X, facts.MARK_Y, facts.MARK_Z)
         return [code & ~1 | mark if axis.of(control) else code for code, axis in zip(codes, axes, strict=True)]
 
-    def _codes(self, felt: Triple, push: float, step: float) -> list[int]:
-        return [clipped(round((value + push) * 1000.0 / step)) for value in felt]
+    def _codes(self, sample: Triple, push: float, step: float) -> list[int]:
+        return [clipped(round((value + push) * 1000.0 / step)) for value in sample]
 
     # Reading and writing ----------------------------------------------------------------------------------------------
 
@@ -227,19 +227,19 @@ class Lsm6dsoChip(SixAxis):
         if address == facts.FIFO_STATUS2.address:
             return self._status()
         if address in FIFO_OUT:
-            return self._out(address)
+            return self._word_byte(address)
         if address in _TIMESTAMP and facts.TIMESTAMP_ON.of(self.page[facts.CTRL10_C.address]):
             return self._timestamp(at_ns) >> 8 * (address - _TIMESTAMP.start) & 0xFF
         if address not in _DATA:
             return self.page[address]
         if address & 1:
-            self._taken(address)
+            self._clear_flag(address)
             return self._held.pop(address, self.page[address])
         if facts.BLOCK_UPDATE.of(self.page[facts.CTRL3_C.address]):
             self._held[address + 1] = self.page[address + 1]
         return self.page[address]
 
-    def _taken(self, address: int) -> None:
+    def _clear_flag(self, address: int) -> None:
         """Clear the flag of a sensor when the high byte of any of its numbers is read (LSM-11)."""
         if address == facts.OUT_TEMP_H.address:
             mask = facts.TEMPERATURE_READY.mask
@@ -284,10 +284,10 @@ class Lsm6dsoChip(SixAxis):
         """Restart the grid if the rate changed or the half was switched on (DEC-70)."""
         code = half.rate.of(self.page[half.rate.register.address])
         asleep = half.rate == facts.GYRO_RATE and facts.GYRO_SLEEP.of(self.page[facts.CTRL4_C.address])
-        on = 1 <= code <= len(RATES_HZ) and not asleep
+        is_on = 1 <= code <= len(RATES_HZ) and not asleep
         running = [other.grid for other in self._halves.values() if other is not half]
         shared = [grid.time_ns(grid.latest(at_ns)) for grid in running if grid.start_ns <= at_ns]
-        half.grid.set(max(shared, default=at_ns), self.own_period_ns(1e9 / RATES_HZ[code - 1]) if on else 0)
+        half.grid.set(max(shared, default=at_ns), self.own_period_ns(1e9 / RATES_HZ[code - 1]) if is_on else 0)
 
 
 def accelerometer_tolerances(range_g: float) -> Tolerances:

@@ -75,10 +75,10 @@ class Mmc5983Chip(Chip):
         field = self.element.sample(at_ns, 8.0, BANDWIDTHS_HZ[facts.BANDWIDTH.of(control)])
         current = self._control[3]
         extra = EXTRA_GAUSS * (facts.CURRENT_PLUS.of(current) - facts.CURRENT_MINUS.of(current))
-        off = (facts.X_OFF.of(control), facts.YZ_OFF.of(control) == 0b11, facts.YZ_OFF.of(control) == 0b11)
+        disabled = (facts.X_OFF.of(control), facts.YZ_OFF.of(control) == 0b11, facts.YZ_OFF.of(control) == 0b11)
         low = self.page[facts.XYZ_OUT_2.address]
         for axis, bits in enumerate((facts.X_LOW, facts.Y_LOW, facts.Z_LOW)):
-            if off[axis]:
+            if disabled[axis]:
                 continue
             gauss = self._sign * (field[axis] + extra) + self._bridge[axis]
             code = max(0, min(HIGHEST, ZERO + round(gauss * CODES_PER_GAUSS)))
@@ -113,9 +113,9 @@ class Mmc5983Chip(Chip):
             self.power_on(at_ns)
             self.pointer = pointer
         elif address == _CONTROL2:
-            on = facts.CONTINUOUS.of(value) and facts.FREQUENCY.of(value)
+            is_continuous = facts.CONTINUOUS.of(value) and facts.FREQUENCY.of(value)
             self._grid.set(at_ns, 0)
-            self._grid.set(at_ns, round(1e9 / RATES_HZ[facts.FREQUENCY.of(value)]) if on else 0)
+            self._grid.set(at_ns, round(1e9 / RATES_HZ[facts.FREQUENCY.of(value)]) if is_continuous else 0)
 
     def _command(self, value: int, at_ns: int) -> None:
         """Carry out SET, RESET and single measurements (MMC-14, MMC-17)."""

@@ -121,12 +121,12 @@ class Mpu6050Chip(MpuFamily):
         first = self.pointer - _DATA.start
         if first >= 0 and first + count <= len(data):
             self.pointer += count
-            sent = data[first : first + count]
+            answer = data[first : first + count]
         else:
-            sent = super().read(count, at_ns, byte_ns)
+            answer = super().read(count, at_ns, byte_ns)
         if facts.INT_READ_CLEAR.of(self.page[facts.INT_PIN_CFG.address]):
             self._flags = 0  # INV-22
-        return sent
+        return answer
 
     def _restart(self, address: int, at_ns: int) -> None:
         """Restart the grid of samples if the rate changed or the die was woken up (DEC-250)."""
@@ -139,11 +139,11 @@ class Mpu6050Chip(MpuFamily):
         self._grid.set(at_ns, 0 if asleep else self.own_period_ns(period_ns))
 
 
-def _codes(felt: Triple, scale: float, push: Triple, pushed: int) -> tuple[int, int, int]:
+def _codes(sample: Triple, scale: float, push: Triple, pushed: int) -> tuple[int, int, int]:
     """Return three codes; bit 2 of `pushed` deflects x, bit 0 z (INV-13, INV-14)."""
     x, y, z = (
-        clipped(round(value * scale + (more if pushed >> bit & 1 else 0.0)))
-        for value, more, bit in zip(felt, push, (2, 1, 0), strict=True)
+        clipped(round(value * scale + (change if pushed >> bit & 1 else 0.0)))
+        for value, change, bit in zip(sample, push, (2, 1, 0), strict=True)
     )
     return x, y, z
 

@@ -76,14 +76,14 @@ class Mpu6500Chip(MpuFamily):
         temperature = clipped(round((self.degc(at_ns) - 21.0) * 333.87))  # INV-76
         page[_DATA.start : _DATA.stop] = WORDS.pack(ax, ay, az, temperature, gx, gy, gz)
 
-    def _codes(self, felt: Triple, scale: float, finest: float, pushed: int) -> list[int]:
+    def _codes(self, sample: Triple, scale: float, finest: float, pushed: int) -> list[int]:
         """Return three codes; bit 2 of `pushed` deflects x, by the factory's change at the smallest range (INV-75,
         INV-78).
         """
         push = 2620.0 * 1.01 ** (self._trim_code - 1) * scale / finest if self._trim_code else 0.0
         return [
             clipped(round(value * scale + push * (pushed >> bit & 1)))
-            for value, bit in zip(felt, (2, 1, 0), strict=True)
+            for value, bit in zip(sample, (2, 1, 0), strict=True)
         ]
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:

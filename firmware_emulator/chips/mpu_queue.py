@@ -50,15 +50,15 @@ class AuxiliaryMaster:
             if is_due and device is None:
                 page[_STATUS] |= 1 << slot
             elif is_due and device is not None:
-                begin = b"" if control & _NO_REGISTER else bytes([register])
+                command = b"" if control & _NO_REGISTER else bytes([register])
                 if is_reading:
-                    data = _read(device, begin, count, at_ns)
+                    data = _read_device(device, command, count, at_ns)
                     if control & _SWAP:
                         data = swapped(data, (register + bool(control & _ODD_PAIRS)) & 1)
                     stop = min(place + count, EXTERNAL.stop)
                     page[place:stop] = data[: stop - place]
                 else:
-                    device.write(begin + page[_DATA_OUT + slot : _DATA_OUT + slot + 1], at_ns, BYTE_NS)
+                    device.write(command + page[_DATA_OUT + slot : _DATA_OUT + slot + 1], at_ns, BYTE_NS)
                 device.stop(at_ns)
             place += count if is_reading else 0
 
@@ -80,9 +80,9 @@ def delay_of(page: bytearray) -> int:
     return facts.MASTER_DELAY.of(page[_LAST])
 
 
-def _read(device: Target, begin: bytes, count: int, at_ns: int) -> bytes:
-    if begin:
-        device.write(begin, at_ns, BYTE_NS)
+def _read_device(device: Target, command: bytes, count: int, at_ns: int) -> bytes:
+    if command:
+        device.write(command, at_ns, BYTE_NS)
     return device.read(count, at_ns, BYTE_NS)
 
 
@@ -91,8 +91,8 @@ def swapped(data: bytes, first_is_alone: int) -> bytes:
     last.
     """
     turned = bytearray(data)
-    for at in range(first_is_alone, len(data) - 1, 2):
-        turned[at], turned[at + 1] = turned[at + 1], turned[at]
+    for index in range(first_is_alone, len(data) - 1, 2):
+        turned[index], turned[index + 1] = turned[index + 1], turned[index]
     return bytes(turned)
 
 
@@ -158,15 +158,15 @@ class MpuFamily(SixAxis):
         self._flags |= DATA_READY
         if self.page[USER_CTRL] & ON and self.page[FIFO_EN]:
             size = len(self._record())
-            kept = self.fifo_bytes // max(size, 1) + 2
+            capacity = self.fifo_bytes // max(size, 1) + 2
             if size and len(self._queue) + size * (latest - self._queued) > self.fifo_bytes:
                 self._flags |= OVERFLOW
-            for index in range(max(self._queued + 1, latest - kept), latest + 1):
+            for index in range(max(self._queued + 1, latest - capacity), latest + 1):
                 self._sample(index)
                 self._queue.extend(self._record())
         elif self.page[USER_CTRL] & MASTER:
-            most = MOST_TRANSFERS * (1 + delay_of(self.page))
-            for index in range(max(self._queued + 1, latest - most), latest):
+            longest = MOST_TRANSFERS * (1 + delay_of(self.page))
+            for index in range(max(self._queued + 1, latest - longest), latest):
                 self.auxiliary.transfer(self.page, index, self._grid.time_ns(index))
         if self._grid.index != latest:
             self._sample(latest)

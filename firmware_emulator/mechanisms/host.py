@@ -91,13 +91,13 @@ class WatchedMux(Pca9544aChip):
 
     def stop(self, at_ns: int) -> None:
         """Switch the wires, unless the switch hangs; the control register reads back as written in any case."""
-        before = self.route
+        previous = self.route
         super().stop(at_ns)
-        if self.route == before:
+        if self.route == previous:
             return
         at_ns -= self._powered_on_ns
         if not all(obeys(at_ns) for obeys in self._obeys):
-            self.route = before
+            self.route = previous
             return
-        for tell in self._switched:
-            tell(at_ns)
+        for notify in self._switched:
+            notify(at_ns)

@@ -103,21 +103,21 @@ def plain_part(chip: str, name: str, full_scale: float, seed: int) -> UnitDeviat
     Noise, bias, its slope with temperature, scale, alignment; no temperature slope of the scale, no g-sensitivity and
     no error of the thermometer: those are mechanisms.
     """
-    drawn = drawn_unit(chip, name, full_scale, seed)
-    return replace(drawn, scale_slope_per_degc=0.0, g_sensitivity=NOTHING, thermometer_offset_degc=0.0)
+    unit = drawn_unit(chip, name, full_scale, seed)
+    return replace(unit, scale_slope_per_degc=0.0, g_sensitivity=NOTHING, thermometer_offset_degc=0.0)
 
 
 def toleranced_part(chip: str, name: str, full_scale: float, seed: int, run: int) -> UnitDeviations:
     """Return a part drawn in all properties that its data sheet specifies by a tolerance; its bias scatters between
     power-ups.
     """
-    drawn, random = drawn_unit(chip, name, full_scale, seed), stream(seed, f"power-up {run} of {name}")
-    allowed = [spread.limit for spread in TOLERANCES[chip](full_scale).bias]
+    unit, random = drawn_unit(chip, name, full_scale, seed), stream(seed, f"power-up {run} of {name}")
+    limits = [tolerance.limit for tolerance in TOLERANCES[chip](full_scale).bias]
     scattered = [
         bias + TURN_ON_SHARE * limit * float(random.standard_normal())
-        for bias, limit in zip(drawn.bias, allowed, strict=True)
+        for bias, limit in zip(unit.bias, limits, strict=True)
     ]
-    return replace(drawn, bias=(scattered[0], scattered[1], scattered[2]))
+    return replace(unit, bias=(scattered[0], scattered[1], scattered[2]))
 
 
 def sites_of(array: ArrayLike, fitting: Fitting) -> list[SensorLike]:
@@ -125,18 +125,20 @@ def sites_of(array: ArrayLike, fitting: Fitting) -> list[SensorLike]:
     put.
     """
     mechanism, by_name = fitting.mechanism, {sensor.name: sensor for sensor in array.sensors}
-    what = type(mechanism).__name__
-    allowed = [sensor.name for sensor in array.sensors if sensor.chip in mechanism.touches]
+    mechanism_name = type(mechanism).__name__
+    suitable = [sensor.name for sensor in array.sensors if sensor.chip in mechanism.touches]
     for name in fitting.sensors:
-        if name not in by_name or name not in allowed:
-            raise ValueError(f"sensor {name!r} for {what}; {allowed_text(name, allowed)}")
-    chosen = [by_name[name] for name in fitting.sensors]
-    least = LEAST_SENSORS.get(mechanism.place, 1)
-    if len(chosen) < least or (mechanism.place == "pair" and len(chosen) != least):
-        raise ValueError(f"{what} needs {'exactly' if mechanism.place == 'pair' else 'at least'} {least} sensors")
-    if mechanism.place in LEAST_SENSORS and len({sensor.chip for sensor in chosen}) > 1:
-        raise ValueError(f"{what} needs sensors of one chip: name them, not {', '.join(fitting.sensors)}")
-    return chosen
+        if name not in by_name or name not in suitable:
+            raise ValueError(f"sensor {name!r} for {mechanism_name}; {allowed_text(name, suitable)}")
+    sensors = [by_name[name] for name in fitting.sensors]
+    fewest = LEAST_SENSORS.get(mechanism.place, 1)
+    if len(sensors) < fewest or (mechanism.place == "pair" and len(sensors) != fewest):
+        raise ValueError(
+            f"{mechanism_name} needs {'exactly' if mechanism.place == 'pair' else 'at least'} {fewest} sensors"
+        )
+    if mechanism.place in LEAST_SENSORS and len({sensor.chip for sensor in sensors}) > 1:
+        raise ValueError(f"{mechanism_name} needs sensors of one chip: name them, not {', '.join(fitting.sensors)}")
+    return sensors
 
 
 @dataclass
@@ -225,14 +227,14 @@ class FittedBoard(Board):
 
     def element(self, sensor: SensorLike) -> SensingElement:
         """Return the sensing element at that sensor's place, with its unit and the mechanisms that act on it."""
-        there = self.sensors[self.crossed.get(sensor.name, sensor.name)]
-        orientation = IDENTITY if there.orientation is None else there.orientation
+        site_sensor = self.sensors[self.crossed.get(sensor.name, sensor.name)]
+        orientation = IDENTITY if site_sensor.orientation is None else site_sensor.orientation
         site = self._sites.get(sensor.name)
-        key = f"{there.name}, run {self.run}" if self.run else there.name
-        if site is None or there.chip not in (*INERTIAL, *HALVES):
-            return SensingElement(self.world, there.chip, key, orientation, self.unit(there), self.seed)
-        unit, start_ns = self.unit(there), self.powered_on_ns
-        mounted = MountedElement(self.world, there.chip, key, orientation, unit, self.seed)
+        key = f"{site_sensor.name}, run {self.run}" if self.run else site_sensor.name
+        if site is None or site_sensor.chip not in (*INERTIAL, *HALVES):
+            return SensingElement(self.world, site_sensor.chip, key, orientation, self.unit(site_sensor), self.seed)
+        unit, start_ns = self.unit(site_sensor), self.powered_on_ns
+        mounted = MountedElement(self.world, site_sensor.chip, key, orientation, unit, self.seed)
         return mounted.mount(site.chain, start_ns)
 
     def unit(self, sensor: SensorLike) -> UnitDeviations:
@@ -252,10 +254,10 @@ class FittedBoard(Board):
 
     def switches(self, sensor: SensorLike) -> Mapping[str, Any]:
         """Return what mechanisms set, and the oscillator of a toleranced part."""
-        own: dict[str, Any] = {}
+        changes: dict[str, Any] = {}
         if self.units == "toleranced" and sensor.chip in RATE_ERROR:
-            own["rate_error"] = RATE_ERROR[sensor.chip].draw(stream(self.seed, f"oscillator of {sensor.name}"))
-        return {**own, **(self._sites[sensor.name].switches if sensor.name in self._sites else {})}
+            changes["rate_error"] = RATE_ERROR[sensor.chip].draw(stream(self.seed, f"oscillator of {sensor.name}"))
+        return {**changes, **(self._sites[sensor.name].switches if sensor.name in self._sites else {})}
 
     def generator_key(self, sensor: SensorLike) -> str:
         """Return another key of the noise after each power-up."""

@@ -101,10 +101,10 @@ class LeverArm(SensorMechanism):
         arm, world = (x * share, y * share, z * share), site.world
 
         def felt(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
-            before, after = world(max(0, at_ns - HALF_NS)), world(at_ns + HALF_NS)
-            if before is after is stimulus:
+            earlier, later = world(max(0, at_ns - HALF_NS)), world(at_ns + HALF_NS)
+            if earlier is later is stimulus:
                 return stimulus
-            speeding = plus(after.rate_box, before.rate_box, -1.0)
+            speeding = plus(later.rate_box, earlier.rate_box, -1.0)
             force = plus(stimulus.force_box, cross(speeding, arm), 0.5e9 / HALF_NS)
             turning: Triple = cross(stimulus.rate_box, cross(stimulus.rate_box, arm))
             return stimulus._replace(force_box=plus(force, turning, 1.0))

@@ -52,13 +52,16 @@ class SupplyDrift(Mechanism):
         """Return the deviation of the supply at any time from 0 on, linear between grid points, in any order of
         times.
         """
-        kept = math.exp(-GRID_S / self.drift_s)
+        correlation = math.exp(-GRID_S / self.drift_s)
         grid = [float(random.normal(0.0, self.drift_v))]
 
         def at(at_ns: int) -> float:
             index, share = divmod(at_ns * 1e-9 / GRID_S, 1.0)
             while len(grid) < index + 2:
-                grid.append(kept * grid[-1] + self.drift_v * math.sqrt(1 - kept * kept) * random.standard_normal())
+                grid.append(
+                    correlation * grid[-1]
+                    + self.drift_v * math.sqrt(1 - correlation * correlation) * random.standard_normal()
+                )
             return grid[int(index)] * (1 - share) + grid[int(index) + 1] * share
 
         return at
@@ -121,13 +124,13 @@ class BrownOut(SensorMechanism):
     def put_on(self, site: Site) -> None:
         """Act before the chip is next addressed."""
         due_ns = (WHILE_SET_UP_S + site.run_random("dip").exponential(self.mean_s)) * 1e9
-        done, touched = False, site.touched.setdefault(self, set())
+        has_dipped, touched = False, site.touched.setdefault(self, set())
 
         def reset(at_ns: int) -> int | None:
-            nonlocal done
-            if done or at_ns < due_ns:
+            nonlocal has_dipped
+            if has_dipped or at_ns < due_ns:
                 return None
-            done = True
+            has_dipped = True
             touched.add(site.name)
             site.note(f"browned out at {due_ns * 1e-9:.3f} s")
             return round(due_ns)

@@ -95,8 +95,8 @@ class SoftClipping(SensorMechanism):
         """Clip the noise with the signal."""
 
         def amplified(at_ns: int, value: Triple, full_scale: float) -> Triple:
-            most = self.share * full_scale
-            x, y, z = (component / (1 + abs(component / most) ** KNEE) ** (1 / KNEE) for component in value)
+            limit = self.share * full_scale
+            x, y, z = (component / (1 + abs(component / limit) ** KNEE) ** (1 / KNEE) for component in value)
             return x, y, z
 
         site.chain.amplified.append(amplified)
@@ -155,9 +155,9 @@ class VibrationRectification(SensorMechanism):
             seconds, force = elapsed(at_ns), stimulus.force_box
             mean = force if mean is None else mean
             share = seconds / (seconds + self.memory_s)
-            away = plus(force, mean, -1.0)
-            mean = plus(mean, away, share)
-            square += (sum(component * component for component in away) / STANDARD_GRAVITY**2 - square) * share
+            deviation = plus(force, mean, -1.0)
+            mean = plus(mean, deviation, share)
+            square += (sum(component * component for component in deviation) / STANDARD_GRAVITY**2 - square) * share
             return plus(value, direction, factor * square)
 
         site.chain.sensed.append(sensed)
@@ -238,9 +238,9 @@ class OutputFilter(SensorMechanism):
             for axis, (old, new) in enumerate(zip(before, value, strict=True)):
                 x, speed = state[axis]
                 slope = (new - old) / seconds if seconds > 0 else 0.0
-                behind = slope * self.delay_s  # the settled response to a ramp
-                off, faster = x - (old - behind), speed - slope
-                state[axis] = new - behind + a * off + b * faster, slope + c * off + d * faster
+                lag = slope * self.delay_s  # the settled response to a ramp
+                transient, faster = x - (old - lag), speed - slope
+                state[axis] = new - lag + a * transient + b * faster, slope + c * transient + d * faster
             before = value
             return state[0][0], state[1][0], state[2][0]
 
@@ -300,9 +300,9 @@ class PipelineDelay(SensorMechanism):
         delay_ns, world = round(self.delay_s * 1e9), site.world
 
         def felt(at_ns: int, stimulus: WorldStimulus) -> WorldStimulus:
-            before = world(max(0, at_ns - delay_ns))
-            if before is stimulus:
+            delayed = world(max(0, at_ns - delay_ns))
+            if delayed is stimulus:
                 return stimulus
-            return before._replace(temperature_degc=stimulus.temperature_degc)
+            return delayed._replace(temperature_degc=stimulus.temperature_degc)
 
         site.chain.felt.append(felt)

@@ -30,7 +30,7 @@ from firmware_emulator.world import World, WorldStimulus
 if TYPE_CHECKING:
     from typing import Any
 
-Felt = Callable[[int, WorldStimulus], WorldStimulus]
+StimulusStage = Callable[[int, WorldStimulus], WorldStimulus]
 Sensed = Callable[[int, Triple, WorldStimulus], Triple]
 Noise = Callable[[int, Triple, Triple, float], Triple]
 Amplified = Callable[[int, Triple, float], Triple]
@@ -48,7 +48,7 @@ class Chain:
     thermometer: (at_ns, degC of the box) -> degC that the chip's own thermometer feels.
     """
 
-    felt: list[Felt] = field(default_factory=list)
+    felt: list[StimulusStage] = field(default_factory=list)
     sensed: list[Sensed] = field(default_factory=list)
     noise: list[Noise] = field(default_factory=list)
     amplified: list[Amplified] = field(default_factory=list)
@@ -91,8 +91,8 @@ class MountedElement(SensingElement):
         return degc + self.unit.thermometer_offset_degc
 
     def _noiseless(self, stimulus: WorldStimulus, at_ns: int) -> Triple:
-        for felt in self._chain.felt:
-            stimulus = felt(at_ns, stimulus)
+        for stage in self._chain.felt:
+            stimulus = stage(at_ns, stimulus)
         if stimulus is not self._felt:
             self._felt, self._ideal = stimulus, self._without_noise(stimulus)
         value = self._ideal
@@ -105,8 +105,8 @@ class MountedElement(SensingElement):
         if used >= len(self._noise):
             self._noise, used = self._random.standard_normal(BLOCK).tolist(), 0
         self._used = used + 3
-        drawn, (dx, dy, dz) = self._noise, self._deviation
-        noise = dx * drawn[used], dy * drawn[used + 1], dz * drawn[used + 2]
+        samples, (dx, dy, dz) = self._noise, self._deviation
+        noise = dx * samples[used], dy * samples[used + 1], dz * samples[used + 2]
         for shape in self._chain.noise:
             noise = shape(at_ns, noise, self._deviation, bandwidth_hz)
         return noise
@@ -189,29 +189,29 @@ class ChipLine:
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
         """Read the chip, the triad through the latches, all bytes through the cable."""
-        sent = self._chip.read(count, at_ns, byte_ns)
+        answer = self._chip.read(count, at_ns, byte_ns)
         at_ns -= self._powered_on_ns
         offset = self._layout.first - self._pointer
         if self._links.latches and offset >= 0 and count >= offset + WORDS.size:
-            sent = self._latched(sent, offset, at_ns)
+            answer = self._latched(answer, offset, at_ns)
         for cable in self._links.cables:
-            sent = cable(at_ns, sent)
-        return sent
+            answer = cable(at_ns, answer)
+        return answer
 
     def stop(self, at_ns: int) -> None:
         """Pass the STOP on to the chip."""
         self._chip.stop(at_ns)
 
-    def _latched(self, sent: bytes, offset: int, at_ns: int) -> bytes:
+    def _latched(self, answer: bytes, offset: int, at_ns: int) -> bytes:
         _, shift, bits = self._layout
-        words = WORDS.unpack_from(sent, offset)
+        words = WORDS.unpack_from(answer, offset)
         low = (1 << shift) - 1
         codes = words[0] >> shift, words[1] >> shift, words[2] >> shift
         for latch in self._links.latches:
             codes = latch(at_ns, codes)
         top = (1 << bits - 1) - 1
-        kept = [max(-top - 1, min(top, code)) << shift | word & low for code, word in zip(codes, words, strict=True)]
-        return sent[:offset] + WORDS.pack(*kept) + sent[offset + WORDS.size :]
+        latched = [max(-top - 1, min(top, code)) << shift | word & low for code, word in zip(codes, words, strict=True)]
+        return answer[:offset] + WORDS.pack(*latched) + answer[offset + WORDS.size :]
 
 
 ACCELEROMETERS = ("adxl345", "bma180")
@@ -264,13 +264,13 @@ class Site:
         """Return how strongly each axis of this part is affected: a random direction of length sqrt(3), so that axes
         are 1 on average.
         """
-        drawn = self.unit_random(f"direction of {key}").standard_normal(3)
-        x, y, z = (drawn * (math.sqrt(3) / float(np.linalg.norm(drawn)))).tolist()
+        vector = self.unit_random(f"direction of {key}").standard_normal(3)
+        x, y, z = (vector * (math.sqrt(3) / float(np.linalg.norm(vector)))).tolist()
         return x, y, z
 
-    def note(self, what: str) -> None:
+    def note(self, event: str) -> None:
         """Add an event to the truth, which happened at this sensor."""
-        self.notes.append(f"{self.name}: {what}")
+        self.notes.append(f"{self.name}: {event}")
 
 
 class Stopwatch:
@@ -281,9 +281,9 @@ class Stopwatch:
 
     def __call__(self, at_ns: int) -> float:
         """Return the seconds; `at_ns` never decreases."""
-        before = at_ns if self._before_ns is None else self._before_ns
+        previous_ns = at_ns if self._before_ns is None else self._before_ns
         self._before_ns = at_ns
-        return (at_ns - before) * 1e-9
+        return (at_ns - previous_ns) * 1e-9
 
 
 def plus(value: Triple, direction: Triple, factor: float) -> Triple:

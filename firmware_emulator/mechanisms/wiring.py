@@ -130,11 +130,11 @@ class MuxHang(Mechanism):
 
 def _answers(board: FittedBoard, site: Site, touched: set[str]) -> Latch:
     """Return readings unchanged; the sensor in whose place they are read while the switch hangs is `touched`."""
-    own = board.sensors[site.name]
+    own_sensor = board.sensors[site.name]
     twins = {
         config.channel: name
         for name, config in board.sensors.items()
-        if (config.address, config.chip) == (own.address, own.chip) and config.channel is not None
+        if (config.address, config.chip) == (own_sensor.address, own_sensor.chip) and config.channel is not None
     }
 
     def passed(at_ns: int, codes: Codes) -> Codes:
