@@ -179,8 +179,6 @@ def test_a_log_without_a_track_has_its_turns(tmp_path: Path) -> None:
     half = GRAVITY / np.sqrt(2)
     np.testing.assert_allclose(felt_box.force_box, [[0, 0, GRAVITY], [-half, 0, half], [-GRAVITY, 0, 0]], atol=0.05)
     np.testing.assert_allclose(felt_box.rate_box[:, 1], [0.0, np.pi / 4, 0.0], atol=0.01)
-    assert motion.unchanged_until_ns(SECOND) == 4 * SECOND
-    assert motion.unchanged_until_ns(5 * SECOND) == 5 * SECOND
 
 
 @pytest.mark.slow

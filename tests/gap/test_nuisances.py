@@ -49,9 +49,6 @@ class Warming(Still):
     def felt(self, time_ns: Integers) -> Felt:
         return replace(super().felt(time_ns), temperature_degc=24 + 28 * (1 - np.exp(-time_ns / 60e9)))
 
-    def unchanged_until_ns(self, time_ns: int) -> int:
-        return time_ns
-
 
 @pytest.mark.parametrize("lag_s", [0.0, 8.0])
 def test_a_bias_that_is_curved_in_a_heating_that_only_rises_has_the_lag_of_its_element(lag_s: float) -> None:

@@ -35,7 +35,7 @@ from imuarray.simulate.effects.thermal_scale import ThermalScale
 from imuarray.simulate.effects.thermometer import Thermometer
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.motion import HandShake, Heating, Tumble
-from imuarray.simulate.motion.posed import MotionWorld
+from tests.simulate.motion_world import MotionWorld
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 SEED = 4

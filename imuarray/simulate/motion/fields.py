@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.arrays import Integers, Reals
-from imuarray.simulate.motion.timeline import FOREVER_NS
 
 
 class PhaseField(NamedTuple):
@@ -28,8 +27,3 @@ def field_at(fields: Sequence[PhaseField], time_ns: Integers) -> Reals:
     if len(number) == 0 or (number == number[0]).all():
         return np.broadcast_to(box[number[0] if len(number) else 0], (len(number), 3))
     return np.asarray(box[number])
-
-
-def field_until_ns(fields: Sequence[PhaseField], at_ns: int) -> int:
-    """Return until when the field is what it is at `at_ns`."""
-    return min((field.start_ns for field in fields[1:] if field.start_ns > at_ns), default=FOREVER_NS)

@@ -13,7 +13,7 @@ from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import resting, standing_on
 from imuarray.simulate.motion.felt import Felt
-from imuarray.simulate.motion.timeline import FOREVER_NS, consecutive, finite, nanoseconds, positive
+from imuarray.simulate.motion.timeline import consecutive, finite, nanoseconds, positive
 
 HEATING_MIN = 2.0
 COOLING_MIN = 20.0
@@ -109,9 +109,3 @@ class Heating:
         towards, distance, decay = self._columns
         remaining = np.exp(decay[index] * (since_ns - self._edges_ns[index]))
         return resting(time_ns, self._attitude, towards[index] + distance[index] * remaining)
-
-    def unchanged_until_ns(self, at_ns: int) -> int:
-        """Return the time up to which the stimulus of `at_ns` stays the same, exclusive."""
-        if at_ns < self._edges_ns[1]:
-            return int(self._edges_ns[1])
-        return FOREVER_NS if at_ns >= self._edges_ns[-1] else at_ns

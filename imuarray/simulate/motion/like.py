@@ -24,8 +24,7 @@ from imuarray.log.format import Phase
 from imuarray.log.reader import Log
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, resting, standing_on
 from imuarray.simulate.motion.felt import Felt
-from imuarray.simulate.motion.fields import PhaseField, field_at, field_until_ns
-from imuarray.simulate.motion.timeline import FOREVER_NS
+from imuarray.simulate.motion.fields import PhaseField, field_at
 
 BLOCK = 16384
 """Rows per block; a whole number of the log's chunks."""
@@ -415,13 +414,6 @@ class LikeLog:
     def __reduce__(self) -> tuple[type[LikeLog], tuple[object, ...]]:
         """Its log, which opens itself, and the other fields; what was read of the log is not sent."""
         return LikeLog, (self.log, self.fields, self.rests)
-
-    def unchanged_until_ns(self, at_ns: int) -> int:
-        """Return the time up to which the stimulus of `at_ns` stays the same, exclusive."""
-        if self._moving is not None or self._warming[1] is not None:
-            return at_ns
-        later = self._starts_ns[self._starts_ns > at_ns]
-        return min(int(later[0]) if len(later) else FOREVER_NS, field_until_ns(self.fields, at_ns))
 
     @cached_property
     def _remembered(self) -> Callable[[bytes], Felt]:

@@ -1,13 +1,11 @@
-"""A box that lies still in one attitude after the other, each known by its direction up; and a motion as the world of
-an emulated array, evaluated at one instant after the other in plain numbers.
-"""
+"""A box that rests in one attitude after the other, each known by its direction up."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -15,69 +13,12 @@ from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, resting
 from imuarray.simulate.motion.felt import Felt, Motion
-from imuarray.simulate.motion.fields import PhaseField, field_at, field_until_ns
-from imuarray.simulate.motion.timeline import FOREVER_NS
+from imuarray.simulate.motion.fields import PhaseField, field_at
 
 if TYPE_CHECKING:  # it reads logs, which a world without one does not need
     from imuarray.simulate.motion.like import SplineColumns
 
 Triple = tuple[float, float, float]
-
-
-class BoxStimulus(NamedTuple):
-    """The stimulus of the box at one instant, in the box frame: specific force in m/s2, angular rate in rad/s,
-    temperature, air pressure, magnetic flux density in gauss.
-    """
-
-    force_box: Triple
-    rate_box: Triple
-    temperature_degc: float
-    pressure_pa: float
-    field_box: Triple
-
-
-@runtime_checkable
-class Steady(Protocol):
-    """A motion that knows when nothing changes."""
-
-    def unchanged_until_ns(self, at_ns: int) -> int:
-        """Return the time up to which the stimulus of `at_ns` stays the same, exclusive; `at_ns` itself if it is
-        changing.
-        """
-
-
-class MotionWorld:
-    """A callable ``at_ns -> BoxStimulus`` that shows what `motion` shows, exactly.
-
-    While a motion is `Steady`, and for repeated calls at one instant, the same object is given again at the cost of a
-    comparison.
-    """
-
-    def __init__(self, motion: Motion) -> None:
-        self.motion = motion
-        self._since_ns = self._until_ns = 0
-        self._shown: BoxStimulus | None = None
-
-    @property
-    def phases(self) -> tuple[Phase, ...]:
-        """The motion's."""
-        return self.motion.phases
-
-    def __call__(self, at_ns: int) -> BoxStimulus:
-        """Return what the box senses at `at_ns`."""
-        if self._shown is not None and self._since_ns <= at_ns < self._until_ns:
-            return self._shown
-        until_ns = self.motion.unchanged_until_ns(at_ns) if isinstance(self.motion, Steady) else at_ns
-        self._since_ns, self._until_ns = at_ns, max(until_ns, at_ns + 1)
-        self._shown = _one_instant(self.motion, at_ns)
-        return self._shown
-
-
-def _one_instant(motion: Motion, at_ns: int) -> BoxStimulus:
-    felt = motion.felt(np.array([at_ns], np.int64))
-    vectors = (felt.force_box, felt.rate_box, felt.field_box)
-    force, rate, field = ((x, y, z) for x, y, z in (vector[0].tolist() for vector in vectors))
-    return BoxStimulus(force, rate, float(felt.temperature_degc[0]), float(felt.pressure_pa[0]), field)
 
 
 class PoseAttitude(NamedTuple):
@@ -168,17 +109,6 @@ class PoseSequence:
             values, slopes = movement.columns.at(time_ns[inside])
             force[inside], rate[inside], acceleration[inside] = values[:, :3], values[:, 3:], slopes[:, 3:]
         return replace(still, force_box=force, rate_box=rate, angular_acceleration_box=acceleration)
-
-    def unchanged_until_ns(self, at_ns: int) -> int:
-        """Return the time up to which the stimulus of `at_ns` stays the same, exclusive."""
-        around = self.surroundings
-        later = self._turns_ns[self._turns_ns > at_ns]
-        turn_ns = min(int(later[0]) if len(later) else FOREVER_NS, field_until_ns(self.fields, at_ns))
-        for movement in self.movements:
-            if movement.start_ns <= at_ns < movement.end_ns:
-                return at_ns
-            turn_ns = min(turn_ns, movement.start_ns) if at_ns < movement.start_ns else turn_ns
-        return min(turn_ns, around.unchanged_until_ns(at_ns)) if isinstance(around, Steady) else at_ns
 
     @cached_property
     def _turns_ns(self) -> Integers:

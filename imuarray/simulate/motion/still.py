@@ -11,7 +11,7 @@ from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import resting, standing_on
 from imuarray.simulate.motion.felt import Felt
-from imuarray.simulate.motion.timeline import FOREVER_NS, consecutive, finite, nanoseconds, positive
+from imuarray.simulate.motion.timeline import consecutive, finite, nanoseconds, positive
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,6 @@ class Still:
             return resting(time_ns, self.attitude, self.temperature_degc)
         hours = np.clip(time_ns, 0, nanoseconds(self.seconds)) / 3.6e12
         return resting(time_ns, self.attitude, self.temperature_degc + self.drift_degc_per_h * hours)
-
-    def unchanged_until_ns(self, at_ns: int) -> int:
-        """Return the time up to which the stimulus of `at_ns` stays the same, exclusive."""
-        return FOREVER_NS if self.drift_degc_per_h == 0 or at_ns >= nanoseconds(self.seconds) else at_ns
 
 
 def turn_on_run(k: int = 1, seconds: float = 300.0, temperature_degc: float = 25.0) -> Still:

@@ -64,13 +64,6 @@ class BetweenRests:
         _, moving, _ = self.phases
         return (np.clip(time_ns, moving.start_ns, moving.end_ns) - moving.start_ns) * 1e-9
 
-    def unchanged_until_ns(self, at_ns: int) -> int:
-        """Return the time up to which nothing changes after `at_ns`, exclusive."""
-        _, moving, _ = self.phases
-        if at_ns < moving.start_ns:
-            return moving.start_ns
-        return FOREVER_NS if at_ns >= moving.end_ns else at_ns
-
 
 class MotionBetweenRests:
     """A motion that begins and ends at rest upright: rest for `still_s`, motion for `_moving_s`, rest again."""
@@ -94,10 +87,6 @@ class MotionBetweenRests:
     def phases(self) -> tuple[Phase, ...]:
         """static, motion, static."""
         return self._span.phases
-
-    def unchanged_until_ns(self, at_ns: int) -> int:
-        """Return the time up to which the stimulus of `at_ns` stays the same, exclusive."""
-        return self._span.unchanged_until_ns(at_ns)
 
 
 def smooth_step(share: Reals) -> tuple[Reals, Reals, Reals, Reals]:

@@ -14,7 +14,7 @@ from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, UPRIGHT, resting, shortest_turn, tilted, turned
 from imuarray.simulate.motion.felt import Felt
-from imuarray.simulate.motion.timeline import FOREVER_NS, finite, nanoseconds, positive
+from imuarray.simulate.motion.timeline import finite, nanoseconds, positive
 
 ORDER = (
     ("z_up", "+Z"),
@@ -109,13 +109,6 @@ class Tumble:
             angular_acceleration_box=turns * gain[:, None],
             field_box=_seen(self._field, index, sine, less),
         )
-
-    def unchanged_until_ns(self, at_ns: int) -> int:
-        """Return the time up to which the stimulus of `at_ns` stays the same, exclusive."""
-        face = self._only_face(np.array([at_ns]))
-        if face is None:
-            return at_ns
-        return FOREVER_NS if face == LAST else self.phases[face].end_ns
 
     @cached_property
     def _face_ns(self) -> int:

@@ -8,14 +8,11 @@ from dataclasses import fields
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
 from imuarray.simulate.motion import HandShake, Heating, Motion, Still, Tumble, turn_on_run
 from imuarray.simulate.motion.felt import Felt
-from imuarray.simulate.motion.posed import Steady
 from imuarray.simulate.motion.trajectory import FeltRows, Trajectory
 from imuarray.simulate.motion.vehicle import Vehicle
 
@@ -97,37 +94,6 @@ def test_in_a_phase_with_a_face_up_gravity_is_there(motion: Motion) -> None:
         assert np.linalg.norm(felt.force_box, axis=1) == pytest.approx(9.80665, rel=1e-12)
         assert not felt.rate_box.any()
         assert not felt.angular_acceleration_box.any()
-
-
-@given(name=st.sampled_from(sorted(MOVES)), share=st.floats(-0.1, 1.2), within=st.floats(0, 1))
-def test_while_it_is_said_not_to_change_it_does_not(name: str, share: float, within: float) -> None:
-    motion = MOVES[name]
-    if not isinstance(motion, Steady):
-        return
-    at_ns = round(share * motion.seconds * S)
-    until_ns = motion.unchanged_until_ns(at_ns)
-    assert until_ns >= at_ns
-    later_ns = at_ns + int(within * max(until_ns - at_ns - 1, 0))
-    felt = columns(motion.felt(np.array([at_ns, later_ns, max(until_ns - 1, at_ns)])))
-    for column, values in felt.items():
-        assert column == "time_ns" or (values == values[0]).all()
-
-
-def test_rest_is_recognised() -> None:
-    """What makes a still box quick in the emulator."""
-    for name, at_s, until_s in (
-        ("tumble", 1.6, 2.5),
-        ("shake", 0.5, 2.0),
-        ("vehicle", 0.5, 2.0),
-        ("heating", 0.3, 0.6),
-    ):
-        motion = MOVES[name]
-        assert isinstance(motion, Steady)
-        assert motion.unchanged_until_ns(round(at_s * S)) == round(until_s * S)
-    for name in ("still", "run", "tumble", "shake", "vehicle", "heating"):
-        motion = MOVES[name]
-        assert isinstance(motion, Steady)
-        assert motion.unchanged_until_ns(1000 * S) > 10**18
 
 
 def test_experiments_by_name() -> None:

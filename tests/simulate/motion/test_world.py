@@ -12,13 +12,11 @@ from firmware_emulator.array import open_array
 from firmware_emulator.world import WorldStimulus as EmulatedStimulus
 from imuarray.acquire import record
 from imuarray.array import parse_array
-from imuarray.arrays import Integers
 from imuarray.log import Log
 from imuarray.simulate.motion import HandShake, Heating, Still, Tumble
-from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.like import LikeLog
-from imuarray.simulate.motion.posed import BoxStimulus, MotionWorld
 from tests.selection import some
+from tests.simulate.motion_world import MotionWorld
 
 G = 9.80665
 S = 10**9
@@ -45,7 +43,6 @@ axes = "+Y-X+Z"
 
 
 def test_its_stimulus_is_what_the_emulator_takes() -> None:
-    assert BoxStimulus._fields == EmulatedStimulus._fields
     shown = MotionWorld(Still())(0)
     assert shown == EmulatedStimulus()
     assert all(type(value) is float for value in (*shown.force_box, *shown.rate_box, *shown.field_box, *shown[2:4]))
@@ -77,37 +74,6 @@ def test_shows_exactly_the_motion_at_any_instant(motion: Still | Tumble | Heatin
         assert shown.field_box == tuple(felt.field_box[row])
         assert (shown.temperature_degc, shown.pressure_pa) == (felt.temperature_degc[row], felt.pressure_pa[row])
     assert world.phases == motion.phases
-
-
-class Counted:
-    """A box at rest that counts how often it is asked."""
-
-    phases = Still().phases
-    seconds = 600.0
-
-    def __init__(self) -> None:
-        self.asked = 0
-
-    def felt(self, time_ns: Integers) -> Felt:
-        self.asked += 1
-        return Still().felt(time_ns)
-
-
-class CountedAndSteady(Counted):
-    def unchanged_until_ns(self, at_ns: int) -> int:
-        return Still().unchanged_until_ns(at_ns)
-
-
-def test_a_box_at_rest_is_asked_once() -> None:
-    restless, steady = Counted(), CountedAndSteady()
-    for motion, asked in ((restless, 100), (steady, 1)):
-        world = MotionWorld(motion)
-        first = world(0)
-        for at_ns in range(100):
-            assert world(at_ns) == first
-            assert world(at_ns) is world(at_ns)
-        assert motion.asked == asked
-    assert MotionWorld(steady)(7) is not MotionWorld(steady)(7)
 
 
 @pytest.mark.slow
