@@ -21,7 +21,7 @@ def test_the_sizes_that_are_offered() -> None:
 @pytest.mark.slow
 def test_a_run_is_not_mixed_with_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Neither other cases nor other thresholds; nothing is run."""
-    gap_validate._begin(tmp_path, {"half": "sealed", "size": "glance", "seed": 0, "cases": 1})
+    gap_validate._prepare_folder(tmp_path, {"half": "sealed", "size": "glance", "seed": 0, "cases": 1})
     assert main(["gap", "validate", "-o", str(tmp_path), "--size", "glance"]) == 2
     assert "the run began with another half; use the same half, or another folder" in capsys.readouterr().err
     plan = tmp_path / "plan.json"
