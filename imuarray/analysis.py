@@ -116,9 +116,9 @@ def characterise(
     with _opened([log]) as (opened,):
         scales: dict[str, list[float]] = {}
         if calibration is not None:
-            known = _calibration(calibration)
-            fitting = [sensor for sensor in opened.sensors.values() if sensor.name in known.sensors]
-            scales = {sensor.name: known.of(sensor).scale_lsb_per_unit.tolist() for sensor in fitting}
+            calibration_used = _calibration(calibration)
+            fitting = [sensor for sensor in opened.sensors.values() if sensor.name in calibration_used.sensors]
+            scales = {sensor.name: calibration_used.of(sensor).scale_lsb_per_unit.tolist() for sensor in fitting}
         return Characterisation(
             characterise_log(
                 opened,
@@ -167,14 +167,14 @@ def fuse(  # noqa: PLR0913
     from imuarray.units import INERTIAL
 
     name = str(calibration) if isinstance(calibration, str | PathLike) else ""
-    known = Calibration() if calibration is None else _calibration(calibration)
+    calibration_used = Calibration() if calibration is None else _calibration(calibration)
     events: list[FaultEvent] = []
     notes: list[FusionNotes] = []
     with _opened([log]) as (opened,):
-        chosen = [opened[sensor].name for sensor in only]
-        if name or known.sensors:
-            require_known_sensors(opened, known, chosen, name or "the calibration")
-        inputs = prepare_inputs(opened, known, technique=technique, only=chosen, ranges=SENSITIVITIES)
+        sensor_names = [opened[sensor].name for sensor in only]
+        if name or calibration_used.sensors:
+            require_known_sensors(opened, calibration_used, sensor_names, name or "the calibration")
+        inputs = prepare_inputs(opened, calibration_used, technique=technique, only=sensor_names, ranges=SENSITIVITIES)
         if not causal:
             inputs = complete_responses(opened, inputs)
         blocks = fused_blocks(
@@ -261,15 +261,15 @@ def simulate(  # noqa: PLR0913
             run = _run_like(recorded, Path(output), only, boot, conditions)
         else:
             array = _array(source, only)
-            wanted = _experiment(experiment, boot, conditions)
-            run = run_of(array, Path(output), experiment, wanted, rate_hz=rate_hz, boot=boot)
-        chosen = _model(model, calibration, run)
-        for sentence in remarks_on(run.plan, chosen, recorded, population=population):
+            chosen_experiment = _experiment(experiment, boot, conditions)
+            run = run_of(array, Path(output), experiment, chosen_experiment, rate_hz=rate_hz, boot=boot)
+        chosen_model = _model(model, calibration, run)
+        for sentence in remarks_on(run.plan, chosen_model, recorded, population=population):
             warnings.warn(sentence, UserWarning, stacklevel=2)
-        made = effects_of(run.plan, chosen, seed, population=population, without=without)
+        made = effects_of(run.plan, chosen_model, seed, population=population, without=without)
         made = with_effects(made, effects or {})
         simulation = Simulation(run.plan, run.motion, made, seed=seed, boot=run.boot)
-        note = f"model {chosen.name}, seed {seed}, boot {run.boot}"
+        note = f"model {chosen_model.name}, seed {seed}, boot {run.boot}"
         epoch = EPOCH if recorded is None else recorded.epoch
         write_log(simulation, run.path, origin=Origin(epoch, note), force=force)
     return open_log(output)
@@ -313,8 +313,8 @@ def _experiment(experiment: str, boot: int, conditions: Conditions) -> Experimen
     from imuarray.spelling import guess
 
     if experiment not in EXPERIMENTS:
-        allowed = ", ".join(EXPERIMENTS)
-        raise ConfigError(f"experiment {experiment!r}: allowed are {allowed}{guess(experiment, EXPERIMENTS)}")
+        choices = ", ".join(EXPERIMENTS)
+        raise ConfigError(f"experiment {experiment!r}: allowed are {choices}{guess(experiment, EXPERIMENTS)}")
     seconds = conditions.get("seconds")
     if seconds is not None and not isinstance(seconds, int | float):
         raise ConfigError(f"seconds {seconds!r}: allowed is a number of seconds, such as 600")
@@ -329,14 +329,14 @@ def _model(
     from imuarray.simulate import Model, load_model
     from imuarray.simulate.from_calibration import calibrated
 
-    chosen = model if isinstance(model, Model) else load_model(find_model(Path(model)))
+    loaded = model if isinstance(model, Model) else load_model(find_model(Path(model)))
     if calibration is None:
-        return chosen
+        return loaded
     known, sensors = _calibration(calibration), run.plan.sensors
     if not set(known.sensors) & set(sensors):
         name = ", ".join(known.sensors) or "no sensor"
         raise CalibrationError(f"the calibration contains {name}, but none of {', '.join(sensors)}")
-    return calibrated(chosen, known, [header for header, _ in sensors.values()])
+    return calibrated(loaded, known, [header for header, _ in sensors.values()])
 
 
 def _calibration(calibration: str | PathLike[str] | Calibration) -> Calibration:

@@ -117,15 +117,15 @@ class SensorConfig(BaseModel):
 
     def _check_chip(self) -> None:
         if self.on_iio:
-            known = CHIPS.get(self.chip)
-            if known is not None and known.quantity not in _TRIADS:
+            spec = CHIPS.get(self.chip)
+            if spec is not None and spec.quantity not in _TRIADS:
                 raise ValueError(
                     f"chip {self.chip!r}: the kernel's drivers are read for triads only: {_choice(_TRIADS)}"
                 )
-            if (known.quantity if known is not None else self.quantity) is None:
+            if (spec.quantity if spec is not None else self.quantity) is None:
                 raise ValueError(f"quantity is missing: allowed are {_choice(_TRIADS)}")
-            if known is not None and self.quantity not in (None, known.quantity):
-                raise ValueError(f"quantity {self.quantity!r}: the {self.chip} measures {known.quantity}")
+            if spec is not None and self.quantity not in (None, spec.quantity):
+                raise ValueError(f"quantity {self.quantity!r}: the {self.chip} measures {spec.quantity}")
         elif self.chip in HALVES:  # neither half has this range
             ranges = tuple(limit for half in HALVES[self.chip] for limit in CHIPS[half].sensitivity)
             _one_of("range", self.range, ranges, "g")
@@ -336,8 +336,8 @@ class SensorConfig(BaseModel):
         """The location for messages: "channel 1 address 0x40"."""
         if self.on_spi or self.on_iio:
             return str(self.bus)
-        where = self.bus or ("trunk" if self.channel is None else f"channel {self.channel}")
-        return f"{where} address {self.address:#04x}"
+        segment = self.bus or ("trunk" if self.channel is None else f"channel {self.channel}")
+        return f"{segment} address {self.address:#04x}"
 
 
 class _ArrayTable(BaseModel):
@@ -385,11 +385,11 @@ class ArrayConfig(BaseModel):
 
     def only(self, names: tuple[str, ...]) -> ArrayConfig:
         """Return the array reduced to these sensors; ConfigError names one that it does not have."""
-        known = [sensor.name for sensor in self.sensors]
+        all_names = [sensor.name for sensor in self.sensors]
         for name in names:
-            if name not in known:
+            if name not in all_names:
                 raise ConfigError(
-                    f"array {self.name}: no sensor {name!r}; it has {', '.join(known)}{guess(name, known)}"
+                    f"array {self.name}: no sensor {name!r}; it has {', '.join(all_names)}{guess(name, all_names)}"
                 )
         return self.model_copy(update={"sensors": tuple(sensor for sensor in self.sensors if sensor.name in names)})
 
@@ -434,7 +434,7 @@ def _place_mistakes(array: ArrayConfig) -> Iterator[Mistake]:
         if count > 1:
             last = max(index for index, sensor in enumerate(array.sensors) if sensor.name == name)
             yield Mistake(("sensor", last, "name"), "", f"{count} sensors are called {name!r}; names are unique")
-    taken: dict[tuple[int | str | None, int], SensorConfig] = {}
+    sensor_at: dict[tuple[int | str | None, int], SensorConfig] = {}
     halves: dict[int, list[str]] = {}
     for index, sensor in enumerate(array.sensors):
         place, subject = ("sensor", index), f"sensor {sensor.name!r}"
@@ -442,7 +442,7 @@ def _place_mistakes(array: ArrayConfig) -> Iterator[Mistake]:
             yield Mistake(place, subject, f"channel {sensor.channel}, but [array] has no mux")
         for complaint in _against_trunk(array, sensor):
             yield Mistake((*place, "address"), "", complaint)
-        rival = taken.setdefault((sensor.bus or sensor.channel, sensor.address), sensor)
+        rival = sensor_at.setdefault((sensor.bus or sensor.channel, sensor.address), sensor)
         if rival is sensor:
             continue
         if sensor.on_iio:
@@ -480,20 +480,20 @@ _OF_DIE = ("axes", "position_mm", "fifo", "high_resolution", "external_clock_hz"
 """Keys that both halves of a six-axis chip share."""
 
 
-def _against_half(first: SensorConfig, second: SensorConfig, here: list[str]) -> Iterator[_KeyMistake]:
+def _against_half(first: SensorConfig, second: SensorConfig, paired: list[str]) -> Iterator[_KeyMistake]:
     """Mistakes of two sensors in one place, unless they are the two halves of one chip, which share place, direction,
-    data rate and filter; `here` lists the halves that are taken, and grows.
+    data rate and filter; `paired` lists the chips of that place so far, and grows.
     """
     pair = f"sensors {first.name!r} and {second.name!r}"
-    if die_of(first.chip) != die_of(second.chip) or second.chip in here:
+    if die_of(first.chip) != die_of(second.chip) or second.chip in paired:
         yield "address", f"{pair} are both at {second.place}"
         return
-    here.append(second.chip)
+    paired.append(second.chip)
     die = die_of(first.chip)
     different = [key for key in (*_OF_DIE, "nominal_rate_hz") if getattr(first, key) != getattr(second, key)]
     for key in different:
-        own = key.removeprefix("nominal_")
-        yield own, f"{pair} are one {die}: {own} is the same for both"
+        setting = key.removeprefix("nominal_")
+        yield setting, f"{pair} are one {die}: {setting} is the same for both"
     if "nominal_rate_hz" in different:
         return
     numbers = [
@@ -501,11 +501,11 @@ def _against_half(first: SensorConfig, second: SensorConfig, here: list[str]) ->
         for sensor in (first, second)
     ]
     if numbers[0] != numbers[1]:
-        wanted = second.spec.allowed_bandwidths_hz(second.nominal_rate_hz)[numbers[0]]
+        bandwidth = second.spec.allowed_bandwidths_hz(second.nominal_rate_hz)[numbers[0]]
         yield (
             "bandwidth_hz",
             f"{pair} are one {die} with one filter: bandwidth_hz {first.chip_bandwidth_hz:g} of the first requires"
-            f" {wanted:g} of the second, not {second.chip_bandwidth_hz:g}",
+            f" {bandwidth:g} of the second, not {second.chip_bandwidth_hz:g}",
         )
 
 

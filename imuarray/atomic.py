@@ -30,14 +30,14 @@ def whole_file(path: str | PathLike[str], *, force: bool = False) -> Iterator[Pa
     target = Path(os.path.realpath(path))  # a link stays one
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        there = target.exists()
-        if there and not force:
+        exists = target.exists()
+        if exists and not force:
             raise OutputExistsError(path)
-        if there and not target.is_file():
+        if exists and not target.is_file():
             yield target
             return
         yield draft
-        if there:
+        if exists:
             shutil.copymode(target, draft)
         _sync(draft)
         draft.replace(target)

@@ -179,8 +179,8 @@ def uncompensated_bmp280(temperature_degc: Floats, pressure_pa: Floats, words: W
 def fine_temperature_bmp280(ut: Integers, words: Words) -> Integers:
     """Return the temperature (n,) in 5120ths of a degC, which the pressure needs too (BMP-121)."""
     linear = ((ut >> 3) - (words["T1"] << 1)) * words["T2"] >> 11
-    away = (ut >> 4) - words["T1"]
-    return np.asarray(linear + ((away * away >> 12) * words["T3"] >> 14))
+    difference = (ut >> 4) - words["T1"]
+    return np.asarray(linear + ((difference * difference >> 12) * words["T3"] >> 14))
 
 
 def pressure_bmp280(up: Integers, fine: Integers, words: Words) -> Integers:
@@ -221,8 +221,8 @@ def uncompensated_bmp388(temperature_degc: Floats, pressure_pa: Floats, words: W
 
 def fine_temperature_bmp388(ut: Integers, words: Words) -> Integers:
     """Return the temperature (n,) in 65536ths of a degC, which the pressure needs too (BMP-221)."""
-    away = np.asarray(ut, np.int64) - 256 * words["T1"]
-    return _quotient(words["T2"] * away * 262144 + away * away * words["T3"], 1 << 32)
+    difference = np.asarray(ut, np.int64) - 256 * words["T1"]
+    return _quotient(words["T2"] * difference * 262144 + difference * difference * words["T3"], 1 << 32)
 
 
 def pressure_bmp388(up: Integers, fine: Integers, words: Words) -> Integers:

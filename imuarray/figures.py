@@ -77,7 +77,7 @@ def estimates_figure(
     """
     figure = new_figure(8.0, 1.1 + 0.24 * max(3, len(labels)))
     groups = list(dict.fromkeys(units)) or [""]
-    places = {unit: [row for row, own in enumerate(units) if own == unit] for unit in groups}
+    places = {unit: [row for row, unit_of_row in enumerate(units) if unit_of_row == unit] for unit in groups}
     heights = [max(3, len(rows)) for rows in places.values()]
     panels = figure.subplots(len(groups), 1, squeeze=False, height_ratios=heights)[:, 0]
     for panel, (unit, rows) in zip(panels, places.items(), strict=True):

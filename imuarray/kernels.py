@@ -43,8 +43,8 @@ def drift_sums(means: Floats, kept: Floats, shared: Floats, noise: Floats) -> Se
     if not COMPILED or axes > _MOST:
         return None
     grids = tuple(np.empty((times, ratios, size)) for size in (axes, own, axes, own))
-    given = tuple(np.ascontiguousarray(part, float) for part in (means, kept, shared, noise))
-    _kernels.drift((*given, *grids), (count, axes, times, ratios, own))
+    arrays = tuple(np.ascontiguousarray(part, float) for part in (means, kept, shared, noise))
+    _kernels.drift((*arrays, *grids), (count, axes, times, ratios, own))
     return grids
 
 
@@ -68,8 +68,8 @@ def track_differences(
     result = np.empty((count + 1, axes, 3)), np.empty((count + 1, axes, 3, 3))
     for rows, first in zip(result, before, strict=True):
         rows[0] = first
-    given = tuple(np.ascontiguousarray(part, float) for part in (products, residuals, walks, *blend))
-    _kernels.track((*given, np.ascontiguousarray(moved, bool), *result), (count, axes))
+    arrays = tuple(np.ascontiguousarray(part, float) for part in (products, residuals, walks, *blend))
+    _kernels.track((*arrays, np.ascontiguousarray(moved, bool), *result), (count, axes))
     return result
 
 
@@ -81,6 +81,6 @@ def non_negative(design: Floats, target: Floats) -> Floats | None:
     if not COMPILED or columns > _MOST:
         return None
     result = np.empty(columns)
-    given = (np.ascontiguousarray(design, float), np.ascontiguousarray(target, float))
-    converged = _kernels.non_negative((*given, result, np.empty(rows * (columns + 1))), (rows, columns))
+    arrays = (np.ascontiguousarray(design, float), np.ascontiguousarray(target, float))
+    converged = _kernels.non_negative((*arrays, result, np.empty(rows * (columns + 1))), (rows, columns))
     return result if converged else None

@@ -31,8 +31,8 @@ def window_medians(height: Floats, first: Indices, side: Indices) -> Floats | No
         return None
     result = np.empty(len(first))
     sides = np.ascontiguousarray(np.broadcast_to(side, first.shape), np.int64)
-    given = np.ascontiguousarray(height, float), np.ascontiguousarray(first, np.int64), sides
-    possible = _series.medians((*given, result), (len(height), len(first)))
+    arrays = np.ascontiguousarray(height, float), np.ascontiguousarray(first, np.int64), sides
+    possible = _series.medians((*arrays, result), (len(height), len(first)))
     return result if possible else None
 
 
@@ -62,9 +62,9 @@ def second_difference_sums(series: npt.NDArray[Any], distances: Sequence[int], f
     """
     if not COMPILED or series.dtype not in (np.int32, np.float64) or not series.flags.c_contiguous:
         return None
-    totals, each = np.zeros(len(distances)), np.array(distances, np.int64)
+    totals, lags = np.zeros(len(distances)), np.array(distances, np.int64)
     for start in range(first, len(series), _BLOCK):
         stop = min(start + _BLOCK, len(series))
-        sizes = len(series), len(each)
-        _series.second_differences((series, each, totals), sizes, series.dtype.itemsize, start, stop)
+        sizes = len(series), len(lags)
+        _series.second_differences((series, lags, totals), sizes, series.dtype.itemsize, start, stop)
     return totals.tolist()

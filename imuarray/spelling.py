@@ -28,13 +28,13 @@ def guess(word: str, allowed: Iterable[str]) -> str:
 
 def guess_file(path: str | PathLike[str]) -> str:
     """Return `; did you mean FILE?` for the file in the same folder whose name is most like that of `path`, else ""."""
-    wanted = Path(path)
+    missing = Path(path)
     try:
-        names = [entry.name for entry in islice(wanted.parent.iterdir(), _MOST_FILES)]
+        names = [entry.name for entry in islice(missing.parent.iterdir(), _MOST_FILES)]
     except OSError:
         return ""
-    name = closest(wanted.name, (name for name in names if not name.startswith(".")), cutoff=0.75)
-    return _suggestion(str(wanted.with_name(name)) if name else "")
+    name = closest(missing.name, (name for name in names if not name.startswith(".")), cutoff=0.75)
+    return _suggestion(str(missing.with_name(name)) if name else "")
 
 
 def closest(word: str, allowed: Iterable[str], *, cutoff: float = 0.6) -> str:

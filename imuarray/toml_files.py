@@ -322,15 +322,15 @@ def _all_mistakes(error: ValidationError, table: Mapping[str, Any], model: type[
     unknown = [mistake["loc"] for mistake in mistakes if mistake["type"] == "extra_forbidden"]
     if not unknown:
         return mistakes
-    known = deepcopy(dict(table))
+    valid_part = deepcopy(dict(table))
     for *path, key in unknown:
-        place: Any = known
+        place: Any = valid_part
         for part in path:
             place = _inside(place, part)
         if isinstance(place, dict):
             place.pop(key, None)
     try:
-        model.model_validate(known)
+        model.model_validate(valid_part)
     except ValidationError as further:
         listed = {(mistake["loc"], mistake["msg"]) for mistake in mistakes}
         mistakes += [error for error in further.errors() if (error["loc"], error["msg"]) not in listed]
@@ -363,9 +363,9 @@ def _complaint(mistake: Any, model: type[BaseModel]) -> str:
     """Return one clause: the mistake, and what is allowed."""
     if mistake["type"] == "extra_forbidden":
         *path, key = mistake["loc"]
-        allowed = list(_model_at(path, model).model_fields)
-        near = closest(str(key), allowed, cutoff=0.5)
-        return f"unknown key{f' (did you mean {near!r}?)' if near else ''}; allowed are {', '.join(allowed)}"
+        choices = list(_model_at(path, model).model_fields)
+        near = closest(str(key), choices, cutoff=0.5)
+        return f"unknown key{f' (did you mean {near!r}?)' if near else ''}; allowed are {', '.join(choices)}"
     if mistake["type"] in _IN_OTHER_WORDS:
         return _IN_OTHER_WORDS[mistake["type"]].format(came=repr(mistake["input"])[:40], **mistake.get("ctx", {}))
     if mistake["type"] == "value_error":

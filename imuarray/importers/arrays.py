@@ -91,8 +91,8 @@ class ArrayRows:
                 )
             return np.asarray(self._only[:, column])
         if column not in self._columns:
-            known = ", ".join(self._columns)
-            raise SourceError(f"{self._path}: no column {column!r}; it has {printable(known)[:200]}")
+            names = ", ".join(self._columns)
+            raise SourceError(f"{self._path}: no column {column!r}; it has {printable(names)[:200]}")
         return self._columns[column]
 
     def blocks(

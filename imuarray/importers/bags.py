@@ -63,8 +63,8 @@ class BagRows:
         self.remarks: list[str] = []
         self._topics: dict[str, str] = self._guarded(bag.topics)
         if not self._topics:
-            known = ", ".join(name.rsplit("/", 1)[-1] for name in VALUES)
-            raise SourceError(f"{path}: contains no topic of {known}")
+            message_types = ", ".join(name.rsplit("/", 1)[-1] for name in VALUES)
+            raise SourceError(f"{path}: contains no topic of {message_types}")
 
     def _guarded(self, call: Callable[[], Any]) -> Any:
         """Run a reader and turn its exceptions into SourceError."""
@@ -93,10 +93,10 @@ class BagRows:
         topic = fitting[0] if kind is None else kind
         if topic not in fitting:
             raise SourceError(f"{self._path}: no topic {topic!r} with columns {wanted}; it has {topics}")
-        where = [self.names()[topic].index(str(column)) for column in columns]
+        places = [self.names()[topic].index(str(column)) for column in columns]
         messages, start = self._bag.messages(topic), 0
         while part := self._guarded(lambda: list(islice(messages, rows))):
-            yield CellBlock(str(self._path), range(start, start + len(part)), _columns(part)), where
+            yield CellBlock(str(self._path), range(start, start + len(part)), _columns(part)), places
             start += len(part)
         self._progress(self._path.stat().st_size)
 
@@ -148,8 +148,8 @@ class _Bag:
 
     def messages(self, topic: str) -> Iterator[Message]:
         with self._reader() as reader:
-            chosen = [candidate for candidate in reader.connections if candidate.topic == topic]
-            for connection, received_ns, raw in reader.messages(chosen):
+            connections = [candidate for candidate in reader.connections if candidate.topic == topic]
+            for connection, received_ns, raw in reader.messages(connections):
                 yield _row(reader.deserialize(raw, connection.msgtype), int(received_ns), connection.msgtype)
 
 

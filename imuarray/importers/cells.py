@@ -255,7 +255,7 @@ class TextTable:
 
     def remarks(self) -> list[str]:
         """Return what was left out, as sentences."""
-        said = {
+        sentences = {
             "nul": "{} with NUL bytes left out, as a power cut leaves them",
             "header": "{} that repeat the header left out",
             "units": "{} of units below the header left out",
@@ -263,7 +263,11 @@ class TextTable:
             "text": "{} of text without a number left out",
             "torn": "{} with another number of cells left out: torn, or two that run into each other",
         }
-        return [text.format(counted(self.left_out[what], "line")) for what, text in said.items() if self.left_out[what]]
+        return [
+            text.format(counted(self.left_out[cause], "line"))
+            for cause, text in sentences.items()
+            if self.left_out[cause]
+        ]
 
 
 _PREFIX = re.compile(r"(?P<word>[A-Za-z_]\w{0,15})\s*[:>]\s*(?=[-+.\d])(?P<rest>[^:=]*)")

@@ -124,8 +124,8 @@ def propose_columns(
         add_own_time(item, names, columns, indices[0], (time, dates), proposal)
         proposal.items.append(item)
         taken |= set(indices)
-    others = any(_is_temperature(name, units) or PRESSURE.search(name) for name in names)
-    if not triads and not others:
+    has_other_quantity = any(_is_temperature(name, units) or PRESSURE.search(name) for name in names)
+    if not triads and not has_other_quantity:
         proposal.doubts.append(
             "no three columns whose names differ only in x, y and z, or in 0, 1 and 2: which form a triad?"
         )
@@ -165,9 +165,9 @@ def _triads(
     """Yield quantity ("" if neither name nor unit says it) and columns of each triad."""
     if not names:
         free = [index for index in range(len(columns)) if index not in taken and np.isfinite(columns[index]).any()]
-        said = quantity_of(stem_of_file)
-        if said and 3 <= len(free) <= _MOST_OF_ONE_SENSOR:
-            yield said, (free[0], free[1], free[2])
+        stem_quantity = quantity_of(stem_of_file)
+        if stem_quantity and 3 <= len(free) <= _MOST_OF_ONE_SENSOR:
+            yield stem_quantity, (free[0], free[1], free[2])
         else:
             yield from _nameless(columns, free)
         return
@@ -265,19 +265,19 @@ def _with_quantity(
             "columns that are called 1 and 2 do not say which axes they hold: GoPro writes z, x, y, for example"
         )
     triads = _with_gravity_again(triads, names, columns, proposal)
-    known = [triad for triad in triads if triad[0]]
-    if not known:
+    identified = [triad for triad in triads if triad[0]]
+    if not identified:
         return [("specific_force", indices) for _, indices in triads]
-    if not any(quantity == "specific_force" for quantity, _ in known):
-        felt = [triad for triad in triads if not triad[0] and is_steady_gravity(columns, triad[1])]
-        triads = [("specific_force", triad[1]) if triad in felt[:1] else triad for triad in triads]
-        known = [triad for triad in triads if triad[0]]
-    others = [first_name(triad) for triad in triads if not triad[0]]
-    if others:
+    if not any(quantity == "specific_force" for quantity, _ in identified):
+        by_gravity = [triad for triad in triads if not triad[0] and is_steady_gravity(columns, triad[1])]
+        triads = [("specific_force", triad[1]) if triad in by_gravity[:1] else triad for triad in triads]
+        identified = [triad for triad in triads if triad[0]]
+    unclear = [first_name(triad) for triad in triads if not triad[0]]
+    if unclear:
         proposal.doubts.append(
-            f"left out: their names state no quantity: {', '.join(others)}, and the two columns after each of them"
+            f"left out: their names state no quantity: {', '.join(unclear)}, and the two columns after each of them"
         )
-    return known
+    return identified
 
 
 _MOST_OF_ONE_SENSOR = 5

@@ -69,7 +69,7 @@ def _spelt_as_usual(unit: str) -> str:
     """Return the usual spelling of a unit of any quantity, or itself."""
     if known := SPELLINGS.get(unit.lower()):
         return known
-    spelt = (standard_unit(each, quantity) for quantity in UNITS_OF for each in (unit, unit.lower()))
+    spelt = (standard_unit(spelling, quantity) for quantity in UNITS_OF for spelling in (unit, unit.lower()))
     return next((usual for usual in spelt if usual not in (unit, unit.lower())), unit)
 
 

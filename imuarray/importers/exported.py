@@ -75,17 +75,19 @@ def checked_head(head: Mapping[str, Any], where: str) -> Head:
     if head.get("source") not in SOURCES:
         raise SourceError(f"{where}: source is {str(head.get('source'))[:40]!r}; allowed are {', '.join(SOURCES)}")
     try:
-        tables = {str(name): dict(about) for name, about in head["tables"].items()}
-        sensors = [about for name, about in tables.items() if name not in TRACK_COLUMNS]
-        said = {name: head[name] for name in ("source", "epoch", "config", "software")}
-        said["frame_rate_hz"] = head.get("frame_rate_hz", 0.0)  # earlier exports don't say it
-        listed = [{name: about[name] for name in _FIELDS} for about in sensors]
-        preamble = Preamble.from_json(json.dumps({**said, "sensors": listed}))
-        wanted = {f"sensors/{header.name}" for header in preamble.sensors} | set(tables).intersection(TRACK_COLUMNS)
-        if set(tables) != wanted or not preamble.sensors:
+        tables = {str(name): dict(table) for name, table in head["tables"].items()}
+        sensors = [table for name, table in tables.items() if name not in TRACK_COLUMNS]
+        preamble_fields = {name: head[name] for name in ("source", "epoch", "config", "software")}
+        preamble_fields["frame_rate_hz"] = head.get("frame_rate_hz", 0.0)  # earlier exports don't say it
+        listed = [{name: table[name] for name in _FIELDS} for table in sensors]
+        preamble = Preamble.from_json(json.dumps({**preamble_fields, "sensors": listed}))
+        expected_tables = {f"sensors/{header.name}" for header in preamble.sensors} | set(tables).intersection(
+            TRACK_COLUMNS
+        )
+        if set(tables) != expected_tables or not preamble.sensors:
             raise ValueError("tables and sensors have different names")
-        for header, about in zip(preamble.sensors, sensors, strict=True):
-            if not np.allclose(np.array(about["orientation"], float), orientation_of(header.axes), atol=1e-9):
+        for header, table in zip(preamble.sensors, sensors, strict=True):
+            if not np.allclose(np.array(table["orientation"], float), orientation_of(header.axes), atol=1e-9):
                 raise ValueError(f"sensor {header.name}: its orientation is not a multiple of quarter turns")
     except LogError as error:
         raise SourceError(f"{where}: {error}") from None
@@ -95,16 +97,16 @@ def checked_head(head: Mapping[str, Any], where: str) -> Head:
     return Head(preamble, groups)
 
 
-def _columns_of(name: str, said: Any, where: str) -> tuple[str, ...]:
+def _columns_of(name: str, listed: Any, where: str) -> tuple[str, ...]:
     """Return the columns of a group besides the sensors: those listed, otherwise all; SourceError."""
-    every = tuple(column for column, _, _ in TRACK_COLUMNS[name])
-    if said is None:
-        return every
-    if not isinstance(said, list) or "time" not in said or (name not in STIMULI and len(said) < len(every)):
+    all_columns = tuple(column for column, _, _ in TRACK_COLUMNS[name])
+    if listed is None:
+        return all_columns
+    if not isinstance(listed, list) or "time" not in listed or (name not in STIMULI and len(listed) < len(all_columns)):
         raise SourceError(f"{where}: its header is unreadable: columns of {name}")
-    if unknown := [column for column in said if column not in every]:
+    if unknown := [column for column in listed if column not in all_columns]:
         raise SourceError(f"{where}: {name} has no column {printable(str(unknown[0]))[:40]!r}")
-    return tuple(column for column in every if column in said)
+    return tuple(column for column in all_columns if column in listed)
 
 
 def read_notes(phases: Any, events: Any, where: str) -> tuple[list[Phase], list[Event]]:
@@ -152,8 +154,8 @@ def write_log(
                     rows[header.name] += len(columns["time"])
                     span.add(columns["time"])
             for name in head.groups:
-                there = tuple(column for column in TRACK_COLUMNS[name] if column[0] in head.groups[name])
-                for columns in read(ColumnGroup(name, there), ("x", "y", "z")):
+                columns_of_group = tuple(column for column in TRACK_COLUMNS[name] if column[0] in head.groups[name])
+                for columns in read(ColumnGroup(name, columns_of_group), ("x", "y", "z")):
                     _append_beside(log, name, columns)
             for phase in phases:
                 log.phase(phase)
@@ -186,9 +188,9 @@ class _Span:
 
 
 def _block(columns: Columns, header: SensorHeader) -> Block:
-    made = {name: columns[name] for name in header.compensated}
+    compensated = {name: columns[name] for name in header.compensated}
     degrees = columns["temperature_counts"] if header.has_temperature else None
-    return Block(columns["time"], columns["counts"], columns["status"], degrees, made)
+    return Block(columns["time"], columns["counts"], columns["status"], degrees, compensated)
 
 
 def _append_beside(log: LogWriter, name: str, columns: Columns) -> None:

@@ -111,9 +111,9 @@ def _listed(file: BinaryIO, path: Path, head: Head) -> Files:
         if Path(name).name != name or "\0" in name or "\\" in name or not rows.isascii() or not rows.isdigit():
             raise SourceError(f"{path}: {printable(name)[:80]!r}: its files must be in the same folder, and have rows")
         files[table] = (path.with_name(name), int(rows[:18]))
-    wanted = {f"sensors/{header.name}" for header in head.preamble.sensors} | {*head.groups, "phases", "events"}
-    if set(files) != wanted:
-        missing = ", ".join(sorted(wanted ^ set(files)))
+    expected = {f"sensors/{header.name}" for header in head.preamble.sensors} | {*head.groups, "phases", "events"}
+    if set(files) != expected:
+        missing = ", ".join(sorted(expected ^ set(files)))
         raise SourceError(f"{path}: its list and its header differ: {printable(missing)[:200]}")
     return files
 
@@ -158,23 +158,25 @@ class _Tables:
         """Yield the rows of a group in blocks; SourceError."""
         if group.path not in self._files:
             raise SourceError(f"{self._path}: holds no {group.path}")
-        path, wanted = self._files[group.path]
+        path, expected = self._files[group.path]
         count, last_ns = 0, None
         with ExitStack() as stack:
-            file, before = self._open(path)
+            file, header_lines = self._open(path)
             stack.enter_context(file)
             table = TextTable(file, str(path), FileTable(), named=True)
-            table.line += before
-            where = {name: [table.index(cell) for cell in _cells(name, tail, cells)] for name, _, tail in group.columns}
+            table.line += header_lines
+            places = {
+                name: [table.index(cell) for cell in _cells(name, tail, cells)] for name, _, tail in group.columns
+            }
             for block in table.blocks():
-                columns = _columns(group, block, where, table.names, last_ns)
+                columns = _columns(group, block, places, table.names, last_ns)
                 last_ns = int(columns["time"][-1])
                 count += len(columns["time"])
                 self._done += len(columns["time"])
                 self._progress(min(1.0, self._done / self._total))
                 yield columns
-        if wanted is not None and count != wanted:
-            raise SourceError(f"{path}: {count} rows, {self._path.name} states {wanted}")
+        if expected is not None and count != expected:
+            raise SourceError(f"{path}: {count} rows, {self._path.name} states {expected}")
 
 
 def _cells(name: str, tail: tuple[int, ...], cells: tuple[str, ...]) -> list[str]:
@@ -183,12 +185,12 @@ def _cells(name: str, tail: tuple[int, ...], cells: tuple[str, ...]) -> list[str
 
 
 def _columns(
-    group: ColumnGroup, block: CellBlock, where: dict[str, list[int]], names: Sequence[str], last_ns: int | None
+    group: ColumnGroup, block: CellBlock, places: dict[str, list[int]], names: Sequence[str], last_ns: int | None
 ) -> dict[str, npt.NDArray[Any]]:
     """Return a block of rows as numbers."""
     columns: dict[str, npt.NDArray[Any]] = {}
     for name, kind, tail in group.columns:
-        cells = [block.column(index, names[index]) for index in where[name]]
+        cells = [block.column(index, names[index]) for index in places[name]]
         if name == "time":
             columns[name] = nanoseconds(cells[0], _S, last_ns)
         else:
@@ -199,9 +201,9 @@ def _columns(
 
 def _numbers(column: CellColumn, kind: np.dtype[Any]) -> npt.NDArray[Any]:
     """Return (n,) numbers of a type; SourceError for a cell that is not one."""
-    read = float if kind.kind == "f" else int
+    parse = float if kind.kind == "f" else int
     try:
-        return np.array([read(text) for text in column.texts], kind)
+        return np.array([parse(text) for text in column.texts], kind)
     except (ValueError, OverflowError):
         row = next(row for row, text in enumerate(column.texts) if not _fits(text, kind))
     raise column.refuse(row, f"{column.texts[row][:40]!r} is not a number of type {kind.name}")

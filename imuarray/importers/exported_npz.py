@@ -159,10 +159,10 @@ class _Arrays:
 
     def _read(self, file: IO[bytes], kind: np.dtype[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
         """Return the next rows of an array; SourceError if it is too short."""
-        wanted = kind.itemsize * math.prod(shape)
-        data = file.read(wanted)
-        if len(data) != wanted:
+        size = kind.itemsize * math.prod(shape)
+        data = file.read(size)
+        if len(data) != size:
             raise SourceError(f"{self._where}: {printable(str(file.name))}: ends too early")
-        self._done += wanted
+        self._done += size
         self._progress(int(self._size * min(1.0, self._done / self._total)))
         return np.frombuffer(data, kind).reshape(shape)

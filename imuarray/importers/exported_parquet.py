@@ -63,8 +63,8 @@ def import_file(
         files = {str(table): path.with_name(str(name)) for name, table, _ in listed}
         if any(Path(str(name)).name != name for name, _, _ in listed):
             raise SourceError(f"{path}: names a file of another folder; its files must be in the same folder")
-    wanted = {f"sensors/{header.name}" for header in head.preamble.sensors} | set(head.groups)
-    if missing := wanted - set(files):
+    expected = {f"sensors/{header.name}" for header in head.preamble.sensors} | set(head.groups)
+    if missing := expected - set(files):
         raise SourceError(f"{path}: holds no {printable(min(missing))}")
     phases = _texts(files["phases"], _PHASES) if "phases" in files else []
     events = _texts(files["events"], _EVENTS) if "events" in files else []
@@ -113,7 +113,7 @@ def _rows(path: Path, group: ColumnGroup, cells: tuple[str, ...], epoch: str) ->
     import pyarrow
 
     file = _open(path)
-    there = set(file.schema_arrow.names)
+    stored_names = set(file.schema_arrow.names)
     try:
         zero_ns, time = epoch_ns(epoch, path), "time"
     except ExportError:
@@ -122,7 +122,7 @@ def _rows(path: Path, group: ColumnGroup, cells: tuple[str, ...], epoch: str) ->
         name: [time] if name == "time" else csv_names(name, cells if tail else (), COLUMN_UNITS.get(name, ""))
         for name, _, tail in group.columns
     }
-    if missing := [name for names in where.values() for name in names if name not in there]:
+    if missing := [name for names in where.values() for name in names if name not in stored_names]:
         raise SourceError(f"{path}: no column {printable(missing[0])!r}")
     try:
         for batch in file.iter_batches(batch_size=_ROWS, columns=[name for names in where.values() for name in names]):

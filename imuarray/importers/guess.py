@@ -120,14 +120,14 @@ def _extreme_intervals(log: Log) -> tuple[float, float]:
     """Return the least interval of the rows of any sensor, as a share of its median, and the longest, as a share of
     the time of all its rows.
     """
-    least, longest = [], []
+    shortest, longest = [], []
     for sensor in log.sensors.values():
         intervals = [np.diff(np.asarray(sensor.time[block.start : block.stop + 1])) for block in sensor.blocks()]
         steps = np.concatenate([np.zeros(0), *intervals])
         if len(steps):
-            least.append(float(steps.min() / max(np.median(steps), 1.0)))
+            shortest.append(float(steps.min() / max(np.median(steps), 1.0)))
             longest.append(float(steps.max() / max(steps.sum(), 1.0)))
-    return min(least, default=1.0), max(longest, default=0.0)
+    return min(shortest, default=1.0), max(longest, default=0.0)
 
 
 def _try_import(text: str, path: Path) -> _Trial:
@@ -214,9 +214,9 @@ def _correct_scale(proposal: Proposal, factor: float) -> bool:
         line = next((line for line in item if line.startswith("sensitivity") and "# ?" in line), None)
         if line is None or not _is_gyroscope(item) or factor <= 0 or abs(ln(factor)) < _SAME_SCALE:
             continue
-        wanted = COUNTS_OF_GYROSCOPE / factor
+        sensitivity = COUNTS_OF_GYROSCOPE / factor
         units = {1 / size: unit for unit, size in UNITS_OF["angular_rate"].items() if unit.startswith("m")}
-        nearest = min([*SENSITIVITIES["angular_rate"], *units], key=lambda scale: abs(ln(scale / wanted)))
+        nearest = min([*SENSITIVITIES["angular_rate"], *units], key=lambda scale: abs(ln(scale / sensitivity)))
         if nearest == COUNTS_OF_GYROSCOPE:
             return False
         if nearest in units:  # whole numbers of a small unit
@@ -225,8 +225,8 @@ def _correct_scale(proposal: Proposal, factor: float) -> bool:
             item[place] = f'unit = "{units[nearest]}"   # ? from the rotation of gravity in the accelerometer'
             return True
         item[item.index(line)] = f"sensitivity = {nearest:.6g}   # ? from the rotation of gravity in the accelerometer"
-        at = next(number for number, text in enumerate(item) if text.startswith("range"))
-        item[at] = f"range = {round(32768 / nearest / 5) * 5}   # ? of 16 bits"
+        range_line = next(number for number, text in enumerate(item) if text.startswith("range"))
+        item[range_line] = f"range = {round(32768 / nearest / 5) * 5}   # ? of 16 bits"
         return True
     return False
 
@@ -268,15 +268,15 @@ def _correct_quiet_unit(proposal: Proposal, trial: _Trial) -> bool:
     changed = False
     for item in filter(_is_gyroscope, proposal.items):
         name = item[1].split('"')[1]
-        place = next((at for at, line in enumerate(item) if line.startswith("unit") and "# ?" in line), None)
+        place = next((number for number, line in enumerate(item) if line.startswith("unit") and "# ?" in line), None)
         if place is None or any(line.startswith("sensitivity") for line in item):
             continue
-        for wanted, other in (("rad/s", "dps"), ("dps", "rad/s")):
-            said = f"the columns may be in {wanted}, not {other}"
-            if f'"{other}"' in item[place] and any(
-                text.startswith(f"{name}: ") and text.endswith(said) for text in trial.doubts
+        for quiet_unit, guessed_unit in (("rad/s", "dps"), ("dps", "rad/s")):
+            doubt = f"the columns may be in {quiet_unit}, not {guessed_unit}"
+            if f'"{guessed_unit}"' in item[place] and any(
+                text.startswith(f"{name}: ") and text.endswith(doubt) for text in trial.doubts
             ):
-                item[place] = f'unit = "{wanted}"   # ? from the noise at rest'
+                item[place] = f'unit = "{quiet_unit}"   # ? from the noise at rest'
                 changed = True
                 break
     return changed
@@ -284,15 +284,15 @@ def _correct_quiet_unit(proposal: Proposal, trial: _Trial) -> bool:
 
 def _correct_unit(item: list[str], factor: float) -> bool:
     """Replace the guessed unit of a gyroscope whose values are in a unit by the one that the factor says, if any."""
-    place = next((at for at, line in enumerate(item) if line.startswith("unit") and "# ?" in line), None)
+    place = next((number for number, line in enumerate(item) if line.startswith("unit") and "# ?" in line), None)
     if place is None or any(line.startswith("sensitivity") for line in item):
         return False
     units = UNITS_OF["angular_rate"]
     guessed = item[place].split('"')[1]
-    wanted = factor * units[guessed]
-    nearest = min(units, key=lambda unit: abs(ln(units[unit] / wanted)))
-    if abs(ln(units[nearest] / wanted)) > _NEAR_UNIT:
-        return _correct_wide_codes(item, place, 1 / wanted)
+    true_size = factor * units[guessed]
+    nearest = min(units, key=lambda unit: abs(ln(units[unit] / true_size)))
+    if abs(ln(units[nearest] / true_size)) > _NEAR_UNIT:
+        return _correct_wide_codes(item, place, 1 / true_size)
     if nearest == guessed or units[nearest] == units[guessed]:
         return False
     item[place] = f'unit = "{nearest}"   # ? from the rotation of gravity in the accelerometer'
@@ -303,10 +303,10 @@ def _correct_wide_codes(item: list[str], place: int, per_dps: float) -> bool:
     """Replace the guessed unit of a gyroscope, the line `place`, by the scale of codes of more than 16 bits, if that
     of a data sheet fits.
     """
-    known = min(WIDE_SENSITIVITIES["angular_rate"], key=lambda known: abs(ln(known / per_dps)))
-    if abs(ln(known / per_dps)) > _NEAR_UNIT:
+    sensitivity = min(WIDE_SENSITIVITIES["angular_rate"], key=lambda sensitivity: abs(ln(sensitivity / per_dps)))
+    if abs(ln(sensitivity / per_dps)) > _NEAR_UNIT:
         return False
     item[place] = 'unit = "dps"'
-    item.append(f"range = {(1 << MOST_BITS - 1) / known:.6g}   # ? of {MOST_BITS} bits")
-    item.append(f"sensitivity = {known:.9g}   # ? from the rotation of gravity in the accelerometer")
+    item.append(f"range = {(1 << MOST_BITS - 1) / sensitivity:.6g}   # ? of {MOST_BITS} bits")
+    item.append(f"sensitivity = {sensitivity:.9g}   # ? from the rotation of gravity in the accelerometer")
     return True

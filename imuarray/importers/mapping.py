@@ -101,10 +101,10 @@ def has_no_hour(unit: str) -> bool:
 
 def _time_unit(unit: str) -> str:
     """Validate a unit of times; ValueError."""
-    allowed = f"allowed are {', '.join([*NS_PER_UNIT, ISO])}, or the format of dates, such as %d.%m.%Y %H:%M:%S.%f"
+    choices = f"allowed are {', '.join([*NS_PER_UNIT, ISO])}, or the format of dates, such as %d.%m.%Y %H:%M:%S.%f"
     if not is_date_format(unit):
         if unit not in (*NS_PER_UNIT, ISO):
-            raise ValueError(f"{unit!r}: {allowed}")
+            raise ValueError(f"{unit!r}: {choices}")
         return unit
     is_short = has_no_hour(unit) and not unit.startswith("%M")
     if "%" in DATE_DIRECTIVES.sub("", unit) or is_short:

@@ -96,9 +96,9 @@ class _Cutter:
         """Return the packets of the rest and `block`. Bytes that may begin a packet are kept, unless `last`."""
         data = np.frombuffer(self.rest + block, np.uint8)
         good, bad = _find(data)
-        done = int(good[-1]) + SIZE if len(good) else 0
+        end = int(good[-1]) + SIZE if len(good) else 0
         # A broken packet is one only if no sound packet begins within it, which the next block may yet show.
-        undecided = max(done, len(data) if last else len(data) - 2 * SIZE + 1)
+        undecided = max(end, len(data) if last else len(data) - 2 * SIZE + 1)
         bad = _apart(_clear_of(good, bad[(bad < undecided) & (bad >= self.counted)]))
         starts = np.append(good, undecided)
         skipped = np.diff(starts, prepend=0) - np.append(0, np.full(len(good), SIZE))
@@ -139,10 +139,10 @@ def _clear_of(good: Integers, bad: Integers) -> Integers:
     """Return `bad` without those that overlap a packet of `good`."""
     if len(good) == 0:
         return bad
-    after = np.searchsorted(good, bad)
-    before = good[np.maximum(after - 1, 0)]
-    next_one = good[np.minimum(after, len(good) - 1)]
-    clear: npt.NDArray[np.bool_] = (np.abs(bad - before) >= SIZE) & (np.abs(next_one - bad) >= SIZE)
+    following = np.searchsorted(good, bad)
+    preceding = good[np.maximum(following - 1, 0)]
+    next_start = good[np.minimum(following, len(good) - 1)]
+    clear: npt.NDArray[np.bool_] = (np.abs(bad - preceding) >= SIZE) & (np.abs(next_start - bad) >= SIZE)
     return bad[clear]
 
 
@@ -278,43 +278,53 @@ class _Recording:
 
     def _note(self, piece: Piece, number: Integers, time: Integers, steps: Integers, passed: Integers) -> None:
         """Write an event for each error in `piece`."""
-        at = np.append(time, (self.elapsed * 125 + 4) // 8 if len(time) == 0 else time[-1])
+        time_of_row = np.append(time, (self.elapsed * 125 + 4) // 8 if len(time) == 0 else time[-1])
         odd = piece.skipped - SIZE * piece.broken
-        apart = np.abs(passed - steps * TICKS_PER_PACKET)
-        jumps = np.flatnonzero(apart > JUMP_S * COUNTER_HZ + 0.01 * steps * TICKS_PER_PACKET)
+        excess = np.abs(passed - steps * TICKS_PER_PACKET)
+        jumps = np.flatnonzero(excess > JUMP_S * COUNTER_HZ + 0.01 * steps * TICKS_PER_PACKET)
         end = len(number)
-        self._tell(
+        self._write_events(
             "checksum",
             np.flatnonzero(piece.broken),
-            at,
+            time_of_row,
             lambda i: f"{piece.broken[i]} packets with a wrong checksum left out",
         )
-        self._tell(
-            "garbage", np.flatnonzero(odd[:end]), at, lambda i: f"{odd[i]} bytes that belong to no packet left out"
+        self._write_events(
+            "garbage",
+            np.flatnonzero(odd[:end]),
+            time_of_row,
+            lambda i: f"{odd[i]} bytes that belong to no packet left out",
         )
-        self._tell(
-            "lost", np.flatnonzero(steps > 1), at, lambda i: f"{steps[i] - 1} packets missing before packet {number[i]}"
+        self._write_events(
+            "lost",
+            np.flatnonzero(steps > 1),
+            time_of_row,
+            lambda i: f"{steps[i] - 1} packets missing before packet {number[i]}",
         )
-        self._tell(
+        self._write_events(
             "repeated",
             np.flatnonzero(steps == 0),
-            at,
+            time_of_row,
             lambda i: f"packet {number[i]} was received twice; one is left out",
         )
-        self._tell("clock", jumps, at, lambda i: _jump(passed[i], steps[i]) + f" before packet {number[i]}")
-        self._tell(
+        self._write_events(
+            "clock", jumps, time_of_row, lambda i: _jump(passed[i], steps[i]) + f" before packet {number[i]}"
+        )
+        self._write_events(
             "cut_off",
             end + np.flatnonzero(odd[end:]),
-            at,
+            time_of_row,
             lambda i: f"{odd[i]} bytes at the end are not a whole packet",
         )
 
-    def _tell(self, kind: str, where: Iterable[int], at: Integers, message: Callable[[int], str]) -> None:
-        """Write events of one kind at rows `where`, up to a limit."""
-        for index in where:
+    def _write_events(
+        self, kind: str, rows: Iterable[int], time_of_row: Integers, message: Callable[[int], str]
+    ) -> None:
+        """Write events of one kind at `rows`, up to a limit."""
+        for index in rows:
             self.happened[kind] += 1
             if self.happened[kind] <= EVENTS_PER_KIND:
-                self.log.event(Event(max(0, int(at[index])), "", kind, message(index)))
+                self.log.event(Event(max(0, int(time_of_row[index])), "", kind, message(index)))
 
     def finish(self) -> ImportSummary:
         """Write the last events and return the summary; SourceError if there was no packet."""

@@ -230,24 +230,24 @@ def _by_kind(names: Sequence[str]) -> list[str]:
 
 def report_of(log: Log) -> Report:
     """Return the report on all triads and thermometers of a log."""
-    seen = _Examination()
+    examination = _Examination()
     for sensor in log.sensors.values():
         if len(sensor) < FEWEST_ROWS:
             continue
-        known, doubted = _degrees(sensor)
-        seen.quirks.add_all(sensor.name, known)
-        seen.doubts.add_all(sensor.name, doubted)
+        degrees, doubted = _degrees(sensor)
+        examination.quirks.add_all(sensor.name, degrees)
+        examination.doubts.add_all(sensor.name, doubted)
         if sensor.is_triad:
-            seen.add_triad(sensor)
-    windows = seen.windows
-    for name, text in [*_turns(log, windows, seen.short_windows), *_directions(log, windows), *_twins(log)]:
-        seen.doubts.add(name, text)
+            examination.add_triad(sensor)
+    windows = examination.windows
+    for name, text in [*_turns(log, windows, examination.short_windows), *_directions(log, windows), *_twins(log)]:
+        examination.doubts.add(name, text)
     for name, text in _upside_down(log, windows):
-        seen.quirks.add(name, text)
+        examination.quirks.add(name, text)
     forces = _names_of(log, "specific_force", windows)
     if forces and (knocks := windows[forces[0]].knocks()):
-        seen.quirks.add(forces[0], knocks)
-    return Report(tuple(_facts(seen.levels)), seen.quirks.all(), seen.doubts.all())
+        examination.quirks.add(forces[0], knocks)
+    return Report(tuple(_facts(examination.levels)), examination.quirks.all(), examination.doubts.all())
 
 
 @dataclass
@@ -273,12 +273,12 @@ class _Examination:
         self.doubts.add_all(sensor.name, [*of_rate, *codes.doubts(sensor)])
         if not sensor.sensitivity or codes.is_constant:
             return
-        own = _Windows(sensor, timing, codes.held)
+        windows = _Windows(sensor, timing, codes.held)
         if not of_rate:  # rotations follow from rates and times
-            self.windows[sensor.name] = own
+            self.windows[sensor.name] = windows
             if sensor.quantity in INERTIAL:
                 self.short_windows[sensor.name] = _Windows(sensor, timing, codes.held, TURN_WINDOW_S)
-        level, doubted = _level(sensor, own)
+        level, doubted = _level(sensor, windows)
         if level is not None:
             self.levels.setdefault(level[0], {})[sensor.name] = level[1]
         self.doubts.add_all(sensor.name, doubted)
@@ -444,7 +444,7 @@ def _find_gaps(sensor: SensorLog, timing: RowTiming) -> npt.NDArray[np.float64]:
     one interval to all three. Where intervals scatter without a grid (a program that sleeps between readings), most
     sums of three are no whole number of intervals, and no single row is called lost.
     """
-    kept: list[npt.NDArray[np.float64]] = []
+    long_gaps: list[npt.NDArray[np.float64]] = []
     near_grid, rows = 0, 0
     for block in sensor.blocks():
         begin, end = max(block.start - 2, 0), min(block.stop + 1, len(sensor))
@@ -455,10 +455,10 @@ def _find_gaps(sensor: SensorLog, timing: RowTiming) -> npt.NDArray[np.float64]:
         off_grid = np.abs(three - np.rint(three))
         near_grid, rows = near_grid + int(np.sum(off_grid < OFF_GRID)), rows + len(three)
         # Each interval belongs to the block that its later row is in.
-        own = slice(max(block.start - 1, 0) - begin, block.stop - 1 - begin)
+        own_rows = slice(max(block.start - 1, 0) - begin, block.stop - 1 - begin)
         is_lost = (intervals > LOST_ROW) & (three > 3 + LOST_ROW - 1) & (off_grid < OFF_GRID)
-        kept.append(np.where((intervals > GAP) | is_lost, intervals, 0.0)[own])
-    gaps = np.concatenate(kept)
+        long_gaps.append(np.where((intervals > GAP) | is_lost, intervals, 0.0)[own_rows])
+    gaps = np.concatenate(long_gaps)
     is_steady = near_grid > STEADY_SHARE * rows
     return gaps[gaps > (0 if is_steady else GAP)]
 
@@ -477,13 +477,13 @@ class _Codes:
     """The codes of a triad's axes, and the repeated rows."""
 
     def __init__(self, sensor: SensorLog) -> None:
-        seen: list[Histogram] = [NOTHING] * 3
+        histograms: list[Histogram] = [NOTHING] * 3
         tally = RepeatTally()
         for block in sensor.blocks():
             counts = np.asarray(sensor.counts[block], np.int64)
-            seen = [known.merge(histogram(column)) for known, column in zip(seen, counts.T, strict=True)]
+            histograms = [merged.merge(histogram(column)) for merged, column in zip(histograms, counts.T, strict=True)]
             tally.update(counts)
-        self.seen, self.repeats = seen, tally.result()
+        self.seen, self.repeats = histograms, tally.result()
         self.held = _held_rows(sensor, self.repeats)
         """Rows that repeat one reading for longer than chance or a slow chip explains; an empty slice without any."""
 
@@ -533,17 +533,17 @@ def _held_rows(sensor: SensorLog, repeats: Repeats) -> slice:
     """Return the longest run of equal rows if that is no chance: other rows seldom repeat, and those on either side
     change by a count and more each time, which those of a coarse sensor that comes to rest do not.
     """
-    nothing, others = slice(0, 0), repeats.rows - repeats.longest
-    if repeats.longest < LEAST_HELD or others < FEWEST_ROWS:
-        return nothing
-    usual = max(repeats.repeat_share * (repeats.rows - 1) - (repeats.longest - 1), 1.0) / others
+    no_rows, other_repeats = slice(0, 0), repeats.rows - repeats.longest
+    if repeats.longest < LEAST_HELD or other_repeats < FEWEST_ROWS:
+        return no_rows
+    usual = max(repeats.repeat_share * (repeats.rows - 1) - (repeats.longest - 1), 1.0) / other_repeats
     if usual >= 1 or repeats.longest * ln(usual) > ln(SURE):
-        return nothing
+        return no_rows
     begin, end = repeats.longest_row, repeats.longest_row + repeats.longest
     sides = slice(max(begin - BESIDE, 0), begin), slice(end, min(end + BESIDE, repeats.rows))
     changes = [np.abs(np.diff(np.asarray(sensor.counts[side], np.int64), axis=0)).sum(axis=1) for side in sides]
     lively = [float(change.mean()) >= 1 for change in changes if len(change)]
-    return slice(begin, end) if lively and all(lively) else nothing
+    return slice(begin, end) if lively and all(lively) else no_rows
 
 
 def _held_in_words(sensor: SensorLog, held: slice) -> str:
@@ -572,16 +572,16 @@ def _degrees(sensor: SensorLog) -> tuple[list[str], list[str]]:
     column = sensor.temperature_counts
     if column is None:
         return [], []
-    seen = histogram(np.asarray(column[:], np.int64))
+    codes = histogram(np.asarray(column[:], np.int64))
     scale = degc_of(sensor)
     if scale is None:
         return [], ["the scale of its thermometer is unknown: state thermometer = { zero_degc, lsb_per_degc }"]
-    ends = sorted(scale[0] + scale[1] * float(code) for code in seen.codes[[0, -1]])
-    whose = "" if sensor.quantity == "temperature" else "its thermometer "
-    span = f"{whose}reads {ends[0]:.4g} to {ends[1]:.4g} degC"
+    ends = sorted(scale[0] + scale[1] * float(code) for code in codes.codes[[0, -1]])
+    subject = "" if sensor.quantity == "temperature" else "its thermometer "
+    span = f"{subject}reads {ends[0]:.4g} to {ends[1]:.4g} degC"
     if has_zero(sensor) and not DEGC[0] <= ends[0] <= ends[1] <= DEGC[1]:
         return [], [f"{span}: is its scale wrong?"]
-    step = usual_step(seen)
+    step = usual_step(codes)
     return [f"{span}, in steps of {step} counts ({abs(step * scale[1]):.2g} degC)" if step > 1 else span], []
 
 
@@ -615,20 +615,20 @@ def _upside_down(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[st
     for sensor in log.of("specific_force"):
         if sensor.name not in windows or not windows[sensor.name].has_gravity:
             continue
-        own = windows[sensor.name]
-        still = own.still()
-        up = own.mean[still] / np.maximum(np.linalg.norm(own.mean[still], axis=1), 1e-9)[:, None]
+        force = windows[sensor.name]
+        still = force.still()
+        up = force.mean[still] / np.maximum(np.linalg.norm(force.mean[still], axis=1), 1e-9)[:, None]
         middle = np.median(up, axis=0)
         axis = int(np.argmax(np.abs(middle)))
         is_noted = any(phase.up == f"-{'XYZ'[axis]}" for phase in log.phases)
         if is_noted or len(up) < FEWEST_RESTS or middle[axis] > 0 or np.mean(up[:, axis] < -MISALIGNED) < ALWAYS:
             continue
-        others = [windows[name] for name in _names_of(log, "magnetic_field", windows)]
+        fields = [windows[name] for name in _names_of(log, "magnetic_field", windows)]
         yield (
             sensor.name,
             f"reads -1 g along box {'XYZ'[axis]} whenever it rests: the box is upside down, or this axis points down"
             f" (axes in the map), or the sign is the opposite, as in Apple's CoreMotion (signs = '---')"
-            f"{_dip_in_words(own, others)}",
+            f"{_dip_in_words(force, fields)}",
         )
 
 
@@ -652,10 +652,10 @@ def _dip_in_words(force: _Windows, fields: Sequence[_Windows]) -> str:
     dip_deg = -float(np.degrees(np.arcsin(np.clip(np.median(upward), -1, 1))))
     if abs(dip_deg) < LEAST_DIP_DEG:
         return ""
-    where = "southern" if dip_deg < 0 else "northern"
+    hemisphere = "southern" if dip_deg < 0 else "northern"
     return (
         f"; by this sign the magnetic field points {abs(dip_deg):.0f} degrees {'up' if dip_deg < 0 else 'down'}, as it"
-        f" does in the {where} hemisphere"
+        f" does in the {hemisphere} hemisphere"
     )
 
 
@@ -671,11 +671,11 @@ def _turns(log: Log, windows: Mapping[str, _Windows], short: Mapping[str, _Windo
             continue
         first, name = forces[0], gyroscope.name
         pairs = (short[first], short[name]), (windows[first], windows[name])
-        seen = [(_factor(each), each) for pair in pairs if (each := _rotations(*pair)) is not None]
-        if not seen:
+        candidates = [(_factor(each), each) for pair in pairs if (each := _rotations(*pair)) is not None]
+        if not candidates:
             continue
         # Short windows follow quick turns, long ones show slow turns above the noise.
-        (factor, correlation), rotations = next((each for each in seen if each[0][1] >= FOLLOWS), seen[-1])
+        (factor, correlation), rotations = next((each for each in candidates if each[0][1] >= FOLLOWS), candidates[-1])
         if correlation < FOLLOWS:
             if axes := _fitting_axes(rotations, gyroscope):
                 yield gyroscope.name, axes
@@ -733,10 +733,10 @@ def _rotations(force: _Windows, rate: _Windows) -> _Rotations | None:
     """Return the rotations that an accelerometer and a gyroscope saw in the same windows; None if they are too few."""
     if force.width_ns != rate.width_ns:
         return None
-    common, here, there = np.intersect1d(force.number, rate.number, return_indices=True)
+    common, force_rows, rate_rows = np.intersect1d(force.number, rate.number, return_indices=True)
     if len(common) < FEWEST_TURNS:
         return None
-    f, omega = force.mean[here], rate.mean[there] * np.pi / 180
+    f, omega = force.mean[force_rows], rate.mean[rate_rows] * np.pi / 180
     sphere = fit_sphere(f)
     f = f if sphere is None else f - sphere.centre  # biases of 50 mg would change the rotations by a twentieth
     length = np.linalg.norm(f, axis=1)
@@ -772,8 +772,8 @@ def _factor(rotations: _Rotations) -> tuple[float, float]:
         solution = np.linalg.lstsq(flat, observed, rcond=None)[0]
         factor = float(solution[0])
     a, b = observed - flat[:, 1:] @ solution[1:], flat[:, 0]
-    both = float(np.sqrt((a @ a) * (b @ b)))
-    return factor, abs(float(a @ b)) / both if both else 0.0
+    norm = float(np.sqrt((a @ a) * (b @ b)))
+    return factor, abs(float(a @ b)) / norm if norm else 0.0
 
 
 def _fitting_axes(rotations: _Rotations, gyroscope: SensorLog) -> str:
@@ -786,9 +786,9 @@ def _fitting_axes(rotations: _Rotations, gyroscope: SensorLog) -> str:
         fits_mirrored = "its rotations fit those of the accelerometers only with a mirrored axis"
         return f"{fits_mirrored}: a column or a sign is wrong" if is_mirrored else ""
     axes = axes_text((TURNS[best] @ gyroscope.orientation).T)
-    others = f", but would with axes = {axes!r}" if proper[best] - proper[second] > BETTER else ""
+    fitting = f", but would with axes = {axes!r}" if proper[best] - proper[second] > BETTER else ""
     return (
-        f"its rotations do not fit those of the accelerometers{others}: it is mounted in another direction, or columns"
+        f"its rotations do not fit those of the accelerometers{fitting}: it is mounted in another direction, or columns"
         " are exchanged or a sign is wrong, its own or the accelerometers'"
     )
 

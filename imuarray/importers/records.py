@@ -243,21 +243,21 @@ def _records_of(path: str, value: Any, outer: dict[str, str]) -> Iterator[Record
             if isinstance(element, dict | list):
                 yield from _records_of(path, element if isinstance(element, dict) else {_ELEMENT: element}, outer)
         return
-    own: dict[str, str] = {}
+    texts: dict[str, str] = {}
     tables: list[tuple[str, Any]] = []
     series: dict[str, list[str]] = {}
-    _collect("", value, own, tables, series)
-    both = {**outer, **own}
+    _collect("", value, texts, tables, series)
+    all_texts = {**outer, **texts}
     for name, rows in tables:
-        yield from _records_of(f"{path}.{name}" if path else name, rows, both)
+        yield from _records_of(f"{path}.{name}" if path else name, rows, all_texts)
     by_length: dict[int, dict[str, list[str]]] = {}
     for name, numbers in series.items():
         by_length.setdefault(len(numbers), {})[name] = numbers
     for columns in by_length.values():
         for row in zip(*columns.values(), strict=True):
-            yield path, {**outer, **own, **dict(zip(columns, row, strict=True))}
-    if not tables and not series and any(map(_NUMBER.fullmatch, own.values())):
-        yield path, both
+            yield path, {**outer, **texts, **dict(zip(columns, row, strict=True))}
+    if not tables and not series and any(map(_NUMBER.fullmatch, texts.values())):
+        yield path, all_texts
 
 
 _ELEMENT = "value"
@@ -265,21 +265,21 @@ _ELEMENT = "value"
 
 
 def _collect(
-    name: str, value: Any, own: dict[str, str], tables: list[tuple[str, Any]], series: dict[str, list[str]]
+    name: str, value: Any, texts: dict[str, str], tables: list[tuple[str, Any]], series: dict[str, list[str]]
 ) -> None:
-    """Sort a value into scalars (`own`), lists of objects (`tables`) and long lists of numbers (`series`)."""
+    """Sort a value into scalars (`texts`), lists of objects (`tables`) and long lists of numbers (`series`)."""
     if isinstance(value, dict):
         for key, item in value.items():
-            _collect(f"{name}.{key}" if name else str(key), item, own, tables, series)
+            _collect(f"{name}.{key}" if name else str(key), item, texts, tables, series)
     elif isinstance(value, list):
         if any(isinstance(item, dict) for item in value) or (value and all(isinstance(item, list) for item in value)):
             tables.append((name, value))
         elif len(value) > MOST_COLUMNS:
             series[name] = [item if isinstance(item, str) else "" for item in value]
         else:
-            own.update({f"{name}[{at}]": item for at, item in enumerate(value) if isinstance(item, str)})
+            texts.update({f"{name}[{at}]": item for at, item in enumerate(value) if isinstance(item, str)})
     elif isinstance(value, str):
-        own[name] = value
+        texts[name] = value
 
 
 def _kind_fields(records: Sequence[tuple[int, Record]]) -> list[str]:

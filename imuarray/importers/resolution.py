@@ -78,10 +78,10 @@ def common_step(axes: Sequence[Floats]) -> float | None:
     if step is not None:
         return step
     steps = [grid_step(values - values[0]) for values in axes if len(values)]
-    known = [step for step in steps if step is not None]
-    if len(known) < len(axes) or max(known) > (1 + NEAR) * min(known):
+    found_steps = [step for step in steps if step is not None]
+    if len(found_steps) < len(axes) or max(found_steps) > (1 + NEAR) * min(found_steps):
         return None
-    return float(np.median(known))
+    return float(np.median(found_steps))
 
 
 def grid_step(values: Floats) -> float | None:
@@ -92,8 +92,8 @@ def grid_step(values: Floats) -> float | None:
     nearest = float(np.diff(distinct).min())
     for divisor in _DIVISORS:
         step = _refined(distinct, nearest / divisor)
-        off = np.abs(distinct / step - np.rint(distinct / step))
-        if float(np.mean(off < _OFF_GRID)) > _ON_GRID:
+        deviation = np.abs(distinct / step - np.rint(distinct / step))
+        if float(np.mean(deviation < _OFF_GRID)) > _ON_GRID:
             return step
     return None
 
@@ -101,13 +101,13 @@ def grid_step(values: Floats) -> float | None:
 def _refined(distinct: Floats, step: float) -> float:
     """Refine a step that fits near zero with values further and further away."""
     base = float(distinct[np.abs(distinct).argmin()])
-    away = distinct - base
+    distance = distinct - base
     reach = 8.0
     while True:
-        inside = np.abs(away) <= reach * step
-        number = np.rint(away[inside] / step)
+        inside = np.abs(distance) <= reach * step
+        number = np.rint(distance[inside] / step)
         if (number != 0).any():
-            step = float(away[inside] @ number / (number @ number))
+            step = float(distance[inside] @ number / (number @ number))
         if inside.all():
             break
         reach *= 4
@@ -152,8 +152,8 @@ def resolution_of(
     if sensitivity is None:
         return _inferred(quantity, axes, largest, range_)
     counts = np.concatenate(axes) * sensitivity
-    off = counts - np.rint(counts)
-    is_exact = bool(len(off)) and float(np.mean(np.abs(off) < _OFF_GRID)) > _ON_GRID
+    deviation = counts - np.rint(counts)
+    is_exact = bool(len(deviation)) and float(np.mean(np.abs(deviation) < _OFF_GRID)) > _ON_GRID
     return Resolution(sensitivity, range_, is_exact, bits_of(largest * sensitivity, range_ * sensitivity))
 
 
@@ -182,8 +182,8 @@ def _inferred(quantity: str, axes: Sequence[Floats], largest: float, range_: flo
     noise = _noise(axes)
     step = common_step(axes)
     if step is not None:
-        known = (*SENSITIVITIES[quantity], *WIDE_SENSITIVITIES[quantity])
-        named = next((value for value in known if abs(value * step - 1) < NEAR), None)
+        sensitivities = (*SENSITIVITIES[quantity], *WIDE_SENSITIVITIES[quantity])
+        named = next((value for value in sensitivities if abs(value * step - 1) < NEAR), None)
         sensitivity = 1 / step if named is None else named
         if largest * sensitivity <= INT16[1] and range_ * sensitivity <= FULL_SPAN:
             return Resolution(sensitivity, range_, True)

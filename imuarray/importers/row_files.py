@@ -84,11 +84,11 @@ class FileRows:
     ) -> Iterator[tuple[CellBlock, list[int]]]:
         """Yield the rows in the order of their numbers; SourceError for a row with another number of values."""
         names = self.names()[""]
-        where = []
+        places = []
         for column in columns:
             if column not in names:
                 raise SourceError(f"{self._path}: no column {column!r}; it has {', '.join(names)}")
-            where.append(names.index(str(column)))
+            places.append(names.index(str(column)))
         for start in range(0, len(self._files), rows):
             files = self._files[start : start + rows]
             cells = []
@@ -98,7 +98,7 @@ class FileRows:
                     raise SourceError(f"{file}: {len(row)} values, the first file has {len(self._names)}")
                 cells.append([*([self._stamps[number]] if self._stamps is not None else []), *row])
             lines = range(start, start + len(files))
-            yield CellBlock(str(self._path), lines, list(zip(*cells, strict=True))), where
+            yield CellBlock(str(self._path), lines, list(zip(*cells, strict=True))), places
 
 
 def _beside(folder: Path, name: str) -> Path | None:

@@ -31,13 +31,13 @@ def count_out(log: LogWriter, sensor: str) -> list[str]:
     timing = row_timing(log[sensor])
     if timing.rows < 3:
         return [f"{sensor}: too few rows to reconstruct reading times; arrival times are kept"]
-    even = even_rows(log[sensor])
-    log.revise(sensor, ARRIVAL, _EvenTimes(even).delay_s)
-    log.revise(sensor, "time", _EvenTimes(even).time)
+    even_times = even_rows(log[sensor])
+    log.revise(sensor, ARRIVAL, _EvenTimes(even_times).delay_s)
+    log.revise(sensor, "time", _EvenTimes(even_times).time)
     delays = np.asarray(log[sensor].compensated(ARRIVAL))
     doubt = "" if timing.kind == "bursts" else ", although the rows do not arrive in bursts"
     return [
-        f"{sensor}: reading times reconstructed at {even.rows_per_s:.5g} rows a second{doubt}; rows arrived up to"
+        f"{sensor}: reading times reconstructed at {even_times.rows_per_s:.5g} rows a second{doubt}; rows arrived up to"
         f" {1e3 * float(np.ptp(delays)):.3g} ms apart from them (rms {1e3 * float(delays.std()):.3g} ms), as"
         f" {ARRIVAL} says"
     ]
@@ -80,32 +80,32 @@ class RowOrder:
 
     def in_order(self, blocks: Blocks) -> Blocks:
         """Yield the rows of the blocks, sorted by time; rows of equal time keep their order."""
-        held: CellBlock | None = None
+        pending: CellBlock | None = None
         held_times = np.zeros(0, np.int64)
-        where: list[int] = []
-        for block, where in blocks:
-            times = self._times(block, where)
+        places: list[int] = []
+        for block, places in blocks:
+            times = self._times(block, places)
             self._count(times)
-            joined = block if held is None else _joined(held, block)
+            rows = block if pending is None else _joined(pending, block)
             times = np.concatenate([held_times, times])
-            order = self._once(joined, times, np.argsort(times, kind="stable"))
+            order = self._once(rows, times, np.argsort(times, kind="stable"))
             if len(order) > MOST_ROWS_LATE:
-                yield _chosen(joined, order[:-MOST_ROWS_LATE]), where
-            held, held_times = _chosen(joined, order[-MOST_ROWS_LATE:]), times[order[-MOST_ROWS_LATE:]]
-        if held is not None:
-            yield held, where
+                yield _chosen(rows, order[:-MOST_ROWS_LATE]), places
+            pending, held_times = _chosen(rows, order[-MOST_ROWS_LATE:]), times[order[-MOST_ROWS_LATE:]]
+        if pending is not None:
+            yield pending, places
 
     def _once(self, block: CellBlock, times: Times, order: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
         """Return the order (n,) without rows that are equal to the one before, in time and in all cells, but were not
         written after it: a coarse clock has rows like that, and so has padding.
         """
-        kept = np.ones(len(order), bool)
+        is_first = np.ones(len(order), bool)
         for place in (np.flatnonzero(np.diff(times[order]) == 0) + 1).tolist():
-            row, before = order[place], order[place - 1]
-            is_next = block.lines[row] == block.lines[before] + 1
-            kept[place] = is_next or any(column[row] != column[before] for column in block.columns)
-        self.repeated += int(np.count_nonzero(~kept))
-        return order[kept]
+            row, previous = order[place], order[place - 1]
+            is_next = block.lines[row] == block.lines[previous] + 1
+            is_first[place] = is_next or any(column[row] != column[previous] for column in block.columns)
+        self.repeated += int(np.count_nonzero(~is_first))
+        return order[is_first]
 
     def _count(self, times: Times) -> None:
         """Count the rows that come after a later one."""

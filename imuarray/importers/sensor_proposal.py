@@ -131,7 +131,7 @@ def _signed(values: Floats) -> tuple[Floats, list[str], float]:
 
 def _wide_codes(length: float, beyond: float) -> list[str]:
     """Return the scale of an accelerometer's codes of more than 16 bits, up to `beyond`."""
-    per_g = min(WIDE_SENSITIVITIES["specific_force"], key=lambda known: abs(ln(length / known)))
+    per_g = min(WIDE_SENSITIVITIES["specific_force"], key=lambda sensitivity: abs(ln(length / sensitivity)))
     if abs(ln(length / per_g)) > NEAR_GRAVITY:
         per_g = 2.0 ** round(ln(length) / ln(2))
     if abs(ln(length / per_g)) > NEAR_GRAVITY:
@@ -157,11 +157,11 @@ def _counted(quantity: str, length: float, largest: float) -> tuple[str, list[st
             f"sensitivity = {per_g:g}   # ? from gravity: {length:.5g} counts",
         ]
     if quantity == "angular_rate":
-        known = ", ".join(f"{131 / (1 << power):.4g} ({250 << power} dps)" for power in range(4))
+        usual_scales = ", ".join(f"{131 / (1 << power):.4g} ({250 << power} dps)" for power in range(4))
         return "dps", [
             'unit = "dps"',
             "range = 250   # ?",
-            f"sensitivity = {COUNTS_OF_GYROSCOPE:g}   # ? not determined at rest; common are {known}",
+            f"sensitivity = {COUNTS_OF_GYROSCOPE:g}   # ? not determined at rest; common are {usual_scales}",
         ]
     return "gauss", [
         'unit = "gauss"',
@@ -193,14 +193,14 @@ _MOST_DPS = 6000.0
 
 def propose_thermometer(proposal: Proposal, name: str, values: Floats) -> None:
     """Propose a column of temperatures: in degrees, or as counts with unknown scale."""
-    known = values[np.isfinite(values)]
-    if len(known) == 0:
+    finite = values[np.isfinite(values)]
+    if len(finite) == 0:
         return
     unit = proposal.units.get(name) or unit_in(name)
     unit = unit if unit in ZERO_OF_UNIT else ""
-    if not unit and known.min() > 200 and known.max() < 420 and (known != np.rint(known)).any():
+    if not unit and finite.min() > 200 and finite.max() < 420 and (finite != np.rint(finite)).any():
         unit = "K"
-    if unit or (known.min() > -60 and known.max() < 150 and (known != np.rint(known)).any()):
+    if unit or (finite.min() > -60 and finite.max() < 150 and (finite != np.rint(finite)).any()):
         proposal.items.append(
             [
                 "[[thermometer]]",
@@ -210,7 +210,7 @@ def propose_thermometer(proposal: Proposal, name: str, values: Floats) -> None:
             ]
         )
         return
-    span = f"{known.min():g} to {known.max():g}"
+    span = f"{finite.min():g} to {finite.max():g}"
     proposal.doubts.append(
         f"column {name!r} may be a chip's thermometer ({span} counts): set temperature_column ="
         f" {quoted(name)} and thermometer = {{ zero_degc, lsb_per_degc }} of its sensor from its data sheet"
@@ -219,8 +219,8 @@ def propose_thermometer(proposal: Proposal, name: str, values: Floats) -> None:
 
 def propose_barometer(proposal: Proposal, name: str, values: Floats) -> None:
     """Propose a column of air pressures, if they are such in some unit."""
-    known = values[np.isfinite(values)]
-    middle = float(np.median(known)) if len(known) else 0.0
+    finite = values[np.isfinite(values)]
+    middle = float(np.median(finite)) if len(finite) else 0.0
     near = next((unit for unit, sea_level in _PRESSURES.items() if 0.2 < middle / sea_level < 1.2), None)
     unit = proposal.units.get(name, near)
     if unit is None:

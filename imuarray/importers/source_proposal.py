@@ -111,8 +111,8 @@ def _propose_tables(path: Path, is_text: bool, is_bag: bool) -> Proposal:
             continue
         columns = [_first_values(source, name, kind) for name in names]
         if is_bag:
-            kept, columns = _with_values(names, columns)
-            partial = propose_columns(TextLayout(), kept, columns, {}, units=_ROS_UNITS)
+            filled_names, columns = _with_values(names, columns)
+            partial = propose_columns(TextLayout(), filled_names, columns, {}, units=_ROS_UNITS)
         else:
             partial = propose_columns(TextLayout(), list(names), columns, {})
         if kind and len(partial.items) == 1:
@@ -125,13 +125,15 @@ def _propose_tables(path: Path, is_text: bool, is_bag: bool) -> Proposal:
 
 def _propose_records(proposal: Proposal, source: RecordingRows, kind: str, names: Sequence[str]) -> None:
     """Propose the sensors of records of a kind."""
-    chosen, stem = _words_of_frames(source, kind, names) if FIRST_WORDS.issubset(names) else (names, kind)
-    rows = _first_rows(source, kind, chosen)
+    columns_of_kind, stem = _words_of_frames(source, kind, names) if FIRST_WORDS.issubset(names) else (names, kind)
+    rows = _first_rows(source, kind, columns_of_kind)
     if len(rows) < 2:
         proposal.doubts.append(f"left out: the only row of kind {kind!r}")
         return
     columns = columns_of(rows, TextLayout())
-    partial = propose_columns(TextLayout(), list(chosen), columns, _dates_of_rows(rows, chosen, columns), stem)
+    partial = propose_columns(
+        TextLayout(), list(columns_of_kind), columns, _dates_of_rows(rows, columns_of_kind, columns), stem
+    )
     if not partial.items:
         proposal.doubts.append(f"left out: rows of kind {kind!r}, which have no triad that is known by its name")
         return
@@ -140,8 +142,8 @@ def _propose_records(proposal: Proposal, source: RecordingRows, kind: str, names
 
 def _first_values(source: RecordingRows, name: str, kind: str) -> Floats:
     """Return the first values of a column of numbers; none of another column."""
-    for block, where in source.blocks([name], kind or None, LOOKED_AT_ROWS):
-        values = block.column(where[0], name).values
+    for block, places in source.blocks([name], kind or None, LOOKED_AT_ROWS):
+        values = block.column(places[0], name).values
         return np.zeros(0) if values is None else np.asarray(values, np.float64)
     return np.zeros(0)
 
@@ -162,8 +164,8 @@ def _words_of_frames(source: RecordingRows, kind: str, listed: Sequence[str]) ->
 
 def _first_rows(source: RecordingRows, kind: str, names: Sequence[str]) -> list[list[str]]:
     """Return the cells of the first rows of a kind."""
-    for block, where in source.blocks(list(names), kind or None, LOOKED_AT_ROWS):
-        return [list(row) for row in zip(*(block.column(at, "").texts for at in where), strict=True)]
+    for block, places in source.blocks(list(names), kind or None, LOOKED_AT_ROWS):
+        return [list(row) for row in zip(*(block.column(at, "").texts for at in places), strict=True)]
     return []
 
 
@@ -298,8 +300,8 @@ not have.
 
 def _with_values(names: Sequence[str], columns: Sequence[Floats]) -> tuple[list[str], list[Floats]]:
     """Return the columns that hold a number: an Imu of a gyroscope alone has no acceleration."""
-    kept = [(name, values) for name, values in zip(names, columns, strict=True) if np.isfinite(values).any()]
-    return [name for name, _ in kept], [values for _, values in kept]
+    filled = [(name, values) for name, values in zip(names, columns, strict=True) if np.isfinite(values).any()]
+    return [name for name, _ in filled], [values for _, values in filled]
 
 
 def _name_by_topic(item: list[str], topic: str) -> None:

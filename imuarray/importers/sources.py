@@ -67,9 +67,9 @@ class TextRows:
         named = any(isinstance(column, str) for column in self._map.columns())
         with open_source(self._source, self._output) as file:
             table = TextTable(decompress(file), str(self._source), self._map.file, named)
-            where = [table.index(column) for column in columns]
+            places = [table.index(column) for column in columns]
             for block in table.blocks(rows, kind):
-                yield block, where
+                yield block, places
                 self._progress(file.tell())
             self.remarks += [text for text in table.remarks() if text not in self.remarks]
 

@@ -31,15 +31,15 @@ def fit_sphere(forces: Floats) -> Sphere | None:
     """
     if len(forces) < FEWEST_POINTS:
         return None
-    chosen = forces[:: max(1, len(forces) // MOST_POINTS)]
-    scale = float(np.median(np.linalg.norm(chosen, axis=1))) or 1.0
-    f = chosen / scale
+    points = forces[:: max(1, len(forces) // MOST_POINTS)]
+    scale = float(np.median(np.linalg.norm(points, axis=1))) or 1.0
+    f = points / scale
     solution = np.linalg.lstsq(np.column_stack([2 * f, np.ones(len(f))]), (f**2).sum(axis=1), rcond=None)[0]
     squared = float(solution[3] + solution[:3] @ solution[:3])
     if squared <= 0:
         return None
     radius = squared**0.5
     rays = (f - solution[:3]) / radius
-    off = float(np.sqrt(np.mean((np.linalg.norm(rays, axis=1) - 1) ** 2)))
+    deviation = float(np.sqrt(np.mean((np.linalg.norm(rays, axis=1) - 1) ** 2)))
     spans = float(np.linalg.eigvalsh(np.cov(rays.T))[0]) > SPANS_DIRECTIONS
-    return Sphere(solution[:3] * scale, radius * scale) if spans and off < ON_SPHERE else None
+    return Sphere(solution[:3] * scale, radius * scale) if spans and deviation < ON_SPHERE else None

@@ -99,18 +99,18 @@ def import_table(
     with LogWriter(output, headers, source="imported", epoch=NO_WALL_TIME, force=force) as log:
         recording = _Recording(log, table_map, {header.name: header for header in headers}, streams)
         for stream in recording.streams:
-            for block, where in stream.in_order(rows.blocks(stream.plan.columns, stream.plan.kind, ROWS)):
-                stream.add(block, where)
+            for block, places in stream.in_order(rows.blocks(stream.plan.columns, stream.plan.kind, ROWS)):
+                stream.add(block, places)
         recording.finish(str(source), str(map_path), up)
         remarks = [*rows.remarks, *recording.remarks(learnt)]
         remarks += flag_clipped(log, [header for header in headers if header.is_triad])
-    each = {name: count for stream in recording.streams for name, count in stream.rows_of.items()}
+    rows_of_sensor = {name: count for stream in recording.streams for name, count in stream.rows_of.items()}
     return ImportSummary(
         tuple(header.name for header in headers),
-        max(each.values()),
+        max(rows_of_sensor.values()),
         None,
         recording.seconds,
-        same_rows=len(set(each.values())) == 1,
+        same_rows=len(set(rows_of_sensor.values())) == 1,
         remarks=tuple(remarks),
     )
 
@@ -126,12 +126,12 @@ def _import_format(
     """Import a recording of a named format; ConfigError for entries that are not allowed with it."""
     name = str(table_map.file.format)
     try:
-        read = importer(name)
+        import_file = importer(name)
     except KeyError:
         raise ConfigError(f"{map_path}: file: format {name!r}: no such format") from None
     if table_map.phase:
         raise ConfigError(f"{map_path}: phase: a recording of format {name!r} has none")
-    return read(source, output, force=force, progress=progress)
+    return import_file(source, output, force=force, progress=progress)
 
 
 class RowGroup(NamedTuple):
@@ -168,20 +168,22 @@ def _inferred(
     open_ = [item for item in plan.items if isinstance(item, SensorTable) and _is_open(item)]
     largest = dict.fromkeys((sensor.name for sensor in open_), 0.0)
     samples: dict[str, list[list[Floats]]] = {sensor.name: [[], [], []] for sensor in open_}
-    seen = 0
+    row_count = 0
     if open_:
-        for block, where in rows.blocks(plan.columns, plan.kind, block_rows):
-            at = dict(zip(plan.columns, where, strict=True))
+        for block, places in rows.blocks(plan.columns, plan.kind, block_rows):
+            column_at = dict(zip(plan.columns, places, strict=True))
             for sensor in open_:
-                cells = _triad_of({name: block.column(at[name], repr(name)) for name in columns_of(sensor)}, sensor)
-                kept = ~_missing(cells)
+                cells = _triad_of(
+                    {name: block.column(column_at[name], repr(name)) for name in columns_of(sensor)}, sensor
+                )
+                complete = ~_missing(cells)
                 for axis, cell in zip(samples[sensor.name], cells, strict=True):
-                    values = numbers(cell.where(kept))
+                    values = numbers(cell.where(complete))
                     values = values * sensor.log_units if sensor.is_physical else values - sensor.offset
                     largest[sensor.name] = max(largest[sensor.name], float(np.abs(values).max(initial=0.0)))
-                    if seen < SAMPLE_ROWS:
+                    if row_count < SAMPLE_ROWS:
                         axis.append(values)
-            seen += len(block.lines)
+            row_count += len(block.lines)
     for sensor in open_:
         if not sensor.is_physical:
             per_unit, range_ = sensor.counts_per_unit or 1.0, sensor.range or 0.0
@@ -353,20 +355,20 @@ class _Stream:
         """Yield the rows in the order of their times, if the map wants that."""
         return self._order.in_order(blocks) if self._order is not None else blocks
 
-    def _stamps(self, block: CellBlock, where: Sequence[int]) -> Times:
+    def _stamps(self, block: CellBlock, places: Sequence[int]) -> Times:
         """Return the time of each row; a row without time, or of zeros as padding is, has that of the row before."""
-        cell = block.column(where[0], repr(self.plan.time_column))
+        cell = block.column(places[0], repr(self.plan.time_column))
         timed = ~(cell.blank() | _zeros(cell))
-        known = np.concatenate([self._last_stamp, self._clock.stamps(cell.where(timed))])
-        if not len(known):
+        stamps = np.concatenate([self._last_stamp, self._clock.stamps(cell.where(timed))])
+        if not len(stamps):
             return np.zeros(cell.rows, np.int64)
-        self._last_stamp, before = known[-1:], len(self._last_stamp)
-        return np.asarray(known[np.maximum(np.cumsum(timed) + before - 1, 0)])
+        self._last_stamp, earlier_count = stamps[-1:], len(self._last_stamp)
+        return np.asarray(stamps[np.maximum(np.cumsum(timed) + earlier_count - 1, 0)])
 
-    def add(self, block: CellBlock, where: Sequence[int]) -> None:
+    def add(self, block: CellBlock, places: Sequence[int]) -> None:
         """Write the rows of one block."""
         cells = {
-            column: block.column(index, repr(column)) for column, index in zip(self.plan.columns, where, strict=True)
+            column: block.column(index, repr(column)) for column, index in zip(self.plan.columns, places, strict=True)
         }
         cells = self._without_padding(cells)
         length = next(iter(cells.values())).rows
@@ -405,8 +407,8 @@ class _Stream:
             zero &= began | np.logical_or.accumulate(~zero)
             zero = np.all([zero, *(_zeros(cell) for cell in cells.values())], axis=0)
             self.padding += int(np.count_nonzero(zero))
-        kept = ~(zero | blank)
-        return cells if kept.all() else {name: cell.where(kept) for name, cell in cells.items()}
+        is_reading = ~(zero | blank)
+        return cells if is_reading.all() else {name: cell.where(is_reading) for name, cell in cells.items()}
 
     def _times(self, cells: dict[Reference, CellColumn], length: int) -> Times:
         """Return (n,) ns from the time column, or from the rate."""
@@ -419,18 +421,18 @@ class _Stream:
     def _add_triad(self, sensor: SensorTable, cells: dict[Reference, CellColumn], time: Times) -> None:
         triad = _triad_of(cells, sensor)
         missing = _missing(triad)
-        kept = ~missing
+        complete = ~missing
         header = self._headers[sensor.name]
         per_unit = header.sensitivity * sensor.log_units if sensor.is_physical else None
         codes = CodeConversion(per_unit, sensor.offset, sensor.bits, header.count_bits)
-        triads = np.stack([counts(cell.where(kept), codes) for cell in triad], axis=1)
+        triads = np.stack([counts(cell.where(complete), codes) for cell in triad], axis=1)
         if per_unit is not None:
-            values = np.stack([numbers(cell.where(kept)) for cell in triad], axis=1) * per_unit
+            values = np.stack([numbers(cell.where(complete)) for cell in triad], axis=1) * per_unit
             self._rounding[sensor.name].add(values, triads)
         full = ((triads == codes.span[0]) | (triads == codes.span[1])).any(axis=1)
         degrees = None
         if sensor.temperature_column is not None:
-            cell = cells[sensor.temperature_column].where(kept)
+            cell = cells[sensor.temperature_column].where(complete)
             if cell.blank().any():
                 raise cell.refuse(
                     int(np.argmax(cell.blank())),
@@ -440,56 +442,58 @@ class _Stream:
             degrees = _degrees(cell, sensor.thermometer)
         late = {name: np.zeros(len(triads)) for name in header.compensated}
         status = np.where(full, SATURATED, 0).astype(np.uint16)
-        status |= self._lost_before(sensor.name, missing & ~_blank(triad), kept)
+        status |= self._lost_before(sensor.name, missing & ~_blank(triad), complete)
         if self._clock.restarted.any():
-            status[np.searchsorted(np.flatnonzero(kept), np.flatnonzero(self._clock.restarted & kept))] |= LOST_BEFORE
-        self.log.append(sensor.name, Block(time[kept], triads, status, degrees, late))
+            status[np.searchsorted(np.flatnonzero(complete), np.flatnonzero(self._clock.restarted & complete))] |= (
+                LOST_BEFORE
+            )
+        self.log.append(sensor.name, Block(time[complete], triads, status, degrees, late))
         self.rows_of[sensor.name] += len(triads)
 
-    def _lost_before(self, name: str, incomplete: Booleans, kept: Booleans) -> npt.NDArray[np.uint16]:
-        """Flags (k,) of the rows `kept` (n,): lost before, behind rows that are `incomplete` (n,), also of an earlier
+    def _lost_before(self, name: str, incomplete: Booleans, complete: Booleans) -> npt.NDArray[np.uint16]:
+        """Flags (k,) of the `complete` rows (n,): lost before, after `incomplete` ones (n,), also of an earlier
         block.
         """
         losses = self._incomplete[name] + np.cumsum(incomplete)
-        behind = np.diff(losses[kept], prepend=self._flagged_losses[name]) > 0
+        lost = np.diff(losses[complete], prepend=self._flagged_losses[name]) > 0
         self._incomplete[name] = int(losses[-1])
-        if kept.any():
-            self._flagged_losses[name] = int(losses[kept][-1])
-        return np.where(behind, LOST_BEFORE, 0).astype(np.uint16)
+        if complete.any():
+            self._flagged_losses[name] = int(losses[complete][-1])
+        return np.where(lost, LOST_BEFORE, 0).astype(np.uint16)
 
     def _add_degrees(self, item: OwnThermometer, cells: dict[Reference, CellColumn], time: Times) -> None:
-        kept = ~cells[item.column].blank()
-        degrees = _degrees(cells[item.column].where(kept), item)
+        filled = ~cells[item.column].blank()
+        degrees = _degrees(cells[item.column].where(filled), item)
         zero_degc, lsb_per_degc = item.scale
         status = np.zeros(len(degrees), np.uint16)
         warm = {"temperature": zero_degc + degrees / lsb_per_degc}
-        self.log.append(item.name, Block(time[kept], degrees[:, None].astype(np.int32), status, degrees, warm))
+        self.log.append(item.name, Block(time[filled], degrees[:, None].astype(np.int32), status, degrees, warm))
         self.rows_of[item.name] += len(degrees)
 
     def _add_pressures(self, item: BarometerTable, cells: dict[Reference, CellColumn], time: Times) -> None:
         """Write pressures, and as counts the same in whole pascals."""
-        kept = ~cells[item.column].blank()
-        pressure = numbers(cells[item.column].where(kept)) * PA_PER_UNIT[item.unit]
+        filled = ~cells[item.column].blank()
+        pressure = numbers(cells[item.column].where(filled)) * PA_PER_UNIT[item.unit]
         whole = np.clip(np.rint(pressure), INT32[0], INT32[1]).astype(np.int32)
         status = np.zeros(len(pressure), np.uint16)
-        self.log.append(item.name, Block(time[kept], whole[:, None], status, None, {"pressure": pressure}))
+        self.log.append(item.name, Block(time[filled], whole[:, None], status, None, {"pressure": pressure}))
         self.rows_of[item.name] += len(pressure)
 
     def _add_reference(self, item: ReferenceTable, cells: dict[Reference, CellColumn], time: Times) -> None:
-        kept = ~_blank([cells[column] for column in columns_of(item)])
+        filled = ~_blank([cells[column] for column in columns_of(item)])
         triads = []
         for quantity in ("specific_force", "angular_rate"):
             triad = item.specific_force if quantity == "specific_force" else item.angular_rate
             if triad is None:
-                triads.append(np.full((int(kept.sum()), 3), np.nan))
+                triads.append(np.full((int(filled.sum()), 3), np.nan))
                 continue
             unit, factor = next(iter(UNITS_OF[quantity])), UNITS_OF[quantity][triad.unit]
-            values = np.stack([numbers(cells[column].where(kept)) for column in triad.columns], axis=1)
+            values = np.stack([numbers(cells[column].where(filled)) for column in triad.columns], axis=1)
             triads.append(values * factor * SI_PER_UNIT[unit])
-        warm = np.full(int(kept.sum()), np.nan)
+        warm = np.full(int(filled.sum()), np.nan)
         if item.temperature is not None:
-            warm = numbers(cells[item.temperature.column].where(kept)) + ZERO_OF_UNIT[item.temperature.unit]
-        self.log.stimulus("reference", Stimulus(time[kept], triads[0], triads[1], warm))
+            warm = numbers(cells[item.temperature.column].where(filled)) + ZERO_OF_UNIT[item.temperature.unit]
+        self.log.stimulus("reference", Stimulus(time[filled], triads[0], triads[1], warm))
 
     def remarks(self) -> Iterator[str]:
         """Return what was changed or left out, as sentences."""
@@ -511,17 +515,17 @@ class _Stream:
             )
         if self._clock.wrapped:
             yield f"the time column wrapped {counted(self._clock.wrapped, 'time')}"
-        alike: dict[str, list[str]] = {}
+        names_by_remark: dict[str, list[str]] = {}
         for name, count in self.rows_of.items():
             incomplete = self._incomplete[name]
             if blank := self.count - count - incomplete:
-                said = f"no reading in {blank} of {self.count} rows, whose cells are blank"
-                alike.setdefault(said, []).append(name)
+                remark = f"no reading in {blank} of {self.count} rows, whose cells are blank"
+                names_by_remark.setdefault(remark, []).append(name)
             if incomplete:
                 rows = counted(incomplete, "row")
-                said = f"{rows} left out in which an axis has no value; the next row is flagged (lost before)"
-                alike.setdefault(said, []).append(name)
-        yield from (f"{listed(names)}: {said}" for said, names in alike.items())
+                remark = f"{rows} left out in which an axis has no value; the next row is flagged (lost before)"
+                names_by_remark.setdefault(remark, []).append(name)
+        yield from (f"{listed(names)}: {remark}" for remark, names in names_by_remark.items())
         for name, rounding in self._rounding.items():
             header = self._headers[name]
             if text := rounding.remark(name, header.unit, header.sensitivity):
@@ -569,10 +573,10 @@ class _Recording:
         for stream in self.streams:
             empty = next((name for name, count in stream.rows_of.items() if not count), None)
             if stream.count == 0 or empty is not None:
-                which = f" of kind {stream.plan.kind!r}" if stream.plan.kind else ""
-                whose = "" if stream.count == 0 else f" with a reading of {empty}"
+                of_kind = f" of kind {stream.plan.kind!r}" if stream.plan.kind else ""
+                holding = "" if stream.count == 0 else f" with a reading of {empty}"
                 raise SourceError(
-                    f"{source}: no data rows{which}{whose}; expected rows of numbers as {map_path} describes them"
+                    f"{source}: no data rows{of_kind}{holding}; expected rows of numbers as {map_path} describes them"
                 )
         first = self.streams[0]
         times = dict(first.time_of)
@@ -612,20 +616,22 @@ class _Recording:
 
     def remarks(self, learnt: dict[str, Resolution]) -> list[str]:
         """Return what was inferred, changed and left out, as sentences."""
-        alike: dict[str, list[str]] = {}
+        names_by_remark: dict[str, list[str]] = {}
         of_codes = {sensor.name for sensor in self._map.sensor if not sensor.is_physical}
         for name, resolution in learnt.items():
             unit, bits = self._headers[name].unit, resolution.bits
             if name in of_codes and bits == 16:
                 continue
-            how = "as the map says" if name in of_codes else "as the grid of its values says"
+            basis = "as the map says" if name in of_codes else "as the grid of its values says"
             if not resolution.is_exact:
-                how = f"assumed so that {bits} bits hold its values"
-                how += "; state both in the map if several files are of one array"
-            wide = f", stored without loss as counts of {bits} bits" if bits > 16 and resolution.is_exact else ""
-            said = f"{resolution.sensitivity:.9g} counts per {unit}, range {resolution.range:g} {unit}, {how}{wide}"
-            alike.setdefault(said, []).append(name)
-        remarks = [f"{listed(names)}: {said}" for said, names in alike.items()]
+                basis = f"assumed so that {bits} bits hold its values"
+                basis += "; state both in the map if several files are of one array"
+            width = f", stored without loss as counts of {bits} bits" if bits > 16 and resolution.is_exact else ""
+            remark = (
+                f"{resolution.sensitivity:.9g} counts per {unit}, range {resolution.range:g} {unit}, {basis}{width}"
+            )
+            names_by_remark.setdefault(remark, []).append(name)
+        remarks = [f"{listed(names)}: {remark}" for remark, names in names_by_remark.items()]
         return list(dict.fromkeys([*remarks, *self._changes()]))
 
 

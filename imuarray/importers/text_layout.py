@@ -50,20 +50,20 @@ class TextLayout:
 
     def lines(self) -> list[str]:
         """Return the lines of `[file]`."""
-        said = []
+        lines = []
         if self.delimiter != ",":
-            said.append(f"delimiter = {quoted(self.delimiter)}")
+            lines.append(f"delimiter = {quoted(self.delimiter)}")
         if self.decimal != ".":
-            said.append('decimal = ","')
+            lines.append('decimal = ","')
         if self.skip_rows:
-            said.append(f"skip_rows = {self.skip_rows}")
+            lines.append(f"skip_rows = {self.skip_rows}")
         if self.comment != "#":
-            said.append(f"comment = {quoted(self.comment)}")
+            lines.append(f"comment = {quoted(self.comment)}")
         if self.kind_column is not None:
-            said.append(f"kind_column = {self.kind_column}")
+            lines.append(f"kind_column = {self.kind_column}")
         if self.labels:
-            said.append("labels = true")
-        return ["[file]", *said, ""] if said else []
+            lines.append("labels = true")
+        return ["[file]", *lines, ""] if lines else []
 
 
 _Row = tuple[int, list[str]]

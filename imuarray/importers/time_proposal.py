@@ -49,21 +49,21 @@ def add_own_time(
     proposal: Proposal,
 ) -> None:
     """Add the time column of a sensor to its lines, if it is not that of the table, `time`, which may be a date."""
-    own = _own_time(names[first], names, columns, time[0]) if names else None
-    if own is None:
+    time_of_sensor = _own_time(names[first], names, columns, time[0]) if names else None
+    if time_of_sensor is None:
         return
-    label = column_label(names, own)
+    label = column_label(names, time_of_sensor)
     units = [
         _unit_of_time(unit_in(names[index]), columns[index][np.isfinite(columns[index])])[0]
-        for index in (own, time[0])
+        for index in (time_of_sensor, time[0])
         if index is not None and index not in time[1]
     ]
     if len(units) == 2 and units[0] == units[1]:
         item.append(f"time_column = {label}   # ? by its name")
     else:
-        whose = item[1].split('"')[1]
+        sensor = item[1].split('"')[1]
         proposal.doubts.append(
-            f"column {label} seems to be the time of {whose}; as time_column it needs the unit of [time]"
+            f"column {label} seems to be the time of {sensor}; as time_column it needs the unit of [time]"
         )
 
 
@@ -104,10 +104,10 @@ _OWN_PREFIX = 2
 
 def increases(values: Floats) -> bool:
     """Return whether values (n,) increase like time: all but a hundredth of the steps, as a counter may wrap."""
-    known = values[np.isfinite(values)]
-    if len(known) < _MOSTLY_KNOWN * len(values):
+    finite = values[np.isfinite(values)]
+    if len(finite) < _MOSTLY_KNOWN * len(values):
         return False
-    steps = np.diff(known)
+    steps = np.diff(finite)
     return len(steps) > 1 and float(np.mean(steps < 0)) < 1e-2 and steps.max() > 0
 
 
@@ -145,10 +145,10 @@ def time_lines(
         return lines + _restarts(values)
     is_number = names and (not name.strip() or INDEX.fullmatch(name.strip()))
     if said not in NS_PER_UNIT and is_number and (steps == 1).all():
-        what = f"column {name!r}" if name.strip() else f"the first column without a name, {index},"
+        label = f"column {name!r}" if name.strip() else f"the first column without a name, {index},"
         if proposal.layout.rate_hz is None:
             proposal.doubts.append(
-                f"{what} counts the rows and says nothing about time: 100 rows a second are assumed; enter the rate in"
+                f"{label} counts the rows and says nothing about time: 100 rows a second are assumed; enter the rate in"
                 " rate_hz"
             )
         return [rate_line(proposal)]

@@ -38,48 +38,48 @@ _SMOOTHED_ROWS = 5
 
 def triads_by_values(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:
     """Yield the triads that behave like gravity, and like the rates and fields of sensors beside them."""
-    kept = [index for index in free if not is_label(columns[index])]
+    candidates = [index for index in free if not is_label(columns[index])]
     forces: list[tuple[int, int, int]] = []
     runs: list[list[int]] = [[]]
-    at = 0
-    while at < len(kept):
-        if at + 4 <= len(kept) and _has_unit_length(columns, kept[at : at + 4]):
+    first = 0
+    while first < len(candidates):
+        if first + 4 <= len(candidates) and _has_unit_length(columns, candidates[first : first + 4]):
             runs.append([])
-            at += 4
-        elif at + 3 <= len(kept) and is_steady_gravity(columns, kept[at : at + 3]):
-            forces.append((kept[at], kept[at + 1], kept[at + 2]))
+            first += 4
+        elif first + 3 <= len(candidates) and is_steady_gravity(columns, candidates[first : first + 3]):
+            forces.append((candidates[first], candidates[first + 1], candidates[first + 2]))
             runs.append([])
-            at += 3
+            first += 3
         else:
-            runs[-1].append(kept[at])
-            at += 1
+            runs[-1].append(candidates[first])
+            first += 1
     if not forces:
         return
     yield from (("specific_force", force) for force in forces)
-    others = [
-        (run[at], run[at + 1], run[at + 2])
+    rest = [
+        (run[first], run[first + 1], run[first + 2])
         for number, run in enumerate(runs)
-        for at in range(0 if number else len(run) % 3, len(run) - 2, 3)
+        for first in range(0 if number else len(run) % 3, len(run) - 2, 3)
     ]
-    rates = [triad for triad in others if any(_turns_gravity(columns, triad, force) for force in forces)]
+    rates = [triad for triad in rest if any(_turns_gravity(columns, triad, force) for force in forces)]
     if not rates:  # at rest, the first triad after a force is taken for a rate, and the second for a field
         firsts = {run[0] for run in runs[1:] if len(run) >= 3}
         seconds = {run[3] for run in runs[1:] if len(run) >= 6}
-        yield from (("angular_rate", triad) for triad in others if triad[0] in firsts)
-        yield from (("magnetic_field", triad) for triad in others if triad[0] in seconds)
+        yield from (("angular_rate", triad) for triad in rest if triad[0] in firsts)
+        yield from (("magnetic_field", triad) for triad in rest if triad[0] in seconds)
         return
     yield from (("angular_rate", triad) for triad in rates)
-    fields = (triad for triad in others if triad not in rates and keeps_its_length(columns, triad))
+    fields = (triad for triad in rest if triad not in rates and keeps_its_length(columns, triad))
     yield from (("magnetic_field", triad) for triad in fields)
 
 
 def is_label(values: Floats) -> bool:
     """Return whether a column is constant, mostly empty, or has few whole numbers, as labels of activities are."""
-    known = values[np.isfinite(values)]
-    if len(known) < _KNOWN_SHARE * len(values):
+    finite = values[np.isfinite(values)]
+    if len(finite) < _KNOWN_SHARE * len(values):
         return True
-    few = len(np.unique(known)) <= _MOST_LABELS and bool((known == np.rint(known)).all())
-    return float(np.ptp(known)) == 0 or (few and float(np.mean(np.diff(known) == 0)) > 1 - _KNOWN_SHARE)
+    is_discrete = len(np.unique(finite)) <= _MOST_LABELS and bool((finite == np.rint(finite)).all())
+    return float(np.ptp(finite)) == 0 or (is_discrete and float(np.mean(np.diff(finite) == 0)) > 1 - _KNOWN_SHARE)
 
 
 def _lengths(columns: Sequence[Floats], indices: Sequence[int]) -> Floats:
@@ -106,11 +106,11 @@ def is_steady_gravity(columns: Sequence[Floats], indices: Sequence[int]) -> bool
 def _turns_gravity(columns: Sequence[Floats], rate: tuple[int, int, int], force: tuple[int, int, int]) -> bool:
     """Return whether gravity turns as a rate says, df/dt = -omega x f, in any unit of both."""
     w, f = (np.stack([columns[index] for index in triad], axis=1) for triad in (rate, force))
-    known = np.isfinite(w).all(axis=1) & np.isfinite(f).all(axis=1)
+    finite = np.isfinite(w).all(axis=1) & np.isfinite(f).all(axis=1)
     kernel = np.ones(_SMOOTHED_ROWS) / _SMOOTHED_ROWS
-    if known.sum() < 10 * _SMOOTHED_ROWS:
+    if finite.sum() < 10 * _SMOOTHED_ROWS:
         return False
-    w, f = (np.stack([np.convolve(axis, kernel, "valid") for axis in values[known].T], axis=1) for values in (w, f))
+    w, f = (np.stack([np.convolve(axis, kernel, "valid") for axis in values[finite].T], axis=1) for values in (w, f))
     change = (f[2 * _SMOOTHED_ROWS :] - f[: -2 * _SMOOTHED_ROWS]).ravel()
     middle = slice(_SMOOTHED_ROWS, -_SMOOTHED_ROWS)
     turned = -np.cross(w[middle], f[middle]).ravel()
