@@ -118,49 +118,49 @@ def compare_calibrations(calibrations: Mapping[str, Calibration]) -> Calibration
     for name, each in shared.items():
         _refuse_two(name, names, each)
     changes = [change for name, each in shared.items() for change in _changes(name, each)]
-    allowed = holm([change.p_value for change in changes])
+    limits = holm([change.p_value for change in changes])
     biases = {name: _biases(each) for name, each in shared.items() if len(_biases(each)) == len(files)}
     return CalibrationComparison(
         names,
-        tuple(replace(change, p_value=float(p)) for change, p in zip(changes, allowed, strict=True)),
+        tuple(replace(change, p_value=float(p)) for change, p in zip(changes, limits, strict=True)),
         tuple(_common(shared, biases)),
         tuple(_opposed(shared, biases)),
     )
 
 
-def _refuse_two(name: str, names: Sequence[str], each: Mapping[int, SensorCalibration]) -> None:
+def _refuse_two(name: str, names: Sequence[str], calibrations: Mapping[int, SensorCalibration]) -> None:
     """Raise CalibrationError if calibrations of two different sensors have the same name."""
-    (first, item), *others = each.items()
+    (first, calibration), *others = calibrations.items()
     for number, other in others:
-        for what in ("quantity", "unit", "chip", "range"):
-            mine, its = getattr(item, what), getattr(other, what)
-            if None not in (mine, its) and mine != its:
+        for key in ("quantity", "unit", "chip", "range"):
+            value, other_value = getattr(calibration, key), getattr(other, key)
+            if None not in (value, other_value) and value != other_value:
                 raise CalibrationError(
-                    f"sensor {name}: {what} {mine} in {names[first]}, {its} in {names[number]}: two sensors"
+                    f"sensor {name}: {key} {value} in {names[first]}, {other_value} in {names[number]}: two sensors"
                     " with the same name"
                 )
 
 
-def _changes(name: str, each: Mapping[int, SensorCalibration]) -> Iterator[Change]:
+def _changes(name: str, calibrations: Mapping[int, SensorCalibration]) -> Iterator[Change]:
     """Yield every figure that at least two calibrations measured; its probability is not yet corrected for the
     others.
     """
-    temperature = _temperature(each)
+    temperature = _temperature(calibrations)
     rows: dict[tuple[str, str, str], dict[int, tuple[float, float]]] = {}
-    for number, sensor in each.items():
+    for number, sensor in calibrations.items():
         for axis, figure, unit, value, sem in _figures(sensor, temperature):
             if np.isfinite(value) and np.isfinite(sem) and sem > 0:
                 rows.setdefault((axis, figure, unit), {})[number] = value, sem
-    for (axis, figure, unit), known in rows.items():
-        if len(known) < 2:
+    for (axis, figure, unit), entries in rows.items():
+        if len(entries) < 2:
             continue
-        numbers = tuple(known)
-        values, sems = np.array(list(known.values())).T
+        numbers = tuple(entries)
+        values, sems = np.array(list(entries.values())).T
         weights = sems**-2
         mean = float(np.sum(weights * values) / weights.sum())
         chi_squared = float(np.sum(weights * (values - mean) ** 2))
-        apart = np.abs(values[:, None] - values) / np.hypot(sems[:, None], sems)
-        first, last = sorted(np.unravel_index(int(apart.argmax()), apart.shape))
+        sigmas = np.abs(values[:, None] - values) / np.hypot(sems[:, None], sems)
+        first, last = sorted(np.unravel_index(int(sigmas.argmax()), sigmas.shape))
         yield Change(
             name,
             axis,
@@ -173,17 +173,17 @@ def _changes(name: str, each: Mapping[int, SensorCalibration]) -> Iterator[Chang
             numbers[first],
             numbers[last],
             float(values[last] - values[first]),
-            float(apart[first, last]),
+            float(sigmas[first, last]),
         )
 
 
-def _temperature(each: Mapping[int, SensorCalibration]) -> float | None:
+def _temperature(calibrations: Mapping[int, SensorCalibration]) -> float | None:
     """Return the temperature at which biases are compared: the mean temperature of the measurements, if all state
     one.
     """
-    known = [sensor.temperature_degc for sensor in each.values() if sensor.bias_sem_lsb is not None]
-    temperatures = [degc for degc in known if degc is not None]
-    return float(np.mean(temperatures)) if temperatures and len(temperatures) == len(known) else None
+    of_biased = [sensor.temperature_degc for sensor in calibrations.values() if sensor.bias_sem_lsb is not None]
+    temperatures = [degc for degc in of_biased if degc is not None]
+    return float(np.mean(temperatures)) if temperatures and len(temperatures) == len(of_biased) else None
 
 
 def _figures(sensor: SensorCalibration, degc: float | None) -> Iterator[tuple[str, str, str, float, float]]:
@@ -195,8 +195,8 @@ def _figures(sensor: SensorCalibration, degc: float | None) -> Iterator[tuple[st
             yield letter, "bias", unit, float(bias[axis] / scale[axis]), float(sensor.bias_sem_lsb[axis] / scale[axis])
         covariance = sensor.response_covariance()
         if covariance is not None:
-            row, own = sensor.directions_box[axis], covariance[3 * axis : 3 * axis + 3, 3 * axis : 3 * axis + 3]
-            yield letter, "scale factor", f"LSB/{unit}", float(scale[axis]), float(np.sqrt(row @ own @ row))
+            row, block = sensor.directions_box[axis], covariance[3 * axis : 3 * axis + 3, 3 * axis : 3 * axis + 3]
+            yield letter, "scale factor", f"LSB/{unit}", float(scale[axis]), float(np.sqrt(row @ block @ row))
             for box in np.argsort(np.abs(row))[:2]:
                 across = np.eye(3)[box] - row[box] * row
                 lean = float(np.degrees(row[box]))
@@ -205,7 +205,7 @@ def _figures(sensor: SensorCalibration, degc: float | None) -> Iterator[tuple[st
                     f"lean to {'XYZ'[box]}",
                     "deg",
                     lean,
-                    float(np.degrees(np.sqrt(across @ own @ across) / scale[axis])),
+                    float(np.degrees(np.sqrt(across @ block @ across) / scale[axis])),
                 )
         if sensor.noise_lsb is not None and sensor.noise_sem_lsb is not None:
             noise, sem = sensor.noise_lsb[axis] / scale[axis], sensor.noise_sem_lsb[axis] / scale[axis]
@@ -215,11 +215,11 @@ def _figures(sensor: SensorCalibration, degc: float | None) -> Iterator[tuple[st
             yield letter, "slope", f"{unit}/degC", float(slope / scale[axis]), float(sem / scale[axis])
 
 
-def _biases(each: Mapping[int, SensorCalibration]) -> Floats:
+def _biases(calibrations: Mapping[int, SensorCalibration]) -> Floats:
     """Return the biases (n, 3) less their mean, in the sensor's unit, from the calibrations that measured them."""
-    degc = _temperature(each)
-    known = [sensor for sensor in each.values() if sensor.bias_sem_lsb is not None]
-    rows = [(s.bias_lsb if degc is None else s.bias_at(degc)) / s.scale_lsb_per_unit for s in known]
+    degc = _temperature(calibrations)
+    sensors = [sensor for sensor in calibrations.values() if sensor.bias_sem_lsb is not None]
+    rows = [(s.bias_lsb if degc is None else s.bias_at(degc)) / s.scale_lsb_per_unit for s in sensors]
     values = np.array(rows).reshape(-1, 3)
     return np.asarray(values - values.mean(axis=0)) if len(values) else values
 
@@ -229,7 +229,7 @@ def _designs(shared: Mapping[str, Mapping[int, SensorCalibration]], names: Seque
     designs: dict[str, list[str]] = {}
     for name in names:
         sensor = next(iter(shared[name].values()))
-        chip = next((each.chip for each in shared[name].values() if each.chip), "")
+        chip = next((calibration.chip for calibration in shared[name].values() if calibration.chip), "")
         designs.setdefault(f"{chip} {sensor.quantity.replace('_', ' ')}".strip(), []).append(name)
     return designs
 
@@ -245,16 +245,18 @@ def _common(
             changes = np.array([biases[name][:, axis] for name in names])  # (u, n), rows of zero mean
             units, freedom = len(changes), changes.shape[1] - 1
             common = changes.mean(axis=0)
-            between = units * float(np.sum(common**2)) / freedom
+            between_units = units * float(np.sum(common**2)) / freedom
             rest = float(np.sum((changes - common) ** 2)) / ((units - 1) * freedom)
             yield CommonChange(
                 chip,
                 letter,
                 unit,
                 tuple(names),
-                float(np.sqrt(max(between - rest, 0.0) / units)),
+                float(np.sqrt(max(between_units - rest, 0.0) / units)),
                 float(np.sqrt(rest)),
-                float(fdtrc(freedom, (units - 1) * freedom, between / rest)) if rest > 0 else float(between == 0),
+                float(fdtrc(freedom, (units - 1) * freedom, between_units / rest))
+                if rest > 0
+                else float(between_units == 0),
             )
 
 
@@ -268,18 +270,18 @@ def _opposed(
             for other in axes[place + 1 :]:
                 if item[0] == other[0] or float(rows[item] @ rows[other]) > _OPPOSITE:
                     continue
-                mine, its = biases[item[0]][:, item[1]], biases[other[0]][:, other[1]]
-                freedom = len(mine) - 1
-                size = float(np.sqrt(np.sum(mine**2) * np.sum(its**2)))
-                correlation = float(np.sum(mine * its)) / size if size > 0 else float("nan")
+                first_bias, other_bias = biases[item[0]][:, item[1]], biases[other[0]][:, other[1]]
+                freedom = len(first_bias) - 1
+                size = float(np.sqrt(np.sum(first_bias**2) * np.sum(other_bias**2)))
+                correlation = float(np.sum(first_bias * other_bias)) / size if size > 0 else float("nan")
                 yield OpposedChange(
                     chip,
                     f"{item[0]} {'xyz'[item[1]]}",
                     f"{other[0]} {'xyz'[other[1]]}",
                     "XYZ"[int(np.abs(rows[item]).argmax())],
                     next(iter(shared[item[0]].values())).unit,
-                    float(np.sqrt((np.sum(mine**2) + np.sum(its**2)) / 2 / freedom)),
-                    float(np.sqrt(np.sum(((mine - its) / 2) ** 2) / freedom)),
+                    float(np.sqrt((np.sum(first_bias**2) + np.sum(other_bias**2)) / 2 / freedom)),
+                    float(np.sqrt(np.sum(((first_bias - other_bias) / 2) ** 2) / freedom)),
                     correlation,
                     _chance_of_correlation(correlation, freedom),
                 )

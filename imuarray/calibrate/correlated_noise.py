@@ -71,12 +71,12 @@ def products(columns: Floats, gaps_s: Floats, noise: CorrelatedNoise) -> tuple[F
     """
     from scipy.linalg.lapack import dpttrf, dpttrs  # slow to import
 
-    kept = np.exp(-gaps_s / noise.correlation_s)
+    decay = np.exp(-gaps_s / noise.correlation_s)
     steps = columns.copy()
-    steps[1:] -= kept[:, None] * columns[:-1]
-    diagonal = np.concatenate([[1.0], (1 - noise.white) * (1 - kept**2) + noise.white * (1 + kept**2)])
-    diagonal, below, _ = dpttrf(diagonal, -noise.white * kept)
-    solved, _ = dpttrs(diagonal, below, steps)
+    steps[1:] -= decay[:, None] * columns[:-1]
+    diagonal = np.concatenate([[1.0], (1 - noise.white) * (1 - decay**2) + noise.white * (1 + decay**2)])
+    diagonal, subdiagonal, _ = dpttrf(diagonal, -noise.white * decay)
+    solved, _ = dpttrs(diagonal, subdiagonal, steps)
     return np.asarray(steps.T @ solved), float(np.log(diagonal).sum())
 
 
@@ -166,7 +166,7 @@ def mean_of_series(values: Floats, gaps_s: Floats, starts: npt.NDArray[np.int64]
 
     def fit(noises: Sequence[CorrelatedNoise]) -> Regression:
         sums = [products(columns, gaps_s, noise) for noise in noises]
-        return regress(np.array([each for each, _ in sums]), np.array([each for _, each in sums]), len(values))
+        return regress(np.array([total for total, _ in sums]), np.array([total for _, total in sums]), len(values))
 
     noises = likely_noises(lambda grid: fit(grid).restricted, step / 2, 2 * step * float(lengths.max()))
     fitted = fit(noises)

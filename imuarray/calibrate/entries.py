@@ -80,9 +80,9 @@ def _plain(value: object) -> object:
 
 def read_table(entry: object, where: EntryPlace, kind: type[T], readers: Mapping[str, Reader]) -> T:
     """Read a `kind` from a table; CalibrationError names a key that is missing, unknown or has an invalid value."""
-    wanted = [item.name for item in fields(kind) if item.default is MISSING and item.default_factory is MISSING]  # type: ignore[arg-type]
-    if not isinstance(entry, dict) or not set(wanted) <= set(entry):
-        raise CalibrationError(f"{where}: a table is required with {', '.join(wanted)}")
+    required = [item.name for item in fields(kind) if item.default is MISSING and item.default_factory is MISSING]  # type: ignore[arg-type]
+    if not isinstance(entry, dict) or not set(required) <= set(entry):
+        raise CalibrationError(f"{where}: a table is required with {', '.join(required)}")
     if unknown := set(entry) - set(readers):
         place = where.key(sorted(unknown)[0])
         raise CalibrationError(f"{place}: unknown key; allowed are {', '.join(sorted(readers))}")

@@ -61,14 +61,14 @@ def check_labels(readings: PoseReadings, up_box: Floats) -> None:
         if turn is None:
             raise CalibrationError(_label_error(readings, force, up_box, wrong, majority))
         raise CalibrationError(_axes_error(readings.sensors[0], turn) + _exchanged_labels(readings, wrong, turn))
-    for sensor, own in zip(readings.sensors, measured, strict=True):
-        for face in np.flatnonzero(own != labels):
-            turn = _common_rotation(labels, own)
+    for sensor, face_labels in zip(readings.sensors, measured, strict=True):
+        for face in np.flatnonzero(face_labels != labels):
+            turn = _common_rotation(labels, face_labels)
             if turn is not None:
                 raise CalibrationError(_axes_error(sensor, turn))
             raise CalibrationError(
                 f"{readings.poses[face].where(sensor)}: phase {readings.poses[face].label!r}: it measured"
-                f" {UP_AXES[own[face]]} up, most accelerometers {UP_AXES[majority[face]]}"
+                f" {UP_AXES[face_labels[face]]} up, most accelerometers {UP_AXES[majority[face]]}"
             )
 
 
@@ -89,12 +89,12 @@ def _common_rotation(labels: Indices, measured: Indices) -> Floats | None:
 
 
 def _label_error(readings: PoseReadings, force: Floats, up_box: Floats, wrong: Indices, majority: Indices) -> str:
-    off = np.median(np.linalg.norm(force - up_box, axis=2), axis=0)
+    error_g = np.median(np.linalg.norm(force - up_box, axis=2), axis=0)
     first = readings.sensors[0]
     wheres = [readings.poses[face].where(first) for face in wrong]
     names = [
-        f"{'' if where == wheres[0] else where + ': '}phase {readings.poses[face].label!r} is {off[face]:.2f} g off the"
-        f" other faces: {UP_AXES[majority[face]]} points up in it"
+        f"{'' if where == wheres[0] else where + ': '}phase {readings.poses[face].label!r} is {error_g[face]:.2f} g off"
+        f" the other faces: {UP_AXES[majority[face]]} points up in it"
         for where, face in zip(wheres, wrong, strict=True)
     ]
     return f"{wheres[0]}: {'; '.join(names)}; mislabelled"
@@ -111,9 +111,9 @@ def _axes_error(sensor: SensorLog, turn: Floats) -> str:
 def _exchanged_labels(readings: PoseReadings, wrong: Sequence[int] | Indices, turn: Floats) -> str:
     """Return the other explanation: exchanged labels."""
     faces = " and ".join(repr(readings.poses[face].label) for face in wrong)
-    whose = f", as do all {len(readings.sensors)} accelerometers" if len(readings.sensors) > 1 else ""
+    of_all = f", as do all {len(readings.sensors)} accelerometers" if len(readings.sensors) > 1 else ""
     chip = ", and no chip is mirrored" if np.linalg.det(turn) < 0 else ""
-    return f"{whose}; or the labels of {faces} are exchanged{chip}"
+    return f"{of_all}; or the labels of {faces} are exchanged{chip}"
 
 
 _ALL_FACES = "z_up, x_up, y_up, x_down, y_down, z_down are required"
@@ -149,20 +149,20 @@ def select_faces(accelerometers: Sequence[SensorLog], poses: Sequence[Pose]) -> 
     if place is not None:
         bad[place[0]] = place[1]
     left_out = tuple(outlier_of(poses[place], reason) for place, reason in sorted(bad.items()))
-    kept = [pose for place, pose in enumerate(poses) if place not in bad]
-    fitted = tuple(pose for pose in kept if not pose.is_check)
+    sound = [pose for place, pose in enumerate(poses) if place not in bad]
+    fitted = tuple(pose for pose in sound if not pose.is_check)
     _refuse_too_few(first, fitted, left_out)
-    return Faces(fitted, tuple(pose for pose in kept if pose.is_check), left_out)
+    return Faces(fitted, tuple(pose for pose in sound if pose.is_check), left_out)
 
 
 def _refuse_too_few(sensor: SensorLog, faces: Sequence[Pose], left_out: Sequence[Outlier]) -> None:
     """Raise CalibrationError for faces that do not determine a bias and a response."""
     if not determine_response(faces):
         names = ", ".join(pose.label for pose in faces) or "none"
-        why = "".join(f"; phase {each.phase!r}: {each.reason}" for each in left_out)
+        reasons = "".join(f"; phase {each.phase!r}: {each.reason}" for each in left_out)
         logs = list(dict.fromkeys(str(pose.log.path) for pose in faces if pose.log is not None))
         where = sensor.where if len(logs) < 2 else f"{', '.join(logs)}: sensor {sensor.name}"
-        raise CalibrationError(f"{where}: faces {names}: too few; {_ALL_FACES}{why}")
+        raise CalibrationError(f"{where}: faces {names}: too few; {_ALL_FACES}{reasons}")
 
 
 def determine_response(faces: Sequence[Pose]) -> bool:
@@ -252,12 +252,12 @@ def gyroscope_of(sensor: SensorLog, fit: TriadFit, readings: Sequence[Pose]) -> 
     """Return a gyroscope's calibration: the bias is the mean over all readings as in the paper's Table 4, the
     g-sensitivity half differences.
     """
-    everything = read_poses([sensor], readings)
-    variance = everything.variance_lsb2[0].sum(axis=0) / len(readings) ** 2
+    all_readings = read_poses([sensor], readings)
+    variance = all_readings.variance_lsb2[0].sum(axis=0) / len(readings) ** 2
     variance = variance + fit.repeatability_lsb**2 / len(readings)
     return replace(
         nominal(sensor),
-        bias_lsb=everything.mean_lsb[0].mean(axis=0),
+        bias_lsb=all_readings.mean_lsb[0].mean(axis=0),
         bias_sem_lsb=np.sqrt(variance),
         bias_covariance_lsb2=np.diag(variance),
         g_sensitivity_lsb_per_g=fit.coefficients[:, :3],
@@ -273,9 +273,9 @@ def leave_one_out_residual(sensor: SensorLog, faces: Sequence[Pose]) -> Floats:
     design = np.column_stack([np.array([pose.up_box for pose in faces], float), np.ones(len(faces))])
     residual = np.full(len(faces), np.nan)
     for face in range(len(faces)):
-        others = np.arange(len(faces)) != face
-        if np.linalg.matrix_rank(design[others]) == design.shape[1]:
-            line = np.linalg.lstsq(design[others], mean[others], rcond=None)[0]
+        is_other = np.arange(len(faces)) != face
+        if np.linalg.matrix_rank(design[is_other]) == design.shape[1]:
+            line = np.linalg.lstsq(design[is_other], mean[is_other], rcond=None)[0]
             residual[face] = np.linalg.norm(np.linalg.solve(line[:3].T, mean[face] - line[3])) - 1
     return residual
 
@@ -285,8 +285,8 @@ def face_drift(sensor: SensorLog, faces: Sequence[Pose], checks: Sequence[Pose])
     for check in checks:
         first = next((pose for pose in faces if pose.up_box == check.up_box), None)
         if first is not None:
-            both = read_poses([sensor], [first, check]).mean_lsb[0]
-            return np.asarray(both[0] - both[1])
+            means = read_poses([sensor], [first, check]).mean_lsb[0]
+            return np.asarray(means[0] - means[1])
     return np.zeros(3)
 
 

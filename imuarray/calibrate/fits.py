@@ -94,7 +94,7 @@ def straight_lines(mean: Floats, variance: Floats, design: Floats) -> tuple[Tria
     if freedom < _ENOUGH:
         excess = np.full(3, excess.mean()) * beyond_noise(float(chi_squared.sum()), 3 * freedom)
     else:
-        excess = excess * [beyond_noise(float(each), freedom, 3) for each in chi_squared]
+        excess = excess * [beyond_noise(float(value), freedom, 3) for value in chi_squared]
     p = design.shape[1]
     covariance = np.zeros((3 * p, 3 * p))
     for axis in range(3):
@@ -169,7 +169,7 @@ def separated_poses(poses: Sequence[Pose]) -> dict[int, str]:
     if len(series) == 1 or 2 * len(main) <= len(poses):
         return {}
     reason = f"more than {longest_s:.0f} s passed between it and the {len(main)} poses that were recorded together"
-    return {int(index): reason for each in series if each is not main for index in each}
+    return {int(index): reason for run in series if run is not main for index in run}
 
 
 def moving_poses(readings: PoseReadings) -> dict[int, str]:

@@ -124,12 +124,12 @@ def solve(readings: Floats, weight: Floats, terms: Floats, up_box: Floats, itera
     """
     for _ in range(iterations):
         design = np.column_stack([up_box, terms])
-        own = np.linalg.pinv(np.einsum("kp,ak,kq->apq", design, weight, design), hermitian=True)
-        coefficients = np.einsum("apq,kq,ak->ap", own, design, weight * readings)
+        of_axes = np.linalg.pinv(np.einsum("kp,ak,kq->apq", design, weight, design), hermitian=True)
+        coefficients = np.einsum("apq,kq,ak->ap", of_axes, design, weight * readings)
         residual = readings - coefficients @ design.T
         tangents = _tangents(up_box)
         slopes = np.einsum("ap,kpi->aki", coefficients[:, :3], tangents)
-        shared, reduced = _reduced(design, weight, slopes, own)
+        shared, reduced = _reduced(design, weight, slopes, of_axes)
         values, vectors = np.linalg.eigh(reduced)
         inverse = (vectors[:, _FREE:] / np.maximum(values[_FREE:], 1e-300)) @ vectors[:, _FREE:].T
         step = inverse @ np.einsum("aki,ak->ki", slopes, weight * residual).ravel()
@@ -138,7 +138,7 @@ def solve(readings: Floats, weight: Floats, terms: Floats, up_box: Floats, itera
             break
         up_box = up_box + np.einsum("kpi,ki->kp", tangents, np.clip(step, -0.2, 0.2).reshape(-1, 2))
         up_box = up_box / np.linalg.norm(up_box, axis=1, keepdims=True)
-    return Bundle(coefficients, up_box, residual, weight, design, own, shared, inverse, tangents, stiffness)
+    return Bundle(coefficients, up_box, residual, weight, design, of_axes, shared, inverse, tangents, stiffness)
 
 
 def _tangents(up: Floats) -> Floats:
@@ -265,8 +265,10 @@ def insufficient_poses(sensor: SensorLog, means: Floats | None = None) -> str:
     if means is not None:
         directions = means / np.linalg.norm(means, axis=1, keepdims=True)
         face = np.argmax(np.abs(directions), axis=1)
-        along = np.take_along_axis(directions, face[:, None], axis=1)[:, 0]
-        if (np.abs(along) > FACE_COSINE).all() and len(set(zip(face.tolist(), (along > 0).tolist(), strict=True))) == 6:
+        component = np.take_along_axis(directions, face[:, None], axis=1)[:, 0]
+        if (np.abs(component) > FACE_COSINE).all() and len(
+            set(zip(face.tolist(), (component > 0).tolist(), strict=True))
+        ) == 6:
             return (
                 f"{sensor.where}: all poses lie on the six faces, which leaves the angles between the axes open; add"
                 " poses on edges and corners, or name the faces (imuarray log --phase z_up, [[phase]] in an import's"
@@ -283,7 +285,7 @@ def _common(directions: Sequence[Floats]) -> Floats:
 
     common = np.asarray(directions[0])
     for _ in range(3):
-        aligned = [Rotation.align_vectors(common.T, own.T)[0].as_matrix() @ own for own in directions]
+        aligned = [Rotation.align_vectors(common.T, direction.T)[0].as_matrix() @ direction for direction in directions]
         common = np.mean(aligned, axis=0)
         common /= np.linalg.norm(common, axis=0)
     return common
@@ -349,24 +351,24 @@ def fit_gravity(
     return fit_readings(read_poses(sensors, poses), progress)
 
 
-def fit_readings(everything: PoseReadings, progress: Callable[[int], None] = lambda done: None) -> GravityFit:
+def fit_readings(all_readings: PoseReadings, progress: Callable[[int], None] = lambda done: None) -> GravityFit:
     """`fit_gravity` from readings instead of logs."""
-    sensors, poses = everything.sensors, everything.poses
-    others = separated_poses(poses) if everything.one_run else {}
-    reasons = {**(others if len(poses) - len(others) >= MIN_POSES else {}), **moving_poses(everything)}
+    sensors, poses = all_readings.sensors, all_readings.poses
+    separated = separated_poses(poses) if all_readings.one_run else {}
+    reasons = {**(separated if len(poses) - len(separated) >= MIN_POSES else {}), **moving_poses(all_readings)}
     bad = {place: outlier_of(poses[place], reason) for place, reason in reasons.items()}
     while True:
-        kept = [place for place in range(len(poses)) if place not in bad]
+        sound = [place for place in range(len(poses)) if place not in bad]
         left_out = [bad[place] for place in sorted(bad)]
-        _refuse_few(sensors[0], len(kept), left_out)
-        joint = _fit_jointly(everything.only(kept))
+        _refuse_few(sensors[0], len(sound), left_out)
+        joint = _fit_jointly(all_readings.only(sound))
         held_out, chances = _leave_one_out(joint, progress)
         off_g = np.median(np.abs(held_out - 1), axis=0)
         outlier = find_outlier(chances, np.nan_to_num(off_g), LARGEST_ERROR_G)
         if outlier is None:
             return _result(joint, held_out, left_out)
         reason = f"{1e3 * off_g[outlier]:.1f} mg from one g by the calibration of the other poses: not at rest"
-        bad[kept[outlier]] = outlier_of(poses[kept[outlier]], reason)
+        bad[sound[outlier]] = outlier_of(poses[sound[outlier]], reason)
 
 
 def fit_weighted(readings: PoseReadings, variance_g2: Floats, left_out: Sequence[Outlier] = ()) -> GravityFit:
@@ -387,9 +389,9 @@ def fit_weighted(readings: PoseReadings, variance_g2: Floats, left_out: Sequence
 
 def _refuse_few(sensor: SensorLog, count: int, left_out: Sequence[Outlier]) -> None:
     if count < MIN_POSES:
-        why = "".join(f"; {each.phase}: {each.reason}" for each in left_out)
+        reasons = "".join(f"; {pose.phase}: {pose.reason}" for pose in left_out)
         sound = "static" if not left_out else "undisturbed"
-        raise CalibrationError(f"{sensor.where}: {count} {sound} poses, at least {MIN_POSES} are required{why}")
+        raise CalibrationError(f"{sensor.where}: {count} {sound} poses, at least {MIN_POSES} are required{reasons}")
 
 
 @dataclass(frozen=True)
@@ -419,13 +421,13 @@ def _fit_jointly(readings: PoseReadings) -> _JointFit:
     beyond = np.zeros(len(values))
     chi_squared, freedom = _chi_squared(bundle)
     for _ in range(10):
-        squares, own = _chi_squared(bundle)
-        fits = np.abs(squares - own) < 0.05 * own
-        more = [beyond_noise(each, free, len(own)) for each, free in zip(squares, own, strict=True)]
-        change = (np.array(more) | (beyond > 0)) & ~fits & (own > 0.5)
+        squares, freedoms = _chi_squared(bundle)
+        fits = np.abs(squares - freedoms) < 0.05 * freedoms
+        factors = [beyond_noise(square, free, len(freedoms)) for square, free in zip(squares, freedoms, strict=True)]
+        change = (np.array(factors) | (beyond > 0)) & ~fits & (freedoms > 0.5)
         if not change.any():
             break
-        total = (1 / bundle.weight).mean(axis=1) * squares / np.maximum(own, 0.5)
+        total = (1 / bundle.weight).mean(axis=1) * squares / np.maximum(freedoms, 0.5)
         beyond = np.where(change, np.maximum(total - noise.mean(axis=1), 0.0), beyond)
         bundle = solve(values, 1 / (noise + beyond[:, None]), terms, bundle.up_box)
     return _JointFit(readings, values, bundle.weight, terms, bundle, np.sqrt(beyond), chi_squared, freedom)
@@ -451,12 +453,12 @@ def _fit_drift(readings: PoseReadings, values: Floats, noise: Floats, up_box: Fl
     powers = readings.powers_of_time(_MOST_DRIFT)
     terms = powers[:, :1]
     best = solve(values, 1 / noise, terms, up_box)
-    for more in range(2, powers.shape[1] + 1):
-        tried = solve(values, 1 / noise, powers[:, :more], best.up_box)
-        chance = misfit_probability(best.chi_squared, tried.chi_squared, len(values), tried.freedom)
-        if tried.freedom <= 0 or not tried.is_linear or chance > DRIFTS:
+    for count in range(2, powers.shape[1] + 1):
+        trial = solve(values, 1 / noise, powers[:, :count], best.up_box)
+        chance = misfit_probability(best.chi_squared, trial.chi_squared, len(values), trial.freedom)
+        if trial.freedom <= 0 or not trial.is_linear or chance > DRIFTS:
             break
-        terms, best = powers[:, :more], tried
+        terms, best = powers[:, :count], trial
     return terms, best
 
 
@@ -471,12 +473,12 @@ def _leave_one_out(joint: _JointFit, progress: Callable[[int], None]) -> tuple[F
         return lengths, chances
     for pose in range(poses):
         others = np.delete(np.arange(poses), pose)
-        without = solve(
+        fit = solve(
             joint.values[:, others], joint.weight[:, others], joint.terms[others], joint.bundle.up_box[others], 2
         )
-        if without.stiffness > _SOFTEST:
-            lengths[:, pose] = _lengths(without.coefficients, joint.values[:, [pose]], joint.terms[[pose]])[:, 0]
-            squares, fewer = joint.bundle.chi_squared, without.chi_squared
+        if fit.stiffness > _SOFTEST:
+            lengths[:, pose] = _lengths(fit.coefficients, joint.values[:, [pose]], joint.terms[[pose]])[:, 0]
+            squares, fewer = joint.bundle.chi_squared, fit.chi_squared
             by_scatter = misfit_probability(squares, fewer, number, joint.bundle.freedom - number)
             chances[pose] = max(by_scatter, float(chdtrc(number, max(squares - fewer, 0.0))))
         progress(pose + 1)
@@ -509,12 +511,12 @@ def _result(joint: _JointFit, held_out: Floats, left_out: Sequence[Outlier]) -> 
         )
         for s in range(len(readings.sensors))
     ]
-    mine = np.tile(np.arange(p) < 4, axes)
+    is_response = np.tile(np.arange(p) < 4, axes)
     change = joint.terms[0] - joint.terms[-1]
     return GravityFit(
         calibrations=tuple(accelerometer_of(sensor, fit) for sensor, fit in zip(readings.sensors, fits, strict=True)),
         fits=tuple(fits),
-        covariance=covariance[np.ix_(mine, mine)],
+        covariance=covariance[np.ix_(is_response, is_response)],
         poses=readings.poses,
         up_box=boxed.up_box,
         up_covariance=boxed.up_covariance,

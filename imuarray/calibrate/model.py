@@ -231,8 +231,8 @@ class Calibration:
         that exist.
         """
         if name not in self.sensors:
-            known = ", ".join(self.sensors) or "no sensor"
-            raise CalibrationError(f"no calibration of {name!r}; there is {known}{guess(name, self.sensors)}")
+            names = ", ".join(self.sensors) or "no sensor"
+            raise CalibrationError(f"no calibration of {name!r}; there is {names}{guess(name, self.sensors)}")
         return self.sensors[name]
 
     def merged(self, other: Calibration) -> Calibration:
@@ -264,26 +264,26 @@ class Calibration:
         """Return the calibration of `sensor`, or the data sheet's values (no bias, the configured axes) if there is
         none. CalibrationError if the calibration does not fit the sensor.
         """
-        known = self.sensors.get(sensor.name)
-        if known is None:
+        stored = self.sensors.get(sensor.name)
+        if stored is None:
             return nominal(sensor)
-        if (known.quantity, known.unit) != (sensor.quantity, sensor.unit):
+        if (stored.quantity, stored.unit) != (sensor.quantity, sensor.unit):
             raise CalibrationError(
-                f"{sensor.where}: calibrated as {known.quantity} in {known.unit}, logged as {sensor.quantity}"
+                f"{sensor.where}: calibrated as {stored.quantity} in {stored.unit}, logged as {sensor.quantity}"
             )
-        if known.range not in (None, sensor.range):
+        if stored.range not in (None, sensor.range):
             raise CalibrationError(
-                f"{sensor.where}: calibrated at a range of {known.range:g} {known.unit}, logged at {sensor.range:g}"
+                f"{sensor.where}: calibrated at a range of {stored.range:g} {stored.unit}, logged at {sensor.range:g}"
             )
-        if known.chip not in (None, sensor.chip):
-            raise CalibrationError(f"{sensor.where}: calibrated as chip {known.chip}, logged as {sensor.chip}")
-        ratio = known.scale_lsb_per_unit / (sensor.sensitivity or np.nan)
+        if stored.chip not in (None, sensor.chip):
+            raise CalibrationError(f"{sensor.where}: calibrated as chip {stored.chip}, logged as {sensor.chip}")
+        ratio = stored.scale_lsb_per_unit / (sensor.sensitivity or np.nan)
         if (np.abs(np.log2(ratio)) > 1).any():  # no chip deviates by a factor of two, but another range does
             raise CalibrationError(
-                f"{sensor.where}: calibrated at {known.scale_lsb_per_unit[0]:.4g} counts per {known.unit}, logged at"
+                f"{sensor.where}: calibrated at {stored.scale_lsb_per_unit[0]:.4g} counts per {stored.unit}, logged at"
                 f" {sensor.sensitivity:.4g}: another range"
             )
-        return known
+        return stored
 
     def plot(self, group: str | None = None) -> Figure:
         """Plot the figures of one `group` ("bias", "noise", "thermal" or "turn_on"; None: the first of these that was
@@ -294,8 +294,8 @@ class Calibration:
         return calibration_figure(self, group)
 
     def __repr__(self) -> str:
-        known = (f"{sensor.name} ({', '.join(sensor.measured()) or 'nothing'})" for sensor in self.sensors.values())
-        return f"<Calibration of {len(self.sensors)} sensors: {'; '.join(known)}>"
+        sensors = (f"{sensor.name} ({', '.join(sensor.measured()) or 'nothing'})" for sensor in self.sensors.values())
+        return f"<Calibration of {len(self.sensors)} sensors: {'; '.join(sensors)}>"
 
     def to_pandas(self) -> Any:
         """Return a `pandas.DataFrame` with a row for each axis: bias, scatter of single readings and their unit (g, dps
@@ -378,13 +378,15 @@ def _merge(older: SensorCalibration, newer: SensorCalibration) -> SensorCalibrat
         raise CalibrationError(
             f"sensor {newer.name}: calibrated at a range of {older.range:g} {older.unit} before, at {newer.range:g} now"
         )
-    kept = {name: getattr(older, name) for group in GROUPS if group not in newer.measured() for name in GROUPS[group]}
-    if kept.get("temperature_degc") is None:
-        kept.pop("temperature_degc", None)
+    kept_fields = {
+        name: getattr(older, name) for group in GROUPS if group not in newer.measured() for name in GROUPS[group]
+    }
+    if kept_fields.get("temperature_degc") is None:
+        kept_fields.pop("temperature_degc", None)
     origins = {**older.provenance, **{group: newer.provenance.get(group) for group in newer.measured()}}
     return replace(
         newer,
-        **kept,
+        **kept_fields,
         range=older.range if newer.range is None else newer.range,
         chip=older.chip if newer.chip is None else newer.chip,
         provenance={group: origin for group, origin in origins.items() if origin is not None},
@@ -414,8 +416,8 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
         file = tomllib.loads(content)
     except (OSError, ValueError, RecursionError) as error:
         near = guess_file(path) if isinstance(error, FileNotFoundError) else ""
-        other = no_text(path) if isinstance(error, UnicodeDecodeError) else f"no calibration file: {error}"
-        raise CalibrationError(f"{path}: {getattr(error, 'strerror', None) or other}{near}") from None
+        message = no_text(path) if isinstance(error, UnicodeDecodeError) else f"no calibration file: {error}"
+        raise CalibrationError(f"{path}: {getattr(error, 'strerror', None) or message}{near}") from None
     head = file.get("calibration")
     version = head.get("format_version") if isinstance(head, dict) else None
     if version != FORMAT_VERSION or not isinstance(head, dict):
@@ -436,8 +438,8 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
 def _from_table(entry: object, where: EntryPlace) -> SensorCalibration:
     sensor = read_table(entry, where, SensorCalibration, _SENSOR)
     if _UNITS.get(sensor.quantity) != sensor.unit:
-        allowed = ", ".join(f"{quantity} in {unit}" for quantity, unit in _UNITS.items())
-        raise CalibrationError(f"{where.key('unit')}: {sensor.quantity!r} in {sensor.unit!r}; allowed are {allowed}")
+        choices = ", ".join(f"{quantity} in {unit}" for quantity, unit in _UNITS.items())
+        raise CalibrationError(f"{where.key('unit')}: {sensor.quantity!r} in {sensor.unit!r}; allowed are {choices}")
     if not np.linalg.cond(sensor.response_lsb_per_unit) < 1e3:
         raise CalibrationError(f"{where.key('response_lsb_per_unit')}: can't be inverted")
     return sensor

@@ -68,13 +68,13 @@ class Knock(NamedTuple):
 
 def find_knocks(windows: RestWindows) -> list[Knock]:
     """Return the disturbances between rests in these windows, in order of time."""
-    read = windows.read
-    if not len(read):
+    read_windows = windows.read
+    if not len(read_windows):
         return []
-    still = windows.still[read]
+    still = windows.still[read_windows]
     edges = np.flatnonzero(still[1:] != still[:-1]) + 1
-    least = MIN_POSE_S * 1e9 / windows.width_ns
-    rests = [run for run in np.split(read, edges) if windows.still[run[0]] and len(run) >= least]
+    min_windows = MIN_POSE_S * 1e9 / windows.width_ns
+    rests = [run for run in np.split(read_windows, edges) if windows.still[run[0]] and len(run) >= min_windows]
     if not rests:
         return []
     quiet = float(np.median(windows.spread[np.concatenate(rests)]))
@@ -97,9 +97,9 @@ def _knock(windows: RestWindows, before: Indices, after: Indices, quiet: float, 
     if end_ns - start_ns > BRIDGED_S * 1e9 or shift > same:
         return None
     inside = windows.spread[first:last]
-    most = float(inside[np.isfinite(inside)].max(initial=0.0))
+    peak = float(inside[np.isfinite(inside)].max(initial=0.0))
     moved = shift > max(_SURE * error, _LEAST_SHARE * same)
-    return Knock(start_ns, end_ns, most > STRONG * quiet, shift if moved else 0.0)
+    return Knock(start_ns, end_ns, peak > STRONG * quiet, shift if moved else 0.0)
 
 
 def _error_of_means(mean: Floats, rests: Sequence[Indices]) -> float:
@@ -197,14 +197,14 @@ def motion_in(log: Log, start_ns: int, end_ns: int, left_out: Sequence[Phase] = 
             continue
         means, change = mean[used], np.maximum(scatter[used], 0.0)
         change[1:] = np.maximum(change[1:], np.abs(np.diff(means, axis=0)).max(axis=1))
-        off = np.abs(means - np.median(means, axis=0)).max(axis=1)
+        deviation = np.abs(means - np.median(means, axis=0)).max(axis=1)
         moving = change > STILL[quantity]
         if quantity == "specific_force":
-            moving |= off > TILTED_G
+            moving |= deviation > TILTED_G
         if moving.mean() > MOVING_SHARE:
             factor, unit = READABLE[sensors[0].unit]
-            most = float(np.maximum(off, change)[moving].max())
-            size = f"{factor * most:.3g} {unit}" if most < 1 else f"{most:.3g} {sensors[0].unit}"
+            peak = float(np.maximum(deviation, change)[moving].max())
+            size = f"{factor * peak:.3g} {unit}" if peak < 1 else f"{peak:.3g} {sensors[0].unit}"
             share = f"{100 * moving.mean():.0f} % of it"
             return f"the box moved in {share} or was in other poses (by up to {size}), but must rest"
     return ""
@@ -221,14 +221,14 @@ def refuse_other_poses(names: Sequence[str], forces_g: Floats) -> None:
     """Raise CalibrationError if the directions of two or more mean specific forces (r, 3), in one frame, differ from
     the median; a single one may be a sensor that started in a wrong state.
     """
-    known = np.isfinite(forces_g).all(axis=1)
+    finite = np.isfinite(forces_g).all(axis=1)
     lengths = np.linalg.norm(forces_g, axis=1, keepdims=True)
     directions = forces_g / np.where(lengths > 0, lengths, 1.0)
-    median = np.median(directions[known], axis=0) if known.any() else np.zeros(3)
+    median = np.median(directions[finite], axis=0) if finite.any() else np.zeros(3)
     size = float(np.linalg.norm(median))
     cosines = directions @ (median / size) if size > 0.1 else np.full(len(names), -1.0)
     degrees = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
-    elsewhere = np.flatnonzero(known & (degrees > TURNED_DEG))
+    elsewhere = np.flatnonzero(finite & (degrees > TURNED_DEG))
     if len(elsewhere) > 1:
         listed = ", ".join(names[place] for place in elsewhere[:5])
         raise CalibrationError(

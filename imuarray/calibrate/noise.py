@@ -145,8 +145,8 @@ class _Grid(NamedTuple):
         constant.
         """
         best = self.log_likelihood.max(axis=1)
-        others = best.sum(axis=1, keepdims=True) - best
-        return np.asarray(self.log_likelihood + others[:, None, :])
+        of_others = best.sum(axis=1, keepdims=True) - best
+        return np.asarray(self.log_likelihood + of_others[:, None, :])
 
 
 def _closer(values: Floats, profile: Floats) -> Floats:
@@ -205,10 +205,10 @@ def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) 
         ones += unit_innovation**2 / spread
         mixed += innovation * unit_innovation / spread
         logs += np.log(spread)
-        kept = np.exp(-step / times)
+        decay = np.exp(-step / times)
         gain = variance / spread
-        state, level = kept * (state + gain * innovation), kept * (level + gain * unit_innovation)
-        variance = kept**2 * variance * (1 - gain) + (1 - kept**2) * shared
+        state, level = decay * (state + gain * innovation), decay * (level + gain * unit_innovation)
+        variance = decay**2 * variance * (1 - gain) + (1 - decay**2) * shared
     return _LikelihoodSums(values, ones, mixed, logs)
 
 
@@ -303,8 +303,8 @@ def _windows(stretches: Stretches) -> Stretches:
         if length >= SEGMENT_ROWS:
             edges = np.linspace(rows.start, rows.stop, max(1, length // width) + 1).astype(int).tolist()
             cut += [(sensor, slice(first, last)) for first, last in pairwise(edges)]
-    chosen = np.unique(np.linspace(0, len(cut) - 1, min(_WINDOWS, len(cut))).round().astype(int))
-    return [cut[index] for index in chosen.tolist()]
+    indices = np.unique(np.linspace(0, len(cut) - 1, min(_WINDOWS, len(cut))).round().astype(int))
+    return [cut[index] for index in indices.tolist()]
 
 
 def _tracks(windows: Stretches, clock: ReadingInterval, false_alarm: float) -> Sequence[Sequence[tuple[_Track, int]]]:
@@ -428,10 +428,10 @@ class _PooledSquares:
 
     def add(self, part: SegmentReadings) -> None:
         """Add the readings of a block; blocks end at the end of a segment."""
-        begin = np.flatnonzero(np.diff(part.segment, prepend=-1))  # they are in order
-        number = np.diff(begin, append=len(part.segment))
-        means = np.add.reduceat(part.counts, begin, axis=0) / number[:, None]
-        squares = np.add.reduceat((part.counts - np.repeat(means, number, axis=0)) ** 2, begin, axis=0)
+        first_rows = np.flatnonzero(np.diff(part.segment, prepend=-1))  # they are in order
+        number = np.diff(first_rows, append=len(part.segment))
+        means = np.add.reduceat(part.counts, first_rows, axis=0) / number[:, None]
+        squares = np.add.reduceat((part.counts - np.repeat(means, number, axis=0)) ** 2, first_rows, axis=0)
         several = number > 1
         squares, freedom = squares[several], number[several] - 1
         self.freedom += int(freedom.sum())
@@ -452,9 +452,11 @@ class _PooledSquares:
         variance = self._squares / self.freedom
         if self._segments < _ENOUGH_SEGMENTS:
             return np.asarray(np.sqrt(variance / (2 * self.freedom)))
-        about = self._squares_squares - 2 * variance * self._mixed + variance**2 * self._freedom_squares
-        about = np.maximum(about, 0.0) * self._segments / (self._segments - 1)
-        return np.asarray(np.sqrt(about) / self.freedom / (2 * np.sqrt(np.where(variance > 0, variance, np.inf))))
+        squared_errors = self._squares_squares - 2 * variance * self._mixed + variance**2 * self._freedom_squares
+        squared_errors = np.maximum(squared_errors, 0.0) * self._segments / (self._segments - 1)
+        return np.asarray(
+            np.sqrt(squared_errors) / self.freedom / (2 * np.sqrt(np.where(variance > 0, variance, np.inf)))
+        )
 
 
 def _neighbours(products: Autocovariance) -> Floats | None:
@@ -512,10 +514,10 @@ def with_noise_of(
     """Return the calibration with the noise that the log shows at rest, for the sensors (only `names`, unless that is
     empty) whose noise it lacks. CalibrationError if the log shows none. `progress` is called as by `calibrate_noise`.
     """
-    known = {
+    calibrated = {
         sensor.name: calibration.or_nominal(sensor) for sensor in log.sensors.values() if sensor.quantity in INERTIAL
     }
-    lacking = [name for name, each in known.items() if each.noise_lsb is None and (not names or name in names)]
+    lacking = [name for name, each in calibrated.items() if each.noise_lsb is None and (not names or name in names)]
     if not lacking:
         return calibration
     measured = calibrate_noise(log, known=calibration, progress=progress)
@@ -552,11 +554,13 @@ def _drift(stretches: Sequence[tuple[Pose, SensorLog, slice]], thermal: Thermal 
     """Estimate the drift over the stretches; None if they are too short, or too many, to show any."""
     rows = sum(part.stop - part.start for _, _, part in stretches)
     segment = max(SEGMENT_ROWS // 2, -(-rows // MOST_SEGMENTS))  # the shortest time constant is two segments
-    long = [(pose, here, part) for pose, here, part in stretches if part.stop - part.start >= LEAST_SEGMENTS * segment]
+    long = [
+        (pose, series, part) for pose, series, part in stretches if part.stop - part.start >= LEAST_SEGMENTS * segment
+    ]
     if not long:
         return None
-    _, here, part = max(long, key=lambda entry: entry[2].stop - entry[2].start)
-    width_s = segment * _interval_s(here, part)
+    _, series, part = max(long, key=lambda entry: entry[2].stop - entry[2].start)
+    width_s = segment * _interval_s(series, part)
     return fit_drift([_means(pose, sensor, rows, width_s, thermal) for pose, sensor, rows in long], width_s)
 
 

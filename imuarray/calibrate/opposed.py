@@ -43,8 +43,8 @@ def cancellation(sensors: Sequence[SensorLog], calibration: Calibration) -> list
     """Evaluate the cancellation for every design (chip) and box axis of the inertial `sensors`."""
     biases: dict[tuple[str, str, str, int], dict[int, list[float]]] = {}
     for sensor in sensors:
-        known = calibration.or_nominal(sensor)
-        for direction, bias in zip(known.directions_box, known.bias_in_units(), strict=True):
+        calibration_of = calibration.or_nominal(sensor)
+        for direction, bias in zip(calibration_of.directions_box, calibration_of.bias_in_units(), strict=True):
             axis = int(np.abs(direction).argmax())
             sign = 1 if direction[axis] > 0 else -1
             ways = biases.setdefault((sensor.chip, sensor.quantity, sensor.unit, axis), {})
@@ -54,7 +54,7 @@ def cancellation(sensors: Sequence[SensorLog], calibration: Calibration) -> list
 
 def _row(chip: str, quantity: str, unit: str, axis: int, ways: Mapping[int, list[float]]) -> Cancellation:
     along, against = (float(np.mean(ways[sign])) if sign in ways else None for sign in (1, -1))
-    everything = [bias for way in ways.values() for bias in way]
+    biases = [bias for way in ways.values() for bias in way]
     return Cancellation(
         chip,
         quantity,
@@ -63,7 +63,7 @@ def _row(chip: str, quantity: str, unit: str, axis: int, ways: Mapping[int, list
         along,
         against,
         (along + against) / 2 if along is not None and against is not None else None,
-        float(np.sqrt(np.mean(np.square(everything)))),
+        float(np.sqrt(np.mean(np.square(biases)))),
     )
 
 

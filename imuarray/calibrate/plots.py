@@ -49,13 +49,13 @@ def calibration_figure(calibration: Calibration, group: str | None = None) -> Fi
         raise CalibrationError(
             f"{group or 'bias'} was not measured; the calibration contains {', '.join(groups) or 'nothing'}"
         )
-    chosen = group or groups[0]
+    shown_group = group or groups[0]
     labels: list[str] = []
     units: list[str] = []
     values: list[float] = []
     errors: list[float] = []
     for sensor in calibration.sensors.values():
-        estimates = _estimates(sensor, chosen)
+        estimates = _estimates(sensor, shown_group)
         if estimates is None:
             continue
         factor, unit = READABLE[sensor.unit]
@@ -64,7 +64,7 @@ def calibration_figure(calibration: Calibration, group: str | None = None) -> Fi
         units += [unit] * 3
         values += (per_count * estimates.value_lsb).tolist()
         errors += [np.nan] * 3 if estimates.sem_lsb is None else (per_count * estimates.sem_lsb).tolist()
-    return estimates_figure(labels, values, errors, units, _LABELS[chosen])
+    return estimates_figure(labels, values, errors, units, _LABELS[shown_group])
 
 
 def bias_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
@@ -73,7 +73,7 @@ def bias_rows(calibration: Calibration) -> Iterator[tuple[str, ...]]:
         factor, unit = READABLE[sensor.unit]
         per_count = factor / sensor.scale_lsb_per_unit
         bias, sem, noise = (
-            _scaled(each, per_count) for each in (sensor.bias_lsb, sensor.bias_sem_lsb, sensor.noise_lsb)
+            _scaled(figure, per_count) for figure in (sensor.bias_lsb, sensor.bias_sem_lsb, sensor.noise_lsb)
         )
         for axis in range(3):
             scale = number(float(sensor.scale_lsb_per_unit[axis]), 5)

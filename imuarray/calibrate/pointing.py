@@ -107,7 +107,7 @@ def find_pointing(log: Log, poses: Sequence[Pose]) -> list[Pointing]:
     results: dict[str, Pointing] = {}
     for sensor in log.of("specific_force"):
         results[sensor.name] = _accelerometer(sensor, poses, ups)
-    unexplained = [each for each in results.values() if each.residual > _MOST]
+    unexplained = [pointing for pointing in results.values() if pointing.residual > _MOST]
     if unexplained and 2 * len(unexplained) > len(results):
         raise CalibrationError(
             f"{log.path}: no orientation of {unexplained[0].sensor} explains its readings: the poses were not"
@@ -131,8 +131,8 @@ def _name(up: Floats) -> str:
 
 def _mean(sensor: SensorLog, pose: Pose) -> Floats:
     """Return the mean reading (3,) of a sensor in its unit along its own axes; nan if there is none."""
-    here, rows = pose.rows_of(sensor)
-    counts = np.asarray(here.counts[rows], float)
+    log, rows = pose.rows_of(sensor)
+    counts = np.asarray(log.counts[rows], float)
     return counts.mean(axis=0) / sensor.sensitivity if len(counts) else np.full(3, np.nan)
 
 
@@ -153,13 +153,13 @@ def _rotation(sensor: SensorLog, first: Pose, second: Pose) -> Floats | None:
 
     if first.log is not second.log:
         return None
-    here, _ = first.rows_of(sensor)
-    rows = here.between(first.phase.end_ns, second.phase.start_ns)
-    time_s = np.asarray(here.time[rows]) * 1e-9
+    log, _ = first.rows_of(sensor)
+    rows = log.between(first.phase.end_ns, second.phase.start_ns)
+    time_s = np.asarray(log.time[rows]) * 1e-9
     biases = np.array([_mean(sensor, first), _mean(sensor, second)])
     if len(time_s) < 4 or not 0 < time_s[-1] - time_s[0] < _LONGEST_S or not np.isfinite(biases).all():
         return None
-    rates = (np.asarray(here.counts[rows], float) / sensor.sensitivity - biases.mean(axis=0)) * SI_PER_UNIT[sensor.unit]
+    rates = (np.asarray(log.counts[rows], float) / sensor.sensitivity - biases.mean(axis=0)) * SI_PER_UNIT[sensor.unit]
     angles = np.diff(time_s)[:, None] * (rates[1:] + rates[:-1]) / 2
     steps = Rotation.from_rotvec(angles).inv().as_matrix()
     return reduce(lambda so_far, step: np.asarray(step @ so_far), steps, np.eye(3))
@@ -167,12 +167,12 @@ def _rotation(sensor: SensorLog, first: Pose, second: Pose) -> Floats | None:
 
 def _gyroscope(sensor: SensorLog, rotations: Sequence[Floats | None], ups: Floats) -> Pointing:
     """Determine the axes of a gyroscope by gravity before and after each turn."""
-    known = [(index, rotation) for index, rotation in enumerate(rotations) if rotation is not None]
-    if not known:
+    rotated = [(index, rotation) for index, rotation in enumerate(rotations) if rotation is not None]
+    if not rotated:
         reason = "no turn from one pose to the next in one log, of less than 30 s"
         return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, reason)
-    errors = [rotation @ (TURNS @ ups[i])[..., None] - (TURNS @ ups[i + 1])[..., None] for i, rotation in known]
-    residuals = np.sqrt(np.mean([np.sum(each**2, axis=(1, 2)) for each in errors], axis=0))
+    errors = [rotation @ (TURNS @ ups[i])[..., None] - (TURNS @ ups[i + 1])[..., None] for i, rotation in rotated]
+    residuals = np.sqrt(np.mean([np.sum(error**2, axis=(1, 2)) for error in errors], axis=0))
     return _best(sensor, residuals)
 
 
@@ -180,10 +180,10 @@ def _box_rotations(
     rotations: Mapping[str, Sequence[Floats | None]], pointings: Mapping[str, Pointing]
 ) -> list[Floats | None]:
     """Return the rotations between poses in the box frame, by the gyroscope with the least residual."""
-    known = sorted((pointings[name].residual, name) for name in rotations if pointings[name].axes)
-    if not known:
+    by_residual = sorted((pointings[name].residual, name) for name in rotations if pointings[name].axes)
+    if not by_residual:
         return []
-    name = known[0][1]
+    name = by_residual[0][1]
     orientation = np.array(orientation_of(pointings[name].axes))
     return [None if rotation is None else orientation @ rotation @ orientation.T for rotation in rotations[name]]
 

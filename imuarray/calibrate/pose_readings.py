@@ -80,8 +80,8 @@ class Pose:
         """Return the sensor of the same name in the pose's log, and its rows; CalibrationError if it is configured
         differently there.
         """
-        here = sensor if self.log is None else sensor_in(self.log, sensor)
-        return here, here.between(self.phase.start_ns, self.phase.end_ns)
+        sensor_of_log = sensor if self.log is None else sensor_in(self.log, sensor)
+        return sensor_of_log, sensor_of_log.between(self.phase.start_ns, self.phase.end_ns)
 
     @property
     def label(self) -> str:
@@ -118,11 +118,14 @@ _NOT_AT_REST = ("motion", "heat", "cool")
 
 def sensor_in(log: Log, sensor: SensorLog) -> SensorLog:
     """Return the sensor of the same name in `log`; CalibrationError if it is configured differently there."""
-    here = log[sensor.name]
-    settings = ((each.quantity, each.range, each.sensitivity, each.axes) for each in (here, sensor))
+    sensor_of_log = log[sensor.name]
+    settings = (
+        (candidate.quantity, candidate.range, candidate.sensitivity, candidate.axes)
+        for candidate in (sensor_of_log, sensor)
+    )
     if next(settings) != next(settings):
-        raise CalibrationError(f"{here.where}: range or axes differ from {sensor.where}")
-    return here
+        raise CalibrationError(f"{sensor_of_log.where}: range or axes differ from {sensor.where}")
+    return sensor_of_log
 
 
 def labelled_faces(logs: Sequence[Log]) -> list[Pose]:
@@ -238,8 +241,8 @@ def _windows(log: Log, sensors: Sequence[SensorLog], only: Collection[str]) -> R
         )
     mean, std = windows_of(sensors, begin, count, width_ns)
     # Most logs contain long rests: the quietest quarter of the windows shows the noise at rest.
-    known = np.isfinite(std)
-    still = known & (std <= 2.5 * np.quantile(std[known], 0.25)) if known.any() else known
+    finite = np.isfinite(std)
+    still = finite & (std <= 2.5 * np.quantile(std[finite], 0.25)) if finite.any() else finite
     gyroscopes = _rows_of(log, "angular_rate", only)
     if not gyroscopes:
         return RestWindows(sensors[0].quantity, begin, width_ns, mean, std, still)
@@ -260,8 +263,8 @@ def poses_in(log: Log, windows: RestWindows) -> list[Pose]:
     poses: list[Pose] = []
     for run in np.split(read, edges):
         if len(run) and still[run[0]] and len(run) * width_ns >= MIN_POSE_S * 1e9:
-            seen = [windows.mean[run]] if windows.rate_dps is None else [windows.mean[run], windows.rate_dps[run]]
-            first, last = _slow_ends(np.hstack(seen))
+            readings = [windows.mean[run]] if windows.rate_dps is None else [windows.mean[run], windows.rate_dps[run]]
+            first, last = _slow_ends(np.hstack(readings))
             start_ns = int(starts_ns[run[0]]) if not first else int(starts_ns[run[first - 1]]) + width_ns
             end_ns = int(starts_ns[run[-1]]) + width_ns if not last else int(starts_ns[run[-last]])
             poses.append(Pose(Phase(start_ns, end_ns, f"pose {len(poses) + 1}"), None, log))
@@ -280,11 +283,11 @@ def _slow_ends(mean: Floats) -> tuple[int, int]:
         return 1, 1
     # Windows beside a stall have fewer rows, and a larger error: the tail of the changes contains them.
     noise = np.quantile(np.abs(np.diff(mean, axis=0)), 0.9, axis=0) / _TAIL_OF_CHANGES
-    most = SLOW_MOTION * noise * np.sqrt(1 + 1 / _NEXT_WINDOWS)
+    limit = SLOW_MOTION * noise * np.sqrt(1 + 1 / _NEXT_WINDOWS)
 
     def slow(ordered: Floats) -> int:
         next_ones = np.stack([ordered[k + 1 : k + 1 + _NEXT_WINDOWS].mean(axis=0) for k in range(_MOST_SLOW)])
-        differs = (np.abs(ordered[:_MOST_SLOW] - next_ones) > most).any(axis=1)
+        differs = (np.abs(ordered[:_MOST_SLOW] - next_ones) > limit).any(axis=1)
         return max(1, 2 * int(np.argmin([*differs, False])))
 
     return slow(mean), slow(mean[::-1])
@@ -313,8 +316,8 @@ def _turning(rate_dps: Floats, std_dps: Floats, still: npt.NDArray[np.bool_], ro
     """
     usual = np.median(rate_dps[still], axis=0)
     noise = float(np.median(std_dps[still])) / np.sqrt(rows)
-    off = np.abs(rate_dps - usual).max(axis=1)
-    return np.asarray(np.isfinite(std_dps) & (off > TURNING_DPS + 5 * np.nan_to_num(noise, posinf=0.0)))
+    deviation = np.abs(rate_dps - usual).max(axis=1)
+    return np.asarray(np.isfinite(std_dps) & (deviation > TURNING_DPS + 5 * np.nan_to_num(noise, posinf=0.0)))
 
 
 def _length_s(sensor: SensorLog) -> float:
@@ -392,9 +395,9 @@ class PoseReadings:
     change_lsb: Floats
     change_sem_lsb: Floats
 
-    def only(self, kept: Sequence[int] | Indices) -> PoseReadings:
+    def only(self, selected: Sequence[int] | Indices) -> PoseReadings:
         """Return the readings in some of the poses."""
-        places = np.asarray(kept, int)
+        places = np.asarray(selected, int)
         columns = (self.mean_lsb, self.variance_lsb2, self.change_lsb, self.change_sem_lsb)
         mean, variance, change, sem = (column[:, places] for column in columns)
         return PoseReadings(self.sensors, tuple(self.poses[place] for place in places), mean, variance, change, sem)
@@ -516,10 +519,10 @@ def readings(sensor: SensorLog, rows: slice, limit_ns: float) -> Iterator[Segmen
             continue
         kept = slice(None) if sound.all() else sound  # avoids a copy
         time = np.asarray(sensor.time[part])[kept].astype(float)
-        apart = np.diff(time, prepend=last_ns) > limit_ns
-        apart |= np.diff(so_far[kept], prepend=breaks_then) > 0
+        is_separate = np.diff(time, prepend=last_ns) > limit_ns
+        is_separate |= np.diff(so_far[kept], prepend=breaks_then) > 0
         segment = (np.flatnonzero(sound) + start - rows.start) // SEGMENT_ROWS
-        yield SegmentReadings(np.asarray(sensor.counts[part])[kept].astype(float), segment, apart)
+        yield SegmentReadings(np.asarray(sensor.counts[part])[kept].astype(float), segment, is_separate)
         last_ns, breaks_then = float(time[-1]), int(so_far[kept][-1])
 
 

@@ -83,21 +83,21 @@ def transfer_response(log: Log, calibration: Calibration, only: Sequence[str] = 
     accelerometers = _measured(
         [sensor for sensor in log.of("specific_force") if not only or sensor.name in only], calibration
     )
-    references = [(sensor, known) for sensor, known in measured if not known.uncertain_axes()]
+    references = [(sensor, calibrated) for sensor, calibrated in measured if not calibrated.uncertain_axes()]
     sensors, axes, refused = dict(calibration.sensors), {}, []
     ends = None if references or not measured else _find_ends(log, accelerometers)
-    for sensor, known in measured if references or ends else ():
-        before = known.uncertain_axes()
-        updated: SensorCalibration | None = known
-        if before and references:
-            updated = _updated(sensor, known, references, accelerometers)
-        elif before and ends:
-            updated = _turned(sensor, known, ends, accelerometers)
+    for sensor, calibrated in measured if references or ends else ():
+        uncertain = calibrated.uncertain_axes()
+        updated: SensorCalibration | None = calibrated
+        if uncertain and references:
+            updated = _updated(sensor, calibrated, references, accelerometers)
+        elif uncertain and ends:
+            updated = _turned(sensor, calibrated, ends, accelerometers)
         if updated is None:
             refused.append(sensor.name)
             continue
         sensors[sensor.name] = updated
-        if gained := "".join(axis for axis in before if axis not in updated.uncertain_axes()):
+        if gained := "".join(axis for axis in uncertain if axis not in updated.uncertain_axes()):
             axes[sensor.name] = gained
     return ResponseTransfer(
         replace(calibration, sensors=sensors),
@@ -130,8 +130,8 @@ def _find_ends(log: Log, accelerometers: Sequence[Calibrated]) -> _Ends | None:
         return None
     forces_g = np.array(
         [
-            known.stimulus_box(mean) / STANDARD_GRAVITY
-            for (_, known), mean in zip(accelerometers, readings.mean_lsb, strict=True)
+            calibrated.stimulus_box(mean) / STANDARD_GRAVITY
+            for (_, calibrated), mean in zip(accelerometers, readings.mean_lsb, strict=True)
         ]
     )
     force_g = forces_g.mean(axis=0)
@@ -146,21 +146,21 @@ def _logged(calibrated: Sequence[Calibrated]) -> list[SensorLog]:
 
 
 def _turned(
-    sensor: SensorLog, known: SensorCalibration, ends: _Ends, accelerometers: Sequence[Calibrated]
+    sensor: SensorLog, calibrated: SensorCalibration, ends: _Ends, accelerometers: Sequence[Calibrated]
 ) -> SensorCalibration | None:
     """Return the calibration with the response updated by turns between rests, unchanged if they are too few; None if
     they contradict it.
     """
     try:
-        fit = fit_turns(sensor, known, ends.poses, ends.up_box, ends.covariance, accelerometers)
+        fit = fit_turns(sensor, calibrated, ends.poses, ends.up_box, ends.covariance, accelerometers)
     except CalibrationError:  # no valid reading in a rest
-        return known
+        return calibrated
     if fit is None:
-        return known
-    change = (fit.response - known.response_lsb_per_unit).ravel()
-    if _is_impossible(change, _covariance(known)):
+        return calibrated
+    change = (fit.response - calibrated.response_lsb_per_unit).ravel()
+    if _is_impossible(change, _covariance(calibrated)):
         return None
-    return fit.complete(known)
+    return fit.complete(calibrated)
 
 
 def _is_impossible(change: Floats, prior: Floats) -> bool:
@@ -173,35 +173,44 @@ def _is_impossible(change: Floats, prior: Floats) -> bool:
 
 def _measured(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Calibrated]:
     """Return the sensors that have rows and a measured response."""
-    known = [(sensor, calibration.sensors[sensor.name]) for sensor in sensors if sensor.name in calibration.sensors]
-    return [(sensor, each) for sensor, each in known if each.response_sem_lsb_per_unit is not None and len(sensor)]
+    calibrated_sensors = [
+        (sensor, calibration.sensors[sensor.name]) for sensor in sensors if sensor.name in calibration.sensors
+    ]
+    return [
+        (sensor, entry)
+        for sensor, entry in calibrated_sensors
+        if entry.response_sem_lsb_per_unit is not None and len(sensor)
+    ]
 
 
 def _updated(
-    sensor: SensorLog, known: SensorCalibration, references: Sequence[Calibrated], accelerometers: Sequence[Calibrated]
+    sensor: SensorLog,
+    calibrated: SensorCalibration,
+    references: Sequence[Calibrated],
+    accelerometers: Sequence[Calibrated],
 ) -> SensorCalibration | None:
     """Return the calibration with the response updated by the rates of `references`, unchanged if there are too few;
     None if the rates contradict it.
     """
-    prior = _covariance(known)
+    prior = _covariance(calibrated)
     information, right, squares, windows = np.zeros((_PARAMETERS, _PARAMETERS)), np.zeros(_PARAMETERS), 0.0, 0
-    response = known.response_lsb_per_unit
+    response = calibrated.response_lsb_per_unit
     variance: Floats | None = None
-    for counts, rate_dps, slope_dps in _windows((sensor, known), references, accelerometers):
+    for counts, rate_dps, slope_dps in _windows((sensor, calibrated), references, accelerometers):
         design = np.zeros((len(counts), 3, _PARAMETERS))
         for axis in range(3):
             design[:, axis, 3 * axis : 3 * axis + 3] = rate_dps
             design[:, axis, 9 + axis] = 1.0
             design[:, axis, 12 + axis] = slope_dps @ response[axis]
-        off = counts - rate_dps @ response.T  # from what the calibration predicts: the fit is of changes
+        deviation = counts - rate_dps @ response.T  # from what the calibration predicts: the fit is of changes
         if variance is None:
-            variance = _noise(off)
+            variance = _noise(deviation)
         information += np.einsum("nip,i,niq->pq", design, 1 / variance, design)
-        right += np.einsum("nip,i,ni->p", design, 1 / variance, off)
-        squares += float((off**2 / variance).sum())
+        right += np.einsum("nip,i,ni->p", design, 1 / variance, deviation)
+        squares += float((deviation**2 / variance).sum())
         windows += len(counts)
     if windows < _FEWEST:
-        return known
+        return calibrated
     weights = np.zeros((_PARAMETERS, _PARAMETERS))
     weights[:9, :9] = np.linalg.inv(prior)
     change = np.linalg.solve(information + weights, right)
@@ -211,12 +220,12 @@ def _updated(
     change = covariance @ right / excess
     if _is_impossible(change[:9], prior):
         return None
-    own = covariance[:9, :9] + _of_references(response, references)
+    total = covariance[:9, :9] + _of_references(response, references)
     return replace(
-        known,
+        calibrated,
         response_lsb_per_unit=response + change[:9].reshape(3, 3),
-        response_sem_lsb_per_unit=np.sqrt(np.diag(own)).reshape(3, 3).max(axis=1),
-        response_covariance_lsb2_per_unit2=own,
+        response_sem_lsb_per_unit=np.sqrt(np.diag(total)).reshape(3, 3).max(axis=1),
+        response_covariance_lsb2_per_unit2=total,
     )
 
 
@@ -225,25 +234,25 @@ def _of_references(response: Floats, references: Sequence[Calibrated]) -> Floats
     references' mean, is E rate_box with E the mean of their relative errors, and that of the response is response @ E.
     """
     errors = np.zeros((9, 9))
-    for _, known in references:
-        covariance = _covariance(known)
-        carried = np.kron(np.linalg.inv(known.response_lsb_per_unit), np.eye(3))
+    for _, calibrated in references:
+        covariance = _covariance(calibrated)
+        carried = np.kron(np.linalg.inv(calibrated.response_lsb_per_unit), np.eye(3))
         errors += carried @ covariance @ carried.T / len(references) ** 2
     carried = np.kron(response, np.eye(3))
     return np.asarray(carried @ errors @ carried.T)
 
 
-def _covariance(known: SensorCalibration) -> Floats:
+def _covariance(calibrated: SensorCalibration) -> Floats:
     """Return the covariance (9, 9) of a measured response, row by row."""
-    covariance = known.response_covariance()
+    covariance = calibrated.response_covariance()
     return np.zeros((9, 9)) if covariance is None else covariance
 
 
-def _noise(off: Floats) -> Floats:
+def _noise(deviation: Floats) -> Floats:
     """Return the variance (3,) of a window's mean: a sixth of the mean square of second differences, which slow motion
     does not affect.
     """
-    bends = np.diff(off, 2, axis=0)
+    bends = np.diff(deviation, 2, axis=0)
     squares = np.median(bends**2, axis=0) / MEDIAN_SQUARE
     return np.asarray(np.maximum(squares / 6, 1e-6))
 
@@ -254,25 +263,28 @@ def _windows(
     """Yield, for windows with readings of all sensors: mean counts (n, 3) of a gyroscope less its g-sensitivity, the
     mean rate (n, 3) of the references in dps and its derivative (n, 3) in dps/s, in the box frame.
     """
-    every = [sensor for sensor, _ in (gyroscope, *references, *accelerometers)]
+    sensors = [sensor for sensor, _ in (gyroscope, *references, *accelerometers)]
     width_ns = round(WINDOW_S * 1e9)
-    begin_ns = max(int(each.time[0]) for each in every)
-    end_ns = min(int(each.time[-1]) for each in every)
+    begin_ns = max(int(item.time[0]) for item in sensors)
+    end_ns = min(int(item.time[-1]) for item in sensors)
     for first_ns in range(begin_ns, end_ns, _CHUNK * width_ns):
         count = min(_CHUNK, (end_ns - first_ns) // width_ns)
         if count < 3:
             continue
-        means = {sensor.name: _means(sensor, first_ns, width_ns, count) for sensor in every}
+        means = {sensor.name: _means(sensor, first_ns, width_ns, count) for sensor in sensors}
         complete = np.all([has for _, has in means.values()], axis=0)
-        forces_g = [known.stimulus_box(means[sensor.name][0]) / STANDARD_GRAVITY for sensor, known in accelerometers]
+        forces_g = [
+            calibrated.stimulus_box(means[sensor.name][0]) / STANDARD_GRAVITY for sensor, calibrated in accelerometers
+        ]
 
         force_g = np.mean(forces_g, axis=0) if forces_g else None
         counts, *others = [
-            _without_force(means[sensor.name][0], known, force_g) for sensor, known in (gyroscope, *references)
+            _without_force(means[sensor.name][0], calibrated, force_g)
+            for sensor, calibrated in (gyroscope, *references)
         ]
         rates = [
-            known.stimulus_box(other) / SI_PER_UNIT[known.unit]
-            for other, (_, known) in zip(others, references, strict=True)
+            calibrated.stimulus_box(other) / SI_PER_UNIT[calibrated.unit]
+            for other, (_, calibrated) in zip(others, references, strict=True)
         ]
         rate = np.mean(rates, axis=0)
         slope = np.gradient(rate, WINDOW_S, axis=0)
@@ -281,13 +293,13 @@ def _windows(
             yield counts[usable], rate[usable], slope[usable]
 
 
-def _without_force(counts: Floats, known: SensorCalibration, force_g: Floats | None) -> Floats:
+def _without_force(counts: Floats, calibrated: SensorCalibration, force_g: Floats | None) -> Floats:
     """Return counts (n, 3) of a gyroscope less its g-sensitivity times the specific force (n, 3) in g, if both are
     known.
     """
-    if force_g is None or known.g_sensitivity_lsb_per_g is None:
+    if force_g is None or calibrated.g_sensitivity_lsb_per_g is None:
         return counts
-    return np.asarray(counts - force_g @ known.g_sensitivity_lsb_per_g.T)
+    return np.asarray(counts - force_g @ calibrated.g_sensitivity_lsb_per_g.T)
 
 
 def _means(sensor: SensorLog, first_ns: int, width_ns: int, count: int) -> tuple[Floats, Booleans]:

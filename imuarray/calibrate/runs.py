@@ -86,9 +86,9 @@ def explained_range(
     if not abs(usual_lsb[axis]) > sensitivity / 2 or not np.isfinite(mean_lsb[axis]):
         return np.nan, None
     ratio = float(mean_lsb[axis] / usual_lsb[axis])
-    off = {each: abs(ratio * sensitivity / lsb - 1) for each, lsb in ranges.items()}
-    nearest = min(off, key=lambda each: off[each], default=None)
-    if nearest is None or ranges[nearest] == sensitivity or off[nearest] > _RANGE_TOLERANCE:
+    errors = {range_: abs(ratio * sensitivity / lsb - 1) for range_, lsb in ranges.items()}
+    nearest = min(errors, key=lambda range_: errors[range_], default=None)
+    if nearest is None or ranges[nearest] == sensitivity or errors[nearest] > _RANGE_TOLERANCE:
         return ratio, None
     return ratio, nearest
 
@@ -103,8 +103,8 @@ def isolated_runs(means: Floats, floor: Floats) -> Booleans:
         return np.zeros(len(means), bool)
     differences = np.abs(means[:, None] - means[None])
     pairs = differences[np.triu_indices(len(means), 1)]
-    spread = np.maximum(2.2219 * np.quantile(pairs, 0.25, axis=0), np.maximum(floor, 1e-9))
-    distance = np.sort(np.linalg.norm(differences / spread, axis=2), axis=1)
+    scale = np.maximum(2.2219 * np.quantile(pairs, 0.25, axis=0), np.maximum(floor, 1e-9))
+    distance = np.sort(np.linalg.norm(differences / scale, axis=2), axis=1)
     return np.asarray(distance[:, MIN_STATE_RUNS - 1] > _APART)
 
 
@@ -125,7 +125,8 @@ def two_states(means: Floats, temperatures: Floats | None, seed: int) -> tuple[B
         return np.zeros(rows, bool), 1.0
     share, second = best_split(remaining[None], warm)
     beaten = max(
-        int(np.count_nonzero(drawn >= share[0])) for drawn in _by_chance(rows, remaining.shape[1], seed, tuple(warm))
+        int(np.count_nonzero(by_chance >= share[0]))
+        for by_chance in _by_chance(rows, remaining.shape[1], seed, tuple(warm))
     )
     return second[0] ^ second[0, 0], (beaten + 1) / (_DRAWS + 1)
 
@@ -169,13 +170,13 @@ def _cut(lifted: Floats, directions: Floats) -> tuple[Floats, Booleans]:
     first = np.arange(MIN_STATE_RUNS, rows - MIN_STATE_RUNS + 1)
     whole = first * (rows - first) / rows
     alone = whole - sums[..., -1] ** 2
-    known = alone > _UNEXPLAINED * whole
-    explained = np.where(known, (sums[..., :-1] ** 2).sum(axis=3) / np.where(known, alone, 1.0), 0.0)
+    is_found = alone > _UNEXPLAINED * whole
+    explained = np.where(is_found, (sums[..., :-1] ** 2).sum(axis=3) / np.where(is_found, alone, 1.0), 0.0)
     flat = explained.reshape(draws, -1)
-    at = flat.argmax(axis=1)
-    direction, cut = np.divmod(at, len(first))
+    best = flat.argmax(axis=1)
+    direction, cut = np.divmod(best, len(first))
     rank = np.argsort(order[np.arange(draws), direction], axis=1)
-    return np.take_along_axis(flat, at[:, None], 1)[:, 0], rank < (cut + MIN_STATE_RUNS)[:, None]
+    return np.take_along_axis(flat, best[:, None], 1)[:, 0], rank < (cut + MIN_STATE_RUNS)[:, None]
 
 
 def _unit(temperatures: Floats | None, rows: int) -> Floats:
@@ -265,14 +266,14 @@ def read_runs(logs: Sequence[Log], sensor: SensorLog) -> SensorRuns:
     kinds: set[str] = set()
     ups: set[str] = set()
     for place, log in enumerate(logs, start=1):
-        here = sensor_in(log, sensor)
-        for number, rows, up in _runs_in(log, here, place):
+        sensor_of_log = sensor_in(log, sensor)
+        for number, rows, up in _runs_in(log, sensor_of_log, place):
             if number in numbers:
                 raise CalibrationError(f"{log.path}: run {number} occurs twice")
-            part = _segments(here, rows)
+            part = _segments(sensor_of_log, rows)
             numbers.append(number)
             segments.append(part)
-            kind, degc = _temperature(log, here, part)
+            kind, degc = _temperature(log, sensor_of_log, part)
             kinds.add(kind)
             temperatures.append(degc)
             ups.add(up)

@@ -80,13 +80,13 @@ class TemperatureSeries:
         lags = np.maximum(np.asarray(lags_s, float), 1e-9)
         steps = np.diff(self.time_s)
         slopes = np.diff(self.degc) / steps
-        behind = np.empty((len(self.degc), len(lags)))
-        behind[0] = self.degc[0]
-        kept = np.exp(-steps[:, None] / lags)
+        lagged = np.empty((len(self.degc), len(lags)))
+        lagged[0] = self.degc[0]
+        decay = np.exp(-steps[:, None] / lags)
         for i, slope in enumerate(slopes):
             late = slope * lags
-            behind[i + 1] = self.degc[i + 1] - late + (behind[i] - self.degc[i] + late) * kept[i]
-        return np.stack([np.interp(time_s, self.time_s, column) for column in behind.T], axis=1)
+            lagged[i + 1] = self.degc[i + 1] - late + (lagged[i] - self.degc[i] + late) * decay[i]
+        return np.stack([np.interp(time_s, self.time_s, column) for column in lagged.T], axis=1)
 
 
 def segment_means(
@@ -129,9 +129,9 @@ def _means(
     for start in range(rows.start, rows.stop, 1 << 16):
         part = slice(start, min(start + (1 << 16), rows.stop))
         counted = sound(part)
-        kept = slice(None) if counted.all() else counted  # avoids a copy
-        since = (np.asarray(time[part])[kept] - begin).astype(np.int64)
-        segment, value = since // width_ns, values(part)[kept]
+        rows_used = slice(None) if counted.all() else counted  # avoids a copy
+        since = (np.asarray(time[part])[rows_used] - begin).astype(np.int64)
+        segment, value = since // width_ns, values(part)[rows_used]
         if len(segment) and (segment.min() < 0 or segment.max() >= count):
             raise CalibrationError(f"{where}: time does not increase")
         sums = np.zeros((count, value.shape[1])) if sums.size == 0 else sums
@@ -168,16 +168,16 @@ def chip_thermometer(log: Log, width_s: float) -> TemperatureSeries | None:
     Of three or more chips of one kind it is the median: a thermometer that is late or fails does not count.
     """
     sensors = [*log.of("temperature"), *(sensor for sensor in log.sensors.values() if sensor.is_triad)]
-    known = [sensor for sensor in sensors if len(sensor) and degc_of(sensor) is not None]
-    known.sort(key=has_zero, reverse=True)
-    first = _chip_thermometer(log, known[0], width_s) if known else None
-    of_same_chip = [sensor for sensor in known if sensor.is_triad and sensor.chip == known[0].chip]
-    if first is None or not known[0].is_triad or len(of_same_chip) < FEWEST_ALIKE:
+    thermometers = [sensor for sensor in sensors if len(sensor) and degc_of(sensor) is not None]
+    thermometers.sort(key=has_zero, reverse=True)
+    first = _chip_thermometer(log, thermometers[0], width_s) if thermometers else None
+    of_same_chip = [sensor for sensor in thermometers if sensor.is_triad and sensor.chip == thermometers[0].chip]
+    if first is None or not thermometers[0].is_triad or len(of_same_chip) < FEWEST_ALIKE:
         return first
-    others = [_chip_thermometer(log, sensor, width_s) for sensor in of_same_chip[1:]]
-    degc = [first.degc, *(other.at(first.time_s) for other in others if other is not None)]
-    means = [each.mean() for each in degc]
-    changes = np.median([each - mean for each, mean in zip(degc, means, strict=True)], axis=0)
+    other_series = [_chip_thermometer(log, sensor, width_s) for sensor in of_same_chip[1:]]
+    degc = [first.degc, *(other.at(first.time_s) for other in other_series if other is not None)]
+    means = [series.mean() for series in degc]
+    changes = np.median([series - mean for series, mean in zip(degc, means, strict=True)], axis=0)
     return replace(first, degc=np.median(means) + changes)
 
 

@@ -59,13 +59,13 @@ class Thermal:
         """Return the change of bias (3,) or (n, 3) in counts between two lagged temperatures; zero on an axis whose
         slope may be one of scale.
         """
-        known = np.array([meaning == BIAS for meaning in self.meaning], float)
-        return known * (self._counts(np.asarray(to_degc, float)) - self._counts(np.asarray(from_degc, float)))
+        is_bias = np.array([meaning == BIAS for meaning in self.meaning], float)
+        return is_bias * (self._counts(np.asarray(to_degc, float)) - self._counts(np.asarray(from_degc, float)))
 
     def _counts(self, degc: Floats) -> Floats:
-        above = (degc - self.reference_degc)[..., None]
+        rise = (degc - self.reference_degc)[..., None]
         curve = 0.0 if self.quadratic_lsb_per_degc2 is None else self.quadratic_lsb_per_degc2
-        return np.asarray(above * self.slope_lsb_per_degc + above**2 * curve)
+        return np.asarray(rise * self.slope_lsb_per_degc + rise**2 * curve)
 
 
 @dataclass(frozen=True)

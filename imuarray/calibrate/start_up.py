@@ -39,10 +39,10 @@ class StartUp:
 
     def sentence(self, name: str, calibration: Calibration) -> str:
         """Describe the start of sensor `name`; empty without a fault or a choice of states."""
-        known = calibration.sensors[name].turn_on
+        turn_on = calibration.sensors[name].turn_on
         if self.fault:
             return f"{name} started in a wrong state ({self.explanation}): do not use it; switch it off and on again"
-        states = 0 if known is None else len(known.states)
+        states = 0 if turn_on is None else len(turn_on.states)
         if states < 2:
             return ""
         holds = ": its bias is used" if calibration.sensors[name].quantity == "angular_rate" else ""
@@ -63,21 +63,21 @@ def state_of(
     Accelerometers must be in the pose of the calibration runs, within `pose_g`. A start more than `limit` spreads from
     every state, or in another range, is a fault; `ranges` are the sensitivities of each sensor's chip, by sensor.
     """
-    known = {name: sensor for name, sensor in calibration.sensors.items() if name in means}
+    calibrated = {name: sensor for name, sensor in calibration.sensors.items() if name in means}
     return {
         name: _start_up(np.asarray(means[name], float), sensor, sensor.turn_on, ranges.get(name, {}), limit, pose_g)
-        for name, sensor in known.items()
+        for name, sensor in calibrated.items()
         if sensor.turn_on is not None and sensor.turn_on.states
     }
 
 
 def _start_up(
-    mean: Floats, sensor: SensorCalibration, known: TurnOn, ranges: Mapping[float, float], limit: float, pose_g: float
+    mean: Floats, sensor: SensorCalibration, turn_on: TurnOn, ranges: Mapping[float, float], limit: float, pose_g: float
 ) -> StartUp:
-    gravity = np.zeros(3) if known.gravity_lsb is None else known.gravity_lsb
-    tilt = pose_g * sensor.scale_lsb_per_unit if known.gravity_lsb is not None else 0.0
-    spread = np.maximum(np.hypot(known.spread_lsb, tilt), 1e-9)
-    usual = np.array([state.bias_lsb for state in known.states]) + gravity
+    gravity = np.zeros(3) if turn_on.gravity_lsb is None else turn_on.gravity_lsb
+    tilt = pose_g * sensor.scale_lsb_per_unit if turn_on.gravity_lsb is not None else 0.0
+    spread = np.maximum(np.hypot(turn_on.spread_lsb, tilt), 1e-9)
+    usual = np.array([state.bias_lsb for state in turn_on.states]) + gravity
     distances = np.sqrt(np.mean(((mean - usual) / spread) ** 2, axis=1))
     state = int(distances.argmin())
     sensitivity = ranges.get(np.nan if sensor.range is None else sensor.range, np.nan)
@@ -111,22 +111,22 @@ def in_states(starts: Mapping[str, StartUp], calibration: Calibration) -> Calibr
     """Return the calibration with the biases of the states in which gyroscopes started."""
     sensors = dict(calibration.sensors)
     for name, start in starts.items():
-        known = sensors[name].turn_on
+        turn_on = sensors[name].turn_on
         is_gyroscope = sensors[name].quantity == "angular_rate"  # an accelerometer's state includes the runs' tilt
-        if is_gyroscope and known is not None and len(known.states) > 1 and not start.fault:
+        if is_gyroscope and turn_on is not None and len(turn_on.states) > 1 and not start.fault:
             sensors[name] = replace(
                 sensors[name],
-                bias_lsb=_bias_in(start.state, sensors[name], known),
-                turn_on=replace(known, states=(known.states[start.state],)),
+                bias_lsb=_bias_in(start.state, sensors[name], turn_on),
+                turn_on=replace(turn_on, states=(turn_on.states[start.state],)),
             )
     return replace(calibration, sensors=sensors)
 
 
-def _bias_in(state: int, sensor: SensorCalibration, known: TurnOn) -> Floats:
+def _bias_in(state: int, sensor: SensorCalibration, turn_on: TurnOn) -> Floats:
     """Return a gyroscope's bias in one state: the calibrated bias plus the difference of this state and the state that
     is nearest to it; the state's own bias if none was calibrated.
     """
-    biases = np.array([each.bias_lsb for each in known.states])
+    biases = np.array([item.bias_lsb for item in turn_on.states])
     if sensor.bias_sem_lsb is None:
         return np.asarray(biases[state])
     nearest = int(np.linalg.norm(biases - sensor.bias_lsb, axis=1).argmin())
@@ -203,8 +203,8 @@ class StartStateDetector:
 
     def __call__(self, readings: Mapping[str, npt.NDArray[Any]]) -> dict[str, StartUpVerdict]:
         """Return verdicts by sensor; a restarted sensor is judged together with the first readings of the others."""
-        known = {name: counts for name, counts in readings.items() if name in self._calibration.sensors}
-        if known and np.median([_restlessness(counts) for counts in known.values()]) > _RESTLESS:
+        calibrated = {name: counts for name, counts in readings.items() if name in self._calibration.sensors}
+        if calibrated and np.median([_restlessness(counts) for counts in calibrated.values()]) > _RESTLESS:
             self._say("the box was moved in the first seconds: the states of the sensors are not known")
             return {}
         self._means.update((name, counts.mean(axis=0)) for name, counts in readings.items())

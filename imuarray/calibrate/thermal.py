@@ -119,13 +119,13 @@ class SlowRegression:
         """Return the logarithms of the profile and of the restricted likelihood (g,) of one design."""
         weight = 1 / self._spectra
         count = design.shape[1]
-        both = np.column_stack([design, self._series])
-        pairs = (both[:, :, None] * both[:, None, :]).reshape(len(both), -1)
+        columns = np.column_stack([design, self._series])
+        pairs = (columns[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
         sums = (weight @ pairs).reshape(-1, count + 1, count + 1)
         inner, cross, whole = sums[:, :count, :count], sums[:, :count, count], sums[:, count, count]
         remaining = whole - np.einsum("gi,gi->g", np.linalg.solve(inner, cross[:, :, None])[:, :, 0], cross)
         remaining = np.maximum(remaining, 1e-12 * np.maximum(whole, 1e-300))
-        rows = len(both)
+        rows = len(columns)
         determinant = np.log(self._spectra).sum(axis=1)
         profile = -(determinant + rows * np.log(remaining)) / 2
         restricted = -(determinant + np.linalg.slogdet(inner)[1] + (rows - count) * np.log(remaining)) / 2
@@ -151,13 +151,13 @@ def _fit(series: Floats, design: Floats, spectrum: Floats) -> SlowFit:
     residuals = weight * (series - design @ coefficients) ** 2
     free = 1 - np.einsum("ki,ik->k", design, estimate)
     contribution = np.cumsum(estimate**2 * spectrum, axis=1)
-    own, freedom = np.diagonal(inverse), np.empty(len(coefficients))
+    variances, freedom = np.diagonal(inverse), np.empty(len(coefficients))
     scale = np.empty(len(coefficients))
-    for k, each in enumerate(contribution):
-        slow = max(_SLOWEST, int(np.searchsorted(each, _CONTRIBUTION * each[-1])) + 1)
+    for k, part in enumerate(contribution):
+        slow = max(_SLOWEST, int(np.searchsorted(part, _CONTRIBUTION * part[-1])) + 1)
         freedom[k] = max(float(free[:slow].sum()), 1.0)
         scale[k] = residuals[:slow].sum() / freedom[k]
-    return SlowFit(coefficients, own * scale, freedom)
+    return SlowFit(coefficients, variances * scale, freedom)
 
 
 _LAGS = 16
@@ -262,14 +262,14 @@ class _Axis:
         from scipy.special import ndtri, stdtr, stdtrit  # slow to import
 
         fits = self._regression.fits(share)
-        values = np.array([fit.coefficients / each.spread for fit, each in zip(fits, self._designs, strict=True)])
-        own = np.array([fit.variance / each.spread**2 for fit, each in zip(fits, self._designs, strict=True)])
+        values = np.array([fit.coefficients / design.spread for fit, design in zip(fits, self._designs, strict=True)])
+        variances = np.array([fit.variance / design.spread**2 for fit, design in zip(fits, self._designs, strict=True)])
         freedom = share @ np.array([fit.freedom for fit in fits])
         offset = share @ np.array(
-            [-float(value @ each.mean) for value, each in zip(values, self._designs, strict=True)]
+            [-float(value @ design.mean) for value, design in zip(values, self._designs, strict=True)]
         )
         mean = share @ values
-        variance = share @ own + share @ (values - mean) ** 2
+        variance = share @ variances + share @ (values - mean) ** 2
         # Enlarged, so that a normal 95 % interval equals that of Student's t.
         sem = self._scale * np.sqrt(variance) * stdtrit(freedom, 0.975) / ndtri(0.975)
         slope, drift = (self._scale * mean[:2]).tolist()
@@ -394,7 +394,7 @@ def calibrate_thermal(*logs: Log, segment_s: float = SEGMENT_S) -> ThermalResult
             refuse_imprecise(sensor, thermal.slope_sem_lsb_per_degc, MOST_SEM_PER_DEGC, _IMPRECISE)
     return ThermalResult(
         Calibration(fitted, tuple(str(log.path) for log in logs)).stamped(logs),
-        tuple(heating for each in result.values() for heating in each),
+        tuple(heating for heatings in result.values() for heating in heatings),
         tuple(opposed_slopes(sensors, fitted)),
     )
 
@@ -435,18 +435,18 @@ def _heatings(
     """
     results: list[HeatingFit] = []
     for log, up in zip(logs, ups, strict=True):
-        here = sensor_in(log, sensor)
-        thermometer = thermometer_of(log, here, segment_s)
+        sensor_of_log = sensor_in(log, sensor)
+        thermometer = thermometer_of(log, sensor_of_log, segment_s)
         if thermometer is None:
-            raise CalibrationError(f"{here.where}: no thermometer: no barometer, reference or chip has one")
+            raise CalibrationError(f"{sensor_of_log.where}: no thermometer: no barometer, reference or chip has one")
         if results and thermometer.kind != results[0].thermometer:
-            raise CalibrationError(f"{here.where}: the thermometer differs from {sensor.where}")
+            raise CalibrationError(f"{sensor_of_log.where}: the thermometer differs from {sensor.where}")
         reference = (
             results[0].fit.reference_degc
             if results
             else round(float(thermometer.degc.min() + thermometer.degc.max()) / 2, 2)
         )
-        results.append(_heating(here, log, up, thermometer, reference, segment_s))
+        results.append(_heating(sensor_of_log, log, up, thermometer, reference, segment_s))
     return results
 
 

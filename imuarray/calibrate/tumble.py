@@ -79,10 +79,10 @@ def faces_of(means_g: Floats) -> list[tuple[int, bool]]:
     """
     directions = means_g / np.linalg.norm(means_g, axis=1, keepdims=True)
     axis = np.argmax(np.abs(directions), axis=1)
-    along = np.take_along_axis(directions, axis[:, None], axis=1)[:, 0]
-    if (np.abs(along) < FACE_COSINE).any():
+    component = np.take_along_axis(directions, axis[:, None], axis=1)[:, 0]
+    if (np.abs(component) < FACE_COSINE).any():
         return []
-    return list(zip(axis.tolist(), (along > 0).tolist(), strict=True))
+    return list(zip(axis.tolist(), (component > 0).tolist(), strict=True))
 
 
 def fit_six_faces(sensors: Sequence[SensorLog], poses: Sequence[Pose]) -> GravityFit:
@@ -127,9 +127,9 @@ def missing_faces(readings: PoseReadings) -> list[str] | None:
     faces = faces_of(readings.mean_lsb[0] / readings.sensitivity[0])
     if not faces:
         return None
-    known = set(faces)
+    present = set(faces)
     return [
-        f"{'+' if up else '-'}{'xyz'[axis]}" for axis in range(3) for up in (True, False) if (axis, up) not in known
+        f"{'+' if up else '-'}{'xyz'[axis]}" for axis in range(3) for up in (True, False) if (axis, up) not in present
     ]
 
 
@@ -141,8 +141,8 @@ def _fit_sensor(sensor: SensorLog, means_g: Floats, noise_g: float) -> tuple[Tri
         return np.asarray((means_g - parameters[:3]) @ _shape(parameters).T)
 
     def residuals(parameters: Floats) -> Floats:
-        off = (np.linalg.norm(force(parameters), axis=1) - 1) * weight
-        return np.concatenate([off, parameters[6:] / (np.sqrt(2) * ANGLES_RAD)])
+        errors = (np.linalg.norm(force(parameters), axis=1) - 1) * weight
+        return np.concatenate([errors, parameters[6:] / (np.sqrt(2) * ANGLES_RAD)])
 
     start = np.concatenate([np.zeros(3), np.ones(3), np.zeros(3)])
     best = least_squares(residuals, start)
@@ -230,22 +230,22 @@ def fit_path(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> GravityFit:
             f"{sensors[0].where}: {len(readings.poses)} slow stretches of {STRETCH_S:g} s, at least {FEWEST_STRETCHES}"
             " are required"
         )
-    kept = _spread(readings, motion_g)
-    readings, motion_g = readings.only(kept), motion_g[kept]
+    selected = _spread(readings, motion_g)
+    readings, motion_g = readings.only(selected), motion_g[selected]
     scale = readings.sensitivity[:, None, None]
     noise = (readings.variance_lsb2 / scale**2).transpose(0, 2, 1).reshape(-1, len(readings.poses))
     left_out: list[Outlier] = []
     factor = 1.0
     for _ in range(_ROUNDS):
         fit = fit_weighted(readings, noise + len(sensors) * (factor * motion_g) ** 2, left_out)
-        off = fit.force_g.mean(axis=0) - 1
-        free = len(off) / (len(off) - 9)
-        factor = float(np.sqrt(free * np.median((off / motion_g) ** 2) / MEDIAN_SQUARE))
-        sound = np.abs(off) < _LARGEST_ERROR * np.hypot(factor * motion_g, np.sqrt(noise.mean(axis=0)))
+        errors = fit.force_g.mean(axis=0) - 1
+        free = len(errors) / (len(errors) - 9)
+        factor = float(np.sqrt(free * np.median((errors / motion_g) ** 2) / MEDIAN_SQUARE))
+        sound = np.abs(errors) < _LARGEST_ERROR * np.hypot(factor * motion_g, np.sqrt(noise.mean(axis=0)))
         if not sound.all() and sound.sum() >= FEWEST_STRETCHES:
             left_out += [
-                outlier_of(pose, f"{1e3 * each:+.0f} mg from one g: moved")
-                for pose, each, good in zip(readings.poses, off, sound, strict=True)
+                outlier_of(pose, f"{1e3 * error:+.0f} mg from one g: moved")
+                for pose, error, good in zip(readings.poses, errors, sound, strict=True)
                 if not good
             ]
             readings, motion_g, noise = readings.only(np.flatnonzero(sound)), motion_g[sound], noise[:, sound]
@@ -267,8 +267,8 @@ def _stretches(sensors: Sequence[SensorLog], logs: Sequence[Log]) -> tuple[PoseR
     poses = tuple(pose for each, _, _, _ in parts for pose in each)
     means = np.concatenate([mean for _, mean, _, _ in parts], axis=1)
     variances = np.concatenate([variance for _, _, variance, _ in parts], axis=1)
-    nothing = np.zeros_like(means)
-    readings = PoseReadings(tuple(sensors), poses, means, variances, nothing, nothing + 1.0)
+    zeros = np.zeros_like(means)
+    readings = PoseReadings(tuple(sensors), poses, means, variances, zeros, zeros + 1.0)
     return readings, np.concatenate([motion for _, _, _, motion in parts])
 
 
@@ -276,13 +276,13 @@ def _of_log(sensors: Sequence[SensorLog], log: Log) -> tuple[list[Pose], Floats,
     """Return the poses (k), the readings in their middle and their variances by noise (s, k, 3), and the motion (k,) of
     one log.
     """
-    here = [log[sensor.name] for sensor in sensors]
-    begin = max(int(sensor.time[0]) for sensor in here)
-    end = min(int(sensor.time[len(sensor) - 1]) for sensor in here)
+    sensors_of_log = [log[sensor.name] for sensor in sensors]
+    begin = max(int(sensor.time[0]) for sensor in sensors_of_log)
+    end = min(int(sensor.time[len(sensor) - 1]) for sensor in sensors_of_log)
     width_ns = round(1e9 * STRETCH_S)
     count = max(0, (end - begin) // width_ns)
-    means, scatters, rows = (np.full((len(here), count, 3), np.nan) for _ in range(3))
-    for place, sensor in enumerate(here):
+    means, scatters, rows = (np.full((len(sensors_of_log), count, 3), np.nan) for _ in range(3))
+    for place, sensor in enumerate(sensors_of_log):
         for index in range(count):
             start_ns = begin + index * width_ns
             means[place, index], scatters[place, index], rows[place, index] = _middle(sensor, start_ns, width_ns)
@@ -291,10 +291,10 @@ def _of_log(sensors: Sequence[SensorLog], log: Log) -> tuple[list[Pose], Floats,
     # The calmest tenth of the stretches shows the noise; additional scatter of the others is motion.
     noise = np.quantile(scatters, 0.1, axis=1, keepdims=True) if len(sound) else scatters
     variances = _PARABOLA * noise / rows if len(sound) else scatters
-    counts = np.array([sensor.sensitivity for sensor in here])[:, None, None]
+    counts = np.array([sensor.sensitivity for sensor in sensors_of_log])[:, None, None]
     shaken = np.sqrt(np.maximum(scatters - noise, 0.0) / counts**2).max(axis=2).mean(axis=0)
-    turns = np.array([sensor.orientation / sensor.sensitivity for sensor in here])
-    force = np.einsum("sij,skj->ki", turns, means) / len(here)
+    turns = np.array([sensor.orientation / sensor.sensitivity for sensor in sensors_of_log])
+    force = np.einsum("sij,skj->ki", turns, means) / len(sensors_of_log)
     swung = ARM_M * _rate(force, sound) ** 2 / STANDARD_GRAVITY
     slow = np.flatnonzero(shaken < _FAST)
     motion = np.sqrt(shaken**2 + swung**2 + _LEAST_MOTION_G**2)[slow]
@@ -312,8 +312,8 @@ def _middle(sensor: SensorLog, start_ns: int, width_ns: int) -> tuple[Floats, Fl
     part = sensor.between(start_ns, start_ns + width_ns)
     status = np.asarray(sensor.status[part])
     if len(status) < _LEAST_ROWS or (status & (SATURATED | SUSPECT)).any():
-        nothing = np.full(3, np.nan)
-        return nothing, nothing, nothing
+        unknown = np.full(3, np.nan)
+        return unknown, unknown, unknown
     since = (np.asarray(sensor.time[part]) - start_ns - width_ns / 2) / (width_ns / 2)
     counts = np.asarray(sensor.counts[part], float)
     design = np.vander(since, 3)
@@ -489,21 +489,21 @@ def calibrate_tumble(
         labelled = []  # a few phases state which axis was up, in logs of any poses
     faces = select_faces(accelerometers, labelled) if labelled else None
     reference = _by_gravity(accelerometers, logs, progress) if faces is None else _by_faces(accelerometers, faces)
-    known, fits, drift = dict(reference.known), dict(reference.fits), dict(reference.drift_lsb)
+    calibrations, fits, drift = dict(reference.known), dict(reference.fits), dict(reference.drift_lsb)
     turns: dict[str, TurnFit] = {}
-    calibrated = [(sensor, known[sensor.name]) for sensor in accelerometers]
+    calibrated = [(sensor, calibrations[sensor.name]) for sensor in accelerometers]
     for done, sensor in enumerate(() if reference.method == PATH else gyroscopes, start=1):
         at_rest = _at_rest(sensor, reference, faces)
-        known[sensor.name], fits[sensor.name], drift[sensor.name] = at_rest
+        calibrations[sensor.name], fits[sensor.name], drift[sensor.name] = at_rest
         fit = fit_turns(
-            sensor, known[sensor.name], reference.poses, reference.up_box, reference.up_covariance, calibrated
+            sensor, calibrations[sensor.name], reference.poses, reference.up_box, reference.up_covariance, calibrated
         )
         if fit is not None:
             turns[sensor.name] = fit
-            known[sensor.name] = fit.complete(known[sensor.name])
+            calibrations[sensor.name] = fit.complete(calibrations[sensor.name])
         progress("gyroscopes", done, len(gyroscopes))
     temperature = _temperature(first, reference.poses)
-    sensors = {name: replace(calibration, temperature_degc=temperature) for name, calibration in known.items()}
+    sensors = {name: replace(calibration, temperature_degc=temperature) for name, calibration in calibrations.items()}
     return TumbleResult(
         Calibration(sensors, tuple(str(log.path) for log in logs)).stamped(logs),
         reference.method,
@@ -517,13 +517,13 @@ def calibrate_tumble(
         fits,
         turns,
         reference.left_out,
-        tuple(_warnings([*accelerometers, *gyroscopes], known, reference, faces)),
+        tuple(_warnings([*accelerometers, *gyroscopes], calibrations, reference, faces)),
     )
 
 
 def _warnings(
     sensors: Sequence[SensorLog],
-    known: Mapping[str, SensorCalibration],
+    calibrations: Mapping[str, SensorCalibration],
     reference: _Reference,
     faces: Faces | None,
 ) -> Iterator[str]:
@@ -541,10 +541,10 @@ def _warnings(
             f" (+- {np.degrees(ANGLES_RAD):g} degrees); add poses on edges and corners, or name the faces if the box"
             " stood on them"
         )
-    if uncalibrated := [sensor.name for sensor in sensors if sensor.name not in known]:
+    if uncalibrated := [sensor.name for sensor in sensors if sensor.name not in calibrations]:
         yield f"{', '.join(uncalibrated)} not calibrated: the bias of a gyroscope can only be measured at rest"
     for sensor in sensors:
-        sem = known[sensor.name].bias_sem_lsb if sensor.quantity == "specific_force" else None
+        sem = calibrations[sensor.name].bias_sem_lsb if sensor.quantity == "specific_force" else None
         worst = None if sem is None else int((sem / sensor.sensitivity).argmax())
         if sem is not None and worst is not None and sem[worst] > UNSURE_G * sensor.sensitivity:
             yield (
@@ -599,27 +599,27 @@ def _by_faces(accelerometers: Sequence[SensorLog], faces: Faces) -> _Reference:
     """Calibrate the accelerometers by the paper's Appendix B. Directions are those of the calibrated accelerometers,
     because a table may lean.
     """
-    everything = sorted((*faces.fitted, *faces.checks), key=_place_and_time)
-    result = {sensor.name: fit_faces(sensor, everything) for sensor in accelerometers}
-    known = {name: calibration for name, (calibration, _) in result.items()}
-    readings = read_poses(accelerometers, everything)
+    all_poses = sorted((*faces.fitted, *faces.checks), key=_place_and_time)
+    result = {sensor.name: fit_faces(sensor, all_poses) for sensor in accelerometers}
+    calibrations = {name: calibration for name, (calibration, _) in result.items()}
+    readings = read_poses(accelerometers, all_poses)
     forces = np.array(
-        [_force_g(known[s.name], mean) for s, mean in zip(accelerometers, readings.mean_lsb, strict=True)]
+        [_force_g(calibrations[s.name], mean) for s, mean in zip(accelerometers, readings.mean_lsb, strict=True)]
     )
     up_box = forces.mean(axis=0)
     fits = {sensor.name: face_fit(sensor, faces.fitted) for sensor in accelerometers}
-    spread = [np.mean(fits[s.name].repeatability_lsb ** 2) / s.sensitivity**2 for s in accelerometers]
+    variances = [np.mean(fits[s.name].repeatability_lsb ** 2) / s.sensitivity**2 for s in accelerometers]
     noise = (readings.variance_lsb2 / readings.sensitivity[:, None, None] ** 2).mean(axis=(1, 2))
-    fitted = [place for place, pose in enumerate(everything) if not pose.is_check]
+    fitted = [place for place, pose in enumerate(all_poses) if not pose.is_check]
     return _Reference(
         "faces",
-        tuple(everything),
+        tuple(all_poses),
         up_box / np.linalg.norm(up_box, axis=1, keepdims=True),
-        float(np.mean(spread) + np.sum(noise) / len(noise) ** 2) * np.eye(up_box.size),
-        known,
+        float(np.mean(variances) + np.sum(noise) / len(noise) ** 2) * np.eye(up_box.size),
+        calibrations,
         fits,
         {name: drift for name, (_, drift) in result.items()},
-        tuple(everything[place].label for place in fitted),
+        tuple(all_poses[place].label for place in fitted),
         {s.name: np.linalg.norm(force[fitted], axis=1) - 1 for s, force in zip(accelerometers, forces, strict=True)},
         {sensor.name: leave_one_out_residual(sensor, faces.fitted) for sensor in accelerometers},
         faces.left_out,
@@ -637,13 +637,13 @@ def _at_rest(
     """Calibrate a gyroscope from its readings at rest. Returns bias and g-sensitivity, the fit, and the drift."""
     if faces is None:
         return fit_g_sensitivity(sensor, reference.poses, reference.up_box)
-    known, drift = fit_faces(sensor, [*faces.fitted, *faces.checks])
-    return known, face_fit(sensor, faces.fitted), drift
+    calibration, drift = fit_faces(sensor, [*faces.fitted, *faces.checks])
+    return calibration, face_fit(sensor, faces.fitted), drift
 
 
-def _force_g(known: SensorCalibration, mean_lsb: Floats) -> Floats:
+def _force_g(calibration: SensorCalibration, mean_lsb: Floats) -> Floats:
     """Return the specific force (k, 3) in g in the box frame."""
-    return np.asarray(known.stimulus_box(mean_lsb) / STANDARD_GRAVITY)
+    return np.asarray(calibration.stimulus_box(mean_lsb) / STANDARD_GRAVITY)
 
 
 def _steady_g(
@@ -652,8 +652,8 @@ def _steady_g(
     """Return the length (k,) of the specific force less one g in the fitted poses with the mean bias, by sensor."""
     poses = [pose for pose in reference.poses if not pose.is_check]
     return {
-        sensor.name: np.linalg.norm(_force_g(known, read_poses([sensor], poses).mean_lsb[0]), axis=1) - 1
-        for sensor, known in accelerometers
+        sensor.name: np.linalg.norm(_force_g(calibration, read_poses([sensor], poses).mean_lsb[0]), axis=1) - 1
+        for sensor, calibration in accelerometers
     }
 
 
@@ -671,8 +671,8 @@ def _temperature(log: Log, poses: Sequence[Pose]) -> float | None:
         )
         if thermometer is None:
             return None
-        here = [pose.phase for pose, each in zip(poses, logs, strict=True) if each is own]
-        parts.append(thermometer.at(np.array([(phase.start_ns + phase.end_ns) * 0.5e-9 for phase in here])))
+        phases = [pose.phase for pose, each in zip(poses, logs, strict=True) if each is own]
+        parts.append(thermometer.at(np.array([(phase.start_ns + phase.end_ns) * 0.5e-9 for phase in phases])))
     return float(np.concatenate(parts).mean()) if parts else None
 
 

@@ -85,9 +85,9 @@ class TurnOnResult:
         where the difference is about zero, the root of half the variance's error.
         """
         inside = np.nan_to_num(self.in_run_sd_lsb) ** 2
-        both = self.run_sd_lsb**2
-        rms = np.sqrt(np.maximum(both - inside, 0.0))
-        error = np.sqrt(2 * both**2 / self.run_freedom + np.nan_to_num(2 * inside**2 / self.in_run_freedom))
+        variance = self.run_sd_lsb**2
+        rms = np.sqrt(np.maximum(variance - inside, 0.0))
+        error = np.sqrt(2 * variance**2 / self.run_freedom + np.nan_to_num(2 * inside**2 / self.in_run_freedom))
         return TurnOn(
             rms_lsb=rms,
             rms_sem_lsb=error / (2 * np.maximum(rms, np.sqrt(error / 2) + 1e-12)),
@@ -139,14 +139,14 @@ def calibrate_turn_on(logs: Sequence[Log], ranges: Ranges = NO_RANGES, seed: int
     if not sensors:
         raise CalibrationError(f"{logs[0].path}: it has no inertial sensor")
     _refuse_moving(logs)
-    results, known = [], {}
+    results, calibrated = [], {}
     for sensor in sensors:
         result = compare_runs(read_runs(logs, sensor), ranges.get(sensor.chip, {}), seed, SIGNIFICANT / len(sensors))
         turn_on = result.turn_on()
         refuse_imprecise(sensor, turn_on.rms_sem_lsb, MOST_SEM, _IMPRECISE)
         results.append(result)
-        known[sensor.name] = replace(nominal(sensor), turn_on=turn_on)
-    return TurnOnSeries(Calibration(known, tuple(str(log.path) for log in logs)).stamped(logs), tuple(results))
+        calibrated[sensor.name] = replace(nominal(sensor), turn_on=turn_on)
+    return TurnOnSeries(Calibration(calibrated, tuple(str(log.path) for log in logs)).stamped(logs), tuple(results))
 
 
 def _refuse_moving(logs: Sequence[Log]) -> None:
@@ -174,8 +174,8 @@ def compare_runs(
 
     `significant` is the level of the test for two states, divided by the number of sensors that are tested.
     """
-    apart = _faults(runs, ranges)
-    used = [place for place, number in enumerate(runs.numbers) if number not in {fault.run for fault in apart}]
+    faults = _faults(runs, ranges)
+    used = [place for place, number in enumerate(runs.numbers) if number not in {fault.run for fault in faults}]
     if len(used) < _FEWEST_RUNS:
         raise CalibrationError(
             f"sensor {runs.sensor}: {counted(len(used), 'sound run')}, at least {_FEWEST_RUNS} are required"
@@ -192,15 +192,15 @@ def compare_runs(
     )
     return TurnOnResult(
         runs,
-        apart,
+        faults,
         states,
         p_states,
         slope,
         sd,
         freedom,
-        np.array([each.mean for each in inside]) ** 0.5 if inside else np.full(3, np.nan),
-        np.array([each.freedom for each in inside]) if inside else np.full(3, np.nan),
-        np.array([each.chance_of(float(spread) ** 2, freedom) for each, spread in zip(inside, sd, strict=True)])
+        np.array([run.mean for run in inside]) ** 0.5 if inside else np.full(3, np.nan),
+        np.array([run.freedom for run in inside]) if inside else np.full(3, np.nan),
+        np.array([run.chance_of(float(spread) ** 2, freedom) for run, spread in zip(inside, sd, strict=True)])
         if inside
         else np.full(3, np.nan),
     )
@@ -211,26 +211,26 @@ def holm(p_values: npt.ArrayLike) -> Floats:
     of n values (Holm, Scand. J. Stat. 6, 1979, p. 65). nan remains nan and does not count.
     """
     values = np.asarray(p_values, float)
-    allowed = np.full(len(values), np.nan)
-    known = np.flatnonzero(np.isfinite(values))
-    order = known[np.argsort(values[known])]
+    limits = np.full(len(values), np.nan)
+    finite = np.flatnonzero(np.isfinite(values))
+    order = finite[np.argsort(values[finite])]
     raised = values[order] * np.arange(len(order), 0, -1)
-    allowed[order] = np.minimum(np.maximum.accumulate(raised), 1.0)
-    return allowed
+    limits[order] = np.minimum(np.maximum.accumulate(raised), 1.0)
+    return limits
 
 
 def _faults(runs: SensorRuns, ranges: Mapping[float, float]) -> tuple[BootFault, ...]:
     """Return the runs with a start-up fault: without a valid reading, in another range, or far from all others."""
-    read = np.asarray(np.isfinite(runs.mean_lsb).all(axis=1))
-    if not read.any():
+    is_read = np.asarray(np.isfinite(runs.mean_lsb).all(axis=1))
+    if not is_read.any():
         raise CalibrationError(f"sensor {runs.sensor}: no valid readings in any run")
-    usual = np.median(runs.mean_lsb[read], axis=0)
-    ranges_of_runs: list[tuple[float, float | None]] = [(np.nan, None)] * len(read)
+    usual = np.median(runs.mean_lsb[is_read], axis=0)
+    ranges_of_runs: list[tuple[float, float | None]] = [(np.nan, None)] * len(is_read)
     if runs.quantity == "specific_force":  # a gyroscope's bias does not depend on its range
         ranges_of_runs = [explained_range(mean, usual, runs.sensitivity, ranges) for mean in runs.mean_lsb]
-    wrong = ~read | np.array([span is not None for _, span in ranges_of_runs])
+    wrong = ~is_read | np.array([span is not None for _, span in ranges_of_runs])
     sound = np.flatnonzero(~wrong)
-    floor = np.array([each.mean for each in runs.in_run(sound.tolist())] or [0.0] * 3) ** 0.5
+    floor = np.array([pool.mean for pool in runs.in_run(sound.tolist())] or [0.0] * 3) ** 0.5
     wrong[sound[isolated_runs(runs.mean_lsb[sound], floor)]] = True
     return tuple(BootFault(runs.numbers[i], *ranges_of_runs[i], runs.unit) for i in np.flatnonzero(wrong))
 

@@ -73,10 +73,10 @@ class TurnFit:
     freedom: float
     left_out: tuple[Outlier, ...]
 
-    def complete(self, known: SensorCalibration) -> SensorCalibration:
+    def complete(self, calibration: SensorCalibration) -> SensorCalibration:
         """Return a gyroscope's calibration with this response."""
         return replace(
-            known,
+            calibration,
             response_lsb_per_unit=self.response,
             response_sem_lsb_per_unit=self.sem.max(axis=1),
             response_covariance_lsb2_per_unit2=self.covariance,
@@ -102,36 +102,36 @@ class _Turn:
 
 def fit_turns(
     sensor: SensorLog,
-    known: SensorCalibration,
+    calibration: SensorCalibration,
     poses: Sequence[Pose],
     up_box: Floats,
     up_covariance: Floats,
     accelerometers: Sequence[tuple[SensorLog, SensorCalibration]] = (),
 ) -> TurnFit | None:
     """Measure a gyroscope's response from the turns between neighbouring `poses`, in which `up_box` (k, 3) pointed up,
-    with covariance (3 k, 3 k). None if fewer than `FEWEST_TURNS` are usable (`FEWEST_MORE_TURNS` if `known` has a
+    with covariance (3 k, 3 k). None if fewer than `FEWEST_TURNS` are usable (`FEWEST_MORE_TURNS` if `calibration` has a
     measured response, which the turns then improve).
 
-    `known` contains the g-sensitivity; the calibrated `accelerometers` measure the specific force during a turn.
+    `calibration` contains the g-sensitivity; the calibrated `accelerometers` measure the specific force during a turn.
     """
-    before = _response_before(sensor, known)
-    fewest = FEWEST_TURNS if known.response_sem_lsb_per_unit is None else FEWEST_MORE_TURNS
+    prior = _response_before(sensor, calibration)
+    fewest = FEWEST_TURNS if calibration.response_sem_lsb_per_unit is None else FEWEST_MORE_TURNS
     good: list[_Turn] = []
     left_out: list[Outlier] = []
     for place, (first, second) in enumerate(pairwise(poses)):
         if first.log is not second.log:
             continue
-        turn = _turn(sensor, known, (first, second), place, up_box, accelerometers)
+        turn = _turn(sensor, calibration, (first, second), place, up_box, accelerometers)
         if isinstance(turn, Outlier):
             left_out.append(turn)
         else:
             good.append(turn)
     while len(good) >= fewest:
-        fit, chances, off = _fit(sensor, before, good, up_covariance, left_out)
-        outlier = find_outlier(chances, off, np.radians(_FAR_DEG))
+        fit, chances, shifts = _fit(sensor, prior, good, up_covariance, left_out)
+        outlier = find_outlier(chances, shifts, np.radians(_FAR_DEG))
         if outlier is None:
             return fit
-        reason = f"ends {np.degrees(off[outlier]):.2f} degrees from where the other turns predict its end"
+        reason = f"ends {np.degrees(shifts[outlier]):.2f} degrees from where the other turns predict its end"
         left_out.append(Outlier(good[outlier].name, good[outlier].log, reason))
         good.pop(outlier)
     return None
@@ -139,7 +139,7 @@ def fit_turns(
 
 def _turn(
     sensor: SensorLog,
-    known: SensorCalibration,
+    calibration: SensorCalibration,
     ends: tuple[Pose, Pose],
     place: int,
     up_box: Floats,
@@ -166,9 +166,9 @@ def _turn(
     share = ((time - time[0]) / seconds)[:, None]
     means = [reading.mean_lsb for reading in readings]
     counts = np.asarray(here.counts[rows], float) - means[0] - share * (means[1] - means[0])
-    if accelerometers and known.g_sensitivity_lsb_per_g is not None:
+    if accelerometers and calibration.g_sensitivity_lsb_per_g is not None:
         change_g = _force_g(accelerometers, first, time) - before - share * (after - before)
-        counts = counts - change_g @ known.g_sensitivity_lsb_per_g.T
+        counts = counts - change_g @ calibration.g_sensitivity_lsb_per_g.T
     rad_per_lsb = SI_PER_UNIT[sensor.unit] / sensor.sensitivity
     mean_variance = np.array([np.mean(reading.sem_lsb**2) for reading in readings]) * rad_per_lsb**2
     white = float(np.mean(mean_variance * rests_s))  # rad^2/s: a mean's variance times its averaging time
@@ -179,33 +179,33 @@ def _turn(
 def _force_g(accelerometers: Sequence[tuple[SensorLog, SensorCalibration]], pose: Pose, time_s: Floats) -> Floats:
     """Return the specific force (n, 3) in g in the box frame at these times: the mean of all accelerometers."""
     forces = []
-    for sensor, known in accelerometers:
+    for sensor, calibration in accelerometers:
         here, _ = pose.rows_of(sensor)
         rows = here.between(round(time_s[0] * 1e9) - 10**8, round(time_s[-1] * 1e9) + 10**8)
         own = np.asarray(here.time[rows]) * 1e-9
-        force = known.stimulus_box(np.asarray(here.counts[rows])) / STANDARD_GRAVITY
+        force = calibration.stimulus_box(np.asarray(here.counts[rows])) / STANDARD_GRAVITY
         forces.append(np.stack([np.interp(time_s, own, column) for column in force.T], axis=1))
     return np.asarray(np.mean(forces, axis=0))
 
 
-def _response_before(sensor: SensorLog, known: SensorCalibration) -> tuple[Floats, Floats]:
+def _response_before(sensor: SensorLog, calibration: SensorCalibration) -> tuple[Floats, Floats]:
     """Return the prior inverse response (3, 3) in rad/s per count and its information matrix (9, 9), row by row: as
     measured before, or the data sheet's with its tolerance.
     """
     si = SI_PER_UNIT[sensor.unit]
-    covariance = known.response_covariance()
+    covariance = calibration.response_covariance()
     if covariance is None:
         return np.asarray(sensor.orientation) * si / sensor.sensitivity, (
             TOLERANCE * si / sensor.sensitivity
         ) ** -2 * np.eye(9)
-    inverse = np.asarray(np.linalg.inv(known.response_lsb_per_unit) * si, float)
+    inverse = np.asarray(np.linalg.inv(calibration.response_lsb_per_unit) * si, float)
     change = -np.einsum("ia,bj->ijab", inverse, inverse).reshape(9, 9) / si
     return inverse, np.asarray(np.linalg.inv(change @ covariance @ change.T), float)
 
 
 def _fit(
     sensor: SensorLog,
-    before: tuple[Floats, Floats],
+    response_prior: tuple[Floats, Floats],
     turns: Sequence[_Turn],
     up_covariance: Floats,
     left_out: Sequence[Outlier],
@@ -213,7 +213,7 @@ def _fit(
     """Fit the response to all `turns` and the prior. Returns also for each turn its error in radians with respect to
     the others, and the probability of so large an error.
     """
-    nominal, prior = before
+    nominal, prior = response_prior
     inverse = nominal.copy()
     for _ in range(_ITERATIONS):
         parts = [_missed(turn, inverse) for turn in turns]
@@ -221,15 +221,15 @@ def _fit(
         slopes = np.concatenate([part.slope for part in parts])
         weight = np.linalg.inv(_variance(turns, parts, up_covariance))
         information = slopes.T @ weight @ slopes
-        own = np.linalg.inv(information + prior)
-        step = own @ (slopes.T @ weight @ missed + prior @ (nominal - inverse).ravel())
+        posterior = np.linalg.inv(information + prior)
+        step = posterior @ (slopes.T @ weight @ missed + prior @ (nominal - inverse).ravel())
         inverse = inverse + step.reshape(3, 3)
         if np.abs(step).max() < 1e-7 * np.abs(nominal).max():
             break
     chi_squared = float(missed @ weight @ missed)
-    freedom = 2 * len(turns) - float(np.trace(own @ information))  # the prior takes no degrees of freedom
+    freedom = 2 * len(turns) - float(np.trace(posterior @ information))  # the prior takes no degrees of freedom
     excess = chi_squared / freedom if beyond_noise(chi_squared, freedom) else 1.0
-    chances, off = _shifts(missed, weight - weight @ slopes @ own @ slopes.T @ weight, chi_squared, freedom)
+    chances, shifts = _shifts(missed, weight - weight @ slopes @ posterior @ slopes.T @ weight, chi_squared, freedom)
     response = np.asarray(np.linalg.inv(inverse), float) * SI_PER_UNIT[sensor.unit]
     change = -np.einsum("ia,bj->ijab", response, response).reshape(9, 9) / SI_PER_UNIT[sensor.unit]
     covariance = change @ np.linalg.inv(information / excess + prior) @ change.T
@@ -237,7 +237,7 @@ def _fit(
     uncertain = uncertain_columns(response, covariance)
     residual_deg = float(np.degrees(np.sqrt((missed**2).sum() / len(turns))))
     fit = TurnFit(response, sem, covariance, uncertain, len(turns), residual_deg, chi_squared, freedom, tuple(left_out))
-    return fit, chances, off
+    return fit, chances, shifts
 
 
 def _variance(turns: Sequence[_Turn], parts: Sequence[_GravityMisfit], up_covariance: Floats) -> Floats:
@@ -248,8 +248,8 @@ def _variance(turns: Sequence[_Turn], parts: Sequence[_GravityMisfit], up_covari
     for row, (turn, part) in enumerate(zip(turns, parts, strict=True)):
         ends = slice(3 * turn.place, 3 * turn.place + 6)
         answer[2 * row : 2 * row + 2, ends] = part.across @ np.hstack([-part.onward, np.eye(3)])
-    own = np.repeat([turn.variance for turn in turns], 2)
-    return np.asarray(answer @ up_covariance @ answer.T + np.diag(own))
+    variances = np.repeat([turn.variance for turn in turns], 2)
+    return np.asarray(answer @ up_covariance @ answer.T + np.diag(variances))
 
 
 def _shifts(missed: Floats, projected: Floats, chi_squared: float, freedom: float) -> tuple[list[float], Floats]:
