@@ -199,14 +199,14 @@ def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) 
     values, mixed, state = (np.zeros((*shared.shape[:2], part.mean.shape[1])) for _ in range(3))
     ones, logs, level, variance = *(np.zeros(shared.shape) for _ in range(3)), shared
     for mean, step in zip(part.mean, steps, strict=True):
-        spread = variance + noise
+        innovation_variance = variance + noise
         innovation, unit_innovation = mean - state, 1 - level
-        values += innovation**2 / spread
-        ones += unit_innovation**2 / spread
-        mixed += innovation * unit_innovation / spread
-        logs += np.log(spread)
+        values += innovation**2 / innovation_variance
+        ones += unit_innovation**2 / innovation_variance
+        mixed += innovation * unit_innovation / innovation_variance
+        logs += np.log(innovation_variance)
         decay = np.exp(-step / times)
-        gain = variance / spread
+        gain = variance / innovation_variance
         state, level = decay * (state + gain * innovation), decay * (level + gain * unit_innovation)
         variance = decay**2 * variance * (1 - gain) + (1 - decay**2) * shared
     return _LikelihoodSums(values, ones, mixed, logs)

@@ -92,15 +92,15 @@ def find_alignment(log: Log) -> Alignment | None:
     """Return the alignment of a log's inertial sensors; None with fewer than two that have `LEAST_ROWS` rows. It reads
     a bounded part of the log, and the first gyroscope's counts.
     """
-    chosen = [sensor for quantity in INERTIAL for sensor in log.of(quantity) if len(sensor) >= LEAST_ROWS]
-    if len(chosen) < 2:
+    sensors = [sensor for quantity in INERTIAL for sensor in log.of(quantity) if len(sensor) >= LEAST_ROWS]
+    if len(sensors) < 2:
         return None
-    reference = chosen[0]
-    gyroscopes = [sensor for sensor in chosen if sensor.quantity == "angular_rate" and sensor.sensitivity]
+    reference = sensors[0]
+    gyroscopes = [sensor for sensor in sensors if sensor.quantity == "angular_rate" and sensor.sensitivity]
     start_ns = _motion_from_ns(gyroscopes[0]) if len(gyroscopes) > 1 else None
     delays = {} if start_ns is None else _delays(gyroscopes, start_ns)
-    rows = tuple(_against(reference, sensor, delays.get(sensor.name)) for sensor in chosen)
-    pulses = pulse_offsets(chosen, [row.rate_hz for row in rows])
+    rows = tuple(_against(reference, sensor, delays.get(sensor.name)) for sensor in sensors)
+    pulses = pulse_offsets(sensors, [row.rate_hz for row in rows])
     rows = tuple(_with_pulses(row, pulses.get(row.name)) for row in rows)
     return Alignment(
         reference.name,
@@ -233,17 +233,21 @@ def _delay(reference_s: Floats, reference: Floats, times_s: Floats, rates: Float
     for _ in range(_FITS):
         at_s = times_s - delay_s
         inside = (at_s >= reference_s[0]) & (at_s <= reference_s[-1])
-        known = np.stack([np.interp(at_s[inside], reference_s, column) for column in reference.T], axis=1)
+        reference_at = np.stack([np.interp(at_s[inside], reference_s, column) for column in reference.T], axis=1)
         slopes = np.stack([np.interp(at_s[inside], reference_s, column) for column in derivative.T], axis=1)
-        here = rates[inside]
-        good = np.isfinite(known).all(axis=1) & np.isfinite(slopes).all(axis=1) & np.isfinite(here).all(axis=1)
-        known, slopes, here = known[good], slopes[good], here[good]
-        if len(here) < LEAST_ROWS:
+        rates_inside = rates[inside]
+        good = (
+            np.isfinite(reference_at).all(axis=1)
+            & np.isfinite(slopes).all(axis=1)
+            & np.isfinite(rates_inside).all(axis=1)
+        )
+        reference_at, slopes, rates_inside = reference_at[good], slopes[good], rates_inside[good]
+        if len(rates_inside) < LEAST_ROWS:
             return delay_s, math.inf
         steps, weights = np.zeros(3), np.zeros(3)
         for axis in range(3):
-            table = np.column_stack([known, np.ones(len(known)), slopes[:, axis]])
-            steps[axis], weights[axis] = _step(table, here[:, axis], axis)
+            table = np.column_stack([reference_at, np.ones(len(reference_at)), slopes[:, axis]])
+            steps[axis], weights[axis] = _step(table, rates_inside[:, axis], axis)
         if not weights.sum():
             return delay_s, math.inf
         delay_s += float(steps @ weights / weights.sum())

@@ -68,16 +68,20 @@ def allan_deviation(
     anything else: fewer than two values, values that are not real and finite, an interval that is not positive.
     """
     series = _checked(values, interval_s)
-    chosen = _factors(len(series), factors)
+    used_factors = _factors(len(series), factors)
     if estimator not in get_args(Estimator):
         raise ValueError(f"estimator is {estimator!r}, one of {', '.join(get_args(Estimator))} is required")
     if estimator == "decimated":
-        stream = AllanStream(interval_s, chosen)
+        stream = AllanStream(interval_s, used_factors)
         stream.feed(series)
         return stream.curve(confidence)
-    moments = [_moments(running_sum(column), chosen) for column in series.reshape(len(series), -1).T]
+    moments = [_moments(running_sum(column), used_factors) for column in series.reshape(len(series), -1).T]
     return make_curve(
-        moments, chosen, [1] * len(chosen), SeriesShape(len(series), interval_s, series.shape[1:]), confidence
+        moments,
+        used_factors,
+        [1] * len(used_factors),
+        SeriesShape(len(series), interval_s, series.shape[1:]),
+        confidence,
     )
 
 
@@ -89,12 +93,14 @@ def allan_deviation_of_counts(columns: Sequence[CountColumn], interval_s: float)
     counts of 16 bits do not drift too far. ValueError for fewer than two counts.
     """
     rows = len(columns[0])
-    chosen = _factors(rows, None)
+    used_factors = _factors(rows, None)
     moments = []
     for column in columns:
         short = column.dtype.itemsize <= 2
-        moments.append(_moments(compact_running_sum(column) if short else running_sum(column[:rows]), chosen))
-    return make_curve(moments, chosen, [1] * len(chosen), SeriesShape(rows, interval_s, (len(columns),)), CONFIDENCE)
+        moments.append(_moments(compact_running_sum(column) if short else running_sum(column[:rows]), used_factors))
+    return make_curve(
+        moments, used_factors, [1] * len(used_factors), SeriesShape(rows, interval_s, (len(columns),)), CONFIDENCE
+    )
 
 
 def allan_deviation_of_runs(columns: Sequence[CountColumn], interval_s: float, lengths: Sequence[int]) -> AllanCurve:
@@ -112,7 +118,7 @@ def allan_deviation_of_runs(columns: Sequence[CountColumn], interval_s: float, l
     run = slice(int(ends[longest] - sizes[longest]), int(ends[longest]))
     place = np.arange(int(ends[-1]) + 1, dtype=np.int32)  # number of values of its run in a running sum
     place[1:] -= np.repeat(ends - sizes, sizes).astype(np.int32)
-    chosen = _factors(int(sizes.max()), None)
+    used_factors = _factors(int(sizes.max()), None)
     moments = []
     for column in columns:
         short = column.dtype.itemsize <= 2
@@ -121,12 +127,18 @@ def allan_deviation_of_runs(columns: Sequence[CountColumn], interval_s: float, l
         for start in range(0, len(column), _BLOCK):
             stop = min(start + _BLOCK, len(column))
             changes.feed_pairs(np.asarray(column[max(start - 1, 0) : stop]), place[max(start, 1) + 1 : stop + 1] > 1)
-        averages = [_averages(phase[run.start : run.stop + 1], m) for m in chosen]
-        moments.append(DifferenceMoments(sums_of_squares_within(phase, place, chosen), averages, changes.kurtosis()))
+        averages = [_averages(phase[run.start : run.stop + 1], m) for m in used_factors]
+        moments.append(
+            DifferenceMoments(sums_of_squares_within(phase, place, used_factors), averages, changes.kurtosis())
+        )
     kinds, number = np.unique(sizes, return_counts=True)
     runs = tuple(zip(kinds.tolist(), number.tolist(), strict=True))
     return make_curve(
-        moments, chosen, [1] * len(chosen), SeriesShape(int(ends[-1]), interval_s, (len(columns),), runs), CONFIDENCE
+        moments,
+        used_factors,
+        [1] * len(used_factors),
+        SeriesShape(int(ends[-1]), interval_s, (len(columns),), runs),
+        CONFIDENCE,
     )
 
 
@@ -143,12 +155,17 @@ def _checked(values: npt.ArrayLike, interval_s: float) -> npt.NDArray[Any]:
 
 def _factors(rows: int, factors: Sequence[int] | None) -> list[int]:
     """Return the averaging factors, octaves if None; ValueError."""
-    chosen = np.asarray(octaves(rows) if factors is None else factors)
-    if chosen.ndim != 1 or chosen.dtype.kind not in "iu" or chosen.min() < 1 or chosen.max() > rows // 2:
+    candidates = np.asarray(octaves(rows) if factors is None else factors)
+    if (
+        candidates.ndim != 1
+        or candidates.dtype.kind not in "iu"
+        or candidates.min() < 1
+        or candidates.max() > rows // 2
+    ):
         raise ValueError(
             f"averaging factors are whole numbers from 1 to {rows // 2} (half of {rows} values), not {factors}"
         )
-    return [int(m) for m in chosen]
+    return [int(m) for m in candidates]
 
 
 def _moments(phase: npt.NDArray[Any], factors: Sequence[int]) -> DifferenceMoments:

@@ -213,9 +213,9 @@ class ChangeMoments:
             self._add(np.diff(block))
             self._last = block[-1:]
 
-    def feed_pairs(self, values: npt.NDArray[Any], within: npt.NDArray[np.bool_]) -> None:
-        """Add the changes between values (n,) of which `within` (n - 1,) says that they are of one run."""
-        self._add(np.diff(np.asarray(values, np.float64))[within])
+    def feed_pairs(self, values: npt.NDArray[Any], in_one_run: npt.NDArray[np.bool_]) -> None:
+        """Add the changes between values (n,) that `in_one_run` (n - 1,) marks."""
+        self._add(np.diff(np.asarray(values, np.float64))[in_one_run])
 
     def _add(self, changes: npt.NDArray[np.float64]) -> None:
         self._scale = self._scale or float(np.abs(changes).max(initial=0.0))
@@ -257,14 +257,16 @@ def make_curve(
     """Return the curve of a series from the moments of its columns at each factor."""
     rows, interval_s, shape = series.rows, series.interval_s, series.columns
     m, stride = np.array(factors, np.int64), np.array(strides, np.int64)
-    each = np.array([np.maximum(length // stride + 1 - 2 * (m // stride), 0) for length, _ in series.parts])  # (r, t)
+    pairs_of_run = np.array(
+        [np.maximum(length // stride + 1 - 2 * (m // stride), 0) for length, _ in series.parts]
+    )  # (r, t)
     number = np.array([count for _, count in series.parts])
-    terms = number @ each
+    terms = number @ pairs_of_run
     sums = np.array([column.sums for column in columns]).T.reshape(len(m), *shape)
     across = (slice(None), *[None] * len(shape))
     deviations = np.sqrt(sums / (2.0 * terms[across])) / m[across]
     noises = [_noises(column.averages, factors) for column in columns]
-    points = list(zip(factors, each.T.tolist(), strides, strict=True))
+    points = list(zip(factors, pairs_of_run.T.tolist(), strides, strict=True))
     counts = number.tolist()
     freedom = [
         [
@@ -294,10 +296,10 @@ def _pooled_freedom(noise: Noise, factor: int, number: Sequence[int], terms: Seq
 
 def _noises(averages: Sequence[npt.NDArray[np.float64]], factors: Sequence[int]) -> list[Noise]:
     """Return the noise type at each factor; a factor with too few averages has the type of the next shorter one."""
-    known: dict[int, Noise] = {}
+    noises: dict[int, Noise] = {}
     for m, values in sorted(zip(factors, averages, strict=True), key=lambda pair: pair[0]):
-        known[m] = identify_noise(values, m) or (list(known.values()) or ["white"])[-1]
-    return [known[m] for m in factors]
+        noises[m] = identify_noise(values, m) or (list(noises.values()) or ["white"])[-1]
+    return [noises[m] for m in factors]
 
 
 FLOOR = sqrt(2 * log(2) / pi)

@@ -138,11 +138,11 @@ def _cross(term: Term, lags: Floats, m: int, n: int) -> Floats:
     if term == "quantisation":
         return products
     if term == "flicker":
-        away = np.abs(lags + n - m)
-        far = away > _FAR * n
-        return np.where(far, -((m * n / np.where(far, away, 1.0)) ** 2) / pi, products)
-    apart = (lags >= 2 * m) | (lags <= -2 * n)  # nothing in common; what is left of |lag|^3 there is rounding
-    return np.where(apart, 0.0, products)
+        distance = np.abs(lags + n - m)
+        far = distance > _FAR * n
+        return np.where(far, -((m * n / np.where(far, distance, 1.0)) ** 2) / pi, products)
+    is_disjoint = (lags >= 2 * m) | (lags <= -2 * n)  # nothing in common; what is left of |lag|^3 there is rounding
+    return np.where(is_disjoint, 0.0, products)
 
 
 def _lags(m: int, n: int, rows: int) -> tuple[Floats, Floats, Floats]:
@@ -253,9 +253,9 @@ class AllanEstimate:
         for rows, number, weights in self._weights:
             points = np.flatnonzero(weights)
             factors = tuple(self.factors[point] for point in points.tolist())
-            some = covariance(factors, rows, theta)
-            some = some + max(self.kurtosis, _LEAST_KURTOSIS) / rows * white[np.ix_(points, points)]
-            covariance_[np.ix_(points, points)] += number * np.outer(weights[points], weights[points]) * some
+            of_factors = covariance(factors, rows, theta)
+            of_factors = of_factors + max(self.kurtosis, _LEAST_KURTOSIS) / rows * white[np.ix_(points, points)]
+            covariance_[np.ix_(points, points)] += number * np.outer(weights[points], weights[points]) * of_factors
         spread = np.sqrt(np.diag(covariance_) + (_LEAST_SPREAD * (self.design @ theta)) ** 2)
         sizes, ways = np.linalg.eigh(covariance_ / np.outer(spread, spread))
         return np.asarray((ways / np.sqrt(np.maximum(sizes, _LEAST_SIZE))).T), spread
@@ -271,24 +271,24 @@ class AllanSolution:
     target: Floats
 
 
-def needed(estimate: AllanEstimate, wanted: Sequence[int]) -> list[int]:
+def needed(estimate: AllanEstimate, fitted_terms: Sequence[int]) -> list[int]:
     """Return the terms that are needed: each is tested against the best fit without it, weighted as if it were
     not there.
     """
-    terms = list(wanted)
+    terms = list(fitted_terms)
     while len(terms) > 1:
         gains = {term: _gain(estimate, terms, term) for term in terms}
-        least = min(gains, key=gains.__getitem__)
-        if gains[least] >= _NEEDED:
+        weakest = min(gains, key=gains.__getitem__)
+        if gains[weakest] >= _NEEDED:
             break
-        terms.remove(least)
+        terms.remove(weakest)
     return terms
 
 
 def _gain(estimate: AllanEstimate, terms: Sequence[int], term: int) -> float:
     """Return the gain in fit by one of the terms over the others alone."""
-    others = estimate.solution([other for other in terms if other != term])
-    return others.misfit - _non_negative(others.design, others.target, terms)[1]
+    without_term = estimate.solution([other for other in terms if other != term])
+    return without_term.misfit - _non_negative(without_term.design, without_term.target, terms)[1]
 
 
 def _solve(estimate: AllanEstimate, terms: Sequence[int]) -> AllanSolution:
@@ -308,15 +308,15 @@ def _solve(estimate: AllanEstimate, terms: Sequence[int]) -> AllanSolution:
 
 def _non_negative(design: Floats, target: Floats, terms: Sequence[int]) -> tuple[Floats, float]:
     """Least squares without negative coefficients, columns scaled alike: all coefficients, and the misfit."""
-    chosen = list(terms)
-    theta, scale = np.zeros(design.shape[1]), np.linalg.norm(design[:, chosen], axis=0)
-    columns = design[:, chosen] / scale
+    included = list(terms)
+    theta, scale = np.zeros(design.shape[1]), np.linalg.norm(design[:, included], axis=0)
+    columns = design[:, included] / scale
     solution = non_negative(columns, target)
     if solution is None:
         from scipy.optimize import nnls  # whose import takes longer than all fits of a log
 
         solution = nnls(columns, target)[0]
-    theta[chosen] = solution / scale
+    theta[included] = solution / scale
     return theta, float(np.sum((columns @ solution - target) ** 2))
 
 
@@ -444,9 +444,11 @@ def fit_noise(
     estimate = AllanEstimate(
         (deviation / size) ** 2, size, tuple(factors.tolist()), curve.rows, curve.interval_s, kurtosis, curve.runs
     )
-    wanted = [at for at, term in enumerate(TERMS) if term in terms][: len(points)]
-    included = needed(estimate, wanted)
-    coefficients = tuple(_coefficient(estimate, term, included, wanted, unit, confidence) for term in wanted)
+    fitted_terms = [at for at, term in enumerate(TERMS) if term in terms][: len(points)]
+    included = needed(estimate, fitted_terms)
+    coefficients = tuple(
+        _coefficient(estimate, term, included, fitted_terms, unit, confidence) for term in fitted_terms
+    )
     return _assess(estimate, estimate.solution(included), len(included), coefficients)
 
 
@@ -461,7 +463,12 @@ def _points(curve: AllanCurve, column: int, shortest_s: float) -> npt.NDArray[np
 
 
 def _coefficient(
-    estimate: AllanEstimate, term: int, included: Sequence[int], wanted: Sequence[int], unit: str, confidence: float
+    estimate: AllanEstimate,
+    term: int,
+    included: Sequence[int],
+    fitted_terms: Sequence[int],
+    unit: str,
+    confidence: float,
 ) -> NoiseTerm:
     """Value and interval of one term in its unit.
 
@@ -471,7 +478,7 @@ def _coefficient(
     noise, which the others resemble more, spans both.
     """
     significant, name = term in included, TERMS[term]
-    models = [sorted({*included, term}), list(wanted)]
+    models = [sorted({*included, term}), list(fitted_terms)]
     values, ends = zip(*(interval_of(estimate, term, terms, confidence) for terms in models), strict=True)
     if name == "white":
         low, high = (sum(end[side] for end in ends) / len(ends) for side in range(2))

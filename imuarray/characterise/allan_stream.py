@@ -141,10 +141,10 @@ def sums_of_squares_within(phase: Values, place: npt.NDArray[np.int32], distance
         stop = min(start + _BLOCK, len(phase))
         for index, m in enumerate(distances):
             begin = max(start, 2 * m)
-            within = place[begin:stop] >= 2 * m
-            if within.any():
+            in_run = place[begin:stop] >= 2 * m
+            if in_run.any():
                 block = _second_differences(phase, m, begin, stop, work)
-                block *= within
+                block *= in_run
                 totals[index] += _square(block)
     return totals
 
@@ -231,10 +231,10 @@ class AllanStream:
         if self._rows < 2:
             raise ValueError(f"{self._rows} rows have no Allan deviation, at least 2 are required")
         longest = self._rows // 2 if self._is_named else max(self._rows // 3, 1)
-        chosen = [index for index, m in enumerate(self._factors) if m <= longest]
-        if not chosen:
+        indices = [index for index, m in enumerate(self._factors) if m <= longest]
+        if not indices:
             raise ValueError(f"{self._rows} rows are too few for the averaging factors {self._factors}")
-        factors, strides = [self._factors[at] for at in chosen], [self._strides[at] for at in chosen]
+        factors, strides = [self._factors[at] for at in indices], [self._strides[at] for at in indices]
         moments = [pyramid.moments(factors, strides) for pyramid in self._columns]
         return make_curve(moments, factors, strides, SeriesShape(self._rows, self._interval_s, self._shape), confidence)
 
@@ -249,7 +249,7 @@ class _Pyramid:
         self._levels: dict[int, _Stride] = {}
         for stride in sorted(distances):
             level = _Stride(sorted(distances[stride]), _ROWS if stride == 1 else _ROWS // 2)
-            finer = max((known for known in self._levels if stride % known == 0), default=None)
+            finer = max((other for other in self._levels if stride % other == 0), default=None)
             if finer is not None:
                 self._levels[finer].coarser.append(_Link(stride // finer, level))
             self._levels[stride] = level
@@ -325,8 +325,8 @@ class _Stride:
 
         `through`: process the coarser levels as well, even if their buffers are not full.
         """
-        held, new = self._phase[: self._filled], self._phase[self._done : self._filled]
-        for distance, total in zip(self.sums, sums_of_squares(held, list(self.sums), self._done), strict=True):
+        phase, new = self._phase[: self._filled], self._phase[self._done : self._filled]
+        for distance, total in zip(self.sums, sums_of_squares(phase, list(self.sums), self._done), strict=True):
             self.sums[distance] += total
         lacking = IDENTIFY + 1 - sum(map(len, self._first))
         if lacking > 0 and len(new):
@@ -335,9 +335,9 @@ class _Stride:
             link.pass_on(new)
             if through:
                 link.level.work(through)
-        kept = min(self._kept, self._filled)
-        self._phase[:kept] = self._phase[self._filled - kept : self._filled].copy()
-        self._filled = self._done = kept
+        count = min(self._kept, self._filled)
+        self._phase[:count] = self._phase[self._filled - count : self._filled].copy()
+        self._filled = self._done = count
 
     def averages(self) -> npt.NDArray[np.float64]:
         """Sums over one stride, the first ones."""

@@ -84,7 +84,7 @@ def _alignment(alignment: Mapping[str, Any]) -> Iterator[str]:
     yield from _wrapped(f"alignment in time, relative to {alignment['reference']}{motion}")
     yield from _ALIGNMENT_HEAD
     for sensor in alignment["sensors"]:
-        apart = "-" if sensor["row_apart_s"] is None else _seconds(sensor["row_apart_s"])
+        distance = "-" if sensor["row_apart_s"] is None else _seconds(sensor["row_apart_s"])
         delay = "-"
         if sensor["delay_s"] is not None:
             delay = f"{1e6 * sensor['delay_s']:.1f}"
@@ -92,7 +92,7 @@ def _alignment(alignment: Mapping[str, Any]) -> Iterator[str]:
                 delay += f" +-{1.96e6 * sensor['delay_error_s']:.1f}"
         yield (
             f"{_cut(sensor['name'], 12):12} {sensor['rate_hz']:>10.3f} {sensor['rate_ppm']:>10.0f} "
-            f"{_micro(sensor['offset_s']):>9} {_micro(sensor['spread_s']):>9} {apart:>15} "
+            f"{_micro(sensor['offset_s']):>9} {_micro(sensor['spread_s']):>9} {distance:>15} "
             f"{_micro(sensor['time_uncertainty_s']):>11} {delay:>16}"
         )
     if alignment["pulses_from"]:
@@ -132,8 +132,10 @@ def _heading(result: Mapping[str, Any]) -> Iterator[str]:
     emulated = " (emulated, no hardware)" if result["source"] == "emulated" else ""
     yield from _wrapped(f"{result['log']}{emulated}")
     phase = f"phase {stretch['phase']!r}, " if stretch["phase"] is not None else ""
-    up = f", {stretch['up']} up" if stretch["up"] else ""
-    yield from _wrapped(f"{phase}{stretch['start_s']:.1f} s to {stretch['end_s']:.1f} s{up} ({stretch['chosen_by']})")
+    direction = f", {stretch['up']} up" if stretch["up"] else ""
+    yield from _wrapped(
+        f"{phase}{stretch['start_s']:.1f} s to {stretch['end_s']:.1f} s{direction} ({stretch['chosen_by']})"
+    )
     if stretch["phase"] is None:
         yield "no phase is at rest: any motion counts as noise here"
 
@@ -219,9 +221,9 @@ def _fixed(value: float | None, digits: int, factor: float = 1.0) -> str:
 def _rows(sensor: Mapping[str, Any]) -> Iterator[str]:
     """Yield rate, rows, gaps and the rows of the Allan deviation, followed by the flags of the log."""
     run, scale = sensor["allan_run"], f"+-{sensor['range']:g} {sensor['unit']}" if sensor["range"] else ""
-    taken = any(axis["allan"] for axis in sensor["axes"])
-    stretch = f"{run['rows']} rows, {run['start_s']:.1f} s to {run['end_s']:.1f} s" if taken else "too few rows"
-    if taken and run["runs"] > 1:
+    has_allan = any(axis["allan"] for axis in sensor["axes"])
+    stretch = f"{run['rows']} rows, {run['start_s']:.1f} s to {run['end_s']:.1f} s" if has_allan else "too few rows"
+    if has_allan and run["runs"] > 1:
         longest_s = run["end_s"] - run["start_s"]
         stretch = f"{run['rows']} rows in {run['runs']} runs of <={longest_s:.3g} s"
     longest_ms = None if sensor["largest_gap_s"] is None else sensor["largest_gap_s"] * 1e3
@@ -328,10 +330,12 @@ class Characterisation:
                 row = {"sensor": sensor["name"], "axis": entry["axis"], "unit": sensor["unit"]}
                 row |= {name: entry["unit"][name] for name in ("mean", "std", "sem")}
                 for term, letter in TERMS.items():
-                    known = self.coefficient(sensor["name"], entry["axis"], term)
+                    coefficient = self.coefficient(sensor["name"], entry["axis"], term)
                     for name in ("value", "low", "high"):
-                        row[letter if name == "value" else f"{letter}_{name}"] = getattr(known, name, float("nan"))
-                    row[f"{letter}_doubtful"] = getattr(known, "doubtful", False)
+                        row[letter if name == "value" else f"{letter}_{name}"] = getattr(
+                            coefficient, name, float("nan")
+                        )
+                    row[f"{letter}_doubtful"] = getattr(coefficient, "doubtful", False)
                 rows.append(row)
         return pandas.DataFrame(rows).set_index(["sensor", "axis"])
 
@@ -350,8 +354,8 @@ class Characterisation:
         rows = []
         for sensor in self.result["sensors"]:
             for entry in sensor["axes"]:
-                known = (self.coefficient(sensor["name"], entry["axis"], term) for term in TERMS)
-                rows.append((f"{sensor['name']} {entry['axis']}", sensor["unit"], *map(_spelled, known)))
+                coefficients = (self.coefficient(sensor["name"], entry["axis"], term) for term in TERMS)
+                rows.append((f"{sensor['name']} {entry['axis']}", sensor["unit"], *map(_spelled, coefficients)))
         heading = ("axis", "unit", "N, unit/√Hz", "B, unit", "K, unit/√s")
         title = f"{self!r}; intervals of 95 %; in brackets: not a noise of this kind".strip("<>")
         return html_table(title, heading, rows)

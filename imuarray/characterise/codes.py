@@ -80,8 +80,8 @@ def histograms(values: npt.NDArray[np.int64]) -> list[Histogram]:
         return [histogram(row) for row in values]
     places = values + (width * np.arange(len(values)) - low)[:, np.newaxis]
     counts = np.bincount(places.ravel(), minlength=len(values) * width).reshape(-1, width)
-    seen = [row.nonzero()[0] for row in counts]
-    return [Histogram(codes + first, row[codes]) for codes, first, row in zip(seen, low, counts, strict=True)]
+    occurring = [row.nonzero()[0] for row in counts]
+    return [Histogram(codes + first, row[codes]) for codes, first, row in zip(occurring, low, counts, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -141,32 +141,36 @@ class CodeDensity:
     span_share: float
 
 
-def code_density(seen: Histogram, span: tuple[int, int] | None = None) -> CodeDensity:
+def code_density(distribution: Histogram, span: tuple[int, int] | None = None) -> CodeDensity:
     """Return the statistics of a histogram of codes; `span` are the lowest and the highest code that there are.
     ValueError without readings.
     """
-    readings = int(seen.counts.sum())
+    readings = int(distribution.counts.sum())
     if readings == 0:
         raise ValueError("a histogram needs readings")
-    moments = _moments(seen, readings)
+    moments = _moments(distribution, readings)
     std = moments[1]
-    step = _step(seen.codes)
-    usual = usual_step(seen)
-    even_share = float(seen.counts[seen.codes % 2 == 0].sum()) / readings
+    step = _step(distribution.codes)
+    usual = usual_step(distribution)
+    even_share = float(distribution.counts[distribution.codes % 2 == 0].sum()) / readings
     even_p = 2 * float(ndtr(-abs(2 * even_share - 1) * sqrt(readings))) if std >= NARROW else nan
-    gaps, missing = _missing(seen, usual)
-    low, high = _end(seen, 0, usual, std), _end(seen, -1, -usual, std)
-    beyond = nan if span is None else float(seen.counts[(seen.codes <= span[0]) | (seen.codes >= span[1])].sum())
+    gaps, missing = _missing(distribution, usual)
+    low, high = _end(distribution, 0, usual, std), _end(distribution, -1, -usual, std)
+    beyond = (
+        nan
+        if span is None
+        else float(distribution.counts[(distribution.codes <= span[0]) | (distribution.codes >= span[1])].sum())
+    )
     share = beyond / readings
     return CodeDensity(readings, *moments, even_share, even_p, step, usual, missing, gaps, low, high, share)
 
 
-def _moments(seen: Histogram, n: int) -> tuple[float, float, float, float, float, float]:
+def _moments(distribution: Histogram, n: int) -> tuple[float, float, float, float, float, float]:
     """Mean, standard deviation (n - 1), skewness and excess kurtosis, each with its standard error."""
-    origin = int(seen.codes[0])
-    codes = (seen.codes - origin).astype(np.float64)
-    mean = float(seen.counts @ codes) / n
-    second, third, fourth = (float(seen.counts @ (codes - mean) ** power) / n for power in (2, 3, 4))
+    origin = int(distribution.codes[0])
+    codes = (distribution.codes - origin).astype(np.float64)
+    mean = float(distribution.counts @ codes) / n
+    second, third, fourth = (float(distribution.counts @ (codes - mean) ** power) / n for power in (2, 3, 4))
     std = sqrt(second * n / (n - 1)) if n > 1 else nan
     if n < 4 or second == 0:
         return origin + mean, std, nan, nan, nan, nan
@@ -177,16 +181,16 @@ def _moments(seen: Histogram, n: int) -> tuple[float, float, float, float, float
     return origin + mean, std, skewness, skewness_error, kurtosis, kurtosis_error
 
 
-def usual_step(seen: Histogram) -> int:
+def usual_step(distribution: Histogram) -> int:
     """Return the greatest common divisor of the distances of all but the rarest codes; 0 for a constant column."""
-    return _step(_frequent(seen, int(seen.counts.sum())))
+    return _step(_frequent(distribution, int(distribution.counts.sum())))
 
 
-def _frequent(seen: Histogram, readings: int) -> Integers:
+def _frequent(distribution: Histogram, readings: int) -> Integers:
     """Return the codes without the rarest ones, ascending."""
-    order = np.argsort(seen.counts, kind="stable")
-    rare = int(np.searchsorted(np.cumsum(seen.counts[order]), RARE * readings, side="right"))
-    return np.sort(seen.codes[order[rare:]])
+    order = np.argsort(distribution.counts, kind="stable")
+    rare = int(np.searchsorted(np.cumsum(distribution.counts[order]), RARE * readings, side="right"))
+    return np.sort(distribution.codes[order[rare:]])
 
 
 def _step(codes: Integers) -> int:
@@ -194,9 +198,9 @@ def _step(codes: Integers) -> int:
     return int(np.gcd.reduce(np.diff(codes))) if len(codes) > 1 else 0
 
 
-def _missing(seen: Histogram, step: int) -> tuple[tuple[CodeGap, ...], int]:
+def _missing(distribution: Histogram, step: int) -> tuple[tuple[CodeGap, ...], int]:
     """Return the most improbable gaps, and how many codes are missing in all."""
-    codes, counts = _on_grid(seen, step)
+    codes, counts = _on_grid(distribution, step)
     if len(codes) < 2:
         return (), 0
     absent = np.diff(codes) // step - 1
@@ -207,22 +211,22 @@ def _missing(seen: Histogram, step: int) -> tuple[tuple[CodeGap, ...], int]:
     return tuple(gaps), int(absent.sum())
 
 
-def _on_grid(seen: Histogram, step: int) -> tuple[Integers, Integers]:
+def _on_grid(distribution: Histogram, step: int) -> tuple[Integers, Integers]:
     """Integers and counts on the grid of the most frequent code."""
     if step == 0:
-        return seen.codes[:0], seen.counts[:0]
-    on = (seen.codes - seen.codes[np.argmax(seen.counts)]) % step == 0
-    return seen.codes[on], seen.counts[on]
+        return distribution.codes[:0], distribution.counts[:0]
+    on_grid = (distribution.codes - distribution.codes[np.argmax(distribution.counts)]) % step == 0
+    return distribution.codes[on_grid], distribution.counts[on_grid]
 
 
-def _end(seen: Histogram, at: int, inwards: int, std: float) -> End:
+def _end(distribution: Histogram, at: int, inwards: int, std: float) -> End:
     """Return the code number `at` of a histogram, beside the one a step inwards."""
-    code, count = int(seen.codes[at]), int(seen.counts[at])
+    code, count = int(distribution.codes[at]), int(distribution.counts[at])
     p_value = nan
     if inwards and std >= NARROW * abs(inwards):
-        next_count = int(seen.counts[seen.codes == code + inwards].sum())
+        next_count = int(distribution.counts[distribution.codes == code + inwards].sum())
         p_value = float(betainc(count, (count + next_count) - count + 1, 0.5)) if count > 0 else 1.0
-    return End(code, count / int(seen.counts.sum()), p_value)
+    return End(code, count / int(distribution.counts.sum()), p_value)
 
 
 Counts = npt.NDArray[np.int64]
@@ -276,17 +280,19 @@ class Rails:
 
 def find_rails(sensor: SensorLog) -> Rails:
     """Find the rails of a triad; its rows are read twice at most."""
-    seen = [NOTHING] * 3
+    distributions = [NOTHING] * 3
     for block in sensor.blocks(_BLOCK_ROWS):
         counts = np.asarray(sensor.counts[block], np.int64)
-        seen = [known.merge(histogram(column)) for known, column in zip(seen, counts.T, strict=True)]
+        distributions = [
+            merged.merge(histogram(column)) for merged, column in zip(distributions, counts.T, strict=True)
+        ]
     low, high = np.full(3, -inf), np.full(3, inf)
     if not len(sensor):
         return Rails(low, high, np.zeros(3, np.int64))
     nominal = round(sensor.range * sensor.sensitivity)
     span = -(1 << sensor.count_bits - 1), (1 << sensor.count_bits - 1) - 1
     doubtful: list[tuple[int, int]] = []
-    for axis, codes in enumerate(seen):
+    for axis, codes in enumerate(distributions):
         for side in (-1, 1):
             code = int(codes.codes[-1 if side > 0 else 0])
             verdict = code == span[side > 0] or _at_end(codes, side, nominal)
@@ -294,43 +300,46 @@ def find_rails(sensor: SensorLog) -> Rails:
                 (high if side > 0 else low)[axis] = code
             elif verdict is None:
                 doubtful.append((axis, code))
-    for axis, code in _moving(sensor, doubtful, [max(1, usual_step(codes)) for codes in seen]):
-        if code == seen[axis].codes[-1]:
+    for axis, code in _moving(sensor, doubtful, [max(1, usual_step(codes)) for codes in distributions]):
+        if code == distributions[axis].codes[-1]:
             high[axis] = code
         else:
             low[axis] = code
     rows = [
         int(codes.counts[(codes.codes <= low[axis]) | (codes.codes >= high[axis])].sum())
-        for axis, codes in enumerate(seen)
+        for axis, codes in enumerate(distributions)
     ]
     return Rails(low, high, np.array(rows, np.int64))
 
 
-def _at_end(seen: Histogram, side: int, nominal: int) -> bool | None:
+def _at_end(distribution: Histogram, side: int, nominal: int) -> bool | None:
     """Return whether the last code on a side is a rail; None if that depends on whether the box moved."""
-    code = int(seen.codes[-1 if side > 0 else 0])
-    away = side * code
-    if 0 < nominal - NOMINAL <= away <= nominal:
+    code = int(distribution.codes[-1 if side > 0 else 0])
+    distance = side * code
+    if 0 < nominal - NOMINAL <= distance <= nominal:
         return True
-    is_near = abs(away - nominal) <= NEAR_RANGE * nominal
-    if not _is_pile(seen, side, FALLING if is_near else TURNING):
+    is_near = abs(distance - nominal) <= NEAR_RANGE * nominal
+    if not _is_pile(distribution, side, FALLING if is_near else TURNING):
         return False
     return True if is_near else None
 
 
-def _is_pile(seen: Histogram, side: int, share: float) -> bool:
+def _is_pile(distribution: Histogram, side: int, share: float) -> bool:
     """Return whether the last code on a side comes more often than `share` of it and the codes before it allows."""
-    code = int(seen.codes[-1 if side > 0 else 0])
-    count = int(seen.counts[-1 if side > 0 else 0])
-    step = usual_step(seen)
+    code = int(distribution.codes[-1 if side > 0 else 0])
+    count = int(distribution.counts[-1 if side > 0 else 0])
+    step = usual_step(distribution)
     if count < LEAST_PILE or step == 0:
         return False
-    mean = float(seen.codes @ seen.counts) / float(seen.counts.sum())
-    if float(seen.counts @ (seen.codes - mean) ** 2) / float(seen.counts.sum()) < (NARROW * step) ** 2:
+    mean = float(distribution.codes @ distribution.counts) / float(distribution.counts.sum())
+    if (
+        float(distribution.counts @ (distribution.codes - mean) ** 2) / float(distribution.counts.sum())
+        < (NARROW * step) ** 2
+    ):
         return False
-    inwards = side * (code - seen.codes)
-    before = int(seen.counts[(inwards > 0) & (inwards <= BEFORE * step)].sum())
-    return bool(bdtrc(count - 1, count + before, share) < SURE)
+    inwards = side * (code - distribution.codes)
+    codes_before = int(distribution.counts[(inwards > 0) & (inwards <= BEFORE * step)].sum())
+    return bool(bdtrc(count - 1, count + codes_before, share) < SURE)
 
 
 def _moving(sensor: SensorLog, piles: list[tuple[int, int]], steps: list[int]) -> list[tuple[int, int]]:

@@ -99,9 +99,9 @@ def places_in_short(places: Sequence[Place]) -> str:
     """Spell axes of sensors: "Gyro1 to Gyro3 x, z; Acc1"."""
     axes: dict[str, list[str]] = {}
     for sensor, axis in places:
-        known = axes.setdefault(sensor, [])
-        if axis and axis not in known:
-            known.append(axis)
+        axes_places = axes.setdefault(sensor, [])
+        if axis and axis not in axes_places:
+            axes_places.append(axis)
     sensors: dict[str, list[str]] = {}
     for sensor, names in axes.items():
         sensors.setdefault(", ".join(sorted(names)), []).append(sensor)
@@ -180,8 +180,8 @@ def _rails(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
             if flagged
             else (readings, "readings of the axis")
         )
-        other = "" if flagged else "; none of them is flagged as saturated: import the log again"
-        sentence = f"clips at {codes}; {{0}} {unit} in the log{other}"
+        advice = "" if flagged else "; none of them is flagged as saturated: import the log again"
+        sentence = f"clips at {codes}; {{0}} {unit} in the log{advice}"
         yield _Remark((sensor["name"], axis["axis"]), sentence, (str(count),), (count,))
 
 
@@ -194,13 +194,13 @@ def _ends(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
     rails = sensor["rails"] or {"low": (), "high": ()}
     for number, axis in enumerate(sensor["axes"]):
         codes, place = axis["codes"], (sensor["name"], axis["axis"])
-        known = {codes_of_end[number] for codes_of_end in (rails["low"], rails["high"]) if codes_of_end}
+        end_codes = {codes_of_end[number] for codes_of_end in (rails["low"], rails["high"]) if codes_of_end}
         if codes is None:
             continue
         if codes["step"] == 0:
             yield _Remark(place, "always the same code")
         for end in (codes["low_end"], codes["high_end"]):
-            if end["code"] in known:
+            if end["code"] in end_codes:
                 continue
             if end["p_value"] is not None and end["p_value"] < SURE and end["share"] > _CLIPPED_SHARE:
                 yield _Remark(place, "readings accumulate at code {0}: clipped", (str(end["code"]),), (end["code"],))
@@ -265,10 +265,12 @@ def _fit(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
         if fit is None or not fit["verdict"]:
             continue
         way = "above" if fit["worst_ratio"] > 1 else "below"
-        off, tau_s = abs(fit["worst_ratio"] - 1), fit["worst_tau_s"]
-        why = ", because of its lines" if axis["lines"] else ""
-        sentence = f"the Allan curve is not a sum of the fitted noises{why}: {{0}} {way} the fit at {{1}} s"
-        yield _Remark((sensor["name"], axis["axis"]), sentence, (f"{100 * off:.0f} %", f"{tau_s:.3g}"), (off, tau_s))
+        error, tau_s = abs(fit["worst_ratio"] - 1), fit["worst_tau_s"]
+        reason = ", because of its lines" if axis["lines"] else ""
+        sentence = f"the Allan curve is not a sum of the fitted noises{reason}: {{0}} {way} the fit at {{1}} s"
+        yield _Remark(
+            (sensor["name"], axis["axis"]), sentence, (f"{100 * error:.0f} %", f"{tau_s:.3g}"), (error, tau_s)
+        )
 
 
 @dataclass(frozen=True)
@@ -305,10 +307,10 @@ def _lines(sensors: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     order = [(sensor["name"], axis["axis"]) for sensor in sensors for axis in sensor["axes"]]
     for group in groups[:_LISTED_LINES]:
         yield _line_in_words(group, places_in_short(sorted((line.place for line in group), key=order.index)))
-    others = [line for group in groups[_LISTED_LINES:] for line in group]
-    if others:
-        places = places_in_short(sorted((line.place for line in others), key=order.index))
-        yield f"weaker lines: {len(others)}, in {places}"
+    unlisted = [line for group in groups[_LISTED_LINES:] for line in group]
+    if unlisted:
+        places = places_in_short(sorted((line.place for line in unlisted), key=order.index))
+        yield f"weaker lines: {len(unlisted)}, in {places}"
 
 
 def _has_place(group: Sequence[_AxisLine], line: _AxisLine) -> bool:
@@ -331,8 +333,8 @@ def _line_in_words(group: Sequence[_AxisLine], places: str) -> str:
     """One line, of the strongest of the axes that have it; amplitudes of all."""
     strongest = group[0]
     line, scale = strongest.line, strongest.scale
-    others = [f"{hz:.4g}" for hz in line["aliases_hz"][1 : 1 + _ALIASES]]
-    aliases = f" (or an alias of {', '.join(others)}, ... Hz)" if others else ""
+    other_aliases = [f"{hz:.4g}" for hz in line["aliases_hz"][1 : 1 + _ALIASES]]
+    aliases = f" (or an alias of {', '.join(other_aliases)}, ... Hz)" if other_aliases else ""
     width = f"{line['width_hz']:.2g} Hz wide " if line.get("width_hz") else ""
     fundamental_hz = line.get("fundamental_hz")
     order = (

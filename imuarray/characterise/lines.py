@@ -79,8 +79,8 @@ class NoiseFloor:
     def level(self, probability: float) -> Floats:
         """Density (b,) that noise exceeds with `probability` in a bin: ratio of two gamma laws, Fisher's F."""
         # Few pairs differ, and each takes long; complex numbers are sorted faster than columns.
-        pairs, which = np.unique(self.spectrum_freedom + 1j * self.freedom, return_inverse=True)
-        return np.asarray(self.density * fdtri(pairs.real, pairs.imag, 1 - probability)[which.reshape(-1)])
+        pairs, pair_of_bin = np.unique(self.spectrum_freedom + 1j * self.freedom, return_inverse=True)
+        return np.asarray(self.density * fdtri(pairs.real, pairs.imag, 1 - probability)[pair_of_bin.reshape(-1)])
 
     def exceedance(self, density: Floats, at: Sequence[int]) -> Floats:
         """Probability (p,) that noise exceeds the `density` of a spectrum in the floor's bins number `at` (p,)."""
@@ -122,13 +122,13 @@ def _sides(bins: Indices, last: int) -> Indices:
 def _joined_medians(height: Floats, bins: Indices, last: int) -> Floats:
     """Return at each bin the medians of the bins below and above it, interpolated over log frequency (b,)."""
     joined = np.empty(len(bins))
-    for side, which, below, above, share in _neighbourhoods(bins.tobytes(), len(height), last):
+    for side, rows, below, above, share in _neighbourhoods(bins.tobytes(), len(height), last):
         if (side == side[0]).all():  # the windows above some bins are those below others
             medians = _median(height, np.arange(below[0], above[-1] + 1), side[:1])
             low, high = medians[below - below[0]], medians[above - below[0]]
         else:
             low, high = _median(height, below, side), _median(height, above, side)
-        joined[which] = low + (high - low) * share
+        joined[rows] = low + (high - low) * share
     return joined
 
 
@@ -156,16 +156,16 @@ def _neighbourhoods(bins: bytes, length: int, last: int) -> list[_Neighbourhoods
         side: np.lib.stride_tricks.sliding_window_view(logs, side).mean(axis=1) for side in np.unique(sides).tolist()
     }
     groups = []
-    for few in (True, False):
-        which = np.flatnonzero((sides < sides.max()) == few)
-        if len(which) == 0:
+    for is_edge in (True, False):
+        rows = np.flatnonzero((sides < sides.max()) == is_edge)
+        if len(rows) == 0:
             continue
-        side, place = sides[which], places[which]
+        side, place = sides[rows], places[rows]
         below, above = place - _GUARD - side, place + _GUARD + 1
         low_end = np.array([means[each][at - 1] for each, at in zip(side.tolist(), below.tolist(), strict=True)])
         high_end = np.array([means[each][at - 1] for each, at in zip(side.tolist(), above.tolist(), strict=True)])
         share = (logs[place - 1] - low_end) / (high_end - low_end)
-        groups.append(_Neighbourhoods(side, which, below, above, share))
+        groups.append(_Neighbourhoods(side, rows, below, above, share))
     return groups
 
 
@@ -212,12 +212,12 @@ def _share_of_one(side: int) -> float:
     """Return the variance of the log of the floor relative to that of one bin, as for means with the weights of all
     three steps. Twice the weight of the bin itself is subtracted, because the bin is part of its floor.
     """
-    joined = np.concatenate([np.ones(side), np.zeros(2 * _GUARD + 1), np.ones(side)]) / (2 * side)
+    window = np.concatenate([np.ones(side), np.zeros(2 * _GUARD + 1), np.ones(side)]) / (2 * side)
     half = side // 2
-    trend = np.convolve(joined, np.full(2 * half + 1, 1 / (2 * half + 1)))
-    weights = -np.convolve(trend, joined)
+    trend = np.convolve(window, np.full(2 * half + 1, 1 / (2 * half + 1)))
+    weights = -np.convolve(trend, window)
     weights[side + _GUARD : -(side + _GUARD)] += trend
-    weights[side + _GUARD + half : -(side + _GUARD + half)] += joined
+    weights[side + _GUARD + half : -(side + _GUARD + half)] += window
     shared = [correlation * float(weights[lag:] @ weights[: len(weights) - lag]) for lag, correlation in _SIGNS]
     return 2 * sum(shared) - shared[0] - 2 * float(weights[len(weights) // 2])
 
@@ -228,8 +228,8 @@ def _thinned(rest: Floats, freedom: float, floor_freedom: float) -> float:
     """
     expected = float(np.diff(np.log(fdtri(freedom, floor_freedom, _EXTREMES)))[0])
     spread = float(np.diff(np.quantile(rest, _EXTREMES))[0])
-    allowed = expected * (1 + 3 * np.sqrt(1.62 / len(rest)))
-    return 1.0 if spread <= allowed else (expected / spread) ** 2
+    limit = expected * (1 + 3 * np.sqrt(1.62 / len(rest)))
+    return 1.0 if spread <= limit else (expected / spread) ** 2
 
 
 FALSE_ALARM = 0.01
@@ -331,15 +331,15 @@ def _peaks(power: Floats, bins: npt.NDArray[np.intp], level: Floats) -> list[int
     """Return which of the `bins` (b,) are peaks above the level (b,), strongest first, none that a stronger one leaks
     to.
     """
-    here = power[bins]
+    heights = power[bins]
     limit = np.concatenate([level[:-1], 2 * level[-1:]])
-    tops = np.flatnonzero((here > limit) & (here >= power[bins - 1]) & (here >= power[bins + 1]))
+    tops = np.flatnonzero((heights > limit) & (heights >= power[bins - 1]) & (heights >= power[bins + 1]))
     peaks: list[int] = []
     leaked = np.zeros(len(bins))
-    for at in tops[np.argsort(-here[tops], kind="stable")].tolist():
-        if here[at] > limit[at] + _LEAKED * leaked[at]:
+    for at in tops[np.argsort(-heights[tops], kind="stable")].tolist():
+        if heights[at] > limit[at] + _LEAKED * leaked[at]:
             peaks.append(at)
-            leaked += here[at] * _leakage(np.abs(bins - bins[at]))
+            leaked += heights[at] * _leakage(np.abs(bins - bins[at]))
     return peaks
 
 
@@ -369,11 +369,11 @@ def _reflected(power: Floats, bins: npt.NDArray[np.intp]) -> Floats:
     return np.asarray(power[last - np.abs(last - bins)])
 
 
-def _leakage(away: npt.NDArray[np.intp]) -> Floats:
+def _leakage(bins_away: npt.NDArray[np.intp]) -> Floats:
     """Return the most (b,) that a line shows so many bins from its peak, as a share of that; no limit next to it."""
-    distance = np.maximum(away, _APART) - 0.5
+    distance = np.maximum(bins_away, _APART) - 0.5
     share = (np.pi * distance * (distance**2 - 1)) ** -2.0 / _lobe(0.5)
-    return np.asarray(np.where(away < _APART, inf, share))
+    return np.asarray(np.where(bins_away < _APART, inf, share))
 
 
 def _lobe(offset: float) -> float:
@@ -418,7 +418,7 @@ def _beside_line(offset: float, spectrum: Spectrum) -> Floats:
     waves = window * np.exp(-2j * np.pi * np.outer(np.arange(-1, 2) - offset, _TIMES))
     line = waves.sum(axis=1)
     half = len(_TIMES) // 2
-    here, onward = waves @ waves.conj().T, waves[:, half:] @ waves[:, :half].conj().T
+    overlap, onward = waves @ waves.conj().T, waves[:, half:] @ waves[:, :half].conj().T
     inside = (spectrum.segments - spectrum.runs) / spectrum.segments
-    both = np.real(np.outer(line.conj(), line) * (here + inside * (onward + onward.conj().T)))
-    return np.asarray(both / (np.sum(window**2) * np.sum(np.abs(line) ** 2) * spectrum.segments))
+    products = np.real(np.outer(line.conj(), line) * (overlap + inside * (onward + onward.conj().T)))
+    return np.asarray(products / (np.sum(window**2) * np.sum(np.abs(line) ** 2) * spectrum.segments))

@@ -65,9 +65,9 @@ class _RunningMoments(NamedTuple):
         number = self.number + other.number
         if number == 0:
             return self
-        apart = other.mean - self.mean
-        mean = self.mean + apart * (other.number / number)
-        squares = self.squares + other.squares + apart**2 * (self.number * other.number / number)
+        difference = other.mean - self.mean
+        mean = self.mean + difference * (other.number / number)
+        squares = self.squares + other.squares + difference**2 * (self.number * other.number / number)
         return _RunningMoments(number, mean, squares)
 
 
@@ -96,11 +96,11 @@ def noise_statistics(sensor: SensorLog, rows: slice, left_out: Spans = ()) -> No
     origin: Floats | None = None
     for batch in _batches(rows):
         in_batch = _RunningMoments(0, zeros, zeros)
-        for kept in _used_rows(sensor, batch, flags, left_out):
-            origin = kept.mean(axis=1) if origin is None else origin
-            in_batch = in_batch.merge(_moments(kept))
-            pairs = pairs.merge(_pairs(kept - origin[:, np.newaxis]))
-            even = even + np.count_nonzero((kept & 1) == 0, axis=1)
+        for used in _used_rows(sensor, batch, flags, left_out):
+            origin = used.mean(axis=1) if origin is None else origin
+            in_batch = in_batch.merge(_moments(used))
+            pairs = pairs.merge(_pairs(used - origin[:, np.newaxis]))
+            even = even + np.count_nonzero((used & 1) == 0, axis=1)
         total = total.merge(in_batch)
         if in_batch.number:
             means.append(in_batch.mean)
@@ -119,8 +119,8 @@ def _used_rows(
             flags[name] += int(np.count_nonzero(status & flag))
         used = ((flags_of(sensor, part, left_out) if left_out else status) & LEFT_OUT) == 0
         if used.any():
-            kept = slice(None) if used.all() else used  # avoids a copy
-            yield np.ascontiguousarray(np.asarray(sensor.counts[part])[kept].T, np.int64)
+            selection = slice(None) if used.all() else used  # avoids a copy
+            yield np.ascontiguousarray(np.asarray(sensor.counts[part])[selection].T, np.int64)
 
 
 def _batches(rows: slice) -> Iterator[slice]:

@@ -199,10 +199,10 @@ def _low_pass(windows: Floats, rate_hz: float) -> _LowPass | None:
     low, high = (float(np.median(density[(place >= begin) & (place <= end)])) for begin, end in (_LOW, _HIGH))
     if not high < DEPLETED * low:
         return None
-    below = np.flatnonzero((density < low / 2) & (place > _LOW[0]))
-    if not len(below):
+    in_stopband = np.flatnonzero((density < low / 2) & (place > _LOW[0]))
+    if not len(in_stopband):
         return None
-    cutoff = float(place[below[0]])
+    cutoff = float(place[in_stopband[0]])
     near = density[(place >= 1.9 * cutoff) & (place <= 2.1 * cutoff)]
     is_steep = bool(len(near)) and cutoff < _OCTAVE_BELOW_END and float(near.mean()) < low * _octave_above(cutoff)
     return _LowPass(cutoff * rate_hz / 2, is_steep)
@@ -288,8 +288,8 @@ def find_interpolation(sensor: SensorLog) -> Interpolation | None:
         steps = np.diff(counts.T.astype(np.int64, order="C"))  # axis by axis, along which numpy is faster
         bends = np.abs(np.diff(steps)).max(axis=0)
         off_line = bends > ROUNDED
-        held = (bends == 0) & ~steps[:, 1:].any(axis=0)
-        straight += len(bends) - int(np.count_nonzero(off_line)) - int(np.count_nonzero(held))
+        is_held = (bends == 0) & ~steps[:, 1:].any(axis=0)
+        straight += len(bends) - int(np.count_nonzero(off_line)) - int(np.count_nonzero(is_held))
         compared += len(bends)
         if off_line.any():
             scatter.append(float(np.median(bends[off_line])))

@@ -94,16 +94,16 @@ def _runs(levels: Floats) -> list[int]:
     """Return the first pieces of runs of equal levels (n, 2), the logarithms of intervals."""
     begins, least = [0], log(CHANGED)
     rows = levels.tolist()
-    own: tuple[list[float], list[float]] = [], []  # of the run, in order, without its first piece, of both rates
+    intervals: tuple[list[float], list[float]] = [], []  # of the run, in order, without its first piece, of both rates
     for piece in range(2, len(rows) - 1):
-        for column, ordered in enumerate(own):
+        for column, ordered in enumerate(intervals):
             if piece - 1 > begins[-1]:
                 insort(ordered, rows[piece - 1][column])
-        usual = [(each[(len(each) - 1) // 2] + each[len(each) // 2]) / 2 if each else nan for each in own]
+        usual = [(each[(len(each) - 1) // 2] + each[len(each) // 2]) / 2 if each else nan for each in intervals]
         changes = [row[column] - usual[column] for row in rows[piece : piece + 2] for column in range(2)]
         if all(change > least for change in changes) or all(change < -least for change in changes):
             begins.append(piece)
-            own = [], []
+            intervals = [], []
     return begins
 
 

@@ -59,16 +59,16 @@ class RepeatTally:
         if len(counts) == 0:
             return
         rows = counts if self._before is None else np.concatenate([self._before, counts])
-        known = len(rows) - len(counts)
-        begin = max(known, 1)
+        earlier = len(rows) - len(counts)
+        begin = max(earlier, 1)
         equal = _equal_rows(rows[begin:], rows[begin - 1 : -1])
         self._compared += len(equal)
         self._equal += int(np.count_nonzero(equal))
-        far = max(known, APART)
+        far = max(earlier, APART)
         self._far_compared += max(0, len(rows) - far)
         if len(rows) > far:
             self._far_equal += int(np.count_nonzero(_equal_rows(rows[far:], rows[far - APART : -APART])))
-        self._find_runs(self._rows + begin - known + np.flatnonzero(~equal))
+        self._find_runs(self._rows + begin - earlier + np.flatnonzero(~equal))
         self._rows += len(counts)
         self._before = rows[-APART:].copy(order="K")
 

@@ -106,13 +106,13 @@ def find_bands(
     for line in narrow:
         _level(density, round(line.frequency_hz / spectrum.resolution_hz))
     boxes = sorted(_boxes(density, float(np.median(spectrum.freedom)), false_alarm), key=lambda box: box.chance)
-    taken = np.zeros(len(density), bool)
+    in_band = np.zeros(len(density), bool)
     bands = []
     for box in boxes:
         around = slice(max(box.first - (box.stop - box.first), 0), box.stop + (box.stop - box.first))
-        if not taken[around].any():
+        if not in_band[around].any():
             bands.append(_band(spectrum, density, box))
-            taken[around] = True
+            in_band[around] = True
     return tuple(sorted(bands, key=lambda band: -band.amplitude))
 
 
@@ -129,7 +129,7 @@ def _boxes(density: Floats, freedom: float, false_alarm: float) -> list[_Box]:
     from scipy.special import fdtrc  # scipy.stats is slow to import
 
     widths = [width for width in WIDTHS if 8 * width < len(density)]
-    tried = sum(2 * len(density) // width for width in widths)
+    trials = sum(2 * len(density) // width for width in widths)
     mirrored = np.concatenate([density, density[-2 : -2 - 4 * WIDTHS[-1] : -1]])  # the bins above half the rate
     boxes = []
     for width in widths:
@@ -138,7 +138,7 @@ def _boxes(density: Floats, freedom: float, false_alarm: float) -> list[_Box]:
         means = sliding_window_view(density, width)[starts].mean(axis=1)
         ratio = means / floor
         sure = freedom * max(width / _SHARED, 1.0), freedom * np.maximum(_MEDIAN * bins / _SHARED, 1.0)
-        chance = tried * fdtrc(*sure, ratio / SLACK)
+        chance = trials * fdtrc(*sure, ratio / SLACK)
         for at in np.flatnonzero((ratio > RISES) & (chance < false_alarm)).tolist():
             first = int(starts[at])
             boxes.append(_Box(first, first + width, float(floor[at]), float(chance[at])))
@@ -152,14 +152,14 @@ def _floors(density: Floats, starts: Indices, width: int) -> tuple[Floats, Indic
     span = _SIDE * width
     floor, bins = np.full(len(starts), np.inf), np.full(len(starts), span)
     windows = sliding_window_view(density, span)
-    below = starts - width // 2 - span
-    whole = below >= _LOWEST
-    above = np.median(windows[starts + 3 * width // 2], axis=1)
-    floor[whole] = np.maximum(np.median(windows[below[whole]], axis=1), above[whole])
+    lower = starts - width // 2 - span
+    whole = lower >= _LOWEST
+    upper = np.median(windows[starts + 3 * width // 2], axis=1)
+    floor[whole] = np.maximum(np.median(windows[lower[whole]], axis=1), upper[whole])
     for at in np.flatnonzero(~whole).tolist():
         side = density[_LOWEST : max(int(starts[at]) - width // 2, _LOWEST)]
         if len(side) >= _LEAST_SIDE:
-            floor[at], bins[at] = max(float(np.median(side)), float(above[at])), len(side)
+            floor[at], bins[at] = max(float(np.median(side)), float(upper[at])), len(side)
     return floor, bins
 
 
@@ -168,11 +168,11 @@ def _band(spectrum: Spectrum, density: Floats, box: _Box) -> Band:
     width = box.stop - box.first
     bins = np.arange(max(box.first - width // 2, 1), min(box.stop + width // 2, len(density)))
     excess = density[bins] - box.floor
-    kept = np.maximum(excess, 0.0)
-    total = max(float(excess.sum()), float(kept.max()))
-    weights = kept**2 / float((kept**2).sum())
+    positive = np.maximum(excess, 0.0)
+    total = max(float(excess.sum()), float(positive.max()))
+    weights = positive**2 / float((positive**2).sum())
     middle = float(bins @ weights)
-    spread = sqrt(max(float(((bins - middle) ** 2) @ (kept / float(kept.sum()))), 0.25))
+    spread = sqrt(max(float(((bins - middle) ** 2) @ (positive / float(positive.sum()))), 0.25))
     sure = float(np.median(spectrum.freedom)) * max(spread / _SHARED, 1.0)
     amplitude = sqrt(2 * total * spectrum.resolution_hz)
     return Band(
@@ -223,7 +223,7 @@ def spectrum_of(survey: Survey) -> dict[str, Any]:
 def column_of(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any]:
     """One column's fit, density (squared counts per Hz), lines, autocorrelation and codes."""
     correlation = survey.correlation
-    seen = survey.histograms[column]
+    histogram = survey.histograms[column]
     return {
         "fit": _fit(survey, column, sensor),
         "density": survey.spectrum.density[:, column],
@@ -233,8 +233,8 @@ def column_of(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any]:
             "error": correlation.error[:, column],
             "p_value": correlation.p_value[column],
         },
-        "codes": asdict(code_density(seen)) if seen.counts.sum() else None,
-        "histogram": (asdict(seen) if len(seen.codes) <= _LISTED_CODES else None),
+        "codes": asdict(code_density(histogram)) if histogram.counts.sum() else None,
+        "histogram": (asdict(histogram) if len(histogram.codes) <= _LISTED_CODES else None),
     }
 
 
@@ -282,12 +282,12 @@ def _with_harmonics(lines: list[dict[str, Any]], resolution_hz: float) -> list[d
         line["fundamental_hz"] = None
         for other in sorted(lines, key=lambda line: line["frequency_hz"]):
             order = round(line["frequency_hz"] / other["frequency_hz"])
-            apart = abs(line["frequency_hz"] - order * other["frequency_hz"])
+            distance = abs(line["frequency_hz"] - order * other["frequency_hz"])
             sure = 3 * (line["frequency_error_hz"] + order * other["frequency_error_hz"])
             if (
                 2 <= order <= HARMONICS
-                and apart < min(sure, resolution_hz)
-                and bool(apart < CHANCE * other["frequency_hz"] / order)
+                and distance < min(sure, resolution_hz)
+                and bool(distance < CHANCE * other["frequency_hz"] / order)
             ):
                 line["fundamental_hz"] = other["frequency_hz"]
                 break
@@ -327,14 +327,14 @@ def find_stalls(sensor: SensorLog) -> Stalls | None:
         return None
     threshold = THRESHOLD_DPS * sensor.sensitivity
     passages = stalled = 0
-    before = np.empty((0, 3), np.int64)
+    previous = np.empty((0, 3), np.int64)
     for block in sensor.blocks(_BLOCK_ROWS):
-        rows = np.concatenate([before, np.asarray(sensor.counts[block], np.int64)])
+        rows = np.concatenate([previous, np.asarray(sensor.counts[block], np.int64)])
         inside = np.abs(rows) < threshold
         passed = (inside[2:] != inside[1:-1]).any(axis=1)
         passages += int(np.count_nonzero(passed))
         stalled += int(np.count_nonzero(passed & (rows[1:-1] == rows[:-2]).all(axis=1)))
-        before = rows[-2:]
+        previous = rows[-2:]
     return Stalls(passages, stalled)
 
 
@@ -357,8 +357,10 @@ def characterise_log(
     `estimator` of the Allan deviation; None: overlapping, or for long runs decimated (`survey.EXACT_ROWS`).
     `progress` is called after every column. LogError for an unknown phase or sensor, or a log without triads.
     """
-    chosen = [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
-    if not chosen:
+    chosen_sensors = (
+        [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
+    )
+    if not chosen_sensors:
         raise LogError(f"{log.path}: it has no accelerometer, gyroscope or magnetometer")
     log.keep_rows()
     chosen_stretch = choose_stretch(log, None if isinstance(phase, Stretch) else phase)
@@ -373,7 +375,7 @@ def characterise_log(
         "left_out_of_statistics": [name for name, flag in FLAGS.items() if flag & LEFT_OUT],
         "sensors": [
             _sensor(sensor, chosen_stretch, estimator, scales.get(sensor.name), progress or _nothing)
-            for sensor in chosen
+            for sensor in chosen_sensors
         ],
         "alignment": _alignment(log),
     }

@@ -164,9 +164,9 @@ class Welch:
         if segments < 1:
             return
         self._squares += self._periodograms(segments)
-        kept = slice(segments * hop, self._filled)
+        remaining = slice(segments * hop, self._filled)
         self._filled -= segments * hop
-        self._line[:, : self._filled] = self._line[:, kept].copy()
+        self._line[:, : self._filled] = self._line[:, remaining].copy()
         self._segments += segments
         self._run_segments += segments
 

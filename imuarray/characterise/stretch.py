@@ -83,13 +83,13 @@ def choose_stretch(log: Log, phase: str | None = None) -> Stretch:
     if phase is not None:
         named = [item for item in log.phases if item.name == phase]
         if not named:
-            known = list(dict.fromkeys(item.name for item in log.phases))
+            names = list(dict.fromkeys(item.name for item in log.phases))
             raise LogError(
-                f"{log.path}: no phase {phase!r}; it has {', '.join(known) or 'no phases'}{guess(phase, known)}"
+                f"{log.path}: no phase {phase!r}; it has {', '.join(names) or 'no phases'}{guess(phase, names)}"
             )
         return _stretch(named, "named")
-    still = [item for item in log.phases if _at_rest(item)]
-    return _stretch(still, "longest phase at rest") if still else _whole(log)
+    rests = [item for item in log.phases if _at_rest(item)]
+    return _stretch(rests, "longest phase at rest") if rests else _whole(log)
 
 
 def _at_rest(phase: Phase) -> bool:
@@ -141,8 +141,8 @@ def find_timing(
 
 def _longest(runs: list[slice]) -> list[slice]:
     """Return the longest of the runs, in order: those that are long enough, and not too many."""
-    chosen = sorted((run for run in runs if _length(run) >= LEAST_RUN), key=_length, reverse=True)[:_MOST_RUNS]
-    return sorted(chosen, key=lambda run: int(run.start))
+    longest = sorted((run for run in runs if _length(run) >= LEAST_RUN), key=_length, reverse=True)[:_MOST_RUNS]
+    return sorted(longest, key=lambda run: int(run.start))
 
 
 def _parts(rows: slice, block: int) -> list[slice]:

@@ -100,13 +100,13 @@ class IntervalTally:
         if len(time_ns) == 0:
             return
         times = np.asarray(time_ns, np.int64)
-        known = [np.array([self._last_ns])] if self._rows else []
-        intervals = np.diff(np.concatenate([*known, times]))
+        last_time = [np.array([self._last_ns])] if self._rows else []
+        intervals = np.diff(np.concatenate([*last_time, times]))
         if len(intervals) and intervals.min() <= 0:
-            row = self._rows + 1 - len(known) + int(intervals.argmin())
+            row = self._rows + 1 - len(last_time) + int(intervals.argmin())
             raise ValueError(f"time does not increase at row {row}")
-        first_row = self._rows + 1 - len(known)
-        self._first_ns = self._first_ns if known else int(times[0])
+        first_row = self._rows + 1 - len(last_time)
+        self._first_ns = self._first_ns if last_time else int(times[0])
         self._rows, self._last_ns = self._rows + len(times), int(times[-1])
         self._name(intervals, times, first_row)
         self._waiting.append(intervals)
@@ -138,9 +138,9 @@ class IntervalTally:
     def _name(self, intervals: Times, times: Times, first_row: int) -> None:
         """Keep the longest intervals with their rows."""
         count = min(PLACES, len(intervals))
-        before = times[-len(intervals) :] - intervals if len(intervals) else times[:0]
+        starts = times[-len(intervals) :] - intervals if len(intervals) else times[:0]
         for at in np.argpartition(-intervals, count - 1)[:count].tolist() if count else ():
-            self._longest.append(RowGap(float(intervals[at]) * 1e-9, int(before[at]), first_row + at))
+            self._longest.append(RowGap(float(intervals[at]) * 1e-9, int(starts[at]), first_row + at))
         self._longest = nlargest(PLACES, self._longest)
 
     def _count(self) -> None:
@@ -154,8 +154,8 @@ class IntervalTally:
             self._bin_ns = max(1, self._typical >> _FINENESS)
         self._counts += self._binned(intervals)
         self._beyond_ns += int(intervals[intervals >= _BINS * self._bin_ns].sum())
-        apart = np.where(intervals > GAP * self._typical, nan, intervals - float(self._typical))
-        line = np.concatenate([self._before, apart])
+        jitter = np.where(intervals > GAP * self._typical, nan, intervals - float(self._typical))
+        line = np.concatenate([self._before, jitter])
         unbroken = 0 * line[2:-1]
         self._add(0, line[3:] * line[1:-2] + unbroken)
         self._add(1, line[3:] * line[:-3] + unbroken + 0 * line[1:-2])
@@ -163,9 +163,9 @@ class IntervalTally:
         self._changes += self._binned(changes[np.isfinite(changes)])
         self._before = line[-3:]
 
-    def _add(self, which: int, products: Floats) -> None:
-        known = products[np.isfinite(products)]
-        self._products[which] += len(known), known.sum()
+    def _add(self, column: int, products: Floats) -> None:
+        finite = products[np.isfinite(products)]
+        self._products[column] += len(finite), finite.sum()
 
     def _binned(self, lengths_ns: Times | Floats) -> Times:
         whole = lengths_ns.astype(np.int64)  # which are divided several times as fast, and they are whole
@@ -232,13 +232,13 @@ def survey(
     run_rows = timing.run.stop - timing.run.start
     if run_rows < 2:
         return None
-    chosen: Estimator = estimator or ("overlapping" if run_rows <= EXACT_ROWS else "decimated")
+    chosen_estimator: Estimator = estimator or ("overlapping" if run_rows <= EXACT_ROWS else "decimated")
     columns = int(sensor.counts.shape[1])
     welch = Welch(1 / interval_s, segment_rows(run_rows), columns)
     covariance = Autocovariance(LAGS, columns)
-    intervals, repeats, seen = IntervalTally(), RepeatTally(), [NOTHING] * columns
-    runs = runs_of_curve(timing, chosen)
-    stream = AllanStream(interval_s) if chosen == "decimated" and run_rows >= MIN_ROWS else None
+    intervals, repeats, histograms = IntervalTally(), RepeatTally(), [NOTHING] * columns
+    runs = runs_of_curve(timing, chosen_estimator)
+    stream = AllanStream(interval_s) if chosen_estimator == "decimated" and run_rows >= MIN_ROWS else None
     for begin, starts_run, counts in _pieces(sensor, rows, timing, intervals, left_out):
         if starts_run:
             for tally in (welch, covariance, repeats):
@@ -246,12 +246,20 @@ def survey(
         welch.update(counts)
         covariance.update(counts)
         repeats.update(counts)
-        seen = [known.merge(histogram(column)) for known, column in zip(seen, counts.T, strict=True)]
+        histograms = [merged.merge(histogram(column)) for merged, column in zip(histograms, counts.T, strict=True)]
         inside = slice(max(timing.run.start - begin, 0), max(timing.run.stop - begin, 0))
         if stream is not None and len(counts[inside]):
             stream.feed(counts[inside])
     curve = stream.curve() if stream else _exact(sensor, runs, interval_s)
-    return Survey(welch.result(), covariance.result(), tuple(seen), intervals.result(), repeats.result(), curve, chosen)
+    return Survey(
+        welch.result(),
+        covariance.result(),
+        tuple(histograms),
+        intervals.result(),
+        repeats.result(),
+        curve,
+        chosen_estimator,
+    )
 
 
 def runs_of_curve(timing: Timing, estimator: Estimator) -> tuple[slice, ...]:
@@ -260,14 +268,14 @@ def runs_of_curve(timing: Timing, estimator: Estimator) -> tuple[slice, ...]:
     """
     if estimator == "decimated" or not timing.runs:
         return (timing.run,)
-    chosen: list[slice] = []
+    selected: list[slice] = []
     total = 0
     for run in sorted(timing.runs, key=lambda run: run.start - run.stop):
         total += run.stop - run.start
-        if chosen and total > EXACT_ROWS:
+        if selected and total > EXACT_ROWS:
             break
-        chosen.append(run)
-    return tuple(sorted(chosen, key=lambda run: int(run.start)))
+        selected.append(run)
+    return tuple(sorted(selected, key=lambda run: int(run.start)))
 
 
 def _exact(sensor: SensorLog, runs: Sequence[slice], interval_s: float) -> AllanCurve | None:
@@ -303,15 +311,15 @@ class _Column:
         if stop <= start:
             return np.empty(0, self.dtype)
         first, last = (int(np.searchsorted(self._ends, at, "right")) for at in (start, stop - 1))
-        before = [self.runs[at].start - (int(self._ends[at - 1]) if at else 0) for at in (first, last)]
-        begin, end = start + before[0], stop + before[1]
+        offsets = [self.runs[at].start - (int(self._ends[at - 1]) if at else 0) for at in (first, last)]
+        begin, end = start + offsets[0], stop + offsets[1]
         counts = np.asarray(self.sensor.counts[begin:end])[:, self.column]  # of rows that are kept in memory
         if first == last:
             return counts
-        kept = np.zeros(end - begin, bool)
+        is_used = np.zeros(end - begin, bool)
         for run in self.runs[first : last + 1]:
-            kept[max(run.start - begin, 0) : max(run.stop - begin, 0)] = True
-        return counts[kept]
+            is_used[max(run.start - begin, 0) : max(run.stop - begin, 0)] = True
+        return counts[is_used]
 
 
 def _pieces(

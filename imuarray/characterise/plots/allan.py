@@ -65,8 +65,13 @@ def _draw_axis(panel: Axes, curve: AxisCurve, is_crowded: bool) -> None:
     """Draw one curve, and its band and its fit if there is room."""
     allan = curve.axis["allan"]
     tau_s, deviation, low, high = (floats(allan[name]) for name in ("tau_s", "deviation", "low", "high"))
-    shown = deviation > 0
-    tau_s, deviation, low, high = tau_s[shown], deviation[shown] * curve.scale, low[shown], high[shown]
+    is_positive = deviation > 0
+    tau_s, deviation, low, high = (
+        tau_s[is_positive],
+        deviation[is_positive] * curve.scale,
+        low[is_positive],
+        high[is_positive],
+    )
     style = {"linewidth": 0.6} if is_crowded else {"linewidth": 1.4, "marker": "o", "markersize": 2.2}
     plot(panel, tau_s, deviation, curve, **style)
     if not is_crowded:
@@ -98,8 +103,8 @@ def _note(sensor: Table, unit: str) -> str:
     lines = []
     for name, symbol, per in (("white", "N", "√Hz"), ("random walk", "K", "√s")):
         terms = [(axis["fit"]["terms"].get(name), scale_of(axis, unit)) for axis in fitted]
-        seen = [(term, scale) for term, scale in terms if term and term["significant"] and term["low"] > 0]
-        values = sorted(term["value"] * scale for term, scale in seen)
+        significant = [(term, scale) for term, scale in terms if term and term["significant"] and term["low"] > 0]
+        values = sorted(term["value"] * scale for term, scale in significant)
         if values:
             ends = dict.fromkeys(f"{value:.2g}" for value in (values[0], values[-1]))
             lines.append(f"\n{symbol} {' to '.join(ends)} {unit}/{per}")

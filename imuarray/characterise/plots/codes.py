@@ -56,10 +56,10 @@ def histogram_figure(result: Table) -> Figure:
     MissingExtraError if there is no matplotlib.
     """
     level = FALSE_ALARM / count_axes(result) / _TESTS
-    known = [sensor for sensor in result["sensors"] if any(map(_is_shown, sensor["axes"]))]
-    sensors = chosen(known, level)
-    which = f", {len(sensors)} of {len(known)} sensors" if len(sensors) < len(known) else ""
-    figure = new_figure(result, f"Codes{which}")
+    measured = [sensor for sensor in result["sensors"] if any(map(_is_shown, sensor["axes"]))]
+    sensors = chosen(measured, level)
+    selection = f", {len(sensors)} of {len(measured)} sensors" if len(sensors) < len(measured) else ""
+    figure = new_figure(result, f"Codes{selection}")
     set_height(figure, 1.25, len(sensors))
     if not sensors:
         figure.text(0.5, 0.4, "no sensor has readings of at most 4096 different codes", ha="center")
@@ -134,17 +134,17 @@ def _is_far(end: Table, codes: Table, level: float) -> bool:
     """Return whether Gaussian readings hardly reach an end: a step nearer, as the spread of noise below a step says
     little.
     """
-    away = float(abs(end["code"] - codes["mean"]) - codes["step"]) / codes["std"]
-    return bool(codes["readings"] * erfc(away / sqrt(2)) / 2 <= level)
+    distance = float(abs(end["code"] - codes["mean"]) - codes["step"]) / codes["std"]
+    return bool(codes["readings"] * erfc(distance / sqrt(2)) / 2 <= level)
 
 
-def bars(seen: Table, step: int) -> tuple[Floats, Floats]:
+def bars(histogram: Table, step: int) -> tuple[Floats, Floats]:
     """Heights (b,) and edges (b + 1,), in codes, of bars side by side for codes that come in steps of `step`.
 
     A height is the share of the readings per possible code, 0 between codes. A bar is 1 wide, or several steps so that
     there are at most `MOST_BARS`.
     """
-    codes, counts = floats(seen["codes"]), floats(seen["counts"])
+    codes, counts = floats(histogram["codes"]), floats(histogram["counts"])
     together = max(1, int(np.ceil((codes[-1] - codes[0] + 1) / step / MOST_BARS)))
     edges_low, width = codes - 0.5, 1
     if together > 1:

@@ -73,17 +73,17 @@ class SensorPanel:
                 yield AxisCurve(sensor, axis, scale_of(axis, self.unit), colour, dashes)
 
 
-def kinds(result: Table, shown: Callable[[Table], bool]) -> list[SensorPanel]:
-    """Panels for the sensors with an axis that can be `shown`; a sensor's colour is the same in every figure."""
+def kinds(result: Table, is_shown: Callable[[Table], bool]) -> list[SensorPanel]:
+    """Panels for the sensors with an axis that `is_shown` accepts; a sensor's colour is the same in every figure."""
     groups: dict[tuple[str, str], list[Table]] = {}
     for sensor in result["sensors"]:
         groups.setdefault((sensor["quantity"], unit_of(sensor)), []).append(sensor)
     listed = []
     for (quantity, unit), sensors in groups.items():
         colours = zip(sensors, _colours(len(sensors)), strict=True)
-        drawn = [pair for pair in colours if any(map(shown, pair[0]["axes"]))]
-        if drawn:
-            listed.append(SensorPanel(quantity, unit, *map(tuple, zip(*drawn, strict=True))))
+        pairs = [pair for pair in colours if any(map(is_shown, pair[0]["axes"]))]
+        if pairs:
+            listed.append(SensorPanel(quantity, unit, *map(tuple, zip(*pairs, strict=True))))
     return listed
 
 
@@ -109,19 +109,19 @@ class Captions:
 def panel_figure(
     result: Table,
     captions: Captions,
-    shown: Callable[[Table], bool],
+    is_shown: Callable[[Table], bool],
     draw: Callable[[Axes, SensorPanel], None],
     height: float,
 ) -> Figure:
-    """Draw a panel of `height` inches for every kind of sensor that has something to be `shown`."""
+    """Draw a panel of `height` inches for every kind of sensor with an axis that `is_shown` accepts."""
     figure = new_figure(result, captions.title)
-    drawn = kinds(result, shown)
-    set_height(figure, height, len(drawn))
-    if not drawn:
+    panel_kinds = kinds(result, is_shown)
+    set_height(figure, height, len(panel_kinds))
+    if not panel_kinds:
         figure.text(0.5, 0.4, captions.otherwise, ha="center")
         return figure
-    panels = figure.subplots(len(drawn), 1, squeeze=False)
-    for panel, kind in zip(panels[:, 0], drawn, strict=True):
+    panels = figure.subplots(len(panel_kinds), 1, squeeze=False)
+    for panel, kind in zip(panels[:, 0], panel_kinds, strict=True):
         draw(panel, kind)
         panel.set_title(plain(kind.title), loc="left", y=1.0, fontsize=10, fontweight="bold")
         panel.grid(which="major", color="0.88", linewidth=0.8)
@@ -144,10 +144,10 @@ def new_figure(result: Table, title: str) -> Figure:
     FigureCanvasAgg(figure)
     stretch = result["stretch"]
     emulated = " (emulated, no hardware)" if result["source"] == "emulated" else ""
-    which = "the whole log" if stretch["phase"] is None else f"phase {stretch['phase']}"
+    part = "the whole log" if stretch["phase"] is None else f"phase {stretch['phase']}"
     name = str(result["log"]).replace("\\", "/").rsplit("/", 1)[-1]
     length_s = stretch["end_s"] - stretch["start_s"]
-    figure.suptitle(plain(f"{title} of {name}{emulated}: {which}, {length_s:.4g} s"), fontsize=11)
+    figure.suptitle(plain(f"{title} of {name}{emulated}: {part}, {length_s:.4g} s"), fontsize=11)
     return figure
 
 
@@ -176,7 +176,7 @@ def arrange(figure: Figure, panels: npt.NDArray[np.object_], margins: Margins) -
     width, height = figure.get_size_inches()
     rows, columns = panels.shape
     legends = [panel.get_legend() for panel in panels[:, -1]]
-    texts = [drawn.get_window_extent().width / figure.dpi for drawn in legends if drawn is not None]
+    texts = [legend.get_window_extent().width / figure.dpi for legend in legends if legend is not None]
     legend_width = max(texts, default=0.0) + (0.1 if texts else 0.0)
     figure.suptitle(figure.get_suptitle(), y=1 - _EDGE_IN / height, fontsize=11)
     foot = _EDGE_IN + _FOOT_LINE_IN * len(figure.get_supxlabel().splitlines())

@@ -75,12 +75,12 @@ class Bands(NamedTuple):
     bins: Floats
 
 
-def bands(frequency_hz: Floats, density: Floats, taken: npt.NDArray[np.bool_]) -> Bands:
-    """Means over a sixth of an octave of the bins (m,) that are `taken` (m,); a band may be a single bin.
+def bands(frequency_hz: Floats, density: Floats, in_band: npt.NDArray[np.bool_]) -> Bands:
+    """Means over a sixth of an octave of the bins (m,) that `in_band` (m,) marks; a band may be a single bin.
 
     `frequency_hz` is that of bin 0, 1, 2 ... of a spectrum; bands are the same for all spectra of one resolution.
     """
-    bin_ = np.flatnonzero(taken)
+    bin_ = np.flatnonzero(in_band)
     band = np.floor(BANDS_PER_OCTAVE * np.log2(bin_)).astype(int)
     _, member, bins = np.unique(band, return_inverse=True, return_counts=True)
     mean_hz, mean = (np.bincount(member, values[bin_]) / bins for values in (frequency_hz, density))
@@ -109,14 +109,14 @@ def _draw(panel: Axes, kind: SensorPanel) -> None:
     """Draw curves, bands, lines and legend of one quantity."""
     from matplotlib.lines import Line2D
 
-    drawn = [curve for curve in kind.curves() if _is_shown(curve.axis)]
-    for curve in drawn:
+    curves = [curve for curve in kind.curves() if _is_shown(curve.axis)]
+    for curve in curves:
         _draw_axis(panel, curve, kind.is_crowded)
-    has_lines = any(curve.axis["lines"] for curve in drawn)
+    has_lines = any(curve.axis["lines"] for curve in curves)
     heights = np.concatenate([np.asarray(line.get_xydata())[:, 1] for line in panel.get_lines()])
     lowest, highest = float(heights.min()), float(heights.max())
     logarithmic(panel, lowest, highest, 1.6 * (highest / lowest) ** (_HEADROOM if has_lines else 0))
-    _label_lines(panel, drawn)
+    _label_lines(panel, curves)
     panel.set(xlabel="frequency (Hz)", ylabel=f"density ({kind.unit}/√Hz)")
     more = [Line2D([], [], color="0.88", linewidth=6.0, label="bands: 95 %")] if not kind.is_crowded else []
     if has_lines:
@@ -129,11 +129,11 @@ def _draw_axis(panel: Axes, curve: AxisCurve, is_crowded: bool) -> None:
     common = curve.sensor["spectrum"]
     frequency_hz, density = floats(common["frequency_hz"]), floats(curve.axis["density"])
     peaks = [_bin(line, common) for line in curve.axis["lines"]]
-    taken = np.zeros(len(density), bool)
-    taken[_BINS] = density[_BINS] > 0
+    in_band = np.zeros(len(density), bool)
+    in_band[_BINS] = density[_BINS] > 0
     for peak in peaks:
-        taken[max(0, peak - _LINE_BINS) : peak + _LINE_BINS + 1] = False
-    averaged = bands(frequency_hz, density, taken)
+        in_band[max(0, peak - _LINE_BINS) : peak + _LINE_BINS + 1] = False
+    averaged = bands(frequency_hz, density, in_band)
     height = np.sqrt(averaged.density) * curve.scale
     plot(panel, averaged.frequency_hz, height, curve, linewidth=0.6 if is_crowded else 1.2)
     if not is_crowded:
@@ -157,9 +157,9 @@ def _height(line: Table, curve: AxisCurve) -> float:
     return float(np.sqrt(curve.axis["density"][_bin(line, curve.sensor["spectrum"])])) * curve.scale
 
 
-def _label_lines(panel: Axes, drawn: list[AxisCurve]) -> None:
+def _label_lines(panel: Axes, curves: list[AxisCurve]) -> None:
     """Frequencies above the peaks and the axes that have them, the highest first, none over another."""
-    peaks = [(_height(line, curve), line, curve) for curve in drawn for line in curve.axis["lines"]]
+    peaks = [(_height(line, curve), line, curve) for curve in curves for line in curve.axis["lines"]]
     labelled: list[float] = []
     for height, line, curve in sorted(peaks, key=lambda peak: -peak[0]):
         at_hz, apart_hz = line["frequency_hz"], 2 * curve.sensor["spectrum"]["resolution_hz"]
