@@ -201,8 +201,8 @@ def fused_beside(path: Path, epoch: str, start_ns: int, given: Path | None = Non
 
 def _read(path: Path, epoch: str, start_ns: int) -> FusedView | None:
     """Read a result as it is on the disk now, without a lock that could block its writer. LogError."""
-    with fused_columns(path) as (said, columns):
-        if said.get("epoch") != epoch:
+    with fused_columns(path) as (header, columns):
+        if header.get("epoch") != epoch:
             return None
         rows = rows_of(columns)  # the newest row may be incomplete
         first = first_at(columns["time"], start_ns, rows)
@@ -212,16 +212,16 @@ def _read(path: Path, epoch: str, start_ns: int) -> FusedView | None:
         }
     if len(at_ns) < 2 or not triads:
         return None
-    return _view(said.get("technique", "fused"), bool(said.get("calibration")), FusedBlock(at_ns, triads))
+    return _view(header.get("technique", "fused"), bool(header.get("calibration")), FusedBlock(at_ns, triads))
 
 
 def _view(technique: str, calibrated: bool, block: FusedBlock) -> FusedView:
     last = block.time >= block.time[-1] - _LAST_NS
     means, noise = {}, {}
     for quantity, triad in block.triads.items():
-        known = np.isfinite(triad).all(axis=1)
-        means[quantity] = triad[last & known].mean(axis=0) if (last & known).any() else np.full(3, np.nan)
-        steps = np.diff(triad[known], axis=0)
+        is_finite = np.isfinite(triad).all(axis=1)
+        means[quantity] = triad[last & is_finite].mean(axis=0) if (last & is_finite).any() else np.full(3, np.nan)
+        steps = np.diff(triad[is_finite], axis=0)
         noise[quantity] = np.std(steps, axis=0) / np.sqrt(2) if len(steps) > 1 else np.full(3, np.nan)
     return FusedView(technique, calibrated, block.time, block.triads, means, noise)
 
@@ -240,19 +240,20 @@ def snapshot_of(
     begins_ns, ends_ns = _extent(windows.values())
     for window in windows.values():
         window.forget((ends_ns or 0) - source.read_rows.span_ns)
-    held = MemoryLog(
+    memory_log = MemoryLog(
         source.path,
         {name: (source.attributes[name], window.rows or _no_rows(source, name)) for name, window in windows.items()},
     )
     period_ns = frame_period_ns(source.source, source.frame_rate_hz)
     extent = (begins_ns or 0, ends_ns or 0)
     views = tuple(
-        view_of(held[name], window, source.backlog.gaps(name), extent, period_ns) for name, window in windows.items()
+        view_of(memory_log[name], window, source.backlog.gaps(name), extent, period_ns)
+        for name, window in windows.items()
     )
     frames = _frames(views)
     fused, not_fused = _fused(source, windows, calibration, ends_ns or 0, result)
     missed, disk = max(events.missed, _missed_frames(frames, period_ns)), _disk(source, views)
-    seen = _observations(source, views, missed, quiet_s, disk)
+    observations = _observations(source, views, missed, quiet_s, disk)
     return Snapshot(
         source.path,
         source.state,
@@ -272,7 +273,7 @@ def snapshot_of(
         problems=events.problems,
         recent=events.recent,
         repeated=events.repeated,
-        health=None if begins_ns is None else health_of(seen),
+        health=None if begins_ns is None else health_of(observations),
         disk=disk,
         sensors=views,
         fused=fused,
@@ -291,14 +292,14 @@ def _observations(
     stopped = "the logger stopped before the end" if source.state == INTERRUPTED else ""
     if source.state == WRITTEN and quiet_s >= _QUIET_S:
         stopped = f"no reading for {quiet_s:.0f} s"
-    heard = [view for view in views if view.silent_s is None]
+    delivering = [view for view in views if view.silent_s is None]
     return Observations(
         sensors=len(views),
         frames=max((view.rows for view in views if view.framed), default=0),
         missed=missed,
         bus_failed=source.read_rows.events.bus_failed,
         silent={view.name: view.silent_s for view in views if view.silent_s is not None},
-        lost={view.name: max(0, view.missed - missed) for view in heard if view.framed},
+        lost={view.name: max(0, view.missed - missed) for view in delivering if view.framed},
         faults=source.read_rows.events.faults,
         stopped=stopped,
         room_s=None if disk is None else disk.left_s,
@@ -325,7 +326,7 @@ def _frames(views: Sequence[SensorView]) -> list[SensorView]:
     inertial = [view for view in views if view.quantity in INERTIAL and view.rate_hz > 0]
 
     def of_same_rate(view: SensorView) -> list[SensorView]:
-        return [other for other in inertial if abs(other.rate_hz - view.rate_hz) <= _ALIKE * view.rate_hz]
+        return [candidate for candidate in inertial if abs(candidate.rate_hz - view.rate_hz) <= _ALIKE * view.rate_hz]
 
     return max((of_same_rate(view) for view in inertial), key=len, default=[])
 
@@ -333,8 +334,8 @@ def _frames(views: Sequence[SensorView]) -> list[SensorView]:
 def _missed_frames(frames: Sequence[SensorView], period_ns: int) -> int:
     """Count missed frames by the grid of the frames, or else by the rows that all sensors lack."""
     framed = [(view.first_ns, view.missed) for view in frames if view.framed and view.first_ns is not None]
-    known = missed_by_all(framed, period_ns)
-    return min((view.missed for view in frames), default=0) if known is None else known
+    missed = missed_by_all(framed, period_ns)
+    return min((view.missed for view in frames), default=0) if missed is None else missed
 
 
 def _disk(source: LogSource, views: Sequence[SensorView]) -> Disk | None:
@@ -344,9 +345,11 @@ def _disk(source: LogSource, views: Sequence[SensorView]) -> Disk | None:
     except OSError:
         return None
     rates = {f"sensors/{view.name}": view.rate_hz for view in views}
-    written = source.state == WRITTEN
-    taken = _COPIES * sum(source.row_bytes.get(path, 0) * rate for path, rate in rates.items()) if written else 0.0
-    return Disk(free, taken, max(0.0, (free - WATERMARK) / taken) if taken else None)
+    is_written = source.state == WRITTEN
+    bytes_per_s = (
+        _COPIES * sum(source.row_bytes.get(path, 0) * rate for path, rate in rates.items()) if is_written else 0.0
+    )
+    return Disk(free, bytes_per_s, max(0.0, (free - WATERMARK) / bytes_per_s) if bytes_per_s else None)
 
 
 def _fused(

@@ -87,12 +87,12 @@ class LogMonitor:
             source = self._open(self._found() if source is None else source.path, now_s)
             if source is None:
                 return
-        written = source.state == WRITTEN
+        is_written = source.state == WRITTEN
         rows = source.read()
         if not rows or source.state != WRITTEN:
-            if written and source.state != WRITTEN and not is_running(source.path):
+            if is_written and source.state != WRITTEN and not is_running(source.path):
                 self._there = look(source.path)
-            source = self._turned(source, written)
+            source = self._turned(source, is_written)
         self._fresh_s = now_s if rows else self._fresh_s
         source.backlog.step({name: window.usual_ns for name, window in source.read_rows.windows.items()})
 
@@ -236,7 +236,7 @@ def _figure(kind: FigureKind, theme: str, span_s: float) -> Any:
     from bokeh.plotting import figure
 
     over_time = kind.plot == "trace"
-    over = "t" if over_time else "f"
+    axis = "t" if over_time else "f"
     axes: dict[str, Any] = {"x_range": Range1d(start=-span_s, end=0)}
     if not over_time:  # the page sets them to whole decades
         axes = {name: Range1d(start=0.1, end=10, name=name[0]) for name in ("x_range", "y_range")}
@@ -247,9 +247,9 @@ def _figure(kind: FigureKind, theme: str, span_s: float) -> Any:
         plot.xaxis.ticker = plot.xgrid.ticker = FixedTicker(ticks=_ticks((1, 2, 5)))
         plot.axis.formatter = BasicTickFormatter(use_scientific=False)
         plot.yaxis.ticker = plot.ygrid.ticker = FixedTicker(ticks=_ticks((1, 3)))
-    source = ColumnDataSource({name: [] for name in (over, *kind.columns)}, name="source")
+    source = ColumnDataSource({name: [] for name in (axis, *kind.columns)}, name="source")
     for name, colour in zip(kind.columns, COLOURS[theme], strict=False):
-        plot.line(over, name, source=source, color=colour, line_width=1.4)
+        plot.line(axis, name, source=source, color=colour, line_width=1.4)
     plot.xaxis.axis_label = "s before the newest row" if over_time else "Hz"
     plot.yaxis.axis_label = kind.unit if over_time else f"{kind.unit}/√Hz"
     _dress(plot, THEMES[theme])

@@ -254,7 +254,7 @@ class Growing:
         return count
 
     def _drain(self) -> int:
-        rows, most = 0, self._mark.position + _MOST_BYTES
+        rows, limit = 0, self._mark.position + _MOST_BYTES
         for record in self._reader.records(self._mark):
             self._mark = record.after
             group = self._reader.groups[record.group]
@@ -263,7 +263,7 @@ class Growing:
             elif group.path.startswith(_SENSORS):
                 window = self.read_rows.windows[group.path.removeprefix(_SENSORS)]
                 rows += window.add(group.decode(record.payload, record.rows))
-            if record.after.position > most:
+            if record.after.position > limit:
                 break
         return rows
 

@@ -99,14 +99,14 @@ def drawn(snapshot: Snapshot) -> dict[str, Any]:
     """
     figures = described(snapshot)
     end_ns = snapshot.ends_ns or 0
-    for shown, view in zip(figures["sensors"], snapshot.sensors, strict=True):
-        shown["trace"] = _curves(view.time - end_ns, view.values, view.columns)
-        shown["density"] = _density(view)
+    for figure, view in zip(figures["sensors"], snapshot.sensors, strict=True):
+        figure["trace"] = _curves(view.time - end_ns, view.values, view.columns)
+        figure["density"] = _density(view)
     if snapshot.fused is not None:
         fused = snapshot.fused
-        for quantity, shown in figures["fused"]["quantities"].items():
+        for quantity, figure in figures["fused"]["quantities"].items():
             factor = READABLE_SI[quantity][0]
-            shown["trace"] = _curves(fused.time - end_ns, factor * fused.triads[quantity], ("x", "y", "z"))
+            figure["trace"] = _curves(fused.time - end_ns, factor * fused.triads[quantity], ("x", "y", "z"))
     return figures
 
 
@@ -187,9 +187,9 @@ def _density(view: SensorView) -> dict[str, list[float | None]] | None:
     """Return the amplitude spectral density, in units per root hertz."""
     if view.spectrum is None:
         return None
-    kept = slice(_LOWEST_BIN, None)
-    density = READABLE.get(view.unit, (1.0, view.unit))[0] * np.sqrt(view.spectrum.density[kept])
-    curves = {"f": _numbers(view.spectrum.frequency_hz[kept])}
+    bins = slice(_LOWEST_BIN, None)
+    density = READABLE.get(view.unit, (1.0, view.unit))[0] * np.sqrt(view.spectrum.density[bins])
+    curves = {"f": _numbers(view.spectrum.frequency_hz[bins])}
     return curves | {name: _numbers(column) for name, column in zip(view.columns, density.T, strict=True)}
 
 

@@ -109,9 +109,9 @@ class _CheckedHandler(RequestHandler):
 
     def prepare(self) -> None:
         given = self.get_query_argument("token", "") or ""
-        why = refusal(self.token, given, self.request.host, dict(self.request.headers.get_all()))
-        if why is not None:
-            raise HTTPError(403, reason=why)
+        reason = refusal(self.token, given, self.request.host, dict(self.request.headers.get_all()))
+        if reason is not None:
+            raise HTTPError(403, reason=reason)
 
     def write_error(self, status_code: int, **_: Any) -> None:
         self.set_header("Content-Type", "text/plain; charset=utf-8")
@@ -216,9 +216,9 @@ def _socket(host: str, port: int) -> socket.socket:
     try:
         listening = socket.create_server((host.strip("[]"), port), family=family)
     except OSError as error:
-        why = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror
+        reason = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror
         raise ImuArrayError(
-            f"{host}:{port}: can't serve the page there: {why}; choose another --port or --host"
+            f"{host}:{port}: can't serve the page there: {reason}; choose another --port or --host"
         ) from None
     listening.setblocking(False)
     return listening

@@ -120,9 +120,9 @@ class EventCounts:
     def _add_to_group(self, event: Event) -> None:
         """Count an event together with those that differ from it only in numbers."""
         key = event.sensor, event.kind, _NUMBER.sub("#", event.message)
-        before = self._groups.pop(key, None)
-        first_ns = event.time_ns if before is None else before.first_ns
-        self._groups[key] = RepeatedEvent(event, 1 if before is None else before.times + 1, first_ns)
+        earlier = self._groups.pop(key, None)
+        first_ns = event.time_ns if earlier is None else earlier.first_ns
+        self._groups[key] = RepeatedEvent(event, 1 if earlier is None else earlier.times + 1, first_ns)
         if len(self._groups) > KEPT:
             del self._groups[next(iter(self._groups))]
 

@@ -58,7 +58,7 @@ def _head(snapshot: Snapshot) -> str:
 
 def _figures(snapshot: Snapshot, columns: int) -> list[str]:
     part = "" if snapshot.counted == 1 else f" ({percent(snapshot.counted)} of the log counted)"
-    asked = f" of {snapshot.frame_rate_hz:g} Hz" if snapshot.frame_rate_hz else " Hz"
+    nominal = f" of {snapshot.frame_rate_hz:g} Hz" if snapshot.frame_rate_hz else " Hz"
     frames = f"{counted(snapshot.missed, 'frame')} missed, {snapshot.delayed} delayed{part}"
     kinds = ", ".join(f"{printable(kind)} {count}" for kind, count in (snapshot.events or {}).items())
     disk = snapshot.disk
@@ -66,7 +66,7 @@ def _figures(snapshot: Snapshot, columns: int) -> list[str]:
     room = "disk: not known" if disk is None else f"disk: {disk.free_bytes / _GIB:.1f} GiB free{remaining}"
     total = counted(sum((snapshot.events or {}).values()), "event")
     return [
-        f"  {snapshot.rate_hz:.1f}{asked}, {frames}",
+        f"  {snapshot.rate_hz:.1f}{nominal}, {frames}",
         f"  {room}",
         *_wrapped(total + (f": {kinds}" if kinds else ""), columns),
     ]
@@ -107,8 +107,8 @@ def _fused(snapshot: Snapshot, columns: int) -> list[str]:
     if snapshot.fused is None:
         return _wrapped(f"not fused: {printable(snapshot.not_fused)}", columns)
     fused = snapshot.fused
-    by = "calibrated" if fused.calibrated else "data sheet's values"
-    lines = [f"  fused ({printable(fused.technique)}, {by}), box frame, last second"]
+    scaling = "calibrated" if fused.calibrated else "data sheet's values"
+    lines = [f"  fused ({printable(fused.technique)}, {scaling}), box frame, last second"]
     for quantity in fused.triads:
         factor, unit = READABLE_SI[quantity]
         means = " ".join(
@@ -124,7 +124,7 @@ def _events(snapshot: Snapshot, columns: int) -> list[str]:
         return []
     lines = ["", "  last events"]
     for event, count, first_ns in snapshot.repeated[:EVENTS]:
-        about = " ".join(word for word in (event.sensor, f"{event.kind}:", event.message) if word)
+        origin = " ".join(word for word in (event.sensor, f"{event.kind}:", event.message) if word)
         times = f"{count} times since {first_ns * 1e-9:.1f} s, " if count > 1 else ""
-        lines.append(_cut(f"  {event.time_ns * 1e-9:9.1f} s  {times}{printable(about)}", columns))
+        lines.append(_cut(f"  {event.time_ns * 1e-9:9.1f} s  {times}{printable(origin)}", columns))
     return lines

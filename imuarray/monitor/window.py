@@ -167,18 +167,18 @@ class LatestRows:
         self.first_ns = int(new[fresh]) if self.first_ns is None else self.first_ns
         largest = np.abs(np.asarray(rows["counts"][fresh:], float)).max(axis=0)
         self.peak_lsb = largest if self.peak_lsb is None else np.maximum(self.peak_lsb, largest)
-        joined = {
+        columns = {
             name: np.concatenate([self.rows[name], rows[name][fresh:]]) if self.rows else rows[name] for name in rows
         }
-        self._count(np.asarray(joined["time"]), new[fresh:])
+        self._count(np.asarray(columns["time"]), new[fresh:])
         self.newest = np.concatenate([self.newest, new[fresh:]])[-STRIDE:]
-        start = int(np.searchsorted(joined["time"], int(new[-1]) - self._span_ns))
-        start = max(start, len(joined["time"]) - MOST_ROWS)
-        self.rows = {name: column[start:].copy() for name, column in joined.items()}  # a view would keep all rows
+        start = int(np.searchsorted(columns["time"], int(new[-1]) - self._span_ns))
+        start = max(start, len(columns["time"]) - MOST_ROWS)
+        self.rows = {name: column[start:].copy() for name, column in columns.items()}  # a view would keep all rows
         return count
 
     def _count(self, time: Times, new: Times) -> None:
         """Count the gaps among the `new` rows; when the period becomes known, among all rows of the window."""
-        known = self.period_ns > 0
+        has_period = self.period_ns > 0
         self.period_ns = period_of(time) or self.period_ns
-        self.gaps += gaps_of(np.concatenate([self.newest, new]) if known else time, self.period_ns)
+        self.gaps += gaps_of(np.concatenate([self.newest, new]) if has_period else time, self.period_ns)

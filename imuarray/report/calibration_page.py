@@ -130,10 +130,10 @@ def residual_section(log: Log, calibration: Calibration, *, with_figures: bool) 
         return None
     residual_mg = np.full((len(sensors), len(poses)), np.nan)
     for row, sensor in enumerate(sensors):
-        known = calibration.of(sensor)
+        sensor_calibration = calibration.of(sensor)
         for column, pose in enumerate(poses):
             try:
-                force = known.stimulus_box(read_pose(sensor, pose).mean_lsb[None])[0]
+                force = sensor_calibration.stimulus_box(read_pose(sensor, pose).mean_lsb[None])[0]
             except CalibrationError:
                 continue
             residual_mg[row, column] = 1e3 * (np.linalg.norm(force) / STANDARD_GRAVITY - 1)

@@ -43,9 +43,9 @@ def plain_name(text: str, longest: int = 24) -> str:
     """Return a name that matplotlib shows literally: dollars escaped, control characters replaced, at most `longest`
     characters.
     """
-    shown = "".join(sign if sign.isprintable() else "?" for sign in text)
-    shown = shown if len(shown) <= longest else shown[: longest - 1] + "…"
-    return shown.replace("$", r"\$")
+    name = "".join(sign if sign.isprintable() else "?" for sign in text)
+    name = name if len(name) <= longest else name[: longest - 1] + "…"
+    return name.replace("$", r"\$")
 
 
 def make_logarithmic(panel: Axes, which: str) -> None:

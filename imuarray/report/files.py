@@ -64,20 +64,24 @@ def _log(path: Path, context: PageContext) -> PagePart:
     with ExitStack() as stack:
         log: Log = stack.enter_context(open_log(path))
         log.keep_rows()
-        known = context.calibration
-        calibrated = [sensor for sensor in log.sensors.values() if sensor.name in known.sensors and sensor.is_triad]
-        scales = {sensor.name: known.of(sensor).scale_lsb_per_unit.tolist() for sensor in calibrated}
+        calibration = context.calibration
+        calibrated = [
+            sensor for sensor in log.sensors.values() if sensor.name in calibration.sensors and sensor.is_triad
+        ]
+        scales = {sensor.name: calibration.of(sensor).scale_lsb_per_unit.tolist() for sensor in calibrated}
         noise, techniques = (
             (lambda share: context.progress(_NOISE * share)),
             (lambda share: context.progress(_NOISE + (1 - _NOISE) * share)),
         )
-        sections = list(log_sections(log, scales, with_figures=context.with_figures, progress=noise, calibration=known))
-        if calibrated and (residuals := residual_section(log, known, with_figures=context.with_figures)):
+        sections = list(
+            log_sections(log, scales, with_figures=context.with_figures, progress=noise, calibration=calibration)
+        )
+        if calibrated and (residuals := residual_section(log, calibration, with_figures=context.with_figures)):
             sections.append(residuals)
         verdicts = [recording_verdict(log)]
         with _second_process(log, context.workers) as executor:
             gains = techniques_section(
-                log, known, with_figures=context.with_figures, progress=techniques, executor=executor
+                log, calibration, with_figures=context.with_figures, progress=techniques, executor=executor
             )
         if gains:
             sections.append(gains.section)
@@ -186,16 +190,16 @@ def write_report(
     LogError for a file of no kind, OutputExistsError.
     """
     kinds = {path: file_kind(path) for path in dict.fromkeys(file for path in paths for file in reportable_files(path))}
-    known = Calibration()
+    calibration = Calibration()
     for path, kind in kinds.items():
         if kind == "calibration":
-            known = known.merged(load_calibration(path))
+            calibration = calibration.merged(load_calibration(path))
     with_figures = can_draw()
     verdicts: list[Verdict] = []
     summary: list[str] = []
     sections: list[Section] = []
-    for done, path in enumerate(sorted(kinds, key=lambda path: list(KINDS).index(kinds[path]))):
-        context = PageContext(known, with_figures, partial(_report, progress, done, len(kinds)), workers)
+    for number, path in enumerate(sorted(kinds, key=lambda path: list(KINDS).index(kinds[path]))):
+        context = PageContext(calibration, with_figures, partial(_report, progress, number, len(kinds)), workers)
         part = KINDS[kinds[path]].part(_file_of(path), context)
         verdicts += part.verdicts
         summary += part.summary

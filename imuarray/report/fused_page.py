@@ -128,8 +128,8 @@ def _use_rows(head: FusedHead, series: _TimeSeries) -> list[list[str]]:
         shares = series.used.get(quantity)
         if shares is not None and len(names) == len(shares):
             rows += [
-                [name, *(_WHOLE if part == 1 else f"{min(part, 0.9999):.4f}" for part in own)]
-                for name, own in zip(names, shares, strict=True)
+                [name, *(_WHOLE if part == 1 else f"{min(part, 0.9999):.4f}" for part in share)]
+                for name, share in zip(names, shares, strict=True)
             ]
     return rows
 
@@ -161,9 +161,9 @@ def _time_series(path: Path, frames: int) -> _TimeSeries:
 
 def _means(rows: Floats, first: Indices) -> Floats:
     """Return the means of the finite rows of each stretch, which begin at `first`; NaN where a stretch has none."""
-    known = np.isfinite(rows)
-    counts = np.add.reduceat(known.astype(float), first)
-    sums = np.add.reduceat(np.where(known, rows, 0.0), first)
+    is_finite = np.isfinite(rows)
+    counts = np.add.reduceat(is_finite.astype(float), first)
+    sums = np.add.reduceat(np.where(is_finite, rows, 0.0), first)
     return np.asarray(np.divide(sums, counts, out=np.full(sums.shape, np.nan), where=counts > 0))
 
 
@@ -171,8 +171,8 @@ def _quiet_error(variances: Floats) -> Floats:
     """Return the lower quartile (3,) of the claimed errors, to compare with the scatter at rest: in motion, the claim
     includes the effect of uncertain times.
     """
-    known = variances[np.isfinite(variances).all(axis=1)]
-    quartile = np.quantile(known, 0.25, axis=0) if len(known) else np.full(3, np.nan)
+    finite = variances[np.isfinite(variances).all(axis=1)]
+    quartile = np.quantile(finite, 0.25, axis=0) if len(finite) else np.full(3, np.nan)
     return np.asarray(np.sqrt(np.maximum(quartile, 0.0)))
 
 
@@ -210,9 +210,9 @@ def techniques_section(
         return None
     title = f"{log.path.name}: gain of each technique"
     try:
-        known = with_noise_of(log, calibration, progress=lambda what, done, of: progress(_NOISE * done / of))
+        with_noise = with_noise_of(log, calibration, progress=lambda what, done, of: progress(_NOISE * done / of))
         comparison = compare(
-            log, known, progress=lambda share: progress(_NOISE + (1 - _NOISE) * share), executor=executor
+            log, with_noise, progress=lambda share: progress(_NOISE + (1 - _NOISE) * share), executor=executor
         )
     except ImuArrayError as error:
         return TechniqueGains(Section(title, f"The techniques could not be evaluated: {error}."))
@@ -249,9 +249,13 @@ def _table(comparison: TechniqueComparison) -> Table:
     rows = []
     for score in comparison.scores:
         factor, unit = READABLE_SI[score.quantity]
-        ratio, held = score.ratio["XYZ"], score.consistency
+        ratio, consistency = score.ratio["XYZ"], score.consistency
         interval = f" ({ratio.low:.3f} to {ratio.high:.3f})" if np.isfinite([ratio.low, ratio.high]).all() else ""
-        claimed = "–" if held is None else f"{held.normalised:.3g} ({held.low:.2f} to {held.high:.2f})"
+        claimed = (
+            "–"
+            if consistency is None
+            else f"{consistency.normalised:.3g} ({consistency.low:.2f} to {consistency.high:.2f})"
+        )
         axes = [f"{factor * value:.3f}" for value in score.error.rms]
         name = f"{score.technique}: {score.quantity.replace('_', ' ')}"
         rows.append([name, unit, *axes, f"{ratio.ratio:.3f}{interval}", claimed])

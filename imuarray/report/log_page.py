@@ -79,10 +79,12 @@ def _recorded(log: Log) -> Section:
         rate = f"{(len(sensor) - 1) / seconds:.2f}" if seconds else "–"
         longest = f"{1e3 * _longest_s(sensor):.1f}"
         rows.append([sensor.name, sensor.chip, span, sensor.axes, str(len(sensor)), rate, longest, listed or "none"])
-    lost = flagged.get("lost_before", 0)
-    begin = f"Epoch {log.epoch}" if log.is_dated else "Recorded at an unknown date"
-    words = f"{begin}, written by {log.software}. "
-    words += "No readings were lost. " if not lost else f"Readings are missing before {lost} of the readings. "
+    lost_before = flagged.get("lost_before", 0)
+    start = f"Epoch {log.epoch}" if log.is_dated else "Recorded at an unknown date"
+    words = f"{start}, written by {log.software}. "
+    words += (
+        "No readings were lost. " if not lost_before else f"Readings are missing before {lost_before} of the readings. "
+    )
     words += (
         "The flags come from the log: stale means that the chip had no new reading, saturated that an axis was at the"
         " limit of its range."
@@ -151,10 +153,10 @@ def _duration(log: Log) -> str:
     if not log.is_dated:
         return length
     try:
-        begun = datetime.fromisoformat(log.epoch).astimezone(UTC) + timedelta(microseconds=first // 1000)
+        start = datetime.fromisoformat(log.epoch).astimezone(UTC) + timedelta(microseconds=first // 1000)
     except (ValueError, OverflowError):
         return length
-    return f"{length} from {begun:%Y-%m-%d %H:%M:%S} UTC"
+    return f"{length} from {start:%Y-%m-%d %H:%M:%S} UTC"
 
 
 def _noise(log: Log, result: Mapping[str, Any], *, with_figures: bool) -> Section:

@@ -201,9 +201,9 @@ def _trace(sensor: SensorLog, calibration: Calibration, ends_ns: tuple[int, int]
     )
     notes = [_note(clipped, missing, missing_s, before_s, after_s), "rows arrived in bursts" if in_bursts else ""]
     note = "; ".join(filter(None, notes))
-    about = f"{sensor.chip}, {sensor.quantity.replace('_', ' ')}"
+    subtitle = f"{sensor.chip}, {sensor.quantity.replace('_', ' ')}"
     merged = tuple(_merged(spans, (end_s - start_s) / _SEPARATE))
-    return Trace(sensor.name, about, unit, columns, time_s, low, high, merged, note)
+    return Trace(sensor.name, subtitle, unit, columns, time_s, low, high, merged, note)
 
 
 def _columns(sensor: SensorLog) -> tuple[tuple[str, ...], str]:
@@ -292,9 +292,9 @@ def _note(clipped: int, missing: int, missing_s: float, before_s: float, after_s
 def _drawing(trace: Trace, recording: RecordingFigure) -> Drawing:
     low, high = _limits(trace)
     duration_s = max(recording.end_s - recording.start_s, 1e-9)
-    time_s, least, greatest = _coarser(trace)
+    time_s, lowest, greatest = _coarser(trace)
     across = 1000 * (time_s - recording.start_s) / duration_s
-    down = [100 * (high - edge) / (high - low) for edge in (greatest, least)]
+    down = [100 * (high - edge) / (high - low) for edge in (greatest, lowest)]
     paths = ["".join(_outline(across, down[0][:, k], down[1][:, k])) for k in range(len(trace.columns))]
     rectangles = [
         (span.kind, round(1000 * (span.start_s - recording.start_s) / duration_s, 1),
@@ -335,9 +335,9 @@ def _coarser(trace: Trace) -> tuple[Floats, Floats, Floats]:
 def _outline(across: Floats, top: Floats, bottom: Floats) -> Iterator[str]:
     """Yield a closed path around each run of finite values."""
     for first, last in _runs(np.isfinite(top)):
-        there = [f"{x:.1f},{y:.1f}" for x, y in zip(across[first : last + 1], top[first : last + 1], strict=True)]
-        back = [f"{x:.1f},{y:.1f}" for x, y in zip(across[first : last + 1], bottom[first : last + 1], strict=True)]
-        yield f"M{' '.join([*there, *reversed(back)])}Z"
+        upper = [f"{x:.1f},{y:.1f}" for x, y in zip(across[first : last + 1], top[first : last + 1], strict=True)]
+        lower = [f"{x:.1f},{y:.1f}" for x, y in zip(across[first : last + 1], bottom[first : last + 1], strict=True)]
+        yield f"M{' '.join([*upper, *reversed(lower)])}Z"
 
 
 def _encoded(values: Floats) -> str:

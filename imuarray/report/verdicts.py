@@ -43,7 +43,7 @@ def recording_verdict(log: Log) -> Verdict:
     ended = log.state == "finished"
     timings = {name: row_timing(sensor) for name, sensor in sensors.items()}
     stalls = {name: timing for name, timing in timings.items() if timing.kind == "stalls"}
-    seen = Observations(
+    observations = Observations(
         sensors=len(sensors),
         frames=max((len(sensor) for sensor in sensors.values()), default=0),
         missed=missed,
@@ -57,12 +57,12 @@ def recording_verdict(log: Log) -> Verdict:
     )
     if not rows:
         return Verdict(f"{log.path.name} holds no reading.", "bad", ((f"{len(sensors)}", "sensors"), ("0", "readings")))
-    health = health_of(seen)
+    health = health_of(observations)
     words = {"green": "is healthy", "amber": "is usable, with losses", "red": "has serious losses"}[health.level]
     advice = f"; {health.advice}" if health.advice and ended else ""
     advice = advice if ended else "; `imuarray recover` finishes it"
-    gaps = sum(seen.gaps.values()) + max((timing.gaps for timing in stalls.values()), default=0)
-    clipped = sum(seen.clipped.values())
+    gaps = sum(observations.gaps.values()) + max((timing.gaps for timing in stalls.values()), default=0)
+    clipped = sum(observations.clipped.values())
     return Verdict(
         f"{log.path.name} {words}: {health.reason}{advice}.",
         _LEVELS[health.level],
@@ -93,7 +93,7 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
     worst = {
         quantity: _worst_bias([sensor for sensor in biased if sensor.quantity == quantity]) for quantity in INERTIAL
     }
-    known = " and ".join(text for text in worst.values() if text)
+    worst_text = " and ".join(text for text in worst.values() if text)
     level: Level = "good"
     if not biased and any(sensor.thermal is not None for sensor in inertial):
         level = "doubtful"
@@ -104,26 +104,29 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
     elif not biased:
         level, sentence = "bad", "has no measured bias: fusion with it uses the data sheets' values"
     elif lacking:
-        level, sentence = "doubtful", f"is incomplete: {_listed(lacking)} without a measured bias; biases to {known}"
+        level, sentence = (
+            "doubtful",
+            f"is incomplete: {_listed(lacking)} without a measured bias; biases to {worst_text}",
+        )
     elif unscaled:
         level = "doubtful"
         sentence = (
-            f"is incomplete: {_listed(unscaled)} without a measured scale, which a tumble gives; biases to {known}"
+            f"is incomplete: {_listed(unscaled)} without a measured scale, which a tumble gives; biases to {worst_text}"
         )
     else:
-        sentence = f"is good: biases are known to {known}{_turns_wanted(scaled)}"
+        sentence = f"is good: biases are known to {worst_text}{_turns_wanted(scaled)}"
     thermal = sum(sensor.thermal is not None for sensor in inertial)
     noisy = sum(sensor.noise_lsb is not None for sensor in inertial)
-    of = f"of {len(inertial)} sensors"
+    of_sensors = f"of {len(inertial)} sensors"
     figures = [
         *(
             (text, f"largest standard error of a bias, {name.replace('_', ' ')}")
             for name, text in worst.items()
             if text
         ),
-        (f"{sum(not sensor.uncertain_axes() for sensor in scaled)}", f"{of} with measured scale and axes"),
-        (f"{noisy}", f"{of} with measured noise"),
-        (f"{thermal}", f"{of} with temperature slopes"),
+        (f"{sum(not sensor.uncertain_axes() for sensor in scaled)}", f"{of_sensors} with measured scale and axes"),
+        (f"{noisy}", f"{of_sensors} with measured noise"),
+        (f"{thermal}", f"{of_sensors} with temperature slopes"),
     ]
     return Verdict(f"{path.name} {sentence}.", level, tuple(figures[:_FIGURES]))
 
@@ -134,10 +137,10 @@ def _turns_wanted(scaled: Sequence[SensorCalibration]) -> str:
     """
     nominal = [sensor.name for sensor in scaled if sensor.quantity == "specific_force" and sensor.uncertain_axes()]
     angles = f"; the angles between the axes of {_listed(nominal)} are the data sheet's" if nominal else ""
-    about = {sensor.name: sensor.uncertain_axes() for sensor in scaled if sensor.quantity == "angular_rate"}
+    uncertain = {sensor.name: sensor.uncertain_axes() for sensor in scaled if sensor.quantity == "angular_rate"}
     texts = []
-    for axes in sorted({axes for axes in about.values() if axes}):
-        names = [name for name, its in about.items() if its == axes]
+    for axes in sorted({axes for axes in uncertain.values() if axes}):
+        names = [name for name, uncertain_axes in uncertain.items() if uncertain_axes == axes]
         texts.append(f"{_listed(names)} about box {', '.join(axes)}")
     if not texts:
         return angles
@@ -171,9 +174,9 @@ def fused_verdict(
         name = quantity.replace("_", " ")
         texts.append(f"{factor * worst:.2g} {unit}")
         figures.append((f"{factor * worst:.2g} {unit}", f"largest scatter at rest, {name}"))
-        own = claimed.get(quantity)
-        if own is not None and np.isfinite(own).all() and (own > 0).all():
-            ratios.append(float(np.nanmax(values / own)))
+        claim = claimed.get(quantity)
+        if claim is not None and np.isfinite(claim).all() and (claim > 0).all():
+            ratios.append(float(np.nanmax(values / claim)))
     count = sum(len(names) for names in head.sensors.values())
     figures.append((f"{count}", "sensors that went into it"))
     if ratios:
@@ -253,7 +256,7 @@ def joined(verdicts: Sequence[Verdict]) -> Verdict | None:
     if worst.level in ("bad", "doubtful"):
         return Verdict(worst.sentence, worst.level, tuple(figures[:_FIGURES]))
     gains = "Fusion of"
-    kept = [verdict for verdict in verdicts if len(verdicts) == _FEW or not verdict.sentence.startswith(gains)]
-    texts = [re.sub(", fused by [^,]*,", "", verdict.sentence.split(": ")[0].rstrip(".")) for verdict in kept]
+    remaining = [verdict for verdict in verdicts if len(verdicts) == _FEW or not verdict.sentence.startswith(gains)]
+    texts = [re.sub(", fused by [^,]*,", "", verdict.sentence.split(": ")[0].rstrip(".")) for verdict in remaining]
     brief = "; ".join(text.replace(gains, "fusion of") for text in texts)
     return Verdict(f"Everything is in order: {brief}.", "good", tuple(figures[:_FIGURES]))

@@ -65,8 +65,8 @@ class Effect:
             allowed = item.metadata.get("allowed", UNBOUNDED)
             if allowed != UNBOUNDED:
                 value = getattr(self, name)
-                for each in (min(value), max(value)) if of_axes else (value,):
-                    require(name, each, *allowed)
+                for number in (min(value), max(value)) if of_axes else (value,):
+                    require(name, number, *allowed)
 
     def each_span(self) -> Iterator[tuple[float, float, float]]:
         """Return the run, from when, until when of each."""
@@ -74,10 +74,11 @@ class Effect:
 
     def active_axes(self) -> tuple[bool, ...]:
         """Return (3,) on which axes it acts, by its parameters of single axes; none if it has no such parameters."""
-        own = [item for item in fields(self) if item.metadata.get("per_axis")]
+        axis_fields = [item for item in fields(self) if item.metadata.get("per_axis")]
         idle = type(self)()
         return tuple(
-            any(getattr(self, item.name)[axis] != getattr(idle, item.name)[axis] for item in own) for axis in range(3)
+            any(getattr(self, item.name)[axis] != getattr(idle, item.name)[axis] for item in axis_fields)
+            for axis in range(3)
         )
 
     def lookback(self, at: Place) -> int:

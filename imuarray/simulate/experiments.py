@@ -136,7 +136,7 @@ def run_like(log: Log, path: Path, only: Collection[str], boot: int) -> BootRun:
 
 
 def turn_on_series(
-    array: ArrayConfig, path: Path, wanted: ExperimentOptions, rate_hz: float, boots: Sequence[int]
+    array: ArrayConfig, path: Path, options: ExperimentOptions, rate_hz: float, boots: Sequence[int]
 ) -> list[BootRun]:
     """Return the logs of a turn-on series, one for each of the `boots`: SIM_01.h5, SIM_02.h5, ... in the folder
     of `path`.
@@ -145,16 +145,16 @@ def turn_on_series(
     listed = []
     for k, boot in enumerate(boots, 1):
         numbered = path.with_name(f"{path.stem}_{k:0{digits}}{path.suffix}")
-        listed.append(run_of(array, numbered, "turn-on", replace(wanted, run=k), rate_hz=rate_hz, boot=boot))
+        listed.append(run_of(array, numbered, "turn-on", replace(options, run=k), rate_hz=rate_hz, boot=boot))
     return listed
 
 
 def run_of(
-    array: ArrayConfig, path: Path, experiment: str, wanted: ExperimentOptions, *, rate_hz: float, boot: int
+    array: ArrayConfig, path: Path, experiment: str, options: ExperimentOptions, *, rate_hz: float, boot: int
 ) -> BootRun:
     """One log of one of `EXPERIMENTS`; of a turn-on series the run `wanted.run`."""
-    motion = EXPERIMENTS[experiment](wanted)
-    return BootRun(path, plan_of(array, rate_hz, wanted.seconds or motion.seconds), motion, boot)
+    motion = EXPERIMENTS[experiment](options)
+    return BootRun(path, plan_of(array, rate_hz, options.seconds or motion.seconds), motion, boot)
 
 
 def with_effects(
@@ -172,7 +172,7 @@ def with_effects(
                     f'EFFECTS["{effect}"](...)' if str(effect) in EFFECTS else "an effect of imuarray.simulate.EFFECTS"
                 )
                 raise ConfigError(f"effects of {name}: {effect!r} is no effect; give {hint}")
-    return {name: in_physical_order((*known, *added.get(name, ()))) for name, known in effects.items()}
+    return {name: in_physical_order((*own_effects, *added.get(name, ()))) for name, own_effects in effects.items()}
 
 
 def remarks_on(plan: Plan, model: Model, log: Log | None, *, population: bool) -> Iterator[str]:

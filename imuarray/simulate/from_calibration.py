@@ -42,36 +42,36 @@ def calibrated(model: Model, calibration: Calibration, headers: Iterable[SensorH
     Temperature effects of a sensor that was calibrated at a known temperature count from there. CalibrationError for a
     calibration that does not fit its sensor.
     """
-    known = {(part.name, part.chip, part.range): part for part in model.sensors}
+    parts = {(part.name, part.chip, part.range): part for part in model.sensors}
     for header in headers:
         if header.name in calibration.sensors:
             unit = _part(model, calibration.sensors[header.name], header)
-            older = known.get((unit.name, unit.chip, unit.range), unit)
-            known[unit.name, unit.chip, unit.range] = replace(unit, effects={**older.effects, **unit.effects})
-    changed = replace(model, sensors=tuple(known.values()))
+            older = parts.get((unit.name, unit.chip, unit.range), unit)
+            parts[unit.name, unit.chip, unit.range] = replace(unit, effects={**older.effects, **unit.effects})
+    changed = replace(model, sensors=tuple(parts.values()))
     return replace(changed, text=changed.to_toml())
 
 
 def _part(model: Model, unit: SensorCalibration, header: SensorHeader) -> Part:
     """Return the model of a sensor with what was measured of it in place of the model's own figures."""
     _check_fit(unit, header)
-    before = model.parts(header)
+    model_parts = model.parts(header)
     effects: dict[str, tuple[Recipe, ...]] = {}
     if unit.temperature_degc is not None:
         warm = {"reference_degc": unit.temperature_degc}
         effects |= {
-            kind: tuple({**recipe, **warm} for recipe in before[kind].effects[kind])
+            kind: tuple({**recipe, **warm} for recipe in model_parts[kind].effects[kind])
             for kind in _THERMAL
-            if kind in before
+            if kind in model_parts
         }
     noise = _noise(unit, header, _step_lsb(model, header))
     for effect in (*_affine(unit, header), *_thermal(unit, header), *noise):
-        if effect.name in before or effect != type(effect)():
+        if effect.name in model_parts or effect != type(effect)():
             table = to_table(effect, header.unit)
             effects[effect.name] = ({key: figure_of(value, key) for key, value in table.items()},)
     bandwidth_hz = noise_bandwidth_hz(header) or None
-    if "white_noise" not in effects and "white_noise" in before:
-        bandwidth_hz = before["white_noise"].noise_bandwidth_hz
+    if "white_noise" not in effects and "white_noise" in model_parts:
+        bandwidth_hz = model_parts["white_noise"].noise_bandwidth_hz
     foreign = "" if header.chip in TRIADS else header.unit
     return Part(header.chip, header.range, header.name, bandwidth_hz, effects, foreign)
 
@@ -95,8 +95,10 @@ def _affine(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
 
 def _response(sensed: Floats, exchange: Floats, header: SensorHeader) -> Iterator[Effect]:
     """`sensed` (3, 3): rows the sensor's axes, columns the axes, exchanged already, along which they lean."""
-    taken = np.abs(exchange).argmax(axis=1)
-    yield AxisError("".join("+-"[int(row[axis] < 0)] + "XYZ"[axis] for row, axis in zip(exchange, taken, strict=True)))
+    axis_of_row = np.abs(exchange).argmax(axis=1)
+    yield AxisError(
+        "".join("+-"[int(row[axis] < 0)] + "XYZ"[axis] for row, axis in zip(exchange, axis_of_row, strict=True))
+    )
     leaning = np.degrees(np.arctan(sensed / np.diag(sensed)[:, None]))[~np.eye(3, dtype=bool)]
     try:
         yield Misalignment(tuple(leaning.tolist()))
@@ -123,16 +125,16 @@ def _thermal(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
     """
     if unit.thermal is None:
         return
-    about = unit.thermal
-    relative = about.thermometer == "relative"  # of its degrees only differences mean anything
-    unknown = ThermalBias().reference_degc if relative else about.reference_degc
+    thermal = unit.thermal
+    relative = thermal.thermometer == "relative"  # of its degrees only differences mean anything
+    unknown = ThermalBias().reference_degc if relative else thermal.reference_degc
     holds_at = unknown if unit.temperature_degc is None else unit.temperature_degc
-    curve = np.zeros(3) if about.quadratic_lsb_per_degc2 is None else about.quadratic_lsb_per_degc2
-    slope = about.slope_lsb_per_degc + 2 * curve * (0.0 if relative else holds_at - about.reference_degc)
+    curve = np.zeros(3) if thermal.quadratic_lsb_per_degc2 is None else thermal.quadratic_lsb_per_degc2
+    slope = thermal.slope_lsb_per_degc + 2 * curve * (0.0 if relative else holds_at - thermal.reference_degc)
     try:
         yield ThermalBias(_triple(slope / header.sensitivity), _triple(curve / header.sensitivity), holds_at)
-        if about.significant_lag_s and about.thermometer in ("barometer", "reference"):
-            yield ThermalLag(about.significant_lag_s)
+        if thermal.significant_lag_s and thermal.thermometer in ("barometer", "reference"):
+            yield ThermalLag(thermal.significant_lag_s)
     except ValueError as error:
         raise CalibrationError(f"sensor {header.name}: thermal: {error}") from None
 
@@ -153,8 +155,8 @@ def _step_lsb(model: Model, header: SensorHeader) -> Integers:
 def _check_fit(unit: SensorCalibration, header: SensorHeader) -> None:
     """CalibrationError unless the calibration is one of this sensor at this range and models know the chip."""
     where = f"sensor {header.name}"
-    known = TRIADS.get(header.chip)
-    if not header.sensitivity or (known is not None and header.range not in known.sensitivity):
+    chip = TRIADS.get(header.chip)
+    if not header.sensitivity or (chip is not None and header.range not in chip.sensitivity):
         raise CalibrationError(f"{where}: no model describes a {header.chip} at {header.range:g} {header.unit}")
     if (unit.quantity, unit.unit) != (header.quantity, header.unit):
         raise CalibrationError(f"{where}: calibrated as {unit.quantity} in {unit.unit}, but it is {header.quantity}")

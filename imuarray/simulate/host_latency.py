@@ -75,8 +75,8 @@ class DelayedTimes:
 
 def lost_rows(line: Timeline) -> tuple[tuple[int, int, int], ...]:
     """Return the stamps in ns of the rows before and after each stretch in which the sensor lost rows, and how many."""
-    own = line.own if isinstance(line, DelayedTimes) else line
-    return tuple(own.holes()) if isinstance(own, GapFilledTimes) else ()
+    timeline = line.own if isinstance(line, DelayedTimes) else line
+    return tuple(timeline.holes()) if isinstance(timeline, GapFilledTimes) else ()
 
 
 def find_delays(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog]) -> dict[str, Timeline]:
@@ -91,12 +91,14 @@ def find_delays(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog])
         return dict(lines)
     pairs = _pairs(first, len(names))
     parts = [_of_window(rows, pairs, len(names)) for rows in chain([first], windows)]
-    all_delays = [_HostDelays(*map(np.concatenate, zip(*own, strict=True))) for own in zip(*parts, strict=True)]
+    all_delays = [
+        _HostDelays(*map(np.concatenate, zip(*of_sensor, strict=True))) for of_sensor in zip(*parts, strict=True)
+    ]
     polled = {
-        name: delays for which, (name, delays) in enumerate(zip(names, all_delays, strict=True)) if pairs.has(which)
+        name: delays for number, (name, delays) in enumerate(zip(names, all_delays, strict=True)) if pairs.has(number)
     }
-    after = {name: delays.after_loss_ns for name, delays in polled.items()}
-    late = {name: _line(lines[name], delays, _missed(name, lines[name], after)) for name, delays in polled.items()}
+    after_loss = {name: delays.after_loss_ns for name, delays in polled.items()}
+    late = {name: _line(lines[name], delays, _missed(name, lines[name], after_loss)) for name, delays in polled.items()}
     return {**lines, **late}
 
 
@@ -161,12 +163,12 @@ def _rows(sensors: Sequence[SensorLog], begin_ns: int, end_ns: int) -> _FrameRow
 def _of_window(rows: _FrameRows, pairs: _SensorPairs, sensors: int) -> list[_HostDelays]:
     halves = _halves(rows, pairs)
     late = rows.inner & (halves >= _LEAST_NS)
-    lost = rows.inner & rows.is_after_loss
+    is_lost = rows.inner & rows.is_after_loss
     windows = []
-    for which in range(sensors):
-        own = late & (rows.which == which)
-        after_loss_ns = rows.time_ns[lost & (rows.which == which)]
-        windows.append(_HostDelays(rows.number[own], np.rint(halves[own]).astype(np.int64), after_loss_ns))
+    for number in range(sensors):
+        is_late = late & (rows.which == number)
+        after_loss_ns = rows.time_ns[is_lost & (rows.which == number)]
+        windows.append(_HostDelays(rows.number[is_late], np.rint(halves[is_late]).astype(np.int64), after_loss_ns))
     return windows
 
 
@@ -176,11 +178,11 @@ def _pairs(rows: _FrameRows, count: int) -> _SensorPairs:
     intervals = np.diff(rows.time_ns)
     for first in range(count):
         for second in range(count):
-            own = intervals[(rows.which[:-1] == first) & (rows.which[1:] == second)]
-            if len(own) < _LEAST:
+            of_pair = intervals[(rows.which[:-1] == first) & (rows.which[1:] == second)]
+            if len(of_pair) < _LEAST:
                 continue
-            least, middle, upper = np.percentile(own, (0, 50, 75))
-            tight = first != second and middle - least < _TIGHT_NS and upper - middle < _TIGHT_NS
+            shortest, middle, upper = np.percentile(of_pair, (0, 50, 75))
+            tight = first != second and middle - shortest < _TIGHT_NS and upper - middle < _TIGHT_NS
             (usual if tight else idle)[first, second] = middle
     return _SensorPairs(usual, idle)
 
@@ -193,31 +195,31 @@ def _halves(rows: _FrameRows, pairs: _SensorPairs) -> Floats:
     over, idle = interval - pairs.usual_ns[step], interval - pairs.idle_ns[step]
     edge = [np.nan]
     before, after = np.concatenate([edge, over]), np.concatenate([over, edge])
-    begun = np.concatenate([edge, idle])
-    both = np.clip(np.minimum(before, after), 0.0, None)  # nan where one of them is
-    inside = np.nan_to_num(both)
+    starts = np.concatenate([edge, idle])
+    smaller = np.clip(np.minimum(before, after), 0.0, None)  # nan where one of them is
+    inside = np.nan_to_num(smaller)
     for at in np.flatnonzero((inside[1:] > 0) & (inside[:-1] > 0)) + 1:  # what the one before has had is gone
-        both[at] = inside[at] = max(min(before[at] - inside[at - 1], after[at]), 0.0)
+        smaller[at] = inside[at] = max(min(before[at] - inside[at - 1], after[at]), 0.0)
     behind, ahead = np.concatenate([[0.0], inside[:-1]]), np.concatenate([inside[1:], [0.0]])
     first = np.clip(after - ahead, 0.0, None)
-    lonely = np.isnan(np.concatenate([both[1:], edge]))  # of two in a frame both come of the same interval
-    first = np.where(lonely, np.clip(np.fmin(first, begun), 0.0, None), first)
-    kept = np.concatenate([[0.0], np.nan_to_num(np.where(np.isnan(before), first, 0.0))[:-1]])
-    last = np.clip(before - np.where(behind > 0, behind, kept), 0.0, None)
-    return np.asarray(np.nan_to_num(np.where(np.isfinite(both), both, np.where(np.isfinite(after), first, last))))
+    lonely = np.isnan(np.concatenate([smaller[1:], edge]))  # of two in a frame both come of the same interval
+    first = np.where(lonely, np.clip(np.fmin(first, starts), 0.0, None), first)
+    carried = np.concatenate([[0.0], np.nan_to_num(np.where(np.isnan(before), first, 0.0))[:-1]])
+    last = np.clip(before - np.where(behind > 0, behind, carried), 0.0, None)
+    return np.asarray(np.nan_to_num(np.where(np.isfinite(smaller), smaller, np.where(np.isfinite(after), first, last))))
 
 
 def _missed(name: str, line: Timeline, after: Mapping[str, Integers]) -> Integers:
     """Return the numbers of its rows that were lost when every other sensor lost some: the host did not read."""
-    others = [times for other, times in after.items() if other != name]
-    if not isinstance(line, GapFilledTimes) or not others:
+    other_times = [times for other, times in after.items() if other != name]
+    if not isinstance(line, GapFilledTimes) or not other_times:
         return _NOTHING
     missed, rows = [_NOTHING], line.recorded.rows
     begins = line.before + np.cumsum(line.missing) - line.missing
     for row, count, begin in zip(line.before.tolist(), line.missing.tolist(), begins.tolist(), strict=True):
         last_ns, _, *more = line.recorded.stamps(row - 1, min(row + 2, rows)).tolist()
         (next_ns,) = more or [_NEVER_NS]
-        if all(_has_between(times, last_ns, next_ns) for times in others):
+        if all(_has_between(times, last_ns, next_ns) for times in other_times):
             missed.append(np.arange(begin, begin + count))
     return np.concatenate(missed)
 

@@ -148,7 +148,7 @@ def noise_bandwidth_hz(sensor: SensorHeader) -> float:
 
 
 def _range_choice(value: float, chip: str) -> str:
-    return f"{value:g}: allowed for {chip} are {', '.join(f'{known:g}' for known in TRIADS[chip].sensitivity)}"
+    return f"{value:g}: allowed for {chip} are {', '.join(f'{choice:g}' for choice in TRIADS[chip].sensitivity)}"
 
 
 class _ModelTable(BaseModel):
@@ -260,8 +260,8 @@ def _recipe(kind: str, table: Mapping[str, Any], chip: str, unit: str) -> Recipe
     recipe = {key: figure_of(value, f"{kind}: {key}") for key, value in table.items()}
     ranges = TRIADS[chip].sensitivity if chip in TRIADS else {}
     keys = spelled(EFFECTS[kind], unit)
-    for away, which in ((0, ""), (-1, ", lowest draw"), (1, ", highest draw")):
-        effect = from_table(EFFECTS[kind], at_ends(recipe, keys, away), unit, kind + which)
+    for end, note in ((0, ""), (-1, ", lowest draw"), (1, ", highest draw")):
+        effect = from_table(EFFECTS[kind], at_ends(recipe, keys, end), unit, kind + note)
         if isinstance(effect, RangeReset) and not math.isnan(effect.range) and effect.range not in ranges:
             choice = _range_choice(effect.range, chip) if ranges else f"the ranges of a {chip} are not known"
             raise ConfigError(f"{kind}: range_{unit}: {choice}")

@@ -37,38 +37,38 @@ def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
 
 def alongside(**lists: Any) -> dict[str, tuple[float, ...]]:
     """Lists that have a number for every event, as floats; ValueError unless they are as long, finite, not negative."""
-    (first, given), *_ = lists.items()
-    return {name: _of_events(name, values, first, len(given)) for name, values in lists.items()}
+    (first, first_values), *_ = lists.items()
+    return {name: _of_events(name, values, first, len(first_values)) for name, values in lists.items()}
 
 
 def spelled(kind: type[Effect], unit: str) -> dict[str, Field[Any]]:
     """Return the keys of an effect's table for a sensor of this unit, in order: "offset_dps" to the field `offset`;
     what every effect has comes last.
     """
-    own = sorted(fields(kind), key=lambda item: item.name == "spans")
-    return {item.name + item.metadata.get("suffix", "").format(u=unit): item for item in own}
+    ordered = sorted(fields(kind), key=lambda item: item.name == "spans")
+    return {item.name + item.metadata.get("suffix", "").format(u=unit): item for item in ordered}
 
 
 def to_table(effect: Effect, unit: str) -> dict[str, Value]:
     """Return every parameter that is not its default; three equal numbers, one for each axis, become one."""
-    known = ((key, item, getattr(effect, item.name)) for key, item in spelled(type(effect), unit).items())
-    return {key: _plain(value, item) for key, item, value in known if not _same(value, item.default)}
+    entries = ((key, item, getattr(effect, item.name)) for key, item in spelled(type(effect), unit).items())
+    return {key: _plain(value, item) for key, item, value in entries if not _same(value, item.default)}
 
 
 def from_table(kind: type[SomeEffect], table: Mapping[str, object], unit: str, where: str) -> SomeEffect:
     """Return the effect that a table describes; ConfigError names `where`, the key and what is allowed."""
-    known = spelled(kind, unit)
+    keys = spelled(kind, unit)
     arguments: dict[str, Any] = {}
     for key, value in table.items():
-        if key not in known:
-            raise ConfigError(f"{where}: {_unknown(key, list(known))}")
-        if complaint := _complaint(value, known[key]):
+        if key not in keys:
+            raise ConfigError(f"{where}: {_unknown(key, list(keys))}")
+        if complaint := _complaint(value, keys[key]):
             raise ConfigError(f"{where}: {key}: {value!r:.40}: {complaint} is required")
-        arguments[known[key].name] = value
+        arguments[keys[key].name] = value
     try:
         return kind(**arguments)
     except ValueError as error:
-        raise ConfigError(f"{where}: {_respell(str(error), known)}") from None
+        raise ConfigError(f"{where}: {_respell(str(error), keys)}") from None
 
 
 def _of_events(name: str, values: Any, first: str, count: int) -> tuple[float, ...]:

@@ -58,8 +58,8 @@ class Spread(BaseModel):
         beyond, below = _probability(-self.reach / self.sigma), _probability(deviate)
         if below in (0.0, 1.0):
             return self.mean + math.copysign(self.reach, deviate)
-        away = self.sigma * _NORMAL.inv_cdf(beyond + below * (1 - 2 * beyond))
-        return self.mean + min(max(away, -self.reach), self.reach)
+        deviation = self.sigma * _NORMAL.inv_cdf(beyond + below * (1 - 2 * beyond))
+        return self.mean + min(max(deviation, -self.reach), self.reach)
 
 
 _NORMAL = NormalDist()

@@ -98,9 +98,9 @@ class SlowProcess:
         """(KNOTS, 3) knots of one chunk: free inside, corrected towards the end that is drawn for it."""
         start, end = self._edges(chunk)
         phi = math.exp(-self._decay)
-        drawn = self._inside.normal(chunk * KNOTS, (chunk + 1) * KNOTS).astype(float) * self._step
-        drawn[0] += phi * start
-        free = first_order(drawn, phi)
+        steps = self._inside.normal(chunk * KNOTS, (chunk + 1) * KNOTS).astype(float) * self._step
+        steps[0] += phi * start
+        free = first_order(steps, phi)
         inside = free + _bridge(self._decay)[:, None] * (end - free[-1])
         return np.concatenate([start[None], inside[:-1]])
 

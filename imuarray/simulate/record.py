@@ -99,15 +99,15 @@ def write_log(
             log.phase(phase)
         for start in range(0, frames.rows, block_rows):
             log.stimulus("truth", simulation.truth(start, min(start + block_rows, frames.rows)))
-        done = 0
+        rows_done = 0
         silences: list[tuple[int, str]] = []
         for part in _in_order(_stretches(simulation, block_rows), division.executor, division.workers):
             log.append(part.sensor, part.block)
             silences += [(at_ns, part.sensor) for at_ns in part.silent_ns.tolist()]
             written[part.sensor] += len(part.block.time)
             lost[part.sensor] += part.lost
-            done += len(part.block.time) + part.lost
-            progress(done)
+            rows_done += len(part.block.time) + part.lost
+            progress(rows_done)
         for at_ns, name in sorted(silences):
             log.event(Event(at_ns, name, "lost", "no reading: a dropped sample"))
     return Written(frames.rows, seconds, written, lost)

@@ -99,8 +99,8 @@ class SimulatedSensor:
         self._span = code_span(header)
         self._orientation = np.array(lies or header.orientation)
         places = zip(self.effects, self._places(), strict=True)
-        within = [(acting(effect, streams.boot), at) for effect, at in places]
-        self._acting = tuple((effect, at) for effect, at in within if effect is not None)
+        acting_effects = [(acting(effect, streams.boot), at) for effect, at in places]
+        self._acting = tuple((effect, at) for effect, at in acting_effects if effect is not None)
         self._is_late = any(effect.name == "jitter" for effect in self.effects)
         self._is_polled = any(isinstance(effect, OwnClock) and effect.polled for effect in self.effects)
         self._lookback = (
@@ -166,10 +166,10 @@ class SimulatedSensor:
 
     def _places(self) -> Iterator[Place]:
         """Yield a place for each effect: the second of a kind draws apart from the first."""
-        seen: Counter[str] = Counter()
+        counts: Counter[str] = Counter()
         for effect in self.effects:
-            seen[effect.name] += 1
-            yield self._place if seen[effect.name] == 1 else replace(self._place, copy=seen[effect.name])
+            counts[effect.name] += 1
+            yield self._place if counts[effect.name] == 1 else replace(self._place, copy=counts[effect.name])
 
     def _held_rows(self) -> int:
         rate_hz = self.header.rate_hz

@@ -69,9 +69,9 @@ def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
     chosen = {name: log[name] for name in only or log.sensors}
     chosen = {name: sensor for name, sensor in chosen.items() if sensor.quantity != "temperature"}  # no chip is known
     configured = parse_array(log.config).sensors if log.config else ()
-    known = {sensor.name: sensor for sensor in configured if not sensor.on_iio}  # the kernel sets range and scale
+    configs = {sensor.name: sensor for sensor in configured if not sensor.on_iio}  # the kernel sets range and scale
     sensors = {
-        name: (header_of(known[name], {}) if name in known else recorded_header(sensor), LogTimes(sensor))
+        name: (header_of(configs[name], {}) if name in configs else recorded_header(sensor), LogTimes(sensor))
         for name, sensor in chosen.items()
         if len(sensor)
     }
@@ -172,8 +172,8 @@ def place_of(header: SensorHeader, effects: Sequence[Effect], plan: Plan) -> Sen
     for effect in effects:
         if isinstance(effect, ChannelSwap) and effect.kind == "place" and effect.sensor:
             if effect.sensor not in plan.sensors:
-                there = ", ".join(plan.sensors)
-                raise ValueError(f"channel_swap of {header.name}: {effect.sensor}: not in this array; it has {there}")
+                names = ", ".join(plan.sensors)
+                raise ValueError(f"channel_swap of {header.name}: {effect.sensor}: not in this array; it has {names}")
             return plan.sensors[effect.sensor][0]
     return header
 

@@ -91,5 +91,5 @@ EFFECTS: Mapping[str, type[Effect]] = MappingProxyType(
 def meaning(name: str) -> str:
     """Return what the effect `name` does, in a few words: the first line of its module. "" for an unknown name."""
     kind = EFFECTS.get(name)
-    about = (sys.modules[kind.__module__].__doc__ or "") if kind else ""
-    return about.splitlines()[0].partition(": ")[2].rstrip(".") if about else ""
+    docstring = (sys.modules[kind.__module__].__doc__ or "") if kind else ""
+    return docstring.splitlines()[0].partition(": ")[2].rstrip(".") if docstring else ""

@@ -48,5 +48,5 @@ class AxisError(Effect):
 
     def _exchanged(self, vectors: Reals) -> Reals:
         x, y, z = (1.0 if sign == "+" else -1.0 for sign in self.axes[::2])
-        taken = np.take(vectors, ["XYZ".index(axis) for axis in self.axes[1::2]], axis=1)
-        return taken * per_row((x, y, z), taken)
+        exchanged = np.take(vectors, ["XYZ".index(axis) for axis in self.axes[1::2]], axis=1)
+        return exchanged * per_row((x, y, z), exchanged)

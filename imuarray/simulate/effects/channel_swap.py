@@ -40,11 +40,11 @@ class ChannelSwap(Effect):
         if self.sensor in ("", at.sensor.name) or self.kind == "place":
             return codes
         try:
-            other = at.neighbour(self.sensor, codes.first, codes.first + len(codes.counts))
+            neighbour = at.neighbour(self.sensor, codes.first, codes.first + len(codes.counts))
         except KeyError as error:
             raise ValueError(f"channel_swap of {at.sensor.name}: {error.args[0]}") from None
         if self.kind == "counts":
-            return replace(codes, counts=other.counts)
-        temperature = codes.temperature_counts if other.temperature_counts is None else other.temperature_counts
-        kept = None if codes.temperature_counts is None else temperature
-        return replace(codes, counts=other.counts, temperature_counts=kept, fresh=other.fresh)
+            return replace(codes, counts=neighbour.counts)
+        temperature = codes.temperature_counts if neighbour.temperature_counts is None else neighbour.temperature_counts
+        degrees = None if codes.temperature_counts is None else temperature
+        return replace(codes, counts=neighbour.counts, temperature_counts=degrees, fresh=neighbour.fresh)

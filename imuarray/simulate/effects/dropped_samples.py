@@ -55,16 +55,16 @@ class DroppedSamples(Effect):
         if not self.probability:
             return instants
         stream = at.streams.of_boot(at.sensor.name, self.name, width=1)  # double precision: probabilities are small
-        lost = self._lost(instants.first, instants.first + len(instants.kept), stream)
-        return replace(instants, kept=instants.kept & ~lost)
+        is_lost = self._lost(instants.first, instants.first + len(instants.kept), stream)
+        return replace(instants, kept=instants.kept & ~is_lost)
 
     def _missing(self, stamp_ns: Integers, run: int) -> Booleans:
         """Return (n,) of rows with these stamps."""
         missing = np.zeros(len(stamp_ns), bool)
         for number, moment_s, length_s in zip(self.runs, self.moments_s, self.lengths_s, strict=True):
             if number == run:
-                due, over = np.searchsorted(stamp_ns, (moment_s * 1e9, (moment_s + length_s) * 1e9))
-                missing[due:over] = True
+                due, end = np.searchsorted(stamp_ns, (moment_s * 1e9, (moment_s + length_s) * 1e9))
+                missing[due:end] = True
         return missing
 
     def _lost(self, first: int, stop: int, stream: Stream) -> Booleans:
@@ -74,14 +74,14 @@ class DroppedSamples(Effect):
         reach = _REACH
         while True:
             start = max(0, first - reach)
-            drawn = stream.uniform(start, stop)[:, 0]
-            lost, certain = drawn < min(begin, stay), (drawn < min(begin, stay)) | (drawn >= max(begin, stay))
+            draws = stream.uniform(start, stop)[:, 0]
+            lost, certain = draws < min(begin, stay), (draws < min(begin, stay)) | (draws >= max(begin, stay))
             if start == 0:
-                lost[0], certain[0] = drawn[0] < self.probability, True
+                lost[0], certain[0] = draws[0] < self.probability, True
             if certain[: first - start + 1].any():
                 break
             reach *= 2
-        rows = np.arange(len(drawn))
+        rows = np.arange(len(draws))
         last = np.maximum.accumulate(np.where(certain, rows, 0))
         turned = ((rows - last) % 2 == 1) & (begin > stay)  # where the past matters, it is kept or turned round
         return np.asarray((lost[last] ^ turned)[first - start :])

@@ -89,13 +89,13 @@ class Glitches(Effect):
         return replace(codes, counts=np.where(struck & (np.arange(3) == axis[:, None]), wrong, codes.counts))
 
     def _hit(self, codes: Codes, at: Place) -> Counts:
-        here = np.array(self.runs) == at.streams.boot
-        due_ns = np.array(self.moments_s)[here] * 1e9
+        of_boot = np.array(self.runs) == at.streams.boot
+        due_ns = np.array(self.moments_s)[of_boot] * 1e9
         rows = np.searchsorted(codes.instant_ns, due_ns)
-        seen = (rows < len(codes.counts)) & ((rows > 0) | (codes.first == 0))  # else one of the rows before
-        jumps = np.rint(np.array(self.jumps).reshape(-1, 3)[here] * at.sensor.sensitivity).astype(codes.counts.dtype)
+        in_block = (rows < len(codes.counts)) & ((rows > 0) | (codes.first == 0))  # else one of the rows before
+        jumps = np.rint(np.array(self.jumps).reshape(-1, 3)[of_boot] * at.sensor.sensitivity).astype(codes.counts.dtype)
         counts = codes.counts.copy()
-        np.add.at(counts, rows[seen], jumps[seen])
+        np.add.at(counts, rows[in_block], jumps[in_block])
         return np.asarray(np.clip(counts, *_WORD))
 
     def _off(self, counts: Counts, sign: Counts, at: Place) -> Counts:
@@ -107,5 +107,5 @@ class Glitches(Effect):
 def _torn(counts: Counts, at: Place) -> Counts:
     """Return readings with the low byte of their own code and the high byte of the previous one (two's complement)."""
     low = high_byte(at.sensor.chip) - 1
-    before = np.concatenate([counts[:1], counts[:-1]])
-    return (before & ~low) | (counts & low)
+    previous = np.concatenate([counts[:1], counts[:-1]])
+    return (previous & ~low) | (counts & low)

@@ -43,8 +43,8 @@ class Jitter(Effect):
             return replace(instants, instant_ns=instants.instant_ns + later, kept=instants.kept & ~missed)
         if not self.rms_s:
             return instants
-        off = self._drawn(instants.first, instants.first + len(instants.stamp_ns), at)
-        return replace(instants, instant_ns=instants.instant_ns + np.rint(off * (self.rms_s * 1e9)).astype(np.int64))
+        delay = self._drawn(instants.first, instants.first + len(instants.stamp_ns), at)
+        return replace(instants, instant_ns=instants.instant_ns + np.rint(delay * (self.rms_s * 1e9)).astype(np.int64))
 
     def _drawn(self, first: int, stop: int, at: Place) -> Reals:
         """Return (n,) by how many `rms_s` each row is off."""

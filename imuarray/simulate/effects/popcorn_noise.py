@@ -59,8 +59,8 @@ class PopcornNoise(Effect):
 
 def _behind(level: Booleans, draws: Integers, last: Booleans) -> Booleans:
     """Return (3,) the level behind chunks (c, 3): what the last of them with a draw drew, or what it was before."""
-    known, levels = np.vstack([np.ones((1, 3), bool), draws > 0]), np.vstack([level, last])
-    return np.asarray(levels[len(known) - 1 - known[::-1].argmax(axis=0), np.arange(3)])
+    is_drawn, levels = np.vstack([np.ones((1, 3), bool), draws > 0]), np.vstack([level, last])
+    return np.asarray(levels[len(is_drawn) - 1 - is_drawn[::-1].argmax(axis=0), np.arange(3)])
 
 
 def _levels(

@@ -67,8 +67,8 @@ class Quantisation(Effect):
     def coded(self, counts: Whole) -> Whole:
         """Return the codes that come in the place of these."""
         if self.missing_lsb:
-            carry, most = int(self.carry_lsb), np.iinfo(counts.dtype).max
+            carry, largest = int(self.carry_lsb), np.iinfo(counts.dtype).max
             short = carry - (counts - int(self.carry_at_lsb)) % carry
-            carried = np.minimum(counts, most - short) + short
+            carried = np.minimum(counts, largest - short) + short
             counts = np.where(short <= int(self.missing_lsb), carried, counts)
         return counts & ~int(self.dead_bits) if self.dead_bits else counts

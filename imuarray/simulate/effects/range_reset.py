@@ -95,10 +95,10 @@ class RangeReset(Effect):
             return codes
         blank = np.zeros(len(codes.counts), bool)
         first, stop = codes.first, codes.first + len(blank)
-        known = zip(self.runs, self.moments_s, self.blanks_s, strict=True)
-        empty_ns = ((moment * 1e9, (moment + length) * 1e9) for run, moment, length in known if run == at.streams.boot)
-        for due, over in at.rows_in(first, stop, empty_ns):
-            blank[max(due - first, 0) : over - first] = True
+        resets = zip(self.runs, self.moments_s, self.blanks_s, strict=True)
+        empty_ns = ((moment * 1e9, (moment + length) * 1e9) for run, moment, length in resets if run == at.streams.boot)
+        for due, end in at.rows_in(first, stop, empty_ns):
+            blank[max(due - first, 0) : end - first] = True
         if not blank.any():
             return codes
         degc = codes.temperature_counts
@@ -113,24 +113,24 @@ class RangeReset(Effect):
         """Doubts the rows of known stretches, and marks where they end."""
         marked = status.copy() if self.moments_s else status
         for doubt_ns, _, over_ns in self._stretches(at):
-            due, over = np.searchsorted(instants.stamp_ns, (doubt_ns, over_ns))
-            marked[due:over] |= SUSPECT
-            if over > 0 and (arrived := np.flatnonzero(instants.kept[over:])).size:
-                marked[over + arrived[0]] |= RECONFIGURED
+            due, end = np.searchsorted(instants.stamp_ns, (doubt_ns, over_ns))
+            marked[due:end] |= SUSPECT
+            if end > 0 and (arrived := np.flatnonzero(instants.kept[end:])).size:
+                marked[end + arrived[0]] |= RECONFIGURED
         return marked
 
     def _stretches(self, at: Place) -> Iterator[tuple[float, float, float]]:
         """Yield the known stretches of this run: since when rows are doubted, begin and end of the other range (ns)."""
-        known = zip(self.runs if self.moments_s else (), self.moments_s, self.lengths_s, self.doubts_s, strict=True)
-        for run, moment_s, length_s, doubt_s in known:
+        resets = zip(self.runs if self.moments_s else (), self.moments_s, self.lengths_s, self.doubts_s, strict=True)
+        for run, moment_s, length_s, doubt_s in resets:
             if run == at.streams.boot:
                 yield (moment_s - doubt_s) * 1e9, moment_s * 1e9, (moment_s + length_s) * 1e9
 
     def _known(self, first: int, stop: int, at: Place) -> Booleans:
         """Return (stop - first,) which of these rows lie in known stretches."""
         since = np.zeros(stop - first, bool)
-        for due, over in at.rows_in(first, stop, ((due_ns, over_ns) for _, due_ns, over_ns in self._stretches(at))):
-            since[max(due - first, 0) : over - first] = True
+        for due, end in at.rows_in(first, stop, ((due_ns, over_ns) for _, due_ns, over_ns in self._stretches(at))):
+            since[max(due - first, 0) : end - first] = True
         return since
 
 
@@ -138,7 +138,7 @@ def _sensitivity(sensor: SensorHeader, range_: float) -> float:
     """Counts per unit; ValueError for a range that this chip hasn't."""
     allowed = CHIPS[sensor.chip].sensitivity
     if range_ not in allowed:
-        choice = ", ".join(f"{other:g}" for other in allowed)
+        choice = ", ".join(f"{value:g}" for value in allowed)
         raise ValueError(f"range: {range_:g}; allowed for {sensor.name} ({sensor.chip}) are {choice}")
     return allowed[range_]
 

@@ -44,9 +44,9 @@ class StaleSamples(Effect):
         rows = np.arange(len(codes.counts))
         stream = at.streams.of_boot(at.sensor.name, self.name, width=1)  # double precision: probabilities are small
         stale = stream.uniform(codes.first, codes.first + len(rows))[:, 0] < self.probability
-        shown = np.maximum.accumulate(np.where(stale, 0, rows))
-        shown = np.where(rows - shown > self.longest, rows, shown)
-        arrived = np.cumsum(codes.fresh)[shown]
+        shown_rows = np.maximum.accumulate(np.where(stale, 0, rows))
+        shown_rows = np.where(rows - shown_rows > self.longest, rows, shown_rows)
+        arrived = np.cumsum(codes.fresh)[shown_rows]
         fresh = np.concatenate([codes.fresh[:1], arrived[1:] > arrived[:-1]])
-        temperature = None if codes.temperature_counts is None else codes.temperature_counts[shown]
-        return replace(codes, counts=codes.counts[shown], temperature_counts=temperature, fresh=fresh)
+        temperature = None if codes.temperature_counts is None else codes.temperature_counts[shown_rows]
+        return replace(codes, counts=codes.counts[shown_rows], temperature_counts=temperature, fresh=fresh)

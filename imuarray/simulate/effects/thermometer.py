@@ -24,10 +24,10 @@ class Thermometer(Effect):
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Add to what the thermometer feels."""
-        read = analog.thermometer_degc
+        degc = analog.thermometer_degc
         if self.offset_degc:
-            read = read + self.offset_degc
+            degc = degc + self.offset_degc
         if self.rms_degc:
-            drawn = at.stream(self.name, width=1).normal(analog.first, analog.first + len(read))[:, 0]
-            read = read + self.rms_degc * drawn
-        return replace(analog, thermometer_degc=read)
+            noise = at.stream(self.name, width=1).normal(analog.first, analog.first + len(degc))[:, 0]
+            degc = degc + self.rms_degc * noise
+        return replace(analog, thermometer_degc=degc)

@@ -58,5 +58,5 @@ class Tone(Effect):
         """Return the frequency at the log's epoch."""
         if self.frequency_spread_hz == 0:
             return self.frequency_hz
-        drawn = at.boot_generator(self.name, f"{self.frequency_hz!r} Hz, its spread").standard_normal()
-        return float(self.frequency_hz + self.frequency_spread_hz * drawn)
+        draw = at.boot_generator(self.name, f"{self.frequency_hz!r} Hz, its spread").standard_normal()
+        return float(self.frequency_hz + self.frequency_spread_hz * draw)

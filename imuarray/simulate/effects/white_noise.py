@@ -30,10 +30,10 @@ class WhiteNoise(Effect):
         if self.rms == (0.0, 0.0, 0.0):
             return analog
         noise = at.stream(self.name, scale=self.rms).normal(analog.first, analog.first + len(analog.noise))
-        before = analog.white_rms
-        if isinstance(before, tuple):
-            x, y, z = map(math.hypot, self.rms, before)
+        earlier_rms = analog.white_rms
+        if isinstance(earlier_rms, tuple):
+            x, y, z = map(math.hypot, self.rms, earlier_rms)
             white_rms: Triple | Reals = (x, y, z)
         else:
-            white_rms = np.hypot(self.rms, before)
+            white_rms = np.hypot(self.rms, earlier_rms)
         return replace(analog, noise=noise if analog.is_silent else noise + analog.noise, white_rms=white_rms)

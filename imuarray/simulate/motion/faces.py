@@ -76,12 +76,12 @@ def standing_on(up: str, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> Reals:
 def resting(time_ns: Integers, attitude: Reals, temperature_degc: float | Reals) -> Felt:
     """Return what a box at rest in this attitude (3, 3) senses; `temperature_degc` is a number or (n,)."""
     count = len(time_ns)
-    nothing = np.broadcast_to(np.zeros(3), (count, 3))
+    zero = np.broadcast_to(np.zeros(3), (count, 3))
     return Felt(
         time_ns,
         np.broadcast_to(GRAVITY_LEVEL @ attitude, (count, 3)),
-        nothing,
-        nothing,
+        zero,
+        zero,
         np.broadcast_to(FIELD_LEVEL @ attitude, (count, 3)),
         np.broadcast_to(np.asarray(temperature_degc, float), (count,)),
         np.broadcast_to(AIR_PRESSURE_PA, (count,)),

@@ -85,8 +85,14 @@ class Heating:
         room = _Stretch("room", 5.0, self.room_degc, self.room_degc, COOLING_MIN)
         heat = _heat(5.0, room.ends_degc, self.peaks_degc[0])
         cool = _Stretch("cool", 5.0, self.peaks_degc[0], self.room_degc, COOLING_MIN)
-        more = _heat(5.0, cool.ends_degc, self.peaks_degc[1])
-        return room, heat, cool, more, _Stretch("cool", 90.0, self.peaks_degc[1], self.last_room_degc, COOLING_MIN)
+        second_heat = _heat(5.0, cool.ends_degc, self.peaks_degc[1])
+        return (
+            room,
+            heat,
+            cool,
+            second_heat,
+            _Stretch("cool", 90.0, self.peaks_degc[1], self.last_room_degc, COOLING_MIN),
+        )
 
     @cached_property
     def _edges_ns(self) -> Integers:

@@ -74,8 +74,8 @@ class RotationVector:
         """See `Attitude`; Rodrigues' formula."""
         sinc, versine = self._coefficients[:2]
         once = cross(self.phi, vector_level)
-        seen: Reals = vector_level - sinc * once + versine * cross(self.phi, once)
-        return seen
+        vector_box: Reals = vector_level - sinc * once + versine * cross(self.phi, once)
+        return vector_box
 
     def rates(self) -> tuple[Reals, Reals]:
         """See `Attitude`; the derivative of the rate, term by term."""

@@ -201,16 +201,16 @@ class SplineColumns:
     def _read(self, number: int) -> _CubicPieces:
         """One block, with a row more on either side while slopes are taken."""
         start = number * BLOCK
-        before = min(start, 1)
-        rows = slice(start - before, start + BLOCK + 2)
+        rows_before = min(start, 1)
+        rows = slice(start - rows_before, start + BLOCK + 2)
         time_ns, values = self._rows(rows)
         if not np.isfinite(values).all() or (np.diff(time_ns) <= 0).any():
             raise LogError(
                 f"{self.where}: rows {start} to {start + len(time_ns)}: finite numbers are required, in order"
             )
-        own = slice(before, before + BLOCK + 1)
+        own = slice(rows_before, rows_before + BLOCK + 1)
         slopes = _slopes(time_ns, values)
-        pieces = slice(before, before + len(time_ns[own]) - 1)
+        pieces = slice(rows_before, rows_before + len(time_ns[own]) - 1)
         return _between(time_ns[own], values[own], slopes[own], _gaps(time_ns)[pieces])
 
     def _rows(self, rows: slice) -> tuple[Integers, Reals]:
@@ -229,11 +229,11 @@ def _slopes(time_ns: Integers, rows: Reals) -> Reals:
     """
     if len(rows) == 1:
         return np.zeros_like(rows)
-    still = np.pad(np.diff(rows, axis=0) == 0, ((1, 1), (0, 0)), constant_values=True)
-    if still.all():
+    is_still = np.pad(np.diff(rows, axis=0) == 0, ((1, 1), (0, 0)), constant_values=True)
+    if is_still.all():
         return np.zeros_like(rows)
     slopes = np.gradient(rows, (time_ns - time_ns[0]) * 1e-9, axis=0)
-    return np.where(still[:-1] & still[1:], 0.0, slopes)
+    return np.where(is_still[:-1] & is_still[1:], 0.0, slopes)
 
 
 def _gaps(time_ns: Integers) -> Booleans:
@@ -365,8 +365,8 @@ class LikeLog:
     def __post_init__(self) -> None:
         for phase in self.log.phases:
             if phase.up and phase.up not in UP_AXES:
-                allowed = ", ".join(UP_AXES)
-                raise LogError(f"{self.log.path}: phase {phase.name!r}: up {phase.up!r}; allowed are {allowed}")
+                choices = ", ".join(UP_AXES)
+                raise LogError(f"{self.log.path}: phase {phase.name!r}: up {phase.up!r}; allowed are {choices}")
 
     @property
     def phases(self) -> tuple[Phase, ...]:

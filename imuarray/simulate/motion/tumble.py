@@ -55,9 +55,9 @@ class Tumble:
 
     def __post_init__(self) -> None:
         positive(face_s=self.face_s, turn_s=self.turn_s)
-        for name, given in (("temperatures_degc", self.temperatures_degc), ("tilts_deg", self.tilts_deg)):
-            if len(given) != len(ORDER):
-                raise ValueError(f"{name}: {len(given)} given; one for each of {', '.join(name for name, _ in ORDER)}")
+        for name, values in (("temperatures_degc", self.temperatures_degc), ("tilts_deg", self.tilts_deg)):
+            if len(values) != len(ORDER):
+                raise ValueError(f"{name}: {len(values)} given; one for each of {', '.join(name for name, _ in ORDER)}")
         faces = zip(ORDER, self.temperatures_degc, strict=True)
         finite(**{f"temperatures_degc, {name}": value for (name, _), value in faces})
         _ = self.attitudes  # refuses tilts
@@ -159,5 +159,5 @@ def _seen(vector: _TurningVector, index: Integers, sine: Reals, less: Reals) -> 
     """Return (n, 3) the vector from a box that has turned by an angle: its sine and cosine - 1, both (n, 1)
     (Rodrigues).
     """
-    seen: Reals = vector.start[index] + less * vector.across[index] - sine * vector.aside[index]
-    return seen
+    vector_box: Reals = vector.start[index] + less * vector.across[index] - sine * vector.aside[index]
+    return vector_box

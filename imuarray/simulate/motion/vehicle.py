@@ -127,10 +127,10 @@ class Vehicle(MotionBetweenRests):
         """Return (3, n) heave in m with two derivatives; the attitude."""
         v, v1, v2, v3 = drive.speed
         yaw, w, w1, w2 = drive.yaw
-        out = LEAN_RAD_PER_MPS2 * np.array([v * w, v1 * w + v * w1, v2 * w + 2 * v1 * w1 + v * w2])
+        lean = LEAN_RAD_PER_MPS2 * np.array([v * w, v1 * w + v * w1, v2 * w + 2 * v1 * w1 + v * w2])
         back = LEAN_RAD_PER_MPS2 * np.array([v1, v2, v3])
         heave, roll, pitch = self._road(seconds, v / self.speed_mps, v1 / self.speed_mps, v2 / self.speed_mps)
-        return heave, EulerAngles(roll + out, pitch - back, np.array([yaw, w, w1]))
+        return heave, EulerAngles(roll + lean, pitch - back, np.array([yaw, w, w1]))
 
     def _road(self, seconds: Reals, pace: Reals, pace1: Reals, pace2: Reals) -> Reals:
         """Return (3, 3, n): heave in m, roll and pitch in rad, each with two derivatives; in proportion to `pace`
