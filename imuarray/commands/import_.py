@@ -36,8 +36,8 @@ _WIDTH = 110
     "map_path",
     type=click.Path(path_type=Path),
     metavar="MAP.toml",
-    help="map that says what each column means, of any SOURCE but a known format: a file, or a map that"
-    " comes with the package",
+    help="map that describes the columns of SOURCE, required unless its format is known: a file, or the name of a"
+    " map of the package",
 )
 @click.option("--format", "format_name", type=click.Choice(tuple(FORMATS)), help="a format that needs no map")
 @click.option(
@@ -52,8 +52,8 @@ _WIDTH = 110
 def command(**options: Any) -> None:
     """Convert a recording made by other software into a log: a known format, or any table of numbers with a map.
 
-    SOURCE is a text (also .gz, or a folder or zip file with a text for each sensor), JSON, .npz, .npy, .mat, .parquet,
-    a ROS bag or an MCAP file. Files of raw counts that `imuarray export` wrote (run.npz, run.csv) need neither, and are
+    SOURCE is a text file (also .gz, or a folder or zip file with one per sensor), JSON, .npz, .npy, .mat, .parquet,
+    a ROS bag or an MCAP file. Files of raw counts that `imuarray export` wrote (run.npz, run.csv) need no map, and are
     restored without loss. After every import a short report describes the recording (~) and lists what is doubtful (?):
     units, range, rate, clipping, stalls, times in bursts. `--guess` examines a recording and proposes a map.
 
