@@ -78,15 +78,27 @@ class NoiseFloor:
 
     def level(self, probability: float) -> Floats:
         """Density (b,) that noise exceeds with `probability` in a bin: ratio of two gamma laws, Fisher's F."""
-        # Few pairs differ, and each takes long; complex numbers are sorted faster than columns.
-        pairs, pair_of_bin = np.unique(self.spectrum_freedom + 1j * self.freedom, return_inverse=True)
-        return np.asarray(self.density * fdtri(pairs.real, pairs.imag, 1 - probability)[pair_of_bin.reshape(-1)])
+        return np.asarray(
+            self.density * _ratio_above(self.spectrum_freedom.tobytes(), self.freedom.tobytes(), probability)
+        )
 
     def exceedance(self, density: Floats, at: Sequence[int]) -> Floats:
         """Probability (p,) that noise exceeds the `density` of a spectrum in the floor's bins number `at` (p,)."""
         places = np.asarray(at, np.intp)
         ratio = density[self.bins[places]] / self.density[places]
         return np.asarray(fdtrc(self.spectrum_freedom[places], self.freedom[places], ratio))
+
+
+@lru_cache(maxsize=16)
+def _ratio_above(above: bytes, below: bytes, probability: float) -> Floats:
+    """Return the read-only ratio (b,) that noise exceeds with `probability`; degrees of freedom `above` and `below`
+    (b,) as bytes of float64. They are the same for all windows of one length.
+    """
+    # Few pairs differ, and each takes long; complex numbers are sorted faster than columns.
+    pairs, pair_of_bin = np.unique(np.frombuffer(above) + 1j * np.frombuffer(below), return_inverse=True)
+    result = np.asarray(fdtri(pairs.real, pairs.imag, 1 - probability)[pair_of_bin.reshape(-1)])
+    result.flags.writeable = False
+    return result
 
 
 def noise_floor(spectrum: Spectrum, column: int = 0) -> NoiseFloor:
@@ -107,7 +119,7 @@ def noise_floor(spectrum: Spectrum, column: int = 0) -> NoiseFloor:
     bins = wide[-(last + 1 - FIRST_BIN) :]
     level = trend[-len(bins) :] + _joined_medians(rest, bins, last)
     freedom = spectrum.freedom[bins]
-    floor_freedom = 2 / _variance(float(freedom[0]), bins, last)
+    floor_freedom = 2 / _variance(float(freedom[0]), int(bins[0]), last)
     freedom = freedom * _thinned(height[bins] - level, float(freedom[0]), float(np.median(floor_freedom)))
     density = np.exp(level) / (chdtri(freedom[0], 0.5) / freedom[0])
     density[-1] /= 2
@@ -195,16 +207,21 @@ def _smoothed(height: Floats, bins: Indices, last: int) -> Floats:
     return np.asarray((sums[at + half + 1] - sums[at - half]) / (2 * half + 1))
 
 
-def _variance(freedom: float, bins: Indices, last: int) -> Floats:
-    """Return the variance (b,) of the log of the floor: that of the log of a gamma variable's median, 1 / (4
-    density^2), over the equivalent number of bins; mirrored bins contain no new information.
+@lru_cache(maxsize=16)
+def _variance(freedom: float, first: int, last: int) -> Floats:
+    """Return the read-only variance (b,) of the log of the floor at the bins from `first` to `last`: that of the log of
+    a gamma variable's median, 1 / (4 density^2), over the equivalent number of bins; mirrored bins contain no new
+    information.
     """
+    bins = np.arange(first, last + 1)
     half = freedom / 2
     median = gammaincinv(half, 0.5)
     single = 1 / (4 * np.exp(half * np.log(median) - median - gammaln(half)) ** 2)
     sides = _sides(bins, last)
     new = 1 - np.maximum(0, bins + _GUARD + sides - last) / (2 * sides)
-    return np.asarray(single * np.array([_share_of_one(side) for side in sides.tolist()]) / np.maximum(new, 0.5))
+    result = np.asarray(single * np.array([_share_of_one(side) for side in sides.tolist()]) / np.maximum(new, 0.5))
+    result.flags.writeable = False
+    return result
 
 
 @cache
