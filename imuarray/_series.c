@@ -1,5 +1,5 @@
-/* Passes over long series that need the rows before: medians of windows that move, figures of consecutive windows, sums of
-   second differences, and counts of codes. `imuarray.series` has the Python side; NumPy does the same, to rounding, by
+/* Passes over long series: medians of windows that move, figures of consecutive windows, sums of second differences, and
+   products of rows with later ones. `imuarray.series` has the Python side; NumPy does the same, to rounding, by
    sorting every window and by an array for each step. */
 
 #define PY_SSIZE_T_CLEAN
@@ -209,7 +209,36 @@ static PyObject *second_differences(PyObject *module, PyObject *args) {
     return released(views, held);
 }
 
+/* The sum of the products of x (n) with the values so many rows later. */
+CLONES static double lagged_product(const double *x, Py_ssize_t n, Py_ssize_t lag) {
+    double sums[LANES] = {0}, total = 0;
+    Py_ssize_t i = 0;
+    for (; i + LANES <= n - lag; i += LANES)
+        for (int lane = 0; lane < LANES; lane++) sums[lane] += x[i + lane] * x[i + lag + lane];
+    for (; i < n - lag; i++) total += x[i] * x[i + lag];
+    for (int lane = 0; lane < LANES; lane++) total += sums[lane];
+    return total;
+}
+
+/* Products (r, l) of r lines (r, n) with themselves, 0 to l - 1 rows later. */
+static PyObject *lagged_products(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t r, n, l;
+    if (!PyArg_ParseTuple(args, "O!(nnn)", &PyTuple_Type, &sequence, &r, &n, &l)) return NULL;
+    if (!sizes_allowed(r >= 0 && n >= 0 && l >= 0)) return NULL;
+    const Py_ssize_t bytes[] = {DOUBLES(r * n), DOUBLES(r * l)};
+    Py_buffer views[2];
+    Py_ssize_t held = hold(sequence, views, 2, bytes, 1);
+    for (Py_ssize_t line = 0; line < r && !PyErr_Occurred(); line++)
+        for (Py_ssize_t lag = 0; lag < l; lag++)
+            ((double *)views[1].buf)[line * l + lag] =
+                lag < n ? lagged_product((const double *)views[0].buf + line * n, n, lag) : 0.0;
+    return released(views, held);
+}
+
 static PyMethodDef methods[] = {
+    {"lagged_products", lagged_products, METH_VARARGS, "lagged_products(arrays, sizes): of lines with themselves, later."},
     {"medians", medians, METH_VARARGS, "medians(arrays, sizes): medians of windows, and whether all were possible."},
     {"windows", windows, METH_VARARGS, "windows(arrays, sizes, begin, width, flags): figures of consecutive windows."},
     {"second_differences", second_differences, METH_VARARGS,

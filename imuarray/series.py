@@ -68,3 +68,14 @@ def second_difference_sums(series: npt.NDArray[Any], distances: Sequence[int], f
         sizes = len(series), len(lags)
         _series.second_differences((series, lags, totals), sizes, series.dtype.itemsize, start, stop)
     return totals.tolist()
+
+
+def lagged_products(lines: Floats, lags: int) -> Floats | None:
+    """Return the sums (r, l) of the products of each of `lines` (r, n) with itself, 0 to `lags` - 1 rows later. None
+    without compiled code.
+    """
+    if not COMPILED:
+        return None
+    result = np.empty((len(lines), lags))
+    _series.lagged_products((np.ascontiguousarray(lines, float), result), (*lines.shape, lags))
+    return result

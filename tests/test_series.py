@@ -8,6 +8,7 @@ import pytest
 from imuarray import series
 from imuarray.calibrate.pose_readings import _add_windows
 from imuarray.characterise.allan_stream import sums_of_squares
+from imuarray.characterise.correlation import Autocovariance
 from imuarray.characterise.lines import _median
 
 pytestmark = pytest.mark.skipif(not series.COMPILED, reason="installed without a C compiler")
@@ -75,6 +76,25 @@ def test_sums_of_second_differences(kind: type, first: int, monkeypatch: pytest.
     assert compiled == pytest.approx(sums_of_squares(phase, distances, first), rel=1e-12)
 
 
+@pytest.mark.parametrize(("rows", "lags"), [(1, 3), (7, 7), (100, 33), (1000, 1)])
+def test_products_with_later_rows(rows: int, lags: int) -> None:
+    lines = np.random.default_rng(rows).normal(size=(3, rows))
+    result = series.lagged_products(lines, lags)
+    wanted = [[line[: max(rows - lag, 0)] @ line[lag:] for lag in range(lags)] for line in lines]
+    np.testing.assert_allclose(result, wanted, rtol=1e-12, atol=1e-12)
+
+
+def test_an_autocorrelation_is_that_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    values = np.random.default_rng(4).integers(-99, 99, (30_000, 3))
+    results = []
+    for compiled in (True, False):
+        monkeypatch.setattr(series, "COMPILED", compiled)
+        sums = Autocovariance(columns=3)
+        sums.update(values)
+        results.append(sums.result().correlation)
+    np.testing.assert_allclose(*results, rtol=1e-12, atol=1e-14)
+
+
 def test_other_sizes_are_refused() -> None:
     from imuarray import _series
 
@@ -87,5 +107,7 @@ def test_other_sizes_are_refused() -> None:
         _series.windows((numbers,) * 6, (1, 0), 0, 1, 0)
     with pytest.raises(ValueError, match="sizes"):
         _series.second_differences((numbers,) * 3, (12, 12), 2, 0, 1)
+    with pytest.raises(ValueError, match="sizes"):
+        _series.lagged_products((numbers, numbers), (3, 4, -1))
     with pytest.raises(ValueError, match="distance"):
         _series.second_differences((numbers, np.zeros(12, np.int64), numbers.copy()), (12, 12), 8, 0, 12)

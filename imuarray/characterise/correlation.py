@@ -14,6 +14,7 @@ import numpy.typing as npt
 from scipy.special import chdtrc
 
 from imuarray.arrays import Floats
+from imuarray.series import lagged_products
 
 Values = npt.NDArray[np.floating] | npt.NDArray[np.integer]
 
@@ -117,14 +118,18 @@ class Autocovariance:
     def _add(self, lines: Floats) -> None:
         """Add whole segments (k, s, n): the products of each column less its mean, segment by segment."""
         lines -= lines.mean(axis=2, keepdims=True)
-        _, segments, rows = lines.shape
-        lags = range(len(self._pairs))
+        columns, segments, rows = lines.shape
+        lags = len(self._pairs)
         products = np.empty((1 + segments, *self._products.shape))
         products[0] = self._products
-        for lag in lags:
-            products[1:, lag] = np.einsum("ksn,ksn->sk", lines[:, :, : rows - lag], lines[:, :, lag:])
+        compiled = lagged_products(lines.reshape(-1, rows), lags)
+        if compiled is not None:
+            products[1:] = compiled.reshape(columns, segments, lags).transpose(1, 2, 0)
+        else:
+            for lag in range(lags):
+                products[1:, lag] = np.einsum("ksn,ksn->sk", lines[:, :, : rows - lag], lines[:, :, lag:])
         self._products = products.sum(axis=0)
-        pairs = rows - np.arange(len(lags))
+        pairs = rows - np.arange(lags)
         self._pairs += segments * pairs
         self._lost += segments * pairs / rows
         self._rows += segments * rows
