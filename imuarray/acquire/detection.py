@@ -115,14 +115,14 @@ def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list
         else:
             detections.append(_check_sensor(route, self_test))
     occupied = {(sensor.channel, sensor.address) for sensor in array.sensors if sensor.bus is None}
-    owned = _owned(bus)
+    owned = _find_owned_addresses(bus)
     occupied |= {(None, line.address) for line in owned if line.address is not None}
     configured = {mux, *(sensor.address for sensor in array.sensors)}  # they have lines already
     detections += [line for line in owned if line.address not in configured]
     return detections if owner else detections + _unconfigured_chips(mux, occupied, bus)
 
 
-def _owned(bus: OpenBus) -> list[Detection]:
+def _find_owned_addresses(bus: OpenBus) -> list[Detection]:
     """Report addresses of known chips that a kernel driver owns. The chip may be one of an array or a clock on the same
     bus, so this is no error.
     """
@@ -182,15 +182,15 @@ def explore(bus: OpenBus) -> list[Detection]:
     that the kernel serves is returned.
     """
     if isinstance(bus, IioBus):
-        return [_served(device) for device in bus.devices()]
-    owned = _owned(bus)
+        return [_describe_kernel_device(device) for device in bus.devices()]
+    owned = _find_owned_addresses(bus)
     occupied = {line.address for line in owned if line.address is not None}
     mux = _find_mux(bus, occupied)
     detections = [] if mux is None else [Detection(f"trunk address {mux:#04x}", "", "", MUX, True, address=mux)]
     return [*detections, *owned, *_unconfigured_chips(mux, {(None, address) for address in occupied}, bus)]
 
 
-def _served(device: IioDevice) -> Detection:
+def _describe_kernel_device(device: IioDevice) -> Detection:
     """Return a description of a kernel device: its triads, and how they can be read."""
     try:
         captured = "captured or read" if device.elements() else "read"
@@ -247,7 +247,7 @@ def _unconfigured_chips(
         bus.transfer(mux_address, b"\x00")  # no channel: PCA-03
     upstream = {mux_address} | {address for channel, address in occupied if channel is None}
     detections = _find_on_segment(bus, None, upstream)
-    upstream |= {address for _, addresses, _ in _IDENTITIES for address in addresses if _is_found(detections, address)}
+    upstream |= {address for _, addresses, _ in _IDENTITIES for address in addresses if _is_listed(detections, address)}
     mux = Pca9544a(bus, mux_address)
     for channel in pca9544a.CHANNELS:
         on_channel = {address for number, address in occupied if number == channel}
@@ -266,7 +266,7 @@ def _find_on_segment(segment: Bus, channel: int | None, excluded: set[int]) -> l
     ]
 
 
-def _is_found(detections: Sequence[Detection], address: int) -> bool:
+def _is_listed(detections: Sequence[Detection], address: int) -> bool:
     return any(line.place.endswith(f" {address:#04x}") for line in detections)
 
 

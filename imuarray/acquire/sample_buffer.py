@@ -470,7 +470,7 @@ class SampleBuffer:
         for first, last in self._suspect:
             status[first:last] |= SUSPECT
         if not self.driver.tells_fresh:
-            status |= self._repeated(self._bytes(count)[:, self.driver.reading])
+            status |= self._flag_repeated(self._bytes(count)[:, self.driver.reading])
         times = np.array(self._times_ns[:count], np.int64) - epoch_ns
         self.newest_ns = self._times_ns[count - 1]
         self.doubtful_rows = np.zeros(count, bool)
@@ -510,7 +510,7 @@ class SampleBuffer:
             if last is None or last > count
         ]
 
-    def _repeated(self, readings: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint16]:
+    def _flag_repeated(self, readings: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint16]:
         """Return STALE where the bytes of a reading equal the previous ones, the only evidence without a data-ready
         bit.
         """

@@ -119,7 +119,7 @@ def two_states(means: Floats, temperatures: Floats | None, seed: int) -> tuple[B
     if rows < MIN_RUNS:
         return np.zeros(rows, bool), 1.0
     warm = _unit(temperatures, rows)
-    remaining = _without(means, warm)
+    remaining = _detrend(means, warm)
     remaining = _whitened(remaining / np.maximum(remaining.std(axis=0), 1e-12))
     if remaining.shape[1] == 0:
         return np.zeros(rows, bool), 1.0
@@ -185,7 +185,7 @@ def _unit(temperatures: Floats | None, rows: int) -> Floats:
     return np.asarray(centred / (float(np.linalg.norm(centred)) or 1.0))
 
 
-def _without(points: Floats, warm: Floats) -> Floats:
+def _detrend(points: Floats, warm: Floats) -> Floats:
     """Return points (..., r, d) less their mean and their linear dependence on `warm` (r,)."""
     centred = points - points.mean(axis=-2, keepdims=True)
     return np.asarray(centred - warm[:, None] * np.einsum("r,...rd->...d", warm, centred)[..., None, :])
@@ -205,7 +205,7 @@ def _by_chance(rows: int, axes: int, seed: int, warm: tuple[float, ...]) -> tupl
     heavy /= np.sqrt(generator.chisquare(3, (_DRAWS, rows, 1)) / 3)
     line = np.array(warm)
     first, second = (
-        np.concatenate([best_split(np.linalg.qr(_without(part, line))[0], line)[0] for part in np.split(drawn, _PARTS)])
+        np.concatenate([best_split(np.linalg.qr(_detrend(part, line))[0], line)[0] for part in np.split(drawn, _PARTS)])
         for drawn in (normal, heavy)
     )
     return first, second

@@ -214,7 +214,7 @@ def fit_axes(segments: SegmentMeans, thermometer: TemperatureSeries, reference_d
         axes = [_Axis(column, designs) for column in segments.mean.T]
         likelihood = np.sum([axis.likelihood for axis in axes], axis=0)
         inside = lags_s[likelihood >= likelihood.max() - _INTERVAL_DROP]
-        interval_s = np.array([_below(lags_s, inside[0]), _above(lags_s, inside[-1])])
+        interval_s = np.array([_next_shorter(lags_s, inside[0]), _next_longer(lags_s, inside[-1])])
         if len(inside) >= _FEWEST_INSIDE or inside[0] == 0:
             break
         lags_s = np.geomspace(max(interval_s[0], shortest_s / 2), interval_s[1], _LAGS)
@@ -301,12 +301,12 @@ def _peak(lags_s: Floats, likelihood: Floats) -> float:
     return float(lags_s[best] * np.exp(step * (before - after) / (2 * (before - 2 * top + after))))
 
 
-def _below(lags_s: Floats, lag_s: float) -> float:
+def _next_shorter(lags_s: Floats, lag_s: float) -> float:
     """Return the next shorter lag of the grid."""
     return float(lags_s[max(0, int(np.searchsorted(lags_s, lag_s)) - 1)])
 
 
-def _above(lags_s: Floats, lag_s: float) -> float:
+def _next_longer(lags_s: Floats, lag_s: float) -> float:
     """Return the next longer lag of the grid."""
     return float(lags_s[min(len(lags_s) - 1, int(np.searchsorted(lags_s, lag_s)) + 1)])
 

@@ -183,7 +183,7 @@ def compare_runs(
     means, warm = runs.mean_lsb[used], None if runs.temperature_degc is None else runs.temperature_degc[used]
     second, p_states = two_states(means, warm, seed)
     groups = [~second, second] if p_states < significant else [np.ones(len(used), bool)]
-    slope, sd, freedom = _about(means, groups, warm)
+    slope, sd, freedom = _fit_about(means, groups, warm)
     inside = runs.in_run(used)
     numbers = np.array(runs.numbers)[used]
     states = tuple(
@@ -235,7 +235,7 @@ def _faults(runs: SensorRuns, ranges: Mapping[float, float]) -> tuple[BootFault,
     return tuple(BootFault(runs.numbers[i], *ranges_of_runs[i], runs.unit) for i in np.flatnonzero(wrong))
 
 
-def _about(
+def _fit_about(
     means: Floats, groups: Sequence[npt.NDArray[np.bool_]], warm: Floats | None
 ) -> tuple[Floats | None, Floats, int]:
     """Return the slope with temperature (3,), the standard deviation (3,) of run means (r, 3) about their groups and

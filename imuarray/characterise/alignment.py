@@ -99,7 +99,7 @@ def find_alignment(log: Log) -> Alignment | None:
     gyroscopes = [sensor for sensor in sensors if sensor.quantity == "angular_rate" and sensor.sensitivity]
     start_ns = _motion_from_ns(gyroscopes[0]) if len(gyroscopes) > 1 else None
     delays = {} if start_ns is None else _delays(gyroscopes, start_ns)
-    rows = tuple(_against(reference, sensor, delays.get(sensor.name)) for sensor in sensors)
+    rows = tuple(_align(reference, sensor, delays.get(sensor.name)) for sensor in sensors)
     pulses = pulse_offsets(sensors, [row.rate_hz for row in rows])
     rows = tuple(_with_pulses(row, pulses.get(row.name)) for row in rows)
     return Alignment(
@@ -124,7 +124,7 @@ def _rate_hz(sensor: SensorLog) -> float:
     return float(np.median(np.diff(edges) / (np.diff(times_ns) * 1e-9)))
 
 
-def _against(reference: SensorLog, sensor: SensorLog, delay: tuple[float, float] | None) -> SensorAlignment:
+def _align(reference: SensorLog, sensor: SensorLog, delay: tuple[float, float] | None) -> SensorAlignment:
     """Compare one sensor's rates and rows with those of the reference."""
     rate_hz, reference_hz = _rate_hz(sensor), _rate_hz(reference)
     ppm = 1e6 * (rate_hz / reference_hz - 1)

@@ -165,7 +165,7 @@ def vins_fusion_text(imu: ImuNoise) -> str:
     """The IMU's part of VINS-Fusion's configuration."""
     keys = ["imu: 1", f'imu_topic: "{_topic(imu)}"']
     factor = math.sqrt(imu.rate_hz)
-    for quantity, triad in _both(imu):
+    for quantity, triad in _triads(imu):
         for part, value, bound in (
             ("n", triad.density, triad.density_bound),
             ("w", triad.walk, triad.walk_bound),
@@ -189,7 +189,7 @@ def gazebo_text(imu: ImuNoise) -> str:
         f"  <topic>{escape(_topic(imu))}</topic>",
         "  <imu>",
     ]
-    for quantity, triad in reversed(_both(imu)):
+    for quantity, triad in reversed(_triads(imu)):
         noise = _gazebo_noise(quantity, triad, imu.rate_hz)
         lines += [f"    <{_SDF[quantity]}>"]
         for axis in "xyz":
@@ -223,7 +223,7 @@ def px4_text(imu: ImuNoise) -> str:
         "  <linkName>/imu_link</linkName>",
         "  <imuTopic>/imu</imuTopic>",
     ]
-    for quantity, triad in reversed(_both(imu)):
+    for quantity, triad in reversed(_triads(imu)):
         for part, value, bound, unit in (
             ("NoiseDensity", triad.density, triad.density_bound, f"{_UNIT[quantity]}/sqrt(Hz)"),
             ("RandomWalk", triad.walk, triad.walk_bound, f"{_WALK_UNIT[quantity]}/sqrt(Hz)"),
@@ -252,7 +252,7 @@ TEXTS: Mapping[str, Callable[[ImuNoise], str]] = MappingProxyType(
 """Tool to the text of its file."""
 
 
-def _both(imu: ImuNoise) -> list[tuple[str, TriadNoise]]:
+def _triads(imu: ImuNoise) -> list[tuple[str, TriadNoise]]:
     """Return both quantities; of one that the IMU lacks nothing is known."""
     return [(quantity, imu.triads.get(quantity, TriadNoise(None, None, None, None))) for quantity in INERTIAL]
 
@@ -273,7 +273,7 @@ def _topic(imu: ImuNoise) -> str:
 
 
 def _kalibr_keys(imu: ImuNoise) -> Iterator[str]:
-    for quantity, triad in _both(imu):
+    for quantity, triad in _triads(imu):
         prefix = PREFIX[quantity]
         yield _yaml_key(f"{prefix}_noise_density", triad.density, triad.density_bound, f"{_UNIT[quantity]}/sqrt(Hz)")
         yield _yaml_key(f"{prefix}_random_walk", triad.walk, triad.walk_bound, f"{_WALK_UNIT[quantity]}/sqrt(Hz)")

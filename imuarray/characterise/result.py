@@ -374,7 +374,7 @@ def characterise_log(
         "confidence": CONFIDENCE,
         "left_out_of_statistics": [name for name, flag in FLAGS.items() if flag & LEFT_OUT],
         "sensors": [
-            _sensor(sensor, chosen_stretch, estimator, scales.get(sensor.name), progress or _nothing)
+            _sensor(sensor, chosen_stretch, estimator, scales.get(sensor.name), progress or _ignore)
             for sensor in chosen_sensors
         ],
         "alignment": _alignment(log),
@@ -382,7 +382,7 @@ def characterise_log(
     return {name: json_ready(value) for name, value in result.items()}
 
 
-def _nothing() -> None:
+def _ignore() -> None:
     pass
 
 

@@ -104,7 +104,7 @@ def _run(options: ImportOptions) -> None:
         return
     if options.output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
-    exported = _exported(options.source) if options.map_path is None and options.format_name is None else None
+    exported = _reader_of_export(options.source) if options.map_path is None and options.format_name is None else None
     if exported is None and (options.map_path is None) == (options.format_name is None):
         if _is_log(options.source):
             raise click.UsageError(f"{options.source}: is a log already; all commands can read it")
@@ -132,7 +132,7 @@ def _run(options: ImportOptions) -> None:
     _print_result(summary, options.output, options.as_json)
 
 
-def _exported(source: Path) -> Importer | None:
+def _reader_of_export(source: Path) -> Importer | None:
     """Return the reader of a file that `imuarray export` wrote; None for any other file. SourceError."""
     from imuarray.importers import importer_of
 

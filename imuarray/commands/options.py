@@ -154,14 +154,14 @@ def bars() -> Iterator[Callable[[str, int, int], None]]:
     with ExitStack() as stack:
         current: tuple[str, Callable[[int], None]] | None = None
 
-        def moved(what: str, done: int, of: int) -> None:
+        def advance(what: str, done: int, of: int) -> None:
             nonlocal current
             if current is None or current[0] != what:
                 stack.close()
                 current = what, stack.enter_context(progress(of, what))
             current[1](done)
 
-        yield moved
+        yield advance
 
 
 class Steps:

@@ -35,12 +35,12 @@ def run(command: click.Command, name: str, arguments: Sequence[str] | None = Non
         click.echo(f"{name}: interrupted", err=True)
         return 130
     except click.ClickException as error:
-        return _ended(name, _explained(error), 2)
+        return _end(name, _explained(error), 2)
     except ImuArrayError as error:
-        return _ended(name, str(error), error.exit_code)
+        return _end(name, str(error), error.exit_code)
     except OSError as error:  # of a file or a bus, without an error of its own
         place = f"{error.filename}: " if error.filename else ""
-        return _ended(name, f"{place}{error.strerror or error}", 3 if error.errno in NO_ROOM else 2)
+        return _end(name, f"{place}{error.strerror or error}", 3 if error.errno in NO_ROOM else 2)
     return result if isinstance(result, int) else 0
 
 
@@ -78,7 +78,7 @@ def _warnings_as_lines(name: str) -> Iterator[None]:
         yield
 
 
-def _ended(name: str, text: str, exit_code: int) -> int:
+def _end(name: str, text: str, exit_code: int) -> int:
     """Print one line on standard error, and return the exit code."""
     click.echo(printable(f"{name}: {' '.join(text.split())}"), err=True)
     return exit_code

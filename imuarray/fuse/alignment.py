@@ -132,7 +132,7 @@ class FrameGrid:
         kept = rows[self.order[0]]
         pauses = self._pauses(kept)
         for number in self.order[1:]:
-            if len(more := self._within(pauses, rows[number])):
+            if len(more := self._times_in_pauses(pauses, rows[number])):
                 kept = np.sort(np.concatenate([kept, more]))
                 pauses = self._pauses(kept)
         return kept
@@ -145,7 +145,7 @@ class FrameGrid:
         pauses = np.flatnonzero(np.diff(edges) >= _SILENT * self.period_ns)
         return edges[pauses], edges[pauses + 1]
 
-    def _within(self, pauses: tuple[Times, Times], rows: Times) -> Times:
+    def _times_in_pauses(self, pauses: tuple[Times, Times], rows: Times) -> Times:
         """Return the times of `rows` within pauses."""
         apart_ns = round(_APART * self.period_ns)
         first = np.searchsorted(rows, pauses[0] + apart_ns)

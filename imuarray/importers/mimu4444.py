@@ -99,7 +99,7 @@ class _Cutter:
         end = int(good[-1]) + SIZE if len(good) else 0
         # A broken packet is one only if no sound packet begins within it, which the next block may yet show.
         undecided = max(end, len(data) if last else len(data) - 2 * SIZE + 1)
-        bad = _apart(_clear_of(good, bad[(bad < undecided) & (bad >= self.counted)]))
+        bad = _without_overlaps(_clear_of(good, bad[(bad < undecided) & (bad >= self.counted)]))
         starts = np.append(good, undecided)
         skipped = np.diff(starts, prepend=0) - np.append(0, np.full(len(good), SIZE))
         broken = np.diff(np.searchsorted(bad, starts), prepend=0)
@@ -121,10 +121,10 @@ def _find(data: npt.NDArray[np.uint8]) -> tuple[Integers, Integers]:
     sums = (total[framed + SUMMED] - total[framed]) & 0xFFFF
     stated = data[framed + SUMMED].astype(np.int64) << 8 | data[framed + SUMMED + 1]
     sound = sums == stated
-    return _apart(framed[sound]), framed[~sound]
+    return _without_overlaps(framed[sound]), framed[~sound]
 
 
-def _apart(starts: Integers) -> Integers:
+def _without_overlaps(starts: Integers) -> Integers:
     """Return `starts` without those within the packet of an earlier one."""
     if (np.diff(starts) >= SIZE).all():
         return starts

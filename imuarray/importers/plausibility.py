@@ -744,7 +744,7 @@ def _rotations(force: _Windows, rate: _Windows) -> _Rotations | None:
     f = f / np.maximum(length, 1e-9)[:, None]
     follows = (np.diff(common) == 1) & (np.abs(length[1:] / usual - 1) < 0.2) & (np.abs(length[:-1] / usual - 1) < 0.2)
     turned = np.diff(f, axis=0)[follows]
-    rates = _between(omega, np.diff(common) == 1)[follows]
+    rates = _weighted_means(omega, np.diff(common) == 1)[follows]
     middle = (f[1:] + f[:-1])[follows] / 2
     if np.count_nonzero(np.linalg.norm(turned, axis=1) >= TURNED) < FEWEST_TURNS:
         return None
@@ -793,7 +793,7 @@ def _fitting_axes(rotations: _Rotations, gyroscope: SensorLog) -> str:
     )
 
 
-def _between(means: Floats, follows: npt.NDArray[np.bool_]) -> Floats:
+def _weighted_means(means: Floats, follows: npt.NDArray[np.bool_]) -> Floats:
     """Return the means (n - 1, 3) over two windows that weigh the time between their middles by a triangle, as the
     change of the window means of an integral is, from the means (n, 3) of windows that follow each other (n - 1,).
 

@@ -63,11 +63,11 @@ class FileRows:
         self._files = _files(folder)
         self.remarks: list[str] = []
         first = _cells(self._files[0])
-        described = _beside(folder, "dataformat.txt")
+        described = _find_file(folder, "dataformat.txt")
         self._names = [] if described is None else _described(described)
         if len(self._names) != len(first):
-            self._names = _named(len(first))
-        stamps = _beside(folder, "timestamps.txt")
+            self._names = _value_names(len(first))
+        stamps = _find_file(folder, "timestamps.txt")
         self._stamps = None if stamps is None else _lines(stamps)
         if self._stamps is not None and len(self._stamps) != len(self._files):
             count = len(self._files)
@@ -101,7 +101,7 @@ class FileRows:
             yield CellBlock(str(self._path), lines, list(zip(*cells, strict=True))), places
 
 
-def _beside(folder: Path, name: str) -> Path | None:
+def _find_file(folder: Path, name: str) -> Path | None:
     """Return a file in a folder or in the one above it; None if there is none."""
     return next((place / name for place in (folder, folder.parent) if (place / name).is_file()), None)
 
@@ -130,7 +130,7 @@ def _described(path: Path) -> list[str]:
     return names
 
 
-def _named(width: int) -> list[str]:
+def _value_names(width: int) -> list[str]:
     if width != len(_OXTS):
         return [f"value[{at}]" for at in range(width)]
     return [f"{name} [{_OXTS_UNITS[name[0]]}]" if len(name) == 2 and name[0] in _OXTS_UNITS else name for name in _OXTS]

@@ -86,12 +86,12 @@ class RowOrder:
         for block, places in blocks:
             times = self._times(block, places)
             self._count(times)
-            rows = block if pending is None else _joined(pending, block)
+            rows = block if pending is None else _join(pending, block)
             times = np.concatenate([held_times, times])
             order = self._once(rows, times, np.argsort(times, kind="stable"))
             if len(order) > MOST_ROWS_LATE:
-                yield _chosen(rows, order[:-MOST_ROWS_LATE]), places
-            pending, held_times = _chosen(rows, order[-MOST_ROWS_LATE:]), times[order[-MOST_ROWS_LATE:]]
+                yield _rows_of(rows, order[:-MOST_ROWS_LATE]), places
+            pending, held_times = _rows_of(rows, order[-MOST_ROWS_LATE:]), times[order[-MOST_ROWS_LATE:]]
         if pending is not None:
             yield pending, places
 
@@ -116,14 +116,14 @@ class RowOrder:
         self._latest = int(latest[-1])
 
 
-def _joined(first: CellBlock, second: CellBlock) -> CellBlock:
+def _join(first: CellBlock, second: CellBlock) -> CellBlock:
     columns: list[Sequence[str] | npt.NDArray[np.number]] = []
     for a, b in zip(first.columns, second.columns, strict=True):
         columns.append(np.concatenate([a, b]) if isinstance(a, np.ndarray) else [*a, *b])
     return CellBlock(first.source, [*first.lines, *second.lines], columns)
 
 
-def _chosen(block: CellBlock, rows: npt.NDArray[np.intp]) -> CellBlock:
+def _rows_of(block: CellBlock, rows: npt.NDArray[np.intp]) -> CellBlock:
     """Return the rows of a block in an order."""
     columns: list[Sequence[str] | npt.NDArray[np.number]] = []
     places = rows.tolist()

@@ -272,7 +272,7 @@ def track_of(group: Any, place: str, cache: RowCache | None = None) -> Track:
     for column, tail in zip(columns, ((), (3,), (3,), ()), strict=True):
         if column is not None and column.shape != (*group["time"].shape, *tail):
             raise LogError(f"{place}: a column has another shape than time")
-    return Track(*_named(columns, place, cache))
+    return Track(*_columns_named(columns, place, cache))
 
 
 def clocks_of(group: Any, place: str) -> ClockTrack:
@@ -284,10 +284,10 @@ def clocks_of(group: Any, place: str) -> ClockTrack:
         len({column.shape for column in columns}) != 1
     ):
         raise LogError(f"{place} is missing a column, or its columns differ in length")
-    return ClockTrack(*_named(columns, place))
+    return ClockTrack(*_columns_named(columns, place))
 
 
-def _named(columns: Sequence[Any], place: str, cache: RowCache | None = None) -> Iterator[Any]:
+def _columns_named(columns: Sequence[Any], place: str, cache: RowCache | None = None) -> Iterator[Any]:
     """Return the columns that exist, and None for the others."""
     return (
         None if column is None else named_column(column, f"{place}: {column.name.rsplit('/', 1)[-1]}", cache)

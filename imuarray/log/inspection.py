@@ -243,13 +243,13 @@ def refuse_hostile(file: h5py.File, inspected: h5py.File, where: str, damaged: l
     places = list(_walk(root, where, bad))
     texts: list[_TextPlace] = []
     for place in places:
-        with bad.noted(place.path):
+        with bad.damage_at(place.path):
             texts += _look_at(place, f"{where}: {place.name}", size)
     for place in (root, *places):
-        with bad.noted(place.path):
+        with bad.damage_at(place.path):
             texts += _check_attributes(place, f"{where}: {place.name or '/'}")
     for path, of_object in groupby(texts, attrgetter("path")):
-        with bad.noted(path):
+        with bad.damage_at(path):
             item = h5o.open(inspected.id, path)  # once for all its texts
             for text in of_object:
                 _read_text(item, text, where)
@@ -262,7 +262,7 @@ class _Damage:
         self._paths = paths
 
     @contextmanager
-    def noted(self, path: bytes) -> Iterator[None]:
+    def damage_at(self, path: bytes) -> Iterator[None]:
         """Note damage inside the context as that of the object at `path`."""
         try:
             yield
@@ -282,7 +282,7 @@ def _walk(root: _OpenObject, where: str, bad: _Damage) -> Iterator[_OpenObject]:
         counts: dict[_OpenObject, int] = {}  # before any of them is opened
         for place in level:
             if isinstance(place.item, h5g.GroupID):
-                with bad.noted(place.path):
+                with bad.damage_at(place.path):
                     counts[place] = place.item.get_num_objs()
         if len(visited) + sum(counts.values()) > MAX_OBJECTS:
             raise LogError(f"{where}: more than {MAX_OBJECTS} groups and datasets")
@@ -290,10 +290,10 @@ def _walk(root: _OpenObject, where: str, bad: _Damage) -> Iterator[_OpenObject]:
             if group.path == b"/sensors" and count > MOST_SENSORS:
                 raise LogError(f"{where}: {count} sensors; at most {MOST_SENSORS}")
             names: list[bytes] = []
-            with bad.noted(group.path):
-                names = _linked(group, where)
+            with bad.damage_at(group.path):
+                names = _names_in_group(group, where)
             for name in names:
-                with bad.noted(group.path + b"/" + name):
+                with bad.damage_at(group.path + b"/" + name):
                     place = _OpenObject(h5o.open(group.item, name), group.path + b"/" + name)
                     if depth > MAX_DEPTH:
                         raise LogError(f"{where}: groups nested deeper than {MAX_DEPTH}")
@@ -332,7 +332,7 @@ def _printable_name(name: bytes) -> str:
     return printable(name.decode(errors="backslashreplace"))
 
 
-def _linked(group: _OpenObject, where: str) -> list[bytes]:
+def _names_in_group(group: _OpenObject, where: str) -> list[bytes]:
     """Return the names in a group; LogError for links other than plain ones, and for names with invalid characters."""
     links: list[tuple[bytes, int]] = []
     group.item.links.iterate(lambda name, info: links.append((name, info.type)), info=True)

@@ -84,7 +84,7 @@ class LogMonitor:
         """Open the log if it exists, read new rows, continue with the next part."""
         source = self._source
         if source is None or (source.state != WRITTEN and look(source.path) != self._there):
-            source = self._open(self._found() if source is None else source.path, now_s)
+            source = self._open(self._find_log() if source is None else source.path, now_s)
             if source is None:
                 return
         is_written = source.state == WRITTEN
@@ -92,11 +92,11 @@ class LogMonitor:
         if not rows or source.state != WRITTEN:
             if is_written and source.state != WRITTEN and not is_running(source.path):
                 self._there = look(source.path)
-            source = self._turned(source, is_written)
+            source = self._next_part(source, is_written)
         self._fresh_s = now_s if rows else self._fresh_s
         source.backlog.step({name: window.usual_ns for name, window in source.read_rows.windows.items()})
 
-    def _found(self) -> Path:
+    def _find_log(self) -> Path:
         """Return the log, or if there is none of that name its newest part that has rows."""
         if self.path.exists() or not self.path.parent.is_dir():
             return self.path
@@ -117,7 +117,7 @@ class LogMonitor:
         self._source = _source(path, ReadRows(self._span_ns))
         return self._source
 
-    def _turned(self, source: LogSource, followed: bool) -> LogSource:
+    def _next_part(self, source: LogSource, followed: bool) -> LogSource:
         """Return the part in which the log continues. A part that was `followed` while it was written is succeeded by
         the next part even if that is finished; the rows that were read are kept unless a part is skipped.
         """

@@ -225,7 +225,7 @@ class Growing:
                 header.name: sensor_attributes(header) for header in preamble.sensors
             }
             commits = read_commits(file[COMMITS][:], preamble.identity, groups)
-            commit = _before(file, groups, commits, read_rows.span_ns)
+            commit = _last_commit(file, groups, commits, read_rows.span_ns)
             rows = commit.rows if commit else (0,) * len(groups)
             self._mark = commit.mark if commit else self._reader.start
             columns = {}
@@ -247,10 +247,10 @@ class Growing:
     def read(self) -> int:
         """Read the new rows of the journal; if there are none, determine whether it is still being written."""
         count = self._drain()
-        if not count and not (self._is_ours() and is_running(self.path)):
+        if not count and not (self._is_same_journal() and is_running(self.path)):
             count = self._drain()  # rows that were written meanwhile
             if not count:
-                self.state = INTERRUPTED if self._is_ours() else FINISHED
+                self.state = INTERRUPTED if self._is_same_journal() else FINISHED
         return count
 
     def _drain(self) -> int:
@@ -267,7 +267,7 @@ class Growing:
                 break
         return rows
 
-    def _is_ours(self) -> bool:
+    def _is_same_journal(self) -> bool:
         """Return whether the journal with that name is the one that is being read."""
         return identity(journal_of(self.path)) == self._journal_file
 
@@ -297,7 +297,7 @@ def _opened(path: Path, preamble: Preamble) -> h5py.File:
         raise
 
 
-def _before(file: h5py.File, groups: Sequence[ColumnGroup], commits: list[Commit], span_ns: int) -> Commit | None:
+def _last_commit(file: h5py.File, groups: Sequence[ColumnGroup], commits: list[Commit], span_ns: int) -> Commit | None:
     """Return the last commit after which there are at least `span_ns` of rows; None if the whole journal is needed."""
     sensors = [(number, group.path) for number, group in enumerate(groups) if group.path.startswith(_SENSORS)]
 

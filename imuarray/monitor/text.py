@@ -28,12 +28,12 @@ def text_lines(snapshot: Snapshot, columns: int = COLUMNS) -> list[str]:
     if snapshot.begins_ns is None:
         return lines
     if snapshot.health is not None:
-        lines += _wrapped(f"health {snapshot.health.level}: {_said(snapshot.health)}", columns)
+        lines += _wrapped(f"health {snapshot.health.level}: {_health_text(snapshot.health)}", columns)
     lines += [*_figures(snapshot, columns), "", *_sensors(snapshot.sensors, columns), ""]
     return [*lines, *_fused(snapshot, columns), *_events(snapshot, columns)]
 
 
-def _said(health: Health) -> str:
+def _health_text(health: Health) -> str:
     return f"{health.reason}: {health.advice}" if health.advice else health.reason
 
 

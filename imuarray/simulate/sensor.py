@@ -115,7 +115,7 @@ class SimulatedSensor:
         required: they are the same.
         """
         alone = alone and self._is_local
-        parts = [self._arrived(chunk, start, stop, alone) for chunk in range(start // CHUNK, -(-stop // CHUNK))]
+        parts = [self._arriving(chunk, start, stop, alone) for chunk in range(start // CHUNK, -(-stop // CHUNK))]
         if len(parts) == 1:
             return parts[0]
         time, counts, status, temperature, _ = zip(*parts, strict=True)
@@ -136,7 +136,7 @@ class SimulatedSensor:
         parts = [
             _cut(self._chunk(chunk, False).codes, first, stop) for chunk in range(first // CHUNK, -(-stop // CHUNK))
         ]
-        return parts[0] if len(parts) == 1 else _joined(parts)
+        return parts[0] if len(parts) == 1 else _join(parts)
 
     def lost_rows(self, start: int, stop: int) -> Integers:
         """Return the numbers of the rows in start ... stop - 1 that never arrive."""
@@ -147,7 +147,7 @@ class SimulatedSensor:
         rows = np.concatenate(lost)
         return np.asarray(rows[(rows >= start) & (rows < stop)])
 
-    def _arrived(self, number: int, start: int, stop: int, alone: bool) -> Block:
+    def _arriving(self, number: int, start: int, stop: int, alone: bool) -> Block:
         begin, end = max(start, number * CHUNK), min(stop, (number + 1) * CHUNK, self.rows)
         if alone and _WORTH_IT <= end - begin < CHUNK:
             chunk = self._evaluate(begin, end, True)
@@ -226,13 +226,13 @@ class SimulatedSensor:
         header, dtype = self.header, self._place.dtype
         vector_box: Reals = getattr(felt, _COLUMN[header.quantity])
         unit = 1.0 if header.quantity == "magnetic_field" else 1 / SI_PER_UNIT[header.unit]  # a field comes in gauss
-        value = _along(vector_box, self._orientation * unit * header.adjustment, dtype)
+        value = _turn_to_sensor(vector_box, self._orientation * unit * header.adjustment, dtype)
         return Analog(
             first,
             instants.instant_ns,
             value,
             np.broadcast_to(np.zeros((), dtype), value.shape),
-            _along(felt.force_box, self._orientation / STANDARD_GRAVITY, dtype),
+            _turn_to_sensor(felt.force_box, self._orientation / STANDARD_GRAVITY, dtype),
             felt.temperature_degc,
             header.sensitivity,
             self._span.lowest,
@@ -299,7 +299,7 @@ class SimulatedBarometer:
         return np.zeros(0, np.int64)
 
 
-def _along(vector_box: Reals, orientation: Reals, dtype: npt.DTypeLike) -> Reals:
+def _turn_to_sensor(vector_box: Reals, orientation: Reals, dtype: npt.DTypeLike) -> Reals:
     """Return (n, 3) `vector_box` along the sensor's axes; one row is enough where it never changes."""
     if vector_box.strides[0] == 0:
         x, y, z = (vector_box[0] @ orientation).tolist()
@@ -321,7 +321,7 @@ def _cut(codes: Codes, first: int, stop: int) -> Codes:
     )
 
 
-def _joined(parts: Sequence[Codes]) -> Codes:
+def _join(parts: Sequence[Codes]) -> Codes:
     temperatures = [part.temperature_counts for part in parts if part.temperature_counts is not None]
     return Codes(
         parts[0].first,

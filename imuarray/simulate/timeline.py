@@ -128,7 +128,7 @@ class LogTimes:
     def stamps(self, start: int, stop: int) -> Integers:
         """Return the times in the log; read-only."""
         if stop - start == 1:
-            return self._one(start)
+            return self._single_stamp(start)
         first, last = start // _PIECE, max(stop - 1, start) // _PIECE
         if first == last:
             return self._piece(first)[start - first * _PIECE : stop - first * _PIECE]
@@ -153,7 +153,7 @@ class LogTimes:
         return stamps
 
     @cached_property
-    def _one(self) -> Callable[[int], Integers]:
+    def _single_stamp(self) -> Callable[[int], Integers]:
         """(1,) the stamp of a single row: those at the ends of phases are looked for again and again."""
         return lru_cache(maxsize=_SINGLE)(lambda row: np.asarray(self._time[row : row + 1], np.int64))
 
@@ -186,7 +186,7 @@ class GapFilledTimes:
         if behind == len(self._ends) or self._ends[behind] - self.missing[behind] >= stop:
             lead = self._ends[behind - 1] - int(self.before[behind - 1]) if behind else 0
             return self.recorded.stamps(start - lead, stop - lead)
-        return self._between(np.arange(start, stop))
+        return self._stamps_of_rows(np.arange(start, stop))
 
     def holes(self) -> Iterator[tuple[int, int, int]]:
         """Yield the stamps in ns of the rows before and after each hole, and how many are missing between them."""
@@ -194,7 +194,7 @@ class GapFilledTimes:
             before_ns, after_ns = self.recorded.stamps(row - 1, row + 1).tolist()
             yield before_ns, after_ns, count
 
-    def _between(self, rows: Integers) -> Integers:
+    def _stamps_of_rows(self, rows: Integers) -> Integers:
         """Return the stamps of rows (n,) in order."""
         ends, missing = np.array(self._ends), self.missing
         hole = np.searchsorted(ends - missing, rows, side="right") - 1  # the last that begins here or before
@@ -311,11 +311,11 @@ def _offsets_ns(array: ArrayConfig) -> tuple[dict[str, int], dict[str, int], int
     for sensor in array.sensors:
         segments.setdefault(sensor.bus or sensor.channel, []).append(sensor)
     orders = list(segments.values())
-    forth, frame_ns = _along(orders)
-    return forth, _along(orders[::-1])[0], frame_ns
+    forth, frame_ns = _burst_offsets(orders)
+    return forth, _burst_offsets(orders[::-1])[0], frame_ns
 
 
-def _along(segments: list[list[SensorConfig]]) -> tuple[dict[str, int], int]:
+def _burst_offsets(segments: list[list[SensorConfig]]) -> tuple[dict[str, int], int]:
     """Nanoseconds to each sensor's burst, and to the end of the last one."""
     offsets: dict[str, int] = {}
     passed_ns = 0

@@ -57,7 +57,7 @@ def histogram_figure(result: Table) -> Figure:
     """
     level = FALSE_ALARM / count_axes(result) / _TESTS
     measured = [sensor for sensor in result["sensors"] if any(map(_is_shown, sensor["axes"]))]
-    sensors = chosen(measured, level)
+    sensors = choose_sensors(measured, level)
     selection = f", {len(sensors)} of {len(measured)} sensors" if len(sensors) < len(measured) else ""
     figure = new_figure(result, f"Codes{selection}")
     set_height(figure, 1.25, len(sensors))
@@ -81,7 +81,7 @@ def _is_shown(axis: Table) -> bool:
     return bool(axis.get("histogram")) and bool(axis["histogram"]["codes"])
 
 
-def chosen(sensors: list[Table], level: float) -> list[Table]:
+def choose_sensors(sensors: list[Table], level: float) -> list[Table]:
     """Return at most `MOST_SENSORS`, in their order; those with the most marked axes if there are more."""
     marked = [sum(bool(marks(axis, level)) for axis in sensor["axes"]) for sensor in sensors]
     first = sorted(range(len(sensors)), key=lambda at: -marked[at])[:MOST_SENSORS]

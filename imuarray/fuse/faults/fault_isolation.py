@@ -240,7 +240,7 @@ class FaultIsolation:
                 exclusion.agreed = 0
         return passed
 
-    def undisturbed(
+    def process_undisturbed(
         self, stretch: WindowSeries, index: int, window: Callable[[], DecisionWindow], masks: Sequence[Booleans]
     ) -> bool:
         """Process the next window, number `index` of `stretch`, by the fast path; False, without any change, if that

@@ -437,7 +437,7 @@ def separate_rivals(
     tests: tuple[Callable[[int], bool], ...] = (
         lambda sensor: views[sensor].stale or views[sensor].quiet < QUIET,
         lambda sensor: resets(views[sensor], sensor) is not None,
-        lambda sensor: _wild(views[sensor].quiet, [views[other].quiet for other in views if other != sensor]),
+        lambda sensor: _is_noisy_alone(views[sensor].quiet, [views[other].quiet for other in views if other != sensor]),
     )
     for test in tests:
         result = [sensor for sensor in views if test(sensor)]
@@ -447,6 +447,6 @@ def separate_rivals(
     return None
 
 
-def _wild(own: float, others: list[float]) -> bool:
+def _is_noisy_alone(own: float, others: list[float]) -> bool:
     """Return whether a sensor is noisy while the others are calm."""
     return own > _WILD and max(others) < _CALM

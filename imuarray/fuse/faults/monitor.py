@@ -133,7 +133,7 @@ class FaultMonitor:
             masks, excluded = self._masks[-2:], self._isolation.out
             window = partial(self._window_at, held, starts[number])
             short = stretch if sound[number] else None
-            if short is None or not self._isolation.undisturbed(short, number - start, window, masks):
+            if short is None or not self._isolation.process_undisturbed(short, number - start, window, masks):
                 self._isolation(window(), masks)
             if (self._isolation.out != excluded).any():
                 stretch, ahead = None, _AT_FIRST
@@ -250,7 +250,7 @@ class MonitoredPipeline(Generic[Out]):
         released = {quantity: self._monitors[quantity](part, rate_box) for quantity, part in frames.items()}
         self._report_events()
         self._degc = {name: np.concatenate([self._degc.get(name, values[:0]), values]) for name, values in degc.items()}
-        yield from self._passed(released)
+        yield from self._pass_on(released)
 
     def _rate_box(self, frames: Mapping[str, Frames]) -> Floats | None:
         """Return the angular rate (n, 3) of the box, which affects sensors at different positions; None if not known or
@@ -265,7 +265,7 @@ class MonitoredPipeline(Generic[Out]):
         """See `Pipeline`."""
         last = {quantity: monitor.finish() for quantity, monitor in self._monitors.items()}
         self._report_events()
-        yield from self._passed({quantity: part for quantity, part in last.items() if part is not None})
+        yield from self._pass_on({quantity: part for quantity, part in last.items() if part is not None})
         yield from self._inner.finish()
 
     def notes(self) -> FusionNotes:
@@ -282,7 +282,7 @@ class MonitoredPipeline(Generic[Out]):
             if monitor.disagreement_s > 0
         ]
 
-    def _passed(self, frames: Mapping[str, Frames]) -> Iterator[Out]:
+    def _pass_on(self, frames: Mapping[str, Frames]) -> Iterator[Out]:
         """Pass complete frames and their temperatures to the inner pipeline."""
         count = max((len(part.time) for part in frames.values()), default=0)
         if count:

@@ -53,7 +53,7 @@ class Dynamics:
 
     def __init__(self, geometry: Geometry, period_s: float) -> None:
         self._geometry = geometry
-        self._back = max(1, round(OVER_S / period_s))
+        self._lookback = max(1, round(OVER_S / period_s))
         self._time, self._triad = np.zeros(0, np.int64), np.zeros((0, 3))
         self._sum, self._frames, self._mean = 0.0, 0, 0.0
         self._worst = float((geometry.timing / geometry.noise).max(initial=0.0))
@@ -92,7 +92,7 @@ class Dynamics:
         evidence: SegmentEvidence | None,
     ) -> bool:
         """Do the same by compiled code; return whether that is possible."""
-        count, back = len(readings.time), self._back if self._worst > 0 else 0
+        count, back = len(readings.time), self._lookback if self._worst > 0 else 0
         if not readings.same_rows or readings.bounds is not None or (back and len(self._time) < back):
             return False
         valid, (rows, unknowns, terms) = readings.valid[0], view.sizes
@@ -146,11 +146,11 @@ class Dynamics:
         """Return the squares (n,) of the change per second; 0 if not yet known."""
         times, triads = np.concatenate([self._time, time]), hold_last(np.concatenate([self._triad, triad]))
         now: slice | Indices = slice(len(self._time), len(times))
-        then: slice | Indices = slice(len(times) - self._back)
-        if len(self._time) < self._back:  # the first frames have no frame so far back
+        then: slice | Indices = slice(len(times) - self._lookback)
+        if len(self._time) < self._lookback:  # the first frames have no frame so far back
             now = np.arange(len(self._time), len(times))
-            then = np.maximum(now - self._back, 0)
-        self._time, self._triad = times[-self._back :], triads[-self._back :]
+            then = np.maximum(now - self._lookback, 0)
+        self._time, self._triad = times[-self._lookback :], triads[-self._lookback :]
         seconds = np.maximum((times[now] - times[then]) * 1e-9, 1e-9)
         return np.asarray(np.nan_to_num(((triads[now] - triads[then]) ** 2).sum(axis=1) / seconds**2))
 
@@ -445,7 +445,7 @@ class SegmentSmoother:
         while self._steps:
             stride.append(self._steps.pop())
             if len(stride[-1]) > len(Step._fields) - 1:
-                adjoint = self._back(stride[::-1], adjoint)
+                adjoint = self._smooth_stride(stride[::-1], adjoint)
                 stride = []
 
     def view(self) -> SegmentView:
@@ -458,7 +458,7 @@ class SegmentSmoother:
         self._steps.close()
         self._views.close()
 
-    def _back(self, stride: list[list[Floats]], adjoint: Adjoint) -> Adjoint:
+    def _smooth_stride(self, stride: list[list[Floats]], adjoint: Adjoint) -> Adjoint:
         """Smooth one stride, in order of time, whose first step has the recorded state."""
         belief = Gaussian(*stride[0][-2:])
         steps: list[tuple[Gaussian, Innovation]] = []

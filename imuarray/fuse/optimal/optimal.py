@@ -54,7 +54,7 @@ _JITTER = 0.25
 """Largest relative deviation of the time between neighbouring frames, for which that variance is about right."""
 
 
-def placed(axes: Sequence[Axis]) -> bool:
+def has_positions(axes: Sequence[Axis]) -> bool:
     """Return whether any sensor has a position other than the origin."""
     return any(any(axis.position_m) for axis in axes)
 
@@ -263,7 +263,7 @@ class Optimal:
         groups: dict[str, _Group] = {}
         for quantity, axes in self._axes.items():
             geometry, lever = geometry_of(axes, self._model), None
-            if quantity == _FORCE and _RATE in groups and placed(axes) and groups[_RATE].spans():
+            if quantity == _FORCE and _RATE in groups and has_positions(axes) and groups[_RATE].spans():
                 rate_covariance = groups[_RATE].noise_covariance()
                 lever = lever_of(axes, rate_covariance, self._period_s)
                 geometry = with_lever(geometry, axes, rate_covariance, self._period_s)

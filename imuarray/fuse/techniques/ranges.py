@@ -227,7 +227,7 @@ class TrackedFrames(NamedTuple):
     valid: Booleans
     steady: Booleans
 
-    def then(self, other: TrackedFrames) -> TrackedFrames:
+    def followed_by(self, other: TrackedFrames) -> TrackedFrames:
         """Return these rows followed by the others."""
         return TrackedFrames(
             np.concatenate([self.time, other.time]),
@@ -420,7 +420,7 @@ class Tracker:
 
     def follow(self, block: TrackedFrames) -> DifferenceStates:
         """Return the states at each frame of the next block."""
-        joined = block if self._held is None else self._held.then(block)
+        joined = block if self._held is None else self._held.followed_by(block)
         begin, whole = len(joined.time) - len(block.time), len(joined.time) // SEGMENT * SEGMENT
         segments = moments(joined.part(slice(whole)), self._rows, self._blends)
         self._held = joined.part(slice(whole, None))

@@ -85,7 +85,7 @@ class Glitches(Effect):
         axis, upwards = np.divmod(np.floor(choice * 6).astype(np.int32), 2)
         if self.kind == "word":
             return replace(codes, counts=np.where(struck, -1, codes.counts))
-        wrong = _torn(codes.counts, at) if self.kind == "torn" else self._off(codes.counts, upwards * 2 - 1, at)
+        wrong = _torn(codes.counts, at) if self.kind == "torn" else self._excursion(codes.counts, upwards * 2 - 1, at)
         return replace(codes, counts=np.where(struck & (np.arange(3) == axis[:, None]), wrong, codes.counts))
 
     def _hit(self, codes: Codes, at: Place) -> Counts:
@@ -98,7 +98,7 @@ class Glitches(Effect):
         np.add.at(counts, rows[in_block], jumps[in_block])
         return np.asarray(np.clip(counts, *_WORD))
 
-    def _off(self, counts: Counts, sign: Counts, at: Place) -> Counts:
+    def _excursion(self, counts: Counts, sign: Counts, at: Place) -> Counts:
         span = code_span(at.sensor)
         jump = round(self.amplitude * at.sensor.sensitivity)
         return np.asarray(np.clip(counts + sign[:, None] * jump, span.lowest, span.highest))

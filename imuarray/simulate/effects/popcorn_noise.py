@@ -48,16 +48,16 @@ class PopcornNoise(Effect):
         draws_per_s = self.switches_per_s / (2 * self.high_share * (1 - self.high_share))
         draws = at.stream(self.name, "numbers").generator().poisson(draws_per_s * CHUNK / at.rows_per_s, (end, 3))
         last = at.stream(self.name, "lasts").generator().random((end, 3)) < self.high_share
-        level = _behind(at.boot_generator(self.name).random(3) < self.high_share, draws[:begin], last[:begin])
+        level = _last_level(at.boot_generator(self.name).random(3) < self.high_share, draws[:begin], last[:begin])
         parts = []
         for chunk in range(begin, end):
             places = at.stream(self.name, "places").generator(chunk)
             parts.append(_levels(places, draws[chunk], self.high_share, level, last[chunk]))
-            level = _behind(level, draws[chunk : chunk + 1], last[chunk : chunk + 1])
+            level = _last_level(level, draws[chunk : chunk + 1], last[chunk : chunk + 1])
         return np.concatenate(parts)[first - begin * CHUNK : stop - begin * CHUNK]
 
 
-def _behind(level: Booleans, draws: Integers, last: Booleans) -> Booleans:
+def _last_level(level: Booleans, draws: Integers, last: Booleans) -> Booleans:
     """Return (3,) the level behind chunks (c, 3): what the last of them with a draw drew, or what it was before."""
     is_drawn, levels = np.vstack([np.ones((1, 3), bool), draws > 0]), np.vstack([level, last])
     return np.asarray(levels[len(is_drawn) - 1 - is_drawn[::-1].argmax(axis=0), np.arange(3)])

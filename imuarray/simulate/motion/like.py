@@ -211,7 +211,7 @@ class SplineColumns:
         own = slice(rows_before, rows_before + BLOCK + 1)
         slopes = _slopes(time_ns, values)
         pieces = slice(rows_before, rows_before + len(time_ns[own]) - 1)
-        return _between(time_ns[own], values[own], slopes[own], _gaps(time_ns)[pieces])
+        return _cubic_pieces(time_ns[own], values[own], slopes[own], _gaps(time_ns)[pieces])
 
     def _rows(self, rows: slice) -> tuple[Integers, Reals]:
         try:
@@ -245,7 +245,7 @@ def _gaps(time_ns: Integers) -> Booleans:
     return np.asarray(lengths > _GAP * np.minimum(neighbours[:-2], neighbours[2:]))
 
 
-def _between(time_ns: Integers, rows: Reals, slopes: Reals, is_gap: Booleans) -> _CubicPieces:
+def _cubic_pieces(time_ns: Integers, rows: Reals, slopes: Reals, is_gap: Booleans) -> _CubicPieces:
     """Return the cubic pieces (Hermite) between rows (k, c) with these slopes per s.
 
     In gaps (k - 1,) they are monotonic: no slope exceeds three times the mean one, or has another sign (Fritsch and

@@ -388,13 +388,13 @@ def study(
     """
     jobs: list[Job] = [(name, seed, seconds) for seed in range(1, seeds + 1) for name in experiments]
     measured: list[RunErrors] = []
-    for done, (job, rows) in enumerate(zip(jobs, (executor.map if executor else map)(_ran, jobs), strict=True), 1):
+    for done, (job, rows) in enumerate(zip(jobs, (executor.map if executor else map)(_run_job, jobs), strict=True), 1):
         measured += rows
         progress(done, len(jobs), f"{job[0]}, seed {job[1]}")
     return Study(tuple(rows_of(measured)), tuple(range(1, seeds + 1)), seconds)
 
 
-def _ran(job: Job) -> list[RunErrors]:
+def _run_job(job: Job) -> list[RunErrors]:
     """Carry out one job; a function of the module, so that another process can import it."""
     return run(*job)
 

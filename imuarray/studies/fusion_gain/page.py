@@ -318,7 +318,7 @@ def _section(study: Study, experiment: str) -> Section:
     rows = study.of(experiment=experiment)
     tables = []
     for calibration in dict.fromkeys(row.calibration for row in rows):
-        lines = [_line(row) for row in rows if row.calibration == calibration and _is_told(row)]
+        lines = [_line(row) for row in rows if row.calibration == calibration and _is_stated(row)]
         heading = ["technique", "sensors", "what", "axis", "value", "unit", "over the average", "over the bound"]
         tables.append(Table(heading, lines, f"{experiment}: {WORDS[calibration]}.", (1, 2, 3, 5)))
     count = sum(len(table.rows) for table in tables)
@@ -326,7 +326,7 @@ def _section(study: Study, experiment: str) -> Section:
     return Section(experiment, words, tables, fold=f"{count} rows in {counted(len(tables), 'table')}")
 
 
-def _is_told(row: GainRow) -> bool:
+def _is_stated(row: GainRow) -> bool:
     return row.measure != "noise" and (row.technique == AVERAGE or changed(row))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from imuarray.log.writer import Block
 from imuarray.studies.paper.replica.curves import SEGMENT, correlogram, histogram, profile, rate_hz, smoothed, spectrum
-from imuarray.studies.paper.replica.simulation import Kept, Series
+from imuarray.studies.paper.replica.simulation import Series, StoredSensor
 
 RATE = 50.0
 
@@ -42,7 +42,7 @@ def test_a_kept_sensor_gives_what_was_read() -> None:
             time = np.arange(start, stop, dtype=np.int64)
             return Block(time, np.repeat(time[:, None], 3, axis=1), np.zeros(stop - start, np.uint16))
 
-    kept = Kept(Canned())
+    kept = StoredSensor(Canned())
     assert kept.block(0, 4).time.tolist() == [0, 1, 2, 3]
     kept.block(4, 10)
     assert kept.series.time_ns.tolist() == kept.series.counts[:, 2].tolist() == list(range(10))

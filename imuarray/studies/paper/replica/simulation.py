@@ -63,7 +63,7 @@ class Series(NamedTuple):
     counts: npt.NDArray[np.int16]
 
 
-class Kept:
+class StoredSensor:
     """A sensor that stores its readings: a figure needs no second simulation."""
 
     def __init__(self, sensor: Triad) -> None:
@@ -175,7 +175,7 @@ def observe(seed: int, executor: Executor | None = None, progress: Progress | No
     """Return all experiments; `progress` receives (number completed, all, name) after each."""
     states = [state(seed, boot) for boot in range(1, BOOTS + 1)]
     jobs = list(_jobs(seed))
-    results: Iterator[Any] = (executor.map if executor else map)(_called, [job for _, job in jobs])
+    results: Iterator[Any] = (executor.map if executor else map)(_call, [job for _, job in jobs])
     observed = []
     for number, ((name, _), result) in enumerate(zip(jobs, results, strict=True), start=1):
         observed.append(result)
@@ -237,7 +237,7 @@ def _jobs(seed: int) -> Iterator[tuple[str, Callable[[], object]]]:
         yield f"run {run}", partial(_run, seed, boot(run in faults, run in second), run)
 
 
-def _called(job: Callable[[], object]) -> object:
+def _call(job: Callable[[], object]) -> object:
     return job()
 
 
@@ -282,7 +282,7 @@ def _parts(seed: int, boot: int) -> tuple[dict[str, list[Window]], dict[str, Ser
     spans = [(part * step, (part + 1) * step) for part in range(PARTS)]
     means, still = {}, {}
     for name, sensor in _simulation(seed, boot, motion, array_rate_hz(11)):
-        recorded = Kept(sensor)
+        recorded = StoredSensor(sensor)
         means[name], still[name] = windows(recorded, spans), recorded.series
     return means, still
 
@@ -297,9 +297,9 @@ def _heating(seed: int, boot: int) -> tuple[dict[str, TemperatureLine], dict[str
     motion = Heating()
     lines, warm = {}, {}
     for name, sensor in _simulation(seed, boot, motion, array_rate_hz(10)):
-        recorded = Kept(sensor) if name in WARMED else sensor
+        recorded = StoredSensor(sensor) if name in WARMED else sensor
         lines[name] = line(recorded, motion)
-        if isinstance(recorded, Kept):
+        if isinstance(recorded, StoredSensor):
             warm[name] = recorded.series
     return lines, warm
 
