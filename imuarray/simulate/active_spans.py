@@ -16,7 +16,9 @@ Stage = TypeVar("Stage", Instants, Felt, Analog, Codes)
 
 
 def acting(effect: Effect, run: int) -> Effect | None:
-    """Return the effect as it acts in the run with that number: as it is, within its spans, or (None) not at all."""
+    """Return the effect as it acts in the run with that number: unchanged, limited to its spans, or None if it does not
+    act.
+    """
     if not effect.spans:
         return effect
     own = [(begin_s, end_s) for number, begin_s, end_s in effect.each_span() if number == run]
@@ -27,8 +29,8 @@ def acting(effect: Effect, run: int) -> Effect | None:
 
 @dataclass(frozen=True)
 class _Within(Effect):
-    """`effect` in rows that the log stamps within `stretches_ns`, (from, until) each; what it draws is drawn as if it
-    acted always.
+    """An `effect` that acts only on rows whose stamps lie within `stretches_ns`, each (from, until). Its random draws
+    are those of an effect that acts always.
     """
 
     effect: Effect = Effect()  # noqa: RUF009  # frozen
@@ -41,7 +43,9 @@ class _Within(Effect):
         return self.effect.lookback(at)
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
-        """ValueError for an effect that changes how often the chip makes readings: that can't be had row by row."""
+        """Raise ValueError for an effect that changes the times of the chip's readings, which cannot be limited to
+        single rows.
+        """
         return _mixed(instants, self.effect.sampled(instants, at), self._inside(instants.stamp_ns))
 
     def flagged(self, status: Flags, instants: Instants, at: Place) -> Flags:
@@ -49,7 +53,9 @@ class _Within(Effect):
         return np.where(inside, self.effect.flagged(status, instants, at), status)
 
     def felt(self, felt: Felt, at: Place) -> Felt:
-        """Rows whose times nobody tells here: the effect acts always, or refuses."""
+        """Return the stimulus unchanged; ValueError if the effect changes it, because the stamps of rows are unknown at
+        this stage.
+        """
         changed = self.effect.felt(felt, at)
         if changed is not felt:
             raise ValueError(f"spans: {self.effect.name} can't act for a part of a run")
@@ -64,7 +70,7 @@ class _Within(Effect):
         return _mixed(codes, self.effect.codes(codes, at), inside) if inside.any() else codes
 
     def _inside(self, stamp_ns: Integers) -> Booleans:
-        """Return (n,) of rows with these stamps, ascending."""
+        """Return (n,) whether rows with these stamps, ascending, lie within the stretches."""
         inside = np.zeros(len(stamp_ns), bool)
         for begin_ns, end_ns in self.stretches_ns:
             due, over = np.searchsorted(stamp_ns, (begin_ns, end_ns))
@@ -73,7 +79,7 @@ class _Within(Effect):
 
 
 def _mixed(before: Stage, after: Stage, inside: Booleans) -> Stage:
-    """Rows of `after` that lie `inside`, the others of `before`."""
+    """Return the rows of `after` that are `inside`, and those of `before` otherwise."""
     changes: dict[str, Any] = {}
     for item in fields(before):
         old, new = getattr(before, item.name), getattr(after, item.name)
@@ -89,5 +95,5 @@ def _mixed(before: Stage, after: Stage, inside: Booleans) -> Stage:
 
 
 def spans_of(stretches: Sequence[tuple[int, float, float]]) -> tuple[float, ...]:
-    """Stretches (run, from, until) as an effect has them; infinity is for ever."""
+    """Return stretches (run, from, until) as the spans of an effect; infinity means without end."""
     return tuple(value for run, begin_s, end_s in stretches for value in (float(run), begin_s, min(end_s, FOREVER_S)))

@@ -18,19 +18,23 @@ from imuarray.log.format import SensorHeader
 from imuarray.simulate.signal import Analog, Codes, Counts
 
 EVEN_ONLY_FROM_HZ = 1600.0
-"""The ADXL345's data rate from which on its lowest bit is always 0 in full resolution (ADX-47)."""
+"""Data rate of the ADXL345 from which its lowest bit is always 0 in full resolution (ADX-47)."""
 
 _NEAREST = 0.75
-"""Rates that it can be set to are octaves apart (ADX-32): what its oscillator makes of one is nearer to no other."""
+"""Share of a configured rate: actual rates above it belong to this setting and not to the next lower one, because the
+ADXL345's rates are octaves apart (ADX-32).
+"""
 
 _ON_TIME = 1e-6
 _ROUNDED_S = 1e-9
-"""A reading that is due within a millionth of a period, or within what times are rounded to, is there."""
+"""A reading that is due within a millionth of a period, or within the rounding of times, counts as made."""
 
 
 @dataclass(frozen=True)
 class CodeSpan:
-    """Lowest and highest code, and the distance of codes that occur; what a chip gives instead of a code beyond."""
+    """The lowest and highest code, the step between codes that occur, and the code that the chip delivers beyond
+    them.
+    """
 
     lowest: int
     highest: int
@@ -40,7 +44,7 @@ class CodeSpan:
 
 @dataclass(frozen=True)
 class ThermometerConverter:
-    """counts = (temperature - zero_degc) * lsb_per_degc, in this number of `bits`."""
+    """The conversion counts = (temperature - zero_degc) * lsb_per_degc, with this number of `bits`."""
 
     zero_degc: float
     lsb_per_degc: float
@@ -48,7 +52,7 @@ class ThermometerConverter:
 
     def counts(self, temperature_degc: Reals) -> Counts:
         """Return the codes (n,) at these temperatures."""
-        if temperature_degc.strides == (0,):  # it never changes: one row stands for all
+        if temperature_degc.strides == (0,):  # a constant temperature: one row stands for all
             return np.broadcast_to(self.counts(temperature_degc[:1].copy()), temperature_degc.shape)
         codes = np.rint((temperature_degc - self.zero_degc) * self.lsb_per_degc)
         beyond = 1 << (self.bits - 1)
@@ -57,16 +61,16 @@ class ThermometerConverter:
 
 THERMOMETERS: Mapping[str, ThermometerConverter] = MappingProxyType(
     {chip: ThermometerConverter(*spec.thermometer) for chip, spec in CHIPS.items() if spec.thermometer is not None}
-    | {"l3g4200d": ThermometerConverter(47.0, -1.0)}  # its zero is a part's own, this one is ours (L3G-60)
+    | {"l3g4200d": ThermometerConverter(47.0, -1.0)}  # the zero differs from part to part; this one is assumed (L3G-60)
 )
 
 _COUNT_BITS = 16
-"""Bits of the column `temperature_counts`: a log does not state the bits of a thermometer."""
+"""Bits of the column `temperature_counts`, because a log does not state the bits of a thermometer."""
 
 
 def thermometer_of(header: SensorHeader) -> ThermometerConverter | None:
-    """Return the chip's own thermometer, as its header says or else its data sheet; None if it has none, or nobody
-    knows what its counts mean.
+    """Return the chip's own thermometer, by its header or else by its data sheet; None if the chip has none, or if the
+    meaning of its counts is unknown.
     """
     if not header.has_temperature:
         return None
@@ -75,19 +79,23 @@ def thermometer_of(header: SensorHeader) -> ThermometerConverter | None:
 
 
 def even_step(chip: str, rate_hz: float) -> int:
-    """2 for an ADXL345 so fast that only even codes come (ADX-47), else 1; its real rate may be a little off the set
-    one.
+    """Return 2 for an ADXL345 at a rate at which only even codes occur (ADX-47), else 1. The actual rate may differ
+    slightly from the configured one.
     """
     return 2 if chip == "adxl345" and rate_hz >= _NEAREST * EVEN_ONLY_FROM_HZ else 1
 
 
 def adxl345_bandwidth_hz(rate_hz: float) -> float:
-    """Bandwidth of the ADXL345's noise, Hz: half the data rate (ADX-32), below 100 Hz that of 100 Hz (ADX-68)."""
+    """Return the bandwidth of the ADXL345's noise in Hz: half the data rate (ADX-32), and below 100 Hz that of 100 Hz
+    (ADX-68).
+    """
     return max(rate_hz, 100.0) / 2
 
 
 def code_span(sensor: SensorHeader) -> CodeSpan:
-    """Return the codes of a triad as it is configured: ADX-46, BMA-60, HMC-32, TDK-13; all its bits elsewhere."""
+    """Return the code span of a triad as it is configured (ADX-46, BMA-60, HMC-32, TDK-13); for other chips, the span
+    of all bits.
+    """
     if sensor.chip == "adxl345":
         half = round(sensor.range * 256)
         step = even_step(sensor.chip, sensor.rate_hz)
@@ -103,7 +111,7 @@ def code_span(sensor: SensorHeader) -> CodeSpan:
 
 
 def converted(analog: Analog, span: CodeSpan) -> Counts:
-    """Counts (n, 3) of an analog signal."""
+    """Convert an analog signal to counts (n, 3)."""
     scaled = analog.value + analog.noise
     scaled *= analog.sensitivity / analog.step
     codes = np.rint(scaled, out=scaled)
@@ -117,8 +125,9 @@ def converted(analog: Analog, span: CodeSpan) -> Counts:
 
 
 def latest_reading(instant_ns: Integers, rate_hz: float, phase: float = 0.0) -> Integers:
-    """Return when the chip made the reading with which it answers at `instant_ns` (n,): the latest of `rate_hz` a
-    second, one of them `phase` periods before time 0; the instant itself for a chip without a rate.
+    """Return the time at which the chip made the reading that it delivers at `instant_ns` (n,). The chip makes
+    `rate_hz` readings a second, one of them `phase` periods before time 0. For a chip without a rate this is the
+    instant itself.
     """
     if rate_hz <= 0:
         return instant_ns
@@ -129,15 +138,15 @@ def latest_reading(instant_ns: Integers, rate_hz: float, phase: float = 0.0) -> 
 
 
 def _reading(instant_ns: Integers, rate_hz: float, phase: float) -> Reals:
-    """Return the number of the latest reading; one that is due at once still counts."""
+    """Return the number of the latest reading; one that is due at that instant counts."""
     periods = instant_ns * (rate_hz * 1e-9)
     periods += max(_ON_TIME, _ROUNDED_S * rate_hz) + phase
     return np.asarray(np.floor(periods, out=periods))
 
 
 def held(codes: Codes, rate_hz: float, phase: float = 0.0) -> Codes:
-    """Return what is read of a chip that makes `rate_hz` readings a second, one of them `phase` periods before time 0,
-    and is asked more often: the latest one, once more and not fresh.
+    """Return the readings of a chip that is polled faster than its `rate_hz` (one reading is `phase` periods before
+    time 0): the latest reading is repeated and not fresh.
     """
     sample = _reading(codes.instant_ns, rate_hz, phase)
     fresh = np.concatenate([[True], np.diff(sample) > 0])

@@ -32,30 +32,30 @@ def per_axis(default: float = 0.0, *, suffix: str = "", low: float = -np.inf, hi
 
 
 def scalar(default: float, *, suffix: str = "", low: float = -np.inf, high: float = np.inf) -> Any:
-    """Return a parameter with one value; otherwise as `per_axis`."""
+    """Return a parameter with one value; the arguments are those of `per_axis`."""
     return field(default=default, metadata={"suffix": suffix, "allowed": (low, high)})
 
 
 UNBOUNDED = (-np.inf, np.inf)
 
 FOREVER_S = 1e9
-"""The end of a span that has none."""
+"""End of a span that has no end."""
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One cause of difference between truth and counts.
+    """A cause of differences between truth and counts.
 
-    It acts always, or within its `spans`, three numbers each: the number of a run, and from when until when in it, in
-    seconds by the log's clock.
+    It acts always, or only within its `spans`. A span has three numbers: the number of a run, and the beginning and end
+    in that run, in seconds of the log's clock.
     """
 
     name: ClassVar[str] = ""
     spans: tuple[float, ...] = field(default=(), kw_only=True, metadata={"suffix": ""})
 
     def __post_init__(self) -> None:
-        """Spread single numbers over the three axes; ValueError for what is no triple of numbers, for no spans, and for
-        values outside those that a parameter allows.
+        """Expand single numbers to the three axes. ValueError for a value that is not a triple of numbers, for invalid
+        spans, and for values outside the limits of a parameter.
         """
         object.__setattr__(self, "spans", _spans(self.spans))
         for item in fields(self):
@@ -69,11 +69,13 @@ class Effect:
                     require(name, number, *allowed)
 
     def each_span(self) -> Iterator[tuple[float, float, float]]:
-        """Return the run, from when, until when of each."""
+        """Return run, beginning and end of each span."""
         return zip(self.spans[::3], self.spans[1::3], self.spans[2::3], strict=True)
 
     def active_axes(self) -> tuple[bool, ...]:
-        """Return (3,) on which axes it acts, by its parameters of single axes; none if it has no such parameters."""
+        """Return (3,) on which axes the effect acts, by its parameters per axis; False for all axes if it has no such
+        parameters.
+        """
         axis_fields = [item for item in fields(self) if item.metadata.get("per_axis")]
         idle = type(self)()
         return tuple(
@@ -82,7 +84,7 @@ class Effect:
         )
 
     def lookback(self, at: Place) -> int:
-        """Return how many rows before a stretch it must see to know what the stretch holds."""
+        """Return the number of rows before a stretch that the effect needs to evaluate the stretch."""
         return 0
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
@@ -122,6 +124,6 @@ def _triple(value: Any, name: str) -> Triple:
 
 
 def require(name: str, value: float, low: float = -np.inf, high: float = np.inf) -> None:
-    """ValueError unless `value` lies in [low, high]."""
+    """Raise ValueError unless `value` lies in [low, high]."""
     if not low <= value <= high:
         raise ValueError(f"{name}: {value}; allowed is {low:g} to {high:g}")

@@ -31,7 +31,7 @@ from imuarray.simulate.simulation import Plan, in_physical_order, plan_like, pla
 from imuarray.spelling import guess, guess_file
 
 TURN_ON_S = 300.0
-"""Length of a run of a turn-on series (section 4)."""
+"""Duration of a run of a turn-on series (section 4)."""
 
 _STATIC_S = 600.0
 _TURN_S = 5.0
@@ -58,7 +58,7 @@ def static(wanted: ExperimentOptions) -> Motion:
 
 
 def tumble(wanted: ExperimentOptions) -> Motion:
-    """Seven faces; the turns are shortened too where there is little time."""
+    """Return a tumble over seven faces; turns are shortened, too, if there is little time."""
     faces = len(ORDER)
     temperatures = (wanted.temperature_degc,) * faces
     if wanted.seconds is None:
@@ -74,12 +74,14 @@ def heating(wanted: ExperimentOptions) -> Motion:
 
 
 def turn_on(wanted: ExperimentOptions) -> Motion:
-    """One run of a series."""
+    """Return one run of a turn-on series."""
     return turn_on_run(wanted.run, wanted.seconds or TURN_ON_S, wanted.temperature_degc)
 
 
 def motion(wanted: ExperimentOptions) -> Motion:
-    """Return a box at rest, moved, at rest; or what a file says. SourceError for a file that can't be read."""
+    """Return a box at rest, moved, and at rest again; or the motion that a file describes. SourceError for a file that
+    can't be read.
+    """
     if wanted.drive not in DRIVES:
         if not Path(wanted.drive).exists():
             near = guess(wanted.drive, DRIVES) or guess_file(wanted.drive)
@@ -94,7 +96,7 @@ def motion(wanted: ExperimentOptions) -> Motion:
 
 
 def hand(wanted: ExperimentOptions) -> Motion:
-    """Shaken by hand."""
+    """Return a box that is shaken by hand."""
     if wanted.seconds is None:
         return HandShake(temperature_degc=wanted.temperature_degc)
     still_s = wanted.seconds * _REST_SHARE
@@ -102,7 +104,7 @@ def hand(wanted: ExperimentOptions) -> Motion:
 
 
 def vehicle(wanted: ExperimentOptions) -> Motion:
-    """Return a drive with curves."""
+    """Return a drive with bends."""
     if wanted.seconds is None:
         return Vehicle(temperature_degc=wanted.temperature_degc)
     still_s = wanted.seconds * _REST_SHARE
@@ -129,8 +131,8 @@ class BootRun:
 
 
 def run_like(log: Log, path: Path, only: Collection[str], boot: int) -> BootRun:
-    """Return a log with the sensors, times, faces and temperature of another; LogError for a sensor that it does
-    not have.
+    """Return a run with the sensors, times, faces and temperature of another log; LogError for a sensor that the log
+    does not have.
     """
     return BootRun(path, plan_like(log, only), LikeLog(log), boot)
 
@@ -152,7 +154,7 @@ def turn_on_series(
 def run_of(
     array: ArrayConfig, path: Path, experiment: str, options: ExperimentOptions, *, rate_hz: float, boot: int
 ) -> BootRun:
-    """One log of one of `EXPERIMENTS`; of a turn-on series the run `wanted.run`."""
+    """Return one run of one of `EXPERIMENTS`; of a turn-on series the run `options.run`."""
     motion = EXPERIMENTS[experiment](options)
     return BootRun(path, plan_of(array, rate_hz, options.seconds or motion.seconds), motion, boot)
 
@@ -160,8 +162,8 @@ def run_of(
 def with_effects(
     effects: Mapping[str, Sequence[Effect]], added: Mapping[str, Sequence[Effect]]
 ) -> dict[str, tuple[Effect, ...]]:
-    """Return the effects of each sensor with those `added`, in physical order; ConfigError for a sensor that
-    there is not.
+    """Return the effects of each sensor including those `added`, in physical order; ConfigError for an unknown
+    sensor.
     """
     for name in added:
         if name not in effects:
@@ -176,8 +178,8 @@ def with_effects(
 
 
 def remarks_on(plan: Plan, model: Model, log: Log | None, *, population: bool) -> Iterator[str]:
-    """Sentences on what a model leaves out, what of it is for nobody, and a recorded log that does not say how the box
-    moved.
+    """Return sentences about effects that a model lacks, parts of it that apply to no sensor, and a recorded log that
+    does not state how the box moved.
     """
     triads = {name: header for name, (header, _) in plan.sensors.items() if header.quantity != "pressure"}
     ideal = [name for name, header in triads.items() if not model.parts(header, population=population)]

@@ -37,10 +37,9 @@ _THERMAL = ("thermal_scale", "thermal_bias")
 
 
 def calibrated(model: Model, calibration: Calibration, headers: Iterable[SensorHeader]) -> Model:
-    """`model` with what `calibration` measured of these sensors in its [[sensor]] tables; all else stays as it is.
-
-    Temperature effects of a sensor that was calibrated at a known temperature count from there. CalibrationError for a
-    calibration that does not fit its sensor.
+    """Return `model` with the parameters of these sensors that `calibration` measured, in its [[sensor]] tables;
+    everything else is unchanged. Temperature effects of a sensor that was calibrated at a known temperature are
+    relative to that temperature. CalibrationError for a calibration that does not fit its sensor.
     """
     parts = {(part.name, part.chip, part.range): part for part in model.sensors}
     for header in headers:
@@ -53,7 +52,7 @@ def calibrated(model: Model, calibration: Calibration, headers: Iterable[SensorH
 
 
 def _part(model: Model, unit: SensorCalibration, header: SensorHeader) -> Part:
-    """Return the model of a sensor with what was measured of it in place of the model's own figures."""
+    """Return the model of a sensor in which measured parameters replace those of the model."""
     _check_fit(unit, header)
     model_parts = model.parts(header)
     effects: dict[str, tuple[Recipe, ...]] = {}
@@ -77,8 +76,8 @@ def _part(model: Model, unit: SensorCalibration, header: SensorHeader) -> Part:
 
 
 def _affine(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
-    """Yield the effects that make the calibration's map; a data sheet's figure in it was not measured and makes
-    none.
+    """Yield the effects that reproduce the calibration's map. A data-sheet value in the map was not measured and yields
+    no effect.
     """
     orientation = np.array(header.orientation)
     sensed = unit.response_lsb_per_unit @ orientation / header.sensitivity
@@ -94,7 +93,9 @@ def _affine(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
 
 
 def _response(sensed: Floats, exchange: Floats, header: SensorHeader) -> Iterator[Effect]:
-    """`sensed` (3, 3): rows the sensor's axes, columns the axes, exchanged already, along which they lean."""
+    """Yield the effects of a response `sensed` (3, 3): its rows are the sensor's axes, its columns the exchanged axes
+    from which they are misaligned.
+    """
     axis_of_row = np.abs(exchange).argmax(axis=1)
     yield AxisError(
         "".join("+-"[int(row[axis] < 0)] + "XYZ"[axis] for row, axis in zip(exchange, axis_of_row, strict=True))
@@ -108,8 +109,8 @@ def _response(sensed: Floats, exchange: Floats, header: SensorHeader) -> Iterato
 
 
 def _nearest_axes(sensed: Floats) -> Floats:
-    """Return (3, 3) of 0, 1 and -1: the signed axes to which the rows of `sensed` come nearest, each taken once."""
-    from scipy.optimize import linear_sum_assignment  # its weight is for those who simulate a calibration
+    """Return (3, 3) of 0, 1 and -1: the signed axes that are closest to the rows of `sensed`, each used once."""
+    from scipy.optimize import linear_sum_assignment  # imported late because SciPy takes long to load
 
     rows, columns = linear_sum_assignment(-np.abs(sensed / np.linalg.norm(sensed, axis=1, keepdims=True)))
     nearest = np.zeros((3, 3))
@@ -118,15 +119,14 @@ def _nearest_axes(sensed: Floats) -> Floats:
 
 
 def _thermal(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
-    """Yield the slopes about the temperature at which the bias holds: CalibrationError for one that no sensor can have.
-
-    A slope that may be one of scale is taken for one of bias: at rest as it was measured, both make the same counts. A
-    lag behind the chip's own thermometer is none behind the box, whose temperature the simulator knows.
+    """Yield the slopes at the temperature at which the bias holds; CalibrationError for a slope that no sensor can
+    have. A slope that may be one of the scale is taken for one of the bias: at rest both produce the same counts. A lag
+    relative to the chip's own thermometer is not a lag relative to the box, whose temperature the simulator uses.
     """
     if unit.thermal is None:
         return
     thermal = unit.thermal
-    relative = thermal.thermometer == "relative"  # of its degrees only differences mean anything
+    relative = thermal.thermometer == "relative"  # only differences of its degrees are meaningful
     unknown = ThermalBias().reference_degc if relative else thermal.reference_degc
     holds_at = unknown if unit.temperature_degc is None else unit.temperature_degc
     curve = np.zeros(3) if thermal.quadratic_lsb_per_degc2 is None else thermal.quadratic_lsb_per_degc2
@@ -140,20 +140,20 @@ def _thermal(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
 
 
 def _noise(unit: SensorCalibration, header: SensorHeader, step_lsb: Integers) -> Iterator[Effect]:
-    """Yield the measured scatter without that of rounding, step^2 / 12 (Sheppard's correction)."""
+    """Yield the measured noise without that of rounding, step^2 / 12 (Sheppard's correction)."""
     if unit.noise_lsb is not None:
         yield WhiteNoise(_triple(np.sqrt(np.maximum(unit.noise_lsb**2 - step_lsb**2 / 12, 0)) / header.sensitivity))
 
 
 def _step_lsb(model: Model, header: SensorHeader) -> Integers:
-    """Return (3,) by how much neighbouring codes of each axis of this sensor differ."""
+    """Return (3,) the step between neighbouring codes of each axis."""
     effects = model.effects(header, Streams(0))
     steps = [np.array(effect.step_lsb, int) for effect in effects if isinstance(effect, Quantisation)]
     return np.asarray(np.lcm.reduce([np.full(3, even_step(header.chip, header.rate_hz)), *steps]))
 
 
 def _check_fit(unit: SensorCalibration, header: SensorHeader) -> None:
-    """CalibrationError unless the calibration is one of this sensor at this range and models know the chip."""
+    """Raise CalibrationError unless the calibration is one of this sensor at this range and models know the chip."""
     where = f"sensor {header.name}"
     chip = TRIADS.get(header.chip)
     if not header.sensitivity or (chip is not None and header.range not in chip.sensitivity):
@@ -165,7 +165,7 @@ def _check_fit(unit: SensorCalibration, header: SensorHeader) -> None:
             f"{where}: calibrated at a range of {unit.range:g} {unit.unit}, but it is at {header.range:g}"
         )
     ratio = unit.scale_lsb_per_unit / header.sensitivity
-    if (np.abs(np.log2(ratio)) > 1).any():  # no chip is off by a factor of two; another range is
+    if (np.abs(np.log2(ratio)) > 1).any():  # no chip deviates by a factor of two, but another range does
         raise CalibrationError(
             f"{where}: calibrated at {unit.scale_lsb_per_unit[0]:.4g} counts per {unit.unit}, nominal are"
             f" {header.sensitivity:.4g}: another range"

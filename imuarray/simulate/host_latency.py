@@ -21,13 +21,15 @@ from imuarray.log.format import LOST_BEFORE
 from imuarray.simulate.timeline import GapFilledTimes, Timeline
 
 _TIGHT_NS = 500_000
-"""Spread of the intervals between two readings of a frame, apart from waits; what a wait shortens is idle time."""
+"""Limit of the spread in ns of the intervals between two readings of a frame, apart from waits. Above it, intervals
+contain idle time, which a wait shortens.
+"""
 
 _LEAST_NS = 250_000
-"""Half of the shortest wait that counts."""
+"""Half of the shortest wait that is evaluated, in ns."""
 
 _LEAST = 16
-"""The number of times that one sensor must follow another for their usual interval to be known."""
+"""Number of times that one sensor must follow another before their usual interval is known."""
 
 _NEVER_NS = 1 << 62
 _NOTHING: Integers = np.zeros(0, np.int64)
@@ -49,7 +51,7 @@ class DelayedTimes:
 
     @property
     def rows(self) -> int:
-        """The rows of its own timeline."""
+        """The sensor's own timeline."""
         return self.own.rows
 
     @property
@@ -62,8 +64,8 @@ class DelayedTimes:
         return self.own.stamps(start, stop)
 
     def waits(self, start: int, stop: int) -> tuple[Integers, Booleans]:
-        """Return, for rows start ... stop - 1, (n,) half of the host's wait before each in ns, and (n,) which it
-        missed.
+        """Return, for rows start ... stop - 1, half of the host's wait before each in ns (n,), and whether the host
+        missed a reading there (n,).
         """
         halves, missed = np.zeros(stop - start, np.int64), np.zeros(stop - start, bool)
         first, last = np.searchsorted(self.waited, (start, stop))
@@ -80,8 +82,8 @@ def lost_rows(line: Timeline) -> tuple[tuple[int, int, int], ...]:
 
 
 def find_delays(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog]) -> dict[str, Timeline]:
-    """Return the `lines` of recorded `sensors`, with what all of these say of the host; a line on which there is
-    nothing of it stays as it is.
+    """Return the `lines` of recorded `sensors` with the host's delays, which are estimated from the times of all of
+    them; a timeline without delays is returned unchanged.
     """
     names = list(lines)
     recorded = [sensors[name] for name in names]
@@ -113,8 +115,8 @@ class _HostDelays(NamedTuple):
 
 
 class _FrameRows(NamedTuple):
-    """Rows of all sensors in the order of time (n,): of `which` sensor, their `number` there, whether they are flagged
-    as ones before which others were lost, and whether they lie within the window and not in its margins.
+    """The rows of all sensors in order of time (n,): the index `which` of their sensor, their `number` in it, whether
+    they are flagged as following a loss, and whether they lie within the window and not in its margins.
     """
 
     time_ns: Integers
@@ -125,20 +127,20 @@ class _FrameRows(NamedTuple):
 
 
 class _SensorPairs(NamedTuple):
-    """(s, s) of the sensors: the interval in ns at which the second is usually read right after the first; nan unless
-    that is within a frame, as fast as the bus gives. `idle_ns` is that of the others.
+    """Intervals in ns (s, s) at which the second sensor is usually read right after the first; nan unless the two are
+    read in one frame as fast as the bus allows. `idle_ns` are the intervals of the other pairs.
     """
 
     usual_ns: Floats
     idle_ns: Floats
 
     def has(self, which: int) -> bool:
-        """Return whether this sensor is read right before or after another one."""
+        """Return whether this sensor is read directly before or after another one."""
         return bool(np.isfinite(self.usual_ns[which]).any() or np.isfinite(self.usual_ns[:, which]).any())
 
 
 def _windows(sensors: Sequence[SensorLog]) -> Iterator[_FrameRows]:
-    """Yield all rows, many at a time."""
+    """Yield all rows in large blocks."""
     longest = max(sensors, key=len)
     for block in longest.blocks(_WINDOW_ROWS):
         is_first, is_last = block.start == 0, block.stop == len(longest)
@@ -188,21 +190,22 @@ def _pairs(rows: _FrameRows, count: int) -> _SensorPairs:
 
 
 def _halves(rows: _FrameRows, pairs: _SensorPairs) -> Floats:
-    """Return (n,) half of how long the host waited before each row: what the intervals before and after it have in
-    common, or if one of these tells nothing what the other has more than its neighbour's part.
+    """Return (n,) half of the host's wait before each row: the excess that the intervals before and after it have in
+    common. If one of the two is not known, it is the excess of the other less the part of the neighbour.
     """
     interval, step = np.diff(rows.time_ns), (rows.which[:-1], rows.which[1:])
     over, idle = interval - pairs.usual_ns[step], interval - pairs.idle_ns[step]
     edge = [np.nan]
     before, after = np.concatenate([edge, over]), np.concatenate([over, edge])
     starts = np.concatenate([edge, idle])
-    smaller = np.clip(np.minimum(before, after), 0.0, None)  # nan where one of them is
+    smaller = np.clip(np.minimum(before, after), 0.0, None)  # nan if either is
     inside = np.nan_to_num(smaller)
-    for at in np.flatnonzero((inside[1:] > 0) & (inside[:-1] > 0)) + 1:  # what the one before has had is gone
+    for at in np.flatnonzero((inside[1:] > 0) & (inside[:-1] > 0)) + 1:  # the part of the previous row is subtracted
         smaller[at] = inside[at] = max(min(before[at] - inside[at - 1], after[at]), 0.0)
     behind, ahead = np.concatenate([[0.0], inside[:-1]]), np.concatenate([inside[1:], [0.0]])
     first = np.clip(after - ahead, 0.0, None)
-    lonely = np.isnan(np.concatenate([smaller[1:], edge]))  # of two in a frame both come of the same interval
+    # The waits of both rows of a frame with two rows follow from one interval.
+    lonely = np.isnan(np.concatenate([smaller[1:], edge]))
     first = np.where(lonely, np.clip(np.fmin(first, starts), 0.0, None), first)
     carried = np.concatenate([[0.0], np.nan_to_num(np.where(np.isnan(before), first, 0.0))[:-1]])
     last = np.clip(before - np.where(behind > 0, behind, carried), 0.0, None)
@@ -210,7 +213,9 @@ def _halves(rows: _FrameRows, pairs: _SensorPairs) -> Floats:
 
 
 def _missed(name: str, line: Timeline, after: Mapping[str, Integers]) -> Integers:
-    """Return the numbers of its rows that were lost when every other sensor lost some: the host did not read."""
+    """Return the numbers of the sensor's rows that were lost when every other sensor lost some: the host did not
+    read.
+    """
     other_times = [times for other, times in after.items() if other != name]
     if not isinstance(line, GapFilledTimes) or not other_times:
         return _NOTHING

@@ -60,7 +60,7 @@ class Part:
     unit: str = ""
 
     def fits(self, sensor: SensorHeader) -> bool:
-        """Return whether this is what the sensor is, set as it is set."""
+        """Return whether this part describes the sensor, at its settings."""
         return (
             self.chip == sensor.chip
             and self.unit in ("", sensor.unit)
@@ -69,7 +69,7 @@ class Part:
         )
 
     def to_table(self) -> dict[str, Any]:
-        """Return the part as TOML has it."""
+        """Return the part as a TOML table."""
         head = {key: getattr(self, key) for key in ("name", "chip", "unit", "range", "noise_bandwidth_hz")}
         tables = {
             effect: [{key: table_of(figure) for key, figure in recipe.items()} for recipe in recipes]
@@ -108,13 +108,13 @@ class Model:
         )
 
     def parts(self, sensor: SensorHeader, *, population: bool = False) -> dict[str, Part]:
-        """Return the part from which the sensor has each of its effects."""
+        """Return, for each effect of the sensor, the part that defines it."""
         fitting = [part for part in (*(() if population else self.sensors), *self.designs) if part.fits(sensor)]
         fitting.sort(key=lambda part: (not part.name, part.range is None), reverse=True)
         return {kind: part for part in fitting for kind in part.effects}
 
     def to_toml(self) -> str:
-        """Return the model as a file that `parse_model` reads as this model."""
+        """Return the model as text that `parse_model` reads as the same model."""
         table: dict[str, Any] = {"model": {"name": self.name, "about": self.about}}
         for key, parts in (("design", self.designs), ("sensor", self.sensors)):
             if parts:
@@ -122,7 +122,7 @@ class Model:
         return tomli_w.dumps(table)
 
     def _made(self, kind: str, part: Part, sensor: SensorHeader, streams: Streams) -> Iterator[Effect]:
-        """Yield the effects of one kind, each with its draws; the second and later of a kind draw apart."""
+        """Yield the effects of one kind, each with its own draws."""
         keys, where = spelled(EFFECTS[kind], sensor.unit), f"model {self.name}: sensor {sensor.name}: {kind}"
         for number, recipe in enumerate(part.effects[kind], start=1):
             table = drawn(recipe, keys, kind if number == 1 else f"{kind} {number}", sensor, streams)
@@ -141,7 +141,7 @@ def parse_model(text: str, where: str = "model") -> Model:
 
 
 def noise_bandwidth_hz(sensor: SensorHeader) -> float:
-    """-3 dB bandwidth of the sensor's noise as it is configured, Hz; 0 if nothing is known of it."""
+    """Return the -3 dB bandwidth of the sensor's noise as it is configured, in Hz; 0 if it is unknown."""
     if sensor.chip == "adxl345" and sensor.rate_hz:
         return adxl345_bandwidth_hz(sensor.rate_hz)
     return sensor.bandwidth_hz
@@ -152,7 +152,7 @@ def _range_choice(value: float, chip: str) -> str:
 
 
 class _ModelTable(BaseModel):
-    """`[model]`."""
+    """The table `[model]`."""
 
     model_config = _STRICT
     name: Annotated[str, Field(min_length=1)]
@@ -160,7 +160,7 @@ class _ModelTable(BaseModel):
 
 
 class _DesignTable(BaseModel):
-    """`[[design]]`, effects left out."""
+    """A table `[[design]]` without its effects."""
 
     model_config = _STRICT
     chip: str
@@ -184,13 +184,13 @@ class _DesignTable(BaseModel):
 
 
 class _SensorTable(_DesignTable):
-    """`[[sensor]]`, effects left out."""
+    """A table `[[sensor]]` without its effects."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
 
 
 def _tables(value: Any) -> list[dict[str, Any]]:
-    """One table or several as several; ValueError."""
+    """Return one table or several as a list; ValueError."""
     tables = value if isinstance(value, list) else [value]
     if not tables or not all(isinstance(table, dict) for table in tables):
         raise ValueError("a table such as [design.bias] is required, or several such as [[design.tone]]")
@@ -234,7 +234,7 @@ def _model_of(file: _ModelFile, text: str, where: str) -> Model:
 
 
 def _part(entry: Any, place: Place, mistakes: list[Mistake]) -> Part:
-    """Return a part from its checked table; tables of effects that can't be meant are added to `mistakes`."""
+    """Return a part from its validated table; invalid tables of effects are added to `mistakes`."""
     name = getattr(entry, "name", "")
     subject = f"{place[0]} {int(place[1]) + 1}" + (f" {name!r}" if name else "")
     unit = TRIADS[entry.chip].unit if entry.chip in TRIADS else entry.unit
@@ -254,7 +254,9 @@ def _part(entry: Any, place: Place, mistakes: list[Mistake]) -> Part:
 
 
 def _recipe(kind: str, table: Mapping[str, Any], chip: str, unit: str) -> Recipe:
-    """Return the figures of an effect's table; ConfigError, which begins with the kind, for a unit that can't be."""
+    """Return the parameters of an effect's table; ConfigError, which begins with the kind, for a unit that does not
+    apply.
+    """
     if strange := [key for key in table if not key.isprintable()]:
         raise ConfigError(f"{kind}: {strange[0]!r}: unknown key")
     recipe = {key: figure_of(value, f"{kind}: {key}") for key, value in table.items()}
@@ -269,7 +271,7 @@ def _recipe(kind: str, table: Mapping[str, Any], chip: str, unit: str) -> Recipe
 
 
 def _at_bandwidth(noise: WhiteNoise, part: Part, sensor: SensorHeader) -> WhiteNoise:
-    """Return the noise at the sensor's bandwidth instead of that for which the part has it."""
+    """Return the noise at the sensor's bandwidth, scaled from the bandwidth that the part states."""
     bandwidth_hz = noise_bandwidth_hz(sensor)
     if part.noise_bandwidth_hz is None or bandwidth_hz <= 0:
         return noise

@@ -18,17 +18,17 @@ SomeEffect = TypeVar("SomeEffect", bound=Effect)
 
 
 def several(count: int, *, suffix: str = "") -> Any:
-    """Return a parameter of `count` numbers, all zero unless given; its effect passes it through `numbers`."""
+    """Return a parameter of `count` numbers, by default all zero; its effect passes it through `numbers`."""
     return field(default=(0.0,) * count, metadata={"suffix": suffix})
 
 
 def listed(*, suffix: str = "") -> Any:
-    """Return a parameter of any count of numbers, none unless given."""
+    """Return a parameter of any number of numbers, by default none."""
     return field(default=(), metadata={"suffix": suffix})
 
 
 def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
-    """`values` as `count` floats; ValueError unless they are so many finite numbers."""
+    """Return `values` as `count` floats; ValueError unless they are `count` finite numbers."""
     array = np.asarray(values, float)
     if array.shape != (count,) or not np.isfinite(array).all():
         raise ValueError(f"{name}: {values}; {count} finite numbers are required")
@@ -36,21 +36,23 @@ def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
 
 
 def alongside(**lists: Any) -> dict[str, tuple[float, ...]]:
-    """Lists that have a number for every event, as floats; ValueError unless they are as long, finite, not negative."""
+    """Return lists that have a number for every event, as floats; ValueError unless they are equally long, finite and
+    not negative.
+    """
     (first, first_values), *_ = lists.items()
     return {name: _of_events(name, values, first, len(first_values)) for name, values in lists.items()}
 
 
 def spelled(kind: type[Effect], unit: str) -> dict[str, Field[Any]]:
-    """Return the keys of an effect's table for a sensor of this unit, in order: "offset_dps" to the field `offset`;
-    what every effect has comes last.
+    """Return the keys of an effect's table for a sensor of this unit, in order: "offset_dps" for the field `offset`.
+    Keys that all effects have are last.
     """
     ordered = sorted(fields(kind), key=lambda item: item.name == "spans")
     return {item.name + item.metadata.get("suffix", "").format(u=unit): item for item in ordered}
 
 
 def to_table(effect: Effect, unit: str) -> dict[str, Value]:
-    """Return every parameter that is not its default; three equal numbers, one for each axis, become one."""
+    """Return every parameter that differs from its default; three equal numbers, one for each axis, become one."""
     entries = ((key, item, getattr(effect, item.name)) for key, item in spelled(type(effect), unit).items())
     return {key: _plain(value, item) for key, item, value in entries if not _same(value, item.default)}
 
@@ -87,12 +89,12 @@ def _plain(value: Any, item: Field[Any]) -> Value:
 
 
 def _same(value: Any, default: Any) -> bool:
-    """Equal, or neither of them a number."""
+    """Return whether two values are equal, or both nan."""
     return bool(value == default or (value != value and default != default))
 
 
 def _complaint(value: object, item: Field[Any]) -> str:
-    """Return what is required in the place of `value`, "" if it is valid."""
+    """Return what is required instead of `value`; "" if it is valid."""
     if isinstance(item.default, str):
         return "" if isinstance(value, str) else "a text in quotes"
     if not isinstance(item.default, tuple):
@@ -117,8 +119,6 @@ def _unknown(key: str, allowed: list[str]) -> str:
 
 
 def _respell(complaint: str, known: Mapping[str, Field[Any]]) -> str:
-    """Return an effect's complaint "rms: ...", with the key that the reader of the file knows instead of the
-    parameter.
-    """
+    """Return an effect's complaint "rms: ..." with the key of the file instead of the name of the parameter."""
     parameter, colon, rest = complaint.partition(":")
     return next((key for key, item in known.items() if item.name == parameter), parameter) + colon + rest

@@ -24,7 +24,7 @@ from imuarray.simulate.streams import Streams
 from imuarray.toml_files import complaints
 
 HUGE = 1e12
-"""No figure of a sensor is larger, in any unit."""
+"""Limit of the magnitude of any parameter, in any unit."""
 
 _Number = Annotated[float, Limits(ge=-HUGE, le=HUGE)]
 _Size = Annotated[float, Limits(ge=0, le=HUGE)]
@@ -46,13 +46,13 @@ class Spread(BaseModel):
 
     @property
     def reach(self) -> float:
-        """The furthest from the mean that a unit can be."""
+        """The largest possible deviation from the mean."""
         if self.sigma == 0:
             return 0.0
         return 3 * self.sigma if self.limit is None else self.limit
 
     def at(self, deviate: float) -> float:
-        """Return the value of a unit that stands at this standard normal `deviate`: the quantile at its probability."""
+        """Return the value of a unit at this standard normal `deviate`: the quantile at its probability."""
         if self.reach == 0:
             return self.mean
         beyond, below = _probability(-self.reach / self.sigma), _probability(deviate)
@@ -63,24 +63,28 @@ class Spread(BaseModel):
 
 
 _NORMAL = NormalDist()
-"""The standard normal distribution, of the standard library: importing `scipy.special` takes a tenth of a second."""
+"""The standard normal distribution of the standard library, because importing `scipy.special` takes a tenth of a
+second.
+"""
 
 
 def _probability(deviate: float) -> float:
-    """Return the probability that a standard normal value is below `deviate`, to the last digits of small ones too."""
+    """Return the probability that a standard normal value is below `deviate`, precisely also for small
+    probabilities.
+    """
     return 0.5 * math.erfc(-deviate / math.sqrt(2))
 
 
 Figure: TypeAlias = "float | str | Spread | tuple[float | str | Spread, ...]"
-"""A parameter as a model file gives it."""
+"""A parameter as a model file states it."""
 
 Recipe: TypeAlias = Mapping[str, Figure]
-"""One effect as a model file gives it: figures by their keys, unit suffix and all."""
+"""An effect as a model file states it: parameters by key, including the suffix of the unit."""
 
 
 def figure_of(value: Any, where: str) -> Figure:
-    """Return a figure from what TOML gave; ConfigError for a table that is no population, a list in a list, a
-    huge number.
+    """Return a parameter from its TOML value; ConfigError for a table that is not a population, a nested list, or a
+    number beyond the limit.
     """
     if isinstance(value, list):
         return tuple(_item(part, f"{where}, number {number}") for number, part in enumerate(value, start=1))
@@ -88,17 +92,15 @@ def figure_of(value: Any, where: str) -> Figure:
 
 
 def table_of(figure: Figure) -> Any:
-    """Return the figure as TOML has it."""
+    """Return the parameter as a TOML value."""
     if isinstance(figure, tuple):
         return [table_of(part) for part in figure]
     return figure.model_dump(exclude_defaults=True) if isinstance(figure, Spread) else figure
 
 
 def at_ends(recipe: Recipe, spelled: Mapping[str, Field[Any]], away: int) -> dict[str, Any]:
-    """Return the recipe with numbers in place of populations: their means (`away` 0), their lower or upper ends (-1,
-    +1).
-
-    `spelled` are the effect's parameters by their keys.
+    """Return the recipe with numbers in place of populations: their means (`away` 0), or their lower or upper ends (-1,
+    +1). `spelled` are the effect's parameters by key.
     """
 
     def end(_: int, spread: Spread) -> float:
@@ -110,10 +112,8 @@ def at_ends(recipe: Recipe, spelled: Mapping[str, Field[Any]], away: int) -> dic
 def drawn(
     recipe: Recipe, spelled: Mapping[str, Field[Any]], effect: str, sensor: SensorHeader, streams: Streams
 ) -> dict[str, Any]:
-    """Return the recipe with this sensor's draws in place of populations; `effect` is its word in the keys of the
-    draws.
-
-    `spelled` are the effect's parameters by their keys.
+    """Return the recipe with this sensor's draws in place of populations; `effect` is the name of the effect in the
+    keys of the draws. `spelled` are the effect's parameters by key.
     """
     return {
         key: _filled(figure, _count(spelled[key]), _draw(spelled[key], effect, sensor, streams))
@@ -122,14 +122,14 @@ def drawn(
 
 
 def _item(value: Any, where: str) -> float | str | Spread:
-    """Return a figure that is not a list."""
+    """Return a parameter that is not a list."""
     if isinstance(value, dict):
         return _spread_of(value, where)
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ConfigError(f"{where}: {str(value)[:40]}; a number, a text or a table with mean and sigma is required")
     if not isinstance(value, str) and HUGE < abs(value) < math.inf:
         raise ConfigError(f"{where}: a number beyond {HUGE:g}, which no sensor has")
-    return math.nan if value != value else value  # the one nan: recipes that have it are equal
+    return math.nan if value != value else value  # one nan object, so that recipes with it compare equal
 
 
 def _spread_of(table: dict[str, Any], where: str) -> Spread:
@@ -140,7 +140,9 @@ def _spread_of(table: dict[str, Any], where: str) -> Spread:
 
 
 def _filled(figure: Figure, count: int, value: Callable[[int, Spread], float]) -> Any:
-    """Return the figure with `value` of (index, population) in place of populations; a lone one stands for `count`."""
+    """Return the parameter with `value` of (index, population) in place of populations; a single population is drawn
+    `count` times.
+    """
     if isinstance(figure, Spread):
         return [value(index, figure) for index in range(count)] if count else value(0, figure)
     if isinstance(figure, tuple):
@@ -149,7 +151,7 @@ def _filled(figure: Figure, count: int, value: Callable[[int, Spread], float]) -
 
 
 def _draw(parameter: Field[Any], effect: str, sensor: SensorHeader, streams: Streams) -> Callable[[int, Spread], float]:
-    """Return the function that draws a sensor's value of each (index, population) of a parameter."""
+    """Return a function that draws a sensor's value for (index, population) of a parameter."""
 
     @cache
     def normal(whose: str) -> Floats:
@@ -159,7 +161,7 @@ def _draw(parameter: Field[Any], effect: str, sensor: SensorHeader, streams: Str
         own = normal(sensor.name)[index]
         if not spread.shared:
             return spread.at(own)
-        common = normal(f"all {sensor.chip}")[index]  # no sensor's name has a blank in it
+        common = normal(f"all {sensor.chip}")[index]  # a name with a blank, which no sensor has
         return spread.at(math.sqrt(1 - spread.shared) * own + math.sqrt(spread.shared) * common)
 
     return value

@@ -25,15 +25,17 @@ from imuarray.simulate.signal import Place, Triple
 from imuarray.simulate.streams import Stream
 
 KNOTS = 4096
-"""Knots per chunk of a process: enough that drawing them is most of the work, few enough to draw beyond a stretch."""
+"""Knots per chunk of a process: enough that drawing them dominates the cost, and few enough to draw beyond a
+stretch.
+"""
 
 _PER_TIME_CONSTANT = 500
 _RANDOM_WALK_KNOT_S = 0.1
-_WIDEST = 256  # rows; beyond it knots cost next to nothing
-_ENDS = 64  # chunks of knots whose ends are drawn at a time
-_PIECE_ROWS = 8192  # interpolated in one product of 147,456 multiplications
+_WIDEST = 256  # rows per knot above which knots cost little
+_ENDS = 64  # chunks of knots whose ends are drawn together
+_PIECE_ROWS = 8192  # rows that are interpolated in one product of 147,456 multiplications
 _UNIT = (1.0, 1.0, 1.0)
-_FORGOTTEN = 42.0  # time constants; exp(-42) of the past is lost in the last bit
+_FORGOTTEN = 42.0  # time constants; exp(-42) of the past is below the last bit
 
 
 class Recursion(NamedTuple):
@@ -64,7 +66,7 @@ class SlowProcess:
         return self.added_to(np.broadcast_to(np.zeros((), dtype), (stop - first, 3)), first)
 
     def added_to(self, values: Reals, first: int) -> Reals:
-        """`values` (n, 3) of the rows from `first` on plus the process, as a new array."""
+        """Return `values` (n, 3) of the rows from `first` on plus the process, as a new array."""
         length = self._piece_knots * self.spacing
         total, stop = np.empty(values.shape, values.dtype), first + len(values)
         for piece in range(first // length, max(stop - 1, first) // length + 1):
@@ -95,7 +97,7 @@ class SlowProcess:
         return np.concatenate(parts)
 
     def _drawn(self, chunk: int) -> Floats:
-        """(KNOTS, 3) knots of one chunk: free inside, corrected towards the end that is drawn for it."""
+        """Return the knots (KNOTS, 3) of one chunk: drawn freely, then corrected towards the drawn end."""
         start, end = self._edges(chunk)
         phi = math.exp(-self._decay)
         steps = self._inside.normal(chunk * KNOTS, (chunk + 1) * KNOTS).astype(float) * self._step
@@ -105,7 +107,9 @@ class SlowProcess:
         return np.concatenate([start[None], inside[:-1]])
 
     def _edges(self, chunk: int) -> tuple[Floats, Floats]:
-        """Return the first and last value of a chunk; earlier chunks' steps count as far back as they are felt."""
+        """Return the first and last value of a chunk, including the steps of earlier chunks as far as they have an
+        influence.
+        """
         felt = math.ceil(_FORGOTTEN / (KNOTS * self._decay)) if self._decay else chunk
         earliest = max(0, chunk - felt)
         steps = self._ends.normal(earliest, chunk + 2).astype(float)
@@ -118,21 +122,21 @@ class SlowProcess:
 
 @lru_cache(maxsize=64)
 def _weights(spacing: int, dtype: str) -> Reals:
-    """Return (6, 3 spacing): how much of each of two knots is in each axis of each row between them."""
+    """Return the weights (6, 3 spacing) of two knots in each axis of each row between them."""
     share = np.arange(spacing) / spacing
     return np.concatenate([np.kron(1 - share, np.eye(3)), np.kron(share, np.eye(3))]).astype(dtype)
 
 
 def _growth(steps: npt.ArrayLike, decay: float) -> Floats:
-    """Return the variance after this number of steps from a known start, in variances of one step."""
+    """Return the variance after this number of steps from a known start, relative to the variance of one step."""
     count = np.asarray(steps, float)
     return np.asarray(np.expm1(-2 * decay * count) / math.expm1(-2 * decay)) if decay else count
 
 
 @lru_cache(maxsize=64)
 def _bridge(decay: float) -> Floats:
-    """(KNOTS,) cov(x[k], x[K]) / var(x[K]) of a free path from a known start, k = 1 ... K = KNOTS: how much of a
-    correction of its end each knot takes part in.
+    """Return (KNOTS,) cov(x[k], x[K]) / var(x[K]) of a free path from a known start, k = 1 ... K = KNOTS: the share of
+    a correction of the end that is applied to each knot.
     """
     steps = np.arange(1, KNOTS + 1)
     return np.asarray(np.exp((steps - KNOTS) * decay) * _growth(steps, decay) / _growth(KNOTS, decay))
@@ -142,8 +146,7 @@ def gauss_markov(
     time_constant_s: float, at: Place, effect: str, shared_by: str = "", scale: Triple = _UNIT
 ) -> SlowProcess:
     """Return a stationary first-order Gauss-Markov process of rms `scale`: correlation exp(-|t| / time_constant).
-
-    Another time constant is another draw, so that several of them add up to independent ones.
+    Processes with different time constants have independent draws, so that they can be added.
     """
     return at.kept(
         ("gauss_markov", time_constant_s, effect, at.copy, shared_by, scale),
@@ -161,7 +164,7 @@ def _gauss_markov(time_constant_s: float, at: Place, effect: str, shared_by: str
 
 
 def random_walk(at: Place, effect: str, scale: Triple = _UNIT) -> SlowProcess:
-    """A Wiener process: variance grows by the square of `scale` in a second, zero at row 0."""
+    """Return a Wiener process: its variance grows by the square of `scale` per second, from zero at row 0."""
     return at.kept(("random_walk", effect, at.copy, scale), lambda: _random_walk(at, effect, scale))
 
 

@@ -19,10 +19,10 @@ from imuarray.simulate.simulation import Simulation
 from imuarray.simulate.streams import CHUNK
 
 EPOCH = "2000-01-01T00:00:00.000000Z"
-"""Time 0 of a simulated log by default: the same in every run, as the whole log is."""
+"""Time 0 of a simulated log by default: the same for every run, so that the whole log is reproducible."""
 
 _AHEAD = 4
-"""Blocks per worker that are worked out before they are written."""
+"""Blocks per worker that are computed ahead of writing."""
 
 
 class Written(NamedTuple):
@@ -35,7 +35,7 @@ class Written(NamedTuple):
 
 
 class _ArrivingRows(NamedTuple):
-    """A stretch of one sensor's rows: those that arrive, and when the first of each lost few should have come."""
+    """A stretch of one sensor's rows: those that arrive, and the due times of the first row of each gap."""
 
     sensor: str
     block: Block
@@ -55,9 +55,9 @@ class Origin:
 
 @dataclass(frozen=True)
 class Division:
-    """The division of the work: rows of a block, and an executor that evaluates `workers` blocks at a time. Threads are
-    of use, since random numbers are drawn outside the interpreter's lock. In blocks of one chunk of the file, calls of
-    NumPy and HDF5 would take a seventh of the time.
+    """The division of the work: rows per block, and an executor that computes `workers` blocks at a time. Threads are
+    sufficient, because random numbers are drawn outside the interpreter's lock. With blocks of one chunk of the file,
+    calls of NumPy and HDF5 would take a seventh of the time.
     """
 
     block_rows: int = 4 * CHUNK
@@ -114,7 +114,7 @@ def write_log(
 
 
 def total_rows(simulation: Simulation) -> int:
-    """Rows of all sensors: what `progress` counts to."""
+    """Return the number of rows of all sensors, to which `progress` counts."""
     return sum(sensor.rows for sensor in simulation.sensors.values())
 
 
@@ -124,7 +124,7 @@ def phases_within(phases: tuple[Phase, ...], end_ns: int) -> list[Phase]:
 
 
 def _stretches(simulation: Simulation, block_rows: int) -> Iterator[Callable[[], _ArrivingRows]]:
-    """Yield the work, sensor after sensor, a block of each at a time."""
+    """Yield the parts of the work, one block of each sensor in turn."""
     longest = max(sensor.rows for sensor in simulation.sensors.values())
     for start in range(0, longest, block_rows):
         for name, sensor in simulation.sensors.items():
@@ -143,7 +143,7 @@ def _part(simulation: Simulation, name: str, start: int, stop: int) -> _Arriving
 def _in_order(
     work: Iterator[Callable[[], _ArrivingRows]], executor: Executor | None, workers: int
 ) -> Iterator[_ArrivingRows]:
-    """Yield the results in the order of the work, a few of them worked out ahead."""
+    """Yield the results in the order of the work; a few are computed ahead."""
     if executor is None:
         yield from (job() for job in work)
         return

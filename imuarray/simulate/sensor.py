@@ -32,20 +32,22 @@ from imuarray.simulate.timeline import Timeline
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 _WORTH_IT = 1024
-"""Fewer rows than that are cut from their whole chunk, which others will be wanted of."""
+"""Number of rows below which a request computes its whole chunk, because further rows of it are likely to be
+requested.
+"""
 
 NO_READY_BIT = ("hmc5883", "hmc5883l", "mmc5983")
-"""Chips whose ready bit no driver reads: only an identical triad shows a stale reading."""
+"""Chips whose ready bit no driver reads: only repeated triads show that a reading is stale."""
 
 _COLUMN = {"specific_force": "force_box", "angular_rate": "rate_box", "magnetic_field": "field_box"}
 
 
 Counts = npt.NDArray[np.int16] | npt.NDArray[np.int32]
-"""Values as a log holds them."""
+"""Values in the form in which a log stores them."""
 
 
 class Chunk(NamedTuple):
-    """Finished rows: stamps, which of them arrive, codes, counts as a log holds them, flags."""
+    """Computed rows: stamps, whether they arrive, codes, counts in the form of a log, flags."""
 
     stamp_ns: Integers
     kept: Booleans
@@ -67,7 +69,7 @@ class Surroundings:
 
 
 class SimulatedSensor:
-    """A triad: `block(start, stop)` gives rows as a log holds them."""
+    """A triad; `block(start, stop)` returns rows in the form of a log."""
 
     def __init__(
         self,
@@ -77,7 +79,7 @@ class SimulatedSensor:
         surroundings: Surroundings,
         lies: Matrix | None = None,
     ) -> None:
-        """`lies` is its true orientation, if that isn't the one of its header."""
+        """`lies` is the true orientation, if it differs from that of the header."""
         self.header = header
         self.timeline = timeline
         self.effects = tuple(effects)
@@ -110,9 +112,9 @@ class SimulatedSensor:
         self._chunk = lru_cache(maxsize=4)(self._evaluated)
 
     def block(self, start: int, stop: int, *, alone: bool = False) -> Block:
-        """Return the rows numbered start ... stop - 1 that arrive (fewer than stop - start where readings are dropped).
-        Of a sensor whose effects don't look back these `alone` can be worked out, if no others of their chunks are
-        required: they are the same.
+        """Return those of the rows start ... stop - 1 that arrive (fewer than stop - start if readings are dropped).
+        For a sensor whose effects do not look back, these rows `alone` can be computed if no others of their chunks are
+        required; the result is the same.
         """
         alone = alone and self._is_local
         parts = [self._arriving(chunk, start, stop, alone) for chunk in range(start // CHUNK, -(-stop // CHUNK))]
@@ -128,8 +130,8 @@ class SimulatedSensor:
         )
 
     def codes(self, first: int, stop: int) -> Codes:
-        """Codes of rows first ... stop - 1, dropped ones included, as no channel swap touches them; ValueError beyond
-        the last row.
+        """Return the codes of rows first ... stop - 1, including dropped ones, without a channel swap; ValueError
+        beyond the last row.
         """
         if stop > self.rows:
             raise ValueError(f"{self.header.name}: row {stop - 1} of {self.rows}")
@@ -139,7 +141,7 @@ class SimulatedSensor:
         return parts[0] if len(parts) == 1 else _join(parts)
 
     def lost_rows(self, start: int, stop: int) -> Integers:
-        """Return the numbers of the rows in start ... stop - 1 that never arrive."""
+        """Return the numbers of the rows in start ... stop - 1 that do not arrive."""
         lost = [
             chunk * CHUNK + np.flatnonzero(~self._chunk(chunk, True).kept)
             for chunk in range(start // CHUNK, -(-stop // CHUNK))
@@ -165,7 +167,7 @@ class SimulatedSensor:
         )
 
     def _places(self) -> Iterator[Place]:
-        """Yield a place for each effect: the second of a kind draws apart from the first."""
+        """Yield a place for each effect; several effects of one kind have different random streams."""
         counts: Counter[str] = Counter()
         for effect in self.effects:
             counts[effect.name] += 1
@@ -176,11 +178,13 @@ class SimulatedSensor:
         return math.ceil(self.timeline.rows_per_s / rate_hz) + 1 if 0 < rate_hz < self.timeline.rows_per_s else 0
 
     def _evaluated(self, number: int, swapped: bool) -> Chunk:
-        """One chunk."""
+        """Return one chunk."""
         return self._evaluate(number * CHUNK, min((number + 1) * CHUNK, self.rows), swapped)
 
     def _evaluate(self, begin: int, end: int, swapped: bool) -> Chunk:
-        """Rows begin ... end - 1, with (or, for a neighbour's sake, without) the sensor's own channel swap."""
+        """Compute rows begin ... end - 1, with the sensor's own channel swap, or without it if a neighbour requests
+        them.
+        """
         first = max(0, begin - self._lookback)
         acting = [(effect, at) for effect, at in self._acting if swapped or effect.name != "channel_swap"]
         instants, codes = self._chain(first, end, acting)
@@ -195,7 +199,7 @@ class SimulatedSensor:
         return Chunk(instants.stamp_ns[cut], instants.kept[cut], _cut(codes, begin, end), counts[cut], status[cut])
 
     def _reaching(self, effect_name: str, row: int) -> Codes:
-        """Return the codes of one row as they reach an effect of this sensor."""
+        """Return the codes of one row at the input of an effect of this sensor."""
         names = [effect.name for effect, _ in self._acting]
         first = max(0, row - self._lookback)
         _, codes = self._chain(first, row + 1, self._acting, until=names.index(effect_name))
@@ -204,7 +208,7 @@ class SimulatedSensor:
     def _chain(
         self, first: int, stop: int, acting: Sequence[tuple[Effect, Place]], until: int | None = None
     ) -> tuple[Instants, Codes]:
-        """Rows first ... stop - 1 through all stages; the last stage only up to effect number `until`."""
+        """Compute rows first ... stop - 1 through all stages; the last stage only up to effect number `until`."""
         stamps = self.timeline.stamps(first, stop)
         instants = Instants(first, stamps, stamps, np.ones(len(stamps), bool), self.header.rate_hz)
         for effect, at in acting:
@@ -222,10 +226,10 @@ class SimulatedSensor:
         return instants, codes
 
     def _sensed(self, first: int, instants: Instants, felt: Felt) -> Analog:
-        """Return the true quantity along the sensor's axes, nothing else yet."""
+        """Return the true quantity along the sensor's axes, before any effect."""
         header, dtype = self.header, self._place.dtype
         vector_box: Reals = getattr(felt, _COLUMN[header.quantity])
-        unit = 1.0 if header.quantity == "magnetic_field" else 1 / SI_PER_UNIT[header.unit]  # a field comes in gauss
+        unit = 1.0 if header.quantity == "magnetic_field" else 1 / SI_PER_UNIT[header.unit]  # a field is in gauss
         value = _turn_to_sensor(vector_box, self._orientation * unit * header.adjustment, dtype)
         return Analog(
             first,
@@ -255,21 +259,21 @@ class SimulatedSensor:
         return held(codes, analog.rate_hz, phase) if is_asked_twice or is_slow else codes
 
     def _status(self, counts: Counts, fresh: Booleans) -> npt.NDArray[np.uint16]:
-        """Flags as the logger would set them: stale, saturated."""
+        """Return the flags that the logger would set: stale, saturated."""
         span = self._span
         if self.header.chip in NO_READY_BIT:
             fresh = np.concatenate([[True], (counts[1:] != counts[:-1]).any(axis=1)])
         status = np.zeros(len(counts), np.uint16)
         if not fresh.all():
             status[~fresh] |= STALE
-        if counts.min() <= span.lowest or counts.max() >= span.highest:  # row by row only where there is a need
+        if counts.min() <= span.lowest or counts.max() >= span.highest:  # per row only if necessary
             status[((counts <= span.lowest) | (counts >= span.highest)).any(axis=1)] |= SATURATED
         return status
 
 
 class SimulatedBarometer:
-    """A barometer: the data sheet's example part with the data sheet's noise, no effects; a BMP180 where the chip is
-    none of `imuarray.barometer`.
+    """A barometer without effects: the data sheet's example part with the data sheet's noise. A chip that
+    `imuarray.barometer` does not have is simulated as a BMP180.
     """
 
     def __init__(self, header: SensorHeader, timeline: Timeline, motion: Motion, streams: Streams) -> None:
@@ -282,7 +286,7 @@ class SimulatedBarometer:
         self._noise = streams.of_boot(header.name, "pressure noise", width=1)
 
     def block(self, start: int, stop: int) -> Block:
-        """Rows start ... stop - 1."""
+        """Return rows start ... stop - 1."""
         stamps = self.timeline.stamps(start, stop)
         felt = self._motion.felt(stamps)
         chip = self._barometer
@@ -295,12 +299,12 @@ class SimulatedBarometer:
         return Block(stamps, counts, status, None, {"temperature": temperature, "pressure": pressure})
 
     def lost_rows(self, start: int, stop: int) -> Integers:
-        """None."""
+        """Return no rows: a barometer loses none."""
         return np.zeros(0, np.int64)
 
 
 def _turn_to_sensor(vector_box: Reals, orientation: Reals, dtype: npt.DTypeLike) -> Reals:
-    """Return (n, 3) `vector_box` along the sensor's axes; one row is enough where it never changes."""
+    """Return `vector_box` (n, 3) along the sensor's axes; a constant vector may be one row."""
     if vector_box.strides[0] == 0:
         x, y, z = (vector_box[0] @ orientation).tolist()
         return per_row((x, y, z), np.broadcast_to(np.zeros((), dtype), vector_box.shape))
@@ -308,7 +312,7 @@ def _turn_to_sensor(vector_box: Reals, orientation: Reals, dtype: npt.DTypeLike)
 
 
 def _cut(codes: Codes, first: int, stop: int) -> Codes:
-    """Return the rows of `codes` that lie in first ... stop - 1."""
+    """Return the rows first ... stop - 1 of `codes`."""
     begin = max(first, codes.first)
     rows = slice(begin - codes.first, stop - codes.first)
     temperature = codes.temperature_counts

@@ -31,9 +31,9 @@ __all__ = ["Analog", "Codes", "Felt", "Instants", "Motion", "Place", "Triple", "
 
 @dataclass(frozen=True)
 class Instants:
-    """The instants at which rows are read: `stamp_ns` (n,) is what the log will say, `instant_ns` (n,) when the chip
-    was really asked; rows that are not `kept` (n,) never arrive. The chip answers with the latest of `rate_hz` readings
-    a second; at the log's epoch so much of a period as `phase` says has passed since one of them.
+    """The instants at which rows are read: `stamp_ns` (n,) is the stamp in the log, `instant_ns` (n,) the actual time
+    of the reading; rows that are not `kept` (n,) do not arrive. The chip delivers the latest of `rate_hz` readings a
+    second; one of them was made `phase` periods before the log's epoch.
     """
 
     first: int
@@ -72,14 +72,14 @@ class Analog:
 
     @property
     def is_silent(self) -> bool:
-        """Return whether nothing has made noise yet: `noise` is one zero, seen (n, 3) times."""
+        """Return whether there is no noise yet: `noise` is a single zero, broadcast to (n, 3)."""
         return self.noise.strides == (0, 0)
 
 
 @dataclass(frozen=True)
 class Codes:
     """The codes that the bus delivers: `counts` (n, 3) integers, `temperature_counts` (n,) or None, `fresh` (n,): False
-    where the chip had nothing newer than the row before.
+    if the chip had no newer reading than in the previous row.
     """
 
     first: int
@@ -93,11 +93,11 @@ class Codes:
 class Place:
     """The place where an effect acts: the sensor, the motion, the random streams.
 
-    `rows_per_s` is the nominal rate of the rows, `neighbour(name, first, stop)` the codes of another sensor of the
-    array (KeyError if there is none), `reaching(effect, row)` the codes of one row as they reach that effect of this
-    sensor, `stamps(first, stop)` the times in ns that the log says of rows; `dtype` is that of the analog arrays.
-    `waits(first, stop)` tells, where rows are read as in a log that does, half of what the host waited before each, in
-    ns, and which it missed (None: nothing is known of that).
+    `rows_per_s` is the nominal rate of the rows. `neighbour(name, first, stop)` returns the codes of another sensor of
+    the array (KeyError if there is none), `reaching(effect, row)` the codes of one row at the input of that effect of
+    this sensor, and `stamps(first, stop)` the stamps of rows in ns. `dtype` is that of the analog arrays. `waits(first,
+    stop)` returns half of the host's wait before each row in ns, and whether the host missed a reading there, if rows
+    are read at the times of a log that shows this; otherwise None.
     """
 
     sensor: SensorHeader
@@ -110,21 +110,25 @@ class Place:
     dtype: npt.DTypeLike = np.float64
     waits: Callable[[int, int], tuple[Integers, Booleans]] | None = None
     copy: int = 1
-    """The index among several effects of one kind: each has its own random streams."""
+    """The index among several effects of one kind, each of which has its own random streams."""
     _kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def kept(self, key: Hashable, make: Callable[[], Kept]) -> Kept:
-        """Return the result of `make`, evaluated once; `key` says all that it depends on besides this place."""
+        """Return the result of `make`, which is evaluated once; `key` contains everything that it depends on besides
+        this place.
+        """
         kept: Kept = self._kept[key] if key in self._kept else self._kept.setdefault(key, make())
         return kept
 
     def row_at(self, at_ns: float, stop: int) -> int:
-        """Return the first of the rows before `stop` that is stamped then or later; `stop` if none is."""
+        """Return the first of the rows before `stop` whose stamp is not earlier than this time; `stop` if there is
+        none.
+        """
         return bisect_left(range(stop), at_ns, key=lambda row: int(self.stamps(row, row + 1)[0]))
 
     def rows_in(self, first: int, stop: int, stretches_ns: Iterable[tuple[float, float]]) -> Iterator[tuple[int, int]]:
-        """Yield, for each stretch (from, until) that reaches into rows first ... stop - 1: its first row, and the one
-        behind it, or `stop` if that comes first.
+        """Yield, for each stretch (from, until) that overlaps rows first ... stop - 1, its first row and the row after
+        its last one, at most `stop`.
         """
         first_ns, last_ns = (int(self.stamps(row, row + 1)[0]) for row in (first, stop - 1))
         for due_ns, over_ns in stretches_ns:
@@ -141,10 +145,10 @@ class Place:
         chunk_rows: int = CHUNK,
         scale: Triple | None = None,
     ) -> Stream:
-        """Return the effect's stream for this sensor in this run, or one for all sensors that name the same
+        """Return the effect's stream for this sensor in this run, or one stream for all sensors that name the same
         `shared_by`.
 
-        `chunk_rows`: how many are drawn at a time, fewer where few are required; `scale`: standard deviations.
+        `chunk_rows` are drawn at a time, fewer if few are required; `scale` are the standard deviations.
         """
         name = (f"all {shared_by}" if shared_by else self.sensor.name, self._numbered(effect), purpose)
         return self.kept(
@@ -168,8 +172,8 @@ def _tile(values: Triple, count: int, dtype: str) -> Reals:
 
 
 def per_row(values: Triple, like: Reals) -> Reals:
-    """`values` in every row of an array shaped and typed as `like` (n, 3); read-only.
+    """Return `values` repeated in every row of an array with the shape and type of `like` (n, 3); read-only.
 
-    Ten times faster to multiply and add than a broadcast over an inner axis of three.
+    Multiplying and adding it is ten times faster than a broadcast over an inner axis of three.
     """
     return _tile(values, len(like), like.dtype.str)

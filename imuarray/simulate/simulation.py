@@ -31,10 +31,10 @@ from imuarray.spelling import guess
 
 EVERY_FLAG = 0xFFFF
 IMPORTED_FLAGS = SATURATED
-"""Flags of a log that was imported (`imuarray.importers`): counts alone don't say whether a reading is new."""
+"""Flags of an imported log (`imuarray.importers`), whose counts alone do not show whether a reading is new."""
 
 _FRAMES_LIKE_HZ = 50.0
-"""How often `/truth` is written for a log that is simulated after a recorded one."""
+"""Rate in Hz of `/truth` in a log that is simulated like a recorded one."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class Plan:
 
     sensors: Mapping[str, tuple[SensorHeader, Timeline]]
     frames: PollTimes
-    """When each frame begins: the times of `/truth`."""
+    """The times at which frames begin, which are those of `/truth`."""
     config: str = ""
     frame_rate_hz: float = 0.0
-    """Requested rate of frames; 0: unknown."""
+    """The requested rate of frames; 0 if unknown."""
     flags: int = EVERY_FLAG
     """Flags that the recorder sets; an imported table has `IMPORTED_FLAGS` only."""
 
@@ -62,12 +62,12 @@ def plan_of(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Plan:
 
 
 def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
-    """Return the plan of a recorded log: its sensors (or `only` these), read at the very times at which they were read.
+    """Return the plan of a recorded log: its sensors (or `only` these), read at the recorded times.
 
     LogError for a sensor that the log does not have.
     """
     chosen = {name: log[name] for name in only or log.sensors}
-    chosen = {name: sensor for name, sensor in chosen.items() if sensor.quantity != "temperature"}  # no chip is known
+    chosen = {name: sensor for name, sensor in chosen.items() if sensor.quantity != "temperature"}  # no chip is stated
     configured = parse_array(log.config).sensors if log.config else ()
     configs = {sensor.name: sensor for sensor in configured if not sensor.on_iio}  # the kernel sets range and scale
     sensors = {
@@ -96,8 +96,8 @@ class Simulation:
         boot: int = 0,
         dtype: npt.DTypeLike = np.float64,
     ) -> None:
-        """`effects` by sensor, in any order; a sensor that it leaves out is ideal. `boot` numbers the run: another one
-        is the same units switched on again.
+        """Simulate a run. `effects` are by sensor, in any order; a sensor without an entry is ideal. `boot` is the
+        number of the run: another boot is the same units switched on again.
         """
         self.plan = plan
         self.motion = motion
@@ -123,12 +123,14 @@ class Simulation:
         seed: int = 0,
         boot: int = 0,
     ) -> Simulation:
-        """Return the simulation of an array that is polled during the whole motion, its units as `model` has them."""
+        """Return the simulation of an array that is polled during the whole motion, with its units as `model` defines
+        them.
+        """
         plan = plan_of(array, frame_rate_hz, motion.seconds)
         return cls(plan, motion, effects_of(plan, model, seed), seed=seed, boot=boot)
 
     def truth(self, start: int, stop: int) -> Stimulus:
-        """Rows of `/truth`: what the box feels when frames start ... stop - 1 begin."""
+        """Return rows of `/truth`: the stimulus at the beginning of frames start ... stop - 1."""
         felt = self.motion.felt(self.plan.frames.stamps(start, stop))
         return Stimulus(
             felt.time_ns,
@@ -147,9 +149,10 @@ class Simulation:
 def effects_of(
     plan: Plan, model: Model, seed: int, *, population: bool = False, without: Collection[str] = ()
 ) -> dict[str, tuple[Effect, ...]]:
-    """Return the effects of every sensor of a plan: its unit's as `model` has it, and what follows from where it sits.
+    """Return the effects of every sensor of a plan: those that `model` defines for its unit, and those that follow from
+    its position.
 
-    ConfigError for an effect in `without` that there is not.
+    ConfigError for an unknown effect in `without`.
     """
     if unknown := sorted(set(without) - set(EFFECTS)):
         raise ConfigError(f"effect {unknown[0]!r}: allowed are {', '.join(EFFECTS)}{guess(unknown[0], EFFECTS)}")
@@ -166,8 +169,8 @@ def effects_of(
 
 
 def place_of(header: SensorHeader, effects: Sequence[Effect], plan: Plan) -> SensorHeader:
-    """Return where a sensor with these effects sits, and how it lies: as its header says, or as that of another one in
-    whose place it is. ValueError if there is no such sensor.
+    """Return the position and orientation of a sensor with these effects: those of its header, or of another sensor
+    whose place it has. ValueError if there is no such sensor.
     """
     for effect in effects:
         if isinstance(effect, ChannelSwap) and effect.kind == "place" and effect.sensor:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from imuarray.arrays import Reals
 
 CHUNK = 1 << 14
-"""Rows per chunk: two float64 triads of it fit a second-level cache."""
+"""Rows per chunk: two float64 triads of this length fit into a second-level cache."""
 
 _KEPT = 3
 _LEAST = 128
@@ -53,7 +53,7 @@ class Stream:
         return self._rows(self._uniform_chunk, start, stop)
 
     def generator(self, chunk: int = 0) -> np.random.Generator:
-        """Return a generator of its own for each `chunk`: for draws whose number isn't known beforehand."""
+        """Return an independent generator for each `chunk`, for an unknown number of draws."""
         return np.random.Generator(np.random.SFC64(np.random.SeedSequence((*self._entropy, chunk))))
 
     @cached_property
@@ -67,7 +67,7 @@ class Stream:
     def _draw_normal(self, chunk: int, count: int) -> Reals:
         rows: Reals = self.generator(chunk).standard_normal((count, self._width), dtype=self._dtype)
         if self._scale is not None:
-            wide = math.gcd(count, 128)  # as few long rows: four times faster than many of three
+            wide = math.gcd(count, 128)  # few long rows: four times faster than many rows of three
             longer = rows.reshape(-1, wide * self._width)
             longer *= np.tile(np.asarray(self._scale, self._dtype), wide)
         rows.flags.writeable = False
@@ -82,7 +82,7 @@ class Stream:
         size = self._chunk_rows
         first, last = start // size, max(stop - 1, start) // size
         reached = max(stop - last * size, _LEAST)
-        count = min(size, 1 << (reached - 1).bit_length())  # more are drawn only when they are asked for
+        count = min(size, 1 << (reached - 1).bit_length())  # further numbers are drawn only on request
         if first == last:
             rows: Reals = chunk_of(first, count)[start - first * size : stop - first * size]
             return rows
@@ -92,8 +92,8 @@ class Stream:
 
 
 class Streams:
-    """All streams of one simulation: `seed` keys the units and everything else, `boot` what happens anew in each
-    run.
+    """All streams of one simulation: `seed` is the key of the units and of everything else, `boot` that of everything
+    that differs from run to run.
     """
 
     def __init__(self, seed: int, boot: int = 0) -> None:
@@ -110,15 +110,17 @@ class Streams:
         chunk_rows: int = CHUNK,
         scale: Sequence[float] | None = None,
     ) -> Stream:
-        """Return a stream that differs from run to run; `chunk_rows` are drawn at a time, and belong to what it is."""
+        """Return a stream that differs from run to run; `chunk_rows` are drawn at a time and are part of its
+        identity.
+        """
         return Stream((self.seed, 1 + self.boot, *_words(name)), width, dtype, chunk_rows, scale)
 
     def of_unit(self, *name: str) -> np.random.Generator:
-        """Return a generator for what belongs to a unit and stays the same in all its runs."""
+        """Return a generator for properties of a unit that are the same in all runs."""
         return Stream((self.seed, 0, *_words(name)), 1, np.float64).generator()
 
 
 def _words(name: tuple[str, ...]) -> tuple[int, ...]:
-    """128 bits that no other name has, as four words."""
+    """Return 128 bits as four words, unique to this name."""
     digest = hashlib.blake2b("\0".join(name).encode(), digest_size=16).digest()
     return tuple(int.from_bytes(digest[at : at + 4], "little") for at in range(0, 16, 4))

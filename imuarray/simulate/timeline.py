@@ -30,35 +30,39 @@ from imuarray.log.missed_frames import frames_in
 _CLOCK_NS = 2500
 _SWITCH_CLOCKS = 19
 _BURST_CLOCKS = {chip: 9 * (spec.burst_bytes + 3) if spec.burst_bytes else 0 for chip, spec in CHIPS.items()}
-"""SCL clocks of one burst as the drivers read it: nine a byte, two addresses and a register before it (BUS-01)."""
+"""SCL clocks of a burst as the drivers read it: nine per byte, after two addresses and a register (BUS-01)."""
 
 _SOON = 1.1
-"""A slow chip is left out of a frame if the next one, with a margin for the way there and back, is soon enough."""
+"""Margin for the different ways there and back: a slow chip is left out of a frame if the next one is soon enough with
+this margin.
+"""
 _SINGLE = 1024
 _PIECE, _PIECES = 16384, 16
-"""Rows of a recorded sensor whose stamps are read at once, and so many times as many that are kept: 2 MB."""
+"""Rows of a recorded sensor whose stamps are read at once, and the number of such pieces that are kept: 2 MB."""
 
 _HOLE = 1.5
-"""Times the usual interval: a shorter one has no room for another row."""
+"""Ratio to the usual interval below which an interval has no room for another row."""
 
 _TYPICAL = 1024
-"""A block of fewer intervals doesn't change what is usual."""
+"""Number of intervals below which a block does not change the usual interval."""
 
 _LEAST_REGULAR, _REGULAR = 200, 0.9
-"""Intervals, and the share of them within `_OFF_GRID` of the usual one, from which on a record is regular."""
+"""Number of intervals, and the share of them within `_OFF_GRID` of the usual one, from which a record counts as
+regular.
+"""
 
 _OFF_GRID = 0.2
-"""Largest distance of an interval from a whole number of usual ones, in usual ones, where rows are missing."""
+"""Largest deviation of an interval from a whole number of usual intervals, in usual intervals, if rows are missing."""
 
 _LONGEST_SKIP = 20.5
-"""Usual intervals: of a longer gap without a flag it can't be said that it fits the period."""
+"""Length of a gap in usual intervals above which it is undecided whether an unflagged gap fits the period."""
 
 _AROUND = 2
-"""Intervals on either side in which a late row is made up for."""
+"""Number of intervals on either side that may compensate for a late row."""
 
 _LEAST_BEAT, _EVEN = 3, 0.5
-"""Distances between gaps, and their coefficient of variation, below which gaps are evenly spaced; 1 if they are
-independent.
+"""Minimum number of distances between gaps, and their coefficient of variation, below which gaps are evenly spaced; the
+coefficient is 1 for independent gaps.
 """
 
 
@@ -71,7 +75,7 @@ class Timeline(Protocol):
 
     @property
     def rows_per_s(self) -> float:
-        """The nominal rate."""
+        """The nominal rate in rows per second."""
 
     def stamps(self, start: int, stop: int) -> Integers:
         """Return (stop - start,) int64 ns since the epoch, strictly increasing."""
@@ -79,8 +83,8 @@ class Timeline(Protocol):
 
 @dataclass(frozen=True)
 class PollTimes:
-    """A row every `every` frames of `period_ns`, from frame `first` on; so long after the start of an even or odd
-    frame.
+    """A row every `every` frames of `period_ns`, from frame `first` on, with fixed delays after the start of even and
+    of odd frames.
     """
 
     rows: int
@@ -96,7 +100,7 @@ class PollTimes:
         return 1e9 / (self.period_ns * self.every)
 
     def stamps(self, start: int, stop: int) -> Integers:
-        """Return the frame's start and the way to this sensor in it."""
+        """Return the start of each frame plus the delay of this sensor in it."""
         frames = np.arange(self.first + self.every * start, self.first + self.every * stop, self.every, dtype=np.int64)
         stamps = frames * self.period_ns + self.forth_ns
         if self.back_ns != self.forth_ns:
@@ -112,12 +116,12 @@ class QueueTiming:
     rows_per_s: float
 
     def stamps(self, start: int, stop: int) -> Integers:
-        """Return the times by the data rate."""
+        """Return the times at the data rate."""
         return np.asarray(np.rint(np.arange(start, stop) * (1e9 / self.rows_per_s)), np.int64)
 
 
 class LogTimes:
-    """The rows of a recorded sensor, at the times that its log gives; pickled as `SensorLog` is."""
+    """The rows of a recorded sensor at the times of its log; it is pickled like a `SensorLog`."""
 
     def __init__(self, sensor: SensorLog) -> None:
         self._sensor = sensor
@@ -144,7 +148,7 @@ class LogTimes:
 
     @cached_property
     def _piece(self) -> Callable[[int], Integers]:
-        """(p,) the stamps of one piece: replicates of a log read them again and again."""
+        """Return the stamps (p,) of one piece; they are cached, because replicates of a log read them repeatedly."""
         return lru_cache(maxsize=_PIECES)(self._read)
 
     def _read(self, number: int) -> Integers:
@@ -154,14 +158,16 @@ class LogTimes:
 
     @cached_property
     def _single_stamp(self) -> Callable[[int], Integers]:
-        """(1,) the stamp of a single row: those at the ends of phases are looked for again and again."""
+        """Return the cached stamp (1,) of a single row, because those at the ends of phases are requested
+        repeatedly.
+        """
         return lru_cache(maxsize=_SINGLE)(lambda row: np.asarray(self._time[row : row + 1], np.int64))
 
 
 @dataclass(frozen=True, eq=False)
 class GapFilledTimes:
-    """The rows of a recorded sensor and those that it lost: `missing` (h,) of them, evenly spaced, lie before its rows
-    `before` (h,), ascending, none of them the first one.
+    """The rows of a recorded sensor including those that it lost: `missing` (h,) rows, evenly spaced, precede its rows
+    `before` (h,), which ascend and do not include the first one.
     """
 
     recorded: Timeline
@@ -170,7 +176,7 @@ class GapFilledTimes:
 
     @property
     def rows(self) -> int:
-        """The recorded and the lost rows."""
+        """The number of recorded and lost rows."""
         return self.recorded.rows + int(self.missing.sum())
 
     @property
@@ -179,7 +185,7 @@ class GapFilledTimes:
         return self.recorded.rows_per_s * (self.rows - 1) / (self.recorded.rows - 1)
 
     def stamps(self, start: int, stop: int) -> Integers:
-        """Return the times in the log, and those of the lost rows between them."""
+        """Return the times in the log, including those of the lost rows."""
         if stop <= start:
             return np.zeros(0, np.int64)
         behind = bisect_right(self._ends, start)  # holes
@@ -197,21 +203,21 @@ class GapFilledTimes:
     def _stamps_of_rows(self, rows: Integers) -> Integers:
         """Return the stamps of rows (n,) in order."""
         ends, missing = np.array(self._ends), self.missing
-        hole = np.searchsorted(ends - missing, rows, side="right") - 1  # the last that begins here or before
+        hole = np.searchsorted(ends - missing, rows, side="right") - 1  # the last hole that begins at or before the row
         inside = np.flatnonzero((hole >= 0) & (rows < ends[hole]))
-        last = rows - np.concatenate([ends - self.before, [0]])[hole]  # the recorded row here or before
+        last = rows - np.concatenate([ends - self.before, [0]])[hole]  # the recorded row at or before it
         last[inside] = self.before[hole[inside]] - 1
         times = self.recorded.stamps(int(last[0]), min(int(last[-1]) + 2, self.recorded.rows))
         stamps = times[last - last[0]]
         parts = missing[hole[inside]] + 1
         step = rows[inside] - ends[hole[inside]] + parts
         whole, rest = np.divmod(times[last[inside] - last[0] + 1] - stamps[inside], parts)
-        stamps[inside] += step * whole + step * rest // parts  # no product is beyond 64 bits
+        stamps[inside] += step * whole + step * rest // parts  # no product exceeds 64 bits
         return np.asarray(stamps)
 
     @cached_property
     def _ends(self) -> list[int]:
-        """(h,) the number that the recorded row after each hole has here."""
+        """The number (h,), counting lost rows, of the recorded row after each hole."""
         ends: list[int] = (self.before + np.cumsum(self.missing)).tolist()
         return ends
 
@@ -235,7 +241,9 @@ def filled(sensor: SensorLog) -> LogTimes | GapFilledTimes:
 
 
 def _holes(sensor: SensorLog) -> Iterator[tuple[Integers, Integers, Booleans]]:
-    """Rows before which others are missing, how many, and whether they have the flag, of each block that has such."""
+    """Yield, for each block with holes: the rows before which others are missing, how many, and whether they are
+    flagged.
+    """
     usual_ns, is_regular = 0.0, False
     for block in sensor.blocks():
         first = max(block.start - _AROUND - 1, 0)
@@ -249,7 +257,7 @@ def _holes(sensor: SensorLog) -> Iterator[tuple[Integers, Integers, Booleans]]:
         if usual_ns <= 0:
             continue
         periods = intervals / usual_ns
-        if len(periods) >= _LEAST_REGULAR:  # a shorter block at the end is as regular as the one before
+        if len(periods) >= _LEAST_REGULAR:  # a shorter block at the end is as regular as the previous one
             is_regular = bool(np.mean(np.abs(periods - 1) <= _OFF_GRID) >= _REGULAR)
         are_holes = np.where(lost, periods >= _HOLE, is_regular & _are_skips(periods))
         holes = np.flatnonzero(are_holes[own]) + own.start
@@ -258,8 +266,8 @@ def _holes(sensor: SensorLog) -> Iterator[tuple[Integers, Integers, Booleans]]:
 
 
 def _are_skips(periods: Floats) -> Booleans:
-    """True for intervals (n,) of a regular record, in usual ones, that lack rows: near a whole number of periods, and
-    without a shorter one nearby, which would follow a row that is only late.
+    """Return True for intervals (n,) of a regular record, in usual intervals, in which rows are missing: they are close
+    to a whole number of periods, and no shorter interval is nearby, which would follow a row that is only late.
     """
     near = sliding_window_view(np.pad(periods, _AROUND, constant_values=1.0), 2 * _AROUND + 1).min(axis=1)
     fits = np.abs(periods - np.rint(periods)) <= _OFF_GRID
@@ -267,7 +275,7 @@ def _are_skips(periods: Floats) -> Booleans:
 
 
 def _is_beat(rows: Integers) -> bool:
-    """True if gaps before these rows (h,) lie at even distances."""
+    """Return True if the gaps before these rows (h,) are evenly spaced."""
     distances = np.diff(rows)
     return len(distances) >= _LEAST_BEAT and float(np.std(distances)) < _EVEN * float(np.mean(distances))
 
@@ -297,15 +305,15 @@ def poll(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Mapping[st
 
 def _visits(sensor: SensorConfig, frame_rate_hz: float) -> tuple[int, int]:
     """Return the number of frames between two rows, and the frame of the first row."""
-    if sensor.spec.on_demand:  # each conversion is asked for in the first frame after the one before
+    if sensor.spec.on_demand:  # each conversion is requested in the first frame after the previous one
         first = sum(max(1, math.ceil(frame_rate_hz * seconds)) for seconds in sensor.spec.conversions_s)
         return max(1, math.ceil(frame_rate_hz / sensor.chip_rate_hz)), first
     return max(1, math.ceil(frame_rate_hz / sensor.chip_rate_hz - _SOON)), 0
 
 
 def _offsets_ns(array: ArrayConfig) -> tuple[dict[str, int], dict[str, int], int]:
-    """Nanoseconds from the start of a frame to each sensor's burst, on the way there and on the way back, and to its
-    end.
+    """Return the delays in ns from the start of a frame to each sensor's burst, in the forward and in the reverse
+    order, and the duration of a frame.
     """
     segments: dict[int | str | None, list[SensorConfig]] = {}
     for sensor in array.sensors:
@@ -316,7 +324,7 @@ def _offsets_ns(array: ArrayConfig) -> tuple[dict[str, int], dict[str, int], int
 
 
 def _burst_offsets(segments: list[list[SensorConfig]]) -> tuple[dict[str, int], int]:
-    """Nanoseconds to each sensor's burst, and to the end of the last one."""
+    """Return the delays in ns to each sensor's burst, and the end of the last one."""
     offsets: dict[str, int] = {}
     passed_ns = 0
     for index, segment in enumerate(segments):
@@ -329,7 +337,7 @@ def _burst_offsets(segments: list[list[SensorConfig]]) -> tuple[dict[str, int], 
 
 
 def _burst_ns(sensor: SensorConfig) -> int:
-    """Duration of one burst: on SPI eight clocks for the register and for each byte."""
+    """Return the duration of a burst in ns: on SPI eight clocks for the register and for each byte."""
     if sensor.on_spi:
         return round(8e9 * (CHIPS[sensor.chip].burst_bytes + 1) / sensor.spi_rules.clock_hz)
     return _BURST_CLOCKS[sensor.chip] * _CLOCK_NS

@@ -50,7 +50,7 @@ EFFECTS: Mapping[str, type[Effect]] = MappingProxyType(
         "skew": Skew,
         "jitter": Jitter,
         "dropped_samples": DroppedSamples,
-        # what is felt where the sensor sits
+        # the stimulus at the place of the sensor
         "size_effect": SizeEffect,
         "thermal_lag": ThermalLag,
         # the element's signal
@@ -89,7 +89,7 @@ EFFECTS: Mapping[str, type[Effect]] = MappingProxyType(
 
 
 def meaning(name: str) -> str:
-    """Return what the effect `name` does, in a few words: the first line of its module. "" for an unknown name."""
+    """Return a short description of the effect `name`: the first line of its module, or "" for an unknown name."""
     kind = EFFECTS.get(name)
     docstring = (sys.modules[kind.__module__].__doc__ or "") if kind else ""
     return docstring.splitlines()[0].partition(": ")[2].rstrip(".") if docstring else ""

@@ -13,7 +13,7 @@ from imuarray.simulate.effect import Effect, scalar
 from imuarray.simulate.signal import Codes, Counts, Place
 
 LONGEST = 256
-"""Most rows that show one reading, however often the threshold is passed meanwhile."""
+"""Limit of consecutive rows that show one reading, however often the threshold is crossed."""
 
 _DENSE = 1.5
 """Interval of rows, in periods of the chip's readings, below which rows show every reading."""
@@ -35,7 +35,9 @@ class AdaptiveRange(Effect):
     hold_s: float = scalar(0.0, low=0.0, high=1.0)
 
     def lookback(self, at: Place) -> int:
-        """Return the longest run of held rows, what may begin it, and the row before it."""
+        """Return the largest number of rows that affect a stretch: a run of held rows, the crossing before it, and one
+        row more.
+        """
         if not self._acts:
             return 0
         return LONGEST + math.ceil(self.hold_s * at.rows_per_s) + 2
@@ -45,7 +47,7 @@ class AdaptiveRange(Effect):
         return math.isfinite(self.threshold) and self.hold_s > 0
 
     def codes(self, codes: Codes, at: Place) -> Codes:
-        """Put the reading before a passage in the place of those that it outlasts."""
+        """Replace the readings within each hold by the reading before the crossing."""
         if not self._acts or len(codes.counts) < 2:
             return codes
         inside = np.abs(codes.counts) < self.threshold * at.sensor.sensitivity
@@ -65,7 +67,9 @@ class AdaptiveRange(Effect):
         return replace(codes, counts=np.where(is_held[:, None], shown[run], codes.counts))
 
     def _noticed_ns(self, codes: Codes, passed: Indices, period_ns: float, sensitivity: float) -> Floats:
-        """Return the time at which the chip notices each passage: its first reading after it, in a row of `passed`."""
+        """Return the time at which the chip detects each crossing: its first reading after the crossing, in a row of
+        `passed`.
+        """
         before, after = (np.abs(codes.counts[rows]).astype(float) for rows in (passed - 1, passed))
         limit = self.threshold * sensitivity
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -76,15 +80,15 @@ class AdaptiveRange(Effect):
 
 
 def _held(codes: Codes, passed: Indices, noticed_ns: Floats, hold_ns: float) -> Booleans:
-    """Return (n,) whether a row falls within the hold of the latest passage before it."""
+    """Return (n,) whether a row falls within the hold of the latest crossing before it."""
     latest = np.searchsorted(passed, np.arange(len(codes.counts)), side="right") - 1
     since_ns = codes.instant_ns - noticed_ns[latest]
     return np.asarray((latest >= 0) & (since_ns < hold_ns))
 
 
 def _shown_at(codes: Codes, starts: Indices, at_ns: Floats, period_ns: float) -> Counts:
-    """Return the readings (m, 3) that are kept from rows `starts` on: those of the rows before where rows hold every
-    reading, between the two rows, as of `at_ns`, where they do not.
+    """Return the readings (m, 3) that are held from rows `starts` on. If every reading has a row, these are the
+    previous rows; otherwise they are interpolated between the two rows at `at_ns`.
     """
     begin_ns, end_ns = (codes.instant_ns[rows].astype(float) for rows in (starts - 1, starts))
     share = np.clip((at_ns - begin_ns) / np.maximum(end_ns - begin_ns, 1), 0, 1)

@@ -30,18 +30,18 @@ class AxisError(Effect):
     axes: str = field(default=_NOMINAL)
 
     def __post_init__(self) -> None:
-        """ValueError unless X, Y and Z come once each, with a sign."""
+        """Raise ValueError unless X, Y and Z occur once each, with a sign."""
         super().__post_init__()
         match = _AXES.fullmatch(self.axes)
         if match is None or len(set(match.groups()[1::2])) < 3:
             raise ValueError(f"axes: {self.axes!r}; each of X, Y, Z once, signed, such as '+Y+X-Z'")
 
     def active_axes(self) -> tuple[bool, ...]:
-        """Return (3,) which axes are not the nominal ones."""
+        """Return (3,) which axes differ from the nominal ones."""
         return tuple(self.axes[at : at + 2] != _NOMINAL[at : at + 2] for at in (0, 2, 4))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Exchanges axes and signs of the signal and of the specific force."""
+        """Exchange axes and signs of the signal and of the specific force."""
         if self.axes == _NOMINAL:
             return analog
         return replace(analog, value=self._exchanged(analog.value), force_g=self._exchanged(analog.force_g))

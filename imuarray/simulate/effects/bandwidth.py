@@ -14,14 +14,14 @@ from imuarray.simulate.effect import Effect, scalar
 from imuarray.simulate.effects.own_clock import AT_ITS_RATE
 from imuarray.simulate.signal import Analog, Place
 
-_FINE = 1e-3  # time constants per row below which correlations of rows differ too little to be told apart
-_FORGOTTEN = 12 * math.log(10.0)  # time constants after which 1e-12 is left of the past
-_MEMORY = 8  # rows that noise behind a digital filter is predicted from
-_STEPS = 8  # of the quadrature for each cutoff and each radian
+_FINE = 1e-3  # time constants per row, below which correlations of rows are too similar to be distinguished
+_FORGOTTEN = 12 * math.log(10.0)  # time constants after which a share of 1e-12 of the past remains
+_MEMORY = 8  # number of rows from which noise after a digital filter is predicted
+_STEPS = 8  # steps of the quadrature for each cutoff and each radian
 
 
 SEVERAL_SAMPLES = 4
-"""Readings of the chip for each row from which on one more or less hardly changes the time between two rows."""
+"""Readings of the chip per row above which one reading more or less changes the time between rows only slightly."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Bandwidth(Effect):
     signal_only: float = scalar(0.0)
 
     def __post_init__(self) -> None:
-        """ValueError for other than 1 or 2 poles, and for another `signal_only` than 0 and 1."""
+        """Raise ValueError unless `poles` is 1 or 2 and `signal_only` is 0 or 1."""
         super().__post_init__()
         if self.poles not in (1.0, 2.0):
             raise ValueError(f"poles: {self.poles:g}; allowed are 1 and 2")
@@ -68,7 +68,7 @@ class Bandwidth(Effect):
             raise ValueError(f"signal_only: {self.signal_only:g}; allowed are 0 and 1")
 
     def lookback(self, at: Place) -> int:
-        """Rows until 1e-12 is left of what was before them."""
+        """Return the number of rows after which the influence of earlier rows has decayed to 1e-12."""
         rows = math.ceil(_FORGOTTEN / self.decay(at.rows_per_s))
         if math.isinf(self.sampled_hz):
             return rows
@@ -77,7 +77,9 @@ class Bandwidth(Effect):
         return max(rows, _memory(decay, self.poles, self.band))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Filter the noise, stationary from the first row on, and the signal as if it had been at rest before."""
+        """Filter the noise, which is stationary from the first row on, and the signal, which is taken as constant
+        before it.
+        """
         if math.isinf(self.cutoff_hz):
             return analog
         decay = self.decay(at.rows_per_s)
@@ -94,11 +96,11 @@ class Bandwidth(Effect):
         return replace(analog, value=value, noise=samples[np.cumsum(is_new) - 1])
 
     def _of_every_sample(self, analog: Analog, at: Place) -> Reals:
-        """Return the noise (n, 3) of rows between which the chip makes readings that nobody reads."""
+        """Return the noise (n, 3) of rows between which the chip makes further readings."""
         most = math.ceil(analog.rate_hz / at.rows_per_s)
         samples = np.rint(np.diff(analog.instant_ns) * 1e-9 * analog.rate_hz).astype(int)
         skipped = np.concatenate([[0], np.clip(samples - 1, 0, most)])
-        places = np.cumsum(skipped + 1) - 1  # of the rows among all samples
+        places = np.cumsum(skipped + 1) - 1  # indices of the rows among all samples
         is_read = np.zeros(places[-1] + 1, bool)
         is_read[places] = True
         stop = analog.first + len(analog.noise)
@@ -111,44 +113,48 @@ class Bandwidth(Effect):
         return np.ascontiguousarray(self._coloured(white, decay)[places])
 
     def _coloured(self, white: Reals, decay: float) -> Reals:
-        """Return the noise (n, 3) behind the filter, `decay` time constants from one row to the next."""
-        from scipy.signal import lfilter  # its weight is for those who filter anything
+        """Return the noise (n, 3) after the filter; consecutive rows are `decay` time constants apart."""
+        from scipy.signal import lfilter  # imported late because SciPy takes long to load
 
-        over, under = _noise_filter(decay, self.poles, self.band)
-        first = np.zeros((len(under) - 1, white.shape[1]))
-        first[0] = (1 - over[0]) * white[0]
-        noise, _ = lfilter(over, under, white.astype(float), axis=0, zi=first)
+        numerator, denominator = _noise_filter(decay, self.poles, self.band)
+        first = np.zeros((len(denominator) - 1, white.shape[1]))
+        first[0] = (1 - numerator[0]) * white[0]
+        noise, _ = lfilter(numerator, denominator, white.astype(float), axis=0, zi=first)
         return np.asarray(self.noise_share * noise, white.dtype)
 
     def _passed(self, value: Reals, decay: float) -> Reals:
-        """Return the signal (n, 3) after the filter, exactly so for straight lines between rows."""
+        """Return the signal (n, 3) after the filter, exactly for a signal that is linear between rows."""
         if not self.share:
             return value
-        from scipy.signal import lfilter, lfilter_zi  # its weight is for those who filter anything
+        from scipy.signal import lfilter, lfilter_zi  # imported late because SciPy takes long to load
 
         signal = value.astype(float)
-        over, under = _signal_filter(decay, self.poles)
-        late, _ = lfilter(over, under, signal, axis=0, zi=lfilter_zi(over, under)[:, None] * signal[:1])
+        numerator, denominator = _signal_filter(decay, self.poles)
+        late, _ = lfilter(
+            numerator, denominator, signal, axis=0, zi=lfilter_zi(numerator, denominator)[:, None] * signal[:1]
+        )
         return np.asarray(value + self.share * (late - signal), value.dtype)
 
     @property
     def band(self) -> float:
-        """The highest frequency of the noise that is filtered, over the cutoff."""
+        """Return the highest frequency of the noise that is filtered, divided by the cutoff."""
         return self.sampled_hz / 2 / self.cutoff_hz
 
     def decay(self, readings_per_s: float) -> float:
-        """Time constants from one reading to the next."""
+        """Return the number of time constants between consecutive readings."""
         return 2 * math.pi * self.cutoff_hz / readings_per_s / math.sqrt(self.poles)
 
 
 def two_pole_cutoff_hz(delay_s: float) -> float:
-    """Cutoff in Hz of a Butterworth filter of two poles that delays by `delay_s`; the delay in s for a cutoff in Hz."""
+    """Return the cutoff in Hz of a two-pole Butterworth filter with a delay of `delay_s`; or the delay in s for a
+    cutoff in Hz.
+    """
     return 1 / (math.sqrt(2) * math.pi * delay_s)
 
 
 def correlation(decay: float, poles: float, band: float = math.inf) -> float:
-    """Return the correlation of noise behind the filter, `decay` time constants later; of noise that ends at `band`
-    times the cutoff.
+    """Return the correlation of the filtered noise at a lag of `decay` time constants, for noise that is band-limited
+    at `band` times the cutoff.
     """
     if math.isfinite(band):
         return _band_limited(decay, poles, band)
@@ -169,7 +175,7 @@ def _band_limited(decay: float, poles: float, band: float) -> float:
 
 @lru_cache(maxsize=256)
 def _simpson_weights(steps: int) -> Reals:
-    """Weights (steps + 1,) of Simpson's rule, 1 4 2 4 ... 2 4 1, for an even number of steps; read-only."""
+    """Return the weights (steps + 1,) of Simpson's rule, 1 4 2 4 ... 2 4 1, for an even number of steps; read-only."""
     weights = np.tile([2.0, 4.0], steps // 2 + 1)[: steps + 1]
     weights[[0, -1]] = 1.0
     weights.flags.writeable = False
@@ -178,45 +184,45 @@ def _simpson_weights(steps: int) -> Reals:
 
 @lru_cache(maxsize=256)
 def _memory(decay: float, poles: float, band: float) -> int:
-    """Rows until a digital filter's noise forgets."""
+    """Return the number of rows that the noise of a digital filter depends on."""
     _, under = _noise_filter(decay, poles, band)
     return math.ceil(_FORGOTTEN / -math.log(np.abs(np.roots(under)).max()))
 
 
 @lru_cache(maxsize=256)
 def _noise_filter(decay: float, poles: float, band: float = math.inf) -> tuple[Reals, Reals]:
-    """Return (over, under) that make noise behind the filter, row by row, of white noise of the same rms: its poles are
-    those of the filter; with two there is a zero as well, which the first three correlations tell. Behind a digital
-    filter it is predicted from the rows before.
+    """Return (numerator, denominator) of a filter that turns white noise into noise after the chip's filter, of the
+    same rms, row by row. Its poles are those of the chip's filter; with two poles there is also a zero, which follows
+    from the first three correlations. For a digital filter the noise is predicted from the previous rows.
     """
     if math.isfinite(band):
         rows = np.array([correlation(decay * lag, poles, band) for lag in range(_MEMORY + 1)])
-        from scipy.linalg import solve_toeplitz  # its weight is for those who filter anything
+        from scipy.linalg import solve_toeplitz  # imported late because SciPy takes long to load
 
-        before = solve_toeplitz(rows[:-1], rows[1:])
-        return np.array([math.sqrt(max(1 - before @ rows[1:], _FINE))]), np.append(1.0, -before)
+        coefficients = solve_toeplitz(rows[:-1], rows[1:])
+        return np.array([math.sqrt(max(1 - coefficients @ rows[1:], _FINE))]), np.append(1.0, -coefficients)
     if poles == 1:
         phi = math.exp(-decay)
         return np.array([math.sqrt(-math.expm1(-2 * decay))]), np.array([1.0, -phi])
-    fade = math.exp(-decay)
-    under = np.array([1.0, -2 * fade * math.cos(decay), fade * fade])
+    decayed = math.exp(-decay)
+    denominator = np.array([1.0, -2 * decayed * math.cos(decay), decayed * decayed])
     fine = max(decay, _FINE)
     if fine > decay:
-        over, _ = _noise_filter(fine, poles)
-        return over * (decay / fine) ** 1.5, under
+        numerator, _ = _noise_filter(fine, poles)
+        return numerator * (decay / fine) ** 1.5, denominator
     rows = np.array([correlation(decay * lag, poles) for lag in range(4)])
-    apart = np.subtract.outer(np.arange(3), np.arange(3))
-    same, neighbour = (float(under @ rows[np.abs(apart + lag)] @ under) for lag in (0, 1))
+    lags = np.subtract.outer(np.arange(3), np.arange(3))
+    same, neighbour = (float(denominator @ rows[np.abs(lags + lag)] @ denominator) for lag in (0, 1))
     share = 2 * neighbour / same
-    zero = share / (1 + math.sqrt(max(1 - share * share, 0.0)))  # of the two that do, the one within the unit circle
-    return math.sqrt(same / (1 + zero * zero)) * np.array([1.0, zero]), under
+    zero = share / (1 + math.sqrt(max(1 - share * share, 0.0)))  # the zero within the unit circle
+    return math.sqrt(same / (1 + zero * zero)) * np.array([1.0, zero]), denominator
 
 
 @lru_cache(maxsize=256)
 def _signal_filter(decay: float, poles: float) -> tuple[Reals, Reals]:
-    """Return (over, under) of the filter itself, for a signal that is straight between rows."""
-    from scipy.signal import cont2discrete  # its weight is for those who filter anything
+    """Return (numerator, denominator) of the filter itself, for a signal that is linear between rows."""
+    from scipy.signal import cont2discrete  # imported late because SciPy takes long to load
 
-    over, under = ([decay], [1.0, decay]) if poles == 1 else ([2 * decay**2], [1.0, 2 * decay, 2 * decay**2])
-    discrete, under, _ = cont2discrete((over, under), 1.0, method="foh")
-    return np.asarray(discrete).ravel(), np.asarray(under)
+    numerator, denominator = ([decay], [1.0, decay]) if poles == 1 else ([2 * decay**2], [1.0, 2 * decay, 2 * decay**2])
+    discrete, denominator, _ = cont2discrete((numerator, denominator), 1.0, method="foh")
+    return np.asarray(discrete).ravel(), np.asarray(denominator)

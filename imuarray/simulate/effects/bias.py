@@ -23,7 +23,7 @@ class Bias(Effect):
     from_boot: float = scalar(0.0, low=0.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Shifts the signal."""
+        """Shift the signal."""
         if at.streams.boot < self.from_boot or not any(self.offset):
             return analog
         return replace(analog, value=analog.value + per_row(self.offset, analog.value))

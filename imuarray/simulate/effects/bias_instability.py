@@ -11,7 +11,7 @@ from imuarray.simulate.processes import gauss_markov
 from imuarray.simulate.signal import Analog, Place, Triple
 
 RATIO = 4.0
-"""The ratio of neighbouring time constants of flicker noise: the sum is 1/f within 1 % between the fastest and the
+"""Ratio of neighbouring time constants of flicker noise: with it the sum is 1/f within 1 % between the fastest and the
 slowest.
 """
 
@@ -42,7 +42,7 @@ class BiasInstability(Effect):
         return tuple(self.time_constant_s / RATIO**step for step in range(1 + max(0, math.floor(octaves + 1e-9))))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Add to the value."""
+        """Add the processes to the value."""
         if self.rms == (0.0, 0.0, 0.0):
             return analog
         value, times_s = analog.value, self.time_constants_s

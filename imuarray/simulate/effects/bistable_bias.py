@@ -22,7 +22,7 @@ class BistableBias(Effect):
     probability: float = scalar(0.0, low=0.0, high=1.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Add to the value."""
+        """Add the offset to the value."""
         if at.boot_generator(self.name).random() >= self.probability:
             return analog
         return replace(analog, value=analog.value + per_row(self.offset, analog.value))

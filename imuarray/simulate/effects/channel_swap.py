@@ -30,13 +30,13 @@ class ChannelSwap(Effect):
     kind: str = field(default="data")
 
     def __post_init__(self) -> None:
-        """ValueError for another kind."""
+        """Raise ValueError for an unknown kind."""
         super().__post_init__()
         if self.kind not in KINDS:
             raise ValueError(f"kind: {self.kind!r}; allowed are {', '.join(KINDS)}")
 
     def codes(self, codes: Codes, at: Place) -> Codes:
-        """Take the other's rows; ValueError when there is no such sensor, naming those there are."""
+        """Return the rows of the other sensor; ValueError if there is no such sensor, naming those of the array."""
         if self.sensor in ("", at.sensor.name) or self.kind == "place":
             return codes
         try:

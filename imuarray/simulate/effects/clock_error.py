@@ -31,12 +31,14 @@ class ClockError(Effect):
     warm_up_s: float = scalar(60.0, low=1e-3, high=1e9)
 
     def __post_init__(self) -> None:
-        """ValueError where the first error, too, is beyond a factor of a half or three halves."""
+        """Raise ValueError unless the ratio of the clocks stays between one half and three halves, also at the
+        beginning.
+        """
         super().__post_init__()
         require("error_ppm + warm_up_ppm", self.error_ppm + self.warm_up_ppm, -5e5, 5e5)
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
-        """Stretches time."""
+        """Scale the times of the readings."""
         if not self.error_ppm and not self.warm_up_ppm:
             return instants
         late_ns = instants.stamp_ns * (self.error_ppm * 1e-6)

@@ -33,7 +33,7 @@ class CommonMode(Effect):
     group: str = field(default="")
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Add to the value."""
+        """Add the common process to the value."""
         if self.rms == (0.0, 0.0, 0.0):
             return analog
         sharing = self.group or at.sensor.chip

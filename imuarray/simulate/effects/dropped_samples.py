@@ -14,7 +14,7 @@ from imuarray.simulate.signal import Instants, Place
 from imuarray.simulate.streams import Stream
 
 _REACH = 64
-"""Rows looked back at first; doubled until they suffice."""
+"""Number of previous rows that are examined first; it is doubled until it suffices."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,9 @@ class DroppedSamples(Effect):
     lengths_s: tuple[float, ...] = listed()
 
     def __post_init__(self) -> None:
-        """ValueError for a share that bursts of this length can't make up, or lists that don't go together."""
+        """Raise ValueError for a share of lost rows that bursts of this length cannot produce, or for lists of
+        different lengths.
+        """
         super().__post_init__()
         require("probability", self.probability, 0.0, self.burst_rows / (self.burst_rows + 1))
         for name, values in alongside(runs=self.runs, moments_s=self.moments_s, lengths_s=self.lengths_s).items():
@@ -59,7 +61,7 @@ class DroppedSamples(Effect):
         return replace(instants, kept=instants.kept & ~is_lost)
 
     def _missing(self, stamp_ns: Integers, run: int) -> Booleans:
-        """Return (n,) of rows with these stamps."""
+        """Return (n,) whether rows with these stamps are lost."""
         missing = np.zeros(len(stamp_ns), bool)
         for number, moment_s, length_s in zip(self.runs, self.moments_s, self.lengths_s, strict=True):
             if number == run:
@@ -68,7 +70,7 @@ class DroppedSamples(Effect):
         return missing
 
     def _lost(self, first: int, stop: int, stream: Stream) -> Booleans:
-        """Return (stop - first,); row 0 is lost with the long-run probability."""
+        """Return (stop - first,) whether rows are lost; row 0 is lost with the long-run probability."""
         stay = 1 - 1 / self.burst_rows
         begin = self.probability / (1 - self.probability) / self.burst_rows
         reach = _REACH
@@ -83,5 +85,5 @@ class DroppedSamples(Effect):
             reach *= 2
         rows = np.arange(len(draws))
         last = np.maximum.accumulate(np.where(certain, rows, 0))
-        turned = ((rows - last) % 2 == 1) & (begin > stay)  # where the past matters, it is kept or turned round
+        turned = ((rows - last) % 2 == 1) & (begin > stay)  # where the past matters, the state is kept or inverted
         return np.asarray((lost[last] ^ turned)[first - start :])

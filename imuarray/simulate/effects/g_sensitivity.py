@@ -25,7 +25,7 @@ class GSensitivity(Effect):
     response: tuple[float, ...] = several(9, suffix="_{u}_per_g")
 
     def __post_init__(self) -> None:
-        """ValueError unless there are nine finite numbers."""
+        """Raise ValueError unless there are nine finite numbers."""
         super().__post_init__()
         object.__setattr__(self, "response", numbers("response", self.response, 9))
 
@@ -34,7 +34,7 @@ class GSensitivity(Effect):
         return tuple(any(self.response[at : at + 3]) for at in (0, 3, 6))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Add what the force does."""
+        """Add the response to specific force."""
         if not any(self.response):
             return analog
         columns = np.reshape(self.response, (3, 3)).T.astype(analog.value.dtype)

@@ -15,14 +15,14 @@ from imuarray.simulate.signal import Codes, Counts, Place
 KINDS = ("spike", "torn", "word")
 
 _WORD = -32768, 32767
-"""The range of two bytes, whatever range the chip uses."""
+"""Number of values of two bytes, independent of the chip's range."""
 
 _LOW_BITS = {"bma180": 6}
-"""Bits of the code that travel in the low byte, where they aren't eight (BMA-60)."""
+"""Number of bits of the code in the low byte, of chips for which it is not eight (BMA-60)."""
 
 
 def high_byte(chip: str) -> int:
-    """Counts that one of the high byte stands for."""
+    """Return the counts that one unit of the high byte stands for."""
     return 1 << _LOW_BITS.get(chip, 8)
 
 
@@ -52,7 +52,7 @@ class Glitches(Effect):
     jumps: tuple[float, ...] = listed(suffix="_{u}")
 
     def __post_init__(self) -> None:
-        """ValueError for another kind, or lists that don't go together."""
+        """Raise ValueError for an unknown kind, or for lists of different lengths."""
         super().__post_init__()
         if self.kind not in KINDS:
             raise ValueError(f"kind: {self.kind!r}; allowed are {', '.join(KINDS)}")
@@ -64,17 +64,17 @@ class Glitches(Effect):
             )
 
     def active_axes(self) -> tuple[bool, ...]:
-        """Return (3,) which axes have a known jump."""
+        """Return (3,) which axes have a jump of known size."""
         return tuple(any(self.jumps[axis::3]) for axis in range(3))
 
     def lookback(self, at: Place) -> int:
-        """A torn reading needs the row before it; so does one that is the first after a moment."""
+        """Return 1 if readings are torn or glitches have given moments, because these depend on the previous row."""
         if self.moments_s:
             return 1
         return 1 if self.probability and self.kind == "torn" else 0
 
     def codes(self, codes: Codes, at: Place) -> Codes:
-        """Corrupts rows of counts; flags and temperature stay."""
+        """Corrupt rows of counts; flags and temperature do not change."""
         if self.moments_s:
             return replace(codes, counts=self._hit(codes, at))
         if not self.probability:
@@ -92,7 +92,7 @@ class Glitches(Effect):
         of_boot = np.array(self.runs) == at.streams.boot
         due_ns = np.array(self.moments_s)[of_boot] * 1e9
         rows = np.searchsorted(codes.instant_ns, due_ns)
-        in_block = (rows < len(codes.counts)) & ((rows > 0) | (codes.first == 0))  # else one of the rows before
+        in_block = (rows < len(codes.counts)) & ((rows > 0) | (codes.first == 0))  # others belong to earlier rows
         jumps = np.rint(np.array(self.jumps).reshape(-1, 3)[of_boot] * at.sensor.sensitivity).astype(codes.counts.dtype)
         counts = codes.counts.copy()
         np.add.at(counts, rows[in_block], jumps[in_block])

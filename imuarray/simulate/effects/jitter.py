@@ -36,7 +36,7 @@ class Jitter(Effect):
     wait_share: float = scalar(0.0, low=-1.0, high=1.0)
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
-        """Move every instant by a draw of its own, or those whose waits are known."""
+        """Shift the times of all readings at random, or those of the rows whose waits are known."""
         if self.wait_share and at.waits is not None:
             halves, missed = at.waits(instants.first, instants.first + len(instants.stamp_ns))
             later = np.rint(self.wait_share * halves).astype(np.int64)
@@ -47,7 +47,7 @@ class Jitter(Effect):
         return replace(instants, instant_ns=instants.instant_ns + np.rint(delay * (self.rms_s * 1e9)).astype(np.int64))
 
     def _drawn(self, first: int, stop: int, at: Place) -> Reals:
-        """Return (n,) by how many `rms_s` each row is off."""
+        """Return (n,) the deviation of each row in units of `rms_s`."""
         if self.share == 1:
             return np.asarray(at.stream(self.name, width=1).normal(first, stop)[:, 0], float)
         chosen, late = at.streams.of_boot(at.sensor.name, self.name, "late", width=2).uniform(first, stop).T

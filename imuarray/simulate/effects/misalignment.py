@@ -27,7 +27,7 @@ class Misalignment(Effect):
     angles_deg: tuple[float, ...] = several(6)
 
     def __post_init__(self) -> None:
-        """ValueError unless there are six angles of less than a right one."""
+        """Raise ValueError unless there are six angles below 90 degrees."""
         super().__post_init__()
         object.__setattr__(self, "angles_deg", numbers("angles_deg", self.angles_deg, 6))
         for angle in self.angles_deg:
@@ -35,13 +35,13 @@ class Misalignment(Effect):
 
     @property
     def directions(self) -> Reals:
-        """(3, 3), row i the unit vector along axis i in the sensor's nominal axes."""
+        """Return (3, 3): row i is the unit vector along axis i in the sensor's nominal axes."""
         leaning = np.eye(3)
         leaning[~np.eye(3, dtype=bool)] = np.tan(np.radians(self.angles_deg))
         return np.asarray(leaning / np.linalg.norm(leaning, axis=1, keepdims=True))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Take the components along the leaning axes."""
+        """Take the components along the misaligned axes."""
         if not any(self.angles_deg):
             return analog
         return replace(analog, value=np.asarray(analog.value @ self.directions.T.astype(analog.value.dtype)))

@@ -24,7 +24,7 @@ class Nonlinearity(Effect):
     cubic: Triple = per_axis(suffix="_per_{u}2")
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Bends the signal."""
+        """Apply the polynomial to the signal."""
         if not any((*self.quadratic, *self.cubic)):
             return analog
         x = analog.value

@@ -31,14 +31,14 @@ class OdrError(Effect):
     clock_ratio: float = scalar(1.0, low=1e-3, high=10.0)
 
     def __post_init__(self) -> None:
-        """ValueError for a rate or bandwidth outside 1e-3 to 1e6 Hz."""
+        """Raise ValueError for a rate or bandwidth outside 1e-3 to 1e6 Hz."""
         super().__post_init__()
         for name, value in (("rate_hz", self.rate_hz), ("bandwidth_hz", self.bandwidth_hz)):
             if not math.isnan(value):
                 require(name, value, 1e-3, 1e6)
 
     def lookback(self, at: Place) -> int:
-        """Rows that may repeat one reading, and one."""
+        """Return the number of rows that may repeat one reading, plus one."""
         set_hz = at.sensor.rate_hz if math.isnan(self.rate_hz) and self.clock_ratio != 1.0 else self.rate_hz
         real_hz = set_hz * self.clock_ratio
         return math.ceil(at.rows_per_s / real_hz) + 1 if 0 < real_hz < at.rows_per_s else 0
@@ -51,9 +51,11 @@ class OdrError(Effect):
         return replace(instants, rate_hz=set_hz * self.clock_ratio)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Scales the noise, sets the converter. ValueError for a bandwidth if the chip has none configured."""
+        """Scale the noise and set the converter. ValueError for a bandwidth if the chip has none that can be
+        configured.
+        """
         if math.isnan(self.rate_hz) and math.isnan(self.bandwidth_hz):
-            return analog  # of an oscillator alone the instants have said it already
+            return analog  # an oscillator's error alone is already part of the instants
         set_hz = analog.rate_hz / self.clock_ratio if math.isnan(self.rate_hz) else self.rate_hz
         span = code_span(replace(at.sensor, rate_hz=set_hz))
         factor = math.sqrt(self._bandwidth_ratio(set_hz, at))
@@ -67,7 +69,7 @@ class OdrError(Effect):
         )
 
     def _bandwidth_ratio(self, rate_hz: float, at: Place) -> float:
-        """Real over configured bandwidth of the noise."""
+        """Return the ratio of the actual to the configured bandwidth of the noise."""
         sensor = at.sensor
         configured_hz, real_hz = sensor.bandwidth_hz, sensor.bandwidth_hz
         if sensor.chip == "adxl345":

@@ -10,7 +10,7 @@ from imuarray.simulate.effect import Effect, scalar
 from imuarray.simulate.signal import Instants, Place
 
 AT_ITS_RATE = 0.05
-"""Rows that come at the chip's data rate, give or take so much, are its readings: nobody polls it."""
+"""Relative tolerance within which rows at the chip's data rate are taken for its own readings, without a poll."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class OwnClock(Effect):
     polled: float = scalar(0.0)
 
     def __post_init__(self) -> None:
-        """ValueError for an infinite phase, and for another `polled` than 0 and 1."""
+        """Raise ValueError for an infinite phase, or for a `polled` other than 0 and 1."""
         super().__post_init__()
         if math.isinf(self.phase_deg):
             raise ValueError(f"phase_deg: {self.phase_deg}; a number is required, or nan: drawn at each boot")
@@ -40,14 +40,16 @@ class OwnClock(Effect):
             raise ValueError(f"polled: {self.polled:g}; allowed are 0 and 1")
 
     def lookback(self, at: Place) -> int:
-        """Rows that may repeat one reading, and one, where the real rate is slower than the rows."""
+        """Return the number of rows that may repeat one reading, plus one, if the actual rate is below that of the
+        rows.
+        """
         real_hz = at.sensor.rate_hz * (1 + self.rate_error)
         if not self.rate_error or not self._is_polled(at) or real_hz >= at.rows_per_s:
             return 0
         return math.ceil(at.rows_per_s / real_hz) + 1
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
-        """Set the real rate, and the phase in periods."""
+        """Set the actual rate, and the phase in periods."""
         if (self.rate_error, self.phase_deg) == (0.0, 0.0) or not self._is_polled(at):
             return instants
         rate_hz = instants.rate_hz * (1 + self.rate_error)
@@ -59,6 +61,6 @@ class OwnClock(Effect):
         return at.kept((self.name, "phase", at.copy), lambda: float(at.boot_generator(self.name).uniform()))
 
     def _is_polled(self, at: Place) -> bool:
-        """Return whether the chip has a rate, and rows come at another one, or are known to be polls."""
+        """Return whether the chip has a rate and is polled: its rows have another rate, or are known to be polls."""
         rate_hz = at.sensor.rate_hz
         return rate_hz > 0 and (bool(self.polled) or abs(at.rows_per_s / rate_hz - 1) > AT_ITS_RATE)

@@ -35,7 +35,7 @@ class PopcornNoise(Effect):
     high_share: float = scalar(0.5, low=0.01, high=0.99)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Add to the value."""
+        """Add the telegraph signal to the value."""
         if self.amplitude == (0.0, 0.0, 0.0):
             return analog
         high = self._high(analog.first, analog.first + len(analog.value), at)
@@ -43,7 +43,7 @@ class PopcornNoise(Effect):
         return replace(analog, value=analog.value + level * per_row(self.amplitude, level))
 
     def _high(self, first: int, stop: int, at: Place) -> Booleans:
-        """Return (stop - first, 3): whether an axis is at its upper level."""
+        """Return (stop - first, 3) whether an axis is at its upper level."""
         begin, end = first // CHUNK, -(-stop // CHUNK)
         draws_per_s = self.switches_per_s / (2 * self.high_share * (1 - self.high_share))
         draws = at.stream(self.name, "numbers").generator().poisson(draws_per_s * CHUNK / at.rows_per_s, (end, 3))
@@ -58,7 +58,9 @@ class PopcornNoise(Effect):
 
 
 def _last_level(level: Booleans, draws: Integers, last: Booleans) -> Booleans:
-    """Return (3,) the level behind chunks (c, 3): what the last of them with a draw drew, or what it was before."""
+    """Return (3,) the level after chunks (c, 3): that of the last chunk with a draw, or the previous level if there is
+    none.
+    """
     is_drawn, levels = np.vstack([np.ones((1, 3), bool), draws > 0]), np.vstack([level, last])
     return np.asarray(levels[len(is_drawn) - 1 - is_drawn[::-1].argmax(axis=0), np.arange(3)])
 
@@ -66,7 +68,9 @@ def _last_level(level: Booleans, draws: Integers, last: Booleans) -> Booleans:
 def _levels(
     places: np.random.Generator, draws: Integers, high_share: float, begin: Booleans, last: Booleans
 ) -> Booleans:
-    """(CHUNK, 3) the level of each row, all rows being as likely to have a draw, of which each axis has so many."""
+    """Return (CHUNK, 3) the level of each row. Each axis has a given number of `draws`, at rows that are uniformly
+    distributed.
+    """
     columns = []
     for axis, count in enumerate(draws.tolist()):
         rows = np.sort(places.integers(CHUNK, size=count))

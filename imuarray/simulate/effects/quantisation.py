@@ -38,7 +38,7 @@ class Quantisation(Effect):
     carry_at_lsb: float = scalar(0.0)
 
     def __post_init__(self) -> None:
-        """ValueError unless they are whole numbers, and some code before a carry comes."""
+        """Raise ValueError unless the parameters are whole numbers and at least one code remains before a carry."""
         super().__post_init__()
         require("missing_lsb", self.missing_lsb, 0, self.carry_lsb - 1)
         require("carry_at_lsb", self.carry_at_lsb, 0, self.carry_lsb - 1)
@@ -60,12 +60,12 @@ class Quantisation(Effect):
         return replace(analog, step=step, lowest=lowest, highest=highest)
 
     def codes(self, codes: Codes, at: Place) -> Codes:
-        """Carries, and clears the dead bits, of negative codes in two's complement."""
+        """Replace missing codes by the carry, and clear the dead bits; negative codes are in two's complement."""
         changed = self.dead_bits or self.missing_lsb
         return replace(codes, counts=self.coded(codes.counts)) if changed else codes
 
     def coded(self, counts: Whole) -> Whole:
-        """Return the codes that come in the place of these."""
+        """Return the codes that replace these."""
         if self.missing_lsb:
             carry, largest = int(self.carry_lsb), np.iinfo(counts.dtype).max
             short = carry - (counts - int(self.carry_at_lsb)) % carry

@@ -22,7 +22,7 @@ class RandomWalk(Effect):
     density: Triple = per_axis(suffix="_{u}_per_sqrt_s", low=0.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Add to the value."""
+        """Add the random walk to the value."""
         if self.density == (0.0, 0.0, 0.0):
             return analog
         process = random_walk(at, self.name, self.density)

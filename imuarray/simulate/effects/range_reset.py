@@ -55,7 +55,7 @@ class RangeReset(Effect):
     blanks_s: tuple[float, ...] = listed()
 
     def __post_init__(self) -> None:
-        """ValueError for lists that don't go together."""
+        """Raise ValueError for lists of different lengths."""
         super().__post_init__()
         lists = {name: getattr(self, name) for name in ("runs", "moments_s", "lengths_s", "doubts_s")}
         lists["blanks_s"] = self.blanks_s or (0.0,) * len(self.runs)
@@ -64,7 +64,7 @@ class RangeReset(Effect):
             object.__setattr__(self, name, values)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Add the offset, scale the noise and set the converter. ValueError for a range that the chip hasn't."""
+        """Add the offset, scale the noise and set the converter. ValueError for a range that the chip does not have."""
         if math.isnan(self.range) or not self._is_in(at.streams.boot):
             return analog
         sensitivity = _sensitivity(at.sensor, self.range)
@@ -90,7 +90,7 @@ class RangeReset(Effect):
         return (math.isnan(self.run) or self.run == run) and (not self.runs or run in self.runs)
 
     def codes(self, codes: Codes, at: Place) -> Codes:
-        """Zeros where there is no reading yet."""
+        """Set the codes to zero while there is no reading yet."""
         if math.isnan(self.range) or not any(self.blanks_s):
             return codes
         blank = np.zeros(len(codes.counts), bool)
@@ -110,7 +110,7 @@ class RangeReset(Effect):
         )
 
     def flagged(self, status: Flags, instants: Instants, at: Place) -> Flags:
-        """Doubts the rows of known stretches, and marks where they end."""
+        """Flag the rows of known stretches as suspect, and mark the end of each stretch."""
         marked = status.copy() if self.moments_s else status
         for doubt_ns, _, over_ns in self._stretches(at):
             due, end = np.searchsorted(instants.stamp_ns, (doubt_ns, over_ns))
@@ -120,7 +120,9 @@ class RangeReset(Effect):
         return marked
 
     def _stretches(self, at: Place) -> Iterator[tuple[float, float, float]]:
-        """Yield the known stretches of this run: since when rows are doubted, begin and end of the other range (ns)."""
+        """Yield the known stretches of this run: the time from which rows are suspect, and beginning and end of the
+        other range (ns).
+        """
         resets = zip(self.runs if self.moments_s else (), self.moments_s, self.lengths_s, self.doubts_s, strict=True)
         for run, moment_s, length_s, doubt_s in resets:
             if run == at.streams.boot:
@@ -135,7 +137,7 @@ class RangeReset(Effect):
 
 
 def _sensitivity(sensor: SensorHeader, range_: float) -> float:
-    """Counts per unit; ValueError for a range that this chip hasn't."""
+    """Return the counts per unit; ValueError for a range that this chip does not have."""
     allowed = CHIPS[sensor.chip].sensitivity
     if range_ not in allowed:
         choice = ", ".join(f"{value:g}" for value in allowed)
@@ -144,7 +146,9 @@ def _sensitivity(sensor: SensorHeader, range_: float) -> float:
 
 
 def _from(since: Booleans, new: Number, old: Number | Reals, dtype: npt.DTypeLike) -> Number | Reals:
-    """`new` in the rows where `since`, `old` before them; a number if all rows have the same."""
+    """Return `new` for the rows where `since` is true and `old` for the others; a single number if it is the same for
+    all rows.
+    """
     if since.all():
         return new
     return np.asarray(np.where(since[:, None], new, old), dtype)

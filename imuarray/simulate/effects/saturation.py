@@ -29,13 +29,13 @@ class Saturation(Effect):
     centre: Triple = per_axis(0.0, suffix="_{u}")
 
     def __post_init__(self) -> None:
-        """ValueError for a negative one."""
+        """Raise ValueError for a negative limit."""
         super().__post_init__()
         for limit in self.limit:
             require("limit", limit, 0.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Clip signal and noise together; rows within the limit stay as they are, bit for bit."""
+        """Clip the sum of signal and noise; rows within the limit do not change in any bit."""
         total = analog.value + analog.noise
         limit, centre = np.array(self.limit, total.dtype), np.array(self.centre, total.dtype)
         beyond = np.abs(total - centre) > limit

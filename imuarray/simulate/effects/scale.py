@@ -22,7 +22,7 @@ class Scale(Effect):
     error: Triple = per_axis()
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Stretches the signal."""
+        """Scale the signal."""
         if not any(self.error):
             return analog
         x, y, z = self.error

@@ -24,7 +24,9 @@ class SizeEffect(Effect):
     position_mm: Triple = per_axis()
 
     def felt(self, felt: Felt, at: Place) -> Felt:
-        """Add to the force; one that never changes is left so."""
+        """Add the rotational part of the specific force; a force that is constant remains so if there is no
+        rotation.
+        """
         rate, acceleration = felt.rate_box, felt.angular_acceleration_box
         if rate.strides[0] == acceleration.strides[0] == 0:
             rate, acceleration = rate[:1], acceleration[:1]
@@ -34,7 +36,7 @@ class SizeEffect(Effect):
 
 
 def with_position(effects: Sequence[Effect], position_mm: Triple) -> tuple[Effect, ...]:
-    """Return the effects of a sensor that sits there, unless one of them says already where it sits."""
+    """Return the effects of a sensor at this position, unless one of them already states the position."""
     if not any(position_mm) or any(isinstance(effect, SizeEffect) for effect in effects):
         return tuple(effects)
     return (SizeEffect(position_mm), *effects)

@@ -22,7 +22,7 @@ class Skew(Effect):
     delay_s: float = scalar(0.0, low=-1e3, high=1e3)
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
-        """Moves every instant by the same nanoseconds."""
+        """Shift the times of all readings by the same number of nanoseconds."""
         if not self.delay_s:
             return instants
         return replace(instants, instant_ns=instants.instant_ns - round(self.delay_s * 1e9))

@@ -30,15 +30,15 @@ class StaleSamples(Effect):
 
     @property
     def longest(self) -> int:
-        """Repetitions in a row, at most."""
+        """Return the largest number of repetitions in a row."""
         return math.ceil(math.log(_RARE) / math.log(self.probability)) if self.probability else 0
 
     def lookback(self, at: Place) -> int:
-        """Return the longest chain and the row before it."""
+        """Return the largest number of rows that affect a stretch: the longest chain and the row before it."""
         return self.longest + 1 if self.probability else 0
 
     def codes(self, codes: Codes, at: Place) -> Codes:
-        """Repeat rows; one is fresh if anything fresh arrived since the row before it."""
+        """Repeat rows. A row is fresh if a fresh reading arrived since the previous row."""
         if not self.probability:
             return codes
         rows = np.arange(len(codes.counts))

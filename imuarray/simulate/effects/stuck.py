@@ -43,7 +43,7 @@ class Stuck(Effect):
     readings: tuple[float, ...] = listed(suffix="_{u}")
 
     def __post_init__(self) -> None:
-        """ValueError for another kind, or lists that don't go together."""
+        """Raise ValueError for an unknown kind, or for lists of different lengths."""
         super().__post_init__()
         if self.kind not in KINDS:
             raise ValueError(f"kind: {self.kind!r}; allowed are {', '.join(KINDS)}")
@@ -54,7 +54,7 @@ class Stuck(Effect):
             raise ValueError(f"readings: {len(self.readings)}; none, or three for each of moments_s, are required")
 
     def codes(self, codes: Codes, at: Place) -> Codes:
-        """Put the last reading in the place of those that it outlasts."""
+        """Replace readings while the sensor is stuck by the last one before."""
         first, stop, moving = codes.first, codes.first + len(codes.counts), codes
         for begin, end, reading in self._known(first, stop, at) if self.moments_s else self._holds(stop, at):
             if begin < stop and end > first:
@@ -67,7 +67,7 @@ class Stuck(Effect):
         return codes
 
     def _known(self, first: int, stop: int, at: Place) -> Iterator[tuple[int, int, tuple[float, ...]]]:
-        """Yield the rows of the known stretches that reach into first ... stop - 1, and their readings."""
+        """Yield the rows of the known stretches that reach into first ... stop - 1, and the readings that are held."""
         for number, (run, moment_s) in enumerate(zip(self.runs, self.moments_s, strict=True)):
             if run == at.streams.boot:
                 span_ns = moment_s * 1e9, (moment_s + self.lengths_s[number]) * 1e9
@@ -91,7 +91,7 @@ def _row(codes: Codes, row: int) -> Codes:
 
 
 def _set_row(codes: Codes, row: int, counts: Counts) -> Codes:
-    """Return the codes with the counts (1, 3) in that row, if it is one of them."""
+    """Return the codes with the counts (1, 3) in that row, if the row is among them."""
     rows = codes.first + np.arange(len(codes.counts))
     return replace(codes, counts=np.where((rows == row)[:, None], counts, codes.counts))
 

@@ -26,7 +26,7 @@ class ThermalBias(Effect):
     reference_degc: float = scalar(25.0, low=-273.15, high=1000.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Add to the value."""
+        """Add the thermal bias to the value."""
         if self.slope == self.quadratic == (0.0, 0.0, 0.0):
             return analog
         value = analog.value

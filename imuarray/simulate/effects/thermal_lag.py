@@ -14,11 +14,13 @@ from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.signal import Analog, Felt, Motion, Place, Triple
 
 _STEPS = 50
-"""Steps of the recursion per time constant."""
+"""Number of steps of the recursion per time constant."""
 _SHORTEST_S, _LONGEST_S = 0.01, 10.0
-"""Steps: shorter than any change of temperature that matters; short enough for a heater that is switched on."""
+"""Limits of a step in s: shorter than any relevant change of temperature, and short enough for a heater that is
+switched on.
+"""
 _FORGOTTEN = 20.0
-"""Time constants after which 2e-9 is left of a difference in temperature."""
+"""Number of time constants after which a share of 2e-9 of a difference in temperature remains."""
 
 
 @dataclass(frozen=True)
@@ -40,13 +42,13 @@ class ThermalLag(Effect):
     reference_degc: float = scalar(25.0, low=-273.15, high=1000.0)
 
     def felt(self, felt: Felt, at: Place) -> Felt:
-        """Another temperature."""
+        """Replace the temperature of the element by the lagged one."""
         if self.time_constant_s == 0.0 or any(self.slope) or len(felt.time_ns) == 0:
             return felt
         return replace(felt, temperature_degc=self.temperature_degc(felt.time_ns, at.motion))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Add the bias of a part."""
+        """Add the bias of the part that lags."""
         if not any(self.slope) or len(analog.instant_ns) == 0:
             return analog
         part = replace(analog, temperature_degc=self.temperature_degc(analog.instant_ns, at.motion))
@@ -54,7 +56,7 @@ class ThermalLag(Effect):
         return replace(analog, value=bias.analog(part, at).value)
 
     def temperature_degc(self, time_ns: Integers, motion: Motion) -> Reals:
-        """Return the element's temperature (n,) at times (n,), at least one, in a box that does this motion."""
+        """Return the element's temperature (n,) at times (n,), n > 0, in a box with this motion."""
         if self.time_constant_s == 0.0:
             return np.asarray(motion.felt(time_ns).temperature_degc)
         nodes_ns = self._nodes_ns(time_ns)
@@ -65,20 +67,20 @@ class ThermalLag(Effect):
         return round(min(max(self.time_constant_s / _STEPS, _SHORTEST_S), _LONGEST_S) * 1e9)
 
     def _nodes_ns(self, time_ns: Integers) -> Integers:
-        """Multiples of the step, from long enough before the first of these times to the last."""
+        """Return the multiples of the step, from far enough before the first of these times to the last."""
         step_ns = self._step_ns()
         earliest_ns = int(time_ns.min()) - round(_FORGOTTEN * self.time_constant_s * 1e9)
         first = max(0, earliest_ns // step_ns)
         return np.arange(first, max(first, -(-int(time_ns.max()) // step_ns)) + 1) * step_ns
 
     def _lagged(self, nodes_ns: Integers, motion: Motion) -> Reals:
-        """Return the element's temperature at the nodes, from equilibrium at the first one."""
-        from scipy.signal import lfilter  # its weight is for those who ask
+        """Return the element's temperature at the nodes, starting in equilibrium at the first one."""
+        from scipy.signal import lfilter  # imported late because SciPy takes long to load
 
         box = motion.felt(nodes_ns).temperature_degc
         ratio = self._step_ns() * 1e-9 / self.time_constant_s
         phi = math.exp(-ratio)
-        old = -math.expm1(-ratio) / ratio - phi  # what the box's temperature at a step's begin and end counts
+        old = -math.expm1(-ratio) / ratio - phi  # weights of the box's temperature at the beginning and end of a step
         new = 1.0 - phi - old
         lagged, _ = lfilter([new, old], [1.0, -phi], box, zi=[(1.0 - new) * box[0]])
         return np.asarray(lagged)

@@ -23,7 +23,7 @@ class ThermalScale(Effect):
     reference_degc: float = scalar(25.0, low=-273.15, high=1000.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Multiply the value."""
+        """Scale the value."""
         if self.slope == (0.0, 0.0, 0.0):
             return analog
         value = analog.value

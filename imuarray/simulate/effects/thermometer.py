@@ -23,7 +23,7 @@ class Thermometer(Effect):
     rms_degc: float = scalar(0.0, low=0.0, high=1000.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Add to what the thermometer feels."""
+        """Add offset and noise to the temperature that the thermometer measures."""
         degc = analog.thermometer_degc
         if self.offset_degc:
             degc = degc + self.offset_degc

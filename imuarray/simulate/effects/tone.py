@@ -33,17 +33,17 @@ class Tone(Effect):
     drift_hz_per_h: float = scalar(0.0, low=-1e6, high=1e6)
 
     def __post_init__(self) -> None:
-        """ValueError for an infinite phase."""
+        """Raise ValueError for an infinite phase."""
         super().__post_init__()
         if math.isinf(self.phase_deg):
             raise ValueError(f"phase_deg: {self.phase_deg}; a number is required, or nan: drawn at each boot")
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Add to the value."""
+        """Add the sine wave to the value."""
         if self.amplitude == (0.0, 0.0, 0.0):
             return analog
         time_s = analog.instant_ns * 1e-9
-        hertz = self._first_hz(at)  # mean of those from the epoch to each row, if it drifts
+        hertz = self._first_hz(at)  # the mean of the frequencies from the epoch to each row, if the frequency drifts
         turns = time_s * (hertz + time_s * (self.drift_hz_per_h / 7200) if self.drift_hz_per_h else hertz)
         turns += self._phase_deg(at) / 360
         wave = np.sin(2 * np.pi * (turns - np.floor(turns))).astype(analog.value.dtype)

@@ -24,7 +24,7 @@ class TurnOnBias(Effect):
     rms: Triple = per_axis(suffix="_{u}", low=0.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Add to the value."""
+        """Add the bias of this boot to the value."""
         if self.rms == (0.0, 0.0, 0.0):
             return analog
         x, y, z = (np.array(self.rms) * at.boot_generator(self.name).standard_normal(3)).tolist()

@@ -26,7 +26,7 @@ class WhiteNoise(Effect):
     rms: Triple = per_axis(suffix="_{u}", low=0.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
-        """Add to the noise."""
+        """Add white noise to the noise."""
         if self.rms == (0.0, 0.0, 0.0):
             return analog
         noise = at.stream(self.name, scale=self.rms).normal(analog.first, analog.first + len(analog.noise))

@@ -15,16 +15,16 @@ from imuarray.simulate.motion.felt import Felt
 from imuarray.units import STANDARD_GRAVITY
 
 GRAVITY_LEVEL = np.array([0.0, 0.0, STANDARD_GRAVITY])
-"""m/s2; what a box at rest feels: the table pushes it up."""
+"""Specific force of a box at rest in m/s2: the table pushes it up."""
 
 FIELD_LEVEL = np.array([0.2, 0.0, -0.43])
-"""Gauss; x to magnetic north, the earth's field dips as it does in the middle of Europe."""
+"""Magnetic field in gauss, x to magnetic north, with the inclination of central Europe."""
 
 AIR_PRESSURE_PA = 101325.0
 """Air pressure at height 0; ISO 2533, the standard atmosphere."""
 
 PA_PER_M = 1.225 * STANDARD_GRAVITY
-"""How much less a metre further up; density of air at sea level, ISO 2533."""
+"""Decrease of pressure per metre of height; density of air at sea level, ISO 2533."""
 
 UPRIGHT = np.eye(3)
 """The attitude of a box on its -Z face."""
@@ -43,38 +43,36 @@ def shortest_turn(up_before: str, up_after: str) -> Reals:
 
 
 def turned(attitude: Reals, turn: Reals) -> Reals:
-    """Return the attitude (3, 3) after a turn by quarters (rotation vector in the box frame), without rounding
+    """Return the attitude (3, 3) after a rotation by quarter turns (rotation vector in the box frame), without rounding
     errors.
     """
     if not np.any(turn):
         return attitude + 0.0
-    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+    from scipy.spatial.transform import Rotation  # imported late because SciPy takes long to load
 
     quarters: Reals = attitude @ np.rint(Rotation.from_rotvec(turn).as_matrix()) + 0.0
     return quarters
 
 
 def tilted(attitude: Reals, tilt_deg: tuple[float, float]) -> Reals:
-    """Return the attitude (3, 3) on a table that is turned by these small angles about the level x and y axes."""
+    """Return the attitude (3, 3) on a table that is tilted by these small angles about the level x and y axes."""
     if not np.isfinite(tilt_deg).all() or len(tilt_deg) != 2:
         raise ValueError(f"tilt_deg: {tilt_deg}; two angles are required, about the level x and y axes")
     if not np.any(tilt_deg):
         return attitude.copy()
-    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+    from scipy.spatial.transform import Rotation  # imported late because SciPy takes long to load
 
     leaning: Reals = Rotation.from_rotvec([*tilt_deg, 0.0], degrees=True).as_matrix() @ attitude
     return leaning
 
 
 def standing_on(up: str, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> Reals:
-    """Return the attitude (3, 3) of a box whose axis `up` ("+X") points up, turned there from upright the
-    shortest way.
-    """
+    """Return the attitude (3, 3) of a box whose axis `up` ("+X") points up, after the shortest turn from upright."""
     return tilted(turned(UPRIGHT, shortest_turn("+Z", up)), tilt_deg)
 
 
 def resting(time_ns: Integers, attitude: Reals, temperature_degc: float | Reals) -> Felt:
-    """Return what a box at rest in this attitude (3, 3) senses; `temperature_degc` is a number or (n,)."""
+    """Return the stimulus of a box at rest in this attitude (3, 3); `temperature_degc` is a number or (n,)."""
     count = len(time_ns)
     zero = np.broadcast_to(np.zeros(3), (count, 3))
     return Felt(

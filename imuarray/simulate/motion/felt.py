@@ -36,13 +36,13 @@ class Motion(Protocol):
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """The stretches that a person with a stopwatch would note, in order, not overlapping; the last may end
-        later than a log.
+        """The phases that an observer with a stopwatch would note, in order and without overlap; the last may end later
+        than a log.
         """
 
     @property
     def seconds(self) -> float:
-        """The duration; what it shows last it goes on showing."""
+        """The duration in s; later, the stimulus stays as it is at the end."""
 
     def felt(self, time_ns: Integers) -> Felt:
         """Return what the box senses at these times (n,), in any order."""

@@ -11,15 +11,15 @@ from imuarray.arrays import Integers, Reals
 
 
 class PhaseField(NamedTuple):
-    """A magnetic field: from `start_ns` until the next one begins it is `field_box`, in gauss."""
+    """A magnetic field `field_box` in gauss that holds from `start_ns` until the next one begins."""
 
     start_ns: int
     field_box: tuple[float, float, float]
 
 
 def field_at(fields: Sequence[PhaseField], time_ns: Integers) -> Reals:
-    """Return (n, 3) gauss at times (n,); one row, broadcast (read-only), where it is the same for all. Before the first
-    of the `fields`, at least one, it is the first.
+    """Return the field (n, 3) in gauss at times (n,), as one broadcast row (read-only) if it is constant. `fields` has
+    at least one; before the first of them, the first holds.
     """
     starts_ns = np.array([field.start_ns for field in fields])
     number = np.clip(np.searchsorted(starts_ns, time_ns, side="right") - 1, 0, None)

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 RAMP_S = 1.0
 SHARES = (0.6, 0.4)
-"""The shares of an axis' slow and fast sine in its peak."""
+"""Shares of the slow and the fast sine of an axis in its peak."""
 
 PLACE_HZ = ((1.5, 3.0), (3.5, 6.0))
 TURN_HZ = ((0.8, 1.6), (2.0, 5.0))
-"""Ranges from which the frequencies of the slow and the fast sine are drawn."""
+"""Ranges in Hz from which the frequencies of the slow and the fast sine are drawn."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class HandShake(MotionBetweenRests):
         return self.motion_s
 
     def felt(self, time_ns: Integers) -> Felt:
-        """Rest, or the midst of it."""
+        """Return the stimulus, at rest or in motion."""
         seconds = self._span.moved_s(time_ns)
         if not ((seconds > 0) & (seconds < self.motion_s)).any():
             return resting(time_ns, UPRIGHT, self.temperature_degc)
@@ -97,8 +97,8 @@ class HandShake(MotionBetweenRests):
         return self._place_sines.at(seconds, self._envelope(seconds))[0].T
 
     def attitude(self, time_ns: Integers) -> Rotation:
-        """n rotations from the box to the level frame."""
-        from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+        """Return n rotations from the box to the level frame."""
+        from scipy.spatial.transform import Rotation  # imported late because SciPy takes long to load
 
         seconds = self._span.moved_s(time_ns)
         return Rotation.from_rotvec(self._turn_sines.at(seconds, self._envelope(seconds))[0].T)
@@ -108,7 +108,7 @@ class HandShake(MotionBetweenRests):
         return min(RAMP_S, self.motion_s / 2)
 
     def _envelope(self, seconds: Reals) -> tuple[Reals, Reals, Reals]:
-        """Return (n,) how much of the motion there is, and its first two derivatives."""
+        """Return the envelope (n,) of the motion and its first two derivatives."""
         left_s = self.motion_s - seconds
         swell, slope, bend, _ = smooth_step(np.minimum(seconds, left_s) / self._ramp_s)
         return swell, np.where(seconds < left_s, slope, -slope) / self._ramp_s, bend / self._ramp_s**2
@@ -122,9 +122,8 @@ class HandShake(MotionBetweenRests):
         return self._drawn(TURN_HZ, math.radians(self.peak_dps), 1)
 
     def _drawn(self, bands_hz: tuple[tuple[float, float], ...], peak: float, order: int) -> _Sines:
-        """Sines of which the derivative of that order has a magnitude of `peak` at most.
-
-        While the envelope swells it adds to a sine's derivatives: the amplitude is what the worst moment allows.
+        """Return sines whose derivative of this order has a magnitude of at most `peak`. The rising envelope adds to
+        the derivatives of a sine, so the amplitude is the one that the worst instant allows.
         """
         generator = np.random.default_rng([self.seed, order])
         low, high = np.transpose(bands_hz)

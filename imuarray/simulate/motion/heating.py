@@ -20,7 +20,9 @@ COOLING_MIN = 20.0
 
 
 class _Stretch(NamedTuple):
-    """A part of the profile: phase, minutes, degC when it begins, degC that it tends to, time constant in minutes."""
+    """A part of the profile: phase, minutes, temperature at its begin and asymptotic temperature in degC, time constant
+    in minutes.
+    """
 
     name: str
     minutes: float
@@ -30,13 +32,13 @@ class _Stretch(NamedTuple):
 
     @property
     def ends_degc(self) -> float:
-        """The temperature at the end."""
+        """Return the temperature at the end."""
         remaining = math.exp(-self.minutes / self.constant_min)
         return self.towards_degc + (self.begins_degc - self.towards_degc) * remaining
 
 
 def _heat(minutes: float, begins_degc: float, ends_degc: float) -> _Stretch:
-    """Heating at whose end exactly `ends_degc` is reached."""
+    """Return a stretch of heating that ends at exactly `ends_degc`."""
     remaining = math.exp(-minutes / HEATING_MIN)
     return _Stretch("heat", minutes, begins_degc, (ends_degc - begins_degc * remaining) / (1 - remaining), HEATING_MIN)
 
@@ -67,12 +69,12 @@ class Heating:
 
     @property
     def seconds(self) -> float:
-        """110 minutes, scaled."""
+        """Return the duration: 110 minutes, scaled."""
         return int(self._edges_ns[-1]) * 1e-9
 
     @cached_property
     def phases(self) -> tuple[Phase, ...]:
-        """room, heat, cool, heat, cool."""
+        """Return the phases room, heat, cool, heat, cool."""
         lengths = np.diff(self._edges_ns).tolist()
         return consecutive(*((part.name, length, self.up) for part, length in zip(self._profile, lengths, strict=True)))
 
@@ -96,20 +98,22 @@ class Heating:
 
     @cached_property
     def _edges_ns(self) -> Integers:
-        """(6,) when each stretch begins, and when the last one ends."""
+        """Return (6,) the beginning of each stretch, and the end of the last one."""
         minutes = np.cumsum([0.0, *(stretch.minutes for stretch in self._profile)])
         return np.array([nanoseconds(self.scale * 60 * passed) for passed in minutes.tolist()])
 
     @cached_property
     def _columns(self) -> Reals:
-        """(3, 5) degC that each stretch tends to, distance from there when it begins, decay per ns."""
+        """Return (3, 5) for each stretch: asymptotic temperature in degC, distance from it at the beginning, decay per
+        ns.
+        """
         towards = np.array([stretch.towards_degc for stretch in self._profile])
         begins = np.array([stretch.begins_degc for stretch in self._profile])
         constants_ns = np.array([self.scale * 60e9 * stretch.constant_min for stretch in self._profile])
         return np.array([towards, begins - towards, -1 / constants_ns])
 
     def felt(self, time_ns: Integers) -> Felt:
-        """Return the stimulus of a box at rest, at the temperature of that moment."""
+        """Return the stimulus of a box at rest, at the temperature of that time."""
         since_ns = np.clip(time_ns, 0, self._edges_ns[-1])
         index = np.searchsorted(self._edges_ns[1:-1], since_ns, side="right")
         towards, distance, decay = self._columns

@@ -19,17 +19,17 @@ from imuarray.simulate.motion.felt import Felt
 from imuarray.units import STANDARD_GRAVITY
 
 _SMALL = 0.2
-"""rad2; below it series are used: what their seven terms leave out is less than the last bit."""
+"""Squared angle in rad2 below which series are used; the neglected terms after the seventh are below the last bit."""
 
 
 class Attitude(Protocol):
-    """The attitude at n instants, and how it changes."""
+    """An attitude at n instants and its derivatives."""
 
     def seen(self, vector_level: Reals) -> Reals:
-        """Return (3, n) a vector (3, n) or (3, 1) of the level frame, in the box frame."""
+        """Transform a vector (3, n) or (3, 1) from the level frame to the box frame, (3, n)."""
 
     def rates(self) -> tuple[Reals, Reals]:
-        """Return (3, n) angular rate in rad/s and (3, n) angular acceleration in rad/s2, in the box frame."""
+        """Return the angular rate in rad/s and the angular acceleration in rad/s2, each (3, n), in the box frame."""
 
 
 def felt_by(
@@ -71,14 +71,14 @@ class RotationVector:
     gain: Reals
 
     def seen(self, vector_level: Reals) -> Reals:
-        """See `Attitude`; Rodrigues' formula."""
+        """Implement `Attitude.seen` by Rodrigues' formula."""
         sinc, versine = self._coefficients[:2]
         once = cross(self.phi, vector_level)
         vector_box: Reals = vector_level - sinc * once + versine * cross(self.phi, once)
         return vector_box
 
     def rates(self) -> tuple[Reals, Reals]:
-        """See `Attitude`; the derivative of the rate, term by term."""
+        """Implement `Attitude` by the derivative of the rate, term by term."""
         phi, speed, gain = self.phi, self.speed, self.gain
         _, versine, rest, versine_slope, rest_slope = self._coefficients
         once, bent = cross(phi, speed), cross(phi, gain)
@@ -90,7 +90,7 @@ class RotationVector:
 
     @cached_property
     def _coefficients(self) -> tuple[Reals, ...]:
-        """(n,) sinc, versine, rest; the derivatives of the last two in theta, divided by theta."""
+        """Return (n,) sinc, versine, rest, and the derivatives of the last two in theta, divided by theta."""
         square = np.sum(self.phi * self.phi, axis=0)
         small = square < _SMALL
         x = np.where(small, 1.0, square)
@@ -104,7 +104,9 @@ class RotationVector:
 
 
 def _series(offset: int) -> Reals:
-    """sum of (-x)^k / (2 k + offset)!, highest power first: sinc, versine, rest of x = theta^2 for offset 1, 2, 3."""
+    """Return the coefficients of sum of (-x)^k / (2 k + offset)!, highest power first: sinc, versine, rest of x =
+    theta^2 for offset 1, 2, 3.
+    """
     return np.array([(-1.0) ** k / math.factorial(2 * k + offset) for k in range(8)])[::-1]
 
 
@@ -124,7 +126,7 @@ class EulerAngles:
     yaw: Reals
 
     def seen(self, vector_level: Reals) -> Reals:
-        """See `Attitude`; one plane turn after the other."""
+        """Implement `Attitude.seen` by one plane rotation after the other."""
         roll_sine, roll_cosine, pitch_sine, pitch_cosine = self._sines
         x, y, z = vector_level
         yaw_sine, yaw_cosine = np.sin(self.yaw[0]), np.cos(self.yaw[0])
@@ -133,7 +135,7 @@ class EulerAngles:
         return np.array([x, y * roll_cosine + z * roll_sine, z * roll_cosine - y * roll_sine])
 
     def rates(self) -> tuple[Reals, Reals]:
-        """See `Attitude`; the derivative of the rate, term by term."""
+        """Implement `Attitude` by the derivative of the rate, term by term."""
         roll_sine, roll_cosine, pitch_sine, pitch_cosine = self._sines
         _, roll, roll_gain = self.roll
         _, pitch, pitch_gain = self.pitch

@@ -1,5 +1,5 @@
-"""The motion of a recorded log, as far as the log tells: its columns as smooth functions of time, read a block at a
-time.
+"""The motion of a recorded log, as far as the log states it: its columns as smooth functions of time, read block by
+block.
 """
 
 from __future__ import annotations
@@ -27,30 +27,30 @@ from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.fields import PhaseField, field_at
 
 BLOCK = 16384
-"""Rows per block; a whole number of the log's chunks."""
+"""Rows per block; a multiple of the log's chunks."""
 
 _KEPT_PIECES = 4
 """Minimum number of blocks kept in memory."""
 
 _MANY = 256
-"""Fewer times are found by a search."""
+"""Number of times below which pieces are found by a search."""
 
 _GAP = 8.0
-"""An interval longer than so many of the shorter one beside it is a gap: the slopes at its ends say nothing of what
-lies between, and a cubic piece by them would swing far beyond both rows.
+"""Ratio of an interval to the shorter of its neighbours above which it is a gap. Slopes at its ends say nothing about
+the time between, and a cubic piece from them would overshoot both rows.
 """
 
 _KEPT_BYTES = 1 << 24
-"""More blocks are kept up to so many bytes: replicates of a log read it again and again. Two hours of a temperature at
-28 Hz take 6 MB, and as much again for a box that lies still.
+"""Bytes up to which more blocks are kept, because replicates of a log read them repeatedly. Two hours of a temperature
+at 28 Hz take 6 MB, and as much again for a box at rest.
 """
 
 
 class _CubicPieces(NamedTuple):
-    """Rows at times (k,) ns, the last row the first of the next block, and the k - 1 cubic pieces between them, p0 + x
-    (p1 + x (p2 + x p3)) for a column where 0 <= x <= 1: p0 of all is `start` (c, k - 1). `moves` (k,): how many of the
-    pieces before a row are not constant; of these m pieces alone the lengths `length_s` (m,) and `curve` (3, c, m), p1,
-    p2, p3, are kept. A lone row has one piece, constant.
+    """Rows at times (k,) ns, the last row being the first of the next block, and the k - 1 cubic pieces between them,
+    p0 + x (p1 + x (p2 + x p3)) for each column with 0 <= x <= 1. p0 of all pieces is `start` (c, k - 1). `moves` (k,)
+    counts the pieces before a row that are not constant; only for these m pieces are the lengths `length_s` (m,) and
+    `curve` (3, c, m), p1, p2, p3, stored. A single row has one piece, which is constant.
     """
 
     time_ns: Integers
@@ -61,19 +61,19 @@ class _CubicPieces(NamedTuple):
 
     @property
     def bytes(self) -> int:
-        """The size in memory; a broadcast row takes none."""
+        """Return the size in memory in bytes; a broadcast row counts as none."""
         arrays = (self.time_ns, self.moves, self.length_s, self.curve)
         return sum(array.nbytes for array in arrays) + (self.start.nbytes if self.start.strides[1] else 0)
 
     def row_before(self, time_ns: Integers) -> npt.NDArray[np.intp]:
-        """Return the number of the piece in which a time within the block lies."""
+        """Return the number of the piece that contains a time within the block."""
         rows = self._evenly(time_ns)
         if rows is None:
             rows = np.searchsorted(self.time_ns, time_ns, side="right") - 1
         return np.clip(rows, 0, self.start.shape[1] - 1)
 
     def _evenly(self, time_ns: Integers) -> npt.NDArray[np.intp] | None:
-        """Return the same, if the rows are so even that dividing finds it: five times as fast as a search."""
+        """Return the same by division, if the rows are sufficiently even: five times as fast as a search."""
         last = len(self.time_ns) - 1
         if last < 1 or len(time_ns) < _MANY:
             return None
@@ -116,18 +116,18 @@ class SplineColumns:
         return np.ascontiguousarray(values.T), np.ascontiguousarray(np.where(time_ns == within, slopes, 0.0).T)
 
     def values_at(self, time_ns: Integers) -> Reals:
-        """Return (n, c) the values alone."""
+        """Return the values (n, c) only."""
         within = np.clip(time_ns, self.first_ns, self.last_ns)
         constant = self._constant(within)
         return np.ascontiguousarray(self._joined(within, _values, 1).T) if constant is None else constant
 
     def _constant(self, within: Integers) -> Reals | None:
-        """Return (n, c) one row, broadcast, if it stands for all between the first and the last of the times."""
+        """Return one broadcast row (n, c), if all values between the first and the last of the times are equal."""
         if len(within) == 0:
             return None
         ends = np.array([within.min(), within.max()])
         first, last = self._numbers(ends).tolist()
-        if last - first >= _KEPT_PIECES:  # these would be read twice
+        if last - first >= _KEPT_PIECES:  # these blocks would be read twice
             return None
         for number in range(first, last + 1):
             block = self._block(number)
@@ -138,7 +138,7 @@ class SplineColumns:
         return np.broadcast_to(value, (len(within), len(value)))
 
     def _joined(self, within: Integers, worked_out: Callable[[_CubicPieces, Integers], Reals], of_each: int) -> Reals:
-        """Return (c * of_each, n) what each block makes of the times in it."""
+        """Return (c * of_each, n) the results of `worked_out` for each block at the times within it."""
         if (within[1:] >= within[:-1]).all():
             return self._in_order(within, worked_out, of_each)
         order = np.argsort(within, kind="stable")
@@ -147,7 +147,7 @@ class SplineColumns:
         return result
 
     def _in_order(self, within: Integers, worked_out: Callable[[_CubicPieces, Integers], Reals], of_each: int) -> Reals:
-        """Return the same of times that ascend."""
+        """Return the same for ascending times."""
         first, last = self._numbers(within[[0, -1]]).tolist() if len(within) else (0, 0)
         if first == last:
             return worked_out(self._block(first), within)
@@ -159,17 +159,17 @@ class SplineColumns:
         return result
 
     def _numbers(self, within: Integers) -> npt.NDArray[np.intp]:
-        """Return (n,) the block of each time."""
+        """Return (n,) the number of the block of each time."""
         return np.searchsorted(self._starts_ns, within, side="right") - 1
 
     @cached_property
     def first_ns(self) -> int:
-        """Time of the first row."""
+        """The time of the first row."""
         return int(self.time[0])
 
     @cached_property
     def last_ns(self) -> int:
-        """Time of the last row."""
+        """The time of the last row."""
         return int(self.time[-1])
 
     @property
@@ -178,7 +178,7 @@ class SplineColumns:
 
     @cached_property
     def _starts_ns(self) -> Integers:
-        """(blocks,) time of the first row of each."""
+        """The time (blocks,) of the first row of each block."""
         rows = range(0, max(len(self.time) - 1, 1), BLOCK)
         return np.array([self.time[row] for row in rows], np.int64)
 
@@ -199,7 +199,7 @@ class SplineColumns:
         return block
 
     def _read(self, number: int) -> _CubicPieces:
-        """One block, with a row more on either side while slopes are taken."""
+        """Return one block; slopes are computed with an additional row on either side."""
         start = number * BLOCK
         rows_before = min(start, 1)
         rows = slice(start - rows_before, start + BLOCK + 2)
@@ -224,8 +224,8 @@ class SplineColumns:
 
 
 def _slopes(time_ns: Integers, rows: Reals) -> Reals:
-    """Return (k, c) per s by the three-point formula; exactly 0 between rows that are equal, which it rounds to
-    nearly 0.
+    """Return slopes (k, c) per s by the three-point formula; exactly 0 between equal rows, for which the formula gives
+    rounding errors.
     """
     if len(rows) == 1:
         return np.zeros_like(rows)
@@ -270,7 +270,7 @@ def _cubic_pieces(time_ns: Integers, rows: Reals, slopes: Reals, is_gap: Boolean
 
 
 def _values(block: _CubicPieces, time_ns: Integers) -> Reals:
-    """Return (c, n) at times within the block."""
+    """Return values (c, n) at times within the block."""
     row = block.row_before(time_ns)
     start: Reals = block.start.take(row, axis=1)
     moving = _moving(block, row)
@@ -284,7 +284,7 @@ def _values(block: _CubicPieces, time_ns: Integers) -> Reals:
 
 
 def _values_and_slopes(block: _CubicPieces, time_ns: Integers) -> Reals:
-    """Return (2 c, n) values, and their derivatives per s below."""
+    """Return (2 c, n): the values, and below them their derivatives per s."""
     row = block.row_before(time_ns)
     moving = _moving(block, row)
     columns = len(block.start)
@@ -298,13 +298,13 @@ def _values_and_slopes(block: _CubicPieces, time_ns: Integers) -> Reals:
 
 
 def _moving(block: _CubicPieces, row: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """Return which of these pieces are not constant."""
+    """Return whether these pieces are not constant."""
     return np.flatnonzero(block.moves.take(row + 1) > block.moves.take(row))
 
 
 def _pieces(block: _CubicPieces, time_ns: Integers, row: npt.NDArray[np.intp]) -> tuple[Reals, Reals, Reals]:
-    """Return (n,) where in their pieces, none of which is constant, the times lie, 0 to 1; (n,) the lengths of these in
-    s; (3, c, n) p1, p2, p3.
+    """Return, for times in pieces that are not constant: (n,) their position in the piece, 0 to 1; (n,) the length of
+    the piece in s; (3, c, n) p1, p2, p3.
     """
     piece = block.moves.take(row)
     length_s = block.length_s.take(piece)
@@ -314,31 +314,33 @@ def _pieces(block: _CubicPieces, time_ns: Integers, row: npt.NDArray[np.intp]) -
 ROOM_DEGC = 25.0
 
 CHIP_S, SHORT_CHIP_S, CHIP_SHARE = 10.0, 2.0, 1 / 15
-"""The readings of a chip's own thermometer are averaged over this time, or over this share of a shorter log, at least
-over the shorter time: its steps and its noise are no change of the temperature, and a heating lasts a part of the log.
+"""Times over which the readings of a chip's own thermometer are averaged: this time, or this share of a shorter log,
+but at least the shorter time. Its steps and noise are not changes of the temperature, and a heating may last for only a
+part of the log.
 """
 
 FINEST_CHIP_S = 0.5
-"""Shortest time over which they are averaged where the temperature changes by more than their steps and noise."""
+"""Shortest averaging time in s if the temperature changes by more than steps and noise."""
 
 _FEW_READINGS, _SIGNIFICANT = 5, 3.0
-"""Fewest readings of a thermometer that show its noise; the scatter of readings of a temperature that changes, in this
-noise: otherwise a straight line is taken, since the noise of a thermometer is no change of the temperature.
+"""Minimum number of readings that determines the noise of a thermometer, and the scatter, in this noise, above which
+the temperature is taken to change. Otherwise a straight line is used, since the noise of a thermometer is not a change
+of the temperature.
 """
 
 _MEDIAN_OF_SECOND_DIFFERENCES = 0.6745 * math.sqrt(6)
-"""Median size of the second differences of independent normal readings, in their standard deviation."""
+"""Median absolute second difference of independent normal readings, in standard deviations."""
 
 TemperatureSource = Literal["truth", "reference", "barometer", "chip", "nothing"]
 
 _FEW = 256
-"""The largest number of instants whose stimulus is cached: the same few, scattered over a phase, are requested
+"""Largest number of instants whose stimulus is cached: the same few, scattered over a phase, are requested
 repeatedly.
 """
 _KEPT = 512
 
 _LAST = 8
-"""Number of stretches whose values are cached: trials of a model ask for the same ones in turn."""
+"""Number of stretches whose values are cached: trials of a model request the same ones in turn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -370,12 +372,12 @@ class LikeLog:
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """The log's."""
+        """The phases of the log."""
         return tuple(sorted(self.log.phases))
 
     @cached_property
     def seconds(self) -> float:
-        """The end of its last phase or its last reading, whichever is later."""
+        """The end of the log's last phase or of its last reading, whichever is later."""
         times = [int(sensor.time[-1]) for sensor in self.log.sensors.values() if len(sensor)]
         return max([0, *times, *(phase.end_ns for phase in self.log.phases)]) * 1e-9
 
@@ -386,11 +388,11 @@ class LikeLog:
 
     @property
     def temperature_source(self) -> TemperatureSource:
-        """The source of the temperature; "nothing": 25 degC is assumed."""
+        """The source of the temperature; "nothing" means that 25 degC is assumed."""
         return self._warming[0]
 
     def felt(self, time_ns: Integers) -> Felt:
-        """Return what the log's rows or its phases say; read-only for few instants."""
+        """Return the stimulus by the log's rows or phases; read-only for few instants."""
         if len(time_ns) > _FEW:
             return self._felt_before(time_ns)
         return self._remembered(np.asarray(time_ns, np.int64).tobytes())
@@ -408,16 +410,16 @@ class LikeLog:
 
     @cached_property
     def _stretches(self) -> dict[tuple[int, int, int], Felt]:
-        """A cache of stretches by number, first and last of their instants; the most recently used stand last."""
+        """A cache of stretches, by number, first and last of their instants; the most recently used are last."""
         return {}
 
     def __reduce__(self) -> tuple[type[LikeLog], tuple[object, ...]]:
-        """Its log, which opens itself, and the other fields; what was read of the log is not sent."""
+        """Return the fields to pickle: the log, which reopens itself, without what was read from it."""
         return LikeLog, (self.log, self.fields, self.rests)
 
     @cached_property
     def _remembered(self) -> Callable[[bytes], Felt]:
-        """A cache of what is felt at times that are given as bytes."""
+        """A cache of stimuli by their times as bytes."""
         return lru_cache(maxsize=_KEPT)(lambda times: self._felt(np.frombuffer(times, np.int64)))
 
     def _felt(self, time_ns: Integers) -> Felt:
@@ -435,7 +437,7 @@ class LikeLog:
         return replace(felt, force_box=values[:, :3], rate_box=values[:, 3:], angular_acceleration_box=slopes[:, 3:])
 
     def _on_faces(self, time_ns: Integers) -> Felt:
-        """Return the box at rest, at the temperature of the moment."""
+        """Return the stimulus of the box at rest, at the temperature of that time."""
         warming = self._warming[1]
         degc = ROOM_DEGC if warming is None else warming.values_at(time_ns)[:, 0]
         ends = np.array([time_ns.min(), time_ns.max()]) if len(time_ns) else np.zeros(1, np.int64)
@@ -447,7 +449,7 @@ class LikeLog:
         return turned if self._moving is not None else replace(turned, force_box=self._gravity[face])
 
     def _face_at(self, time_ns: Integers) -> npt.NDArray[np.intp]:
-        """Return (n,) the number of the face on which it stands."""
+        """Return (n,) the number of the face on which the box stands."""
         return np.clip(np.searchsorted(self._starts_ns, time_ns, side="right") - 1, 0, None)
 
     @cached_property
@@ -460,17 +462,17 @@ class LikeLog:
 
     @cached_property
     def _attitudes(self) -> Reals:
-        """(k, 3, 3) of each named face."""
+        """The attitudes (k, 3, 3) of the named faces."""
         return np.array([standing_on(phase.up) for phase in self._faces])
 
     @cached_property
     def _gravity(self) -> Reals:
-        """(k, 3) of each named face."""
+        """The force (k, 3) on the named faces."""
         return np.asarray(GRAVITY_LEVEL @ self._attitudes)
 
     @cached_property
     def _track(self) -> tuple[str, Track | None]:
-        """The rows to follow."""
+        """The rows of the log that are followed."""
         for name, track in (("truth", self.log.truth), ("reference", self.log.reference)):
             complete = track is not None and track.specific_force is not None and track.angular_rate is not None
             if track is not None and complete and len(track.time):
@@ -479,7 +481,7 @@ class LikeLog:
 
     @cached_property
     def _moving(self) -> SplineColumns | None:
-        """Force and rate."""
+        """The columns of force and rate."""
         name, track = self._track
         if track is None or track.specific_force is None or track.angular_rate is None:
             return None
@@ -487,7 +489,9 @@ class LikeLog:
 
     @cached_property
     def _means(self) -> tuple[tuple[int, int, Reals], ...]:
-        """The rests, each with the mean force and rate (6,) of the track's rows in it; without those that have none."""
+        """Return the phases at rest, each with the mean force and rate (6,) of the track's rows in it; phases without
+        rows are omitted.
+        """
         _, track = self._track
         if track is None or track.specific_force is None or track.angular_rate is None:
             return ()
@@ -502,14 +506,14 @@ class LikeLog:
 
     @cached_property
     def _warming(self) -> tuple[TemperatureSource, SplineColumns | None]:
-        """The source of the temperature, and the temperature itself."""
+        """Return the source of the temperature, and the temperature itself."""
         tracks: tuple[tuple[TemperatureSource, Track | None], ...]
         tracks = ("truth", self.log.truth), ("reference", self.log.reference)
         for name, track in tracks:
             if track is not None and track.temperature is not None and len(track.time):
                 return name, SplineColumns(track.time, (track.temperature,), f"{self.log.path}, {name}")
         for sensor in self.log.of("pressure"):
-            with suppress(LogError):  # a barometer that was imported without
+            with suppress(LogError):  # a barometer that was imported without temperatures
                 if len(sensor):
                     return "barometer", SplineColumns(sensor.time, (sensor.compensated("temperature"),), sensor.where)
         chip = chip_thermometer(self.log, FINEST_CHIP_S)
@@ -525,8 +529,8 @@ class LikeLog:
 
 
 def _average(chip: TemperatureSeries, longest_s: float) -> tuple[Floats, Floats]:
-    """Means (k,) of the times and of the readings of a thermometer over `longest_s`, and over less, by halves, as long
-    as the means of the halves differ by more than a step of the thermometer and by more than its noise.
+    """Return means (k,) of the times and readings of a thermometer over `longest_s`. Intervals are halved as long as
+    the means of the halves differ by more than a step of the thermometer and by more than its noise.
     """
     degc = chip.degc
     noise = float(np.median(np.abs(np.diff(degc, n=2)))) / _MEDIAN_OF_SECOND_DIFFERENCES if len(degc) > 2 else 0.0
@@ -549,8 +553,10 @@ def _average(chip: TemperatureSeries, longest_s: float) -> tuple[Floats, Floats]
 
 
 def _changes(degc: Reals) -> bool:
-    """True if averaged readings (k,) of a thermometer change by more than their noise, or are too few to tell."""
+    """Return True if averaged readings (k,) of a thermometer change by more than their noise, or are too few to
+    decide.
+    """
     if len(degc) < _FEW_READINGS:
         return True
-    noise = math.sqrt(float(np.mean(np.diff(degc, n=2) ** 2)) / 6)  # of independent readings
+    noise = math.sqrt(float(np.mean(np.diff(degc, n=2) ** 2)) / 6)  # expected for independent readings
     return float(np.std(degc)) > _SIGNIFICANT * noise

@@ -1,4 +1,4 @@
-"""A box that rests in one attitude after the other, each known by its direction up."""
+"""A box that rests in one attitude after another, each known by its upward direction."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, resting
 from imuarray.simulate.motion.felt import Felt, Motion
 from imuarray.simulate.motion.fields import PhaseField, field_at
 
-if TYPE_CHECKING:  # it reads logs, which a world without one does not need
+if TYPE_CHECKING:  # imported late: it reads logs, which other motions do not need
     from imuarray.simulate.motion.like import SplineColumns
 
 Triple = tuple[float, float, float]
@@ -64,7 +64,7 @@ class PoseSequence:
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """One for each attitude."""
+        """The phases, one for each attitude."""
         return tuple(attitude.phase for attitude in self.attitudes)
 
     @property
@@ -73,12 +73,12 @@ class PoseSequence:
         return self.surroundings.seconds
 
     def is_estimated(self, phase: Phase) -> bool:
-        """Return whether the attitude was estimated in which the box lies in the middle of a phase."""
+        """Return whether the attitude in the middle of a phase was estimated."""
         middle_ns = np.array([(phase.start_ns + phase.end_ns) // 2])
         return self.attitudes[int(np.searchsorted(self._turns_ns, middle_ns, side="right")[0])].estimated
 
     def felt(self, time_ns: Integers) -> Felt:
-        """Gravity's reaction in the attitude of the moment."""
+        """Return the stimulus: the reaction to gravity in the attitude of that time, or a movement."""
         around = self.surroundings.felt(time_ns)
         number = np.searchsorted(self._turns_ns, time_ns, side="right")
         if len(number) and (number == number[0]).all():
@@ -94,7 +94,7 @@ class PoseSequence:
         return self._moved(replace(still, pressure_pa=around.pressure_pa), time_ns)
 
     def _moved(self, still: Felt, time_ns: Integers) -> Felt:
-        """Return what is felt at rest, with the movements."""
+        """Return the stimulus at rest with the movements added."""
         moved = [
             (movement, inside)
             for movement in self.movements
@@ -112,25 +112,25 @@ class PoseSequence:
 
     @cached_property
     def _turns_ns(self) -> Integers:
-        """(k - 1,) when it jumps."""
+        """Return (k - 1,) the times at which the box jumps to the next attitude."""
         pairs = zip(self.phases[:-1], self.phases[1:], strict=True)
         return np.array([(before.end_ns + after.start_ns) // 2 for before, after in pairs], np.int64)
 
     @cached_property
     def _rotations(self) -> Reals:
-        """(k, 3, 3) from the box to the level frame."""
+        """Return (k, 3, 3) from the box to the level frame."""
         return upright_from([attitude.up_box for attitude in self.attitudes])
 
 
 _LEAST_SINE = float(np.finfo(float).tiny)
-"""Least sine: smaller numbers have too few digits for a direction."""
+"""Smallest sine that determines a direction; smaller ones have too few digits."""
 
 
 def upright_from(up_box: Sequence[tuple[float, float, float]]) -> Reals:
     """Return (k, 3, 3) the attitudes in which these directions of the box are up, reached by the shortest turn from
     upright (half a turn goes about X).
     """
-    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+    from scipy.spatial.transform import Rotation  # imported late because SciPy takes long to load
 
     ups = np.asarray(up_box, float)
     sines = np.hypot(ups[:, 0], ups[:, 1])

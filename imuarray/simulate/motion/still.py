@@ -37,16 +37,16 @@ class Still:
 
     @cached_property
     def phases(self) -> tuple[Phase, ...]:
-        """One, all of it."""
+        """The phase: the whole log."""
         return consecutive((self.name, nanoseconds(self.seconds), self.up))
 
     @cached_property
     def attitude(self) -> Reals:
-        """(3, 3) from the box to the level frame."""
+        """The attitude (3, 3) from the box to the level frame."""
         return standing_on(self.up, self.tilt_deg)
 
     def felt(self, time_ns: Integers) -> Felt:
-        """Gravity's reaction and nothing else."""
+        """Return the reaction to gravity."""
         if self.drift_degc_per_h == 0:
             return resting(time_ns, self.attitude, self.temperature_degc)
         hours = np.clip(time_ns, 0, nanoseconds(self.seconds)) / 3.6e12

@@ -11,30 +11,30 @@ from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
 
 FOREVER_NS = 1 << 62
-"""Later than anything; 146 years."""
+"""A time later than any other: 146 years in ns."""
 
 
 def nanoseconds(seconds: float) -> int:
-    """Return the same length in whole ns."""
+    """Return the duration in whole ns."""
     return round(seconds * 1e9)
 
 
 def positive(**values: float) -> None:
-    """ValueError that names the first argument that is not above 0, or so large that its ns are past counting."""
+    """Raise ValueError that names the first argument that is not above 0, or whose ns exceed 64 bits."""
     for name, value in values.items():
         if not 0 < value < FOREVER_NS * 1e-9:
             raise ValueError(f"{name}: {value}; allowed is anything above 0")
 
 
 def finite(**values: float) -> None:
-    """ValueError that names the first argument that is no finite number."""
+    """Raise ValueError that names the first argument that is not a finite number."""
     for name, value in values.items():
         if not np.isfinite(value):
             raise ValueError(f"{name}: {value}; a finite number is required")
 
 
 def consecutive(*stretches: tuple[str, int, str]) -> tuple[Phase, ...]:
-    """Phases (name, ns, up) one right after the other, from time 0."""
+    """Return phases (name, ns, up) in direct succession, from time 0."""
     edges = np.cumsum([0, *(length_ns for _, length_ns, _ in stretches)]).tolist()
     return tuple(
         Phase(start, end, name, up) for start, end, (name, _, up) in zip(edges[:-1], edges[1:], stretches, strict=True)
@@ -50,17 +50,17 @@ class BetweenRests:
 
     @property
     def seconds(self) -> float:
-        """All three."""
+        """The total duration in s."""
         return 2 * self.still_s + self.motion_s
 
     @cached_property
     def phases(self) -> tuple[Phase, ...]:
-        """static, motion, static."""
+        """The phases static, motion, static."""
         still_ns, motion_ns = nanoseconds(self.still_s), nanoseconds(self.motion_s)
         return consecutive(("static", still_ns, "+Z"), ("motion", motion_ns, ""), ("static", still_ns, "+Z"))
 
     def moved_s(self, time_ns: Integers) -> Reals:
-        """Return (n,) for how long it has been moving: 0 at rest before, `motion_s` at rest after."""
+        """Return (n,) the elapsed time of the motion: 0 at rest before it, `motion_s` at rest after it."""
         _, moving, _ = self.phases
         return (np.clip(time_ns, moving.start_ns, moving.end_ns) - moving.start_ns) * 1e-9
 
@@ -85,15 +85,14 @@ class MotionBetweenRests:
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """static, motion, static."""
+        """The phases static, motion, static."""
         return self._span.phases
 
 
 def smooth_step(share: Reals) -> tuple[Reals, Reals, Reals, Reals]:
-    """0 up to share 0, 1 from share 1 on, x^4 (35 - 84 x + 70 x^2 - 20 x^3) in between; and its three derivatives.
-
-    The polynomial of least degree whose first three derivatives vanish at both ends: accelerations and what turns them
-    begin and end without a jump.
+    """Return a step: 0 up to share 0, 1 from share 1 on, x^4 (35 - 84 x + 70 x^2 - 20 x^3) in between; and its three
+    derivatives. It is the polynomial of least degree whose first three derivatives vanish at both ends, so that
+    accelerations and their derivatives begin and end without a jump.
     """
     x = np.clip(share, 0.0, 1.0)
     u = x * (1 - x)

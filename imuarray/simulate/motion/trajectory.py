@@ -45,7 +45,7 @@ class _TrajectoryRows:
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """One, from the first row to the last."""
+        """The phase, from the first row to the last."""
         return (Phase(0, int(self.time_ns[-1]), "motion"),)
 
     @property
@@ -58,7 +58,7 @@ class _TrajectoryRows:
         return self.time_ns * 1e-9
 
     def _within_s(self, time_ns: Integers) -> Reals:
-        """Return (n,) the times, before the first row that of the first, after the last that of the last."""
+        """Return the times (n,), limited to those of the first and the last row."""
         return np.clip(time_ns, 0, self.time_ns[-1]) * 1e-9
 
     def _temperature_degc(self, seconds: Reals) -> Reals:
@@ -77,8 +77,8 @@ class Trajectory(_TrajectoryRows):
     attitudes: Rotation
 
     def felt(self, time_ns: Integers) -> Felt:
-        """Return the stimulus, from the second derivative of the place and two of the attitude."""
-        if len(time_ns) == 0:  # no rotations at all are an error in SciPy below 1.16
+        """Return the stimulus from the second derivatives of position and attitude."""
+        if len(time_ns) == 0:  # zero rotations are an error in SciPy below 1.16
             first = self.felt(np.zeros(1, np.int64))
             return Felt(*(getattr(first, item.name)[:0] for item in fields(Felt)))
         seconds = self._within_s(time_ns)
@@ -98,7 +98,7 @@ class Trajectory(_TrajectoryRows):
         return np.asarray(self._place(self._within_s(time_ns)))
 
     def attitude(self, time_ns: Integers) -> Rotation:
-        """n rotations from the box to the level frame."""
+        """Return n rotations from the box to the level frame."""
         return self._attitude(self._within_s(time_ns))
 
     @cached_property
@@ -107,7 +107,7 @@ class Trajectory(_TrajectoryRows):
 
     @cached_property
     def _attitude(self) -> RotationSpline:
-        from scipy.spatial.transform import RotationSpline  # its weight is for those who turn anything
+        from scipy.spatial.transform import RotationSpline  # imported late because SciPy takes long to load
 
         return RotationSpline(self._row_s, self.attitudes)
 
@@ -123,7 +123,7 @@ class FeltRows(_TrajectoryRows):
     rate_box: Floats
 
     def felt(self, time_ns: Integers) -> Felt:
-        """Return the rows themselves; the angular acceleration is the derivative of the rate."""
+        """Return interpolated rows; the angular acceleration is the derivative of the rate."""
         seconds = self._within_s(time_ns)
         return Felt(
             time_ns,
@@ -146,7 +146,7 @@ class FeltRows(_TrajectoryRows):
 
 def _spline(row_s: Reals, rows: Floats) -> CubicSpline:
     """Return the cubic spline through rows (n, k) at times (n,)."""
-    from scipy.interpolate import CubicSpline  # its weight is for those who move rows
+    from scipy.interpolate import CubicSpline  # imported late because SciPy takes long to load
 
     return CubicSpline(row_s, rows)
 
@@ -166,7 +166,7 @@ LAYOUTS = (PLACE + ANGLES, PLACE + QUATERNION, FORCE + RATE_DPS, FORCE + RATE)
 ROOM_DEGC = 25.0
 _UNIT_WITHIN = 0.01
 _LARGEST = 1e9
-"""No place, angle or force is further from 0; keeps splines from running over."""
+"""Limit of the magnitude of positions, angles and forces; it prevents overflow in splines."""
 
 
 class _Cells(NamedTuple):
@@ -177,20 +177,20 @@ class _Cells(NamedTuple):
     text: dict[str, tuple[str, ...]]
 
     def column(self, name: str) -> CellColumn:
-        from imuarray.importers.cells import CellColumn  # importers are loaded where a file is read
+        from imuarray.importers.cells import CellColumn  # importers are loaded only if a file is read
 
         return CellColumn(self.source, name, self.lines, self.text[name])
 
     def numbers(self, *names: str) -> Floats:
-        """Return (n, number of names); SourceError for a cell that is not a number."""
+        """Return (n, number of names) values; SourceError for a cell that is not a number."""
         return np.array([[_number(self.column(name), row) for name in names] for row in range(len(self.lines))])
 
 
 def load_trajectory(path: str | PathLike[str]) -> Trajectory | FeltRows:
-    """Return the motion that the file describes; SourceError, one line, names the line and column that can't be
+    """Return the motion that the file describes; SourceError, in one line, names the line and column that can't be
     read.
     """
-    from imuarray.importers.cells import nanoseconds  # importers are loaded where a file is read
+    from imuarray.importers.cells import nanoseconds  # importers are loaded only if a file is read
 
     cells = _read(Path(path))
     layout = _layout(cells)
@@ -204,8 +204,8 @@ def load_trajectory(path: str | PathLike[str]) -> Trajectory | FeltRows:
 
 
 def _read(path: Path) -> _Cells:
-    """Return the whole file; SourceError unless it is a table of two rows or more."""
-    from imuarray.importers.cells import TextTable  # importers are loaded where a file is read
+    """Return the whole file; SourceError unless it is a table of at least two rows."""
+    from imuarray.importers.cells import TextTable  # importers are loaded only if a file is read
     from imuarray.importers.mapping import FileTable
 
     try:
@@ -217,7 +217,7 @@ def _read(path: Path) -> _Cells:
         names = table.names
         blocks = list(table.blocks())
     for name in names:
-        table.index(name)  # refuses a name that comes twice
+        table.index(name)  # raises SourceError for a name that occurs twice
     lines = tuple(line for block in blocks for line in block.lines)
     if len(lines) < 2:
         raise SourceError(f"{path}: {len(lines)} data rows; at least two below a header row are required")
@@ -240,7 +240,7 @@ def _layout(cells: _Cells) -> tuple[str, ...]:
 
 def _attitudes(cells: _Cells) -> Rotation:
     """Return attitudes from angles or quaternions; SourceError for an invalid quaternion."""
-    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+    from scipy.spatial.transform import Rotation  # imported late because SciPy takes long to load
 
     if ANGLES[0] in cells.text:
         return Rotation.from_euler("ZYX", cells.numbers(*ANGLES[::-1]), degrees=True)

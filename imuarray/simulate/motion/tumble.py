@@ -31,8 +31,8 @@ LAST = len(ORDER) - 1
 
 
 class _TurningVector(NamedTuple):
-    """A vector (7, 3) fixed to the level frame as each face sees it, its part across the axis of the turn that follows,
-    and that axis times the vector.
+    """A vector that is fixed to the level frame, in the box frame of each face (7, 3); its part across the axis of the
+    turn that follows; and the product of that axis and the vector.
     """
 
     start: Reals
@@ -60,22 +60,22 @@ class Tumble:
                 raise ValueError(f"{name}: {len(values)} given; one for each of {', '.join(name for name, _ in ORDER)}")
         faces = zip(ORDER, self.temperatures_degc, strict=True)
         finite(**{f"temperatures_degc, {name}": value for (name, _), value in faces})
-        _ = self.attitudes  # refuses tilts
+        _ = self.attitudes  # raises ValueError for invalid tilts
 
     @property
     def seconds(self) -> float:
-        """Seven faces, six turns."""
+        """The duration: seven faces, six turns."""
         return len(ORDER) * self.face_s + LAST * self.turn_s
 
     @cached_property
     def phases(self) -> tuple[Phase, ...]:
-        """The seven still parts."""
+        """The seven parts at rest."""
         starts = [index * self._period_ns for index in range(len(ORDER))]
         return tuple(Phase(at, at + self._face_ns, name, up) for at, (name, up) in zip(starts, ORDER, strict=True))
 
     @cached_property
     def attitudes(self) -> Reals:
-        """(7, 3, 3) from the box to the level frame, on each face."""
+        """The attitudes (7, 3, 3) from the box to the level frame, one for each face."""
         square: list[Reals] = [UPRIGHT]
         for before, after in pairwise(up for _, up in ORDER):
             square.append(turned(square[-1], shortest_turn(before, after)))
@@ -83,14 +83,14 @@ class Tumble:
 
     @cached_property
     def turns(self) -> Reals:
-        """(7, 3) rotation vectors in the box frame from each face to the next; zeros after the last."""
-        from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+        """Return (7, 3) rotation vectors in the box frame from each face to the next; zeros after the last."""
+        from scipy.spatial.transform import Rotation  # imported late because SciPy takes long to load
 
         pairs = [before.T @ after for before, after in pairwise(self.attitudes)]
         return np.concatenate([Rotation.from_matrix(pairs).as_rotvec(), np.zeros((1, 3))])
 
     def felt(self, time_ns: Integers) -> Felt:
-        """Return a face, or the way to the next."""
+        """Return the stimulus, on a face or during a turn to the next."""
         face = self._only_face(time_ns)
         if face is not None:
             return resting(time_ns, self.attitudes[face], self.temperatures_degc[face])
@@ -123,14 +123,16 @@ class Tumble:
         return (self._period_ns - self._face_ns) * 1e-9
 
     def _progress(self, time_ns: Integers) -> tuple[Integers, Reals]:
-        """Return (n,) number of the face that is or was up, (n,) share of the time of the turn away from it."""
+        """Return (n,) the number of the face that is or was last up, and (n,) the elapsed share of the turn away from
+        it.
+        """
         since_ns = np.clip(time_ns, 0, LAST * self._period_ns)
         index = since_ns // self._period_ns
         turning_ns = since_ns - index * self._period_ns - self._face_ns
         return index, np.maximum(turning_ns, 0) / (self._period_ns - self._face_ns)
 
     def _only_face(self, time_ns: Integers) -> int | None:
-        """Return the face that is up at all these times, None if it isn't one or none."""
+        """Return the face that is up at all these times; None if they are not all on one face."""
         if len(time_ns) == 0:
             return 0
         index, share = self._progress(np.array([time_ns.min(), time_ns.max()]))
@@ -156,7 +158,7 @@ class Tumble:
 
 
 def _seen(vector: _TurningVector, index: Integers, sine: Reals, less: Reals) -> Reals:
-    """Return (n, 3) the vector from a box that has turned by an angle: its sine and cosine - 1, both (n, 1)
+    """Return the vector (n, 3) in a box that has turned by an angle, given its sine and cosine - 1, both (n, 1)
     (Rodrigues).
     """
     vector_box: Reals = vector.start[index] + less * vector.across[index] - sine * vector.aside[index]

@@ -1,4 +1,4 @@
-"""A drive in something like a car: off, a left and a right bend, brakes, a road under it all."""
+"""A simplified drive in a car: start, a left and a right bend, braking, and vibrations from the road."""
 
 from __future__ import annotations
 
@@ -27,25 +27,27 @@ if TYPE_CHECKING:
 GOING_SHARE = 0.2
 BRAKING_SHARE = 0.15
 BENDS = ((0.15, 0.45, 1.0), (0.50, 0.88, -1.0))
-"""Begin and end as shares of the drive, and which way: 1 is left. It still speeds up into the first, and brakes out of
-the second.
+"""Beginning and end of each bend as shares of the drive, and its direction: 1 is left. The vehicle still accelerates in
+the first bend, and brakes in the second.
 """
 
 BEND_RAMP = 0.3
-"""Share of a bend in which it tightens; as much again in which it widens."""
+"""Share of a bend during which its curvature increases; it decreases during an equal share at the end."""
 
 LEAN_RAD_PER_MPS2 = math.radians(0.4)
-"""How far the body leans out of a bend, lifts its nose when it speeds up and dives when it brakes."""
+"""Angles per acceleration by which the body rolls in a bend, pitches up when accelerating and pitches down when
+braking.
+"""
 
 ROAD_HZ = np.geomspace(1.0, 15.0, 9)
-"""Edges of the bands, one sine in each: from what a body on its springs follows to what its wheels do."""
+"""Edges in Hz of the bands, each with one sine, from the motion of the sprung body to that of the wheels."""
 
 LEVERS_M = (1.0, 0.75, 1.3)
-"""Heave; half a track for roll, half a wheelbase for pitch: a bump under one wheel lifts and turns the body."""
+"""Lever arms in m that convert heave to angles: half the track for roll, half the wheelbase for pitch."""
 
 
 class _Drive(NamedTuple):
-    """Speed in m/s with three derivatives, yaw in rad with three derivatives; each (n,)."""
+    """The speed in m/s with three derivatives and the yaw in rad with three derivatives, each (n,)."""
 
     speed: tuple[Reals, Reals, Reals, Reals]
     yaw: tuple[Reals, Reals, Reals, Reals]
@@ -80,7 +82,7 @@ class Vehicle(MotionBetweenRests):
         return self.drive_s
 
     def felt(self, time_ns: Integers) -> Felt:
-        """Rest, or what the road and the driver do."""
+        """Return the stimulus, at rest or while driving."""
         seconds = self._span.moved_s(time_ns)
         if not seconds.any():
             return resting(time_ns, UPRIGHT, self.temperature_degc)
@@ -100,8 +102,8 @@ class Vehicle(MotionBetweenRests):
         return np.stack([speed * np.cos(yaw), speed * np.sin(yaw), self._body(seconds, drive)[0][1]], axis=1)
 
     def attitude(self, time_ns: Integers) -> Rotation:
-        """n rotations from the box to the level frame."""
-        from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+        """Return n rotations from the box to the level frame."""
+        from scipy.spatial.transform import Rotation  # imported late because SciPy takes long to load
 
         seconds = self._span.moved_s(time_ns)
         _, angles = self._body(seconds, self._drive(seconds))
@@ -124,7 +126,7 @@ class Vehicle(MotionBetweenRests):
         return _Drive((v, v1, v2, v3), (yaw[0], yaw[1], yaw[2], yaw[3]))
 
     def _body(self, seconds: Reals, drive: _Drive) -> tuple[Reals, EulerAngles]:
-        """Return (3, n) heave in m with two derivatives; the attitude."""
+        """Return the heave (3, n) in m with two derivatives, and the attitude."""
         v, v1, v2, v3 = drive.speed
         yaw, w, w1, w2 = drive.yaw
         lean = LEAN_RAD_PER_MPS2 * np.array([v * w, v1 * w + v * w1, v2 * w + 2 * v1 * w1 + v * w2])
@@ -133,7 +135,7 @@ class Vehicle(MotionBetweenRests):
         return heave, EulerAngles(roll + lean, pitch - back, np.array([yaw, w, w1]))
 
     def _road(self, seconds: Reals, pace: Reals, pace1: Reals, pace2: Reals) -> Reals:
-        """Return (3, 3, n): heave in m, roll and pitch in rad, each with two derivatives; in proportion to `pace`
+        """Return (3, 3, n): heave in m, roll and pitch in rad, each with two derivatives, in proportion to `pace`
         (n,).
         """
         hertz, sines, cosines = self._sines
@@ -150,7 +152,9 @@ class Vehicle(MotionBetweenRests):
 
     @cached_property
     def _sines(self) -> tuple[Reals, Reals, Reals]:
-        """(8,) frequencies, (3, 8) amplitudes of the sines and of the cosines: heave in m, roll and pitch in rad."""
+        """Return (8,) frequencies and (3, 8) amplitudes of the sines and of the cosines: heave in m, roll and pitch in
+        rad.
+        """
         generator = np.random.default_rng([self.seed, 3])
         low, high = ROAD_HZ[:-1], ROAD_HZ[1:]
         hertz = low * (high / low) ** generator.random(len(low))
@@ -160,11 +164,11 @@ class Vehicle(MotionBetweenRests):
 
 
 def _derivatives(steps: tuple[Reals, Reals, Reals, Reals], length_s: float) -> tuple[Reals, ...]:
-    """Return a step and its derivatives in time, from those in its share."""
+    """Return a step and its derivatives with respect to time, from those with respect to its share."""
     return tuple(step / length_s**order for order, step in enumerate(steps))
 
 
 def _edges(begin: float, end: float, way: float) -> tuple[tuple[tuple[float, float], float], ...]:
-    """Return where a bend tightens, and where it widens again."""
+    """Return the edges at which the curvature of a bend increases, and at which it decreases."""
     ramp = BEND_RAMP * (end - begin)
     return ((begin, begin + ramp), way), ((end - ramp, end), -way)
