@@ -29,6 +29,7 @@ from imuarray.fuse.faults.hypotheses import (
     reset_to,
     separate_rivals,
     strongest,
+    unresolved_motion,
 )
 from imuarray.fuse.faults.window import DecisionWindow, NormalModel, Spaces, WindowResiduals, window_residuals
 from imuarray.fuse.frames import Axis
@@ -329,7 +330,10 @@ class FaultIsolation:
             if seen is None:
                 return None, none
             suspect, drifted = strongest(seen, self._normal), 0.0
-            if suspect is not None and (shared := disagreement(seen, self._normal)) > 0:
+            shared = 0.0
+            if suspect is not None:
+                shared = max(disagreement(seen, self._normal), unresolved_motion(window, seen))
+            if shared > 0:
                 suspect = strongest(seen, self._normal, shared)
                 if suspect is None:
                     self.report.count_disagreement()

@@ -23,7 +23,14 @@ from typing import Literal
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats
-from imuarray.fuse.faults.window import DecisionWindow, NormalModel, Spaces, WindowResiduals, window_residuals
+from imuarray.fuse.faults.window import (
+    DELAY_S,
+    DecisionWindow,
+    NormalModel,
+    Spaces,
+    WindowResiduals,
+    window_residuals,
+)
 from imuarray.fuse.frames import Axis
 from imuarray.units import STANDARD_GRAVITY
 
@@ -276,6 +283,34 @@ def disagreement(seen: WindowResiduals, normal: NormalModel) -> float:
     over = np.sort(single - _USUAL_READING * noise[:, None], axis=0)[middle]
     knock = np.sort(single - noise[:, None], axis=0)[middle][over > 0]
     return _UNEVEN * float(max(0.0, excess, *knock))
+
+
+_SLOW_ROWS_S = 0.04
+"""Least time between rows from which motion by hand, up to some 5 Hz, may be too fast for them."""
+
+_CERTAIN_MOTION = 100.0
+"""Least mean square of the changes of the triad, over that by noise, that counts as motion."""
+
+
+def unresolved_motion(window: DecisionWindow, seen: WindowResiduals) -> float:
+    """Return the variance (SI) of single readings by motion that is too fast for the rate of the rows; 0 if there is no
+    such motion.
+
+    A reading that is late by `DELAY_S` is off by that times the slope of the motion. In rows T apart, a sine of
+    frequency f has first differences with a mean square of ``2 sin(pi f T)^2`` and second differences with ``(2 sin(pi
+    f T))^2`` times that. Where f T is above 1/6, that factor is above 1, and the slope that the normal model derives
+    from the neighbouring rows is too small; it vanishes at f T = 1/2. First differences over T are too small by
+    ``sin(pi f T) / (pi f T)``, which is at least 2 / pi for f T up to 1/2.
+    """
+    first = np.diff(seen.triad, axis=0)
+    periods_s = np.diff(window.time) * 1e-9
+    if len(first) < 2 or periods_s.min() < _SLOW_ROWS_S or not np.isfinite(first).all():
+        return 0.0
+    square, second = float((first**2).sum() / len(first)), float((np.diff(first, axis=0) ** 2).sum() / (len(first) - 1))
+    if square < 2 * _CERTAIN_MOTION * float(np.trace(seen.white.spread)) or second < square:
+        return 0.0
+    slopes = first / periods_s[:, None]
+    return float((np.pi / 2 * DELAY_S) ** 2 * (slopes**2).mean(axis=0).max())
 
 
 def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:

@@ -7,7 +7,7 @@ import pytest
 
 from imuarray.arrays import Floats
 from imuarray.fuse.faults import hypotheses
-from imuarray.fuse.faults.hypotheses import disagreement, strongest
+from imuarray.fuse.faults.hypotheses import disagreement, strongest, unresolved_motion
 from imuarray.fuse.faults.window import DecisionWindow, NormalModel, Spaces, WindowResiduals, window_residuals
 from tests.selection import some
 
@@ -92,3 +92,34 @@ def test_the_bounds_hide_no_fault(sizes: int, monkeypatch: pytest.MonkeyPatch) -
 def test_a_normal_window_is_quiet_by_the_bounds() -> None:
     seen, _ = window_of(np.zeros(24))
     assert hypotheses._is_quiet(seen)
+
+
+def shaken_variance(frequency_hz: float, period_s: float, peak: float = 100.0) -> float:
+    """`unresolved_motion` along x of eight sensors that agree, over many periods of a sine."""
+    frames = 2000
+    rows, every = np.tile(np.eye(3), (8, 1)), np.ones(24, bool)
+    time = (np.arange(frames) * period_s * 1e9).astype(np.int64)
+    motion = peak * np.sin(2 * np.pi * frequency_hz * time * 1e-9)
+    values = motion[:, None] * np.tile([1.0, 0.0, 0.0], 8) + np.random.default_rng(3).normal(0, SIGMA, (frames, 24))
+    window = DecisionWindow(time, values, np.ones((frames, 24), bool), None)
+    normal = NormalModel(SIGMA, "specific_force", frames, period_s)
+    seen = window_residuals(window, normal, rows, every, Spaces(rows))
+    assert seen is not None
+    return unresolved_motion(window, seen)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.31, 0.45])
+def test_motion_that_is_too_fast_for_the_rows_is_no_fault(share: float) -> None:
+    """A sine of peak 100 and frequency f delays of 3 ms (DELAY_S) put off by 0.003 * 2 pi f * 100 at most; what is
+    allowed is at least that and at most pi / 2 times that (closed form: pi / 2 sin(pi f T) / (pi f T), f T < 1/2).
+    """
+    allowed = np.sqrt(2 * shaken_variance(share / 0.1, 0.1)) / (0.003 * 2 * np.pi * (share / 0.1) * 100)
+    assert allowed == pytest.approx(np.sin(np.pi * share) / (2 * share), rel=0.01)
+    assert 1 <= allowed <= np.pi / 2
+
+
+def test_motion_that_the_rows_follow_is_resolved() -> None:
+    """Below a sixth of the rate of rows, in fast rows, and at rest, where there is noise only."""
+    assert shaken_variance(0.15 / 0.1, 0.1) == 0
+    assert shaken_variance(0.3 / 0.02, 0.02) == 0
+    assert shaken_variance(3.0, 0.1, peak=0.0) == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,10 @@ from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.stability import BiasState, Drift, Provenance, Thermal, TurnOn
 from imuarray.errors import FusionError
 from imuarray.fuse.frames import axes_of
-from imuarray.fuse.optimal import ErrorModel, Optimal, error_model
+from imuarray.fuse.optimal import ErrorModel, Optimal, error_model, prior
 from imuarray.log import SensorLog, open_log
 from tests.fuse.conftest import DPS, G, Part, WriteRun, calibration
+from tests.fuse.optimal.conftest import frames_of
 
 GYRO = Part("Gyro1", "+X+Y+Z", "angular_rate", "l3g4200d", 2000.0, 100.0, sigma=0.17)
 OTHER = GYRO._replace(name="Gyro2", axes="-Y-X-Z", sigma=0.34)
@@ -54,7 +56,8 @@ def test_what_was_measured_is_taken(model: Callable[..., ErrorModel]) -> None:
     assert [one.noise for one in of] == pytest.approx([17 * lsb] * 3)
     # besides, Table 4: 0.0083 dps of 1 g, which nobody measured here
     assert [one.bias for one in of] == pytest.approx(np.hypot([5 * lsb, 5 * lsb, 13 * lsb], 0.0083 * DPS))
-    assert [one.response for one in of] == pytest.approx([0.002, 0.001, 0.003])
+    # nonlinearity: L3G-73, 0.2 % of the range
+    assert [one.response for one in of] == pytest.approx(np.hypot([0.002, 0.001, 0.003], 0.002))
     assert [one.slope_per_degc for one in of] == pytest.approx([0.1 * lsb, 0.2 * lsb, np.hypot(1, 0.3) * lsb])
     assert {one.bias_degc for one in of} == {22.0}
 
@@ -133,8 +136,8 @@ def test_noise_correlation_and_drift_of_a_calibration_that_has_them(model: Calla
     assert found.axes["BMA1", 0].drift_time_constant_s == 250.0
 
 
-def test_nothing_is_added_to_what_was_measured(model: Callable[..., ErrorModel]) -> None:
-    """A calibration that says zero without doubt: what is left is noise, and a clock's."""
+def test_nothing_but_nonlinearity_is_added_to_what_was_measured(model: Callable[..., ErrorModel]) -> None:
+    """A calibration that says zero without doubt: what is left is noise, a clock's error and nonlinearity (L3G-73)."""
     zero = np.zeros(3)
     known = {
         "bias_sem_lsb": zero,
@@ -146,7 +149,7 @@ def test_nothing_is_added_to_what_was_measured(model: Callable[..., ErrorModel])
     }
     found = model(GYRO, OTHER, BMA, Gyro1=known, Gyro2=known, BMA1=known)
     for errors in found.axes.values():
-        assert (errors.bias, errors.drift, errors.slope_per_degc, errors.response) == (0, 0, 0, 0)
+        assert (errors.bias, errors.drift, errors.slope_per_degc, errors.response) == (0, 0, 0, 0.002)
     assert {(design.common, design.slope_per_degc) for design in found.designs.values()} == {(0, 0)}
 
 
@@ -178,3 +181,45 @@ def test_a_bias_has_the_turn_on_of_the_logs_it_was_calibrated_in(model: Callable
     found = model(GYRO, Gyro1=measured)
     assert found.axes["Gyro1", 0].bias == pytest.approx(np.sqrt(16 + 25 / 2) * 0.01 * DPS)
     assert found.axes["Gyro1", 0].drift == pytest.approx(3 * 0.01 * DPS)
+
+
+TURNED = [GYRO._replace(name=f"Gyro{number}", axes="+X+Y+Z", sigma=0.05) for number in (1, 2, 3, 4)]
+
+
+def shaken_error(run: Path) -> float:
+    """The error of `optimal` over that of the mean: four gyroscopes of which turns about Y were never calibrated. About
+    Y, each knows the sum of x and z to 1 % only, along directions u that differ by some 5e-3; all else it seems to know
+    to 3e-6. In truth, every element is 5e-4 off.
+    """
+    rng = np.random.default_rng(5)
+    sensors = calibration(TURNED).sensors
+    for name in sensors:
+        u = np.zeros(9)
+        u[[1, 7]] = 1.0, 1.0 + rng.normal(0, 5e-3)  # of x and z to the rate about Y, row by row
+        covariance = 1e-11 * np.eye(9) + 0.01**2 * np.outer(u, u)
+        sensors[name] = replace(
+            sensors[name],
+            response_sem_lsb_per_unit=np.ones(3),
+            response_covariance_lsb2_per_unit2=100.0**2 * covariance,
+        )
+    known = Calibration(sensors)
+    with open_log(run) as log:
+        logs = [log[part.name] for part in TURNED]
+        model, axes = error_model(logs, known), axes_of(logs, known)
+    truth = np.radians(300) * np.sin(np.arange(1000)[:, None] * [0.011, 0.013, 0.017] + np.arange(3.0))
+    responses = np.eye(3) + rng.normal(0, 5e-4, (4, 3, 3))
+    values = np.einsum("sij,nj->nsi", responses, truth).reshape(len(truth), -1)
+    values += rng.normal(0, 0.05 * DPS, values.shape)
+    estimate = Optimal({"angular_rate": axes}, model, period_s=0.01)({"angular_rate": frames_of(values)})
+    ours, mean = estimate["angular_rate"].triad_box, values.reshape(len(truth), 4, 3).mean(axis=1)
+    return float(np.sqrt(((ours - truth) ** 2).mean() / ((mean - truth) ** 2).mean()))
+
+
+def test_an_unmodelled_difference_of_responses_is_not_amplified(
+    write_run: WriteRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With equal noise, the mean is the best estimate of what all have in common; `prior.RESPONSE_CHANGE`."""
+    run = write_run(TURNED, frames=5)
+    assert shaken_error(run) < 1.1
+    monkeypatch.setattr(prior, "RESPONSE_CHANGE", 0.0)
+    assert shaken_error(run) > 10
