@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from imuarray.array import load_array
     from imuarray.bus import open_bus
     from imuarray.calibrate import load_calibration
+    from imuarray.fuse.fused_result import load_fused
     from imuarray.gap.diagnose import diagnose
     from imuarray.log import open_log
 
@@ -39,6 +40,7 @@ _PUBLIC = {
     "diagnose": "imuarray.gap.diagnose",
     "load_array": "imuarray.array",
     "load_calibration": "imuarray.calibrate",
+    "load_fused": "imuarray.fuse.fused_result",
     "open_bus": "imuarray.bus",
     "open_log": "imuarray.log",
 }
@@ -56,6 +58,7 @@ __all__ = [
     "fuse",
     "load_array",
     "load_calibration",
+    "load_fused",
     "open_bus",
     "open_log",
     "simulate",

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
@@ -19,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 from imuarray.axes import Matrix, orientation_of
 from imuarray.chips import CHIPS, HALVES, ChipSpec, SpiRules, chip_of, die_of, half_of, kernel_chip
 from imuarray.errors import ConfigError
+from imuarray.shipped import find_config
 from imuarray.spelling import guess
 from imuarray.toml_files import Mistake, parse_toml, read_text, refusal
 
@@ -395,13 +397,15 @@ class ArrayConfig(BaseModel):
 
 
 def load_array(path: str | PathLike[str]) -> ArrayConfig:
-    """Read an array's TOML file; ConfigError names file and line of every mistake in it.
+    """Read an array's TOML file, or the one of that name that comes with the package; ConfigError names file and line
+    of every mistake in it.
 
-    >>> array = load_array("configs/martin2013.toml")
+    >>> array = load_array("martin2013")
     >>> len(array.sensors), array.sensors[0].chip
     (12, 'adxl345')
     """
-    return parse_array(read_text(path), str(path))
+    file = find_config(Path(path))
+    return parse_array(read_text(file), str(file))
 
 
 def parse_array(text: str, where: str = "configuration") -> ArrayConfig:

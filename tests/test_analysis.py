@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.cli import program
 from imuarray.errors import CalibrationError, ConfigError, FusionError, LogError, MissingExtraError
 from imuarray.fuse import read_fused_head
+from imuarray.fuse.fused_file import FusedEvent
 from imuarray.simulate import EFFECTS
 from tests.log.conftest import write_small
 from tests.selection import some
@@ -54,6 +56,31 @@ def equal(first: dict[str, Any], second: dict[str, Any]) -> bool:
     return first.keys() == second.keys() and all(
         np.array_equal(first[name], second[name], equal_nan=first[name].dtype.kind == "f") for name in first
     )
+
+
+def test_a_fused_file_is_read_again(folder: Path, tmp_path: Path) -> None:
+    """Frames, sensors and events; a file of one that was read is the same file."""
+    fused = ia.fuse(folder / "rest.h5", folder / "cal.toml", "mean")
+    event = FusedEvent(2_000_000_000, "Gyro1", "stuck", "isolated", "Gyro1 is stuck: excluded")
+    replace(fused, events=(event,)).save(tmp_path / "first.h5")
+    again = ia.load_fused(tmp_path / "first.h5")
+    assert (again.technique, again.epoch, again.log) == ("mean", fused.epoch, str(folder / "rest.h5"))
+    assert {quantity: list(names) for quantity, names in again.sensors.items()} == {
+        quantity: list(names) for quantity, names in fused.sensors.items()
+    }
+    assert again.events == (event,)
+    np.testing.assert_array_equal(again.specific_force, fused.specific_force)
+    np.testing.assert_array_equal(again.standard_error("angular_rate"), fused.standard_error("angular_rate"))
+    again.save(tmp_path / "second.h5")
+    assert equal(columns(tmp_path / "first.h5"), columns(tmp_path / "second.h5"))
+    with pytest.raises(LogError, match=r"rest\.h5: "):
+        ia.load_fused(folder / "rest.h5")
+
+
+def test_an_array_of_the_package_is_loaded_by_its_name() -> None:
+    assert ia.load_array("martin2013").name == "martin2013"
+    with pytest.raises(ConfigError, match="martin2014: no such file, and no array of that name comes with the package"):
+        ia.load_array("martin2014")
 
 
 @pytest.mark.slow
@@ -288,3 +315,18 @@ class TestLabelled:
             pytest.raises(MissingExtraError, match=r"xarray.*imuarray\[analysis\]"),
         ):
             log.to_pandas()
+
+
+def test_a_table_holds_the_rows_of_a_phase(folder: Path) -> None:
+    pytest.importorskip("xarray")
+    with ia.open_log(folder / "tumble.h5") as log:
+        sensor, phase = log["BMA1"], log.phases[1]
+        time = np.asarray(sensor.time[:])
+        rows = (phase.start_ns <= time) & (time < phase.end_ns)
+        table = sensor.to_pandas(phase=phase.name)
+        np.testing.assert_array_equal(table[["counts_x", "counts_y", "counts_z"]], sensor.counts[:][rows])
+        assert len(log.to_pandas(phase=phase.name)["BMA1"]) == rows.sum() > 0
+        mean = sensor.to_xarray(phase=phase.name)["specific_force"].mean("time").sel(box_axis=phase.up[1])
+        assert float(mean) * {"+": 1, "-": -1}[phase.up[0]] > 5  # not calibrated
+        with pytest.raises(LogError, match=r"tumble\.h5: no phase 'zup'; it has z_up, .*did you mean z_up"):
+            sensor.to_pandas(phase="zup")

@@ -28,6 +28,7 @@ SHOWN = (
     "imuarray.calibrate.load_calibration",
     "imuarray.fuse.evaluate",
     "imuarray.fuse.fuse",
+    "imuarray.fuse.fused_result.load_fused",
     "imuarray.gap.diagnose.diagnose",
     "imuarray.log.open_log",
     "imuarray.log.reader.Log.to_pandas",
@@ -46,6 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         record(array, bus, here / "run.h5", rate_hz=50.0, seconds=5.0, phase="z_up")
     with ia.open_log(here / "run.h5") as log:
         calibrate_noise(log).save(here / "cal.toml")
+        ia.fuse(log, here / "cal.toml", "optimal").save(here / "fused.h5")
     ia.simulate(array, here / "tumble.h5", experiment="tumble", seconds=60.0).close()
     ia.simulate(array, here / "heating.h5", experiment="heating", seconds=1200.0, rate_hz=10.0).close()
     for boot in range(3):

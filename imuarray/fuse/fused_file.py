@@ -215,6 +215,11 @@ class FusedEvent(NamedTuple):
     state: str
     message: str
 
+    @property
+    def sentence(self) -> str:
+        """The message, as of a `FaultEvent`."""
+        return self.message
+
 
 class StoredEvents:
     """The table of events of an open file, empty at first."""
@@ -227,7 +232,7 @@ class StoredEvents:
             text = h5py.string_dtype("utf-8", length)
             self._group.create_dataset(name, (0,), text, maxshape=(None,), chunks=(_CHUNK,))
 
-    def append(self, event: FaultEvent) -> None:
+    def append(self, event: FaultEvent | FusedEvent) -> None:
         """Append an event. OSError."""
         texts = (event.sensor, event.kind, event.state, event.sentence)
         shortened = [_shortened(text, length) for text, length in zip(texts, _TEXTS.values(), strict=True)]
@@ -325,7 +330,7 @@ def write_fused(
     blocks: Iterable[FusedBlock],
     *,
     sensors: Mapping[str, Sequence[str]] = MappingProxyType({}),
-    events: Sequence[FaultEvent] = (),
+    events: Sequence[FaultEvent | FusedEvent] = (),
     force: bool = False,
     progress: Callable[[int], None] = lambda frames: None,
     **origin: Unpack[FusedOrigin],

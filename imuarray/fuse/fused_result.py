@@ -13,18 +13,43 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from imuarray.arrays import Floats, Times
-from imuarray.errors import FusionError
+from imuarray.errors import FusionError, LogError
 from imuarray.figures import time_series_figure
 from imuarray.fuse.evaluation import Error
 from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import ENTRIES, FusedBlock
-from imuarray.fuse.fused_file import UNITS, write_fused
+from imuarray.fuse.fused_file import UNITS, FusedEvent, read_fused, read_fused_events, read_fused_head, write_fused
 from imuarray.fuse.pipeline import FusionNotes
 from imuarray.log.datasets import BOX_AXIS, dataset, table
 from imuarray.units import READABLE_SI
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+def load_fused(path: str | PathLike[str]) -> FusedResult:
+    """Read a fused file, as `imuarray fuse -o`, `imuarray log --fuse` and `FusedResult.save` write it, also while it is
+    being written. LogError for a missing, damaged or hostile file.
+
+    The file contains neither the errors against the truth nor the notes of the technique.
+
+    >>> fused = load_fused("fused.h5")
+    >>> fused.technique, fused.specific_force.shape[1]
+    ('optimal', 3)
+    """
+    head = read_fused_head(path)
+    blocks = list(read_fused(path))
+    if not blocks:
+        raise LogError(f"{path}: no frame was fused yet")
+    return FusedResult(
+        FusedBlock.joined(blocks),
+        head.epoch,
+        head.technique,
+        head.sensors,
+        log=head.log,
+        calibration=head.calibration,
+        events=read_fused_events(path),
+    )
 
 
 @dataclass(frozen=True, repr=False)
@@ -43,7 +68,7 @@ class FusedResult:
     sensors: Mapping[str, Sequence[str]]
     log: str = ""
     calibration: str = ""
-    events: tuple[FaultEvent, ...] = ()
+    events: tuple[FaultEvent | FusedEvent, ...] = ()
     notes: FusionNotes = field(default_factory=FusionNotes)
     remarks: tuple[str, ...] = ()
     errors: Mapping[str, Error] = field(default_factory=lambda: MappingProxyType({}))

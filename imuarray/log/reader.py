@@ -274,16 +274,16 @@ class Log:
 
         return log_tree(self, calibration)
 
-    def to_pandas(self, calibration: Calibration | None = None) -> dict[str, Any]:
-        """Return a `pandas.DataFrame` for each sensor, by name (`SensorLog.to_pandas`). MissingExtraError without
-        xarray and pandas (extra "analysis").
+    def to_pandas(self, calibration: Calibration | None = None, *, phase: str = "") -> dict[str, Any]:
+        """Return a `pandas.DataFrame` for each sensor, by name (`SensorLog.to_pandas`), of all rows or of those of the
+        phases named `phase`. MissingExtraError without xarray and pandas (extra "analysis").
 
         >>> with open_log("run.h5") as log:
         ...     tables = log.to_pandas()
         >>> list(tables["BMA1"].columns)[:4]
         ['specific_force_X', 'specific_force_Y', 'specific_force_Z', 'counts_x']
         """
-        return {name: sensor.to_pandas(calibration) for name, sensor in self.sensors.items()}
+        return {name: sensor.to_pandas(calibration, phase=phase) for name, sensor in self.sensors.items()}
 
     def plot(self, sensors: Sequence[str] = (), calibration: Calibration | None = None) -> Figure:
         """Return the recording: a panel for each sensor (`sensors`: only these) over time, in SI in the box frame.

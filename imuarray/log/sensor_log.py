@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Booleans, Floats
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
 from imuarray.log.columns import DATASET, LiveGroup, NamedColumn, RowCache, named_column
@@ -25,9 +25,11 @@ from imuarray.log.format import (
     THERMOMETER_ATTRIBUTES,
     TIME_UNCERTAINTY,
     CountScale,
+    Phase,
     SensorHeader,
     ThermometerScale,
 )
+from imuarray.spelling import guess
 from imuarray.units import QUANTITIES, SI_PER_UNIT, Quantity
 
 if TYPE_CHECKING:
@@ -46,6 +48,11 @@ class OpenLog(Protocol):
     @property
     def epoch(self) -> str:
         """ISO 8601 UTC of time 0."""
+        ...
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """Named stretches, in file order."""
         ...
 
     def __getitem__(self, name: str, /) -> SensorLog: ...
@@ -231,26 +238,28 @@ class SensorLog(CountScale):
         """All attributes as stored in the file."""
         return cast(Mapping[str, Any], self._group.attrs)
 
-    def to_xarray(self, calibration: Calibration | None = None) -> Any:
-        """Return an `xarray.Dataset` of all rows: physical values in SI in the box frame under the name of the
-        quantity, by `calibration` or else the data sheet's sensitivity, raw counts, status and temperature, over `time`
-        (datetime64, UTC). Every variable has its unit. MissingExtraError without xarray (extra "analysis").
+    def to_xarray(self, calibration: Calibration | None = None, *, phase: str = "") -> Any:
+        """Return an `xarray.Dataset` of all rows, or of those of the phases named `phase`: physical values in SI in the
+        box frame under the name of the quantity, by `calibration` or else the data sheet's sensitivity, raw counts,
+        status and temperature, over `time` (datetime64, UTC). Every variable has its unit. LogError for a phase that
+        the log lacks, MissingExtraError without xarray (extra "analysis").
 
         The biases of a calibration are subtracted without temperature compensation, unlike in `imuarray.export` and
         fusion.
         """
         from imuarray.log.datasets import sensor_dataset
 
-        return sensor_dataset(self, self._epoch(), calibration)
+        rows = self._rows_of(phase) if phase else slice(None)
+        return sensor_dataset(self, self._epoch(), calibration).isel(time=rows)
 
-    def to_pandas(self, calibration: Calibration | None = None) -> Any:
+    def to_pandas(self, calibration: Calibration | None = None, *, phase: str = "") -> Any:
         """Return the contents of `to_xarray` as a `pandas.DataFrame` indexed by time, with a column for each number:
         `angular_rate_X`, `counts_x`, `status`, ...; units by column in its `attrs`. MissingExtraError without xarray
         and pandas (extra "analysis").
         """
         from imuarray.log.datasets import table
 
-        return table(self.to_xarray(calibration))
+        return table(self.to_xarray(calibration, phase=phase))
 
     def plot(self, calibration: Calibration | None = None) -> Figure:
         """Draw the physical values in the box frame over time, or the counts if their unit is unknown;
@@ -261,8 +270,24 @@ class SensorLog(CountScale):
         return log_figure([self], calibration)
 
     def _epoch(self) -> str:
+        return self._whole_log().epoch
+
+    def _rows_of(self, phase: str) -> Booleans:
+        """Return (n,) the rows within the phases of a name; LogError if there is none."""
+        phases = self._whole_log().phases
+        chosen = [part for part in phases if part.name == phase]
+        if not chosen:
+            known = list(dict.fromkeys(part.name for part in phases))
+            raise LogError(
+                f"{self._path}: no phase {phase!r}; it has {', '.join(known) or 'no phases'}{guess(phase, known)}"
+            )
+        time = np.asarray(self.time[:])
+        within = [(part.start_ns <= time) & (time < part.end_ns) for part in chosen]
+        return np.asarray(np.any(within, axis=0))
+
+    def _whole_log(self) -> OpenLog:
         log = self._log()
-        return log.epoch if log is not None else self._opened(self._path).epoch
+        return log if log is not None else self._opened(self._path)
 
     def __repr__(self) -> str:
         span = f" +-{self.range:g} {self.unit}" if self.range else ""

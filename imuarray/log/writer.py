@@ -376,6 +376,11 @@ class LogWriter:
         """Name a stretch of time."""
         self._put(len(self._groups) - 1, note_columns(phase))
 
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The phases so far of a log that is not kept."""
+        return () if self._live is not None else tuple(self._draft.notes.phases)
+
     def begins(self, phase: Phase) -> None:
         """Name a stretch of time that ends at `phase.end_ns` at the latest, so that a log that is interrupted has it
         too. `phase` with the same start and name ends it.
