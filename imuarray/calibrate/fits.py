@@ -208,7 +208,7 @@ def misfit_probability(with_it: float, without: float, number: int, freedom: flo
 
 def find_outlier(p_values: Sequence[float], sizes: Floats, smallest: float) -> int | None:
     """Return the index of the least probable pose or turn whose error is at least `smallest` (in the unit of `sizes`),
-    if it is significant among so many; else None.
+    if it is significant given their number; else None.
     """
     candidates = np.where(sizes >= smallest, p_values, 1.0)
     index = int(candidates.argmin())

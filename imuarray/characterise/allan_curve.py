@@ -286,8 +286,8 @@ def make_curve(
 
 
 def _pooled_freedom(noise: Noise, factor: int, number: Sequence[int], terms: Sequence[int], stride: int) -> float:
-    """Degrees of freedom of the mean over the terms of all runs, `number` of which have so many `terms`: the variances
-    of runs are independent, and each weighs by its terms.
+    """Return the degrees of freedom of the mean over all runs: `number` of runs have `terms` terms each. Variances of
+    runs are independent and are weighted by their number of terms.
     """
     used = [(count, size) for count, size in zip(number, terms, strict=True) if size > 0]
     total = sum(count * size for count, size in used)

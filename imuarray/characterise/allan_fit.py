@@ -58,7 +58,7 @@ _FAR = 12.0
 """
 
 _WIDER = 1.06
-"""Lags far from the kinks stand so much further from them each."""
+"""Ratio of neighbouring lags far from the kinks."""
 
 
 def variances(term: Term, factor: Floats) -> Floats:
@@ -146,9 +146,10 @@ def _cross(term: Term, lags: Floats, m: int, n: int) -> Floats:
 
 
 def _lags(m: int, n: int, rows: int) -> tuple[Floats, Floats, Floats]:
-    """Lags at which r is taken, m <= n; how many pairs of starts have each, and how many lags each stands for.
+    """Return the lags at which r is taken, for m <= n; the number of pairs of starts at each lag; and the number of
+    lags that each represents.
 
-    Close together where r has kinks, near three multiples of n; further away ever wider apart.
+    Lags are dense where r has kinks, near three multiples of n, and increasingly sparse elsewhere.
     """
     first, last = -(rows - 2 * m), rows - 2 * n
     near = np.arange(0, 3 * _FINE + 1) / _FINE
@@ -224,7 +225,9 @@ class AllanEstimate:
         return decorrelated / spread
 
     def solution(self, terms: Sequence[int]) -> AllanSolution:
-        """Squared coefficients of `terms`, fitted and weighted in turn; worked out once for each set of terms."""
+        """Return the squared coefficients of `terms`, alternately fitted and weighted; computed once for each set of
+        terms.
+        """
         key = tuple(terms)
         if key not in self._solutions:
             self._solutions[key] = _solve(self, terms)

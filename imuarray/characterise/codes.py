@@ -220,7 +220,7 @@ def _on_grid(distribution: Histogram, step: int) -> tuple[Integers, Integers]:
 
 
 def _end(distribution: Histogram, at: int, inwards: int, std: float) -> End:
-    """Return the code number `at` of a histogram, beside the one a step inwards."""
+    """Return the code number `at` of a histogram, compared with the code one step inwards."""
     code, count = int(distribution.codes[at]), int(distribution.counts[at])
     p_value = nan
     if inwards and std >= NARROW * abs(inwards):

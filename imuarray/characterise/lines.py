@@ -387,14 +387,16 @@ def _reflected(power: Floats, bins: npt.NDArray[np.intp]) -> Floats:
 
 
 def _leakage(bins_away: npt.NDArray[np.intp]) -> Floats:
-    """Return the most (b,) that a line shows so many bins from its peak, as a share of that; no limit next to it."""
+    """Return the largest power (b,) that a line can have at this distance in bins from its peak, relative to the peak;
+    inf next to the peak.
+    """
     distance = np.maximum(bins_away, _APART) - 0.5
     share = (np.pi * distance * (distance**2 - 1)) ** -2.0 / _lobe(0.5)
     return np.asarray(np.where(bins_away < _APART, inf, share))
 
 
 def _lobe(offset: float) -> float:
-    """W^2, see above, less than a bin from its peak."""
+    """Return W^2 as defined above, for an offset of less than one bin."""
     return float(np.sinc(offset) / (1 - offset**2)) ** 2
 
 

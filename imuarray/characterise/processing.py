@@ -28,13 +28,15 @@ _MOST_ROWS = 1 << 16
 _WINDOW_ROWS = 256
 FEWEST_WINDOWS = 6
 _AT_REST = 2.5
-"""Windows in which noise is looked at: they scatter at most this much more than the quietest."""
+"""Factor over the scatter of the quietest window up to which windows are evaluated for noise."""
 
 _REST_WINDOWS = 3
-"""Windows at rest, one after the other, in which resampling shows better than in all rows, which motion disturbs."""
+"""Number of consecutive windows at rest in which resampling is detected more reliably than in all rows, which motion
+disturbs.
+"""
 
 _LEAST_MOTION = {"g": 0.03, "dps": 1.0, "gauss": 0.02}
-"""Scatter of a window, by unit, above which the box moves: the spectrum of motion falls as that of a filter does."""
+"""Scatter of a window, by unit, above which the box moves. The spectrum of motion falls like that of a filter."""
 
 DEPLETED = 0.1
 """Density of the noise in the highest fifth of the band, relative to that at low frequencies, below which a filter has
@@ -45,10 +47,12 @@ CHIP_ORDER = 3
 """Highest order of the filters that chips have after their converters (ICM-42688-P: first to third)."""
 
 _BEYOND_ORDER = 0.5
-"""Share of the density that a filter of this order leaves an octave above its cutoff below which it is no such one."""
+"""Share of the density one octave above its cutoff that a filter of this order leaves; a filter that leaves less is
+steeper.
+"""
 
 _LOW, _HIGH = (0.03, 0.15), (0.8, 1.0)
-"""Bands that are compared, relative to half the rate."""
+"""Frequency bands that are compared, relative to half the rate."""
 
 BEAT = 25.0
 """Power of a line in the squared second differences, in medians of their periodogram, on all axes at once, from which
@@ -59,13 +63,13 @@ _LINE = 20.0
 """Power of a line of the readings themselves, in medians near it, that makes such a line, too."""
 
 HELD = 0.15
-"""Share of repeated values on each axis from which on it is no chance, in noise of many counts."""
+"""Share of repeated values on each axis above which repetition is not due to chance, in noise of many counts."""
 
 _BEYOND = 2.5
-"""Multiple of the share by chance from which on repeated values are none."""
+"""Multiple of the share expected by chance above which repeated values are not due to chance."""
 
 NO_GRAVITY = 0.3
-"""Length of specific force at rest, in g, below which gravity is not in it."""
+"""Length of specific force at rest in g below which gravity has been removed."""
 
 
 def find_processing(sensor: SensorLog) -> list[str]:
@@ -184,8 +188,8 @@ def _densities(windows: Floats) -> Floats:
 
 
 class _LowPass(NamedTuple):
-    """The frequency above which noise is missing; `is_steep`: an octave above it, less remains than a chip's filter
-    leaves.
+    """A low-pass: the frequency above which noise is missing. `is_steep`: an octave above it, less remains than a
+    chip's filter leaves.
     """
 
     cutoff_hz: float
@@ -209,7 +213,7 @@ def _low_pass(windows: Floats, rate_hz: float) -> _LowPass | None:
 
 
 _OCTAVE_BELOW_END = 0.42
-"""Highest cutoff, relative to half the rate, of which an octave above is in the band."""
+"""Highest cutoff, relative to half the rate, for which one octave above it lies in the band."""
 
 
 def _octave_above(cutoff: float) -> float:
@@ -228,7 +232,7 @@ def _beat_hz(values: Floats, rate_hz: float) -> float:
     scale = np.abs(bends).mean(axis=0)
     if (scale == 0).any():
         return 0.0
-    size = np.minimum((bends / scale) ** 2, 25.0)  # a knock must not stand for the rest
+    size = np.minimum((bends / scale) ** 2, 25.0)  # a knock must not represent the whole rest
     power = np.abs(np.fft.rfft((size - size.mean(axis=0)) * np.hanning(len(size))[:, None], axis=0)) ** 2
     power /= np.median(power, axis=0)
     lowest = max(8, len(power) // 500)
@@ -248,8 +252,8 @@ ROUNDED = 2
 """Largest second difference of three rounded values on a straight line, in counts."""
 
 SCATTER = 6.0
-"""Least second difference (median of the rows that are off the line, of the axis with the largest one) in counts: with
-so much noise a twentieth of the readings is on a line by chance, on three axes at once.
+"""Minimum second difference (median of the rows that are off the line, of the axis with the largest one) in counts.
+With this noise a twentieth of the readings is on a line by chance, on three axes at once.
 """
 
 LEAST_SHARE = 0.3
@@ -260,7 +264,9 @@ _FEWEST_BENDS = 200
 
 @dataclass(frozen=True)
 class Interpolation:
-    """The `share` of the rows that are on the line between their neighbours, and the readings per second."""
+    """Interpolated rows: the `share` of the rows that are on the line between their neighbours, and the readings per
+    second.
+    """
 
     share: float
     rate_hz: float

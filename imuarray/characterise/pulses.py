@@ -19,7 +19,7 @@ from imuarray.log import SensorLog
 from imuarray.log.format import SYNC_PULSE_ERROR
 
 WINDOW_S = 600.0
-"""Length of the stretch in the middle of a log whose pulses are compared."""
+"""Duration of the stretch in the middle of a log in which pulses are compared."""
 LEAST_PULSES = 5
 _SHARE_OF_SPREAD = 0.5
 """Differences of pulses that fall at any phase of the samples scatter; if they scatter less than this share of what

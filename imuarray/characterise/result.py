@@ -97,7 +97,7 @@ class _Box:
 def find_bands(
     spectrum: Spectrum, column: int = 0, narrow: Sequence[SpectralLine] = (), false_alarm: float = FALSE_ALARM
 ) -> tuple[Band, ...]:
-    """Return the wide lines in one column of a spectrum, strongest first, beside the `narrow` ones that are known."""
+    """Return the wide lines in one column of a spectrum, strongest first, in addition to the known `narrow` ones."""
     density = np.array(spectrum.density[:, column])
     density[-1] *= 2  # the bin at half the rate has no twin
     last = len(density) - 1
@@ -239,7 +239,9 @@ def column_of(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any]:
 
 
 def _fit(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any] | None:
-    """White noise, flicker and random walk of the Allan curve; None for a curve that tells nothing."""
+    """Return white noise, flicker and random walk of the Allan curve; None for a curve from which none can be
+    determined.
+    """
     if survey.curve is None:
         return None
     shortest_s = FILTER_TIMES / (2 * math.pi * sensor.bandwidth_hz) if sensor.bandwidth_hz > 0 else 0.0

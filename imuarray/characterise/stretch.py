@@ -140,7 +140,7 @@ def find_timing(
 
 
 def _longest(runs: list[slice]) -> list[slice]:
-    """Return the longest of the runs, in order: those that are long enough, and not too many."""
+    """Return the longest runs in order of time: those that are long enough, up to a maximum number."""
     longest = sorted((run for run in runs if _length(run) >= LEAST_RUN), key=_length, reverse=True)[:_MOST_RUNS]
     return sorted(longest, key=lambda run: int(run.start))
 

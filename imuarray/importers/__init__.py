@@ -30,7 +30,7 @@ _GZIP = b"\x1f\x8b"
 """First bytes of a gzip file (RFC 1952)."""
 
 CSV_HEAD = f'{{"{CSV_VERSION}": '.encode()
-"""First bytes of the JSON file beside CSV files."""
+"""First bytes of the JSON file that accompanies CSV files."""
 
 _CSV = "imuarray.importers.exported_csv"
 MAGICS: Mapping[bytes, str] = MappingProxyType(

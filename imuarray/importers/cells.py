@@ -39,7 +39,9 @@ MOST_RESTARTS = 1000
 
 FEWEST_WHOLE_ROWS = 100
 MOST_TORN = 0.01
-"""Share of the rows so far that may have another number of cells and are left out, once so many rows were whole."""
+"""Share of the rows so far that may have another number of cells and are left out, after this number of complete
+rows.
+"""
 
 LINE_CHARACTERS = 65536
 """Maximum length of a line of a table."""

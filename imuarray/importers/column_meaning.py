@@ -52,7 +52,9 @@ _ANDROID_TYPES: Mapping[str, str] = {
 
 
 def words_of_kind(kind: str, column: str) -> str:
-    """Return what a kind of rows is called: itself, or the name of a number in Android's column of sensor types."""
+    """Return the name of a kind of rows: the kind itself, or the name of a number in Android's column of sensor
+    types.
+    """
     return _ANDROID_TYPES.get(kind, kind) if "type" in column.lower() else kind
 
 

@@ -62,7 +62,7 @@ Files = dict[str, tuple[Path, int | None]]
 
 
 def _header(file: BinaryIO, path: Path) -> dict[str, Any]:
-    """Return what is said of the tables, and leave the file at the row of names; SourceError."""
+    """Return the header of the tables, and leave the file at the row of names; SourceError."""
     if not _has_comments(file):
         described = path.with_suffix(".json")
         with open_source(described, path) as metadata:

@@ -76,7 +76,7 @@ def import_file(
 
 
 def _header(path: Path) -> dict[str, Any]:
-    """Return what is said of the file; SourceError."""
+    """Return the header of the file; SourceError."""
     text = (_open(path).schema_arrow.metadata or {}).get(PARQUET_HEAD.encode(), b"")
     if len(text) > MAX_HEADER_BYTES:
         raise SourceError(f"{path}: a header of more than {MAX_HEADER_BYTES} bytes")

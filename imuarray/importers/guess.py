@@ -131,7 +131,7 @@ def _extreme_intervals(log: Log) -> tuple[float, float]:
 
 
 def _try_import(text: str, path: Path) -> _Trial:
-    """Import with this map and return what is said of the recording."""
+    """Import with this map and return the remarks on the recording."""
     with TemporaryDirectory() as folder:
         place = Path(folder)
         (place / "map.toml").write_text(text, encoding="utf-8")
@@ -149,7 +149,7 @@ def _try_import(text: str, path: Path) -> _Trial:
 
 
 def _label(item: Sequence[str]) -> str:
-    """Return what the rows of a sensor are called: their kind, else the name that the map gives it."""
+    """Return the name of the rows of a sensor: their kind, or the sensor's name in the map."""
     lines = [line for line in item if line.startswith("kind = ")]
     return (lines or [item[1]])[0].split('"')[1]
 

@@ -120,7 +120,7 @@ ALWAYS = 0.9
 """Share of the windows at rest in which the same axis must point down for a statement about all of them."""
 
 LEAST_DIP_DEG = 20.0
-"""Angle of the magnetic field below or above the horizon from which on it tells up from down, in spite of biases."""
+"""Inclination of the magnetic field above which it distinguishes up from down in spite of biases."""
 
 LEAST_HELD = 32
 """Least number of equal rows in a row that is called a stop: sensors that are read too often repeat fewer."""

@@ -29,7 +29,9 @@ LOOKED_AT_RECORDS = 20_000
 """Number of records from which kinds and columns are learnt."""
 
 MOST_KINDS = 16
-"""Most words of a field that tells kinds of records apart; one with more holds remarks or numbers."""
+"""Largest number of different values of a field that distinguishes kinds of records; a field with more holds remarks or
+numbers.
+"""
 
 MOST_BYTES = 1 << 29
 """Largest JSON document that is read as a whole; lines of objects have no limit."""
@@ -283,7 +285,7 @@ def _collect(
 
 
 def _kind_fields(records: Sequence[tuple[int, Record]]) -> list[str]:
-    """Return the fields whose few words tell kinds of records apart."""
+    """Return the fields whose few values distinguish kinds of records."""
     words: dict[str, set[str]] = {}
     numeric: set[str] = set()
     for _, (_, values) in records:

@@ -176,7 +176,7 @@ _USUAL_BITS = (18, 19, 20, 24)
 
 
 def _inferred(quantity: str, axes: Sequence[Floats], largest: float, range_: float) -> Resolution:
-    """Return the resolution of values whose counts per unit nobody states."""
+    """Return the resolution of values whose counts per unit are not stated."""
     widest = max(range_, largest)
     coarse = INT16[1] / widest
     noise = _noise(axes)

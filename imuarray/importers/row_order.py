@@ -62,7 +62,7 @@ class _EvenTimes:
 
 
 MOST_ROWS_LATE = 4096
-"""Rows that are held back; so many cells are in memory."""
+"""Number of rows that are held back, which limits the cells in memory."""
 
 Blocks = Iterator[tuple[CellBlock, list[int]]]
 

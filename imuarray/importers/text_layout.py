@@ -142,8 +142,9 @@ _MOST_KINDS = 20
 def _header(
     layout: TextLayout, remarks: Sequence[_Row], rows: Sequence[_Row], first: int, whole: Sequence[str]
 ) -> list[str]:
-    """Return the names of the columns of a table whose first row of numbers is `rows[first]`: the row above, without
-    rows of units, or else the last of the `remarks` above; [] without. Sets what the lines above say in the layout.
+    """Return the names of the columns of a table whose first row of numbers is `rows[first]`: the row above, ignoring
+    rows of units, or else the last of the `remarks` above; [] if there are none. The information in the lines above is
+    stored in the layout.
     """
     number, cells = rows[first]
     header = rows[first - 1] if first else next((r for r in remarks[-1:] if len(r[1]) == len(cells)), None)

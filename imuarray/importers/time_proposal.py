@@ -186,7 +186,7 @@ def _unit_called(name: str) -> str:
 
 
 _TICKS = re.compile(r"(\d+\.?\d*) ?([mun\u00b5\u03bc]?s)")
-"""A unit of times that is so many of another: "39.0625us"."""
+"""Pattern of a unit of time that is a multiple of another: "39.0625us"."""
 
 
 def _restarts(values: Floats) -> list[str]:

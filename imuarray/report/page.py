@@ -205,5 +205,5 @@ def write_page(
 
 
 def _shown(value: object) -> object:
-    """Spell control characters out in text, which may come from somebody else's file."""
+    """Escape control characters in text, which may come from a file of another author."""
     return "\n".join(map(printable, value.split("\n"))) if type(value) is str else value

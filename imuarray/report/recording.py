@@ -31,7 +31,7 @@ from imuarray.units import SI_PER_UNIT
 SILENT_S = 1.0
 """A sensor is silent if its readings begin so long after those of the others, or end so long before them."""
 PERIODS = 2.5
-"""Readings are missing if a pause is longer than so many of the sensor's periods: if the array is polled in alternating
+"""Length of a pause in periods of the sensor above which readings are missing: if the array is polled in alternating
 order, readings are up to two periods apart.
 """
 

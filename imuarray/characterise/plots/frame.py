@@ -24,7 +24,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 """Okabe and Ito's palette (Color Universal Design, 2008) without its yellow, which is hardly visible on white paper."""
 
 FALSE_ALARM = 0.01
-"""Chance, about, that a figure of white Gaussian noise singles out any axis; shared among the axes."""
+"""Approximate probability that a figure of white Gaussian noise marks any axis; divided among the axes."""
 
 _DASHES = ((), (5, 1.5), (1.2, 1.2), (5, 1.2, 1.2, 1.2))
 _TITLES = {

@@ -32,17 +32,19 @@ if TYPE_CHECKING:
 BANDS_PER_OCTAVE = 6
 
 MAINS_HZ = (50.0, 60.0, 100.0, 120.0)
-"""The mains and what its rectifiers and transformers make of it."""
+"""Frequencies of the mains and the harmonics of rectifiers and transformers."""
 
 _MAINS_WITHIN_HZ = 0.1
 _BINS = slice(2, -1)
-"""Bin 0 is the mean, of bin 1 a part has gone with the mean of every segment, and the last has half a density."""
+"""Bins that are drawn: bin 0 is the mean, bin 1 is attenuated by the removal of each segment's mean, and the last bin
+has half the density.
+"""
 
 _LINE_BINS = 3
 """The number of bins that a line covers on either side."""
 
 _LABELS_APART = 1.1
-"""Frequencies nearer than this ratio share a label, that of the highest peak."""
+"""Ratio of frequencies below which lines share a label, that of the highest peak."""
 
 _MOST_LABELS = 12
 _HEADROOM = 0.65
@@ -68,7 +70,7 @@ def spectrum_figure(result: Table) -> Figure:
 
 
 class Bands(NamedTuple):
-    """Mean frequency and density (b,) of so many `bins` (b,) each."""
+    """Mean frequency and density (b,) of bands with this number of `bins` (b,) each."""
 
     frequency_hz: Floats
     density: Floats
