@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from contextlib import ExitStack
@@ -96,6 +97,23 @@ def test_an_error_keeps_what_was_kept_and_leaves_no_drafts(tmp_path: Path) -> No
     assert [path.name for path in tmp_path.iterdir()] == ["True_001.h5"]
     with open_log(tmp_path / "True_001.h5") as log:
         assert len(log["A"]) == 5
+
+
+@pytest.mark.parametrize(("is_kept", "fails"), [(False, False), (True, True)])
+def test_the_phases_of_the_last_part_are_written_when_the_recording_ends(
+    tmp_path: Path, is_kept: bool, fails: bool
+) -> None:
+    """After an orderly end, and, in a log that is kept, after an error."""
+    with contextlib.suppress(RuntimeError), rotating(tmp_path / "run.h5") as log:
+        if is_kept:
+            log.keep()
+        log.phase(Phase(0, 10**15, "static", "+Z"))
+        for name in ("A", "B"):
+            log.append(name, rows(0, 5))
+        if fails:
+            raise RuntimeError("mine")
+    with open_log(tmp_path / "run_001.h5") as part:
+        assert part.phases == (Phase(0, 4 * SECOND // 10 + 1, "static", "+Z"),)
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
