@@ -5,6 +5,10 @@
 A recording of real sensors has unknown effects of its own; only the injected one is known. A case is therefore judged
 by the causes that are reported for it and not for its control. The folder is one of `imuarray.validation.case_folder`.
 Sizes are in detection limits as everywhere (`imuarray.validation.severity`).
+
+An effect of the signal acts before its conversion to codes. The recording has only the codes: the signal before the
+conversion is drawn within the width of its code, the effect is added, and the sum is converted again. Without an effect
+the codes remain as they are, however coarse they are; a small effect changes few of them.
 """
 
 from __future__ import annotations
@@ -25,7 +29,9 @@ import h5py
 import numpy as np
 
 from imuarray.arrays import Floats, Integers
-from imuarray.log import Log, open_log
+from imuarray.gap.recording.row_timing import even_rows, row_timing
+from imuarray.log import Log, SensorLog, open_log
+from imuarray.units import INERTIAL
 from imuarray.validation.case_folder import write_truth
 from imuarray.validation.severity import find_severity, matched_statistic
 
@@ -33,14 +39,18 @@ LIMITS = 5.0
 """Default size of an injected effect in detection limits."""
 WANDER_S = 30.0
 """Correlation time of a wandering offset."""
+_LEVEL_ROWS = 64
+_MOVES = {"g": 0.5, "dps": 20.0}
+"""Change of the mean of `_LEVEL_ROWS` rows from which on a sensor has moved."""
 
 
 @dataclass(frozen=True)
 class Injection:
-    """An effect that can be injected into a recording. `act` maps times (n,) s since the log's first row, time (n,) ns,
-    counts (n, 3), axis, size and generator to rows kept, time, counts. `names` are the correct effect names, `first`
-    the size at which the search for the detection limit starts, in counts unless `unit` says otherwise; 0 if the effect
-    has no size.
+    """An effect that can be injected into a recording. `act` maps the times at which the rows were read (n,) s since
+    the log's first row, their stamps (n,) ns, counts (n, 3), axis, size and generator to rows kept, stamps, counts.
+    `names` are the correct effect names, `first` the size at which the search for the detection limit starts, in counts
+    unless `unit` says otherwise; 0 if the effect has no size. `needs_motion`: nobody sees it in a recording at rest;
+    `needs_every_code`: nor in a sensor whose codes already have another step than 1.
     """
 
     act: Callable[[Floats, Integers, Floats, int, float, np.random.Generator], tuple[Any, Integers, Floats]]
@@ -49,6 +59,8 @@ class Injection:
     unit: str = "counts"
     is_of_axis: bool = False
     is_of_all: bool = False
+    needs_motion: bool = False
+    needs_every_code: bool = False
 
 
 def _wander(
@@ -61,7 +73,7 @@ def _wander(
     for row, (share, step) in enumerate(zip(kept.tolist(), steps.tolist(), strict=True)):
         value = share * value + step
         path[row] = value
-    return slice(None), time, _add_to_axis(counts, axis, size * path)
+    return slice(None), time, _add_to_axis(counts, axis, size * path, random)
 
 
 def _line(
@@ -70,7 +82,7 @@ def _line(
     """Add a sine of `size` counts at a frequency between a tenth and nine tenths of the Nyquist frequency."""
     half_hz = 0.5 / float(np.median(np.diff(at_s)))
     hz, phase = random.uniform(0.1, 0.9) * half_hz, random.uniform(0, 2 * np.pi)
-    return slice(None), time, _add_to_axis(counts, axis, size * np.sin(2 * np.pi * hz * at_s + phase))
+    return slice(None), time, _add_to_axis(counts, axis, size * np.sin(2 * np.pi * hz * at_s + phase), random)
 
 
 def _drop(
@@ -85,7 +97,7 @@ def _even(
     at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
 ) -> tuple[Any, Integers, Floats]:
     """Double the step between codes."""
-    step = 2 * max(1, int(np.gcd.reduce(np.abs(counts - counts[0]).astype(int), axis=None)))
+    step = 2 * _step_of(counts)
     return slice(None), time, np.round(counts / step) * step
 
 
@@ -110,9 +122,9 @@ INJECTIONS: Mapping[str, Injection] = MappingProxyType(
         "wandering_offset": Injection(_wander, ("bias_instability", "random_walk"), 1.0, is_of_axis=True),
         "line": Injection(_line, ("tone",), 1.0, is_of_axis=True),
         "dropped_rows": Injection(_drop, ("dropped_samples",), 0.01, "share of rows"),
-        "even_codes": Injection(_even, ("quantisation",), 0.0, ""),
-        "clock_off": Injection(_clock, ("clock_error",), 0.02, "1", is_of_all=True),
-        "swapped_axis": Injection(_swap, ("axis_error",), 0.0, ""),
+        "even_codes": Injection(_even, ("quantisation",), 0.0, "", needs_every_code=True),
+        "clock_off": Injection(_clock, ("clock_error",), 0.02, "1", is_of_all=True, needs_motion=True),
+        "swapped_axis": Injection(_swap, ("axis_error",), 0.0, "", needs_motion=True),
     }
 )
 
@@ -152,8 +164,10 @@ def write_cases(
         write_truth(folder, numbers[0], {**about, "kind": control, "effects": list(documented)})
         for name in names:
             random = np.random.default_rng([seed, crc32(name.encode())])
-            inertial = [name for name, log in sensors.items() if log.unit in ("g", "dps")]
-            sensor, axis = str(random.choice(inertial)), int(random.integers(3))
+            targets = _targets(INJECTIONS[name], sensors)
+            if not targets:
+                continue
+            sensor, axis = str(random.choice(targets)), int(random.integers(3))
             target = _Target(logs[0], sensor, axis, int(random.integers(2**31)))
             fit = _find_size(INJECTIONS[name], target, plain[0], limits, stack)
             if fit is None:
@@ -182,10 +196,11 @@ def write_cases(
 
 def inject(path: Path, injection: Injection, sensor: str, axis: int, size: float, seed: int) -> None:
     """Inject an effect into a log, in place. Counts remain integers within their data type."""
+    with open_log(path) as log:
+        at_s = _reading_times_s(log[sensor])
     with h5py.File(path, "r+") as file:
         group = file[f"sensors/{sensor}"]
         time, counts = group["time"][:], group["counts"][:]
-        at_s = (time - time[0]) * 1e-9
         kept, new_time, new_counts = injection.act(
             at_s, time, counts.astype(float), axis, size, np.random.default_rng(seed)
         )
@@ -198,9 +213,42 @@ def inject(path: Path, injection: Injection, sensor: str, axis: int, size: float
                 dataset[:] = values
 
 
-def _add_to_axis(counts: Floats, axis: int, added: Floats) -> Floats:
-    changed = counts.copy()
-    changed[:, axis] += added
+def _reading_times_s(sensor: SensorLog) -> Floats:
+    """Return when the rows were read (n,) s since the first one: not their stamps if those are arrivals in bursts."""
+    is_stamped_late = row_timing(sensor).kind == "bursts"
+    time_ns = even_rows(sensor).stamps(0, len(sensor)) if is_stamped_late else np.asarray(sensor.time[:], np.int64)
+    return np.asarray((time_ns - time_ns[0]) * 1e-9)
+
+
+def _targets(injection: Injection, sensors: Mapping[str, SensorLog]) -> list[str]:
+    """Return the sensors that can show the effect: inertial ones if there are any."""
+    inertial = {name: sensor for name, sensor in sensors.items() if sensor.quantity in INERTIAL}
+    if injection.needs_motion and not any(map(_moves, inertial.values())):
+        return []
+    return [
+        name
+        for name, sensor in (inertial or sensors).items()
+        if not injection.needs_every_code or _step_of(np.asarray(sensor.counts[:])) == 1
+    ]
+
+
+def _moves(sensor: SensorLog) -> bool:
+    """Return whether the level of an inertial sensor changes by more than offsets do."""
+    rows = len(sensor) // _LEVEL_ROWS
+    levels = sensor.counts[: rows * _LEVEL_ROWS].reshape(rows, _LEVEL_ROWS, 3).mean(axis=1) / sensor.sensitivity
+    return bool(rows and np.ptp(levels, axis=0).max() > _MOVES[sensor.unit])
+
+
+def _step_of(counts: Floats | Integers) -> int:
+    """Return the step between the codes of a sensor: 1, or more if lower bits never change."""
+    return max(1, int(np.gcd.reduce(np.abs(counts - counts[0]).astype(int), axis=None)))
+
+
+def _add_to_axis(counts: Floats, axis: int, added: Floats, random: np.random.Generator) -> Floats:
+    """Add to the signal of an axis before its conversion to codes."""
+    step, changed = _step_of(counts), counts.copy()
+    signal = counts[:, axis] + step * random.uniform(-0.5, 0.5, len(counts)) + added
+    changed[:, axis] = counts[0, axis] + step * np.round((signal - counts[0, axis]) / step)
     return changed
 
 

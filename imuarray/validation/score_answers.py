@@ -36,6 +36,13 @@ WORLD_EFFECTS: Mapping[tuple[str, str], frozenset[str]] = MappingProxyType(
 """The effects that may rightly be reported in a stratum of a random world, whatever else is active."""
 
 
+_IDENTITY = ("frequency_hz", "step_lsb")
+"""Parameters by which two causes of one effect, sensor and axis are told apart."""
+
+_SAME = 0.05
+"""Largest relative difference of these parameters between equal causes."""
+
+
 @dataclass(frozen=True)
 class ActiveMechanism:
     """A mechanism that was active: its size in detection limits (nan if it has none), its sensors and axes (empty: all,
@@ -237,8 +244,14 @@ def _with_controls(answers: Sequence[Answer]) -> Iterator[Answer]:
 
 
 def _is_same(cause: Cause, other: Cause) -> bool:
-    """Return whether two causes agree in effect and share a sensor."""
-    return bool(cause["effect"] == other["effect"]) and meets(cause.get("sensors", ()), other.get("sensors", ()))
+    """Return whether two causes agree in effect, share a sensor and an axis, and are the same line or step."""
+    parameters = cause.get("parameters") or {}, other.get("parameters") or {}
+    known = [[number(each.get(name)) for each in parameters] for name in _IDENTITY]
+    return (
+        bool(cause["effect"] == other["effect"])
+        and all(meets(cause.get(part) or (), other.get(part) or ()) for part in ("sensors", "axes"))
+        and not any(abs(first - second) > _SAME * abs(second) for first, second in known)
+    )
 
 
 def active_mechanisms(case: Case, truth: Mapping[str, Any]) -> tuple[ActiveMechanism, ...]:

@@ -171,3 +171,39 @@ def test_a_late_row_of_a_busy_host_takes_a_wrong_flag_with_it(tmp_path: Path) ->
     blocks = list(sources_of(recording)["Acc"].blocks(0, 20 * SECOND))
     assert sum(len(block.time) for block in blocks) == ROWS
     assert not any((block.status & LOST_BEFORE).any() for block in blocks)
+
+
+def in_bursts(path: Path, lost: Sequence[int], second_ns: int = 0) -> Recording:
+    """At rest for 40 s; a busy host stamps both sensors when it reads them, 1 to 20 rows at once. The gyroscope lacks
+    rows, and is stamped `second_ns` later.
+    """
+    rng = np.random.default_rng(3)
+    rows = 40 * RATE_HZ
+    sizes = rng.integers(1, 21, rows)
+    ends = np.cumsum(sizes)
+    burst = np.searchsorted(ends, np.arange(rows), side="right")
+    in_burst = np.arange(rows) - (ends - sizes)[burst]
+    stamps = np.minimum(ends[burst], rows) * SECOND // RATE_HZ + in_burst * 20_000
+    with LogWriter(path, SENSORS, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        for number, sensor in enumerate(SENSORS):
+            held = np.ones(rows, bool)
+            if number:
+                held[list(lost)] = False
+            counts = np.rint(rng.normal((0, 0, 2048 * (1 - number)), 5, (rows, 3))).astype(np.int16)
+            time = stamps + number * second_ns
+            log.append(sensor.name, Block(time[held], counts[held], np.zeros(rows, np.uint16)[held]))
+    return recording_of(open_log(path))
+
+
+def test_rows_with_common_stamps_tell_which_rows_a_sensor_lost(tmp_path: Path) -> None:
+    """However irregular the stamps are; without common stamps nobody knows."""
+    lost = (30, 500, 501, 1700)
+    recording = in_bursts(tmp_path / "common.h5", lost)
+    rows = len(recording.log["Acc"])
+    assert due(recording) == {"Acc": rows, "Gyro": rows}
+    _, line = recording.experiment.plan.sensors["Gyro"]
+    assert [missing for *_, missing in line.holes()] == [1, 2, 1]
+    whole, own = recording.experiment.plan.sensors["Acc"][1].stamps(0, rows), line.stamps(0, rows)
+    np.testing.assert_allclose(own, whole, atol=1)
+    apart = in_bursts(tmp_path / "apart.h5", lost, second_ns=7)
+    assert due(apart) == {"Acc": rows, "Gyro": rows - len(lost)}

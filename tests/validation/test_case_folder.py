@@ -15,7 +15,7 @@ from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import SensorHeader
 from imuarray.validation import injections
 from imuarray.validation.case_folder import cases_in, read_case, write_truth
-from imuarray.validation.injections import INJECTIONS, inject, write_cases
+from imuarray.validation.injections import INJECTIONS, Injection, inject, write_cases
 
 HEADERS = (
     SensorHeader("A", "bma180", "specific_force", "g", 4.0, 2048.0, has_temperature=True),
@@ -142,6 +142,37 @@ def test_what_is_put_into_a_recording(tmp_path: Path) -> None:
     _, before, _, after = injected(tmp_path / "swap", "swapped_axis", 1.0)
     assert np.array_equal(after[:, 1], before[:, 2])
     assert np.array_equal(after[:, 2], -before[:, 1])
+
+
+def test_a_small_effect_changes_few_coarse_codes(tmp_path: Path) -> None:
+    """Codes in steps of 8: a share of |e| / 8 of them changes, all by 8, and their mean by e; e = 0.4 sin, whose mean
+    size is 0.4 * 2 / pi.
+    """
+    path = written(tmp_path / "log.h5")
+    inject(path, Injection(_coarse, (), 0.0), "A", 0, 1.0, seed=1)
+    with open_log(path) as log:
+        before = log["A"].counts[:].astype(int)
+    inject(path, INJECTIONS["line"], "A", 1, 0.4, seed=2)
+    with open_log(path) as log:
+        added = log["A"].counts[:].astype(int) - before
+    assert set(np.unique(added)) == {-8, 0, 8}
+    assert not added[:, [0, 2]].any()
+    share = 0.4 * 2 / np.pi / 8
+    assert np.mean(added[:, 1] != 0) == pytest.approx(share, abs=4 * np.sqrt(share / ROWS))
+
+
+def _coarse(at_s: Any, time: Any, counts: Any, axis: int, size: float, random: Any) -> tuple[Any, Any, Any]:
+    return slice(None), time, np.round(counts / 8) * 8
+
+
+def test_only_effects_that_a_recording_shows_are_put_into_it(tmp_path: Path) -> None:
+    """At rest neither a swapped axis nor a wrong clock shows; doubled steps only in the sensor with all codes."""
+    path = written(tmp_path / "run.h5")
+    inject(path, INJECTIONS["even_codes"], "A", 0, 1.0, seed=1)
+    names = ("swapped_axis", "clock_off", "even_codes")
+    assert write_cases([path], tmp_path / "cases", 1, names=names) == ["000", "001"]
+    told = json.loads((tmp_path / "cases" / "sealed" / "001.json").read_text())
+    assert [(effect["effect"], effect["sensors"]) for effect in told["effects"]] == [("even_codes", ["G"])]
 
 
 def test_a_recording_becomes_a_control_and_cases(tmp_path: Path) -> None:

@@ -318,6 +318,21 @@ def test_what_a_plan_cannot_show(made: Made) -> None:
     assert figures(made).row("effects that a plan can't show, reported so").mark == "n.a."
 
 
+@pytest.mark.parametrize(
+    ("parameters", "axes", "is_new"),
+    [({"frequency_hz": 20.2}, [], False), ({"frequency_hz": 31.0}, [], True), ({"frequency_hz": 20.0}, ["z"], True)],
+)
+def test_a_line_of_the_control_is_not_that_of_the_case(
+    made: Made, parameters: dict[str, float], axes: list[str], is_new: bool
+) -> None:
+    """Another frequency or another axis is another line; the control has 20 Hz on x."""
+    control = made.both("none", said(cause("tone", axes=["x"], parameters={"frequency_hz": 20.0})))
+    reported = cause("tone", axes=axes or ["x"], parameters=parameters)
+    made.both("single", said(reported), put("mains_ripple", 5.0), control=control.name)
+    answer = read_run(made.folder).answers[1]
+    assert bool(answer.causes) == is_new
+
+
 def test_lost_cases_are_told(made: Made) -> None:
     """Without an outcome, with an error, with an outcome that can't be read, without truth, and never begun."""
     made.both("none", NO_GAP)

@@ -145,6 +145,7 @@ MARGINS: Mapping[str, Rule] = MappingProxyType(
         "band_5": fixed(_GENEROUS),
         "band_6": fixed(_GENEROUS),
         "line": fixed(_SCORE),
+        "line_of_log": fixed(_SCORE),
         "alternation": fixed(_GENEROUS),
         "every_other": fixed(_SCORE),
         "lag_1": fixed(_CORRELATION),

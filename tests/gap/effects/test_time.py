@@ -12,6 +12,7 @@ import pytest
 from imuarray.gap.inference.effects import clock_error, dropped_samples, jitter, skew
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.inference.when import Span
 from imuarray.gap.recording.events import Host
 from imuarray.gap.recording.host_lag import HostLag
 from imuarray.simulate.effect import Effect
@@ -20,6 +21,7 @@ from imuarray.simulate.effects.dropped_samples import DroppedSamples
 from imuarray.simulate.effects.jitter import Jitter
 from imuarray.simulate.effects.skew import Skew
 from tests.gap.effects.evidence_of import evidence_of
+from tests.gap.made import RATE_HZ
 from tests.selection import some
 
 ALL = (clock_error, dropped_samples, jitter, skew)
@@ -150,6 +152,23 @@ def test_dropped_samples(probability: float, burst_rows: float) -> None:
     lost = 1 - evidence.phases[0].raw.rows / 6000
     assert found.probability == pytest.approx(lost, abs=0.01)
     assert trial.free == (("probability", "burst_rows") if burst_rows > 1 else ("probability",))
+
+
+def test_stalls_of_the_recorder_are_no_lost_rows() -> None:
+    """100 rows were lost, one at a time; 500 other intervals are long, and in a third of the time nothing was read."""
+    evidence = shown("static", "A1", DroppedSamples(0.02))
+    (phase,) = evidence.phases
+    intervals = replace(phase.raw.intervals, gaps=600, longest_s=3.0)
+    stalled = replace(phase.raw, intervals=intervals, rows=2 * phase.raw.rows // 3)
+    start_s, end_s = phase.raw.phase.start_ns * 1e-9, phase.raw.phase.end_ns * 1e-9
+    inside = [Span(phase.log, moment_s, 1 / RATE_HZ) for moment_s in np.linspace(start_s, end_s, 100, endpoint=False)]
+    outside = [Span(phase.log, end_s + number, 1 / RATE_HZ) for number in range(50)]
+    changed = replace(evidence, phases=(replace(phase, raw=stalled),), holes=(*inside, *outside))
+    (trial,) = dropped_samples.guesses(changed)
+    (effect,) = trial.effects
+    assert isinstance(effect, DroppedSamples)
+    assert effect.probability == pytest.approx(100 / (stalled.rows + 100))
+    assert effect.burst_rows == 1.0
 
 
 @pytest.mark.parametrize(

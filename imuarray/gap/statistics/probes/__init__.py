@@ -54,6 +54,7 @@ PROBES: Mapping[str, PhaseProbe | LogProbe | CrossProbe | ArrayProbe | RunsProbe
         "band_5": spectrum.BAND_PROBES[4],
         "band_6": spectrum.BAND_PROBES[5],
         "line": spectrum.LINE,
+        "line_of_log": spectrum.LINE_OF_LOG,
         "alternation": spectrum.ALTERNATION,
         "every_other": spectrum.EVERY_OTHER,
         "lag_1": autocorrelation.LAG_PROBES[1],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from imuarray.arrays import Floats
-from imuarray.gap.statistics.probes.probe import NOTHING, PhaseProbe, log, once, score_of_largest
+from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, PhaseProbe, log, once, score_of_largest
 from imuarray.gap.statistics.summary import Summary
 
 BANDS = 6
@@ -31,18 +31,47 @@ def band(number: int, summary: Summary) -> Floats:
 
 
 def line(summary: Summary) -> Floats:
-    """Normal score of the highest density over the median of its 33 neighbours.
+    """Normal score of the highest density over the median of its 33 neighbours."""
+    if summary.spectrum.segments == 0:
+        return NOTHING
+    return _score_of_highest(_over_floor(summary), float(summary.spectrum.freedom[_FIRST]))
+
+
+def line_of_log(phases: Sequence[Summary]) -> Floats:
+    """Normal score of the highest density of all phases at rest together; nan with fewer than two phases.
+
+    A line that is at the same frequency in all phases exceeds the floor by more standard deviations there than in any
+    of them. Phase i has n_i degrees of freedom and segments of N_i rows, in which the line's power over the floor is
+    proportional to N_i; the mean with weights N_i n_i therefore shows it best. It has (sum N_i n_i)^2 / (sum N_i^2 n_i)
+    degrees of freedom. Shorter segments have wider bins, each of which stands for several of the finest ones.
+    """
+    known = [phase for phase in phases if phase.spectrum.segments]
+    if len(known) < 2:
+        return NOTHING
+    lengths = np.array([phase.spectrum.segment_rows for phase in known])
+    freedom = np.array([phase.spectrum.freedom[_FIRST] for phase in known])
+    bins = np.arange(lengths.max() // 2 + 1)
+    ratio = np.zeros((len(bins), len(known[0].spectrum.density.T)))
+    for phase, weight in zip(known, lengths * freedom / (lengths @ freedom), strict=True):
+        ratio += weight * _over_floor(phase)[bins * phase.spectrum.segment_rows // lengths.max()]
+    return _score_of_highest(ratio, float((lengths @ freedom) ** 2 / (lengths**2 @ freedom)))
+
+
+@once
+def _over_floor(summary: Summary) -> Floats:
+    """Return the density (m, k) over the median of its 33 neighbours; nan where that is 0."""
+    density = summary.spectrum.density
+    mirrored = density.T[:, _mirror(len(density))]  # one line after the other: faster than three, or two dimensions
+    floor = median_filter(mirrored.ravel(), size=_NEIGHBOURHOOD).reshape(mirrored.shape)[:, _SIDE:-_SIDE].T
+    return np.asarray(density / np.where(floor > 0, floor, np.nan))
+
+
+def _score_of_highest(ratio: Floats, freedom: float) -> Floats:
+    """Normal score of the highest of the ratios (m, k) of densities to their floor.
 
     A density is about chi-squared, its cube root about normal (Wilson and Hilferty, PNAS 17, 1931).
     """
-    density = summary.spectrum.density
-    if summary.spectrum.segments == 0:
-        return NOTHING
-    mirrored = density.T[:, _mirror(len(density))]  # one line after the other: faster than three, or two dimensions
-    floor = median_filter(mirrored.ravel(), size=_NEIGHBOURHOOD).reshape(mirrored.shape)[:, _SIDE:-_SIDE].T
-    ratio = density / np.where(floor > 0, floor, np.nan)
-    scatter = 2 / (9 * summary.spectrum.freedom[_FIRST])
-    score = (np.cbrt(ratio[_FIRST:-1].max(axis=0)) - 1) / np.sqrt(scatter)
+    score = (np.cbrt(ratio[_FIRST:-1].max(axis=0)) - 1) / np.sqrt(2 / (9 * freedom))
     return score_of_largest(score, len(ratio))
 
 
@@ -102,6 +131,9 @@ def _band_probe(number: int) -> PhaseProbe:
 
 BAND_PROBES = tuple(_band_probe(number) for number in range(BANDS))
 LINE = PhaseProbe("spectrum", "normal score of the highest peak over its neighbours' median", "", ("tone",), line)
+LINE_OF_LOG = LogProbe(
+    "spectrum", "normal score of the highest peak of all phases together", "", ("tone",), line_of_log
+)
 ALTERNATION = PhaseProbe(
     "spectrum", "log of the density at half the rate over that before", "", ("tone",), alternation, by_column=False
 )

@@ -1,0 +1,83 @@
+"""Rows that a sensor lost, by another sensor that is stamped together with it.
+
+A program that reads two sensors at once, or writes them into one table, gives their rows equal stamps. A stamp that
+only one of them has is a lost row of the other, however irregular the stamps are: `imuarray.simulate.timeline.filled`
+recognises lost rows between regular ones only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from imuarray.arrays import Integers
+from imuarray.log import Log, SensorLog
+from imuarray.simulate.timeline import GapFilledTimes, Timeline
+
+MOST_LOST = 0.2
+"""Largest share of the other sensor's rows that were lost: a sensor with fewer rows is read less often."""
+
+_FIRST_ROWS = 4096
+"""Rows by which most pairs of sensors without common stamps are recognised."""
+
+
+@dataclass(frozen=True, eq=False)
+class RowSelection:
+    """Rows `chosen` (n,), ascending, of the timeline `whole`; a timeline."""
+
+    whole: Timeline
+    chosen: Integers
+
+    @property
+    def rows(self) -> int:
+        """The number of chosen rows."""
+        return len(self.chosen)
+
+    @property
+    def rows_per_s(self) -> float:
+        """Mean rate of the chosen rows."""
+        return self.whole.rows_per_s * self.rows / self.whole.rows
+
+    def stamps(self, start: int, stop: int) -> Integers:
+        """Return (stop - start,) ns since the log's epoch."""
+        if stop <= start:
+            return np.zeros(0, np.int64)
+        first, last = int(self.chosen[start]), int(self.chosen[stop - 1])
+        return np.asarray(self.whole.stamps(first, last + 1)[self.chosen[start:stop] - first])
+
+
+def with_rows_of_others(log: Log, lines: Mapping[str, Timeline]) -> dict[str, Timeline]:
+    """Return the timelines of sensors, completed by the rows that they lost and a sensor with equal stamps has.
+
+    Timelines that already have lost rows stay as they are. Reads the stamps of sensors with common stamps once.
+    """
+    complete = dict(lines)
+    for name, line in lines.items():
+        if isinstance(line, GapFilledTimes):
+            continue
+        for other in sorted(lines, key=lambda other: -len(log[other])):
+            chosen = _rows_of_other(log[name], log[other])
+            if chosen is not None and not isinstance(lines[other], GapFilledTimes):
+                steps = np.diff(chosen)
+                before = np.flatnonzero(steps > 1) + 1
+                complete[name] = GapFilledTimes(RowSelection(lines[other], chosen), before, steps[before - 1] - 1)
+                break
+    return complete
+
+
+def _rows_of_other(sensor: SensorLog, other: SensorLog) -> Integers | None:
+    """Return the rows (n,) of the other sensor that have the stamps of a sensor with n rows, fewer than the other; None
+    if it has other stamps, or lost no row between two of its own.
+    """
+    rows, of_other = len(sensor), len(other)
+    if not (1 - MOST_LOST) * of_other <= rows < of_other or rows < 2:
+        return None
+    if not np.isin(sensor.time[:_FIRST_ROWS], other.time[: 2 * _FIRST_ROWS]).all():
+        return None
+    stamps, others = np.asarray(sensor.time[:], np.int64), np.asarray(other.time[:], np.int64)
+    chosen = np.searchsorted(others, stamps)
+    is_shared = (chosen < of_other) & (others[np.minimum(chosen, of_other - 1)] == stamps)
+    steps = np.diff(chosen)
+    return chosen if is_shared.all() and (steps > 1).any() else None
