@@ -88,7 +88,7 @@ class Answer:
     def reported(self) -> tuple[Cause, ...]:
         """The reported causes, most probable first, without those that are reported for the control as well."""
         reported = self.outcome.diagnosis.get("causes") or ()
-        return tuple(cause for cause in reported if not any(_is_same(cause, other) for other in self.known))
+        return tuple(cause for cause in reported if not _is_known(cause, self.known))
 
     @property
     def causes(self) -> tuple[Cause, ...]:
@@ -243,15 +243,25 @@ def _with_controls(answers: Sequence[Answer]) -> Iterator[Answer]:
         yield replace(answer, known=causes.get(answer.case.control, ()))
 
 
-def _is_same(cause: Cause, other: Cause) -> bool:
-    """Return whether two causes agree in effect, share a sensor and an axis, and are the same line or step."""
+def _is_known(cause: Cause, known: Iterable[Cause]) -> bool:
+    """Return whether causes that are the same line or step, if either, have its effect, all of its sensors and an axis
+    in common with it.
+    """
+    same = [other for other in known if other["effect"] == cause["effect"] and _can_be_same(cause, other)]
+    sensors = [frozenset(other.get("sensors") or ()) for other in same]
+    return bool(same) and (not all(sensors) or 0 < len(cause.get("sensors") or ()) == len(_of(cause, sensors)))
+
+
+def _of(cause: Cause, sensors: Iterable[frozenset[str]]) -> frozenset[str]:
+    """Return the sensors of a cause that are among these."""
+    return frozenset(cause["sensors"]) & frozenset().union(*sensors)
+
+
+def _can_be_same(cause: Cause, other: Cause) -> bool:
     parameters = cause.get("parameters") or {}, other.get("parameters") or {}
     known = [[number(each.get(name)) for each in parameters] for name in _IDENTITY]
-    return (
-        bool(cause["effect"] == other["effect"])
-        and all(meets(cause.get(part) or (), other.get(part) or ()) for part in ("sensors", "axes"))
-        and not any(abs(first - second) > _SAME * abs(second) for first, second in known)
-    )
+    is_other = any(abs(first - second) > _SAME * abs(second) for first, second in known)
+    return not is_other and meets(cause.get("axes") or (), other.get("axes") or ())
 
 
 def active_mechanisms(case: Case, truth: Mapping[str, Any]) -> tuple[ActiveMechanism, ...]:

@@ -205,5 +205,7 @@ def test_rows_with_common_stamps_tell_which_rows_a_sensor_lost(tmp_path: Path) -
     assert [missing for *_, missing in line.holes()] == [1, 2, 1]
     whole, own = recording.experiment.plan.sensors["Acc"][1].stamps(0, rows), line.stamps(0, rows)
     np.testing.assert_allclose(own, whole, atol=1)
+    times = np.concatenate([read.time for read in sources_of(recording)["Gyro"].blocks(0, 41 * SECOND)])
+    np.testing.assert_allclose(times, np.delete(whole, lost), atol=1)
     apart = in_bursts(tmp_path / "apart.h5", lost, second_ns=7)
     assert due(apart) == {"Acc": rows, "Gyro": rows - len(lost)}

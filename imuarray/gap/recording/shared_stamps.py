@@ -7,6 +7,7 @@ recognises lost rows between regular ones only.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -46,6 +47,10 @@ class RowSelection:
             return np.zeros(0, np.int64)
         first, last = int(self.chosen[start]), int(self.chosen[stop - 1])
         return np.asarray(self.whole.stamps(first, last + 1)[self.chosen[start:stop] - first])
+
+    def row_at(self, at_ns: int) -> int:
+        """Return the first row stamped `at_ns` or later."""
+        return bisect_left(range(self.rows), at_ns, key=lambda row: int(self.stamps(row, row + 1)[0]))
 
 
 def with_rows_of_others(log: Log, lines: Mapping[str, Timeline]) -> dict[str, Timeline]:

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Times
+from imuarray.gap.recording.shared_stamps import RowSelection
 from imuarray.log import SensorLog
 from imuarray.log.format import OVERRUN, STALE, SensorHeader
 from imuarray.log.row_timing import EvenRows
@@ -24,7 +25,7 @@ from imuarray.log.writer import Block
 from imuarray.simulate.sensor import NO_READY_BIT, SimulatedSensor
 from imuarray.simulate.simulation import EVERY_FLAG, Simulation
 from imuarray.simulate.streams import CHUNK
-from imuarray.simulate.timeline import Timeline
+from imuarray.simulate.timeline import GapFilledTimes, Timeline
 
 
 class Source(Protocol):
@@ -90,7 +91,7 @@ class RecordedSource:
 class EvenSource:
     """A sensor of an open log whose rows came in bursts, at the times at which they were read."""
 
-    def __init__(self, sensor: SensorLog, line: EvenRows) -> None:
+    def __init__(self, sensor: SensorLog, line: EvenRows | RowSelection) -> None:
         self.header = _header_in(sensor)
         self.cache: dict[Hashable, Any] = {}
         self._source = RecordedSource(sensor)
@@ -195,7 +196,10 @@ def flags_of_chip(chip: str) -> int:
 
 def recorded_source(sensor: SensorLog, line: Timeline) -> RecordedSource | EvenSource:
     """Return the rows of a sensor of an open log, at the times that its timeline gives."""
-    return EvenSource(sensor, line) if isinstance(line, EvenRows) else RecordedSource(sensor)
+    reading = line.recorded if isinstance(line, GapFilledTimes) else line
+    if isinstance(reading, EvenRows) or (isinstance(reading, RowSelection) and isinstance(reading.whole, EvenRows)):
+        return EvenSource(sensor, reading)
+    return RecordedSource(sensor)
 
 
 def simulated_sources(simulation: Simulation, *, alone: bool = False) -> dict[str, Source]:

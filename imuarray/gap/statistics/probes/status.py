@@ -23,15 +23,6 @@ def stale(summary: Summary) -> Floats:
     return flagged(("stale",), summary) if tells_repetitions(summary) else np.asarray(np.nan)
 
 
-def lost(summary: Summary) -> Floats:
-    """arcsine of the share of rows that are flagged as following lost ones; nan if rows have gaps before them and none
-    has the flag: not every recorder sets it, and it says nothing there.
-    """
-    if summary.intervals.gaps and not summary.flags["lost_before"]:
-        return np.asarray(np.nan)
-    return flagged(("lost_before",), summary)
-
-
 def words(summary: Summary) -> Floats:
     """arcsine of the share of rows whose axes all read -1, or all 0."""
     return arcsine(summary.words, summary.rows)
@@ -44,7 +35,7 @@ def _probe(about: str, moved_by: tuple[str, ...], statistic: Callable[[Summary],
 
 STALE = _probe("that are no new reading", ("stale_samples", "stuck", "odr_error"), stale)
 SATURATED = _probe("at an end of the span", ("saturation", "range_reset", "scale"), partial(flagged, ("saturated",)))
-LOST = _probe("before which some were lost", ("dropped_samples",), lost)
+LOST = _probe("before which some were lost", ("dropped_samples",), partial(flagged, ("lost_before",)))
 DOUBT = _probe("of a chip in doubt or just set up again", (), partial(flagged, ("suspect", "reconfigured")))
 WORDS = PhaseProbe(
     "status",
