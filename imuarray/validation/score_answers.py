@@ -91,6 +91,18 @@ class Answer:
         return tuple(cause for cause in reported if not _is_known(cause, self.known))
 
     @property
+    def is_in_control(self) -> bool:
+        """True if the control has a right cause at the right place that can't be told from that of the case: lines and
+        steps can, by their frequency and size.
+        """
+        return any(
+            mechanism.is_located_by(cause) and meets(mechanism.axes, cause.get("axes") or ())
+            for mechanism in self.active
+            for cause in self.known
+            if not any(name in (cause.get("parameters") or {}) for name in _IDENTITY)
+        )
+
+    @property
     def causes(self) -> tuple[Cause, ...]:
         """The reported causes without those that are rightly reported of the world, which answer no question."""
         active = frozenset().union(*(mechanism.resembles for mechanism in self.active))
@@ -206,8 +218,9 @@ class ValidationRun:
 
 def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> ValidationRun:
     """Read a run's folder with its sealed truth. Cases without outcome are lost, as are outcomes without truth and
-    those of `planned` without any file. A case in which a random mechanism never acted has no answer. ConfigError if it
-    is not the folder of a run.
+    those of `planned` without any file. A case in which a random mechanism never acted has no answer, nor has one whose
+    control has the same effect at the same place: nobody could tell the two apart. ConfigError if it is not the folder
+    of a run.
     """
     place = Path(folder)
     try:
@@ -227,8 +240,12 @@ def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> Valid
         answers.append(Answer(case, active_mechanisms(case, table.get("truth") or {}), outcome))
         differing += _differs(case, table.get("truth") or {})
     lost += _without_truth(planned, sealed, outcomes)
-    answers = sorted(_with_controls(answers), key=lambda answer: (answer.case.half, answer.case.number))
+    with_controls = list(_with_controls(answers))
+    answers = [answer for answer in with_controls if not answer.is_in_control]
+    answers.sort(key=lambda answer: (answer.case.half, answer.case.number))
+    same = len(with_controls) - len(answers)
     notes = {
+        f"In {same} cases the recording itself has the effect that was put into it: they are not counted.": same,
         f"In {differing} cases the plan and the generator name the mechanism differently.": differing,
         f"In {idle} cases the fault, which occurs by chance, did not occur while logs were recorded: they"
         f" are not counted.": idle,

@@ -8,9 +8,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from imuarray.gap.model.replication import Stage
+from imuarray.gap.model.replication import Models, SensorModel, Stage
 from imuarray.gap.recording.recordings import Experiment
 from imuarray.simulate import Motion
+from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.still import Still
 from tests.gap.small_bench import prepared
@@ -36,3 +37,35 @@ def test_long_logs_are_simulated_few_at_a_time() -> None:
     long = replace(short, experiments=(Experiment(replace(plan, sensors=cast(Any, sensors)), motion),))
     assert long.together == 2
     assert replace(long, experiments=long.experiments * 9).together == 1
+
+
+def test_exchanged_sensors_read_the_recorded_levels_of_each_other() -> None:
+    """Scale and misalignment are drawn for each replicate, some hundredths of g; the level of either was recorded.
+
+    Before the exchange a replicate has the recorded level, afterwards that of the other: to a tenth of the scatter that
+    the levels of replicates without an exchange have.
+    """
+    bench, campaign = prepared([("static", Still(seconds=40))], ["A1", "A2"])
+    stage = Stage(bench.kinds, bench.split, bench.layouts, bench.experiments, bench.base)
+    spans = {"spans": (0.0, 20.0, 1e9)}
+    swaps = {
+        "A1": SensorModel(bench.base.fitted["A1"], (ChannelSwap(**spans, sensor="A2"),)),
+        "A2": SensorModel(bench.base.fitted["A2"], (ChannelSwap(**spans, sensor="A1"),)),
+    }
+
+    def levels(models: Models, sensor: str) -> np.ndarray:
+        """(8, 2, 3) mean counts of replicates in the first and in the last 10 s."""
+        logs = (stage.simulated(models, number).logs[0] for number in range(8))
+        means = np.array([np.concatenate([part.sensors[sensor].segments.mean for part in log.phases]) for log in logs])
+        quarter = means.shape[1] // 4
+        return np.stack([means[:, :quarter].mean(axis=1), means[:, -quarter:].mean(axis=1)], axis=1)
+
+    recorded = {
+        name: np.mean([part.sensors[name].segments.mean.mean(axis=0) for part in campaign.logs[0].phases], axis=0)
+        for name in swaps
+    }
+    usual = levels(stage.models(), "A1").std(axis=0).max()
+    exchanged = levels(swaps, "A1")
+    assert usual > 10.0
+    np.testing.assert_allclose(exchanged[:, 0], np.tile(recorded["A1"], (8, 1)), atol=0.2 * usual)
+    np.testing.assert_allclose(exchanged[:, 1], np.tile(recorded["A2"], (8, 1)), atol=0.2 * usual)

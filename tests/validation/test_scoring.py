@@ -333,6 +333,22 @@ def test_a_line_of_the_control_is_not_that_of_the_case(
     assert bool(answer.causes) == is_new
 
 
+def test_an_effect_that_the_recording_itself_has_is_not_counted(made: Made) -> None:
+    """Whether or not it is named in the case; on another axis it is counted."""
+    control = made.both("none", said(cause("popcorn_noise", axes=["x"])))
+    for axis in "xy":
+        case = made.case("single", put("single_trap", 5.0), control=control.name)
+        path = made.folder / "sealed" / f"{case.name}.json"
+        table = json.loads(path.read_text())
+        table["truth"]["mechanisms"][0]["parameters"] = {"axes": [axis]}
+        path.write_text(json.dumps(table))
+        made.answer(case, said(cause("popcorn_noise", axes=[axis])))
+    run = read_run(made.folder)
+    assert [answer.case.number for answer in run.answers] == [1, 3]
+    assert run.answers[1].first is not None
+    assert any("In 1 cases the recording itself has the effect" in note for note in run.notes)
+
+
 def test_lost_cases_are_told(made: Made) -> None:
     """Without an outcome, with an error, with an outcome that can't be read, without truth, and never begun."""
     made.both("none", NO_GAP)

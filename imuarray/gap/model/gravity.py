@@ -84,12 +84,13 @@ def _rests(campaign: Campaign, motions: Sequence[Motion]) -> Iterator[_Rest]:
             if not part.is_still or not there:
                 continue
             is_estimated = isinstance(motion, PoseSequence) and motion.is_estimated(part.phase)
-            known = None if is_estimated else _mean_force_g(motion, part.phase)
+            known = None if is_estimated else mean_force_g(motion, part.phase)
             nominal = np.array(up_vector(part.phase.up)) if part.phase.up in UP_AXES else np.full(3, np.nan)
             yield _Rest((number, part.phase.start_ns), (number, attitude), there, known, nominal)
 
 
-def _mean_force_g(motion: Motion, phase: Phase) -> Floats:
+def mean_force_g(motion: Motion, phase: Phase) -> Floats:
+    """Return the mean specific force (3,) in g, box frame, that a motion has in a phase."""
     at_ns = np.linspace(phase.start_ns, phase.end_ns - 1, _INSTANTS).astype(np.int64)
     return np.asarray(np.mean(motion.felt(at_ns).force_box, axis=0) / STANDARD_GRAVITY)
 

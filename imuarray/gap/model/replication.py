@@ -11,19 +11,30 @@ from functools import cached_property, lru_cache
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
+from imuarray.arrays import Floats
 from imuarray.gap.model.base_model import Base, FittedParameters, replicate_seed
+from imuarray.gap.model.gravity import mean_force_g
+from imuarray.gap.model.rest import REFERENCE_DEGC
 from imuarray.gap.model.room_temperature import HEAT_DEGC, ROOM_DEGC, draw_room_temperature
 from imuarray.gap.recording.phases import is_at_rest
-from imuarray.gap.recording.recordings import Experiment, reference_of
+from imuarray.gap.recording.recordings import Experiment, reference_of, temperature_of
 from imuarray.gap.recording.source import Source, simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, summarise_logs
 from imuarray.gap.statistics.split import Split
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
+from imuarray.simulate.effects.g_sensitivity import GSensitivity
+from imuarray.simulate.effects.misalignment import Misalignment
+from imuarray.simulate.effects.scale import Scale
+from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.turn_on_bias import TurnOnBias
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.simulation import Simulation
 from imuarray.simulate.streams import CHUNK, Streams
-from imuarray.units import INERTIAL
+from imuarray.units import INERTIAL, SI_PER_UNIT, STANDARD_GRAVITY
 
 ORDINARY = frozenset({"white_noise", "bias", "thermal_bias"})
 """Kinds of effect whose parameters are fitted to every recording and every replicate."""
@@ -47,6 +58,9 @@ Effects = Mapping[str, tuple[Effect, ...]]
 
 ReplicateRequest = tuple[Models, int]
 """A replicate: its models and its number."""
+
+_OF_LEVELS = frozenset({"channel_swap", "range_reset", "scale"})
+"""Kinds of effect whose size in the data depends on the sensors' levels."""
 
 TOGETHER = 8
 """Replicates that one job simulates if there are many: common work is done once, and there are enough jobs for many
@@ -216,13 +230,66 @@ class Stage:
     def _effects(self, models: Models, number: int) -> Effects:
         """Return the effects of every sensor, those of the base model where no other model is given."""
         effects = {}
+        depends_on_level = any(effect.name in _OF_LEVELS for model in models.values() for effect in model.added)
         for name, base_effects in self._drawn_effects(number).items():
             model = models.get(name) or SensorModel(self.base.fitted[name])
-            remaining = (
+            remaining = [
                 effect for effect in (*base_effects, *model.fitted.effects()) if effect.name not in model.removed
-            )
+            ]
+            if depends_on_level and self.base.headers[name].quantity in INERTIAL:
+                if len(self.kinds) == 1:  # the fitted level is that of the only boot
+                    remaining = [effect for effect in remaining if effect.name != TurnOnBias.name]
+                remaining.append(self._at_fitted_level(name, base_effects, number))
             effects[name] = (*remaining, *model.added)
         return effects
+
+    def _at_fitted_level(self, name: str, effects: Sequence[Effect], number: int) -> Bias:
+        """Return the bias with which a sensor's level at rest is the fitted one, whatever `effects` were drawn for it.
+
+        Offset, response and slope over temperature can't be told apart in one attitude at one temperature: the level is
+        known to a fraction of a code, the offset only to the tolerances of the others. A replicate is fitted anew, and
+        most statistics don't change. The readings of another sensor, however, differ from the sensor's own by what both
+        levels differ, which is known.
+        """
+        header = self.base.headers[name]
+        force_g = np.array(header.orientation).T @ self._mean_force_box_g
+        unit_per_g = STANDARD_GRAVITY / SI_PER_UNIT[header.unit] if header.quantity == "specific_force" else 0.0
+        shift = np.zeros(3)
+        for effect in effects:
+            if isinstance(effect, Scale):
+                shift += np.array(effect.error) * force_g * unit_per_g
+            elif isinstance(effect, Misalignment):
+                shift += (effect.directions - np.eye(3)) @ force_g * unit_per_g
+            elif isinstance(effect, GSensitivity):
+                shift += np.reshape(effect.response, (3, 3)) @ force_g
+            elif isinstance(effect, ThermalBias):
+                warmer_degc = self._mean_degc(number) - effect.reference_degc
+                shift += warmer_degc * (np.array(effect.slope) + warmer_degc * np.array(effect.quadratic))
+            elif isinstance(effect, Bias):
+                shift += effect.offset
+        x, y, z = (-shift).tolist()
+        return Bias((x, y, z))
+
+    def _mean_degc(self, number: int) -> float:
+        """Return the mean temperature in a replicate over the phases at rest of the training part."""
+        temperatures = [
+            temperature_of(self._motion(log, number))(np.array([(phase.start_ns + phase.end_ns) // 2]))[0]
+            for log, phases in enumerate(self.split.phases(False))
+            for phase in phases
+            if is_at_rest(phase)
+        ]
+        return float(np.mean(temperatures)) if temperatures else REFERENCE_DEGC
+
+    @cached_property
+    def _mean_force_box_g(self) -> Floats:
+        """Mean specific force (3,) in g, box frame, over the phases at rest of the training part."""
+        forces_g = [
+            mean_force_g(experiment.motion, phase)
+            for experiment, phases in zip(self.experiments, self.split.phases(False), strict=True)
+            for phase in phases
+            if is_at_rest(phase)
+        ]
+        return np.asarray(np.mean(forces_g, axis=0)) if forces_g else np.zeros(3)
 
     def _layouts(self, log: int, held_out: bool) -> tuple[Layout, ...]:
         share = self.split.shares[log]
