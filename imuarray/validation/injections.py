@@ -29,8 +29,8 @@ import h5py
 import numpy as np
 
 from imuarray.arrays import Floats, Integers
-from imuarray.gap.recording.row_timing import even_rows, row_timing
 from imuarray.log import Log, SensorLog, open_log
+from imuarray.log.row_timing import even_rows, row_timing
 from imuarray.units import INERTIAL
 from imuarray.validation.case_folder import write_truth
 from imuarray.validation.severity import find_severity, matched_statistic
