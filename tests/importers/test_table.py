@@ -365,4 +365,4 @@ def test_memory_does_not_grow_with_the_table(tmp_path: Path, monkeypatch: pytest
         return most
 
     peak(500)
-    assert peak(40_000) < 1.3 * peak(8_000)
+    assert peak(120_000) < 1.3 * peak(40_000)  # both are longer than the blocks of the report
