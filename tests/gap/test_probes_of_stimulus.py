@@ -96,6 +96,13 @@ def test_timing() -> None:
     np.testing.assert_allclose(value("longest_interval", found), np.log(5.0), atol=1e-9)
     np.testing.assert_allclose(value("repeats", found), np.arcsin(np.sqrt(3 / 2999)))
     np.testing.assert_allclose(value("longest_repeat", found), 4.0)
+    assert np.isnan(value("skips", found))
+    for at in range(150, 3000, 150):
+        times[at:] += 2_000_000_000
+    times[2500:] += 180_000_000  # 19 intervals; 20 are a stall
+    stalled = summary(block(rows, time=times))
+    np.testing.assert_allclose(value("gaps", stalled), np.arcsin(np.sqrt(21 / 2999)))
+    np.testing.assert_allclose(value("skips", stalled), np.arcsin(np.sqrt(2 / 2999)))
 
 
 def test_status() -> None:

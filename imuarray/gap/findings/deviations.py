@@ -198,6 +198,7 @@ MARGINS: Mapping[str, Rule] = MappingProxyType(
         "interval": fixed(_VARIANCE),
         "irregularity": fixed(_GENEROUS),
         "gaps": _ROWS,
+        "skips": _ROWS,
         "longest_interval": fixed(_GENEROUS),
         "repeats": _ROWS,
         "longest_repeat": fixed(_RUN_ROWS),

@@ -20,6 +20,9 @@ WORDS = (-1, 0)
 
 _COUNTED = {**FLAGS, "doubtful": DOUBTFUL}
 
+STALL = 20.0
+"""Gap, in usual intervals, from which on the recorder has stalled: readings are lost one or a few at a time."""
+
 APART = 16
 """Rows from which on two rows that are no new reading belong to two slips of the polls against the data clock."""
 
@@ -32,8 +35,9 @@ class Intervals:
     """Intervals between `count + gaps` neighbouring rows: `mean_s` and `std_s` of the `count` that are no gap, and the
     `longest_s` of all; nan without any.
 
-    A gap is longer than 1.5 times the upper quartile of the first 1024 intervals. `shorter` of all intervals are
-    shorter than the period of the sensor's data, with a mean of `shorter_s`.
+    A gap is longer than 1.5 times the upper quartile of the first 1024 intervals; `skips` of the gaps are shorter than
+    `STALL` times that. `shorter` of all intervals are shorter than the period of the sensor's data, with a mean of
+    `shorter_s`.
     """
 
     count: int
@@ -43,6 +47,7 @@ class Intervals:
     longest_s: float
     shorter: int = 0
     shorter_s: float = 0.0
+    skips: int = 0
 
 
 class IntervalMoments:
@@ -56,7 +61,7 @@ class IntervalMoments:
         self._last_ns: int | None = None
         self._waiting: list[Floats] = []
         self._typical_ns = self._longest_ns = 0.0
-        self._count = self._gaps = 0
+        self._count = self._gaps = self._skips = 0
         self._sum_ns = self._squares_ns2 = 0.0
 
     def update(self, time_ns: Times) -> None:
@@ -72,12 +77,13 @@ class IntervalMoments:
         """Return the moments of all intervals so far."""
         self._add()
         if self._count == 0:
-            return Intervals(0, np.nan, np.nan, self._gaps, np.nan)
+            return Intervals(0, np.nan, np.nan, self._gaps, np.nan, skips=self._skips)
         mean = self._sum_ns / self._count
         variance = max(self._squares_ns2 / self._count - mean**2, 0.0)
         seconds = ((mean + self._typical_ns) * 1e-9, variance**0.5 * 1e-9)
         shorter_s = 1e-9 * self._shorter_ns / max(self._shorter, 1)
-        return Intervals(self._count, *seconds, self._gaps, self._longest_ns * 1e-9, self._shorter, shorter_s)
+        longest_s = self._longest_ns * 1e-9
+        return Intervals(self._count, *seconds, self._gaps, longest_s, self._shorter, shorter_s, self._skips)
 
     def _add(self) -> None:
         """Separates the pending intervals from gaps and adds them up."""
@@ -93,7 +99,9 @@ class IntervalMoments:
             self._shorter_ns += float(intervals[is_shorter].sum())
         from_typical = intervals - self._typical_ns
         if self._longest_ns > GAP * self._typical_ns:
-            from_typical = from_typical[intervals <= GAP * self._typical_ns]
+            is_gap = intervals > GAP * self._typical_ns
+            self._skips += int(np.count_nonzero(is_gap & (intervals < STALL * self._typical_ns)))
+            from_typical = from_typical[~is_gap]
         self._count += len(from_typical)
         self._gaps += len(intervals) - len(from_typical)
         self._sum_ns += float(from_typical.sum())

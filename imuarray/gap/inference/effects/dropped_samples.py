@@ -13,7 +13,7 @@ from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.inference.when import NUMBERS, SINGLE, Span, stretches
 from imuarray.simulate.effects.dropped_samples import DroppedSamples
 
-_PROBES = ("gaps", "lost", "longest_interval", "irregularity", "interval")
+_PROBES = ("gaps", "skips", "lost", "longest_interval", "irregularity", "interval")
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:

@@ -107,6 +107,7 @@ PROBES: Mapping[str, PhaseProbe | LogProbe | CrossProbe | ArrayProbe | RunsProbe
         "interval": timing.INTERVAL,
         "irregularity": timing.IRREGULARITY,
         "gaps": timing.GAPS,
+        "skips": timing.SKIPS,
         "longest_interval": timing.LONGEST,
         "repeats": timing.REPEATS,
         "longest_repeat": timing.LONGEST_REPEAT,

@@ -28,6 +28,14 @@ def gaps(summary: Summary) -> Floats:
     return arcsine(times.gaps, times.count + times.gaps)
 
 
+def skips(summary: Summary) -> Floats:
+    """arcsine of the share of intervals that are gaps of a few rows, beside stalls of the recorder, which hide them
+    among all gaps; nan without stalls.
+    """
+    times = summary.intervals
+    return arcsine(times.skips, times.count + times.gaps) if times.skips < times.gaps else np.asarray(np.nan)
+
+
 def longest(summary: Summary) -> Floats:
     """Return the log of the longest interval over the mean."""
     return np.asarray(log(summary.intervals.longest_s) - log(summary.intervals.mean_s))
@@ -81,6 +89,16 @@ IRREGULARITY = PhaseProbe(
     by_column=False,
 )
 GAPS = PhaseProbe("timing", "arcsine of the share of gaps", "", _DROPPED, gaps, True, one_row, by_column=False)
+SKIPS = PhaseProbe(
+    "timing",
+    "arcsine of the share of gaps that are no stalls",
+    "",
+    _DROPPED,
+    skips,
+    True,
+    one_row,
+    by_column=False,
+)
 LONGEST = PhaseProbe(
     "timing", "log of the longest interval over the mean", "", _DROPPED, longest, True, _hundredth, by_column=False
 )
