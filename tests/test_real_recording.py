@@ -19,7 +19,7 @@ from imuarray.calibrate import calibrate_tumble, load_calibration
 from imuarray.cli import main
 from imuarray.fuse import aligned, axes_of, fuse
 from imuarray.fuse.frames import directions
-from imuarray.fuse.least_squares import weighted
+from imuarray.fuse.least_squares import AxisNoise, weighted
 from imuarray.log import open_log
 
 EXTRACT = Path(__file__).parent / "data" / "mimu4444" / "exp_1_extract.bin"
@@ -161,7 +161,7 @@ def test_weighed_by_that_noise_the_unit_does_no_harm(folder: Path, noise: str) -
     assert (sigma[[axis.label == "IMU4_acc x" for axis in axes]] ** -2 < 0.1 * np.median(sigma**-2)).all()
 
     def scatter_mg(weights: np.ndarray) -> float:
-        estimate = weighted(part.values, weights * part.valid, rows, sigma)
+        estimate = weighted(part.values, weights * part.valid, AxisNoise(rows, sigma))
         return float(1e3 * estimate.triad_box[20:480, 1].std() / 9.80665)
 
     plain, by_noise, without = scatter_mg(np.ones(24)), scatter_mg(sigma**-2), scatter_mg(others)

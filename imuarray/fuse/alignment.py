@@ -420,19 +420,24 @@ def align(
 
     Frames within `MARGIN` of either end of the grid are final only if the log ends there.
     """
-    parts = [_on_grid(unit, block, grid, period_ns) for unit, block in zip(units, rows, strict=True)]
+    parts = [
+        _of_nearest_frames(_on_grid(unit, block, grid, period_ns), grid)
+        for unit, block in zip(units, rows, strict=True)
+    ]
     columns = np.concatenate([part.values for part in parts])  # one row per axis, which is fastest in numpy
     valid, late_s = np.stack([part.valid for part in parts]), np.stack([part.late_s for part in parts])
-    each_valid = _by_axis(valid)
+    each_valid, delay_noise = _by_axis(valid), None
     if late_s.any():
         mean = consensus(columns.T, each_valid, directions, units[0].known.quantity)
-        _remove_motion(columns, derivatives(grid, mean, gap_ns=5 * period_ns), valid, late_s, directions)
+        slopes = derivatives(grid, mean, gap_ns=_GAP_PERIODS * period_ns)
+        _remove_motion(columns, slopes, valid, late_s, directions)
+        delay_noise = _delay_noise(grid, slopes[0], valid, late_s, period_ns)
     clipped = np.zeros((len(grid), len(columns)), np.int8)
     for place, part in enumerate(parts):
         if part.clipped is not None:
             clipped[:, 3 * place : 3 * place + 3] = part.clipped
     stale = _by_axis(np.stack([part.stale for part in parts]))
-    return Frames(grid, np.ascontiguousarray(columns.T), each_valid, clipped, stale)
+    return Frames(grid, np.ascontiguousarray(columns.T), each_valid, clipped, stale, delay_noise=delay_noise)
 
 
 def _by_axis(sensors: Booleans) -> Booleans:
@@ -472,6 +477,25 @@ def _on_grid(unit: AlignedSensor, block: Block | None, grid: Times, period_ns: f
     return _GridReadings(values, _clipped(unit, counts, status), valid, (status & STALE) != 0, late_ns * 1e-9)
 
 
+def _of_nearest_frames(readings: _GridReadings, grid: Times) -> _GridReadings:
+    """Return the readings with each of them in the nearest frame only. Where frames are not regular, a reading may lie
+    within half a frame of two of them, and would count twice.
+    """
+    late_ns, valid = readings.late_s * 1e9, readings.valid
+    shared = np.flatnonzero(valid[1:] & valid[:-1] & (np.abs(np.diff(late_ns) + np.diff(grid)) < 0.5))
+    if not len(shared):
+        return readings
+    farther = shared + (np.abs(late_ns[shared + 1]) >= np.abs(late_ns[shared]))
+    nearest_of = np.ones(len(grid), bool)
+    nearest_of[farther] = False
+    return readings._replace(
+        values=readings.values * nearest_of,
+        valid=valid & nearest_of,
+        stale=readings.stale & nearest_of,
+        late_s=readings.late_s * nearest_of,
+    )
+
+
 def _bias(unit: AlignedSensor, time: Times) -> Floats:
     """Return the bias (3,) or (n, 3) in counts, at the temperature of the readings where that is known."""
     if unit.element is None:
@@ -506,3 +530,57 @@ def _remove_motion(
     usual_s = (late_s * valid).sum(axis=0) / np.maximum(valid.sum(axis=0), 1)
     motion: Floats = directions @ (slope.T - _SECOND_ORDER * usual_s * curvature.T)
     columns -= motion * np.repeat(late_s, 3, axis=0)
+
+
+_GAP_PERIODS = 5
+"""Longest pause over which the slope of the motion is known, in periods."""
+
+_OWN = (5 * np.sqrt(3) - 7.5, 0.09996)
+_ACROSS = (-9.919, -2.517)
+_OWN_CURVATURE = 6 * (np.sqrt(3) - 1)
+_SLOPE_POWER = (9 * (2 / np.sqrt(3) - 1), 2.06)
+_CURVATURE_POWER = 36.0
+_LATER = 6.9
+"""Weights of a spline's slope s' and curvature s'' at a knot, in periods, for white noise at the knots. For regular
+knots: minus the own weight of s'', and the sums of squares of the weights of s' and s''. To first order in the
+differences of the steps after and before the knot, and of the steps next to these: the own weight of s' and the sum of
+the products of both. The sum of squares of s' grows with the square of its own weight. The difference of the sums of
+squares after and before the knot, relative to both, is the hyperbolic tangent of minus the own weight of s' and this
+multiple of the weight of s''. They were computed by small changes of the knots of SciPy's spline; the tests compare
+them with it.
+"""
+
+
+def _noise_of_slopes(grid: Times, usual_s: Floats, variance: Floats, period_ns: float) -> Floats:
+    """Return (2, n) per second the weight of the mean of a frame itself in the slope at it, and the root of the sum of
+    squares of the weights of all frames, for frames at `grid` (n,) with mean delays `usual_s` (n,).
+
+    Each weight counts by the `variance` (n,) of its frame's mean relative to that with all sensors. Of the other
+    frames, the two next to a frame have nearly all the weight.
+    """
+    steps = np.diff(grid) * 1e-9
+    steps[steps > _GAP_PERIODS * period_ns * 1e-9] = period_ns * 1e-9
+    steps = np.pad(steps, 2, mode="edge") if len(steps) else np.full(4, period_ns * 1e-9)
+    further_before, before, after, further_after = (steps[k : k + len(grid)] for k in range(4))
+    period_s = (further_before + before + after + further_after) / 4
+    near, far = (after - before) / period_s, (further_after - further_before) / period_s
+    own, across = _OWN[0] * near + _OWN[1] * far, _ACROSS[0] * near + _ACROSS[1] * far
+    second = _SECOND_ORDER * usual_s / period_s
+    power = _SLOPE_POWER[0] + _SLOPE_POWER[1] * own**2 - 2 * second * across + _CURVATURE_POWER * second**2
+    of_slope, own = own, own + _OWN_CURVATURE * second
+    if not (variance == 1).all():
+        later, neighbours = np.tanh(-of_slope - _LATER * second), np.pad(variance, 1, mode="edge")
+        others = np.maximum(power - own**2, 0.0) / 2
+        power = others * ((1 - later) * neighbours[:-2] + (1 + later) * neighbours[2:]) + own**2 * variance
+        own *= variance
+    return np.asarray([own, np.sqrt(np.maximum(power, 0.0))] / period_s, np.float32)
+
+
+def _delay_noise(
+    grid: Times, slope: Floats, valid: Booleans, late_s: Floats, period_ns: float
+) -> npt.NDArray[np.float32]:
+    """Return `Frames.delay_noise` (n, 2 s) of readings `late_s` (s, n); zero where the `slope` (n, 3) is not known."""
+    present = np.maximum(valid.sum(axis=0), 1)
+    usual_s = (late_s * valid).sum(axis=0) / present
+    noise = _noise_of_slopes(grid, usual_s, len(valid) / present, period_ns) * slope.T.any(axis=0)
+    return np.asarray(noise[:, None] * late_s, np.float32).reshape(-1, len(grid)).T

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -139,7 +139,12 @@ class Frames:
     true if the chip had no reading newer than the one before. None: nowhere.
 
     `offsets` (n, m), in frames that lack a reading: the recent difference of each axis from the array's mean, NaN for
-    axes without a recent reading; 0 in all other frames (`imuarray.fuse.stream`). None: not known.
+    axes without a recent reading; 0 in all other frames (`imuarray.fuse.stream`). None: not known. `averaged` (n,) is
+    the number of frames over which they were averaged, 0 in all other frames.
+
+    `delay_noise` (n, 2 s), for each of s sensors: the noise of the array's mean that the correction of the sensor's
+    delay subtracts from its readings (`imuarray.fuse.alignment`), first the share of the mean's noise in the same
+    frame, then the rms share of that of all frames. None: no reading has a delay.
     """
 
     time: Times
@@ -148,13 +153,18 @@ class Frames:
     clipped: npt.NDArray[np.int8] | None = None
     stale: Booleans | None = None
     offsets: Floats | None = None
+    averaged: npt.NDArray[np.int16] | None = None
+    delay_noise: npt.NDArray[np.float32] | None = None
 
     def part(self, rows: slice) -> Frames:
         """Return some of the frames."""
-        clipped = None if self.clipped is None else self.clipped[rows]
-        stale = None if self.stale is None else self.stale[rows]
-        offsets = None if self.offsets is None else self.offsets[rows]
-        return Frames(self.time[rows], self.values[rows], self.valid[rows], clipped, stale, offsets)
+        optional = (getattr(self, name) for name in _OPTIONAL)
+        return Frames(
+            self.time[rows],
+            self.values[rows],
+            self.valid[rows],
+            *(None if column is None else column[rows] for column in optional),
+        )
 
     def without(self, excluded: Booleans) -> Frames:
         """Return the frames with the axes `excluded` (n, m) marked as not valid and without their offsets."""
@@ -168,20 +178,25 @@ class Frames:
             np.concatenate([part.time for part in parts]),
             np.concatenate([part.values for part in parts]),
             np.concatenate([part.valid for part in parts]),
-            _flags([part.clipped for part in parts], parts, np.int8),
-            _flags([part.stale for part in parts], parts, np.bool_),
-            _flags([part.offsets for part in parts], parts, np.float64),
+            *(_optional_column([getattr(part, name) for part in parts], parts) for name in _OPTIONAL),
         )
 
 
-def _flags(
-    columns: Sequence[npt.NDArray[_Kind] | None], parts: Sequence[Frames], kind: type[_Kind]
-) -> npt.NDArray[_Kind] | None:
+_OPTIONAL = ("clipped", "stale", "offsets", "averaged", "delay_noise")
+"""Columns of `Frames` that may be absent, in order."""
+
+
+def _optional_column(columns: Sequence[npt.NDArray[Any] | None], parts: Sequence[Frames]) -> npt.NDArray[Any] | None:
     """Concatenate an optional column of all parts, with 0 for parts without it; None if no part has it."""
-    if all(column is None for column in columns):
+    first = next((column for column in columns if column is not None), None)
+    if first is None:
         return None
-    pairs = zip(columns, parts, strict=True)
-    return np.concatenate([np.zeros(part.valid.shape, kind) if column is None else column for column, part in pairs])
+    return np.concatenate(
+        [
+            np.zeros((len(part.time), *first.shape[1:]), first.dtype) if column is None else column
+            for column, part in zip(columns, parts, strict=True)
+        ]
+    )
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ distant reading is limited and not discarded, so that the result does not jump w
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
@@ -111,13 +112,65 @@ class SlowErrors:
         return entries(gains @ errors @ np.swapaxes(gains, 1, 2))
 
 
-def weighted(values: Floats, weights: Floats, rows: Floats, noise: Floats, slow: SlowErrors | None = None) -> Estimate:
+@dataclass(frozen=True)
+class AxisNoise:
+    """Noise of m axes along `rows` (m, 3): `rms` (m,) in SI, and that of their mean which the correction of delays
+    subtracts (`Frames.delay_noise`; None: no delays).
+    """
+
+    rows: Floats
+    rms: Floats
+    delay_noise: npt.NDArray[np.float32] | None = None
+
+    def covariance(self, gains: Floats, used: Booleans) -> Floats:
+        """Return covariances (n, 6) by noise of triads with `gains` (n, 3, m) of the axes `used` (n, m); (1, 6) if
+        there is one gain for all frames, and no delay.
+        """
+        scatter = np.where(used[:, None, :], gains * self.rms, 0.0)
+        covariance = entries(np.einsum("nim,njm->nij", scatter, scatter))
+        return covariance if self.delay_noise is None else covariance + self.by_delays(gains)
+
+    def by_delays(self, gains: Floats) -> Floats:
+        """Return the change (n, 6) of the covariances of triads with `gains` (n, 3, m), or (1, 3, m) for all, by the
+        correction of delays.
+
+        A triad becomes ``gains @ readings - M @ (noise of the slope)``, where M is the gain for readings along `rows`
+        that are as large as the shares of the noise. The frame's own readings are in the slope by the first shares.
+        """
+        plain = whole_gain(np.ones(len(self.rows)), self.rows) * self.rms
+        if self.delay_noise is None or not np.isfinite(plain).all():
+            return np.zeros((len(gains), 6))
+        own, every = np.split(self.delay_noise.T, 2)  # one row per sensor, which is fastest in numpy
+        together = (gains * self.rms) @ plain.T
+        root = np.asarray(np.linalg.qr(plain.T, "r")).T
+        if len(gains) == 1:
+            each = gains[0].reshape(3, -1, 3).transpose(1, 0, 2) @ self.rows.reshape(-1, 3, 3)
+            across = each @ together[0].T
+            by_own = entries(across + np.swapaxes(across, 1, 2)).T @ own
+            columns = ((each @ root).reshape(-1, 9).T @ every).reshape(3, 3, -1)
+        else:
+            of_own, of_every = (
+                (gains * np.repeat(shares, 3, axis=0).T[:, None]) @ self.rows for shares in (own, every)
+            )
+            across = of_own @ np.swapaxes(together, 1, 2)
+            by_own = entries(across + np.swapaxes(across, 1, 2)).T
+            columns = np.moveaxis(of_every @ root, 0, -1)
+        result = -by_own
+        for row, (first, second) in zip(result, ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)), strict=True):
+            for x, y in zip(columns[first], columns[second], strict=True):
+                row += x * y
+        return result.T
+
+
+def weighted(values: Floats, weights: Floats, noise: AxisNoise, slow: SlowErrors | None = None) -> Estimate:
     """Solve weighted least squares for each frame, with weights (n, m), or (1, m) for all; the covariance includes the
-    `noise` (m,) and the `slow` errors of the axes.
+    `noise` and the `slow` errors of the axes.
     """
     used = weights > 0
-    triad, gains, solvable = _solved(values, weights, rows)
-    covariance = _covariances(gains, solvable, used[: len(gains)], noise)
+    triad, gains, solvable = _solved(values, weights, noise.rows)
+    covariance = noise.covariance(gains, used[: len(gains)])
+    if not solvable.all():
+        covariance = np.where(solvable[:, None], covariance, np.nan)
     if slow is not None and slow.known:
         covariance = covariance + slow.covariance(gains, triad)
     return Estimate(triad, np.broadcast_to(covariance, (len(values), 6)), np.broadcast_to(used, values.shape))
@@ -127,14 +180,6 @@ def whole_gain(weights: Floats, rows: Floats) -> Floats:
     """Return the gain (3, m) of weighted least squares with weights (m,); NaN if the axes do not span space."""
     gain, solvable = frame_gains(weights[None], rows)
     return gain[0] if solvable[0] else np.full((3, len(weights)), np.nan)
-
-
-def _covariances(gains: Floats, solvable: npt.NDArray[np.bool_], used: npt.NDArray[np.bool_], noise: Floats) -> Floats:
-    """Return the covariances (n, 6) of triads by the noise of the axes in use."""
-    scatter = np.where(used[:, None, :], gains * noise, 0.0)
-    covariance = entries(np.einsum("nim,njm->nij", scatter, scatter))
-    covariance[~solvable] = np.nan
-    return np.asarray(covariance)
 
 
 def solve_frames(values: Floats, weights: Floats, rows: Floats) -> Floats:
@@ -148,14 +193,23 @@ def _solved(values: Floats, weights: Floats, rows: Floats) -> tuple[Floats, Floa
     """Solve as `solve_frames`; return also the gains and whether the axes span space, of every frame, or once if all
     frames have the same weights.
     """
-    if (weights == weights[0]).all():  # the usual case: one gain for the whole block
-        gains, solvable = frame_gains(weights[:1], rows)
+    gains, solvable = frame_gains(_distinct(weights), rows)
+    if len(gains) == 1:
         triad = values @ gains[0].T if solvable[0] else np.full((len(values), 3), np.nan)
         return np.asarray(triad), gains, solvable
-    gains, solvable = frame_gains(weights, rows)
     solution = np.einsum("nim,nm->ni", gains, values)
     solution[~solvable] = np.nan
     return np.asarray(solution), gains, solvable
+
+
+def gains_of(weights: Floats, rows: Floats) -> Floats:
+    """Return the gains (n, 3, m) of frames with `weights` (n, m), or (1, 3, m) if all frames have the same weights."""
+    return frame_gains(_distinct(weights), rows)[0]
+
+
+def _distinct(weights: Floats) -> Floats:
+    """Return the weights (n, m) of frames, or (1, m) if all frames have the same, which is usual."""
+    return weights[:1] if len(weights) and (weights == weights[0]).all() else weights
 
 
 def frame_gains(weights: Floats, rows: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:

@@ -5,6 +5,7 @@ need no memory that grows with it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from io import SEEK_END
 from itertools import pairwise
 from pathlib import Path
@@ -93,7 +94,7 @@ def parts_of(rows: int, parts: int) -> Iterator[tuple[int, int]]:
     return pairwise(part * size + min(part, longer) for part in range(parts + 1))
 
 
-_COLUMNS = ("time", "values", "valid", "clipped", "stale", "offsets")
+_COLUMNS = tuple(item.name for item in fields(Frames))
 
 
 class _ArrayHeader(NamedTuple):
@@ -104,8 +105,8 @@ class _ArrayHeader(NamedTuple):
 
 
 class FrameSpool:
-    """Frames by quantity and temperatures by sensor, block by block, in a temporary file of 9 bytes per axis and frame,
-    which is deleted with the object.
+    """Frames by quantity and temperatures by sensor, block by block, in a temporary file of 9 to 12 bytes per axis and
+    frame, which is deleted with the object.
     """
 
     def __init__(self) -> None:

@@ -49,8 +49,8 @@ from imuarray.log.format import SATURATED, SUSPECT
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
 
 RECENT = MARGIN
-"""Number of frames over which an offset is averaged: its noise is then below a fifth of one reading's, and adds little
-to that of the result. `FusionStream` keeps as many.
+"""Largest number of frames over which an offset is averaged: its noise is then below a fifth of one reading's, and adds
+little to that of the result. `FusionStream` keeps as many.
 """
 
 _AT_ONCE = 256
@@ -81,21 +81,21 @@ class AxisOffsets:
         values = np.concatenate([np.zeros((RECENT, len(self._directions))), self._values, frames.values])
         valid = np.concatenate([np.zeros((RECENT, len(self._directions)), bool), self._valid, frames.valid])
         before = len(self._values)
-        offsets = np.zeros(frames.values.shape)
+        offsets, averaged = np.zeros(frames.values.shape), np.zeros(len(frames.time), np.int16)
         for start in range(0, len(lacking), _AT_ONCE):
             some = lacking[start : start + _AT_ONCE]
             windows = some[:, None] + before + np.arange(RECENT)
-            offsets[some] = self._of(values[windows], valid[windows], frames.valid[some])
+            offsets[some], averaged[some] = self._of(values[windows], valid[windows], frames.valid[some])
         self.observe(frames)
-        return replace(frames, offsets=offsets) if offsets.any() else frames
+        return replace(frames, offsets=offsets, averaged=averaged) if averaged.any() else frames
 
-    def _of(self, values: Floats, valid: Booleans, now: Booleans) -> Floats:
-        """Return the offsets (n, m) of n frames from the windows (n, RECENT, m) before them; `now` (n, m) are the axes
-        that are valid in the frames themselves.
+    def _of(self, values: Floats, valid: Booleans, now: Booleans) -> tuple[Floats, npt.NDArray[np.int16]]:
+        """Return the offsets (n, m) of n frames from the windows (n, RECENT, m) before them, and over how many frames
+        they are averages (n,); `now` (n, m) are the axes that are valid in the frames themselves.
         """
         recent: Booleans = np.asarray(valid.any(axis=1))
         complete: Booleans = np.asarray((valid | ~recent[:, None]).all(axis=2))
-        offsets = np.zeros(now.shape)
+        offsets, averaged = np.zeros(now.shape), np.zeros(len(now), np.int16)
         useful = complete.any(axis=1) & (recent & ~now).any(axis=1)
         patterns, which = np.unique(recent, axis=0, return_inverse=True)
         for number, pattern in enumerate(patterns):
@@ -108,7 +108,8 @@ class AxisOffsets:
             mean = sums / counted.sum(axis=1, keepdims=True)
             difference = mean - mean @ gain[0].T @ self._directions.T
             offsets[some] = np.where(pattern, difference, np.where(now[some], 0.0, np.nan))
-        return offsets
+            averaged[some] = counted.sum(axis=1)
+        return offsets, averaged
 
 
 def _clipped(frames: Frames) -> Booleans:

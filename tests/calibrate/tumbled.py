@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -74,11 +75,15 @@ def record(
     effects: Mapping[str, Sequence[Effect]],
     *,
     rate_hz: float = 100.0,
+    rates_hz: Mapping[str, float] = MappingProxyType({}),
     seed: int = 1,
     only: tuple[str, ...] = (),
 ) -> Path:
-    """The paper's array, or some of it, in the box: a log."""
+    """The paper's array, or some of it, in the box: a log, with sensors of other rates by name."""
     array = load_array(CONFIG)
-    plan = plan_of(array.only(only) if only else array, rate_hz, motion.seconds)
+    array = array.only(only) if only else array
+    plan = plan_of(array, rate_hz, motion.seconds)
+    others = {name: plan_of(array, rate, motion.seconds).sensors[name] for name, rate in rates_hz.items()}
+    plan = replace(plan, sensors={**plan.sensors, **others})
     write_log(Simulation(plan, motion, effects, seed=seed), path)
     return path

@@ -33,6 +33,25 @@ def effects(noise_g: float, noise_dps: float) -> dict[str, tuple[Effect, ...]]:
     return {**still, **dict.fromkeys(GYROSCOPES, turning)}
 
 
+def drawn_effects(rng: np.random.Generator, noise_g: float, noise_dps: float) -> dict[str, tuple[Effect, ...]]:
+    """The same, with errors of the response that each gyroscope draws from the tolerance of its data sheet."""
+    turning = {
+        name: (
+            WhiteNoise((noise_dps,) * 3),
+            Bias((0.5, -0.7, 0.3)),
+            Scale(tuple(TOLERANCE * rng.normal(size=3))),
+            Misalignment(tuple(np.degrees(TOLERANCE) * rng.normal(size=6))),
+            GSensitivity(G_SENSITIVITY),
+        )
+        for name in GYROSCOPES
+    }
+    return {**effects(noise_g, noise_dps), **turning}
+
+
+TOLERANCE = 0.02
+"""L3G-72: 2 % of scale; as much of misalignment is 1.1 degrees."""
+
+
 def about(axes: str, count: int, rng: np.random.Generator) -> Rotation:
     """Attitudes from one to the next by 50 to 150 degrees about one of these box axes after the other, either way."""
     made = [Rotation.random(random_state=rng)]

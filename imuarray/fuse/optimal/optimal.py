@@ -32,6 +32,7 @@ import numpy as np
 from imuarray.arrays import Floats, Times
 from imuarray.errors import FusionError
 from imuarray.fuse.frames import Axis, Estimate, Frames, FusedBlock, entries
+from imuarray.fuse.least_squares import AxisNoise, gains_of
 from imuarray.fuse.optimal.filter import ArrayFilter, Dynamics, SegmentEnds, SegmentSmoother
 from imuarray.fuse.optimal.frame_solution import FrameSolution, SegmentView
 from imuarray.fuse.optimal.geometry import Bounds, FrameReadings, Geometry, geometry_of, hold_last, readings_of
@@ -226,7 +227,7 @@ class Optimal:
         self._latest = self._groups
         solutions = _solved(self._groups, frames, degc or _NONE)
         self.angular_acceleration = _acceleration(solutions)
-        return {quantity: _estimate(solutions[quantity]) for quantity in frames}
+        return {quantity: self._groups[quantity].estimate(solutions[quantity], frames[quantity]) for quantity in frames}
 
     def learned(self) -> dict[str, list[LearnedBias]]:
         """Return the estimated slow errors, by quantity: at the last frame, or, after `smoothed`, at the end of that
@@ -257,7 +258,10 @@ class Optimal:
                 solutions = _solved(groups, frames, _NONE)
                 self.angular_acceleration = _acceleration(solutions)
                 time = next(iter(frames.values())).time
-                yield time, {quantity: _estimate(solutions[quantity]) for quantity in frames}
+                yield (
+                    time,
+                    {quantity: groups[quantity].estimate(solutions[quantity], frames[quantity]) for quantity in frames},
+                )
 
     def _create_groups(self, *, recording: bool = False) -> dict[str, _Group]:
         groups: dict[str, _Group] = {}
@@ -313,6 +317,17 @@ class _Group:
             return self._with_views(readings, self._other_ends)
         return self.filter(readings, self._bias_temperature.of(degc))
 
+    def estimate(self, solution: FrameSolution, frames: Frames) -> Estimate:
+        """Return the estimate of a solution of `frames`. The noise that the correction of delays added to the readings
+        is taken into account with gains by noise alone.
+        """
+        covariance = entries(solution.covariance[:, :3, :3])
+        if frames.delay_noise is not None and len(frames.time):
+            axes, rows = self._geometry.axes, self._geometry.rows[: self._geometry.axes, :3]
+            noise = AxisNoise(rows, self._geometry.noise[:axes], frames.delay_noise)
+            covariance = covariance + noise.by_delays(gains_of(solution.used / noise.rms**2, rows))
+        return Estimate(solution.unknowns[:, :3], covariance, solution.used)
+
     def noise_covariance(self) -> Floats:
         """Return the covariance (3, 3) of the triad by noise alone, with every axis."""
         rows, noise = self._geometry.rows, self._geometry.noise
@@ -357,10 +372,6 @@ def _solved(groups: Mapping[str, _Group], frames: Mapping[str, Frames], degc: Te
             rate = solutions[_RATE].unknowns if _RATE in solutions else None
             solutions[quantity] = group(frames[quantity], degc, rate)
     return solutions
-
-
-def _estimate(solution: FrameSolution) -> Estimate:
-    return Estimate(solution.unknowns[:, :3], entries(solution.covariance[:, :3, :3]), solution.used)
 
 
 def _acceleration(solutions: Mapping[str, FrameSolution]) -> Estimate | None:

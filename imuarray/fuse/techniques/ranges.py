@@ -40,7 +40,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.frames import Axis, Estimate, Frames, directions, entries
-from imuarray.fuse.least_squares import SlowErrors, frame_gains, solve_frames, weighted, whole_gain
+from imuarray.fuse.least_squares import AxisNoise, SlowErrors, frame_gains, solve_frames, weighted, whole_gain
 from imuarray.fuse.techniques.technique import WORTH_WEIGHING, FixedWeights, Technique, known_noise_of
 from imuarray.kernels import track_differences
 from imuarray.units import READABLE_SI
@@ -561,7 +561,7 @@ class RangeBlend:
         first = solve_frames(level, weights, self._rows)
         slope = self._slope(frames.time, first)
         level += delay / (1 + scale) * (slope @ self._rows.T)
-        estimate = weighted(level, weights, self._rows, self._noise, self._slow)
+        estimate = weighted(level, weights, AxisNoise(self._rows, self._noise, frames.delay_noise), self._slow)
         extra = self._uncertainty(states, weights, frames.valid, share, estimate.triad_box, slope)
         return replace(estimate, covariance_box=estimate.covariance_box + extra)
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.errors import FusionError
-from imuarray.fuse.frames import Axis, Estimate, Frames, directions
-from imuarray.fuse.least_squares import SlowErrors, solve_frames, weighted, whole_gain
+from imuarray.fuse.frames import Axis, Estimate, Frames, directions, entries
+from imuarray.fuse.least_squares import AxisNoise, SlowErrors, gains_of, solve_frames, weighted, whole_gain
 
 Technique = Callable[[Frames], Estimate]
 """Maps consecutive blocks of frames of one quantity to their estimates; the result does not depend on the blocks."""
@@ -29,25 +29,31 @@ class FixedWeights:
 
     def __call__(self, frames: Frames) -> Estimate:
         """Solve weighted least squares of the valid axes. A frame that lacks a reading keeps the level of the whole
-        array if its offsets are known: they are removed first, and their own weighted mean is added.
+        array if its offsets are known: they are removed first, and their own weighted mean is added. The noise of the
+        offsets is that of as many readings as were averaged.
         """
         weights = self.weights[None] if frames.valid.all() else self.weights * frames.valid
-        if frames.offsets is None:
-            return weighted(frames.values, weights, self.rows, self.noise, self.slow)
-        offsets = np.nan_to_num(frames.offsets)
-        estimate = weighted(frames.values - offsets, weights, self.rows, self.noise, self.slow)
-        some = np.flatnonzero(offsets.any(axis=1))
-        if len(some):
-            level = solve_frames(offsets[some], self.weights * np.isfinite(frames.offsets[some]), self.rows)
-            estimate.triad_box[some] += level
-        return estimate
+        noise = AxisNoise(self.rows, self.noise, frames.delay_noise)
+        if frames.offsets is None or frames.averaged is None:
+            return weighted(frames.values, weights, noise, self.slow)
+        offsets, some = np.nan_to_num(frames.offsets), np.flatnonzero(frames.averaged)
+        estimate = weighted(frames.values - offsets, weights, noise)
+        known = np.isfinite(frames.offsets) & (frames.averaged > 0)[:, None]
+        whole = self.weights * (frames.valid | known)
+        estimate.triad_box[some] += solve_frames(offsets[some], whole[some], self.rows)
+        covariance = np.array(estimate.covariance_box)
+        apart = (gains_of(whole[some], self.rows) - gains_of(weights[some], self.rows)) * self.noise
+        covariance[some] += entries(apart @ np.swapaxes(apart, 1, 2)) / frames.averaged[some, None]
+        if self.slow is not None and self.slow.known:  # those of the whole array, whose level is kept
+            covariance += self.slow.covariance(gains_of(whole, self.rows), estimate.triad_box)
+        return replace(estimate, covariance_box=covariance)
 
     def whole(self) -> tuple[Floats, Callable[[Floats], Estimate]]:
         """Return the gain (3, m) of frames whose readings are all valid, and the function from their triads to their
         estimate.
         """
         zeros = np.zeros((1, len(self.weights)))
-        alone = weighted(zeros, self.weights[None], self.rows, self.noise)
+        alone = weighted(zeros, self.weights[None], AxisNoise(self.rows, self.noise))
         gain = whole_gain(self.weights, self.rows)
 
         def of(triads: Floats) -> Estimate:

@@ -16,7 +16,7 @@ from imuarray.fuse import Frames
 from imuarray.fuse.faults import FaultEvent, FaultMonitor
 from imuarray.fuse.faults.exclusions import State
 from imuarray.fuse.frames import directions
-from imuarray.fuse.least_squares import weighted
+from imuarray.fuse.least_squares import AxisNoise, weighted
 from tests.fuse.faults.conftest import (
     ACCELEROMETERS,
     GYROSCOPES,
@@ -72,7 +72,7 @@ def rms(run: Run, values: Floats, valid: Flags, weights: Floats, motion: Motion)
     """(3,) error of the weighted fusion in the stretch."""
     stretch = slice(motion.begins, motion.ends)
     rows = directions(run.axes)
-    fused = weighted(values[stretch], valid * weights, rows, np.ones(len(rows))).triad_box
+    fused = weighted(values[stretch], valid * weights, AxisNoise(rows, np.ones(len(rows)))).triad_box
     return np.asarray(np.sqrt(((fused - run.truth[stretch]) ** 2).mean(axis=0)))
 
 
