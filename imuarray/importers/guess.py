@@ -26,6 +26,7 @@ from imuarray.importers.source_proposal import propose_map
 from imuarray.importers.table import import_table
 from imuarray.importers.time_proposal import UNKNOWN_RATE
 from imuarray.log import Log, open_log
+from imuarray.printable import percent
 from imuarray.units import UNITS_OF
 
 _MIMU4444 = 'file = { format = "mimu4444" }'
@@ -45,6 +46,10 @@ def guess_map(source: str | Path) -> str:
         return f"# Map of {path.name}: packets of a MIMU4444 board, which say the rest.\n{_MIMU4444}\n"
     proposal = propose_map(path)
     _leave_out_computed(proposal)
+    if proposal.layout.parts and (why := _why_parts_are_apart(proposal, path)):
+        proposal = propose_map(path, join_parts=False)
+        proposal.doubts[-1] += f" ({why})"
+        _leave_out_computed(proposal)
     head = [f"Proposed map of {path.name}: check and correct it, and enter chips, axes and ranges."]
     trial = _try_import(proposal.text([]), path)
     if trial.is_refused and not any(line.startswith(("rate_hz", "wraps_at")) for line in proposal.time):
@@ -77,6 +82,22 @@ class _Trial(NamedTuple):
     is_refused: bool = False
     radii: Mapping[str, float] = MappingProxyType({})
 
+
+def _why_parts_are_apart(proposal: Proposal, path: Path) -> str:
+    """Return why files cannot be parts of one recording: their rows do not follow each other; "" if they can."""
+    trial = _try_import(proposal.text([]), path)
+    if trial.is_refused:
+        where = f"{str(path).lstrip('/')}/"
+        return trial.doubts[0].removeprefix("cannot be imported as it is: ").removeprefix(where)
+    if trial.longest_gap > _BETWEEN_PARTS:
+        return f"joined, they would have a gap of {percent(trial.longest_gap)} of their time"
+    return ""
+
+
+_BETWEEN_PARTS = 0.01
+"""Longest gap of parts that were joined, as a share of their time: a recorder that begins a new file loses a few
+rows.
+"""
 
 _FITTING = 0.5
 """Least interval of rows that were sorted, as a share of the usual one, at which all of them fit between the others: a

@@ -3,7 +3,7 @@
 ::
 
     [file]        delimiter = ","   decimal = "."   skip_rows = 0   comment = "#"   kind_column   labels = true
-                  format = "mimu4444"
+                  parts = [["run_1", "run_2"]]   format = "mimu4444"
     [time]        column = "t"  unit = "s" | "ms" | "us" | "ns" | "iso8601" | "%d.%m.%Y %H:%M:%S.%f"
                   or     rate_hz = 100
                   ticks = 1   wraps_at = 4294967296   ties = true   sort = true   restarts = true
@@ -123,8 +123,9 @@ def _spelt(spellings: dict[str, str]) -> BeforeValidator:
 class FileTable(BaseModel):
     """`[file]`: how a text is split into cells. If rows of several tables are mixed, `kind_column` (an index) names the
     table of a row; several indices name it together, as "IMU 0". With `labels`, values have labels ("ax: 0.02,
-    ay: -0.98"): the labels, joined by commas, become the first cell, which is the kind of a row. `format`: a format
-    that needs no map, so that the map adds phases only.
+    ay: -0.98"): the labels, joined by commas, become the first cell, which is the kind of a row. `parts`: files of a
+    folder, by their names without suffix, that are parts of one recording, in order; its `kind` is the first of them.
+    `format`: a format that needs no map, so that the map adds phases only.
     """
 
     model_config = _STRICT
@@ -134,6 +135,7 @@ class FileTable(BaseModel):
     comment: str = "#"
     kind_column: Place | Annotated[list[Place], Field(min_length=1, max_length=4)] | None = None
     labels: bool = False
+    parts: list[Annotated[list[str], Field(min_length=2)]] = []
     format: str | None = None
 
     @property

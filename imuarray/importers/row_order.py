@@ -90,8 +90,8 @@ class RowOrder:
             times = np.concatenate([held_times, times])
             order = self._once(rows, times, np.argsort(times, kind="stable"))
             if len(order) > MOST_ROWS_LATE:
-                yield _rows_of(rows, order[:-MOST_ROWS_LATE]), places
-            pending, held_times = _rows_of(rows, order[-MOST_ROWS_LATE:]), times[order[-MOST_ROWS_LATE:]]
+                yield select_rows(rows, order[:-MOST_ROWS_LATE]), places
+            pending, held_times = select_rows(rows, order[-MOST_ROWS_LATE:]), times[order[-MOST_ROWS_LATE:]]
         if pending is not None:
             yield pending, places
 
@@ -123,7 +123,7 @@ def _join(first: CellBlock, second: CellBlock) -> CellBlock:
     return CellBlock(first.source, [*first.lines, *second.lines], columns)
 
 
-def _rows_of(block: CellBlock, rows: npt.NDArray[np.intp]) -> CellBlock:
+def select_rows(block: CellBlock, rows: npt.NDArray[np.intp]) -> CellBlock:
     """Return the rows of a block in an order."""
     columns: list[Sequence[str] | npt.NDArray[np.number]] = []
     places = rows.tolist()

@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -46,26 +45,28 @@ from imuarray.importers.triad_behaviour import is_gravity
 from imuarray.printable import listed as listed_names
 
 
-def propose_map(path: Path) -> Proposal:
-    """Propose a map of a recording; SourceError if nothing in it is recognised."""
+def propose_map(path: Path, *, join_parts: bool = True) -> Proposal:
+    """Propose a map of a recording; SourceError if nothing in it is recognised. With `join_parts`, files of a folder
+    that have the same columns and begin one after the other are taken for parts of one recording.
+    """
     reader = reader_of(path)
     if reader == ZIP:
-        return _propose_zip(path)
+        return _propose_zip(path, join_parts)
     if reader is not None:
         return _propose_tables(path, is_text=reader in ("records", "row_files"), is_bag=reader == "bags")
     if path.is_dir():
-        return _propose_folder(path)
+        return _propose_folder(path, join_parts)
     layout, names, rows = read_text(path)
     if layout.kind_column is not None:
         return _propose_kinds(layout, rows, path)
     return _propose_table(_Text(layout, names, rows, stem_of(path)))
 
 
-def _propose_zip(path: Path) -> Proposal:
+def _propose_zip(path: Path, join_parts: bool) -> Proposal:
     """Propose a map of the texts in a zip file."""
     folder = unpack_texts(path)
     try:
-        proposal = _propose_folder(folder)
+        proposal = _propose_folder(folder, join_parts)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     proposal.doubts = [text.replace(f"{folder}/", "") for text in proposal.doubts]
@@ -240,11 +241,52 @@ _FEW_DATES = 0.5
 """Share of the rows that have a date of their own, below which a column of numbers is the better time."""
 
 
-def _propose_folder(folder: Path) -> Proposal:
-    """Propose a map of a folder with a text for each sensor."""
-    proposal: Proposal | None = None
+class _FolderFile(NamedTuple):
+    """A text of a folder: its name without suffix, its path, the names of its columns, what is proposed for it, and
+    the times of its first rows (empty if they are not known).
+    """
+
+    name: str
+    path: Path
+    names: list[str]
+    partial: Proposal
+    times: Floats
+
+
+def _propose_folder(folder: Path, join_parts: bool) -> Proposal:
+    """Propose a map of a folder with a text for each sensor, or with texts that are parts of one recording."""
     doubts: list[str] = []
-    parts: dict[tuple[str, ...], list[tuple[str, Floats]]] = {}
+    files = list(_files_with_readings(folder, doubts))
+    if not files:
+        raise SourceError(f"{folder}: no file in this folder contains readings: {'; '.join(doubts)}")
+    proposal = Proposal(files[0].partial.layout)
+    parts = list(_successive_parts(files))
+    if join_parts:
+        proposal.layout.parts = [[file.name for file in group] for group in parts]
+    continued = {name for group in proposal.layout.parts for name in group[1:]}
+    begun = {group[0] for group in proposal.layout.parts}
+    for file in files:
+        if file.name in continued:
+            continue
+        for item in file.partial.items:
+            if len(file.partial.items) == 1 and _NAME.fullmatch(file.name) and file.name not in begun:
+                item[1] = f'name = "{file.name}"'
+        _add_kind(proposal, file.name, file.partial)
+    proposal.doubts += doubts
+    if not join_parts:
+        proposal.doubts += [
+            f"{listed_names([file.path.name for file in group])} have the same columns and begin one after the other:"
+            " if they are parts of one recording, enter them as parts; here they are different sensors"
+            for group in parts
+        ]
+    return proposal
+
+
+def _files_with_readings(folder: Path, doubts: list[str]) -> Iterator[_FolderFile]:
+    """Yield the texts of a folder from which sensors can be proposed, all of the layout of the first; add a doubt for
+    each of the others.
+    """
+    layout_lines: list[str] | None = None
     is_named = sum(bool(quantity_of(name)) for name in texts_in(folder)) > 1
     for name, path in texts_in(folder).items():
         try:
@@ -261,35 +303,28 @@ def _propose_folder(folder: Path) -> Proposal:
         if not partial.items:
             doubts.append(f"left out: {path.name} has no triad, temperature or pressure that is known by its name")
             continue
-        proposal = proposal or Proposal(layout)
-        if layout.lines() != proposal.layout.lines():
+        layout_lines = layout_lines or ["", *layout.lines()]
+        if ["", *layout.lines()] != layout_lines:
             doubts.append(f"left out: {path.name} has another layout than the other files")
             continue
         timed = (values for each, values in zip(names, columns, strict=False) if is_time_of_rows(each, values))
-        parts.setdefault(tuple(names), []).extend((path.name, values) for values in islice(timed, 1))
-        for item in partial.items:
-            if len(partial.items) == 1 and _NAME.fullmatch(name):
-                item[1] = f'name = "{name}"'
-        _add_kind(proposal, name, partial)
-    if proposal is None:
-        raise SourceError(f"{folder}: no file in this folder contains readings: {'; '.join(doubts)}")
-    proposal.doubts += [*doubts, *_doubted_parts(parts.values())]
-    return proposal
+        yield _FolderFile(name, path, names, partial, next(timed, np.zeros(0)))
 
 
-def _doubted_parts(files: Iterable[Sequence[tuple[str, Floats]]]) -> Iterator[str]:
-    """Yield doubts about files of equal columns, with the times of their first rows, that begin one after the other:
-    they may be parts of one recording.
+def _successive_parts(files: Iterable[_FolderFile]) -> Iterator[list[_FolderFile]]:
+    """Yield groups of files of equal columns that begin one after the other, in this order: they may be parts of one
+    recording.
     """
-    for same in files:
-        begins = sorted((float(times[0]), float(times[-1] - times[0]), name) for name, times in same)
-        later = [a[2] for a, b in pairwise(begins) if b[0] - a[0] > _LATER * a[1]]
-        if later:
-            names = listed_names([name for _, _, name in begins])
-            yield (
-                f"{names} have the same columns and begin one after the other: if they are parts of one recording, join"
-                " them into one file (sort = true puts rows in order); here they are different sensors"
-            )
+    alike: dict[tuple[str, ...], list[_FolderFile]] = {}
+    for file in files:
+        if len(file.times):
+            alike.setdefault(tuple(file.names), []).append(file)
+    for group in alike.values():
+        group.sort(key=lambda file: float(file.times[0]))
+        spans = [float(file.times[-1] - file.times[0]) for file in group]
+        begins = [float(file.times[0]) for file in group]
+        if len(group) > 1 and all(b - a > _LATER * span for a, b, span in zip(begins, begins[1:], spans, strict=False)):
+            yield group
 
 
 _LATER = 0.1

@@ -12,10 +12,13 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
+from itertools import zip_longest
 from os import PathLike
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Protocol, cast
+
+import numpy as np
 
 from imuarray.errors import SourceError
 from imuarray.importers import decompress, open_source, unreadable
@@ -23,9 +26,14 @@ from imuarray.importers.cells import CellBlock, TextTable
 from imuarray.importers.mapping import TableMap
 from imuarray.importers.records import is_of_records
 from imuarray.importers.row_files import folder_of_rows
+from imuarray.importers.row_order import select_rows
+from imuarray.printable import counted, listed
 
 Reference = str | int
 """A column by its name or its index."""
+
+Row = tuple[str, ...]
+"""The cells of a row of a text."""
 
 Progress = Callable[[int], None]
 
@@ -76,7 +84,8 @@ class TextRows:
 
 class FolderRows:
     """The rows of the texts in a folder or a zip file: one file for each sensor, as phones export them. The name of a
-    file, without its suffix, is the kind of its rows.
+    file, without its suffix, is the kind of its rows. Files that the map calls parts of one recording are joined, and
+    rows that two of them hold are kept once.
     """
 
     def __init__(
@@ -88,11 +97,19 @@ class FolderRows:
             folder = unpack_texts(folder)
             weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         self._files = {name: TextRows(path, output, table_map, progress) for name, path in texts_in(folder).items()}
+        self._parts = {group[0]: group[1:] for group in table_map.file.parts}
+        self.overlaps: dict[str, int] = {}
+        """Number of rows that a part repeats from those before it."""
 
     @property
     def remarks(self) -> list[str]:
         """Remarks about the files that were read."""
-        return [f"{name}: {text}" for name, file in self._files.items() for text in file.remarks]
+        said = [f"{name}: {text}" for name, file in self._files.items() for text in file.remarks]
+        said += [f"{listed([first, *others])} joined in this order" for first, others in self._parts.items()]
+        for name, rows in self.overlaps.items():
+            if rows:
+                said.append(f"{name}: its first {counted(rows, 'row')} are in the file before it, too: kept once")
+        return said
 
     def names(self) -> Mapping[str, Sequence[str]]:
         """Return the names in the first row of each file."""
@@ -101,14 +118,53 @@ class FolderRows:
     def blocks(
         self, columns: Sequence[Reference], kind: str | None, rows: int
     ) -> Iterator[tuple[CellBlock, list[int]]]:
-        """Yield the rows of the file that `kind` names; SourceError if there is none."""
-        if kind is None or kind not in self._files:
-            problem = "kind is missing" if kind is None else f"no file {kind!r}"
-            raise SourceError(
-                f"{self._source}: {problem}; the kind of a sensor of a folder is the name of its file: "
-                + ", ".join(self._files)
-            )
-        yield from self._files[kind].blocks(columns, None, rows)
+        """Yield the rows of the file that `kind` names, and of the parts that follow it; SourceError if there is none,
+        or if parts overlap with different rows.
+        """
+        names = [kind or "", *self._parts.get(kind or "", ())]
+        for name in names:
+            if name not in self._files:
+                problem = f"no file {name!r}" if name else "kind is missing"
+                raise SourceError(
+                    f"{self._source}: {problem}; the kind of a sensor of a folder is the name of its file: "
+                    + ", ".join(self._files)
+                )
+        self.overlaps.update(dict.fromkeys(names[1:], 0))
+        repeated: list[Row] = []
+        for name, later in zip_longest(names, names[1:]):
+            first = None if later is None else self._first_row(later, columns)
+            tail: list[Row] = []
+            for block, where in self._files[name].blocks(columns, None, rows):
+                fresh = self._without(repeated, block, where, name)
+                cells = list(zip(*(fresh.columns[at] for at in where), strict=True)) if first is not None else []
+                begin = 0 if tail else next((place for place, row in enumerate(cells) if row == first), len(cells))
+                tail += cells[begin:]
+                if len(fresh.lines):
+                    yield fresh, where
+            repeated = tail
+
+    def _first_row(self, name: str, columns: Sequence[Reference]) -> Row | None:
+        """Return the cells of the first row of a file; None if it has none."""
+        for block, where in self._files[name].blocks(columns, None, 1):
+            return tuple(str(block.columns[at][0]) for at in where)
+        return None
+
+    def _without(self, repeated: list[Row], block: CellBlock, where: Sequence[int], name: str) -> CellBlock:
+        """Return the rows of a block that are not `repeated` from the file before, and remove these from the list;
+        SourceError if a row differs from its counterpart.
+        """
+        count = min(len(repeated), len(block.lines))
+        for place in range(count):
+            row = tuple(str(block.columns[at][place]) for at in where)
+            if row != repeated[place]:
+                raise SourceError(
+                    f"{block.source}: line {block.lines[place]}: {name} overlaps the file before it, but this row"
+                    f" differs from its counterpart there: {', '.join(row)[:100]} against"
+                    f" {', '.join(repeated[place])[:100]}; files that are not copies of each other cannot be joined"
+                )
+        del repeated[:count]
+        self.overlaps[name] = self.overlaps.get(name, 0) + count
+        return select_rows(block, np.arange(count, len(block.lines))) if count else block
 
 
 _TEXTS = (".csv", ".txt", ".tsv", ".csv.gz", ".txt.gz", ".tsv.gz")

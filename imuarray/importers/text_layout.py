@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -41,6 +41,8 @@ class TextLayout:
     named: bool = True
     kind_column: int | list[int] | None = None
     labels: bool = False
+    parts: list[list[str]] = field(default_factory=list)
+    """Names of files that are parts of one recording."""
     unit_cells: tuple[str, ...] = ()
     """Cells of a row of units below the header."""
     rate_hz: float | None = None
@@ -63,6 +65,9 @@ class TextLayout:
             lines.append(f"kind_column = {self.kind_column}")
         if self.labels:
             lines.append("labels = true")
+        if self.parts:
+            groups = (", ".join(map(quoted, group)) for group in self.parts)
+            lines.append(f"parts = [{', '.join(f'[{names}]' for names in groups)}]")
         return ["[file]", *lines, ""] if lines else []
 
 

@@ -15,7 +15,7 @@ from scipy.stats import t as t_distribution
 from imuarray.calibrate import Calibration, calibrate_noise, calibrate_tumble
 from imuarray.calibrate.stability import BIAS, Drift, Thermal, TurnOn
 from imuarray.fuse import compare, fuse
-from imuarray.fuse.compare import Score
+from imuarray.fuse.comparison import Score
 from imuarray.fuse.frames import axes_of, matrices
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import open_log

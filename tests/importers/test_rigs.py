@@ -132,16 +132,59 @@ def test_a_guessed_map_gives_the_true_values(rig: str, tmp_path: Path) -> None:
         assert float(np.abs(at_s - T).max()) < 0.02
 
 
+LINES, HEAD = lines_of(T, SI, "{:.6f}"), f"t,{NAMES}"
+CHANGED = LINES[650].replace(",", ",1", 1)
+
+
+def folder_of(folder: Path, *files: list[str]) -> Path:
+    """A folder with a text of one recorder for each list of rows."""
+    folder.mkdir()
+    for number, rows in enumerate(files):
+        written(folder / f"imu{number}.csv", [HEAD, *rows])
+    return folder
+
+
 @pytest.mark.slow
-def test_parts_in_a_folder_are_doubted_and_sensors_beside_each_other_are_not(tmp_path: Path) -> None:
-    rows, head = lines_of(T, SI, "{:.6f}"), f"t,{NAMES}"
-    for name, parts in (("parts", (slice(0, 800), slice(600, ROWS))), ("sensors", (slice(None), slice(None)))):
-        (tmp_path / name).mkdir()
-        for number, part in enumerate(parts):
-            written(tmp_path / name / f"imu{number}.csv", [head, *rows[part]])
-    said = "imu0.csv, imu1.csv have the same columns and begin one after the other"
-    assert said in guess_map(tmp_path / "parts")
-    assert said not in guess_map(tmp_path / "sensors")
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [
+        ((LINES[:800], LINES[600:]), "imu1: its first 200 rows are in the file before it, too: kept once"),
+        ((LINES[:800], LINES[800:]), "imu0, imu1 joined in this order"),
+        ((LINES[:500], LINES[450:1000], LINES[900:]), "imu2: its first 100 rows are in the file before it"),
+        ((LINES, LINES[600:800]), "imu1: its first 200 rows are in the file before it, too: kept once"),
+    ],
+    ids=["overlap", "follow", "three", "inside"],
+)
+def test_parts_in_a_folder_are_joined(files: tuple[list[str], ...], said: str, tmp_path: Path) -> None:
+    """Files that begin one after the other and agree where they overlap are one recording, each row of it once."""
+    source = folder_of(tmp_path / "parts", *files)
+    assert said in " ".join(line.lstrip("# ~") for line in guess_map(source).splitlines())
+    with imported(tmp_path, source) as log:
+        assert set(log.sensors) == {"Acc", "Gyro"}
+        assert np.asarray(log["Acc"].time[:]) * 1e-9 == pytest.approx(T, abs=1e-6)
+        assert np.asarray(log["Gyro"].counts[:]) / log["Gyro"].sensitivity == pytest.approx(RATE, abs=0.04)
+
+
+@pytest.mark.parametrize(
+    ("second", "said"),
+    [
+        ([*LINES[600:650], CHANGED, *LINES[651:]], "imu1.csv: line 52: imu1 overlaps the file before it, but this row"),
+        ([CHANGED, *LINES[651:]], "imu1.csv: line 2"),
+        (LINES[900:], "they would have a gap of 7 % of their time"),
+    ],
+    ids=["a row differs", "no row is the same", "a gap"],
+)
+def test_files_that_do_not_follow_each_other_are_doubted(second: list[str], said: str, tmp_path: Path) -> None:
+    source = folder_of(tmp_path / "parts", LINES[:800], second)
+    text = " ".join(line.removeprefix("#").strip() for line in guess_map(source).splitlines())
+    assert "imu0.csv, imu1.csv have the same columns and begin one after the other" in text
+    assert said in text
+    with imported(tmp_path, source) as log:
+        assert set(log.sensors) == {"Acc", "Gyro", "Acc2", "Gyro2"}
+
+
+def test_sensors_beside_each_other_are_no_parts(tmp_path: Path) -> None:
+    assert "parts" not in guess_map(folder_of(tmp_path / "sensors", LINES, LINES))
 
 
 def test_readings_in_seconds_are_no_times_of_day(tmp_path: Path) -> None:
