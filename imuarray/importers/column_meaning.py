@@ -13,13 +13,22 @@ from types import MappingProxyType
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.importers.column_names import COMPUTED, PRESSURE, QUANTITIES, TEMPERATURE, quantity_of, unit_in
+from imuarray.importers.column_names import (
+    COMPUTED,
+    PRESSURE,
+    QUANTITIES,
+    TEMPERATURE,
+    column_label,
+    quantity_of,
+    unit_in,
+)
 from imuarray.importers.mapping import ZERO_OF_UNIT
 from imuarray.importers.proposal import Proposal
 from imuarray.importers.sensor_proposal import propose_barometer, propose_sensor, propose_thermometer
 from imuarray.importers.text_layout import TextLayout, quoted
 from imuarray.importers.time_proposal import add_own_time, increases, rate_line, time_index, time_lines
 from imuarray.importers.triad_behaviour import (
+    has_unit_length,
     is_computed_gravity,
     is_gravity,
     is_label,
@@ -45,8 +54,9 @@ _INSTANCE = re.compile(
 )
 _ANDROID_TYPES: Mapping[str, str] = {
     "1": "accelerometer", "2": "magnetic field", "4": "gyroscope", "6": "pressure", "9": "gravity",
-    "10": "linear acceleration", "13": "ambient temperature", "14": "magnetic field uncalibrated",
-    "16": "gyroscope uncalibrated", "35": "accelerometer uncalibrated",
+    "10": "linear acceleration", "11": "rotation vector", "13": "ambient temperature",
+    "14": "magnetic field uncalibrated", "15": "game rotation vector", "16": "gyroscope uncalibrated",
+    "20": "geomagnetic rotation vector", "35": "accelerometer uncalibrated",
 }  # fmt: skip
 """Constants `TYPE_...` of Android's class Sensor."""
 
@@ -57,6 +67,8 @@ def words_of_kind(kind: str, column: str) -> str:
     """
     return _ANDROID_TYPES.get(kind, kind) if "type" in column.lower() else kind
 
+
+QUATERNION = "an attitude that a program computed, as a unit quaternion, and no measurement"
 
 MOST_INSTANCES = 16
 _ALTERNATES = 0.3
@@ -111,6 +123,11 @@ def propose_columns(
         timed = np.isfinite(columns[time])
         columns = columns if timed.all() else [column[timed[: len(column)]] for column in columns]
     taken = set() if time is None else {time}
+    for quaternion in _attitudes(names, columns):
+        proposal.attitudes.append([column_label(names, index) for index in quaternion])
+        said = ", ".join(proposal.attitudes[-1])
+        proposal.doubts.append(f"left out: {said}: {QUATERNION}")
+        taken |= set(quaternion)
     triads = _with_quantity(list(_triads(names, columns, taken, stem, units)), names, columns, proposal)
     triads.sort(key=lambda triad: triad[0] != "specific_force")
     if time is None:
@@ -193,6 +210,8 @@ def _triads(
                 if index in used or not all(stem in names for stem in stems):
                     continue
                 fourth, fifth = (f"{name[:place]}{letter}{name[place + 1 :]}" for letter in (_FOURTH[axes], "4"))
+                if fourth in names and not np.isfinite(columns[names.index(fourth)]).any():
+                    fourth = ""  # a column that rows of other kinds need
                 is_time = _FOURTH[axes] == "0" and fourth in names and increases(columns[names.index(fourth)])
                 if fourth in names and fifth not in names and not is_time:
                     continue  # four numbers: a quaternion, motors, channels
@@ -205,6 +224,21 @@ def _triads(
                     continue
                 called = stem if stem.strip("*_.- []()") and not _VALUES.fullmatch(stem) else stem_of_file
                 yield _QUANTITY_OF_UNIT.get(units.get(name) or unit_in(name), quantity_of(called)), indices
+
+
+def _attitudes(names: Sequence[str], columns: Sequence[Floats]) -> Iterator[tuple[int, int, int, int]]:
+    """Yield the columns of each unit quaternion, w first, by names that differ in w, x, y, z or in 0 to 3."""
+    used: set[int] = set()
+    for letters in ("wxyz", "WXYZ", "0123"):
+        for index, name in enumerate(names[: len(columns)]):
+            for place in (at for at, letter in enumerate(name) if letter == letters[0]):
+                stems = [name[:place] + letter + name[place + 1 :] for letter in letters]
+                if index in used or not all(stem in names[: len(columns)] for stem in stems):
+                    continue
+                w, x, y, z = map(names.index, stems)
+                if has_unit_length(columns, [w, x, y, z]):
+                    used |= {w, x, y, z}
+                    yield w, x, y, z
 
 
 def _with_gravity_again(

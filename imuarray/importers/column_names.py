@@ -29,6 +29,8 @@ QUANTITIES: Sequence[tuple[str, re.Pattern[str]]] = (
 TIME = re.compile(r"time|zeit|stamp|millis|micros|elapsed|^t$|^t[_ \[(]|^(ms|us|sec|seconds)$", re.IGNORECASE)
 TEMPERATURE = re.compile(r"temp|^t_?(die|chip|c)$|degc", re.IGNORECASE)
 PRESSURE = re.compile(r"press|baro|^p$", re.IGNORECASE)
+ATTITUDE = re.compile(r"rot(ation)?[._ ]?vec|quat|attitude|orientation|euler", re.IGNORECASE)
+"""Names of attitudes that a program computed."""
 COMPUTED = re.compile(r"lin|user|free|grav", re.IGNORECASE)
 """Names of accelerations that a program computed."""
 INDEX = re.compile(
@@ -52,7 +54,11 @@ def column_label(names: Sequence[str], index: int) -> str:
 
 
 def quantity_of(name: str) -> str:
-    """Return the quantity that a name states, its last part ("imu.gyro") before the whole; "" if it states none."""
+    """Return the quantity that a name states, its last part ("imu.gyro") before the whole; "" if it states none, or an
+    attitude.
+    """
+    if ATTITUDE.search(name):
+        return ""
     for part in dict.fromkeys((re.split(r"[./](?!\*)", name)[-1], name)):
         if by_name := next((what for what, words in QUANTITIES if words.search(part)), ""):
             return by_name

@@ -200,16 +200,44 @@ def _leave_out_computed(proposal: Proposal) -> None:
 
 
 def _leave_out_weightless(proposal: Proposal, doubts: Sequence[str]) -> bool:
-    """Leave out accelerometers that do not measure 1 g where others do: a program subtracted gravity."""
+    """Leave out accelerometers that do not measure 1 g: a program subtracted gravity. They stay in the map as comments
+    if no other sensor has gravity, with the attitude that can add it again. One that is the only sensor is kept.
+    """
     forces = [item for item in proposal.items if any(line.startswith('quantity = "specific_force"') for line in item)]
     names = [item[1].split('"')[1] for item in forces]
     doubted = [
         any(text.startswith(f"{name}: measures ") and "instead of 1 g" in text for text in doubts) for name in names
     ]
-    if all(doubted):
-        return False
     weightless = [item for item, is_doubted in zip(forces, doubted, strict=True) if is_doubted]
-    return _leave_out(proposal, weightless, "no gravity in it, while another accelerometer of the recording has it")
+    if not all(doubted):
+        return _leave_out(proposal, weightless, "no gravity in it, while another accelerometer of the recording has it")
+    said = {name: next(text for text in doubts if text.startswith(f"{name}: measures ")) for name in names}
+    subtracted = [
+        item
+        for item, name in zip(forces, names, strict=True)
+        if _SUBTRACTED in said[name]
+        and (proposal.attitudes or _is_called_computed(item) or _NO_UNIT_EXPLAINS in said[name])
+    ]
+    for item in subtracted:
+        item += proposal.attitude_lines(is_comment=len(subtracted) == len(proposal.items))
+    if len(subtracted) == len(proposal.items):
+        return False
+    proposal.asides += subtracted
+    return _leave_out(
+        proposal,
+        subtracted,
+        "a linear acceleration, from which a program subtracted gravity, and no measurement; it stands below as a"
+        f" comment{', with the attitude that adds gravity again' if proposal.attitudes else ''}",
+    )
+
+
+_SUBTRACTED, _NO_UNIT_EXPLAINS = "gravity may have been removed", "or the unit may be wrong"
+"""What a report says of a sensor without gravity, and if the size of its readings is that of no other unit."""
+
+
+def _is_called_computed(item: Sequence[str]) -> bool:
+    """Return whether the names of a sensor's rows or columns say that a program computed them."""
+    return any(COMPUTED.search(line) for line in item if line.startswith(("kind = ", "columns = ")))
 
 
 def _correct_milli(proposal: Proposal, radii: Mapping[str, float]) -> bool:

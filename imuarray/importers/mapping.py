@@ -10,7 +10,8 @@
                   stamps = "reading" | "arrival"
     [[sensor]]    name  chip  quantity  columns = [x, y, z]  unit  range  sensitivity | scale
                   values = "counts" | "physical"   offset = 0   bits = 16   factor = 1   signs = "+++"
-                  gravity_columns = [x, y, z]   bandwidth_hz   axes = "+X+Y+Z"   position_mm = [x, y, z]
+                  gravity_columns = [x, y, z] | attitude_columns = [w, x, y, z]
+                  bandwidth_hz   axes = "+X+Y+Z"   position_mm = [x, y, z]
                   temperature_column   thermometer = { zero_degc, lsb_per_degc } | { unit = "degC" }
                   time_column   kind
     [[thermometer]]  name  column  unit = "degC" | "K" | "counts"   zero_degc   lsb_per_degc   time_column   kind
@@ -67,6 +68,7 @@ def _column(value: Any) -> str | int:
 Column = Annotated[str | int, PlainValidator(_column)]
 Positive = Annotated[float, Field(gt=0)]
 Triad = Annotated[list[Column], Field(min_length=3, max_length=3)]
+Quaternion = Annotated[list[Column], Field(min_length=4, max_length=4)]
 Place = Annotated[int, Field(ge=0)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
 Degrees = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -268,8 +270,10 @@ class SensorTable(LogColumn):
     32 bits without loss: as many as `bits`, or as range times sensitivity takes. Values of `columns` times `factor` are
     in `unit`; `signs` ("+-+") changes the sign of axes whose columns have the opposite one.
     `bandwidth_hz`: the -3 dB bandwidth to which the chip was set, 0 if unknown. `gravity_columns`: gravity that a
-    program subtracted, in `unit`; it is added again. `thermometer` is given if a
-    chip's data sheet is not known to this package, or a unit was calibrated.
+    program subtracted, in `unit`; it is added again. `attitude_columns`: the unit quaternion, w first, from the
+    sensor's axes to a level frame whose z axis points up, by which a program subtracted gravity; 1 g is added again
+    along up.
+    `thermometer` is given if a chip's data sheet is not known to this package, or a unit was calibrated.
     """
 
     chip: Annotated[str, Field(min_length=1)]
@@ -285,6 +289,7 @@ class SensorTable(LogColumn):
     factor: Positive | None = None
     signs: Annotated[str, Field(pattern=r"^[+-]{3}$")] = "+++"
     gravity_columns: Triad | None = None
+    attitude_columns: Quaternion | None = None
     bandwidth_hz: Annotated[float, Field(ge=0, le=1e6)] = 0.0
     axes: str = "+X+Y+Z"
     position_mm: Annotated[list[float], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
@@ -312,10 +317,15 @@ class SensorTable(LogColumn):
                 raise ValueError("sensitivity: is missing, or scale; columns of counts need it")
         elif self.offset or self.bits:
             raise ValueError("offset and bits apply to counts, but these columns have a unit")
-        if not self.is_physical and (self.factor is not None or self.gravity_columns is not None):
-            raise ValueError("factor and gravity_columns apply to columns in a unit, but these hold counts")
-        if self.gravity_columns is not None and self.quantity != "specific_force":
-            raise ValueError(f"gravity_columns apply to specific_force, but the quantity is {self.quantity}")
+        gravity = [name for name in ("gravity_columns", "attitude_columns") if getattr(self, name) is not None]
+        if not self.is_physical and (self.factor is not None or gravity):
+            raise ValueError(
+                f"{gravity[0] if gravity else 'factor'} applies to columns in a unit, but these hold counts"
+            )
+        if gravity and self.quantity != "specific_force":
+            raise ValueError(f"{gravity[0]} apply to specific_force, but the quantity is {self.quantity}")
+        if len(gravity) > 1:
+            raise ValueError("gravity_columns and attitude_columns would add gravity twice; leave one out")
         orientation_of(self.axes)
         return self
 
@@ -477,6 +487,7 @@ def columns_of(item: RowSettings) -> Iterator[str | int]:
     if isinstance(item, SensorTable):
         yield from item.columns
         yield from item.gravity_columns or ()
+        yield from item.attitude_columns or ()
         if item.temperature_column is not None:
             yield item.temperature_column
     elif isinstance(item, OwnThermometer | BarometerTable):

@@ -25,10 +25,23 @@ class Proposal:
     gravity: dict[tuple[int, int, int], tuple[int, int, int]] = field(default_factory=dict)
     """Columns of accelerations without gravity, and those of the gravity that was subtracted."""
 
+    attitudes: list[list[str]] = field(default_factory=list)
+    """Columns of quaternions, w first, as a map names them."""
+    asides: list[list[str]] = field(default_factory=list)
+    """Items that stand in the map as comments."""
+
     def name_line(self, stem: str) -> str:
         """Return the line with the next free name that begins with a stem: Acc, Acc2, ..."""
         number = sum(item[1].startswith(f'name = "{stem}') for item in self.items)
         return f'name = "{stem}{number + 1 if number else ""}"'
+
+    def attitude_lines(self, is_comment: bool) -> list[str]:
+        """Return the line of a sensor that adds gravity again by the attitude of its rows; none without an attitude."""
+        mark = "# " if is_comment else ""
+        return [
+            f"{mark}attitude_columns = [{', '.join(names)}]   # w, x, y, z: adds 1 g along up again"
+            for names in self.attitudes[:1]
+        ]
 
     def text(self, head: Sequence[str]) -> str:
         """Return the map as TOML."""
@@ -41,4 +54,6 @@ class Proposal:
         parts = [*comments, "", *self.layout.lines(), "[time]", *self.time]
         for item in self.items:
             parts += ["", *item]
+        for item in self.asides:
+            parts += ["", *(f"# {line}" for line in item)]
         return "\n".join(parts) + "\n"

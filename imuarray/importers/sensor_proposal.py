@@ -9,7 +9,7 @@ from math import log as ln
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.importers.column_names import column_label, unit_in
+from imuarray.importers.column_names import COMPUTED, column_label, unit_in
 from imuarray.importers.mapping import ZERO_OF_UNIT
 from imuarray.importers.proposal import Proposal
 from imuarray.importers.resolution import WIDE_SENSITIVITIES, usual_bits
@@ -83,6 +83,9 @@ def propose_sensor(
     if is_wide:
         sphere = fit_sphere(values)
         return [*item, *_wide_codes(length if sphere is None else sphere.radius, beyond)], "g"
+    is_computed = bool(proposal.attitudes or (names and COMPUTED.search(names[indices[0]])))
+    if quantity == "specific_force" and is_computed and not whole and length < _WEIGHTLESS:
+        return [*item, 'unit = "m/s2"   # ? gravity is subtracted, and programs that do so write m/s2'], "m/s2"
     if not whole:
         unit, lines = _measured(quantity, values, force_unit)
         return [*item, *lines], unit
@@ -92,6 +95,9 @@ def propose_sensor(
         unit, lines = "mg", [UNIT_MG.format(sphere.radius)]
     return [*item, *codes, *lines], unit
 
+
+_WEIGHTLESS = 0.7
+"""Median length of accelerations in which there is no gravity, in g or m/s2."""
 
 _WHOLE = 0.999
 """Share of whole numbers of a column of codes: a torn row may hold others."""

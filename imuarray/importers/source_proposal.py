@@ -19,6 +19,7 @@ from imuarray.arrays import Floats
 from imuarray.errors import SourceError
 from imuarray.importers.column_meaning import (
     MOST_INSTANCES,
+    QUATERNION,
     instance_column,
     kind_column,
     propose_columns,
@@ -221,6 +222,9 @@ def _propose_table(text: _Text) -> Proposal:
         stem = name if is_named else text.stem
         of_kind = [column[chosen] for column in columns]
         partial = propose_columns(text.layout, text.names, of_kind, dates, stem, units)
+        if partial.attitudes and not partial.items:
+            proposal.doubts.append(f"left out: rows of kind {kind!r}: {QUATERNION}")
+            continue
         _add_kind(proposal, kind, partial)
     return proposal
 
@@ -300,6 +304,9 @@ def _files_with_readings(folder: Path, doubts: list[str]) -> Iterator[_FolderFil
         units = units_below_header(layout, names)
         columns = columns_of(rows, layout)
         partial = propose_columns(layout, names, columns, _dates_of_rows(rows, names, columns), name, units)
+        if not partial.items and partial.attitudes:
+            doubts.append(f"left out: {path.name}: {QUATERNION}")
+            continue
         if not partial.items:
             doubts.append(f"left out: {path.name} has no triad, temperature or pressure that is known by its name")
             continue

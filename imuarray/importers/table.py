@@ -277,16 +277,35 @@ def _blank(cells: Sequence[CellColumn]) -> Booleans:
 def _triad_of(cells: Mapping[Reference, CellColumn], sensor: SensorTable) -> list[CellColumn]:
     """Return the cells of a sensor's axes, with factor, signs and gravity of the map applied."""
     triad = [cells[column] for column in sensor.columns]
-    if sensor.factor is None and sensor.signs == "+++" and sensor.gravity_columns is None:
+    is_plain = sensor.gravity_columns is None and sensor.attitude_columns is None
+    if sensor.factor is None and sensor.signs == "+++" and is_plain:
         return triad
-    gravity = [None] * 3 if sensor.gravity_columns is None else [cells[column] for column in sensor.gravity_columns]
-    result = []
-    for cell, pull, sign in zip(triad, gravity, sensor.sign_of_axes, strict=True):
-        values = _numbers_or_nan(cell)
-        if pull is not None:
-            values = values + _numbers_or_nan(pull)
-        result.append(CellColumn(cell.source, cell.label, cell.lines, (), values * (sign * (sensor.factor or 1.0))))
-    return result
+    values = np.stack([_numbers_or_nan(cell) for cell in triad])
+    if sensor.gravity_columns is not None:
+        values += np.stack([_numbers_or_nan(cells[column]) for column in sensor.gravity_columns])
+    values *= sensor.factor or 1.0
+    values *= np.array(sensor.sign_of_axes)[:, None]
+    if sensor.attitude_columns is not None:
+        quaternion = np.stack([_numbers_or_nan(cells[column]) for column in sensor.attitude_columns])
+        values += _up_in_sensor(quaternion) / sensor.log_units
+    return [
+        CellColumn(cell.source, cell.label, cell.lines, (), column) for cell, column in zip(triad, values, strict=True)
+    ]
+
+
+_UNIT_LENGTH = 0.05
+"""Largest deviation of the length of a quaternion from 1; others, such as zeros before a program knows it, are none."""
+
+
+def _up_in_sensor(quaternion: Floats) -> Floats:
+    """Return the direction of up (3, n) in the sensor's axes from unit quaternions (4, n), w first, that turn these
+    axes to a level frame; nan where it is not one. It is the third row of the rotation matrix (Diebel, "Representing
+    attitude", 2006, equation 125).
+    """
+    length = np.linalg.norm(quaternion, axis=0)
+    is_unit = np.abs(length - 1) < _UNIT_LENGTH
+    w, x, y, z = np.where(is_unit, quaternion / np.where(is_unit, length, 1.0), np.nan)
+    return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), w**2 - x**2 - y**2 + z**2])
 
 
 def _numbers_or_nan(cell: CellColumn) -> Floats:
@@ -632,6 +651,12 @@ class _Recording:
             )
             names_by_remark.setdefault(remark, []).append(name)
         remarks = [f"{listed(names)}: {remark}" for remark, names in names_by_remark.items()]
+        remarks += [
+            f"{sensor.name}: 1 g is added along up in the attitude of {', '.join(map(str, sensor.attitude_columns))};"
+            " its noise and delay are those of the program that computed both"
+            for sensor in self._map.sensor
+            if sensor.attitude_columns is not None
+        ]
         return list(dict.fromkeys([*remarks, *self._changes()]))
 
 

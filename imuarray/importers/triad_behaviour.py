@@ -43,7 +43,7 @@ def triads_by_values(columns: Sequence[Floats], free: Sequence[int]) -> Iterator
     runs: list[list[int]] = [[]]
     first = 0
     while first < len(candidates):
-        if first + 4 <= len(candidates) and _has_unit_length(columns, candidates[first : first + 4]):
+        if first + 4 <= len(candidates) and has_unit_length(columns, candidates[first : first + 4]):
             runs.append([])
             first += 4
         elif first + 3 <= len(candidates) and is_steady_gravity(columns, candidates[first : first + 3]):
@@ -88,7 +88,7 @@ def _lengths(columns: Sequence[Floats], indices: Sequence[int]) -> Floats:
     return np.asarray(np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1))
 
 
-def _has_unit_length(columns: Sequence[Floats], indices: Sequence[int]) -> bool:
+def has_unit_length(columns: Sequence[Floats], indices: Sequence[int]) -> bool:
     """Return whether vectors have length 1 to a thousandth, as quaternions have."""
     lengths = _lengths(columns, indices)
     return len(lengths) > 0 and bool(np.quantile(np.abs(lengths - 1), 0.95) < _UNIT_LENGTH)
