@@ -38,6 +38,7 @@ MOST_RESTARTS = 1000
 """Most falls of a clock in a recording; a column that falls more often holds no times, or rows are out of order."""
 
 FEWEST_WHOLE_ROWS = 100
+_FEW_SUMMARIES = 16
 MOST_TORN = 0.01
 """Share of the rows so far that may have another number of cells and are left out, after this number of complete
 rows.
@@ -122,7 +123,7 @@ class TextTable:
         self.names: list[str] = [name.strip() for name in self.header]
         self.width = len(self.names)
         self._blank_end = bool(self.names) and (not self.names[-1] or bool(_REMARKS.fullmatch(self.names[-1])))
-        self._has_data = False
+        self._has_data = self._begins_with_number = False
 
     def _lines(self) -> Iterator[str]:
         """Yield the lines with cells."""
@@ -203,6 +204,9 @@ class TextTable:
                 row = row[:-1]
             elif len(row) == self.width - 1 and self._blank_end:
                 row = [*row, ""]
+            if not kinds and rows_read >= FEWEST_WHOLE_ROWS and self._is_summary(row, rows_read):
+                self.left_out["summary"] += 1
+                continue
             if len(row) != self.width:
                 if len(row) < self.width and (self._is_last or self._is_damaged):
                     self.left_out["nul" if self._is_damaged else "cut"] += 1
@@ -218,8 +222,18 @@ class TextTable:
                 self.left_out["units"] += 1
                 continue
             self._has_data = True
+            self._begins_with_number = _is_number(row[0])
             rows_read += 1
             yield self.line, row
+
+    def _is_summary(self, row: Sequence[str], rows_read: int) -> bool:
+        """Return whether a row behind the readings summarises them: a word in the place of a number, such as "Mean",
+        and numbers. There are few of those.
+        """
+        first = row[0].strip()
+        is_worded = first[:1].isalpha() and first.lower() not in MISSING and not _is_number(first)
+        is_rare = self.left_out["summary"] < max(_FEW_SUMMARIES, MOST_TORN * rows_read)
+        return is_worded and self._begins_with_number and is_rare and any(map(_is_number, row[1:]))
 
     def index(self, column: str | int) -> int:
         """Return the index of a column; SourceError if the header does not have it, or has it twice."""
@@ -263,6 +277,7 @@ class TextTable:
             "units": "{} of units below the header left out",
             "cut": "{} at the end of the file left out: it is cut off",
             "text": "{} of text without a number left out",
+            "summary": "{} that begin with a word in the place of a number left out, as summaries of the readings do",
             "torn": "{} with another number of cells left out: torn, or two that run into each other",
         }
         return [
@@ -685,7 +700,7 @@ def numbers(column: CellColumn) -> npt.NDArray[np.float64]:
         row = int(np.argmin(np.isfinite(values))) if not np.isfinite(values).all() else None
     else:
         try:
-            read = [float(text) for text in column.texts]
+            read = [number_of(text) for text in column.texts]
             row = next((row for row, value in enumerate(read) if not math.isfinite(value)), None)
         except ValueError:
             row = next(row for row, text in enumerate(column.texts) if not _is_number(text))
@@ -708,9 +723,22 @@ def _number_hint(column: CellColumn, row: int) -> str:
     return ""
 
 
+def number_of(text: str) -> float:
+    """Return the number in a cell, decimal or hexadecimal (0x1F4A); ValueError."""
+    try:
+        return float(text)
+    except ValueError:
+        if _HEXADECIMAL.fullmatch(text.strip()) is None:
+            raise
+        return float(int(text.strip(), 16))
+
+
+_HEXADECIMAL = re.compile(r"[+-]?0[xX][0-9a-fA-F]{1,8}")
+
+
 def _is_number(text: str) -> bool:
     try:
-        float(text)
+        number_of(text)
     except ValueError:
         return False
     return True

@@ -4,8 +4,9 @@
 
     [file]        delimiter = ","   decimal = "."   skip_rows = 0   comment = "#"   kind_column   labels = true
                   parts = [["run_1", "run_2"]]   format = "mimu4444"
-    [time]        column = "t"  unit = "s" | "ms" | "us" | "ns" | "iso8601" | "%d.%m.%Y %H:%M:%S.%f"
+    [time]        column = "t"  unit = "s" | "ms" | "us" | "ns" | "d" | "iso8601" | "%d.%m.%Y %H:%M:%S.%f"
                   or     rate_hz = 100
+                  fraction_column = "nsec"   fraction_unit = "ns" | "us" | "ms"
                   ticks = 1   wraps_at = 4294967296   ties = true   sort = true   restarts = true
                   stamps = "reading" | "arrival"
     [[sensor]]    name  chip  quantity  columns = [x, y, z]  unit  range  sensitivity | scale
@@ -45,7 +46,8 @@ ISO = "iso8601"
 DATE_DIRECTIVES = re.compile(r"%[YymdjbBHIMSpfz]")
 """Directives of a date and time that a unit of times may have, as `datetime.strptime` understands them."""
 
-NS_PER_UNIT = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+NS_PER_UNIT = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1, "d": 86_400_000_000_000}
+"""Nanoseconds of each unit of times; days are the serial dates of spreadsheets and MATLAB."""
 
 TEMPERATURE_LSB_PER_DEGC = 100.0
 """Counts per degree of a log's thermometer if the recording gives degrees and no resolution: a hundredth of a degree is
@@ -78,6 +80,7 @@ _TIME_SPELLINGS = {
     "sec": "s",
     "second": "s",
     "seconds": "s",
+    "days": "d",
     "msec": "ms",
     "usec": "us",
     "\u00b5s": "us",
@@ -157,7 +160,8 @@ class FileTable(BaseModel):
 class TimeTable(BaseModel):
     """`[time]`: a column of times in a unit, or the rate of the rows.
 
-    A column counts `ticks` of its unit (0.5: half a unit each) and wraps at `wraps_at`. With `ties`, rows of equal time
+    `fraction_column` holds the rest of a second, in `fraction_unit`, if `column` has whole seconds. A column counts
+    `ticks` of its unit (0.5: half a unit each) and wraps at `wraps_at`. With `ties`, rows of equal time
     are separated by 1 ns. With `sort`, rows that come late are put in the order of their times, and rows that the file
     holds twice are kept once (`imuarray.importers.row_order`). With `restarts`, times that fall go on from the row
     before: the clock was set back (the end of daylight saving time, a leap second), or the recorder started again. A
@@ -176,6 +180,8 @@ class TimeTable(BaseModel):
     sort: bool = False
     restarts: bool = False
     stamps: Literal["reading", "arrival"] = "reading"
+    fraction_column: Column | None = None
+    fraction_unit: Literal["ns", "us", "ms"] = "ns"
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -187,6 +193,10 @@ class TimeTable(BaseModel):
             self.wraps_at is not None or self.ties or self.sort or self.restarts or self.stamps == "arrival"
         ):
             raise ValueError("wraps_at, ties, sort, restarts and stamps require column")
+        if self.fraction_column is not None and (self.unit != "s" or self.wraps_at is not None or self.sort):
+            raise ValueError(
+                "fraction_column requires a column of unit 's', and can't be combined with wraps_at or sort"
+            )
         if self.restarts and (self.sort or self.wraps_at is not None):
             raise ValueError("restarts can't be combined with sort or wraps_at, which explain falling times otherwise")
         if self.sort and (
@@ -475,6 +485,7 @@ class TableMap(BaseModel):
         """Yield every column in the map; some occur more than once."""
         if self.time is not None and self.time.column is not None:
             yield self.time.column
+            yield from [] if self.time.fraction_column is None else [self.time.fraction_column]
         streamed: list[RowSettings] = [*self.recorded, *([self.reference] if self.reference else [])]
         for item in streamed:
             yield from columns_of(item)

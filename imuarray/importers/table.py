@@ -140,11 +140,13 @@ class RowGroup(NamedTuple):
     time_column: Reference | None
     kind: str | None
     items: tuple[RowSettings, ...]
+    fraction_column: Reference | None = None
+    """The column of the rest of a second."""
 
     @property
     def columns(self) -> list[Reference]:
         """Every column once, that of time first."""
-        named = [] if self.time_column is None else [self.time_column]
+        named = [column for column in (self.time_column, self.fraction_column) if column is not None]
         return list(dict.fromkeys([*named, *(column for item in self.items for column in columns_of(item))]))
 
 
@@ -156,7 +158,11 @@ def _streams(table_map: TableMap) -> list[RowGroup]:
     for item in items:
         column = table_map.clock.column if item.time_column is None else item.time_column
         together.setdefault((column, item.kind), []).append(item)
-    return [RowGroup(column, kind, tuple(those)) for (column, kind), those in together.items()]
+    clock = table_map.clock
+    return [
+        RowGroup(column, kind, tuple(those), clock.fraction_column if column == clock.column else None)
+        for (column, kind), those in together.items()
+    ]
 
 
 def _inferred(
@@ -356,7 +362,8 @@ class _Stream:
     ) -> None:
         time = table_map.clock
         self.log, self.plan, self._time, self._headers = log, plan, time, headers
-        self._clock = TimeColumn(time.unit or "ns", time.ticks, time.wraps_at, time.ties, restarts=time.restarts)
+        unit = "ns" if plan.fraction_column is not None else time.unit or "ns"
+        self._clock = TimeColumn(unit, time.ticks, time.wraps_at, time.ties, restarts=time.restarts)
         self._order = RowOrder(self._stamps) if time.sort and plan.time_column is not None else None
         self._last_stamp: Times = np.zeros(0, np.int64)
         self._wanted = wanted
@@ -432,7 +439,11 @@ class _Stream:
     def _times(self, cells: dict[Reference, CellColumn], length: int) -> Times:
         """Return (n,) ns from the time column, or from the rate."""
         if self.plan.time_column is not None:
-            return self._clock.nanoseconds(cells[self.plan.time_column])
+            cell = cells[self.plan.time_column]
+            if self.plan.fraction_column is not None:
+                rest = TimeColumn(self._time.fraction_unit).stamps(cells[self.plan.fraction_column])
+                cell = CellColumn(cell.source, cell.label, cell.lines, (), TimeColumn("s").stamps(cell) + rest)
+            return self._clock.nanoseconds(cell)
         period_ns = 1_000_000_000 / Fraction(self._time.rate_hz or 1.0).limit_denominator(1_000_000)
         rows = range(self.count, self.count + length)
         return np.array([row * period_ns.numerator // period_ns.denominator for row in rows], np.int64)

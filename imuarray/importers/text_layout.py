@@ -17,7 +17,15 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.errors import SourceError
 from imuarray.importers import decompress, open_source
-from imuarray.importers.cells import WINDOWS_1252, is_unit_row, is_utf16, labelled, plain_line, plain_sentence
+from imuarray.importers.cells import (
+    WINDOWS_1252,
+    is_unit_row,
+    is_utf16,
+    labelled,
+    number_of,
+    plain_line,
+    plain_sentence,
+)
 from imuarray.importers.mapping import ISO
 from imuarray.importers.plausibility import RATES_HZ
 
@@ -260,7 +268,7 @@ def is_number(cell: str, layout: TextLayout) -> bool:
     """Return whether a cell holds a number or nothing."""
     text = cell.strip().replace(",", ".") if layout.decimal == "," else cell.strip()
     try:
-        float(text)
+        number_of(text)
     except ValueError:
         return not text
     return True
@@ -273,7 +281,9 @@ def columns_of(rows: Sequence[Sequence[str]], layout: TextLayout) -> list[Floats
     for index in range(width):
         texts = (row[index].strip() for row in rows)
         texts = (text.replace(",", ".") for text in texts) if layout.decimal == "," else texts
-        columns.append(np.array([float(text) if is_number(text, TextLayout()) and text else np.nan for text in texts]))
+        columns.append(
+            np.array([number_of(text) if is_number(text, TextLayout()) and text else np.nan for text in texts])
+        )
     return columns
 
 

@@ -115,6 +115,35 @@ _MOSTLY_KNOWN = 0.5
 """Least share of rows that have a time: events between readings may have none."""
 
 
+def _fraction_lines(names: Sequence[str], columns: Sequence[Floats], index: int) -> list[str]:
+    """Return the lines of `[time]` for whole seconds in the column `index` and the rest of them in the next one, by
+    names such as sec and nsec; none otherwise.
+    """
+    rest = index + 1
+    if rest >= min(len(names), len(columns)):
+        return []
+    unit = next((unit for unit, spelt in _FRACTIONS.items() if spelt.search(names[rest])), "")
+    values, seconds = columns[rest], columns[index]
+    if not unit or not np.isin(np.diff(seconds), (0.0, 1.0)).all() or not (seconds == np.rint(seconds)).all():
+        return []
+    if float(values.min()) < 0 or float(values.max()) >= 1e9 / NS_PER_UNIT[unit]:
+        return []
+    return [
+        f"column = {column_label(names, index)}",
+        'unit = "s"',
+        f"fraction_column = {column_label(names, rest)}",
+        f'fraction_unit = "{unit}"',
+    ]
+
+
+_FRACTIONS: Mapping[str, re.Pattern[str]] = {
+    "ns": re.compile(r"n(ano)?s(ecs?|econds?)?$", re.IGNORECASE),
+    "us": re.compile(r"(u|micro)s(ecs?|econds?)?$", re.IGNORECASE),
+    "ms": re.compile(r"(m|milli)s(ecs?|econds?)?$", re.IGNORECASE),
+}
+"""Names of columns with the rest of a second, by unit: nsecs, nanosec, tv_usec."""
+
+
 def time_lines(
     names: Sequence[str],
     columns: Sequence[Floats],
@@ -123,6 +152,8 @@ def time_lines(
     proposal: Proposal,
 ) -> list[str]:
     """Return the lines of `[time]` for the column `index`; adds doubts to the proposal."""
+    if index not in dates and (lines := _fraction_lines(names, columns, index)):
+        return lines
     name = names[index] if index < len(names) else ""
     lines = [f"column = {column_label(names, index)}"]
     if index in dates:
@@ -144,12 +175,13 @@ def time_lines(
         ]
         return lines + _restarts(values)
     is_number = names and (not name.strip() or INDEX.fullmatch(name.strip()))
-    if said not in NS_PER_UNIT and is_number and (steps == 1).all():
+    if said not in NS_PER_UNIT and is_number and _counts_rows(steps):
         label = f"column {name!r}" if name.strip() else f"the first column without a name, {index},"
+        wrapped = f", from 0 again at {1 - steps.min():.0f}" if steps.min() < 0 else ""
         if proposal.layout.rate_hz is None:
             proposal.doubts.append(
-                f"{label} counts the rows and says nothing about time: 100 rows a second are assumed; enter the rate in"
-                " rate_hz"
+                f"{label} counts the rows{wrapped} and says nothing about time: 100 rows a second are assumed; enter"
+                " the rate in rate_hz"
             )
         return [rate_line(proposal)]
     unit, step = _unit_of_time(said, values)
@@ -164,6 +196,12 @@ def time_lines(
     mark = "" if said == unit else "   # ?"
     lines.append(f'unit = "{unit}"{mark or "   #"} {rate_hz:.4g} rows a second, if so')
     return lines + _restarts(values)
+
+
+def _counts_rows(steps: Floats) -> bool:
+    """Return whether the steps of a column are those of a counter of rows, which may wrap."""
+    falls = steps[steps < 0]
+    return bool((steps[steps >= 0] == 1).all()) and len(np.unique(falls)) < 2
 
 
 def _rate_hz(unit: str, step: float) -> float:
@@ -215,4 +253,8 @@ def _unit_of_time(said: str, values: Floats) -> tuple[str, float]:
         step = float(np.median(steps[steps > 0]))
     if said in NS_PER_UNIT:
         return said, step
-    return next((unit for unit, most in (("s", 0.2), ("ms", 200.0), ("us", 2e5)) if step < most), "ns"), step
+    return next((unit for unit, most in _STEPS if step < most), "ns"), step
+
+
+_STEPS = (("d", 1e-5), ("s", 0.2), ("ms", 200.0), ("us", 2e5))
+"""Units of time, and the steps from row to row below which they are plausible; above the last, nanoseconds are."""

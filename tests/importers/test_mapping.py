@@ -105,7 +105,7 @@ def test_the_shortest_map(tmp_path: Path) -> None:
         ('name = "A"', 'name = "A/B"', "sensor 1 'A/B': name: 'A/B': allowed are a letter, then letters, digits and _"),
         ("range = 16", 'range = 16\naxes = "+X+Y-Z"', "sensor 1 'A': axes '+X+Y-Z': this triad is left-handed"),
         ("range = 16", 'range = 16\nvalues = "si"', "sensor 1 'A': values: 'si': allowed are 'counts' or 'physical'"),
-        ('unit = "s"\n', "", "time: unit requires column; allowed are s, ms, us, ns, iso8601"),
+        ('unit = "s"\n', "", "time: unit requires column; allowed are s, ms, us, ns, d, iso8601"),
         ('unit = "s"', 'unit = "s"\nrate_hz = 100', "time: needs either column and unit, or rate_hz"),
         ('column = "t"\nunit = "s"', "", "time: needs either column and unit, or rate_hz"),
         ('column = "t"\nunit = "s"', "rate_hz = 0", "time: rate_hz: 0: allowed is 0.001 or more"),
