@@ -372,6 +372,9 @@ class ArrayConfig(BaseModel):
     text: str = ""
     """The TOML text, kept in every log."""
 
+    def __repr__(self) -> str:
+        return f"<ArrayConfig {self.name}: {', '.join(sensor.name for sensor in self.sensors)}>"
+
     def __getitem__(self, name: str) -> SensorConfig:
         """The sensor of that name; KeyError when there is none."""
         return {sensor.name: sensor for sensor in self.sensors}[name]

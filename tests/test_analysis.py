@@ -330,3 +330,13 @@ def test_a_table_holds_the_rows_of_a_phase(folder: Path) -> None:
         assert float(mean) * {"+": 1, "-": -1}[phase.up[0]] > 5  # not calibrated
         with pytest.raises(LogError, match=r"tumble\.h5: no phase 'zup'; it has z_up, .*did you mean z_up"):
             sensor.to_pandas(phase="zup")
+
+
+def test_what_a_notebook_shows_is_one_line(folder: Path) -> None:
+    with ia.open_log(folder / "rest.h5") as log:
+        counts = log["Gyro1"].counts
+        place = f"{folder / 'rest.h5'}, sensor Gyro1: counts"
+        assert repr(counts) == f"<column {place}, {len(counts)} x 3 int16>"
+    known = SensorCalibration("A", "specific_force", "g", np.array([256.0, 0.0, -51.2]), 512 * np.eye(3))
+    assert repr(known) == "<SensorCalibration A: nothing; bias 0.5, 0, -0.1 g>"
+    assert repr(ia.load_array("martin2013")).startswith("<ArrayConfig martin2013: ADXL1, ")

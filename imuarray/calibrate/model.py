@@ -109,7 +109,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 standard error was not)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SensorCalibration:
     """Parameters of one sensor; a parameter that was not measured is None (the response: the data sheet's).
 
@@ -198,6 +198,10 @@ class SensorCalibration:
         """Return the `uncertain_columns` of a measured response; "" if it was not measured."""
         covariance = self.response_covariance()
         return "" if covariance is None else uncertain_columns(self.response_lsb_per_unit, covariance)
+
+    def __repr__(self) -> str:
+        bias = ", ".join(f"{part:.4g}" for part in self.bias_in_units())
+        return f"<SensorCalibration {self.name}: {', '.join(self.measured()) or 'nothing'}; bias {bias} {self.unit}>"
 
     def bias_in_units(self) -> Floats:
         """Return the bias (3,) in the sensor's unit (g or dps), along its own axes."""

@@ -110,6 +110,12 @@ class NamedColumn:
             raise AttributeError(name)
         return getattr(self._column, name)
 
+    def __repr__(self) -> str:
+        try:
+            return f"<column {self._place}, {' x '.join(map(str, self.shape))} {self.dtype}>"
+        except (*UNREADABLE, ValueError):  # h5py's errors for a closed file
+            return f"<column {self._place}, closed>"
+
     @property
     def shape(self) -> tuple[int, ...]:
         """The number of rows, and the shape of a row."""
