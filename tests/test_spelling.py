@@ -56,6 +56,9 @@ MISSPELT = {
     "report {}/rets.h5 -o {}/x.html": "rest.h5?",
     "fuse {}/rest.h5 --calibration {}/call.toml -o {}/x.h5": "cal.toml?",
     "export {}/rest.h5 -o {}/x.cvs": "did you mean .csv?",
+    "export {}/rest.h5 --tool kalib -o {}/x.yaml": "did you mean kalibr?",
+    "export {}/rest.h5 --units SI -o {}/x.csv": "did you mean si?",
+    "simulate martin2013 --experiment heatng -o {}/x.h5": "did you mean heating?",
     "study --experiments statik": "did you mean static?",
     "import {}/dta.csv --format mimu4444 -o {}/x.h5": "data.csv?",
 }

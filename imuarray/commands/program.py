@@ -12,6 +12,7 @@ import click
 
 from imuarray.errors import NO_ROOM, ImuArrayError, LogWarning
 from imuarray.printable import printable
+from imuarray.spelling import guess
 
 EXIT_CODES = (
     "0 success; 1 a check failed (detect --doctor, a self-test that could not be determined, gap validate,"
@@ -56,6 +57,8 @@ def _explained(error: click.ClickException) -> str:
         number = "a number" if isinstance(kind, click.FloatRange) else "a whole number"
         ends = f"{'' if kind.min is None else f' from {kind.min:g}'}{'' if kind.max is None else f' to {kind.max:g}'}"
         return re.sub(r"is not a valid (float|integer) range\.", f"is not {number}{ends}", text)
+    if isinstance(kind, click.Choice) and (wrong := re.search(r"'([^']*)' is not one of ", text)):
+        return text.removesuffix(".") + guess(wrong[1], map(str, kind.choices))
     return text
 
 
