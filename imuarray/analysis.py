@@ -31,9 +31,9 @@ LogLike = str | PathLike[str] | Log
 
 
 def calibrate_tumble(*logs: LogLike) -> TumbleResult:
-    """Bias and response of accelerometers; bias, g-sensitivity and (from turns) response of gyroscopes, from a box that
-    was put on its faces, held in static poses, or turned slowly: `imuarray calibrate tumble`. One log, or several of
-    the same array. LogError, CalibrationError.
+    """Determine bias and response of accelerometers, and bias, g-sensitivity and (from turns) response of gyroscopes,
+    from one or more logs of a box that was put on its faces, held in static poses, or turned slowly: `imuarray
+    calibrate tumble`. LogError, CalibrationError.
 
     >>> tumble = calibrate_tumble("tumble.h5")
     >>> tumble.method, sorted(tumble.residual_g)[0]
@@ -48,9 +48,9 @@ def calibrate_tumble(*logs: LogLike) -> TumbleResult:
 
 
 def calibrate_noise(*logs: LogLike, known: str | PathLike[str] | Calibration | None = None) -> Calibration:
-    """Scatter of single readings, its colour and the drift of every inertial sensor, from stretches in which the box
-    stood still: `imuarray calibrate noise`. What follows temperature by the slopes of the calibration `known` is taken
-    out of the drift. LogError, CalibrationError.
+    """Determine the scatter of single readings, its correlation and the drift of every inertial sensor, from stretches
+    in which the box stood still: `imuarray calibrate noise`. The part of the drift that follows temperature by the
+    slopes of the calibration `known` is removed. LogError, CalibrationError.
 
     >>> noise = calibrate_noise("run.h5").sensors["Gyro1"]
     >>> noise.noise_lsb.shape, bool((noise.noise_sem_lsb < noise.noise_lsb).all())
@@ -100,7 +100,7 @@ def characterise(
     estimator: Estimator | None = None,
     calibration: str | PathLike[str] | Calibration | None = None,
 ) -> Characterisation:
-    """Allan deviation, spectrum, correlation, codes and noise coefficients of the sensors of a log at rest:
+    """Compute Allan deviation, spectrum, correlation, codes and noise coefficients of the sensors of a log at rest:
     `imuarray characterise`. `phase` names the stretch (None: the longest at rest), `estimator` is "overlapping" or
     "decimated" (None: by the length of the log); a `calibration` gives the scale factors. LogError, CalibrationError.
 
@@ -141,13 +141,13 @@ def fuse(  # noqa: PLR0913
     watch: bool | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> FusedResult:
-    """One specific force and one angular rate in the box frame from all inertial sensors of a log (`only` these):
-    `imuarray fuse`. The whole result is in memory.
+    """Fuse all inertial sensors of a log (`only` these) into one specific force in m/s2 and one angular rate in rad/s,
+    (n, 3) each, in the box frame: `imuarray fuse`. The whole result is in memory.
 
-    `technique` is "mean", "opposed", "planes", "ranges" or "optimal"; without a `calibration` the data sheets' values
-    are used. Biases are those of the states in which sensors came up and follow the log's temperature; noise that the
-    calibration lacks is measured where the log stands still; `remarks` of the result say so. `causal`: each frame by
-    what was known when it was read. `watch`: whether sensors that fail are found and left out (None: by "optimal").
+    `technique` is "mean", "opposed", "planes", "ranges" or "optimal"; without a `calibration`, data-sheet values are
+    used. Biases are those of the states in which the sensors started, and follow the temperature in the log; noise that
+    the calibration lacks is measured where the log is at rest; `remarks` of the result say so. `causal`: each frame is
+    estimated from earlier readings only. `watch`: failing sensors are detected and excluded (None: with "optimal").
     `progress` is called with the share that is done. LogError, CalibrationError, FusionError.
 
     >>> fused = fuse("run.h5", "cal.toml", "optimal")
@@ -348,6 +348,6 @@ def _calibration(calibration: str | PathLike[str] | Calibration) -> Calibration:
 
 @contextmanager
 def _opened(logs: Iterable[LogLike]) -> Iterator[list[Log]]:
-    """The logs; those that were given as paths are closed at the end. LogError."""
+    """Open the logs that are given as paths, and close these at the end. LogError."""
     with ExitStack() as stack:
         yield [log if isinstance(log, Log) else stack.enter_context(open_log(log)) for log in logs]
