@@ -271,6 +271,21 @@ def test_stopped_while_it_is_pulled_out_what_it_missed_is_counted(
     assert summary.frames == pytest.approx(700, abs=40)  # it looks now and then whether it is to stop
 
 
+def test_stopped_shortly_after_it_was_pulled_out_what_it_missed_is_counted(
+    an_array: Callable[..., ArrayConfig], tmp_path: Path
+) -> None:
+    """The silence is shorter than a pause of the microcontroller, but the port is gone."""
+    array = an_array(A=0)
+    bench = Bench(array)
+    summary, _ = stream(
+        bench, array, tmp_path / "r.h5", seconds=None, at={1.7: bench.unplug, 2.0: lambda: StopIteration}
+    )
+    rows = len(logged(tmp_path / "r.h5", "A")[0])
+    assert rows == pytest.approx(170, abs=6)
+    assert summary.lost["A"] == pytest.approx(30, abs=10)
+    assert rows + summary.lost["A"] == summary.frames
+
+
 def test_until_it_is_told_to_stop(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
     array = an_array(A=0)
     summary, _ = stream(Bench(array), array, tmp_path / "r.h5", seconds=None, at={1.0: lambda: StopIteration})
