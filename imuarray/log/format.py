@@ -31,8 +31,11 @@ PLOTS = "plots"
 """The group of a finished log that NeXus viewers open by default."""
 
 CACHE_BYTES = 1 << 20
-"""The chunk cache of each column that is read or written; the default of HDF5 2.0, 8 MB, is 400 MB for fifty
-columns.
+"""The chunk cache of each column that is written; the default of HDF5 2.0, 8 MB, is 400 MB for fifty columns."""
+
+READ_CACHE_BYTES = 1 << 18
+"""The chunk cache of each column that is read: at least two chunks of any column. Rows are read in their order, and a
+larger cache is filled without being used.
 """
 
 STALE = 1

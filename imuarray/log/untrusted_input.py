@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 
 from imuarray.errors import LogError
-from imuarray.log.format import CACHE_BYTES, FORMAT
+from imuarray.log.format import FORMAT, READ_CACHE_BYTES
 from imuarray.spelling import guess_file
 
 MAX_TEXT_BYTES = 1 << 24
@@ -35,7 +35,7 @@ def open_file(path: Path) -> h5py.File:
     if not path.is_file():
         raise LogError(f"{path}: {'is a folder' if path.is_dir() else f'no such file{guess_file(path)}'}")
     try:
-        return h5py.File(path, "r", rdcc_nbytes=CACHE_BYTES)
+        return h5py.File(path, "r", rdcc_nbytes=READ_CACHE_BYTES)
     except OSError as error:
         kind = "is truncated" if "truncated" in str(error) else "is not an HDF5 file, or is damaged"
         suffix = path.suffix.lower()

@@ -16,6 +16,7 @@ import imuarray.log.writer as writing
 from imuarray.errors import LogError, OutputExistsError
 from imuarray.log import Block, LogWriter, Stimulus, first_at, open_log
 from imuarray.log.format import Event, Phase, SensorHeader
+from imuarray.log.untrusted_input import open_file
 from tests.selection import examples
 
 Writer = Callable[..., LogWriter]
@@ -73,6 +74,23 @@ def test_blocks_across_real_chunks(tmp_path: Path) -> None:
         back = columns(tmp_path / f"{name}.h5")
         for column, expected in zip(back.values(), rows[:4], strict=True):
             np.testing.assert_array_equal(column, expected)
+
+
+def test_a_column_that_is_read_caches_two_chunks_and_little_more(tmp_path: Path) -> None:
+    """27 columns of nine triads then keep at most 7 MB, not 27 MB that fill up over the first two hours of a log."""
+    with LogWriter(tmp_path / "r.h5", [HEADER], source="simulated", epoch=EPOCH) as log:
+        log.append("S", rows_of(np.random.default_rng(1), 5))
+        log.stimulus("truth", Stimulus(np.arange(5), np.zeros((5, 3)), np.zeros((5, 3)), np.zeros(5)))
+    with open_file(tmp_path / "r.h5") as file:
+        cached = file.id.get_access_plist().get_cache()[2]
+        chunks = [
+            int(np.prod(column.chunks)) * column.dtype.itemsize
+            for group in (file["sensors/S"], file["truth"])
+            for column in group.values()
+            if column.chunks
+        ]
+    assert max(chunks) == 4096 * 3 * 8
+    assert 2 * max(chunks) <= cached <= 1 << 18
 
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=12)
