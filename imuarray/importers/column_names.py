@@ -33,6 +33,8 @@ ATTITUDE = re.compile(r"rot(ation)?[._ ]?vec|quat|attitude|orientation|euler", r
 """Names of attitudes that a program computed."""
 COMPUTED = re.compile(r"lin|user|free|grav", re.IGNORECASE)
 """Names of accelerations that a program computed."""
+TRUTH = re.compile(r"(^|[/_.])(ground[_-]?truth|truth|reference)($|[/_.])", re.IGNORECASE)
+"""Names of the rows of a truth or a reference, such as the topics `/truth` and `/reference` of exported bags."""
 INDEX = re.compile(
     r"(sample|row|index|count(er)?|cnt|no|nr|n|i|seq(uence)?|packet|frame)s?[ _]?(no|nr|number|index|count(er)?)?",
     re.IGNORECASE,

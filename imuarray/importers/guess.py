@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.errors import ImuArrayError
-from imuarray.importers.column_names import COMPUTED
+from imuarray.importers.column_names import COMPUTED, TRUTH
 from imuarray.importers.mimu4444 import is_recording
 from imuarray.importers.plausibility import radii_of, report_of, turns_of
 from imuarray.importers.proposal import Proposal
@@ -184,9 +184,13 @@ def _leave_out(proposal: Proposal, items: Sequence[list[str]], why: str) -> bool
 
 
 def _leave_out_computed(proposal: Proposal) -> None:
-    """Leave out triads that software computed from others of the recording: gravity, accelerations without gravity, and
-    readings less an estimated bias where those of the chip are there too. They would count as further sensors.
+    """Leave out what would count as further sensors: a truth or reference beside the sensors, and triads that software
+    computed from others of the recording: gravity, accelerations without gravity, and readings less an estimated bias
+    where those of the chip are there too.
     """
+    known = [item for item in proposal.items if TRUTH.search(_label(item))]
+    if len(known) < len(proposal.items):
+        _leave_out(proposal, known, "a truth or a reference, according to their names, and no sensors of the array")
     triads = [item for item in proposal.items if item[0] == "[[sensor]]"]
     forces = [item for item in triads if any(line.startswith('quantity = "specific_force"') for line in item)]
     computed = [item for item in forces if COMPUTED.search(_label(item))]

@@ -260,8 +260,9 @@ def test_a_guessed_map_brings_the_counts_back(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     time, none = np.arange(500) * 2 * MS, np.zeros(500, np.uint16)
     counts = rng.integers(-300, 300, (500, 3))
+    force = np.rint(counts / 10).astype(int) + np.array([0, 0, 512])  # one g
     with LogWriter(tmp_path / "run.h5", [ACC, GYRO, BARO], source="simulated", epoch=EPOCH) as log:
-        log.append("Acc", Block(time, counts, none, np.zeros(500)))
+        log.append("Acc", Block(time, force, none, np.zeros(500)))
         log.append("Gyro", Block(time, counts, none, np.zeros(500)))
         made = {"temperature": np.full(500, 20.0), "pressure": rng.normal(99_000, 3, 500)}
         log.append("Baro", Block(time, np.ones((500, 2)), none, None, made))
@@ -272,9 +273,22 @@ def test_a_guessed_map_brings_the_counts_back(tmp_path: Path) -> None:
     )
     with open_log(tmp_path / "b.h5") as log:
         assert set(log.sensors) == {"Acc", "Acc_temperature", "Gyro", "Baro", "Baro_temperature"}
-        assert log["Acc"].counts[:].tolist() == np.stack([counts[:, 1], counts[:, 0], -counts[:, 2]], axis=1).tolist()
+        assert log["Acc"].counts[:].tolist() == np.stack([force[:, 1], force[:, 0], -force[:, 2]], axis=1).tolist()
         assert log["Gyro"].counts[:].tolist() == counts.tolist()
         assert log["Gyro"].sensitivity == pytest.approx(1 / 0.00875, rel=1e-12)
         np.testing.assert_array_equal(log["Baro"].compensated("pressure")[:], made["pressure"])
         assert (log["Baro"].counts[:, 0] == np.rint(made["pressure"])).all()
     assert main(["verify", f"{tmp_path}/b.h5"]) == 0
+
+
+def test_a_guess_leaves_out_the_truth(tmp_path: Path) -> None:
+    """It would be two more sensors of the array."""
+    words = ["simulate", "martin2013", "--only", "ADXL1,Gyro1", "--seconds", "20", "-o", f"{tmp_path}/run.h5"]
+    assert main(words) == 0
+    export(tmp_path / "run.h5", tmp_path / "run.mcap", tool="ros2")
+    proposed = guess_map(tmp_path / "run.mcap")
+    assert "left out: /truth, /truth, /truth/temperature: a truth or a reference" in proposed
+    assert [line for line in proposed.splitlines() if line.startswith("kind = ")] == [
+        'kind = "/sensors/ADXL1"',
+        'kind = "/sensors/Gyro1"',
+    ]
