@@ -140,6 +140,8 @@ class TextTable:
             if "\0" in line:
                 self.left_out["nul"] += 1
                 continue
+            if is_rule(line):
+                continue
             if comment and line.startswith(comment):
                 self._comment = line.removeprefix(comment)
             elif self.line > self._layout.skip_rows and line:
@@ -300,6 +302,8 @@ def plain_line(line: str, delimiter: str) -> str:
     separate ends the row.
     """
     line = plain_sentence(line)
+    if line.startswith("|") and line.rstrip().endswith("|"):
+        line = line.strip("| ")
     if line.endswith(";") and delimiter == "," and ";" not in line[:-1]:
         line = line[:-1]
     if (stamp := _MONITOR_STAMP.match(line)) is not None:
@@ -314,6 +318,11 @@ def plain_line(line: str, delimiter: str) -> str:
 
 _FEWEST_BEHIND_WORD = 3
 """Fewest cells behind a word and a colon that are a row of numbers, and not a remark or a labelled value."""
+
+
+def is_rule(line: str) -> bool:
+    """Return whether a line only separates the header of a table from its rows, as Markdown and SQL write it."""
+    return len(line) > 2 and not line.strip("|-:+= ") and "--" in line
 
 
 def plain_sentence(line: str) -> str:
@@ -665,7 +674,7 @@ def _formatted_ns(column: CellColumn, row: int, text: str, layout: str) -> int:
     """Return a date and time of a `strptime` format as ns since 1970, one without a day as ns since midnight; without a
     zone it is UTC. A fraction at the end may have nine digits, or be absent.
     """
-    text, nanos = _without_leap_second(text)
+    text, nanos = _without_leap_second(text.strip())
     if layout.endswith(".%f"):
         layout = layout.removesuffix(".%f")
         head, point, digits = text.replace(",", ".").rpartition(".")

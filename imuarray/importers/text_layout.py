@@ -19,6 +19,7 @@ from imuarray.errors import SourceError
 from imuarray.importers import decompress, open_source
 from imuarray.importers.cells import (
     WINDOWS_1252,
+    is_rule,
     is_unit_row,
     is_utf16,
     labelled,
@@ -87,7 +88,7 @@ def read_text(path: Path) -> tuple[TextLayout, list[str], list[list[str]]]:
     """Return the layout of a text, its columns' names ([] of a table without a header), and some rows; SourceError."""
     whole = _first_lines(path)
     lines = [(number, plain_sentence(line.strip("\r\0 "))) for number, line in enumerate(whole)]
-    lines = [(number, line) for number, line in lines if line and "\0" not in line]
+    lines = [(number, line) for number, line in lines if line and "\0" not in line and not is_rule(line)]
     comment = next((mark for mark in _COMMENTS if any(line.startswith(mark) for _, line in lines)), "#")
     remarks = [(number, line.removeprefix(comment)) for number, line in lines if line.startswith(comment)]
     lines = [(number, line) for number, line in lines if not line.startswith(comment)]
@@ -312,8 +313,10 @@ def dates_of(rows: Sequence[Sequence[str]]) -> dict[int, str]:
         text = cell.strip()
         unit = next((unit for pattern, unit in _DATES if re.match(pattern, text)), None)
         if unit is not None:
-            twelve = text[-2:].upper() in ("AM", "PM")
-            dates[index] = unit.replace("%H", "%I").replace(".%f", " %p") if twelve else unit
+            if text[-2:].upper() in ("AM", "PM"):
+                fraction = ".%f" if "." in text.rpartition(":")[2] else ""
+                unit = unit.replace("%H", "%I").replace(".%f", f"{fraction} %p")
+            dates[index] = unit
         elif _CLOCK.fullmatch(text) and _is_clock([row[index].strip() for row in rows if len(row) > index]):
             dates[index] = "%H%M%S.%f"
     return dates

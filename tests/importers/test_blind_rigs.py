@@ -62,7 +62,18 @@ def two_columns(folder: Path) -> list[str]:
     return [f"sec,nsec,{NAMES}", *rows]
 
 
+def bars(folder: Path) -> list[str]:
+    """A table with bars on both sides and a rule below its header, and times of twelve hours."""
+    rows = [
+        f"| 03/05/2024 02:30:{at:09.6f} PM | " + " | ".join(f"{v:.2f}" for v in row) + " |"
+        for at, row in zip(T.tolist(), 1000 * np.hstack([WALK.force_g, WALK.rate_dps]), strict=True)
+    ]
+    head = "| Time | A.x (mg) | A.y (mg) | A.z (mg) | W.x (mdps) | W.y (mdps) | W.z (mdps) |"
+    return [head, "|---|---|---|---|---|---|---|", *rows]
+
+
 SAID = {
+    bars: 'unit = "%m/%d/%Y %I:%M:%S.%f %p"',
     row_counter: "column 'cnt' counts the rows, from 0 again at 256 and says nothing about time: 100 rows a second",
     hexadecimal: "bits = 16",
     summaries: "3 lines that begin with a word in the place of a number left out",
