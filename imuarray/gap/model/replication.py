@@ -59,8 +59,8 @@ Effects = Mapping[str, tuple[Effect, ...]]
 ReplicateRequest = tuple[Models, int]
 """A replicate: its models and its number."""
 
-_OF_LEVELS = frozenset({"channel_swap", "range_reset", "scale"})
-"""Kinds of effect whose size in the data depends on the sensors' levels."""
+_OF_LEVELS = frozenset({"channel_swap", "range_reset"})
+"""Kinds of effect that change readings by an amount that depends on their level, offset included."""
 
 TOGETHER = 8
 """Replicates that one job simulates if there are many: common work is done once, and there are enough jobs for many
@@ -247,9 +247,9 @@ class Stage:
         """Return the bias with which a sensor's level at rest is the fitted one, whatever `effects` were drawn for it.
 
         Offset, response and slope over temperature can't be told apart in one attitude at one temperature: the level is
-        known to a fraction of a code, the offset only to the tolerances of the others. A replicate is fitted anew, and
-        most statistics don't change. The readings of another sensor, however, differ from the sensor's own by what both
-        levels differ, which is known.
+        known to a fraction of a code, the offset only to the tolerances of the others. Most statistics don't depend on
+        it, since a replicate is fitted anew. If a sensor gives the readings of another one, however, these differ by
+        the difference of the two levels, which is known.
         """
         header = self.base.headers[name]
         force_g = np.array(header.orientation).T @ self._mean_force_box_g

@@ -32,7 +32,7 @@ from imuarray.gap.recording.phases import (
     temperature_notes,
 )
 from imuarray.gap.recording.recorder_gaps import EARLY, RecorderGaps, recorder_gaps, usual_interval_ns
-from imuarray.gap.recording.shared_stamps import with_rows_of_others
+from imuarray.gap.recording.shared_stamps import add_lost_rows
 from imuarray.gap.recording.source import RowFilter, Source, recorded_source
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
@@ -423,9 +423,9 @@ def _timelines(log: Log, timings: Mapping[str, RowTiming]) -> RecorderGaps:
         name: filled(log[name]) for name, timing in timings.items() if timing.kind != "bursts"
     }
     even: dict[str, Timeline] = {name: even_rows(log[name]) for name in timings if name not in steady}
-    gaps = recorder_gaps(log, with_rows_of_others(log, steady))
+    gaps = recorder_gaps(log, add_lost_rows(log, steady))
     lines = find_delays(gaps.lines, log.sensors) if steady else {}
-    return replace(gaps, lines={**lines, **with_rows_of_others(log, even)})
+    return replace(gaps, lines={**lines, **add_lost_rows(log, even)})
 
 
 def _refuse_two_arrays(logs: Sequence[Log]) -> None:

@@ -53,7 +53,7 @@ class RowSelection:
         return bisect_left(range(self.rows), at_ns, key=lambda row: int(self.stamps(row, row + 1)[0]))
 
 
-def with_rows_of_others(log: Log, lines: Mapping[str, Timeline]) -> dict[str, Timeline]:
+def add_lost_rows(log: Log, lines: Mapping[str, Timeline]) -> dict[str, Timeline]:
     """Return the timelines of sensors, completed by the rows that they lost and a sensor with equal stamps has.
 
     Timelines that already have lost rows stay as they are. Reads the stamps of sensors with common stamps once.
