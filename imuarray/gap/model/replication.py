@@ -233,13 +233,12 @@ class Stage:
         depends_on_level = any(effect.name in _OF_LEVELS for model in models.values() for effect in model.added)
         for name, base_effects in self._drawn_effects(number).items():
             model = models.get(name) or SensorModel(self.base.fitted[name])
-            remaining = [
-                effect for effect in (*base_effects, *model.fitted.effects()) if effect.name not in model.removed
-            ]
+            drawn = [effect for effect in base_effects if effect.name not in model.removed]
+            remaining = [*drawn, *(effect for effect in model.fitted.effects() if effect.name not in model.removed)]
             if depends_on_level and self.base.headers[name].quantity in INERTIAL:
                 if len(self.kinds) == 1:  # the fitted level is that of the only boot
                     remaining = [effect for effect in remaining if effect.name != TurnOnBias.name]
-                remaining.append(self._at_fitted_level(name, base_effects, number))
+                remaining.append(self._at_fitted_level(name, drawn, number))
             effects[name] = (*remaining, *model.added)
         return effects
 
