@@ -164,6 +164,8 @@ every sensor, for example the axes x and z about Y, to 1 %, and others to 1e-5. 
 that all sensors share along u: they show ``c_i u_i - c_j u_j``. But the fitted u_i of the sensors differ by some 1e-3,
 so the parities seem to determine c, as the difference of two sensors over ``u_i - u_j``, and an unmodelled difference
 of 5e-4 becomes an error of 5 % of the angular rate.
+
+A response whose standard errors are all 0 is exact, as in a study that knows the truth, and does not change.
 """
 
 _AGE = 1 / np.sqrt(12)
@@ -213,7 +215,8 @@ def error_model(
             )
         shares = response_shares(parameters)
         if shares is not None:
-            responses[sensor.name] = shares + RESPONSE_CHANGE**2 * np.eye(9)
+            is_exact = not shares.any()
+            responses[sensor.name] = shares if is_exact else shares + RESPONSE_CHANGE**2 * np.eye(9)
     return ErrorModel(
         MappingProxyType(axes), MappingProxyType(designs), MappingProxyType(covariances), MappingProxyType(responses)
     )
@@ -328,7 +331,8 @@ def _response(parameters: SensorCalibration, usual: DesignDefaults) -> Floats:
     """Return the relative standard deviations (3,) of the response."""
     if parameters.response_sem_lsb_per_unit is None:
         return np.full(3, usual.response)
-    return np.hypot(parameters.response_sem_lsb_per_unit / parameters.scale_lsb_per_unit, RESPONSE_CHANGE)
+    errors = parameters.response_sem_lsb_per_unit / parameters.scale_lsb_per_unit
+    return np.hypot(errors, RESPONSE_CHANGE) if np.any(errors) else errors
 
 
 def _slope(parameters: SensorCalibration, usual_per_degc: Floats) -> tuple[Floats, float | None]:

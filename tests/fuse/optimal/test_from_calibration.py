@@ -136,8 +136,8 @@ def test_noise_correlation_and_drift_of_a_calibration_that_has_them(model: Calla
     assert found.axes["BMA1", 0].drift_time_constant_s == 250.0
 
 
-def test_nothing_but_nonlinearity_is_added_to_what_was_measured(model: Callable[..., ErrorModel]) -> None:
-    """A calibration that says zero without doubt: what is left is noise, a clock's error and nonlinearity (L3G-73)."""
+def test_nothing_is_added_to_what_is_known_exactly(model: Callable[..., ErrorModel]) -> None:
+    """Standard errors of zero, as in a study that knows the truth: noise and a clock's error remain."""
     zero = np.zeros(3)
     known = {
         "bias_sem_lsb": zero,
@@ -149,8 +149,14 @@ def test_nothing_but_nonlinearity_is_added_to_what_was_measured(model: Callable[
     }
     found = model(GYRO, OTHER, BMA, Gyro1=known, Gyro2=known, BMA1=known)
     for errors in found.axes.values():
-        assert (errors.bias, errors.drift, errors.slope_per_degc, errors.response) == (0, 0, 0, 0.002)
+        assert (errors.bias, errors.drift, errors.slope_per_degc, errors.response) == (0, 0, 0, 0)
     assert {(design.common, design.slope_per_degc) for design in found.designs.values()} == {(0, 0)}
+
+
+def test_a_measured_response_may_have_changed(model: Callable[..., ErrorModel]) -> None:
+    """However well it was measured: nonlinearity of 0.2 % (L3G-73)."""
+    measured = model(GYRO, Gyro1={"response_sem_lsb_per_unit": np.full(3, 1e-9)})
+    assert [measured.axes["Gyro1", index].response for index in range(3)] == pytest.approx([0.002] * 3)
 
 
 def test_a_design_shares_what_was_measured_of_some_of_its_units_among_the_others(
