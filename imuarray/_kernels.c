@@ -5,39 +5,13 @@
    `imuarray.characterise.allan_fit`, of which a log needs a thousand. The names are those of the Python code, where every
    step is explained, and which does the same to rounding. */
 
-#define PY_SSIZE_T_CLEAN
-#define Py_LIMITED_API 0x030B0000
-#include <Python.h>
+#include "_buffers.h"
+
 #include <math.h>
 #include <string.h>
 
 #define MOST 16
 #define PRODUCTS 32 /* variances that are multiplied before the logarithm is taken of their product */
-#define DOUBLES(count) ((count) * (Py_ssize_t)sizeof(double))
-
-/* The buffers of a tuple of arrays, each of so many bytes, the first `read` of them read only; how many are held, less
-   than `count` after an error. */
-static Py_ssize_t hold(PyObject *sequence, Py_buffer *views, Py_ssize_t count, const Py_ssize_t *bytes, Py_ssize_t read) {
-    if (PyTuple_Size(sequence) != count) {
-        PyErr_SetString(PyExc_ValueError, "another number of arrays is required");
-        return 0;
-    }
-    for (Py_ssize_t held = 0; held < count; held++) {
-        int flags = held >= read ? PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE : PyBUF_C_CONTIGUOUS;
-        if (PyObject_GetBuffer(PyTuple_GetItem(sequence, held), &views[held], flags) < 0) return held;
-        if (views[held].len != bytes[held]) {
-            PyErr_Format(PyExc_ValueError, "array %zd: %zd bytes are required", held, bytes[held]);
-            return held + 1;
-        }
-    }
-    return count;
-}
-
-static PyObject *released(Py_buffer *views, Py_ssize_t held) {
-    while (held > 0) PyBuffer_Release(&views[--held]);
-    if (PyErr_Occurred()) return NULL;
-    return Py_NewRef(Py_None);
-}
 
 /* x[i] = alone[i] + before[i] x[i - 1] + after[i] x[i + 1] of every line of alone (c, k), which becomes x: elimination
    from the first row to the last and back; `share` (k) and `scale` (k) are room. */

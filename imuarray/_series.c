@@ -2,53 +2,16 @@
    products of rows with later ones. `imuarray.series` has the Python side; NumPy does the same, to rounding, by
    sorting every window and by an array for each step. */
 
-#define PY_SSIZE_T_CLEAN
-#define Py_LIMITED_API 0x030B0000
-#include <Python.h>
+#include "_buffers.h"
+
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
 
 #define WIDEST 256 /* rows of a window whose median moves */
 #define LANES 8    /* partial sums, which a processor adds at once */
-#define DOUBLES(count) ((count) * (Py_ssize_t)sizeof(double))
 
-/* Code for processors with AVX2 beside the code for all others, chosen when the module is loaded; both add in the same
-   order. */
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__GLIBC__)
-#define CLONES __attribute__((target_clones("avx2", "default")))
-#else
-#define CLONES
-#endif
-
-/* The buffers of a tuple of arrays, each of so many bytes, the first `read` of them read only; how many are held, less
-   than `count` after an error. */
-static Py_ssize_t hold(PyObject *sequence, Py_buffer *views, Py_ssize_t count, const Py_ssize_t *bytes, Py_ssize_t read) {
-    if (PyTuple_Size(sequence) != count) {
-        PyErr_SetString(PyExc_ValueError, "another number of arrays is required");
-        return 0;
-    }
-    for (Py_ssize_t held = 0; held < count; held++) {
-        int flags = held >= read ? PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE : PyBUF_C_CONTIGUOUS;
-        if (PyObject_GetBuffer(PyTuple_GetItem(sequence, held), &views[held], flags) < 0) return held;
-        if (views[held].len != bytes[held]) {
-            PyErr_Format(PyExc_ValueError, "array %zd: %zd bytes are required", held, bytes[held]);
-            return held + 1;
-        }
-    }
-    return count;
-}
-
-static PyObject *released(Py_buffer *views, Py_ssize_t held) {
-    while (held > 0) PyBuffer_Release(&views[--held]);
-    if (PyErr_Occurred()) return NULL;
-    return Py_NewRef(Py_None);
-}
-
-static int sizes_allowed(int allowed) {
-    if (!allowed) PyErr_SetString(PyExc_ValueError, "other sizes are required");
-    return allowed;
-}
+/* With and without AVX2 (`CLONES`) sums are added in the same order. */
 
 /* The first place in `sorted` (count) whose value is not below `value`. */
 static Py_ssize_t place_of(const double *sorted, Py_ssize_t count, double value) {

@@ -4,59 +4,22 @@
    in the cache. The Python code explains every step. The results are the same to rounding, of readings and of splines to
    the bit. */
 
-#define PY_SSIZE_T_CLEAN
-#define Py_LIMITED_API 0x030B0000
-#include <Python.h>
+#include "../_buffers.h"
+
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
 
 #define TILE 32  /* frames that are processed at once */
 #define MOST 96  /* axes */
-#define DOUBLES(count) ((count) * (Py_ssize_t)sizeof(double))
 #define EACH for (int f = 0; f < TILE; f++)
 
-/* Code for processors with AVX2 beside the code for all others, chosen when the module is loaded. Neither contracts
-   products and sums, so that both give the same bits. */
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__GLIBC__)
-#define CLONES __attribute__((target_clones("avx2", "default")))
-#else
-#define CLONES
-#endif
+/* With and without AVX2 (`CLONES`) products and sums are not contracted, so that both give the same bits. */
 #if defined(__GNUC__)
 #define INLINE static inline __attribute__((always_inline))
 #else
 #define INLINE static inline
 #endif
-
-/* The buffers of a tuple of arrays, each of so many bytes, the first `read` of them read only; how many are held, less
-   than `count` after an error. */
-static Py_ssize_t hold(PyObject *sequence, Py_buffer *views, Py_ssize_t count, const Py_ssize_t *bytes, Py_ssize_t read) {
-    if (PyTuple_Size(sequence) != count) {
-        PyErr_SetString(PyExc_ValueError, "another number of arrays is required");
-        return 0;
-    }
-    for (Py_ssize_t held = 0; held < count; held++) {
-        int flags = held >= read ? PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE : PyBUF_C_CONTIGUOUS;
-        if (PyObject_GetBuffer(PyTuple_GetItem(sequence, held), &views[held], flags) < 0) return held;
-        if (views[held].len != bytes[held]) {
-            PyErr_Format(PyExc_ValueError, "array %zd: %zd bytes are required", held, bytes[held]);
-            return held + 1;
-        }
-    }
-    return count;
-}
-
-static PyObject *released(Py_buffer *views, Py_ssize_t held) {
-    while (held > 0) PyBuffer_Release(&views[--held]);
-    if (PyErr_Occurred()) return NULL;
-    return Py_NewRef(Py_None);
-}
-
-static int sizes_allowed(int allowed) {
-    if (!allowed) PyErr_SetString(PyExc_ValueError, "other sizes are required");
-    return allowed;
-}
 
 /* The reading nearest to each frame of the increasing `grid`, within half a frame; 1 if one of them has a `special` flag. */
 CLONES static int readings_of(const int64_t *time, const int16_t *counts, const uint16_t *status, const int64_t *grid,

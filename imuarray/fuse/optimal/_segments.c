@@ -7,9 +7,8 @@
 
    Sizes: n frames, r rows, k unknowns (3 or 6), t terms (1 or 4). */
 
-#define PY_SSIZE_T_CLEAN
-#define Py_LIMITED_API 0x030B0000
-#include <Python.h>
+#include "../../_buffers.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -245,25 +244,6 @@ static void gather(const Frames *f, Py_ssize_t n, Py_ssize_t r, Py_ssize_t k, Py
                 for (int j = 0; j < 3; j++) f->blur[3 * i + j] += weight * f->covariance[frame * k * k + i * k + j];
     }
 }
-
-/* The buffers of a tuple of arrays, each of so many bytes; how many are held, less than `count` after an error. */
-static Py_ssize_t hold(PyObject *sequence, Py_buffer *views, Py_ssize_t count, const Py_ssize_t *bytes, Py_ssize_t written) {
-    if (PyTuple_Size(sequence) != count) {
-        PyErr_SetString(PyExc_ValueError, "another number of arrays is wanted");
-        return 0;
-    }
-    for (Py_ssize_t held = 0; held < count; held++) {
-        int flags = held >= written ? PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE : PyBUF_C_CONTIGUOUS;
-        if (PyObject_GetBuffer(PyTuple_GetItem(sequence, held), &views[held], flags) < 0) return held;
-        if (views[held].len != bytes[held]) {
-            PyErr_Format(PyExc_ValueError, "array %zd: %zd bytes are wanted", held, bytes[held]);
-            return held + 1;
-        }
-    }
-    return count;
-}
-
-#define DOUBLES(count) ((count) * (Py_ssize_t)sizeof(double))
 
 static int are_sizes(Py_ssize_t r, Py_ssize_t k, Py_ssize_t t) {
     return r >= 3 && r <= MOST_ROWS && (k == 3 || k == UNKNOWNS) && (t == 1 || t == TERMS);

@@ -112,11 +112,11 @@ def test_compiled_segments_are_those_of_numpy(case: str, smoothed: bool, monkeyp
 
 def test_compiled_segments_refuse_arrays_of_another_size() -> None:
     arrays = tuple(np.zeros(1) for _ in range(8))
-    with pytest.raises(ValueError, match="array 0: 72 bytes are wanted"):
+    with pytest.raises(ValueError, match="array 0: 72 bytes are required"):
         compiled_segments.begin(arrays, (3, 3, 1), False, 0.0, 0.1)
     with pytest.raises(ValueError, match="another number of arrays"):
         compiled_segments.begin(arrays[1:], (3, 3, 1), False, 0.0, 0.1)
     assert compiled_segments.begin(arrays, (3, 4, 1), False, 0.0, 0.1) == -1.0  # NumPy's way is taken
-    with pytest.raises(ValueError, match="array 0: 240 bytes are wanted"):
+    with pytest.raises(ValueError, match="array 0: 240 bytes are required"):
         compiled_segments.frames((*arrays, *arrays[:3]), (10, 3, 3, 1, 5), False, 1.0, 0.0, 0.0)
     assert compiled_segments.frames((*arrays, *arrays[:3]), (10, 3, 3, 2, 5), False, 1.0, 0.0, 0.0) == (0, 0.0)
