@@ -198,14 +198,6 @@ class EvenRows:
         """Return (stop - start,) ns since the log's epoch."""
         return np.asarray(np.rint(self._times_at(np.arange(start, stop, dtype=float))) + self._origin_ns, np.int64)
 
-    def row_at(self, at_ns: int) -> int:
-        """Return the first row stamped `at_ns` or later."""
-        low, high = 0, self.rows
-        while high > low:
-            middle = (low + high) // 2
-            low, high = (middle + 1, high) if int(self.stamps(middle, middle + 1)[0]) < at_ns else (low, middle)
-        return low
-
     @cached_property
     def _origin_ns(self) -> int:
         """The first knot, subtracted before floating-point arithmetic: a day in ns has more digits than a float."""

@@ -261,20 +261,19 @@ def _with_controls(answers: Sequence[Answer]) -> Iterator[Answer]:
 
 
 def _is_known(cause: Cause, known: Iterable[Cause]) -> bool:
-    """Return whether causes that are the same line or step, if either, have its effect, all of its sensors and an axis
-    in common with it.
+    """Return whether the known causes have this effect on all sensors of the cause, each on one of its axes. A line of
+    another frequency and a step of another size are other causes.
     """
     same = [other for other in known if other["effect"] == cause["effect"] and _can_be_same(cause, other)]
-    sensors = [frozenset(other.get("sensors") or ()) for other in same]
-    return bool(same) and (not all(sensors) or 0 < len(cause.get("sensors") or ()) == len(_of(cause, sensors)))
-
-
-def _of(cause: Cause, sensors: Iterable[frozenset[str]]) -> frozenset[str]:
-    """Return the sensors of a cause that are among these."""
-    return frozenset(cause["sensors"]) & frozenset().union(*sensors)
+    sensors = [set(other.get("sensors") or ()) for other in same]
+    if not all(sensors):  # one of them is of all sensors
+        return True
+    own = set(cause.get("sensors") or ())
+    return bool(own) and own <= set().union(*sensors)
 
 
 def _can_be_same(cause: Cause, other: Cause) -> bool:
+    """Return whether two causes of one effect share an axis and agree in frequency and step."""
     parameters = cause.get("parameters") or {}, other.get("parameters") or {}
     known = [[number(each.get(name)) for each in parameters] for name in _IDENTITY]
     is_other = any(abs(first - second) > _SAME * abs(second) for first, second in known)

@@ -269,15 +269,20 @@ class Stage:
         x, y, z = (-shift).tolist()
         return Bias((x, y, z))
 
-    def _mean_degc(self, number: int) -> float:
-        """Return the mean temperature in a replicate over the phases at rest of the training part."""
-        temperatures = [
-            temperature_of(self._motion(log, number))(np.array([(phase.start_ns + phase.end_ns) // 2]))[0]
-            for log, phases in enumerate(self.split.phases(False))
-            for phase in phases
-            if is_at_rest(phase)
-        ]
-        return float(np.mean(temperatures)) if temperatures else REFERENCE_DEGC
+    @cached_property
+    def _mean_degc(self) -> Callable[[int], float]:
+        """The mean temperature over the phases at rest of the training part, by the replicate's number."""
+
+        def mean_degc(number: int) -> float:
+            temperatures = [
+                temperature_of(self._motion(log, number))(np.array([(phase.start_ns + phase.end_ns) // 2]))[0]
+                for log, phases in enumerate(self.split.phases(False))
+                for phase in phases
+                if is_at_rest(phase)
+            ]
+            return float(np.mean(temperatures)) if temperatures else REFERENCE_DEGC
+
+        return lru_cache(maxsize=_KEPT)(mean_degc)
 
     @cached_property
     def _mean_force_box_g(self) -> Floats:

@@ -7,7 +7,6 @@ recognises lost rows between regular ones only.
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -48,10 +47,6 @@ class RowSelection:
         first, last = int(self.chosen[start]), int(self.chosen[stop - 1])
         return np.asarray(self.whole.stamps(first, last + 1)[self.chosen[start:stop] - first])
 
-    def row_at(self, at_ns: int) -> int:
-        """Return the first row stamped `at_ns` or later."""
-        return bisect_left(range(self.rows), at_ns, key=lambda row: int(self.stamps(row, row + 1)[0]))
-
 
 def add_lost_rows(log: Log, lines: Mapping[str, Timeline]) -> dict[str, Timeline]:
     """Return the timelines of sensors, completed by the rows that they lost and a sensor with equal stamps has.
@@ -59,12 +54,12 @@ def add_lost_rows(log: Log, lines: Mapping[str, Timeline]) -> dict[str, Timeline
     Timelines that already have lost rows stay as they are. Reads the stamps of sensors with common stamps once.
     """
     complete = dict(lines)
-    for name, line in lines.items():
-        if isinstance(line, GapFilledTimes):
-            continue
-        for other in sorted(lines, key=lambda other: -len(log[other])):
+    names = [name for name, line in lines.items() if not isinstance(line, GapFilledTimes)]
+    by_length = sorted(names, key=lambda name: -len(log[name]))
+    for name in names:
+        for other in by_length:
             chosen = _rows_of_other(log[name], log[other])
-            if chosen is not None and not isinstance(lines[other], GapFilledTimes):
+            if chosen is not None:
                 steps = np.diff(chosen)
                 before = np.flatnonzero(steps > 1) + 1
                 complete[name] = GapFilledTimes(RowSelection(lines[other], chosen), before, steps[before - 1] - 1)

@@ -99,15 +99,19 @@ class EvenSource:
 
     def rows(self, start_ns: int, end_ns: int) -> int:
         """Return rows that were read there."""
-        return self._line.row_at(end_ns) - self._line.row_at(start_ns)
+        return self._row_at(end_ns) - self._row_at(start_ns)
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
         """Slices of the log, which end where its chunks end."""
-        first = self._line.row_at(start_ns)
-        for block in self._source.slices(first, self._line.row_at(end_ns)):
+        first = self._row_at(start_ns)
+        for block in self._source.slices(first, self._row_at(end_ns)):
             stop = first + len(block.time)
             yield block._replace(time=self._line.stamps(first, stop))
             first = stop
+
+    def _row_at(self, at_ns: int) -> int:
+        """Return the first row stamped `at_ns` or later."""
+        return bisect_left(range(self._line.rows), at_ns, key=lambda row: int(self._line.stamps(row, row + 1)[0]))
 
 
 class SimulatedSource:
