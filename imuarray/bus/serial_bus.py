@@ -266,5 +266,7 @@ def open_serial(rest: str) -> SerialBus:
         number = getattr(error, "errno", None)
         if number in (errno.EAGAIN, errno.EBUSY):
             raise BusUrlError(f"serial:{path}: another program has locked this port") from error
-        said = os.strerror(number) if number else error
-        raise BusUrlError(f"serial:{path}: {said}; ports are /dev/ttyACM* and /dev/ttyUSB* (group dialout)") from error
+        cause = os.strerror(number) if number else error
+        raise BusUrlError(
+            f"serial:{path}: {cause}; ports are /dev/ttyACM* and /dev/ttyUSB* (group dialout)"
+        ) from error

@@ -125,8 +125,8 @@ def propose_columns(
     taken = set() if time is None else {time}
     for quaternion in _attitudes(names, columns):
         proposal.attitudes.append([column_label(names, index) for index in quaternion])
-        said = ", ".join(proposal.attitudes[-1])
-        proposal.doubts.append(f"left out: {said}: {QUATERNION}")
+        quaternion_columns = ", ".join(proposal.attitudes[-1])
+        proposal.doubts.append(f"left out: {quaternion_columns}: {QUATERNION}")
         taken |= set(quaternion)
     triads = _with_quantity(list(_triads(names, columns, taken, stem, units)), names, columns, proposal)
     triads.sort(key=lambda triad: triad[0] != "specific_force")

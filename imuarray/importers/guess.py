@@ -215,12 +215,12 @@ def _leave_out_weightless(proposal: Proposal, doubts: Sequence[str]) -> bool:
     weightless = [item for item, is_doubted in zip(forces, doubted, strict=True) if is_doubted]
     if not all(doubted):
         return _leave_out(proposal, weightless, "no gravity in it, while another accelerometer of the recording has it")
-    said = {name: next(text for text in doubts if text.startswith(f"{name}: measures ")) for name in names}
+    doubt = {name: next(text for text in doubts if text.startswith(f"{name}: measures ")) for name in names}
     subtracted = [
         item
         for item, name in zip(forces, names, strict=True)
-        if _SUBTRACTED in said[name]
-        and (proposal.attitudes or _is_called_computed(item) or _NO_UNIT_EXPLAINS in said[name])
+        if _SUBTRACTED in doubt[name]
+        and (proposal.attitudes or _is_called_computed(item) or _NO_UNIT_EXPLAINS in doubt[name])
     ]
     for item in subtracted:
         item += proposal.attitude_lines(is_comment=len(subtracted) == len(proposal.items))

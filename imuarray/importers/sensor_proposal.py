@@ -52,7 +52,7 @@ def propose_sensor(
         values = values + np.stack([columns[index][: len(values)] for index in gravity], axis=1)
     values = values[np.isfinite(values).all(axis=1)]
     length = float(np.median(np.linalg.norm(values, axis=1))) if len(values) else 0.0
-    said = proposal.units.get(names[indices[0]]) or unit_in(names[indices[0]]) if names else ""
+    stated_unit = proposal.units.get(names[indices[0]]) or unit_in(names[indices[0]]) if names else ""
     whole = bool(len(values)) and float(np.mean(values == np.rint(values))) > _WHOLE and length > 5
     beyond = float(np.abs(values).max(initial=0.0))
     is_wide = (
@@ -78,8 +78,8 @@ def propose_sensor(
         item.append(f"gravity_columns = [{', '.join(column_label(names, index) for index in gravity)}]")
     if quantity == "specific_force" and names and _APPLE.search(names[indices[0]]):
         item.append('signs = "---"   # ? Apple\'s CoreMotion has the opposite sign: -1 g along the axis that points up')
-    if said in UNITS_OF[quantity]:  # type: ignore[index]
-        return [*item, f'unit = "{said}"'], said
+    if stated_unit in UNITS_OF[quantity]:  # type: ignore[index]
+        return [*item, f'unit = "{stated_unit}"'], stated_unit
     if is_wide:
         sphere = fit_sphere(values)
         return [*item, *_wide_codes(length if sphere is None else sphere.radius, beyond)], "g"

@@ -104,12 +104,12 @@ class FolderRows:
     @property
     def remarks(self) -> list[str]:
         """Remarks about the files that were read."""
-        said = [f"{name}: {text}" for name, file in self._files.items() for text in file.remarks]
-        said += [f"{listed([first, *others])} joined in this order" for first, others in self._parts.items()]
+        remarks = [f"{name}: {text}" for name, file in self._files.items() for text in file.remarks]
+        remarks += [f"{listed([first, *others])} joined in this order" for first, others in self._parts.items()]
         for name, rows in self.overlaps.items():
             if rows:
-                said.append(f"{name}: its first {counted(rows, 'row')} are in the file before it, too: kept once")
-        return said
+                remarks.append(f"{name}: its first {counted(rows, 'row')} are in the file before it, too: kept once")
+        return remarks
 
     def names(self) -> Mapping[str, Sequence[str]]:
         """Return the names in the first row of each file."""

@@ -165,8 +165,8 @@ def time_lines(
         is_coarse = 1e4 / max(_unit_of_time("us", values)[1], 1e-9) >= USUAL_RATES_HZ[0]
         ticks_line = ["ticks = 100   # of Xsens: a clock of 10 kHz"] if is_coarse else []
         return [*lines, 'unit = "us"', *ticks_line, "wraps_at = 4294967296"]
-    said = proposal.units.get(name) or unit_in(name) or _unit_called(name)
-    if ticks := _TICKS.fullmatch(said):
+    stated_unit = proposal.units.get(name) or unit_in(name) or _unit_called(name)
+    if ticks := _TICKS.fullmatch(stated_unit):
         tick_s = float(ticks[1]) * NS_PER_UNIT[SPELLINGS.get(ticks[2], ticks[2])] * 1e-9
         rate_hz = 1 / max(_unit_of_time("s", values)[1] * tick_s, 1e-12)
         lines += [
@@ -175,7 +175,7 @@ def time_lines(
         ]
         return lines + _restarts(values)
     is_number = names and (not name.strip() or INDEX.fullmatch(name.strip()))
-    if said not in NS_PER_UNIT and is_number and _counts_rows(steps):
+    if stated_unit not in NS_PER_UNIT and is_number and _counts_rows(steps):
         label = f"column {name!r}" if name.strip() else f"the first column without a name, {index},"
         wrapped = f", from 0 again at {1 - steps.min():.0f}" if steps.min() < 0 else ""
         if proposal.layout.rate_hz is None:
@@ -184,7 +184,7 @@ def time_lines(
                 " the rate in rate_hz"
             )
         return [rate_line(proposal)]
-    unit, step = _unit_of_time(said, values)
+    unit, step = _unit_of_time(stated_unit, values)
     rate_hz = _rate_hz(unit, step)
     inferred, _ = _unit_of_time("", values)
     other_hz = _rate_hz(inferred, step)
@@ -193,7 +193,7 @@ def time_lines(
             f"column {name!r} says {unit}, which would be {rate_hz:.3g} rows a second; {inferred} is assumed"
         )
         unit, rate_hz = inferred, other_hz
-    mark = "" if said == unit else "   # ?"
+    mark = "" if stated_unit == unit else "   # ?"
     lines.append(f'unit = "{unit}"{mark or "   #"} {rate_hz:.4g} rows a second, if so')
     return lines + _restarts(values)
 
@@ -245,14 +245,14 @@ def _wrap_of(values: Floats) -> float:
     return next((period for period in _WRAPS if 0.9 * period < most <= period), 0.0)
 
 
-def _unit_of_time(said: str, values: Floats) -> tuple[str, float]:
+def _unit_of_time(stated_unit: str, values: Floats) -> tuple[str, float]:
     """Return the unit of times, as their column's name says it or by their step, and the step."""
     steps = np.diff(values)
     step = float((values[-1] - values[0]) / len(steps))
     if (steps < 0).any():
         step = float(np.median(steps[steps > 0]))
-    if said in NS_PER_UNIT:
-        return said, step
+    if stated_unit in NS_PER_UNIT:
+        return stated_unit, step
     return next((unit for unit, most in _STEPS if step < most), "ns"), step
 
 

@@ -384,10 +384,10 @@ def _without_processed(log: Log, names: Sequence[str]) -> tuple[list[str], list[
     """
     if log.source != "imported":
         return list(names), []
-    said = {name: texts for name in names if (texts := find_processing(log[name]))}
-    kept = [name for name in names if name not in said]
+    processing = {name: texts for name in names if (texts := find_processing(log[name]))}
+    kept = [name for name in names if name not in processing]
     alike: dict[str, list[str]] = {}
-    for name, texts in said.items():
+    for name, texts in processing.items():
         alike.setdefault("; ".join(texts), []).append(name)
     sentences = [f"{listed(those)}: {text}" for text, those in alike.items()]
     if not kept:
