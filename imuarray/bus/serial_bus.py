@@ -267,6 +267,4 @@ def open_serial(rest: str) -> SerialBus:
         if number in (errno.EAGAIN, errno.EBUSY):
             raise BusUrlError(f"serial:{path}: another program has locked this port") from error
         cause = os.strerror(number) if number else error
-        raise BusUrlError(
-            f"serial:{path}: {cause}; ports are /dev/ttyACM* and /dev/ttyUSB* (group dialout)"
-        ) from error
+        raise BusUrlError(f"serial:{path}: {cause}; ports are /dev/ttyACM* and /dev/ttyUSB* (group dialout)") from error
