@@ -1,8 +1,10 @@
-"""The examples in the docstrings of public functions run, in a folder with a log and a calibration."""
+"""The examples in docstrings run, in a folder with a log and a calibration."""
 
 from __future__ import annotations
 
+import ast
 import doctest
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,26 +17,29 @@ from imuarray.calibrate import calibrate_noise
 from tests.selection import some
 
 ROOT = Path(__file__).parents[1]
-SHOWN = (
-    "imuarray.analysis.calibrate_noise",
-    "imuarray.analysis.calibrate_thermal",
-    "imuarray.analysis.calibrate_tumble",
-    "imuarray.analysis.calibrate_turn_on",
-    "imuarray.analysis.characterise",
-    "imuarray.analysis.fuse",
-    "imuarray.analysis.simulate",
-    "imuarray.array.load_array",
-    "imuarray.bus.open_bus",
-    "imuarray.calibrate.load_calibration",
-    "imuarray.fuse.evaluate",
-    "imuarray.fuse.fuse",
-    "imuarray.fuse.fused_result.load_fused",
-    "imuarray.gap.diagnose.diagnose",
-    "imuarray.log.open_log",
-    "imuarray.log.reader.Log.to_pandas",
-    "imuarray.log.reader.Log.to_xarray",
+
+
+def with_example(tree: ast.Module | ast.ClassDef, name: str) -> Iterator[str]:
+    """Dotted names of the functions, classes and methods in `tree` whose docstrings show an example."""
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            if ">>>" in (ast.get_docstring(node) or ""):
+                yield f"{name}.{node.name}"
+            if isinstance(node, ast.ClassDef):
+                yield from with_example(node, f"{name}.{node.name}")
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+SHOWN = tuple(
+    name
+    for path in sorted((ROOT / "imuarray").rglob("*.py"))
+    for name in with_example(ast.parse(path.read_text(encoding="utf-8")), module_name(path))
 )
-"""What README.md and the scripts in configs/examples begin with."""
+"""Everything whose documentation shows an example."""
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +51,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with ia.open_bus("emulated:", array) as bus:
         record(array, bus, here / "run.h5", rate_hz=50.0, seconds=5.0, phase="z_up")
     with ia.open_log(here / "run.h5") as log:
-        calibrate_noise(log).save(here / "cal.toml")
+        tumble = ia.simulate(array, here / "tumble.h5", experiment="tumble", seconds=60.0)
+        ia.calibrate_tumble(tumble).calibration.merged(calibrate_noise(log)).save(here / "cal.toml")
+        tumble.close()
         ia.fuse(log, here / "cal.toml", "optimal").save(here / "fused.h5")
-    ia.simulate(array, here / "tumble.h5", experiment="tumble", seconds=60.0).close()
     ia.simulate(array, here / "heating.h5", experiment="heating", seconds=1200.0, rate_hz=10.0).close()
     for boot in range(3):
         ia.simulate(array, here / f"boot_{boot + 1}.h5", experiment="turn-on", seconds=60.0, boot=boot).close()
@@ -66,14 +72,16 @@ def test_the_example_runs(name: str, folder: Path, monkeypatch: pytest.MonkeyPat
 
 
 def resolved(name: str) -> tuple[Any, dict[str, Any]]:
-    """A function or a method by its dotted name, and the names that its example may use: its module's functions."""
+    """A function or a method by its dotted name, and the names in its example: its own, or that of its class."""
     parts = name.split(".")
     classes = parts[-2:-1] if parts[-2][:1].isupper() else []
     module = import_module(".".join(parts[: -1 - len(classes)]))
     shown: Any = module
     for part in (*classes, parts[-1]):
         shown = getattr(shown, part)
-    around = {"open_log": ia.open_log} if classes else {parts[-1]: shown}
+    around: dict[str, Any] = {parts[-1]: shown}
+    if classes:
+        around = {"open_log": ia.open_log, classes[0]: getattr(module, classes[0])}
     return shown, around
 
 
