@@ -168,7 +168,7 @@ def _print_turns(rows: Sequence[dict[str, Any]]) -> None:
             cells = [f"{a:10.3f} +-{b:6.3f}" for a, b in zip(response[index], sem[index], strict=True)]
             click.echo(f"{row['name'] + ' ' + axis:14} {' '.join(cells)}")
         axes = ", ".join(turns["untold"])
-        missing = f"; response about box {axes} not determined, data-sheet value kept; add turns about box {axes}"
+        missing = f"; add turns about box {axes}: the response to them is not fully determined"
         click.echo(
             f"{'':14} {turns['used']} turns, which end within {turns['residual_deg']:.2f} deg rms of gravity's"
             f" direction{missing if turns['untold'] else ''}"

@@ -48,7 +48,7 @@ def shrink_figure(gap: Gap) -> Figure:
         panel.barh(places + shift, ends - gap.floor, 0.34, left=gap.floor, color=colour, label=label)
         for place, value, end in zip(places + shift, values, ends, strict=True):
             _write_behind(panel, scored(float(value)), max(end, gap.floor), place)
-    panel.axvline(gap.floor, color=REAL, linewidth=1.3, linestyle="--", label="nothing wrong")
+    panel.axvline(gap.floor, color=REAL, linewidth=1.3, linestyle="--", label="no gap")
     _finish_rows(panel, names, "rms score (standard deviations of chance)")
     shown = np.append(scores[np.isfinite(scores)], gap.floor)
     panel.set_xlim(0.85 * shown.min(), 1.3 * shown.max())  # room for the numbers

@@ -78,7 +78,7 @@ def gap_verdict(diagnosis: Diagnosis) -> Verdict:
     effects = [effect.replace("_", " ") for effect in dict.fromkeys(cause.effect for cause in diagnosis.causes)]
     if len(effects) == 1 and (meaning := MEANINGS.get(effects[0].replace(" ", "_"))):
         effects = [f"{effects[0]} ({meaning})"]
-    names = ", ".join(effects[:_NAMED]) + (f" and {len(effects) - _NAMED} more" if len(effects) > _NAMED else "")
+    names = _series(effects)
     levels: dict[str, Level] = {"no gap": "good", "unexplained": "bad"}
     sentence = {
         "no gap": "The simulator is good enough for what these recordings show: they agree with it within chance.",
@@ -110,12 +110,21 @@ def _remainder(diagnosis: Diagnosis, names: str) -> str:
     sensors = dict.fromkeys(place.sensor or "the array" for place in diagnosis.unexplained if place.size == "material")
     if not sensors:
         return f"With {names} added it is good enough."
-    places = ", ".join(list(sensors)[:_NAMED]) + (f" and {len(sensors) - _NAMED} more" if len(sensors) > _NAMED else "")
-    return f"With {names} added most of the gap closes, but {places} still differs by more than matters to a user."
+    differ = "differs" if len(sensors) == 1 else "differ"
+    return (
+        f"With {names} added most of the gap closes, but {_series(list(sensors))} still {differ} by more than matters"
+        " to a user."
+    )
 
 
 _NAMED = 3
 """Most effects or sensors that the verdict names."""
+
+
+def _series(names: Sequence[str]) -> str:
+    """Return names in a sentence: "A", "A and B", "A, B and C", "A, B, C and 2 more"."""
+    shown = [*names[:_NAMED], *([f"{len(names) - _NAMED} more"] if len(names) > _NAMED else [])]
+    return f"{', '.join(shown[:-1])} and {shown[-1]}" if len(shown) > 1 else "".join(shown)
 
 
 def _worst_use(uses: Sequence[Use]) -> Use | None:
@@ -228,7 +237,8 @@ def _shrinks(diagnosis: Diagnosis, *, with_figures: bool) -> Section:
         words += " The figures in physical units show what the difference means in practice."
     figures = [*_shrink_figures(gap), *_use_figures(uses)] if with_figures else []
     more = [tables.uses_table(uses)] if uses else []
-    return Section("How much of the gap closes", words, [*figures, tables.shrink_table(gap), *more])
+    closing = [] if gap.closed is None else [tables.shrink_table(gap)]
+    return Section("How much of the gap closes", words, [*figures, *closing, *more])
 
 
 def _shrink_figures(gap: Gap) -> Iterator[Figure]:

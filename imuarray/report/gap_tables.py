@@ -146,16 +146,16 @@ def uses_table(uses: Sequence[Use]) -> Table:
         [
             use.name,
             use.sensor or "array",
+            use.unit,
             _interval(use.real),
             _against(use.before, use.real),
             _against(use.after, use.real),
-            use.unit,
         ]
         for use in uses
     ]
-    heading = ["figure", "of", "real", "simulated before", "simulated after", "unit"]
+    heading = ["figure", "of", "unit", "recorded", "simulated before", "simulated after"]
     caption = "With 95 % intervals; marked where the interval does not overlap that of the recording."
-    return Table(heading, rows, caption, (1, 5))
+    return Table(heading, rows, caption, (1, 2))
 
 
 def where_table(where: Sequence[Where], caption: str) -> Table:

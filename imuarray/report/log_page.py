@@ -117,10 +117,10 @@ def _events(log: Log) -> Table:
 
 
 def _shown(log: Log, recording: RecordingFigure) -> Section:
-    noted = [trace.name for trace in recording.traces if trace.note]
+    marked = [trace.name for trace in recording.traces if trace.spans]
     words = (
-        f"Sensors with clipped, missing or silent stretches: {listed(noted)}. "
-        if noted
+        f"Sensors with clipped, missing or silent stretches: {listed(marked)}. "
+        if marked
         else "No sensor has clipped, missing or silent stretches. "
     )
     words += (
@@ -220,4 +220,4 @@ def _fitted(fit: Mapping[str, Any] | None, name: str, factor: float) -> str:
         return f"({factor * term['value']:.3g})"
     if low <= 0:
         return f"< {high:.2g}"
-    return f"< {high:.2g}" if not term["significant"] else f"{factor * term['value']:.3g} ({low:.2g} to {high:.2g})"
+    return f"< {high:.2g}" if not term["significant"] else f"{factor * term['value']:.3g} ({low:.3g} to {high:.3g})"

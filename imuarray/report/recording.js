@@ -71,7 +71,7 @@
     });
     const [xaxes, yaxes] = [figure.xaxes ?? [figure.xaxis].flat(), figure.yaxes ?? [figure.yaxis].flat()];
     for (const axis of [...xaxes, ...yaxes]) axis.setv({axis_label_text_font_style: "normal"});
-    xaxes[0].axis_label = recording.time_unit;
+    xaxes[0].axis_label = `time (${recording.time_unit})`;
     yaxes[0].axis_label = trace.unit;
     yaxes[0].formatter.setv({power_limit_high: 8});  // 101325 Pa, not 1.01325e+5
     const grids = figure.center.filter((item) => "grid_line_color" in item);

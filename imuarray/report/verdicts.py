@@ -132,8 +132,8 @@ def calibration_verdict(path: Path, calibration: Calibration) -> Verdict:
 
 
 def _turns_wanted(scaled: Sequence[SensorCalibration]) -> str:
-    """Return the text on accelerometers whose angles between axes, and on gyroscopes whose scale factors about some box
-    axes, are those of the data sheet; "" if there are none.
+    """Return the text on accelerometers whose angles between axes are those of the data sheet, and on gyroscopes that
+    were hardly turned about some box axes; "" if there are none.
     """
     nominal = [sensor.name for sensor in scaled if sensor.quantity == "specific_force" and sensor.uncertain_axes()]
     angles = f"; the angles between the axes of {_listed(nominal)} are the data sheet's" if nominal else ""
@@ -144,7 +144,7 @@ def _turns_wanted(scaled: Sequence[SensorCalibration]) -> str:
         texts.append(f"{_listed(names)} about box {', '.join(axes)}")
     if not texts:
         return angles
-    return f"{angles}; scale factors of {' and of '.join(texts)} are the data sheet's, add turns about that axis"
+    return f"{angles}; add turns of {' and of '.join(texts)}, to which the response is not fully measured"
 
 
 def _worst_bias(sensors: Sequence[SensorCalibration]) -> str:
@@ -178,7 +178,8 @@ def fused_verdict(
         if claim is not None and np.isfinite(claim).all() and (claim > 0).all():
             ratios.append(float(np.nanmax(values / claim)))
     count = sum(len(names) for names in head.sensors.values())
-    figures.append((f"{count}", "sensors that went into it"))
+    if count:  # a file may lack the names
+        figures.append((f"{count}", "sensors that went into it"))
     if ratios:
         figures.append((f"{max(ratios):.2g}", "scatter divided by claimed error"))
     level: Level = "doubtful" if ratios and max(ratios) > _CLAIMED else "good" if texts else "neutral"

@@ -10,18 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isclose
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from imuarray import analysis
 from imuarray.arrays import Reals
 from imuarray.calibrate import Calibration, TumbleResult, calibrate_noise, calibrate_tumble
 from imuarray.characterise import characterise_log
 from imuarray.characterise.plots import allan_figure
 from imuarray.errors import LogError, OutputExistsError
 from imuarray.figures import PALETTE, new_figure
-from imuarray.fuse import Gain, errors_of, fuse, gains, write_fused
+from imuarray.fuse import Gain, errors_of, fuse, gains
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.findings.diagnosis import Diagnosis
 from imuarray.gap.findings.text import parameters_text, places_text
@@ -111,6 +113,9 @@ def summary(rows: Rows) -> list[str]:
     ]
 
 
+_DIRECTION = {"specific_force": "along", "angular_rate": "about"}
+
+
 def demo_verdict(rows: Rows, tumble: TumbleResult, diagnosis: Diagnosis) -> Verdict:
     """Return the verdict: the gain of the three techniques, the quality of the calibration, and the gap of the
     simulator.
@@ -122,8 +127,11 @@ def demo_verdict(rows: Rows, tumble: TumbleResult, diagnosis: Diagnosis) -> Verd
         for gain_case, gain in gained
     ]
     figures += common_figures(tumble, diagnosis)
-    error_text = f"{best.quantity.replace('_', ' ')} error along box {best.box_axis}"
-    sentence = f"Fusion works: {case.technique} reduces the {error_text} to {best.ratio:.2f} times that of the average."
+    quantity = f"{best.quantity.replace('_', ' ')} {_DIRECTION[best.quantity]} box {best.box_axis}"
+    sentence = (
+        f"Fusion works: {case.technique} reduces the error of the {quantity} to {best.ratio:.2f} times that of the "
+        "simple average."
+    )
     return Verdict(sentence, "good" if best.ratio < 1 else "doubtful", tuple(figures))
 
 
@@ -143,9 +151,6 @@ def _comparison(gain: Gain) -> str:
     return f"{errors} ({gain.ratio:.3f} ± {gain.ratio_se:.3f} times)"
 
 
-_AXIS_WORDS = {axis: f" along {axis}" for axis in "XYZ"}
-
-
 def gap_section(diagnosis: Diagnosis) -> Section:
     """Return the section on the effects that a simulator of the data sheets lacks."""
     rows = [
@@ -155,7 +160,7 @@ def gap_section(diagnosis: Diagnosis) -> Section:
     table = Table(
         ["effect", "where", "parameters", "probability"],
         rows or [["none", "", "", ""]],
-        "Effects that the data sheets' model lacks; gap.html beside this page has maps, curves and the rest.",
+        "Effects that the data sheets' model lacks. gap.html beside this page has the details.",
         (0, 1, 2),
     )
     return Section("How far a simulator of the data sheets is from the run at rest", diagnosis.sentence, [table])
@@ -263,6 +268,11 @@ def noise_section(noise: dict[str, Any]) -> Section:
     )
 
 
+def _error_text(error: float) -> str:
+    """Return a standard error of a ratio with one significant digit."""
+    return "< 0.0001" if error < 1e-4 else f"{error:.1g}"
+
+
 def gain_section(rows: Rows) -> Section:
     """Return the section that compares every technique with the average."""
     table, labels, ratios, errors = [], [], [], []
@@ -270,16 +280,18 @@ def gain_section(rows: Rows) -> Section:
     for case, gain in rows:
         if (gain.box_axis == "XYZ") == (gain.quantity == case.claim):
             continue  # axis by axis where a gain is claimed, the whole triad elsewhere
-        if gain.ratio == 1.0:
+        if isclose(gain.ratio, 1.0, rel_tol=1e-9):
             unchanged.append(f"{case.label} ({gain.quantity.replace('_', ' ')})")
             continue
         factor, unit = READABLE_SI[gain.quantity]
-        name = f"{case.label}: {gain.quantity.replace('_', ' ')}{_AXIS_WORDS.get(gain.box_axis, '')}"
+        axis = "" if gain.box_axis == "XYZ" else f" {_DIRECTION[gain.quantity]} {gain.box_axis}"
+        name = f"{case.label}: {gain.quantity.replace('_', ' ')}{axis}"
         figures = [f"{factor * gain.average:.3f}", f"{factor * gain.technique_error:.3f}", unit]
-        table.append([name, *figures, f"{gain.ratio:.3f}", f"{gain.ratio_se:.1g}"])
+        table.append([name, *figures, f"{gain.ratio:.3f}", _error_text(gain.ratio_se)])
         labels.append(name)
         ratios.append(gain.ratio)
         errors.append(gain.ratio_se)
+    same = f" The same as the simple average: {'; '.join(unchanged)}." if unchanged else ""
     return Section(
         "What each technique gains",
         "Rms error of each technique divided by that of the simple average of the same sensors, in runs whose truth "
@@ -294,7 +306,7 @@ def gain_section(rows: Rows) -> Section:
             Table(
                 ["case", "average", "technique", "unit", "ratio", "standard error"],
                 table,
-                "Rms errors against the truth.",
+                f"Rms errors against the truth.{same}",
             ),
         ],
     )
@@ -478,9 +490,8 @@ def record_and_fuse(
     report("fusing")
     with open_log(logs["heating"]) as log:
         for name in FUSED:
-            blocks = fuse(log, calibration, name)
-            path = folder / f"fused_{name}.h5"
-            write_fused(path, blocks, epoch=log.epoch, technique=name, log=str(log.path), force=True)
+            fused = analysis.fuse(log, folder / "calibration.toml", name)
+            fused.save(folder / f"fused_{name}.h5", force=True)
     return logs, tumble, calibration
 
 

@@ -30,7 +30,9 @@ def test_a_line_is_where_it_was_put(campaign) -> None:  # type: ignore[no-untype
 def test_it_is_told_once(campaign) -> None:  # type: ignore[no-untyped-def]
     told = unexplained_lines(campaign, [where("G1", "y"), where("G1", "y"), where("G1", "y", "lag_1")], ["a.h5"])
     assert len(told) == 1
-    found = re.fullmatch(r"G1 y: a line that no cause explains: (.*) Hz in 1 of 1 stretches at rest of a.h5\.", told[0])
+    found = re.fullmatch(
+        r"G1 y: a line that the causes do not fully explain: (.*) Hz in 1 of 1 stretches at rest of a.h5\.", told[0]
+    )
     assert found is not None
     assert float(found[1]) == pytest.approx(20.0, abs=0.2)
 

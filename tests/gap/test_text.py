@@ -105,7 +105,7 @@ def test_what_is_missing_is_listed() -> None:
 def test_no_gap() -> None:
     text = text_of(made_without_gap())
     assert "Verdict  no gap (chance alone: p = 0.41)" in text
-    assert "Gap      1.0 standard deviations (rms), 1.0 without a gap: nothing to close" in text
+    assert "Gap      nothing to close; the statistics that differ most are at 1.0 standard deviations (rms)" in text
     for absent in ("Causes", "Where it differs", "Unknown", "Next experiment", "specification", "Missing"):
         assert absent not in text
 

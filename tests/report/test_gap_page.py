@@ -214,7 +214,7 @@ def test_how_far_it_shrinks(page: Page) -> None:
     assert ["allan", "5.1", "3.8", "40 %"] in rows
     assert ["level", "1.1", "1.0", "–"] in rows
     heat = next(row for row in rows if row[0] == "drift over the heat pulse")
-    assert heat[1:] == ["Gyro2", "0.42 (0.4 to 0.44)", "0.05 (0.03 to 0.07)", "0.4 (0.37 to 0.45)", "dps"]
+    assert heat[1:] == ["Gyro2", "dps", "0.42 (0.4 to 0.44)", "0.05 (0.03 to 0.07)", "0.4 (0.37 to 0.45)"]
     assert "0.05 (0.03 to 0.07)" in page.marked and "0.4 (0.37 to 0.45)" not in page.marked
     assert (
         "Gyro2 drift over the heat pulse: 0.12 times before, 0.95 times after"

@@ -129,8 +129,8 @@ def test_is_the_calibration_good() -> None:
     assert partly.uncertain_axes() == "Y"
     verdict = calibration_verdict(Path("cal.toml"), Calibration({**good, "G2": partly}))
     assert verdict.sentence == (
-        "cal.toml is good: biases are known to 2 mg and 0.02 dps; scale factors of G2 about box Y are the data sheet's,"
-        " add turns about that axis."
+        "cal.toml is good: biases are known to 2 mg and 0.02 dps; add turns of G2 about box Y, to which the response is"
+        " not fully measured."
     )
     assert ("1", "of 3 sensors with measured scale and axes") in verdict.figures
     verdict = calibration_verdict(Path("cal.toml"), Calibration({**good, "G2": sensor("G2", measured=False)}))

@@ -164,7 +164,7 @@ def unexplained_lines(campaign: Campaign, unexplained: Sequence[Where], names: S
         (entry.sensor, entry.axis) for entry in unexplained if entry.statistic == "line" and entry.axis
     )
     return tuple(
-        f"{sensor} {axis}: a line that no cause explains: {'; '.join(lines)}."
+        f"{sensor} {axis}: a line that the causes do not fully explain: {'; '.join(lines)}."
         for sensor, axis in list(axes)[:MOST]
         if (lines := list(_by_log(campaign, sensor, AXES.index(axis), names)))
     )

@@ -102,13 +102,14 @@ def closed_text(closed: float | None, interval: Interval | None) -> str:
 
 
 def gap_text(gap: Gap) -> str:
-    """Format before, after, floor and closed share in one line."""
-    floor = f"{scored(gap.floor)} without a gap"
+    """Format before, after, floor and closed share in one line; without a gap, the scores that differ most."""
     if gap.closed is None:
-        return f"{scored(gap.before)} standard deviations (rms), {floor}: nothing to close"
+        return (
+            f"nothing to close; the statistics that differ most are at {scored(gap.before)} standard deviations (rms)"
+        )
     return (
-        f"{scored(gap.before)} standard deviations (rms) before, {scored(gap.after)} after, {floor}: "
-        f"{closed_text(gap.closed, gap.closed_ci95)} closed"
+        f"{scored(gap.before)} standard deviations (rms) before, {scored(gap.after)} after, "
+        f"{scored(gap.floor)} without a gap: {closed_text(gap.closed, gap.closed_ci95)} closed"
     )
 
 
