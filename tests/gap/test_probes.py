@@ -14,7 +14,7 @@ from scipy import stats
 from imuarray.axes import up_vector
 from imuarray.gap.statistics.campaign import Layout, LogSummary, PhaseSummary
 from imuarray.gap.statistics.probes import PROBES, ArrayProbe, Domain
-from imuarray.gap.statistics.probes.level import LEVEL, RETURN, least_level
+from imuarray.gap.statistics.probes.level import least_level, least_mean_level, least_return
 from imuarray.gap.statistics.probes.probe import arcsine, noise_lsb, score_of_largest
 from imuarray.log.format import Phase
 from imuarray.simulate import EFFECTS
@@ -86,8 +86,8 @@ def test_a_level_is_known_no_better_than_half_its_standard_error() -> None:
 def test_the_level_of_a_log_is_known_as_well_as_its_phases() -> None:
     """The mean of four phases of one error half as well; a difference of two 1.4 times worse."""
     phase = summary(block(gaussian()))
-    assert LEVEL.resolution([phase] * 4) == pytest.approx(least_level(phase) / 2)
-    assert RETURN.resolution([phase] * 4) == pytest.approx(least_level(phase) * math.sqrt(2))
+    assert least_mean_level([phase] * 4) == pytest.approx(least_level(phase) / 2)
+    assert least_return([phase] * 4) == pytest.approx(least_level(phase) * math.sqrt(2))
 
 
 def test_the_level_of_a_log_weighs_faces_alike() -> None:

@@ -20,7 +20,7 @@ from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import AXES, Key
 from imuarray.gap.statistics.lines import highest_lines, pool_spectra
 from imuarray.gap.statistics.pairs import Pairs, spread_of
-from imuarray.gap.statistics.probes.spectrum import LINE
+from imuarray.gap.statistics.probes import spectrum as spectrum_probes
 from imuarray.gap.statistics.summary import Summary
 from imuarray.gap.statistics.synthetic_likelihood import FORM
 from imuarray.log.format import SensorHeader
@@ -254,7 +254,7 @@ def _shared_change_text(chip: str, unit: str, log: int, axis: str, changes: Floa
 def line_hz(summary: Summary, axis: int) -> float | None:
     """Return the apparent frequency of the highest peak of one axis; None if it is no line."""
     spectrum = summary.spectrum
-    if spectrum.segments == 0 or not LINE.statistic(summary)[axis] > _SCORE or not summary.intervals.count:
+    if spectrum.segments == 0 or not spectrum_probes.line(summary)[axis] > _SCORE or not summary.intervals.count:
         return None
     peak = _FIRST + int(np.nanargmax(spectrum.density[_FIRST:-1, axis]))
     return float(spectrum.frequency_hz[peak] / summary.intervals.mean_s)

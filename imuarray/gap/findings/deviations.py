@@ -1,17 +1,9 @@
-"""Single statistics that deviate: where, by how much, and whether that matters.
-
-A difference matters if it changes a figure of use by 5 %. Noise matters by the error of heading or velocity after
-coasting for 60 s (`imuarray.gap.model.downstream`), E = sqrt(2) tau sigma_A(tau). For white noise sigma_A(tau) = noise
-/ sqrt(tau rows_per_s), which every recording has at least. A level adds in quadrature: it matters if the integral over
-these 60 s is 0.32 E, sqrt(1.05^2 - 1), which raises the error's rms by 5 %.
-"""
+"""Single statistics that deviate: where, by how much, and whether that matters (`imuarray.gap.statistics.margins`)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from types import MappingProxyType
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -21,201 +13,12 @@ from imuarray.gap.inference.assessment import Assessment
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import Key, statistics
+from imuarray.gap.statistics.margins import SensorConditions
 from imuarray.gap.statistics.pairs import Pairs
 from imuarray.gap.statistics.probes import PROBES
-from imuarray.gap.statistics.summary import Grid
 from imuarray.log.format import SensorHeader
 
-COASTING_S = 60.0
-SHARE = 0.05
-"""Relative change of a figure of use that matters."""
-
 TWO_SIDED_95 = 1.96
-
-_QUADRATURE = math.sqrt((1 + SHARE) ** 2 - 1)
-"""Contribution, as a share of an rms, that raises the rms by `SHARE` when added in quadrature."""
-
-_RMS = math.log1p(SHARE)
-_VARIANCE = 2 * _RMS
-_GENEROUS = math.log(1.25)
-"""Margin of the log density at one place of the spectrum, of which the integral over 60 s passes next to nothing."""
-
-_RUN_ROWS = 2.0
-"""Margin of the longest run of equal rows."""
-
-_CORRELATION = SHARE
-_SCORE = 3.0
-_WARMING_DEGC = 10.0
-_THREE_SIGMA = 3.0
-_ROWS_SHARE = 0.001
-_CODES_SHARE = 0.05
-_STIMULUS: Mapping[str, float] = MappingProxyType({"angular_rate": 90.0, "specific_force": 1.0})
-"""Stimulus of one second in the sensor's unit: a quarter turn, or gravity."""
-
-
-class SensorConditions(NamedTuple):
-    """Conditions of one sensor in one log: `noise` of single readings in its unit, rows per second, and length."""
-
-    header: SensorHeader
-    noise: float
-    rows_per_s: float
-    seconds: float
-
-    @property
-    def level(self) -> float:
-        """A constant whose integral over 60 s raises the rms of E by 5 %: 0.32 sqrt(2) sigma_A(60 s)."""
-        return _QUADRATURE * math.sqrt(2) * self.noise / math.sqrt(COASTING_S * self.rows_per_s)
-
-
-Rule = Callable[[SensorConditions], float]
-
-
-def fixed(value: float) -> Rule:
-    """Return a rule with the same margin for every sensor."""
-    return lambda _: value
-
-
-def level(per: float = 1.0) -> Rule:
-    """Return a rule for a coefficient whose product with `per` is a level."""
-    return lambda setting: setting.level / per
-
-
-def response(setting: SensorConditions) -> float:
-    """Return the margin of a response to motion, or of a delay in s, that raises the rms of E by 5 % when the box makes
-    a quarter turn in a second (or feels 1 g for one second).
-    """
-    return setting.level * COASTING_S / _STIMULUS.get(setting.header.quantity, 1.0)
-
-
-def unevenness(setting: SensorConditions) -> float:
-    """Return the log variance of segments' log variances if the noise of segments is 5 % apart: (2 ln 1.05)^2 beside
-    the 2 / (rows - 1) of Gaussian noise.
-    """
-    rows = setting.seconds * setting.rows_per_s
-    in_segment = rows / Grid.of(round(rows)).segments
-    return math.log1p(_VARIANCE**2 * max(in_segment - 1, 1.0) / 2)
-
-
-def share(of_rows: float, usual: float = 0.0) -> float:
-    """Return the change of the arcsine statistic of a share that rises by `of_rows` from its `usual` value."""
-    return math.asin(math.sqrt(usual + of_rows)) - math.asin(math.sqrt(usual))
-
-
-_ROWS = fixed(share(_ROWS_SHARE))
-"""One reading in a thousand that is late, missing, clipped or invalid."""
-
-_CODES = fixed(share(_CODES_SHARE))
-_HALF = fixed(share(_CODES_SHARE / 2, usual=0.5))
-"""One reading in twenty on a grid twice as coarse: half of these have another code."""
-
-_TAILS = fixed(share(_ROWS_SHARE, usual=0.0027))
-"""One step in a thousand more than the 0.27 % of Gaussian noise beyond 3 sigma."""
-
-_SKEW = fixed(math.asinh(SHARE * _THREE_SIGMA * 6 / (_THREE_SIGMA**2 - 1)))
-_KURTOSIS = fixed(math.log1p(SHARE * _THREE_SIGMA * 24 / (_THREE_SIGMA**3 - 3 * _THREE_SIGMA) / 3))
-"""Skewness, and kurtosis over 3, that move the limit of 3 sigma, by which readings are thought wrong, by 5 % (Cornish
-and Fisher 1937, first terms: (z^2 - 1) / 6 of the skewness, (z^3 - 3 z) / 24 of the excess)."""
-
-MARGINS: Mapping[str, Rule] = MappingProxyType(
-    {
-        "mean": level(),
-        "mean_halves": level(),
-        "wander": fixed(_VARIANCE),
-        "wander_uneven": _SKEW,
-        "mean_return": level(),
-        "level": level(),
-        "noise": fixed(_RMS),
-        "noise_excess": fixed(_RMS),
-        "noise_halves": fixed(_VARIANCE),
-        "noise_uneven": unevenness,
-        "noise_force": fixed(_VARIANCE),
-        "skewness": _SKEW,
-        "kurtosis": _KURTOSIS,
-        "tail": _TAILS,
-        "extreme": fixed(_SCORE),
-        "odd_codes": _HALF,
-        "second_bit": _HALF,
-        "absent_codes": _CODES,
-        "code_ends": _ROWS,
-        "code_pile": fixed(_SCORE),
-        "band_1": fixed(_VARIANCE),
-        "band_2": fixed(_VARIANCE),
-        "band_3": fixed(_VARIANCE),
-        "band_4": fixed(_GENEROUS),
-        "band_5": fixed(_GENEROUS),
-        "band_6": fixed(_GENEROUS),
-        "line": fixed(_SCORE),
-        "line_of_log": fixed(_SCORE),
-        "alternation": fixed(_GENEROUS),
-        "every_other": fixed(_SCORE),
-        "lag_1": fixed(_CORRELATION),
-        "lag_2": fixed(_CORRELATION),
-        "lag_3": fixed(_CORRELATION),
-        "lag_5": fixed(_CORRELATION),
-        "arch": fixed(_CORRELATION),
-        "allan_2": fixed(_VARIANCE),
-        "allan_8": fixed(_VARIANCE),
-        "allan_32": fixed(_VARIANCE),
-        "allan_128": fixed(_VARIANCE),
-        "allan_512": fixed(_VARIANCE),
-        "allan_2048": fixed(_VARIANCE),
-        "allan_longest": fixed(_VARIANCE),
-        "jumps_8": _KURTOSIS,
-        "jumps_32": _KURTOSIS,
-        "jumps_128": _KURTOSIS,
-        "thermal_slope": level(_WARMING_DEGC),
-        "thermal_square": level(_WARMING_DEGC**2),
-        "thermal_change": level(_WARMING_DEGC / COASTING_S),
-        "thermal_residual": fixed(_VARIANCE),
-        "thermal_noise": fixed(_VARIANCE / _WARMING_DEGC),
-        "force_own": level(),
-        "force_next": level(),
-        "force_after": level(),
-        "force_square": level(),
-        "motion_gain": response,
-        "motion_along": response,
-        "motion_next": response,
-        "motion_after": response,
-        "motion_delay": response,
-        "motion_residual": fixed(_VARIANCE),
-        "motion_coupling": fixed(_VARIANCE),
-        "motion_square": fixed(_CORRELATION),
-        "motion_cube": fixed(_CORRELATION),
-        "slow_own_axes": fixed(_CORRELATION),
-        "slow_box_axes": fixed(_CORRELATION),
-        "slow_between_axes": fixed(_CORRELATION),
-        "fast_own_axes": fixed(_CORRELATION),
-        "fast_box_axes": fixed(_CORRELATION),
-        "fast_between_axes": fixed(_CORRELATION),
-        "fast_other_chips": fixed(_CORRELATION),
-        "level_apart": level(),
-        "run_spread": fixed(_RMS),
-        "run_scatter": fixed(_VARIANCE),
-        "run_two_states": fixed(_GENEROUS),
-        "run_outlier": fixed(_GENEROUS),
-        "run_creep": level(),
-        "run_profile": fixed(_VARIANCE),
-        "interval": fixed(_VARIANCE),
-        "irregularity": fixed(_GENEROUS),
-        "gaps": _ROWS,
-        "skips": _ROWS,
-        "longest_interval": fixed(_GENEROUS),
-        "repeats": _ROWS,
-        "longest_repeat": fixed(_RUN_ROWS),
-        "stale": _ROWS,
-        "saturated": _ROWS,
-        "lost": _ROWS,
-        "doubt": _ROWS,
-        "words": _ROWS,
-    }
-)
-"""A rule for every probe; logs of noise change E by their own share, logs of variances by half of it.
-
-A correlation r between neighbours, or between three sensors that are averaged, raises the variance of means by 2 r:
-their rms by 5 % at r = 0.05. White noise makes an error with the root of the interval between rows: a log of the
-interval counts as one of a variance. Slopes over temperature are for a warming by 10 degC, changes with dT/dt for one
-within the 60 s, responses to force for the turn from a level axis to an upright one. Scores matter beyond 3.
-"""
 
 
 def margin(key: Key, header: SensorHeader, noise: Floats, rows_per_s: float, seconds: float) -> float:
@@ -225,7 +28,7 @@ def margin(key: Key, header: SensorHeader, noise: Floats, rows_per_s: float, sec
     without a rule.
     """
     axis_noise = float(noise["xyz".index(key.axis)]) if key.axis else float(np.sqrt(np.mean(np.square(noise))))
-    return MARGINS[key.probe](SensorConditions(header, axis_noise, rows_per_s, seconds))
+    return PROBES[key.probe].margin(SensorConditions(header, axis_noise, rows_per_s, seconds))
 
 
 def sized(shift: float, scale: float, margin: float) -> Size:

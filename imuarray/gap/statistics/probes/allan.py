@@ -7,7 +7,8 @@ from functools import partial
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.gap.statistics.probes.probe import NOTHING, PhaseProbe, log, once
+from imuarray.gap.statistics.margins import KURTOSIS, VARIANCE
+from imuarray.gap.statistics.probes.probe import NOTHING, PhaseProbe, Probes, log, once
 from imuarray.gap.statistics.summary import Summary
 
 _TERMS = 12
@@ -43,19 +44,20 @@ def _logs(summary: Summary) -> Floats:
 
 
 _MOVED = ("bias_instability", "random_walk", "popcorn_noise", "common_mode", "bandwidth", "tone")
+_JUMP = "log of a third of the kurtosis of steps between means over {} rows"
 
-OCTAVE_PROBES = {
-    1 << octave: PhaseProbe("allan", f"log Allan variance at {1 << octave} rows", "", _MOVED, partial(at, octave))
-    for octave in (1, 3, 5, 7, 9, 11)
+PROBES: Probes = {
+    **{
+        f"allan_{1 << octave}": PhaseProbe(
+            "allan", f"log Allan variance at {1 << octave} rows", _MOVED, VARIANCE, partial(at, octave)
+        )
+        for octave in (1, 3, 5, 7, 9, 11)
+    },
+    "allan_longest": PhaseProbe("allan", "log Allan variance at the longest averaging time", _MOVED, VARIANCE, longest),
+    **{
+        f"jumps_{1 << octave}": PhaseProbe(
+            "allan", _JUMP.format(1 << octave), ("popcorn_noise", "glitches"), KURTOSIS, partial(jumps, octave)
+        )
+        for octave in (3, 5, 7)
+    },
 }
-JUMP_PROBES = {
-    1 << octave: PhaseProbe(
-        "allan",
-        f"log of a third of the kurtosis of steps between means over {1 << octave} rows",
-        "",
-        ("popcorn_noise", "glitches"),
-        partial(jumps, octave),
-    )
-    for octave in (3, 5, 7)
-}
-LONGEST = PhaseProbe("allan", "log Allan variance at the longest averaging time", "", _MOVED, longest)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from functools import partial
 
 from imuarray.arrays import Floats
-from imuarray.gap.statistics.probes.probe import PhaseProbe, fisher_z
+from imuarray.gap.statistics.margins import CORRELATION
+from imuarray.gap.statistics.probes.probe import PhaseProbe, Probes, fisher_z
 from imuarray.gap.statistics.summary import Summary
 
 _APART = 2
@@ -24,14 +25,18 @@ def arch(summary: Summary) -> Floats:
 
 _MOVED = ("bandwidth", "stale_samples", "odr_error", "bias_instability", "random_walk", "tone")
 
-LAG_PROBES = {
-    rows: PhaseProbe("autocorrelation", f"Fisher's z of the correlation at lag {rows}", "", _MOVED, partial(lag, rows))
-    for rows in (1, 2, 3, 5)
+PROBES: Probes = {
+    **{
+        f"lag_{rows}": PhaseProbe(
+            "autocorrelation", f"Fisher's z of the correlation at lag {rows}", _MOVED, CORRELATION, partial(lag, rows)
+        )
+        for rows in (1, 2, 3, 5)
+    },
+    "arch": PhaseProbe(
+        "autocorrelation",
+        "Fisher's z of the correlation of squared steps two rows apart",
+        ("stuck", "range_reset", "odr_error"),
+        CORRELATION,
+        arch,
+    ),
 }
-ARCH = PhaseProbe(
-    "autocorrelation",
-    "Fisher's z of the correlation of squared steps two rows apart",
-    "",
-    ("stuck", "range_reset", "odr_error"),
-    arch,
-)

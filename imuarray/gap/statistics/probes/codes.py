@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.characterise.codes import Histogram
-from imuarray.gap.statistics.probes.probe import PhaseProbe, arcsine, once, one_row
+from imuarray.gap.statistics.margins import CODES, HALF_OF_CODES, ROWS, SCORE, Margin
+from imuarray.gap.statistics.probes.probe import PhaseProbe, Probes, arcsine, once, one_row
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import RESOLUTION
 from imuarray.simulate.converters import CodeSpan, code_span
@@ -94,14 +96,23 @@ def _one_code(summary: Summary) -> float:
 _STEPS = ("quantisation", "odr_error")
 _CLIPPED = ("saturation", "range_reset", "scale", "nonlinearity")
 
-ODD = PhaseProbe("codes", "arcsine of the share of odd codes", "", _STEPS, odd, True, one_row)
-SECOND_BIT = PhaseProbe(
-    "codes", "arcsine of the share of codes with bit 1 set", "", ("quantisation",), second_bit, True, one_row
-)
-ABSENT = PhaseProbe(
-    "codes", "arcsine of the share of codes in the middle that never came", "", _STEPS, absent, True, _one_code
-)
-ENDS = PhaseProbe("codes", "arcsine of the share at the ends of the span", "", _CLIPPED, at_ends, True, one_row)
-PILE = PhaseProbe(
-    "codes", "by how much the outermost code outnumbers the next", "", _CLIPPED, pile, True, lambda _: 1.0
-)
+
+def _probe(
+    about: str,
+    moved_by: tuple[str, ...],
+    margin: Margin,
+    statistic: Callable[[Summary], Floats],
+    resolution: Callable[[Summary], float] = one_row,
+) -> PhaseProbe:
+    return PhaseProbe("codes", about, moved_by, margin, statistic, in_motion=True, resolution=resolution)
+
+
+PROBES: Probes = {
+    "odd_codes": _probe("arcsine of the share of odd codes", _STEPS, HALF_OF_CODES, odd),
+    "second_bit": _probe("arcsine of the share of codes with bit 1 set", ("quantisation",), HALF_OF_CODES, second_bit),
+    "absent_codes": _probe(
+        "arcsine of the share of codes in the middle that never came", _STEPS, CODES, absent, _one_code
+    ),
+    "code_ends": _probe("arcsine of the share at the ends of the span", _CLIPPED, ROWS, at_ends),
+    "code_pile": _probe("by how much the outermost code outnumbers the next", _CLIPPED, SCORE, pile, lambda _: 1.0),
+}

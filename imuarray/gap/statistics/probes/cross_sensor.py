@@ -13,8 +13,9 @@ from imuarray.arrays import Floats, Indices
 from imuarray.axes import Matrix
 from imuarray.gap.statistics.campaign import LogSummary
 from imuarray.gap.statistics.cross import Cross
+from imuarray.gap.statistics.margins import CORRELATION, LEVEL
 from imuarray.gap.statistics.probes.level import least_level, level
-from imuarray.gap.statistics.probes.probe import NOTHING, ArrayProbe, CrossProbe, fisher_z, once
+from imuarray.gap.statistics.probes.probe import NOTHING, ArrayProbe, CrossProbe, Probes, fisher_z, once
 from imuarray.log.format import SensorHeader
 
 AXES = np.arange(3)
@@ -137,7 +138,11 @@ def _probe(
 ) -> CrossProbe:
     pace = "slow" if correlations in (_slow, _slow_in_box) else "fast"
     return CrossProbe(
-        "cross_sensor", f"{about}, {pace}", "", moved_by, lambda cross, sensor: statistic(correlations, cross, sensor)
+        "cross_sensor",
+        f"{about}, {pace}",
+        moved_by,
+        CORRELATION,
+        lambda cross, sensor: statistic(correlations, cross, sensor),
     )
 
 
@@ -145,19 +150,21 @@ _ALIKE = "correlation with units of one chip along the chips' axes"
 _BOX = "correlation with units of one chip along the box's axes"
 _NEXT = "correlation with the next axis of the sensor"
 
-SLOW_OWN = _probe(own_axes, _slow, _ALIKE, "common_mode", "thermal_bias", "channel_swap")
-SLOW_BOX = _probe(box_axes, _slow_in_box, _BOX, "common_mode", "channel_swap")
-FAST_OWN = _probe(own_axes, _fast, _ALIKE, "common_mode", "channel_swap", "tone")
-FAST_BOX = _probe(box_axes, _fast_in_box, _BOX, "common_mode", "channel_swap", "tone")
-FAST_OTHERS = _probe(others, _fast_in_box, "correlation with other chips along the box's axes", "tone")
-FAST_BETWEEN = _probe(between_axes, _fast, _NEXT, "tone", "glitches")
-SLOW_BETWEEN = _probe(between_axes, _slow, _NEXT, "thermal_bias", "common_mode")
-
-LEVEL_APART = ArrayProbe(
-    "cross_sensor",
-    "mean reading of the whole log less that of the other units of the chip",
-    "{u}",
-    ("turn_on_bias", "bistable_bias", "range_reset"),
-    level_apart,
-    resolution=least_level_apart,
-)
+PROBES: Probes = {
+    "slow_own_axes": _probe(own_axes, _slow, _ALIKE, "common_mode", "thermal_bias", "channel_swap"),
+    "slow_box_axes": _probe(box_axes, _slow_in_box, _BOX, "common_mode", "channel_swap"),
+    "slow_between_axes": _probe(between_axes, _slow, _NEXT, "thermal_bias", "common_mode"),
+    "fast_own_axes": _probe(own_axes, _fast, _ALIKE, "common_mode", "channel_swap", "tone"),
+    "fast_box_axes": _probe(box_axes, _fast_in_box, _BOX, "common_mode", "channel_swap", "tone"),
+    "fast_between_axes": _probe(between_axes, _fast, _NEXT, "tone", "glitches"),
+    "fast_other_chips": _probe(others, _fast_in_box, "correlation with other chips along the box's axes", "tone"),
+    "level_apart": ArrayProbe(
+        "cross_sensor",
+        "mean reading of the whole log less that of the other units of the chip",
+        ("turn_on_bias", "bistable_bias", "range_reset"),
+        LEVEL,
+        level_apart,
+        unit="{u}",
+        resolution=least_level_apart,
+    ),
+}

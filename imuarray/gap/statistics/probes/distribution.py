@@ -7,9 +7,11 @@ import math
 import numpy as np
 
 from imuarray.arrays import Floats
+from imuarray.gap.statistics.margins import KURTOSIS, SCORE, SKEWNESS, TAILS
 from imuarray.gap.statistics.probes.probe import (
     NOTHING,
     PhaseProbe,
+    Probes,
     arcsine,
     log,
     noise_lsb,
@@ -70,13 +72,25 @@ def _central(summary: Summary) -> tuple[Floats, Floats, Floats]:
     return second, third, fourth
 
 
-SKEWNESS = PhaseProbe(
-    "distribution", "arsinh of the skewness within segments", "", ("glitches", "saturation", "nonlinearity"), skewness
-)
-KURTOSIS = PhaseProbe(
-    "distribution", "log of a third of the kurtosis within segments", "", ("glitches", "saturation", "tone"), kurtosis
-)
-TAIL_SHARE = PhaseProbe(
-    "distribution", "arcsine of the share of steps beyond 3 sigma", "", ("glitches",), tail, resolution=one_row
-)
-EXTREME = PhaseProbe("distribution", "normal score of the largest step", "", ("glitches", "range_reset"), extreme)
+PROBES: Probes = {
+    "skewness": PhaseProbe(
+        "distribution",
+        "arsinh of the skewness within segments",
+        ("glitches", "saturation", "nonlinearity"),
+        SKEWNESS,
+        skewness,
+    ),
+    "kurtosis": PhaseProbe(
+        "distribution",
+        "log of a third of the kurtosis within segments",
+        ("glitches", "saturation", "tone"),
+        KURTOSIS,
+        kurtosis,
+    ),
+    "tail": PhaseProbe(
+        "distribution", "arcsine of the share of steps beyond 3 sigma", ("glitches",), TAILS, tail, resolution=one_row
+    ),
+    "extreme": PhaseProbe(
+        "distribution", "normal score of the largest step", ("glitches", "range_reset"), SCORE, extreme
+    ),
+}

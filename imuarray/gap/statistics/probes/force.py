@@ -7,14 +7,15 @@ sum. On such faces f_x^2 + f_y^2 + f_z^2 = 1: a constant is in the even parts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
+from imuarray.gap.statistics.margins import LEVEL
 from imuarray.gap.statistics.probes.level import mean
-from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe
+from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, Probes
 from imuarray.gap.statistics.summary import Summary
 
 AXES = np.arange(3)
@@ -70,9 +71,16 @@ def _parts(phases: Sequence[Summary]) -> tuple[Floats, Floats]:
 
 _CROSS = ("misalignment", "axis_error", "g_sensitivity", "channel_swap")
 
-OWN = LogProbe(
-    "force", "response to force along the axis", "{u}/g", ("scale", "axis_error", "range_reset", "g_sensitivity"), own
-)
-NEXT = LogProbe("force", "response to force along the next axis", "{u}/g", _CROSS, next_axis)
-AFTER = LogProbe("force", "response to force along the axis after the next", "{u}/g", _CROSS, axis_after)
-SQUARE = LogProbe("force", "response to the square of force along the axis", "{u}/g^2", ("nonlinearity",), square)
+
+def _probe(
+    about: str, moved_by: tuple[str, ...], statistic: Callable[[Sequence[Summary]], Floats], unit: str = "{u}/g"
+) -> LogProbe:
+    return LogProbe("force", f"response to {about}", moved_by, LEVEL, statistic, unit=unit)
+
+
+PROBES: Probes = {
+    "force_own": _probe("force along the axis", ("scale", "axis_error", "range_reset", "g_sensitivity"), own),
+    "force_next": _probe("force along the next axis", _CROSS, next_axis),
+    "force_after": _probe("force along the axis after the next", _CROSS, axis_after),
+    "force_square": _probe("the square of force along the axis", ("nonlinearity",), square, "{u}/g^2"),
+}

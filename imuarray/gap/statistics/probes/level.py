@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, PhaseProbe, log, once
+from imuarray.gap.statistics.margins import LEVEL, SKEWNESS, VARIANCE
+from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, PhaseProbe, Probes, log, once
 from imuarray.gap.statistics.summary import Summary
 
 LEAST_LEVEL = 2e-6
@@ -125,36 +126,50 @@ def level(phases: Sequence[Summary]) -> Floats:
 
 _SLOW = ("bias_instability", "random_walk", "popcorn_noise", "common_mode")
 
-MEAN = PhaseProbe(
-    "level",
-    "mean reading",
-    "{u}",
-    ("bias", "scale", "misalignment", "axis_error", "turn_on_bias", "bistable_bias", "range_reset", "channel_swap"),
-    mean,
-    resolution=least_level,
-)
-HALVES = PhaseProbe(
-    "level", "mean of the second half less that of the first", "{u}", (*_SLOW, "thermal_bias", "range_reset"), halves
-)
-WANDER = PhaseProbe(
-    "level", "log of the variance of segments' means about a straight line, over that of white noise", "", _SLOW, wander
-)
-UNEVEN = PhaseProbe(
-    "level", "arsinh of the skewness of segments' means about a straight line", "", ("popcorn_noise",), uneven
-)
-RETURN = LogProbe(
-    "level",
-    "mean of the last phase less that of the first on the same face",
-    "{u}",
-    ("random_walk",),
-    returned,
-    least_return,
-)
-LEVEL = LogProbe(
-    "level",
-    "mean reading of the whole log",
-    "{u}",
-    ("turn_on_bias", "bistable_bias", "common_mode", "range_reset"),
-    whole,
-    least_mean_level,
-)
+PROBES: Probes = {
+    "mean": PhaseProbe(
+        "level",
+        "mean reading",
+        ("bias", "scale", "misalignment", "axis_error", "turn_on_bias", "bistable_bias", "range_reset", "channel_swap"),
+        LEVEL,
+        mean,
+        unit="{u}",
+        resolution=least_level,
+    ),
+    "mean_halves": PhaseProbe(
+        "level",
+        "mean of the second half less that of the first",
+        (*_SLOW, "thermal_bias", "range_reset"),
+        LEVEL,
+        halves,
+        unit="{u}",
+    ),
+    "wander": PhaseProbe(
+        "level",
+        "log of the variance of segments' means about a straight line, over that of white noise",
+        _SLOW,
+        VARIANCE,
+        wander,
+    ),
+    "wander_uneven": PhaseProbe(
+        "level", "arsinh of the skewness of segments' means about a straight line", ("popcorn_noise",), SKEWNESS, uneven
+    ),
+    "mean_return": LogProbe(
+        "level",
+        "mean of the last phase less that of the first on the same face",
+        ("random_walk",),
+        LEVEL,
+        returned,
+        unit="{u}",
+        resolution=least_return,
+    ),
+    "level": LogProbe(
+        "level",
+        "mean reading of the whole log",
+        ("turn_on_bias", "bistable_bias", "common_mode", "range_reset"),
+        LEVEL,
+        whole,
+        unit="{u}",
+        resolution=least_mean_level,
+    ),
+}

@@ -10,14 +10,15 @@ without significance. The residual of a sensor's motion is what no delay explain
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.statistics.cross import SQUARES, Cross
-from imuarray.gap.statistics.probes.probe import NOTHING, CrossProbe, fisher_z, log, once
+from imuarray.gap.statistics.margins import CORRELATION, VARIANCE, Margin, response
+from imuarray.gap.statistics.probes.probe import NOTHING, CrossProbe, Probes, fisher_z, log, once
 
 AXES = np.arange(3)
 _REFERENCE, _BENDING = slice(3, 6), np.arange(6, 9)
@@ -269,36 +270,42 @@ def _residual_variance(joint: _JointMoments, by: np.ndarray) -> Floats:
 
 
 _CROSS = ("misalignment", "axis_error", "channel_swap")
-
-GAIN = CrossProbe("motion", "share of motion along the axis", "", ("scale", "axis_error", "range_reset"), gain, True)
-ALONG = CrossProbe(
-    "motion",
-    "share of motion along the axis, by that motion alone",
-    "",
-    ("scale", "axis_error", "range_reset"),
-    along,
-    True,
-)
-NEXT = CrossProbe("motion", "share of motion along the next axis", "", _CROSS, next_axis, True)
-AFTER = CrossProbe("motion", "share of motion along the axis after the next", "", _CROSS, axis_after, True)
-DELAY = CrossProbe(
-    "motion", "delay behind the others", "s", ("skew", "clock_error", "stale_samples", "own_clock"), delay, True
-)
-RESIDUAL = CrossProbe(
-    "motion",
-    "log of the variance that the others don't explain",
-    "log {u}^2",
-    ("jitter", "size_effect", "nonlinearity", "skew", "saturation", "own_clock"),
-    residual,
-    True,
-)
-COUPLING = CrossProbe(
-    "motion", "log of how much of it rotation or force explains", "", ("size_effect", "g_sensitivity"), coupling, True
-)
-_BEND = "artanh of the correlation with the {power} of the rate along the axis, beyond what the others read"
+_GAIN = ("scale", "axis_error", "range_reset")
+_BEND = "artanh of the correlation with the {} of the rate along the axis, beyond what the others read"
 
 _OF_A_SLIP = 0.03
 """Correlation with a power of the rate that a delay makes which grows and falls as polls slip against a data clock."""
 
-SQUARE = CrossProbe("motion", _BEND.format(power="square"), "", ("nonlinearity",), square, True, _OF_A_SLIP)
-CUBE = CrossProbe("motion", _BEND.format(power="cube"), "", ("nonlinearity",), cube, True, _OF_A_SLIP)
+
+def _probe(
+    about: str,
+    moved_by: tuple[str, ...],
+    margin: Margin,
+    statistic: Callable[[Cross, str], Floats],
+    unit: str = "",
+    resolution: float = 0.0,
+) -> CrossProbe:
+    return CrossProbe("motion", about, moved_by, margin, statistic, unit=unit, in_motion=True, resolution=resolution)
+
+
+PROBES: Probes = {
+    "motion_gain": _probe("share of motion along the axis", _GAIN, response, gain),
+    "motion_along": _probe("share of motion along the axis, by that motion alone", _GAIN, response, along),
+    "motion_next": _probe("share of motion along the next axis", _CROSS, response, next_axis),
+    "motion_after": _probe("share of motion along the axis after the next", _CROSS, response, axis_after),
+    "motion_delay": _probe(
+        "delay behind the others", ("skew", "clock_error", "stale_samples", "own_clock"), response, delay, "s"
+    ),
+    "motion_residual": _probe(
+        "log of the variance that the others don't explain",
+        ("jitter", "size_effect", "nonlinearity", "skew", "saturation", "own_clock"),
+        VARIANCE,
+        residual,
+        "log {u}^2",
+    ),
+    "motion_coupling": _probe(
+        "log of how much of it rotation or force explains", ("size_effect", "g_sensitivity"), VARIANCE, coupling
+    ),
+    "motion_square": _probe(_BEND.format("square"), ("nonlinearity",), CORRELATION, square, resolution=_OF_A_SLIP),
+    "motion_cube": _probe(_BEND.format("cube"), ("nonlinearity",), CORRELATION, cube, resolution=_OF_A_SLIP),
+}

@@ -7,8 +7,8 @@ Fisher's z of correlations, arcsines of the roots of shares. It is nan where it 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import wraps
 from typing import Any, Literal, TypeVar
 
@@ -19,6 +19,7 @@ from scipy.special import log_ndtr, ndtri_exp
 from imuarray.arrays import Floats, Integers
 from imuarray.gap.statistics.campaign import LogSummary
 from imuarray.gap.statistics.cross import Cross
+from imuarray.gap.statistics.margins import Margin
 from imuarray.gap.statistics.runs import Runs
 from imuarray.gap.statistics.summary import Summary
 
@@ -46,14 +47,15 @@ NOTHING = np.full(3, np.nan)
 
 @dataclass(frozen=True)
 class Probe:
-    """`about`: what it measures; `unit` of its values ("" for pure numbers, "{u}" stands for the sensor's unit);
-    `moved_by`: the effects that it was made to see.
+    """`about`: what it measures; `moved_by`: the effects that it was made to see; `margin`: the least difference that
+    matters; `unit` of its values ("" for pure numbers, "{u}" stands for the sensor's unit).
     """
 
     domain: Domain
     about: str
-    unit: str
     moved_by: tuple[str, ...]
+    margin: Margin
+    unit: str = field(default="", kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,10 @@ class RunsProbe(Probe):
     """Probe of one sensor over the logs of one kind."""
 
     statistic: Callable[[Runs], Floats]
+
+
+Probes = Mapping[str, PhaseProbe | LogProbe | CrossProbe | ArrayProbe | RunsProbe]
+"""Probes by their names."""
 
 
 def once(work: Callable[[Subject], Result]) -> Callable[[Subject], Result]:

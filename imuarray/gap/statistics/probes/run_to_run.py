@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.gap.statistics.probes.probe import NOTHING, RunsProbe, log
+from imuarray.gap.statistics.margins import GENEROUS, LEVEL, RMS, VARIANCE
+from imuarray.gap.statistics.probes.probe import NOTHING, Probes, RunsProbe, log
 from imuarray.gap.statistics.runs import PARTS, Runs
 
 _LEAST = 4
@@ -59,14 +60,25 @@ def profile(runs: Runs) -> Floats:
 
 
 _BOOT = ("turn_on_bias", "bistable_bias", "range_reset")
+_STATES = ("bistable_bias", "range_reset")
 
-SPREAD = RunsProbe("run_to_run", "log of the robust spread of runs' means", "log {u}", _BOOT, spread)
-SCATTER = RunsProbe(
-    "run_to_run", "log of the variance of runs' means over white noise's", "", (*_BOOT, "bias_instability"), scatter
-)
-TWO_STATES = RunsProbe(
-    "run_to_run", "log of the largest gap of sorted means over others", "", ("bistable_bias", "range_reset"), two_states
-)
-OUTLIER = RunsProbe("run_to_run", "log of the farthest run's distance", "", ("bistable_bias", "range_reset"), outlier)
-CREEP = RunsProbe("run_to_run", "slope of the mean profile over log time", "{u}", (), creep)
-PROFILE = RunsProbe("run_to_run", "log of the variance that runs' profiles have in common", "", (), profile)
+PROBES: Probes = {
+    "run_spread": RunsProbe(
+        "run_to_run", "log of the robust spread of runs' means", _BOOT, RMS, spread, unit="log {u}"
+    ),
+    "run_scatter": RunsProbe(
+        "run_to_run",
+        "log of the variance of runs' means over white noise's",
+        (*_BOOT, "bias_instability"),
+        VARIANCE,
+        scatter,
+    ),
+    "run_two_states": RunsProbe(
+        "run_to_run", "log of the largest gap of sorted means over others", _STATES, GENEROUS, two_states
+    ),
+    "run_outlier": RunsProbe("run_to_run", "log of the farthest run's distance", _STATES, GENEROUS, outlier),
+    "run_creep": RunsProbe("run_to_run", "slope of the mean profile over log time", (), LEVEL, creep, unit="{u}"),
+    "run_profile": RunsProbe(
+        "run_to_run", "log of the variance that runs' profiles have in common", (), VARIANCE, profile
+    ),
+}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache, partial
 
 import numpy as np
@@ -10,7 +10,8 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from imuarray.arrays import Floats
-from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, PhaseProbe, log, once, score_of_largest
+from imuarray.gap.statistics.margins import GENEROUS, SCORE, VARIANCE
+from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, PhaseProbe, Probes, log, once, score_of_largest
 from imuarray.gap.statistics.summary import Summary
 
 BANDS = 6
@@ -122,21 +123,38 @@ def _mirror(bins: int) -> Places:
     return np.asarray(np.abs((bins - 1) - np.abs((bins - 1) - np.arange(-_SIDE, bins + _SIDE))))
 
 
+_LOW = ("bias_instability", "random_walk", "popcorn_noise", "common_mode", "bandwidth")
+_HIGH = ("bandwidth", "odr_error", "stale_samples", "tone")
+
+
 def _band_probe(number: int) -> PhaseProbe:
-    statistic: Callable[[Summary], Floats] = partial(band, number)
-    low = ("bias_instability", "random_walk", "popcorn_noise", "common_mode")
-    moved_by = (*low, "bandwidth") if number < BANDS // 2 else ("bandwidth", "odr_error", "stale_samples", "tone")
-    return PhaseProbe("spectrum", f"log density in band {number + 1} of {BANDS}", "", moved_by, statistic)
+    moved_by, margin = (_LOW, VARIANCE) if number < BANDS // 2 else (_HIGH, GENEROUS)
+    return PhaseProbe(
+        "spectrum", f"log density in band {number + 1} of {BANDS}", moved_by, margin, partial(band, number)
+    )
 
 
-BAND_PROBES = tuple(_band_probe(number) for number in range(BANDS))
-LINE = PhaseProbe("spectrum", "normal score of the highest peak over its neighbours' median", "", ("tone",), line)
-LINE_OF_LOG = LogProbe(
-    "spectrum", "normal score of the highest peak of all phases together", "", ("tone",), line_of_log
-)
-ALTERNATION = PhaseProbe(
-    "spectrum", "log of the density at half the rate over that before", "", ("tone",), alternation, by_column=False
-)
-EVERY_OTHER = PhaseProbe(
-    "spectrum", "normal score of the mean of every other reading less that of those between", "", ("tone",), every_other
-)
+PROBES: Probes = {
+    **{f"band_{number + 1}": _band_probe(number) for number in range(BANDS)},
+    "line": PhaseProbe(
+        "spectrum", "normal score of the highest peak over its neighbours' median", ("tone",), SCORE, line
+    ),
+    "line_of_log": LogProbe(
+        "spectrum", "normal score of the highest peak of all phases together", ("tone",), SCORE, line_of_log
+    ),
+    "alternation": PhaseProbe(
+        "spectrum",
+        "log of the density at half the rate over that before",
+        ("tone",),
+        GENEROUS,
+        alternation,
+        by_column=False,
+    ),
+    "every_other": PhaseProbe(
+        "spectrum",
+        "normal score of the mean of every other reading less that of those between",
+        ("tone",),
+        SCORE,
+        every_other,
+    ),
+}

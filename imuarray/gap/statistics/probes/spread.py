@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from imuarray.arrays import Floats
+from imuarray.gap.statistics.margins import RMS, VARIANCE, unevenness
 from imuarray.gap.statistics.probes.force import felt_g
-from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, PhaseProbe, log, noise_lsb, once
+from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, PhaseProbe, Probes, log, noise_lsb, once
 from imuarray.gap.statistics.summary import Summary
 
 _LEAST = 4
@@ -83,16 +84,28 @@ def _mean_variance(variance: Floats, rows: np.ndarray) -> Floats:
 
 _SIZES = ("white_noise", "odr_error", "range_reset", "scale", "channel_swap")
 
-NOISE = PhaseProbe("spread", "log of the noise from row to row", "log {u}", (*_SIZES, "bandwidth", "stuck"), noise)
-EXCESS = PhaseProbe(
-    "spread",
-    "log of the standard deviation within segments over the noise from row to row",
-    "",
-    ("glitches", "tone", "popcorn_noise", "bandwidth", "stale_samples"),
-    excess,
-)
-HALVES = PhaseProbe("spread", "log of the variance of the second half over the first", "", ("range_reset",), halves)
-UNEVEN = PhaseProbe(
-    "spread", "log of the variance of segments' log variances", "", ("glitches", "stuck", "range_reset"), uneven
-)
-FORCE = LogProbe("spread", "log of the variance under gravity over that without", "", ("scale",), with_force)
+PROBES: Probes = {
+    "noise": PhaseProbe(
+        "spread", "log of the noise from row to row", (*_SIZES, "bandwidth", "stuck"), RMS, noise, unit="log {u}"
+    ),
+    "noise_excess": PhaseProbe(
+        "spread",
+        "log of the standard deviation within segments over the noise from row to row",
+        ("glitches", "tone", "popcorn_noise", "bandwidth", "stale_samples"),
+        RMS,
+        excess,
+    ),
+    "noise_halves": PhaseProbe(
+        "spread", "log of the variance of the second half over the first", ("range_reset",), VARIANCE, halves
+    ),
+    "noise_uneven": PhaseProbe(
+        "spread",
+        "log of the variance of segments' log variances",
+        ("glitches", "stuck", "range_reset"),
+        unevenness,
+        uneven,
+    ),
+    "noise_force": LogProbe(
+        "spread", "log of the variance under gravity over that without", ("scale",), VARIANCE, with_force
+    ),
+}

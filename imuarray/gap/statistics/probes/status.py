@@ -8,7 +8,8 @@ from functools import partial
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.gap.statistics.probes.probe import PhaseProbe, arcsine, one_row
+from imuarray.gap.statistics.margins import ROWS
+from imuarray.gap.statistics.probes.probe import PhaseProbe, Probes, arcsine, one_row
 from imuarray.gap.statistics.probes.timing import tells_repetitions
 from imuarray.gap.statistics.summary import Summary
 
@@ -30,20 +31,15 @@ def words(summary: Summary) -> Floats:
 
 def _probe(about: str, moved_by: tuple[str, ...], statistic: Callable[[Summary], Floats]) -> PhaseProbe:
     about = f"arcsine of the share of rows {about}"
-    return PhaseProbe("status", about, "", moved_by, statistic, True, one_row, by_column=False)
+    return PhaseProbe("status", about, moved_by, ROWS, statistic, in_motion=True, resolution=one_row, by_column=False)
 
 
-STALE = _probe("that are no new reading", ("stale_samples", "stuck", "odr_error"), stale)
-SATURATED = _probe("at an end of the span", ("saturation", "range_reset", "scale"), partial(flagged, ("saturated",)))
-LOST = _probe("before which some were lost", ("dropped_samples",), partial(flagged, ("lost_before",)))
-DOUBT = _probe("of a chip in doubt or just set up again", (), partial(flagged, ("suspect", "reconfigured")))
-WORDS = PhaseProbe(
-    "status",
-    "arcsine of the share of rows that read -1 or 0 on all axes",
-    "",
-    ("glitches",),
-    words,
-    True,
-    one_row,
-    False,
-)
+PROBES: Probes = {
+    "stale": _probe("that are no new reading", ("stale_samples", "stuck", "odr_error"), stale),
+    "saturated": _probe(
+        "at an end of the span", ("saturation", "range_reset", "scale"), partial(flagged, ("saturated",))
+    ),
+    "lost": _probe("before which some were lost", ("dropped_samples",), partial(flagged, ("lost_before",))),
+    "doubt": _probe("of a chip in doubt or just set up again", (), partial(flagged, ("suspect", "reconfigured"))),
+    "words": _probe("that read -1 or 0 on all axes", ("glitches",), words),
+}

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property, partial
 
 import numpy as np
 
 from imuarray.arrays import Floats, Integers
-from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, log
+from imuarray.gap.statistics.margins import CURVATURE, RATE, SLOPE, VARIANCE, VARIANCE_SLOPE, Margin
+from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, Probes, log
 from imuarray.gap.statistics.summary import Summary
 
 _LEAST_DEGC = 1.0
 """A smaller span of temperatures says nothing of a slope."""
 
-SLOPE, SQUARE, CHANGE = 1, 2, 3
 
-
-def coefficient(number: int, phases: Sequence[Summary]) -> Floats:
+def coefficient(column: int, phases: Sequence[Summary]) -> Floats:
     """Coefficient of T - mean, its square, or dT/dt, from a fit of the segments' means that ends with this term."""
     table = _table(phases)
     if table is None:
         return NOTHING
     design, means, _ = table
-    return np.asarray(np.linalg.lstsq(design[:, : number + 1], means, rcond=None)[0][number])
+    return np.asarray(np.linalg.lstsq(design[:, : column + 1], means, rcond=None)[0][column])
 
 
 def residual(phases: Sequence[Summary]) -> Floats:
@@ -102,16 +101,20 @@ def _table(phases: Sequence[Summary]) -> tuple[Floats, Floats, Floats] | None:
     return design, part.mean[is_usable] / scale, expected / scale**2
 
 
-def _fit(number: int) -> Callable[[Sequence[Summary]], Floats]:
-    return partial(coefficient, number)
+def _probe(about: str, moved_by: tuple[str, ...], margin: Margin, column: int, unit: str) -> LogProbe:
+    return LogProbe("temperature", about, moved_by, margin, partial(coefficient, column), unit=unit)
 
 
-SLOPE_PROBE = LogProbe(
-    "temperature", "slope of the mean over temperature", "{u}/degC", ("thermal_bias", "thermal_scale"), _fit(SLOPE)
-)
-SQUARE_PROBE = LogProbe("temperature", "coefficient of T^2", "{u}/degC^2", ("thermal_bias",), _fit(SQUARE))
-CHANGE_PROBE = LogProbe(
-    "temperature", "coefficient of dT/dt", "{u} s/degC", ("thermal_lag", "clock_error"), _fit(CHANGE)
-)
-RESIDUAL = LogProbe("temperature", "log of the variance beside the fit", "", ("thermal_lag", "random_walk"), residual)
-NOISE_SLOPE = LogProbe("temperature", "slope of the log variance over temperature", "1/degC", (), noise_slope)
+_BIAS_AND_SCALE = ("thermal_bias", "thermal_scale")
+
+PROBES: Probes = {
+    "thermal_slope": _probe("slope of the mean over temperature", _BIAS_AND_SCALE, SLOPE, 1, "{u}/degC"),
+    "thermal_square": _probe("coefficient of T^2", ("thermal_bias",), CURVATURE, 2, "{u}/degC^2"),
+    "thermal_change": _probe("coefficient of dT/dt", ("thermal_lag", "clock_error"), RATE, 3, "{u} s/degC"),
+    "thermal_residual": LogProbe(
+        "temperature", "log of the variance beside the fit", ("thermal_lag", "random_walk"), VARIANCE, residual
+    ),
+    "thermal_noise": LogProbe(
+        "temperature", "slope of the log variance over temperature", (), VARIANCE_SLOPE, noise_slope, unit="1/degC"
+    ),
+}

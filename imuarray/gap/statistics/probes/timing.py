@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.gap.statistics.probes.probe import PhaseProbe, arcsine, log, one_row
+from imuarray.gap.statistics.margins import GENEROUS, ROWS, RUN, VARIANCE, Margin
+from imuarray.gap.statistics.probes.probe import PhaseProbe, Probes, arcsine, log, one_row
 from imuarray.gap.statistics.summary import Summary
 
 
@@ -73,52 +76,37 @@ def _hundredth(_: Summary) -> float:
 
 
 _DROPPED = ("dropped_samples",)
-_REPEATED = ("odr_error", "stale_samples", "stuck", "adaptive_range")
 
-INTERVAL = PhaseProbe(
-    "timing", "log of the mean interval between rows", "log s", (), interval, True, lambda _: 1e-6, by_column=False
-)
-IRREGULARITY = PhaseProbe(
-    "timing",
-    "log of the scatter of intervals over their mean",
-    "",
-    _DROPPED,
-    irregularity,
-    True,
-    _hundredth,
-    by_column=False,
-)
-GAPS = PhaseProbe("timing", "arcsine of the share of gaps", "", _DROPPED, gaps, True, one_row, by_column=False)
-SKIPS = PhaseProbe(
-    "timing",
-    "arcsine of the share of gaps that are no stalls",
-    "",
-    _DROPPED,
-    skips,
-    True,
-    one_row,
-    by_column=False,
-)
-LONGEST = PhaseProbe(
-    "timing", "log of the longest interval over the mean", "", _DROPPED, longest, True, _hundredth, by_column=False
-)
-REPEATS = PhaseProbe(
-    "timing",
-    "arcsine of the share of rows that repeat the one before",
-    "",
-    _REPEATED,
-    repeats,
-    True,
-    one_row,
-    by_column=False,
-)
-LONGEST_REPEAT = PhaseProbe(
-    "timing",
-    "rows of the longest run of equal rows",
-    "",
-    ("stuck", "odr_error"),
-    longest_repeat,
-    True,
-    lambda _: 1.0,
-    False,
-)
+
+def _probe(
+    about: str,
+    moved_by: tuple[str, ...],
+    margin: Margin,
+    statistic: Callable[[Summary], Floats],
+    resolution: Callable[[Summary], float] = one_row,
+) -> PhaseProbe:
+    return PhaseProbe(
+        "timing", about, moved_by, margin, statistic, in_motion=True, resolution=resolution, by_column=False
+    )
+
+
+PROBES: Probes = {
+    "interval": replace(
+        _probe("log of the mean interval between rows", (), VARIANCE, interval, lambda _: 1e-6), unit="log s"
+    ),
+    "irregularity": _probe(
+        "log of the scatter of intervals over their mean", _DROPPED, GENEROUS, irregularity, _hundredth
+    ),
+    "gaps": _probe("arcsine of the share of gaps", _DROPPED, ROWS, gaps),
+    "skips": _probe("arcsine of the share of gaps that are no stalls", _DROPPED, ROWS, skips),
+    "longest_interval": _probe("log of the longest interval over the mean", _DROPPED, GENEROUS, longest, _hundredth),
+    "repeats": _probe(
+        "arcsine of the share of rows that repeat the one before",
+        ("odr_error", "stale_samples", "stuck", "adaptive_range"),
+        ROWS,
+        repeats,
+    ),
+    "longest_repeat": _probe(
+        "rows of the longest run of equal rows", ("stuck", "odr_error"), RUN, longest_repeat, lambda _: 1.0
+    ),
+}
