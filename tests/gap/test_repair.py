@@ -19,7 +19,7 @@ from imuarray.gap.model.replication import SensorModel
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.gap.recording.recordings import recordings_of, reference_of
 from imuarray.gap.recording.source import simulated_sources
-from imuarray.gap.statistics.campaign import summarise_phase
+from imuarray.gap.statistics.campaign import summarise_log
 from imuarray.gap.statistics.split import Split
 from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
@@ -190,7 +190,7 @@ def test_a_simulation_of_the_file_shows_the_line() -> None:
     made = Simulation.of_array(parse_array(ARRAY), motion, model, frame_rate_hz=RATE_HZ, seed=3)
     (phase,) = phases_of(motion)
     for name, is_there in (("G1", True), ("G2", False)):
-        spectrum = summarise_phase(simulated_sources(made), phase, 0, reference_of(motion)).sensors[name].spectrum
+        spectrum = summarise_log("static", simulated_sources(made), [phase], reference_of(motion)).of(name)[0].spectrum
         density = spectrum.density[1:, 1]
         assert (density.max() > 8 * np.median(density)) == is_there
         if is_there:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,9 +17,8 @@ from imuarray.gap.recording.source import Source
 from imuarray.gap.statistics.cross import Cross, CrossTally, window_ns
 from imuarray.gap.statistics.runs import Runs, runs_of
 from imuarray.gap.statistics.summary import Grid, Summary, Tally
-from imuarray.log.format import Phase, SensorHeader
+from imuarray.log.format import Phase
 from imuarray.log.writer import Block
-from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.streams import CHUNK
 from imuarray.units import INERTIAL
 
@@ -125,22 +125,14 @@ def summarise_logs(
     layouts: Sequence[Layout] | None = None,
 ) -> list[LogSummary]:
     """Summarise several replicates of one log, which have the same sensors, as `summarise_log` does."""
-    phases_of_replicates = [
-        _summarise_phases(replicates, phase, number, reference, None if layouts is None else layouts[number])
+    by_phase = [
+        _summarise_phase(replicates, phase, number, reference, None if layouts is None else layouts[number])
         for number, phase in enumerate(phases)
     ]
-    return [LogSummary(kind, tuple(phase[at] for phase in phases_of_replicates)) for at in range(len(replicates))]
+    return [LogSummary(kind, tuple(summaries[at] for summaries in by_phase)) for at in range(len(replicates))]
 
 
-def summarise_phase(
-    sources: Mapping[str, Source], phase: Phase, number: int, reference: LogReference, layout: Layout | None = None
-) -> PhaseSummary:
-    """Summarise one phase of one log."""
-    (summary,) = _summarise_phases([sources], phase, number, reference, layout)
-    return summary
-
-
-def _summarise_phases(
+def _summarise_phase(
     replicates: Sequence[Mapping[str, Source]],
     phase: Phase,
     number: int,
@@ -149,66 +141,103 @@ def _summarise_phases(
 ) -> list[PhaseSummary]:
     """Summarise one phase of each replicate: short phases jointly, long ones one after the other, to bound the memory.
 
-    Phases with a `layout` are simulated ones, for which only what statistics need is computed. While the box moves only
-    its inertial sensors are summarised, since nobody knows the field.
+    While the box moves only its inertial sensors are summarised, since nobody knows the field.
     """
     if not is_at_rest(phase):
         replicates = [
             {name: source for name, source in sources.items() if source.header.quantity in INERTIAL}
             for sources in replicates
         ]
-    chosen, recorded = layout or layout_of(replicates[0], phase), layout is None
+    survey = _PhaseSurvey(phase, number, reference, layout or layout_of(replicates[0], phase), layout is None)
     rows = max((source.rows(phase.start_ns, phase.end_ns) for source in replicates[0].values()), default=0)
     at_once = max(CHUNK // max(rows, 1), 1)
     summaries: list[PhaseSummary] = []
     for first in range(0, len(replicates), at_once):
         some = replicates[first : first + at_once]
-        if len(some) > 1:
-            summaries += _summarise_jointly(some, phase, number, reference, chosen, recorded)
-        else:
-            summaries.append(_summarise_in_one_pass(some[0], phase, number, reference, chosen, recorded))
+        summaries += survey.summarise_jointly(some) if len(some) > 1 else [survey.summarise_in_one_pass(some[0])]
     return summaries
 
 
-def _summarise_jointly(
-    replicates: Sequence[Mapping[str, Source]],
-    phase: Phase,
-    number: int,
-    reference: LogReference,
-    layout: Layout,
-    recorded: bool,
-) -> list[PhaseSummary]:
-    """Summarise sensor by sensor, with replicates whose rows have the same times side by side."""
-    blocks = [
-        {name: list(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
-        for sources in replicates
-    ]
-    for name, grid in ((name, layout.grids[name]) for name in replicates[0]):
-        new = [at for at, sources in enumerate(replicates) if (phase, grid) not in sources[name].cache]
-        for some in _simultaneous([block[name] for block in blocks], new):
-            header = replicates[0][name].header
-            tallied = _summaries(header, phase, grid, [blocks[at][name] for at in some], reference, recorded)
-            for at, summary in zip(some, tallied, strict=True):
-                replicates[at][name].cache[phase, grid] = summary
-    crosses: dict[int, Cross | None] = {}
-    for some in _simultaneous([list(chain(*block.values())) for block in blocks], range(len(replicates))):
-        crosses.update(
-            zip(
-                some,
-                _crosses(replicates[some[0]], [blocks[at] for at in some], phase, layout, reference, recorded),
-                strict=True,
+class _PhaseSurvey(NamedTuple):
+    """A phase that is summarised. Only of a `recorded` one more is computed than what statistics need."""
+
+    phase: Phase
+    number: int
+    reference: LogReference
+    layout: Layout
+    recorded: bool
+
+    def summarise_jointly(self, replicates: Sequence[Mapping[str, Source]]) -> list[PhaseSummary]:
+        """Summarise sensor by sensor, with replicates whose rows have the same times side by side."""
+        blocks = [
+            {name: list(source.blocks(self.phase.start_ns, self.phase.end_ns)) for name, source in sources.items()}
+            for sources in replicates
+        ]
+        for name, first in replicates[0].items():
+            grid = self.layout.grids[name]
+            new = [at for at, sources in enumerate(replicates) if (self.phase, grid) not in sources[name].cache]
+            for some in _simultaneous([block[name] for block in blocks], new):
+                tally = Tally(first.header, self.phase, grid, len(some), outliers=self.recorded)
+                for several in zip(*(blocks[at][name] for at in some), strict=True):
+                    tally.update(*several)
+                for at, summary in zip(some, tally.results(self.reference.temperature), strict=True):
+                    replicates[at][name].cache[self.phase, grid] = summary
+        crosses: dict[int, Cross | None] = {}
+        for some in _simultaneous([list(chain(*block.values())) for block in blocks], range(len(replicates))):
+            tallied = self._crosses(replicates[some[0]], [blocks[at] for at in some])
+            crosses.update(zip(some, tallied, strict=True))
+        return [
+            self._summary(
+                {name: source.cache[self.phase, self.layout.grids[name]] for name, source in sources.items()},
+                crosses[at],
             )
+            for at, sources in enumerate(replicates)
+        ]
+
+    def summarise_in_one_pass(self, sources: Mapping[str, Source]) -> PhaseSummary:
+        """Summarise all sensors together, one block at a time."""
+        phase, grids = self.phase, self.layout.grids
+        tallies = {
+            name: Tally(source.header, phase, grids[name], outliers=self.recorded) for name, source in sources.items()
+        }
+        cross = self._cross_tally(sources, 1)
+        waiting = {name: zip(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
+        for name, blocks in _interleave(waiting, phase):
+            if blocks is not None:
+                tallies[name].update(*blocks)
+            if cross is not None and name in cross.sensors:
+                cross.accept(name, blocks)
+        sensors = {name: tally.result(self.reference.temperature) for name, tally in tallies.items()}
+        return self._summary(sensors, None if cross is None else cross.result())
+
+    def _summary(self, sensors: Mapping[str, Summary], cross: Cross | None) -> PhaseSummary:
+        return PhaseSummary(self.phase, self.number, self.layout, sensors, cross)
+
+    def _crosses(
+        self, sources: Mapping[str, Source], blocks: Sequence[Mapping[str, Sequence[Block]]]
+    ) -> Sequence[Cross | None]:
+        """Common moments of the inertial sensors in replicates whose blocks have the same times."""
+        cross = self._cross_tally(sources, len(blocks))
+        if cross is None:
+            return [None] * len(blocks)
+        waiting = {
+            name: zip(*(block[name] for block in blocks), strict=True) for name in sources if name in cross.sensors
+        }
+        for name, several in _interleave(waiting, self.phase):
+            cross.accept(name, several)
+        return cross.results()
+
+    def _cross_tally(self, sources: Mapping[str, Source], replicates: int) -> CrossTally | None:
+        """Return the tally of what inertial sensors have in common with each other, and in motion with a track."""
+        there = [source for source in sources.values() if source.rows(self.phase.start_ns, self.phase.end_ns)]
+        headers = [source.header for source in there if source.header.quantity in INERTIAL]
+        moves = not is_at_rest(self.phase)
+        track = self.reference.track if moves else None
+        if len(headers) < 2 and not (headers and track):
+            return None
+        return CrossTally(
+            headers, self.phase, self.layout.window_ns, replicates, changes=self.recorded or moves, track=track
         )
-    return [
-        PhaseSummary(
-            phase,
-            number,
-            layout,
-            {name: source.cache[phase, layout.grids[name]] for name, source in sources.items()},
-            crosses[at],
-        )
-        for at, sources in enumerate(replicates)
-    ]
 
 
 def _simultaneous(replicates: Sequence[Sequence[Block]], places: Iterable[int]) -> list[list[int]]:
@@ -228,64 +257,6 @@ def _simultaneous(replicates: Sequence[Sequence[Block]], places: Iterable[int]) 
 
 def _have_same_times(first: Block, other: Block) -> bool:
     return np.array_equal(first.time, other.time)
-
-
-def _summaries(
-    header: SensorHeader,
-    phase: Phase,
-    grid: Grid,
-    replicates: Sequence[Sequence[Block]],
-    reference: LogReference,
-    recorded: bool,
-) -> list[Summary]:
-    """Summaries of one sensor in replicates whose blocks have the same times."""
-    tally = Tally(header, phase, grid, len(replicates), outliers=recorded)
-    for blocks in zip(*replicates, strict=True):
-        tally.update(*blocks)
-    return tally.results(reference.temperature)
-
-
-def _crosses(
-    sources: Mapping[str, Source],
-    blocks: Sequence[Mapping[str, Sequence[Block]]],
-    phase: Phase,
-    layout: Layout,
-    reference: LogReference,
-    recorded: bool,
-) -> Sequence[Cross | None]:
-    """Common moments of the inertial sensors in replicates whose blocks have the same times."""
-    cross = _cross(sources, phase, reference.track, layout.window_ns, len(blocks), recorded=recorded)
-    if cross is None:
-        return [None] * len(blocks)
-    waiting = {
-        name: list(zip(*(block[name] for block in blocks), strict=True)) for name in sources if name in cross.sensors
-    }
-    for name, several in _interleave({name: iter(sensor_blocks) for name, sensor_blocks in waiting.items()}, phase):
-        cross.accept(name, several)
-    return cross.results()
-
-
-def _summarise_in_one_pass(
-    sources: Mapping[str, Source],
-    phase: Phase,
-    number: int,
-    reference: LogReference,
-    layout: Layout,
-    recorded: bool,
-) -> PhaseSummary:
-    """Summarise all sensors together, one block at a time."""
-    tallies = {
-        name: Tally(source.header, phase, layout.grids[name], outliers=recorded) for name, source in sources.items()
-    }
-    cross = _cross(sources, phase, reference.track, layout.window_ns, 1, recorded=recorded)
-    waiting = {name: zip(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
-    for name, blocks in _interleave(waiting, phase):
-        if blocks is not None:
-            tallies[name].update(*blocks)
-        if cross is not None and name in cross.sensors:
-            cross.accept(name, blocks)
-    sensors = {name: tally.result(reference.temperature) for name, tally in tallies.items()}
-    return PhaseSummary(phase, number, layout, sensors, None if cross is None else cross.result())
 
 
 def _interleave(
@@ -318,15 +289,3 @@ def runs_in(logs: Sequence[LogSummary], sensor: str) -> Runs | None:
     """Return the runs of a sensor, each the first phase at rest of a log; None if it isn't in all logs."""
     phases = [log.still(sensor)[:1] for log in logs]
     return runs_of([phase for (phase,) in phases]) if all(phases) else None
-
-
-def _cross(
-    sources: Mapping[str, Source], phase: Phase, track: Motion | None, window: int, replicates: int, *, recorded: bool
-) -> CrossTally | None:
-    """Return the tally of what inertial sensors have in common with each other, and in motion with a track."""
-    there = [source for source in sources.values() if source.rows(phase.start_ns, phase.end_ns)]
-    headers = [source.header for source in there if source.header.quantity in INERTIAL]
-    moves = not is_at_rest(phase)
-    if len(headers) < 2 and not (headers and moves and track):
-        return None
-    return CrossTally(headers, phase, window, replicates, changes=recorded or moves, track=track if moves else None)
