@@ -137,7 +137,7 @@ def confusable_pairs(answers: Sequence[Answer]) -> list[ConfusablePair]:
     """
     said: dict[str, Counter[str]] = {}
     for answer in answers:
-        if answer.case.kind == "single" and answer.is_detected and answer.first is not None:
+        if answer.case.kind == "single" and answer.is_detected() and answer.first is not None:
             reported = str(answer.first["effect"])
             for effect in answer.active[0].resembles:
                 said.setdefault(effect, Counter())[effect if answer.is_first_right() else reported] += 1

@@ -44,16 +44,26 @@ _MOVES = {"g": 0.5, "dps": 20.0}
 """Change of the mean of `_LEVEL_ROWS` rows from which on a sensor has moved."""
 
 
+class Rows(NamedTuple):
+    """Rows of one sensor: the times at which they were read (n,) s since the log's first row, stamps (n,) ns, counts
+    (n, 3), and which of the log's rows they are.
+    """
+
+    at_s: Floats
+    time: Integers
+    counts: Floats
+    kept: Any = slice(None)
+
+
 @dataclass(frozen=True)
 class Injection:
-    """An effect that can be injected into a recording. `act` maps the times at which the rows were read (n,) s since
-    the log's first row, their stamps (n,) ns, counts (n, 3), axis, size and generator to rows kept, stamps, counts.
+    """An effect that can be injected into a recording. `act` returns changed rows for rows, axis, size and generator.
     `names` are the correct effect names, `first` the size at which the search for the detection limit starts, in counts
     unless `unit` says otherwise; 0 if the effect has no size. `needs_motion`: nobody sees it in a recording at rest;
     `needs_every_code`: nor in a sensor whose codes already have another step than 1.
     """
 
-    act: Callable[[Floats, Integers, Floats, int, float, np.random.Generator], tuple[Any, Integers, Floats]]
+    act: Callable[[Rows, int, float, np.random.Generator], Rows]
     names: tuple[str, ...]
     first: float
     unit: str = "counts"
@@ -63,58 +73,47 @@ class Injection:
     needs_every_code: bool = False
 
 
-def _wander(
-    at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
-) -> tuple[Any, Integers, Floats]:
+def _wander(rows: Rows, axis: int, size: float, random: np.random.Generator) -> Rows:
     """Add a first-order Gauss-Markov process of `size` counts rms."""
-    kept = np.exp(-np.diff(at_s, prepend=at_s[0]) / WANDER_S)
-    steps = random.standard_normal(len(at_s)) * np.sqrt(1 - kept**2)
-    path, value = np.empty(len(at_s)), float(random.standard_normal())
+    kept = np.exp(-np.diff(rows.at_s, prepend=rows.at_s[0]) / WANDER_S)
+    steps = random.standard_normal(len(rows.at_s)) * np.sqrt(1 - kept**2)
+    path, value = np.empty(len(rows.at_s)), float(random.standard_normal())
     for row, (share, step) in enumerate(zip(kept.tolist(), steps.tolist(), strict=True)):
         value = share * value + step
         path[row] = value
-    return slice(None), time, _add_to_axis(counts, axis, size * path, random)
+    return _add_to_axis(rows, axis, size * path, random)
 
 
-def _line(
-    at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
-) -> tuple[Any, Integers, Floats]:
+def _line(rows: Rows, axis: int, size: float, random: np.random.Generator) -> Rows:
     """Add a sine of `size` counts at a frequency between a tenth and nine tenths of the Nyquist frequency."""
-    half_hz = 0.5 / float(np.median(np.diff(at_s)))
+    half_hz = 0.5 / float(np.median(np.diff(rows.at_s)))
     hz, phase = random.uniform(0.1, 0.9) * half_hz, random.uniform(0, 2 * np.pi)
-    return slice(None), time, _add_to_axis(counts, axis, size * np.sin(2 * np.pi * hz * at_s + phase), random)
+    return _add_to_axis(rows, axis, size * np.sin(2 * np.pi * hz * rows.at_s + phase), random)
 
 
-def _drop(
-    at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
-) -> tuple[Any, Integers, Floats]:
+def _drop(rows: Rows, axis: int, size: float, random: np.random.Generator) -> Rows:
     """Drop this share of the rows at random."""
-    kept = random.random(len(at_s)) >= size
-    return kept, time[kept], counts[kept]
+    kept = random.random(len(rows.at_s)) >= size
+    return Rows(rows.at_s[kept], rows.time[kept], rows.counts[kept], kept)
 
 
-def _even(
-    at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
-) -> tuple[Any, Integers, Floats]:
+def _even(rows: Rows, axis: int, size: float, random: np.random.Generator) -> Rows:
     """Double the step between codes."""
-    step = 2 * _step_of(counts)
-    return slice(None), time, np.round(counts / step) * step
+    step = 2 * _step_of(rows.counts)
+    return rows._replace(counts=np.round(rows.counts / step) * step)
 
 
-def _clock(
-    at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
-) -> tuple[Any, Integers, Floats]:
+def _clock(rows: Rows, axis: int, size: float, random: np.random.Generator) -> Rows:
     """Make the clock fast by this share."""
-    return slice(None), time[0] + np.round((time - time[0]) * (1 + size)).astype(np.int64), counts
+    first = rows.time[0]
+    return rows._replace(time=first + np.round((rows.time - first) * (1 + size)).astype(np.int64))
 
 
-def _swap(
-    at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
-) -> tuple[Any, Integers, Floats]:
+def _swap(rows: Rows, axis: int, size: float, random: np.random.Generator) -> Rows:
     """Exchange an axis with the next one and reverse the sign of one of them."""
-    other, swapped = (axis + 1) % 3, counts.copy()
-    swapped[:, axis], swapped[:, other] = counts[:, other], -counts[:, axis]
-    return slice(None), time, swapped
+    other, swapped = (axis + 1) % 3, rows.counts.copy()
+    swapped[:, axis], swapped[:, other] = rows.counts[:, other], -rows.counts[:, axis]
+    return rows._replace(counts=swapped)
 
 
 INJECTIONS: Mapping[str, Injection] = MappingProxyType(
@@ -201,15 +200,13 @@ def inject(path: Path, injection: Injection, sensor: str, axis: int, size: float
     with h5py.File(path, "r+") as file:
         group = file[f"sensors/{sensor}"]
         time, counts = group["time"][:], group["counts"][:]
-        kept, new_time, new_counts = injection.act(
-            at_s, time, counts.astype(float), axis, size, np.random.default_rng(seed)
-        )
+        rows = injection.act(Rows(at_s, time, counts.astype(float)), axis, size, np.random.default_rng(seed))
         span = np.iinfo(counts.dtype)
-        columns = {"time": new_time, "counts": np.clip(np.round(new_counts), span.min, span.max).astype(counts.dtype)}
+        columns = {"time": rows.time, "counts": np.clip(np.round(rows.counts), span.min, span.max).astype(counts.dtype)}
         for name, dataset in group.items():
             if isinstance(dataset, h5py.Dataset) and len(dataset) == len(time):
-                values = columns[name] if name in columns else dataset[:][kept]
-                dataset.resize(len(new_time), axis=0)
+                values = columns[name] if name in columns else dataset[:][rows.kept]
+                dataset.resize(len(rows.time), axis=0)
                 dataset[:] = values
 
 
@@ -244,12 +241,12 @@ def _step_of(counts: Floats | Integers) -> int:
     return max(1, int(np.gcd.reduce(np.abs(counts - counts[0]).astype(int), axis=None)))
 
 
-def _add_to_axis(counts: Floats, axis: int, added: Floats, random: np.random.Generator) -> Floats:
+def _add_to_axis(rows: Rows, axis: int, added: Floats, random: np.random.Generator) -> Rows:
     """Add to the signal of an axis before its conversion to codes."""
-    step, changed = _step_of(counts), counts.copy()
+    counts, step, changed = rows.counts, _step_of(rows.counts), rows.counts.copy()
     signal = counts[:, axis] + step * random.uniform(-0.5, 0.5, len(counts)) + added
     changed[:, axis] = counts[0, axis] + step * np.round((signal - counts[0, axis]) / step)
-    return changed
+    return rows._replace(counts=changed)
 
 
 def _copy_logs(logs: Sequence[Path], folder: Path) -> None:

@@ -79,9 +79,8 @@ class Answer:
         """The verdict in the words of the diagnosis."""
         return str(self.outcome.diagnosis["verdict"])
 
-    @property
     def is_detected(self) -> bool:
-        """True if a gap is reported."""
+        """Return whether a gap is reported."""
         return self.verdict != NO_GAP
 
     @property
@@ -109,13 +108,12 @@ class Answer:
         of_world = self.world_effects - active
         return tuple(cause for cause in self.reported if cause["effect"] not in of_world)
 
-    @property
     def is_false_alarm(self) -> bool:
-        """True if a gap is reported that the world of a control does not explain. Wrong face labels or a vibrating room
-        are rightly reported; everything else is a false alarm.
+        """Return whether a gap is reported that the world of a control does not explain. Wrong face labels or a
+        vibrating room are rightly reported; everything else is a false alarm.
         """
-        if not self.is_detected or self.verdict != "explained":
-            return self.is_detected
+        if not self.is_detected() or self.verdict != "explained":
+            return self.is_detected()
         effects = {str(cause["effect"]) for cause in self.reported}
         return not effects or not effects <= self.world_effects
 
@@ -137,7 +135,7 @@ class Answer:
     @property
     def said(self) -> str:
         """The effect of the first cause, `NOTHING_NAMED` without causes, `NO_GAP` without a gap."""
-        if not self.is_detected:
+        if not self.is_detected():
             return NO_GAP
         return str(self.first["effect"]) if self.first else NOTHING_NAMED
 

@@ -41,7 +41,7 @@ def cause_rows(
     answers: Sequence[Answer], hidden: Hidden, full: str, sensors: Collection[str], seed: int
 ) -> Iterator[ScoreRow]:
     """Yield the figures of detected single mechanisms, unknown mechanisms, pairs and removals, and the control."""
-    singles = [answer for answer in shown_singles(answers, hidden) if answer.is_detected]
+    singles = [answer for answer in shown_singles(answers, hidden) if answer.is_detected()]
     yield from _first_rows(singles, full)
     right = [answer for answer in singles if answer.is_first_right()]
     placed = sensors or {sensor for answer in answers for work in answer.active for sensor in work.sensors}
@@ -147,7 +147,7 @@ def _first_rows(singles: Sequence[Answer], full: str) -> Iterator[ScoreRow]:
 
 
 def _unknown_rows(answers: Sequence[Answer], singles: Sequence[Answer], full: str, seed: int) -> Iterator[ScoreRow]:
-    strangers = [answer for answer in answers if answer.case.kind in ("unnamed", "withheld") and answer.is_detected]
+    strangers = [answer for answer in answers if answer.case.kind in ("unnamed", "withheld") and answer.is_detected()]
     groups = ("kind", "severity", "mechanism")
     about = "detected mechanisms that no name of the library fits: the verdict"
     yield rate_row("unknown called unexplained or partly", strangers, _is_open, UNKNOWN, about, Breakdown(full, groups))

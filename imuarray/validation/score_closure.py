@@ -66,7 +66,7 @@ def closure_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Sc
     yield rate_row(
         "closure's interval covers the oracle's", solvable, is_covered, COVERED, about, Breakdown(full, groups)
     )
-    own = [answer for answer in on_plan(answers, full) if answer.is_detected]
+    own = [answer for answer in on_plan(answers, full) if answer.is_detected()]
     yield _wrong(own, seed)
     yield _without(own, seed)
     controls = [answer for answer in answers if answer.case.kind == "none"]
@@ -119,7 +119,7 @@ def is_covered(answer: Answer) -> bool:
 def is_empty(answer: Answer) -> bool:
     """Return whether the interval of the reported closed share contains 0, or no share is reported."""
     low, high = answer.closed_ci95
-    return not answer.is_detected or not isfinite(answer.closed) or low <= 0 <= high
+    return not answer.is_detected() or not isfinite(answer.closed) or low <= 0 <= high
 
 
 def closures_of(answers: Sequence[Answer], full: str) -> tuple[Closure, ...]:
@@ -184,4 +184,4 @@ def _is_right(answer: Answer) -> bool:
 
 
 def _has_oracle(answer: Answer) -> bool:
-    return answer.case.kind in _KINDS and answer.is_detected and isfinite(answer.oracle)
+    return answer.case.kind in _KINDS and answer.is_detected() and isfinite(answer.oracle)

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from math import isclose
 from typing import NamedTuple
 
-from imuarray.validation.rates import RateEstimate, rate
+from imuarray.validation.rates import RateEstimate
 from imuarray.validation.score_answers import Answer, meets
 from imuarray.validation.score_rows import (
     EVERY,
@@ -18,6 +18,7 @@ from imuarray.validation.score_rows import (
     group_answers,
     make_row,
     on_plan,
+    rate_of,
     rate_row,
     severity_name,
 )
@@ -54,7 +55,12 @@ def detection_rows(answers: Sequence[Answer], hidden: Hidden, full: str) -> Iter
         own = [answer for answer in shown if isclose(answer.limits, limits)]
         about = "single mechanisms: a gap is reported; those that a plan can't show are judged below"
         yield rate_row(
-            f"detection at {severity_name(limits)}", own, _is_detected, bar, about, Breakdown(full, ("mechanism",))
+            f"detection at {severity_name(limits)}",
+            own,
+            Answer.is_detected,
+            bar,
+            about,
+            Breakdown(full, ("mechanism",)),
         )
     yield _undetermined_row([answer for answer in answers if is_hidden(answer, hidden)])
 
@@ -90,7 +96,10 @@ def curves_of(answers: Sequence[Answer], hidden: Hidden) -> tuple[DetectionCurve
     parts = group_answers("experiment" if any(answer.case.world for answer in find_severity) else "plan", find_severity)
     return tuple(
         DetectionCurve(
-            plan, tuple((own[0].limits, _detection_rate(own)) for own in group_answers("severity", part).values())
+            plan,
+            tuple(
+                (own[0].limits, rate_of(own, Answer.is_detected)) for own in group_answers("severity", part).values()
+            ),
         )
         for plan, part in {"all": find_severity, **parts}.items()
         if part
@@ -105,7 +114,7 @@ def power_of(answers: Sequence[Answer], full: str) -> Power:
     for own in mechanisms.values():
         by_severity = group_answers("severity", own)
         parts = [by_severity.get(name, ()) for name in severities]
-        counts.append(tuple((sum(map(_is_detected, part)), len(part)) for part in parts))
+        counts.append(tuple((sum(map(Answer.is_detected, part)), len(part)) for part in parts))
     return Power(tuple(mechanisms), severities, tuple(counts))
 
 
@@ -113,40 +122,26 @@ def _false_alarms(controls: Sequence[Answer], full: str) -> Iterator[ScoreRow]:
     about = "no fault, but a gap is reported (nominally 5 %)"
     if full == EVERY and controls:
         parts = ("experiment", "chip", "stratum")
-        cells = [cell for group in parts for cell in cells_of(group, controls, _is_false_alarm, NO_BAR)]
-        yield make_row("false alarms", _false_alarm_rate(controls), FALSE_ALARMS, about, cells)
+        cells = [cell for group in parts for cell in cells_of(group, controls, Answer.is_false_alarm, NO_BAR)]
+        yield make_row("false alarms", rate_of(controls, Answer.is_false_alarm), FALSE_ALARMS, about, cells)
         return
     for plan, own in group_answers("plan", controls).items():
-        yield make_row(f"false alarms, plan {plan}", _false_alarm_rate(own), FALSE_ALARMS, about)
+        yield make_row(f"false alarms, plan {plan}", rate_of(own, Answer.is_false_alarm), FALSE_ALARMS, about)
     if not controls:
-        yield make_row("false alarms", _false_alarm_rate(controls), FALSE_ALARMS, about)
+        yield make_row("false alarms", rate_of(controls, Answer.is_false_alarm), FALSE_ALARMS, about)
 
 
 def _undetermined_row(answers: Sequence[Answer]) -> ScoreRow:
     about = "the plan can't show the mechanism: the diagnosis says that it can't tell, and what to record"
     cells = [
-        make_row(name, _reported_rate(own), (1.0, None), "", group=group)
+        make_row(name, rate_of(own, is_reported_undetermined), (1.0, None), "", group=group)
         for group in ("plan", "mechanism")
         for name, own in group_answers(group, answers).items()
     ]
-    return make_row("effects that a plan can't show, reported so", _reported_rate(answers), (1.0, None), about, cells)
-
-
-def _reported_rate(answers: Sequence[Answer]) -> RateEstimate:
-    return rate(sum(map(is_reported_undetermined, answers)), len(answers))
-
-
-def _detection_rate(answers: Sequence[Answer]) -> RateEstimate:
-    return rate(sum(map(_is_detected, answers)), len(answers))
-
-
-def _false_alarm_rate(answers: Sequence[Answer]) -> RateEstimate:
-    return rate(sum(map(_is_false_alarm, answers)), len(answers))
-
-
-def _is_false_alarm(answer: Answer) -> bool:
-    return answer.is_false_alarm
-
-
-def _is_detected(answer: Answer) -> bool:
-    return answer.is_detected
+    return make_row(
+        "effects that a plan can't show, reported so",
+        rate_of(answers, is_reported_undetermined),
+        (1.0, None),
+        about,
+        cells,
+    )

@@ -78,6 +78,11 @@ class ScoreRow:
         }
 
 
+def rate_of(answers: Sequence[Answer], is_hit: Callable[[Answer], bool]) -> RateEstimate:
+    """Return the share of the answers that are hits."""
+    return rate(sum(map(is_hit, answers)), len(answers))
+
+
 def make_row(
     name: str, estimate: RateEstimate, bar: Bar, about: str, cells: Iterable[ScoreRow] = (), group: str = ""
 ) -> ScoreRow:
@@ -110,7 +115,7 @@ def rate_row(
     cells = [cell for group in parts for cell in cells_of(group, answers, is_hit, NO_BAR)]
     for group in breakdown.groups:
         cells += cells_of(group, counted, is_hit, bar)
-    return make_row(name, _rate(counted, is_hit), bar, about, cells)
+    return make_row(name, rate_of(counted, is_hit), bar, about, cells)
 
 
 def on_plan(answers: Iterable[Answer], full: str) -> list[Answer]:
@@ -154,11 +159,7 @@ def cells_of(group: str, answers: Sequence[Answer], is_hit: Callable[[Answer], b
     """Yield the share of hits in each part."""
     parts = group_answers(group, answers)
     for name, own in parts.items() if len(parts) > 1 or group == "plan" else ():
-        yield make_row(name, _rate(own, is_hit), bar, "", group=group)
-
-
-def _rate(answers: Sequence[Answer], is_hit: Callable[[Answer], bool]) -> RateEstimate:
-    return rate(sum(map(is_hit, answers)), len(answers))
+        yield make_row(name, rate_of(own, is_hit), bar, "", group=group)
 
 
 def _by_limits(answer: Answer) -> float:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import isclose, isfinite, nan
+from math import isclose, isfinite
 from os import PathLike
 from textwrap import wrap
 from types import MappingProxyType
@@ -82,43 +82,31 @@ def split_figures(answers: Sequence[Answer], hidden: Hidden) -> tuple[SplitFigur
     """Return false alarms, detection and causes with and without each chip and each experiment. For probabilities
     fitted to the cases without it see `imuarray.validation.calibration`.
     """
-    return tuple(_left_out(answers, hidden))
-
-
-def _left_out(answers: Sequence[Answer], hidden: Hidden) -> Iterator[SplitFigure]:
     shown = shown_singles(answers, hidden)
-    detected = [answer for answer in shown if answer.is_detected]
+    detected = [answer for answer in shown if answer.is_detected()]
     figures: Mapping[str, tuple[Sequence[Answer], Callable[[Answer], bool]]] = {
-        "detection at 5x the limit": ([answer for answer in shown if isclose(answer.limits, LARGE)], _is_detected),
+        "detection at 5x the limit": (
+            [answer for answer in shown if isclose(answer.limits, LARGE)],
+            Answer.is_detected,
+        ),
         "right cause first": (detected, Answer.is_first_right),
         "right within the reported class": (detected, is_in_class),
-        "without a false alarm": ([answer for answer in answers if answer.case.kind == "none"], _is_silent),
+        "without a false alarm": (
+            [answer for answer in answers if answer.case.kind == "none"],
+            lambda answer: not answer.is_false_alarm(),
+        ),
     }
+    parts = []
     for group in ("chip", "experiment"):
-        for part in group_answers(group, answers):
+        for part, with_part in group_answers(group, answers).items():
+            names = {answer.case.name for answer in with_part}
             for name, (counted, is_hit) in figures.items():
-                own, others = _split(counted, group, part)
+                own = [answer for answer in counted if answer.case.name in names]
+                others = [answer for answer in counted if answer.case.name not in names]
                 if min(len(own), len(others)) >= LEAST_CASES:
-                    yield SplitFigure(f"{group} {part}", name, _share(own, is_hit), _share(others, is_hit), len(own))
-
-
-def _split(answers: Sequence[Answer], group: str, part: str) -> tuple[list[Answer], list[Answer]]:
-    """Return the answers with the part, and those without."""
-    own = group_answers(group, answers).get(part, ())
-    names = {answer.case.name for answer in own}
-    return list(own), [answer for answer in answers if answer.case.name not in names]
-
-
-def _share(answers: Sequence[Answer], is_hit: Callable[[Answer], bool]) -> float:
-    return sum(map(is_hit, answers)) / len(answers) if answers else nan
-
-
-def _is_detected(answer: Answer) -> bool:
-    return answer.is_detected
-
-
-def _is_silent(answer: Answer) -> bool:
-    return not answer.is_false_alarm
+                    shares = (sum(map(is_hit, some)) / len(some) for some in (own, others))
+                    parts.append(SplitFigure(f"{group} {part}", name, *shares, len(own)))
+    return tuple(parts)
 
 
 WIDTH = 120
@@ -151,14 +139,7 @@ BARS_ELSEWHERE: Mapping[str, Mapping[str, Bar]] = MappingProxyType(
 )
 """The bars of the figures of other worlds; figures that are not listed have none there."""
 
-TRANSFERRED = (
-    *("false alarms", "detection at 2x the limit", "detection at 5x the limit", "right cause first"),
-    *("right cause first, 5x and above", "right within the reported class", "right sensor and axis"),
-    *("unknown called unexplained or partly", "unknown against known at 5x, AUROC"),
-    *("two on different units, both named", "two on one sensor, both named", "closure near the oracle's"),
-    *("closure's interval covers the oracle's", "closure claimed for a wrong cause", "calibration error (ECE)"),
-    "Brier score of causes",
-)
+TRANSFERRED = tuple(BARS_ELSEWHERE["foreign"])
 """Figures that are compared between worlds."""
 HEADLINE = "right cause first"
 """The figure whose transfer gap is printed first."""

@@ -15,7 +15,7 @@ from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import SensorHeader
 from imuarray.validation import injections
 from imuarray.validation.case_folder import cases_in, read_case, write_truth
-from imuarray.validation.injections import INJECTIONS, Injection, inject, write_cases
+from imuarray.validation.injections import INJECTIONS, Injection, Rows, inject, write_cases
 
 HEADERS = (
     SensorHeader("A", "bma180", "specific_force", "g", 4.0, 2048.0, has_temperature=True),
@@ -161,8 +161,8 @@ def test_a_small_effect_changes_few_coarse_codes(tmp_path: Path) -> None:
     assert np.mean(added[:, 1] != 0) == pytest.approx(share, abs=4 * np.sqrt(share / ROWS))
 
 
-def _coarse(at_s: Any, time: Any, counts: Any, axis: int, size: float, random: Any) -> tuple[Any, Any, Any]:
-    return slice(None), time, np.round(counts / 8) * 8
+def _coarse(rows: Rows, axis: int, size: float, random: Any) -> Rows:
+    return rows._replace(counts=np.round(rows.counts / 8) * 8)
 
 
 def test_only_effects_that_a_recording_shows_are_put_into_it(tmp_path: Path) -> None:
