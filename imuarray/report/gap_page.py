@@ -12,11 +12,31 @@ from types import MappingProxyType
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.gap.findings.diagnosis import Diagnosis, Gap, Map, Overlay, Where, needs_both_parts
-from imuarray.gap.findings.text import chance, gap_text, number, scored, share
-from imuarray.gap.model.use import Use
-from imuarray.printable import counted
-from imuarray.report import gap_tables as tables
+from imuarray.gap.findings.diagnosis import (
+    CandidateEvaluation,
+    Cause,
+    Diagnosis,
+    Gap,
+    Map,
+    Overlay,
+    Pull,
+    Where,
+    needs_both_parts,
+)
+from imuarray.gap.findings.text import (
+    NOT_ACCEPTED,
+    NOTHING,
+    chance,
+    closed_text,
+    gap_text,
+    number,
+    parameters_text,
+    places_text,
+    scored,
+    share,
+)
+from imuarray.gap.model.use import IntervalEstimate, Use
+from imuarray.printable import counted, duration
 from imuarray.report.figure_style import SmallFigure
 from imuarray.report.gap_figures import (
     can_compare,
@@ -27,8 +47,19 @@ from imuarray.report.gap_figures import (
     shrink_figure,
     use_figure,
 )
-from imuarray.report.gap_tables import MEANINGS, overlays_table
-from imuarray.report.page import NO_FIGURES, Figure, Level, Section, Table, Verdict, can_draw, write_page
+from imuarray.report.page import (
+    NO_FIGURES,
+    Figure,
+    Level,
+    Section,
+    Table,
+    Verdict,
+    can_draw,
+    marked,
+    markup,
+    write_page,
+)
+from imuarray.simulate.effects import meaning
 
 _VERDICTS = MappingProxyType(
     {
@@ -39,6 +70,11 @@ _VERDICTS = MappingProxyType(
     }
 )
 Parts = list[Table | Figure]
+
+MOST_ROWS = 40
+"""Most rows of a table."""
+
+PLACEBO = "placebo"
 
 
 def write_gap_page(path: str | PathLike[str], diagnosis: Diagnosis, *, force: bool = False) -> None:
@@ -76,8 +112,8 @@ def gap_verdict(diagnosis: Diagnosis) -> Verdict:
     """Return whether the simulator is good enough, and which effects it lacks."""
     gap = diagnosis.gap
     effects = [effect.replace("_", " ") for effect in dict.fromkeys(cause.effect for cause in diagnosis.causes)]
-    if len(effects) == 1 and (meaning := MEANINGS.get(effects[0].replace(" ", "_"))):
-        effects = [f"{effects[0]} ({meaning})"]
+    if len(effects) == 1 and (about := meaning(effects[0].replace(" ", "_"))):
+        effects = [f"{effects[0]} ({about})"]
     names = _series(effects)
     levels: dict[str, Level] = {"no gap": "good", "unexplained": "bad"}
     sentence = {
@@ -166,7 +202,21 @@ def _map(shown: Map, *, with_figures: bool) -> Section:
     )
     if empty:
         words += f" Domains without statistics: {', '.join(empty)}.".replace("_", " ")
-    return Section("Where the gap is", words, [*(_maps(small) if with_figures else []), tables.map_table(small)])
+    rows = [
+        [sensor, *(_pair(*cell, small.limit) for cell in zip(before, after, strict=True))]
+        for sensor, before, after in zip(small.sensors, small.before.tolist(), small.after.tolist(), strict=True)
+    ]
+    caption = f"Before → after; marked if above the limit of {number(small.limit, 2)} after; –: no statistic."
+    table = Table(["sensor", *(domain.replace("_", " ") for domain in domains)], rows, caption)
+    return Section("Where the gap is", words, [*(_maps(small) if with_figures else []), table])
+
+
+def _pair(before: float, after: float, limit: float) -> str:
+    texts = [scored(before), scored(after)]
+    if texts == [NOTHING, NOTHING]:
+        return NOTHING
+    joined = texts[0] if before == after else " → ".join(texts)
+    return marked(joined) if after > limit else joined
 
 
 def _maps(shown: Map) -> Iterator[Figure]:
@@ -201,8 +251,47 @@ def _causes(diagnosis: Diagnosis) -> Section:
         "added, with its 95 % interval, on held-out data (or on all data, if neither part alone shows the effect). "
         "Origin: the sensor, its environment, or the description in the log."
     )
-    each = tables.each_table(diagnosis.causes)
-    return Section("Causes", words, [tables.causes_table(diagnosis.causes), *([each] if each else [])])
+    heading = ["effect", "probability", "where", "parameters", "closes", "may also be", "origin"]
+    parts: Parts = [Table(heading, list(map(_cause_row, diagnosis.causes)), "Most probable first.", (2, 3, 5, 6))]
+    each = [
+        [sensor, cause.effect, parameters_text(parameters) or NOTHING]
+        for cause in diagnosis.causes
+        if _differs(cause)
+        for sensor, parameters in cause.each.items()
+    ]
+    if each:
+        caption = "Parameters that differ from sensor to sensor."
+        parts.append(Table(["sensor", "effect", "parameters"], each, caption, (1, 2)))
+    return Section("Causes", words, parts)
+
+
+def _cause_row(cause: Cause) -> list[str]:
+    parameters = parameters_text(cause.parameters) or NOTHING
+    return [
+        _explained(cause.effect, f"{cause.action}: {meaning(cause.effect) or 'not in the library'}"),
+        share(cause.probability),
+        places_text(cause),
+        f"{parameters} ({next(iter(cause.each))}; others below)" if _differs(cause) else parameters,
+        closed_text(cause.closed, cause.closed_ci95),
+        ", ".join(cause.confusable_with) or NOTHING,
+        _origin(cause),
+    ]
+
+
+def _origin(cause: Cause) -> str:
+    if not cause.is_accepted:
+        return NOT_ACCEPTED
+    return f"{cause.origin}, detected on both parts together" if cause.needs_both else cause.origin
+
+
+def _differs(cause: Cause) -> bool:
+    several = list(cause.each.values())
+    return any(item != several[0] for item in several)
+
+
+def _explained(name: str, more: str) -> str:
+    """Return an escaped name with its meaning in small type below it; MissingExtraError without jinja2's escaping."""
+    return markup('{}<br><small style="font-weight: normal">{}</small>', name, more)
 
 
 def _pulls(diagnosis: Diagnosis) -> Section:
@@ -215,9 +304,38 @@ def _pulls(diagnosis: Diagnosis) -> Section:
         "them is a cause by itself. "
         f"{outside} of {len(pulls)} are out of specification."
     )
-    if len(pulls) > tables.MOST_ROWS:
-        words += f" The worst {tables.MOST_ROWS} are shown."
-    return Section(title, words, [tables.pulls_table(pulls)])
+    if len(pulls) > MOST_ROWS:
+        words += f" The worst {MOST_ROWS} are shown."
+    return Section(title, words, [pulls_table(pulls)])
+
+
+def pulls_table(pulls: Sequence[Pull]) -> Table:
+    """Return the `MOST_ROWS` quantities with the largest pulls, those without a tolerance last; pulls out of tolerance
+    are marked.
+    """
+    rows = [
+        [
+            f"{pull.sensor} {pull.axis}".rstrip(),
+            pull.quantity,
+            number(pull.value),
+            number(pull.tolerance),
+            pull.unit,
+            _pull(pull),
+            pull.source,
+        ]
+        for pull in sorted(pulls, key=lambda pull: -abs(np.nan_to_num(pull.pull)))[:MOST_ROWS]
+    ]
+    heading = ["sensor", "quantity", "value", "tolerance", "unit", "pull", "source"]
+    caption = (
+        "Worst first. The pull is the deviation from the nominal value in units of the tolerance; marked above one."
+    )
+    return Table(heading, rows, caption, (1, 4, 6))
+
+
+def _pull(pull: Pull) -> str:
+    if not np.isfinite(pull.pull):
+        return number(pull.pull)
+    return marked(f"{pull.pull:+.2f}") if pull.is_out_of_specification else f"{pull.pull:+.2f}"
 
 
 def _shrinks(diagnosis: Diagnosis, *, with_figures: bool) -> Section:
@@ -236,9 +354,45 @@ def _shrinks(diagnosis: Diagnosis, *, with_figures: bool) -> Section:
     if uses:
         words += " The figures in physical units show what the difference means in practice."
     figures = [*_shrink_figures(gap), *_use_figures(uses)] if with_figures else []
-    more = [tables.uses_table(uses)] if uses else []
-    closing = [] if gap.closed is None else [tables.shrink_table(gap)]
+    closing = [] if gap.closed is None else [_shrink_table(gap)]
+    more = [_uses_table(uses)] if uses else []
     return Section("How much of the gap closes", words, [*figures, *closing, *more])
+
+
+def _shrink_table(gap: Gap) -> Table:
+    rows = [["all", scored(gap.before), scored(gap.after), closed_text(gap.closed, gap.closed_ci95)]]
+    for domain, (before, after, closed) in gap.domains.items():
+        rows.append([domain.replace("_", " "), scored(before), scored(after), share(closed)])
+    return Table(["domain", "before", "after", "closed"], rows, f"Rms score; {number(gap.floor)} without a gap.")
+
+
+def _uses_table(uses: Sequence[Use]) -> Table:
+    """Return the figures in units of use with their intervals; a simulated one is marked if its interval does not
+    overlap that of the recording.
+    """
+    rows = [
+        [
+            use.name,
+            use.sensor or "array",
+            use.unit,
+            _interval(use.real),
+            _against(use.before, use.real),
+            _against(use.after, use.real),
+        ]
+        for use in uses
+    ]
+    heading = ["figure", "of", "unit", "recorded", "simulated before", "simulated after"]
+    caption = "With 95 % intervals; marked where the interval does not overlap that of the recording."
+    return Table(heading, rows, caption, (1, 2))
+
+
+def _interval(figure: IntervalEstimate) -> str:
+    return f"{number(figure.value)} ({number(figure.low)} to {number(figure.high)})"
+
+
+def _against(simulated: IntervalEstimate, real: IntervalEstimate) -> str:
+    text = _interval(simulated)
+    return marked(text) if simulated.low > real.high or simulated.high < real.low else text
 
 
 def _shrink_figures(gap: Gap) -> Iterator[Figure]:
@@ -274,17 +428,30 @@ def _where(diagnosis: Diagnosis) -> Section:
         "deviations of chance. The size is the difference divided by the smallest one that matters to a user of the "
         "sensor: material from 1, harmless below 1, can't tell if there is too little data."
     )
-    return Section("Where it differs", words, [tables.where_table(where, _counted(where))])
+    return Section("Where it differs", words, [_where_table(where)])
 
 
-def _counted(where: Sequence[Where]) -> str:
-    rest = where[tables.MOST_ROWS :]
-    more = (
-        f" {len(rest)} more are not shown, {sum(place.size == 'material' for place in rest)} of them material."
-        if rest
-        else ""
-    )
-    return f"Worst first.{more}"
+def _where_table(where: Sequence[Where]) -> Table:
+    """Return the first `MOST_ROWS` statistics, in their order, the worst first."""
+    heading = ["sensor", "domain", "statistic", "recorded in", "real", "simulated", "score", "p", "size"]
+    rows = [
+        [
+            f"{place.sensor} {place.axis}".rstrip(),
+            place.domain.replace("_", " "),
+            f"{place.about} ({place.unit.replace('degC', '°C')})" if place.unit else place.about,
+            ", ".join(part for part in (place.log, place.phase) if part) or "all",
+            number(place.real),
+            number(place.simulated),
+            f"{'-' if place.significance < 0 else '+'}{scored(abs(place.significance))}",
+            chance(place.p).removeprefix("p ").removeprefix("= "),
+            f"{number(place.effect_size, 2)}, {place.size}",
+        ]
+        for place in where[:MOST_ROWS]
+    ]
+    rest = where[MOST_ROWS:]
+    material = sum(place.size == "material" for place in rest)
+    more = f" {len(rest)} more are not shown, {material} of them material." if rest else ""
+    return Table(heading, rows, f"Worst first.{more}", (1, 2, 3))
 
 
 def _unexplained(diagnosis: Diagnosis) -> Section:
@@ -297,9 +464,7 @@ def _unexplained(diagnosis: Diagnosis) -> Section:
     if diagnosis.verdict == "no gap":
         words = "Nothing."
     words += f" Something outside the library of effects is present with a probability of {share(diagnosis.unknown)}."
-    return Section(
-        "What is unexplained", words, [tables.where_table(unexplained, _counted(unexplained))] if unexplained else []
-    )
+    return Section("What is unexplained", words, [_where_table(unexplained)] if unexplained else [])
 
 
 def _unobservable(diagnosis: Diagnosis) -> Section:
@@ -307,7 +472,9 @@ def _unobservable(diagnosis: Diagnosis) -> Section:
     if not diagnosis.unshown:
         return Section(title, "These recordings can show all effects of the library.")
     words = "The recordings cannot show whether these effects are present. The last column says what to record."
-    return Section(title, words, [tables.unshown_table(diagnosis.unshown)])
+    rows = [[hidden.effect, ", ".join(hidden.sensors) or "all", hidden.record] for hidden in diagnosis.unshown]
+    caption = "Effects that these recordings cannot show."
+    return Section(title, words, [Table(["effect", "sensors", "record"], rows, caption, (1, 2))])
 
 
 def _missing(diagnosis: Diagnosis) -> Section:
@@ -317,7 +484,7 @@ def _missing(diagnosis: Diagnosis) -> Section:
     words = (
         "What a recording or the simulator lacks is not a difference; the statistics that need it were not compared."
     )
-    return Section(title, words, [tables.missing_table(diagnosis.missing)])
+    return Section(title, words, [_numbered("missing", diagnosis.missing, "Statistics that could not be compared.")])
 
 
 def _next(diagnosis: Diagnosis) -> Section:
@@ -335,16 +502,62 @@ def _judged(diagnosis: Diagnosis) -> Section:
         "an effect that changes nothing, whose gain is chance alone; "
         f"{sum(candidate.effect == '' for candidate in accepted)} placebos were accepted."
     )
-    if len(judged) > tables.MOST_ROWS:
-        words += f" The best {tables.MOST_ROWS} are shown."
-    return Section(title, words, [tables.judged_table(judged)])
+    if len(judged) > MOST_ROWS:
+        words += f" The best {MOST_ROWS} are shown."
+    return Section(title, words, [_judged_table(judged)])
+
+
+def _judged_table(judged: Sequence[CandidateEvaluation]) -> Table:
+    """Return the candidates, accepted ones first, then by gain; placebos are marked."""
+    ranked = sorted(
+        judged,
+        key=lambda candidate: (not candidate.is_accepted, -(candidate.gain if candidate.gain is not None else -1e300)),
+    )
+    rows = [
+        [
+            candidate.effect or marked(PLACEBO),
+            candidate.action,
+            ", ".join(candidate.sensors) or "all",
+            number(candidate.fits, 2),
+            NOTHING if candidate.gain is None else f"{candidate.gain:+.1f}",
+            "yes" if candidate.is_accepted else "no",
+        ]
+        for candidate in ranked[:MOST_ROWS]
+    ]
+    caption = "Fits: how well it explains what the training part shows. Gain: how much likelier it makes held-out data."
+    return Table(["effect", "action", "sensors", "fits", "gain (nats)", "accepted"], rows, caption, (1, 2, 5))
 
 
 def _recorded(diagnosis: Diagnosis) -> Section:
-    parts: Parts = [tables.recorded_table(diagnosis)]
-    if diagnosis.notes:
-        parts.append(tables.notes_table(diagnosis.notes))
-    return Section("Recordings and method", diagnosis.held_out, [*parts, tables.origin_table(diagnosis)])
+    recorded = [
+        [
+            recording.name,
+            recording.kind,
+            duration(recording.seconds),
+            str(recording.sensors),
+            str(recording.phases),
+            f"{recording.rows:,}".replace(",", " "),
+        ]
+        for recording in diagnosis.recorded
+    ]
+    heading = ["log", "experiment", "duration", "sensors", "phases", "rows"]
+    notes = [_numbered("note", diagnosis.notes, "Remarks of the diagnosis.")] if diagnosis.notes else []
+    origin = [
+        ["model", diagnosis.model],
+        ["seed", str(diagnosis.seed)],
+        ["replicates", str(diagnosis.replicates)],
+        ["software", diagnosis.software],
+    ]
+    parts = [
+        Table(heading, recorded, "The diagnosed recordings.", (1,)),
+        *notes,
+        Table(["", "value"], origin, "With the same recordings, these reproduce this page.", (1,)),
+    ]
+    return Section("Recordings and method", diagnosis.held_out, parts)
+
+
+def _numbered(heading: str, texts: Sequence[str], caption: str) -> Table:
+    return Table(["", heading], [[str(place), text] for place, text in enumerate(texts, 1)], caption, (1,))
 
 
 MOST_OVERLAYS = 12
@@ -379,10 +592,26 @@ def curves_section(overlays: Sequence[Overlay], *, with_figures: bool) -> Sectio
         f"{words}"
     )
     if not with_figures:
-        return Section(title, words, [overlays_table(overlays)])
+        return Section(title, words, [_overlays_table(overlays)])
     if len(overlays) > len(chosen):
         words += f" Shown are the {len(chosen)} of {len(overlays)} that lay farthest outside before."
     return Section(title, words, [_overlay(overlay) for overlay in chosen])
+
+
+def _overlays_table(overlays: Sequence[Overlay]) -> Table:
+    """Return the share of each curve that lies outside the bands of the simulations, before and after."""
+    rows = [
+        [
+            f"{overlay.sensor} {overlay.axis}".rstrip(),
+            overlay.kind,
+            overlay.phase or "all",
+            share(outside(overlay, overlay.before)),
+            share(outside(overlay, overlay.after)),
+        ]
+        for overlay in overlays
+    ]
+    caption = "Share of each curve outside the 95 % band of the simulations; about 5 % by chance."
+    return Table(["sensor", "curve", "phase", "before", "after"], rows, caption, (1, 2))
 
 
 def _overlay(overlay: Overlay) -> Figure:

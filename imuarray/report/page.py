@@ -166,6 +166,20 @@ def can_draw() -> bool:
     return find_spec("matplotlib") is not None
 
 
+def marked(text: str) -> str:
+    """Return escaped text that the page highlights; MissingExtraError without jinja2's escaping."""
+    return markup("<mark>{}</mark>", text)
+
+
+def markup(pattern: str, *texts: str) -> str:
+    """Return a pattern of HTML filled with escaped texts; MissingExtraError without jinja2's escaping."""
+    try:
+        from markupsafe import Markup
+    except ImportError:
+        raise MissingExtraError("jinja2", "report") from None
+    return Markup(pattern).format(*texts)  # noqa: S704, patterns are constants of this package, and texts are escaped
+
+
 def require_page_package() -> None:
     """Raise MissingExtraError if the package that pages need is not installed: to be called before long work."""
     try:

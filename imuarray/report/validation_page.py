@@ -14,8 +14,7 @@ from typing import Any
 from imuarray.gap.findings.text import share
 from imuarray.printable import counted
 from imuarray.report.figure_style import SmallFigure
-from imuarray.report.gap_tables import marked
-from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, can_draw, write_page
+from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, can_draw, marked, write_page
 from imuarray.report.validation_figures import plots_of
 from imuarray.validation.rates import Bin
 from imuarray.validation.score_answers import NO_GAP

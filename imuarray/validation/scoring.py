@@ -104,8 +104,8 @@ def split_figures(answers: Sequence[Answer], hidden: Hidden) -> tuple[SplitFigur
                 own = [answer for answer in counted if answer.case.name in names]
                 others = [answer for answer in counted if answer.case.name not in names]
                 if min(len(own), len(others)) >= LEAST_CASES:
-                    shares = (sum(map(is_hit, some)) / len(some) for some in (own, others))
-                    parts.append(SplitFigure(f"{group} {part}", name, *shares, len(own)))
+                    share, others_share = (sum(map(is_hit, some)) / len(some) for some in (own, others))
+                    parts.append(SplitFigure(f"{group} {part}", name, share, others_share, len(own)))
     return tuple(parts)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from math import isfinite, nan
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -200,9 +201,14 @@ class RecordingSummary:
     rows: int
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class Diagnosis:
-    """The complete result of a diagnosis."""
+    """The complete result of a diagnosis.
+
+    `missing` are statistics that could not be compared because a recording or the simulator lacks what they need, in
+    phrases such as "no chip thermometer in bench.h5"; `pulls` the quantities that data sheets leave to the part,
+    against their tolerances, none of which is a cause; `repaired` is the base model with the causes in it.
+    """
 
     verdict: Verdict
     sentence: str
@@ -214,6 +220,8 @@ class Diagnosis:
     unexplained: tuple[Where, ...]
     next_experiment: str
     unshown: tuple[Unobservable, ...]
+    missing: tuple[str, ...] = ()
+    pulls: tuple[Pull, ...] = ()
     uses: tuple[Use, ...]
     judged: tuple[CandidateEvaluation, ...]
     map: Map
@@ -226,15 +234,6 @@ class Diagnosis:
     model: str
     software: str
     repaired: Model | None = None
-    """The base model with the causes in it."""
-
-    missing: tuple[str, ...] = ()
-    """Statistics that could not be compared because a recording or the simulator lacks what they need, in phrases such
-    as "no chip thermometer in bench.h5".
-    """
-
-    pulls: tuple[Pull, ...] = ()
-    """The quantities that data sheets leave to the part, against their tolerances. None of them is a cause."""
 
     def plot(self) -> Figure:
         """Return the statistics that differ most, and the causes with the share of the gap that they close;
@@ -266,30 +265,20 @@ class Diagnosis:
     def as_json(self) -> dict[str, Any]:
         """Return the diagnosis as one JSON object; numbers that aren't finite are null."""
         plain = {
-            "verdict": self.verdict,
-            "sentence": self.sentence,
-            "p": self.p,
-            "gap": self.gap,
-            "where": self.where,
-            "causes": self.causes,
-            "unknown": self.unknown,
-            "unexplained": self.unexplained,
-            "next_experiment": self.next_experiment,
-            "cannot_tell": self.unshown,
-            "missing": self.missing,
-            "pulls": [{**_plain(pull), "is_out_of_specification": pull.is_out_of_specification} for pull in self.pulls],
-            "uses": self.uses,
-            "judged": self.judged,
-            "map": self.map,
-            "recorded": self.recorded,
-            "notes": self.notes,
-            "held_out": self.held_out,
-            "seed": self.seed,
-            "replicates": self.replicates,
-            "model": self.model,
-            "software": self.software,
+            JSON_NAMES.get(item.name, item.name): _plain(getattr(self, item.name))
+            for item in fields(self)
+            if item.name not in NOT_IN_JSON
         }
-        return {key: _plain(value) for key, value in plain.items()}
+        for pull, table in zip(self.pulls, plain["pulls"], strict=True):
+            table["is_out_of_specification"] = pull.is_out_of_specification
+        return plain
+
+
+JSON_NAMES: Mapping[str, str] = MappingProxyType({"unshown": "cannot_tell"})
+"""Names of fields in JSON, where they differ."""
+
+NOT_IN_JSON: Mapping[str, Any] = MappingProxyType({"overlays": (), "repaired": None})
+"""Fields that JSON lacks, with their values in a diagnosis that is read from it."""
 
 
 def _plain(value: Any) -> Any:

@@ -12,10 +12,8 @@ import numpy as np
 
 from imuarray.errors import LogError
 from imuarray.gap.findings import diagnosis as parts
-from imuarray.gap.findings.diagnosis import Diagnosis
+from imuarray.gap.findings.diagnosis import JSON_NAMES, NOT_IN_JSON, Diagnosis
 
-_NAMES = {"unshown": "cannot_tell"}
-_NOT_KEPT: Mapping[str, Any] = types.MappingProxyType({"overlays": (), "repaired": None})
 _DEPTH = 12
 _HUGE = 1e30
 """Limit of the figures of a diagnosis."""
@@ -28,12 +26,11 @@ def diagnosis_of(table: object, where: str = "gap.json") -> Diagnosis:
     hints = get_type_hints(Diagnosis, {**vars(parts), "Model": object})
     if not isinstance(table, Mapping):
         raise LogError(f"{where}: not a diagnosis: it must be an object")
-    values = {}
+    values: dict[str, Any] = dict(NOT_IN_JSON)
     for item in fields(Diagnosis):
-        if item.name in _NOT_KEPT:
-            values[item.name] = _NOT_KEPT[item.name]
+        if item.name in NOT_IN_JSON:
             continue
-        key = _NAMES.get(item.name, item.name)
+        key = JSON_NAMES.get(item.name, item.name)
         if key not in table and item.default is not MISSING:
             continue  # files of earlier versions lack it
         if key not in table:
