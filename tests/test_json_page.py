@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,11 @@ import pytest
 import imuarray as ia
 from imuarray.cli import main
 from imuarray.commands.options import print_json
+from tests.json_page import documented
+from tests.report.made_diagnosis import made
 
-PAGE = Path(__file__).parents[1] / "docs" / "reference" / "json.md"
-SECTION = re.compile(r"## `imuarray ([a-z ]+)`\n\n\| key \| meaning \|\n\|---\|---\|\n((?:\|.*\n)+)")
 RUN, OUT = "{folder}/run.h5", "{folder}/out"
+BOOTS = "{folder}/boot_1.h5 {folder}/boot_2.h5 {folder}/boot_3.h5"
 COMMANDS: dict[str, str] = {
     "info": f"info {RUN}",
     "verify": f"verify {RUN}",
@@ -30,30 +30,27 @@ COMMANDS: dict[str, str] = {
     "characterise": f"characterise {RUN}",
     "fuse": f"fuse {RUN} -o {OUT}_fused.h5",
     "report": f"report {OUT}.toml -o {OUT}.html",
+    "calibrate thermal": f"calibrate thermal {{folder}}/heating.h5 -o {OUT}_thermal.toml",
+    "calibrate turn-on": f"calibrate turn-on {BOOTS} -o {OUT}_on.toml",
+    "calibrate compare": f"calibrate compare {OUT}.toml {OUT}_again.toml",
+    "paper": "paper",
 }
-
-
-def documented() -> dict[str, tuple[set[str], dict[str, set[str]]]]:
-    """The keys of each command, and those of the entries of its lists (`sensors[]`)."""
-    sections = {}
-    for command, rows in SECTION.findall(PAGE.read_text(encoding="utf-8")):
-        keys: set[str] = set()
-        entries: dict[str, set[str]] = {}
-        for row in rows.splitlines():
-            names, meaning = (cell.strip() for cell in row.strip("|").split("|"))
-            named = re.findall(r"`([^`]+)`", names)
-            keys |= {name.removesuffix("[]") for name in named}
-            for name in named:
-                if name.endswith("[]"):
-                    entries[name.removesuffix("[]")] = set(re.findall(r"`([^`]+)`", meaning))
-        sections[command] = keys, entries
-    return sections
+IN_OTHER_TESTS = {"demo", "gap diagnose", "study"}
+"""Commands that take longer: below, tests/studies/test_demo.py, tests/studies/fusion_gain/test_study.py."""
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     here = tmp_path_factory.mktemp("json")
-    ia.simulate("martin2013", here / "run.h5", experiment="tumble", seconds=60.0, model="martin2013").close()
+    for seed, name in enumerate(("run", "again")):
+        ia.simulate(
+            "martin2013", here / f"{name}.h5", experiment="tumble", seconds=60.0, model="martin2013", seed=seed
+        ).close()
+    with ia.open_log(here / "again.h5") as log:
+        ia.calibrate_tumble(log).calibration.save(here / "out_again.toml")
+    ia.simulate("martin2013", here / "heating.h5", experiment="heating", seconds=1200.0, rate_hz=10.0).close()
+    for boot in range(3):
+        ia.simulate("martin2013", here / f"boot_{boot + 1}.h5", experiment="turn-on", seconds=30.0, boot=boot).close()
     return here
 
 
@@ -68,7 +65,7 @@ def printed(words: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> dic
 def test_every_key_is_on_the_page(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """In this order: a command reads what one before it wrote."""
     sections = documented()
-    assert sections.keys() == COMMANDS.keys()
+    assert sections.keys() == COMMANDS.keys() | IN_OTHER_TESTS
     for command, words in COMMANDS.items():
         keys, entries = sections[command]
         result = printed(words, folder, capsys)
@@ -76,6 +73,15 @@ def test_every_key_is_on_the_page(folder: Path, capsys: pytest.CaptureFixture[st
         for name, of_entry in entries.items():
             assert set().union(*(entry.keys() for entry in result[name])) == of_entry, (command, name)
             assert result[name], (command, name)
+
+
+def test_every_key_of_a_diagnosis_is_on_the_page() -> None:
+    """Of a diagnosis made by hand, which has an entry in every list."""
+    keys, entries = documented()["gap diagnose"]
+    result = made().as_json()
+    assert result.keys() == keys
+    for name, of_entry in entries.items():
+        assert result[name] and result[name][0].keys() == of_entry, name
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from imuarray.cli import main
 from imuarray.log import open_log
 from imuarray.shipped import find_config
 from imuarray.studies.array_demo import ArrayError, one_of_each, polled_text, summary
+from tests.json_page import documented
 
 pytest.importorskip("matplotlib")
 
@@ -74,6 +75,7 @@ def test_four_sensors_have_half_the_error_of_one(tmp_path: Path) -> None:
         median = sorted(error["single"].values())[1:3]
         assert error["fused"]["mean"] / (sum(median) / 2) == pytest.approx(0.5, abs=0.05)
     assert max(result["residual_mg"].values()) < 1.0
+    assert result.keys() == (documented()["demo"][0] - {"gains"}) | {"errors"}
     with open_log(folder / "static.h5") as log:
         assert len(log.sensors) == 8
     page = (folder / "report.html").read_text()

@@ -13,6 +13,7 @@ import pytest
 
 from imuarray import load_calibration
 from imuarray.cli import main
+from tests.json_page import documented
 
 pytest.importorskip("matplotlib")
 
@@ -41,6 +42,12 @@ def demo(printed: dict[str, Any]) -> Path:
 def gains(printed: dict[str, Any]) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = printed["gains"]
     return found
+
+
+def test_its_keys_are_on_the_page(printed: dict[str, Any]) -> None:
+    keys, entries = documented()["demo"]
+    assert printed.keys() == keys
+    assert printed["gains"][0].keys() == entries["gains"]
 
 
 def _row(gains: list[dict[str, Any]], case: str, quantity: str, axis: str) -> dict[str, Any]:

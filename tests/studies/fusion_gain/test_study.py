@@ -17,6 +17,7 @@ from imuarray.gap.model.workers import processes
 from imuarray.studies.fusion_gain import EXPERIMENTS, RunErrors, Study, render_text, study
 from imuarray.studies.fusion_gain.gain_study import rows_of
 from imuarray.studies.fusion_gain.page import HeatingErrors, drawings_of
+from tests.json_page import documented
 
 
 def measured(technique: str, seed: int, boot: int, square: float, **more: object) -> RunErrors:
@@ -59,6 +60,8 @@ def test_a_study_is_told_in_text_and_json(short: Study) -> None:
     text = render_text(short)
     assert "static: 2 ADXL345, calibrated" in text and "planes" in text
     whole = json.loads(json.dumps(short.as_json(), allow_nan=False))
+    keys, entries = documented()["study"]
+    assert (whole.keys(), whole["rows"][0].keys()) == (keys, entries["rows"])
     assert whole["seeds"] == [1] and whole["seconds"] == 12.0
     planes = next(row for row in whole["rows"] if (row["technique"], row["sensors"]) == ("planes", "2 ADXL345"))
     assert planes["over_mean"]["low"] is None  # one seed has no interval
