@@ -18,6 +18,7 @@ from imuarray.gap.inference.effects.levels import Levels, levels, log_levels
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import Span, When
 from imuarray.gap.recording.course import changes
+from imuarray.gap.statistics.probes.probe import once
 from imuarray.simulate.effects.bias import Bias
 
 _TRACES = ("mean", "level", "run_spread", "run_scatter", "run_outlier")
@@ -81,10 +82,13 @@ class LevelStep(NamedTuple):
     begin_bounds_s: tuple[float, float] | None
 
 
-def level_steps(evidence: Evidence) -> Iterator[LevelStep]:
-    """One to three stretches of a log with another level, whose levels are steady otherwise."""
-    if not evidence.is_odd(*_WITHIN):
-        return
+@once
+def level_steps(evidence: Evidence) -> tuple[LevelStep, ...]:
+    """Return one to three stretches of a log with another level, whose levels are steady otherwise."""
+    return tuple(_level_steps(evidence)) if evidence.is_odd(*_WITHIN) else ()
+
+
+def _level_steps(evidence: Evidence) -> Iterator[LevelStep]:
     table = levels(evidence)
     for log in np.unique(table.log).tolist():
         rows = np.flatnonzero(table.log == log)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from imuarray.arrays import Floats, Indices, Integers
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.statistics.probes.force import felt_g
+from imuarray.gap.statistics.probes.probe import once
 
 _LEAST_ROWS = 4
 
@@ -51,6 +52,7 @@ class Levels:
             yield np.flatnonzero(self.group == group)
 
 
+@once
 def levels(evidence: Evidence) -> Levels:
     """Return levels of the segments of all phases at rest."""
     groups: dict[tuple[int, str], int] = {}

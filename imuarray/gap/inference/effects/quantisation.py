@@ -10,7 +10,7 @@ from typing import get_args
 
 import numpy as np
 
-from imuarray.arrays import Floats, Integers
+from imuarray.arrays import Booleans, Floats, Integers
 from imuarray.characterise.codes import NOTHING, Histogram
 from imuarray.gap.inference.effects.behind_codes import behind
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis, Kind
@@ -97,11 +97,20 @@ def _with_what_hides(evidence: Evidence, coarse: Quantisation, period: int, stre
 def _divisor(merged: Histogram) -> int:
     """Greatest common divisor of all codes but a hundredth of the readings; 0 without one."""
     least = (1 - _ODD_ONES) * merged.counts.sum()
-    for step in range(_STEPS[-1], 1, -1):
+    for step in np.flatnonzero(_are_divisors(merged, least))[::-1].tolist():
         on = merged.codes % step == 0
         if np.count_nonzero(on) >= _FEWEST and merged.counts[on].sum() >= least:
-            return step
+            return int(step)
     return 0
+
+
+def _are_divisors(merged: Histogram, least: float) -> Booleans:
+    """Return which numbers up to the largest step have only prime factors that `least` readings are multiples of."""
+    possible = np.arange(_STEPS[-1] + 1) > 1
+    for prime in range(2, len(possible)):
+        if possible[prime] and merged.counts[merged.codes % prime == 0].sum() < least:
+            possible[prime::prime] = False
+    return possible
 
 
 def _is_dead(bit: int, merged: Histogram, each: Sequence[Histogram]) -> bool:

@@ -62,10 +62,10 @@ def onsets(evidence: Evidence, ratio: float = 1.0) -> list[Onset]:
         series = _series(evidence, [phase for phase in evidence.still if phase.log == log])
         if len(series.time_s) < 2 * _LEAST + 2:
             continue
-        gains = np.array([_gain(series, at, ratio) for at in range(_LEAST, len(series.time_s) - _LEAST)])
-        at = int(gains.argmax()) + _LEAST
-        if gains.max() > _CLEAR:
-            steps.append(Onset(log, _time(series, at, ratio), _states(series, at, ratio), float(gains.max())))
+        gains = _gains(series, ratio)
+        at = int(gains.argmax())
+        if gains[at] > _CLEAR:
+            steps.append(Onset(log, _time(series, at, ratio), _states(series, at, ratio), float(gains[at])))
     return sorted(steps, key=lambda step: -step.nats)
 
 
@@ -108,14 +108,25 @@ def _unscaled(series: _Series, ratio: float) -> Floats:
     return (series.residual + series.predicted) / ratio - series.predicted
 
 
-def _gain(series: _Series, at: int, ratio: float) -> float:
-    """Nats by which two levels and variances explain segments better than one of each."""
+def _gains(series: _Series, ratio: float) -> Floats:
+    """Return the nats (s,) by which two levels and variances, which change before a segment, explain the segments
+    better than one of each; -inf near the ends.
+    """
     spread = np.log(series.variance)
     values = np.concatenate([series.residual, spread], axis=1)
     later = np.concatenate([ratio * _unscaled(series, ratio), spread], axis=1)
     whole = (len(values) * values.var(axis=0)).clip(1e-30)
-    parts = at * values[:at].var(axis=0) + (len(values) - at) * later[at:].var(axis=0)
-    return float(len(values) / 2 * np.log(whole / parts.clip(1e-6 * whole)).sum())
+    parts = _squares_before(values) + _squares_before(later[::-1])[::-1]
+    gains = len(values) / 2 * np.log(whole / parts.clip(1e-6 * whole)).sum(axis=1)
+    return np.concatenate([np.full(_LEAST, -np.inf), gains[_LEAST : len(values) - _LEAST]])
+
+
+def _squares_before(values: Floats) -> Floats:
+    """Return the sum of squared deviations of the rows before each row (n + 1, k), and of all, from their mean."""
+    centred = values - values.mean(axis=0)
+    sums, squares = (np.cumsum(powers, axis=0) for powers in (centred, centred * centred))
+    rows = np.arange(1, len(values) + 1)[:, None]
+    return np.concatenate([np.zeros((1, values.shape[1])), np.maximum(squares - sums * sums / rows, 0.0)])
 
 
 def _states(series: _Series, at: int, ratio: float) -> States:

@@ -23,7 +23,7 @@ from imuarray.gap.statistics.margins import Margin
 from imuarray.gap.statistics.runs import Runs
 from imuarray.gap.statistics.summary import Summary
 
-Subject = TypeVar("Subject", Summary, Cross, LogSummary)
+Subject = TypeVar("Subject")
 Result = TypeVar("Result")
 Domain = Literal[
     "level",
@@ -114,7 +114,9 @@ Probes = Mapping[str, PhaseProbe | LogProbe | CrossProbe | ArrayProbe | RunsProb
 
 
 def once(work: Callable[[Subject], Result]) -> Callable[[Subject], Result]:
-    """Cache `work` in each summary, so that several probes or sensors compute it once."""
+    """Cache `work` in each subject (a summary, the evidence of a sensor), so that several probes, sensors or effects
+    compute it once.
+    """
     name = f"{work.__module__}.{work.__qualname__}"
 
     @wraps(work)
