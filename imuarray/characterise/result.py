@@ -42,6 +42,7 @@ from imuarray.characterise.spectrum import Spectrum
 from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
 from imuarray.characterise.survey import Survey, runs_of_curve, survey
 from imuarray.errors import LogError
+from imuarray.json_values import json_value
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import FLAGS
 from imuarray.log.row_timing import row_timing
@@ -381,24 +382,11 @@ def characterise_log(
         ],
         "alignment": _alignment(log),
     }
-    return {name: json_ready(value) for name, value in result.items()}
+    return {name: json_value(value) for name, value in result.items()}
 
 
 def _ignore() -> None:
     pass
-
-
-def json_ready(value: Any) -> Any:
-    """Convert to plain lists, numbers and text for JSON; numbers that are not finite become None."""
-    if isinstance(value, dict):
-        return {name: json_ready(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_ready(item) for item in value]
-    if isinstance(value, np.ndarray) and value.dtype.kind in "iufb" and np.isfinite(value).all():
-        return value.tolist()
-    if isinstance(value, np.ndarray | np.generic):
-        return json_ready(value.tolist())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _alignment(log: Log) -> dict[str, Any] | None:

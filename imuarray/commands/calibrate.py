@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imuarray.commands.options import bars, force_option, json_option, print_json, refuse_existing
+from imuarray.json_values import json_value
 from imuarray.printable import printable
 
 if TYPE_CHECKING:
@@ -200,12 +201,11 @@ def compare(files: tuple[Path, ...], as_json: bool) -> None:
     """
     from imuarray.calibrate import load_calibration
     from imuarray.calibrate.comparison import compare_calibrations
-    from imuarray.characterise.result import json_ready
     from imuarray.commands.calibrate_compare import print_report, report_of
 
     if len(set(files)) < len(files):
         raise click.UsageError("a calibration is given more than once")
-    report = json_ready(report_of(compare_calibrations({str(file): load_calibration(file) for file in files})))
+    report = json_value(report_of(compare_calibrations({str(file): load_calibration(file) for file in files})))
     if as_json:
         print_json(report)
     else:
@@ -258,9 +258,8 @@ class CalibrationOutput:
 
 def _print_result(report: Report, show: Callable[[Report], None], output: Path, as_json: bool) -> None:
     """Print the report and the name of the file, as text or JSON."""
-    from imuarray.characterise.result import json_ready
 
-    known = json_ready(report)
+    known = json_value(report)
     if as_json:
         print_json(known)
     else:

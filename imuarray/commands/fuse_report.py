@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from itertools import groupby
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imuarray.commands.options import progress
+from imuarray.json_values import json_value
 from imuarray.printable import counted
 from imuarray.units import INERTIAL, READABLE_SI
 
@@ -61,7 +61,6 @@ _HEADING = f"{'each':>8} {'together':>9} {'factor':>12}"
 
 def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[dict[str, Any]]:
     """Return every opposing pair of the fused sensors in SI, JSON-ready; None stands for infinity."""
-    from imuarray.characterise.result import json_ready
     from imuarray.fuse.techniques.opposed import capabilities
 
     pairs = []
@@ -69,7 +68,7 @@ def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[d
         sensors = [sensor for sensor in log.of(quantity) if not names or sensor.name in names]
         for pair in capabilities(sensors, calibration):
             errors = {name: _former_names(getattr(pair, name)) for name in ("drift", "bias")}
-            pairs.append({"quantity": quantity, **json_ready(asdict(pair) | errors)})
+            pairs.append({"quantity": quantity, **json_value(asdict(pair) | errors)})
     return pairs
 
 
@@ -147,23 +146,20 @@ def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[
 
 def evaluation_of(comparison: TechniqueComparison) -> dict[str, Any]:
     """Return the whole evaluation, JSON-ready, in SI except for headings in degrees."""
-    return {
-        "scores": [_score(score) for score in comparison.scores],
-        "coasting": {technique: _coasting(coast) for technique, coast in comparison.coasting.items()},
-    }
+    scores = [_score(score) for score in comparison.scores]
+    coasting = {technique: _coasting(coast) for technique, coast in comparison.coasting.items()}
+    return {"scores": json_value(scores), "coasting": json_value(coasting)}
 
 
 def _score(score: Score) -> dict[str, Any]:
     error = score.error
-    figures = {name: getattr(error, name).tolist() for name in ("mean", "noise", "rms", "drift")}
+    figures = {name: getattr(error, name) for name in ("mean", "noise", "rms", "drift")}
     return {
         "technique": score.technique,
         "quantity": score.quantity,
         "frames": error.frames,
         **figures,
-        "ratio_to_mean": {
-            axis: {name: _finite(value) for name, value in vars(ratio).items()} for axis, ratio in score.ratio.items()
-        },
+        "ratio_to_mean": score.ratio,
         "consistency": score.consistency and {**vars(score.consistency), "holds": score.consistency.holds},
     }
 
@@ -171,11 +167,11 @@ def _score(score: Score) -> dict[str, Any]:
 def _coasting(coast: Coasting) -> dict[str, Any]:
     return {
         "coasts": len(coast.begins_s),
-        "heading_rms_deg": _finite(coast.heading_rms_deg),
-        "velocity_rms_mps": _finite(coast.velocity_rms_mps),
-        "heading_deg": coast.heading_deg.tolist(),
-        "velocity_mps": coast.velocity_mps.tolist(),
-        "begins_s": coast.begins_s.tolist(),
+        "heading_rms_deg": coast.heading_rms_deg,
+        "velocity_rms_mps": coast.velocity_rms_mps,
+        "heading_deg": coast.heading_deg,
+        "velocity_mps": coast.velocity_mps,
+        "begins_s": coast.begins_s,
     }
 
 
@@ -229,7 +225,3 @@ def _print_coasting(coasting: dict[str, Any]) -> None:
 
 def _three(values: Iterable[float]) -> str:
     return " ".join(f"{value:7.3f}" for value in values)
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

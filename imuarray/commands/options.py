@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import click
 
 from imuarray.errors import ImuArrayError, OutputExistsError
+from imuarray.json_values import json_value
 from imuarray.printable import duration
 
 config_argument = click.argument("config", type=click.Path(path_type=Path))
@@ -126,16 +127,7 @@ def prepare_folder(folder: Path, names: Sequence[str], force: bool) -> None:
 
 def print_json(value: Any) -> None:
     """Print one JSON object on standard output; null for numbers that are not finite, which JSON lacks."""
-    click.echo(json.dumps(_finite(value), indent=1, ensure_ascii=False, allow_nan=False))
-
-
-def _finite(value: Any) -> Any:
-    """Return `value` with None for infinite numbers and NaN."""
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    click.echo(json.dumps(json_value(value), indent=1, ensure_ascii=False, allow_nan=False))
 
 
 @contextmanager

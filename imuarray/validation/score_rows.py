@@ -63,13 +63,13 @@ class ScoreRow:
         return tuple(sorted(failed, key=lambda cell: (not cell.is_refuted, -cell.cases)))
 
     def as_json(self) -> dict[str, Any]:
-        """Return the row as a JSON table; numbers that are not finite are null."""
+        """Return the row as a table."""
         return {
             "name": self.name,
             **({"group": self.group} if self.group else {"about": self.about}),
-            "value": finite(self.value),
-            "low": finite(self.low),
-            "high": finite(self.high),
+            "value": self.value,
+            "low": self.low,
+            "high": self.high,
             "cases": self.cases,
             "bar": list(self.bar),
             "passes": self.passes,
@@ -137,11 +137,6 @@ def group_answers(group: str, answers: Iterable[Answer]) -> Mapping[str, Sequenc
 def severity_name(limits: float) -> str:
     """Return the name of a severity: "2x the limit", or "there or not"."""
     return f"{limits:g}x the limit" if isfinite(limits) else "there or not"
-
-
-def finite(value: float) -> float | None:
-    """Return the value for JSON: None if it is not finite."""
-    return value if isfinite(value) else None
 
 
 _GROUPS: Mapping[str, Callable[[Answer], tuple[str, ...]]] = {

@@ -24,6 +24,7 @@ from textwrap import wrap
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from imuarray.json_values import json_value
 from imuarray.validation.case import Case
 from imuarray.validation.rates import Bin, rate
 from imuarray.validation.score_answers import NEVER_BEGUN, Answer, LostCase, ValidationRun, read_run
@@ -45,7 +46,7 @@ from imuarray.validation.score_detection import (
     power_of,
     shown_singles,
 )
-from imuarray.validation.score_rows import EVERY, FULL, NO_BAR, Bar, ScoreRow, finite, group_answers, make_row
+from imuarray.validation.score_rows import EVERY, FULL, NO_BAR, Bar, ScoreRow, group_answers, make_row
 
 LEAST_CASES = 5
 """Minimum number of cases of a part for a figure."""
@@ -282,7 +283,7 @@ def _with_bars(rows: Iterable[ScoreRow], world: str) -> tuple[ScoreRow, ...]:
 def as_json(figures: Figures) -> dict[str, Any]:
     """Return the figures as one JSON object; numbers that are not finite are null."""
     power, confusion = figures.power, figures.confusion
-    return {
+    table = {
         "half": figures.half,
         "plan": dict(figures.plan),
         "full": figures.full,
@@ -291,21 +292,25 @@ def as_json(figures: Figures) -> dict[str, Any]:
         "notes": list(figures.notes),
         "figures": [row.as_json() for row in figures.rows],
         "curves": [
-            {"plan": item.plan, "points": [{"limits": limits, **_plain(estimate)} for limits, estimate in item.points]}
+            {
+                "plan": item.plan,
+                "points": [{"limits": limits, **estimate._asdict()} for limits, estimate in item.points],
+            }
             for item in figures.curves
         ],
         "power": {**power._asdict(), "about": "detected and all cases, by mechanism and severity"},
         "confusion": {**confusion._asdict(), "about": "first cause said, by what was at work"},
-        "reliability": [_plain(item) for item in figures.reliability],
-        "closures": [_plain(item) for item in figures.closures],
+        "reliability": [item._asdict() for item in figures.reliability],
+        "closures": [item._asdict() for item in figures.closures],
         "world": figures.world,
         "elsewhere": {world: [row.as_json() for row in rows] for world, rows in figures.elsewhere.items()},
         "transfer": [
-            {"name": item.name, **{world: finite(row.value) for world, row in item.rows.items()}, "lost": item.lost}
+            {"name": item.name, **{world: row.value for world, row in item.rows.items()}, "lost": item.lost}
             for item in figures.transfers
         ],
-        "left_out": [_plain(item) for item in figures.left_out],
+        "left_out": [item._asdict() for item in figures.left_out],
     }
+    return {name: json_value(value) for name, value in table.items()}
 
 
 def format_text(figures: Figures) -> str:
@@ -386,8 +391,3 @@ def _format_line(mark: str, name: str, value: str, interval: str, cases: str, ba
 def _lost(run: ValidationRun) -> ScoreRow:
     share = rate(len(run.lost), len(run.answers) + len(run.lost))
     return make_row("cases lost", share, NO_BAR, "no outcome, or one with an error: in no other figure")
-
-
-def _plain(record: Any) -> dict[str, Any]:
-    """Return a named tuple as a JSON table."""
-    return {key: finite(value) if isinstance(value, float) else value for key, value in record._asdict().items()}

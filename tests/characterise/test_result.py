@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from imuarray.characterise import characterise_log, render_text
-from imuarray.characterise.result import json_ready
 from imuarray.characterise.stretch import choose_stretch, find_timing
 from imuarray.errors import LogError
 from imuarray.log import Block, LogWriter, open_log
@@ -201,11 +200,6 @@ def test_table_warns_of_a_log_that_is_not_at_rest(tmp_path: Path) -> None:
         text = render_text(characterise_log(log))
     assert "any motion counts as noise" in text
     assert "emulated, no hardware" in text
-
-
-def test_json_ready() -> None:
-    value = {"a": np.array([1.0, np.nan]), "b": (np.int64(3), float("inf")), "c": np.array(["x"]), "d": np.bool_(True)}
-    assert json_ready(value) == {"a": [1.0, None], "b": [3, None], "c": ["x"], "d": True}
 
 
 def test_a_calibrations_scale_takes_the_data_sheets_place(log_path: Path) -> None:

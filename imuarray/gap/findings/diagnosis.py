@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
-from math import isfinite, nan
+from dataclasses import dataclass, field, fields
+from math import nan
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from imuarray.arrays import Floats
 from imuarray.gap.model.use import Use
+from imuarray.json_values import json_value
 from imuarray.printable import percent
 
 if TYPE_CHECKING:
@@ -265,7 +264,7 @@ class Diagnosis:
     def as_json(self) -> dict[str, Any]:
         """Return the diagnosis as one JSON object; numbers that aren't finite are null."""
         plain = {
-            JSON_NAMES.get(item.name, item.name): _plain(getattr(self, item.name))
+            JSON_NAMES.get(item.name, item.name): json_value(getattr(self, item.name))
             for item in fields(self)
             if item.name not in NOT_IN_JSON
         }
@@ -279,18 +278,3 @@ JSON_NAMES: Mapping[str, str] = MappingProxyType({"unshown": "cannot_tell"})
 
 NOT_IN_JSON: Mapping[str, Any] = MappingProxyType({"overlays": (), "repaired": None})
 """Fields that JSON lacks, with their values in a diagnosis that is read from it."""
-
-
-def _plain(value: Any) -> Any:
-    """Convert a value to JSON's types."""
-    if is_dataclass(value):
-        return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if isfinite(value) else None
-    return value

@@ -16,7 +16,7 @@ from imuarray.gap.recording.phases import is_at_rest
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import SensorLog
 from imuarray.log.format import Phase
-from imuarray.simulate.motion.fields import PhaseField
+from imuarray.simulate.motion.faces import PhaseField
 
 
 def fields_of(sensors: Sequence[SensorLog], phases: Sequence[Phase]) -> tuple[PhaseField, ...]:

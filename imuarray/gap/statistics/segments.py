@@ -20,8 +20,8 @@ class Segments:
 
     `rows` (s,); `time_s` (s,) their mean time; `temperature_degc` (s,) at that time and `warming_degc_per_s` (s,) from
     one end of the part to the other, by the reference; `mean` (s, 3) and the central moments `variance`, `third`,
-    `fourth` (s, 3), divided by the rows, in counts and their powers. `thermometer` and `thermometer_variance` (s,) are
-    of the counts of the chip's own thermometer, nan if it gives none.
+    `fourth` (s, 3), divided by the rows, in counts and their powers; `thermometer` (s,) the mean count of the chip's
+    own thermometer, nan if it gives none.
     """
 
     width_s: float
@@ -34,7 +34,6 @@ class Segments:
     third: Floats
     fourth: Floats
     thermometer: Floats
-    thermometer_variance: Floats
 
     @cached_property
     def steady_variance(self) -> Floats:
@@ -61,7 +60,7 @@ class SegmentTally:
         self._rows = np.zeros(count, np.int64)
         self._since_ns = np.zeros(count)
         self._powers = np.zeros((POWERS, count, 3 * replicates))
-        self._thermometer = np.zeros((2, replicates, count))
+        self._thermometer = np.zeros((replicates, count))
         self._has_thermometer = False
 
     def update(self, time_ns: Times, apart: Floats, thermometers: npt.NDArray[np.int16] | None) -> None:
@@ -78,9 +77,7 @@ class SegmentTally:
         self._powers[:, part] += np.add.reduceat(powers, starts, axis=2).transpose(0, 2, 1)
         if thermometers is not None:
             self._has_thermometer = True
-            values = np.atleast_2d(thermometers).astype(float)
-            self._thermometer[0][:, part] += np.add.reduceat(values, starts, axis=1)
-            self._thermometer[1][:, part] += np.add.reduceat(values * values, starts, axis=1)
+            self._thermometer[:, part] += np.add.reduceat(np.atleast_2d(thermometers).astype(float), starts, axis=1)
 
     def result(self, origin: Floats, temperature: Temperature) -> Segments:
         """Return the parts of the only replicate; `origin` (3,) in counts is what deviations were taken from."""
@@ -90,7 +87,7 @@ class SegmentTally:
     def results(self, origin: Floats, temperature: Temperature) -> list[Segments]:
         """Return the parts of each replicate; `origin` (3 r,)."""
         rows = np.where(self._rows, self._rows, np.nan)
-        replicates, mean_ns = len(self._thermometer[0]), self._since_ns / rows
+        replicates, mean_ns = len(self._thermometer), self._since_ns / rows
         widths_ns = self._edges[1:] - self._edges[:-1]
         widths_s = widths_ns * 1e-9
         at_ns = self._edges[0] + np.rint(np.where(self._rows, mean_ns, widths_ns / 2)).astype(np.int64)
@@ -103,10 +100,9 @@ class SegmentTally:
             (ends_degc[1:] - ends_degc[:-1]) / widths_s,
         )
         mean, variance, third, fourth = (split_replicates(moment, replicates) for moment in self._moments(origin, rows))
-        degc, noise = self._thermometer_moments(rows)
+        thermometer = self._thermometer / (rows if self._has_thermometer else np.nan)
         return [
-            Segments(*times, mean[at], variance[at], third[at], fourth[at], degc[at], noise[at])
-            for at in range(replicates)
+            Segments(*times, mean[at], variance[at], third[at], fourth[at], thermometer[at]) for at in range(replicates)
         ]
 
     def _moments(self, origin: Floats, rows: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -119,13 +115,6 @@ class SegmentTally:
             third - (3 * second - 2 * square) * first,
             fourth - (4 * third - (6 * second - 3 * square) * first) * first,
         )
-
-    def _thermometer_moments(self, rows: Floats) -> tuple[Floats, Floats]:
-        """Return the mean and variance (r, s) of each thermometer."""
-        if not self._has_thermometer:
-            return (np.full(self._thermometer.shape[1:], np.nan),) * 2
-        means, squares = self._thermometer / rows
-        return means, np.maximum(squares - means**2, 0.0)
 
     def _parts(self, time_ns: Times) -> tuple[Indices, Indices, Indices]:
         """Return the parts that the times lie in, the first row of each and its number of rows."""

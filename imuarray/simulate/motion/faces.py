@@ -1,4 +1,5 @@
-"""A box that stands on one of its faces, and its environment.
+"""A box that stands on one of its faces, and its environment: gravity, air, and a field that is the earth's or known in
+the box frame, phase by phase.
 
 Frames: ``level`` has z up, ``box`` is the box; an attitude is the rotation R with ``vector_level = R @ vector_box``.
 """
@@ -6,6 +7,8 @@ Frames: ``level`` has z up, ``box`` is the box; an attitude is the rotation R wi
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +31,25 @@ PA_PER_M = 1.225 * STANDARD_GRAVITY
 
 UPRIGHT = np.eye(3)
 """The attitude of a box on its -Z face."""
+
+
+class PhaseField(NamedTuple):
+    """A magnetic field `field_box` in gauss that holds from `start_ns` until the next one begins."""
+
+    start_ns: int
+    field_box: tuple[float, float, float]
+
+
+def field_at(fields: Sequence[PhaseField], time_ns: Integers) -> Reals:
+    """Return the field (n, 3) in gauss at times (n,), as one broadcast row (read-only) if it is constant. `fields` has
+    at least one; before the first of them, the first holds.
+    """
+    starts_ns = np.array([field.start_ns for field in fields])
+    number = np.clip(np.searchsorted(starts_ns, time_ns, side="right") - 1, 0, None)
+    box = np.array([field.field_box for field in fields])
+    if len(number) == 0 or (number == number[0]).all():
+        return np.broadcast_to(box[number[0] if len(number) else 0], (len(number), 3))
+    return np.asarray(box[number])
 
 
 def shortest_turn(up_before: str, up_after: str) -> Reals:

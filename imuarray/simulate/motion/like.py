@@ -22,9 +22,8 @@ from imuarray.errors import LogError
 from imuarray.log.columns import NamedColumn, Track
 from imuarray.log.format import Phase
 from imuarray.log.reader import Log
-from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, resting, standing_on
+from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, PhaseField, field_at, resting, standing_on
 from imuarray.simulate.motion.felt import Felt
-from imuarray.simulate.motion.fields import PhaseField, field_at
 
 BLOCK = 16384
 """Rows per block; a multiple of the log's chunks."""

@@ -11,9 +11,8 @@ import numpy as np
 
 from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
-from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, resting
+from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, PhaseField, field_at, resting
 from imuarray.simulate.motion.felt import Felt, Motion
-from imuarray.simulate.motion.fields import PhaseField, field_at
 
 if TYPE_CHECKING:  # imported late: it reads logs, which other motions do not need
     from imuarray.simulate.motion.like import SplineColumns

@@ -35,6 +35,7 @@ from imuarray.fuse import OPTIMAL, ErrorFrames, FusedBlock, coasting, error_fram
 from imuarray.fuse.comparison import both, consistency
 from imuarray.fuse.evaluation import Ratio, ratio_of, ten_second_means
 from imuarray.fuse.fusion import AVERAGE
+from imuarray.json_values import json_value
 from imuarray.log import Log, open_log
 from imuarray.printable import percent
 from imuarray.shipped import configs
@@ -349,8 +350,7 @@ class GainRow:
 
     def as_json(self) -> dict[str, Any]:
         """Return the row, JSON-ready; an end of an interval that one seed can't determine is None."""
-        ratios = {name: _ratio_json(getattr(self, name)) for name in ("over_mean", "over_bound")}
-        return {**vars(self), **ratios}
+        return {name: json_value(value) for name, value in vars(self).items()}
 
 
 @dataclass(frozen=True)
@@ -437,12 +437,6 @@ def _by_seed(runs: Sequence[RunErrors], squares: Sequence[float]) -> np.ndarray[
 def _mean(values: Sequence[float | None]) -> float | None:
     numbers = [float(value) for value in values if value is not None]
     return sum(numbers) / len(numbers) if numbers else None
-
-
-def _ratio_json(ratio: Ratio | None) -> dict[str, float | None] | None:
-    if ratio is None:
-        return None
-    return {name: value if math.isfinite(value) else None for name, value in vars(ratio).items()}
 
 
 _HEAD = f"  {'':18} {'rms':>8} {'over the average':>23} {'its drift':>23} {'over the bound':>23} {'normalised^2':>12}"

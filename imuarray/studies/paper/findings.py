@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from textwrap import wrap
 from typing import Any
 
 from imuarray import __version__
+from imuarray.json_values import json_value
 
 NEXT_EXPERIMENT = (
     "switch the array on a dozen times a day for several days, a reference thermometer beside it "
@@ -109,15 +110,8 @@ def as_json() -> dict[str, Any]:
         "seed": None,
         "model": {"name": "datasheet"},
         "software": f"imuarray {__version__}",
-        "findings": [_plain(asdict(finding)) for finding in findings()],
+        "findings": [json_value(finding) for finding in findings()],
     }
-
-
-def _plain(value: Any) -> Any:
-    """Convert to the values that JSON returns: lists for tuples."""
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _places(finding: Finding) -> Iterator[dict[str, Any]]:

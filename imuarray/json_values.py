@@ -1,0 +1,23 @@
+"""Values as JSON has them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+
+def json_value(value: Any) -> Any:
+    """Return dictionaries, lists, numbers and texts for dataclasses, mappings, sequences and arrays; None for numbers
+    that are not finite, which JSON lacks.
+    """
+    if is_dataclass(value):
+        return {item.name: json_value(getattr(value, item.name)) for item in fields(value)}
+    if isinstance(value, Mapping):
+        return {name: json_value(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_value(item) for item in value]
+    if hasattr(value, "tolist"):  # arrays and scalars of NumPy, which is not imported for values without them
+        return json_value(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,21 @@
+"""What JSON has in place of arrays, dataclasses, and numbers that are not finite."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imuarray.json_values import json_value
+
+
+@dataclass(frozen=True)
+class Reading:
+    name: str
+    values: tuple[float, ...]
+
+
+def test_values() -> None:
+    value = {"a": np.array([1.0, np.nan]), "b": (np.int64(3), float("inf")), "c": np.array(["x"]), "d": np.bool_(True)}
+    assert json_value(value) == {"a": [1.0, None], "b": [3, None], "c": ["x"], "d": True}
+    assert json_value([Reading("x", (0.5, float("-inf")))]) == [{"name": "x", "values": [0.5, None]}]
