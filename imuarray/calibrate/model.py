@@ -98,6 +98,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "response_lsb_per_unit",
             "response_covariance_lsb2_per_unit2",
         ),
+        "response_change": ("response_change",),
         "g_sensitivity": ("g_sensitivity_lsb_per_g", "g_sensitivity_sem_lsb_per_g"),
         "noise": ("noise_lsb", "noise_sem_lsb", "noise_correlation", "noise_lines"),
         "drift": ("drift",),
@@ -118,7 +119,9 @@ class SensorCalibration:
     `response_lsb_per_unit`, `g_sensitivity_lsb_per_g` and its standard errors (3, 3), rows sensor axes, columns box
     axes; `bias_covariance_lsb2` (3, 3) over the sensor axes; `response_covariance_lsb2_per_unit2` (9, 9) over the
     entries of the response row by row. `noise_lines` are periodic parts of `noise_lsb`.
-    `temperature_degc` is that of the bias. `provenance` states the origin of each group of figures (`GROUPS`).
+    `response_change` is the standard deviation by which each entry of the response, as a share of the scale factor,
+    differs in use from the calibration. `temperature_degc` is that of the bias. `provenance` states the origin of each
+    group of figures (`GROUPS`).
     """
 
     name: str
@@ -144,6 +147,7 @@ class SensorCalibration:
     noise_correlation: Floats | None = None
     noise_lines: tuple[NoiseLine, ...] = ()
     drift: Drift | None = None
+    response_change: float | None = None
     provenance: Mapping[str, Provenance] = field(default_factory=lambda: MappingProxyType({}))
 
     def measured(self) -> tuple[str, ...]:
@@ -466,6 +470,7 @@ _SENSOR: Mapping[str, Reader] = {
     "noise_correlation": numbers(3, lowest=-1.0, highest=1.0),
     "noise_lines": tables(NoiseLine, NOISE_LINE),
     "drift": table(Drift, DRIFT),
+    "response_change": number(lowest=0.0),
     "temperature_degc": number(),
     "range": number(),
     "chip": text(),

@@ -271,7 +271,7 @@ def _windows(
         count = min(_CHUNK, (end_ns - first_ns) // width_ns)
         if count < 3:
             continue
-        means = {sensor.name: _means(sensor, first_ns, width_ns, count) for sensor in sensors}
+        means = {sensor.name: window_means(sensor, first_ns, width_ns, count) for sensor in sensors}
         complete = np.all([has for _, has in means.values()], axis=0)
         forces_g = [
             calibrated.stimulus_box(means[sensor.name][0]) / STANDARD_GRAVITY for sensor, calibrated in accelerometers
@@ -279,8 +279,7 @@ def _windows(
 
         force_g = np.mean(forces_g, axis=0) if forces_g else None
         counts, *others = [
-            _without_force(means[sensor.name][0], calibrated, force_g)
-            for sensor, calibrated in (gyroscope, *references)
+            without_force(means[sensor.name][0], calibrated, force_g) for sensor, calibrated in (gyroscope, *references)
         ]
         rates = [
             calibrated.stimulus_box(other) / SI_PER_UNIT[calibrated.unit]
@@ -293,7 +292,7 @@ def _windows(
             yield counts[usable], rate[usable], slope[usable]
 
 
-def _without_force(counts: Floats, calibrated: SensorCalibration, force_g: Floats | None) -> Floats:
+def without_force(counts: Floats, calibrated: SensorCalibration, force_g: Floats | None) -> Floats:
     """Return counts (n, 3) of a gyroscope less its g-sensitivity times the specific force (n, 3) in g, if both are
     known.
     """
@@ -302,7 +301,7 @@ def _without_force(counts: Floats, calibrated: SensorCalibration, force_g: Float
     return np.asarray(counts - force_g @ calibrated.g_sensitivity_lsb_per_g.T)
 
 
-def _means(sensor: SensorLog, first_ns: int, width_ns: int, count: int) -> tuple[Floats, Booleans]:
+def window_means(sensor: SensorLog, first_ns: int, width_ns: int, count: int) -> tuple[Floats, Booleans]:
     """Return the mean counts (count, 3) of consecutive windows, NaN without rows, and whether a window has rows of
     which none is saturated or suspect.
     """

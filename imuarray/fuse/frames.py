@@ -16,6 +16,7 @@ import numpy.typing as npt
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.model import Described
+from imuarray.fuse.response_change import response_shares
 from imuarray.units import SI_PER_UNIT
 
 
@@ -25,7 +26,7 @@ class CalibrationErrors:
 
     `bias_si2` (3, 3): covariance of their biases, including changes from run to run and within a run, in (m/s2)^2 or
     (rad/s)^2; `response` (3, 3, 3, 3): covariance of axis i's error along box axis a with axis j's along box axis b at
-    [i, a, j, b], relative to the axes' scale factors. Unmeasured parts are zero.
+    [i, a, j, b], relative to the axes' scale factors, including its change since. Unmeasured parts are zero.
     """
 
     bias_si2: Floats
@@ -83,17 +84,6 @@ def axes_of(sensors: Sequence[Described], calibration: Calibration) -> list[Axis
                 )
             )
     return axes
-
-
-def response_shares(known: SensorCalibration) -> Floats | None:
-    """Return the covariance (9, 9) of a sensor's response row by row, relative to the axes' scale factors; None if it
-    was not measured.
-    """
-    covariance = known.response_covariance()
-    if covariance is None:
-        return None
-    scale = np.repeat(known.scale_lsb_per_unit, 3)
-    return np.asarray(covariance / np.outer(scale, scale))
 
 
 def _errors_of(known: SensorCalibration) -> CalibrationErrors | None:

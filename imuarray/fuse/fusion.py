@@ -34,6 +34,7 @@ from imuarray.fuse.frames import Axis, Frames, FusedBlock, axes_of
 from imuarray.fuse.optimal import ErrorModel, error_model
 from imuarray.fuse.optimal.optimal import CausalPipeline, FrameBlock, FramePipeline, smoothed
 from imuarray.fuse.pipeline import FusionNotes, Pipeline, PipelineFactory, QuantityPipeline, TechniqueSet, notes_of
+from imuarray.fuse.response_change import RESPONSE_CHANGE, with_response_change
 from imuarray.fuse.spools import FrameSpool
 from imuarray.fuse.stream import TIMEOUT_S, FusionStream
 from imuarray.fuse.techniques import TECHNIQUES
@@ -125,12 +126,36 @@ def prepare_inputs(
 
 def complete_responses(log: Log, inputs: FusionInputs) -> FusionInputs:
     """Complete the inputs of `prepare_inputs` by columns of gyroscopes' responses that the calibration lacks and the
-    log determines, from other gyroscopes or from gravity, with remarks. This uses the whole log, so it does not apply
-    to causal fusion.
+    log determines, from other gyroscopes or from gravity, and by the change of responses since the calibration, with
+    remarks. This uses the whole log, so it does not apply to causal fusion.
     """
     gyroscopes = [sensor for sensor in _inertial(log, inputs.only) if sensor.quantity == "angular_rate"]
-    if not any(inputs.calibration.or_nominal(sensor).uncertain_axes() for sensor in gyroscopes):
-        return inputs
+    if any(inputs.calibration.or_nominal(sensor).uncertain_axes() for sensor in gyroscopes):
+        inputs = _with_columns(log, inputs)
+    calibration = with_response_change(log, inputs.calibration, inputs.only)
+    remarks = [
+        f"responses of {listed(names)} differ by {100 * change:.1f} % rms from the calibration; covariances include it"
+        for change, names in _large_changes(calibration, inputs.calibration).items()
+    ]
+    return replace(inputs, calibration=calibration, remarks=(*inputs.remarks, *remarks))
+
+
+_LARGE_CHANGE = 2 * RESPONSE_CHANGE
+"""Smallest estimated change of responses that is stated."""
+
+
+def _large_changes(calibration: Calibration, before: Calibration) -> dict[float, list[str]]:
+    """Return the names of sensors by a large change of their responses that `before` does not state."""
+    names: dict[float, list[str]] = {}
+    for name, sensor in calibration.sensors.items():
+        change = sensor.response_change
+        if change is not None and change > _LARGE_CHANGE and before.sensors[name].response_change is None:
+            names.setdefault(change, []).append(name)
+    return names
+
+
+def _with_columns(log: Log, inputs: FusionInputs) -> FusionInputs:
+    """Return the inputs with columns of responses that the log determines, and remarks on these."""
     from imuarray.calibrate.response_transfer import transfer_response  # slow to import
 
     transfer = transfer_response(log, inputs.calibration, inputs.only)
@@ -262,6 +287,8 @@ def fuse(  # noqa: PLR0913
     """
     sensors_of_log = list(log.sensors.values())
     by_quantity = _by_quantity(sensors_of_log, only, str(log.path))
+    if not causal:
+        calibration = with_response_change(log, calibration, only)
     if not causal and technique != OPTIMAL:  # `optimal` follows the temperature itself
         inertial = [sensor for sensors in by_quantity.values() for sensor in sensors]
         calibration = with_mismatch(calibration, temperature_mismatch(log, inertial, calibration))
@@ -291,7 +318,9 @@ def fuse_together(
     """Fuse by several techniques that fuse each quantity separately (`TECHNIQUES`); frames are aligned once. Returns
     blocks by the name of the technique. FusionError.
     """
-    array = _Array(_by_quantity(list(log.sensors.values()), only, str(log.path)), calibration, AVERAGE, Watch(on=False))
+    by_quantity = _by_quantity(list(log.sensors.values()), only, str(log.path))
+    calibration = with_response_change(log, calibration, only)
+    array = _Array(by_quantity, calibration, AVERAGE, Watch(on=False))
     temperatures = TemperatureSources(element_temperatures(log, array.inertial, calibration), {}, {})
     axes = array.axes
     stream = FusionStream(

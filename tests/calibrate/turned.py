@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -46,6 +48,24 @@ def drawn_effects(rng: np.random.Generator, noise_g: float, noise_dps: float) ->
         for name in GYROSCOPES
     }
     return {**effects(noise_g, noise_dps), **turning}
+
+
+def changed_effects(
+    effects: Mapping[str, Sequence[Effect]], rng: np.random.Generator, share: float
+) -> dict[str, tuple[Effect, ...]]:
+    """The same, after each entry of a gyroscope's response has changed by a draw of `share` of the scale."""
+
+    def changed(effect: Effect) -> Effect:
+        if isinstance(effect, Scale):
+            return Scale(tuple(np.add(effect.error, share * rng.normal(size=3)).tolist()))
+        if isinstance(effect, Misalignment):
+            return Misalignment(tuple(np.add(effect.angles_deg, np.degrees(share) * rng.normal(size=6)).tolist()))
+        return effect
+
+    return {
+        name: tuple(changed(effect) for effect in each) if name in GYROSCOPES else tuple(each)
+        for name, each in effects.items()
+    }
 
 
 TOLERANCE = 0.02

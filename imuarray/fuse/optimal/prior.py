@@ -28,7 +28,8 @@ from imuarray.calibrate.model import Described
 from imuarray.calibrate.stability import BIAS, TurnOn
 from imuarray.calibrate.turns import TOLERANCE
 from imuarray.errors import FusionError
-from imuarray.fuse.frames import Axis, response_shares
+from imuarray.fuse.frames import Axis
+from imuarray.fuse.response_change import response_shares
 from imuarray.units import STANDARD_GRAVITY
 
 
@@ -154,20 +155,6 @@ DRIFT_TIME_CONSTANT_S = 600.0
 TIMING_S = 0.5e-3
 """Standard deviation of the times of readings of a chip whose rate is unknown."""
 
-RESPONSE_CHANGE = 2e-3
-"""Standard deviation by which each element of a response (scale or direction, relative to the scale) differs in a
-motion from what was calibrated: nonlinearity (L3G-73: 0.2 % of the range; BMA-117: 0.15 to 0.75 %; ADX-65: 0.5 %) and
-another temperature.
-
-Without it the filter amplifies such errors. Calibrations leave one and the same combination u of elements uncertain for
-every sensor, for example the axes x and z about Y, to 1 %, and others to 1e-5. The parities do not contain an error c
-that all sensors share along u: they show ``c_i u_i - c_j u_j``. But the fitted u_i of the sensors differ by some 1e-3,
-so the parities seem to determine c, as the difference of two sensors over ``u_i - u_j``, and an unmodelled difference
-of 5e-4 becomes an error of 5 % of the angular rate.
-
-A response whose standard errors are all 0 is exact, as in a study that knows the truth, and does not change.
-"""
-
 _AGE = 1 / np.sqrt(12)
 """Standard deviation, in periods of a chip's own rate, of the age of a reading at an arbitrary time; its mean is
 corrected.
@@ -215,8 +202,7 @@ def error_model(
             )
         shares = response_shares(parameters)
         if shares is not None:
-            is_exact = not shares.any()
-            responses[sensor.name] = shares if is_exact else shares + RESPONSE_CHANGE**2 * np.eye(9)
+            responses[sensor.name] = shares
     return ErrorModel(
         MappingProxyType(axes), MappingProxyType(designs), MappingProxyType(covariances), MappingProxyType(responses)
     )
@@ -329,10 +315,10 @@ def _drift(parameters: SensorCalibration, usual: DesignDefaults, noise: Floats) 
 
 def _response(parameters: SensorCalibration, usual: DesignDefaults) -> Floats:
     """Return the relative standard deviations (3,) of the response."""
-    if parameters.response_sem_lsb_per_unit is None:
+    shares = response_shares(parameters)
+    if shares is None:
         return np.full(3, usual.response)
-    errors = parameters.response_sem_lsb_per_unit / parameters.scale_lsb_per_unit
-    return np.hypot(errors, RESPONSE_CHANGE) if np.any(errors) else errors
+    return np.asarray(np.sqrt(np.diag(shares)).reshape(3, 3).max(axis=1))
 
 
 def _slope(parameters: SensorCalibration, usual_per_degc: Floats) -> tuple[Floats, float | None]:

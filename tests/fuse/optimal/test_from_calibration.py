@@ -14,7 +14,7 @@ from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.stability import BiasState, Drift, Provenance, Thermal, TurnOn
 from imuarray.errors import FusionError
 from imuarray.fuse.frames import axes_of
-from imuarray.fuse.optimal import ErrorModel, Optimal, error_model, prior
+from imuarray.fuse.optimal import ErrorModel, Optimal, error_model
 from imuarray.log import SensorLog, open_log
 from tests.fuse.conftest import DPS, G, Part, WriteRun, calibration
 from tests.fuse.optimal.conftest import frames_of
@@ -192,10 +192,10 @@ def test_a_bias_has_the_turn_on_of_the_logs_it_was_calibrated_in(model: Callable
 TURNED = [GYRO._replace(name=f"Gyro{number}", axes="+X+Y+Z", sigma=0.05) for number in (1, 2, 3, 4)]
 
 
-def shaken_error(run: Path) -> float:
+def shaken_error(run: Path, change: float | None = None) -> float:
     """The error of `optimal` over that of the mean: four gyroscopes of which turns about Y were never calibrated. About
     Y, each knows the sum of x and z to 1 % only, along directions u that differ by some 5e-3; all else it seems to know
-    to 3e-6. In truth, every element is 5e-4 off.
+    to 3e-6. In truth, every element is 5e-4 off. The calibration states the `change` of responses.
     """
     rng = np.random.default_rng(5)
     sensors = calibration(TURNED).sensors
@@ -207,6 +207,7 @@ def shaken_error(run: Path) -> float:
             sensors[name],
             response_sem_lsb_per_unit=np.ones(3),
             response_covariance_lsb2_per_unit2=100.0**2 * covariance,
+            response_change=change,
         )
     known = Calibration(sensors)
     with open_log(run) as log:
@@ -221,11 +222,8 @@ def shaken_error(run: Path) -> float:
     return float(np.sqrt(((ours - truth) ** 2).mean() / ((mean - truth) ** 2).mean()))
 
 
-def test_an_unmodelled_difference_of_responses_is_not_amplified(
-    write_run: WriteRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With equal noise, the mean is the best estimate of what all have in common; `prior.RESPONSE_CHANGE`."""
+def test_an_unmodelled_difference_of_responses_is_not_amplified(write_run: WriteRun) -> None:
+    """With equal noise, the mean is the best estimate of what all have in common; `RESPONSE_CHANGE`."""
     run = write_run(TURNED, frames=5)
     assert shaken_error(run) < 1.1
-    monkeypatch.setattr(prior, "RESPONSE_CHANGE", 0.0)
-    assert shaken_error(run) > 10
+    assert shaken_error(run, change=0.0) > 10
