@@ -139,25 +139,45 @@ class SlowRegression:
         expected = share @ probable @ self._spectra
         return [_fit(self._series, design, expected) for design in self._designs]
 
+    def straight_line(self, share: Floats, column: Floats) -> SlowFit:
+        """Return the ordinary least-squares fit to one `column` (n - 1,) of cosines, with its uncertainty by the noise
+        around the likeliest design: what that design fits is not noise.
+        """
+        probable = weights(self._restricted + np.log(self._prior), axis=1)
+        spectrum = share @ probable @ self._spectra
+        design = self._designs[int(share.argmax())]
+        row = (column / (column @ column))[None]
+        variance, freedom = _scaled(row, self._series, design, spectrum)
+        return SlowFit(row @ self._series, variance, freedom)
+
 
 def _fit(series: Floats, design: Floats, spectrum: Floats) -> SlowFit:
-    """Solve weighted least squares; the variance of each coefficient is scaled by the residuals of the cosines that
-    contribute to it.
+    """Solve weighted least squares."""
+    estimate = _estimator(design, spectrum)
+    variance, freedom = _scaled(estimate, series, design, spectrum)
+    return SlowFit(estimate @ series, variance, freedom)
+
+
+def _estimator(design: Floats, spectrum: Floats) -> Floats:
+    """Return the matrix (p, n - 1) of weighted least squares."""
+    weighted = (design / spectrum[:, None]).T
+    return np.asarray(np.linalg.inv(weighted @ design) @ weighted)
+
+
+def _scaled(rows: Floats, series: Floats, design: Floats, spectrum: Floats) -> tuple[Floats, Floats]:
+    """Return the variance (k,) of the linear estimates ``rows @ series``, scaled by the residuals of the cosines that
+    contribute to each, and its degrees of freedom (k,).
     """
-    weight = 1 / spectrum
-    inverse = np.linalg.inv((design * weight[:, None]).T @ design)
-    estimate = inverse @ (design * weight[:, None]).T
-    coefficients = estimate @ series
-    residuals = weight * (series - design @ coefficients) ** 2
+    estimate = _estimator(design, spectrum)
+    residuals = (series - design @ (estimate @ series)) ** 2 / spectrum
     free = 1 - np.einsum("ki,ik->k", design, estimate)
-    contribution = np.cumsum(estimate**2 * spectrum, axis=1)
-    variances, freedom = np.diagonal(inverse), np.empty(len(coefficients))
-    scale = np.empty(len(coefficients))
+    contribution = np.cumsum(rows**2 * spectrum, axis=1)
+    variance, freedom = np.empty(len(rows)), np.empty(len(rows))
     for k, part in enumerate(contribution):
         slow = max(_SLOWEST, int(np.searchsorted(part, _CONTRIBUTION * part[-1])) + 1)
         freedom[k] = max(float(free[:slow].sum()), 1.0)
-        scale[k] = residuals[:slow].sum() / freedom[k]
-    return SlowFit(coefficients, variances * scale, freedom)
+        variance[k] = part[-1] * residuals[:slow].sum() / freedom[k]
+    return variance, freedom
 
 
 _LAGS = 16
@@ -184,7 +204,8 @@ for example) no curvature is fitted.
 class AxesFit:
     """Fit of the three axes of one sensor, arrays (3,) in counts, degC and s. The slope is the one at the reference,
     fitted together with a curvature; `quadratic_lsb_per_degc2` is 0 if not significant, its standard error nan if not
-    fitted; `lag_interval_s` (2,) is the 95 % likelihood interval of the lag.
+    fitted; `lag_interval_s` (2,) is the 95 % likelihood interval of the lag. `line_lsb_per_degc` is the slope of a
+    straight line through the means, over the temperature without lag: in a curve, the slope where it was longest.
     """
 
     reference_degc: float
@@ -197,6 +218,8 @@ class AxesFit:
     quadratic_sem_lsb_per_degc2: Floats
     lag_s: float
     lag_interval_s: Floats
+    line_lsb_per_degc: Floats
+    line_sem_lsb_per_degc: Floats
 
 
 def fit_axes(segments: SegmentMeans, thermometer: TemperatureSeries, reference_degc: float) -> AxesFit:
@@ -222,6 +245,7 @@ def fit_axes(segments: SegmentMeans, thermometer: TemperatureSeries, reference_d
     offset, slope, slope_sem, drift, drift_sem, quadratic, quadratic_sem = np.array(
         [axis.result(share) for axis in axes]
     ).T
+    line, line_sem = np.array([axis.straight_line(share, thermometer.at(segments.time_s)) for axis in axes]).T
     return AxesFit(
         reference_degc,
         offset,
@@ -233,6 +257,8 @@ def fit_axes(segments: SegmentMeans, thermometer: TemperatureSeries, reference_d
         quadratic_sem,
         _peak(lags_s, likelihood),
         interval_s,
+        line,
+        line_sem,
     )
 
 
@@ -259,7 +285,7 @@ class _Axis:
         """Return offset, slope, drift and quadratic term, the last three each followed by its standard error, averaged
         over lags of probabilities `share` (l,).
         """
-        from scipy.special import ndtri, stdtr, stdtrit  # slow to import
+        from scipy.special import stdtr  # slow to import
 
         fits = self._regression.fits(share)
         values = np.array([fit.coefficients / design.spread for fit, design in zip(fits, self._designs, strict=True)])
@@ -270,8 +296,7 @@ class _Axis:
         )
         mean = share @ values
         variance = share @ variances + share @ (values - mean) ** 2
-        # Enlarged, so that a normal 95 % interval equals that of Student's t.
-        sem = self._scale * np.sqrt(variance) * stdtrit(freedom, 0.975) / ndtri(0.975)
+        sem = self._scale * _normal_sem(variance, freedom)
         slope, drift = (self._scale * mean[:2]).tolist()
         quadratic, quadratic_sem = 0.0, np.nan
         if len(mean) > 2:
@@ -279,6 +304,18 @@ class _Axis:
             quadratic, quadratic_sem = self._scale * float(mean[2]) * (chance < _CURVED), float(sem[2])
         offset = self._mean + self._scale * float(offset)
         return offset, slope, float(sem[0]), drift, float(sem[1]), quadratic, quadratic_sem
+
+    def straight_line(self, share: Floats, degc: Floats) -> tuple[float, float]:
+        """Return the slope of a straight line over temperatures (n,), and its standard error."""
+        fit = self._regression.straight_line(share, cosines(degc))
+        return self._scale * float(fit.coefficients[0]), self._scale * float(_normal_sem(fit.variance, fit.freedom)[0])
+
+
+def _normal_sem(variance: Floats, freedom: Floats) -> Floats:
+    """Return standard errors that are enlarged so that a normal 95 % interval equals that of Student's t."""
+    from scipy.special import ndtri, stdtrit  # slow to import
+
+    return np.asarray(np.sqrt(variance) * stdtrit(freedom, 0.975) / ndtri(0.975))
 
 
 def _determines_curvature(clock: Floats, warm: Floats) -> bool:

@@ -52,6 +52,8 @@ def _heating(heating: HeatingFit) -> dict[str, Any]:
         "quadratic_sem_lsb_per_degc2": fit.quadratic_sem_lsb_per_degc2.tolist(),
         "lag_s": fit.lag_s,
         "lag_interval_s": fit.lag_interval_s.tolist(),
+        "line_lsb_per_degc": fit.line_lsb_per_degc.tolist(),
+        "line_sem_lsb_per_degc": fit.line_sem_lsb_per_degc.tolist(),
     }
 
 
@@ -88,7 +90,22 @@ def print_report(report: dict[str, Any]) -> None:
         "of: the quantity that has this slope; bias and scale of an axis along gravity are separated only by heating on"
         " opposite faces"
     )
+    _print_lines(report["heatings"])
     _print_pairs(report["pairs"])
+
+
+def _print_lines(heatings: list[dict[str, Any]]) -> None:
+    """Print the slopes of straight lines through one log."""
+    if len({heating["log"] for heating in heatings}) != 1:
+        return
+    click.echo(
+        "straight lines through all means, LSB/degC, for comparison with other programs (temperatures that last longer"
+        " have more weight):"
+    )
+    for heating in heatings:
+        lines = zip("xyz", heating["line_lsb_per_degc"], heating["line_sem_lsb_per_degc"], strict=True)
+        axes = "  ".join(f"{axis} {slope:9.4f} +- {sem:.4f}" for axis, slope, sem in lines)
+        click.echo(f"  {heating['sensor']:12} {axes}")
 
 
 def _curvature(row: dict[str, Any], index: int) -> str:
