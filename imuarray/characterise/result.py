@@ -34,7 +34,7 @@ from imuarray.characterise.allan import CONFIDENCE, AllanCurve, Estimator
 from imuarray.characterise.allan_curve import floor, white_noise
 from imuarray.characterise.allan_fit import NoiseFit, fit_noise
 from imuarray.characterise.codes import code_density, find_rails
-from imuarray.characterise.lines import FALSE_ALARM, SpectralLine, aliases, find_lines
+from imuarray.characterise.lines import FALSE_ALARM, FIRST_BIN, SpectralLine, aliases, find_lines
 from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statistics
 from imuarray.characterise.processing import find_filters, find_interpolation, find_missing_gravity
 from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
@@ -228,7 +228,7 @@ def column_of(survey: Survey, column: int, sensor: SensorLog) -> dict[str, Any]:
     return {
         "fit": _fit(survey, column, sensor),
         "density": survey.spectrum.density[:, column],
-        **_lines(survey.spectrum, column),
+        **_lines(survey.spectrum, survey.slow_spectrum, column),
         "autocorrelation": {
             "correlation": correlation.correlation[:, column],
             "error": correlation.error[:, column],
@@ -258,11 +258,26 @@ def _fit_table(fit: NoiseFit) -> dict[str, Any]:
     return table
 
 
-def _lines(spectrum: Spectrum, column: int) -> dict[str, Any]:
+SLOW_FALSE_ALARM = 1e-3
+"""Chance that the spectrum of low frequencies of noise alone shows a line: a tenth of that of the other spectrum."""
+
+
+def find_slow_lines(spectrum: Spectrum, below_hz: float, column: int = 0) -> tuple[SpectralLine, ...]:
+    """Return the narrow lines in one column of a spectrum with long segments, below the frequency at which the search
+    in shorter ones begins.
+    """
+    lines = find_lines(spectrum, column, SLOW_FALSE_ALARM).lines
+    return tuple(line for line in lines if line.frequency_hz < below_hz)
+
+
+def _lines(spectrum: Spectrum, slow_spectrum: Spectrum | None, column: int) -> dict[str, Any]:
     """Return the lines of one column, the noise floor, and the level that a line must exceed."""
     search = find_lines(spectrum, column)
-    bands = find_bands(spectrum, column, search.lines)
-    lines = [_line(asdict(line) | {"width_hz": 0.0}, spectrum.rate_hz) for line in search.lines]
+    narrow = search.lines
+    if slow_spectrum is not None:
+        narrow += find_slow_lines(slow_spectrum, FIRST_BIN * spectrum.resolution_hz, column)
+    bands = find_bands(spectrum, column, narrow)
+    lines = [_line(asdict(line) | {"width_hz": 0.0}, spectrum.rate_hz) for line in narrow]
     lines += [_line(asdict(band), spectrum.rate_hz) for band in bands]
     return {
         "lines": _with_harmonics(sorted(lines, key=lambda line: -line["amplitude"]), spectrum.resolution_hz),

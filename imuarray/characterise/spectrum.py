@@ -11,7 +11,7 @@ That also removes part of the power of bin 1 (a sixth of it, for white noise).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -186,6 +186,55 @@ class Welch:
         return np.asarray(squares.reshape(len(squares), -1, 2).sum(axis=2), np.float64)
 
 
+_BLOCKS = 6
+"""Length of the low-pass filter of `SlowWelch` in decimated rows."""
+
+_TERMS = (0.35875, -0.48829, 0.14128, -0.01168)
+"""Cosines of the filter, Blackman and Harris's window of four terms (Harris, table I): frequencies that fold to less
+than a fifth of the decimated rate are attenuated by 90 dB or more."""
+
+
+class SlowWelch:
+    """`Welch` of series of `columns` columns that are low-pass filtered, and decimated by `factor`; densities are
+    divided by the filter's response. They hold up to a fifth of the decimated rate.
+    """
+
+    def __init__(self, rate_hz: float, factor: int, segment_rows: int, columns: int = 1) -> None:
+        self._rate_hz, self._factor = rate_hz, factor
+        turns = 2 * np.pi * (np.arange(_BLOCKS * factor) + 0.5) / (_BLOCKS * factor)
+        window = np.array(_TERMS) @ np.cos(np.outer(np.arange(len(_TERMS)), turns))
+        self._filter: Floats = window / window.sum()
+        self._welch = Welch(rate_hz / factor, segment_rows, columns, "double")
+        self._rest = np.zeros((0, columns))
+        self._origin = np.zeros(columns)
+
+    def update(self, values: Values) -> None:
+        """Add the next rows (n, k) of the run."""
+        if len(self._rest) == 0:
+            self._origin = np.asarray(values[:1], np.float64)
+        rows = np.concatenate([self._rest, values - self._origin])
+        blocks = rows[: len(rows) // self._factor * self._factor].reshape(-1, self._factor, rows.shape[1])
+        count = max(0, len(blocks) - _BLOCKS + 1)
+        if count:
+            parts = self._filter.reshape(_BLOCKS, -1)
+            means = [np.einsum("nqk,q->nk", blocks[at : at + count], part) for at, part in enumerate(parts)]
+            self._welch.update(np.sum(means, axis=0) + self._origin)
+        self._rest = rows[count * self._factor :]
+
+    def end_run(self) -> None:
+        """End a run at a gap."""
+        self._rest = self._rest[:0]
+        self._welch.end_run()
+
+    def result(self) -> Spectrum:
+        """Return the spectrum of all rows so far; ends the run."""
+        self.end_run()
+        spectrum = self._welch.result()
+        turns = np.outer(2 * np.pi * spectrum.frequency_hz / self._rate_hz, np.arange(len(self._filter)))
+        response = np.abs(np.exp(-1j * turns) @ self._filter) ** 2
+        return replace(spectrum, density=spectrum.density / response[:, None])
+
+
 @lru_cache(maxsize=16)
 def _hann(rows: int) -> Floats:
     """Return the periodic Hann window; cached, because segments of the same length share it."""
@@ -213,3 +262,22 @@ def degrees_of_freedom(segments: int, runs: int) -> float:
 def segment_rows(run_rows: int) -> int:
     """Return a segment length for runs of `run_rows`: the power of two that leaves at least 16 segments; 64 to 4096."""
     return min(SEGMENT, max(64, 1 << max(run_rows * 2 // 17, 1).bit_length() - 1))
+
+
+_SLOW_SHARE = 1 / 128
+"""Decimated rows of a segment of the other spectrum are as many: its bins up to the 24th are below a fifth of the
+decimated rate.
+"""
+
+_SLOW_SEGMENTS = 5
+
+
+def slow_welch(rate_hz: float, run_rows: int, columns: int) -> SlowWelch | None:
+    """Return the estimator for frequencies with few periods in the segments for runs of `run_rows`: at least five
+    segments, which are at most `SEGMENT` decimated rows. None if the runs are too short for longer segments.
+    """
+    factor = int(segment_rows(run_rows) * _SLOW_SHARE)
+    if factor < 2:
+        return None
+    slow_rows = min(SEGMENT, 1 << (2 * run_rows // factor // (_SLOW_SEGMENTS + 1)).bit_length() - 1)
+    return SlowWelch(rate_hz, factor, slow_rows, columns) if slow_rows * _SLOW_SHARE > 1 else None

@@ -32,7 +32,7 @@ from imuarray.characterise.allan_stream import AllanStream
 from imuarray.characterise.codes import NOTHING, Histogram, histogram
 from imuarray.characterise.correlation import Autocorrelation, Autocovariance
 from imuarray.characterise.repeats import Repeats, RepeatTally
-from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
+from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows, slow_welch
 from imuarray.characterise.stretch import GAP, LEAST_RUN, Spans, Timing, broken_rows, flags_of
 from imuarray.log import SensorLog
 from imuarray.log.format import SUSPECT
@@ -204,10 +204,12 @@ _BLOCK = 1 << 16
 class Survey:
     """Statistics of one sensor's stretch; `curve` is of `runs_of_curve` (None if too short), the rest of all.
 
-    `histograms` one per column; `estimator` of the Allan deviation.
+    `slow_spectrum` is that of low frequencies, with longer segments (None if the runs are too short); `histograms` one
+    per column; `estimator` of the Allan deviation.
     """
 
     spectrum: Spectrum
+    slow_spectrum: Spectrum | None
     correlation: Autocorrelation
     histograms: tuple[Histogram, ...]
     intervals: SamplingIntervals
@@ -235,17 +237,18 @@ def survey(
     chosen_estimator: Estimator = estimator or ("overlapping" if run_rows <= EXACT_ROWS else "decimated")
     columns = int(sensor.counts.shape[1])
     welch = Welch(1 / interval_s, segment_rows(run_rows), columns)
+    slow = slow_welch(1 / interval_s, run_rows, columns)
     covariance = Autocovariance(LAGS, columns)
     intervals, repeats, histograms = IntervalTally(), RepeatTally(), [NOTHING] * columns
     runs = runs_of_curve(timing, chosen_estimator)
     stream = AllanStream(interval_s) if chosen_estimator == "decimated" and run_rows >= MIN_ROWS else None
+    tallies = [tally for tally in (welch, slow, covariance, repeats) if tally is not None]
     for begin, starts_run, counts in _pieces(sensor, rows, timing, intervals, left_out):
         if starts_run:
-            for tally in (welch, covariance, repeats):
+            for tally in tallies:
                 tally.end_run()
-        welch.update(counts)
-        covariance.update(counts)
-        repeats.update(counts)
+        for tally in tallies:
+            tally.update(counts)
         histograms = [merged.merge(histogram(column)) for merged, column in zip(histograms, counts.T, strict=True)]
         inside = slice(max(timing.run.start - begin, 0), max(timing.run.stop - begin, 0))
         if stream is not None and len(counts[inside]):
@@ -253,6 +256,7 @@ def survey(
     curve = stream.curve() if stream else _exact(sensor, runs, interval_s)
     return Survey(
         welch.result(),
+        None if slow is None else slow.result(),
         covariance.result(),
         tuple(histograms),
         intervals.result(),
