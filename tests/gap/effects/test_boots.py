@@ -77,6 +77,16 @@ def test_another_range_in_the_boots_that_have_it() -> None:
     assert not [one for one in others if one.runs]
 
 
+@pytest.mark.slow
+def test_another_range_in_logs_whose_levels_scatter() -> None:
+    """The bias of each boot hides which of them came up in the range of 2000 dps; their noise in counts does not."""
+    runs = (1.0, 2.0, 4.0, 5.0, 7.0)
+    put_in = (TurnOnBias((1.0, 1.0, 1.0)), RangeReset(2000.0, runs=runs))
+    trials = RANGE_RESET.guesses(evidence_of("turn-on", "G1", {"G1": put_in}, seed=7))
+    ranges = [effect for trial in trials for effect in trial.effects if isinstance(effect, RangeReset)]
+    assert (2000.0, runs) in [(effect.range, effect.runs) for effect in ranges]
+
+
 @pytest.mark.parametrize(("sensor", "range_", "offset"), some([("A1", 2.0, 0.02), ("G1", 2000.0, 0.2)], 1))
 def test_another_range_from_a_row_on(sensor: str, range_: float, offset: float) -> None:
     first, *_ = resets("static", sensor, RangeReset(range_, (offset,) * 3, (0.8,) * 3, 33.3))

@@ -47,6 +47,9 @@ _AS_CLEAR = 0.5
 was fitted to the step too disturbs all of them.
 """
 
+_HALF_WAY = 0.5
+"""The noise of a log is that of another range if it is more than so far, in the log, on its way there."""
+
 _RANGES = 2
 """So many ranges are tried, those that need the smallest offset and change of noise."""
 
@@ -64,12 +67,8 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
         return
     if evidence.is_odd(*_WHOLE, beyond=_BEYOND):
         yield from _always(evidence)
-    if evidence.is_odd(*_LOGS, beyond=_BEYOND):
-        logs, means, errors = log_levels(levels(evidence))
-        rare = rarer(means, errors) if len(means) > 1 else None
-        if rare is not None and (states := states_of_logs(evidence, rare)) is not None:
-            yield from _in_some_boots(evidence, states, float(rare.mean()))
-            yield from _just_in(evidence, states, logs[rare].tolist())
+    if evidence.is_odd(*_LOGS, "motion_along", beyond=_BEYOND):
+        yield from _by_logs(evidence)
     if evidence.resets and evidence.is_odd("doubt", *_WITHIN, beyond=_BEYOND):
         yield from _noticed(evidence)
     if evidence.is_odd(*_WITHIN, beyond=_BEYOND):
@@ -130,6 +129,46 @@ def _just_in(evidence: Evidence, states: States, logs: Sequence[int]) -> Iterato
             effect = replace(guess.effect, runs=tuple(map(float, logs)))
             rarity = NUMBERS * len(logs) + _unlike(evidence, guess.size)
             yield Hypothesis((effect,), whole=True, rarity=rarity, fitted=replace(usual, offset=(x, y, z)))
+
+
+def _by_logs(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest a reset in the logs with the rarer one of two levels, as a chance of a boot and in these logs alone; and
+    in the logs whose response or noise is that of another range.
+    """
+    logs, means, errors = log_levels(levels(evidence))
+    rare = rarer(means, errors) if len(means) > 1 else None
+    by_level: list[int] = [] if rare is None else logs[rare].tolist()
+    if rare is not None and (states := states_of_logs(evidence, rare)) is not None:
+        yield from _in_some_boots(evidence, states, float(rare.mean()))
+        yield from _just_in(evidence, states, by_level)
+    still = sorted({phase.log for phase in evidence.still})
+    for by_response in sorted(_logs_by_response(evidence) - {tuple(by_level)}):
+        is_other = np.isin(still, by_response)
+        if 0 < is_other.sum() < len(still) and (states := states_of_logs(evidence, is_other)) is not None:
+            yield from _just_in(evidence, states, by_response)
+
+
+def _logs_by_response(evidence: Evidence) -> set[tuple[int, ...]]:
+    """Return, for each other range, the logs whose response to motion, or else whose noise, is that of the range:
+    levels that differ between logs for other reasons (faces, turn-on bias) do not tell them.
+    """
+    responses = {log: value for log, value in _by_log(evidence, "motion_along").items() if value > 0}
+    noises = _by_log(evidence, "noise")
+    logs_of_ranges = set()
+    for ratio in map(np.log, _ratios(evidence).values()):
+        usual = max(noises.values(), default=0.0) if ratio < 0 else min(noises.values(), default=0.0)
+        is_other = {log: (noise - usual) / ratio > _HALF_WAY for log, noise in noises.items()}
+        is_other |= {log: abs(np.log(response) - ratio) < _NEAR for log, response in responses.items()}
+        logs_of_ranges.add(tuple(sorted(log for log, is_range in is_other.items() if is_range)))
+    return logs_of_ranges
+
+
+def _by_log(evidence: Evidence, probe: str) -> dict[int, float]:
+    """Return the median value of a probe over the phases and axes of each log in which it is known."""
+    values = evidence.values.get(probe, np.zeros((0, 1)))
+    logs = np.array(evidence.rows_of.get(probe, ()))
+    rows = {int(log): values[logs == log] for log in np.unique(logs)}
+    return {log: float(np.nanmedian(of_log)) for log, of_log in rows.items() if np.isfinite(of_log).any()}
 
 
 def _noticed(evidence: Evidence) -> Iterator[Hypothesis]:
