@@ -175,6 +175,20 @@ def test_motion_about_one_axis_tells_the_scale_along_it() -> None:
         assert np.isnan(value(probe, found, "A")).all()
 
 
+def test_motion_about_one_axis_tells_what_the_axes_across_show_of_it() -> None:
+    """A box that turns about Y only: the other axes of a sensor show the sines of its misalignment. Motions about three
+    axes have shares of their own.
+    """
+    sway = swaying(SECONDS)[:, :1] * [0.0, 1.0, 0.0]
+    response = np.array([[1.0, 0.05, 0.0], [0.0, 1.0, 0.0], [0.0, -0.03, 1.0]])
+    rng = np.random.default_rng(4)
+    counts = [np.rint(20_000 * sway @ matrix.T + rng.normal(0, 30, (ROWS, 3))) for matrix in (response, np.eye(3))]
+    across = value("motion_across", crossed([header("A"), header("B")], counts, MOVING, window=50_000_000), "A")
+    np.testing.assert_allclose(across[[0, 2]], [0.05, -0.03], atol=2e-3)
+    assert np.isnan(across[1])
+    assert np.isnan(value("motion_across", moved(response), "A")).all()
+
+
 def test_turns_about_single_axes_tell_the_response_together() -> None:
     """Three turns, each about another oblique axis: none tells the axes apart, all three do."""
     response = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.02], [0.0, 0.0, 0.97]])

@@ -17,7 +17,7 @@ from imuarray.gap.model.nuisance import nuisance_estimates
 from imuarray.gap.model.signal_delay import NO_DELAY, _slopes, fit_signal_delays, stated_delay
 from imuarray.gap.model.vibration import MOST_G, fit_vibrations
 from imuarray.gap.recording.attitude import attitude_numbers, shared_readings
-from imuarray.gap.recording.recordings import reference_of
+from imuarray.gap.recording.recordings import CHIP_LEAD_S, reference_of
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log.format import Phase
@@ -26,6 +26,7 @@ from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.thermal_lag import ThermalLag
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.motion.felt import Felt
+from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.still import Still
 from tests.gap.made import PLANS, SECOND, campaign_of, phases_of, simulation
 
@@ -41,6 +42,20 @@ def test_the_lag_of_one_chip_is_fitted_and_its_slope_with_it(lag_s: float) -> No
 def test_a_lag_beyond_the_usual_is_left_to_the_effect() -> None:
     base = fit(campaign_of("heating", {"G1": (ThermalLag(5 * LONGEST_LAG_S),)}, seed=3), PLANS["heating"])
     assert base.fitted["G1"].lag_s == LONGEST_LAG_S
+
+
+class Leading(Heating):
+    """A heating whose temperature is told by a thermometer with a lag of 5 s, which is taken off."""
+
+    lead_s = 5.0
+
+
+def test_where_a_chip_tells_the_temperature_other_elements_have_its_usual_lag_or_their_own() -> None:
+    """By readings that follow the temperature at once; without a slope nothing tells, and the lag is the usual one."""
+    leading = [Leading(scale=0.02)]
+    assert fit(campaign_of("heating", {}, seed=3), leading).fitted["G1"].lag_s == pytest.approx(0.0, abs=0.2)
+    level = {"G1": (ThermalBias((-0.05,) * 3),)}
+    assert fit(campaign_of("heating", level, seed=3), leading).fitted["G1"].lag_s == CHIP_LEAD_S
 
 
 class Warming(Still):

@@ -32,6 +32,7 @@ def logged(
     is_delayed: bool = False,
     frame_rate_hz: float = 0.0,
     flag: int = LOST_BEFORE,
+    kind: str = "late",
 ) -> Recording:
     """At rest for 20 s; each sensor lacks the rows `lost`; the logger says that it was late. If it `is_delayed` within
     a frame, the row after the lost ones comes 1 ms before the next one, which is flagged in its place.
@@ -53,7 +54,7 @@ def logged(
             log.append(sensor.name, Block(time[held], counts[held], status[held]))
         log.phase(Phase(0, 20 * SECOND - 1, "static", "+Z"))
         if message:
-            log.event(Event(round(late_s * SECOND), "", "late", message))
+            log.event(Event(round(late_s * SECOND), "", kind, message))
     return recording_of(open_log(path))
 
 
@@ -110,6 +111,22 @@ def test_the_logger_says_when_it_was_late(tmp_path: Path, message: str, late_s: 
     """
     recording = logged(tmp_path / "log.h5", {"Acc": slice(300, 340)}, message, late_s)
     assert due(recording)["Acc"] == (ROWS - 40 if is_of_recorder else ROWS)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message", "is_of_recorder"),
+    [
+        ("missed", "frames missed: the computer was busy", True),
+        ("info", "stalled by the SD card", True),
+        ("note", "the fan was switched on", False),
+    ],
+)
+def test_other_loggers_report_delays_in_their_own_words(
+    tmp_path: Path, kind: str, message: str, is_of_recorder: bool
+) -> None:
+    """A single sensor lacks rows, and an event without a sensor stands at the first row after them."""
+    recording = logged(tmp_path / "log.h5", {"Acc": slice(400, 403)}, message, 403 / RATE_HZ, SENSORS[:1], kind=kind)
+    assert due(recording)["Acc"] == ROWS - 3 * is_of_recorder
 
 
 @pytest.mark.parametrize("is_delayed", [False, True])
@@ -209,3 +226,13 @@ def test_rows_with_common_stamps_tell_which_rows_a_sensor_lost(tmp_path: Path) -
     np.testing.assert_allclose(times, np.delete(whole, lost), atol=1)
     apart = in_bursts(tmp_path / "apart.h5", lost, second_ns=7)
     assert due(apart) == {"Acc": rows, "Gyro": rows - len(lost)}
+
+
+def test_a_filter_settles_in_the_first_rows_of_a_log(tmp_path: Path) -> None:
+    """Five time constants of 10 Hz are 80 ms: four rows at 50 Hz. A chip without a filter has none."""
+    sensors = (replace(SENSORS[0], bandwidth_hz=10.0), SENSORS[1])
+    recording = logged(tmp_path / "log.h5", {}, sensors=sensors)
+    source = sources_of(recording)["Acc"]
+    first_ns = next(iter(source.blocks(0, SECOND))).time[0]
+    assert first_ns == 80_000_000
+    assert list(recording.experiment.uncertain_ns) == ["Acc"]

@@ -51,7 +51,7 @@ from imuarray.gap.statistics.probes.timing import tells_repetitions
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bandwidth import SEVERAL_SAMPLES, Bandwidth, correlation
+from imuarray.simulate.effects.bandwidth import SEVERAL_SAMPLES, Bandwidth, has_correlations
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.own_clock import AT_ITS_RATE, OwnClock
 from imuarray.simulate.effects.size_effect import SizeEffect, with_position
@@ -126,6 +126,12 @@ _BY_CHANCE = 2.0
 """Variances of an estimated correlation that are due to chance: a median of three axes has less than half of one, so
 that those at three lags together exceed six in one of 250 phases.
 """
+
+_EXPECTED = 0.7
+"""The same for a filter below the Nyquist frequency of the rows: it is expected to show, and needs less proof."""
+
+_MEASURED = 1.5
+"""Misfit of the best filter, over what chance makes of it, beyond which correlations are taken as measured."""
 
 _GRAVITY_UP = np.array([0.0, 0.0, STANDARD_GRAVITY])
 
@@ -241,16 +247,10 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
         fitted[name] = replace(fitted[name], clock_error=_clock_error(campaign, header), delay=stated_delay(header))
         if model is not None and Bandwidth.name in model.parts(header):
             continue  # the model says what the filter is
-        filter_effect = _filter_of(campaign, header, fitted[name])
-        if filter_effect is not None:
-            memory = _row_correlations(campaign, header, filter_effect)
-            fitted[name] = replace(
-                fitted[name],
-                rms=rms_of(header, rests[name], memory),
-                cutoff_hz=filter_effect.cutoff_hz,
-                poles=filter_effect.poles,
-                sampled_hz=filter_effect.sampled_hz,
-            )
+        low_pass = _filter_of(campaign, header, fitted[name])
+        if low_pass is not None:
+            rms = rms_of(header, rests[name], _row_correlations(campaign, header, low_pass))
+            fitted[name] = replace(fitted[name], rms=rms, low_pass=low_pass)
     return Base(headers, fitted, model, seed)
 
 
@@ -411,8 +411,9 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     samples at the chip's data rate), and noise without a memory. Rows of a chip that is polled faster than it samples
     are 0, 1, ... samples apart (`_samples_apart`): those that read one sample again are equal whatever the filter. What
     rounding adds no filter passes. A phase may wander, as in the heat (`_beyond_wander`), and is left out if others
-    tell enough (`_level_phases`). Phases are weighted by their rows. Correlations tell no filter if neither they nor
-    their mean over the phases are larger than chance makes those of white noise.
+    tell enough (`_level_phases`). Phases are weighted by their rows. If none of these filters fits as chance allows,
+    the nearest one has the measured correlations. Correlations tell no filter if neither they nor their mean over the
+    phases are larger than chance makes those of white noise.
     """
     configured_hz = noise_bandwidth_hz(header)
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
@@ -433,7 +434,8 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
         return None
     rows = np.array([max(phase.rows, 1) for phase in rests])
     weight = rows / rows.sum()
-    chance_of_mean = _BY_CHANCE * _LAGS / float(rows.sum())
+    is_expected = 2 * configured_hz < max(pace.rows_per_s for pace in reads)
+    chance_of_mean = (_EXPECTED if is_expected else _BY_CHANCE) * _LAGS / float(rows.sum())
     chance = chance_of_mean * len(rests)
     white = float(weight @ np.square(without_memory).sum(axis=1))
     if white <= chance and float(np.square(weight @ without_memory).sum()) <= chance_of_mean:
@@ -447,7 +449,15 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
         misfit = float(weight @ np.square(_beyond_wander(correlations, expected[of_kind], least_wander)).sum(axis=1))
         if misfit < least:
             best, least = effect, misfit
-    return best if least < _FILTER_MISFIT * white + chance else None
+    if best is None or not least < _FILTER_MISFIT * white + chance:
+        return None
+    is_single = all(abs(pace.samples_a_row - 1) < AT_ITS_RATE for pace in reads)
+    apart = [_samples_apart(float(weight @ [pace.samples_a_row for pace in reads]), lag) for lag in _ALL_LAGS]
+    shares = np.array([[shares.get(samples, 0.0) for samples in _ALL_LAGS] for shares in apart])
+    measured = tuple(np.linalg.lstsq(shares, weight @ correlations, rcond=None)[0].tolist())
+    if least > _MEASURED * chance and is_single and has_correlations(measured):
+        return replace(best, correlations=measured)
+    return best
 
 
 def _level_phases(phases: Sequence[Summary], noise: Floats) -> list[Summary]:
@@ -468,7 +478,8 @@ def _row_correlations(campaign: Campaign, header: SensorHeader, effect: Bandwidt
     rows_per_s = 1 / float(np.median([phase.intervals.mean_s for phase in phases]))
     decay = effect.decay(rows_per_s)
     lags = range(1, min(math.ceil(_MEMORY / decay), _MOST_LAGS) + 1)
-    return np.array([correlation(decay * lag, effect.poles, effect.band) for lag in lags])
+    by_filter = [effect.correlation(decay * lag) for lag in lags]
+    return np.array([*effect.correlations, *by_filter[len(effect.correlations) :]])
 
 
 def _beyond_wander(correlations: Floats, expected: Floats, least: Floats) -> Floats:
@@ -525,7 +536,7 @@ def _filter_correlations(
             decay = effect.decay(rows_per_s * samples_a_row)
             for column, lag in enumerate(_ALL_LAGS):
                 expected[at, column] = sum(
-                    share * correlation(decay * samples, effect.poles, effect.band)
+                    share * effect.correlation(decay * samples)
                     for samples, share in _samples_apart(samples_a_row, lag).items()
                     if samples
                 )
@@ -537,10 +548,10 @@ def _filters(configured_hz: float, sampled_hz: float) -> Iterator[Bandwidth]:
     """Yield the filters that the chip may have, analogue, and digital unless `sampled_hz` is infinite: one whose rows
     come far more slowly than its samples looks analogue.
     """
-    for sampled in dict.fromkeys((math.inf, sampled_hz)):
-        for poles in (1.0, 2.0):
+    for sampled, warped in dict.fromkeys(((math.inf, 0.0), (sampled_hz, 0.0), (sampled_hz, 1.0))):
+        for poles in (1.0, 2.0) if math.isfinite(sampled) or not warped else ():
             for ratio in np.linspace(1 - CUTOFF_TOLERANCE, 1 + CUTOFF_TOLERANCE, _CUTOFFS).tolist():
-                yield Bandwidth(ratio * configured_hz, poles=poles, sampled_hz=sampled)
+                yield Bandwidth(ratio * configured_hz, poles=poles, sampled_hz=sampled, warped=warped)
 
 
 def _clock_error(campaign: Campaign, header: SensorHeader) -> float:

@@ -14,6 +14,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from imuarray.arrays import Floats
+from imuarray.gap.recording.recordings import CHIP_LEAD_S
 from imuarray.gap.statistics.campaign import Campaign, LogSummary
 from imuarray.gap.statistics.segments import Segments
 from imuarray.simulate.effects.thermal_lag import ThermalLag
@@ -27,7 +28,7 @@ LEAST_HEATING_DEGC = 3.0
 as much as it changes in a degree.
 """
 
-_LAGS_S = (0.0, 1.0, 2.0, 3.5, 5.0, 7.5, 10.0, 14.0, LONGEST_LAG_S)
+_LAGS_S = (0.0, 1.0, 2.0, 3.5, CHIP_LEAD_S, 7.5, 10.0, 14.0, LONGEST_LAG_S)
 """Time constants that are tried; between them a parabola through the sums of squares is followed."""
 
 _GAIN = 16.0
@@ -61,21 +62,24 @@ def fit_lag(rests: Sequence[HeatedRest], rms: Floats) -> float:
     """Return the time constant in s, 0 to `LONGEST_LAG_S`, for which the readings in these phases follow the
     temperature best.
 
-    `rms` (3,) is that of single readings. 0 where no attitude has enough heating, or no lag is significantly better
-    than none. Readings that follow a parabola over temperature better than a straight line with any lag have the lag
-    that goes with a parabola: in a heating that only rises a curve looks like a lag.
+    `rms` (3,) is that of single readings. Where no attitude has enough heating, or no lag is significantly better, it
+    is the usual one: none, or that of the thermometer by which the temperature is known (`CHIP_LEAD_S`). Readings that
+    follow a parabola over temperature better than a straight line with any lag have the lag that goes with a parabola:
+    in a heating that only rises a curve looks like a lag.
     """
     by_attitude: dict[Hashable, list[HeatedRest]] = {}
     for rest in rests:
         by_attitude.setdefault(rest.attitude, []).append(rest)
     attitudes = [members for members in by_attitude.values() if _is_heated(members)]
+    usual_s = max((float(getattr(rest.motion, "lead_s", 0.0)) for rest in rests), default=0.0)
     if not attitudes or not rms.all():
-        return 0.0
+        return usual_s
+    usual = _LAGS_S.index(usual_s)
     straight, curved = np.array([_misfits(attitudes, lag_s, rms) for lag_s in _LAGS_S]).T
-    misfits = curved if straight.min() - curved[0] > _GAIN else straight
+    misfits = curved if straight.min() - curved[usual] > _GAIN else straight
     best = int(np.argmin(misfits))
-    if not misfits[0] - misfits[best] > _GAIN:
-        return 0.0
+    if not misfits[usual] - misfits[best] > _GAIN:
+        return usual_s
     near = slice(max(best - 1, 0), best + 2)
     if len(misfits[near]) < 3:
         return _LAGS_S[best]

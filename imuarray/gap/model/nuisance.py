@@ -76,8 +76,8 @@ def _of_part(header: SensorHeader, fitted: FittedParameters) -> Iterator[Nuisanc
         for axis, value, tolerance in zip(AXES, fitted.slope, slope_tolerance(header), strict=True):
             yield NuisanceEstimate("thermal slope of the bias", header.name, axis, value, unit, tolerance, _SHEET)
     yield from _of_noise(header, fitted)
-    if math.isfinite(fitted.cutoff_hz):
-        off = fitted.cutoff_hz / noise_bandwidth_hz(header) - 1
+    if fitted.low_pass is not None:
+        off = fitted.low_pass.cutoff_hz / noise_bandwidth_hz(header) - 1
         yield NuisanceEstimate("cutoff of the filter", header.name, "", off, "", CUTOFF_TOLERANCE, _USUAL)
     if math.isfinite(fitted.clock_error):
         tolerance = clock_tolerance(header)

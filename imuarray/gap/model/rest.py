@@ -71,11 +71,10 @@ class FittedParameters:
     `rms` without that of rounding, `offset` at 25 degC, `slope` per degC. `response`: the reading of each axis (row)
     for each unit of specific force along each axis (column), per unit for an accelerometer and in the sensor's unit per
     g for others, within the chip's tolerance; `raw_response` as fitted without that bound. `is_slope_known`: whether
-    temperatures differed enough. `cutoff_hz` and `poles` of the chip's own low-pass filter (infinite: white noise),
-    which may be a digital one after a converter that samples at `sampled_hz`. `clock_error`: relative error of the rate
-    of the chip's data clock, if repeated rows determine it (otherwise nan). `lag_s`: time constant with which the
-    element follows the temperature of the box; offset and slope are over the element's temperature. `delay` of the
-    signal.
+    temperatures differed enough. `low_pass`: the chip's own low-pass filter (None: white noise). `clock_error`:
+    relative error of the rate of the chip's data clock, if repeated rows determine it (otherwise nan). `lag_s`: time
+    constant with which the element follows the temperature of the box; offset and slope are over the element's
+    temperature. `delay` of the signal.
     """
 
     rms: Triple
@@ -84,9 +83,7 @@ class FittedParameters:
     response: Matrix = NO_RESPONSE
     raw_response: Matrix = NO_RESPONSE
     is_slope_known: bool = False
-    cutoff_hz: float = math.inf
-    poles: float = 1.0
-    sampled_hz: float = math.inf
+    low_pass: Bandwidth | None = None
     clock_error: float = math.nan
     lag_s: float = 0.0
     delay: SignalDelay = NO_DELAY
@@ -94,8 +91,8 @@ class FittedParameters:
     def effects(self) -> tuple[Effect, ...]:
         """Return the parameters as effects of the simulator."""
         noise: tuple[Effect, ...] = (WhiteNoise(self.rms),)
-        if math.isfinite(self.cutoff_hz):
-            noise = (*noise, Bandwidth(self.cutoff_hz, poles=self.poles, sampled_hz=self.sampled_hz))
+        if self.low_pass is not None:
+            noise = (*noise, self.low_pass)
         if self.delay.filter_s:
             noise = (*noise, Bandwidth(two_pole_cutoff_hz(self.delay.filter_s), share=1.0, poles=2.0, signal_only=1.0))
         if self.delay.stamp_s:

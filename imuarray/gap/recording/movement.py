@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from imuarray.arrays import Floats, Integers
 from imuarray.gap.recording.source import RecordedSource
@@ -21,6 +20,7 @@ from imuarray.log.format import Phase
 from imuarray.robust import MEDIAN_ABSOLUTE
 from imuarray.simulate.motion.like import SplineColumns
 from imuarray.simulate.motion.posed import Movement
+from imuarray.simulate.motion.track_noise import reduce_noise
 from imuarray.units import INERTIAL, SI_PER_UNIT, STANDARD_GRAVITY
 
 _WINDOW_ROWS, _SHORTEST_S = 2.0, 0.02
@@ -28,11 +28,6 @@ _WINDOW_ROWS, _SHORTEST_S = 2.0, 0.02
 
 _FEWEST_WINDOWS, MOST_WINDOWS = 16, 200_000
 """Fewest windows of a motion, and the most that are kept in memory: an hour of 20 ms, 80 MB for 16 sensors."""
-
-_ENDS, _BINS, _ABOVE_NOISE = 5, 25, 1.5
-"""Windows that tell the ends of a phase, neighbouring bins of a spectrum that are averaged, and the multiple of the
-noise from which on their power is a motion: that of noise alone hardly exceeds it.
-"""
 
 _LEAST_FORCE, _LEAST_RATE, _NOISE_MARGIN = 0.02, 0.003, 2.0
 """Changes of force (m/s2, rms) and rate (rad/s, rms) that are motion, and the factor of the variance of the noise that
@@ -146,24 +141,5 @@ def _mean_of(sensors: Sequence[Floats]) -> Floats:
     # (s - 1) / s of its variance, and has 1 / s of it.
     of_each = mean[None] if len(readings) == 1 else apart
     scatter = np.nanmedian(np.diff(of_each, n=2, axis=1) ** 2, axis=(0, 1)) / MEDIAN_ABSOLUTE**2 / 6
-    means[known] = _without_noise(mean, scatter / max(len(readings) - 1, 1))
+    means[known] = reduce_noise(mean, scatter / max(len(readings) - 1, 1), keeps_power=True)
     return means
-
-
-def _without_noise(values: Floats, variance: Floats) -> Floats:
-    """Return values (w, 3) without white noise of this variance (3,): of what is left of a line, each frequency keeps
-    the power that exceeds that of the noise (spectral subtraction), so that the motion has the variance that it had.
-
-    This is done along the principal axes: of a rotation about a single axis, which is oblique to those of the box, no
-    noise about the others may be left, since it would tell the axes of simulated sensors apart.
-    """
-    count = len(values)
-    ends = values[:_ENDS].mean(axis=0), values[-_ENDS:].mean(axis=0)
-    line = ends[0] + np.linspace(0, 1, count)[:, None] * (ends[1] - ends[0])
-    moved = values - line
-    principal = np.linalg.eigh(moved.T @ moved)[1]
-    spectrum = np.fft.rfft(moved @ principal, axis=0)
-    power = uniform_filter1d(np.abs(spectrum) ** 2, _BINS, axis=0, mode="nearest") / count
-    noise = variance @ principal**2
-    share = np.where(power > _ABOVE_NOISE * noise, 1 - noise / np.maximum(power, 1e-30), 0.0)
-    return np.asarray(line + np.fft.irfft(np.sqrt(share) * spectrum, count, axis=0) @ principal.T)

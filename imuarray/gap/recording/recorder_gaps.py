@@ -49,6 +49,9 @@ EARLY = 0.9
 CHANCE = 0.01
 """Probability with which sensors that lose rows independently have as many gaps in common."""
 
+_DELAYED = re.compile(r"\b(late|miss(ed|ing)|stall(ed|s)?|delay(ed|s)?|busy)\b", re.IGNORECASE)
+"""Words for a delay of the recorder in the kind or message of an event; "late" is the kind of this logger."""
+
 _SPAN = re.compile(r"missed in ([\d.]+) s")
 """The part of an event that reports all delays of a period together."""
 
@@ -83,7 +86,7 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
     """Detect the recorder's gaps among the rows of sensors with these timelines."""
     usual_ns = {name: usual_interval_ns(sensor) for name, sensor in log.sensors.items()}
     frame_ns = 1e9 / log.frame_rate_hz if log.frame_rate_hz > 0 else min(filter(None, usual_ns.values()), default=0.0)
-    delays = [_delay(event, frame_ns) for event in log.events if event.kind == "late" and not event.sensor]
+    delays = [_delay(event, frame_ns) for event in log.events if _is_delay(event)]
     timelines, ends_ns, uncertain_ns = dict(lines), {}, {}
     most: list[_Gap] = []
     for name, line in lines.items():
@@ -169,6 +172,11 @@ def _lost_share(sensor: SensorLog, usual_ns: float, gap_ns: float) -> float:
 def usual_interval_ns(sensor: SensorLog) -> float:
     """Return the median of a sensor's first intervals, 0 without two rows."""
     return float(np.median(np.diff(np.asarray(sensor.time[: 1 << 14], np.int64)))) if len(sensor) > 1 else 0.0
+
+
+def _is_delay(event: Event) -> bool:
+    """Return whether an event reports a delay of the recorder: it names no sensor."""
+    return not event.sensor and bool(_DELAYED.search(event.kind) or _DELAYED.search(event.message))
 
 
 def _delay(event: Event, frame_ns: float) -> _Gap:

@@ -75,6 +75,17 @@ UNREFERENCED: Collection[TemperatureSource] = ("chip", "nothing")
 """Sources of a temperature that is no reference: the chips' own thermometers, and an assumption."""
 
 
+CHIP_LEAD_S = 5.0
+"""Time constant with which a chip's own thermometer usually follows the temperature of the box. The temperature of a
+heated log that only such a thermometer tells is what it follows with this lag: elements that are faster than that chip
+then have a lag as well, and others the usual one unless their readings tell.
+"""
+
+
+_SETTLING, _MOST_SETTLING = 5.0, 1000
+"""Time constants of its filter in which a chip settles after it was switched on, and the most rows of that time."""
+
+
 class LogReference(NamedTuple):
     """The references beside the sensors of a log: `temperature`, and motion by the `track` of an instrument."""
 
@@ -86,8 +97,8 @@ class Experiment(NamedTuple):
     """The plan of one log (which sensors were read when) and the motion of the box.
 
     `uncertain_ns`: by sensor the times (u,) of rows that are not compared, since nobody knows when they were read
-    (`imuarray.gap.recording.recorder_gaps`). `has_temperature`: whether the log has a reference temperature; without
-    one, the box may have been heated all the same (`is_heated`).
+    (`imuarray.gap.recording.recorder_gaps`), or the chip's filter had not settled. `has_temperature`: whether the log
+    has a reference temperature; without one, the box may have been heated all the same (`is_heated`).
     """
 
     plan: Plan
@@ -161,11 +172,18 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     )
     notes = (*notes, *([gaps.note] if gaps.note else []))
     fields = fields_of([log[name] for name in chosen], phases)
-    motion = replace(motion, fields=fields, rests=_rests_of(phases, motion))
+    lead_s = CHIP_LEAD_S if heated and motion.temperature_source == "chip" else 0.0
+    motion = replace(motion, fields=fields, rests=_rests_of(phases, motion), lead_s=lead_s)
     is_posed = movements or any(attitude.estimated for attitude in attitudes)
     posed = PoseSequence(attitudes, motion, fields, movements) if is_posed and attitudes else motion
     has_temperature = motion.temperature_source not in UNREFERENCED
-    experiment = Experiment(replace(plan, sensors=sensors), posed, gaps.uncertain_ns, has_temperature)
+    settling = {name: _settling_ns(header, line) for name, (header, line) in sensors.items()}
+    uncertain_ns = {
+        name: np.union1d(times_ns, gaps.uncertain_ns.get(name, times_ns[:0]))
+        for name, times_ns in settling.items()
+        if len(times_ns) or name in gaps.uncertain_ns
+    }
+    experiment = Experiment(replace(plan, sensors=sensors), posed, uncertain_ns, has_temperature)
     return Recording(
         log.path.name, log, kind_of(phases, attitudes, heated=heated), phases, experiment, notes, gaps.ends_ns
     )
@@ -331,6 +349,15 @@ def _rests_of(phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[int, int]
         return ()
     still = [phase for phase in phases if is_at_rest(phase) and not moves_by_track(phase, motion)]
     return tuple((phase.start_ns, phase.end_ns) for phase in still)
+
+
+def _settling_ns(header: SensorHeader, line: Timeline) -> Times:
+    """Return the times of the first rows of a log, in which the filter of a chip that was switched on may settle."""
+    if header.bandwidth_hz <= 0:
+        return np.zeros(0, np.int64)
+    settling_s = _SETTLING / (2 * math.pi * header.bandwidth_hz)
+    first_ns = np.asarray(line.stamps(0, min(line.rows, _MOST_SETTLING)), np.int64)
+    return first_ns[: np.searchsorted(first_ns, first_ns[:1].sum() + settling_s * 1e9)]
 
 
 class _Comparable:

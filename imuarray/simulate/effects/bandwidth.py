@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Reals
+from imuarray.arrays import Integers, Reals
 from imuarray.simulate.effect import Effect, scalar
 from imuarray.simulate.effects.own_clock import AT_ITS_RATE
+from imuarray.simulate.parameters import listed
 from imuarray.simulate.signal import Analog, Place
 
 _FINE = 1e-3  # time constants per row, below which correlations of rows are too similar to be distinguished
 _FORGOTTEN = 12 * math.log(10.0)  # time constants after which a share of 1e-12 of the past remains
 _MEMORY = 8  # number of rows from which noise after a digital filter is predicted
+_IMPULSE = 4096  # rows of a filter's impulse response
 _STEPS = 8  # steps of the quadrature for each cutoff and each radian
 
 
@@ -40,7 +43,8 @@ class Bandwidth(Effect):
 
     A digital filter behind a converter that samples at `sampled_hz` passes white noise up to half that rate only
     (infinite: no limit). The correlations are those of that part of the filter's response; the 8 rows before each
-    row reproduce them (Yule and Walker).
+    row reproduce them (Yule and Walker). A `warped` one (1) is designed by the bilinear transform, as most are: its
+    response falls to zero at half the rate.
 
     If a chip is polled faster than it samples, the noise depends on the previous sample, not on the previous row: rows
     that repeat a sample repeat its noise. If it is polled more slowly, consecutive rows are one or two samples apart
@@ -49,6 +53,9 @@ class Bandwidth(Effect):
     `noise_share` of the noise's rms passes the filter. For a filter that is always present the noise is measured behind
     it, so the share is 1; a filter that starts at some moment reduces the noise. `signal_only` (1) leaves the noise
     white, for rows so much slower than the filter that only its delay is visible.
+
+    No data sheet prints the response of a chip's filter. `correlations` of the noise at lags of 1, 2, ... samples, as
+    measured, replace those of the filter; later samples are predicted from as many earlier ones.
     """
 
     name: ClassVar[str] = "bandwidth"
@@ -58,23 +65,31 @@ class Bandwidth(Effect):
     sampled_hz: float = scalar(math.inf, low=1e-2)
     noise_share: float = scalar(1.0, low=0.0, high=10.0)
     signal_only: float = scalar(0.0)
+    warped: float = scalar(0.0)
+    correlations: tuple[float, ...] = listed()
 
     def __post_init__(self) -> None:
-        """Raise ValueError unless `poles` is 1 or 2 and `signal_only` is 0 or 1."""
+        """Raise ValueError unless `poles` is 1 or 2, switches are 0 or 1, and a noise can have the `correlations`."""
         super().__post_init__()
+        object.__setattr__(self, "correlations", tuple(map(float, self.correlations)))
+        if self.correlations and not has_correlations(self.correlations):
+            raise ValueError(f"correlations: no noise has {self.correlations}")
         if self.poles not in (1.0, 2.0):
             raise ValueError(f"poles: {self.poles:g}; allowed are 1 and 2")
-        if self.signal_only not in (0.0, 1.0):
-            raise ValueError(f"signal_only: {self.signal_only:g}; allowed are 0 and 1")
+        for name in ("signal_only", "warped"):
+            if getattr(self, name) not in (0.0, 1.0):
+                raise ValueError(f"{name}: {getattr(self, name):g}; allowed are 0 and 1")
 
     def lookback(self, at: Place) -> int:
         """Return the number of rows after which the influence of earlier rows has decayed to 1e-12."""
         rows = math.ceil(_FORGOTTEN / self.decay(at.rows_per_s))
+        if self.correlations:
+            return max(rows, _rows_remembered(_prediction_filter(self.correlations)[1]))
         if math.isinf(self.sampled_hz):
             return rows
         samples_a_row = at.sensor.rate_hz / at.rows_per_s
         decay = self.decay(at.rows_per_s) / (samples_a_row if 1 < samples_a_row < SEVERAL_SAMPLES else 1)
-        return max(rows, _memory(decay, self.poles, self.band))
+        return max(rows, _rows_remembered(_noise_filter(decay, self._response)[1]))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Filter the noise, which is stationary from the first row on, and the signal, which is taken as constant
@@ -86,37 +101,41 @@ class Bandwidth(Effect):
         value = self._passed(analog.value, decay)
         if self.signal_only:
             return replace(analog, value=value)
-        samples_a_row = analog.rate_hz / at.rows_per_s
-        if 1 + AT_ITS_RATE < samples_a_row < SEVERAL_SAMPLES and np.any(analog.white_rms):
-            return replace(analog, value=value, noise=self._of_every_sample(analog, at))
-        if not 0 < (1 + AT_ITS_RATE) * samples_a_row < 1:
+        if not 0 < analog.rate_hz < SEVERAL_SAMPLES * at.rows_per_s:
             return replace(analog, value=value, noise=self._coloured(analog.noise, decay))
-        is_new = np.concatenate([[True], np.diff(analog.instant_ns) > 0])
-        samples = self._coloured(analog.noise[is_new], decay / samples_a_row)
-        return replace(analog, value=value, noise=samples[np.cumsum(is_new) - 1])
+        steps_ns = np.diff(analog.instant_ns)
+        samples = np.where(steps_ns > 0, np.maximum(np.rint(steps_ns * 1e-9 * analog.rate_hz), 1), 0).astype(int)
+        if (samples == 1).all():
+            return replace(analog, value=value, noise=self._coloured(analog.noise, decay))
+        return replace(analog, value=value, noise=self._of_every_sample(analog, samples, at))
 
-    def _of_every_sample(self, analog: Analog, at: Place) -> Reals:
-        """Return the noise (n, 3) of rows between which the chip makes further readings."""
+    def _of_every_sample(self, analog: Analog, samples: Integers, at: Place) -> Reals:
+        """Return the noise (n, 3) of rows that are `samples` (n - 1,) of the chip apart: 0 repeats one, and after
+        several there are samples that no row reads.
+        """
         most = math.ceil(analog.rate_hz / at.rows_per_s)
-        samples = np.rint(np.diff(analog.instant_ns) * 1e-9 * analog.rate_hz).astype(int)
-        skipped = np.concatenate([[0], np.clip(samples - 1, 0, most)])
-        places = np.cumsum(skipped + 1) - 1  # indices of the rows among all samples
+        steps = np.append(0, np.minimum(samples, most + 1))
+        places = np.cumsum(steps)  # indices of the rows among all samples
+        is_first = np.append(True, steps[1:] > 0)
         is_read = np.zeros(places[-1] + 1, bool)
         is_read[places] = True
-        stop = analog.first + len(analog.noise)
-        unread = at.stream(self.name, "unread", width=3 * most).normal(analog.first, stop).reshape(-1, most, 3)
-        unread = unread * np.broadcast_to(np.asarray(analog.white_rms, unread.dtype), analog.noise.shape)[:, None]
         white = np.empty((len(is_read), 3), analog.noise.dtype)
-        white[is_read] = analog.noise
-        white[~is_read] = unread[np.arange(most) < skipped[:, None]]
+        white[is_read] = analog.noise[is_first]
+        if not is_read.all():
+            stop = analog.first + len(analog.noise)
+            unread = at.stream(self.name, "unread", width=3 * most).normal(analog.first, stop).reshape(-1, most, 3)
+            unread = unread * np.broadcast_to(np.asarray(analog.white_rms, unread.dtype), analog.noise.shape)[:, None]
+            white[~is_read] = unread[np.arange(most) < (steps - 1)[:, None]]
         decay = self.decay(at.rows_per_s) * at.rows_per_s / analog.rate_hz
         return np.ascontiguousarray(self._coloured(white, decay)[places])
 
     def _coloured(self, white: Reals, decay: float) -> Reals:
-        """Return the noise (n, 3) after the filter; consecutive rows are `decay` time constants apart."""
+        """Return the noise (n, 3) after the filter; consecutive ones are `decay` time constants apart."""
         from scipy.signal import lfilter  # imported late because SciPy takes long to load
 
-        numerator, denominator = _noise_filter(decay, self.poles, self.band)
+        numerator, denominator = (
+            _prediction_filter(self.correlations) if self.correlations else _noise_filter(decay, self._response)
+        )
         first = np.zeros((len(denominator) - 1, white.shape[1]))
         first[0] = (1 - numerator[0]) * white[0]
         noise, _ = lfilter(numerator, denominator, white.astype(float), axis=0, zi=first)
@@ -135,10 +154,14 @@ class Bandwidth(Effect):
         )
         return np.asarray(value + self.share * (late - signal), value.dtype)
 
+    def correlation(self, decay: float) -> float:
+        """Return the correlation of the noise behind the filter at a lag of `decay` time constants."""
+        return _correlation(decay, self._response)
+
     @property
-    def band(self) -> float:
-        """Return the highest frequency of the noise that is filtered, divided by the cutoff."""
-        return self.sampled_hz / 2 / self.cutoff_hz
+    def _response(self) -> _Response:
+        band = self.sampled_hz / 2 / self.cutoff_hz
+        return _Response(self.poles, band, bool(self.warped) and band > 1)
 
     def decay(self, readings_per_s: float) -> float:
         """Return the number of time constants between consecutive readings."""
@@ -152,24 +175,34 @@ def two_pole_cutoff_hz(delay_s: float) -> float:
     return 1 / (math.sqrt(2) * math.pi * delay_s)
 
 
-def correlation(decay: float, poles: float, band: float = math.inf) -> float:
-    """Return the correlation of the filtered noise at a lag of `decay` time constants, for noise that is band-limited
-    at `band` times the cutoff.
+class _Response(NamedTuple):
+    """The squared response of a filter with so many `poles`: of noise up to `band` cutoffs (infinite: all), which is
+    half the rate of the samples; it may be `is_warped` so that it falls to zero there (bilinear transform).
     """
-    if math.isfinite(band):
-        return _band_limited(decay, poles, band)
-    fade = math.exp(-decay)
-    return fade if poles == 1 else fade * (math.cos(decay) + math.sin(decay))
+
+    poles: float
+    band: float
+    is_warped: bool
+
+    def power(self, over_cutoff: Reals) -> Reals:
+        """Return the squared response at these frequencies, over the cutoff and below `band`."""
+        if self.is_warped:
+            over_cutoff = np.tan(math.pi / 2 * over_cutoff / self.band) / math.tan(math.pi / 2 / self.band)
+        return np.asarray(1 / (1 + over_cutoff ** (2 * self.poles)))
 
 
 @lru_cache(maxsize=4096)
-def _band_limited(decay: float, poles: float, band: float) -> float:
-    """Return the cosine transform of the filter's squared response 1 / (1 + u^(2 poles)), u = 0 to `band` cutoffs."""
-    radians = decay * math.sqrt(poles)  # at the cutoff
-    steps = 2 * math.ceil(_STEPS * (1 + band * (1 + radians)))
-    over_cutoff = np.linspace(0.0, band, steps + 1)
-    power = 1 / (1 + over_cutoff ** (2 * poles))
-    weighted = _simpson_weights(steps) * power
+def _correlation(decay: float, response: _Response) -> float:
+    """Return the correlation of the filtered noise at a lag of `decay` time constants: for noise that is band-limited,
+    the cosine transform of the squared response.
+    """
+    if math.isinf(response.band):
+        fade = math.exp(-decay)
+        return fade if response.poles == 1 else fade * (math.cos(decay) + math.sin(decay))
+    radians = decay * math.sqrt(response.poles)  # at the cutoff
+    steps = 2 * math.ceil(_STEPS * (1 + response.band * (1 + radians)))
+    over_cutoff = np.linspace(0.0, response.band, steps + 1)
+    weighted = _simpson_weights(steps) * response.power(over_cutoff)
     return float(weighted @ np.cos(radians * over_cutoff) / weighted.sum())
 
 
@@ -182,40 +215,65 @@ def _simpson_weights(steps: int) -> Reals:
     return weights
 
 
-@lru_cache(maxsize=256)
-def _memory(decay: float, poles: float, band: float) -> int:
-    """Return the number of rows that the noise of a digital filter depends on."""
-    _, under = _noise_filter(decay, poles, band)
-    return math.ceil(_FORGOTTEN / -math.log(np.abs(np.roots(under)).max()))
+def _rows_remembered(denominator: Reals) -> int:
+    """Return the number of rows after which a filter with this denominator has forgotten the past."""
+    return math.ceil(_FORGOTTEN / -math.log(np.abs(np.roots(denominator)).max()))
+
+
+def has_correlations(correlations: Sequence[float]) -> bool:
+    """Return whether a noise can have these correlations at lags 1, 2, ..."""
+    from scipy.linalg import toeplitz  # imported late because SciPy takes long to load
+
+    return bool(np.linalg.eigvalsh(toeplitz([1.0, *correlations]))[0] > _FINE)
 
 
 @lru_cache(maxsize=256)
-def _noise_filter(decay: float, poles: float, band: float = math.inf) -> tuple[Reals, Reals]:
+def _prediction_filter(correlations: tuple[float, ...]) -> tuple[Reals, Reals]:
+    """Return (numerator, denominator) of the filter that turns white noise into noise of the same rms with these
+    correlations at lags 1 ... n, by prediction from the n rows before (Yule and Walker).
+    """
+    from scipy.linalg import solve_toeplitz  # imported late because SciPy takes long to load
+
+    rows = np.array([1.0, *correlations])
+    coefficients = solve_toeplitz(rows[:-1], rows[1:])
+    return np.array([math.sqrt(max(1 - coefficients @ rows[1:], _FINE))]), np.append(1.0, -coefficients)
+
+
+@lru_cache(maxsize=256)
+def _noise_filter(decay: float, response: _Response) -> tuple[Reals, Reals]:
     """Return (numerator, denominator) of a filter that turns white noise into noise after the chip's filter, of the
     same rms, row by row. Its poles are those of the chip's filter; with two poles there is also a zero, which follows
-    from the first three correlations. For a digital filter the noise is predicted from the previous rows.
+    from the first three correlations. A warped filter whose samples are the rows is the filter itself; of any other
+    digital one the noise is predicted from the previous rows.
     """
-    if math.isfinite(band):
-        rows = np.array([correlation(decay * lag, poles, band) for lag in range(_MEMORY + 1)])
-        from scipy.linalg import solve_toeplitz  # imported late because SciPy takes long to load
-
-        coefficients = solve_toeplitz(rows[:-1], rows[1:])
-        return np.array([math.sqrt(max(1 - coefficients @ rows[1:], _FINE))]), np.append(1.0, -coefficients)
-    if poles == 1:
+    if response.is_warped and abs(decay * math.sqrt(response.poles) * response.band / math.pi - 1) < AT_ITS_RATE:
+        return _own_filter(response)
+    if math.isfinite(response.band):
+        return _prediction_filter(tuple(_correlation(decay * lag, response) for lag in range(1, _MEMORY + 1)))
+    if response.poles == 1:
         phi = math.exp(-decay)
         return np.array([math.sqrt(-math.expm1(-2 * decay))]), np.array([1.0, -phi])
     decayed = math.exp(-decay)
     denominator = np.array([1.0, -2 * decayed * math.cos(decay), decayed * decayed])
     fine = max(decay, _FINE)
     if fine > decay:
-        numerator, _ = _noise_filter(fine, poles)
+        numerator, _ = _noise_filter(fine, response)
         return numerator * (decay / fine) ** 1.5, denominator
-    rows = np.array([correlation(decay * lag, poles) for lag in range(4)])
+    rows = np.array([_correlation(decay * lag, response) for lag in range(4)])
     lags = np.subtract.outer(np.arange(3), np.arange(3))
     same, neighbour = (float(denominator @ rows[np.abs(lags + lag)] @ denominator) for lag in (0, 1))
     share = 2 * neighbour / same
     zero = share / (1 + math.sqrt(max(1 - share * share, 0.0)))  # the zero within the unit circle
     return math.sqrt(same / (1 + zero * zero)) * np.array([1.0, zero]), denominator
+
+
+def _own_filter(response: _Response) -> tuple[Reals, Reals]:
+    """Return (numerator, denominator) of a warped filter at the rate of its samples, for noise of the same rms."""
+    from scipy.signal import butter, lfilter  # imported late because SciPy takes long to load
+
+    numerator, denominator = butter(int(response.poles), 1 / response.band)
+    impulse = lfilter(numerator, denominator, np.eye(1, _IMPULSE)[0])
+    return np.asarray(numerator / np.sqrt(np.square(impulse).sum())), np.asarray(denominator)
 
 
 @lru_cache(maxsize=256)

@@ -353,15 +353,18 @@ class LikeLog:
 
     The temperature is that of the same rows, else what a barometer of the log measured, noise and offset included,
     else what a chip's own thermometer measured, averaged over at most `CHIP_S`, if its zero is known, else 25 degC.
-    The field is that of `fields`, if there are any, else the earth's on that face, also while the box moves; the
+    It is that of what the thermometer follows with a lag of `lead_s`. The field is that of `fields`, if there are any,
+    else the earth's on that face, also while the box moves; the
     pressure is that of height 0. In `rests`, stretches from and to a time in ns, force and rate are the means of
-    the track: a reference has noise, and a box at rest does not move. The log stays open. LogError for a phase
+    the track, and between them a reference's noise is reduced (`without_track_noise`): it is no motion. The log stays
+    open. LogError for a phase
     whose `up` is no box axis, or rows that can't be meant.
     """
 
     log: Log
     fields: tuple[PhaseField, ...] = ()
     rests: tuple[tuple[int, int], ...] = ()
+    lead_s: float = 0.0
 
     def __post_init__(self) -> None:
         for phase in self.log.phases:
@@ -414,7 +417,7 @@ class LikeLog:
 
     def __reduce__(self) -> tuple[type[LikeLog], tuple[object, ...]]:
         """Return the fields to pickle: the log, which reopens itself, without what was read from it."""
-        return LikeLog, (self.log, self.fields, self.rests)
+        return LikeLog, (self.log, self.fields, self.rests, self.lead_s)
 
     @cached_property
     def _remembered(self) -> Callable[[bytes], Felt]:
@@ -438,7 +441,12 @@ class LikeLog:
     def _on_faces(self, time_ns: Integers) -> Felt:
         """Return the stimulus of the box at rest, at the temperature of that time."""
         warming = self._warming[1]
-        degc = ROOM_DEGC if warming is None else warming.values_at(time_ns)[:, 0]
+        degc: float | Reals = ROOM_DEGC
+        if warming is not None and self.lead_s:
+            values, slopes = warming.at(time_ns)
+            degc = values[:, 0] + self.lead_s * slopes[:, 0]
+        elif warming is not None:
+            degc = warming.values_at(time_ns)[:, 0]
         ends = np.array([time_ns.min(), time_ns.max()]) if len(time_ns) else np.zeros(1, np.int64)
         first, last = self._face_at(ends)[[0, -1]].tolist()
         if first == last:
@@ -484,7 +492,15 @@ class LikeLog:
         name, track = self._track
         if track is None or track.specific_force is None or track.angular_rate is None:
             return None
-        return SplineColumns(track.time, (track.specific_force, track.angular_rate), f"{self.log.path}, {name}")
+        where = f"{self.log.path}, {name}"
+        if name == "truth" or not self.rests:
+            return SplineColumns(track.time, (track.specific_force, track.angular_rate), where)
+        from imuarray.simulate.motion.track_noise import without_track_noise  # imported late: SciPy takes long to load
+
+        time_ns = track.time[:]
+        rows = np.hstack([track.specific_force[:], track.angular_rate[:]])
+        columns = np.asarray(without_track_noise(time_ns, rows, sorted(self.rests)), np.float64)
+        return SplineColumns(time_ns, (columns[:, :3], columns[:, 3:]), where)
 
     @cached_property
     def _means(self) -> tuple[tuple[int, int, Reals], ...]:

@@ -30,6 +30,13 @@ class PoseAttitude(NamedTuple):
     estimated: bool
 
 
+_EDGE_NS, _EDGE_TIMES = 100_000_000, 10
+"""Length of the begin or end of a movement over which the force is averaged, and the number of moments in it."""
+
+_LARGEST_STEP = 1.5
+"""Largest step in m/s2 of the force that sensors cause: within their tolerances, they disagree by less."""
+
+
 class Movement(NamedTuple):
     """A motion of the box from `start_ns` to `end_ns`: `columns` are the force (3) in m/s2 and the rate (3) in rad/s in
     the box frame.
@@ -43,10 +50,10 @@ class Movement(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class PoseSequence:
     """The box lies in `attitudes`, phases in order of time, and moves by `movements` between them, in order of time,
-    too; elsewhere it jumps half-way from one attitude to the next, since nobody says how it was turned. Temperature and
-    pressure are those of `surroundings`, gravity the standard one; the field is that of `fields`, if there are any,
-    else the earth's as after the shortest turn from upright, since up tells no heading. ValueError for no attitude, or
-    a direction that is none.
+    too, whose force is shifted so that it begins and ends with that of the attitudes beside them; elsewhere it jumps
+    half-way from one attitude to the next, since nobody says how it was turned. Temperature and pressure are those of
+    `surroundings`, gravity the standard one; the field is that of `fields`, if there are any, else the earth's as after
+    the shortest turn from upright, since up tells no heading. ValueError for no attitude, or a direction that is none.
     """
 
     attitudes: tuple[PoseAttitude, ...]
@@ -70,6 +77,11 @@ class PoseSequence:
     def seconds(self) -> float:
         """The duration of the surroundings."""
         return self.surroundings.seconds
+
+    @property
+    def lead_s(self) -> float:
+        """The time by which the temperature leads the thermometer that it comes from."""
+        return float(getattr(self.surroundings, "lead_s", 0.0))
 
     def is_estimated(self, phase: Phase) -> bool:
         """Return whether the attitude in the middle of a phase was estimated."""
@@ -106,8 +118,36 @@ class PoseSequence:
         )
         for movement, inside in moved:
             values, slopes = movement.columns.at(time_ns[inside])
-            force[inside], rate[inside], acceleration[inside] = values[:, :3], values[:, 3:], slopes[:, 3:]
+            force[inside] = values[:, :3] + self._shifts(movement, time_ns[inside])
+            rate[inside], acceleration[inside] = values[:, 3:], slopes[:, 3:]
         return replace(still, force_box=force, rate_box=rate, angular_acceleration_box=acceleration)
+
+    def _shifts(self, movement: Movement, time_ns: Integers) -> Reals:
+        """Return (n, 3) what is added to the force of a movement: the scale factors and biases of the sensors that it
+        is the mean of would otherwise be steps of the force between movement and rest.
+        """
+        share = (time_ns - movement.start_ns) / (movement.end_ns - movement.start_ns)
+        begin, end = self._steps[movement.start_ns]
+        return np.asarray(begin + share[:, None] * (end - begin))
+
+    @cached_property
+    def _steps(self) -> dict[int, tuple[Reals, Reals]]:
+        """Return, by the begin of each movement, the steps (3,) of the force from its begin and end to the attitudes
+        before and after it; 0 where there is none, or the box already moves.
+        """
+        forces = GRAVITY_LEVEL @ self._rotations
+        steps = {}
+        for start_ns, end_ns, columns in self.movements:
+            edge_ns = np.arange(_EDGE_NS, dtype=np.int64)[:: _EDGE_NS // _EDGE_TIMES]
+            before = [number for number, phase in enumerate(self.phases) if phase.end_ns <= start_ns][-1:]
+            after = [number for number, phase in enumerate(self.phases) if phase.start_ns >= end_ns][:1]
+            edges = []
+            for numbers, time_ns in ((before, start_ns + edge_ns), (after, end_ns - 1 - edge_ns)):
+                step = forces[numbers].sum(axis=0) - columns.at(time_ns)[0][:, :3].mean(axis=0)
+                is_step = bool(numbers) and np.abs(step).max() < _LARGEST_STEP
+                edges.append(step if is_step else np.zeros(3))
+            steps[start_ns] = (edges[0], edges[1])
+        return steps
 
     @cached_property
     def _turns_ns(self) -> Integers:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from imuarray.gap.inference.effects.bias import is_with_heat
 from imuarray.gap.inference.effects.levels import levels
 from imuarray.gap.inference.effects.thermal_bias import THERMAL_BIAS
 from imuarray.gap.inference.effects.thermal_lag import THERMAL_LAG
@@ -101,3 +102,18 @@ def test_nothing_follows_temperature() -> None:
     evidence = evidence_of("heating", "G1", seed=5)
     for candidate in (THERMAL_BIAS, THERMAL_LAG, THERMAL_SCALE):
         assert list(candidate.guesses(evidence)) == []
+
+
+@pytest.mark.parametrize(
+    ("begin_s", "end_s", "warming_degc", "expected"),
+    [(0.0, 240.0, 8.0, True), (60.0, 180.0, 8.0, True), (0.0, 240.0, 0.5, False), (480.0, 700.0, 8.0, False)],
+)
+def test_a_level_that_lasts_as_long_as_the_heat_is_told(
+    begin_s: float, end_s: float, warming_degc: float, expected: bool
+) -> None:
+    """The box warms up for 240 s, cools down for as long, and keeps its temperature for 240 s more. The warming, or
+    half of it, is heat; a change of half a degree and a stretch at constant temperature are none.
+    """
+    time_s = np.arange(0.0, 720.0, 5.0)
+    degc = 22.0 + warming_degc * np.interp(time_s, [0.0, 240.0, 480.0], [0.0, 1.0, 0.0])
+    assert is_with_heat(degc, time_s, (time_s >= begin_s) & (time_s < end_s)) is expected

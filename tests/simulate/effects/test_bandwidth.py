@@ -10,7 +10,7 @@ from scipy import integrate, signal
 from scipy.linalg import toeplitz
 
 from imuarray.log.format import STALE
-from imuarray.simulate.effects.bandwidth import Bandwidth, correlation
+from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.signal import Analog
 from imuarray.simulate.simulation import Plan, Simulation
@@ -154,7 +154,9 @@ def test_the_correlation_of_a_band_is_a_cosine_transform(decay: float, poles: fl
         integrate.quad(lambda u: np.cos(r * u) / (1 + u ** (2 * poles)), 0.0, band, epsabs=1e-13, limit=500)[0]  # noqa: B023
         for r in (0.0, decay * np.sqrt(poles))
     )
-    assert correlation(decay, poles, band) == pytest.approx(cosine / power, abs=1e-8)
+    assert Bandwidth(1.0, poles=poles, sampled_hz=2 * band).correlation(decay) == pytest.approx(
+        cosine / power, abs=1e-8
+    )
 
 
 @pytest.mark.parametrize(("poles", "cutoff_hz"), [(1.0, 25.0), (2.0, 25.0), (1.0, 60.0)])
@@ -234,3 +236,39 @@ def test_samples_that_no_row_reads_do_not_depend_on_the_block(
     whole, parts = (Simulation(plan, constant(), {"S1": effects}).sensors["S1"] for _ in range(2))
     counts = np.concatenate([parts.block(first, first + 800).counts for first in range(0, 4000, 800)])
     np.testing.assert_array_equal(counts, whole.block(0, 4000).counts)
+
+
+@pytest.mark.parametrize("poles", [1, 2])
+def test_a_warped_filter_is_scipys_digital_one(poles: int, place: MakePlace, analog: MakeAnalog) -> None:
+    """Designed by the bilinear transform for 13.75 Hz at 100 samples a second, one or two for each row: correlations of
+    SciPy's filter, from its impulse response; those of simulated noise have standard errors of 0.005.
+    """
+    impulse = signal.lfilter(*signal.butter(poles, 13.75, fs=100.0), np.eye(1, 4096)[0])
+    power = impulse @ impulse
+    effect = Bandwidth(13.75, poles=poles, sampled_hz=100.0, warped=1.0)
+    for rows_per_s, samples in ((100.0, 1), (50.0, 2)):
+        expected = [impulse[: -lag * samples] @ impulse[lag * samples :] / power for lag in (1, 2, 3, 5)]
+        decay = effect.decay(rows_per_s)
+        np.testing.assert_allclose([effect.correlation(decay * lag) for lag in (1, 2, 3, 5)], expected, atol=1e-4)
+    white = np.random.default_rng(6).normal(0, 0.3, (100_000, 3))
+    noise = effect.analog(analog(0, 100_000, noise=white), place(rows_per_s=100.0)).noise
+    assert noise.std() == pytest.approx(0.3, rel=0.01)
+    for lag, correlation in zip((1, 2, 3, 5), _correlations(impulse), strict=True):
+        assert np.corrcoef(noise[lag:, 0], noise[:-lag, 0])[0, 1] == pytest.approx(correlation, abs=0.02)
+
+
+def _correlations(impulse: np.ndarray) -> list[float]:
+    return [float(impulse[:-lag] @ impulse[lag:] / (impulse @ impulse)) for lag in (1, 2, 3, 5)]
+
+
+def test_measured_correlations_replace_those_of_the_filter(place: MakePlace, analog: MakeAnalog) -> None:
+    """Noise of three rows' memory that no filter of the family has; a set that no noise can have is refused."""
+    measured = (0.5, 0.3, -0.1)
+    effect = Bandwidth(20.0, correlations=measured)
+    white = np.random.default_rng(6).normal(0, 0.3, (100_000, 3))
+    noise = effect.analog(analog(0, 100_000, noise=white), place(rows_per_s=100.0)).noise
+    assert noise.std() == pytest.approx(0.3, rel=0.01)
+    for lag, correlation in enumerate(measured, start=1):
+        assert np.corrcoef(noise[lag:, 1], noise[:-lag, 1])[0, 1] == pytest.approx(correlation, abs=0.02)
+    with pytest.raises(ValueError, match="no noise has"):
+        Bandwidth(20.0, correlations=(0.9, -0.9))

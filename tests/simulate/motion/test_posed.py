@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import standing_on
-from imuarray.simulate.motion.posed import PoseAttitude, PoseSequence, upright_from
+from imuarray.simulate.motion.like import SplineColumns
+from imuarray.simulate.motion.posed import Movement, PoseAttitude, PoseSequence, upright_from
 from imuarray.simulate.motion.still import Still
 
 S = 10**9
@@ -33,6 +34,23 @@ def test_gravity_pushes_along_up_and_nothing_turns() -> None:
 def test_it_jumps_half_way_between_the_phases() -> None:
     before, after = TWO.felt(np.array([5 * S - 1, 5 * S])).force_box[:, 2]
     assert (before, after) == (pytest.approx(0.8 * G), pytest.approx(-G))
+
+
+@pytest.mark.parametrize(("step_g", "is_removed"), [(0.1, True), (0.3, False)])
+def test_a_movement_begins_and_ends_with_the_force_of_the_attitudes(step_g: float, is_removed: bool) -> None:
+    """The sensors that tell the movement have an offset along X, of up to what their tolerances allow; a larger step
+    is a box that already moves.
+    """
+    time_ns = np.arange(4 * S, 6 * S + 1, S // 50)
+    way = np.linspace([0.6 * G, 0.0, 0.8 * G], [0.0, 0.0, -G], len(time_ns))
+    force = np.add(way, [step_g * G, 0.0, 0.0])
+    force[:9], force[-9:] = force[0], force[-1]
+    columns = SplineColumns(time_ns, (force, np.zeros_like(force)), "a turn")
+    moving = PoseSequence(TWO.attitudes, TWO.surroundings, movements=(Movement(4 * S, 6 * S, columns),))
+    begin, end = moving.felt(np.array([4 * S, 6 * S - 1])).force_box
+    shift = np.zeros(3) if is_removed else [step_g * G, 0.0, 0.0]
+    np.testing.assert_allclose(begin, [0.6 * G + shift[0], 0.0, 0.8 * G], atol=1e-6)
+    np.testing.assert_allclose(end, [shift[0], 0.0, -G], atol=1e-6)
 
 
 def test_knows_what_was_estimated() -> None:

@@ -17,7 +17,7 @@ from imuarray.simulate.effects.axis_error import AxisError
 
 _PROBES = (
     *("mean", "force_own", "force_next", "force_after"),
-    *("motion_gain", "motion_along", "motion_next", "motion_after"),
+    *("motion_gain", "motion_along", "motion_next", "motion_after", "motion_across"),
 )
 _BETTER = 0.4
 """An exchange of axes leaves less than such a share of what the nominal axes leave: it is exact, or it is none."""

@@ -22,7 +22,7 @@ from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import in_logs
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bandwidth import Bandwidth, correlation, two_pole_cutoff_hz
+from imuarray.simulate.effects.bandwidth import Bandwidth, two_pole_cutoff_hz
 
 _TRACES = ("lag_1", "lag_2", "lag_3", "allan_2", "allan_8", "band_5", "band_6", "band_1", "noise_excess")
 _BEYOND = 2.7
@@ -39,6 +39,10 @@ _UNSEEN = 0.3
 
 _NOTHING_LEFT = 0.75 * math.pi
 """Time constants after which noise behind two poles is not correlated any more, for the first time."""
+
+
+_TWO_POLES = Bandwidth(1.0, poles=2.0)
+"""The filter that is supposed unless correlations tell another one."""
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
@@ -77,7 +81,7 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
             for share in shares:
                 yield Hypothesis((Bandwidth(cutoff_hz, share),), ("cutoff_hz",))
     if _LEAST < first < _MOST:
-        decay = float(brentq(lambda decay: correlation(decay, 2) - first, 0.0, _NOTHING_LEFT))
+        decay = float(brentq(lambda decay: _TWO_POLES.correlation(decay) - first, 0.0, _NOTHING_LEFT))
         for share in shares:
             yield Hypothesis(
                 (Bandwidth(two_pole_cutoff_hz(1 / (decay * evidence.rows_per_s)), share, 2.0),), ("cutoff_hz",)
@@ -120,7 +124,7 @@ def _by_delay(evidence: Evidence) -> Iterator[Hypothesis]:
     if not lags_seen or any(lag.is_large for lag in lags_seen):
         return
     lag_s = mean_of(lags_seen, "lag_s")
-    if lag_s > 0 and correlation(1 / (lag_s * evidence.rows_per_s), 2) < _UNSEEN:
+    if lag_s > 0 and _TWO_POLES.correlation(1 / (lag_s * evidence.rows_per_s)) < _UNSEEN:
         cutoff_hz = two_pole_cutoff_hz(lag_s)
         yield Hypothesis((Bandwidth(cutoff_hz, 1.0, 2.0),), ("cutoff_hz",), rarity=rarity_behind(evidence, cutoff_hz))
 

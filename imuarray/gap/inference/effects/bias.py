@@ -45,6 +45,17 @@ step explains them.
 _SURE = 4.0
 """Standard errors from which on an axis takes part in a step."""
 
+_WITH_HEAT = 6.0
+"""Nats by which a bias is rarer that lasts as long as the box warms up or cools down: the heat is the usual reason, by
+an element that lags behind it.
+"""
+
+_WARMING_DEGC = 1.0
+_OTHER_RATE = 0.75
+"""Heat is meant where the temperature changes by so much within such stretches, at a rate that differs from that beside
+them by this share of the faster one.
+"""
+
 _ODD = 3.0
 """Standard deviations from which on the level of an axis may have changed since an earlier recording."""
 
@@ -55,7 +66,8 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """
     for step in level_steps(evidence):
         x, y, z = step.size.tolist()
-        bias = Hypothesis((Bias((x, y, z)),), ("offset",)).at(step.when)
+        rarity = _WITH_HEAT if step.is_with_heat else 0.0
+        bias = Hypothesis((Bias((x, y, z)),), ("offset",), rarity=rarity).at(step.when)
         yield replace(bias, begin_bounds_s=step.begin_bounds_s)
     if not evidence.is_odd(*_TRACES):
         return
@@ -75,11 +87,13 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 class LevelStep(NamedTuple):
     """A step of the levels by `size` (3,), in the sensor's unit, during stretches of a log (`when`). The last stretch
     begins between the moments `begin_bounds_s` if no segment at rest shows its beginning, as in a motion; else None.
+    `is_with_heat`: the level returns, and the temperature rises or falls as long as the stretches last.
     """
 
     size: Floats
     when: When
     begin_bounds_s: tuple[float, float] | None
+    is_with_heat: bool = False
 
 
 @once
@@ -106,7 +120,19 @@ def _level_steps(evidence: Evidence) -> Iterator[LevelStep]:
             is_steady = without_step.std(axis=0) < _STEADY * scatter
             if len(edges) <= 2 * _STRETCHES and (sure & is_steady).any() and not (sure & ~is_steady).any():
                 when = _when(log, table, order, inside, edges)
-                yield LevelStep(np.where(sure, step, 0.0), when, _begin_bounds_s(table, order, inside))
+                with_heat = not inside[-1] and is_with_heat(table.degc[order], table.time_s[order], inside)
+                yield LevelStep(np.where(sure, step, 0.0), when, _begin_bounds_s(table, order, inside), with_heat)
+
+
+def is_with_heat(degc: Floats, time_s: Floats, inside: Booleans) -> bool:
+    """Return whether the temperature (n,) rises or falls in the segments `inside` and not in the others."""
+    rate = np.gradient(degc, time_s)
+    known = np.isfinite(rate)
+    if not known[inside].any() or not known[~inside].any():
+        return False
+    within, beside = float(np.median(rate[inside & known])), float(np.median(rate[~inside & known]))
+    is_other_rate = abs(within - beside) > _OTHER_RATE * max(abs(within), abs(beside))
+    return is_other_rate and abs(within) * float(np.ptp(time_s[inside])) > _WARMING_DEGC
 
 
 def _begin_bounds_s(table: Levels, order: Indices, inside: Booleans) -> tuple[float, float] | None:

@@ -26,7 +26,7 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     score, measured_response = np.zeros((3, 3)), response(evidence)
     for step, way in enumerate(("next", "after"), start=1):
-        score[_AXES, (_AXES + step) % 3] = size_of_score(evidence, f"force_{way}", f"motion_{way}")
+        score[_AXES, (_AXES + step) % 3] = size_of_score(evidence, f"force_{way}", f"motion_{way}", "motion_across")
     if measured_response is None or not (score > ODD).any():
         return
     gain = 1 + np.diag(measured_response.error)

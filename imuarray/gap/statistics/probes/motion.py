@@ -38,6 +38,9 @@ _TURNS_ABOUT_ALL = 0.01
 to the motion along three axes are told apart: below it, noise tells them, which is another one in each sensor.
 """
 
+_ACROSS = 0.25
+"""Share of a motion's power along an axis below which the motion lies across it."""
+
 _ENDS = 0.02
 """Share of the residual that is kept: about that of the windows at segments' ends, whose change is not known."""
 
@@ -56,6 +59,21 @@ def along(cross: Cross, sensor: str) -> Floats:
         return NOTHING
     motion, shares = np.diag(joint.moments)[AXES + 3], joint.moments[AXES, AXES + 3]
     return np.asarray(np.divide(shares, motion, out=NOTHING.copy(), where=motion > _MOVES * motion.mean()))
+
+
+def across(cross: Cross, sensor: str) -> Floats:
+    """Response of each axis to the rotation or stroke along a single direction, less the share of it that lies along
+    the axis; nan for axes near that direction, and where motions along three axes are told apart.
+    """
+    joint = _joint_moments(cross, sensor)
+    if joint is None or not cross.others(sensor, family=False):
+        return NOTHING
+    strengths, ways = np.linalg.eigh(joint.moments[np.ix_(AXES + 3, AXES + 3)])
+    if not strengths[2] > 0 or strengths[0] > _TURNS_ABOUT_ALL * strengths[2]:
+        return NOTHING
+    way = ways[:, 2] * np.sign(ways[np.abs(ways[:, 2]).argmax(), 2])
+    shares = joint.moments[np.ix_(AXES, AXES + 3)] @ way / strengths[2]
+    return np.where(way**2 < _ACROSS, shares - way, np.nan)
 
 
 def next_axis(cross: Cross, sensor: str) -> Floats:
@@ -293,6 +311,7 @@ PROBES: Probes = {
     "motion_along": _probe("share of motion along the axis, by that motion alone", _GAIN, response, along),
     "motion_next": _probe("share of motion along the next axis", _CROSS, response, next_axis),
     "motion_after": _probe("share of motion along the axis after the next", _CROSS, response, axis_after),
+    "motion_across": _probe("share of a motion across the axis", _CROSS, response, across),
     "motion_delay": _probe(
         "delay behind the others", ("skew", "clock_error", "stale_samples", "own_clock"), response, delay, "s"
     ),

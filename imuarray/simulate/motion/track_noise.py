@@ -1,0 +1,69 @@
+"""A track of the box's motion without the noise of the instrument that recorded it.
+
+A simulated sensor that follows a recorded track feels the track's noise as motion, where the real sensor did not. The
+noise is white and known from stretches at rest; it is reduced in the spectrum of each stretch in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from imuarray.arrays import Floats, Integers, Reals
+
+_ENDS, _BINS, _ABOVE_NOISE = 5, 25, 1.5
+"""Rows that tell the ends of a stretch, neighbouring bins of a spectrum that are averaged, and the multiple of the
+noise from which on their power is a motion: that of noise alone hardly exceeds it.
+"""
+
+_FEWEST_ROWS, _MOST_ROWS = 64, 1 << 20
+"""Rows of a stretch, and of a track, whose noise is reduced: a longer track is not kept in memory."""
+
+_EVEN = 1.5
+"""Longest interval of a stretch over its median: with longer ones, a row's number does not tell its time."""
+
+
+def without_track_noise(time_ns: Integers, columns: Reals, rests: Sequence[tuple[int, int]]) -> Reals:
+    """Return the columns (n, 6) of a track, force and rate of the box, with less noise between the `rests`, stretches
+    in ns, whose noise they have; as they are without rests, and where rows are missing.
+
+    Each frequency keeps the share of its power that exceeds the noise (Wiener filter). The response of a sensor to the
+    result is that to the motion: the response to a track with noise would be smaller, by the share of the noise.
+    """
+    edges = np.searchsorted(time_ns, np.array(rests, np.int64).reshape(-1, 2))
+    still = [columns[first:stop] for first, stop in edges.tolist() if stop - first >= _FEWEST_ROWS]
+    if not still or len(time_ns) > _MOST_ROWS:
+        return columns
+    # White noise of variance 1 has second differences of variance 6.
+    variance = np.median([np.diff(part, n=2, axis=0).var(axis=0) / 6 for part in still], axis=0)
+    reduced = np.array(columns, float)
+    bounds = np.concatenate([[0], edges.ravel(), [len(time_ns)]])
+    for first, stop in zip(bounds[::2].tolist(), bounds[1::2].tolist(), strict=True):
+        intervals = np.diff(time_ns[first:stop])
+        if stop - first >= _FEWEST_ROWS and intervals.max() <= _EVEN * np.median(intervals):
+            for triad in (slice(0, 3), slice(3, 6)):
+                reduced[first:stop, triad] = reduce_noise(columns[first:stop, triad], variance[triad])
+    return reduced
+
+
+def reduce_noise(values: Reals, variance: Reals, *, keeps_power: bool = False) -> Floats:
+    """Return values (w, 3) without white noise of this variance (3,): of what is left of a line, each frequency keeps
+    the share of its amplitude by which the power exceeds that of the noise (Wiener filter), or, if it `keeps_power`,
+    the square root of that share, so that the result has the variance of the motion (spectral subtraction).
+
+    This is done along the principal axes: of a rotation about a single axis, which is oblique to those of the box, no
+    noise about the others may be left, since it would tell the axes of simulated sensors apart.
+    """
+    count = len(values)
+    ends = values[:_ENDS].mean(axis=0), values[-_ENDS:].mean(axis=0)
+    line = ends[0] + np.linspace(0, 1, count)[:, None] * (ends[1] - ends[0])
+    moved = values - line
+    principal = np.linalg.eigh(moved.T @ moved)[1]
+    spectrum = np.fft.rfft(moved @ principal, axis=0)
+    power = uniform_filter1d(np.abs(spectrum) ** 2, _BINS, axis=0, mode="nearest") / count
+    noise = variance @ principal**2
+    share = np.where(power > _ABOVE_NOISE * noise, 1 - noise / np.maximum(power, 1e-30), 0.0)
+    kept = np.sqrt(share) if keeps_power else share
+    return np.asarray(line + np.fft.irfft(kept * spectrum, count, axis=0) @ principal.T)
