@@ -231,9 +231,6 @@ def _end(distribution: Histogram, at: int, inwards: int, std: float) -> End:
 
 Counts = npt.NDArray[np.int64]
 
-SPAN = (-32768, 32767)
-"""Ends of codes of 16 bits."""
-
 LEAST_PILE = 5
 """Fewest readings of an accumulation: two equal peaks are more probable than one in a million."""
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.characterise.codes import SPAN, Rails, find_rails
+from imuarray.characterise.codes import Rails, find_rails
 from imuarray.log import LogWriter
 from imuarray.log.format import SATURATED, SensorHeader
 from imuarray.log.layout import Columns
@@ -23,9 +23,8 @@ def flag_clipped(log: LogWriter, headers: Sequence[SensorHeader]) -> list[str]:
         rails = find_rails(log[header.name])
         if not rails.rows.any():
             continue
-        ends = np.concatenate([rails.low, rails.high])
-        ends = ends[np.isfinite(ends)]
-        if ((ends > SPAN[0]) & (ends < SPAN[1])).any():
+        end = 1 << log[header.name].count_bits - 1  # readings at the ends of all codes are flagged already
+        if ((rails.low > -end) | (rails.high < end - 1)).any():
             log.revise(header.name, "status", _flagging(rails))
         rows = log[header.name].flagged()["saturated"]
         clipping.setdefault(_where(header, rails), []).append((header.name, rows))

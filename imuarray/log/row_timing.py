@@ -53,6 +53,11 @@ LOST_SHARE = 0.5
 SAME = 0.8
 """Least share of the gaps that follow after the same number of rows for stalls to have a period."""
 
+_STAMPED_TOGETHER = 100.0
+"""Rows that come so many times as fast as on average are stamped at once: then a gap is longer than the mean interval,
+and `GAP` times the usual one is the time of a stamp.
+"""
+
 _STRETCHES, _STRETCH_ROWS = 16, 4096
 """Stretches of a long recording, and rows of each, from which the usual interval is known."""
 
@@ -109,7 +114,9 @@ def row_timing(sensor: SensorLog) -> RowTiming:
         return RowTiming("steady", rows, 0.0, 0.0)
     seconds = (int(sensor.time[-1]) - int(sensor.time[0])) * 1e-9
     usual_s = float(np.median(_intervals_ns(sensor))) * 1e-9
-    gap_rows, length_s, next_s, is_lost = _gaps(sensor, GAP * usual_s)
+    mean_s = seconds / (rows - 1)
+    hurry = mean_s / max(usual_s, 1e-9)
+    gap_rows, length_s, next_s, is_lost = _gaps(sensor, GAP * usual_s if hurry < _STAMPED_TOGETHER else mean_s)
     steady = RowTiming("steady", rows, seconds, usual_s)
     if len(gap_rows):
         steady = replace(steady, gaps=len(gap_rows), gap_s=float(np.median(length_s)), gaps_s=float(length_s.sum()))
@@ -119,7 +126,6 @@ def row_timing(sensor: SensorLog) -> RowTiming:
     rows_between = np.diff(gap_rows)
     period_rows = int(np.median(rows_between))
     is_periodic = np.mean(rows_between == period_rows) >= SAME
-    hurry = seconds / (rows - 1) / usual_s
     makes_up = hurry > LEAST_HURRY or float(np.median(next_s)) < usual_s / LEAST_HURRY
     in_bursts = makes_up and _is_burst(length_s, rows_after, hurry)
     if in_bursts and np.mean(is_lost) > LOST_SHARE:

@@ -66,10 +66,10 @@ def si_units() -> str:
     )
 
 
-def clipped(at_g: float) -> bytes:
-    """Shaken with 3 g (rms), cut off at a range, as counts."""
+def clipped(at_g: float, rms_g: float = 3.0) -> bytes:
+    """Shaken, cut off at a range, as counts."""
     recording = walk()
-    shaken = np.random.default_rng(7).normal(0, 3, (ROWS, 3)).clip(-at_g, at_g)
+    shaken = np.random.default_rng(7).normal(0, rms_g, (ROWS, 3)).clip(-at_g, at_g)
     values = counts_of(recording._replace(force_g=shaken)).clip(-32768, 32767)
     return joined([HEAD, *lines_of(recording.time_s, values, "{:d}")])
 
@@ -216,6 +216,12 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         MAP,
         0,
         ["Acc: xyz clips at -32768 (-8 g) and 32767 (8 g); 35 readings flagged as saturated"],
+    ),
+    "clipping at half the range, in codes of 17 bits": (
+        clipped(8.0, 6.0),
+        MAP.replace("range = 8", "range = 16"),
+        0,
+        ["Acc: xyz clips at -32768 (-8 g) and 32767 (8 g); 917 readings flagged as saturated"],
     ),
     "clipping below the range": (
         clipped(4.0),

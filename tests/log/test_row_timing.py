@@ -129,6 +129,17 @@ def test_as_many_rows_each_time_are_a_burst_if_they_hurry(tmp_path: Path) -> Non
     assert timing_of(tmp_path / "stalls.h5", stalling(32 * 60, 32, 0.01, 0.32)).kind == "stalls"
 
 
+def test_equal_stamps_within_bursts(tmp_path: Path) -> None:
+    """A host that takes what a driver kept at 99.3 Hz every 70 ms, and stamps some rows up to 2 ms later, others with
+    the same time (apart by 100 ns in the log).
+    """
+    arrived_s = np.ceil(np.arange(6000) / 99.3 / 0.07) * 0.07 + np.random.default_rng(6).uniform(0, 0.002, 6000)
+    timing = timing_of(tmp_path / "log.h5", np.maximum.accumulate(arrived_s) + 1e-7 * np.arange(6000))
+    assert timing.kind == "bursts"
+    assert timing.rate_hz == pytest.approx(99.3, rel=2e-3)
+    assert timing.gap_s == pytest.approx(0.069, abs=0.002)
+
+
 def test_what_makes_a_burst() -> None:
     rng = np.random.default_rng(8)
     length_s, other = rng.uniform(0.5, 1.5, (2, 4000))
