@@ -53,12 +53,14 @@ class SlowProcess:
 
     def __init__(self, spacing: int, recursion: Recursion, inside: Stream, ends: Stream, scale: Triple) -> None:
         self.spacing = spacing
+        self._recursion = recursion
         self._decay, self._step, self._initial = recursion
         self._inside = inside
+        self._draws = inside.without_memory()
         self._ends = ends
         self._scale = np.array(scale)
         self._piece_knots = max(1, _PIECE_ROWS // spacing)
-        self._knots = lru_cache(maxsize=2)(self._drawn)
+        self._knots = lru_cache(maxsize=2)(self._remembered)
         self._piece = lru_cache(maxsize=3)(self._interpolated)
 
     def rows(self, first: int, stop: int, dtype: npt.DTypeLike = np.float64) -> Reals:
@@ -84,6 +86,8 @@ class SlowProcess:
         """
         begin = piece * self._piece_knots
         knots = (self._between(begin, begin + self._piece_knots + 1) * self._scale).astype(dtype)
+        if self.spacing == 1:
+            return np.asarray(knots[:-1])
         pairs = np.concatenate([knots[:-1], knots[1:]], axis=1)
         rows: Reals = (pairs @ _weights(self.spacing, dtype)).reshape(-1, 3)
         rows.flags.writeable = False
@@ -96,15 +100,21 @@ class SlowProcess:
             parts.append(self._knots(chunk)[max(begin - start, 0) : end - start])
         return np.concatenate(parts)
 
+    def _remembered(self, chunk: int) -> Floats:
+        """Return the knots (KNOTS, 3) of one chunk."""
+        return np.asarray(self._inside.recall(("knots", self._recursion, chunk), lambda: self._drawn(chunk)), float)
+
     def _drawn(self, chunk: int) -> Floats:
         """Return the knots (KNOTS, 3) of one chunk: drawn freely, then corrected towards the drawn end."""
         start, end = self._edges(chunk)
         phi = math.exp(-self._decay)
-        steps = self._inside.normal(chunk * KNOTS, (chunk + 1) * KNOTS).astype(float) * self._step
+        steps = self._draws.normal(chunk * KNOTS, (chunk + 1) * KNOTS).astype(float) * self._step
         steps[0] += phi * start
         free = first_order(steps, phi)
         inside = free + _bridge(self._decay)[:, None] * (end - free[-1])
-        return np.concatenate([start[None], inside[:-1]])
+        knots: Floats = np.concatenate([start[None], inside[:-1]])
+        knots.flags.writeable = False
+        return knots
 
     def _edges(self, chunk: int) -> tuple[Floats, Floats]:
         """Return the first and last value of a chunk, including the steps of earlier chunks as far as they have an

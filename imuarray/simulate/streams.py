@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
 from functools import cached_property, lru_cache
-from typing import Any
+from threading import Lock
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +25,38 @@ CHUNK = 1 << 14
 
 _KEPT = 3
 _LEAST = 128
+
+Value = TypeVar("Value")
+
+
+class DrawMemory:
+    """The latest results of draws, up to so many bytes, for many simulations of the same units: models that are
+    compared by the same random numbers need not draw them again.
+    """
+
+    def __init__(self, most_bytes: int) -> None:
+        self._most_bytes = most_bytes
+        self._values: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
+        self._bytes = 0
+        self._lock = Lock()
+
+    def recall(self, key: Hashable, make: Callable[[], Value], size: Callable[[Value], int]) -> Value:
+        """Return the result of `make`, or the one that was returned before for this key, which contains everything that
+        it depends on; `size` is the number of bytes of a result. Results are not written to.
+        """
+        with self._lock:
+            if key in self._values:
+                self._values.move_to_end(key)
+                value: Value = self._values[key][0]
+                return value
+        value = make()
+        with self._lock:
+            if key not in self._values:
+                self._values[key] = value, size(value)
+                self._bytes += self._values[key][1]
+            while self._bytes > self._most_bytes:
+                self._bytes -= self._values.popitem(last=False)[1][1]
+        return value
 
 
 class Stream:
@@ -36,6 +70,7 @@ class Stream:
         chunk_rows: int = CHUNK,
         scale: Sequence[float] | None = None,
     ) -> None:
+        self.memory: DrawMemory | None = None
         self._entropy = entropy
         self._chunk_rows = chunk_rows
         self._scale = scale
@@ -64,12 +99,29 @@ class Stream:
     def _uniform_chunk(self) -> Callable[[int, int], Reals]:
         return lru_cache(maxsize=_KEPT)(self._draw_uniform)
 
+    def without_memory(self) -> Stream:
+        """Return the same stream, whose draws are not remembered."""
+        return Stream(self._entropy, self._width, self._dtype, self._chunk_rows, self._scale)
+
+    def recall(self, key: Hashable, make: Callable[[], Reals]) -> Reals:
+        """Return the result of `make`, which depends on this stream and on `key`, or a remembered one; read-only."""
+        if self.memory is None:
+            return make()
+        whole_key = (self._entropy, self._width, self._dtype, self._chunk_rows, key)
+        return self.memory.recall(whole_key, make, lambda rows: int(rows.nbytes))
+
     def _draw_normal(self, chunk: int, count: int) -> Reals:
-        rows: Reals = self.generator(chunk).standard_normal((count, self._width), dtype=self._dtype)
+        def draw() -> Reals:
+            drawn: Reals = self.generator(chunk).standard_normal((count, self._width), dtype=self._dtype)
+            drawn.flags.writeable = self.memory is None
+            return drawn
+
+        rows = self.recall(("normal", chunk, count), draw)
         if self._scale is not None:
             wide = math.gcd(count, 128)  # few long rows: four times faster than many rows of three
             longer = rows.reshape(-1, wide * self._width)
-            longer *= np.tile(np.asarray(self._scale, self._dtype), wide)
+            row_scale = np.tile(np.asarray(self._scale, self._dtype), wide)
+            rows = np.multiply(longer, row_scale, out=longer if self.memory is None else None).reshape(rows.shape)
         rows.flags.writeable = False
         return rows
 
@@ -96,11 +148,12 @@ class Streams:
     that differs from run to run.
     """
 
-    def __init__(self, seed: int, boot: int = 0) -> None:
+    def __init__(self, seed: int, boot: int = 0, memory: DrawMemory | None = None) -> None:
         if seed < 0 or boot < 0:
             raise ValueError(f"seed {seed}, boot {boot}: allowed are 0, 1, 2, ...")
         self.seed = seed
         self.boot = boot
+        self.memory = memory
 
     def of_boot(
         self,
@@ -113,7 +166,9 @@ class Streams:
         """Return a stream that differs from run to run; `chunk_rows` are drawn at a time and are part of its
         identity.
         """
-        return Stream((self.seed, 1 + self.boot, *_words(name)), width, dtype, chunk_rows, scale)
+        stream = Stream((self.seed, 1 + self.boot, *_words(name)), width, dtype, chunk_rows, scale)
+        stream.memory = self.memory
+        return stream
 
     def of_unit(self, *name: str) -> np.random.Generator:
         """Return a generator for properties of a unit that are the same in all runs."""

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from imuarray.gap.recording import course
 from imuarray.gap.recording.course import changes, stretches_of
 from imuarray.log import Block
 from imuarray.log.format import Phase, SensorHeader
@@ -35,6 +36,22 @@ def test_a_hole_in_a_stretch_is_none_of_it() -> None:
     statistics[20:23] -= 20
     first, *_ = changes(statistics, np.zeros(1))
     assert np.flatnonzero(first.inside).tolist() == [*range(10, 20), *range(23, 35)]
+
+
+@pytest.mark.parametrize(("windows", "columns"), [(4, 1), (9, 11), (64, 3), (200, 2)])
+@pytest.mark.parametrize("step", [0.0, 1.0, 20.0])
+def test_compiled_code_and_numpy_find_the_same_stretches(
+    windows: int, columns: int, step: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where no statistic scatters, so that many stretches explain it equally well."""
+    statistics = np.random.default_rng(windows).normal(0, 1, (windows, columns))
+    statistics[windows // 3 : windows // 2 + 1] += step
+    for values in (statistics, np.where(statistics > step / 2, step, 0.0)):
+        kinds = []
+        for is_compiled in (course.COMPILED, False):
+            monkeypatch.setattr(course, "COMPILED", is_compiled)
+            kinds.append([(kind.inside.tolist(), kind.nats) for kind in changes(values, np.full(columns, 0.1))])
+        assert kinds[0] == kinds[1]
 
 
 RATE_HZ = 50.0

@@ -7,13 +7,16 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+import pytest
 
-from imuarray.gap.model.replication import Models, SensorModel, Stage
+from imuarray.gap.model import replication
+from imuarray.gap.model.replication import Models, RememberedMotion, SensorModel, Stage
 from imuarray.gap.recording.recordings import Experiment
 from imuarray.simulate import Motion
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.still import Still
+from imuarray.simulate.streams import DrawMemory
 from tests.gap.small_bench import prepared
 
 
@@ -69,3 +72,37 @@ def test_exchanged_sensors_read_the_recorded_levels_of_each_other() -> None:
     assert usual > 10.0
     np.testing.assert_allclose(exchanged[:, 0], np.tile(recorded["A1"], (8, 1)), atol=0.2 * usual)
     np.testing.assert_allclose(exchanged[:, 1], np.tile(recorded["A2"], (8, 1)), atol=0.2 * usual)
+
+
+def test_what_was_felt_is_remembered_for_each_owner() -> None:
+    """Read-only, as often as it is asked for, without another call of the motion."""
+    times = np.arange(0, 5_000_000_000, 10_000_000)
+    calls = []
+
+    class Counted(Still):
+        def felt(self, time_ns: Any) -> Any:
+            calls.append(len(time_ns))
+            return super().felt(time_ns)
+
+    memory = DrawMemory(1 << 20)
+    first, other = (RememberedMotion(Counted(seconds=5), memory, owner) for owner in (0, (0, 1)))
+    for _ in range(3):
+        np.testing.assert_array_equal(first.felt(times).force_box, Still(seconds=5).felt(times).force_box)
+    assert (first.seconds, first.phases) == (5, Still(seconds=5).phases)
+    assert not first.felt(times).temperature_degc.flags.writeable
+    first.felt(times[:10])
+    other.felt(times)
+    assert calls == [500, 10, 500]
+
+
+def test_replicates_do_not_depend_on_what_is_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, _ = prepared([("static", Still(seconds=20)), ("motion", HandShake(still_s=2, motion_s=2))], ["G1", "G2"])
+    stage = Stage(bench.kinds, bench.split, bench.layouts, bench.experiments, bench.base)
+    remembered = [stage.simulated(stage.models(), number) for number in (0, 1, 0)][-1]
+    monkeypatch.setattr(replication, "_MEMORY_BYTES", 0)
+    alone = replace(stage).simulated(stage.models(), 0)
+    for log, other in zip(remembered.logs, alone.logs, strict=True):
+        for phase, other_phase in zip(log.phases, other.phases, strict=True):
+            for name, summary in phase.sensors.items():
+                np.testing.assert_array_equal(summary.segments.mean, other_phase.sensors[name].segments.mean)
+                np.testing.assert_array_equal(summary.segments.fourth, other_phase.sensors[name].segments.fourth)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from imuarray.simulate.streams import CHUNK, Streams
+from imuarray.simulate.streams import CHUNK, DrawMemory, Streams
 from tests.selection import examples
 
 
@@ -58,3 +58,32 @@ def test_rows_can_not_be_written_to() -> None:
 def test_negative_seeds_are_refused() -> None:
     with pytest.raises(ValueError, match="seed -1"):
         Streams(-1)
+
+
+def test_remembered_draws_are_the_same_numbers() -> None:
+    """Of a whole chunk, of a part of one, scaled and not; the second time, and beside a stream without memory."""
+    memory = DrawMemory(1 << 22)
+    for _ in range(2):
+        for scale in (None, (1.0, 2.0, 0.5)):
+            for rows in ((0, 100), (CHUNK - 5, CHUNK + 5)):
+                plain = Streams(7).of_boot("S1", "white_noise", scale=scale).normal(*rows)
+                remembered = Streams(7, memory=memory).of_boot("S1", "white_noise", scale=scale).normal(*rows)
+                np.testing.assert_array_equal(remembered, plain)
+
+
+def test_a_memory_forgets_what_was_not_asked_for_lately() -> None:
+    """Of results of 400 bytes each 1000 bytes hold two; a result that is larger than the memory is made each time."""
+    memory, made = DrawMemory(1000), list[str]()
+
+    def recalled(key: str, values: int = 50) -> int:
+        def make() -> np.ndarray:
+            made.append(key)
+            return np.zeros(values)
+
+        return len(memory.recall(key, make, lambda array: array.nbytes))
+
+    for key in ("a", "b", "a", "c", "a", "b", "c"):
+        assert recalled(key) == 50
+    assert made == ["a", "b", "c", "b", "c"]
+    assert [recalled("large", 200) for _ in range(2)] == [200, 200]
+    assert made[-2:] == ["large", "large"]

@@ -5,7 +5,7 @@ A replicate is identified by its number: the same number draws the same parts ag
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Floats, Integers
 from imuarray.gap.model.base_model import Base, FittedParameters, replicate_seed
 from imuarray.gap.model.gravity import mean_force_g
 from imuarray.gap.model.rest import REFERENCE_DEGC
@@ -23,6 +23,7 @@ from imuarray.gap.recording.recordings import Experiment, reference_of, temperat
 from imuarray.gap.recording.source import Source, simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, summarise_logs
 from imuarray.gap.statistics.split import Split
+from imuarray.log.format import Phase
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
@@ -31,9 +32,9 @@ from imuarray.simulate.effects.misalignment import Misalignment
 from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.turn_on_bias import TurnOnBias
-from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.felt import Felt, Motion
 from imuarray.simulate.simulation import Simulation
-from imuarray.simulate.streams import CHUNK, Streams
+from imuarray.simulate.streams import CHUNK, DrawMemory, Streams
 from imuarray.units import INERTIAL, SI_PER_UNIT, STANDARD_GRAVITY
 
 ORDINARY = frozenset({"white_noise", "bias", "thermal_bias"})
@@ -53,6 +54,44 @@ class SensorModel:
 
 Models = Mapping[str, SensorModel]
 """By sensor."""
+
+
+@dataclass(frozen=True)
+class RememberedMotion:
+    """A motion that keeps what was felt at the latest times in a memory, by its `owner` there."""
+
+    motion: Motion
+    memory: DrawMemory
+    owner: Hashable
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The phases of the motion."""
+        return self.motion.phases
+
+    @property
+    def seconds(self) -> float:
+        """The duration of the motion."""
+        return self.motion.seconds
+
+    def felt(self, time_ns: Integers) -> Felt:
+        """Return what the box feels at times (n,), read-only."""
+        key = ("felt", self.owner, time_ns.tobytes())
+        return self.memory.recall(key, lambda: _read_only(self.motion.felt(time_ns)), _felt_bytes)
+
+
+def _read_only(felt: Felt) -> Felt:
+    """Return what is felt in arrays that cannot be written to."""
+    for item in fields(felt):
+        getattr(felt, item.name).flags.writeable = False
+    return felt
+
+
+def _felt_bytes(felt: Felt) -> int:
+    """Return the memory of what is felt, whose constant columns are one row, and that of its times as a key."""
+    columns = [getattr(felt, item.name) for item in fields(felt)]
+    return int(felt.time_ns.nbytes + sum(column.nbytes for column in columns if 0 not in column.strides))
+
 
 Effects = Mapping[str, tuple[Effect, ...]]
 
@@ -74,6 +113,11 @@ shows soon.
 
 _ROWS = 8 * CHUNK
 """Rows of a sensor in all replicates of a log that are processed together; each replicate keeps four chunks."""
+
+_MEMORY_BYTES = 1 << 26
+"""Draws and motions that a process remembers: those of a sensor of an hour at 100 Hz in two replicates, or of ten
+minutes in a dozen.
+"""
 
 _KEPT = 64
 """Simulated sensors that are cached of logs in which the box moves: eight replicates of eight sensors."""
@@ -176,7 +220,7 @@ class Stage:
         seed = replicate_seed(self.base.seed, number)
         array = (
             simulated_sources(
-                Simulation(plan, self._motion(log, number), effects, seed=seed, boot=self.first_boot + log)
+                Simulation(plan, self._felt_motion(log, number), effects, seed=seed, boot=self.first_boot + log)
             )
             if swapped
             else {}
@@ -200,6 +244,16 @@ class Stage:
         """`_source`, with a cache."""
         return lru_cache(maxsize=_KEPT)(self._source)
 
+    @cached_property
+    def _memory(self) -> DrawMemory:
+        """The latest draws and motions: many models are compared in the same replicates."""
+        return DrawMemory(_MEMORY_BYTES)
+
+    def _felt_motion(self, log: int, number: int) -> Motion:
+        """Return the motion of a log in a replicate, which remembers what was felt."""
+        owner = log if self.experiments[log].has_temperature else (log, number)
+        return RememberedMotion(self._motion(log, number), self._memory, owner)
+
     def _motion(self, log: int, number: int) -> Motion:
         """Return the motion of a log in a replicate, in a room of its own if nobody recorded the temperature."""
         experiment = self.experiments[log]
@@ -215,11 +269,12 @@ class Stage:
         plan = replace(experiment.plan, sensors={name: experiment.plan.sensors[name]})
         simulation = Simulation(
             plan,
-            self._motion(log, number),
+            self._felt_motion(log, number),
             {name: effects},
             seed=replicate_seed(self.base.seed, number),
             boot=self.first_boot + log,
         )
+        simulation.streams.memory = self._memory
         return experiment.comparable_rows(name, simulated_sources(simulation, alone=alone)[name])
 
     @cached_property

@@ -18,6 +18,13 @@ from imuarray.arrays import Booleans, Floats, Integers
 from imuarray.gap.recording.source import Source
 from imuarray.log.format import Phase
 
+try:
+    from imuarray.gap import _stretches
+except ImportError:  # installed without a C compiler
+    COMPILED = False
+else:
+    COMPILED = True
+
 Stretches = tuple[tuple[float, float], ...]
 """(begin, end) of each stretch, in seconds since the log's epoch."""
 
@@ -72,6 +79,11 @@ least.
 
 _MOST_SETS = 2
 """The most sets of stretches that are reported for a log, the clearest first."""
+
+_NEARLY, _MOST_LIKELY = 1e-6, 64
+"""Share by which the gains of compiled code may differ from those of NumPy, and the most stretches that gain nearly as
+much as the clearest one.
+"""
 
 _LARGEST_STEP = 6.0
 """A step from one window to the next is limited to so many times the median one (four standard deviations)."""
@@ -255,20 +267,37 @@ def _clearest(scores: Floats) -> tuple[int, int, float, Floats]:
     """
     count = len(scores)
     upto = np.concatenate([np.zeros((1, scores.shape[1])), np.cumsum(scores, axis=0)])
-    begin, end = np.triu_indices(count + 1, _FEWEST_STRETCH_WINDOWS)
-    rows = end - begin
-    usable = (
-        (rows <= count - _FEWEST_STRETCH_WINDOWS)
-        & ((begin == 0) | (begin >= _FEWEST_STRETCH_WINDOWS))
-        & ((end == count) | (end <= count - _FEWEST_STRETCH_WINDOWS))
-    )
-    begin, end, rows = begin[usable], end[usable], rows[usable, None]
+    begin, end = _likely_stretches(upto)
+    rows = (end - begin)[:, None]
     inner = upto[end] - upto[begin]
     step = inner / rows - (upto[-1] - inner) / (count - rows)
     gains = rows * (count - rows) / count * step**2 / 2
     total = np.maximum(gains - _EACH_NATS, 0.0).sum(axis=1)
     at = int(total.argmax())
     return int(begin[at]), int(end[at]), float(total[at]), np.where(gains[at] > _EACH_NATS, step[at], 0.0)
+
+
+def _likely_stretches(upto: Floats) -> tuple[Integers, Integers]:
+    """Return the begins and ends of the stretches of w windows among which the clearest one is: those that gain nearly
+    as much by compiled code, or all stretches; `upto` (w + 1, f) are the sums of the windows before each.
+    """
+    count = len(upto) - 1
+    if COMPILED and count >= 2 * _FEWEST_STRETCH_WINDOWS and np.isfinite(upto).all():
+        rows = np.arange(1, count)
+        weights = np.concatenate([[0.0], count / (2 * rows * (count - rows)), [0.0]])
+        places = np.empty((_MOST_LIKELY, 2), np.int64)
+        arrays = np.ascontiguousarray(upto.T, float), weights, np.empty((2, count + 1)), places
+        sizes = count, upto.shape[1], _FEWEST_STRETCH_WINDOWS, _MOST_LIKELY
+        likely = _stretches.clearest(arrays, sizes, _EACH_NATS, 1 - _NEARLY)
+        if likely <= _MOST_LIKELY:
+            return places[:likely, 0], places[:likely, 1]
+    begin, end = np.triu_indices(count + 1, _FEWEST_STRETCH_WINDOWS)
+    usable = (
+        (end - begin <= count - _FEWEST_STRETCH_WINDOWS)
+        & ((begin == 0) | (begin >= _FEWEST_STRETCH_WINDOWS))
+        & ((end == count) | (end <= count - _FEWEST_STRETCH_WINDOWS))
+    )
+    return begin[usable], end[usable]
 
 
 def _are_distinct(first: Booleans, other: Booleans) -> bool:
