@@ -5,7 +5,7 @@ the settings of the run.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from math import isfinite
 from os import PathLike
 from types import MappingProxyType
@@ -97,15 +97,18 @@ def validation_sections(figures: Figures, plots: Plots, command: str = "") -> tu
 
 def _figures(figures: Figures) -> Section:
     shown = shown_rows(figures)
-    rows = [[row.name, marked("FAIL") if row.mark == "FAIL" else row.mark, *format_row(row)] for row in shown]
-    heading = ["figure", "", "value", "95 %", "cases", "bar"]
     caption = "Marked where a bar is missed; n.a.: no cases; empty: no bar."
     if len(shown) < len(figures.rows):
         caption = f"{len(figures.rows) - len(shown)} figures without cases are not shown."
     counted = [[name, about] for about, name in _names_by_meaning(figures).items()]
     words = "Each figure with its interval, the number of cases, and the bar, which was set in advance."
     descriptions = Table(["figure", "what is counted"], counted, "What is counted.", (1,))
-    return Section("Figures and their bars", words, [Table(heading, rows, caption), *_by_plan(figures), descriptions])
+    return Section("Figures and their bars", words, [_rows_table(shown, caption), *_by_plan(figures), descriptions])
+
+
+def _rows_table(rows: Iterable[ScoreRow], caption: str) -> Table:
+    cells = [[row.name, marked("FAIL") if row.mark == "FAIL" else row.mark, *format_row(row)] for row in rows]
+    return Table(["figure", "", "value", "95 %", "cases", "bar"], cells, caption)
 
 
 def _worlds(figures: Figures) -> Iterator[Section]:
@@ -116,12 +119,7 @@ def _worlds(figures: Figures) -> Iterator[Section]:
         caption = "Number of cases in brackets; the gap is the loss from the first world to the worst of the others."
         parts.append(Table(heading, list(transfer_rows(figures)), caption))
     for world, world_rows in figures.elsewhere.items():
-        cells = [
-            [row.name, marked("FAIL") if row.mark == "FAIL" else row.mark, *format_row(row)]
-            for row in world_rows
-            if row.cases
-        ]
-        parts.append(Table(["figure", "", "value", "95 %", "cases", "bar"], cells, f"World: {world}."))
+        parts.append(_rows_table([row for row in world_rows if row.cases], f"World: {world}."))
     if figures.left_out:
         rows_of = [
             [part.part, part.figure, decimal(part.value), decimal(part.others), str(part.cases)]
@@ -319,21 +317,9 @@ def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str,
     lines = [f"## Results of {_cell(date)}, {_cell(figures.half or 'unnamed')} half", ""]
     lines += [f"- {_cell(line)}" for line in (*summary_lines(figures), frozen_text(figures))]
     lines += ["", "```sh", command.replace("```", ""), "```"] if command else []
-    lines += ["", "| | figure | value | 95 % | cases | bar |", "|---|---|---|---|---|---|"]
-    for row in figures.rows:
-        mark = "**FAIL**" if row.mark == "FAIL" else row.mark
-        lines.append("| " + " | ".join([mark, *map(_cell, (row.name, *format_row(row)))]) + " |")
+    lines += ["", *_markdown_rows(figures.rows, "**FAIL**")]
     for world, rows in figures.elsewhere.items():
-        lines += [
-            "",
-            f"World {_cell(world)}:",
-            "",
-            "| | figure | value | 95 % | cases | bar |",
-            "|---|---|---|---|---|---|",
-        ]
-        lines += [
-            "| " + " | ".join([row.mark, *map(_cell, (row.name, *format_row(row)))]) + " |" for row in rows if row.cases
-        ]
+        lines += ["", f"World {_cell(world)}:", "", *_markdown_rows([row for row in rows if row.cases], "FAIL")]
     if figures.transfers:
         lines += ["", "| figure | " + " | ".join(map(_cell, figures.worlds)) + " | transfer gap |"]
         lines += ["|---" * (len(figures.worlds) + 2) + "|"]
@@ -344,6 +330,13 @@ def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str,
         lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in missed]
     lines += [line for about, file in plots.items() for line in ("", f"![{about}]({file})")]
     return "\n".join(lines) + "\n"
+
+
+def _markdown_rows(rows: Iterable[ScoreRow], fail: str) -> Iterator[str]:
+    yield from ("| | figure | value | 95 % | cases | bar |", "|---|---|---|---|---|---|")
+    for row in rows:
+        mark = fail if row.mark == "FAIL" else row.mark
+        yield "| " + " | ".join([mark, *map(_cell, (row.name, *format_row(row)))]) + " |"
 
 
 def summary_lines(figures: Figures) -> Iterator[str]:

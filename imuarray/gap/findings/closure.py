@@ -127,9 +127,12 @@ def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Booleans) -> 
 
 def deviating_in_either(pairs: Pairs, before: Floats, after: Floats) -> DeviatingStatistics:
     """Return the statistics that deviate in one part alone, for events that occur in one part only."""
-    parts = ((pairs.train, pairs.keys), (pairs.held_out, pairs.keys))
-    candidates = [(key, at) for places, keys in parts for key, at in zip(keys, places.tolist(), strict=True) if at >= 0]
-    chosen = [(key, at) for key, at in candidates if abs(np.nan_to_num(before[at])) > BY_ITSELF]
+    chosen = [
+        (key, at)
+        for places in (pairs.train, pairs.held_out)
+        for key, at in zip(pairs.keys, places.tolist(), strict=True)
+        if at >= 0 and abs(np.nan_to_num(before[at])) > BY_ITSELF
+    ]
     return _of(tuple(key for key, _ in chosen), np.array([at for _, at in chosen], np.intp), before, after)
 
 

@@ -24,8 +24,6 @@ from imuarray.log.format import SensorHeader
 from imuarray.simulate.converters import THERMOMETERS
 
 Need = Literal["faces", "warmth", "runs", "turns", "warm_faces", "warm_turns"]
-Needs = tuple[tuple[Need, ...], ...]
-"""Alternative sets of needs; one whole set suffices."""
 
 LEAST_FACES, LEAST_DEGC, LEAST_RUNS, LEAST_REST_S = 2, 5.0, 4, 60.0
 """Least faces (with fewer, level and scale are not separated), span of temperature (drift and slope), runs (a spread:
@@ -36,45 +34,38 @@ LONGEST_S = 48 * 3600.0
 MOST_RUNS = 20.0
 """Longest log, and largest multiple of runs, that is suggested."""
 
-_RECORD: Mapping[Need, str] = MappingProxyType(
+_EXPERIMENTS: Mapping[Need, tuple[Kind, str]] = MappingProxyType(
     {
-        "faces": "all six faces, 1 minute each",
-        "warmth": "warmer by 10 degC or more and cool again, twice",
-        "runs": "a dozen short logs, switched off in between",
-        "turns": "turns to and fro about every axis, 1 minute",
-        "warm_faces": "warmer by 10 degC or more on two opposite faces",
-        "warm_turns": "turns to and fro about every axis, 1 minute, and again when it is warmer by 10 degC or more",
+        "faces": ("tumble", "all six faces, 1 minute each"),
+        "warmth": ("heating", "warmer by 10 degC or more and cool again, twice"),
+        "runs": ("turn-on", "a dozen short logs, switched off in between"),
+        "turns": ("motion", "turns to and fro about every axis, 1 minute"),
+        "warm_faces": ("heating", "warmer by 10 degC or more on two opposite faces"),
+        "warm_turns": (
+            "motion",
+            "turns to and fro about every axis, 1 minute, and again when it is warmer by 10 degC or more",
+        ),
     }
 )
-"""What to record, where the candidate has no text for the kind of experiment."""
+"""The kind of experiment that meets a need, and what to record where the candidate has no text for that kind."""
 
-_KIND: Mapping[Need, Kind] = MappingProxyType(
-    {
-        "faces": "tumble",
-        "warmth": "heating",
-        "runs": "turn-on",
-        "turns": "motion",
-        "warm_faces": "heating",
-        "warm_turns": "motion",
-    }
-)
 _DONE_BY: tuple[Need, ...] = ("faces", "warmth", "runs", "turns")
 """The needs that make an experiment of its kind."""
 
-_NEEDS: Mapping[str, Needs] = MappingProxyType(
+_NEEDS: Mapping[str, tuple[Need, ...]] = MappingProxyType(
     {
-        "scale": (("faces",), ("turns",)),
-        "misalignment": (("faces",), ("turns",)),
-        "axis_error": (("faces",), ("turns",)),
-        "nonlinearity": (("faces",), ("turns",)),
-        "saturation": (("faces",), ("turns",)),
-        "g_sensitivity": (("faces",), ("turns",)),
-        "size_effect": (("turns",),),
-        "thermal_bias": (("warmth",),),
-        "thermal_scale": (("warm_faces",),),
-        "thermal_lag": (("warmth",),),
-        "turn_on_bias": (("runs",),),
-        "bistable_bias": (("runs",),),
+        "scale": ("faces", "turns"),
+        "misalignment": ("faces", "turns"),
+        "axis_error": ("faces", "turns"),
+        "nonlinearity": ("faces", "turns"),
+        "saturation": ("faces", "turns"),
+        "g_sensitivity": ("faces", "turns"),
+        "size_effect": ("turns",),
+        "thermal_bias": ("warmth",),
+        "thermal_scale": ("warm_faces",),
+        "thermal_lag": ("warmth",),
+        "turn_on_bias": ("runs",),
+        "bistable_bias": ("runs",),
     }
 )
 """Alternative needs of each effect, the usual one first. Without any of them the effect is not observable, whatever
@@ -82,14 +73,14 @@ else was recorded: in one attitude it looks like a bias (a clipped axis like a q
 effect that does not change with temperature or from run to run.
 """
 
-_GYROSCOPE_NEEDS: Mapping[str, Needs] = MappingProxyType(
+_GYROSCOPE_NEEDS: Mapping[str, tuple[Need, ...]] = MappingProxyType(
     {
-        "scale": (("turns",),),
-        "misalignment": (("turns",),),
-        "axis_error": (("turns",),),
-        "nonlinearity": (("turns",),),
-        "saturation": (("turns",),),
-        "thermal_scale": (("warm_turns",),),
+        "scale": ("turns",),
+        "misalignment": ("turns",),
+        "axis_error": ("turns",),
+        "nonlinearity": ("turns",),
+        "saturation": ("turns",),
+        "thermal_scale": ("warm_turns",),
     }
 )
 """Needs of a gyroscope where they differ, since it feels nothing on any face."""
@@ -99,7 +90,7 @@ _SAME_AS: Mapping[str, str] = MappingProxyType({"thermal_scale": "thermal_bias"}
 
 _INSTEAD: Mapping[str, str] = MappingProxyType(
     {
-        "level": f"tumble: {_RECORD['faces']}, separate scale and misalignment from a level",
+        "level": f"tumble: {_EXPERIMENTS['faces'][1]}, separate scale and misalignment from a level",
         "force": "tumble: all six faces, several times",
         "temperature": "heating: by more degC, several times",
         "motion": "motion: faster and longer turns",
@@ -171,7 +162,10 @@ def unobservable_effects(
     heating and turns in a log of another kind count as well. A candidate with an empty `shown_by` and without known
     needs is left out, since nothing can be suggested.
     """
-    recorded_kinds, met_needs = _kinds_done(kinds, facts), {need for need in _KIND if _is_met(need, kinds, facts)}
+    met_needs = _met_needs(kinds, facts)
+    recorded_kinds = {_EXPERIMENTS[need][0] for need in _DONE_BY if need in met_needs}
+    if "static" in kinds and facts.rest_s >= LEAST_REST_S:
+        recorded_kinds.add("static")
     triads = {name: header for name, header in sensors.items() if len(header.columns) == _TRIAD}
     unobservable = (_of_candidate(candidate, recorded_kinds, met_needs, triads) for candidate in candidates.values())
     return tuple(effect for effect in unobservable if effect is not None)
@@ -246,30 +240,22 @@ def _span_degc(sensors: Sequence[Summary]) -> float:
     return float(np.ptp(known)) if len(known) else 0.0
 
 
-def _kinds_done(kinds: Collection[str], facts: Facts) -> frozenset[Kind]:
-    met: list[Kind] = [_KIND[need] for need in _DONE_BY if _is_met(need, kinds, facts)]
-    rests: list[Kind] = ["static"] if "static" in kinds and facts.rest_s >= LEAST_REST_S else []
-    return frozenset(met + rests)
-
-
-def _is_met(need: Need, kinds: Collection[str], facts: Facts) -> bool:
-    if need == "faces":
-        return facts.faces >= LEAST_FACES
-    if need == "warmth":
-        return facts.span_degc >= LEAST_DEGC
-    if need == "runs":
-        return facts.runs >= LEAST_RUNS
-    if need == "warm_faces":
-        return facts.warm_faces >= LEAST_FACES
-    if need == "warm_turns":
-        return facts.has_turned_warm
-    return facts.has_turned or "motion" in kinds
+def _met_needs(kinds: Collection[str], facts: Facts) -> frozenset[Need]:
+    is_met: Mapping[Need, bool] = {
+        "faces": facts.faces >= LEAST_FACES,
+        "warmth": facts.span_degc >= LEAST_DEGC,
+        "runs": facts.runs >= LEAST_RUNS,
+        "turns": facts.has_turned or "motion" in kinds,
+        "warm_faces": facts.warm_faces >= LEAST_FACES,
+        "warm_turns": facts.has_turned_warm,
+    }
+    return frozenset(need for need, met in is_met.items() if met)
 
 
 def _of_candidate(
     candidate: Candidate,
     recorded_kinds: Collection[str],
-    met_needs: Collection[Need],
+    met_needs: frozenset[Need],
     triads: Mapping[str, SensorHeader],
 ) -> Unobservable | None:
     concerned = {name: header.quantity for name, header in triads.items() if candidate.can_concern(header)}
@@ -283,7 +269,7 @@ def _of_candidate(
 
 
 def _needed_record(
-    candidate: Candidate, quantity: str, recorded_kinds: Collection[str], met_needs: Collection[Need]
+    candidate: Candidate, quantity: str, recorded_kinds: Collection[str], met_needs: frozenset[Need]
 ) -> str:
     """Return what to record so that a sensor of this quantity shows the effect; "" if that was recorded."""
     special = _GYROSCOPE_NEEDS if quantity == "angular_rate" else _NEEDS
@@ -291,13 +277,10 @@ def _needed_record(
     if not needs:
         is_shown = any(kind in recorded_kinds for kind in candidate.shown_by)
         return "" if is_shown else next((f"{kind}: {text}" for kind, text in candidate.shown_by.items()), "")
-    missing = [[need for need in group if need not in met_needs] for group in needs]
-    return " and ".join(_words(candidate, need) for need in missing[0]) if all(missing) else ""
-
-
-def _words(candidate: Candidate, need: Need) -> str:
-    kind = _KIND[need]
-    return f"{kind}: {candidate.shown_by.get(kind, _RECORD[need])}"
+    if met_needs.intersection(needs):
+        return ""
+    kind, record = _EXPERIMENTS[needs[0]]
+    return f"{kind}: {candidate.shown_by.get(kind, record)}"
 
 
 def _more_of(domain: str, known: Sequence[tuple[float, float, float]]) -> str:

@@ -8,6 +8,7 @@ sum. On such faces f_x^2 + f_y^2 + f_z^2 = 1: a constant is in the even parts.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -23,19 +24,11 @@ AXES = np.arange(3)
 _FACES = frozenset(UP_AXES)
 
 
-def own(phases: Sequence[Summary]) -> Floats:
-    """Response of each axis to one g along it, in the sensor's unit."""
-    return np.asarray(_parts(phases)[0][AXES, AXES])
-
-
-def next_axis(phases: Sequence[Summary]) -> Floats:
-    """Response of each axis to one g along the next axis (y for x, z for y, x for z)."""
-    return np.asarray(_parts(phases)[0][AXES, (AXES + 1) % 3])
-
-
-def axis_after(phases: Sequence[Summary]) -> Floats:
-    """Response of each axis to one g along the axis after the next."""
-    return np.asarray(_parts(phases)[0][AXES, (AXES + 2) % 3])
+def response(ahead: int, phases: Sequence[Summary]) -> Floats:
+    """Response of each axis to one g along it (`ahead` 0), along the next axis (1: y for x, z for y, x for z), or along
+    the axis after the next (2), in the sensor's unit.
+    """
+    return np.asarray(_parts(phases)[0][AXES, (AXES + ahead) % 3])
 
 
 def square(phases: Sequence[Summary]) -> Floats:
@@ -79,8 +72,10 @@ def _probe(
 
 
 PROBES: Probes = {
-    "force_own": _probe("force along the axis", ("scale", "axis_error", "range_reset", "g_sensitivity"), own),
-    "force_next": _probe("force along the next axis", _CROSS, next_axis),
-    "force_after": _probe("force along the axis after the next", _CROSS, axis_after),
+    "force_own": _probe(
+        "force along the axis", ("scale", "axis_error", "range_reset", "g_sensitivity"), partial(response, 0)
+    ),
+    "force_next": _probe("force along the next axis", _CROSS, partial(response, 1)),
+    "force_after": _probe("force along the axis after the next", _CROSS, partial(response, 2)),
     "force_square": _probe("the square of force along the axis", ("nonlinearity",), square, "{u}/g^2"),
 }

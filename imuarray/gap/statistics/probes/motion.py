@@ -11,6 +11,7 @@ without significance. The residual of a sensor's motion is what no delay explain
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -45,14 +46,16 @@ _ENDS = 0.02
 """Share of the residual that is kept: about that of the windows at segments' ends, whose change is not known."""
 
 
-def gain(cross: Cross, sensor: str) -> Floats:
-    """Response of each axis to motion along it, as a share."""
-    return np.asarray(_separate_gains(cross, sensor)[AXES, AXES])
+def gain(ahead: int, cross: Cross, sensor: str) -> Floats:
+    """Response of each axis to motion along it (`ahead` 0), along the next axis (1), or along the axis after the next
+    (2), as a share.
+    """
+    return np.asarray(_separate_gains(cross, sensor)[AXES, (AXES + ahead) % 3])
 
 
 def along(cross: Cross, sensor: str) -> Floats:
-    """Return the same by the motion along the axis alone, which the rotation about a single axis determines too: what
-    the box then feels along its axes is proportional, and nothing tells their shares apart.
+    """Response of each axis to motion along it, by that motion alone. The rotation about a single axis determines it
+    too: what the box then feels along its axes is proportional, and nothing tells their shares apart.
     """
     joint = _joint_moments(cross, sensor)
     if joint is None:
@@ -74,16 +77,6 @@ def across(cross: Cross, sensor: str) -> Floats:
     way = ways[:, 2] * np.sign(ways[np.abs(ways[:, 2]).argmax(), 2])
     shares = joint.moments[np.ix_(AXES, AXES + 3)] @ way / strengths[2]
     return np.where(way**2 < _ACROSS, shares - way, np.nan)
-
-
-def next_axis(cross: Cross, sensor: str) -> Floats:
-    """Response of each axis to motion along the next one."""
-    return np.asarray(_separate_gains(cross, sensor)[AXES, (AXES + 1) % 3])
-
-
-def axis_after(cross: Cross, sensor: str) -> Floats:
-    """Response of each axis to motion along the axis after the next."""
-    return np.asarray(_separate_gains(cross, sensor)[AXES, (AXES + 2) % 3])
 
 
 def delay(cross: Cross, sensor: str) -> Floats:
@@ -307,10 +300,10 @@ def _probe(
 
 
 PROBES: Probes = {
-    "motion_gain": _probe("share of motion along the axis", _GAIN, response, gain),
+    "motion_gain": _probe("share of motion along the axis", _GAIN, response, partial(gain, 0)),
     "motion_along": _probe("share of motion along the axis, by that motion alone", _GAIN, response, along),
-    "motion_next": _probe("share of motion along the next axis", _CROSS, response, next_axis),
-    "motion_after": _probe("share of motion along the axis after the next", _CROSS, response, axis_after),
+    "motion_next": _probe("share of motion along the next axis", _CROSS, response, partial(gain, 1)),
+    "motion_after": _probe("share of motion along the axis after the next", _CROSS, response, partial(gain, 2)),
     "motion_across": _probe("share of a motion across the axis", _CROSS, response, across),
     "motion_delay": _probe(
         "delay behind the others", ("skew", "clock_error", "stale_samples", "own_clock"), response, delay, "s"

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.gap.statistics.margins import GENEROUS, LEVEL, RMS, VARIANCE
+from imuarray.gap.statistics.margins import GENEROUS, LEVEL, RMS, VARIANCE, Margin
 from imuarray.gap.statistics.probes.probe import NOTHING, Probes, RunsProbe, log
 from imuarray.gap.statistics.runs import PARTS, Runs
 
@@ -17,33 +19,27 @@ _TIMES = np.log((np.arange(PARTS) + 0.5) / PARTS)
 
 def spread(runs: Runs) -> Floats:
     """Return the log of the robust standard deviation of the runs' means."""
-    return log(runs.spread) if len(runs.means) >= _LEAST else NOTHING
+    return log(runs.spread)
 
 
 def scatter(runs: Runs) -> Floats:
     """Return the log of the variance of the runs' means over that of independent readings."""
-    if len(runs.means) < _LEAST:
-        return NOTHING
     return np.asarray(log(runs.means.var(axis=0, ddof=1)) - log((runs.errors**2).mean(axis=0)))
 
 
 def two_states(runs: Runs) -> Floats:
     """Return the log of the largest gap between the sorted means over the mean of the others."""
-    if len(runs.means) < _LEAST:
-        return NOTHING
     gaps = np.sort(runs.gaps, axis=0)
     return np.asarray(log(gaps[-1]) - log(gaps[:-1].mean(axis=0)))
 
 
 def outlier(runs: Runs) -> Floats:
     """Return the log of the distance of the farthest run over all axes, in robust standard deviations; one number."""
-    return log(runs.joint_distance.max()) if len(runs.means) >= _LEAST else np.array(np.nan)
+    return log(runs.joint_distance.max())
 
 
 def creep(runs: Runs) -> Floats:
     """Slope of the mean profile over the log of time since the run began."""
-    if len(runs.means) < _LEAST:
-        return NOTHING
     times = _TIMES - _TIMES.mean()
     return np.asarray(times @ runs.mean_profile / (times @ times))
 
@@ -52,8 +48,6 @@ def profile(runs: Runs) -> Floats:
     """Return the log of what the mean profile varies by over what the single profiles vary about it, as a ratio of
     variances.
     """
-    if len(runs.means) < _LEAST:
-        return NOTHING
     common = (runs.mean_profile**2).sum(axis=0)
     single = ((runs.profiles - runs.mean_profile) ** 2).sum(axis=(0, 1)) / (len(runs.means) - 1)
     return np.asarray(log(len(runs.means) * common) - log(single))
@@ -62,23 +56,24 @@ def profile(runs: Runs) -> Floats:
 _BOOT = ("turn_on_bias", "bistable_bias", "range_reset")
 _STATES = ("bistable_bias", "range_reset")
 
+
+def _probe(
+    about: str, moved_by: tuple[str, ...], margin: Margin, statistic: Callable[[Runs], Floats], unit: str = ""
+) -> RunsProbe:
+    def of_many(runs: Runs) -> Floats:
+        missing = np.array(np.nan) if statistic is outlier else NOTHING
+        return statistic(runs) if len(runs.means) >= _LEAST else missing
+
+    return RunsProbe("run_to_run", about, moved_by, margin, of_many, unit=unit)
+
+
 PROBES: Probes = {
-    "run_spread": RunsProbe(
-        "run_to_run", "log of the robust spread of runs' means", _BOOT, RMS, spread, unit="log {u}"
+    "run_spread": _probe("log of the robust spread of runs' means", _BOOT, RMS, spread, "log {u}"),
+    "run_scatter": _probe(
+        "log of the variance of runs' means over white noise's", (*_BOOT, "bias_instability"), VARIANCE, scatter
     ),
-    "run_scatter": RunsProbe(
-        "run_to_run",
-        "log of the variance of runs' means over white noise's",
-        (*_BOOT, "bias_instability"),
-        VARIANCE,
-        scatter,
-    ),
-    "run_two_states": RunsProbe(
-        "run_to_run", "log of the largest gap of sorted means over others", _STATES, GENEROUS, two_states
-    ),
-    "run_outlier": RunsProbe("run_to_run", "log of the farthest run's distance", _STATES, GENEROUS, outlier),
-    "run_creep": RunsProbe("run_to_run", "slope of the mean profile over log time", (), LEVEL, creep, unit="{u}"),
-    "run_profile": RunsProbe(
-        "run_to_run", "log of the variance that runs' profiles have in common", (), VARIANCE, profile
-    ),
+    "run_two_states": _probe("log of the largest gap of sorted means over others", _STATES, GENEROUS, two_states),
+    "run_outlier": _probe("log of the farthest run's distance", _STATES, GENEROUS, outlier),
+    "run_creep": _probe("slope of the mean profile over log time", (), LEVEL, creep, "{u}"),
+    "run_profile": _probe("log of the variance that runs' profiles have in common", (), VARIANCE, profile),
 }
