@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.calibrate.motion import find_knocks, knock_sentence, longest_rest
+from imuarray.calibrate.motion import LISTED, Knock, find_knocks, knock_sentence, longest_rest
 from imuarray.calibrate.pose_readings import rest_windows
 from imuarray.characterise import characterise_log
 from imuarray.importers.plausibility import report_of
@@ -82,3 +82,12 @@ def test_a_new_pose_is_no_knock(tmp_path: Path) -> None:
         assert knocks_of(log) == ""
         rest = longest_rest(log)
         assert rest is not None and not rest.left_out and RATE_HZ > 0
+
+
+def test_the_first_five_knocks_are_listed() -> None:
+    """In the middle of each; of a sixth one the sentence says only that there are more."""
+    knocks = [Knock(round(second * 1e9), round((second + 0.2) * 1e9), True, 0.0) for second in range(1, 7)]
+    assert LISTED == 5
+    five = "the box was knocked 5 times at rest, at 1.1, 2.1, 3.1, 4.1, 5.1 s"
+    assert knock_sentence(knocks[:5], "mg", 1e3) == five
+    assert knock_sentence(knocks, "mg", 1e3) == five.replace("5 times", "6 times").replace(" s", ", ... s")

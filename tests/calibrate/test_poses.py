@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 from scipy.stats import chi2
 
-from imuarray.calibrate.pose_readings import Pose, find_poses, find_rests, named_faces, read_pose
+from imuarray.calibrate.pose_readings import Pose, PoseReadings, find_poses, find_rests, named_faces, read_pose
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Phase, SensorHeader
@@ -306,3 +306,15 @@ def test_the_slow_beginning_of_a_motion_is_no_rest(tmp_path: Path, quantity: str
     with open_log(path) as log:
         rest = find_rests(log)[0].phase
     assert 25.0 < rest.end_ns * 1e-9 <= 31.5
+
+
+def test_a_drift_is_one_over_the_middles_of_the_poses() -> None:
+    """Poses of 0.2 to 1 s about 1, 2, 3, 4 and 5 s: (-2, -1, 0, 1, 2) / sqrt(2) has a mean square of 1."""
+    poses = tuple(
+        Pose(Phase(round((middle - length / 2) * 1e9), round((middle + length / 2) * 1e9), "static", ""), None)
+        for middle, length in zip((1.0, 2.0, 3.0, 4.0, 5.0), (1.0, 0.2, 0.6, 0.2, 0.8), strict=True)
+    )
+    nothing = np.zeros((0, 5, 3))
+    readings = PoseReadings((), poses, nothing, nothing, nothing, nothing)
+    expected = np.stack([np.ones(5), np.array([-2.0, -1.0, 0.0, 1.0, 2.0]) / np.sqrt(2)], axis=1)
+    np.testing.assert_allclose(readings.powers_of_time(1), expected, atol=1e-12)

@@ -101,3 +101,26 @@ def test_frame_by_frame_as_it_is_defined(sensors: int, complete: bool) -> None:
         drawn_in = apart * np.minimum(1, limit / np.abs(apart).max(axis=1).clip(1e-300))[:, None]
         wanted.append(middle + np.linalg.lstsq(rows, drawn_in.reshape(-1), rcond=None)[0])
     np.testing.assert_allclose(consensus(values, valid, rows, FORCE)[:-1], wanted, rtol=1e-12, atol=1e-12)
+
+
+def test_a_sensor_without_a_reading_counts_for_nothing() -> None:
+    """The other four are averaged, whichever is missing, in a frame beside one in which none is."""
+    rng = np.random.default_rng(7)
+    vectors = np.array([1.0, -2.0, G]) + rng.uniform(-LIMIT / 5, LIMIT / 5, (2, len(AXES), 3))
+    values = np.einsum("sij,nsj->nsi", ROWS.reshape(-1, 3, 3), vectors).reshape(2, -1)
+    for missing in range(len(AXES)):
+        valid = np.ones(values.shape, bool)
+        valid[1, 3 * missing : 3 * missing + 3] = False
+        known = np.arange(len(AXES)) != missing
+        expected = [vectors[0].mean(axis=0), vectors[1, known].mean(axis=0)]
+        np.testing.assert_allclose(consensus(values, valid, ROWS, FORCE), expected, atol=1e-12)
+
+
+def test_the_middle_is_that_of_the_readings_there_are() -> None:
+    """Of four readings 0, 0, 3, 3 limits it is 1.5; each counts for what lies within one limit of it: 1.5 again."""
+    vectors = np.array([1.0, -2.0, G]) * np.ones((2, len(AXES), 1))
+    vectors[:, 2:4, 0] += 3 * LIMIT
+    values = np.einsum("sij,nsj->nsi", ROWS.reshape(-1, 3, 3), vectors).reshape(2, -1)
+    valid = np.ones(values.shape, bool)
+    valid[1, -3:] = False
+    np.testing.assert_allclose(consensus(values, valid, ROWS, FORCE)[1], [1 + 1.5 * LIMIT, -2.0, G], atol=1e-12)

@@ -115,3 +115,10 @@ def test_a_reading_belongs_to_the_nearest_frame_only() -> None:
     assert frames.valid[:, :3].all()
     assert frames.valid[:, 3].sum() == len(between)
     assert frames.valid[1:-1:2, 3].all()
+
+
+def test_the_age_of_a_reading() -> None:
+    """Half a conversion of 10 ms and the delay of the filter; of one conversion per frame the delay alone."""
+    unit = AlignedSensor(calibration(PARTS).sensors[PARTS[0].name], 30000.0, conversion_s=0.01, delay_s=0.003)
+    assert unit.age_s(0.02) == pytest.approx(0.008)
+    assert unit.age_s(0.01) == pytest.approx(0.003)

@@ -156,6 +156,8 @@ def test_a_few_rows_are_nothing_to_fuse(run: Path) -> None:
         assert list(stream.push("A0", cut(read(log)["A0"], slice(0, 2)))) == []
     with pytest.raises(FusionError, match="sensor A0: 2 rows, nothing to fuse"):
         list(stream.finish())
+    with open_log(run) as log, pytest.raises(FusionError, match="sensor A0: 0 rows, nothing to fuse"):
+        list(started(log).finish())
 
 
 def test_a_pipeline_may_hold_frames_back(run: Path) -> None:
