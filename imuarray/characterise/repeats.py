@@ -4,6 +4,10 @@ A chip that is read more often than it measures returns each reading several tim
 chance, all columns at once, if the noise is small compared with a count; that probability is estimated from rows that
 are `APART` rows apart, where neither repeats nor the correlation of filtered noise matter. (Noise that changes by less
 than a count from row to row over longer times, in all columns, can't be distinguished from repeats.)
+
+`Stalls` are frozen readings where a rate passes 100 dps, of an ICM-42688-P whose adaptive range is on (TDK-18): the
+chip has no new reading for 1 to 2 ms at each passage, so that the row before the passage equals the row before that in
+all axes.
 """
 
 from __future__ import annotations
@@ -14,6 +18,8 @@ from math import nan
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.log import SensorLog
+
 Counts = npt.NDArray[np.integer]
 
 APART = 64
@@ -21,6 +27,15 @@ APART = 64
 
 STALE_SHARE = 0.015
 """Share of repeated rows, beyond chance, that is reported."""
+
+THRESHOLD_DPS = 100.0
+LEAST_STALLS = 3
+LEAST_SHARE = 0.5
+"""The least number of passages with a stall, and their least share of all, that are reported: equal rows also occur by
+chance.
+"""
+
+_BLOCK_ROWS = 4096
 
 
 @dataclass(frozen=True)
@@ -103,3 +118,37 @@ def _equal_rows(rows: Counts, others: Counts) -> npt.NDArray[np.bool_]:
     for row, other in zip(rows.T, others.T, strict=True):
         equal &= row == other
     return equal
+
+
+@dataclass(frozen=True)
+class Stalls:
+    """Numbers of passages of an axis through 100 dps from one row to the next, and of those before which the reading
+    was frozen.
+    """
+
+    passages: int
+    stalled: int
+
+    @property
+    def is_adaptive(self) -> bool:
+        """True if stalls are more frequent than by chance."""
+        return self.stalled >= LEAST_STALLS and self.stalled >= LEAST_SHARE * self.passages
+
+
+def find_stalls(sensor: SensorLog) -> Stalls | None:
+    """Count stalls in all rows of a log; None for a chip without an adaptive range. Rows on either side of a missing
+    one count as neighbours, which does not make readings equal.
+    """
+    if sensor.quantity != "angular_rate" or not sensor.chip.lower().startswith("icm42688") or not sensor.sensitivity:
+        return None
+    threshold = THRESHOLD_DPS * sensor.sensitivity
+    passages = stalled = 0
+    previous = np.empty((0, 3), np.int64)
+    for block in sensor.blocks(_BLOCK_ROWS):
+        rows = np.concatenate([previous, np.asarray(sensor.counts[block], np.int64)])
+        inside = np.abs(rows) < threshold
+        passed = (inside[2:] != inside[1:-1]).any(axis=1)
+        passages += int(np.count_nonzero(passed))
+        stalled += int(np.count_nonzero(passed & (rows[1:-1] == rows[:-2]).all(axis=1)))
+        previous = rows[-2:]
+    return Stalls(passages, stalled)

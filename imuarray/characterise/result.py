@@ -2,42 +2,30 @@
 
 Values are in counts; `unit_per_count` converts them to the sensor's unit and `si_per_count` to SI, by a calibration or
 by the data sheet's typical sensitivity (null if the log has none). Statistics and coefficients are given in all three.
-
-`Stalls` are frozen readings where a rate passes 100 dps, of an ICM-42688-P whose adaptive range is on (TDK-18): the
-chip has no new reading for 1 to 2 ms at each passage, so that the row before the passage equals the row before that in
-all axes.
-
-`find_bands` looks for lines of a spectrum wider than a bin or two: of a motor whose speed wanders, of a fan, of a slow
-sway. Boxes of neighbouring bins, from a few to many, are compared with the bins on either side of them: the mean
-density in a box over the higher of the two sides' medians, so that neither a slope nor the corner of a filter looks
-like a line. For noise this ratio has Fisher's F distribution; the false-alarm probability applies to all boxes of all
-widths together (Bonferroni). Narrow lines (`imuarray.characterise.lines`) are removed first. Boxes begin at the third
-bin, where a floor that needs many bins below it is not available: slow lines are detected here even if they are narrow.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from math import sqrt
+from dataclasses import asdict
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.stride_tricks import sliding_window_view
 
-from imuarray.arrays import Floats, Indices
 from imuarray.characterise.alignment import find_alignment
 from imuarray.characterise.allan import CONFIDENCE, AllanCurve, Estimator
 from imuarray.characterise.allan_curve import floor, white_noise
 from imuarray.characterise.allan_fit import NoiseFit, fit_noise
+from imuarray.characterise.bands import find_bands
 from imuarray.characterise.codes import code_density, find_rails
-from imuarray.characterise.lines import FALSE_ALARM, FIRST_BIN, SpectralLine, aliases, find_lines
+from imuarray.characterise.lines import FIRST_BIN, SpectralLine, aliases, find_lines
 from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statistics
 from imuarray.characterise.processing import find_filters, find_interpolation, find_missing_gravity
 from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
+from imuarray.characterise.repeats import find_stalls
 from imuarray.characterise.spectrum import Spectrum
 from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
 from imuarray.characterise.survey import Survey, runs_of_curve, survey
@@ -47,145 +35,6 @@ from imuarray.log import Log, SensorLog
 from imuarray.log.format import FLAGS
 from imuarray.log.row_timing import row_timing
 from imuarray.units import SI_NAME, SI_PER_UNIT
-
-WIDTHS = (4, 8, 16, 32, 64, 128)
-"""Widths of a box in bins; the narrowest is the main lobe of the Hann window."""
-
-RISES = 1.35
-"""Least ratio of a box to both its sides: ripples of filters and of floors are smaller."""
-
-SLACK = 1.08
-"""The allowance for the curvature of a floor: a box may rise by this above its sides' medians without a line."""
-
-_FIRST = 3
-_LOWEST = 2
-"""First bin of a side: bins 0 and 1 have lost power with the mean of their segment."""
-
-_LEAST_SIDE = 4
-_SIDE = 2
-"""The width of a side in boxes; it begins half a box away, because a line as wide as its box has skirts."""
-
-_SHARED = 1.94
-"""Number of bins with the information of one independent bin: Hann-windowed neighbours correlate by 4/9 and 1/36 in
-power."""
-
-_MEDIAN = 0.64
-"""A median is as precise as the mean of this share of its values."""
-
-_CLEARED = 3
-"""Number of bins on either side of a narrow line that contain its power."""
-
-
-@dataclass(frozen=True)
-class Band(SpectralLine):
-    """A wide line: the middle and the `width_hz` of its power (twice its standard deviation), and the amplitude of a
-    sine of that power, in the series' unit.
-    """
-
-    width_hz: float
-
-
-@dataclass(frozen=True)
-class _Box:
-    """Indices [first, stop), the density of the floor about them, and the chance of noise so high in all boxes."""
-
-    first: int
-    stop: int
-    floor: float
-    chance: float
-
-
-def find_bands(
-    spectrum: Spectrum, column: int = 0, narrow: Sequence[SpectralLine] = (), false_alarm: float = FALSE_ALARM
-) -> tuple[Band, ...]:
-    """Return the wide lines in one column of a spectrum, strongest first, in addition to the known `narrow` ones."""
-    density = np.array(spectrum.density[:, column])
-    density[-1] *= 2  # the bin at half the rate has no twin
-    last = len(density) - 1
-    if last < 4 * WIDTHS[0] or not (density[_FIRST:] > 0).all():
-        return ()
-    for line in narrow:
-        _level(density, round(line.frequency_hz / spectrum.resolution_hz))
-    boxes = sorted(_boxes(density, float(np.median(spectrum.freedom)), false_alarm), key=lambda box: box.chance)
-    in_band = np.zeros(len(density), bool)
-    bands = []
-    for box in boxes:
-        around = slice(max(box.first - (box.stop - box.first), 0), box.stop + (box.stop - box.first))
-        if not in_band[around].any():
-            bands.append(_band(spectrum, density, box))
-            in_band[around] = True
-    return tuple(sorted(bands, key=lambda band: -band.amplitude))
-
-
-def _level(density: Floats, at: int) -> None:
-    """Replace a narrow line by the median of its neighbours."""
-    first, stop = max(at - _CLEARED, 0), min(at + _CLEARED + 1, len(density))
-    neighbours = np.concatenate([density[max(first - 2 * _CLEARED, 2) : first], density[stop : stop + 2 * _CLEARED]])
-    if len(neighbours):
-        density[first:stop] = np.median(neighbours)
-
-
-def _boxes(density: Floats, freedom: float, false_alarm: float) -> list[_Box]:
-    """Return the boxes of all widths that exceed their sides significantly."""
-    from scipy.special import fdtrc  # scipy.stats is slow to import
-
-    widths = [width for width in WIDTHS if 8 * width < len(density)]
-    trials = sum(2 * len(density) // width for width in widths)
-    mirrored = np.concatenate([density, density[-2 : -2 - 4 * WIDTHS[-1] : -1]])  # the bins above half the rate
-    boxes = []
-    for width in widths:
-        starts = np.arange(_FIRST, len(density) - width, width // 2)
-        floor, bins = _floors(mirrored, starts, width)
-        means = sliding_window_view(density, width)[starts].mean(axis=1)
-        ratio = means / floor
-        sure = freedom * max(width / _SHARED, 1.0), freedom * np.maximum(_MEDIAN * bins / _SHARED, 1.0)
-        chance = trials * fdtrc(*sure, ratio / SLACK)
-        for at in np.flatnonzero((ratio > RISES) & (chance < false_alarm)).tolist():
-            first = int(starts[at])
-            boxes.append(_Box(first, first + width, float(floor[at]), float(chance[at])))
-    return boxes
-
-
-def _floors(density: Floats, starts: Indices, width: int) -> tuple[Floats, Indices]:
-    """Return the higher of the medians of the sides of each box (b,), inf where there is no room for one, and how many
-    bins the shorter side has.
-    """
-    span = _SIDE * width
-    floor, bins = np.full(len(starts), np.inf), np.full(len(starts), span)
-    windows = sliding_window_view(density, span)
-    lower = starts - width // 2 - span
-    whole = lower >= _LOWEST
-    upper = np.median(windows[starts + 3 * width // 2], axis=1)
-    floor[whole] = np.maximum(np.median(windows[lower[whole]], axis=1), upper[whole])
-    for at in np.flatnonzero(~whole).tolist():
-        side = density[_LOWEST : max(int(starts[at]) - width // 2, _LOWEST)]
-        if len(side) >= _LEAST_SIDE:
-            floor[at], bins[at] = max(float(np.median(side)), float(upper[at])), len(side)
-    return floor, bins
-
-
-def _band(spectrum: Spectrum, density: Floats, box: _Box) -> Band:
-    """Return the line in a box: its power above the floor, there and as far beside it as it rises."""
-    width = box.stop - box.first
-    bins = np.arange(max(box.first - width // 2, 1), min(box.stop + width // 2, len(density)))
-    excess = density[bins] - box.floor
-    positive = np.maximum(excess, 0.0)
-    total = max(float(excess.sum()), float(positive.max()))
-    weights = positive**2 / float((positive**2).sum())
-    middle = float(bins @ weights)
-    spread = sqrt(max(float(((bins - middle) ** 2) @ (positive / float(positive.sum()))), 0.25))
-    sure = float(np.median(spectrum.freedom)) * max(spread / _SHARED, 1.0)
-    amplitude = sqrt(2 * total * spectrum.resolution_hz)
-    return Band(
-        middle * spectrum.resolution_hz,
-        spread * spectrum.resolution_hz / sqrt(sure / 2),
-        amplitude,
-        amplitude / 2 * sqrt(2 / sure),
-        min(1.0, box.chance),
-        float(np.max(density[box.first : box.stop])) / box.floor,
-        2 * spread * spectrum.resolution_hz,
-    )
-
 
 FILTER_TIMES = 5.0
 """Shortest tau of the fit in time constants of the chip's low-pass filter, which affects shorter ones."""
@@ -310,50 +159,6 @@ def _with_harmonics(lines: list[dict[str, Any]], resolution_hz: float) -> list[d
                 line["fundamental_hz"] = other["frequency_hz"]
                 break
     return lines
-
-
-THRESHOLD_DPS = 100.0
-LEAST_STALLS = 3
-LEAST_SHARE = 0.5
-"""The least number of passages with a stall, and their least share of all, that are reported: equal rows also occur by
-chance.
-"""
-
-_BLOCK_ROWS = 4096
-
-
-@dataclass(frozen=True)
-class Stalls:
-    """Numbers of passages of an axis through 100 dps from one row to the next, and of those before which the reading
-    was frozen.
-    """
-
-    passages: int
-    stalled: int
-
-    @property
-    def is_adaptive(self) -> bool:
-        """True if stalls are more frequent than by chance."""
-        return self.stalled >= LEAST_STALLS and self.stalled >= LEAST_SHARE * self.passages
-
-
-def find_stalls(sensor: SensorLog) -> Stalls | None:
-    """Count stalls in all rows of a log; None for a chip without an adaptive range. Rows on either side of a missing
-    one count as neighbours, which does not make readings equal.
-    """
-    if sensor.quantity != "angular_rate" or not sensor.chip.lower().startswith("icm42688") or not sensor.sensitivity:
-        return None
-    threshold = THRESHOLD_DPS * sensor.sensitivity
-    passages = stalled = 0
-    previous = np.empty((0, 3), np.int64)
-    for block in sensor.blocks(_BLOCK_ROWS):
-        rows = np.concatenate([previous, np.asarray(sensor.counts[block], np.int64)])
-        inside = np.abs(rows) < threshold
-        passed = (inside[2:] != inside[1:-1]).any(axis=1)
-        passages += int(np.count_nonzero(passed))
-        stalled += int(np.count_nonzero(passed & (rows[1:-1] == rows[:-2]).all(axis=1)))
-        previous = rows[-2:]
-    return Stalls(passages, stalled)
 
 
 Progress = Callable[[], None]

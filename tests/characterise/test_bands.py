@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
+from imuarray.characterise.bands import RISES, SLACK, WIDTHS, find_bands
 from imuarray.characterise.lines import FALSE_ALARM, find_lines
-from imuarray.characterise.result import RISES, SLACK, WIDTHS, _with_harmonics, find_bands
+from imuarray.characterise.result import _with_harmonics
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
 
 RATE_HZ = 100.0
