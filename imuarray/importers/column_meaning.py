@@ -138,8 +138,8 @@ def propose_columns(
         proposal.time += time_lines(names, columns, time, dates, proposal)
     force_unit = ""
     for quantity, indices in triads:
-        item, unit = propose_sensor(quantity, names, columns, indices, force_unit, proposal)
-        force_unit = unit if quantity == "specific_force" else force_unit
+        item = propose_sensor(quantity, names, columns, indices, force_unit, proposal)
+        force_unit = item.text("unit") if quantity == "specific_force" else force_unit
         add_own_time(item, names, columns, indices[0], (time, dates), proposal)
         proposal.items.append(item)
         taken |= set(indices)
@@ -168,10 +168,10 @@ def propose_kind(proposal: Proposal, kind: str, columns: Sequence[Floats], force
     table has that unit, else "".
     """
     quantity = next((what for what, words in QUANTITIES if words.search(kind)), "specific_force")
-    item, unit = propose_sensor(quantity, [], columns, (2, 3, 4), force_unit, proposal)
+    item = propose_sensor(quantity, [], columns, (2, 3, 4), force_unit, proposal)
     item.insert(2, f"kind = {quoted(kind)}")
     proposal.items.append(item)
-    return "m/s2" if unit == "m/s2" else force_unit
+    return "m/s2" if item.text("unit") == "m/s2" else force_unit
 
 
 def _triads(

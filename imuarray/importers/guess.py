@@ -19,7 +19,7 @@ from imuarray.errors import ImuArrayError
 from imuarray.importers.column_names import COMPUTED, TRUTH
 from imuarray.importers.mimu4444 import is_recording
 from imuarray.importers.plausibility import radii_of, report_of, turns_of
-from imuarray.importers.proposal import Proposal
+from imuarray.importers.proposal import Item, Proposal
 from imuarray.importers.resolution import MOST_BITS, SENSITIVITIES, WIDE_SENSITIVITIES
 from imuarray.importers.sensor_proposal import COUNTS_OF_GYROSCOPE, UNIT_MG, is_in_mg
 from imuarray.importers.source_proposal import propose_map
@@ -169,13 +169,12 @@ def _try_import(text: str, path: Path) -> _Trial:
             )
 
 
-def _label(item: Sequence[str]) -> str:
+def _label(item: Item) -> str:
     """Return the name of the rows of a sensor: their kind, or the sensor's name in the map."""
-    lines = [line for line in item if line.startswith("kind = ")]
-    return (lines or [item[1]])[0].split('"')[1]
+    return item.text("kind") or item.name
 
 
-def _leave_out(proposal: Proposal, items: Sequence[list[str]], why: str) -> bool:
+def _leave_out(proposal: Proposal, items: Sequence[Item], why: str) -> bool:
     """Remove sensors from a proposal and say so; return whether there were any."""
     if items:
         proposal.doubts.append(f"left out: {', '.join(map(_label, items))}: {why}")
@@ -192,7 +191,7 @@ def _leave_out_computed(proposal: Proposal) -> None:
     if len(known) < len(proposal.items):
         _leave_out(proposal, known, "a truth or a reference, according to their names, and no sensors of the array")
     triads = [item for item in proposal.items if item[0] == "[[sensor]]"]
-    forces = [item for item in triads if any(line.startswith('quantity = "specific_force"') for line in item)]
+    forces = [item for item in triads if item.text("quantity") == "specific_force"]
     computed = [item for item in forces if COMPUTED.search(_label(item))]
     if len(computed) < len(forces):
         _leave_out(proposal, computed, "computed by software, according to their names")
@@ -207,8 +206,8 @@ def _leave_out_weightless(proposal: Proposal, doubts: Sequence[str]) -> bool:
     """Leave out accelerometers that do not measure 1 g: a program subtracted gravity. They stay in the map as comments
     if no other sensor has gravity, with the attitude that can add it again. One that is the only sensor is kept.
     """
-    forces = [item for item in proposal.items if any(line.startswith('quantity = "specific_force"') for line in item)]
-    names = [item[1].split('"')[1] for item in forces]
+    forces = [item for item in proposal.items if item.text("quantity") == "specific_force"]
+    names = [item.name for item in forces]
     doubted = [
         any(text.startswith(f"{name}: measures ") and "instead of 1 g" in text for text in doubts) for name in names
     ]
@@ -239,33 +238,31 @@ _SUBTRACTED, _NO_UNIT_EXPLAINS = "gravity may have been removed", "or the unit m
 """What a report says of a sensor without gravity, and if the size of its readings is that of no other unit."""
 
 
-def _is_called_computed(item: Sequence[str]) -> bool:
+def _is_called_computed(item: Item) -> bool:
     """Return whether the names of a sensor's rows or columns say that a program computed them."""
-    return any(COMPUTED.search(line) for line in item if line.startswith(("kind = ", "columns = ")))
+    return any(COMPUTED.search(item.line(key)) for key in ("kind", "columns"))
 
 
 def _correct_milli(proposal: Proposal, radii: Mapping[str, float]) -> bool:
     """Replace 1024 counts per g, guessed from a single direction of gravity, by mg, if all directions say so."""
     changed = False
     for item in proposal.items:
-        name = item[1].split('"')[1]
-        if not any(line.startswith("sensitivity = 1024 ") for line in item) or name not in radii:
-            continue
-        length = 1024 * radii[name]
-        if is_in_mg(length):
-            item[:] = [line for line in item if not line.startswith(("range", "sensitivity", "unit"))]
+        length = 1024 * radii.get(item.name, 0.0)
+        if item.line("sensitivity").startswith("sensitivity = 1024 ") and length and is_in_mg(length):
+            item.leave_out("range", "sensitivity", "unit")
             item.append(UNIT_MG.format(length))
             changed = True
     return changed
 
 
 def _correct_scale(proposal: Proposal, factor: float) -> bool:
-    """Replace the guessed sensitivity of a gyroscope by that of a data sheet, if a known one fits."""
-    for item in proposal.items:
-        if _is_gyroscope(item) and factor > 0 and _correct_unit(item, factor):
+    """Replace the guessed unit or sensitivity of a gyroscope by one that is known, if it fits."""
+    if factor <= 0:
+        return False
+    for item in filter(_is_gyroscope, proposal.items):
+        if _correct_unit(item, factor):
             return True
-        line = next((line for line in item if line.startswith("sensitivity") and "# ?" in line), None)
-        if line is None or not _is_gyroscope(item) or factor <= 0 or abs(ln(factor)) < _SAME_SCALE:
+        if not item.is_guess("sensitivity") or abs(ln(factor)) < _SAME_SCALE:
             continue
         sensitivity = COUNTS_OF_GYROSCOPE / factor
         units = {1 / size: unit for unit, size in UNITS_OF["angular_rate"].items() if unit.startswith("m")}
@@ -273,15 +270,16 @@ def _correct_scale(proposal: Proposal, factor: float) -> bool:
         if nearest == COUNTS_OF_GYROSCOPE:
             return False
         if nearest in units:  # whole numbers of a small unit
-            item[:] = [line for line in item if not line.startswith(("range", "sensitivity"))]
-            place = next(number for number, text in enumerate(item) if text.startswith("unit"))
-            item[place] = f'unit = "{units[nearest]}"   # ? from the rotation of gravity in the accelerometer'
+            item.leave_out("range", "sensitivity")
+            item.replace("unit", f'unit = "{units[nearest]}"   {_BY_GRAVITY}')
             return True
-        item[item.index(line)] = f"sensitivity = {nearest:.6g}   # ? from the rotation of gravity in the accelerometer"
-        range_line = next(number for number, text in enumerate(item) if text.startswith("range"))
-        item[range_line] = f"range = {round(32768 / nearest / 5) * 5}   # ? of 16 bits"
+        item.replace("sensitivity", f"sensitivity = {nearest:.6g}   {_BY_GRAVITY}")
+        item.replace("range", f"range = {round(32768 / nearest / 5) * 5}   # ? of 16 bits")
         return True
     return False
+
+
+_BY_GRAVITY = "# ? from the rotation of gravity in the accelerometer"
 
 
 _RATES_HZ = (
@@ -312,54 +310,49 @@ def _correct_rate(proposal: Proposal, factor: float) -> bool:
     return True
 
 
-def _is_gyroscope(item: Sequence[str]) -> bool:
-    return any(line.startswith('quantity = "angular_rate"') for line in item)
+def _is_gyroscope(item: Item) -> bool:
+    return item.text("quantity") == "angular_rate"
+
+
+def _has_guessed_unit(item: Item) -> bool:
+    """Return whether the values of a sensor are in a unit that is guessed, and no counts."""
+    return item.is_guess("unit") and not item.line("sensitivity")
 
 
 def _correct_quiet_unit(proposal: Proposal, trial: _Trial) -> bool:
     """Replace dps by rad/s, of gyroscopes that would be quieter than any in dps; and the reverse."""
     changed = False
-    for item in filter(_is_gyroscope, proposal.items):
-        name = item[1].split('"')[1]
-        place = next((number for number, line in enumerate(item) if line.startswith("unit") and "# ?" in line), None)
-        if place is None or any(line.startswith("sensitivity") for line in item):
+    for item in proposal.items:
+        guessed = item.text("unit")
+        quiet = {"dps": "rad/s", "rad/s": "dps"}.get(guessed)
+        if quiet is None or not _is_gyroscope(item) or not _has_guessed_unit(item):
             continue
-        for quiet_unit, guessed_unit in (("rad/s", "dps"), ("dps", "rad/s")):
-            doubt = f"the columns may be in {quiet_unit}, not {guessed_unit}"
-            if f'"{guessed_unit}"' in item[place] and any(
-                text.startswith(f"{name}: ") and text.endswith(doubt) for text in trial.doubts
-            ):
-                item[place] = f'unit = "{quiet_unit}"   # ? from the noise at rest'
-                changed = True
-                break
+        doubt = f"the columns may be in {quiet}, not {guessed}"
+        if any(text.startswith(f"{item.name}: ") and text.endswith(doubt) for text in trial.doubts):
+            item.replace("unit", f'unit = "{quiet}"   # ? from the noise at rest')
+            changed = True
     return changed
 
 
-def _correct_unit(item: list[str], factor: float) -> bool:
-    """Replace the guessed unit of a gyroscope whose values are in a unit by the one that the factor says, if any."""
-    place = next((number for number, line in enumerate(item) if line.startswith("unit") and "# ?" in line), None)
-    if place is None or any(line.startswith("sensitivity") for line in item):
+def _correct_unit(item: Item, factor: float) -> bool:
+    """Replace the guessed unit of a gyroscope whose values are in a unit by the one that the factor says, if any; or by
+    the scale of codes of more than 16 bits, if that of a data sheet fits.
+    """
+    if not _has_guessed_unit(item):
         return False
     units = UNITS_OF["angular_rate"]
-    guessed = item[place].split('"')[1]
+    guessed = item.text("unit")
     true_size = factor * units[guessed]
     nearest = min(units, key=lambda unit: abs(ln(units[unit] / true_size)))
-    if abs(ln(units[nearest] / true_size)) > _NEAR_UNIT:
-        return _correct_wide_codes(item, place, 1 / true_size)
-    if nearest == guessed or units[nearest] == units[guessed]:
+    if abs(ln(units[nearest] / true_size)) <= _NEAR_UNIT:
+        if units[nearest] == units[guessed]:
+            return False
+        item.replace("unit", f'unit = "{nearest}"   {_BY_GRAVITY}')
+        return True
+    sensitivity = min(WIDE_SENSITIVITIES["angular_rate"], key=lambda sensitivity: abs(ln(sensitivity * true_size)))
+    if abs(ln(sensitivity * true_size)) > _NEAR_UNIT:
         return False
-    item[place] = f'unit = "{nearest}"   # ? from the rotation of gravity in the accelerometer'
-    return True
-
-
-def _correct_wide_codes(item: list[str], place: int, per_dps: float) -> bool:
-    """Replace the guessed unit of a gyroscope, the line `place`, by the scale of codes of more than 16 bits, if that
-    of a data sheet fits.
-    """
-    sensitivity = min(WIDE_SENSITIVITIES["angular_rate"], key=lambda sensitivity: abs(ln(sensitivity / per_dps)))
-    if abs(ln(sensitivity / per_dps)) > _NEAR_UNIT:
-        return False
-    item[place] = 'unit = "dps"'
+    item.replace("unit", 'unit = "dps"')
     item.append(f"range = {(1 << MOST_BITS - 1) / sensitivity:.6g}   # ? of {MOST_BITS} bits")
-    item.append(f"sensitivity = {sensitivity:.9g}   # ? from the rotation of gravity in the accelerometer")
+    item.append(f"sensitivity = {sensitivity:.9g}   {_BY_GRAVITY}")
     return True

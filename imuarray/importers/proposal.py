@@ -12,13 +12,46 @@ from imuarray.printable import printable
 _WIDTH = 110
 
 
+class Item(list[str]):
+    """The lines of a table of a map, such as `[[sensor]]`: its head, its name, and its other entries."""
+
+    @property
+    def name(self) -> str:
+        """The name of the sensor."""
+        return self.text("name")
+
+    def call(self, name: str) -> None:
+        """Replace the name of the sensor."""
+        self.replace("name", f'name = "{name}"')
+
+    def line(self, key: str) -> str:
+        """Return the line of an entry; "" without it."""
+        return next((line for line in self if line.startswith(f"{key} = ")), "")
+
+    def text(self, key: str) -> str:
+        """Return the text that an entry holds; "" without it."""
+        return self.line(key).partition('"')[2].partition('"')[0]
+
+    def is_guess(self, key: str) -> bool:
+        """Return whether there is such an entry and its comment says that it is guessed."""
+        return "# ?" in self.line(key)
+
+    def replace(self, key: str, line: str) -> None:
+        """Replace the line of an entry."""
+        self[self.index(self.line(key))] = line
+
+    def leave_out(self, *keys: str) -> None:
+        """Remove entries."""
+        self[:] = [line for line in self if line not in map(self.line, keys)]
+
+
 @dataclass
 class Proposal:
     """A map under construction: its lines, remarks and doubts, and the units of columns that are known."""
 
     layout: TextLayout
     time: list[str] = field(default_factory=list)
-    items: list[list[str]] = field(default_factory=list)
+    items: list[Item] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     units: Mapping[str, str] = field(default_factory=dict)
@@ -27,13 +60,17 @@ class Proposal:
 
     attitudes: list[list[str]] = field(default_factory=list)
     """Columns of quaternions, w first, as a map names them."""
-    asides: list[list[str]] = field(default_factory=list)
+    asides: list[Item] = field(default_factory=list)
     """Items that stand in the map as comments."""
 
     def name_line(self, stem: str) -> str:
         """Return the line with the next free name that begins with a stem: Acc, Acc2, ..."""
-        number = sum(item[1].startswith(f'name = "{stem}') for item in self.items)
+        number = sum(item.name.startswith(stem) for item in self.items)
         return f'name = "{stem}{number + 1 if number else ""}"'
+
+    def add(self, table: str, stem: str, *lines: str) -> None:
+        """Add an item with the next free name that begins with a stem."""
+        self.items.append(Item([f"[[{table}]]", self.name_line(stem), *lines]))
 
     def attitude_lines(self, is_comment: bool) -> list[str]:
         """Return the line of a sensor that adds gravity again by the attitude of its rows; none without an attitude."""

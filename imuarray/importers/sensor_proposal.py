@@ -11,7 +11,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.importers.column_names import COMPUTED, column_label, unit_in
 from imuarray.importers.mapping import ZERO_OF_UNIT
-from imuarray.importers.proposal import Proposal
+from imuarray.importers.proposal import Item, Proposal
 from imuarray.importers.resolution import WIDE_SENSITIVITIES, usual_bits
 from imuarray.importers.sphere import fit_sphere
 from imuarray.importers.text_layout import quoted
@@ -44,8 +44,8 @@ def propose_sensor(
     indices: tuple[int, int, int],
     force_unit: str,
     proposal: Proposal,
-) -> tuple[list[str], str]:
-    """Return the lines of a sensor, and the chosen unit."""
+) -> Item:
+    """Return the lines of a sensor."""
     values = np.stack([columns[index][: min(map(len, columns))] for index in indices], axis=1)
     gravity = proposal.gravity.get(indices)
     if gravity is not None:
@@ -67,33 +67,35 @@ def propose_sensor(
         values, codes, largest = _signed(values)
         length = float(np.median(np.linalg.norm(values, axis=1)))
     listed = ", ".join(column_label(names, index) for index in indices)
-    item = [
-        "[[sensor]]",
-        proposal.name_line(NAMES[quantity]),
-        'chip = "unknown"   # ?',
-        f'quantity = "{quantity}"' if names else f'quantity = "{quantity}"   # ? the columns have no names',
-        f"columns = [{listed}]",
-    ]
+    item = Item(
+        [
+            "[[sensor]]",
+            proposal.name_line(NAMES[quantity]),
+            'chip = "unknown"   # ?',
+            f'quantity = "{quantity}"' if names else f'quantity = "{quantity}"   # ? the columns have no names',
+            f"columns = [{listed}]",
+        ]
+    )
     if gravity is not None:
         item.append(f"gravity_columns = [{', '.join(column_label(names, index) for index in gravity)}]")
     if quantity == "specific_force" and names and _APPLE.search(names[indices[0]]):
         item.append('signs = "---"   # ? Apple\'s CoreMotion has the opposite sign: -1 g along the axis that points up')
-    if stated_unit in UNITS_OF[quantity]:  # type: ignore[index]
-        return [*item, f'unit = "{stated_unit}"'], stated_unit
-    if is_wide:
-        sphere = fit_sphere(values)
-        return [*item, *_wide_codes(length if sphere is None else sphere.radius, beyond)], "g"
     is_computed = bool(proposal.attitudes or (names and COMPUTED.search(names[indices[0]])))
-    if quantity == "specific_force" and is_computed and not whole and length < _WEIGHTLESS:
-        return [*item, 'unit = "m/s2"   # ? gravity is subtracted, and programs that do so write m/s2'], "m/s2"
-    if not whole:
-        unit, lines = _measured(quantity, values, force_unit)
-        return [*item, *lines], unit
-    sphere = fit_sphere(values) if quantity == "specific_force" else None
-    unit, lines = _counted(quantity, length if sphere is None else sphere.radius, largest)
-    if sphere is not None and not codes and is_in_mg(sphere.radius):
-        unit, lines = "mg", [UNIT_MG.format(sphere.radius)]
-    return [*item, *codes, *lines], unit
+    sphere = fit_sphere(values) if quantity == "specific_force" and (is_wide or whole) else None
+    gravity_length = length if sphere is None else sphere.radius
+    if stated_unit in UNITS_OF[quantity]:  # type: ignore[index]
+        item.append(f'unit = "{stated_unit}"')
+    elif is_wide:
+        item += _wide_codes(gravity_length, beyond)
+    elif quantity == "specific_force" and is_computed and not whole and length < _WEIGHTLESS:
+        item.append('unit = "m/s2"   # ? gravity is subtracted, and programs that do so write m/s2')
+    elif not whole:
+        item += _measured(quantity, values, force_unit)
+    elif sphere is not None and not codes and is_in_mg(sphere.radius):
+        item.append(UNIT_MG.format(sphere.radius))
+    else:
+        item += [*codes, *_counted(quantity, gravity_length, largest)]
+    return item
 
 
 _WEIGHTLESS = 0.7
@@ -150,47 +152,47 @@ def _wide_codes(length: float, beyond: float) -> list[str]:
     ]
 
 
-def _counted(quantity: str, length: float, largest: float) -> tuple[str, list[str]]:
+def _counted(quantity: str, length: float, largest: float) -> list[str]:
     """Return unit and scale of columns of integers up to `largest`."""
     bits = f"of {round(ln(2 * largest) / ln(2))} bits"
     if quantity == "specific_force":
         per_g = 2.0 ** round(ln(length) / ln(2))
         if abs(ln(length / per_g)) > NEAR_GRAVITY:
             per_g = float(f"{length:.2g}")
-        return "g", [
+        return [
             'unit = "g"',
             f"range = {largest / per_g:g}   # ? {bits}",
             f"sensitivity = {per_g:g}   # ? from gravity: {length:.5g} counts",
         ]
     if quantity == "angular_rate":
         usual_scales = ", ".join(f"{131 / (1 << power):.4g} ({250 << power} dps)" for power in range(4))
-        return "dps", [
+        return [
             'unit = "dps"',
             "range = 250   # ?",
             f"sensitivity = {COUNTS_OF_GYROSCOPE:g}   # ? not determined at rest; common are {usual_scales}",
         ]
-    return "gauss", [
+    return [
         'unit = "gauss"',
         "range = 1.3   # ?",
         f"sensitivity = {_COUNTS_OF_MAGNETOMETER:g}   # ? {length:.4g} counts for the earth's 0.2 to 0.7 gauss",
     ]
 
 
-def _measured(quantity: str, values: Floats, force_unit: str) -> tuple[str, list[str]]:
-    """Return the unit of columns of physical values (n, 3)."""
+def _measured(quantity: str, values: Floats, force_unit: str) -> list[str]:
+    """Return the line of the unit of columns of physical values (n, 3)."""
     length = float(np.median(np.linalg.norm(values, axis=1))) if len(values) else 0.0
     if quantity == "angular_rate":
         largest = float(np.abs(values).max(initial=0.0))
         if largest > _MOST_DPS:
-            return "mdps", [f'unit = "mdps"   # ? from the size of the values: up to {largest:.4g}']
+            return [f'unit = "mdps"   # ? from the size of the values: up to {largest:.4g}']
         unit = "rad/s" if force_unit == "m/s2" else "dps"
-        return unit, [f'unit = "{unit}"   # ? dps or rad/s: the import report compares rotations, if there are any']
+        return [f'unit = "{unit}"   # ? dps or rad/s: the import report compares rotations, if there are any']
     if quantity == "specific_force":
         sizes = {"g": 1.0, "m/s2": STANDARD_GRAVITY, "mg": 1000.0}
     else:
         sizes = {"gauss": 0.45, "uT": 45.0, "mgauss": 450.0, "T": 4.5e-5, "nT": 4.5e4}
     unit = min(sizes, key=lambda scale: abs(ln(max(length, 1e-12) / sizes[scale])))
-    return unit, [f'unit = "{unit}"   # ? from the size of the values: {length:.4g}']
+    return [f'unit = "{unit}"   # ? from the size of the values: {length:.4g}']
 
 
 _MOST_DPS = 6000.0
@@ -207,14 +209,8 @@ def propose_thermometer(proposal: Proposal, name: str, values: Floats) -> None:
     if not unit and finite.min() > 200 and finite.max() < 420 and (finite != np.rint(finite)).any():
         unit = "K"
     if unit or (finite.min() > -60 and finite.max() < 150 and (finite != np.rint(finite)).any()):
-        proposal.items.append(
-            [
-                "[[thermometer]]",
-                proposal.name_line("Thermometer"),
-                f"column = {quoted(name)}",
-                f'unit = "{unit}"' if unit else 'unit = "degC"   # ? from the size of the values',
-            ]
-        )
+        unit_line = f'unit = "{unit}"' if unit else 'unit = "degC"   # ? from the size of the values'
+        proposal.add("thermometer", "Thermometer", f"column = {quoted(name)}", unit_line)
         return
     span = f"{finite.min():g} to {finite.max():g}"
     proposal.doubts.append(
@@ -234,12 +230,5 @@ def propose_barometer(proposal: Proposal, name: str, values: Floats) -> None:
             f"column {name!r}: no air pressure in {', '.join(_PRESSURES)} has its size, {middle:.4g}"
         )
         return
-    proposal.items.append(
-        [
-            "[[barometer]]",
-            proposal.name_line("Barometer"),
-            f"column = {quoted(name)}",
-            f'unit = "{unit}"'
-            + ("" if name in proposal.units else f"   # ? from the size of the values: {middle:.6g}"),
-        ]
-    )
+    mark = "" if name in proposal.units else f"   # ? from the size of the values: {middle:.6g}"
+    proposal.add("barometer", "Barometer", f"column = {quoted(name)}", f'unit = "{unit}"{mark}')

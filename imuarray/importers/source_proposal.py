@@ -28,7 +28,7 @@ from imuarray.importers.column_meaning import (
 )
 from imuarray.importers.column_names import is_of_a_quantity, quantity_of, units_below_header
 from imuarray.importers.mapping import parse_map
-from imuarray.importers.proposal import Proposal
+from imuarray.importers.proposal import Item, Proposal
 from imuarray.importers.records import FIRST_WORDS, WORD_ORDERS
 from imuarray.importers.sources import ZIP, RecordingRows, open_rows, reader_of, stem_of, texts_in, unpack_texts
 from imuarray.importers.text_layout import (
@@ -176,12 +176,11 @@ def _add_kind(proposal: Proposal, kind: str, partial: Proposal) -> None:
     for item in partial.items:
         if kind:
             item.insert(2, f"kind = {quoted(kind)}")
-        names = {other[1] for other in proposal.items}
-        stem = item[1].rstrip('"0123456789')
-        numbers = (f'{stem}{number}"' for number in range(2, len(names) + 3))
-        item[1] = next(name for name in (item[1], *numbers) if name not in names)
+        names = {other.name for other in proposal.items}
+        numbered = (f"{item.name.rstrip('0123456789')}{number}" for number in range(2, len(names) + 3))
+        item.call(next(name for name in (item.name, *numbered) if name not in names))
         if proposal.time and partial.time[:1] != proposal.time[:1] and partial.time[0].startswith("column"):
-            item += [] if any(line.startswith("time_column") for line in item) else ["time_" + partial.time[0]]
+            item += [] if item.line("time_column") else ["time_" + partial.time[0]]
         proposal.items.append(item)
     proposal.time = proposal.time or partial.time
     proposal.doubts += [f"{kind}: {text}" if kind else text for text in partial.doubts]
@@ -274,7 +273,7 @@ def _propose_folder(folder: Path, join_parts: bool) -> Proposal:
             continue
         for item in file.partial.items:
             if len(file.partial.items) == 1 and _NAME.fullmatch(file.name) and file.name not in begun:
-                item[1] = f'name = "{file.name}"'
+                item.call(file.name)
         _add_kind(proposal, file.name, file.partial)
     proposal.doubts += doubts
     if not join_parts:
@@ -346,11 +345,11 @@ def _with_values(names: Sequence[str], columns: Sequence[Floats]) -> tuple[list[
     return [name for name, _ in filled], [values for _, values in filled]
 
 
-def _name_by_topic(item: list[str], topic: str) -> None:
+def _name_by_topic(item: Item, topic: str) -> None:
     """Enter the name that the topic of one sensor of an array says."""
     name = topic.removeprefix(_SENSOR_TOPICS).replace("/", "_")
     if topic.startswith(_SENSOR_TOPICS) and _NAME.fullmatch(name):
-        item[1] = f'name = "{name}"'
+        item.call(name)
 
 
 _SENSOR_TOPICS = "/sensors/"

@@ -12,7 +12,7 @@ from imuarray.arrays import Floats
 from imuarray.importers.column_names import INDEX, SPELLINGS, TIME, column_label, unit_in
 from imuarray.importers.mapping import NS_PER_UNIT
 from imuarray.importers.plausibility import RATES_HZ, USUAL_RATES_HZ
-from imuarray.importers.proposal import Proposal
+from imuarray.importers.proposal import Item, Proposal
 from imuarray.importers.text_layout import quoted
 from imuarray.printable import printable
 
@@ -41,7 +41,7 @@ def rate_line(proposal: Proposal) -> str:
 
 
 def add_own_time(
-    item: list[str],
+    item: Item,
     names: Sequence[str],
     columns: Sequence[Floats],
     first: int,
@@ -61,9 +61,8 @@ def add_own_time(
     if len(units) == 2 and units[0] == units[1]:
         item.append(f"time_column = {label}   # ? by its name")
     else:
-        sensor = item[1].split('"')[1]
         proposal.doubts.append(
-            f"column {label} seems to be the time of {sensor}; as time_column it needs the unit of [time]"
+            f"column {label} seems to be the time of {item.name}; as time_column it needs the unit of [time]"
         )
 
 
