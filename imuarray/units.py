@@ -24,7 +24,15 @@ SI_PER_UNIT: Mapping[str, float] = MappingProxyType(
 
 UNITS_OF: Mapping[Quantity, Mapping[str, float]] = MappingProxyType(
     {
-        "specific_force": MappingProxyType({"g": 1.0, "mg": 1e-3, "m/s2": 1 / STANDARD_GRAVITY}),
+        "specific_force": MappingProxyType(
+            {
+                "g": 1.0,
+                "mg": 1e-3,
+                "m/s2": 1 / STANDARD_GRAVITY,
+                "mm/s2": 1e-3 / STANDARD_GRAVITY,
+                "gal": 1e-2 / STANDARD_GRAVITY,
+            }
+        ),
         "angular_rate": MappingProxyType(
             {"dps": 1.0, "deg/s": 1.0, "mdps": 1e-3, "rad/s": 180 / math.pi, "mrad/s": 0.18 / math.pi}
         ),
@@ -46,6 +54,8 @@ _SPELLINGS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
                 "m/s^2", "m/s\u00b2", "m/s**2", "m/s/s", "m/sec2", "m/sec^2", "mps2",
                 "ms-2", "m.s-2", "m s-2", "m s^-2",
             ),
+            "mm/s2": ("mm/s^2", "mm/s\u00b2", "mm/s/s"),
+            "gal": ("Gal", "cm/s2", "cm/s^2", "cm/s\u00b2"),
         },
         "angular_rate": {
             "dps": ("deg/sec", "degree/s", "degrees/s", "degrees/sec", "deg s-1", "\u00b0/s", "\u00ba/s", "\u00b0/sec"),

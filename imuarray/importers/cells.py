@@ -344,7 +344,7 @@ def labelled(cells: Sequence[str]) -> list[str]:
     in brackets, "[1234] ax: 0.02", and values that a bar separates are values of their own.
     """
     labels, values = [], []
-    for cell in map(str.strip, chain.from_iterable(map(_SEPARATED.split, cells))):
+    for cell in map(str.strip, chain.from_iterable(map(_labelled_parts, cells))):
         if (match := _LABELLED.fullmatch(cell)) is not None:
             unit = f" [{match['unit'].strip()}]" if match["unit"] else ""
             labels.append(match["label"].strip() + unit)
@@ -357,6 +357,15 @@ def labelled(cells: Sequence[str]) -> list[str]:
     return [",".join(labels), *values] if any(labels) else []
 
 
+def _labelled_parts(cell: str) -> list[str]:
+    """Return the labelled values in a cell: those that bars separate, or only spaces, "t=120 ax=0.02"."""
+    parts = _SEPARATED.split(cell)
+    return [pair[0] for part in parts for pair in (_PAIR.finditer(part) if _PAIRS.fullmatch(part) else [[part]])]
+
+
+_PAIR = re.compile(r"[A-Za-z_]\w*\s*[:=]\s*[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?!\S)")
+_PAIRS = re.compile(rf"\s*(?:{_PAIR.pattern}\s*){{2,}}")
+
 _SEPARATED = re.compile(r"\||(?<=\d)\](?=\s*[A-Za-z])|^\s*\[(?=\d)")
 """Bars between labelled values, and the brackets around a stamp before them."""
 
@@ -365,7 +374,7 @@ _REMARKS = re.compile(r"(comment|remark|note|annotation)s?|kommentar|bemerkung(e
 
 
 _UNIT_CELL = re.compile(
-    r"[\[(].*[\])]|-|[mun\u00b5\u03bc]?(s|sec|g|G|T|gauss|V)|m/s[/^*]*(s|2|\u00b2)|m?(\u00b0|\u00ba|deg|rad)(/s(ec)?)?|m?dps"
+    r"[\[(].*[\])]|-|[mun\u00b5\u03bc]?(s|sec|g|G|T|gauss|V)|[cm]?m/s[/^*]*(s|2|\u00b2)|gal|m?(\u00b0|\u00ba|deg|rad)(/s(ec)?)?|m?dps"
     r"|[hkm]?(Pa|bar)|(\u00b0|deg)? ?[CK]|counts?|LSB|m/\(s\^2\)|local_flux|no[_ ]units|(un)?cal|raw|",
     re.IGNORECASE,
 )

@@ -18,6 +18,7 @@ from imuarray.importers.column_names import (
     PRESSURE,
     QUANTITIES,
     TEMPERATURE,
+    TIME,
     column_label,
     quantity_of,
     unit_in,
@@ -41,8 +42,12 @@ from imuarray.units import UNITS_OF
 _QUANTITY_OF_UNIT: Mapping[str, str] = {unit: quantity for quantity, units in UNITS_OF.items() for unit in units}
 """Every unit belongs to one quantity."""
 _PART = re.compile(r"(.*)\[\d+\]")
-_FOURTH: Mapping[str, str] = {"012": "3", "123": "0", "xyz": "w", "XYZ": "W"}
-"""What the fourth of four numbers is called, of which three look like a triad; 0 may be their time."""
+_FOURTH: Mapping[str, str] = {"xyz": "w", "XYZ": "W", "012": "3", "123": "0", "ENZ": "\0"}
+"""What the fourth of four numbers is called, of which three look like a triad; 0 may be their time. Seismometers have
+east, north and up, and no fourth.
+"""
+_COMPASS: Mapping[str, str] = {"EW": "E", "NS": "N", "UD": "Z"}
+"""Other names of these three, of K-NET's seismometers."""
 _TRIAD_AND_TIME = 4
 """Maximum number of columns of an array that is one triad, perhaps with its time."""
 _ESTIMATE = re.compile(r"bias|drift|offset", re.IGNORECASE)
@@ -148,13 +153,16 @@ def propose_columns(
         proposal.doubts.append(
             "no three columns whose names differ only in x, y and z, or in 0, 1 and 2: which form a triad?"
         )
-    for index, name in enumerate(names):
-        if index in taken or index >= len(columns):
+    for index, name in enumerate(names[: len(columns)]):
+        if index in taken or (TIME.search(re.split(r"[./]", name)[-1]) and increases(columns[index])):
             continue
+        known = len(proposal.items)
         if _is_temperature(name, units):
             propose_thermometer(proposal, name, columns[index])
         elif PRESSURE.search(name):
             propose_barometer(proposal, name, columns[index])
+        for item in proposal.items[known:]:
+            add_own_time(item, names, columns, index, (time, dates), proposal)
     return proposal
 
 
@@ -203,7 +211,9 @@ def _triads(
                 _QUANTITY_OF_UNIT.get(units.get(name) or unit_in(name), quantity_of(name)),
                 (index, index + 1, index + 2),
             )
-    for axes in ("xyz", "XYZ", "012", "123"):
+    unit_of = {index: units.get(name) or unit_in(name) for index, name in enumerate(names)}
+    names = [re.sub(r"\b(EW|NS|UD)\b", lambda match: _COMPASS[match[0]], name) for name in names]
+    for axes in _FOURTH:
         for index, name in enumerate(names):
             for place in (at for at, letter in enumerate(name) if letter == axes[0]):
                 stems = [name[:place] + letter + name[place + 1 :] for letter in axes]
@@ -223,7 +233,7 @@ def _triads(
                 if _QUATERNION.fullmatch(stem):
                     continue
                 called = stem if stem.strip("*_.- []()") and not _VALUES.fullmatch(stem) else stem_of_file
-                yield _QUANTITY_OF_UNIT.get(units.get(name) or unit_in(name), quantity_of(called)), indices
+                yield _QUANTITY_OF_UNIT.get(unit_of[index], quantity_of(called)), indices
 
 
 def _attitudes(names: Sequence[str], columns: Sequence[Floats]) -> Iterator[tuple[int, int, int, int]]:

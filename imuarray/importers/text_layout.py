@@ -135,7 +135,7 @@ def _first_lines(path: Path) -> list[str]:
 def _is_of_numbers(row: Sequence[str], layout: TextLayout) -> bool:
     """Return whether half of a row's cells or more hold a number or nothing, and one a number."""
     numbers = [cell for cell in row if is_number(cell, layout)]
-    return len(numbers) >= max(1, len(row) // 2) and any(cell.strip() for cell in numbers)
+    return 2 * len(numbers) >= len(row) and any(cell.strip() for cell in numbers)
 
 
 def _are_of_kinds(rows: Sequence[Sequence[str]], layout: TextLayout) -> bool:
