@@ -50,6 +50,11 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(texts)
 
 
+def series(names: Sequence[str]) -> str:
+    """Return names as a series in a sentence: `A, B and C`."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
+
+
 def _follows(before: str, name: str) -> bool:
     """Return whether a name is another one with the next number."""
     numbers = _NUMBERED.fullmatch(before), _NUMBERED.fullmatch(name)

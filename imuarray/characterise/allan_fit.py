@@ -41,7 +41,7 @@ import numpy.typing as npt
 from imuarray.arrays import Floats
 from imuarray.characterise.allan_curve import CONFIDENCE, AllanCurve, Runs
 from imuarray.kernels import non_negative
-from imuarray.printable import percent
+from imuarray.printable import percent, series
 
 Term = Literal["quantisation", "white", "flicker", "random walk", "ramp"]
 """The terms of an Allan variance, with their slopes: -2, -1, 0, 1, 2 (IEEE Std 952, annex C)."""
@@ -523,8 +523,7 @@ def _verdict(p_value: float, ratio: float, tau_s: float, coefficients: Sequence[
     """Describe the problem of a bad fit; empty for a good one."""
     if not p_value <= BAD:
         return ""
-    names = [item.term for item in coefficients]
-    terms = " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+    terms = series([item.term for item in coefficients])
     share = f"{percent(abs(ratio - 1), 1)} {'above' if ratio > 1 else 'below'}"
     return (
         f"no sum of {terms} fits this curve (p = {p_value:.1g}): a line spectrum, a drift or a filter; it lies up to "

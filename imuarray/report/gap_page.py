@@ -36,7 +36,7 @@ from imuarray.gap.findings.text import (
     share,
 )
 from imuarray.gap.model.use import IntervalEstimate, Use
-from imuarray.printable import counted, duration
+from imuarray.printable import counted, duration, series
 from imuarray.report.figure_style import SmallFigure
 from imuarray.report.gap_figures import (
     can_compare,
@@ -160,7 +160,7 @@ _NAMED = 3
 def _series(names: Sequence[str]) -> str:
     """Return names in a sentence: "A", "A and B", "A, B and C", "A, B, C and 2 more"."""
     shown = [*names[:_NAMED], *([f"{len(names) - _NAMED} more"] if len(names) > _NAMED else [])]
-    return f"{', '.join(shown[:-1])} and {shown[-1]}" if len(shown) > 1 else "".join(shown)
+    return series(shown)
 
 
 def _worst_use(uses: Sequence[Use]) -> Use | None:

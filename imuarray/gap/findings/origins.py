@@ -15,6 +15,7 @@ from imuarray.arrays import Floats
 from imuarray.gap.findings.diagnosis import Cause
 from imuarray.gap.statistics.environment import AMPLITUDE_RATIO, LEAST_COMMON_SHARE, Pace, SharedSignal
 from imuarray.log.format import SensorHeader
+from imuarray.printable import series
 
 SAME_HZ = 0.01
 """Largest relative difference of the frequencies of one line."""
@@ -91,14 +92,14 @@ def lines_of(causes: Sequence[Cause], headers: Mapping[str, SensorHeader]) -> tu
 def notes_of(lines: Sequence[CommonLine], shared: Sequence[SharedSignal] = ()) -> tuple[str, ...]:
     """Return sentences on what the box felt."""
     sentences = [
-        f"{_list(line.sensors)} have the same line at {line.frequency_hz:.1f} Hz"
+        f"{series(line.sensors)} have the same line at {line.frequency_hz:.1f} Hz"
         f"{f' along the box axis {line.axis}' if line.axis else ''}: a vibration of the box, not a fault of the "
         "sensors."
         for line in lines
     ]
     words = {"slow": "wander together", "fast": "shake together"}
     sentences += [
-        f"{_list(signal.sensors)} {words[signal.pace]} along the box axis {signal.axis} in phase {signal.phase!r} "
+        f"{series(signal.sensors)} {words[signal.pace]} along the box axis {signal.axis} in phase {signal.phase!r} "
         f"(correlation {signal.correlation:.2g}), whatever their mounting: motion of the box, "
         "not a fault of the sensors."
         for signal in shared
@@ -180,7 +181,3 @@ def _sizes(table: Mapping[str, Any], *names: str) -> Floats:
     """Return the first of these parameters that exists (3,); zeros without any."""
     value = next((table[name] for name in names if name in table), 0.0)
     return np.asarray(np.broadcast_to(np.asarray(value, float), (3,)))
-
-
-def _list(names: Sequence[str]) -> str:
-    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]

@@ -11,8 +11,7 @@ from math import floor, inf, isfinite, log10
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
-from imuarray.errors import MissingExtraError
-from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, write_page
+from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, marked, write_page
 from imuarray.studies.paper import figures
 from imuarray.studies.paper.results import SOURCE, recompute, recomputed_rows
 from imuarray.studies.paper.systematic import AxisPair, pairs
@@ -330,16 +329,7 @@ def _table(lines: Sequence[PrintedNumber], caption: str = "") -> Table:
 
 def _row(line: PrintedNumber) -> list[str]:
     texts = line.texts()
-    return [*texts[:-1], _marked(texts[-1])] if line.marked else texts
-
-
-def _marked(text: str) -> str:
-    """Return text, escaped and marked; MissingExtraError without jinja2's escaping."""
-    try:
-        from markupsafe import Markup
-    except ImportError:
-        raise MissingExtraError("jinja2", "report") from None
-    return Markup("<mark>{}</mark>").format(text)
+    return [*texts[:-1], marked(texts[-1])] if line.marked else texts
 
 
 _OF_TABLE: dict[int, dict[str, Callable[[Curves], Drawing]]] = {
@@ -596,15 +586,15 @@ def _conclusions(result: dict[str, Any]) -> Section:
     words = "Judged from the paper's printed numbers alone; every criterion is stated."
     claims = result["conclusions"]
     holding = f"{sum(claim['holds'] for claim in claims)} of {len(claims)} conclusions hold"
-    return Section("The paper's conclusions", words, [_statements(claims, "holds")], fold=holding)
+    return Section("The paper's conclusions", words, [_statements(claims)], fold=holding)
 
 
 def _slips(result: dict[str, Any]) -> Section:
     words = "Where the text, a formula or a column disagrees with the paper's own tables."
     slips = [slip for slip in result["slips"] if not slip["holds"]]
-    return Section("Slips of the paper", words, [_statements(slips, "holds")], fold=f"{len(slips)} slips")
+    return Section("Slips of the paper", words, [_statements(slips)], fold=f"{len(slips)} slips")
 
 
-def _statements(statements: Sequence[dict[str, Any]], verdict: str) -> Table:
+def _statements(statements: Sequence[dict[str, Any]]) -> Table:
     rows = [[item["claim"], "yes" if item["holds"] else "no", item["evidence"]] for item in statements]
-    return Table(["claim", verdict, "evidence"], rows, "From the printed tables.", (2,))
+    return Table(["claim", "holds", "evidence"], rows, "From the printed tables.", (2,))
