@@ -37,6 +37,7 @@ _LOGS = (
 )
 PAGES: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "demo": ("demo/report.html", ("demo -o demo --force",)),
+    "demo_array": ("demo8/report.html", ("demo --array icm42688x8 -o demo8 --force",)),
     "log": ("report.html", (*_LOGS, "report tumble.h5 -o report.html")),
     "calibration": ("cal.html", (*_LOGS, "report cal.toml -o cal.html")),
     "fused": (

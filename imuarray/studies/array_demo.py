@@ -171,8 +171,8 @@ def verdict_of(errors: list[ArrayError], tumble: TumbleResult, diagnosis: Diagno
     figures += common_figures(tumble, diagnosis)
     best = min(at_rest, key=lambda error: error.ratio("mean"))
     sentence = (
-        f"The average of {len(best.single)} sensors has {best.ratio('mean'):.2f} of one sensor's error at rest,"
-        f" {best.quantity.replace('_', ' ')}."
+        f"Averaging works: the error of the {best.quantity.replace('_', ' ')} of {len(best.single)} sensors at rest is"
+        f" {best.ratio('mean'):.2f} times that of one sensor."
     )
     return Verdict(sentence, "good" if best.ratio("mean") < 1 else "doubtful", tuple(figures))
 

@@ -235,6 +235,24 @@ def test_vins_fusion_has_standard_deviations_at_the_rate(walking: Path, tmp_path
 
 
 @pytest.mark.slow
+def test_opencv_opens_them_as_these_tools_do(walking: Path, tmp_path: Path) -> None:
+    """Both read their configuration by `cv::FileStorage`."""
+    cv2 = pytest.importorskip("cv2")
+    for tool in ("kalibr", "openvins", "vins-fusion"):
+        export(walking / "log.h5", tmp_path / f"{tool}.yaml", tool=tool)
+    kalibr = yaml.safe_load((tmp_path / "kalibr.yaml").read_text())
+    storage = cv2.FileStorage(str(tmp_path / "openvins.yaml"), cv2.FILE_STORAGE_READ)
+    openvins = storage.getNode("imu0")
+    assert [openvins.getNode(key).real() for key in KALIBR] == [kalibr[key] for key in KALIBR]
+    assert openvins.getNode("rostopic").string() == kalibr["rostopic"]
+    rows = [openvins.getNode("T_i_b").at(row) for row in range(4)]
+    assert [[row.at(column).real() for column in range(4)] for row in rows] == np.eye(4).tolist()
+    vins = cv2.FileStorage(str(tmp_path / "vins-fusion.yaml"), cv2.FILE_STORAGE_READ)
+    assert vins.getNode("imu_topic").string() == kalibr["rostopic"]
+    assert vins.getNode("acc_n").real() == pytest.approx(kalibr[KALIBR[0]] * WALK_RATE_HZ**0.5, rel=1e-5)
+
+
+@pytest.mark.slow
 def test_gazebo_has_a_sensor_with_noise_on_every_axis(walking: Path, tmp_path: Path) -> None:
     """SDFormat: standard deviation of a reading; the dynamic bias is driven by the walk (GaussianNoiseModel)."""
     for name in ("kalibr.yaml", "imu.sdf"):
