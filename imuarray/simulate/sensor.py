@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -27,7 +27,7 @@ from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.own_clock import AT_ITS_RATE, OwnClock
 from imuarray.simulate.host_latency import DelayedTimes
 from imuarray.simulate.signal import Analog, Codes, Felt, Instants, Motion, Place, per_row
-from imuarray.simulate.streams import CHUNK, Streams
+from imuarray.simulate.streams import CHUNK, DrawMemory, Streams
 from imuarray.simulate.timeline import Timeline
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
@@ -54,6 +54,13 @@ class Chunk(NamedTuple):
     codes: Codes
     counts: Counts
     status: npt.NDArray[np.uint16]
+
+    @property
+    def nbytes(self) -> int:
+        """The memory of all columns."""
+        codes = (self.codes.instant_ns, self.codes.counts, self.codes.temperature_counts, self.codes.fresh)
+        columns = (self.stamp_ns, self.kept, self.counts, self.status, *codes)
+        return sum(column.nbytes for column in columns if column is not None)
 
 
 @dataclass(frozen=True)
@@ -109,7 +116,16 @@ class SimulatedSensor:
             1 + 2 * self._is_polled + self._held_rows() + sum(effect.lookback(at) for effect, at in self._acting)
         )
         self._is_local = not any(effect.lookback(at) for effect, at in self._acting)
-        self._chunk = lru_cache(maxsize=4)(self._evaluated)
+        self._chunk: Callable[[int, bool], Chunk] = lru_cache(maxsize=4)(self._evaluated)
+
+    def remember(self, memory: DrawMemory, owner: Hashable) -> None:
+        """Keep computed rows in a memory, in which they belong to `owner`, rather than the latest of them here."""
+
+        def chunk(number: int, swapped: bool) -> Chunk:
+            key = (owner, number, swapped)
+            return memory.recall(key, lambda: self._evaluated(number, swapped), lambda rows: rows.nbytes)
+
+        self._chunk = chunk
 
     def block(self, start: int, stop: int, *, alone: bool = False) -> Block:
         """Return those of the rows start ... stop - 1 that arrive (fewer than stop - start if readings are dropped).

@@ -183,7 +183,8 @@ def _replicate_each(
     """`_replicate` for several models of the same sensors, with so many replicates of each."""
     if not several:
         return []
-    requests = [(models, number) for models in several for number in NUMBERS[:count]]
+    # replicates of one number after the other: they have draws, motions and neighbours in common
+    requests = [(models, number) for number in NUMBERS[:count] for models in several]
     try:
         values = bench.replicates(requests, held_out=whole, other_models=standing.other_models)
     except ValueError:
@@ -191,7 +192,7 @@ def _replicate_each(
             return [None]
         alone = [_replicate_each(bench, standing, [models], whole, count) for models in several]
         return [statistics for replicated in alone for statistics in replicated]
-    parts = [values[first : first + count] for first in range(0, len(values), count)]
+    parts = [values[first :: len(several)] for first in range(len(several))]
     return [_replicated_from(bench, standing, models, part, whole) for models, part in zip(several, parts, strict=True)]
 
 

@@ -33,6 +33,7 @@ from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.turn_on_bias import TurnOnBias
 from imuarray.simulate.motion.felt import Felt, Motion
+from imuarray.simulate.sensor import SimulatedSensor
 from imuarray.simulate.simulation import Simulation
 from imuarray.simulate.streams import CHUNK, DrawMemory, Streams
 from imuarray.units import INERTIAL, SI_PER_UNIT, STANDARD_GRAVITY
@@ -241,8 +242,13 @@ class Stage:
 
     @cached_property
     def _cached_source(self) -> Callable[[int, str, tuple[Effect, ...], int, bool], Source]:
-        """`_source`, with a cache."""
-        return lru_cache(maxsize=_KEPT)(self._source)
+        """`_source`, with a cache of sources, whose rows are remembered too."""
+
+        def source(log: int, name: str, effects: tuple[Effect, ...], number: int, alone: bool) -> Source:
+            owner = ("rows", log, name, effects, number)
+            return self._source(log, name, effects, number, alone, owner)
+
+        return lru_cache(maxsize=_KEPT)(source)
 
     @cached_property
     def _memory(self) -> DrawMemory:
@@ -263,8 +269,10 @@ class Stage:
         usual_degc = HEAT_DEGC if experiment.is_heated else ROOM_DEGC
         return draw_room_temperature(experiment.motion, units, self.first_boot + log, usual_degc)
 
-    def _source(self, log: int, name: str, effects: tuple[Effect, ...], number: int, alone: bool) -> Source:
-        """Return the simulation of a sensor that does not depend on others."""
+    def _source(
+        self, log: int, name: str, effects: tuple[Effect, ...], number: int, alone: bool, owner: Hashable = None
+    ) -> Source:
+        """Return the simulation of a sensor that does not depend on others; with an `owner` its rows are remembered."""
         experiment = self.experiments[log]
         plan = replace(experiment.plan, sensors={name: experiment.plan.sensors[name]})
         simulation = Simulation(
@@ -275,6 +283,8 @@ class Stage:
             boot=self.first_boot + log,
         )
         simulation.streams.memory = self._memory
+        if owner is not None and isinstance(sensor := simulation.sensors[name], SimulatedSensor):
+            sensor.remember(self._memory, owner)
         return experiment.comparable_rows(name, simulated_sources(simulation, alone=alone)[name])
 
     @cached_property
