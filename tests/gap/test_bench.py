@@ -178,8 +178,8 @@ def test_a_step_between_the_halves_shows_in_the_held_out_level() -> None:
 
     A boot says 200 rows of 0.05 dps: 0.0035 dps.
     """
-    motions = [turn_on_run(run, 4.0) for run in range(1, 5)]
-    split = split_of(["turn-on"] * 4, [phases_of(motion) for motion in motions])
+    motions = [turn_on_run(run, 4.0) for run in range(1, 9)]
+    split = split_of(["turn-on"] * 8, [phases_of(motion) for motion in motions])
     logs = []
     for boot, motion in enumerate(motions):
         more = (Bias((0.0, 0.2 * (boot % 2), 0.0)),)
@@ -188,7 +188,7 @@ def test_a_step_between_the_halves_shows_in_the_held_out_level() -> None:
     campaign = Campaign(tuple(logs))
     experiments = [Experiment(plan_of(array_of("G1"), RATE_HZ, motion.seconds), motion) for motion in motions]
     train = split.train(campaign)
-    assert train.logs == (0, 2)
+    assert train.logs == (0, 2, 4, 6)
     base = fit(train.campaign, [motions[at] for at in train.logs])
     bench = bench_of(campaign, split, experiments, base)
     values = bench.observed(campaign, ["G1"]).values

@@ -60,6 +60,7 @@ def test_the_parts_make_up_the_whole(logs: list[tuple[str, list[int]]]) -> None:
 
 @given(LOGS)
 def test_every_second_of_a_kind_or_halves(logs: list[tuple[str, list[int]]]) -> None:
+    """Halves of a single log of its kind, of four to seven boots, and of two or three motions."""
     kinds, phases = [kind for kind, _ in logs], [phases_between(edges) for _, edges in logs]
     split = split_of(kinds, phases)
     campaign = whole(split, kinds)
@@ -67,7 +68,8 @@ def test_every_second_of_a_kind_or_halves(logs: list[tuple[str, list[int]]]) -> 
         mine = [number for number, one in enumerate(kinds) if one == kind]
         trained = [number for number in split.train(campaign).logs if kinds[number] == kind]
         judged = [number for number in split.held_out(campaign).logs if kinds[number] == kind]
-        if len(mine) == 1:
+        is_short = (kind == "turn-on" and 4 <= len(mine) < 8) or (kind == "motion" and len(mine) < 4)
+        if len(mine) == 1 or is_short:
             assert trained == judged == mine
         else:
             assert trained == mine[::2]
@@ -90,7 +92,7 @@ def test_a_half_keeps_name_face_and_number() -> None:
 
 def test_both_parts_have_a_rest_where_any_log_has() -> None:
     """A ride without a stop and a box that is turned by hand are both motions; the noise of both parts is that of the
-    rests of the second. With a third log that has rests, that one is held out.
+    rests of the second. With three more logs that have rests, two of these are held out.
     """
     ride = [Phase(0, 100, "motion", "")]
     turned = [Phase(0, 40, "pose 1", ""), Phase(40, 50, "motion", ""), Phase(50, 100, "pose 2", "")]
@@ -98,9 +100,9 @@ def test_both_parts_have_a_rest_where_any_log_has() -> None:
     for held_out in (False, True):
         names = [phase.name for phase in split.phases(held_out)[1]]
         assert names == ["pose 1", "motion", "pose 2"]
-    split = split_of(["motion"] * 3, [ride, turned, turned])
-    assert [len(phases) for phases in split.phases(True)] == [1, 0, 3]
-    assert [len(phases) for phases in split.phases(False)] == [1, 3, 0]
+    split = split_of(["motion"] * 5, [ride, turned, turned, turned, turned])
+    assert [len(phases) for phases in split.phases(True)] == [1, 0, 3, 0, 3]
+    assert [len(phases) for phases in split.phases(False)] == [1, 3, 0, 3, 0]
 
 
 def test_what_was_summarised_in_one_part_alone_is_that_part() -> None:
@@ -137,7 +139,10 @@ def test_every_row_is_read_in_one_part() -> None:
     [
         (["static"], "held out: the second half of every phase of 1 log"),
         (["static", "tumble"], "held out: the second half of every phase of 2 logs"),
-        (["turn-on"] * 5, "held out: 2 of 5 logs (every second of a kind)"),
+        (["turn-on"] * 3, "held out: 1 of 3 logs (every second of a kind)"),
+        (["turn-on"] * 5, "held out: the second half of every phase of 5 logs"),
+        (["turn-on"] * 9, "held out: 4 of 9 logs (every second of a kind)"),
+        (["motion"] * 3, "held out: the second half of every phase of 3 logs"),
         (
             ["static", "tumble", "static"],
             "held out: 1 of 3 logs (every second of a kind) and the second half of every phase of 1 log",

@@ -130,6 +130,9 @@ that those at three lags together exceed six in one of 250 phases.
 _EXPECTED = 0.7
 """The same for a filter below the Nyquist frequency of the rows: it is expected to show, and needs less proof."""
 
+_MEDIAN_VARIANCE = 0.45
+"""Variance of the median of three independent correlations, over that of one (order statistics of the normal law)."""
+
 _MEASURED = 1.5
 """Misfit of the best filter, over what chance makes of it, beyond which correlations are taken as measured."""
 
@@ -161,7 +164,17 @@ class Base:
     def effects(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
         """Return the effects of every sensor; `replicate` 0, 1, ... numbers the units that are drawn."""
         drawn_effects = self.drawn(replicate)
-        return {name: (*drawn_effects[name], *fitted.effects()) for name, fitted in self.fitted.items()}
+        return {
+            name: (*drawn_effects[name], *fitted.effects(self.cutoff_deviate(name, replicate)))
+            for name, fitted in self.fitted.items()
+        }
+
+    def cutoff_deviate(self, sensor: str, replicate: int) -> float:
+        """Return by how many standard deviations the cutoff of a sensor's filter differs from the fitted one: few rows
+        tell it less well than many others test it.
+        """
+        stream = Streams(replicate_seed(self.seed, replicate)).of_unit(sensor, Bandwidth.name, "cutoff")
+        return float(np.clip(stream.standard_normal(), -2.0, 2.0))
 
     def drawn(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
         """Return the effects that aren't fitted: no noise and no bias; of a bias over temperature the curve, and the
@@ -247,10 +260,10 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
         fitted[name] = replace(fitted[name], clock_error=_clock_error(campaign, header), delay=stated_delay(header))
         if model is not None and Bandwidth.name in model.parts(header):
             continue  # the model says what the filter is
-        low_pass = _filter_of(campaign, header, fitted[name])
+        low_pass, low_pass_sd = _filter_of(campaign, header, fitted[name])
         if low_pass is not None:
             rms = rms_of(header, rests[name], _row_correlations(campaign, header, low_pass))
-            fitted[name] = replace(fitted[name], rms=rms, low_pass=low_pass)
+            fitted[name] = replace(fitted[name], rms=rms, low_pass=low_pass, low_pass_sd=low_pass_sd)
     return Base(headers, fitted, model, seed)
 
 
@@ -403,8 +416,9 @@ def _residual_phase(phase: PhaseSummary, motion: Motion, force_box: Floats | Non
     return replace(phase, sensors=sensors)
 
 
-def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameters) -> Bandwidth | None:
-    """Return the chip's own filter, if rows come fast enough to show it and do.
+def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameters) -> tuple[Bandwidth | None, float]:
+    """Return the chip's own filter, if rows come fast enough to show it and do (else None), and the standard deviation
+    of the log of its cutoff.
 
     By least squares of the correlations at lags 1 to 3 in all phases at rest, among filters of one pole and of two
     whose cutoffs are within `CUTOFF_TOLERANCE` of what is configured, analogue and digital (behind a converter that
@@ -419,7 +433,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
     rests = _level_phases(rests, fitted.noise(header))
     if configured_hz <= 0 or not rests:
-        return None
+        return None, 0.0
     is_flagged = _is_flagged(campaign, header)
     reads = tuple(_reads(phase, header.rate_hz, is_flagged) for phase in rests)
     again = np.array([[_samples_apart(pace.samples_a_row, lag).get(0, 0.0) for lag in _ALL_LAGS] for pace in reads])
@@ -428,10 +442,10 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     noise_share = np.mean(np.square(fitted.rms) / np.square(fitted.noise(header)))
     correlations = (lags - again) / max(float(noise_share), 0.1)
     if not np.isfinite(correlations).all():
-        return None
+        return None, 0.0
     without_memory = _beyond_wander(correlations, np.zeros_like(correlations), least_wander)
     if np.abs(without_memory).max() < LEAST_CORRELATION:
-        return None
+        return None, 0.0
     rows = np.array([max(phase.rows, 1) for phase in rests])
     weight = rows / rows.sum()
     is_expected = 2 * configured_hz < max(pace.rows_per_s for pace in reads)
@@ -439,25 +453,33 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     chance = chance_of_mean * len(rests)
     white = float(weight @ np.square(without_memory).sum(axis=1))
     if white <= chance and float(np.square(weight @ without_memory).sum()) <= chance_of_mean:
-        return None
+        return None, 0.0
     kinds = tuple(dict.fromkeys(reads))
     of_kind = [kinds.index(pace) for pace in reads]
-    best, least = None, white
     is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * max(pace.rows_per_s for pace in reads)
     sampled_hz = header.rate_hz if is_seen else math.inf
+    misfits: dict[Bandwidth, float] = {}
     for effect, expected in _filter_correlations(configured_hz, sampled_hz, kinds):
-        misfit = float(weight @ np.square(_beyond_wander(correlations, expected[of_kind], least_wander)).sum(axis=1))
-        if misfit < least:
-            best, least = effect, misfit
-    if best is None or not least < _FILTER_MISFIT * white + chance:
-        return None
+        beyond = _beyond_wander(correlations, expected[of_kind], least_wander)
+        misfits[effect] = float(weight @ np.square(beyond).sum(axis=1))
+    best = min(misfits, key=misfits.__getitem__)
+    least = misfits[best]
+    if not least < min(white, _FILTER_MISFIT * white + _BY_CHANCE * _LAGS * len(rests) / float(rows.sum())):
+        return None, 0.0
+    near = least + _MEDIAN_VARIANCE / float(rows.sum())
+    cutoffs_hz = [
+        effect.cutoff_hz
+        for effect, misfit in misfits.items()
+        if misfit < near and replace(effect, cutoff_hz=best.cutoff_hz) == best
+    ]
+    spread = math.log(max(cutoffs_hz) / min(cutoffs_hz)) / 2
     is_single = all(abs(pace.samples_a_row - 1) < AT_ITS_RATE for pace in reads)
     apart = [_samples_apart(float(weight @ [pace.samples_a_row for pace in reads]), lag) for lag in _ALL_LAGS]
     shares = np.array([[shares.get(samples, 0.0) for samples in _ALL_LAGS] for shares in apart])
     measured = tuple(np.linalg.lstsq(shares, weight @ correlations, rcond=None)[0].tolist())
     if least > _MEASURED * chance and is_single and has_correlations(measured):
-        return replace(best, correlations=measured)
-    return best
+        return replace(best, correlations=measured), 0.0
+    return best, spread
 
 
 def _level_phases(phases: Sequence[Summary], noise: Floats) -> list[Summary]:

@@ -34,6 +34,9 @@ _LAGS_S = (0.0, 1.0, 2.0, 3.5, CHIP_LEAD_S, 7.5, 10.0, 14.0, LONGEST_LAG_S)
 _GAIN = 16.0
 """Least decrease of chi-squared by a lag, four standard deviations."""
 
+_GAIN_BY_CHIP = 2.0
+"""The same where a chip tells the temperature: its own lag is not known, so that the usual one has little weight."""
+
 _MOST_CACHED = 2000
 """Most phases of a log, times time constants, whose temperatures are cached; replicates have the same times."""
 
@@ -78,7 +81,7 @@ def fit_lag(rests: Sequence[HeatedRest], rms: Floats) -> float:
     straight, curved = np.array([_misfits(attitudes, lag_s, rms) for lag_s in _LAGS_S]).T
     misfits = curved if straight.min() - curved[usual] > _GAIN else straight
     best = int(np.argmin(misfits))
-    if not misfits[usual] - misfits[best] > _GAIN:
+    if not misfits[usual] - misfits[best] > (_GAIN_BY_CHIP if usual_s else _GAIN):
         return usual_s
     near = slice(max(best - 1, 0), best + 2)
     if len(misfits[near]) < 3:

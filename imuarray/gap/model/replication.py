@@ -299,7 +299,8 @@ class Stage:
         for name, base_effects in self._drawn_effects(number).items():
             model = models.get(name) or SensorModel(self.base.fitted[name])
             drawn = [effect for effect in base_effects if effect.name not in model.removed]
-            remaining = [*drawn, *(effect for effect in model.fitted.effects() if effect.name not in model.removed)]
+            fitted = model.fitted.effects(self.base.cutoff_deviate(name, number))
+            remaining = [*drawn, *(effect for effect in fitted if effect.name not in model.removed)]
             if depends_on_level and self.base.headers[name].quantity in INERTIAL:
                 if len(self.kinds) == 1:  # the fitted level is that of the only boot
                     remaining = [effect for effect in remaining if effect.name != TurnOnBias.name]

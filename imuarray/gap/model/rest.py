@@ -71,10 +71,10 @@ class FittedParameters:
     `rms` without that of rounding, `offset` at 25 degC, `slope` per degC. `response`: the reading of each axis (row)
     for each unit of specific force along each axis (column), per unit for an accelerometer and in the sensor's unit per
     g for others, within the chip's tolerance; `raw_response` as fitted without that bound. `is_slope_known`: whether
-    temperatures differed enough. `low_pass`: the chip's own low-pass filter (None: white noise). `clock_error`:
-    relative error of the rate of the chip's data clock, if repeated rows determine it (otherwise nan). `lag_s`: time
-    constant with which the element follows the temperature of the box; offset and slope are over the element's
-    temperature. `delay` of the signal.
+    temperatures differed enough. `low_pass`: the chip's own low-pass filter (None: white noise), the log of whose
+    cutoff is known to `low_pass_sd`. `clock_error`: relative error of the rate of the chip's data clock, if repeated
+    rows determine it (otherwise nan). `lag_s`: time constant with which the element follows the temperature of the box;
+    offset and slope are over the element's temperature. `delay` of the signal.
     """
 
     rms: Triple
@@ -84,15 +84,17 @@ class FittedParameters:
     raw_response: Matrix = NO_RESPONSE
     is_slope_known: bool = False
     low_pass: Bandwidth | None = None
+    low_pass_sd: float = 0.0
     clock_error: float = math.nan
     lag_s: float = 0.0
     delay: SignalDelay = NO_DELAY
 
-    def effects(self) -> tuple[Effect, ...]:
-        """Return the parameters as effects of the simulator."""
+    def effects(self, deviate: float = 0.0) -> tuple[Effect, ...]:
+        """Return the parameters as effects of the simulator; the cutoff differs by so many standard deviations."""
         noise: tuple[Effect, ...] = (WhiteNoise(self.rms),)
         if self.low_pass is not None:
-            noise = (*noise, self.low_pass)
+            cutoff_hz = self.low_pass.cutoff_hz * math.exp(deviate * self.low_pass_sd)
+            noise = (*noise, replace(self.low_pass, cutoff_hz=cutoff_hz))
         if self.delay.filter_s:
             noise = (*noise, Bandwidth(two_pole_cutoff_hz(self.delay.filter_s), share=1.0, poles=2.0, signal_only=1.0))
         if self.delay.stamp_s:

@@ -1,8 +1,10 @@
 """The split of a campaign into a training part, to which parameters are fitted, and a held-out part.
 
 Of several logs of one kind every second one is held out; of a log that is the only one of its kind, the second half of
-every phase. Both parts thus have the same faces and phases, and the fit to one has not seen the other. Logs with and
-without a phase at rest are of two kinds: only the former determine noise and bias.
+every phase. So it is of a series of boots that is too short for two parts, and of a few motions, each of which may turn
+about another axis: both parts then have all of them. Both parts thus have the same faces and phases, and the fit to one
+has not seen the other. Logs with and without a phase at rest are of two kinds: only the former determine noise and
+bias.
 """
 
 from __future__ import annotations
@@ -14,6 +16,13 @@ from dataclasses import dataclass, replace
 from imuarray.gap.recording.phases import is_at_rest
 from imuarray.gap.statistics.campaign import Campaign, LogSummary
 from imuarray.log.format import Phase
+
+FEWEST_RUNS = 4
+"""Fewer runs of a turn-on series say nothing of what varies from run to run."""
+
+
+_HALVED = {"turn-on": range(FEWEST_RUNS, 2 * FEWEST_RUNS), "motion": range(2, 4)}
+"""Numbers of logs of a kind that are too few to hold out every second of them."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +85,7 @@ class Split:
 def split_of(kinds: Sequence[str], phases: Sequence[Sequence[Phase]]) -> Split:
     """Return the split of a campaign whose logs are of these kinds and have these phases."""
     several = [(kind, any(map(is_at_rest, log_phases))) for kind, log_phases in zip(kinds, phases, strict=True)]
-    many = {kind for kind, count in Counter(several).items() if count > 1}
+    many = {kind for kind, count in Counter(several).items() if count > 1 and count not in _HALVED.get(kind[0], ())}
     shares = []
     for number, (kind, log_phases) in enumerate(zip(several, phases, strict=True)):
         if kind in many:

@@ -10,9 +10,7 @@ from imuarray.arrays import Floats
 from imuarray.gap.statistics.margins import GENEROUS, LEVEL, RMS, VARIANCE, Margin
 from imuarray.gap.statistics.probes.probe import NOTHING, Probes, RunsProbe, log
 from imuarray.gap.statistics.runs import PARTS, Runs
-
-_LEAST = 4
-"""Fewer runs say nothing."""
+from imuarray.gap.statistics.split import FEWEST_RUNS
 
 _TIMES = np.log((np.arange(PARTS) + 0.5) / PARTS)
 
@@ -62,7 +60,7 @@ def _probe(
 ) -> RunsProbe:
     def of_many(runs: Runs) -> Floats:
         missing = np.array(np.nan) if statistic is outlier else NOTHING
-        return statistic(runs) if len(runs.means) >= _LEAST else missing
+        return statistic(runs) if len(runs.means) >= FEWEST_RUNS else missing
 
     return RunsProbe("run_to_run", about, moved_by, margin, of_many, unit=unit)
 
