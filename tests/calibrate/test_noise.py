@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from imuarray.calibrate import Calibration, SensorCalibration, calibrate_noise, load_calibration
+from imuarray.calibrate.noise import _share
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
 from imuarray.fuse.fusion import prepare_inputs
@@ -263,3 +264,9 @@ def test_a_line_of_rows_that_arrived_in_bursts(tmp_path: Path) -> None:
     (line,) = known.noise_lines
     assert line.frequency_hz == pytest.approx(31.4, abs=0.1)
     assert line.share == pytest.approx(15**2 / 2 / (15**2 / 2 + 20**2), rel=0.15)
+
+
+def test_a_line_has_no_more_than_the_whole_variance() -> None:
+    """A sine of amplitude a has the variance a^2 / 2; one that was estimated too large has all of it."""
+    assert _share(1.0, 1.0) == 0.5
+    assert _share(4.0, 1.0) == _share(2.0, 1.0) == 1.0

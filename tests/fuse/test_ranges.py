@@ -16,7 +16,7 @@ from imuarray.calibrate import Calibration
 from imuarray.cli import main
 from imuarray.fuse import TECHNIQUES, Axis, Estimate, Frames, fuse
 from imuarray.fuse.techniques import changes
-from imuarray.fuse.techniques.ranges import SETTLED, Fading, RangeBlend, settling_s
+from imuarray.fuse.techniques.ranges import SETTLED, Blends, Fading, RangeBlend, settling_s
 from imuarray.log import open_log
 from tests.fuse.arrays import HIGH_MG, LOW_MG, at_once, low_and_high, triad, weights
 from tests.fuse.conftest import Floats, G, Motion, Part, WriteRun, calibration, joined, nothing
@@ -507,3 +507,11 @@ def test_more_than_the_low_range_can_feel_puts_it_out_though_it_looks_sound() ->
     estimate = RangeBlend(pair())(at_once(values))
     assert estimate.triad_box[10, 0] == pytest.approx(3.0)
     assert np.flatnonzero(~estimate.used[:, 0]).tolist() == [10, 11]
+
+
+def test_axes_that_do_not_span_space_have_no_blend() -> None:
+    """Of two triads: any six, five, ... axes do while X, Y and Z are among them; two of them, or none, do not."""
+    blends = Blends(np.concatenate([np.eye(3)] * 2), np.ones(6), np.ones(6))
+    for present, spans in (("111111", True), ("110001", True), ("110110", False), ("000001", False), ("000000", False)):
+        blend = blends.of(np.array([sign == "1" for sign in present]))
+        assert (blend is not None) == spans
