@@ -14,18 +14,19 @@ D (m, 3) are the relative errors of the responses and z the parities, whose nois
 least-squares u. Least squares of z over u and its derivative (which different delays add) yields B D. Its covariance is
 that of the calibration, carried through B, plus ``change^2 B B'`` and that of noise; the mean of ``change^2`` under
 this likelihood and the prior is the estimate (C. M. Bishop, Pattern Recognition and Machine Learning, 2006, section
-3.5). What all sensors have in common is not in z.
+3.5). What all sensors have in common is not in z. Accelerometers that are apart from each other differ in rotations:
+of these, only windows in which gyroscopes show rest are used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Booleans, Floats
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.log import Log, SensorLog
 from imuarray.robust import MEDIAN_SQUARE
@@ -45,7 +46,7 @@ of 5e-4 becomes an error of 5 % of the angular rate.
 A response whose standard errors are all 0 is exact, as in a study that knows the truth, and does not change.
 """
 
-_STRETCHES = 8
+_STRETCHES = 5
 _STRETCH_S = 60.0
 """Number and length of the parts of a log that are read; their biases and temperatures count as constant."""
 
@@ -103,29 +104,35 @@ def with_response_change(log: Log, calibration: Calibration, only: Collection[st
         for sensor in log.of(quantity)
         if sensor.name in calibration.sensors and len(sensor) and (not only or sensor.name in only)
     ]
-    accelerometers = [pair for pair in known if pair[0].quantity == "specific_force"]
+    changing = {
+        quantity: [pair for pair in known if pair[0].quantity == quantity and _may_have_changed(pair[1])]
+        for quantity in INERTIAL
+    }
+    stretches = list(_stretches(known)) if any(len(pairs) > 1 for pairs in changing.values()) else []
     sensors = dict(calibration.sensors)
-    for quantity in INERTIAL:
-        changing = [
-            (sensor, each)
-            for sensor, each in known
-            if sensor.quantity == quantity and each.response_change is None and np.any(_calibrated_shares(each))
-        ]
-        change = _learned(changing, accelerometers) if len(changing) > 1 else None
+    for pairs in changing.values():
+        change = _learned(pairs, stretches) if len(pairs) > 1 else None
         if change is not None:
-            sensors.update({sensor.name: replace(each, response_change=change) for sensor, each in changing})
+            sensors.update({sensor.name: replace(each, response_change=change) for sensor, each in pairs})
     return replace(calibration, sensors=sensors)
 
 
-def _learned(sensors: Sequence[Calibrated], accelerometers: Sequence[Calibrated]) -> float | None:
+def _may_have_changed(known: SensorCalibration) -> bool:
+    """Return whether a response was measured, is not exact, and its change is not stated."""
+    return known.response_change is None and bool(np.any(_calibrated_shares(known)))
+
+
+def _learned(sensors: Sequence[Calibrated], stretches: Sequence[_Windows]) -> float | None:
     """Return the rms change of the responses of at least two sensors; None if their log does not determine it."""
     geometry = _geometry(sensors)
     if geometry is None:
         return None
-    stretches = [_reduced(values, geometry) for values in _stretches(sensors, accelerometers)]
-    if sum(len(stretch.parities) for stretch in stretches) < _FEWEST:
+    names = [sensor.name for sensor, _ in sensors]
+    values = [stretch.of(names, is_slow=sensors[0][0].quantity == "specific_force") for stretch in stretches]
+    reduced = [_reduced(each, geometry) for each in values if len(each) >= _FEWEST_OF_STRETCH]
+    if sum(len(each.parities) for each in reduced) < _FEWEST:
         return None
-    parities, stimulus, slopes = (np.concatenate(columns) for columns in zip(*stretches, strict=True))
+    parities, stimulus, slopes = (np.concatenate(columns) for columns in zip(*reduced, strict=True))
     excited = _excited(stimulus, geometry.stimulus_covariance * np.mean(_noise_of(parities) ** 2))
     directions = excited.shape[1]
     if not directions:
@@ -176,33 +183,61 @@ _FLAT = 1e-3
 """Least singular value of the axes' directions, as a share of the largest, with which they span space."""
 
 
-def _stretches(sensors: Sequence[Calibrated], accelerometers: Sequence[Calibrated]) -> Iterator[Floats]:
-    """Yield the readings (n, m) in SI along the calibrated directions, means of windows in parts of the log in which
-    all sensors have rows, evenly spread.
+class _Windows(NamedTuple):
+    """Windows of a part of the log: mean readings (n, 3) in SI along the calibrated directions by sensor, and whether a
+    sensor has sound rows in each (n,); `is_slow` (n,): the box hardly rotates.
     """
+
+    values: Mapping[str, Floats]
+    is_sound: Mapping[str, Booleans]
+    is_slow: Booleans
+
+    def of(self, names: Sequence[str], is_slow: bool) -> Floats:
+        """Return the readings (n, m) of sensors in the windows in which all are sound, and the box is slow if wanted.
+        Accelerometers away from each other differ in rotations.
+        """
+        used = np.all([self.is_sound[name] for name in names], axis=0) & (self.is_slow | (not is_slow))
+        return np.asarray(np.concatenate([self.values[name] for name in names], axis=1)[used])
+
+
+def _stretches(known: Sequence[Calibrated]) -> Iterator[_Windows]:
+    """Yield windows in parts of the log in which all sensors have rows, evenly spread."""
     from imuarray.calibrate.response_transfer import WINDOW_S, window_means, without_force  # slow to import
 
-    logged = {sensor.name: sensor for sensor, _ in (*sensors, *accelerometers)}
-    begin_ns = max(int(sensor.time[0]) for sensor in logged.values())
-    end_ns = min(int(sensor.time[-1]) for sensor in logged.values())
+    begin_ns = max(int(sensor.time[0]) for sensor, _ in known)
+    end_ns = min(int(sensor.time[-1]) for sensor, _ in known)
     width_ns, length_ns = round(WINDOW_S * 1e9), round(_STRETCH_S * 1e9)
-    spare_ns = end_ns - begin_ns - length_ns * _STRETCHES
+    spare_ns = max(0, end_ns - begin_ns - length_ns * _STRETCHES)
     for index in range(_STRETCHES):
-        start_ns = begin_ns + index * (length_ns + max(0, spare_ns) // (_STRETCHES - 1))
+        start_ns = begin_ns + index * (length_ns + spare_ns // (_STRETCHES - 1))
         count = (min(start_ns + length_ns, end_ns) - start_ns) // width_ns
         if count < _FEWEST_OF_STRETCH:
             return
-        means = {name: window_means(sensor, start_ns, width_ns, count) for name, sensor in logged.items()}
-        complete = np.all([is_known for _, is_known in means.values()], axis=0)
-        forces_g = [known.stimulus_box(means[sensor.name][0]) / STANDARD_GRAVITY for sensor, known in accelerometers]
-        force_g = np.mean(forces_g, axis=0) if forces_g else None
-        values = [
-            (without_force(means[sensor.name][0], known, force_g) - known.bias_lsb) / known.lsb_per_si
-            for sensor, known in sensors
+        means = {sensor.name: window_means(sensor, start_ns, width_ns, count) for sensor, _ in known}
+        forces_g = [
+            each.stimulus_box(means[sensor.name][0]) / STANDARD_GRAVITY
+            for sensor, each in known
+            if sensor.quantity == "specific_force"
         ]
-        if np.count_nonzero(complete) >= _FEWEST_OF_STRETCH:
-            yield np.concatenate(values, axis=1)[complete]
+        force_g = np.mean(forces_g, axis=0) if forces_g else None
+        values = {
+            sensor.name: (without_force(means[sensor.name][0], each, force_g) - each.bias_lsb) / each.lsb_per_si
+            for sensor, each in known
+        }
+        rates = [
+            values[sensor.name] @ each.directions_box for sensor, each in known if sensor.quantity == "angular_rate"
+        ]
+        is_slow = np.zeros(count, bool)
+        if rates:
+            still = np.linalg.norm(np.mean(rates, axis=0), axis=1) < _SLOW_RATE
+            is_slow[1:-1] = still[:-2] & still[1:-1] & still[2:]
+        yield _Windows(values, {name: is_sound for name, (_, is_sound) in means.items()}, is_slow)
 
+
+_SLOW_RATE = 0.1
+"""Largest angular rate in rad/s, in a window and in those beside it, at which accelerometers that are some centimetres
+apart differ by less than a ten-thousandth of gravity.
+"""
 
 _FEWEST_OF_STRETCH = 20
 """Fewest windows of a part of the log."""

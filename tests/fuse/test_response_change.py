@@ -102,6 +102,39 @@ def test_a_fault_is_no_change(write_run: WriteRun) -> None:
     assert change is not None and change < 0.0025
 
 
+def tumbled_s(seconds: Floats) -> Floats:
+    """How far a box has turned (n,) in rests of four seconds and turns of two, in turns."""
+    step, rest = np.divmod(seconds, 6.0)
+    return np.asarray(step + np.clip(rest - 4, 0, 2) / 2)
+
+
+def tumbled_force(seconds: Floats) -> Floats:
+    """Gravity in a box that turns about an oblique axis by 70 degrees each time."""
+    angle = np.radians(70) * tumbled_s(seconds)
+    return np.stack([np.sin(angle) * 0.8, np.sin(angle) * 0.6, np.cos(angle)], axis=1)
+
+
+def tumbled_rate(seconds: Floats) -> Floats:
+    """35 dps while it turns."""
+    return np.outer(seconds % 6.0 > 4, [21.0, -28.0, 0.0])
+
+
+@pytest.mark.parametrize("with_gyroscope", [True, False])
+def test_rotations_of_accelerometers_that_are_apart_are_no_change(with_gyroscope: bool, write_run: WriteRun) -> None:
+    """While the box turns, one of them feels 5 % more; without a gyroscope nobody knows when that is."""
+    apart = lambda seconds: 0.05 * tumbled_force(seconds) * (seconds % 6.0 > 4)[:, None]  # noqa: E731
+    parts = [Part(f"Acc{number}", sigma=0.004, error=error) for number, error in ((1, apart), (2, nothing))]
+    gyroscope = Part("Gyro1", "+X+Y+Z", "angular_rate", "l3g4200d", 250.0, 100.0, sigma=SIGMA_DPS)
+    every = [*parts, gyroscope] if with_gyroscope else parts
+    known = calibration(every).sensors
+    for part in parts:
+        known[part.name] = replace(known[part.name], response_sem_lsb_per_unit=np.full(3, 0.02))
+    run = write_run(every, force=tumbled_force, rate=tumbled_rate, frames=6000)
+    with open_log(run) as log:
+        change = with_response_change(log, Calibration(known)).sensors["Acc1"].response_change
+    assert (change is not None and change < 5e-4) if with_gyroscope else change is None
+
+
 def test_nothing_is_estimated_without_motion_or_another_sensor(write_run: WriteRun) -> None:
     parts = gyroscopes([np.zeros((3, 3))] * 3)
     at_rest = [part._replace(error=nothing) for part in parts]
