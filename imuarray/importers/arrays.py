@@ -18,7 +18,7 @@ import numpy.typing as npt
 from numpy.lib import format as npy
 
 from imuarray.errors import SourceError
-from imuarray.importers.cells import CellBlock
+from imuarray.importers.cells import Blocks, CellBlock
 from imuarray.printable import printable
 
 Array = npt.NDArray[Any]
@@ -95,9 +95,7 @@ class ArrayRows:
             raise SourceError(f"{self._path}: no column {column!r}; it has {printable(names)[:200]}")
         return self._columns[column]
 
-    def blocks(
-        self, columns: Sequence[str | int], kind: str | None, rows: int
-    ) -> Iterator[tuple[CellBlock, list[int]]]:
+    def blocks(self, columns: Sequence[str | int], kind: str | None, rows: int) -> Blocks:
         """Yield the rows of columns of equal length; SourceError."""
         if kind is not None:
             raise SourceError(

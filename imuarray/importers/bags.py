@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import MissingExtraError, SourceError
-from imuarray.importers.cells import CellBlock
+from imuarray.importers.cells import Blocks, CellBlock
 from imuarray.printable import printable
 
 VALUES: Mapping[str, tuple[str, ...]] = {
@@ -79,9 +79,7 @@ class BagRows:
         """Return the columns of each topic."""
         return {topic: (*TIMES, *VALUES[kind]) for topic, kind in self._topics.items()}
 
-    def blocks(
-        self, columns: Sequence[str | int], kind: str | None, rows: int
-    ) -> Iterator[tuple[CellBlock, list[int]]]:
+    def blocks(self, columns: Sequence[str | int], kind: str | None, rows: int) -> Blocks:
         """Yield the messages of a topic (`kind`; None if only one topic has these columns); SourceError."""
         wanted = ", ".join(map(str, columns))
         fitting = [topic for topic, names in self.names().items() if all(column in names for column in columns)]

@@ -445,6 +445,10 @@ class CellBlock(NamedTuple):
         return CellColumn(self.source, label, self.lines, cells_)
 
 
+Blocks = Iterator[tuple[CellBlock, list[int]]]
+"""Blocks of rows, each with the places of the wanted columns in it."""
+
+
 class CodeConversion(NamedTuple):
     """The conversion of cells into counts of `count_bits`: minus `offset`, or as two's complement of `bits`; with a
     `sensitivity` (counts per unit) they are in a unit.

@@ -291,20 +291,21 @@ def _with_quantity(
     def first_name(triad: tuple[str, tuple[int, int, int]]) -> str:
         return names[triad[1][0]] if names else f"column {triad[1][0] + 1}"
 
+    def leave_out(some: Sequence[tuple[str, tuple[int, int, int]]], why: str) -> None:
+        proposal.doubts.append(
+            f"left out: {why}: {', '.join(map(first_name, some))}, and the two columns after each of them"
+        )
+
     computed = [triad for triad in triads if triad[0] == "specific_force" and COMPUTED.search(first_name(triad))]
     if computed and any(triad[0] == "specific_force" and triad not in computed for triad in triads):
-        listed = ", ".join(map(first_name, computed))
-        proposal.doubts.append(
-            "left out: computed by software, according to their names (acceleration without gravity, or gravity):"
-            f" {listed}, and the two columns after each of them"
+        leave_out(
+            computed,
+            "computed by software, according to their names (acceleration without gravity, or gravity)",
         )
         triads = [triad for triad in triads if triad not in computed]
     estimates = [triad for triad in triads if _ESTIMATE.search(first_name(triad))]
     if estimates and len(estimates) < len(triads):
-        proposal.doubts.append(
-            "left out: estimates of biases, according to their names:"
-            f" {', '.join(map(first_name, estimates))}, and the two columns after each of them"
-        )
+        leave_out(estimates, "estimates of biases, according to their names")
         triads = [triad for triad in triads if triad not in estimates]
     if any(names[second] == "1" for _, (_, second, _) in triads if names):
         proposal.doubts.append(
@@ -318,11 +319,8 @@ def _with_quantity(
         by_gravity = [triad for triad in triads if not triad[0] and is_steady_gravity(columns, triad[1])]
         triads = [("specific_force", triad[1]) if triad in by_gravity[:1] else triad for triad in triads]
         identified = [triad for triad in triads if triad[0]]
-    unclear = [first_name(triad) for triad in triads if not triad[0]]
-    if unclear:
-        proposal.doubts.append(
-            f"left out: their names state no quantity: {', '.join(unclear)}, and the two columns after each of them"
-        )
+    if unclear := [triad for triad in triads if not triad[0]]:
+        leave_out(unclear, "their names state no quantity")
     return identified
 
 

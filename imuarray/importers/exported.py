@@ -136,7 +136,7 @@ def write_log(
     """Write the log `output` table by table as `read` returns them; SourceError, OutputExistsError, LogError."""
     preamble, (phases, events) = head.preamble, notes
     rows: dict[str, int] = {}
-    span = _Span()
+    ends_ns: list[int] = []
     try:
         with LogWriter(
             output,
@@ -152,7 +152,7 @@ def write_log(
                 for columns in read(sensor_group(header), header.columns):
                     log.append(header.name, _block(columns, header))
                     rows[header.name] += len(columns["time"])
-                    span.add(columns["time"])
+                    ends_ns += columns["time"][[0, -1]].tolist() if len(columns["time"]) else []
             for name in head.groups:
                 columns_of_group = tuple(column for column in TRACK_COLUMNS[name] if column[0] in head.groups[name])
                 for columns in read(ColumnGroup(name, columns_of_group), ("x", "y", "z")):
@@ -165,26 +165,8 @@ def write_log(
         raise SourceError(f"{where}: {error}") from None
     kinds = Counter(event.kind for event in events)
     same = len(set(rows.values())) == 1
-    return ImportSummary(tuple(rows), max(rows.values()), None, span.seconds, dict(kinds), same_rows=same)
-
-
-class _Span:
-    """The time from the first row of all sensors to the last."""
-
-    def __init__(self) -> None:
-        self._first: int | None = None
-        self._last = 0
-
-    def add(self, time: Any) -> None:
-        if len(time):
-            first, last = int(time[0]), int(time[-1])
-            self._first, self._last = (
-                (first, last) if self._first is None else (min(self._first, first), max(self._last, last))
-            )
-
-    @property
-    def seconds(self) -> float:
-        return 0.0 if self._first is None else (self._last - self._first) * 1e-9
+    seconds = (max(ends_ns, default=0) - min(ends_ns, default=0)) * 1e-9
+    return ImportSummary(tuple(rows), max(rows.values()), None, seconds, dict(kinds), same_rows=same)
 
 
 def _block(columns: Columns, header: SensorHeader) -> Block:

@@ -24,6 +24,7 @@ from imuarray.importers.exported import (
     read_notes,
     write_log,
 )
+from imuarray.importers.parquet import open_parquet
 from imuarray.log.layout import ColumnGroup, Columns
 from imuarray.printable import printable
 
@@ -77,28 +78,17 @@ def import_file(
 
 def _header(path: Path) -> dict[str, Any]:
     """Return the header of the file; SourceError."""
-    text = (_open(path).schema_arrow.metadata or {}).get(PARQUET_HEAD.encode(), b"")
+    text = (open_parquet(path).schema_arrow.metadata or {}).get(PARQUET_HEAD.encode(), b"")
     if len(text) > MAX_HEADER_BYTES:
         raise SourceError(f"{path}: a header of more than {MAX_HEADER_BYTES} bytes")
     return parse_header(text, str(path))
-
-
-def _open(path: Path) -> Any:
-    """Open a file; SourceError."""
-    import pyarrow
-    from pyarrow import parquet
-
-    try:
-        return parquet.ParquetFile(path)
-    except (pyarrow.ArrowException, OSError, ValueError) as error:
-        raise SourceError(f"{path}: damaged, or no such file: {printable(str(error))[:200]}") from None
 
 
 def _texts(path: Path, names: tuple[str, ...]) -> list[list[Any]]:
     """Return the rows of a short table; SourceError."""
     import pyarrow
 
-    file = _open(path)
+    file = open_parquet(path)
     if tuple(file.schema_arrow.names) != names or file.metadata.num_rows > _MOST_NOTES:
         raise SourceError(f"{path}: its columns differ from {', '.join(names)}")
     try:
@@ -112,7 +102,7 @@ def _rows(path: Path, group: ColumnGroup, cells: tuple[str, ...], epoch: str) ->
     """Yield the rows of a group in blocks; SourceError."""
     import pyarrow
 
-    file = _open(path)
+    file = open_parquet(path)
     stored_names = set(file.schema_arrow.names)
     try:
         zero_ns, time = epoch_ns(epoch, path), "time"

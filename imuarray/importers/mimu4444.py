@@ -14,7 +14,7 @@ Carlsson, I. Skog, J. Jalden, Self-Calibration of Inertial Sensor Arrays, IEEE S
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import islice
 from os import PathLike
@@ -165,16 +165,7 @@ JUMP_S = 0.5
 EVENTS_PER_KIND = 100
 """Maximum number of events of one kind; the rest is one event with their number."""
 
-_POSITIONS_MM = (
-    (-9.45, 9.45, 1.0),
-    (-9.45, 9.45, -1.0),
-    (-9.45, -9.45, 1.0),
-    (-9.45, -9.45, -1.0),
-    (9.45, 9.45, 1.0),
-    (9.45, 9.45, -1.0),
-    (9.45, -9.45, 1.0),
-    (9.45, -9.45, -1.0),
-)
+_POSITIONS_MM = tuple((x, y, z) for x in (-9.45, 9.45) for y in (9.45, -9.45) for z in (1.0, -1.0))
 _AXES = ("+X+Y+Z", "-Y-X-Z")
 
 
@@ -283,48 +274,28 @@ class _Recording:
         excess = np.abs(passed - steps * TICKS_PER_PACKET)
         jumps = np.flatnonzero(excess > JUMP_S * COUNTER_HZ + 0.01 * steps * TICKS_PER_PACKET)
         end = len(number)
-        self._write_events(
-            "checksum",
-            np.flatnonzero(piece.broken),
-            time_of_row,
-            lambda i: f"{piece.broken[i]} packets with a wrong checksum left out",
-        )
-        self._write_events(
-            "garbage",
-            np.flatnonzero(odd[:end]),
-            time_of_row,
-            lambda i: f"{odd[i]} bytes that belong to no packet left out",
-        )
-        self._write_events(
-            "lost",
-            np.flatnonzero(steps > 1),
-            time_of_row,
-            lambda i: f"{steps[i] - 1} packets missing before packet {number[i]}",
-        )
-        self._write_events(
-            "repeated",
-            np.flatnonzero(steps == 0),
-            time_of_row,
-            lambda i: f"packet {number[i]} was received twice; one is left out",
-        )
-        self._write_events(
-            "clock", jumps, time_of_row, lambda i: _jump(passed[i], steps[i]) + f" before packet {number[i]}"
-        )
-        self._write_events(
-            "cut_off",
-            end + np.flatnonzero(odd[end:]),
-            time_of_row,
-            lambda i: f"{odd[i]} bytes at the end are not a whole packet",
-        )
-
-    def _write_events(
-        self, kind: str, rows: Iterable[int], time_of_row: Integers, message: Callable[[int], str]
-    ) -> None:
-        """Write events of one kind at `rows`, up to a limit."""
-        for index in rows:
-            self.happened[kind] += 1
-            if self.happened[kind] <= EVENTS_PER_KIND:
-                self.log.event(Event(max(0, int(time_of_row[index])), "", kind, message(index)))
+        errors: dict[str, tuple[Integers, Callable[[int], str]]] = {
+            "checksum": (
+                np.flatnonzero(piece.broken),
+                lambda i: f"{piece.broken[i]} packets with a wrong checksum left out",
+            ),
+            "garbage": (np.flatnonzero(odd[:end]), lambda i: f"{odd[i]} bytes that belong to no packet left out"),
+            "lost": (np.flatnonzero(steps > 1), lambda i: f"{steps[i] - 1} packets missing before packet {number[i]}"),
+            "repeated": (
+                np.flatnonzero(steps == 0),
+                lambda i: f"packet {number[i]} was received twice; one is left out",
+            ),
+            "clock": (jumps, lambda i: _jump(passed[i], steps[i]) + f" before packet {number[i]}"),
+            "cut_off": (
+                end + np.flatnonzero(odd[end:]),
+                lambda i: f"{odd[i]} bytes at the end are not a whole packet",
+            ),
+        }
+        for kind, (rows, message) in errors.items():
+            for index in rows:
+                self.happened[kind] += 1
+                if self.happened[kind] <= EVENTS_PER_KIND:
+                    self.log.event(Event(max(0, int(time_of_row[index])), "", kind, message(index)))
 
     def finish(self) -> ImportSummary:
         """Write the last events and return the summary; SourceError if there was no packet."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,19 +10,24 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import MissingExtraError, SourceError
-from imuarray.importers.cells import CellBlock
+from imuarray.importers.cells import Blocks, CellBlock
 from imuarray.printable import printable
 
 
 def open_rows(path: Path, progress: Callable[[int], None]) -> ParquetRows:
     """Open the columns of a file; SourceError, MissingExtraError without pyarrow."""
+    return ParquetRows(path, open_parquet(path), progress)
+
+
+def open_parquet(path: Path) -> Any:
+    """Open a file as pyarrow's `ParquetFile`; SourceError, MissingExtraError without pyarrow."""
     try:
         import pyarrow
         from pyarrow import parquet
     except ImportError:
         raise MissingExtraError("pyarrow", "import") from None
     try:
-        return ParquetRows(path, parquet.ParquetFile(path), progress)
+        return parquet.ParquetFile(path)
     except (pyarrow.ArrowException, OSError, ValueError) as error:
         raise SourceError(f"{path}: damaged, or not a Parquet file: {printable(str(error))[:200]}") from None
 
@@ -47,9 +52,7 @@ class ParquetRows:
             return column
         raise SourceError(f"{self._path}: no column {column!r}; it has {printable(', '.join(self._names))[:200]}")
 
-    def blocks(
-        self, columns: Sequence[str | int], kind: str | None, rows: int
-    ) -> Iterator[tuple[CellBlock, list[int]]]:
+    def blocks(self, columns: Sequence[str | int], kind: str | None, rows: int) -> Blocks:
         """Yield the rows in batches; SourceError."""
         import pyarrow
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from imuarray.errors import SourceError
 from imuarray.importers import decompress
-from imuarray.importers.cells import WINDOWS_1252, CellBlock
+from imuarray.importers.cells import WINDOWS_1252, Blocks, CellBlock
 from imuarray.printable import counted, printable
 
 LOOKED_AT_RECORDS = 20_000
@@ -126,9 +126,7 @@ class RecordRows:
         words = [values[name] for name in self._fields if name in values]
         return " ".join([*([path] if path and self._has_paths else []), *words])
 
-    def blocks(
-        self, columns: Sequence[str | int], kind: str | None, rows: int
-    ) -> Iterator[tuple[CellBlock, list[int]]]:
+    def blocks(self, columns: Sequence[str | int], kind: str | None, rows: int) -> Blocks:
         """Yield the records of a kind; a value that a record lacks is a blank cell. SourceError."""
         known = self._columns.get(kind or "")
         if known is None:

@@ -5,11 +5,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from imuarray.errors import SourceError
-from imuarray.importers.cells import CellBlock
+from imuarray.importers.cells import Blocks, CellBlock
 
 FEWEST_FILES = 16
 """Fewest numbered files that are rows of a recording."""
@@ -79,9 +79,7 @@ class FileRows:
         """Return the names of the values in a row."""
         return {"": [*([TIME] if self._stamps is not None else []), *self._names]}
 
-    def blocks(
-        self, columns: Sequence[str | int], kind: str | None, rows: int
-    ) -> Iterator[tuple[CellBlock, list[int]]]:
+    def blocks(self, columns: Sequence[str | int], kind: str | None, rows: int) -> Blocks:
         """Yield the rows in the order of their numbers; SourceError for a row with another number of values."""
         names = self.names()[""]
         places = []

@@ -11,13 +11,13 @@ arrival times are not lost.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Times
-from imuarray.importers.cells import CellBlock
+from imuarray.importers.cells import Blocks, CellBlock
 from imuarray.log import LogWriter
 from imuarray.log.format import ARRIVAL
 from imuarray.log.layout import Columns
@@ -63,8 +63,6 @@ class _EvenTimes:
 
 MOST_ROWS_LATE = 4096
 """Number of rows that are held back, which limits the cells in memory."""
-
-Blocks = Iterator[tuple[CellBlock, list[int]]]
 
 
 class RowOrder:

@@ -10,7 +10,7 @@ import shutil
 import weakref
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from itertools import zip_longest
 from os import PathLike
@@ -22,7 +22,7 @@ import numpy as np
 
 from imuarray.errors import SourceError
 from imuarray.importers import decompress, open_source, unreadable
-from imuarray.importers.cells import CellBlock, TextTable
+from imuarray.importers.cells import Blocks, CellBlock, TextTable
 from imuarray.importers.mapping import TableMap
 from imuarray.importers.records import is_of_records
 from imuarray.importers.row_files import folder_of_rows
@@ -48,9 +48,7 @@ class RecordingRows(Protocol):
     def names(self) -> Mapping[str, Sequence[str]]:
         """Return the columns' names by kind of rows ("" if there is only one kind)."""
 
-    def blocks(
-        self, columns: Sequence[Reference], kind: str | None, rows: int
-    ) -> Iterator[tuple[CellBlock, list[int]]]:
+    def blocks(self, columns: Sequence[Reference], kind: str | None, rows: int) -> Blocks:
         """Yield the rows (of a kind), `rows` at a time, with the index of each of the `columns` in the block."""
 
 
@@ -68,9 +66,7 @@ class TextRows:
         with open_source(self._source, self._output) as file:
             return {"": TextTable(decompress(file), str(self._source), self._map.file, named=True).names}
 
-    def blocks(
-        self, columns: Sequence[Reference], kind: str | None, rows: int
-    ) -> Iterator[tuple[CellBlock, list[int]]]:
+    def blocks(self, columns: Sequence[Reference], kind: str | None, rows: int) -> Blocks:
         """Yield the rows from the beginning of the file."""
         named = any(isinstance(column, str) for column in self._map.columns())
         with open_source(self._source, self._output) as file:
@@ -115,9 +111,7 @@ class FolderRows:
         """Return the names in the first row of each file."""
         return {name: file.names()[""] for name, file in self._files.items()}
 
-    def blocks(
-        self, columns: Sequence[Reference], kind: str | None, rows: int
-    ) -> Iterator[tuple[CellBlock, list[int]]]:
+    def blocks(self, columns: Sequence[Reference], kind: str | None, rows: int) -> Blocks:
         """Yield the rows of the file that `kind` names, and of the parts that follow it; SourceError if there is none,
         or if parts overlap with different rows.
         """

@@ -18,6 +18,7 @@ from imuarray.importers import NO_WALL_TIME, ImportSummary, importer
 from imuarray.importers.cells import (
     INT32,
     ROWS,
+    Blocks,
     CellBlock,
     CellColumn,
     CodeConversion,
@@ -44,7 +45,7 @@ from imuarray.importers.mapping import (
     load_map,
 )
 from imuarray.importers.resolution import FULL_SPAN, SAMPLE_ROWS, Resolution, bits_of, resolution_of
-from imuarray.importers.row_order import Blocks, RowOrder, count_out
+from imuarray.importers.row_order import RowOrder, count_out
 from imuarray.importers.sources import RecordingRows, Reference, open_rows
 from imuarray.log import Block, LogWriter, Stimulus
 from imuarray.log.format import (

@@ -61,22 +61,17 @@ class TextLayout:
 
     def lines(self) -> list[str]:
         """Return the lines of `[file]`."""
-        lines = []
-        if self.delimiter != ",":
-            lines.append(f"delimiter = {quoted(self.delimiter)}")
-        if self.decimal != ".":
-            lines.append('decimal = ","')
-        if self.skip_rows:
-            lines.append(f"skip_rows = {self.skip_rows}")
-        if self.comment != "#":
-            lines.append(f"comment = {quoted(self.comment)}")
-        if self.kind_column is not None:
-            lines.append(f"kind_column = {self.kind_column}")
-        if self.labels:
-            lines.append("labels = true")
-        if self.parts:
-            groups = (", ".join(map(quoted, group)) for group in self.parts)
-            lines.append(f"parts = [{', '.join(f'[{names}]' for names in groups)}]")
+        groups = (f"[{', '.join(map(quoted, group))}]" for group in self.parts)
+        entries = (
+            (self.delimiter != ",", f"delimiter = {quoted(self.delimiter)}"),
+            (self.decimal != ".", 'decimal = ","'),
+            (self.skip_rows > 0, f"skip_rows = {self.skip_rows}"),
+            (self.comment != "#", f"comment = {quoted(self.comment)}"),
+            (self.kind_column is not None, f"kind_column = {self.kind_column}"),
+            (self.labels, "labels = true"),
+            (bool(self.parts), f"parts = [{', '.join(groups)}]"),
+        )
+        lines = [line for is_stated, line in entries if is_stated]
         return ["[file]", *lines, ""] if lines else []
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from imuarray.calibrate import gravity
-from imuarray.characterise import codes, processing, rate_changes, result
+from imuarray.characterise import bands, codes, processing, rate_changes, result
 from imuarray.importers import arrays, cells, guess, plausibility, resolution, sphere, table
 
 CHOSEN = {
@@ -44,8 +44,8 @@ CHOSEN = {
     (rate_changes, "PIECE_ROWS"): 64,
     (rate_changes, "CHANGED"): 1.25,
     (gravity, "FACE_COSINE"): 0.97,
-    (result, "RISES"): 1.35,
-    (result, "SLACK"): 1.08,
+    (bands, "RISES"): 1.35,
+    (bands, "SLACK"): 1.08,
 }
 
 
