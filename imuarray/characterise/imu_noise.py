@@ -43,7 +43,8 @@ _TYPICAL_CORRELATION_S = 3600.0
 @dataclass(frozen=True)
 class TriadNoise:
     """Noise of the worst of three axes in SI: density N and random walk K of the bias, None where none was seen, and
-    the bounds below which the record says they stay (None without any). `verdict`: why the fit may not be trusted.
+    the bounds below which the record says they stay (None without any). `verdict`: why the fit may not be trusted; then
+    noise of another kind would look like a random walk, and neither K nor its bound is stated.
     """
 
     density: float | None
@@ -93,6 +94,8 @@ def triad_noise(axes: Sequence[Mapping[str, Any]], si_per_count: float) -> Triad
         return None
     verdict = next((str(axis["verdict"]) for axis in axes if axis["verdict"]), "")
     walk, walk_bound = largest("random walk", "value"), largest("random walk", "high")
+    if any(item.get("doubtful") for axis in axes if (item := axis["terms"].get("random walk"))):
+        walk = walk_bound = None
     return TriadNoise(largest("white", "value"), walk, bound, walk_bound, verdict)
 
 
@@ -172,9 +175,8 @@ def vins_fusion_text(imu: ImuNoise) -> str:
         ):
             unit = _UNIT[quantity] if part == "n" else _WALK_UNIT[quantity]
             scaled = [None if figure is None else figure * factor for figure in (value, bound)]
-            keys.append(
-                _yaml_key(f"{_VINS[quantity]}_{part}", scaled[0], scaled[1], f"{unit}, at {imu.rate_hz:.6g} Hz")
-            )
+            key, at_rate = f"{_VINS[quantity]}_{part}", f"{unit}, at {imu.rate_hz:.6g} Hz"
+            keys.append(_yaml_key(key, scaled[0], scaled[1], at_rate, triad.verdict))
     keys.append(f"g_norm: {STANDARD_GRAVITY}  # m/s^2, standard gravity; local gravity is better")
     return _lines(["%YAML:1.0", *_comments(imu), "# Put these keys into the configuration of VINS-Fusion.", *keys])
 
@@ -205,7 +207,10 @@ def _gazebo_noise(quantity: str, triad: TriadNoise, rate_hz: float) -> list[str]
     noise.append(f"  <stddev>{triad.density * math.sqrt(rate_hz):.6g}</stddev>")
     if triad.walk is None:
         noise.append(
-            f"  {_xml_missing('dynamic_bias_stddev', triad.walk_bound, 1.0, _WALK_UNIT[quantity] + '/sqrt(Hz)')}"
+            "  "
+            + _xml_missing(
+                "dynamic_bias_stddev", triad.walk_bound, 1.0, f"{_WALK_UNIT[quantity]}/sqrt(Hz)", triad.verdict
+            )
         )
     else:
         noise.append(f"  <dynamic_bias_stddev>{triad.walk:.6g}</dynamic_bias_stddev>")
@@ -230,7 +235,7 @@ def px4_text(imu: ImuNoise) -> str:
         ):
             tag = f"{PREFIX[quantity]}{part}"
             if value is None:
-                lines.append(f"  {_xml_missing(tag, bound, 1.0, unit)}")
+                lines.append(f"  {_xml_missing(tag, bound, 1.0, unit, triad.verdict)}")
             else:
                 lines.append(f"  <{tag}>{value:.6g}</{tag}>")
         lines.append(
@@ -275,17 +280,21 @@ def _topic(imu: ImuNoise) -> str:
 def _kalibr_keys(imu: ImuNoise) -> Iterator[str]:
     for quantity, triad in _triads(imu):
         prefix = PREFIX[quantity]
-        yield _yaml_key(f"{prefix}_noise_density", triad.density, triad.density_bound, f"{_UNIT[quantity]}/sqrt(Hz)")
-        yield _yaml_key(f"{prefix}_random_walk", triad.walk, triad.walk_bound, f"{_WALK_UNIT[quantity]}/sqrt(Hz)")
+        density_unit, walk_unit = f"{_UNIT[quantity]}/sqrt(Hz)", f"{_WALK_UNIT[quantity]}/sqrt(Hz)"
+        yield _yaml_key(f"{prefix}_noise_density", triad.density, triad.density_bound, density_unit)
+        yield _yaml_key(f"{prefix}_random_walk", triad.walk, triad.walk_bound, walk_unit, triad.verdict)
 
 
-def _yaml_key(key: str, value: float | None, bound: float | None, unit: str) -> str:
+_UNDETERMINED = "not determined, because the noise is of another kind"
+
+
+def _yaml_key(key: str, value: float | None, bound: float | None, unit: str, verdict: str = "") -> str:
     """Return a key, or a comment in its place where there is no figure."""
     if value is not None:
         return f"{key}: {_yaml_number(value)}  # {unit}"
     if bound is not None:
         return f"# {key}: not significant, at most {bound:.6g} {unit}; enter your own figure, or record for longer"
-    return f"# {key}: no such sensor was measured"
+    return f"# {key}: {_UNDETERMINED}; enter your own figure" if verdict else f"# {key}: no such sensor was measured"
 
 
 def _yaml_number(value: float) -> str:
@@ -305,9 +314,9 @@ def _xml_comments(imu: ImuNoise) -> Iterator[str]:
         yield f"<!-- {escape(line.removeprefix('# ')).replace('--', '- -')} -->"
 
 
-def _xml_missing(tag: str, bound: float | None, factor: float, unit: str) -> str:
+def _xml_missing(tag: str, bound: float | None, factor: float, unit: str, verdict: str = "") -> str:
     if bound is None:
-        return f"<!-- {tag}: no such sensor was measured -->"
+        return f"<!-- {tag}: {_UNDETERMINED if verdict else 'no such sensor was measured'} -->"
     return f"<!-- {tag}: not significant, at most {bound * factor:.6g} {unit} -->"
 
 

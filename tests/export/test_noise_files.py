@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import h5py
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from imuarray.characterise import characterise_log
 from imuarray.errors import ExportError, OutputExistsError
@@ -299,6 +300,25 @@ def test_a_bound_is_never_a_value(still: Path, tmp_path: Path, suffix: str, seco
     assert text.count("not significant, at most ") == (6 if tools[second] == "gazebo" else 2)
     (note,) = written.notes
     assert note.endswith("imu." + suffix + ": without accelerometer_random_walk, gyroscope_random_walk")
+
+
+@pytest.mark.parametrize("tool", ["kalibr", "gazebo", "px4"])
+def test_coloured_noise_is_no_random_walk(tool: str, tmp_path: Path) -> None:
+    """Noise that a first-order filter coloured fits no sum of white noise, flicker and walk."""
+    white = np.random.default_rng(9).normal(0, 5, (ROWS, 3))
+    counts = np.rint(lfilter([1.0], [1.0, -0.95], white, axis=0)).astype(np.int16)
+    time = np.arange(ROWS) * (1_000_000_000 // RATE_HZ)
+    with LogWriter(tmp_path / "run.h5", [GYRO], source="simulated", epoch=EPOCH) as log:
+        log.append("G", Block(time, counts, np.zeros(ROWS, np.uint16)))
+        log.phase(Phase(0, int(time[-1]) + 1, "static"))
+    suffix = "yaml" if tool == "kalibr" else "sdf"
+    (path,) = export(tmp_path / "run.h5", tmp_path / f"imu.{suffix}", tool=tool).files
+    text = path.read_text()
+    if tool == "gazebo":  # without a density there is no noise
+        assert "dynamic_bias_stddev>" not in text
+    else:
+        key = "# gyroscope_random_walk" if tool == "kalibr" else "<!-- gyroscopeRandomWalk"
+        assert f"{key}: not determined, because the noise is of another kind" in text
 
 
 def test_a_fused_result_that_moves_has_no_noise(tmp_path: Path) -> None:
