@@ -60,7 +60,7 @@ def test_the_parts_make_up_the_whole(logs: list[tuple[str, list[int]]]) -> None:
 
 @given(LOGS)
 def test_every_second_of_a_kind_or_halves(logs: list[tuple[str, list[int]]]) -> None:
-    """Halves of a single log of its kind, of four to seven boots, and of two or three motions."""
+    """Halves of a single log of its kind, of four to seven boots, and of two or three motions or heatings."""
     kinds, phases = [kind for kind, _ in logs], [phases_between(edges) for _, edges in logs]
     split = split_of(kinds, phases)
     campaign = whole(split, kinds)
@@ -68,7 +68,7 @@ def test_every_second_of_a_kind_or_halves(logs: list[tuple[str, list[int]]]) -> 
         mine = [number for number, one in enumerate(kinds) if one == kind]
         trained = [number for number in split.train(campaign).logs if kinds[number] == kind]
         judged = [number for number in split.held_out(campaign).logs if kinds[number] == kind]
-        is_short = (kind == "turn-on" and 4 <= len(mine) < 8) or (kind == "motion" and len(mine) < 4)
+        is_short = (kind == "turn-on" and 4 <= len(mine) < 8) or (kind in ("motion", "heating") and len(mine) < 4)
         if len(mine) == 1 or is_short:
             assert trained == judged == mine
         else:

@@ -1,10 +1,10 @@
 """The split of a campaign into a training part, to which parameters are fitted, and a held-out part.
 
 Of several logs of one kind every second one is held out; of a log that is the only one of its kind, the second half of
-every phase. So it is of a series of boots that is too short for two parts, and of a few motions, each of which may turn
-about another axis: both parts then have all of them. Both parts thus have the same faces and phases, and the fit to one
-has not seen the other. Logs with and without a phase at rest are of two kinds: only the former determine noise and
-bias.
+every phase. So it is of a series of boots that is too short for two parts, and of a few motions or heatings, each of
+which may have another axis or face: both parts then have all of them. Both parts thus have the same faces and phases,
+and the fit to one has not seen the other. Logs with and without a phase at rest are of two kinds: only the former
+determine noise and bias.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ FEWEST_RUNS = 4
 """Fewer runs of a turn-on series say nothing of what varies from run to run."""
 
 
-_HALVED = {"turn-on": range(FEWEST_RUNS, 2 * FEWEST_RUNS), "motion": range(2, 4)}
+_HALVED = {"turn-on": range(FEWEST_RUNS, 2 * FEWEST_RUNS), "motion": range(2, 4), "heating": range(2, 4)}
 """Numbers of logs of a kind that are too few to hold out every second of them."""
 
 
