@@ -137,7 +137,7 @@ class TextTable:
             self._is_last = not line.endswith("\n")
             self._is_damaged = "\0" in line
             line = plain_line(line.rstrip("\0 \r\n").lstrip(" "), self._layout.delimiter)
-            if "\0" in line:
+            if "\0" in line or (self._is_damaged and not line):
                 self.left_out["nul"] += 1
                 continue
             if is_rule(line):

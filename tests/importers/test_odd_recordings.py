@@ -446,6 +446,12 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         0,
         ["2000 rows each", "1 line with NUL bytes left out"],
     ),
+    "a line of NUL bytes alone": (
+        edited(insert(900, "\0" * 40)),
+        MAP,
+        0,
+        ["2000 rows each", "1 line with NUL bytes left out"],
+    ),
     "messages between the rows": (
         edited(lambda lines: [*insert(900, "I2C timeout, retrying")(lines), "Total: 2000 rows"]),
         MAP,
@@ -491,6 +497,7 @@ SLOW = (
     "shaken throughout",
     "messages between the rows",
     "a line that NUL bytes end",
+    "a line of NUL bytes alone",
     "rad/s as dps, of a coarse gyroscope",
     "mg as g",
     "milliseconds as seconds",
