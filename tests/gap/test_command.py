@@ -72,9 +72,10 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with logs of 20 s, with a line in a gyroscope and without."""
     folder = tmp_path_factory.mktemp("gap")
     (folder / "two.toml").write_text(CONFIG)
-    for name, line in (("humming", LINE), ("quiet", "")):
+    for name, line, seed in (("humming", LINE, 0), ("quiet", "", 2)):
         (folder / f"{name}.toml").write_text(MODEL.format(line=line))
         asked = ["two.toml", "--model", f"{name}.toml", "--seconds", 20, "--rate-hz", 100, "-o", f"{name}.h5"]
+        asked += ["--seed", seed]
         asked = [str(folder / one) if str(one).endswith((".toml", ".h5")) else str(one) for one in asked]
         assert main(["simulate", *asked]) == 0
     return folder

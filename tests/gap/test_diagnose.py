@@ -281,7 +281,7 @@ def test_what_sensors_share_is_one_cause(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_what_changes_from_boot_to_boot(tmp_path: Path) -> None:
-    """Six boots; every second one is held out."""
+    """Six boots, both halves of each."""
     motions = [turn_on_run(run, 6.0) for run in range(1, 7)]
     found = diagnosed(recorded(tmp_path, {"G1": (TurnOnBias((0.1, 0.1, 0.1)),)}, motions=motions))
     (cause,) = found.causes
@@ -290,7 +290,7 @@ def test_what_changes_from_boot_to_boot(tmp_path: Path) -> None:
     assert found.gap.closed is not None
     assert found.gap.closed > 0.95
     assert found.verdict in ("explained", "partly explained")  # six boots make it about as likely as not
-    assert found.held_out == "held out: 3 of 6 logs (every second of a kind)"
+    assert found.held_out == "held out: the second half of every phase of 6 logs"
 
 
 @pytest.mark.slow
