@@ -5,7 +5,8 @@ The model
 A **recording** x is a campaign of logs of one array: times, raw counts and flags of each triad, with phases, tracks
 and temperatures as far as the logs tell them. A **simulator** makes such recordings from
 
-* **fitted parameters** theta: noise, bias, linear thermal slope of the bias, cutoff of the chip's own filter;
+* **fitted parameters** theta: noise, bias, linear thermal slope of the bias, the chip's own filter, whose cutoff each
+  replicate draws within what the rows tell of it (measured correlations where no filter has them);
 * **nuisance parameters** nu: what a data sheet leaves to the part, each with a tolerance (`model.populations`). Scale
   error, misalignment, g-sensitivity and tilt of the box are profiled within their tolerances; so are the lag of an
   element behind the temperature of the box (`model.element_temperature`), the delay of a signal in the chip's filter,
@@ -21,9 +22,10 @@ and temperatures as far as the logs tell them. A **simulator** makes such record
 
 **Statistics** s(x) are some 80 numbers for each axis and phase (`statistics.probes`), of what the fit leaves, never of
 raw samples; each is such that it scatters nearly normally where nothing is wrong. In motion a sensor is compared with
-the others of its quantity, the only one of its quantity with the track of the log. Without a track the motion is
-estimated from the sensors together (`recording.movement`). Turns between noted rests are motions, too. A statistic
-that one side lacks is missing: it has no score.
+the others of its quantity, the only one of its quantity with the track of the log, without the noise that the track has
+at rest (`simulate.motion.track_noise`). Rows in which a filter settles after power-on are left out. Without a track the
+motion is estimated from the sensors together (`recording.movement`). Turns between noted rests are motions, too. A
+statistic that one side lacks is missing: it has no score.
 
 **Null distribution.** The gap is judged by parametric bootstrap: replicates x* ~ p(x | theta_hat, nu*), nu* drawn
 from its population, theta fitted again to each. So both kinds of uncertainty are in it, that of the fit and that of
@@ -45,9 +47,9 @@ Meinshausen 2008), at one family-wise level of 5 %.
 **Hypotheses** (`inference.search`). All effects are looked at on every sensor that differs, by local statistics -2 ln
 p(s | H0) / p(s | Hi) from paired replicates (Anau Montel, Alvey and Weniger, arXiv 2412.15100), from the evidence of
 all logs, of each rate, of each kind of experiment and of single logs; the best few are refined (Gauss-Newton steps by
-simulation, fitted parameters adapted by indirect inference) and evaluated on held-out data. p is a **synthetic
-likelihood** (`statistics.synthetic_likelihood`): Student's t about the replicates' median, tempered by the share of
-the statistics that is independent.
+simulation, fitted parameters adapted by indirect inference) and evaluated on held-out data (`statistics.split`). p is a
+**synthetic likelihood** (`statistics.synthetic_likelihood`): Student's t about the replicates' median, tempered by the
+share of the statistics that is independent.
 
 **Selection** is forward, by units: the best hypothesis is taken if it gains more nats on the held-out part than
 chance and a placebo do; sensors of one chip that differ together are offered a shared cause.
