@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imuarray.commands.options import bars, force_option, json_option, print_json, refuse_existing
+from imuarray.commands.options import bars, force_option, json_option, names_option, print_json, refuse_existing
 from imuarray.json_values import json_value
 from imuarray.printable import printable
 
@@ -153,16 +153,15 @@ def turn_on(runs: tuple[Path, ...], seed: int, **options: Any) -> None:
     metavar="ARRAY.toml",
     help="the log's configuration, completed with the axes",
 )
-@click.option(
+@names_option(
     "--poses",
-    default="",
     metavar="+Z,+X,+Y",
     help="the box axis that was up in each pose, in the order of the poses (default: as the log's phases say,"
     " else +Z,+X,+Y)",
 )
 @force_option
 @json_option
-def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> None:
+def axes(run: Path, output: Path, poses: tuple[str, ...], force: bool, as_json: bool) -> None:
     """Determine the axes of every sensor from a few poses held by hand.
 
     Record one log while you hold the box still for three seconds with its Z axis up, then X, then Y. Accelerometers are
@@ -180,7 +179,7 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
     with open_log(run) as log:
         if not log.config:
             raise click.UsageError(f"{run}: this log has no configuration to write the axes into")
-        pointings = find_pointing(log, upright_poses(log, poses.split(",") if poses else ()))
+        pointings = find_pointing(log, upright_poses(log, poses))
         text = with_axes(log.config, pointings, str(run))
         report = _axes_report(pointings, {name: sensor.axes for name, sensor in log.sensors.items()})
     write_text(output, text, force=force)

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imuarray.atomic import save_figure, write_text
-from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
+from imuarray.commands.options import (
+    force_option,
+    json_option,
+    log_argument,
+    only_option,
+    print_json,
+    progress,
+    refuse_existing,
+)
 from imuarray.errors import ImuArrayError, MissingExtraError, OutputExistsError
 
 if TYPE_CHECKING:
@@ -30,9 +38,7 @@ RESULT = "characterise.json"
     help=f"write {RESULT} and, with matplotlib, figures into DIR",
 )
 @click.option("--phase", metavar="NAME", help="the phase to evaluate (default: the longest phase at rest)")
-@click.option(
-    "--only", "--sensor", "sensors", metavar="NAME,...", help="only these sensors (default: all with three axes)"
-)
+@only_option("only these sensors (default: all with three axes)")
 @click.option(
     "--estimator",
     type=click.Choice(("overlapping", "decimated")),
@@ -68,7 +74,7 @@ class CharacteriseOptions:
     run: Path
     output: Path | None
     phase: str | None
-    sensors: str | None
+    only: tuple[str, ...]
     estimator: Estimator | None
     calibration: Path | None
     as_json: bool
@@ -100,8 +106,8 @@ def _characterise(log: Log, options: CharacteriseOptions) -> dict[str, Any]:
     from imuarray.calibrate.motion import longest_rest
     from imuarray.characterise import characterise_log
 
-    sensors = tuple(options.sensors.split(",")) if options.sensors else None
-    selected = [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
+    sensors = options.only or None
+    selected = [log[name] for name in options.only] or [item for item in log.sensors.values() if item.is_triad]
     columns = sum(int(sensor.counts.shape[1]) for sensor in selected)
     count = itertools.count(1)
     with progress(columns, str(log.path)) as set_progress:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
+from imuarray.commands.options import force_option, json_option, only_option, print_json, progress, refuse_existing
 from imuarray.export import TOOLS, UNITS, WRITERS
 from imuarray.printable import counted, listed
 
@@ -25,9 +25,7 @@ _STEPS = 1000
     metavar=f"RUN{'|'.join(WRITERS)}",
     help="the file to write; its suffix chooses the format",
 )
-@click.option(
-    "--only", "--sensor", "sensors", default="", metavar="NAME,...", help="only these sensors (default: everything)"
-)
+@only_option("only these sensors (default: everything)")
 @click.option(
     "--calibration",
     "calibration_file",
@@ -77,7 +75,7 @@ class ExportOptions:
 
     source: Path
     output: Path
-    sensors: str
+    only: tuple[str, ...]
     calibration_file: Path | None
     units: str | None
     tool: str | None
@@ -92,12 +90,11 @@ def _run(options: ExportOptions) -> None:
 
     refuse_existing(options.output, options.force, source=options.source)
     calibration = load_calibration(options.calibration_file) if options.calibration_file else None
-    names = tuple(options.sensors.split(",")) if options.sensors else ()
     with progress(_STEPS, str(options.output)) as set_progress:
         summary = export(
             options.source,
             options.output,
-            sensors=names,
+            sensors=options.only,
             calibration=calibration,
             units=options.units,
             tool=options.tool,

@@ -15,6 +15,7 @@ from imuarray.commands.options import (
     force_option,
     json_option,
     log_argument,
+    only_option,
     print_json,
     progress,
     refuse_existing,
@@ -76,7 +77,7 @@ _WORDS = {
     metavar="FUSED.h5",
     help="the result to write (optional with --evaluate)",
 )
-@click.option("--only", "--sensor", "only", default="", metavar="SENSOR,...", help="fuse only these sensors")
+@only_option("fuse only these sensors")
 @click.option("--causal", is_flag=True, help="use only readings up to each frame, as `log --fuse` does")
 @click.option(
     "--watch/--no-watch",
@@ -113,7 +114,7 @@ class FuseOptions:
     calibration_file: Path | None
     technique: str
     output: Path | None
-    only: str
+    only: tuple[str, ...]
     causal: bool
     watch: bool | None
     evaluate: bool
@@ -135,7 +136,7 @@ def _run(options: FuseOptions) -> None:
         raise click.UsageError("Missing option '-o' / '--output'.")
     calibration = load_calibration(options.calibration_file) if options.calibration_file else Calibration()
     with open_log(options.run) as log:
-        selected = [log[name].name for name in options.only.split(",")] if options.only else []
+        selected = [log[name].name for name in options.only]
         if options.calibration_file:
             require_known_sensors(log, calibration, selected, str(options.calibration_file))
         with bars() as moved:

@@ -15,6 +15,8 @@ from imuarray.commands.options import (
     ended_by_signals,
     force_option,
     json_option,
+    names_option,
+    only_option,
     prepare_folder,
     print_json,
     workers_option,
@@ -53,13 +55,12 @@ command.add_command(validate)
     help="the simulator's model: a file, or one that comes with the package: datasheet, martin2013 (default: the data "
     "sheets of the log's chips)",
 )
-@click.option(
+@names_option(
     "--without",
-    default="",
     metavar="EFFECT,...",
     help="remove these effects from the library of causes (imuarray simulate --effects lists them)",
 )
-@click.option("--only", "--sensor", "only", default="", metavar="SENSOR,...", help="diagnose only these sensors")
+@only_option("diagnose only these sensors")
 @click.option(
     "--against",
     multiple=True,
@@ -106,8 +107,8 @@ class DiagnoseOptions:
 
     logs: tuple[Path, ...]
     model_name: str | None
-    without: str
-    only: str
+    without: tuple[str, ...]
+    only: tuple[str, ...]
     against: tuple[Path, ...]
     seed: int
     replicates: int
@@ -122,8 +123,7 @@ def _diagnose(options: DiagnoseOptions) -> None:
     from imuarray import diagnose as diagnose_logs
     from imuarray.gap.diagnose import library
 
-    left_out = _names(options.without)
-    library(left_out)
+    library(options.without)
     if options.output is not None:
         prepare_folder(options.output, FILES, options.force)
     with ended_by_signals(), Steps() as steps:
@@ -131,9 +131,9 @@ def _diagnose(options: DiagnoseOptions) -> None:
         diagnosis = diagnose_logs(
             options.logs,
             model=_model(options.model_name),
-            only=_names(options.only),
+            only=options.only,
             against=options.against,
-            without=left_out,
+            without=options.without,
             seed=options.seed,
             replicates=options.replicates,
             workers=options.workers,
@@ -143,10 +143,6 @@ def _diagnose(options: DiagnoseOptions) -> None:
     if options.output is not None:
         _write(options.output, diagnosis)
     _print_diagnosis(diagnosis, options.as_json)
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def _model(name: str | None) -> Model | None:

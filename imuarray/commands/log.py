@@ -19,6 +19,7 @@ from imuarray.commands.options import (
     config_argument,
     force_option,
     json_option,
+    only_option,
     print_json,
     rate_option,
     refuse_existing,
@@ -171,7 +172,7 @@ def _logs_with_events(logs: Sequence[Path], sensor: str) -> list[Path]:
     metavar="T.jsonl",
     help="also write a transcript of every transaction",
 )
-@click.option("--only", "--sensor", "only", metavar="SENSOR,...", help="read only these sensors")
+@only_option("read only these sensors")
 @click.option(
     "--calibration",
     type=click.Path(path_type=Path),
@@ -242,7 +243,7 @@ class LogOptions:
     phase: str
     up: str | None
     transcript: Path | None
-    only: str | None
+    only: tuple[str, ...]
     calibration: Path | None
     fuse: bool
     technique: str | None
@@ -361,7 +362,7 @@ def _array_and_bus(options: LogOptions) -> tuple[ArrayConfig, str]:
             f"{options.config}: no bus: give --bus i2c:/dev/i2c-1 (or --bus emulated: to rehearse),"
             " or give [array] a bus"
         )
-    return array.only(tuple(options.only.split(","))) if options.only else array, url
+    return array.only(options.only) if options.only else array, url
 
 
 def _judge(options: LogOptions, array: ArrayConfig) -> StartStateDetector | None:

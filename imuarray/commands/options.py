@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 import click
 
@@ -44,6 +44,26 @@ workers_option = click.option(
     show_default="the machine's processors",
     help="number of processes; it does not change the result",
 )
+
+_Decorated = TypeVar("_Decorated", bound=Callable[..., Any] | click.Command)
+
+
+def names_option(
+    *declarations: str, metavar: str, help: str, default: str = "", show_default: bool = False
+) -> Callable[[_Decorated], _Decorated]:
+    """Return an option whose value is a tuple of names, which are written with commas between them."""
+
+    def split(_context: click.Context, _parameter: click.Parameter, text: str) -> tuple[str, ...]:
+        return tuple(name.strip() for name in text.split(",") if name.strip())
+
+    return click.option(
+        *declarations, metavar=metavar, help=help, default=default, show_default=show_default, callback=split
+    )
+
+
+def only_option(help: str) -> Callable[[_Decorated], _Decorated]:
+    """Return the option for the names of the only sensors that a command shall take; by default none are named."""
+    return names_option("--only", "--sensor", "only", metavar="SENSOR,...", help=help)
 
 
 _USUAL = (signal.default_int_handler,)

@@ -15,6 +15,8 @@ from imuarray.commands.options import (
     Duration,
     force_option,
     json_option,
+    names_option,
+    only_option,
     print_json,
     progress,
     rate_option,
@@ -119,10 +121,8 @@ def _list_effects(context: click.Context, _: click.Parameter, is_given: bool) ->
 @click.option(
     "--population", is_flag=True, help="draw all units at random from their designs, even units that the model knows"
 )
-@click.option(
-    "--without", metavar="EFFECT,...", default="", help="leave these effects out; other random draws do not change"
-)
-@click.option("--only", "--sensor", "only", metavar="SENSOR,...", help="simulate only these sensors")
+@names_option("--without", metavar="EFFECT,...", help="leave these effects out; other random draws do not change")
+@only_option("simulate only these sensors")
 @click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True, help="seed of all random draws")
 @click.option(
     "--boot",
@@ -179,24 +179,14 @@ class SimulateOptions:
     model_name: str
     calibration: Path | None
     population: bool
-    without: str
-    only: str | None
+    without: tuple[str, ...]
+    only: tuple[str, ...]
     seed: int
     boot: int
     single: bool
     workers: int
     force: bool
     as_json: bool
-
-    @property
-    def left_out(self) -> tuple[str, ...]:
-        """Return the effects of --without."""
-        return tuple(name.strip() for name in self.without.split(",") if name.strip())
-
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Return the sensors of --only; empty: all."""
-        return tuple(self.only.split(",")) if self.only else ()
 
 
 def _run(options: SimulateOptions) -> None:
@@ -208,7 +198,7 @@ def _run(options: SimulateOptions) -> None:
     if (options.config is None) == (options.like is None):
         raise click.UsageError("give either a CONFIG or --like RUN.h5")
     _refuse_idle(click.get_current_context(), options.experiment, options.like)
-    seed, left_out, population = options.seed, options.left_out, options.population
+    seed, left_out, population = options.seed, options.without, options.population
     with ExitStack() as stack:
         log, runs = _runs(stack, options)
         model = _model(options.model_name, options.calibration, runs[0].plan)
@@ -287,9 +277,9 @@ def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[
 
     if options.like is not None:
         log = stack.enter_context(open_log(options.like))
-        return log, [run_like(log, options.output, options.sensors, options.boot)]
+        return log, [run_like(log, options.output, options.only, options.boot)]
     array = load_array(find_config(options.config or Path()))
-    array = array.only(options.sensors) if options.sensors else array
+    array = array.only(options.only) if options.only else array
     for sensor in array.sensors:
         if sensor.on_iio and not sensor.sensitivity:
             raise ConfigError(

@@ -12,6 +12,7 @@ import click
 from imuarray.commands.options import (
     force_option,
     json_option,
+    names_option,
     prepare_folder,
     print_json,
     progress,
@@ -39,7 +40,7 @@ FILES = ("study.json", "study.html", "ratios.png", "bound.png", "coasting.png", 
 @click.option(
     "--seeds", type=click.IntRange(1, 1000), help="number of simulated arrays for each experiment (default: 6)"
 )
-@click.option(
+@names_option(
     "--experiments",
     metavar="NAME,...",
     default=",".join(EXPERIMENTS),
@@ -95,11 +96,11 @@ def _run(options: StudyOptions) -> None:
     from imuarray.gap.model.workers import processes
     from imuarray.studies.fusion_gain import QUICK_S, QUICK_SEEDS, SEEDS, render_text, study
 
-    names = tuple(dict.fromkeys(name.strip() for name in options.experiments.split(",") if name.strip()))
+    names = tuple(dict.fromkeys(options.experiments))
     if not names or set(names) - set(EXPERIMENTS):
         strange = next((name for name in names if name not in EXPERIMENTS), "")
         allowed_text = f"allowed are {', '.join(EXPERIMENTS)}{guess(strange, EXPERIMENTS)}"
-        raise click.UsageError(f"--experiments {options.experiments!r}: {allowed_text}")
+        raise click.UsageError(f"--experiments {','.join(options.experiments)!r}: {allowed_text}")
     if options.output:
         prepare_folder(options.output, FILES, options.force)
     count = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)

@@ -16,6 +16,7 @@ from imuarray.arrays import Integers, Reals
 from imuarray.chips import CHIPS, die_of
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.signal import Analog, Codes, Counts
+from imuarray.thermometers import ChipThermometer
 
 EVEN_ONLY_FROM_HZ = 1600.0
 """Data rate of the ADXL345 from which its lowest bit is always 0 in full resolution (ADX-47)."""
@@ -42,40 +43,32 @@ class CodeSpan:
     beyond: int | None = None
 
 
-@dataclass(frozen=True)
-class ThermometerConverter:
-    """The conversion counts = (temperature - zero_degc) * lsb_per_degc, with this number of `bits`."""
-
-    zero_degc: float
-    lsb_per_degc: float
-    bits: int = 8
-
-    def counts(self, temperature_degc: Reals) -> Counts:
-        """Return the codes (n,) at these temperatures."""
-        if temperature_degc.strides == (0,):  # a constant temperature: one row stands for all
-            return np.broadcast_to(self.counts(temperature_degc[:1].copy()), temperature_degc.shape)
-        codes = np.rint((temperature_degc - self.zero_degc) * self.lsb_per_degc)
-        beyond = 1 << (self.bits - 1)
-        return np.asarray(np.clip(codes, -beyond, beyond - 1), np.int32)
-
-
-THERMOMETERS: Mapping[str, ThermometerConverter] = MappingProxyType(
-    {chip: ThermometerConverter(*spec.thermometer) for chip, spec in CHIPS.items() if spec.thermometer is not None}
-    | {"l3g4200d": ThermometerConverter(47.0, -1.0)}  # the zero differs from part to part; this one is assumed (L3G-60)
+THERMOMETERS: Mapping[str, ChipThermometer] = MappingProxyType(
+    {chip: spec.thermometer for chip, spec in CHIPS.items() if spec.thermometer is not None}
+    | {"l3g4200d": ChipThermometer(47.0, -1.0)}  # the zero differs from part to part; this one is assumed (L3G-60)
 )
 
 _COUNT_BITS = 16
 """Bits of the column `temperature_counts`, because a log does not state the bits of a thermometer."""
 
 
-def thermometer_of(header: SensorHeader) -> ThermometerConverter | None:
+def thermometer_of(header: SensorHeader) -> ChipThermometer | None:
     """Return the chip's own thermometer, by its header or else by its data sheet; None if the chip has none, or if the
     meaning of its counts is unknown.
     """
     if not header.has_temperature:
         return None
     scale = header.thermometer
-    return THERMOMETERS.get(header.chip) if scale is None else ThermometerConverter(*scale, bits=_COUNT_BITS)
+    return THERMOMETERS.get(header.chip) if scale is None else ChipThermometer(*scale, bits=_COUNT_BITS)
+
+
+def thermometer_counts(thermometer: ChipThermometer, temperature_degc: Reals) -> Counts:
+    """Return the codes (n,) of a thermometer at these temperatures."""
+    if temperature_degc.strides == (0,):  # a constant temperature: one row stands for all
+        return np.broadcast_to(thermometer_counts(thermometer, temperature_degc[:1].copy()), temperature_degc.shape)
+    codes = np.rint((temperature_degc - thermometer.zero_degc) * thermometer.lsb_per_degc)
+    beyond = 1 << (thermometer.bits - 1)
+    return np.asarray(np.clip(codes, -beyond, beyond - 1), np.int32)
 
 
 def even_step(chip: str, rate_hz: float) -> int:

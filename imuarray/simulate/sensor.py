@@ -22,7 +22,7 @@ from imuarray.barometer import BAROMETERS
 from imuarray.log.format import LOST_BEFORE, SATURATED, STALE, SensorHeader
 from imuarray.log.writer import Block
 from imuarray.simulate.active_spans import acting
-from imuarray.simulate.converters import code_span, converted, held, latest_reading, thermometer_of
+from imuarray.simulate.converters import code_span, converted, held, latest_reading, thermometer_counts, thermometer_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.own_clock import AT_ITS_RATE, OwnClock
 from imuarray.simulate.host_latency import DelayedTimes
@@ -264,7 +264,7 @@ class SimulatedSensor:
 
     def _coded(self, analog: Analog, phase: float) -> Codes:
         thermometer = thermometer_of(self.header)
-        temperature = None if thermometer is None else thermometer.counts(analog.thermometer_degc)
+        temperature = None if thermometer is None else thermometer_counts(thermometer, analog.thermometer_degc)
         counts = converted(analog, self._span)
         codes = Codes(analog.first, analog.instant_ns, counts, temperature, np.ones(len(counts), bool))
         if self._is_polled:

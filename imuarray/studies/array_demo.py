@@ -141,10 +141,9 @@ def _rms(log: Log, calibration: Calibration, technique: str, *names: str) -> dic
 
 
 def summary(errors: list[ArrayError]) -> list[str]:
-    """Return the section on the gain of averaging, run by run."""
-    lines = [_sentence(error) for error in errors]
+    """Return the summary: what averaging gains, run by run."""
     return [
-        *lines,
+        *map(_sentence, errors),
         "All figures are rms errors against the truth of the emulated world, after the calibration from six faces.",
     ]
 
