@@ -19,7 +19,13 @@ from scipy.optimize import brentq
 from scipy.special import ndtr  # the normal distribution without the weight of scipy.stats
 
 from imuarray.arrays import Floats
-from imuarray.gap.model.element_temperature import HeatedRest, fit_lag, with_element_temperatures
+from imuarray.gap.model.element_temperature import (
+    LEAST_HEATING_DEGC,
+    HeatedRest,
+    fit_lag,
+    usual_lag_s,
+    with_element_temperatures,
+)
 from imuarray.gap.model.gravity import NO_CHANGE, Forces, estimated_forces, residual_forces
 from imuarray.gap.model.populations import (
     CLOCK_SIGMA,
@@ -36,7 +42,7 @@ from imuarray.gap.model.rest import REFERENCE_DEGC, FittedParameters, Rest, felt
 from imuarray.gap.model.signal_delay import stated_delay
 from imuarray.gap.model.vibration import MOST_FACTOR, Vibration
 from imuarray.gap.recording.attitude import attitude_numbers
-from imuarray.gap.statistics.campaign import Campaign, PhaseSummary
+from imuarray.gap.statistics.campaign import Campaign, LogSummary, PhaseSummary
 from imuarray.gap.statistics.catalogue import (
     AXES,
     Key,
@@ -47,6 +53,7 @@ from imuarray.gap.statistics.catalogue import (
 )
 from imuarray.gap.statistics.intervals import Intervals
 from imuarray.gap.statistics.probes.level import halves
+from imuarray.gap.statistics.probes.probe import once
 from imuarray.gap.statistics.probes.timing import tells_repetitions
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
@@ -374,7 +381,10 @@ def _thermal_change(
     campaign: Campaign, motions: Sequence[Motion], headers: Mapping[str, SensorHeader]
 ) -> Callable[[Summary], Floats]:
     """Function that gives the change of a sensor's mean reading from 25 degC by the slope within single attitudes."""
-    slopes = {name: slope_of(list(_in_any_attitude(campaign, motions, name))) for name in headers}
+    slopes = {
+        name: slope_of(list(_in_any_attitude(campaign, motions, name))) if _is_heated(campaign, name) else None
+        for name in headers
+    }
 
     def change(summary: Summary) -> Floats:
         slope, part = slopes[summary.header.name], summary.segments
@@ -400,11 +410,32 @@ def _lags(campaign: Campaign, motions: Sequence[Motion], headers: Mapping[str, S
 
     lags_s = {}
     for name, header in headers.items():
+        if not _is_heated(campaign, name):
+            lags_s[name] = usual_lag_s(
+                [motion for log, motion in zip(campaign.logs, motions, strict=True) if _rows_at_rest(log, name)]
+            )
+            continue
         rests = list(_in_any_attitude(campaign, motions, name))
         readings = [HeatedRest(rest.group, rest.segments, motions[rest.group[0]], rest.deviation) for rest in rests]
         noise = np.sqrt(np.mean([np.median(rest.variance, axis=0) for rest in rests], axis=0)) if rests else np.zeros(3)
         lags_s[name] = fit_lag(readings, noise / header.sensitivity)
     return lags_s
+
+
+def _is_heated(campaign: Campaign, sensor: str) -> bool:
+    """Return whether the temperatures of a sensor at rest in a log, in any attitude, may differ enough to tell a slope
+    or a lag.
+    """
+    for log in campaign.logs:
+        degc = [phase.segments.temperature_degc for phase in log.still(sensor)]
+        if degc and not float(np.ptp(np.concatenate(degc))) < LEAST_HEATING_DEGC:
+            return True
+    return False
+
+
+def _rows_at_rest(log: LogSummary, sensor: str) -> int:
+    """Return the number of rows of a sensor at rest."""
+    return sum(phase.rows for phase in log.still(sensor))
 
 
 def _residual_phase(phase: PhaseSummary, motion: Motion, force_box: Floats | None, base: Base) -> PhaseSummary:
@@ -730,6 +761,7 @@ def _is_flagged(campaign: Campaign, header: SensorHeader) -> bool:
     return any(summary.flags["stale"] for summary in summaries if summary.header.chip not in NO_READY_BIT)
 
 
+@once
 def _equal_neighbours(phase: Summary) -> float:
     """Return the share of new readings that equal the one before: that of readings far apart, and more where they
     correlate, since the scatter of each axis's difference is smaller by the root of 1 - rho.

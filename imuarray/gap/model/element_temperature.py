@@ -74,7 +74,7 @@ def fit_lag(rests: Sequence[HeatedRest], rms: Floats) -> float:
     for rest in rests:
         by_attitude.setdefault(rest.attitude, []).append(rest)
     attitudes = [members for members in by_attitude.values() if _is_heated(members)]
-    usual_s = max((float(getattr(rest.motion, "lead_s", 0.0)) for rest in rests), default=0.0)
+    usual_s = usual_lag_s([rest.motion for rest in rests])
     if not attitudes or not rms.all():
         return usual_s
     usual = _LAGS_S.index(usual_s)
@@ -88,6 +88,13 @@ def fit_lag(rests: Sequence[HeatedRest], rms: Floats) -> float:
         return _LAGS_S[best]
     curve, slope, _ = np.polyfit(_LAGS_S[near], misfits[near], 2)
     return float(np.clip(-slope / (2 * curve), _LAGS_S[best - 1], _LAGS_S[best + 1])) if curve > 0 else _LAGS_S[best]
+
+
+def usual_lag_s(motions: Sequence[Motion]) -> float:
+    """Return the lag, in s, of a chip whose readings tell none in logs with these motions: none, or that of the
+    thermometer by which the temperature is known.
+    """
+    return max((float(getattr(motion, "lead_s", 0.0)) for motion in motions), default=0.0)
 
 
 def _is_heated(rests: Sequence[HeatedRest]) -> bool:
