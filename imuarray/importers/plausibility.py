@@ -163,32 +163,17 @@ STEADY_SHARE = 0.9
 DEGC = (-45.0, 130.0)
 """Temperatures of working chips."""
 
-_FORCE_UNITS: Mapping[float, str] = MappingProxyType(
-    {
-        STANDARD_GRAVITY: "m/s2, not g",
-        1 / STANDARD_GRAVITY: "g, not m/s2",
-        1000.0: "mg, not g",
-        0.001: "g, not mg",
-    }
-)
-_FIELD_UNITS: Mapping[float, str] = MappingProxyType(
-    {
-        100.0: "uT, not gauss",
-        0.01: "gauss, not uT",
-        1000.0: "mgauss, not gauss",
-        1e-3: "gauss, not mgauss",
-        1e-4: "T, not gauss",
-        1e5: "nT, not gauss",
-    }
-)
-_TURN_UNITS: Mapping[float, str] = MappingProxyType(
-    {
-        180 / np.pi: "rad/s, not dps",
-        np.pi / 180: "dps, not rad/s",
-        1e-3: "mdps, not dps",
-        1e3: "dps, not mdps",
-    }
-)
+_FORCE_UNITS: Mapping[float, str] = {
+    STANDARD_GRAVITY: "m/s2, not g", 1 / STANDARD_GRAVITY: "g, not m/s2", 1000.0: "mg, not g", 0.001: "g, not mg",
+}  # fmt: skip
+_FIELD_UNITS: Mapping[float, str] = {
+    100.0: "uT, not gauss", 0.01: "gauss, not uT", 1000.0: "mgauss, not gauss", 1e-3: "gauss, not mgauss",
+    1e-4: "T, not gauss", 1e5: "nT, not gauss",
+}  # fmt: skip
+_TURN_UNITS: Mapping[float, str] = {
+    180 / np.pi: "rad/s, not dps", np.pi / 180: "dps, not rad/s", 1e-3: "mdps, not dps", 1e3: "dps, not mdps",
+}  # fmt: skip
+"""Units that a map states wrongly, by the ratio to what is known."""
 
 
 @dataclass(frozen=True)
@@ -587,7 +572,7 @@ def _degrees(sensor: SensorLog) -> tuple[list[str], list[str]]:
 
 def _directions(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:
     """Yield accelerometers in which gravity has another direction than in the first, while both are at rest."""
-    forces = [sensor.name for sensor in log.of("specific_force") if sensor.name in windows]
+    forces = _names_of(log, "specific_force", windows)
     for name in forces[1:]:
         first, other = windows[forces[0]], windows[name]
         if first.width_ns != other.width_ns:
@@ -612,10 +597,11 @@ def _upside_down(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[st
     tell whether it is their sign: gravity with the opposite sign turns in the same way, df/dt = -omega x f. The earth's
     field can.
     """
-    for sensor in log.of("specific_force"):
-        if sensor.name not in windows or not windows[sensor.name].has_gravity:
+    fields = [windows[name] for name in _names_of(log, "magnetic_field", windows)]
+    for name in _names_of(log, "specific_force", windows):
+        force = windows[name]
+        if not force.has_gravity:
             continue
-        force = windows[sensor.name]
         still = force.still()
         up = force.mean[still] / np.maximum(np.linalg.norm(force.mean[still], axis=1), 1e-9)[:, None]
         middle = np.median(up, axis=0)
@@ -623,9 +609,8 @@ def _upside_down(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[st
         is_noted = any(phase.up == f"-{'XYZ'[axis]}" for phase in log.phases)
         if is_noted or len(up) < FEWEST_RESTS or middle[axis] > 0 or np.mean(up[:, axis] < -MISALIGNED) < ALWAYS:
             continue
-        fields = [windows[name] for name in _names_of(log, "magnetic_field", windows)]
         yield (
-            sensor.name,
+            name,
             f"reads -1 g along box {'XYZ'[axis]} whenever it rests: the box is upside down, or this axis points down"
             f" (axes in the map), or the sign is the opposite, as in Apple's CoreMotion (signs = '---')"
             f"{_dip_in_words(force, fields)}",
@@ -661,15 +646,9 @@ def _dip_in_words(force: _Windows, fields: Sequence[_Windows]) -> str:
 
 def _turns(log: Log, windows: Mapping[str, _Windows], short: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:
     """Yield gyroscopes that disagree with the rotation of gravity in an accelerometer."""
-    forces = [
-        sensor.name
-        for sensor in log.of("specific_force")
-        if sensor.name in windows and windows[sensor.name].has_gravity
-    ]
-    for gyroscope in log.of("angular_rate"):
-        if gyroscope.name not in windows or not forces:
-            continue
-        first, name = forces[0], gyroscope.name
+    forces = [name for name in _names_of(log, "specific_force", windows) if windows[name].has_gravity]
+    for name in _names_of(log, "angular_rate", windows) if forces else ():
+        first = forces[0]
         pairs = (short[first], short[name]), (windows[first], windows[name])
         candidates = [(_factor(each), each) for pair in pairs if (each := _rotations(*pair)) is not None]
         if not candidates:
@@ -677,19 +656,16 @@ def _turns(log: Log, windows: Mapping[str, _Windows], short: Mapping[str, _Windo
         # Short windows follow quick turns, long ones show slow turns above the noise.
         (factor, correlation), rotations = next((each for each in candidates if each[0][1] >= FOLLOWS), candidates[-1])
         if correlation < FOLLOWS:
-            if axes := _fitting_axes(rotations, gyroscope):
-                yield gyroscope.name, axes
+            if axes := _fitting_axes(rotations, log[name]):
+                yield name, axes
             continue
         if 1 / SAME_SCALE < factor < SAME_SCALE:
             continue
         if factor < 0:
-            yield (
-                gyroscope.name,
-                "rotates opposite to the accelerometers: axes of one of them are mirrored or exchanged",
-            )
+            yield name, "rotates opposite to the accelerometers: axes of one of them are mirrored or exchanged"
             continue
         guess = _explained(factor, _TURN_UNITS, NEAR_TURNS) or "range and sensitivity may be those of another setting"
-        yield gyroscope.name, f"measures {1 / factor:.3g} times the rotation of gravity in the accelerometers: {guess}"
+        yield name, f"measures {1 / factor:.3g} times the rotation of gravity in the accelerometers: {guess}"
 
 
 def radii_of(log: Log) -> dict[str, float]:
