@@ -27,8 +27,8 @@ _MOST = 9
 _MOST_NOTES = 12
 """Most notes that are shown: each of many logs has its own."""
 
-_WHEN = ("spans", "runs", "moments_s", "lengths_s")
-"""Parameters that say in which logs and when an effect acts."""
+_WHEN = ("spans", "runs", "moments_s", "lengths_s", "stuck_axes")
+"""Parameters that say in which logs, when and on which axes an effect acts."""
 
 _SMALL_G = 0.1
 """Accelerations below it are written in mg."""
@@ -154,6 +154,8 @@ def _moments_text(run: float, places: Sequence[int], moments_s: Sequence[float],
         return log
     at = _several([moments_s[place] for place in places])
     lengths_s = [parameters["lengths_s"][place] for place in places] if parameters.get("lengths_s") else []
+    if any(length_s >= FOREVER_S for length_s in lengths_s):
+        return f"{log} from {at} s on"
     ends = dict.fromkeys(map(number, (min(lengths_s), max(lengths_s)))) if lengths_s else {}
     return f"{log} at {at} s" + (f" for {' to '.join(ends)} s" if ends else "")
 

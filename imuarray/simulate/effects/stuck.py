@@ -30,6 +30,9 @@ class Stuck(Effect):
     If individual stretches are known, exactly these are stuck: from each of `moments_s`, by the log's clock, for the
     time in `lengths_s`, in the run with that number in `runs`. If their `readings` are known too, three values
     for each stretch in the sensor's unit, a stretch begins with the reading that is repeated.
+
+    If `stuck_axes` are given (0, 1, 2), only these are stuck (a broken bond, a register of one axis that is locked):
+    the others, the temperature and the chip's flags are as usual.
     """
 
     name: ClassVar[str] = "stuck"
@@ -41,17 +44,25 @@ class Stuck(Effect):
     moments_s: tuple[float, ...] = listed()
     lengths_s: tuple[float, ...] = listed()
     readings: tuple[float, ...] = listed(suffix="_{u}")
+    stuck_axes: tuple[float, ...] = listed()
 
     def __post_init__(self) -> None:
-        """Raise ValueError for an unknown kind, or for lists of different lengths."""
+        """Raise ValueError for an unknown kind or axis, or for lists of different lengths."""
         super().__post_init__()
         if self.kind not in KINDS:
             raise ValueError(f"kind: {self.kind!r}; allowed are {', '.join(KINDS)}")
         for name, values in alongside(runs=self.runs, moments_s=self.moments_s, lengths_s=self.lengths_s).items():
             object.__setattr__(self, name, values)
+        object.__setattr__(self, "stuck_axes", tuple(float(axis) for axis in self.stuck_axes))
+        if not set(self.stuck_axes) <= {0.0, 1.0, 2.0}:
+            raise ValueError(f"stuck_axes: {self.stuck_axes}; allowed are 0, 1 and 2")
         object.__setattr__(self, "readings", tuple(float(value) for value in self.readings))
         if self.readings and len(self.readings) != 3 * len(self.moments_s):
             raise ValueError(f"readings: {len(self.readings)}; none, or three for each of moments_s, are required")
+
+    def active_axes(self) -> tuple[bool, ...]:
+        """Return (3,) which axes are stuck if not all are."""
+        return tuple(axis in self.stuck_axes for axis in range(3))
 
     def codes(self, codes: Codes, at: Place) -> Codes:
         """Replace readings while the sensor is stuck by the last one before."""
@@ -64,7 +75,14 @@ class Stuck(Effect):
                     counts = np.rint(np.array([reading]) * at.sensor.sensitivity).astype(codes.counts.dtype)
                     codes, last = _set_row(codes, row, counts), replace(last, counts=counts)
                 codes = _held(codes, last, row + 1, end, self.kind == "new")
-        return codes
+        return codes if not self.stuck_axes else self._of_axes(moving, codes)
+
+    def _of_axes(self, moving: Codes, stuck: Codes) -> Codes:
+        """Return the codes with the `stuck_axes` of the stuck ones."""
+        counts = moving.counts.copy()
+        places = [int(axis) for axis in self.stuck_axes]
+        counts[:, places] = stuck.counts[:, places]
+        return replace(moving, counts=counts)
 
     def _known(self, first: int, stop: int, at: Place) -> Iterator[tuple[int, int, tuple[float, ...]]]:
         """Yield the rows of the known stretches that reach into first ... stop - 1, and the readings that are held."""

@@ -327,3 +327,16 @@ def test_held_again_and_again() -> None:
     again = [effect for effect in found if isinstance(effect, Stuck) and math.isfinite(effect.every_s)]
     assert again[0].duration_s == pytest.approx(0.5, rel=0.2)
     assert 1.5 < again[0].every_s < 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("end_s", "length_s"), [(40.0, 20.0), (1e9, 1e9)])
+def test_an_axis_that_keeps_one_code(end_s: float, length_s: float) -> None:
+    """From 20 s on, to a segment of a second; the other axes have noise, so that no reading repeats the one before."""
+    put_in = Stuck(kind="new", runs=(0,), moments_s=(20.0,), lengths_s=(end_s - 20.0,), stuck_axes=(1,))
+    effects = [effect for trial in stuck.guesses(shown("static", "A1", put_in)) for effect in trial.effects]
+    (effect,) = [effect for effect in effects if isinstance(effect, Stuck) and effect.stuck_axes]
+    assert effect.stuck_axes == (1.0,)
+    assert effect.moments_s == pytest.approx((20.0,), abs=1.5)
+    assert effect.lengths_s == pytest.approx((length_s,), abs=2.5)
+    assert effect.active_axes() == (False, True, False)

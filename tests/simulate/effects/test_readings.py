@@ -221,6 +221,19 @@ class TestStuck:
         held = {"stale": (7, 8, 9), "new": ()}[kind]
         assert after.fresh.tolist() == [row not in held for row in range(first, 20)]
 
+    @pytest.mark.parametrize("first", [0, 3, 7, 8, 12])
+    def test_single_axes(self, standing, codes, first: int) -> None:
+        """Of rows 7 ... 9 only y and z are held; temperature and flags are as usual."""
+        lists = {"runs": (0,), "moments_s": (0.065,), "lengths_s": (0.03,)}
+        before = codes(first, 20, temperature_counts=np.arange(first, 20))
+        after = Stuck(**lists, stuck_axes=(1, 2)).codes(before, standing())
+        held = [6 if 7 <= row < 10 else row for row in range(first, 20)]
+        assert after.counts.tolist() == [[row, y + 1, y + 2] for row, y in zip(range(first, 20), held, strict=True)]
+        assert np.array_equal(after.temperature_counts, before.temperature_counts)
+        assert np.array_equal(after.fresh, before.fresh)
+        with pytest.raises(ValueError, match="axes"):
+            Stuck(stuck_axes=(3,))
+
     @pytest.mark.parametrize("first", [0, 3, 6, 7, 8, 12])
     def test_readings_that_are_known(self, standing, place, codes, first: int) -> None:
         """Rows 6 ... 9 read what is given; row 6 is the reading that the others repeat, and fresh."""

@@ -12,9 +12,16 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis, Kind
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence, Repetition
 from imuarray.gap.inference.when import NUMBERS, SINGLE, Span, stretches
+from imuarray.simulate.effect import FOREVER_S
 from imuarray.simulate.effects.stuck import Stuck
 
 _PROBES = ("longest_repeat", "repeats", "stale", "noise_uneven")
+_SPREAD = ("noise", "noise_uneven", "noise_excess", "kurtosis")
+"""Probes that an axis without noise moves."""
+
+_FLAT_SEGMENTS, _NOISE_LSB = 3, 0.4
+"""Segments without any change in which an axis is stuck whose noise is at least so many LSB elsewhere."""
+
 _LEAST_ROWS = 8
 _HOLDS = 4.0
 """So many times longer than readings are held on average."""
@@ -48,6 +55,8 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
+    if evidence.is_odd(*_SPREAD):
+        yield from _single_axes(evidence)
     if not evidence.is_odd(*_PROBES):
         return
     runs = sorted(_runs(evidence), key=lambda run: run.onset_s - run.end_s)
@@ -58,6 +67,36 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
         for_ever = run.open and run.end_s >= _end_s(evidence, run.log)
         duration_s = math.inf if for_ever else run.end_s - run.onset_s
         yield Hypothesis((Stuck(run.onset_s, duration_s, kind=_kind(evidence)),))
+
+
+def _single_axes(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest axes that keep one code from one segment at rest to another while the others have noise, until the log
+    ends or the first segment that changes.
+    """
+    for log in sorted({phase.log for phase in evidence.still}):
+        phases = [phase.raw for phase in evidence.still if phase.log == log]
+        rows = np.concatenate([phase.segments.rows for phase in phases])
+        variance = np.concatenate([phase.segments.variance for phase in phases])
+        begin_s = np.concatenate([phase.segments.time_s - phase.segments.width_s / 2 for phase in phases])
+        mean = np.concatenate([phase.segments.mean for phase in phases])
+        is_flat = (variance == 0) & (rows > 2)[:, None]
+        for axis in np.flatnonzero(is_flat.any(axis=0) & ~is_flat.all(axis=1).any()).tolist():
+            flat = np.flatnonzero(is_flat[:, axis])
+            noise_lsb = np.sqrt(np.median(variance[~is_flat[:, axis], axis])) if len(flat) < len(rows) else 0.0
+            is_single_stretch = len(np.unique(mean[flat, axis])) == 1 and len(flat) == np.ptp(flat) + 1
+            if len(flat) < _FLAT_SEGMENTS or not is_single_stretch or noise_lsb < _NOISE_LSB:
+                continue
+            onset_s, after = float(begin_s[flat[0]]), flat[-1] + 1
+            length_s = float(begin_s[after]) - onset_s if after < len(rows) else FOREVER_S
+            reading = np.zeros(3)
+            reading[axis] = mean[flat[0], axis] / evidence.header.sensitivity
+            stuck = Stuck(
+                kind="new",
+                **stretches([Span(log, onset_s, length_s)]),
+                readings=tuple(reading.tolist()),
+                stuck_axes=(float(axis),),
+            )
+            yield Hypothesis((stuck,), whole=True, rarity=NUMBERS)
 
 
 def _again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Hypothesis]:
