@@ -44,6 +44,7 @@ class TestSpelled:
             "moments_s",
             "lengths_s",
             "readings_g",
+            "stuck_axes",
             "spans",
         ]
 
