@@ -33,7 +33,6 @@ from imuarray.log.format import (
     Phase,
     Preamble,
 )
-from imuarray.log.journal import Mark
 from imuarray.log.layout import (
     CHECK_SUMS,
     CHUNK,
@@ -56,6 +55,7 @@ from imuarray.log.layout import (
     write_plots,
     write_table,
 )
+from imuarray.log.salvage import Mark
 
 if sys.platform != "win32":
     import fcntl

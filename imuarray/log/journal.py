@@ -29,7 +29,7 @@ from imuarray.arrays import Integers
 from imuarray.errors import LogBusyError, LogError
 from imuarray.log.format import Preamble
 from imuarray.log.layout import ColumnGroup, Columns, groups_of
-from imuarray.log.salvage import CRC, HEAD, LONGEST_BLOCK, Salvage
+from imuarray.log.salvage import CRC, HEAD, LONGEST_BLOCK, Mark, Record, Salvage
 
 if sys.platform != "win32":  # where logs can be read but not recorded
     import fcntl
@@ -40,22 +40,6 @@ LONGEST_PREAMBLE = 1 << 24
 
 _TRIES, _PAUSE_S = 20, 0.005
 """Most attempts to lock a journal while readers hold it for a moment, and the pause between them."""
-
-
-class Mark(NamedTuple):
-    """A position between two blocks: bytes from the start, and the CRC from which the next block continues."""
-
-    position: int
-    chain: int
-
-
-class Record(NamedTuple):
-    """A block that was read: the number of its group, its rows as bytes, and the position after it."""
-
-    group: int
-    rows: int
-    payload: bytes
-    after: Mark
 
 
 def journal_of(path: Path) -> Path:
@@ -299,21 +283,20 @@ class JournalReader:
         size = os.fstat(self._file.fileno()).st_size
         if size <= end.position:
             return None
-        if salvage.is_good(*end):  # its writing ended only now
+        if salvage.is_good(end):  # its writing ended only now
             return end, None
-        resumed = salvage.resume(*end)
+        resumed = salvage.resume(end)
         if resumed is not None:
-            mark = Mark(resumed.position, resumed.chain)
-            if resumed.block is None:
+            mark, restored = resumed
+            if restored is None:
                 self._note(end.position, mark.position, salvage)
-            return mark, None if resumed.block is None else Record(*resumed.block, mark)
-        last = salvage.last(*end)
+            return resumed
+        last = salvage.last(end)
         if last is not None:
-            mark = Mark(size, last.chain)
-            return mark, Record(*last.block, mark)
+            return last.after, last
         if salvage.is_torn(end.position):
             return None
-        if salvage.is_good(*end):
+        if salvage.is_good(end):
             return end, None
         self._note(end.position, size, salvage)
         return None

@@ -48,29 +48,20 @@ _SECTOR = 512
 _PAGE = 4096
 
 
-class JournalBlock(NamedTuple):
-    """A block: the number of its group, its rows, its payload."""
+class Mark(NamedTuple):
+    """A position between two blocks: bytes from the start, and the CRC from which the next block continues."""
+
+    position: int
+    chain: int
+
+
+class Record(NamedTuple):
+    """A block that was read: the number of its group, its rows as bytes, and the position after it."""
 
     group: int
     rows: int
     payload: bytes
-
-
-class Resumption(NamedTuple):
-    """The position at which good blocks resume: byte position and chain. `block` is the bad block before it, if it
-    could be restored.
-    """
-
-    position: int
-    chain: int
-    block: JournalBlock | None
-
-
-class LastBlock(NamedTuple):
-    """A restored block at the end of a journal, and its checksum."""
-
-    block: JournalBlock
-    chain: int
+    after: Mark
 
 
 class Salvage:
@@ -96,8 +87,9 @@ class Salvage:
         """True if the budget is used up; there may be more good blocks after the last position that was searched."""
         return self._search_bytes <= 0 or self._check_bytes <= 0
 
-    def is_good(self, position: int, chain: int) -> bool:
-        """Return whether a good block is at `position` and continues from `chain`."""
+    def is_good(self, start: Mark) -> bool:
+        """Return whether a good block is at a position."""
+        position, chain = start
         self._check_bytes -= _LEAST_CHECK
         if self._check_bytes <= 0:
             return False
@@ -118,48 +110,54 @@ class Salvage:
             return None
         return int(rows * self._row_bytes[group])
 
-    def resume(self, position: int, chain: int) -> Resumption | None:
-        """Return where good blocks resume after the bad one at `position`, which should continue from `chain`; None if
+    def resume(self, bad: Mark) -> tuple[Mark, Record | None] | None:
+        """Return where good blocks resume after the bad one at `bad`, and the bad one if it could be restored; None if
         there is no such place within the budget.
         """
-        chains = self._chains(position, chain)
-        for head_position in self._heads(position):
+        chains = self._chains(bad)
+        for head_position in self._heads(bad.position):
             if self.is_spent:
                 break
             head = self._read_bytes(OVERHEAD, head_position)
             size = self._declared(head)
             if size is None:
                 continue
-            for candidate in chains if head_position > position else ():
-                if self.is_good(head_position, candidate):
-                    return Resumption(head_position, candidate, self._gap(position, chain, head_position, candidate))
-            end, (stored,) = head_position + OVERHEAD + size, CRC.unpack_from(head, HEAD.size)
+            for chain in chains if head_position > bad.position else ():
+                candidate = Mark(head_position, chain)
+                if self.is_good(candidate):
+                    return candidate, self._gap(bad, candidate)
+            end = Mark(head_position + OVERHEAD + size, *CRC.unpack_from(head, HEAD.size))
             is_own = HEAD.unpack_from(head)[1] == self._tags[0]
-            if is_own and self.is_good(end, stored):
-                return Resumption(end, stored, self._gap(position, chain, end, stored))
+            if is_own and self.is_good(end):
+                return end, self._gap(bad, end)
         return None
 
-    def last(self, position: int, chain: int) -> LastBlock | None:
-        """Return the block from `position` to the end of the journal, if only its head is wrong."""
-        block = self._reheaded(position, chain, self._end)
+    def last(self, bad: Mark) -> Record | None:
+        """Return the block from `bad` to the end of the journal, if only its head is wrong."""
+        end = self._end
+        block = self._reheaded(bad, end)
         if block is None:
             return None
-        return LastBlock(block, CRC.unpack(self._read_bytes(CRC.size, position + HEAD.size))[0])
+        (stored,) = CRC.unpack(self._read_bytes(CRC.size, bad.position + HEAD.size))
+        return Record(*block, Mark(end, stored))
 
-    def _gap(self, position: int, chain: int, end: int, after: int) -> JournalBlock | None:
+    def _gap(self, bad: Mark, after: Mark) -> Record | None:
         """Return the bad bytes as one block, if its payload can be proved good: by its own checksum under another head,
         or by the next block, which continues from `after`.
         """
+        position, chain = bad
         head = self._read_bytes(OVERHEAD, position)
         size = self._declared(head)
-        if size is not None and position + OVERHEAD + size == end:
+        if size is not None and position + OVERHEAD + size == after.position:
             payload = self._read_bytes(size, position + OVERHEAD)
             group, _, rows = HEAD.unpack_from(head)
-            return JournalBlock(group, rows, payload) if _chained(head, payload, chain) == after else None
-        return self._reheaded(position, chain, end)
+            return Record(group, rows, payload, after) if _chained(head, payload, chain) == after.chain else None
+        block = self._reheaded(bad, after.position)
+        return None if block is None else Record(*block, after)
 
-    def _reheaded(self, position: int, chain: int, end: int) -> JournalBlock | None:
-        """Return the bytes from `position` to `end` as one block with the head that fits its checksum."""
+    def _reheaded(self, bad: Mark, end: int) -> tuple[int, int, bytes] | None:
+        """Return group, rows and payload of the bytes from `bad` to `end` as one block whose head fits its checksum."""
+        position, chain = bad
         if not OVERHEAD < end - position <= _LONGEST_GAP:
             return None
         content = self._read_bytes(end - position, position)
@@ -168,16 +166,17 @@ class Salvage:
             rows, rest = divmod(len(payload), row_bytes)
             self._check_bytes -= 0 if rest else len(payload)
             if not rest and _chained(HEAD.pack(group, self._tags[0], rows), payload, chain) == stored:
-                return JournalBlock(group, rows, payload)
+                return group, rows, payload
         return None
 
-    def _chains(self, position: int, chain: int) -> list[int]:
+    def _chains(self, bad: Mark) -> list[int]:
         """Return the checksums from which the block after the bad one may continue: the bad block's checksum as it
         should be, and as it is stored.
 
         The stored one is valid only if it certainly belongs to this log: if it lies in the same sector as the end of
         the previous block.
         """
+        position, chain = bad
         head = self._read_bytes(OVERHEAD, position)
         if len(head) < OVERHEAD:
             return []

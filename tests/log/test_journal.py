@@ -285,11 +285,9 @@ def test_a_flipped_bit_in_a_payload_of_zeros_hides_no_rows_behind_it(tmp_path: P
 )
 def test_the_search_behind_damage_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tail: bytes) -> None:
     """Whatever stands behind a journal: so many blocks are checked at the most, and no byte is searched twice."""
-    checks: list[int] = []
+    checks: list[salvage.Mark] = []
     is_good = salvage.Salvage.is_good
-    monkeypatch.setattr(
-        salvage.Salvage, "is_good", lambda self, at, chain: (checks.append(at), is_good(self, at, chain))[1]
-    )
+    monkeypatch.setattr(salvage.Salvage, "is_good", lambda self, at: (checks.append(at), is_good(self, at))[1])
     content = written(tmp_path / "r.h5", ROWS)
     journal_of(tmp_path / "r.h5").write_bytes(content + b"\1" + tail)
     with JournalReader(tmp_path / "r.h5") as journal:
