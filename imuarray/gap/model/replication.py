@@ -257,17 +257,21 @@ class Stage:
 
     def _felt_motion(self, log: int, number: int) -> Motion:
         """Return the motion of a log in a replicate, which remembers what was felt."""
-        owner = log if self.experiments[log].has_temperature else (log, number)
-        return RememberedMotion(self._motion(log, number), self._memory, owner)
+        shared = RememberedMotion(self.experiments[log].motion, self._memory, log)
+        motion = self._motion(log, number, shared)
+        return motion if motion is shared else RememberedMotion(motion, self._memory, (log, number))
 
-    def _motion(self, log: int, number: int) -> Motion:
-        """Return the motion of a log in a replicate, in a room of its own if nobody recorded the temperature."""
+    def _motion(self, log: int, number: int, recorded: Motion | None = None) -> Motion:
+        """Return the motion of a log in a replicate, which is `recorded`, or that of the experiment, in a room of its
+        own if nobody recorded the temperature.
+        """
         experiment = self.experiments[log]
+        motion = recorded or experiment.motion
         if experiment.has_temperature:
-            return experiment.motion
+            return motion
         units = Streams(replicate_seed(self.base.seed, number))
         usual_degc = HEAT_DEGC if experiment.is_heated else ROOM_DEGC
-        return draw_room_temperature(experiment.motion, units, self.first_boot + log, usual_degc)
+        return draw_room_temperature(motion, units, self.first_boot + log, usual_degc)
 
     def _source(
         self, log: int, name: str, effects: tuple[Effect, ...], number: int, alone: bool, owner: Hashable = None
