@@ -152,7 +152,7 @@ class FaultyBoard(Board):
         self._switching = bool(self._orders or by_kind["mux_reset"] or by_kind["adapter_unplugged"])
 
     def wire(self, clock: WireClock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
-        """Return the element of the other board, with the faults of the sensor."""
+        """Return the other board's wire, with the faults that occur between transactions."""
         wire = self._inner.wire(clock, bit_rate_hz, nack_errno, host_ns)
         if self._interfering:
             wire.interference = self._wires

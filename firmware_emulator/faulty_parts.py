@@ -35,7 +35,7 @@ class Times:
         return min(number, self.count) if self.count else number
 
     def start_ns(self, number: int) -> int:
-        """Return when occurrence number `index`, counted from 1, begins."""
+        """Return when occurrence `number`, counted from 1, begins."""
         return self.begin_ns + (number - 1) * self.period_ns
 
     def during(self, at_ns: int) -> bool:

@@ -2,7 +2,7 @@
 
 ::
 
-    session = Session.of_table({"name": "tumble", "seconds": 60.0, "poses": [{"up": [0, 0, 1], "hold_s": 20.0}, ...]})
+    log = session({"name": "tumble", "seconds": 60.0, "poses": [{"up": [0, 0, 1], "hold_s": 20.0}, ...]}, Room(), seed)
 
 Everything is a function of time alone; the tables are those of a file in JSON (`firmware_emulator.cases`).
 """

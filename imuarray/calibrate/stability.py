@@ -33,9 +33,10 @@ class Thermal:
 
     Arrays are (3,), one figure per sensor axis, except `lag_interval_s` (2,), the 95 % likelihood interval. `meaning`
     states what the slope of an axis is: "bias", or "bias or scale" if one orientation does not distinguish them.
-    `scale_slope` is relative to the scale factor, nan without two orientations. The degrees of a "relative" thermometer
-    have no zero and are comparable with readings of the same thermometer only. `quadratic_sem` is known if a curvature
-    was fitted, and `quadratic` if it was significant; the slope is the one at the reference in both cases.
+    `scale_slope_per_degc` is relative to the scale factor, nan without two orientations. The degrees of a "relative"
+    thermometer have no zero and are comparable with readings of the same thermometer only. The standard error of the
+    quadratic term is known if a curvature was fitted, the term itself if it was significant; the slope is the one at
+    the reference in both cases.
     """
 
     slope_lsb_per_degc: Floats

@@ -112,8 +112,8 @@ def _is_locked(path: Path) -> bool:
 
 
 class Draft:
-    """A log in preparation: rows are added by group and written in whole chunks; `complete` turns the file into the log
-    at `path`.
+    """A log in preparation: rows are added by group and written in whole chunks; `close` makes it a complete log, which
+    `publish` gives its name.
     """
 
     def __init__(self, path: Path, preamble: Preamble, chunk: int = CHUNK, *, durable: bool = False) -> None:

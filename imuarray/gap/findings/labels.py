@@ -161,7 +161,7 @@ def cause_of(label: WrongLabel, sensors: Sequence[str] = ()) -> Cause:
     """Return a wrong label as a cause, `face_error`; of `sensors`, or of the accelerometers that were read in the
     phase.
 
-    `closed` is the share of the accelerometers' squared distance from the face that the right label removes.
+    It closes the share of the accelerometers' squared distance from the face that the right label removes.
     """
     parameters = {"log": label.name, "phase": label.phase.name, "noted": label.phase.up, "true": label.up}
     return Cause(

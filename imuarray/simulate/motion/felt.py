@@ -15,9 +15,9 @@ from imuarray.log.format import Phase
 
 @dataclass(frozen=True)
 class Felt:
-    """The stimulus of the box at n instants `time_ns` (n,): `force` (n, 3) specific force in m/s2, `rate` (n, 3)
-    angular rate in rad/s, `angular_acceleration` (n, 3) in rad/s2, magnetic `field` (n, 3) in gauss, all in the box
-    frame and at its origin; `temperature_degc` (n,) and `pressure_pa` (n,).
+    """The stimulus of the box at n instants `time_ns` (n,): specific force (n, 3) in m/s2, angular rate (n, 3) in
+    rad/s, angular acceleration (n, 3) in rad/s2 and magnetic field (n, 3) in gauss, all in the box frame and at its
+    origin; temperature (n,) and pressure (n,).
 
     Constant columns may be broadcast (read-only); they are not written to.
     """
