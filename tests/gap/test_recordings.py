@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from imuarray.errors import LogError
+from imuarray.gap.findings.observability import _ABSENT, missing_in
 from imuarray.gap.inference.comparison import prepare
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.recording.recordings import Recording, recording_of, recordings_of, temperature_of
@@ -336,6 +337,10 @@ def test_a_thermometer_that_the_log_explains_tells_the_temperature(tmp_path: Pat
     degc = found.experiment.motion.felt(np.array([5, 20, 39]) * SECOND).temperature_degc
     assert degc == pytest.approx([36.5 + 2.5, 36.5 + 6.25, 36.5 + 11.0], abs=0.13)
     assert not found.experiment.plan.sensors["Acc"][0].has_temperature  # there is none to compare it with
+    assert missing_in([found], _ABSENT) == (
+        f"no reference temperature in {path.name}",
+        f"no thermometer beside those of the chips in {path.name}",
+    )
 
 
 def test_a_thermometer_is_compared_where_something_else_tells_the_temperature(tmp_path: Path) -> None:

@@ -204,6 +204,9 @@ def missing_in(recordings: Sequence[Recording], domains: Collection[str]) -> tup
     for recording in recordings:
         if not recording.has_reference_temperature:
             phrases.append(f"no reference temperature in {recording.name}")
+        if recording.temperature_source == "chip":
+            phrases.append(f"no thermometer beside those of the chips in {recording.name}")
+            continue
         headers = [header for header, _ in recording.experiment.plan.sensors.values() if header.chip in THERMOMETERS]
         without = [header.name for header in headers if not header.has_temperature]
         if without and len(without) == len(headers):
