@@ -27,7 +27,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "verify": "check every block of a log",
         "recover": "finish an interrupted log",
         "import": "convert a recording made by other software into a log",
-        "export": "write a log or fused result as CSV, npz, MCAP, MATLAB or Kalibr file",
+        "export": "write a log or a fused result as CSV, NumPy, MCAP, MATLAB or Kalibr file",
         "simulate": "simulate an array, and write a log as the array would record it",
         "characterise": "determine Allan deviation, spectrum, codes and noise of a log at rest",
         "calibrate": "determine sensor parameters from logs: axes, tumble, noise, thermal, turn-on",

@@ -205,8 +205,8 @@ def motion_in(log: Log, start_ns: int, end_ns: int, left_out: Sequence[Phase] = 
             factor, unit = READABLE[sensors[0].unit]
             peak = float(np.maximum(deviation, change)[moving].max())
             size = f"{factor * peak:.3g} {unit}" if peak < 1 else f"{peak:.3g} {sensors[0].unit}"
-            share = f"{100 * moving.mean():.0f} % of it"
-            return f"the box moved in {share} or was in other poses (by up to {size}), but must rest"
+            share = f"{100 * moving.mean():.0f} %"
+            return f"the box must be at rest, but moved or was in other poses for {share} of the time (by up to {size})"
     return ""
 
 

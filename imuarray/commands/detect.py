@@ -54,8 +54,8 @@ def command(**options: Any) -> int:
     imuarray detect --bus i2c:/dev/i2c-1 -o array.toml
 
     Exits 2 if a sensor is missing, a different chip answers in its place, a kernel driver owns its address, or it
-    fails its self-test; 1 if the result of a self-test is undetermined; with --doctor 1 if any check fails (it needs no
-    CONFIG; with one it checks each sensor, too).
+    fails its self-test; 1 if the result of a self-test is undetermined. --doctor needs no CONFIG, and also checks each
+    sensor if there is one; it exits 1 if any check fails.
     """
     return _run(DetectOptions(**options))
 

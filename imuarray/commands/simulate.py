@@ -131,7 +131,7 @@ def _list_effects(context: click.Context, _: click.Parameter, is_given: bool) ->
     show_default=True,
     help="number of the boot: another run of the same units",
 )
-@click.option("--single", is_flag=True, help="compute in single precision (24 bits), which is faster")
+@click.option("--single", is_flag=True, help="compute in single precision (float32), which is faster")
 @click.option(
     "--workers",
     type=click.IntRange(1, 64),

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def command(run: Path, as_json: bool) -> None:
     """Read a whole log and check every block: exit code 0 if it is intact, 2 if rows are damaged.
 
-    The log is not changed. A log that is being written, or that was interrupted, can be checked, too.
+    The log is not changed. A log that is being written, or that was interrupted, can be checked as well.
 
     \b
     imuarray verify run.h5

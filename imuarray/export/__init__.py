@@ -55,7 +55,7 @@ def export(  # noqa: PLR0913
     write = _writer(target)
     tools = TOOLS.get(target.suffix.lower(), ())
     if tool is not None and tool not in tools:
-        tools_text = ", ".join(tools) or "none, because the file is the same for all tools"
+        tools_text = ", ".join(tools) or "none, because all tools read the same file"
         raise ExportError(f"{path}: tool {tool!r}: allowed for {target.suffix} are {tools_text}{guess(tool, tools)}")
     log_path = source if isinstance(source, str | PathLike) else source.path
     exported: ExportSummary = write(
