@@ -54,6 +54,31 @@ def test_what_is_folded_on_the_screen_is_open_on_paper(tmp_path: Path) -> None:
     asyncio.run(visit(written(tmp_path / "page.html")))
 
 
+async def press(page: Browser, key: str, code: int) -> None:
+    """Press and release a key."""
+    text = {"text": "\r"} if key == "Enter" else {}
+    await page.call("Input.dispatchKeyEvent", type="keyDown", key=key, code=key, windowsVirtualKeyCode=code, **text)
+    await page.call("Input.dispatchKeyEvent", type="keyUp", key=key, code=key, windowsVirtualKeyCode=code)
+
+
+def test_a_page_without_a_mouse(tmp_path: Path) -> None:
+    """Tab goes from link to link to the fold, with an outline around what has the focus; Enter opens the fold."""
+
+    async def visit(address: str) -> None:
+        async with browser(tmp_path / "profile", address) as page:
+            await page.until("document.querySelector('details table') !== null")
+            reached: list[str] = []
+            while "SUMMARY" not in reached and len(reached) < 20:
+                await press(page, "Tab", 9)
+                reached.append(await page.value("document.activeElement.tagName"))
+                assert await page.value("getComputedStyle(document.activeElement).outlineStyle") != "none"
+            assert reached[0] == "A" and reached[-1] == "SUMMARY"
+            await press(page, "Enter", 13)
+            assert await page.until("document.querySelector('details').open")
+
+    asyncio.run(visit(written(tmp_path / "page.html")))
+
+
 def test_a_page_on_four_screens(tmp_path: Path) -> None:
     pytest.importorskip("PIL")
 
