@@ -135,7 +135,9 @@ that those at three lags together exceed six in one of 250 phases.
 """
 
 _EXPECTED = 0.7
-"""The same for a filter below the Nyquist frequency of the rows: it is expected to show, and needs less proof."""
+"""The same for a filter below the Nyquist frequency of the rows: it is expected to show, and needs less proof, unless
+it would be tested by more rows than it is fitted to.
+"""
 
 _MEDIAN_VARIANCE = 0.45
 """Variance of the median of three independent correlations, over that of one (order statistics of the normal law)."""
@@ -462,6 +464,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     """
     configured_hz = noise_bandwidth_hz(header)
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
+    all_rows = sum(phase.rows for phase in rests)
     rests = _level_phases(rests, fitted.noise(header))
     if configured_hz <= 0 or not rests:
         return None, 0.0
@@ -479,7 +482,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
         return None, 0.0
     rows = np.array([max(phase.rows, 1) for phase in rests])
     weight = rows / rows.sum()
-    is_expected = 2 * configured_hz < max(pace.rows_per_s for pace in reads)
+    is_expected = 2 * configured_hz < max(pace.rows_per_s for pace in reads) and 2 * rows.sum() > all_rows
     chance_of_mean = (_EXPECTED if is_expected else _BY_CHANCE) * _LAGS / float(rows.sum())
     chance = chance_of_mean * len(rests)
     white = float(weight @ np.square(without_memory).sum(axis=1))
