@@ -129,7 +129,7 @@ def _learned(sensors: Sequence[Calibrated], stretches: Sequence[_Windows]) -> fl
         return None
     names = [sensor.name for sensor, _ in sensors]
     values = [stretch.of(names, is_slow=sensors[0][0].quantity == "specific_force") for stretch in stretches]
-    reduced = [_reduced(each, geometry) for each in values if len(each) >= _FEWEST_OF_STRETCH]
+    reduced = [_sound_windows(each, geometry) for each in values if len(each) >= _FEWEST_OF_STRETCH]
     if sum(len(each.parities) for each in reduced) < _FEWEST:
         return None
     parities, stimulus, slopes = (np.concatenate(columns) for columns in zip(*reduced, strict=True))
@@ -243,7 +243,7 @@ _FEWEST_OF_STRETCH = 20
 """Fewest windows of a part of the log."""
 
 
-class _Reduced(NamedTuple):
+class _SoundWindows(NamedTuple):
     """Windows of a part of the log: parities (n, m - 3), stimulus (n, 3) and its change (n, 3) from window to window,
     less their means.
     """
@@ -253,7 +253,7 @@ class _Reduced(NamedTuple):
     slopes: Floats
 
 
-def _reduced(values: Floats, geometry: _Geometry) -> _Reduced:
+def _sound_windows(values: Floats, geometry: _Geometry) -> _SoundWindows:
     """Return the windows of readings (n, m) in SI that contain no fault."""
     stimulus, parities = values @ geometry.gain.T, values @ geometry.parity.T
     parities = parities - np.median(parities, axis=0)
@@ -262,7 +262,7 @@ def _reduced(values: Floats, geometry: _Geometry) -> _Reduced:
     )
     sound = (np.abs(parities) < allowed).all(axis=1)
     columns = (parities[sound], stimulus[sound], np.gradient(stimulus, axis=0)[sound])
-    return _Reduced(*(column - column.mean(axis=0) if len(column) else column for column in columns))
+    return _SoundWindows(*(column - column.mean(axis=0) if len(column) else column for column in columns))
 
 
 def _noise_of(parities: Floats) -> Floats:
