@@ -134,9 +134,9 @@ _BY_CHANCE = 2.0
 that those at three lags together exceed six in one of 250 phases.
 """
 
-_EXPECTED = 0.7
-"""The same for a filter below the Nyquist frequency of the rows: it is expected to show, and needs less proof, unless
-it would be tested by more rows than it is fitted to.
+_EXPECTED, _AS_CONFIGURED = 0.35, 0.006
+"""The share of that for a filter below the Nyquist frequency of the rows, which is expected to show, where rows are too
+few to prove even the configured one (to this share), and no others test it; half of the step between cutoffs.
 """
 
 _MEDIAN_VARIANCE = 0.45
@@ -482,23 +482,28 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
         return None, 0.0
     rows = np.array([max(phase.rows, 1) for phase in rests])
     weight = rows / rows.sum()
-    is_expected = 2 * configured_hz < max(pace.rows_per_s for pace in reads) and 2 * rows.sum() > all_rows
-    chance_of_mean = (_EXPECTED if is_expected else _BY_CHANCE) * _LAGS / float(rows.sum())
-    chance = chance_of_mean * len(rests)
-    white = float(weight @ np.square(without_memory).sum(axis=1))
-    if white <= chance and float(np.square(weight @ without_memory).sum()) <= chance_of_mean:
-        return None, 0.0
     kinds = tuple(dict.fromkeys(reads))
     of_kind = [kinds.index(pace) for pace in reads]
     is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * max(pace.rows_per_s for pace in reads)
-    sampled_hz = header.rate_hz if is_seen else math.inf
+    filters = _filter_correlations(configured_hz, header.rate_hz if is_seen else math.inf, kinds)
+    by_chance = _BY_CHANCE * _LAGS / float(rows.sum())
+    is_expected = 2 * configured_hz < max(pace.rows_per_s for pace in reads) and 2 * rows.sum() > all_rows
+    shown = min(
+        float(weight @ np.square(expected[of_kind][:, :_LAGS]).sum(axis=1))
+        for effect, expected in filters
+        if abs(effect.cutoff_hz / configured_hz - 1) < _AS_CONFIGURED
+    )
+    chance_of_mean = by_chance * (_EXPECTED if is_expected and shown < by_chance else 1.0)
+    white = float(weight @ np.square(without_memory).sum(axis=1))
+    if white <= chance_of_mean * len(rests) and float(np.square(weight @ without_memory).sum()) <= chance_of_mean:
+        return None, 0.0
     misfits: dict[Bandwidth, float] = {}
-    for effect, expected in _filter_correlations(configured_hz, sampled_hz, kinds):
+    for effect, expected in filters:
         beyond = _beyond_wander(correlations, expected[of_kind], least_wander)
         misfits[effect] = float(weight @ np.square(beyond).sum(axis=1))
     best = min(misfits, key=misfits.__getitem__)
     least = misfits[best]
-    if not least < min(white, _FILTER_MISFIT * white + _BY_CHANCE * _LAGS * len(rests) / float(rows.sum())):
+    if not least < min(white, _FILTER_MISFIT * white + by_chance * len(rests)):
         return None, 0.0
     near = least + _MEDIAN_VARIANCE / float(rows.sum())
     cutoffs_hz = [
@@ -511,7 +516,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     apart = [_samples_apart(float(weight @ [pace.samples_a_row for pace in reads]), lag) for lag in _ALL_LAGS]
     shares = np.array([[shares.get(samples, 0.0) for samples in _ALL_LAGS] for shares in apart])
     measured = tuple(np.linalg.lstsq(shares, weight @ correlations, rcond=None)[0].tolist())
-    if least > _MEASURED * chance and is_single and has_correlations(measured):
+    if least > _MEASURED * by_chance * len(rests) and is_single and has_correlations(measured):
         return replace(best, correlations=measured), 0.0
     return best, spread
 
