@@ -227,12 +227,14 @@ def test_the_decimated_estimator_says_so_and_agrees(log_path: Path) -> None:
 
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With less room for rows that stay in memory than the shorter log has."""
+    """With less room for rows that stay in memory than the shorter log has, which is long enough for the longest
+    segments of both spectra.
+    """
     import tracemalloc
 
     monkeypatch.setattr("imuarray.log.columns.CACHED_BYTES", 1 << 20)
     peaks = []
-    for rows in (300_000, 1_200_000):
+    for rows in (600_000, 2_400_000):
         path = tmp_path / f"{rows}.h5"
         header = SensorHeader("A", "bma180", "specific_force", "g", 2.0, 4096.0, rate_hz=400.0)
         with LogWriter(path, [header], source="simulated", epoch="2020-01-01T00:00:00Z") as log:
