@@ -449,76 +449,122 @@ def _residual_phase(phase: PhaseSummary, motion: Motion, force_box: Floats | Non
     return replace(phase, sensors=sensors)
 
 
-def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameters) -> tuple[Bandwidth | None, float]:
-    """Return the chip's own filter, if rows come fast enough to show it and do (else None), and the standard deviation
-    of the log of its cutoff.
-
-    By least squares of the correlations at lags 1 to 3 in all phases at rest, among filters of one pole and of two
-    whose cutoffs are within `CUTOFF_TOLERANCE` of what is configured, analogue and digital (behind a converter that
-    samples at the chip's data rate), and noise without a memory. Rows of a chip that is polled faster than it samples
-    are 0, 1, ... samples apart (`_samples_apart`): those that read one sample again are equal whatever the filter. What
-    rounding adds no filter passes. A phase may wander, as in the heat (`_beyond_wander`), and is left out if others
-    tell enough (`_level_phases`). Phases are weighted by their rows. If none of these filters fits as chance allows,
-    the nearest one has the measured correlations. Correlations tell no filter if neither they nor their mean over the
-    phases are larger than chance makes those of white noise.
+class _Correlations(NamedTuple):
+    """Correlations (p, k) of a sensor's noise in p phases at rest, at the first k lags, beyond those of readings that
+    are read again; the `reads` and `rows` (p,) of the phases, and the shares (p,) of a wander that would show.
+    `covers`: whether they are most rows at rest of the campaign.
     """
-    configured_hz = noise_bandwidth_hz(header)
-    rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
-    all_rows = sum(phase.rows for phase in rests)
-    rests = _level_phases(rests, fitted.noise(header))
-    if configured_hz <= 0 or not rests:
-        return None, 0.0
+
+    values: Floats
+    reads: tuple[_Reads, ...]
+    rows: Floats
+    least_wander: Floats
+    covers: bool
+
+    @property
+    def by_chance(self) -> float:
+        """The sum of squares over the lags that the mean of the phases has by chance."""
+        return _BY_CHANCE * _LAGS / float(self.rows.sum())
+
+    def misfit(self, expected: Floats) -> float:
+        """Return the sum of squares over the lags, in the mean over rows, beyond correlations `expected` (p, k)."""
+        return float(self.rows @ np.square(self.beyond(expected)).sum(axis=1) / self.rows.sum())
+
+    def beyond(self, expected: Floats) -> Floats:
+        """Return the correlations beyond those `expected` (p, k) and a wander."""
+        return _beyond_wander(self.values, expected, self.least_wander)
+
+    def mean(self, values: Floats) -> Floats:
+        """Return the mean of values (p, k) over rows."""
+        return np.asarray(self.rows @ values / self.rows.sum())
+
+
+def _correlations(campaign: Campaign, header: SensorHeader, fitted: FittedParameters) -> _Correlations | None:
+    """Return the correlations of the phases that tell them; None if there are none.
+
+    Rows of a chip that is polled faster than it samples are 0, 1, ... samples apart (`_samples_apart`): those that read
+    one sample again are equal whatever the filter. What rounding adds no filter passes. A phase may wander, as in the
+    heat, and is left out if others tell enough (`_level_phases`).
+    """
+    every_rest = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
+    rests = _level_phases(every_rest, fitted.noise(header))
+    if not rests:
+        return None
     is_flagged = _is_flagged(campaign, header)
     reads = tuple(_reads(phase, header.rate_hz, is_flagged) for phase in rests)
     again = np.array([[_samples_apart(pace.samples_a_row, lag).get(0, 0.0) for lag in _ALL_LAGS] for pace in reads])
     lags = np.array([np.median(phase.correlation[list(_ALL_LAGS)], axis=1) for phase in rests])
-    least_wander = _WANDERS / np.sqrt([phase.rows for phase in rests])
     noise_share = np.mean(np.square(fitted.rms) / np.square(fitted.noise(header)))
-    correlations = (lags - again) / max(float(noise_share), 0.1)
-    if not np.isfinite(correlations).all():
+    values = (lags - again) / max(float(noise_share), 0.1)
+    rows = np.array([max(phase.rows, 1) for phase in rests], float)
+    covers = bool(2 * rows.sum() > sum(phase.rows for phase in every_rest))
+    least_wander = _WANDERS / np.sqrt([phase.rows for phase in rests])
+    return _Correlations(values, reads, rows, least_wander, covers) if np.isfinite(values).all() else None
+
+
+def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameters) -> tuple[Bandwidth | None, float]:
+    """Return the chip's own filter, if rows come fast enough to show it and do (else None), and the standard deviation
+    of the log of its cutoff.
+
+    By least squares of the correlations at lags 1 to 3, among filters of one pole and of two whose cutoffs are within
+    `CUTOFF_TOLERANCE` of what is configured, analogue and digital (behind a converter that samples at the chip's data
+    rate), and noise without a memory. If none of these filters fits as chance allows, the nearest one has the measured
+    correlations. Correlations tell no filter if neither they nor their mean over the phases are larger than chance
+    makes those of white noise.
+    """
+    configured_hz = noise_bandwidth_hz(header)
+    measured = _correlations(campaign, header, fitted) if configured_hz > 0 else None
+    if measured is None:
         return None, 0.0
-    without_memory = _beyond_wander(correlations, np.zeros_like(correlations), least_wander)
+    without_memory = measured.beyond(np.zeros_like(measured.values))
     if np.abs(without_memory).max() < LEAST_CORRELATION:
         return None, 0.0
-    rows = np.array([max(phase.rows, 1) for phase in rests])
-    weight = rows / rows.sum()
+    reads, phases = measured.reads, len(measured.reads)
     kinds = tuple(dict.fromkeys(reads))
     of_kind = [kinds.index(pace) for pace in reads]
-    is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * max(pace.rows_per_s for pace in reads)
-    filters = _filter_correlations(configured_hz, header.rate_hz if is_seen else math.inf, kinds)
-    by_chance = _BY_CHANCE * _LAGS / float(rows.sum())
-    is_expected = 2 * configured_hz < max(pace.rows_per_s for pace in reads) and 2 * rows.sum() > all_rows
+    fastest_hz = max(pace.rows_per_s for pace in reads)
+    is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * fastest_hz
+    filters = {
+        effect: expected[of_kind]
+        for effect, expected in _filter_correlations(configured_hz, header.rate_hz if is_seen else math.inf, kinds)
+    }
     shown = min(
-        float(weight @ np.square(expected[of_kind][:, :_LAGS]).sum(axis=1))
-        for effect, expected in filters
+        float(measured.mean(np.square(expected[:, :_LAGS])).sum())
+        for effect, expected in filters.items()
         if abs(effect.cutoff_hz / configured_hz - 1) < _AS_CONFIGURED
     )
-    chance_of_mean = by_chance * (_EXPECTED if is_expected and shown < by_chance else 1.0)
-    white = float(weight @ np.square(without_memory).sum(axis=1))
-    if white <= chance_of_mean * len(rests) and float(np.square(weight @ without_memory).sum()) <= chance_of_mean:
+    is_expected = 2 * configured_hz < fastest_hz and measured.covers and shown < measured.by_chance
+    chance = measured.by_chance * (_EXPECTED if is_expected else 1.0)
+    white = measured.misfit(np.zeros_like(measured.values))
+    if white <= chance * phases and float(np.square(measured.mean(without_memory)).sum()) <= chance:
         return None, 0.0
-    misfits: dict[Bandwidth, float] = {}
-    for effect, expected in filters:
-        beyond = _beyond_wander(correlations, expected[of_kind], least_wander)
-        misfits[effect] = float(weight @ np.square(beyond).sum(axis=1))
+    misfits = {effect: measured.misfit(expected) for effect, expected in filters.items()}
     best = min(misfits, key=misfits.__getitem__)
-    least = misfits[best]
-    if not least < min(white, _FILTER_MISFIT * white + by_chance * len(rests)):
+    if not misfits[best] < min(white, _FILTER_MISFIT * white + measured.by_chance * phases):
         return None, 0.0
-    near = least + _MEDIAN_VARIANCE / float(rows.sum())
+    correlations = _of_samples(measured)
+    if misfits[best] > _MEASURED * measured.by_chance * phases and correlations:
+        return replace(best, correlations=correlations), 0.0
+    near = misfits[best] + _MEDIAN_VARIANCE / float(measured.rows.sum())
     cutoffs_hz = [
         effect.cutoff_hz
         for effect, misfit in misfits.items()
         if misfit < near and replace(effect, cutoff_hz=best.cutoff_hz) == best
     ]
-    spread = math.log(max(cutoffs_hz) / min(cutoffs_hz)) / 2
-    is_single = all(abs(pace.samples_a_row - 1) < AT_ITS_RATE for pace in reads)
-    apart = [_samples_apart(float(weight @ [pace.samples_a_row for pace in reads]), lag) for lag in _ALL_LAGS]
+    return best, math.log(max(cutoffs_hz) / min(cutoffs_hz)) / 2
+
+
+def _of_samples(measured: _Correlations) -> tuple[float, ...]:
+    """Return the correlations of successive samples of the chip; empty if rows are not its samples, or no noise has
+    them.
+    """
+    if any(abs(pace.samples_a_row - 1) >= AT_ITS_RATE for pace in measured.reads):
+        return ()
+    samples_a_row = float(measured.mean(np.array([[pace.samples_a_row] for pace in measured.reads]))[0])
+    apart = [_samples_apart(samples_a_row, lag) for lag in _ALL_LAGS]
     shares = np.array([[shares.get(samples, 0.0) for samples in _ALL_LAGS] for shares in apart])
-    measured = tuple(np.linalg.lstsq(shares, weight @ correlations, rcond=None)[0].tolist())
-    if least > _MEASURED * by_chance * len(rests) and is_single and has_correlations(measured):
-        return replace(best, correlations=measured), 0.0
-    return best, spread
+    correlations = tuple(np.linalg.lstsq(shares, measured.mean(measured.values), rcond=None)[0].tolist())
+    return correlations if has_correlations(correlations) else ()
 
 
 def _level_phases(phases: Sequence[Summary], noise: Floats) -> list[Summary]:
