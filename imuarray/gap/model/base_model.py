@@ -134,9 +134,14 @@ _BY_CHANCE = 2.0
 that those at three lags together exceed six in one of 250 phases.
 """
 
-_EXPECTED, _AS_CONFIGURED = 0.35, 0.006
-"""The share of that for a filter below the Nyquist frequency of the rows, which is expected to show, where rows are too
-few to prove even the configured one (to this share), and no others test it; half of the step between cutoffs.
+_EXPECTED = 0.35
+"""Share of that which suffices for a filter below the Nyquist frequency of the rows if the rows are too few to prove
+even the configured filter. It is expected, and a model without it would be wrong for most chips.
+"""
+
+_AS_CONFIGURED = 0.006
+"""Relative difference from the configured cutoff within which a filter is the configured one: half of the step between
+the cutoffs that are tried.
 """
 
 _MEDIAN_VARIANCE = 0.45
@@ -179,8 +184,8 @@ class Base:
         }
 
     def cutoff_deviate(self, sensor: str, replicate: int) -> float:
-        """Return by how many standard deviations the cutoff of a sensor's filter differs from the fitted one: few rows
-        tell it less well than many others test it.
+        """Return by how many standard deviations the cutoff of a sensor's filter differs from the fitted one in a
+        replicate: a fit to few rows is less precise than the statistics of all rows.
         """
         stream = Streams(replicate_seed(self.seed, replicate)).of_unit(sensor, Bandwidth.name, "cutoff")
         return float(np.clip(stream.standard_normal(), -2.0, 2.0))

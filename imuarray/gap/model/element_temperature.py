@@ -18,7 +18,7 @@ from imuarray.gap.recording.recordings import CHIP_LEAD_S
 from imuarray.gap.statistics.campaign import Campaign, LogSummary
 from imuarray.gap.statistics.segments import Segments
 from imuarray.simulate.effects.thermal_lag import ThermalLag
-from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.felt import Motion, thermometer_lag_s
 
 LONGEST_LAG_S = 20.0
 """Longest usual time constant of a chip in a box; beyond it a lag is an effect."""
@@ -77,7 +77,7 @@ def fit_lag(rests: Sequence[HeatedRest], rms: Floats) -> float:
     usual_s = usual_lag_s([rest.motion for rest in rests])
     if not attitudes or not rms.all():
         return usual_s
-    usual = _LAGS_S.index(usual_s)
+    usual = int(np.abs(np.subtract(_LAGS_S, usual_s)).argmin())
     straight, curved = np.array([_misfits(attitudes, lag_s, rms) for lag_s in _LAGS_S]).T
     misfits = curved if straight.min() - curved[usual] > _GAIN else straight
     best = int(np.argmin(misfits))
@@ -94,7 +94,7 @@ def usual_lag_s(motions: Sequence[Motion]) -> float:
     """Return the lag, in s, of a chip whose readings tell none in logs with these motions: none, or that of the
     thermometer by which the temperature is known.
     """
-    return max((float(getattr(motion, "lead_s", 0.0)) for motion in motions), default=0.0)
+    return max(map(thermometer_lag_s, motions), default=0.0)
 
 
 def _is_heated(rests: Sequence[HeatedRest]) -> bool:

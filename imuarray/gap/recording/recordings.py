@@ -76,11 +76,10 @@ UNREFERENCED: Collection[TemperatureSource] = ("chip", "nothing")
 
 
 CHIP_LEAD_S = 5.0
-"""Time constant with which a chip's own thermometer usually follows the temperature of the box. The temperature of a
-heated log that only such a thermometer tells is what it follows with this lag: elements that are faster than that chip
-then have a lag as well, and others the usual one unless their readings tell.
+"""Time constant with which a chip's own thermometer usually follows the temperature of the box. In a heated log without
+a reference temperature, the box has the temperature that such a thermometer follows with this lag. Elements that
+respond faster than that chip then have a positive lag too; this one is used where readings determine none.
 """
-
 
 _SETTLING, _MOST_SETTLING = 5.0, 1000
 """Time constants of its filter in which a chip settles after it was switched on, and the most rows of that time."""
@@ -353,11 +352,11 @@ def _rests_of(phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[int, int]
 
 def _settling_ns(header: SensorHeader, line: Timeline) -> Times:
     """Return the times of the first rows of a log, in which the filter of a chip that was switched on may settle."""
-    if header.bandwidth_hz <= 0:
+    if header.bandwidth_hz <= 0 or not line.rows:
         return np.zeros(0, np.int64)
     settling_s = _SETTLING / (2 * math.pi * header.bandwidth_hz)
     first_ns = np.asarray(line.stamps(0, min(line.rows, _MOST_SETTLING)), np.int64)
-    return first_ns[: np.searchsorted(first_ns, first_ns[:1].sum() + settling_s * 1e9)]
+    return first_ns[: np.searchsorted(first_ns, first_ns[0] + settling_s * 1e9)]
 
 
 class _Comparable:

@@ -247,7 +247,7 @@ def _noise_filter(decay: float, response: _Response) -> tuple[Reals, Reals]:
     digital one the noise is predicted from the previous rows.
     """
     if response.is_warped and abs(decay * math.sqrt(response.poles) * response.band / math.pi - 1) < AT_ITS_RATE:
-        return _own_filter(response)
+        return _bilinear_filter(response)
     if math.isfinite(response.band):
         return _prediction_filter(tuple(_correlation(decay * lag, response) for lag in range(1, _MEMORY + 1)))
     if response.poles == 1:
@@ -267,7 +267,7 @@ def _noise_filter(decay: float, response: _Response) -> tuple[Reals, Reals]:
     return math.sqrt(same / (1 + zero * zero)) * np.array([1.0, zero]), denominator
 
 
-def _own_filter(response: _Response) -> tuple[Reals, Reals]:
+def _bilinear_filter(response: _Response) -> tuple[Reals, Reals]:
     """Return (numerator, denominator) of a warped filter at the rate of its samples, for noise of the same rms."""
     from scipy.signal import butter, lfilter  # imported late because SciPy takes long to load
 

@@ -46,3 +46,10 @@ class Motion(Protocol):
 
     def felt(self, time_ns: Integers) -> Felt:
         """Return what the box senses at these times (n,), in any order."""
+
+
+def thermometer_lag_s(motion: Motion) -> float:
+    """Return the lag, in s, of the thermometer by which the temperature of a motion is known; 0 for motions that state
+    none (`lead_s`).
+    """
+    return float(getattr(motion, "lead_s", 0.0))

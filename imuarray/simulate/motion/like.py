@@ -45,6 +45,10 @@ at 28 Hz take 6 MB, and as much again for a box at rest.
 """
 
 
+_MOST_TRACK_ROWS = 1 << 20
+"""Rows up to which a track is read as a whole to reduce its noise. A longer one is followed as recorded."""
+
+
 class _CubicPieces(NamedTuple):
     """Rows at times (k,) ns, the last row being the first of the next block, and the k - 1 cubic pieces between them,
     p0 + x (p1 + x (p2 + x p3)) for each column with 0 <= x <= 1. p0 of all pieces is `start` (c, k - 1). `moves` (k,)
@@ -356,8 +360,8 @@ class LikeLog:
     It is that of what the thermometer follows with a lag of `lead_s`. The field is that of `fields`, if there are any,
     else the earth's on that face, also while the box moves; the
     pressure is that of height 0. In `rests`, stretches from and to a time in ns, force and rate are the means of
-    the track, and between them a reference's noise is reduced (`without_track_noise`): it is no motion. The log stays
-    open. LogError for a phase
+    the track, and between them a reference's noise is reduced (`without_track_noise`) unless it is very long: noise is
+    no motion. The log stays open. LogError for a phase
     whose `up` is no box axis, or rows that can't be meant.
     """
 
@@ -493,7 +497,7 @@ class LikeLog:
         if track is None or track.specific_force is None or track.angular_rate is None:
             return None
         where = f"{self.log.path}, {name}"
-        if name == "truth" or not self.rests:
+        if name == "truth" or not self.rests or len(track.time) > _MOST_TRACK_ROWS:
             return SplineColumns(track.time, (track.specific_force, track.angular_rate), where)
         from imuarray.simulate.motion.track_noise import without_track_noise  # imported late: SciPy takes long to load
 
@@ -508,15 +512,15 @@ class LikeLog:
         rows are omitted.
         """
         _, track = self._track
-        if track is None or track.specific_force is None or track.angular_rate is None:
+        if not self.rests or track is None or track.specific_force is None or track.angular_rate is None:
             return ()
         time_ns = track.time[:]
-        columns = np.hstack([track.specific_force[:], track.angular_rate[:]])
         means = []
         for start_ns, end_ns in self.rests:
             first, stop = np.searchsorted(time_ns, [start_ns, end_ns]).tolist()
             if stop > first:
-                means.append((start_ns, end_ns, np.asarray(columns[first:stop].mean(axis=0))))
+                rows = np.hstack([track.specific_force[first:stop], track.angular_rate[first:stop]])
+                means.append((start_ns, end_ns, np.asarray(rows.mean(axis=0))))
         return tuple(means)
 
     @cached_property

@@ -12,7 +12,7 @@ import numpy as np
 from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, PhaseField, field_at, resting
-from imuarray.simulate.motion.felt import Felt, Motion
+from imuarray.simulate.motion.felt import Felt, Motion, thermometer_lag_s
 
 if TYPE_CHECKING:  # imported late: it reads logs, which other motions do not need
     from imuarray.simulate.motion.like import SplineColumns
@@ -81,7 +81,7 @@ class PoseSequence:
     @property
     def lead_s(self) -> float:
         """The time by which the temperature leads the thermometer that it comes from."""
-        return float(getattr(self.surroundings, "lead_s", 0.0))
+        return thermometer_lag_s(self.surroundings)
 
     def is_estimated(self, phase: Phase) -> bool:
         """Return whether the attitude in the middle of a phase was estimated."""
@@ -136,9 +136,9 @@ class PoseSequence:
         before and after it; 0 where there is none, or the box already moves.
         """
         forces = GRAVITY_LEVEL @ self._rotations
+        edge_ns = np.arange(0, _EDGE_NS, _EDGE_NS // _EDGE_TIMES, dtype=np.int64)
         steps = {}
         for start_ns, end_ns, columns in self.movements:
-            edge_ns = np.arange(_EDGE_NS, dtype=np.int64)[:: _EDGE_NS // _EDGE_TIMES]
             before = [number for number, phase in enumerate(self.phases) if phase.end_ns <= start_ns][-1:]
             after = [number for number, phase in enumerate(self.phases) if phase.start_ns >= end_ns][:1]
             edges = []

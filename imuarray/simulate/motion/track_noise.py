@@ -18,8 +18,8 @@ _ENDS, _BINS, _ABOVE_NOISE = 5, 25, 1.5
 noise from which on their power is a motion: that of noise alone hardly exceeds it.
 """
 
-_FEWEST_ROWS, _MOST_ROWS = 64, 1 << 20
-"""Rows of a stretch, and of a track, whose noise is reduced: a longer track is not kept in memory."""
+_FEWEST_ROWS = 64
+"""Fewest rows of a stretch that tell the noise, or whose noise is reduced."""
 
 _EVEN = 1.5
 """Longest interval of a stretch over its median: with longer ones, a row's number does not tell its time."""
@@ -34,7 +34,7 @@ def without_track_noise(time_ns: Integers, columns: Reals, rests: Sequence[tuple
     """
     edges = np.searchsorted(time_ns, np.array(rests, np.int64).reshape(-1, 2))
     still = [columns[first:stop] for first, stop in edges.tolist() if stop - first >= _FEWEST_ROWS]
-    if not still or len(time_ns) > _MOST_ROWS:
+    if not still:
         return columns
     # White noise of variance 1 has second differences of variance 6.
     variance = np.median([np.diff(part, n=2, axis=0).var(axis=0) / 6 for part in still], axis=0)

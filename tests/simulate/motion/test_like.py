@@ -304,6 +304,17 @@ def test_instants_that_begin_and_end_alike_are_not_taken_for_each_other(tmp_path
                 np.testing.assert_array_equal(motion.felt(times).force_box, force)
 
 
+def test_a_long_track_is_followed_as_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its noise is not reduced, since the track would have to be in memory."""
+    rows = np.arange(0, 10 * S, 10_000_000)
+    monkeypatch.setattr("imuarray.simulate.motion.like._MOST_TRACK_ROWS", len(rows) - 1)
+    with Log(write(tmp_path / "log.h5", tracks={"reference": track(rows)})) as log:
+        asked = np.array([S, 5 * S, 7 * S])
+        followed = LikeLog(log, rests=((2 * S, 5 * S),)).felt(asked)
+        np.testing.assert_array_equal(followed.force_box, LikeLog(log).felt(asked).force_box)
+        np.testing.assert_array_equal(followed.rate_box, LikeLog(log).felt(asked).rate_box)
+
+
 def test_a_box_at_rest_has_the_mean_of_its_track(tmp_path: Path) -> None:
     rows = np.arange(0, 10 * S, 10_000_000)
     with Log(write(tmp_path / "log.h5", tracks={"reference": track(rows)})) as log:

@@ -48,7 +48,9 @@ was fitted to the step too disturbs all of them.
 """
 
 _HALF_WAY = 0.5
-"""The noise of a log is that of another range if it is more than so far, in the log, on its way there."""
+"""The noise of a log is that of another range if its logarithm has changed by more than this share of the change that
+the other range makes.
+"""
 
 _RANGES = 2
 """So many ranges are tried, those that need the smallest offset and change of noise."""
@@ -155,10 +157,10 @@ def _logs_by_response(evidence: Evidence) -> set[tuple[int, ...]]:
     responses = {log: value for log, value in _by_log(evidence, "motion_along").items() if value > 0}
     noises = _by_log(evidence, "noise")
     logs_of_ranges = set()
-    for ratio in map(np.log, _ratios(evidence).values()):
-        usual = max(noises.values(), default=0.0) if ratio < 0 else min(noises.values(), default=0.0)
-        is_other = {log: (noise - usual) / ratio > _HALF_WAY for log, noise in noises.items()}
-        is_other |= {log: abs(np.log(response) - ratio) < _NEAR for log, response in responses.items()}
+    for log_ratio in map(np.log, _ratios(evidence).values()):
+        usual = max(noises.values(), default=0.0) if log_ratio < 0 else min(noises.values(), default=0.0)
+        is_other = {log: (noise - usual) / log_ratio > _HALF_WAY for log, noise in noises.items()}
+        is_other |= {log: abs(np.log(response) - log_ratio) < _NEAR for log, response in responses.items()}
         logs_of_ranges.add(tuple(sorted(log for log, is_range in is_other.items() if is_range)))
     return logs_of_ranges
 

@@ -80,7 +80,9 @@ def _single_axes(evidence: Evidence) -> Iterator[Hypothesis]:
         begin_s = np.concatenate([phase.segments.time_s - phase.segments.width_s / 2 for phase in phases])
         mean = np.concatenate([phase.segments.mean for phase in phases])
         is_flat = (variance == 0) & (rows > 2)[:, None]
-        for axis in np.flatnonzero(is_flat.any(axis=0) & ~is_flat.all(axis=1).any()).tolist():
+        if is_flat.all(axis=1).any():  # the whole sensor repeats its readings
+            continue
+        for axis in np.flatnonzero(is_flat.any(axis=0)).tolist():
             flat = np.flatnonzero(is_flat[:, axis])
             noise_lsb = np.sqrt(np.median(variance[~is_flat[:, axis], axis])) if len(flat) < len(rows) else 0.0
             is_single_stretch = len(np.unique(mean[flat, axis])) == 1 and len(flat) == np.ptp(flat) + 1
