@@ -111,7 +111,7 @@ def with_response_change(log: Log, calibration: Calibration, only: Collection[st
     stretches = list(_stretches(known)) if any(len(pairs) > 1 for pairs in changing.values()) else []
     sensors = dict(calibration.sensors)
     for pairs in changing.values():
-        change = _learned(pairs, stretches) if len(pairs) > 1 else None
+        change = _estimate_change(pairs, stretches) if len(pairs) > 1 else None
         if change is not None:
             sensors.update({sensor.name: replace(each, response_change=change) for sensor, each in pairs})
     return replace(calibration, sensors=sensors)
@@ -122,17 +122,17 @@ def _may_have_changed(known: SensorCalibration) -> bool:
     return known.response_change is None and bool(np.any(_calibrated_shares(known)))
 
 
-def _learned(sensors: Sequence[Calibrated], stretches: Sequence[_Windows]) -> float | None:
+def _estimate_change(sensors: Sequence[Calibrated], stretches: Sequence[_Windows]) -> float | None:
     """Return the rms change of the responses of at least two sensors; None if their log does not determine it."""
     geometry = _geometry(sensors)
     if geometry is None:
         return None
     names = [sensor.name for sensor, _ in sensors]
     values = [stretch.of(names, is_slow=sensors[0][0].quantity == "specific_force") for stretch in stretches]
-    reduced = [_sound_windows(each, geometry) for each in values if len(each) >= _FEWEST_OF_STRETCH]
-    if sum(len(each.parities) for each in reduced) < _FEWEST:
+    windows = [_sound_windows(each, geometry) for each in values if len(each) >= _FEWEST_OF_STRETCH]
+    if sum(len(each.parities) for each in windows) < _FEWEST:
         return None
-    parities, stimulus, slopes = (np.concatenate(columns) for columns in zip(*reduced, strict=True))
+    parities, stimulus, slopes = (np.concatenate(columns) for columns in zip(*windows, strict=True))
     excited = _excited(stimulus, geometry.stimulus_covariance * np.mean(_noise_of(parities) ** 2))
     directions = excited.shape[1]
     if not directions:

@@ -42,7 +42,7 @@ _NOTHING_LEFT = 0.75 * math.pi
 
 
 _TWO_POLES = Bandwidth(1.0, poles=2.0)
-"""The filter that is supposed unless correlations tell another one."""
+"""The filter that is assumed unless correlations show another one."""
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:

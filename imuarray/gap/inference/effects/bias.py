@@ -46,14 +46,14 @@ _SURE = 4.0
 """Standard errors from which on an axis takes part in a step."""
 
 _WITH_HEAT = 6.0
-"""Nats by which a bias is rarer that lasts as long as the box warms up or cools down: the heat is the usual reason, by
-an element that lags behind it.
+"""Nats by which a bias is rarer if it lasts as long as the box warms up or cools down. The usual reason is an element
+whose temperature lags behind that of the box.
 """
 
 _WARMING_DEGC = 1.0
 _OTHER_RATE = 0.75
-"""Heat is meant where the temperature changes by so much within such stretches, at a rate that differs from that beside
-them by this share of the faster one.
+"""The box warms up or cools down in such stretches if its temperature changes by at least this much in them, and the
+rate of the change differs from the rate outside of them by at least this share of the larger rate.
 """
 
 _ODD = 3.0
