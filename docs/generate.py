@@ -214,11 +214,11 @@ def _effects() -> Pages:
 
     rows, made = [], {}
     for name, kind in EFFECTS.items():
-        module = importlib.import_module(kind.__module__)
-        rows.append((name, f"{name}.md", _headline(module)))
+        headline = f"{kind.meaning}."
+        rows.append((name, f"{name}.md", headline))
         text = [
             f"# Effect `{name}`\n",
-            f"{_sentence(_headline(module))}\n",
+            f"{_sentence(headline)}\n",
             _docstring(kind),
             "## Parameters\n",
             _parameters(kind),

@@ -51,6 +51,8 @@ class Effect:
     """
 
     name: ClassVar[str] = ""
+    meaning: ClassVar[str] = ""
+    """What differs, in one clause."""
     spans: tuple[float, ...] = field(default=(), kw_only=True, metadata={"suffix": ""})
 
     def __post_init__(self) -> None:

@@ -19,15 +19,11 @@ from imuarray.errors import CalibrationError
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.converters import even_step
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.axis_error import AxisError
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.g_sensitivity import GSensitivity
-from imuarray.simulate.effects.misalignment import Misalignment
-from imuarray.simulate.effects.quantisation import Quantisation
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.thermal_lag import ThermalLag
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.conversion import Quantisation
+from imuarray.simulate.effects.noise import WhiteNoise
+from imuarray.simulate.effects.response import AxisError, GSensitivity, Misalignment, Scale
+from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag
 from imuarray.simulate.model import TRIADS, Model, Part, noise_bandwidth_hz
 from imuarray.simulate.parameters import to_table
 from imuarray.simulate.population import Recipe, figure_of

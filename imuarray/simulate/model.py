@@ -30,8 +30,8 @@ from imuarray.log.format import SensorHeader
 from imuarray.simulate.converters import adxl345_bandwidth_hz
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
-from imuarray.simulate.effects.range_reset import RangeReset
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.conversion import RangeReset
+from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.parameters import from_table, spelled
 from imuarray.simulate.population import Recipe, at_ends, drawn, figure_of, table_of
 from imuarray.simulate.streams import Streams

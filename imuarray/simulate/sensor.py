@@ -24,7 +24,7 @@ from imuarray.log.writer import Block
 from imuarray.simulate.active_spans import acting
 from imuarray.simulate.converters import code_span, converted, held, latest_reading, thermometer_counts, thermometer_of
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.own_clock import AT_ITS_RATE, OwnClock
+from imuarray.simulate.effects.timing import AT_ITS_RATE, OwnClock
 from imuarray.simulate.host_latency import DelayedTimes
 from imuarray.simulate.signal import Analog, Codes, Felt, Instants, Motion, Place, per_row
 from imuarray.simulate.streams import CHUNK, DrawMemory, Streams

@@ -20,8 +20,8 @@ from imuarray.log.sensor_log import recorded_header
 from imuarray.log.writer import Stimulus
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
-from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.size_effect import SizeEffect, with_position
+from imuarray.simulate.effects.readings import ChannelSwap
+from imuarray.simulate.effects.response import SizeEffect, with_position
 from imuarray.simulate.model import Model
 from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor, Surroundings
 from imuarray.simulate.signal import Codes, Motion

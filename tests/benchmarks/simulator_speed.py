@@ -19,8 +19,8 @@ from compare import Row, row
 from pyins.inertial_sensor import Parameters
 
 from imuarray.array import parse_array
-from imuarray.simulate.effects.bias_instability import BiasInstability
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.bias import BiasInstability
+from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.motion import Still
 from imuarray.simulate.simulation import Simulation, plan_of
 from imuarray.simulate.streams import CHUNK

@@ -11,8 +11,8 @@ import pytest
 from imuarray.calibrate import load_calibration
 from imuarray.cli import main
 from imuarray.log import open_log
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import WhiteNoise
+from imuarray.simulate.effects.response import Scale
 from tests.calibrate.conftest import FACES, Part, WriteLog, accelerometer, directions, gyroscope, ideal
 from tests.calibrate.tumbled import Tumbled, attitudes, record
 

@@ -14,8 +14,8 @@ from imuarray.log import open_log
 from imuarray.simulate import Simulation, plan_of, write_log
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import WhiteNoise
+from imuarray.simulate.effects.response import Scale
 from imuarray.simulate.motion import Tumble as OnFaces
 from tests.calibrate.conftest import Floats, directions, ideal
 from tests.calibrate.tumbled import CONFIG, Tumbled, attitudes, record

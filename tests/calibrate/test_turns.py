@@ -12,9 +12,8 @@ from scipy.stats import chi2
 from imuarray.calibrate import TumbleResult, calibrate_tumble
 from imuarray.calibrate.turns import TOLERANCE, _missed, _Turn
 from imuarray.log import open_log
-from imuarray.simulate.effects.misalignment import Misalignment
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import WhiteNoise
+from imuarray.simulate.effects.response import Misalignment, Scale
 from tests.calibrate.conftest import Floats, Part, WriteLog, accelerometer, directions, gyroscope, ideal
 from tests.calibrate.tumbled import Tumbled, attitudes, record
 from tests.calibrate.turned import ACCELEROMETERS, G_SENSITIVITY, GYROSCOPES, SCALE, about, effects

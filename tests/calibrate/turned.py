@@ -9,10 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.g_sensitivity import GSensitivity
-from imuarray.simulate.effects.misalignment import Misalignment
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import WhiteNoise
+from imuarray.simulate.effects.response import GSensitivity, Misalignment, Scale
 
 ACCELEROMETERS = ("BMA1", "BMA2")
 GYROSCOPES = ("Gyro1", "Gyro3")

@@ -22,10 +22,9 @@ from imuarray.log.writer import Block
 from imuarray.simulate import Motion, Simulation, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.misalignment import Misalignment
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import WhiteNoise
+from imuarray.simulate.effects.response import Misalignment, Scale
+from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.still import Still, turn_on_run

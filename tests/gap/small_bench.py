@@ -15,7 +15,7 @@ from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.gap.statistics.split import split_of
 from imuarray.simulate import Motion, Simulation, plan_of
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.motion.still import Still
 from tests.gap.made import ARRAY, BASE, RATE_HZ, phases_of
 

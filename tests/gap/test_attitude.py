@@ -19,7 +19,7 @@ from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.gap.statistics.catalogue import statistics
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.scale import Scale
+from imuarray.simulate.effects.response import Scale
 from imuarray.simulate.motion.posed import PoseSequence
 from tests.gap.hand_posed import campaign_in, directions, posed, simulated
 from tests.gap.made import BASE

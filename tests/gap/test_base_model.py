@@ -23,11 +23,9 @@ from imuarray.simulate import parse_model
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.misalignment import Misalignment
-from imuarray.simulate.effects.own_clock import OwnClock
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.size_effect import SizeEffect
-from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.response import Misalignment, Scale, SizeEffect
+from imuarray.simulate.effects.temperature import ThermalBias
+from imuarray.simulate.effects.timing import OwnClock
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.signal import Triple
 from tests.gap.made import BASE, PLANS, OneBlock, block, campaign_of, gaussian, header, summary

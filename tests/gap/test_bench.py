@@ -19,9 +19,9 @@ from imuarray.gap.statistics.probes import PROBES
 from imuarray.gap.statistics.split import split_of
 from imuarray.simulate import Motion, Simulation, plan_of
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.dropped_samples import DroppedSamples
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import WhiteNoise
+from imuarray.simulate.effects.response import Scale
+from imuarray.simulate.effects.timing import DroppedSamples
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.still import Still, turn_on_run
 from tests.gap.made import ARRAY, BASE, RATE_HZ, phases_of

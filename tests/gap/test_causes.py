@@ -29,16 +29,12 @@ from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.axis_error import AxisError
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.dropped_samples import DroppedSamples
-from imuarray.simulate.effects.g_sensitivity import GSensitivity
-from imuarray.simulate.effects.glitches import Glitches
-from imuarray.simulate.effects.quantisation import Quantisation
-from imuarray.simulate.effects.range_reset import RangeReset
-from imuarray.simulate.effects.stuck import Stuck
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.conversion import Quantisation, RangeReset
+from imuarray.simulate.effects.noise import Tone
+from imuarray.simulate.effects.readings import ChannelSwap, Glitches, Stuck
+from imuarray.simulate.effects.response import AxisError, GSensitivity
+from imuarray.simulate.effects.timing import DroppedSamples
 from imuarray.simulate.motion.still import Still
 from tests.gap.small_bench import prepared
 

@@ -36,9 +36,8 @@ from imuarray.gap.statistics.pairs import Pairs, pairs_of
 from imuarray.gap.statistics.synthetic_likelihood import likelihood_of
 from imuarray.simulate import parse_model, plan_of
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.nonlinearity import Nonlinearity
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.noise import Tone
+from imuarray.simulate.effects.response import Nonlinearity, Scale
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.made import BASE, header, units

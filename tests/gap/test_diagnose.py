@@ -19,11 +19,9 @@ from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.recording.recordings import Recording, recordings_of
 from imuarray.log import open_log
 from imuarray.simulate import Motion, parse_model, write_log
-from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.common_mode import CommonMode
-from imuarray.simulate.effects.stuck import Stuck
-from imuarray.simulate.effects.tone import Tone
-from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from imuarray.simulate.effects.bias import CommonMode, TurnOnBias
+from imuarray.simulate.effects.noise import Tone
+from imuarray.simulate.effects.readings import ChannelSwap, Stuck
 from imuarray.simulate.model import Model
 from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble

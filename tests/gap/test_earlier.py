@@ -20,8 +20,7 @@ from imuarray.log.format import Phase
 from imuarray.simulate import Motion, Simulation, plan_of, write_log
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.tone import Tone
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.invariants import check_agreement

@@ -22,8 +22,8 @@ from imuarray.gap.inference.shared_causes import (
 from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import SensorModel
-from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.noise import Tone
+from imuarray.simulate.effects.readings import ChannelSwap
 from imuarray.simulate.motion.still import Still
 from tests.gap.made_states import FITTED, drawn
 from tests.gap.made_states import standing as by_hand

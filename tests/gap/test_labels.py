@@ -23,11 +23,11 @@ from imuarray.log import open_log
 from imuarray.log.format import Phase
 from imuarray.simulate import Simulation, plan_of
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.axis_error import AxisError
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.range_reset import RangeReset
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.conversion import RangeReset
+from imuarray.simulate.effects.noise import WhiteNoise
+from imuarray.simulate.effects.readings import ChannelSwap
+from imuarray.simulate.effects.response import AxisError
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.hand_posed import written
 from tests.gap.made import summarised

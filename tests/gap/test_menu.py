@@ -24,10 +24,9 @@ from imuarray.gap.model.replication import SensorModel
 from imuarray.gap.statistics.probes import PROBES
 from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.tone import Tone
-from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from imuarray.simulate.effects.bias import Bias, TurnOnBias
+from imuarray.simulate.effects.noise import Tone
+from imuarray.simulate.effects.readings import ChannelSwap
 from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble

@@ -22,9 +22,8 @@ from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log.format import Phase
 from imuarray.simulate.effects.bandwidth import Bandwidth
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.thermal_lag import ThermalLag
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.noise import Tone
+from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.still import Still

@@ -11,7 +11,7 @@ import pytest
 from imuarray.gap.recording.outliers import OutlierTally, outliers_in_motion
 from imuarray.log import Log, open_log
 from imuarray.log.format import Phase
-from imuarray.simulate.effects.glitches import Glitches
+from imuarray.simulate.effects.readings import Glitches
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.record import write_log
 from tests.gap.made import SECOND, simulation

@@ -12,8 +12,8 @@ from imuarray.gap.findings.diagnosis import Overlay
 from imuarray.gap.findings.overlays import Curve, bands, curves_of, drawn, overlays_of
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.statistics.campaign import Campaign
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.noise import Tone
+from imuarray.simulate.effects.temperature import ThermalBias
 from tests.gap.made import block, gaussian, summary
 from tests.gap.overlay_bench import Run, benched, where
 

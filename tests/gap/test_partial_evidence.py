@@ -15,8 +15,8 @@ from imuarray.gap.inference.forward_selection import guesses_of
 from imuarray.gap.inference.parameters import distinct
 from imuarray.gap.inference.when import in_logs
 from imuarray.simulate.effects.bandwidth import Bandwidth
-from imuarray.simulate.effects.quantisation import Quantisation
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.conversion import Quantisation
+from imuarray.simulate.effects.noise import Tone
 from tests.gap import sampled
 from tests.gap.effects.evidence_of import evidence_of
 from tests.gap.small_bench import Run

@@ -20,7 +20,7 @@ from imuarray.log import Block, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase, SensorHeader, ThermometerScale
 from imuarray.simulate import Simulation
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.dropped_samples import DroppedSamples
+from imuarray.simulate.effects.timing import DroppedSamples
 from imuarray.simulate.motion.posed import PoseSequence
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.record import write_log

@@ -13,13 +13,10 @@ from imuarray.gap.inference.refinement import look, refine, regress
 from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.bench import Bench
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.g_sensitivity import GSensitivity
-from imuarray.simulate.effects.glitches import Glitches
-from imuarray.simulate.effects.range_reset import RangeReset
-from imuarray.simulate.effects.stale_samples import StaleSamples
-from imuarray.simulate.effects.stuck import Stuck
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.conversion import RangeReset
+from imuarray.simulate.effects.noise import Tone
+from imuarray.simulate.effects.readings import ChannelSwap, Glitches, StaleSamples, Stuck
+from imuarray.simulate.effects.response import GSensitivity
 from tests.gap.search_inputs import found_in, standing_of
 from tests.gap.small_bench import LINE
 

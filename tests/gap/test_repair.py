@@ -25,12 +25,10 @@ from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
 from imuarray.simulate import Simulation
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.quantisation import Quantisation
-from imuarray.simulate.effects.range_reset import RangeReset
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.tone import Tone
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.conversion import Quantisation, RangeReset
+from imuarray.simulate.effects.noise import Tone, WhiteNoise
+from imuarray.simulate.effects.readings import ChannelSwap
+from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.model import Model, parse_model
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.record import write_log

@@ -15,8 +15,7 @@ from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.forward_selection import Round
 from imuarray.gap.inference.search import ROUNDS, SearchResult, _deferred, search_causes
 from imuarray.gap.inference.unit_state import Unit
-from imuarray.simulate.effects.tone import Tone
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from tests.gap.search_inputs import found_in
 from tests.gap.small_bench import LINE, SHORT, Run, prepared
 from tests.selection import some

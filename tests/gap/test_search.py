@@ -35,12 +35,10 @@ from imuarray.gap.inference.when import Span, When
 from imuarray.gap.model.bench import Bench
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.clock_error import ClockError
-from imuarray.simulate.effects.saturation import Saturation
-from imuarray.simulate.effects.skew import Skew
-from imuarray.simulate.effects.stuck import Stuck
-from imuarray.simulate.effects.tone import Tone
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.conversion import Saturation
+from imuarray.simulate.effects.noise import Tone, WhiteNoise
+from imuarray.simulate.effects.readings import Stuck
+from imuarray.simulate.effects.timing import ClockError, Skew
 from tests.gap.made_states import drawn
 from tests.gap.made_states import standing as by_hand
 from tests.gap.search_inputs import evidence, found_in, standing_of

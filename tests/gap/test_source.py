@@ -17,9 +17,8 @@ from imuarray.log import open_log
 from imuarray.log.format import OVERRUN, STALE
 from imuarray.log.writer import Block
 from imuarray.simulate import Simulation, plan_of, write_log
-from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.dropped_samples import DroppedSamples
-from imuarray.simulate.effects.stale_samples import StaleSamples
+from imuarray.simulate.effects.readings import ChannelSwap, StaleSamples
+from imuarray.simulate.effects.timing import DroppedSamples
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.sensor import SimulatedSensor

@@ -13,7 +13,7 @@ from imuarray.gap.model import replication
 from imuarray.gap.model.replication import Models, RememberedMotion, SensorModel, Stage
 from imuarray.gap.recording.recordings import Experiment
 from imuarray.simulate import Motion
-from imuarray.simulate.effects.channel_swap import ChannelSwap
+from imuarray.simulate.effects.readings import ChannelSwap
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.streams import DrawMemory

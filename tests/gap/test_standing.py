@@ -17,9 +17,9 @@ from imuarray.gap.model.replication import SensorModel
 from imuarray.gap.statistics.synthetic_likelihood import FORM, FREEDOM, SyntheticLikelihood
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.noise import Tone
+from imuarray.simulate.effects.readings import ChannelSwap
+from imuarray.simulate.effects.response import Scale
 from tests.gap.made_states import FITTED, drawn, standing
 
 NAN = math.nan

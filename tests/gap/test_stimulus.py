@@ -21,12 +21,9 @@ from imuarray.gap.statistics.environment import SharedSignal, environment_of, fa
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate import Motion, Simulation, plan_of
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.common_mode import CommonMode
-from imuarray.simulate.effects.random_walk import RandomWalk
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.tone import Tone
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.bias import Bias, CommonMode, RandomWalk
+from imuarray.simulate.effects.noise import Tone, WhiteNoise
+from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.motion.faces import resting
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.heating import Heating

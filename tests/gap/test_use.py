@@ -12,8 +12,8 @@ from imuarray.gap.model.downstream import Uses, attitude_of, coasting, fused, us
 from imuarray.gap.recording.recordings import LogReference
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log.format import Phase, SensorHeader
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.response import Scale
+from imuarray.simulate.effects.temperature import ThermalBias
 from tests.gap.made import BASE, PLANS, OneBlock, block, campaign_of, header
 
 GRAVITY = 9.80665

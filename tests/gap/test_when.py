@@ -15,7 +15,7 @@ from imuarray.gap.recording.course import stretches_of
 from imuarray.gap.recording.recordings import sources_of
 from imuarray.gap.statistics.split import split_of
 from imuarray.log.format import Phase
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.noise import Tone
 from tests.gap import sampled
 from tests.selection import some
 

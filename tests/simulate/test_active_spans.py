@@ -10,14 +10,12 @@ from imuarray.simulate import Simulation, plan_of
 from imuarray.simulate.active_spans import spans_of
 from imuarray.simulate.effect import FOREVER_S, Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth
-from imuarray.simulate.effects.dropped_samples import DroppedSamples
-from imuarray.simulate.effects.odr_error import OdrError
-from imuarray.simulate.effects.quantisation import Quantisation
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.stale_samples import StaleSamples
-from imuarray.simulate.effects.thermal_lag import ThermalLag
-from imuarray.simulate.effects.tone import Tone
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.conversion import OdrError, Quantisation
+from imuarray.simulate.effects.noise import Tone, WhiteNoise
+from imuarray.simulate.effects.readings import StaleSamples
+from imuarray.simulate.effects.response import Scale
+from imuarray.simulate.effects.temperature import ThermalLag
+from imuarray.simulate.effects.timing import DroppedSamples
 from imuarray.simulate.motion.still import Still
 from imuarray.simulate.parameters import from_table, to_table
 from tests.gap.small_bench import array_of

@@ -15,9 +15,9 @@ import pytest
 from imuarray.array import parse_array
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
-from imuarray.simulate.effects.misalignment import Misalignment
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import WhiteNoise
+from imuarray.simulate.effects.response import Misalignment
+from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.sensor import SimulatedSensor

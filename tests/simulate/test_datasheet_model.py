@@ -14,7 +14,7 @@ from scipy.stats import truncnorm
 
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects import EFFECTS
-from imuarray.simulate.effects.own_clock import OwnClock
+from imuarray.simulate.effects.timing import OwnClock
 from imuarray.simulate.model import TRIADS, load_model
 from imuarray.simulate.population import Spread
 from imuarray.simulate.streams import Streams

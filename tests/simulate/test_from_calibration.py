@@ -16,10 +16,9 @@ from imuarray.calibrate.stability import Thermal
 from imuarray.errors import CalibrationError
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.thermal_lag import ThermalLag
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import WhiteNoise
+from imuarray.simulate.effects.response import Scale
+from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag
 from imuarray.simulate.from_calibration import calibrated
 from imuarray.simulate.model import Model, parse_model
 from imuarray.simulate.signal import Analog

@@ -17,9 +17,8 @@ from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.tone import Tone
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import Tone, WhiteNoise
+from imuarray.simulate.effects.response import Scale
 from imuarray.simulate.model import Model, load_model, parse_model
 from imuarray.simulate.streams import Streams
 from tests.selection import examples

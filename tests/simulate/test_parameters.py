@@ -16,13 +16,10 @@ from hypothesis import strategies as st
 from imuarray.errors import ConfigError
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
-from imuarray.simulate.effects.axis_error import AxisError
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.clock_error import ClockError
-from imuarray.simulate.effects.g_sensitivity import GSensitivity
-from imuarray.simulate.effects.misalignment import Misalignment
-from imuarray.simulate.effects.nonlinearity import Nonlinearity
-from imuarray.simulate.effects.stuck import Stuck
+from imuarray.simulate.effects.readings import Stuck
+from imuarray.simulate.effects.response import AxisError, GSensitivity, Misalignment, Nonlinearity
+from imuarray.simulate.effects.timing import ClockError
 from imuarray.simulate.parameters import from_table, numbers, spelled, to_table
 from tests.selection import examples, some
 

@@ -14,9 +14,9 @@ from imuarray.array import parse_array
 from imuarray.log.format import LOST_BEFORE, SATURATED, STALE
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
-from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.own_clock import OwnClock
-from imuarray.simulate.effects.size_effect import SizeEffect
+from imuarray.simulate.effects.readings import ChannelSwap
+from imuarray.simulate.effects.response import SizeEffect
+from imuarray.simulate.effects.timing import OwnClock
 from imuarray.simulate.model import parse_model
 from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
 from imuarray.simulate.signal import Instants, Place

@@ -25,15 +25,10 @@ from imuarray.log.format import Phase
 from imuarray.simulate import Felt, Motion, Simulation, plan_like, write_log
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.g_sensitivity import GSensitivity
-from imuarray.simulate.effects.misalignment import Misalignment
-from imuarray.simulate.effects.own_clock import OwnClock
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.skew import Skew
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.thermal_scale import ThermalScale
-from imuarray.simulate.effects.thermometer import Thermometer
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import WhiteNoise
+from imuarray.simulate.effects.response import GSensitivity, Misalignment, Scale
+from imuarray.simulate.effects.temperature import ThermalBias, ThermalScale, Thermometer
+from imuarray.simulate.effects.timing import OwnClock, Skew
 from imuarray.simulate.motion import HandShake, Heating, Tumble
 from tests.simulate.motion_world import MotionWorld
 

@@ -23,7 +23,7 @@ from imuarray.gap.model.rest import REFERENCE_DEGC
 from imuarray.gap.statistics.catalogue import AXES
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.parameters import to_table
 
 TEMPER = 0.3

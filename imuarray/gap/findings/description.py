@@ -24,7 +24,7 @@ from imuarray.gap.statistics.probes import spectrum as spectrum_probes
 from imuarray.gap.statistics.summary import Summary
 from imuarray.gap.statistics.synthetic_likelihood import FORM
 from imuarray.log.format import SensorHeader
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.noise import Tone
 from imuarray.units import READABLE
 
 MOST = 6

@@ -36,7 +36,7 @@ from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.replication import TOGETHER
 from imuarray.gap.model.workers import Run
 from imuarray.gap.statistics.synthetic_likelihood import independent_share
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.noise import Tone
 
 REFINED, CONFIRMED = 4, 3
 """Most trials of a unit that are refined, and confirmed, in a round."""

@@ -21,7 +21,7 @@ from imuarray.gap.statistics.synthetic_likelihood import (
     likelihood_of,
 )
 from imuarray.log.format import SensorHeader
-from imuarray.simulate.effects.channel_swap import ChannelSwap
+from imuarray.simulate.effects.readings import ChannelSwap
 
 Unit = tuple[str, ...]
 """Names of sensors that are searched together."""

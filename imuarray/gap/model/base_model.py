@@ -60,10 +60,10 @@ from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import SEVERAL_SAMPLES, Bandwidth, has_correlations
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.own_clock import AT_ITS_RATE, OwnClock
-from imuarray.simulate.effects.size_effect import SizeEffect, with_position
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.noise import Tone
+from imuarray.simulate.effects.response import SizeEffect, with_position
+from imuarray.simulate.effects.temperature import ThermalBias
+from imuarray.simulate.effects.timing import AT_ITS_RATE, OwnClock
 from imuarray.simulate.model import Model, noise_bandwidth_hz
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.sensor import NO_READY_BIT

@@ -17,7 +17,7 @@ from imuarray.arrays import Floats
 from imuarray.gap.recording.recordings import CHIP_LEAD_S
 from imuarray.gap.statistics.campaign import Campaign, LogSummary
 from imuarray.gap.statistics.segments import Segments
-from imuarray.simulate.effects.thermal_lag import ThermalLag
+from imuarray.simulate.effects.temperature import ThermalLag
 from imuarray.simulate.motion.felt import Motion, thermometer_lag_s
 
 LONGEST_LAG_S = 20.0

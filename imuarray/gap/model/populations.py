@@ -19,9 +19,9 @@ from imuarray.arrays import Floats
 from imuarray.log.format import SensorHeader
 from imuarray.shipped import configs
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.size_effect import SizeEffect
-from imuarray.simulate.effects.turn_on_bias import TurnOnBias
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.bias import TurnOnBias
+from imuarray.simulate.effects.noise import WhiteNoise
+from imuarray.simulate.effects.response import SizeEffect
 from imuarray.simulate.model import TRIADS, Model, Part, load_model, noise_bandwidth_hz
 from imuarray.simulate.population import Figure, Recipe, Spread
 from imuarray.simulate.signal import Triple

@@ -25,13 +25,10 @@ from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, summa
 from imuarray.gap.statistics.split import Split
 from imuarray.log.format import Phase
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.g_sensitivity import GSensitivity
-from imuarray.simulate.effects.misalignment import Misalignment
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from imuarray.simulate.effects.bias import Bias, TurnOnBias
+from imuarray.simulate.effects.readings import ChannelSwap
+from imuarray.simulate.effects.response import GSensitivity, Misalignment, Scale
+from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.motion.felt import Felt, Motion
 from imuarray.simulate.sensor import SimulatedSensor
 from imuarray.simulate.simulation import Simulation

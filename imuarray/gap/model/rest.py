@@ -25,10 +25,9 @@ from imuarray.simulate.converters import code_span
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth, two_pole_cutoff_hz
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.skew import Skew
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.thermal_lag import ThermalLag
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import WhiteNoise
+from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag
+from imuarray.simulate.effects.timing import Skew
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.signal import Triple
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY

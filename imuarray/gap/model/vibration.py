@@ -19,7 +19,7 @@ from imuarray.characterise.spectrum import Spectrum
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.lines import HALF_WIDTH, Line, highest_lines, pool_spectra
 from imuarray.log.format import SensorHeader
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.noise import Tone
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 MOST_G = 6e-4

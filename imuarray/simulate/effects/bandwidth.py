@@ -12,7 +12,7 @@ import numpy as np
 
 from imuarray.arrays import Integers, Reals
 from imuarray.simulate.effect import Effect, scalar
-from imuarray.simulate.effects.own_clock import AT_ITS_RATE
+from imuarray.simulate.effects.timing import AT_ITS_RATE
 from imuarray.simulate.parameters import listed
 from imuarray.simulate.signal import Analog, Place
 
@@ -59,6 +59,7 @@ class Bandwidth(Effect):
     """
 
     name: ClassVar[str] = "bandwidth"
+    meaning: ClassVar[str] = "each reading depends on the previous ones"
     cutoff_hz: float = scalar(math.inf, low=1e-2)
     share: float = scalar(0.0, low=0.0, high=1.0)
     poles: float = scalar(1.0)

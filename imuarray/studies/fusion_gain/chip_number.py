@@ -27,7 +27,7 @@ from imuarray.log import open_log
 from imuarray.printable import counted
 from imuarray.shipped import configs
 from imuarray.simulate import Simulation, effects_of, load_model, plan_of, write_log
-from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
 from imuarray.studies.array_demo import polled_text

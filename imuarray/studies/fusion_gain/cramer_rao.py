@@ -46,14 +46,10 @@ from imuarray.log.format import SensorHeader
 from imuarray.simulate import EFFECTS
 from imuarray.simulate.converters import code_span
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.bias_instability import BiasInstability
-from imuarray.simulate.effects.common_mode import CommonMode
-from imuarray.simulate.effects.misalignment import Misalignment
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.turn_on_bias import TurnOnBias
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.bias import Bias, BiasInstability, CommonMode, TurnOnBias
+from imuarray.simulate.effects.noise import WhiteNoise
+from imuarray.simulate.effects.response import Misalignment, Scale
+from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.units import INERTIAL, SI_PER_UNIT
 
 

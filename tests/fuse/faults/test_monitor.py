@@ -14,8 +14,8 @@ from imuarray.errors import FusionError
 from imuarray.fuse import Frames
 from imuarray.fuse.faults import FaultMonitor
 from imuarray.fuse.faults.monitor import ExclusionMasks
-from imuarray.simulate.effects.range_reset import RangeReset
-from imuarray.simulate.effects.stuck import Stuck
+from imuarray.simulate.effects.conversion import RangeReset
+from imuarray.simulate.effects.readings import Stuck
 from tests.fuse.faults.conftest import (
     QUANTITIES,
     Floats,

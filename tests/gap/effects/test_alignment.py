@@ -15,10 +15,8 @@ from imuarray.gap.inference.effects.axis_error import guesses as axis_errors
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.response import Response, response
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.axis_error import AxisError
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.misalignment import Misalignment
-from imuarray.simulate.effects.scale import Scale
+from imuarray.simulate.effects.response import AxisError, Misalignment, Scale
 from tests.gap.effects.evidence_of import evidence_of
 from tests.selection import some
 

@@ -10,8 +10,8 @@ import pytest
 from imuarray.gap.inference.effects.behind_codes import _moments, behind
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.quantisation import Quantisation
-from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.conversion import Quantisation
+from imuarray.simulate.effects.temperature import ThermalBias
 from tests.gap.effects.evidence_of import evidence_of
 
 

@@ -13,11 +13,9 @@ from imuarray.gap.inference.effects.range_reset import RANGE_RESET
 from imuarray.gap.inference.effects.turn_on_bias import TURN_ON_BIAS
 from imuarray.gap.inference.when import Span
 from imuarray.gap.recording.resets import Reset
-from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.bistable_bias import BistableBias
-from imuarray.simulate.effects.dropped_samples import DroppedSamples
-from imuarray.simulate.effects.range_reset import RangeReset
-from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from imuarray.simulate.effects.bias import Bias, BistableBias, TurnOnBias
+from imuarray.simulate.effects.conversion import RangeReset
+from imuarray.simulate.effects.timing import DroppedSamples
 from tests.gap.effects.evidence_of import evidence_of
 from tests.selection import some
 

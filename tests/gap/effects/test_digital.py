@@ -20,14 +20,9 @@ from imuarray.gap.inference.effects import (
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.adaptive_range import AdaptiveRange
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.glitches import Glitches
-from imuarray.simulate.effects.odr_error import OdrError
-from imuarray.simulate.effects.quantisation import Quantisation
-from imuarray.simulate.effects.saturation import Saturation
-from imuarray.simulate.effects.stale_samples import StaleSamples
-from imuarray.simulate.effects.stuck import Stuck
+from imuarray.simulate.effects.conversion import AdaptiveRange, OdrError, Quantisation, Saturation
+from imuarray.simulate.effects.readings import Glitches, StaleSamples, Stuck
 from tests.gap.effects.evidence_of import evidence_of
 from tests.selection import some
 

@@ -11,8 +11,8 @@ import pytest
 from imuarray.gap.inference.effects import glitches
 from imuarray.gap.inference.effects.lag import lags
 from imuarray.gap.statistics.cross import Cross
-from imuarray.simulate.effects.glitches import Glitches
-from imuarray.simulate.effects.skew import Skew
+from imuarray.simulate.effects.readings import Glitches
+from imuarray.simulate.effects.timing import Skew
 from tests.gap.effects.evidence_of import evidence_of
 from tests.selection import some
 

@@ -21,9 +21,8 @@ from imuarray.log import open_log
 from imuarray.log.format import LOST_BEFORE, STALE
 from imuarray.simulate import Simulation
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.dropped_samples import DroppedSamples
-from imuarray.simulate.effects.glitches import Glitches
-from imuarray.simulate.effects.stuck import Stuck
+from imuarray.simulate.effects.readings import Glitches, Stuck
+from imuarray.simulate.effects.timing import DroppedSamples
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.record import write_log
 from tests.gap.made import BASE, simulation

@@ -17,11 +17,8 @@ from imuarray.gap.inference.effects.scale import SCALE
 from imuarray.gap.inference.effects.size_effect import SIZE_EFFECT
 from imuarray.simulate.active_spans import spans_of
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.g_sensitivity import GSensitivity
-from imuarray.simulate.effects.nonlinearity import Nonlinearity
-from imuarray.simulate.effects.scale import Scale
-from imuarray.simulate.effects.size_effect import SizeEffect
+from imuarray.simulate.effects.readings import ChannelSwap
+from imuarray.simulate.effects.response import GSensitivity, Nonlinearity, Scale, SizeEffect
 from tests.gap.effects.evidence_of import TWO_FACES, evidence_of
 from tests.selection import some
 

@@ -7,8 +7,8 @@ import pytest
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.removal import removals, with_removal
 from imuarray.simulate.effects.bandwidth import Bandwidth
-from imuarray.simulate.effects.random_walk import RandomWalk
-from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.bias import RandomWalk
+from imuarray.simulate.effects.temperature import ThermalBias
 from tests.gap.effects.evidence_of import evidence_of
 
 NEW = Hypothesis((RandomWalk((1e-3,) * 3),), ("density",))

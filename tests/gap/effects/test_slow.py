@@ -19,11 +19,7 @@ from imuarray.gap.inference.effects.random_walk import RANDOM_WALK
 from imuarray.gap.inference.effects.slow import Allan, allan_of, gauss_markov, size_of, slower, wander_of, within
 from imuarray.gap.inference.evidence import Spell
 from imuarray.gap.inference.when import Span, When
-from imuarray.simulate.effects.bias_instability import BiasInstability
-from imuarray.simulate.effects.common_mode import CommonMode
-from imuarray.simulate.effects.popcorn_noise import PopcornNoise
-from imuarray.simulate.effects.random_walk import RandomWalk
-from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from imuarray.simulate.effects.bias import BiasInstability, CommonMode, PopcornNoise, RandomWalk, TurnOnBias
 from tests.gap.effects.evidence_of import evidence_of
 
 

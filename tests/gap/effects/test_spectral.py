@@ -17,9 +17,8 @@ from imuarray.gap.model.rest import FittedParameters
 from imuarray.gap.statistics.lines import highest_lines
 from imuarray.simulate.active_spans import spans_of
 from imuarray.simulate.effects.bandwidth import Bandwidth
-from imuarray.simulate.effects.skew import Skew
-from imuarray.simulate.effects.tone import Tone
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import Tone, WhiteNoise
+from imuarray.simulate.effects.timing import Skew
 from tests.gap.effects.evidence_of import evidence_of
 from tests.gap.made import RATE_HZ
 

@@ -16,10 +16,7 @@ from imuarray.gap.inference.when import Span
 from imuarray.gap.recording.events import Host
 from imuarray.gap.recording.host_lag import HostLag
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.clock_error import ClockError
-from imuarray.simulate.effects.dropped_samples import DroppedSamples
-from imuarray.simulate.effects.jitter import Jitter
-from imuarray.simulate.effects.skew import Skew
+from imuarray.simulate.effects.timing import ClockError, DroppedSamples, Jitter, Skew
 from tests.gap.effects.evidence_of import evidence_of
 from tests.gap.made import RATE_HZ
 from tests.selection import some

@@ -11,9 +11,7 @@ from imuarray.gap.inference.effects.thermal_bias import THERMAL_BIAS
 from imuarray.gap.inference.effects.thermal_lag import THERMAL_LAG
 from imuarray.gap.inference.effects.thermal_lag import lagged as temperature_behind
 from imuarray.gap.inference.effects.thermal_scale import THERMAL_SCALE
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.thermal_lag import ThermalLag
-from imuarray.simulate.effects.thermal_scale import ThermalScale
+from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag, ThermalScale
 from tests.gap.effects.evidence_of import TWO_FACES, WARM_TUMBLE, evidence_of
 from tests.selection import some
 

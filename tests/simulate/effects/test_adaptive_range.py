@@ -12,7 +12,7 @@ from firmware_emulator.element import UnitDeviations
 from firmware_emulator.mechanisms.converter import AdaptiveRange as Mechanism
 from firmware_emulator.mechanisms.mechanism import FittedBoard, Fitting
 from firmware_emulator.world import WorldStimulus
-from imuarray.simulate.effects.adaptive_range import LONGEST, AdaptiveRange
+from imuarray.simulate.effects.conversion import LONGEST, AdaptiveRange
 
 MS = 10**6
 PER_DPS = 10.0

@@ -11,7 +11,7 @@ from scipy.linalg import toeplitz
 
 from imuarray.log.format import STALE
 from imuarray.simulate.effects.bandwidth import Bandwidth
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.signal import Analog
 from imuarray.simulate.simulation import Plan, Simulation
 from imuarray.simulate.timeline import PollTimes

@@ -9,9 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.bistable_bias import BistableBias
-from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from imuarray.simulate.effects.bias import Bias, BistableBias, TurnOnBias
 from imuarray.simulate.signal import Analog
 from tests.simulate.conftest import MakePlace, furthest, header
 

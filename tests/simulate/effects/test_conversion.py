@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from imuarray.simulate.converters import code_span, converted
-from imuarray.simulate.effects.quantisation import Quantisation
-from imuarray.simulate.effects.saturation import Saturation
+from imuarray.simulate.effects.conversion import Quantisation, Saturation
 
 
 class TestQuantisation:

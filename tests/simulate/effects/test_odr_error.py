@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imuarray.simulate.converters import held
-from imuarray.simulate.effects.odr_error import OdrError
+from imuarray.simulate.effects.conversion import OdrError
 from imuarray.simulate.signal import Analog, Codes, Instants
 from tests.simulate.conftest import MakePlace, header
 

@@ -15,8 +15,8 @@ from scipy import stats
 from imuarray.array import parse_array
 from imuarray.log.format import STALE
 from imuarray.simulate.converters import held, latest_reading
-from imuarray.simulate.effects.odr_error import OdrError
-from imuarray.simulate.effects.own_clock import OwnClock
+from imuarray.simulate.effects.conversion import OdrError
+from imuarray.simulate.effects.timing import OwnClock
 from imuarray.simulate.sensor import SimulatedSensor
 from imuarray.simulate.signal import Codes, Instants, Place
 from imuarray.simulate.simulation import Simulation, plan_of

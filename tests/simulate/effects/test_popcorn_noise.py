@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import poisson
 
-from imuarray.simulate.effects.popcorn_noise import PopcornNoise
+from imuarray.simulate.effects.bias import PopcornNoise
 from imuarray.simulate.signal import Analog
 from tests.simulate.conftest import MakePlace
 

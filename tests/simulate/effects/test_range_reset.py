@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imuarray.log.format import RECONFIGURED, SUSPECT
-from imuarray.simulate.effects.range_reset import RangeReset
+from imuarray.simulate.effects.conversion import RangeReset
 from imuarray.simulate.signal import Analog, Codes, Instants
 from tests.simulate.conftest import MakePlace, header
 

@@ -14,10 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.stats import chisquare
 
-from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.glitches import Glitches
-from imuarray.simulate.effects.stale_samples import StaleSamples
-from imuarray.simulate.effects.stuck import Stuck
+from imuarray.simulate.effects.readings import ChannelSwap, Glitches, StaleSamples, Stuck
 
 ROWS = 100_000
 shared = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])  # fixtures are plain functions here

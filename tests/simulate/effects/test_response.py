@@ -12,12 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from imuarray.simulate.effects.axis_error import AxisError
 from imuarray.simulate.effects.bias import Bias
-from imuarray.simulate.effects.g_sensitivity import GSensitivity
-from imuarray.simulate.effects.misalignment import Misalignment
-from imuarray.simulate.effects.nonlinearity import Nonlinearity
-from imuarray.simulate.effects.scale import Scale
+from imuarray.simulate.effects.response import AxisError, GSensitivity, Misalignment, Nonlinearity, Scale
 
 PAIRS = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 """Order of the six angles: xy, xz, yx, yz, zx, zy."""

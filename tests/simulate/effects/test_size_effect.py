@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from imuarray.simulate.effects.size_effect import SizeEffect
+from imuarray.simulate.effects.response import SizeEffect
 from imuarray.simulate.signal import Felt
 from tests.selection import examples
 from tests.simulate.conftest import Constant, G, MakePlace, times

@@ -9,9 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bias_instability import BiasInstability
-from imuarray.simulate.effects.common_mode import CommonMode
-from imuarray.simulate.effects.random_walk import RandomWalk
+from imuarray.simulate.effects.bias import BiasInstability, CommonMode, RandomWalk
 from imuarray.simulate.signal import Analog, Place
 from tests.simulate.conftest import Floats, MakePlace, furthest, header
 

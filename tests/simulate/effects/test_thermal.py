@@ -11,10 +11,7 @@ import pytest
 from scipy.stats import chi2
 
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.effects.thermal_lag import ThermalLag
-from imuarray.simulate.effects.thermal_scale import ThermalScale
-from imuarray.simulate.effects.thermometer import Thermometer
+from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag, ThermalScale, Thermometer
 from imuarray.simulate.signal import Analog
 from tests.simulate.conftest import Constant, Floats, MakePlace, times
 

@@ -11,10 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.simulate.effects.clock_error import ClockError
-from imuarray.simulate.effects.dropped_samples import DroppedSamples
-from imuarray.simulate.effects.jitter import Jitter
-from imuarray.simulate.effects.skew import Skew
+from imuarray.simulate.effects.timing import ClockError, DroppedSamples, Jitter, Skew
 from imuarray.simulate.signal import Instants
 from imuarray.simulate.streams import CHUNK
 from tests.selection import some

@@ -19,7 +19,7 @@ from imuarray.calibrate.start_up import start_up_states
 from imuarray.fuse import OPTIMAL, error_frames, fuse
 from imuarray.log import Log, open_log
 from imuarray.simulate import Simulation, plan_of, write_log
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
 from imuarray.simulate.experiments import ExperimentOptions
 from imuarray.studies.fusion_gain import GainRow, Study, study, true_calibration

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.adaptive_range import AdaptiveRange
+from imuarray.simulate.effects.conversion import AdaptiveRange
 
 _CHIP = "icm42688_gyro"
 _THRESHOLD_DPS, _HOLD_S = 100.0, 0.0015

@@ -13,7 +13,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.response import response
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.axis_error import AxisError
+from imuarray.simulate.effects.response import AxisError
 
 _PROBES = (
     *("mean", "force_own", "force_next", "force_after"),

@@ -21,7 +21,7 @@ from imuarray.gap.inference.effects.slow import (
     wander_of,
 )
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.bias_instability import BiasInstability
+from imuarray.simulate.effects.bias import BiasInstability
 from imuarray.simulate.signal import Triple
 
 

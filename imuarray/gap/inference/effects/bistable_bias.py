@@ -12,7 +12,7 @@ from imuarray.gap.inference.effects.levels import levels, log_levels
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.turn_on_bias import BEYOND, TRACES
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.bistable_bias import BistableBias
+from imuarray.simulate.effects.bias import BistableBias
 
 _WIDE = 2.0
 """A gap so many times the mean of the others parts two groups."""

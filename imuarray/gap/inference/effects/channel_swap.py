@@ -20,7 +20,7 @@ from imuarray.gap.inference.when import Span, When
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.channel_swap import ChannelSwap
+from imuarray.simulate.effects.readings import ChannelSwap
 
 _NOISE = ("fast_own_axes", "fast_box_axes", "fast_other_chips", "slow_own_axes", "slow_box_axes")
 _AXES = (("force_own", "motion_gain"), ("force_next", "motion_next"), ("force_after", "motion_after"))

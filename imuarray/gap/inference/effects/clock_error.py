@@ -14,7 +14,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.lag import odd_lags
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.clock_error import ClockError
+from imuarray.simulate.effects.timing import ClockError
 
 _MOST_PPM = 2e5
 _FURTHER = (1.0, -1.0, 3.0, -3.0)

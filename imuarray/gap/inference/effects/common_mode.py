@@ -26,8 +26,7 @@ from imuarray.gap.inference.effects.slow import (
 )
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence, Spell
 from imuarray.gap.statistics.cross import Cross
-from imuarray.simulate.effects.common_mode import CommonMode
-from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from imuarray.simulate.effects.bias import CommonMode, TurnOnBias
 from imuarray.simulate.signal import Triple
 
 _TRACES = ("slow_own_axes", "fast_own_axes", "slow_between_axes")

@@ -11,7 +11,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis, Kind
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.inference.when import NUMBERS, SINGLE, Span, stretches
-from imuarray.simulate.effects.dropped_samples import DroppedSamples
+from imuarray.simulate.effects.timing import DroppedSamples
 
 _PROBES = ("gaps", "skips", "lost", "longest_interval", "irregularity", "interval")
 

@@ -13,7 +13,7 @@ from imuarray.gap.inference.effects.in_motion import CHANGE, FORCE, Moments, mom
 from imuarray.gap.inference.effects.levels import levels
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.g_sensitivity import GSensitivity
+from imuarray.simulate.effects.response import GSensitivity
 
 _AT_REST = ("force_own", "force_next", "force_after", "mean")
 _DELAY = "motion_delay"

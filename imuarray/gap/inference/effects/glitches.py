@@ -16,7 +16,7 @@ from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.inference.when import NUMBERS, SINGLE
 from imuarray.gap.statistics.probes.probe import noise_lsb
 from imuarray.gap.statistics.summary import Summary
-from imuarray.simulate.effects.glitches import Glitches, high_byte
+from imuarray.simulate.effects.readings import Glitches, high_byte
 
 _STEPS = ("tail", "extreme", "kurtosis", "noise_excess", "noise_uneven")
 _IN_MOTION = "motion_residual"

@@ -15,7 +15,7 @@ from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.repetition import repeated_share
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.statistics.probes.motion import residual
-from imuarray.simulate.effects.jitter import Jitter
+from imuarray.simulate.effects.timing import Jitter
 
 _LEAST, _MOST = 1e-4, 0.9
 

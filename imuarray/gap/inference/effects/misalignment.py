@@ -10,7 +10,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.response import DOUBTFUL, ODD, response, size_of_score
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.misalignment import Misalignment
+from imuarray.simulate.effects.response import Misalignment
 
 _LARGEST_DEG = 45.0
 """What leans further is nearer to another axis."""

@@ -13,7 +13,7 @@ from imuarray.gap.inference.effects.in_motion import CUBED, OWN, REFERENCE, ROTA
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.statistics.cross import SQUARES
-from imuarray.simulate.effects.nonlinearity import Nonlinearity
+from imuarray.simulate.effects.response import Nonlinearity
 
 _IN_MOTION = ("motion_residual", "motion_coupling", "motion_gain", "motion_square", "motion_cube")
 _SQUARE, _CUBE = "motion_square", "motion_cube"

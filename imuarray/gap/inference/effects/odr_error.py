@@ -17,7 +17,7 @@ from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.repetition import repeated_share
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.converters import EVEN_ONLY_FROM_HZ, code_span
-from imuarray.simulate.effects.odr_error import OdrError
+from imuarray.simulate.effects.conversion import OdrError
 
 _REPEATS = ("repeats", "stale", "longest_repeat")
 _NEAR = 0.15

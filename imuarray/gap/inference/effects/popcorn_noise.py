@@ -12,7 +12,7 @@ from imuarray.gap.inference.effects.levels import levels
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.slow import BEYOND, TRACES, Wander, longest_s, sized, slower, wander_of
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.popcorn_noise import PopcornNoise
+from imuarray.simulate.effects.bias import PopcornNoise
 
 _FREE = ("amplitude", "switches_per_s")
 _SELDOM = 0.05

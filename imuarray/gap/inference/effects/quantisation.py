@@ -17,7 +17,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis, Kind
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.converters import code_span
-from imuarray.simulate.effects.quantisation import Quantisation
+from imuarray.simulate.effects.conversion import Quantisation
 
 _PROBES = ("odd_codes", "second_bit", "absent_codes", "repeats")
 _LEAPS = ("kurtosis", "extreme", "noise_excess", "force_square")

@@ -12,7 +12,7 @@ from imuarray.gap.inference.effects.levels import levels
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.slow import BEYOND, TRACES, allan_of, size_of, sized
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.random_walk import RandomWalk
+from imuarray.simulate.effects.bias import RandomWalk
 
 _ALIKE = 2.0
 """Levels that are farther apart by this factor than the Allan variances say make a guess of their own."""

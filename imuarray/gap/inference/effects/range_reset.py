@@ -17,8 +17,8 @@ from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.steps import Onset, States, onsets, states_of_logs
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import NUMBERS, Span, stretches
-from imuarray.simulate.effects.dropped_samples import DroppedSamples
-from imuarray.simulate.effects.range_reset import RangeReset
+from imuarray.simulate.effects.conversion import RangeReset
+from imuarray.simulate.effects.timing import DroppedSamples
 
 _WHOLE = ("force_own", "motion_gain", "thermal_slope", "code_ends", "saturated", "code_pile")
 _LOGS = ("run_spread", "run_scatter", "run_two_states", "run_outlier", "mean", "noise")

@@ -12,7 +12,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.converters import CodeSpan, code_span
-from imuarray.simulate.effects.saturation import Saturation
+from imuarray.simulate.effects.conversion import Saturation
 
 _PROBES = ("code_pile", "skewness", "kurtosis", "motion_residual", "motion_gain", "force_square", "force_own")
 _PILE = 3.0

@@ -18,7 +18,7 @@ from imuarray.gap.inference.effects.response import DOUBTFUL, ODD, response, siz
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import Span, When
 from imuarray.gap.statistics.probes.level import mean
-from imuarray.simulate.effects.scale import Scale
+from imuarray.simulate.effects.response import Scale
 
 _LARGEST = 0.9
 """More than that isn't an error of scale."""

@@ -11,7 +11,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.in_motion import ROTATION, moments
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.size_effect import SizeEffect
+from imuarray.simulate.effects.response import SizeEffect
 from imuarray.units import SI_PER_UNIT
 
 _BEYOND = 2.7

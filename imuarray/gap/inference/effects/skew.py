@@ -9,7 +9,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.lag import mean_of, odd_lags
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.skew import Skew
+from imuarray.simulate.effects.timing import Skew
 
 _AHEAD = 6.0
 """A reading may be old when it is stamped; one that is made after its stamp is rare. Of two sensors that differ the one

@@ -12,7 +12,7 @@ from scipy.optimize import nnls
 from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.levels import levels, log_levels
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
-from imuarray.simulate.effects.bias_instability import BiasInstability
+from imuarray.simulate.effects.bias import BiasInstability
 from imuarray.simulate.signal import Triple
 
 TRACES = (

@@ -9,7 +9,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis, Kind
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.repetition import repeated_share
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.stale_samples import StaleSamples
+from imuarray.simulate.effects.readings import StaleSamples
 
 _PROBES = ("repeats", "stale", "longest_repeat", "lag_1")
 _LEAST, _MOST = 1e-4, 0.95

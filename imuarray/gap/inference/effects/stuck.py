@@ -13,7 +13,7 @@ from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence, Repetition
 from imuarray.gap.inference.when import NUMBERS, SINGLE, Span, stretches
 from imuarray.simulate.effect import FOREVER_S
-from imuarray.simulate.effects.stuck import Stuck
+from imuarray.simulate.effects.readings import Stuck
 
 _PROBES = ("longest_repeat", "repeats", "stale", "noise_uneven")
 _SPREAD = ("noise", "noise_uneven", "noise_excess", "kurtosis")

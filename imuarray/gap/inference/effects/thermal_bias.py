@@ -10,7 +10,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.levels import Levels, levels
 from imuarray.gap.inference.effects.thermal import BEYOND, LEAST_DEGC, TRACES, fitted, is_warmed, warmth
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.temperature import ThermalBias
 
 _CLEAR = 2.0
 """A coefficient so many standard errors from 0 is one."""

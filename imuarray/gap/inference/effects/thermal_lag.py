@@ -15,7 +15,7 @@ from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.thermal import BEYOND, TRACES, fitted, is_warmed, warmth
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.model.rest import REFERENCE_DEGC
-from imuarray.simulate.effects.thermal_lag import ThermalLag
+from imuarray.simulate.effects.temperature import ThermalLag
 
 _TRIED = 30
 _STEPS = 2000

@@ -13,7 +13,7 @@ from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.response import DOUBTFUL, ODD, response, size_of_score
 from imuarray.gap.inference.effects.thermal import BEYOND, LEAST_DEGC, TRACES, fitted, warmth
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.thermal_scale import ThermalScale
+from imuarray.simulate.effects.temperature import ThermalScale
 
 _CLEAR = 2.0
 

@@ -15,7 +15,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import SAME_RATE, Evidence, PhaseEvidence
 from imuarray.gap.statistics.lines import HALF_WIDTH, highest_lines, pool_spectra
-from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.signal import Triple
 
 _TRACES = (

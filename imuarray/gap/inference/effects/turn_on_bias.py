@@ -10,7 +10,7 @@ from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.levels import change_between_logs, levels, log_levels
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from imuarray.simulate.effects.bias import TurnOnBias
 
 TRACES = ("run_spread", "run_scatter", "run_two_states", "run_outlier", "mean")
 """Probes that move where boots differ."""

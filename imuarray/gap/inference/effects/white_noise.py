@@ -16,7 +16,7 @@ from imuarray.gap.inference.effects.quietness import BEYOND, noise_of_logs, with
 from imuarray.gap.inference.effects.steps import Onset, onsets
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import ALWAYS, Span, When, in_logs, join_spans, since
-from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.effects.noise import WhiteNoise
 
 _GROWN = 0.1
 """Log of the ratio of noises after and before a moment from which on the noise has grown."""

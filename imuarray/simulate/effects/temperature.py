@@ -1,4 +1,4 @@
-"""`thermal_lag`: the sensing element, or a part of it, warms up later than the box."""
+"""Effects of temperature: its delay in the element, slopes of bias and scale factor, errors of the thermometer."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 
 from imuarray.arrays import Integers, Reals
 from imuarray.simulate.effect import Effect, per_axis, scalar
-from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.signal import Analog, Felt, Motion, Place, Triple
+from imuarray.simulate.signal import Analog, Felt, Motion, Place, Triple, per_row
 
 _STEPS = 50
 """Number of steps of the recursion per time constant."""
@@ -37,6 +36,7 @@ class ThermalLag(Effect):
     """
 
     name: ClassVar[str] = "thermal_lag"
+    meaning: ClassVar[str] = "the sensing element, or a part of it, warms up later than the box"
     time_constant_s: float = scalar(0.0, low=0.0, high=1e6)
     slope: Triple = per_axis(suffix="_{u}_per_degc")
     reference_degc: float = scalar(25.0, low=-273.15, high=1000.0)
@@ -84,3 +84,78 @@ class ThermalLag(Effect):
         new = 1.0 - phi - old
         lagged, _ = lfilter([new, old], [1.0, -phi], box, zi=[(1.0 - new) * box[0]])
         return np.asarray(lagged)
+
+
+@dataclass(frozen=True)
+class ThermalScale(Effect):
+    """y = x (1 + slope (T - reference)), T the element's temperature in degC.
+
+    `slope` is a share of one per degC, `reference_degc` where it vanishes. Typical are 1e-4 (BMA-116, ADX-64) and
+    -3e-3 for the HMC5883L (HMC-57); the L3G4200D changes by 2 % from -40 to 85 degC (L3G-72). In data: what follows the
+    thermometer is proportional to what is measured: opposite on opposite faces.
+    """
+
+    name: ClassVar[str] = "thermal_scale"
+    meaning: ClassVar[str] = "the scale factor depends on the temperature of the sensing element"
+    slope: Triple = per_axis(suffix="_per_degc")
+    reference_degc: float = scalar(25.0, low=-273.15, high=1000.0)
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        """Scale the value."""
+        if self.slope == (0.0, 0.0, 0.0):
+            return analog
+        value = analog.value
+        warmer = (analog.temperature_degc - self.reference_degc).astype(value.dtype)[:, None]
+        return replace(analog, value=value + value * (warmer * per_row(self.slope, value)))
+
+
+@dataclass(frozen=True)
+class ThermalBias(Effect):
+    """y = x + slope (T - reference) + quadratic (T - reference)^2, T the element's temperature in degC.
+
+    `slope` in the sensor's unit per degC, `quadratic` per degC^2, `reference_degc` where it vanishes. Typical slopes
+    are in BMA-115, ADX-62 and L3G-71; those of the paper's sensors in its Table 8, which found no use for a quadratic
+    term. In data: readings at rest that follow the thermometer.
+    """
+
+    name: ClassVar[str] = "thermal_bias"
+    meaning: ClassVar[str] = "the bias depends on the temperature of the sensing element"
+    slope: Triple = per_axis(suffix="_{u}_per_degc")
+    quadratic: Triple = per_axis(suffix="_{u}_per_degc2")
+    reference_degc: float = scalar(25.0, low=-273.15, high=1000.0)
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        """Add the thermal bias to the value."""
+        if self.slope == self.quadratic == (0.0, 0.0, 0.0):
+            return analog
+        value = analog.value
+        warmer = (analog.temperature_degc - self.reference_degc).astype(value.dtype)[:, None]
+        if not any(self.quadratic):
+            return replace(analog, value=value + warmer @ np.array([self.slope], value.dtype))
+        slope = per_row(self.slope, value) + warmer * per_row(self.quadratic, value)
+        return replace(analog, value=value + warmer * slope)
+
+
+@dataclass(frozen=True)
+class Thermometer(Effect):
+    """T_read = T + offset + w, w ~ N(0, rms^2) independent from row to row; T the element's temperature in degC.
+
+    `offset_degc` and `rms_degc`; the measured quantity is not affected. The BMA180's thermometer is off by up to 5 degC
+    (BMA-64), and the L3G4200D's has no specified zero (L3G-60). In data: the chip's temperature differs from the
+    barometer's.
+    """
+
+    name: ClassVar[str] = "thermometer"
+    meaning: ClassVar[str] = "the thermometer of the chip has an error"
+    offset_degc: float = scalar(0.0, low=-1000.0, high=1000.0)
+    rms_degc: float = scalar(0.0, low=0.0, high=1000.0)
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        """Add offset and noise to the temperature that the thermometer measures."""
+        degc = analog.thermometer_degc
+        if self.offset_degc:
+            degc = degc + self.offset_degc
+        if self.rms_degc:
+            noise = at.stream(self.name, width=1).normal(analog.first, analog.first + len(degc))[:, 0]
+            degc = degc + self.rms_degc * noise
+        return replace(analog, thermometer_degc=degc)
