@@ -82,17 +82,21 @@ class Chip:
         """Set the pointer to the first byte; store the others one after the other. Every byte is acknowledged."""
         if data:
             self.pointer = data[0]
-        for index in range(1, len(data)):
-            self.store(self.pointer, data[index], at_ns + index * byte_ns)
-            self.pointer = self.advance(self.pointer, reading=False)
-        return len(data)
+        count = len(data)
+        if count > 1:
+            for index in range(1, count):
+                self.store(self.pointer, data[index], at_ns + index * byte_ns)
+                self.pointer = self.advance(self.pointer, reading=False)
+        return count
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
         """Return `count` bytes from the pointer on, each with its value at the instant at which it is fetched."""
-        answer = bytearray(count)
-        for index in range(count):
-            answer[index] = self.load(self.pointer, at_ns + index * byte_ns)
-            self.pointer = self.advance(self.pointer, reading=True)
+        answer = []
+        for _ in range(count):
+            pointer = self.pointer
+            answer.append(self.load(pointer, at_ns))
+            self.pointer = self.advance(pointer, True)
+            at_ns += byte_ns
         return bytes(answer)
 
     def stop(self, at_ns: int) -> None:

@@ -62,14 +62,15 @@ class Wire:
         self.scl_clocks = 0
         self.transactions = 0
         self._byte_ns = round(9e9 / bit_rate_hz)
-        self._overhead = STANDARD_MODE if bit_rate_hz <= STANDARD_MODE_MAX_HZ else FAST_MODE
+        overhead = STANDARD_MODE if bit_rate_hz <= STANDARD_MODE_MAX_HZ else FAST_MODE
+        self._repeated_start_ns, self._stop_ns = overhead.repeated_start_ns, overhead.stop_ns
         self._trunk: list[Target] = []
         self._routers: list[Router] = []
         self._by_routes: dict[tuple[int, ...], Responders] = {}
         self._responders: Responders = {}
         self._router_addresses: set[int] = set()
         self.host_ns = host_ns
-        self._start_ns = host_ns + self._overhead.start_ns
+        self._start_ns = host_ns + overhead.start_ns
         self._open = False
         self._begun_ns = 0
         self._at_ns = 0  # within a transaction the wire counts time itself; the clock is advanced at STOP
@@ -114,14 +115,14 @@ class Wire:
         at_ns += count * byte_ns
         received = b""
         if read:
-            at_ns += self._overhead.repeated_start_ns + byte_ns
+            at_ns += self._repeated_start_ns + byte_ns
             received = device.read(read, at_ns, byte_ns)
             at_ns += read * byte_ns
             count += 1 + read
         self.scl_clocks += 9 + 9 * count
         self.transactions += 1
         device.stop(at_ns)
-        self.clock.advance(at_ns + self._overhead.stop_ns - begun_ns)
+        self.clock.advance(at_ns + self._stop_ns - begun_ns)
         if device.address != address:
             self.reroute()
         elif address in self._router_addresses:
@@ -171,7 +172,7 @@ class Wire:
             for device in responders:
                 device.stop(at_ns)
                 moved |= device.address != address
-        self.clock.advance(at_ns + self._overhead.stop_ns - self._begun_ns)
+        self.clock.advance(at_ns + self._stop_ns - self._begun_ns)
         if moved:
             self.reroute()
         elif not self._router_addresses.isdisjoint(self._addressed):
@@ -207,7 +208,7 @@ class Wire:
     def _address(self, address: int) -> tuple[Target, ...]:
         """Send a (repeated) START and the address; return the devices that answer."""
         if self._open:
-            self._at_ns += self._overhead.repeated_start_ns
+            self._at_ns += self._repeated_start_ns
         else:
             self._open = True
             self._begun_ns = self.clock.now_ns()

@@ -382,7 +382,7 @@ class DelayedWorld:
     @cached_property
     def _latest(self) -> World:
         """Return the world's stimulus, which all elements of a die request for the same instant."""
-        return lru_cache(maxsize=4)(self.world)
+        return self.world if isinstance(self.world, StillWorld) else lru_cache(maxsize=4)(self.world)
 
 
 WorldKind = type[StillWorld] | type[TumbleWorld] | type[HeatingWorld] | type[Shaking]

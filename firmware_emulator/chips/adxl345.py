@@ -28,6 +28,7 @@ LOW_POWER_BANDWIDTH_HZ = 288.0  # (1.8 / 0.75)**2 times 50 Hz: the noise of low-
 EVEN_ONLY_RATES = (0xE, 0xF)  # ADX-47
 
 DATA = range(facts.DATAX0.address, facts.DATAZ1.address + 1)
+_DATA_START, _DATA_END = DATA.start, DATA.stop
 OFFSETS = slice(facts.OFSX.address, facts.OFSZ.address + 1)
 WORDS = Struct("<3h")
 SIGNED_BYTES = Struct("3b")
@@ -47,11 +48,9 @@ class Format(NamedTuple):
         scale, step, lowest, highest, shift = self
         x, y, z = force_g
         x, y, z = round(x * scale / step) * step, round(y * scale / step) * step, round(z * scale / step) * step
-        return WORDS.pack(
-            (lowest if x < lowest else highest if x > highest else x) << shift,
-            (lowest if y < lowest else highest if y > highest else y) << shift,
-            (lowest if z < lowest else highest if z > highest else z) << shift,
-        )
+        if not (lowest <= x <= highest and lowest <= y <= highest and lowest <= z <= highest):
+            x, y, z = [max(lowest, min(highest, code)) for code in (x, y, z)]
+        return WORDS.pack(x << shift, y << shift, z << shift)
 
 
 def format_of(data_format: int, rate_code: int) -> Format:
@@ -106,14 +105,14 @@ class Adxl345Chip(Chip):
         """Read byte by byte, but a whole set at once, alone or after INT_SOURCE and DATA_FORMAT: its bytes don't change
         while they are read (ADX-49).
         """
-        head_bytes = DATA.start - self.pointer
-        if count != head_bytes + len(DATA) or head_bytes not in (0, 2) or self._reading:
+        head_bytes = _DATA_START - self.pointer
+        if count != head_bytes + 6 or head_bytes not in (0, 2) or self._reading:
             return super().read(count, at_ns, byte_ns)
         head = bytes((self._int_source(at_ns), self.page[facts.DATA_FORMAT.address])) if head_bytes else b""
         self._take(at_ns + head_bytes * byte_ns)
         self._reading = False
-        self.pointer = DATA.stop
-        return head + self.page[DATA.start : DATA.stop]
+        self.pointer = _DATA_END
+        return head + self.page[_DATA_START:_DATA_END]
 
     def load(self, address: int, at_ns: int) -> int:
         """Return the data of one set for a whole transaction (ADX-49), with the present INT_SOURCE and FIFO_STATUS."""
@@ -197,7 +196,7 @@ class Adxl345Chip(Chip):
         self._reading = True
         self._overrun = False
         if self._sets:
-            self.page[DATA.start : DATA.stop] = self._sets.popleft()
+            self.page[_DATA_START:_DATA_END] = self._sets.popleft()
 
     def _entries(self) -> int:
         return 0 if self._mode == BYPASS else min(len(self._sets), SLOTS)

@@ -192,7 +192,11 @@ class Bma180Chip(Chip):
         """Write registers and values in turn (BMA-05). Every byte is acknowledged, also where nothing is stored
         (BMA-07).
         """
-        self._catch_up(at_ns)
+        if at_ns >= self._next_ns:
+            self._catch_up(at_ns)
+        if len(data) == 1 and self.address != NO_ADDRESS:  # the usual case
+            self.pointer = self._pending = data[0] & 0x7F
+            return 1
         for index, byte in enumerate(data):
             if self.address == NO_ADDRESS:
                 return index

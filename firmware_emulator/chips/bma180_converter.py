@@ -181,11 +181,9 @@ class Converter:
         if cycle < self._settling:
             residue = self._decay ** (cycle + 1)
             x, y, z = (round(new + (old - new) * residue) for new, old in zip((x, y, z), self._held, strict=True))
-        codes = (
-            x if -8192 <= x <= 8191 else 8191 if x > 0 else -8192,
-            y if -8192 <= y <= 8191 else 8191 if y > 0 else -8192,
-            z if -8192 <= z <= 8191 else 8191 if z > 0 else -8192,
-        )
+        codes = x, y, z
+        if not (-8192 <= x <= 8191 and -8192 <= y <= 8191 and -8192 <= z <= 8191):
+            codes = max(-8192, min(8191, x)), max(-8192, min(8191, y)), max(-8192, min(8191, z))
         if self._settings.twelve_bits:
             codes = codes[0] & ~3, codes[1] & ~3, codes[2] & ~3
         self._earlier_index, self._earlier = self._latest_index, self._latest
@@ -240,10 +238,10 @@ class Converter:
         """Return six bytes, x low to z high, shadowed: the results of `low_byte` and `high_byte` in turn, computed
         faster.
         """
-        period, two = self._period_ns, 2 * byte_ns
+        period = self._period_ns
         after_x, after_y, after_z = self._ready_after_ns
-        x_ns = at_ns - self._start_ns - after_x
-        y_ns, z_ns = x_ns + after_x - after_y + two, x_ns + after_x - after_z + two + two
+        begun_ns = at_ns - self._start_ns
+        x_ns, y_ns, z_ns = begun_ns - after_x, begun_ns - after_y + 2 * byte_ns, begun_ns - after_z + 4 * byte_ns
         x, y, z = x_ns // period, y_ns // period, z_ns // period
         if x < 0 or y < 0 or z < 0:
             return bytes(
@@ -253,12 +251,17 @@ class Converter:
                 for byte in range(6)
             )
         first = x if x == y == z else min(x, y, z)
-        if first != self._latest_index and first != self._earlier_index:
-            self._convert(first)
-        if x == y == z == self._latest_index:
-            code_x, code_y, code_z = self._latest
+        if first == self._latest_index:
+            codes = self._latest
         else:
-            code_x, code_y, code_z = (self._codes(cycle, at_ns)[axis] for axis, cycle in enumerate((x, y, z)))
+            codes = self._earlier if first == self._earlier_index else self._convert(first)
+        code_x, code_y, code_z = codes
+        if x != first:
+            code_x = self._codes(x, at_ns)[0]
+        if y != first:
+            code_y = self._codes(y, at_ns)[1]
+        if z != first:
+            code_z = self._codes(z, at_ns)[2]
         seen_x, seen_y, seen_z = self._seen
         self._seen = [(x_ns + byte_ns) // period, (y_ns + byte_ns) // period, (z_ns + byte_ns) // period]
         self._shadow = [code_x >> 6 & 0xFF, code_y >> 6 & 0xFF, code_z >> 6 & 0xFF]

@@ -95,6 +95,7 @@ START_UP_NS = 0  # some sources state 300 ms from power-down, but no document th
 BOOT_NS = 5_000_000
 SECOND_NS = 1_000_000_000  # OUT_TEMP is refreshed at 1 Hz, L3G-60
 ALL_AXES = 0b111
+NO_HALVES = [-1, -1, -1]
 
 _CTRL1, _CTRL4, _CTRL5 = facts.CTRL_REG1.address, facts.CTRL_REG4.address, facts.CTRL_REG5.address
 _REFERENCE, _TEMP, _STATUS = facts.REFERENCE.address, facts.OUT_TEMP.address, facts.STATUS_REG.address
@@ -148,7 +149,7 @@ class L3g4200dChip(Chip):
         self._axes = ALL_AXES
         self._stopped = [-1, -1, -1]  # latest conversion of an axis that is switched off
         self._read_upto = [-1, -1, -1]
-        self._half = [-1, -1, -1]  # which byte of an axis has been read alone: 0, 1, or -1 for none
+        self._half = NO_HALVES.copy()  # which byte of an axis has been read alone: 0, 1, or -1 for none
         self._frozen = [(0, -1)] * 3  # code and index shown between the two bytes
         self._temperature_start_ns, self._second, self._temperature = FAR_NS, -1, 0
         self._boot_end_ns = FAR_NS
@@ -240,12 +241,14 @@ class L3g4200dChip(Chip):
 
     def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
         """Return `count` bytes from the pointer on; a faster path serves a burst that no conversion interrupts."""
-        if not self._increment or (self.pointer, count) not in ((_X_LOW, 6), (_TEMP, 8)):
+        if not self._increment or (count != 8 if self.pointer == _TEMP else count != 6 or self.pointer != _X_LOW):
             return super().read(count, at_ns, byte_ns)
-        latest = self._latest(at_ns)
-        end_ns = at_ns + (count - 1) * byte_ns
-        if self._half != [-1, -1, -1] or self._axes != ALL_AXES or self._fifo.active or self._latest(end_ns) != latest:
+        periods, since_ns = divmod(at_ns - self._start_ns, self._period_ns)
+        if periods < 0 or since_ns + (count - 1) * byte_ns >= self._period_ns:
             return super().read(count, at_ns, byte_ns)
+        if self._half != NO_HALVES or self._axes != ALL_AXES or self._fifo.active:
+            return super().read(count, at_ns, byte_ns)
+        latest = self._base + 1 + periods
         codes = self._codes if latest == self._index else self._convert(latest)
         answer = self._pack(*codes)
         if count == 8:
@@ -308,6 +311,9 @@ class L3g4200dChip(Chip):
         """Write: the first byte is the sub-address, whose bit 7 requests auto-increment; the values follow."""
         if data:
             self._increment = data[0] >= 0x80
+            if len(data) == 1:  # the usual case
+                self.pointer = data[0] & 0x7F
+                return 1
             data = bytes((data[0] & 0x7F,)) + data[1:]
         return super().write(data, at_ns, byte_ns)
 

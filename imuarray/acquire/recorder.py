@@ -289,7 +289,6 @@ class Poll:
             segment.note_answer()
         start_ns, certain = adapter.start_of(now_ns, self.clock.now_ns(), buffer.clocks)
         self.summary.uncertain += not certain and buffer.queue is None  # those of a queue have bounds
-        buffer.end_silence()
         if buffer.has_failed:
             self.health.note_arrival(buffer, start_ns)
         buffer.add(burst, start_ns, doubtful=is_repeated or not certain)

@@ -167,7 +167,8 @@ class SampleBuffer:
         self.route = route
         self.driver = route.driver
         self.rate_hz = rate_hz
-        self._times_ns: list[int] = []
+        self.times_ns: list[int] = []
+        """Times of the waiting rows."""
         self._uncertainties_ns: list[float] = []  # of the times, of rows that have it
         self._bursts = bytearray()
         self._lost_before: list[int] = []
@@ -176,10 +177,12 @@ class SampleBuffer:
         self._doubtful: list[int] = []  # rows whose time is uncertain, or before which another read may have occurred
         self._suspect: list[tuple[int, int | None]] = []  # [first, end) of misconfigured rows; end None: until `trust`
         self._missing = False
-        self._failed = False
+        self.has_failed = False
+        """True if a visit has failed since the last reading, for a sensor that converts on demand."""
         self._set_up_again = False
         self._condemned = False
-        self._recovery: SensorRecovery | None = None
+        self.recovery: SensorRecovery | None = None
+        """The recovery in progress, None while the sensor is read."""
         self._silent_since_ns: int | None = None
         self._last: npt.NDArray[Any] | None = None
         self.clocks = 9 * (self.driver.burst + 3)  # BUS-02
@@ -209,32 +212,17 @@ class SampleBuffer:
         self._written_reading = b""
         self._written_run = self._written_since_ns = 0
 
-    @property
-    def times_ns(self) -> Sequence[int]:
-        """Times of the waiting rows."""
-        return self._times_ns
-
-    @property
-    def recovery(self) -> SensorRecovery | None:
-        """The recovery in progress, None while the sensor is read."""
-        return self._recovery
-
-    @property
-    def has_failed(self) -> bool:
-        """True if a visit has failed since the last reading, for a sensor that converts on demand."""
-        return self._failed
-
     def mark_lost(self) -> None:
         """Flag the next row: readings were lost just before it."""
         self._missing = True
 
     def recover(self, at_ns: int, *, compare: bool) -> None:
         """Begin a recovery at `at_ns` in place of readings (`SensorRecovery`)."""
-        self._recovery = SensorRecovery(self.route, at_ns, compare=compare)
+        self.recovery = SensorRecovery(self.route, at_ns, compare=compare)
 
     def end_recovery(self) -> None:
         """Return to reading the sensor."""
-        self._recovery = None
+        self.recovery = None
         self._silent_since_ns = None
 
     def note_silence(self, at_ns: int) -> int:
@@ -247,10 +235,6 @@ class SampleBuffer:
     def is_silent(self) -> bool:
         """True if the last read failed."""
         return self._silent_since_ns is not None
-
-    def end_silence(self) -> None:
-        """Note that a read succeeded."""
-        self._silent_since_ns = None
 
     def condemn(self) -> None:
         """Mark this sensor as permanently untrusted: `trust` has no effect from now on."""
@@ -273,7 +257,7 @@ class SampleBuffer:
         """Return when a conversion ends whose result would be too old in the frame at `due_ns`; None if there is
         none.
         """
-        if self._converter is None or self._recovery is not None:
+        if self._converter is None or self.recovery is not None:
             return None
         ready_ns = self._converter.ready_ns
         return None if ready_ns is None or due_ns - ready_ns <= self._converter.lasting_ns else ready_ns
@@ -298,7 +282,7 @@ class SampleBuffer:
         """
         if not self._on_demand:
             return 1
-        self._failed = True
+        self.has_failed = True
         if self._awaited_ns is None:
             self._awaited_ns = at_ns
         reported = self._overdue
@@ -311,22 +295,23 @@ class SampleBuffer:
         return self.newest_ns is None or now_ns - self.newest_ns > longest_ns
 
     def add(self, burst: bytes, at_ns: int, *, doubtful: bool = False) -> None:
-        """Add the readings of one fetch: a single one taken at `at_ns`, or those of a queue."""
+        """Add the readings of one fetch: a single one taken at `at_ns`, or those of a queue. They end a silence."""
+        self._silent_since_ns = None
         if doubtful:
-            self._doubtful.append(len(self._times_ns))
+            self._doubtful.append(len(self.times_ns))
         if self._missing:
-            self._lost_before.append(len(self._times_ns))
+            self._lost_before.append(len(self.times_ns))
             self._missing = False
         if self._set_up_again:
-            self._reconfigured.append(len(self._times_ns))
+            self._reconfigured.append(len(self.times_ns))
             self._set_up_again = False
         if self._on_demand:
-            self._awaited_ns, self._overdue, self._failed = at_ns + round(self._reading_period_ns), 0, False
+            self._awaited_ns, self._overdue, self.has_failed = at_ns + round(self._reading_period_ns), 0, False
         if self.queue is None:
-            self._times_ns.append(at_ns)
+            self.times_ns.append(at_ns)
         else:
-            self._overrun += [len(self._times_ns) + row for row in self.queue.gaps]
-            self._times_ns += self.queue.drained
+            self._overrun += [len(self.times_ns) + row for row in self.queue.gaps]
+            self.times_ns += self.queue.drained
             self._uncertainties_ns += self.queue.uncertainties_ns
         self._bursts += burst
 
@@ -343,7 +328,7 @@ class SampleBuffer:
         with `overrun` before the first, because the chip's queue overflowed. `uncertainties_ns` are those of the times
         of a queue.
         """
-        rows = len(self._times_ns)
+        rows = len(self.times_ns)
         if self._set_up_again:
             self._reconfigured.append(rows)
             self._set_up_again = False
@@ -352,17 +337,17 @@ class SampleBuffer:
         self._missing = False
         if overrun:
             self._overrun.append(rows)
-        self._times_ns += times_ns
+        self.times_ns += times_ns
         self._uncertainties_ns += uncertainties_ns
         self._bursts += bursts
 
     def cut(self, row: int) -> int:
         """Discard the rows from `row` on, which are another chip's readings; return their number."""
-        count = max(len(self._times_ns) - row, 0)
+        count = max(len(self.times_ns) - row, 0)
         if count:
             self._missing = True
             self._set_up_again |= any(index >= row for index in self._reconfigured)
-            del self._times_ns[row:], self._uncertainties_ns[row:], self._bursts[row * self.driver.burst :]
+            del self.times_ns[row:], self._uncertainties_ns[row:], self._bursts[row * self.driver.burst :]
             self._lost_before = [index for index in self._lost_before if index < row]
             self._overrun = [index for index in self._overrun if index < row]
             self._doubtful = [index for index in self._doubtful if index < row]
@@ -384,12 +369,12 @@ class SampleBuffer:
     def trust(self) -> None:
         """Stop flagging rows from now on, unless the sensor is condemned."""
         if not self._condemned:
-            self._suspect = [(first, len(self._times_ns) if last is None else last) for first, last in self._suspect]
+            self._suspect = [(first, len(self.times_ns) if last is None else last) for first, last in self._suspect]
 
     def note_configured(self) -> None:
         """Note that the chip was configured: its next reading is flagged, and may equal its last one."""
         self._set_up_again = True
-        self._since_set_up = self._still_row = len(self._times_ns)
+        self._since_set_up = self._still_row = len(self.times_ns)
         self._written_run = 0
         self._watch_still = self.frozen_reading is not None
 
@@ -397,7 +382,7 @@ class SampleBuffer:
         """Return the row since which the reading has been constant for too long to be chance; None otherwise. Rows that
         are already written are counted, but can no longer be flagged.
         """
-        rows, needed, oldest = len(self._times_ns), self.frozen_rows, self._since_set_up
+        rows, needed, oldest = len(self.times_ns), self.frozen_rows, self._since_set_up
         if rows == oldest or rows - oldest + self._written_run < needed:
             return None
         reading = self._reading(rows - 1)
@@ -408,25 +393,25 @@ class SampleBuffer:
         while first > oldest and self._reading(first - 1) == reading:
             first -= 1
         written = self._written_run if first == 0 and self._written_reading == reading else 0
-        lasted_ns = self._times_ns[-1] - self.still_since_ns(first)
+        lasted_ns = self.times_ns[-1] - self.still_since_ns(first)
         is_long_enough = lasted_ns >= _FROZEN_SHARE * self._frozen_s * 1e9
         return first if rows - first + written >= needed and is_long_enough else None
 
     def still_since_ns(self, row: int) -> int:
         """Return when the reading that is constant from `row` on was read first."""
         continues = row == 0 and self._written_run and self._written_reading == self._reading(0)
-        return self._written_since_ns if continues else self._times_ns[row]
+        return self._written_since_ns if continues else self.times_ns[row]
 
     def note_frozen(self) -> None:
         """Note that the reading is frozen. If configuring the chip did not help, wait longer before the next attempt,
         since the signal may be quiet.
         """
         self.frozen_rows = min(2 * self.frozen_rows, _FROZEN_LONGEST) if self._watch_still else self._frozen_rows
-        self.frozen_reading = self._reading(len(self._times_ns) - 1)
+        self.frozen_reading = self._reading(len(self.times_ns) - 1)
 
     def flag_frozen_rows(self) -> None:
         """Flag rows after a configuration that still repeat the frozen reading."""
-        while self._watch_still and self._still_row < len(self._times_ns):
+        while self._watch_still and self._still_row < len(self.times_ns):
             self._watch_still = self._reading(self._still_row) == self.frozen_reading
             if self._watch_still:
                 self._suspect.append((self._still_row, self._still_row + 1))
@@ -435,7 +420,7 @@ class SampleBuffer:
     @property
     def moves(self) -> bool:
         """True if a reading since the configuration differs from the frozen one."""
-        return not self._watch_still and len(self._times_ns) > self._since_set_up
+        return not self._watch_still and len(self.times_ns) > self._since_set_up
 
     def _reading(self, row: int) -> bytes:
         start, part = row * self.driver.burst, self.driver.reading
@@ -443,7 +428,7 @@ class SampleBuffer:
 
     def counts(self) -> npt.NDArray[Any]:
         """Return the counts of the waiting rows since the chip was configured."""
-        return self.driver.decode(self._bytes(len(self._times_ns))).counts[self._since_set_up :]
+        return self.driver.decode(self._bytes(len(self.times_ns))).counts[self._since_set_up :]
 
     def _bytes(self, count: int) -> npt.NDArray[np.uint8]:
         size = self.driver.burst
@@ -471,8 +456,8 @@ class SampleBuffer:
             status[first:last] |= SUSPECT
         if not self.driver.tells_fresh:
             status |= self._flag_repeated(self._bytes(count)[:, self.driver.reading])
-        times = np.array(self._times_ns[:count], np.int64) - epoch_ns
-        self.newest_ns = self._times_ns[count - 1]
+        times = np.array(self.times_ns[:count], np.int64) - epoch_ns
+        self.newest_ns = self.times_ns[count - 1]
         self.doubtful_rows = np.zeros(count, bool)
         self.doubtful_rows[[row for row in self._doubtful if row < count]] = True
         further = dict(decoded.compensated)
@@ -492,12 +477,12 @@ class SampleBuffer:
             first -= 1
         continues = first == 0 and self._written_run > 0 and reading == self._written_reading
         if not continues:
-            self._written_run, self._written_since_ns = 0, self._times_ns[first]
+            self._written_run, self._written_since_ns = 0, self.times_ns[first]
         self._written_run += count - first
         self._written_reading = reading
 
     def _forget(self, count: int) -> None:
-        del self._times_ns[:count], self._uncertainties_ns[:count], self._bursts[: count * self.driver.burst]
+        del self.times_ns[:count], self._uncertainties_ns[:count], self._bursts[: count * self.driver.burst]
         self._lost_before = _later(self._lost_before, count)
         self._overrun = _later(self._overrun, count)
         self._doubtful = _later(self._doubtful, count)
@@ -540,6 +525,8 @@ AHEAD_NS = 1_000_000_000
 """A row further ahead of the clock has a wrong time; the times of a microcontroller's rows are estimated to within some
 milliseconds.
 """
+
+_EARLIEST_NS = int(np.iinfo(np.int64).min)
 
 _INHERITED = np.uint16(LOST_BEFORE | OVERRUN | RECONFIGURED)
 """Flags about the time before a row: they pass from a rejected row to the next one."""
@@ -592,9 +579,8 @@ def in_order(times: Times, newest_ns: int | None, latest_ns: int) -> Booleans:
     are at most `latest_ns` and later than all earlier ones that are stored.
     """
     possible = times <= latest_ns
-    floor = np.iinfo(np.int64).min
-    reached = np.maximum.accumulate(np.where(possible, times, floor))
-    latest = np.concatenate([[floor if newest_ns is None else newest_ns], reached[:-1]])
+    reached = np.maximum.accumulate(np.where(possible, times, _EARLIEST_NS))
+    latest = np.concatenate([[_EARLIEST_NS if newest_ns is None else newest_ns], reached[:-1]])
     return np.asarray(possible & (times > np.maximum.accumulate(latest)), np.bool_)
 
 
