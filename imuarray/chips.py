@@ -170,6 +170,12 @@ _MPU6050_RATES_HZ = tuple(1000.0 / divider for divider in (1, 2, 4, 5, 8, 10, 16
 _MPU_PULSES = PulseInput()  # INV-38
 _ICM42688_PULSES = PulseInput(1e-6, 25.0, is_on_clock_pin=True)  # TDK-24, TDK-90: 16 bits of microseconds
 
+
+def _gyroscope_of(accelerometer: ChipSpec, **own: Any) -> ChipSpec:
+    """Return the gyroscope of a die: its accelerometer, but for the fields `own`."""
+    return replace(accelerometer, quantity="angular_rate", unit="dps", label="IMU{}_gyro", **own)
+
+
 _MPU6500_ACC = ChipSpec(
     quantity="specific_force",
     unit="g",
@@ -190,11 +196,8 @@ _MPU6500_ACC = ChipSpec(
     spi=SpiRules(1_000_000),  # INV-95
     proposed={"range": 4, "rate_hz": 500, "bandwidth_hz": 41},
 )
-_MPU6500_GYRO = replace(
+_MPU6500_GYRO = _gyroscope_of(
     _MPU6500_ACC,
-    quantity="angular_rate",
-    unit="dps",
-    label="IMU{}_gyro",
     sensitivity={250.0: 131.0, 500.0: 65.5, 1000.0: 32.8, 2000.0: 16.4},  # INV-77
     delays_s={184.0: 2.9e-3, 92.0: 3.9e-3, 41.0: 5.9e-3, 20.0: 9.9e-3, 10.0: 17.85e-3, 5.0: 33.48e-3},  # INV-79
     proposed={"range": 500, "rate_hz": 500, "bandwidth_hz": 41},
@@ -212,6 +215,103 @@ _ICM42688_BANDWIDTHS_HZ = {  # by filter code from 1 on: TDK-16
 }
 
 _LSM6DSO_BANDWIDTHS_HZ = {104.0: 33.0, 208.0: 66.8, 416.0: 135.9, 833.0: 295.5, 1666.0: 1108.1}  # gyroscope: LSM-19
+
+_MPU6050_ACC = ChipSpec(
+    quantity="specific_force",
+    unit="g",
+    addresses=mpu6050.ADDRESSES,
+    identity=mpu6050.WHO_AM_I,
+    label="IMU{}_acc",
+    burst_bytes=14,
+    sensitivity={2.0: 16384.0, 4.0: 8192.0, 8.0: 4096.0, 16.0: 2048.0},  # INV-40
+    rates_hz=_MPU6050_RATES_HZ,
+    default_rate_hz=500.0,
+    bandwidths_hz={0.0: (184.0, 94.0, 44.0, 21.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
+    default_bandwidth_hz=44.0,
+    delays_s={184.0: 2e-3, 94.0: 3e-3, 44.0: 4.9e-3, 21.0: 8.5e-3, 10.0: 13.8e-3, 5.0: 19e-3},  # INV-12
+    external_clocks=_MPU6050_CLOCKS,
+    pulse_input=_MPU_PULSES,
+    thermometer=THERMOMETERS["mpu6050"],
+    has_fifo=True,
+    fifo_has_temperature=True,
+    proposed={"range": 4, "rate_hz": 500, "bandwidth_hz": 44},
+)
+_MPU6050_GYRO = _gyroscope_of(
+    _MPU6050_ACC,
+    sensitivity={250.0: 131.0, 500.0: 65.5, 1000.0: 32.8, 2000.0: 16.4},  # INV-41
+    bandwidths_hz={0.0: (188.0, 98.0, 42.0, 20.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
+    default_bandwidth_hz=42.0,
+    delays_s={188.0: 1.9e-3, 98.0: 2.8e-3, 42.0: 4.8e-3, 20.0: 8.3e-3, 10.0: 13.4e-3, 5.0: 18.6e-3},  # INV-12
+    proposed={"range": 500, "rate_hz": 500, "bandwidth_hz": 42},
+)
+_ICM42688_ACC = ChipSpec(
+    quantity="specific_force",
+    unit="g",
+    addresses=icm42688.ADDRESSES,
+    identity=icm42688.WHO_AM_I,
+    label="IMU{}_acc",
+    burst_bytes=14,
+    sensitivity={2.0: 16384.0, 4.0: 8192.0, 8.0: 4096.0, 16.0: 2048.0},  # TDK-30
+    rates_hz=_ICM42688_RATES_HZ,
+    default_rate_hz=1000.0,
+    bandwidths_hz=_ICM42688_BANDWIDTHS_HZ,
+    default_bandwidth_hz=100.0,
+    thermometer=THERMOMETERS["icm42688"],
+    has_fifo=True,
+    fifo_has_temperature=True,
+    high_resolution=HighResolution(16.0, 8192.0, 18),  # TDK-89
+    external_clocks=_ICM42688_CLOCKS,
+    pulse_input=_ICM42688_PULSES,
+    spi=SpiRules(24_000_000),  # TDK-70
+    proposed={"range": 4, "rate_hz": 1000, "bandwidth_hz": 100},
+)
+_ICM42688_GYRO = _gyroscope_of(
+    _ICM42688_ACC,
+    sensitivity={  # TDK-31
+        15.625: 2097.2,
+        31.25: 1048.6,
+        62.5: 524.3,
+        125.0: 262.0,
+        250.0: 131.0,
+        500.0: 65.5,
+        1000.0: 32.8,
+        2000.0: 16.4,
+    },
+    high_resolution=HighResolution(2000.0, 131.0, 19),  # TDK-89
+    proposed={"range": 500, "rate_hz": 1000, "bandwidth_hz": 100},
+)
+_LSM6DSO_ACC = ChipSpec(
+    quantity="specific_force",
+    unit="g",
+    addresses=lsm6dso.ADDRESSES,
+    identity=lsm6dso.WHO_AM_I,
+    label="IMU{}_acc",
+    burst_bytes=14,
+    sensitivity={2.0: 1000 / 0.061, 4.0: 1000 / 0.122, 8.0: 1000 / 0.244, 16.0: 1000 / 0.488},  # LSM-30
+    rates_hz=tuple(_LSM6DSO_BANDWIDTHS_HZ),  # LSM-15
+    default_rate_hz=208.0,
+    bandwidths_hz={rate_hz: (rate_hz / 2,) for rate_hz in _LSM6DSO_BANDWIDTHS_HZ},  # LSM-19
+    thermometer=THERMOMETERS["lsm6dso"],
+    has_fifo=True,
+    fifo_has_temperature=True,
+    pulse_input=PulseInput(is_marked=False),  # LSM-49
+    spi=SpiRules(10_000_000),  # LSM-70
+    proposed={"range": 4, "rate_hz": 416},
+)
+_LSM6DSO_GYRO = _gyroscope_of(
+    _LSM6DSO_ACC,
+    # LSM-31
+    sensitivity={
+        125.0: 1000 / 4.375,
+        250.0: 1000 / 8.75,
+        500.0: 1000 / 17.5,
+        1000.0: 1000 / 35,
+        2000.0: 1000 / 70,
+    },
+    bandwidths_hz={rate_hz: (bandwidth_hz,) for rate_hz, bandwidth_hz in _LSM6DSO_BANDWIDTHS_HZ.items()},
+    pulse_input=PulseInput(),  # LSM-49
+    proposed={"range": 500, "rate_hz": 416},
+)
 
 _HMC5883_RATES_HZ = (0.75, 1.5, 3.0, 7.5, 15.0, 30.0, 75.0)  # HMC-28
 
@@ -269,144 +369,16 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             thermometer=THERMOMETERS["l3g4200d"],
             proposed={"range": 500, "rate_hz": 400, "bandwidth_hz": 50},
         ),
-        "mpu6050_acc": ChipSpec(
-            quantity="specific_force",
-            unit="g",
-            addresses=mpu6050.ADDRESSES,
-            identity=mpu6050.WHO_AM_I,
-            label="IMU{}_acc",
-            burst_bytes=14,
-            sensitivity={2.0: 16384.0, 4.0: 8192.0, 8.0: 4096.0, 16.0: 2048.0},  # INV-40
-            rates_hz=_MPU6050_RATES_HZ,
-            default_rate_hz=500.0,
-            bandwidths_hz={0.0: (184.0, 94.0, 44.0, 21.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
-            default_bandwidth_hz=44.0,
-            delays_s={184.0: 2e-3, 94.0: 3e-3, 44.0: 4.9e-3, 21.0: 8.5e-3, 10.0: 13.8e-3, 5.0: 19e-3},  # INV-12
-            external_clocks=_MPU6050_CLOCKS,
-            pulse_input=_MPU_PULSES,
-            thermometer=THERMOMETERS["mpu6050"],
-            has_fifo=True,
-            fifo_has_temperature=True,
-            proposed={"range": 4, "rate_hz": 500, "bandwidth_hz": 44},
-        ),
-        "mpu6050_gyro": ChipSpec(
-            quantity="angular_rate",
-            unit="dps",
-            addresses=mpu6050.ADDRESSES,
-            identity=mpu6050.WHO_AM_I,
-            label="IMU{}_gyro",
-            burst_bytes=14,
-            sensitivity={250.0: 131.0, 500.0: 65.5, 1000.0: 32.8, 2000.0: 16.4},  # INV-41
-            rates_hz=_MPU6050_RATES_HZ,
-            default_rate_hz=500.0,
-            bandwidths_hz={0.0: (188.0, 98.0, 42.0, 20.0, 10.0, 5.0)},  # INV-12, by filter code from 1 on
-            default_bandwidth_hz=42.0,
-            delays_s={188.0: 1.9e-3, 98.0: 2.8e-3, 42.0: 4.8e-3, 20.0: 8.3e-3, 10.0: 13.4e-3, 5.0: 18.6e-3},  # INV-12
-            external_clocks=_MPU6050_CLOCKS,
-            pulse_input=_MPU_PULSES,
-            thermometer=THERMOMETERS["mpu6050"],
-            has_fifo=True,
-            fifo_has_temperature=True,
-            proposed={"range": 500, "rate_hz": 500, "bandwidth_hz": 42},
-        ),
+        "mpu6050_acc": _MPU6050_ACC,
+        "mpu6050_gyro": _MPU6050_GYRO,
         "mpu6500_acc": _MPU6500_ACC,
         "mpu6500_gyro": _MPU6500_GYRO,
         "mpu9250_acc": replace(_MPU6500_ACC, identity=_MPU9250_IDENTITY),
         "mpu9250_gyro": replace(_MPU6500_GYRO, identity=_MPU9250_IDENTITY),
-        "icm42688_acc": ChipSpec(
-            quantity="specific_force",
-            unit="g",
-            addresses=icm42688.ADDRESSES,
-            identity=icm42688.WHO_AM_I,
-            label="IMU{}_acc",
-            burst_bytes=14,
-            sensitivity={2.0: 16384.0, 4.0: 8192.0, 8.0: 4096.0, 16.0: 2048.0},  # TDK-30
-            rates_hz=_ICM42688_RATES_HZ,
-            default_rate_hz=1000.0,
-            bandwidths_hz=_ICM42688_BANDWIDTHS_HZ,
-            default_bandwidth_hz=100.0,
-            thermometer=THERMOMETERS["icm42688"],
-            has_fifo=True,
-            fifo_has_temperature=True,
-            high_resolution=HighResolution(16.0, 8192.0, 18),  # TDK-89
-            external_clocks=_ICM42688_CLOCKS,
-            pulse_input=_ICM42688_PULSES,
-            spi=SpiRules(24_000_000),  # TDK-70
-            proposed={"range": 4, "rate_hz": 1000, "bandwidth_hz": 100},
-        ),
-        "icm42688_gyro": ChipSpec(
-            quantity="angular_rate",
-            unit="dps",
-            addresses=icm42688.ADDRESSES,
-            identity=icm42688.WHO_AM_I,
-            label="IMU{}_gyro",
-            burst_bytes=14,
-            sensitivity={  # TDK-31
-                15.625: 2097.2,
-                31.25: 1048.6,
-                62.5: 524.3,
-                125.0: 262.0,
-                250.0: 131.0,
-                500.0: 65.5,
-                1000.0: 32.8,
-                2000.0: 16.4,
-            },
-            rates_hz=_ICM42688_RATES_HZ,
-            default_rate_hz=1000.0,
-            bandwidths_hz=_ICM42688_BANDWIDTHS_HZ,
-            default_bandwidth_hz=100.0,
-            thermometer=THERMOMETERS["icm42688"],
-            has_fifo=True,
-            fifo_has_temperature=True,
-            high_resolution=HighResolution(2000.0, 131.0, 19),  # TDK-89
-            external_clocks=_ICM42688_CLOCKS,
-            pulse_input=_ICM42688_PULSES,
-            spi=SpiRules(24_000_000),  # TDK-70
-            proposed={"range": 500, "rate_hz": 1000, "bandwidth_hz": 100},
-        ),
-        "lsm6dso_acc": ChipSpec(
-            quantity="specific_force",
-            unit="g",
-            addresses=lsm6dso.ADDRESSES,
-            identity=lsm6dso.WHO_AM_I,
-            label="IMU{}_acc",
-            burst_bytes=14,
-            sensitivity={2.0: 1000 / 0.061, 4.0: 1000 / 0.122, 8.0: 1000 / 0.244, 16.0: 1000 / 0.488},  # LSM-30
-            rates_hz=tuple(_LSM6DSO_BANDWIDTHS_HZ),  # LSM-15
-            default_rate_hz=208.0,
-            bandwidths_hz={rate_hz: (rate_hz / 2,) for rate_hz in _LSM6DSO_BANDWIDTHS_HZ},  # LSM-19
-            thermometer=THERMOMETERS["lsm6dso"],
-            has_fifo=True,
-            fifo_has_temperature=True,
-            pulse_input=PulseInput(is_marked=False),  # LSM-49
-            spi=SpiRules(10_000_000),  # LSM-70
-            proposed={"range": 4, "rate_hz": 416},
-        ),
-        "lsm6dso_gyro": ChipSpec(
-            quantity="angular_rate",
-            unit="dps",
-            addresses=lsm6dso.ADDRESSES,
-            identity=lsm6dso.WHO_AM_I,
-            label="IMU{}_gyro",
-            burst_bytes=14,
-            # LSM-31
-            sensitivity={
-                125.0: 1000 / 4.375,
-                250.0: 1000 / 8.75,
-                500.0: 1000 / 17.5,
-                1000.0: 1000 / 35,
-                2000.0: 1000 / 70,
-            },
-            rates_hz=tuple(_LSM6DSO_BANDWIDTHS_HZ),
-            default_rate_hz=208.0,
-            bandwidths_hz={rate_hz: (bandwidth_hz,) for rate_hz, bandwidth_hz in _LSM6DSO_BANDWIDTHS_HZ.items()},
-            thermometer=THERMOMETERS["lsm6dso"],
-            has_fifo=True,
-            fifo_has_temperature=True,
-            pulse_input=PulseInput(),  # LSM-49
-            spi=SpiRules(10_000_000),  # LSM-70
-            proposed={"range": 500, "rate_hz": 416},
-        ),
+        "icm42688_acc": _ICM42688_ACC,
+        "icm42688_gyro": _ICM42688_GYRO,
+        "lsm6dso_acc": _LSM6DSO_ACC,
+        "lsm6dso_gyro": _LSM6DSO_GYRO,
         "bmp180": ChipSpec(
             quantity="pressure",
             unit="Pa",

@@ -7,7 +7,7 @@ every range (ADX-40), right-justified, low byte first (ADX-45). One burst carrie
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
@@ -118,10 +118,6 @@ class Adxl345(ChipDriver):
         half_span = int(self.range_g * _LSB_PER_G)
         highest = half_span - (2 if self.rate_hz > 800 else 1)  # only even codes at 1600 and 3200 Hz: ADX-47
         return DecodedBursts(counts, None, saturated(counts, -half_span, highest))
-
-    def header(self) -> Mapping[str, int]:
-        """Return no attributes."""
-        return {}
 
 
 class Adxl345Fifo(Adxl345):

@@ -7,7 +7,7 @@ written (BMA-55). Codes have 14 bits, left-justified, with a new-data flag in bi
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -142,7 +142,3 @@ class Bma180(ChipDriver):
         fresh = (words & facts.NEW_DATA_X.mask).any(axis=1)
         status = saturated(counts, -8192, 8191) | np.where(fresh, 0, STALE).astype(np.uint16)
         return DecodedBursts(counts, bursts[:, 6].view(np.int8).astype(np.int16), status)
-
-    def header(self) -> Mapping[str, int]:
-        """Return no attributes."""
-        return {}

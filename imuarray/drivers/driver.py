@@ -274,6 +274,10 @@ class ChipDriver:
         """Return False: no register of the chip is free."""
         return False
 
+    def header(self) -> Mapping[str, int] | Mapping[str, float]:
+        """Return no attributes."""
+        return {}
+
 
 def registers_for(sensor: SensorConfig, bus: Bus) -> Registers:
     """Return the registers of `sensor` on `bus`, labelled for messages."""

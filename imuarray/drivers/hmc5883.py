@@ -7,7 +7,7 @@ written (HMC-06).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
@@ -103,7 +103,3 @@ class Hmc5883(ChipDriver):
         words = np.ascontiguousarray(bursts).view(">i2").astype(np.int16)
         counts = words[:, [0, 2, 1]]
         return DecodedBursts(counts, None, saturated(counts, -2048, 2047))
-
-    def header(self) -> Mapping[str, int]:
-        """Return no attributes."""
-        return {}

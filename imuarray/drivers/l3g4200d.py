@@ -7,7 +7,7 @@ carries temperature, status and the triad, 0x26 ... 0x2D.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
@@ -129,10 +129,6 @@ class L3g4200d(ChipDriver):
         return DecodedBursts(
             triads.counts, bursts[:, 0].view(np.int8).astype(np.int16), triads.status | stale | overrun
         )
-
-    def header(self) -> Mapping[str, int]:
-        """Return no attributes."""
-        return {}
 
 
 class L3g4200dFifo(L3g4200d):

@@ -129,7 +129,3 @@ class Lis3mdl(ChipDriver):
         status = saturated(counts, -32768, 32767)
         status |= flagged(~bursts[:, 2], facts.ZYX_AVAILABLE.mask, STALE)
         return DecodedBursts(counts, temperature, status | flagged(bursts[:, 2], facts.ZYX_OVERRUN.mask, OVERRUN))
-
-    def header(self) -> Mapping[str, int]:
-        """Return no attributes."""
-        return {}

@@ -124,10 +124,6 @@ class SixAxisHalf(ChipDriver):
         temperature = np.ascontiguousarray(bursts[:, self.temperature]).view(self.order)[:, 0].astype(np.int16)
         return DecodedBursts(counts, temperature, saturated(counts, -32768, 32767))
 
-    def header(self) -> Mapping[str, int]:
-        """Return no attributes."""
-        return {}
-
 
 class QueuedHalf(SixAxisHalf):
     """One half whose die's queue is drained; another driver of the same die may `share` the queue."""
