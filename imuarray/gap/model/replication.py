@@ -23,13 +23,12 @@ from imuarray.gap.recording.recordings import Experiment, reference_of, temperat
 from imuarray.gap.recording.source import Source, simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, summarise_logs
 from imuarray.gap.statistics.split import Split
-from imuarray.log.format import Phase
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias, TurnOnBias
 from imuarray.simulate.effects.readings import ChannelSwap
 from imuarray.simulate.effects.response import GSensitivity, Misalignment, Scale
 from imuarray.simulate.effects.temperature import ThermalBias
-from imuarray.simulate.motion.felt import Felt, Motion
+from imuarray.simulate.motion.felt import Felt, Motion, MotionVariant
 from imuarray.simulate.sensor import SimulatedSensor
 from imuarray.simulate.simulation import Simulation
 from imuarray.simulate.streams import CHUNK, DrawMemory, Streams
@@ -55,22 +54,11 @@ Models = Mapping[str, SensorModel]
 
 
 @dataclass(frozen=True)
-class RememberedMotion:
+class RememberedMotion(MotionVariant):
     """A motion that keeps what was felt at the latest times in a memory, by its `owner` there."""
 
-    motion: Motion
     memory: DrawMemory
     owner: Hashable
-
-    @property
-    def phases(self) -> tuple[Phase, ...]:
-        """The phases of the motion."""
-        return self.motion.phases
-
-    @property
-    def seconds(self) -> float:
-        """The duration of the motion."""
-        return self.motion.seconds
 
     def felt(self, time_ns: Integers) -> Felt:
         """Return what the box feels at times (n,), read-only."""

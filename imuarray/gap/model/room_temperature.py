@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imuarray.arrays import Floats, Integers
-from imuarray.log.format import Phase
-from imuarray.simulate.motion.felt import Felt, Motion
+from imuarray.simulate.motion.felt import Felt, Motion, MotionVariant
 from imuarray.simulate.streams import Streams
 
 ROOM_DEGC = (0.02, 0.5)
@@ -33,25 +32,14 @@ WAVES = 4
 
 
 @dataclass(frozen=True)
-class RoomTemperature:
+class RoomTemperature(MotionVariant):
     """A motion in a room whose temperature is that of `motion` plus waves of `amplitude_degc`, `period_s` and
     `phase_rad`.
     """
 
-    motion: Motion
     amplitude_degc: float
     period_s: tuple[float, ...]
     phase_rad: tuple[float, ...]
-
-    @property
-    def phases(self) -> tuple[Phase, ...]:
-        """The phases of the motion."""
-        return self.motion.phases
-
-    @property
-    def seconds(self) -> float:
-        """The duration of the motion."""
-        return self.motion.seconds
 
     def felt(self, time_ns: Integers) -> Felt:
         """Return what the box feels at times (n,) in this room."""

@@ -48,6 +48,23 @@ class Motion(Protocol):
         """Return what the box senses at these times (n,), in any order."""
 
 
+@dataclass(frozen=True)
+class MotionVariant:
+    """A variant of another motion: it has the same phases and duration; a subclass changes what is felt."""
+
+    motion: Motion
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The phases of the motion."""
+        return self.motion.phases
+
+    @property
+    def seconds(self) -> float:
+        """The duration of the motion."""
+        return self.motion.seconds
+
+
 def thermometer_lag_s(motion: Motion) -> float:
     """Return the lag, in s, of the thermometer by which the temperature of a motion is known; 0 for motions that state
     none (`lead_s`).

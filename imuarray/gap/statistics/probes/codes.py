@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.characterise.codes import Histogram
-from imuarray.gap.statistics.margins import CODES, HALF_OF_CODES, ROWS, SCORE, Margin
+from imuarray.gap.statistics.margins import CODES, HALF_OF_CODES, ROWS, SCORE
 from imuarray.gap.statistics.probes.probe import PhaseProbe, Probes, arcsine, once, one_row
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import RESOLUTION
@@ -97,22 +97,16 @@ _STEPS = ("quantisation", "odr_error")
 _CLIPPED = ("saturation", "range_reset", "scale", "nonlinearity")
 
 
-def _probe(
-    about: str,
-    moved_by: tuple[str, ...],
-    margin: Margin,
-    statistic: Callable[[Summary], Floats],
-    resolution: Callable[[Summary], float] = one_row,
-) -> PhaseProbe:
-    return PhaseProbe("codes", about, moved_by, margin, statistic, in_motion=True, resolution=resolution)
-
+_probe = partial(PhaseProbe, "codes", in_motion=True, resolution=one_row)
 
 PROBES: Probes = {
     "odd_codes": _probe("arcsine of the share of odd codes", _STEPS, HALF_OF_CODES, odd),
     "second_bit": _probe("arcsine of the share of codes with bit 1 set", ("quantisation",), HALF_OF_CODES, second_bit),
     "absent_codes": _probe(
-        "arcsine of the share of codes in the middle that never came", _STEPS, CODES, absent, _one_code
+        "arcsine of the share of codes in the middle that never came", _STEPS, CODES, absent, resolution=_one_code
     ),
     "code_ends": _probe("arcsine of the share at the ends of the span", _CLIPPED, ROWS, at_ends),
-    "code_pile": _probe("by how much the outermost code outnumbers the next", _CLIPPED, SCORE, pile, lambda _: 1.0),
+    "code_pile": _probe(
+        "by how much the outermost code outnumbers the next", _CLIPPED, SCORE, pile, resolution=lambda _: 1.0
+    ),
 }

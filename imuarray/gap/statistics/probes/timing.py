@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.gap.statistics.margins import GENEROUS, ROWS, RUN, VARIANCE, Margin
+from imuarray.gap.statistics.margins import GENEROUS, ROWS, RUN, VARIANCE
 from imuarray.gap.statistics.probes.probe import PhaseProbe, Probes, arcsine, log, one_row
 from imuarray.gap.statistics.summary import Summary
 
@@ -78,28 +78,20 @@ def _hundredth(_: Summary) -> float:
 _DROPPED = ("dropped_samples",)
 
 
-def _probe(
-    about: str,
-    moved_by: tuple[str, ...],
-    margin: Margin,
-    statistic: Callable[[Summary], Floats],
-    resolution: Callable[[Summary], float] = one_row,
-) -> PhaseProbe:
-    return PhaseProbe(
-        "timing", about, moved_by, margin, statistic, in_motion=True, resolution=resolution, by_column=False
-    )
-
+_probe = partial(PhaseProbe, "timing", in_motion=True, resolution=one_row, by_column=False)
 
 PROBES: Probes = {
     "interval": replace(
-        _probe("log of the mean interval between rows", (), VARIANCE, interval, lambda _: 1e-6), unit="log s"
+        _probe("log of the mean interval between rows", (), VARIANCE, interval, resolution=lambda _: 1e-6), unit="log s"
     ),
     "irregularity": _probe(
-        "log of the scatter of intervals over their mean", _DROPPED, GENEROUS, irregularity, _hundredth
+        "log of the scatter of intervals over their mean", _DROPPED, GENEROUS, irregularity, resolution=_hundredth
     ),
     "gaps": _probe("arcsine of the share of gaps", _DROPPED, ROWS, gaps),
     "skips": _probe("arcsine of the share of gaps that are no stalls", _DROPPED, ROWS, skips),
-    "longest_interval": _probe("log of the longest interval over the mean", _DROPPED, GENEROUS, longest, _hundredth),
+    "longest_interval": _probe(
+        "log of the longest interval over the mean", _DROPPED, GENEROUS, longest, resolution=_hundredth
+    ),
     "repeats": _probe(
         "arcsine of the share of rows that repeat the one before",
         ("odr_error", "stale_samples", "stuck", "adaptive_range"),
@@ -107,6 +99,6 @@ PROBES: Probes = {
         repeats,
     ),
     "longest_repeat": _probe(
-        "rows of the longest run of equal rows", ("stuck", "odr_error"), RUN, longest_repeat, lambda _: 1.0
+        "rows of the longest run of equal rows", ("stuck", "odr_error"), RUN, longest_repeat, resolution=lambda _: 1.0
     ),
 }
