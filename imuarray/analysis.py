@@ -114,11 +114,7 @@ def characterise(
     from imuarray.characterise.characterisation import Characterisation
 
     with _opened([log]) as (opened,):
-        scales: dict[str, list[float]] = {}
-        if calibration is not None:
-            calibration_used = _calibration(calibration)
-            fitting = [sensor for sensor in opened.sensors.values() if sensor.name in calibration_used.sensors]
-            scales = {sensor.name: calibration_used.of(sensor).scale_lsb_per_unit.tolist() for sensor in fitting}
+        scales = {} if calibration is None else _calibration(calibration).scales(opened.sensors.values())
         return Characterisation(
             characterise_log(
                 opened,
@@ -164,7 +160,6 @@ def fuse(  # noqa: PLR0913
     from imuarray.fuse.fusion import complete_responses, prepare_inputs, require_known_sensors
     from imuarray.fuse.fusion import fuse as fused_blocks
     from imuarray.fuse.pipeline import FusionNotes
-    from imuarray.units import INERTIAL
 
     name = str(calibration) if isinstance(calibration, str | PathLike) else ""
     calibration_used = Calibration() if calibration is None else _calibration(calibration)
@@ -188,13 +183,12 @@ def fuse(  # noqa: PLR0913
             progress=progress,
         )
         frames = FusedBlock.joined(list(blocks))
-        sensors = [s for quantity in INERTIAL for s in opened.of(quantity) if not inputs.only or s.name in inputs.only]
         truth = opened.truth or opened.reference
         return FusedResult(
             frames,
             opened.epoch,
             technique,
-            {quantity: [s.name for s in sensors if s.quantity == quantity] for quantity in frames.triads},
+            {quantity: [sensor.name for sensor in opened.of(quantity, inputs.only)] for quantity in frames.triads},
             str(opened.path),
             name,
             tuple(events),

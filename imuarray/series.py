@@ -1,5 +1,5 @@
-"""Compiled passes over long series (`_series.c`), which return None where the package was installed without a C
-compiler, and for arrays that they don't handle: callers then do the same with NumPy, to rounding.
+"""Passes over long series. Those of `_series.c` are compiled. They return None where the package was installed without
+a C compiler, and for arrays that they don't handle: callers then do the same with NumPy, to rounding.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.arrays import Floats, Indices, Times
+from imuarray.arrays import Booleans, Floats, Indices, Times
 
 try:
     from imuarray import _series
@@ -21,6 +21,12 @@ else:
 
 _BLOCK = 1 << 16
 """Values of a series whose differences at all distances are summed together, so that they stay in the cache."""
+
+
+def true_runs(flags: Booleans) -> tuple[Indices, Indices]:
+    """Return the first row of each run of true values among (n,), and the row behind the last one of each."""
+    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
+    return edges[::2], edges[1::2]
 
 
 def window_medians(height: Floats, first: Indices, side: Indices) -> Floats | None:

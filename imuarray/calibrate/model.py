@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
@@ -292,6 +292,13 @@ class Calibration:
                 f" {sensor.sensitivity:.4g}: another range"
             )
         return stored
+
+    def scales(self, sensors: Iterable[Described]) -> dict[str, list[float]]:
+        """Return the counts per unit of each axis (3,) of those sensors that it contains, by name. CalibrationError if
+        it does not fit one of them.
+        """
+        known = (sensor for sensor in sensors if sensor.name in self.sensors)
+        return {sensor.name: self.or_nominal(sensor).scale_lsb_per_unit.tolist() for sensor in known}
 
     def plot(self, group: str | None = None) -> Figure:
         """Plot the figures of one `group` ("bias", "noise", "thermal" or "turn_on"; None: the first of these that was

@@ -78,11 +78,8 @@ def transfer_response(log: Log, calibration: Calibration, only: Sequence[str] = 
     gyroscopes with a known response, or from gravity if there are none, as far as the box turned in `log`. Without
     uncertain columns the calibration is returned unchanged.
     """
-    gyroscopes = [sensor for sensor in log.of("angular_rate") if not only or sensor.name in only]
-    measured = _measured(gyroscopes, calibration)
-    accelerometers = _measured(
-        [sensor for sensor in log.of("specific_force") if not only or sensor.name in only], calibration
-    )
+    measured = _measured(log.of("angular_rate", only), calibration)
+    accelerometers = _measured(log.of("specific_force", only), calibration)
     references = [(sensor, calibrated) for sensor, calibrated in measured if not calibrated.uncertain_axes()]
     sensors, axes, refused = dict(calibration.sensors), {}, []
     ends = None if references or not measured else _find_ends(log, accelerometers)

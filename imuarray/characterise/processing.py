@@ -22,6 +22,7 @@ import numpy as np
 from imuarray.arrays import Booleans, Floats
 from imuarray.log import SensorLog
 from imuarray.log.format import ASSUMED, RESOLUTION
+from imuarray.series import true_runs
 
 FEWEST_ROWS = 2000
 _MOST_ROWS = 1 << 16
@@ -163,10 +164,9 @@ def _windows(values: Floats, most: float) -> Floats:
 def _longest_rest(values: Floats, most: float) -> Floats:
     """Return the rows (n, 3) of the longest run of windows at rest."""
     _, is_still = _still_windows(values, most)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_still.astype(int), [0]])))
-    if not len(edges):
+    begins, ends = true_runs(is_still)
+    if not len(begins):
         return values[:0]
-    begins, ends = edges[::2], edges[1::2]
     longest = int(np.argmax(ends - begins))
     return values[begins[longest] * _WINDOW_ROWS : ends[longest] * _WINDOW_ROWS]
 

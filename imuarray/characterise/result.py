@@ -311,7 +311,7 @@ def _axes(
 ) -> list[dict[str, Any]]:
     """Return the results of every column: its statistics and those of the survey."""
     axes = []
-    for column, name in enumerate(_columns(sensor)):
+    for column, name in enumerate(sensor.count_columns):
         unit = float(per_count[column])
         scales = {"counts": 1.0, "unit": unit, "si": unit * SI_PER_UNIT[sensor.unit]}
         curve = surveyed.curve.column(column) if surveyed and surveyed.curve else None
@@ -332,16 +332,6 @@ def _run(sensor: SensorLog, timing: Timing) -> dict[str, Any]:
     start, end = int(sensor.time[first]), int(sensor.time[last])
     interval_s = (end - start) * 1e-9 / (last - first)
     return {"start_s": start * 1e-9, "end_s": end * 1e-9, "rows": last + 1 - first, "interval_s": interval_s}
-
-
-def _columns(sensor: SensorLog) -> list[str]:
-    """Return the names of the columns: x, y, z, or those in the log."""
-    count = int(sensor.counts.shape[1])
-    if sensor.is_triad:
-        return ["x", "y", "z"]
-    stored: npt.NDArray[Any] = np.atleast_1d(sensor.attributes.get("columns", ()))
-    names = [item.decode() if isinstance(item, bytes) else str(item) for item in stored.tolist()]
-    return names if len(names) == count else [str(index) for index in range(count)]
 
 
 def _axis(

@@ -127,9 +127,7 @@ def _scales(log: Log, calibration: Path | None) -> dict[str, list[float]]:
         return {}
     from imuarray.calibrate import load_calibration
 
-    parameters = load_calibration(calibration)
-    calibrated = [sensor for sensor in log.sensors.values() if sensor.name in parameters.sensors]
-    return {sensor.name: parameters.of(sensor).scale_lsb_per_unit.tolist() for sensor in calibrated}
+    return load_calibration(calibration).scales(log.sensors.values())
 
 
 def _files() -> list[str]:

@@ -283,7 +283,7 @@ def _measure(
 
 def _sensors(log: Log, names: Sequence[str]) -> dict[str, list[str]]:
     """Return the names of the sensors of each quantity that are fused."""
-    return {quantity: [s.name for s in log.of(quantity) if not names or s.name in names] for quantity in INERTIAL}
+    return {quantity: [sensor.name for sensor in log.of(quantity, names)] for quantity in INERTIAL}
 
 
 def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence[str]) -> list[str]:
@@ -292,7 +292,7 @@ def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence
 
     sentences = []
     for quantity in INERTIAL:
-        sensors = [sensor for sensor in log.of(quantity) if not names or sensor.name in names]
+        sensors = log.of(quantity, names)
         sentences += changes(technique, axes_of(sensors, calibration)) if sensors else []
     return sentences
 

@@ -65,8 +65,7 @@ def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[d
 
     pairs = []
     for quantity in INERTIAL:
-        sensors = [sensor for sensor in log.of(quantity) if not names or sensor.name in names]
-        for pair in capabilities(sensors, calibration):
+        for pair in capabilities(log.of(quantity, names), calibration):
             errors = {name: _former_names(getattr(pair, name)) for name in ("drift", "bias")}
             pairs.append({"quantity": quantity, **json_value(asdict(pair) | errors)})
     return pairs

@@ -162,7 +162,7 @@ def _raw_columns(sensor: SensorLog) -> tuple[TableColumn, ...]:
     """Return all columns of a sensor as they are stored in the log, except time and status."""
     counts, degrees = sensor.counts, sensor.temperature_counts
     kind = counts.dtype.newbyteorder("<").str
-    columns = [TableColumn("counts", kind, "counts", _cells(sensor), lambda rows: np.asarray(counts[rows]))]
+    columns = [TableColumn("counts", kind, "counts", sensor.count_columns, lambda rows: np.asarray(counts[rows]))]
     if degrees is not None:
         width = degrees.dtype.newbyteorder("<").str
         columns.append(TableColumn("temperature_counts", width, "counts", (), lambda rows: np.asarray(degrees[rows])))
@@ -173,23 +173,13 @@ def _time(column: Any) -> TableColumn:
     return TableColumn("time", "<i8", "ns", (), lambda rows: np.asarray(column[rows], np.int64))
 
 
-def _cells(sensor: SensorLog) -> tuple[str, ...]:
-    """Return the names of the columns of counts."""
-    count = int(sensor.counts.shape[1])
-    if sensor.is_triad:
-        return ("x", "y", "z")
-    stored = np.atleast_1d(np.asarray(sensor.attributes.get("columns", ()))).tolist()
-    names = tuple(item.decode("utf-8", "replace") if isinstance(item, bytes) else str(item) for item in stored)
-    return names if len(set(names)) == count else tuple(str(index) for index in range(count))
-
-
 def full_header(sensor: SensorLog) -> SensorHeader:
     """Return the header with which the sensor can be written again, with all its attributes."""
     extra = {name: value for name, item in sensor.attributes.items() if (value := _plain(item)) is not None}
     delay = extra.pop("delay_ns", None)
     return replace(
         recorded_header(sensor),
-        columns=_cells(sensor),
+        columns=sensor.count_columns,
         compensated=tuple(column.name for column in compensated_columns(sensor)),
         delay_ns=delay if isinstance(delay, int) else None,
         extra={name: value for name, value in extra.items() if name not in _OTHER_FIELDS},

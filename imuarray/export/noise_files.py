@@ -25,8 +25,9 @@ from imuarray.characterise.survey import EXACT_ROWS
 from imuarray.errors import ExportError, OutputExistsError
 from imuarray.export.formats import TOOLS, ExportRequest, ExportSummary, Progress
 from imuarray.fuse.fused_file import fused_columns, is_fused
-from imuarray.log import Log, open_log
+from imuarray.log import open_log
 from imuarray.printable import percent
+from imuarray.series import true_runs
 from imuarray.spelling import guess
 from imuarray.units import INERTIAL, SI_PER_UNIT, UNITS_OF, Quantity
 
@@ -108,14 +109,8 @@ def _characterised(request: ExportRequest, progress: Progress) -> Mapping[str, A
             longest_rest(log),
             names,
             progress=lambda: progress(next(steps, 0) / (3 * len(names))),
-            scales=_scales(log, names, request.calibration or Calibration()),
+            scales=(request.calibration or Calibration()).scales(log[name] for name in names),
         )
-
-
-def _scales(log: Log, names: list[str], calibration: Calibration) -> dict[str, list[float]]:
-    """Return the counts per unit of the calibrated sensors."""
-    calibrated = [name for name in names if name in calibration.sensors]
-    return {name: calibration.of(log[name]).scale_lsb_per_unit.tolist() for name in calibrated}
 
 
 def _of_fused(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise], dict[str, int]]:
@@ -173,10 +168,9 @@ def _longest_run(time: Times, is_finite: Booleans) -> slice:
     steps = np.diff(time)
     usual = float(np.median(steps)) if len(steps) else 0.0
     is_joined = is_finite[1:] & is_finite[:-1] & (np.abs(steps - usual) <= _REGULAR * usual)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_joined.astype(np.int8), [0]])))
-    if not len(edges):
+    starts, ends = true_runs(is_joined)
+    if not len(starts):
         return slice(0, 0)
-    starts, ends = edges[::2], edges[1::2]
     longest = int(np.argmax(ends - starts))
     return slice(int(starts[longest]), int(ends[longest]) + 1)
 

@@ -173,8 +173,7 @@ def _with_columns(log: Log, inputs: FusionInputs) -> FusionInputs:
 
 def _inertial(log: Log, only: Sequence[str]) -> list[SensorLog]:
     """Return the accelerometers and gyroscopes of a log, `only` these (empty: all)."""
-    sensors = [sensor for quantity in INERTIAL for sensor in log.of(quantity)]
-    return [sensor for sensor in sensors if not only or sensor.name in only]
+    return [sensor for quantity in INERTIAL for sensor in log.of(quantity, only)]
 
 
 def require_known_sensors(log: Log, calibration: Calibration, only: Sequence[str], calibration_file: str) -> None:

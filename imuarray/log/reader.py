@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -189,9 +189,10 @@ class Log:
         """The names of the sensors, as a mapping has them: `name in log`, `list(log)`."""
         return iter(self.sensors)
 
-    def of(self, quantity: str) -> list[SensorLog]:
-        """Return the sensors that measure `quantity`."""
-        return [sensor for sensor in self.sensors.values() if sensor.quantity == quantity]
+    def of(self, quantity: str, only: Collection[str] = ()) -> list[SensorLog]:
+        """Return the sensors that measure `quantity`, `only` these (empty: all)."""
+        sensors = [sensor for sensor in self.sensors.values() if sensor.quantity == quantity]
+        return [sensor for sensor in sensors if not only or sensor.name in only]
 
     @cached_property
     def phases(self) -> tuple[Phase, ...]:

@@ -234,6 +234,16 @@ class SensorLog(CountScale):
         return isinstance(dataset, DATASET) and dataset.shape == self.time.shape
 
     @property
+    def count_columns(self) -> tuple[str, ...]:
+        """The names of the columns of counts: x, y, z of a triad, else those in the log, or their numbers."""
+        count = int(self.counts.shape[1])
+        if self.is_triad:
+            return ("x", "y", "z")
+        stored = np.atleast_1d(np.asarray(self._group.attrs.get("columns", ()))).tolist()
+        names = tuple(item.decode("utf-8", "replace") if isinstance(item, bytes) else str(item) for item in stored)
+        return names if len(set(names)) == count else tuple(map(str, range(count)))
+
+    @property
     def attributes(self) -> Mapping[str, Any]:
         """All attributes as stored in the file."""
         return cast(Mapping[str, Any], self._group.attrs)

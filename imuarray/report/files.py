@@ -68,7 +68,7 @@ def _log(path: Path, context: PageContext) -> PagePart:
         calibrated = [
             sensor for sensor in log.sensors.values() if sensor.name in calibration.sensors and sensor.is_triad
         ]
-        scales = {sensor.name: calibration.of(sensor).scale_lsb_per_unit.tolist() for sensor in calibrated}
+        scales = calibration.scales(calibrated)
         noise, techniques = (
             (lambda share: context.progress(_NOISE * share)),
             (lambda share: context.progress(_NOISE + (1 - _NOISE) * share)),

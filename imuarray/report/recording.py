@@ -26,6 +26,7 @@ from imuarray.log import Log, SensorLog
 from imuarray.log.format import LOST_BEFORE, SATURATED
 from imuarray.log.row_timing import row_timing
 from imuarray.printable import counted
+from imuarray.series import true_runs
 from imuarray.units import SI_PER_UNIT
 
 SILENT_S = 1.0
@@ -191,7 +192,10 @@ def _trace(sensor: SensorLog, calibration: Calibration, ends_ns: tuple[int, int]
         clipped, missing = clipped + int(at_end.sum()), missing + len(pauses)
         missing_s += float(steps[pauses].sum()) * 1e-9
         spans += [SignalSpan("missing", (time[row] - steps[row]) * 1e-9, time[row] * 1e-9) for row in pauses]
-        spans += [SignalSpan("clipped", time[a] * 1e-9, (time[b] + period_ns) * 1e-9) for a, b in _runs(at_end)]
+        spans += [
+            SignalSpan("clipped", time[first] * 1e-9, (time[end - 1] + period_ns) * 1e-9)
+            for first, end in zip(*true_runs(at_end), strict=True)
+        ]
         breaks = np.flatnonzero(steps > max(longest_ns, width * period_ns))
         parts.append(_envelope(time, _values(sensor, rows, calibration), np.arange(0, len(time), width), breaks))
     time_s, low, high = (
@@ -254,12 +258,6 @@ def _envelope(
         np.insert(low, places, np.nan, axis=0),
         np.insert(high, places, np.nan, axis=0),
     )
-
-
-def _runs(flags: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """Yield the first and last row of each run of flagged rows."""
-    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
-    return zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True)
 
 
 def _merged(spans: Sequence[SignalSpan], separate_s: float) -> Iterator[SignalSpan]:
@@ -334,9 +332,9 @@ def _coarser(trace: Trace) -> tuple[Floats, Floats, Floats]:
 
 def _outline(across: Floats, top: Floats, bottom: Floats) -> Iterator[str]:
     """Yield a closed path around each run of finite values."""
-    for first, last in _runs(np.isfinite(top)):
-        upper = [f"{x:.1f},{y:.1f}" for x, y in zip(across[first : last + 1], top[first : last + 1], strict=True)]
-        lower = [f"{x:.1f},{y:.1f}" for x, y in zip(across[first : last + 1], bottom[first : last + 1], strict=True)]
+    for first, end in zip(*true_runs(np.isfinite(top)), strict=True):
+        upper = [f"{x:.1f},{y:.1f}" for x, y in zip(across[first:end], top[first:end], strict=True)]
+        lower = [f"{x:.1f},{y:.1f}" for x, y in zip(across[first:end], bottom[first:end], strict=True)]
         yield f"M{' '.join([*upper, *reversed(lower)])}Z"
 
 

@@ -292,7 +292,7 @@ class Posterior:
     ) -> None:
         """`laws` by quantity over the axes of the log's sensors (or of those in `names`), in the log's order."""
         self._log, self._calibration, self._laws = log, calibration, laws
-        selected = {quantity: [s for s in log.of(quantity) if not names or s.name in names] for quantity in laws}
+        selected = {quantity: log.of(quantity, names) for quantity in laws}
         self._sensors = {quantity: sensors for quantity, sensors in selected.items() if sensors}
         rows = [sensor for sensors in self._sensors.values() for sensor in sensors]
         first_ns, last_ns = min(int(s.time[0]) for s in rows), max(int(s.time[-1]) for s in rows)
