@@ -21,25 +21,28 @@
 #define INLINE static inline
 #endif
 
-/* The reading nearest to each frame of the increasing `grid`, within half a frame; 1 if one of them has a `special` flag. */
+/* The reading nearest to each frame of the increasing `grid`, within half a frame: the sum of 1 if one of them has a
+   `special` flag, and of 2 if two frames have the same valid reading. */
 CLONES static int readings_of(const int64_t *time, const int16_t *counts, const uint16_t *status, const int64_t *grid,
                               const double *bias, const double *scale, double *values, char *valid, char *stale,
                               double *late, Py_ssize_t k, Py_ssize_t n, int64_t half_ns, double age_ns, int special,
                               int doubtful, int stale_flag) {
-    Py_ssize_t row = 0;
-    int seen = 0;
+    Py_ssize_t row = 0, before = -1;
+    int seen = 0, shared = 0;
     for (Py_ssize_t i = 0; i < n; i++) {
         while (row + 1 < k && time[row] + time[row + 1] < 2 * grid[i]) row++;
         const int64_t apart = time[row] - grid[i];
         const int near = apart <= half_ns && apart >= -half_ns, flags = near ? status[row] : 0;
         seen |= flags;
         valid[i] = (char)(near && !(flags & doubtful));
+        shared |= valid[i] && row == before;
+        before = valid[i] ? row : -1;
         stale[i] = (flags & stale_flag) != 0;
         late[i] = near ? ((double)apart - age_ns) * 1e-9 : 0.0;
         for (int axis = 0; axis < 3; axis++)
             values[axis * n + i] = near ? ((double)counts[3 * row + axis] - bias[axis]) / scale[axis] : 0.0;
     }
-    return (seen & special) != 0;
+    return ((seen & special) != 0) + 2 * shared;
 }
 
 static PyObject *readings(PyObject *module, PyObject *args) {
@@ -61,7 +64,7 @@ static PyObject *readings(PyObject *module, PyObject *args) {
         seen = readings_of(views[0].buf, views[1].buf, views[2].buf, views[3].buf, views[4].buf, views[5].buf, views[6].buf,
                            views[7].buf, views[8].buf, views[9].buf, k, n, half_ns, age_ns, special, doubtful, stale);
     while (held > 0) PyBuffer_Release(&views[--held]);
-    return PyErr_Occurred() ? NULL : PyBool_FromLong(seen);
+    return PyErr_Occurred() ? NULL : PyLong_FromLong(seen);
 }
 
 typedef double Line[TILE];
@@ -239,6 +242,75 @@ static PyObject *motion(PyObject *module, PyObject *args) {
     return released(views, held);
 }
 
+/* `Frames.delay_noise` (2 s, n); `_delay_noise` and `_noise_of_slopes` explain every step and the `weights`. */
+static void noise_of_delays(const int64_t *grid, const double *slope, const char *valid, const double *late, float *noise,
+                            Py_ssize_t s, Py_ssize_t n, double period_ns, double longest_ns, const double *weights) {
+    const double period_s = period_ns * 1e-9;
+    int incomplete = 0;
+    for (Py_ssize_t i = 0; i < s * n && s > 1 && !incomplete; i++) incomplete = !valid[i];
+    double variance[3] = {1, 1, 1}; /* of the mean of the frame before, of this and of the next frame */
+    for (Py_ssize_t i = -1; i < n; i++) {
+        if (incomplete && i + 1 < n) {
+            Py_ssize_t present = 0;
+            for (Py_ssize_t sensor = 0; sensor < s; sensor++) present += valid[sensor * n + i + 1];
+            variance[2] = (double)s / (double)(present > 1 ? present : 1);
+        }
+        if (i >= 0) {
+            if (i == 0) variance[0] = variance[1];
+            double step[4], usual = 0;
+            Py_ssize_t present = 0;
+            for (int k = 0; k < 4; k++) {
+                Py_ssize_t from = i + k - 2;
+                from = from > n - 2 ? n - 2 : from < 0 ? 0 : from;
+                step[k] = n > 1 ? (double)(grid[from + 1] - grid[from]) * 1e-9 : period_s;
+                if (step[k] > longest_ns * 1e-9) step[k] = period_s;
+            }
+            for (Py_ssize_t sensor = 0; sensor < s; sensor++) {
+                usual += late[sensor * n + i] * (double)valid[sensor * n + i];
+                present += valid[sensor * n + i];
+            }
+            usual /= (double)(present > 1 ? present : 1);
+            const double mean_s = (step[0] + step[1] + step[2] + step[3]) / 4;
+            const double near = (step[2] - step[1]) / mean_s, far = (step[3] - step[0]) / mean_s;
+            double own = weights[0] * near + weights[1] * far;
+            const double across = weights[2] * near + weights[3] * far, second = weights[9] * usual / mean_s;
+            double power = weights[5] + weights[6] * (own * own) - 2 * second * across + weights[7] * (second * second);
+            const double of_slope = own;
+            own = own + weights[4] * second;
+            if (incomplete) {
+                const double later = tanh(-of_slope - weights[8] * second);
+                const double others = (power - own * own > 0 ? power - own * own : 0) / 2;
+                power = others * ((1 - later) * variance[0] + (1 + later) * variance[2]) + own * own * variance[1];
+                own *= variance[1];
+            }
+            const int moves = slope[i] != 0 || slope[n + i] != 0 || slope[2 * n + i] != 0;
+            const double of_all = sqrt(power > 0 ? power : 0) / mean_s;
+            const float shares[2] = {moves ? (float)(own / mean_s) : 0, moves ? (float)of_all : 0};
+            for (int k = 0; k < 2; k++)
+                for (Py_ssize_t sensor = 0; sensor < s; sensor++)
+                    noise[(k * s + sensor) * n + i] = (float)((double)shares[k] * late[sensor * n + i]);
+        }
+        variance[0] = variance[1];
+        variance[1] = variance[2];
+    }
+}
+
+static PyObject *delay_noise(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t s, n;
+    double period_ns, longest_ns;
+    if (!PyArg_ParseTuple(args, "O!(nn)dd", &PyTuple_Type, &sequence, &s, &n, &period_ns, &longest_ns)) return NULL;
+    if (!sizes_allowed(s > 0 && n >= 0)) return NULL;
+    const Py_ssize_t bytes[] = {8 * n, DOUBLES(3 * n), s * n, DOUBLES(s * n), DOUBLES(10), 8 * s * n};
+    Py_buffer views[6];
+    Py_ssize_t held = hold(sequence, views, 6, bytes, 5);
+    if (!PyErr_Occurred())
+        noise_of_delays(views[0].buf, views[1].buf, views[2].buf, views[3].buf, views[5].buf, s, n, period_ns, longest_ns,
+                        views[4].buf);
+    return released(views, held);
+}
+
 /* The right sides of the equations of the slopes of one column (k > 3), each over its diagonal; see `_Spline`. */
 CLONES static void right_sides(const double *widths, const double *column, const double *diagonal, double *rises, double *x,
                                Py_ssize_t k) {
@@ -384,6 +456,7 @@ static PyMethodDef methods[] = {
     {"readings", readings, METH_VARARGS, "readings(arrays, sizes, half_ns, age_ns, flags): a sensor on the grid."},
     {"consensus", consensus, METH_VARARGS, "consensus(arrays, sizes, tolerated): the robust mean of the sensors."},
     {"motion", motion, METH_VARARGS, "motion(arrays, sizes, share): remove the motion since a frame from its readings."},
+    {"delay_noise", delay_noise, METH_VARARGS, "delay_noise(arrays, sizes, period_ns, longest_ns): `Frames.delay_noise`."},
     {"slopes", slopes, METH_VARARGS, "slopes(arrays, sizes): first derivatives of a spline at its knots."},
     {"curvatures", curvatures, METH_VARARGS, "curvatures(arrays, sizes): second derivatives of a spline at its knots."},
     {"at", at, METH_VARARGS, "at(arrays, sizes): a spline at increasing places."},

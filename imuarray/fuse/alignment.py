@@ -23,7 +23,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,7 @@ from imuarray.arrays import Booleans, Floats, Times
 from imuarray.calibrate import SensorCalibration
 from imuarray.errors import FusionError
 from imuarray.fuse import compiled_frames
-from imuarray.fuse.compiled_frames import Tolerance, nearest_readings
+from imuarray.fuse.compiled_frames import Readings, Tolerance
 from imuarray.fuse.frames import Frames
 from imuarray.fuse.least_squares import consensus
 from imuarray.log import Block
@@ -400,18 +400,6 @@ class AlignedSensor:
         return self.delay_s + (0.0 if is_synchronous else self.conversion_s / 2)
 
 
-class _GridReadings(NamedTuple):
-    """Readings of one sensor on the grid: values (3, n) and clipped (n, 3; None: nowhere) along its axes; valid, stale
-    and late_s (n,).
-    """
-
-    values: Floats
-    clipped: npt.NDArray[np.int8] | None
-    valid: Booleans
-    stale: Booleans
-    late_s: Floats
-
-
 def align(
     units: Sequence[AlignedSensor], rows: Sequence[Block | None], grid: Times, period_ns: float, directions: Floats
 ) -> Frames:
@@ -420,24 +408,23 @@ def align(
 
     Frames within `MARGIN` of either end of the grid are final only if the log ends there.
     """
-    parts = [
-        _of_nearest_frames(_on_grid(unit, block, grid, period_ns), grid)
-        for unit, block in zip(units, rows, strict=True)
+    readings = Readings.empty(len(units), len(grid))
+    ends = [
+        _set_on_grid(unit, block, grid, period_ns, readings.of(place))
+        for place, (unit, block) in enumerate(zip(units, rows, strict=True))
     ]
-    columns = np.concatenate([part.values for part in parts])  # one row per axis, which is fastest in numpy
-    valid, late_s = np.stack([part.valid for part in parts]), np.stack([part.late_s for part in parts])
-    each_valid, delay_noise = _by_axis(valid), None
+    columns, valid, stale, late_s = readings  # one row per axis, which is fastest in numpy
+    each_valid, delay_noise, clipped = _by_axis(valid), None, None
     if late_s.any():
         mean = consensus(columns.T, each_valid, directions, units[0].known.quantity)
         slopes = derivatives(grid, mean, gap_ns=_GAP_PERIODS * period_ns)
         _remove_motion(columns, slopes, valid, late_s, directions)
         delay_noise = _delay_noise(grid, slopes[0], valid, late_s, period_ns)
-    clipped = np.zeros((len(grid), len(columns)), np.int8)
-    for place, part in enumerate(parts):
-        if part.clipped is not None:
-            clipped[:, 3 * place : 3 * place + 3] = part.clipped
-    stale = _by_axis(np.stack([part.stale for part in parts]))
-    return Frames(grid, np.ascontiguousarray(columns.T), each_valid, clipped, stale, delay_noise=delay_noise)
+    if any(part is not None for part in ends):
+        nowhere = np.zeros((len(grid), 3), np.int8)
+        clipped = np.concatenate([nowhere if part is None else part for part in ends], axis=1)
+    each_stale = _by_axis(stale) if stale.any() else None
+    return Frames(grid, columns.T, each_valid, clipped, each_stale, delay_noise=delay_noise)
 
 
 def _by_axis(sensors: Booleans) -> Booleans:
@@ -448,18 +435,24 @@ def _by_axis(sensors: Booleans) -> Booleans:
     return np.ascontiguousarray(np.repeat(sensors, 3, axis=0).T)
 
 
-def _on_grid(unit: AlignedSensor, block: Block | None, grid: Times, period_ns: float) -> _GridReadings:
-    """Return the readings nearest to each grid time, within half a frame."""
+def _set_on_grid(
+    unit: AlignedSensor, block: Block | None, grid: Times, period_ns: float, into: Readings
+) -> npt.NDArray[np.int8] | None:
+    """Set the readings of one sensor nearest to each grid time, within half a frame; return `_clipped`."""
     if block is None or len(block.time) == 0:
-        nothing, empty = np.zeros(len(grid), bool), np.zeros((3, len(grid)))
-        return _GridReadings(empty, None, nothing, nothing, np.zeros(len(grid)))
+        for part in into:
+            part[...] = 0
+        return None
     half_ns, age_ns = int(period_ns / 2), 1e9 * unit.age_s(period_ns * 1e-9)
     if unit.element is None:
         tolerance = Tolerance(half_ns, age_ns, SATURATED, SATURATED | SUSPECT, STALE)
         columns = block.time, block.counts, block.status
-        compiled = nearest_readings(columns, grid, unit.known.bias_lsb, unit.known.lsb_per_si, tolerance)
-        if compiled is not None:
-            return _GridReadings(compiled.values, None, *compiled[1:])
+        factors = unit.known.bias_lsb, unit.known.lsb_per_si
+        are_apart = compiled_frames.nearest_readings(columns, grid, factors, tolerance, into)
+        if are_apart is False:
+            _keep_in_nearest_frames(into, grid)
+        if are_apart is not None:
+            return None
     rows = nearest(block.time, grid)
     index: Times | slice = rows
     if len(rows) and (np.diff(rows) == 1).all():  # one reading in each frame: a slice avoids copies
@@ -467,33 +460,30 @@ def _on_grid(unit: AlignedSensor, block: Block | None, grid: Times, period_ns: f
     time, status = block.time[index], block.status[index]
     late_ns = (time - grid).astype(float)
     counts = block.counts[index]
-    values: Floats = np.subtract(counts.T, np.atleast_2d(_bias(unit, time)).T, out=np.empty((3, len(grid))))
-    values /= unit.known.lsb_per_si[:, None]
+    np.subtract(counts.T, np.atleast_2d(_bias(unit, time)).T, out=into.values)
+    np.divide(into.values, unit.known.lsb_per_si[:, None], out=into.values)
     near = np.abs(late_ns) <= half_ns
     if not near.all():  # other readings belong to other frames
-        values, status, late_ns = np.where(near, values, 0.0), status * near, late_ns * near
+        into.values[:, ~near] = 0.0
+        status, late_ns = status * near, late_ns * near
     late_ns -= age_ns * near
-    valid = ((status & (SATURATED | SUSPECT)) == 0) & near
-    return _GridReadings(values, _clipped(unit, counts, status), valid, (status & STALE) != 0, late_ns * 1e-9)
+    into.valid[:] = ((status & (SATURATED | SUSPECT)) == 0) & near
+    into.stale[:] = (status & STALE) != 0
+    np.multiply(late_ns, 1e-9, out=into.late_s)
+    _keep_in_nearest_frames(into, grid)
+    return _clipped(unit, counts, status)
 
 
-def _of_nearest_frames(readings: _GridReadings, grid: Times) -> _GridReadings:
-    """Return the readings with each of them in the nearest frame only. Where frames are not regular, a reading may lie
-    within half a frame of two of them, and would count twice.
+def _keep_in_nearest_frames(readings: Readings, grid: Times) -> None:
+    """Keep each reading of one sensor in the nearest frame only. Where frames are not regular, a reading may lie within
+    half a frame of two of them, and would count twice.
     """
     late_ns, valid = readings.late_s * 1e9, readings.valid
     shared = np.flatnonzero(valid[1:] & valid[:-1] & (np.abs(np.diff(late_ns) + np.diff(grid)) < 0.5))
-    if not len(shared):
-        return readings
-    farther = shared + (np.abs(late_ns[shared + 1]) >= np.abs(late_ns[shared]))
-    nearest_of = np.ones(len(grid), bool)
-    nearest_of[farther] = False
-    return readings._replace(
-        values=readings.values * nearest_of,
-        valid=valid & nearest_of,
-        stale=readings.stale & nearest_of,
-        late_s=readings.late_s * nearest_of,
-    )
+    if len(shared):
+        farther = shared + (np.abs(late_ns[shared + 1]) >= np.abs(late_ns[shared]))
+        for part in readings:
+            part[..., farther] = 0
 
 
 def _bias(unit: AlignedSensor, time: Times) -> Floats:
@@ -549,6 +539,8 @@ squares after and before the knot, relative to both, is the hyperbolic tangent o
 multiple of the weight of s''. They were computed by small changes of the knots of SciPy's spline; the tests compare
 them with it.
 """
+_SPLINE_WEIGHTS = np.array([*_OWN, *_ACROSS, _OWN_CURVATURE, *_SLOPE_POWER, _CURVATURE_POWER, _LATER, _SECOND_ORDER])
+"""All these weights in the order of the compiled code."""
 
 
 def _noise_of_slopes(grid: Times, usual_s: Floats, variance: Floats, period_ns: float) -> Floats:
@@ -580,6 +572,10 @@ def _delay_noise(
     grid: Times, slope: Floats, valid: Booleans, late_s: Floats, period_ns: float
 ) -> npt.NDArray[np.float32]:
     """Return `Frames.delay_noise` (n, 2 s) of readings `late_s` (s, n); zero where the `slope` (n, 3) is not known."""
+    periods_ns = period_ns, _GAP_PERIODS * period_ns
+    compiled = compiled_frames.delay_noise(grid, slope, (valid, late_s), periods_ns, _SPLINE_WEIGHTS)
+    if compiled is not None:
+        return compiled
     present = np.maximum(valid.sum(axis=0), 1)
     usual_s = (late_s * valid).sum(axis=0) / present
     noise = _noise_of_slopes(grid, usual_s, len(valid) / present, period_ns) * slope.T.any(axis=0)

@@ -22,12 +22,25 @@ _MOST_AXES = 96
 
 
 class Readings(NamedTuple):
-    """Readings of one sensor on the grid: values (3, n) along its axes; valid, stale and late_s (n,)."""
+    """Readings of one sensor on the grid: values (3, n) along its axes; valid, stale and late_s (n,). Or those of s
+    sensors: values (3 s, n); valid, stale and late_s (s, n).
+    """
 
     values: Floats
     valid: Booleans
     stale: Booleans
     late_s: Floats
+
+    @classmethod
+    def empty(cls, sensors: int, frames: int) -> Readings:
+        """Return the readings of so many sensors, not yet set."""
+        shape = sensors, frames
+        return cls(np.empty((3 * sensors, frames)), np.empty(shape, bool), np.empty(shape, bool), np.empty(shape))
+
+    def of(self, number: int) -> Readings:
+        """Return the readings of one of the sensors, which share their memory."""
+        rows = slice(3 * number, 3 * number + 3)
+        return Readings(self.values[rows], self.valid[number], self.stale[number], self.late_s[number])
 
 
 class Tolerance(NamedTuple):
@@ -45,25 +58,24 @@ class Tolerance(NamedTuple):
 def nearest_readings(
     rows: tuple[Times, npt.NDArray[Any], npt.NDArray[np.uint16]],
     grid: Times,
-    bias: Floats,
-    scale: Floats,
+    factors: tuple[Floats, Floats],
     tolerance: Tolerance,
-) -> Readings | None:
-    """Return the readings nearest to each time of the increasing `grid` (n,) from `rows`: time (k,), k > 0, counts
-    (k, 3) and status (k,). `bias` and `scale` (3,) are in counts. None without compiled code, for counts that are not
-    int16, and if a row in use has a special flag.
+    into: Readings,
+) -> bool | None:
+    """Set the readings of one sensor nearest to each time of the increasing `grid` (n,) from `rows`: time (k,), k > 0,
+    counts (k, 3) and status (k,); the `factors` are bias and scale (3,) in counts. Return whether each valid reading is
+    in one frame only; None without compiled code, for counts that are not int16, and if a row in use has a special
+    flag.
     """
     time, counts, status = rows
     if not COMPILED or counts.dtype != np.int16 or time.dtype != np.int64 or status.dtype != np.uint16:
         return None
-    count = len(grid)
-    result = Readings(np.empty((3, count)), np.empty(count, bool), np.empty(count, bool), np.empty(count))
     given = tuple(np.ascontiguousarray(part) for part in (time, counts, status, np.asarray(grid, np.int64)))
-    factors = np.ascontiguousarray(bias, float), np.ascontiguousarray(scale, float)
-    special = _frames.readings(
-        (*given, *factors, *result), (len(time), count), tolerance.half_ns, tolerance.age_ns, tolerance[2:]
+    bias, scale = (np.ascontiguousarray(part, float) for part in factors)
+    seen: int = _frames.readings(
+        (*given, bias, scale, *into), (len(time), len(grid)), tolerance.half_ns, tolerance.age_ns, tolerance[2:]
     )
-    return None if special else result
+    return None if seen & 1 else not seen
 
 
 def agreed(values: Floats, rows: Floats, gain: Floats, tolerated: float) -> Floats | None:
@@ -92,6 +104,22 @@ def remove_motion(
     given = slope, curvature, valid, late_s, np.ascontiguousarray(directions, float)
     _frames.motion((*given, columns), valid.shape, share)
     return True
+
+
+def delay_noise(
+    grid: Times, slope: Floats, late: tuple[Booleans, Floats], periods_ns: tuple[float, float], weights: Floats
+) -> npt.NDArray[np.float32] | None:
+    """Return `Frames.delay_noise` (n, 2 s) of frames at `grid` (n,) with `slope` (n, 3), valid and late_s (s, n) in
+    `late`; `periods_ns` are that of the frames and the longest one over which the slope is known, `weights` (10,) those
+    of `alignment`. None without compiled code.
+    """
+    if not COMPILED:
+        return None
+    valid, late_s = (np.ascontiguousarray(part) for part in late)
+    result = np.empty((2 * len(valid), len(grid)), np.float32)
+    given = np.asarray(grid, np.int64), np.ascontiguousarray(slope.T), valid, late_s, weights
+    _frames.delay_noise((*given, result), valid.shape, *periods_ns)
+    return result.T
 
 
 def spline_slopes(widths: Floats, columns: Floats) -> Floats | None:

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imuarray.calibrate import SensorCalibration
 from imuarray.fuse import compiled_frames, fuse
-from imuarray.fuse.alignment import between_gaps, derivatives
+from imuarray.fuse.alignment import AlignedSensor, _delay_noise, align, between_gaps, derivatives
 from imuarray.fuse.frames import Axis, CalibrationErrors
 from imuarray.fuse.least_squares import TOLERATED_SI, SlowErrors, consensus
-from imuarray.log import open_log
+from imuarray.log import Block, open_log
+from imuarray.log.format import STALE, SUSPECT
 from tests.fuse.conftest import Floats, Part, WriteRun, calibration, pointing
 
 pytestmark = pytest.mark.skipif(not compiled_frames.COMPILED, reason="installed without a C compiler")
@@ -72,6 +74,49 @@ def test_a_consensus_is_that_of_numpy(sensors: int, frames: int, monkeypatch: py
     np.testing.assert_allclose(result, consensus(values, valid, rows, FORCE), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("sensors", [1, 3])
+@pytest.mark.parametrize("complete", [True, False])
+@pytest.mark.parametrize("frames", [1, 2, 3, 4, 100])
+def test_the_noise_of_delays_is_that_of_numpy(
+    sensors: int, complete: bool, frames: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At irregular frames with a pause, some without a known slope, some without a reading."""
+    rng = np.random.default_rng(frames)
+    grid = np.cumsum(rng.integers(8_000_000, 12_000_000, frames)) + 200_000_000 * (np.arange(frames) > 60)
+    slope, late_s = rng.normal(size=(frames, 3)), rng.uniform(0, 0.005, (sensors, frames))
+    slope[frames // 3] = 0.0
+    valid = np.ones(late_s.shape, bool) if complete else rng.random(late_s.shape) < 0.7
+    result = _delay_noise(grid, slope, valid, late_s * valid, 1e7)
+    leave_out(monkeypatch)
+    wanted = _delay_noise(grid, slope, valid, late_s * valid, 1e7)
+    assert result.shape == wanted.shape == (frames, 2 * sensors)
+    np.testing.assert_allclose(result, wanted, rtol=2e-7)
+
+
+@pytest.mark.parametrize("jitter_ns", [0, 3_000_000])
+def test_readings_are_those_of_numpy(jitter_ns: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of frames that are not regular, two of which may be near to the same reading; one sensor has no rows."""
+    rng = np.random.default_rng(5)
+    grid = 10_000_000 * np.arange(1, 400) + rng.integers(0, jitter_ns + 1, 399)
+    units = [AlignedSensor(SensorCalibration("A", FORCE, "g", np.ones(3), 1000 * np.eye(3)), 8191.0)] * 3
+    blocks: list[Block | None] = [None]
+    for _ in range(2):
+        time = 10_000_000 * np.arange(1, 400) + rng.integers(0, jitter_ns + 1, 399)
+        kept = np.flatnonzero(rng.random(399) < 0.8)
+        flags = rng.choice(np.array([0, 0, 0, STALE, SUSPECT], np.uint16), len(kept))
+        counts = rng.integers(-2000, 2000, (len(kept), 3)).astype(np.int16)
+        blocks.append(Block(time[kept], counts, flags))
+    rows = np.tile(np.eye(3), (3, 1))
+    result = align(units, blocks, grid, 1e7, rows)
+    leave_out(monkeypatch)
+    wanted = align(units, blocks, grid, 1e7, rows)
+    assert result.stale is not None
+    assert wanted.stale is not None
+    np.testing.assert_array_equal(result.valid, wanted.valid)
+    np.testing.assert_array_equal(result.stale, wanted.stale)
+    np.testing.assert_allclose(result.values, wanted.values, rtol=1e-12, atol=1e-12)
+
+
 @pytest.mark.parametrize("rows", [4, 5, 200])
 def test_a_spline_is_that_of_numpy(rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(rows)
@@ -122,5 +167,7 @@ def test_other_sizes_are_refused() -> None:
         _frames.readings((numbers,) * 10, (0, 3), 5, 0.0, (1, 2, 4))
     with pytest.raises(ValueError, match="sizes"):
         _frames.motion((numbers,) * 6, (0, 3), 0.5)
+    with pytest.raises(ValueError, match="sizes"):
+        _frames.delay_noise((numbers,) * 6, (0, 3), 1e7, 5e7)
     with pytest.raises(ValueError, match="array 0: 480 bytes"):
         _frames.covariances((numbers, numbers, numbers), (1,))
