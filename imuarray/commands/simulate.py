@@ -38,8 +38,8 @@ def _list_effects(context: click.Context, _: click.Parameter, is_given: bool) ->
     """Print the effects that a model may contain, and exit."""
     if not is_given or context.resilient_parsing:
         return
+    from imuarray.simulate.effect import spelled
     from imuarray.simulate.effects import EFFECTS, meaning
-    from imuarray.simulate.parameters import spelled
 
     for name, kind in EFFECTS.items():
         click.echo(f"{name:17} {meaning(name)}\n{'':17}   {', '.join(spelled(kind, 'UNIT'))}")
@@ -192,8 +192,8 @@ class SimulateOptions:
 def _run(options: SimulateOptions) -> None:
     """Write the logs, and print what was written."""
     from imuarray.simulate import Simulation, effects_of
+    from imuarray.simulate.effect import to_table
     from imuarray.simulate.experiments import remarks_on
-    from imuarray.simulate.parameters import to_table
 
     if (options.config is None) == (options.like is None):
         raise click.UsageError("give either a CONFIG or --like RUN.h5")

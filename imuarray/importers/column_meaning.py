@@ -24,10 +24,18 @@ from imuarray.importers.column_names import (
     unit_in,
 )
 from imuarray.importers.mapping import ZERO_OF_UNIT
-from imuarray.importers.proposal import Proposal
-from imuarray.importers.sensor_proposal import propose_barometer, propose_sensor, propose_thermometer
+from imuarray.importers.proposal import (
+    Proposal,
+    add_own_time,
+    increases,
+    propose_barometer,
+    propose_sensor,
+    propose_thermometer,
+    rate_line,
+    time_index,
+    time_lines,
+)
 from imuarray.importers.text_layout import TextLayout, quoted
-from imuarray.importers.time_proposal import add_own_time, increases, rate_line, time_index, time_lines
 from imuarray.importers.triad_behaviour import (
     has_unit_length,
     is_computed_gravity,

@@ -19,12 +19,10 @@ from imuarray.errors import ImuArrayError
 from imuarray.importers.column_names import COMPUTED, TRUTH
 from imuarray.importers.mimu4444 import is_recording
 from imuarray.importers.plausibility import radii_of, report_of, turns_of
-from imuarray.importers.proposal import Item, Proposal
+from imuarray.importers.proposal import COUNTS_OF_GYROSCOPE, UNIT_MG, UNKNOWN_RATE, Item, Proposal, is_in_mg
 from imuarray.importers.resolution import MOST_BITS, SENSITIVITIES, WIDE_SENSITIVITIES
-from imuarray.importers.sensor_proposal import COUNTS_OF_GYROSCOPE, UNIT_MG, is_in_mg
 from imuarray.importers.source_proposal import propose_map
 from imuarray.importers.table import import_table
-from imuarray.importers.time_proposal import UNKNOWN_RATE
 from imuarray.log import Log, open_log
 from imuarray.printable import percent
 from imuarray.units import UNITS_OF

@@ -1,13 +1,30 @@
-"""A proposed map under construction."""
+"""A proposed map under construction: its tables, and the lines that describe the time and each sensor.
+
+The column of time, its unit, and the unit of a sensor or the scale of its codes follow from names and from the size of
+the values.
+"""
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import takewhile
+from math import log as ln
 
-from imuarray.importers.text_layout import TextLayout
+import numpy as np
+
+from imuarray.arrays import Floats
+from imuarray.importers.column_names import COMPUTED, INDEX, SPELLINGS, TIME, column_label, unit_in
+from imuarray.importers.mapping import NS_PER_UNIT, ZERO_OF_UNIT
+from imuarray.importers.plausibility import RATES_HZ, USUAL_RATES_HZ
+from imuarray.importers.resolution import WIDE_SENSITIVITIES, usual_bits
+from imuarray.importers.sphere import fit_sphere
+from imuarray.importers.text_layout import TextLayout, quoted
+from imuarray.importers.triad_behaviour import NEAR_GRAVITY
 from imuarray.printable import printable
+from imuarray.units import STANDARD_GRAVITY, UNITS_OF
 
 _WIDTH = 110
 
@@ -94,3 +111,462 @@ class Proposal:
         for item in self.asides:
             parts += ["", *(f"# {line}" for line in item)]
         return "\n".join(parts) + "\n"
+
+
+_WRAPS = (2.0**32, 2.0**24, 2.0**16)
+
+
+def is_time_of_rows(name: str, values: Floats) -> bool:
+    """Return whether a column has an increasing time for each row: it is called a time, or grows without being called
+    a number of the rows.
+    """
+    if not increases(values):
+        return False
+    return bool(TIME.search(name)) or (bool((np.diff(values) > 0).all()) and not INDEX.fullmatch(name.strip()))
+
+
+UNKNOWN_RATE = "rate_hz = 100   # ? enter the true rate"
+"""The line of `[time]` for rows of unknown rate."""
+
+
+def rate_line(proposal: Proposal) -> str:
+    """Return the line of `[time]` for rows without times: the rate that the recording states, or a guess."""
+    layout = proposal.layout
+    if layout.rate_hz is None:
+        return UNKNOWN_RATE
+    return f"rate_hz = {layout.rate_hz:g}   # stated by {printable(layout.rate_source)[:80]}"
+
+
+def add_own_time(
+    item: Item,
+    names: Sequence[str],
+    columns: Sequence[Floats],
+    first: int,
+    time: tuple[int | None, Mapping[int, str]],
+    proposal: Proposal,
+) -> None:
+    """Add the time column of a sensor to its lines, if it is not that of the table, `time`, which may be a date."""
+    time_of_sensor = _own_time(names[first], names, columns, time[0]) if names else None
+    if time_of_sensor is None:
+        return
+    label = column_label(names, time_of_sensor)
+    units = [
+        _unit_of_time(unit_in(names[index]), columns[index][np.isfinite(columns[index])])[0]
+        for index in (time_of_sensor, time[0])
+        if index is not None and index not in time[1]
+    ]
+    if len(units) == 2 and units[0] == units[1]:
+        item.append(f"time_column = {label}   # ? by its name")
+    else:
+        proposal.doubts.append(
+            f"column {label} seems to be the time of {item.name}; as time_column it needs the unit of [time]"
+        )
+
+
+def time_index(names: Sequence[str], columns: Sequence[Floats], dates: Mapping[int, str]) -> int | None:
+    """Return the column of time: named so, and increasing (a counter may wrap, rows may be out of order)."""
+    if dates:
+        return min(dates)
+    increasing = [index for index, values in enumerate(columns) if increases(values)]
+    called = [index for index in range(min(len(names), len(columns))) if TIME.search(names[index])]
+    ordered = [index for index in called if index in increasing]
+    shuffled = [index for index in called if len(np.unique(columns[index])) > len(columns[index]) / 2]
+    return next(iter([*ordered, *shuffled, *increasing]), None)
+
+
+def _own_time(name: str, names: Sequence[str], columns: Sequence[Floats], time: int | None) -> int | None:
+    """Return the time column that has the beginning of its name in common with a sensor's column; None if that of the
+    whole table, `time`, fits as well or there is none.
+    """
+
+    def common(index: int) -> int:
+        same = takewhile(lambda pair: pair[0] == pair[1], zip(names[index].lower(), name.lower(), strict=False))
+        return sum(1 for _ in same)
+
+    fitting = [
+        index
+        for index in range(min(len(names), len(columns)))
+        if index != time
+        and TIME.search(names[index])
+        and common(index) >= _OWN_PREFIX
+        and increases(columns[index][np.isfinite(columns[index])])
+    ]
+    best = max(fitting, key=common, default=None)
+    return None if best is None or (time is not None and common(time) >= common(best)) else best
+
+
+_OWN_PREFIX = 2
+
+
+def increases(values: Floats) -> bool:
+    """Return whether values (n,) increase like time: all but a hundredth of the steps, as a counter may wrap."""
+    finite = values[np.isfinite(values)]
+    if len(finite) < _MOSTLY_KNOWN * len(values):
+        return False
+    steps = np.diff(finite)
+    return len(steps) > 1 and float(np.mean(steps < 0)) < 1e-2 and steps.max() > 0
+
+
+_MOSTLY_KNOWN = 0.5
+"""Least share of rows that have a time: events between readings may have none."""
+
+
+def _fraction_lines(names: Sequence[str], columns: Sequence[Floats], index: int) -> list[str]:
+    """Return the lines of `[time]` for whole seconds in the column `index` and the rest of them in the next one, by
+    names such as sec and nsec; none otherwise.
+    """
+    rest = index + 1
+    if rest >= min(len(names), len(columns)):
+        return []
+    unit = next((unit for unit, spelt in _FRACTIONS.items() if spelt.search(names[rest])), "")
+    values, seconds = columns[rest], columns[index]
+    if not unit or not np.isin(np.diff(seconds), (0.0, 1.0)).all() or not (seconds == np.rint(seconds)).all():
+        return []
+    if float(values.min()) < 0 or float(values.max()) >= 1e9 / NS_PER_UNIT[unit]:
+        return []
+    return [
+        f"column = {column_label(names, index)}",
+        'unit = "s"',
+        f"fraction_column = {column_label(names, rest)}",
+        f'fraction_unit = "{unit}"',
+    ]
+
+
+_FRACTIONS: Mapping[str, re.Pattern[str]] = {
+    "ns": re.compile(r"n(ano)?s(ecs?|econds?)?$", re.IGNORECASE),
+    "us": re.compile(r"(u|micro)s(ecs?|econds?)?$", re.IGNORECASE),
+    "ms": re.compile(r"(m|milli)s(ecs?|econds?)?$", re.IGNORECASE),
+}
+"""Names of columns with the rest of a second, by unit: nsecs, nanosec, tv_usec."""
+
+
+def time_lines(
+    names: Sequence[str],
+    columns: Sequence[Floats],
+    index: int,
+    dates: Mapping[int, str],
+    proposal: Proposal,
+) -> list[str]:
+    """Return the lines of `[time]` for the column `index`; adds doubts to the proposal."""
+    if index not in dates and (lines := _fraction_lines(names, columns, index)):
+        return lines
+    name = names[index] if index < len(names) else ""
+    lines = [f"column = {column_label(names, index)}"]
+    if index in dates:
+        month = "   # ? the month may come after the day: %d/%m" if dates[index].startswith("%m/") else ""
+        return [*lines, f"unit = {quoted(dates[index])}{month}"]
+    values = columns[index]
+    steps = np.diff(values)
+    if name.lower() == "sampletimefine":
+        is_coarse = 1e4 / max(_unit_of_time("us", values)[1], 1e-9) >= USUAL_RATES_HZ[0]
+        ticks_line = ["ticks = 100   # of Xsens: a clock of 10 kHz"] if is_coarse else []
+        return [*lines, 'unit = "us"', *ticks_line, "wraps_at = 4294967296"]
+    stated_unit = proposal.units.get(name) or unit_in(name) or _unit_called(name)
+    if ticks := _TICKS.fullmatch(stated_unit):
+        tick_s = float(ticks[1]) * NS_PER_UNIT[SPELLINGS.get(ticks[2], ticks[2])] * 1e-9
+        rate_hz = 1 / max(_unit_of_time("s", values)[1] * tick_s, 1e-12)
+        lines += [
+            f'unit = "{SPELLINGS.get(ticks[2], ticks[2])}"   # {rate_hz:.4g} rows a second, if so',
+            f"ticks = {ticks[1]}",
+        ]
+        return lines + _restarts(values)
+    is_number = names and (not name.strip() or INDEX.fullmatch(name.strip()))
+    if stated_unit not in NS_PER_UNIT and is_number and _counts_rows(steps):
+        label = f"column {name!r}" if name.strip() else f"the first column without a name, {index},"
+        wrapped = f", from 0 again at {1 - steps.min():.0f}" if steps.min() < 0 else ""
+        if proposal.layout.rate_hz is None:
+            proposal.doubts.append(
+                f"{label} counts the rows{wrapped} and says nothing about time: 100 rows a second are assumed; enter"
+                " the rate in rate_hz"
+            )
+        return [rate_line(proposal)]
+    unit, step = _unit_of_time(stated_unit, values)
+    rate_hz = _rate_hz(unit, step)
+    inferred, _ = _unit_of_time("", values)
+    other_hz = _rate_hz(inferred, step)
+    if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1] and USUAL_RATES_HZ[0] <= other_hz <= USUAL_RATES_HZ[1]:
+        proposal.doubts.append(
+            f"column {name!r} says {unit}, which would be {rate_hz:.3g} rows a second; {inferred} is assumed"
+        )
+        unit, rate_hz = inferred, other_hz
+    mark = "" if stated_unit == unit else "   # ?"
+    lines.append(f'unit = "{unit}"{mark or "   #"} {rate_hz:.4g} rows a second, if so')
+    return lines + _restarts(values)
+
+
+def _counts_rows(steps: Floats) -> bool:
+    """Return whether the steps of a column are those of a counter of rows, which may wrap."""
+    falls = steps[steps < 0]
+    return bool((steps[steps >= 0] == 1).all()) and len(np.unique(falls)) < 2
+
+
+def _rate_hz(unit: str, step: float) -> float:
+    """Return the rate of rows that are `step` units of time apart."""
+    return 1e9 / max(step * NS_PER_UNIT[unit], 1e-3)
+
+
+_CALLED: Mapping[str, re.Pattern[str]] = {
+    "us": re.compile(r"(?:^|[_ .])(?:us|usec|micros|microseconds)$|[a-z]US$", re.ASCII),
+    "ms": re.compile(r"(?:^|[_ .])(?:ms|msec|millis|milliseconds)$|[a-z]MS$", re.ASCII),
+    "ns": re.compile(r"(?:^|[_ .])(?:ns|nsec|nanos|nanoseconds)$|[a-z]NS$", re.ASCII),
+    "s": re.compile(r"(?:^|[_ .])(?:sec|secs|seconds)$", re.ASCII),
+}
+"""Names of times that say their unit without brackets, by unit."""
+
+
+def _unit_called(name: str) -> str:
+    """Return the unit of time that a name without brackets says; "" if it says none."""
+    return next((unit for unit, spelt in _CALLED.items() if spelt.search(name.strip())), "")
+
+
+_TICKS = re.compile(r"(\d+\.?\d*) ?([mun\u00b5\u03bc]?s)")
+"""Pattern of a unit of time that is a multiple of another: "39.0625us"."""
+
+
+def _restarts(values: Floats) -> list[str]:
+    """Return the lines of `[time]` for a counter that wraps, and for times that repeat."""
+    steps, lines = np.diff(values), []
+    if (steps < 0).any() and (wraps_at := _wrap_of(values)):
+        lines.append(f"wraps_at = {wraps_at:.0f}")
+    if (steps == 0).any():
+        lines.append("ties = true   # rows with equal times")
+    return lines
+
+
+def _wrap_of(values: Floats) -> float:
+    """Return the usual period that a counter (n,) with falls has; 0 without one."""
+    least, most = float(values.min()), float(values.max())
+    if least < 0:  # a signed counter
+        return next((period for period in _WRAPS if 0.9 * period < 2 * min(most, -least) <= period), 0.0)
+    return next((period for period in _WRAPS if 0.9 * period < most <= period), 0.0)
+
+
+def _unit_of_time(stated_unit: str, values: Floats) -> tuple[str, float]:
+    """Return the unit of times, as their column's name says it or by their step, and the step."""
+    steps = np.diff(values)
+    step = float((values[-1] - values[0]) / len(steps))
+    if (steps < 0).any():
+        step = float(np.median(steps[steps > 0]))
+    if stated_unit in NS_PER_UNIT:
+        return stated_unit, step
+    return next((unit for unit, most in _STEPS if step < most), "ns"), step
+
+
+_STEPS = (("d", 1e-5), ("s", 0.2), ("ms", 200.0), ("us", 2e5))
+"""Units of time, and the steps from row to row below which they are plausible; above the last, nanoseconds are."""
+
+
+NAMES = {"specific_force": "Acc", "angular_rate": "Gyro", "magnetic_field": "Mag"}
+_PRESSURES = {"Pa": 1e5, "hPa": 1e3, "kPa": 1e2, "bar": 1.0}
+"""Air pressure at sea level in each unit."""
+_COUNTS_OF_MAGNETOMETER = 1090.0
+"""Counts per gauss of an HMC5883L after power-up (HMC-21), the most common magnetometer."""
+COUNTS_OF_GYROSCOPE = 131.0
+_CODES_16 = 1 << 16
+_LEAST_MIDDLE = 128.0
+_NEAR_MIDDLE = 0.15
+_GRAVITY_FROM_MIDDLE = 0.55
+"""Least middle of the range of an unsigned converter (8 bits), and the relative distances of the axes' medians from it:
+of two axes, and of the one along gravity, which is half of the middle at +-2 g.
+"""
+_APPLE = re.compile(
+    r"user_?acceleration|accelerometerAcceleration|motionGravity|DeviceMotion|CMAcceleration", re.IGNORECASE
+)
+"""Names of Apple's CoreMotion, in which a device that lies on its back reads -1 g along z."""
+
+
+def propose_sensor(
+    quantity: str,
+    names: Sequence[str],
+    columns: Sequence[Floats],
+    indices: tuple[int, int, int],
+    force_unit: str,
+    proposal: Proposal,
+) -> Item:
+    """Return the lines of a sensor."""
+    values = np.stack([columns[index][: min(map(len, columns))] for index in indices], axis=1)
+    gravity = proposal.gravity.get(indices)
+    if gravity is not None:
+        values = values + np.stack([columns[index][: len(values)] for index in gravity], axis=1)
+    values = values[np.isfinite(values).all(axis=1)]
+    length = float(np.median(np.linalg.norm(values, axis=1))) if len(values) else 0.0
+    stated_unit = proposal.units.get(names[indices[0]]) or unit_in(names[indices[0]]) if names else ""
+    whole = bool(len(values)) and float(np.mean(values == np.rint(values))) > _WHOLE and length > 5
+    beyond = float(np.abs(values).max(initial=0.0))
+    is_wide = (
+        quantity == "specific_force"
+        and whole
+        and (beyond >= _CODES_16 or (beyond >= _CODES_16 / 2 and float(values.min()) < 0))
+    )
+    whole = whole and float(np.ptp(values)) < _CODES_16
+    codes: list[str] = []
+    largest = _CODES_16 / 2
+    if whole:
+        values, codes, largest = _signed(values)
+        length = float(np.median(np.linalg.norm(values, axis=1)))
+    listed = ", ".join(column_label(names, index) for index in indices)
+    item = Item(
+        [
+            "[[sensor]]",
+            proposal.name_line(NAMES[quantity]),
+            'chip = "unknown"   # ?',
+            f'quantity = "{quantity}"' if names else f'quantity = "{quantity}"   # ? the columns have no names',
+            f"columns = [{listed}]",
+        ]
+    )
+    if gravity is not None:
+        item.append(f"gravity_columns = [{', '.join(column_label(names, index) for index in gravity)}]")
+    if quantity == "specific_force" and names and _APPLE.search(names[indices[0]]):
+        item.append('signs = "---"   # ? Apple\'s CoreMotion has the opposite sign: -1 g along the axis that points up')
+    is_computed = bool(proposal.attitudes or (names and COMPUTED.search(names[indices[0]])))
+    sphere = fit_sphere(values) if quantity == "specific_force" and (is_wide or whole) else None
+    gravity_length = length if sphere is None else sphere.radius
+    if stated_unit in UNITS_OF[quantity]:  # type: ignore[index]
+        item.append(f'unit = "{stated_unit}"')
+    elif is_wide:
+        item += _wide_codes(gravity_length, beyond)
+    elif quantity == "specific_force" and is_computed and not whole and length < _WEIGHTLESS:
+        item.append('unit = "m/s2"   # ? gravity is subtracted, and programs that do so write m/s2')
+    elif not whole:
+        item += _measured(quantity, values, force_unit)
+    elif sphere is not None and not codes and is_in_mg(sphere.radius):
+        item.append(UNIT_MG.format(sphere.radius))
+    else:
+        item += [*codes, *_counted(quantity, gravity_length, largest)]
+    return item
+
+
+_WEIGHTLESS = 0.7
+"""Median length of accelerations in which there is no gravity, in g or m/s2."""
+
+_WHOLE = 0.999
+"""Share of whole numbers of a column of codes: a torn row may hold others."""
+
+UNIT_MG = 'unit = "mg"   # ? from gravity in all directions: {:.5g}'
+
+
+def is_in_mg(length: float) -> bool:
+    """Return whether gravity's length in all directions says that whole numbers are in mg, not 1024 counts per g."""
+    return abs(ln(length / 1000)) < abs(ln(length / 1024)) and abs(ln(length / 1000)) < _EXACT
+
+
+_EXACT = 0.012
+"""Greatest log ratio of gravity's length in all directions to the counts per g."""
+
+
+def _signed(values: Floats) -> tuple[Floats, list[str], float]:
+    """Return codes (n, 3) as signed ones, the lines that say how, and the largest code that is then possible."""
+    if values.min() < 0 or values.max() >= _CODES_16:
+        return values, [], _CODES_16 / 2
+    medians = np.median(values, axis=0)
+    middle = 2.0 ** np.rint(np.log2(max(float(np.median(medians)), 1.0)))
+    _, second, largest = np.sort(np.abs(medians / middle - 1)).tolist()
+    if _LEAST_MIDDLE <= middle < _CODES_16 / 2 and second < _NEAR_MIDDLE and largest < _GRAVITY_FROM_MIDDLE:
+        return values - middle, [f"offset = {middle:g}   # ? no code is negative, and all axes are near it"], middle
+    if values.max() < _CODES_16 / 2:
+        return values, [], _CODES_16 / 2
+    outer = (values < _CODES_16 / 4) | (values >= _CODES_16 * 3 / 4)
+    if float(np.mean(outer)) > 0.5:
+        return (
+            np.where(values >= _CODES_16 / 2, values - _CODES_16, values),
+            ["bits = 16   # ? none is negative"],
+            _CODES_16 / 2,
+        )
+    return values - _CODES_16 / 2, [f"offset = {_CODES_16 // 2}   # ? none is negative"], _CODES_16 / 2
+
+
+def _wide_codes(length: float, beyond: float) -> list[str]:
+    """Return the scale of an accelerometer's codes of more than 16 bits, up to `beyond`."""
+    per_g = min(WIDE_SENSITIVITIES["specific_force"], key=lambda sensitivity: abs(ln(length / sensitivity)))
+    if abs(ln(length / per_g)) > NEAR_GRAVITY:
+        per_g = 2.0 ** round(ln(length) / ln(2))
+    if abs(ln(length / per_g)) > NEAR_GRAVITY:
+        per_g = float(f"{length:.3g}")
+    bits = usual_bits(beyond)
+    return [
+        'unit = "g"',
+        f"range = {(1 << bits - 1) / per_g:.6g}   # ? of {bits} bits",
+        f"sensitivity = {per_g:.9g}   # ? from gravity: {length:.6g} counts",
+    ]
+
+
+def _counted(quantity: str, length: float, largest: float) -> list[str]:
+    """Return unit and scale of columns of integers up to `largest`."""
+    bits = f"of {round(ln(2 * largest) / ln(2))} bits"
+    if quantity == "specific_force":
+        per_g = 2.0 ** round(ln(length) / ln(2))
+        if abs(ln(length / per_g)) > NEAR_GRAVITY:
+            per_g = float(f"{length:.2g}")
+        return [
+            'unit = "g"',
+            f"range = {largest / per_g:g}   # ? {bits}",
+            f"sensitivity = {per_g:g}   # ? from gravity: {length:.5g} counts",
+        ]
+    if quantity == "angular_rate":
+        usual_scales = ", ".join(f"{131 / (1 << power):.4g} ({250 << power} dps)" for power in range(4))
+        return [
+            'unit = "dps"',
+            "range = 250   # ?",
+            f"sensitivity = {COUNTS_OF_GYROSCOPE:g}   # ? not determined at rest; common are {usual_scales}",
+        ]
+    return [
+        'unit = "gauss"',
+        "range = 1.3   # ?",
+        f"sensitivity = {_COUNTS_OF_MAGNETOMETER:g}   # ? {length:.4g} counts for the earth's 0.2 to 0.7 gauss",
+    ]
+
+
+def _measured(quantity: str, values: Floats, force_unit: str) -> list[str]:
+    """Return the line of the unit of columns of physical values (n, 3)."""
+    length = float(np.median(np.linalg.norm(values, axis=1))) if len(values) else 0.0
+    if quantity == "angular_rate":
+        largest = float(np.abs(values).max(initial=0.0))
+        if largest > _MOST_DPS:
+            return [f'unit = "mdps"   # ? from the size of the values: up to {largest:.4g}']
+        unit = "rad/s" if force_unit == "m/s2" else "dps"
+        return [f'unit = "{unit}"   # ? dps or rad/s: the import report compares rotations, if there are any']
+    if quantity == "specific_force":
+        sizes = {"g": 1.0, "m/s2": STANDARD_GRAVITY, "mg": 1000.0}
+    else:
+        sizes = {"gauss": 0.45, "uT": 45.0, "mgauss": 450.0, "T": 4.5e-5, "nT": 4.5e4}
+    unit = min(sizes, key=lambda scale: abs(ln(max(length, 1e-12) / sizes[scale])))
+    return [f'unit = "{unit}"   # ? from the size of the values: {length:.4g}']
+
+
+_MOST_DPS = 6000.0
+"""Readings beyond those of every gyroscope in dps: the values are in thousandths."""
+
+
+def propose_thermometer(proposal: Proposal, name: str, values: Floats) -> None:
+    """Propose a column of temperatures: in degrees, or as counts with unknown scale."""
+    finite = values[np.isfinite(values)]
+    if len(finite) == 0:
+        return
+    unit = proposal.units.get(name) or unit_in(name)
+    unit = unit if unit in ZERO_OF_UNIT else ""
+    if not unit and finite.min() > 200 and finite.max() < 420 and (finite != np.rint(finite)).any():
+        unit = "K"
+    if unit or (finite.min() > -60 and finite.max() < 150 and (finite != np.rint(finite)).any()):
+        unit_line = f'unit = "{unit}"' if unit else 'unit = "degC"   # ? from the size of the values'
+        proposal.add("thermometer", "Thermometer", f"column = {quoted(name)}", unit_line)
+        return
+    span = f"{finite.min():g} to {finite.max():g}"
+    proposal.doubts.append(
+        f"column {name!r} may be a chip's thermometer ({span} counts): set temperature_column ="
+        f" {quoted(name)} and thermometer = {{ zero_degc, lsb_per_degc }} of its sensor from its data sheet"
+    )
+
+
+def propose_barometer(proposal: Proposal, name: str, values: Floats) -> None:
+    """Propose a column of air pressures, if they are such in some unit."""
+    finite = values[np.isfinite(values)]
+    middle = float(np.median(finite)) if len(finite) else 0.0
+    near = next((unit for unit, sea_level in _PRESSURES.items() if 0.2 < middle / sea_level < 1.2), None)
+    unit = proposal.units.get(name, near)
+    if unit is None:
+        proposal.doubts.append(
+            f"column {name!r}: no air pressure in {', '.join(_PRESSURES)} has its size, {middle:.4g}"
+        )
+        return
+    mark = "" if name in proposal.units else f"   # ? from the size of the values: {middle:.6g}"
+    proposal.add("barometer", "Barometer", f"column = {quoted(name)}", f'unit = "{unit}"{mark}')

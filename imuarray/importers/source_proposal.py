@@ -28,7 +28,7 @@ from imuarray.importers.column_meaning import (
 )
 from imuarray.importers.column_names import is_of_a_quantity, quantity_of, units_below_header
 from imuarray.importers.mapping import parse_map
-from imuarray.importers.proposal import Item, Proposal
+from imuarray.importers.proposal import Item, Proposal, increases, is_time_of_rows, time_lines
 from imuarray.importers.records import FIRST_WORDS, WORD_ORDERS
 from imuarray.importers.sources import ZIP, RecordingRows, open_rows, reader_of, stem_of, texts_in, unpack_texts
 from imuarray.importers.text_layout import (
@@ -41,7 +41,6 @@ from imuarray.importers.text_layout import (
     quoted,
     read_text,
 )
-from imuarray.importers.time_proposal import increases, is_time_of_rows, time_lines
 from imuarray.importers.triad_behaviour import is_gravity
 from imuarray.printable import listed as listed_names
 

@@ -18,14 +18,13 @@ from imuarray.calibrate.model import Calibration, SensorCalibration
 from imuarray.errors import CalibrationError
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.converters import even_step
-from imuarray.simulate.effect import Effect
+from imuarray.simulate.effect import Effect, to_table
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.conversion import Quantisation
 from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.effects.response import AxisError, GSensitivity, Misalignment, Scale
 from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag
 from imuarray.simulate.model import TRIADS, Model, Part, noise_bandwidth_hz
-from imuarray.simulate.parameters import to_table
 from imuarray.simulate.population import Recipe, figure_of
 from imuarray.simulate.streams import Streams
 

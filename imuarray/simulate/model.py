@@ -28,11 +28,10 @@ from imuarray.chips import CHIPS
 from imuarray.errors import ConfigError
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.converters import adxl345_bandwidth_hz
-from imuarray.simulate.effect import Effect
+from imuarray.simulate.effect import Effect, from_table, spelled
 from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.effects.conversion import RangeReset
 from imuarray.simulate.effects.noise import WhiteNoise
-from imuarray.simulate.parameters import from_table, spelled
 from imuarray.simulate.population import Recipe, at_ends, drawn, figure_of, table_of
 from imuarray.simulate.streams import Streams
 from imuarray.toml_files import Mistake, Place, parse_toml, read_text, refusal

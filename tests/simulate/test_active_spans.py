@@ -8,7 +8,7 @@ import pytest
 from imuarray.errors import ConfigError
 from imuarray.simulate import Simulation, plan_of
 from imuarray.simulate.active_spans import spans_of
-from imuarray.simulate.effect import FOREVER_S, Effect
+from imuarray.simulate.effect import FOREVER_S, Effect, from_table, to_table
 from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.conversion import OdrError, Quantisation
 from imuarray.simulate.effects.noise import Tone, WhiteNoise
@@ -17,7 +17,6 @@ from imuarray.simulate.effects.response import Scale
 from imuarray.simulate.effects.temperature import ThermalLag
 from imuarray.simulate.effects.timing import DroppedSamples
 from imuarray.simulate.motion.still import Still
-from imuarray.simulate.parameters import from_table, to_table
 from tests.gap.small_bench import array_of
 
 BASE = (WhiteNoise(0.2),)

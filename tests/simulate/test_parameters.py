@@ -14,13 +14,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from imuarray.errors import ConfigError
-from imuarray.simulate.effect import Effect
+from imuarray.simulate.effect import Effect, from_table, numbers, spelled, to_table
 from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.readings import Stuck
 from imuarray.simulate.effects.response import AxisError, GSensitivity, Misalignment, Nonlinearity
 from imuarray.simulate.effects.timing import ClockError
-from imuarray.simulate.parameters import from_table, numbers, spelled, to_table
 from tests.selection import examples, some
 
 UNITS = ("g", "dps", "gauss")

@@ -12,8 +12,8 @@ from scipy.stats import kstest, norm, truncnorm
 
 from imuarray.errors import ConfigError
 from imuarray.log.format import SensorHeader
+from imuarray.simulate.effect import spelled
 from imuarray.simulate.effects.noise import WhiteNoise
-from imuarray.simulate.parameters import spelled
 from imuarray.simulate.population import Figure, Spread, at_ends, drawn, figure_of, table_of
 from imuarray.simulate.streams import Streams
 

@@ -18,9 +18,8 @@ from typing import TypeVar
 import pytest
 
 from imuarray.errors import ImuArrayError
-from imuarray.validation import executors
-from imuarray.validation.executors import Workers
-from imuarray.validation.running import RunSummary, executor_of, run_cases
+from imuarray.validation import running
+from imuarray.validation.running import RunSummary, Workers, executor_of, run_cases
 from tests.validation.jobs import case_of, worked, written
 
 pytestmark = [
@@ -137,7 +136,7 @@ def test_when_the_scheduler_is_gone_another_executor_goes_on(tmp_path: Path) -> 
 
 
 def test_where_no_scheduler_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(executors, "_CONNECT_S", 0.5)
+    monkeypatch.setattr(running, "_CONNECT_S", 0.5)
     with (
         pytest.raises(ImuArrayError, match=r"tcp://127.0.0.1:9: no Dask scheduler"),
         executor_of("tcp://127.0.0.1:9", 0),

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from imuarray.simulate.effect import from_table
 from imuarray.simulate.effects import EFFECTS
-from imuarray.simulate.parameters import from_table
 from imuarray.validation import plans
 from imuarray.validation.bench import CHIPS, HIDDEN, LIMITS, PLANS, limit
 from imuarray.validation.case import Case

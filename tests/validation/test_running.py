@@ -20,8 +20,7 @@ import pytest
 
 from imuarray.errors import ConfigError, ImuArrayError, MissingExtraError
 from imuarray.validation.case import Case
-from imuarray.validation.executors import Processes
-from imuarray.validation.running import RunSummary, executor_of, run_cases
+from imuarray.validation.running import Processes, RunSummary, executor_of, run_cases
 from tests.validation.jobs import case_of, worked, written
 
 ROOT = Path(__file__).parents[2]

@@ -22,9 +22,8 @@ from imuarray.gap.model.replication import SensorModel
 from imuarray.gap.model.rest import REFERENCE_DEGC
 from imuarray.gap.statistics.catalogue import AXES
 from imuarray.log.format import SensorHeader
-from imuarray.simulate.effect import Effect
+from imuarray.simulate.effect import Effect, to_table
 from imuarray.simulate.effects.temperature import ThermalBias
-from imuarray.simulate.parameters import to_table
 
 TEMPER = 0.3
 """Power to which the odds of a trial count in its probability."""

@@ -12,11 +12,10 @@ from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.populations import own_unit, usual_model
 from imuarray.gap.model.replication import ORDINARY, Models, SensorModel
 from imuarray.log.format import SensorHeader
-from imuarray.simulate.effect import Effect
+from imuarray.simulate.effect import Effect, to_table
 from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.model import TRIADS, Model, Part, noise_bandwidth_hz
-from imuarray.simulate.parameters import to_table
 from imuarray.simulate.population import Recipe, figure_of
 
 _SLOPE = "slope_"

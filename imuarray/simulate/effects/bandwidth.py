@@ -11,9 +11,8 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from imuarray.arrays import Integers, Reals
-from imuarray.simulate.effect import Effect, scalar
+from imuarray.simulate.effect import Effect, listed, scalar
 from imuarray.simulate.effects.timing import AT_ITS_RATE
-from imuarray.simulate.parameters import listed
 from imuarray.simulate.signal import Analog, Place
 
 _FINE = 1e-3  # time constants per row, below which correlations of rows are too similar to be distinguished

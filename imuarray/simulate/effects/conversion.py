@@ -14,8 +14,7 @@ from imuarray.arrays import Booleans, Floats, Indices, Reals
 from imuarray.chips import CHIPS
 from imuarray.log.format import RECONFIGURED, SUSPECT, SensorHeader
 from imuarray.simulate.converters import adxl345_bandwidth_hz, code_span
-from imuarray.simulate.effect import Effect, per_axis, require, scalar
-from imuarray.simulate.parameters import alongside, listed
+from imuarray.simulate.effect import Effect, alongside, listed, per_axis, require, scalar
 from imuarray.simulate.signal import Analog, Codes, Counts, Flags, Instants, Place, Triple, per_row
 
 

@@ -10,8 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.simulate.converters import code_span
-from imuarray.simulate.effect import Effect, scalar
-from imuarray.simulate.parameters import alongside, listed
+from imuarray.simulate.effect import Effect, alongside, listed, scalar
 from imuarray.simulate.signal import Codes, Counts, Place
 
 _RARE = 1e-12

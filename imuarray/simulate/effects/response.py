@@ -10,8 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.arrays import Reals
-from imuarray.simulate.effect import Effect, per_axis, require
-from imuarray.simulate.parameters import numbers, several
+from imuarray.simulate.effect import Effect, numbers, per_axis, require, several
 from imuarray.simulate.signal import Analog, Felt, Place, Triple, per_row
 
 

@@ -9,8 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.arrays import Booleans, Integers, Reals
-from imuarray.simulate.effect import Effect, require, scalar
-from imuarray.simulate.parameters import alongside, listed
+from imuarray.simulate.effect import Effect, alongside, listed, require, scalar
 from imuarray.simulate.signal import Instants, Place
 from imuarray.simulate.streams import Stream
 

@@ -15,8 +15,8 @@ from scipy.stats import chi2, f
 
 from imuarray.chips import CHIPS
 from imuarray.cli import main
+from imuarray.simulate.effect import from_table
 from imuarray.simulate.effects import EFFECTS
-from imuarray.simulate.parameters import from_table
 from imuarray.studies.paper.findings import Finding, as_json, findings, render_text
 from imuarray.studies.paper.tables import DEGC, FACES_DEGC, number_in, row_of, table
 
