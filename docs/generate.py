@@ -320,13 +320,15 @@ def _probes() -> Pages:
 
 
 def _techniques() -> Pages:
+    from imuarray.fuse.technique_descriptions import TECHNIQUE_DESCRIPTIONS
     from imuarray.fuse.techniques import NEEDS_NOISE
 
     rows, made = [], {}
     for name in _technique_names():
         module = importlib.import_module(_technique_module(name))
-        rows.append((name, f"{name}.md", _TECHNIQUE_TITLES[name]))
-        text = [f"# Technique `{name}`\n", f"{_TECHNIQUE_TITLES[name]}.\n"]
+        about = TECHNIQUE_DESCRIPTIONS[name].about
+        rows.append((name, f"{name}.md", about))
+        text = [f"# Technique `{name}`\n", f"{_sentence(about)}.\n"]
         needs = (
             "a calibration with `calibrate noise`"
             if name in NEEDS_NOISE or name == "optimal"
@@ -341,15 +343,6 @@ def _techniques() -> Pages:
         text += ["## As the code describes it\n", _docstring(module)]
         made[f"reference/techniques/{name}.md"] = "\n".join(text)
     return {"reference/techniques/index.md": _index("Techniques of fusion", rows), **made}
-
-
-_TECHNIQUE_TITLES = {
-    "mean": "Every axis has the same weight",
-    "opposed": "Anti-parallel axes of one design cancel the drift that they share",
-    "planes": "In-plane and out-of-plane axes are weighted by noise and stability",
-    "ranges": "Low and high measuring ranges are blended",
-    "optimal": "A Kalman filter and smoother of the whole array, weighted by all that is known of its errors",
-}
 
 
 def _technique_names() -> tuple[str, ...]:

@@ -21,6 +21,7 @@ from imuarray.commands.options import (
     refuse_existing,
     refuse_other_suffix,
 )
+from imuarray.fuse.technique_descriptions import TECHNIQUE_DESCRIPTIONS, TECHNIQUE_NAMES
 from imuarray.printable import listed
 from imuarray.units import INERTIAL, READABLE_SI
 
@@ -37,20 +38,6 @@ _STEPS = 1000
 _AVERAGE = 0.1
 """Share of the time that the average takes if it is computed before an estimator of the whole array."""
 
-_NOTHING = {
-    "opposed": "changes nothing on this array: the axes of a design that point both ways are already balanced",
-    "planes": "changes nothing on this array: the errors of in-plane and out-of-plane axes of a design are too similar",
-    "ranges": "changes nothing on this array: all its sensors of a quantity have one measuring range",
-}
-"""Remarks on a technique whose result equals the mean."""
-
-_EFFECTS = {
-    "opposed": "cancels the common bias of",
-    "planes": "weighs the axes of a design differently:",
-    "ranges": "relies on wider ranges near the end of the range of",
-}
-"""What a technique does, followed by the sensors or axes that it concerns."""
-
 _WORDS = {
     "rms": "rms error against the truth",
     "noise": "scatter from frame to frame",
@@ -58,7 +45,22 @@ _WORDS = {
 }
 
 
-@click.command("fuse")
+_LIST = "\n".join(f"{name:8} {technique.about}" for name, technique in TECHNIQUE_DESCRIPTIONS.items())
+
+_HELP = f"""Fuse all sensors of RUN.h5 into one specific force and one angular rate in the box frame.
+
+\b
+{_LIST}
+
+--evaluate compares all techniques on a log that contains the truth: errors, ratios to the mean with their 95 %
+intervals, consistency of the covariances, and errors of heading and velocity after coasting.
+
+\b
+imuarray fuse run.h5 --calibration cal.toml --technique optimal -o fused.h5
+"""
+
+
+@click.command("fuse", help=_HELP)
 @log_argument
 @click.option(
     "--calibration",
@@ -67,9 +69,7 @@ _WORDS = {
     metavar="CAL.toml",
     help="the calibration to apply (default: data-sheet values)",
 )
-@click.option(
-    "--technique", default="mean", show_default=True, metavar="NAME", help="mean, opposed, planes, ranges or optimal"
-)
+@click.option("--technique", default="mean", show_default=True, metavar="NAME", help=TECHNIQUE_NAMES)
 @click.option(
     "-o",
     "--output",
@@ -88,21 +88,7 @@ _WORDS = {
 @force_option
 @json_option
 def command(**options: Any) -> None:
-    """Fuse all sensors of RUN.h5 into one specific force and one angular rate in the box frame.
-
-    \b
-    mean     gives every axis the same weight
-    opposed  cancels the drift that anti-parallel axes of one design share
-    planes   weights in-plane and out-of-plane axes by their measured noise and stability
-    ranges   blends low and high measuring ranges; the low one fades out before it clips
-    optimal  weights readings by a full error model, tracks slow errors, excludes failing sensors
-
-    --evaluate compares all techniques on a log that contains the truth: errors, ratios to the mean with their 95 %
-    intervals, consistency of the covariances, and errors of heading and velocity after coasting.
-
-    \b
-    imuarray fuse run.h5 --calibration cal.toml --technique optimal -o fused.h5
-    """
+    """Fuse the sensors of a log."""
     _run(FuseOptions(**options))
 
 
@@ -391,9 +377,10 @@ def _print_results(report: dict[str, Any]) -> None:
     technique = report["technique"]
     for fault in report["faults"]:
         click.echo(f"  {fault['sentence']}")
-    if technique not in ("mean", "optimal"):
+    description = TECHNIQUE_DESCRIPTIONS[technique]
+    if description.effect:
         changes = ", ".join(report["changes"])
-        click.echo(f"  {technique} {f'{_EFFECTS[technique]} {changes}' if changes else _NOTHING[technique]}")
+        click.echo(f"  {technique} {f'{description.effect} {changes}' if changes else description.no_effect}")
     for line in pair_lines(report["pairs"], follows_temperature=bool(report["thermal"])):
         click.echo(f"  {line}")
     for quantity in report["results"]["mean"]:

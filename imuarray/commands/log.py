@@ -26,6 +26,7 @@ from imuarray.commands.options import (
     refuse_other_suffix,
 )
 from imuarray.errors import ConfigError
+from imuarray.fuse.technique_descriptions import TECHNIQUE_NAMES
 from imuarray.printable import counted
 from imuarray.shipped import find_config
 from imuarray.spelling import guess
@@ -181,9 +182,7 @@ def _logs_with_events(logs: Sequence[Path], sensor: str) -> list[Path]:
     " its readings and configure it again; with --fuse: the calibration for the fusion",
 )
 @click.option("--fuse", is_flag=True, help="also fuse the readings while recording, with a delay of one or two seconds")
-@click.option(
-    "--technique", metavar="NAME", help="for --fuse: mean, opposed, planes, ranges or optimal  [default: mean]"
-)
+@click.option("--technique", metavar="NAME", help=f"for --fuse: {TECHNIQUE_NAMES}  [default: mean]")
 @click.option(
     "--fused",
     "fused_file",

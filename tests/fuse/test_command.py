@@ -14,6 +14,9 @@ from imuarray.calibrate import Calibration
 from imuarray.calibrate.noise import with_noise_of
 from imuarray.cli import main
 from imuarray.fuse import evaluate, fuse, quiet_noise, read_fused
+from imuarray.fuse.fusion import NAMES
+from imuarray.fuse.technique_descriptions import TECHNIQUE_DESCRIPTIONS
+from imuarray.fuse.techniques import CHANGES
 from imuarray.log import open_log
 from imuarray.log.format import Phase
 from tests.fuse.arrays import HIGH_MG, LOW_MG, low_and_high
@@ -166,6 +169,19 @@ def test_nothing_is_overwritten(run: Path, tmp_path: Path, capsys: pytest.Captur
     assert output.read_text() == "mine"
     assert main(["fuse", str(run), "-o", str(output), "--force"]) == 0
     assert h5py.is_hdf5(output)
+
+
+def test_every_technique_is_described_in_the_order_of_the_registry(capsys: pytest.CaptureFixture[str]) -> None:
+    assert tuple(TECHNIQUE_DESCRIPTIONS) == NAMES
+    assert main(["fuse", "--help"]) == 0
+    help_text = capsys.readouterr().out
+    assert "mean, opposed, planes, ranges or optimal" in help_text
+    assert "  opposed  cancels the drift that anti-parallel axes of one design share\n" in help_text
+
+
+def test_techniques_that_change_only_some_arrays_are_described_for_both() -> None:
+    for name, description in TECHNIQUE_DESCRIPTIONS.items():
+        assert bool(description.effect) == bool(description.no_effect) == (name in CHANGES)
 
 
 def test_bad_input_is_one_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,14 +23,15 @@ TECHNIQUES: Mapping[str, Maker] = MappingProxyType(
 NEEDS_NOISE = frozenset({"planes", "ranges"})
 """Techniques that need the noise of every axis (`calibrate noise`)."""
 
-_CHANGES: Mapping[str, Callable[[Sequence[Axis]], list[str]]] = MappingProxyType(
+CHANGES: Mapping[str, Callable[[Sequence[Axis]], list[str]]] = MappingProxyType(
     {"opposed": _opposed.changes, "planes": _planes.changes, "ranges": _ranges.changes}
 )
+"""By technique that changes the average only on some arrays: the differences for the axes of an array, in words."""
 
 
 def changes(technique: str, axes: Sequence[Axis]) -> list[str]:
     """Describe the differences of a technique from the simple average; empty if there are none for this array."""
-    return _CHANGES[technique](axes) if technique in _CHANGES else []
+    return CHANGES[technique](axes) if technique in CHANGES else []
 
 
-__all__ = ["NEEDS_NOISE", "TECHNIQUES", "Maker", "Technique", "changes"]
+__all__ = ["CHANGES", "NEEDS_NOISE", "TECHNIQUES", "Maker", "Technique", "changes"]
