@@ -1,5 +1,6 @@
-"""The techniques of fusion in words: for help texts, the report of `imuarray fuse` and the reference. `--help` needs it, so
-it imports nothing of the package.
+"""The techniques of fusion in words: for help texts, the report of `imuarray fuse` and the reference.
+
+It imports nothing of the package, because `--help` needs it.
 """
 
 from __future__ import annotations
