@@ -6,7 +6,7 @@ driver against the golden conversation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import ClassVar, cast
 
@@ -16,7 +16,7 @@ from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.chips import ChipSpec
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, carry_out, flagged, registers_for, saturated
+from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, SelfTest, flagged, saturated
 from imuarray.facts.registers import Register, Setting
 from imuarray.log.format import OVERRUN, STALE
 
@@ -47,7 +47,7 @@ SPEC = ChipSpec(
 
 
 # 3. imuarray/drivers/lis3dh.py
-class Lis3dh:
+class Lis3dh(ChipDriver):
     """Driver of one LIS3DH in its high-resolution mode."""
 
     burst: ClassVar[int] = 7
@@ -55,8 +55,7 @@ class Lis3dh:
     tells_fresh: ClassVar[bool] = True
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
-        self.registers = registers_for(sensor, bus)
-        self.clock = clock
+        super().__init__(bus, sensor, clock)
         self.watched: tuple[Setting, ...] = (
             RATE(1 + SPEC.rates_hz.index(sensor.chip_rate_hz)) | AXES_ON(0b111),
             BLOCK_UPDATE(1) | FULL_SCALE(list(SPEC.sensitivity).index(sensor.range or 2.0)) | HIGH_RESOLUTION(1),
@@ -66,19 +65,11 @@ class Lis3dh:
         """SensorError unless it answers 0x33."""
         self.registers.expect(WHO_AM_I)
 
-    def configure(self) -> None:
-        """All `steps`."""
-        carry_out(self.clock, self.steps())
-
     def steps(self) -> Iterator[float]:
         """Rate and range, written and read back."""
         for setting in self.watched:
             self.registers.set(setting)
             yield 0.0
-
-    def mark(self, code: int) -> bool:
-        """It has no byte to spare."""
-        return False
 
     def self_test(self) -> SelfTest:
         """Not written yet."""
@@ -93,10 +84,6 @@ class Lis3dh:
         counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16) >> 4
         fresh = flagged(~bursts[:, 0], 0x08, STALE) | flagged(bursts[:, 0], 0x80, OVERRUN)
         return DecodedBursts(counts, None, fresh | saturated(counts, -2048, 2047))
-
-    def header(self) -> Mapping[str, int]:
-        """Nothing of its own."""
-        return {}
 
 
 # 4. One line each: "lis3dh": SPEC in imuarray.chips.CHIPS, by which `detect` knows it by sight, and "lis3dh": Lis3dh in
