@@ -34,10 +34,8 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
-def time_series_figure(
-    panels: Mapping[str, tuple[Reals, Reals]], names: Sequence[str] = "XYZ", title: str = "", height: float = 1.7
-) -> Figure:
-    """Curves over time, a panel for each label: times (n,) in s and values (n, k), of which `names` are the columns.
+def time_series_figure(panels: Mapping[str, tuple[Reals, Reals]], title: str = "", height: float = 1.7) -> Figure:
+    """Curves over time, a panel for each label: times (n,) in s and values (n,), or (n, 3) along X, Y and Z.
 
     Of more than 4000 rows each stretch is drawn by its least and greatest value, so that a single spike is seen.
     """
@@ -47,7 +45,7 @@ def time_series_figure(
         columns = np.asarray(values, float).reshape(len(time_s), -1)
         for number, column in enumerate(columns.T):
             drawn_s, drawn = envelope(np.asarray(time_s, float), column)
-            colour, name = PALETTE[1 + number % (len(PALETTE) - 1)], names[number] if columns.shape[1] > 1 else None
+            colour, name = PALETTE[1 + number % (len(PALETTE) - 1)], "XYZ"[number] if columns.shape[1] > 1 else None
             panel.plot(drawn_s, drawn, color=colour, linewidth=0.8, label=name)
         panel.set_ylabel(label, fontsize=9)
         panel.grid(linewidth=0.4, alpha=0.6)

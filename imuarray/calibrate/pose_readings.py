@@ -218,15 +218,14 @@ class RestWindows(NamedTuple):
         return np.flatnonzero(np.isfinite(self.spread))
 
 
-def rest_windows(log: Log, only: Collection[str] = ()) -> RestWindows:
+def rest_windows(log: Log) -> RestWindows:
     """Return half-second windows of a log and which of them are at rest, by its accelerometers, or its gyroscopes, or
-    its magnetometers, the first that exist (`only` these, unless that is empty); CalibrationError without any, and for
-    a log that is too short.
+    its magnetometers, the first that exist; CalibrationError without any, and for a log that is too short.
     """
-    sensors = next(filter(None, (_rows_of(log, quantity, only) for quantity in SAME_POSE)), [])
+    sensors = next(filter(None, (_rows_of(log, quantity, ()) for quantity in SAME_POSE)), [])
     if not sensors:
         raise CalibrationError(f"{log.path}: no sensor with three axes to detect when the box stood still")
-    return _windows(log, sensors, only)
+    return _windows(log, sensors, ())
 
 
 def _windows(log: Log, sensors: Sequence[SensorLog], only: Collection[str]) -> RestWindows:
@@ -307,7 +306,7 @@ _TAIL_OF_CHANGES = 1.6449 * 2**0.5
 
 def _rows_of(log: Log, quantity: str, only: Collection[str]) -> list[SensorLog]:
     """Return the sensors of a quantity that have rows."""
-    return [sensor for sensor in log.of(quantity) if len(sensor) and (not only or sensor.name in only)]
+    return [sensor for sensor in log.of(quantity, only) if len(sensor)]
 
 
 def _turning(rate_dps: Floats, std_dps: Floats, still: npt.NDArray[np.bool_], rows: float) -> npt.NDArray[np.bool_]:

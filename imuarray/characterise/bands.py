@@ -68,9 +68,7 @@ class _Box:
     chance: float
 
 
-def find_bands(
-    spectrum: Spectrum, column: int = 0, narrow: Sequence[SpectralLine] = (), false_alarm: float = FALSE_ALARM
-) -> tuple[Band, ...]:
+def find_bands(spectrum: Spectrum, column: int = 0, narrow: Sequence[SpectralLine] = ()) -> tuple[Band, ...]:
     """Return the wide lines in one column of a spectrum, strongest first, in addition to the known `narrow` ones."""
     density = np.array(spectrum.density[:, column])
     density[-1] *= 2  # the bin at half the rate has no twin
@@ -79,7 +77,7 @@ def find_bands(
         return ()
     for line in narrow:
         _level(density, round(line.frequency_hz / spectrum.resolution_hz))
-    boxes = sorted(_boxes(density, float(np.median(spectrum.freedom)), false_alarm), key=lambda box: box.chance)
+    boxes = sorted(_boxes(density, float(np.median(spectrum.freedom))), key=lambda box: box.chance)
     in_band = np.zeros(len(density), bool)
     bands = []
     for box in boxes:
@@ -98,7 +96,7 @@ def _level(density: Floats, at: int) -> None:
         density[first:stop] = np.median(neighbours)
 
 
-def _boxes(density: Floats, freedom: float, false_alarm: float) -> list[_Box]:
+def _boxes(density: Floats, freedom: float) -> list[_Box]:
     """Return the boxes of all widths that exceed their sides significantly."""
     from scipy.special import fdtrc  # scipy.stats is slow to import
 
@@ -113,7 +111,7 @@ def _boxes(density: Floats, freedom: float, false_alarm: float) -> list[_Box]:
         ratio = means / floor
         sure = freedom * max(width / _SHARED, 1.0), freedom * np.maximum(_MEDIAN * bins / _SHARED, 1.0)
         chance = trials * fdtrc(*sure, ratio / SLACK)
-        for at in np.flatnonzero((ratio > RISES) & (chance < false_alarm)).tolist():
+        for at in np.flatnonzero((ratio > RISES) & (chance < FALSE_ALARM)).tolist():
             first = int(starts[at])
             boxes.append(_Box(first, first + width, float(floor[at]), float(chance[at])))
     return boxes

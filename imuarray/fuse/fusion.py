@@ -312,7 +312,6 @@ def fuse_together(
     *,
     only: Collection[str] = (),
     progress: Progress = lambda share: None,
-    block: int = BLOCK,
 ) -> Iterator[dict[str, FusedBlock]]:
     """Fuse by several techniques that fuse each quantity separately (`TECHNIQUES`); frames are aligned once. Returns
     blocks by the name of the technique. FusionError.
@@ -325,7 +324,7 @@ def fuse_together(
     stream = FusionStream(
         array.groups, calibration, lambda period_s: TechniqueSet(axes, names), temperatures, timeout_s=float("inf")
     )
-    return _replay(log, stream, block, progress)
+    return _replay(log, stream, BLOCK, progress)
 
 
 def live(
@@ -350,9 +349,7 @@ def live(
     )
 
 
-def aligned(
-    log: Log, calibration: Calibration, *, only: Collection[str] = (), block: int = BLOCK
-) -> Iterator[FrameBlock]:
+def aligned(log: Log, calibration: Calibration, *, only: Collection[str] = ()) -> Iterator[FrameBlock]:
     """Yield the input of techniques from a log: blocks of frames by quantity, with the temperatures of elements by
     sensor. FusionError.
     """
@@ -361,7 +358,7 @@ def aligned(
     stream = FusionStream(
         array.groups, calibration, lambda period_s: FramePipeline(), temperatures, timeout_s=float("inf")
     )
-    return _replay(log, stream, block)
+    return _replay(log, stream, BLOCK)
 
 
 class _Array(Generic[_Sensor]):

@@ -93,14 +93,14 @@ def claims_in(answers: Sequence[Answer]) -> list[CauseClaim]:
     return claims
 
 
-def cross_validate(answers: Sequence[Answer], folds: int = FOLDS, seed: int = 0) -> list[Fold]:
+def cross_validate(answers: Sequence[Answer]) -> list[Fold]:
     """Evaluate rates on cases to which they were not fitted: all folds together ("other worlds"); rates fitted to one
     kind of world on each of the others; rates fitted to the cases without a chip or an experiment on those with it.
     """
     if not answers:
         return []
-    drawn = np.random.default_rng(seed).permutation(len(answers)) % folds
-    parts = [[answer for answer, fold in zip(answers, drawn, strict=True) if fold == number] for number in range(folds)]
+    drawn = np.random.default_rng(0).permutation(len(answers)) % FOLDS
+    parts = [[answer for answer, fold in zip(answers, drawn, strict=True) if fold == number] for number in range(FOLDS)]
     chances, right = list[float](), list[bool]()
     for part in parts:
         claims = claims_in(part)

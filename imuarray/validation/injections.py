@@ -144,11 +144,10 @@ def write_cases(
     *,
     names: Sequence[str] = tuple(INJECTIONS),
     limits: float = LIMITS,
-    documented: Sequence[Mapping[str, Any]] = (),
 ) -> list[str]:
     """Write the control and one case of each injection into the first of the `logs`, which all belong to one recording.
     Returns the numbers of the cases, the control's first, continuing those in the folder. Injections that do not reach
-    the required size are left out. `documented`: effects (as a truth has them) that the recording is known to have.
+    the required size are left out.
     """
     folder.mkdir(parents=True, exist_ok=True)
     first = len([place for place in folder.glob("[0-9]*") if place.is_dir()])
@@ -159,8 +158,7 @@ def write_cases(
         chips = {name: log.chip for name, log in sensors.items()}
         about = {"world": "real", "sensors": chips, "experiments": [path.stem for path in logs]}
         _copy_logs(logs, folder / numbers[0])
-        control = "effect" if documented else "control"
-        write_truth(folder, numbers[0], {**about, "kind": control, "effects": list(documented)})
+        write_truth(folder, numbers[0], {**about, "kind": "control", "effects": []})
         for name in names:
             random = np.random.default_rng([seed, crc32(name.encode())])
             targets = _targets(INJECTIONS[name], sensors)

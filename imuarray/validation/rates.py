@@ -126,23 +126,23 @@ def limit_of(negatives: Numbers, most: float) -> float:
     return float(np.sort(negatives)[::-1][allowed]) if allowed < len(negatives) else -inf
 
 
-def reliability(probabilities: Numbers, right: Any, bins: int = BINS) -> tuple[Bin, ...]:
+def reliability(probabilities: Numbers, right: Any) -> tuple[Bin, ...]:
     """Bin probabilities (n,) by value and compare them with whether they were right (n,); 1 is in the last bin."""
     chances, outcomes = np.asarray(probabilities, float), np.asarray(right, bool)
-    places = np.minimum((chances * bins).astype(int), bins - 1)
+    places = np.minimum((chances * BINS).astype(int), BINS - 1)
     filled = []
-    for place in range(bins):
+    for place in range(BINS):
         own = places == place
         mean, share = (float(chances[own].mean()), float(outcomes[own].mean())) if own.any() else (nan, nan)
-        filled.append(Bin(place / bins, (place + 1) / bins, int(own.sum()), mean, share))
+        filled.append(Bin(place / BINS, (place + 1) / BINS, int(own.sum()), mean, share))
     return tuple(filled)
 
 
-def calibration_error(probabilities: Numbers, right: Any, bins: int = BINS) -> float:
+def calibration_error(probabilities: Numbers, right: Any) -> float:
     """Return the expected calibration error: the distance between mean probability and share right, averaged over bins
     by their number of values (Naeini, Cooper and Hauskrecht, AAAI 2015). nan without values.
     """
-    filled = [bin_ for bin_ in reliability(probabilities, right, bins) if bin_.cases]
+    filled = [bin_ for bin_ in reliability(probabilities, right) if bin_.cases]
     total = sum(bin_.cases for bin_ in filled)
     return sum(bin_.cases * abs(bin_.mean - bin_.right) for bin_ in filled) / total if total else nan
 

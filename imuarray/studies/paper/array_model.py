@@ -88,10 +88,10 @@ def covariance_of_means(windows_apart: int, window_s: float, time_constant_s: fl
     return ratio**2 * (1 - decay) ** 2 * decay ** (windows_apart - 1)
 
 
-def expected_scatter(window_s: float = WINDOW_S, time_constant_s: float = TIME_CONSTANT_S, parts: int = PARTS) -> float:
-    """Return the expected sample variance of the means of `parts` consecutive windows."""
-    pairs = sum((parts - k) * covariance_of_means(k, window_s, time_constant_s) for k in range(1, parts))
-    return variance_of_mean(window_s, time_constant_s) - 2 * pairs / (parts * (parts - 1))
+def expected_scatter() -> float:
+    """Return the expected sample variance of the means of `PARTS` consecutive windows of Table 11."""
+    pairs = sum((PARTS - k) * covariance_of_means(k, WINDOW_S) for k in range(1, PARTS))
+    return variance_of_mean(WINDOW_S) - 2 * pairs / (PARTS * (PARTS - 1))
 
 
 REFERENCE_DEGC = 25.0

@@ -103,26 +103,31 @@ def profile(step_s: float = _STEP_S) -> TimeCurve:
     return TimeCurve(seconds, degc[:, None])
 
 
-def against_temperature(observed: ExperimentData, channel: str, every_s: float = 4.0) -> Scatter:
+_SCATTER_S = 4.0
+"""Time between the readings of Figures 8 and 9."""
+_HALF_MINUTE_S = 30.0
+
+
+def against_temperature(observed: ExperimentData, channel: str) -> Scatter:
     """Return a channel such as "Gyro2 x" of a sensor of `WARMED` against temperature (Figures 8 and 9)."""
     name, letter = channel.split()
     axis, series, line = "xyz".index(letter), observed.warm[name], observed.heated[name]
-    sampled = slice(None, None, max(1, round(every_s * rate_hz(series))))
+    sampled = slice(None, None, max(1, round(_SCATTER_S * rate_hz(series))))
     degc = np.asarray(Heating().felt(series.time_ns[sampled]).temperature_degc, float)
     lsb = series.counts[sampled, axis].astype(float)
     return Scatter(degc, lsb, float(line.slope[axis]), float(line.intercept[axis]))
 
 
-def opposed(observed: ExperimentData, window_s: float = 30.0) -> TimeCurve:
+def opposed(observed: ExperimentData) -> TimeCurve:
     """Return Gyro1 y, Gyro2 y and half of their difference while heated, averaged over half a minute (Figure 10)."""
     means = []
     for name in ("Gyro1", "Gyro2"):
         series = observed.warm[name]
-        rows = round(window_s * rate_hz(series))
+        rows = round(_HALF_MINUTE_S * rate_hz(series))
         whole = len(series.counts) // rows * rows
         means.append(series.counts[:whole, 1].reshape(-1, rows).mean(axis=1))
     first, second = means
-    seconds = np.asarray((np.arange(len(first)) + 0.5) * window_s, float)
+    seconds = np.asarray((np.arange(len(first)) + 0.5) * _HALF_MINUTE_S, float)
     return TimeCurve(seconds, np.column_stack([first, second, (first - second) / 2]))
 
 
