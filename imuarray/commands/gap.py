@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -171,9 +172,10 @@ def _write(folder: Path, diagnosis: Diagnosis) -> None:
 
 
 def _print_diagnosis(diagnosis: Diagnosis, as_json: bool) -> None:
-    from imuarray.gap.findings.text import text_of
+    """Print to the width of the terminal; to the full width where there is none."""
+    from imuarray.gap.findings.text import WIDTH, text_of
 
     if as_json:
         print_json(diagnosis.as_json())
     else:
-        click.echo(text_of(diagnosis), nl=False)
+        click.echo(text_of(diagnosis, get_terminal_size((WIDTH, 24)).columns), nl=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -25,7 +24,7 @@ from imuarray.gap.findings.description import (
     shared_changes,
     unexplained_lines,
 )
-from imuarray.gap.findings.deviations import StatisticReport, map_of, where_of
+from imuarray.gap.findings.deviations import StatisticReport, map_of, tail_p, where_of
 from imuarray.gap.findings.diagnosis import (
     Cause,
     Diagnosis,
@@ -47,6 +46,7 @@ from imuarray.gap.findings.observability import (
 )
 from imuarray.gap.findings.origins import lines_of, notes_of, with_origins
 from imuarray.gap.findings.overlays import overlays_of
+from imuarray.gap.findings.pulls import pulls_of
 from imuarray.gap.findings.repair import repair_model
 from imuarray.gap.findings.sentence import sentence_of
 from imuarray.gap.findings.verdict import Judgement, judge, unknown_probability
@@ -369,14 +369,14 @@ def _report(
     suspected = suspected or with_origins(nearest_of(bench, search.rounds, case.seed), case.headers, explanation.shared)
     unobservable = _unobservable(case, candidates, suspected, report)
     judgement = _judge(case, verification, remainder, with_unobservable_rivals(suspected, unobservable))
-    verdict, gap, causes, unknown = judgement
+    verdict, gap, causes, unknown, reason = judgement
     where = _where(case, report)
     in_use = uses(
         comparison.real.uses,
         [replicate.uses for replicate in comparison.replicates],
         [replicate.uses for replicate in verification.replicates],
     )
-    against, pulls = tuple(recording.name for recording in case.earlier), _pulls(case)
+    against, pulls = tuple(recording.name for recording in case.earlier), _pulls(case, causes)
     return Diagnosis(
         verdict=verdict,
         sentence=sentence_of(judgement, where, remainder.where, in_use, pulls, against),
@@ -404,6 +404,8 @@ def _report(
         repaired=repair_model(bench, search.models, case.model, f"repaired {case.model_name}", logs=case.names),
         missing=case.missing,
         pulls=pulls,
+        reason=reason,
+        p_tail=tail_p(case.as_noted.assessment.normal),
     )
 
 
@@ -486,15 +488,15 @@ def _notes(
     )
 
 
-def _pulls(case: GapCase) -> tuple[Pull, ...]:
-    """Nuisance quantities of all sensors with a known tolerance, as fitted to the training part."""
+def _pulls(case: GapCase, causes: Sequence[Cause]) -> tuple[Pull, ...]:
+    """Nuisance quantities of all sensors with a tolerance, as fitted to the training part, with causes that may have
+    made them.
+    """
     comparison = case.comparison
     train = comparison.bench.split.train(comparison.campaign)
     has_reference = all(recording.has_reference_temperature for recording in case.recordings)
     estimates = nuisance_estimates(train.campaign, comparison.bench.base, has_reference=has_reference)
-    return tuple(
-        Pull(*estimate[:-1], estimate.pull, estimate.source) for estimate in estimates if math.isfinite(estimate.pull)
-    )
+    return pulls_of(estimates, causes)
 
 
 def _overlays(case: GapCase, search: SearchResult, where: Sequence[Where]) -> tuple[Overlay, ...]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.findings.diagnosis import (
+    EVEN,
     CandidateEvaluation,
     Cause,
     Diagnosis,
@@ -23,17 +24,26 @@ from imuarray.gap.findings.diagnosis import (
     Where,
     needs_both_parts,
 )
-from imuarray.gap.findings.text import (
+from imuarray.gap.findings.formatting import (
     NOT_ACCEPTED,
     NOTHING,
     chance,
+    chance_text,
     closed_text,
+    effect_text,
+    explained_pulls_text,
     gap_text,
+    listed_causes,
     number,
+    own_closure,
     parameters_text,
+    place_text,
     places_text,
+    pull_values,
+    readable_statistic,
     scored,
     share,
+    unexplained_pulls,
 )
 from imuarray.gap.model.use import IntervalEstimate, Use
 from imuarray.printable import counted, duration, series
@@ -61,14 +71,6 @@ from imuarray.report.page import (
 )
 from imuarray.simulate.effects import meaning
 
-_VERDICTS = MappingProxyType(
-    {
-        "no gap": "No gap: the recordings look like simulations of the model.",
-        "explained": "Explained: the causes below explain the differences.",
-        "partly explained": "Partly explained: the causes below explain some of the differences, or none is certain.",
-        "unexplained": "Unexplained: no combination of known effects makes the recordings likely.",
-    }
-)
 Parts = list[Table | Figure]
 
 MOST_ROWS = 40
@@ -95,8 +97,8 @@ def gap_sections(diagnosis: Diagnosis, *, with_figures: bool) -> tuple[Section, 
     return (
         _map(diagnosis.map, with_figures=with_figures),
         _causes(diagnosis),
-        _pulls(diagnosis),
         _shrinks(diagnosis, with_figures=with_figures),
+        _pulls(diagnosis),
         curves_section(diagnosis.overlays, with_figures=with_figures),
         _where(diagnosis),
         _unexplained(diagnosis),
@@ -111,7 +113,8 @@ def gap_sections(diagnosis: Diagnosis, *, with_figures: bool) -> tuple[Section, 
 def gap_verdict(diagnosis: Diagnosis) -> Verdict:
     """Return whether the simulator is good enough, and which effects it lacks."""
     gap = diagnosis.gap
-    effects = [effect.replace("_", " ") for effect in dict.fromkeys(cause.effect for cause in diagnosis.causes)]
+    in_model = [cause for cause in diagnosis.causes if cause.is_in_model]
+    effects = [effect.replace("_", " ") for effect in dict.fromkeys(cause.effect for cause in in_model)]
     if len(effects) == 1 and (about := meaning(effects[0].replace(" ", "_"))):
         effects = [f"{effects[0]} ({about})"]
     names = _series(effects)
@@ -119,14 +122,11 @@ def gap_verdict(diagnosis: Diagnosis) -> Verdict:
     sentence = {
         "no gap": "The simulator is good enough for what these recordings show: they agree with it within chance.",
         "explained": f"The simulator is not good enough as it is. {_remainder(diagnosis, names)}",
-        "partly explained": f"The simulator is not good enough; {names or 'no cause'} explains only a part of it."
-        if len(effects) < 2
-        else f"The simulator is not good enough; {names} explain only a part of it.",
+        "partly explained": f"The simulator is not good enough; {_partly(diagnosis, names)}.",
         "unexplained": "The simulator is not good enough, and no known effect explains the difference.",
     }[diagnosis.verdict]
-    accepted = sum(cause.is_accepted for cause in diagnosis.causes)
     figures = [
-        (str(accepted), "cause" if accepted == 1 else "causes"),
+        (str(len(in_model)), "cause" if len(in_model) == 1 else "causes"),
         (share(diagnosis.unknown), "probability of something unknown"),
     ]
     if gap.closed is not None:
@@ -135,10 +135,20 @@ def gap_verdict(diagnosis: Diagnosis) -> Verdict:
             (share(gap.closed), "of the gap closed by the causes"),
         ]
     else:
-        figures.insert(0, (number(diagnosis.p, 2), "probability of such a difference by chance alone"))
+        p = chance(diagnosis.p, diagnosis.replicates).removeprefix("p ").removeprefix("= ")
+        figures.insert(0, (p, "probability of such a difference by chance alone"))
     if (worst := _worst_use(diagnosis.uses)) is not None:
         figures.append((f"{number(worst.before.value / worst.real.value, 2)} ×", _use_words(worst)))
     return Verdict(sentence, levels.get(diagnosis.verdict, "doubtful"), tuple(figures))
+
+
+def _partly(diagnosis: Diagnosis, names: str) -> str:
+    """State what keeps the causes `names` from explaining the gap."""
+    if max((cause.probability for cause in diagnosis.causes), default=0.0) < EVEN:
+        nearest = list(dict.fromkeys(cause.effect.replace("_", " ") for cause in listed_causes(diagnosis.causes)))
+        maybe = f" (maybe {_series(nearest, 'or')})" if nearest else ""
+        return f"which effect it lacks remains open{maybe}"
+    return f"adding {names} explains only a part of the difference"
 
 
 def _remainder(diagnosis: Diagnosis, names: str) -> str:
@@ -157,10 +167,10 @@ _NAMED = 3
 """Most effects or sensors that the verdict names."""
 
 
-def _series(names: Sequence[str]) -> str:
+def _series(names: Sequence[str], word: str = "and") -> str:
     """Return names in a sentence: "A", "A and B", "A, B and C", "A, B, C and 2 more"."""
     shown = [*names[:_NAMED], *([f"{len(names) - _NAMED} more"] if len(names) > _NAMED else [])]
-    return series(shown)
+    return series(shown).replace(" and ", f" {word} ")
 
 
 def _worst_use(uses: Sequence[Use]) -> Use | None:
@@ -181,9 +191,10 @@ def _use_words(use: Use) -> str:
 def gap_summary(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield the diagnosis in sentences."""
     yield diagnosis.sentence
-    yield f"{_VERDICTS[diagnosis.verdict]} Chance alone gives a difference as large as this with {chance(diagnosis.p)}."
-    gap = gap_text(diagnosis.gap)
-    yield f"The gap, on held-out data: {gap}." if diagnosis.gap.closed is not None else f"Overall: {gap}."
+    reason = f": {diagnosis.reason}" if diagnosis.reason else ""
+    yield f"{diagnosis.verdict.capitalize()}{reason}. Chance alone: {chance_text(diagnosis)}."
+    if diagnosis.verdict != "no gap":
+        yield f"The gap, on held-out data: {gap_text(diagnosis.gap)}."
     if diagnosis.unknown > 0:
         yield f"Something outside the library of effects is present with a probability of {share(diagnosis.unknown)}."
 
@@ -243,19 +254,24 @@ def _largest(scores: Floats, shown: Map) -> str:
 
 
 def _causes(diagnosis: Diagnosis) -> Section:
-    if not diagnosis.causes:
-        return Section("Causes", "No cause was found.")
+    causes = listed_causes(diagnosis.causes)
+    fewer = len(diagnosis.causes) - len(causes)
+    rest = f" {counted(fewer, 'less probable cause')}: see gap.json." if fewer else ""
+    if not causes:
+        return Section("Causes", f"No cause {'is probable enough to be listed' if fewer else 'was found'}.{rest}")
     words = (
         "Effects that make the simulation resemble the recordings. Several can be present at once, so each has a "
-        "probability of its own. Closes: the share of the gap of these sensors that disappears if only this effect is "
-        "added, with its 95 % interval, on held-out data (or on all data, if neither part alone shows the effect). "
-        "Origin: the sensor, its environment, or the description in the log."
+        "probability of its own. Would close: the share of the gap of these sensors that disappears if this is the "
+        "cause, with its 95 % interval, on held-out data (or on all data, if neither part alone shows the effect); it "
+        "does not say how probable the cause is. Origin: the sensor, its environment, or the description in the log."
+        f"{rest}"
     )
-    heading = ["effect", "probability", "where", "parameters", "closes", "may also be", "origin"]
-    parts: Parts = [Table(heading, list(map(_cause_row, diagnosis.causes)), "Most probable first.", (2, 3, 5, 6))]
+    heading = ["effect", "probability", "where", "parameters", "would close", "may also be", "origin"]
+    rows = [_cause_row(cause, diagnosis) for cause in causes]
+    parts: Parts = [Table(heading, rows, "Most probable first.", (2, 3, 5, 6))]
     each = [
         [sensor, cause.effect, parameters_text(parameters) or NOTHING]
-        for cause in diagnosis.causes
+        for cause in causes
         if _differs(cause)
         for sensor, parameters in cause.each.items()
     ]
@@ -265,15 +281,16 @@ def _causes(diagnosis: Diagnosis) -> Section:
     return Section("Causes", words, parts)
 
 
-def _cause_row(cause: Cause) -> list[str]:
+def _cause_row(cause: Cause, diagnosis: Diagnosis) -> list[str]:
     parameters = parameters_text(cause.parameters) or NOTHING
+    rivals = f"instead of {cause.alternative_to}" if cause.alternative_to else ", ".join(cause.confusable_with)
     return [
-        _explained(cause.effect, f"{cause.action}: {meaning(cause.effect) or 'not in the library'}"),
+        _explained(effect_text(cause), meaning(cause.effect) or "not in the library"),
         share(cause.probability),
         places_text(cause),
         f"{parameters} ({next(iter(cause.each))}; others below)" if _differs(cause) else parameters,
-        closed_text(cause.closed, cause.closed_ci95),
-        ", ".join(cause.confusable_with) or NOTHING,
+        closed_text(*own_closure(cause, diagnosis)),
+        rivals or NOTHING,
         _origin(cause),
     ]
 
@@ -298,12 +315,12 @@ def _pulls(diagnosis: Diagnosis) -> Section:
     title, pulls = "Parts and their specification", diagnosis.pulls
     if not pulls:
         return Section(title, "No quantity was compared with a tolerance of a data sheet.")
-    outside = sum(pull.is_out_of_specification for pull in pulls)
+    outside, explained = len(unexplained_pulls(pulls)), explained_pulls_text(pulls)
     words = (
-        "Quantities that differ from part to part within a data sheet's tolerance, fitted to the recordings. None of "
-        "them is a cause by itself. "
-        f"{outside} of {len(pulls)} are out of specification."
+        "Quantities that differ from part to part within a data sheet's tolerance, fitted to the recordings without "
+        f"the causes. None of them is a cause by itself. {outside} of {len(pulls)} are out of specification."
     )
+    words += f" {explained}." if explained else ""
     if len(pulls) > MOST_ROWS:
         words += f" The worst {MOST_ROWS} are shown."
     return Section(title, words, [pulls_table(pulls)])
@@ -317,34 +334,37 @@ def pulls_table(pulls: Sequence[Pull]) -> Table:
         [
             f"{pull.sensor} {pull.axis}".rstrip(),
             pull.quantity,
-            number(pull.value),
-            number(pull.tolerance),
-            pull.unit,
+            *pull_values(pull),
             _pull(pull),
             pull.source,
+            ", ".join(pull.explained_by) or NOTHING,
         ]
         for pull in sorted(pulls, key=lambda pull: -abs(np.nan_to_num(pull.pull)))[:MOST_ROWS]
     ]
-    heading = ["sensor", "quantity", "value", "tolerance", "unit", "pull", "source"]
+    heading = ["sensor", "quantity", "value", "tolerance", "pull", "source", "may come from"]
     caption = (
-        "Worst first. The pull is the deviation from the nominal value in units of the tolerance; marked above one."
+        "Worst first. The pull is the deviation from the nominal value in units of the tolerance; marked above one, "
+        "where no cause may have made it."
     )
-    return Table(heading, rows, caption, (1, 4, 6))
+    return Table(heading, rows, caption, (1, 5, 6))
 
 
 def _pull(pull: Pull) -> str:
     if not np.isfinite(pull.pull):
         return number(pull.pull)
-    return marked(f"{pull.pull:+.2f}") if pull.is_out_of_specification else f"{pull.pull:+.2f}"
+    text = f"{'-' if pull.pull < 0 else '+'}{number(abs(pull.pull))}"
+    return marked(text) if pull.is_out_of_specification and not pull.explained_by else text
 
 
 def _shrinks(diagnosis: Diagnosis, *, with_figures: bool) -> Section:
     gap, uses = diagnosis.gap, diagnosis.uses
     words = "There is no gap to close."
+    if diagnosis.verdict != "no gap":
+        words = "Held-out data show too little of the gap to measure how much of it closes."
     if gap.closed is not None:
         data = (
             "the data that showed the gap"
-            if needs_both_parts(diagnosis.causes)
+            if needs_both_parts([cause for cause in diagnosis.causes if cause.is_in_model])
             else "held-out data, to which nothing was fitted"
         )
         words = (
@@ -428,22 +448,19 @@ def _where(diagnosis: Diagnosis) -> Section:
         "deviations of chance. The size is the difference divided by the smallest one that matters to a user of the "
         "sensor: material from 1, harmless below 1, can't tell if there is too little data."
     )
-    return Section("Where it differs", words, [_where_table(where)])
+    return Section("Where it differs", words, [_where_table(where, diagnosis.replicates)])
 
 
-def _where_table(where: Sequence[Where]) -> Table:
+def _where_table(where: Sequence[Where], replicates: int) -> Table:
     """Return the first `MOST_ROWS` statistics, in their order, the worst first."""
     heading = ["sensor", "domain", "statistic", "recorded in", "real", "simulated", "score", "p", "size"]
     rows = [
         [
-            f"{place.sensor} {place.axis}".rstrip(),
+            place_text(place),
             place.domain.replace("_", " "),
-            f"{place.about} ({place.unit.replace('degC', '°C')})" if place.unit else place.about,
-            ", ".join(part for part in (place.log, place.phase) if part) or "all",
-            number(place.real),
-            number(place.simulated),
+            *_readable_in(place),
             f"{'-' if place.significance < 0 else '+'}{scored(abs(place.significance))}",
-            chance(place.p).removeprefix("p ").removeprefix("= "),
+            chance(place.p, replicates).removeprefix("p ").removeprefix("= "),
             f"{number(place.effect_size, 2)}, {place.size}",
         ]
         for place in where[:MOST_ROWS]
@@ -452,6 +469,12 @@ def _where_table(where: Sequence[Where]) -> Table:
     material = sum(place.size == "material" for place in rest)
     more = f" {len(rest)} more are not shown, {material} of them material." if rest else ""
     return Table(heading, rows, f"Worst first.{more}", (1, 2, 3))
+
+
+def _readable_in(place: Where) -> list[str]:
+    """Return what a statistic is, in which log and phase, and its values."""
+    about, real, simulated = readable_statistic(place)
+    return [about, ", ".join(part for part in (place.log, place.phase) if part) or "all", real, simulated]
 
 
 def _unexplained(diagnosis: Diagnosis) -> Section:
@@ -464,7 +487,9 @@ def _unexplained(diagnosis: Diagnosis) -> Section:
     if diagnosis.verdict == "no gap":
         words = "Nothing."
     words += f" Something outside the library of effects is present with a probability of {share(diagnosis.unknown)}."
-    return Section("What is unexplained", words, [_where_table(unexplained)] if unexplained else [])
+    return Section(
+        "What is unexplained", words, [_where_table(unexplained, diagnosis.replicates)] if unexplained else []
+    )
 
 
 def _unobservable(diagnosis: Diagnosis) -> Section:

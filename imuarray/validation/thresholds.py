@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import imuarray
-from imuarray.gap.findings import causes, description, verdict
+from imuarray.gap.findings import causes, description, diagnosis, verdict
 from imuarray.gap.inference import assessment, forward_selection, localisation, unit_state
 from imuarray.gap.statistics import synthetic_likelihood
 from imuarray.validation import trial
@@ -29,7 +29,7 @@ def frozen_thresholds() -> dict[str, Any]:
         "least share of the gap that a cause closes": causes.LEAST,
         "least share closed for the verdict explained": verdict.EXPLAINED,
         "least share closed for the verdict partly explained": verdict.PARTLY,
-        "least probability of the first cause for the verdict explained": verdict.EVEN,
+        "least probability of the first cause for the verdict explained": diagnosis.EVEN,
         "remaining difference from which something unknown is likely": description.UNLIKELY,
         "factor over chance from which a remaining difference is significant": assessment.MORE,
         "replicates of the base model": trial.REPLICATES,

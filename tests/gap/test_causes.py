@@ -31,7 +31,7 @@ from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.conversion import Quantisation, RangeReset
-from imuarray.simulate.effects.noise import Tone
+from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from imuarray.simulate.effects.readings import ChannelSwap, Glitches, Stuck
 from imuarray.simulate.effects.response import AxisError, GSensitivity
 from imuarray.simulate.effects.timing import DroppedSamples
@@ -203,9 +203,21 @@ def test_rounds_without_a_cause_tell_none(bench: Bench) -> None:
 def test_removal_has_no_parameters(bench: Bench) -> None:
     (gone,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", Hypothesis((), removed="tone"), 9.0)))
     assert (gone.effect, gone.action, gone.axes, gone.parameters) == ("tone", "remove", (), {})
-    other = Hypothesis((LINE,), removed="tone")
-    (another,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", other, 9.0)))
-    assert (another.effect, another.action) == ("tone", "replace")
+
+
+def test_only_what_the_base_model_has_is_replaced(bench: Bench) -> None:
+    """A line in the place of one that an earlier round added is new to the base model, which has noise alone."""
+    for effect, action in ((LINE, "add"), (WhiteNoise((0.1, 0.1, 0.1)), "replace")):
+        trial = Hypothesis((effect,), removed=effect.name)
+        (found,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", trial, 9.0)))
+        assert (found.effect, found.action) == (effect.name, action)
+
+
+def test_a_rival_is_an_alternative_to_the_accepted_cause(bench: Bench) -> None:
+    one = round_of(bench, "G1", *(confirmed(bench, "G1", effect, 9.0) for effect in (LINE, Bias((0.1, 0.0, 0.0)))))
+    found = {cause.effect: cause for cause in causes(bench, "G1", one)}
+    assert {name: cause.alternative_to for name, cause in found.items()} == {"tone": "", "bias": "tone"}
+    assert [name for name, cause in found.items() if cause.is_in_model] == ["tone"]
 
 
 @pytest.mark.parametrize(

@@ -139,7 +139,11 @@ def test_json_has_what_other_programs_rely_on(found: dict[str, Any]) -> None:
     assert found["gap"].keys() >= {"before", "after", "floor", "closed", "closed_ci95"}
     assert all(one.keys() >= WHERE for one in [*found["where"], *found["unexplained"]])
     assert all(one.keys() >= CAUSE for one in found["causes"])
+    assert all("alternative_to" in one for one in found["causes"])
+    assert found["p"] == found["p_limit"] == 1 / 41
+    assert 0 <= found["p_tail"] < found["p_limit"]
     assert found["verdict"] == "explained"
+    assert found["reason"].startswith("the causes close the gap")
     assert found["gap"]["before"] > found["gap"]["after"]
     low, high = found["gap"]["closed_ci95"]
     assert low <= found["gap"]["closed"] <= high

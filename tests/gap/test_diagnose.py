@@ -157,7 +157,7 @@ def test_what_the_library_lacks_is_not_blamed(lined: tuple[Recording, ...], tone
     assert found.unknown > 0.5
     assert found.unknown > tone.unknown
     assert found.unexplained[0].sensor == "G1"
-    assert "Unexplained: something outside the library. It shows in spectrum of G1 y" in found.sentence
+    assert "Unexplained: something outside the library. It shows in the spectrum of G1 y" in found.sentence
     assert found.p == tone.p
     assert found.gap.before == tone.gap.before
 
@@ -168,7 +168,7 @@ def test_an_effect_that_a_model_has_too_many_is_taken_out(tmp_path: Path) -> Non
     (cause,) = found.causes
     assert (cause.effect, cause.action, cause.sensors, cause.parameters) == ("tone", "remove", ("G1",), {})
     assert found.verdict == "explained"
-    assert "without tone" in found.sentence
+    assert "no tone (the simulator has it)" in found.sentence
     assert found.repaired is not None
     (sensor,) = found.repaired.sensors
     assert sensor.name == "G1"

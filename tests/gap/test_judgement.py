@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from imuarray.gap.diagnose import REPAIRED
 from imuarray.gap.findings.closure import deviating, floor_of, gap_of
 from imuarray.gap.findings.description import beyond_form, remainder_of
-from imuarray.gap.findings.deviations import StatisticReport, map_of, where_of
+from imuarray.gap.findings.deviations import StatisticReport, map_of, tail_p, where_of
 from imuarray.gap.findings.diagnosis import Cause, Gap
 from imuarray.gap.findings.verdict import DOUBT, EVEN, EXPLAINED, PARTLY, Judgement, judge, unknown_probability
 from imuarray.gap.inference.assessment import Assessment, assess
@@ -162,6 +162,37 @@ def test_a_little_that_is_left_is_explained_in_part() -> None:
     assert judge(gap(0.99), [CAUSE], 0.1, is_gap=False, has_remainder=True).verdict == "no gap"
 
 
+@pytest.mark.parametrize(
+    ("closed", "chances", "unknown", "left", "reason"),
+    [
+        (0.95, [0.9], 0.1, "", "the causes close the gap, up to what an inexact form of them leaves"),
+        (0.89, [0.9], 0.1, "", "less than 90 % of the gap closes with the causes"),
+        (0.29, [0.9], 0.1, "", "less than 30 % of the gap closes with the causes"),
+        (0.95, [0.49], 0.1, "", "which of several causes it is remains open: none is more probable than not"),
+        (0.99, [0.9], 0.1, "G1", "G1 still differs far beyond chance"),
+        (0.95, [0.9], 0.5, "", "something outside the library is at least as probable as not"),
+        (None, [0.9], 0.1, "", "how much of the gap closes cannot be measured"),
+        (None, [], 0.1, "", "no known effect was accepted as a cause"),
+    ],
+)
+def test_a_verdict_has_its_reason(
+    closed: float | None, chances: list[float], unknown: float, left: str, reason: str
+) -> None:
+    assert judged(closed, chances, unknown, left).reason == reason
+
+
+def test_a_small_remainder_is_a_reason() -> None:
+    found = judge(gap(0.99), [CAUSE], 0.1, is_gap=True, has_remainder=True)
+    assert found.reason == "what is left with the causes still matters"
+
+
+def test_p_by_fitted_tails() -> None:
+    """5 standard deviations, two-sided, in 4 statistics: 4 x 5.73e-7."""
+    assert tail_p(np.array([1.0, -5.0, math.nan, 0.2, 0.0])) == pytest.approx(4 * 5.7330e-7, rel=1e-3)
+    assert tail_p(np.array([0.1, 0.2])) == 1.0
+    assert math.isnan(tail_p(np.array([math.nan])))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("times", "is_left", "is_unlikely"),
@@ -217,6 +248,8 @@ def test_verdict_closure_and_probabilities_never_contradict_each_other(
             assert cause.probability <= 0.5
     if found.verdict == "explained":
         assert not left and not more
+    assert found.reason.startswith("the causes close the gap") == (found.verdict == "explained")
+    assert (found.reason == "no statistic differs beyond chance") == (found.verdict == "no gap")
     if is_gap:
         assert found.gap.closed == closed
         assert len(found.causes) == len(causes)

@@ -133,8 +133,9 @@ def test_a_turn_on_series_tells_a_bias_from_one_that_changes(bench: Bench) -> No
     found = searched(bench, "G1", Bias(0.1), TurnOnBias(0.1))
     said = next_experiment(bench, found, [cause("bias", "G1", rivals=["turn_on_bias"])], [], [], Run(bench))
     assert said.startswith("Record a turn-on series. It separates bias from turn_on_bias of G1 (")
-    nats, static = map(float, re.findall(r"([\d.]+) nats", said))
-    assert static < LEAST < nats
+    odds, static = re.findall(r"odds (.*?) to 1 in .*?; static (.*?) to 1", said)[0]
+    assert odds == "more than 200000" or float(odds) > math.exp(LEAST)
+    assert float(static) < math.exp(LEAST)
 
 
 @pytest.mark.slow
@@ -149,9 +150,9 @@ def test_nothing_tells_lines_of_other_phase_apart(bench: Bench) -> None:
     rounds = {("A1",): [replace(one, confirmed=(one.confirmed[0], other))]}
     said = next_experiment(bench, SearchResult(rounds, {}), [cause("tone", "A1", rivals=["bias"])], [], [], Run(bench))
     assert said.startswith(
-        "Nothing on the menu (static, tumble, heating, turn-on) separates tone from bias of A1: at most"
+        "No usual experiment (static, tumble, heating, turn-on) separates tone from bias of A1: the expected odds are"
     )
-    assert float(re.findall(r"([\d.]+) nats", said)[0]) <= LEAST  # as rounded
+    assert float(re.findall(r"at most ([\d.]+) to 1", said)[0]) <= 1.1 * math.exp(LEAST)  # as rounded
 
 
 @pytest.mark.slow
@@ -165,14 +166,23 @@ def test_the_sensor_whose_data_another_has_is_simulated_too(bench: Bench) -> Non
 
 def test_without_rivals_what_is_not_explained_or_not_shown(bench: Bench) -> None:
     nothing, run = SearchResult({}, {}), Run(bench)
-    hidden = [Unobservable("thermal_scale", ("A1",), "heating: on all six faces")]
+    hidden = [
+        Unobservable("thermal_scale", ("A1",), "heating: on all six faces"),
+        Unobservable("thermal_lag", ("A1",), "heating: fast"),
+        Unobservable("tone", ("A1",), "static: for 5 minutes"),
+    ]
     left = [where("A2", "z", "run_to_run"), where()]
     assert next_experiment(bench, nothing, [], left, hidden, run) == (
-        "Record a turn-on series: 12 runs of 1 minute, switched off in between (0.4 h): it shows more of the run to run"
-        " of A2 z, which is not explained."
+        "Record a turn-on series: 12 runs of 1 minute, switched off in between (0.4 h): it shows more of the change "
+        "from run to run of A2 z, which is not explained."
     )
     assert next_experiment(bench, nothing, [], [], hidden, run) == (
-        "To observe thermal scale, which these recordings cannot show: heating: on all six faces."
+        "Record a heating: warmer by 20 degC, by 30 degC, and cool again, in half an hour (0.65 h): it shows"
+        " thermal_scale and thermal_lag, which these recordings cannot show."
+    )
+    short = [Unobservable("differences of spread", ("A1", "A2"), "4 minutes")]
+    assert next_experiment(bench, nothing, [], [], short, run) == (
+        "To observe differences of spread of A1, A2, record 4 minutes."
     )
     assert next_experiment(bench, nothing, [], [], [], run).startswith("Nothing: ")
     assert run.items == 0

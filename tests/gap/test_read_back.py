@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -70,8 +71,16 @@ def test_files_of_earlier_versions_have_no_pulls_and_nothing_missing() -> None:
     assert (earlier.pulls, earlier.missing) == ((), ())
 
 
+def test_json_says_when_p_is_a_bound() -> None:
+    """No simulation of 64 differs as much: p is at most 1/65."""
+    limited = replace(made(), p=1 / 65, replicates=64, p_tail=1e-9).as_json()
+    assert (limited["p"], limited["p_limit"], limited["p_tail"]) == (1 / 65, 1 / 65, 1e-9)
+    assert replace(made(), replicates=99).as_json()["p_limit"] == 0.01
+
+
 def test_json_says_which_parts_are_out_of_specification() -> None:
-    assert [pull["is_out_of_specification"] for pull in table()["pulls"]] == [False, True, True]
+    assert [pull["is_out_of_specification"] for pull in table()["pulls"]] == [False, True, True, True]
+    assert [pull["explained_by"] for pull in table()["pulls"]] == [[], [], [], ["thermal_lag"]]
     assert diagnosis_of(table()).pulls == made().pulls
 
 

@@ -50,30 +50,38 @@ def test_no_gap() -> None:
 
 
 def test_parts_out_of_specification_are_said_with_and_without_a_gap() -> None:
-    pulls = [Pull("scale", "A1", axis, 1.02, "", 0.03, pull, "BMA-20") for axis, pull in (("x", 0.7), ("y", -1.4))]
-    said = "A1 y: scale is 1.4 tolerances off: this part is out of specification."
+    pulls = [
+        Pull("scale", "A1", axis, 0.03 * pull, "", 0.03, pull, "BMA-20") for axis, pull in (("x", 0.7), ("y", -1.4))
+    ]
+    said = "A1 y: scale -4.2 %, 1.4 times its tolerance of 3 % (BMA-20): this part is out of specification."
     same = written("no gap", Gap(1, 1, 1, None, None), (), (), (), (), pulls)
     assert same == f"The recordings agree with the simulator: no statistic is beyond chance. {said}"
     assert written("explained", GAP, [cause()], [where()], [], [], pulls).endswith(f"on held-out data. {said}")
 
 
 def test_a_cause_may_have_misled_the_fit_of_a_part() -> None:
-    """An exchange of sensors makes a g-sensitivity up; a scale that is off is the same statement twice."""
-    pulls = [Pull("g-sensitivity", "G1", "xy", 0.1, "dps/g", 0.03, 3.3, "usual")]
+    """An exchange of sensors makes a g-sensitivity up: it is said once, and not as a part out of specification."""
+    pulls = [Pull("g-sensitivity", "G1", "xy", 0.1, "dps/g", 0.03, 3.3, "usual", ("channel_swap",))]
     swapped = written("explained", GAP, [cause("channel_swap")], [where()], [], [], pulls)
     assert swapped.endswith(
-        "G1 xy: g-sensitivity is 3.3 tolerances off: this part is out of specification (fitted without channel_swap, "
-        "which may explain it)."
+        "Beyond tolerance as fitted without channel_swap, which may be the reason: G1 xy (g-sensitivity)."
     )
-    same = written("explained", GAP, [cause("g_sensitivity")], [where()], [], [], pulls)
-    assert same.endswith("this part is out of specification.")
+    assert "out of specification" not in swapped
+
+
+def test_of_many_parts_out_of_specification_three_are_named() -> None:
+    pulls = [Pull("bias", "A1", "x", 0.2 * pull, "g", 0.2, pull, "BMA-20") for pull in (2.0, 5.0, 4.0, 3.0, 1.5)]
+    said = written("no gap", Gap(1, 1, 1, None, None), (), (), (), (), pulls)
+    assert [said.count("this part is"), said.index("bias 1 g") < said.index("bias 0.8 g")] == [3, True]
+    assert said.endswith("2 more quantities are out of specification.")
 
 
 def test_one_cause() -> None:
     said = written("explained", GAP, [cause()], [where()], [], [])
     assert said == (
-        "The recordings differ from the simulator, most in run to run of G1 y. G1 (y): tone (a sine wave in the signal:"
-        " frequency 17 Hz), probability 0.90. With it 97 % (92 to 99) of the gap is closed on held-out data."
+        "The recordings differ from the simulator, most in the change from run to run of G1 y. G1 (y): tone (a sine"
+        " wave in the signal: frequency 17 Hz), probability 90 %. With it 97 % (92 to 99) of the gap is closed on"
+        " held-out data."
     )
 
 
@@ -92,12 +100,13 @@ def test_several_causes_and_what_else_it_could_be() -> None:
         cause("bias", 0.3),
     ]
     said = written("explained", GAP, causes, [where(axis="")], [], [])
-    assert "most in run to run of G1." in said
-    assert "probability 0.90; glitches or jitter would explain it equally well." in said
-    assert "G1: without scale, probability 0.60." in said
-    assert "another quantisation, probability 0.55." in said
+    assert "most in the change from run to run of G1." in said
+    assert "probability 90 %; it may also be glitches or jitter." in said
+    assert "G1: no scale (the simulator has it), probability 60 %." in said
+    assert "quantisation other than the simulator's, probability 55 %." in said
     assert "bias" not in said  # less probable than not
-    assert "With them 97 %" in said
+    assert "With all accepted causes 97 %" in said  # the bias is in the simulator as well
+    assert "With them 97 %" in written("explained", GAP, causes[:3], [where()], [], [])
 
 
 def test_no_more_than_four_causes_are_named() -> None:
@@ -122,18 +131,22 @@ def test_something_outside_the_library_is_described_by_where_it_shows() -> None:
     ]
     said = written("unexplained", GAP, [], [where()], left, [])
     assert said == (
-        "The recordings differ from the simulator, most in run to run of G1 y. Unexplained: something outside the"
-        " library. It shows in run to run of G2 z (mean of the run: +9 standard deviations in static of a.h5); spread"
-        " of G1 y (mean of the run: +9 standard deviations in a.h5)."
+        "The recordings differ from the simulator, most in the change from run to run of G1 y. Unexplained: something"
+        " outside the library. It shows in the change from run to run of G2 z (mean of the run: 9.0 standard deviations"
+        " too high in static of a.h5); the noise of G1 y (mean of the run: 9.0 standard deviations too high in a.h5)."
     )
-    nearest = written("unexplained", GAP, [cause(probability=0.4)], [where()], left, [])
+    nearest = written("unexplained", GAP, [cause(probability=0.4)], [where()], left[1:], [])
+    assert (
+        "No known effect makes these recordings likely; of other differences than those of G2 z one may be" in nearest
+    )
+    nearest = written("unexplained", GAP, [cause(probability=0.4)], [where()], left[2:], [])
     assert "No known effect makes these recordings likely; the nearest is G1 (y): tone (a sine" in nearest
-    assert "probability 0.40" in nearest
+    assert "probability 40 %" in nearest
 
 
 def test_a_comparison_with_an_earlier_recording_says_with_which() -> None:
     differs = written("explained", GAP, [cause()], [where()], [], [], against=["before.h5"])
-    assert differs.startswith("The recordings differ from before.h5, most in run to run of G1 y.")
+    assert differs.startswith("The recordings differ from before.h5, most in the change from run to run of G1 y.")
     same = written("no gap", Gap(1, 1, 1, None, None), (), (), (), (), against=["before.h5"])
     assert same == "The recordings agree with before.h5: nothing has changed beyond chance."
 
@@ -142,13 +155,15 @@ def test_the_figure_of_use_that_changed_most() -> None:
     """Of the sensors concerned: by 60 % of what was recorded, not by 50 %."""
     uses = [use("G1", 1.0, 0.5, 0.9), use("G1", 2.0, 0.8, 1.7), use("G2", 1.0, 0.1, 0.9), use("G1", 0.0, 9.0, 1.0)]
     said = written("explained", GAP, [cause()], [where()], [], uses)
-    assert said.endswith("G1, heading error after coasting 5 s: recorded 2 deg, simulated 0.8 before and 1.7 after.")
+    assert said.endswith(
+        "G1, heading error after coasting 5 s: recorded 2 deg, simulated 0.8 deg before and 1.7 deg after."
+    )
     assert "recorded" not in written("unexplained", GAP, [], [where()], [], uses)
 
 
 def test_where_none_is_likely_the_likeliest_is_named() -> None:
     said = written("explained", GAP, [cause(probability=0.4), cause("glitches", 0.3)], [where()], [], [])
-    assert "probability 0.40. With it 97 %" in said
+    assert "probability 40 %. With all accepted causes 97 %" in said
     assert "glitches" not in said
 
 

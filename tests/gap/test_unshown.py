@@ -51,25 +51,41 @@ def candidates(**shown_by: dict[Kind, str]) -> dict[str, Candidate]:
     return {effect: replace(CANDIDATES[effect], shown_by=kinds) for effect, kinds in shown_by.items()}
 
 
+def all_found(kinds: tuple[str, ...], facts: Facts, **shown_by: dict[Kind, str]) -> tuple[Unobservable, ...]:
+    return unobservable_effects(kinds, facts, candidates(**shown_by), SENSORS)
+
+
 def found(kinds: tuple[str, ...], facts: Facts, **shown_by: dict[Kind, str]) -> dict[str, Unobservable]:
-    return {one.effect: one for one in unobservable_effects(kinds, facts, candidates(**shown_by), SENSORS)}
+    """The last of each effect."""
+    return {one.effect: one for one in all_found(kinds, facts, **shown_by)}
 
 
 @given(st.dictionaries(st.sampled_from(("static", "tumble", "heating", "turn-on", "motion")), st.just("this or that")))
 def test_one_face_at_rest_never_tells(shown_by: dict[Kind, str]) -> None:
     """Whatever the candidates themselves say, or leave unsaid."""
-    told = found(("static",), ONE_FACE, **dict.fromkeys(NEVER_TOLD, shown_by))
-    assert tuple(told) == NEVER_TOLD
-    for effect, one in told.items():
-        assert one.sensors == (("G1",) if effect == "g_sensitivity" else ("A1", "A2", "G1"))
-        assert one.record
+    told = all_found(("static",), ONE_FACE, **dict.fromkeys(NEVER_TOLD, shown_by))
+    assert tuple(dict.fromkeys(one.effect for one in told)) == NEVER_TOLD
+    for effect in NEVER_TOLD:
+        sensors = [name for one in told if one.effect == effect for name in one.sensors]
+        assert sensors == (["G1"] if effect == "g_sensitivity" else ["A1", "A2", "G1"])
+    assert all(one.record for one in told)
 
 
 def test_what_to_record() -> None:
     told = found(("static",), ONE_FACE, scale={"tumble": "six faces"}, turn_on_bias={}, tone={"static": "a minute"})
-    assert told["scale"].record == "tumble: six faces; motion: turns to and fro about every axis, 1 minute"
+    assert all_found(("static",), ONE_FACE, scale={"tumble": "six faces"}) == (
+        Unobservable("scale", ("A1", "A2"), "tumble: six faces"),
+        Unobservable("scale", ("G1",), "motion: turns to and fro about every axis, 1 minute"),
+    )
     assert told["turn_on_bias"].record == "turn-on: a dozen short logs, switched off in between"
     assert "tone" not in told
+
+
+@pytest.mark.parametrize("kinds", [("static",), ("tumble",), ("heating",)])
+def test_a_minute_at_rest_in_any_log_shows_noise_lines_and_filters(kinds: tuple[str, ...]) -> None:
+    still: dict[str, dict[Kind, str]] = {name: {"static": "rest"} for name in ("white_noise", "tone", "bandwidth")}
+    assert not found(kinds, Facts(6, 20.0, 0, False, 60.0), **still)
+    assert found(kinds, Facts(6, 20.0, 0, False, 59.0), **still).keys() == still.keys()
 
 
 def test_faces_tell_of_accelerometers_turns_of_gyroscopes() -> None:
@@ -93,16 +109,15 @@ def test_thermal_scale_needs_more_than_warmth() -> None:
     """
     heat: dict[str, dict[Kind, str]] = {"thermal_scale": {"heating": "warm it on two faces"}}
     tumbled = Facts(6, 30.0, 0, True, 600.0, warm_faces=1)
-    (one_face,) = found(("heating", "tumble", "motion"), tumbled, **heat).values()
-    assert one_face.sensors == ("A1", "A2", "G1")
-    assert one_face.record == (
-        "heating: warm it on two faces; "
-        "motion: turns to and fro about every axis, 1 minute, and again when it is warmer by 10 degC or more"
+    turns = "motion: turns to and fro about every axis, 1 minute, and again when it is warmer by 10 degC or more"
+    assert all_found(("heating", "tumble", "motion"), tumbled, **heat) == (
+        Unobservable("thermal_scale", ("A1", "A2"), "heating: warm it on two faces"),
+        Unobservable("thermal_scale", ("G1",), turns),
     )
     (faces,) = found(("heating",), replace(tumbled, warm_faces=2), **heat).values()
     assert faces.sensors == ("G1",)
-    (turns,) = found(("heating",), replace(tumbled, has_turned_warm=True), **heat).values()
-    assert turns.sensors == ("A1", "A2")
+    (turned,) = found(("heating",), replace(tumbled, has_turned_warm=True), **heat).values()
+    assert turned.sensors == ("A1", "A2")
     assert not found(("heating",), replace(tumbled, warm_faces=2, has_turned_warm=True), **heat)
 
 

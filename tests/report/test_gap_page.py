@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from html.parser import HTMLParser
 from math import inf, nan
@@ -15,10 +16,18 @@ from matplotlib.colors import FuncNorm
 from matplotlib.patches import Rectangle
 
 from imuarray.errors import OutputExistsError
-from imuarray.gap.findings.diagnosis import Diagnosis, Gap, Map, Overlay, Pull
+from imuarray.gap.findings.diagnosis import Cause, Diagnosis, Gap, Map, Overlay, Pull
 from imuarray.report import page as page_module
 from imuarray.report.gap_figures import farthest, map_figure, outside, overlay_figure, shrink_figure, top_of, use_figure
-from imuarray.report.gap_page import MOST_OVERLAYS, MOST_ROWS, NO_FIGURES, curves_section, pulls_table, write_gap_page
+from imuarray.report.gap_page import (
+    MOST_OVERLAYS,
+    MOST_ROWS,
+    NO_FIGURES,
+    curves_section,
+    gap_verdict,
+    pulls_table,
+    write_gap_page,
+)
 from imuarray.simulate import EFFECTS
 from imuarray.simulate.effects import meaning
 from tests.report.made_diagnosis import (
@@ -39,8 +48,8 @@ EVIL = "<script>alert('x')</script>\"&--><img src=http://evil.example/x.png> $\\
 ORDER = [
     "Where the gap is",
     "Causes",
-    "Parts and their specification",
     "How much of the gap closes",
+    "Parts and their specification",
     "Curves: real, before and after",
     "Where it differs",
     "What is unexplained",
@@ -161,7 +170,8 @@ def test_the_sentence_and_the_verdict_come_first(page: Page) -> None:
     start = page.words[""]
     assert made().sentence in start
     assert "Gap between recording and simulation: partly explained" in start
-    assert start.index(made().sentence) < start.index("Partly explained: the causes below") < start.index("p < 0.001")
+    because = "Partly explained: less than 90 % of the gap closes with the causes. Chance alone: p < 0.0025: none of"
+    assert start.index(made().sentence) < start.index(because)
     assert "14 standard deviations (rms) before, 2.9 after, 1.0 without a gap: 86 % (75 to 94) closed" in start
     assert "probability of 31 %" in start
 
@@ -183,25 +193,35 @@ def test_the_map_in_numbers(page: Page) -> None:
 
 def test_every_cause_with_what_is_known_of_it(page: Page) -> None:
     rows = {row[0].partition("\n")[0]: row for row in page.rows["Causes"] if len(row) == 7}
-    assert set(rows) == {"effect", *(cause.effect for cause in CAUSES)}
+    assert set(rows) == {"effect", "thermal_lag", "tone", "quantisation", "bias other than the simulator's"}
+    assert rows["effect"][4] == "would close"
     lag = rows["thermal_lag"]
-    assert lag[0].partition("\n")[2] == "add: the sensing element, or a part of it, warms up later than the box"
+    assert lag[0].partition("\n")[2] == "the sensing element, or a part of it, warms up later than the box"
     assert lag[1:] == ["97 %", "Gyro2", "time constant 12.3 s", "86 % (75 to 94)", "random_walk", "sensor"]
     assert rows["tone"][1:4] == [">99 %", "Gyro1 (x)", "amplitude 0.25, 0, 0 dps; frequency 13.7 Hz; phase 12°"]
-    assert rows["bias"][2:] == ["BMA1, BMA2 (z)", "offset 0, 0, 12.3 mg (BMA1; others below)", "–", "–", "metadata"]
+    assert rows["bias other than the simulator's"][2:] == [
+        "BMA1, BMA2 (z)",
+        "offset 0, 0, 12.3 mg (BMA1; others below)",
+        "–",
+        "–",
+        "metadata",
+    ]
     each = [row for row in page.rows["Causes"] if len(row) == 3]
     assert each[1:] == [["BMA1", "bias", "offset 0, 0, 12.3 mg"], ["BMA2", "bias", "offset 0, 0, -45.6 mg"]]
 
 
 def test_parts_are_listed_with_their_pulls(page: Page) -> None:
     assert page.rows["Parts and their specification"] == [
-        ["sensor", "quantity", "value", "tolerance", "unit", "pull", "source"],
-        ["Gyro1", "data rate", "102", "1", "Hz", "+2.50", "L3G-12"],
-        ["BMA2 z", "scale", "0.964", "0.03", "", "-1.20", "BMA-20"],
-        ["BMA1 x", "scale", "1", "0.03", "", "+0.13", "BMA-20"],
+        ["sensor", "quantity", "value", "tolerance", "pull", "source", "may come from"],
+        ["Gyro1", "data rate", "102 Hz", "1 Hz", "+2.5", "L3G-12", "–"],
+        ["BMA2 z", "scale", "-3.6 %", "3 %", "-1.2", "BMA-20", "–"],
+        ["Gyro2 x", "bias", "9 dps", "8 dps", "+1.12", "L3G-07", "thermal_lag"],
+        ["BMA1 x", "scale", "0.4 %", "3 %", "+0.133", "BMA-20", "–"],
     ]
-    assert {"+2.50", "-1.20"} <= set(page.marked)
-    assert "2 of 3 are out of specification" in page.words["Parts and their specification"]
+    assert {"+2.5", "-1.2"} <= set(page.marked) and "+1.12" not in page.marked
+    words = page.words["Parts and their specification"]
+    assert "2 of 4 are out of specification" in words
+    assert "Beyond tolerance as fitted without thermal_lag, which may be the reason: Gyro2 x (bias)." in words
 
 
 def test_what_is_missing_has_a_table(page: Page) -> None:
@@ -225,8 +245,8 @@ def test_how_far_it_shrinks(page: Page) -> None:
 def test_the_long_table_is_cut_and_the_rest_counted(page: Page) -> None:
     rows = page.rows["Where it differs"]
     assert len(rows) == 1 + MOST_ROWS
-    assert rows[1][:4] == ["Gyro2 x", "temperature", "coefficient of dT/dt (dps s/°C)", "heating.h5, face_0"]
-    assert rows[1][4:] == ["50.9", "0", "+412", "0.002", "103, material"]
+    assert rows[1][:4] == ["Gyro2 x", "temperature", "coefficient of dT/dt", "heating.h5, face_0"]
+    assert rows[1][4:] == ["50.9 dps s/°C", "0 dps s/°C", "+412", "< 0.0025", "100, material"]
     assert "15 more are not shown, 8 of them material" in page.words["Where it differs"]
     assert len(page.rows["What is unexplained"]) == 1 + 2
 
@@ -270,8 +290,8 @@ def test_without_matplotlib_there_are_tables_alone(bare: Page) -> None:
 
 def test_without_a_gap(tmp_path: Path) -> None:
     page = page_of(made_without_gap(), tmp_path)
-    assert "No gap: the recordings look like simulations of the model." in page.words[""]
-    assert "nothing to close" in page.words[""]
+    assert "No gap: no statistic differs beyond chance. Chance alone: p = 0.41." in page.words[""]
+    assert "nothing to close" not in page.words[""]
     assert "No cause was found." in page.words["Causes"]
     assert "No statistic differs significantly." in page.words["Where it differs"]
     (alternative,) = page.images["Where the gap is"]
@@ -281,12 +301,42 @@ def test_without_a_gap(tmp_path: Path) -> None:
     assert [heading for heading in page.words if heading in ORDER] == ORDER
 
 
+@pytest.mark.parametrize(
+    ("causes", "sentence"),
+    [
+        (
+            CAUSES[:1],
+            "The simulator is not good enough; adding thermal lag (the sensing element, or a part of it, warms",
+        ),
+        (
+            [replace(CAUSES[0], probability=0.2), replace(CAUSES[1], probability=0.1, alternative_to="thermal_lag")],
+            "The simulator is not good enough; which effect it lacks remains open (maybe thermal lag or tone).",
+        ),
+        (
+            [replace(CAUSES[0], probability=0.01)],
+            "The simulator is not good enough; which effect it lacks remains open.",
+        ),
+    ],
+)
+def test_the_verdict_on_a_partly_explained_gap(causes: Sequence[Cause], sentence: str) -> None:
+    verdict = gap_verdict(replace(made(), causes=tuple(causes)))
+    assert verdict.sentence.startswith(sentence)
+    assert ("1", "cause") in verdict.figures
+
+
+def test_improbable_causes_are_counted(tmp_path: Path) -> None:
+    causes = (CAUSES[0], replace(CAUSES[1], probability=0.004))
+    page = page_of(replace(made(), causes=causes), tmp_path)
+    assert [row[0].partition("\n")[0] for row in page.rows["Causes"]] == ["effect", "thermal_lag"]
+    assert "1 less probable cause: see gap.json." in page.words["Causes"]
+
+
 @pytest.mark.slow
 def test_unexplained(tmp_path: Path) -> None:
     page = page_of(made_unexplained(), tmp_path)
-    assert "no combination of known effects makes the recordings likely" in page.words[""]
+    assert "Unexplained: no known effect was accepted as a cause." in page.words[""]
     assert "probability of 93 %" in page.words[""]
-    assert ["all", "5.1", "4.9", "5 % (-6 to 14)"] in page.rows["How much of the gap closes"]
+    assert ["all", "5.1", "4.9", "5 % (below 0 to 14)"] in page.rows["How much of the gap closes"]
     assert page.rows["What is unexplained"][1][0] == "ADXL1 z"
 
 
@@ -412,5 +462,5 @@ def test_how_much_is_outside_and_where() -> None:
 def test_a_quantity_without_a_tolerance_is_listed_last() -> None:
     noise = Pull("noise", "BMA1", "y", 6.5, "dB", nan, nan, "data sheet")
     table = pulls_table([noise, *PULLS])
-    assert [row[1] for row in table.rows] == ["data rate", "scale", "scale", "noise"]
-    assert table.rows[-1] == ["BMA1 y", "noise", "6.5", "–", "dB", "–", "data sheet"]
+    assert [row[1] for row in table.rows] == ["data rate", "scale", "bias", "scale", "noise"]
+    assert table.rows[-1] == ["BMA1 y", "noise", "6.5 dB", "–", "–", "data sheet", "–"]

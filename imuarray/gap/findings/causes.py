@@ -15,6 +15,7 @@ from imuarray.gap.findings.closure import DeviatingStatistics, deviating, deviat
 from imuarray.gap.findings.diagnosis import CandidateEvaluation, Cause, Origin
 from imuarray.gap.findings.verdict import calibrated_probability
 from imuarray.gap.inference.effects import Hypothesis
+from imuarray.gap.inference.effects.candidate import Action
 from imuarray.gap.inference.forward_selection import BRIEF, COST, Evaluation, Round
 from imuarray.gap.inference.unit_state import Unit, UnitState
 from imuarray.gap.model.bench import Bench
@@ -180,7 +181,8 @@ def _of_unit(bench: Bench, unit: Unit, rounds: Sequence[Round], seed: int) -> It
                     bench, first, round_.before, trial, Support(chance, tuple(sorted(likely - {name}))), seed
                 )
                 if cause.closed is None or cause.closed > LEAST:
-                    yield replace(cause, all_closed=all_closed)
+                    alternative_to = "" if trial is round_.selection else round_.selection.trial.name
+                    yield replace(cause, all_closed=all_closed, alternative_to=alternative_to)
 
 
 def _all_closed(bench: Bench, first: UnitState, rounds: Sequence[Round], seed: int) -> float | None:
@@ -227,7 +229,7 @@ def _cause(
     each = {name: to_table(acting, bench.base.headers[name].unit) if acting else {} for name, acting in whole.items()}
     return Cause(
         evaluation.trial.name,
-        evaluation.trial.action,
+        _action(bench, evaluation.trial, sensors),
         sensors,
         _axes(effect),
         support.probability,
@@ -242,6 +244,15 @@ def _cause(
         support.probability,
         preceding=_changes(before),
     )
+
+
+def _action(bench: Bench, trial: Hypothesis, sensors: Sequence[str]) -> Action:
+    """Return the change that a trial makes to the base model: an effect that this lacks is added, even if it replaces
+    one of its kind that an earlier round added.
+    """
+    base = bench.base.effects(0)
+    is_in_base = any(effect.name == trial.removed for name in sensors for effect in base[name])
+    return "add" if trial.action == "replace" and not is_in_base else trial.action
 
 
 def _changes(state: UnitState) -> int:
@@ -301,7 +312,8 @@ def _merge(bench: Bench, causes: Sequence[Cause]) -> list[Cause]:
 
 def _is_same(headers: Mapping[str, SensorHeader], first: Cause, other: Cause) -> bool:
     chips = {headers[name].chip for name in (*first.sensors, *other.sensors)}
-    is_same_effect = (first.effect, first.action, first.axes) == (other.effect, other.action, other.axes)
+    same = ("effect", "action", "axes", "alternative_to")
+    is_same_effect = all(getattr(first, name) == getattr(other, name) for name in same)
     return (
         is_same_effect
         and len(chips) == 1

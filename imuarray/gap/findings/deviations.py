@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from scipy.special import ndtr
 
 from imuarray.arrays import Floats
 from imuarray.gap.findings.diagnosis import Map, Size, Where
@@ -74,6 +75,14 @@ def where_of(
     own.
     """
     return tuple(report.where(at, assessment, p.get(at, assessment.p)) for at in places)
+
+
+def tail_p(normal: Floats) -> float:
+    """Return the p-value of the largest of normal scores (m,), by the fitted tails and multiplied by their number
+    (Bonferroni); nan without any.
+    """
+    known = np.abs(normal[np.isfinite(normal)])
+    return float(min(1.0, 2 * len(known) * ndtr(-known.max()))) if len(known) else math.nan
 
 
 def map_of(pairs: Pairs, before: Assessment, after: Assessment, sensors: Sequence[str]) -> Map:

@@ -23,6 +23,11 @@ Verdict = Literal["no gap", "explained", "partly explained", "unexplained"]
 Size = Literal["material", "harmless", "can't tell"]
 Origin = Literal["sensor", "environment", "metadata"]
 
+EVEN = 0.5
+"""Even odds: a cause that explains a gap is at least as probable, and an unknown effect is less probable where the gap
+is explained.
+"""
+
 Interval = tuple[float, float]
 """95 % confidence interval."""
 
@@ -66,7 +71,8 @@ class Cause:
     part alone does not show the cause, so that it was detected, and its closed share measured, on both parts together.
     `preceding` is the number of earlier causes (changes of the sensors' models) in whose presence it was detected.
     `is_accepted` is false for the effect that comes nearest to explain a gap of which none was accepted; it is in no
-    model, and closes nothing of the diagnosis's `gap`.
+    model, and closes nothing of the diagnosis's `gap`. `alternative_to` names the effect that was accepted in its
+    place ("" for accepted ones): an alternative is in no model either.
     """
 
     effect: str
@@ -86,6 +92,12 @@ class Cause:
     all_closed: float | None = None
     preceding: int = 0
     is_accepted: bool = True
+    alternative_to: str = ""
+
+    @property
+    def is_in_model(self) -> bool:
+        """True if the repaired model has the cause."""
+        return self.is_accepted and not self.alternative_to
 
 
 def needs_both_parts(causes: Sequence[Cause]) -> bool:
@@ -142,10 +154,14 @@ class Overlay:
     after: Floats
 
 
+DIFFERENCES = "differences of "
+"""Beginning of the `effect` of an `Unobservable` that is a domain of statistics that are too uncertain."""
+
+
 @dataclass(frozen=True)
 class Unobservable:
-    """An effect that the recordings cannot show, or a statistic that is too uncertain, for these sensors, and what to
-    `record` to show it.
+    """An effect that the recordings cannot show, or a domain of statistics that are too uncertain (`DIFFERENCES`), for
+    these sensors, and what to `record` to show it.
     """
 
     effect: str
@@ -157,7 +173,8 @@ class Unobservable:
 class Pull:
     """A quantity that the data sheet leaves to the part: its fitted `value` in `unit`, the `tolerance` to either side
     in the same unit, and the `pull`, the deviation from the nominal value in tolerances. `axis` is "" for all axes;
-    `source` names where the tolerance is printed, such as "BMA-64".
+    `source` names where the tolerance is printed, such as "BMA-64". `explained_by`: causes of the same sensor that may
+    have made the value, since it was fitted without them.
     """
 
     quantity: str
@@ -168,6 +185,7 @@ class Pull:
     tolerance: float
     pull: float
     source: str
+    explained_by: tuple[str, ...] = ()
 
     @property
     def is_out_of_specification(self) -> bool:
@@ -207,6 +225,10 @@ class Diagnosis:
     `missing` are statistics that could not be compared because a recording or the simulator lacks what they need, in
     phrases such as "no chip thermometer in bench.h5"; `pulls` the quantities that data sheets leave to the part,
     against their tolerances, none of which is a cause; `repaired` is the base model with the causes in it.
+
+    `reason` says why the verdict is this one. `p` is the share of simulations without a gap that differ as much, never
+    less than `p_limit`; `p_tail` is the p-value of the largest difference by the tails fitted to these simulations,
+    multiplied by the number of statistics (nan if unknown).
     """
 
     verdict: Verdict
@@ -233,6 +255,18 @@ class Diagnosis:
     model: str
     software: str
     repaired: Model | None = None
+    reason: str = ""
+    p_tail: float = nan
+
+    @property
+    def p_limit(self) -> float:
+        """The smallest p that so many replicates can give."""
+        return 1 / (self.replicates + 1)
+
+    @property
+    def is_p_limit(self) -> bool:
+        """True if no simulation without a gap differs as much: p is no more than an upper bound."""
+        return self.p <= self.p_limit * (1 + 1e-9)
 
     def plot(self) -> Figure:
         """Return the statistics that differ most, and the causes with the share of the gap that they close;
@@ -253,13 +287,14 @@ class Diagnosis:
 
     def _repr_html_(self) -> str:
         """Return the sentence and the causes, for notebooks."""
-        from imuarray.html_table import html_table, number
+        from imuarray.gap.findings.formatting import closed_text, effect_text, listed_causes, places_text, share
+        from imuarray.html_table import html_table
 
         rows = [
-            (each.effect, each.action, ", ".join(each.sensors), number(each.probability, 3), number(each.closed, 3))
-            for each in self.causes
+            (effect_text(each), places_text(each), share(each.probability), closed_text(each.closed, each.closed_ci95))
+            for each in listed_causes(self.causes)
         ]
-        return html_table(self.sentence, ("cause", "action", "sensors", "probability", "share of the gap closed"), rows)
+        return html_table(self.sentence, ("cause", "where", "probability", "would close of the gap there"), rows)
 
     def as_json(self) -> dict[str, Any]:
         """Return the diagnosis as one JSON object; numbers that aren't finite are null."""
@@ -268,6 +303,7 @@ class Diagnosis:
             for item in fields(self)
             if item.name not in NOT_IN_JSON
         }
+        plain["p_limit"] = self.p_limit
         for pull, table in zip(self.pulls, plain["pulls"], strict=True):
             table["is_out_of_specification"] = pull.is_out_of_specification
         return plain

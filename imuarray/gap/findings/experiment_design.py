@@ -16,6 +16,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.findings.diagnosis import Cause, Unobservable, Where
+from imuarray.gap.findings.formatting import domain_text, number, place_text
 from imuarray.gap.inference.effects.candidate import Kind
 from imuarray.gap.inference.forward_selection import Evaluation, Round
 from imuarray.gap.inference.search import SearchResult
@@ -28,6 +29,7 @@ from imuarray.gap.statistics.campaign import Layout, layout_of
 from imuarray.gap.statistics.split import split_of
 from imuarray.gap.statistics.synthetic_likelihood import FORM, FREEDOM, LARGEST_SCORE
 from imuarray.log.format import Phase
+from imuarray.printable import listed, series
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.heating import Heating
@@ -123,15 +125,31 @@ def next_experiment(
         return _separating_experiment(bench, rivals, run)
     if unexplained:
         worst = unexplained[0]
-        place = f"{worst.sensor} {worst.axis}".rstrip()
-        offer = MENU[_MORE[worst.domain]]
-        return (
-            f"Record {offer.words} ({_hours(offer.hours)}): it shows more of the {worst.domain.replace('_', ' ')} of"
-            f" {place}, which is not explained."
-        )
+        kind = _MORE[worst.domain]
+        place = f"{domain_text(worst.domain)} of {place_text(worst)}"
+        if kind in bench.kinds:
+            what = f"whether the {place}, which is not explained, differs in the same way"
+            return f"Record {_offered(kind, again=True)}: it shows {what}."
+        return f"Record {_offered(kind)}: it shows more of the {place}, which is not explained."
+    return _showing_experiment(unshown)
+
+
+def _showing_experiment(unshown: Sequence[Unobservable]) -> str:
+    """Return the experiment that shows most of what is not observable, per hour; without one the first thing to
+    record.
+    """
+    effects: dict[Kind, list[str]] = {}
+    for hidden in unshown:
+        for kind in MENU:
+            if hidden.record.startswith(f"{kind}: "):
+                effects.setdefault(kind, []).append(hidden.effect)
+    if effects:
+        distinct = {kind: list(dict.fromkeys(names)) for kind, names in effects.items()}
+        best = max(distinct, key=lambda kind: len(distinct[kind]) / MENU[kind].hours)
+        return f"Record {_offered(best)}: it shows {series(distinct[best])}, which these recordings cannot show."
     if unshown:
-        first = unshown[0]
-        return f"To observe {first.effect.replace('_', ' ')}, which these recordings cannot show: {first.record}."
+        sensors = f" of {listed(unshown[0].sensors)}" if unshown[0].sensors else ""
+        return f"To observe {unshown[0].effect.replace('_', ' ')}{sensors}, record {unshown[0].record}."
     return "Nothing: these recordings separate all causes of the library."
 
 
@@ -203,15 +221,15 @@ def _separating_experiment(bench: Bench, rivals: Rivals, run: Run) -> str:
     if not good:
         most = max(expected, key=expected.__getitem__)
         return (
-            f"Nothing on the menu ({', '.join(MENU)}) separates {what}: at most {_nats(expected[most])} expected, from"
-            f" {MENU[most].words}."
+            f"No usual experiment ({', '.join(MENU)}) separates {what}: the expected odds are at most "
+            f"{_odds(expected[most])}, from {MENU[most].words}."
         )
     best = good[0]
     other = "static" if best != "static" else ranked[ranked[0] == best]
+    again = " again" if best in bench.kinds else ""
     return (
-        f"Record {MENU[best].words}. It separates {what} ({_nats(expected[best])} expected in"
-        f" {_hours(MENU[best].hours)};"
-        f" {other} {_nats(expected[other])} in {_hours(MENU[other].hours)})."
+        f"Record {MENU[best].words}{again}. It separates {what} (expected odds {_odds(expected[best])} in "
+        f"{_hours(MENU[best].hours)}; {other} {_odds(expected[other])} in {_hours(MENU[other].hours)})."
     )
 
 
@@ -223,7 +241,7 @@ def _pair(cause: Cause, round_: Round) -> tuple[Evaluation, Evaluation] | None:
 
 
 def _is(trial: Evaluation, cause: Cause) -> bool:
-    return (trial.trial.name, trial.trial.action) == (cause.effect, cause.action)
+    return trial.trial.name == cause.effect and bool(trial.trial.effects) == (cause.action != "remove")
 
 
 def _models_of(bench: Bench, rivals: Rivals, models: Models) -> Models:
@@ -292,12 +310,19 @@ def _layouts(experiment: Experiment, phases: Sequence[Phase]) -> tuple[Layout, .
     return tuple(layout_of(sources, phase) for phase in phases)
 
 
+def _offered(kind: Kind, *, again: bool = False) -> str:
+    """Return the instructions of an experiment with its hours of work."""
+    return f"{MENU[kind].words}{' again' if again else ''} ({_hours(MENU[kind].hours)})"
+
+
 def _hours(hours: float) -> str:
     return f"{hours:.2g} h"
 
 
-def _nats(nats: float) -> str:
-    return f"{nats:.0f} nats" if nats >= 9.95 else f"{nats:.1f} nats"
+def _odds(nats: float) -> str:
+    """Return the odds of the true cause against the other that a log-likelihood ratio stands for."""
+    least = f"more than {number(math.exp(ENOUGH), 1)}" if nats > ENOUGH else number(math.exp(nats), 2)
+    return f"{least} to 1"
 
 
 _ROUNDING = 1e-9

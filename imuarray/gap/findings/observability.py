@@ -4,7 +4,7 @@ the differences that matter.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal
@@ -13,7 +13,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.findings.deviations import TWO_SIDED_95, length_words, needed
-from imuarray.gap.findings.diagnosis import Cause, Unobservable
+from imuarray.gap.findings.diagnosis import DIFFERENCES, Cause, Unobservable
 from imuarray.gap.inference.effects.candidate import Candidate, Kind
 from imuarray.gap.model.downstream import attitude_of
 from imuarray.gap.recording.recordings import Recording
@@ -23,7 +23,7 @@ from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.converters import THERMOMETERS
 
-Need = Literal["faces", "warmth", "runs", "turns", "warm_faces", "warm_turns"]
+Need = Literal["faces", "warmth", "runs", "turns", "rest", "warm_faces", "warm_turns"]
 
 LEAST_FACES, LEAST_DEGC, LEAST_RUNS, LEAST_REST_S = 2, 5.0, 4, 60.0
 """Least faces (with fewer, level and scale are not separated), span of temperature (drift and slope), runs (a spread:
@@ -40,6 +40,7 @@ _EXPERIMENTS: Mapping[Need, tuple[Kind, str]] = MappingProxyType(
         "warmth": ("heating", "warmer by 10 degC or more and cool again, twice"),
         "runs": ("turn-on", "a dozen short logs, switched off in between"),
         "turns": ("motion", "turns to and fro about every axis, 1 minute"),
+        "rest": ("static", "still for 1 minute"),
         "warm_faces": ("heating", "warmer by 10 degC or more on two opposite faces"),
         "warm_turns": (
             "motion",
@@ -66,6 +67,9 @@ _NEEDS: Mapping[str, tuple[Need, ...]] = MappingProxyType(
         "thermal_lag": ("warmth",),
         "turn_on_bias": ("runs",),
         "bistable_bias": ("runs",),
+        "white_noise": ("rest",),
+        "bandwidth": ("rest",),
+        "tone": ("rest",),
     }
 )
 """Alternative needs of each effect, the usual one first. Without any of them the effect is not observable, whatever
@@ -155,8 +159,8 @@ def facts_of(campaign: Campaign) -> Facts:
 def unobservable_effects(
     kinds: Collection[str], facts: Facts, candidates: Mapping[str, Candidate], sensors: Mapping[str, SensorHeader]
 ) -> tuple[Unobservable, ...]:
-    """Return candidate effects that no recorded kind of experiment shows, each with all the triads that it may
-    concern.
+    """Return candidate effects that no recorded kind of experiment shows, each with the triads that need the same
+    record.
 
     A kind counts if it has enough content: a tumble at least 2 faces, a heating 5 degC, 4 runs, a minute's rest. Faces,
     heating and turns in a log of another kind count as well. A candidate with an empty `shown_by` and without known
@@ -167,8 +171,11 @@ def unobservable_effects(
     if "static" in kinds and facts.rest_s >= LEAST_REST_S:
         recorded_kinds.add("static")
     triads = {name: header for name, header in sensors.items() if len(header.columns) == _TRIAD}
-    unobservable = (_of_candidate(candidate, recorded_kinds, met_needs, triads) for candidate in candidates.values())
-    return tuple(effect for effect in unobservable if effect is not None)
+    return tuple(
+        hidden
+        for candidate in candidates.values()
+        for hidden in _of_candidate(candidate, recorded_kinds, met_needs, triads)
+    )
 
 
 def uncertain_domains(
@@ -188,7 +195,7 @@ def uncertain_domains(
         places.setdefault((key.domain, sensors[key.sensor].chip), []).append(number)
     return tuple(
         Unobservable(
-            f"differences of {domain.replace('_', ' ')}",
+            f"{DIFFERENCES}{domain.replace('_', ' ')}",
             tuple(dict.fromkeys(keys[number].sensor for number in members)),
             _more_of(domain, [(float(lasted[at]), float(scales[at]), float(margins[at])) for at in members]),
         )
@@ -249,6 +256,7 @@ def _met_needs(kinds: Collection[str], facts: Facts) -> frozenset[Need]:
         "warmth": facts.span_degc >= LEAST_DEGC,
         "runs": facts.runs >= LEAST_RUNS,
         "turns": facts.has_turned or "motion" in kinds,
+        "rest": facts.rest_s >= LEAST_REST_S,
         "warm_faces": facts.warm_faces >= LEAST_FACES,
         "warm_turns": facts.has_turned_warm,
     }
@@ -260,15 +268,16 @@ def _of_candidate(
     recorded_kinds: Collection[str],
     met_needs: frozenset[Need],
     triads: Mapping[str, SensorHeader],
-) -> Unobservable | None:
-    concerned = {name: header.quantity for name, header in triads.items() if candidate.can_concern(header)}
-    texts = {
-        name: _needed_record(candidate, quantity, recorded_kinds, met_needs) for name, quantity in concerned.items()
-    }
-    lacking = {name: text for name, text in texts.items() if text}
-    if not lacking:
-        return None
-    return Unobservable(candidate.effect, tuple(lacking), "; ".join(dict.fromkeys(lacking.values())))
+) -> Iterator[Unobservable]:
+    """Yield what is to be recorded for the candidate, each with the sensors that need it."""
+    sensors: dict[str, list[str]] = {}
+    for name, header in triads.items():
+        if candidate.can_concern(header):
+            text = _needed_record(candidate, header.quantity, recorded_kinds, met_needs)
+            sensors.setdefault(text, []).append(name)
+    for text, names in sensors.items():
+        if text:
+            yield Unobservable(candidate.effect, tuple(names), text)
 
 
 def _needed_record(

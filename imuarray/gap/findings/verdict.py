@@ -13,17 +13,13 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from imuarray.gap.findings.diagnosis import Cause, Gap, Verdict
+from imuarray.gap.findings.diagnosis import EVEN, Cause, Gap, Verdict
 from imuarray.gap.inference.assessment import Assessment, largest_of
+from imuarray.printable import listed, percent
 
 EXPLAINED, PARTLY = 0.9, 0.3
 """Closed shares from which on a gap is explained, or partly explained. The true effect usually closes more than nine
 tenths: of causes of one mechanism that closed 0.8 to 0.9, in all runs so far, 6 were right and 11 wrong.
-"""
-
-EVEN = 0.5
-"""Even odds: a cause that explains a gap is at least as probable, and an unknown effect is less probable where the gap
-is explained.
 """
 
 DOUBT = 0.05
@@ -57,14 +53,15 @@ On the 93 the calibration error is 0.09, as chance makes it, and the Brier score
 
 
 class Judgement(NamedTuple):
-    """The result of `judge`: the verdict, the gap, the causes (most probable first), and the probability that something
-    outside the library is present.
+    """The result of `judge`: the verdict, the gap, the causes (most probable first), the probability that something
+    outside the library is present, and in words why the verdict is this one.
     """
 
     verdict: Verdict
     gap: Gap
     causes: tuple[Cause, ...]
     unknown: float
+    reason: str = ""
 
 
 def judge(
@@ -102,10 +99,12 @@ def judge(
       measured on held-out data; such a gap is never explained.
     """
     if not is_gap:
-        return Judgement("no gap", replace(gap, after=gap.before, closed=None, closed_ci95=None), (), 0.0)
+        no_closure = replace(gap, after=gap.before, closed=None, closed_ci95=None)
+        return Judgement("no gap", no_closure, (), 0.0, "no statistic differs beyond chance")
     nearest = max((cause.probability for cause in causes if not cause.is_accepted), default=0.0)
     unknown = min(unknown, 1 - nearest)
     verdict = _verdict(gap.closed, causes, unknown, unlikely)
+    reason = _reason(gap.closed, causes, unknown, unlikely, has_remainder)
     if verdict == "explained" and has_remainder:
         verdict = "partly explained"
     if verdict != "explained":
@@ -113,7 +112,7 @@ def judge(
     limited = [replace(cause, probability=min(cause.probability, _limit(cause, unknown, unlikely))) for cause in causes]
     ranked = tuple(sorted(limited, key=lambda cause: -cause.probability))
     interval = None if gap.closed is None else gap.closed_ci95
-    return Judgement(verdict, replace(gap, closed_ci95=interval), ranked, unknown)
+    return Judgement(verdict, replace(gap, closed_ci95=interval), ranked, unknown, reason)
 
 
 def _verdict(closed: float | None, causes: Sequence[Cause], unknown: float, unlikely: Collection[str]) -> Verdict:
@@ -125,6 +124,31 @@ def _verdict(closed: float | None, causes: Sequence[Cause], unknown: float, unli
         return "unexplained"
     is_explained = closed is not None and closed >= EXPLAINED and not unlikely
     return "explained" if is_explained and most >= EVEN and unknown < EVEN else "partly explained"
+
+
+def _reason(
+    closed: float | None, causes: Sequence[Cause], unknown: float, unlikely: Collection[str], has_remainder: bool
+) -> str:
+    """Return in words what keeps the gap from being explained, or that nothing does."""
+    if not any(cause.is_accepted for cause in causes):
+        return "no known effect was accepted as a cause"
+    reasons = []
+    if closed is None:
+        reasons.append("how much of the gap closes cannot be measured")
+    elif closed < EXPLAINED:
+        least = PARTLY if closed < PARTLY else EXPLAINED
+        reasons.append(f"less than {percent(least)} of the gap closes with the causes")
+    if unlikely:
+        reasons.append(
+            f"{listed(sorted(unlikely))} still {'differs' if len(unlikely) == 1 else 'differ'} far beyond chance"
+        )
+    elif has_remainder:
+        reasons.append("what is left with the causes still matters")
+    if max(cause.probability for cause in causes) < EVEN:
+        reasons.append("which of several causes it is remains open: none is more probable than not")
+    if unknown >= EVEN:
+        reasons.append("something outside the library is at least as probable as not")
+    return "; ".join(reasons) or "the causes close the gap, up to what an inexact form of them leaves"
 
 
 def _limit(cause: Cause, unknown: float, unlikely: Collection[str]) -> float:
