@@ -14,39 +14,13 @@ from imuarray.drivers.bmp280 import Bmp280
 from imuarray.drivers.bmp388 import Bmp388
 from imuarray.drivers.driver import DecodedBursts, Driver, FifoDriver, OnDemandDriver, RemarkingDriver, SelfTest
 from imuarray.drivers.hmc5883 import Hmc5883
-from imuarray.drivers.icm42688 import (
-    Icm42688Accelerometer,
-    Icm42688AccelerometerFifo,
-    Icm42688AccelerometerHighResolution,
-    Icm42688Gyroscope,
-    Icm42688GyroscopeFifo,
-    Icm42688GyroscopeHighResolution,
-)
+from imuarray.drivers.icm42688 import Icm42688, Icm42688Fifo, Icm42688HighResolution
 from imuarray.drivers.l3g4200d import L3g4200d, L3g4200dFifo
 from imuarray.drivers.lis3mdl import Lis3mdl
-from imuarray.drivers.lsm6dso import (
-    Lsm6dsoAccelerometer,
-    Lsm6dsoAccelerometerFifo,
-    Lsm6dsoGyroscope,
-    Lsm6dsoGyroscopeFifo,
-)
+from imuarray.drivers.lsm6dso import Lsm6dso, Lsm6dsoFifo
 from imuarray.drivers.mmc5983 import Mmc5983
-from imuarray.drivers.mpu6050 import (
-    Mpu6050Accelerometer,
-    Mpu6050AccelerometerFifo,
-    Mpu6050Gyroscope,
-    Mpu6050GyroscopeFifo,
-)
-from imuarray.drivers.mpu6500 import (
-    Mpu6500Accelerometer,
-    Mpu6500AccelerometerFifo,
-    Mpu6500Gyroscope,
-    Mpu6500GyroscopeFifo,
-    Mpu9250Accelerometer,
-    Mpu9250AccelerometerFifo,
-    Mpu9250Gyroscope,
-    Mpu9250GyroscopeFifo,
-)
+from imuarray.drivers.mpu6050 import Mpu6050, Mpu6050Fifo
+from imuarray.drivers.mpu6500 import Mpu6500, Mpu6500Fifo
 
 __all__ = [
     "DRIVERS",
@@ -65,16 +39,16 @@ DRIVERS: dict[str, type[Driver]] = {
     "adxl345": Adxl345,
     "bma180": Bma180,
     "l3g4200d": L3g4200d,
-    "mpu6050_acc": Mpu6050Accelerometer,
-    "mpu6050_gyro": Mpu6050Gyroscope,
-    "mpu6500_acc": Mpu6500Accelerometer,
-    "mpu6500_gyro": Mpu6500Gyroscope,
-    "mpu9250_acc": Mpu9250Accelerometer,
-    "mpu9250_gyro": Mpu9250Gyroscope,
-    "icm42688_acc": Icm42688Accelerometer,
-    "icm42688_gyro": Icm42688Gyroscope,
-    "lsm6dso_acc": Lsm6dsoAccelerometer,
-    "lsm6dso_gyro": Lsm6dsoGyroscope,
+    "mpu6050_acc": Mpu6050,
+    "mpu6050_gyro": Mpu6050,
+    "mpu6500_acc": Mpu6500,
+    "mpu6500_gyro": Mpu6500,
+    "mpu9250_acc": Mpu6500,
+    "mpu9250_gyro": Mpu6500,
+    "icm42688_acc": Icm42688,
+    "icm42688_gyro": Icm42688,
+    "lsm6dso_acc": Lsm6dso,
+    "lsm6dso_gyro": Lsm6dso,
     "bmp180": Bmp180,
     "bmp280": Bmp280,
     "bmp388": Bmp388,
@@ -89,22 +63,22 @@ DRIVERS: dict[str, type[Driver]] = {
 FIFO_DRIVERS: dict[str, type[Driver]] = {
     "adxl345": Adxl345Fifo,
     "l3g4200d": L3g4200dFifo,
-    "mpu6050_acc": Mpu6050AccelerometerFifo,
-    "mpu6050_gyro": Mpu6050GyroscopeFifo,
-    "mpu6500_acc": Mpu6500AccelerometerFifo,
-    "mpu6500_gyro": Mpu6500GyroscopeFifo,
-    "mpu9250_acc": Mpu9250AccelerometerFifo,
-    "mpu9250_gyro": Mpu9250GyroscopeFifo,
-    "icm42688_acc": Icm42688AccelerometerFifo,
-    "icm42688_gyro": Icm42688GyroscopeFifo,
-    "lsm6dso_acc": Lsm6dsoAccelerometerFifo,
-    "lsm6dso_gyro": Lsm6dsoGyroscopeFifo,
+    "mpu6050_acc": Mpu6050Fifo,
+    "mpu6050_gyro": Mpu6050Fifo,
+    "mpu6500_acc": Mpu6500Fifo,
+    "mpu6500_gyro": Mpu6500Fifo,
+    "mpu9250_acc": Mpu6500Fifo,
+    "mpu9250_gyro": Mpu6500Fifo,
+    "icm42688_acc": Icm42688Fifo,
+    "icm42688_gyro": Icm42688Fifo,
+    "lsm6dso_acc": Lsm6dsoFifo,
+    "lsm6dso_gyro": Lsm6dsoFifo,
 }
 """Drivers of chips whose queue is drained (`fifo = true`)."""
 
 HIGH_RESOLUTION_DRIVERS: dict[str, type[Driver]] = {
-    "icm42688_acc": Icm42688AccelerometerHighResolution,
-    "icm42688_gyro": Icm42688GyroscopeHighResolution,
+    "icm42688_acc": Icm42688HighResolution,
+    "icm42688_gyro": Icm42688HighResolution,
 }
 """Drivers of chips whose queue delivers counts of more bits (`high_resolution = true`)."""
 

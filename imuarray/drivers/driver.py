@@ -148,13 +148,16 @@ class Driver(Protocol):
     """True if the burst shows whether the reading is new; otherwise the logger compares it with the previous
     reading.
     """
-    reading: ClassVar[slice]
-    """Position of the reading in a burst, without status and temperature: two bursts can be compared byte by byte."""
-
     watched: tuple[Setting, ...]
     registers: Registers
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None: ...
+
+    @property
+    def reading(self) -> slice:
+        """Position of the reading in a burst, without status and temperature: two bursts can be compared byte by
+        byte.
+        """
 
     def identify(self) -> None:
         """Check that this chip answers; SensorError."""

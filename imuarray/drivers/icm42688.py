@@ -10,6 +10,7 @@ disturb the other.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any, ClassVar
 
@@ -42,24 +43,61 @@ _STAMPS_PER_S = 1e6  # TDK-83, TDK-90
 _SELF_TEST_SETTLE_S = 0.2  # TDK-42
 
 
-class _Half(SixAxisHalf):
-    """The common part of both halves of the die."""
+@dataclass(frozen=True)
+class _Half:
+    """What differs between the halves of the die; `in_packet` is the place of the triad in a row of the queue, `bits`
+    are those of a count in high resolution.
+    """
+
+    full_scale: Field
+    rate: Field
+    trim: Register
+    self_test_range: int
+    deflected: Setting
+    limits: Limits
+    allowed: str
+    in_packet: slice
+    bits: int
+
+
+_HALVES = {
+    "acc": _Half(
+        facts.ACCEL_RANGE,
+        facts.ACCEL_RATE,
+        facts.XA_ST_DATA,
+        self_test_range=0b010,  # 4 g
+        deflected=facts.ACCEL_SELF_TEST_POWER(1) | facts.ACCEL_SELF_TEST(0b111),
+        limits=((0.5, 1.5),) * 3,
+        allowed="0.5 to 1.5 allowed",
+        in_packet=slice(1, 7),
+        bits=18,
+    ),
+    "gyro": _Half(
+        facts.GYRO_RANGE,
+        facts.GYRO_RATE,
+        facts.XG_ST_DATA,
+        self_test_range=0b011,  # 250 dps
+        deflected=facts.GYRO_SELF_TEST(0b111),
+        limits=((0.5, np.inf),) * 3,
+        allowed="0.5 and more allowed",
+        in_packet=slice(7, 13),
+        bits=19,
+    ),
+}
+
+
+class Icm42688(SixAxisHalf):
+    """Driver of one half of an ICM-42688-P."""
 
     first: ClassVar[Register] = facts.TEMP_DATA1
-    identity: ClassVar[Register] = facts.WHO_AM_I
     marked: ClassVar[Register] = facts.FIFO_CONFIG2  # the watermark of the queue, which is off: TDK-23
     relatives: ClassVar[Mapping[int, str]] = INVENSENSE
+    triads: ClassVar[Mapping[str, slice]] = {"acc": slice(2, 8), "gyro": slice(8, 14)}
     temperature: ClassVar[slice] = slice(0, 2)
-    full_scale: ClassVar[Field]
-    rate: ClassVar[Field]
-    trim: ClassVar[Register]
-    self_test_range: ClassVar[int]
-    deflected: ClassVar[Setting]
-    limits: ClassVar[Limits]
-    allowed: ClassVar[str]
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
+        self.own = _HALVES[self.half]
         self.nominal_rate_hz = sensor.nominal_rate_hz
         has_clock = sensor.external_clock_hz is not None
         ranges = sorted(sensor.spec.sensitivity, reverse=True)  # code 0 is the largest: TDK-14
@@ -95,7 +133,8 @@ class _Half(SixAxisHalf):
         self.watched = (self._bank(0), self.power, self.range_setting, *self.settings)
 
     def _range_and_rate(self, range_code: int, rate_code: int) -> Setting:
-        return self.full_scale.register[7:0]((self.full_scale(range_code) | self.rate(rate_code)).value)
+        own = self.own
+        return own.full_scale.register[7:0]((own.full_scale(range_code) | own.rate(rate_code)).value)
 
     def _bank(self, number: int) -> Setting:
         return facts.REG_BANK_SEL[7:0](facts.BANK(number).value)
@@ -146,28 +185,39 @@ class _Half(SixAxisHalf):
 
     def self_test(self) -> SelfTest:
         """Measure the change of the counts with the self-test on, as a share of the factory's (TDK-40 ... TDK-42)."""
+        own = self.own
         self.configure()
         trim = self._trim_counts()
         if not trim.all():
             return SelfTest(None, "this chip holds no factory trim to compare with")
-        still = self._range_and_rate(self.self_test_range, _RATE_CODES[1000.0])
+        still = self._range_and_rate(own.self_test_range, _RATE_CODES[1000.0])
         self.registers.poke(still.register, still.value)
         before = self.readings(_SELF_TEST_SETTLE_S) / trim
-        self.registers.poke(self.deflected.register, self.deflected.value)
+        self.registers.poke(own.deflected.register, own.deflected.value)
         during = self.readings(_SELF_TEST_SETTLE_S) / trim
-        self.registers.poke(self.deflected.register, 0)
+        self.registers.poke(own.deflected.register, 0)
         self.configure()
-        text = f"changes by {{change}} of the factory's; {self.allowed}"
-        return compared(*upward(before, during), self.limits, text, still=0.05)
+        text = f"changes by {{change}} of the factory's; {own.allowed}"
+        return compared(*upward(before, during), own.limits, text, still=0.05)
 
     def _trim_counts(self) -> Floats:
         """Return the factory's change (3,) at the range of the self-test, which is half as large at twice the smallest
         range (TDK-40).
         """
-        self.registers.set(self._bank(self.trim.bank))
-        codes = self.registers.peek(self.trim, 3)
+        self.registers.set(self._bank(self.own.trim.bank))
+        codes = self.registers.peek(self.own.trim, 3)
         self.registers.set(self._bank(0))
-        return factory_change(codes) / 2.0 ** (3 - self.self_test_range)
+        return factory_change(codes) / 2.0 ** (3 - self.own.self_test_range)
+
+    def remark(self) -> str:
+        """Report, for the gyroscope, that the adaptive range is on, with which readings freeze near 100 dps
+        (TDK-18).
+        """
+        if self.half != "gyro" or facts.BANK.of(self.registers.peek(facts.REG_BANK_SEL)[0]):
+            return ""
+        if facts.ADAPTIVE_RANGE.of(self.registers.peek(facts.INTF_CONFIG1)[0]) == _ADAPTIVE_RANGE_OFF:
+            return ""
+        return "its adaptive range is on, as after power-on, and stalls it near 100 dps; imuarray log switches it off"
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 16 bits; a row with -32768 has no reading and is suspect, not saturated."""
@@ -185,44 +235,17 @@ def _status(counts: npt.NDArray[Any], bits: int = 16) -> npt.NDArray[np.uint16]:
     return (np.where(invalid, SUSPECT, 0) | np.where(at_end, SATURATED, 0)).astype(np.uint16)
 
 
-class Icm42688Accelerometer(_Half):
-    """Driver of the accelerometer of one ICM-42688-P."""
-
-    triad: ClassVar[slice] = slice(2, 8)
-    full_scale: ClassVar[Field] = facts.ACCEL_RANGE
-    rate: ClassVar[Field] = facts.ACCEL_RATE
-    trim: ClassVar[Register] = facts.XA_ST_DATA
-    self_test_range: ClassVar[int] = 0b010  # 4 g
-    deflected: ClassVar[Setting] = facts.ACCEL_SELF_TEST_POWER(1) | facts.ACCEL_SELF_TEST(0b111)
-    limits: ClassVar[Limits] = ((0.5, 1.5),) * 3
-    allowed: ClassVar[str] = "0.5 to 1.5 allowed"
-
-
-class Icm42688Gyroscope(_Half):
-    """Driver of the gyroscope of one ICM-42688-P."""
-
-    triad: ClassVar[slice] = slice(8, 14)
-    full_scale: ClassVar[Field] = facts.GYRO_RANGE
-    rate: ClassVar[Field] = facts.GYRO_RATE
-    trim: ClassVar[Register] = facts.XG_ST_DATA
-    self_test_range: ClassVar[int] = 0b011  # 250 dps
-    deflected: ClassVar[Setting] = facts.GYRO_SELF_TEST(0b111)
-    limits: ClassVar[Limits] = ((0.5, np.inf),) * 3
-    allowed: ClassVar[str] = "0.5 and more allowed"
-
-    def remark(self) -> str:
-        """Report that the adaptive range is on, with which readings freeze near 100 dps (TDK-18)."""
-        if facts.BANK.of(self.registers.peek(facts.REG_BANK_SEL)[0]):
-            return ""
-        if facts.ADAPTIVE_RANGE.of(self.registers.peek(facts.INTF_CONFIG1)[0]) == _ADAPTIVE_RANGE_OFF:
-            return ""
-        return "its adaptive range is on, as after power-on, and stalls it near 100 dps; imuarray log switches it off"
-
-
-class _QueuedHalf(QueuedHalf, _Half):
-    """One half read by the queue: a row is a packet with a temperature of 8 bits, 2.07 counts a degC (TDK-82)."""
+class Icm42688Fifo(QueuedHalf, Icm42688):
+    """Driver of one half, read by the queue: a row is a packet with a temperature of 8 bits, 2.07 counts a degC
+    (TDK-82).
+    """
 
     burst: ClassVar[int] = 16
+
+    @property
+    def reading(self) -> slice:
+        """The triad of this half in a packet."""
+        return self.own.in_packet
 
     def _new_queue(self) -> DieQueue:
         rates_hz = self.rate_hz, self.nominal_rate_hz
@@ -257,26 +280,17 @@ class _QueuedHalf(QueuedHalf, _Half):
         return self.with_marks(decoded, packet_format.are_after_pulse(bursts[:, 0]), (stamps + 0.5) / _STAMPS_PER_S)
 
 
-class Icm42688AccelerometerFifo(_QueuedHalf, Icm42688Accelerometer):
-    """Driver of the accelerometer of one ICM-42688-P, its queue drained."""
-
-    half: ClassVar[str] = "acc"
-    reading: ClassVar[slice] = slice(1, 7)
-
-
-class Icm42688GyroscopeFifo(_QueuedHalf, Icm42688Gyroscope):
-    """Driver of the gyroscope of one ICM-42688-P, its queue drained."""
-
-    half: ClassVar[str] = "gyro"
-    reading: ClassVar[slice] = slice(7, 13)
-
-
-class _HighResolutionHalf(_QueuedHalf):
-    """One half read by the queue in packets of 20 bytes, which have the largest range in any case (TDK-89)."""
+class Icm42688HighResolution(Icm42688Fifo):
+    """Driver of one half, read by the queue in packets of 20 bytes, which have the largest range in any case
+    (TDK-89).
+    """
 
     burst: ClassVar[int] = packet_format.ROW_BYTES
-    reading: ClassVar[slice] = slice(0, 12)
-    bits: ClassVar[int]
+
+    @property
+    def reading(self) -> slice:
+        """The triad of this half in a row, in words of 32 bits."""
+        return slice(0, 12)
 
     def _new_queue(self) -> DieQueue:
         return Icm42688Queue(self.registers, self.clock, (self.rate_hz, self.nominal_rate_hz), high_resolution=True)
@@ -297,18 +311,4 @@ class _HighResolutionHalf(_QueuedHalf):
         """
         counts = np.ascontiguousarray(bursts[:, self.reading]).view(">i4").astype(np.int32)
         temperature = np.ascontiguousarray(bursts[:, 12:]).view(">i2")[:, 0].astype(np.int16)
-        return DecodedBursts(counts, temperature, _status(counts, self.bits))
-
-
-class Icm42688AccelerometerHighResolution(_HighResolutionHalf, Icm42688Accelerometer):
-    """Driver of the accelerometer of one ICM-42688-P, its queue drained in high resolution."""
-
-    half: ClassVar[str] = "acc"
-    bits: ClassVar[int] = 18
-
-
-class Icm42688GyroscopeHighResolution(_HighResolutionHalf, Icm42688Gyroscope):
-    """Driver of the gyroscope of one ICM-42688-P, its queue drained in high resolution."""
-
-    half: ClassVar[str] = "gyro"
-    bits: ClassVar[int] = 19
+        return DecodedBursts(counts, temperature, _status(counts, self.own.bits))

@@ -9,6 +9,7 @@ when its rate is not 0. Both filters keep their settings of power-on: their band
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -44,28 +45,59 @@ _RELATIVES: Mapping[int, str] = MappingProxyType(
 """Related chips by identity (LSM-03)."""
 
 
-class _Half(SixAxisHalf):
-    """The common part of both halves of the die."""
+@dataclass(frozen=True)
+class _Half:
+    """What differs between the halves of the die."""
+
+    full_scale: Field
+    rate: Field
+    range_codes: Mapping[float, int]
+    deflected: Setting
+    self_test_range: float
+    limits: Limits
+    allowed: str
+    still: float
+
+
+_HALVES = {
+    "acc": _Half(
+        facts.ACCEL_RANGE,
+        facts.ACCEL_RATE,
+        range_codes={2.0: 0, 4.0: 2, 8.0: 3, 16.0: 1},  # LSM-14
+        deflected=facts.ACCEL_SELF_TEST(0b01),
+        self_test_range=4.0,
+        limits=((0.05, 1.7),) * 3,
+        allowed="g; 0.05 to 1.7 g allowed",
+        still=0.02,
+    ),
+    "gyro": _Half(
+        facts.GYRO_RANGE,
+        facts.GYRO_RATE,
+        range_codes={125.0: 1, 250.0: 0, 500.0: 2, 1000.0: 4, 2000.0: 6},  # LSM-14
+        deflected=facts.GYRO_SELF_TEST(0b01),
+        self_test_range=2000.0,
+        limits=((150.0, 700.0),) * 3,
+        allowed="dps; 150 to 700 dps allowed",
+        still=10.0,
+    ),
+}
+
+
+class Lsm6dso(SixAxisHalf):
+    """Driver of one half of an LSM6DSO."""
 
     first: ClassVar[Register] = facts.OUT_TEMP_L
-    identity: ClassVar[Register] = facts.WHO_AM_I
     marked: ClassVar[Register] = facts.FIFO_CTRL1  # the watermark of the queue, which is off: LSM-18
     relatives: ClassVar[Mapping[int, str]] = _RELATIVES
+    triads: ClassVar[Mapping[str, slice]] = {"acc": slice(8, 14), "gyro": slice(2, 8)}
     temperature: ClassVar[slice] = slice(0, 2)
     order: ClassVar[str] = "<i2"
-    full_scale: ClassVar[Field]
-    rate: ClassVar[Field]
-    range_codes: ClassVar[Mapping[float, int]]
-    deflected: ClassVar[Setting]
-    self_test_range: ClassVar[float]
-    limits: ClassVar[Limits]
-    allowed: ClassVar[str]
-    still: ClassVar[float]
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
+        self.own = _HALVES[self.half]
         self.sensitivity = sensor.spec.sensitivity
-        full_scale = sensor.range or min(self.range_codes)
+        full_scale = sensor.range or min(self.own.range_codes)
         self.settings = (
             facts.FUNC_CFG_ACCESS[7:0](0),
             facts.CTRL3_C[7:0]((facts.BLOCK_UPDATE(1) | facts.AUTO_INCREMENT(1)).value),
@@ -80,8 +112,9 @@ class _Half(SixAxisHalf):
         self.watched = self.settings
 
     def _range_and_rate(self, full_scale: float, rate_code: int) -> Setting:
-        value = (self.full_scale(self.range_codes[full_scale]) | self.rate(rate_code)).value
-        return self.full_scale.register[7:0](value)
+        own = self.own
+        value = (own.full_scale(own.range_codes[full_scale]) | own.rate(rate_code)).value
+        return own.full_scale.register[7:0](value)
 
     def steps(self) -> Iterator[float]:
         """Write every setting, of which the last switches this half on; wait until it measures."""
@@ -93,51 +126,28 @@ class _Half(SixAxisHalf):
 
     def self_test(self) -> SelfTest:
         """Measure the change with the self-test on, in g or dps (LSM-20, LSM-21)."""
+        own = self.own
         self.configure()
-        setting = self._range_and_rate(self.self_test_range, _SELF_TEST_RATE)
+        setting = self._range_and_rate(own.self_test_range, _SELF_TEST_RATE)
         self.registers.poke(setting.register, setting.value)
-        scale = self.sensitivity[self.self_test_range]
+        scale = self.sensitivity[own.self_test_range]
         before = self.readings(_SELF_TEST_SETTLE_S) / scale
-        self.registers.poke(self.deflected.register, self.deflected.value)
+        self.registers.poke(own.deflected.register, own.deflected.value)
         during = self.readings(_SELF_TEST_SETTLE_S) / scale
         self.configure()
-        text = f"changes by {{change}} {self.allowed}"
-        return compared(*upward(before, during), self.limits, text, still=self.still)
+        text = f"changes by {{change}} {own.allowed}"
+        return compared(*upward(before, during), own.limits, text, still=own.still)
 
 
-class Lsm6dsoAccelerometer(_Half):
-    """Driver of the accelerometer of one LSM6DSO."""
-
-    triad: ClassVar[slice] = slice(8, 14)
-    full_scale: ClassVar[Field] = facts.ACCEL_RANGE
-    rate: ClassVar[Field] = facts.ACCEL_RATE
-    range_codes: ClassVar[Mapping[float, int]] = {2.0: 0, 4.0: 2, 8.0: 3, 16.0: 1}  # LSM-14
-    deflected: ClassVar[Setting] = facts.ACCEL_SELF_TEST(0b01)
-    self_test_range: ClassVar[float] = 4.0
-    limits: ClassVar[Limits] = ((0.05, 1.7),) * 3
-    allowed: ClassVar[str] = "g; 0.05 to 1.7 g allowed"
-    still: ClassVar[float] = 0.02
-
-
-class Lsm6dsoGyroscope(_Half):
-    """Driver of the gyroscope of one LSM6DSO."""
-
-    triad: ClassVar[slice] = slice(2, 8)
-    full_scale: ClassVar[Field] = facts.GYRO_RANGE
-    rate: ClassVar[Field] = facts.GYRO_RATE
-    range_codes: ClassVar[Mapping[float, int]] = {125.0: 1, 250.0: 0, 500.0: 2, 1000.0: 4, 2000.0: 6}  # LSM-14
-    deflected: ClassVar[Setting] = facts.GYRO_SELF_TEST(0b01)
-    self_test_range: ClassVar[float] = 2000.0
-    limits: ClassVar[Limits] = ((150.0, 700.0),) * 3
-    allowed: ClassVar[str] = "dps; 150 to 700 dps allowed"
-    still: ClassVar[float] = 10.0
-
-
-class _QueuedHalf(QueuedHalf, _Half):
-    """One half read by the queue: a row is a word, a tag and the triad, and the last temperature (LSM-41)."""
+class Lsm6dsoFifo(QueuedHalf, Lsm6dso):
+    """Driver of one half, read by the queue: a row is a tag and the triad, and the last temperature (LSM-41)."""
 
     burst: ClassVar[int] = 9
-    reading: ClassVar[slice] = slice(1, 7)
+
+    @property
+    def reading(self) -> slice:
+        """The triad."""
+        return slice(1, 7)
 
     def _new_queue(self) -> DieQueue:
         return Lsm6dsoQueue(self.registers, self.clock, self.rate_hz, _QUEUE_ON)
@@ -162,15 +172,3 @@ class _QueuedHalf(QueuedHalf, _Half):
         marks = (counts[:, 2] & 1) == 1
         counts[:, 2] &= ~np.int16(1)
         return self.with_marks(decoded, marks)
-
-
-class Lsm6dsoAccelerometerFifo(_QueuedHalf, Lsm6dsoAccelerometer):
-    """Driver of the accelerometer of one LSM6DSO, its queue drained."""
-
-    half: ClassVar[str] = "acc"
-
-
-class Lsm6dsoGyroscopeFifo(_QueuedHalf, Lsm6dsoGyroscope):
-    """Driver of the gyroscope of one LSM6DSO, its queue drained."""
-
-    half: ClassVar[str] = "gyro"

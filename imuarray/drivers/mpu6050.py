@@ -6,7 +6,8 @@ gyroscope, whose bytes are of one instant (INV-30), high byte first; 340 counts 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -15,7 +16,7 @@ from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
-from imuarray.drivers.driver import Bytes, DecodedBursts, SelfTest, compared
+from imuarray.drivers.driver import Bytes, DecodedBursts, Registers, SelfTest, compared
 from imuarray.drivers.six_axis import INVENSENSE, QueuedHalf, SixAxisHalf
 from imuarray.drivers.six_axis_queue import EVERYTHING, DieQueue, MpuQueue
 from imuarray.facts import mpu6050 as facts
@@ -32,19 +33,69 @@ _SELF_TEST_SHARE = 0.14  # INV-45
 _ACCEL_SELF_TEST_RANGE = 0b10  # 8 g: INV-46
 
 
-class _Half(SixAxisHalf):
-    """The common part of both halves of the die."""
+def _accelerometer_trim(registers: Registers) -> Floats:
+    """Return 4096 * 0.34 * (0.92 / 0.34)**((code - 1) / 30) counts (3,), 0 where no code is stored (INV-46)."""
+    x, y, z, low = registers.peek(facts.SELF_TEST_X, 4)
+    codes = np.array(
+        [
+            facts.TRIM_ACCEL_X_HIGH.of(x) << 2 | facts.TRIM_ACCEL_X_LOW.of(low),
+            facts.TRIM_ACCEL_Y_HIGH.of(y) << 2 | facts.TRIM_ACCEL_Y_LOW.of(low),
+            facts.TRIM_ACCEL_Z_HIGH.of(z) << 2 | facts.TRIM_ACCEL_Z_LOW.of(low),
+        ]
+    )
+    counts = 4096 * 0.34 * (0.92 / 0.34) ** ((codes - 1) / 30)
+    return np.where(codes > 0, counts, 0.0)
+
+
+def _gyroscope_trim(registers: Registers) -> Floats:
+    """Return 25 * 131 * 1.046**(code - 1) counts (3,), y with the other sign, 0 where no code is stored (INV-47)."""
+    block = registers.peek(facts.SELF_TEST_X, 3)
+    fields = (facts.TRIM_GYRO_X, facts.TRIM_GYRO_Y, facts.TRIM_GYRO_Z)
+    codes = np.array([field.of(byte) for field, byte in zip(fields, block, strict=True)])
+    counts = np.array([25.0, -25.0, 25.0]) * 131 * 1.046 ** (codes - 1)
+    return np.where(codes > 0, counts, 0.0)
+
+
+@dataclass(frozen=True)
+class _Half:
+    """What differs between the halves of the die; `trim` returns the factory's change (3,) by the self-test in counts
+    at the range of `self_test`.
+    """
+
+    full_scale: Field
+    deflected: Field
+    trim: Callable[[Registers], Floats]
+    self_test: Setting
+
+
+_HALVES = {
+    "acc": _Half(
+        facts.ACCEL_RANGE,
+        facts.ACCEL_SELF_TEST,
+        _accelerometer_trim,
+        facts.ACCEL_RANGE(_ACCEL_SELF_TEST_RANGE) | facts.ACCEL_SELF_TEST(0),
+    ),
+    "gyro": _Half(
+        facts.GYRO_RANGE,
+        facts.GYRO_SELF_TEST,
+        _gyroscope_trim,
+        facts.GYRO_RANGE(0) | facts.GYRO_SELF_TEST(0),  # 250 dps: INV-47
+    ),
+}
+
+
+class Mpu6050(SixAxisHalf):
+    """Driver of one half of an MPU-6050."""
 
     first: ClassVar[Register] = facts.ACCEL_XOUT_H
-    identity: ClassVar[Register] = facts.WHO_AM_I
     marked: ClassVar[Register] = facts.I2C_SLV0_DO  # sent to a slave of a bus that is off: INV-23
     relatives: ClassVar[Mapping[int, str]] = INVENSENSE
+    triads: ClassVar[Mapping[str, slice]] = {"acc": slice(0, 6), "gyro": slice(8, 14)}
     temperature: ClassVar[slice] = slice(6, 8)
-    full_scale: ClassVar[Field]
-    deflected: ClassVar[Field]
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
+        self.own = _HALVES[self.half]
         ranges = tuple(sensor.spec.sensitivity)
         nominal_rate_hz = sensor.nominal_rate_hz
         filter_code = 1 + sensor.spec.allowed_bandwidths_hz(nominal_rate_hz).index(sensor.chip_bandwidth_hz)
@@ -52,7 +103,7 @@ class _Half(SixAxisHalf):
         source = _X_GYRO_CLOCK if external_hz is None else _EXTERNAL_CLOCKS[external_hz > 1e6]
         marked = _IN_TEMPERATURE if sensor.sync_pulse else 0
         self.power = facts.PWR_MGMT_1[7:0](facts.CLOCK(source).value)
-        self.range_setting = self.full_scale(ranges.index(sensor.range or ranges[0])) | self.deflected(0)
+        self.range_setting = self.own.full_scale(ranges.index(sensor.range or ranges[0])) | self.own.deflected(0)
         self.settings = (
             facts.PWR_MGMT_2[7:0](0),
             facts.SMPLRT_DIV[7:0](round(_BASE_RATE_HZ / nominal_rate_hz) - 1),
@@ -74,13 +125,13 @@ class _Half(SixAxisHalf):
     def self_test(self) -> SelfTest:
         """Measure the change of the counts with the self-test on, as a share of the factory's: within 14 % (INV-45)."""
         self.configure()
-        trim = self._trim_counts()
+        trim = self.own.trim(self.registers)
         if not trim.all():
             return SelfTest(None, "this chip holds no factory trim to compare with")
-        still = self._self_test_range()
+        still = self.own.self_test
         self.registers.poke(still.register, still.value)
         before = self.readings(_SELF_TEST_SETTLE_S) / trim
-        self.registers.poke(still.register, still.value | self.deflected(0b111).value)
+        self.registers.poke(still.register, still.value | self.own.deflected(0b111).value)
         during = self.readings(_SELF_TEST_SETTLE_S) / trim
         self.configure()
         limits = ((1 - _SELF_TEST_SHARE, 1 + _SELF_TEST_SHARE),) * 3
@@ -88,62 +139,9 @@ class _Half(SixAxisHalf):
             before, during, limits, "changes by {change} of the factory's; 0.86 to 1.14 allowed", still=0.05
         )
 
-    def _trim_counts(self) -> Floats:
-        """Return the factory's change (3,) in counts at the range of the self-test; 0 where none is stored."""
-        raise NotImplementedError
 
-    def _self_test_range(self) -> Setting:
-        """Return the range at which the factory's change holds."""
-        raise NotImplementedError
-
-
-class Mpu6050Accelerometer(_Half):
-    """Driver of the accelerometer of one MPU-6050."""
-
-    triad: ClassVar[slice] = slice(0, 6)
-    full_scale: ClassVar[Field] = facts.ACCEL_RANGE
-    deflected: ClassVar[Field] = facts.ACCEL_SELF_TEST
-
-    def _trim_counts(self) -> Floats:
-        """Return 4096 * 0.34 * (0.92 / 0.34)**((code - 1) / 30) counts (INV-46)."""
-        x, y, z, low = self.registers.peek(facts.SELF_TEST_X, 4)
-        codes = np.array(
-            [
-                facts.TRIM_ACCEL_X_HIGH.of(x) << 2 | facts.TRIM_ACCEL_X_LOW.of(low),
-                facts.TRIM_ACCEL_Y_HIGH.of(y) << 2 | facts.TRIM_ACCEL_Y_LOW.of(low),
-                facts.TRIM_ACCEL_Z_HIGH.of(z) << 2 | facts.TRIM_ACCEL_Z_LOW.of(low),
-            ]
-        )
-        counts = 4096 * 0.34 * (0.92 / 0.34) ** ((codes - 1) / 30)
-        return np.where(codes > 0, counts, 0.0)
-
-    def _self_test_range(self) -> Setting:
-        """8 g (INV-46)."""
-        return facts.ACCEL_RANGE(_ACCEL_SELF_TEST_RANGE) | facts.ACCEL_SELF_TEST(0)
-
-
-class Mpu6050Gyroscope(_Half):
-    """Driver of the gyroscope of one MPU-6050."""
-
-    triad: ClassVar[slice] = slice(8, 14)
-    full_scale: ClassVar[Field] = facts.GYRO_RANGE
-    deflected: ClassVar[Field] = facts.GYRO_SELF_TEST
-
-    def _trim_counts(self) -> Floats:
-        """Return 25 * 131 * 1.046**(code - 1) counts, y with the other sign (INV-47)."""
-        block = self.registers.peek(facts.SELF_TEST_X, 3)
-        fields = (facts.TRIM_GYRO_X, facts.TRIM_GYRO_Y, facts.TRIM_GYRO_Z)
-        codes = np.array([field.of(byte) for field, byte in zip(fields, block, strict=True)])
-        counts = np.array([25.0, -25.0, 25.0]) * 131 * 1.046 ** (codes - 1)
-        return np.where(codes > 0, counts, 0.0)
-
-    def _self_test_range(self) -> Setting:
-        """250 dps (INV-47)."""
-        return facts.GYRO_RANGE(0) | facts.GYRO_SELF_TEST(0)
-
-
-class _QueuedHalf(QueuedHalf, _Half):
-    """One half read by the queue, whose records have the format of a burst."""
+class Mpu6050Fifo(QueuedHalf, Mpu6050):
+    """Driver of one half, read by the queue, whose records have the format of a burst."""
 
     def _new_queue(self) -> DieQueue:
         control = facts.USER_CTRL[7:0](facts.FIFO_ON(1).value)
@@ -156,15 +154,3 @@ class _QueuedHalf(QueuedHalf, _Half):
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 16 bits, and the marks of synchronisation pulses."""
         return self.decode_marked_temperature(super().decode(bursts))
-
-
-class Mpu6050AccelerometerFifo(_QueuedHalf, Mpu6050Accelerometer):
-    """Driver of the accelerometer of one MPU-6050, its queue drained."""
-
-    half: ClassVar[str] = "acc"
-
-
-class Mpu6050GyroscopeFifo(_QueuedHalf, Mpu6050Gyroscope):
-    """Driver of the gyroscope of one MPU-6050, its queue drained."""
-
-    half: ClassVar[str] = "gyro"

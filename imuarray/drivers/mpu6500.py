@@ -9,7 +9,7 @@ power-on. The magnetometer of the MPU-9250, an AK8963 on its auxiliary bus, is a
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -31,27 +31,44 @@ _IN_TEMPERATURE = 1  # its lowest bit marks a sample: INV-38
 _SELF_TEST_SETTLE_S = 0.2  # the filter's
 
 
-class _Half(SixAxisHalf):
-    """The common part of both halves of the die."""
+@dataclass(frozen=True)
+class _Half:
+    """What differs between the halves of the die."""
+
+    full_scale: Field
+    deflected: Field
+    trim: Register
+    limits: Limits
+    allowed: str
+
+
+_HALVES = {
+    "acc": _Half(
+        facts.ACCEL_RANGE, facts.ACCEL_SELF_TEST, facts.SELF_TEST_X_ACCEL, ((0.5, 1.5),) * 3, "0.5 to 1.5 allowed"
+    ),
+    "gyro": _Half(
+        facts.GYRO_RANGE, facts.GYRO_SELF_TEST, facts.SELF_TEST_X_GYRO, ((0.5, np.inf),) * 3, "0.5 and more allowed"
+    ),
+}
+
+
+class Mpu6500(SixAxisHalf):
+    """Driver of one half of an MPU-6500 or an MPU-9250."""
 
     first: ClassVar[Register] = facts.ACCEL_XOUT_H
-    identity: ClassVar[Register] = facts.WHO_AM_I
     marked: ClassVar[Register] = facts.I2C_SLV0_DO  # sent to a slave of a bus that is off: INV-71
     relatives: ClassVar[Mapping[int, str]] = INVENSENSE
+    triads: ClassVar[Mapping[str, slice]] = {"acc": slice(0, 6), "gyro": slice(8, 14)}
     temperature: ClassVar[slice] = slice(6, 8)
-    full_scale: ClassVar[Field]
-    deflected: ClassVar[Field]
-    trim: ClassVar[Register]
-    limits: ClassVar[Limits]
-    allowed: ClassVar[str]
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
+        self.own = _HALVES[self.half]
         ranges = tuple(sensor.spec.sensitivity)
         filter_code = 1 + sensor.spec.allowed_bandwidths_hz(self.rate_hz).index(sensor.chip_bandwidth_hz)
         marked = _IN_TEMPERATURE if sensor.sync_pulse else 0
         self.power = facts.PWR_MGMT_1[7:0](facts.CLOCK(_BEST_CLOCK).value)
-        self.range_setting = self.full_scale(ranges.index(sensor.range or ranges[0])) | self.deflected(0)
+        self.range_setting = self.own.full_scale(ranges.index(sensor.range or ranges[0])) | self.own.deflected(0)
         interface = facts.USER_CTRL[7:0](facts.I2C_OFF(int(self.on_spi)).value)  # INV-96
         self.settings = (
             facts.PWR_MGMT_2[7:0](0),
@@ -81,43 +98,22 @@ class _Half(SixAxisHalf):
         """Measure the change of the counts with the self-test on, as a share of the factory's, at the smallest range
         (INV-78).
         """
+        own = self.own
         self.configure()
-        trim = factory_change(self.registers.peek(self.trim, 3))
+        trim = factory_change(self.registers.peek(own.trim, 3))
         if not trim.all():
             return SelfTest(None, "this chip holds no factory trim to compare with")
-        self.registers.change(self.full_scale(0) | self.deflected(0))
+        self.registers.change(own.full_scale(0) | own.deflected(0))
         before = self.readings(_SELF_TEST_SETTLE_S) / trim
-        self.registers.change(self.full_scale(0) | self.deflected(0b111))
+        self.registers.change(own.full_scale(0) | own.deflected(0b111))
         during = self.readings(_SELF_TEST_SETTLE_S) / trim
         self.configure()
-        text = f"changes by {{change}} of the factory's; {self.allowed}"
-        return compared(*upward(before, during), self.limits, text, still=0.05)
+        text = f"changes by {{change}} of the factory's; {own.allowed}"
+        return compared(*upward(before, during), own.limits, text, still=0.05)
 
 
-class Mpu6500Accelerometer(_Half):
-    """Driver of the accelerometer of one MPU-6500."""
-
-    triad: ClassVar[slice] = slice(0, 6)
-    full_scale: ClassVar[Field] = facts.ACCEL_RANGE
-    deflected: ClassVar[Field] = facts.ACCEL_SELF_TEST
-    trim: ClassVar[Register] = facts.SELF_TEST_X_ACCEL
-    limits: ClassVar[Limits] = ((0.5, 1.5),) * 3
-    allowed: ClassVar[str] = "0.5 to 1.5 allowed"
-
-
-class Mpu6500Gyroscope(_Half):
-    """Driver of the gyroscope of one MPU-6500."""
-
-    triad: ClassVar[slice] = slice(8, 14)
-    full_scale: ClassVar[Field] = facts.GYRO_RANGE
-    deflected: ClassVar[Field] = facts.GYRO_SELF_TEST
-    trim: ClassVar[Register] = facts.SELF_TEST_X_GYRO
-    limits: ClassVar[Limits] = ((0.5, np.inf),) * 3
-    allowed: ClassVar[str] = "0.5 and more allowed"
-
-
-class _QueuedHalf(QueuedHalf, _Half):
-    """One half read by the queue, whose records have the format of a burst."""
+class Mpu6500Fifo(QueuedHalf, Mpu6500):
+    """Driver of one half, read by the queue, whose records have the format of a burst."""
 
     def _new_queue(self) -> DieQueue:
         control = facts.USER_CTRL[7:0]((facts.FIFO_ON(1) | facts.I2C_OFF(int(self.on_spi))).value)
@@ -131,42 +127,3 @@ class _QueuedHalf(QueuedHalf, _Half):
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 16 bits, and the marks of synchronisation pulses."""
         return self.decode_marked_temperature(super().decode(bursts))
-
-
-class Mpu6500AccelerometerFifo(_QueuedHalf, Mpu6500Accelerometer):
-    """Driver of the accelerometer of one MPU-6500, its queue drained."""
-
-    half: ClassVar[str] = "acc"
-
-
-class Mpu6500GyroscopeFifo(_QueuedHalf, Mpu6500Gyroscope):
-    """Driver of the gyroscope of one MPU-6500, its queue drained."""
-
-    half: ClassVar[str] = "gyro"
-
-
-_IDENTITY_9250 = replace(facts.WHO_AM_I, reset=0x71)  # INV-70
-
-
-class Mpu9250Accelerometer(Mpu6500Accelerometer):
-    """Driver of the accelerometer of one MPU-9250."""
-
-    identity: ClassVar[Register] = _IDENTITY_9250
-
-
-class Mpu9250Gyroscope(Mpu6500Gyroscope):
-    """Driver of the gyroscope of one MPU-9250."""
-
-    identity: ClassVar[Register] = _IDENTITY_9250
-
-
-class Mpu9250AccelerometerFifo(Mpu6500AccelerometerFifo):
-    """Driver of the accelerometer of one MPU-9250, its queue drained."""
-
-    identity: ClassVar[Register] = _IDENTITY_9250
-
-
-class Mpu9250GyroscopeFifo(Mpu6500GyroscopeFifo):
-    """Driver of the gyroscope of one MPU-9250, its queue drained."""
-
-    identity: ClassVar[Register] = _IDENTITY_9250

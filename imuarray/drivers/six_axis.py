@@ -65,28 +65,34 @@ def upward(before: Floats, during: Floats) -> tuple[Floats, Floats]:
 
 
 class SixAxisHalf(ChipDriver):
-    """One half of a die; a chip's driver defines the place of its data and its set-up."""
+    """One half of a die, `half`: "acc" or "gyro"; a chip's driver defines the place of its data and its set-up."""
 
     burst: ClassVar[int] = 14
     tells_fresh: ClassVar[bool] = False
-    reading: ClassVar[slice] = slice(0, 14)
     first: ClassVar[Register]
     """Register at which a burst begins."""
-    identity: ClassVar[Register]
     relatives: ClassVar[Mapping[int, str]] = {}
     """Names of other chips that answer at these addresses, by identity."""
     marked: ClassVar[Register]
     """A register without effect, which distinguishes the die from its twins."""
-    triad: ClassVar[slice]
+    triads: ClassVar[Mapping[str, slice]]
+    """Place of the triad of each half in a burst."""
     temperature: ClassVar[slice]
     order: ClassVar[str] = ">i2"
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
+        self.half = sensor.chip.rpartition("_")[2]
+        self.identity = sensor.spec.identity
         self.rate_hz = sensor.chip_rate_hz
         self.on_spi = sensor.on_spi
         self.settings: tuple[Setting, ...] = ()
         self.watched: tuple[Setting, ...] = ()
+
+    @property
+    def reading(self) -> slice:
+        """Both triads and the thermometer: noise in six axes prevents two equal readings."""
+        return slice(0, 14)
 
     def identify(self) -> None:
         """Check the identity; SensorError names a related chip or a clone."""
@@ -108,7 +114,7 @@ class SixAxisHalf(ChipDriver):
         counts = []
         for _ in range(SELF_TEST_SAMPLES):
             sleep_for(self.clock, 1 / self.rate_hz)
-            counts.append(np.frombuffer(self._registers_now()[self.triad], self.order))
+            counts.append(np.frombuffer(self._registers_now()[self.triads[self.half]], self.order))
         return np.asarray(np.array(counts), np.float64)
 
     def fetch(self) -> bytes:
@@ -120,7 +126,7 @@ class SixAxisHalf(ChipDriver):
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
         """Return counts of 16 bits."""
-        counts = np.ascontiguousarray(bursts[:, self.triad]).view(self.order).astype(np.int16)
+        counts = np.ascontiguousarray(bursts[:, self.triads[self.half]]).view(self.order).astype(np.int16)
         temperature = np.ascontiguousarray(bursts[:, self.temperature]).view(self.order)[:, 0].astype(np.int16)
         return DecodedBursts(counts, temperature, saturated(counts, -32768, 32767))
 
@@ -129,7 +135,6 @@ class QueuedHalf(SixAxisHalf):
     """One half whose die's queue is drained; another driver of the same die may `share` the queue."""
 
     tells_fresh: ClassVar[bool] = True  # a sample in the queue is always new
-    half: ClassVar[str]
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
