@@ -67,5 +67,5 @@ class Tolerances:
     pressure_pa: TruncatedNormal = NONE
 
 
-Sheet = Callable[[float], Tolerances]
-"""The tolerances of a data sheet, by measuring range."""
+Sheet = Tolerances | Callable[[float], Tolerances]
+"""The tolerances of a data sheet; a function of the measuring range where they depend on it."""

@@ -194,21 +194,6 @@ def noise_of(published: PublishedUnit) -> Triple:
     return x, y, z
 
 
-def adxl345(range_g: float) -> Tolerances:
-    """ADX-60 ... ADX-70, noise at 100 Hz; the same in every range."""
-    return Tolerances(
-        bias=(one_sigma(0.035, 0.150), one_sigma(0.035, 0.150), one_sigma(0.040, 0.250)),
-        slope_per_degc=(one_sigma(0.4e-3), one_sigma(0.4e-3), one_sigma(1.2e-3)),
-        scale=one_sigma(0.01, 0.10),
-        cross_axis=one_sigma(0.01),
-        alignment_deg=one_sigma(0.1),
-        noise=(0.75 / 256, 0.75 / 256, 1.1 / 256),
-        noise_full_scale=16.0,
-        noise_bandwidth_hz=50.0,
-        scale_slope_per_degc=one_sigma(1e-4),
-    )
-
-
 BMA180_NOISE_EXPONENT = math.log(17.05 / 9.53) / math.log(16 / 1.5)
 """Mean noise of the paper's six axes in mg at 16 g and at 1.5 g (Table 10); the data sheet gives 2 g alone (PAP-05)."""
 BMA180_SCALE: dict[float, float] = {1: 0.02, 1.5: 0.02, 2: 0.015, 3: 0.02, 4: 0.02, 8: 0.025, 16: 0.03}
@@ -252,105 +237,89 @@ def l3g4200d(range_dps: float) -> Tolerances:
     )
 
 
-def hmc5883l(range_gauss: float) -> Tolerances:
-    """HMC-52 ... HMC-57; noise from 2.1 to 2.8 mG between the smallest and the largest field, unaveraged (HMC-53)."""
-    return Tolerances(
-        scale=typical(0.05),
-        cross_axis=typical(0.002),
-        alignment_deg=typical(1.0),
-        noise=(2.1e-3,) * 3,
-        noise_full_scale=0.88,
-        noise_bandwidth_hz=80.0,
-        noise_exponent=math.log(2.8 / 2.1) / math.log(8.1 / 0.88),
-        scale_slope_per_degc=TruncatedNormal(0.0, 0.0, mean=-0.003),
-    )
+_HMC5883L = Tolerances(
+    scale=typical(0.05),
+    cross_axis=typical(0.002),
+    alignment_deg=typical(1.0),
+    noise=(2.1e-3,) * 3,
+    noise_full_scale=0.88,
+    noise_bandwidth_hz=80.0,
+    noise_exponent=math.log(2.8 / 2.1) / math.log(8.1 / 0.88),
+    scale_slope_per_degc=TruncatedNormal(0.0, 0.0, mean=-0.003),
+)
+"""HMC-52 ... HMC-57; noise from 2.1 to 2.8 mG between the smallest and the largest field, unaveraged (HMC-53)."""
 
-
-def hmc5883(range_gauss: float) -> Tolerances:
-    """Return the tolerances of the L, but 10 mG at 1.9 G (HMC-53) and -1.2 counts of 1024 per degC (HMC-57)."""
-    return replace(
-        hmc5883l(range_gauss),
+TOLERANCES: dict[str, Sheet] = {
+    # ADX-60 ... ADX-70, noise at 100 Hz; the same in every range
+    "adxl345": Tolerances(
+        bias=(one_sigma(0.035, 0.150), one_sigma(0.035, 0.150), one_sigma(0.040, 0.250)),
+        slope_per_degc=(one_sigma(0.4e-3), one_sigma(0.4e-3), one_sigma(1.2e-3)),
+        scale=one_sigma(0.01, 0.10),
+        cross_axis=one_sigma(0.01),
+        alignment_deg=one_sigma(0.1),
+        noise=(0.75 / 256, 0.75 / 256, 1.1 / 256),
+        noise_full_scale=16.0,
+        noise_bandwidth_hz=50.0,
+        scale_slope_per_degc=one_sigma(1e-4),
+    ),
+    "bma180": bma180,
+    "l3g4200d": l3g4200d,
+    # BMP-70, BMP-73: pressure 1 hPa low, give or take 1 hPa; temperature within 0.5 degC, 1.5 at most
+    "bmp180": replace(
+        l3g4200d(0.0),
+        pressure_pa=TruncatedNormal(100.0, 300.0, mean=-100.0),
+        thermometer_degc=TruncatedNormal(0.5, 1.5),
+    ),
+    # BMP-124: pressure within 1 hPa, temperature within 0.5 degC, both typical; noise is the chip's (BMP-125)
+    "bmp280": replace(l3g4200d(0.0), pressure_pa=typical(100.0), thermometer_degc=typical(0.5)),
+    # BMP-222: pressure within 0.5 hPa, temperature within 0.5 degC, both typical; noise is the chip's (DEC-221)
+    "bmp388": replace(l3g4200d(0.0), pressure_pa=typical(50.0), thermometer_degc=typical(0.5)),
+    # those of the L, but 10 mG at 1.9 G (HMC-53) and -1.2 counts of 1024 per degC (HMC-57)
+    "hmc5883": replace(
+        _HMC5883L,
         noise=(10e-3,) * 3,
         noise_full_scale=1.9,
         scale_slope_per_degc=TruncatedNormal(0.0, 0.0, mean=-1.2 / 1024),
-    )
-
-
-def lis3mdl(_: float) -> Tolerances:
-    """LIS-21; scale and alignment are not specified, and ideal."""
-    return Tolerances(
+    ),
+    "hmc5883l": _HMC5883L,
+    # LIS-21; scale and alignment are not specified, and ideal
+    "lis3mdl": Tolerances(
         bias=(typical(1.0),) * 3,
         noise=(3.2e-3, 3.2e-3, 4.1e-3),
         noise_full_scale=12.0,
         noise_bandwidth_hz=77.5,
-    )
-
-
-def mmc5983(_: float) -> Tolerances:
-    """Tolerances MMC-20; the offset of the bridges is the chip's own, alignment is not modelled."""
-    return Tolerances(
+    ),
+    # MMC-20; the offset of the bridges is the chip's own, alignment is not modelled
+    "mmc5983": Tolerances(
         scale=typical(0.05),
         noise=(0.4e-3,) * 3,
         noise_full_scale=8.0,
         noise_bandwidth_hz=100.0,
-    )
-
-
-def ak8963(_: float) -> Tolerances:
-    """Tolerances AKM-17; noise of two counts is our assumption (DEC-233), alignment is not modelled."""
-    return Tolerances(
+    ),
+    # AKM-17; noise of two counts is our assumption (DEC-233), alignment is not modelled
+    "ak8963": Tolerances(
         bias=(typical(0.75),) * 3,
         scale=typical(0.05),
         noise=(3e-3,) * 3,
         noise_full_scale=49.12,
         noise_bandwidth_hz=50.0,
-    )
-
-
-def ak8975(_: float) -> Tolerances:
-    """Tolerances AKM-28; noise of a count is our assumption (DEC-233), alignment is not modelled."""
-    return Tolerances(
+    ),
+    # AKM-28; noise of a count is our assumption (DEC-233), alignment is not modelled
+    "ak8975": Tolerances(
         bias=(typical(3.0),) * 3,
         scale=typical(0.05),
         noise=(3e-3,) * 3,
         noise_full_scale=12.29,
         noise_bandwidth_hz=50.0,
-    )
+    ),
+    **{chip: half.sheet for chip, half in HALVES.items()},
+}
 
 
-def bmp180(_: float) -> Tolerances:
-    """BMP-70, BMP-73: pressure 1 hPa low, give or take 1 hPa; temperature within 0.5 degC of the truth, 1.5 at most."""
-    return replace(
-        l3g4200d(0.0),
-        pressure_pa=TruncatedNormal(100.0, 300.0, mean=-100.0),
-        thermometer_degc=TruncatedNormal(0.5, 1.5),
-    )
-
-
-def bmp280(_: float) -> Tolerances:
-    """BMP-124: pressure within 1 hPa, temperature within 0.5 degC, both typical; noise is the chip's (BMP-125)."""
-    return replace(l3g4200d(0.0), pressure_pa=typical(100.0), thermometer_degc=typical(0.5))
-
-
-def bmp388(_: float) -> Tolerances:
-    """BMP-222: pressure within 0.5 hPa, temperature within 0.5 degC, both typical; noise is the chip's (DEC-221)."""
-    return replace(l3g4200d(0.0), pressure_pa=typical(50.0), thermometer_degc=typical(0.5))
-
-
-TOLERANCES: dict[str, Sheet] = {
-    "adxl345": adxl345,
-    "bma180": bma180,
-    "l3g4200d": l3g4200d,
-    "bmp180": bmp180,
-    "bmp280": bmp280,
-    "bmp388": bmp388,
-    "hmc5883": hmc5883,
-    "hmc5883l": hmc5883l,
-    "lis3mdl": lis3mdl,
-    "mmc5983": mmc5983,
-    "ak8963": ak8963,
-    "ak8975": ak8975,
-} | {chip: half.sheet for chip, half in HALVES.items()}
+def tolerances_of(chip: str, full_scale: float) -> Tolerances:
+    """Return the tolerances of a chip at a measuring range."""
+    sheet = TOLERANCES[chip]
+    return sheet if isinstance(sheet, Tolerances) else sheet(full_scale)
 
 
 def drawn_response(tolerances: Tolerances, random: np.random.Generator) -> Matrix:
@@ -374,7 +343,7 @@ def drawn_triple(tolerance: TruncatedNormal, random: np.random.Generator) -> Tri
 def drawn_unit(chip: str, name: str, full_scale: float, seed: int) -> UnitDeviations:
     """Return a purchased part: drawn from the tolerances of its data sheet."""
     random = stream(seed, f"unit {name}")
-    tolerances = TOLERANCES[chip](full_scale)
+    tolerances = tolerances_of(chip, full_scale)
     bias_x, bias_y, bias_z = (tolerance.draw(random) for tolerance in tolerances.bias)
     slope_x, slope_y, slope_z = (tolerance.draw(random) for tolerance in tolerances.slope_per_degc)
     return UnitDeviations(

@@ -400,34 +400,32 @@ class Icm42688Chip(SixAxis):
                 self.page[_DATA.start : _DATA.start + 2] = INVALID
 
 
-def accelerometer_tolerances(_: float) -> Tolerances:
-    """Return the tolerances TDK-50 ... TDK-54; alignment is not specified apart from the cross-axis sensitivity."""
-    return Tolerances(
-        bias=(typical(0.020),) * 3,
-        slope_per_degc=(typical(0.15e-3),) * 3,
-        scale=typical(0.005),
-        cross_axis=typical(0.01),
-        noise=(70e-6 * math.sqrt(100.0),) * 3,
-        noise_full_scale=2.0,
-        noise_bandwidth_hz=100.0,
-        scale_slope_per_degc=typical(5e-5),
-        thermometer_degc=typical(5.0),
-    )
+ACCELEROMETER_TOLERANCES = Tolerances(
+    bias=(typical(0.020),) * 3,
+    slope_per_degc=(typical(0.15e-3),) * 3,
+    scale=typical(0.005),
+    cross_axis=typical(0.01),
+    noise=(70e-6 * math.sqrt(100.0),) * 3,
+    noise_full_scale=2.0,
+    noise_bandwidth_hz=100.0,
+    scale_slope_per_degc=typical(5e-5),
+    thermometer_degc=typical(5.0),
+)
+"""The tolerances TDK-50 ... TDK-54; alignment is not specified apart from the cross-axis sensitivity."""
 
 
-def gyroscope_tolerances(_: float) -> Tolerances:
-    """Return the tolerances TDK-60 ... TDK-64; a sensitivity to force is not printed."""
-    return Tolerances(
-        bias=(typical(0.5),) * 3,
-        slope_per_degc=(typical(0.005),) * 3,
-        scale=typical(0.005),
-        cross_axis=typical(0.0125),
-        noise=(2.8e-3 * math.sqrt(100.0),) * 3,
-        noise_full_scale=250.0,
-        noise_bandwidth_hz=100.0,
-        scale_slope_per_degc=typical(5e-5),
-        thermometer_degc=typical(5.0),
-    )
+GYROSCOPE_TOLERANCES = Tolerances(
+    bias=(typical(0.5),) * 3,
+    slope_per_degc=(typical(0.005),) * 3,
+    scale=typical(0.005),
+    cross_axis=typical(0.0125),
+    noise=(2.8e-3 * math.sqrt(100.0),) * 3,
+    noise_full_scale=250.0,
+    noise_bandwidth_hz=100.0,
+    scale_slope_per_degc=typical(5e-5),
+    thermometer_degc=typical(5.0),
+)
+"""The tolerances TDK-60 ... TDK-64; a sensitivity to force is not printed."""
 
 
-DIE = Die(Icm42688Chip, (facts.ACCEL_DATA_X1, facts.GYRO_DATA_X1), (accelerometer_tolerances, gyroscope_tolerances))
+DIE = Die(Icm42688Chip, (facts.ACCEL_DATA_X1, facts.GYRO_DATA_X1), (ACCELEROMETER_TOLERANCES, GYROSCOPE_TOLERANCES))

@@ -305,18 +305,17 @@ def accelerometer_tolerances(range_g: float) -> Tolerances:
     )
 
 
-def gyroscope_tolerances(_: float) -> Tolerances:
-    """Return the tolerances LSM-60 ... LSM-62; alignment, linearity and a sensitivity to force are not specified."""
-    return Tolerances(
-        bias=(typical(1.0),) * 3,
-        slope_per_degc=(typical(0.01),) * 3,
-        scale=typical(0.01),
-        noise=(3.8e-3 * math.sqrt(66.8),) * 3,
-        noise_full_scale=250.0,
-        noise_bandwidth_hz=66.8,
-        scale_slope_per_degc=typical(7e-5),
-        thermometer_degc=typical(15.0),
-    )
+GYROSCOPE_TOLERANCES = Tolerances(
+    bias=(typical(1.0),) * 3,
+    slope_per_degc=(typical(0.01),) * 3,
+    scale=typical(0.01),
+    noise=(3.8e-3 * math.sqrt(66.8),) * 3,
+    noise_full_scale=250.0,
+    noise_bandwidth_hz=66.8,
+    scale_slope_per_degc=typical(7e-5),
+    thermometer_degc=typical(15.0),
+)
+"""The tolerances LSM-60 ... LSM-62; alignment, linearity and a sensitivity to force are not specified."""
 
 
-DIE = Die(Lsm6dsoChip, (facts.OUTX_L_A, facts.OUTX_L_G), (accelerometer_tolerances, gyroscope_tolerances))
+DIE = Die(Lsm6dsoChip, (facts.OUTX_L_A, facts.OUTX_L_G), (accelerometer_tolerances, GYROSCOPE_TOLERANCES))

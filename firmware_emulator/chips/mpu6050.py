@@ -148,37 +148,41 @@ def _codes(sample: Triple, scale: float, push: Triple, pushed: int) -> tuple[int
     return x, y, z
 
 
-def accelerometer_tolerances(_: float) -> Tolerances:
-    """Return the tolerances INV-50 ... INV-55; alignment is not specified apart from the cross-axis sensitivity."""
-    warmer = 45.0  # from 25 degC to the end of the range over which the change is printed
-    return Tolerances(
-        bias=(typical(0.050), typical(0.050), typical(0.080)),
-        slope_per_degc=(typical(0.035 / warmer), typical(0.035 / warmer), typical(0.060 / warmer)),
-        scale=typical(0.03),
-        cross_axis=typical(0.02),
-        noise=(400e-6 * math.sqrt(44.0),) * 3,
-        noise_full_scale=2.0,
-        noise_bandwidth_hz=44.0,
-        scale_slope_per_degc=typical(2e-4),
-        thermometer_degc=typical(1.0),
-    )
+_ACCEL_SPAN_DEGC = 45.0  # from 25 degC to the end of the range over which the change is printed
+
+ACCELEROMETER_TOLERANCES = Tolerances(
+    bias=(typical(0.050), typical(0.050), typical(0.080)),
+    slope_per_degc=(
+        typical(0.035 / _ACCEL_SPAN_DEGC),
+        typical(0.035 / _ACCEL_SPAN_DEGC),
+        typical(0.060 / _ACCEL_SPAN_DEGC),
+    ),
+    scale=typical(0.03),
+    cross_axis=typical(0.02),
+    noise=(400e-6 * math.sqrt(44.0),) * 3,
+    noise_full_scale=2.0,
+    noise_bandwidth_hz=44.0,
+    scale_slope_per_degc=typical(2e-4),
+    thermometer_degc=typical(1.0),
+)
+"""The tolerances INV-50 ... INV-55; alignment is not specified apart from the cross-axis sensitivity."""
 
 
-def gyroscope_tolerances(_: float) -> Tolerances:
-    """Return the tolerances INV-60 ... INV-66."""
-    warmer = 65.0  # from 25 degC to the far end of -40 ... 85 degC
-    return Tolerances(
-        bias=(typical(20.0),) * 3,
-        slope_per_degc=(typical(20.0 / warmer),) * 3,
-        scale=typical(0.03),
-        cross_axis=typical(0.02),
-        noise=(0.005 * math.sqrt(42.0),) * 3,
-        noise_full_scale=250.0,
-        noise_bandwidth_hz=42.0,
-        scale_slope_per_degc=typical(0.02 / warmer),
-        g_sensitivity=typical(0.1),
-        thermometer_degc=typical(1.0),
-    )
+_GYRO_SPAN_DEGC = 65.0  # from 25 degC to the far end of -40 ... 85 degC
+
+GYROSCOPE_TOLERANCES = Tolerances(
+    bias=(typical(20.0),) * 3,
+    slope_per_degc=(typical(20.0 / _GYRO_SPAN_DEGC),) * 3,
+    scale=typical(0.03),
+    cross_axis=typical(0.02),
+    noise=(0.005 * math.sqrt(42.0),) * 3,
+    noise_full_scale=250.0,
+    noise_bandwidth_hz=42.0,
+    scale_slope_per_degc=typical(0.02 / _GYRO_SPAN_DEGC),
+    g_sensitivity=typical(0.1),
+    thermometer_degc=typical(1.0),
+)
+"""The tolerances INV-60 ... INV-66."""
 
 
-DIE = Die(Mpu6050Chip, (facts.ACCEL_XOUT_H, facts.GYRO_XOUT_H), (accelerometer_tolerances, gyroscope_tolerances))
+DIE = Die(Mpu6050Chip, (facts.ACCEL_XOUT_H, facts.GYRO_XOUT_H), (ACCELEROMETER_TOLERANCES, GYROSCOPE_TOLERANCES))

@@ -101,34 +101,33 @@ class Mpu6500Chip(MpuFamily):
         self._grid.set(at_ns, 0 if asleep else self.own_period_ns(period_ns))
 
 
-def accelerometer_tolerances(_: float) -> Tolerances:
-    """Return the tolerances INV-80 ... INV-84; alignment is not specified apart from the cross-axis sensitivity."""
-    return Tolerances(
-        bias=(typical(0.060), typical(0.060), typical(0.080)),
-        slope_per_degc=(typical(1.5e-3),) * 3,
-        scale=typical(0.03),
-        cross_axis=typical(0.02),
-        noise=(300e-6 * math.sqrt(41.0),) * 3,
-        noise_full_scale=2.0,
-        noise_bandwidth_hz=41.0,
-        scale_slope_per_degc=typical(2.6e-4),
-    )
+ACCELEROMETER_TOLERANCES = Tolerances(
+    bias=(typical(0.060), typical(0.060), typical(0.080)),
+    slope_per_degc=(typical(1.5e-3),) * 3,
+    scale=typical(0.03),
+    cross_axis=typical(0.02),
+    noise=(300e-6 * math.sqrt(41.0),) * 3,
+    noise_full_scale=2.0,
+    noise_bandwidth_hz=41.0,
+    scale_slope_per_degc=typical(2.6e-4),
+)
+"""The tolerances INV-80 ... INV-84; alignment is not specified apart from the cross-axis sensitivity."""
 
 
-def gyroscope_tolerances(_: float) -> Tolerances:
-    """Return the tolerances INV-90 ... INV-94; a sensitivity to force is not printed."""
-    warmer = 65.0  # from 25 degC to the far end of -40 ... 85 degC
-    return Tolerances(
-        bias=(typical(5.0),) * 3,
-        slope_per_degc=(typical(30.0 / warmer),) * 3,
-        scale=typical(0.03),
-        cross_axis=typical(0.02),
-        noise=(0.01 * math.sqrt(41.0),) * 3,
-        noise_full_scale=250.0,
-        noise_bandwidth_hz=41.0,
-        scale_slope_per_degc=typical(0.04 / warmer),
-    )
+_GYRO_SPAN_DEGC = 65.0  # from 25 degC to the far end of -40 ... 85 degC
+
+GYROSCOPE_TOLERANCES = Tolerances(
+    bias=(typical(5.0),) * 3,
+    slope_per_degc=(typical(30.0 / _GYRO_SPAN_DEGC),) * 3,
+    scale=typical(0.03),
+    cross_axis=typical(0.02),
+    noise=(0.01 * math.sqrt(41.0),) * 3,
+    noise_full_scale=250.0,
+    noise_bandwidth_hz=41.0,
+    scale_slope_per_degc=typical(0.04 / _GYRO_SPAN_DEGC),
+)
+"""The tolerances INV-90 ... INV-94; a sensitivity to force is not printed."""
 
 
-DIE = Die(Mpu6500Chip, (facts.ACCEL_XOUT_H, facts.GYRO_XOUT_H), (accelerometer_tolerances, gyroscope_tolerances))
+DIE = Die(Mpu6500Chip, (facts.ACCEL_XOUT_H, facts.GYRO_XOUT_H), (ACCELEROMETER_TOLERANCES, GYROSCOPE_TOLERANCES))
 DIE_9250 = DIE._replace(build=partial(Mpu6500Chip, identity=0x71))  # INV-70

@@ -19,7 +19,7 @@ from firmware_emulator.element import IDENTITY, NOTHING, SensingElement, UnitDev
 from firmware_emulator.mechanisms.host import HostClock, LatentWire, Reading, WatchedMux
 from firmware_emulator.mechanisms.site import INERTIAL, ChipLine, MountedElement, Site
 from firmware_emulator.tolerances import TruncatedNormal, typical
-from firmware_emulator.units import TOLERANCES, drawn_unit, unit_of
+from firmware_emulator.units import drawn_unit, tolerances_of, unit_of
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import DelayedWorld, World
 
@@ -112,7 +112,7 @@ def toleranced_part(chip: str, name: str, full_scale: float, seed: int, run: int
     power-ups.
     """
     unit, random = drawn_unit(chip, name, full_scale, seed), stream(seed, f"power-up {run} of {name}")
-    limits = [tolerance.limit for tolerance in TOLERANCES[chip](full_scale).bias]
+    limits = [tolerance.limit for tolerance in tolerances_of(chip, full_scale).bias]
     scattered = [
         bias + TURN_ON_SHARE * limit * float(random.standard_normal())
         for bias, limit in zip(unit.bias, limits, strict=True)
