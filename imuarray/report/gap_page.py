@@ -122,7 +122,7 @@ def gap_verdict(diagnosis: Diagnosis) -> Verdict:
     sentence = {
         "no gap": "The simulator is good enough for what these recordings show: they agree with it within chance.",
         "explained": f"The simulator is not good enough as it is. {_remainder(diagnosis, names)}",
-        "partly explained": f"The simulator is not good enough; {_partly(diagnosis, names)}.",
+        "partly explained": f"The simulator is not good enough. {_partly(diagnosis, names)}.",
         "unexplained": "The simulator is not good enough, and no known effect explains the difference.",
     }[diagnosis.verdict]
     figures = [
@@ -147,8 +147,8 @@ def _partly(diagnosis: Diagnosis, names: str) -> str:
     if max((cause.probability for cause in diagnosis.causes), default=0.0) < EVEN:
         nearest = list(dict.fromkeys(cause.effect.replace("_", " ") for cause in listed_causes(diagnosis.causes)))
         maybe = f" (maybe {_series(nearest, 'or')})" if nearest else ""
-        return f"which effect it lacks remains open{maybe}"
-    return f"adding {names} explains only a part of the difference"
+        return f"Which effect it lacks remains open{maybe}"
+    return f"With {names} added, {diagnosis.reason or 'a part of the difference remains'}"
 
 
 def _remainder(diagnosis: Diagnosis, names: str) -> str:
@@ -190,9 +190,9 @@ def _use_words(use: Use) -> str:
 
 def gap_summary(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield the diagnosis in sentences."""
-    yield diagnosis.sentence
     reason = f": {diagnosis.reason}" if diagnosis.reason else ""
     yield f"{diagnosis.verdict.capitalize()}{reason}. Chance alone: {chance_text(diagnosis)}."
+    yield diagnosis.sentence
     if diagnosis.verdict != "no gap":
         yield f"The gap, on held-out data: {gap_text(diagnosis.gap)}."
     if diagnosis.unknown > 0:
@@ -392,18 +392,17 @@ def _uses_table(uses: Sequence[Use]) -> Table:
     """
     rows = [
         [
-            use.name,
+            f"{use.name} ({use.unit})",
             use.sensor or "array",
-            use.unit,
             _interval(use.real),
             _against(use.before, use.real),
             _against(use.after, use.real),
         ]
         for use in uses
     ]
-    heading = ["figure", "of", "unit", "recorded", "simulated before", "simulated after"]
+    heading = ["figure", "of", "recorded", "simulated before", "simulated after"]
     caption = "With 95 % intervals; marked where the interval does not overlap that of the recording."
-    return Table(heading, rows, caption, (1, 2))
+    return Table(heading, rows, caption, (1,))
 
 
 def _interval(figure: IntervalEstimate) -> str:

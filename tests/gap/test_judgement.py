@@ -166,8 +166,10 @@ def test_a_little_that_is_left_is_explained_in_part() -> None:
     ("closed", "chances", "unknown", "left", "reason"),
     [
         (0.95, [0.9], 0.1, "", "the causes close the gap, up to what an inexact form of them leaves"),
-        (0.89, [0.9], 0.1, "", "less than 90 % of the gap closes with the causes"),
-        (0.29, [0.9], 0.1, "", "less than 30 % of the gap closes with the causes"),
+        (0.89, [0.9], 0.1, "", "only 89 % of the gap closes (explained from 90 % on)"),
+        (0.29, [0.9], 0.1, "", "only 29 % of the gap closes (explained from 90 % on)"),
+        (0.8999, [0.9], 0.1, "", "only 89 % of the gap closes (explained from 90 % on)"),
+        (-0.2, [0.9], 0.1, "", "nothing of the gap closes (explained from 90 % on)"),
         (0.95, [0.49], 0.1, "", "which of several causes it is remains open: none is more probable than not"),
         (0.99, [0.9], 0.1, "G1", "G1 still differs far beyond chance"),
         (0.95, [0.9], 0.5, "", "something outside the library is at least as probable as not"),
@@ -183,7 +185,7 @@ def test_a_verdict_has_its_reason(
 
 def test_a_small_remainder_is_a_reason() -> None:
     found = judge(gap(0.99), [CAUSE], 0.1, is_gap=True, has_remainder=True)
-    assert found.reason == "what is left with the causes still matters"
+    assert found.reason == "what is left still matters"
 
 
 def test_p_by_fitted_tails() -> None:

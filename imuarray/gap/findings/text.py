@@ -36,6 +36,9 @@ _LEAST_WIDTH = 40
 _WORST, _WORST_AFTER = 6, 3
 """Statistics that are shown of those that differ before and after the causes are added."""
 
+_MOST_SENSORS = 4
+"""Most sensors of a cause of which the parameters are shown, where they differ."""
+
 _MOST_NOTES = 12
 """Most notes that are shown: each of many logs has its own."""
 
@@ -68,7 +71,7 @@ def _where(diagnosis: Diagnosis) -> Iterator[Line]:
     if not diagnosis.where:
         return
     worst = _distinct(diagnosis.where)
-    more = f", the worst {len(worst[:_WORST])}" if len(diagnosis.where) > len(worst[:_WORST]) else ""
+    more = ", the worst of a sensor and domain" if len(diagnosis.where) > len(worst[:_WORST]) else ""
     yield (
         "",
         f"Where it differs: {counted(len(diagnosis.where), 'statistic')}{more} (sd: standard deviations of chance)",
@@ -78,10 +81,10 @@ def _where(diagnosis: Diagnosis) -> Iterator[Line]:
 
 
 def _distinct(where: Sequence[Where]) -> list[Where]:
-    """Return each statistic where it is worst, since phases and logs repeat each other."""
-    kinds: dict[tuple[str, str, str], Where] = {}
+    """Return the worst statistic of each sensor and domain, since axes, phases and logs repeat each other."""
+    kinds: dict[tuple[str, str], Where] = {}
     for entry in where:
-        kinds.setdefault((entry.sensor, entry.axis, entry.statistic), entry)
+        kinds.setdefault((entry.sensor, entry.domain), entry)
     return list(kinds.values())
 
 
@@ -105,8 +108,7 @@ def _about(cause: Cause) -> str:
 
 
 def _cause(cause: Cause, diagnosis: Diagnosis) -> Iterator[str]:
-    if cause.parameters:
-        yield parameters_text(cause.parameters)
+    yield from _sizes(cause)
     if cause.alternative_to:
         yield f"instead of {cause.alternative_to}, not besides it"
     elif cause.confusable_with:
@@ -117,6 +119,18 @@ def _cause(cause: Cause, diagnosis: Diagnosis) -> Iterator[str]:
         yield f"in the {cause.origin}, not in the sensor"
     if closes := _closing(cause, diagnosis):
         yield closes
+
+
+def _sizes(cause: Cause) -> Iterator[str]:
+    """Yield the parameters of a cause; those of each sensor if they differ."""
+    each = {name: parameters_text(parameters) for name, parameters in cause.each.items()}
+    if len(set(each.values())) < 2:
+        yield from filter(None, [parameters_text(cause.parameters)])
+        return
+    for name, text in list(each.items())[:_MOST_SENSORS]:
+        yield f"{name}: {text}"
+    if len(each) > _MOST_SENSORS:
+        yield f"{counted(len(each) - _MOST_SENSORS, 'more sensor')}: see gap.json (-o DIR)"
 
 
 def _closing(cause: Cause, diagnosis: Diagnosis) -> str:
@@ -232,7 +246,7 @@ def _next(diagnosis: Diagnosis) -> Iterator[Line]:
 def _wrapped(lines: Iterator[Line], width: int) -> Iterator[str]:
     for start, text in lines:
         indent = len(start) if start.endswith("  ") and start.strip() else len(start) - len(start.lstrip()) + 2
-        bound = _BOUND.sub(_TIE, start + _printable(text))
+        bound = _BOUND.sub(_TIE, start + _printable(text).replace(" degC", " °C"))
         for line in wrap(bound, width, subsequent_indent=" " * indent, break_on_hyphens=False):
             yield line.replace(_TIE, " ")
 

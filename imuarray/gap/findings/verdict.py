@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from math import floor
 from typing import NamedTuple
 
 from imuarray.gap.findings.diagnosis import EVEN, Cause, Gap, Verdict
@@ -136,14 +137,14 @@ def _reason(
     if closed is None:
         reasons.append("how much of the gap closes cannot be measured")
     elif closed < EXPLAINED:
-        least = PARTLY if closed < PARTLY else EXPLAINED
-        reasons.append(f"less than {percent(least)} of the gap closes with the causes")
+        share = f"only {percent(floor(100 * closed + 1e-9) / 100)}" if closed >= 0.01 else "nothing"
+        reasons.append(f"{share} of the gap closes (explained from {percent(EXPLAINED)} on)")
     if unlikely:
         reasons.append(
             f"{listed(sorted(unlikely))} still {'differs' if len(unlikely) == 1 else 'differ'} far beyond chance"
         )
     elif has_remainder:
-        reasons.append("what is left with the causes still matters")
+        reasons.append("what is left still matters")
     if max(cause.probability for cause in causes) < EVEN:
         reasons.append("which of several causes it is remains open: none is more probable than not")
     if unknown >= EVEN:
