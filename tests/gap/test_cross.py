@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from imuarray.gap.model.signal_delay import NO_DELAY, fit_signal_delays
+from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, PhaseSummary
 from imuarray.gap.statistics.cross import Cross, CrossTally, window_ns
 from imuarray.gap.statistics.probes import PROBES, CrossProbe
 from imuarray.gap.statistics.probes.motion import joint_gains
@@ -206,13 +208,16 @@ def test_turns_about_single_axes_tell_the_response_together() -> None:
 
 @dataclass(frozen=True)
 class Swaying:
-    """Motion of a box that sways along X and Y and not along Z, with the rates and forces of `swaying` in SI units."""
+    """Motion of a box that sways along X and Y, and along Z by a share, with the rates and forces of `swaying` in SI
+    units.
+    """
 
     phases: tuple[Phase, ...] = (MOVING,)
     seconds: float = 40.0
+    share_z: float = 0.0
 
     def felt(self, time_ns: np.ndarray) -> Felt:
-        sway = swaying(time_ns * 1e-9) * [1.0, 1.0, 0.0]
+        sway = swaying(time_ns * 1e-9) * [1.0, 1.0, self.share_z]
         return replace(resting(time_ns, np.eye(3), 25.0), force_box=9.80665 * sway, rate_box=np.radians(100) * sway)
 
 
@@ -241,14 +246,45 @@ def test_the_only_sensor_of_its_quantity_is_compared_with_the_track() -> None:
     assert found.fast[found.kinematic, found.kinematic].shape == (9, 9)
 
 
-def test_with_another_sensor_of_the_quantity_the_track_is_not_used() -> None:
-    sensors = [header("A"), header("B")]
-    tally = CrossTally(sensors, MOVING, 50_000_000, track=Swaying())
-    for sensor in sensors:
-        tally.update(sensor.name, block(np.rint(20_000 * swaying(SECONDS)), INTERVAL_NS))
-    found = tally.result()
-    assert found.tracked == ()
-    np.testing.assert_allclose(value("motion_gain", found, "A"), 1.0, atol=1e-4)
+def tracked_gains(gains: tuple[float, ...]) -> tuple[tuple[str, ...], list[np.ndarray]]:
+    """Sensors that the track is compared with, and `motion_gain` of sensors with these gains."""
+    sensors = [header(name) for name in "ABC"[: len(gains)]]
+    tally = CrossTally(sensors, MOVING, 50_000_000, track=Swaying(share_z=1.0))
+    for sensor, gain in zip(sensors, gains, strict=True):
+        tally.update(sensor.name, block(np.rint(gain * 2048 * swaying(SECONDS)), INTERVAL_NS))
+    moments = tally.result()
+    return moments.tracked, [value("motion_gain", moments, sensor.name) for sensor in sensors]
+
+
+def test_of_two_sensors_the_track_tells_which_is_wrong() -> None:
+    """Each is compared with the mean of the other one and the track: 1.1 with 1, and 1 with 1.05."""
+    tracked, (first, other) = tracked_gains((1.1, 1.0))
+    assert tracked == ("A", "B")
+    np.testing.assert_allclose(first, 1.1, atol=3e-3)
+    np.testing.assert_allclose(other, 1 / 1.05, atol=3e-3)
+
+
+def test_two_sensors_may_be_late_behind_a_track_by_the_same_delay() -> None:
+    """The clock of an instrument is that of neither sensor."""
+
+    def campaign(delay_s: float) -> Campaign:
+        tally = CrossTally(list(headers.values()), MOVING, 50_000_000, track=Swaying(share_z=1.0))
+        for name in headers:
+            tally.update(name, block(np.rint(2048 * swaying(SECONDS - delay_s)), INTERVAL_NS))
+        phase = PhaseSummary(MOVING, 0, Layout({}, 50_000_000), {}, tally.result())
+        return Campaign((LogSummary("motion", (phase,)),))
+
+    headers = {name: header(name, bandwidth_hz=1e4) for name in "AB"}
+    trials = [(dict.fromkeys(headers, NO_DELAY), [campaign(0.0)])]
+    fitted = fit_signal_delays(campaign(0.004), headers, (), trials)
+    assert fitted["A"].stamp_s == fitted["B"].stamp_s == pytest.approx(0.004, rel=0.1)
+
+
+def test_three_sensors_of_a_quantity_are_compared_with_each_other_only() -> None:
+    tracked, (first, second, third) = tracked_gains((1.1, 1.0, 1.0))
+    assert tracked == ()
+    np.testing.assert_allclose(first, 1.1, atol=3e-3)
+    np.testing.assert_allclose([second, third], 1 / 1.05, atol=3e-3)
 
 
 def test_an_axis_that_hardly_moves_has_no_delay() -> None:

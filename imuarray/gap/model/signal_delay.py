@@ -7,8 +7,9 @@ have in common. A sensor that is late by another ratio has another cause. A dela
 data sheet: it is simulated as it is, and is no parameter.
 
 Rows from a queue in the chip have times that the recorder works out from those of its polls; these may be off by a
-period of the chip, which is another nuisance parameter of each such sensor. So may the times of a sensor that nothing
-but the track of an instrument is compared with, by a period of the rows: the clocks of two instruments differ.
+period of the chip, which is another nuisance parameter of each such sensor. So may the times of sensors that are
+compared with the track of an instrument, by a period of the rows and all of a quantity alike: the clocks of two
+instruments differ.
 """
 
 from __future__ import annotations
@@ -75,16 +76,16 @@ def fit_signal_delays(
     delays: dict[str, SignalDelay] = {}
     for quantity in dict.fromkeys(header.quantity for header in headers.values()):
         names = [name for name, header in headers.items() if header.quantity == quantity]
-        offset_s = {name: 1 / headers[name].rate_hz for name in names if name in queued and headers[name].rate_hz > 0}
-        offset_s |= {name: period_s for name, period_s in _tracked(_crosses(campaign)).items() if name in names}
-        late = list(offset_s)
+        late = _late_stamps(_crosses(campaign), {name: headers[name] for name in names}, queued)
         observed = _rows(_crosses(campaign), names, nominal_s, late)
         steps = []
         for simulated, replicates in trials[-2:]:
             simulated_s = [_rows(_crosses(replicate), names, nominal_s, late).delay_s for replicate in replicates]
             comparable = [delay_s for delay_s in simulated_s if len(delay_s) == len(observed.delay_s)]
             ratios = [simulated[name].filter_s / nominal_s[name] for name in names if nominal_s[name] > 0]
-            start = np.array([max(ratios, default=0.0), *(simulated[name].stamp_s - stated_s[name] for name in late)])
+            stamps_s = np.array([simulated[name].stamp_s - stated_s[name] for name in names])
+            are_late = np.array([[name in stamps.sensors for stamps in late] for name in names], float)
+            start = np.append(max(ratios, default=0.0), np.linalg.lstsq(are_late, stamps_s)[0])
             if comparable and len(observed.delay_s):
                 steps.append((start, np.mean(comparable, axis=0)))
         if not steps:
@@ -92,14 +93,12 @@ def fit_signal_delays(
         start, seen_s = steps[-1]
         if len(steps) > 1:
             observed = observed._replace(design=observed.design * _slopes(observed.design, *steps)[:, None])
-        most = np.array([MOST_RATIO, *offset_s.values()])
+        most = np.array([MOST_RATIO, *(stamps.most_s for stamps in late)])
         least = np.array([0.0, *(-most[1:])])
-        ratio, *stamps_s = _solve(observed, seen_s, start, (least, most)).tolist()
-        stamp_s_by_name = dict(zip(late, stamps_s, strict=True))
-        delays |= {
-            name: SignalDelay(_truncate(ratio * nominal_s[name]), stated_s[name] + stamp_s_by_name.get(name, 0.0))
-            for name in names
-        }
+        ratio, *offsets_s = _solve(observed, seen_s, start, (least, most)).tolist()
+        for name in names:
+            late_s = sum(value_s for value_s, stamps in zip(offsets_s, late, strict=True) if name in stamps.sensors)
+            delays[name] = SignalDelay(_truncate(ratio * nominal_s[name]), stated_s[name] + late_s)
     return delays
 
 
@@ -129,6 +128,28 @@ def _nominal_delay_s(header: SensorHeader) -> float:
     return two_pole_cutoff_hz(cutoff_hz) if cutoff_hz > 0 else 0.0
 
 
+class _LateStamps(NamedTuple):
+    """Sensors whose times may be off, all by the same amount, and by how much at most, in s."""
+
+    sensors: frozenset[str]
+    most_s: float
+
+
+def _late_stamps(
+    crosses: Sequence[Cross], headers: Mapping[str, SensorHeader], queued: Collection[str]
+) -> list[_LateStamps]:
+    """Return which of these sensors' times may be off: those of each with a queue, and of all that follow a track."""
+    tracked = _tracked(crosses)
+    common = frozenset(tracked) & headers.keys()
+    late = [_LateStamps(common, max(tracked[name] for name in common))] if common else []
+    late += [
+        _LateStamps(frozenset([name]), 1 / header.rate_hz)
+        for name, header in headers.items()
+        if name in queued and header.rate_hz > 0
+    ]
+    return late
+
+
 def _tracked(crosses: Sequence[Cross]) -> dict[str, float]:
     """Return the sensors that are compared with a track, each with the period of its rows in s, or a little more."""
     return {name: cross.window_s / 2 for cross in crosses for name in cross.tracked}
@@ -141,7 +162,7 @@ def _crosses(campaign: Campaign) -> list[Cross]:
 
 class _Delays(NamedTuple):
     """Delays (n,) of sensors' axes behind the others in s, their information, and what they are for each parameter
-    (n, p): the ratio, and the stamps of each sensor with a queue; nan where there is none.
+    (n, p): the ratio, and stamps that are late; nan where there is none.
     """
 
     delay_s: Floats
@@ -150,22 +171,25 @@ class _Delays(NamedTuple):
 
 
 def _rows(
-    crosses: Sequence[Cross], names: Collection[str], nominal_s: Mapping[str, float], late: Sequence[str]
+    crosses: Sequence[Cross], names: Collection[str], nominal_s: Mapping[str, float], late: Sequence[_LateStamps]
 ) -> _Delays:
     delays, information = [np.zeros(0)], [np.zeros(0)]
     design = [np.zeros((0, 1 + len(late)))]
+    coefficients = {
+        item.name: np.array([nominal_s.get(item.name, 0.0), *(item.name in stamps.sensors for stamps in late)], float)
+        for cross in crosses
+        for item in cross.sensors
+    }
     for cross in crosses:
         for name in (item.name for item in cross.sensors if item.name in names):
-            others = cross.others(name, family=False)
-            if not others and name not in cross.tracked:
+            references = [coefficients[other] for other in cross.others(name, family=False)]
+            if name in cross.tracked:
+                references.append(np.zeros(1 + len(late)))
+            if not references:
                 continue
-            coefficients = np.array([nominal_s[name], *(float(name == queue) for queue in late)])
-            other_coefficients = [
-                [nominal_s.get(item, 0.0), *(float(item == queue) for queue in late)] for item in others
-            ]
             delays.append(delay(cross, name))
             information.append(information_on_delay(cross, name))
-            design.append(np.tile(coefficients - (np.mean(other_coefficients, axis=0) if others else 0.0), (3, 1)))
+            design.append(np.tile(coefficients[name] - np.mean(references, axis=0), (3, 1)))
     return _Delays(np.concatenate(delays), np.concatenate(information), np.concatenate(design))
 
 

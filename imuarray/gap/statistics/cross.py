@@ -6,8 +6,8 @@ of one design have the same sign; the mounting turns them into the box's axes, w
 
 Products of the mean angular rate and its derivative are further columns: the lever-arm acceleration of a sensor is
 linear in them; and cubes of the mean angular rate, in which a response that bends is linear. The only sensor of its
-quantity has nothing to be compared with but the track of an instrument, if there is one: what that felt at the times of
-the sensor's rows makes up further columns.
+quantity has nothing to be compared with but the track of an instrument, if there is one; of two sensors, only a track
+tells which one is wrong. What it felt at the times of such a sensor's rows makes up further columns.
 """
 
 from __future__ import annotations
@@ -33,6 +33,9 @@ are those of the gyroscopes, or without one of the track; zeros without either.
 
 SQUARES = (0, 3, 5)
 """The places of the squares xx, yy and zz among the six products."""
+
+ENOUGH = 3
+"""Sensors of a quantity that tell which of them is wrong without a track."""
 
 SEGMENTS = 64
 _SEGMENT_WINDOWS = 8
@@ -88,18 +91,15 @@ class Cross:
 
     def reference(self, sensor: str) -> Floats | None:
         """Return weights (3, p) of what a sensor should read along its nominal axes: the mean of the others that
-        measure the same, else the track; None without either.
+        measure the same and of the track, if the sensor is compared with it; None without either.
         """
         others = self.others(sensor, family=False)
-        if others:
-            box = self.mean_box(others)
-        elif sensor in self.tracked:
-            box = np.zeros((3, self.fast.shape[0]))
+        box, references = self.mean_box(others) * len(others), len(others)
+        if sensor in self.tracked:
             first = 3 * (len(self.sensors) + self.tracked.index(sensor))
-            box[:, first : first + 3] = np.eye(3)
-        else:
-            return None
-        return np.array(self.header(sensor).orientation).T @ box
+            box[:, first : first + 3] += np.eye(3)
+            references += 1
+        return np.array(self.header(sensor).orientation).T @ box / references if references else None
 
     def mean_box(self, sensors: Collection[str]) -> Floats:
         """Return weights (3, p) of the mean of these sensors along the box's axes."""
@@ -140,8 +140,8 @@ class CrossTally:
     reached their window.
 
     Handles so many `replicates` at once, whose rows have the same times. `changes`: with the moments for statistics of
-    a moving box; without them it takes half of the time. `track`: the motion that takes the place of other sensors
-    where a sensor is the only one of its quantity.
+    a moving box; without them it takes half of the time. `track`: the motion that sensors are compared with of which
+    the array has fewer than `ENOUGH` of a quantity.
     """
 
     def __init__(
@@ -159,11 +159,11 @@ class CrossTally:
         self._length = max(_SEGMENT_WINDOWS, -(-self._last // SEGMENTS))
         self._places = {sensor.name: place for place, sensor in enumerate(sensors)}
         quantities = [sensor.quantity for sensor in sensors]
-        lone = [sensor for sensor in sensors if track is not None and quantities.count(sensor.quantity) == 1]
-        self._track, self._lone = track, tuple(sensor.name for sensor in lone)
+        few = [sensor for sensor in sensors if track is not None and quantities.count(sensor.quantity) < ENOUGH]
+        self._track, self._tracked = track, tuple(sensor.name for sensor in few)
         # places of a track's quantities, by the sensor at whose times they are taken
-        self._track_places = {sensor.name: [(len(sensors) + at, sensor.quantity)] for at, sensor in enumerate(lone)}
-        units = [1 / sensor.sensitivity for sensor in sensors] + [1 / SI_PER_UNIT[sensor.unit] for sensor in lone]
+        self._track_places = {sensor.name: [(len(sensors) + at, sensor.quantity)] for at, sensor in enumerate(few)}
+        units = [1 / sensor.sensitivity for sensor in sensors] + [1 / SI_PER_UNIT[sensor.unit] for sensor in few]
         self._gyroscopes = [
             (place, SI_PER_UNIT[sensor.unit], np.array(sensor.orientation).T)
             for place, sensor in enumerate(sensors)
@@ -236,7 +236,7 @@ class CrossTally:
         slow = np.concatenate([np.zeros((len(fast), 0, fast.shape[2])), *self._slow], axis=1)
         window_s = self._window_ns * 1e-9
         return [
-            Cross(self._sensors, self._phase, window_s, self._windows, *moments, self._lone)
+            Cross(self._sensors, self._phase, window_s, self._windows, *moments, self._tracked)
             for moments in zip(slow, fast, turning, changes, strict=True)
         ]
 

@@ -1,8 +1,8 @@
 """Probes of the response to a motion that other sensors of the kind feel too: gain, direction, delay, lever arm, bend.
 
-The reference is the mean of the other sensors that measure the same, along this sensor's nominal axes; of the only
-sensor of its quantity it is the track of the log. It is noisy itself, which makes gains a little too small, but equally
-in a simulation of the same motion.
+The reference is the mean of the other sensors that measure the same, along this sensor's nominal axes; with fewer than
+two others it is the mean of these and of the log's track. It is noisy itself, which makes gains a little too small, but
+equally in a simulation of the same motion.
 
 A polled chip's readings are up to one of its periods old, and in step with the polls always equally old: a delay
 without significance. The residual of a sensor's motion is what no delay explains either.
