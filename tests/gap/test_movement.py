@@ -60,14 +60,16 @@ def written(
     phases: Sequence[Phase] = (REST, AFTER),
     missing_s: tuple[float, float] = (0.0, 0.0),
     is_tracked: bool = False,
+    reversed_sensor: str = "",
 ) -> Log:
-    """Noise of two counts; the first sensor lacks the rows of a stretch."""
+    """Noise of two counts; the first sensor lacks the rows of a stretch; one may have axes that are all reversed."""
     with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
         for number, header in enumerate(sensors):
             time = np.arange(0, 12 * SECOND, round(SECOND / rates_hz[number]), dtype=np.int64)
             if number == 0:
                 time = time[~((missing_s[0] * SECOND <= time) & (time < missing_s[1] * SECOND))]
-            reading = (felt(header, time * 1e-9) + biases[number]) * header.sensitivity
+            sign = -1 if header.name == reversed_sensor else 1
+            reading = (sign * felt(header, time * 1e-9) + biases[number]) * header.sensitivity
             noise = np.random.default_rng(number).normal(0, 2, (len(time), 3))
             log.append(
                 header.name, Block(time, np.rint(reading + noise).astype(np.int16), np.zeros(len(time), np.uint16))
@@ -117,11 +119,25 @@ def test_it_is_the_mean_of_the_sensors(tmp_path: Path, missing_s: tuple[float, f
 def test_one_of_three_that_is_mounted_otherwise_does_not_count(tmp_path: Path) -> None:
     """The median of three: a gyroscope whose axes are not those in its header changes nothing."""
     sensors = array(accelerometers=0, gyroscopes=3)
-    log = written(tmp_path / "log.h5", [replace(sensors[0], axes="+Z+X+Y"), *sensors[1:]])
+    log = written(tmp_path / "log.h5", sensors, reversed_sensor="Gyro0")
     motion = movement_of(log, TURN, [REST])
     assert motion is not None
     rate = motion.columns.at(np.array([6 * SECOND]))[0][0, 3:]
     np.testing.assert_allclose(rate, [0.0, np.pi / 4, 0.0], atol=np.radians(0.5))
+
+
+@pytest.mark.parametrize("noted", ["+Z", "-Y"])
+def test_one_of_two_that_contradicts_the_noted_face_does_not_count(tmp_path: Path, noted: str) -> None:
+    """An accelerometer that reads -1 g on its upper face; if both contradict the note, the note is wrong, and the mean
+    of the two is nothing here.
+    """
+    sensors = array(accelerometers=2, gyroscopes=2)
+    log = written(tmp_path / "log.h5", sensors, reversed_sensor="Acc1")
+    motion = movement_of(log, TURN, [REST._replace(up=noted)])
+    assert motion is not None
+    force = motion.columns.at(np.array([6 * SECOND]))[0][0, :3]
+    whole = GRAVITY * np.array([-np.sqrt(0.5), 0.0, np.sqrt(0.5)])
+    np.testing.assert_allclose(force, whole if noted == "+Z" else 0.0, atol=0.01 * GRAVITY)
 
 
 @pytest.mark.parametrize(("accelerometers", "gyroscopes"), [(1, 1), (0, 1), (3, 0)])

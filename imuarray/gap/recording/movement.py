@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from imuarray.arrays import Floats, Integers
+from imuarray.axes import up_vector
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
@@ -34,12 +35,17 @@ _LEAST_FORCE, _LEAST_RATE, _NOISE_MARGIN = 0.02, 0.003, 2.0
 is taken off before.
 """
 
+_WRONG_FORCE = 3.0
+"""Difference in m/s2 of an accelerometer at rest from gravity on the noted face, which no tolerance explains: its axes
+or its range are not those of its header, and no motion is told by it.
+"""
+
 
 def movements_of(
     log: Log, sensors: Sequence[str], phases: Sequence[Phase], rests: Sequence[Phase]
 ) -> dict[Phase, Movement]:
-    """Return the motions in phases by the readings of these sensors; `rests` are phases at rest, in which gyroscopes
-    show their biases. Without rests there are none.
+    """Return the motions in phases by the readings of these sensors, less accelerometers that are wrong at rest;
+    `rests` are phases at rest, in which gyroscopes show their biases. Without rests there are none.
 
     A phase is left out if the box does not move, no two sensors measure the same, it has more than `MOST_WINDOWS`, or
     there is no gyroscope, since accelerometers at different places then feel an unknown rotation.
@@ -47,6 +53,8 @@ def movements_of(
     if not phases or not rests:
         return {}
     triads = [sensor for name in sensors if (sensor := log[name]).quantity in INERTIAL and sensor.sensitivity]
+    wrong = _wrong_at_rest([sensor for sensor in triads if sensor.quantity == "specific_force"], rests)
+    triads = [sensor for sensor in triads if sensor.name not in wrong]
     biases = {sensor.name: _mean_at_rest(sensor, rests) for sensor in triads if sensor.quantity == "angular_rate"}
     motions = ((phase, _movement(log, triads, phase, biases)) for phase in phases)
     return {phase: motion for phase, motion in motions if motion is not None}
@@ -115,6 +123,23 @@ def _window_means(sensor: SensorLog, edges_ns: Integers) -> Floats:
     for axis in range(3):
         means[known, axis] = np.interp(middles_ns, times_ns, readings[:, axis])
     return np.asarray(means @ np.asarray(sensor.orientation).T / sensor.sensitivity * SI_PER_UNIT[sensor.unit])
+
+
+def _wrong_at_rest(accelerometers: Sequence[SensorLog], rests: Sequence[Phase]) -> set[str]:
+    """Return the names of those that contradict the noted face in a phase at rest in which another one agrees with it;
+    where all contradict it, the note is wrong.
+    """
+    wrong: set[str] = set()
+    for rest in rests if len(accelerometers) > 1 else ():
+        if not rest.up:
+            continue
+        gravity = STANDARD_GRAVITY * np.array(up_vector(rest.up))
+        edges_ns = np.array([rest.start_ns, rest.end_ns], np.int64)
+        off = {sensor.name: np.abs(_window_means(sensor, edges_ns)[0] - gravity).max() for sensor in accelerometers}
+        contradicting = {name for name, difference in off.items() if difference > _WRONG_FORCE}
+        if any(difference <= _WRONG_FORCE for difference in off.values()):
+            wrong |= contradicting
+    return wrong
 
 
 def _mean_at_rest(sensor: SensorLog, rests: Sequence[Phase]) -> Floats:
