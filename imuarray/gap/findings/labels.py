@@ -22,10 +22,10 @@ from scipy.special import gammaincinv  # the inverse chi-squared distribution wi
 from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
 from imuarray.gap.findings.diagnosis import Cause, Interval
-from imuarray.gap.inference.effects.axis_error import exchanges
 from imuarray.gap.model.base_model import headers_in
 from imuarray.gap.recording.phases import attitudes_of, kind_of
 from imuarray.gap.recording.recordings import Recording
+from imuarray.gap.recording.turns import exchanges
 from imuarray.gap.statistics.campaign import Campaign, LogSummary
 from imuarray.gap.statistics.probes.level import mean
 from imuarray.log.format import Phase, SensorHeader

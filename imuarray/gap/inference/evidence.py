@@ -16,6 +16,7 @@ from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import SensorModel
 from imuarray.gap.recording.events import Host, RepeatedRows
 from imuarray.gap.recording.outliers import Outliers
+from imuarray.gap.recording.phases import Up
 from imuarray.gap.recording.resets import Reset
 from imuarray.gap.statistics.campaign import Campaign, runs_in
 from imuarray.gap.statistics.catalogue import Key
@@ -34,8 +35,8 @@ class PhaseEvidence:
     """One phase of log number `log` of the campaign.
 
     The summary as recorded (`raw`) and with the model's prediction (bias, slope, nominal axes) subtracted from the
-    means of its segments (`residual`, at rest only; otherwise the same). `cross` has the moments that the array's
-    sensors share in it.
+    means of its segments (`residual`; in turns only the bias). `cross` has the moments that the array's sensors share
+    in it, `ups_box` the directions up at the begin and end of a turn.
     """
 
     log: int
@@ -44,6 +45,7 @@ class PhaseEvidence:
     raw: Summary
     residual: Summary
     cross: Cross | None
+    ups_box: tuple[Up, Up] | None = None
 
 
 @dataclass(frozen=True)
@@ -253,7 +255,9 @@ def evidence_of(
 def _phases_of(sensor: str, train: Side, residuals: Campaign) -> tuple[PhaseEvidence, ...]:
     """Return the phases of a sensor as recorded and with the model's prediction subtracted (`residuals`)."""
     return tuple(
-        PhaseEvidence(number, log.kind, raw.is_still, raw.sensors[sensor], without.sensors[sensor], raw.cross)
+        PhaseEvidence(
+            number, log.kind, raw.is_still, raw.sensors[sensor], without.sensors[sensor], raw.cross, raw.ups_box
+        )
         for number, log, bare in zip(train.logs, train.campaign.logs, residuals.logs, strict=True)
         for raw, without in zip(log.phases, bare.phases, strict=True)
         if sensor in raw.sensors

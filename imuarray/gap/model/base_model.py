@@ -290,7 +290,7 @@ def headers_in(campaign: Campaign) -> dict[str, SensorHeader]:
 def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campaign:
     """Return the campaign with what `base` predicts of the phases at rest taken from the means of their segments: what
     is left of a level, a slope or a face is what the fit doesn't explain, whatever its parameters are. An attitude that
-    nobody noted is the one that its accelerometers tell on average, by their parameters.
+    nobody noted is the one that its accelerometers tell on average, by their parameters. From turns the bias is taken.
     """
     fitted = base.fitted
     campaign = select_fitted(campaign, fitted)
@@ -299,7 +299,9 @@ def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campa
     logs = []
     for number, (log, motion) in enumerate(zip(campaign.logs, motions, strict=True)):
         parts = [
-            _residual_phase(part, motion, forces.get((number, part.phase.start_ns)), base) if part.is_still else part
+            _residual_phase(part, motion, forces.get((number, part.phase.start_ns)), base)
+            if part.is_still
+            else _residual_turn(part, base)
             for part in log.phases
         ]
         logs.append(replace(log, phases=tuple(parts)))
@@ -450,6 +452,16 @@ def _residual_phase(phase: PhaseSummary, motion: Motion, force_box: Floats | Non
     for name, summary in phase.sensors.items():
         predicted = base.fitted[name].predicted(summary, felt(summary, motion, force_box))
         mean = summary.segments.mean - predicted * summary.header.sensitivity
+        sensors[name] = replace(summary, segments=replace(summary.segments, mean=mean))
+    return replace(phase, sensors=sensors)
+
+
+def _residual_turn(phase: PhaseSummary, base: Base) -> PhaseSummary:
+    if phase.ups_box is None:
+        return phase
+    sensors = {}
+    for name, summary in phase.sensors.items():
+        mean = summary.segments.mean - base.fitted[name].biases(summary) * summary.header.sensitivity
         sensors[name] = replace(summary, segments=replace(summary.segments, mean=mean))
     return replace(phase, sensors=sensors)
 

@@ -10,12 +10,14 @@ therefore subtracted in the spectrum, by the noise with which the sensors differ
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from imuarray.arrays import Floats, Integers
 from imuarray.axes import up_vector
 from imuarray.gap.recording.source import RecordedSource
+from imuarray.gap.recording.turns import Turn, factors_of, likely_exchange, neighbours
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
 from imuarray.robust import MEDIAN_ABSOLUTE
@@ -35,6 +37,14 @@ _LEAST_FORCE, _LEAST_RATE, _NOISE_MARGIN = 0.02, 0.003, 2.0
 is taken off before.
 """
 
+_TURN_STEP_NS = 50_000_000
+"""Interval of a turn over which a gyroscope's rates are averaged: 5 degrees of a fast turn."""
+
+_TURN_TOLERANCE, _MOST_FACTOR = 0.03, 2.4
+"""Share by which the turns of healthy gyroscopes may miss the attitudes, and the largest factor of rates that is
+believed: beyond it the axes are others.
+"""
+
 _WRONG_FORCE = 3.0
 """Difference in m/s2 of an accelerometer at rest from gravity on the noted face, which no tolerance explains: its axes
 or its range are not those of its header, and no motion is told by it.
@@ -44,8 +54,11 @@ or its range are not those of its header, and no motion is told by it.
 def movements_of(
     log: Log, sensors: Sequence[str], phases: Sequence[Phase], rests: Sequence[Phase]
 ) -> dict[Phase, Movement]:
-    """Return the motions in phases by the readings of these sensors, less accelerometers that are wrong at rest;
-    `rests` are phases at rest, in which gyroscopes show their biases. Without rests there are none.
+    """Return the motions in phases by the readings of these sensors; `rests` are phases at rest, in which gyroscopes
+    show their biases. Without rests there are none.
+
+    Accelerometers that are wrong at rest do not count; gyroscopes whose turns lead to another attitude than that of the
+    next rest have their axes exchanged, if that explains it.
 
     A phase is left out if the box does not move, no two sensors measure the same, it has more than `MOST_WINDOWS`, or
     there is no gyroscope, since accelerometers at different places then feel an unknown rotation.
@@ -56,11 +69,47 @@ def movements_of(
     wrong = _wrong_at_rest([sensor for sensor in triads if sensor.quantity == "specific_force"], rests)
     triads = [sensor for sensor in triads if sensor.name not in wrong]
     biases = {sensor.name: _mean_at_rest(sensor, rests) for sensor in triads if sensor.quantity == "angular_rate"}
-    motions = ((phase, _movement(log, triads, phase, biases)) for phase in phases)
-    return {phase: motion for phase, motion in motions if motion is not None}
+    ends = _ends_of_turns(triads, phases, rests)
+    exchanged = _exchanged_axes(triads, ends, biases)
+    courses = {phase: course for phase in phases if (course := _course(triads, phase, biases, exchanged)) is not None}
+    turns = (course.turn(phase, *ends[phase]) for phase, course in courses.items() if phase in ends)
+    factors = _factors([turn for turn in turns if turn is not None])
+    return {
+        phase: Movement(
+            phase.start_ns,
+            phase.end_ns,
+            SplineColumns(course.middles_ns, (course.force, factors * course.rate), f"{log.path}, motion"),
+        )
+        for phase, course in courses.items()
+    }
 
 
-def _movement(log: Log, triads: Sequence[SensorLog], phase: Phase, biases: Mapping[str, Floats]) -> Movement | None:
+class _Course(NamedTuple):
+    """What the sensors feel together in windows of time: force (w, 3) and rate (w, 3) in the box's frame."""
+
+    middles_ns: Integers
+    force: Floats
+    rate: Floats
+
+    def turn(self, phase: Phase, up_before: Floats, up_after: Floats) -> Turn | None:
+        """Return the turn of the box in the phase; None if the windows do not tell it."""
+        inside = (phase.start_ns <= self.middles_ns) & (self.middles_ns < phase.end_ns)
+        return Turn.of(up_before, up_after, self.rate[inside], (phase.end_ns - phase.start_ns) * 1e-9)
+
+
+def _factors(turns: Sequence[Turn]) -> Floats:
+    """Return factors (3,) of the rates about the box's axes: as far as turns differ from the attitudes by more than the
+    tolerances of gyroscopes and attitudes, all gyroscopes are off.
+    """
+    factors = factors_of(turns)
+    is_likely = (factors > 1 / _MOST_FACTOR) & (factors < _MOST_FACTOR)
+    return np.where(is_likely, factors - np.clip(factors - 1, -_TURN_TOLERANCE, _TURN_TOLERANCE), 1.0)
+
+
+def _course(
+    triads: Sequence[SensorLog], phase: Phase, biases: Mapping[str, Floats], exchanged: Mapping[str, Floats]
+) -> _Course | None:
+    """Return the course of a phase; `biases` (3,) and `exchanged` axes (3, 3) of gyroscopes are in the box's frame."""
     rows = {sensor.name: RecordedSource(sensor).rows(phase.start_ns, phase.end_ns) for sensor in triads}
     there = [sensor for sensor in triads if rows[sensor.name]]
     gyroscopes = [sensor for sensor in there if sensor.quantity == "angular_rate"]
@@ -73,7 +122,12 @@ def _movement(log: Log, triads: Sequence[SensorLog], phase: Phase, biases: Mappi
     if not _FEWEST_WINDOWS < len(edges_ns) <= MOST_WINDOWS:
         return None
     middles_ns = (edges_ns[:-1] + edges_ns[1:]) // 2
-    rate = _mean_of([_window_means(sensor, edges_ns) - biases[sensor.name] for sensor in gyroscopes])
+    rate = _mean_of(
+        [
+            (_window_means(sensor, edges_ns) - biases[sensor.name]) @ exchanged.get(sensor.name, np.eye(3)).T
+            for sensor in gyroscopes
+        ]
+    )
     if accelerometers:
         force = _mean_of([_window_means(sensor, edges_ns) for sensor in accelerometers])
     else:
@@ -81,8 +135,7 @@ def _movement(log: Log, triads: Sequence[SensorLog], phase: Phase, biases: Mappi
     known = np.isfinite(force).all(axis=1) & np.isfinite(rate).all(axis=1)
     if np.count_nonzero(known) < _FEWEST_WINDOWS or not shows_motion(force[known], rate[known]):
         return None
-    columns = SplineColumns(middles_ns[known], (force[known], rate[known]), f"{log.path}, motion")
-    return Movement(phase.start_ns, phase.end_ns, columns)
+    return _Course(middles_ns[known], force[known], rate[known])
 
 
 def shows_motion(force: Floats, rate: Floats) -> bool:
@@ -123,6 +176,57 @@ def _window_means(sensor: SensorLog, edges_ns: Integers) -> Floats:
     for axis in range(3):
         means[known, axis] = np.interp(middles_ns, times_ns, readings[:, axis])
     return np.asarray(means @ np.asarray(sensor.orientation).T / sensor.sensitivity * SI_PER_UNIT[sensor.unit])
+
+
+def _ends_of_turns(
+    triads: Sequence[SensorLog], phases: Sequence[Phase], rests: Sequence[Phase]
+) -> dict[Phase, tuple[Floats, Floats]]:
+    """Return the directions up (3,) in the box's frame before and after each phase between two rests that tell them."""
+    accelerometers = [sensor for sensor in triads if sensor.quantity == "specific_force"]
+    ends = {}
+    for phase in phases:
+        beside = neighbours(phase, rests)
+        ups = [] if beside is None else [_up_at_rest(accelerometers, rest) for rest in beside]
+        known = [up for up in ups if up is not None]
+        if len(known) == 2:
+            ends[phase] = (known[0], known[1])
+    return ends
+
+
+def _exchanged_axes(
+    triads: Sequence[SensorLog], ends: Mapping[Phase, tuple[Floats, Floats]], biases: Mapping[str, Floats]
+) -> dict[str, Floats]:
+    """Return what makes rates (3,) of the readings of gyroscopes with exchanged axes, matrices (3, 3) in the box's
+    frame, by turns between the attitudes `ends`. Where all of several gyroscopes seem to have them, it is the attitudes
+    that are wrong.
+    """
+    gyroscopes = [sensor for sensor in triads if sensor.quantity == "angular_rate"]
+    exchanged = {}
+    for sensor in gyroscopes:
+        turns = []
+        for phase, ups in ends.items():
+            count = -(-(phase.end_ns - phase.start_ns) // _TURN_STEP_NS)
+            edges_ns = np.linspace(phase.start_ns, phase.end_ns, count + 1).astype(np.int64)
+            rate = _window_means(sensor, edges_ns) - biases[sensor.name]
+            turn = Turn.of(*ups, rate, (phase.end_ns - phase.start_ns) * 1e-9)
+            turns += [turn] if turn is not None else []
+        if (exchange := likely_exchange(turns)) is not None:
+            exchanged[sensor.name] = exchange
+    return exchanged if len(exchanged) < max(len(gyroscopes), 2) else {}
+
+
+def _up_at_rest(accelerometers: Sequence[SensorLog], rest: Phase) -> Floats | None:
+    """Return the direction (3,) that is up in the box by the mean of accelerometers, or as it is noted; None if it is
+    not known.
+    """
+    edges_ns = np.array([rest.start_ns, rest.end_ns], np.int64)
+    readings = [_window_means(sensor, edges_ns)[0] for sensor in accelerometers]
+    known = [reading for reading in readings if np.isfinite(reading).all()]
+    force = np.mean(known, axis=0) if known else np.zeros(3)
+    size = float(np.linalg.norm(force))
+    if abs(size - STANDARD_GRAVITY) < _WRONG_FORCE:
+        return np.asarray(force / size)
+    return np.array(up_vector(rest.up)) if rest.up else None
 
 
 def _wrong_at_rest(accelerometers: Sequence[SensorLog], rests: Sequence[Phase]) -> set[str]:

@@ -86,10 +86,13 @@ _SETTLING, _MOST_SETTLING = 5.0, 1000
 
 
 class LogReference(NamedTuple):
-    """The references beside the sensors of a log: `temperature`, and motion by the `track` of an instrument."""
+    """The references beside the sensors of a log: `temperature`, motion by the `track` of an instrument, or that which
+    the array's own sensors show between attitudes, `turned`.
+    """
 
     temperature: Temperature
     track: Motion | None = None
+    turned: PoseSequence | None = None
 
 
 class Experiment(NamedTuple):
@@ -316,9 +319,10 @@ def temperature_of(motion: Motion) -> Temperature:
 
 
 def reference_of(motion: Motion) -> LogReference:
-    """Return the temperature of a motion, and the motion itself if a track of the log gives it."""
+    """Return the temperature of a motion, and the motion itself if it is a track of the log or has attitudes."""
     is_tracked = isinstance(motion, LikeLog) and motion.source != "phases"
-    return LogReference(temperature_of(motion), motion if is_tracked else None)
+    turned = motion if isinstance(motion, PoseSequence) else None
+    return LogReference(temperature_of(motion), motion if is_tracked else None, turned)
 
 
 def sources_of(recording: Recording) -> dict[str, Source]:

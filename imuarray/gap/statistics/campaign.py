@@ -11,7 +11,7 @@ import numpy as np
 
 from imuarray.gap.recording.course import Stretches
 from imuarray.gap.recording.events import Events
-from imuarray.gap.recording.phases import is_at_rest
+from imuarray.gap.recording.phases import Up, is_at_rest
 from imuarray.gap.recording.recordings import LogReference
 from imuarray.gap.recording.source import Source
 from imuarray.gap.statistics.cross import Cross, CrossTally, window_ns
@@ -35,8 +35,9 @@ class Layout:
 
 @dataclass(frozen=True)
 class PhaseSummary:
-    """Summary of one phase: its number in the log, a summary for each sensor, and the moments that inertial sensors
-    have in common, or have with a track (None for fewer than two).
+    """Summary of one phase: its number in the log, a summary for each sensor, the moments that inertial sensors
+    have in common, or have with a track (None for fewer than two). A turn from one rest to the next, or a part of
+    it, has the directions up in the box's frame at its begin and end, `ups_box`, if they are known.
     """
 
     phase: Phase
@@ -44,6 +45,7 @@ class PhaseSummary:
     layout: Layout
     sensors: Mapping[str, Summary]
     cross: Cross | None
+    ups_box: tuple[Up, Up] | None = None
 
     @property
     def is_still(self) -> bool:
@@ -211,7 +213,11 @@ class _PhaseSurvey(NamedTuple):
         return self._summary(sensors, None if cross is None else cross.result())
 
     def _summary(self, sensors: Mapping[str, Summary], cross: Cross | None) -> PhaseSummary:
-        return PhaseSummary(self.phase, self.number, self.layout, sensors, cross)
+        turned = None if is_at_rest(self.phase) else self.reference.turned
+        ends_ns = (self.phase.start_ns, self.phase.end_ns)
+        before, after = (None if turned is None else turned.up_in_movement(end_ns) for end_ns in ends_ns)
+        ups_box = None if before is None or after is None else (before, after)
+        return PhaseSummary(self.phase, self.number, self.layout, sensors, cross, ups_box)
 
     def _crosses(
         self, sources: Mapping[str, Source], blocks: Sequence[Mapping[str, Sequence[Block]]]

@@ -12,7 +12,15 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, PhaseSummary, runs_in
 from imuarray.gap.statistics.probes import PROBES
-from imuarray.gap.statistics.probes.probe import ArrayProbe, CrossProbe, Domain, LogProbe, PhaseProbe, RunsProbe
+from imuarray.gap.statistics.probes.probe import (
+    ArrayProbe,
+    CrossProbe,
+    Domain,
+    LogProbe,
+    PhaseProbe,
+    RunsProbe,
+    TurnProbe,
+)
 from imuarray.gap.statistics.summary import Summary, side_by_side
 
 ALL_LOGS = -1
@@ -27,7 +35,7 @@ AXES = ("x", "y", "z")
 _OF_PHASES = {name: probe for name, probe in PROBES.items() if isinstance(probe, PhaseProbe | CrossProbe)}
 _IN_MOTION = {name: probe for name, probe in _OF_PHASES.items() if probe.in_motion}
 _AT_REST = {name: probe for name, probe in _OF_PHASES.items() if isinstance(probe, PhaseProbe) or not probe.in_motion}
-_OF_LOGS = {name: probe for name, probe in PROBES.items() if isinstance(probe, LogProbe | ArrayProbe)}
+_OF_LOGS = {name: probe for name, probe in PROBES.items() if isinstance(probe, LogProbe | ArrayProbe | TurnProbe)}
 _OF_RUNS = {name: probe for name, probe in PROBES.items() if isinstance(probe, RunsProbe)}
 
 
@@ -200,6 +208,9 @@ def _of_log(replicates: Sequence[LogSummary], sensor: str) -> list[_ProbeValues]
         if isinstance(probe, LogProbe):
             by_replicate = [probe.statistic(phases) for phases in still]
             values.append(_ProbeValues(name, _rows(by_replicate), partial(probe.resolution, still[0])))
+        elif isinstance(probe, TurnProbe):
+            by_replicate = [probe.statistic(log, sensor) for log in replicates]
+            values.append(_ProbeValues(name, _rows(by_replicate), _any_difference))
         else:
             by_replicate = [probe.statistic(log, sensor) for log in replicates]
             values.append(_ProbeValues(name, _rows(by_replicate), partial(probe.resolution, replicates[0], sensor)))

@@ -33,6 +33,12 @@ class PoseAttitude(NamedTuple):
 _EDGE_NS, _EDGE_TIMES = 100_000_000, 10
 """Length of the begin or end of a movement over which the force is averaged, and the number of moments in it."""
 
+_TURN_STEP_NS = 20_000_000
+"""Steps in which the attitude is integrated in a movement."""
+
+_BESIDE_NS = 100_000_000
+"""Longest time between a movement and the attitude beside it: nothing turns in a tenth of a second."""
+
 _LARGEST_STEP = 1.5
 """Largest step in m/s2 of the force that sensors cause: within their tolerances, they disagree by less."""
 
@@ -87,6 +93,39 @@ class PoseSequence:
         """Return whether the attitude in the middle of a phase was estimated."""
         middle_ns = np.array([(phase.start_ns + phase.end_ns) // 2])
         return self.attitudes[int(np.searchsorted(self._turns_ns, middle_ns, side="right")[0])].estimated
+
+    def up_in_movement(self, time_ns: int) -> tuple[float, float, float] | None:
+        """Return the direction up in the box's frame at a moment in a movement, or at one of its ends; None outside and
+        where the attitude before or after the movement is not known.
+
+        It is carried by the rates from the attitude before, and back from that after; the further away one of these
+        is, the less it counts.
+        """
+        for start_ns, end_ns, _ in self.movements:
+            if start_ns <= time_ns <= end_ns and start_ns in self._ups_in_movements:
+                steps_ns, ups = self._ups_in_movements[start_ns]
+                x, y, z = (float(np.interp(time_ns, steps_ns, ups[:, axis])) for axis in range(3))
+                return (x, y, z)
+        return None
+
+    @cached_property
+    def _ups_in_movements(self) -> dict[int, tuple[Integers, Reals]]:
+        """Return, by the begin of each movement between known attitudes, moments (s,) and the directions up (s, 3)."""
+        ups: dict[int, tuple[Integers, Reals]] = {}
+        for start_ns, end_ns, columns in self.movements:
+            before = [item for item in self.attitudes if 0 <= start_ns - item.phase.end_ns <= _BESIDE_NS]
+            after = [item for item in self.attitudes if 0 <= item.phase.start_ns - end_ns <= _BESIDE_NS]
+            if not before or not after:
+                continue
+            steps_ns = np.linspace(start_ns, end_ns, max(-(-(end_ns - start_ns) // _TURN_STEP_NS), 1) + 1)
+            rate = columns.at(((steps_ns[:-1] + steps_ns[1:]) / 2).astype(np.int64))[0][:, None, 3:]
+            angles = rate * (steps_ns[1] - steps_ns[0]) * 1e-9
+            forth = carry_up(np.array([before[-1].up_box]), angles)[:, 0]
+            back = carry_up(np.array([after[0].up_box]), -angles[::-1])[::-1, 0]
+            share = np.linspace(0.0, 1.0, len(steps_ns))[:, None]
+            mean = (1 - share) * forth + share * back
+            ups[start_ns] = (steps_ns.astype(np.int64), mean / np.linalg.norm(mean, axis=1, keepdims=True))
+        return ups
 
     def felt(self, time_ns: Integers) -> Felt:
         """Return the stimulus: the reaction to gravity in the attitude of that time, or a movement."""
@@ -159,6 +198,19 @@ class PoseSequence:
     def _rotations(self) -> Reals:
         """Return (k, 3, 3) from the box to the level frame."""
         return upright_from([attitude.up_box for attitude in self.attitudes])
+
+
+def carry_up(up_box: Reals, angles: Reals) -> Reals:
+    """Return (s + 1, m, 3) the directions of the box that are up, from `up_box` (m, 3) on, as it turns by `angles` (s,
+    m, 3) in rad, one after the other: du/dt = u x w in the frame of the box.
+    """
+    ups = [np.asarray(up_box, float)]
+    for angle in angles:
+        size = np.linalg.norm(angle, axis=1, keepdims=True)
+        axis = angle / np.maximum(size, _LEAST_SINE)
+        along = (ups[-1] * axis).sum(axis=1, keepdims=True) * axis
+        ups.append(along + (ups[-1] - along) * np.cos(size) + np.cross(ups[-1], axis) * np.sin(size))
+    return np.array(ups)
 
 
 _LEAST_SINE = float(np.finfo(float).tiny)

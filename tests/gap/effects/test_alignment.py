@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.gap.inference.effects import bias, misalignment, scale
-from imuarray.gap.inference.effects.axis_error import exchanges
+from imuarray.gap.recording.turns import exchanges
 from imuarray.gap.inference.effects.axis_error import guesses as axis_errors
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.response import Response, response

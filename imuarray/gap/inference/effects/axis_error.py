@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
-from itertools import permutations, product
 
 import numpy as np
 
-from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.removal import with_removal
-from imuarray.gap.inference.effects.response import response
+from imuarray.gap.inference.effects.response import response, turns_of
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.recording.turns import exchanges, misses
 from imuarray.simulate.effects.response import AxisError
 
 _PROBES = (
     *("mean", "force_own", "force_next", "force_after"),
-    *("motion_gain", "motion_along", "motion_next", "motion_after", "motion_across"),
+    *("motion_gain", "motion_along", "motion_next", "motion_after", "motion_across", "turn_factor"),
 )
 _BETTER = 0.4
 """An exchange of axes leaves less than such a share of what the nominal axes leave: it is exact, or it is none."""
@@ -36,31 +34,22 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
-    measured = response(evidence) if evidence.is_odd(*_PROBES) else None
-    if measured is None:
+    if not evidence.is_odd(*_PROBES):
         return
-    nominal = measured.misfit(np.eye(3))
+    matrices = np.array([np.eye(3), *exchanges().values()])
+    if (measured := response(evidence)) is not None:
+        nominal, *others = (measured.misfit(matrix) for matrix in matrices)
+    elif turns := turns_of(evidence):  # a reading is what the matrix makes of the rate, which its transpose makes of it
+        nominal, *others = misses(turns, matrices.swapaxes(1, 2)).tolist()
+    else:
+        return
     misfits = {
-        axes: measured.misfit(matrix) + _CHANGE * nominal * np.count_nonzero(np.diag(matrix) != 1)
-        for axes, matrix in exchanges().items()
+        axes: misfit + _CHANGE * nominal * np.count_nonzero(np.diag(matrix) != 1)
+        for misfit, (axes, matrix) in zip(others, exchanges().items(), strict=True)
     }
     for axes in sorted(misfits, key=misfits.__getitem__)[:_MOST]:
         if misfits[axes] < _BETTER * nominal:
             yield Hypothesis((AxisError(axes),))
-
-
-@cache
-def exchanges() -> dict[str, Floats]:
-    """Return the 47 exchanges of axes and signs by name, "+Y+X-Z", as matrices (3, 3); right-handed ones first, since
-    no chip is left-handed.
-    """
-    matrices = {}
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        matrix = np.array(signs)[:, None] * np.eye(3)[list(order)]
-        name = "".join("+-"[sign < 0] + "XYZ"[axis] for sign, axis in zip(signs, order, strict=True))
-        matrices[name] = matrix
-    del matrices["+X+Y+Z"]
-    return dict(sorted(matrices.items(), key=lambda item: -np.linalg.det(item[1])))
 
 
 AXIS_ERROR = Candidate(

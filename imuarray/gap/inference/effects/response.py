@@ -8,8 +8,10 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.recording.turns import Turn
 from imuarray.gap.statistics.probes.level import mean
 from imuarray.gap.statistics.probes.motion import joint_gains
+from imuarray.gap.statistics.probes.turns import turn_of
 
 MOTION_WEIGHT = 0.1
 """Of a motion beside a face: shares of a noisy reference fill in what no face tells."""
@@ -86,6 +88,12 @@ def _of_motion(evidence: Evidence) -> Response | None:
     if not (np.isfinite(reading).all() and (np.abs(felt) > _LEAST_SHARE).any()):
         return None
     return Response(MOTION_WEIGHT * felt.T, MOTION_WEIGHT * reading.T)
+
+
+def turns_of(evidence: Evidence) -> list[Turn]:
+    """Return the turns of a gyroscope between attitudes that are known, without its bias."""
+    turns = [turn_of(phase.residual, phase.ups_box) for phase in evidence.phases if phase.ups_box is not None]
+    return [turn for turn in turns if turn is not None]
 
 
 def response_to_all_motions(evidence: Evidence) -> Floats:

@@ -23,7 +23,10 @@ from imuarray.simulate.effects.response import Scale
 _LARGEST = 0.9
 """More than that isn't an error of scale."""
 
-_ALONG = "motion_along"
+_ALONG, _TURNS = "motion_along", "turn_factor"
+
+_LEAST_FACTOR = 0.3
+"""A smaller factor of the readings of turns is no error of scale."""
 
 _SMALLER = 0.8
 """Largest error of the first part of a motion, as a share of that of the second, if it begins within the motion."""
@@ -45,6 +48,7 @@ def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
         for step in level_steps(evidence):
             yield from _of_step(evidence, step)
     yield from _of_rotation(evidence)
+    yield from _of_turns(evidence)
     yield from _within_motion(evidence)
     score, measured_response = size_of_score(evidence, "force_own", "motion_gain"), response(evidence)
     if measured_response is None or not (score > ODD).any():
@@ -67,6 +71,23 @@ def _of_rotation(evidence: Evidence) -> Iterator[Hypothesis]:
     error = np.where((score > DOUBTFUL) & (np.abs(shift) < _LARGEST), shift, 0.0)
     largest = float(error[score.argmax()])
     for x, y, z in dict.fromkeys([(largest,) * 3, tuple(error.tolist())]):
+        if any((x, y, z)):
+            yield Hypothesis((Scale((x, y, z)),), ("error",))
+
+
+def _of_turns(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest what the turns from one rest to the next show, of the only gyroscope."""
+    score = np.abs(evidence.score(_TURNS))
+    if evidence.others or not (score > ODD).any():
+        return
+    error = np.zeros(3)
+    for axis in np.flatnonzero(score > DOUBTFUL):
+        factor, expected = (table[_TURNS][:, axis] for table in (evidence.values, evidence.expected))
+        known = np.isfinite(factor) & (np.abs(factor) > _LEAST_FACTOR)
+        error[axis] = (expected[known] / factor[known]).mean() - 1 if known.any() else 0.0
+    error = np.where(np.abs(error) < _LARGEST, error, 0.0)
+    largest = float(error[score.argmax()])
+    for x, y, z in dict.fromkeys([tuple(error.tolist()), (largest,) * 3]):
         if any((x, y, z)):
             yield Hypothesis((Scale((x, y, z)),), ("error",))
 

@@ -19,6 +19,7 @@ from imuarray.gap.statistics.probes import (
     status,
     temperature,
     timing,
+    turns,
 )
 from imuarray.gap.statistics.probes.probe import (
     ArrayProbe,
@@ -35,7 +36,7 @@ __all__ = ["PROBES", "ArrayProbe", "CrossProbe", "Domain", "LogProbe", "PhasePro
 
 _DOMAINS = (
     *(level, spread, distribution, codes, spectrum, autocorrelation, allan),
-    *(temperature, force, motion, cross_sensor, run_to_run, timing, status),
+    *(temperature, force, motion, turns, cross_sensor, run_to_run, timing, status),
 )
 
 PROBES: Probes = MappingProxyType({name: probe for domain in _DOMAINS for name, probe in domain.PROBES.items()})

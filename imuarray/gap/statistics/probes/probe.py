@@ -103,13 +103,20 @@ class ArrayProbe(Probe):
 
 
 @dataclass(frozen=True)
+class TurnProbe(Probe):
+    """Probe of one sensor in the turns of a log from one rest to the next."""
+
+    statistic: Callable[[LogSummary, str], Floats]
+
+
+@dataclass(frozen=True)
 class RunsProbe(Probe):
     """Probe of one sensor over the logs of one kind."""
 
     statistic: Callable[[Runs], Floats]
 
 
-Probes = Mapping[str, PhaseProbe | LogProbe | CrossProbe | ArrayProbe | RunsProbe]
+Probes = Mapping[str, PhaseProbe | LogProbe | CrossProbe | ArrayProbe | TurnProbe | RunsProbe]
 """Probes by their names."""
 
 
