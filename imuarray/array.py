@@ -422,6 +422,16 @@ def parse_array(text: str, where: str = "configuration") -> ArrayConfig:
     return array
 
 
+def recorded_sensors(text: str) -> Mapping[str, SensorConfig]:
+    """Return the sensors of the configuration that a log carries, by name: none where it is missing or another
+    program's, whose keys and chips may be others.
+    """
+    try:
+        return {sensor.name: sensor for sensor in parse_array(text).sensors} if text else {}
+    except ConfigError:
+        return {}
+
+
 def _one_of(key: str, value: float | None, allowed: tuple[float, ...], style: str, when: str = "") -> None:
     """ValueError unless `value` is one of `allowed`; says what is, and `when`."""
     if value in allowed:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.array import ArrayConfig, parse_array
+from imuarray.array import ArrayConfig
 from imuarray.errors import ConfigError, LogError
 from imuarray.log import Log
 from imuarray.log.format import SATURATED, SensorHeader, header_of
@@ -68,13 +68,7 @@ def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
     """
     chosen = {name: log[name] for name in only or log.sensors}
     chosen = {name: sensor for name, sensor in chosen.items() if sensor.quantity != "temperature"}  # no chip is stated
-    configured = parse_array(log.config).sensors if log.config else ()
-    configs = {sensor.name: sensor for sensor in configured if not sensor.on_iio}  # the kernel sets range and scale
-    sensors = {
-        name: (header_of(configs[name], {}) if name in configs else recorded_header(sensor), LogTimes(sensor))
-        for name, sensor in chosen.items()
-        if len(sensor)
-    }
+    sensors = {name: (recorded_header(sensor), LogTimes(sensor)) for name, sensor in chosen.items() if len(sensor)}
     if not sensors:
         raise LogError(f"{log.path}: has no readings")
     end_ns = max(int(sensor.time[-1]) for sensor in chosen.values() if len(sensor))

@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from imuarray.array import parse_array
+from imuarray.array import recorded_sensors
 from imuarray.arrays import Floats
 from imuarray.gap.inference.assessment import Assessment, assess
 from imuarray.gap.inference.earlier import Earlier
@@ -108,9 +108,9 @@ def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
     """
     plans = [recording.experiment.plan for recording in recordings]
     configured = {
-        sensor.name
-        for text in {plan.config for plan in plans if plan.config}
-        for sensor in parse_array(text).sensors
+        name
+        for text in {plan.config for plan in plans}
+        for name, sensor in recorded_sensors(text).items()
         if sensor.fifo
     }
     return frozenset(

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.gap.inference.effects import bias, misalignment, scale
-from imuarray.gap.recording.turns import exchanges
 from imuarray.gap.inference.effects.axis_error import guesses as axis_errors
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.response import Response, response
+from imuarray.gap.recording.turns import exchanges
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.response import AxisError, Misalignment, Scale
