@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imuarray.gap.model.base_model import _readings_a_row, _readings_between_polls
+from imuarray.gap.model.data_clock import _readings_a_row, _readings_between_polls
 from imuarray.gap.statistics.intervals import IntervalMoments, Intervals
 
 POLLS = 400_000

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from imuarray.gap.diagnose import diagnose
 from imuarray.gap.model.base_model import fit, residual
 from imuarray.gap.recording.recordings import recording_of, reference_of, sources_of
 from imuarray.gap.recording.turns import Turn, exchanges, factors_of, likely_exchange, misses, neighbours
@@ -133,14 +134,15 @@ def tumbled(path: Path, scale_of: Mapping[str, Floats]) -> tuple[PoseSequence, L
     accelerometer = SensorHeader("A1", "bma180", "specific_force", "g", 4.0, 2048.0)
     gyroscope = SensorHeader("G1", "l3g4200d", "angular_rate", "dps", 250.0, 1 / 0.00875)
     headers = [accelerometer, replace(accelerometer, name="A2"), *(replace(gyroscope, name=name) for name in scale_of)]
-    with LogWriter(path, headers, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+    config = '[rig]\nmade_by = "another program"\n'
+    with LogWriter(path, headers, source="imported", epoch="2024-01-01T00:00:00Z", config=config) as log:
         for header in headers:
             read = ups if header.unit == "g" else np.degrees(rate) @ scale_of[header.name].T + 2.0
             counts = np.rint(read * header.sensitivity + rng.normal(0, 2, read.shape)).astype(np.int16)
             log.append(header.name, Block(time, counts, np.zeros(len(time), np.uint16)))
         for phase in phases:
             log.phase(phase)
-    recording = recording_of(open_log(path))
+    recording = recording_of(open_log(path))  # its configuration below is another program's
     motion = recording.experiment.motion
     assert isinstance(motion, PoseSequence)
     summary = summarise_log(recording.kind, sources_of(recording), recording.phases, reference_of(motion))
@@ -196,3 +198,15 @@ def test_up_in_a_movement_is_carried_from_both_ends(tmp_path: Path) -> None:
     for time_s, up_box in ((4.0, (0, 0, 1)), (5.0, (0, np.sqrt(0.5), np.sqrt(0.5))), (6.0, (0, 1, 0))):
         np.testing.assert_allclose(motion.up_in_movement(round(time_s * SECOND)), up_box, atol=0.01)
     assert motion.up_in_movement(2 * SECOND) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("others", [0, 1])
+def test_the_gyroscope_with_exchanged_axes_is_named(tmp_path: Path, others: int) -> None:
+    """Of two gyroscopes each differs from the other; the turns tell which one is wrong, or that the only one is."""
+    responses = {"G1": np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])}
+    tumbled(tmp_path / "log.h5", {**responses, **({"G2": np.eye(3)} if others else {})})
+    with open_log(tmp_path / "log.h5") as log:
+        diagnosis = diagnose([log], replicates=20)
+    first = diagnosis.causes[0]
+    assert (first.effect, first.sensors, first.parameters["axes"]) == ("axis_error", ("G1",), "+Y-X+Z")

@@ -15,10 +15,9 @@ from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import ndtr  # the normal distribution without the weight of scipy.stats
 
 from imuarray.arrays import Floats
+from imuarray.gap.model.data_clock import clock_errors, flags_repeats, repeated_share
 from imuarray.gap.model.element_temperature import (
     LEAST_HEATING_DEGC,
     HeatedRest,
@@ -33,7 +32,6 @@ from imuarray.gap.model.populations import (
     LEAST_CORRELATION,
     POSITION_SIGMA_MM,
     TOLERANCE_SIGMAS,
-    clock_tolerance,
     is_usual,
     response_tolerance,
     usual_model,
@@ -51,10 +49,7 @@ from imuarray.gap.statistics.catalogue import (
     replicate_statistics,
     statistics,
 )
-from imuarray.gap.statistics.intervals import Intervals
 from imuarray.gap.statistics.probes.level import halves
-from imuarray.gap.statistics.probes.probe import once
-from imuarray.gap.statistics.probes.timing import tells_repetitions
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
@@ -66,7 +61,6 @@ from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.effects.timing import AT_ITS_RATE, OwnClock
 from imuarray.simulate.model import Model, noise_bandwidth_hz
 from imuarray.simulate.motion.felt import Motion
-from imuarray.simulate.sensor import NO_READY_BIT
 from imuarray.simulate.signal import Triple
 from imuarray.simulate.streams import Streams
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
@@ -107,27 +101,6 @@ _MOST_REPEATED = 0.9
 
 _FILTER_MISFIT = 0.1
 """Largest share of the squared correlations that a filter leaves; a wander, a line or shared noise leaves more."""
-
-_HELD = 6
-"""Rows beyond the longest run of a clock from which on a reading is held: repeats by chance have no such runs."""
-
-_SLIPS = 4.0
-"""Excess of repeated rows over chance, in standard deviations, that shows a slow data clock."""
-
-_SAME_CLOCK = 0.3
-"""Relative difference of phases, beside chance, within which one clock error explains them all."""
-
-_UNEVEN = 1.5
-"""Readings of a phase that are missed or repeated at its ends: a poll begins or ends between the two."""
-
-_LEAST_JITTER, _MOST_FAST = 0.01, 4.0
-"""Jitter, as a share of the repeats, below which polls are even; the fastest clock that repeats show, in jitters."""
-
-_OVERSAMPLED = 1.05
-"""Polls for each reading from which on readings come twice as a rule, and three times where polls jitter."""
-
-_SKIPPED = 2.5
-"""Longest gap, in usual intervals, that lacks a single row."""
 
 _BY_CHANCE = 2.0
 """Variances of an estimated correlation that are due to chance: a median of three axes has less than half of one, so
@@ -270,8 +243,10 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
     fitted = {name: fit_sensor(header, rests[name], response_tolerance(header)) for name, header in headers.items()}
     for name, lag_s in lags_s.items():
         fitted[name] = replace(fitted[name], lag_s=lag_s)
+    noise_counts = {name: np.array(fitted[name].rms) * header.sensitivity for name, header in headers.items()}
+    errors = clock_errors(campaign, headers, noise_counts)
     for name, header in headers.items():
-        fitted[name] = replace(fitted[name], clock_error=_clock_error(campaign, header), delay=stated_delay(header))
+        fitted[name] = replace(fitted[name], clock_error=errors[name], delay=stated_delay(header))
         if model is not None and Bandwidth.name in model.parts(header):
             continue  # the model says what the filter is
         low_pass, low_pass_sd = _filter_of(campaign, header, fitted[name])
@@ -507,7 +482,7 @@ def _correlations(campaign: Campaign, header: SensorHeader, fitted: FittedParame
     rests = _level_phases(every_rest, fitted.noise(header))
     if not rests:
         return None
-    is_flagged = _is_flagged(campaign, header)
+    is_flagged = flags_repeats(campaign, header)
     reads = tuple(_reads(phase, header.rate_hz, is_flagged) for phase in rests)
     again = np.array([[_samples_apart(pace.samples_a_row, lag).get(0, 0.0) for lag in _ALL_LAGS] for pace in reads])
     lags = np.array([np.median(phase.correlation[list(_ALL_LAGS)], axis=1) for phase in rests])
@@ -636,7 +611,7 @@ def _reads(phase: Summary, rate_hz: float, is_flagged: bool) -> _Reads:
     rows_per_s = round(1 / phase.intervals.mean_s, 2)
     samples_a_row = rate_hz / rows_per_s
     if not 1 + AT_ITS_RATE < samples_a_row < SEVERAL_SAMPLES:
-        samples_a_row = 1 - min(max(_repeated_share(phase, is_flagged), 0.0), _MOST_REPEATED)
+        samples_a_row = 1 - min(max(repeated_share(phase, is_flagged), 0.0), _MOST_REPEATED)
     return _Reads(rows_per_s, round(samples_a_row, 2))
 
 
@@ -676,172 +651,6 @@ def _filters(configured_hz: float, sampled_hz: float) -> Iterator[Bandwidth]:
         for poles in (1.0, 2.0) if math.isfinite(sampled) or not warped else ():
             for ratio in np.linspace(1 - CUTOFF_TOLERANCE, 1 + CUTOFF_TOLERANCE, _CUTOFFS).tolist():
                 yield Bandwidth(ratio * configured_hz, poles=poles, sampled_hz=sampled, warped=warped)
-
-
-def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
-    """Return how much slower or faster than it should the chip's data clock runs, a share, within its tolerance; nan
-    where nothing tells it.
-
-    A host that polls faster than the chip measures reads some readings again, at regular intervals and each as often as
-    any other, to one: the share of new readings, times the rate of the polls, is that of the chip. Repeats that come in
-    longer runs have another reason, and those of a chip that is off by more than its tolerance are no nuisance. A phase
-    in which a reading is held for long tells nothing of the clock, which the other phases may tell. Rows that the
-    recorder flags as no new reading are repeats, however many rows are equal by chance; of those flagged as overrun
-    there was one reading more than was read, and where polls are much faster than the chip the intervals between them
-    tell the rest (`_readings_between_polls`). Polls that are early or late at the moment of a new reading find none or
-    two: flags that no single rate explains are those of a chip that is polled at its nominal rate. If many readings
-    come while they are read, the polls that find none are no count of what is missing, but one or a few in a row are
-    each slip of one clock against the other. Where no missed reading is flagged, the share of repeats of polls with
-    that jitter tells the rate (`_readings_a_row`). Where as many readings are missed as are repeated, to one or two in
-    a phase, the chip keeps its nominal rate. Flags tell this while the box moves, too.
-    """
-    is_flagged = _is_flagged(campaign, header)
-    name = header.name
-    summaries = (phase for log in campaign.logs for phase in (log.of(name) if is_flagged else log.still(name)))
-    phases = [phase for phase in summaries if phase.intervals.count]
-    if header.rate_hz <= 0 or not phases:
-        return math.nan
-    readings_per_s, weight, slips = [], [], 0
-    tolerance = clock_tolerance(header)
-    equal_in_a_row = _equal_in_a_row(_equal_by_chance(phases, is_flagged), sum(phase.rows for phase in phases))
-    flags_missed = any(phase.flags["overrun"] for phase in phases)
-    for phase in phases:
-        rows_per_s, repeats = _polls_per_s(phase, header.rate_hz), phase.repeats
-        by_chance = _equal_neighbours(phase)
-        excess = (repeats.repeat_share - by_chance) * math.sqrt(phase.rows / max(by_chance, 1 / phase.rows))
-        longest = math.ceil(rows_per_s / (header.rate_hz * (1 - tolerance))) + equal_in_a_row
-        longest += rows_per_s > _OVERSAMPLED * header.rate_hz  # a late poll may come just before the next one
-        if rows_per_s < (1 - tolerance) * header.rate_hz:
-            continue
-        if repeats.longest > longest + _HELD:
-            continue
-        if repeats.longest > longest:
-            return math.nan
-        slips += phase.flags["stale"] > 0 or excess >= _SLIPS
-        repeated = _repeated_share(phase, is_flagged)
-        if rows_per_s > _OVERSAMPLED * header.rate_hz:
-            readings_per_s.append(_readings_between_polls(phase.intervals, repeated))
-        elif not tells_repetitions(phase):
-            is_slow = phase.flags["stale"] + phase.flags["doubtful"] >= phase.flags["overrun"]
-            readings_per_s.append(rows_per_s * (1 + (-1 if is_slow else 1) * phase.slips / phase.rows))
-        elif is_flagged and flags_missed:
-            readings_per_s.append(rows_per_s * (1 - repeated + phase.flags["overrun"] / phase.rows))
-        else:
-            jitter = phase.intervals.std_s / phase.intervals.mean_s
-            readings_per_s.append(rows_per_s * _readings_a_row(repeated, jitter))
-        weight.append(phase.rows)
-    if not slips:
-        return math.nan
-    error = float(np.average(readings_per_s, weights=weight)) / header.rate_hz - 1
-    if is_flagged and flags_missed and abs(error) * sum(weight) <= _UNEVEN * len(weight):
-        return 0.0
-    apart = np.abs(np.array(readings_per_s) / header.rate_hz - 1 - error)
-    unsure = _SLIPS * np.sqrt(np.abs(error) / np.array(weight))
-    is_one_clock = bool((apart <= np.maximum(_SAME_CLOCK * abs(error), unsure)).all())
-    if is_one_clock and abs(error) <= tolerance:
-        return error
-    return 0.0 if is_flagged and abs(error) <= tolerance else math.nan
-
-
-def _polls_per_s(phase: Summary, rate_hz: float) -> float:
-    """Return rows in a second of a phase without its gaps. Polls of a chip that is polled more often than it measures
-    may skip single rows again and again, in which no reading is lost: such gaps, of two intervals, count.
-    """
-    intervals = phase.intervals
-    rows_per_s = 1 / intervals.mean_s
-    if rows_per_s < _OVERSAMPLED * rate_hz or intervals.longest_s > _SKIPPED * intervals.mean_s:
-        return rows_per_s
-    return rows_per_s * (intervals.count + intervals.gaps) / (intervals.count + 2 * intervals.gaps)
-
-
-def _readings_a_row(repeated: float, jitter: float) -> float:
-    """Return readings of the chip for each poll, if a share of polls `repeated` finds no new one, and intervals between
-    polls scatter by the share `jitter`.
-
-    A poll finds no new reading with the probability E[max(0, 1 - L)], L the readings in an interval, whatever the
-    phase of the clocks. With L normal about 1 + e, of standard deviation s, that is s phi(e / s) - e (1 - Phi(e / s)).
-    """
-    if repeated <= 0:
-        return 1.0
-    if jitter < _LEAST_JITTER * repeated:
-        return 1 - repeated
-
-    def excess(error: float) -> float:
-        ratio = error / jitter
-        density = float(np.exp(-(ratio * ratio) / 2)) / math.sqrt(2 * math.pi)
-        return jitter * density - error * float(ndtr(-ratio)) - repeated
-
-    most = _MOST_FAST * jitter
-    return 1 + float(brentq(excess, -repeated - most, most)) if excess(most) < 0 else 1 + most
-
-
-def _readings_between_polls(intervals: Intervals, repeated: float) -> float:
-    """Return readings of the chip in a second, if it is polled more often than it measures and a share of polls
-    `repeated` finds no new one.
-
-    A poll finds none with the probability 1 - d f, d the interval since the poll before and f the rate, if d is shorter
-    than the period, and 0 else, whatever the phase of the clocks: the mean over the intervals gives f. How many
-    readings were missed in longer intervals does not matter; a reading that comes while it is read may hide that.
-    """
-    share = intervals.shorter / (intervals.count + intervals.gaps)
-    return (share - repeated) / (share * intervals.shorter_s) if share > repeated else math.nan
-
-
-def _equal_in_a_row(by_chance: float, rows: int) -> int:
-    """New readings that equal the one before, one after the other, at most: once in so many rows."""
-    if by_chance >= 1:
-        return rows
-    return math.ceil(math.log(rows) / -math.log(by_chance)) if by_chance > 1 / rows else 0
-
-
-def _equal_by_chance(phases: Sequence[Summary], is_flagged: bool) -> float:
-    """Return the share of new readings that equal the one before, in all phases together: short ones show it poorly.
-    Flags tell the repeats from readings that are equal by chance.
-    """
-    if not is_flagged:
-        return float(
-            np.average([_equal_neighbours(phase) for phase in phases], weights=[phase.rows for phase in phases])
-        )
-    equal = sum(phase.repeats.repeat_share * phase.rows for phase in phases)
-    repeated = sum(phase.flags["stale"] for phase in phases)
-    fresh = sum(phase.rows for phase in phases) - repeated
-    return max(float(equal - repeated) / fresh, 0.0) if fresh else 1.0
-
-
-def _repeated_share(phase: Summary, is_flagged: bool) -> float:
-    """Return the share of the rows that are no new reading: by the recorder's flags if it sets any, otherwise by
-    equality.
-    """
-    if is_flagged:
-        return phase.flags["stale"] / phase.rows
-    by_chance = _equal_neighbours(phase)
-    if by_chance >= 1:
-        return 0.0  # a sensor without noise
-    return float(np.nan_to_num((phase.repeats.repeat_share - by_chance) / (1 - by_chance)))
-
-
-def _is_flagged(campaign: Campaign, header: SensorHeader) -> bool:
-    """Return whether the recorder flags rows of this sensor that are no new reading.
-
-    A recorder that does so for any chip that says when a reading is new does so for all of these: one without a flag
-    has no such rows.
-    """
-    if header.chip in NO_READY_BIT:
-        return False
-    summaries = (summary for log in campaign.logs for phase in log.phases for summary in phase.sensors.values())
-    return any(summary.flags["stale"] for summary in summaries if summary.header.chip not in NO_READY_BIT)
-
-
-@once
-def _equal_neighbours(phase: Summary) -> float:
-    """Return the share of new readings that equal the one before: that of readings far apart, and more where they
-    correlate, since the scatter of each axis's difference is smaller by the root of 1 - rho.
-    """
-    repeats = phase.repeats
-    far = float(np.nan_to_num(repeats.chance_share))
-    again = float(np.nan_to_num(1 - repeats.new_share))
-    rho = np.clip((np.nan_to_num(phase.correlation[1]) - again) / max(1 - again, 0.1), 0.0, 0.9)
-    return min(far / math.sqrt(float(np.prod(1 - rho))), repeats.repeat_share)
 
 
 def _with_rate_error(effect: Effect, rate_error: float) -> Effect:
