@@ -213,7 +213,7 @@ class Base:
             yield Bias((x, y, z))
 
     def _tones(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
-        """Yield the vibrations of the room as an accelerometer of this replicate feels them."""
+        """Yield the lines of the surroundings as a sensor of this replicate measures them."""
         for vibration in self.vibrations:
             if header.name in vibration.sensors:
                 stream = units.of_unit("", Tone.name, f"{vibration.frequency_hz!r} Hz")
