@@ -186,8 +186,8 @@ class Base:
         is_slope_known = self.fitted[header.name].is_slope_known
         effects = tuple(_unfitted((self.model or self._usual).effects(header, units), is_slope_known))
         if header.quantity == "specific_force":
-            effects = (*with_position(effects, _position_mm(header, units)), *self._tones(header, units))
-            effects = (*effects, *self._common_bias(header, units))
+            effects = (*with_position(effects, _position_mm(header, units)), *self._common_bias(header, units))
+        effects = (*effects, *self._tones(header, units))
         is_odd = bool(replicate % 2)
         effects = tuple(effect for effect in effects if is_odd or not is_usual(effect, header))
         if header.name in self.queued:  # the row of a reading has the time at which the chip took it

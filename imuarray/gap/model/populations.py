@@ -39,8 +39,8 @@ the configured range. No data sheet prints it: the paper's parts scatter by up t
 its Table 11), other parts by several times as much.
 """
 
-TURN_ON_RMS: Mapping[str, float] = MappingProxyType({"g": 6e-4, "dps": 0.04})
-"""The largest usual scatter by unit, for chips whose data sheet is not known."""
+TURN_ON_RMS: Mapping[str, float] = MappingProxyType({"g": 1.2e-3, "dps": 0.08})
+"""The largest usual scatter by unit, also of a chip whose data sheet allows little bias: the board scatters, too."""
 
 _OFFSET_TOLERANCE_G = 0.15
 """Bias of an accelerometer whose data sheet is not known (ADX-60)."""
@@ -174,7 +174,8 @@ def turn_on_rms(header: SensorHeader) -> float:
     known.
     """
     allowed = min(offset_tolerance(header))
-    return TURN_ON_SHARE * allowed if math.isfinite(allowed) else TURN_ON_RMS.get(header.unit, 0.0)
+    usual = TURN_ON_RMS.get(header.unit, 0.0)
+    return max(TURN_ON_SHARE * allowed, usual) if math.isfinite(allowed) else usual
 
 
 def clock_tolerance(header: SensorHeader) -> float:

@@ -6,6 +6,10 @@ the ratio of the delay to this figure, between 0 and `MOST_RATIO`, is a nuisance
 have in common. A sensor that is late by another ratio has another cause. A delay that the log states is that of the
 data sheet: it is simulated as it is, and is no parameter.
 
+A chip that decimates delays its readings by some of its own periods besides, all of its units alike and by how many no
+data sheet prints: up to `MOST_PERIODS` of them are a nuisance parameter of each kind of chip that another kind, or a
+track, is compared with.
+
 Rows from a queue in the chip have times that the recorder works out from those of its polls; these may be off by a
 period of the chip, which is another nuisance parameter of each such sensor. So may the times of sensors that are
 compared with the track of an instrument, by a period of the rows and all of a quantity alike: the clocks of two
@@ -33,6 +37,11 @@ _PRIOR = 1.0
 
 MOST_RATIO = 1.5
 """Largest ratio of the delay to that of two poles at the configured cutoff: three poles, or a cutoff a third lower."""
+
+MOST_PERIODS = 2.5
+"""Longest usual delay of a decimation filter, in periods of the chip's data rate: a symmetric filter of four periods
+with some of a poll's.
+"""
 
 _LEAST_CHANGE_S, _SLOPES = 1e-5, (0.5, 5.0)
 """Change of a delay that tells by how much more of it is seen, and the least and the most that is believed."""
@@ -94,7 +103,7 @@ def fit_signal_delays(
         if len(steps) > 1:
             observed = observed._replace(design=observed.design * _slopes(observed.design, *steps)[:, None])
         most = np.array([MOST_RATIO, *(stamps.most_s for stamps in late)])
-        least = np.array([0.0, *(-most[1:])])
+        least = np.array([0.0, *(stamps.least_s for stamps in late)])
         ratio, *offsets_s = _solve(observed, seen_s, start, (least, most)).tolist()
         for name in names:
             late_s = sum(value_s for value_s, stamps in zip(offsets_s, late, strict=True) if name in stamps.sensors)
@@ -108,14 +117,13 @@ def _truncate(delay_s: float) -> float:
 
 
 def can_fit_signal_delays(campaign: Campaign, headers: Mapping[str, SensorHeader], queued: Collection[str]) -> bool:
-    """Return whether the box moves, and sensors of one quantity have filters that delay differently, a queue, or
-    nothing but a track to be compared with.
+    """Return whether the box moves, and sensors of one quantity are of several chips, have filters that delay
+    differently or a queue, or are compared with a track.
     """
-    nominal_s = {name: _nominal_delay_s(header) for name, header in headers.items()}
-    by_quantity: dict[str, set[float]] = {}
-    for name, header in headers.items():
-        by_quantity.setdefault(header.quantity, set()).add(nominal_s[name])
-    differ = any(len(delays_s) > 1 for delays_s in by_quantity.values())
+    by_quantity: dict[str, set[tuple[str, float]]] = {}
+    for header in headers.values():
+        by_quantity.setdefault(header.quantity, set()).add((header.chip, _nominal_delay_s(header)))
+    differ = any(len(kinds) > 1 for kinds in by_quantity.values())
     crosses = _crosses(campaign)
     return bool(crosses) and (differ or bool(queued) or bool(_tracked(crosses)))
 
@@ -129,24 +137,36 @@ def _nominal_delay_s(header: SensorHeader) -> float:
 
 
 class _LateStamps(NamedTuple):
-    """Sensors whose times may be off, all by the same amount, and by how much at most, in s."""
+    """Sensors whose readings may be older than their times, all by the same amount, and by how much in s."""
 
     sensors: frozenset[str]
     most_s: float
+    least_s: float
 
 
 def _late_stamps(
     crosses: Sequence[Cross], headers: Mapping[str, SensorHeader], queued: Collection[str]
 ) -> list[_LateStamps]:
-    """Return which of these sensors' times may be off: those of each with a queue, and of all that follow a track."""
+    """Return which of these sensors' times may be off: those of all that follow a track, of each with a queue, and of
+    the units of each chip.
+    """
     tracked = _tracked(crosses)
     common = frozenset(tracked) & headers.keys()
-    late = [_LateStamps(common, max(tracked[name] for name in common))] if common else []
+    late = []
+    if common:
+        period_s = max(tracked[name] for name in common)
+        late.append(_LateStamps(common, period_s, -period_s))
     late += [
-        _LateStamps(frozenset([name]), 1 / header.rate_hz)
+        _LateStamps(frozenset([name]), 1 / header.rate_hz, -1 / header.rate_hz)
         for name, header in headers.items()
         if name in queued and header.rate_hz > 0
     ]
+    chips = dict.fromkeys(header.chip for header in headers.values())
+    for chip in chips if len(chips) > 1 or common else ():
+        units = {name: header for name, header in headers.items() if header.chip == chip}
+        rates_hz = [header.rate_hz for header in units.values() if header.rate_hz > 0 and not header.delay_ns]
+        if rates_hz:
+            late.append(_LateStamps(frozenset(units), MOST_PERIODS / min(rates_hz), 0.0))
     return late
 
 
