@@ -21,6 +21,7 @@ from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.posed import Movement, PoseAttitude
+from imuarray.units import SI_PER_UNIT
 
 Up = tuple[float, float, float]
 
@@ -32,6 +33,11 @@ MOST_TILT_DEG = 5.0
 
 MOST_RATE_DPS, _TRACK_TIMES = 3.0, 1000
 """A box that turns faster by its track (rms over so many moments of a phase) is not at rest, whatever is noted."""
+
+MOST_BIAS_DPS, _REFERENCE_DPS, _RATE_ROWS = 30.0, 0.3, 4096
+"""A larger mean rate is that of a turntable and not a bias (MPU: 20 dps), by gyroscopes and by a reference; and the
+most rows of which it is the mean.
+"""
 
 HEATED_DEGC = 3.0
 """A larger change of temperature in a phase at rest is heating: a room changes less in minutes."""
@@ -85,7 +91,10 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
     `motion` follows a track or several sensors show the motion. LogError if there is nothing to compare.
     """
     is_tracked = motion.source != "phases"
-    noted = [_without_false_face(phase, motion) if is_tracked else phase for phase in log.phases]
+    noted = [
+        _without_false_face(phase, motion) if is_tracked else _without_face_of_turntable(phase, log)
+        for phase in log.phases
+    ]
     still = [phase for phase in noted if is_at_rest(phase)]
     detected, notes = ([], []) if still else _detected_poses(log)
     if is_tracked:
@@ -113,6 +122,35 @@ def _without_false_face(phase: Phase, motion: LikeLog) -> Phase:
     rate_dps = np.degrees(np.asarray(_sampled(phase, motion).rate_box, float))
     turns = float(np.sqrt(np.mean(rate_dps**2, axis=0).sum())) > MOST_RATE_DPS
     return phase._replace(up="") if phase.up and turns else phase
+
+
+def _without_face_of_turntable(phase: Phase, log: Log) -> Phase:
+    """Return a phase without its axis up if the box turns about it by a reference of the rate alone, or by more than
+    the bias of any gyroscope, and its name does not mean rest.
+    """
+    if not phase.up or is_at_rest(phase._replace(up="")):
+        return phase
+    rates_dps = [_mean_rate_dps(sensor, phase) for sensor in log.of("angular_rate") if sensor.sensitivity]
+    known = [rate_dps for rate_dps in rates_dps if np.isfinite(rate_dps).all()]
+    largest_dps, bias_dps = float(np.linalg.norm(np.median(known, axis=0))) if known else 0.0, MOST_BIAS_DPS
+    reference = log.reference
+    if reference is not None and reference.angular_rate is not None:
+        first, stop = np.searchsorted(reference.time[:], [phase.start_ns, phase.end_ns]).tolist()
+        rows = np.asarray(reference.angular_rate[first:stop], float)
+        largest_dps = float(np.degrees(np.linalg.norm(rows.mean(axis=0)))) if len(rows) else 0.0
+        bias_dps = _REFERENCE_DPS
+    return phase._replace(up="") if largest_dps > bias_dps else phase
+
+
+def _mean_rate_dps(sensor: SensorLog, phase: Phase) -> Floats:
+    """Return the mean reading (3,) of a gyroscope in the box frame in dps; nan without readings."""
+    rows = sensor.between(phase.start_ns, phase.end_ns)
+    counts = np.asarray(sensor.counts[rows][:_RATE_ROWS], float)
+    if not len(counts):
+        return np.full(3, np.nan)
+    return np.asarray(
+        np.degrees(SI_PER_UNIT[sensor.unit] * sensor.orientation @ counts.mean(axis=0) / sensor.sensitivity)
+    )
 
 
 def moves_by_track(phase: Phase, motion: LikeLog) -> bool:

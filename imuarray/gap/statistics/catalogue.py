@@ -209,8 +209,9 @@ def _of_log(replicates: Sequence[LogSummary], sensor: str) -> list[_ProbeValues]
             by_replicate = [probe.statistic(phases) for phases in still]
             values.append(_ProbeValues(name, _rows(by_replicate), partial(probe.resolution, still[0])))
         elif isinstance(probe, TurnProbe):
-            by_replicate = [probe.statistic(log, sensor) for log in replicates]
-            values.append(_ProbeValues(name, _rows(by_replicate), _any_difference))
+            if any(phase.ups_box for phase in replicates[0].phases):
+                by_replicate = [probe.statistic(log, sensor) for log in replicates]
+                values.append(_ProbeValues(name, _rows(by_replicate), _any_difference))
         else:
             by_replicate = [probe.statistic(log, sensor) for log in replicates]
             values.append(_ProbeValues(name, _rows(by_replicate), partial(probe.resolution, replicates[0], sensor)))

@@ -13,6 +13,9 @@ from imuarray.gap.statistics.probes.probe import PhaseProbe, Probes, arcsine, on
 from imuarray.gap.statistics.probes.timing import tells_repetitions
 from imuarray.gap.statistics.summary import Summary
 
+_TWICE = 2.0
+"""Readings of a chip between two polls from which on no jitter makes a poll find none."""
+
 
 def flagged(names: tuple[str, ...], summary: Summary) -> Floats:
     """arcsine of the share of rows with these flags, added up."""
@@ -20,8 +23,11 @@ def flagged(names: tuple[str, ...], summary: Summary) -> Floats:
 
 
 def stale(summary: Summary) -> Floats:
-    """arcsine of the share of rows that are no new reading; nan if polls do not tell it."""
-    return flagged(("stale",), summary) if tells_repetitions(summary) else np.asarray(np.nan)
+    """arcsine of the share of rows that are no new reading; nan if polls do not tell it, and for a chip that measures
+    at least twice between polls: its flags are of rows that are equal by chance.
+    """
+    always_new = summary.header.rate_hz * summary.intervals.mean_s >= _TWICE
+    return flagged(("stale",), summary) if tells_repetitions(summary) and not always_new else np.asarray(np.nan)
 
 
 def words(summary: Summary) -> Floats:
