@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from imuarray.gap.model.signal_delay import NO_DELAY, fit_signal_delays
+from imuarray.gap.model.signal_delay import NO_DELAY, can_fit_signal_delays, fit_signal_delays
 from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, PhaseSummary
 from imuarray.gap.statistics.cross import Cross, CrossTally, window_ns
 from imuarray.gap.statistics.probes import PROBES, CrossProbe
@@ -278,6 +278,26 @@ def test_two_sensors_may_be_late_behind_a_track_by_the_same_delay() -> None:
     trials = [(dict.fromkeys(headers, NO_DELAY), [campaign(0.0)])]
     fitted = fit_signal_delays(campaign(0.004), headers, (), trials)
     assert fitted["A"].stamp_s == fitted["B"].stamp_s == pytest.approx(0.004, rel=0.1)
+
+
+@pytest.mark.parametrize(("chips", "is_nuisance"), [(("bma180", "adxl345"), True), (("adxl345", "adxl345"), False)])
+def test_units_of_one_chip_may_be_late_beside_those_of_another(chips: tuple[str, str], is_nuisance: bool) -> None:
+    """18 ms beside a data rate of 100 Hz; of two units of one chip only a fault makes one late."""
+    headers = {name: header(name, chip=chip, rate_hz=100.0) for name, chip in zip("AB", chips, strict=True)}
+
+    def campaign(*delays_s: float) -> Campaign:
+        tally = CrossTally(list(headers.values()), MOVING, 50_000_000)
+        for sensor, delay_s in zip(headers.values(), delays_s, strict=True):
+            rows = np.rint(sensor.sensitivity * swaying(SECONDS - delay_s))
+            tally.update(sensor.name, block(rows, INTERVAL_NS))
+        phase = PhaseSummary(MOVING, 0, Layout({}, 50_000_000), {}, tally.result())
+        return Campaign((LogSummary("motion", (phase,)),))
+
+    assert can_fit_signal_delays(campaign(0.0, 0.018), headers, ()) == is_nuisance
+    trials = [(dict.fromkeys(headers, NO_DELAY), [campaign(0.0, 0.0)])]
+    fitted = fit_signal_delays(campaign(0.0, 0.018), headers, (), trials)
+    later_s = fitted["B"].stamp_s - fitted["A"].stamp_s
+    assert later_s == pytest.approx(0.018 if is_nuisance else 0.0, abs=0.002)
 
 
 def test_three_sensors_of_a_quantity_are_compared_with_each_other_only() -> None:

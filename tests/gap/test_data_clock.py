@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from imuarray.gap.model.data_clock import _readings_a_row, _readings_between_polls
+from imuarray.gap.model.data_clock import _readings_a_row, _readings_between_polls, clock_errors
+from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, PhaseSummary
 from imuarray.gap.statistics.intervals import IntervalMoments, Intervals
+from imuarray.gap.statistics.summary import Grid, Summary, Tally
+from imuarray.log import Block
+from imuarray.log.format import Phase, SensorHeader
 
 POLLS = 400_000
 
@@ -52,3 +58,39 @@ def test_a_clock_that_is_polled_more_often_than_it_measures(error: float) -> Non
 def test_more_repeats_than_short_intervals_are_no_clock() -> None:
     intervals = Intervals(100, 5e-3, 0.0, 0, 5e-3, shorter=50, shorter_s=4e-3)
     assert np.isnan(_readings_between_polls(intervals, 0.6))
+
+
+def polled(header: SensorHeader, phase: Phase, rows: int, slow: float, noise_counts: float, moves: bool) -> Summary:
+    """Summary of rows at 100 Hz of a clock that is slower than the polls by `slow`, from 0.3 of a period on."""
+    latest = np.floor(np.arange(rows) * (1 - slow) + 0.3).astype(int)
+    readings = np.random.default_rng(rows).normal(0, noise_counts, (rows, 3))
+    readings += 3000 * moves * np.sin(np.arange(rows)[:, None] / np.array([40.0, 55.0, 70.0]))
+    counts = np.rint(readings).astype(np.int16)[latest]
+    tally = Tally(header, phase, Grid.of(rows))
+    tally.update(Block(phase.start_ns + np.arange(rows) * 10_000_000, counts, np.zeros(rows, np.uint16)))
+    return tally.result(lambda time_ns: np.full(len(time_ns), 25.0))
+
+
+def test_a_motion_tells_a_clock_of_which_a_short_rest_tells_too_little() -> None:
+    """Three seconds at rest have one repeat, a minute of motion has 24. The gyroscope of the chip, whose readings are
+    often equal by chance, has its clock; one in another chip has not.
+    """
+    accelerometer = SensorHeader("U1_acc", "mpu9150", "specific_force", "g", 2.0, 16384.0, rate_hz=100.0)
+    gyroscope = SensorHeader("U1_gyro", "mpu9150", "angular_rate", "dps", 2000.0, 16.4, rate_hz=100.0)
+    headers = {header.name: header for header in (accelerometer, gyroscope, replace(gyroscope, name="U2_gyro"))}
+    noise_counts = {"U1_acc": 6.0, "U1_gyro": 0.6, "U2_gyro": 0.6}
+    rest, motion = Phase(0, 3 * 10**9, "static", "+Z"), Phase(3 * 10**9, 63 * 10**9, "motion")
+    phases = []
+    for number, (phase, rows) in enumerate(((rest, 300), (motion, 6000))):
+        sensors = {
+            name: polled(header, phase, rows, 0.004, noise_counts[name], phase is motion)
+            for name, header in headers.items()
+        }
+        phases.append(PhaseSummary(phase, number, Layout({}, 50_000_000), sensors, None))
+    noises = {name: np.full(3, counts) for name, counts in noise_counts.items()}
+    errors = clock_errors(Campaign((LogSummary("motion", tuple(phases)),)), headers, noises)
+    assert errors["U1_acc"] == pytest.approx(-0.004, abs=3e-4)
+    assert errors["U1_gyro"] == errors["U1_acc"]
+    assert np.isnan(errors["U2_gyro"])
+    at_rest = clock_errors(Campaign((LogSummary("static", (phases[0],)),)), headers, noises)
+    assert np.isnan(list(at_rest.values())).all()

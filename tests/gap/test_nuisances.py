@@ -103,6 +103,10 @@ def test_a_strong_line_is_of_the_surroundings_if_several_have_it() -> None:
     (amplitude_g,) = vibrating(10 * MOST_G, "A1", "A2")
     assert amplitude_g == pytest.approx(10 * MOST_G, rel=0.15)
     assert vibrating(3 * MOST_G, "A1") == ()
+    rate = 0.2  # dps, of which the function makes g
+    (amplitude,) = vibrating(rate, "G1", "G2")
+    assert amplitude * 9.80665 == pytest.approx(np.radians(rate), rel=0.15)
+    assert vibrating(rate, "G1") == ()
 
 
 def test_the_delay_of_filters_is_fitted_in_motion() -> None:

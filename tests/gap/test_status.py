@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -89,3 +91,17 @@ def test_repeats_are_not_compared_where_readings_come_while_they_are_read(doubtf
         assert isinstance(probe, PhaseProbe)
         assert np.isfinite(probe.statistic(summary)).all() == is_told
         assert np.shape(probe.statistic(summary)) == ()  # the same in phases with a value and without
+
+
+@pytest.mark.parametrize(("rate_hz", "is_known"), [(100.0, True), (199.0, True), (200.0, False), (2400.0, False)])
+def test_flags_of_a_chip_that_always_has_a_new_reading_are_no_statistic(rate_hz: float, is_known: bool) -> None:
+    """Polled at 100 Hz, one of 200 Hz has a new reading each time: a recorder flags rows that are equal by chance."""
+    status = np.zeros(100, np.uint16)
+    status[10:20:3] = STALE
+    counts = np.random.default_rng(1).normal(0, 30, (100, 3)).astype(np.int16)
+    tally = Tally(replace(HEADER, rate_hz=rate_hz), Phase(0, 10**9, "static", "+Z"), Grid.of(100))
+    tally.update(Block(np.arange(100) * 10_000_000, counts, status))
+    probe = PROBES["stale"]
+    assert isinstance(probe, PhaseProbe)
+    value = probe.statistic(tally.result(lambda time_ns: np.full(len(time_ns), 25.0)))
+    assert np.isfinite(value).all() == is_known
