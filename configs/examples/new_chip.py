@@ -61,10 +61,6 @@ class Lis3dh(ChipDriver):
             BLOCK_UPDATE(1) | FULL_SCALE(list(SPEC.sensitivity).index(sensor.range or 2.0)) | HIGH_RESOLUTION(1),
         )
 
-    def identify(self) -> None:
-        """SensorError unless it answers 0x33."""
-        self.registers.expect(WHO_AM_I)
-
     def steps(self) -> Iterator[float]:
         """Rate and range, written and read back."""
         for setting in self.watched:
@@ -129,7 +125,8 @@ class Now:
 def main() -> list[float]:
     """Identify, configure, fetch, decode; the reading in g."""
     place = {"name": "A", "chip": "lis3dh", "place": "trunk address 0x18", "address": 0x18}
-    sensor = SimpleNamespace(**place, range=2.0, chip_rate_hz=400.0)  # SensorConfig, once the chip is in CHIPS
+    # SensorConfig, once the chip is in CHIPS
+    sensor = SimpleNamespace(spec=SPEC, **place, range=2.0, chip_rate_hz=400.0)
     bus = Conversation(GOLDEN)
     driver = Lis3dh(bus, cast(SensorConfig, sensor), Now())
     driver.identify()

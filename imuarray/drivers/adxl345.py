@@ -57,10 +57,6 @@ class Adxl345(ChipDriver):
         self.power = facts.POWER_CTL[7:0](facts.MEASURE(1).value)
         self.watched: tuple[Setting, ...] = (self.power, *self.settings[:3])
 
-    def identify(self) -> None:
-        """Check that DEVID is 0xE5 (ADX-10); SensorError."""
-        self.registers.expect(facts.DEVID)
-
     def steps(self) -> Iterator[float]:
         """Set standby, the settings and measurement; wait for the first sample (1/ODR + 1.1 ms, ADX-38)."""
         for setting in (facts.POWER_CTL[7:0](0), *self.settings, self.power):

@@ -75,9 +75,9 @@ class Ak8963(ChipDriver):
             host.change(mpu6500.BYPASS(1))
 
     def identify(self) -> None:
-        """Check that WIA is 0x48, with the bypass open (AKM-02); SensorError."""
+        """Check the identity, with the bypass open (AKM-02); SensorError."""
         self.open_bypass()
-        self.registers.expect(facts.WIA)
+        super().identify()
 
     def steps(self) -> Iterator[float]:
         """Open the bypass, read the fuse ROM, then measure continuously; SensorError if the ROM holds no adjustment."""

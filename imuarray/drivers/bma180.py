@@ -63,10 +63,6 @@ class Bma180(ChipDriver):
         )
         self.watched: tuple[Setting, ...] = self.settings
 
-    def identify(self) -> None:
-        """Check that chip_id is 3 (BMA-10); SensorError."""
-        self.registers.expect(facts.CHIP_ID)
-
     def steps(self) -> Iterator[float]:
         """Reset, wait for the EEPROM download, unlock, change, read back, lock, let the filter settle."""
         yield from self._set_up(self.settings)

@@ -40,10 +40,6 @@ class Bmp180(OnDemandBarometer):
     _converting = 0
     _temperature = b""
 
-    def identify(self) -> None:
-        """Check that the identity register holds 0x55 (BMP-11); SensorError."""
-        self.registers.expect(facts.CHIP_ID)
-
     def steps(self) -> Iterator[float]:
         """Reset, then read the eleven calibration words; SensorError if one is 0 or 0xFFFF (BMP-31)."""
         self.registers.poke(facts.SOFT_RESET, _SOFT_RESET)

@@ -258,12 +258,22 @@ def carry_out(clock: Clock, steps: Iterator[float]) -> None:
 class ChipDriver:
     """The common part of the drivers of this package: the registers of one chip, and a set-up with waits.
 
-    `clock` is the bus's. A chip without an unused register can't be marked.
+    `clock` is the bus's; `relatives` names other chips that answer at its addresses, by identity. A chip without an
+    unused register can't be marked.
     """
+
+    relatives: ClassVar[Mapping[int, str]] = MappingProxyType({})
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         self.registers = registers_for(sensor, bus)
+        self.identity = sensor.spec.identity
         self.clock = clock
+
+    def identify(self) -> None:
+        """Check that the register that tells the chip from others has its value; SensorError names a relative or a
+        clone.
+        """
+        self.registers.expect(self.identity, relatives=self.relatives)
 
     def steps(self) -> Iterator[float]:
         """Set the chip up, as `Driver.steps`."""

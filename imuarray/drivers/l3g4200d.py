@@ -65,10 +65,6 @@ class L3g4200d(ChipDriver):
         )
         self.watched: tuple[Setting, ...] = (self.power, *self.settings[2:])
 
-    def identify(self) -> None:
-        """Check that WHO_AM_I is 0xD3 (L3G-10); SensorError."""
-        self.registers.expect(facts.WHO_AM_I)
-
     def steps(self) -> Iterator[float]:
         """Yield the steps of its configuration, without a reset, because there is none: every control register is
         written, then the power bit; wait for the turn-on.

@@ -31,9 +31,6 @@ _OFFSETS = (
     *(facts.OFFSET_Y_H, facts.OFFSET_Z_L, facts.OFFSET_Z_H),
 )
 _RANGE_CODES = {4.0: 0, 8.0: 1, 12.0: 2, 16.0: 3}  # LIS-10
-_RELATIVES: Mapping[int, str] = MappingProxyType(
-    {0x3C: "an LSM303DLHC or LSM303DLM", 0x40: "an LIS2MDL or LSM303AGR"}  # LIS-02
-)
 _START_S = 0.020  # LIS-15
 _SELF_TEST_RANGE = 12.0  # LIS-16
 _SELF_TEST_RATE = 0b111  # 80 Hz
@@ -49,6 +46,9 @@ class Lis3mdl(ChipDriver):
     burst: ClassVar[int] = 9
     tells_fresh: ClassVar[bool] = True
     reading: ClassVar[slice] = slice(3, 9)
+    relatives: ClassVar[Mapping[int, str]] = MappingProxyType(
+        {0x3C: "an LSM303DLHC or LSM303DLM", 0x40: "an LIS2MDL or LSM303AGR"}  # LIS-02
+    )
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
@@ -70,10 +70,6 @@ class Lis3mdl(ChipDriver):
             facts.LOW_POWER(0) | facts.SPI_THREE_WIRE(0) | facts.OPERATION(_CONTINUOUS),
         )
         self.watched: tuple[Setting, ...] = self.settings[len(_OFFSETS) :]
-
-    def identify(self) -> None:
-        """Check that WHO_AM_I is 0x3D (LIS-02); SensorError."""
-        self.registers.expect(facts.WHO_AM_I, relatives=_RELATIVES)
 
     def steps(self) -> Iterator[float]:
         """Set offsets to zero, every setting, and continuous measurement last; then wait for its first samples."""

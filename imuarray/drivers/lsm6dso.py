@@ -33,16 +33,6 @@ _QUEUE_ON = facts.FIFO_CTRL4[7:0](
 )
 _LATCHED = 0b011  # the first sample after a pulse is marked: LSM-49
 _MARKS = facts.CTRL9_XL[7:0]((facts.MARK_Z(1) | facts.PULSE_ACTIVE_HIGH(1)).value)  # of the gyroscope
-_RELATIVES: Mapping[int, str] = MappingProxyType(
-    {
-        0x69: "an LSM6DS3",
-        0x6A: "an LSM6DSL, LSM6DSM or LSM6DS3TR-C",
-        0x6B: "an LSM6DSR",
-        0x6D: "an LSM6DST",
-        0x70: "an LSM6DSV",
-    }
-)
-"""Related chips by identity (LSM-03)."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +78,15 @@ class Lsm6dso(SixAxisHalf):
 
     first: ClassVar[Register] = facts.OUT_TEMP_L
     marked: ClassVar[Register] = facts.FIFO_CTRL1  # the watermark of the queue, which is off: LSM-18
-    relatives: ClassVar[Mapping[int, str]] = _RELATIVES
+    relatives: ClassVar[Mapping[int, str]] = MappingProxyType(  # LSM-03
+        {
+            0x69: "an LSM6DS3",
+            0x6A: "an LSM6DSL, LSM6DSM or LSM6DS3TR-C",
+            0x6B: "an LSM6DSR",
+            0x6D: "an LSM6DST",
+            0x70: "an LSM6DSV",
+        }
+    )
     triads: ClassVar[Mapping[str, slice]] = {"acc": slice(8, 14), "gyro": slice(2, 8)}
     temperature: ClassVar[slice] = slice(0, 2)
     order: ClassVar[str] = "<i2"

@@ -61,10 +61,6 @@ class Mmc5983(ChipDriver):
         )
         self._bridge = self._flipped = np.zeros(3)
 
-    def identify(self) -> None:
-        """Check that the product ID is 0x30 (MMC-02); SensorError."""
-        self.registers.expect(facts.PRODUCT_ID)
-
     def steps(self) -> Iterator[float]:
         """Reset, take a reading after a RESET and one after a SET, then start continuous readings; SensorError if one
         of the two is not completed in time.

@@ -71,8 +71,6 @@ class SixAxisHalf(ChipDriver):
     tells_fresh: ClassVar[bool] = False
     first: ClassVar[Register]
     """Register at which a burst begins."""
-    relatives: ClassVar[Mapping[int, str]] = {}
-    """Names of other chips that answer at these addresses, by identity."""
     marked: ClassVar[Register]
     """A register without effect, which distinguishes the die from its twins."""
     triads: ClassVar[Mapping[str, slice]]
@@ -83,7 +81,6 @@ class SixAxisHalf(ChipDriver):
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
         self.half = sensor.chip.rpartition("_")[2]
-        self.identity = sensor.spec.identity
         self.rate_hz = sensor.chip_rate_hz
         self.on_spi = sensor.on_spi
         self.settings: tuple[Setting, ...] = ()
@@ -93,10 +90,6 @@ class SixAxisHalf(ChipDriver):
     def reading(self) -> slice:
         """Both triads and the thermometer: noise in six axes prevents two equal readings."""
         return slice(0, 14)
-
-    def identify(self) -> None:
-        """Check the identity; SensorError names a related chip or a clone."""
-        self.registers.expect(self.identity, relatives=self.relatives)
 
     def steps(self) -> Iterator[float]:
         """Set this half up, with the common settings."""
