@@ -26,7 +26,7 @@ from imuarray.figures import PALETTE, new_figure
 from imuarray.fuse import Gain, errors_of, fuse, gains
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.findings.diagnosis import Diagnosis
-from imuarray.gap.findings.formatting import parameters_text, places_text
+from imuarray.gap.findings.formatting import effect_text, listed_causes, parameters_text, places_text, share
 from imuarray.log import Log, open_log
 from imuarray.log.format import Phase
 from imuarray.printable import listed
@@ -154,8 +154,8 @@ def _comparison(gain: Gain) -> str:
 def gap_section(diagnosis: Diagnosis) -> Section:
     """Return the section on the effects that a simulator of the data sheets lacks."""
     rows = [
-        [cause.effect, places_text(cause), parameters_text(cause.parameters), f"{cause.probability:.2f}"]
-        for cause in diagnosis.causes
+        [effect_text(cause), places_text(cause), parameters_text(cause.parameters), share(cause.probability)]
+        for cause in listed_causes(diagnosis.causes)
     ]
     table = Table(
         ["effect", "where", "parameters", "probability"],

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from imuarray.arrays import Floats
 from imuarray.gap.model.use import Use
 from imuarray.json_values import json_value
-from imuarray.printable import percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -282,7 +281,9 @@ class Diagnosis:
         return text_of(self)
 
     def __repr__(self) -> str:
-        causes = ", ".join(f"{cause.effect} ({percent(cause.probability)})" for cause in self.causes)
+        from imuarray.gap.findings.formatting import listed_causes, share
+
+        causes = ", ".join(f"{cause.effect} ({share(cause.probability)})" for cause in listed_causes(self.causes))
         return f"<Diagnosis: {self.verdict}; {f'causes {causes}' if causes else 'no cause'}>"
 
     def _repr_html_(self) -> str:

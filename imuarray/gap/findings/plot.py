@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imuarray.figures import PALETTE, new_figure
-from imuarray.printable import percent
+from imuarray.gap.findings.formatting import listed_causes, own_closure, share
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,10 +19,10 @@ _MOST = 12
 
 
 def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
-    """Return the worst statistics by their significance, and each cause by the share of the gap that it closes, with
-    its 95 % interval and its probability; MissingExtraError without matplotlib.
+    """Return the worst statistics by their significance, and each listed cause by the share of the gap that it would
+    close, with its 95 % interval and its probability; MissingExtraError without matplotlib.
     """
-    rows = max(min(_MOST, len(diagnosis.where)), len(diagnosis.causes), 3)
+    rows = max(min(_MOST, len(diagnosis.where)), len(listed_causes(diagnosis.causes)), 3)
     figure = new_figure(10.0, 1.6 + 0.3 * rows)
     worst, causes = figure.subplots(1, 2)
     _draw_worst(worst, diagnosis)
@@ -44,16 +44,17 @@ def _draw_worst(panel: Axes, diagnosis: Diagnosis) -> None:
 
 
 def _draw_causes(panel: Axes, diagnosis: Diagnosis) -> None:
-    """The causes, most probable first."""
-    for row, cause in enumerate(diagnosis.causes):
-        if cause.closed is None:
+    """The causes that are listed, most probable first."""
+    causes = listed_causes(diagnosis.causes)
+    for row, cause in enumerate(causes):
+        closed, interval = own_closure(cause, diagnosis)
+        if closed is None:
             continue
-        low, high = cause.closed_ci95 or (cause.closed, cause.closed)
-        panel.plot([low, high], [row, row], color=PALETTE[0], linewidth=1.2)
-        panel.plot(cause.closed, row, "o", color=PALETTE[1], markersize=5)
-    labels = [f"{cause.effect} ({percent(cause.probability)})" for cause in diagnosis.causes]
+        panel.plot(interval or (closed, closed), [row, row], color=PALETTE[0], linewidth=1.2)
+        panel.plot(closed, row, "o", color=PALETTE[1], markersize=5)
+    labels = [f"{cause.effect} ({share(cause.probability)})" for cause in causes]
     panel.set_yticks(range(len(labels)), labels, fontsize=8)
     panel.set_ylim(max(len(labels), 1) - 0.5, -0.5)
     panel.set_xlim(-0.05, 1.05)
-    panel.set_xlabel("share of the gap that goes with the cause, 95 % interval")
+    panel.set_xlabel("share that would close if it were the cause (95 %)")
     panel.set_title("causes (probability)" if labels else "no cause", loc="left", fontsize=9.5)
