@@ -21,7 +21,7 @@ from imuarray.commands.options import (
     refuse_existing,
     refuse_other_suffix,
 )
-from imuarray.fuse.technique_descriptions import TECHNIQUE_DESCRIPTIONS, TECHNIQUE_NAMES
+from imuarray.fuse.technique_descriptions import NAME_WIDTH, TECHNIQUE_DESCRIPTIONS, TECHNIQUE_NAMES
 from imuarray.printable import listed
 from imuarray.units import INERTIAL, READABLE_SI
 
@@ -45,7 +45,7 @@ _WORDS = {
 }
 
 
-_LIST = "\n".join(f"{name:8} {technique.about}" for name, technique in TECHNIQUE_DESCRIPTIONS.items())
+_LIST = "\n".join(f"{name:{NAME_WIDTH}} {technique.about}" for name, technique in TECHNIQUE_DESCRIPTIONS.items())
 
 _HELP = f"""Fuse all sensors of RUN.h5 into one specific force and one angular rate in the box frame.
 
@@ -391,7 +391,7 @@ def _print_results(report: dict[str, Any]) -> None:
         for name, words in _WORDS.items():
             for result, cells in rows.items():
                 if name in cells:
-                    click.echo(f"  {quantity:15} {words:38} {result:8} {cells[name]} {unit}")
+                    click.echo(f"  {quantity:15} {words:38} {result:{NAME_WIDTH}} {cells[name]} {unit}")
 
 
 def _error_rows(errors: dict[str, Any], factor: float) -> dict[str, str]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imuarray.commands.options import progress
+from imuarray.fuse.technique_descriptions import NAME_WIDTH
 from imuarray.json_values import json_value
 from imuarray.printable import counted
 from imuarray.units import INERTIAL, READABLE_SI
@@ -187,7 +188,7 @@ def print_evaluation(report: dict[str, Any]) -> None:
                 f"{quantity.replace('_', ' ')}: errors against the truth along box x, y, z in {unit}, {frames} frames"
             )
             heads = "".join(f" {name:^23}" for name in _PRINTED_MEASURES)
-            click.echo(f"  {'':8}{heads} {'rms over the mean':^22} normalised^2")
+            click.echo(f"  {'':{NAME_WIDTH}}{heads} {'rms over the mean':^22} normalised^2")
         for score in scores:
             click.echo(_score_line(score, factor))
     _print_coasting(report["coasting"])
@@ -203,7 +204,7 @@ def _score_line(score: dict[str, Any], factor: float) -> str:
         else f"{consistency['normalised']:.3g} ({consistency['low']:.2f} to {consistency['high']:.2f})"
     )
     wrong = "" if consistency is None or consistency["holds"] else " !"
-    return f"  {score['technique']:8} {figures} {interval:22} {normal}{wrong}"
+    return f"  {score['technique']:{NAME_WIDTH}} {figures} {interval:22} {normal}{wrong}"
 
 
 def _print_coasting(coasting: dict[str, Any]) -> None:
@@ -217,7 +218,7 @@ def _print_coasting(coasting: dict[str, Any]) -> None:
         heading, velocity = coast["heading_rms_deg"], coast["velocity_rms_mps"]
         if heading is not None:
             click.echo(
-                f"  {technique:10} heading {heading:8.4f} deg   horizontal velocity {velocity:8.4f} m/s"
+                f"  {technique:{NAME_WIDTH}}   heading {heading:8.4f} deg   horizontal velocity {velocity:8.4f} m/s"
                 f"   of {counted(coast['coasts'], 'coast')}"
             )
 

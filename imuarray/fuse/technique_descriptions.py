@@ -47,3 +47,5 @@ TECHNIQUE_DESCRIPTIONS: Mapping[str, TechniqueDescription] = MappingProxyType(
 
 TECHNIQUE_NAMES = ", ".join([*TECHNIQUE_DESCRIPTIONS][:-1]) + f" or {[*TECHNIQUE_DESCRIPTIONS][-1]}"
 """All names, for the help of an option."""
+NAME_WIDTH = 1 + max(map(len, TECHNIQUE_DESCRIPTIONS))
+"""Width of a column of names in the tables of the terminal."""
