@@ -174,6 +174,14 @@ def test_a_little_that_is_left_is_explained_in_part() -> None:
         (0.99, [0.9], 0.1, "G1", "G1 still differs far beyond chance"),
         (0.95, [0.9], 0.5, "", "something outside the library is at least as probable as not"),
         (None, [0.9], 0.1, "", "how much of the gap closes cannot be measured"),
+        (
+            0.4,
+            [0.1],
+            0.9,
+            "",
+            "only 40 % of the gap closes (explained from 90 % on); which of several causes it is remains"
+            " open: none is more probable than not",
+        ),
         (None, [], 0.1, "", "no known effect was accepted as a cause"),
     ],
 )

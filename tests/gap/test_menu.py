@@ -177,8 +177,8 @@ def test_without_rivals_what_is_not_explained_or_not_shown(bench: Bench) -> None
         "from run to run of A2 z, which is not explained."
     )
     assert next_experiment(bench, nothing, [], [], hidden, run) == (
-        "Record a heating: warmer by 20 degC, by 30 degC, and cool again, in half an hour (0.65 h): it shows"
-        " thermal_scale and thermal_lag, which these recordings cannot show."
+        "Record a heating log: it can show thermal_scale and thermal_lag, which these recordings cannot; what to do for"
+        " each is listed with it."
     )
     short = [Unobservable("differences of spread", ("A1", "A2"), "4 minutes")]
     assert next_experiment(bench, nothing, [], [], short, run) == (

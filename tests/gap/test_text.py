@@ -190,6 +190,7 @@ def test_what_is_not_observable_is_sorted_by_experiment_and_sensors() -> None:
         "Not observable in these recordings, and what to record\n"
         "  tumble, B1, B2: scale (all six faces); misalignment (all six faces)\n"
         "  motion, G1: scale (turns about every axis)\n"
+        "\n"
         "Too short to exclude differences that matter, and what to record\n"
         "  B1: noise (4 minutes); correlation between axes and sensors (a longer log is not enough)\n"
     ) in text

@@ -146,7 +146,8 @@ def _showing_experiment(unshown: Sequence[Unobservable]) -> str:
     if effects:
         distinct = {kind: list(dict.fromkeys(names)) for kind, names in effects.items()}
         best = max(distinct, key=lambda kind: len(distinct[kind]) / MENU[kind].hours)
-        return f"Record {_offered(best)}: it shows {series(distinct[best])}, which these recordings cannot show."
+        what = f"{series(distinct[best])}, which these recordings cannot; what to do for each is listed with it"
+        return f"Record a {best} log: it can show {what}."
     if unshown:
         sensors = f" of {listed(unshown[0].sensors)}" if unshown[0].sensors else ""
         return f"To observe {unshown[0].effect.replace('_', ' ')}{sensors}, record {unshown[0].record}."

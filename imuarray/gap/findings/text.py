@@ -50,7 +50,7 @@ def text_of(diagnosis: Diagnosis, width: int = WIDTH) -> str:
     close the gap; parts out of specification; notes; what could not be shown or compared; what to record next.
     """
     width = min(max(width, _LEAST_WIDTH), WIDTH)
-    parts = (_verdict, _where, _causes, _check, _pulls, _notes, _unshown, _missing, _next)
+    parts = (_verdict, _where, _causes, _check, _pulls, _notes, _unshown, _too_short, _missing, _next)
     texts = ["\n".join(_wrapped(part(diagnosis), width)) for part in parts]
     return "\n\n".join(filter(None, texts)) + "\n"
 
@@ -201,28 +201,31 @@ def _logs(some: Sequence[str], names: Sequence[str]) -> str:
 
 
 def _unshown(diagnosis: Diagnosis) -> Iterator[Line]:
-    """Yield what the recordings cannot show, by the experiment that would show it; and for how long to record to
-    exclude differences that matter.
-    """
-    shown_by: dict[str, dict[str, list[str]]] = {}
-    too_short: dict[str, list[str]] = {}
+    """Yield the effects that the recordings cannot show, by the experiment that would show them."""
+    shown_by: dict[tuple[str, str], list[str]] = {}
     for item in diagnosis.unshown:
-        sensors = names_text(item.sensors) or "all sensors"
-        kind, colon, record = item.record.partition(": ")
-        if item.effect.startswith(DIFFERENCES):
-            domain = domain_text(item.effect.removeprefix(DIFFERENCES).replace(" ", "_"))
-            too_short.setdefault(sensors, []).append(f"{domain} ({item.record})")
-        else:
-            place = (kind, record) if colon else ("record", item.record)
-            shown_by.setdefault(place[0], {}).setdefault(sensors, []).append(f"{item.effect} ({place[1]})")
+        if not item.effect.startswith(DIFFERENCES):
+            kind, colon, record = item.record.partition(": ")
+            kind, record = (kind, record) if colon else ("record", item.record)
+            place = kind, names_text(item.sensors) or "all sensors"
+            shown_by.setdefault(place, []).append(f"{item.effect} ({record})")
     if shown_by:
         yield "", "Not observable in these recordings, and what to record"
-    for kind, effects in shown_by.items():
-        for sensors, texts in effects.items():
-            yield "  ", f"{kind}, {sensors}: {'; '.join(texts)}"
-    if too_short:
+    kinds = [kind for kind, _ in shown_by]
+    for (kind, sensors), effects in sorted(shown_by.items(), key=lambda item: kinds.index(item[0][0])):
+        yield "  ", f"{kind}, {sensors}: {'; '.join(effects)}"
+
+
+def _too_short(diagnosis: Diagnosis) -> Iterator[Line]:
+    """Yield for how long to record to exclude differences that matter, by sensors."""
+    lengths: dict[str, list[str]] = {}
+    for item in diagnosis.unshown:
+        if item.effect.startswith(DIFFERENCES):
+            domain = domain_text(item.effect.removeprefix(DIFFERENCES).replace(" ", "_"))
+            lengths.setdefault(names_text(item.sensors), []).append(f"{domain} ({item.record})")
+    if lengths:
         yield "", "Too short to exclude differences that matter, and what to record"
-    for sensors, texts in too_short.items():
+    for sensors, texts in lengths.items():
         yield "  ", f"{sensors}: {'; '.join(texts)}"
 
 

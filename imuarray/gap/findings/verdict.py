@@ -29,6 +29,9 @@ DOUBT = 0.05
 _HALF, _STEEP = 0.65, 6.0
 """Closed share at which an unknown effect has even odds, and the steepness of the transition."""
 
+_MOST_REASONS = 2
+"""Most reasons of a verdict that are given, the weightiest first."""
+
 _SURE = 1e-4
 """Shares are limited to this distance from 0 and 1."""
 
@@ -149,7 +152,7 @@ def _reason(
         reasons.append("which of several causes it is remains open: none is more probable than not")
     if unknown >= EVEN:
         reasons.append("something outside the library is at least as probable as not")
-    return "; ".join(reasons) or "the causes close the gap, up to what an inexact form of them leaves"
+    return "; ".join(reasons[:_MOST_REASONS]) or "the causes close the gap, up to what an inexact form of them leaves"
 
 
 def _limit(cause: Cause, unknown: float, unlikely: Collection[str]) -> float:
