@@ -61,15 +61,22 @@ def written(
     missing_s: tuple[float, float] = (0.0, 0.0),
     is_tracked: bool = False,
     reversed_sensor: str = "",
+    shaking: tuple[float, float] = (0.0, 1.0),
 ) -> Log:
-    """Noise of two counts; the first sensor lacks the rows of a stretch; one may have axes that are all reversed."""
+    """Noise of two counts; the first sensor lacks the rows of a stretch; one may have axes that are all reversed. From
+    4 s to 8 s accelerometers are shaken along z, by an amplitude in g at a frequency in Hz.
+    """
     with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
         for number, header in enumerate(sensors):
             time = np.arange(0, 12 * SECOND, round(SECOND / rates_hz[number]), dtype=np.int64)
             if number == 0:
                 time = time[~((missing_s[0] * SECOND <= time) & (time < missing_s[1] * SECOND))]
             sign = -1 if header.name == reversed_sensor else 1
+            amplitude_g, hertz = shaking if header.unit == "g" else (0.0, 1.0)
+            moves = (time >= 4 * SECOND) & (time < 8 * SECOND)
+            shaken = amplitude_g * np.sin(2 * np.pi * hertz * time * 1e-9) * moves
             reading = (sign * felt(header, time * 1e-9) + biases[number]) * header.sensitivity
+            reading[:, 2] += shaken * header.sensitivity
             noise = np.random.default_rng(number).normal(0, 2, (len(time), 3))
             log.append(
                 header.name, Block(time, np.rint(reading + noise).astype(np.int16), np.zeros(len(time), np.uint16))
@@ -171,6 +178,17 @@ def test_an_axis_that_does_not_move_has_no_noise(tmp_path: Path) -> None:
     times = np.linspace(4.1, 7.9, 500) * SECOND
     rate_dps = np.degrees(motion.columns.at(times.astype(np.int64))[0][:, [3, 5]])
     assert rate_dps.std() < 0.007
+
+
+@pytest.mark.parametrize(("hertz", "is_left_out"), [(3.0, False), (31.0, True)])
+def test_a_vibration_is_no_motion_that_sensors_share(tmp_path: Path, hertz: float, is_left_out: bool) -> None:
+    """A third of a g at 3 Hz is a motion, at 31 Hz every row of 100 Hz differs from the one before."""
+    sensors = array(accelerometers=2, gyroscopes=1)
+    shaken = written(tmp_path / "log.h5", sensors, shaking=(1.0, hertz), phases=(REST, TURN._replace(name="drive")))
+    assert (movement_of(shaken, TURN, [REST]) is None) == is_left_out
+    recording = recording_of(shaken)
+    assert (len(recording.phases) == 1) == is_left_out
+    assert any("vibrates faster than the rows" in note for note in recording.notes) == is_left_out
 
 
 def test_noise_alone_is_no_motion() -> None:

@@ -37,6 +37,11 @@ _LEAST_FORCE, _LEAST_RATE, _NOISE_MARGIN = 0.02, 0.003, 2.0
 is taken off before.
 """
 
+_FAST_SHARE, _OVER_NOISE, _SOME_ROWS = 0.5, 4.0, 50_000
+"""Share of a motion that changes from row to row from which on it is a vibration, the multiple of the noise that this
+is at least, and the most rows by which it is told.
+"""
+
 _TURN_STEP_NS = 50_000_000
 """Interval of a turn over which a gyroscope's rates are averaged: 5 degrees of a fast turn."""
 
@@ -60,8 +65,9 @@ def movements_of(
     Accelerometers that are wrong at rest do not count; gyroscopes whose turns lead to another attitude than that of the
     next rest have their axes exchanged, if that explains it.
 
-    A phase is left out if the box does not move, no two sensors measure the same, it has more than `MOST_WINDOWS`, or
-    there is no gyroscope, since accelerometers at different places then feel an unknown rotation.
+    A phase is left out if the box does not move, or vibrates faster than the rows show, no two sensors measure the
+    same, it has more than `MOST_WINDOWS`, or there is no gyroscope, since accelerometers at different places then feel
+    an unknown rotation.
     """
     if not phases or not rests:
         return {}
@@ -71,7 +77,11 @@ def movements_of(
     biases = {sensor.name: _mean_at_rest(sensor, rests) for sensor in triads if sensor.quantity == "angular_rate"}
     ends = _ends_of_turns(triads, phases, rests)
     exchanged = _exchanged_axes(triads, ends, biases)
-    courses = {phase: course for phase in phases if (course := _course(triads, phase, biases, exchanged)) is not None}
+    courses = {
+        phase: course
+        for phase in phases
+        if not vibrates(triads, phase, rests) and (course := _course(triads, phase, biases, exchanged)) is not None
+    }
     turns = (course.turn(phase, *ends[phase]) for phase, course in courses.items() if phase in ends)
     factors = _factors([turn for turn in turns if turn is not None])
     return {
@@ -82,6 +92,34 @@ def movements_of(
         )
         for phase, course in courses.items()
     }
+
+
+def vibrates(triads: Sequence[SensorLog], phase: Phase, rests: Sequence[Phase]) -> bool:
+    """Return whether accelerometers feel mostly what changes from row to row, and is no noise: a vibration, of which
+    sensors that are read at other moments show something else.
+    """
+    for sensor in triads:
+        if sensor.quantity != "specific_force":
+            continue
+        moving = _some_counts(sensor, phase)
+        quiet = [counts for rest in rests if len(counts := _some_counts(sensor, rest)) > _FEWEST_WINDOWS]
+        if len(moving) <= _FEWEST_WINDOWS or not quiet:
+            continue
+        noise = np.min([_scatter(counts) for counts in quiet], axis=0)
+        scatter = _scatter(moving)
+        is_fast = scatter > np.maximum(_FAST_SHARE * moving.std(axis=0), _OVER_NOISE * np.maximum(noise, 0.3))
+        if is_fast.any():
+            return True
+    return False
+
+
+def _some_counts(sensor: SensorLog, phase: Phase) -> Floats:
+    return np.asarray(sensor.counts[sensor.between(phase.start_ns, phase.end_ns)][:_SOME_ROWS], float)
+
+
+def _scatter(counts: Floats) -> Floats:
+    """Return (3,) the standard deviation of what changes from row to row, by neighbours."""
+    return np.asarray(np.sqrt((np.diff(counts, axis=0) ** 2).mean(axis=0) / 2))
 
 
 class _Course(NamedTuple):

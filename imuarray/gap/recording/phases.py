@@ -14,7 +14,7 @@ from imuarray.calibrate.pose_readings import MIN_POSE_S, find_rests
 from imuarray.characterise.stretch import FACE_NAMES, STILL_NAMES
 from imuarray.errors import CalibrationError, LogError
 from imuarray.gap.recording.attitude import array_mean, attitude_numbers, shared_readings, ups_of
-from imuarray.gap.recording.movement import movements_of, shows_motion
+from imuarray.gap.recording.movement import movements_of, shows_motion, vibrates
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
@@ -53,6 +53,10 @@ TURN = "turn"
 _UNKNOWN_MOTION = (
     "the log has no track of the box's motion, nor two sensors of a kind and a gyroscope that show it (in phases of up "
     "to an hour)"
+)
+_VIBRATION = (
+    "the box vibrates faster than the rows of its accelerometers show, so that sensors that are read at other moments "
+    "differ"
 )
 _SHARED_MOTION = (
     "There is no track of the box's motion: it is estimated from the array's own sensors, so that an error of all of "
@@ -108,7 +112,11 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
         moving = list(_between_rests(log, detected))
     else:
         shown = movements_of(log, sensors, [*moving, *turns], [*still, *detected])
-        notes += [f"Phase {phase.name!r} is left out: {_UNKNOWN_MOTION}." for phase in moving if phase not in shown]
+        triads = [log[name] for name in sensors]
+        for phase in moving:
+            if phase not in shown:
+                reason = _VIBRATION if vibrates(triads, phase, [*still, *detected]) else _UNKNOWN_MOTION
+                notes.append(f"Phase {phase.name!r} is left out: {reason}.")
         notes += [_SHARED_MOTION] if shown else []
         moving, movements = list(shown), sorted(shown.values(), key=lambda movement: movement.start_ns)
     phases = tuple(sorted([*still, *detected, *moving]))
