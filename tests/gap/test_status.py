@@ -13,7 +13,7 @@ from imuarray.gap.recording.source import DOUBTFUL
 from imuarray.gap.statistics.intervals import IntervalMoments, StatusTally
 from imuarray.gap.statistics.probes import PROBES, PhaseProbe
 from imuarray.gap.statistics.summary import Grid, Tally
-from imuarray.log.format import LOST_BEFORE, SATURATED, STALE, Phase, SensorHeader
+from imuarray.log.format import LOST_BEFORE, OVERRUN, SATURATED, STALE, Phase, SensorHeader
 from imuarray.log.writer import Block
 
 HEADER = SensorHeader("Gyro", "l3g4200d", "angular_rate", "dps", 250.0, 114.3, rate_hz=100.0)
@@ -91,6 +91,24 @@ def test_repeats_are_not_compared_where_readings_come_while_they_are_read(doubtf
         assert isinstance(probe, PhaseProbe)
         assert np.isfinite(probe.statistic(summary)).all() == is_told
         assert np.shape(probe.statistic(summary)) == ()  # the same in phases with a value and without
+
+
+@pytest.mark.parametrize(("missed", "is_known"), [(0, True), (2, True), (3, False), (30, False), (90, True)])
+def test_repeats_of_uneven_polls_are_no_statistic(missed: int, is_known: bool) -> None:
+    """Ten rows are no new reading. Where about as many tell that a reading was missed, polls are uneven; where nearly
+    all of them do, the chip is faster than the polls.
+    """
+    status = np.zeros(100, np.uint16)
+    status[10:20] = STALE
+    status[100 - missed :] |= OVERRUN
+    counts = np.random.default_rng(1).normal(0, 30, (100, 3)).astype(np.int16)
+    tally = Tally(HEADER, Phase(0, 10**9, "static", "+Z"), Grid.of(100))
+    tally.update(Block(np.arange(100) * 10_000_000, counts, status))
+    summary = tally.result(lambda time_ns: np.full(len(time_ns), 25.0))
+    for name in ("repeats", "stale"):
+        probe = PROBES[name]
+        assert isinstance(probe, PhaseProbe)
+        assert np.isfinite(probe.statistic(summary)).all() == is_known
 
 
 @pytest.mark.parametrize(("rate_hz", "is_known"), [(100.0, True), (199.0, True), (200.0, False), (2400.0, False)])

@@ -10,7 +10,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.gap.statistics.margins import ROWS
 from imuarray.gap.statistics.probes.probe import PhaseProbe, Probes, arcsine, one_row
-from imuarray.gap.statistics.probes.timing import tells_repetitions
+from imuarray.gap.statistics.probes.timing import counts_repeats
 from imuarray.gap.statistics.summary import Summary
 
 _TWICE = 2.0
@@ -27,7 +27,7 @@ def stale(summary: Summary) -> Floats:
     at least twice between polls: its flags are of rows that are equal by chance.
     """
     always_new = summary.header.rate_hz * summary.intervals.mean_s >= _TWICE
-    return flagged(("stale",), summary) if tells_repetitions(summary) and not always_new else np.asarray(np.nan)
+    return flagged(("stale",), summary) if counts_repeats(summary) and not always_new else np.asarray(np.nan)
 
 
 def words(summary: Summary) -> Floats:

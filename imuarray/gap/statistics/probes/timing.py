@@ -57,9 +57,24 @@ def tells_repetitions(summary: Summary) -> bool:
     return not doubtful > MOST_DOUBTFUL * (doubtful + summary.flags["stale"])
 
 
+UNEVEN = 5.0
+"""Ratio of readings missed and repeated, either way, within which both are due to uneven polls."""
+
+
+def counts_repeats(summary: Summary) -> bool:
+    """Return whether repeated readings are those of rates, and not of uneven polls.
+
+    A poll that is late by some tenths of a millisecond finds that a reading was missed, and the one before or after it
+    finds none. How often depends on the time from a row's stamp to the moment at which the chip is read, which no log
+    has. Of a chip that is faster than the polls nearly every one finds that a reading was missed.
+    """
+    flags = summary.flags
+    return tells_repetitions(summary) and not (flags["stale"] < UNEVEN * flags["overrun"] < UNEVEN**2 * flags["stale"])
+
+
 def repeats(summary: Summary) -> Floats:
     """arcsine of the share of rows that equal the one before on all axes; nan if polls do not tell it."""
-    if not tells_repetitions(summary):
+    if not counts_repeats(summary):
         return np.asarray(np.nan)
     share = summary.repeats.repeat_share
     return arcsine(share * (summary.rows - 1), summary.rows - 1)
