@@ -237,9 +237,11 @@ def swapped(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
 
 @pytest.mark.slow
 def test_a_sensor_that_has_anothers_data(swapped: Diagnosis) -> None:
-    """Each may be the one; between them all is the same. The line is there too, and nothing else."""
-    assert {cause.effect for cause in swapped.causes} == {"channel_swap", "tone"}
-    (cause,) = [cause for cause in swapped.causes if cause.effect == "channel_swap"]
+    """Each may be the one; between them all is the same. The line of one of them seems to be one of the surroundings,
+    since both have it.
+    """
+    (cause,) = swapped.causes
+    assert cause.effect == "channel_swap"
     assert cause.origin == "metadata"
     assert (cause.sensors, cause.parameters["sensor"]) in ((("A1",), "A2"), (("A2",), "A1"))
     assert swapped.verdict == "explained"
