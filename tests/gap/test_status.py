@@ -93,7 +93,7 @@ def test_repeats_are_not_compared_where_readings_come_while_they_are_read(doubtf
         assert np.shape(probe.statistic(summary)) == ()  # the same in phases with a value and without
 
 
-@pytest.mark.parametrize(("missed", "is_known"), [(0, True), (2, True), (3, False), (30, False), (90, True)])
+@pytest.mark.parametrize(("missed", "is_known"), [(0, True), (1, True), (2, False), (30, False), (100, True)])
 def test_repeats_of_uneven_polls_are_no_statistic(missed: int, is_known: bool) -> None:
     """Ten rows are no new reading. Where about as many tell that a reading was missed, polls are uneven; where nearly
     all of them do, the chip is faster than the polls.

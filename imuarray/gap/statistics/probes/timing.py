@@ -57,7 +57,7 @@ def tells_repetitions(summary: Summary) -> bool:
     return not doubtful > MOST_DOUBTFUL * (doubtful + summary.flags["stale"])
 
 
-UNEVEN = 5.0
+UNEVEN = 10.0
 """Ratio of readings missed and repeated, either way, within which both are due to uneven polls."""
 
 
