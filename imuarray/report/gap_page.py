@@ -122,7 +122,7 @@ def gap_verdict(diagnosis: Diagnosis) -> Verdict:
     sentence = {
         "no gap": "The simulator is good enough for what these recordings show: they agree with it within chance.",
         "explained": f"The simulator is not good enough as it is. {_remainder(diagnosis, names)}",
-        "partly explained": f"The simulator is not good enough. {_partly(diagnosis, names)}.",
+        "partly explained": f"The simulator is not good enough; {_partly(diagnosis, names)}.",
         "unexplained": "The simulator is not good enough, and no known effect explains the difference.",
     }[diagnosis.verdict]
     figures = [
@@ -147,8 +147,8 @@ def _partly(diagnosis: Diagnosis, names: str) -> str:
     if max((cause.probability for cause in diagnosis.causes), default=0.0) < EVEN:
         nearest = list(dict.fromkeys(cause.effect.replace("_", " ") for cause in listed_causes(diagnosis.causes)))
         maybe = f" (maybe {_series(nearest, 'or')})" if nearest else ""
-        return f"Which effect it lacks remains open{maybe}"
-    return f"With {names} added, {diagnosis.reason or 'a part of the difference remains'}"
+        return f"which effect it lacks remains open{maybe}"
+    return f"with {names} added, {diagnosis.reason or 'a part of the difference remains'}"
 
 
 def _remainder(diagnosis: Diagnosis, names: str) -> str:

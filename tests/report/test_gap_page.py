@@ -306,15 +306,15 @@ def test_without_a_gap(tmp_path: Path) -> None:
     [
         (
             CAUSES[:1],
-            "The simulator is not good enough. With thermal lag (the sensing element, or a part of it, warms",
+            "The simulator is not good enough; with thermal lag (the sensing element, or a part of it, warms",
         ),
         (
             [replace(CAUSES[0], probability=0.2), replace(CAUSES[1], probability=0.1, alternative_to="thermal_lag")],
-            "The simulator is not good enough. Which effect it lacks remains open (maybe thermal lag or tone).",
+            "The simulator is not good enough; which effect it lacks remains open (maybe thermal lag or tone).",
         ),
         (
             [replace(CAUSES[0], probability=0.01)],
-            "The simulator is not good enough. Which effect it lacks remains open.",
+            "The simulator is not good enough; which effect it lacks remains open.",
         ),
     ],
 )
