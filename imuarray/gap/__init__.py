@@ -9,9 +9,10 @@ and temperatures as far as the logs tell them. A **simulator** makes such record
   replicate draws within what the rows tell of it (measured correlations where no filter has them);
 * **nuisance parameters** nu: what a data sheet leaves to the part, each with a tolerance (`model.populations`). Scale
   error, misalignment, g-sensitivity and tilt of the box are profiled within their tolerances; so are the lag of an
-  element behind the temperature of the box (`model.element_temperature`), the delay of a signal in the chip's filter,
-  the offset of the times of rows from a queue, or of the sensors' clock from a track's (`model.signal_delay`), and
-  faint lines that the room shakes into all accelerometers (`model.vibration`). The phase and rate of the data clock,
+  element behind the temperature of the box (`model.element_temperature`), the delay of a signal in a chip's filter and
+  in its decimation, the offset of the times of rows from a queue, or of the sensors' clock from a track's
+  (`model.signal_delay`), and lines of the surroundings: those that several sensors of a quantity measure alike, and
+  faint ones of accelerometers (`model.vibration`). The phase and rate of the data clock (`model.data_clock`),
   the scatter of biases from one power-on to the next, the position of an accelerometer, nonlinearity, the slope of the
   scale over temperature, slopes that no temperature tells, a bias that all accelerometers have in common, and the
   course of a room's temperature that nobody recorded (`model.room_temperature`) are drawn anew for every replicate.
@@ -22,10 +23,11 @@ and temperatures as far as the logs tell them. A **simulator** makes such record
 
 **Statistics** s(x) are some 80 numbers for each axis and phase (`statistics.probes`), of what the fit leaves, never of
 raw samples; each is such that it scatters nearly normally where nothing is wrong. In motion a sensor is compared with
-the others of its quantity, the only one of its quantity with the track of the log, without the noise that the track has
-at rest (`simulate.motion.track_noise`). Rows in which a filter settles after power-on are left out. Without a track the
-motion is estimated from the sensors together (`recording.movement`). Turns between noted rests are motions, too. A
-statistic that one side lacks is missing: it has no score.
+the others of its quantity, and with fewer than two others with the track of the log as well, without the noise that
+the track has at rest (`simulate.motion.track_noise`). Rows in which a filter settles after power-on are left out.
+Without a track the motion is estimated from the sensors together (`recording.movement`), unless the box vibrates faster
+than the rows show. Turns between noted rests are motions, too, whose beginning and end gravity tells
+(`recording.turns`). A statistic that one side lacks is missing: it has no score.
 
 **Null distribution.** The gap is judged by parametric bootstrap: replicates x* ~ p(x | theta_hat, nu*), nu* drawn
 from its population, theta fitted again to each. So both kinds of uncertainty are in it, that of the fit and that of
