@@ -96,23 +96,25 @@ def test_a_motion_that_nothing_tells_of_is_left_out(tmp_path: Path) -> None:
 def test_a_turntable_is_not_at_rest_although_its_phases_note_a_face(
     tmp_path: Path, by_reference: bool, rate_dps: float
 ) -> None:
-    """By a reference of the rate alone, or by a mean reading that is no bias."""
+    """By a reference of the rate alone, or by a mean reading that differs from that at rest; a bias of 40 dps, as at a
+    range of 2000 dps, is no turn.
+    """
     times = np.arange(0, 12 * SECOND, SECOND // 10)
     gyroscope = FOREIGN[1]
     turning = np.where(times >= 4 * SECOND, rate_dps, 0.0)[:, None] * [0.0, 0.0, 1.0]
     with LogWriter(tmp_path / "log.h5", [gyroscope], source="imported", epoch="2024-01-01T00:00:00Z") as log:
-        rows = np.rint(turning @ gyroscope.orientation * gyroscope.sensitivity).astype(np.int16)
+        rows = np.rint((40.0 + turning) @ gyroscope.orientation * gyroscope.sensitivity).astype(np.int16)
         log.append("Gyro", Block(times, rows, np.zeros(len(times), np.uint16)))
         if by_reference:
             force = np.tile([0.0, 0.0, 9.80665], (len(times), 1))
             log.stimulus("reference", Stimulus(times, force, np.radians(turning), np.full(len(times), 25.0)))
-        for noted in (phase(0, 4, "z_up", "+Z"), phase(4, 12, "rate", "+Z")):
+        for noted in (phase(0, 2, "z_up", "+Z"), phase(2, 4, "heat", "+Z"), phase(4, 12, "rate", "+Z")):
             log.phase(noted)
     if by_reference:
         with h5py.File(tmp_path / "log.h5", "r+") as file:
             del file["reference/specific_force"], file["reference/temperature"]
     recording = recorded(tmp_path / "log.h5")
-    assert [item.name for item in recording.phases] == ["z_up"]
+    assert [item.name for item in recording.phases] == ["z_up", "heat"]
 
 
 def test_a_reference_tells_of_it(tmp_path: Path) -> None:

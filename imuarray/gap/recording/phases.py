@@ -34,9 +34,9 @@ MOST_TILT_DEG = 5.0
 MOST_RATE_DPS, _TRACK_TIMES = 3.0, 1000
 """A box that turns faster by its track (rms over so many moments of a phase) is not at rest, whatever is noted."""
 
-MOST_BIAS_DPS, _REFERENCE_DPS, _RATE_ROWS = 30.0, 0.3, 4096
-"""A larger mean rate is that of a turntable and not a bias (MPU: 20 dps), by gyroscopes and by a reference; and the
-most rows of which it is the mean.
+_CHANGE_DPS, _REFERENCE_DPS, _RATE_ROWS = 10.0, 0.3, 4096
+"""A larger mean rate is that of a turntable, by gyroscopes beside what they read at rest, whose biases change less in
+any heat, and by a reference; and the most rows of which it is the mean.
 """
 
 HEATED_DEGC = 3.0
@@ -133,21 +133,25 @@ def _without_false_face(phase: Phase, motion: LikeLog) -> Phase:
 
 
 def _without_face_of_turntable(phase: Phase, log: Log) -> Phase:
-    """Return a phase without its axis up if the box turns about it by a reference of the rate alone, or by more than
-    the bias of any gyroscope, and its name does not mean rest.
+    """Return a phase without its axis up if the box turns about it by a reference of the rate alone, or by gyroscopes
+    beside what they read at rest, and its name does not mean rest.
     """
     if not phase.up or is_at_rest(phase._replace(up="")):
         return phase
-    rates_dps = [_mean_rate_dps(sensor, phase) for sensor in log.of("angular_rate") if sensor.sensitivity]
-    known = [rate_dps for rate_dps in rates_dps if np.isfinite(rate_dps).all()]
-    largest_dps, bias_dps = float(np.linalg.norm(np.median(known, axis=0))) if known else 0.0, MOST_BIAS_DPS
+    rests = [rest for rest in log.phases if is_at_rest(rest._replace(up=""))][:1]
+    gyroscopes = [sensor for sensor in log.of("angular_rate") if sensor.sensitivity]
+    changes_dps = [
+        _mean_rate_dps(sensor, phase) - _mean_rate_dps(sensor, rest) for sensor in gyroscopes for rest in rests
+    ]
+    known = [change_dps for change_dps in changes_dps if np.isfinite(change_dps).all()]
+    largest_dps, least_dps = float(np.linalg.norm(np.median(known, axis=0))) if known else 0.0, _CHANGE_DPS
     reference = log.reference
     if reference is not None and reference.angular_rate is not None:
         first, stop = np.searchsorted(reference.time[:], [phase.start_ns, phase.end_ns]).tolist()
         rows = np.asarray(reference.angular_rate[first:stop], float)
         largest_dps = float(np.degrees(np.linalg.norm(rows.mean(axis=0)))) if len(rows) else 0.0
-        bias_dps = _REFERENCE_DPS
-    return phase._replace(up="") if largest_dps > bias_dps else phase
+        least_dps = _REFERENCE_DPS
+    return phase._replace(up="") if largest_dps > least_dps else phase
 
 
 def _mean_rate_dps(sensor: SensorLog, phase: Phase) -> Floats:
