@@ -229,7 +229,8 @@ def test_one_log_is_diagnosed_without_a_list(folder: Path, tmp_path: Path) -> No
     assert [recording.name for recording in found.recorded] == ["rest.h5"]
     found.plot().savefig(tmp_path / "found.svg")
     assert found.verdict in repr(found)
-    assert found.sentence.split(".")[0] in str(found).replace("\n", " ")
+    assert " ".join(str(found).split()).startswith(f"Verdict {found.verdict}: {found.reason} Chance p ")
+    assert found.sentence in found._repr_html_()
     assert "<table>" in found._repr_html_()
 
 
