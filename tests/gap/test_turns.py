@@ -109,7 +109,7 @@ FACES = ("+Z", "+Y", "+Z", "-X", "+Y", "+Z")
 REST_S, TURN_S = 4, 2
 
 
-def tumbled(path: Path, scale_of: Mapping[str, Floats]) -> tuple[PoseSequence, LogSummary]:
+def tumbled(path: Path, scale_of: Mapping[str, Floats], range_dps: float = 250.0) -> tuple[PoseSequence, LogSummary]:
     """Two accelerometers and the gyroscopes named, in a tumble by right angles; readings of a gyroscope are its matrix
     times the rate, with a bias of 2 dps and noise of two counts. Returns the motion by these, and residuals.
     """
@@ -132,12 +132,13 @@ def tumbled(path: Path, scale_of: Mapping[str, Floats]) -> tuple[PoseSequence, L
         phases.append(Phase(start_ns, start_ns + REST_S * SECOND, name, face))
         start_ns += (REST_S + TURN_S) * SECOND
     accelerometer = SensorHeader("A1", "bma180", "specific_force", "g", 4.0, 2048.0)
-    gyroscope = SensorHeader("G1", "l3g4200d", "angular_rate", "dps", 250.0, 1 / 0.00875)
+    gyroscope = SensorHeader("G1", "l3g4200d", "angular_rate", "dps", range_dps, 1 / 0.00875)
     headers = [accelerometer, replace(accelerometer, name="A2"), *(replace(gyroscope, name=name) for name in scale_of)]
     config = '[rig]\nmade_by = "another program"\n'
     with LogWriter(path, headers, source="imported", epoch="2024-01-01T00:00:00Z", config=config) as log:
         for header in headers:
             read = ups if header.unit == "g" else np.degrees(rate) @ scale_of[header.name].T + 2.0
+            read = np.clip(read, -header.range, header.range)
             counts = np.rint(read * header.sensitivity + rng.normal(0, 2, read.shape)).astype(np.int16)
             log.append(header.name, Block(time, counts, np.zeros(len(time), np.uint16)))
         for phase in phases:
@@ -210,3 +211,11 @@ def test_the_gyroscope_with_exchanged_axes_is_named(tmp_path: Path, others: int)
         diagnosis = diagnose([log], replicates=20)
     first = diagnosis.causes[0]
     assert (first.effect, first.sensors, first.parameters["axes"]) == ("axis_error", ("G1",), "+Y-X+Z")
+
+
+def test_turns_that_clip_tell_nothing(tmp_path: Path) -> None:
+    """At a range of 60 dps a right angle in two seconds is cut at its middle: no factor, and no wrong motion."""
+    motion, log = tumbled(tmp_path / "log.h5", {"G1": np.eye(3)}, range_dps=60.0)
+    assert np.isnan(factor(log, "G1")).all()
+    assert motion.up_in_movement(5 * SECOND) is None
+    assert turned_rate(motion, 3)[1] == pytest.approx(60.0, abs=2.5)

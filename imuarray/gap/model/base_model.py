@@ -49,7 +49,7 @@ from imuarray.gap.statistics.catalogue import (
     replicate_statistics,
     statistics,
 )
-from imuarray.gap.statistics.probes.level import halves
+from imuarray.gap.statistics.probes.level import halves, mean
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
@@ -276,7 +276,7 @@ def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campa
         parts = [
             _residual_phase(part, motion, forces.get((number, part.phase.start_ns)), base)
             if part.is_still
-            else _residual_turn(part, base)
+            else _residual_turn(part, log)
             for part in log.phases
         ]
         logs.append(replace(log, phases=tuple(parts)))
@@ -431,13 +431,16 @@ def _residual_phase(phase: PhaseSummary, motion: Motion, force_box: Floats | Non
     return replace(phase, sensors=sensors)
 
 
-def _residual_turn(phase: PhaseSummary, base: Base) -> PhaseSummary:
+def _residual_turn(phase: PhaseSummary, log: LogSummary) -> PhaseSummary:
+    """Return a turn less the mean reading of each sensor at rest in the log, which for a gyroscope is its bias."""
     if phase.ups_box is None:
         return phase
     sensors = {}
     for name, summary in phase.sensors.items():
-        mean = summary.segments.mean - base.fitted[name].biases(summary) * summary.header.sensitivity
-        sensors[name] = replace(summary, segments=replace(summary.segments, mean=mean))
+        rests = [mean(rest) for rest in log.still(name) if rest.rows]
+        bias = np.mean(rests, axis=0) if rests else np.full(3, np.nan)
+        less = summary.segments.mean - bias * summary.header.sensitivity
+        sensors[name] = replace(summary, segments=replace(summary.segments, mean=less))
     return replace(phase, sensors=sensors)
 
 

@@ -158,7 +158,7 @@ class FittedParameters:
 
     def predicted(self, summary: Summary, stimulus: SegmentStimulus) -> Floats:
         """Predicted reading (s, 3) of each segment, in the sensor's unit."""
-        return np.asarray(stimulus.felt + self.biases(summary) + stimulus.force @ np.array(self.response).T)
+        return np.asarray(stimulus.felt + self._biases(summary) + stimulus.force @ np.array(self.response).T)
 
     def force_felt(self, summary: Summary) -> Floats:
         """Return the mean specific force (3,) along an accelerometer's axes by these parameters, in its unit."""
@@ -168,14 +168,14 @@ class FittedParameters:
         """Return the mean (3,) of the readings without offset and slope."""
         part = summary.segments
         has_rows = part.rows > 0
-        levels = part.mean[has_rows] / summary.header.sensitivity - self.biases(summary)[has_rows]
+        levels = part.mean[has_rows] / summary.header.sensitivity - self._biases(summary)[has_rows]
         return np.asarray(np.average(levels, axis=0, weights=part.rows[has_rows]))
 
     def by_response(self, readings: Floats) -> Floats:
         """Specific force (3,) for which an accelerometer without bias has these readings."""
         return np.asarray(np.linalg.solve(np.eye(3) + np.array(self.response), readings))
 
-    def biases(self, summary: Summary) -> Floats:
+    def _biases(self, summary: Summary) -> Floats:
         """Return the bias (s, 3) of each segment by offset and slope, in the sensor's unit."""
         warm = (summary.segments.temperature_degc - REFERENCE_DEGC)[:, None]
         return np.asarray(np.array(self.offset) + warm * np.array(self.slope))

@@ -45,6 +45,9 @@ is at least, and the most rows by which it is told.
 _TURN_STEP_NS = 50_000_000
 """Interval of a turn over which a gyroscope's rates are averaged: 5 degrees of a fast turn."""
 
+_CLIPPED = 0.97
+"""Share of the range from which on a rate is taken as clipped: zero and scale of parts differ."""
+
 _TURN_TOLERANCE, _MOST_FACTOR = 0.03, 2.4
 """Share by which the turns of healthy gyroscopes may miss the attitudes, and the largest factor of rates that is
 believed: beyond it the axes are others.
@@ -219,16 +222,24 @@ def _window_means(sensor: SensorLog, edges_ns: Integers) -> Floats:
 def _ends_of_turns(
     triads: Sequence[SensorLog], phases: Sequence[Phase], rests: Sequence[Phase]
 ) -> dict[Phase, tuple[Floats, Floats]]:
-    """Return the directions up (3,) in the box's frame before and after each phase between two rests that tell them."""
+    """Return the directions up (3,) in the box's frame before and after each phase between two rests that tell them;
+    without phases in which a gyroscope reaches an end of its range.
+    """
     accelerometers = [sensor for sensor in triads if sensor.quantity == "specific_force"]
+    gyroscopes = [sensor for sensor in triads if sensor.quantity == "angular_rate"]
     ends = {}
     for phase in phases:
-        beside = neighbours(phase, rests)
+        beside = None if any(_clips(sensor, phase) for sensor in gyroscopes) else neighbours(phase, rests)
         ups = [] if beside is None else [_up_at_rest(accelerometers, rest) for rest in beside]
         known = [up for up in ups if up is not None]
         if len(known) == 2:
             ends[phase] = (known[0], known[1])
     return ends
+
+
+def _clips(sensor: SensorLog, phase: Phase) -> bool:
+    counts = _some_counts(sensor, phase)
+    return bool(len(counts) and sensor.range and np.abs(counts).max() > _CLIPPED * sensor.range * sensor.sensitivity)
 
 
 def _exchanged_axes(

@@ -211,7 +211,7 @@ def _of_log(replicates: Sequence[LogSummary], sensor: str) -> list[_ProbeValues]
         elif isinstance(probe, TurnProbe):
             if any(phase.ups_box for phase in replicates[0].phases):
                 by_replicate = [probe.statistic(log, sensor) for log in replicates]
-                values.append(_ProbeValues(name, _rows(by_replicate), _any_difference))
+                values.append(_ProbeValues(name, _rows(by_replicate), partial(float, probe.resolution)))
         else:
             by_replicate = [probe.statistic(log, sensor) for log in replicates]
             values.append(_ProbeValues(name, _rows(by_replicate), partial(probe.resolution, replicates[0], sensor)))

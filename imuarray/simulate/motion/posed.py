@@ -39,6 +39,11 @@ _TURN_STEP_NS = 20_000_000
 _BESIDE_NS = 100_000_000
 """Longest time between a movement and the attitude beside it: nothing turns in a tenth of a second."""
 
+_SAME_COSINE = float(np.cos(np.radians(10.0)))
+"""Cosine of the angle by which the directions up that are carried from either end of a movement differ at most: beyond
+it the rates are clipped, or the attitudes are not those between which the box turned.
+"""
+
 _LARGEST_STEP = 1.5
 """Largest step in m/s2 of the force that sensors cause: within their tolerances, they disagree by less."""
 
@@ -96,7 +101,7 @@ class PoseSequence:
 
     def up_in_movement(self, time_ns: int) -> tuple[float, float, float] | None:
         """Return the direction up in the box's frame at a moment in a movement, or at one of its ends; None outside and
-        where the attitude before or after the movement is not known.
+        where the attitude before or after the movement is not known, or the rates lead to another one.
 
         It is carried by the rates from the attitude before, and back from that after; the further away one of these
         is, the less it counts.
@@ -122,6 +127,8 @@ class PoseSequence:
             angles = rate * (steps_ns[1] - steps_ns[0]) * 1e-9
             forth = carry_up(np.array([before[-1].up_box]), angles)[:, 0]
             back = carry_up(np.array([after[0].up_box]), -angles[::-1])[::-1, 0]
+            if (forth * back).sum(axis=1).min() < _SAME_COSINE:
+                continue
             share = np.linspace(0.0, 1.0, len(steps_ns))[:, None]
             mean = (1 - share) * forth + share * back
             ups[start_ns] = (steps_ns.astype(np.int64), mean / np.linalg.norm(mean, axis=1, keepdims=True))

@@ -104,9 +104,12 @@ class ArrayProbe(Probe):
 
 @dataclass(frozen=True)
 class TurnProbe(Probe):
-    """Probe of one sensor in the turns of a log from one rest to the next."""
+    """Probe of one sensor in the turns of a log from one rest to the next; `resolution` is the least meaningful
+    difference.
+    """
 
     statistic: Callable[[LogSummary, str], Floats]
+    resolution: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,9 @@ from imuarray.gap.statistics.probes.probe import Probes, TurnProbe, once
 from imuarray.gap.statistics.summary import Summary
 from imuarray.units import SI_PER_UNIT
 
+_BY_ATTITUDES = 0.1
+"""Change of a factor that attitudes make which are wrong by some degrees, where a turn goes about several axes."""
+
 
 def factor(log: LogSummary, sensor: str) -> Floats:
     """Return the factor (3,) of each axis's readings by which the turns lead from each attitude to the next, the other
@@ -57,5 +60,6 @@ PROBES: Probes = {
         ("axis_error", "channel_swap", "range_reset", "scale"),
         response,
         factor,
+        resolution=_BY_ATTITUDES,
     )
 }
