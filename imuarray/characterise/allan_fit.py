@@ -61,6 +61,27 @@ _WIDER = 1.06
 """Ratio of neighbouring lags far from the kinks."""
 
 
+_MOST_LENGTHS = 24
+"""Most lengths of runs whose covariances are computed: a night with stalls has hundreds, most of them short."""
+
+
+def alike(runs: Runs) -> Runs:
+    """Return the runs (rows, number), those of similar lengths as so many of their mean length, where there are more
+    than `_MOST_LENGTHS` lengths: covariances change little within a tenth of the length.
+    """
+    if len(runs) <= _MOST_LENGTHS:
+        return runs
+    rows, number = np.array(runs, float).T
+    edges = np.geomspace(rows.min(), rows.max(), _MOST_LENGTHS + 1)
+    groups = np.clip(np.searchsorted(edges, rows, side="right"), 1, _MOST_LENGTHS)
+    grouped = []
+    for group in np.unique(groups):
+        inside = groups == group
+        count = number[inside].sum()
+        grouped.append((round(float(rows[inside] @ number[inside] / count)), int(count)))
+    return tuple(grouped)
+
+
 def variances(term: Term, factor: Floats) -> Floats:
     """Allan variance at averaging factors (t,) of one term whose coefficient is 1, an interval of 1 s assumed.
 
@@ -211,7 +232,7 @@ class AllanEstimate:
     @cached_property
     def _weights(self) -> list[tuple[int, int, Floats]]:
         """Length and number of the runs of each length, and the share (t,) of the terms that one of them has."""
-        runs = self.runs or ((self.rows, 1),)
+        runs = alike(self.runs) or ((self.rows, 1),)
         terms = np.array([[max(rows + 1 - 2 * m, 0) for m in self.factors] for rows, _ in runs], float)
         total = np.array([number for _, number in runs]) @ terms
         return [(rows, number, part / total) for (rows, number), part in zip(runs, terms, strict=True)]
