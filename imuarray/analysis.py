@@ -183,7 +183,7 @@ def fuse(  # noqa: PLR0913
             progress=progress,
         )
         frames = FusedBlock.joined(list(blocks))
-        truth = opened.truth or opened.reference
+        truth = opened.motion_track
         return FusedResult(
             frames,
             opened.epoch,

@@ -220,7 +220,7 @@ def _write_fused(work: _Work, output: Path, source: str, force: bool) -> tuple[d
             force=force,
         )
         results = quality.results()
-    has_truth = bool(log.truth or log.reference)
+    has_truth = log.motion_track is not None
     report = {
         "fused": str(output),
         "frames": frames,
@@ -338,7 +338,7 @@ class _Noise:
 
 def _quality_of(log: Log) -> _Errors | _Noise:
     """Return errors if the log contains truth, else noise."""
-    return _Errors(log) if log.truth or log.reference else _Noise()
+    return _Errors(log) if log.motion_track else _Noise()
 
 
 def _error(error: Error) -> dict[str, Any]:

@@ -243,9 +243,9 @@ class ErrorFramesOnDisk:
 
 def _track_of(log: Log) -> Track:
     """Return the log's track of the motion; FusionError if it has none."""
-    track = log.truth or log.reference
+    track = log.motion_track
     if track is None:
-        raise FusionError(f"{log.path}: has neither /truth nor /reference to compare with")
+        raise FusionError(f"{log.path}: has neither /truth nor /reference of a motion to compare with")
     return track
 
 

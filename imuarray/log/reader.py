@@ -244,6 +244,15 @@ class Log:
         return self._track("reference")
 
     @property
+    def motion_track(self) -> Track | None:
+        """The track by which the motion of the box is known: the truth, else the reference; None unless it has a force
+        or a rate, as a reference of the temperature alone.
+        """
+        tracks = (track for track in (self.truth, self.reference) if track is not None)
+        moving = (track for track in tracks if (track.specific_force, track.angular_rate) != (None, None))
+        return next(moving, None)
+
+    @property
     def clocks(self) -> ClockTrack | None:
         """The readings of the machine's clocks."""
         group = self._group("clocks")

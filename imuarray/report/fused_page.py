@@ -206,7 +206,7 @@ def techniques_section(
     """Compare every technique with the average; None for a log without truth or reference. The processes of the
     `executor` do a part of the work.
     """
-    if log.truth is None and log.reference is None:
+    if log.motion_track is None:
         return None
     title = f"{log.path.name}: gain of each technique"
     try:

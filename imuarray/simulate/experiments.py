@@ -188,5 +188,5 @@ def remarks_on(plan: Plan, model: Model, log: Log | None, *, population: bool) -
     idle = sorted({part.name for part in model.sensors} - set(plan.sensors))
     if idle and len(idle) == len({part.name for part in model.sensors}):
         yield f"model {model.name}: its sensors {', '.join(idle)} are not in this array"
-    if log is not None and log.truth is None and log.reference is None:
+    if log is not None and log.motion_track is None:
         yield f"{log.path} does not say how the box moved: simulated at rest on the faces of its phases"

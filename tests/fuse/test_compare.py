@@ -6,6 +6,7 @@ import json
 from dataclasses import astuple
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -159,6 +160,21 @@ def test_the_command_tells_everything(run: Path, tmp_path: Path, capsys: pytest.
         assert sum(line.startswith(f"  {technique} ") for line in out.splitlines()) >= 3
     table = out[out.index("errors against the truth") :]
     assert "coasting" in table and max(map(len, table.splitlines())) <= 132
+
+
+def test_a_reference_of_the_temperature_alone_is_no_truth(
+    write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_run(parts(), truth="reference")
+    with h5py.File(path, "r+") as file:
+        del file["reference/specific_force"], file["reference/angular_rate"]
+    with open_log(path) as log:
+        assert log.reference is not None
+        assert log.motion_track is None
+    assert main(["fuse", str(path), "-o", str(tmp_path / "fused.h5")]) == 0
+    out, _ = capsys.readouterr()
+    assert "scatter from frame to frame" in out and "against the truth" not in out
+    assert main(["fuse", str(path), "--evaluate"]) == 2
 
 
 def test_without_a_truth_there_is_nothing_to_evaluate(write_run: WriteRun, capsys: pytest.CaptureFixture[str]) -> None:
