@@ -6,7 +6,7 @@ The result depends on the seed and not on the block size or number of workers. N
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from imuarray.log.format import SATURATED, SensorHeader, header_of
 from imuarray.log.missed_frames import frames_in
 from imuarray.log.sensor_log import recorded_header
 from imuarray.log.writer import Stimulus
+from imuarray.simulate.converters import thermometer_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.effects.readings import ChannelSwap
@@ -62,13 +63,18 @@ def plan_of(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Plan:
 
 
 def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
-    """Return the plan of a recorded log: its sensors (or `only` these), read at the recorded times.
+    """Return the plan of a recorded log: its sensors (or `only` these), read at the recorded times; without chips'
+    thermometers whose scale is not known.
 
     LogError for a sensor that the log does not have.
     """
     chosen = {name: log[name] for name in only or log.sensors}
     chosen = {name: sensor for name, sensor in chosen.items() if sensor.quantity != "temperature"}  # no chip is stated
-    sensors = {name: (recorded_header(sensor), LogTimes(sensor)) for name, sensor in chosen.items() if len(sensor)}
+    headers = {name: recorded_header(sensor) for name, sensor in chosen.items() if len(sensor)}
+    sensors = {
+        name: (replace(header, has_temperature=thermometer_of(header) is not None), LogTimes(chosen[name]))
+        for name, header in headers.items()
+    }
     if not sensors:
         raise LogError(f"{log.path}: has no readings")
     end_ns = max(int(sensor.time[-1]) for sensor in chosen.values() if len(sensor))

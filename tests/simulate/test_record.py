@@ -14,11 +14,13 @@ from imuarray.acquire import record
 from imuarray.array import ArrayConfig, load_array
 from imuarray.bus import open_bus
 from imuarray.errors import OutputExistsError
-from imuarray.log import open_log
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import SensorHeader
 from imuarray.simulate import EFFECTS, Simulation, plan_like, plan_of, total_rows, write_log
 from imuarray.simulate.motion import Still, Tumble
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.record import Division, Origin
+from imuarray.simulate.streams import CHUNK
 from tests.selection import some
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
@@ -155,3 +157,19 @@ def test_memory_does_not_grow_with_the_log(array: ArrayConfig, tmp_path: Path) -
         tracemalloc.stop()
     # both fill every chunk that is kept; 20 MB of rows more, three times the length
     assert peaks[1] < 1.1 * peaks[0]
+
+
+def test_a_thermometer_whose_scale_is_not_known_is_not_simulated(tmp_path: Path) -> None:
+    """Of a chip that the package does not know by this name, in more rows than are computed at once."""
+    header = SensorHeader("U", "unheard_of", "angular_rate", "dps", 250.0, 131.0, has_temperature=True)
+    rows = CHUNK + 100
+    path = tmp_path / "log.h5"
+    with LogWriter(
+        path, [header], source="imported", epoch="2024-01-01T00:00:00Z", config="[rig]\nowner = 'x'\n"
+    ) as log:
+        time, status = np.arange(rows) * 10_000_000, np.zeros(rows, np.uint16)
+        log.append("U", Block(time, np.zeros((rows, 3), np.int16), status, np.full(rows, 7, np.int16)))
+    with open_log(path) as log:
+        simulated = Simulation(plan_like(log), LikeLog(log), {}).sensors["U"].block(0, rows)
+    assert len(simulated.time) == rows
+    assert simulated.temperature_counts is None
