@@ -76,13 +76,13 @@ def test_what_is_fitted_has_no_ratio(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_what_the_part_may_have_is_no_effect(tmp_path: Path) -> None:
     """A scale factor within 2.3 % (BMA-70), four times the noise, and a bias that scatters by half of what is usual
-    from one log to the next (0.3 mg, 0.6 counts); ten times as much of a scale or a scatter is one.
+    from one log to the next (0.6 mg, 1.2 counts); ten times as much of a scale or a scatter is one.
     """
     swing = noise() + on_x(2000 * np.sin(2 * np.pi * 0.02 * np.arange(ROWS) / 100 * 16))
     with logs(tmp_path, swing, 1.01 * swing, 1.1 * swing, 4 * noise(3), noise(3)) as (plain, usual, off, loud, quiet):
         assert matched_statistic([plain], [usual]) < LIMIT < matched_statistic([plain], [off])
         assert matched_statistic([quiet], [loud]) < LIMIT
-    with logs(tmp_path, *(noise() + bias for bias in (0.0, 0.6, 12.0))) as (first, near, far):
+    with logs(tmp_path, *(noise() + bias for bias in (0.0, 1.2, 24.0))) as (first, near, far):
         assert matched_statistic([first, first], [first, near]) < LIMIT
         assert matched_statistic([first, first], [first, far]) > LIMIT
 
