@@ -65,7 +65,7 @@ _MOST_LENGTHS = 24
 """Most lengths of runs whose covariances are computed: a night with stalls has hundreds, most of them short."""
 
 
-def alike(runs: Runs) -> Runs:
+def merge_similar(runs: Runs) -> Runs:
     """Return the runs (rows, number), those of similar lengths as so many of their mean length, where there are more
     than `_MOST_LENGTHS` lengths: covariances change little within a tenth of the length.
     """
@@ -232,7 +232,7 @@ class AllanEstimate:
     @cached_property
     def _weights(self) -> list[tuple[int, int, Floats]]:
         """Length and number of the runs of each length, and the share (t,) of the terms that one of them has."""
-        runs = alike(self.runs) or ((self.rows, 1),)
+        runs = merge_similar(self.runs) or ((self.rows, 1),)
         terms = np.array([[max(rows + 1 - 2 * m, 0) for m in self.factors] for rows, _ in runs], float)
         total = np.array([number for _, number in runs]) @ terms
         return [(rows, number, part / total) for (rows, number), part in zip(runs, terms, strict=True)]

@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom, kstest
 
 from imuarray.characterise import allan_deviation, allan_fit
-from imuarray.characterise.allan_fit import TERMS, UNITS, USUAL, AllanEstimate, NoiseFit, Term, alike, fit_noise
+from imuarray.characterise.allan_fit import TERMS, UNITS, USUAL, AllanEstimate, NoiseFit, Term, fit_noise, merge_similar
 from tests.selection import examples
 
 INTERVAL_S = 0.0025
@@ -265,11 +265,11 @@ def test_runs_of_similar_lengths_scatter_alike(monkeypatch: pytest.MonkeyPatch) 
     """
     lengths = np.unique(np.geomspace(9, 20_000, 260).astype(int))
     runs = tuple((int(rows), 1 + at % 3) for at, rows in enumerate(lengths))
-    assert len(alike(runs)) <= 24 < 200 < len(runs)
-    assert sum(number for _, number in alike(runs)) == sum(number for _, number in runs)
+    assert len(merge_similar(runs)) <= 24 < 200 < len(runs)
+    assert sum(number for _, number in merge_similar(runs)) == sum(number for _, number in runs)
     total = sum(rows * number for rows, number in runs)
-    assert sum(rows * number for rows, number in alike(runs)) == pytest.approx(total, rel=1e-3)
-    assert alike(runs[:24]) == runs[:24]
+    assert sum(rows * number for rows, number in merge_similar(runs)) == pytest.approx(total, rel=1e-3)
+    assert merge_similar(runs[:24]) == runs[:24]
     factors = tuple(2**octave for octave in range(12))
     estimate = AllanEstimate(1 / np.array(factors, float), 1.0, factors, total, INTERVAL_S, runs=runs)
     theta = np.array([0.0, 1.0, 1e-4, 1e-7, 0.0])

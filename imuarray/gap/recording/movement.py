@@ -229,8 +229,8 @@ def _ends_of_turns(
     gyroscopes = [sensor for sensor in triads if sensor.quantity == "angular_rate"]
     ends = {}
     for phase in phases:
-        beside = None if any(_clips(sensor, phase) for sensor in gyroscopes) else neighbours(phase, rests)
-        ups = [] if beside is None else [_up_at_rest(accelerometers, rest) for rest in beside]
+        adjacent = None if any(_clips(sensor, phase) for sensor in gyroscopes) else neighbours(phase, rests)
+        ups = [] if adjacent is None else [_up_at_rest(accelerometers, rest) for rest in adjacent]
         known = [up for up in ups if up is not None]
         if len(known) == 2:
             ends[phase] = (known[0], known[1])
