@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.model.base_model import fit, residual
 from imuarray.gap.recording.recordings import recording_of, reference_of, sources_of
-from imuarray.gap.recording.turns import Turn, exchanges, factors_of, likely_exchange, misses, neighbours
+from imuarray.gap.recording.turns import Turn, exchanges, factors_of, likely_exchange, misses
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, summarise_log
 from imuarray.gap.statistics.probes import PROBES
 from imuarray.gap.statistics.probes.probe import TurnProbe
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Phase, SensorHeader
-from imuarray.simulate.motion.posed import PoseSequence, carry_up
+from imuarray.simulate.motion.posed import PoseSequence, carry_up, neighbours
 
 Floats = npt.NDArray[np.float64]
 SECOND, GRAVITY = 1_000_000_000, 9.80665
@@ -102,6 +102,9 @@ def test_neighbours_touch_the_turn() -> None:
     first, second = Phase(0, 10, "z_up"), Phase(20, 30, "x_up")
     assert neighbours(Phase(10, 20, "turn"), [first, second]) == (first, second)
     assert neighbours(Phase(10, 20, "turn"), [first]) is None
+    for apart_s, touches in ((0.08, True), (0.15, False)):
+        later = Phase(20 + round(apart_s * SECOND), 2 * SECOND, "x_up")
+        assert (neighbours(Phase(10, 20, "turn"), [first, later]) is not None) == touches
     assert neighbours(Phase(10, 20, "turn"), [first, Phase(20 + 2 * SECOND, 21 + 2 * SECOND, "x_up")]) is None
 
 

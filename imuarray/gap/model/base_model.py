@@ -426,8 +426,8 @@ def _residual_phase(phase: PhaseSummary, motion: Motion, force_box: Floats | Non
     sensors = {}
     for name, summary in phase.sensors.items():
         predicted = base.fitted[name].predicted(summary, felt(summary, motion, force_box))
-        mean = summary.segments.mean - predicted * summary.header.sensitivity
-        sensors[name] = replace(summary, segments=replace(summary.segments, mean=mean))
+        less = summary.segments.mean - predicted * summary.header.sensitivity
+        sensors[name] = replace(summary, segments=replace(summary.segments, mean=less))
     return replace(phase, sensors=sensors)
 
 

@@ -17,12 +17,12 @@ import numpy as np
 from imuarray.arrays import Floats, Integers
 from imuarray.axes import up_vector
 from imuarray.gap.recording.source import RecordedSource
-from imuarray.gap.recording.turns import Turn, factors_of, likely_exchange, neighbours
+from imuarray.gap.recording.turns import Turn, factors_of, likely_exchange
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
 from imuarray.robust import MEDIAN_ABSOLUTE
 from imuarray.simulate.motion.like import SplineColumns
-from imuarray.simulate.motion.posed import Movement
+from imuarray.simulate.motion.posed import Movement, neighbours
 from imuarray.simulate.motion.track_noise import reduce_noise
 from imuarray.units import INERTIAL, SI_PER_UNIT, STANDARD_GRAVITY
 
@@ -37,9 +37,9 @@ _LEAST_FORCE, _LEAST_RATE, _NOISE_MARGIN = 0.02, 0.003, 2.0
 is taken off before.
 """
 
-_FAST_SHARE, _OVER_NOISE, _SOME_ROWS = 0.5, 4.0, 50_000
+_FAST_SHARE, _OVER_NOISE, _LEAST_NOISE, _SOME_ROWS = 0.5, 4.0, 0.3, 50_000
 """Share of a motion that changes from row to row from which on it is a vibration, the multiple of the noise that this
-is at least, and the most rows by which it is told.
+is at least, the noise of rounding in counts, and the most rows from which these are computed.
 """
 
 _TURN_STEP_NS = 50_000_000
@@ -80,10 +80,11 @@ def movements_of(
     biases = {sensor.name: _mean_at_rest(sensor, rests) for sensor in triads if sensor.quantity == "angular_rate"}
     ends = _ends_of_turns(triads, phases, rests)
     exchanged = _exchanged_axes(triads, ends, biases)
+    noise = noise_at_rest(triads, rests)
     courses = {
         phase: course
         for phase in phases
-        if not vibrates(triads, phase, rests) and (course := _course(triads, phase, biases, exchanged)) is not None
+        if not vibrates(triads, phase, noise) and (course := _course(triads, phase, biases, exchanged)) is not None
     }
     turns = (course.turn(phase, *ends[phase]) for phase, course in courses.items() if phase in ends)
     factors = _factors([turn for turn in turns if turn is not None])
@@ -97,26 +98,32 @@ def movements_of(
     }
 
 
-def vibrates(triads: Sequence[SensorLog], phase: Phase, rests: Sequence[Phase]) -> bool:
-    """Return whether accelerometers feel mostly what changes from row to row, and is no noise: a vibration, of which
-    sensors that are read at other moments show something else.
+def noise_at_rest(triads: Sequence[SensorLog], rests: Sequence[Phase]) -> dict[str, Floats]:
+    """Return the noise (3,) in counts of each accelerometer in the quietest of the phases at rest that have rows."""
+    noise = {}
+    for sensor in triads:
+        counts = [_some_counts(sensor, rest) for rest in rests if sensor.quantity == "specific_force"]
+        scatters = [_scatter(rows) for rows in counts if len(rows) > _FEWEST_WINDOWS]
+        if scatters:
+            noise[sensor.name] = np.maximum(np.min(scatters, axis=0), _LEAST_NOISE)
+    return noise
+
+
+def vibrates(triads: Sequence[SensorLog], phase: Phase, noise: Mapping[str, Floats]) -> bool:
+    """Return whether accelerometers feel mostly what changes from row to row, and is no `noise` (`noise_at_rest`): a
+    vibration, of which sensors that are read at other moments show something else.
     """
     for sensor in triads:
-        if sensor.quantity != "specific_force":
-            continue
-        moving = _some_counts(sensor, phase)
-        quiet = [counts for rest in rests if len(counts := _some_counts(sensor, rest)) > _FEWEST_WINDOWS]
-        if len(moving) <= _FEWEST_WINDOWS or not quiet:
-            continue
-        noise = np.min([_scatter(counts) for counts in quiet], axis=0)
-        scatter = _scatter(moving)
-        is_fast = scatter > np.maximum(_FAST_SHARE * moving.std(axis=0), _OVER_NOISE * np.maximum(noise, 0.3))
-        if is_fast.any():
-            return True
+        moving = _some_counts(sensor, phase) if sensor.name in noise else np.zeros((0, 3))
+        if len(moving) > _FEWEST_WINDOWS:
+            least = np.maximum(_FAST_SHARE * moving.std(axis=0), _OVER_NOISE * noise[sensor.name])
+            if (_scatter(moving) > least).any():
+                return True
     return False
 
 
 def _some_counts(sensor: SensorLog, phase: Phase) -> Floats:
+    """Return the counts (n, 3) of the first rows of a phase."""
     return np.asarray(sensor.counts[sensor.between(phase.start_ns, phase.end_ns)][:_SOME_ROWS], float)
 
 
@@ -238,6 +245,7 @@ def _ends_of_turns(
 
 
 def _clips(sensor: SensorLog, phase: Phase) -> bool:
+    """Return whether readings of a phase reach an end of the range."""
     counts = _some_counts(sensor, phase)
     return bool(len(counts) and sensor.range and np.abs(counts).max() > _CLIPPED * sensor.range * sensor.sensitivity)
 
@@ -268,8 +276,7 @@ def _up_at_rest(accelerometers: Sequence[SensorLog], rest: Phase) -> Floats | No
     """Return the direction (3,) that is up in the box by the mean of accelerometers, or as it is noted; None if it is
     not known.
     """
-    edges_ns = np.array([rest.start_ns, rest.end_ns], np.int64)
-    readings = [_window_means(sensor, edges_ns)[0] for sensor in accelerometers]
+    readings = [_mean_in(sensor, rest) for sensor in accelerometers]
     known = [reading for reading in readings if np.isfinite(reading).all()]
     force = np.mean(known, axis=0) if known else np.zeros(3)
     size = float(np.linalg.norm(force))
@@ -287,17 +294,21 @@ def _wrong_at_rest(accelerometers: Sequence[SensorLog], rests: Sequence[Phase]) 
         if not rest.up:
             continue
         gravity = STANDARD_GRAVITY * np.array(up_vector(rest.up))
-        edges_ns = np.array([rest.start_ns, rest.end_ns], np.int64)
-        off = {sensor.name: np.abs(_window_means(sensor, edges_ns)[0] - gravity).max() for sensor in accelerometers}
+        off = {sensor.name: np.abs(_mean_in(sensor, rest) - gravity).max() for sensor in accelerometers}
         contradicting = {name for name, difference in off.items() if difference > _WRONG_FORCE}
         if any(difference <= _WRONG_FORCE for difference in off.values()):
             wrong |= contradicting
     return wrong
 
 
+def _mean_in(sensor: SensorLog, phase: Phase) -> Floats:
+    """Return the mean reading (3,) in a phase, in SI units along the box's axes; nan without rows."""
+    return np.asarray(_window_means(sensor, np.array([phase.start_ns, phase.end_ns], np.int64))[0])
+
+
 def _mean_at_rest(sensor: SensorLog, rests: Sequence[Phase]) -> Floats:
     """Return the mean reading (3,) over the phases at rest in which the sensor was read; 0 if there are none."""
-    parts = [_window_means(sensor, np.array([rest.start_ns, rest.end_ns], np.int64))[0] for rest in rests]
+    parts = [_mean_in(sensor, rest) for rest in rests]
     known = [part for part in parts if np.isfinite(part).all()]
     return np.mean(known, axis=0) if known else np.zeros(3)
 

@@ -14,14 +14,13 @@ from imuarray.calibrate.pose_readings import MIN_POSE_S, find_rests
 from imuarray.characterise.stretch import FACE_NAMES, STILL_NAMES
 from imuarray.errors import CalibrationError, LogError
 from imuarray.gap.recording.attitude import array_mean, attitude_numbers, shared_readings, ups_of
-from imuarray.gap.recording.movement import movements_of, shows_motion, vibrates
+from imuarray.gap.recording.movement import movements_of, noise_at_rest, shows_motion, vibrates
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.posed import Movement, PoseAttitude
-from imuarray.units import SI_PER_UNIT
 
 Up = tuple[float, float, float]
 
@@ -34,9 +33,9 @@ MOST_TILT_DEG = 5.0
 MOST_RATE_DPS, _TRACK_TIMES = 3.0, 1000
 """A box that turns faster by its track (rms over so many moments of a phase) is not at rest, whatever is noted."""
 
-_CHANGE_DPS, _REFERENCE_DPS, _RATE_ROWS = 10.0, 0.3, 4096
-"""A larger mean rate is that of a turntable, by gyroscopes beside what they read at rest, whose biases change less in
-any heat, and by a reference; and the most rows of which it is the mean.
+_CHANGE_DPS, _REFERENCE_DPS = 10.0, 0.3
+"""A larger mean rate is that of a turntable: by gyroscopes beside what they read at rest, whose biases change less in
+any heat, and by a reference.
 """
 
 HEATED_DEGC = 3.0
@@ -113,9 +112,10 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
     else:
         shown = movements_of(log, sensors, [*moving, *turns], [*still, *detected])
         triads = [log[name] for name in sensors]
+        noise = {} if shown.keys() >= {*moving} else noise_at_rest(triads, [*still, *detected])
         for phase in moving:
             if phase not in shown:
-                reason = _VIBRATION if vibrates(triads, phase, [*still, *detected]) else _UNKNOWN_MOTION
+                reason = _VIBRATION if vibrates(triads, phase, noise) else _UNKNOWN_MOTION
                 notes.append(f"Phase {phase.name!r} is left out: {reason}.")
         notes += [_SHARED_MOTION] if shown else []
         moving, movements = list(shown), sorted(shown.values(), key=lambda movement: movement.start_ns)
@@ -141,7 +141,7 @@ def _without_face_of_turntable(phase: Phase, log: Log) -> Phase:
     rests = [rest for rest in log.phases if is_at_rest(rest._replace(up=""))][:1]
     gyroscopes = [sensor for sensor in log.of("angular_rate") if sensor.sensitivity]
     changes_dps = [
-        _mean_rate_dps(sensor, phase) - _mean_rate_dps(sensor, rest) for sensor in gyroscopes for rest in rests
+        _mean_reading(sensor, phase) - _mean_reading(sensor, rest) for sensor in gyroscopes for rest in rests
     ]
     known = [change_dps for change_dps in changes_dps if np.isfinite(change_dps).all()]
     largest_dps, least_dps = float(np.linalg.norm(np.median(known, axis=0))) if known else 0.0, _CHANGE_DPS
@@ -152,17 +152,6 @@ def _without_face_of_turntable(phase: Phase, log: Log) -> Phase:
         largest_dps = float(np.degrees(np.linalg.norm(rows.mean(axis=0)))) if len(rows) else 0.0
         least_dps = _REFERENCE_DPS
     return phase._replace(up="") if largest_dps > least_dps else phase
-
-
-def _mean_rate_dps(sensor: SensorLog, phase: Phase) -> Floats:
-    """Return the mean reading (3,) of a gyroscope in the box frame in dps; nan without readings."""
-    rows = sensor.between(phase.start_ns, phase.end_ns)
-    counts = np.asarray(sensor.counts[rows][:_RATE_ROWS], float)
-    if not len(counts):
-        return np.full(3, np.nan)
-    return np.asarray(
-        np.degrees(SI_PER_UNIT[sensor.unit] * sensor.orientation @ counts.mean(axis=0) / sensor.sensitivity)
-    )
 
 
 def moves_by_track(phase: Phase, motion: LikeLog) -> bool:
@@ -247,7 +236,8 @@ def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tu
         )
         return tuple(PoseAttitude(phase, up, estimated=False) for phase, up in zip(still, ups, strict=True)), notes
     readings = shared_readings(
-        attitude_numbers(still), np.array([[_mean_g(sensor, phase) for sensor in accelerometers] for phase in still])
+        attitude_numbers(still),
+        np.array([[_mean_reading(sensor, phase) for sensor in accelerometers] for phase in still]),
     )
     known = np.array([(np.nan,) * 3 if up is None else up for up in noted])
     estimates = ups_of(array_mean(readings, known), np.full_like(known, np.nan), known).up_box.tolist()
@@ -267,8 +257,8 @@ def _attitude(phase: Phase, noted: Up | None, estimate: Sequence[float]) -> Pose
     return PoseAttitude(phase, (x, y, z), estimated=True)
 
 
-def _mean_g(sensor: SensorLog, phase: Phase) -> Floats:
-    """Return the mean reading (3,) in g in the box frame; nan without readings."""
+def _mean_reading(sensor: SensorLog, phase: Phase) -> Floats:
+    """Return the mean reading (3,) in the sensor's unit in the box frame; nan without readings."""
     rows, sums = 0, np.zeros(3)
     for block in RecordedSource(sensor).blocks(phase.start_ns, phase.end_ns):
         rows += len(block.time)

@@ -17,20 +17,15 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.log.format import Phase
 from imuarray.simulate.motion.posed import carry_up
 
 MOST_STEP_S = 0.3
 """Longest interval over which a rate is taken as constant: a hand turns a box by a right angle in a second or two."""
 
-_MOST_APART_NS = 100_000_000
-"""Longest time between a turn and the rests beside it: nothing turns in a tenth of a second."""
-
 _WRONG_MISS, _RIGHT_SHARE = 0.2, 0.25
 """Mean miss from which on a gyroscope is not the one of its header, and the share of it that other axes leave at most:
 one of six right angles with the wrong sign makes a miss of a third.
 """
-
 
 _FACTORS = np.arange(-1.5, 2.51, 0.25)
 """Factors of a reading that are tried: those of reversed axes, of axes that are not read, and of half a range."""
@@ -76,13 +71,6 @@ def _carried(turn: Turn, responses: Floats) -> Floats:
     """Return (m, 3) the direction up after a turn."""
     angles = (turn.rate @ responses.swapaxes(1, 2) * turn.step_s).swapaxes(0, 1)
     return np.asarray(carry_up(np.tile(turn.up_before, (len(responses), 1)), angles)[-1])
-
-
-def neighbours(turn: Phase, rests: Sequence[Phase]) -> tuple[Phase, Phase] | None:
-    """Return the rests immediately before and after a turn; None unless there are both."""
-    before = [rest for rest in rests if 0 <= turn.start_ns - rest.end_ns <= _MOST_APART_NS]
-    after = [rest for rest in rests if 0 <= rest.start_ns - turn.end_ns <= _MOST_APART_NS]
-    return (before[-1], after[0]) if before and after else None
 
 
 def likely_exchange(turns: Sequence[Turn]) -> Floats | None:

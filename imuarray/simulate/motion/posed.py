@@ -36,8 +36,8 @@ _EDGE_NS, _EDGE_TIMES = 100_000_000, 10
 _TURN_STEP_NS = 20_000_000
 """Steps in which the attitude is integrated in a movement."""
 
-_BESIDE_NS = 100_000_000
-"""Longest time between a movement and the attitude beside it: nothing turns in a tenth of a second."""
+_MOST_APART_NS = 100_000_000
+"""Longest time between a movement and the rest before or after it: nothing turns in a tenth of a second."""
 
 _SAME_COSINE = float(np.cos(np.radians(10.0)))
 """Cosine of the angle by which the directions up that are carried from either end of a movement differ at most: beyond
@@ -117,16 +117,18 @@ class PoseSequence:
     def _ups_in_movements(self) -> dict[int, tuple[Integers, Reals]]:
         """Return, by the begin of each movement between known attitudes, moments (s,) and the directions up (s, 3)."""
         ups: dict[int, tuple[Integers, Reals]] = {}
-        for start_ns, end_ns, columns in self.movements:
-            before = [item for item in self.attitudes if 0 <= start_ns - item.phase.end_ns <= _BESIDE_NS]
-            after = [item for item in self.attitudes if 0 <= item.phase.start_ns - end_ns <= _BESIDE_NS]
-            if not before or not after:
+        up_of = {attitude.phase: attitude.up_box for attitude in self.attitudes}
+        for movement in self.movements:
+            start_ns, end_ns, columns = movement
+            adjacent = neighbours(movement, self.phases)
+            if adjacent is None:
                 continue
+            up_before, up_after = (up_of[rest] for rest in adjacent)
             steps_ns = np.linspace(start_ns, end_ns, max(-(-(end_ns - start_ns) // _TURN_STEP_NS), 1) + 1)
             rate = columns.at(((steps_ns[:-1] + steps_ns[1:]) / 2).astype(np.int64))[0][:, None, 3:]
             angles = rate * (steps_ns[1] - steps_ns[0]) * 1e-9
-            forth = carry_up(np.array([before[-1].up_box]), angles)[:, 0]
-            back = carry_up(np.array([after[0].up_box]), -angles[::-1])[::-1, 0]
+            forth = carry_up(np.array([up_before]), angles)[:, 0]
+            back = carry_up(np.array([up_after]), -angles[::-1])[::-1, 0]
             if (forth * back).sum(axis=1).min() < _SAME_COSINE:
                 continue
             share = np.linspace(0.0, 1.0, len(steps_ns))[:, None]
@@ -205,6 +207,13 @@ class PoseSequence:
     def _rotations(self) -> Reals:
         """Return (k, 3, 3) from the box to the level frame."""
         return upright_from([attitude.up_box for attitude in self.attitudes])
+
+
+def neighbours(turn: Phase | Movement, rests: Sequence[Phase]) -> tuple[Phase, Phase] | None:
+    """Return the rests immediately before and after a turn; None unless there are both."""
+    before = [rest for rest in rests if 0 <= turn.start_ns - rest.end_ns <= _MOST_APART_NS]
+    after = [rest for rest in rests if 0 <= rest.start_ns - turn.end_ns <= _MOST_APART_NS]
+    return (before[-1], after[0]) if before and after else None
 
 
 def carry_up(up_box: Reals, angles: Reals) -> Reals:
