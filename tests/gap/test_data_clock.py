@@ -71,12 +71,13 @@ def polled(header: SensorHeader, phase: Phase, rows: int, slow: float, noise_cou
     return tally.result(lambda time_ns: np.full(len(time_ns), 25.0))
 
 
-def test_a_motion_tells_a_clock_of_which_a_short_rest_tells_too_little() -> None:
+@pytest.mark.parametrize("chips", [("mpu9150", "mpu9150"), ("mpu6050_acc", "mpu6050_gyro")])
+def test_a_motion_tells_a_clock_of_which_a_short_rest_tells_too_little(chips: tuple[str, str]) -> None:
     """Three seconds at rest have one repeat, a minute of motion has 24. The gyroscope of the chip, whose readings are
     often equal by chance, has its clock; one in another chip has not.
     """
-    accelerometer = SensorHeader("U1_acc", "mpu9150", "specific_force", "g", 2.0, 16384.0, rate_hz=100.0)
-    gyroscope = SensorHeader("U1_gyro", "mpu9150", "angular_rate", "dps", 2000.0, 16.4, rate_hz=100.0)
+    accelerometer = SensorHeader("U1_acc", chips[0], "specific_force", "g", 2.0, 16384.0, rate_hz=100.0)
+    gyroscope = SensorHeader("U1_gyro", chips[1], "angular_rate", "dps", 2000.0, 16.4, rate_hz=100.0)
     headers = {header.name: header for header in (accelerometer, gyroscope, replace(gyroscope, name="U2_gyro"))}
     noise_counts = {"U1_acc": 6.0, "U1_gyro": 0.6, "U2_gyro": 0.6}
     rest, motion = Phase(0, 3 * 10**9, "static", "+Z"), Phase(3 * 10**9, 63 * 10**9, "motion")

@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr  # the normal distribution without the weight of scipy.stats
 
 from imuarray.arrays import Floats
+from imuarray.chips import die_of
 from imuarray.gap.model.populations import clock_tolerance
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.intervals import Intervals
@@ -73,12 +74,13 @@ def clock_errors(
 
 
 def _share_a_chip(first: SensorHeader, other: SensorHeader) -> bool:
-    """Return whether these are two sensors of a six-axis chip: of one name but for its last part, chip, place and
+    """Return whether these are two sensors of a six-axis chip: of one name but for its last part, die, place and
     axes.
     """
     stems = {header.name.rpartition("_")[0] for header in (first, other)}
-    same = (first.chip, first.position_mm, first.axes) == (other.chip, other.position_mm, other.axes)
-    return same and first.quantity != other.quantity and len(stems) == 1 and stems != {""}
+    is_same_die = die_of(first.chip) == die_of(other.chip)
+    is_same_place = (first.position_mm, first.axes) == (other.position_mm, other.axes)
+    return is_same_die and is_same_place and first.quantity != other.quantity and len(stems) == 1 and stems != {""}
 
 
 def _equal_by_noise(noise_counts: Floats) -> float:
