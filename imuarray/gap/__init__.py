@@ -12,7 +12,7 @@ and temperatures as far as the logs tell them. A **simulator** makes such record
   element behind the temperature of the box (`model.element_temperature`), the delay of a signal in a chip's filter and
   in its decimation, the offset of the times of rows from a queue, or of the sensors' clock from a track's
   (`model.signal_delay`), and lines of the surroundings: those that several sensors of a quantity measure alike, and
-  faint ones of accelerometers (`model.vibration`). The phase and rate of the data clock (`model.data_clock`),
+  faint ones of accelerometers (`model.ambient_lines`). The phase and rate of the data clock (`model.data_clock`),
   the scatter of biases from one power-on to the next, the position of an accelerometer, nonlinearity, the slope of the
   scale over temperature, slopes that no temperature tells, a bias that all accelerometers have in common, and the
   course of a room's temperature that nobody recorded (`model.room_temperature`) are drawn anew for every replicate.

@@ -1,4 +1,4 @@
-"""Nuisance quantities are fitted: the lag of an element, a faint vibration of the room, the delay of a filter, and one
+"""Nuisance quantities are fitted: the lag of an element, a line of the surroundings, the delay of a filter, and one
 attitude in several phases of a log; expected values are those that were simulated.
 """
 
@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from imuarray.arrays import Integers
+from imuarray.gap.model.ambient_lines import MOST_G, fit_ambient_lines
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.element_temperature import LONGEST_LAG_S
 from imuarray.gap.model.nuisance import nuisance_estimates
 from imuarray.gap.model.signal_delay import NO_DELAY, _slopes, fit_signal_delays, stated_delay
-from imuarray.gap.model.vibration import MOST_G, fit_vibrations
 from imuarray.gap.recording.attitude import attitude_numbers, shared_readings
 from imuarray.gap.recording.recordings import CHIP_LEAD_S, reference_of
 from imuarray.gap.recording.source import simulated_sources
@@ -79,14 +79,14 @@ def test_nothing_heated_has_no_lag() -> None:
 
 
 def vibrating(amplitude_g: float, *names: str) -> tuple[float, ...]:
-    """Amplitudes along X of the vibrations at 17 Hz fitted to ten minutes at rest in which these accelerometers, which
-    both lie along X, have a line of this amplitude there.
+    """Amplitudes along X of the ambient lines at 17 Hz fitted to ten minutes at rest in which these sensors, which lie
+    along X, have a line of this amplitude there.
     """
     tone, motion = Tone((amplitude_g, 0.0, 0.0), 17.0, phase_deg=30.0), Still(seconds=600)
     sources = simulated_sources(simulation(motion, dict.fromkeys(names, (tone,)), seed=5))
     campaign = Campaign((summarise_log("static", sources, phases_of(motion), reference_of(motion)),))
     headers = {name: part.header for name, part in campaign.logs[0].phases[0].sensors.items()}
-    fitted = fit_vibrations(campaign, headers)
+    fitted = fit_ambient_lines(campaign, headers)
     return tuple(item.amplitude_box[0] / 9.80665 for item in fitted if abs(item.frequency_hz - 17.0) < 0.2)
 
 

@@ -18,12 +18,12 @@ from imuarray.arrays import Floats
 from imuarray.gap.inference.assessment import Assessment, assess
 from imuarray.gap.inference.earlier import Earlier
 from imuarray.gap.inference.localisation import Localisation, localise
+from imuarray.gap.model.ambient_lines import fit_ambient_lines
 from imuarray.gap.model.base_model import Base, fit, select_fitted
 from imuarray.gap.model.bench import Bench, StatisticValues, bench_of
 from imuarray.gap.model.populations import common_bias_sigma_g
 from imuarray.gap.model.replication import Models, ReplicateRequest
 from imuarray.gap.model.signal_delay import DelayTrial, can_fit_signal_delays, fit_signal_delays, stated_delay
-from imuarray.gap.model.vibration import fit_vibrations
 from imuarray.gap.model.workers import Run
 from imuarray.gap.recording.course import Stretches, stretches_of
 from imuarray.gap.recording.events import events_of
@@ -95,7 +95,7 @@ def prepare(
     base = replace(
         base,
         queued=_queued_in(recordings),
-        vibrations=fit_vibrations(train.campaign, base.headers),
+        ambient_lines=fit_ambient_lines(train.campaign, base.headers),
         common_bias_g=common_bias_sigma_g(base.headers.values()),
     )
     campaign = select_fitted(campaign, base.fitted)
@@ -139,7 +139,7 @@ def _base_of(recordings: Sequence[Recording], model: Model | None, seed: int) ->
     split = split_of([recording.kind for recording in recordings], [recording.phases for recording in recordings])
     campaign, experiments = _summarise(recordings, split), [recording.experiment for recording in recordings]
     base = fit(campaign, [experiment.motion for experiment in experiments], model=model, seed=seed)
-    base = replace(base, queued=_queued_in(recordings), vibrations=fit_vibrations(campaign, base.headers))
+    base = replace(base, queued=_queued_in(recordings), ambient_lines=fit_ambient_lines(campaign, base.headers))
     return _correct(bench_of(campaign, split, experiments, base), campaign).base
 
 

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from imuarray.arrays import Floats
+from imuarray.gap.model.ambient_lines import MOST_FACTOR, AmbientLine
 from imuarray.gap.model.data_clock import clock_errors, flags_repeats, repeated_share
 from imuarray.gap.model.element_temperature import (
     LEAST_HEATING_DEGC,
@@ -38,7 +39,6 @@ from imuarray.gap.model.populations import (
 )
 from imuarray.gap.model.rest import REFERENCE_DEGC, FittedParameters, Rest, felt, fit_sensor, rms_of, slope_of
 from imuarray.gap.model.signal_delay import stated_delay
-from imuarray.gap.model.vibration import MOST_FACTOR, Vibration
 from imuarray.gap.recording.attitude import attitude_numbers
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, PhaseSummary
 from imuarray.gap.statistics.catalogue import (
@@ -134,10 +134,10 @@ class Base:
 
     `fitted` parameters of the sensors by name; `model` has the rest of their effects (None: the usual ones), of which
     populations are drawn with the `seed`. A sensor whose clock the model does not give has its own phase at each boot.
-    The rows of sensors that are `queued` are the chip's own readings, whatever its clock does. `vibrations` of the room
-    are felt by all accelerometers, with another amplitude in each replicate. `common_bias_g`: standard deviation of the
-    bias that the accelerometers of a replicate have in common: where an attitude is estimated from their readings, the
-    fit takes a part of that bias for a tilt, as it does in the recording.
+    The rows of sensors that are `queued` are the chip's own readings, whatever its clock does. `ambient_lines` are
+    measured by all sensors of a quantity, with another amplitude in each replicate. `common_bias_g`: standard deviation
+    of the bias that the accelerometers of a replicate have in common: where an attitude is estimated from their
+    readings, the fit takes a part of that bias for a tilt, as it does in the recording.
     """
 
     headers: Mapping[str, SensorHeader]
@@ -145,7 +145,7 @@ class Base:
     model: Model | None = None
     seed: int = 0
     queued: frozenset[str] = frozenset()
-    vibrations: tuple[Vibration, ...] = ()
+    ambient_lines: tuple[AmbientLine, ...] = ()
     common_bias_g: float = 0.0
 
     def effects(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
@@ -214,10 +214,10 @@ class Base:
 
     def _tones(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
         """Yield the lines of the surroundings as a sensor of this replicate measures them."""
-        for vibration in self.vibrations:
-            if header.name in vibration.sensors:
-                stream = units.of_unit("", Tone.name, f"{vibration.frequency_hz!r} Hz")
-                yield vibration.tone(header, float(stream.uniform(0.0, MOST_FACTOR)))
+        for line in self.ambient_lines:
+            if header.name in line.sensors:
+                stream = units.of_unit("", Tone.name, f"{line.frequency_hz!r} Hz")
+                yield line.tone(header, float(stream.uniform(0.0, MOST_FACTOR)))
 
 
 def _position_mm(header: SensorHeader, units: Streams) -> Triple:

@@ -50,15 +50,14 @@ _SAME_RATE = 0.01
 
 
 @dataclass(frozen=True)
-class Vibration:
+class AmbientLine:
     """A line at `frequency_hz`, as rows show it, with amplitudes `amplitude_box` (3,) in SI units along the axes of the
-    box, and the sensors that measure it; `is_confirmed` by several.
+    box, and the sensors that measure it.
     """
 
     frequency_hz: float
     amplitude_box: tuple[float, float, float]
     sensors: tuple[str, ...]
-    is_confirmed: bool
 
     def tone(self, header: SensorHeader, factor: float) -> Tone:
         """Return the line as one of the sensors shows it, with amplitudes multiplied by `factor`."""
@@ -67,11 +66,11 @@ class Vibration:
         return Tone((x, y, z), self.frequency_hz)
 
 
-def fit_vibrations(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> tuple[Vibration, ...]:
+def fit_ambient_lines(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> tuple[AmbientLine, ...]:
     """Return the lines at rest that several sensors of a quantity have, and the faint ones of accelerometers that no
     other contradicts.
     """
-    return tuple(vibration for group in _groups(campaign, headers) for vibration in _vibrations(group))
+    return tuple(line for group in _groups(campaign, headers) for line in _ambient_lines(group))
 
 
 class _Spectrum(NamedTuple):
@@ -118,7 +117,7 @@ def _groups(campaign: Campaign, headers: Mapping[str, SensorHeader]) -> list[lis
     return groups
 
 
-def _vibrations(group: Sequence[_Spectrum]) -> Iterator[Vibration]:
+def _ambient_lines(group: Sequence[_Spectrum]) -> Iterator[AmbientLine]:
     known: list[float] = []
     lines = [
         (member, line)
@@ -139,7 +138,7 @@ def _vibrations(group: Sequence[_Spectrum]) -> Iterator[Vibration]:
         if is_confirmed or is_faint:
             x, y, z = amplitude_box.tolist()
             hertz = line.bin * member.rows_per_s / member.spectrum.segment_rows
-            yield Vibration(hertz, (x, y, z), tuple(item.header.name for item in group), is_confirmed)
+            yield AmbientLine(hertz, (x, y, z), tuple(item.header.name for item in group))
 
 
 def _amplitude_box(member: _Spectrum, line: Line) -> Floats:
