@@ -32,16 +32,18 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Indices, Times
 from imuarray.fuse.optimal import compiled_segments
-from imuarray.fuse.optimal.frame_solution import FrameSolution, SegmentView, segment_view, solve
+from imuarray.fuse.optimal.frame_solution import FrameSolution, SegmentView, SmoothedEffect, segment_view, solve
 from imuarray.fuse.optimal.geometry import FrameReadings, Geometry, hold_last, patterns
 from imuarray.fuse.optimal.states import (
     Adjoint,
+    Drift,
     ErrorStates,
     Gaussian,
     Innovation,
     backwards,
     corrected,
     predicted,
+    updated,
 )
 
 OVER_S = 0.05
@@ -265,15 +267,14 @@ def _components(sums: _RegressionSums) -> tuple[Floats, Floats]:
 
 class Step(NamedTuple):
     """One segment of the filter: the states `before` its transition, the `remaining` shares of them and the `added`
-    variance, the temperature of the rows above that of their biases, and the measurements.
+    variance, the temperature of the rows above that of their biases, and what was measured.
     """
 
     before: Gaussian
     remaining: Floats
     added: Floats
     warmer_degc: Floats
-    rows: Floats
-    values: Floats
+    innovation: Innovation
 
 
 class SegmentEnds:
@@ -355,10 +356,9 @@ class ArrayFilter:
         if self._view is None:
             return
         rows, values = self._evidence.measurements(self.states.response_at(self.warmer_degc).dense)
+        self.belief, innovation = corrected(self.belief, rows, values)
         if self._record is not None:
-            self._record(Step(*self._step, self.warmer_degc, rows, values))
-        if len(rows):
-            self.belief, _ = corrected(self.belief, rows, values)
+            self._record(Step(*self._step, self.warmer_degc, innovation))
         self._view = None
 
 
@@ -422,36 +422,47 @@ class Spool:
 
 _STRIDE = 32
 
+_PLAIN = 6
+"""Number of arrays of a step without a recorded state."""
+
 
 class SegmentSmoother:
     """Records the steps of an `ArrayFilter`, then returns the smoothed views of the segments in order."""
 
     def __init__(self, geometry: Geometry, states: ErrorStates) -> None:
         self._geometry, self._states = geometry, states
+        self._drifting = states.drifting
         self._steps, self._views = Spool(), Spool()
         self._count = 0
+        self._at_end = Gaussian(np.zeros(len(states.names)), states.prior)
+        self._effect: SmoothedEffect | None = None
 
     def __call__(self, step: Step) -> None:
         """Record a step."""
-        belief = step.before if self._count % _STRIDE == 0 else ()
-        self._steps.push([*step[1:], *belief])
+        before, *others, innovation = step
+        belief = before if self._count % _STRIDE == 0 else ()
+        self._steps.push([*others, *innovation, *belief])
         self._count += 1
 
-    def smooth(self) -> None:
-        """Run the backward pass over the steps."""
+    def smooth(self, at_end: Gaussian) -> None:
+        """Run the backward pass over the steps, from the filter's states `at_end`."""
+        self._at_end = at_end
         size = len(self._states.names)
         adjoint = Adjoint(np.zeros(size), np.zeros((size, size)))
         stride: list[list[Floats]] = []
         while self._steps:
             stride.append(self._steps.pop())
-            if len(stride[-1]) > len(Step._fields) - 1:
+            if len(stride[-1]) > _PLAIN:
                 adjoint = self._smooth_stride(stride[::-1], adjoint)
                 stride = []
 
     def view(self) -> SegmentView:
         """Return the smoothed view of the next segment."""
-        offset, response, errors = self._views.pop()
-        return SegmentView(self._geometry, offset, response, errors, final=True)
+        warmer_degc, offset, errors = self._views.pop()
+        states = self._states.response_at(warmer_degc)
+        if self._effect is None or self._effect.states is not states:
+            self._effect = SmoothedEffect(self._geometry, states, self._at_end, self._drifting)
+        return self._effect.view(Drift(offset, errors))
 
     def close(self) -> None:
         """Delete the temporary files."""
@@ -460,15 +471,14 @@ class SegmentSmoother:
 
     def _smooth_stride(self, stride: list[list[Floats]], adjoint: Adjoint) -> Adjoint:
         """Smooth one stride, in order of time, whose first step has the recorded state."""
-        belief = Gaussian(*stride[0][-2:])
-        steps: list[tuple[Gaussian, Innovation]] = []
-        for decay, added, _, rows, values, *_ in stride:
-            at = predicted(belief, decay, added)
-            belief, innovation = corrected(at, rows, values)
-            steps.append((at, innovation))
-        for (at, innovation), (decay, _, warmer_degc, *_) in zip(steps[::-1], stride[::-1], strict=True):
-            adjoint = backwards(adjoint, at, innovation)
-            view = segment_view(self._states.response_at(warmer_degc), self._geometry, at, adjoint)
-            self._views.push([view.offset, view.response, view.errors])
-            adjoint = Adjoint(decay * adjoint.vector, adjoint.matrix * np.outer(decay, decay))
+        belief, nothing = Gaussian(*stride[0][-2:]), np.zeros(len(self._drifting))
+        beliefs: list[Gaussian] = []
+        for decay, added, _, *innovation in stride:
+            beliefs.append(predicted(belief, decay, added))
+            belief = updated(beliefs[-1], Innovation(*innovation[:3]))
+        for at, (decay, _, warmer_degc, *innovation) in zip(beliefs[::-1], stride[::-1], strict=True):
+            adjoint = backwards(adjoint, Innovation(*innovation[:3]))
+            drift = self._states.response_at(warmer_degc).drift(at, adjoint, self._drifting)
+            self._views.push([warmer_degc, *drift])
+            adjoint = Adjoint(*predicted(Gaussian(*adjoint), decay, nothing))
         return adjoint

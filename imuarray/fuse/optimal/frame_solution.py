@@ -21,7 +21,7 @@ import numpy as np
 from imuarray.arrays import Booleans, Floats, Indices
 from imuarray.fuse.optimal import compiled_segments
 from imuarray.fuse.optimal.geometry import Bounds, FrameReadings, Geometry, patterns
-from imuarray.fuse.optimal.states import Adjoint, Gaussian, StateResponse
+from imuarray.fuse.optimal.states import Drift, Gaussian, StateResponse
 
 _TOLERATED = 0.1
 """Largest relative change of the variance of a row by the stimulus in a frame with the nominal gain; the loss by a
@@ -157,16 +157,34 @@ class SegmentView:
         return float((2 * tolerated / (slope + np.sqrt(slope**2 + 4 * curvature * tolerated) + 1e-300)).min())
 
 
-def segment_view(
-    states: StateResponse, geometry: Geometry, belief: Gaussian, adjoint: Adjoint | None = None
-) -> SegmentView:
-    """Return the effect of the states on the rows of `geometry`; it is final if the `adjoint`, the information of later
-    measurements, is given.
+def segment_view(states: StateResponse, geometry: Geometry, belief: Gaussian) -> SegmentView:
+    """Return the effect of the states on the rows of `geometry`."""
+    mean, errors = states.of(belief)
+    return SegmentView(geometry, mean[0], _response(mean), errors, False)
+
+
+class SmoothedEffect:
+    """The effect of smoothed states on the rows of a `geometry`: `at_end` is the distribution of the states at the end
+    of a log, which is that of the constant ones throughout; the others are `drifting` (n,).
     """
-    mean, covariance = states.of(belief, adjoint)
-    response = mean[1:].T if len(mean) > 1 else np.zeros((mean.shape[1], 3))
-    errors = np.ascontiguousarray(covariance.transpose(0, 2, 1, 3))
-    return SegmentView(geometry, mean[0], response, errors, adjoint is not None)
+
+    def __init__(self, geometry: Geometry, states: StateResponse, at_end: Gaussian, drifting: Booleans) -> None:
+        self._geometry, self.states = geometry, states
+        steady = ~drifting
+        constant = Gaussian(at_end.mean * steady, at_end.covariance * np.outer(steady, steady))
+        self._mean, self._errors = states.of(constant)
+
+    def view(self, drift: Drift) -> SegmentView:
+        """Return the view of a segment."""
+        errors = self._errors.copy()
+        errors[0] += drift.errors.transpose(1, 0, 2)
+        errors[1:, 0] += drift.errors.transpose(1, 2, 0)[1:]
+        return SegmentView(self._geometry, self._mean[0] + drift.offset, _response(self._mean), errors, True)
+
+
+def _response(mean: Floats) -> Floats:
+    """Return the expected error of each row's direction (r, 3) by the mean (terms, r) of the effect."""
+    return mean[1:].T if len(mean) > 1 else np.zeros((mean.shape[1], 3))
 
 
 def _pairs(terms: Floats) -> Floats:

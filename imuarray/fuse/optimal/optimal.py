@@ -341,7 +341,7 @@ class _Group:
         """Begin the second pass over the same frames."""
         self.filter.end()
         if self._recorder is not None:
-            self._recorder.smooth()
+            self._recorder.smooth(self.filter.belief)
         if self.lever is not None:
             self.lever.forget()
         self._other_ends = SegmentEnds(self._segment_frames)

@@ -6,7 +6,9 @@ biases and responses that were calibrated together.
 
 Measurements are whitened: ``values = rows @ states + errors`` of unit variance. The smoother is that of Bierman ("Fixed
 interval smoothing with discrete measurements", International Journal of Control 18, 1973): it processes the innovations
-backwards and inverts no covariance of states, so that states with zero variance are allowed.
+backwards and inverts no covariance of states, so that states with zero variance are allowed. States that do not decay
+have the same smoothed distribution throughout a log, that of the filter at its end, so that the smoother computes only
+those of the states that drift.
 """
 
 from __future__ import annotations
@@ -17,8 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Floats, Indices
+from imuarray.arrays import Booleans, Floats
 from imuarray.fuse.frames import Axis
+from imuarray.fuse.optimal import compiled_states
 from imuarray.fuse.optimal.prior import AxisErrors, DesignErrors, ErrorModel
 
 
@@ -30,13 +33,13 @@ class Gaussian(NamedTuple):
 
 
 class Innovation(NamedTuple):
-    """The result of one step of measurements: the `rows` (p, n), the inverse of the innovations' covariance (p, p) and
-    that times the innovations, (p,).
+    """The result of one step of p measurements: their rows `whitened` (p, n), the `gain` (p, n) and the innovations
+    `values` (p,), all multiplied by the inverse of the lower triangular root of the innovations' covariance.
     """
 
-    rows: Floats
-    inverse: Floats
-    weighted: Floats
+    whitened: Floats
+    gain: Floats
+    values: Floats
 
 
 class Adjoint(NamedTuple):
@@ -50,47 +53,59 @@ class Adjoint(NamedTuple):
 
 def predicted(prior: Gaussian, remaining: Floats, added: Floats) -> Gaussian:
     """Return the predicted states: the share `remaining` (n,) of each, and the variance `added` (n,)."""
-    covariance = prior.covariance * (remaining[:, None] * remaining)
-    covariance.ravel()[:: len(remaining) + 1] += added  # the diagonal
-    return Gaussian(prior.mean * remaining, covariance)
+    mean, covariance = np.empty(prior.mean.shape), np.empty(prior.covariance.shape)
+    if not compiled_states.predict((remaining, added, *prior, mean, covariance), len(mean)):
+        covariance = prior.covariance * (remaining[:, None] * remaining)
+        covariance.ravel()[:: len(remaining) + 1] += added  # the diagonal
+        mean = prior.mean * remaining
+    return Gaussian(mean, covariance)
 
 
 def corrected(prior: Gaussian, rows: Floats, values: Floats) -> tuple[Gaussian, Innovation]:
     """Return the states after measurements `values` (p,) by `rows` (p, n), with errors of unit variance."""
+    posterior = Gaussian(np.empty(prior.mean.shape), np.empty(prior.covariance.shape))
+    step = Innovation(np.empty(rows.shape), np.empty(rows.shape), np.empty(values.shape))
+    given = (*prior, np.ascontiguousarray(rows), np.ascontiguousarray(values))
+    if compiled_states.correct((*given, *posterior, *step), (rows.shape[1], len(rows))):
+        return posterior, step
     seen = rows @ prior.covariance
     innovations = seen @ rows.T
     innovations.ravel()[:: len(rows) + 1] += 1.0  # the diagonal
-    root = np.linalg.cholesky(innovations)
-    inverse_root = np.linalg.inv(root)
-    gain = inverse_root @ seen
-    innovation = inverse_root @ (values - rows @ prior.mean)
-    posterior = Gaussian(prior.mean + gain.T @ innovation, prior.covariance - gain.T @ gain)
-    return posterior, Innovation(rows, inverse_root.T @ inverse_root, inverse_root.T @ innovation)
+    inverse_root = np.linalg.inv(np.linalg.cholesky(innovations))
+    step = Innovation(inverse_root @ rows, inverse_root @ seen, inverse_root @ (values - rows @ prior.mean))
+    return updated(prior, step), step
 
 
-def backwards(later: Adjoint, belief: Gaussian, step: Innovation) -> Adjoint:
-    """Return the information of these and all later measurements on the state `belief`, as predicted before them.
+def updated(prior: Gaussian, step: Innovation) -> Gaussian:
+    """Return the states after the measurements of a known step."""
+    gain = step.gain
+    return Gaussian(prior.mean + gain.T @ step.values, prior.covariance - gain.T @ gain)
 
-    With ``kept = 1 - covariance rows' inverse rows`` the vector is ``kept' vector - rows' weighted`` and the matrix
-    ``kept' matrix kept + rows' inverse rows``. There are few measurements compared with states, so products with `kept`
+
+def backwards(later: Adjoint, step: Innovation) -> Adjoint:
+    """Return the information of these and all later measurements on the state as predicted before them.
+
+    With ``kept = 1 - gain' whitened`` the vector is ``kept' vector - whitened' values`` and the matrix
+    ``kept' matrix kept + whitened' whitened``. There are few measurements compared with states, so products with `kept`
     are not formed.
     """
-    weighed = step.inverse @ step.rows
-    seen = belief.covariance @ step.rows.T
-    across = later.matrix @ seen
-    vector = later.vector - weighed.T @ (seen.T @ later.vector) - step.rows.T @ step.weighted
-    half = weighed.T @ (seen.T @ across @ weighed / 2 - across.T) + step.rows.T @ weighed / 2
+    before = Adjoint(np.empty(later.vector.shape), np.empty(later.matrix.shape))
+    if compiled_states.turn_back((*later, *step, *before), (len(later.vector), len(step.values))):
+        return before
+    across = step.gain @ later.matrix
+    vector = later.vector - step.whitened.T @ (step.gain @ later.vector + step.values)
+    inner = across @ step.gain.T + np.eye(len(across))
+    half = step.whitened.T @ (inner / 2 @ step.whitened - across)
     return Adjoint(vector, later.matrix + (half + half.T))
 
 
-class _Layer(NamedTuple):
-    """The k-th entries of the rows of a sparse matrix: the `rows` with such an entry, their `columns`, and the entries
-    (p, 1), None if all are 1.
+class Drift(NamedTuple):
+    """The part of the smoothed effect on r rows that is due to drifting states: its mean `offset` (r,), and its part
+    `errors` (r, terms, r) of the covariances of the first term with all of them.
     """
 
-    rows: Indices | slice
-    columns: Indices
-    entries: Floats | None
+    offset: Floats
+    errors: Floats
 
 
 class StateResponse:
@@ -100,39 +115,37 @@ class StateResponse:
 
     def __init__(self, dense: Floats) -> None:
         self.dense = dense
-        self._flat = flat = dense.reshape(dense.shape[0] * dense.shape[1], dense.shape[2])
-        self._layers: list[_Layer] = []
-        rows, columns = np.nonzero(flat)
-        place = np.arange(len(rows)) - np.searchsorted(rows, rows)
-        for layer in range(int(place.max(initial=-1)) + 1):
-            in_layer = place == layer
-            entries = flat[rows[in_layer], columns[in_layer]]
-            self._layers.append(
-                _Layer(
-                    slice(None) if in_layer.sum() == len(flat) else rows[in_layer],
-                    columns[in_layer],
-                    None if (entries == 1).all() else entries[:, None],
-                )
-            )
+        self._flat = dense.reshape(dense.shape[0] * dense.shape[1], dense.shape[2])
+        rows, columns = np.nonzero(self._flat)
+        starts = np.searchsorted(rows, np.arange(len(self._flat) + 1)).astype(np.int64)
+        self._sparse = (starts, columns.astype(np.int64), self._flat[rows, columns])
+        self._sizes = (dense.shape[2], dense.shape[0], dense.shape[1], len(columns))
 
-    def of(self, belief: Gaussian, adjoint: Adjoint | None = None) -> tuple[Floats, Floats]:
-        """Return mean (terms, r) and covariance (terms, r, terms, r) of the effect of the states on the rows, with the
-        information of later measurements if `adjoint` is given.
+    def of(self, belief: Gaussian) -> tuple[Floats, Floats]:
+        """Return mean (terms, r) and covariance (terms, terms, r, r) of the effect of the states on the rows."""
+        terms, rows, _ = self.dense.shape
+        mean, covariance = np.empty((terms, rows)), np.empty((terms, terms, rows, rows))
+        if not compiled_states.effect((*belief, *self._sparse, mean, covariance), self._sizes):
+            mean = (self._flat @ belief.mean).reshape(terms, rows)
+            product = self._flat @ belief.covariance @ self._flat.T
+            covariance = np.ascontiguousarray(product.reshape(terms, rows, terms, rows).transpose(0, 2, 1, 3))
+        return mean, covariance
+
+    def drift(self, belief: Gaussian, adjoint: Adjoint, drifting: Booleans) -> Drift:
+        """Return the part of the smoothed effect that is due to the `drifting` states (n,), which act on the first term
+        only. `adjoint` is the information of later measurements on the predicted `belief`.
         """
         terms, rows, _ = self.dense.shape
-        cross = np.zeros(self._flat.shape)  # covariance of the effect with the states
-        for places, columns, entries in self._layers:
-            part = belief.covariance.take(columns, axis=0)
-            cross[places] += part if entries is None else entries * part
-        covariance = np.zeros((len(cross), len(cross)))
-        for places, columns, entries in self._layers:
-            part = cross.take(columns, axis=1)
-            covariance[:, places] += part if entries is None else entries.T * part
-        mean = self._flat @ belief.mean
-        if adjoint is not None:
-            mean -= cross @ adjoint.vector
-            covariance -= cross @ adjoint.matrix @ cross.T
-        return mean.reshape(terms, rows), covariance.reshape(terms, rows, terms, rows)
+        drift = Drift(np.empty(rows), np.empty((rows, terms, rows)))
+        given = (*belief, *adjoint, drifting, *self._sparse)
+        if compiled_states.drifts((*given, *drift), self._sizes):
+            return drift
+        moving = np.where(drifting, self.dense[0], 0.0)
+        cross = moving @ belief.covariance
+        smoothed = cross - cross @ adjoint.matrix @ belief.covariance
+        errors = (smoothed @ self._flat.T).reshape(rows, terms, rows)
+        errors[:, 0] += (self.dense[0] - moving) @ smoothed.T
+        return Drift(moving @ belief.mean - cross @ adjoint.vector, errors)
 
 
 _KEPT = 16
@@ -153,6 +166,11 @@ class ErrorStates:
     thermal: Floats
     response: Floats
     _responses: dict[bytes, StateResponse] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    @property
+    def drifting(self) -> Booleans:
+        """Whether each state (n,) decays; responses don't."""
+        return np.isfinite(self.time_constants_s)
 
     @property
     def terms(self) -> int:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
+
 import numpy as np
 import pytest
 
-from imuarray.fuse.optimal.states import Adjoint, Gaussian, Innovation, StateResponse, backwards, corrected
+from imuarray.fuse.optimal import compiled_states
+from imuarray.fuse.optimal.states import Adjoint, Gaussian, Innovation, StateResponse, backwards, corrected, predicted
 
 ROWS, STATES = 6, 40
 
@@ -30,21 +33,28 @@ def test_what_rows_feel_is_the_product_with_the_whole_matrix(terms: int) -> None
     belief = Gaussian(rng.normal(size=STATES), _spread(rng, STATES))
     mean, covariance = StateResponse(dense).of(belief)
     np.testing.assert_allclose(mean.ravel(), flat @ belief.mean, rtol=1e-12, atol=1e-12)
-    expected = flat @ belief.covariance @ flat.T
-    np.testing.assert_allclose(covariance.reshape(expected.shape), expected, rtol=1e-12, atol=1e-11)
+    expected = (flat @ belief.covariance @ flat.T).reshape(terms, ROWS, terms, ROWS).transpose(0, 2, 1, 3)
+    np.testing.assert_allclose(covariance, expected, rtol=1e-12, atol=1e-11)
 
 
-def test_what_rows_feel_of_smoothed_states() -> None:
-    """The smoothed belief is mean - P lambda, P - P Lambda P (Bierman 1973)."""
+@pytest.mark.parametrize("terms", [1, 4])
+def test_what_rows_feel_of_smoothed_states(terms: int) -> None:
+    """The smoothed belief is mean - P lambda, P - P Lambda P (Bierman 1973); drifting states act on the first term."""
     rng = np.random.default_rng(3)
-    dense = _dense(rng, 4)
+    dense = _dense(rng, terms)
+    drifting = rng.random(STATES) < 0.4
+    dense[1:, :, drifting] = 0.0
     flat = dense.reshape(-1, STATES)
     belief = Gaussian(rng.normal(size=STATES), _spread(rng, STATES) / STATES)
     adjoint = Adjoint(rng.normal(size=STATES), _spread(rng, STATES) / 1e4)
-    mean, covariance = StateResponse(dense).of(belief, adjoint)
+    mean = belief.mean - belief.covariance @ adjoint.vector
     smoothed = belief.covariance - belief.covariance @ adjoint.matrix @ belief.covariance
-    np.testing.assert_allclose(mean.ravel(), flat @ (belief.mean - belief.covariance @ adjoint.vector), atol=1e-12)
-    np.testing.assert_allclose(covariance.reshape(len(flat), -1), flat @ smoothed @ flat.T, atol=1e-12)
+    drift = StateResponse(dense).drift(belief, adjoint, drifting)
+    steady = flat * ~drifting
+    np.testing.assert_allclose(drift.offset, dense[0] @ (mean * drifting), atol=1e-12)
+    added = flat @ smoothed @ flat.T - steady @ smoothed @ steady.T
+    np.testing.assert_allclose(drift.errors.reshape(ROWS, -1), added[:ROWS], atol=1e-12)
+    assert np.allclose(added[ROWS:, ROWS:], 0.0, atol=1e-14)
 
 
 def test_states_that_nothing_feels() -> None:
@@ -63,7 +73,7 @@ def test_step_back_is_that_of_whole_matrices() -> None:
     kept = np.eye(STATES) - at.covariance @ rows.T @ inverse @ rows
     vector = kept.T @ later.vector - rows.T @ inverse @ (values - rows @ at.mean)
     matrix = kept.T @ later.matrix @ kept + rows.T @ inverse @ rows
-    before = backwards(later, at, innovation)
+    before = backwards(later, innovation)
     np.testing.assert_allclose(before.vector, vector, rtol=1e-11, atol=1e-11)
     np.testing.assert_allclose(before.matrix, matrix, rtol=1e-11, atol=1e-10)
     np.testing.assert_array_equal(before.matrix, before.matrix.T)
@@ -72,7 +82,68 @@ def test_step_back_is_that_of_whole_matrices() -> None:
 def test_step_back_without_measurements_changes_nothing() -> None:
     rng = np.random.default_rng(5)
     later = Adjoint(rng.normal(size=3), _spread(rng, 3))
-    empty = Innovation(np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0))
-    before = backwards(later, Gaussian(np.zeros(3), np.eye(3)), empty)
+    before = backwards(later, Innovation(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)))
     np.testing.assert_array_equal(before.vector, later.vector)
     np.testing.assert_array_equal(before.matrix, later.matrix)
+
+
+def test_states_without_measurements_stay() -> None:
+    belief = Gaussian(np.arange(3.0), np.diag([1.0, 2.0, 3.0]))
+    after, innovation = corrected(belief, np.zeros((0, 3)), np.zeros(0))
+    assert (after.mean == belief.mean).all() and (after.covariance == belief.covariance).all()
+    assert innovation.gain.shape == (0, 3)
+
+
+@pytest.mark.parametrize(("states", "measurements"), [(1, 1), (5, 9), (8, 3), (40, 5), (114, 15), (50, 33)])
+def test_compiled_steps_are_those_of_numpy(states: int, measurements: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sizes below, at and above those of the tiles of products."""
+    rng = np.random.default_rng(states)
+    belief = Gaussian(rng.normal(size=states), _spread(rng, states) / states)
+    rows, values = rng.normal(size=(measurements, states)), rng.normal(size=measurements)
+    later = Adjoint(rng.normal(size=states), _spread(rng, states))
+    decay, added = rng.random(states), rng.random(states)
+
+    def results() -> list[np.ndarray]:
+        after, innovation = corrected(belief, rows, values)
+        return [*after, *innovation, *backwards(later, innovation), *predicted(belief, decay, added)]
+
+    ours = results()
+    for name in ("predict", "correct", "turn_back"):
+        monkeypatch.setattr(compiled_states, name, lambda *_: False)
+    for got, expected in zip(ours, results(), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-11 * np.abs(expected).max())
+    assert (ours[1] == ours[1].T).all()
+
+
+@pytest.mark.parametrize("terms", [1, 4])
+def test_compiled_effects_are_those_of_numpy(terms: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(8)
+    dense, drifting = _dense(rng, terms), rng.random(STATES) < 0.4
+    dense[1:, :, drifting] = 0.0
+    belief = Gaussian(rng.normal(size=STATES), _spread(rng, STATES) / STATES)
+    adjoint = Adjoint(rng.normal(size=STATES), _spread(rng, STATES) / 1e4)
+    response = StateResponse(dense)
+    ours = [*response.of(belief), *response.drift(belief, adjoint, drifting)]
+    monkeypatch.setattr(compiled_states, "effect", lambda *_: False)
+    monkeypatch.setattr(compiled_states, "drifts", lambda *_: False)
+    for got, expected in zip(ours, [*response.of(belief), *response.drift(belief, adjoint, drifting)], strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_covariances_that_are_not_positive_are_refused() -> None:
+    belief = Gaussian(np.zeros(2), np.diag([-5.0, 1.0]))
+    with pytest.raises(np.linalg.LinAlgError):
+        corrected(belief, np.eye(2), np.zeros(2))
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("imuarray.fuse.optimal._states") is None, reason="installed without a C compiler"
+)
+def test_compiled_steps_refuse_arrays_of_another_size() -> None:
+    arrays = tuple(np.zeros(4) for _ in range(6))
+    with pytest.raises(ValueError, match="array 3: 128 bytes are required"):
+        compiled_states.predict(arrays, 4)
+    with pytest.raises(ValueError, match="other sizes are required"):
+        compiled_states.predict(arrays, -1)
+    outside = (np.zeros(1), np.zeros(1), np.array([0, 1]), np.array([1]), np.zeros(1), np.zeros(1), np.zeros(1))
+    assert not compiled_states.effect(outside, (1, 1, 1, 1))

@@ -1,0 +1,416 @@
+/* The steps of the filter and of the smoother of slow errors, as `states.py` explains them and does them with NumPy.
+
+   A step is some hundred thousand multiplications of matrices that fit into a processor's second cache. NumPy's products
+   don't know which matrices are symmetric or sparse, and every call costs as much as ten thousand multiplications.
+
+   Sizes: n states, p measurements, r rows, t terms. */
+
+#include "../../_buffers.h"
+
+#include <math.h>
+#include <string.h>
+
+#define TALL 4
+#define WIDE 8
+#define MOST_STATES 4096
+#define MOST_ROWS 4096
+
+/* A type of four numbers at once, where the compiler has one and the processor enough registers: on x86 only those with
+   fused multiplication and addition, on others always. */
+#define HALF 4
+#if defined(__GNUC__)
+#define INLINED static inline __attribute__((always_inline)) /* into the code for each kind of processor */
+#define HAVE_QUADS 1
+typedef double Quad __attribute__((vector_size(32)));
+#define QUAD_OF(number) ((Quad){number, number, number, number})
+#else
+#define INLINED static inline
+#define HAVE_QUADS 0
+#endif
+#if defined(__GNUC__) && defined(__x86_64__)
+#define FUSED __attribute__((target("fma")))
+#define IS_FUSED __builtin_cpu_supports("fma")
+#else
+#define FUSED
+#define IS_FUSED HAVE_QUADS
+#endif
+
+/* A matrix by its first entry and the distances of entries that are next to each other in a column and in a row. */
+typedef struct {
+    const double *at;
+    Py_ssize_t down, across;
+} Matrix;
+
+/* The product of TALL rows, whose numbers are `across` apart, with a strip of WIDE columns, whose rows are `step` apart. */
+INLINED void multiply_tile(double tile[TALL][WIDE], const double *const *of, Py_ssize_t across, const double *strip,
+                           Py_ssize_t step, Py_ssize_t depth, int quads) {
+#if HAVE_QUADS
+    if (quads) {
+        const double *a = of[0], *b = of[1], *e = of[2], *f = of[3];
+        Quad a0 = {0}, a1 = {0}, b0 = {0}, b1 = {0}, e0 = {0}, e1 = {0}, f0 = {0}, f1 = {0}, low, high, factor;
+        for (Py_ssize_t k = 0; k < depth; k++, strip += step, a += across, b += across, e += across, f += across) {
+            memcpy(&low, strip, sizeof(Quad));
+            memcpy(&high, strip + HALF, sizeof(Quad));
+            factor = QUAD_OF(*a), a0 += factor * low, a1 += factor * high;
+            factor = QUAD_OF(*b), b0 += factor * low, b1 += factor * high;
+            factor = QUAD_OF(*e), e0 += factor * low, e1 += factor * high;
+            factor = QUAD_OF(*f), f0 += factor * low, f1 += factor * high;
+        }
+        memcpy(tile[0], &a0, sizeof(Quad)), memcpy(tile[0] + HALF, &a1, sizeof(Quad));
+        memcpy(tile[1], &b0, sizeof(Quad)), memcpy(tile[1] + HALF, &b1, sizeof(Quad));
+        memcpy(tile[2], &e0, sizeof(Quad)), memcpy(tile[2] + HALF, &e1, sizeof(Quad));
+        memcpy(tile[3], &f0, sizeof(Quad)), memcpy(tile[3] + HALF, &f1, sizeof(Quad));
+        return;
+    }
+#endif
+    (void)quads;
+    memset(tile, 0, TALL * WIDE * sizeof(double));
+    for (Py_ssize_t k = 0; k < depth; k++, strip += step)
+        for (int i = 0; i < TALL; i++)
+            for (int j = 0; j < WIDE; j++) tile[i][j] += of[i][k * across] * strip[j];
+}
+
+/* Rows, depth and columns of a product, and whether only what is at and above the diagonal of tiles is required. */
+typedef struct {
+    Py_ssize_t rows, depth, columns;
+    int upper;
+} Shape;
+
+/* c (rows, columns) += sign left (rows, depth) @ right (depth, columns), c and right without gaps. Tiles at the ends overlap
+   others or repeat a row, and only what is new of them is added. */
+INLINED void add_tiles(double *c, Matrix left, const double *right, Shape s, double sign, int quads) {
+    for (Py_ssize_t j = 0; j < s.columns; j += WIDE) {
+        Py_ssize_t first = j + WIDE <= s.columns ? j : s.columns - WIDE;
+        for (Py_ssize_t i = 0; i < s.rows && !(s.upper && j + WIDE <= i); i += TALL) {
+            const double *of[TALL];
+            double tile[TALL][WIDE];
+            for (int row = 0; row < TALL; row++)
+                of[row] = left.at + (i + row < s.rows ? i + row : s.rows - 1) * left.down;
+            multiply_tile(tile, of, left.across, right + first, s.columns, s.depth, quads);
+            for (Py_ssize_t row = 0; row < TALL && i + row < s.rows; row++) {
+                double *to = c + (i + row) * s.columns + first;
+                if (first == j)
+                    for (int column = 0; column < WIDE; column++) to[column] += sign * tile[row][column];
+                else
+                    for (Py_ssize_t column = j - first; column < WIDE; column++) to[column] += sign * tile[row][column];
+            }
+        }
+    }
+}
+
+FUSED static void add_fused(double *c, Matrix left, const double *right, Shape s, double sign) {
+    add_tiles(c, left, right, s, sign, HAVE_QUADS);
+}
+
+static void add_plain(double *c, Matrix left, const double *right, Shape s, double sign) {
+    add_tiles(c, left, right, s, sign, 0);
+}
+
+static void add_product(double *c, Matrix left, const double *right, Shape s, double sign) {
+    if (s.columns >= WIDE && IS_FUSED) {
+        add_fused(c, left, right, s, sign);
+    } else if (s.columns >= WIDE) {
+        add_plain(c, left, right, s, sign);
+    } else {
+        for (Py_ssize_t i = 0; i < s.rows; i++)
+            for (Py_ssize_t k = 0; k < s.depth; k++) {
+                double factor = sign * left.at[i * left.down + k * left.across];
+                for (Py_ssize_t j = 0; j < s.columns; j++) c[i * s.columns + j] += factor * right[k * s.columns + j];
+            }
+    }
+}
+
+/* Copies the upper part to the lower one, in squares that stay in the first cache. */
+static void copy_upper(double *square, Py_ssize_t size) {
+    for (Py_ssize_t top = 0; top < size; top += WIDE)
+        for (Py_ssize_t edge = 0; edge <= top; edge += WIDE)
+            for (Py_ssize_t i = top; i < top + WIDE && i < size; i++)
+                for (Py_ssize_t j = edge; j < edge + WIDE && j < i; j++) square[i * size + j] = square[j * size + i];
+}
+
+static void transpose(double *into, const double *matrix, Py_ssize_t rows, Py_ssize_t columns) {
+    for (Py_ssize_t i = 0; i < rows; i++)
+        for (Py_ssize_t j = 0; j < columns; j++) into[j * rows + i] = matrix[i * columns + j];
+}
+
+/* to += factor from, of so many numbers. */
+static inline void add(double *to, double factor, const double *from, Py_ssize_t count) {
+    for (Py_ssize_t i = 0; i < count; i++) to[i] += factor * from[i];
+}
+
+static double dot(const double *a, const double *b, Py_ssize_t count) {
+    double sum[4] = {0};
+    Py_ssize_t i = 0;
+    for (; i + 4 <= count; i += 4)
+        for (int k = 0; k < 4; k++) sum[k] += a[i + k] * b[i + k];
+    for (; i < count; i++) sum[0] += a[i] * b[i];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+/* Rows with few entries: those of row i are at `starts[i]` to `starts[i + 1]`. */
+typedef struct {
+    const long long *starts, *columns;
+    const double *entries;
+} Sparse;
+
+static int is_sparse(const Sparse *s, Py_ssize_t rows, Py_ssize_t columns, Py_ssize_t entries) {
+    if (s->starts[0] != 0 || s->starts[rows] != entries) return 0;
+    for (Py_ssize_t i = 0; i < rows; i++)
+        if (s->starts[i] > s->starts[i + 1]) return 0;
+    for (Py_ssize_t e = 0; e < entries; e++)
+        if (s->columns[e] < 0 || s->columns[e] >= columns) return 0;
+    return 1;
+}
+
+/* Arrays and scratch memory of a call. */
+typedef struct {
+    Py_buffer views[12];
+    Py_ssize_t held;
+    double *room;
+} Call;
+
+static int prepared(Call *call, PyObject *sequence, Py_ssize_t count, const Py_ssize_t *bytes, Py_ssize_t read,
+                    Py_ssize_t doubles) {
+    call->room = NULL;
+    call->held = hold(sequence, call->views, count, bytes, read);
+    if (PyErr_Occurred()) return 0;
+    call->room = PyMem_Calloc((size_t)(doubles > 0 ? doubles : 1), sizeof(double));
+    if (call->room == NULL) PyErr_NoMemory();
+    return call->room != NULL;
+}
+
+static PyObject *finished(Call *call, int done) {
+    PyMem_Free(call->room);
+    while (call->held > 0) PyBuffer_Release(&call->views[--call->held]);
+    return PyErr_Occurred() ? NULL : PyBool_FromLong(done);
+}
+
+static int are_sizes(Py_ssize_t n, Py_ssize_t p, Py_ssize_t rows) {
+    return sizes_allowed(n >= 0 && n <= MOST_STATES && p >= 0 && p <= MOST_ROWS && rows >= 0 && rows <= MOST_ROWS);
+}
+
+static PyObject *predict(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t n;
+    Call call;
+    if (!PyArg_ParseTuple(args, "O!n", &PyTuple_Type, &sequence, &n) || !are_sizes(n, 0, 0)) return NULL;
+    const Py_ssize_t bytes[] = {DOUBLES(n), DOUBLES(n), DOUBLES(n), DOUBLES(n * n), DOUBLES(n), DOUBLES(n * n)};
+    if (prepared(&call, sequence, 6, bytes, 4, 0)) {
+        const double *remaining = call.views[0].buf, *added = call.views[1].buf, *mean = call.views[2].buf,
+                     *covariance = call.views[3].buf;
+        double *mean_after = call.views[4].buf, *covariance_after = call.views[5].buf;
+        for (Py_ssize_t i = 0; i < n; i++) {
+            mean_after[i] = mean[i] * remaining[i];
+            for (Py_ssize_t j = 0; j < n; j++)
+                covariance_after[i * n + j] = covariance[i * n + j] * (remaining[i] * remaining[j]);
+            covariance_after[i * n + i] += added[i];
+        }
+    }
+    return finished(&call, 1);
+}
+
+/* The lower triangular root of a symmetric matrix, in place; 0 if it is not positive definite. */
+static int rooted(double *matrix, Py_ssize_t size) {
+    for (Py_ssize_t i = 0; i < size; i++)
+        for (Py_ssize_t j = 0; j <= i; j++) {
+            double rest = matrix[i * size + j] - dot(matrix + i * size, matrix + j * size, j);
+            if (i != j) {
+                matrix[i * size + j] = rest / matrix[j * size + j];
+                continue;
+            }
+            if (!(rest > 0)) return 0;
+            matrix[i * size + i] = sqrt(rest);
+        }
+    return 1;
+}
+
+/* rows (p, count) becomes root^-1 @ rows. */
+CLONES static void whiten(double *rows, const double *root, Py_ssize_t p, Py_ssize_t count) {
+    for (Py_ssize_t i = 0; i < p; i++) {
+        for (Py_ssize_t j = 0; j < i; j++) add(rows + i * count, -root[i * p + j], rows + j * count, count);
+        for (Py_ssize_t k = 0; k < count; k++) rows[i * count + k] /= root[i * p + i];
+    }
+}
+
+static PyObject *correct(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t n, p;
+    int done = 0;
+    Call call;
+    if (!PyArg_ParseTuple(args, "O!(nn)", &PyTuple_Type, &sequence, &n, &p) || !are_sizes(n, p, 0)) return NULL;
+    const Py_ssize_t bytes[] = {DOUBLES(n),     DOUBLES(n * n), DOUBLES(p * n), DOUBLES(p), DOUBLES(n),
+                                DOUBLES(n * n), DOUBLES(p * n), DOUBLES(p * n), DOUBLES(p)};
+    if (prepared(&call, sequence, 9, bytes, 4, p * p + n * p)) {
+        const double *mean = call.views[0].buf, *covariance = call.views[1].buf, *rows = call.views[2].buf,
+                     *values = call.views[3].buf;
+        double *mean_after = call.views[4].buf, *covariance_after = call.views[5].buf, *whitened = call.views[6].buf,
+               *gain = call.views[7].buf, *innovation = call.views[8].buf, *root = call.room, *turned = root + p * p;
+        memset(gain, 0, (size_t)(p * n) * sizeof(double));
+        add_product(gain, (Matrix){rows, n, 1}, covariance, (Shape){p, n, n, 0}, 1.0);
+        transpose(turned, rows, p, n);
+        add_product(root, (Matrix){gain, n, 1}, turned, (Shape){p, n, p, 0}, 1.0);
+        for (Py_ssize_t i = 0; i < p; i++) root[i * p + i] += 1.0;
+        done = rooted(root, p);
+        if (done) {
+            memcpy(whitened, rows, (size_t)(p * n) * sizeof(double));
+            whiten(gain, root, p, n);
+            whiten(whitened, root, p, n);
+            for (Py_ssize_t i = 0; i < p; i++) innovation[i] = values[i] - dot(rows + i * n, mean, n);
+            whiten(innovation, root, p, 1);
+            memcpy(mean_after, mean, (size_t)n * sizeof(double));
+            for (Py_ssize_t i = 0; i < p; i++) add(mean_after, innovation[i], gain + i * n, n);
+            memcpy(covariance_after, covariance, (size_t)(n * n) * sizeof(double));
+            add_product(covariance_after, (Matrix){gain, 1, n}, gain, (Shape){n, p, n, 1}, -1.0);
+            copy_upper(covariance_after, n);
+        }
+    }
+    return finished(&call, done);
+}
+
+static PyObject *turn_back(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t n, p;
+    Call call;
+    if (!PyArg_ParseTuple(args, "O!(nn)", &PyTuple_Type, &sequence, &n, &p) || !are_sizes(n, p, 0)) return NULL;
+    const Py_ssize_t bytes[] = {DOUBLES(n),     DOUBLES(n * n), DOUBLES(p * n), DOUBLES(p * n),
+                                DOUBLES(p),     DOUBLES(n),     DOUBLES(n * n)};
+    if (prepared(&call, sequence, 7, bytes, 5, 3 * p * n + p * p)) {
+        const double *vector = call.views[0].buf, *matrix = call.views[1].buf, *whitened = call.views[2].buf,
+                     *gain = call.views[3].buf, *innovation = call.views[4].buf;
+        double *vector_before = call.views[5].buf, *matrix_before = call.views[6].buf;
+        double *across = call.room, *turned = across + p * n, *half = turned + p * n, *inner = half + p * n;
+        memcpy(vector_before, vector, (size_t)n * sizeof(double));
+        for (Py_ssize_t i = 0; i < p; i++)
+            add(vector_before, -(dot(gain + i * n, vector, n) + innovation[i]), whitened + i * n, n);
+        add_product(across, (Matrix){gain, n, 1}, matrix, (Shape){p, n, n, 0}, 1.0);
+        transpose(turned, gain, p, n);
+        add_product(inner, (Matrix){across, n, 1}, turned, (Shape){p, n, p, 0}, 0.5);
+        for (Py_ssize_t i = 0; i < p; i++) inner[i * p + i] += 0.5;
+        add_product(half, (Matrix){inner, p, 1}, whitened, (Shape){p, p, n, 0}, 1.0);
+        for (Py_ssize_t i = 0; i < p * n; i++) half[i] -= across[i];
+        memcpy(matrix_before, matrix, (size_t)(n * n) * sizeof(double));
+        add_product(matrix_before, (Matrix){whitened, 1, n}, half, (Shape){n, p, n, 1}, 1.0);
+        add_product(matrix_before, (Matrix){half, 1, n}, whitened, (Shape){n, p, n, 1}, 1.0);
+        copy_upper(matrix_before, n);
+    }
+    return finished(&call, 1);
+}
+
+static double sparse_dot(const Sparse *s, Py_ssize_t row, const double *values) {
+    double sum = 0;
+    for (long long e = s->starts[row]; e < s->starts[row + 1]; e++) sum += s->entries[e] * values[s->columns[e]];
+    return sum;
+}
+
+static PyObject *effect(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t n, t, r, count;
+    int done = 0;
+    Call call;
+    if (!PyArg_ParseTuple(args, "O!(nnnn)", &PyTuple_Type, &sequence, &n, &t, &r, &count) || !are_sizes(n, t, r)) return NULL;
+    Py_ssize_t rows = t * r;
+    if (!are_sizes(n, count, rows)) return NULL;
+    const Py_ssize_t bytes[] = {DOUBLES(n), DOUBLES(n * n), DOUBLES(rows + 1), DOUBLES(count), DOUBLES(count),
+                                DOUBLES(rows), DOUBLES(rows * rows)};
+    if (prepared(&call, sequence, 7, bytes, 5, n)) {
+        const double *mean = call.views[0].buf, *covariance = call.views[1].buf;
+        Sparse s = {call.views[2].buf, call.views[3].buf, call.views[4].buf};
+        double *effects = call.views[5].buf, *errors = call.views[6].buf, *cross = call.room;
+        done = is_sparse(&s, rows, n, count);
+        for (Py_ssize_t a = 0; done && a < rows; a++) {
+            effects[a] = sparse_dot(&s, a, mean);
+            memset(cross, 0, (size_t)n * sizeof(double));
+            for (long long e = s.starts[a]; e < s.starts[a + 1]; e++)
+                add(cross, s.entries[e], covariance + s.columns[e] * n, n);
+            for (Py_ssize_t b = 0; b <= a; b++) {
+                Py_ssize_t j = a / r, l = b / r, down = a % r, along = b % r;
+                double product = sparse_dot(&s, b, cross);
+                errors[((j * t + l) * r + down) * r + along] = errors[((l * t + j) * r + along) * r + down] = product;
+            }
+        }
+    }
+    return finished(&call, done);
+}
+
+static PyObject *drifts(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t n, t, r, count;
+    int done = 0;
+    Call call;
+    if (!PyArg_ParseTuple(args, "O!(nnnn)", &PyTuple_Type, &sequence, &n, &t, &r, &count) || !are_sizes(n, t, r)) return NULL;
+    Py_ssize_t rows = t * r, wide = rows + r;
+    if (!are_sizes(n, count, rows)) return NULL;
+    const Py_ssize_t bytes[] = {DOUBLES(n),     DOUBLES(n * n),   DOUBLES(n),     DOUBLES(n * n), n,
+                                DOUBLES(rows + 1), DOUBLES(count), DOUBLES(count), DOUBLES(r),     DOUBLES(r * rows)};
+    if (prepared(&call, sequence, 10, bytes, 8, 2 * r * n + (n + r) * wide)) {
+        const double *mean = call.views[0].buf, *covariance = call.views[1].buf, *vector = call.views[2].buf,
+                     *matrix = call.views[3].buf;
+        const char *drifting = call.views[4].buf;
+        Sparse s = {call.views[5].buf, call.views[6].buf, call.views[7].buf};
+        double *moved = call.views[8].buf, *shared = call.views[9].buf;
+        double *cross = call.room, *later = cross + r * n, *felt = later + r * n, *effects = felt + n * wide;
+        done = is_sparse(&s, rows, n, count);
+        if (done) {
+            for (Py_ssize_t a = 0; a < r; a++) {
+                moved[a] = 0;
+                for (long long e = s.starts[a]; e < s.starts[a + 1]; e++)
+                    if (drifting[s.columns[e]]) {
+                        moved[a] += s.entries[e] * mean[s.columns[e]];
+                        add(cross + a * n, s.entries[e], covariance + s.columns[e] * n, n);
+                    }
+                moved[a] -= dot(cross + a * n, vector, n);
+            }
+            add_product(later, (Matrix){cross, n, 1}, matrix, (Shape){r, n, n, 0}, 1.0);
+            for (Py_ssize_t x = 0; x < n; x++)
+                for (Py_ssize_t b = 0; b < rows; b++)
+                    for (long long e = s.starts[b]; e < s.starts[b + 1]; e++) {
+                        double product = s.entries[e] * covariance[x * n + s.columns[e]];
+                        felt[x * wide + b] += product;
+                        if (b < r && !drifting[s.columns[e]]) felt[x * wide + rows + b] += product;
+                    }
+            add_product(effects, (Matrix){later, n, 1}, felt, (Shape){r, n, wide, 0}, -1.0);
+            for (Py_ssize_t a = 0; a < r; a++) {
+                for (Py_ssize_t b = 0; b < rows; b++)
+                    for (long long e = s.starts[b]; e < s.starts[b + 1]; e++) {
+                        double product = s.entries[e] * cross[a * n + s.columns[e]];
+                        effects[a * wide + b] += product;
+                        if (b < r && !drifting[s.columns[e]]) effects[a * wide + rows + b] += product;
+                    }
+            }
+            for (Py_ssize_t a = 0; a < r; a++)
+                for (Py_ssize_t b = 0; b < rows; b++)
+                    shared[a * rows + b] = effects[a * wide + b] + (b < r ? effects[b * wide + rows + a] : 0.0);
+        }
+    }
+    return finished(&call, done);
+}
+
+static PyMethodDef methods[] = {
+    {"predict", predict, METH_VARARGS,
+     "predict(arrays, n): the states after a time, into the last two of (remaining, added, mean, covariance, mean,"
+     " covariance)."},
+    {"correct", correct, METH_VARARGS,
+     "correct(arrays, (n, p)): the states after measurements, into the last five of (mean, covariance, rows, values, mean,"
+     " covariance, whitened rows, gain, innovation); False if the covariance of the innovations is not positive definite."},
+    {"turn_back", turn_back, METH_VARARGS,
+     "turn_back(arrays, (n, p)): the information of all later measurements before a step, into the last two of (vector,"
+     " matrix, whitened rows, gain, innovation, vector, matrix)."},
+    {"effect", effect, METH_VARARGS,
+     "effect(arrays, (n, t, r, entries)): mean and covariance of the effect on the rows, into the last two of (mean,"
+     " covariance, starts, columns, entries, effect, errors); False for entries outside the matrix."},
+    {"drifts", drifts, METH_VARARGS,
+     "drifts(arrays, (n, t, r, entries)): the part of the effect that is due to drifting states, into the last two of (mean,"
+     " covariance, vector, matrix, drifting, starts, columns, entries, effect, errors); False as `effect`."},
+    {NULL, NULL, 0, NULL}};
+
+static PyModuleDef_Slot slots[] = {{0, NULL}};
+
+static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_states", "Steps of the filter of slow errors.",
+                                        0, methods, slots, NULL, NULL, NULL};
+
+PyMODINIT_FUNC PyInit__states(void) { return PyModuleDef_Init(&definition); }
