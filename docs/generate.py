@@ -261,15 +261,15 @@ def _causes() -> Pages:
 
     rows, made = [], {}
     for name, candidate in CANDIDATES.items():
-        module = _module_of(candidate, name)
-        rows.append((name, f"{name}.md", _headline(module)))
+        headline = f"Recognised by {candidate.about}."
+        rows.append((name, f"{name}.md", headline))
         seen = [
             f"[`{probe}`](../probes/{value.domain}.md)" for probe, value in PROBES.items() if name in value.moved_by
         ]
         text = [
             f"# Cause `{name}`\n",
-            f"{_sentence(_headline(module))}\n",
-            _escaped(_rest(module.__doc__ or "")) + "\n",
+            f"{_sentence(headline)}\n",
+            _docstring(candidate.suggestions),
             f"Model: the effect [`{name}`](../effects/{name}.md).\n",
             "Probes that were made to see it: " + (", ".join(seen) or "none of its own") + ".\n",
         ]
@@ -277,16 +277,6 @@ def _causes() -> Pages:
             text.append(_picture(name))
         made[f"reference/causes/{name}.md"] = "\n".join(text)
     return {"reference/causes/index.md": _index("Causes that the diagnosis knows", rows), **made}
-
-
-def _module_of(candidate: Any, name: str) -> Any:
-    """The module that recognises an effect."""
-    package = "imuarray.gap.inference.effects"
-    for path in sorted((ROOT / package.replace(".", "/")).glob("*.py")):
-        module = importlib.import_module(f"{package}.{path.stem}")
-        if path.stem == name or (getattr(module, name.upper(), None) is candidate and path.stem != "__init__"):
-            return module
-    return importlib.import_module(package)
 
 
 def _probes() -> Pages:
@@ -474,10 +464,6 @@ def _headline(module: Any) -> str:
 
 def _first_paragraph(text: str) -> str:
     return _one_line(inspect.cleandoc(text).split("\n\n")[0])
-
-
-def _rest(text: str) -> str:
-    return "\n\n".join(inspect.cleandoc(text).split("\n\n")[1:])
 
 
 def _one_line(text: str) -> str:

@@ -16,3 +16,9 @@ Times = npt.NDArray[np.int64]
 Indices = npt.NDArray[np.intp]
 """Places in another array."""
 Booleans = npt.NDArray[np.bool_]
+
+
+def triple(values: Floats) -> tuple[float, float, float]:
+    """Return one number per axis as a tuple."""
+    x, y, z = values.tolist()
+    return x, y, z

@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats
-from imuarray.gap.inference.effects.size_effect import rotation_columns
+from imuarray.gap.inference.effects.motion import rotation_columns
 from imuarray.gap.model.element_temperature import LONGEST_LAG_S
 from imuarray.gap.model.populations import (
     ANGLE_SIGMA_DEG,

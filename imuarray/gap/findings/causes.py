@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from imuarray.arrays import triple
 from imuarray.gap.findings.closure import DeviatingStatistics, deviating, deviating_in_either
 from imuarray.gap.findings.diagnosis import CandidateEvaluation, Cause, Origin
 from imuarray.gap.findings.verdict import calibrated_probability
@@ -266,8 +267,7 @@ def _with_fitted(effect: Effect, model: SensorModel | None) -> Effect:
     """
     if model is None or not isinstance(effect, ThermalBias) or effect.reference_degc != REFERENCE_DEGC:
         return effect
-    x, y, z = np.add(effect.slope, model.fitted.slope).tolist()
-    return replace(effect, slope=(x, y, z))
+    return replace(effect, slope=triple(np.add(effect.slope, model.fitted.slope)))
 
 
 def _deviating(bench: Bench, first: UnitState, then: UnitState, in_either: bool) -> DeviatingStatistics:

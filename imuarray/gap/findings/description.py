@@ -14,7 +14,7 @@ from imuarray.gap.findings.deviations import StatisticReport
 from imuarray.gap.findings.diagnosis import Cause, Where
 from imuarray.gap.inference.assessment import MORE, Assessment
 from imuarray.gap.inference.comparison import Comparison
-from imuarray.gap.inference.effects.tone import MAINS_HZ, unaliased_hz
+from imuarray.gap.inference.effects.noise import MAINS_HZ, unaliased_hz
 from imuarray.gap.inference.residuals import GroupResidual, group_residuals
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import AXES, Key

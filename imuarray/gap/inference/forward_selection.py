@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Floats, triple
 from imuarray.gap.inference.effects import Candidate, Hypothesis
 from imuarray.gap.inference.evidence import Evidence, views
 from imuarray.gap.inference.parameters import distinct, factors_of
@@ -146,8 +146,7 @@ def guesses_of(evidence: Evidence, candidates: Mapping[str, Candidate]) -> list[
 
 def placebo_of(evidence: Evidence) -> Hypothesis:
     """Return a weak line where none was detected, as free as a real one."""
-    x, y, z = (_FAINT * evidence.noise).tolist()
-    return Hypothesis((Tone((x, y, z), _NOWHERE * evidence.rows_per_s),), ("amplitude",))
+    return Hypothesis((Tone(triple(_FAINT * evidence.noise), _NOWHERE * evidence.rows_per_s),), ("amplitude",))
 
 
 def search_round(

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.inference.effects import bias, misalignment, scale
-from imuarray.gap.inference.effects.axis_error import guesses as axis_errors
+from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.response import Response, response
 from imuarray.gap.recording.turns import exchanges
@@ -26,13 +25,13 @@ FACES = np.concatenate([np.eye(3), -np.eye(3)])
 @pytest.mark.slow
 def test_a_bias_is_in_the_fit_whatever_it_is() -> None:
     strong: Effect = Bias((0.3,) * 3)
-    assert not list(bias.guesses(evidence_of("tumble", "A1", {"A1": (strong,)})))
+    assert not list(CANDIDATES["bias"].guesses(evidence_of("tumble", "A1", {"A1": (strong,)})))
 
 
 @pytest.mark.parametrize(("kind", "sensor", "within"), some([("tumble", "A1", 0.002), ("motion", "G1", 0.02)], 1))
 def test_scale(kind: str, sensor: str, within: float) -> None:
     """Motion is compared with that of one other sensor; some of it is beyond the range."""
-    (trial,) = scale.guesses(evidence_of(kind, sensor, {sensor: (Scale((0.05, -0.08, 0.06)),)}))
+    (trial,) = CANDIDATES["scale"].guesses(evidence_of(kind, sensor, {sensor: (Scale((0.05, -0.08, 0.06)),)}))
     (found,) = trial.effects
     assert isinstance(found, Scale)
     assert trial.free == ("error",)
@@ -44,7 +43,7 @@ def test_scale_by_a_rotation_that_tells_no_axes_apart() -> None:
     """The gain by three axes says nothing, as about a single one; that along each axis alone does."""
     evidence = evidence_of("motion", "G1", {"G1": (Scale((0.06, 0.06, 0.06)),)})
     blind = replace(evidence, scores={**evidence.scores, "motion_gain": 0 * evidence.scores["motion_gain"]})
-    common, each = scale.guesses(blind)
+    common, each = CANDIDATES["scale"].guesses(blind)
     (effect,) = common.effects
     assert effect.error == pytest.approx((0.06, 0.06, 0.06), abs=0.02)
     assert len(set(effect.error)) == 1
@@ -58,11 +57,11 @@ def test_exchanged_axes_by_motions_of_which_none_tells_the_axes_apart() -> None:
     evidence = evidence_of("motion", "G1", {"G1": (wrong,)})
     unknown = {probe: np.full_like(evidence.values[probe], np.nan) for probe in ("motion_gain", "motion_next")}
     blind = replace(evidence, **{name: {**getattr(evidence, name), **unknown} for name in ("values", "scores")})
-    assert wrong in [hypothesis.effects[0] for hypothesis in axis_errors(blind)]
+    assert wrong in [hypothesis.effects[0] for hypothesis in CANDIDATES["axis_error"].guesses(blind)]
 
 
 def test_an_axis_within_the_population_has_no_part_in_it() -> None:
-    (trial,) = scale.guesses(evidence_of("tumble", "A1", {"A1": (Scale((0.05, 0.0, 0.0)),)}))
+    (trial,) = CANDIDATES["scale"].guesses(evidence_of("tumble", "A1", {"A1": (Scale((0.05, 0.0, 0.0)),)}))
     (found,) = trial.effects
     assert isinstance(found, Scale)
     assert found.error[0] == pytest.approx(0.05, abs=0.002)
@@ -76,7 +75,10 @@ def test_an_axis_within_the_population_has_no_part_in_it() -> None:
 def test_a_level_that_changes_in_a_motion_is_that_of_a_bias_or_of_a_scale(effect: Effect) -> None:
     """The box lies with its z axis up before the motion and after it: 0.1 g of bias, or a tenth of what z feels."""
     evidence = evidence_of("motion", "A1", {"A1": (effect,)})
-    trials = [*bias.guesses(evidence), *(trial for trial in scale.guesses(evidence) if trial.when.spans)]
+    trials = [
+        *CANDIDATES["bias"].guesses(evidence),
+        *(trial for trial in CANDIDATES["scale"].guesses(evidence) if trial.when.spans),
+    ]
     sizes = [trial.effects[0].offset if trial.name == "bias" else trial.effects[0].error for trial in trials]
     assert [trial.name for trial in trials] == ["bias", "scale", "scale"]
     np.testing.assert_allclose(sizes, [(0.0, 0.0, 0.1), (0.0, 0.0, 0.1), (0.1, 0.1, 0.1)], atol=0.001)
@@ -90,15 +92,15 @@ def test_a_level_that_changes_in_a_motion_is_that_of_a_bias_or_of_a_scale(effect
 @pytest.mark.slow
 def test_a_level_that_changes_at_rest_is_that_of_a_bias() -> None:
     evidence = evidence_of("static", "A1", {"A1": (Scale((0.1,) * 3, spans=(0, 15.0, 1e9)),)})
-    (trial,) = bias.guesses(evidence)
+    (trial,) = CANDIDATES["bias"].guesses(evidence)
     assert trial.begin_bounds_s is None
-    assert not list(scale.guesses(evidence))
+    assert not list(CANDIDATES["scale"].guesses(evidence))
 
 
 @pytest.mark.parametrize(("kind", "sensor", "within"), some([("tumble", "A1", 0.1), ("motion", "G1", 0.5)], 1))
 def test_misalignment(kind: str, sensor: str, within: float) -> None:
     angles = (4.0, 0.0, 0.0, 0.0, 0.0, -3.0)
-    (trial,) = misalignment.guesses(evidence_of(kind, sensor, {sensor: (Misalignment(angles),)}))
+    (trial,) = CANDIDATES["misalignment"].guesses(evidence_of(kind, sensor, {sensor: (Misalignment(angles),)}))
     (found,) = trial.effects
     assert isinstance(found, Misalignment)
     assert trial.free == ("angles_deg",)
@@ -120,7 +122,7 @@ def test_misalignment(kind: str, sensor: str, within: float) -> None:
 )
 def test_axis_error(kind: str, sensor: str, axes: str) -> None:
     """The right one comes first."""
-    trials = list(axis_errors(evidence_of(kind, sensor, {sensor: (AxisError(axes),)})))
+    trials = list(CANDIDATES["axis_error"].guesses(evidence_of(kind, sensor, {sensor: (AxisError(axes),)})))
     assert 1 <= len(trials) <= 3
     assert trials[0] == Hypothesis((AxisError(axes),))
 
@@ -129,7 +131,7 @@ def test_an_axis_error_that_the_model_has_goes() -> None:
     """Taken out, or replaced by what fits better."""
     swapped = AxisError("-X-Y+Z")
     evidence = evidence_of("tumble", "A1", {"A1": (AxisError("+Y+X-Z"),)}, modelled=(swapped,))
-    first, second, *_ = axis_errors(evidence)
+    first, second, *_ = CANDIDATES["axis_error"].guesses(evidence)
     assert first == Hypothesis((), removed="axis_error")
     assert second == Hypothesis((AxisError("+Y+X-Z"),), removed="axis_error")
 
@@ -138,7 +140,7 @@ def test_scale_and_misalignment_are_never_taken_out() -> None:
     """Every unit has some."""
     evidence = evidence_of("tumble", "A1")
     assert {"scale", "misalignment"} <= {effect.name for effect in evidence.effects}
-    assert not [*scale.guesses(evidence), *misalignment.guesses(evidence)]
+    assert not [*CANDIDATES["scale"].guesses(evidence), *CANDIDATES["misalignment"].guesses(evidence)]
 
 
 def test_there_are_47_exchanges() -> None:
@@ -171,7 +173,7 @@ def test_what_two_faces_do_not_tell_is_no_error() -> None:
 @pytest.mark.slow
 def test_without_any_turn_nothing_is_guessed() -> None:
     evidence = replace(evidence_of("static", "A1"), scores={"mean": np.full((1, 3), 50.0)})
-    for guesses in (scale.guesses, misalignment.guesses, axis_errors):
+    for guesses in (CANDIDATES["scale"].guesses, CANDIDATES["misalignment"].guesses, CANDIDATES["axis_error"].guesses):
         assert not list(guesses(evidence))
 
 

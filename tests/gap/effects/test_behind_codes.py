@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imuarray.gap.inference.effects.behind_codes import _moments, behind
+from imuarray.gap.inference.effects.codes import _moments, behind
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.conversion import Quantisation

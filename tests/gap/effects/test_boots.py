@@ -7,10 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imuarray.gap.inference.effects.bias import BIAS
-from imuarray.gap.inference.effects.bistable_bias import BISTABLE_BIAS
-from imuarray.gap.inference.effects.range_reset import RANGE_RESET
-from imuarray.gap.inference.effects.turn_on_bias import TURN_ON_BIAS
+from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.when import Span
 from imuarray.gap.recording.resets import Reset
 from imuarray.simulate.effects.bias import Bias, BistableBias, TurnOnBias
@@ -21,7 +18,7 @@ from tests.selection import some
 
 
 def resets(kind: str, sensor: str, put_in: RangeReset, seed: int = 7) -> list[RangeReset]:
-    trials = RANGE_RESET.guesses(evidence_of(kind, sensor, {sensor: (put_in,)}, seed=seed))
+    trials = CANDIDATES["range_reset"].guesses(evidence_of(kind, sensor, {sensor: (put_in,)}, seed=seed))
     return [effect for trial in trials for effect in trial.effects if isinstance(effect, RangeReset)]
 
 
@@ -29,7 +26,7 @@ def resets(kind: str, sensor: str, put_in: RangeReset, seed: int = 7) -> list[Ra
 def test_levels_that_scatter() -> None:
     """Eight boots: a standard deviation of seven degrees of freedom is within a factor of 2 in 99 of 100 cases."""
     evidence = evidence_of("turn-on", "G1", {"G1": (TurnOnBias((0.5, 0.1, 0.3)),)}, seed=7)
-    (trial,) = TURN_ON_BIAS.guesses(evidence)
+    (trial,) = CANDIDATES["turn_on_bias"].guesses(evidence)
     (effect,) = trial.effects
     assert isinstance(effect, TurnOnBias)
     assert np.all(np.abs(np.log(np.array(effect.rms) / (0.5, 0.1, 0.3))) < np.log(2.0))
@@ -40,7 +37,7 @@ def test_two_groups_of_levels() -> None:
     """The two states as they were put in, whichever is the rarer one."""
     put_in = np.array([0.9, 0.4, -0.2])
     evidence = evidence_of("turn-on", "G1", {"G1": (BistableBias((0.9, 0.4, -0.2), 0.4),)}, seed=7)
-    (trial,) = BISTABLE_BIAS.guesses(evidence)
+    (trial,) = CANDIDATES["bistable_bias"].guesses(evidence)
     (effect,) = trial.effects
     assert isinstance(effect, BistableBias)
     sign = np.sign(effect.offset[0])
@@ -64,14 +61,19 @@ def test_another_range_in_some_boots() -> None:
 def test_another_range_in_the_boots_that_have_it() -> None:
     """Boots 2 and 6, both of one part; a bias of its own in these, without another noise, is no range of theirs."""
     put_in = RangeReset(2.0, (0.02,) * 3, runs=(2.0, 6.0))
-    trials = RANGE_RESET.guesses(evidence_of("turn-on", "A1", {"A1": (put_in,)}, seed=7))
+    trials = CANDIDATES["range_reset"].guesses(evidence_of("turn-on", "A1", {"A1": (put_in,)}, seed=7))
     told = [trial for trial in trials if trial.effects[0].runs]  # type: ignore[attr-defined]
     assert all(trial.whole and trial.rarity >= 2 for trial in told)
     first, *_ = [one for trial in told for one in trial.effects if isinstance(one, RangeReset)]
     assert (first.range, first.runs, first.probability) == (2.0, (2.0, 6.0), 1.0)
     assert first.noise_share == pytest.approx((1.0,) * 3, rel=0.1)
     states = evidence_of("turn-on", "A1", {"A1": (BistableBias((0.5, 0.3, 0.2), 0.4),)}, seed=7)
-    others = [one for trial in RANGE_RESET.guesses(states) for one in trial.effects if isinstance(one, RangeReset)]
+    others = [
+        one
+        for trial in CANDIDATES["range_reset"].guesses(states)
+        for one in trial.effects
+        if isinstance(one, RangeReset)
+    ]
     assert not [one for one in others if one.runs]
 
 
@@ -80,7 +82,7 @@ def test_another_range_in_logs_whose_levels_scatter() -> None:
     """The bias of each boot hides which of them came up in the range of 2000 dps; their noise in counts does not."""
     runs = (1.0, 2.0, 4.0, 5.0, 7.0)
     put_in = (TurnOnBias((1.0, 1.0, 1.0)), RangeReset(2000.0, runs=runs))
-    trials = RANGE_RESET.guesses(evidence_of("turn-on", "G1", {"G1": put_in}, seed=7))
+    trials = CANDIDATES["range_reset"].guesses(evidence_of("turn-on", "G1", {"G1": put_in}, seed=7))
     ranges = [effect for trial in trials for effect in trial.effects if isinstance(effect, RangeReset)]
     assert (2000.0, runs) in [(effect.range, effect.runs) for effect in ranges]
 
@@ -101,7 +103,9 @@ def test_another_range_from_a_row_of_a_tumble_on() -> None:
     """The faces show the ratio, 4 / 3, whichever face follows the step, and the log after it is in that range too."""
     put_in = (RangeReset(3.0, onset_s=70.0, run=0.0), RangeReset(3.0, runs=(1.0,)))
     evidence = evidence_of(("tumble", "static"), "A1", {"A1": put_in}, seed=7)
-    lasting, *_ = [trial for trial in RANGE_RESET.guesses(evidence) if len(trial.effects) == 2 and trial.is_brief]
+    lasting, *_ = [
+        trial for trial in CANDIDATES["range_reset"].guesses(evidence) if len(trial.effects) == 2 and trial.is_brief
+    ]
     first, then = lasting.effects
     assert isinstance(first, RangeReset)
     assert isinstance(then, RangeReset)
@@ -114,7 +118,7 @@ def test_another_range_from_another_row_on_in_each_log() -> None:
     """A supply that dips now and then: the second log has its own moment, the same range."""
     dips = [RangeReset(2.0, onset_s=onset_s, run=run) for onset_s, run in ((33.3, 0.0), (20.0, 1.0))]
     evidence = evidence_of(("static", "heating"), "A1", {"A1": tuple(dips)}, seed=7)
-    trial = next(trial for trial in RANGE_RESET.guesses(evidence) if trial.is_brief)
+    trial = next(trial for trial in CANDIDATES["range_reset"].guesses(evidence) if trial.is_brief)
     found = {effect.run: effect for effect in trial.effects if isinstance(effect, RangeReset)}
     assert {run: one.range for run, one in found.items()} == {0.0: 2.0, 1.0: 2.0}
     assert found[0.0].onset_s == pytest.approx(33.3, abs=0.1)
@@ -132,7 +136,12 @@ def test_another_range_always(kind: str, sensor: str, range_: float) -> None:
 @pytest.mark.slow
 def test_boots_are_alike() -> None:
     evidence = evidence_of("turn-on", "A1", seed=5)
-    for candidate in (TURN_ON_BIAS, BISTABLE_BIAS, RANGE_RESET, BIAS):
+    for candidate in (
+        CANDIDATES["turn_on_bias"],
+        CANDIDATES["bistable_bias"],
+        CANDIDATES["range_reset"],
+        CANDIDATES["bias"],
+    ):
         assert list(candidate.guesses(evidence)) == []
 
 
@@ -140,7 +149,7 @@ def test_boots_are_alike() -> None:
 def test_a_step_that_stays() -> None:
     """From the fifth of eight boots on; single boots scatter by less than a hundredth of that."""
     evidence = evidence_of("turn-on", "A1", {"A1": (Bias((0.05, 0.0, -0.02), 4),)}, seed=7)
-    (trial,) = BIAS.guesses(evidence)
+    (trial,) = CANDIDATES["bias"].guesses(evidence)
     (effect,) = trial.effects
     assert isinstance(effect, Bias)
     assert effect.from_boot == 4
@@ -160,7 +169,7 @@ def test_faces_tell_the_range() -> None:
     evidence = replace(
         evidence_of("static", "A1"), resets=((0, told[0]), (1, told[1])), scores={"doubt": np.full((1, 1), 50.0)}
     )
-    first, *_ = RANGE_RESET.guesses(evidence)
+    first, *_ = CANDIDATES["range_reset"].guesses(evidence)
     (effect,) = first.effects
     assert isinstance(effect, RangeReset)
     assert effect.range == 1.0
@@ -180,7 +189,7 @@ def test_another_range_for_a_while() -> None:
         holes=(Span(3, 8.2, 0.3), Span(0, 30.0, 0.1)),
         scores={"doubt": np.full((1, 1), 50.0)},
     )
-    first, second = RANGE_RESET.guesses(evidence)
+    first, second = CANDIDATES["range_reset"].guesses(evidence)
     reset, lost = first.effects
     assert isinstance(reset, RangeReset)
     assert isinstance(lost, DroppedSamples)
@@ -194,9 +203,9 @@ def test_another_range_for_a_while() -> None:
     assert first.whole
     assert first.name == "range_reset"
     assert second.rarity > first.rarity > 0
-    assert not list(RANGE_RESET.guesses(replace(evidence, scores={})))
+    assert not list(CANDIDATES["range_reset"].guesses(replace(evidence, scores={})))
     brief = told[0]._replace(noise_within=np.full(3, np.nan), blank_s=0.01)
-    found = next(iter(RANGE_RESET.guesses(replace(evidence, resets=((0, brief),))))).effects[0]
+    found = next(iter(CANDIDATES["range_reset"].guesses(replace(evidence, resets=((0, brief),))))).effects[0]
     assert isinstance(found, RangeReset)
     assert (found.blanks_s, found.noise_share) == ((0.01,), (1.0, 1.0, 1.0))
 
@@ -223,7 +232,7 @@ def test_a_thermometer_of_any_zero_does_not_move_the_offset_of_a_range() -> None
     for item in (evidence, cold, replace(evidence, phases=(*evidence.phases, unread))):
         (reset,) = (
             effect
-            for trial in RANGE_RESET.guesses(item)
+            for trial in CANDIDATES["range_reset"].guesses(item)
             for effect in trial.effects
             if isinstance(effect, RangeReset) and effect.range == 2000.0 and effect.runs
         )

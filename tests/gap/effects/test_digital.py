@@ -8,15 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imuarray.gap.inference.effects import (
-    adaptive_range,
-    glitches,
-    odr_error,
-    quantisation,
-    saturation,
-    stale_samples,
-    stuck,
-)
+from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effect import Effect
@@ -26,7 +18,7 @@ from imuarray.simulate.effects.readings import Glitches, StaleSamples, Stuck
 from tests.gap.effects.evidence_of import evidence_of
 from tests.selection import some
 
-ALL = (quantisation, saturation, stale_samples, glitches, stuck, odr_error)
+ALL = ("quantisation", "saturation", "stale_samples", "glitches", "stuck", "odr_error")
 
 
 def shown(kind: str, sensor: str, *effects: Effect) -> Evidence:
@@ -37,7 +29,7 @@ def shown(kind: str, sensor: str, *effects: Effect) -> Evidence:
 @pytest.mark.parametrize("kind", ["static", "tumble", "motion"])
 @pytest.mark.parametrize("sensor", ["A1", "G1"])
 def test_nothing_is_guessed_without_a_trace(kind: str, sensor: str) -> None:
-    assert not [trial for module in ALL for trial in module.guesses(evidence_of(kind, sensor))]
+    assert not [trial for name in ALL for trial in CANDIDATES[name].guesses(evidence_of(kind, sensor))]
 
 
 @pytest.mark.slow
@@ -45,32 +37,34 @@ def test_nothing_is_guessed_without_a_trace(kind: str, sensor: str) -> None:
     ("kind", "sensor", "step"), some([("static", "A1", 2.0), ("static", "A1", 4.0), ("tumble", "G1", 16.0)], 1)
 )
 def test_quantisation(kind: str, sensor: str, step: float) -> None:
-    (trial,) = quantisation.guesses(shown(kind, sensor, Quantisation(step)))
+    (trial,) = CANDIDATES["quantisation"].guesses(shown(kind, sensor, Quantisation(step)))
     assert trial == Hypothesis((Quantisation(step),))
 
 
 @pytest.mark.parametrize("steps", [(1.0, 1.0, 4.0), (2.0, 1.0, 2.0), (2.0, 8.0, 1.0)])
 def test_a_step_of_some_axes(steps: tuple[float, float, float]) -> None:
     """Codes of all axes together have no step; those of each axis have."""
-    (trial,) = quantisation.guesses(shown("static", "A1", Quantisation(steps)))
+    (trial,) = CANDIDATES["quantisation"].guesses(shown("static", "A1", Quantisation(steps)))
     assert trial == Hypothesis((Quantisation(steps),))
 
 
 def test_a_step_that_is_no_power_of_two_comes_first() -> None:
-    first, second = quantisation.guesses(shown("static", "A1", Quantisation(6.0)))
+    first, second = CANDIDATES["quantisation"].guesses(shown("static", "A1", Quantisation(6.0)))
     assert first == Hypothesis((Quantisation(6.0),))
     assert second == Hypothesis((Quantisation(2.0),))
 
 
 def test_glitches_do_not_hide_a_step() -> None:
     """A bus that floats now and then gives -1, which is no multiple of 4."""
-    (trial,) = quantisation.guesses(shown("static", "A1", Quantisation(4.0), Glitches(0.0005, kind="word")))
+    (trial,) = CANDIDATES["quantisation"].guesses(
+        shown("static", "A1", Quantisation(4.0), Glitches(0.0005, kind="word"))
+    )
     assert trial == Hypothesis((Quantisation(4.0),))
 
 
 def test_a_step_that_the_model_has_and_the_sensor_has_not() -> None:
     evidence = evidence_of("static", "A1", modelled=(Quantisation(4.0),))
-    assert list(quantisation.guesses(evidence)) == [Hypothesis((), removed="quantisation")]
+    assert list(CANDIDATES["quantisation"].guesses(evidence)) == [Hypothesis((), removed="quantisation")]
 
 
 @pytest.mark.parametrize(
@@ -79,7 +73,7 @@ def test_a_step_that_the_model_has_and_the_sensor_has_not() -> None:
 def test_saturation(kind: str, sensor: str, limit: float) -> None:
     """To a count, into which it is rounded."""
     evidence = shown(kind, sensor, Saturation(limit))
-    trial = next(iter(saturation.guesses(evidence)))
+    trial = next(iter(CANDIDATES["saturation"].guesses(evidence)))
     (found,) = trial.effects
     assert isinstance(found, Saturation)
     assert found.limit == pytest.approx((limit,) * 3, abs=1 / evidence.header.sensitivity)
@@ -90,7 +84,7 @@ def test_saturation(kind: str, sensor: str, limit: float) -> None:
 def test_an_axis_that_saturates_alone() -> None:
     """Readings of the others go on beyond its limit."""
     evidence = shown("motion", "A1", Saturation((math.inf, math.inf, 1.1)))
-    (found,) = list(saturation.guesses(evidence))[-1].effects
+    (found,) = list(CANDIDATES["saturation"].guesses(evidence))[-1].effects
     assert isinstance(found, Saturation)
     assert found.limit == pytest.approx((math.inf, math.inf, 1.1), abs=1 / evidence.header.sensitivity)
 
@@ -99,7 +93,7 @@ def test_an_axis_that_saturates_alone() -> None:
 def test_an_axis_that_saturates_at_one_end() -> None:
     """A gyroscope that ends at +30 dps and turns by more than that the other way, up to the converter's end."""
     evidence = shown("motion", "G1", Saturation(300.0, -270.0))
-    (found,) = list(saturation.guesses(evidence))[-1].effects
+    (found,) = list(CANDIDATES["saturation"].guesses(evidence))[-1].effects
     assert isinstance(found, Saturation)
     upper = np.add(found.centre, found.limit)
     np.testing.assert_allclose(upper, 30.0, atol=1 / evidence.header.sensitivity)
@@ -111,7 +105,7 @@ def test_an_axis_that_saturates_at_one_end() -> None:
 def test_ends_about_an_offset_that_is_added_behind_them() -> None:
     """Of a gyroscope at +37.5 and -22.5 dps on every axis."""
     evidence = shown("motion", "G1", Saturation(30.0, 7.5))
-    (saturated,) = list(saturation.guesses(evidence))[-1].effects
+    (saturated,) = list(CANDIDATES["saturation"].guesses(evidence))[-1].effects
     assert isinstance(saturated, Saturation)
     assert saturated.limit == pytest.approx((30.0,) * 3, abs=1 / evidence.header.sensitivity)
     assert saturated.centre == pytest.approx((7.5,) * 3, abs=1 / evidence.header.sensitivity)
@@ -120,7 +114,7 @@ def test_ends_about_an_offset_that_is_added_behind_them() -> None:
 @pytest.mark.parametrize("probability", [0.02, 0.05, 0.3])
 def test_stale_samples(probability: float) -> None:
     """6000 rows: 120 repetitions scatter by a tenth."""
-    (trial,) = stale_samples.guesses(shown("static", "A1", StaleSamples(probability)))
+    (trial,) = CANDIDATES["stale_samples"].guesses(shown("static", "A1", StaleSamples(probability)))
     (found,) = trial.effects
     assert isinstance(found, StaleSamples)
     assert found.probability == pytest.approx(probability, rel=0.35)
@@ -128,7 +122,7 @@ def test_stale_samples(probability: float) -> None:
 
 @pytest.mark.parametrize(("probability", "amplitude"), [(0.002, 0.05), (0.01, 0.1), (0.01, 0.5)])
 def test_spikes(probability: float, amplitude: float) -> None:
-    trial = next(iter(glitches.guesses(shown("static", "A1", Glitches(probability, amplitude)))))
+    trial = next(iter(CANDIDATES["glitches"].guesses(shown("static", "A1", Glitches(probability, amplitude)))))
     (found,) = trial.effects
     assert isinstance(found, Glitches)
     assert found.kind == "spike"
@@ -139,7 +133,7 @@ def test_spikes(probability: float, amplitude: float) -> None:
 def test_few_spikes_are_told_one_by_one() -> None:
     """A row and a half of its 1/100 s before and after; the noise of the reading and of half of each neighbour's."""
     hit = Glitches(runs=(0.0, 0.0), moments_s=(12.3, 40.0), jumps=(0.0, 0.5, 0.0, -2.0, 0.0, 0.0))
-    *_, trial = glitches.guesses(shown("static", "A1", hit))
+    *_, trial = CANDIDATES["glitches"].guesses(shown("static", "A1", hit))
     (found,) = trial.effects
     assert isinstance(found, Glitches)
     assert trial.needs_both
@@ -152,14 +146,16 @@ def test_torn_words() -> None:
     """z rests at 2112.5 counts, in the middle between two codes of 33 times 64: half of its neighbours differ in the
     high byte (six bits of a BMA180 travel in the low one, BMA-60). The other axes stay where they are.
     """
-    trials = glitches.guesses(shown("static", "A1", Bias((0.0, 0.0, 0.01152)), Glitches(0.05, kind="torn")))
+    trials = CANDIDATES["glitches"].guesses(
+        shown("static", "A1", Bias((0.0, 0.0, 0.01152)), Glitches(0.05, kind="torn"))
+    )
     (torn,) = [trial for trial in trials if isinstance(trial.effects[0], Glitches) and trial.effects[0].kind == "torn"]
     assert torn.free == ("probability",)
-    assert torn.effects[0].probability == pytest.approx(0.05, rel=0.5)  # type: ignore[attr-defined]
+    assert torn.effects[0].probability == pytest.approx(0.05, rel=0.5)
 
 
 def test_words_of_a_floating_bus() -> None:
-    trial = next(iter(glitches.guesses(shown("static", "G1", Glitches(0.005, kind="word")))))
+    trial = next(iter(CANDIDATES["glitches"].guesses(shown("static", "G1", Glitches(0.005, kind="word")))))
     (found,) = trial.effects
     assert isinstance(found, Glitches)
     assert found.kind == "word"
@@ -168,7 +164,7 @@ def test_words_of_a_floating_bus() -> None:
 
 def test_stuck_for_a_second() -> None:
     """To a row."""
-    (trial,) = stuck.guesses(shown("static", "A1", Stuck(30.0, 1.0)))
+    (trial,) = CANDIDATES["stuck"].guesses(shown("static", "A1", Stuck(30.0, 1.0)))
     (found,) = trial.effects
     assert isinstance(found, Stuck)
     assert (found.onset_s, found.duration_s) == pytest.approx((30.0, 1.0), abs=0.02)
@@ -178,14 +174,14 @@ def test_stuck_for_a_second() -> None:
 @pytest.mark.slow
 def test_stuck_over_a_turn_between_faces() -> None:
     """Faces last from 11 to 21 s and from 22 to 32 s: one piece, though no phase covers the turn."""
-    (trial,) = stuck.guesses(shown("tumble", "G1", Stuck(15.0, 10.0)))
+    (trial,) = CANDIDATES["stuck"].guesses(shown("tumble", "G1", Stuck(15.0, 10.0)))
     (found,) = trial.effects
     assert isinstance(found, Stuck)
     assert (found.onset_s, found.duration_s) == pytest.approx((15.0, 10.0), abs=0.05)
 
 
 def test_stuck_for_ever() -> None:
-    (trial,) = stuck.guesses(shown("static", "A1", Stuck(40.0)))
+    (trial,) = CANDIDATES["stuck"].guesses(shown("static", "A1", Stuck(40.0)))
     (found,) = trial.effects
     assert isinstance(found, Stuck)
     assert found.onset_s == pytest.approx(40.0, abs=0.02)
@@ -195,7 +191,7 @@ def test_stuck_for_ever() -> None:
 
 @pytest.mark.parametrize("rate_hz", [50.0, 90.0])
 def test_a_chip_slower_than_the_poll(rate_hz: float) -> None:
-    *_, trial = odr_error.guesses(shown("static", "G1", OdrError(rate_hz)))
+    *_, trial = CANDIDATES["odr_error"].guesses(shown("static", "G1", OdrError(rate_hz)))
     (found,) = trial.effects
     assert isinstance(found, OdrError)
     assert found.rate_hz == pytest.approx(rate_hz, rel=0.01)
@@ -206,13 +202,13 @@ def test_a_chip_slower_than_the_poll(rate_hz: float) -> None:
 def test_a_chip_that_is_slower_than_it_is_set_to_and_faster_than_the_poll() -> None:
     """130 Hz polled at 100 Hz: half a period is 3.8 ms, that of the set 800 Hz 0.6 ms."""
     evidence = evidence_of(("static", "motion"), "G1", {"G1": (OdrError(130.0),)})
-    (trial,) = odr_error.guesses(evidence)
+    (trial,) = CANDIDATES["odr_error"].guesses(evidence)
     (found,) = trial.effects
     assert isinstance(found, OdrError)
     assert found.clock_ratio * 800.0 == pytest.approx(130.0, rel=0.1)
     assert trial.free == ("clock_ratio",)
     only = evidence_of(("static", "motion"), "A1", {"A1": (OdrError(130.0),)})
-    (other,) = odr_error.guesses(only)  # of a BMA180, which has one rate (BMA-93)
+    (other,) = CANDIDATES["odr_error"].guesses(only)  # of a BMA180, which has one rate (BMA-93)
     assert trial.rarity > other.rarity > 0
 
 
@@ -220,14 +216,14 @@ def test_even_codes_of_an_adxl345() -> None:
     """Its lowest bit is always 0 from 1600 Hz on (ADX-47); at 100 Hz it is not."""
     evidence = shown("static", "A1", Quantisation(2.0))
     slow = replace(evidence, header=replace(evidence.header, chip="adxl345", rate_hz=400.0))
-    assert [trial.effects[0] for trial in odr_error.guesses(slow)] == [OdrError(1600.0), OdrError(3200.0)]
+    assert [trial.effects[0] for trial in CANDIDATES["odr_error"].guesses(slow)] == [OdrError(1600.0), OdrError(3200.0)]
 
 
 def test_odd_codes_of_an_adxl345_that_should_be_fast() -> None:
     evidence = evidence_of("static", "A1")
     header = replace(evidence.header, chip="adxl345", rate_hz=3200.0)
     fast = replace(evidence, header=header, scores={**evidence.scores, "odd_codes": np.full((1, 3), 50.0)})
-    assert [trial.effects[0] for trial in odr_error.guesses(fast)] == [OdrError(800.0), OdrError(400.0)]
+    assert [trial.effects[0] for trial in CANDIDATES["odr_error"].guesses(fast)] == [OdrError(800.0), OdrError(400.0)]
 
 
 def test_noise_of_twice_the_size_is_four_times_the_bandwidth() -> None:
@@ -235,22 +231,22 @@ def test_noise_of_twice_the_size_is_four_times_the_bandwidth() -> None:
     evidence = evidence_of("static", "A1")
     apart = {**evidence.values, "noise": evidence.expected["noise"] + math.log(2.0)}
     loud = replace(evidence, values=apart, scores={**evidence.scores, "noise": np.full((1, 3), 20.0)})
-    assert [trial.effects[0] for trial in odr_error.guesses(loud)] == [OdrError(bandwidth_hz=600.0)]
+    assert [trial.effects[0] for trial in CANDIDATES["odr_error"].guesses(loud)] == [OdrError(bandwidth_hz=600.0)]
 
 
 @pytest.mark.parametrize(
-    ("module", "effect"),
+    ("name", "effect"),
     [
-        (stale_samples, StaleSamples(0.1)),
-        (stuck, Stuck(30.0, 1.0)),
-        (glitches, Glitches(0.01, 0.1)),
-        (saturation, Saturation(1.0)),
-        (odr_error, OdrError(50.0)),
+        ("stale_samples", StaleSamples(0.1)),
+        ("stuck", Stuck(30.0, 1.0)),
+        ("glitches", Glitches(0.01, 0.1)),
+        ("saturation", Saturation(1.0)),
+        ("odr_error", OdrError(50.0)),
     ],
 )
-def test_what_the_model_has_and_the_sensor_has_not_goes(module: object, effect: Effect) -> None:
+def test_what_the_model_has_and_the_sensor_has_not_goes(name: str, effect: Effect) -> None:
     evidence = evidence_of("static", "A1", modelled=(effect,))
-    assert list(module.guesses(evidence)) == [Hypothesis((), removed=effect.name)]  # type: ignore[attr-defined]
+    assert list(CANDIDATES[name].guesses(evidence)) == [Hypothesis((), removed=effect.name)]
 
 
 @pytest.mark.parametrize("bit", some([2, 3], 1))
@@ -259,7 +255,7 @@ def test_a_bit_that_is_never_set(bit: int) -> None:
     stretch too low on average, by which the fit's bias is wrong.
     """
     evidence = shown("static", "A1", Quantisation(dead_bits=float(1 << bit)))
-    as_fitted, behind = quantisation.guesses(evidence)
+    as_fitted, behind = CANDIDATES["quantisation"].guesses(evidence)
     assert as_fitted == Hypothesis((Quantisation(dead_bits=float(1 << bit)),))
     assert behind.effects == as_fitted.effects
     assert behind.fitted is not None
@@ -269,21 +265,21 @@ def test_a_bit_that_is_never_set(bit: int) -> None:
 
 @pytest.mark.parametrize(("carry", "missing"), some([(16, 7), (16, 4), (8, 3), (32, 10)], 2))
 def test_codes_that_are_missing_before_every_carry(carry: int, missing: int) -> None:
-    trials = list(quantisation.guesses(shown("static", "A1", _missing(carry, missing))))
+    trials = list(CANDIDATES["quantisation"].guesses(shown("static", "A1", _missing(carry, missing))))
     assert [trial.effects for trial in trials] == [(_missing(carry, missing),)] * 2
 
 
 @pytest.mark.parametrize(("carry", "missing", "at"), [(8, 1, 3), (16, 4, 7)])
 def test_an_offset_moves_the_carries(carry: int, missing: int, at: int) -> None:
     effect = replace(_missing(carry, missing), carry_at_lsb=float(at))
-    first = next(iter(quantisation.guesses(shown("static", "A1", effect))))
+    first = next(iter(CANDIDATES["quantisation"].guesses(shown("static", "A1", effect))))
     assert first.effects == (effect,)
 
 
 @pytest.mark.slow
 def test_most_codes_are_missing() -> None:
     """Two of 16 come, which looks like two of four, or of eight, and like bits that are dead."""
-    trials = list(quantisation.guesses(shown("static", "A1", _missing(16, 14))))
+    trials = list(CANDIDATES["quantisation"].guesses(shown("static", "A1", _missing(16, 14))))
     assert [trial.effects for trial in trials][-2:] == [(_missing(16, 14),)] * 2
 
 
@@ -294,8 +290,8 @@ def _missing(carry: int, missing: int) -> Quantisation:
 @pytest.mark.slow
 def test_a_bit_that_is_never_set_in_motion() -> None:
     """At rest no axis gets near it."""
-    assert not list(quantisation.guesses(shown("static", "G1", Quantisation(dead_bits=128.0))))
-    first = next(iter(quantisation.guesses(shown("motion", "G1", Quantisation(dead_bits=128.0)))))
+    assert not list(CANDIDATES["quantisation"].guesses(shown("static", "G1", Quantisation(dead_bits=128.0))))
+    first = next(iter(CANDIDATES["quantisation"].guesses(shown("motion", "G1", Quantisation(dead_bits=128.0)))))
     assert first == Hypothesis((Quantisation(dead_bits=128.0),))
 
 
@@ -307,7 +303,7 @@ def test_readings_that_stall_as_the_range_changes(chip: str, kind: str, is_guess
     """The erratum of one chip (TDK-18): 1 to 2 ms near 100 dps. Another one has other reasons, as has one at rest."""
     evidence = shown(kind, "G1", AdaptiveRange(40.0, 0.05) if kind == "motion" else Stuck(30.0, 1.0))
     assert evidence.is_odd("repeats", "longest_repeat")
-    trials = list(adaptive_range.guesses(replace(evidence, header=replace(evidence.header, chip=chip))))
+    trials = list(CANDIDATES["adaptive_range"].guesses(replace(evidence, header=replace(evidence.header, chip=chip))))
     assert trials == ([Hypothesis((AdaptiveRange(100.0, 0.0015),), ("hold_s",))] if is_guessed else [])
 
 
@@ -316,7 +312,7 @@ def test_held_again_and_again() -> None:
     """Half a second in every five or so: 10 holds, give or take 3, in the minute or two that are looked at."""
     found = [
         effect
-        for trial in stuck.guesses(shown("tumble", "G1", Stuck(duration_s=0.5, every_s=4.0)))
+        for trial in CANDIDATES["stuck"].guesses(shown("tumble", "G1", Stuck(duration_s=0.5, every_s=4.0)))
         for effect in trial.effects
     ]
     again = [effect for effect in found if isinstance(effect, Stuck) and math.isfinite(effect.every_s)]
@@ -329,7 +325,9 @@ def test_held_again_and_again() -> None:
 def test_an_axis_that_keeps_one_code(end_s: float, length_s: float) -> None:
     """From 20 s on, to a segment of a second; the other axes have noise, so that no reading repeats the one before."""
     put_in = Stuck(kind="new", runs=(0,), moments_s=(20.0,), lengths_s=(end_s - 20.0,), stuck_axes=(1,))
-    effects = [effect for trial in stuck.guesses(shown("static", "A1", put_in)) for effect in trial.effects]
+    effects = [
+        effect for trial in CANDIDATES["stuck"].guesses(shown("static", "A1", put_in)) for effect in trial.effects
+    ]
     (effect,) = [effect for effect in effects if isinstance(effect, Stuck) and effect.stuck_axes]
     assert effect.stuck_axes == (1.0,)
     assert effect.moments_s == pytest.approx((20.0,), abs=1.5)

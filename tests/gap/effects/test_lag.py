@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.gap.inference.effects import glitches
-from imuarray.gap.inference.effects.lag import lags
+from imuarray.gap.inference.effects import CANDIDATES
+from imuarray.gap.inference.effects.timing import lags
 from imuarray.gap.statistics.cross import Cross
 from imuarray.simulate.effects.readings import Glitches
 from imuarray.simulate.effects.timing import Skew
@@ -76,10 +76,10 @@ def test_torn_readings_are_a_row_late_in_the_mean() -> None:
     than a row behind, and not torn.
     """
     evidence = evidence_of("motion", "G1", {"G1": (Glitches(0.6, kind="torn"),)})
-    found = [trial.effects[0] for trial in glitches.guesses(evidence) if trial.free == ("probability",)]
+    found = [trial.effects[0] for trial in CANDIDATES["glitches"].guesses(evidence) if trial.free == ("probability",)]
     assert any(
         isinstance(one, Glitches) and one.kind == "torn" and one.probability == pytest.approx(0.6, rel=0.3)
         for one in found
     )
     late = evidence_of("motion", "A1", {"A1": (Skew(0.1),)})
-    assert not [trial for trial in glitches.guesses(late) if trial.free == ("probability",)]
+    assert not [trial for trial in CANDIDATES["glitches"].guesses(late) if trial.free == ("probability",)]

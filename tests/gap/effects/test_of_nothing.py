@@ -3,28 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import ModuleType
 
 import numpy as np
 import pytest
 
-from imuarray.gap.inference.effects import (
-    CANDIDATES,
-    axis_error,
-    bias,
-    clock_error,
-    dropped_samples,
-    glitches,
-    jitter,
-    misalignment,
-    odr_error,
-    quantisation,
-    saturation,
-    scale,
-    skew,
-    stale_samples,
-    stuck,
-)
+from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.model.base_model import FittedParameters
 from imuarray.gap.statistics.probes import PROBES
@@ -32,20 +15,20 @@ from imuarray.gap.statistics.summary import Grid, Tally
 from imuarray.log.format import Phase
 from tests.gap.made import block, gaussian, header, summary
 
-STATISTICS_ALONE = (scale, misalignment, axis_error, odr_error)
+STATISTICS_ALONE = ("scale", "misalignment", "axis_error", "odr_error")
 """What needs no rows, only the values of probes."""
 
 OF_ROWS = (
-    bias,
-    clock_error,
-    dropped_samples,
-    glitches,
-    jitter,
-    quantisation,
-    saturation,
-    skew,
-    stale_samples,
-    stuck,
+    "bias",
+    "clock_error",
+    "dropped_samples",
+    "glitches",
+    "jitter",
+    "quantisation",
+    "saturation",
+    "skew",
+    "stale_samples",
+    "stuck",
 )
 
 
@@ -56,28 +39,28 @@ def evidence(odd: float, *seen: PhaseEvidence) -> Evidence:
     return Evidence(header(), fitted, seen, nothing, nothing, scores, ())
 
 
-@pytest.mark.parametrize("module", [*OF_ROWS, *STATISTICS_ALONE])
-def test_nothing_odd(module: ModuleType) -> None:
+@pytest.mark.parametrize("name", [*OF_ROWS, *STATISTICS_ALONE])
+def test_nothing_odd(name: str) -> None:
     rows = summary(block(gaussian(rows=500)))
-    assert not list(module.guesses(evidence(0.0, PhaseEvidence(0, "static", True, rows, rows, None))))
+    assert not list(CANDIDATES[name].guesses(evidence(0.0, PhaseEvidence(0, "static", True, rows, rows, None))))
 
 
-@pytest.mark.parametrize("module", OF_ROWS)
-def test_no_phase(module: ModuleType) -> None:
-    assert not list(module.guesses(evidence(50.0)))
+@pytest.mark.parametrize("name", OF_ROWS)
+def test_no_phase(name: str) -> None:
+    assert not list(CANDIDATES[name].guesses(evidence(50.0)))
 
 
-@pytest.mark.parametrize("module", [*OF_ROWS, *STATISTICS_ALONE])
+@pytest.mark.parametrize("name", [*OF_ROWS, *STATISTICS_ALONE])
 @pytest.mark.parametrize("rows", [0, 1])
-def test_hardly_a_row(module: ModuleType, rows: int) -> None:
+def test_hardly_a_row(name: str, rows: int) -> None:
     """A phase of a sensor that had stopped."""
     phase = Phase(0, 10**9, "static", "+Z")
     tally = Tally(header(), phase, Grid.of(100))
     if rows:
         tally.update(block(np.full((1, 3), 7)))
     few = tally.result(lambda time_ns: np.full(len(time_ns), 25.0))
-    found = list(module.guesses(evidence(50.0, PhaseEvidence(0, "static", True, few, few, None))))
-    assert not found or module in STATISTICS_ALONE
+    found = list(CANDIDATES[name].guesses(evidence(50.0, PhaseEvidence(0, "static", True, few, few, None))))
+    assert not found or name in STATISTICS_ALONE
 
 
 class Asked(dict[str, np.ndarray]):

@@ -9,7 +9,8 @@ import numpy.typing as npt
 import pytest
 
 from imuarray.gap.inference.comparison import prepare
-from imuarray.gap.inference.effects import dropped_samples, glitches, stuck
+from imuarray.gap.inference.effects import CANDIDATES
+from imuarray.gap.inference.effects.readings import _with_first_reading
 from imuarray.gap.inference.evidence import Evidence, Repetition, ScoredStatistics, evidence_of
 from imuarray.gap.inference.when import Span
 from imuarray.gap.model.bench import Bench
@@ -79,7 +80,7 @@ def test_rows_that_are_held(made: Made, sensor: str, kind: str, has_readings: bo
     """By a noise of some counts three rows are not equal by chance; the flag is as it was. The readings are those of
     the recording, or what the simulation holds.
     """
-    trials = [trial for trial in stuck.guesses(shown(made, sensor)) if trial.whole]
+    trials = [trial for trial in CANDIDATES["stuck"].guesses(shown(made, sensor)) if trial.whole]
     trial = trials[has_readings]
     assert len(trials) == 2
     (effect,) = trial.effects
@@ -99,12 +100,12 @@ def test_rows_that_are_held(made: Made, sensor: str, kind: str, has_readings: bo
 def test_the_reading_that_is_repeated_may_be_the_first_of_a_log() -> None:
     """The first repetition comes a row of 10 ms later; its stretch begins half a row before it."""
     repetition = Repetition(Span(0, 0.005, 0.03), 3, (1, 2, 3))
-    assert stuck._with_first_reading(repetition) == pytest.approx(Span(0, 0.0, 0.035))
+    assert _with_first_reading(repetition) == pytest.approx(Span(0, 0.0, 0.035))
 
 
 def test_rows_that_are_lost(made: Made) -> None:
     """All that are missing between the first and the last that came, and no others."""
-    (trial,) = [trial for trial in dropped_samples.guesses(shown(made, "A2")) if trial.whole]
+    (trial,) = [trial for trial in CANDIDATES["dropped_samples"].guesses(shown(made, "A2")) if trial.whole]
     (effect,) = trial.effects
     _, recording, *_ = made
     simulated = again(made, "A2", effect).sensors["A2"]
@@ -116,7 +117,7 @@ def test_rows_that_are_lost(made: Made) -> None:
 
 def test_readings_that_are_torn_in_motion(made: Made) -> None:
     """By two of the high byte of a BMA180 (BMA-60), which the shaking hides from who looks at neighbours alone."""
-    (trial,) = [trial for trial in glitches.guesses(shown(made, "A1")) if trial.whole]
+    (trial,) = [trial for trial in CANDIDATES["glitches"].guesses(shown(made, "A1")) if trial.whole]
     (effect,) = trial.effects
     assert isinstance(effect, Glitches)
     found = sorted(zip(effect.moments_s, effect.jumps[::3], strict=True))

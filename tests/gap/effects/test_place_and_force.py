@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 from imuarray.arrays import Floats
-from imuarray.gap.inference.effects.channel_swap import CHANNEL_SWAP, _gains_of_exchange
-from imuarray.gap.inference.effects.g_sensitivity import G_SENSITIVITY, _unbalance
-from imuarray.gap.inference.effects.in_motion import CHANGE, FORCE, REFERENCE, Moments, _products
-from imuarray.gap.inference.effects.nonlinearity import NONLINEARITY
-from imuarray.gap.inference.effects.scale import SCALE
-from imuarray.gap.inference.effects.size_effect import SIZE_EFFECT
+from imuarray.gap.inference.effects import CANDIDATES
+from imuarray.gap.inference.effects.channel_swap import _gains_of_exchange
+from imuarray.gap.inference.effects.motion import CHANGE, FORCE, REFERENCE, Moments, _products, _unbalance
 from imuarray.simulate.active_spans import spans_of
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.readings import ChannelSwap
@@ -26,7 +23,7 @@ from tests.selection import some
 @pytest.mark.slow
 def test_a_place() -> None:
     evidence = evidence_of("motion", "A1", {"A1": (SizeEffect((0.0, 50.0, -20.0)),)}, seed=7)
-    (trial,) = SIZE_EFFECT.guesses(evidence)
+    (trial,) = CANDIDATES["size_effect"].guesses(evidence)
     (effect,) = trial.effects
     assert isinstance(effect, SizeEffect)
     np.testing.assert_allclose(effect.position_mm, (0.0, 50.0, -20.0), atol=6.0)
@@ -37,7 +34,7 @@ def test_a_place() -> None:
 def test_a_gyroscope_that_feels_force(kind: str, size: float, tolerance: float) -> None:
     response = size * np.array([0.05, 0.02, 0.0, 0.0, -0.05, 0.0, 0.01, 0.0, 0.03])
     evidence = evidence_of(kind, "G1", {"G1": (GSensitivity(tuple(response.tolist())),)}, seed=7)
-    trials = list(G_SENSITIVITY.guesses(evidence))[: 2 if kind == "tumble" else 1]
+    trials = list(CANDIDATES["g_sensitivity"].guesses(evidence))[: 2 if kind == "tumble" else 1]
     for trial in trials:
         (effect,) = trial.effects
         assert isinstance(effect, GSensitivity)
@@ -94,7 +91,7 @@ def test_changes_are_per_second_whatever_the_windows() -> None:
 def test_only_what_is_clear_of_a_force() -> None:
     """One of nine responses, each of which has an error of its own."""
     alone = GSensitivity((0.0,) * 5 + (0.05,) + (0.0,) * 3)
-    *_, trial = G_SENSITIVITY.guesses(evidence_of("tumble", "G1", {"G1": (alone,)}, seed=7))
+    *_, trial = CANDIDATES["g_sensitivity"].guesses(evidence_of("tumble", "G1", {"G1": (alone,)}, seed=7))
     (effect,) = trial.effects
     assert isinstance(effect, GSensitivity)
     assert np.flatnonzero(effect.response).tolist() == [5]
@@ -105,7 +102,7 @@ def test_only_what_is_clear_of_a_force() -> None:
 @pytest.mark.slow
 def test_a_curve_on_faces() -> None:
     evidence = evidence_of("tumble", "A1", {"A1": (Nonlinearity(quadratic=(0.005,) * 3),)}, seed=7)
-    (trial,) = NONLINEARITY.guesses(evidence)
+    (trial,) = CANDIDATES["nonlinearity"].guesses(evidence)
     (effect,) = trial.effects
     assert isinstance(effect, Nonlinearity)
     assert effect.quadratic == pytest.approx((0.005,) * 3, rel=0.1)
@@ -115,7 +112,7 @@ def test_a_gyroscope_on_a_face_has_no_rate_to_square() -> None:
     """What the square of force adds, in dps/g^2, is no coefficient of the square of a rate."""
     evidence = evidence_of("tumble", "G1", {"G1": (GSensitivity((0.05, 0.02, 0.0) * 3),)}, seed=7)
     odd = replace(evidence, scores={**evidence.scores, "force_square": np.full((1, 3), 9.0)})
-    assert list(NONLINEARITY.guesses(odd)) == []
+    assert list(CANDIDATES["nonlinearity"].guesses(odd)) == []
 
 
 @pytest.mark.parametrize(
@@ -124,7 +121,7 @@ def test_a_gyroscope_on_a_face_has_no_rate_to_square() -> None:
 def test_a_curve_in_motion(sensor: str, put_in: Nonlinearity) -> None:
     """Clipped at 4 g and 250 dps."""
     evidence = evidence_of("motion", sensor, {sensor: (put_in,)}, seed=7)
-    first, *_ = (trial.effects[0] for trial in NONLINEARITY.guesses(evidence))
+    first, *_ = (trial.effects[0] for trial in CANDIDATES["nonlinearity"].guesses(evidence))
     assert isinstance(first, Nonlinearity)
     assert np.mean(first.cubic) == pytest.approx(np.mean(put_in.cubic), rel=0.5)
     assert np.mean(first.quadratic) == pytest.approx(np.mean(put_in.quadratic), rel=0.5)
@@ -136,7 +133,7 @@ def test_a_gyroscope_whose_response_bends_symmetrically(sensor: str) -> None:
     cubes they take: the value, which is refined later, is right within a factor of two.
     """
     evidence = evidence_of("motion", sensor, {sensor: (Nonlinearity(cubic=(0.0, 2e-6, 0.0)),)}, seed=7)
-    effects = [trial.effects[0] for trial in NONLINEARITY.guesses(evidence) if trial.free == ("cubic",)]
+    effects = [trial.effects[0] for trial in CANDIDATES["nonlinearity"].guesses(evidence) if trial.free == ("cubic",)]
     assert isinstance(effects[0], Nonlinearity)
     x, y, z = effects[0].cubic
     assert (x, z) == (0.0, 0.0)
@@ -147,7 +144,7 @@ def test_a_gyroscope_whose_response_bends_symmetrically(sensor: str) -> None:
 def test_readings_of_another(kind: str, sensor: str) -> None:
     other = sensor[0] + "2"
     evidence = evidence_of(kind, sensor, {sensor: (ChannelSwap(other),)}, seed=7)
-    assert [trial.effects for trial in CHANNEL_SWAP.guesses(evidence)] == [(ChannelSwap(other),)]
+    assert [trial.effects for trial in CANDIDATES["channel_swap"].guesses(evidence)] == [(ChannelSwap(other),)]
 
 
 @pytest.mark.slow
@@ -157,7 +154,7 @@ def test_an_exchange_shows_by_its_axes(kind: str) -> None:
     both = {"A1": (ChannelSwap("A2", kind),), "A2": (ChannelSwap("A1", kind),)}
     for sensor, other in (("A1", "A2"), ("A2", "A1")):
         evidence = evidence_of("tumble", sensor, both, seed=7)
-        one, exchange = CHANNEL_SWAP.guesses(evidence)
+        one, exchange = CANDIDATES["channel_swap"].guesses(evidence)
         assert (one.effects, one.opposite) == ((ChannelSwap(other),), ())
         assert exchange.effects == (ChannelSwap(other, "place"),)
         assert exchange.opposite == (ChannelSwap(sensor, "place"),)
@@ -168,10 +165,13 @@ def test_an_exchange_shows_by_its_axes(kind: str) -> None:
 def test_two_opposite_faces_show_an_exchange_by_a_level() -> None:
     """They measure no response; an axis reads 1 g where another should."""
     both = {"A1": (ChannelSwap("A2", "place"),), "A2": (ChannelSwap("A1", "place"),)}
-    (exchange,) = CHANNEL_SWAP.guesses(evidence_of(TWO_FACES, "A1", both, seed=7))
+    (exchange,) = CANDIDATES["channel_swap"].guesses(evidence_of(TWO_FACES, "A1", both, seed=7))
     assert (exchange.sensor, exchange.others) == ("A1", ("A2",))
     assert (exchange.effects, exchange.opposite) == ((ChannelSwap("A2", "place"),), (ChannelSwap("A1", "place"),))
-    assert list(CHANNEL_SWAP.guesses(evidence_of(TWO_FACES, "A1", {"A1": (Bias((0.4, 0.0, 0.0)),)}, seed=7))) == []
+    assert (
+        list(CANDIDATES["channel_swap"].guesses(evidence_of(TWO_FACES, "A1", {"A1": (Bias((0.4, 0.0, 0.0)),)}, seed=7)))
+        == []
+    )
 
 
 @pytest.mark.slow
@@ -179,7 +179,12 @@ def test_nothing_is_shared_or_felt() -> None:
     for kind in ("tumble", "static"):
         for sensor in ("A1", "G1"):
             evidence = evidence_of(kind, sensor, seed=5)
-            for candidate in (CHANNEL_SWAP, SIZE_EFFECT, G_SENSITIVITY, NONLINEARITY):
+            for candidate in (
+                CANDIDATES["channel_swap"],
+                CANDIDATES["size_effect"],
+                CANDIDATES["g_sensitivity"],
+                CANDIDATES["nonlinearity"],
+            ):
                 assert list(candidate.guesses(evidence)) == []
 
 
@@ -205,7 +210,7 @@ def test_readings_of_another_for_a_while(
     effects = {"G1": (ChannelSwap("G2", spans=acting),)}
     if is_exchange:
         effects["G2"] = (ChannelSwap("G1", spans=acting),)
-    *_, trial = CHANNEL_SWAP.guesses(evidence_of(kind, "G1", effects, seed=7))
+    *_, trial = CANDIDATES["channel_swap"].guesses(evidence_of(kind, "G1", effects, seed=7))
     assert (trial.sensor, trial.others, trial.name) == ("G1", ("G2",), "channel_swap")
     assert [effect.sensor for effect in trial.opposite if isinstance(effect, ChannelSwap)] == ["G1"] * is_exchange
     np.testing.assert_allclose([span[:2] for span in trial.when.triples], [span[:2] for span in spans], atol=0.5)
@@ -222,7 +227,7 @@ def test_an_exchange_from_a_moment_of_a_tumble_on() -> None:
     """Each face follows once, so that no level comes twice; both logs after the moment are exchanged."""
     acting = spans_of(((0, 70.0, math.inf), (1, 0.0, math.inf)))
     effects = {"A1": (ChannelSwap("A2", spans=acting),), "A2": (ChannelSwap("A1", spans=acting),)}
-    trials = list(CHANNEL_SWAP.guesses(evidence_of(("tumble", "static"), "A1", effects, seed=7)))
+    trials = list(CANDIDATES["channel_swap"].guesses(evidence_of(("tumble", "static"), "A1", effects, seed=7)))
     trial = next(trial for trial in trials if len(trial.when.spans) == 2)
     assert (trial.effects[0].name, trial.opposite[0].name) == ("channel_swap", "channel_swap")
     first, after = trial.when.triples
@@ -237,7 +242,7 @@ def test_an_exchange_in_any_of_the_logs() -> None:
     """
     acting = spans_of(((0, 0.0, math.inf), (1, 40.0, math.inf)))
     effects = {"A1": (ChannelSwap("A2", spans=acting),), "A2": (ChannelSwap("A1", spans=acting),)}
-    trial, *_ = CHANNEL_SWAP.guesses(evidence_of(("static", "tumble"), "A1", effects, seed=7))
+    trial, *_ = CANDIDATES["channel_swap"].guesses(evidence_of(("static", "tumble"), "A1", effects, seed=7))
     assert (trial.effects[0].name, trial.opposite[0].name) == ("channel_swap", "channel_swap")
     whole, after = trial.when.triples
     assert whole == (0, 0.0, math.inf)
@@ -249,7 +254,7 @@ def test_a_step_that_is_no_level_of_another_is_no_exchange() -> None:
     """Half way, or to the other's level on one axis only."""
     for offset in ((-0.75,) * 3, (-1.5, 0.0, 0.0)):
         step = Bias(offset, spans=(0.0, 35.0, 1e9))
-        assert list(CHANNEL_SWAP.guesses(evidence_of("static", "G1", {"G1": (step,)}, seed=7))) == []
+        assert list(CANDIDATES["channel_swap"].guesses(evidence_of("static", "G1", {"G1": (step,)}, seed=7))) == []
 
 
 def test_a_scale_from_some_moment_of_a_motion_on() -> None:
@@ -263,7 +268,7 @@ def test_a_scale_from_some_moment_of_a_motion_on() -> None:
         scores={"motion_along": shift / 0.01},
         rows_of={"motion_along": (0, 0)},
     )
-    every, one = [trial for trial in SCALE.guesses(odd) if trial.when.spans]
+    every, one = [trial for trial in CANDIDATES["scale"].guesses(odd) if trial.when.spans]
     assert isinstance(every.effects[0], Scale)
     assert isinstance(one.effects[0], Scale)
     assert one.effects[0].error == pytest.approx((0.1, 0.0, 0.0))
@@ -271,7 +276,7 @@ def test_a_scale_from_some_moment_of_a_motion_on() -> None:
     assert [trial.when.triples for trial in (every, one)] == [[(0, 15.0, math.inf)]] * 2
     assert every.begin_bounds_s == one.begin_bounds_s == (5.0, 25.0)
     steady = replace(odd, values={"motion_along": 1.0 + shift[[1, 1]]}, scores={"motion_along": shift[[1, 1]] / 0.01})
-    assert not [trial for trial in SCALE.guesses(steady) if trial.when.spans]
+    assert not [trial for trial in CANDIDATES["scale"].guesses(steady) if trial.when.spans]
 
 
 def test_an_axis_that_never_changes_says_nothing_of_an_exchange() -> None:

@@ -11,12 +11,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from imuarray.gap.inference.effects.bias_instability import BIAS_INSTABILITY
+from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.candidate import Hypothesis
-from imuarray.gap.inference.effects.common_mode import COMMON_MODE
-from imuarray.gap.inference.effects.popcorn_noise import POPCORN_NOISE
-from imuarray.gap.inference.effects.random_walk import RANDOM_WALK
-from imuarray.gap.inference.effects.slow import Allan, allan_of, gauss_markov, size_of, slower, wander_of, within
+from imuarray.gap.inference.effects.wander import Allan, allan_of, gauss_markov, size_of, slower, wander_of, within
 from imuarray.gap.inference.evidence import Spell
 from imuarray.gap.inference.when import Span, When
 from imuarray.simulate.effects.bias import BiasInstability, CommonMode, PopcornNoise, RandomWalk, TurnOnBias
@@ -49,7 +46,7 @@ def test_the_variance_in_a_stretch() -> None:
 @pytest.mark.parametrize(("rms", "time_constant_s"), [(0.05, 0.2), (0.04, 3.0), (0.05, 10.0)])
 def test_a_wander(rms: float, time_constant_s: float) -> None:
     evidence = evidence_of("static", "G1", {"G1": (BiasInstability((rms,) * 3, time_constant_s),)}, seed=2)
-    first, *_ = (trial.effects[0] for trial in BIAS_INSTABILITY.guesses(evidence))
+    first, *_ = (trial.effects[0] for trial in CANDIDATES["bias_instability"].guesses(evidence))
     assert isinstance(first, BiasInstability)
     assert is_near(float(np.mean(first.rms)), rms, 1.5)
     assert is_near(first.time_constant_s, time_constant_s, 2.5)
@@ -60,7 +57,7 @@ def test_flicker_noise(seed: int) -> None:
     """The Allan deviation is rms / sqrt(number of processes), whatever the ends are; on one axis alone."""
     effect = BiasInstability((0.0, 0.2, 0.0), 3600.0, 0.05)
     evidence = evidence_of("static", "G1", {"G1": (effect,)}, seed=seed)
-    several = [trial.effects[0] for trial in BIAS_INSTABILITY.guesses(evidence)]
+    several = [trial.effects[0] for trial in CANDIDATES["bias_instability"].guesses(evidence)]
     flickers = [each for each in several if isinstance(each, BiasInstability) and each.fastest_time_constant_s]
     assert flickers
     assert max(flickers[-1].rms[0], flickers[-1].rms[2]) < flickers[-1].rms[1] / 3
@@ -84,7 +81,7 @@ def test_a_filter_in_the_shortest_averaging_times_does_not_decide() -> None:
 def test_a_wander_that_is_as_slow_as_a_run() -> None:
     """Runs are 20 s long: their levels say how large it is, what goes on within them how slow."""
     evidence = evidence_of("turn-on", "G1", {"G1": (BiasInstability((0.2,) * 3, 60.0),)}, seed=4)
-    found = [trial.effects[0] for trial in BIAS_INSTABILITY.guesses(evidence)]
+    found = [trial.effects[0] for trial in CANDIDATES["bias_instability"].guesses(evidence)]
     assert any(
         isinstance(one, BiasInstability)
         and is_near(float(np.mean(one.rms)), 0.2, 1.5)
@@ -96,7 +93,7 @@ def test_a_wander_that_is_as_slow_as_a_run() -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_walk(seed: int) -> None:
     evidence = evidence_of("static", "G1", {"G1": (RandomWalk((0.02, 0.0, 0.02)),)}, seed=seed)
-    first, *_ = (trial.effects[0] for trial in RANDOM_WALK.guesses(evidence))
+    first, *_ = (trial.effects[0] for trial in CANDIDATES["random_walk"].guesses(evidence))
     assert isinstance(first, RandomWalk)
     assert is_near(first.density[0], 0.02, 2.0)
     assert first.density[1] < 0.003
@@ -117,7 +114,7 @@ def test_what_follows_the_temperature_is_no_wander() -> None:
 
 def test_a_telegraph() -> None:
     evidence = evidence_of("static", "A1", {"A1": (PopcornNoise((0.01,) * 3, 0.5),)}, seed=1)
-    by_moments, *_, by_jumps = (trial.effects[0] for trial in POPCORN_NOISE.guesses(evidence))
+    by_moments, *_, by_jumps = (trial.effects[0] for trial in CANDIDATES["popcorn_noise"].guesses(evidence))
     for found in (by_moments, by_jumps):
         assert isinstance(found, PopcornNoise)
         assert np.mean(found.amplitude) == pytest.approx(0.01, rel=0.2)
@@ -131,7 +128,7 @@ def test_a_level_that_is_seldom(side: float) -> None:
     """
     effect = PopcornNoise((0.0, side * 0.01, 0.0), 0.4, 0.2)
     evidence = evidence_of("static", "A1", {"A1": (effect,)}, seed=1)
-    trials = [trial for trial in POPCORN_NOISE.guesses(evidence) if "high_share" in trial.free]
+    trials = [trial for trial in CANDIDATES["popcorn_noise"].guesses(evidence) if "high_share" in trial.free]
     found = trials[0].effects[0]
     assert isinstance(found, PopcornNoise)
     assert found.amplitude[1] == pytest.approx(side * 0.01, rel=0.25)
@@ -142,7 +139,7 @@ def test_a_level_that_is_seldom(side: float) -> None:
 def test_few_jumps() -> None:
     """0.05 a second on one axis: seed 2 has two of them in a minute."""
     evidence = evidence_of("static", "A1", {"A1": (PopcornNoise((0.01, 0.0, 0.0), 0.05),)}, seed=2)
-    found = [trial.effects[0] for trial in POPCORN_NOISE.guesses(evidence)]
+    found = [trial.effects[0] for trial in CANDIDATES["popcorn_noise"].guesses(evidence)]
     assert any(
         isinstance(one, PopcornNoise)
         and one.amplitude[0] == pytest.approx(0.01, rel=0.1)
@@ -166,7 +163,7 @@ def common(trials: list[Hypothesis]) -> CommonMode:
 def test_a_wander_of_all_units(kind: str, rms: float, time_constant_s: float) -> None:
     """Slopes over temperature that the units have in common are not taken for it."""
     both = dict.fromkeys(("A1", "A2"), (CommonMode((rms,) * 3, time_constant_s),))
-    found = common(list(COMMON_MODE.guesses(evidence_of(kind, "A1", both, seed=7))))
+    found = common(list(CANDIDATES["common_mode"].guesses(evidence_of(kind, "A1", both, seed=7))))
     assert is_near(float(np.mean(found.rms)), rms, 2.0)
     assert is_near(found.time_constant_s, time_constant_s, 4.0)
 
@@ -178,7 +175,7 @@ def test_all_of_a_wander_may_be_shared() -> None:
     wander = wander_of(evidence)
     assert wander is not None
     apart = slower(evidence, wander)
-    effects = [effect for trial in COMMON_MODE.guesses(evidence) for effect in trial.effects]
+    effects = [effect for trial in CANDIDATES["common_mode"].guesses(evidence) for effect in trial.effects]
     assert CommonMode(tuple(apart.rms.tolist()), apart.time_constant_s) in effects
 
 
@@ -189,7 +186,7 @@ def test_a_wander_is_tried_in_the_spells_of_a_sensor() -> None:
     (phase,) = evidence.still
     quarter = replace(phase, raw=replace(phase.raw, rows=phase.raw.rows // 4))
     when = When((Span(0, 45.0, math.inf),))
-    trials = list(COMMON_MODE.guesses(replace(evidence, spells=(Spell(when, (quarter,)),))))
+    trials = list(CANDIDATES["common_mode"].guesses(replace(evidence, spells=(Spell(when, (quarter,)),))))
     always = [trial for trial in trials if not trial.when.spans]
     late = [trial for trial in trials if trial.when == when]
     assert len(always) == len(late) > 0
@@ -206,17 +203,26 @@ def test_a_wander_is_tried_in_the_spells_of_a_sensor() -> None:
 def test_a_change_between_two_logs_that_all_units_share() -> None:
     """All of it is shared, or with what the other unit lacks beside it."""
     shared = (CommonMode((0.01,) * 3, 1e6),)
-    (trial,) = COMMON_MODE.guesses(evidence_of(("static", "static"), "A1", {"A1": shared, "A2": shared}, seed=5))
+    (trial,) = CANDIDATES["common_mode"].guesses(
+        evidence_of(("static", "static"), "A1", {"A1": shared, "A2": shared}, seed=5)
+    )
     assert trial.whole
     assert trial.needs_both
     assert [effect.name for effect in trial.effects] == ["common_mode"]
     own = (*shared, TurnOnBias((0.004,) * 3))
-    alone, both = COMMON_MODE.guesses(evidence_of(("static", "static"), "A1", {"A1": own, "A2": shared}, seed=5))
+    alone, both = CANDIDATES["common_mode"].guesses(
+        evidence_of(("static", "static"), "A1", {"A1": own, "A2": shared}, seed=5)
+    )
     assert alone.effects == both.effects[:1]
     assert [effect.name for effect in both.effects] == ["common_mode", "turn_on_bias"]
 
 
 def test_nothing_wanders() -> None:
     evidence = evidence_of("static", "A1", seed=9)
-    for candidate in (BIAS_INSTABILITY, RANDOM_WALK, POPCORN_NOISE, COMMON_MODE):
+    for candidate in (
+        CANDIDATES["bias_instability"],
+        CANDIDATES["random_walk"],
+        CANDIDATES["popcorn_noise"],
+        CANDIDATES["common_mode"],
+    ):
         assert list(candidate.guesses(evidence)) == []

@@ -8,10 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imuarray.gap.inference.effects.bandwidth import BANDWIDTH
-from imuarray.gap.inference.effects.quietness import noise_of_logs, rarity_behind
-from imuarray.gap.inference.effects.tone import TONE, assign_signs
-from imuarray.gap.inference.effects.white_noise import WHITE_NOISE
+from imuarray.gap.inference.effects import CANDIDATES
+from imuarray.gap.inference.effects.noise import assign_signs, noise_of_logs, rarity_behind
 from imuarray.gap.inference.when import Span, When
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.gap.statistics.lines import highest_lines
@@ -25,14 +23,14 @@ from tests.gap.made import RATE_HZ
 
 def tones(kind: str, put_in: Tone, modelled: tuple[Tone, ...] = ()) -> list[Tone]:
     evidence = evidence_of(kind, "G1", {"G1": (put_in, *modelled)}, seed=7, modelled=modelled)
-    trials = [trial for trial in TONE.guesses(evidence) if trial.action == "add"]
+    trials = [trial for trial in CANDIDATES["tone"].guesses(evidence) if trial.action == "add"]
     return [effect for trial in trials for effect in trial.effects if isinstance(effect, Tone)]
 
 
 @pytest.mark.parametrize("cutoff_hz", [5.0, 15.0, 30.0])
 def test_a_cutoff(cutoff_hz: float) -> None:
     evidence = evidence_of("static", "G1", {"G1": (Bandwidth(cutoff_hz),)}, seed=7)
-    first, *_ = (trial.effects[0] for trial in BANDWIDTH.guesses(evidence))
+    first, *_ = (trial.effects[0] for trial in CANDIDATES["bandwidth"].guesses(evidence))
     assert isinstance(first, Bandwidth)
     assert first.cutoff_hz == pytest.approx(cutoff_hz, rel=0.1)
 
@@ -41,7 +39,12 @@ def test_a_cutoff(cutoff_hz: float) -> None:
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_a_filter_on_the_signal_is_tried_where_motion_comes_late(share: float) -> None:
     evidence = evidence_of(("static", "motion"), "G1", {"G1": (Bandwidth(5.0, share),)}, seed=7)
-    found = [one for trial in BANDWIDTH.guesses(evidence) for one in trial.effects if isinstance(one, Bandwidth)]
+    found = [
+        one
+        for trial in CANDIDATES["bandwidth"].guesses(evidence)
+        for one in trial.effects
+        if isinstance(one, Bandwidth)
+    ]
     assert {one.share for one in found} == {0.0, share}
     assert [one for one in found if one.poles == 1][-1].cutoff_hz == pytest.approx(5.0, rel=0.1)
 
@@ -49,7 +52,12 @@ def test_a_filter_on_the_signal_is_tried_where_motion_comes_late(share: float) -
 def test_a_filter_of_two_poles() -> None:
     """Lag 1 of 100 rows a second: exp(-a t) (cos a t + sin a t), a t = sqrt(2) pi 15 / 100."""
     evidence = evidence_of("static", "G1", {"G1": (Bandwidth(15.0, poles=2.0),)}, seed=7)
-    found = [one for trial in BANDWIDTH.guesses(evidence) for one in trial.effects if isinstance(one, Bandwidth)]
+    found = [
+        one
+        for trial in CANDIDATES["bandwidth"].guesses(evidence)
+        for one in trial.effects
+        if isinstance(one, Bandwidth)
+    ]
     (two,) = (one for one in found if one.poles == 2)
     assert two.cutoff_hz == pytest.approx(15.0, rel=0.1)
 
@@ -58,13 +66,15 @@ def test_a_filter_of_two_poles() -> None:
 def test_a_filter_too_fast_for_the_rows_is_guessed_by_its_delay() -> None:
     """60 Hz: 3.8 ms, and a correlation of -0.04 from row to row."""
     evidence = evidence_of(("static", "motion"), "G1", {"G1": (Bandwidth(60.0, 1.0, 2.0),)}, seed=7)
-    trial = list(BANDWIDTH.guesses(evidence))[-1]
+    trial = list(CANDIDATES["bandwidth"].guesses(evidence))[-1]
     (found,) = trial.effects
     assert isinstance(found, Bandwidth)
     assert (found.share, found.poles) == (1.0, 2.0)
     assert found.cutoff_hz == pytest.approx(60.0, rel=0.3)
     early = evidence_of(("static", "motion"), "G1", {"G1": (Skew(-0.004),)}, seed=7)
-    assert not [one for one in BANDWIDTH.guesses(early) if one.effects[0] == replace(found, cutoff_hz=60.0)]
+    assert not [
+        one for one in CANDIDATES["bandwidth"].guesses(early) if one.effects[0] == replace(found, cutoff_hz=60.0)
+    ]
 
 
 def test_who_is_quieter_than_printed_has_a_filter() -> None:
@@ -95,14 +105,14 @@ def test_a_filter_from_a_moment_on_that_rows_do_not_show() -> None:
         scores={**evidence.scores, "noise": np.full_like(evidence.scores["noise"], -10.0)},
         when=when,
     )
-    (trial,) = BANDWIDTH.guesses(quiet)
+    (trial,) = CANDIDATES["bandwidth"].guesses(quiet)
     (effect,) = trial.effects
     assert isinstance(effect, Bandwidth)
     assert effect.noise_share == pytest.approx(math.exp(-0.5))
     assert effect.cutoff_hz == pytest.approx(12.88 / 1.1107, rel=1e-3)
     one_axis = np.full_like(evidence.scores["noise"], -10.0)
     one_axis[:, 1] = 0.0
-    assert not list(BANDWIDTH.guesses(replace(quiet, scores={**quiet.scores, "noise": one_axis})))
+    assert not list(CANDIDATES["bandwidth"].guesses(replace(quiet, scores={**quiet.scores, "noise": one_axis})))
 
 
 def test_a_line() -> None:
@@ -130,7 +140,7 @@ def test_a_line_that_the_model_has_is_not_found_again() -> None:
     known = Tone((0.04,) * 3, 21.0)
     first, *_ = tones("static", Tone((0.02,) * 3, 13.7), (known,))
     assert first.frequency_hz == pytest.approx(13.7, abs=0.02)
-    trials = list(TONE.guesses(evidence_of("static", "G1", {"G1": (known,)}, seed=7, modelled=(known,))))
+    trials = list(CANDIDATES["tone"].guesses(evidence_of("static", "G1", {"G1": (known,)}, seed=7, modelled=(known,))))
     assert [trial.action for trial in trials if trial.action == "remove"] == ["remove"]
 
 
@@ -155,7 +165,7 @@ def test_a_phase_of_one_code_has_no_line() -> None:
 
 def test_nothing_is_shaped() -> None:
     evidence = evidence_of("static", "A1", seed=5)
-    for candidate in (BANDWIDTH, TONE, WHITE_NOISE):
+    for candidate in (CANDIDATES["bandwidth"], CANDIDATES["tone"], CANDIDATES["white_noise"]):
         assert list(candidate.guesses(evidence)) == []
 
 
@@ -167,7 +177,7 @@ def test_noise_of_a_sensor_that_was_never_at_rest() -> None:
     lost = np.log(seen.noise / nothing.noise(seen.header))
     values = {**seen.values, "motion_residual": seen.values["motion_residual"] + 2 * lost}
     scores = {**seen.scores, "motion_residual": np.full((1, 3), 50.0)}
-    (trial,) = WHITE_NOISE.guesses(replace(seen, fitted=nothing, values=values, scores=scores))
+    (trial,) = CANDIDATES["white_noise"].guesses(replace(seen, fitted=nothing, values=values, scores=scores))
     (effect,) = trial.effects
     assert isinstance(effect, WhiteNoise)
     assert np.all((np.array(effect.rms) > 0.002) & (np.array(effect.rms) < 0.2))
@@ -205,13 +215,13 @@ def test_a_filter_of_a_spell_takes_noise_away() -> None:
         expected={**evidence.expected, **none},
         when=When((Span(0, 20.0, math.inf),)),
     )
-    first, *_ = BANDWIDTH.guesses(spell)
+    first, *_ = CANDIDATES["bandwidth"].guesses(spell)
     (effect,) = first.effects
     assert isinstance(effect, Bandwidth)
     assert effect.noise_share == pytest.approx(0.5)
     assert effect.cutoff_hz == pytest.approx(15.0, rel=0.1)
     assert (first.action, first.free) == ("add", ("cutoff_hz", "noise_share"))
-    always, *_ = (trial for trial in BANDWIDTH.guesses(evidence) if trial.effects)
+    always, *_ = (trial for trial in CANDIDATES["bandwidth"].guesses(evidence) if trial.effects)
     assert (always.action, always.free) == ("replace", ("cutoff_hz",))
 
 
@@ -220,7 +230,7 @@ def test_noise_that_grows_at_a_moment_and_stays() -> None:
     """0.05 dps and, from 30 s of the first log on, 0.1 dps more on one axis, as in the log after it."""
     grown = WhiteNoise((0.0, 0.1, 0.0), spans=spans_of(((0, 30.0, math.inf), (1, 0.0, math.inf))))
     evidence = evidence_of(("static", "tumble"), "G1", {"G1": (grown,)}, seed=7)
-    trial = next(trial for trial in WHITE_NOISE.guesses(evidence) if trial.when.triples[0][1] > 0)
+    trial = next(trial for trial in CANDIDATES["white_noise"].guesses(evidence) if trial.when.triples[0][1] > 0)
     (effect,) = trial.effects
     assert isinstance(effect, WhiteNoise)
     assert effect.rms == pytest.approx((0.0, 0.1, 0.0), abs=0.01)
@@ -237,7 +247,7 @@ def test_logs_that_are_quieter_by_the_same_share_on_all_axes_have_a_filter() -> 
     """
     noisy = WhiteNoise((0.05 * math.sqrt(8),) * 3, spans=spans_of(((0, 0.0, math.inf),)))
     evidence = evidence_of(("static", "tumble"), "G1", {"G1": (noisy,)}, seed=7)
-    trial = next(trial for trial in BANDWIDTH.guesses(evidence) if trial.when.spans)
+    trial = next(trial for trial in CANDIDATES["bandwidth"].guesses(evidence) if trial.when.spans)
     (effect,) = trial.effects
     assert isinstance(effect, Bandwidth)
     assert effect.noise_share == pytest.approx(1 / 3, rel=0.1)
@@ -263,7 +273,7 @@ def test_noise_that_grew_at_a_moment_of_a_log_whose_date_is_not_the_first() -> N
     """From 30 s of the second log on, and in the first: the logs that are as noisy, whatever their dates are."""
     grown = WhiteNoise((0.0, 0.1, 0.0), spans=spans_of(((0, 0.0, math.inf), (1, 30.0, math.inf))))
     evidence = evidence_of(("tumble", "static"), "G1", {"G1": (grown,)}, seed=7)
-    trials = [trial for trial in WHITE_NOISE.guesses(evidence) if trial.when.spans]
+    trials = [trial for trial in CANDIDATES["white_noise"].guesses(evidence) if trial.when.spans]
     assert any(
         [log for log, _, _ in trial.when.triples] == [0, 1] and trial.when.triples[1][1] > 25 for trial in trials
     )

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from imuarray.characterise.codes import histogram
-from imuarray.gap.inference.effects.quantisation import _divisor
-from imuarray.gap.inference.effects.steps import _gains, _Series
+from imuarray.gap.inference.effects.codes import _divisor
+from imuarray.gap.inference.effects.levels import _gains, _Series
 
 SEED = 7
 

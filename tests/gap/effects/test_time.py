@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.gap.inference.effects import clock_error, dropped_samples, jitter, skew
+from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.candidate import Hypothesis
+from imuarray.gap.inference.effects.timing import late
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import Span
 from imuarray.gap.recording.events import Host
@@ -21,7 +22,7 @@ from tests.gap.effects.evidence_of import evidence_of
 from tests.gap.made import RATE_HZ
 from tests.selection import some
 
-ALL = (clock_error, dropped_samples, jitter, skew)
+ALL = ("clock_error", "dropped_samples", "jitter", "skew")
 
 
 def shown(kind: str, sensor: str, effect: Effect) -> Evidence:
@@ -32,7 +33,7 @@ def shown(kind: str, sensor: str, effect: Effect) -> Evidence:
 @pytest.mark.parametrize("kind", ["static", "motion"])
 @pytest.mark.parametrize("sensor", ["A1", "G1"])
 def test_nothing_is_guessed_without_a_trace(kind: str, sensor: str) -> None:
-    assert not [trial for module in ALL for trial in module.guesses(evidence_of(kind, sensor))]
+    assert not [trial for name in ALL for trial in CANDIDATES[name].guesses(evidence_of(kind, sensor))]
 
 
 @pytest.mark.slow
@@ -41,7 +42,7 @@ def test_nothing_is_guessed_without_a_trace(kind: str, sensor: str) -> None:
 )
 def test_skew(sensor: str, delay_s: float) -> None:
     """A tenth of a second is most of half a period of the fastest part of the motion, 6 Hz."""
-    trial = next(iter(skew.guesses(shown("motion", sensor, Skew(delay_s)))))
+    trial = next(iter(CANDIDATES["skew"].guesses(shown("motion", sensor, Skew(delay_s)))))
     (found,) = trial.effects
     assert isinstance(found, Skew)
     assert found.delay_s == pytest.approx(delay_s, rel=0.4)
@@ -52,7 +53,7 @@ def test_skew(sensor: str, delay_s: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("sensor", "error_ppm"), some([("A1", 2000.0), ("G1", -1000.0), ("G1", 300.0)], 1))
 def test_clock_error(sensor: str, error_ppm: float) -> None:
-    (trial,) = clock_error.guesses(shown("motion", sensor, ClockError(error_ppm)))
+    (trial,) = CANDIDATES["clock_error"].guesses(shown("motion", sensor, ClockError(error_ppm)))
     (found,) = trial.effects
     assert isinstance(found, ClockError)
     assert found.error_ppm == pytest.approx(error_ppm, rel=0.3)
@@ -83,12 +84,12 @@ def test_the_clock_of_the_host() -> None:
 def _of_the_host(evidence: Evidence, at_s: npt.NDArray[np.float64], lag_s: npt.NDArray[np.float64]) -> list[Hypothesis]:
     """What is guessed of lags that are known to 0.2 ms."""
     lags = tuple(HostLag(at, lag, 2e-4) for at, lag in zip(at_s.tolist(), lag_s.tolist(), strict=True))
-    return list(clock_error.guesses(replace(evidence, hosts=(Host(lags=lags),))))
+    return list(CANDIDATES["clock_error"].guesses(replace(evidence, hosts=(Host(lags=lags),))))
 
 
 def test_a_clock_that_is_far_off_may_be_so_either_way() -> None:
     """At 10 000 ppm the sensor is a seventh of a second off in the middle of the motion, about a period."""
-    trials = list(clock_error.guesses(shown("motion", "G1", ClockError(-10000.0))))
+    trials = list(CANDIDATES["clock_error"].guesses(shown("motion", "G1", ClockError(-10000.0))))
     assert 2 <= len(trials) <= 4
     found = [effect.error_ppm for trial in trials for effect in trial.effects if isinstance(effect, ClockError)]
     assert any(0.5 < error / -10000 < 2 for error in found)
@@ -96,7 +97,7 @@ def test_a_clock_that_is_far_off_may_be_so_either_way() -> None:
 
 @pytest.mark.parametrize(("sensor", "rms_s"), some([("G1", 0.002), ("G1", 0.004), ("A1", 0.002)], 1))
 def test_jitter(sensor: str, rms_s: float) -> None:
-    trial = next(iter(jitter.guesses(shown("motion", sensor, Jitter(rms_s)))))
+    trial = next(iter(CANDIDATES["jitter"].guesses(shown("motion", sensor, Jitter(rms_s)))))
     (found,) = trial.effects
     assert isinstance(found, Jitter)
     assert found.rms_s == pytest.approx(rms_s, rel=0.5)
@@ -109,15 +110,15 @@ def test_a_host_that_was_late() -> None:
     """
     odd = shown("motion", "G1", Jitter(0.004))
     host = (Host(600, 30, 30 * 9e-6, 1), Host(400, 10, 10 * 9e-6))
-    before, behind = (trial for trial in jitter.guesses(replace(odd, hosts=host)) if trial.everywhere)
+    before, behind = (trial for trial in CANDIDATES["jitter"].guesses(replace(odd, hosts=host)) if trial.everywhere)
     for trial, told in ((before, 1.0), (behind, -1.0)):
         (effect,) = trial.effects
         assert isinstance(effect, Jitter)
         assert (effect.rms_s, effect.share, effect.wait_share) == (pytest.approx(0.003), 0.04, told)
     assert before.shared
     assert before.rarity < behind.rarity
-    assert not any(trial.everywhere for trial in jitter.guesses(replace(odd, hosts=(Host(1000),))))
-    assert not list(jitter.guesses(replace(odd, hosts=host, scores={})))
+    assert not any(trial.everywhere for trial in CANDIDATES["jitter"].guesses(replace(odd, hosts=(Host(1000),))))
+    assert not list(CANDIDATES["jitter"].guesses(replace(odd, hosts=host, scores={})))
 
 
 def test_rows_that_are_late_are_repeated() -> None:
@@ -125,24 +126,24 @@ def test_rows_that_are_late_are_repeated() -> None:
     w / 10 ms, and for exponential w of mean m with m / 10 ms (1 - e^(-10 ms / m)). 5 ms of a tenth make 4.3 %, and
     sqrt(2 0.1) 5 ms of all; if nothing is told of that, they are late by a row.
     """
-    (trial,) = jitter.late(0.1 * 0.5 * (1 - math.exp(-2)), math.sqrt(0.2) * 5e-3, 0.01, 100.0)
+    (trial,) = late(0.1 * 0.5 * (1 - math.exp(-2)), math.sqrt(0.2) * 5e-3, 0.01, 100.0)
     (found,) = trial.effects
     assert isinstance(found, Jitter)
     assert found.rms_s == pytest.approx(math.sqrt(2) * 5e-3, rel=0.1)
     assert found.share == pytest.approx(0.1, rel=0.1)
     assert trial.free == ("rms_s", "share")
-    ((untold,),) = (one.effects for one in jitter.late(0.02, 0.0, 0.01, 100.0))
+    ((untold,),) = (one.effects for one in late(0.02, 0.0, 0.01, 100.0))
     assert isinstance(untold, Jitter)
     assert untold.rms_s == pytest.approx(math.sqrt(2) * 0.01, rel=0.1)
     assert untold.share == pytest.approx(0.02 / (1 - math.exp(-1)), rel=0.1)
-    assert not list(jitter.late(0.02, 0.0, 0.01, 0.0))  # a chip without a rate answers with what is now
+    assert not list(late(0.02, 0.0, 0.01, 0.0))  # a chip without a rate answers with what is now
 
 
 @pytest.mark.parametrize(("probability", "burst_rows"), [(0.03, 3.0), (0.1, 1.0), (0.2, 10.0), (0.3, 30.0)])
 def test_dropped_samples(probability: float, burst_rows: float) -> None:
     """6000 rows: 60 to 600 bursts, whose share scatters by up to a third."""
     evidence = shown("static", "A1", DroppedSamples(probability, burst_rows))
-    (trial,) = dropped_samples.guesses(evidence)
+    (trial,) = CANDIDATES["dropped_samples"].guesses(evidence)
     (found,) = trial.effects
     assert isinstance(found, DroppedSamples)
     assert 1 / 2 < found.burst_rows / burst_rows < 2
@@ -161,7 +162,7 @@ def test_stalls_of_the_recorder_are_no_lost_rows() -> None:
     inside = [Span(phase.log, moment_s, 1 / RATE_HZ) for moment_s in np.linspace(start_s, end_s, 100, endpoint=False)]
     outside = [Span(phase.log, end_s + number, 1 / RATE_HZ) for number in range(50)]
     changed = replace(evidence, phases=(replace(phase, raw=stalled),), holes=(*inside, *outside))
-    (trial,) = dropped_samples.guesses(changed)
+    (trial,) = CANDIDATES["dropped_samples"].guesses(changed)
     (effect,) = trial.effects
     assert isinstance(effect, DroppedSamples)
     assert effect.probability == pytest.approx(100 / (stalled.rows + 100))
@@ -169,17 +170,17 @@ def test_stalls_of_the_recorder_are_no_lost_rows() -> None:
 
 
 @pytest.mark.parametrize(
-    ("module", "effect", "kind"),
+    ("name", "effect", "kind"),
     some(
         [
-            (skew, Skew(0.01), "motion"),
-            (clock_error, ClockError(500.0), "motion"),
-            (jitter, Jitter(0.001), "motion"),
-            (dropped_samples, DroppedSamples(0.1), "static"),
+            ("skew", Skew(0.01), "motion"),
+            ("clock_error", ClockError(500.0), "motion"),
+            ("jitter", Jitter(0.001), "motion"),
+            ("dropped_samples", DroppedSamples(0.1), "static"),
         ],
         2,
     ),
 )
-def test_what_the_model_has_and_the_sensor_has_not_goes(module: object, effect: Effect, kind: str) -> None:
+def test_what_the_model_has_and_the_sensor_has_not_goes(name: str, effect: Effect, kind: str) -> None:
     evidence = evidence_of(kind, "A1", modelled=(effect,))
-    assert list(module.guesses(evidence)) == [Hypothesis((), removed=effect.name)]  # type: ignore[attr-defined]
+    assert list(CANDIDATES[name].guesses(evidence)) == [Hypothesis((), removed=effect.name)]

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.bias import is_with_heat
 from imuarray.gap.inference.effects.levels import levels
-from imuarray.gap.inference.effects.thermal_bias import THERMAL_BIAS
-from imuarray.gap.inference.effects.thermal_lag import THERMAL_LAG
-from imuarray.gap.inference.effects.thermal_lag import lagged as temperature_behind
-from imuarray.gap.inference.effects.thermal_scale import THERMAL_SCALE
+from imuarray.gap.inference.effects.temperature import lagged as temperature_behind
 from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag, ThermalScale
 from tests.gap.effects.evidence_of import TWO_FACES, WARM_TUMBLE, evidence_of
 from tests.selection import some
@@ -19,7 +17,7 @@ from tests.selection import some
 @pytest.mark.slow
 def test_a_square() -> None:
     evidence = evidence_of("heating", "G1", {"G1": (ThermalBias(quadratic=(0.001, 0.001, -0.0005)),)}, seed=7)
-    (trial,) = THERMAL_BIAS.guesses(evidence)
+    (trial,) = CANDIDATES["thermal_bias"].guesses(evidence)
     (effect,) = trial.effects
     assert isinstance(effect, ThermalBias)
     assert effect.quadratic == pytest.approx((0.001, 0.001, -0.0005), rel=0.1)
@@ -32,13 +30,13 @@ def test_a_square() -> None:
 def test_a_lag_that_is_usual_is_fitted(sensor: str, time_constant_s: float) -> None:
     evidence = evidence_of("heating", sensor, {sensor: (ThermalLag(time_constant_s),)}, seed=7)
     assert evidence.fitted.lag_s == pytest.approx(time_constant_s, rel=0.3)
-    assert list(THERMAL_LAG.guesses(evidence)) == []
+    assert list(CANDIDATES["thermal_lag"].guesses(evidence)) == []
 
 
 @pytest.mark.slow
 def test_a_longer_lag_takes_the_place_of_the_fitted_one() -> None:
     evidence = evidence_of("heating", "G1", {"G1": (ThermalLag(60.0),)}, seed=7)
-    first, *_ = THERMAL_LAG.guesses(evidence)
+    first, *_ = CANDIDATES["thermal_lag"].guesses(evidence)
     (effect,) = first.effects
     assert isinstance(effect, ThermalLag)
     assert effect.time_constant_s == pytest.approx(60.0, rel=0.5)
@@ -51,7 +49,7 @@ def test_a_part_of_the_bias_that_lags(time_constant_s: float) -> None:
     """On one axis, against the slope of the element, which follows the temperature at once."""
     part = ThermalLag(time_constant_s, (0.0, 0.0, -0.05))
     evidence = evidence_of("heating", "G1", {"G1": (part,)}, seed=7)
-    (trial,) = THERMAL_LAG.guesses(evidence)
+    (trial,) = CANDIDATES["thermal_lag"].guesses(evidence)
     (effect,) = trial.effects
     assert isinstance(effect, ThermalLag)
     assert trial.removed == ""
@@ -76,8 +74,8 @@ def test_the_lagged_temperature() -> None:
 def test_a_scale_that_follows_temperature_needs_two_faces() -> None:
     """On one face it is a slope of the bias, which is fitted."""
     put_in = {"A1": (ThermalScale((1e-3,) * 3),)}
-    assert list(THERMAL_SCALE.guesses(evidence_of("heating", "A1", put_in, seed=7))) == []
-    trials = list(THERMAL_SCALE.guesses(evidence_of(TWO_FACES, "A1", put_in, seed=3)))
+    assert list(CANDIDATES["thermal_scale"].guesses(evidence_of("heating", "A1", put_in, seed=7))) == []
+    trials = list(CANDIDATES["thermal_scale"].guesses(evidence_of(TWO_FACES, "A1", put_in, seed=3)))
     assert len(trials) == 2  # by slopes, and by the error of the scale at the temperature of the faces
     for trial in trials:
         (effect,) = trial.effects
@@ -89,7 +87,7 @@ def test_a_scale_that_follows_temperature_needs_two_faces() -> None:
 def test_a_scale_that_is_off_in_warmth() -> None:
     """All faces at 45 degC, 20 above the reference: 1e-3 per degC makes 2 %, which an error of the scale makes too."""
     put_in = {"A1": (ThermalScale((1e-3, 1e-3, 1e-3)),)}
-    (trial,) = THERMAL_SCALE.guesses(evidence_of((WARM_TUMBLE, "heating"), "A1", put_in, seed=3))
+    (trial,) = CANDIDATES["thermal_scale"].guesses(evidence_of((WARM_TUMBLE, "heating"), "A1", put_in, seed=3))
     (effect,) = trial.effects
     assert isinstance(effect, ThermalScale)
     assert effect.slope == pytest.approx((1e-3, 1e-3, 1e-3), rel=0.2)
@@ -98,7 +96,7 @@ def test_a_scale_that_is_off_in_warmth() -> None:
 @pytest.mark.slow
 def test_nothing_follows_temperature() -> None:
     evidence = evidence_of("heating", "G1", seed=5)
-    for candidate in (THERMAL_BIAS, THERMAL_LAG, THERMAL_SCALE):
+    for candidate in (CANDIDATES["thermal_bias"], CANDIDATES["thermal_lag"], CANDIDATES["thermal_scale"]):
         assert list(candidate.guesses(evidence)) == []
 
 

@@ -1,6 +1,4 @@
-"""`bias` is recognised by a step of the levels from one log to the next, or by stretches of a log with another level; a
-constant one is in every fit, unless that is of an earlier recording.
-"""
+"""Effects on the level of readings: a bias that changes within or between logs."""
 
 from __future__ import annotations
 
@@ -12,14 +10,74 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Booleans, Floats, Indices
-from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
-from imuarray.gap.inference.effects.levels import Levels, levels, log_levels
+from imuarray.arrays import Booleans, Floats, Indices, triple
+from imuarray.gap.inference.effects.candidate import Hypothesis
+from imuarray.gap.inference.effects.levels import Levels, change_between_logs, levels, log_levels
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import Span, When
 from imuarray.gap.recording.course import changes
 from imuarray.gap.statistics.probes.probe import once
-from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.bias import Bias, BistableBias, TurnOnBias
+
+RUN_TO_RUN = ("run_spread", "run_scatter", "run_two_states", "run_outlier", "mean")
+"""Probes that move where boots differ."""
+
+_BEYOND_RUNS = 2.7
+_SMALL_SPREAD = 0.2
+
+
+def guess_turn_on_bias(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest the spread of the logs' levels on the faces that they share; of two logs, what they differ by."""
+    change = change_between_logs(evidence)
+    if change.any():
+        yield Hypothesis((TurnOnBias(triple(np.abs(change) / np.sqrt(2))),), whole=True)
+    if not evidence.is_odd(*RUN_TO_RUN, beyond=_BEYOND_RUNS):
+        return
+    _, means, errors = log_levels(levels(evidence))
+    if len(means) < 2:
+        return
+    rms = np.sqrt(np.maximum(means.var(axis=0, ddof=1) - errors.mean(axis=0), 0.0))
+    if rms.any():
+        x, y, z = np.where(
+            rms < _SMALL_SPREAD * rms.max(), np.where(np.abs(evidence.score(*RUN_TO_RUN)) > _BEYOND_RUNS, rms, 0.0), rms
+        )
+        yield Hypothesis((TurnOnBias((float(x), float(y), float(z))),), ("rms",))
+
+
+_WIDE_GAP = 2.0
+"""A gap so many times the mean of the others parts two groups."""
+
+
+def guess_bistable_bias(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest the logs on either side of the widest gap between their levels: how far apart, and how often the rarer
+    ones.
+    """
+    if not evidence.is_odd(*RUN_TO_RUN, beyond=_BEYOND_RUNS):
+        return
+    _, means, errors = log_levels(levels(evidence))
+    if len(means) < 2 or (rare := rarer(means, errors)) is None:
+        return
+    yield Hypothesis(
+        (BistableBias(triple(means[rare].mean(axis=0) - means[~rare].mean(axis=0)), float(rare.mean())),),
+        ("offset", "probability"),
+    )
+
+
+def rarer(means: Floats, errors: Floats) -> Booleans | None:
+    """Return (l,) the smaller one of two groups of levels (l, 3), by the axis that parts them best;
+    None for one group.
+    """
+    ordered = np.sort(means, axis=0)
+    gaps = np.diff(ordered, axis=0)
+    largest = gaps.max(axis=0)
+    others = (gaps.sum(axis=0) - largest) / max(len(gaps) - 1, 1) + np.sqrt(errors.mean(axis=0)) + 1e-12
+    axis = int((largest / others).argmax())
+    if largest[axis] < _WIDE_GAP * others[axis]:
+        return None
+    at = int(gaps[:, axis].argmax())
+    upper = means[:, axis] > (ordered[at, axis] + ordered[at + 1, axis]) / 2
+    return np.asarray(upper if upper.sum() * 2 <= len(upper) else ~upper)
+
 
 _TRACES = ("mean", "level", "run_spread", "run_scatter", "run_outlier")
 _WITHIN = ("mean_halves", "wander", "mean_return", "noise_excess", "allan_longest", "band_1", "mean", "level")
@@ -60,7 +118,7 @@ _ODD = 3.0
 """Standard deviations from which on the level of an axis may have changed since an earlier recording."""
 
 
-def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
+def guess_bias(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest the step that divides the logs best, in the order in which they were recorded; stretches of a log with
     another level; or the level of all logs, where the base model's is of an earlier recording.
     """
@@ -72,16 +130,18 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*_TRACES):
         return
     if not evidence.is_refitted:
-        yield from _since(evidence)
+        yield from _changed_since(evidence)
     logs, means, errors = log_levels(levels(evidence))
     if len(means) < _FEWEST:
         return
-    gains = [_gain(means, errors, at) for at in range(1, len(means))]
+    gains = [_gain_of_step(means, errors, at) for at in range(1, len(means))]
     at = int(np.argmax(gains)) + 1
     if gains[at - 1] > _CLEAR:
         step = means[at:].mean(axis=0) - means[:at].mean(axis=0)
-        x, y, z = np.where(np.abs(step) > _SMALL * np.abs(step).max(), step, 0.0).tolist()
-        yield Hypothesis((Bias((x, y, z), float(logs[at])),), ("offset",))
+        yield Hypothesis(
+            (Bias(triple(np.where(np.abs(step) > _SMALL * np.abs(step).max(), step, 0.0)), float(logs[at])),),
+            ("offset",),
+        )
 
 
 class LevelStep(NamedTuple):
@@ -160,7 +220,7 @@ def _when(log: int, table: Levels, order: Indices, inside: Booleans, edges: Indi
     return When(tuple(Span(log, begin, end - begin) for begin, end in zip(ends[::2], ends[1::2], strict=True)))
 
 
-def _since(evidence: Evidence) -> Iterator[Hypothesis]:
+def _changed_since(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest a bias that has changed since the earlier recording."""
     shift = evidence.typical("mean")
     size = np.abs(evidence.score("mean", "level"))
@@ -169,7 +229,7 @@ def _since(evidence: Evidence) -> Iterator[Hypothesis]:
         yield Hypothesis((Bias((x, y, z)),), ("offset",))
 
 
-def _gain(means: Floats, errors: Floats, at: int) -> float:
+def _gain_of_step(means: Floats, errors: Floats, at: int) -> float:
     """Nats by which a level of the first `at` logs and one of the rest explain means (l, 3) better than one of all."""
     whole = ((means - means.mean(axis=0)) ** 2 + errors).sum(axis=0)
     parts = sum(
@@ -177,8 +237,3 @@ def _gain(means: Floats, errors: Floats, at: int) -> float:
         for part, error in ((means[:at], errors[:at]), (means[at:], errors[at:]))
     )
     return float(len(means) / 2 * np.log(whole / parts).sum())
-
-
-BIAS = Candidate(
-    Bias.name, guesses, {"turn-on": "a dozen boots of 1 minute before the suspected change, and as many after it"}
-)

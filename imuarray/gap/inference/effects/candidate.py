@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import isfinite
 from typing import Literal
 
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import ALWAYS, NUMBERS, When
+from imuarray.gap.model.populations import PRINTED, is_near_noted_position, is_usual
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.active_spans import spans_of
@@ -120,17 +121,61 @@ class Hypothesis:
 class Candidate:
     """An effect of `imuarray.simulate.effects`, and how it is recognised.
 
-    `guesses` makes trials of what one sensor shows, at most a handful. `shown_by`: what has to be recorded for the
-    effect to show, by kind of experiment; kinds that are missing can't show it. Only sensors of this `quantity`, and
-    of this `chip`, can have it ("": all).
+    `suggestions` are hypotheses that add it, by what one sensor shows, at most a handful. `shown_by`: what has to be
+    recorded for the effect to show, by kind of experiment; kinds that are missing can't show it. `about`: by what it is
+    recognised. Only sensors of this `quantity`, and of this `chip`, can have it ("": all).
+
+    `existing` says what becomes of one of its kind that the model has already: it is replaced, since two of a kind
+    can't be told apart, or joined as well, since a sensor may have several; or suggestions themselves see to it.
     """
 
     effect: str
-    guesses: Callable[[Evidence], Iterable[Hypothesis]]
+    suggestions: Callable[[Evidence], Iterable[Hypothesis]]
     shown_by: Mapping[Kind, str] = field(default_factory=dict)
+    about: str = ""
     quantity: str = ""
     chip: str = ""
+    existing: Literal["replaced", "joined or replaced", "ignored"] = "replaced"
 
     def can_concern(self, header: SensorHeader) -> bool:
         """Return whether a sensor like this can have the effect."""
         return self.quantity in ("", header.quantity) and self.chip in ("", header.chip)
+
+    def guesses(self, evidence: Evidence) -> Iterator[Hypothesis]:
+        """Yield the hypotheses to try: without the effect, if the model has one that is neither ordinary nor fitted,
+        and those that add one.
+        """
+        suggestions = self.suggestions(evidence) if self.can_concern(evidence.header) else ()
+        if self.existing == "ignored":
+            yield from suggestions
+        else:
+            yield from with_removal(evidence, self.effect, suggestions, several=self.existing != "replaced")
+
+
+ORDINARY = frozenset({"white_noise", "bias", "misalignment", "own_clock"}) | PRINTED
+"""What every sensor has: fitted, or drawn from a population."""
+
+
+def with_removal(
+    evidence: Evidence, name: str, guesses: Iterable[Hypothesis], *, several: bool = False
+) -> Iterator[Hypothesis]:
+    """Suggest the trial without effects of this kind, and the `guesses` that add one. Where the model has one already
+    each of these takes its place, since two of a kind can't be told apart; unless a sensor may have `several`: then it
+    is both added and put in its place. What holds for a while is added to what the model always has.
+    """
+    if _has(evidence, name) and name not in {effect.name for effect in evidence.fitted.effects()}:
+        yield Hypothesis((), removed=name)
+    has = _has(evidence, name) and not evidence.when.spans
+    for guess in guesses:
+        if has:
+            yield replace(guess, removed=name)
+        if not has or several:
+            yield guess
+
+
+def _has(evidence: Evidence, name: str) -> bool:
+    header = evidence.header
+    return name not in ORDINARY and any(
+        effect.name == name and not (is_usual(effect, header) or is_near_noted_position(effect, header))
+        for effect in evidence.effects
+    )

@@ -9,12 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Booleans, Floats, Integers
-from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
-from imuarray.gap.inference.effects.in_motion import takes_part
-from imuarray.gap.inference.effects.removal import with_removal
+from imuarray.arrays import Booleans, Floats, Integers, triple
+from imuarray.gap.inference.effects.bias import RUN_TO_RUN
+from imuarray.gap.inference.effects.candidate import Hypothesis
+from imuarray.gap.inference.effects.motion import takes_part
 from imuarray.gap.inference.effects.response import response_to_all_motions
-from imuarray.gap.inference.effects.turn_on_bias import TRACES as RUN_TO_RUN
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.inference.when import Span, When
 from imuarray.gap.model.rest import FittedParameters
@@ -50,14 +49,10 @@ _LEVELS = ("mean_halves", "mean_return", "wander", "mean", "level", *RUN_TO_RUN)
 """Statistics that change where a sensor's level is another's for a part of the time."""
 
 
-def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
+def guess_channel_swap(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest each sensor whose noise is this one's, each along whose axes this one seems to lie, and each of the chip
     whose levels this one has for a part of the time.
     """
-    yield from with_removal(evidence, ChannelSwap.name, _hypotheses(evidence))
-
-
-def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     twins = _twins(evidence) if evidence.is_odd(*_NOISE, beyond=_BEYOND) else set()
     odd = evidence.is_odd("motion_along", *(probe for pair in _AXES for probe in pair), beyond=_BEYOND)
     for other in evidence.others:
@@ -304,8 +299,7 @@ def _gains_of_exchange(own: Floats, exchanged: Floats, ends: Integers, floor: Fl
 
 def _with_offset(fitted: FittedParameters, more: Floats) -> FittedParameters:
     """Return the parameters with an offset that is larger by `more` (3,), in the unit."""
-    x, y, z = (np.array(fitted.offset) + more).tolist()
-    return replace(fitted, offset=(x, y, z))
+    return replace(fitted, offset=triple(np.array(fitted.offset) + more))
 
 
 def _course(phases: Sequence[PhaseEvidence], faces: dict[str, int]) -> _Course:
@@ -455,14 +449,3 @@ def _shown(evidence: Evidence) -> Iterator[Floats]:
     turned = response_to_all_motions(evidence)
     if np.isfinite(turned).all():
         yield turned
-
-
-CHANNEL_SWAP = Candidate(
-    ChannelSwap.name,
-    guesses,
-    {
-        "static": "still for 1 minute",
-        "tumble": "all six faces, 1 minute each",
-        "motion": "turns and strokes along every axis, 1 minute",
-    },
-)

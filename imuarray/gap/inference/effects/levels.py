@@ -1,4 +1,4 @@
-"""A sensor's segments at rest, one after the other: where its readings lie, less the levels of the base model."""
+"""Segments at rest: where the readings of a sensor lie, less the levels of the base model, and steps of both."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.arrays import Floats, Indices, Integers
+from imuarray.arrays import Booleans, Floats, Indices, Integers
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
+from imuarray.gap.model.rest import REFERENCE_DEGC
 from imuarray.gap.statistics.probes.force import felt_g
 from imuarray.gap.statistics.probes.probe import once
 
@@ -137,3 +138,147 @@ def change_between_logs(evidence: Evidence) -> Floats:
 
 _SERIES = 4
 _CHANGED = 3.0
+
+
+_LEAST = 3
+"""Segments on each side of a step."""
+
+_ROUNDING_LSB2 = 0.01
+"""Least variance in squared counts: readings that are all alike have a noise too."""
+
+_CLEAR = 15.0
+"""By so many nats two states have to fit better than one."""
+
+
+class States(NamedTuple):
+    """(3,) readings before and after, in the unit by the configured sensitivity, on the same face and at the same
+    temperature, and noises.
+    """
+
+    before: Floats
+    after: Floats
+    noise_before: Floats
+    noise_after: Floats
+
+
+class Onset(NamedTuple):
+    """From `onset_s` on in log number `log` another state holds, which explains it by `nats` better."""
+
+    log: int
+    onset_s: float
+    states: States
+    nats: float
+
+
+class _Series(NamedTuple):
+    """Segments in order: (s,) times, (s, 3) levels less the model's, what the model predicts, the part of that which
+    follows the temperature, and variances.
+    """
+
+    time_s: Floats
+    residual: Floats
+    predicted: Floats
+    warm: Floats
+    variance: Floats
+
+
+def onsets(evidence: Evidence, ratio: float = 1.0) -> list[Onset]:
+    """Return the clearest step of level and noise within each log that has a clear one, the clearest first.
+
+    From the step on a reading is `ratio` times what it would be, so that each face has another step.
+    """
+    steps: list[Onset] = []
+    for log in dict.fromkeys(phase.log for phase in evidence.still):
+        series = _series(evidence, [phase for phase in evidence.still if phase.log == log])
+        if len(series.time_s) < 2 * _LEAST + 2:
+            continue
+        gains = _gains(series, ratio)
+        at = int(gains.argmax())
+        if gains[at] > _CLEAR:
+            steps.append(Onset(log, _time(series, at, ratio), _states(series, at, ratio), float(gains[at])))
+    return sorted(steps, key=lambda step: -step.nats)
+
+
+def states_of_logs(evidence: Evidence, rare: Booleans) -> States | None:
+    """Return the values of the `rare` ones of the logs (l,) on the face of the first log, at the temperature of the
+    rare ones: a chip's own thermometer may have any zero.
+    """
+    logs = sorted({phase.log for phase in evidence.still})
+    if len(logs) != len(rare):
+        return None
+    series = [_series(evidence, [phase for phase in evidence.still if phase.log == log][:1]) for log in logs]
+    sides = [[item for item, is_rare in zip(series, rare, strict=True) if is_rare == side] for side in (False, True)]
+    usual, other = (_Series(*(np.concatenate(column) for column in zip(*side, strict=True))) for side in sides)
+    if not len(usual.time_s) or not len(other.time_s):
+        return None
+    warmer = other.warm.mean(axis=0) - usual.warm.mean(axis=0)
+    return States(
+        usual.predicted.mean(axis=0) + usual.residual.mean(axis=0) + warmer,
+        other.predicted.mean(axis=0) + other.residual.mean(axis=0),
+        np.sqrt(np.median(usual.variance, axis=0)),
+        np.sqrt(np.median(other.variance, axis=0)),
+    )
+
+
+def _series(evidence: Evidence, phases: list[PhaseEvidence]) -> _Series:
+    scale, parts = evidence.header.sensitivity, []
+    for phase in phases:
+        raw, residual = phase.raw.segments, phase.residual.segments
+        is_usable = (raw.rows > 3) & np.isfinite(raw.temperature_degc)
+        warm = (raw.temperature_degc[is_usable, None] - REFERENCE_DEGC) * np.array(evidence.fitted.slope)
+        predicted = (raw.mean[is_usable] - residual.mean[is_usable]) / scale
+        variance = raw.steady_variance[is_usable] * (raw.rows[is_usable] / (raw.rows[is_usable] - 1.0))[:, None]
+        variance = np.maximum(variance, _ROUNDING_LSB2) / scale**2
+        parts.append((raw.time_s[is_usable], residual.mean[is_usable] / scale, predicted, warm, variance))
+    return _Series(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _unscaled(series: _Series, ratio: float) -> Floats:
+    """Return (s, 3) deviations of levels from the model if readings are `ratio` times what they would be."""
+    return (series.residual + series.predicted) / ratio - series.predicted
+
+
+def _gains(series: _Series, ratio: float) -> Floats:
+    """Return the nats (s,) by which two levels and variances, which change before a segment, explain the segments
+    better than one of each; -inf near the ends.
+    """
+    spread = np.log(series.variance)
+    values = np.concatenate([series.residual, spread], axis=1)
+    later = np.concatenate([ratio * _unscaled(series, ratio), spread], axis=1)
+    whole = (len(values) * values.var(axis=0)).clip(1e-30)
+    parts = _squares_before(values) + _squares_before(later[::-1])[::-1]
+    gains = len(values) / 2 * np.log(whole / parts.clip(1e-6 * whole)).sum(axis=1)
+    return np.concatenate([np.full(_LEAST, -np.inf), gains[_LEAST : len(values) - _LEAST]])
+
+
+def _squares_before(values: Floats) -> Floats:
+    """Return the sum of squared deviations of the rows before each row (n + 1, k), and of all, from their mean."""
+    centred = values - values.mean(axis=0)
+    sums, squares = (np.cumsum(powers, axis=0) for powers in (centred, centred * centred))
+    rows = np.arange(1, len(values) + 1)[:, None]
+    return np.concatenate([np.zeros((1, values.shape[1])), np.maximum(squares - sums * sums / rows, 0.0)])
+
+
+def _states(series: _Series, at: int, ratio: float) -> States:
+    """Return the states by the segments that lie wholly on either side, for the face that is up at the step."""
+    before, after = slice(None, at - 1), slice(at + 1, None)
+    face = series.predicted[at]
+    return States(
+        face + np.median(series.residual[before], axis=0),
+        ratio * (face + np.median(_unscaled(series, ratio)[after], axis=0)),
+        np.sqrt(np.median(series.variance[before], axis=0)),
+        np.sqrt(np.median(series.variance[after], axis=0)),
+    )
+
+
+def _time(series: _Series, at: int, ratio: float) -> float:
+    """Return the time of the step, from the shares of it that are in the means of the segments before and after."""
+    low = np.median(series.residual[: at - 1], axis=0)
+    inner = slice(at - 1, at + 1)
+    faces = series.predicted[inner]
+    high = ratio * (faces + np.median(_unscaled(series, ratio)[at + 1 :], axis=0)) - faces
+    axis = int(np.abs(high - low).sum(axis=0).argmax())
+    width = float(np.median(np.diff(series.time_s)))
+    step = high[:, axis] - low[axis]
+    shares = np.divide(series.residual[inner, axis] - low[axis], step, out=np.zeros(2), where=step != 0)
+    return float(series.time_s[at] + width / 2 - width * np.clip(shares, 0.0, 1.0).sum())

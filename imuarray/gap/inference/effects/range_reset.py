@@ -9,12 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.chips import CHIPS
-from imuarray.gap.inference.effects.bistable_bias import rarer
-from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
-from imuarray.gap.inference.effects.levels import levels, log_levels
-from imuarray.gap.inference.effects.quietness import with_noise
-from imuarray.gap.inference.effects.removal import with_removal
-from imuarray.gap.inference.effects.steps import Onset, States, onsets, states_of_logs
+from imuarray.gap.inference.effects.bias import rarer
+from imuarray.gap.inference.effects.candidate import Hypothesis
+from imuarray.gap.inference.effects.levels import Onset, States, levels, log_levels, onsets, states_of_logs
+from imuarray.gap.inference.effects.noise import with_noise
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import NUMBERS, Span, stretches
 from imuarray.simulate.effects.conversion import RangeReset
@@ -56,15 +54,11 @@ _RANGES = 2
 """So many ranges are tried, those that need the smallest offset and change of noise."""
 
 
-def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
+def guess_range_reset(evidence: Evidence) -> Iterator[Hypothesis]:
     """Another range always, by the response to force or motion; in some logs; while the recorder found the chip set
     otherwise; or from the row on at which level or noise change: the offset is what the range leaves of the level,
     `noise_share` what it leaves of the noise.
     """
-    yield from with_removal(evidence, RangeReset.name, _hypotheses(evidence))
-
-
-def _hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     if evidence.header.chip not in CHIPS:
         return
     if evidence.is_odd(*_WHOLE, beyond=_BEYOND):
@@ -271,15 +265,3 @@ def _guesses(
 
 def _cheapest(candidates: Iterable[_Guess]) -> list[_Guess]:
     return sorted(candidates, key=lambda guess: guess.cost)[:_RANGES]
-
-
-RANGE_RESET = Candidate(
-    RangeReset.name,
-    guesses,
-    {
-        "tumble": "all six faces, 1 minute each",
-        "turn-on": "20 boots of 1 minute",
-        "static": "still for an hour, on a face that the sensor's z axis feels",
-        "motion": "turns and strokes along every axis, 1 minute",
-    },
-)

@@ -1,17 +1,23 @@
-"""Response of a sensor's axes to what they should feel: to the faces that were up, and to the motion of the others."""
+"""Effects on the response of axes to what they should feel: to the faces that were up, and to the motion of others."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Floats, triple
+from imuarray.gap.inference.effects.bias import LevelStep, level_steps
+from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.recording.turns import Turn
+from imuarray.gap.inference.when import Span, When
+from imuarray.gap.recording.turns import Turn, exchanges, misses
 from imuarray.gap.statistics.probes.level import mean
 from imuarray.gap.statistics.probes.motion import joint_gains
 from imuarray.gap.statistics.probes.turns import turn_of
+from imuarray.simulate.effects.response import AxisError, Misalignment, Scale
 
 MOTION_WEIGHT = 0.1
 """Of a motion beside a face: shares of a noisy reference fill in what no face tells."""
@@ -117,3 +123,182 @@ def _mean(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:
             (weight * np.where(known, rows, 0.0)).sum(axis=0) / weight.sum(axis=0) for rows in (values, expected)
         )
     return value, expectation
+
+
+_AXIS_PROBES = (
+    *("mean", "force_own", "force_next", "force_after"),
+    *("motion_gain", "motion_along", "motion_next", "motion_after", "motion_across", "turn_factor"),
+)
+_BETTER_AXES = 0.4
+"""An exchange of axes leaves less than such a share of what the nominal axes leave: it is exact, or it is none."""
+
+_CHANGED_AXIS = 0.01
+"""Cost of each axis that reads otherwise than nominal, as a share of what the nominal axes leave: an axis about which
+the box does not turn may keep its place.
+"""
+
+_MOST_AXES = 3
+
+
+def guess_axis_error(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest the signed permutations that fit best, left-handed ones too."""
+    if not evidence.is_odd(*_AXIS_PROBES):
+        return
+    matrices = np.array([np.eye(3), *exchanges().values()])
+    if (measured := response(evidence)) is not None:
+        nominal, *others = (measured.misfit(matrix) for matrix in matrices)
+    elif turns := turns_of(evidence):  # a reading is what the matrix makes of the rate, which its transpose makes of it
+        nominal, *others = misses(turns, matrices.swapaxes(1, 2)).tolist()
+    else:
+        return
+    misfits = {
+        axes: misfit + _CHANGED_AXIS * nominal * np.count_nonzero(np.diag(matrix) != 1)
+        for misfit, (axes, matrix) in zip(others, exchanges().items(), strict=True)
+    }
+    for axes in sorted(misfits, key=misfits.__getitem__)[:_MOST_AXES]:
+        if misfits[axes] < _BETTER_AXES * nominal:
+            yield Hypothesis((AxisError(axes),))
+
+
+_LARGEST_DEG = 45.0
+"""What leans further is nearer to another axis."""
+
+
+def guess_misalignment(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest the angles beside the diagonal of the response's error, where they stray beyond the population."""
+    score, measured_response = np.zeros((3, 3)), response(evidence)
+    for step, way in enumerate(("next", "after"), start=1):
+        score[_AXES, (_AXES + step) % 3] = size_of_score(evidence, f"force_{way}", f"motion_{way}", "motion_across")
+    if measured_response is None or not (score > ODD).any():
+        return
+    gain = 1 + np.diag(measured_response.error)
+    tangents = np.divide(measured_response.error, gain[:, None], out=np.zeros((3, 3)), where=gain[:, None] > 0)
+    angles = np.degrees(np.arctan(np.where(score > DOUBTFUL, tangents, 0.0)))
+    angles[np.abs(angles) > _LARGEST_DEG] = 0.0
+    if angles.any():
+        yield Hypothesis((Misalignment(tuple(angles[~np.eye(3, dtype=bool)].tolist())),), ("angles_deg",))
+
+
+_LARGEST_ERROR = 0.9
+"""More than that isn't an error of scale."""
+
+_ALONG, _TURNS = "motion_along", "turn_factor"
+
+_LEAST_FACTOR = 0.3
+"""A smaller factor of the readings of turns is no error of scale."""
+
+_SMALLER = 0.8
+"""Largest error of the first part of a motion, as a share of that of the second, if it begins within the motion."""
+
+_LEAST_FELT = 0.3
+"""Least share of the force along an axis whose level tells a scale."""
+
+
+def guess_scale(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest the diagonal of the response's error, on axes that stray beyond the population; and of an accelerometer
+    the error that makes a level's step within a log, on the axes that show it or on all. If the box always lies alike,
+    such a step is that of a bias: a scale has to show in motion or on several faces.
+    """
+    if evidence.header.quantity == "specific_force":
+        for step in level_steps(evidence):
+            yield from _scale_of_step(evidence, step)
+    yield from _scale_of_rotation(evidence)
+    yield from _scale_of_turns(evidence)
+    yield from _scale_within_motion(evidence)
+    score, measured_response = size_of_score(evidence, "force_own", "motion_gain"), response(evidence)
+    if measured_response is None or not (score > ODD).any():
+        return
+    axis_error, doubtful = np.diag(measured_response.error), score > DOUBTFUL
+    error = np.where(doubtful & (np.abs(axis_error) < _LARGEST_ERROR), axis_error, 0.0)
+    yield from _scales(error)
+
+
+def _scales(*errors: Floats) -> Iterator[Hypothesis]:
+    """Suggest each of these errors (3,) that is not 0, once."""
+    for error in dict.fromkeys(map(triple, errors)):
+        if any(error):
+            yield Hypothesis((Scale(error),), ("error",))
+
+
+def _scale_of_rotation(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest the share of motion that is lacking along each axis that strays, and along all axes alike, where the axes
+    cannot be told apart: in a rotation about a single axis.
+    """
+    score = size_of_score(evidence, _ALONG)
+    if evidence.is_odd("motion_gain", beyond=ODD) or not (score > ODD).any():
+        return
+    shift = evidence.shift(_ALONG)
+    error = np.where((score > DOUBTFUL) & (np.abs(shift) < _LARGEST_ERROR), shift, 0.0)
+    largest = float(error[score.argmax()])
+    yield from _scales(np.full(3, largest), error)
+
+
+def _scale_of_turns(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest what the turns from one rest to the next show, of the only gyroscope."""
+    score = np.abs(evidence.score(_TURNS))
+    if evidence.others or not (score > ODD).any():
+        return
+    error = np.zeros(3)
+    for axis in np.flatnonzero(score > DOUBTFUL):
+        factor, expected = (table[_TURNS][:, axis] for table in (evidence.values, evidence.expected))
+        known = np.isfinite(factor) & (np.abs(factor) > _LEAST_FACTOR)
+        error[axis] = (expected[known] / factor[known]).mean() - 1 if known.any() else 0.0
+    error = np.where(np.abs(error) < _LARGEST_ERROR, error, 0.0)
+    largest = float(error[score.argmax()])
+    yield from _scales(error, np.full(3, largest))
+
+
+def _scale_within_motion(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest the error of the second part of a motion from some moment on, where the first part
+    shows a smaller one.
+    """
+    if _ALONG not in evidence.scores or _ALONG not in evidence.rows_of:
+        return
+    logs = np.array(evidence.rows_of[_ALONG])
+    shift, score = evidence.values[_ALONG] - evidence.expected[_ALONG], np.nan_to_num(np.abs(evidence.scores[_ALONG]))
+    for log in np.unique(logs[logs >= 0]).tolist():
+        parts = np.flatnonzero(logs == log)
+        moving = [phase.raw.phase for phase in evidence.phases if phase.log == log and not phase.is_still]
+        if len(parts) != 2 or not moving:
+            continue
+        (first, second), second_score = np.nan_to_num(shift[parts]), score[parts[1]]
+        changes = (
+            (second_score > DOUBTFUL) & (np.abs(second) < _LARGEST_ERROR) & (np.abs(first) < _SMALLER * np.abs(second))
+        )
+        error = np.where(changes, second, 0.0)
+        if not (changes & (second_score > ODD)).any():
+            continue
+        begin_s, end_s = min(phase.start_ns for phase in moving) * 1e-9, max(phase.end_ns for phase in moving) * 1e-9
+        when = When((Span(log, (begin_s + end_s) / 2, math.inf),))
+        largest = float(error[second_score.argmax()])
+        for scale in _scales(np.full(3, largest), error):
+            yield replace(scale.at(when), begin_bounds_s=(begin_s, end_s))
+
+
+def _scale_of_step(evidence: Evidence, step: LevelStep) -> Iterator[Hypothesis]:
+    phases = [phase for phase in evidence.phases if phase.log == step.when.spans[-1].log]
+    if all(phase.is_still for phase in phases) and len({phase.raw.phase.up for phase in phases}) < 2:
+        return
+    felt = _felt(evidence, step)
+    size = np.abs(felt).max(initial=0.0)
+    along = np.abs(felt) > _LEAST_FELT * size
+    if not size or np.abs(step.size).argmax() not in np.flatnonzero(along):
+        return
+    error = np.divide(step.size, felt, out=np.zeros(3), where=along)
+    largest = float(error[np.abs(error).argmax()])
+    if abs(largest) < _LARGEST_ERROR:
+        for scale in _scales(error, np.full(3, largest)):
+            yield replace(scale.at(step.when), begin_bounds_s=step.begin_bounds_s)
+
+
+def _felt(evidence: Evidence, step: LevelStep) -> Floats:
+    """Return (3,) what the axes should read, without bias, in the phases at rest that reach into the step's last
+    stretch.
+    """
+    span = step.when.spans[-1]
+    felt = [
+        evidence.fitted.by_response(evidence.fitted.unbiased(phase.raw) - mean(phase.residual))
+        for phase in evidence.still
+        if phase.log == span.log and span.moment_s < phase.raw.phase.end_ns * 1e-9 and phase.raw.rows
+    ]
+    return np.mean(felt, axis=0) if felt else np.zeros(3)

@@ -1,0 +1,292 @@
+"""Effects of temperature: fits of levels over all phases at rest, each log and face about its own level."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from imuarray.arrays import Floats, Integers, triple
+from imuarray.gap.inference.effects.candidate import Hypothesis, with_removal
+from imuarray.gap.inference.effects.levels import Levels, centre, levels
+from imuarray.gap.inference.effects.response import DOUBTFUL, ODD, response, size_of_score
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.model.rest import REFERENCE_DEGC
+from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag, ThermalScale
+
+_TRACES = (
+    *("thermal_slope", "thermal_square", "thermal_change", "thermal_residual"),
+    *("mean_halves", "wander", "mean_return", "mean", "allan_longest", "slow_own_axes", "slow_between_axes"),
+)
+"""Probes that move where a level doesn't follow the temperature in a straight line."""
+
+_BEYOND = 2.7
+_LEAST_DEGC = 1.0
+"""A smaller span of temperatures says nothing of a slope."""
+
+
+class _Fit(NamedTuple):
+    """(c, 3) coefficients and their standard errors, of columns for one axis each; 0 and infinite where one can't be
+    told from the others.
+    """
+
+    coefficient: Floats
+    error: Floats
+
+
+def _warmth(table: Levels) -> Floats:
+    """Return (n,) degC above the temperature at which biases hold."""
+    return np.asarray(table.degc - REFERENCE_DEGC)
+
+
+def _is_warmed(table: Levels) -> bool:
+    """Return whether the temperature changed within a log and face."""
+    return any(np.ptp(table.degc[at]) >= _LEAST_DEGC for at in table.groups())
+
+
+def _fit_levels(columns: Floats, values: Floats, group: Integers | None) -> _Fit:
+    """Return the least-squares fit of values (n, 3) by columns (n, c), both less the means of their groups (None: as
+    they are).
+    """
+    if group is not None:
+        columns, values = centre(columns, group), centre(values, group)
+    size = np.sqrt((columns**2).sum(axis=0))
+    scaled = columns / np.where(size > 0, size, 1.0)
+    nothing = np.zeros((columns.shape[1], values.shape[1]))
+    if len(columns) <= columns.shape[1] + 1 or np.linalg.matrix_rank(scaled, tol=1e-2) < columns.shape[1]:
+        return _Fit(nothing, np.full_like(nothing, np.inf))
+    solution = np.linalg.lstsq(scaled, values, rcond=None)[0]
+    residuals = values - scaled @ solution
+    variance = (residuals**2).sum(axis=0) / (len(columns) - columns.shape[1])
+    inverse = np.diag(np.linalg.inv(scaled.T @ scaled))
+    return _Fit(solution / size[:, None], np.sqrt(inverse[:, None] * variance) / size[:, None])
+
+
+_CLEAR = 2.0
+"""A coefficient so many standard errors from 0 is one."""
+
+
+def guess_thermal_bias(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest the quadratic term by least squares; a linear one where only the levels of several logs tell it, which
+    the base model doesn't fit.
+    """
+    table = levels(evidence)
+    if not len(table.degc) or not evidence.is_odd(*_TRACES, beyond=_BEYOND):
+        return
+    if _is_warmed(table):
+        yield from _squares(table)
+        if not evidence.is_refitted:
+            yield from _slope_since(evidence)
+    elif np.ptp(table.degc) >= _LEAST_DEGC:
+        yield from _slope_between_logs(table)
+
+
+def _squares(table: Levels) -> Iterator[Hypothesis]:
+    """Suggest quadratic terms with the slope that belongs to them: the fitted straight line follows the curve where the
+    sensor was warm, and would deviate from it there if the square were only added.
+    """
+    warm = _warmth(table)
+    fit = _fit_levels(np.stack([warm, warm**2], axis=1), table.mean, table.group)
+    clear = np.abs(fit.coefficient[1]) > _CLEAR * fit.error[1]
+    if clear.any():
+        slope, quadratic = np.where(clear, fit.coefficient, 0.0).tolist()
+        yield Hypothesis((ThermalBias(tuple(slope), tuple(quadratic)),), ("quadratic",))
+
+
+def _slope_since(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest a slope that has changed since an earlier recording, to which the base model was fitted."""
+    odd = np.abs(evidence.score("thermal_slope")) > _BEYOND
+    x, y, z = np.where(odd, np.nan_to_num(evidence.typical("thermal_slope")), 0.0).tolist()
+    if any((x, y, z)):
+        yield Hypothesis((ThermalBias(slope=(x, y, z)),), ("slope",))
+
+
+def _slope_between_logs(table: Levels) -> Iterator[Hypothesis]:
+    """Suggest a slope from levels on one face at several temperatures."""
+    faces = np.unique(np.nan_to_num(table.felt_g.round(3), nan=9.0), axis=0, return_inverse=True)[1].reshape(-1)
+    fit = _fit_levels(_warmth(table)[:, None], table.mean, faces)
+    if fit.coefficient.any():
+        yield Hypothesis((ThermalBias(slope=triple(fit.coefficient[0])),), ("slope",))
+
+
+_TRIED_LAGS = 30
+_GRID_STEPS = 2000
+"""Of a log, at which the reference is filtered."""
+
+_CLEAR_LAG = 3.0
+"""By so many nats a lag has to fit better than none."""
+
+_CLEAR_PART = 8.0
+"""By so many nats a lagging part has to improve the fit of an axis: the best of thirty lags on three axes."""
+
+_LAGS_APART = 3.0
+
+
+def guess_thermal_lag(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest the time constant by which the lagged reference fits levels and the chip's own thermometer best; another
+    by the coefficient of dT/dt, which is slope times lag.
+    """
+    for guess in with_removal(evidence, ThermalLag.name, _thermal_lag_hypotheses(evidence)):
+        is_of_element = any(isinstance(effect, ThermalLag) and not any(effect.slope) for effect in guess.effects)
+        takes_place = bool(evidence.fitted.lag_s) and is_of_element  # the fitted lag is as long as is usual
+        yield replace(guess, removed=ThermalLag.name) if takes_place else guess
+
+
+def _thermal_lag_hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
+    table = levels(evidence)
+    if not len(table.degc) or not _is_warmed(table):
+        return
+    if not evidence.is_odd(*_TRACES, beyond=_BEYOND):
+        return
+    best_s, slow_s = _best_lag_s(table), _lag_from_change(evidence)
+    for time_constant_s in (
+        best_s,
+        slow_s if not best_s or not 1 / _LAGS_APART < slow_s / best_s < _LAGS_APART else 0.0,
+    ):
+        if time_constant_s > 0:
+            yield Hypothesis((ThermalLag(time_constant_s),), ("time_constant_s",))
+    yield from _of_a_part(evidence, table)
+
+
+def _of_a_part(evidence: Evidence, table: Levels) -> Iterator[Hypothesis]:
+    """Suggest a lag of a part of the bias on the axes on which it is clear; the rest follows the temperature at once,
+    by another slope than was fitted without the lag. What the thermometer feels does not lag with it. If all axes lag,
+    it is the element.
+    """
+    times_s = _lags_s(table)
+    gains = np.array([_gains_of_part(table, time_s) for time_s in times_s]).reshape(-1, 3)
+    if not (gains > _CLEAR_PART).any():
+        return
+    best, _ = np.unravel_index(int(gains.argmax()), gains.shape)
+    time_constant_s, clear = float(times_s[best]), gains[best] > _CLEAR_PART
+    if clear.all():
+        return
+    warm, lagged_warm = _warmth(table), lagged(table, time_constant_s) - REFERENCE_DEGC
+    fit = _fit_levels(np.stack([lagged_warm, warm], axis=1), table.mean, table.group)
+    slope, change = np.where(clear, fit.coefficient, 0.0)
+    offset = np.median(table.mean - lagged_warm[:, None] * slope - warm[:, None] * change, axis=0)
+    ordinary = evidence.fitted
+    base_offset, base_slope = np.add(ordinary.offset, np.where(clear, offset, 0.0)), np.add(ordinary.slope, change)
+    (x, y, z), (slope_x, slope_y, slope_z) = base_offset.tolist(), base_slope.tolist()
+    part = ThermalLag(time_constant_s, tuple(slope.tolist()), REFERENCE_DEGC)
+    yield Hypothesis(
+        (part,),
+        ("slope", "time_constant_s"),
+        fitted=replace(ordinary, offset=(x, y, z), slope=(slope_x, slope_y, slope_z)),
+    )
+
+
+def _gains_of_part(table: Levels, time_constant_s: float) -> Floats:
+    """Return (3,) nats by which levels over the temperature and over the lagged one are explained better than over the
+    first alone.
+    """
+    warm = centre(np.stack([table.degc, lagged(table, time_constant_s)], axis=1), table.group)
+    squares, squares_with_part = (
+        ((table.apart - some @ np.linalg.lstsq(some, table.apart, rcond=None)[0]) ** 2).sum(axis=0)
+        for some in (warm[:, :1], warm)
+    )
+    return np.asarray(len(warm) / 2 * np.log((squares + 1e-30) / (squares_with_part + 1e-30)))
+
+
+def _lags_s(table: Levels) -> Floats:
+    """Return the time constants that are tried; none where no log lasts."""
+    span_s = max(float(np.ptp(table.time_s[table.log == log])) for log in np.unique(table.log))
+    return np.geomspace(span_s / _GRID_STEPS * 2, span_s, _TRIED_LAGS) if span_s > 0 else np.zeros(0)
+
+
+def _best_lag_s(table: Levels) -> float:
+    """0 if none is better than no lag."""
+    times = _lags_s(table)
+    if not len(times):
+        return 0.0
+    misfit = [_lag_misfit(table, table.degc)] + [_lag_misfit(table, lagged(table, time)) for time in times]
+    best = int(np.argmin(misfit))
+    return float(times[best - 1]) if best and misfit[best] < misfit[0] - _CLEAR_LAG else 0.0
+
+
+def lagged(table: Levels, time_constant_s: float) -> Floats:
+    """Return (n,) temperature of an element behind the reference, in equilibrium when its log begins."""
+    from scipy.signal import lfilter  # its weight is for those who ask
+
+    degc = np.empty_like(table.degc)
+    for log in np.unique(table.log):
+        at = np.flatnonzero(table.log == log)
+        order = at[np.argsort(table.time_s[at])]
+        grid = np.linspace(table.time_s[order[0]], table.time_s[order[-1]], _GRID_STEPS)
+        box = np.interp(grid, table.time_s[order], table.degc[order])
+        phi = math.exp(-(grid[1] - grid[0]) / time_constant_s)
+        half = (1 - phi) / 2
+        element, _ = lfilter([half, half], [1.0, -phi], box, zi=[(1 - half) * box[0]])
+        degc[at] = np.interp(table.time_s[at], grid, element)
+    return degc
+
+
+def _lag_misfit(table: Levels, degc: Floats) -> float:
+    """Negative log likelihood of levels, and of the thermometer if there is one, that follow this temperature."""
+    known = np.isfinite(table.thermometer)
+    total = 0.0
+    # the base model took a straight line in the reference out: it goes back in
+    warm = centre(np.stack([degc, table.degc], axis=1), table.group)
+    residuals = table.apart - warm @ np.linalg.lstsq(warm, table.apart, rcond=None)[0]
+    total += len(residuals) / 2 * float(np.log((residuals**2).sum(axis=0) + 1e-30).sum())
+    if known.all():
+        heat = centre(table.thermometer[:, None], table.group)
+        heated = warm[:, :1]
+        residual = heat - heated @ np.linalg.lstsq(heated, heat, rcond=None)[0]
+        total += len(residual) / 2 * float(np.log((residual**2).sum() + 1e-30))
+    return total
+
+
+def _lag_from_change(evidence: Evidence) -> float:
+    """y = slope (T - lag dT/dt): the axes' coefficients of dT/dt, weighted with their slopes."""
+    slope = np.array(evidence.fitted.slope)
+    change = evidence.typical("thermal_change")
+    return float(-(change @ slope) / (slope @ slope)) if slope.any() else 0.0
+
+
+def guess_thermal_scale(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest, for an accelerometer, the part of the slope that has the sign of the force; on one face alone it
+    can't be distinguished from a slope of the bias, which is fitted, and there is no guess. The other guess is the
+    slope that makes the error of the scale at the temperature of the faces: no other experiment distinguishes the two.
+    """
+    table = levels(evidence)
+    if evidence.header.quantity != "specific_force" or not len(table.degc) or np.ptp(table.degc) < _LEAST_DEGC:
+        return
+    if not evidence.is_odd(*_TRACES, "force_own", "motion_gain", beyond=_BEYOND):
+        return
+    slope = [_scale_slope(table, axis) for axis in range(3)]
+    if any(slope):
+        yield Hypothesis((ThermalScale((slope[0], slope[1], slope[2])),), ("slope",))
+    x, y, z = _by_scale(evidence, table).tolist()
+    if any((x, y, z)):
+        yield Hypothesis((ThermalScale((x, y, z)),), ("slope",))
+
+
+def _by_scale(evidence: Evidence, table: Levels) -> Floats:
+    """Return (3,) error of the scale over how much warmer it was than at the reference; 0 where that says nothing."""
+    measured_response, known = response(evidence), np.isfinite(table.felt_g).all(axis=1)
+    if measured_response is None or not known.any():
+        return np.zeros(3)
+    faces, of_face = np.unique(table.felt_g[known], axis=0, return_inverse=True)
+    warm = float(np.mean([_warmth(table)[known][of_face.ravel() == at].mean() for at in range(len(faces))]))
+    score = size_of_score(evidence, "force_own")
+    if abs(warm) < _LEAST_DEGC or not (score > ODD).any():
+        return np.zeros(3)
+    return np.asarray(np.where(score > DOUBTFUL, np.diag(measured_response.error) / warm, 0.0))
+
+
+def _scale_slope(table: Levels, axis: int) -> float:
+    """Return the slope by slopes within logs, or else by their levels; 0 if neither determines it."""
+    known = np.isfinite(table.felt_g[:, axis])
+    felt, warm, mean = table.felt_g[known, axis], _warmth(table)[known], table.mean[known, axis : axis + 1]
+    if not known.any():
+        return 0.0
+    within = _fit_levels(np.stack([warm, warm * felt], axis=1), mean, table.group[known])
+    whole = _fit_levels(np.stack([np.ones_like(warm), warm, felt, warm * felt], axis=1), mean, None)
+    for fit in (within, whole):
+        if np.abs(fit.coefficient[-1, 0]) > _CLEAR * fit.error[-1, 0]:
+            return float(fit.coefficient[-1, 0])
+    return 0.0

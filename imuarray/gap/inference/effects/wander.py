@@ -1,0 +1,620 @@
+"""Effects that change a bias slowly: sizes and times of processes by closed forms from Allan variances and levels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import nnls
+
+from imuarray.arrays import Floats, triple
+from imuarray.gap.inference.effects.candidate import Hypothesis
+from imuarray.gap.inference.effects.levels import change_between_logs, levels, log_levels
+from imuarray.gap.inference.effects.motion import takes_part
+from imuarray.gap.inference.evidence import Evidence, PhaseEvidence, Spell
+from imuarray.gap.statistics.cross import Cross
+from imuarray.simulate.effects.bias import BiasInstability, CommonMode, PopcornNoise, RandomWalk, TurnOnBias
+from imuarray.simulate.signal import Triple
+
+TRACES = (
+    "wander",
+    "mean_halves",
+    "mean_return",
+    "allan_8",
+    "allan_32",
+    "allan_128",
+    "allan_512",
+    "allan_2048",
+    "allan_longest",
+    "band_1",
+    "band_2",
+    "noise_excess",
+    "run_scatter",
+    "thermal_residual",
+    "slow_own_axes",
+    "slow_between_axes",
+)
+"""Probes that a slow process moves."""
+
+BEYOND = 3.0
+"""A trace that far from what the model makes is followed up."""
+
+SLOWEST = 5.0
+"""A process that is slower than so many phases is another bias in each boot; within one phase it is a random walk if it
+is slower than that."""
+
+_FACTORS = 4
+"""Starts in an averaging time: terms that hang together."""
+
+_NOT_WHITE = 0.1
+"""Relative error allowed to an Allan variance: a filter takes that from the shortest, which have most of the terms."""
+
+_TIMES = 25
+_SLOWER = 4.0
+
+
+class Allan(NamedTuple):
+    """Allan variances (o, 3) at averaging times (o,), in the sensor's unit squared, pooled over the phases at rest, and
+    how many independent terms each has (o,); `spread` (3,) the mean variance of segments' means in these, `length_s`
+    and number of the `phases`, for what is slower.
+    """
+
+    time_s: Floats
+    variance: Floats
+    terms: Floats
+    spread: Floats
+    length_s: float
+    phases: int
+
+
+class Wander(NamedTuple):
+    """(3,) rms of a first-order Gauss-Markov process of this time constant."""
+
+    rms: Floats
+    time_constant_s: float
+
+
+def allan_of(evidence: Evidence) -> Allan:
+    """Octaves with at least one independent term in all; less what follows the temperature as the model lets it."""
+    sums, terms = np.zeros((0, 3)), np.zeros(0)
+    for phase in evidence.still:
+        variance, count, _ = phase.raw.allan
+        if not len(sums):
+            sums, terms = np.zeros_like(variance), np.zeros(len(count))
+        white = variance[:1] / 2.0 ** np.arange(len(count))[:, None]
+        warming = _of_warming(phase, evidence.rows_per_s, len(count))
+        variance = np.maximum(variance - warming, np.minimum(variance, white / 2))
+        sums += np.nan_to_num(variance) * count[:, None]
+        terms += count
+    has_terms = terms >= _FACTORS
+    times = 2.0 ** np.flatnonzero(has_terms) / evidence.rows_per_s
+    free = terms[has_terms] / (_FACTORS * 2.0 ** np.maximum(np.flatnonzero(has_terms) - 2, 0))
+    mean = sums[has_terms] / terms[has_terms, None]
+    known = free * _FACTORS >= 1
+    variance = mean[known] / evidence.header.sensitivity**2
+    return Allan(np.asarray(times[known]), variance, np.maximum(free, 0.5)[known], *_spread(evidence))
+
+
+def _of_warming(phase: PhaseEvidence, rows_per_s: float, octaves: int) -> Floats:
+    """Return (o, 3) what a level that the model lets follow the temperature adds, in counts squared: (rate tau)^2 / 2
+    of a straight line (IEEE Std 952, Annex C).
+    """
+    time_s, level = phase.raw.segments.time_s, phase.raw.segments.mean - phase.residual.segments.mean
+    known = np.isfinite(level).all(axis=1) & np.isfinite(time_s)
+    if known.sum() < 2:
+        return np.zeros((octaves, 3))
+    rate = np.diff(level[known], axis=0) / np.diff(time_s[known])[:, None]
+    tau = 2.0 ** np.arange(octaves) / rows_per_s
+    return np.asarray(tau[:, None] ** 2 * (rate**2).mean(axis=0) / 2)
+
+
+def gauss_markov(time_s: Floats, time_constant_s: float) -> Floats:
+    """Allan variance of a first-order Gauss-Markov process of variance 1 (IEEE Std 952, Annex C)."""
+    x = time_s / time_constant_s
+    small = 2 * x / 3 * (1 - 0.75 * x)  # the rest cancels to rounding
+    whole = 2 / x * (1 - (3 - 4 * np.exp(-x) + np.exp(-2 * x)) / (2 * x))
+    return np.asarray(np.where(x < 1e-3, small, whole))
+
+
+def within(length_s: float, time_constant_s: float) -> float:
+    """Return the variance about their mean of the values of such a process in a stretch: 1 - 2 (x -
+    1 + exp(-x)) / x^2.
+    """
+    x = length_s / time_constant_s
+    return x / 3 if x < 1e-3 else 1 - 2 * (x - 1 + float(np.exp(-x))) / x**2
+
+
+def size_of(allan: Allan, curve: Floats, spread: float) -> tuple[Floats, float]:
+    """Return (3,) squared size of the process with this Allan variance (o,), and this variance in a phase, beside white
+    noise, and how badly both fit.
+    """
+    sizes, misfit = np.zeros(3), 0.0
+    white = np.append(allan.time_s[0] / allan.time_s, 0.0)
+    curve, terms = np.append(curve, spread), np.append(allan.terms, 2.0 * allan.phases)
+    for axis in range(3):
+        observed = np.append(allan.variance[:, axis], allan.spread[axis])
+        if not (observed > 0).all():
+            continue
+        weight = 1 / (observed * np.hypot(np.sqrt(2 / terms), _NOT_WHITE))
+        table = np.stack([white, curve], axis=1) * weight[:, None]
+        (_, sizes[axis]), residual_norm = nnls(table, observed * weight)
+        misfit += residual_norm**2
+    return sizes, misfit
+
+
+def wander_of(evidence: Evidence) -> Wander | None:
+    """Return the Gauss-Markov process that fits best, None where no phase is long enough to tell or none is there."""
+    allan = allan_of(evidence)
+    if len(allan.time_s) < 4:
+        return None
+    times = np.geomspace(3 / evidence.rows_per_s, 3 * longest_s(evidence), _TIMES)
+    fits = [_gauss_markov_size(allan, time) for time in times]
+    best = int(np.argmin([misfit for _, misfit in fits]))
+    sizes = fits[best][0]
+    return Wander(np.sqrt(sizes), float(times[best])) if sizes.any() else None
+
+
+def flicker_of(evidence: Evidence) -> BiasInstability | None:
+    """Flicker noise, of processes from one row to several phases, as large as the Allan variances say."""
+    allan = allan_of(evidence)
+    if len(allan.time_s) < 4:
+        return None
+    unit = BiasInstability((1.0, 1.0, 1.0), SLOWEST * longest_s(evidence), 1 / evidence.rows_per_s)
+    times_s = unit.time_constants_s
+    curve = np.mean([gauss_markov(allan.time_s, time_s) for time_s in times_s], axis=0)
+    spread = float(np.mean([within(allan.length_s, time_s) for time_s in times_s]))
+    x, y, z = np.sqrt(size_of(allan, np.asarray(curve), spread)[0]).tolist()
+    return replace(unit, rms=(x, y, z)) if x or y or z else None
+
+
+def slower(evidence: Evidence, wander: Wander) -> Wander:
+    """One that is `_APART` times slower, and fits nearly as well; faster by its square, if phases are too short."""
+    is_slow = wander.time_constant_s > longest_s(evidence)
+    time_constant_s = wander.time_constant_s / (_SLOWER**2) if is_slow else _SLOWER * wander.time_constant_s
+    return Wander(rms_at(evidence, time_constant_s), time_constant_s)
+
+
+def over_logs(evidence: Evidence) -> Wander | None:
+    """Logs' levels say how large it is, what goes on within them 2 rms^2 / time constant, how fast; None where these
+    don't wander, or there are less than three.
+    """
+    _, means, errors = log_levels(levels(evidence))
+    if len(means) < 3 or not evidence.is_odd("run_scatter", "run_spread", "mean", beyond=BEYOND):
+        return None
+    square = (means.var(axis=0, ddof=1) - errors.mean(axis=0)).clip(0.0)
+    long_s = 10 * longest_s(evidence)
+    pace = rms_at(evidence, long_s) ** 2 / long_s
+    if not square.any() or not pace.any():
+        return None
+    time_constant_s = min(max(square.mean() / pace.mean(), longest_s(evidence) / 3), SLOWEST * longest_s(evidence))
+    return Wander(square**0.5, time_constant_s)
+
+
+def rms_at(evidence: Evidence, time_constant_s: float) -> Floats:
+    """Return (3,) rms of a Gauss-Markov process of this time constant."""
+    return np.asarray(np.sqrt(_gauss_markov_size(allan_of(evidence), time_constant_s)[0]))
+
+
+def longest_s(evidence: Evidence) -> float:
+    """Length of the longest phase at rest."""
+    phases = [item.raw.phase for item in evidence.still]
+    return max((1e-9 * (phase.end_ns - phase.start_ns) for phase in phases), default=1.0)
+
+
+def sized(values: Floats, score: Floats) -> Iterator[Triple]:
+    """Sizes by axis: 0 where it is small and nothing shows, a little where something shows and the size is small; and
+    those of the axes alone on which something shows, as Allan variances of few terms have a size by chance.
+    """
+    largest = float(values.max())
+    shows = np.abs(score) > BEYOND
+    sizes = np.where(shows, np.maximum(values, largest / 4), np.where(values < largest / 3, 0.0, values))
+    for each in dict.fromkeys((tuple(sizes.tolist()), tuple(np.where(shows, sizes, 0.0).tolist()))):
+        x, y, z = each
+        if x or y or z:
+            yield x, y, z
+
+
+def _gauss_markov_size(allan: Allan, time_constant_s: float) -> tuple[Floats, float]:
+    return size_of(allan, gauss_markov(allan.time_s, time_constant_s), within(allan.length_s, time_constant_s))
+
+
+def _spread(evidence: Evidence) -> tuple[Floats, float, int]:
+    """Return the mean over the phases at rest of the variance of segments' means less that of independent readings, at
+    least a tenth of it; the phases' mean length, and how many there are.
+    """
+    variances, lengths = [], []
+    for phase in evidence.still:
+        part = phase.residual.segments
+        has_rows = part.rows > 1
+        if np.count_nonzero(has_rows) > 2:
+            white = (part.steady_variance[has_rows] / (part.rows[has_rows, None] - 1)).mean(axis=0)
+            variance = part.mean[has_rows].var(axis=0)
+            variances.append(np.maximum(variance - white, variance / 10) / evidence.header.sensitivity**2)
+            lengths.append(part.width_s * len(part.rows))
+    return (np.mean(variances, axis=0), float(np.mean(lengths)), len(variances)) if variances else (np.zeros(3), 1.0, 0)
+
+
+def guess_bias_instability(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest the Gauss-Markov process that fits the Allan variances best; a slower one (a faster one, if it is slower
+    than phases are long); flicker noise; and a process as large as the logs' levels are apart, if these wander.
+    """
+    if not evidence.is_odd(*TRACES, beyond=BEYOND) or (wander := wander_of(evidence)) is None:
+        return
+    score, longest = evidence.score(*TRACES), longest_s(evidence)
+    for process in (wander, slower(evidence, wander)):
+        for rms in sized(process.rms, score):
+            yield _process(rms, process.time_constant_s, longest)
+    if (flicker := flicker_of(evidence)) is not None:
+        for rms in sized(np.array(flicker.rms), score):
+            yield Hypothesis((replace(flicker, rms=rms),), ("rms",))
+    if (of_logs := over_logs(evidence)) is not None:  # as large as the logs' levels are apart
+        for rms in sized(of_logs.rms, score):
+            yield _process(rms, of_logs.time_constant_s, SLOWEST * longest)
+
+
+def _process(rms: Triple, time_constant_s: float, slowest_s: float) -> Hypothesis:
+    effect = BiasInstability(rms, time_constant_s)
+    return Hypothesis((effect,), ("rms", "time_constant_s"), limits={"time_constant_s": (0.0, slowest_s)})
+
+
+_WALKS_ALIKE = 2.0
+"""Levels that are farther apart by this factor than the Allan variances say make a guess of their own."""
+
+
+def guess_random_walk(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest a density by the Allan variances, density^2 tau / 3, and by the differences of levels, density^2 t, if
+    that differs.
+    """
+    if not evidence.is_odd(*TRACES, beyond=BEYOND):
+        return
+    score = evidence.score(*TRACES)
+    allan = allan_of(evidence)
+    known = len(allan.time_s) > 3
+    short = np.sqrt(size_of(allan, allan.time_s / 3, allan.length_s / 6)[0]) if known else np.zeros(3)
+    far = _density_from_levels(evidence)
+    for density in (short, far) if far.max() > _WALKS_ALIKE * short.max() else (short,):
+        for sizes in sized(density, score):
+            yield Hypothesis((RandomWalk(sizes),), ("density",))
+
+
+def _density_from_levels(evidence: Evidence) -> Floats:
+    """Return (3,) density from the first and last quarter of the segments of each log and face."""
+    table, squares, seconds = levels(evidence), np.zeros(3), 0.0
+    for at in table.groups():
+        quarter = len(at) // 4
+        if quarter == 0:
+            continue
+        first, last = at[:quarter], at[-quarter:]
+        step = table.mean[last].mean(axis=0) - table.mean[first].mean(axis=0)
+        error = (table.square_error[first].sum(axis=0) + table.square_error[last].sum(axis=0)) / quarter**2
+        squares += (step**2 - error).clip(0.0)
+        seconds += float(table.time_s[last].mean() - table.time_s[first].mean())
+    return np.asarray(np.sqrt(squares / seconds)) if seconds > 0 else np.zeros(3)
+
+
+_FREE_POPCORN = ("amplitude", "switches_per_s")
+_SELDOM = 0.05
+"""The upper level is there so much of the time at the least, by a first guess."""
+
+_TELEGRAPH_RARITY = 2.0
+"""A drift without two clear levels is seldom a telegraph."""
+
+_FEWEST_JUMPS = 3.0
+"""Fewer jumps in the longest phase don't tell a telegraph from a slow drift."""
+
+_CLEAR_JUMP = 4.0
+"""A jump so many standard errors of a segment's mean high is one."""
+
+
+def guess_popcorn_noise(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest the telegraph noise with the autocovariance of the Gauss-Markov process that fits best (rms = amplitude /
+    2, one over its time constant = twice the switches a second), and a slower one; the same with one level more seldom
+    than the other, where segments lie to one side; another by the jumps themselves, where segments show them.
+    """
+    if not evidence.is_odd(*TRACES, beyond=BEYOND):
+        return
+    score = evidence.score(*TRACES)
+    wander = wander_of(evidence)
+    fewest_per_s = _FEWEST_JUMPS / longest_s(evidence)
+    limits = {"switches_per_s": (fewest_per_s, np.inf)}
+    is_uneven = evidence.is_odd("wander_uneven", beyond=BEYOND)
+    for process in (wander, slower(evidence, wander)) if wander is not None else ():
+        for amplitude in sized(2 * process.rms, score):
+            effect = PopcornNoise(amplitude, 0.5 / process.time_constant_s)
+            yield Hypothesis((effect,), _FREE_POPCORN, limits=limits, rarity=_TELEGRAPH_RARITY)
+        if is_uneven and process.rms.any():
+            yield from _one_sided(evidence, process, score, limits)
+    heights, switches_per_s = _jumps(evidence)
+    for amplitude in sized(heights, score) if switches_per_s >= fewest_per_s else ():
+        yield Hypothesis(
+            (PopcornNoise(amplitude, switches_per_s),), _FREE_POPCORN, limits=limits, rarity=_TELEGRAPH_RARITY
+        )
+
+
+def _one_sided(
+    evidence: Evidence, wander: Wander, score: Floats, limits: Mapping[str, tuple[float, float]]
+) -> Iterator[Hypothesis]:
+    """Suggest the share p of time at the seldom level by the skewness of what segments differ by, (1 - 2 p) / sqrt(p (1
+    - p)), on the axis that wanders most; the variance is amplitude^2 p (1 - p), one over the time constant the switches
+    a second over 2 p (1 - p). On each axis it lies to its own side.
+    """
+    level = levels(evidence)
+    square = level.apart.var(axis=0) - level.square_error.mean(axis=0)
+    skewness = (level.apart**3).mean(axis=0) / np.maximum(square, level.apart.var(axis=0) / 10) ** 1.5
+    largest = float(np.abs(skewness[int(wander.rms.argmax())]))
+    share = min(max((1 - largest / float(np.hypot(largest, 2.0))) / 2, _SELDOM), 0.5)
+    half = float(np.sqrt(share * (1 - share)))
+    limits = {**limits, "high_share": (_SELDOM / 2, 1 - _SELDOM / 2)}
+    for sizes in sized(wander.rms / half, score):
+        effect = PopcornNoise(
+            triple(np.array(sizes) * np.where(skewness < 0, -1.0, 1.0) + 0.0),
+            2 * half**2 / wander.time_constant_s,
+            share,
+        )
+        yield Hypothesis((effect,), (*_FREE_POPCORN, "high_share"), limits=limits, rarity=_TELEGRAPH_RARITY)
+
+
+def _jumps(evidence: Evidence) -> tuple[Floats, float]:
+    """Return (3,) heights of the jumps and how many there are a second on an axis that has any; 0
+    where none is clear.
+    """
+    table, amplitude, rates = levels(evidence), np.zeros(3), []
+    for axis in range(3):
+        heights, jumps = [], 0
+        for at in table.groups():
+            height, crossings = _jumps_of_axis(
+                table.mean[at, axis], float(np.sqrt(table.square_error[at, axis].mean()))
+            )
+            jumps += crossings
+            heights += [height] * bool(crossings)
+        if heights:
+            amplitude[axis] = float(np.median(heights))
+            rates.append(jumps / table.seconds)
+    return amplitude, float(np.mean(rates)) if rates else 0.0
+
+
+def _jumps_of_axis(mean: Floats, error: float) -> tuple[float, int]:
+    """Return how far the upper segments lie above the lower ones, and how often the level changes: only if by much."""
+    middle = (mean.max() + mean.min()) / 2
+    upper = mean > middle
+    if upper.all() or not upper.any():
+        return 0.0, 0
+    height = float(np.median(mean[upper]) - np.median(mean[~upper]))
+    beyond = np.abs(mean - middle) > height / 4
+    state = upper[beyond]
+    crossings = int(np.count_nonzero(state[1:] != state[:-1]))
+    return (height, crossings) if height > _CLEAR_JUMP * error else (0.0, 0)
+
+
+_COMMON_TRACES = ("slow_own_axes", "fast_own_axes", "slow_between_axes")
+_FREE_COMMON = ("rms", "time_constant_s")
+_BEYOND_COMMON = 2.7
+_TIMES_APART, _TIMES_ALIKE = 5.0, 1.5
+_FOR_EVER_S = 1e6
+_LEAST_DEGC = 1.0
+_LEAST_SEGMENTS = 4
+_SPELLS = 4
+"""Most spells in which a common course is tried."""
+
+_PAIRED = 5.0
+"""Standard deviations by which two units have something in common that others needn't have."""
+
+_WHITE_S = 1e-3
+"""Time constant of what one reading has in common with another's, and not with the next: no unit is read as often."""
+
+_PERFECT = 0.999
+_TINY = 1e-30
+
+
+def guess_common_mode(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Its size by the covariance with the other units of the chip, of slow means and of what is faster, temperature
+    and straight lines taken out; its time constant by that of the sensor's wander, in logs and between them, another
+    one slower; or all of this wander. Of two logs, what they differ by, constant within each: alone, and with what the
+    others don't share of it. What lasts within a log is tried in the spells of the sensor, too.
+    """
+    always = list(_common_mode_hypotheses(evidence))
+    during = [_in_spell(trial, spell, evidence) for spell in evidence.spells[:_SPELLS] for trial in always]
+    yield from (*always, *(trial for trial in during if trial is not None))
+
+
+def _in_spell(trial: Hypothesis, spell: Spell, evidence: Evidence) -> Hypothesis | None:
+    """Return the trial in a spell, the larger the less of the time that takes; None for what changes between logs."""
+    share = sum(phase.raw.rows for phase in spell.phases) / max(sum(phase.raw.rows for phase in evidence.still), 1)
+    if trial.needs_both or not 0 < share < 1:
+        return None
+    effects = [
+        replace(effect, rms=_scaled_rms(effect.rms, 1 / math.sqrt(share))) if isinstance(effect, CommonMode) else effect
+        for effect in trial.effects
+    ]
+    return replace(trial, effects=tuple(effects)).at(spell.when)
+
+
+def _scaled_rms(rms: Triple, by: float) -> Triple:
+    x, y, z = rms
+    return x * by, y * by, z * by
+
+
+def _common_mode_hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
+    yield from _common_between_logs(evidence)
+    yield from _slow_or_fast(evidence)
+    yield from _in_pairs(evidence)
+
+
+def _slow_or_fast(evidence: Evidence) -> Iterator[Hypothesis]:
+    if not evidence.is_odd(*_COMMON_TRACES, beyond=_BEYOND_COMMON):
+        return
+    pairs = [
+        (phase, phase.cross)
+        for phase in evidence.still
+        if phase.cross is not None and takes_part(evidence, phase.cross)
+    ]
+    partners = pairs[0][1].others(evidence.header.name, family=True) if pairs else ()
+    if not partners:
+        return
+    wander, over = wander_of(evidence), over_logs(evidence)
+    for time_s in _common_times_s(evidence, wander, over):
+        rms = np.sqrt(np.maximum(_common_variance(pairs, evidence.header.name, partners, time_s), 0.0))
+        if rms.any():
+            yield Hypothesis(
+                (CommonMode(triple(np.where(rms < rms.max() / 5, 0.0, rms)), time_s),), _FREE_COMMON, shared=True
+            )
+    score = evidence.score(*TRACES)
+    for process in (None if wander is None else slower(evidence, wander), over):
+        if process is not None:  # few values of a slow process are independent: a covariance says little
+            for sizes in sized(process.rms, score):
+                yield Hypothesis((CommonMode(sizes, process.time_constant_s),), _FREE_COMMON, shared=True)
+
+
+class _Common(NamedTuple):
+    """Covariances (3, 3) of two sensors, a row for each axis of the first one: of the means of windows within segments
+    (`fast`), whose standard scores follow, and of the means of segments (`slow`).
+    """
+
+    fast: Floats
+    slow: Floats
+    score: Floats
+
+    @property
+    def own(self) -> float:
+        """Score of what the same axes have in common."""
+        return float(np.trace(self.score) / math.sqrt(3))
+
+    @property
+    def across(self) -> float:
+        """Score of what each axis has in common with the other two."""
+        return float((self.score.sum() - np.trace(self.score)) / math.sqrt(6))
+
+
+def _in_pairs(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest the noise that some units have in common, from one reading to the next: those of any chip that measure
+    the same, with which a unit has more in common than chance makes, each pair by itself; axis by axis, or all axes
+    alike.
+    """
+    pairs = [
+        (phase, phase.cross)
+        for phase in evidence.still
+        if phase.cross is not None and takes_part(evidence, phase.cross)
+    ]
+    partners = pairs[0][1].others(evidence.header.name, family=False) if pairs else ()
+    common = {partner: _common([cross for _, cross in pairs], evidence.header.name, partner) for partner in partners}
+    if not pairs:
+        return
+    rows = evidence.rows_per_s * float(np.median([cross.window_s for _, cross in pairs]))
+    length_s = float(np.median([1e-9 * (cross.phase.end_ns - cross.phase.start_ns) for _, cross in pairs]))
+    wander = wander_of(evidence)
+    for shared in (0.0, 1.0):
+        together = {
+            name: covariance
+            for name, covariance in common.items()
+            if (covariance.across if shared else covariance.own) > _PAIRED
+        }
+        if not together or (not shared and any(covariance.across > _PAIRED for covariance in together.values())):
+            continue
+        members = tuple(sorted((evidence.header.name, *together)))
+        group = "+".join(members)
+        fast, slow = (
+            np.mean([getattr(covariance, pace) for covariance in together.values()], axis=0)
+            for pace in ("fast", "slow")
+        )
+        if any(rms := _common_rms(fast * max(rows, 1.0), shared)):
+            effect = CommonMode(rms, _WHITE_S, shared, group)
+            yield Hypothesis((effect,), ("rms",), shared=True, members=members)
+        for time_s in () if wander is None else (wander.time_constant_s, slower(evidence, wander).time_constant_s):
+            if any(rms := _common_rms((fast + slow) / within(length_s, time_s), shared)):
+                yield Hypothesis((CommonMode(rms, time_s, shared, group),), _FREE_COMMON, shared=True, members=members)
+
+
+def _common_rms(covariance: Floats, shared: float) -> Triple:
+    """Sizes by axis of what two sensors have in common alike, by its covariances (3, 3)."""
+    if shared:
+        return triple(covariance.sum(axis=1).clip(0) / math.sqrt(max(float(covariance.sum()), _TINY)))
+    return triple(np.sqrt(np.diag(covariance).clip(0)))
+
+
+def _common(crosses: Sequence[Cross], sensor: str, partner: str) -> _Common:
+    """Return what two sensors have in common over the phases. The score of a correlation r of n windows is artanh(r)
+    sqrt(n).
+    """
+    fast, slow, scores, weights = [], [], [], []
+    for cross in crosses:
+        if not any(item.name == partner for item in cross.sensors) or not cross.windows:
+            continue
+        columns, other_columns = cross.columns(sensor), cross.columns(partner)
+        size = np.sqrt(np.outer(np.diag(cross.fast)[columns], np.diag(cross.fast)[other_columns]))
+        ratio = np.divide(cross.fast[columns, other_columns], size, out=np.zeros((3, 3)), where=size > 0)
+        scores.append(np.arctanh(ratio.clip(-_PERFECT, _PERFECT)) * math.sqrt(cross.windows))
+        fast.append(cross.fast[columns, other_columns])
+        slow.append(np.nan_to_num(cross.slow_covariance[columns, other_columns]))
+        weights.append(cross.windows)
+    if not weights:
+        return _Common(*np.zeros((3, 3, 3)))
+    mean_fast, mean_slow = (np.average(each, axis=0, weights=weights) for each in (fast, slow))
+    return _Common(mean_fast, mean_slow, np.sum(scores, axis=0) / math.sqrt(len(scores)))
+
+
+def _common_times_s(evidence: Evidence, wander: Wander | None, over: Wander | None) -> list[float]:
+    """Return the time constants that are apart, by how the sensor itself wanders in logs, and between them."""
+    first_s = wander.time_constant_s if wander is not None else longest_s(evidence) / 10
+    times_s = [first_s, min(_TIMES_APART * first_s, 3 * longest_s(evidence))]
+    if over is not None:
+        times_s.append(over.time_constant_s)
+    distinct_s: list[float] = []
+    for time_s in times_s:
+        if all(max(time_s / other, other / time_s) > _TIMES_ALIKE for other in distinct_s):
+            distinct_s.append(time_s)
+    return distinct_s
+
+
+def _common_between_logs(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest a change of level that the others share, and the sensor's difference from it as a turn-on bias."""
+    change = change_between_logs(evidence)
+    if not change.any():
+        return
+    individual = np.where(np.abs(evidence.score("level_apart")) > _BEYOND_COMMON, evidence.shift("level_apart"), 0.0)
+    common = np.where(change == 0, 0.0, change - individual)
+    if not common.any():
+        return
+    a, b, c = (np.abs(common) / np.sqrt(2)).tolist()
+    shared = CommonMode((a, b, c), _FOR_EVER_S)
+    yield Hypothesis((shared,), shared=True, whole=True)
+    if individual.any():
+        yield Hypothesis((shared, TurnOnBias(triple(np.abs(individual) / np.sqrt(2)))), shared=True, whole=True)
+
+
+def _common_variance(
+    pairs: Sequence[tuple[PhaseEvidence, Cross]], sensor: str, partners: Sequence[str], time_constant_s: float
+) -> Floats:
+    """Return (3,) mean covariance over phases and partners, axis by axis along the chips' own, over what phases, about
+    their means, show of a process of this time constant.
+    """
+    covariances, shares, weights = [], [], []
+    for phase, cross in pairs:
+        levels = _slow_means(phase, cross, sensor)
+        known = np.isfinite(levels).all(axis=1)
+        if known.sum() < _LEAST_SEGMENTS:
+            continue
+        slow = [np.mean((levels * _slow_means(phase, cross, partner))[known], axis=0) for partner in partners]
+        fast = [np.diag(cross.fast[cross.columns(sensor), cross.columns(partner)]) for partner in partners]
+        covariances.append(np.mean(slow, axis=0) + np.nan_to_num(np.mean(fast, axis=0)))
+        shares.append(within(1e-9 * (cross.phase.end_ns - cross.phase.start_ns), time_constant_s))
+        weights.append(len(levels))
+    if not covariances:
+        return np.zeros(3)
+    return np.asarray(np.average(covariances, axis=0, weights=weights) / np.average(shares, weights=weights))
+
+
+def _slow_means(phase: PhaseEvidence, cross: Cross, sensor: str) -> Floats:
+    """Return (s, 3) means less their mean, and less what follows the temperature if it changes."""
+    means, part = cross.slow[:, cross.columns(sensor)], phase.raw.segments
+    known, is_usable = np.isfinite(means).all(axis=1), np.isfinite(part.time_s) & np.isfinite(part.temperature_degc)
+    if not known.any() or not is_usable.any():
+        return means
+    design = np.ones((len(means), 1))
+    if np.ptp(part.temperature_degc[is_usable]) > _LEAST_DEGC:
+        at = np.linspace(part.time_s[is_usable][0], part.time_s[is_usable][-1], len(means))
+        degc = np.interp(at, part.time_s[is_usable], part.temperature_degc[is_usable])
+        design = np.stack([np.ones_like(degc), degc - degc.mean()], axis=1)
+    return np.asarray(means - design @ np.linalg.lstsq(design[known], means[known], rcond=None)[0])
