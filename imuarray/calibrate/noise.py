@@ -3,10 +3,6 @@
 `calibrate noise` measures, for each axis while the box stands still, the standard deviation of single readings about
 the means of segments, the correlation of neighbouring readings, the lines of the spectrum, and how the bias drifts.
 
-A steady line is detected in the mean spectrum of all stretches, where it stands out most. A line whose frequency
-wanders (an interference between two clocks that warm up independently, for example) is smeared there. It is detected
-window by window, and a line in one window continues the line at a nearby frequency in the window before.
-
 The drift of the bias is the maximum likelihood of a first-order Gauss-Markov process in white noise. Means over
 segments of T seconds of a process with variance v and time constant tau have the variance ``v 2 (tau/T)^2 (T/tau - 1 +
 exp(-T/tau))`` and, d apart, the covariance ``v (2 tau/T sinh(T/2tau))^2 exp(-d/tau)``: those of a sampled process in
@@ -23,8 +19,7 @@ the logarithm of the time constant.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +30,6 @@ from imuarray.calibrate.motion import refuse_motion
 from imuarray.calibrate.pose_readings import (
     SEGMENT_ROWS,
     Pose,
-    ReadingInterval,
     SegmentReadings,
     Stretches,
     clock_of,
@@ -46,8 +40,6 @@ from imuarray.calibrate.pose_readings import (
 from imuarray.calibrate.segments import SegmentMeans, segment_means, thermometer_of
 from imuarray.calibrate.stability import Drift, NoiseLine, Thermal
 from imuarray.characterise.correlation import Autocovariance
-from imuarray.characterise.lines import SpectralLine, find_lines
-from imuarray.characterise.spectrum import SEGMENT, Spectrum, Welch
 from imuarray.errors import CalibrationError
 from imuarray.kernels import drift_sums
 from imuarray.log import Log, SensorLog
@@ -212,164 +204,6 @@ def _filtered(part: SegmentMeans, times: Floats, shared: Floats, noise: Floats) 
     return _LikelihoodSums(values, ones, mixed, logs)
 
 
-MOST_LINES = 8
-"""Largest number of lines per axis; the strongest are kept."""
-
-_AVERAGED = 16
-"""Number of segments that a spectrum averages, if the stretches are long enough."""
-
-_WINDOW_ROWS = 1024
-_WINDOWS = 12
-_WINDOW_SEGMENTS = 4
-"""Shortest window in rows, largest number of windows, and number of spectrum segments in a long window."""
-
-_FEWEST_WINDOWS = 4
-_LEAST_SHARE = 0.25
-"""A wandering line must be present in at least this number of windows and in this share of all rows."""
-
-_NEAR = 3.0
-"""Largest change of a line's frequency from one window to the next, in bins."""
-
-
-@dataclass
-class _Track:
-    """A line over successive windows: its frequencies, the sum of squared amplitudes times rows, and the rows in which
-    it is present.
-    """
-
-    frequencies_hz: list[float] = field(default_factory=list)
-    squares: float = 0.0
-    rows: int = 0
-
-    def add(self, line: SpectralLine, rows: int) -> None:
-        """Add the line as measured in the next window."""
-        self.frequencies_hz.append(line.frequency_hz)
-        self.squares += line.amplitude**2 * rows
-        self.rows += rows
-
-
-def noise_lines(
-    stretches: Stretches, whole: Spectrum, clock: ReadingInterval, rms_lsb: Floats, false_alarm: float
-) -> tuple[NoiseLine, ...]:
-    """Return the lines of every axis, strongest first, from the spectrum of the `whole` and those of windows; the share
-    of a line is the variance of its sine over ``rms_lsb^2``.
-
-    `false_alarm` is the probability that an axis without lines shows one.
-    """
-    tracks = _tracks(_windows(stretches), clock, false_alarm)
-    results: list[NoiseLine] = []
-    for index, rms in enumerate(rms_lsb):
-        steady = [_steady(index, line, rms) for line in find_lines(whole, index, false_alarm).lines]
-        wandering = [
-            line
-            for line in (_wandering(index, track, rows, rms) for track, rows in tracks[index])
-            if (line.range_hz is not None and float(np.ptp(line.range_hz)) > whole.resolution_hz)
-        ]
-        steady = [line for line in steady if not any(_covers(other, line, whole.resolution_hz) for other in wandering)]
-        results += sorted([*steady, *wandering], key=lambda line: -line.share)[:MOST_LINES]
-    return tuple(results)
-
-
-def _welch(stretches: Stretches, clock: ReadingInterval) -> Welch | None:
-    """Return an empty accumulator for the spectrum of all stretches; None if none is long enough."""
-    lengths = [rows.stop - rows.start for _, rows in stretches]
-    longest = min(max(lengths), max(SEGMENT_ROWS, sum(lengths) // _AVERAGED), SEGMENT)
-    if clock.rate_hz <= 0 or longest < SEGMENT_ROWS:
-        return None
-    return Welch(clock.rate_hz, _power_of_two(longest), columns=3)
-
-
-def _power_of_two(rows: float) -> int:
-    return int(2 ** np.floor(np.log2(rows)))
-
-
-def _spectrum(sensor: SensorLog, rows: slice, clock: ReadingInterval, segment_rows: int) -> Spectrum:
-    """Return the spectrum of the valid readings in `rows`."""
-    welch = Welch(clock.rate_hz, segment_rows, columns=3)
-    for part in readings(sensor, rows, clock.limit_ns):
-        for is_first, run in runs_of(part):
-            if is_first:
-                welch.end_run()
-            welch.update(run)
-    return welch.result()
-
-
-def _windows(stretches: Stretches) -> Stretches:
-    """Divide the stretches into windows; of many windows, select some at regular intervals."""
-    width = max(_WINDOW_ROWS, -(-sum(rows.stop - rows.start for _, rows in stretches) // _WINDOWS))
-    cut = []
-    for sensor, rows in stretches:
-        length = rows.stop - rows.start
-        if length >= SEGMENT_ROWS:
-            edges = np.linspace(rows.start, rows.stop, max(1, length // width) + 1).astype(int).tolist()
-            cut += [(sensor, slice(first, last)) for first, last in pairwise(edges)]
-    indices = np.unique(np.linspace(0, len(cut) - 1, min(_WINDOWS, len(cut))).round().astype(int))
-    return [cut[index] for index in indices.tolist()]
-
-
-def _tracks(windows: Stretches, clock: ReadingInterval, false_alarm: float) -> Sequence[Sequence[tuple[_Track, int]]]:
-    """Return per axis every line that is present in enough windows, and the number of rows in all windows."""
-    if len(windows) < _FEWEST_WINDOWS:
-        return ((), (), ())
-    tracks: list[list[_Track]] = [[], [], []]
-    total = 0
-    for sensor, window in windows:
-        rows = window.stop - window.start
-        segment = min(max(_power_of_two(rows / _WINDOW_SEGMENTS), SEGMENT_ROWS), _WINDOW_ROWS)
-        spectrum = _spectrum(sensor, window, clock, segment)
-        total += rows
-        for index in range(3):
-            for line in find_lines(spectrum, index, false_alarm).lines:
-                _continued(tracks[index], line, _NEAR * spectrum.resolution_hz).add(line, rows)
-    return [
-        [
-            (track, total)
-            for track in axis
-            if len(track.frequencies_hz) >= _FEWEST_WINDOWS and track.rows > _LEAST_SHARE * total
-        ]
-        for axis in tracks
-    ]
-
-
-def _continued(tracks: list[_Track], line: SpectralLine, near_hz: float) -> _Track:
-    """Return the track that the line continues, or a new one."""
-    close = [track for track in tracks if abs(track.frequencies_hz[-1] - line.frequency_hz) <= near_hz]
-    if close:
-        return min(close, key=lambda track: abs(track.frequencies_hz[-1] - line.frequency_hz))
-    tracks.append(_Track())
-    return tracks[-1]
-
-
-def _share(square: float, rms: float) -> float:
-    return min(1.0, square / 2 / rms**2)
-
-
-def _steady(index: int, line: SpectralLine, rms: float) -> NoiseLine:
-    return NoiseLine(
-        "xyz"[index],
-        line.frequency_hz,
-        line.amplitude,
-        _share(line.amplitude**2, rms),
-        line.frequency_error_hz,
-        line.amplitude_error,
-    )
-
-
-def _wandering(index: int, track: _Track, rows: int, rms: float) -> NoiseLine:
-    """Return a wandering line; its amplitude is the rms over all rows, including those without it."""
-    square = track.squares / rows
-    low, high = min(track.frequencies_hz), max(track.frequencies_hz)
-    middle = float(np.mean(track.frequencies_hz))
-    return NoiseLine("xyz"[index], middle, float(np.sqrt(square)), _share(square, rms), range_hz=np.array([low, high]))
-
-
-def _covers(wandering: NoiseLine, line: NoiseLine, resolution_hz: float) -> bool:
-    if wandering.range_hz is None:
-        return False
-    low, high = wandering.range_hz
-    return bool(low - 2 * resolution_hz <= line.frequency_hz <= high + 2 * resolution_hz)
-
-
 _ENOUGH_SEGMENTS = 16
 """Least number of segments whose variances give the standard error of the pooled variance; with fewer, the formula for
 white noise is used."""
@@ -388,30 +222,30 @@ class ReadingNoise:
     lines: tuple[NoiseLine, ...]
 
 
-def reading_noise(stretches: Stretches, false_alarm: float) -> ReadingNoise | None:
+def reading_noise(stretches: Stretches, false_alarm: float | None) -> ReadingNoise | None:
     """Measure the noise of single readings, pooled over the `stretches` of one sensor at rest; None if no segment has
     two valid readings.
 
-    `false_alarm` is the probability that the spectrum of an axis without lines shows one.
+    `false_alarm` is the probability that the spectrum of an axis without lines shows one; None to look for no lines.
     """
     clock = clock_of(stretches)
     products = Autocovariance(lags=1, columns=3, segment_rows=SEGMENT_ROWS)
-    pooled, welch = _PooledSquares(), _welch(stretches, clock)
+    pooled = _PooledSquares()
     for sensor, rows in stretches:
         for part in readings(sensor, rows, clock.limit_ns):
             pooled.add(part)
             for is_first, run in runs_of(part):
-                for sums in (products, welch) if welch is not None else (products,):
-                    if is_first:
-                        sums.end_run()
-                    sums.update(run)
+                if is_first:
+                    products.end_run()
+                products.update(run)
         products.end_run()
-        if welch is not None:
-            welch.end_run()
     if pooled.freedom == 0:
         return None
-    rms = pooled.rms_lsb()
-    lines = () if welch is None else noise_lines(stretches, welch.result(), clock, rms, false_alarm)
+    rms, lines = pooled.rms_lsb(), tuple[NoiseLine, ...]()
+    if false_alarm is not None:
+        from imuarray.calibrate.noise_lines import noise_lines  # slow to import
+
+        lines = noise_lines(stretches, clock, rms, false_alarm)
     return ReadingNoise(rms, pooled.rms_sem_lsb(), _neighbours(products), lines)
 
 
@@ -488,6 +322,18 @@ def calibrate_noise(
     the accelerometers. CalibrationError if there are none. `progress` is called with the step, the number of sensors
     done, and their total.
     """
+    return _calibrated(logs, known, _FALSE_ALARM, progress)
+
+
+def _calibrated(
+    logs: Sequence[Log],
+    known: Calibration | None,
+    false_alarm: float | None,
+    progress: Callable[[str, int, int], None],
+) -> Calibration:
+    """Do what `calibrate_noise` does; `false_alarm` is the probability that a line is reported on any axis of a log
+    without lines, None to look for no lines.
+    """
     for log in logs:
         log.keep_rows()
     poses = [pose for log in logs for pose in _still_stretches(log)]
@@ -499,8 +345,9 @@ def calibrate_noise(
         raise CalibrationError(f"{first.path}: it has no inertial sensor")
     slopes = {} if known is None else {name: sensor.thermal for name, sensor in known.sensors.items()}
     result = {}
+    of_axis = None if false_alarm is None else false_alarm / (3 * len(sensors))
     for number, sensor in enumerate(sensors, start=1):
-        result[sensor.name] = _noise(sensor, poses, slopes.get(sensor.name), _FALSE_ALARM / (3 * len(sensors)))
+        result[sensor.name] = _noise(sensor, poses, slopes.get(sensor.name), of_axis)
         progress("noise", number, len(sensors))
     return Calibration(result, tuple(str(log.path) for log in logs))
 
@@ -512,7 +359,8 @@ def with_noise_of(
     progress: Callable[[str, int, int], None] = lambda what, done, of: None,
 ) -> Calibration:
     """Return the calibration with the noise that the log shows at rest, for the sensors (only `names`, unless that is
-    empty) whose noise it lacks. CalibrationError if the log shows none. `progress` is called as by `calibrate_noise`.
+    empty) whose noise it lacks; without spectral lines, which fusion does not use. CalibrationError if the log shows
+    none. `progress` is called as by `calibrate_noise`.
     """
     calibrated = {
         sensor.name: calibration.or_nominal(sensor) for sensor in log.sensors.values() if sensor.quantity in INERTIAL
@@ -520,7 +368,7 @@ def with_noise_of(
     lacking = [name for name, each in calibrated.items() if each.noise_lsb is None and (not names or name in names)]
     if not lacking:
         return calibration
-    measured = calibrate_noise(log, known=calibration, progress=progress)
+    measured = _calibrated([log], calibration, None, progress)
     return calibration.merged(Calibration({name: measured.sensors[name] for name in lacking}, measured.sources))
 
 
@@ -533,7 +381,9 @@ def _still_stretches(log: Log) -> list[Pose]:
     return poses
 
 
-def _noise(sensor: SensorLog, poses: Sequence[Pose], thermal: Thermal | None, false_alarm: float) -> SensorCalibration:
+def _noise(
+    sensor: SensorLog, poses: Sequence[Pose], thermal: Thermal | None, false_alarm: float | None
+) -> SensorCalibration:
     """Measure one sensor's noise; CalibrationError if it has no valid readings."""
     result = [(pose, *pose.rows_of(sensor)) for pose in poses]
     stretches = [(here, rows) for _, here, rows in result if rows.stop > rows.start]

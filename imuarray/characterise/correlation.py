@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtrc
 
 from imuarray.arrays import Floats
 from imuarray.series import lagged_products
@@ -89,6 +88,8 @@ class Autocovariance:
 
     def result(self) -> Autocorrelation:
         """Return the autocorrelation of all rows so far; ends the run."""
+        from scipy.special import chdtrc  # slow to import
+
         correlation = self.correlation()
         lag = np.arange(len(self._pairs))
         with np.errstate(invalid="ignore", divide="ignore"):
