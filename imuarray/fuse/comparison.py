@@ -32,7 +32,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from imuarray.arrays import Booleans, Floats
+from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse.coasting_errors import Coasting, Errors, coasting
@@ -88,9 +88,7 @@ def consistency(errors: RowSource, covariances: RowSource) -> Consistency | None
     with RowSpool(3) as white:
         squares = 0.0
         for error, covariance in zip(row_blocks(errors), row_blocks(covariances), strict=True):
-            is_finite = np.isfinite(covariance).all(axis=1) & np.isfinite(error).all(axis=1)
-            block, definite = _whitened(error[is_finite], covariance[is_finite])
-            block = block[definite]
+            block = _whitened(*_finite(error, covariance))
             squares += float(np.sum(block**2))
             white.append(block)
         if len(white) < _FEWEST:
@@ -101,23 +99,34 @@ def consistency(errors: RowSource, covariances: RowSource) -> Consistency | None
     return Consistency(normalised, float(low), float(high), freedom)
 
 
-def _whitened(errors: Floats, covariances: Floats) -> tuple[Floats, Booleans]:
-    """Return errors (n, 3) times the inverse of the lower Cholesky factor of their covariances (n, 6), and which of
-    these are positive definite (n,). It is written out for all frames at once, twenty times as fast as a matrix
-    routine.
+def _finite(errors: Floats, covariances: Floats) -> tuple[Floats, Floats]:
+    """Return the rows that are finite in both; a sum that is finite shows at once that all are."""
+    with np.errstate(invalid="ignore"):
+        if np.isfinite(errors.sum() + covariances.sum()):
+            return errors, covariances
+    is_finite = np.isfinite(covariances).all(axis=1) & np.isfinite(errors).all(axis=1)
+    return errors[is_finite], covariances[is_finite]
+
+
+def _whitened(errors: Floats, covariances: Floats) -> Floats:
+    """Return errors (n, 3) times the inverse of the lower Cholesky factor of their covariances (n, 6), without rows
+    whose covariance is not positive definite. It is written out for all frames at once, twenty times as fast as a
+    matrix routine.
     """
-    xx, yy, zz, xy, xz, yz = covariances.T
+    xx, yy, zz, xy, xz, yz = np.ascontiguousarray(covariances.T)
+    of_x, of_y, of_z = np.ascontiguousarray(errors.T)
     with np.errstate(invalid="ignore", divide="ignore"):
         first = np.sqrt(xx)
         second_first, third_first = xy / first, xz / first
         second = np.sqrt(yy - second_first**2)
         third_second = (yz - third_first * second_first) / second
         third = np.sqrt(zz - third_first**2 - third_second**2)
-        x = errors[:, 0] / first
-        y = (errors[:, 1] - second_first * x) / second
-        z = (errors[:, 2] - third_first * x - third_second * y) / third
-    definite: Booleans = np.asarray((first > 0) & (second > 0) & (third > 0))
-    return np.stack([x, y, z], axis=1), definite
+        x = of_x / first
+        y = (of_y - second_first * x) / second
+        z = (of_z - third_first * x - third_second * y) / third
+    white = np.stack([x, y, z], axis=1)
+    definite = (first > 0) & (second > 0) & (third > 0)
+    return white if definite.all() else white[definite]
 
 
 def _freedom(white: RowSource, mean_square: float) -> float:
@@ -190,13 +199,18 @@ def _lagged_products_at_once(white: Floats, last: int, size: int) -> Floats:
     n + `last` or more, so that no product of distant rows is added. The correlation of one axis with a later one has
     that of the later with the earlier one at its negative lags.
     """
+    from scipy.fft import irfft  # transforms several columns at once faster than one by one
+
     spectra = [np.fft.rfft(column, size) for column in np.ascontiguousarray(white.T)]
     products = np.zeros(last)
-    for first, second in combinations_with_replacement(range(3), 2):
-        lagged = np.fft.irfft(spectra[first].conj() * spectra[second], size)
-        products += lagged[1 : last + 1] ** 2
-        if first != second:
-            products += lagged[: -last - 1 : -1] ** 2
+    pairs = list(combinations_with_replacement(range(3), 2))
+    for at in range(0, len(pairs), 2):
+        some = pairs[at : at + 2]
+        lagged = irfft(np.stack([spectra[first].conj() * spectra[second] for first, second in some]), size)
+        for (first, second), of_pair in zip(some, lagged, strict=True):
+            products += of_pair[1 : last + 1] ** 2
+            if first != second:
+                products += of_pair[: -last - 1 : -1] ** 2
     return products
 
 

@@ -390,6 +390,112 @@ static PyObject *drifts(PyObject *module, PyObject *args) {
     return finished(&call, done);
 }
 
+#define TERMS 4
+#define SWEEPS 60
+
+/* The eigenvalues and eigenvectors (columns) of a symmetric matrix of up to four rows, by Jacobi's rotations. */
+static void diagonalise(double matrix[TERMS][TERMS], double vectors[TERMS][TERMS], int size) {
+    for (int i = 0; i < size; i++)
+        for (int j = 0; j < size; j++) vectors[i][j] = i == j;
+    for (int sweep = 0; sweep < SWEEPS; sweep++) {
+        int rotated = 0;
+        for (int i = 0; i < size; i++)
+            for (int j = i + 1; j < size; j++) {
+                double off = matrix[i][j];
+                if (!(fabs(off) > 1e-17 * sqrt(fabs(matrix[i][i] * matrix[j][j])))) continue;
+                double ratio = (matrix[j][j] - matrix[i][i]) / (2 * off);
+                double tangent = (ratio < 0 ? -1 : 1) / (fabs(ratio) + sqrt(ratio * ratio + 1));
+                double cosine = 1 / sqrt(tangent * tangent + 1), sine = tangent * cosine;
+                rotated = 1;
+                for (int k = 0; k < size; k++) {
+                    double a = matrix[k][i], b = matrix[k][j];
+                    matrix[k][i] = cosine * a - sine * b, matrix[k][j] = sine * a + cosine * b;
+                }
+                for (int k = 0; k < size; k++) {
+                    double a = matrix[i][k], b = matrix[j][k];
+                    matrix[i][k] = cosine * a - sine * b, matrix[j][k] = sine * a + cosine * b;
+                    a = vectors[k][i], b = vectors[k][j];
+                    vectors[k][i] = cosine * a - sine * b, vectors[k][j] = sine * a + cosine * b;
+                }
+                matrix[i][j] = matrix[j][i] = 0;
+            }
+        if (!rotated) return;
+    }
+}
+
+/* The independent components of the sums of (1, stimulus): roots of their sizes and their weights (components, terms); see
+   `_components` in `filter.py`. */
+static int components_of(const double *squares, const double *blur, int t, double doubt, double *sizes, double *weights) {
+    double matrix[TERMS][TERMS], vectors[TERMS][TERMS], spread[TERMS][TERMS], largest = 0, noise = 0;
+    if (t == 1) {
+        sizes[0] = sqrt(squares[0]), weights[0] = 1;
+        return 1;
+    }
+    for (int i = 0; i < t; i++)
+        for (int j = 0; j < t; j++) {
+            matrix[i][j] = (squares[i * t + j] + squares[j * t + i]) / 2;
+            if (i > 0 && j > 0) {
+                spread[i - 1][j - 1] = (blur[(i - 1) * 3 + j - 1] + blur[(j - 1) * 3 + i - 1]) / 2;
+                matrix[i][j] -= spread[i - 1][j - 1];
+            }
+        }
+    diagonalise(matrix, vectors, t);
+    double of_noise[TERMS][TERMS];
+    diagonalise(spread, of_noise, t - 1);
+    for (int i = 0; i < t - 1; i++) noise = i == 0 ? spread[0][0] : fmax(noise, spread[i][i]);
+    noise *= doubt * sqrt(2 / squares[0]);
+    for (int i = 0; i < t; i++) largest = i == 0 ? matrix[0][0] : fmax(largest, matrix[i][i]);
+    int count = 0;
+    for (int i = 0; i < t; i++)
+        if (matrix[i][i] > fmax(noise, 1e-9 * largest)) {
+            sizes[count] = sqrt(matrix[i][i]);
+            for (int j = 0; j < t; j++) weights[count * t + j] = vectors[j][i];
+            count++;
+        }
+    return count;
+}
+
+static PyObject *measure(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t n, t, r, count, p;
+    int components = -1;
+    double doubt;
+    Call call;
+    if (!PyArg_ParseTuple(args, "O!(nnnnn)d", &PyTuple_Type, &sequence, &n, &t, &r, &count, &p, &doubt)) return NULL;
+    if ((t != 1 && t != TERMS) || r > MOST_ROWS) return PyLong_FromLong(-1);
+    if (!are_sizes(n, p, r) || !are_sizes(n, t * p, t * r) || !are_sizes(n, count, 0)) return NULL;
+    const Py_ssize_t bytes[] = {DOUBLES(t * t), DOUBLES(t * r), DOUBLES(9), DOUBLES(p * r), DOUBLES(t * r + 1),
+                                DOUBLES(count), DOUBLES(count), DOUBLES(t * p * n), DOUBLES(t * p)};
+    if (prepared(&call, sequence, 9, bytes, 7, r)) {
+        const double *squares = call.views[0].buf, *products = call.views[1].buf, *blur = call.views[2].buf,
+                     *parity = call.views[3].buf;
+        Sparse s = {call.views[4].buf, call.views[5].buf, call.views[6].buf};
+        double *rows = call.views[7].buf, *values = call.views[8].buf, sizes[TERMS], weights[TERMS * TERMS];
+        if (is_sparse(&s, t * r, n, count)) components = components_of(squares, blur, (int)t, doubt, sizes, weights);
+        for (int c = 0; c < components; c++) {
+            const double *weight = weights + c * t;
+            double *of_component = rows + c * p * n, *sums = call.room;
+            memset(of_component, 0, (size_t)(p * n) * sizeof(double));
+            memset(sums, 0, (size_t)r * sizeof(double));
+            for (Py_ssize_t j = 0; j < t; j++) add(sums, weight[j] / sizes[c], products + j * r, r);
+            for (Py_ssize_t i = 0; i < p; i++) {
+                values[c * p + i] = dot(parity + i * r, sums, r);
+                for (Py_ssize_t j = 0; j < t; j++)
+                    for (Py_ssize_t row = 0; row < r; row++) {
+                        double factor = sizes[c] * weight[j] * parity[i * r + row];
+                        for (long long e = s.starts[j * r + row]; e < s.starts[j * r + row + 1]; e++)
+                            of_component[i * n + s.columns[e]] += factor * s.entries[e];
+                    }
+            }
+        }
+    }
+    PyObject *result = finished(&call, 1);
+    if (result == NULL) return NULL;
+    Py_DECREF(result);
+    return PyLong_FromLong(components);
+}
+
 static PyMethodDef methods[] = {
     {"predict", predict, METH_VARARGS,
      "predict(arrays, n): the states after a time, into the last two of (remaining, added, mean, covariance, mean,"
@@ -400,6 +506,9 @@ static PyMethodDef methods[] = {
     {"turn_back", turn_back, METH_VARARGS,
      "turn_back(arrays, (n, p)): the information of all later measurements before a step, into the last two of (vector,"
      " matrix, whitened rows, gain, innovation, vector, matrix)."},
+    {"measure", measure, METH_VARARGS,
+     "measure(arrays, (n, t, r, entries, p), doubt): the measurements by the sums over a segment, into the last two of"
+     " (squares, products, blur, parity, starts, columns, entries, rows, values); the number of components, -1 if not done."},
     {"effect", effect, METH_VARARGS,
      "effect(arrays, (n, t, r, entries)): mean and covariance of the effect on the rows, into the last two of (mean,"
      " covariance, starts, columns, entries, effect, errors); False for entries outside the matrix."},

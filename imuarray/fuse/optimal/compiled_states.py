@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy.typing as npt
 
-__all__ = ["correct", "drifts", "effect", "predict", "turn_back"]
+__all__ = ["correct", "drifts", "effect", "measure", "predict", "turn_back"]
 
 try:
-    from imuarray.fuse.optimal._states import correct, drifts, effect, predict, turn_back
+    from imuarray.fuse.optimal._states import correct, drifts, effect, measure, predict, turn_back
 except ImportError:  # installed without a C compiler
 
     def predict(arrays: tuple[npt.NDArray[Any], ...], states: int) -> bool:
@@ -35,3 +35,7 @@ except ImportError:  # installed without a C compiler
     def drifts(arrays: tuple[npt.NDArray[Any], ...], sizes: tuple[int, int, int, int]) -> bool:
         """Compute no effect."""
         return False
+
+    def measure(arrays: tuple[npt.NDArray[Any], ...], sizes: tuple[int, int, int, int, int], doubt: float) -> int:
+        """Compute no measurements."""
+        return -1

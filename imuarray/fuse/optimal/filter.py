@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Indices, Times
-from imuarray.fuse.optimal import compiled_segments
+from imuarray.fuse.optimal import compiled_segments, compiled_states
 from imuarray.fuse.optimal.frame_solution import FrameSolution, SegmentView, SmoothedEffect, segment_view, solve
 from imuarray.fuse.optimal.geometry import FrameReadings, Geometry, hold_last, patterns
 from imuarray.fuse.optimal.states import (
@@ -40,6 +40,7 @@ from imuarray.fuse.optimal.states import (
     ErrorStates,
     Gaussian,
     Innovation,
+    StateResponse,
     backwards,
     corrected,
     predicted,
@@ -214,28 +215,28 @@ class SegmentEvidence:
             self._sums[key] = _RegressionSums(self._terms, len(valid))
         return self._sums[key]
 
-    def measurements(self, rows: Floats) -> tuple[Floats, Floats]:
+    def measurements(self, response: StateResponse) -> tuple[Floats, Floats]:
         """Return the measurements (p, n) and values (p,) of the segment, ``values = measurements @ states + errors`` of
-        unit variance, from the response `rows` (terms, r, n) of the readings to the states; then start a new segment.
+        unit variance, from the `response` of the readings to the states; then start a new segment.
         """
-        parts = []
-        for key, sums in self._sums.items():
-            if not sums.squares[0, 0]:  # no frame was added
-                continue
-            parity = self._parities[key]
-            sizes, weights = _components(sums)
-            seen = weights @ (parity @ rows).reshape(len(rows), len(parity) * rows.shape[2])
-            measured = np.empty((len(sizes), len(parity), rows.shape[2] + 1))
-            measured[:, :, :-1] = seen.reshape(len(sizes), len(parity), rows.shape[2]) * sizes[:, None, None]
-            measured[:, :, -1] = weights @ sums.products @ parity.T / sizes[:, None]
-            parts.append(measured.reshape(-1, measured.shape[2]))
+        parts = [
+            _measurements(sums, self._parities[key], response)
+            for key, sums in self._sums.items()
+            if sums.squares[0, 0]  # else no frame was added
+        ]
         self._sums = {}
         if len(self._parities) > _KEPT:
             self._parities = {}
-        both = np.concatenate(parts) if parts else np.zeros((0, rows.shape[2] + 1))
-        if len(both) > both.shape[1]:
-            both = np.asarray(np.linalg.qr(both, mode="r"))
-        return both[:, :-1], both[:, -1]
+        states = response.dense.shape[2]
+        if not parts:
+            return np.zeros((0, states)), np.zeros(0)
+        rows, values = parts[0]
+        if len(parts) > 1:
+            rows, values = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        if len(rows) > states + 1:
+            both = np.asarray(np.linalg.qr(np.concatenate([rows, values[:, None]], axis=1), mode="r"))
+            return np.ascontiguousarray(both[:, :-1]), np.ascontiguousarray(both[:, -1])
+        return rows, values
 
     def _fair(self, valid: Booleans, triad: Floats, used: Booleans) -> Booleans:
         """Return the readings (n, r) to use: of frames with a triad, and of axes that are not near the ends of their
@@ -248,6 +249,20 @@ class SegmentEvidence:
         if np.nanmax(np.einsum("ni,ni->n", triad, triad), initial=0.0) < fair.min() ** 2 and fair.min() > 0:
             return valid
         return valid & (np.abs(np.nan_to_num(triad) @ self._geometry.rows[:, :3].T) < fair)
+
+
+def _measurements(sums: _RegressionSums, parity: Floats, response: StateResponse) -> tuple[Floats, Floats]:
+    """Return the measurements (p, n) and values (p,) by the sums over frames with one parity."""
+    size, (terms, rows, states) = len(parity), response.dense.shape
+    measured = np.empty((terms * size, states)), np.empty(terms * size)
+    given = (sums.squares, sums.products, sums.blur, parity, *response.sparse)
+    count = compiled_states.measure((*given, *measured), (states, terms, rows, len(response.sparse[1]), size), _DOUBT)
+    if count >= 0:
+        return measured[0][: count * size], measured[1][: count * size]
+    sizes, weights = _components(sums)
+    seen = weights @ (parity @ response.dense).reshape(terms, size * states)
+    scaled = seen.reshape(len(sizes), size, states) * sizes[:, None, None]
+    return scaled.reshape(-1, states), (weights @ sums.products @ parity.T / sizes[:, None]).ravel()
 
 
 def _components(sums: _RegressionSums) -> tuple[Floats, Floats]:
@@ -355,7 +370,7 @@ class ArrayFilter:
         """End the current segment, complete or not, and update the states by its frames."""
         if self._view is None:
             return
-        rows, values = self._evidence.measurements(self.states.response_at(self.warmer_degc).dense)
+        rows, values = self._evidence.measurements(self.states.response_at(self.warmer_degc))
         self.belief, innovation = corrected(self.belief, rows, values)
         if self._record is not None:
             self._record(Step(*self._step, self.warmer_degc, innovation))

@@ -118,14 +118,15 @@ class StateResponse:
         self._flat = dense.reshape(dense.shape[0] * dense.shape[1], dense.shape[2])
         rows, columns = np.nonzero(self._flat)
         starts = np.searchsorted(rows, np.arange(len(self._flat) + 1)).astype(np.int64)
-        self._sparse = (starts, columns.astype(np.int64), self._flat[rows, columns])
+        self.sparse = (starts, columns.astype(np.int64), self._flat[rows, columns])
+        """`dense` with the rows of all terms: where the entries of each start, and the column and value of every entry."""
         self._sizes = (dense.shape[2], dense.shape[0], dense.shape[1], len(columns))
 
     def of(self, belief: Gaussian) -> tuple[Floats, Floats]:
         """Return mean (terms, r) and covariance (terms, terms, r, r) of the effect of the states on the rows."""
         terms, rows, _ = self.dense.shape
         mean, covariance = np.empty((terms, rows)), np.empty((terms, terms, rows, rows))
-        if not compiled_states.effect((*belief, *self._sparse, mean, covariance), self._sizes):
+        if not compiled_states.effect((*belief, *self.sparse, mean, covariance), self._sizes):
             mean = (self._flat @ belief.mean).reshape(terms, rows)
             product = self._flat @ belief.covariance @ self._flat.T
             covariance = np.ascontiguousarray(product.reshape(terms, rows, terms, rows).transpose(0, 2, 1, 3))
@@ -137,7 +138,7 @@ class StateResponse:
         """
         terms, rows, _ = self.dense.shape
         drift = Drift(np.empty(rows), np.empty((rows, terms, rows)))
-        given = (*belief, *adjoint, drifting, *self._sparse)
+        given = (*belief, *adjoint, drifting, *self.sparse)
         if compiled_states.drifts((*given, *drift), self._sizes):
             return drift
         moving = np.where(drifting, self.dense[0], 0.0)

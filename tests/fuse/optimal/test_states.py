@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from imuarray.fuse.optimal import compiled_states
+from imuarray.fuse.optimal.filter import SegmentEvidence, _measurements
+from imuarray.fuse.optimal.geometry import Geometry
 from imuarray.fuse.optimal.states import Adjoint, Gaussian, Innovation, StateResponse, backwards, corrected, predicted
 
 ROWS, STATES = 6, 40
@@ -147,3 +149,34 @@ def test_compiled_steps_refuse_arrays_of_another_size() -> None:
         compiled_states.predict(arrays, -1)
     outside = (np.zeros(1), np.zeros(1), np.array([0, 1]), np.array([1]), np.zeros(1), np.zeros(1), np.zeros(1))
     assert not compiled_states.effect(outside, (1, 1, 1, 1))
+
+
+@pytest.mark.parametrize("terms", [1, 4])
+@pytest.mark.parametrize("moves", [0.0, 3.0])
+def test_compiled_measurements_are_those_of_numpy(terms: int, moves: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Components that the stimulus does not show are left out by both; a component's sign is free."""
+    rng = np.random.default_rng(9)
+    evidence = SegmentEvidence(_geometry(), terms)
+    sums = evidence.sums_of(np.ones(ROWS, bool))
+    stimulus = [9.8, 0.0, 0.0] + moves * rng.normal(size=(50, 3))
+    felt = np.concatenate([np.ones((50, 1)), stimulus], axis=1)[:, :terms]
+    sums.squares += felt.T @ felt
+    sums.products += felt.T @ rng.normal(size=(50, ROWS))
+    sums.blur += 50 * np.diag([1e-4, 2e-4, 3e-4])
+    parity, response = _geometry().parity(np.ones(ROWS, bool)), StateResponse(_dense(rng, terms))
+    ours = _measurements(sums, parity, response)
+    monkeypatch.setattr(compiled_states, "measure", lambda *_: -1)
+    theirs = _measurements(sums, parity, response)
+    assert len(ours[0]) == len(theirs[0]) == len(parity) * (terms if moves else 1)
+    for got, expected in zip(_information(*ours), _information(*theirs), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-11 * np.abs(expected).max())
+
+
+def _geometry() -> Geometry:
+    rows = np.concatenate([np.eye(3), np.linalg.qr(np.random.default_rng(10).normal(size=(3, 3)))[0]])
+    noise = np.linspace(0.1, 0.2, ROWS)
+    return Geometry(rows, noise, noise, np.full(ROWS, 40.0), np.zeros(ROWS), ROWS)
+
+
+def _information(rows: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return rows.T @ rows, rows.T @ values
