@@ -8,10 +8,22 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 
+_PLAIN = frozenset((int, str, bool, type(None)))
+
+
 def json_value(value: Any) -> Any:
     """Return dictionaries, lists, numbers and texts for dataclasses, mappings, sequences and arrays; None for numbers
     that are not finite, which JSON lacks.
     """
+    kind = type(value)
+    if kind in _PLAIN:
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if kind is dict:
+        return {name: json_value(item) for name, item in value.items()}
+    if kind is list or kind is tuple:
+        return [json_value(item) for item in value]
     if is_dataclass(value):
         return {item.name: json_value(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):
@@ -20,4 +32,4 @@ def json_value(value: Any) -> Any:
         return [json_value(item) for item in value]
     if hasattr(value, "tolist"):  # arrays and scalars of NumPy, which is not imported for values without them
         return json_value(value.tolist())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return value
