@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
-
 _PLAIN = frozenset((int, str, bool, type(None)))
 
 

@@ -216,7 +216,7 @@ class SlowWelch:
         blocks = len(rows) // self._factor
         count = max(0, blocks - _BLOCKS + 1)
         if count:
-            columns = np.ascontiguousarray(rows[: blocks * self._factor].T)  # products are faster along contiguous memory
+            columns = np.ascontiguousarray(rows[: blocks * self._factor].T)  # products are faster along rows
             parts = columns.reshape(-1, self._factor) @ self._filter.reshape(_BLOCKS, -1).T
             means = parts.reshape(rows.shape[1], blocks, _BLOCKS)
             filtered = np.sum([means[:, at : at + count, at] for at in range(_BLOCKS)], axis=0).T

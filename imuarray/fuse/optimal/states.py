@@ -119,7 +119,7 @@ class StateResponse:
         rows, columns = np.nonzero(self._flat)
         starts = np.searchsorted(rows, np.arange(len(self._flat) + 1)).astype(np.int64)
         self.sparse = (starts, columns.astype(np.int64), self._flat[rows, columns])
-        """The rows of all terms of `dense`: where the entries of each start, and the column and value of every entry."""
+        """The rows of all terms of `dense`: where the entries of each start, and column and value of every entry."""
         self._sizes = (dense.shape[2], dense.shape[0], dense.shape[1], len(columns))
 
     def of(self, belief: Gaussian) -> tuple[Floats, Floats]:
