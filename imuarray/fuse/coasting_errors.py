@@ -161,11 +161,11 @@ def propagate(
     frame of the first frame.
     """
     seconds = (errors.time - errors.time[0]) * 1e-9
-    attitude = _attitudes(seconds, errors.rate)
-    tilt_rate = attitude.apply(errors.rate_error - rate_offset)
+    turned = _attitudes(seconds, errors.rate).apply if errors.rate.any() else np.asarray
+    tilt_rate = turned(errors.rate_error - rate_offset)
     steps = np.diff(seconds)[:, None] * (tilt_rate[1:] + tilt_rate[:-1]) / 2
     tilt = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-    acceleration = attitude.apply(errors.force_error - force_offset) + np.cross(tilt, attitude.apply(errors.force))
+    acceleration = turned(errors.force_error - force_offset) + np.cross(tilt, turned(errors.force))
     return np.asarray(tilt[-1]), np.asarray(np.trapezoid(acceleration, seconds, axis=0))
 
 
@@ -178,8 +178,6 @@ def _attitudes(seconds: Floats, rate: Floats) -> Rotation:
 
     middle = (rate[1:] + rate[:-1]) / 2 * np.diff(seconds)[:, None]
     turns = Rotation.from_rotvec(np.concatenate([np.zeros((1, 3)), middle]))
-    if not rate.any():
-        return turns
     reach, count = 1, len(rate)
     while reach < count:
         turns = Rotation.concatenate([turns[:reach], turns[:-reach] * turns[reach:]])

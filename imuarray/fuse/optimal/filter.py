@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 import struct
 from array import array
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
 from tempfile import TemporaryFile
 from typing import NamedTuple
@@ -380,59 +381,90 @@ class ArrayFilter:
 _LENGTH = struct.Struct("<q")
 """Start of a group: the length of its head, which contains the shapes."""
 
+_HELD_BYTES = 1 << 20
+"""Size of the last groups that a spool holds in memory, and writes and reads together."""
+
 
 class Spool:
-    """A stack of groups of arrays in a temporary file, which is deleted with the object."""
+    """A stack of groups of arrays, the last ones in memory and the others in a temporary file, which is deleted with
+    the object. The arrays of a group must not change later.
+    """
 
     def __init__(self) -> None:
         self._file = TemporaryFile()  # noqa: SIM115, it lives as long as the spool
         self._starts = array("q")
-        self._end = self._place = 0
+        self._end = 0
         self._heads: dict[tuple[tuple[int, ...], ...], bytes] = {}
         """The begin of a group by the shapes of its arrays, of which there are few."""
+        self._held: list[list[Floats]] = []
+        self._held_bytes = 0
 
     def __bool__(self) -> bool:
         """Return whether the stack has any group."""
-        return self._end > 0
+        return bool(self._held) or self._end > 0
 
     def push(self, arrays: Sequence[Floats]) -> None:
         """Push a group."""
-        shapes = tuple([rows.shape for rows in arrays])
-        head = self._heads.get(shapes)
-        if head is None:
-            numbers = np.array([number for shape in shapes for number in (len(shape), *shape)], np.int64).tobytes()
-            head = self._heads[shapes] = _LENGTH.pack(len(numbers)) + numbers
-        if self._place != self._end:  # an unnecessary seek would empty the file's buffer
-            self._file.seek(self._end)
-        self._starts.append(self._end)
-        self._file.write(head)
-        self._end += len(head)
-        for rows in arrays:
-            self._file.write(np.ascontiguousarray(rows, np.float64).data)
-            self._end += 8 * rows.size
-        self._place = self._end
+        self._held.append([np.ascontiguousarray(rows, np.float64) for rows in arrays])
+        self._held_bytes += sum([rows.nbytes for rows in self._held[-1]])
+        if self._held_bytes > _HELD_BYTES:
+            self._write()
 
     def pop(self) -> list[Floats]:
         """Pop the last group; IndexError if there is none."""
         if not self:
             raise IndexError("the spool is empty")
-        start = self._starts.pop()
-        self._file.seek(start)
-        content = self._file.read(self._end - start)
-        self._end, self._place = start, -1
-        at = _LENGTH.size + _LENGTH.unpack_from(content)[0]
-        head = iter(np.frombuffer(content[_LENGTH.size : at], np.int64).tolist())
-        arrays = []
-        for dimensions in head:
-            shape = tuple(next(head) for _ in range(dimensions))
-            size = math.prod(shape)
-            arrays.append(np.frombuffer(content, np.float64, size, at).reshape(shape))
-            at += 8 * size
-        return arrays
+        if not self._held:
+            self._read()
+        group = self._held.pop()
+        self._held_bytes -= sum([rows.nbytes for rows in group])
+        return group
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    def _write(self) -> None:
+        """Write the groups in memory to the file."""
+        parts: list[bytes | memoryview] = []
+        start = self._end
+        for group in self._held:
+            shapes = tuple([rows.shape for rows in group])
+            head = self._heads.get(shapes)
+            if head is None:
+                numbers = np.array([number for shape in shapes for number in (len(shape), *shape)], np.int64).tobytes()
+                head = self._heads[shapes] = _LENGTH.pack(len(numbers)) + numbers
+            self._starts.append(self._end)
+            parts += [head, *[rows.data for rows in group]]
+            self._end += len(head) + sum([rows.nbytes for rows in group])
+        self._file.seek(start)
+        self._file.write(b"".join(parts))
+        self._held, self._held_bytes = [], 0
+
+    def _read(self) -> None:
+        """Take the last groups from the file into memory."""
+        first = bisect_left(self._starts, self._end - _HELD_BYTES, hi=len(self._starts) - 1)
+        start = self._starts[first]
+        self._file.seek(start)
+        content = self._file.read(self._end - start)
+        self._held = [_group(content, at - start) for at in self._starts[first:]]
+        self._held_bytes = sum([rows.nbytes for group in self._held for rows in group])
+        del self._starts[first:]
+        self._end = start
+
+
+def _group(content: bytes, at: int) -> list[Floats]:
+    """Return the group that begins at a byte of a file's content."""
+    begin = at + _LENGTH.size
+    at = begin + _LENGTH.unpack_from(content, at)[0]
+    head = iter(np.frombuffer(content, np.int64, (at - begin) // 8, begin).tolist())
+    arrays = []
+    for dimensions in head:
+        shape = tuple(next(head) for _ in range(dimensions))
+        size = math.prod(shape)
+        arrays.append(np.frombuffer(content, np.float64, size, at).reshape(shape))
+        at += 8 * size
+    return arrays
 
 
 _STRIDE = 32

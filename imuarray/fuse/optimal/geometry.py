@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -57,12 +58,12 @@ class Geometry:
     _spanning: dict[bytes, bool] = field(default_factory=dict, init=False, repr=False, compare=False)
     _lacking: dict[bytes, Booleans] = field(default_factory=dict, init=False, repr=False, compare=False)
 
-    @property
+    @cached_property
     def fair(self) -> Floats:
         """Largest stimulus (r,) along the axis at which its readings are used to estimate slow errors."""
         return self.end - _NEAR * self.noise
 
-    @property
+    @cached_property
     def fair_square(self) -> float:
         """Square of the stimulus up to which the readings of all axes are used to estimate slow errors."""
         return float(max(self.fair.min(), 0.0)) ** 2

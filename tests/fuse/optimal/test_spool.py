@@ -5,10 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from imuarray.fuse.optimal import filter as spooled
 from imuarray.fuse.optimal.filter import Spool
 
 
-def test_what_goes_in_last_comes_out_first() -> None:
+@pytest.mark.parametrize("held_bytes", [0, 100, 1 << 20])
+def test_what_goes_in_last_comes_out_first(held_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether the groups are in the file one by one, several together, or all in memory."""
+    monkeypatch.setattr(spooled, "_HELD_BYTES", held_bytes)
     rng = np.random.default_rng(105)
     groups = [[rng.normal(size=(index, 3)), rng.normal(size=index), np.zeros((0, 2))] for index in range(5)]
     spool = Spool()
