@@ -55,7 +55,9 @@ _OFF_GRID = 0.2
 """Largest deviation of an interval from a whole number of usual intervals, in usual intervals, if rows are missing."""
 
 _LONGEST_SKIP = 20.5
-"""Length of a gap in usual intervals above which it is undecided whether an unflagged gap fits the period."""
+"""Length of a gap in usual intervals above which it is undecided whether an unflagged gap fits the period, and above
+which the recorder paused: the rate of the rows is that between pauses.
+"""
 
 _AROUND = 2
 """Number of intervals on either side that may compensate for a late row."""
@@ -126,8 +128,7 @@ class LogTimes:
     def __init__(self, sensor: SensorLog) -> None:
         self._sensor = sensor
         self.rows = len(sensor)
-        span_ns = int(self._time[-1]) - int(self._time[0]) if self.rows > 1 else 0
-        self.rows_per_s = (self.rows - 1) * 1e9 / span_ns if span_ns else max(sensor.rate_hz, 1.0)
+        self.rows_per_s = self._between_pauses() or max(sensor.rate_hz, 1.0)
 
     def stamps(self, start: int, stop: int) -> Integers:
         """Return the times in the log; read-only."""
@@ -145,6 +146,18 @@ class LogTimes:
     @cached_property
     def _time(self) -> NamedColumn:
         return self._sensor.time
+
+    def _between_pauses(self) -> float:
+        """Return the rows per second of the stretches between pauses of the recorder; 0 for a single row. Reads the
+        times once.
+        """
+        intervals, span_ns, usual_ns = 0, 0, 0.0
+        for start in range(0, self.rows - 1, _PIECE):
+            steps_ns = np.diff(np.asarray(self._time[start : start + _PIECE + 1], np.int64))
+            usual_ns = usual_ns or float(np.median(steps_ns))
+            in_stretches = steps_ns[np.asarray(steps_ns, float) <= _LONGEST_SKIP * usual_ns]
+            intervals, span_ns = intervals + len(in_stretches), span_ns + int(in_stretches.sum())
+        return intervals * 1e9 / span_ns if span_ns > 0 else 0.0
 
     @cached_property
     def _piece(self) -> Callable[[int], Integers]:
@@ -181,8 +194,9 @@ class GapFilledTimes:
 
     @property
     def rows_per_s(self) -> float:
-        """The rate without losses."""
-        return self.recorded.rows_per_s * (self.rows - 1) / (self.recorded.rows - 1)
+        """The rate between pauses, without losses."""
+        in_pauses = int(self.missing[self.missing + 1 > _LONGEST_SKIP].sum())
+        return self.recorded.rows_per_s * (self.rows - 1) / (self.recorded.rows - 1 + in_pauses)
 
     def stamps(self, start: int, stop: int) -> Integers:
         """Return the times in the log, including those of the lost rows."""

@@ -62,9 +62,10 @@ def written(
     is_tracked: bool = False,
     reversed_sensor: str = "",
     shaking: tuple[float, float] = (0.0, 1.0),
+    shaken_s: tuple[float, float] = (4.0, 8.0),
 ) -> Log:
-    """Noise of two counts; the first sensor lacks the rows of a stretch; one may have axes that are all reversed. From
-    4 s to 8 s accelerometers are shaken along z, by an amplitude in g at a frequency in Hz.
+    """Noise of two counts; the first sensor lacks the rows of a stretch; one may have axes that are all reversed. In a
+    stretch accelerometers are shaken along z of the box, by an amplitude in g at a frequency in Hz.
     """
     with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
         for number, header in enumerate(sensors):
@@ -73,10 +74,10 @@ def written(
                 time = time[~((missing_s[0] * SECOND <= time) & (time < missing_s[1] * SECOND))]
             sign = -1 if header.name == reversed_sensor else 1
             amplitude_g, hertz = shaking if header.unit == "g" else (0.0, 1.0)
-            moves = (time >= 4 * SECOND) & (time < 8 * SECOND)
+            moves = (time >= shaken_s[0] * SECOND) & (time < shaken_s[1] * SECOND)
             shaken = amplitude_g * np.sin(2 * np.pi * hertz * time * 1e-9) * moves
             reading = (sign * felt(header, time * 1e-9) + biases[number]) * header.sensitivity
-            reading[:, 2] += shaken * header.sensitivity
+            reading += shaken[:, None] * np.asarray(header.orientation)[2] * header.sensitivity
             noise = np.random.default_rng(number).normal(0, 2, (len(time), 3))
             log.append(
                 header.name, Block(time, np.rint(reading + noise).astype(np.int16), np.zeros(len(time), np.uint16))
@@ -189,6 +190,53 @@ def test_a_vibration_is_no_motion_that_sensors_share(tmp_path: Path, hertz: floa
     recording = recording_of(shaken)
     assert (len(recording.phases) == 1) == is_left_out
     assert any("vibrates faster than the rows" in note for note in recording.notes) == is_left_out
+
+
+@pytest.mark.parametrize(("amplitude_g", "is_left_out"), [(0.0, False), (0.002, True)])
+def test_a_phase_that_is_no_rest_is_left_out(tmp_path: Path, amplitude_g: float, *, is_left_out: bool) -> None:
+    """A hand that holds the box shakes it by 16 counts at 7 Hz, the noise is two; the label says rest."""
+    sensors = array(accelerometers=2, gyroscopes=1)
+    recording = recording_of(
+        written(tmp_path / "log.h5", sensors, shaking=(amplitude_g, 7.0), shaken_s=(0.0, 4.0), phases=(REST, AFTER))
+    )
+    assert (REST in recording.phases) != is_left_out
+    assert AFTER in recording.phases
+    assert any("feel the same motion" in note for note in recording.notes) == is_left_out
+
+
+def test_accelerometers_that_are_shaken_at_every_rest_are_left_out(tmp_path: Path) -> None:
+    """Beside a running engine, which the gyroscope does not feel; if all sensors feel it, they are compared."""
+    sensors = array(accelerometers=2, gyroscopes=1)
+    for count, expected in ((3, {"Gyro0"}), (2, {"Acc0", "Acc1"})):
+        path = tmp_path / f"log{count}.h5"
+        log = written(path, sensors[:count], shaking=(0.002, 7.0), shaken_s=(0.0, 12.0), phases=(REST,))
+        recording = recording_of(log)
+        assert set(recording.experiment.plan.sensors) == expected
+        assert recording.phases == (REST,)
+        assert any("shaken in every phase" in note for note in recording.notes) == (count == 3)
+
+
+@pytest.mark.parametrize(("accelerometers", "left_out_s"), [(2, (1.0, 2.1)), (1, None)])
+def test_a_touch_that_several_sensors_feel_is_left_out(
+    tmp_path: Path, accelerometers: int, left_out_s: tuple[float, float] | None
+) -> None:
+    """A push by 0.05 g from 1.5 s to 1.6 s is left out with half a second before and after; what a single sensor shows
+    is its own.
+    """
+    sensors = array(accelerometers=accelerometers, gyroscopes=1)
+    shaken_s = (1.5, 1.6)
+    recording = recording_of(
+        written(tmp_path / "log.h5", sensors, shaking=(0.05, 5.0), shaken_s=shaken_s, phases=(REST,))
+    )
+    uncertain_ns = recording.experiment.uncertain_ns
+    assert any("is touched" in note for note in recording.notes) == (left_out_s is not None)
+    if left_out_s is None:
+        assert not uncertain_ns
+    else:
+        assert uncertain_ns.keys() == {"Acc0", "Acc1", "Gyro0"}
+        for times_ns in uncertain_ns.values():
+            assert np.min(times_ns) * 1e-9 == pytest.approx(left_out_s[0], abs=0.06)
+            assert np.max(times_ns) * 1e-9 == pytest.approx(left_out_s[1], abs=0.06)
 
 
 def test_noise_alone_is_no_motion() -> None:

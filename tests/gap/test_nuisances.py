@@ -13,7 +13,7 @@ import pytest
 from imuarray.arrays import Integers
 from imuarray.gap.model.ambient_lines import MOST_G, fit_ambient_lines
 from imuarray.gap.model.base_model import fit
-from imuarray.gap.model.element_temperature import LONGEST_LAG_S
+from imuarray.gap.model.element_temperature import LONGEST_DIE_LAG_S, LONGEST_LAG_S
 from imuarray.gap.model.nuisance import nuisance_estimates
 from imuarray.gap.model.signal_delay import NO_DELAY, _slopes, fit_signal_delays, stated_delay
 from imuarray.gap.recording.attitude import attitude_numbers, shared_readings
@@ -38,9 +38,35 @@ def test_the_lag_of_one_chip_is_fitted_and_its_slope_with_it(lag_s: float) -> No
     assert base.fitted["G2"].lag_s == pytest.approx(0.0, abs=0.2)
 
 
-def test_a_lag_beyond_the_usual_is_left_to_the_effect() -> None:
-    base = fit(campaign_of("heating", {"G1": (ThermalLag(5 * LONGEST_LAG_S),)}, seed=3), PLANS["heating"])
-    assert base.fitted["G1"].lag_s == LONGEST_LAG_S
+@pytest.mark.parametrize(("slope", "expected_s"), [(0.0, LONGEST_DIE_LAG_S), (-0.05, LONGEST_LAG_S)])
+def test_a_lag_beyond_the_usual_is_left_to_the_effect(slope: float, expected_s: float) -> None:
+    """Of a die whose thermometer is as late, and of elements whose thermometer follows the box at once: with the slope
+    of the array, +0.05 dps/degC, nothing follows at once.
+    """
+    at_once = (ThermalBias((slope,) * 3),) if slope else ()
+    lag = ThermalLag(100.0, (-slope,) * 3) if slope else ThermalLag(100.0)
+    base = fit(campaign_of("heating", {"G1": (*at_once, lag)}, seed=3), PLANS["heating"])
+    assert base.fitted["G1"].lag_s == expected_s
+
+
+def test_an_element_may_be_as_late_as_the_dies_on_the_board() -> None:
+    """One die is 30 s late by its thermometer, an accelerometer 35 s; without the first, it is too late to be usual."""
+    late = {"A1": (ThermalLag(35.0),), "G1": (ThermalLag(30.0),)}
+    for effects, expected_s in ((late, 35.0), ({"A1": late["A1"]}, LONGEST_LAG_S)):
+        campaign = without_thermometer(campaign_of("heating", effects, seed=3), "A1")
+        assert fit(campaign, PLANS["heating"]).fitted["A1"].lag_s == pytest.approx(expected_s, rel=0.05)
+
+
+def without_thermometer(campaign: Campaign, name: str) -> Campaign:
+    logs = []
+    for log in campaign.logs:
+        parts = []
+        for part in log.phases:
+            segments = part.sensors[name].segments
+            segments = replace(segments, thermometer=np.full(len(segments.rows), np.nan))
+            parts.append(replace(part, sensors={**part.sensors, name: replace(part.sensors[name], segments=segments)}))
+        logs.append(replace(log, phases=tuple(parts)))
+    return Campaign(tuple(logs))
 
 
 class Leading(Heating):

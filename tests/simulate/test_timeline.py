@@ -268,6 +268,19 @@ def test_what_is_no_loss_of_a_regular_record(tmp_path: Path) -> None:
             assert isinstance(filled(log["A"]), LogTimes), name
 
 
+@pytest.mark.parametrize("flagged", [False, True])
+def test_pauses_of_the_recorder_do_not_count_for_the_rate(tmp_path: Path, *, flagged: bool) -> None:
+    """At 100 Hz, one row lost in a hundred, and pauses of six seconds and two, which are 8 s of 18; where rows are
+    flagged as lost, so are those of the pauses.
+    """
+    missing = [*range(37, 1800, 100), *range(200, 800), *range(900, 1100)]
+    times = regular(1800, missing, jitter=0.0)
+    (gaps,) = np.nonzero(np.diff(times) > 1.5 * PERIOD_NS)
+    with open_log(log_of(tmp_path / "log.h5", times, gaps + 1 if flagged else [])) as log:
+        assert filled(log["A"]).rows_per_s == pytest.approx(100.0, rel=0.01 if flagged else 0.02)
+        assert LogTimes(log["A"]).rows_per_s == pytest.approx(100.0 * 0.99, rel=0.01)
+
+
 def test_flagged_losses_count_among_evenly_spaced_gaps(tmp_path: Path) -> None:
     times = regular(1000, list(range(37, 1000, 90)))
     (gaps,) = np.nonzero(np.diff(times) > 1.5 * PERIOD_NS)

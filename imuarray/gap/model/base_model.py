@@ -23,6 +23,7 @@ from imuarray.gap.model.element_temperature import (
     LEAST_HEATING_DEGC,
     HeatedRest,
     fit_lag,
+    longest_lags_s,
     usual_lag_s,
     with_element_temperatures,
 )
@@ -32,6 +33,7 @@ from imuarray.gap.model.populations import (
     CUTOFF_TOLERANCE,
     LEAST_CORRELATION,
     POSITION_SIGMA_MM,
+    THERMAL_GROWTH_SIGMA,
     TOLERANCE_SIGMAS,
     is_usual,
     response_tolerance,
@@ -85,10 +87,13 @@ _FORGOTTEN, _WANDERS, _FLAT = 0.1, 4.0, 0.9
 standard deviations, and its least share of that at the lag before.
 """
 
-_DRIFTS, _DRIFT_BY_CHANCE, _ENOUGH_ROWS = 0.35, 4.0, 500
-"""Drift over a phase, in standard deviations of the noise, that adds 0.01 to its correlations; the drift's standard
-error, times the root of the rows; the rows from which on the correlations of phases without a drift tell enough.
+_DRIFTS, _SLOW_DRIFTS, _DRIFT_BY_CHANCE = 0.35, 3.0, 4.0
+"""Drift over a phase, in standard deviations of the noise, that adds 0.01 to its correlations; the one that makes half
+of its variance; the drift's standard error, times the root of the rows.
 """
+
+_ENOUGH_ROWS, _ENOUGH_SHARE = 500, 0.5
+"""The rows, and the share of all rows at rest, from which on the correlations of phases without a drift tell enough."""
 
 _MEMORY, _MOST_LAGS = 5.0, 200
 """Time constants after which a filter's noise is forgotten, and most rows of that time."""
@@ -100,7 +105,9 @@ _MOST_REPEATED = 0.9
 """Share of repeated rows up to which a filter is fitted to them."""
 
 _FILTER_MISFIT = 0.1
-"""Largest share of the squared correlations that a filter leaves; a wander, a line or shared noise leaves more."""
+"""Largest share of the squared correlations that a filter leaves; a wander, a line or shared noise leaves more, and so
+do some short digital filters.
+"""
 
 _BY_CHANCE = 2.0
 """Variances of an estimated correlation that are due to chance: a median of three axes has less than half of one, so
@@ -117,8 +124,14 @@ _AS_CONFIGURED = 0.006
 the cutoffs that are tried.
 """
 
+_BETTER = 1.0
+"""Decrease of chi-squared by which the configured filter is better than none, where neither can be proved."""
+
 _MEDIAN_VARIANCE = 0.45
 """Variance of the median of three independent correlations, over that of one (order statistics of the normal law)."""
+
+_UNLIKELY = 4.0
+"""Squared correlations, over what chance makes of them, that are those of a short filter although none fits."""
 
 _MEASURED = 1.5
 """Misfit of the best filter, over what chance makes of it, beyond which correlations are taken as measured."""
@@ -187,7 +200,7 @@ class Base:
         effects = tuple(_unfitted((self.model or self._usual).effects(header, units), is_slope_known))
         if header.quantity == "specific_force":
             effects = (*with_position(effects, _position_mm(header, units)), *self._common_bias(header, units))
-        effects = (*effects, *self._tones(header, units))
+        effects = (*effects, *self._tones(header, units), *self._thermal_curve(header, units))
         is_odd = bool(replicate % 2)
         effects = tuple(effect for effect in effects if is_odd or not is_usual(effect, header))
         if header.name in self.queued:  # the row of a reading has the time at which the chip took it
@@ -211,6 +224,13 @@ class Base:
             bias = bias_box @ np.array(header.orientation) * STANDARD_GRAVITY / SI_PER_UNIT[header.unit]
             x, y, z = bias.tolist()
             yield Bias((x, y, z))
+
+    def _thermal_curve(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
+        """Yield the curve of a bias over temperature whose slope is fitted, about the temperature of the slope."""
+        if self.fitted[header.name].is_slope_known:
+            growth = THERMAL_GROWTH_SIGMA * units.of_unit(header.name, ThermalBias.name, "growth").standard_normal(3)
+            x, y, z = (growth * np.array(self.fitted[header.name].slope)).tolist()
+            yield ThermalBias(quadratic=(x, y, z), reference_degc=REFERENCE_DEGC)
 
     def _tones(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
         """Yield the lines of the surroundings as a sensor of this replicate measures them."""
@@ -392,17 +412,21 @@ def _in_any_attitude(campaign: Campaign, motions: Sequence[Motion], sensor: str)
 def _lags(campaign: Campaign, motions: Sequence[Motion], headers: Mapping[str, SensorHeader]) -> dict[str, float]:
     """Return the time constants, in s, with which the sensors' elements follow the temperature of the box."""
 
+    rests = {name: list(_in_any_attitude(campaign, motions, name)) for name in headers if _is_heated(campaign, name)}
+    readings = {
+        name: [HeatedRest(rest.group, rest.segments, motions[rest.group[0]], rest.deviation) for rest in phases]
+        for name, phases in rests.items()
+    }
+    longest_s = longest_lags_s(readings)
     lags_s = {}
     for name, header in headers.items():
-        if not _is_heated(campaign, name):
+        if rests.get(name):
+            noise = np.sqrt(np.mean([np.median(rest.variance, axis=0) for rest in rests[name]], axis=0))
+            lags_s[name] = fit_lag(readings[name], noise / header.sensitivity, longest_s[name])
+        else:
             lags_s[name] = usual_lag_s(
                 [motion for log, motion in zip(campaign.logs, motions, strict=True) if _rows_at_rest(log, name)]
             )
-            continue
-        rests = list(_in_any_attitude(campaign, motions, name))
-        readings = [HeatedRest(rest.group, rest.segments, motions[rest.group[0]], rest.deviation) for rest in rests]
-        noise = np.sqrt(np.mean([np.median(rest.variance, axis=0) for rest in rests], axis=0)) if rests else np.zeros(3)
-        lags_s[name] = fit_lag(readings, noise / header.sensitivity)
     return lags_s
 
 
@@ -504,7 +528,9 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     By least squares of the correlations at lags 1 to 3, among filters of one pole and of two whose cutoffs are within
     `CUTOFF_TOLERANCE` of what is configured, analogue and digital (behind a converter that samples at the chip's data
     rate), and noise without a memory. If none of these filters fits as chance allows, the nearest one has the measured
-    correlations. Correlations tell no filter if neither they nor their mean over the phases are larger than chance
+    correlations; if none fits at all, only where a few rows later nothing is left of them, as behind a short filter: a
+    wander, a line or shared noise lasts. Correlations tell no filter if neither they nor their mean over the phases are
+    larger than chance
     makes those of white noise.
     """
     configured_hz = noise_bandwidth_hz(header)
@@ -531,15 +557,20 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     is_expected = 2 * configured_hz < fastest_hz and measured.covers and shown < measured.by_chance
     chance = measured.by_chance * (_EXPECTED if is_expected else 1.0)
     white = measured.misfit(np.zeros_like(measured.values))
-    if white <= chance * phases and float(np.square(measured.mean(without_memory)).sum()) <= chance:
-        return None, 0.0
     misfits = {effect: measured.misfit(expected) for effect, expected in filters.items()}
+    if white <= chance * phases and float(np.square(measured.mean(without_memory)).sum()) <= chance:
+        as_configured = min(misfits, key=lambda effect: (abs(effect.cutoff_hz - configured_hz), misfits[effect]))
+        is_better = white - misfits[as_configured] > _BETTER / float(measured.rows.sum())
+        return (as_configured, 0.0) if is_better else (None, 0.0)
     best = min(misfits, key=misfits.__getitem__)
-    if not misfits[best] < min(white, _FILTER_MISFIT * white + measured.by_chance * phases):
+    is_filter = misfits[best] < min(white, _FILTER_MISFIT * white + measured.by_chance * phases)
+    if not is_filter or misfits[best] > _MEASURED * measured.by_chance * phases:
+        correlations = _of_samples(measured, filters[best])
+        is_short = white > _UNLIKELY * measured.by_chance * phases and _is_forgotten(correlations)
+        if correlations and (is_filter or is_short):
+            return replace(best, correlations=correlations), 0.0
+    if not is_filter:
         return None, 0.0
-    correlations = _of_samples(measured)
-    if misfits[best] > _MEASURED * measured.by_chance * phases and correlations:
-        return replace(best, correlations=correlations), 0.0
     near = misfits[best] + _MEDIAN_VARIANCE / float(measured.rows.sum())
     cutoffs_hz = [
         effect.cutoff_hz
@@ -549,8 +580,14 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     return best, math.log(max(cutoffs_hz) / min(cutoffs_hz)) / 2
 
 
-def _of_samples(measured: _Correlations) -> tuple[float, ...]:
-    """Return the correlations of successive samples of the chip; empty if rows are not its samples, or no noise has
+def _is_forgotten(correlations: Sequence[float]) -> bool:
+    """Return whether nothing is left of the noise after the lags to which filters are fitted."""
+    return all(abs(correlation) < LEAST_CORRELATION for correlation in correlations[_LAGS:])
+
+
+def _of_samples(measured: _Correlations, expected: Floats) -> tuple[float, ...]:
+    """Return the correlations of successive samples of the chip without a wander, which shows at the last lag, beyond
+    what the nearest filter, `expected` (p, k), still remembers; empty if rows are not its samples, or no noise has
     them.
     """
     if any(abs(pace.samples_a_row - 1) >= AT_ITS_RATE for pace in measured.reads):
@@ -558,20 +595,27 @@ def _of_samples(measured: _Correlations) -> tuple[float, ...]:
     samples_a_row = float(measured.mean(np.array([[pace.samples_a_row] for pace in measured.reads]))[0])
     apart = [_samples_apart(samples_a_row, lag) for lag in _ALL_LAGS]
     shares = np.array([[shares.get(samples, 0.0) for samples in _ALL_LAGS] for shares in apart])
-    correlations = tuple(np.linalg.lstsq(shares, measured.mean(measured.values), rcond=None)[0].tolist())
+    lasting = np.where(np.abs(expected[:, -1:]) < _FORGOTTEN, 0.0, expected)
+    wander = _wander(measured.values, lasting, measured.least_wander)
+    level = (measured.values - wander) / (1 - wander)
+    correlations = tuple(np.linalg.lstsq(shares, measured.mean(level), rcond=None)[0].tolist())
     return correlations if has_correlations(correlations) else ()
 
 
 def _level_phases(phases: Sequence[Summary], noise: Floats) -> list[Summary]:
-    """Return the phases whose level does not drift beside noise (3,), if these have enough rows; otherwise all.
+    """Return the phases whose level does not drift beside noise (3,), if these have most of the rows; otherwise with
+    those that have enough rows to tell their drift from the noise; otherwise the first if they have some rows, or all.
 
     A drift by d standard deviations of the noise over a phase adds d^2 / 12 to the correlations at all lags.
     """
-    drifts = [float(np.median(np.abs(2 * halves(phase)) / noise)) for phase in phases]
-    chance = [2 * _DRIFT_BY_CHANCE / math.sqrt(max(phase.rows, 1)) for phase in phases]
-    is_level = [not drift > _DRIFTS + error for drift, error in zip(drifts, chance, strict=True)]
-    several = [phase for phase, level in zip(phases, is_level, strict=True) if level]
-    return several if sum(phase.rows for phase in several) >= _ENOUGH_ROWS else list(phases)
+    rows = np.array([max(phase.rows, 1) for phase in phases])
+    drifts = np.array([float(np.median(np.abs(2 * halves(phase)) / noise)) for phase in phases])
+    is_level = ~(drifts > _DRIFTS + 2 * _DRIFT_BY_CHANCE / np.sqrt(rows))
+    is_told = is_level | ((drifts**2 / 12 > _WANDERS / np.sqrt(rows)) & (drifts < _SLOW_DRIFTS))
+    for chosen, least in ((is_level, _ENOUGH_SHARE), (is_told, _ENOUGH_SHARE), (is_level, 0.0)):
+        if rows[chosen].sum() >= max(_ENOUGH_ROWS, least * rows.sum()):
+            return [phase for phase, is_chosen in zip(phases, chosen, strict=True) if is_chosen]
+    return list(phases)
 
 
 def _row_correlations(campaign: Campaign, header: SensorHeader, effect: Bandwidth) -> Floats:
@@ -587,15 +631,23 @@ def _row_correlations(campaign: Campaign, header: SensorHeader, effect: Bandwidt
 def _beyond_wander(correlations: Floats, expected: Floats, least: Floats) -> Floats:
     """Return correlations (p, k) of p phases at k lags less those `expected` (p, k), with a slow wander in each phase,
     at all lags but the last two.
+    """
+    wander = _wander(correlations, expected, least)
+    return np.asarray((correlations - expected - wander * (1 - expected))[:, :_LAGS])
+
+
+def _wander(correlations: Floats, expected: Floats, least: Floats) -> Floats:
+    """Return the share (p, 1) of the variance that a slow wander has in each of p phases.
 
     A wander with the share w of the variance makes a correlation r one of r + w (1 - r), at every lag. The last lag
-    tells w, if the filter has forgotten by then, w is at least `least` (p,), and the correlation no longer falls.
+    tells w, if the filter has forgotten by then, w is at least `least` (p,), and the correlation no longer falls, as
+    far as chance allows to tell.
     """
     far, expected_far = correlations[:, -1], expected[:, -1]
     share = (far - expected_far) / (1 - expected_far)
-    is_wander = (np.abs(expected_far) < _FORGOTTEN) & (share > least) & (far > _FLAT * correlations[:, -2])
-    wander = np.where(is_wander, share, 0.0)[:, None]
-    return np.asarray((correlations - expected - wander * (1 - expected))[:, :_LAGS])
+    is_flat = far + least / _WANDERS > _FLAT * correlations[:, -2]
+    is_wander = (np.abs(expected_far) < _FORGOTTEN) & (share > least) & is_flat
+    return np.asarray(np.where(is_wander, share, 0.0)[:, None])
 
 
 class _Reads(NamedTuple):

@@ -1,7 +1,8 @@
 """Temperature of the sensing elements, which follow the temperature that is measured in the box with a lag.
 
 A chip, its board and the air around them take up to some tens of seconds to warm up, and no data sheet prints it: the
-time constant of each chip is a nuisance parameter, fitted within `LONGEST_LAG_S` to the readings in the heat.
+time constant of each chip is a nuisance parameter, fitted to the readings in the heat within `LONGEST_LAG_S`. Where
+the chips' own thermometers show that dies are later, elements may be as late (`longest_lags_s`).
 """
 
 from __future__ import annotations
@@ -21,14 +22,19 @@ from imuarray.simulate.effects.temperature import ThermalLag
 from imuarray.simulate.motion.felt import Motion, thermometer_lag_s
 
 LONGEST_LAG_S = 20.0
-"""Longest usual time constant of a chip in a box; beyond it a lag is an effect."""
+"""Longest usual time constant of a chip in a box whose thermometer shows none; beyond it a lag is an effect."""
+
+LONGEST_DIE_LAG_S, _BEYOND_DIE = 50.0, 1.25
+"""Longest usual time constant of a die, as its thermometer shows it: some tens of seconds for a small board in still
+air. By so much longer than that of the die may an element's be.
+"""
 
 LEAST_HEATING_DEGC = 3.0
 """Least span of temperatures in one attitude of the box that determines a slope, or a lag: over minutes a bias wanders
 as much as it changes in a degree.
 """
 
-_LAGS_S = (0.0, 1.0, 2.0, 3.5, CHIP_LEAD_S, 7.5, 10.0, 14.0, LONGEST_LAG_S)
+_LAGS_S = (0.0, 1.0, 2.0, 3.5, CHIP_LEAD_S, 7.5, 10.0, 14.0, LONGEST_LAG_S, 28.0, 38.0, LONGEST_DIE_LAG_S)
 """Time constants that are tried; between them a parabola through the sums of squares is followed."""
 
 _GAIN = 16.0
@@ -61,33 +67,63 @@ class HeatedRest(NamedTuple):
     readings: Floats
 
 
-def fit_lag(rests: Sequence[HeatedRest], rms: Floats) -> float:
-    """Return the time constant in s, 0 to `LONGEST_LAG_S`, for which the readings in these phases follow the
-    temperature best.
+def longest_lags_s(rests: Mapping[str, Sequence[HeatedRest]]) -> dict[str, float]:
+    """Return the longest usual time constant, in s, of the element of each sensor, whose phases at rest are `rests`.
+
+    It is that of a die by its own thermometer, with a margin, at least `LONGEST_LAG_S` and at most `LONGEST_DIE_LAG_S`;
+    for a chip without a thermometer that is compared, the longest of the other chips on the same board.
+    """
+    by_sensor = {sensor: _die_lag_s(phases) for sensor, phases in rests.items()}
+    slowest_s = max((lag_s for lag_s in by_sensor.values() if lag_s is not None), default=0.0)
+    return {
+        sensor: min(max(LONGEST_LAG_S, _BEYOND_DIE * (slowest_s if lag_s is None else lag_s)), LONGEST_DIE_LAG_S)
+        for sensor, lag_s in by_sensor.items()
+    }
+
+
+def _die_lag_s(rests: Sequence[HeatedRest]) -> float | None:
+    """Return the time constant for which a chip's own thermometer follows the temperature best; None without one."""
+    known = []
+    for rest in rests:
+        counts = rest.segments.thermometer[rest.segments.rows > 0]
+        if len(counts) and np.isfinite(counts).all():
+            known.append(rest._replace(readings=np.repeat(counts[:, None], 3, axis=1)))
+    attitudes = _heated_attitudes(known)
+    if not attitudes:
+        return None
+    misfits = [_misfits(attitudes, lag_s, np.ones(3))[0] for lag_s in _LAGS_S]
+    return _least(misfits, _LAGS_S)
+
+
+def fit_lag(rests: Sequence[HeatedRest], rms: Floats, longest_s: float = LONGEST_LAG_S) -> float:
+    """Return the time constant in s, 0 to `longest_s`, for which the readings in these phases follow the temperature
+    best.
 
     `rms` (3,) is that of single readings. Where no attitude has enough heating, or no lag is significantly better, it
     is the usual one: none, or that of the thermometer by which the temperature is known (`CHIP_LEAD_S`). Readings that
     follow a parabola over temperature better than a straight line with any lag have the lag that goes with a parabola:
     in a heating that only rises a curve looks like a lag.
     """
-    by_attitude: dict[Hashable, list[HeatedRest]] = {}
-    for rest in rests:
-        by_attitude.setdefault(rest.attitude, []).append(rest)
-    attitudes = [members for members in by_attitude.values() if _is_heated(members)]
+    attitudes, lags_s = _heated_attitudes(rests), [*(lag_s for lag_s in _LAGS_S if lag_s < longest_s), longest_s]
     usual_s = usual_lag_s([rest.motion for rest in rests])
     if not attitudes or not rms.all():
         return usual_s
-    usual = int(np.abs(np.subtract(_LAGS_S, usual_s)).argmin())
-    straight, curved = np.array([_misfits(attitudes, lag_s, rms) for lag_s in _LAGS_S]).T
+    usual = int(np.abs(np.subtract(lags_s, usual_s)).argmin())
+    straight, curved = np.array([_misfits(attitudes, lag_s, rms) for lag_s in lags_s]).T
     misfits = curved if straight.min() - curved[usual] > _GAIN else straight
-    best = int(np.argmin(misfits))
-    if not misfits[usual] - misfits[best] > (_GAIN_BY_CHIP if usual_s else _GAIN):
+    if not misfits[usual] - misfits.min() > (_GAIN_BY_CHIP if usual_s else _GAIN):
         return usual_s
+    return _least(misfits, lags_s)
+
+
+def _least(misfits: Sequence[float] | Floats, lags_s: Sequence[float]) -> float:
+    """Return the lag of the least misfit, by a parabola through the least and its neighbours."""
+    best = int(np.argmin(misfits))
     near = slice(max(best - 1, 0), best + 2)
     if len(misfits[near]) < 3:
-        return _LAGS_S[best]
-    curve, slope, _ = np.polyfit(_LAGS_S[near], misfits[near], 2)
-    return float(np.clip(-slope / (2 * curve), _LAGS_S[best - 1], _LAGS_S[best + 1])) if curve > 0 else _LAGS_S[best]
+        return lags_s[best]
+    curve, slope, _ = np.polyfit(lags_s[near], misfits[near], 2)
+    return float(np.clip(-slope / (2 * curve), lags_s[best - 1], lags_s[best + 1])) if curve > 0 else lags_s[best]
 
 
 def usual_lag_s(motions: Sequence[Motion]) -> float:
@@ -95,6 +131,14 @@ def usual_lag_s(motions: Sequence[Motion]) -> float:
     thermometer by which the temperature is known.
     """
     return max(map(thermometer_lag_s, motions), default=0.0)
+
+
+def _heated_attitudes(rests: Sequence[HeatedRest]) -> list[list[HeatedRest]]:
+    """Return the phases of each attitude in which the temperature changes enough."""
+    by_attitude: dict[Hashable, list[HeatedRest]] = {}
+    for rest in rests:
+        by_attitude.setdefault(rest.attitude, []).append(rest)
+    return [members for members in by_attitude.values() if _is_heated(members)]
 
 
 def _is_heated(rests: Sequence[HeatedRest]) -> bool:

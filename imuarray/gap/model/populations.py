@@ -50,6 +50,11 @@ THERMAL_SLOPE_SIGMA: Mapping[str, float] = MappingProxyType({"g": 5e-4, "dps": 0
 magnetometer at rest shows that of its scale (0.3 % of half a gauss: HMC-57).
 """
 
+THERMAL_GROWTH_SIGMA = 0.0015
+"""Change of the slope of a bias over temperature, as a share of it, per degC. Data sheets print a typical slope only:
+over 20 degC that of a part changes by some percent, and its bias follows a curve.
+"""
+
 CLOCK_SIGMA = 0.02
 """Relative error of a chip's data clock where no tolerance is printed: RC oscillators keep a few percent."""
 

@@ -14,13 +14,21 @@ from imuarray.calibrate.pose_readings import MIN_POSE_S, find_rests
 from imuarray.characterise.stretch import FACE_NAMES, STILL_NAMES
 from imuarray.errors import CalibrationError, LogError
 from imuarray.gap.recording.attitude import array_mean, attitude_numbers, shared_readings, ups_of
-from imuarray.gap.recording.movement import movements_of, noise_at_rest, shows_motion, vibrates
+from imuarray.gap.recording.movement import (
+    movements_of,
+    noise_at_rest,
+    shaken_quantities,
+    shows_motion,
+    touches_of,
+    vibrates,
+)
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.posed import Movement, PoseAttitude
+from imuarray.units import INERTIAL
 
 Up = tuple[float, float, float]
 
@@ -57,6 +65,7 @@ _VIBRATION = (
     "the box vibrates faster than the rows of its accelerometers show, so that sensors that are read at other moments "
     "differ"
 )
+_SHAKEN = "it is noted as at rest, but its sensors feel the same motion, well beyond their noise"
 _SHARED_MOTION = (
     "There is no track of the box's motion: it is estimated from the array's own sensors, so that an error of all of "
     "them does not show in motion."
@@ -75,11 +84,16 @@ def is_at_rest(phase: Phase) -> bool:
 
 
 class ComparablePhases(NamedTuple):
-    """The phases of a log that can be compared, its motions as far as its own sensors show them, and notes."""
+    """The phases of a log that can be compared, its motions as far as its own sensors show them, notes, and the
+    quantities whose sensors are `shaken` in all phases at rest. From and until when, in ns, the box was touched is in
+    `touches`.
+    """
 
     phases: tuple[Phase, ...]
     movements: tuple[Movement, ...]
     notes: list[str]
+    shaken: tuple[str, ...]
+    touches: tuple[tuple[int, int], ...]
 
 
 def is_motion(phase: Phase) -> bool:
@@ -119,10 +133,19 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
                 notes.append(f"Phase {phase.name!r} is left out: {reason}.")
         notes += [_SHARED_MOTION] if shown else []
         moving, movements = list(shown), sorted(shown.values(), key=lambda movement: movement.start_ns)
-    phases = tuple(sorted([*still, *detected, *moving]))
+    triads = [log[name] for name in sensors if log[name].sensitivity]
+    shaken = {rest: shaken_quantities(triads, rest) for rest in (*still, *detected)}
+    rests = [rest for rest, quantities in shaken.items() if not quantities] or list(shaken)
+    notes += [f"Phase {phase.name!r} is left out: {_SHAKEN}." for phase in shaken if phase not in rests]
+    phases = tuple(sorted([*rests, *moving]))
     if not phases:
         raise LogError(f"{log.path}: nothing to compare: {_what_is_lacking(log)}")
-    return ComparablePhases(phases, tuple(movements), notes)
+    always = [quantity for quantity in INERTIAL if all(quantity in shaken[rest] for rest in rests)] if rests else []
+    touches = [touch for rest in rests for touch in touches_of(triads, rest)]
+    if touches:
+        seconds = sum(end_ns - begin_ns for begin_ns, end_ns in touches) * 1e-9
+        notes.append(f"{seconds:.3g} s at rest are left out in which several sensors feel that the box is touched.")
+    return ComparablePhases(phases, tuple(movements), notes, tuple(always), tuple(touches))
 
 
 def _without_false_face(phase: Phase, motion: LikeLog) -> Phase:

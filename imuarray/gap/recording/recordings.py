@@ -150,7 +150,8 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     chosen, left_out = _chosen_sensors(log, only)
     chosen, processed = _without_processed(log, chosen)
     motion = LikeLog(log)
-    phases, movements, skipped = phases_of(log, motion, chosen)
+    phases, movements, skipped, shaken, touches = phases_of(log, motion, chosen)
+    chosen, shaken_notes = _without_shaken(log, chosen, shaken)
     heated = is_heated(phases, motion)
     tracked = phases if motion.source != "phases" else tuple(filter(is_at_rest, phases))
     chosen, unknown = _without_unknown_field(log, chosen, tracked, heated=heated)
@@ -168,6 +169,7 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
         *processed,
         *unknown,
         *skipped,
+        *shaken_notes,
         *assumed,
         *temperature_notes(motion),
         *notes_of(timings.items()),
@@ -179,12 +181,13 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     is_posed = movements or any(attitude.estimated for attitude in attitudes)
     posed = PoseSequence(attitudes, motion, fields, movements) if is_posed and attitudes else motion
     has_temperature = motion.temperature_source not in UNREFERENCED
-    settling = {name: _settling_ns(header, line) for name, (header, line) in sensors.items()}
-    uncertain_ns = {
-        name: np.union1d(times_ns, gaps.uncertain_ns.get(name, times_ns[:0]))
-        for name, times_ns in settling.items()
-        if len(times_ns) or name in gaps.uncertain_ns
-    }
+    uncertain_ns = {}
+    for name, (header, line) in sensors.items():
+        times_ns = [_settling_ns(header, line), *(_times_within(log[name], touch) for touch in touches)]
+        if name in gaps.uncertain_ns:
+            times_ns.append(gaps.uncertain_ns[name])
+        if any(map(len, times_ns)):
+            uncertain_ns[name] = np.unique(np.concatenate(times_ns))
     experiment = Experiment(replace(plan, sensors=sensors), posed, uncertain_ns, has_temperature)
     return Recording(
         log.path.name, log, kind_of(phases, attitudes, heated=heated), phases, experiment, notes, gaps.ends_ns
@@ -352,6 +355,22 @@ def _rests_of(phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[int, int]
         return ()
     still = [phase for phase in phases if is_at_rest(phase) and not moves_by_track(phase, motion)]
     return tuple((phase.start_ns, phase.end_ns) for phase in still)
+
+
+def _without_shaken(log: Log, sensors: Sequence[str], quantities: Collection[str]) -> tuple[list[str], list[str]]:
+    """Return the sensors without those of quantities that are shaken in all phases at rest, with a note, if others
+    remain.
+    """
+    shaken = [name for name in sensors if log[name].quantity in quantities]
+    if not shaken or len(shaken) == len(sensors):
+        return list(sensors), []
+    why = "the box is shaken in every phase at rest, as they all show, so that their noise is not seen"
+    return [name for name in sensors if name not in shaken], [f"{', '.join(shaken)} are left out: {why}."]
+
+
+def _times_within(sensor: SensorLog, span_ns: tuple[int, int]) -> Times:
+    """Return the times of a sensor's rows from the first of these moments until the second."""
+    return np.asarray(sensor.time[sensor.between(*span_ns)], np.int64)
 
 
 def _settling_ns(header: SensorHeader, line: Timeline) -> Times:

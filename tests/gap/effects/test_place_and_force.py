@@ -10,7 +10,7 @@ import pytest
 
 from imuarray.arrays import Floats
 from imuarray.gap.inference.effects import CANDIDATES
-from imuarray.gap.inference.effects.channel_swap import _gains_of_exchange
+from imuarray.gap.inference.effects.channel_swap import _Course, _gains_of_exchange, _when
 from imuarray.gap.inference.effects.motion import CHANGE, FORCE, REFERENCE, Moments, _products, _unbalance
 from imuarray.simulate.active_spans import spans_of
 from imuarray.simulate.effects.bias import Bias
@@ -289,3 +289,12 @@ def test_an_axis_that_never_changes_says_nothing_of_an_exchange() -> None:
     others = [0, 1, 3, 4, 5]
     without = _gains_of_exchange(own[:, others], exchanged[:, others], np.full(40, 40), floor[others])
     np.testing.assert_allclose(gains, without)
+
+
+@pytest.mark.parametrize(("share", "expected"), [(1.0, [(0, 15.0, 25.0)]), (0.4, [])])
+def test_a_single_segment_that_has_little_of_the_step_is_no_stretch(share: float, expected: list[object]) -> None:
+    """Of segments of 10 s only one has readings of the other sensor: all of them, or too few to last."""
+    time_s, shares = np.arange(0.0, 50.0, 10.0), np.array([0.0, 0.0, share, 0.0, 0.0])
+    nothing = np.zeros(5, np.int64)
+    course = _Course(nothing, time_s, nothing, np.zeros((5, 3)), np.zeros((5, 3)), np.ones(3))
+    assert _when(course, shares > 0, shares).triples == expected

@@ -35,11 +35,11 @@ def test_a_lag_that_is_usual_is_fitted(sensor: str, time_constant_s: float) -> N
 
 @pytest.mark.slow
 def test_a_longer_lag_takes_the_place_of_the_fitted_one() -> None:
-    evidence = evidence_of("heating", "G1", {"G1": (ThermalLag(60.0),)}, seed=7)
+    evidence = evidence_of("heating", "G1", {"G1": (ThermalLag(150.0),)}, seed=7)
     first, *_ = CANDIDATES["thermal_lag"].guesses(evidence)
     (effect,) = first.effects
     assert isinstance(effect, ThermalLag)
-    assert effect.time_constant_s == pytest.approx(60.0, rel=0.5)
+    assert effect.time_constant_s == pytest.approx(150.0, rel=0.5)
     assert first.removed == ThermalLag.name
 
 

@@ -105,6 +105,8 @@ def _for_a_while(evidence: Evidence, other: str, phases: Sequence[PhaseEvidence]
     if not inside.any() or not _is_at(course, inside, other_usual, distance):
         return
     when = _when(course, inside, _share(course, usual, distance))
+    if not when.spans:
+        return
     other_inside = np.array(
         [_is_within(when, *moment) for moment in zip(other_course.log, other_course.time_s, strict=True)], bool
     )
@@ -364,7 +366,8 @@ def _when(course: _Course, inside: Booleans, share: Floats) -> When:
         for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
             begin_s = _moment_s(time_s, shares, begin, width_s, is_begin=True)
             end_s = _moment_s(time_s, shares, end, width_s, is_begin=False)
-            spans.append(Span(log, begin_s, end_s - begin_s))
+            if end_s > begin_s:  # not so for a single segment with little of the step
+                spans.append(Span(log, begin_s, end_s - begin_s))
     return When(tuple(spans))
 
 
