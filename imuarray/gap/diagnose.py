@@ -14,17 +14,19 @@ import numpy as np
 import imuarray
 from imuarray.arrays import Floats
 from imuarray.errors import ConfigError
-from imuarray.gap.findings.causes import causes_of, judged_of, nearest_of
-from imuarray.gap.findings.closure import deviating, deviating_in_either, floor_of, gap_of
-from imuarray.gap.findings.description import (
+from imuarray.gap.findings.causes import causes_of, judged_of, lines_of, nearest_of, notes_of, pulls_of, with_origins
+from imuarray.gap.findings.deviations import (
     NO_REMAINDER,
     Remainder,
+    StatisticReport,
     lines_shown,
+    map_of,
     remainder_of,
     shared_changes,
+    tail_p,
     unexplained_lines,
+    where_of,
 )
-from imuarray.gap.findings.deviations import StatisticReport, map_of, tail_p, where_of
 from imuarray.gap.findings.diagnosis import (
     Cause,
     Diagnosis,
@@ -35,24 +37,36 @@ from imuarray.gap.findings.diagnosis import (
     Where,
     needs_both_parts,
 )
-from imuarray.gap.findings.experiment_design import next_experiment
-from imuarray.gap.findings.labels import WrongLabel, cause_of, correct_labels, find_wrong_labels
-from imuarray.gap.findings.observability import (
+from imuarray.gap.findings.experiment_design import (
     facts_of,
     missing_in,
+    next_experiment,
     uncertain_domains,
     unobservable_effects,
     with_unobservable_rivals,
 )
-from imuarray.gap.findings.origins import lines_of, notes_of, with_origins
+from imuarray.gap.findings.labels import WrongLabel, cause_of, correct_labels, find_wrong_labels
 from imuarray.gap.findings.overlays import overlays_of
-from imuarray.gap.findings.pulls import pulls_of
 from imuarray.gap.findings.repair import repair_model
-from imuarray.gap.findings.sentence import sentence_of
-from imuarray.gap.findings.verdict import Judgement, judge, unknown_probability
+from imuarray.gap.findings.verdict import (
+    Judgement,
+    deviating,
+    deviating_in_either,
+    floor_of,
+    gap_of,
+    judge,
+    sentence_of,
+    unknown_probability,
+)
 from imuarray.gap.inference.assessment import Assessment, assess
-from imuarray.gap.inference.comparison import Comparison, compare_with_base, observe_replicates, prepare
-from imuarray.gap.inference.earlier import compare_with_earlier, cut_to_equal_lengths
+from imuarray.gap.inference.comparison import (
+    Comparison,
+    compare_with_base,
+    compare_with_earlier,
+    cut_to_equal_lengths,
+    observe_replicates,
+    prepare,
+)
 from imuarray.gap.inference.effects import CANDIDATES, Candidate
 from imuarray.gap.inference.search import SearchResult, search_causes
 from imuarray.gap.inference.unit_state import least_scale
@@ -186,7 +200,7 @@ def diagnose(  # noqa: PLR0913
 
     `against` are earlier logs of the same array. With these the question is what has changed since then: noise, bias
     and slope are those of the earlier logs, and what the earlier logs show of a statistic is taken off the new ones
-    (`imuarray.gap.inference.earlier`). Statistics that the earlier logs tell nothing of are not compared.
+    (`imuarray.gap.inference.comparison`). Statistics that the earlier logs tell nothing of are not compared.
 
     `seed` keys every draw: the same logs and seed give the same diagnosis, whatever the number of `workers`, which are
     processes (a program that asks for several needs the usual ``if __name__ == "__main__":``). `replicates` of the base

@@ -111,7 +111,7 @@ def _fused(path: Path, context: PageContext) -> PagePart:
 
 
 def _gap(path: Path, context: PageContext) -> PagePart:
-    from imuarray.gap.findings.files import diagnosis_of
+    from imuarray.gap.findings.diagnosis import diagnosis_of
     from imuarray.report.gap_page import gap_sections, gap_summary, gap_verdict
 
     diagnosis = diagnosis_of(_json(path), str(path))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.gap.findings.formatting import number, scored
+from imuarray.gap.findings.text import number, scored
 from imuarray.gap.model.use import Use
 from imuarray.report.figure_style import (
     AFTER,

@@ -24,7 +24,7 @@ from imuarray.gap.findings.diagnosis import (
     Where,
     needs_both_parts,
 )
-from imuarray.gap.findings.formatting import (
+from imuarray.gap.findings.text import (
     NOT_ACCEPTED,
     NOTHING,
     chance,

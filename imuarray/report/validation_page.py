@@ -11,7 +11,7 @@ from os import PathLike
 from types import MappingProxyType
 from typing import Any
 
-from imuarray.gap.findings.formatting import share
+from imuarray.gap.findings.text import share
 from imuarray.printable import counted
 from imuarray.report.figure_style import SmallFigure
 from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, can_draw, marked, write_page

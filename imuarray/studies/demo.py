@@ -26,7 +26,7 @@ from imuarray.figures import PALETTE, new_figure
 from imuarray.fuse import Gain, errors_of, fuse, gains
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.findings.diagnosis import Diagnosis
-from imuarray.gap.findings.formatting import effect_text, listed_causes, parameters_text, places_text, share
+from imuarray.gap.findings.text import effect_text, listed_causes, parameters_text, places_text, share
 from imuarray.log import Log, open_log
 from imuarray.log.format import Phase
 from imuarray.printable import listed

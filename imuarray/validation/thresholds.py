@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import imuarray
-from imuarray.gap.findings import causes, description, diagnosis, verdict
-from imuarray.gap.inference import assessment, forward_selection, localisation, unit_state
+from imuarray.gap.findings import causes, deviations, diagnosis, verdict
+from imuarray.gap.inference import assessment, forward_selection, unit_state
 from imuarray.gap.statistics import synthetic_likelihood
 from imuarray.validation import trial
 
@@ -14,7 +14,7 @@ from imuarray.validation import trial
 def frozen_thresholds() -> dict[str, Any]:
     """Return the thresholds by name, with the version of the software."""
     return {
-        "significance level of a gap": localisation.LEVEL,
+        "significance level of a gap": assessment.LEVEL,
         "least gain (nats) of a candidate that is pursued": forward_selection.WORTH,
         "least gain (nats) of a candidate that is accepted": forward_selection.ACCEPTED,
         "cost (nats) of each parameter": forward_selection.COST,
@@ -30,7 +30,7 @@ def frozen_thresholds() -> dict[str, Any]:
         "least share closed for the verdict explained": verdict.EXPLAINED,
         "least share closed for the verdict partly explained": verdict.PARTLY,
         "least probability of the first cause for the verdict explained": diagnosis.EVEN,
-        "remaining difference from which something unknown is likely": description.UNLIKELY,
+        "remaining difference from which something unknown is likely": deviations.UNLIKELY,
         "factor over chance from which a remaining difference is significant": assessment.MORE,
         "replicates of the base model": trial.REPLICATES,
         "replicates of each candidate": unit_state.REPLICATES,

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imuarray.gap.findings.closure import (
+from imuarray.gap.findings.verdict import (
     BEYOND_CHOICE,
     BY_ITSELF,
     DEVIATES,

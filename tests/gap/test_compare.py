@@ -18,6 +18,7 @@ from scipy.stats import binom
 from imuarray.array import parse_array
 from imuarray.gap.diagnose import REPLICATES
 from imuarray.gap.findings.deviations import StatisticReport, where_of
+from imuarray.gap.inference.assessment import LEVEL
 from imuarray.gap.inference.comparison import (
     ENOUGH,
     Comparison,
@@ -26,7 +27,6 @@ from imuarray.gap.inference.comparison import (
     compare_with_base,
     settle_bench,
 )
-from imuarray.gap.inference.localisation import LEVEL
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.workers import processes, runner

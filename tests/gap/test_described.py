@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from imuarray.gap.findings.description import line_hz, lines_shown, shared_changes, unexplained_lines
+from imuarray.gap.findings.deviations import line_hz, lines_shown, shared_changes, unexplained_lines
 from imuarray.gap.inference.effects.noise import unaliased_hz
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.simulate.effects.noise import Tone

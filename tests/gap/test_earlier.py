@@ -15,7 +15,7 @@ import imuarray
 from imuarray.array import parse_array
 from imuarray.errors import LogError
 from imuarray.gap.findings.diagnosis import Diagnosis
-from imuarray.gap.inference.earlier import _pieces
+from imuarray.gap.inference.comparison import _pieces
 from imuarray.log.format import Phase
 from imuarray.simulate import Motion, Simulation, plan_of, write_log
 from imuarray.simulate.effect import Effect

@@ -11,7 +11,7 @@ from imuarray.gap.inference.comparison import compare_with_base
 from imuarray.gap.inference.effects import Hypothesis
 from imuarray.gap.inference.forward_selection import ACCEPTED, Evaluation, Round, confirm
 from imuarray.gap.inference.refinement import FittedHypothesis
-from imuarray.gap.inference.shared_causes import (
+from imuarray.gap.inference.search import (
     is_redundant,
     members_of,
     separate_causes,

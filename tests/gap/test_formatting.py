@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.findings.closure import LARGEST
 from imuarray.gap.findings.diagnosis import Gap, Pull
-from imuarray.gap.findings.formatting import (
+from imuarray.gap.findings.text import (
     chance,
     chance_text,
     closed_text,
@@ -30,6 +29,7 @@ from imuarray.gap.findings.formatting import (
     specification_text,
     unexplained_pulls,
 )
+from imuarray.gap.findings.verdict import LARGEST
 from imuarray.gap.statistics.probes import PROBES
 from imuarray.gap.statistics.synthetic_likelihood import LARGEST_SCORE
 from tests.report.made_diagnosis import CAUSES, made, where

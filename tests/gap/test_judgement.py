@@ -14,11 +14,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.gap.diagnose import REPAIRED
-from imuarray.gap.findings.closure import deviating, floor_of, gap_of
-from imuarray.gap.findings.description import beyond_form, remainder_of
-from imuarray.gap.findings.deviations import StatisticReport, map_of, tail_p, where_of
+from imuarray.gap.findings.deviations import StatisticReport, beyond_form, map_of, remainder_of, tail_p, where_of
 from imuarray.gap.findings.diagnosis import Cause, Gap
-from imuarray.gap.findings.verdict import DOUBT, EVEN, EXPLAINED, PARTLY, Judgement, judge, unknown_probability
+from imuarray.gap.findings.verdict import (
+    DOUBT,
+    EVEN,
+    EXPLAINED,
+    PARTLY,
+    Judgement,
+    deviating,
+    floor_of,
+    gap_of,
+    judge,
+    unknown_probability,
+)
 from imuarray.gap.inference.assessment import Assessment, assess
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import Pairs, pairs_of

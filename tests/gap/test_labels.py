@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from imuarray.array import parse_array
 from imuarray.axes import UP_AXES, up_vector
-from imuarray.gap.findings.formatting import parameters_text
 from imuarray.gap.findings.labels import WrongLabel, cause_of, correct_labels, face_of, find_wrong_labels, note_of
+from imuarray.gap.findings.text import parameters_text
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.recording.recordings import Recording, recording_of
 from imuarray.gap.statistics.campaign import Campaign

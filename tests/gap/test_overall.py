@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.gap.inference.residuals import LEAST, GroupResidual, group_residuals
+from imuarray.gap.inference.assessment import LEAST, GroupResidual, group_residuals
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.synthetic_likelihood import FORM, likelihood_of
 

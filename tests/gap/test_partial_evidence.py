@@ -11,9 +11,9 @@ import pytest
 
 from imuarray.gap.diagnose import compare, explain, library
 from imuarray.gap.inference.effects import Candidate, Hypothesis
+from imuarray.gap.inference.evidence import in_logs
 from imuarray.gap.inference.forward_selection import guesses_of
-from imuarray.gap.inference.parameters import distinct
-from imuarray.gap.inference.when import in_logs
+from imuarray.gap.inference.refinement import distinct
 from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.conversion import Quantisation
 from imuarray.simulate.effects.noise import Tone

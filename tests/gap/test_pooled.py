@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.gap.inference.localisation import localise, p_value
+from imuarray.gap.inference.assessment import localise, p_value
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pooled import BEYOND, FEWEST_PLACES, PooledScores, pooled_scores
 from imuarray.gap.statistics.probes import PROBES

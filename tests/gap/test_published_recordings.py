@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import imuarray
-from imuarray.gap.findings.description import lines_shown
+from imuarray.gap.findings.deviations import lines_shown
 from imuarray.gap.findings.diagnosis import Cause, Diagnosis
 from imuarray.gap.inference.comparison import prepare
 from imuarray.gap.recording.recordings import Recording, recording_of

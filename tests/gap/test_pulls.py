@@ -6,8 +6,8 @@ from math import nan
 
 import pytest
 
+from imuarray.gap.findings.causes import _MOVED_BY, pulls_of
 from imuarray.gap.findings.diagnosis import Cause
-from imuarray.gap.findings.pulls import _MOVED_BY, pulls_of
 from imuarray.gap.model.nuisance import NuisanceEstimate
 from imuarray.simulate.effects import EFFECTS
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.errors import LogError
-from imuarray.gap.findings.files import diagnosis_of
+from imuarray.gap.findings.diagnosis import diagnosis_of
 from tests.report.made_diagnosis import made
 from tests.selection import examples
 

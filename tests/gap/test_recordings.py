@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from imuarray.errors import LogError
-from imuarray.gap.findings.observability import _ABSENT, missing_in
+from imuarray.gap.findings.experiment_design import _ABSENT, missing_in
 from imuarray.gap.inference.comparison import prepare
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.recording.recordings import Recording, recording_of, recordings_of, temperature_of

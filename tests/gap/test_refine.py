@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.parameters import Factor, factors_of
-from imuarray.gap.inference.refinement import look, refine, regress
+from imuarray.gap.inference.refinement import Factor, factors_of, looks, refine, regress
 from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.bench import Bench
 from imuarray.simulate.effects.bias import Bias
@@ -46,7 +45,7 @@ def test_a_guess_is_ranked_by_what_it_gains(tone: tuple[Bench, UnitState]) -> No
     """The line that is there, one elsewhere, and nothing at all."""
     bench, standing = tone
     right, wrong, nothing = (
-        look(bench, standing, Hypothesis(effects)) for effects in ((LINE,), (Tone(LINE.amplitude, 31.0),), ())
+        looks(bench, standing, [Hypothesis(effects)])[0] for effects in ((LINE,), (Tone(LINE.amplitude, 31.0),), ())
     )
     assert right.gain > 10
     assert right.gain > wrong.gain + 10
@@ -65,7 +64,7 @@ def test_an_amplitude_is_found_again(tone: tuple[Bench, UnitState], guess: float
     assert isinstance(effect, Tone)
     assert effect.amplitude[1] == pytest.approx(0.04, abs=5 * 0.0022)
     assert (effect.amplitude[0], effect.amplitude[2], effect.frequency_hz) == (0.0, 0.0, 17.0)
-    assert found.gain > look(bench, standing, trial).gain
+    assert found.gain > looks(bench, standing, [trial])[0].gain
     assert found.models is not None
     assert found.models["G1"].added == (effect,)
     assert standing.models["G1"].fitted.rms[1] == pytest.approx(math.hypot(0.05, 0.04 / 2**0.5), rel=0.1)
@@ -103,7 +102,7 @@ def test_what_has_no_free_parameter_is_as_guessed(tone: tuple[Bench, UnitState])
     trial = Hypothesis((LINE,))
     found = refine(bench, standing, trial)
     assert found.trial == trial
-    assert found.gain == pytest.approx(look(bench, standing, trial).gain, abs=3)  # of two draws, and of the first
+    assert found.gain == pytest.approx(looks(bench, standing, [trial])[0].gain, abs=3)  # of two draws, and of the first
 
 
 @pytest.mark.slow
@@ -118,7 +117,7 @@ def test_shares_stay_below_one(tone: tuple[Bench, UnitState]) -> None:
 def test_what_can_not_be_simulated_is_no_model(tone: tuple[Bench, UnitState]) -> None:
     """Data of a sensor that isn't there."""
     bench, standing = tone
-    for job in (look, refine):
+    for job in (lambda *request: looks(*request[:2], [request[2]])[0], refine):
         found = job(bench, standing, Hypothesis((ChannelSwap("G9"),)))
         assert (found.models, found.gain) == (None, -math.inf)
 

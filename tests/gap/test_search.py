@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from imuarray.gap.inference import search
 from imuarray.gap.inference.effects import Candidate, Hypothesis
+from imuarray.gap.inference.evidence import Span, When
 from imuarray.gap.inference.forward_selection import (
     ACCEPTED,
     COST,
@@ -29,9 +30,8 @@ from imuarray.gap.inference.forward_selection import (
     replicates_of,
     search_round,
 )
-from imuarray.gap.inference.refinement import FittedHypothesis, look
+from imuarray.gap.inference.refinement import FittedHypothesis, looks
 from imuarray.gap.inference.unit_state import Unit, UnitState
-from imuarray.gap.inference.when import Span, When
 from imuarray.gap.model.bench import Bench
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
@@ -111,7 +111,7 @@ def test_guesses_are_of_a_lone_sensor_or_of_a_family() -> None:
 def test_the_right_cause_gains_on_data_that_it_was_not_fitted_to(tone: tuple[Bench, UnitState]) -> None:
     bench, standing = tone
     right, wrong = (
-        confirm(bench, standing, look(bench, standing, Hypothesis((effect,))))
+        confirm(bench, standing, looks(bench, standing, [Hypothesis((effect,))])[0])
         for effect in (LINE, Tone(LINE.amplitude, 31.0))
     )
     assert min(right.gain, right.train_gain) > 10
@@ -125,7 +125,7 @@ def test_the_right_cause_gains_on_data_that_it_was_not_fitted_to(tone: tuple[Ben
 def test_the_choice_of_a_moment_costs(tone: tuple[Bench, UnitState]) -> None:
     """Of what begins within the log the mean of both parts counts, less four nats."""
     bench, standing = tone
-    tried = look(bench, standing, Hypothesis((LINE,)))
+    tried = looks(bench, standing, [Hypothesis((LINE,))])[0]
     plain = confirm(bench, standing, tried)
     brief = confirm(bench, standing, replace(tried, trial=Hypothesis((Stuck(3.0, 1.0),))))
     assert brief.gain == pytest.approx((plain.train_gain + plain.gain) / 2 - 4)
@@ -161,10 +161,10 @@ class CannedRun:
     def __call__(self, job: Callable[[Bench, Any], Any], items: Sequence[Any]) -> list[Any]:
         self.asked.append(len(items))
         if job.__name__ == "_confirm":
-            return [self._confirmed(item.standing, item.hypothesis) for item in items]
+            return [self._confirmed(*item) for item in items]
         if job.__name__ == "_look":
-            return [[self._looked(trial) for trial in item.trials] for item in items]
-        return [self._looked(item.hypothesis.trial) for item in items]
+            return [[self._looked(trial) for trial in trials] for _, trials in items]
+        return [self._looked(fitted.trial) for _, fitted in items]
 
     def _looked(self, trial: Hypothesis) -> FittedHypothesis:
         return FittedHypothesis(trial, {}, self._first[trial.name])

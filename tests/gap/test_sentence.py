@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from imuarray.gap.findings.diagnosis import Cause, Gap, Pull, Verdict, Where
-from imuarray.gap.findings.sentence import sentence_of
-from imuarray.gap.findings.verdict import Judgement
+from imuarray.gap.findings.verdict import Judgement, sentence_of
 from imuarray.gap.model.use import IntervalEstimate, Use
 from imuarray.simulate.effects import EFFECTS, meaning
 

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.gap.inference.localisation import LEVELS, Localisation, localise, p_value
+from imuarray.gap.inference.assessment import LEVELS, Localisation, localise, p_value
 from imuarray.gap.model.base_model import headers_in
 from imuarray.gap.statistics.catalogue import Key, statistics
 from tests.gap.made import campaign_of

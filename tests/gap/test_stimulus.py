@@ -11,8 +11,8 @@ from scipy.stats import binom
 
 from imuarray.array import parse_array
 from imuarray.arrays import Integers
+from imuarray.gap.findings.causes import lines_of, notes_of, with_origins
 from imuarray.gap.findings.diagnosis import Cause
-from imuarray.gap.findings.origins import lines_of, notes_of, with_origins
 from imuarray.gap.model.base_model import headers_in
 from imuarray.gap.recording.recordings import reference_of
 from imuarray.gap.recording.source import simulated_sources

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.inference.localisation import p_value
+from imuarray.gap.inference.assessment import p_value
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.tails import FREEDOMS, HEAVIER, NO_TAILS, Tail, normal_scores_by_others, tails_of
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.gap.findings.diagnosis import Cause, Unobservable
-from imuarray.gap.findings.observability import (
+from imuarray.gap.findings.experiment_design import (
     Facts,
     facts_of,
     uncertain_domains,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.when import ALWAYS, NUMBERS, Span, When, in_logs, join_spans, since
+from imuarray.gap.inference.evidence import ALWAYS, NUMBERS, Span, When, in_logs, join_spans, since
 from imuarray.gap.recording.course import stretches_of
 from imuarray.gap.recording.recordings import sources_of
 from imuarray.gap.statistics.split import split_of

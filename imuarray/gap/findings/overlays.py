@@ -1,4 +1,4 @@
-"""Curves of the recording with those of simulations, before and after the causes were added, where it differs most.
+"""Curves of the recording and of simulations before and after the causes were added, where it differs most.
 
 Curves are of the held-out part: the models were fitted to the other part and agree with it too well.
 """
@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from types import MappingProxyType
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from imuarray.gap.model.workers import Run
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.summary import Summary
 from imuarray.units import READABLE
+
+if TYPE_CHECKING:
+    pass
 
 Kind = Literal["spectrum", "allan", "temperature", "codes"]
 
@@ -249,8 +252,8 @@ def _held_out_log(bench: Bench, campaign: Campaign, entry: Where, names: Sequenc
 
 def _held_out(bench: Bench, campaign: Campaign, sensor: str) -> Iterator[tuple[int, int]]:
     """Yield places (log, phase) of the held-out part in which a sensor was read."""
-    for log, (share, summary) in enumerate(zip(bench.split.shares, campaign.logs, strict=True)):
-        for at, (out, phase) in enumerate(zip(share.held_out, summary.phases, strict=True)):
+    for log, (log_share, summary) in enumerate(zip(bench.split.shares, campaign.logs, strict=True)):
+        for at, (out, phase) in enumerate(zip(log_share.held_out, summary.phases, strict=True)):
             if out and sensor in phase.sensors and phase.sensors[sensor].rows:
                 yield log, at
 

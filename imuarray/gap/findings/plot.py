@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imuarray.figures import PALETTE, new_figure
-from imuarray.gap.findings.formatting import listed_causes, own_closure, share
+from imuarray.gap.findings.text import listed_causes, own_closure, share
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

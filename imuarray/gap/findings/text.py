@@ -1,33 +1,428 @@
-"""A diagnosis as text for the terminal."""
+"""A diagnosis in words: numbers with their units, parts of it as text, and the text for the terminal."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from math import ceil, exp, floor, isfinite, log10, sin, sinh, tanh
 from textwrap import wrap
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
-from imuarray.gap.findings.diagnosis import DIFFERENCES, Cause, Diagnosis, Where, needs_both_parts
-from imuarray.gap.findings.formatting import (
-    NOT_ACCEPTED,
-    chance_text,
-    closed_text,
-    difference_text,
-    domain_text,
-    effect_text,
-    explained_pulls_text,
-    gap_text,
-    listed_causes,
-    names_text,
-    own_closure,
-    parameters_text,
-    places_text,
-    share,
-    specification_text,
-    unexplained_pulls,
-    use_text,
+from imuarray.gap.findings.diagnosis import (
+    DIFFERENCES,
+    Cause,
+    Diagnosis,
+    Gap,
+    Interval,
+    Pull,
+    Where,
+    needs_both_parts,
 )
-from imuarray.printable import counted, series
+from imuarray.gap.model.use import Use
+from imuarray.gap.statistics.synthetic_likelihood import LARGEST_SCORE
+from imuarray.printable import counted, listed, series
+from imuarray.simulate.effect import FOREVER_S
 from imuarray.simulate.effects import meaning
+from imuarray.units import READABLE
+
+NOTHING = "–"
+NOT_ACCEPTED = "the nearest known effect; the evidence does not suffice to accept it"
+
+LEAST_LISTED = 0.05
+"""Least probability of a cause that the terminal and the page list; gap.json has all."""
+
+_LEAST_P = 1e-6
+"""Smallest p-value by fitted tails that is printed: replicates do not determine tails further out."""
+
+_DIGITS, _MOST_DIGITS = 3, 7
+"""Significant digits of numbers, and of two numbers that are nearly the same."""
+
+_MOST = 9
+"""Most numbers of a list that are shown, as many as a response has."""
+
+_WHEN = ("spans", "run", "runs", "moments_s", "lengths_s", "stuck_axes")
+"""Parameters that say in which logs, when and on which axes an effect acts."""
+
+_SMALL_G = 0.1
+"""Accelerations below it are written in mg."""
+
+_SHARES = ("probability", "error")
+"""Parameters that are shares of 1."""
+
+_NAMES: Mapping[str, str] = MappingProxyType({"position": "displacement from the configured position (box X, Y, Z)"})
+"""Parameters whose name alone would be misunderstood."""
+
+_UNITS: Mapping[str, str] = MappingProxyType(
+    {name: name for name in ("g", "dps", "gauss", "s", "h", "ppm", "mm")}
+    | {"degc": "°C", "degc2": "°C²", "hz": "Hz", "deg": "°", "lsb": "LSB", "sqrt_s": "√s"}
+    | {"g2": "g²", "dps2": "dps²", "gauss2": "gauss²"}
+)
+_LONGEST_FIRST = "|".join(sorted(_UNITS, key=len, reverse=True))
+_WITH_UNIT = re.compile(rf"(?P<name>.*?[^_])(?:_(?P<over>{_LONGEST_FIRST}))?(?:_per_(?P<under>{_LONGEST_FIRST}))?")
+
+_DOMAINS: Mapping[str, str] = MappingProxyType(
+    {
+        "level": "mean reading",
+        "spread": "noise",
+        "distribution": "distribution of the noise",
+        "codes": "codes",
+        "spectrum": "spectrum",
+        "autocorrelation": "correlation from row to row",
+        "allan": "Allan deviation",
+        "temperature": "response to temperature",
+        "force": "response to gravity",
+        "motion": "response to motion",
+        "cross_sensor": "correlation between axes and sensors",
+        "run_to_run": "change from run to run",
+        "timing": "timing of rows",
+        "status": "flags of rows",
+    }
+)
+
+
+def number(value: float, digits: int = _DIGITS) -> str:
+    """Format a number with so many significant digits, without exponent below a million; "–" for what isn't finite."""
+    if not isfinite(value):
+        return NOTHING
+    text = f"{value + 0.0:.{digits}g}"  # -0 becomes 0
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text
+
+
+def scored(score: float) -> str:
+    """Format a score: one digit after the point below ten, otherwise whole; "∞" for infinity, "–" for nan."""
+    if not isfinite(score):
+        return "∞" if score > 0 else NOTHING
+    return f"{score:.1f}" if abs(score) < 9.95 else f"{score:.0f}"
+
+
+def share(value: float | None) -> str:
+    """Format a share in percent; "–" for None. Only exact 0 and 1 are 0 and 100 %."""
+    if value is None or not isfinite(value):
+        return NOTHING
+    for limit, edge in ((0.005, 0.0), (0.995, 1.0)):
+        if edge != value and min(limit, edge) <= value <= max(limit, edge):
+            return "<1 %" if edge == 0 else ">99 %"
+    return f"{100 * value:.0f} %"
+
+
+def chance(p: float, replicates: int = 0) -> str:
+    """Format a p-value: "p = 0.03", "p < 0.001"; as a bound, rounded up, if it is the smallest that so many
+    `replicates` can give: "p < 0.016" with 64.
+    """
+    if not isfinite(p):
+        return f"p {NOTHING}"
+    if replicates and p * (replicates + 1) < 1 + 1e-9:
+        return f"p < {_rounded_up(1 / (replicates + 1))}"
+    return "p < 0.001" if p < 0.001 else f"p = {p:.2g}"
+
+
+def chance_text(diagnosis: Diagnosis) -> str:
+    """State how often chance alone gives such a difference, and what a p-value at its limit means."""
+    p = chance(diagnosis.p, diagnosis.replicates)
+    if not diagnosis.is_p_limit:
+        return p
+    tail = ""
+    if diagnosis.p_tail < diagnosis.p:
+        by_tail = f"< {_LEAST_P:.0e}" if diagnosis.p_tail < _LEAST_P else f"= {diagnosis.p_tail:.1g}"
+        tail = f"; p {by_tail} by the tails fitted to these".replace("e-0", "e-")
+    return f"{p}: none of {diagnosis.replicates} simulations without a gap differs as much{tail}"
+
+
+def closed_text(closed: float | None, interval: Interval | None) -> str:
+    """Format a closed share and its 95 % interval: "86 % (75 to 94)"; without the interval if that rounds to 100 %. A
+    change that makes the gap larger closes "below 0".
+    """
+    if closed is None or not isfinite(closed):
+        return NOTHING
+    text = share(closed) if closed >= 0 else "below 0 %"
+    if interval is None or round(100 * interval[0]) == round(100 * interval[1]) == 100:
+        return text
+    low, high = ((NOTHING if not isfinite(end) else "below 0" if end < 0 else f"{100 * end:.0f}") for end in interval)
+    return text if low == high == "below 0" else f"{text} ({low} to {high})"
+
+
+def gap_text(gap: Gap) -> str:
+    """Format the gap of a diagnosis that has one: before, after, floor and closed share; or why no share is known."""
+    before = _rms(gap.before)
+    if gap.closed is None:
+        return f"{before} standard deviations (rms); held-out data show too little of it to measure how much closes"
+    return (
+        f"{before} standard deviations (rms) before, {_rms(gap.after)} after, {scored(gap.floor)} without a gap: "
+        f"{closed_text(gap.closed, gap.closed_ci95)} closed"
+    )
+
+
+def parameters_text(parameters: Mapping[str, Any]) -> str:
+    """Format parameters of an effect with their units, small accelerations in mg: "offset 12, -3, 0.5 mg"; and when it
+    acts: "in log 2 from 97.1 s on".
+    """
+    runs, spans, moments_s = (list(parameters.get(name, ())) for name in ("runs", "spans", "moments_s"))
+    own = {name: value for name, value in parameters.items() if name not in _WHEN}
+    parts = [_parameter(str(name), value) for name, value in own.items()]
+    parts += [f"in log {run + 1:.0f}" for run in _numbers(parameters.get("run", ())) or () if isfinite(run)]
+    parts += [_span_text(*span) for span in zip(spans[::3], spans[1::3], spans[2::3], strict=True)]
+    parts += [
+        _moments_text(run, [at for at, each in enumerate(runs) if each == run], moments_s, parameters)
+        for run in dict.fromkeys(runs)
+    ]
+    return "; ".join(parts)
+
+
+def places_text(cause: Cause) -> str:
+    """Return sensors, and the axes if not all: "Gyro1, Gyro2 (x, z)"."""
+    axes = f" ({', '.join(cause.axes)})" if cause.axes else ""
+    return f"{names_text(cause.sensors) or 'all sensors'}{axes}"
+
+
+def names_text(sensors: Sequence[str]) -> str:
+    """Return names in short; those that differ by a number are listed beside each other: IMU1_acc to IMU8_acc."""
+    return listed(sorted(sensors, key=lambda name: re.sub(r"\d+", "", name)))
+
+
+def effect_text(cause: Cause) -> str:
+    """Return the effect of a cause and what it changes in the simulator: "tone", "no white_noise (the simulator has
+    it)", "tone other than the simulator's".
+    """
+    if cause.action == "remove":
+        return f"no {cause.effect} (the simulator has it)"
+    return f"{cause.effect} other than the simulator's" if cause.action == "replace" else cause.effect
+
+
+def domain_text(domain: str) -> str:
+    """Return a domain of statistics in words: "noise" for "spread"."""
+    return _DOMAINS.get(domain, domain.replace("_", " "))
+
+
+def place_text(where: Where) -> str:
+    """Return the sensor and the axis of a statistic: "Gyro1 x"."""
+    return f"{where.sensor} {where.axis}".rstrip()
+
+
+class ReadableStatistic(NamedTuple):
+    """A statistic as a person reads it: what it is, and its recorded and simulated value with unit."""
+
+    about: str
+    real: str
+    simulated: str
+
+
+def readable_statistic(where: Where) -> ReadableStatistic:
+    """Return a statistic without the transformation that makes it nearly normal: shares in percent, correlations from
+    -1 to 1, ratios and noise as such.
+    """
+    about, unit = where.about, where.unit
+    values = [where.real, where.simulated]
+    if about.startswith("arcsine of the share"):
+        # arcsin of the root of a share
+        return _readable(about.removeprefix("arcsine of the "), [100 * sin(value) ** 2 for value in values], "%")
+    for start, inverse in _INVERSES.items():
+        if about.startswith(start):
+            return _readable(about.removeprefix(start), list(map(inverse, values)), unit)
+    if about.startswith("correlation"):  # Fisher's z as well
+        return _readable(about, list(map(tanh, values)), unit)
+    if about.startswith("log ") or unit.startswith("log "):
+        about = about.removeprefix("log of ").removeprefix("log ").removeprefix("the ")
+        unit, root = unit.removeprefix("log "), 1
+        if unit.endswith("^2") and about.startswith("variance"):
+            unit, root, about = unit.removesuffix("^2"), 2, about.replace("variance", "standard deviation", 1)
+        return _readable(about, [_exp(value / root) for value in values], unit)
+    return _readable(about, values, "standard deviations" if about.startswith("normal score") else unit)
+
+
+_INVERSES = MappingProxyType(
+    {
+        "Fisher's z of the ": tanh,
+        "artanh of the ": tanh,
+        "arsinh of the ": lambda value: sinh(min(max(value, -300.0), 300.0)),
+    }
+)
+
+
+def difference_text(where: Where, logs: int = 1) -> str:
+    """Return in one line how far a statistic is off, and in which phase; and in which log if there are several."""
+    about, real, simulated = readable_statistic(where)
+    at = " of ".join(filter(None, (where.phase, where.log if logs > 1 else "")))
+    return (
+        f"{place_text(where)}, {about}{f' in {at}' if at else ''}: recorded {real}, simulated {simulated} "
+        f"({off_text(where.significance)}; {_size(where)})"
+    )
+
+
+def off_text(significance: float, unit: str = "sd") -> str:
+    """Return a score in words: "12 sd too high"; scores of a part of the data have a limit, beyond which it is open."""
+    size = f"more than {LARGEST_SCORE:.0f}" if abs(significance) >= LARGEST_SCORE else scored(abs(significance))
+    return f"{size} {unit} too {'low' if significance < 0 else 'high'}"
+
+
+def _size(where: Where) -> str:
+    times = number(abs(where.effect_size), 2)
+    words = {
+        "material": f"{times} times what matters",
+        "harmless": f"harmless, {times} times what matters",
+        "can't tell": "too uncertain to say whether it matters",
+    }
+    return words[where.size]
+
+
+def specification_text(pull: Pull) -> str:
+    """Return a quantity of a part that is beyond its tolerance: "BMA2 z: scale factor error 4.2 %, 1.4 times its
+    tolerance of 3 % (data sheet)".
+    """
+    place = f"{pull.sensor} {pull.axis}".rstrip()
+    value, tolerance = pull_values(pull)
+    return (
+        f"{place}: {pull.quantity} {value}, {number(abs(pull.pull))} times its tolerance of {tolerance} ({pull.source})"
+    )
+
+
+def pull_values(pull: Pull) -> tuple[str, str]:
+    """Return the value of a quantity and its tolerance with units; those without a unit are shares, in percent."""
+    factor, unit = (1.0, pull.unit) if pull.unit else (100.0, "%")
+    return _in_unit(factor * pull.value, unit), _in_unit(factor * pull.tolerance, unit)
+
+
+def unexplained_pulls(pulls: Sequence[Pull]) -> list[Pull]:
+    """Return the pulls beyond tolerance that no cause may have made, the worst first."""
+    outside = [pull for pull in pulls if pull.is_out_of_specification and not pull.explained_by]
+    return sorted(outside, key=lambda pull: -abs(pull.pull))
+
+
+def explained_pulls_text(pulls: Sequence[Pull]) -> str:
+    """Return in one sentence the pulls beyond tolerance that a cause may have made; "" without any."""
+    explained = [pull for pull in pulls if pull.is_out_of_specification and pull.explained_by]
+    if not explained:
+        return ""
+    quantities: dict[tuple[str, str], list[str]] = {}
+    for pull in sorted(explained, key=lambda pull: -abs(pull.pull)):
+        quantities.setdefault((pull.sensor, pull.quantity), []).append(pull.axis)
+    places = [f"{' '.join([sensor, *axes]).rstrip()} ({quantity})" for (sensor, quantity), axes in quantities.items()]
+    causes = series(list(dict.fromkeys(name for pull in explained for name in pull.explained_by)))
+    return f"Beyond tolerance as fitted without {causes}, which may be the reason: {', '.join(places)}"
+
+
+def own_closure(cause: Cause, diagnosis: Diagnosis) -> tuple[float | None, Interval | None]:
+    """Return the share of the gap that a cause would close, with its interval. That of the only cause in the model is
+    given by the whole gap, with more simulations.
+    """
+    is_only = cause.is_in_model and sum(other.is_in_model for other in diagnosis.causes) == 1
+    if is_only and diagnosis.gap.closed is not None:
+        return diagnosis.gap.closed, diagnosis.gap.closed_ci95
+    return cause.closed, cause.closed_ci95
+
+
+def use_text(uses: Sequence[Use], causes: Sequence[Cause]) -> str:
+    """Return the figure of use of a sensor with a cause in the model whose prediction changes most; "" without any."""
+    concerned = {name for cause in causes if cause.is_in_model for name in cause.sensors}
+    known = [use for use in uses if use.sensor in concerned and use.before.value > 0 and use.real.value > 0]
+    if not known:
+        return ""
+    use = max(known, key=lambda use: abs(use.real.value - use.before.value) / use.real.value)
+    real, before, after = _several_in_unit([use.real.value, use.before.value, use.after.value], use.unit)
+    return f"{use.sensor}, {use.name}: recorded {real}, simulated {before} before and {after} after"
+
+
+def listed_causes(causes: Collection[Cause]) -> tuple[Cause, ...]:
+    """Return the causes that are probable enough to be read."""
+    return tuple(cause for cause in causes if cause.probability >= LEAST_LISTED)
+
+
+def _readable(about: str, values: Sequence[float], unit: str) -> ReadableStatistic:
+    real, simulated = _several_in_unit(values, unit)
+    return ReadableStatistic(about, real, simulated)
+
+
+def _in_unit(value: float, unit: str) -> str:
+    return _several_in_unit([value], unit)[0]
+
+
+def _several_in_unit(values: Sequence[float], unit: str) -> list[str]:
+    """Format values in one unit, small accelerations in mg, with signs of degree and power."""
+    if unit.split("/")[0].split(" ")[0] == "g" and unit != "g/g" and max(map(abs, values)) < _SMALL_G:
+        factor, name = READABLE["g"]
+        values, unit = [factor * value for value in values], name + unit[1:]
+    unit = unit.replace("degC", "°C").replace("^2", "²")
+    space = "" if unit in ("", "°") else " "
+    digits = _digits(values)
+    return [f"{number(value, digits)}{space}{unit}" if isfinite(value) else NOTHING for value in values]
+
+
+def _digits(values: Sequence[float]) -> int:
+    """Return three digits, or as many as show the difference of two values to two digits."""
+    if len(values) != 2 or not all(map(isfinite, values)) or values[0] == values[1]:
+        return _DIGITS
+    largest, difference = max(map(abs, values)), abs(values[0] - values[1])
+    return min(max(_DIGITS, floor(log10(largest)) - floor(log10(difference)) + 2), _MOST_DIGITS)
+
+
+def _exp(value: float) -> float:
+    return exp(value) if value < 300 else float("inf")
+
+
+def _rms(score: float) -> str:
+    return f"{LARGEST_SCORE:.0f} or more" if score >= LARGEST_SCORE - 0.05 else scored(score)
+
+
+def _rounded_up(p: float) -> str:
+    """Format with two digits, not smaller than it is."""
+    step = 10.0 ** (floor(log10(p)) - 1)
+    return f"{ceil(p / step - 1e-9) * step:.2g}"
+
+
+def _span_text(run: float, begin_s: float, end_s: float) -> str:
+    log = f"in log {run + 1:.0f}"
+    if end_s >= FOREVER_S:
+        return f"{log} from {_moment(begin_s)} s on" if begin_s > 0 else log
+    return f"{log} from {_moment(begin_s)} to {_moment(end_s)} s" if begin_s > 0 else f"{log} until {_moment(end_s)} s"
+
+
+def _moments_text(run: float, places: Sequence[int], moments_s: Sequence[float], parameters: Mapping[str, Any]) -> str:
+    """Return the moments at `places` of the lists, which are those of one run, and how long it lasts at each."""
+    log = f"in log {run + 1:.0f}"
+    if not moments_s:
+        return log
+    at = _several([moments_s[place] for place in places], _moment)
+    lengths_s = [parameters["lengths_s"][place] for place in places] if parameters.get("lengths_s") else []
+    if any(length_s >= FOREVER_S for length_s in lengths_s):
+        return f"{log} from {at} s on"
+    ends = dict.fromkeys(map(number, (min(lengths_s), max(lengths_s)))) if lengths_s else {}
+    return f"{log} at {at} s" + (f" for {' to '.join(ends)} s" if ends else "")
+
+
+def _moment(seconds: float) -> str:
+    """Format a moment of a log, however long, to a tenth of a second, so that it is found there."""
+    return f"{seconds:.1f}".removesuffix(".0") if abs(seconds) >= 100 else number(seconds)
+
+
+def _several(values: Sequence[float], form: Callable[[float], str] = number) -> str:
+    more = f" ... ({len(values)} in all)" if len(values) > _MOST else ""
+    return ", ".join(map(form, values[:_MOST])) + more
+
+
+def _parameter(key: str, value: Any) -> str:
+    values, match = _numbers(value), _WITH_UNIT.fullmatch(key)
+    if values is None or match is None:
+        return f"{key.replace('_', ' ')} {value}"
+    if key in _SHARES:
+        return f"{key} {', '.join(number(100 * value_of_axis) for value_of_axis in values)} %"
+    over, under = match["over"] or "", match["under"]
+    unit = _UNITS.get(over, "")
+    if over == "g" and max(map(abs, values), default=0.0) < _SMALL_G:
+        unit, values = "mg", [1000 * value_of_axis for value_of_axis in values]
+    unit += f"/{_UNITS[under]}" if under else ""
+    space = "" if unit == "°" else " "
+    name = _NAMES.get(match["name"], match["name"].replace("_", " "))
+    return f"{name} {_several(values, _moment if key == 'onset_s' else number)}{space}{unit}".rstrip()
+
+
+def _numbers(value: Any) -> list[float] | None:
+    """One number or several; None for anything else."""
+    several = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+    try:
+        return None if any(isinstance(item, str) for item in several) else [float(item) for item in several]
+    except (TypeError, ValueError):
+        return None
+
 
 WIDTH = 120
 """Most columns."""

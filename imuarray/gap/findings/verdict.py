@@ -1,22 +1,217 @@
-"""The verdict and the probabilities of causes and of an unknown effect, by rules that keep them consistent.
+"""The verdict and the probabilities of causes and of an unknown effect, by rules that keep them consistent; the
+closure, and the diagnosis in one paragraph.
 
 A share among rivals states which effect the data prefer. It is too confident: simulated effects do not have exactly the
 form of real ones, and the true effect may not be in the library. It is therefore tempered by rates measured on cases
 from other generators, whose effects have forms of their own (`imuarray.validation.calibration`), after a first test: if
 no combination of known effects makes a recording likely, no known effect is probable.
+
+The closure is the share by which the causes reduce the excess of squared scores on held-out data. The statistics that
+count are those that deviate on the training part; their scores on the held-out part, before and after the causes are
+added to the model, give the closure. Domains have equal weights, whatever their number of statistics, and no score
+counts for more than `LARGEST`. Without a gap the mean square of scores is 1, which is subtracted.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import floor
 from typing import NamedTuple
 
-from imuarray.gap.findings.diagnosis import EVEN, Cause, Gap, Verdict
+import numpy as np
+
+from imuarray.arrays import Booleans, Floats, Indices
+from imuarray.gap.findings.diagnosis import (
+    EVEN,
+    Cause,
+    Gap,
+    Interval,
+    Pull,
+    Verdict,
+    Where,
+    needs_both_parts,
+)
+from imuarray.gap.findings.text import (
+    closed_text,
+    domain_text,
+    effect_text,
+    explained_pulls_text,
+    off_text,
+    parameters_text,
+    place_text,
+    places_text,
+    readable_statistic,
+    share,
+    specification_text,
+    unexplained_pulls,
+    use_text,
+)
 from imuarray.gap.inference.assessment import Assessment, largest_of
+from imuarray.gap.model.use import Use
+from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.pairs import Pairs
 from imuarray.printable import listed, percent
+from imuarray.simulate.effects import meaning
+
+LARGEST = 100.0
+DEVIATES, BY_ITSELF = 3.5, 5.0
+"""Least score on the training part of a statistic that counts; on the held-out part, for statistics that the training
+part cannot show.
+"""
+
+BEYOND_CHOICE = 8.0
+"""Least score on the held-out part of a statistic that counts whatever the training part shows: so far out, chance and
+the choice of the largest add little to it.
+"""
+
+_DRAWS = 400
+_FAR = 10.0
+_LEAST_EXCESS = 1.0
+"""Least mean squared excess of which a closed share is given."""
+
+
+class ClosureEstimate(NamedTuple):
+    """Root mean square scores before and after, and the closed share of the excess with its 95 % interval; None if
+    there is too little to close.
+    """
+
+    before: float
+    after: float
+    closed: float | None
+    interval: Interval | None
+
+
+@dataclass(frozen=True)
+class DeviatingStatistics:
+    """The statistics that count: keys, places (k,) among all, weights (k,), and scores `before` and `after` (k,), on
+    held-out data, or on both parts for what one part alone shows.
+    """
+
+    keys: tuple[Key, ...]
+    places: Indices
+    weights: Floats
+    before: Floats
+    after: Floats
+
+    def closure(self, seed: int) -> ClosureEstimate:
+        """Return the closure over all statistics, with an interval by bootstrap of blocks (one sensor, phase and
+        domain); each draw adds the chance of the recording once more.
+        """
+        if len(self.keys) == 0:
+            return ClosureEstimate(1.0, 1.0, None, None)
+        excess = np.stack([_squares(self.before) - 1, _squares(self.after) - 1])
+        before, after = (excess @ self.weights / self.weights.sum()).tolist()
+        roots = (float(np.sqrt(max(before + 1, 0.0))), float(np.sqrt(max(after + 1, 0.0))))
+        if before < _LEAST_EXCESS:
+            return ClosureEstimate(*roots, None, None)
+        return ClosureEstimate(*roots, min(1.0, 1 - after / before), self._interval(seed))
+
+    def of(self, chosen: Booleans) -> DeviatingStatistics:
+        """Return some of the statistics, with equal weights for domains."""
+        keys = tuple(key for key, is_chosen in zip(self.keys, chosen, strict=True) if is_chosen)
+        return DeviatingStatistics(keys, self.places[chosen], _weights(keys), self.before[chosen], self.after[chosen])
+
+    def domains(self) -> tuple[str, ...]:
+        """Return the domains of the statistics."""
+        return tuple(dict.fromkeys(key.domain for key in self.keys))
+
+    def _interval(self, seed: int) -> Interval | None:
+        """Return the interval over the draws that have a gap.
+
+        Chance adds 1 to a squared score in each draw. Without it, the interval of few blocks would be too narrow, and
+        that of a single block would have width 0.
+        """
+        stream = np.random.default_rng(seed)
+        blocks = list(_blocks(self.keys).values())
+        chance = stream.standard_normal((_DRAWS, len(self.keys)))
+        excess = np.stack([_squares(scores + chance) - 2 for scores in (self.before, self.after)])
+        weighted = np.stack([(excess[:, :, rows] * self.weights[rows]).sum(axis=-1) for rows in blocks], axis=-1)
+        weights = np.array([self.weights[rows].sum() for rows in blocks])
+        draws = stream.integers(0, len(blocks), (_DRAWS, len(blocks)))
+        total = np.take_along_axis(weighted, np.broadcast_to(draws, weighted.shape), axis=-1).sum(axis=-1)
+        before, after = total / weights[draws].sum(axis=-1)
+        has_gap = before >= _LEAST_EXCESS
+        if not has_gap.any():
+            return None
+        closed = np.clip(1 - after[has_gap] / before[has_gap], -_FAR, 1.0)
+        low, high = np.quantile(closed, (0.025, 0.975)).tolist()
+        return low, high
+
+
+def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Booleans) -> DeviatingStatistics:
+    """Return the statistics that deviate on the training part, from scores (n,) of all statistics.
+
+    A statistic that the training part lacks, or that the fit makes zero there (`silent` (n,)), such as the level of
+    another run, is selected by its score on the held-out part, with a higher threshold. Any other statistic that
+    deviates on the held-out part alone needs a still higher one: the first half of a heating may hardly show the bend
+    that the second half shows.
+    """
+    train, held_out = (np.where(places >= 0, before[places], np.nan) for places in (pairs.train, pairs.held_out))
+    alone = ~np.isfinite(train) | ((pairs.train >= 0) & silent[pairs.train])
+    held_out_size = np.abs(np.nan_to_num(held_out))
+    size = np.where(alone, held_out_size - (BY_ITSELF - DEVIATES), np.abs(np.nan_to_num(train)))
+    chosen = np.isfinite(held_out) & ((size > DEVIATES) | (held_out_size > BEYOND_CHOICE))
+    if not chosen.any():
+        chosen = np.isfinite(held_out) & (held_out_size > DEVIATES)
+    places = pairs.held_out[chosen]
+    keys = tuple(key for key, is_chosen in zip(pairs.keys, chosen, strict=True) if is_chosen)
+    return _of(keys, places, before, after)
+
+
+def deviating_in_either(pairs: Pairs, before: Floats, after: Floats) -> DeviatingStatistics:
+    """Return the statistics that deviate in one part alone, for events that occur in one part only."""
+    chosen = [
+        (key, at)
+        for places in (pairs.train, pairs.held_out)
+        for key, at in zip(pairs.keys, places.tolist(), strict=True)
+        if at >= 0 and abs(np.nan_to_num(before[at])) > BY_ITSELF
+    ]
+    return _of(tuple(key for key, _ in chosen), np.array([at for _, at in chosen], np.intp), before, after)
+
+
+def gap_of(counted: DeviatingStatistics, floor: float, seed: int) -> Gap:
+    """Return the gap overall, and by domain."""
+    whole = counted.closure(seed)
+    domains = {}
+    for domain in counted.domains():
+        chosen = np.array([key.domain == domain for key in counted.keys], bool)
+        part = counted.of(chosen).closure(seed)
+        domains[domain] = (part.before, part.after, part.closed)
+    return Gap(whole.before, whole.after, floor, whole.closed, whole.interval, domains)
+
+
+def floor_of(counted: DeviatingStatistics, before: Assessment, replicates: Floats) -> float:
+    """Return the root mean square score of the same statistics without a gap: the median of replicates."""
+    if len(counted.places) == 0:
+        return 1.0
+    squares = np.nan_to_num(before.likelihood.scores(replicates)[:, counted.places]) ** 2
+    return float(np.sqrt(np.median(squares @ counted.weights / counted.weights.sum())))
+
+
+def _of(keys: tuple[Key, ...], places: Indices, before: Floats, after: Floats) -> DeviatingStatistics:
+    return DeviatingStatistics(
+        keys, places, _weights(keys), np.nan_to_num(before[places]), np.nan_to_num(after[places])
+    )
+
+
+def _weights(keys: Sequence[Key]) -> Floats:
+    """Return the weights (k,): one over the number of statistics of the same domain."""
+    domains = [key.domain for key in keys]
+    return np.array([1 / domains.count(domain) for domain in domains])
+
+
+def _blocks(keys: Sequence[Key]) -> dict[tuple[object, ...], list[int]]:
+    blocks: dict[tuple[object, ...], list[int]] = {}
+    for at, key in enumerate(keys):
+        blocks.setdefault((key.log, key.phase_number, key.sensor, key.domain), []).append(at)
+    return blocks
+
+
+def _squares(scores: Floats) -> Floats:
+    return np.asarray(np.minimum(np.abs(scores), LARGEST) ** 2)
+
 
 EXPLAINED, PARTLY = 0.9, 0.3
 """Closed shares from which on a gap is explained, or partly explained. The true effect usually closes more than nine
@@ -171,7 +366,7 @@ def unknown_probability(closed: float | None, after: Assessment, one_sided: floa
     """Return the probability that something outside the library is present.
 
     It follows from the share of the gap that the causes leave open, and from how far the remainder exceeds chance in
-    one place or with one sign (`one_sided`, `imuarray.gap.inference.residuals`), in units of the largest chance value.
+    one place or with one sign (`one_sided`, `imuarray.gap.inference.assessment`), in units of the largest chance value.
     """
     share = closed if closed is not None else (1.0 if after.p > DOUBT else 0.0)
     largest = float(largest_of(after.normal))
@@ -192,3 +387,97 @@ def _temper(share: float, power: float) -> float:
     """Return a probability whose odds are raised to that power."""
     share = min(max(share, _SURE), 1 - _SURE)
     return 1 / (1 + math.exp(-power * math.log(share / (1 - share))))
+
+
+_MOST_CAUSES = 4
+_MOST_PLACES = 3
+_MOST_PULLS = 3
+
+
+def sentence_of(
+    judgement: Judgement,
+    where: Sequence[Where],
+    unexplained: Sequence[Where],
+    uses: Sequence[Use],
+    pulls: Sequence[Pull] = (),
+    against: Sequence[str] = (),
+) -> str:
+    """Return a paragraph that states what differs, why, how much of it is closed, and which parts are out of
+    specification; `against` names the earlier recordings of a comparison.
+    """
+    causes = judgement.causes
+    other = ", ".join(against) or "the simulator"
+    if judgement.verdict == "no gap":
+        agreement = "nothing has changed beyond chance" if against else "no statistic is beyond chance"
+        return " ".join([f"The recordings agree with {other}: {agreement}.", *_out_of_specification(pulls)])
+    parts = [
+        f"The recordings differ from {other}, most in the {domain_text(where[0].domain)} of {place_text(where[0])}."
+    ]
+    if judgement.verdict == "unexplained":
+        parts += [_unexplained(unexplained or where), *_nearest(causes, unexplained or where)]
+    else:
+        likely = [cause for cause in causes if cause.probability >= EVEN] or list(causes[:1])
+        parts += [f"{_named(cause)}." for cause in likely[:_MOST_CAUSES]]
+        parts += _closure(judgement, likely)
+    parts += [f"{text}." for text in [use_text(uses, causes)] if text]
+    if judgement.verdict == "partly explained" and unexplained:
+        remaining = unexplained[0]
+        at = f" in {remaining.phase}" if remaining.phase else ""
+        parts.append(f"Not explained: {readable_statistic(remaining).about}, {place_text(remaining)}{at}.")
+    return " ".join([*parts, *_out_of_specification(pulls)])
+
+
+def _named(cause: Cause) -> str:
+    about = [meaning(cause.effect), parameters_text(cause.parameters)] if cause.parameters else []
+    words = f" ({': '.join(about)})" if about else ""
+    confusable = f"; it may also be {' or '.join(cause.confusable_with)}" if cause.confusable_with else ""
+    return f"{places_text(cause)}: {effect_text(cause)}{words}, probability {share(cause.probability)}{confusable}"
+
+
+def _closure(judgement: Judgement, likely: Sequence[Cause]) -> list[str]:
+    """Return how much closes with all causes in the model, which may be more than those that are named."""
+    gap, in_model = judgement.gap, [cause for cause in judgement.causes if cause.is_in_model]
+    if gap.closed is None or not in_model:
+        return []
+    names = ("it" if len(in_model) == 1 else "them") if in_model == [*likely] else "all accepted causes"
+    data = "the data that showed it" if needs_both_parts(in_model) else "held-out data"
+    return [f"With {names} {closed_text(gap.closed, gap.closed_ci95)} of the gap is closed on {data}."]
+
+
+def _unexplained(where: Sequence[Where]) -> str:
+    """Describe something outside the library by the places in which it shows, each axis and domain once."""
+    places: dict[tuple[str, str, str], Where] = {}
+    for entry in where:  # worst first
+        places.setdefault((entry.sensor, entry.axis, entry.domain), entry)
+    looks = [
+        f"the {domain_text(entry.domain)} of {place_text(entry)} ({readable_statistic(entry).about}: "
+        f"{off_text(entry.significance, 'standard deviations')}{_in(entry)})"
+        for entry in list(places.values())[:_MOST_PLACES]
+    ]
+    return f"Unexplained: something outside the library. It shows in {'; '.join(looks)}."
+
+
+def _in(entry: Where) -> str:
+    at = " of ".join(filter(None, (entry.phase, entry.log)))
+    return f" in {at}" if at else ""
+
+
+def _nearest(causes: Sequence[Cause], where: Sequence[Where]) -> list[str]:
+    """Return the most probable cause of a gap that none explains. One of other sensors than those that differ most is
+    not near it.
+    """
+    if not causes:
+        return []
+    is_near = not causes[0].sensors or where[0].sensor in causes[0].sensors
+    start = "the nearest is" if is_near else f"of other differences than those of {place_text(where[0])} one may be"
+    return [f"No known effect makes these recordings likely; {start} {_named(causes[0])}."]
+
+
+def _out_of_specification(pulls: Sequence[Pull]) -> list[str]:
+    """Return the parts that are out of specification, and quantities that only seem so because of a cause."""
+    outside = unexplained_pulls(pulls)
+    texts = [f"{specification_text(pull)}: this part is out of specification." for pull in outside[:_MOST_PULLS]]
+    more = len(outside) - _MOST_PULLS
+    texts += [f"{more} more quantities are out of specification."] if more > 1 else []
+    texts += ["1 more quantity is out of specification."] if more == 1 else []
+    return [*texts, *(f"{text}." for text in [explained_pulls_text(pulls)] if text)]

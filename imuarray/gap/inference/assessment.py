@@ -1,17 +1,35 @@
-"""Assessment of a recording by replicates of one model: its scores, and how often chance gives as large a score."""
+"""Assessment of a recording by replicates of one model: its scores, where they are beyond chance, and residuals.
+
+Gaps are localised by scores against the largest that chance gives, down a tree of the array: the array, its chips,
+their units, the axes, domains of statistics, and single statistics. A node is significant if its parent is and its
+largest score exceeds the largest among it and its siblings without a gap, where siblings with larger scores, which were
+tested before it, do not count (step-down: Westfall and Young 1993; the hierarchy of Meinshausen, Biometrika 95, 2008).
+Every step down thus pays for the choice it makes, and nothing is tested below a node that is not significant. The
+pooled scores of a sensor in a log (`imuarray.gap.statistics.pooled`) count where the recording deviates most among
+these.
+
+A cause of another form than the real one can fit every single statistic by its scatter: rare glitches of either sign
+make a skewness of 5 as likely as one of -5, but not forty phases with skewness of one sign. The residuals of the
+repaired model are therefore averaged over phases and over axes as well, and the averages compared with those of its
+replicates.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from imuarray.arrays import Floats
-from imuarray.gap.inference.localisation import p_value
+from imuarray.arrays import Booleans, Floats, Indices
+from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import Pairs, scorer_of, scores_by_others
-from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, likelihood_of
+from imuarray.gap.statistics.pooled import PooledScores
+from imuarray.gap.statistics.synthetic_likelihood import FORM, SyntheticLikelihood, likelihood_of
 from imuarray.gap.statistics.tails import NO_TAILS, Tails, normal_scores_by_others, tails_of
+from imuarray.log.format import SensorHeader
 
 MORE = 1.25
 """Factor by which the remainder has to exceed chance to be significant: no effect has exactly the form of the
@@ -53,7 +71,15 @@ def assess(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance
     p, furthest = p_value(float(largest_of(normal)), largest), float(largest.max())
     deviation = real - likelihood.location
     return Assessment(
-        scores, normal, likelihood.scores(real), deviation, likelihood, p, _high(largest), furthest, tails
+        scores,
+        normal,
+        likelihood.scores(real),
+        deviation,
+        likelihood,
+        p,
+        float(np.quantile(largest, 0.95)),
+        furthest,
+        tails,
     )
 
 
@@ -62,5 +88,210 @@ def largest_of(scores: Floats) -> Floats:
     return np.asarray(np.nan_to_num(np.abs(scores)).max(axis=-1, initial=0.0))
 
 
-def _high(largest: Floats) -> float:
-    return float(np.quantile(largest, 0.95))
+LEVEL = 0.05
+"""Share of campaigns without a gap in which one is detected."""
+
+LEVELS = ("array", "chip", "sensor", "axis", "domain", "statistic")
+"""The levels of the tree, from its root."""
+
+
+@dataclass(frozen=True)
+class Node:
+    """A place named by its `path` from the array, (): its `largest` score in size, and `p`: how often chance gives as
+    large a score among it and its siblings, not below its parent's. Nodes that are not significant have no children.
+    """
+
+    path: tuple[str, ...]
+    largest: float
+    p: float
+    is_significant: bool
+    children: tuple[Node, ...]
+
+    @property
+    def level(self) -> str:
+        """The level of the node, one of `LEVELS`."""
+        return LEVELS[len(self.path)]
+
+    def found(self, level: str) -> tuple[Node, ...]:
+        """Return the significant nodes of a level below it (or itself), the largest score first."""
+        nodes = [node for node in self._all() if node.is_significant and node.level == level]
+        return tuple(sorted(nodes, key=lambda node: -node.largest))
+
+    def _all(self) -> Iterator[Node]:
+        yield self
+        for child in self.children:
+            yield from child._all()
+
+
+@dataclass(frozen=True)
+class Localisation:
+    """The scores (m,) under `keys` that are beyond chance: the tree, and the p of each significant statistic by its
+    place, the largest score first. `limit`: reached by chance by a single score in `level` of all campaigns.
+    """
+
+    root: Node
+    p_by_place: Mapping[int, float]
+    limit: float
+
+    @property
+    def p(self) -> float:
+        """p of there being no gap."""
+        return self.root.p
+
+    @property
+    def is_gap(self) -> bool:
+        """True if the whole array is significant."""
+        return self.root.is_significant
+
+
+def localise(
+    keys: Sequence[Key],
+    headers: Mapping[str, SensorHeader],
+    scores: Floats,
+    chance: Floats,
+    pooled: PooledScores | None = None,
+    level: float = LEVEL,
+) -> Localisation:
+    """Localise the gap by scores (m,) of a recording and (b, m) of replicates without a gap, and the `pooled` scores
+    of the recording and these.
+
+    `level` is the share of false alarms; ValueError if there are too few replicates for it.
+    """
+    if (least := 1 / (len(chance) + 1)) > level:
+        raise ValueError(f"level: {level}; {len(chance)} scored replicates allow no level below {least:.3g}")
+    paths = [_path(number, key, headers[key.sensor]) for number, key in enumerate(keys)]
+    limit = float(np.quantile(np.nan_to_num(np.abs(chance)).max(axis=1), 1 - level))
+    if pooled is not None:
+        paths += [paths[at] for at in pooled.places.tolist()]
+        scores, chance = np.append(scores, pooled.scores[0]), np.hstack([chance, pooled.scores[1:]])
+    root = _Tree(paths, scores, chance, level).root()
+    significant = {int(node.path[-1]): node.p for node in root.found("statistic")}
+    order = sorted(significant, key=lambda at: -abs(scores[at]))
+    return Localisation(root, {at: significant[at] for at in order}, limit)
+
+
+def p_value(value: float, chance: Floats) -> float:
+    """Return the share of `chance` (b,) and the value itself that is as large: never 0, and exact if the value has the
+    same distribution (the Monte Carlo test of Barnard 1963).
+    """
+    return float((1 + np.count_nonzero(chance >= value)) / (1 + len(chance)))
+
+
+class _Tree:
+    """Scores (n,) and those of chance (b, n), each at the end of a path."""
+
+    def __init__(self, paths: Sequence[tuple[str, ...]], scores: Floats, chance: Floats, level: float) -> None:
+        self.scores = scores
+        self._paths, self._level = paths, level
+        self._sizes, self._chance = np.nan_to_num(np.abs(scores)), np.nan_to_num(np.abs(chance))
+
+    def root(self) -> Node:
+        """Return the whole array; it has no siblings."""
+        columns = list(range(len(self._paths)))
+        return self._node((), columns, self._largest(columns), 0.0)
+
+    def _node(self, path: tuple[str, ...], columns: list[int], chance: Floats, parent_p: float) -> Node:
+        """`chance` is the largest score among the node and the siblings tested after it, in each replicate."""
+        largest = float(self._sizes[columns].max(initial=0.0))
+        p = max(parent_p, p_value(largest, chance))
+        is_significant = p <= self._level
+        children = tuple(self._below(path, columns, p)) if is_significant and len(path) + 1 < len(LEVELS) else ()
+        return Node(path, largest, p, is_significant, children)
+
+    def _below(self, path: tuple[str, ...], columns: list[int], p: float) -> Iterator[Node]:
+        """Yield the children, those with the largest scores first; none has a smaller p than the one before it."""
+        parts: dict[str, list[int]] = {}
+        for column in columns:
+            parts.setdefault(self._paths[column][len(path)], []).append(column)
+        names = sorted(parts, key=lambda name: -self._sizes[parts[name]].max())
+        chance = np.stack([self._largest(parts[name]) for name in reversed(names)])
+        for name, largest in zip(names, np.maximum.accumulate(chance)[::-1], strict=True):
+            node = self._node((*path, name), parts[name], largest, p)
+            p = node.p
+            yield node
+
+    def _largest(self, columns: list[int]) -> Floats:
+        return np.asarray(self._chance[:, columns].max(axis=1, initial=0.0))
+
+
+def _path(number: int, key: Key, header: SensorHeader) -> tuple[str, ...]:
+    """Return the path of a statistic; the last name is its number."""
+    return header.chip, key.sensor, key.axis, key.domain, str(number)
+
+
+LEAST = 12
+"""Fewest statistics of a group: levels of runs, and statistics of a whole log, come twice on each axis and are judged
+singly.
+"""
+
+_WILD = 5.0
+_LEAST_SPREAD = 0.5
+"""Least scatter of scores, over the root of their number, for averages that hardly scatter."""
+
+
+class GroupResidual(NamedTuple):
+    """One probe of one sensor over all phases, of one `axis` or of all ("").
+
+    Its `places` among n statistics, the deviation of their mean from that of the replicates (`score`, in standard
+    deviations, with an allowance for the causes' form), and the largest such score of any replicate in any group by the
+    others (`furthest`, the same for all).
+    """
+
+    sensor: str
+    axis: str
+    probe: str
+    places: Indices
+    score: float
+    furthest: float
+
+
+def group_residuals(
+    keys: Sequence[Key], before: SyntheticLikelihood, after: SyntheticLikelihood, real: Floats, replicates: Floats
+) -> list[GroupResidual]:
+    """Return the systematic residuals, the worst first, of n statistics of the recording (`real`) and of `replicates`
+    (b, n) of the model with its causes.
+
+    `after` is the likelihood of that model, `before` that of the base model. Causes are allowed the relative error of
+    form of their shifts. Single statistics count up to five standard deviations, so that none dominates. The
+    correlation of axes is ignored: effects are drawn for each axis, although a supply, or a bearing, has one course for
+    all.
+    """
+    scores, real_scores = (np.clip(after.scores(values), -_WILD, _WILD) for values in (replicates, real))
+    shift = np.nan_to_num(np.abs(after.location - before.location))
+    excused = np.minimum(FORM * shift / after.scale, _WILD)
+    says = np.isfinite(real_scores) & np.isfinite(scores).all(axis=0) & ~after.is_silent
+    groups = list(_groups(keys, says))
+    if not groups:
+        return []
+    means = np.stack([scores[:, places].mean(axis=1) for *_, places in groups], axis=1)
+    least = _LEAST_SPREAD / np.sqrt([len(places) for *_, places in groups])
+    form = np.array([excused[places].mean() for *_, places in groups])
+    deviation = np.array([real_scores[places].mean() for *_, places in groups]) - means.mean(axis=0)
+    score_of_group = deviation / np.hypot(np.maximum(means.std(axis=0, ddof=1), least), form)
+    furthest = float(np.abs(_by_others(means, least)).max())
+    order = np.argsort(-np.abs(score_of_group))
+    scored = zip(groups, score_of_group.tolist(), strict=True)
+    groups_scored = [
+        GroupResidual(sensor, axis, probe, places, score, furthest) for (sensor, axis, probe, places), score in scored
+    ]
+    return [groups_scored[at] for at in order.tolist()]
+
+
+def _groups(keys: Sequence[Key], says: Booleans) -> Iterator[tuple[str, str, str, Indices]]:
+    places: dict[tuple[str, str, str], list[int]] = {}
+    for at in np.flatnonzero(says).tolist():
+        if keys[at].domain == "cross_sensor":
+            continue
+        for axis in {keys[at].axis, ""}:
+            places.setdefault((keys[at].sensor, axis, keys[at].probe), []).append(at)
+    for place, members in places.items():
+        if len(members) >= LEAST:
+            yield place[0], place[1], place[2], np.array(members, np.intp)
+
+
+def _by_others(means: Floats, least: Floats) -> Floats:
+    """Means (b, g) of each replicate, in standard deviations (at least `least`) of the others'."""
+    count = len(means)
+    deviation = (means - means.mean(axis=0)) * count / (count - 1)
+    squares = ((means - means.mean(axis=0)) ** 2).sum(axis=0) - deviation**2 * (count - 1) / count
+    return np.asarray(deviation / np.maximum(np.sqrt(np.maximum(squares, 0.0) / (count - 2)), least))

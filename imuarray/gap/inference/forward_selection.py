@@ -12,15 +12,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from itertools import chain
+from typing import Any
 
 import numpy as np
 
 from imuarray.arrays import Floats, triple
 from imuarray.gap.inference.effects import Candidate, Hypothesis
-from imuarray.gap.inference.evidence import Evidence, views
-from imuarray.gap.inference.parameters import distinct, factors_of
-from imuarray.gap.inference.refinement import FittedHypothesis, looks, refine
+from imuarray.gap.inference.evidence import NUMBERS as EACH_NUMBER
+from imuarray.gap.inference.evidence import Evidence, in_logs, join_spans, since, views
+from imuarray.gap.inference.refinement import FittedHypothesis, distinct, factors_of, looks, refine
 from imuarray.gap.inference.unit_state import (
     LOOKS,
     NUMBERS,
@@ -30,8 +31,6 @@ from imuarray.gap.inference.unit_state import (
     gains_of,
     update_likelihood,
 )
-from imuarray.gap.inference.when import NUMBERS as EACH_NUMBER
-from imuarray.gap.inference.when import in_logs, join_spans, since
 from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.replication import TOGETHER
 from imuarray.gap.model.workers import Run
@@ -244,27 +243,17 @@ def confirm(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis) -> 
     return Evaluation(hypothesis, state, train_gain, gain, share, independent, closes, squared_scores)
 
 
-class _TrialRequest(NamedTuple):
-    """Input of a job: a state and a trial."""
-
-    standing: UnitState
-    hypothesis: FittedHypothesis
-
-
 def _look_at_all(
     run: Run, standings: Mapping[Unit, UnitState], trials: Mapping[Unit, Sequence[Hypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
     """Return a look at all trials, a few of a unit in each job."""
     most = TOGETHER // LOOKS
-    requests = [
-        (unit, _LookRequest(standings[unit], unit_trials[first : first + most]))
+    parts = {
+        unit: [unit_trials[first : first + most] for first in range(0, len(unit_trials), most)]
         for unit, unit_trials in trials.items()
-        for first in range(0, len(unit_trials), most)
-    ]
-    looks: dict[Unit, list[FittedHypothesis]] = {unit: [] for unit in trials}
-    for (unit, _), result in zip(requests, run(_look, [request for _, request in requests]), strict=True):
-        looks[unit] += result
-    return looks
+    }
+    looks = _results_of(run, _look, standings, parts)
+    return {unit: list(chain.from_iterable(unit_looks)) for unit, unit_looks in looks.items()}
 
 
 def _partly(
@@ -359,33 +348,26 @@ def _divided(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
     return [look for _, look in sorted(best_of_form.values(), key=lambda item: -item[0])][:_DIVIDED]
 
 
-class _LookRequest(NamedTuple):
-    """Input of a look: a state and trials."""
-
-    standing: UnitState
-    trials: Sequence[Hypothesis]
+def _look(bench: Bench, request: tuple[UnitState, Sequence[Hypothesis]]) -> list[FittedHypothesis]:
+    return looks(bench, *request)
 
 
-def _look(bench: Bench, request: _LookRequest) -> list[FittedHypothesis]:
-    return looks(bench, request.standing, request.trials)
+def _refine(bench: Bench, request: tuple[UnitState, FittedHypothesis]) -> FittedHypothesis:
+    return refine(bench, request[0], request[1].trial)
 
 
-def _refine(bench: Bench, request: _TrialRequest) -> FittedHypothesis:
-    return refine(bench, request.standing, request.hypothesis.trial)
-
-
-def _confirm(bench: Bench, request: _TrialRequest) -> Evaluation:
-    return confirm(bench, request.standing, request.hypothesis)
+def _confirm(bench: Bench, request: tuple[UnitState, FittedHypothesis]) -> Evaluation:
+    return confirm(bench, *request)
 
 
 def _results_of(
     run: Run,
     job: Callable[[Bench, Any], Any],
     standings: Mapping[Unit, UnitState],
-    items: Mapping[Unit, Sequence[FittedHypothesis]],
+    items: Mapping[Unit, Sequence[object]],
 ) -> dict[Unit, list[Any]]:
-    """Return the job's results for each unit's items."""
-    flat = [(unit, _TrialRequest(standings[unit], item)) for unit, unit_items in items.items() for item in unit_items]
+    """Return the job's results for each unit's items, each with the state of the unit."""
+    flat = [(unit, (standings[unit], item)) for unit, unit_items in items.items() for item in unit_items]
     results: dict[Unit, list[Any]] = {unit: [] for unit in items}
     for (unit, _), result in zip(flat, run(job, [request for _, request in flat]), strict=True):
         results[unit].append(result)

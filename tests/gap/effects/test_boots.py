@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imuarray.gap.inference.effects import CANDIDATES
-from imuarray.gap.inference.when import Span
+from imuarray.gap.inference.evidence import Span
 from imuarray.gap.recording.resets import Reset
 from imuarray.simulate.effects.bias import Bias, BistableBias, TurnOnBias
 from imuarray.simulate.effects.conversion import RangeReset

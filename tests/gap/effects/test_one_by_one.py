@@ -11,8 +11,7 @@ import pytest
 from imuarray.gap.inference.comparison import prepare
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.readings import _with_first_reading
-from imuarray.gap.inference.evidence import Evidence, Repetition, ScoredStatistics, evidence_of
-from imuarray.gap.inference.when import Span
+from imuarray.gap.inference.evidence import Evidence, Repetition, ScoredStatistics, Span, evidence_of
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import SensorModel
 from imuarray.gap.recording.events import repeated_rows_in

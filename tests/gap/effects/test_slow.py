@@ -14,8 +14,7 @@ from scipy.integrate import quad
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.wander import Allan, allan_of, gauss_markov, size_of, slower, wander_of, within
-from imuarray.gap.inference.evidence import Spell
-from imuarray.gap.inference.when import Span, When
+from imuarray.gap.inference.evidence import Span, Spell, When
 from imuarray.simulate.effects.bias import BiasInstability, CommonMode, PopcornNoise, RandomWalk, TurnOnBias
 from tests.gap.effects.evidence_of import evidence_of
 

@@ -10,7 +10,7 @@ import pytest
 
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.noise import assign_signs, noise_of_logs, rarity_behind
-from imuarray.gap.inference.when import Span, When
+from imuarray.gap.inference.evidence import Span, When
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.gap.statistics.lines import highest_lines
 from imuarray.simulate.active_spans import spans_of

@@ -12,8 +12,7 @@ import pytest
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.timing import late
-from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.inference.when import Span
+from imuarray.gap.inference.evidence import Evidence, Span
 from imuarray.gap.recording.events import Host
 from imuarray.gap.recording.host_lag import HostLag
 from imuarray.simulate.effect import Effect

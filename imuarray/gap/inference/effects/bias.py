@@ -13,8 +13,7 @@ import numpy as np
 from imuarray.arrays import Booleans, Floats, Indices, triple
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.levels import Levels, change_between_logs, levels, log_levels
-from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.inference.when import Span, When
+from imuarray.gap.inference.evidence import Evidence, Span, When
 from imuarray.gap.recording.course import changes
 from imuarray.gap.statistics.probes.probe import once
 from imuarray.simulate.effects.bias import Bias, BistableBias, TurnOnBias

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from math import isfinite
 from typing import Literal
 
-from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.inference.when import ALWAYS, NUMBERS, When
+from imuarray.gap.inference.evidence import ALWAYS, NUMBERS, Evidence, When
 from imuarray.gap.model.populations import PRINTED, is_near_noted_position, is_usual
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.log.format import SensorHeader

@@ -14,8 +14,7 @@ from imuarray.gap.inference.effects.bias import RUN_TO_RUN
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.motion import takes_part
 from imuarray.gap.inference.effects.response import response_to_all_motions
-from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
-from imuarray.gap.inference.when import Span, When
+from imuarray.gap.inference.evidence import Evidence, PhaseEvidence, Span, When
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect

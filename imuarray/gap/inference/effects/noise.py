@@ -20,8 +20,17 @@ from imuarray.characterise.spectrum import Spectrum
 from imuarray.gap.inference.effects.candidate import Hypothesis, with_removal
 from imuarray.gap.inference.effects.levels import Onset, onsets
 from imuarray.gap.inference.effects.timing import mean_of, odd_lags
-from imuarray.gap.inference.evidence import SAME_RATE, Evidence, PhaseEvidence
-from imuarray.gap.inference.when import ALWAYS, Span, When, in_logs, join_spans, since
+from imuarray.gap.inference.evidence import (
+    ALWAYS,
+    SAME_RATE,
+    Evidence,
+    PhaseEvidence,
+    Span,
+    When,
+    in_logs,
+    join_spans,
+    since,
+)
 from imuarray.gap.model.base_model import FittedParameters
 from imuarray.gap.model.populations import printed_noise
 from imuarray.gap.statistics.lines import HALF_WIDTH, highest_lines, pool_spectra

@@ -13,8 +13,7 @@ from imuarray.gap.inference.effects.bias import rarer
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.levels import Onset, States, levels, log_levels, onsets, states_of_logs
 from imuarray.gap.inference.effects.noise import with_noise
-from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.inference.when import NUMBERS, Span, stretches
+from imuarray.gap.inference.evidence import NUMBERS, Evidence, Span, stretches
 from imuarray.simulate.effects.conversion import RangeReset
 from imuarray.simulate.effects.timing import DroppedSamples
 

@@ -11,8 +11,7 @@ import numpy as np
 from imuarray.arrays import Integers
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.timing import mean_of, odd_lags
-from imuarray.gap.inference.evidence import Evidence, PhaseEvidence, Repetition
-from imuarray.gap.inference.when import NUMBERS, SINGLE, Span, stretches
+from imuarray.gap.inference.evidence import NUMBERS, SINGLE, Evidence, PhaseEvidence, Repetition, Span, stretches
 from imuarray.gap.statistics.probes.probe import noise_lsb
 from imuarray.gap.statistics.summary import Summary
 from imuarray.simulate.effect import FOREVER_S

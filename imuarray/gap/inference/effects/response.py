@@ -11,8 +11,7 @@ import numpy as np
 from imuarray.arrays import Floats, triple
 from imuarray.gap.inference.effects.bias import LevelStep, level_steps
 from imuarray.gap.inference.effects.candidate import Hypothesis
-from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.inference.when import Span, When
+from imuarray.gap.inference.evidence import Evidence, Span, When
 from imuarray.gap.recording.turns import Turn, exchanges, misses
 from imuarray.gap.statistics.probes.level import mean
 from imuarray.gap.statistics.probes.motion import joint_gains

@@ -11,8 +11,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.chips import CHIPS
 from imuarray.gap.inference.effects.candidate import Hypothesis
-from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
-from imuarray.gap.inference.when import NUMBERS, SINGLE, Span, stretches
+from imuarray.gap.inference.evidence import NUMBERS, SINGLE, Evidence, PhaseEvidence, Span, stretches
 from imuarray.gap.statistics.cross import Cross
 from imuarray.gap.statistics.probes.motion import along, quadrature, residual
 from imuarray.gap.statistics.summary import Summary
