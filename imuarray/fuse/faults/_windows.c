@@ -7,9 +7,8 @@
 
    Sizes: k windows, n frames each, m axes; STATES = 5 states of an axis, COURSES = 7 courses. */
 
-#define PY_SSIZE_T_CLEAN
-#define Py_LIMITED_API 0x030B0000
-#include <Python.h>
+#include "../../_buffers.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -155,7 +154,7 @@ static int find_sound(const Arrays *a, const Limits *limits, Py_ssize_t m, Work 
 }
 
 /* `WindowSeries.seen`: whether a window shows nothing; what it shows else is in `w`. */
-static int look(const Arrays *a, const Limits *limits, Py_ssize_t index, Py_ssize_t n, Py_ssize_t m, Work *w,
+CLONES static int look(const Arrays *a, const Limits *limits, Py_ssize_t index, Py_ssize_t n, Py_ssize_t m, Work *w,
                 double offset[3]) {
     const double *own = a->own + index * n * m, *courses = a->courses + index * n * COURSES;
     const double *usual = a->usual + index * m * STATES, *jitter = a->jitter + index * m;

@@ -48,13 +48,13 @@ class ExclusionMasks:
         self._window, self._windows = window, 0
         self._begins, self._masks = [0], [np.zeros(axes, bool)]
 
-    def add(self, masks: Sequence[Booleans]) -> None:
-        """Add the masks (m,) of the next windows."""
-        for mask in masks:
-            if (mask != self._masks[-1]).any():
-                self._begins.append(self._windows * self._window)
-                self._masks.append(mask.copy())
-            self._windows += 1
+    def add(self, masks: Booleans) -> None:
+        """Add the masks (k, m) of the next windows."""
+        before = np.concatenate([self._masks[-1][None], masks[:-1]])
+        for row in np.flatnonzero((masks != before).any(axis=1)).tolist():
+            self._begins.append((self._windows + row) * self._window)
+            self._masks.append(masks[row].copy())
+        self._windows += len(masks)
 
     def of(self, frames: Frames, first: int) -> Frames:
         """Return the frames, whose first one has the number `first`, without the excluded axes."""
@@ -176,11 +176,12 @@ class FaultMonitor:
         stop = min(windows * self.window, len(frames.time))
         self._held, self._rates = frames.part(slice(stop, None)), self._rates[stop:]
         released = frames.part(slice(stop))
-        masks, self._masks = self._masks[:windows], self._masks[windows:]
+        masks = np.array(self._masks[:windows]).reshape(windows, frames.valid.shape[1])
+        self._masks = self._masks[windows:]
         self.left_out.add(masks)
-        if not any(mask.any() for mask in masks):
+        if not masks.any():
             return released
-        excluded = np.repeat(np.array(masks), self.window, axis=0)[:stop]
+        excluded = np.repeat(masks, self.window, axis=0)[:stop]
         return released.without(excluded)
 
 

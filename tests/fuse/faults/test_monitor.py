@@ -349,7 +349,7 @@ def test_masks_last_until_the_next_change() -> None:
     masks, window = ExclusionMasks(4, 2), np.zeros(2, bool)
     for out in (False, True, True, False):
         window[1] = out
-        masks.add([window])
+        masks.add(window[None])
     frames = Frames(np.arange(14), np.zeros((14, 2)), np.ones((14, 2), bool))
     valid = masks.of(frames, 2).valid  # frames 2 ... 15
     assert valid[:, 0].all()
