@@ -8,10 +8,8 @@ from imuarray.array import SensorConfig
 from imuarray.drivers.adxl345 import Adxl345, Adxl345Fifo
 from imuarray.drivers.ak8963 import Ak8963
 from imuarray.drivers.ak8975 import Ak8975
+from imuarray.drivers.barometers import Bmp180, Bmp280, Bmp388
 from imuarray.drivers.bma180 import Bma180
-from imuarray.drivers.bmp180 import Bmp180
-from imuarray.drivers.bmp280 import Bmp280
-from imuarray.drivers.bmp388 import Bmp388
 from imuarray.drivers.driver import DecodedBursts, Driver, FifoDriver, OnDemandDriver, RemarkingDriver, SelfTest
 from imuarray.drivers.hmc5883 import Hmc5883
 from imuarray.drivers.icm42688 import Icm42688, Icm42688Fifo, Icm42688HighResolution

@@ -14,8 +14,8 @@ from imuarray.array import SensorConfig
 from imuarray.bus.serial_link import MAX_LIST_READ, Request
 from imuarray.drivers import DRIVERS, Driver
 from imuarray.drivers.ak8975 import Ak8975
+from imuarray.drivers.barometers import ForcedBarometer
 from imuarray.drivers.fifo_clock import TOLERANCE
-from imuarray.drivers.on_demand_barometer import ForcedBarometer
 from imuarray.drivers.six_axis import QueuedHalf
 from imuarray.drivers.six_axis_queue import UnattendedQueue
 from imuarray.facts import bmp180

@@ -11,7 +11,7 @@ import pytest
 from firmware_emulator.chips.bmp180 import Bmp180Chip as Chip
 from imuarray.array import SensorConfig
 from imuarray.barometer import compensate
-from imuarray.drivers.bmp180 import Bmp180, calibration_words
+from imuarray.drivers.barometers import Bmp180
 from imuarray.errors import SensorError
 
 # The bytes and words of the worked example, BMP-20 ... BMP-30.
@@ -36,11 +36,11 @@ def sensor(rate_hz: float = 4.0) -> SensorConfig:
 
 
 def test_calibration_words() -> None:
-    assert calibration_words(BLOCK) == WORDS
+    assert Bmp180.calibration_words(BLOCK) == WORDS
 
 
 def test_which_words_are_unsigned() -> None:
-    words = calibration_words(b"\xff\xfe" * 11)
+    words = Bmp180.calibration_words(b"\xff\xfe" * 11)
     assert {name for name, word in words.items() if word == 65534} == {"AC4", "AC5", "AC6"}
     assert {word for name, word in words.items() if name not in ("AC4", "AC5", "AC6")} == {-2}
 

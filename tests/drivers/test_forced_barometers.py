@@ -23,8 +23,7 @@ from imuarray.barometer import (
 )
 from imuarray.chips import CHIPS as SPECS
 from imuarray.drivers import DRIVERS
-from imuarray.drivers.bmp280 import calibration_words
-from imuarray.drivers.bmp388 import calibration_words as calibration_words_bmp388
+from imuarray.drivers.barometers import Bmp280, Bmp388
 from imuarray.errors import SensorError
 
 # The bytes and words of the BMP280's worked example: BMP-120.
@@ -76,8 +75,8 @@ def sensor(chip: str, rate_hz: float = 4.0) -> SensorConfig:
 
 
 def test_calibration_words_of_a_bmp280() -> None:
-    assert calibration_words(BLOCK_280) == WORDS_280
-    unsigned = {name for name, word in calibration_words(b"\xfe\xff" * 12).items() if word == 65534}
+    assert Bmp280.calibration_words(BLOCK_280) == WORDS_280
+    unsigned = {name for name, word in Bmp280.calibration_words(b"\xfe\xff" * 12).items() if word == 65534}
     assert unsigned == {"T1", "P1"}  # BMP-103
 
 
@@ -92,8 +91,8 @@ def test_the_worked_example_of_the_bmp280() -> None:
 
 
 def test_calibration_words_of_a_bmp388() -> None:
-    assert calibration_words_bmp388(BLOCK_388) == WORDS_388
-    unsigned = {name for name, word in calibration_words_bmp388(b"\xfe\xff" * 10 + b"\xfe").items() if word > 0}
+    assert Bmp388.calibration_words(BLOCK_388) == WORDS_388
+    unsigned = {name for name, word in Bmp388.calibration_words(b"\xfe\xff" * 10 + b"\xfe").items() if word > 0}
     assert unsigned == {"T1", "T2", "P5", "P6"}  # BMP-203
 
 
