@@ -11,11 +11,10 @@ from typing import Any, ClassVar, Self, cast
 
 from firmware_emulator.chip import Chip, Triple
 from firmware_emulator.chips.adxl345 import Adxl345Chip
-from firmware_emulator.chips.bma180 import Bma180Chip
-from firmware_emulator.chips.bma180_converter import RANGES as BMA180
-from firmware_emulator.chips.bma180_converter import UPDATE_HZ
+from firmware_emulator.chips.bma180 import RANGES as BMA180
+from firmware_emulator.chips.bma180 import UPDATE_HZ, Bma180Chip
+from firmware_emulator.chips.l3g4200d import RANGES_DPS as L3G4200D_DPS
 from firmware_emulator.chips.l3g4200d import L3g4200dChip
-from firmware_emulator.chips.l3g4200d_signal import RANGES_DPS as L3G4200D_DPS
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
 from firmware_emulator.mechanisms.site import LAYOUTS, Codes, Site, plus
 from imuarray.facts import adxl345, bma180, l3g4200d

@@ -14,15 +14,13 @@ import numpy as np
 from imuarray.figures import PALETTE
 from imuarray.report.figure_style import NARROW, legend_above, make_logarithmic, new_panel, plain_name
 from imuarray.validation.rates import Bin, RateEstimate, rate
-from imuarray.validation.score_closure import WITHIN, Closure
-from imuarray.validation.score_detection import DETECTION, FALSE_ALARMS, DetectionCurve
-from imuarray.validation.score_rows import ScoreRow
+from imuarray.validation.score_rows import DETECTION, FALSE_ALARMS, WITHIN, Closure, DetectionCurve, ScoreRow
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from imuarray.validation.score_causes import Confusion
+    from imuarray.validation.score_rows import Confusion
     from imuarray.validation.scoring import Figures
 
 _GREY, _BLUE, _RED, *_ = PALETTE

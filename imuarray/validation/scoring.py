@@ -28,25 +28,33 @@ from imuarray.json_values import json_value
 from imuarray.validation.case import Case
 from imuarray.validation.rates import Bin, rate
 from imuarray.validation.score_answers import NEVER_BEGUN, Answer, LostCase, ValidationRun, read_run
-from imuarray.validation.score_causes import LARGE, Confusion, cause_rows, confusion_of, is_in_class
-from imuarray.validation.score_closure import (
+from imuarray.validation.score_rows import (
+    EVERY,
+    FULL,
+    LARGE,
+    NO_BAR,
+    Bar,
     Closure,
-    closure_rows,
-    closures_of,
-    probability_rows,
-    reliability_of,
-    time_rows,
-)
-from imuarray.validation.score_detection import (
+    Confusion,
     DetectionCurve,
     Hidden,
     Power,
+    ScoreRow,
+    cause_rows,
+    closure_rows,
+    closures_of,
+    confusion_of,
     curves_of,
     detection_rows,
+    group_answers,
+    is_in_class,
+    make_row,
     power_of,
+    probability_rows,
+    reliability_of,
     shown_singles,
+    time_rows,
 )
-from imuarray.validation.score_rows import EVERY, FULL, NO_BAR, Bar, ScoreRow, group_answers, make_row
 
 LEAST_CASES = 5
 """Minimum number of cases of a part for a figure."""

@@ -5,8 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_emulator.chip import Chip
-from firmware_emulator.chips.l3g4200d import L3g4200dChip
-from firmware_emulator.chips.l3g4200d_signal import path_of
+from firmware_emulator.chips.l3g4200d import L3g4200dChip, path_of
 from tests.selection import examples
 
 MS = 1_000_000

@@ -21,10 +21,7 @@ from imuarray.report.validation_figures import (
 )
 from imuarray.report.validation_page import NO_FIGURES, markdown, write_validation_page
 from imuarray.validation.rates import Bin, RateEstimate
-from imuarray.validation.score_causes import Confusion
-from imuarray.validation.score_closure import Closure
-from imuarray.validation.score_detection import DetectionCurve
-from imuarray.validation.score_rows import ScoreRow
+from imuarray.validation.score_rows import Closure, Confusion, DetectionCurve, ScoreRow
 from imuarray.validation.scoring import Figures, format_row, score_folder
 from tests.validation.made_run import NO_GAP, THERE_OR_NOT, Made, cause, put, said
 

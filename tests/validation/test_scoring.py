@@ -12,8 +12,7 @@ import pytest
 from imuarray.errors import ConfigError
 from imuarray.validation.case import Case
 from imuarray.validation.score_answers import read_run
-from imuarray.validation.score_causes import extra_of, is_place_right
-from imuarray.validation.score_rows import ScoreRow
+from imuarray.validation.score_rows import ScoreRow, extra_of, is_place_right
 from imuarray.validation.scoring import Figures, as_json, format_text, score_folder
 from tests.validation.made_run import FROZEN, NO_GAP, THERE_OR_NOT, Made, cause, put, said
 
