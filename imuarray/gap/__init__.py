@@ -27,7 +27,8 @@ the others of its quantity, and with fewer than two others with the track of the
 the track has at rest (`simulate.motion.track_noise`). Rows in which a filter settles after power-on are left out.
 Without a track the motion is estimated from the sensors together (`recording.movement`), unless the box vibrates faster
 than the rows show. Turns between noted rests are motions, too, whose beginning and end gravity tells
-(`recording.turns`). A statistic that one side lacks is missing: it has no score.
+(`recording.turns`), and so are long stretches between detected rests. A statistic that one side lacks is missing: it
+has no score.
 
 **Null distribution.** The gap is judged by parametric bootstrap: replicates x* ~ p(x | theta_hat, nu*), nu* drawn
 from its population, theta fitted again to each. So both kinds of uncertainty are in it, that of the fit and that of

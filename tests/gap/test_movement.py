@@ -263,6 +263,21 @@ def test_a_log_without_a_track_has_its_turns(tmp_path: Path) -> None:
     np.testing.assert_allclose(felt_box.rate_box[:, 1], [0.0, np.pi / 4, 0.0], atol=0.01)
 
 
+@pytest.mark.parametrize(("longest_s", "is_compared"), [(20.0, False), (2.0, True)])
+def test_a_motion_between_detected_rests_is_compared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, longest_s: float, is_compared: bool
+) -> None:
+    """Nobody noted a phase: the box is at rest, turns for 4 s, and is at rest again."""
+    monkeypatch.setattr("imuarray.gap.recording.phases._LONGEST_TURN_S", longest_s)
+    sensors = array(accelerometers=2, gyroscopes=2)
+    recording = recording_of(written(tmp_path / "log.h5", sensors, phases=()))
+    between = ["motion"] if is_compared else []
+    assert [phase.name for phase in recording.phases] == ["pose 1", *between, "pose 2"]
+    if is_compared:
+        moving = recording.phases[1]
+        np.testing.assert_allclose([moving.start_ns * 1e-9, moving.end_ns * 1e-9], [4.0, 8.0], atol=0.6)
+
+
 @pytest.mark.slow
 def test_turns_in_the_held_out_log_alone(tmp_path: Path) -> None:
     """Two logs of one kind, of which the second, with turns, is held out: its sensors are simulated together, and those

@@ -57,6 +57,9 @@ second or four rows, of which the first and the last are cut off.
 TURN = "turn"
 """Name of a stretch between two noted rests in which the box turns."""
 
+_LONGEST_TURN_S = 20.0
+"""Longest time in which a hand turns a box from one rest to the next."""
+
 _UNKNOWN_MOTION = (
     "the log has no track of the box's motion, nor two sensors of a kind and a gyroscope that show it (in phases of up "
     "to an hour)"
@@ -104,8 +107,9 @@ def is_motion(phase: Phase) -> bool:
 def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePhases:
     """Return the phases in which these sensors can be compared, and notes on those in which they cannot.
 
-    Phases at rest, or detected static stretches if none is noted; other phases, and the turns between rests, where
-    `motion` follows a track or several sensors show the motion. LogError if there is nothing to compare.
+    Phases at rest, or detected static stretches if none is noted; other phases, turns between noted rests and motions
+    between detected ones, where `motion` follows a track or several sensors show the motion. LogError if there is
+    nothing to compare.
     """
     is_tracked = motion.source != "phases"
     noted = [
@@ -124,6 +128,7 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
     elif is_tracked:
         moving = list(_between_rests(log, detected))
     else:
+        turns = turns if log.phases else list(_motions(detected))
         shown = movements_of(log, sensors, [*moving, *turns], [*still, *detected])
         triads = [log[name] for name in sensors]
         noise = {} if shown.keys() >= {*moving} else noise_at_rest(triads, [*still, *detected])
@@ -235,6 +240,13 @@ def _turns(phases: Sequence[Phase]) -> Iterator[Phase]:
         between = Phase(before.end_ns, after.start_ns, TURN)
         if is_at_rest(before) and is_at_rest(after) and between.end_ns - between.start_ns >= MIN_POSE_S * 1e9:
             yield between
+
+
+def _motions(rests: Sequence[Phase]) -> Iterator[Phase]:
+    """Yield the stretches between consecutive rests that take longer than a turn from one to the next."""
+    for turn in _turns(rests):
+        if turn.end_ns - turn.start_ns > _LONGEST_TURN_S * 1e9:
+            yield turn._replace(name="motion")
 
 
 def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[PoseAttitude, ...], list[str]]:
