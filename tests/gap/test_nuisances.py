@@ -15,6 +15,7 @@ from imuarray.gap.model.ambient_lines import MOST_G, fit_ambient_lines
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.element_temperature import LONGEST_DIE_LAG_S, LONGEST_LAG_S
 from imuarray.gap.model.nuisance import nuisance_estimates
+from imuarray.gap.model.populations import response_tolerance
 from imuarray.gap.model.signal_delay import NO_DELAY, _slopes, fit_signal_delays, stated_delay
 from imuarray.gap.recording.attitude import attitude_numbers, shared_readings
 from imuarray.gap.recording.recordings import CHIP_LEAD_S, reference_of
@@ -220,3 +221,13 @@ def test_a_noise_that_no_data_sheet_prints_is_not_compared() -> None:
     unknown = {name: replace(header, bandwidth_hz=0.0, rate_hz=0.0) for name, header in base.headers.items()}
     estimates = nuisance_estimates(campaign, replace(base, headers=unknown), has_reference=False)
     assert "noise" not in {estimate.quantity for estimate in estimates}
+
+
+@pytest.mark.parametrize(("accelerometers", "widening"), [(1, 1.0), (2, 1.0), (3, 1.234), (9, 1.0838)])
+def test_a_misalignment_is_that_against_the_median_of_the_accelerometers(accelerometers: int, widening: float) -> None:
+    """The root of 1 + pi / 6 for three of them. A scale error does not depend on the attitude."""
+    sensors = campaign_of("static").logs[0].phases[0].sensors.values()
+    part = next(sensor.header for sensor in sensors if sensor.header.quantity == "specific_force")
+    alone, among = response_tolerance(part), response_tolerance(part, accelerometers)
+    assert np.arcsin(among[0, 1]) == pytest.approx(widening * np.arcsin(alone[0, 1]), rel=1e-3)
+    assert among[0, 0] == alone[0, 0]

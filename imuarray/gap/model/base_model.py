@@ -260,7 +260,11 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
     campaign = with_element_temperatures(campaign, motions, lags_s)
     forces = estimated_forces(campaign, motions, _thermal_change(campaign, motions, headers))
     rests = {name: list(_at_rest(campaign, motions, forces, name)) for name in headers}
-    fitted = {name: fit_sensor(header, rests[name], response_tolerance(header)) for name, header in headers.items()}
+    accelerometers = sum(header.quantity == "specific_force" for header in headers.values())
+    fitted = {
+        name: fit_sensor(header, rests[name], response_tolerance(header, accelerometers))
+        for name, header in headers.items()
+    }
     for name, lag_s in lags_s.items():
         fitted[name] = replace(fitted[name], lag_s=lag_s)
     noise_counts = {name: np.array(fitted[name].rms) * header.sensitivity for name, header in headers.items()}

@@ -145,8 +145,11 @@ def own_unit(header: SensorHeader) -> str:
     return "" if header.chip in TRIADS else header.unit
 
 
-def response_tolerance(header: SensorHeader) -> Floats:
+def response_tolerance(header: SensorHeader, accelerometers: int = 1) -> Floats:
     """Return the largest response (3, 3) of each axis (row) of a part to specific force along each axis (column).
+
+    It is that against the attitude by so many `accelerometers`. The median of several is misaligned itself, with pi / 2
+    of the variance of a mean; half of the difference of two is within the tolerance of one.
 
     In the units of `FittedParameters.response`: for an accelerometer the scale error on the diagonal (ADX-63, BMA-70 to
     BMA-76, plus the deviation of local gravity, which a log at rest cannot separate from it) and the sine of the
@@ -157,7 +160,8 @@ def response_tolerance(header: SensorHeader) -> Floats:
         return np.full((3, 3), _reach(header, "g_sensitivity", "response_dps_per_g", usual))
     if header.quantity != "specific_force":
         return np.zeros((3, 3))
-    angle = math.sin(math.radians(TOLERANCE_SIGMAS * ANGLE_SIGMA_DEG))
+    of_median = math.pi / 2 / accelerometers if accelerometers > 2 else 0.0
+    angle = math.sin(math.radians(TOLERANCE_SIGMAS * ANGLE_SIGMA_DEG * math.sqrt(1 + of_median)))
     return np.asarray(np.where(np.eye(3) > 0, scale_tolerance(header) + GRAVITY_TOLERANCE, angle))
 
 
