@@ -300,6 +300,26 @@ def test_units_of_one_chip_may_be_late_beside_those_of_another(chips: tuple[str,
     assert later_s == pytest.approx(0.018 if is_nuisance else 0.0, abs=0.002)
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.018])
+def test_a_unit_that_is_later_than_another_of_its_chip_does_not_make_both_late(late_s: float) -> None:
+    """One by 30 ms more than the other: the fault is its own, and both are late by what the other one is."""
+    chips = {"A": "bma180", "B": "adxl345", "C": "adxl345"}
+    headers = {name: header(name, chip=chip, rate_hz=100.0) for name, chip in chips.items()}
+
+    def campaign(*delays_s: float) -> Campaign:
+        tally = CrossTally(list(headers.values()), MOVING, 50_000_000)
+        for sensor, delay_s in zip(headers.values(), delays_s, strict=True):
+            rows = np.rint(sensor.sensitivity * swaying(SECONDS - delay_s))
+            tally.update(sensor.name, block(rows, INTERVAL_NS))
+        phase = PhaseSummary(MOVING, 0, Layout({}, 50_000_000), {}, tally.result())
+        return Campaign((LogSummary("motion", (phase,)),))
+
+    trials = [(dict.fromkeys(headers, NO_DELAY), [campaign(0.0, 0.0, 0.0)])]
+    fitted = fit_signal_delays(campaign(0.0, late_s, late_s + 0.03), headers, (), trials)
+    assert fitted["B"].stamp_s == fitted["C"].stamp_s
+    assert fitted["B"].stamp_s - fitted["A"].stamp_s == pytest.approx(late_s, abs=0.002)
+
+
 def test_three_sensors_of_a_quantity_are_compared_with_each_other_only() -> None:
     tracked, (first, second, third) = tracked_gains((1.1, 1.0, 1.0))
     assert tracked == ()

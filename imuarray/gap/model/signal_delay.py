@@ -8,7 +8,7 @@ data sheet: it is simulated as it is, and is no parameter.
 
 A chip that decimates delays its readings by some of its own periods besides, all of its units alike and by how many no
 data sheet prints: up to `MOST_PERIODS` of them are a nuisance parameter of each kind of chip that another kind, or a
-track, is compared with.
+track, is compared with. A unit that is late besides others of its kind does not count in this: the fault is its own.
 
 Rows from a queue in the chip have times that the recorder works out from those of its polls; these may be off by a
 period of the chip, which is another nuisance parameter of each such sensor. So may the times of sensors that are
@@ -18,6 +18,7 @@ instruments differ.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
@@ -41,6 +42,11 @@ MOST_RATIO = 1.5
 MOST_PERIODS = 2.5
 """Longest usual delay of a decimation filter, in periods of the chip's data rate: a symmetric filter of four periods
 with some of a poll's.
+"""
+
+_LEAST_ODD_PERIODS, _LEAST_ODD_SQUARES = 0.5, 25.0
+"""Delay beyond that of other units of its kind, in periods of its data rate, from which on a unit is left out of the
+fit of their delay, and the least decrease of the sum of squares: five standard deviations.
 """
 
 _LEAST_CHANGE_S, _SLOPES = 1e-5, (0.5, 5.0)
@@ -78,37 +84,82 @@ def fit_signal_delays(
 
     A Gauss-Newton step from the last of the `trials`: least squares of the delays behind the other sensors of the
     quantity, or the track, less those of the replicates on average. A motion that is fast beside the windows shows more
-    of a delay than there is: by how much the last two trials tell. Empty without such phases.
+    of a delay than there is: by how much the first and the last trial tell, whose delays differ most. Empty without
+    such phases.
     """
-    nominal_s = {name: _nominal_delay_s(header) for name, header in headers.items()}
-    stated_s = {name: stated_delay(header).stamp_s for name, header in headers.items()}
     delays: dict[str, SignalDelay] = {}
     for quantity in dict.fromkeys(header.quantity for header in headers.values()):
-        names = [name for name, header in headers.items() if header.quantity == quantity]
-        late = _late_stamps(_crosses(campaign), {name: headers[name] for name in names}, queued)
-        observed = _rows(_crosses(campaign), names, nominal_s, late)
-        steps = []
-        for simulated, replicates in trials[-2:]:
-            simulated_s = [_rows(_crosses(replicate), names, nominal_s, late).delay_s for replicate in replicates]
-            comparable = [delay_s for delay_s in simulated_s if len(delay_s) == len(observed.delay_s)]
-            ratios = [simulated[name].filter_s / nominal_s[name] for name in names if nominal_s[name] > 0]
-            stamps_s = np.array([simulated[name].stamp_s - stated_s[name] for name in names])
-            are_late = np.array([[name in stamps.sensors for stamps in late] for name in names], float)
-            start = np.append(max(ratios, default=0.0), np.linalg.lstsq(are_late, stamps_s)[0])
-            if comparable and len(observed.delay_s):
-                steps.append((start, np.mean(comparable, axis=0)))
-        if not steps:
+        of_quantity = {name: header for name, header in headers.items() if header.quantity == quantity}
+        usual = _late_stamps(_crosses(campaign), of_quantity, queued)
+        late = [*usual, *_odd_units(of_quantity, usual)]
+        problem = _problem(campaign, of_quantity, late, trials)
+        if problem is None:
             continue
-        start, seen_s = steps[-1]
-        if len(steps) > 1:
-            observed = observed._replace(design=observed.design * _slopes(observed.design, *steps)[:, None])
-        most = np.array([MOST_RATIO, *(stamps.most_s for stamps in late)])
-        least = np.array([0.0, *(stamps.least_s for stamps in late)])
-        ratio, *offsets_s = _solve(observed, seen_s, start, (least, most)).tolist()
-        for name in names:
-            late_s = sum(value_s for value_s, stamps in zip(offsets_s, late, strict=True) if name in stamps.sensors)
-            delays[name] = SignalDelay(_truncate(ratio * nominal_s[name]), stated_s[name] + late_s)
+        parameters = list(range(1 + len(usual)))
+        fits = [_solve(problem, parameters)]
+        for place, odd in enumerate(late[len(usual) :], start=1 + len(usual)):
+            fit = _solve(problem, [*parameters, place])
+            is_late = fit.parameters[-1] > _LEAST_ODD_PERIODS * odd.period_s
+            if is_late and fit.squares < fits[0].squares - _LEAST_ODD_SQUARES:
+                fits.append(fit)
+        ratio, *offsets_s = min(fits, key=lambda fit: fit.squares).parameters.tolist()
+        for name, header in of_quantity.items():
+            pairs = zip(offsets_s, usual, strict=False)  # what an odd unit is late by besides is no usual delay
+            late_s = sum(value_s for value_s, stamps in pairs if name in stamps.sensors)
+            filter_s = _truncate(ratio * _nominal_delay_s(header))
+            delays[name] = SignalDelay(filter_s, stated_delay(header).stamp_s + late_s)
     return delays
+
+
+class _Problem(NamedTuple):
+    """Delays (n,) that are to be explained, in s, with their information, by parameters (p,): the design (n, p), and
+    the least and the most of each.
+    """
+
+    behind_s: Floats
+    information: Floats
+    design: Floats
+    least: Floats
+    most: Floats
+
+
+class _Fit(NamedTuple):
+    """Parameters (p,), and the sum of squares that they leave, in squared standard deviations."""
+
+    parameters: Floats
+    squares: float
+
+
+def _problem(
+    campaign: Campaign,
+    headers: Mapping[str, SensorHeader],
+    late: Sequence[_LateStamps],
+    trials: Sequence[DelayTrial],
+) -> _Problem | None:
+    """Return the problem whose parameters are the ratio of the filters' delays, and the offset of each of the `late`
+    stamps, of sensors of one quantity; None where no motion tells them.
+    """
+    nominal_s = {name: _nominal_delay_s(header) for name, header in headers.items()}
+    observed = _rows(_crosses(campaign), headers, nominal_s, late)
+    steps = []
+    for simulated, replicates in trials[:: max(len(trials) - 1, 1)]:
+        simulated_s = [_rows(_crosses(replicate), headers, nominal_s, late).delay_s for replicate in replicates]
+        comparable = [delay_s for delay_s in simulated_s if len(delay_s) == len(observed.delay_s)]
+        ratios = [simulated[name].filter_s / nominal_s[name] for name in headers if nominal_s[name] > 0]
+        stamps_s = [simulated[name].stamp_s - stated_delay(header).stamp_s for name, header in headers.items()]
+        usual = [stamps for stamps in late if not stamps.is_odd]
+        are_late = np.array([[name in stamps.sensors for stamps in usual] for name in headers], float)
+        offsets_s = np.linalg.lstsq(are_late, np.array(stamps_s))[0]
+        start = np.concatenate([[max(ratios, default=0.0)], offsets_s, np.zeros(len(late) - len(usual))])
+        if comparable and len(observed.delay_s):
+            steps.append((start, np.mean(comparable, axis=0)))
+    if not steps:
+        return None
+    start, seen_s = steps[-1]
+    design = observed.design * _slopes(observed.design, *steps)[:, None] if len(steps) > 1 else observed.design
+    most = np.array([MOST_RATIO, *(stamps.most_s for stamps in late)])
+    least = np.array([0.0, *(stamps.least_s for stamps in late)])
+    return _Problem(observed.delay_s - seen_s + design @ start, observed.information, design, least, most)
 
 
 def _truncate(delay_s: float) -> float:
@@ -137,11 +188,15 @@ def _nominal_delay_s(header: SensorHeader) -> float:
 
 
 class _LateStamps(NamedTuple):
-    """Sensors whose readings may be older than their times, all by the same amount, and by how much in s."""
+    """Sensors whose readings may be older than their times, all by the same amount, and by how much in s. One that
+    `is_odd` is late besides what others of its kind are: a fault, not a nuisance; `period_s` is that of its data rate.
+    """
 
     sensors: frozenset[str]
     most_s: float
     least_s: float
+    is_odd: bool = False
+    period_s: float = 0.0
 
 
 def _late_stamps(
@@ -168,6 +223,18 @@ def _late_stamps(
         if rates_hz:
             late.append(_LateStamps(frozenset(units), MOST_PERIODS / min(rates_hz), 0.0))
     return late
+
+
+def _odd_units(headers: Mapping[str, SensorHeader], late: Sequence[_LateStamps]) -> list[_LateStamps]:
+    """Return each unit that may be late besides those with which it has a delay in common. That it is early is rare: a
+    reading may be old when it is stamped, none is made after its stamp.
+    """
+    shared = {name for stamps in late if len(stamps.sensors) > 1 for name in stamps.sensors}
+    return [
+        _LateStamps(frozenset([name]), math.inf, 0.0, is_odd=True, period_s=1 / header.rate_hz)
+        for name, header in headers.items()
+        if name in shared and header.rate_hz > 0
+    ]
 
 
 def _tracked(crosses: Sequence[Cross]) -> dict[str, float]:
@@ -222,16 +289,13 @@ def _slopes(design: Floats, before: tuple[Floats, Floats], after: tuple[Floats, 
     return np.asarray(np.clip(np.nan_to_num(slopes, nan=1.0), *_SLOPES))
 
 
-def _solve(observed: _Delays, seen_s: Floats, start: Floats, bounds: tuple[Floats, Floats]) -> Floats:
-    """Return the parameters (p,) within bounds that explain the delays beyond those `seen_s` with the parameters
-    `start`.
-    """
-    behind_s = observed.delay_s - seen_s + observed.design @ start
-    known = np.isfinite(behind_s) & np.isfinite(observed.information)
-    if not known.any():
-        return start
-    weight = np.sqrt(observed.information[known])
-    prior = np.diag(_PRIOR / np.maximum(np.abs(bounds[0]), bounds[1]))
-    matrix = np.vstack([observed.design[known] * weight[:, None], prior])
-    target = np.append(behind_s[known] * weight, np.zeros(len(start)))
-    return np.asarray(lsq_linear(matrix, target, bounds=bounds).x)
+def _solve(problem: _Problem, chosen: Sequence[int]) -> _Fit:
+    """Return the `chosen` parameters, within their bounds, that explain the delays; 0 where nothing tells them."""
+    known = np.isfinite(problem.behind_s) & np.isfinite(problem.information)
+    weight = np.sqrt(problem.information[known])
+    least, most = problem.least[chosen], problem.most[chosen]
+    prior = np.diag(_PRIOR / np.maximum(np.abs(least), most))
+    matrix = np.vstack([problem.design[known][:, chosen] * weight[:, None], prior])
+    target = np.append(problem.behind_s[known] * weight, np.zeros(len(chosen)))
+    solved = lsq_linear(matrix, target, bounds=(least, most))
+    return _Fit(np.asarray(solved.x), 2 * float(solved.cost))
