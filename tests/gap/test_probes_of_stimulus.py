@@ -84,6 +84,22 @@ def test_force(axes: str) -> None:
     assert np.isnan(value("force_own", phases[:5])).all()
 
 
+def test_a_response_that_changed_between_two_times_on_the_same_faces() -> None:
+    """A scale that grows by 2 and 3 % along y and z; along x one face changes, as by a bias that wanders."""
+    sensor = header(axes="-X+Y-Z")
+    faces = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
+    phases = []
+    for number, up in enumerate((*faces, *faces)):
+        force = np.array(sensor.orientation).T @ np.array(up_vector(up))
+        is_later = number >= len(faces)
+        scale = np.array([1.0, 1.02, 1.03]) if is_later else np.ones(3)
+        wander = np.array([15.0 * is_later * (up == "+X"), 0.0, 0.0])
+        counts = np.tile(40.0 + 1000.0 * scale * force + wander, (100, 1))
+        phases.append(summary(block(counts), Phase(number * SECOND, (number + 1) * SECOND, "face", up), sensor=sensor))
+    np.testing.assert_allclose(value("force_return", phases), np.array([0.0, 20.0, 30.0]) / SCALE, atol=1e-9)
+    assert np.isnan(value("force_return", phases[: len(faces) + 1])).all()
+
+
 def test_timing() -> None:
     rows = gaussian(rows=3000)
     rows[100:103] = rows[99]

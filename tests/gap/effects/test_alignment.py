@@ -13,10 +13,12 @@ from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.response import Response, response
 from imuarray.gap.recording.turns import exchanges
+from imuarray.gap.statistics.probes.force import felt_g
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.response import AxisError, Misalignment, Scale
 from tests.gap.effects.evidence_of import evidence_of
+from tests.gap.made import SECOND
 from tests.selection import some
 
 FACES = np.concatenate([np.eye(3), -np.eye(3)])
@@ -95,6 +97,38 @@ def test_a_level_that_changes_at_rest_is_that_of_a_bias() -> None:
     (trial,) = CANDIDATES["bias"].guesses(evidence)
     assert trial.begin_bounds_s is None
     assert not list(CANDIDATES["scale"].guesses(evidence))
+
+
+def test_a_scale_that_changed_before_the_same_faces_were_up_again() -> None:
+    """By 1 % along y, 100 s after the beginning of the tumble, before it is done again."""
+    evidence = evidence_of("tumble", "A1")
+    sensitivity = evidence.header.sensitivity
+    again = []
+    for phase in evidence.still:
+        later = phase.raw.phase._replace(
+            start_ns=phase.raw.phase.start_ns + 100 * SECOND, end_ns=phase.raw.phase.end_ns + 100 * SECOND
+        )
+        change = np.array([0.0, 0.01, 0.0]) * felt_g([phase.residual])[0] * sensitivity
+        before = phase.residual.segments
+        segments = replace(before, mean=before.mean + change, time_s=before.time_s + 100.0)
+        again.append(
+            replace(
+                phase,
+                raw=replace(phase.raw, phase=later),
+                residual=replace(phase.residual, phase=later, segments=segments),
+            )
+        )
+    scores = {**evidence.scores, "force_return": np.array([[0.1, 30.0, -0.2]])}
+    trials = list(CANDIDATES["scale"].guesses(replace(evidence, phases=(*evidence.phases, *again), scores=scores)))
+    (trial,) = [trial for trial in trials if trial.begin_bounds_s is None]
+    (effect,) = trial.effects
+    assert isinstance(effect, Scale)
+    np.testing.assert_allclose(effect.error, [0.0, 0.01, 0.0], atol=1e-4)
+    along = [phase.raw.phase for phase in evidence.still if np.abs(felt_g([phase.residual])[0][1]) > 0.5]
+    (span,) = trial.when.spans
+    middle_ns = (max(phase.end_ns for phase in along) + min(phase.start_ns for phase in along) + 100 * SECOND) / 2
+    assert span.moment_s == pytest.approx(middle_ns * 1e-9)
+    assert span.length_s == np.inf
 
 
 @pytest.mark.parametrize(("kind", "sensor", "within"), some([("tumble", "A1", 0.1), ("motion", "G1", 0.5)], 1))

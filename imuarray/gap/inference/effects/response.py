@@ -11,8 +11,10 @@ import numpy as np
 from imuarray.arrays import Floats, triple
 from imuarray.gap.inference.effects.bias import LevelStep, level_steps
 from imuarray.gap.inference.effects.candidate import Hypothesis
+from imuarray.gap.inference.effects.levels import centre
 from imuarray.gap.inference.evidence import Evidence, Span, When
 from imuarray.gap.recording.turns import Turn, exchanges, misses
+from imuarray.gap.statistics.probes.force import felt_g
 from imuarray.gap.statistics.probes.level import mean
 from imuarray.gap.statistics.probes.motion import joint_gains
 from imuarray.gap.statistics.probes.turns import turn_of
@@ -183,6 +185,12 @@ _LARGEST_ERROR = 0.9
 
 _ALONG, _TURNS = "motion_along", "turn_factor"
 
+_RETURN, _FEWEST_VISITS = "force_return", 4
+"""The statistic of faces that are up again, and the fewest phases that show it: two faces, twice each."""
+
+_AS_GOOD = 1.001
+"""Ratio of the squares that two moments leave up to which they are as good."""
+
 _LEAST_FACTOR = 0.3
 """A smaller factor of the readings of turns is no error of scale."""
 
@@ -195,12 +203,14 @@ _LEAST_FELT = 0.3
 
 def guess_scale(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest the diagonal of the response's error, on axes that stray beyond the population; and of an accelerometer
-    the error that makes a level's step within a log, on the axes that show it or on all. If the box always lies alike,
-    such a step is that of a bias: a scale has to show in motion or on several faces.
+    the error that makes a level's step within a log, on the axes that show it or on all, or by which faces differ the
+    next time that they are up. If the box always lies alike, such a step is that of a bias: a scale has to show in
+    motion or on several faces.
     """
     if evidence.header.quantity == "specific_force":
         for step in level_steps(evidence):
             yield from _scale_of_step(evidence, step)
+        yield from _scale_of_return(evidence)
     yield from _scale_of_rotation(evidence)
     yield from _scale_of_turns(evidence)
     yield from _scale_within_motion(evidence)
@@ -288,6 +298,37 @@ def _scale_of_step(evidence: Evidence, step: LevelStep) -> Iterator[Hypothesis]:
     if abs(largest) < _LARGEST_ERROR:
         for scale in _scales(error, np.full(3, largest)):
             yield replace(scale.at(step.when), begin_bounds_s=step.begin_bounds_s)
+
+
+def _scale_of_return(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest a change of the response between two phases at rest, where faces differ from the last time on them: the
+    moment that leaves the least of the phases' means, less that of their face, and the change of the response then.
+    Between two faces on which the axis feels nothing no moment is better than another one: the middle is taken.
+    """
+    if not evidence.is_odd(_RETURN, beyond=ODD):
+        return
+    doubtful = np.abs(evidence.score(_RETURN)) > DOUBTFUL
+    for log in sorted({phase.log for phase in evidence.still}):
+        phases = sorted((p for p in evidence.still if p.log == log and p.raw.rows), key=lambda p: p.raw.phase.start_ns)
+        felt = felt_g([phase.residual for phase in phases])
+        named = np.flatnonzero(np.isfinite(felt).all(axis=1))
+        phases, felt = [phases[at] for at in named.tolist()], felt[named]
+        if len(phases) < _FEWEST_VISITS:
+            continue
+        face = np.unique(felt.round(), axis=0, return_inverse=True)[1]
+        means = centre(np.array([mean(phase.residual) for phase in phases]), face)
+        fits = []
+        for first in range(1, len(phases)):
+            change = centre(np.where(np.arange(len(phases))[:, None] >= first, felt, 0.0), face)
+            square = (change**2).sum(axis=0)
+            error = np.divide((change * means).sum(axis=0), square, out=np.zeros(3), where=(square > 0) & doubtful)
+            fits.append((float(((means - change * error) ** 2)[:, doubtful].sum()), first, error))
+        least = min(square for square, _, _ in fits)
+        alike = [(first, error) for square, first, error in fits if square <= _AS_GOOD * least]
+        before, after = phases[alike[0][0] - 1].raw.phase, phases[alike[-1][0]].raw.phase
+        since = When((Span(log, (before.end_ns + after.start_ns) * 0.5e-9, math.inf),))
+        if np.abs(alike[0][1]).max() < _LARGEST_ERROR:
+            yield from (scale.at(since) for scale in _scales(alike[0][1]))
 
 
 def _felt(evidence: Evidence, step: LevelStep) -> Floats:

@@ -18,10 +18,14 @@ from imuarray.gap.statistics.margins import LEVEL
 from imuarray.gap.statistics.probes.level import mean
 from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, Probes
 from imuarray.gap.statistics.summary import Summary
+from imuarray.units import INERTIAL
 
 AXES = np.arange(3)
 
 _FACES = frozenset(UP_AXES)
+
+_ALONG = 0.7
+"""Least component of a direction of the box along an axis of a sensor that feels it."""
 
 
 def response(ahead: int, phases: Sequence[Summary]) -> Floats:
@@ -36,6 +40,29 @@ def square(phases: Sequence[Summary]) -> Floats:
     even = _parts(phases)[1]
     others = (even[AXES, (AXES + 1) % 3] + even[AXES, (AXES + 2) % 3]) / 2
     return np.asarray(even[AXES, AXES] - others)
+
+
+def returned(phases: Sequence[Summary]) -> Floats:
+    """Return the change of each axis's response to one g along it from the first to the last time on its two faces, in
+    the sensor's unit; nan unless both were up twice, and for a magnetometer: the field of a table is not even.
+
+    It is the smaller of the changes on the two faces, and 0 if they contradict each other: a bias that wanders changes
+    one of them, or both alike.
+    """
+    by_face: dict[str, list[Summary]] = {}
+    for phase in phases:
+        if phase.phase.up in _FACES and phase.rows:
+            by_face.setdefault(phase.phase.up, []).append(phase)
+    result = NOTHING.copy()
+    for axis in "XYZ" if phases[0].header.quantity in INERTIAL else "":
+        visits = [by_face.get(up, []) for up in (f"+{axis}", f"-{axis}")]
+        if min(map(len, visits)) < 2:
+            continue
+        upper, lower = (mean(of_face[-1]) - mean(of_face[0]) for of_face in visits)
+        along = np.array(phases[0].header.orientation).T @ np.array(up_vector(f"+{axis}"))
+        change = np.sign(upper - lower) * np.maximum(np.abs(upper - lower) - np.abs(upper + lower), 0.0) / 2
+        result = np.where(np.abs(along) > _ALONG, along * change, result)
+    return result
 
 
 def felt_g(phases: Sequence[Summary]) -> Floats:
@@ -77,5 +104,10 @@ PROBES: Probes = {
     ),
     "force_next": _probe("force along the next axis", _CROSS, partial(response, 1)),
     "force_after": _probe("force along the axis after the next", _CROSS, partial(response, 2)),
+    "force_return": _probe(
+        "force along the axis the last time on its two faces, less that of the first time",
+        ("scale", "thermal_scale", "range_reset"),
+        returned,
+    ),
     "force_square": _probe("the square of force along the axis", ("nonlinearity",), square, "{u}/g^2"),
 }
