@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from imuarray.arrays import Booleans
 from imuarray.simulate.converters import code_span
 from imuarray.simulate.effect import Effect, alongside, listed, scalar
 from imuarray.simulate.signal import Codes, Counts, Place
@@ -25,16 +26,23 @@ class StaleSamples(Effect):
     locked while a conversion ends (L3G-50, HMC-33) or a poll that occasionally overtakes the chip causes this. In data:
     identical triads, because all three axes repeat together; the lag-1 correlation of the noise rises to about
     `probability`.
+
+    With more than one of `rows`, repetitions come in bursts of so many rows on average, geometrically distributed, as
+    from a bus that is in trouble for a while: each reading begins one with `probability` / `rows`.
     """
 
     name: ClassVar[str] = "stale_samples"
     meaning: ClassVar[str] = "a reading repeats the previous one"
     probability: float = scalar(0.0, low=0.0, high=0.99)
+    rows: float = scalar(1.0, low=1.0, high=1e3)
 
     @property
     def longest(self) -> int:
         """Return the largest number of repetitions in a row."""
-        return math.ceil(math.log(_RARE) / math.log(self.probability)) if self.probability else 0
+        if not self.probability:
+            return 0
+        again = max(self.probability, 1 - 1 / self.rows)
+        return math.ceil(math.log(_RARE) / math.log(again))
 
     def lookback(self, at: Place) -> int:
         """Return the largest number of rows that affect a stretch: the longest chain and the row before it."""
@@ -45,14 +53,25 @@ class StaleSamples(Effect):
         if not self.probability:
             return codes
         rows = np.arange(len(codes.counts))
-        stream = at.streams.of_boot(at.sensor.name, self.name, width=1)  # double precision: probabilities are small
-        stale = stream.uniform(codes.first, codes.first + len(rows))[:, 0] < self.probability
+        stale = self._are_stale(codes, at)
         shown_rows = np.maximum.accumulate(np.where(stale, 0, rows))
         shown_rows = np.where(rows - shown_rows > self.longest, rows, shown_rows)
         arrived = np.cumsum(codes.fresh)[shown_rows]
         fresh = np.concatenate([codes.fresh[:1], arrived[1:] > arrived[:-1]])
         temperature = None if codes.temperature_counts is None else codes.temperature_counts[shown_rows]
         return replace(codes, counts=codes.counts[shown_rows], temperature_counts=temperature, fresh=fresh)
+
+    def _are_stale(self, codes: Codes, at: Place) -> Booleans:
+        """Return the mask (n,) of the rows that repeat the one before."""
+        rows = np.arange(len(codes.counts))
+        if self.rows == 1:
+            stream = at.streams.of_boot(at.sensor.name, self.name, width=1)  # double precision: probabilities are small
+            return np.asarray(stream.uniform(codes.first, codes.first + len(rows))[:, 0] < self.probability)
+        stream = at.streams.of_boot(at.sensor.name, self.name, "bursts", width=2)
+        begin, length = stream.uniform(codes.first, codes.first + len(rows)).T
+        lengths = np.ceil(np.log1p(-length) / math.log1p(-1 / self.rows))
+        ends = np.where(begin < self.probability / self.rows, rows + np.maximum(lengths, 1.0), 0.0)
+        return np.asarray(np.maximum.accumulate(ends) > rows)
 
 
 GLITCH_KINDS = ("spike", "torn", "word")

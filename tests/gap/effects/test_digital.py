@@ -10,7 +10,7 @@ import pytest
 
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.effects.candidate import Hypothesis
-from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.inference.evidence import Evidence, Repetition, Span
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.conversion import AdaptiveRange, OdrError, Quantisation, Saturation
@@ -118,6 +118,18 @@ def test_stale_samples(probability: float) -> None:
     (found,) = trial.effects
     assert isinstance(found, StaleSamples)
     assert found.probability == pytest.approx(probability, rel=0.35)
+
+
+def test_stale_samples_in_bursts() -> None:
+    """Thirty bursts of three repetitions in 6000 rows, as the recording has them; a reading is stale at 0.015."""
+    evidence = shown("static", "A1", StaleSamples(0.015, rows=3.0))
+    repeated = tuple(Repetition(Span(0, 2.0 * number, 0.03), 3, (0, 0, 0)) for number in range(30))
+    trials = list(CANDIDATES["stale_samples"].guesses(replace(evidence, repeated=repeated)))
+    (effect,) = trials[-1].effects
+    assert isinstance(effect, StaleSamples)
+    assert trials[-1].free == ("probability", "rows")
+    assert effect.probability == pytest.approx(0.015, rel=0.35)
+    assert effect.rows == pytest.approx(3.0, rel=0.25)
 
 
 @pytest.mark.parametrize(("probability", "amplitude"), [(0.002, 0.05), (0.01, 0.1), (0.01, 0.5)])

@@ -35,6 +35,18 @@ class TestStaleSamples:
         assert abs(after_one - probability) < 5 * math.sqrt(probability * (1 - probability) / (chains > 0).sum())
         assert np.array_equal(after.counts[after.fresh], before.counts[after.fresh])
 
+    def test_bursts(self, place, codes) -> None:
+        """One reading in 800 begins a burst of four rows on average; a quarter of geometric lengths are one row."""
+        after = StaleSamples(0.005, rows=4.0).codes(codes(0, ROWS), place())
+        lengths = np.diff(np.append(np.flatnonzero(after.fresh), ROWS)) - 1
+        bursts = lengths[lengths > 0]
+        assert abs(len(bursts) - ROWS / 800) < 5 * math.sqrt(ROWS / 800)
+        assert abs(bursts.mean() - 4) < 5 * math.sqrt(12 / len(bursts))
+        assert abs((bursts == 1).mean() - 0.25) < 5 * math.sqrt(0.1875 / len(bursts))
+        part = StaleSamples(0.005, rows=4.0).codes(codes(50_000, 51_000), place())
+        longest = StaleSamples(0.005, rows=4.0).longest
+        assert np.array_equal(part.fresh[longest + 1 :], after.fresh[50_000 + longest + 1 : 51_000])
+
     def test_correlation_of_white_readings(self, place, codes) -> None:
         noise = np.random.default_rng(1).integers(-1000, 1000, (ROWS, 3))
         after = StaleSamples(0.4).codes(codes(0, ROWS, noise), place())

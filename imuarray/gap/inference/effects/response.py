@@ -310,11 +310,10 @@ def _scale_of_return(evidence: Evidence) -> Iterator[Hypothesis]:
     doubtful = np.abs(evidence.score(_RETURN)) > DOUBTFUL
     for log in sorted({phase.log for phase in evidence.still}):
         phases = sorted((p for p in evidence.still if p.log == log and p.raw.rows), key=lambda p: p.raw.phase.start_ns)
-        felt = felt_g([phase.residual for phase in phases])
-        named = np.flatnonzero(np.isfinite(felt).all(axis=1))
-        phases, felt = [phases[at] for at in named.tolist()], felt[named]
+        phases = [phase for phase in phases if np.isfinite(felt_g([phase.residual])).all()]
         if len(phases) < _FEWEST_VISITS:
             continue
+        felt = felt_g([phase.residual for phase in phases])
         face = np.unique(felt.round(), axis=0, return_inverse=True)[1]
         means = centre(np.array([mean(phase.residual) for phase in phases]), face)
         fits = []

@@ -469,13 +469,37 @@ def _rates_hz(evidence: Evidence) -> list[float]:
 
 _STALE_PROBES = ("repeats", "stale", "longest_repeat", "lag_1")
 _MOST_STALE = 0.95
+_FEWEST_BURSTS, _LEAST_BURST = 3, 1.5
+"""Fewest stretches of two and more repetitions that are bursts, and the least mean of rows of all repetitions."""
 
 
 def guess_stale_samples(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the share of repetitions beyond what the model makes."""
-    probability = repeated_share(evidence) if evidence.is_odd(*_STALE_PROBES) else 0.0
+    """Suggest the share of repetitions beyond what the model makes, and bursts as long as they are on average."""
+    if not evidence.is_odd(*_STALE_PROBES):
+        return
+    probability = repeated_share(evidence)
     if probability > _LEAST_REPEATED:
         yield Hypothesis((StaleSamples(min(probability, _MOST_STALE)),), ("probability",))
+    yield from _bursts(evidence)
+
+
+def _bursts(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Suggest repetitions in bursts, by those of two rows and more, and by the rest of those that the model lacks."""
+    rows = sum(phase.raw.rows for phase in evidence.phases)
+    repeated = sum(float(np.nan_to_num(phase.raw.repeats.repeat_share)) * phase.raw.rows for phase in evidence.phases)
+    expected = evidence.expected.get("repeats", np.zeros((0, 1)))
+    usual = np.sin(expected[np.isfinite(expected)]) ** 2
+    lacking = repeated - rows * float(np.median(usual)) if len(usual) else repeated
+    bursts = [repetition.rows for repetition in evidence.repeated]
+    if len(bursts) < _FEWEST_BURSTS or not rows:
+        return
+    single = max(lacking - sum(bursts), 0.0)
+    length = (sum(bursts) + single) / (len(bursts) + single)
+    probability = (sum(bursts) + single) / rows
+    if length > _LEAST_BURST and _LEAST_REPEATED < probability < _MOST_STALE:
+        yield Hypothesis(
+            (StaleSamples(probability, length),), ("probability", "rows"), limits={"rows": (1.0, math.inf)}
+        )
 
 
 _THRESHOLD_DPS, _HOLD_S = 100.0, 0.0015
