@@ -32,7 +32,7 @@ from imuarray.spelling import guess_file
 _MOST_BYTES = 1 << 26
 """Maximum size of a text file."""
 
-_LONG_ROWS = 50_000
+_LONG_ROWS = 120_000
 """Rows of a sensor from which a second process saves more than the second that its start takes."""
 
 _NOISE = 0.2
