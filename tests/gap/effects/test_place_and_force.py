@@ -30,6 +30,26 @@ def test_a_place() -> None:
 
 
 @pytest.mark.slow
+def test_a_place_beside_the_configured_one() -> None:
+    """The sensor sits at (0, 50, -120) mm, and its header says (0, 0, -100): the others are at the origin."""
+    evidence = evidence_of("motion", "A1", {"A1": (SizeEffect((0.0, 50.0, -120.0)),)}, seed=7)
+    phases = []
+    for phase in evidence.phases:
+        if phase.cross is not None:
+            headers = tuple(
+                replace(header, position_mm=(0.0, 0.0, -100.0)) if header.name == "A1" else header
+                for header in phase.cross.sensors
+            )
+            phases.append(replace(phase, cross=replace(phase.cross, sensors=headers)))
+        else:
+            phases.append(phase)
+    (trial,) = CANDIDATES["size_effect"].guesses(replace(evidence, phases=tuple(phases)))
+    (effect,) = trial.effects
+    assert isinstance(effect, SizeEffect)
+    np.testing.assert_allclose(effect.position_mm, (0.0, 50.0, -20.0), atol=8.0)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "size", "tolerance"), some([("tumble", 1.0, 0.005), ("motion", 10.0, 0.05)], 1))
 def test_a_gyroscope_that_feels_force(kind: str, size: float, tolerance: float) -> None:
     response = size * np.array([0.05, 0.02, 0.0, 0.0, -0.05, 0.0, 0.01, 0.0, 0.03])

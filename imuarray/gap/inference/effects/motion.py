@@ -278,23 +278,38 @@ _CROSS_PRODUCTS = np.cross(np.eye(3)[:, None], np.eye(3)[None]).transpose(0, 2, 
 
 
 def guess_size_effect(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the place, from least squares of what the other accelerometers' mean doesn't explain."""
+    """Suggest the displacement, from least squares of what the other accelerometers' mean doesn't explain."""
     if not evidence.is_odd("motion_coupling", "motion_residual", "motion_gain", "motion_next", "motion_after"):
         return
     table = moments(evidence)
     if table is None:
         return
-    place = _position_m(evidence, *table.beyond_reference(ROTATION)[:2]) * 1e3
+    place = _displacement_m(evidence, *table.beyond_reference(ROTATION)[:2]) * 1e3
     if place.any() and np.linalg.norm(place) < _LARGEST_MM:
         yield Hypothesis((SizeEffect(triple(place)),), ("position_mm",))
 
 
-def _position_m(evidence: Evidence, rotation: Floats, shared: Floats) -> Floats:
-    """Return (3,) metres in the box: force = sum of column k times B_k r, B_k (3, 3) along the sensor's axes."""
+def _displacement_m(evidence: Evidence, rotation: Floats, shared: Floats) -> Floats:
+    """Return (3,) metres in the box from the configured position: force = sum of column k times B_k r, B_k (3, 3) along
+    the sensor's axes, for r from the mean of the others.
+    """
     turn = np.array(evidence.header.orientation).T / SI_PER_UNIT[evidence.header.unit]
     columns = turn @ rotation_columns()
     normal = np.einsum("kl,kij,lim->jm", rotation, columns, columns)
-    return np.asarray(np.linalg.pinv(normal, rcond=1e-6) @ np.einsum("kij,ki->j", columns, shared))
+    moved = np.einsum("kij,ki->j", columns, shared) - normal @ _configured_m(evidence)
+    return np.asarray(np.linalg.pinv(normal, rcond=1e-6) @ moved)
+
+
+def _configured_m(evidence: Evidence) -> Floats:
+    """Return (3,) metres in the box from the mean position of what the sensor is compared with in motion to its own; a
+    track is that of the origin.
+    """
+    sensor = evidence.header.name
+    crosses = [phase.cross for phase in evidence.phases if not phase.is_still and phase.cross is not None]
+    cross = next(cross for cross in crosses if takes_part(evidence, cross))
+    others_mm = [cross.header(name).position_mm for name in cross.others(sensor, family=False)]
+    others_mm += [(0.0, 0.0, 0.0)] * (sensor in cross.tracked)
+    return np.asarray(np.subtract(cross.header(sensor).position_mm, np.mean(others_mm, axis=0)) * 1e-3)
 
 
 def rotation_columns() -> Floats:
