@@ -13,7 +13,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from imuarray.arrays import Floats
 from imuarray.gap.findings.deviations import TWO_SIDED_95, length_words, needed
 from imuarray.gap.findings.diagnosis import DIFFERENCES, Cause, Unobservable, Where
 from imuarray.gap.findings.text import domain_text, number, place_text
-from imuarray.gap.inference.effects.candidate import Candidate, Kind
+from imuarray.gap.inference.effects.candidate import Candidate, Kind, Need
 from imuarray.gap.inference.forward_selection import Evaluation, Round
 from imuarray.gap.inference.search import SearchResult
 from imuarray.gap.model.bench import Bench, bench_of
@@ -46,8 +46,6 @@ from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.record import phases_within
 from imuarray.simulate.simulation import Plan, Simulation
 from imuarray.simulate.timeline import PollTimes
-
-Need = Literal["faces", "warmth", "runs", "turns", "rest", "warm_faces", "warm_turns"]
 
 LEAST_FACES, LEAST_DEGC, LEAST_RUNS, LEAST_REST_S = 2, 5.0, 4, 60.0
 """Least faces (with fewer, level and scale are not separated), span of temperature (drift and slope), runs (a spread:
@@ -77,40 +75,7 @@ _EXPERIMENTS: Mapping[Need, tuple[Kind, str]] = MappingProxyType(
 _DONE_BY: tuple[Need, ...] = ("faces", "warmth", "runs", "turns")
 """The needs that make an experiment of its kind."""
 
-_NEEDS: Mapping[str, tuple[Need, ...]] = MappingProxyType(
-    {
-        "scale": ("faces", "turns"),
-        "misalignment": ("faces", "turns"),
-        "axis_error": ("faces", "turns"),
-        "nonlinearity": ("faces", "turns"),
-        "saturation": ("faces", "turns"),
-        "g_sensitivity": ("faces", "turns"),
-        "size_effect": ("turns",),
-        "thermal_bias": ("warmth",),
-        "thermal_scale": ("warm_faces",),
-        "thermal_lag": ("warmth",),
-        "turn_on_bias": ("runs",),
-        "bistable_bias": ("runs",),
-        "white_noise": ("rest",),
-        "bandwidth": ("rest",),
-        "tone": ("rest",),
-    }
-)
-"""Alternative needs of each effect, the usual one first. Without any of them the effect is not observable, whatever
-else was recorded: in one attitude it looks like a bias (a clipped axis like a quiet one with a bias), and so does an
-effect that does not change with temperature or from run to run.
-"""
-
-_GYROSCOPE_NEEDS: Mapping[str, tuple[Need, ...]] = MappingProxyType(
-    {
-        "scale": ("turns",),
-        "misalignment": ("turns",),
-        "axis_error": ("turns",),
-        "nonlinearity": ("turns",),
-        "saturation": ("turns",),
-        "thermal_scale": ("warm_turns",),
-    }
-)
+_OF_A_GYROSCOPE: Mapping[Need, Need] = MappingProxyType({"faces": "turns", "warm_faces": "warm_turns"})
 """Needs of a gyroscope where they differ, since it feels nothing on any face."""
 
 _SAME_AS: Mapping[str, str] = MappingProxyType({"thermal_scale": "thermal_bias"})
@@ -307,8 +272,9 @@ def _needed_record(
     candidate: Candidate, quantity: str, recorded_kinds: Collection[str], met_needs: frozenset[Need]
 ) -> str:
     """Return what to record so that a sensor of this quantity shows the effect; "" if that was recorded."""
-    special = _GYROSCOPE_NEEDS if quantity == "angular_rate" else _NEEDS
-    needs = special.get(candidate.effect, _NEEDS.get(candidate.effect, ()))
+    needs = candidate.needs
+    if quantity == "angular_rate" != candidate.quantity:
+        needs = tuple(_OF_A_GYROSCOPE.get(need, need) for need in needs)
     if not needs:
         is_shown = any(kind in recorded_kinds for kind in candidate.shown_by)
         return "" if is_shown else next((f"{kind}: {text}" for kind, text in candidate.shown_by.items()), "")

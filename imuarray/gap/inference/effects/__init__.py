@@ -69,6 +69,7 @@ _TABLE = (
         {"motion": "turn the box by hand at 200 dps and more about every axis, 1 minute"},
         "force that rotation explains, by where the sensor sits",
         quantity="specific_force",
+        needs=("turns",),
     ),
     Candidate(
         "thermal_lag",
@@ -76,18 +77,21 @@ _TABLE = (
         {"heating": "heat by 20 degC within 2 minutes and let cool for 20, twice"},
         "levels that follow the temperature of some time ago",
         existing="ignored",
+        needs=("warmth",),
     ),
     Candidate(
         "axis_error",
         guess_axis_error,
         {"tumble": "all six faces, 10 s each", "motion": "turns and strokes along every axis, 20 s"},
         "faces or a motion that come out along another axis, or with the other sign",
+        needs=("faces", "turns"),
     ),
     Candidate(
         "misalignment",
         guess_misalignment,
         {"tumble": _FACES, "motion": _STROKES},
         "axes that show a share of what acts along another one",
+        needs=("faces", "turns"),
     ),
     Candidate(
         "nonlinearity",
@@ -97,18 +101,21 @@ _TABLE = (
             "motion": "turns and strokes up to the range along every axis, 1 minute",
         },
         "opposite faces whose mean isn't the bias; in motion, readings that bend",
+        needs=("faces", "turns"),
     ),
     Candidate(
         "scale",
         guess_scale,
         {"tumble": _FACES, "motion": _STROKES},
         "opposite faces that differ by more or less than they should, a share of motion, or a level along gravity",
+        needs=("faces", "turns"),
     ),
     Candidate(
         "thermal_scale",
         guess_thermal_scale,
         {"heating": "heat by 20 degC on two opposite faces, 10 minutes each"},
         "slopes over temperature that are opposite on opposite faces, or a scale that is off in warmth",
+        needs=("warm_faces",),
     ),
     Candidate(
         "g_sensitivity",
@@ -116,6 +123,7 @@ _TABLE = (
         {"tumble": _FACES, "motion": "strokes of 1 g and more along every axis, 1 minute"},
         "levels of a gyroscope or magnetometer that differ from face to face, or follow the force",
         quantity="angular_rate",
+        needs=("faces", "turns"),
     ),
     Candidate(
         "bias",
@@ -129,12 +137,14 @@ _TABLE = (
         guess_turn_on_bias,
         {"turn-on": "a dozen boots of 1 minute, switched off for 10 s in between"},
         "levels of logs that differ by more than what is within them explains",
+        needs=("runs",),
     ),
     Candidate(
         "bistable_bias",
         guess_bistable_bias,
         {"turn-on": "20 boots of 1 minute, switched off for 10 s in between"},
         "levels of boots in two groups, the same ones on all axes",
+        needs=("runs",),
     ),
     Candidate(
         "thermal_bias",
@@ -142,6 +152,7 @@ _TABLE = (
         {"heating": "heat by 20 degC and let cool, twice, on one face, 10 minutes each way"},
         "levels that follow the square of the temperature, beside the straight line that is fitted",
         existing="ignored",
+        needs=("warmth",),
     ),
     Candidate(
         "bias_instability",
@@ -174,6 +185,7 @@ _TABLE = (
         {"static": "still for 5 minutes, and again at another poll rate, by which an alias moves"},
         "a line in the spectrum, that stays where it is or drifts",
         existing="joined or replaced",
+        needs=("rest",),
     ),
     Candidate(
         "white_noise",
@@ -181,6 +193,7 @@ _TABLE = (
         {"static": "still for 1 minute"},
         "more noise in a part of the time, or since an earlier recording; noise of a sensor that was never at rest",
         existing="ignored",
+        needs=("rest",),
     ),
     Candidate(
         "bandwidth",
@@ -188,6 +201,7 @@ _TABLE = (
         {"static": "still for 2 minutes, read at the sensor's data rate"},
         "correlation phi^k of readings k rows apart, and motion that comes late",
         existing="ignored",
+        needs=("rest",),
     ),
     Candidate(
         "odr_error",
@@ -217,6 +231,7 @@ _TABLE = (
         guess_saturation,
         {"tumble": _FACES, "motion": "strokes and turns up to the range, along every axis"},
         "readings that pile up at the outermost code, short of the converter's end",
+        needs=("faces", "turns"),
     ),
     Candidate(
         "adaptive_range",

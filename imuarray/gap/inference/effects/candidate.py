@@ -17,6 +17,9 @@ from imuarray.simulate.effect import Effect
 Kind = Literal["static", "tumble", "heating", "turn-on", "motion"]
 """What is done in a log; the menu of experiments."""
 
+Need = Literal["faces", "warmth", "runs", "turns", "rest", "warm_faces", "warm_turns"]
+"""What a recording has to have: several faces, a change of temperature, runs, turns, rest, or two of them at once."""
+
 Action = Literal["add", "remove", "replace"]
 
 _CHOICES = frozenset({"range", "axes"})
@@ -124,6 +127,10 @@ class Candidate:
     recorded for the effect to show, by kind of experiment; kinds that are missing can't show it. `about`: by what it is
     recognised. Only sensors of this `quantity`, and of this `chip`, can have it ("": all).
 
+    `needs`: alternatives, the usual one first. Without any of them the effect is not observable, whatever else was
+    recorded: in one attitude it looks like a bias (a clipped axis like a quiet one with a bias), and so does an effect
+    that does not change with temperature or from run to run.
+
     `existing` says what becomes of one of its kind that the model has already: it is replaced, since two of a kind
     can't be told apart, or joined as well, since a sensor may have several; or suggestions themselves see to it.
     """
@@ -134,6 +141,7 @@ class Candidate:
     about: str = ""
     quantity: str = ""
     chip: str = ""
+    needs: tuple[Need, ...] = ()
     existing: Literal["replaced", "joined or replaced", "ignored"] = "replaced"
 
     def can_concern(self, header: SensorHeader) -> bool:
