@@ -83,8 +83,10 @@ class SensorLog(CountScale):
         self.chip = self._text("chip")
         self.quantity = self._text("quantity", QUANTITIES)
         self.unit = self._text("unit", tuple(SI_PER_UNIT))
-        self.range = self._number("range")
-        self.sensitivity = self._number("sensitivity")
+        # words of a barometer or a thermometer have no scale of their own: not every recorder writes one
+        default = None if self.is_triad else 0.0
+        self.range = self._number("range", default)
+        self.sensitivity = self._number("sensitivity", default)
         self.rate_hz = self._number("rate_hz", 0.0)
         self.bandwidth_hz = self._number("bandwidth_hz", 0.0)
         self.delay_ns = round(self._number("delay_ns", 0.0))

@@ -13,6 +13,7 @@ import pytest
 from scipy.signal import butter, lfilter
 
 from imuarray.gap.model.base_model import Base, FittedParameters, _wander, fit, replicate_seed, residual
+from imuarray.gap.model.populations import is_usual, usual_flicker
 from imuarray.gap.model.rest import response_of
 from imuarray.gap.recording.recordings import LogReference
 from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, PhaseSummary, summarise_log
@@ -22,7 +23,7 @@ from imuarray.log.writer import Block
 from imuarray.simulate import parse_model
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth
-from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.bias import Bias, BiasInstability
 from imuarray.simulate.effects.response import Misalignment, Scale, SizeEffect
 from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.effects.timing import OwnClock
@@ -201,6 +202,32 @@ def test_a_slope_that_no_temperature_tells_is_drawn() -> None:
     assert np.abs(slopes).max() <= 5e-4
     assert warm.fitted["A1"].is_slope_known
     assert not any(effect.slope[0] for effect in warm.drawn(1)["A1"] if isinstance(effect, ThermalBias))
+
+
+@pytest.mark.parametrize(("rows", "is_long"), [(20_000, True), (500, False)])
+def test_parts_have_some_usual_flicker_in_long_phases(rows: int, *, is_long: bool) -> None:
+    """White noise of 0.175 dps: the mean of 20,000 rows is known to 0.0012 dps, a third of the largest usual floor of
+    0.004 dps, that of 500 rows to 0.008 dps. Of 60 draws with flicker the floors are between 0 and that one.
+    """
+    noise = np.random.default_rng(3).normal(size=(rows, 3))
+    base = base_of_rows(noise, data_rate_hz=800.0, bandwidth_hz=50.0, ends_s=(rows / 200,))
+    drawn_floors = [
+        [rms / math.sqrt(5) for rms in effect.rms]
+        for number in range(40)
+        for effect in base.drawn(number)["G"]
+        if isinstance(effect, BiasInstability)
+    ]
+    assert len(drawn_floors) == (20 if is_long else 0)
+    if is_long:
+        assert 0 <= np.min(drawn_floors) < 0.001
+        assert 0.003 < np.max(drawn_floors) <= 0.004
+
+
+def test_more_flicker_than_usual_is_an_effect() -> None:
+    gyro = header("G", chip="l3g4200d")
+    assert is_usual(usual_flicker((0.004, 0.001, 0.0)), gyro)
+    assert not is_usual(usual_flicker((0.001, 0.005, 0.0)), gyro)
+    assert not is_usual(BiasInstability((0.001,) * 3, 100.0), gyro)
 
 
 @pytest.mark.slow
@@ -479,6 +506,19 @@ def fitted_to_rows(
     overrun: npt.NDArray[np.bool_] | None = None,
     ends_s: Sequence[float] = (100,),
 ) -> FittedParameters:
+    """Return the parameters of `base_of_rows`."""
+    return base_of_rows(noise, data_rate_hz, bandwidth_hz, counts_rms, stale, overrun, ends_s).fitted["G"]
+
+
+def base_of_rows(
+    noise: npt.NDArray[np.float64],
+    data_rate_hz: float,
+    bandwidth_hz: float,
+    counts_rms: float = 20.0,
+    stale: npt.NDArray[np.bool_] | None = None,
+    overrun: npt.NDArray[np.bool_] | None = None,
+    ends_s: Sequence[float] = (100,),
+) -> Base:
     """A gyroscope with these settings whose 200 rows a second hold that noise (n, 3) of so many counts, in logs up to
     each of `ends_s`; the recorder flags the rows that are `stale` and `overrun` (n,), or none.
     """
@@ -496,7 +536,7 @@ def fitted_to_rows(
         )
         for begin, end in pairwise((0, *ends_s))
     ]
-    return fit(Campaign(tuple(logs)), [Still()] * len(logs)).fitted["G"]
+    return fit(Campaign(tuple(logs)), [Still()] * len(logs))
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
+from imuarray.errors import LogError
 from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
 from imuarray.log.reader import verify
@@ -171,3 +172,19 @@ def test_a_finished_log_has_nothing_to_report(small: Path) -> None:
         assert (log.state, log.has_journal, log.damaged_commits, log.is_rebuilt) == ("finished", True, 0, False)
     verdict = verify(small)
     assert (verdict.problems, verdict.remarks) == ((), ())
+
+
+def test_a_barometer_needs_no_range(small: Path) -> None:
+    """Its words have no scale; a triad is not read without its sensitivity."""
+    with h5py.File(small, "r+") as file:
+        for attribute in ("range", "sensitivity", "bandwidth_hz"):
+            del file["sensors/Baro"].attrs[attribute]
+    with open_log(small) as log:
+        assert (log["Baro"].range, log["Baro"].sensitivity) == (0.0, 0.0)
+    with h5py.File(small, "r+") as file:
+        del file["sensors/Acc"].attrs["sensitivity"]
+    with (
+        pytest.raises(LogError, match="sensor Acc: attribute sensitivity is None, a number is required"),
+        open_log(small),
+    ):
+        pass

@@ -31,12 +31,14 @@ from imuarray.gap.model.gravity import NO_CHANGE, Forces, estimated_forces, resi
 from imuarray.gap.model.populations import (
     CLOCK_SIGMA,
     CUTOFF_TOLERANCE,
+    FLICKER_FLOOR,
     LEAST_CORRELATION,
     POSITION_SIGMA_MM,
     THERMAL_GROWTH_SIGMA,
     TOLERANCE_SIGMAS,
     is_usual,
     response_tolerance,
+    usual_flicker,
     usual_model,
 )
 from imuarray.gap.model.rest import REFERENCE_DEGC, FittedParameters, Rest, felt, fit_sensor, rms_of, slope_of
@@ -56,7 +58,7 @@ from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import SEVERAL_SAMPLES, Bandwidth, has_correlations
-from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.bias import Bias, BiasInstability
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.response import SizeEffect, with_position
 from imuarray.simulate.effects.temperature import ThermalBias
@@ -136,6 +138,9 @@ _UNLIKELY = 4.0
 _MEASURED = 1.5
 """Misfit of the best filter, over what chance makes of it, beyond which correlations are taken as measured."""
 
+_FLICKER_SHOWS = 3.0
+"""Multiple of the standard error of the mean over a phase from which on flicker shows."""
+
 _GRAVITY_UP = np.array([0.0, 0.0, STANDARD_GRAVITY])
 
 _FITTED = frozenset({"white_noise", "bias", "thermal_bias"})
@@ -150,7 +155,8 @@ class Base:
     The rows of sensors that are `queued` are the chip's own readings, whatever its clock does. `ambient_lines` are
     measured by all sensors of a quantity, with another amplitude in each replicate. `common_bias_g`: standard deviation
     of the bias that the accelerometers of a replicate have in common: where an attitude is estimated from their
-    readings, the fit takes a part of that bias for a tilt, as it does in the recording.
+    readings, the fit takes a part of that bias for a tilt, as it does in the recording. Sensors that are `flickering`
+    have some usual flicker in each replicate: their phases are long enough to show it beside the white noise.
     """
 
     headers: Mapping[str, SensorHeader]
@@ -160,6 +166,7 @@ class Base:
     queued: frozenset[str] = frozenset()
     ambient_lines: tuple[AmbientLine, ...] = ()
     common_bias_g: float = 0.0
+    flickering: frozenset[str] = frozenset()
 
     def effects(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
         """Return the effects of every sensor; `replicate` 0, 1, ... numbers the units that are drawn."""
@@ -200,7 +207,12 @@ class Base:
         effects = tuple(_unfitted((self.model or self._usual).effects(header, units), is_slope_known))
         if header.quantity == "specific_force":
             effects = (*with_position(effects, _position_mm(header, units)), *self._common_bias(header, units))
-        effects = (*effects, *self._tones(header, units), *self._thermal_curve(header, units))
+        effects = (
+            *effects,
+            *self._tones(header, units),
+            *self._thermal_curve(header, units),
+            *self._flicker(header, units),
+        )
         is_odd = bool(replicate % 2)
         effects = tuple(effect for effect in effects if is_odd or not is_usual(effect, header))
         if header.name in self.queued:  # the row of a reading has the time at which the chip took it
@@ -231,6 +243,13 @@ class Base:
             growth = THERMAL_GROWTH_SIGMA * units.of_unit(header.name, ThermalBias.name, "growth").standard_normal(3)
             x, y, z = (growth * np.array(self.fitted[header.name].slope)).tolist()
             yield ThermalBias(quadratic=(x, y, z), reference_degc=REFERENCE_DEGC)
+
+    def _flicker(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
+        """Yield some usual flicker of a sensor whose phases may show it."""
+        if header.name in self.flickering:
+            shares = units.of_unit(header.name, BiasInstability.name, "usual").uniform(0.0, 1.0, 3)
+            x, y, z = (FLICKER_FLOOR[header.unit] * shares).tolist()
+            yield usual_flicker((x, y, z))
 
     def _tones(self, header: SensorHeader, units: Streams) -> Iterator[Effect]:
         """Yield the lines of the surroundings as a sensor of this replicate measures them."""
@@ -277,7 +296,15 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
         if low_pass is not None:
             rms = rms_of(header, rests[name], _row_correlations(campaign, header, low_pass))
             fitted[name] = replace(fitted[name], rms=rms, low_pass=low_pass, low_pass_sd=low_pass_sd)
-    return Base(headers, fitted, model, seed)
+    flickering = frozenset(name for name, header in headers.items() if _may_flicker(header, fitted[name], rests[name]))
+    return Base(headers, fitted, model, seed, flickering=flickering)
+
+
+def _may_flicker(header: SensorHeader, fitted: FittedParameters, rests: Sequence[Rest]) -> bool:
+    """Return whether the mean over the longest phase at rest is so certain by the white noise that flicker shows."""
+    rows = max((int(rest.rows.sum()) for rest in rests), default=0)
+    floor = FLICKER_FLOOR.get(header.unit, 0.0)
+    return bool(rows and _FLICKER_SHOWS * min(fitted.rms) / math.sqrt(rows) < floor)
 
 
 def headers_in(campaign: Campaign) -> dict[str, SensorHeader]:

@@ -19,7 +19,7 @@ from imuarray.arrays import Floats
 from imuarray.log.format import SensorHeader
 from imuarray.shipped import configs
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bias import TurnOnBias
+from imuarray.simulate.effects.bias import BiasInstability, TurnOnBias
 from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.effects.response import SizeEffect
 from imuarray.simulate.model import TRIADS, Model, Part, load_model, noise_bandwidth_hz
@@ -39,8 +39,16 @@ the configured range. No data sheet prints it: the paper's parts scatter by up t
 its Table 11), other parts by several times as much.
 """
 
-TURN_ON_RMS: Mapping[str, float] = MappingProxyType({"g": 1.2e-3, "dps": 0.08})
+TURN_ON_RMS: Mapping[str, float] = MappingProxyType({"g": 1.2e-3, "dps": 0.15})
 """The largest usual scatter by unit, also of a chip whose data sheet allows little bias: the board scatters, too."""
+
+FLICKER_FLOOR: Mapping[str, float] = MappingProxyType({"g": 6e-5, "dps": 4e-3, "gauss": 2e-4})
+"""The largest usual flicker (1/f) by unit, as the flat part of the Allan deviation: every such sensor has some, and no
+data sheet of these chips prints it.
+"""
+
+FLICKER_TIMES_S = 1024.0, 4.0
+"""Slowest and fastest time constant of this flicker: faster ones are below the white noise."""
 
 _OFFSET_TOLERANCE_G = 0.15
 """Bias of an accelerometer whose data sheet is not known (ADX-60)."""
@@ -167,7 +175,18 @@ def response_tolerance(header: SensorHeader, accelerometers: int = 1) -> Floats:
 
 def is_usual(effect: Effect, header: SensorHeader) -> bool:
     """Return whether an effect is a nuisance quantity that every such sensor has."""
+    if isinstance(effect, BiasInstability):
+        largest = usual_flicker((FLICKER_FLOOR.get(header.unit, 0.0),) * 3)
+        return replace(effect, rms=largest.rms) == largest and max(effect.rms) <= max(largest.rms)
     return isinstance(effect, TurnOnBias) and max(effect.rms) <= turn_on_rms(header)
+
+
+def usual_flicker(floor: Triple) -> BiasInstability:
+    """Return the flicker whose Allan deviation is flat at `floor`, by axis in the sensor's unit."""
+    slowest_s, fastest_s = FLICKER_TIMES_S
+    flicker = BiasInstability((0.0, 0.0, 0.0), slowest_s, fastest_s)
+    x, y, z = (level * math.sqrt(len(flicker.time_constants_s)) for level in floor)
+    return replace(flicker, rms=(x, y, z))
 
 
 def is_near_noted_position(effect: Effect, header: SensorHeader) -> bool:

@@ -9,7 +9,7 @@ therefore subtracted in the spectrum, by the noise with which the sensors differ
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -45,14 +45,9 @@ is at least, the noise of rounding in counts, and the most rows from which these
 _TURN_STEP_NS = 50_000_000
 """Interval of a turn over which a gyroscope's rates are averaged: 5 degrees of a fast turn."""
 
-_SHARED_OVER_OWN, _WINDOWS_AT_ONCE = 2.0, 4096
+_SHARED_OVER_OWN, _WINDOWS_AT_REST = 2.0, 4096
 """Ratio of variances of what sensors of a quantity have in common from one window to the next, and of their own noise,
-from which on the box is not at rest; the windows of a phase by which that is decided, or which are read at once.
-"""
-
-_TOUCH, _AROUND_TOUCH_S, _MOST_TOUCHED = 6.0, 0.5, 0.2
-"""Steps, in standard deviations, that all sensors of a quantity show at once if somebody touches the box; the time
-before and after it that is left out; the share of windows from which on it is no touch but a shaken box.
+from which on the box is not at rest; the most windows of a phase by which that is decided.
 """
 
 _CLIPPED = 0.97
@@ -140,64 +135,14 @@ def shaken_quantities(triads: Sequence[SensorLog], rest: Phase) -> list[str]:
     return [quantity for quantity, group in groups.items() if len(group) > 1 and _is_shared(group, rest)]
 
 
-def touches_of(triads: Sequence[SensorLog], rest: Phase) -> list[tuple[int, int]]:
-    """Return from and until when, in ns, somebody touches the box in a phase at rest: all sensors of a quantity, two at
-    least, show a step along the same axis of the box at once.
-    """
-    moments_ns: list[Integers] = []
-    for quantity in INERTIAL:
-        sensors = [sensor for sensor in triads if sensor.quantity == quantity]
-        for edges_ns in _edges_at_rest(sensors, rest) if len(sensors) > 1 else ():
-            scores = np.array([_step_scores(sensor, edges_ns) for sensor in sensors])
-            is_common = (np.abs(scores).min(axis=0) > _TOUCH) & (np.abs(np.sign(scores).sum(axis=0)) == len(sensors))
-            touched = is_common.any(axis=1)
-            if touched.mean() < _MOST_TOUCHED:
-                moments_ns.append(edges_ns[1:-1][touched])
-    around_ns = round(_AROUND_TOUCH_S * 1e9)
-    spans: list[tuple[int, int]] = []
-    for moment_ns in sorted(np.concatenate([*moments_ns, np.zeros(0, np.int64)]).tolist()):
-        begin_ns = spans.pop()[0] if spans and moment_ns - around_ns <= spans[-1][1] else moment_ns - around_ns
-        spans.append((begin_ns, moment_ns + around_ns))
-    return spans
-
-
-def _edges_at_rest(sensors: Sequence[SensorLog], rest: Phase) -> Iterator[Integers]:
-    """Yield the edges of the windows of time in a phase at rest, so many at a time that few are in memory; none where a
-    sensor has no rows.
-    """
-    rows = [RecordedSource(sensor).rows(rest.start_ns, rest.end_ns) for sensor in sensors]
-    if not all(rows):
-        return
-    window_s = max(_WINDOW_ROWS * (rest.end_ns - rest.start_ns) * 1e-9 / min(rows), _SHORTEST_S)
-    edges_ns = _edges_ns(rest, window_s)[1:-1]
-    for start in range(0, len(edges_ns), _WINDOWS_AT_ONCE):
-        part_ns = edges_ns[start : start + _WINDOWS_AT_ONCE + 1]
-        if len(part_ns) > _FEWEST_WINDOWS:
-            yield part_ns
-
-
-def _step_scores(sensor: SensorLog, edges_ns: Integers) -> Floats:
-    """Return steps (w - 1, 3) of a sensor from window to window along the axes of the box, in their usual size; 0 where
-    it has no rows.
-    """
-    steps = np.diff(_window_means(sensor, edges_ns), axis=0)
-    known = steps[np.isfinite(steps).all(axis=1)]
-    if not len(known):
-        return np.zeros_like(steps)
-    rounding = SI_PER_UNIT[sensor.unit] / sensor.sensitivity
-    return np.asarray(np.nan_to_num(steps / np.maximum(_usual(known[None])[0], rounding)))
-
-
-def _usual(values: Floats) -> Floats:
-    """Return the standard deviation (s, 3) of normal values (s, n, 3) of s sensors, by the median from the median."""
-    apart = np.abs(values - np.median(values, axis=1, keepdims=True))
-    return np.asarray(np.median(apart, axis=1) / MEDIAN_ABSOLUTE)
-
-
 def _is_shared(sensors: Sequence[SensorLog], rest: Phase) -> bool:
     """Return whether changes from window to window are common to these sensors."""
-    edges_ns = next(_edges_at_rest(sensors, rest), None)
-    if edges_ns is None:
+    rows = [RecordedSource(sensor).rows(rest.start_ns, rest.end_ns) for sensor in sensors]
+    if not all(rows):
+        return False
+    window_s = max(_WINDOW_ROWS * (rest.end_ns - rest.start_ns) * 1e-9 / min(rows), _SHORTEST_S)
+    edges_ns = _edges_ns(rest, window_s)[1:-1][:_WINDOWS_AT_REST]
+    if len(edges_ns) <= _FEWEST_WINDOWS:
         return False
     steps = np.diff([_window_means(sensor, edges_ns) for sensor in sensors], axis=1)
     steps = steps[:, np.isfinite(steps).all(axis=(0, 2))]
@@ -208,6 +153,12 @@ def _is_shared(sensors: Sequence[SensorLog], rest: Phase) -> bool:
     own = (_usual(steps - mean) ** 2).max(axis=0) * len(sensors) / (len(sensors) - 1)
     shared = _usual(mean[None])[0] ** 2 - own / len(sensors)
     return bool((shared > _SHARED_OVER_OWN * own).any())
+
+
+def _usual(values: Floats) -> Floats:
+    """Return the standard deviation (s, 3) of normal values (s, n, 3) of s sensors, by the median from the median."""
+    apart = np.abs(values - np.median(values, axis=1, keepdims=True))
+    return np.asarray(np.median(apart, axis=1) / MEDIAN_ABSOLUTE)
 
 
 def _some_counts(sensor: SensorLog, phase: Phase) -> Floats:

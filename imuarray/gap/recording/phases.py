@@ -19,9 +19,9 @@ from imuarray.gap.recording.movement import (
     noise_at_rest,
     shaken_quantities,
     shows_motion,
-    touches_of,
     vibrates,
 )
+from imuarray.gap.recording.quiet import quiet_rest
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
@@ -41,9 +41,9 @@ MOST_TILT_DEG = 5.0
 MOST_RATE_DPS, _TRACK_TIMES = 3.0, 1000
 """A box that turns faster by its track (rms over so many moments of a phase) is not at rest, whatever is noted."""
 
-_CHANGE_DPS, _REFERENCE_DPS = 10.0, 0.3
-"""A larger mean rate is that of a turntable: by gyroscopes beside what they read at rest, whose biases change less in
-any heat, and by a reference.
+_CHANGE_DPS, _REFERENCE_DPS, _PARTS = 10.0, 0.3, 32
+"""A larger mean rate in one of so many parts of a phase is that of a turntable: by gyroscopes beside what they read at
+rest, whose biases change less in any heat, and by a reference.
 """
 
 HEATED_DEGC = 3.0
@@ -88,15 +88,15 @@ def is_at_rest(phase: Phase) -> bool:
 
 class ComparablePhases(NamedTuple):
     """The phases of a log that can be compared, its motions as far as its own sensors show them, notes, and the
-    quantities whose sensors are `shaken` in all phases at rest. From and until when, in ns, the box was touched is in
-    `touches`.
+    quantities whose sensors are `shaken` in all phases at rest. From and until when, in ns, the box was touched or
+    shaken is in `restless`.
     """
 
     phases: tuple[Phase, ...]
     movements: tuple[Movement, ...]
     notes: list[str]
     shaken: tuple[str, ...]
-    touches: tuple[tuple[int, int], ...]
+    restless: tuple[tuple[int, int], ...]
 
 
 def is_motion(phase: Phase) -> bool:
@@ -116,41 +116,42 @@ def phases_of(log: Log, motion: LikeLog, sensors: Sequence[str]) -> ComparablePh
         _without_false_face(phase, motion) if is_tracked else _without_face_of_turntable(phase, log)
         for phase in log.phases
     ]
-    still = [phase for phase in noted if is_at_rest(phase)]
+    triads = [log[name] for name in sensors if log[name].sensitivity]
+    moving = [phase for phase in noted if not is_at_rest(phase)]
+    still = [quiet_rest(triads, phase) for phase in noted if is_at_rest(phase)]
     detected, notes = ([], []) if still else _detected_poses(log)
     if is_tracked:
         detected = [phase for phase in detected if not moves_by_track(phase, motion)]
-    moving = [phase for phase in noted if phase not in still]
-    turns = list(_turns(sorted(noted)))
+    quiet = [*still, *(quiet_rest(triads, phase) for phase in detected)]
+    all_rests = [rest.phase for rest in quiet]
+    turns = list(_turns(sorted([*moving, *(rest.phase for rest in still)])))
     movements: list[Movement] = []
     if is_tracked and log.phases:
         moving += [turn for turn in turns if moves_by_track(turn, motion)]
     elif is_tracked:
-        moving = list(_between_rests(log, detected))
+        moving = list(_between_rests(log, all_rests))
     else:
-        turns = turns if log.phases else list(_motions(detected))
-        shown = movements_of(log, sensors, [*moving, *turns], [*still, *detected])
-        triads = [log[name] for name in sensors]
-        noise = {} if shown.keys() >= {*moving} else noise_at_rest(triads, [*still, *detected])
+        turns = turns if log.phases else list(_motions(all_rests))
+        shown = movements_of(log, sensors, [*moving, *turns], all_rests)
+        noise = {} if shown.keys() >= {*moving} else noise_at_rest(triads, all_rests)
         for phase in moving:
             if phase not in shown:
                 reason = _VIBRATION if vibrates(triads, phase, noise) else _UNKNOWN_MOTION
                 notes.append(f"Phase {phase.name!r} is left out: {reason}.")
         notes += [_SHARED_MOTION] if shown else []
         moving, movements = list(shown), sorted(shown.values(), key=lambda movement: movement.start_ns)
-    triads = [log[name] for name in sensors if log[name].sensitivity]
-    shaken = {rest: shaken_quantities(triads, rest) for rest in (*still, *detected)}
-    rests = [rest for rest, quantities in shaken.items() if not quantities] or list(shaken)
-    notes += [f"Phase {phase.name!r} is left out: {_SHAKEN}." for phase in shaken if phase not in rests]
-    phases = tuple(sorted([*rests, *moving]))
+    shaken = {rest: shaken_quantities(triads, rest.phase) for rest in quiet}
+    rests = [rest for rest, quantities in shaken.items() if not quantities] or quiet
+    notes += [f"Phase {rest.phase.name!r} is left out: {_SHAKEN}." for rest in quiet if rest not in rests]
+    phases = tuple(sorted([*(rest.phase for rest in rests), *moving]))
     if not phases:
         raise LogError(f"{log.path}: nothing to compare: {_what_is_lacking(log)}")
     always = [quantity for quantity in INERTIAL if all(quantity in shaken[rest] for rest in rests)] if rests else []
-    touches = [touch for rest in rests for touch in touches_of(triads, rest)]
-    if touches:
-        seconds = sum(end_ns - begin_ns for begin_ns, end_ns in touches) * 1e-9
-        notes.append(f"{seconds:.3g} s at rest are left out in which several sensors feel that the box is touched.")
-    return ComparablePhases(phases, tuple(movements), notes, tuple(always), tuple(touches))
+    restless = [span for rest in rests for span in rest.restless]
+    seconds = sum(rest.left_out_s for rest in rests)
+    if seconds > 0:
+        notes.append(f"{seconds:.3g} s at rest are left out: several sensors show that the box is touched or shaken.")
+    return ComparablePhases(phases, tuple(movements), notes, tuple(always), tuple(restless))
 
 
 def _without_false_face(phase: Phase, motion: LikeLog) -> Phase:
@@ -168,18 +169,29 @@ def _without_face_of_turntable(phase: Phase, log: Log) -> Phase:
         return phase
     rests = [rest for rest in log.phases if is_at_rest(rest._replace(up=""))][:1]
     gyroscopes = [sensor for sensor in log.of("angular_rate") if sensor.sensitivity]
+    parts_ns = np.linspace(phase.start_ns, phase.end_ns, _PARTS + 1).astype(np.int64)
+    parts = [Phase(int(start_ns), int(end_ns), phase.name) for start_ns, end_ns in pairwise(parts_ns)]
     changes_dps = [
-        _mean_reading(sensor, phase) - _mean_reading(sensor, rest) for sensor in gyroscopes for rest in rests
+        [_mean_reading(sensor, part) - _mean_reading(sensor, rest) for sensor in gyroscopes]
+        for part in parts
+        for rest in rests
     ]
-    known = [change_dps for change_dps in changes_dps if np.isfinite(change_dps).all()]
-    largest_dps, least_dps = float(np.linalg.norm(np.median(known, axis=0))) if known else 0.0, _CHANGE_DPS
+    largest_dps, least_dps = _largest([np.median(each, axis=0) for each in changes_dps if each]), _CHANGE_DPS
     reference = log.reference
     if reference is not None and reference.angular_rate is not None:
-        first, stop = np.searchsorted(reference.time[:], [phase.start_ns, phase.end_ns]).tolist()
-        rows = np.asarray(reference.angular_rate[first:stop], float)
-        largest_dps = float(np.degrees(np.linalg.norm(rows.mean(axis=0)))) if len(rows) else 0.0
-        least_dps = _REFERENCE_DPS
+        places = np.searchsorted(reference.time[:], parts_ns).tolist()
+        means = [
+            np.asarray(reference.angular_rate[first:stop], float).mean(axis=0)
+            for first, stop in pairwise(places)
+            if stop > first
+        ]
+        largest_dps, least_dps = float(np.degrees(_largest(means))), _REFERENCE_DPS
     return phase._replace(up="") if largest_dps > least_dps else phase
+
+
+def _largest(vectors: Sequence[Floats]) -> float:
+    """Return the length of the longest of the vectors (3,) that are known; 0 without one."""
+    return float(max((np.linalg.norm(vector) for vector in vectors if np.isfinite(vector).all()), default=0.0))
 
 
 def moves_by_track(phase: Phase, motion: LikeLog) -> bool:

@@ -150,7 +150,7 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     chosen, left_out = _chosen_sensors(log, only)
     chosen, processed = _without_processed(log, chosen)
     motion = LikeLog(log)
-    phases, movements, skipped, shaken, touches = phases_of(log, motion, chosen)
+    phases, movements, skipped, shaken, restless = phases_of(log, motion, chosen)
     chosen, shaken_notes = _without_shaken(log, chosen, shaken)
     heated = is_heated(phases, motion)
     tracked = phases if motion.source != "phases" else tuple(filter(is_at_rest, phases))
@@ -183,7 +183,7 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     has_temperature = motion.temperature_source not in UNREFERENCED
     uncertain_ns = {}
     for name, (header, line) in sensors.items():
-        times_ns = [_settling_ns(header, line), *(_times_within(log[name], touch) for touch in touches)]
+        times_ns = [_settling_ns(header, line), *(_times_within(log[name], span) for span in restless)]
         if name in gaps.uncertain_ns:
             times_ns.append(gaps.uncertain_ns[name])
         if any(map(len, times_ns)):

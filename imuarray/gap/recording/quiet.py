@@ -1,0 +1,137 @@
+"""The quiet part of a phase at rest.
+
+Labels are set by hand, a second early or late, and a box at rest is touched, or stands on a table at which somebody
+types or on a vehicle whose engine starts. Nothing of that is in a simulation. A noise that rises in a single sensor is
+that sensor's; at moments at which it rises in several at once, the box is not at rest: these are left out, as are the
+ends of a phase in which the box still moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from imuarray.arrays import Booleans, Integers
+from imuarray.gap.recording.source import RecordedSource
+from imuarray.log import SensorLog
+from imuarray.log.format import Phase
+from imuarray.units import INERTIAL, SI_PER_UNIT
+
+_BLOCK_S, _BLOCK_ROWS, _MOST_BLOCKS = 0.3, 32.0, 50_000
+"""Least length of a block and least rows of the slowest sensor in it, and the most blocks of a phase."""
+
+_QUIETEST, _LOUDER = 0.1, 1.5
+"""Share of the blocks that are as quiet as the box can be, and the ratio to their variance from which on a block is
+restless; more where few rows tell a variance.
+"""
+
+_CERTAIN, _AT_QUIETEST, _VARIANCES = 3.0, 1.3, 3.0
+"""Standard deviations by which the variance of a block is beyond chance, those by which the quietest are below the
+mean, and rows times the squared relative standard deviation of a variance of steps.
+"""
+
+_SHARE = 1 / 3
+"""Least share of the sensors, two at least, that are restless together."""
+
+_MOVES: Mapping[str, float] = MappingProxyType({"specific_force": 0.1, "angular_rate": 0.009})
+"""Change of the mean reading (m/s2; rad/s: 0.5 dps) that is a motion and no drift."""
+
+_HAND_S, _LEAST_S = 3.0, 2.0
+"""Longest time at an end of a phase by which a label may be early or late, and the shortest rest that is cut."""
+
+_AROUND_S = 0.5
+"""Time beside restless blocks that is left out too."""
+
+
+class QuietRest(NamedTuple):
+    """A phase at rest without its restless ends, from and until when, in ns, it is restless in between, and how long
+    all of that is.
+    """
+
+    phase: Phase
+    restless: tuple[tuple[int, int], ...] = ()
+    left_out_s: float = 0.0
+
+
+def quiet_rest(triads: Sequence[SensorLog], rest: Phase) -> QuietRest:
+    """Return the quiet part of a phase at rest by these sensors; all of it where fewer than two were read."""
+    read = [
+        sensor
+        for sensor in triads
+        if sensor.quantity in INERTIAL and RecordedSource(sensor).rows(rest.start_ns, rest.end_ns) > _BLOCK_ROWS
+    ]
+    edges_ns = _edges_ns(read, rest) if len(read) > 1 else np.zeros(0, np.int64)
+    if len(edges_ns) < 4:
+        return QuietRest(rest)
+    blocks = [_blocks_of(sensor, edges_ns) for sensor in read]
+    votes = np.sum([block.is_restless for block in blocks], axis=0)
+    is_restless = votes >= max(2.0, _SHARE * len(read))
+    moves = np.any([block.moves for block in blocks], axis=0)
+    first = _cut(is_restless, moves, edges_ns)
+    stop = len(is_restless) - _cut(is_restless[::-1], moves[::-1], edges_ns)
+    around_ns = round(_AROUND_S * 1e9)
+    start_ns = int(edges_ns[first]) + around_ns if first else rest.start_ns
+    end_ns = int(edges_ns[stop]) - around_ns if stop < len(is_restless) else rest.end_ns
+    if (end_ns - start_ns) * 1e-9 < _LEAST_S:
+        return QuietRest(rest)
+    restless = _spans(is_restless, edges_ns, first, stop)
+    left_out_ns = rest.end_ns - end_ns + start_ns - rest.start_ns + sum(end - begin for begin, end in restless)
+    return QuietRest(rest._replace(start_ns=start_ns, end_ns=end_ns), restless, left_out_ns * 1e-9)
+
+
+class _Blocks(NamedTuple):
+    """Which blocks (b,) of a phase are restless by a sensor, and in which it moves."""
+
+    is_restless: Booleans
+    moves: Booleans
+
+
+def _edges_ns(sensors: Sequence[SensorLog], rest: Phase) -> Integers:
+    seconds = (rest.end_ns - rest.start_ns) * 1e-9
+    rows = min(RecordedSource(sensor).rows(rest.start_ns, rest.end_ns) for sensor in sensors)
+    block_s = max(_BLOCK_S, _BLOCK_ROWS * seconds / rows, seconds / _MOST_BLOCKS)
+    return np.linspace(rest.start_ns, rest.end_ns, int(seconds / block_s) + 1).astype(np.int64)
+
+
+def _blocks_of(sensor: SensorLog, edges_ns: Integers) -> _Blocks:
+    sums = np.zeros((len(edges_ns) - 1, 7))
+    for block in RecordedSource(sensor).blocks(int(edges_ns[0]), int(edges_ns[-1])):
+        counts = np.asarray(block.counts, float)
+        columns = np.column_stack([np.ones(len(counts)), counts, np.diff(counts, axis=0, prepend=counts[:1]) ** 2])
+        running = np.vstack([np.zeros(7), np.cumsum(columns, axis=0)])
+        sums += np.diff(running[np.searchsorted(block.time, edges_ns)], axis=0)
+    rows = np.maximum(sums[:, :1], 1.0)
+    has_rows = sums[:, 0] >= _BLOCK_ROWS / 2
+    if not has_rows.any():
+        return _Blocks(has_rows, has_rows)
+    mean, variance = sums[:, 1:4] / rows, sums[:, 4:] / rows / 2 + 1 / 12
+    quietest = np.quantile(variance[has_rows], _QUIETEST, axis=0)
+    deviation = np.sqrt(_VARIANCES / rows)
+    limit = np.maximum(_LOUDER, (1 + _CERTAIN * deviation) / np.maximum(1 - _AT_QUIETEST * deviation, 0.1))
+    apart = np.abs(mean - np.median(mean[has_rows], axis=0))
+    least = _MOVES[sensor.quantity] / SI_PER_UNIT[sensor.unit] * sensor.sensitivity
+    is_moved = apart > np.maximum(least, _CERTAIN * np.sqrt(np.median(variance[has_rows], axis=0) / rows))
+    return _Blocks((variance > limit * quietest).any(axis=1) & has_rows, is_moved.any(axis=1) & has_rows)
+
+
+def _cut(is_restless: Booleans, moves: Booleans, edges_ns: Integers) -> int:
+    """Return how many blocks at the beginning are not at rest."""
+    cut = int(np.argmin(is_restless | moves)) if not (is_restless | moves).all() else 0
+    block_s = float(edges_ns[1] - edges_ns[0]) * 1e-9
+    if np.count_nonzero(~is_restless[:cut]) * block_s > _HAND_S:
+        return int(np.argmin(is_restless))
+    return cut
+
+
+def _spans(is_restless: Booleans, edges_ns: Integers, first: int, stop: int) -> tuple[tuple[int, int], ...]:
+    """Return the restless spans between these blocks, those that touch each other as one."""
+    around_ns = round(_AROUND_S * 1e9)
+    spans: list[tuple[int, int]] = []
+    for at in (np.flatnonzero(is_restless[first:stop]) + first).tolist():
+        begin_ns, end_ns = int(edges_ns[at]) - around_ns, int(edges_ns[at + 1]) + around_ns
+        begin_ns = spans.pop()[0] if spans and begin_ns <= spans[-1][1] else begin_ns
+        spans.append((begin_ns, end_ns))
+    return tuple(spans)
