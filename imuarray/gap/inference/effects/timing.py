@@ -490,7 +490,7 @@ def _bursts(evidence: Evidence) -> Iterator[Hypothesis]:
     expected = evidence.expected.get("repeats", np.zeros((0, 1)))
     usual = np.sin(expected[np.isfinite(expected)]) ** 2
     lacking = repeated - rows * float(np.median(usual)) if len(usual) else repeated
-    bursts = [repetition.rows for repetition in evidence.repeated]
+    bursts = [repetition.rows for repetition in evidence.repeated if _is_in_a_phase(evidence, repetition.span)]
     if len(bursts) < _FEWEST_BURSTS or not rows:
         return
     single = max(lacking - sum(bursts), 0.0)
@@ -500,6 +500,12 @@ def _bursts(evidence: Evidence) -> Iterator[Hypothesis]:
         yield Hypothesis(
             (StaleSamples(probability, length),), ("probability", "rows"), limits={"rows": (1.0, math.inf)}
         )
+
+
+def _is_in_a_phase(evidence: Evidence, span: Span) -> bool:
+    """Return whether a span begins in one of the phases, which may be half of the log's."""
+    phases = [phase.raw.phase for phase in evidence.phases if phase.log == span.log]
+    return any(phase.start_ns <= span.moment_s * 1e9 < phase.end_ns for phase in phases)
 
 
 _THRESHOLD_DPS, _HOLD_S = 100.0, 0.0015
