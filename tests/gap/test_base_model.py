@@ -130,7 +130,7 @@ def test_every_replicate_draws_its_units() -> None:
     fitted_too = {"own_clock", "scale", "misalignment", "turn_on_bias", "white_noise", "bias", "thermal_bias"}
     fitted_too |= {"nonlinearity", "thermal_scale"}  # as far as the data sheets print them (BMA-116, BMA-117)
     assert {effect.name for effect in effects["A1"]} == fitted_too | {"size_effect"}
-    assert {effect.name for effect in effects["G2"]} == fitted_too | {"g_sensitivity"}
+    assert {effect.name for effect in effects["G2"]} == fitted_too | {"g_sensitivity", "bias_instability"}
     angles = [effect.angles_deg for effect in effects["G2"] if isinstance(effect, Misalignment)]
     assert 0 < np.abs(angles).max() <= 2.1
 

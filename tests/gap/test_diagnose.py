@@ -281,9 +281,9 @@ def test_what_sensors_share_is_one_cause(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_what_changes_from_boot_to_boot(tmp_path: Path) -> None:
-    """Six boots, both halves of each."""
+    """Six boots, both halves of each; usual is a scatter of at most 0.15 dps."""
     motions = [turn_on_run(run, 6.0) for run in range(1, 7)]
-    found = diagnosed(recorded(tmp_path, {"G1": (TurnOnBias((0.1, 0.1, 0.1)),)}, motions=motions))
+    found = diagnosed(recorded(tmp_path, {"G1": (TurnOnBias((0.4, 0.4, 0.4)),)}, motions=motions))
     (cause,) = found.causes
     assert cause.effect == "turn_on_bias"
     assert cause.share > 0.9

@@ -59,7 +59,7 @@ def test_a_box_that_never_moved_has_one_attitude(recordings: dict[str, Recording
     (phase,) = recording.phases
     length_s = {"freeimu_thermal": 2158}.get(name, 655)
     assert recording.kind == {"freeimu_thermal": "heating"}.get(name, "static")
-    assert (phase.end_ns - phase.start_ns) * 1e-9 == pytest.approx(length_s, abs=3)
+    assert (phase.end_ns - phase.start_ns) * 1e-9 == pytest.approx(length_s, abs=4)  # ends may be cut by 3 s
 
 
 def test_stalls(recordings: dict[str, Recording]) -> None:
