@@ -284,11 +284,6 @@ _CROSS = ("misalignment", "axis_error", "channel_swap")
 _GAIN = ("scale", "axis_error", "range_reset")
 _BEND = "artanh of the correlation with the {} of the rate along the axis, beyond what the others read"
 
-_OF_A_BOARD = 0.25
-"""Log of a variance in motion: boards bend, and the rotation that accelerometers apart from each other feel is known by
-gyroscopes alone.
-"""
-
 _OF_A_SLIP = 0.03
 """Correlation with a power of the rate that a delay makes which grows and falls as polls slip against a data clock."""
 
@@ -319,14 +314,9 @@ PROBES: Probes = {
         VARIANCE,
         residual,
         "log {u}^2",
-        _OF_A_BOARD,
     ),
     "motion_coupling": _probe(
-        "log of how much of it rotation or force explains",
-        ("size_effect", "g_sensitivity"),
-        VARIANCE,
-        coupling,
-        resolution=_OF_A_BOARD,
+        "log of how much of it rotation or force explains", ("size_effect", "g_sensitivity"), VARIANCE, coupling
     ),
     "motion_square": _probe(_BEND.format("square"), ("nonlinearity",), CORRELATION, square, resolution=_OF_A_SLIP),
     "motion_cube": _probe(_BEND.format("cube"), ("nonlinearity",), CORRELATION, cube, resolution=_OF_A_SLIP),
