@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -498,16 +499,10 @@ def fitted_to_noise(over: Sequence[float], under: Sequence[float], every: int = 
 
 
 def fitted_to_rows(
-    noise: npt.NDArray[np.float64],
-    data_rate_hz: float,
-    bandwidth_hz: float,
-    counts_rms: float = 20.0,
-    stale: npt.NDArray[np.bool_] | None = None,
-    overrun: npt.NDArray[np.bool_] | None = None,
-    ends_s: Sequence[float] = (100,),
+    noise: npt.NDArray[np.float64], data_rate_hz: float, bandwidth_hz: float, **settings: Any
 ) -> FittedParameters:
     """Return the parameters of `base_of_rows`."""
-    return base_of_rows(noise, data_rate_hz, bandwidth_hz, counts_rms, stale, overrun, ends_s).fitted["G"]
+    return base_of_rows(noise, data_rate_hz, bandwidth_hz, **settings).fitted["G"]
 
 
 def base_of_rows(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -280,22 +281,24 @@ def test_two_sensors_may_be_late_behind_a_track_by_the_same_delay() -> None:
     assert fitted["A"].stamp_s == fitted["B"].stamp_s == pytest.approx(0.004, rel=0.1)
 
 
+def swaying_campaign(headers: Mapping[str, SensorHeader], *delays_s: float) -> Campaign:
+    """A motion that these sensors show so much later than it happens."""
+    tally = CrossTally(list(headers.values()), MOVING, 50_000_000)
+    for sensor, delay_s in zip(headers.values(), delays_s, strict=True):
+        rows = np.rint(sensor.sensitivity * swaying(SECONDS - delay_s))
+        tally.update(sensor.name, block(rows, INTERVAL_NS))
+    phase = PhaseSummary(MOVING, 0, Layout({}, 50_000_000), {}, tally.result())
+    return Campaign((LogSummary("motion", (phase,)),))
+
+
 @pytest.mark.parametrize(("chips", "is_nuisance"), [(("bma180", "adxl345"), True), (("adxl345", "adxl345"), False)])
 def test_units_of_one_chip_may_be_late_beside_those_of_another(chips: tuple[str, str], is_nuisance: bool) -> None:
     """18 ms beside a data rate of 100 Hz; of two units of one chip only a fault makes one late."""
     headers = {name: header(name, chip=chip, rate_hz=100.0) for name, chip in zip("AB", chips, strict=True)}
 
-    def campaign(*delays_s: float) -> Campaign:
-        tally = CrossTally(list(headers.values()), MOVING, 50_000_000)
-        for sensor, delay_s in zip(headers.values(), delays_s, strict=True):
-            rows = np.rint(sensor.sensitivity * swaying(SECONDS - delay_s))
-            tally.update(sensor.name, block(rows, INTERVAL_NS))
-        phase = PhaseSummary(MOVING, 0, Layout({}, 50_000_000), {}, tally.result())
-        return Campaign((LogSummary("motion", (phase,)),))
-
-    assert can_fit_signal_delays(campaign(0.0, 0.018), headers, ()) == is_nuisance
-    trials = [(dict.fromkeys(headers, NO_DELAY), [campaign(0.0, 0.0)])]
-    fitted = fit_signal_delays(campaign(0.0, 0.018), headers, (), trials)
+    assert can_fit_signal_delays(swaying_campaign(headers, 0.0, 0.018), headers, ()) == is_nuisance
+    trials = [(dict.fromkeys(headers, NO_DELAY), [swaying_campaign(headers, 0.0, 0.0)])]
+    fitted = fit_signal_delays(swaying_campaign(headers, 0.0, 0.018), headers, (), trials)
     later_s = fitted["B"].stamp_s - fitted["A"].stamp_s
     assert later_s == pytest.approx(0.018 if is_nuisance else 0.0, abs=0.002)
 
@@ -306,16 +309,8 @@ def test_a_unit_that_is_later_than_another_of_its_chip_does_not_make_both_late(l
     chips = {"A": "bma180", "B": "adxl345", "C": "adxl345"}
     headers = {name: header(name, chip=chip, rate_hz=100.0) for name, chip in chips.items()}
 
-    def campaign(*delays_s: float) -> Campaign:
-        tally = CrossTally(list(headers.values()), MOVING, 50_000_000)
-        for sensor, delay_s in zip(headers.values(), delays_s, strict=True):
-            rows = np.rint(sensor.sensitivity * swaying(SECONDS - delay_s))
-            tally.update(sensor.name, block(rows, INTERVAL_NS))
-        phase = PhaseSummary(MOVING, 0, Layout({}, 50_000_000), {}, tally.result())
-        return Campaign((LogSummary("motion", (phase,)),))
-
-    trials = [(dict.fromkeys(headers, NO_DELAY), [campaign(0.0, 0.0, 0.0)])]
-    fitted = fit_signal_delays(campaign(0.0, late_s, late_s + 0.03), headers, (), trials)
+    trials = [(dict.fromkeys(headers, NO_DELAY), [swaying_campaign(headers, 0.0, 0.0, 0.0)])]
+    fitted = fit_signal_delays(swaying_campaign(headers, 0.0, late_s, late_s + 0.03), headers, (), trials)
     assert fitted["B"].stamp_s == fitted["C"].stamp_s
     assert fitted["B"].stamp_s - fitted["A"].stamp_s == pytest.approx(late_s, abs=0.002)
 
