@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.recording import movement
 from imuarray.gap.recording.movement import movements_of, shows_motion
+from imuarray.gap.recording.quiet import QuietRest, quiet_rest
 from imuarray.gap.recording.recordings import recording_of
 from imuarray.log import Block, Log, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase, SensorHeader
@@ -257,6 +259,19 @@ def test_a_rest_is_cut_where_motors_start(tmp_path: Path) -> None:
             tmp_path / f"log{count}.h5", sensors, shaking=(0.02, 21.0), shaken_s=(3.0, 4.0), phases=(REST, AFTER)
         )
         assert recording_of(log).phases[0].end_ns * 1e-9 == pytest.approx(end_s, abs=0.3 if count == 2 else 1e-9)
+
+
+def test_held_readings_are_not_quiet(tmp_path: Path) -> None:
+    """Two sensors hold their readings for a fifth of the rest: the noise of the others is as usual."""
+    log = written(tmp_path / "log.h5", array(accelerometers=2, gyroscopes=1), phases=(REST,))
+    log.close()
+    with h5py.File(tmp_path / "log.h5", "r+") as file:
+        for name in ("Acc0", "Acc1"):
+            counts = file[f"sensors/{name}/counts"]
+            counts[150:230] = np.tile(counts[150], (80, 1))
+    with open_log(tmp_path / "log.h5") as held:
+        rest = quiet_rest([held[name] for name in ("Acc0", "Acc1", "Gyro0")], REST)
+    assert rest == QuietRest(REST)
 
 
 def test_noise_alone_is_no_motion() -> None:

@@ -97,19 +97,21 @@ def _edges_ns(sensors: Sequence[SensorLog], rest: Phase) -> Integers:
 
 
 def _blocks_of(sensor: SensorLog, edges_ns: Integers) -> _Blocks:
-    sums = np.zeros((len(edges_ns) - 1, 7))
+    """Return the blocks of a sensor, by the rows that differ from the one before: held readings are not quiet."""
+    sums = np.zeros((len(edges_ns) - 1, 8))
     for block in RecordedSource(sensor).blocks(int(edges_ns[0]), int(edges_ns[-1])):
         counts = np.asarray(block.counts, float)
-        columns = np.column_stack([np.ones(len(counts)), counts, np.diff(counts, axis=0, prepend=counts[:1]) ** 2])
-        running = np.vstack([np.zeros(7), np.cumsum(columns, axis=0)])
+        steps = np.diff(counts, axis=0, prepend=counts[:1])
+        columns = np.column_stack([np.ones(len(counts)), counts, steps**2, steps.any(axis=1)])
+        running = np.vstack([np.zeros(8), np.cumsum(columns, axis=0)])
         sums += np.diff(running[np.searchsorted(block.time, edges_ns)], axis=0)
-    rows = np.maximum(sums[:, :1], 1.0)
-    has_rows = sums[:, 0] >= _BLOCK_ROWS / 2
+    rows, new_rows = np.maximum(sums[:, :1], 1.0), np.maximum(sums[:, 7:], 1.0)
+    has_rows = sums[:, 7] >= _BLOCK_ROWS / 2
     if not has_rows.any():
         return _Blocks(has_rows, has_rows)
-    mean, variance = sums[:, 1:4] / rows, sums[:, 4:] / rows / 2 + 1 / 12
+    mean, variance = sums[:, 1:4] / rows, sums[:, 4:7] / new_rows / 2 + 1 / 12
     quietest = np.quantile(variance[has_rows], _QUIETEST, axis=0)
-    deviation = np.sqrt(_VARIANCES / rows)
+    deviation = np.sqrt(_VARIANCES / new_rows)
     limit = np.maximum(_LOUDER, (1 + _CERTAIN * deviation) / np.maximum(1 - _AT_QUIETEST * deviation, 0.1))
     apart = np.abs(mean - np.median(mean[has_rows], axis=0))
     least = _MOVES[sensor.quantity] / SI_PER_UNIT[sensor.unit] * sensor.sensitivity
