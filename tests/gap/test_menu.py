@@ -200,6 +200,6 @@ def test_hours_hold_the_logs() -> None:
 @pytest.mark.slow
 def test_the_whole_menu(bench: Bench) -> None:
     """As above, with the logs as they would be recorded."""
-    found = searched(bench, "G1", Bias(0.05), TurnOnBias(0.05))
+    found = searched(bench, "G1", Bias(0.5), TurnOnBias(0.5))
     said = next_experiment(bench, found, [cause("bias", "G1", rivals=["turn_on_bias"])], [], [], Run(bench))
     assert said.startswith("Record a turn-on series: 12 runs of 1 minute, switched off in between. It separates bias")

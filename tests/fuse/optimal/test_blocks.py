@@ -172,10 +172,12 @@ def test_what_is_learned_outlives_the_loss_of_a_sensor() -> None:
 
 @pytest.mark.slow
 def test_smoothing_a_longer_log_takes_no_more_memory() -> None:
-    """The peak of Python's and numpy's own memory, of 12 s and of 48 s: 300 and 1200 segments."""
+    """The peak of Python's and numpy's own memory, of 96 s and of 384 s: 2400 and 9600 segments, of which both spools
+    hold the last megabyte.
+    """
     axes, model = whole()
     peaks = []
-    for blocks in (4, 16):
+    for blocks in (32, 128):
         optimal = Optimal({RATE: axes[RATE]}, model, period_s=PERIOD_S, segment_s=4 * PERIOD_S)
 
         def log(count: int = blocks) -> Iterator[tuple[dict[str, Frames], None]]:
