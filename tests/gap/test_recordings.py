@@ -92,21 +92,26 @@ def test_a_motion_that_nothing_tells_of_is_left_out(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("with_unread", [False, True])
 @pytest.mark.parametrize("turns_back", [False, True])
 @pytest.mark.parametrize(("by_reference", "rate_dps"), [(False, 45.0), (True, 2.0)])
 def test_a_turntable_is_not_at_rest_although_its_phases_note_a_face(
-    tmp_path: Path, by_reference: bool, rate_dps: float, *, turns_back: bool
+    tmp_path: Path, by_reference: bool, rate_dps: float, *, turns_back: bool, with_unread: bool
 ) -> None:
     """By a reference of the rate alone, or by a mean reading that differs from that at rest; a bias of 40 dps, as at a
-    range of 2000 dps, is no turn. Steps forth and back have a mean rate of zero.
+    range of 2000 dps, is no turn. Steps forth and back have a mean rate of zero. A second gyroscope that is read at
+    rest alone tells nothing.
     """
     times = np.arange(0, 12 * SECOND, SECOND // 10)
     gyroscope = FOREIGN[1]
     turning = np.where(times >= 4 * SECOND, rate_dps, 0.0)[:, None] * [0.0, 0.0, 1.0]
     turning[times >= 8 * SECOND] *= -1 if turns_back else 1
-    with LogWriter(tmp_path / "log.h5", [gyroscope], source="imported", epoch="2024-01-01T00:00:00Z") as log:
+    gyroscopes = [gyroscope, *([replace(gyroscope, name="Unread")] if with_unread else [])]
+    with LogWriter(tmp_path / "log.h5", gyroscopes, source="imported", epoch="2024-01-01T00:00:00Z") as log:
         rows = np.rint((40.0 + turning) @ gyroscope.orientation * gyroscope.sensitivity).astype(np.int16)
         log.append("Gyro", Block(times, rows, np.zeros(len(times), np.uint16)))
+        if with_unread:
+            log.append("Unread", Block(times[:39], rows[:39], np.zeros(39, np.uint16)))
         if by_reference:
             force = np.tile([0.0, 0.0, 9.80665], (len(times), 1))
             log.stimulus("reference", Stimulus(times, force, np.radians(turning), np.full(len(times), 25.0)))

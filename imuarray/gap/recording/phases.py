@@ -171,12 +171,13 @@ def _without_face_of_turntable(phase: Phase, log: Log) -> Phase:
     gyroscopes = [sensor for sensor in log.of("angular_rate") if sensor.sensitivity]
     parts_ns = np.linspace(phase.start_ns, phase.end_ns, _PARTS + 1).astype(np.int64)
     parts = [Phase(int(start_ns), int(end_ns), phase.name) for start_ns, end_ns in pairwise(parts_ns)]
+    biases_dps = [_mean_reading(sensor, rest) for rest in rests for sensor in gyroscopes]  # none without a rest
     changes_dps = [
-        [_mean_reading(sensor, part) - _mean_reading(sensor, rest) for sensor in gyroscopes]
+        [_mean_reading(sensor, part) - bias_dps for sensor, bias_dps in zip(gyroscopes, biases_dps, strict=False)]
         for part in parts
-        for rest in rests
     ]
-    largest_dps, least_dps = _largest([np.median(each, axis=0) for each in changes_dps if each]), _CHANGE_DPS
+    known_dps = [[change for change in changes if np.isfinite(change).all()] for changes in changes_dps]
+    largest_dps, least_dps = _largest([np.median(changes, axis=0) for changes in known_dps if changes]), _CHANGE_DPS
     reference = log.reference
     if reference is not None and reference.angular_rate is not None:
         places = np.searchsorted(reference.time[:], parts_ns).tolist()
