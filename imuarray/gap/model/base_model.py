@@ -561,8 +561,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     rate), and noise without a memory. If none of these filters fits as chance allows, the nearest one has the measured
     correlations; if none fits at all, only where a few rows later nothing is left of them, as behind a short filter: a
     wander, a line or shared noise lasts. Correlations tell no filter if neither they nor their mean over the phases are
-    larger than chance
-    makes those of white noise.
+    larger than chance makes those of white noise; then the configured one is expected if it fits better than none.
     """
     configured_hz = noise_bandwidth_hz(header)
     measured = _correlations(campaign, header, fitted) if configured_hz > 0 else None

@@ -58,7 +58,7 @@ def with_element_temperatures(campaign: Campaign, motions: Sequence[Motion], lag
 
 class HeatedRest(NamedTuple):
     """A phase at rest: the `attitude` of the box, which it shares with others, its segments, the motion of the log, and
-    the readings (s, 3) of the segments that have rows, in the sensor's unit.
+    the readings (s, a) of the segments that have rows: of three axes in the sensor's unit, or a thermometer's counts.
     """
 
     attitude: Hashable
@@ -87,11 +87,11 @@ def _die_lag_s(rests: Sequence[HeatedRest]) -> float | None:
     for rest in rests:
         counts = rest.segments.thermometer[rest.segments.rows > 0]
         if len(counts) and np.isfinite(counts).all():
-            known.append(rest._replace(readings=np.repeat(counts[:, None], 3, axis=1)))
+            known.append(rest._replace(readings=counts[:, None]))
     attitudes = _heated_attitudes(known)
     if not attitudes:
         return None
-    misfits = [_misfits(attitudes, lag_s, np.ones(3))[0] for lag_s in _LAGS_S]
+    misfits = [_misfits(attitudes, lag_s, np.ones(1))[0] for lag_s in _LAGS_S]
     return _least(misfits, _LAGS_S)
 
 
@@ -147,10 +147,10 @@ def _is_heated(rests: Sequence[HeatedRest]) -> bool:
 
 
 def _misfits(attitudes: Sequence[Sequence[HeatedRest]], lag_s: float, rms: Floats) -> tuple[float, float]:
-    """Chi-squared of readings about a straight line and about a parabola over temperature, with one level for each
-    attitude.
+    """Return chi-squared of readings (s, a) of `rms` (a,) about a straight line and about a parabola over temperature,
+    with one level for each attitude.
     """
-    moments, shared, total = np.zeros((2, 2)), np.zeros((2, 3)), np.zeros(3)
+    moments, shared, total = np.zeros((2, 2)), np.zeros((2, len(rms))), np.zeros(len(rms))
     for members in attitudes:
         has_rows = [rest.segments.rows > 0 for rest in members]
         rows = np.concatenate([rest.segments.rows[mask] for rest, mask in zip(members, has_rows, strict=True)])

@@ -23,6 +23,9 @@ from imuarray.units import INERTIAL, SI_PER_UNIT
 _BLOCK_S, _BLOCK_ROWS, _MOST_BLOCKS = 0.3, 32.0, 50_000
 """Least length of a block and least rows of the slowest sensor in it, and the most blocks of a phase."""
 
+_FEWEST_EDGES = 4
+"""Edges of three blocks, the fewest of which one can be quieter than the others."""
+
 _QUIETEST, _LOUDER = 0.1, 1.5
 """Share of the blocks that are as quiet as the box can be, and the ratio to their variance from which on a block is
 restless; more where few rows tell a variance.
@@ -58,13 +61,11 @@ class QuietRest(NamedTuple):
 
 def quiet_rest(triads: Sequence[SensorLog], rest: Phase) -> QuietRest:
     """Return the quiet part of a phase at rest by these sensors; all of it where fewer than two were read."""
-    read = [
-        sensor
-        for sensor in triads
-        if sensor.quantity in INERTIAL and RecordedSource(sensor).rows(rest.start_ns, rest.end_ns) > _BLOCK_ROWS
-    ]
-    edges_ns = _edges_ns(read, rest) if len(read) > 1 else np.zeros(0, np.int64)
-    if len(edges_ns) < 4:
+    inertial = [sensor for sensor in triads if sensor.quantity in INERTIAL]
+    rows = {sensor: RecordedSource(sensor).rows(rest.start_ns, rest.end_ns) for sensor in inertial}
+    read = [sensor for sensor, count in rows.items() if count > _BLOCK_ROWS]
+    edges_ns = _edges_ns(rest, min(rows[sensor] for sensor in read)) if len(read) > 1 else np.zeros(0, np.int64)
+    if len(edges_ns) < _FEWEST_EDGES:
         return QuietRest(rest)
     blocks = [_blocks_of(sensor, edges_ns) for sensor in read]
     votes = np.sum([block.is_restless for block in blocks], axis=0)
@@ -89,9 +90,9 @@ class _Blocks(NamedTuple):
     moves: Booleans
 
 
-def _edges_ns(sensors: Sequence[SensorLog], rest: Phase) -> Integers:
+def _edges_ns(rest: Phase, rows: int) -> Integers:
+    """Return the edges of blocks of a phase in which the slowest sensor has so many rows."""
     seconds = (rest.end_ns - rest.start_ns) * 1e-9
-    rows = min(RecordedSource(sensor).rows(rest.start_ns, rest.end_ns) for sensor in sensors)
     block_s = max(_BLOCK_S, _BLOCK_ROWS * seconds / rows, seconds / _MOST_BLOCKS)
     return np.linspace(rest.start_ns, rest.end_ns, int(seconds / block_s) + 1).astype(np.int64)
 

@@ -150,8 +150,9 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     chosen, left_out = _chosen_sensors(log, only)
     chosen, processed = _without_processed(log, chosen)
     motion = LikeLog(log)
-    phases, movements, skipped, shaken, restless = phases_of(log, motion, chosen)
-    chosen, shaken_notes = _without_shaken(log, chosen, shaken)
+    comparable = phases_of(log, motion, chosen)
+    phases, movements = comparable.phases, comparable.movements
+    chosen, shaken_notes = _without_shaken(log, chosen, comparable.shaken)
     heated = is_heated(phases, motion)
     tracked = phases if motion.source != "phases" else tuple(filter(is_at_rest, phases))
     chosen, unknown = _without_unknown_field(log, chosen, tracked, heated=heated)
@@ -168,7 +169,7 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
         *left_out,
         *processed,
         *unknown,
-        *skipped,
+        *comparable.notes,
         *shaken_notes,
         *assumed,
         *temperature_notes(motion),
@@ -183,7 +184,7 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     has_temperature = motion.temperature_source not in UNREFERENCED
     uncertain_ns = {}
     for name, (header, line) in sensors.items():
-        times_ns = [_settling_ns(header, line), *(_times_within(log[name], span) for span in restless)]
+        times_ns = [_settling_ns(header, line), *(_times_within(log[name], span) for span in comparable.restless)]
         if name in gaps.uncertain_ns:
             times_ns.append(gaps.uncertain_ns[name])
         if any(map(len, times_ns)):

@@ -189,9 +189,9 @@ def is_with_heat(degc: Floats, time_s: Floats, inside: Booleans) -> bool:
     known = np.isfinite(rate)
     if not known[inside].any() or not known[~inside].any():
         return False
-    within, beside = float(np.median(rate[inside & known])), float(np.median(rate[~inside & known]))
-    is_other_rate = abs(within - beside) > _OTHER_RATE * max(abs(within), abs(beside))
-    return is_other_rate and abs(within) * float(np.ptp(time_s[inside])) > _WARMING_DEGC
+    rate_inside, rate_outside = float(np.median(rate[inside & known])), float(np.median(rate[~inside & known]))
+    is_other_rate = abs(rate_inside - rate_outside) > _OTHER_RATE * max(abs(rate_inside), abs(rate_outside))
+    return is_other_rate and abs(rate_inside) * float(np.ptp(time_s[inside])) > _WARMING_DEGC
 
 
 def _begin_bounds_s(table: Levels, order: Indices, inside: Booleans) -> tuple[float, float] | None:

@@ -323,11 +323,11 @@ def _scale_of_return(evidence: Evidence) -> Iterator[Hypothesis]:
             error = np.divide((change * means).sum(axis=0), square, out=np.zeros(3), where=(square > 0) & doubtful)
             fits.append((float(((means - change * error) ** 2)[:, doubtful].sum()), first, error))
         least = min(square for square, _, _ in fits)
-        alike = [(first, error) for square, first, error in fits if square <= _AS_GOOD * least]
-        before, after = phases[alike[0][0] - 1].raw.phase, phases[alike[-1][0]].raw.phase
+        best_fits = [(first, error) for square, first, error in fits if square <= _AS_GOOD * least]
+        before, after = phases[best_fits[0][0] - 1].raw.phase, phases[best_fits[-1][0]].raw.phase
         since = When((Span(log, (before.end_ns + after.start_ns) * 0.5e-9, math.inf),))
-        if np.abs(alike[0][1]).max() < _LARGEST_ERROR:
-            yield from (scale.at(since) for scale in _scales(alike[0][1]))
+        if np.abs(best_fits[0][1]).max() < _LARGEST_ERROR:
+            yield from (scale.at(since) for scale in _scales(best_fits[0][1]))
 
 
 def _felt(evidence: Evidence, step: LevelStep) -> Floats:
