@@ -394,6 +394,15 @@ def test_a_configured_filter_is_expected_where_nothing_proves_it() -> None:
     assert low_pass_of(filtered).poles == 2.0
 
 
+def test_a_filter_at_half_the_data_rate_is_not_expected() -> None:
+    """White noise at 200 rows a second of a chip that samples at 200 Hz with a bandwidth of 100 Hz: a digital filter of
+    100 Hz has a zero there, of which these rows have nothing.
+    """
+    noises = np.random.default_rng(4).normal(size=(12, 3000, 3))
+    fitted = [fitted_to_rows(noise, data_rate_hz=200.0, bandwidth_hz=100.0, ends_s=(15,)) for noise in noises]
+    assert [parameters.low_pass for parameters in fitted] == [None] * 12
+
+
 @pytest.mark.parametrize("wander_rms", [0.0, 0.4])
 def test_a_short_digital_filter_has_the_measured_correlations(wander_rms: float) -> None:
     """Taps 1, 0.25 and -0.157 leave (0.25 - 0.157 x 0.25) / 1.087 = 0.194 after a row, -0.144 after two and nothing

@@ -121,6 +121,11 @@ _EXPECTED = 0.35
 even the configured filter. It is expected, and a model without it would be wrong for most chips.
 """
 
+_BELOW_NYQUIST = 0.9
+"""Share of half the chip's data rate up to which the configured filter is expected where nothing proves it. One of half
+the rate, as in the ADXL345, leaves hardly any correlation, but a digital one has a zero at half the rate.
+"""
+
 _AS_CONFIGURED = 0.006
 """Relative difference from the configured cutoff within which a filter is the configured one: half of the step between
 the cutoffs that are tried.
@@ -584,13 +589,14 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
         for effect, expected in filters.items()
         if abs(effect.cutoff_hz / configured_hz - 1) < _AS_CONFIGURED
     )
-    is_expected = 2 * configured_hz < fastest_hz and measured.covers and shown < measured.by_chance
+    has_margin = header.rate_hz <= 0 or 2 * configured_hz < _BELOW_NYQUIST * header.rate_hz
+    is_expected = has_margin and 2 * configured_hz < fastest_hz and measured.covers and shown < measured.by_chance
     chance = measured.by_chance * (_EXPECTED if is_expected else 1.0)
     white = measured.misfit(np.zeros_like(measured.values))
     misfits = {effect: measured.misfit(expected) for effect, expected in filters.items()}
     if white <= chance * phases and float(np.square(measured.mean(without_memory)).sum()) <= chance:
         as_configured = min(misfits, key=lambda effect: (abs(effect.cutoff_hz - configured_hz), misfits[effect]))
-        is_better = white - misfits[as_configured] > _BETTER / float(measured.rows.sum())
+        is_better = has_margin and white - misfits[as_configured] > _BETTER / float(measured.rows.sum())
         return (as_configured, 0.0) if is_better else (None, 0.0)
     best = min(misfits, key=misfits.__getitem__)
     is_filter = misfits[best] < min(white, _FILTER_MISFIT * white + measured.by_chance * phases)
