@@ -130,7 +130,7 @@ def _prepare_folder(folder: Path, plan: dict[str, Any]) -> None:
 
     from imuarray.errors import ConfigError
     from imuarray.validation.case import write_json
-    from imuarray.validation.thresholds import frozen_thresholds
+    from imuarray.validation.trial import frozen_thresholds
 
     frozen_plan = {**plan, "frozen": frozen_thresholds()}
     path = folder / "plan.json"

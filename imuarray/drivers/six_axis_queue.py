@@ -15,7 +15,7 @@ from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from imuarray.bus.message_limits import LONGEST_READ
+from imuarray.bus import linux, serial_link, spi
 from imuarray.bus.serial_link import CountRule
 from imuarray.clock import Clock
 from imuarray.drivers import icm42688_packets as packet_format
@@ -23,6 +23,20 @@ from imuarray.drivers.driver import Bytes, Registers
 from imuarray.drivers.fifo_clock import TOLERANCE, FifoClock
 from imuarray.facts import icm42688, lsm6dso
 from imuarray.facts.registers import Register, Setting
+
+LONGEST_READS: Mapping[str, int] = MappingProxyType(
+    {
+        "i2c:": linux.MAX_MESSAGE,  # `i2cdev_ioctl_rdwr`; SMBus blocks of 32 bytes are not used: LNX-05
+        "spi:": spi.MAX_MESSAGE - 1,  # spidev's default `bufsiz`, in which the register's address comes first
+        "serial:": serial_link.MAX_PAYLOAD - 1,  # a frame of the link, in which the result comes first
+    }
+)
+"""The longest read of each bus in one transaction, bytes."""
+LONGEST_READ = min(LONGEST_READS.values())
+"""The longest read that all buses can carry. Reads of a queue are split in the same way on all of them, so that a
+transcript of one bus can replace another bus.
+"""
+
 
 WANTED_NS = 20e3
 """A sample with a larger uncertainty of its time is counted again, ..."""

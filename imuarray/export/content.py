@@ -20,11 +20,11 @@ from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.segments import TemperatureSeries, degc_of, has_zero
 from imuarray.errors import ExportError, LogError
 from imuarray.export.formats import UNITS, ExportRequest
-from imuarray.export.fused import fused_content
 from imuarray.export.tables import Content, ExportTable, TableColumn
+from imuarray.fuse import fused_file
 from imuarray.fuse.element_temperature import element_temperatures
-from imuarray.fuse.fused_file import is_fused
 from imuarray.log import Log, SensorLog, open_log
+from imuarray.log.columns import NamedColumn
 from imuarray.log.format import FORMAT, FORMAT_VERSION, SINGLE_PRECISION, SensorHeader
 from imuarray.log.layout import COMPENSATED_UNITS, TRACK_UNITS
 from imuarray.log.sensor_log import recorded_header
@@ -104,8 +104,8 @@ def open_content(request: ExportRequest, usual: str = "counts") -> Iterator[Cont
         raise ExportError(f"units {request.units!r}: allowed are {', '.join(UNITS)}")
     if request.units == "counts" and request.calibration is not None:
         raise ExportError("raw counts need no calibration; leave it out, or choose the units si or sensor")
-    if request.source.is_file() and is_fused(request.source):
-        with fused_content(request) as content:
+    if request.source.is_file() and fused_file.is_fused(request.source):
+        with _fused_content(request) as content:
             yield content
         return
     with open_log(request.source) as log:
@@ -217,3 +217,41 @@ def _track_column(name: str, column: Any) -> TableColumn:
 def head_with(content: Content, **more: Any) -> Mapping[str, Any]:
     """Return the head with the description of each table and the entries `more`."""
     return {**content.head, "tables": {table.name: dict(table.about) for table in content.tables}, **more}
+
+
+@contextmanager
+def _fused_content(request: ExportRequest) -> Iterator[Content]:
+    """Open the table of a fused file; ExportError for options that apply only to a log, LogError for a damaged or
+    hostile file.
+    """
+    path = request.source
+    if request.sensors or request.calibration is not None or request.units not in (None, "si"):
+        raise ExportError(f"{path}: a fused result; it has no sensors to choose or convert, and is in SI")
+    with fused_file.fused_columns(path) as (attributes, columns):
+        head: dict[str, Any] = {"format": fused_file.FORMAT, "format_version": fused_file.FORMAT_VERSION, "units": "si"}
+        head |= {name: attributes.get(name, "") for name in ("epoch", "technique", "log", "calibration", "software")}
+        listed = sorted(columns.items(), key=lambda item: (item[0] != "time", item[0]))
+        table = ExportTable(
+            "fused",
+            fused_file.rows_of(columns),
+            tuple(_fused_column(column, name) for name, column in listed),
+            {"name": "fused", "frame": "box"},
+        )
+        yield Content("si", head["epoch"], head, (table,))
+
+
+def _fused_column(column: NamedColumn, name: str) -> TableColumn:
+    kind = "<i8" if name == "time" else column.dtype.newbyteorder("<").str
+    unit = "ns" if name == "time" else fused_file.UNITS.get(name, "1")
+    return TableColumn(name, kind, unit, _cells(column), lambda rows: np.asarray(column[rows], kind))
+
+
+def _cells(column: NamedColumn) -> tuple[str, ...]:
+    """Return the names of the cells of a row: x, y, z, the entries of a covariance, or a flag for each sensor."""
+    if len(column.shape) == 1:
+        return ()
+    count = column.shape[1]
+    names = (
+        fused_file.texts_of(column.attrs, "columns") or fused_file.texts_of(column.attrs, "sensors") or ("x", "y", "z")
+    )
+    return names if len(names) == len(set(names)) == count else tuple(str(index) for index in range(count))

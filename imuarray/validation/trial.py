@@ -18,11 +18,15 @@ from typing import Any, NamedTuple
 
 import h5py
 
+from imuarray import __version__
 from imuarray.gap.diagnose import GapCase, Reference, compare, explain, library
+from imuarray.gap.findings import causes, deviations, diagnosis, verdict
+from imuarray.gap.inference import assessment, forward_selection, unit_state
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.model.populations import usual_model
 from imuarray.gap.model.workers import runner
 from imuarray.gap.recording.recordings import Recording, recordings_of
+from imuarray.gap.statistics import synthetic_likelihood
 from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.model import Model, Part
@@ -148,3 +152,32 @@ def _oracle(compared: GapCase, case: Case, truth: Mapping[str, Any]) -> dict[str
     candidates = {name: mechanism for name, mechanism in CANDIDATES.items() if name in effects}
     gap = explain(compared, candidates, known=sorted(sensors), briefly=True).as_json()["gap"]
     return {"closed": gap["closed"], "closed_ci95": gap["closed_ci95"]}
+
+
+def frozen_thresholds() -> dict[str, Any]:
+    """Return the thresholds of the diagnosis by name, with the version of the software. They are recorded when a run
+    begins, so that none is changed during it.
+    """
+    return {
+        "significance level of a gap": assessment.LEVEL,
+        "least gain (nats) of a candidate that is pursued": forward_selection.WORTH,
+        "least gain (nats) of a candidate that is accepted": forward_selection.ACCEPTED,
+        "cost (nats) of each parameter": forward_selection.COST,
+        "allowed relative error of the form of an effect": synthetic_likelihood.FORM,
+        "exponent of the odds of a candidate in its probability": causes.TEMPER,
+        "probability of a cause that closes nothing": verdict.RATES.least,
+        "probability of a cause that closes everything": verdict.RATES.most,
+        "exponent of the share closed in the probability of a cause": verdict.RATES.steep,
+        "exponent of the odds against rivals in the probability of a cause": verdict.RATES.rivals,
+        "least probability of an alternative that is reported": causes.ALTERNATIVE,
+        "least odds of an effect that is confusable": causes.CONFUSABLE,
+        "least share of the gap that a cause closes": causes.LEAST,
+        "least share closed for the verdict explained": verdict.EXPLAINED,
+        "least share closed for the verdict partly explained": verdict.PARTLY,
+        "least probability of the first cause for the verdict explained": diagnosis.EVEN,
+        "remaining difference from which something unknown is likely": deviations.UNLIKELY,
+        "factor over chance from which a remaining difference is significant": assessment.MORE,
+        "replicates of the base model": REPLICATES,
+        "replicates of each candidate": unit_state.REPLICATES,
+        "software": f"imuarray {__version__}",
+    }

@@ -21,7 +21,6 @@ from firmware_emulator.chip import Triple
 from imuarray.acquire.bus_segment import connect
 from imuarray.acquire.sample_buffer import SensorRoute
 from imuarray.array import parse_array
-from imuarray.bus import message_limits
 from imuarray.drivers import six_axis_queue
 from imuarray.errors import ConfigError
 from tests.selection import some
@@ -102,8 +101,8 @@ def steps(counts: np.ndarray, rate_hz: float) -> np.ndarray:
 
 def test_what_every_bus_carries() -> None:
     """i2c-dev refuses more than 8192 bytes, spidev buffers 4096, a frame of the link holds 1024 (LNX-05, LNX-52)."""
-    assert message_limits.LONGEST_READS == {"i2c:": 8192, "spi:": 4095, "serial:": 1023}
-    assert message_limits.LONGEST_READ == 1023
+    assert six_axis_queue.LONGEST_READS == {"i2c:": 8192, "spi:": 4095, "serial:": 1023}
+    assert six_axis_queue.LONGEST_READ == 1023
 
 
 @pytest.mark.parametrize("longest", [20, 61, 1023, 8192])

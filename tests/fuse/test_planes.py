@@ -15,7 +15,7 @@ from imuarray.fuse import TECHNIQUES, Axis, Frames, axes_of, changes, fuse
 from imuarray.fuse.techniques.planes import Monitor, PlaneBlend, dilution
 from imuarray.log import open_log
 from imuarray.simulate import Simulation, parse_model, write_log
-from imuarray.simulate.motion.still import Still
+from imuarray.simulate.motion.faces import Still
 from tests.fuse.arrays import at_once, triad, weights
 from tests.fuse.conftest import DPS, Floats, G, Part, WriteRun, calibration, joined
 

@@ -14,8 +14,8 @@ from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log import LogWriter
 from imuarray.log.format import Phase
 from imuarray.simulate import Simulation, plan_of
+from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.posed import PoseAttitude, PoseSequence
-from imuarray.simulate.motion.still import Still
 from tests.gap.made import ARRAY, BASE, RATE_HZ, SECOND, Effects
 
 POSE_S, TURN_S = 5, 1

@@ -25,9 +25,9 @@ from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.effects.response import Misalignment, Scale
 from imuarray.simulate.effects.temperature import ThermalBias
+from imuarray.simulate.motion.faces import Still, turn_on_run
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.heating import Heating
-from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.record import phases_within
 

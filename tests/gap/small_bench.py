@@ -16,7 +16,7 @@ from imuarray.gap.statistics.split import split_of
 from imuarray.simulate import Motion, Simulation, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.noise import Tone
-from imuarray.simulate.motion.still import Still
+from imuarray.simulate.motion.faces import Still
 from tests.gap.made import ARRAY, BASE, RATE_HZ, phases_of
 
 More = Mapping[str, tuple[Effect, ...]]

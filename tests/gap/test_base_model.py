@@ -28,7 +28,7 @@ from imuarray.simulate.effects.bias import Bias, BiasInstability
 from imuarray.simulate.effects.response import Misalignment, Scale, SizeEffect
 from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.effects.timing import OwnClock
-from imuarray.simulate.motion.still import Still
+from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.signal import Triple
 from tests.gap.made import BASE, PLANS, OneBlock, block, campaign_of, gaussian, header, summary
 from tests.selection import some

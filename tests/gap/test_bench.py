@@ -22,8 +22,8 @@ from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.noise import WhiteNoise
 from imuarray.simulate.effects.response import Scale
 from imuarray.simulate.effects.timing import DroppedSamples
+from imuarray.simulate.motion.faces import Still, turn_on_run
 from imuarray.simulate.motion.hand_shake import HandShake
-from imuarray.simulate.motion.still import Still, turn_on_run
 from tests.gap.made import ARRAY, BASE, RATE_HZ, phases_of
 from tests.gap.small_bench import array_of, prepared, simulated, static
 

@@ -35,7 +35,7 @@ from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from imuarray.simulate.effects.readings import ChannelSwap, Glitches, Stuck
 from imuarray.simulate.effects.response import AxisError, GSensitivity
 from imuarray.simulate.effects.timing import DroppedSamples
-from imuarray.simulate.motion.still import Still
+from imuarray.simulate.motion.faces import Still
 from tests.gap.small_bench import prepared
 
 LINE = Tone((0.0, 0.04, 0.0), 17.0)

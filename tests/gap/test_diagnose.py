@@ -23,7 +23,7 @@ from imuarray.simulate.effects.bias import CommonMode, TurnOnBias
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.readings import ChannelSwap, Stuck
 from imuarray.simulate.model import Model
-from imuarray.simulate.motion.still import Still, turn_on_run
+from imuarray.simulate.motion.faces import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.invariants import check_agreement
 from tests.gap.small_bench import LINE, SHORT, More, Run, simulated

@@ -21,7 +21,7 @@ from imuarray.simulate import Motion, Simulation, plan_of, write_log
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.noise import Tone, WhiteNoise
-from imuarray.simulate.motion.still import Still
+from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.invariants import check_agreement
 from tests.gap.made import ARRAY, RATE_HZ

@@ -24,7 +24,7 @@ from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import SensorModel
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.readings import ChannelSwap
-from imuarray.simulate.motion.still import Still
+from imuarray.simulate.motion.faces import Still
 from tests.gap.made_states import FITTED, drawn
 from tests.gap.made_states import standing as by_hand
 from tests.gap.search_inputs import standing_of

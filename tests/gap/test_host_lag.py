@@ -11,8 +11,8 @@ from imuarray.gap.recording.host_lag import HostLag, host_lags
 from imuarray.log import open_log
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.timing import ClockError, Skew
+from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.hand_shake import HandShake
-from imuarray.simulate.motion.still import Still
 from imuarray.simulate.record import write_log
 from tests.gap.made import simulation
 from tests.selection import some

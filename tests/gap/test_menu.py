@@ -27,8 +27,8 @@ from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias, TurnOnBias
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.readings import ChannelSwap
+from imuarray.simulate.motion.faces import Still, turn_on_run
 from imuarray.simulate.motion.heating import Heating
-from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.overlay_bench import Run, benched, where
 

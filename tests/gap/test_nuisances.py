@@ -25,9 +25,9 @@ from imuarray.log.format import Phase
 from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.temperature import ThermalBias, ThermalLag
+from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.heating import Heating
-from imuarray.simulate.motion.still import Still
 from tests.gap.made import PLANS, SECOND, campaign_of, phases_of, simulation
 
 

@@ -22,8 +22,8 @@ from imuarray.log.format import Phase, SensorHeader, ThermometerScale
 from imuarray.simulate import Simulation
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.timing import DroppedSamples
+from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.posed import PoseSequence
-from imuarray.simulate.motion.still import Still
 from imuarray.simulate.record import write_log
 from tests.gap.hand_posed import directions, posed, simulated, written
 from tests.gap.made import BASE, SECOND, simulation, summarised

@@ -30,7 +30,7 @@ from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from imuarray.simulate.effects.readings import ChannelSwap
 from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.model import Model, parse_model
-from imuarray.simulate.motion.still import Still
+from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.record import write_log
 from imuarray.simulate.streams import Streams
 from tests.gap.made import ARRAY, RATE_HZ, header, phases_of, simulation, units

@@ -10,7 +10,7 @@ from imuarray.gap.model.replication import SensorModel, Stage
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.gap.model.room_temperature import draw_room_temperature
 from imuarray.simulate import Motion
-from imuarray.simulate.motion.still import Still
+from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.streams import Streams
 from tests.gap.small_bench import prepared
 

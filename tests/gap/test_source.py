@@ -19,7 +19,7 @@ from imuarray.log.writer import Block
 from imuarray.simulate import Simulation, plan_of, write_log
 from imuarray.simulate.effects.readings import ChannelSwap, StaleSamples
 from imuarray.simulate.effects.timing import DroppedSamples
-from imuarray.simulate.motion.still import Still
+from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.sensor import SimulatedSensor
 from tests.gap.made import BASE, RATE_HZ, campaign_of, phases_of, simulation

@@ -14,8 +14,8 @@ from imuarray.gap.model.replication import Models, RememberedMotion, SensorModel
 from imuarray.gap.recording.recordings import Experiment
 from imuarray.simulate import Motion
 from imuarray.simulate.effects.readings import ChannelSwap
+from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.hand_shake import HandShake
-from imuarray.simulate.motion.still import Still
 from imuarray.simulate.streams import DrawMemory
 from tests.gap.small_bench import prepared
 

@@ -24,10 +24,9 @@ from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias, CommonMode, RandomWalk
 from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from imuarray.simulate.effects.temperature import ThermalBias
-from imuarray.simulate.motion.faces import resting
+from imuarray.simulate.motion.faces import Still, resting
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.heating import Heating
-from imuarray.simulate.motion.still import Still
 from tests.gap.made import RATE_HZ, header, phases_of
 from tests.selection import some
 

@@ -16,7 +16,7 @@ from imuarray.simulate.effects.readings import StaleSamples
 from imuarray.simulate.effects.response import Scale
 from imuarray.simulate.effects.temperature import ThermalLag
 from imuarray.simulate.effects.timing import DroppedSamples
-from imuarray.simulate.motion.still import Still
+from imuarray.simulate.motion.faces import Still
 from tests.gap.small_bench import array_of
 
 BASE = (WhiteNoise(0.2),)

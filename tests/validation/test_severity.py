@@ -22,7 +22,7 @@ from imuarray.log.writer import Stimulus
 from imuarray.validation import generator
 from imuarray.validation.case import Put
 from imuarray.validation.severity import LIMIT, find_severity, matched_statistic
-from imuarray.validation.thresholds import frozen_thresholds
+from imuarray.validation.trial import frozen_thresholds
 from tests.selection import examples, some
 
 Floats = npt.NDArray[np.float64]

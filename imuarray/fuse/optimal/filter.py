@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Indices, Times
-from imuarray.fuse.optimal import compiled_segments, compiled_states
+from imuarray.fuse.optimal import compiled
 from imuarray.fuse.optimal.frame_solution import FrameSolution, SegmentView, SmoothedEffect, segment_view, solve
 from imuarray.fuse.optimal.geometry import FrameReadings, Geometry, hold_last, patterns
 from imuarray.fuse.optimal.states import (
@@ -111,7 +111,7 @@ class Dynamics:
             np.ascontiguousarray(readings.time, np.int64),
             self._time[:back],
         )
-        done, change = compiled_segments.frames(
+        done, change = compiled.frames(
             (*given, into.unknowns, into.covariance, weights, sums.squares, sums.products, sums.blur),
             (count, rows, unknowns, terms, back),
             evidence is not None,
@@ -257,7 +257,7 @@ def _measurements(sums: _RegressionSums, parity: Floats, response: StateResponse
     size, (terms, rows, states) = len(parity), response.dense.shape
     measured = np.empty((terms * size, states)), np.empty(terms * size)
     given = (sums.squares, sums.products, sums.blur, parity, *response.sparse)
-    count = compiled_states.measure((*given, *measured), (states, terms, rows, len(response.sparse[1]), size), _DOUBT)
+    count = compiled.measure((*given, *measured), (states, terms, rows, len(response.sparse[1]), size), _DOUBT)
     if count >= 0:
         return measured[0][: count * size], measured[1][: count * size]
     sizes, weights = _components(sums)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Indices
-from imuarray.fuse.optimal import compiled_segments
+from imuarray.fuse.optimal import compiled
 from imuarray.fuse.optimal.geometry import Bounds, FrameReadings, Geometry, patterns
 from imuarray.fuse.optimal.states import Drift, Gaussian, StateResponse
 
@@ -86,7 +86,7 @@ class SegmentView:
         packed = np.empty(rows + 3 + unknowns * (rows + 1) + (2 + terms**2) * unknowns**2)
         constants = (self.rows, self.geometry.noise, self.geometry.timing, self.offset, self.errors)
         first = np.ascontiguousarray(readings.values[0], float), readings.valid[0]
-        reach = compiled_segments.begin((*constants, *first, packed), sizes, self.final, change, _TOLERATED)
+        reach = compiled.begin((*constants, *first, packed), sizes, self.final, change, _TOLERATED)
         if reach >= 0:
             self.packed, self.packed_rows, self.reach = packed, readings.valid[0].tobytes(), reach
             self._variance, self.stimulus = packed[:rows], packed[rows : rows + 3]

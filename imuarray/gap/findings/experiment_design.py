@@ -38,10 +38,10 @@ from imuarray.gap.statistics.synthetic_likelihood import FORM, FREEDOM, LARGEST_
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.printable import listed, series
 from imuarray.simulate.converters import THERMOMETERS
+from imuarray.simulate.motion.faces import Still, turn_on_run
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.heating import Heating
-from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.record import phases_within
 from imuarray.simulate.simulation import Plan, Simulation

@@ -8,10 +8,10 @@
 
 from __future__ import annotations
 
+from imuarray.simulate.motion.faces import Still, turn_on_run
 from imuarray.simulate.motion.felt import Felt, Motion
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.heating import Heating
-from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble
 
 __all__ = ["Felt", "HandShake", "Heating", "Motion", "Still", "Tumble", "turn_on_run"]

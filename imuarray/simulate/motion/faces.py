@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from imuarray.arrays import Integers, Reals
 from imuarray.axes import up_vector
+from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Felt
+from imuarray.simulate.motion.timeline import consecutive, finite, nanoseconds, positive
 from imuarray.units import STANDARD_GRAVITY
 
 GRAVITY_LEVEL = np.array([0.0, 0.0, STANDARD_GRAVITY])
@@ -106,3 +110,49 @@ def resting(time_ns: Integers, attitude: Reals, temperature_degc: float | Reals)
         np.broadcast_to(np.asarray(temperature_degc, float), (count,)),
         np.broadcast_to(AIR_PRESSURE_PA, (count,)),
     )
+
+
+@dataclass(frozen=True)
+class Still:
+    """A box at rest for `seconds` with the box axis `up` upwards; one phase, `name`.
+
+    The temperature begins at `temperature_degc` and changes by `drift_degc_per_h`. `tilt_deg` are small angles by which
+    box and table are turned about the level x and y axes: no table is level, no box square. ValueError for what can't
+    be.
+    """
+
+    up: str = "+Z"
+    seconds: float = 600.0
+    temperature_degc: float = 25.0
+    name: str = "static"
+    drift_degc_per_h: float = 0.0
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        positive(seconds=self.seconds)
+        finite(temperature_degc=self.temperature_degc, drift_degc_per_h=self.drift_degc_per_h)
+        standing_on(self.up, self.tilt_deg)
+
+    @cached_property
+    def phases(self) -> tuple[Phase, ...]:
+        """The phase: the whole log."""
+        return consecutive((self.name, nanoseconds(self.seconds), self.up))
+
+    @cached_property
+    def attitude(self) -> Reals:
+        """The attitude (3, 3) from the box to the level frame."""
+        return standing_on(self.up, self.tilt_deg)
+
+    def felt(self, time_ns: Integers) -> Felt:
+        """Return the reaction to gravity."""
+        if self.drift_degc_per_h == 0:
+            return resting(time_ns, self.attitude, self.temperature_degc)
+        hours = np.clip(time_ns, 0, nanoseconds(self.seconds)) / 3.6e12
+        return resting(time_ns, self.attitude, self.temperature_degc + self.drift_degc_per_h * hours)
+
+
+def turn_on_run(k: int = 1, seconds: float = 300.0, temperature_degc: float = 25.0) -> Still:
+    """Run `k` (1, 2, ...) of a turn-on series: the box stands still, five minutes as in the paper's section 4."""
+    if k < 1:
+        raise ValueError(f"k: {k}; runs are counted 1, 2, ...")
+    return Still("+Z", seconds, temperature_degc, f"run {k}")

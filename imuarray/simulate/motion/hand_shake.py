@@ -83,7 +83,7 @@ class HandShake(MotionBetweenRests):
 
     def felt(self, time_ns: Integers) -> Felt:
         """Return the stimulus, at rest or in motion."""
-        seconds = self._span.moved_s(time_ns)
+        seconds = self.moved_s(time_ns)
         if not ((seconds > 0) & (seconds < self.motion_s)).any():
             return resting(time_ns, UPRIGHT, self.temperature_degc)
         envelope = self._envelope(seconds)
@@ -93,14 +93,14 @@ class HandShake(MotionBetweenRests):
 
     def position(self, time_ns: Integers) -> Reals:
         """Return (n, 3) of the box's origin in the level frame, in m."""
-        seconds = self._span.moved_s(time_ns)
+        seconds = self.moved_s(time_ns)
         return self._place_sines.at(seconds, self._envelope(seconds))[0].T
 
     def attitude(self, time_ns: Integers) -> Rotation:
         """Return n rotations from the box to the level frame."""
         from scipy.spatial.transform import Rotation  # imported late because SciPy takes long to load
 
-        seconds = self._span.moved_s(time_ns)
+        seconds = self.moved_s(time_ns)
         return Rotation.from_rotvec(self._turn_sines.at(seconds, self._envelope(seconds))[0].T)
 
     @property

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -41,30 +40,6 @@ def consecutive(*stretches: tuple[str, int, str]) -> tuple[Phase, ...]:
     )
 
 
-@dataclass(frozen=True)
-class BetweenRests:
-    """Rest for `still_s`, motion for `motion_s`, rest again: phases static, motion, static, upright at rest."""
-
-    still_s: float
-    motion_s: float
-
-    @property
-    def seconds(self) -> float:
-        """The total duration in s."""
-        return 2 * self.still_s + self.motion_s
-
-    @cached_property
-    def phases(self) -> tuple[Phase, ...]:
-        """The phases static, motion, static."""
-        still_ns, motion_ns = nanoseconds(self.still_s), nanoseconds(self.motion_s)
-        return consecutive(("static", still_ns, "+Z"), ("motion", motion_ns, ""), ("static", still_ns, "+Z"))
-
-    def moved_s(self, time_ns: Integers) -> Reals:
-        """Return (n,) the elapsed time of the motion: 0 at rest before it, `motion_s` at rest after it."""
-        _, moving, _ = self.phases
-        return (np.clip(time_ns, moving.start_ns, moving.end_ns) - moving.start_ns) * 1e-9
-
-
 class MotionBetweenRests:
     """A motion that begins and ends at rest upright: rest for `still_s`, motion for `_moving_s`, rest again."""
 
@@ -74,19 +49,21 @@ class MotionBetweenRests:
     def _moving_s(self) -> float:
         raise NotImplementedError
 
-    @cached_property
-    def _span(self) -> BetweenRests:
-        return BetweenRests(self.still_s, self._moving_s)
-
     @property
     def seconds(self) -> float:
         """The duration: rest, motion, rest."""
-        return self._span.seconds
+        return 2 * self.still_s + self._moving_s
 
-    @property
+    @cached_property
     def phases(self) -> tuple[Phase, ...]:
         """The phases static, motion, static."""
-        return self._span.phases
+        still_ns, motion_ns = nanoseconds(self.still_s), nanoseconds(self._moving_s)
+        return consecutive(("static", still_ns, "+Z"), ("motion", motion_ns, ""), ("static", still_ns, "+Z"))
+
+    def moved_s(self, time_ns: Integers) -> Reals:
+        """Return (n,) the elapsed time of the motion: 0 at rest before it, `_moving_s` at rest after it."""
+        _, moving, _ = self.phases
+        return (np.clip(time_ns, moving.start_ns, moving.end_ns) - moving.start_ns) * 1e-9
 
 
 def smooth_step(share: Reals) -> tuple[Reals, Reals, Reals, Reals]:

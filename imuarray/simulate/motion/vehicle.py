@@ -83,7 +83,7 @@ class Vehicle(MotionBetweenRests):
 
     def felt(self, time_ns: Integers) -> Felt:
         """Return the stimulus, at rest or while driving."""
-        seconds = self._span.moved_s(time_ns)
+        seconds = self.moved_s(time_ns)
         if not seconds.any():
             return resting(time_ns, UPRIGHT, self.temperature_degc)
         drive = self._drive(seconds)
@@ -96,7 +96,7 @@ class Vehicle(MotionBetweenRests):
 
     def velocity(self, time_ns: Integers) -> Reals:
         """Return (n, 3) of the box's origin in the level frame, in m/s."""
-        seconds = self._span.moved_s(time_ns)
+        seconds = self.moved_s(time_ns)
         drive = self._drive(seconds)
         (speed, *_), (yaw, *_) = drive
         return np.stack([speed * np.cos(yaw), speed * np.sin(yaw), self._body(seconds, drive)[0][1]], axis=1)
@@ -105,7 +105,7 @@ class Vehicle(MotionBetweenRests):
         """Return n rotations from the box to the level frame."""
         from scipy.spatial.transform import Rotation  # imported late because SciPy takes long to load
 
-        seconds = self._span.moved_s(time_ns)
+        seconds = self.moved_s(time_ns)
         _, angles = self._body(seconds, self._drive(seconds))
         return Rotation.from_euler("ZYX", np.stack([angles.yaw[0], angles.pitch[0], angles.roll[0]], axis=1))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imuarray.fuse.frames import Axis, Frames
-from imuarray.fuse.optimal import AxisErrors, DesignErrors, ErrorModel, Optimal, compiled_segments
+from imuarray.fuse.optimal import AxisErrors, DesignErrors, ErrorModel, Optimal, compiled
 from tests.fuse.optimal.conftest import FORCE, PERIOD_S, Floats, blocks_of, times, triad
 from tests.selection import some
 
@@ -91,7 +91,7 @@ def fused(case: str, smoothed: bool) -> dict[str, Floats]:
 @pytest.mark.parametrize("case", some(CASES, 2))
 def test_compiled_segments_are_those_of_numpy(case: str, smoothed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[int] = []
-    frames = compiled_segments.frames
+    frames = compiled.frames
 
     def counted(arrays: tuple[Any, ...], sizes: tuple[int, ...], *more: Any) -> tuple[int, float]:
         result = frames(arrays, sizes, *more)
@@ -99,11 +99,11 @@ def test_compiled_segments_are_those_of_numpy(case: str, smoothed: bool, monkeyp
         return result
 
     with monkeypatch.context() as patch:
-        patch.setattr(compiled_segments, "frames", counted)
+        patch.setattr(compiled, "frames", counted)
         ours = fused(case, smoothed)
     with monkeypatch.context() as patch:
-        patch.setattr(compiled_segments, "begin", lambda *_: -1.0)
-        patch.setattr(compiled_segments, "frames", None)
+        patch.setattr(compiled, "begin", lambda *_: -1.0)
+        patch.setattr(compiled, "frames", None)
         theirs = fused(case, smoothed)
     assert sum(done) > 0.5 * 2 * COUNT
     for quantity, wanted in theirs.items():
@@ -113,10 +113,10 @@ def test_compiled_segments_are_those_of_numpy(case: str, smoothed: bool, monkeyp
 def test_compiled_segments_refuse_arrays_of_another_size() -> None:
     arrays = tuple(np.zeros(1) for _ in range(8))
     with pytest.raises(ValueError, match="array 0: 72 bytes are required"):
-        compiled_segments.begin(arrays, (3, 3, 1), False, 0.0, 0.1)
+        compiled.begin(arrays, (3, 3, 1), False, 0.0, 0.1)
     with pytest.raises(ValueError, match="another number of arrays"):
-        compiled_segments.begin(arrays[1:], (3, 3, 1), False, 0.0, 0.1)
-    assert compiled_segments.begin(arrays, (3, 4, 1), False, 0.0, 0.1) == -1.0  # NumPy's way is taken
+        compiled.begin(arrays[1:], (3, 3, 1), False, 0.0, 0.1)
+    assert compiled.begin(arrays, (3, 4, 1), False, 0.0, 0.1) == -1.0  # NumPy's way is taken
     with pytest.raises(ValueError, match="array 0: 240 bytes are required"):
-        compiled_segments.frames((*arrays, *arrays[:3]), (10, 3, 3, 1, 5), False, 1.0, 0.0, 0.0)
-    assert compiled_segments.frames((*arrays, *arrays[:3]), (10, 3, 3, 2, 5), False, 1.0, 0.0, 0.0) == (0, 0.0)
+        compiled.frames((*arrays, *arrays[:3]), (10, 3, 3, 1, 5), False, 1.0, 0.0, 0.0)
+    assert compiled.frames((*arrays, *arrays[:3]), (10, 3, 3, 2, 5), False, 1.0, 0.0, 0.0) == (0, 0.0)

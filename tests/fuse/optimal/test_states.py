@@ -7,7 +7,7 @@ import importlib.util
 import numpy as np
 import pytest
 
-from imuarray.fuse.optimal import compiled_states
+from imuarray.fuse.optimal import compiled
 from imuarray.fuse.optimal.filter import SegmentEvidence, _measurements
 from imuarray.fuse.optimal.geometry import Geometry
 from imuarray.fuse.optimal.states import Adjoint, Gaussian, Innovation, StateResponse, backwards, corrected, predicted
@@ -111,7 +111,7 @@ def test_compiled_steps_are_those_of_numpy(states: int, measurements: int, monke
 
     ours = results()
     for name in ("predict", "correct", "turn_back"):
-        monkeypatch.setattr(compiled_states, name, lambda *_: False)
+        monkeypatch.setattr(compiled, name, lambda *_: False)
     for got, expected in zip(ours, results(), strict=True):
         np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-11 * np.abs(expected).max())
     assert (ours[1] == ours[1].T).all()
@@ -126,8 +126,8 @@ def test_compiled_effects_are_those_of_numpy(terms: int, monkeypatch: pytest.Mon
     adjoint = Adjoint(rng.normal(size=STATES), _spread(rng, STATES) / 1e4)
     response = StateResponse(dense)
     ours = [*response.of(belief), *response.drift(belief, adjoint, drifting)]
-    monkeypatch.setattr(compiled_states, "effect", lambda *_: False)
-    monkeypatch.setattr(compiled_states, "drifts", lambda *_: False)
+    monkeypatch.setattr(compiled, "effect", lambda *_: False)
+    monkeypatch.setattr(compiled, "drifts", lambda *_: False)
     for got, expected in zip(ours, [*response.of(belief), *response.drift(belief, adjoint, drifting)], strict=True):
         np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-12)
 
@@ -144,11 +144,11 @@ def test_covariances_that_are_not_positive_are_refused() -> None:
 def test_compiled_steps_refuse_arrays_of_another_size() -> None:
     arrays = tuple(np.zeros(4) for _ in range(6))
     with pytest.raises(ValueError, match="array 3: 128 bytes are required"):
-        compiled_states.predict(arrays, 4)
+        compiled.predict(arrays, 4)
     with pytest.raises(ValueError, match="other sizes are required"):
-        compiled_states.predict(arrays, -1)
+        compiled.predict(arrays, -1)
     outside = (np.zeros(1), np.zeros(1), np.array([0, 1]), np.array([1]), np.zeros(1), np.zeros(1), np.zeros(1))
-    assert not compiled_states.effect(outside, (1, 1, 1, 1))
+    assert not compiled.effect(outside, (1, 1, 1, 1))
 
 
 @pytest.mark.parametrize("terms", [1, 4])
@@ -165,7 +165,7 @@ def test_compiled_measurements_are_those_of_numpy(terms: int, moves: float, monk
     sums.blur += 50 * np.diag([1e-4, 2e-4, 3e-4])
     parity, response = _geometry().parity(np.ones(ROWS, bool)), StateResponse(_dense(rng, terms))
     ours = _measurements(sums, parity, response)
-    monkeypatch.setattr(compiled_states, "measure", lambda *_: -1)
+    monkeypatch.setattr(compiled, "measure", lambda *_: -1)
     theirs = _measurements(sums, parity, response)
     assert len(ours[0]) == len(theirs[0]) == len(parity) * (terms if moves else 1)
     for got, expected in zip(_information(*ours), _information(*theirs), strict=True):

@@ -8,10 +8,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from imuarray.log.format import Phase
-from imuarray.simulate.motion.faces import standing_on
+from imuarray.simulate.motion.faces import Still, standing_on
 from imuarray.simulate.motion.like import SplineColumns
 from imuarray.simulate.motion.posed import Movement, PoseAttitude, PoseSequence, upright_from
-from imuarray.simulate.motion.still import Still
 
 S = 10**9
 G = 9.80665

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
 
-from imuarray.simulate.motion.timeline import BetweenRests, consecutive, smooth_step, smooth_step_area
+from imuarray.simulate.motion.hand_shake import HandShake
+from imuarray.simulate.motion.timeline import consecutive, smooth_step, smooth_step_area
 
 STEP = Polynomial([0, 0, 0, 0, 35, -84, 70, -20])
 
@@ -28,7 +29,7 @@ def test_smooth_step_beyond_its_ends() -> None:
 
 def test_stretches() -> None:
     assert [tuple(p) for p in consecutive(("a", 5, "+X"), ("b", 7, ""))] == [(0, 5, "a", "+X"), (5, 12, "b", "")]
-    span = BetweenRests(2.0, 3.0)
-    assert span.seconds == 7.0
+    shake = HandShake(still_s=2.0, motion_s=3.0)
+    assert shake.seconds == 7.0
     times = np.array([-1, 0, 2, 3, 5, 9]) * 10**9
-    assert span.moved_s(times) == pytest.approx([0, 0, 0, 1, 3, 3])
+    assert shake.moved_s(times) == pytest.approx([0, 0, 0, 1, 3, 3])

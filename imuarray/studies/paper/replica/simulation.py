@@ -25,9 +25,9 @@ from imuarray.arrays import Floats
 from imuarray.log.writer import Block
 from imuarray.shipped import configs
 from imuarray.simulate.model import Model, load_model
+from imuarray.simulate.motion.faces import Still, turn_on_run
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.heating import Heating
-from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.simulation import Simulation
 from imuarray.studies.paper.array_model import PARTS, WINDOW_S, high_rate_degc

@@ -1,6 +1,8 @@
-"""The compiled steps of the filter of slow errors and of its smoother (`_states.c`).
+"""The compiled parts of `optimal`: frames of a segment in which the same rows are in use (`_segments.c`), and the steps
+of the filter of slow errors and of its smoother (`_states.c`).
 
-They compute the same as the NumPy code in `imuarray.fuse.optimal.states`, to rounding. They are not available if the
+They compute the same as the NumPy code of `SegmentView`, `solve`, `Dynamics` and `SegmentEvidence` (if no axis is
+clipped and the usual gain applies) and of `imuarray.fuse.optimal.states`, to rounding. They are not available if the
 package was installed without a C compiler.
 """
 
@@ -10,7 +12,29 @@ from typing import Any
 
 import numpy.typing as npt
 
-__all__ = ["correct", "drifts", "effect", "measure", "predict", "turn_back"]
+__all__ = ["begin", "correct", "drifts", "effect", "frames", "measure", "predict", "turn_back"]
+
+try:
+    from imuarray.fuse.optimal._segments import begin, frames
+except ImportError:  # installed without a C compiler
+
+    def begin(
+        arrays: tuple[npt.NDArray[Any], ...], sizes: tuple[int, ...], final: bool, change: float, tolerance: float
+    ) -> float:
+        """Process no segment."""
+        return -1.0
+
+    def frames(
+        arrays: tuple[npt.NDArray[Any], ...],
+        sizes: tuple[int, ...],
+        teaches: bool,
+        reach: float,
+        worst: float,
+        fair: float,
+    ) -> tuple[int, float]:
+        """Process no frames."""
+        return 0, 0.0
+
 
 try:
     from imuarray.fuse.optimal._states import correct, drifts, effect, measure, predict, turn_back
