@@ -16,7 +16,7 @@ from imuarray.errors import ExportError, MissingExtraError
 from imuarray.export import export
 from imuarray.export.content import open_content
 from imuarray.export.formats import ExportRequest
-from imuarray.export.mcap_file import _digits, epoch_ns
+from imuarray.export.mcap_file import _digits, _NumberTexts, epoch_ns
 from imuarray.export.mcap_schemas import table_message
 from imuarray.log import Block, LogWriter
 from tests.export.conftest import ACC, BARO, EPOCH_NS, GYRO, MESSAGE, MS
@@ -231,3 +231,20 @@ def test_integers_are_spelled_to_one_width_with_spaces_before(values: list[int])
     width = len(str(max(values)))
     texts = _digits(np.array(values, np.int64))
     assert [bytes(text).decode() for text in texts] == [f"{value:>{width}}" for value in values]
+
+
+def test_texts_of_numbers_do_not_depend_on_earlier_blocks() -> None:
+    rng = np.random.default_rng(3)
+    few, many = rng.integers(-9, 9, 500) * 0.0383, rng.normal(size=2000)
+    texts_of = _NumberTexts()
+    for block in (few[:300], few[300:], np.array([0.0, -0.0, 1e-300]), many, few[:300], np.full(4, 2.5), few[300:]):
+        lines = [bytes(text).decode() for text in texts_of(block)]
+        assert [line.rstrip() for line in lines] == [json.dumps(value) for value in block.tolist()]
+        assert len(lines[0]) == max(len(json.dumps(value)) for value in block.tolist())
+
+
+def test_texts_of_integers_do_not_depend_on_earlier_blocks() -> None:
+    texts_of = _NumberTexts()
+    for values in ([7, -12, 7], [7, 30000, -32768], [0, 0], [-12, 7]):
+        lines = [bytes(text).decode() for text in texts_of(np.array(values, np.int16))]
+        assert [line.rstrip() for line in lines] == [json.dumps(value) for value in values]
