@@ -19,7 +19,7 @@ from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse.alignment import between_gaps
 from imuarray.fuse.frames import FusedBlock
-from imuarray.fuse.fusion import fuse
+from imuarray.fuse.fusion import AVERAGE, fuse
 from imuarray.fuse.spools import RowSource, RowSpool, parts_of, row_blocks, square_sum
 from imuarray.log import Log, Track, first_at
 from imuarray.log.format import Phase
@@ -185,17 +185,29 @@ def errors_of(
 
 def error_frames(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()) -> dict[str, ErrorFrames]:
     """Return frames with errors, truth and covariances by quantity. FusionError without a truth."""
+    return error_frames_together(log, ({"": block} for block in blocks), phases).get("", {})
+
+
+def error_frames_together(
+    log: Log, blocks: Iterable[Mapping[str, FusedBlock]], phases: Iterable[Phase] = ()
+) -> dict[str, dict[str, ErrorFrames]]:
+    """Return frames with errors, truth and covariances by the name of the result and by quantity, from blocks of all
+    results with the same frames. FusionError without a truth.
+    """
     track, stretches = _track_of(log), [(phase.start_ns, phase.end_ns) for phase in phases]
-    result: dict[str, list[ErrorFrames]] = {quantity: [] for quantity in INERTIAL}
-    for block in blocks:
-        for _, quantity, frames in _errors_in(track, stretches, {"": block}):
-            result[quantity].append(frames)
+    result: dict[str, dict[str, list[ErrorFrames]]] = {}
+    for together in blocks:
+        for name, quantity, frames in _errors_in(track, stretches, together):
+            result.setdefault(name, {quantity: [] for quantity in INERTIAL})[quantity].append(frames)
     return {
-        quantity: ErrorFrames(
-            *(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(ErrorFrames))
-        )
-        for quantity, parts in result.items()
-        if parts
+        name: {
+            quantity: ErrorFrames(
+                *(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(ErrorFrames))
+            )
+            for quantity, parts in by_quantity.items()
+            if parts
+        }
+        for name, by_quantity in result.items()
     }
 
 
@@ -403,11 +415,19 @@ def gains(
 
     FusionError if the log has neither truth nor reference.
     """
-    errors = [errors_of(log, fuse(log, calibration, name, only=only), phases) for name in ("mean", technique)]
+    names = (AVERAGE, technique)
+    frames = {name: error_frames(log, fuse(log, calibration, name, only=only), phases) for name in names}
+    return gains_in(frames, technique, slow=slow)
+
+
+def gains_in(frames: Mapping[str, Mapping[str, ErrorFrames]], technique: str, *, slow: bool = False) -> list[Gain]:
+    """Return the gains of a technique from the frames of the simple average and of the technique, as `gains`."""
     rows = []
-    for quantity in errors[0]:
-        time, first, second = np.intersect1d(errors[0][quantity][0], errors[1][quantity][0], return_indices=True)
-        average_errors, technique_errors = errors[0][quantity][1][first], errors[1][quantity][1][second]
+    averages, estimates = frames[AVERAGE], frames[technique]
+    for quantity in averages:
+        average, estimate = averages[quantity], estimates[quantity]
+        time, first, second = np.intersect1d(average.time, estimate.time, return_indices=True)
+        average_errors, technique_errors = average.errors[first], estimate.errors[second]
         if slow:
             average_errors, technique_errors = (
                 ten_second_means(time, part) for part in (average_errors, technique_errors)

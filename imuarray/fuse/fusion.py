@@ -313,11 +313,13 @@ def fuse_together(
     only: Collection[str] = (),
     progress: Progress = lambda share: None,
 ) -> Iterator[dict[str, FusedBlock]]:
-    """Fuse by several techniques that fuse each quantity separately (`TECHNIQUES`); frames are aligned once. Returns
-    blocks by the name of the technique. FusionError.
+    """Fuse by several techniques that fuse each quantity separately (`TECHNIQUES`), each as by `fuse`; frames are
+    aligned once. Returns blocks by the name of the technique. FusionError.
     """
     by_quantity = _by_quantity(list(log.sensors.values()), only, str(log.path))
     calibration = with_response_change(log, calibration, only)
+    inertial = [sensor for sensors in by_quantity.values() for sensor in sensors]
+    calibration = with_mismatch(calibration, temperature_mismatch(log, inertial, calibration))
     array = _Array(by_quantity, calibration, AVERAGE, Watch(on=False))
     temperatures = TemperatureSources(element_temperatures(log, array.inertial, calibration), {}, {})
     axes = array.axes

@@ -23,7 +23,9 @@ from imuarray.characterise import characterise_log
 from imuarray.characterise.plots import allan_figure
 from imuarray.errors import LogError, OutputExistsError
 from imuarray.figures import PALETTE, new_figure
-from imuarray.fuse import Gain, errors_of, fuse, gains
+from imuarray.fuse import Gain, errors_of, fuse
+from imuarray.fuse.evaluation import error_frames_together, gains_in
+from imuarray.fuse.fusion import AVERAGE, fuse_together
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.findings.diagnosis import Diagnosis
 from imuarray.gap.findings.text import effect_text, listed_causes, parameters_text, places_text, share
@@ -59,6 +61,11 @@ class GainCase:
     phases: tuple[str, ...] = ()
 
     @property
+    def sample(self) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+        """Return the data that are compared: a run, sensors (empty: all) and phases (empty: all)."""
+        return self.run, self.only, self.phases
+
+    @property
     def label(self) -> str:
         """Return the name in words, for a table."""
         sensors_text = f", {self.only[0]} to {self.only[-1]}" if self.only else ""
@@ -81,14 +88,16 @@ CASES = (
 
 
 def compare(logs: Mapping[str, Path], calibration: Calibration) -> list[tuple[GainCase, Gain]]:
-    """Return every case's gains, per quantity and axis."""
-    rows = []
-    for case in CASES:
-        with open_log(logs[case.run]) as log:
-            phases = [phase for phase in log.phases if phase.name in case.phases]
-            result = gains(log, calibration, case.technique, only=case.only, phases=phases, slow=case.slow)
-            rows += [(case, gain) for gain in result]
-    return rows
+    """Return every case's gains, per quantity and axis; the techniques on one sample are fused together."""
+    gains: dict[GainCase, list[Gain]] = {}
+    for run, only, names in dict.fromkeys(case.sample for case in CASES):
+        cases = [case for case in CASES if case.sample == (run, only, names)]
+        techniques = list(dict.fromkeys([AVERAGE, *(case.technique for case in cases)]))
+        with open_log(logs[run]) as log:
+            phases = [phase for phase in log.phases if phase.name in names]
+            frames = error_frames_together(log, fuse_together(log, calibration, techniques, only=only), phases)
+        gains |= {case: gains_in(frames, case.technique, slow=case.slow) for case in cases}
+    return [(case, gain) for case in CASES for gain in gains[case]]
 
 
 def _best(rows: Rows, case: GainCase) -> Gain:
@@ -343,10 +352,10 @@ def drift_of_gyroscopes(log: Log, calibration: Calibration, temperature: tuple[A
         sensor.name: _slow_error(*errors_of(log, fuse(log, calibration, "mean", only=[sensor.name]))["angular_rate"])
         for sensor in log.of("angular_rate")
     }
-    curves = {
-        label: _slow_error(*errors_of(log, fuse(log, calibration, technique))["angular_rate"])
-        for label, technique in (("simple average", "mean"), ("opposed", "opposed"))
-    }
+    labels = {AVERAGE: "simple average", "opposed": "opposed"}
+    together = error_frames_together(log, fuse_together(log, calibration, list(labels)))
+    fused = {label: together[technique]["angular_rate"] for technique, label in labels.items()}
+    curves = {label: _slow_error(frames.time, frames.errors) for label, frames in fused.items()}
     length = min(len(time_s) for time_s, _ in (*single.values(), *curves.values()))
     time_s, _ = next(iter(single.values()))
     return drift_figure(

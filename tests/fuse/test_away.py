@@ -16,6 +16,7 @@ from imuarray.cli import main
 from imuarray.fuse import fuse, temperature_mismatch
 from imuarray.fuse.element_temperature import AWAY_DEGC, SCALE_PER_DEGC, mismatch_sentences
 from imuarray.fuse.frames import matrices
+from imuarray.fuse.fusion import fuse_together
 from imuarray.log import open_log
 from tests.fuse.conftest import DPS, Floats, G, Part, WriteRun, calibration, joined
 from tests.selection import some
@@ -51,6 +52,17 @@ def test_the_covariance_allows_for_usual_slopes(write_run: WriteRun, quantity: s
     at_home, unknown, away = (claimed(run, known(degc), quantity) for degc in (HERE_DEGC, None, HERE_DEGC - 20))
     assert at_home == pytest.approx(unknown)
     assert away - at_home == pytest.approx((20 * slope) ** 2 * np.eye(3), rel=1e-6)
+
+
+def test_techniques_that_are_compared_state_the_covariances_of_fuse(write_run: WriteRun) -> None:
+    """Of the mean of one sensor, 20 degC away: the usual slope times 20 degC, squared, more than at home."""
+    run = write_run(parts(), truth="reference", frames=400)
+    with open_log(run) as log:
+        home, away = (
+            matrices(next(fuse_together(log, known(degc), ["mean"]))["mean"].covariances["specific_force"])[0]
+            for degc in (HERE_DEGC, HERE_DEGC - 20)
+        )
+    assert away - home == pytest.approx((20 * SLOPE_G * G) ** 2 * np.eye(3), rel=1e-6)
 
 
 def test_a_slope_that_is_known_leaves_its_standard_error(write_run: WriteRun) -> None:
