@@ -303,6 +303,17 @@ def test_units_of_one_chip_may_be_late_beside_those_of_another(chips: tuple[str,
     assert later_s == pytest.approx(0.018 if is_nuisance else 0.0, abs=0.002)
 
 
+def test_a_replicate_with_an_odd_delay_does_not_shift_the_fit() -> None:
+    """One of six is late by 60 ms, by which the mean of all would be late by 10 ms."""
+    headers = {
+        name: header(name, chip=chip, rate_hz=100.0) for name, chip in zip("AB", ("bma180", "adxl345"), strict=True)
+    }
+    replicates = [swaying_campaign(headers, 0.0, late_s) for late_s in (0.0, 0.0, 0.06, 0.0, 0.0, 0.0)]
+    trials = [(dict.fromkeys(headers, NO_DELAY), replicates)]
+    fitted = fit_signal_delays(swaying_campaign(headers, 0.0, 0.018), headers, (), trials)
+    assert fitted["B"].stamp_s - fitted["A"].stamp_s == pytest.approx(0.018, abs=0.002)
+
+
 @pytest.mark.parametrize("late_s", [0.0, 0.018])
 def test_a_unit_that_is_later_than_another_of_its_chip_does_not_make_both_late(late_s: float) -> None:
     """One by 30 ms more than the other: the fault is its own, and both are late by what the other one is."""

@@ -30,6 +30,7 @@ from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.cross import Cross
 from imuarray.gap.statistics.probes.motion import delay, information_on_delay
 from imuarray.log.format import SensorHeader
+from imuarray.robust import MEDIAN_ABSOLUTE
 from imuarray.simulate.effects.bandwidth import two_pole_cutoff_hz
 from imuarray.simulate.model import noise_bandwidth_hz
 
@@ -83,9 +84,10 @@ def fit_signal_delays(
     """Delays of the sensors by the phases in which the box moves; `queued` sensors have rows from a queue.
 
     A Gauss-Newton step from the last of the `trials`: least squares of the delays behind the other sensors of the
-    quantity, or the track, less those of the replicates on average. A motion that is fast beside the windows shows more
-    of a delay than there is: by how much the first and the last trial tell, whose delays differ most. Empty without
-    such phases.
+    quantity, or the track, less the median of those of the replicates. A delay by which the replicates differ, such as
+    that of an axis that hardly follows a turn, counts the less the more it scatters. A motion that is fast beside the
+    windows shows more of a delay than there is: by how much the first and the last trial tell, whose delays differ
+    most. Empty without such phases.
     """
     delays: dict[str, SignalDelay] = {}
     for quantity in dict.fromkeys(header.quantity for header in headers.values()):
@@ -142,6 +144,7 @@ def _problem(
     nominal_s = {name: _nominal_delay_s(header) for name, header in headers.items()}
     observed = _rows(_crosses(campaign), headers, nominal_s, late)
     steps = []
+    scatter_s = np.zeros(len(observed.delay_s))
     for simulated, replicates in trials[:: max(len(trials) - 1, 1)]:
         simulated_s = [_rows(_crosses(replicate), headers, nominal_s, late).delay_s for replicate in replicates]
         comparable = [delay_s for delay_s in simulated_s if len(delay_s) == len(observed.delay_s)]
@@ -152,14 +155,17 @@ def _problem(
         offsets_s = np.linalg.lstsq(are_late, np.array(stamps_s))[0]
         start = np.concatenate([[max(ratios, default=0.0)], offsets_s, np.zeros(len(late) - len(usual))])
         if comparable and len(observed.delay_s):
-            steps.append((start, np.mean(comparable, axis=0)))
+            middle_s = np.median(comparable, axis=0)
+            scatter_s = np.median(np.abs(comparable - middle_s), axis=0) / MEDIAN_ABSOLUTE
+            steps.append((start, middle_s))
     if not steps:
         return None
     start, seen_s = steps[-1]
     design = observed.design * _slopes(observed.design, *steps)[:, None] if len(steps) > 1 else observed.design
     most = np.array([MOST_RATIO, *(stamps.most_s for stamps in late)])
     least = np.array([0.0, *(stamps.least_s for stamps in late)])
-    return _Problem(observed.delay_s - seen_s + design @ start, observed.information, design, least, most)
+    information = observed.information / (1 + observed.information * scatter_s**2)
+    return _Problem(observed.delay_s - seen_s + design @ start, information, design, least, most)
 
 
 def _truncate(delay_s: float) -> float:
