@@ -27,6 +27,21 @@ def acting(effect: Effect, run: int) -> Effect | None:
     return _Within(effect, tuple((begin_s * 1e9, end_s * 1e9) for begin_s, end_s in own)) if own else None
 
 
+_MATTERING = frozenset({"own_clock", "jitter", "channel_swap"})
+"""Kinds of effect that change how rows are read in all runs of a sensor that has one."""
+
+
+def effects_in(run: int, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Return the effects, in order, without those that change nothing in the run with that number: they do not act in
+    it, and no later effect of their kind does, whose random draws would be others without them.
+    """
+    chosen: list[Effect] = []
+    for effect in reversed(effects):
+        if effect.name in _MATTERING or any(effect.name == later.name for later in chosen) or acting(effect, run):
+            chosen.append(effect)
+    return tuple(reversed(chosen))
+
+
 @dataclass(frozen=True)
 class _Within(Effect):
     """An `effect` that acts only on rows whose stamps lie within `stretches_ns`, each (from, until). Its random draws

@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum, auto
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -44,6 +45,16 @@ _COLUMN = {"specific_force": "force_box", "angular_rate": "rate_box", "magnetic_
 
 Counts = npt.NDArray[np.int16] | npt.NDArray[np.int32]
 """Values in the form in which a log stores them."""
+
+
+class Demand(Enum):
+    """The rows that are required: any, so that whole chunks are computed; stretches `APART`, whose chunks are computed
+    only if several are short; or `FEW` of each chunk, so that just these are computed.
+    """
+
+    ANY = auto()
+    APART = auto()
+    FEW = auto()
 
 
 class Chunk(NamedTuple):
@@ -117,6 +128,7 @@ class SimulatedSensor:
         )
         self._is_local = not any(effect.lookback(at) for effect, at in self._acting)
         self._chunk: Callable[[int, bool], Chunk] = lru_cache(maxsize=4)(self._evaluated)
+        self._stretch: Callable[[int, int], Chunk] = lru_cache(maxsize=4)(self._evaluated_alone)
 
     def remember(self, memory: DrawMemory, owner: Hashable) -> None:
         """Keep computed rows in a memory, in which they belong to `owner`, rather than the latest of them here."""
@@ -125,15 +137,18 @@ class SimulatedSensor:
             key = (owner, number, swapped)
             return memory.recall(key, lambda: self._evaluated(number, swapped), lambda rows: rows.nbytes)
 
-        self._chunk = chunk
+        def stretch(begin: int, end: int) -> Chunk:
+            key = (owner, "alone", begin, end)
+            return memory.recall(key, lambda: self._evaluated_alone(begin, end), lambda rows: rows.nbytes)
 
-    def block(self, start: int, stop: int, *, alone: bool = False) -> Block:
+        self._chunk, self._stretch = chunk, stretch
+
+    def block(self, start: int, stop: int, demand: Demand = Demand.ANY) -> Block:
         """Return those of the rows start ... stop - 1 that arrive (fewer than stop - start if readings are dropped).
-        For a sensor whose effects do not look back, these rows `alone` can be computed if no others of their chunks are
-        required; the result is the same.
+        By the `demand` these rows alone are computed, where that costs less than their chunks; the result is the same,
+        to rounding if effects look back.
         """
-        alone = alone and self._is_local
-        parts = [self._arriving(chunk, start, stop, alone) for chunk in range(start // CHUNK, -(-stop // CHUNK))]
+        parts = [self._arriving(chunk, start, stop, demand) for chunk in range(start // CHUNK, -(-stop // CHUNK))]
         if len(parts) == 1:
             return parts[0]
         time, counts, status, temperature, _ = zip(*parts, strict=True)
@@ -165,10 +180,12 @@ class SimulatedSensor:
         rows = np.concatenate(lost)
         return np.asarray(rows[(rows >= start) & (rows < stop)])
 
-    def _arriving(self, number: int, start: int, stop: int, alone: bool) -> Block:
+    def _arriving(self, number: int, start: int, stop: int, demand: Demand) -> Block:
         begin, end = max(start, number * CHUNK), min(stop, (number + 1) * CHUNK, self.rows)
-        if alone and _WORTH_IT <= end - begin < CHUNK:
-            chunk = self._evaluate(begin, end, True)
+        if demand is Demand.FEW and end - begin + self._lookback < CHUNK // 2:
+            chunk = self._stretch(begin, end)
+        elif demand is not Demand.ANY and self._is_local and _WORTH_IT <= end - begin < CHUNK:
+            chunk = self._evaluated_alone(begin, end)
         else:
             chunk, begin = self._chunk(number, True), number * CHUNK
         rows: Any = slice(max(start - begin, 0), min(stop - begin, len(chunk.kept)))
@@ -196,6 +213,10 @@ class SimulatedSensor:
     def _evaluated(self, number: int, swapped: bool) -> Chunk:
         """Return one chunk."""
         return self._evaluate(number * CHUNK, min((number + 1) * CHUNK, self.rows), swapped)
+
+    def _evaluated_alone(self, begin: int, end: int) -> Chunk:
+        """Return a part of a chunk."""
+        return self._evaluate(begin, end, True)
 
     def _evaluate(self, begin: int, end: int, swapped: bool) -> Chunk:
         """Compute rows begin ... end - 1, with the sensor's own channel swap, or without it if a neighbour requests
@@ -352,4 +373,4 @@ def _join(parts: Sequence[Codes]) -> Codes:
     )
 
 
-__all__ = ["SimulatedBarometer", "SimulatedSensor"]
+__all__ = ["Demand", "SimulatedBarometer", "SimulatedSensor"]

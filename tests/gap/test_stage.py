@@ -12,7 +12,10 @@ import pytest
 from imuarray.gap.model import replication
 from imuarray.gap.model.replication import Models, RememberedMotion, SensorModel, Stage
 from imuarray.gap.recording.recordings import Experiment
+from imuarray.gap.statistics import campaign
+from imuarray.gap.statistics.campaign import LogSummary
 from imuarray.simulate import Motion
+from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.readings import ChannelSwap
 from imuarray.simulate.motion.faces import Still
 from imuarray.simulate.motion.hand_shake import HandShake
@@ -48,7 +51,7 @@ def test_exchanged_sensors_read_the_recorded_levels_of_each_other() -> None:
     Before the exchange a replicate has the recorded level, afterwards that of the other: to a tenth of the scatter that
     the levels of replicates without an exchange have.
     """
-    bench, campaign = prepared([("static", Still(seconds=40))], ["A1", "A2"])
+    bench, recorded_campaign = prepared([("static", Still(seconds=40))], ["A1", "A2"])
     stage = Stage(bench.kinds, bench.split, bench.layouts, bench.experiments, bench.base)
     spans = {"spans": (0.0, 20.0, 1e9)}
     swaps = {
@@ -64,7 +67,9 @@ def test_exchanged_sensors_read_the_recorded_levels_of_each_other() -> None:
         return np.stack([means[:, :quarter].mean(axis=1), means[:, -quarter:].mean(axis=1)], axis=1)
 
     recorded = {
-        name: np.mean([part.sensors[name].segments.mean.mean(axis=0) for part in campaign.logs[0].phases], axis=0)
+        name: np.mean(
+            [part.sensors[name].segments.mean.mean(axis=0) for part in recorded_campaign.logs[0].phases], axis=0
+        )
         for name in swaps
     }
     usual = levels(stage.models(), "A1").std(axis=0).max()
@@ -106,3 +111,54 @@ def test_replicates_do_not_depend_on_what_is_remembered(monkeypatch: pytest.Monk
             for name, summary in phase.sensors.items():
                 np.testing.assert_array_equal(summary.segments.mean, other_phase.sensors[name].segments.mean)
                 np.testing.assert_array_equal(summary.segments.fourth, other_phase.sensors[name].segments.fourth)
+
+
+def test_other_sensors_are_simulated_only_where_the_box_moves() -> None:
+    """Those of a quantity are compared with a single sensor in motion only, as they are in a replicate of all."""
+    bench, _ = prepared([("static", Still(seconds=5)), ("motion", HandShake(still_s=2, motion_s=2))], ["G1", "G2"])
+    whole = bench.simulated(bench.models(), 3)
+    alone = bench.simulated({"G1": bench.models()["G1"]}, 3)
+    for log, other_log in zip(whole.logs, alone.logs, strict=True):
+        for phase, other in zip(log.phases, other_log.phases, strict=True):
+            assert set(other.sensors) == ({"G1"} if phase.is_still else {"G1", "G2"})
+            for name, summary in other.sensors.items():
+                np.testing.assert_array_equal(summary.segments.mean, phase.sensors[name].segments.mean)
+            if phase.cross is not None and not phase.is_still:
+                assert other.cross is not None
+                np.testing.assert_array_equal(other.cross.fast, phase.cross.fast)
+
+
+def test_the_motion_alone_is_that_of_the_whole_campaign() -> None:
+    bench, _ = prepared([("static", Still(seconds=5)), ("motion", HandShake(still_s=2, motion_s=2))], ["G1", "G2"])
+    whole, (motion,) = bench.simulated(bench.models(), 1), bench.motion_replicates([(bench.models(), 1)])
+    assert [len(log.phases) for log in motion.logs] == [0, 2]  # both halves of the only motion
+    moving = [phase for phase in whole.logs[1].phases if not phase.is_still]
+    for phase, other in zip(moving, motion.logs[1].phases, strict=True):
+        assert phase.cross is not None
+        assert other.cross is not None
+        np.testing.assert_array_equal(other.cross.turning, phase.cross.turning)
+
+
+def test_logs_that_a_hypothesis_leaves_as_they_were_are_simulated_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line in the second of two logs leaves the first one; the replicate is that of a stage without memory."""
+    bench, _ = prepared([("static", Still(seconds=5)), ("static", Still(seconds=5))], ["G1", "G2"])
+    stages = [Stage(bench.kinds, bench.split, bench.layouts, bench.experiments, bench.base) for _ in range(2)]
+    calls: list[str] = []
+    summarise = campaign.summarise_logs
+
+    def counted(kind: str, *rest: Any) -> list[LogSummary]:
+        calls.append(kind)
+        return summarise(kind, *rest)
+
+    monkeypatch.setattr(replication, "summarise_logs", counted)
+
+    def models(amplitude: float) -> Models:
+        line = Tone((amplitude, 0.0, 0.0), 3.0, spans=(1.0, 0.0, 1e9))
+        return {"G1": replace(bench.models()["G1"], added=(line,))}
+
+    for amplitude in (0.1, 0.2):
+        remembered = stages[0].simulated(models(amplitude), 0)
+    assert len(calls) == 3
+    for log, other in zip(remembered.logs, stages[1].simulated(models(0.2), 0).logs, strict=True):
+        for phase, other_phase in zip(log.phases, other.phases, strict=True):
+            np.testing.assert_array_equal(phase.sensors["G1"].segments.mean, other_phase.sensors["G1"].segments.mean)

@@ -7,7 +7,7 @@ import pytest
 
 from imuarray.errors import ConfigError
 from imuarray.simulate import Simulation, plan_of
-from imuarray.simulate.active_spans import spans_of
+from imuarray.simulate.active_spans import effects_in, spans_of
 from imuarray.simulate.effect import FOREVER_S, Effect, from_table, to_table
 from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.conversion import OdrError, Quantisation
@@ -15,7 +15,7 @@ from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from imuarray.simulate.effects.readings import StaleSamples
 from imuarray.simulate.effects.response import Scale
 from imuarray.simulate.effects.temperature import ThermalLag
-from imuarray.simulate.effects.timing import DroppedSamples
+from imuarray.simulate.effects.timing import DroppedSamples, Jitter
 from imuarray.simulate.motion.faces import Still
 from tests.gap.small_bench import array_of
 
@@ -73,3 +73,13 @@ def test_spans_in_a_model_file() -> None:
     for spans in ([0.0, 4.0], [0.0, 4.0, 4.0]):
         with pytest.raises(ConfigError, match="three numbers each are required"):
             from_table(Tone, {"spans": spans}, "dps", "here")
+
+
+def test_effects_that_do_not_act_in_a_run_are_left_out_unless_they_matter_there() -> None:
+    """A tone before another one has another random phase than the only one; a jitter tells how rows are read."""
+    always, later = Tone((0.1, 0.0, 0.0), 3.0), Tone((0.1, 0.0, 0.0), 3.0, spans=(2.0, 0.0, 1e9))
+    jitter = Jitter(1.0, spans=(2.0, 0.0, 1e9))
+    assert effects_in(1, (always, later)) == (always,)
+    assert effects_in(2, (always, later)) == (always, later)
+    assert effects_in(1, (later, always)) == (later, always)
+    assert effects_in(1, (jitter, always)) == (jitter, always)

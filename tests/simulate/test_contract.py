@@ -20,7 +20,7 @@ from imuarray.simulate.effects.response import Misalignment
 from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.tumble import Tumble
-from imuarray.simulate.sensor import SimulatedSensor
+from imuarray.simulate.sensor import Demand, SimulatedSensor
 from imuarray.simulate.signal import Analog, Codes, Felt, Instants, Place
 from imuarray.simulate.simulation import Simulation, plan_of
 from imuarray.simulate.streams import CHUNK, Stream, Streams
@@ -317,5 +317,5 @@ def test_rows_that_are_worked_out_alone_are_those_of_their_chunk(name: str | Non
         assert isinstance(whole, SimulatedSensor)
         assert isinstance(alone, SimulatedSensor)
         for first, stop in itertools.pairwise(cuts):
-            for wanted, found in zip(whole.block(first, stop), alone.block(first, stop, alone=True), strict=True):
+            for wanted, found in zip(whole.block(first, stop), alone.block(first, stop, Demand.APART), strict=True):
                 np.testing.assert_array_equal(found, wanted)

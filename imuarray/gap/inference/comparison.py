@@ -345,12 +345,11 @@ def with_signal_delays(bench: Bench, campaign: Campaign, replicates: int = 6) ->
     """
     if not can_fit_signal_delays(campaign, bench.base.headers, bench.base.queued):
         return bench
-    moving = [number for number, log in enumerate(campaign.logs) if not all(part.is_still for part in log.phases)]
     trials: list[DelayTrial] = []
     for _ in range(_DELAY_STEPS):
         base = bench.base
         requests = [(bench.models(), number) for number in range(replicates)]
-        simulated = bench.campaigns(requests, logs=moving)
+        simulated = bench.motion_replicates(requests)
         trials.append(({name: parameters.delay for name, parameters in base.fitted.items()}, simulated))
         delays = fit_signal_delays(campaign, base.headers, base.queued, trials)
         fitted = {

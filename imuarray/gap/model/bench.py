@@ -19,7 +19,7 @@ from imuarray.gap.model.base_model import Base, FittedParameters, fit, replicate
 from imuarray.gap.model.downstream import Uses, uses_of
 from imuarray.gap.model.replication import Models, ReplicateRequest, Stage
 from imuarray.gap.recording.recordings import Experiment
-from imuarray.gap.statistics.campaign import Campaign
+from imuarray.gap.statistics.campaign import Campaign, LogSummary
 from imuarray.gap.statistics.catalogue import Key, ReplicateStatistics, statistics
 from imuarray.gap.statistics.pairs import Pairs, pairs_of
 from imuarray.gap.statistics.probes import PROBES, CrossProbe, Probe
@@ -209,12 +209,19 @@ class Bench(Stage):
         return [StatisticValues(row, base.fitted) for row, base in zip(sensor_values, bases, strict=True)]
 
     def _known_motions(self, campaign: Campaign) -> tuple[Motion, ...]:
-        """Return the motions as the sensors of a campaign can determine them: attitudes that all accelerometers
-        estimate together are taken as known if some of these are missing.
+        """Return the motions as the sensors of a campaign can determine them: attitudes that all accelerometers of a
+        log estimate together are taken as known if some of these are missing at rest.
         """
-        there = {name for log in campaign.logs for phase in log.phases for name in phase.sensors}
-        needed = {name for name, header in self.base.headers.items() if header.quantity == "specific_force"}
-        return self.motions if needed <= there else tuple(map(_with_known_attitudes, self.motions))
+        return tuple(
+            _with_known_attitudes(performed.motion) if self._lacks_accelerometers(log, performed) else performed.motion
+            for log, performed in zip(campaign.logs, self.experiments, strict=True)
+        )
+
+    def _lacks_accelerometers(self, log: LogSummary, experiment: Experiment) -> bool:
+        """Return whether the phases at rest lack an accelerometer of the log."""
+        there = {name for phase in log.phases if phase.is_still for name in phase.sensors}
+        recorded = {name for name in experiment.plan.sensors if name in self.base.headers}
+        return any(self.base.headers[name].quantity == "specific_force" for name in recorded - there)
 
     def _put(self, values: Floats, statistics: ReplicateStatistics, part: int) -> None:
         """Write statistics (r, m) of one part to their places (r, n); keys that the recording lacks are dropped."""

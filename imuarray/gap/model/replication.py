@@ -23,13 +23,15 @@ from imuarray.gap.recording.recordings import Experiment, reference_of, temperat
 from imuarray.gap.recording.source import Source, simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, summarise_logs
 from imuarray.gap.statistics.split import Split
+from imuarray.log.format import Phase
+from imuarray.simulate.active_spans import effects_in
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias, TurnOnBias
 from imuarray.simulate.effects.readings import ChannelSwap
 from imuarray.simulate.effects.response import GSensitivity, Misalignment, Scale
 from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.motion.felt import Felt, Motion, MotionVariant
-from imuarray.simulate.sensor import SimulatedSensor
+from imuarray.simulate.sensor import Demand, SimulatedSensor
 from imuarray.simulate.simulation import Simulation
 from imuarray.simulate.streams import CHUNK, DrawMemory, Streams
 from imuarray.units import INERTIAL, SI_PER_UNIT, STANDARD_GRAVITY
@@ -105,8 +107,16 @@ _MEMORY_BYTES = 1 << 26
 minutes in a dozen.
 """
 
-_KEPT = 64
-"""Simulated sensors that are cached of logs in which the box moves: eight replicates of eight sensors."""
+_ROWS_BYTES = 1 << 25
+"""Rows that a process remembers of sensors with which others are compared: an hour of six sensors at 40 Hz, or some
+motions of minutes in eight replicates.
+"""
+
+_KEPT_LOGS = 256
+"""Summaries of logs that a process keeps: of a sensor in two replicates of a campaign of a hundred logs."""
+
+_KEPT = 128
+"""Simulated sensors that are cached of logs in which the box moves: eight replicates of eight sensors in two logs."""
 
 
 @dataclass(frozen=True)
@@ -160,48 +170,112 @@ class Stage:
     ) -> list[Campaign]:
         """`simulated` for several replicates of the same sensors, each with its models and its number; only these
         `logs` (None: all), the others without phases.
+
+        Of sensors without a model only what those with one are compared with is simulated (`_is_compared_with`).
         """
         chosen = range(len(self.kinds)) if logs is None else logs
         effects = [self._effects({**other_models, **models}, number) for models, number in requests]
+        phases = self.split.phases(None if held_out else False)
+        layouts = [self._layouts(at, held_out) for at in range(len(self.kinds))]
+        demand = Demand.ANY if held_out else Demand.APART
         parts = [
-            self._replicated(at, requests, effects, held_out)
+            self._replicated(at, requests, effects, phases[at], layouts[at], demand)
             if at in chosen
             else [LogSummary(kind, ())] * len(requests)
             for at, kind in enumerate(self.kinds)
         ]
         return [Campaign(replicate) for replicate in zip(*parts, strict=True)]
 
+    def motion_replicates(self, requests: Sequence[ReplicateRequest]) -> list[Campaign]:
+        """`campaigns`, only the phases of both parts in which the box moves."""
+        effects = [self._effects(models, number) for models, number in requests]
+        parts = []
+        for log, share in enumerate(self.split.shares):
+            moving = [at for at, phase in enumerate(share.phases) if not is_at_rest(phase)]
+            phases, layouts = [share.phases[at] for at in moving], [self.layouts[log][at] for at in moving]
+            parts.append(self._replicated(log, requests, effects, phases, layouts, Demand.FEW))
+        return [Campaign(replicate) for replicate in zip(*parts, strict=True)]
+
     def _replicated(
-        self, log: int, requests: Sequence[ReplicateRequest], effects: Sequence[Effects], held_out: bool
+        self,
+        log: int,
+        requests: Sequence[ReplicateRequest],
+        effects: Sequence[Effects],
+        phases: Sequence[Phase],
+        layouts: Sequence[Layout],
+        demand: Demand,
     ) -> list[LogSummary]:
-        """One log in several replicates, as many at a time as memory allows."""
+        """These phases of one log in several replicates. Those that are the same are simulated once: many hypotheses
+        change a part of the logs only.
+        """
+        if not phases:
+            return [LogSummary(self.kinds[log], ())] * len(requests)
+        acting = [
+            {name: effects_in(self.first_boot + log, of_sensor) for name, of_sensor in replicate_effects.items()}
+            for replicate_effects in effects
+        ]
+        keys = [
+            self._log_key(log, *request, replicate_effects, demand)
+            for request, replicate_effects in zip(requests, acting, strict=True)
+        ]
+        latest = self._latest_logs
+        known = {key: latest[key] for key in set(keys) if key in latest}
+        first = {key: at for at, key in reversed(list(enumerate(keys))) if key not in known}
+        new = sorted(first.values())
+        simulated = self._summarised(
+            log, [requests[at] for at in new], [acting[at] for at in new], phases, layouts, demand
+        )
+        known.update(zip((keys[at] for at in new), simulated, strict=True))
+        for at in new:
+            if any(len(acting[at][name]) < len(effects[at][name]) for name in requests[at][0]):
+                latest[keys[at]] = known[keys[at]]
+        while len(latest) > _KEPT_LOGS:
+            latest.pop(next(iter(latest)), None)
+        return [known[key] for key in keys]
+
+    def _log_key(self, log: int, models: Models, number: int, effects: Effects, demand: Demand) -> Hashable:
+        """Return all that one log of a replicate depends on."""
+        is_swapped = any(effect.name == ChannelSwap.name for of_sensor in effects.values() for effect in of_sensor)
+        names = effects if is_swapped else self._simulated_names(log, models, effects)
+        return log, number, demand, frozenset(models), tuple((name, effects[name]) for name in names)
+
+    @cached_property
+    def _latest_logs(self) -> dict[Hashable, LogSummary]:
+        """The latest logs in which not all effects of the sensors act, by all that they depend on."""
+        return {}
+
+    def _summarised(
+        self,
+        log: int,
+        requests: Sequence[ReplicateRequest],
+        effects: Sequence[Effects],
+        phases: Sequence[Phase],
+        layouts: Sequence[Layout],
+        demand: Demand,
+    ) -> list[LogSummary]:
+        """Simulate and summarise one log in several replicates, as many at a time as memory allows."""
         kind, experiment = self.kinds[log], self.experiments[log]
-        phases = self.split.phases(None if held_out else False)[log]
         rows = max((line.rows for _, line in experiment.plan.sensors.values()), default=0)
         at_once = max(_ROWS // max(rows, 1), 1)
+        reference = reference_of(experiment.motion)
         summaries: list[LogSummary] = []
         for first in range(0, len(requests), at_once):
             some = slice(first, first + at_once)
             replicates = [
-                self._sources(log, *request, request_effects, alone=not held_out)
+                self._sources(log, *request, request_effects, demand)
                 for request, request_effects in zip(requests[some], effects[some], strict=True)
             ]
-            reference, layouts = reference_of(experiment.motion), self._layouts(log, held_out)
-            summaries += summarise_logs(kind, replicates, phases, reference, layouts)
+            at_rest = {name for name in replicates[0] if self._is_compared_at_rest(name, requests[0][0])}
+            summaries += summarise_logs(kind, replicates, phases, reference, layouts, at_rest)
         return summaries
 
-    def _sources(self, log: int, models: Models, number: int, effects: Effects, *, alone: bool) -> dict[str, Source]:
-        """One replicate of a log: these sensors; if there are several, also the others of their quantities, with which
-        they are compared; if the box moves all other inertial ones. Many models share the others. `alone`: only parts
-        of the log are needed.
+    def _sources(self, log: int, models: Models, number: int, effects: Effects, demand: Demand) -> dict[str, Source]:
+        """One replicate of a log: these sensors and those with which they are compared. Many models share the others.
+        Those that are only compared in motion are simulated only there.
         """
         experiment = self.experiments[log]
         plan = experiment.plan
-        names = [
-            name
-            for name in plan.sensors
-            if name in models or (name in effects and self._is_compared_with(log, name, models))
-        ]
+        names = self._simulated_names(log, models, effects)
         swapped = [name for name in names if any(effect.name == ChannelSwap.name for effect in effects[name])]
         seed = replicate_seed(self.base.seed, number)
         array = (
@@ -214,24 +288,46 @@ class Stage:
         return {
             name: experiment.comparable_rows(name, array[name])
             if name in swapped
-            else (self._source if name in models else self._cached_source)(log, name, effects[name], number, alone)
+            else self._source(log, name, effects[name], number, demand)
+            if name in models
+            else self._cached_source(
+                log, name, effects[name], number, demand if self._is_compared_at_rest(name, models) else Demand.FEW
+            )
             for name in names
         }
 
+    def _simulated_names(self, log: int, models: Models, effects: Effects) -> list[str]:
+        """Return the sensors with these models and those of the log with which they are compared."""
+        return [
+            name
+            for name in self.experiments[log].plan.sensors
+            if name in models or (name in effects and self._is_compared_with(log, name, models))
+        ]
+
     def _is_compared_with(self, log: int, name: str, models: Models) -> bool:
-        """Return whether statistics of the sensors with these models depend on this sensor."""
+        """Return whether statistics of the sensors with these models depend on this sensor: on all inertial ones where
+        the box moves.
+        """
+        if self._moves[log] and self.base.headers[name].quantity in INERTIAL:
+            return True
+        return self._is_compared_at_rest(name, models)
+
+    def _is_compared_at_rest(self, name: str, models: Models) -> bool:
+        """Return whether statistics at rest of the sensors with these models depend on this sensor: one of them, or if
+        there are several, one that measures the same.
+        """
+        if name in models:
+            return True
         headers = self.base.headers
-        if self._moves[log]:
-            return headers[name].quantity in INERTIAL
         return len(models) > 1 and headers[name].quantity in {headers[model].quantity for model in models}
 
     @cached_property
-    def _cached_source(self) -> Callable[[int, str, tuple[Effect, ...], int, bool], Source]:
+    def _cached_source(self) -> Callable[[int, str, tuple[Effect, ...], int, Demand], Source]:
         """`_source`, with a cache of sources, whose rows are remembered too."""
 
-        def source(log: int, name: str, effects: tuple[Effect, ...], number: int, alone: bool) -> Source:
+        def source(log: int, name: str, effects: tuple[Effect, ...], number: int, demand: Demand) -> Source:
             owner = ("rows", log, name, effects, number)
-            return self._source(log, name, effects, number, alone, owner)
+            return self._source(log, name, effects, number, demand, owner)
 
         return lru_cache(maxsize=_KEPT)(source)
 
@@ -239,6 +335,11 @@ class Stage:
     def _memory(self) -> DrawMemory:
         """The latest draws and motions: many models are compared in the same replicates."""
         return DrawMemory(_MEMORY_BYTES)
+
+    @cached_property
+    def _rows_memory(self) -> DrawMemory:
+        """The latest rows of sensors with which others are compared, apart from draws, of which there are many more."""
+        return DrawMemory(_ROWS_BYTES)
 
     def _felt_motion(self, log: int, number: int) -> Motion:
         """Return the motion of a log in a replicate, which remembers what was felt."""
@@ -259,7 +360,7 @@ class Stage:
         return draw_room_temperature(motion, units, self.first_boot + log, usual_degc)
 
     def _source(
-        self, log: int, name: str, effects: tuple[Effect, ...], number: int, alone: bool, owner: Hashable = None
+        self, log: int, name: str, effects: tuple[Effect, ...], number: int, demand: Demand, owner: Hashable = None
     ) -> Source:
         """Return the simulation of a sensor that does not depend on others; with an `owner` its rows are remembered."""
         experiment = self.experiments[log]
@@ -273,8 +374,8 @@ class Stage:
         )
         simulation.streams.memory = self._memory
         if owner is not None and isinstance(sensor := simulation.sensors[name], SimulatedSensor):
-            sensor.remember(self._memory, owner)
-        return experiment.comparable_rows(name, simulated_sources(simulation, alone=alone)[name])
+            sensor.remember(self._rows_memory, owner)
+        return experiment.comparable_rows(name, simulated_sources(simulation, demand)[name])
 
     @cached_property
     def _drawn_effects(self) -> Callable[[int], Effects]:

@@ -22,7 +22,7 @@ from imuarray.log.format import OVERRUN, STALE, SensorHeader
 from imuarray.log.row_timing import EvenRows
 from imuarray.log.sensor_log import first_at, recorded_header
 from imuarray.log.writer import Block
-from imuarray.simulate.sensor import NO_READY_BIT, SimulatedSensor
+from imuarray.simulate.sensor import NO_READY_BIT, Demand, SimulatedSensor
 from imuarray.simulate.simulation import EVERY_FLAG, Simulation
 from imuarray.simulate.streams import CHUNK
 from imuarray.simulate.timeline import GapFilledTimes, Timeline
@@ -115,11 +115,11 @@ class EvenSource:
 
 
 class SimulatedSource:
-    """A simulated triad whose rows are computed on demand: just these (`alone`), or whole chunks."""
+    """A simulated triad whose rows are computed on demand."""
 
-    def __init__(self, sensor: SimulatedSensor, flags: int = EVERY_FLAG, *, alone: bool = False) -> None:
+    def __init__(self, sensor: SimulatedSensor, flags: int = EVERY_FLAG, demand: Demand = Demand.ANY) -> None:
         """`flags` are those that the recorder sets."""
-        self.header, self._alone = sensor.header, alone
+        self.header, self._demand = sensor.header, demand
         self._flags = flags & flags_of_chip(sensor.header.chip)
         self.cache: dict[Hashable, Any] = {}
         self._sensor = sensor
@@ -135,7 +135,7 @@ class SimulatedSource:
         """
         last = None
         for first, stop in _parts(self._row_at(start_ns), self._row_at(end_ns)):
-            block = self._sensor.block(first, stop, alone=self._alone)
+            block = self._sensor.block(first, stop, self._demand)
             if not len(block.time):
                 continue
             flags = block.status & np.uint16(self._flags)
@@ -206,10 +206,10 @@ def recorded_source(sensor: SensorLog, line: Timeline) -> RecordedSource | EvenS
     return RecordedSource(sensor)
 
 
-def simulated_sources(simulation: Simulation, *, alone: bool = False) -> dict[str, Source]:
-    """Return the triads of a simulation, by name. `alone`: the rows after those asked for aren't needed."""
+def simulated_sources(simulation: Simulation, demand: Demand = Demand.ANY) -> dict[str, Source]:
+    """Return the triads of a simulation, by name, of which so many rows will be required."""
     triads = ((name, sensor) for name, sensor in simulation.sensors.items() if isinstance(sensor, SimulatedSensor))
-    return {name: SimulatedSource(sensor, simulation.plan.flags, alone=alone) for name, sensor in triads}
+    return {name: SimulatedSource(sensor, simulation.plan.flags, demand) for name, sensor in triads}
 
 
 def _parts(first: int, stop: int) -> Iterator[tuple[int, int]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import NamedTuple
@@ -125,10 +125,22 @@ def summarise_logs(
     phases: Sequence[Phase],
     reference: LogReference,
     layouts: Sequence[Layout] | None = None,
+    at_rest: Collection[str] | None = None,
 ) -> list[LogSummary]:
-    """Summarise several replicates of one log, which have the same sensors, as `summarise_log` does."""
+    """Summarise several replicates of one log, which have the same sensors, as `summarise_log` does; in phases at rest
+    only the sensors `at_rest` (None: all).
+    """
+    still = replicates if at_rest is None else [_select(sources, at_rest) for sources in replicates]
+    # while the box moves only its inertial sensors are summarised, since nobody knows the field
+    moving = [_select(sources, _inertial_in(sources)) for sources in replicates]
     by_phase = [
-        _summarise_phase(replicates, phase, number, reference, None if layouts is None else layouts[number])
+        _summarise_phase(
+            still if is_at_rest(phase) else moving,
+            phase,
+            number,
+            reference,
+            None if layouts is None else layouts[number],
+        )
         for number, phase in enumerate(phases)
     ]
     return [LogSummary(kind, tuple(summaries[at] for summaries in by_phase)) for at in range(len(replicates))]
@@ -141,23 +153,28 @@ def _summarise_phase(
     reference: LogReference,
     layout: Layout | None,
 ) -> list[PhaseSummary]:
-    """Summarise one phase of each replicate: short phases jointly, long ones one after the other, to bound the memory.
-
-    While the box moves only its inertial sensors are summarised, since nobody knows the field.
+    """Summarise one phase of each replicate: short phases jointly, long ones one after the other, to bound the
+    memory.
     """
-    if not is_at_rest(phase):
-        replicates = [
-            {name: source for name, source in sources.items() if source.header.quantity in INERTIAL}
-            for sources in replicates
-        ]
     survey = _PhaseSurvey(phase, number, reference, layout or layout_of(replicates[0], phase), layout is None)
     rows = max((source.rows(phase.start_ns, phase.end_ns) for source in replicates[0].values()), default=0)
     at_once = max(CHUNK // max(rows, 1), 1)
     summaries: list[PhaseSummary] = []
     for first in range(0, len(replicates), at_once):
         some = replicates[first : first + at_once]
-        summaries += survey.summarise_jointly(some) if len(some) > 1 else [survey.summarise_in_one_pass(some[0])]
+        is_short = layout is not None and rows * len(some) <= CHUNK
+        summaries += survey.summarise_jointly(some) if is_short else [survey.summarise_in_one_pass(some[0])]
     return summaries
+
+
+def _select(sources: Mapping[str, Source], names: Collection[str]) -> dict[str, Source]:
+    """Return the sources with these names."""
+    return {name: source for name, source in sources.items() if name in names}
+
+
+def _inertial_in(sources: Mapping[str, Source]) -> Collection[str]:
+    """Return the names of the inertial sensors."""
+    return {name for name, source in sources.items() if source.header.quantity in INERTIAL}
 
 
 class _PhaseSurvey(NamedTuple):
