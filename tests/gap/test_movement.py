@@ -238,6 +238,16 @@ def test_a_touch_that_several_sensors_feel_is_left_out(
         assert np.max(times_ns) * 1e-9 == pytest.approx(2.25, abs=0.35)
 
 
+def test_a_touch_at_the_end_of_a_rest_leaves_the_motion_after_it(tmp_path: Path) -> None:
+    """A push from 3.4 s to 3.5 s of a rest that ends at 4 s: half a second beside its block would end at 4.17 s."""
+    sensors = array(accelerometers=2, gyroscopes=1)
+    log = written(tmp_path / "log.h5", sensors, shaking=(0.05, 5.0), shaken_s=(3.4, 3.5), phases=(REST,))
+    rest = quiet_rest([log[name] for name in ("Acc0", "Acc1", "Gyro0")], REST)
+    ((begin_ns, end_ns),) = rest.restless
+    assert 2.5 < begin_ns * 1e-9 < 3.4
+    assert end_ns == REST.end_ns
+
+
 def test_the_end_of_a_rest_in_which_the_box_moves_is_cut(tmp_path: Path) -> None:
     """The label of the rest ends a second late, when the box has begun to turn at 4 s; it turns by 0.5 dps after a
     tenth of a second. The next one begins half a second early.

@@ -78,7 +78,7 @@ def quiet_rest(triads: Sequence[SensorLog], rest: Phase) -> QuietRest:
     end_ns = int(edges_ns[stop]) - around_ns if stop < len(is_restless) else rest.end_ns
     if (end_ns - start_ns) * 1e-9 < _LEAST_S:
         return QuietRest(rest)
-    restless = _spans(is_restless, edges_ns, first, stop)
+    restless = _spans(is_restless, edges_ns.clip(start_ns, end_ns), first, stop)
     left_out_ns = rest.end_ns - end_ns + start_ns - rest.start_ns + sum(end - begin for begin, end in restless)
     return QuietRest(rest._replace(start_ns=start_ns, end_ns=end_ns), restless, left_out_ns * 1e-9)
 
@@ -130,11 +130,14 @@ def _cut(is_restless: Booleans, moves: Booleans, edges_ns: Integers) -> int:
 
 
 def _spans(is_restless: Booleans, edges_ns: Integers, first: int, stop: int) -> tuple[tuple[int, int], ...]:
-    """Return the restless spans between these blocks, those that touch each other as one."""
+    """Return the restless spans between these blocks, those that touch each other as one, without what is before the
+    first edge or after the last.
+    """
     around_ns = round(_AROUND_S * 1e9)
     spans: list[tuple[int, int]] = []
     for at in (np.flatnonzero(is_restless[first:stop]) + first).tolist():
-        begin_ns, end_ns = int(edges_ns[at]) - around_ns, int(edges_ns[at + 1]) + around_ns
+        begin_ns = max(int(edges_ns[at]) - around_ns, int(edges_ns[0]))
+        end_ns = min(int(edges_ns[at + 1]) + around_ns, int(edges_ns[-1]))
         begin_ns = spans.pop()[0] if spans and begin_ns <= spans[-1][1] else begin_ns
         spans.append((begin_ns, end_ns))
     return tuple(spans)
