@@ -241,7 +241,14 @@ def test_a_touch_that_several_sensors_feel_is_left_out(
 def test_a_touch_at_the_end_of_a_rest_leaves_the_motion_after_it(tmp_path: Path) -> None:
     """A push from 3.4 s to 3.5 s of a rest that ends at 4 s: half a second beside its block would end at 4.17 s."""
     sensors = array(accelerometers=2, gyroscopes=1)
-    log = written(tmp_path / "log.h5", sensors, shaking=(0.05, 5.0), shaken_s=(3.4, 3.5), phases=(REST,))
+    log = written(
+        tmp_path / "log.h5",
+        sensors,
+        rates_hz=(100.0, 100.0, 100.0),
+        shaking=(0.05, 5.0),
+        shaken_s=(3.4, 3.5),
+        phases=(REST,),
+    )
     rest = quiet_rest([log[name] for name in ("Acc0", "Acc1", "Gyro0")], REST)
     ((begin_ns, end_ns),) = rest.restless
     assert 2.5 < begin_ns * 1e-9 < 3.4
