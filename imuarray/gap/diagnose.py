@@ -90,7 +90,8 @@ Progress = Callable[[str], None]
 
 REPLICATES = 64
 """Most replicates of the base model. They determine the scatter of statistics to 9 %, and a p-value is 1/65 or more.
-Fewer are simulated for a recording that is well within chance (`imuarray.gap.inference.comparison.ENOUGH`).
+Fewer are simulated for a recording that is well within chance (`imuarray.gap.inference.comparison.ENOUGH`) or far
+beyond it (`imuarray.gap.inference.comparison.CLEAR`).
 VALIDATION.md has the results with 40.
 """
 

@@ -162,7 +162,7 @@ class CannedRun:
         self.asked.append(len(items))
         if job.__name__ == "_confirm":
             return [self._confirmed(*item) for item in items]
-        if job.__name__ == "_look":
+        if job.__name__ == "look_at":
             return [[self._looked(trial) for trial in trials] for _, trials in items]
         return [self._looked(fitted.trial) for _, fitted in items]
 

@@ -34,7 +34,7 @@ import numpy as np
 
 from imuarray.array import recorded_sensors
 from imuarray.arrays import Floats, Indices
-from imuarray.gap.inference.assessment import Assessment, Localisation, assess, localise
+from imuarray.gap.inference.assessment import Assessment, Localisation, assess, largest_of, localise
 from imuarray.gap.model.ambient_lines import fit_ambient_lines
 from imuarray.gap.model.base_model import Base, fit, select_fitted
 from imuarray.gap.model.bench import Bench, StatisticValues, bench_of
@@ -196,6 +196,12 @@ rise, and are so far above `LEVEL` that hardly a gap is missed: one that all rep
 given up in less than one of two hundred cases.
 """
 
+
+CLEAR = 2.0
+"""Ratio of the largest score of a recording to the largest of all replicates from which on no more are simulated than
+for the first look: by the tails of scores a gap is then certain, and where it is beyond chance more replicates would
+change little.
+"""
 
 _DELAY_STEPS = 3
 """Steps of the fit of delays: the delay of readings that wait for a poll is not quite the sum of all delays."""
@@ -378,7 +384,8 @@ def compare_with_base(
 ) -> Comparison:
     """Compare the recording with the base model, or with `earlier` recordings and the base model fitted to these.
 
-    Uses so many `replicates`, or fewer if they show that it is well within chance (`ENOUGH`). The p-value is that of a
+    Uses so many `replicates`, or fewer if they show that it is well within chance (`ENOUGH`) or far beyond it (`CLEAR`;
+    p is then the least that so many can show, which is larger than after all of them). The p-value is that of a
     sequential Monte Carlo test, which continues only as long as the recording is among the most extreme (Besag and
     Clifford, Biometrika 78, 1991). It is valid: a recording without a gap has p <= a in at most a share a of all cases.
     For the first look that may end at such a p, those before it ended at larger ones only, since the limits of `ENOUGH`
@@ -397,10 +404,16 @@ def compare_with_base(
         scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
         normal = normal_scores_by_others(scores, pairs.keys)
         where = localise(pairs.keys, bench.base.headers, normal[0], normal[1:], pooled_scores(normal, pairs.keys))
-        if where.p > limit:
+        if where.p > limit or _is_clear(normal):
             break
     whole = replace(assess(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)
     return Comparison(bench, campaign, real, simulated, pairs, whole, where, earlier)
+
+
+def _is_clear(scores: Floats) -> bool:
+    """Return whether the recording, the first row of normal scores (1 + b, m), is far beyond all replicates."""
+    largest = largest_of(scores)
+    return bool(largest[0] > CLEAR * largest[1:].max())
 
 
 def _without_flags_never_set(keys: Sequence[Key], values: Floats) -> Floats:

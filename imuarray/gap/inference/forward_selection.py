@@ -221,6 +221,12 @@ def replicate_state(bench: Bench, standing: UnitState) -> UnitState:
     return replace(standing, values=np.array([replicate.values for replicate in replicates]), misfit=misfit)
 
 
+def look_state(bench: Bench, standing: UnitState) -> UnitState:
+    """Return the state with the few replicates of its models that looks need."""
+    replicates = replicates_of(bench, standing, NUMBERS[:LOOKS])
+    return replace(standing, values=np.array([replicate.values for replicate in replicates]))
+
+
 def confirm(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis) -> Evaluation:
     """Return the gains of a trial with its parameters, by replicates of both parts."""
     models = standing.models if hypothesis.models is None else hypothesis.models
@@ -252,7 +258,7 @@ def _look_at_all(
         unit: [unit_trials[first : first + most] for first in range(0, len(unit_trials), most)]
         for unit, unit_trials in trials.items()
     }
-    looks = _results_of(run, _look, standings, parts)
+    looks = _results_of(run, look_at, standings, parts)
     return {unit: list(chain.from_iterable(unit_looks)) for unit, unit_looks in looks.items()}
 
 
@@ -336,6 +342,11 @@ def _until_the_end(spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:
             yield spell.trial.at(since(last, later))
 
 
+def are_hopeless(looks: Sequence[FittedHypothesis]) -> bool:
+    """Return whether none of the trials is pursued: none gains anything, in all logs or in a part of them."""
+    return all(look.gain <= 0 for look in looks) and not _divided(looks)
+
+
 def _divided(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
     """Return looks of which some logs gain enough and others lose; those that gain most first, one of each form."""
     best_of_form: dict[tuple[str, ...], tuple[float, FittedHypothesis]] = {}
@@ -348,7 +359,8 @@ def _divided(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
     return [look for _, look in sorted(best_of_form.values(), key=lambda item: -item[0])][:_DIVIDED]
 
 
-def _look(bench: Bench, request: tuple[UnitState, Sequence[Hypothesis]]) -> list[FittedHypothesis]:
+def look_at(bench: Bench, request: tuple[UnitState, Sequence[Hypothesis]]) -> list[FittedHypothesis]:
+    """Return a look at each hypothesis."""
     return looks(bench, *request)
 
 

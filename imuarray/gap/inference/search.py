@@ -21,14 +21,17 @@ from imuarray.gap.inference.forward_selection import (
     ACCEPTED,
     Evaluation,
     Round,
+    are_hopeless,
     confirm,
     guesses_of,
+    look_at,
+    look_state,
     placebo_of,
     replicate_state,
     search_round,
 )
 from imuarray.gap.inference.refinement import FittedHypothesis, distinct
-from imuarray.gap.inference.unit_state import Unit, UnitState, reads_another, update_likelihood
+from imuarray.gap.inference.unit_state import LOOKS, REPLICATES, Unit, UnitState, reads_another, update_likelihood
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import SensorModel
@@ -262,9 +265,7 @@ def _families(
     """Replace causes of members by shared causes where these are better, the best first, at most one for a sensor.
     Causes of members that gain more than their part of the shared one are kept if they explain something else.
     """
-    trials = _shared_trials(comparison, guessed)
-    missing = {(name,) for family in trials for name in family if (name,) not in standings}
-    standings.update(_states_of(comparison, sorted(missing), run))
+    trials = _promising(comparison, _shared_trials(comparison, guessed), run)
     families = dict(_states_of(comparison, list(trials), run))
     placebos = {
         family: next(guesses.placebo for (name,), guesses in guessed.items() if name in family) for family in trials
@@ -284,6 +285,7 @@ def _families(
     kept_sensors = {
         family: {name for evaluation in staying[family] for name in evaluation.standing.unit} for family in trials
     }
+    accepted = [family for family in trials if results[family].selection is not None]
     others = [
         (
             families[family],
@@ -291,15 +293,17 @@ def _families(
                 evaluation for evaluation in members[family] if not kept_sensors[family] & set(evaluation.standing.unit)
             ),
         )
-        for family in trials
+        for family in accepted
     ]
-    alone = dict(zip(trials, run(together, others), strict=True))
-    counts = {family: len(evaluations) for family, (_, evaluations) in zip(trials, others, strict=True)}
+    alone = dict(zip(accepted, run(together, others), strict=True))
+    counts = {family: len(evaluations) for family, (_, evaluations) in zip(accepted, others, strict=True)}
     won = {
         family: best
-        for family in trials
+        for family in accepted
         if (best := shared_wins(results[family], alone[family], counts[family])) is not None
     }
+    missing = {(name,) for family in won for name in family if (name,) not in standings}
+    standings.update(_states_of(comparison, sorted(missing), run))
     served: set[str] = set()
     for family in sorted(won, key=lambda family: -won[family].gain):
         if served & set(family):
@@ -312,6 +316,21 @@ def _families(
     for unit in missing:  # sensors that do not differ, and have no part in a cause, are not searched
         if unit[0] not in served:
             del standings[unit]
+
+
+def _promising(
+    comparison: Comparison, trials: Mapping[Unit, Sequence[Hypothesis]], run: Run
+) -> dict[Unit, Sequence[Hypothesis]]:
+    """Return the shared trials of each family without the families in which none gains anything.
+
+    Of a family with few trials these are looked at first, which needs `LOOKS` replicates of its state: all replicates
+    of the whole array would cost more than the looks.
+    """
+    few = [family for family, several in trials.items() if LOOKS * (len(several) + 1) < REPLICATES]
+    states = run(look_state, [_initial_state(comparison, family) for family in few])
+    looks = run(look_at, [(state, trials[state.unit]) for state in states])
+    hopeless = {family for family, looks_of in zip(few, looks, strict=True) if are_hopeless(looks_of)}
+    return {family: several for family, several in trials.items() if family not in hopeless}
 
 
 def _staying(comparison: Comparison, family: Round, members: Sequence[Evaluation]) -> tuple[Evaluation, ...]:
