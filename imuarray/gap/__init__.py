@@ -52,10 +52,11 @@ Meinshausen 2008), at one family-wise level of 5 %.
 
 **Hypotheses** (`inference.search`). All effects are looked at on every sensor that differs, by local statistics -2 ln
 p(s | H0) / p(s | Hi) from paired replicates (Anau Montel, Alvey and Weniger, arXiv 2412.15100), from the evidence of
-all logs, of each rate, of each kind of experiment and of single logs; the best few are refined (Gauss-Newton steps by
-simulation, fitted parameters adapted by indirect inference) and evaluated on held-out data (`statistics.split`). p is a
-**synthetic likelihood** (`statistics.synthetic_likelihood`): Student's t about the replicates' median, tempered by the
-share of the statistics that is independent.
+all logs, of each rate, of each kind of experiment and of single logs (an effect on all axes if it gains on those that
+show it, telegraph noise if a wander does); the best few are refined (Gauss-Newton steps by simulation, fitted
+parameters adapted by indirect inference) and evaluated on held-out data (`statistics.split`). p is a **synthetic
+likelihood** (`statistics.synthetic_likelihood`): Student's t about the replicates' median, tempered by the share of the
+statistics that is independent.
 
 **Selection** is forward, by units: the best hypothesis is taken if it gains more nats on the held-out part than
 chance and a placebo do; sensors of one chip that differ together are offered a shared cause.

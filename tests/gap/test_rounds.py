@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from imuarray.gap.findings.causes import causes_of
+from imuarray.gap.inference import forward_selection
 from imuarray.gap.inference.comparison import compare_with_base
 from imuarray.gap.inference.effects import CANDIDATES, Candidate, Hypothesis
 from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.inference.forward_selection import Round
+from imuarray.gap.inference.forward_selection import Round, are_hopeless, look_at, precursors, search_round
+from imuarray.gap.inference.refinement import FittedHypothesis
 from imuarray.gap.inference.search import ROUNDS, SearchResult, _deferred, search_causes
-from imuarray.gap.inference.unit_state import Unit
+from imuarray.gap.inference.unit_state import Unit, UnitState
+from imuarray.simulate.effects.bias import BiasInstability, PopcornNoise, RandomWalk
 from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from tests.gap.search_inputs import found_in
 from tests.gap.small_bench import LINE, SHORT, Run, prepared
@@ -152,3 +158,46 @@ def test_candidates_see_what_is_left() -> None:
     assert np.argmax(train.score("line")) == 1
     assert not [one for one in train.effects if isinstance(one, Tone)]
     assert {one.name for one in train.effects} >= {"white_noise", "bias", "thermal_bias"}
+
+
+WANDER_ON_Z = Hypothesis((BiasInstability((0.0, 0.0, 0.1), 9.0),), ("rms",))
+WANDER = Hypothesis((BiasInstability((0.1, 0.2, 0.1), 9.0),), ("rms",))
+TELEGRAPH_ON_Z = Hypothesis((PopcornNoise((0.0, 0.0, 0.2), 0.1),), ("amplitude",))
+
+
+def test_an_effect_waits_for_itself_on_fewer_axes_and_telegraph_noise_for_wanders() -> None:
+    walk, line = Hypothesis((RandomWalk((0.1, 0.1, 0.1)),), ("density",)), Hypothesis((LINE,), ("amplitude",))
+    telegraph = Hypothesis((PopcornNoise((0.1, 0.0, 0.2), 0.1),), ("amplitude",))
+    other_size = Hypothesis((BiasInstability((0.1, 0.2, 0.3), 9.0),), ("rms",))
+    trials = [WANDER, WANDER_ON_Z, walk, TELEGRAPH_ON_Z, telegraph, line, other_size]
+    assert precursors(trials) == [[1], [], [], [1, 2, 6], [3], [], []]
+    once = replace(TELEGRAPH_ON_Z, whole=True)
+    assert precursors([WANDER, once, line]) == [[], [], []]
+
+
+@pytest.mark.parametrize("gains", [False, True])
+def test_trials_that_wait_are_looked_at_if_one_of_those_gains(gains: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    trials = [WANDER, WANDER_ON_Z, TELEGRAPH_ON_Z, Hypothesis((LINE,), ("amplitude",))]
+    seen: list[Hypothesis] = []
+
+    def run(job: Callable[..., object], items: Sequence[tuple[object, Sequence[Hypothesis]]]) -> list[object]:
+        if job is not look_at:
+            assert not items
+            return []
+        seen.extend(trial for _, some_trials in items for trial in some_trials)
+        gain = 1.0 if gains else 0.0
+        return [[FittedHypothesis(trial, {}, gain) for trial in some_trials] for _, some_trials in items]
+
+    state = cast(UnitState, SimpleNamespace())
+    with monkeypatch.context() as patch:
+        patch.setattr(forward_selection, "_round", lambda *_: None)
+        search_round({("G1",): state}, {("G1",): trials}, {}, run)
+    assert seen == ([WANDER_ON_Z, trials[3], WANDER, TELEGRAPH_ON_Z] if gains else [WANDER_ON_Z, trials[3]])
+
+
+def test_families_are_given_up_only_if_nothing_gains_anywhere() -> None:
+    """A trial that makes some logs likelier and others less likely may hold in the former."""
+    line = Hypothesis((LINE,), ("amplitude",))
+    assert are_hopeless([FittedHypothesis(line, {}, -5.0, by_log={0: -3.0, 1: 1.0})])
+    assert not are_hopeless([FittedHypothesis(line, {}, -5.0, by_log={0: -30.0, 1: 25.0})])
+    assert not are_hopeless([FittedHypothesis(line, {}, 0.5)])

@@ -21,7 +21,15 @@ from imuarray.arrays import Floats, triple
 from imuarray.gap.inference.effects import Candidate, Hypothesis
 from imuarray.gap.inference.evidence import NUMBERS as EACH_NUMBER
 from imuarray.gap.inference.evidence import Evidence, in_logs, join_spans, since, views
-from imuarray.gap.inference.refinement import FittedHypothesis, distinct, factors_of, looks, refine
+from imuarray.gap.inference.refinement import (
+    FittedHypothesis,
+    active_axes,
+    distinct,
+    factors_of,
+    looks,
+    refine,
+    without,
+)
 from imuarray.gap.inference.unit_state import (
     LOOKS,
     NUMBERS,
@@ -35,6 +43,7 @@ from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.replication import TOGETHER
 from imuarray.gap.model.workers import Run
 from imuarray.gap.statistics.synthetic_likelihood import independent_share
+from imuarray.simulate.effects.bias import PopcornNoise
 from imuarray.simulate.effects.noise import Tone
 
 REFINED, CONFIRMED = 4, 3
@@ -56,6 +65,9 @@ _TIME_VARYING = frozenset(
     {"turn_on_bias", "bistable_bias", "bias_instability", "random_walk", "popcorn_noise", "thermal_bias", "thermal_lag"}
 )
 """Effects that change by themselves in time: more of them in a spell than in the rest says nothing."""
+
+_WANDERS = frozenset({"bias_instability", "random_walk"})
+"""Effects by which a bias wanders slowly."""
 
 _DIVIDED, _LOST = 3, 2.0
 """Trials of a unit that are tried in some logs alone, if the others lose so many nats by them."""
@@ -156,7 +168,7 @@ def search_round(
     known: bool = False,
 ) -> dict[Unit, Round]:
     """One round over all units at once. If it is `known` that one of the trials is right, none needs proof."""
-    looks = _look_at_all(run, standings, trials)
+    looks = _look_in_turns(run, standings, trials)
     for unit, looks_at_parts in _partly(run, standings, looks).items():
         looks[unit] += looks_at_parts
     for unit, narrowed in _narrow(run, standings, looks).items():
@@ -247,6 +259,63 @@ def confirm(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis) -> 
     squared_scores = _squares(state.scores[counted])
     closes = squared_scores <= _squares(standing.scores[counted])
     return Evaluation(hypothesis, state, train_gain, gain, share, independent, closes, squared_scores)
+
+
+def _look_in_turns(
+    run: Run, standings: Mapping[Unit, UnitState], trials: Mapping[Unit, Sequence[Hypothesis]]
+) -> dict[Unit, list[FittedHypothesis]]:
+    """Return a look at all trials, without those that can gain nothing, as one of their `precursors` has to."""
+    before = {unit: precursors(several) for unit, several in trials.items()}
+    seen: dict[Unit, dict[int, FittedHypothesis]] = {unit: {} for unit in trials}
+    waiting = {unit: list(range(len(several))) for unit, several in trials.items()}
+    while any(waiting.values()):
+        ready = {
+            unit: [at for at in places if not set(before[unit][at]) & set(places)] for unit, places in waiting.items()
+        }
+        due = {
+            unit: [at for at in places if not before[unit][at] or _any_gains(seen[unit], before[unit][at])]
+            for unit, places in ready.items()
+        }
+        looks = _look_at_all(
+            run, standings, {unit: [trials[unit][at] for at in places] for unit, places in due.items()}
+        )
+        for unit, places in due.items():
+            seen[unit].update(zip(places, looks[unit], strict=True))
+            waiting[unit] = [at for at in waiting[unit] if at not in ready[unit]]
+    return {unit: [looks_at[at] for at in sorted(looks_at)] for unit, looks_at in seen.items()}
+
+
+def _any_gains(looks: Mapping[int, FittedHypothesis], places: Sequence[int]) -> bool:
+    """Return whether any of the trials at these places gains something, of those that were looked at."""
+    return any(at in looks and looks[at].gain > 0 for at in places)
+
+
+def precursors(trials: Sequence[Hypothesis]) -> list[list[int]]:
+    """Return for each trial the places of those one of which gains something if it does.
+
+    Of an effect on several axes it is the same effect on some of these: guesses are of the axes that show it, and of
+    all. Of telegraph noise, whose autocovariance is that of Gauss-Markov noise, these are all slow wanders.
+    """
+    wanders = [at for at, trial in enumerate(trials) if trial.name in _WANDERS and not trial.needs_both]
+    narrower: list[list[int]] = [
+        [at for at, other in enumerate(trials) if _is_narrower(other, trial)] for trial in trials
+    ]
+    first = [at for at in wanders if not narrower[at]]
+    return [
+        before or (first if trial.name == PopcornNoise.name and not trial.needs_both else [])
+        for trial, before in zip(trials, narrower, strict=True)
+    ]
+
+
+def _is_narrower(trial: Hypothesis, other: Hypothesis) -> bool:
+    """Return whether a trial is another one on fewer axes."""
+    if trial.form != other.form or len(trial.effects) != len(other.effects):
+        return False
+    fewer, more = set(active_axes(trial)), set(active_axes(other))
+    if not fewer or not fewer < more:
+        return False
+    effects = tuple(without(effect, more - fewer) for effect in other.effects)
+    return replace(other, effects=effects) == trial
 
 
 def _look_at_all(
