@@ -375,7 +375,7 @@ def _shared_trials(comparison: Comparison, guessed: Mapping[Unit, _Guesses]) -> 
                 chosen = replace(trial, rarity=trial.rarity + _FAINT)
             if len(unit) > 1:
                 units.setdefault(unit, []).append(chosen)
-    return {unit: without_duplicates(trials) for unit, trials in units.items()}
+    return {unit: distinct(without_duplicates(trials)) for unit, trials in units.items()}
 
 
 def _is_same_chip(first: SensorHeader, other: SensorHeader) -> bool:
