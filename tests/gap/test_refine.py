@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from imuarray.gap.inference.effects import Hypothesis
-from imuarray.gap.inference.refinement import Factor, factors_of, looks, refine, regress
+from imuarray.gap.inference.refinement import Factor, factors_of, looks, move_factors, refine, regress
 from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.bench import Bench
-from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.bias import Bias, CommonMode
 from imuarray.simulate.effects.conversion import RangeReset
 from imuarray.simulate.effects.noise import Tone
 from imuarray.simulate.effects.readings import ChannelSwap, Glitches, StaleSamples, Stuck
@@ -39,6 +39,20 @@ def test_factors_are_numbers_that_do_something() -> None:
     ]
     assert factors_of(Hypothesis((Stuck(0.0, math.inf),), ("onset_s", "duration_s"))) == []
     assert factors_of(Hypothesis((Tone(1.0, 2.0),))) == []
+
+
+def test_sensors_with_sizes_of_their_own_keep_their_ratio() -> None:
+    """One process has one time constant, and twice as much of it is twice as much in both."""
+    trial = Hypothesis(
+        (CommonMode((0.006, 0.004, 0.002), 1.0),),
+        ("rms", "time_constant_s"),
+        sensor="A1",
+        others=("A2",),
+        opposite=(CommonMode((0.003, 0.002, 0.001), 1.0),),
+    )
+    doubled = move_factors(trial, factors_of(trial), np.log([2.0, 1.0, 1.0, 4.0]))
+    assert doubled.effects == (CommonMode((0.012, 0.004, 0.002), 4.0),)
+    assert doubled.opposite == (CommonMode((0.006, 0.002, 0.001), 4.0),)
 
 
 def test_a_guess_is_ranked_by_what_it_gains(tone: tuple[Bench, UnitState]) -> None:

@@ -70,11 +70,16 @@ def factors_of(trial: Hypothesis) -> list[Factor]:
 
 
 def move_factors(trial: Hypothesis, factors: Sequence[Factor], steps: Floats) -> Hypothesis:
-    """Return the trial with its factors times exp(steps); shares and probabilities stay below 1."""
-    effects = list(trial.effects)
+    """Return the trial with its factors times exp(steps), those of the other sensors' effects of the same kind alike;
+    shares and probabilities stay below 1.
+    """
+    effects, opposite = list(trial.effects), list(trial.opposite)
     for factor, step in zip(factors, steps.tolist(), strict=True):
-        effects[factor.effect] = _scale(effects[factor.effect], factor, float(np.exp(step)), trial.limits)
-    return replace(trial, effects=tuple(effects))
+        kind = type(effects[factor.effect])
+        for side in (effects, opposite):
+            if factor.effect < len(side) and isinstance(side[factor.effect], kind):
+                side[factor.effect] = _scale(side[factor.effect], factor, float(np.exp(step)), trial.limits)
+    return replace(trial, effects=tuple(effects), opposite=tuple(opposite))
 
 
 def _scale(effect: Effect, factor: Factor, by: float, limits: Mapping[str, tuple[float, float]]) -> Effect:

@@ -178,6 +178,19 @@ def test_all_of_a_wander_may_be_shared() -> None:
     assert CommonMode(tuple(apart.rms.tolist()), apart.time_constant_s) in effects
 
 
+def test_a_supply_may_disturb_one_sensor_more_than_another() -> None:
+    """9 mg in one accelerometer and 3 mg in the other, on all axes alike: sizes of their own are tried for each."""
+    own, other = (CommonMode((rms,) * 3, 0.5, 1.0, "A1+A2") for rms in (0.009, 0.003))
+    trials = CANDIDATES["common_mode"].guesses(evidence_of("static", "A1", {"A1": (own,), "A2": (other,)}, seed=7))
+    (first, *_) = [trial for trial in trials if trial.opposite]
+    assert (first.sensor, first.others, first.members) == ("A1", ("A2",), ())
+    guess, its = first.effects[0], first.opposite[0]
+    assert isinstance(guess, CommonMode)
+    assert isinstance(its, CommonMode)
+    assert float(np.mean(guess.rms) / np.mean(its.rms)) == pytest.approx(3.0, rel=0.15)
+    assert guess.group == its.group
+
+
 def test_a_wander_is_tried_in_the_spells_of_a_sensor() -> None:
     """A quarter of the rows: what the whole log shows of it is twice as large there."""
     both = dict.fromkeys(("A1", "A2"), (CommonMode((0.003,) * 3, 2.0),))

@@ -14,7 +14,7 @@ from imuarray.arrays import Floats, triple
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.levels import change_between_logs, levels, log_levels
 from imuarray.gap.inference.effects.motion import takes_part
-from imuarray.gap.inference.evidence import Evidence, PhaseEvidence, Spell
+from imuarray.gap.inference.evidence import NUMBERS, Evidence, PhaseEvidence, Spell
 from imuarray.gap.statistics.cross import Cross
 from imuarray.simulate.effects.bias import BiasInstability, CommonMode, PopcornNoise, RandomWalk, TurnOnBias
 from imuarray.simulate.signal import Triple
@@ -402,6 +402,9 @@ _SPELLS = 4
 _PAIRED = 5.0
 """Standard deviations by which two units have something in common that others needn't have."""
 
+_UNLIKE = 1.3
+"""Ratio of what two sensors have in common from which on it is tried with a size of its own in each."""
+
 _WHITE_S = 1e-3
 """Time constant of what one reading has in common with another's, and not with the next: no unit is read as often."""
 
@@ -491,7 +494,7 @@ class _Common(NamedTuple):
 def _in_pairs(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest the noise that some units have in common, from one reading to the next: those of any chip that measure
     the same, with which a unit has more in common than chance makes, each pair by itself; axis by axis, or all axes
-    alike.
+    alike. A single partner may have more or less of it.
     """
     pairs = [
         (phase, phase.cross)
@@ -519,12 +522,27 @@ def _in_pairs(evidence: Evidence) -> Iterator[Hypothesis]:
             np.mean([getattr(covariance, pace) for covariance in together.values()], axis=0)
             for pace in ("fast", "slow")
         )
-        if any(rms := _common_rms(fast * max(rows, 1.0), shared)):
-            effect = CommonMode(rms, _WHITE_S, shared, group)
-            yield Hypothesis((effect,), ("rms",), shared=True, members=members)
-        for time_s in () if wander is None else (wander.time_constant_s, slower(evidence, wander).time_constant_s):
-            if any(rms := _common_rms((fast + slow) / within(length_s, time_s), shared)):
-                yield Hypothesis((CommonMode(rms, time_s, shared, group),), _FREE_COMMON, shared=True, members=members)
+        partner = next(iter(together)) if shared and len(together) == 1 else ""
+        ratio = _size_ratio([cross for _, cross in pairs], evidence.header.name, partner) if partner else 1.0
+        times_s = () if wander is None else (wander.time_constant_s, slower(evidence, wander).time_constant_s)
+        for time_s in (_WHITE_S, *times_s):
+            is_white = time_s == _WHITE_S
+            covariance = fast * max(rows, 1.0) if is_white else (fast + slow) / within(length_s, time_s)
+            if not any(rms := _common_rms(covariance, shared)):
+                continue
+            free = ("rms",) if is_white else _FREE_COMMON
+            yield Hypothesis((CommonMode(rms, time_s, shared, group),), free, shared=True, members=members)
+            if max(ratio, 1 / ratio) > _UNLIKE:
+                own, other = _common_rms_each(covariance, ratio)
+                yield Hypothesis(
+                    (CommonMode(own, time_s, shared, group),),
+                    free,
+                    shared=True,
+                    sensor=evidence.header.name,
+                    others=(partner,),
+                    opposite=(CommonMode(other, time_s, shared, group),),
+                    rarity=NUMBERS,
+                )
 
 
 def _common_rms(covariance: Floats, shared: float) -> Triple:
@@ -532,6 +550,27 @@ def _common_rms(covariance: Floats, shared: float) -> Triple:
     if shared:
         return triple(covariance.sum(axis=1).clip(0) / math.sqrt(max(float(covariance.sum()), _TINY)))
     return triple(np.sqrt(np.diag(covariance).clip(0)))
+
+
+def _common_rms_each(covariance: Floats, ratio: float) -> tuple[Triple, Triple]:
+    """Sizes by axis of one process in two sensors, of which the first has `ratio` times as much, by the covariances (3,
+    3) between them: the best product of a column and a row.
+    """
+    columns, values, rows = np.linalg.svd(covariance)
+    sign = math.copysign(1.0, columns[:, 0].sum())
+    own, other = ((sign * vector).clip(0) * math.sqrt(values[0]) for vector in (columns[:, 0], rows[0]))
+    return triple(math.sqrt(ratio) * own), triple(other / math.sqrt(ratio))
+
+
+def _size_ratio(crosses: Sequence[Cross], sensor: str, partner: str) -> float:
+    """Return how much larger what two sensors have in common is in the first, by what the axes of each have in common
+    among themselves; 1 where one of them has nothing.
+    """
+    own, other = (
+        float(covariance.sum() - np.trace(covariance))
+        for covariance in (_common(crosses, name, name).fast for name in (sensor, partner))
+    )
+    return math.sqrt(own / other) if min(own, other) > 0 else 1.0
 
 
 def _common(crosses: Sequence[Cross], sensor: str, partner: str) -> _Common:
