@@ -369,8 +369,12 @@ def nominal(sensor: Described) -> SensorCalibration:
     """Return the calibration of a triad according to its data sheet and its configured axes; CalibrationError for a
     sensor without a sensitivity.
     """
-    if not sensor.is_triad or sensor.sensitivity <= 0:
-        raise CalibrationError(f"{sensor.where}: no triad with a sensitivity, nothing to calibrate")
+    if not sensor.is_triad:
+        raise CalibrationError(f"{sensor.where}: measures {sensor.quantity}; only triads are calibrated")
+    if sensor.sensitivity <= 0:
+        raise CalibrationError(
+            f"{sensor.where}: its sensitivity (counts per {sensor.unit}) is not known: state it in the log"
+        )
     return SensorCalibration(
         name=sensor.name,
         quantity=sensor.quantity,

@@ -180,6 +180,10 @@ TURNED_DEG = 10.0
 
 _WINDOW_NS = 1_000_000_000
 
+_YEAR_S = 31_557_600
+_MOST_WINDOWS = _YEAR_S
+"""Most windows of a log, a year: each takes 32 bytes, and no drift is measured for longer."""
+
 
 def motion_in(log: Log, start_ns: int, end_ns: int, left_out: Sequence[Phase] = ()) -> str:
     """Describe the signs that the box moved between two times; "" if there are none."""
@@ -188,6 +192,11 @@ def motion_in(log: Log, start_ns: int, end_ns: int, left_out: Sequence[Phase] = 
         count = (end_ns - start_ns) // _WINDOW_NS
         if not sensors or count < 1:
             continue
+        if count > _MOST_WINDOWS:
+            raise CalibrationError(
+                f"{log.path}: its times span {count / _YEAR_S:.0f} years, and at most {_MOST_WINDOWS / _YEAR_S:.0f} are"
+                " allowed: check them for a jump"
+            )
         mean, scatter = windows_of(sensors, start_ns, int(count), _WINDOW_NS, STALE | SATURATED | SUSPECT)
         middle_ns = start_ns + _WINDOW_NS * np.arange(count) + _WINDOW_NS // 2
         used = np.isfinite(scatter)

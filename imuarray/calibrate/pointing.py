@@ -27,7 +27,7 @@ from imuarray.calibrate.faces import axes_text
 from imuarray.calibrate.pose_readings import Pose, find_poses, named_faces
 from imuarray.errors import CalibrationError, ConfigError
 from imuarray.log import Log, SensorLog
-from imuarray.printable import printable
+from imuarray.printable import counted, printable
 from imuarray.units import INERTIAL, SI_PER_UNIT
 
 DEFAULT_POSES = ("+Z", "+X", "+Y")
@@ -87,7 +87,7 @@ def upright_poses(log: Log, ups: Sequence[str] = ()) -> list[Pose]:
     if len(poses) != len(expected):
         places = ", ".join(f"{pose.phase.start_ns * 1e-9:.1f} to {pose.phase.end_ns * 1e-9:.1f} s" for pose in poses)
         raise CalibrationError(
-            f"{log.path}: {len(poses)} poses detected ({places or 'none'}), {len(expected)} expected"
+            f"{log.path}: {counted(len(poses), 'pose')} detected ({places or 'none'}), {len(expected)} expected"
             f" ({', '.join(expected)}): hold each pose still for three seconds, or state the poses that were held"
         )
     return [Pose(pose.phase, up_vector(up), log) for pose, up in zip(poses, expected, strict=True)]

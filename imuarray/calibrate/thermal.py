@@ -499,7 +499,8 @@ def _heating(
     segments = segment_means(sensor, segment_s, [phase for phase in log.phases if phase.name == "motion"])
     if len(segments.time_s) < _FEWEST_SEGMENTS:
         raise CalibrationError(
-            f"{sensor.where}: {len(segments.time_s)} segments of {segment_s:g} s; {_FEWEST_SEGMENTS} are required"
+            f"{sensor.where}: {counted(len(segments.time_s), 'segment')} of {segment_s:g} s with valid readings;"
+            f" {_FEWEST_SEGMENTS} are required"
         )
     degc = thermometer.at(segments.time_s)
     span = (float(degc.min()), float(degc.max()))

@@ -86,8 +86,8 @@ def find_processing(sensor: SensorLog) -> list[str]:
 
 
 def find_missing_gravity(sensor: SensorLog) -> str:
-    """Return the predicate of an accelerometer without gravity; "" of one with it."""
-    if sensor.quantity != "specific_force" or sensor.unit != "g" or len(sensor) < FEWEST_ROWS:
+    """Return the predicate of an accelerometer without gravity; "" of one with it, or of unknown sensitivity."""
+    if sensor.quantity != "specific_force" or sensor.unit != "g" or len(sensor) < FEWEST_ROWS or not sensor.sensitivity:
         return ""
     values, _ = _middle_rows(sensor)
     count = len(values) // _WINDOW_ROWS

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import click
+import numpy as np
 
 from imuarray.commands.fuse_report import evaluated, notes_sentences, pair_lines, pairs_of, print_evaluation
 from imuarray.commands.options import (
@@ -207,15 +208,20 @@ def _write_fused(work: _Work, output: Path, source: str, force: bool) -> tuple[d
     log, technique = work.log, work.technique
     events: list[FaultEvent] = []
     notes: list[FusionNotes] = []
+    sensors = _sensors(log, work.names)
+    valued: set[str] = set()
     with progress(_STEPS, technique) as set_progress, _quality_of(log) as quality:
         frames = write_fused(
             output,
-            _measure(work, quality, events.append, notes.append, lambda share: set_progress(int(share * _STEPS))),
+            _note_values(
+                _measure(work, quality, events.append, notes.append, lambda share: set_progress(int(share * _STEPS))),
+                valued,
+            ),
             epoch=log.epoch,
             technique=technique,
             log=str(log.path),
             calibration=source,
-            sensors=_sensors(log, work.names),
+            sensors=sensors,
             events=events,
             force=force,
         )
@@ -224,12 +230,24 @@ def _write_fused(work: _Work, output: Path, source: str, force: bool) -> tuple[d
     report = {
         "fused": str(output),
         "frames": frames,
+        "empty": [
+            f"{quantity}: no frame has a value, because {listed(names)} had no valid reading near the time of a frame"
+            for quantity, names in sensors.items()
+            if names and quantity not in valued
+        ],
         "faults": [event.as_json() for event in sorted(events, key=lambda event: event.time_ns)],
         "learned": notes[0].as_json(),
         "error": results[technique] if has_truth else {},
         "results": results,
     }
     return report, notes[0]
+
+
+def _note_values(blocks: Iterator[FusedBlock], valued: set[str]) -> Iterator[FusedBlock]:
+    """Yield the blocks, and add to `valued` the quantities of which a frame has a value."""
+    for block in blocks:
+        valued.update(quantity for quantity, triads in block.triads.items() if np.isfinite(triads).any())
+        yield block
 
 
 def _measure(
@@ -375,6 +393,8 @@ def _print(report: dict[str, Any], notes: FusionNotes | None) -> None:
 def _print_results(report: dict[str, Any]) -> None:
     """Print what the technique changed, and its errors next to those of the average."""
     technique = report["technique"]
+    for sentence in report["empty"]:
+        click.echo(f"  {sentence}")
     for fault in report["faults"]:
         click.echo(f"  {fault['sentence']}")
     description = TECHNIQUE_DESCRIPTIONS[technique]
@@ -383,7 +403,7 @@ def _print_results(report: dict[str, Any]) -> None:
         click.echo(f"  {technique} {f'{description.effect} {changes}' if changes else description.no_effect}")
     for line in pair_lines(report["pairs"], follows_temperature=bool(report["thermal"])):
         click.echo(f"  {line}")
-    for quantity in report["results"]["mean"]:
+    for quantity in report["results"].get(_MEAN, ()):
         factor, unit = READABLE_SI[quantity]
         rows = {result: _error_rows(errors.get(quantity, {}), factor) for result, errors in report["results"].items()}
         if len(rows) > 1 and len(set(map(str, rows.values()))) == 1:

@@ -37,6 +37,7 @@ from imuarray.fuse.frames import Frames
 from imuarray.fuse.least_squares import consensus
 from imuarray.log import Block
 from imuarray.log.format import SATURATED, STALE, SUSPECT
+from imuarray.printable import counted
 
 FOREVER_NS = 1 << 62
 """Later than any time of a log."""
@@ -162,7 +163,7 @@ def choose_grid(first: Sequence[Times], groups: Sequence[Sequence[int]], where: 
     """
     enough = [number for number, time in enumerate(first) if len(time) >= 3]
     if not enough:
-        raise FusionError(f"{where[0]}: {len(first[0])} rows, nothing to fuse")
+        raise FusionError(f"{where[0]}: {counted(len(first[0]), 'row')}; at least three are required")
     periods = {number: _period_ns(first[number]) for number in enough}
     usual = sorted(periods.values())[(len(periods) - 1) // 2]  # the lower median: no reading of a faster half is lost
     regular = [number for number in enough if abs(periods[number] - usual) <= _SAME_PERIOD * usual]

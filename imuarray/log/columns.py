@@ -99,11 +99,20 @@ class RowCache:
 class NamedColumn:
     """An HDF5 dataset (or a `Column`) that names its place in errors: reading damaged rows raises LogError."""
 
-    __slots__ = ("_cache", "_column", "_place")
+    __slots__ = ("_cache", "_column", "_dtype", "_place")
 
-    def __init__(self, column: h5py.Dataset | Column, place: str, cache: RowCache | None = None) -> None:
-        """`cache` keeps rows that are read; only for a dataset that does not change."""
+    def __init__(
+        self,
+        column: h5py.Dataset | Column,
+        place: str,
+        cache: RowCache | None = None,
+        dtype: np.dtype[Any] | None = None,
+    ) -> None:
+        """`cache` keeps rows that are read; only for a dataset that does not change. Rows are returned as `dtype`
+        (None: as they are stored).
+        """
         self._column, self._place, self._cache = column, place, cache
+        self._dtype: np.dtype[Any] = column.dtype if dtype is None else dtype
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -123,8 +132,8 @@ class NamedColumn:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """The type of the stored values."""
-        return cast(np.dtype[Any], self._column.dtype)
+        """The type of the values that are read."""
+        return self._dtype
 
     def __len__(self) -> int:
         return len(self._column)
@@ -133,6 +142,11 @@ class NamedColumn:
         return (self[row] for row in range(len(self)))
 
     def __getitem__(self, key: Any) -> Any:
+        rows = self._stored(key)
+        return rows if rows.dtype == self._dtype else rows.astype(self._dtype)
+
+    def _stored(self, key: Any) -> Any:
+        """Return rows as they are stored."""
         if self._cache is not None and self._cache.used:
             if isinstance(key, slice) and key.step in (None, 1):
                 start, stop, _ = key.indices(len(self))
@@ -301,6 +315,10 @@ def _columns_named(columns: Sequence[Any], place: str, cache: RowCache | None = 
     )
 
 
-def named_column(column: h5py.Dataset | Column, place: str, cache: RowCache | None) -> NamedColumn:
-    """Return a column whose rows `cache` keeps if they can't change: those of a growing log are not kept."""
-    return NamedColumn(column, place, cache if isinstance(column, h5py.Dataset) else None)
+def named_column(
+    column: h5py.Dataset | Column, place: str, cache: RowCache | None, dtype: np.dtype[Any] | None = None
+) -> NamedColumn:
+    """Return a column, read as `dtype`, whose rows `cache` keeps if they can't change: those of a growing log are not
+    kept.
+    """
+    return NamedColumn(column, place, cache if isinstance(column, h5py.Dataset) else None, dtype)

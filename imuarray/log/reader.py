@@ -12,6 +12,8 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from datetime import datetime
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -22,6 +24,7 @@ from weakref import WeakValueDictionary
 import h5py
 import numpy as np
 
+from imuarray.axes import UP_AXES
 from imuarray.errors import LogError, LogWarning
 from imuarray.log.columns import TRACK_BYTES, ClockTrack, RowCache, Track, clocks_of, track_of
 from imuarray.log.format import FORMAT, FORMAT_VERSION, FUSED, SOURCES, Event, Phase, Preamble
@@ -30,7 +33,7 @@ from imuarray.log.interrupted import LiveView, RebuiltFile, is_unfinished, may_b
 from imuarray.log.journal import is_running
 from imuarray.log.layout import changed_parts
 from imuarray.log.sensor_log import SensorLog
-from imuarray.log.untrusted_input import DAMAGE, open_file, positive, read_texts
+from imuarray.log.untrusted_input import DAMAGE, open_file, plain_value, positive, read_texts
 from imuarray.printable import counted
 from imuarray.spelling import guess
 
@@ -87,15 +90,16 @@ class Log:
 
     def _check(self) -> None:
         attributes = self._file.attrs
-        kind = str(_plain(attributes.get("format")))
+        kind = str(plain_value(attributes.get("format")))
         if kind == FUSED:
             raise LogError(f"{self.path}: is a fused result, not a log")
         if kind != FORMAT:
             raise LogError(f"{self.path}: an HDF5 file, but not a log: attribute format is not {FORMAT!r}")
-        version = attributes.get("format_version")
-        if str(version) != str(FORMAT_VERSION):
+        version = plain_value(attributes.get("format_version"))
+        is_same = isinstance(version, np.floating) and version == FORMAT_VERSION  # MATLAB's numbers are floats
+        if not is_same and str(version) != str(FORMAT_VERSION):
             raise LogError(f"{self.path}: log format {version}; this software reads format {FORMAT_VERSION}")
-        if _plain(attributes.get("source")) not in SOURCES:
+        if plain_value(attributes.get("source")) not in SOURCES:
             raise LogError(
                 f"{self.path}: attribute source is {attributes.get('source')!r}; allowed are {', '.join(SOURCES)}"
             )
@@ -212,7 +216,7 @@ class Log:
         if group is None:
             return [[] for _ in columns]
         try:
-            values = [[_plain(value) for value in read_texts(group[column])] for column in columns]
+            values = [[plain_value(value) for value in read_texts(group[column])] for column in columns]
         except DAMAGE:
             raise LogError(f"{self.path}: group {name} is missing one of the columns {', '.join(columns)}") from None
         if len({len(column) for column in values}) != 1:
@@ -396,14 +400,9 @@ def _shared(path: Path) -> Log:
     return log
 
 
-def _plain(value: Any) -> Any:
-    """Return text as str, however HDF5 stored it."""
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
-
-
 def _text(value: Any) -> str:
     """Return an attribute as text."""
-    return str(_plain(value))
+    return str(plain_value(value))
 
 
 _ROWS = 1 << 16
@@ -432,11 +431,12 @@ def verify(path: Path, progress: Callable[[int], None] = lambda rows: None) -> L
             count += len(sensor)
         for name in ("truth", "reference"):
             problems += _stimulus(log, name)
-        for name in ("phases", "events"):
+        for name in ("phases", "events", "clocks"):
             try:
                 getattr(log, name)
             except LogError as error:
-                problems.append(str(error))
+                problems.append(_within(log, error))
+        problems += _dates(log)
         rows = {name: len(sensor) for name, sensor in log.sensors.items()}
         return LogVerification(log.state, rows, tuple(problems), tuple(_remarks(log)))
 
@@ -464,11 +464,31 @@ def _sensor(sensor: SensorLog) -> Iterator[tuple[int, list[str]]]:
         yield block.stop, problems
 
 
+def _within(log: Log, error: LogError) -> str:
+    """Return the text of an error without the path of the log, which stands before every problem."""
+    return str(error).removeprefix(f"{log.path}: ")
+
+
+def _dates(log: Log) -> Iterator[str]:
+    """Yield a problem for an epoch that is not a date, and for each phase that contains no time or has no such side."""
+    try:
+        datetime.fromisoformat(log.epoch)
+    except ValueError:
+        yield f"attribute epoch is {log.epoch!r}; a date in ISO 8601 is required, such as 2026-01-31T12:00:00Z"
+    with suppress(LogError):  # is reported with the columns
+        for phase in log.phases:
+            place = f"phase {phase.name!r}"
+            if phase.end_ns <= phase.start_ns:
+                yield f"{place}: its end, {phase.end_ns} ns, is not after its start, {phase.start_ns} ns"
+            if phase.up not in ("", *UP_AXES):
+                yield f"{place}: up is {phase.up!r}; allowed are {', '.join(UP_AXES)} and an empty text"
+
+
 def _stimulus(log: Log, name: str) -> list[str]:
     try:
         track = log.truth if name == "truth" else log.reference
     except LogError as error:
-        return [str(error)]
+        return [_within(log, error)]
     if track is None:
         return []
     columns = {column: dataset for column, dataset in track._asdict().items() if dataset is not None}

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from imuarray.arrays import Booleans, Floats
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
-from imuarray.log.columns import DATASET, LiveGroup, NamedColumn, RowCache, named_column
+from imuarray.log.columns import DATASET, GROUP, Column, LiveGroup, NamedColumn, RowCache, named_column
 from imuarray.log.format import (
     ADJUSTMENT_ATTRIBUTES,
     COUNT_BITS,
@@ -29,6 +29,7 @@ from imuarray.log.format import (
     SensorHeader,
     ThermometerScale,
 )
+from imuarray.log.untrusted_input import plain_value
 from imuarray.spelling import guess
 from imuarray.units import QUANTITIES, SI_PER_UNIT, Quantity
 
@@ -38,6 +39,9 @@ if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
 
 _EDGE_ROWS = 4096
+
+FARTHEST_NS = 1 << 62
+"""Times of a log are less than this from its epoch, so that the difference of any two of them fits into 64 bits."""
 
 
 class OpenLog(Protocol):
@@ -74,6 +78,8 @@ class SensorLog(CountScale):
         """Check the group; LogError. `where` is its name in errors; `opened` opens the log at a path in a process to
         which the sensor is sent; `cache` keeps rows of a file that does not change.
         """
+        if not isinstance(group, GROUP):
+            raise LogError(f"{where}: is not a group; a sensor is a group of columns with attributes")
         self._group, self._cache = group, cache
         self._columns: dict[str, NamedColumn] = {}
         self._opened = opened
@@ -85,10 +91,10 @@ class SensorLog(CountScale):
         self.unit = self._text("unit", tuple(SI_PER_UNIT))
         # words of a barometer or a thermometer have no scale of their own: not every recorder writes one
         default = None if self.is_triad else 0.0
-        self.range = self._number("range", default)
-        self.sensitivity = self._number("sensitivity", default)
-        self.rate_hz = self._number("rate_hz", 0.0)
-        self.bandwidth_hz = self._number("bandwidth_hz", 0.0)
+        self.range = self._magnitude("range", default)
+        self.sensitivity = self._magnitude("sensitivity", default)
+        self.rate_hz = self._magnitude("rate_hz", 0.0)
+        self.bandwidth_hz = self._magnitude("bandwidth_hz", 0.0)
         self.delay_ns = round(self._number("delay_ns", 0.0))
         self.axes = self._text("axes")
         zero_degc, lsb_per_degc = (self._number(name, 0.0) for name in THERMOMETER_ATTRIBUTES)
@@ -101,8 +107,7 @@ class SensorLog(CountScale):
         self._check_columns()
 
     def _text(self, attribute: str, allowed: tuple[str, ...] = ()) -> str:
-        value = self._group.attrs.get(attribute)
-        value = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+        value = plain_value(self._group.attrs.get(attribute))
         if not isinstance(value, str) or (allowed and value not in allowed):
             choice = f"; allowed are {', '.join(allowed)}" if allowed else ""
             raise LogError(
@@ -111,13 +116,22 @@ class SensorLog(CountScale):
         return value
 
     def _number(self, attribute: str, default: float | None = None) -> float:
-        value = self._group.attrs.get(attribute, default)
+        value = plain_value(self._group.attrs.get(attribute, default))
         try:
             number = float(cast(Any, value))
         except (TypeError, ValueError):
-            raise LogError(f"{self.where}: attribute {attribute} is {value!r}, a number is required") from None
+            state = "missing" if value is None else repr(value)
+            raise LogError(f"{self.where}: attribute {attribute} is {state}, a number is required") from None
         if not np.isfinite(number):
             raise LogError(f"{self.where}: attribute {attribute} is {number}, a finite number is required")
+        return number
+
+    def _magnitude(self, attribute: str, default: float | None = None) -> float:
+        """Return an attribute that is not negative; 0 means unknown."""
+        number = self._number(attribute, default)
+        if number < 0:
+            hint = "; the direction of an axis is stated by axes" if attribute == "sensitivity" else ""
+            raise LogError(f"{self.where}: attribute {attribute} is {number:g}, 0 or more is required{hint}")
         return number
 
     def _numbers(self, attribute: str, default: Floats) -> Floats:
@@ -154,19 +168,38 @@ class SensorLog(CountScale):
                     raise LogError(f"{self.where}: column {name} is missing")
                 continue
             if not isinstance(dataset, DATASET) or dataset.dtype.kind not in kind:
-                raise LogError(f"{self.where}: column {name} is not a column of whole numbers")
-            self._columns[name] = named_column(dataset, f"{self.where}: {name}", self._cache)
+                numbers = "unsigned whole numbers" if kind == "u" else "whole numbers"
+                raise LogError(f"{self.where}: column {name} is not a column of {numbers}{_type_of(dataset)}")
+            self._columns[name] = named_column(
+                dataset, f"{self.where}: {name}", self._cache, _working_type(name, dataset)
+            )
             if dataset.shape[:1] != self.time.shape[:1]:
-                raise LogError(f"{self.where}: column {name} has another length than time")
+                shapes = f"its shape is {dataset.shape}, that of time {self.time.shape}"
+                raise LogError(f"{self.where}: column {name} has another length than time: {shapes}")
+            if name != "counts" and len(dataset.shape) != 1:
+                raise LogError(
+                    f"{self.where}: column {name} has shape {dataset.shape}, one number in each row is required"
+                )
         if self.counts.ndim != 2 or (self.is_triad and self.counts.shape[1] != 3):
-            raise LogError(f"{self.where}: column counts is not an (n, 3) table")
+            raise LogError(f"{self.where}: column counts is not an (n, 3) table: its shape is {self.counts.shape}")
         for edge in (slice(_EDGE_ROWS), slice(-_EDGE_ROWS, None)):  # `verify` checks all rows
             try:
                 times = self.time[edge]
             except LogError:  # is raised again when these rows are read; other sensors may be intact
                 continue
-            if (np.diff(times) <= 0).any():
-                raise LogError(f"{self.where}: column time does not increase")
+            self._check_times(times, edge.indices(len(self))[0])
+
+    def _check_times(self, times: npt.NDArray[np.int64], first: int) -> None:
+        """Raise LogError unless these times, which begin at row `first`, increase and are near enough to the epoch."""
+        late = np.flatnonzero(np.diff(times) <= 0)
+        if len(late):
+            raise LogError(f"{self.where}: column time does not increase after row {first + late[0]}")
+        if len(times) and max(-int(times[0]), int(times[-1])) >= FARTHEST_NS:
+            at_s = int(times[0] if times[0] < 0 else times[-1]) * 1e-9
+            raise LogError(
+                f"{self.where}: column time reaches {at_s:.4g} s; allowed are {FARTHEST_NS * 1e-9:.4g} s (146 years)"
+                " before and after the epoch, in ns"
+            )
 
     @property
     def _adjustment_attributes(self) -> Mapping[str, object]:
@@ -329,6 +362,23 @@ class SensorLog(CountScale):
     def between(self, start_ns: int, end_ns: int) -> slice:
         """Return the rows whose time lies in [start_ns, end_ns), without reading the whole column."""
         return slice(first_at(self.time, start_ns), first_at(self.time, end_ns))
+
+
+def _type_of(column: object) -> str:
+    """Return the type of a column that is refused, as part of a sentence."""
+    return f" but of {column.dtype}" if isinstance(column, DATASET) else ""
+
+
+def _working_type(name: str, column: h5py.Dataset | Column) -> np.dtype[Any]:
+    """Return the type in which a column is read: times as int64, and counts without a sign in a type with one, because
+    differences of unsigned numbers wrap around and sums of uint64 and int64 are rounded to 53 bits.
+    """
+    stored: np.dtype[Any] = column.dtype.newbyteorder("=")
+    if name == "time":
+        return np.dtype(np.int64)
+    if name == "status" or stored.kind == "i":
+        return stored
+    return np.dtype(f"i{min(2 * stored.itemsize, 8)}")
 
 
 def _reopen(opened: Callable[[Path], OpenLog], path: Path, name: str) -> SensorLog:

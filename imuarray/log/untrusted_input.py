@@ -43,8 +43,18 @@ def open_file(path: Path) -> h5py.File:
         raise LogError(f"{path}: {kind}; a log is an HDF5 file of format {FORMAT!r}{hint}") from None
 
 
+def plain_value(value: Any) -> Any:
+    """Return an attribute as HDF5 programs mean it: text as str, and the element of an array with one element, which
+    MATLAB and others write for a number.
+    """
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.reshape(-1)[0]
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+
+
 def positive(value: Any) -> float:
     """Return an attribute if it is one positive, finite number, else 0."""
+    value = plain_value(value)
     number = value.item() if isinstance(value, np.generic) else value
     fits = isinstance(number, int | float) and not isinstance(number, bool) and 0 < number < math.inf
     return float(number) if fits else 0.0

@@ -154,9 +154,9 @@ def test_a_few_rows_are_nothing_to_fuse(run: Path) -> None:
     with open_log(run) as log:
         stream = started(log)
         assert list(stream.push("A0", cut(read(log)["A0"], slice(0, 2)))) == []
-    with pytest.raises(FusionError, match="sensor A0: 2 rows, nothing to fuse"):
+    with pytest.raises(FusionError, match="sensor A0: 2 rows; at least three are required"):
         list(stream.finish())
-    with open_log(run) as log, pytest.raises(FusionError, match="sensor A0: 0 rows, nothing to fuse"):
+    with open_log(run) as log, pytest.raises(FusionError, match="sensor A0: 0 rows; at least three are required"):
         list(started(log).finish())
 
 

@@ -184,7 +184,7 @@ def test_a_barometer_needs_no_range(small: Path) -> None:
     with h5py.File(small, "r+") as file:
         del file["sensors/Acc"].attrs["sensitivity"]
     with (
-        pytest.raises(LogError, match="sensor Acc: attribute sensitivity is None, a number is required"),
+        pytest.raises(LogError, match="sensor Acc: attribute sensitivity is missing, a number is required"),
         open_log(small),
     ):
         pass

@@ -145,7 +145,7 @@ def attribute(name: str, key: str, value: Any) -> Spoil:
         (delete("sensors/Acc/counts"), "sensor Acc: column counts is missing"),
         (
             replace("sensors/Acc/counts", np.zeros((4, 3), np.int16)),
-            "sensor Acc: column counts has another length than time",
+            r"sensor Acc: column counts has another length than time: its shape is \(4, 3\), that of time \(5,\)",
         ),
         (
             replace("sensors/Acc/status", np.zeros(6, np.uint16)),
@@ -162,7 +162,22 @@ def attribute(name: str, key: str, value: Any) -> Spoil:
         (replace("sensors/Acc/counts", np.zeros(5, np.int16)), r"sensor Acc: column counts is not an \(n, 3\) table"),
         (replace("sensors/Acc/counts", np.zeros((5, 3))), "sensor Acc: column counts is not a column of whole numbers"),
         (replace("sensors/Acc/time", np.arange(5.0)), "sensor Acc: column time is not a column of whole numbers"),
-        (replace("sensors/Acc/status", np.full(5, -1)), "sensor Acc: column status is not a column of whole numbers"),
+        (
+            replace("sensors/Acc/status", np.full(5, -1)),
+            "Acc: column status is not a column of unsigned .* but of int64",
+        ),
+        (
+            replace("sensors/Acc/status", np.zeros((5, 1), "u2")),
+            r"Acc: column status has shape \(5, 1\), one number in",
+        ),
+        (replace("sensors/Acc/time", np.array([0, 1, 3, 3, 4])), "Acc: column time does not increase after row 2$"),
+        (
+            replace("sensors/Acc/time", np.arange(5) + 2**62),
+            r"sensor Acc: column time reaches 4.612e\+09 s; allowed are 4.612e\+09 s \(146 years\) before and after",
+        ),
+        (replace("sensors/Acc/time", np.arange(5) - 2**62), "sensor Acc: column time reaches -4.612e"),
+        (attribute("sensors/Acc", "sensitivity", -512.0), "Acc: attribute sensitivity is -512, 0 or more is required"),
+        (attribute("sensors/Gyro", "rate_hz", -1), "Gyro: attribute rate_hz is -1, 0 or more is required$"),
         (attribute("sensors/Acc", "chip", None), "sensor Acc: attribute chip is missing"),
         (attribute("sensors/Acc", "quantity", "speed"), "sensor Acc: attribute quantity is 'speed'; allowed are "),
         (attribute("sensors/Acc", "unit", "m"), "sensor Acc: attribute unit is 'm'; allowed are g, dps"),
@@ -170,7 +185,7 @@ def attribute(name: str, key: str, value: Any) -> Spoil:
         (attribute("sensors/Acc", "sensitivity", np.nan), "sensor Acc: attribute sensitivity is nan, a finite number"),
         (
             attribute("sensors/Acc", "sensitivity", None),
-            "sensor Acc: attribute sensitivity is None, a number is required",
+            "sensor Acc: attribute sensitivity is missing, a number is required",
         ),
         (attribute("sensors/Acc", "rate_hz", [1.0, 2.0]), "sensor Acc: attribute rate_hz is .* a number is required"),
         (attribute("sensors/Acc", "axes", "+X+Y-Z"), r"sensor Acc: axes '\+X\+Y-Z': this triad is left-handed"),
@@ -196,7 +211,7 @@ def attribute(name: str, key: str, value: Any) -> Spoil:
             attribute("sensors/Acc", "position_mm", "left"),
             "sensor Acc: attribute position_mm",
         ),
-        (replace("sensors/Acc", np.arange(3)), "sensor Acc: "),
+        (replace("sensors/Acc", np.arange(3)), "sensor Acc: is not a group; a sensor is a group of columns"),
         (delete("phases/name"), "group phases is missing one of the columns start, end, name, up"),
         (replace("events/time", [1, 2]), "group events has columns of different lengths"),
         (replace("phases", 5), "group phases"),
