@@ -7,13 +7,15 @@ uncertainties, draw themselves (`plot`, needs matplotlib) and show tables in not
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
-from imuarray.log import Log, open_log
+from imuarray.errors import ConfigError, LogError
+from imuarray.log import Log, open_log, require_distinct
+from imuarray.spelling import as_names
 
 if TYPE_CHECKING:
     from imuarray.array import ArrayConfig
@@ -119,7 +121,7 @@ def characterise(
             characterise_log(
                 opened,
                 longest_rest(opened, phase) or phase,
-                list(sensors) or None,
+                list(as_names(sensors)) or None,
                 estimator=estimator,
                 scales=scales,
             )
@@ -166,7 +168,7 @@ def fuse(  # noqa: PLR0913
     events: list[FaultEvent] = []
     notes: list[FusionNotes] = []
     with _opened([log]) as (opened,):
-        sensor_names = [opened[sensor].name for sensor in only]
+        sensor_names = [opened[sensor].name for sensor in as_names(only)]
         if name or calibration_used.sensors:
             require_known_sensors(opened, calibration_used, sensor_names, name or "the calibration")
         inputs = prepare_inputs(opened, calibration_used, technique=technique, only=sensor_names, ranges=SENSITIVITIES)
@@ -249,24 +251,35 @@ def simulate(  # noqa: PLR0913
     from imuarray.simulate.experiments import remarks_on, run_of, with_effects
     from imuarray.simulate.record import EPOCH, Origin
 
+    only, without = as_names(only), as_names(without)
     with ExitStack() as stack:
-        recorded = _recorded(source, stack)
-        if recorded is not None:
-            run = _run_like(recorded, Path(output), only, boot, conditions)
-        else:
-            array = _array(source, only)
-            chosen_experiment = _experiment(experiment, boot, conditions)
-            run = run_of(array, Path(output), experiment, chosen_experiment, rate_hz=rate_hz, boot=boot)
-        chosen_model = _model(model, calibration, run)
-        for sentence in remarks_on(run.plan, chosen_model, recorded, population=population):
-            warnings.warn(sentence, UserWarning, stacklevel=2)
-        made = effects_of(run.plan, chosen_model, seed, population=population, without=without)
-        made = with_effects(made, effects or {})
-        simulation = Simulation(run.plan, run.motion, made, seed=seed, boot=run.boot)
+        with _mistakes_as_config_errors():
+            recorded = _recorded(source, stack)
+            if recorded is not None:
+                run = _run_like(recorded, Path(output), only, boot, conditions)
+            else:
+                array = _array(source, only)
+                chosen_experiment = _experiment(experiment, boot, conditions)
+                run = run_of(array, Path(output), experiment, chosen_experiment, rate_hz=rate_hz, boot=boot)
+            chosen_model = _model(model, calibration, run)
+            for sentence in remarks_on(run.plan, chosen_model, recorded, population=population):
+                warnings.warn(sentence, UserWarning, stacklevel=2)
+            made = effects_of(run.plan, chosen_model, seed, population=population, without=without)
+            made = with_effects(made, effects or {})
+            simulation = Simulation(run.plan, run.motion, made, seed=seed, boot=run.boot)
         note = f"model {chosen_model.name}, seed {seed}, boot {run.boot}"
         epoch = EPOCH if recorded is None else recorded.epoch
         write_log(simulation, run.path, origin=Origin(epoch, note), force=force)
     return open_log(output)
+
+
+@contextmanager
+def _mistakes_as_config_errors() -> Iterator[None]:
+    """Raise the ValueError of a time, a side of the box or a seed that is not allowed as ConfigError."""
+    try:
+        yield
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
 
 
 def _recorded(source: str | PathLike[str] | ArrayConfig | Log, stack: ExitStack) -> Log | None:
@@ -279,7 +292,6 @@ def _recorded(source: str | PathLike[str] | ArrayConfig | Log, stack: ExitStack)
 
 
 def _run_like(log: Log, path: Path, only: Collection[str], boot: int, conditions: Conditions) -> BootRun:
-    from imuarray.errors import ConfigError
     from imuarray.simulate.experiments import run_like
 
     if conditions:
@@ -302,7 +314,6 @@ def _experiment(experiment: str, boot: int, conditions: Conditions) -> Experimen
     """Return the conditions of an experiment, whose run is that of `boot` in a turn-on series; ConfigError if
     unknown.
     """
-    from imuarray.errors import ConfigError
     from imuarray.simulate.experiments import EXPERIMENTS, ExperimentOptions
     from imuarray.spelling import guess
 
@@ -341,7 +352,11 @@ def _calibration(calibration: str | PathLike[str] | Calibration) -> Calibration:
 
 
 @contextmanager
-def _opened(logs: Iterable[LogLike]) -> Iterator[list[Log]]:
-    """Open the logs that are given as paths, and close these at the end. LogError."""
+def _opened(logs: Sequence[LogLike]) -> Iterator[list[Log]]:
+    """Open the logs that are given as paths, and close these at the end. LogError, also if there is none."""
+    if not logs:
+        raise LogError("no log is given; at least one is required")
     with ExitStack() as stack:
-        yield [log if isinstance(log, Log) else stack.enter_context(open_log(log)) for log in logs]
+        opened = [log if isinstance(log, Log) else stack.enter_context(open_log(log)) for log in logs]
+        require_distinct(opened)
+        yield opened

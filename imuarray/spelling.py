@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from itertools import islice
 from os import PathLike
 from pathlib import Path
@@ -37,11 +37,24 @@ def guess_file(path: str | PathLike[str]) -> str:
     return _suggestion(str(missing.with_name(name)) if name else "")
 
 
+def as_names(names: str | Collection[str]) -> tuple[str, ...]:
+    """Return names as a tuple; a single text is one name, not its letters.
+
+    >>> as_names("Gyro1"), as_names(["Gyro1", "BMA2"])
+    (('Gyro1',), ('Gyro1', 'BMA2'))
+    """
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
 def closest(word: str, allowed: Iterable[str], *, cutoff: float = 0.6) -> str:
-    """Return the allowed name most similar to `word`; "" if no similarity (0 to 1, `difflib`) reaches `cutoff`."""
+    """Return the allowed name most similar to `word`; "" if no similarity (0 to 1, `difflib`) reaches `cutoff`. A word
+    without a sign is the positive one.
+    """
     from difflib import get_close_matches
 
     names = {name.casefold(): name for name in allowed}
+    if positive := names.get(f"+{word.casefold()}"):
+        return positive
     near = get_close_matches(word.casefold(), list(names), n=1, cutoff=cutoff)
     return names[near[0]] if near else ""
 

@@ -196,9 +196,11 @@ _IN_OTHER_WORDS = {
 
 
 def read_text(path: str | PathLike[str]) -> str:
-    """Return the text of a file; ConfigError names the file if there is none."""
+    """Return the text of a file, without the byte order mark that editors on Windows begin it with; ConfigError names
+    the file if there is none.
+    """
     try:
-        return Path(path).read_text(encoding="utf-8")
+        return Path(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         near = guess_file(path) if isinstance(error, FileNotFoundError) else ""
         raise ConfigError(f"{path}: {getattr(error, 'strerror', None) or no_text(path)}{near}") from None
@@ -367,7 +369,9 @@ def _complaint(mistake: Any, model: type[BaseModel]) -> str:
         near = closest(str(key), choices, cutoff=0.5)
         return f"unknown key{f' (did you mean {near!r}?)' if near else ''}; allowed are {', '.join(choices)}"
     if mistake["type"] in _IN_OTHER_WORDS:
-        return _IN_OTHER_WORDS[mistake["type"]].format(came=repr(mistake["input"])[:40], **mistake.get("ctx", {}))
+        words = _IN_OTHER_WORDS[mistake["type"]].format(came=repr(mistake["input"])[:40], **mistake.get("ctx", {}))
+        is_address = mistake["loc"][-1:] == ("address",) and isinstance(mistake["input"], int)
+        return re.sub(r"\b\d+\b", lambda number: f"{int(number[0]):#04x}", words) if is_address else words
     if mistake["type"] == "value_error":
         return str(mistake["ctx"]["error"])
     return str(mistake["msg"])

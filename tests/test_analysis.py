@@ -341,3 +341,58 @@ def test_what_a_notebook_shows_is_one_line(folder: Path) -> None:
     known = SensorCalibration("A", "specific_force", "g", np.array([256.0, 0.0, -51.2]), 512 * np.eye(3))
     assert repr(known) == "<SensorCalibration A: nothing; bias 0.5, 0, -0.1 g>"
     assert repr(ia.load_array("martin2013")).startswith("<ArrayConfig martin2013: ADXL1, ")
+
+
+def test_a_log_counts_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same poses twice would look like twice as many, and standard errors like 0.71 of what they are."""
+    monkeypatch.chdir(folder)
+    with pytest.raises(LogError, match=r"tumble.h5: is given more than once; each log is allowed once$"):
+        ia.calibrate_tumble("./tumble.h5", folder / "tumble.h5")
+    done = CliRunner().invoke(program, ["calibrate", "tumble", "tumble.h5", "./tumble.h5", "-o", "twice.toml"])
+    assert "is given more than once" in str(done.exception)
+
+
+@pytest.mark.parametrize(
+    "analysis",
+    [ia.calibrate_tumble, ia.calibrate_noise, ia.calibrate_thermal, ia.calibrate_turn_on, lambda: ia.diagnose([])],
+)
+def test_no_log_is_an_error_of_one_line(analysis: Any) -> None:
+    with pytest.raises(LogError, match=r"^no log is given; at least one is required$"):
+        analysis()
+
+
+def test_a_single_name_is_a_name_and_not_its_letters(folder: Path, tmp_path: Path) -> None:
+    noise = ia.characterise(folder / "rest.h5", sensors="Gyro1")
+    assert {row["sensor"] for row in noise.to_pandas().reset_index().to_dict("records")} == {"Gyro1"}
+    with ia.simulate("martin2013", tmp_path / "one.h5", seconds=1, only="Gyro1", without="tone") as log:
+        assert list(log.sensors) == ["Gyro1"]
+    with pytest.raises(ConfigError, match="effect 'tne': allowed are"):
+        ia.diagnose(folder / "rest.h5", without="tne")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"seconds": -1}, "seconds: -1; allowed is anything above 0$"),
+        ({"seconds": 1e30}, r"allowed is anything above 0 and below 4.6e\+09 s"),
+        ({"up": "Z"}, r"up 'Z': allowed are \+X"),
+        ({"seed": -1}, "seed -1"),
+        ({"rate_hz": 0}, "0 frames per second: allowed is anything above 0"),
+    ],
+)
+def test_conditions_that_are_not_allowed(tmp_path: Path, options: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        ia.simulate("martin2013", tmp_path / "s.h5", **{"seconds": 1, **options})
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unknown_estimator_is_refused(folder: Path) -> None:
+    with pytest.raises(ConfigError, match="estimator 'modified': allowed are overlapping, decimated"):
+        ia.characterise(folder / "rest.h5", sensors=["Gyro1"], estimator="modified")  # type: ignore[arg-type]
+
+
+def test_a_closed_log_is_not_called_damaged(folder: Path) -> None:
+    with ia.open_log(folder / "rest.h5") as log:
+        gyro = log["Gyro1"]
+    with pytest.raises(LogError, match=r"sensor Gyro1: counts: the log is closed; read its rows while it is open"):
+        gyro.counts[:3]

@@ -342,3 +342,16 @@ def test_a_six_axis_chip_by_the_name_that_it_is_sold_by() -> None:
     """
     array = parse_array(text, "pair.toml")
     assert [sensor.chip for sensor in array.sensors] == ["icm42688_acc", "icm42688_gyro"]
+
+
+def test_a_byte_order_mark_is_not_part_of_the_text(tmp_path: Path) -> None:
+    """Editors on Windows begin UTF-8 with it."""
+    text = Path("configs/martin2013.toml").read_text(encoding="utf-8")
+    (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbf" + text.encode())
+    assert load_array(tmp_path / "a.toml").sensors == load_array("configs/martin2013.toml").sensors
+
+
+def test_addresses_are_hexadecimal_in_errors() -> None:
+    text = Path("configs/martin2013.toml").read_text(encoding="utf-8").replace("address = 0x70", "address = 0x41", 1)
+    with pytest.raises(ConfigError, match="mux: address: 0x41: allowed is 0x70 or more"):
+        parse_array(text, "a.toml")

@@ -305,13 +305,25 @@ def test_a_phase_that_differs_in_punctuation_only_is_refused(run: Run, here: Pat
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("fuse cal.toml run.h5 -o f.h5", "unexpected argument run.h5; allowed are imuarray fuse [OPTIONS] RUN.h5"),
+        ("fuse cal.toml run.h5 -o f.h5", "unexpected argument run.h5; allowed is imuarray fuse [OPTIONS] RUN.h5"),
         ("log martin2013 --rate-hz 50Hz -o r.h5", "'50Hz' is not a number from 0.01 to 3200"),
         ("demo --workers two", "'two' is not a whole number from 1 to 256"),
         ("fuse run.h5 -o f.csv", "f.csv: a fused result is an HDF5 file; name it f.h5"),
         ("simulate martin2013 -o s.csv", "s.csv: a log is an HDF5 file; name it s.h5"),
         ("import run.csv --map freeimu_thermal -o i.csv", "i.csv: a log is an HDF5 file; name it i.h5"),
         ("log martin2013 --bus emulated: -o r.csv", "r.csv: a log is an HDF5 file; name it r.h5"),
+        ("info .", ".: is a folder"),
+        ("log martin2013 --bus emulated -o r.h5", "did you mean emulated:?"),
+        ("log martin2013 --bus emulated: --phase z_up --up z -o r.h5", "did you mean +Z?"),
+        ("log martin2013 --bus emulated: --transcript r.h5 -o r.h5", "r.h5: is the name of the log; choose another"),
+        ("fuse run.h5 --only , -o f.h5", "'--only' / '--sensor': names are required, with commas between them"),
+        (
+            "fuse run.h5 --technique planez --evaluate",
+            "are mean, opposed, planes, ranges, optimal; did you mean planes?",
+        ),
+        ("simulate martin2013 --seconds 1e30 -o s.h5", "'1e30': allowed is at most 3.1536e+09 s"),
+        ("calibrate noise run.h5 -o cal.h5", "cal.h5: a calibration is a TOML file; name it cal.toml"),
+        ("calibrate compare cal.toml one.toml", "cal.toml: is not a calibration: it has no table [calibration]"),
         ("monitor cal.toml --text", "cal.toml: is not a log; allowed is an HDF5 file (.h5) that is written or will be"),
     ],
 )

@@ -45,7 +45,7 @@ MISSPELT = {
     "simulate martin2013 --experiment motion --motion vehicel -o {}/x.h5": "did you mean vehicle?",
     "gap diagnose {}/rest.h5 --without ton": "did you mean tone?",
     "gap diagnose {}/rest.h5 --only Gyro11": "did you mean Gyro1?",
-    "log martin2013 --bus emulate: -o {}/x.h5": "did you mean emulated?",
+    "log martin2013 --bus emulate: -o {}/x.h5": "did you mean emulated:?",
     "log martin2013 --bus emulated: --only BMA22 -o {}/x.h5": "did you mean BMA2?",
     "fuse {}/rest.h5 --technique oposed -o {}/x.h5": "did you mean opposed?",
     "characterise {}/rest.h5 --sensor Giro1": "did you mean Gyro1?",

@@ -33,7 +33,9 @@ def open_bus(url: str, array: ArrayConfig) -> OpenBus:
     """
     scheme, colon, rest = url.partition(":")
     if not colon or scheme not in _SCHEMES:
-        raise BusUrlError(f"bus {url!r}: allowed are {', '.join(_EXAMPLES)}{guess(scheme, _SCHEMES)}")
+        raise BusUrlError(
+            f"bus {url!r}: allowed are {', '.join(_EXAMPLES)}{guess(f'{scheme}:', [f'{name}:' for name in _SCHEMES])}"
+        )
     return _SCHEMES[scheme](rest, array)
 
 

@@ -431,15 +431,17 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
     (3,)
     """
     try:
-        content = Path(path).read_text(encoding="utf-8")
+        content = Path(path).read_text(encoding="utf-8-sig")
         file = tomllib.loads(content)
     except (OSError, ValueError, RecursionError) as error:
         near = guess_file(path) if isinstance(error, FileNotFoundError) else ""
         message = no_text(path) if isinstance(error, UnicodeDecodeError) else f"no calibration file: {error}"
         raise CalibrationError(f"{path}: {getattr(error, 'strerror', None) or message}{near}") from None
     head = file.get("calibration")
-    version = head.get("format_version") if isinstance(head, dict) else None
-    if version != FORMAT_VERSION or not isinstance(head, dict):
+    if not isinstance(head, dict):
+        raise CalibrationError(f"{path}: is not a calibration: it has no table [calibration]")
+    version = head.get("format_version")
+    if version != FORMAT_VERSION:
         raise CalibrationError(f"{path}: calibration format_version is {version}; this software reads {FORMAT_VERSION}")
     sources, entries = head.get("sources", []), file.get("sensor", [])
     if not isinstance(entries, list) or not isinstance(sources, list) or not all(isinstance(s, str) for s in sources):

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from types import MappingProxyType
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +29,7 @@ from imuarray.characterise.repeats import find_stalls
 from imuarray.characterise.spectrum import Spectrum
 from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
 from imuarray.characterise.survey import Survey, runs_of_curve, survey
-from imuarray.errors import LogError
+from imuarray.errors import ConfigError, LogError
 from imuarray.json_values import json_value
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import FLAGS
@@ -178,11 +178,14 @@ def characterise_log(
     is used, or the whole log; the result states which.
     `scales`: calibrated counts per unit of a sensor's axes (3,), by sensor; the others are the data sheet's.
     `estimator` of the Allan deviation; None: overlapping, or for long runs decimated (`survey.EXACT_ROWS`).
-    `progress` is called after every column. LogError for an unknown phase or sensor, or a log without triads.
+    `progress` is called after every column. LogError for an unknown phase or sensor, or a log without triads,
+    ConfigError for an unknown estimator.
     """
     chosen_sensors = (
         [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
     )
+    if estimator not in (None, *get_args(Estimator)):
+        raise ConfigError(f"estimator {estimator!r}: allowed are {', '.join(get_args(Estimator))}")
     if not chosen_sensors:
         raise LogError(f"{log.path}: it has no accelerometer, gyroscope or magnetometer")
     log.keep_rows()

@@ -225,12 +225,18 @@ class CalibrationOutput:
     @contextmanager
     def opened(self, runs: Sequence[Path]) -> Iterator[list[Log]]:
         """Open the logs, after a check that the file can be written."""
-        from imuarray.log import open_log
+        from imuarray.log import open_log, require_distinct
 
+        if self.output.suffix != ".toml":
+            raise click.UsageError(
+                f"{self.output}: a calibration is a TOML file; name it {self.output.with_suffix('.toml').name}"
+            )
         for run in runs:
             refuse_existing(self.output, self.force or self.update, source=run)
         with ExitStack() as stack:
-            yield [stack.enter_context(open_log(run)) for run in runs]
+            logs = [stack.enter_context(open_log(run)) for run in runs]
+            require_distinct(logs)
+            yield logs
 
     def existing(self) -> Calibration | None:
         """Return the calibration that is added to; None if there is none."""

@@ -113,7 +113,12 @@ def _run(options: FuseOptions) -> None:
     """Fuse and evaluate as the options say, and print the report."""
     from imuarray.calibrate import Calibration, load_calibration
     from imuarray.chips import SENSITIVITIES
-    from imuarray.fuse.fusion import complete_responses, prepare_inputs, require_known_sensors
+    from imuarray.fuse.fusion import (
+        complete_responses,
+        prepare_inputs,
+        require_known_sensors,
+        require_technique,
+    )
     from imuarray.log import open_log
 
     if options.output is not None:
@@ -121,6 +126,7 @@ def _run(options: FuseOptions) -> None:
         refuse_existing(options.output, options.force, source=options.run)
     elif not options.evaluate:
         raise click.UsageError("Missing option '-o' / '--output'.")
+    require_technique(options.technique)
     calibration = load_calibration(options.calibration_file) if options.calibration_file else Calibration()
     with open_log(options.run) as log:
         selected = [log[name].name for name in options.only]

@@ -269,6 +269,8 @@ class LogOptions:
             raise click.UsageError("--up needs --phase: it is the direction of the box in that phase")
         refuse_existing(self.first, self.force)
         refuse_other_suffix(self.output, "a log")
+        if self.transcript is not None and self.transcript.absolute() == self.first.absolute():
+            raise click.UsageError(f"--transcript {self.transcript}: is the name of the log; choose another")
         fusion = {"--technique": self.technique, "--fused": self.fused_file, "--watch": self.watch}
         _refuse_without("--fuse", self.fuse, fusion)
         page = {"--monitor-host": self.monitor_host, "--monitor-port": self.monitor_port}

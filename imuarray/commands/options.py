@@ -49,12 +49,23 @@ _Decorated = TypeVar("_Decorated", bound=Callable[..., Any] | click.Command)
 
 
 def names_option(
-    *declarations: str, metavar: str, help: str, default: str = "", show_default: bool = False
+    *declarations: str,
+    metavar: str,
+    help: str,
+    default: str = "",
+    show_default: bool = False,
+    may_be_empty: bool = True,
 ) -> Callable[[_Decorated], _Decorated]:
-    """Return an option whose value is a tuple of names, which are written with commas between them."""
+    """Return an option whose value is a tuple of names, which are written with commas between them; a text without a
+    name is refused if it must not be empty.
+    """
 
-    def split(_context: click.Context, _parameter: click.Parameter, text: str) -> tuple[str, ...]:
-        return tuple(name.strip() for name in text.split(",") if name.strip())
+    def split(context: click.Context, parameter: click.Parameter, text: str) -> tuple[str, ...]:
+        names = tuple(name.strip() for name in text.split(",") if name.strip())
+        is_default = context.get_parameter_source(str(parameter.name)) is click.core.ParameterSource.DEFAULT
+        if not (names or is_default or may_be_empty):
+            raise click.BadParameter("names are required, with commas between them", param=parameter)
+        return names
 
     return click.option(
         *declarations, metavar=metavar, help=help, default=default, show_default=show_default, callback=split
@@ -63,7 +74,7 @@ def names_option(
 
 def only_option(help: str) -> Callable[[_Decorated], _Decorated]:
     """Return the option for the names of the only sensors that a command shall take; by default none are named."""
-    return names_option("--only", "--sensor", "only", metavar="SENSOR,...", help=help)
+    return names_option("--only", "--sensor", "only", metavar="SENSOR,...", help=help, may_be_empty=False)
 
 
 _USUAL = (signal.default_int_handler,)
@@ -78,12 +89,15 @@ else:  # has a type parameter only since click 8.4
     _Seconds = click.ParamType
 
 
+_YEAR_S = 365 * 86_400.0
+
+
 class Duration(_Seconds):
     """A duration as 30s, 500ms, 10min, 1h or 1d, converted to seconds; a plain number is in seconds."""
 
     name = "duration"
 
-    def __init__(self, minimum_s: float = 0.0, maximum_s: float = math.inf) -> None:
+    def __init__(self, minimum_s: float = 0.0, maximum_s: float = 100 * _YEAR_S) -> None:
         """Allow durations above 0 from `minimum_s` to `maximum_s`."""
         self.minimum_s, self.maximum_s = minimum_s, maximum_s
 

@@ -51,7 +51,7 @@ def _explained(error: click.ClickException) -> str:
     context = error.ctx if isinstance(error, click.UsageError) else None
     if context is not None and (extra := re.fullmatch(r"Got unexpected extra arguments? \((.*)\)", text)):
         usage = " ".join(context.command.collect_usage_pieces(context))
-        return f"unexpected argument {extra[1]}; allowed are {context.command_path} {usage}"
+        return f"unexpected argument {extra[1]}; allowed is {context.command_path} {usage}"
     kind = error.param.type if isinstance(error, click.BadParameter) and error.param is not None else None
     if isinstance(kind, click.FloatRange | click.IntRange):
         number = "a number" if isinstance(kind, click.FloatRange) else "a whole number"

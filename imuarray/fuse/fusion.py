@@ -363,14 +363,20 @@ def aligned(log: Log, calibration: Calibration, *, only: Collection[str] = ()) -
     return _replay(log, stream, BLOCK)
 
 
+def require_technique(technique: str) -> None:
+    """Raise FusionError unless this is the name of a technique."""
+    if technique not in NAMES:
+        raise FusionError(f"technique {technique!r}: allowed are {', '.join(NAMES)}{guess(technique, NAMES)}")
+
+
 class _Array(Generic[_Sensor]):
     """Sensors by quantity, with calibration and technique; FusionError for an unknown technique."""
 
     def __init__(
         self, groups: dict[str, list[_Sensor]], calibration: Calibration, technique: str | PipelineFactory, watch: Watch
     ) -> None:
-        if isinstance(technique, str) and technique not in NAMES:
-            raise FusionError(f"technique {technique!r}: allowed are {', '.join(NAMES)}{guess(technique, NAMES)}")
+        if isinstance(technique, str):
+            require_technique(technique)
         self.groups: dict[str, list[_Sensor]] = groups
         self.calibration, self.technique, self.watch = calibration, technique, watch
         self.inertial: list[_Sensor] = [sensor for sensors in groups.values() for sensor in sensors]
@@ -494,7 +500,8 @@ def _by_quantity(sensors: Sequence[_Sensor], only: Collection[str], where: str) 
         for quantity in INERTIAL
     }
     if not any(by_quantity.values()):
-        raise FusionError(f"{where}: no inertial sensor{f' among {sorted(only)}' if only else ''}")
+        choice = f" among {', '.join(sorted(only))}" if only else ""
+        raise FusionError(f"{where}: no inertial sensor{choice}")
     return {quantity: group for quantity, group in by_quantity.items() if group}
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 import imuarray
 from imuarray.arrays import Floats
-from imuarray.errors import ConfigError
+from imuarray.errors import ConfigError, LogError
 from imuarray.gap.findings.causes import causes_of, judged_of, lines_of, nearest_of, notes_of, pulls_of, with_origins
 from imuarray.gap.findings.deviations import (
     NO_REMAINDER,
@@ -80,7 +80,7 @@ from imuarray.log import Log, open_log
 from imuarray.log.format import SensorHeader
 from imuarray.shipped import find_model
 from imuarray.simulate.model import Model, load_model
-from imuarray.spelling import guess
+from imuarray.spelling import as_names, guess
 
 LogLike = str | PathLike[str] | Log
 """A path, or an open log."""
@@ -217,10 +217,14 @@ def diagnose(  # noqa: PLR0913
     >>> [recording.name for recording in diagnosis.recorded]
     ['run.h5']
     """
-    candidates = library(without)
+    candidates = library(as_names(without))
+    only = as_names(only)
     chosen = model if model is None or isinstance(model, Model) else load_model(find_model(Path(model)))
     with ExitStack() as stack:
-        recordings, earlier = _read(_open(logs, stack), _open(against, stack), only)
+        recorded = _open(logs, stack)
+        if not recorded:
+            raise LogError("no log is given; at least one is required")
+        recordings, earlier = _read(recorded, _open(against, stack), only)
         executor = stack.enter_context(processes(workers)) if workers > 1 else None
 
         def run_on(bench: Bench) -> Run:
@@ -287,8 +291,8 @@ def library(without: Collection[str]) -> dict[str, Candidate]:
 def _open(logs: LogLike | Iterable[LogLike], stack: ExitStack) -> list[Log]:
     """Return the logs, each once; those opened here are closed with the stack."""
     logs = [logs] if isinstance(logs, str | PathLike | Log) else logs
-    distinct = dict.fromkeys(log if isinstance(log, Log) else Path(log) for log in logs)
-    return [log if isinstance(log, Log) else stack.enter_context(open_log(log)) for log in distinct]
+    logs_by_path = {(log.path if isinstance(log, Log) else Path(log)).resolve(): log for log in logs}
+    return [log if isinstance(log, Log) else stack.enter_context(open_log(log)) for log in logs_by_path.values()]
 
 
 def _read(

@@ -172,6 +172,8 @@ class NamedColumn:
 
     def _damaged(self, key: Any) -> LogError:
         """Return an error message that names the requested rows."""
+        if isinstance(self._column, h5py.Dataset) and not self._column:
+            return LogError(f"{self._place}: the log is closed; read its rows while it is open")
         rows = key[0] if isinstance(key, tuple) and key else key
         if isinstance(rows, slice):
             start, stop, _ = rows.indices(len(self))

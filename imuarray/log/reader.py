@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from functools import cached_property
@@ -62,6 +62,8 @@ class Log:
         log and checks every block; `journal_fd` is the open journal of a log that its writer is finishing.
         """
         self.path = Path(path)
+        if self.path.is_dir():
+            raise LogError(f"{path}: is a folder")
         try:
             self._file, self._damaged = _open(self.path, thorough, journal_fd)
         except DAMAGE as error:
@@ -386,6 +388,15 @@ def open_log(path: str | PathLike[str]) -> Log:
     for loss in log.losses:
         warnings.warn(f"{path}: {loss}", LogWarning, stacklevel=2)
     return log
+
+
+def require_distinct(logs: Iterable[Log]) -> None:
+    """Raise LogError if two of the logs are one file: an analysis would count its readings as independent ones."""
+    paths: set[Path] = set()
+    for log in logs:
+        if (path := log.path.resolve()) in paths:
+            raise LogError(f"{log.path}: is given more than once; each log is allowed once")
+        paths.add(path)
 
 
 _SHARED: WeakValueDictionary[Path, Log] = WeakValueDictionary()

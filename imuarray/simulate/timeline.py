@@ -298,6 +298,8 @@ def poll(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Mapping[st
     """Return the timelines of an array that is polled `frame_rate_hz` times a second for `seconds`; ConfigError if the
     bus is too slow.
     """
+    if not frame_rate_hz > 0:
+        raise ConfigError(f"{frame_rate_hz:g} frames per second: allowed is anything above 0")
     frames, period_ns = frames_in(seconds, frame_rate_hz), round(1e9 / frame_rate_hz)
     forth, back, frame_ns = _offsets_ns(array)
     polled = [sensor.name for sensor in array.sensors if not sensor.fifo]

@@ -205,7 +205,7 @@ def test_only_the_named_sensors_are_fused(write_run: WriteRun) -> None:
     with open_log(write_run(parts)) as log:
         _, fused = joined(list(fuse(log, calibration(parts), "mean", only=["A0"])))
         assert fused / G == pytest.approx(np.tile([0.0, 0.0, 1.0], (1000, 1)), abs=1e-12)
-        with pytest.raises(FusionError, match=r"no inertial sensor among \['B7'\]"):
+        with pytest.raises(FusionError, match=r"no inertial sensor among B7$"):
             list(fuse(log, calibration(parts), "mean", only=["B7"]))
 
 

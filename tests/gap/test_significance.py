@@ -82,7 +82,7 @@ def test_the_limit_is_reached_in_one_of_twenty() -> None:
 
 
 def test_too_few_replicates_tell_nothing() -> None:
-    with pytest.raises(ValueError, match=r"level: 0\.05; 10 scored replicates allow no level below 0\.0909"):
+    with pytest.raises(ValueError, match=r"replicates: 10 were scored; a share of false alarms of 0\.05 needs 19"):
         found_by(np.zeros(len(KEYS)), np.ones((10, len(KEYS))))
 
 

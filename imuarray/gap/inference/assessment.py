@@ -157,8 +157,9 @@ def localise(
 
     `level` is the share of false alarms; ValueError if there are too few replicates for it.
     """
-    if (least := 1 / (len(chance) + 1)) > level:
-        raise ValueError(f"level: {level}; {len(chance)} scored replicates allow no level below {least:.3g}")
+    if 1 / (len(chance) + 1) > level:
+        fewest = math.ceil(1 / level) - 1
+        raise ValueError(f"replicates: {len(chance)} were scored; a share of false alarms of {level:g} needs {fewest}")
     paths = [_path(number, key, headers[key.sensor]) for number, key in enumerate(keys)]
     limit = float(np.quantile(np.nan_to_num(np.abs(chance)).max(axis=1), 1 - level))
     if pooled is not None:

@@ -22,7 +22,8 @@ def positive(**values: float) -> None:
     """Raise ValueError that names the first argument that is not above 0, or whose ns exceed 64 bits."""
     for name, value in values.items():
         if not 0 < value < FOREVER_NS * 1e-9:
-            raise ValueError(f"{name}: {value}; allowed is anything above 0")
+            limit = "" if value <= 0 else f" and below {FOREVER_NS * 1e-9:.2g} s"
+            raise ValueError(f"{name}: {value}; allowed is anything above 0{limit}")
 
 
 def finite(**values: float) -> None:
