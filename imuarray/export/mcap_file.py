@@ -312,8 +312,8 @@ def _rows(table: ExportTable, channel: int, zero_ns: int, frame: str, meter: Met
             if len(patterns) > 1:
                 selection = places = np.flatnonzero(pattern_of.reshape(-1) == number)
             form = _form(message, columns, present.tolist())
-            texts = _filled(form, time_ns[selection], [cell[selection] for cell in cells], texts_of)
-            parts.append(_EqualMessages(places, _with_heads(texts, channel, sequence[selection], time_ns[selection])))
+            whole = _filled(form, time_ns[selection], [cell[selection] for cell in cells], texts_of)
+            parts.append(_EqualMessages(places, _put_heads(whole, channel, sequence[selection], time_ns[selection])))
         yield _ordered(time_ns, parts)
         meter.add(rows.stop - rows.start, len(table.columns))
 
@@ -346,8 +346,8 @@ def _filled(
     columns: Sequence[npt.NDArray[Any]],
     texts_of: Sequence[_NumberTexts],
 ) -> Texts:
-    """Return messages (n, l) from their template, times (n,) and columns (n, cells), of which each cell has its
-    `texts_of`.
+    """Return messages (n, h + l) from their template, times (n,) and columns (n, cells), of which each cell has its
+    `texts_of`. The first h bytes are room for the head.
     """
     cells = [cell for column in columns for cell in column.T]
     texts_by_form: dict[int, Texts] = {}
@@ -359,9 +359,9 @@ def _filled(
                 else texts_of[part](cells[part])
             )
     line = b"".join(part if isinstance(part, bytes) else texts_by_form[part][0].tobytes() for part in form)
-    messages = np.empty((len(time_ns), len(line)), np.uint8)
-    messages[:] = np.frombuffer(line, np.uint8)  # the first message, over which differences are written
-    position = 0
+    position = _head_bytes()
+    messages = np.empty((len(time_ns), position + len(line)), np.uint8)
+    messages[:, position:] = np.frombuffer(line, np.uint8)  # the first message, over which differences are written
     for part in form:
         width = len(part) if isinstance(part, bytes) else texts_by_form[part].shape[1]
         if not isinstance(part, bytes) and texts_by_form[part].strides[0]:
@@ -440,12 +440,26 @@ class _NumberTexts:
         return np.searchsorted(self._known, bits)
 
 
+def _head_bytes() -> int:
+    """Return the number of bytes before the data of a message."""
+    from imuarray.export.mcap_container import MESSAGE_HEAD
+
+    return MESSAGE_HEAD.itemsize
+
+
 def _with_heads(texts: Texts, channel: int, sequence: Times, time_ns: Times) -> npt.NDArray[np.void]:
     """Return (n,) equally long messages (n, l), each with its head."""
+    room = np.empty((len(texts), _head_bytes()), np.uint8)
+    return _put_heads(np.concatenate([room, texts], axis=1), channel, sequence, time_ns)
+
+
+def _put_heads(whole: Texts, channel: int, sequence: Times, time_ns: Times) -> npt.NDArray[np.void]:
+    """Write the heads of equally long messages into their first bytes; return the messages (n,)."""
     from imuarray.export.mcap_container import message_heads
 
-    heads = message_heads(channel, sequence, time_ns, texts.shape[1])
-    whole = np.concatenate([heads.view(np.uint8).reshape(len(texts), -1), texts], axis=1)
+    length = _head_bytes()
+    heads = message_heads(channel, sequence, time_ns, whole.shape[1] - length)
+    whole[:, :length] = heads.view(np.uint8).reshape(len(whole), -1)
     return whole.view(f"V{whole.shape[1]}")[:, 0]
 
 
