@@ -14,7 +14,7 @@ from imuarray.callable_package import make_callable, public_name
 
 if TYPE_CHECKING:
     from imuarray.fuse.coasting_errors import Coasting, Errors, coasting
-    from imuarray.fuse.comparison import Consistency, Score, TechniqueComparison, compare, consistency, technique_names
+    from imuarray.fuse.comparison import Score, TechniqueComparison, compare, technique_names
     from imuarray.fuse.element_temperature import (
         causal_temperatures,
         element_temperatures,
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         temperature_mismatch,
         with_mismatch,
     )
+    from imuarray.fuse.error_consistency import Consistency, consistency
     from imuarray.fuse.evaluation import (
         Error,
         ErrorEvaluation,
@@ -64,7 +65,8 @@ if TYPE_CHECKING:
 
 _PUBLIC = {
     "coasting_errors": "Coasting Errors coasting",
-    "comparison": "TechniqueComparison Consistency Score compare consistency technique_names",
+    "comparison": "TechniqueComparison Score compare technique_names",
+    "error_consistency": "Consistency consistency",
     "element_temperature": (
         "causal_temperatures element_temperatures mismatch_sentences slopes_of temperature_mismatch with_mismatch"
     ),

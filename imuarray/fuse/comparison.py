@@ -6,14 +6,6 @@ interval of a ratio covers chance within this log; the turn-on bias of a sensor 
 
 An estimator of the whole array takes longer than all simple techniques together. With an executor another process
 computes its frames at the same time; the figures are the same as from one process.
-
-Errors are consistent with their covariances if the normalised error squared is within its chi-square interval: ``e'
-P^-1 e / 3`` has mean 1 if P is right (Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and
-Navigation, 2001, section 5.4). Its mean over n frames would be chi-square of 3 n degrees of freedom over 3 n if the
-errors of different frames were independent. They are not: biases persist. The variance of the mean of normal errors
-with lagged correlations C(k) (3, 3) is ``2 / n sum over k of (1 - |k| / n) |C(k)|^2``, |.| the Frobenius norm, so the
-interval is that of a chi-square with this variance. C(k) is taken about zero, not about the mean, so that a constant
-error is correlated at every lag and many frames of it count as few.
 """
 
 from __future__ import annotations
@@ -24,7 +16,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
@@ -36,183 +27,23 @@ from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse.coasting_errors import Coasting, Errors, coasting
+from imuarray.fuse.error_consistency import Consistency, consistency_of
 from imuarray.fuse.evaluation import (
     BLOCKS,
     FEWEST_BLOCKS,
     Error,
-    ErrorFrames,
     ErrorFramesOnDisk,
     ErrorFrameSpool,
+    MotionErrors,
     Ratio,
     block_squares,
     error_of,
     ratio_of,
 )
 from imuarray.fuse.fusion import AVERAGE, NAMES, Progress, fuse, fuse_together
-from imuarray.fuse.spools import AT_ONCE, RowSource, RowSpool, row_blocks
+from imuarray.fuse.spools import AT_ONCE, RowSource, RowSpool
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import Log, open_log
-
-_FEWEST = 20
-
-_SEGMENT = 1 << 17
-"""Number of rows of one spectrum of long errors."""
-
-_AT_ONCE = 4
-"""Number of such segments up to which one spectrum for all rows needs no more memory than those of the segments."""
-
-
-@dataclass(frozen=True)
-class Consistency:
-    """Mean normalised error squared over its expectation; its 95 % interval under correct covariances; the effective
-    degrees of freedom under the errors' correlation.
-    """
-
-    normalised: float
-    low: float
-    high: float
-    freedom: float
-
-    @property
-    def holds(self) -> bool:
-        """Return whether it lies in its interval."""
-        return self.low <= self.normalised <= self.high
-
-
-def consistency(errors: RowSource, covariances: RowSource) -> Consistency | None:
-    """Return the consistency of errors (n, 3) with covariances (n, 6) (`frames.ENTRIES`), read block by block; None if
-    fewer than twenty frames have both.
-    """
-    from scipy.special import gammaincinv  # the inverse chi-squared distribution without the weight of scipy.stats
-
-    with RowSpool(3) as white:
-        squares = 0.0
-        for error, covariance in zip(row_blocks(errors), row_blocks(covariances), strict=True):
-            block = _whitened(*_finite(error, covariance))
-            squares += float(np.sum(block**2))
-            white.append(block)
-        if len(white) < _FEWEST:
-            return None
-        normalised = squares / (3 * len(white))
-        freedom = _freedom(white, normalised)
-    low, high = 2 * gammaincinv(freedom / 2, [0.025, 0.975]) / freedom
-    return Consistency(normalised, float(low), float(high), freedom)
-
-
-def _finite(errors: Floats, covariances: Floats) -> tuple[Floats, Floats]:
-    """Return the rows that are finite in both; a sum that is finite shows at once that all are."""
-    with np.errstate(invalid="ignore"):
-        if np.isfinite(errors.sum() + covariances.sum()):
-            return errors, covariances
-    is_finite = np.isfinite(covariances).all(axis=1) & np.isfinite(errors).all(axis=1)
-    return errors[is_finite], covariances[is_finite]
-
-
-def _whitened(errors: Floats, covariances: Floats) -> Floats:
-    """Return errors (n, 3) times the inverse of the lower Cholesky factor of their covariances (n, 6), without rows
-    whose covariance is not positive definite. It is written out for all frames at once, twenty times as fast as a
-    matrix routine.
-    """
-    xx, yy, zz, xy, xz, yz = np.ascontiguousarray(covariances.T)
-    of_x, of_y, of_z = np.ascontiguousarray(errors.T)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        first = np.sqrt(xx)
-        second_first, third_first = xy / first, xz / first
-        second = np.sqrt(yy - second_first**2)
-        third_second = (yz - third_first * second_first) / second
-        third = np.sqrt(zz - third_first**2 - third_second**2)
-        x = of_x / first
-        y = (of_y - second_first * x) / second
-        z = (of_z - third_first * x - third_second * y) / third
-    white = np.stack([x, y, z], axis=1)
-    definite = (first > 0) & (second > 0) & (third > 0)
-    return white if definite.all() else white[definite]
-
-
-def _freedom(white: RowSource, mean_square: float) -> float:
-    """Return the effective degrees of freedom: 18 over the variance of the mean of |x|^2, where x (n, 3) is `white`
-    scaled to unit variance by its `mean_square`; 3 n without correlation.
-
-    Lags up to half the length are added up, less their expectation by chance; correlations at longer lags are assumed
-    as large as from a quarter of the length to half of it.
-    """
-    rows, half = len(white), len(white) // 2
-    near, far = 0.0, 0.0
-    for first, products in _lagged_products(white, half):
-        lags = np.arange(first, first + len(products))
-        share = 1 - lags / rows
-        squares = products / (rows * mean_square * share) ** 2 - 9 / (rows * share)
-        near += float(share @ squares)
-        far += float(squares[lags > half // 2].sum())
-    correlated = near + rows / 8 * far / (half - half // 2)
-    return float(np.clip(18 / (2 / rows * (3 + 2 * max(correlated, 0.0))), 1.0, 3 * rows))
-
-
-def _lagged_products(white: RowSource, last: int) -> Iterator[tuple[int, Floats]]:
-    """Yield a lag k > 0 and, for it and the lags that follow, up to `last`, the squared Frobenius norm of the sum over
-    i of x(i) x(i + k)'.
-
-    Correlations of segments are products of their spectra (T. G. Stockham, "High-speed convolution and correlation",
-    1966); the products of all pairs of segments at one distance are added up before the inverse transform. The shorter
-    lags of one distance are added to the result of the distance before.
-    """
-    from scipy.fft import next_fast_len
-
-    rows = len(white)
-    if rows <= _AT_ONCE * _SEGMENT:
-        yield 1, _lagged_products_at_once(white[:rows], last, next_fast_len(rows + last, real=True))
-        return
-    segment = _SEGMENT
-    size = next_fast_len(2 * segment, real=True)
-    width = size // 2 + 1
-    count = -(-rows // segment)
-    with RowSpool(6 * width) as spectra:
-        for start in range(0, rows, segment):
-            spectrum = np.fft.rfft(white[start : start + segment].T, size)
-            spectra.append(np.ascontiguousarray(spectrum).view(np.float64).reshape(1, -1))
-
-        def correlations(distance: int) -> Floats:
-            total = np.zeros((3, 3, width), complex)
-            for number in range(count - distance):
-                earlier, later = (
-                    spectra[place : place + 1].view(np.complex128).reshape(3, width)
-                    for place in (number, number + distance)
-                )
-                np.conj(earlier, out=earlier)
-                for total_of, of_axis in zip(total, earlier, strict=True):
-                    total_of += of_axis * later
-            return np.fft.irfft(total, size)
-
-        lagged = correlations(0)[..., :segment].copy()
-        for distance in range(last // segment + 1):
-            ahead = correlations(distance + 1)
-            lagged[..., 1:] += ahead[..., size - segment + 1 :]
-            first = distance * segment
-            products = np.einsum("ijk,ijk->k", lagged, lagged)[: last + 1 - first]
-            yield (first, products) if first else (1, products[1:])
-            lagged[...] = ahead[..., :segment]
-            del ahead  # frees memory before the next one is computed
-
-
-def _lagged_products_at_once(white: Floats, last: int, size: int) -> Floats:
-    """Return the products of the lags from 1 to `last` by a spectrum of `size` values of each column of `white` (n, 3),
-    n + `last` or more, so that no product of distant rows is added. The correlation of one axis with a later one has
-    that of the later with the earlier one at its negative lags.
-    """
-    from scipy.fft import irfft  # transforms several columns at once faster than one by one
-
-    spectra = [np.fft.rfft(column, size) for column in np.ascontiguousarray(white.T)]
-    products = np.zeros(last)
-    pairs = list(combinations_with_replacement(range(3), 2))
-    for at in range(0, len(pairs), 2):
-        some = pairs[at : at + 2]
-        lagged = irfft(np.stack([spectra[first].conj() * spectra[second] for first, second in some]), size)
-        for (first, second), of_pair in zip(some, lagged, strict=True):
-            products += of_pair[1 : last + 1] ** 2
-            if first != second:
-                products += of_pair[: -last - 1 : -1] ** 2
-    return products
-
 
 _POLL_S = 0.5
 """Time between two readings of the other process's progress."""
@@ -378,7 +209,7 @@ class _ProgressParts:
         return lambda share: self._progress(start + weight * share)
 
 
-ErrorFrameSource = ErrorFrames | ErrorFrameSpool
+ErrorFrameSource = MotionErrors | ErrorFrameSpool
 
 
 def both(frames: Mapping[str, ErrorFrameSource]) -> Iterator[Errors]:
@@ -387,7 +218,7 @@ def both(frames: Mapping[str, ErrorFrameSource]) -> Iterator[Errors]:
         yield Errors(rate.time, rate.errors, force.errors, rate.truth, force.truth)
 
 
-def _common(first: ErrorFrameSource, second: ErrorFrameSource) -> Iterator[tuple[ErrorFrames, ErrorFrames]]:
+def _common(first: ErrorFrameSource, second: ErrorFrameSource) -> Iterator[tuple[MotionErrors, MotionErrors]]:
     """Yield the frames of both at their common times, block by block."""
     end = 0
     for start in range(0, len(first), AT_ONCE):
@@ -404,7 +235,7 @@ def _common(first: ErrorFrameSource, second: ErrorFrameSource) -> Iterator[tuple
         yield block, second_block
 
 
-def _score(technique: str, quantity: str, average: ErrorFrameSource, estimate: ErrorFrameSource) -> Score:
+def _score(technique: str, quantity: str, average: ErrorFrameSpool, estimate: ErrorFrameSpool) -> Score:
     """Compare an estimate with the simple average."""
     if _have_the_same_times(average, estimate):
         squares = _squares_of(technique, quantity, average.errors, estimate.errors)
@@ -416,9 +247,7 @@ def _score(technique: str, quantity: str, average: ErrorFrameSource, estimate: E
             squares = _squares_of(technique, quantity, average_errors, technique_errors)
     ratio = {axis: ratio_of(squares[:, k], squares[:, k + 3]) for k, axis in enumerate(AXES[:3])}
     ratio[AXES[3]] = ratio_of(squares[:, :3].sum(axis=1), squares[:, 3:].sum(axis=1))
-    return Score(
-        technique, quantity, error_of(estimate.errors), ratio, consistency(estimate.errors, estimate.covariances)
-    )
+    return Score(technique, quantity, error_of(estimate.errors), ratio, consistency_of(estimate.white))
 
 
 def _have_the_same_times(first: ErrorFrameSource, second: ErrorFrameSource) -> bool:

@@ -18,9 +18,10 @@ from imuarray.arrays import Floats, Indices
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse.alignment import between_gaps
+from imuarray.fuse.error_consistency import whitened
 from imuarray.fuse.frames import FusedBlock
 from imuarray.fuse.fusion import AVERAGE, fuse
-from imuarray.fuse.spools import RowSource, RowSpool, parts_of, row_blocks, square_sum
+from imuarray.fuse.spools import AT_ONCE, RowSource, RowSpool, parts_of, row_blocks, square_sum
 from imuarray.log import Log, Track, first_at
 from imuarray.log.format import Phase
 from imuarray.units import INERTIAL
@@ -151,15 +152,12 @@ def _scatters(segments: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class ErrorFrames:
-    """n frames of one quantity in SI in the box frame: time (n,) ns, fused less true triad (n, 3), the truth (n, 3),
-    and the covariance (n, 6) that the fused result states (`frames.ENTRIES`; NaN if it states none).
-    """
+class MotionErrors:
+    """n frames of one quantity in SI in the box frame: time (n,) ns, fused less true triad (n, 3), the truth (n, 3)."""
 
     time: npt.NDArray[np.int64]
     errors: Floats
     truth: Floats
-    covariances: Floats
 
     def __len__(self) -> int:
         return len(self.time)
@@ -167,6 +165,19 @@ class ErrorFrames:
     def times(self, frames: slice) -> npt.NDArray[np.int64]:
         """Return the times of some of them, in ns."""
         return self.time[frames]
+
+    def __getitem__(self, frames: slice | Indices) -> MotionErrors:
+        """Return some of the frames."""
+        return MotionErrors(self.time[frames], self.errors[frames], self.truth[frames])
+
+
+@dataclass(frozen=True)
+class ErrorFrames(MotionErrors):
+    """`MotionErrors` with the covariance (n, 6) that the fused result states (`frames.ENTRIES`; NaN if it states
+    none).
+    """
+
+    covariances: Floats
 
     def __getitem__(self, frames: slice | Indices) -> ErrorFrames:
         """Return some of the frames."""
@@ -212,7 +223,9 @@ def error_frames_together(
 
 
 class ErrorFramesOnDisk:
-    """Frames with an error of several results, block by block, stored on disk. A context manager."""
+    """Frames with an error of several results, block by block, stored on disk. Results with the same frames share
+    their times and their truth. A context manager.
+    """
 
     def __init__(self, log: Log, folder: Path | None = None) -> None:
         """Store the frames in temporary files, or in permanent files in `folder`. FusionError without a truth."""
@@ -222,12 +235,15 @@ class ErrorFramesOnDisk:
 
     def add(self, together: Mapping[str, FusedBlock]) -> None:
         """Add the next block of each result, by name; all blocks have the same frames."""
+        first: dict[str, tuple[ErrorFrameSpool, ErrorFrames]] = {}
         for name, quantity, frames in _errors_in(self._track, (), together):
             spools = self._spools.setdefault(name, {})
             if quantity not in spools:
                 path = None if self._folder is None else self._folder / f"{name}.{quantity}"
-                spools[quantity] = self._stack.enter_context(ErrorFrameSpool(path))
-            spools[quantity].add(frames)
+                motion = first[quantity][0].motion if quantity in first and path is None else None
+                spools[quantity] = self._stack.enter_context(ErrorFrameSpool(path, motion=motion))
+            spools[quantity].add(frames, *first.get(quantity, ()))
+            first.setdefault(quantity, (spools[quantity], frames))
 
     def files(self, name: str) -> dict[str, Path]:
         """Complete the files of one result in the folder; return them by quantity."""
@@ -310,54 +326,108 @@ def error_of(rows: RowSource) -> Error:
     )
 
 
-class ErrorFrameSpool:
-    """`ErrorFrames` of one quantity in temporary files, one for each column, or in files whose names begin with a path;
-    what is asked for is read. A context manager.
+class MotionSpool:
+    """Time (n,) in ns and true triad (n, 3) of frames in temporary files, or in files whose names begin with a path. A
+    context manager.
     """
 
     def __init__(self, path: Path | None = None, mode: str = "w+b") -> None:
-        self._path = path
-        self._time, self.errors, self._truth, self.covariances = (
-            RowSpool(columns, None if path is None else path.with_name(f"{path.name}.{name}"), mode)
-            for name, columns in (("time", 1), ("errors", 3), ("truth", 3), ("covariances", 6))
-        )
+        self._time, self._truth = (RowSpool(k, _named(path, name), mode) for name, k in (("time", 1), ("truth", 3)))
 
-    @property
-    def _spools(self) -> tuple[RowSpool, ...]:
-        return (self._time, self.errors, self._truth, self.covariances)
-
-    def add(self, frames: ErrorFrames) -> None:
+    def append(self, time: npt.NDArray[np.int64], truth: Floats) -> None:
         """Add more frames."""
-        self._time.append(np.ascontiguousarray(frames.time, np.int64).view(np.float64)[:, None])  # the same bits
+        self._time.append(np.ascontiguousarray(time, np.int64).view(np.float64)[:, None])  # the same bits
+        self._truth.append(truth)
+
+    def times(self, frames: slice) -> npt.NDArray[np.int64]:
+        """Read the times of some frames, in ns."""
+        return self._time[frames][:, 0].view(np.int64)
+
+    def truth(self, frames: slice) -> Floats:
+        """Read the truth of some frames."""
+        return self._truth[frames]
+
+    def copy(self, frames: int) -> MotionSpool:
+        """Return a copy of the first frames in temporary files."""
+        copy = MotionSpool()
+        for start in range(0, frames, AT_ONCE):
+            part = slice(start, min(start + AT_ONCE, frames))
+            copy.append(self.times(part), self.truth(part))
+        return copy
+
+    def complete(self) -> None:
+        """Write everything to the files that have names; ValueError for those without."""
+        self._time.complete()
+        self._truth.complete()
+
+    def close(self) -> None:
+        """Close the files."""
+        self._time.close()
+        self._truth.close()
+
+
+class ErrorFrameSpool:
+    """The errors (n, 3) of one quantity, and the errors `white` (k, 3) by their covariances (`whitened`), in temporary
+    files, or in files whose names begin with a path; what is asked for is read. Several spools may share a `motion` as
+    long as they have the same frames. A context manager.
+    """
+
+    def __init__(self, path: Path | None = None, mode: str = "w+b", *, motion: MotionSpool | None = None) -> None:
+        self._path, self._is_own = path, motion is None
+        self.motion = MotionSpool(path, mode) if motion is None else motion
+        self.errors, self.white = (RowSpool(3, _named(path, name), mode) for name in ("errors", "white"))
+
+    def add(
+        self, frames: ErrorFrames, first: ErrorFrameSpool | None = None, its_frames: MotionErrors | None = None
+    ) -> None:
+        """Add more frames. `its_frames` were added to the `first` spool, with which this one may share its motion."""
+        shares = first is not None and its_frames is not None and self.motion is first.motion
+        if shares and its_frames is not None and not np.array_equal(its_frames.time, frames.time):
+            self.motion, self._is_own, shares = self.motion.copy(len(self)), True, False
+        if not shares:
+            self.motion.append(frames.time, frames.truth)
         self.errors.append(frames.errors)
-        self._truth.append(frames.truth)
-        self.covariances.append(frames.covariances)
+        self.white.append(whitened(frames.errors, frames.covariances))
 
     def __len__(self) -> int:
-        return len(self._time)
+        return len(self.errors)
 
     def times(self, frames: slice) -> npt.NDArray[np.int64]:
         """Read the times of some of them, in ns."""
-        return self._time[frames][:, 0].view(np.int64)
+        return self.motion.times(self._within(frames))
 
-    def __getitem__(self, frames: slice) -> ErrorFrames:
+    def __getitem__(self, frames: slice) -> MotionErrors:
         """Read some of the frames."""
-        return ErrorFrames(self.times(frames), self.errors[frames], self._truth[frames], self.covariances[frames])
+        part = self._within(frames)
+        return MotionErrors(self.motion.times(part), self.errors[part], self.motion.truth(part))
+
+    def _within(self, frames: slice) -> slice:
+        """Return the slice without open ends; the motion may have more frames."""
+        begin, end, _ = frames.indices(len(self))
+        return slice(begin, end)
 
     def complete(self) -> Path:
         """Write everything to the files that have names, and return how these begin; ValueError for those without."""
-        for spool in self._spools:
-            spool.complete()
         if self._path is None:
             raise ValueError("temporary files have no names")
+        self.motion.complete()
+        for spool in (self.errors, self.white):
+            spool.complete()
         return self._path
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
-        for spool in self._spools:
+        for spool in (self.errors, self.white):
             spool.close()
+        if self._is_own:
+            self.motion.close()
+
+
+def _named(path: Path | None, name: str) -> Path | None:
+    """Return the file of a column, whose name begins with a path; None without one."""
+    return None if path is None else path.with_name(f"{path.name}.{name}")
 
 
 def _truth_at(track: Track, quantities: Sequence[str], time: npt.NDArray[np.int64]) -> dict[str, Floats]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from imuarray.fuse.comparison import Consistency, consistency
+from imuarray.fuse.error_consistency import Consistency, consistency
 from imuarray.fuse.frames import entries
 from tests.fuse.conftest import Floats
 from tests.selection import some
@@ -104,7 +104,7 @@ def test_the_freedom_is_that_of_all_lags_wherever_blocks_are_cut(
 ) -> None:
     """The sum of the module's docstring, lag by lag; lags beyond half of 401 are as those of its upper half."""
     monkeypatch.setattr("imuarray.fuse.spools.AT_ONCE", block)
-    monkeypatch.setattr("imuarray.fuse.comparison._SEGMENT", segment)
+    monkeypatch.setattr("imuarray.fuse.error_consistency._SEGMENT", segment)
     unit = slow(np.random.default_rng(9))[:401]
     unit /= np.sqrt(np.mean(unit**2))
     rows = len(unit)

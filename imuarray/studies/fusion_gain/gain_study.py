@@ -32,7 +32,8 @@ from imuarray.calibrate import Calibration, calibrate_noise, calibrate_thermal, 
 from imuarray.calibrate.start_up import start_up_states
 from imuarray.chips import CHIPS
 from imuarray.fuse import OPTIMAL, ErrorFrames, FusedBlock, coasting, error_frames, fuse, technique_names
-from imuarray.fuse.comparison import both, consistency
+from imuarray.fuse.comparison import both
+from imuarray.fuse.error_consistency import consistency
 from imuarray.fuse.evaluation import Ratio, ratio_of, ten_second_means
 from imuarray.fuse.fusion import AVERAGE
 from imuarray.json_values import json_value
