@@ -34,20 +34,21 @@ EXPERIMENTS = ("static", "tumble", "heating", "turn-on", "motion")
 """Experiments of `imuarray.simulate.experiments`, repeated here because that module imports NumPy."""
 
 
-def _list_effects(context: click.Context, _: click.Parameter, is_given: bool) -> None:
-    """Print the effects that a model may contain, and exit."""
-    if not is_given or context.resilient_parsing:
-        return
+def _list_effects(as_json: bool) -> None:
+    """Print the effects that a model may contain, with their parameters."""
     from imuarray.simulate.effect import spelled
     from imuarray.simulate.effects import EFFECTS, meaning
 
+    if as_json:
+        parameters = {name: list(spelled(kind, "UNIT")) for name, kind in EFFECTS.items()}
+        print_json({"effects": {name: {"meaning": meaning(name), "parameters": parameters[name]} for name in EFFECTS}})
+        return
     for name, kind in EFFECTS.items():
         click.echo(f"{name:17} {meaning(name)}\n{'':17}   {', '.join(spelled(kind, 'UNIT'))}")
     click.echo(
         "UNIT is the unit of the sensor: g, dps or gauss. The class of each effect documents its equation,"
         " source and appearance in data."
     )
-    context.exit()
 
 
 @click.command("simulate")
@@ -61,10 +62,9 @@ def _list_effects(context: click.Context, _: click.Parameter, is_given: bool) ->
 @click.option(
     "-o",
     "--output",
-    required=True,
     type=click.Path(path_type=Path),
     metavar="SIM.h5",
-    help="the log to write; a turn-on series adds the number of each run",
+    help="the log to write (required without --effects); a turn-on series adds the number of each run",
 )
 @click.option("--experiment", type=click.Choice(EXPERIMENTS), default="static", show_default=True)
 @click.option(
@@ -141,15 +141,13 @@ def _list_effects(context: click.Context, _: click.Parameter, is_given: bool) ->
 )
 @click.option(
     "--effects",
+    "list_effects",
     is_flag=True,
-    is_eager=True,
-    expose_value=False,
-    callback=_list_effects,
     help="list the effects and their parameters",
 )
 @force_option
 @json_option
-def command(**options: Any) -> None:
+def command(output: Path | None, list_effects: bool, **options: Any) -> None:
     """Simulate the array of CONFIG, or the recording RUN.h5, with a model of the sensors, and write a log.
 
     The model defines the effects between truth and counts for every unit. /truth in the log holds the true motion. The
@@ -159,7 +157,12 @@ def command(**options: Any) -> None:
     imuarray simulate martin2013 --experiment tumble -o simulated.h5
     imuarray simulate --like run.h5 --calibration cal.toml -o twin.h5
     """
-    _run(SimulateOptions(**options))
+    if list_effects:
+        _list_effects(options["as_json"])
+    elif output is None:
+        raise click.UsageError("Missing option '-o' / '--output'.")
+    else:
+        _run(SimulateOptions(output=output, **options))
 
 
 @dataclass(frozen=True)

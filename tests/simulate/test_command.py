@@ -271,3 +271,12 @@ def test_lines_come_where_nobody_watches_also_while_nothing_gets_done(
             while "reading: 2 of 4 in 0 s, 0 s left\n" not in said:
                 said += capsys.readouterr().err
     assert not steps._thread.is_alive()
+
+
+def test_effects_are_listed_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "--effects", "--json"]) == 0
+    effects = json.loads(capsys.readouterr().out)["effects"]
+    assert effects["popcorn_noise"]["meaning"]
+    assert effects["tone"]["parameters"][:3] == ["amplitude_UNIT", "frequency_hz", "phase_deg"]
+    assert main(["simulate", "martin2013"]) == 2
+    assert capsys.readouterr().err == "imuarray: Missing option '-o' / '--output'.\n"
