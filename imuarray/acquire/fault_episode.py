@@ -1,7 +1,8 @@
 """Episodes of faults, reported by two events: one when an episode begins, one with count and duration when it is over.
 
 An intermittent fault is one episode as well: each time it recurs soon, it must be absent for longer before the episode
-is over. The number of events is thus limited however long a fault persists: see `MOST_EVENTS_AN_HOUR`.
+is over. The number of events is thus limited however long a fault persists: with quiet times of 1, 2, ... 512 and then
+900 seconds between its episodes, no more than 14 episodes of one kind begin in an hour.
 """
 
 from __future__ import annotations
@@ -19,10 +20,6 @@ but within `RELAPSE_NS`.
 """
 LONGEST_QUIET_NS = 900_000_000_000
 RELAPSE_NS = 3_600_000_000_000
-MOST_EVENTS_AN_HOUR = 28
-"""Largest number of events for one kind of episode of one sensor: with quiet times of 1, 2, ... 512 and then 900
-seconds between its episodes no more than 14 of them begin in an hour.
-"""
 
 Report = Callable[[int, str, str], None]
 """(at_ns, kind, message)."""

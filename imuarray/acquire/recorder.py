@@ -39,6 +39,7 @@ from imuarray.log.missed_frames import BUS_WAS_LATE, duration_s, frames_in
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import LogWriter, Stimulus
 from imuarray.printable import counted
+from imuarray.wall_time import iso_text
 
 BATCH = 1024
 """Most frames between two writes; usually those of `BATCH_S`."""
@@ -364,8 +365,8 @@ def record(
         stopped = bus.stopping(stopped)
     headers = [route.header for route in routes]
     service = options.service or Service()
-    options.on_headers(_iso(epoch), headers)
-    with _writer(path, headers, options, epoch=_iso(epoch), source=bus.source, config=array.text) as log:
+    options.on_headers(iso_text(epoch), headers)
+    with _writer(path, headers, options, epoch=iso_text(epoch), source=bus.source, config=array.text) as log:
 
         def report(frames: int) -> None:
             options.progress(frames)
@@ -408,8 +409,3 @@ def _since(phases: Sequence[Phase], start_ns: int) -> list[Phase]:
         for phase in phases
         if phase.end_ns > start_ns
     ]
-
-
-def _iso(moment: datetime) -> str:
-    """Format a moment in any time zone as ISO 8601 with microseconds and Z."""
-    return moment.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")

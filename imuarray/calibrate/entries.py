@@ -16,8 +16,6 @@ from imuarray.arrays import Floats
 from imuarray.errors import CalibrationError
 from imuarray.toml_files import Place
 
-Table = Mapping[str, object]
-
 
 @dataclass(frozen=True)
 class EntryPlace:

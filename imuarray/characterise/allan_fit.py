@@ -373,8 +373,6 @@ def _error(estimate: AllanEstimate, theta: Floats, term: int, terms: Sequence[in
     return float(np.sqrt(np.linalg.pinv((white / scale).T @ (white / scale))[at, at]) / scale[at])
 
 
-NAMES: dict[Term, str] = {"quantisation": "Q", "white": "N", "flicker": "B", "random walk": "K", "ramp": "R"}
-
 UNITS: dict[Term, str] = {
     "quantisation": "{unit} s",
     "white": "{unit}/sqrt(Hz)",

@@ -41,7 +41,6 @@ _MAINS_HZ = (50, 60)
 _MAINS_HZ_ERROR = 0.05
 """The mains frequency of large grids stays within this in normal operation (the Continental European grid: 50 mHz)."""
 
-Axis = Mapping[str, Any]
 Place = tuple[str, str]
 """A sensor and an axis of it; "" for the sensor."""
 

@@ -79,16 +79,16 @@ def _span(log: Log) -> dict[str, Any]:
 
 def _wall_time(epoch: str, at_ns: int | None) -> str | None:
     """Return a time in ISO 8601 (UTC); None for a log without rows or without a date."""
-    from datetime import UTC, datetime, timedelta
+    from datetime import timedelta
 
-    if at_ns is None:
+    from imuarray.wall_time import iso_text, wall_time
+
+    if at_ns is None or (zero := wall_time(epoch)) is None:
         return None
     try:
-        moment = datetime.fromisoformat(epoch) + timedelta(microseconds=at_ns // 1000)
-    except (ValueError, OverflowError):
+        return iso_text(zero + timedelta(microseconds=at_ns // 1000), "milliseconds")
+    except OverflowError:
         return None
-    moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
-    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def _sensor(sensor: SensorLog) -> dict[str, Any]:

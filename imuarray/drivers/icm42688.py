@@ -45,8 +45,8 @@ _SELF_TEST_SETTLE_S = 0.2  # TDK-42
 
 @dataclass(frozen=True)
 class _Half:
-    """What differs between the halves of the die; `in_packet` is the place of the triad in a row of the queue, `bits`
-    are those of a count in high resolution.
+    """Properties in which the halves of the die differ; `in_packet` is the place of the triad in a row of the queue,
+    `bits` are those of a count in high resolution.
     """
 
     full_scale: Field

@@ -37,7 +37,7 @@ _MARKS = facts.CTRL9_XL[7:0]((facts.MARK_Z(1) | facts.PULSE_ACTIVE_HIGH(1)).valu
 
 @dataclass(frozen=True)
 class _Half:
-    """What differs between the halves of the die."""
+    """Properties in which the halves of the die differ."""
 
     full_scale: Field
     rate: Field

@@ -58,8 +58,8 @@ def _gyroscope_trim(registers: Registers) -> Floats:
 
 @dataclass(frozen=True)
 class _Half:
-    """What differs between the halves of the die; `trim` returns the factory's change (3,) by the self-test in counts
-    at the range of `self_test`.
+    """Properties in which the halves of the die differ; `trim` returns the factory's change (3,) by the self-test in
+    counts at the range of `self_test`.
     """
 
     full_scale: Field

@@ -33,7 +33,7 @@ _SELF_TEST_SETTLE_S = 0.2  # the filter's
 
 @dataclass(frozen=True)
 class _Half:
-    """What differs between the halves of the die."""
+    """Properties in which the halves of the die differ."""
 
     full_scale: Field
     deflected: Field

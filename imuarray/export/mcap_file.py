@@ -14,7 +14,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -33,6 +32,7 @@ from imuarray.export.content import open_content
 from imuarray.export.formats import ExportRequest, ExportSummary, Progress
 from imuarray.export.tables import Content, ExportTable, Meter, TableColumn
 from imuarray.log.health import is_trouble
+from imuarray.wall_time import unix_ns
 
 if TYPE_CHECKING:
     from imuarray.export.mcap_container import Container
@@ -41,8 +41,6 @@ _BLOCK = 1 << 12
 """Rows of each table that are in memory at a time."""
 _CHUNK_BYTES = 1 << 20
 """Bytes of messages that are compressed together, and must be read to see one of them."""
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_LAST_NS = 2**63
 
 Texts = npt.NDArray[np.uint8]
 
@@ -161,7 +159,9 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
     except ImportError:
         raise MissingExtraError("mcap", "export") from None
     with open_content(request, "si") as content:
-        zero_ns = epoch_ns(content.epoch, path)
+        zero_ns = unix_ns(content.epoch)
+        if zero_ns is None:
+            raise ExportError(f"{path}: the epoch {content.epoch!r} is not a date, which MCAP needs")
         with whole_file(path, force=force) as draft, draft.open("wb") as file:
             container = Container(file, f"imuarray {__version__}", "ros2" if for_ros2 else "")
             _write_head(container, content)
@@ -203,16 +203,6 @@ def _merge(container: Container, streams: Sequence[_ChannelStream], source: str)
             rows, offsets = slice(first, last), np.concatenate([[0], ends[first : last - 1] - start])
             container.chunk(content[start : ends[last - 1]], channels[rows], time_ns[rows], offsets)
             first = last
-
-
-def epoch_ns(epoch: str, path: Path) -> int:
-    """Return the nanoseconds from 1970 to an ISO 8601 time (without a zone: UTC); ExportError if it is not a date."""
-    try:
-        moment = datetime.fromisoformat(epoch)
-    except ValueError:
-        raise ExportError(f"{path}: the epoch {epoch!r} is not a date, which MCAP needs") from None
-    since = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - _EPOCH
-    return (since.days * 86_400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
 
 
 def _write_head(container: Container, content: Content) -> None:

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from imuarray.atomic import whole_file
-from imuarray.errors import ExportError, MissingExtraError
+from imuarray.errors import MissingExtraError
 from imuarray.export.content import head_with, open_content
 from imuarray.export.csv_files import file_names
 from imuarray.export.formats import CSV_INDEX, PARQUET_HEAD, ExportRequest, ExportSummary, Progress, csv_names
-from imuarray.export.mcap_file import epoch_ns
 from imuarray.export.tables import Content, ExportTable, Meter, TableColumn
+from imuarray.wall_time import unix_ns
 
 if TYPE_CHECKING:
     import pyarrow
@@ -71,7 +71,7 @@ def _write_table(path: Path, table: ExportTable, content: Content, head: Mapping
     import pyarrow
     from pyarrow import parquet
 
-    zero_ns = _zero_ns(content.epoch)
+    zero_ns = unix_ns(content.epoch)
     fields = [field for column in table.columns for field in _fields(column, zero_ns)]
     schema = pyarrow.schema(fields, metadata=_metadata(head))
     with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
@@ -79,14 +79,6 @@ def _write_table(path: Path, table: ExportTable, content: Content, head: Mapping
             arrays = [array for column in table.columns for array in _arrays(column, rows, zero_ns)]
             writer.write_table(pyarrow.Table.from_arrays(arrays, schema=schema))
             meter.add(rows.stop - rows.start, len(table.columns))
-
-
-def _zero_ns(epoch: str) -> int | None:
-    """Return the nanoseconds from 1970 to the epoch; None if it is not a date."""
-    try:
-        return epoch_ns(epoch, Path())
-    except ExportError:
-        return None
 
 
 def _fields(column: TableColumn, zero_ns: int | None) -> Iterator[pyarrow.Field]:

@@ -173,10 +173,10 @@ def _geometry(sensors: Sequence[Calibrated]) -> _Geometry | None:
     if any(noise is None for noise in noises) or not scatter.min() > 0:
         scatter = np.ones(len(scatter))
     white = np.concatenate([known.directions_box for _, known in sensors]) / scatter[:, None]
-    left, sizes, _ = np.linalg.svd(white)
+    vectors, sizes, _ = np.linalg.svd(white)
     if sizes[2] < _FLAT * sizes[0]:
         return None
-    return _Geometry(left[:, 3:].T / scatter, np.linalg.pinv(white) / scatter, np.linalg.inv(white.T @ white))
+    return _Geometry(vectors[:, 3:].T / scatter, np.linalg.pinv(white) / scatter, np.linalg.inv(white.T @ white))
 
 
 _FLAT = 1e-3

@@ -27,6 +27,7 @@ import numpy.typing as npt
 from imuarray.errors import SourceError
 from imuarray.importers.mapping import ISO, NS_PER_UNIT, FileTable, has_no_day, has_no_hour, is_date_format
 from imuarray.printable import counted
+from imuarray.wall_time import unix_ns
 
 ROWS = 4096
 """Rows per block."""
@@ -661,14 +662,10 @@ def _date_ns(column: CellColumn, row: int, text: str) -> int:
     text, leap_ns = _without_leap_second(text)
     whole, point, rest = text.partition(".")
     digits = rest[: len(rest) - len(rest.lstrip("0123456789"))]
-    try:
-        moment = datetime.fromisoformat(whole + rest[len(digits) :])
-        passed = (moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment) - datetime(1970, 1, 1, tzinfo=UTC)
-    except (ValueError, OverflowError):
-        raise column.refuse(
-            row, f"{column.text(row)!r} is not a date and time such as 2013-09-16T08:30:00.5Z"
-        ) from None
-    return (passed.days * 86400 + passed.seconds) * 1_000_000_000 + int(f"{digits[:9]:0<9}" if point else 0) + leap_ns
+    passed_ns = unix_ns(whole + rest[len(digits) :])
+    if passed_ns is None:
+        raise column.refuse(row, f"{column.text(row)!r} is not a date and time such as 2013-09-16T08:30:00.5Z")
+    return passed_ns + int(f"{digits[:9]:0<9}" if point else 0) + leap_ns
 
 
 def _without_leap_second(text: str) -> tuple[str, int]:

@@ -1,4 +1,4 @@
-"""What the columns of a recording mean, by their names and, if these do not help, by their values.
+"""Meaning of the columns of a recording, by their names and, if these do not help, by their values.
 
 Time increases, three columns whose names differ in x, y and z are a triad, gravity is 1 g. The result is a proposed map
 with its doubts.

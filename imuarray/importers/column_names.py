@@ -1,4 +1,4 @@
-"""What the names of columns say: unit, quantity, time, temperature, pressure."""
+"""Meaning of the names of columns: unit, quantity, time, temperature, pressure."""
 
 from __future__ import annotations
 

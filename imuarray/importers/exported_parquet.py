@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.errors import ExportError, SourceError
+from imuarray.errors import SourceError
 from imuarray.export.formats import CSV_INDEX, PARQUET_HEAD, csv_names
-from imuarray.export.mcap_file import epoch_ns
 from imuarray.importers import ImportSummary, open_source
 from imuarray.importers.exported import (
     COLUMN_UNITS,
@@ -27,6 +26,7 @@ from imuarray.importers.exported import (
 from imuarray.importers.parquet import open_parquet
 from imuarray.log.layout import ColumnGroup, Columns
 from imuarray.printable import printable
+from imuarray.wall_time import unix_ns
 
 _ROWS = 1 << 16
 _MOST_NOTES = 1 << 20
@@ -104,10 +104,8 @@ def _rows(path: Path, group: ColumnGroup, cells: tuple[str, ...], epoch: str) ->
 
     file = open_parquet(path)
     stored_names = set(file.schema_arrow.names)
-    try:
-        zero_ns, time = epoch_ns(epoch, path), "time"
-    except ExportError:
-        zero_ns, time = 0, "time_ns"
+    zero_ns = unix_ns(epoch)
+    time = "time_ns" if zero_ns is None else "time"
     where = {
         name: [time] if name == "time" else csv_names(name, cells if tail else (), COLUMN_UNITS.get(name, ""))
         for name, _, tail in group.columns
@@ -122,7 +120,7 @@ def _rows(path: Path, group: ColumnGroup, cells: tuple[str, ...], epoch: str) ->
                     _numbers(batch.column(cell), np.dtype(kind), f"{path}: column {cell}") for cell in where[name]
                 ]
                 columns[name] = np.stack(values, axis=1) if tail else values[0]
-            columns["time"] = columns["time"] - zero_ns
+            columns["time"] = columns["time"] - (zero_ns or 0)
             yield columns
     except (pyarrow.ArrowException, OSError) as error:
         raise SourceError(f"{path}: damaged: {printable(str(error))[:200]}") from None

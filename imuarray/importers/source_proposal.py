@@ -320,11 +320,11 @@ def _successive_parts(files: Iterable[_FolderFile]) -> Iterator[list[_FolderFile
     """Yield groups of files of equal columns that begin one after the other, in this order: they may be parts of one
     recording.
     """
-    alike: dict[tuple[str, ...], list[_FolderFile]] = {}
+    by_columns: dict[tuple[str, ...], list[_FolderFile]] = {}
     for file in files:
         if len(file.times):
-            alike.setdefault(tuple(file.names), []).append(file)
-    for group in alike.values():
+            by_columns.setdefault(tuple(file.names), []).append(file)
+    for group in by_columns.values():
         group.sort(key=lambda file: float(file.times[0]))
         spans = [float(file.times[-1] - file.times[0]) for file in group]
         begins = [float(file.times[0]) for file in group]

@@ -1,5 +1,5 @@
-"""What the values of columns say: gravity has one length and turns as a gyroscope says, quaternions have length 1,
-labels are constant.
+"""Quantities that the values of columns show: gravity has one length and turns as a gyroscope says, quaternions have
+length 1, labels are constant.
 """
 
 from __future__ import annotations

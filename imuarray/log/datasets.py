@@ -10,7 +10,6 @@ included. A column that the log lacks is missing.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +21,7 @@ from imuarray.figures import time_series_figure
 from imuarray.log.format import FLAGS, SYNC_PULSE, TIME_UNCERTAINTY
 from imuarray.log.layout import TRACK_UNITS
 from imuarray.units import SI_NAME, SI_PER_UNIT
+from imuarray.wall_time import wall_time
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -123,12 +123,8 @@ def table(labelled: Any) -> Any:
 
 def times_of(time: Times, epoch: str) -> Any:
     """Convert ns since an ISO 8601 epoch into (n,) datetime64[ns], UTC; timedelta64[ns] if the epoch is no date."""
-    try:
-        zero = datetime.fromisoformat(epoch)
-    except ValueError:
-        return np.asarray(time, np.int64).astype("timedelta64[ns]")
-    naive = (zero if zero.tzinfo else zero.replace(tzinfo=UTC)).astimezone(UTC).replace(tzinfo=None)
-    return np.datetime64(naive, "ns") + np.asarray(time, np.int64).astype("timedelta64[ns]")
+    since, zero = np.asarray(time, np.int64).astype("timedelta64[ns]"), wall_time(epoch)
+    return since if zero is None else np.datetime64(zero.replace(tzinfo=None), "ns") + since
 
 
 def physical_values(sensor: SensorLog, calibration: Calibration | None = None) -> Floats | None:

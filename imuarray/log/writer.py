@@ -72,6 +72,7 @@ from imuarray.log.layout import (
 )
 from imuarray.log.reader import Log
 from imuarray.log.sensor_log import SensorLog
+from imuarray.wall_time import iso_text
 
 QUEUE_BLOCKS = 1024
 """Most blocks that wait for a slow disk; `put` waits when there are more."""
@@ -602,8 +603,8 @@ def _losses(log: Log) -> tuple[Event, ...]:
 def _trace(log: Log, now: datetime) -> Event:
     """Return the event that says that the log was interrupted and recovered."""
     rows = sum(len(sensor) for sensor in log.sensors.values())
-    time_text = now.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-    return Event(_end_ns(log), "", "recovered", f"the log was interrupted; its {rows} rows were recovered {time_text}")
+    text = f"the log was interrupted; its {rows} rows were recovered {iso_text(now, 'seconds')}"
+    return Event(_end_ns(log), "", "recovered", text)
 
 
 def _copy(path: Path, output: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from imuarray.printable import counted, duration, listed
 from imuarray.report.page import Figure, Section, Table
 from imuarray.report.recording import PERIODS, RecordingFigure, recording_of, scripts
 from imuarray.units import READABLE
+from imuarray.wall_time import wall_time
 
 _EVENTS = 500
 """Most different events that are listed."""
@@ -150,13 +151,12 @@ def _duration(log: Log) -> str:
     first, last = min(int(s.time[0]) for s in rows), max(int(s.time[-1]) for s in rows)
     seconds = (last - first) * 1e-9
     length = duration(seconds, 1)
-    if not log.is_dated:
-        return length
+    epoch = wall_time(log.epoch) if log.is_dated else None
     try:
-        start = datetime.fromisoformat(log.epoch).astimezone(UTC) + timedelta(microseconds=first // 1000)
-    except (ValueError, OverflowError):
-        return length
-    return f"{length} from {start:%Y-%m-%d %H:%M:%S} UTC"
+        start = None if epoch is None else epoch + timedelta(microseconds=first // 1000)
+    except OverflowError:
+        start = None
+    return length if start is None else f"{length} from {start:%Y-%m-%d %H:%M:%S} UTC"
 
 
 def _noise(log: Log, result: Mapping[str, Any], *, with_figures: bool) -> Section:

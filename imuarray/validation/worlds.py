@@ -53,7 +53,6 @@ _ADDRESSES: Mapping[str, tuple[int, ...]] = MappingProxyType(
     {chip: CHIPS[chip].addresses for chip in ("adxl345", "bma180", "l3g4200d")}
 )
 _CHANNELS = 4
-MOST_SENSORS = 16
 _FACES: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {
         "+Z": (0.0, 0.0, 1.0),

@@ -170,7 +170,7 @@ class ErrorStates:
 
     @property
     def drifting(self) -> Booleans:
-        """Whether each state (n,) decays; responses don't."""
+        """Flags (n,) of the states that decay; responses don't."""
         return np.isfinite(self.time_constants_s)
 
     @property

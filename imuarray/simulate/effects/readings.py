@@ -1,4 +1,4 @@
-"""What the bus delivers instead of the latest codes."""
+"""Readings that the bus delivers instead of the latest codes."""
 
 from __future__ import annotations
 

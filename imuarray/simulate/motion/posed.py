@@ -17,8 +17,6 @@ from imuarray.simulate.motion.felt import Felt, Motion, thermometer_lag_s
 if TYPE_CHECKING:  # imported late: it reads logs, which other motions do not need
     from imuarray.simulate.motion.like import SplineColumns
 
-Triple = tuple[float, float, float]
-
 
 class PoseAttitude(NamedTuple):
     """The attitude of the box in a phase: the direction up in the box frame, of length 1; whether it was `estimated`
