@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import select
 import tty
-from types import TracebackType
 from typing import Self
 
 from firmware_emulator.serial_firmware import Firmware
@@ -69,8 +68,6 @@ class SerialPort:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         for end in (self._host, self._kept, self._woken, self._waker):
             os.close(end)

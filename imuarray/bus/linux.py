@@ -22,7 +22,6 @@ import fcntl
 import os
 from functools import lru_cache
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 from smbus2 import I2cFunc, SMBus, i2c_msg
@@ -219,9 +218,7 @@ class LinuxBus:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         for bus in self._others.values():
             bus._adapter.close()
         self._adapter.close()
@@ -262,11 +259,9 @@ class SpiBus:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         for bus in self._others.values():
-            bus.__exit__(kind, error, trace)
+            bus.__exit__(*error)
         self._ports.close()
 
 

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from datetime import datetime
 from os import PathLike
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Self
 
 from imuarray.bus.protocol import Bus, SpiPort
@@ -179,9 +178,7 @@ class ReplayBus:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._file.close()
 
 

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import click
@@ -66,9 +65,7 @@ class MonitorScreen:
     def _resize(self, number: int, frame: Any) -> None:
         self.resized = True
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._attributes is not None:
             signal.signal(signal.SIGWINCH, self._attributes)
 
