@@ -23,6 +23,7 @@ from imuarray.errors import ConfigError
 from imuarray.shipped import find_config
 from imuarray.spelling import guess
 from imuarray.toml_files import Mistake, parse_toml, read_text, refusal
+from imuarray.units import TRIADS
 
 _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
 SPI_DEVICE = "/dev/spidev"
@@ -30,7 +31,6 @@ SPI_DEVICE = "/dev/spidev"
 IIO = "iio:"
 """Prefix of a device that a driver of the kernel serves: iio:mpu6050@1-0068 is its name and its place."""
 _IIO_DEVICE = re.compile(r"iio:[^\s@/]{1,64}(@[^\s@/]{1,64})?")
-_TRIADS = ("specific_force", "angular_rate", "magnetic_field")
 
 
 class MuxConfig(BaseModel):
@@ -120,12 +120,12 @@ class SensorConfig(BaseModel):
     def _check_chip(self) -> None:
         if self.on_iio:
             spec = CHIPS.get(self.chip)
-            if spec is not None and spec.quantity not in _TRIADS:
+            if spec is not None and spec.quantity not in TRIADS:
                 raise ValueError(
-                    f"chip {self.chip!r}: the kernel's drivers are read for triads only: {_choice(_TRIADS)}"
+                    f"chip {self.chip!r}: the kernel's drivers are read for triads only: {_choice(TRIADS)}"
                 )
             if (spec.quantity if spec is not None else self.quantity) is None:
-                raise ValueError(f"quantity is missing: allowed are {_choice(_TRIADS)}")
+                raise ValueError(f"quantity is missing: allowed are {_choice(TRIADS)}")
             if spec is not None and self.quantity not in (None, spec.quantity):
                 raise ValueError(f"quantity {self.quantity!r}: the {self.chip} measures {spec.quantity}")
         elif self.chip in HALVES:  # neither half has this range

@@ -13,7 +13,7 @@ Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[flo
 UP_AXES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
 """The six ways a box can stand on a table: the box axis that points up."""
 
-_AXES = re.compile(r"([+-])([XYZ])" * 3)
+AXES = re.compile(r"([+-])([XYZ])" * 3)
 
 
 @cache
@@ -23,7 +23,7 @@ def orientation_of(axes: str) -> Matrix:
     ValueError when the text is not three signed axes, when an axis comes twice, or when the triad is left-handed (no
     chip is).
     """
-    match = _AXES.fullmatch(axes)
+    match = AXES.fullmatch(axes)
     if match is None:
         raise ValueError(
             f"axes {axes!r}: write the box axes along which the sensor's x, y and z point, such as '+Y+X-Z'"

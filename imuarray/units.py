@@ -14,6 +14,9 @@ QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 INERTIAL: tuple[Quantity, ...] = ("specific_force", "angular_rate")
 """The quantities of accelerometers and gyroscopes."""
 
+TRIADS: tuple[Quantity, ...] = (*INERTIAL, "magnetic_field")
+"""Quantities that have three axes."""
+
 STANDARD_GRAVITY = 9.80665
 """m/s2 in one g; 3rd CGPM (1901)."""
 

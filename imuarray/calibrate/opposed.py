@@ -67,7 +67,7 @@ def _row(chip: str, quantity: str, unit: str, axis: int, ways: Mapping[int, list
     )
 
 
-_OPPOSED = -0.95
+OPPOSED = -0.95
 """Cosine of the angle between two axes that point in opposite directions."""
 
 
@@ -105,7 +105,7 @@ def opposed_slopes(
             continue
         cosines = first.orientation.T @ second.orientation
         for i, j in product(range(3), range(3)):
-            if cosines[i, j] < _OPPOSED:
+            if cosines[i, j] < OPPOSED:
                 yield _pair(first, i, calibrations[first.name], second, j, calibrations[second.name])
 
 

@@ -21,6 +21,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from types import MappingProxyType
 
 import numpy as np
 
@@ -55,6 +56,7 @@ _RANGE_TOLERANCE = 0.15
 
 Ranges = Mapping[str, Mapping[float, float]]
 """Counts per unit at each measuring range, keyed by chip or sensor, as in `imuarray.chips.CHIPS`."""
+NO_RANGES: Ranges = MappingProxyType({})
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,14 +15,13 @@ import numpy.typing as npt
 from imuarray.arrays import Floats
 from imuarray.calibrate.model import Calibration, SensorCalibration
 from imuarray.calibrate.pose_readings import Pose, find_poses
-from imuarray.calibrate.runs import Ranges, explained_range
+from imuarray.calibrate.runs import NO_RANGES, Ranges, explained_range
 from imuarray.calibrate.stability import TurnOn
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
 
 _SECONDS = 10.0
 _STILL = ("static", "room", "run ")
-_NO_RANGES: Ranges = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ def state_of(
     means: Mapping[str, npt.ArrayLike],
     calibration: Calibration,
     *,
-    ranges: Ranges = _NO_RANGES,
+    ranges: Ranges = NO_RANGES,
     limit: float = 8.0,
     pose_g: float = 0.02,
 ) -> dict[str, StartUp]:
@@ -93,7 +91,7 @@ def _start_up(
 
 
 def start_up_states(
-    log: Log, calibration: Calibration, ranges: Ranges = _NO_RANGES
+    log: Log, calibration: Calibration, ranges: Ranges = NO_RANGES
 ) -> tuple[Calibration, dict[str, StartUp]]:
     """Return the calibration reduced to the states in which the gyroscopes of a log started, with the biases of these,
     and the start-up state of each sensor.

@@ -21,6 +21,7 @@ from imuarray.calibrate.fits import refuse_imprecise
 from imuarray.calibrate.model import Calibration, nominal
 from imuarray.calibrate.motion import motion_in, refuse_other_poses
 from imuarray.calibrate.runs import (
+    NO_RANGES,
     SIGNIFICANT,
     BootFault,
     Ranges,
@@ -40,7 +41,6 @@ from imuarray.units import INERTIAL
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NO_RANGES: Ranges = MappingProxyType({})
 _NONE: Mapping[float, float] = MappingProxyType({})
 
 _FEWEST_RUNS = 3

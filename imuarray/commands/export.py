@@ -8,11 +8,16 @@ from typing import Any
 
 import click
 
-from imuarray.commands.options import force_option, json_option, only_option, print_json, progress, refuse_existing
+from imuarray.commands.options import (
+    force_option,
+    json_option,
+    only_option,
+    print_json,
+    refuse_existing,
+    share_progress,
+)
 from imuarray.export import TOOLS, UNITS, WRITERS
 from imuarray.printable import counted, listed
-
-_STEPS = 1000
 
 
 @click.command("export")
@@ -90,7 +95,7 @@ def _run(options: ExportOptions) -> None:
 
     refuse_existing(options.output, options.force, source=options.source)
     calibration = load_calibration(options.calibration_file) if options.calibration_file else None
-    with progress(_STEPS, str(options.output)) as set_progress:
+    with share_progress(str(options.output)) as progress:
         summary = export(
             options.source,
             options.output,
@@ -99,7 +104,7 @@ def _run(options: ExportOptions) -> None:
             units=options.units,
             tool=options.tool,
             force=options.force,
-            progress=lambda share: set_progress(int(share * _STEPS)),
+            progress=progress,
         )
     if options.as_json:
         files = [str(file) for file in summary.files]

@@ -18,9 +18,9 @@ from imuarray.commands.options import (
     log_argument,
     only_option,
     print_json,
-    progress,
     refuse_existing,
     refuse_other_suffix,
+    share_progress,
 )
 from imuarray.fuse.technique_descriptions import NAME_WIDTH, TECHNIQUE_DESCRIPTIONS, TECHNIQUE_NAMES
 from imuarray.printable import listed
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 _MEAN = "mean"
 
-_STEPS = 1000
-"""Steps of a progress bar."""
 
 _AVERAGE = 0.1
 """Share of the time that the average takes if it is computed before an estimator of the whole array."""
@@ -216,13 +214,10 @@ def _write_fused(work: _Work, output: Path, source: str, force: bool) -> tuple[d
     notes: list[FusionNotes] = []
     sensors = _sensors(log, work.names)
     valued: set[str] = set()
-    with progress(_STEPS, technique) as set_progress, _quality_of(log) as quality:
+    with share_progress(technique) as progress, _quality_of(log) as quality:
         frames = write_fused(
             output,
-            _note_values(
-                _measure(work, quality, events.append, notes.append, lambda share: set_progress(int(share * _STEPS))),
-                valued,
-            ),
+            _note_values(_measure(work, quality, events.append, notes.append, progress), valued),
             epoch=log.epoch,
             technique=technique,
             log=str(log.path),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imuarray.commands.options import progress
+from imuarray.commands.options import share_progress
 from imuarray.fuse.technique_descriptions import NAME_WIDTH
 from imuarray.json_values import json_value
 from imuarray.printable import counted
@@ -129,9 +129,6 @@ def _cells(error: dict[str, Any] | None, factor: float) -> str:
 
 # Evaluation --------------------------------------------------------------------------------------------------------
 
-_STEPS = 1000
-"""Steps of a progress bar."""
-
 
 def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[str, Any]:
     """Return the evaluation of all techniques on a log, JSON-ready, with a progress bar; `names`: only these
@@ -139,8 +136,8 @@ def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[
     """
     from imuarray.fuse import compare
 
-    with progress(_STEPS, "techniques") as set_progress:
-        comparison = compare(log, calibration, only=names, progress=lambda share: set_progress(int(share * _STEPS)))
+    with share_progress("techniques") as progress:
+        comparison = compare(log, calibration, only=names, progress=progress)
     return evaluation_of(comparison)
 
 

@@ -184,6 +184,14 @@ def progress(length: int, label: str) -> Iterator[Callable[[int], None]]:
 
 
 @contextmanager
+def share_progress(label: str) -> Iterator[Callable[[float], None]]:
+    """Show a progress bar on standard error; yields a function that sets the share of the work that is done."""
+    steps = 1000
+    with progress(steps, label) as move:
+        yield lambda share: move(int(share * steps))
+
+
+@contextmanager
 def bars() -> Iterator[Callable[[str, int, int], None]]:
     """Show a progress bar for each step of the work; yields a function of the step, its progress and its length."""
     with ExitStack() as stack:

@@ -6,10 +6,14 @@ from pathlib import Path
 
 import click
 
-from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing, workers_option
-
-_STEPS = 1000
-"""Steps of a progress bar."""
+from imuarray.commands.options import (
+    force_option,
+    json_option,
+    print_json,
+    refuse_existing,
+    share_progress,
+    workers_option,
+)
 
 
 @click.command("report")
@@ -38,9 +42,8 @@ def command(files: tuple[Path, ...], output: Path, title: str, workers: int, for
     for path in (member for file in files for member in reportable_files(file)):
         refuse_existing(output, force, source=path if path.is_file() else None)
         file_kind(path)
-    with progress(_STEPS, "report") as set_progress:
-        moved = lambda share: set_progress(int(share * _STEPS))  # noqa: E731
-        kinds = write_report(files, output, title=title, force=force, progress=moved, workers=workers)
+    with share_progress("report") as progress:
+        kinds = write_report(files, output, title=title, force=force, progress=progress, workers=workers)
     if as_json:
         print_json({"report": str(output), "files": kinds})
     else:

@@ -28,7 +28,7 @@ LEVELS = {"INFO": 2, "WARNING": 3}
 
 _NUMBER: Mapping[str, Any] = {"type": "number"}
 _NINE: Mapping[str, Any] = {"type": "array", "items": _NUMBER, "minItems": 9, "maxItems": 9}
-_ENTRIES = (0, 3, 4, 3, 1, 5, 4, 5, 2)
+ENTRIES_OF_COVARIANCE = (0, 3, 4, 3, 1, 5, 4, 5, 2)
 """Position of the nine entries of a covariance among the six that are stored (xx yy zz xy xz yz)."""
 _NOT_KNOWN = [-1.0, *[0.0] * 8]
 _IMU = {"angular_rate": "angular_velocity", "specific_force": "linear_acceleration"}
@@ -79,7 +79,8 @@ def imu_message(nanoseconds: int, row: Mapping[str, Any]) -> dict[str, Any]:
         is_finite = _finite(triad)
         if is_finite:
             message[name] = dict(zip("xyz", triad, strict=True))
-        covariance = [six[entry] for entry in _ENTRIES] if _finite(six) else [0.0] * 9  # ROS: all zero, not known
+        # In ROS, a covariance of zeros is not known.
+        covariance = [six[entry] for entry in ENTRIES_OF_COVARIANCE] if _finite(six) else [0.0] * 9
         message[f"{name}_covariance"] = covariance if is_finite else _NOT_KNOWN
     if _finite([row.get("temperature", math.nan)]):
         message["temperature"] = row["temperature"]

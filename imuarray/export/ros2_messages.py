@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats, Times
 from imuarray.errors import ExportError
+from imuarray.export.mcap_schemas import ENTRIES_OF_COVARIANCE
 from imuarray.export.tables import ExportTable, Meter, TableColumn, numbered
 
 LOG = "rcl_interfaces/msg/Log"
@@ -81,8 +82,6 @@ DEFINITIONS: Mapping[str, str] = {
 """The definition of each type of message, which the bag contains so that any reader can decode it."""
 
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-_ENTRIES = (0, 3, 4, 3, 1, 5, 4, 5, 2)
-"""Positions of the nine entries of a covariance among the six that are stored (xx yy zz xy xz yz)."""
 _IMU_NUMBERS = 37
 _ORIENTATION_W, _ORIENTATION_COVARIANCE = 3, 4
 _IMU = {"angular_rate": 13, "specific_force": 25}
@@ -184,7 +183,7 @@ def _imu(cells: Cells) -> Floats:
         is_finite = np.isfinite(triad).all(axis=1)
         has_covariance = is_finite & np.isfinite(six).all(axis=1)
         numbers[is_finite, place : place + 3] = triad[is_finite]
-        numbers[has_covariance, place + 3 : place + 12] = six[has_covariance][:, _ENTRIES]
+        numbers[has_covariance, place + 3 : place + 12] = six[has_covariance][:, ENTRIES_OF_COVARIANCE]
         numbers[~is_finite, place + 3] = -1.0
     return numbers
 

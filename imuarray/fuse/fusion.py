@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration
+from imuarray.calibrate.runs import NO_RANGES
 from imuarray.calibrate.start_up import start_up_states
 from imuarray.errors import CalibrationError, FusionError
 from imuarray.fuse import techniques
@@ -29,7 +29,7 @@ from imuarray.fuse.element_temperature import (
     with_mismatch,
 )
 from imuarray.fuse.faults import FaultEvent, Ranges
-from imuarray.fuse.faults.monitor import NO_RANGES, MaskedPipeline, MonitoredPipeline
+from imuarray.fuse.faults.monitor import MaskedPipeline, MonitoredPipeline
 from imuarray.fuse.frames import Axis, Frames, FusedBlock, axes_of
 from imuarray.fuse.optimal import ErrorModel, error_model
 from imuarray.fuse.optimal.optimal import CausalPipeline, FrameBlock, FramePipeline, smoothed
@@ -43,8 +43,6 @@ from imuarray.log.format import SensorHeader
 from imuarray.printable import listed
 from imuarray.spelling import guess
 from imuarray.units import INERTIAL
-
-_NO_RANGES: Mapping[str, Mapping[float, float]] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ def prepare_inputs(
     *,
     technique: str | None = None,
     only: Sequence[str] = (),
-    ranges: Mapping[str, Mapping[float, float]] = _NO_RANGES,
+    ranges: Ranges = NO_RANGES,
     progress: Callable[[str, int, int], None] = lambda what, done, of: None,
 ) -> FusionInputs:
     """Prepare `calibration` for the fusion of `log` by `technique` (None: by any), with `only` these sensors (empty:

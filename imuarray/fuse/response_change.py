@@ -28,7 +28,8 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.log import Log, SensorLog
+from imuarray.calibrate.response_transfer import Calibrated
+from imuarray.log import Log
 from imuarray.robust import MEDIAN_SQUARE
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
 
@@ -88,10 +89,6 @@ def _calibrated_shares(known: SensorCalibration) -> Floats | None:
         return None
     scale = np.repeat(known.scale_lsb_per_unit, 3)
     return np.asarray(covariance / np.outer(scale, scale))
-
-
-Calibrated = tuple[SensorLog, SensorCalibration]
-"""A sensor and its calibration."""
 
 
 def with_response_change(log: Log, calibration: Calibration, only: Collection[str] = ()) -> Calibration:

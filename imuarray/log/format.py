@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from imuarray.axes import Matrix, orientation_of
 from imuarray.errors import LogError
 from imuarray.printable import printable
-from imuarray.units import QUANTITIES, SI_PER_UNIT, Quantity
+from imuarray.units import QUANTITIES, SI_PER_UNIT, TRIADS, Quantity
 
 if TYPE_CHECKING:
     from imuarray.array import SensorConfig
@@ -111,9 +111,6 @@ ASSUMED = "assumed"
 
 DIGITS = "digits"
 """Values that a program rounded to decimal digits, whose step is one count."""
-
-TRIADS = ("specific_force", "angular_rate", "magnetic_field")
-"""Quantities that have three axes."""
 
 
 class ThermometerScale(NamedTuple):

@@ -40,7 +40,7 @@ from imuarray.log.layout import (
 )
 from imuarray.log.untrusted_input import DAMAGE
 
-_SENSORS = "sensors/"
+SENSORS = "sensors/"
 
 
 class LiveView:
@@ -52,7 +52,7 @@ class LiveView:
         self.preamble, self.losses = content.preamble, content.losses
         self.has_journal = journal is not None
         self.attrs = log_attributes(self.preamble)
-        attributes = {_SENSORS + header.name: sensor_attributes(header) for header in self.preamble.sensors}
+        attributes = {SENSORS + header.name: sensor_attributes(header) for header in self.preamble.sensors}
         parts = {}
         for number, (group, tail) in enumerate(zip(groups_of(self.preamble.sensors), content.tail, strict=True)):
             columns = {name: _column(content.committed, number, group, name, tail[name]) for name in tail}
@@ -62,7 +62,7 @@ class LiveView:
         end_ns = max((int(part["time"][-1]) + 1 for part in parts.values() if len(part["time"])), default=0)
         tracks = {name: part for name in TRACK_COLUMNS if len((part := parts.pop(name))["time"])}
         self._items: dict[str, Any] = {
-            "sensors": {path.removeprefix(_SENSORS): parts[path] for path in sorted(parts)},
+            "sensors": {path.removeprefix(SENSORS): parts[path] for path in sorted(parts)},
             "phases": _table(("start", "end", "name", "up"), notes.phases_until(end_ns)),
             "events": _table(("time", "sensor", "kind", "message"), notes.events),
             **tracks,
@@ -281,7 +281,7 @@ def _content(
 def _newest_ns(groups: tuple[ColumnGroup, ...], committed: CommittedRows) -> Mapping[int, int]:
     """Return the last times of the sensors that have rows, by number."""
     counted = enumerate(zip(groups, committed.rows, strict=True))
-    sensors = ((number, rows) for number, (group, rows) in counted if rows and group.path.startswith(_SENSORS))
+    sensors = ((number, rows) for number, (group, rows) in counted if rows and group.path.startswith(SENSORS))
     newest = {}
     for number, rows in sensors:
         try:

@@ -21,7 +21,7 @@ from imuarray.log import Log, SensorLog, open_log
 from imuarray.log.commits import COMMITS, Commit, read_commits
 from imuarray.log.format import Preamble
 from imuarray.log.inspection import UnclosedFile, is_marked_open, refuse_hostile
-from imuarray.log.interrupted import stored_preamble
+from imuarray.log.interrupted import SENSORS, stored_preamble
 from imuarray.log.journal import JournalReader, is_running, journal_of
 from imuarray.log.layout import NOTES, ColumnGroup, sensor_attributes
 from imuarray.log.untrusted_input import DAMAGE
@@ -194,7 +194,6 @@ def _rows_of(sensor: SensorLog, first: int) -> dict[str, Any]:
     return {name: np.asarray(column[first:]) for name, column in columns.items()}
 
 
-_SENSORS = "sensors/"
 _MOST_BYTES = 1 << 25
 """Most bytes of the journal that one refresh reads; after a long pause, several refreshes catch up."""
 
@@ -230,7 +229,7 @@ class Growing:
             self._mark = commit.mark if commit else self._reader.start
             columns = {}
             for group, count in zip(groups, rows, strict=True):
-                name = group.path.removeprefix(_SENSORS)
+                name = group.path.removeprefix(SENSORS)
                 if group.path == NOTES:
                     read_rows.events.take_stored(file[NOTES]["text"], count)
                 elif name in read_rows.windows and count:
@@ -260,8 +259,8 @@ class Growing:
             group = self._reader.groups[record.group]
             if group.path == NOTES:
                 self.read_rows.events.take(group.decode(record.payload, record.rows)["text"])
-            elif group.path.startswith(_SENSORS):
-                window = self.read_rows.windows[group.path.removeprefix(_SENSORS)]
+            elif group.path.startswith(SENSORS):
+                window = self.read_rows.windows[group.path.removeprefix(SENSORS)]
                 rows += window.add(group.decode(record.payload, record.rows))
             if record.after.position > limit:
                 break
@@ -299,7 +298,7 @@ def _opened(path: Path, preamble: Preamble) -> h5py.File:
 
 def _last_commit(file: h5py.File, groups: Sequence[ColumnGroup], commits: list[Commit], span_ns: int) -> Commit | None:
     """Return the last commit after which there are at least `span_ns` of rows; None if the whole journal is needed."""
-    sensors = [(number, group.path) for number, group in enumerate(groups) if group.path.startswith(_SENSORS)]
+    sensors = [(number, group.path) for number, group in enumerate(groups) if group.path.startswith(SENSORS)]
 
     def newest_ns(commit: Commit) -> int:
         times = (file[path]["time"][commit.rows[number] - 1] for number, path in sensors if commit.rows[number])

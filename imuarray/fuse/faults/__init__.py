@@ -6,8 +6,8 @@
            -> hypotheses (one axis or a whole sensor, by likelihood ratio) -> isolation -> masked frames, events
 """
 
+from imuarray.calibrate.runs import Ranges
 from imuarray.fuse.faults.exclusions import FaultEvent
-from imuarray.fuse.faults.hypotheses import Ranges
 from imuarray.fuse.faults.monitor import ExclusionMasks, FaultMonitor
 
 __all__ = ["ExclusionMasks", "FaultEvent", "FaultMonitor", "Ranges"]

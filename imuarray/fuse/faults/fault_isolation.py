@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Times
+from imuarray.calibrate.runs import Ranges
 from imuarray.fuse.faults.exclusions import UNIT, Exclusion, FaultReport, agreeing, needs
 from imuarray.fuse.faults.fast_path import QUIETEST, WindowSeries
 from imuarray.fuse.faults.hypotheses import (
@@ -20,7 +21,6 @@ from imuarray.fuse.faults.hypotheses import (
     QUIET,
     Baseline,
     FaultKind,
-    Ranges,
     Suspect,
     TriadComparison,
     compare_triad,

@@ -23,6 +23,7 @@ from typing import Literal
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats
+from imuarray.calibrate.runs import Ranges
 from imuarray.fuse.faults.window import (
     DELAY_S,
     DecisionWindow,
@@ -33,9 +34,6 @@ from imuarray.fuse.faults.window import (
 )
 from imuarray.fuse.frames import Axis
 from imuarray.units import STANDARD_GRAVITY
-
-Ranges = Mapping[str, Mapping[float, float]]
-"""Counts per unit at each measuring range, keyed by chip, as in `imuarray.chips.CHIPS`."""
 
 QUIET = 0.1
 """Share of the usual mean square of changes from reading to reading below which a triad is stuck, or measures in a

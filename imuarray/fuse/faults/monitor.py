@@ -13,17 +13,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from types import MappingProxyType
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from imuarray.arrays import Booleans, Floats
+from imuarray.calibrate.runs import NO_RANGES, Ranges
 from imuarray.errors import FusionError
 from imuarray.fuse.faults.exclusions import FaultEvent
 from imuarray.fuse.faults.fast_path import WindowSeries
 from imuarray.fuse.faults.fault_isolation import FaultIsolation
-from imuarray.fuse.faults.hypotheses import Ranges
 from imuarray.fuse.faults.window import DecisionWindow, lever_arms
 from imuarray.fuse.frames import Axis, Frames, directions
 from imuarray.fuse.least_squares import consensus
@@ -37,8 +36,6 @@ LEAST_FRAMES = 4
 
 _AT_FIRST, _AT_ONCE = 8, 256
 """Number of windows that are prepared together: after an exclusion or readmission, and at most (some megabytes)."""
-
-NO_RANGES: Ranges = MappingProxyType({})
 
 
 class ExclusionMasks:

@@ -32,16 +32,13 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.opposed import cancelled
+from imuarray.calibrate.opposed import OPPOSED, cancelled
 from imuarray.calibrate.stability import BIAS
 from imuarray.fuse.frames import Axis, Estimate, Frames, axes_of, directions
 from imuarray.fuse.least_squares import solve_frames
 from imuarray.fuse.techniques.technique import Technique, mean
 from imuarray.log import SensorLog
 from imuarray.recursion import first_order
-
-_OPPOSED = -0.95
-"""Cosine of the angle between two axes that point in opposite directions."""
 
 _WITHIN = 1.96
 """Standard errors to either side of a 95 % interval."""
@@ -93,8 +90,8 @@ def capabilities(sensors: Sequence[SensorLog], calibration: Calibration) -> list
             second.label,
             first.chip,
             "XYZ"[int(np.abs(first.direction_box).argmax())],
-            _drift(parameters[first.sensor], first.index, parameters[second.sensor], second.index),
-            _bias(parameters[first.sensor], first.index, parameters[second.sensor], second.index),
+            _reduction(*(_drift(parameters[axis.sensor], axis.index) for axis in (first, second))),
+            _reduction(*(_bias(parameters[axis.sensor], axis.index) for axis in (first, second))),
             all(_is_bias(parameters[axis.sensor], axis.index) for axis in (first, second)),
         )
         for first, second in _opposing(axes_of(sensors, calibration))
@@ -104,7 +101,7 @@ def capabilities(sensors: Sequence[SensorLog], calibration: Calibration) -> list
 def _opposing(axes: Sequence[Axis]) -> Iterator[tuple[Axis, Axis]]:
     for first, second in combinations(axes, 2):
         similar = first.chip == second.chip and first.sensor != second.sensor
-        if similar and np.dot(first.direction_box, second.direction_box) < _OPPOSED:
+        if similar and np.dot(first.direction_box, second.direction_box) < OPPOSED:
             yield first, second
 
 
@@ -112,31 +109,29 @@ def _is_bias(parameters: SensorCalibration, index: int) -> bool:
     return parameters.thermal is None or parameters.thermal.meaning[index] == BIAS
 
 
-def _drift(first: SensorCalibration, i: int, second: SensorCalibration, j: int) -> Reduction | None:
-    if first.thermal is None or second.thermal is None:
+def _drift(parameters: SensorCalibration, index: int) -> tuple[float, float] | None:
+    """Return the slope of an axis with temperature and its standard error, in SI per degC; None if not measured."""
+    if parameters.thermal is None:
         return None
-    return _reduction(
-        first.thermal.slope_lsb_per_degc[i] / first.lsb_per_si[i],
-        second.thermal.slope_lsb_per_degc[j] / second.lsb_per_si[j],
-        first.thermal.slope_sem_lsb_per_degc[i] / first.lsb_per_si[i],
-        second.thermal.slope_sem_lsb_per_degc[j] / second.lsb_per_si[j],
-    )
+    slope, sem = parameters.thermal.slope_lsb_per_degc[index], parameters.thermal.slope_sem_lsb_per_degc[index]
+    return slope / parameters.lsb_per_si[index], sem / parameters.lsb_per_si[index]
 
 
-def _bias(first: SensorCalibration, i: int, second: SensorCalibration, j: int) -> Reduction | None:
-    if first.bias_sem_lsb is None or second.bias_sem_lsb is None:
+def _bias(parameters: SensorCalibration, index: int) -> tuple[float, float] | None:
+    """Return the bias of an axis and its standard error, in SI; None if not measured."""
+    if parameters.bias_sem_lsb is None:
         return None
-    return _reduction(
-        first.bias_lsb[i] / first.lsb_per_si[i],
-        second.bias_lsb[j] / second.lsb_per_si[j],
-        first.bias_sem_lsb[i] / first.lsb_per_si[i],
-        second.bias_sem_lsb[j] / second.lsb_per_si[j],
-    )
+    scale = parameters.lsb_per_si[index]
+    return parameters.bias_lsb[index] / scale, parameters.bias_sem_lsb[index] / scale
 
 
-def _reduction(first: float, second: float, sem_first: float, sem_second: float) -> Reduction:
-    """Return the reduction with its interval, which collapses to a point for standard errors of zero."""
-    tiny = np.finfo(float).tiny
+def _reduction(error: tuple[float, float] | None, other_error: tuple[float, float] | None) -> Reduction | None:
+    """Return the reduction of two errors, each with its standard error; its interval collapses to a point for standard
+    errors of zero. None if one of them is not known.
+    """
+    if error is None or other_error is None:
+        return None
+    (first, sem_first), (second, sem_second), tiny = error, other_error, np.finfo(float).tiny
     remaining, sem, reduction, p_value, _ = cancelled(first, second, max(sem_first, tiny), max(sem_second, tiny))
     single = (abs(first) + abs(second)) / 2
     low, high = abs(remaining) - _WITHIN * sem, abs(remaining) + _WITHIN * sem

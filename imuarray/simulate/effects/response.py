@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -10,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.arrays import Reals
+from imuarray.axes import AXES
 from imuarray.simulate.effect import Effect, numbers, per_axis, require, several
 from imuarray.simulate.signal import Analog, Felt, Place, Triple, per_row
 
@@ -46,7 +46,6 @@ def with_position(effects: Sequence[Effect], position_mm: Triple) -> tuple[Effec
 
 
 _NOMINAL = "+X+Y+Z"
-_AXES = re.compile(r"([+-])([XYZ])" * 3)
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class AxisError(Effect):
     def __post_init__(self) -> None:
         """Raise ValueError unless X, Y and Z occur once each, with a sign."""
         super().__post_init__()
-        match = _AXES.fullmatch(self.axes)
+        match = AXES.fullmatch(self.axes)
         if match is None or len(set(match.groups()[1::2])) < 3:
             raise ValueError(f"axes: {self.axes!r}; each of X, Y, Z once, signed, such as '+Y+X-Z'")
 

@@ -30,6 +30,9 @@ FIELD_LEVEL = np.array([0.2, 0.0, -0.43])
 AIR_PRESSURE_PA = 101325.0
 """Air pressure at height 0; ISO 2533, the standard atmosphere."""
 
+ROOM_DEGC = 25.0
+"""Temperature of a motion that states none."""
+
 PA_PER_M = 1.225 * STANDARD_GRAVITY
 """Decrease of pressure per metre of height; density of air at sea level, ISO 2533."""
 

@@ -22,7 +22,15 @@ from imuarray.errors import LogError
 from imuarray.log.columns import NamedColumn, Track
 from imuarray.log.format import Phase
 from imuarray.log.reader import Log
-from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, PhaseField, field_at, resting, standing_on
+from imuarray.simulate.motion.faces import (
+    FIELD_LEVEL,
+    GRAVITY_LEVEL,
+    ROOM_DEGC,
+    PhaseField,
+    field_at,
+    resting,
+    standing_on,
+)
 from imuarray.simulate.motion.felt import Felt
 
 BLOCK = 16384
@@ -313,8 +321,6 @@ def _pieces(block: _CubicPieces, time_ns: Integers, row: npt.NDArray[np.intp]) -
     length_s = block.length_s.take(piece)
     return ((time_ns - block.time_ns.take(row)) * 1e-9) / length_s, length_s, block.curve.take(piece, axis=2)
 
-
-ROOM_DEGC = 25.0
 
 CHIP_S, SHORT_CHIP_S, CHIP_SHARE = 10.0, 2.0, 1 / 15
 """Times over which the readings of a chip's own thermometer are averaged: this time, or this share of a shorter log,

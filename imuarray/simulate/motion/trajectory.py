@@ -25,7 +25,7 @@ import numpy as np
 from imuarray.arrays import Floats, Integers, Reals
 from imuarray.errors import SourceError
 from imuarray.log.format import Phase
-from imuarray.simulate.motion.faces import AIR_PRESSURE_PA, FIELD_LEVEL, GRAVITY_LEVEL, PA_PER_M
+from imuarray.simulate.motion.faces import AIR_PRESSURE_PA, FIELD_LEVEL, GRAVITY_LEVEL, PA_PER_M, ROOM_DEGC
 from imuarray.simulate.motion.felt import Felt
 from imuarray.units import SI_PER_UNIT
 
@@ -163,7 +163,6 @@ TEMPERATURE = "temperature_degc"
 LAYOUTS = (PLACE + ANGLES, PLACE + QUATERNION, FORCE + RATE_DPS, FORCE + RATE)
 """The columns of a file besides its times."""
 
-ROOM_DEGC = 25.0
 _UNIT_WITHIN = 0.01
 _LARGEST = 1e9
 """Limit of the magnitude of positions, angles and forces; it prevents overflow in splines."""

@@ -32,7 +32,7 @@ from imuarray.calibrate import Calibration, calibrate_noise, calibrate_thermal, 
 from imuarray.calibrate.start_up import start_up_states
 from imuarray.chips import CHIPS
 from imuarray.fuse import OPTIMAL, ErrorFrames, FusedBlock, coasting, error_frames, fuse, technique_names
-from imuarray.fuse.comparison import both
+from imuarray.fuse.comparison import AXES, both
 from imuarray.fuse.error_consistency import consistency
 from imuarray.fuse.evaluation import Ratio, ratio_of, ten_second_means
 from imuarray.fuse.fusion import AVERAGE
@@ -139,7 +139,6 @@ CAUSAL, SMOOTHED = "bound, causal", "bound, smoothed"
 OPTIMAL_CAUSAL = "optimal, causal"
 """`optimal` as in the fusion of a live log; `optimal` itself uses the whole log."""
 
-BOX_AXES = ("X", "Y", "Z", "XYZ")
 COASTING = ("heading", "velocity")
 
 
@@ -314,7 +313,7 @@ def _errors_of(
 
 def _by_axis(squares: Floats) -> dict[str, float]:
     """Return the figures of each box axis, and their sum: that of the length of the error."""
-    return dict(zip(BOX_AXES, [*squares.tolist(), float(squares.sum())], strict=True))
+    return dict(zip(AXES, [*squares.tolist(), float(squares.sum())], strict=True))
 
 
 Progress = Callable[[int, int, str], None]

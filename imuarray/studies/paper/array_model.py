@@ -109,7 +109,7 @@ TONE_SHARE = 0.03
 then ripples by 0.03, twenty times its sampling error ("can be clearly seen"), and y's deviation grows by 1.5 %, less
 than the 5 % by which Table 9's x and z differ from each other.
 """
-_STDS = ((10, "std_lsb"), (11, "runs_std"), (11, "cont_std"))
+STDS = ((10, "std_lsb"), (11, "runs_std"), (11, "cont_std"))
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ def _six_faces(name: str, rows: Sequence[Row], slope: Floats) -> tuple[Floats, F
 
 def _noise(name: str, design: str, lsb: float) -> Floats:
     """Return the root of the mean variance in three experiments, less rounding and the line, counts."""
-    variance = np.mean([_column(number, name, column) ** 2 for number, column in _STDS], axis=0)
+    variance = np.mean([_column(number, name, column) ** 2 for number, column in STDS], axis=0)
     tone = np.array([0.0, (tone_dps() / lsb) ** 2 / 2, 0.0]) if design == "Gyro" else 0.0
     return np.asarray(np.sqrt(variance - STEP_LSB[design] ** 2 / 12 - tone))
 
@@ -309,8 +309,8 @@ def _thermometer_parameters(name: str, design: str) -> tuple[float, float]:
 
 def _code_variance(name: str, codes_per_degc: float) -> float:
     """Return the mean variance of the thermometer's codes in three experiments, less that of the temperature itself."""
-    variances = [float(number_in(row_of(number, f"{name} t"), column)) ** 2 for number, column in _STDS]
-    return float(np.mean(variances) - codes_per_degc**2 * np.mean([DEGC[key] ** 2 for key in _STDS]))
+    variances = [float(number_in(row_of(number, f"{name} t"), column)) ** 2 for number, column in STDS]
+    return float(np.mean(variances) - codes_per_degc**2 * np.mean([DEGC[key] ** 2 for key in STDS]))
 
 
 def rms_before_rounding(variance: float) -> float:

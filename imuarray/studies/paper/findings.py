@@ -11,11 +11,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
-from textwrap import wrap
 from typing import Any
 
 from imuarray import __version__
 from imuarray.json_values import json_value
+from imuarray.studies.paper.results import hanging
 
 NEXT_EXPERIMENT = (
     "switch the array on a dozen times a day for several days, a reference thermometer beside it "
@@ -25,7 +25,6 @@ NEXT_EXPERIMENT = (
     "log Gyro1 alone at 350 Hz with its data-ready bits: repeated triads are stale_samples, none is bandwidth"
 )
 """Measurements that distinguish similar causes."""
-_WIDTH = 100
 
 
 @dataclass(frozen=True)
@@ -137,27 +136,23 @@ def render_text() -> str:
     lines = ["The paper's tables beside its chips' data sheets: anomalies and their likely causes", ""]
     for finding in findings():
         lines += [*_paragraph(finding), ""]
-    return "\n".join([*lines, *_hanging("Next: ", NEXT_EXPERIMENT)]) + "\n"
+    return "\n".join([*lines, *hanging("Next: ", NEXT_EXPERIMENT)]) + "\n"
 
 
 def _paragraph(finding: Finding) -> Iterator[str]:
     confusable = f", or {' or '.join(finding.confusable_with)}" if finding.confusable_with else ""
     place = f"{', '.join(finding.sensors)}{' ' if finding.axes else ''}{', '.join(finding.axes)}"
     yield f"{finding.name[0].upper()}{finding.name[1:]} ({finding.place})"
-    yield from _hanging("  ", finding.anomaly)
-    yield from _hanging("  cause    ", f"{finding.effect or 'unknown'}{confusable}; {place}")
+    yield from hanging("  ", finding.anomaly)
+    yield from hanging("  cause    ", f"{finding.effect or 'unknown'}{confusable}; {place}")
     for figure in finding.figures:
         neighbours = {"data sheet": figure.data_sheet, "with the cause": figure.with_cause}
         neighbour_texts = [f"{name} {value:g}" for name, value in neighbours.items() if value is not None]
         channel_text = f"{figure.channel}, " if figure.channel else ""
         unit = f" {figure.unit}" if figure.unit else ""
-        yield from _hanging(
+        yield from hanging(
             "  figure   ",
             f"{channel_text}{figure.of}: {figure.printed:g}{unit}"
             + (f" ({', '.join(neighbour_texts)})" if neighbour_texts else ""),
         )
-    yield from _hanging("  open     ", finding.open)
-
-
-def _hanging(head: str, text: str) -> list[str]:
-    return wrap(text, _WIDTH, initial_indent=head, subsequent_indent=" " * len(head), break_on_hyphens=False)
+    yield from hanging("  open     ", finding.open)

@@ -133,7 +133,7 @@ def _matches(result: dict[str, Any]) -> Iterator[str]:
         explained, _ = _sums(result["within_input_rounding"][table])
         short = ", ".join(f"{name} {count[0]}/{count[1]}" for name, count in columns.items() if count[0] < count[1])
         head = f"  {_TITLES.get(table, table):<24} {equal:>3} of {total:>3} equal, {explained:>3} explained  "
-        yield from _hanging(head, short.replace(" ", _NO_BREAK).replace(f",{_NO_BREAK}", ", ") or "all")
+        yield from hanging(head, short.replace(" ", _NO_BREAK).replace(f",{_NO_BREAK}", ", ") or "all")
 
 
 def _sums(columns: dict[str, list[int]]) -> tuple[int, int]:
@@ -143,7 +143,7 @@ def _sums(columns: dict[str, list[int]]) -> tuple[int, int]:
 def _key_numbers(result: dict[str, Any]) -> Iterator[str]:
     yield "Key numbers"
     for label, text in _key_lines(result):
-        yield from _hanging(f"  {label:<18}", text)
+        yield from hanging(f"  {label:<18}", text)
 
 
 def _key_lines(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
@@ -191,24 +191,25 @@ def _slips(result: dict[str, Any]) -> Iterator[str]:
     slips = [slip for slip in result["slips"] if not slip["holds"]]
     yield f"Slips of the paper: {len(slips)} (all evidence: --json)"
     for slip in slips:
-        yield from _hanging("  - ", slip["claim"])
-        yield from _hanging("    > ", _first_clause(slip))
+        yield from hanging("  - ", slip["claim"])
+        yield from hanging("    > ", _first_clause(slip))
 
 
 def _conclusions(result: dict[str, Any]) -> Iterator[str]:
     holding = sum(conclusion["holds"] for conclusion in result["conclusions"])
     yield f"Conclusions of the paper: {holding} of {len(result['conclusions'])} hold (evidence and criteria: --json)"
     for conclusion in result["conclusions"]:
-        yield from _hanging("  yes " if conclusion["holds"] else "  NO  ", conclusion["claim"])
+        yield from hanging("  yes " if conclusion["holds"] else "  NO  ", conclusion["claim"])
         if not conclusion["holds"]:
-            yield from _hanging("      > ", _first_clause(conclusion))
+            yield from hanging("      > ", _first_clause(conclusion))
 
 
 def _first_clause(statement: dict[str, Any]) -> str:
     return str(statement["evidence"]).partition("; ")[0]
 
 
-def _hanging(head: str, text: str) -> list[str]:
+def hanging(head: str, text: str) -> list[str]:
+    """Return a text in lines of at most 100 columns, the first of which begins with `head`; the others are indented."""
     lines = wrap(text, _WIDTH, initial_indent=head, subsequent_indent=" " * len(head), break_on_hyphens=False)
     return [line.replace(_NO_BREAK, " ") for line in lines]
 

@@ -21,6 +21,7 @@ from imuarray.arrays import Floats
 from imuarray.studies.paper.array_model import (
     PARTS,
     REFERENCE_DEGC,
+    STDS,
     WINDOW_S,
     SensorUnit,
     covariance_of_means,
@@ -36,7 +37,6 @@ from imuarray.studies.paper.variation import bias_states, boot_faults
 RANGE_OVER_DEVIATION = 0.102
 """Standard deviation of ln(range / standard deviation) of 15 normal numbers."""
 _CODES_PER_DEGC = {"BMA": 2.0, "Gyro": -1.0}
-_STDS = ((10, "std_lsb"), (11, "runs_std"), (11, "cont_std"))
 
 
 def printed(number: int, channel: str, column: str) -> float:
@@ -118,7 +118,7 @@ def noise_residual(channel: str) -> float:
     """Root mean square of ln(standard deviation over its quadratic mean) in Tables 10 and 11 (three experiments)."""
     squares = []
     for member in group_of(channel):
-        variances = np.array([printed(number, member, column) ** 2 for number, column in _STDS])
+        variances = np.array([printed(number, member, column) ** 2 for number, column in STDS])
         squares.extend((np.log(variances / variances.mean()) / 2) ** 2)
     return sqrt(np.mean(squares))
 
