@@ -30,7 +30,7 @@ from imuarray.characterise.findings import SURE, shares_times
 from imuarray.characterise.processing import NO_GRAVITY, find_filters, find_interpolation
 from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
 from imuarray.characterise.repeats import STALE_SHARE, Repeats, RepeatTally
-from imuarray.importers.sphere import fit_sphere
+from imuarray.importers.triad_behaviour import fit_sphere
 from imuarray.log import Log, SensorLog
 from imuarray.log.row_timing import GAP, RowTiming, row_timing
 from imuarray.printable import counted, listed, percent

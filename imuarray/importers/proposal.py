@@ -20,9 +20,8 @@ from imuarray.importers.column_names import COMPUTED, INDEX, SPELLINGS, TIME, co
 from imuarray.importers.mapping import NS_PER_UNIT, ZERO_OF_UNIT
 from imuarray.importers.plausibility import RATES_HZ, USUAL_RATES_HZ
 from imuarray.importers.resolution import WIDE_SENSITIVITIES, usual_bits
-from imuarray.importers.sphere import fit_sphere
 from imuarray.importers.text_layout import TextLayout, quoted
-from imuarray.importers.triad_behaviour import NEAR_GRAVITY
+from imuarray.importers.triad_behaviour import NEAR_GRAVITY, fit_sphere
 from imuarray.printable import printable
 from imuarray.units import STANDARD_GRAVITY, UNITS_OF
 

@@ -6,7 +6,7 @@ import pytest
 
 from imuarray.calibrate import gravity
 from imuarray.characterise import bands, codes, processing, rate_changes, result
-from imuarray.importers import arrays, cells, guess, plausibility, resolution, sphere, table
+from imuarray.importers import arrays, cells, guess, plausibility, resolution, table, triad_behaviour
 
 CHOSEN = {
     (plausibility, "WINDOW_S"): 0.5,
@@ -34,8 +34,8 @@ CHOSEN = {
     (result, "HARMONICS"): 8,
     (result, "CHANCE"): 0.02,
     (plausibility, "TURN_WINDOW_S"): 0.125,
-    (sphere, "SPANS_DIRECTIONS"): 0.1,
-    (sphere, "ON_SPHERE"): 0.03,
+    (triad_behaviour, "SPANS_DIRECTIONS"): 0.1,
+    (triad_behaviour, "ON_SPHERE"): 0.03,
     (guess, "_OPENED"): 0.25,
     (cells, "MOST_RESTARTS"): 1000,
     (codes, "TURNING"): 1 / 3,
