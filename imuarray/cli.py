@@ -7,6 +7,7 @@ import gc
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from importlib import import_module
 from types import MappingProxyType
 
@@ -76,15 +77,28 @@ class _Commands(click.Group):
             formatter.write_dl(list(COMMANDS.items()))
 
 
+_PACKAGES = ("numpy", "scipy", "h5py", "smbus2", "pyserial", "matplotlib")
+"""The packages on which results can depend."""
+
+
 def _versions(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
     """Print the versions on which results may depend, and end."""
-    if wanted and not context.resilient_parsing:
-        from imuarray.commands.versions import versions
+    if not wanted or context.resilient_parsing:
+        return
+    import platform
+    from importlib.metadata import PackageNotFoundError, version
 
-        click.echo(f"imuarray {__version__}")
-        for name, version in versions().items():
-            click.echo(f"  {name:12} {version}")
-        context.exit()
+    import h5py
+
+    system = f"{platform.python_version()} on {platform.system()} {platform.release()} {platform.machine()}"
+    numbers = {"python": system, "HDF5": h5py.version.hdf5_version}
+    for name in _PACKAGES:
+        with suppress(PackageNotFoundError):
+            numbers[name] = version(name)
+    click.echo(f"imuarray {__version__}")
+    for name, number in numbers.items():
+        click.echo(f"  {name:12} {number}")
+    context.exit()
 
 
 @click.group(
