@@ -18,19 +18,16 @@ import numpy as np
 from imuarray.array import ArrayConfig, load_array
 from imuarray.atomic import write_text
 from imuarray.calibrate import Calibration, TumbleResult
-from imuarray.characterise import characterise_log
 from imuarray.errors import ConfigError, LogError
 from imuarray.fuse import errors_of, fuse
-from imuarray.gap.diagnose import diagnose
 from imuarray.gap.findings.diagnosis import Diagnosis
 from imuarray.log import Log, open_log
 from imuarray.report import Figure, Section, Table, Verdict, write_page
-from imuarray.report.gap_page import write_gap_page
 from imuarray.studies.demo import (
-    REPLICATES,
     calibration_section,
     common_figures,
     demo_summary,
+    diagnose_rest,
     drift_of_gyroscopes,
     gap_section,
     noise_section,
@@ -78,12 +75,7 @@ def run_array_demo(config: Path, folder: Path, options: DemoOptions, report: Rep
     write_text(polled, polled_text(array), force=True)
     logs, tumble, calibration = record_and_fuse(polled, folder, options, report)
     errors = [error for run in _RUNS for error in errors_in(run, logs[run], calibration)]
-    report("diagnosing")
-    with open_log(logs["static"]) as log:
-        diagnosis = diagnose([log], only=one_of_each(array), seed=options.seed, replicates=REPLICATES)
-        noise = characterise_log(log)
-    write_gap_page(folder / "gap.html", diagnosis, force=True)
-    report("drawing")
+    diagnosis, noise = diagnose_rest(logs["static"], folder, one_of_each(array), options.seed, report)
     parts = [
         errors_section(errors),
         heating_section(logs["heating"], calibration),

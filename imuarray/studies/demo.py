@@ -429,12 +429,7 @@ def run_demo(config: Path, folder: Path, options: DemoOptions, report: Report) -
     prepare_folder(folder, options.force)
     logs, tumble, calibration = record_and_fuse(config, folder, options, report)
     rows = compare(logs, calibration)
-    report("diagnosing")
-    with open_log(logs["static"]) as log:
-        diagnosis = diagnose([log], only=DIAGNOSED, seed=options.seed, replicates=REPLICATES)
-        noise = characterise_log(log)
-    write_gap_page(folder / "gap.html", diagnosis, force=True)
-    report("drawing")
+    diagnosis, noise = diagnose_rest(logs["static"], folder, DIAGNOSED, options.seed, report)
     lines = summary(rows)
     title = "An emulated array, recorded, calibrated and fused"
     parts = [
@@ -449,6 +444,21 @@ def run_demo(config: Path, folder: Path, options: DemoOptions, report: Report) -
     write_page(folder / "report.html", title, lines, parts, verdict=demo_verdict(rows, tumble, diagnosis), force=True)
     measured = {"gains": [{"case": case.label, **vars(gain)} for case, gain in rows]}
     return demo_summary(folder, lines, measured, tumble, diagnosis)
+
+
+def diagnose_rest(
+    path: Path, folder: Path, only: Sequence[str], seed: int, report: Report
+) -> tuple[Diagnosis, dict[str, Any]]:
+    """Compare `only` these sensors of the run at rest with a simulator, write gap.html, and return the diagnosis and
+    the noise of all sensors.
+    """
+    report("diagnosing")
+    with open_log(path) as log:
+        diagnosis = diagnose([log], only=only, seed=seed, replicates=REPLICATES)
+        noise = characterise_log(log)
+    write_gap_page(folder / "gap.html", diagnosis, force=True)
+    report("drawing")
+    return diagnosis, noise
 
 
 def demo_summary(

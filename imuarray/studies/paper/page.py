@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from imuarray.report.page import NO_FIGURES, Figure, Section, Table, Verdict, marked, write_page
 from imuarray.studies.paper import figures
+from imuarray.studies.paper.replica.statistic import within
 from imuarray.studies.paper.results import SOURCE, recompute, recomputed_rows
 from imuarray.studies.paper.systematic import AxisPair, pairs
 from imuarray.studies.paper.tables import Cell, RecomputedRow, Row, number_in, row_of, table
@@ -388,12 +389,11 @@ def counted(lines: Sequence[PrintedNumber]) -> list[str]:
     """Return how many statistics were simulated, lie within 1, 2, 3 uncertainties, were recomputed, are equal, near,
     neither.
     """
-    sizes = [abs(line.twin.z) for line in lines if line.twin]
+    twins = [line.twin for line in lines if line.twin]
     cells = [line.cell for line in lines if line.cell]
-    counts = [sum(size <= limit for size in sizes) for limit in (1, 2, 3)]
     equal = sum(cell.matches for cell in cells)
     explained = sum(cell.within_input_rounding for cell in cells)
-    simulated = [len(sizes), *counts] if sizes else [NOTHING] * 4
+    simulated = [len(twins), *within(twins)] if twins else [NOTHING] * 4
     followed = [len(cells), equal, explained - equal, len(cells) - explained] if cells else [NOTHING] * 4
     return [str(count) for count in (*simulated, *followed)]
 

@@ -288,13 +288,17 @@ class AgreementSummary:
 def summary(statistics: Iterable[Statistic]) -> AgreementSummary:
     """Return the summary of some statistics; at least one must not be derived."""
     rows = list(statistics)
-    sizes = [abs(row.z) for row in rows]
     free = [row for row in rows if not row.derived]
     degrees = effective_degrees(free)
     low, high = (float(chi2.ppf(share, degrees)) / degrees for share in _EXPECTED)
-    counts = (sum(size <= 1 for size in sizes), sum(size <= 2 for size in sizes), sum(size <= 3 for size in sizes))
     chi_square = sum(row.z**2 for row in free) / len(free)
-    return AgreementSummary(len(rows), counts, len(free), chi_square, degrees, (low, high))
+    return AgreementSummary(len(rows), within(rows), len(free), chi_square, degrees, (low, high))
+
+
+def within(rows: Sequence[Statistic]) -> tuple[int, int, int]:
+    """Return how many statistics lie within 1, 2 and 3 uncertainties."""
+    first, second, third = (sum(abs(row.z) <= limit for row in rows) for limit in (1, 2, 3))
+    return first, second, third
 
 
 def effective_degrees(rows: Sequence[Statistic]) -> float:
@@ -346,14 +350,11 @@ class Replica:
         return {
             "seed": self.seed,
             "summary": asdict(self.summary),
-            "tables": {name: _brief(self.of(name)) for name in self.tables},
+            "tables": {
+                name: {"count": len(self.of(name)), "within": list(within(self.of(name)))} for name in self.tables
+            },
             "statistics": [asdict(row) | {"z": row.z if abs(row.z) < inf else None} for row in self.statistics],
         }
-
-
-def _brief(rows: Sequence[Statistic]) -> dict[str, Any]:
-    result = [abs(row.z) for row in rows]
-    return {"count": len(rows), "within": [sum(size <= limit for size in result) for limit in (1, 2, 3)]}
 
 
 _LISTED = 3.0
@@ -372,8 +373,8 @@ def _tables(replica: Replica) -> Iterator[str]:
     yield f"  {'':<14}{'statistics':>10}{'within 1':>10}{'2':>7}{'3':>7}   uncertainties"
     for name in replica.tables:
         rows = replica.of(name)
-        result = [sum(abs(row.z) <= limit for row in rows) for limit in (1, 2, 3)]
-        yield f"  {name:<14}{len(rows):>10}{result[0]:>10}{result[1]:>7}{result[2]:>7}"
+        first, second, third = within(rows)
+        yield f"  {name:<14}{len(rows):>10}{first:>10}{second:>7}{third:>7}"
 
 
 def _together(replica: Replica) -> Iterator[str]:
