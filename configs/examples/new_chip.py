@@ -62,31 +62,33 @@ class Lis3dh(ChipDriver):
         )
 
     def steps(self) -> Iterator[float]:
-        """Rate and range, written and read back."""
+        """Write rate and range, and read them back."""
         for setting in self.watched:
             self.registers.set(setting)
             yield 0.0
 
     def self_test(self) -> SelfTest:
-        """Not written yet."""
+        """Return that there is none."""
         return SelfTest(None, "this driver has no self-test")
 
     def fetch(self) -> bytes:
-        """Status and the three axes, one instant."""
+        """Read the status and the three axes in one burst."""
         return self.registers.bus.transfer(self.registers.address, bytes([STATUS.address | AUTO_INCREMENT]), self.burst)
 
     def decode(self, bursts: Bytes) -> DecodedBursts:
-        """Counts of 12 bits; stale without ZYXDA (bit 3), overrun with ZYXOR (bit 7)."""
+        """Return counts of 12 bits; stale without ZYXDA (bit 3), overrun with ZYXOR (bit 7)."""
         counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16) >> 4
         fresh = flagged(~bursts[:, 0], 0x08, STALE) | flagged(bursts[:, 0], 0x80, OVERRUN)
         return DecodedBursts(counts, None, fresh | saturated(counts, -2048, 2047))
 
 
-# 4. One line each: "lis3dh": SPEC in imuarray.chips.CHIPS, by which `detect` knows it by sight, and "lis3dh": Lis3dh in
-#    imuarray.drivers.DRIVERS.
-# 5. firmware_emulator/chips/lis3dh.py: the chip as the wire sees it, written from the data sheet, not from the driver.
+# 4. One line each: "lis3dh": SPEC in imuarray.chips.CHIPS, by which `detect` recognises the chip, and "lis3dh": Lis3dh
+#    in imuarray.drivers.DRIVERS.
+# 5. firmware_emulator/chips/lis3dh.py: the emulated chip, written from the data sheet and not from the driver. It is
+#    not part of this example; firmware_emulator/chips/lis3mdl.py is a short one.
 
-# 6. tests/golden/lis3dh_*.jsonl: who writes the facts does not write these. Write, bytes read, source.
+# 6. tests/golden/lis3dh_*.jsonl, best written by somebody else than the author of the facts: bytes written, bytes read,
+#    source.
 GOLDEN = (
     ("0f", "33", "WHO_AM_I"),
     ("2077", "", "400 Hz is code 7, all axes on"),
@@ -98,32 +100,32 @@ GOLDEN = (
 
 
 class Conversation:
-    """A bus on which exactly this is said."""
+    """A bus that expects these transactions, in this order."""
 
     def __init__(self, lines: tuple[tuple[str, str, str], ...]) -> None:
         self.lines = list(lines)
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """The next answer; ValueError if it was not the next thing to say."""
+        """Return the next answer; ValueError if this is not the next transaction."""
         asked, answer, source = self.lines.pop(0)
         if (address, write.hex(), read) != (0x18, asked, len(answer) // 2):
-            raise ValueError(f"{write.hex()} for {read} bytes was said to {address:#x}, not {asked} ({source})")
+            raise ValueError(f"{address:#x} got {write.hex()} for {read} bytes; expected is {asked} ({source})")
         return bytes.fromhex(answer)
 
 
 class Now:
-    """A clock that nobody waits for."""
+    """A clock that stands still."""
 
     def now_ns(self) -> int:
-        """Always the beginning."""
+        """Return 0."""
         return 0
 
     def sleep_until(self, at_ns: int) -> None:
-        """At once."""
+        """Return at once."""
 
 
 def main() -> list[float]:
-    """Identify, configure, fetch, decode; the reading in g."""
+    """Identify, configure, fetch and decode; return the reading (3,) in g."""
     place = {"name": "A", "chip": "lis3dh", "place": "trunk address 0x18", "address": 0x18}
     # SensorConfig, once the chip is in CHIPS
     sensor = SimpleNamespace(spec=SPEC, **place, range=2.0, chip_rate_hz=400.0)
@@ -133,11 +135,11 @@ def main() -> list[float]:
     driver.configure()
     decoded = driver.decode(np.frombuffer(driver.fetch(), np.uint8).reshape(1, driver.burst))
     if bus.lines:
-        raise ValueError(f"never said: {bus.lines}")
+        raise ValueError(f"expected transactions that did not happen: {bus.lines}")
     reading: list[float] = (decoded.counts[0] / SPEC.sensitivity[2.0]).tolist()
     return reading
 
 
 if __name__ == "__main__":
     x, y, z = main()
-    print(f"The driver holds the golden conversation; the burst in it reads x {x:+.2f} g, y {y:+.2f} g, z {z:+.2f} g.")
+    print(f"The driver reproduces the golden conversation; its burst reads x {x:+.2f} g, y {y:+.2f} g, z {z:+.2f} g.")
