@@ -28,19 +28,30 @@ _CHOICES = frozenset({"range", "axes"})
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A change of a sensor's model that may explain what it shows.
+    """A change of a sensor's model that may explain what the sensor shows.
 
-    `effects` are added, with first guesses of their parameters; effects of the kind `removed` are taken out first
-    ("": none). `free` are the parameters that the search may refine, each by a positive factor, a value per axis
-    axis by axis: a guess of 0, and its sign, stay. `limits`: what a parameter may be, where more or less can't be
-    told from another effect. `shared`: it shows only between sensors, and all of the chip have it alike, or
-    (`sensor`) this one has it, and `others` show it; these have the effects `opposite` at the same time; or just
-    its `members` of the chip have it; or (`everywhere`) all that the host reads. `whole`: neither part shows it
-    without the other. `rarity`: nats by which it is rarer, as it is meant, than others that look the same
-    (negative: more usual). `fitted` are the ordinary parameters to begin with, where the effect misleads the fit
-    (None: those of the fit), and `opposite_fitted` those of the others. It holds always, or `when` it says (`at`).
-    `begin_bounds_s`: moments of its log between which the last span of less than a log begins, where looks have to find
-    the beginning.
+    What changes:
+
+    * `effects` are added, with first guesses of their parameters; before that, effects of the kind `removed` are taken
+      out ("": none).
+    * `free`: the parameters that the search may refine, each axis by a positive factor; a guess of 0 and its sign stay.
+    * `limits`: smallest and largest value of a parameter; beyond them another effect looks the same.
+    * `fitted`: the ordinary parameters to begin with, if the effect misleads the fit (None: those of the fit).
+
+    In which sensors:
+
+    * `shared`: the effect shows only in comparison with other sensors. All sensors of the chip have it, or only
+      `sensor`, or only the `members` of the chip. `others` are sensors that show it although they do not have it; they
+      get the effects `opposite` and begin with `opposite_fitted`.
+    * `everywhere`: it concerns all sensors that the host reads.
+
+    When:
+
+    * `when`: the spans in which the effect acts (default: always); see `at`.
+    * `whole`: neither part of the recordings shows the effect without the other part.
+    * `begin_bounds_s`: earliest and latest time at which the last span begins, if it is shorter than its log.
+
+    `rarity`: by how many nats the effect is rarer than others that look the same (negative: more usual).
     """
 
     effects: tuple[Effect, ...]
