@@ -190,17 +190,17 @@ def _names(bench: Bench) -> Iterator[tuple[_Place, _Place, _Place]]:
         yield (*statistic, "kind", kind, key.phase), (*statistic, "phase", key.phase, state), (*statistic, "any", state)
 
 
-ENOUGH: Mapping[int, float] = MappingProxyType({40: 0.25, 64: 0.15})
+ENOUGH: Mapping[int, float] = MappingProxyType({24: 0.5, 40: 0.25, 64: 0.15})
 """Numbers of replicates after which no more are simulated if the p-value is larger than the limit. The limits never
 rise, and are so far above `LEVEL` that hardly a gap is missed: one that all replicates would detect at p = 0.05 is
 given up in less than one of two hundred cases.
 """
 
 
-CLEAR = 2.0
-"""Ratio of the largest score of a recording to the largest of all replicates from which on no more are simulated than
-for the first look: by the tails of scores a gap is then certain, and where it is beyond chance more replicates would
-change little.
+CLEAR, LEAST_CLEAR = 2.0, 40
+"""Ratio of the largest score of a recording to the largest of all replicates, of which there are at least so many,
+from which on no more are simulated: by the tails of scores a gap is then certain, and more replicates would change
+little.
 """
 
 _DELAY_STEPS = 3
@@ -404,7 +404,7 @@ def compare_with_base(
         scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
         normal = normal_scores_by_others(scores, pairs.keys)
         where = localise(pairs.keys, bench.base.headers, normal[0], normal[1:], pooled_scores(normal, pairs.keys))
-        if where.p > limit or _is_clear(normal):
+        if where.p > limit or (count >= LEAST_CLEAR and _is_clear(normal)):
             break
     whole = replace(assess(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)
     return Comparison(bench, campaign, real, simulated, pairs, whole, where, earlier)
