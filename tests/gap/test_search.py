@@ -213,10 +213,20 @@ def test_what_gains_most_is_taken() -> None:
     first = {"bias": 5.0, "white_noise": 9.0, "stuck": 1.0, "tone": 0.0}
     last = {"bias": (5.0, 8.0), "white_noise": (9.0, 7.0), "tone": (0.0, 1.0)}
     found, told = round_of(first, last, Bias(1.0), WhiteNoise(1.0), Stuck(0.0))
-    assert told.asked == [1, 2, 1, 3]  # looks at all, refined, the placebo, confirmed
+    assert told.asked == [1, 2, 2, 1, 1]  # looks at all, refined, confirmed, the placebo refined, confirmed
     assert [one.trial.name for one in found.confirmed] == ["bias", "white_noise"]
     assert found.placebo_gain == 1.0
     assert found.selection is found.confirmed[0]
+
+
+def test_a_family_whose_causes_gain_too_little_needs_no_placebo() -> None:
+    """It could only raise what they have to gain; the placebo of a single sensor is told."""
+    trials, placebo = [Hypothesis((Bias(1.0),))], Hypothesis((LINE,))
+    for unit, gain, placebos in ((UNIT, 0.0, 1), (("G1", "G2"), 0.0, 0), (("G1", "G2"), ACCEPTED + 0.1, 1)):
+        told = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (9.0, gain), "tone": (0.0, -1.0)})
+        standing = replace(by_hand([0.0], drawn(1)), unit=unit)
+        search_round({unit: standing}, {unit: trials}, {unit: placebo}, told)
+        assert told.asked == [1, 1, 1, placebos, placebos]
 
 
 def test_without_a_placebo_a_cause_has_to_gain_by_itself() -> None:
@@ -224,7 +234,7 @@ def test_without_a_placebo_a_cause_has_to_gain_by_itself() -> None:
     for gain, is_taken in ((ACCEPTED + 0.1, True), (ACCEPTED - 0.1, False)):
         told = CannedRun({"bias": 9.0}, {"bias": (9.0, gain)})
         found = search_round({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Hypothesis((Bias(1.0),))]}, {}, told)[UNIT]
-        assert told.asked == [1, 1, 0, 1]
+        assert told.asked == [1, 1, 1, 0, 0]
         assert ([one.trial.name for one in found.confirmed], found.placebo_gain) == (["bias"], 0.0)
         assert (found.selection is not None) == is_taken
 
@@ -381,7 +391,7 @@ def test_what_happens_once_counts_in_both_parts(gain: float, is_taken: bool) -> 
 
 def test_nothing_worth_looking_at() -> None:
     found, told = round_of({"bias": WORTH, "tone": 0.0}, {"tone": (0.0, -1.0)}, Bias(1.0))
-    assert told.asked == [1, 0, 0, 0]  # no placebo where nothing is to be compared with it
+    assert told.asked == [1, 0, 0, 0, 0]  # no placebo where nothing is to be compared with it
     assert (found.confirmed, found.selection, found.placebo_gain) == ((), None, 0.0)
 
 

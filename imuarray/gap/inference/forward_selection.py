@@ -176,15 +176,24 @@ def search_round(
     likely = {unit: likeliest(unit_looks, REFINED) for unit, unit_looks in looks.items()}
     refined = _results_of(run, _refine, standings, likely)
     best = {unit: likeliest(hypotheses, CONFIRMED) for unit, hypotheses in refined.items()}
+    confirmed = _results_of(run, _confirm, standings, best)
     needed = {
-        unit: [FittedHypothesis(placebos[unit])] for unit, hypotheses in best.items() if hypotheses and unit in placebos
+        unit: [FittedHypothesis(placebos[unit])]
+        for unit, evaluations in confirmed.items()
+        if evaluations and unit in placebos and _needs_placebo(standings[unit], evaluations)
     }
-    fakes = _results_of(run, _refine, standings, needed)
-    confirmed = _results_of(run, _confirm, standings, {unit: [*best[unit], *fakes.get(unit, ())] for unit in best})
+    fakes = _results_of(run, _confirm, standings, _results_of(run, _refine, standings, needed))
     return {
-        unit: _round(standings[unit], evaluations, bool(fakes.get(unit)), known)
+        unit: _round(standings[unit], [*evaluations, *fakes.get(unit, ())], bool(fakes.get(unit)), known)
         for unit, evaluations in confirmed.items()
     }
+
+
+def _needs_placebo(standing: UnitState, evaluations: Sequence[Evaluation]) -> bool:
+    """Return whether a placebo is to be told, or may change the selection: it raises what a cause has to gain, which is
+    needless for a family in which none gains enough.
+    """
+    return len(standing.unit) == 1 or _round(standing, evaluations, False).selection is not None
 
 
 def likeliest(trials: Iterable[FittedHypothesis], count: int) -> list[FittedHypothesis]:
