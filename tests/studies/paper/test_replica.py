@@ -15,7 +15,7 @@ from scipy.special import polygamma
 
 from imuarray.log.writer import Block
 from imuarray.simulate.motion.heating import Heating
-from imuarray.studies.paper.replica import Replica, Statistic, render_text, replicate
+from imuarray.studies.paper.replica import Replica, Statistic, compare, observe, render_text
 from imuarray.studies.paper.replica.comparison import autocorrelation, line_hz, period
 from imuarray.studies.paper.replica.simulation import line, run_temperatures, windows
 from imuarray.studies.paper.replica.statistic import (
@@ -191,7 +191,7 @@ def test_runs_are_as_warm_as_the_independent_thermometer_says() -> None:
 @pytest.fixture(scope="module")
 def replica() -> Replica:
     told: list[tuple[int, int, str]] = []
-    found = replicate(1, progress=lambda *news: told.append(news))
+    found = Replica(1, tuple(compare(observe(1, progress=lambda *news: told.append(news)))))
     assert told[0][:2] == (1, 21)
     assert told[-1] == (21, 21, "run 15")
     return found
@@ -248,4 +248,4 @@ def test_it_is_json(replica: Replica) -> None:
 @pytest.mark.slow
 def test_workers_change_nothing(replica: Replica) -> None:
     with ThreadPoolExecutor(2) as executor:
-        assert replicate(1, executor) == replica
+        assert Replica(1, tuple(compare(observe(1, executor)))) == replica

@@ -15,7 +15,6 @@ of 1 / sqrt(3) units. A wrong yes or no (codes all even, a spectral line or none
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import replace
 from functools import cache
 from math import hypot, isnan, log, sqrt
@@ -31,15 +30,12 @@ from imuarray.studies.paper.array_model import PARTS, TIME_CONSTANT_S, WINDOW_S,
 from imuarray.studies.paper.replica.simulation import (
     BOOTS,
     ExperimentData,
-    Progress,
     Window,
     array_rate_hz,
     high_rate_s,
-    observe,
 )
 from imuarray.studies.paper.replica.statistic import (
     RANGE_OVER_DEVIATION,
-    Replica,
     Statistic,
     axis_of,
     between_units,
@@ -69,14 +65,6 @@ Table = Mapping[str, Columns]
 
 _LINE_OVER_FLOOR = 10.0
 _AROUND_HZ = (40.0, 60.0)
-
-
-def replicate(seed: int = 1, executor: Executor | None = None, progress: Progress | None = None) -> Replica:
-    """Return all experiments with this seed, compared; `executor` distributes them, `progress` receives (number
-    completed, all, name).
-
-    The result depends only on the seed."""
-    return Replica(seed, tuple(compare(observe(seed, executor, progress))))
 
 
 def compare(observed: ExperimentData) -> Iterator[Statistic]:
