@@ -47,6 +47,14 @@ class Registers:
         """Read, modify and write: other bits of the register (such as a factory trim) keep their value."""
         self.poke(setting.register, setting.into(self.peek(setting.register)[0]))
 
+    def store(self, setting: Setting) -> None:
+        """Write a setting and read it back; bits outside its mask keep their value. SensorError as `verify`."""
+        if setting.mask == 0xFF:
+            self.poke(setting.register, setting.value)
+        else:
+            self.change(setting)
+        self.verify(setting)
+
     def set(self, *settings: Setting) -> None:
         """Write each setting as a whole register and read it back, one after the other; SensorError as `verify`."""
         for setting in settings:

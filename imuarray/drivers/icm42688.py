@@ -167,11 +167,7 @@ class Icm42688(SixAxisHalf):
     def _write_shared(self) -> None:
         """Write settings; other bits keep their value."""
         for setting in chain(self.settings, self._filters_by_bank()):
-            if setting.mask == 0xFF:
-                self.registers.poke(setting.register, setting.value)
-            else:
-                self.registers.change(setting)
-            self.registers.verify(setting)
+            self.registers.store(setting)
 
     def _filters_by_bank(self) -> Iterator[Setting]:
         """Yield each setting of the filters while its bank is selected; bank 0 again after the last."""

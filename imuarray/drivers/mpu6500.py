@@ -86,11 +86,7 @@ class Mpu6500(SixAxisHalf):
         self.registers.set(self.power)
         yield _WAKE_S
         for setting in self.settings:
-            if setting.mask == 0xFF:
-                self.registers.poke(setting.register, setting.value)
-            else:
-                self.registers.change(setting)
-            self.registers.verify(setting)
+            self.registers.store(setting)
             yield 0.0
         yield 2 / self.rate_hz
 

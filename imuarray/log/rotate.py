@@ -106,9 +106,6 @@ class RotatingWriter:
 
     def part_at(self, time_ns: int) -> int:
         """Return the number of the part that contains this time, counted from 0."""
-        return self._number(time_ns)
-
-    def _number(self, time_ns: int) -> int:
         return (time_ns - self._origin_ns) // self._every_ns
 
     def _span_ns(self, number: int) -> tuple[int, int]:
@@ -120,7 +117,7 @@ class RotatingWriter:
         """Create the part after this time, if it will be needed soon. A part that would replace an older log (`force`)
         is created only when it is needed, since that may never happen.
         """
-        number = max(self._number(time_ns), self._first) + 1
+        number = max(self.part_at(time_ns), self._first) + 1
         lead_ns = min(_LEAD_NS, self._every_ns)
         is_open = number in self._open or number in self._ahead
         if not self._keep or is_open or self._span_ns(number)[0] - time_ns > lead_ns:
@@ -169,12 +166,12 @@ class RotatingWriter:
     def event(self, event: Event) -> None:
         """Add an event to the part of its time."""
         self._raise()
-        self._part(self._number(event.time_ns) if self._open else 0).event(event)
+        self._part(self.part_at(event.time_ns) if self._open else 0).event(event)
 
     def clocks(self, row: ClockRow) -> None:
         """Add a row of the machine's clocks to the part of that time."""
         self._raise()
-        self._part(self._number(row.time_ns) if self._open else 0).clocks(row)
+        self._part(self.part_at(row.time_ns) if self._open else 0).clocks(row)
         self._prepare_next(row.time_ns)
 
     def phase(self, phase: Phase) -> None:

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imuarray.arrays import Floats, Integers
+from imuarray.arrays import Floats, Integers, triple
 from imuarray.calibrate.model import Calibration, SensorCalibration
 from imuarray.errors import CalibrationError
 from imuarray.log.format import SensorHeader
@@ -84,7 +84,7 @@ def _affine(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
         felt = unit.g_sensitivity_lsb_per_g @ orientation / header.sensitivity @ exchange.T
         yield GSensitivity(tuple(felt.ravel().tolist()))
     if unit.bias_sem_lsb is not None or np.any(unit.bias_lsb):
-        yield Bias(_triple(unit.bias_lsb / header.sensitivity))
+        yield Bias(triple(unit.bias_lsb / header.sensitivity))
 
 
 def _response(sensed: Floats, exchange: Floats, header: SensorHeader) -> Iterator[Effect]:
@@ -100,7 +100,7 @@ def _response(sensed: Floats, exchange: Floats, header: SensorHeader) -> Iterato
         yield Misalignment(tuple(leaning.tolist()))
     except ValueError:
         raise CalibrationError(f"sensor {header.name}: its calibrated axes are too oblique to be a triad's") from None
-    yield Scale(_triple(np.linalg.norm(sensed, axis=1) - 1))
+    yield Scale(triple(np.linalg.norm(sensed, axis=1) - 1))
 
 
 def _nearest_axes(sensed: Floats) -> Floats:
@@ -127,7 +127,7 @@ def _thermal(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
     curve = np.zeros(3) if thermal.quadratic_lsb_per_degc2 is None else thermal.quadratic_lsb_per_degc2
     slope = thermal.slope_lsb_per_degc + 2 * curve * (0.0 if relative else holds_at - thermal.reference_degc)
     try:
-        yield ThermalBias(_triple(slope / header.sensitivity), _triple(curve / header.sensitivity), holds_at)
+        yield ThermalBias(triple(slope / header.sensitivity), triple(curve / header.sensitivity), holds_at)
         if thermal.significant_lag_s and thermal.thermometer in ("barometer", "reference"):
             yield ThermalLag(thermal.significant_lag_s)
     except ValueError as error:
@@ -137,7 +137,7 @@ def _thermal(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
 def _noise(unit: SensorCalibration, header: SensorHeader, step_lsb: Integers) -> Iterator[Effect]:
     """Yield the measured noise without that of rounding, step^2 / 12 (Sheppard's correction)."""
     if unit.noise_lsb is not None:
-        yield WhiteNoise(_triple(np.sqrt(np.maximum(unit.noise_lsb**2 - step_lsb**2 / 12, 0)) / header.sensitivity))
+        yield WhiteNoise(triple(np.sqrt(np.maximum(unit.noise_lsb**2 - step_lsb**2 / 12, 0)) / header.sensitivity))
 
 
 def _step_lsb(model: Model, header: SensorHeader) -> Integers:
@@ -165,8 +165,3 @@ def _check_fit(unit: SensorCalibration, header: SensorHeader) -> None:
             f"{where}: calibrated at {unit.scale_lsb_per_unit[0]:.4g} counts per {unit.unit}, nominal are"
             f" {header.sensitivity:.4g}: another range"
         )
-
-
-def _triple(values: Floats) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
