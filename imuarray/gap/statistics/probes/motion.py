@@ -287,6 +287,9 @@ _BEND = "artanh of the correlation with the {} of the rate along the axis, beyon
 _OF_A_SLIP = 0.03
 """Correlation with a power of the rate that a delay makes which grows and falls as polls slip against a data clock."""
 
+_OF_A_CONVERSION_S = 1e-4
+"""Delay of one axis behind the next in chips that convert them one after the other (BMA-94); all rows have one time."""
+
 
 def _probe(
     about: str,
@@ -306,7 +309,12 @@ PROBES: Probes = {
     "motion_after": _probe("share of motion along the axis after the next", _CROSS, response, partial(gain, 2)),
     "motion_across": _probe("share of a motion across the axis", _CROSS, response, across),
     "motion_delay": _probe(
-        "delay behind the others", ("skew", "clock_error", "stale_samples", "own_clock"), response, delay, "s"
+        "delay behind the others",
+        ("skew", "clock_error", "stale_samples", "own_clock"),
+        response,
+        delay,
+        "s",
+        resolution=_OF_A_CONVERSION_S,
     ),
     "motion_residual": _probe(
         "log of the variance that the others don't explain",
