@@ -416,11 +416,12 @@ class _NumberTexts:
         """
         if len(self._known):
             places = np.minimum(np.searchsorted(self._known, bits), len(self._known) - 1)
-            if (self._known[places] == bits).all():
+            is_new = self._known[places] != bits
+            if not is_new.any():
                 return places
-        different = np.unique(bits)
-        merged = np.union1d(self._known, different) if len(self._known) else different
-        self._known = merged if len(merged) <= _MOST_KNOWN else different
+            self._known = np.union1d(self._known, bits[is_new])
+        if not 0 < len(self._known) <= _MOST_KNOWN:
+            self._known = np.unique(bits)
         numbers = (self._known.view(np.float64) if is_float else self._known).tolist()
         texts = np.array(json.dumps(numbers, separators=(",", ":"))[1:-1].encode().split(b","))
         self._lengths = np.char.str_len(texts)
