@@ -220,7 +220,9 @@ class TextTable:
                 if rows_read >= FEWEST_WHOLE_ROWS and self.left_out["torn"] < MOST_TORN * rows_read:
                     self.left_out["torn"] += 1
                     continue
-                raise SourceError(f"{self.source}: line {self.line}: {len(row)} cells, the first row has {self.width}")
+                raise SourceError(
+                    f"{self.source}: line {self.line}: {counted(len(row), 'cell')}, the first row has {self.width}"
+                )
             if not self._has_data and self.header and not kinds and is_unit_row(row):
                 self.left_out["units"] += 1
                 continue
@@ -437,7 +439,7 @@ class CellBlock(NamedTuple):
     def column(self, index: int, label: str) -> CellColumn:
         """Return one column; SourceError if the rows are too short."""
         if index >= len(self.columns):
-            cells = f"{len(self.columns)} cells, so there is no column {label} (counted from 0)"
+            cells = f"{counted(len(self.columns), 'cell')}, so there is no column {label} (counted from 0)"
             cells += "; do they have another delimiter?" if len(self.columns) == 1 else ""
             raise SourceError(f"{self.source}: line {self.lines[0]}: {cells}")
         cells_ = self.columns[index]

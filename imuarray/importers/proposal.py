@@ -343,7 +343,7 @@ def _wrap_of(values: Floats) -> float:
 def _unit_of_time(stated_unit: str, values: Floats) -> tuple[str, float]:
     """Return the unit of times, as their column's name says it or by their step, and the step."""
     steps = np.diff(values)
-    step = float((values[-1] - values[0]) / len(steps))
+    step = float((values[-1] - values[0]) / len(steps)) if len(steps) else np.nan
     if (steps < 0).any():
         step = float(np.median(steps[steps > 0]))
     if stated_unit in NS_PER_UNIT:

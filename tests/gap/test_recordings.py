@@ -39,10 +39,10 @@ COMPASS = SensorHeader("Mag", "unheard_of", "magnetic_field", "gauss", 1.3, 1090
 
 
 def foreign_log(
-    path: Path, phases: Sequence[Phase] = (), sensors: Sequence[SensorHeader] = FOREIGN, seconds: int = 12
+    path: Path, phases: Sequence[Phase] = (), sensors: Sequence[SensorHeader] = FOREIGN, seconds: float = 12
 ) -> Path:
     """Flat on a table, 50 Hz, noise of some counts; a thermometer that warms up by 80 counts."""
-    rows = 50 * seconds
+    rows = round(50 * seconds)
     time = np.arange(rows, dtype=np.int64) * SECOND // 50
     rng = np.random.default_rng(0)
     with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
@@ -285,8 +285,12 @@ def test_a_log_in_which_nothing_can_be_compared_is_refused(tmp_path: Path) -> No
     with pytest.raises(LogError, match=r"it is 0\.98 s long, and at least 3 s at rest are needed"):
         recorded(foreign_log(tmp_path / "short.h5", seconds=1))
     unknown = SensorHeader("Acc", "x", "specific_force", "g", 0.0, 0.0)
-    with pytest.raises(LogError, match="no sensor with three axes, readings and a known sensitivity"):
+    refusal = "no sensor with three axes, a known sensitivity and at least 10 readings"
+    with pytest.raises(LogError, match=refusal):
         recorded(foreign_log(tmp_path / "unknown.h5", [phase(0, 9, "static", "+Z")], [unknown]))
+    with pytest.raises(LogError, match=refusal):  # 9 rows at 50 Hz, in which no statistic differs from anything
+        recorded(foreign_log(tmp_path / "nine.h5", [phase(0, 9, "static", "+Z")], seconds=0.18))
+    recorded(foreign_log(tmp_path / "ten.h5", [phase(0, 9, "static", "+Z")], seconds=0.2))
 
 
 @pytest.mark.parametrize("sensor", [FOREIGN[1], COMPASS])

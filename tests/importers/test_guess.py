@@ -271,3 +271,9 @@ def test_a_second_accelerometer_without_a_name(tmp_path: Path) -> None:
     text = guess_map(tmp_path / "data.txt")
     assert re.findall(r'^quantity = "(\w+)"', text, re.MULTILINE) == ["specific_force"] * 2
     assert "sensitivity = 1024" in text
+
+
+def test_a_single_row_is_no_warning(tmp_path: Path) -> None:
+    """One row has no step of time; warnings are errors here."""
+    (tmp_path / "one.csv").write_text(text_of("t,ax,ay,az,gx,gy,gz", COUNTS[:1], walk().time_s[:1], form="{:d}"))
+    assert 'column = "t"' in guess_map(tmp_path / "one.csv")

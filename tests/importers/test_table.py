@@ -272,7 +272,7 @@ def test_a_comment_above_a_header_is_no_header(tmp_path: Path) -> None:
         ("0,1,2," + "3" * 70_000, "data.csv: line 1: longer than 65536 characters; is this a table?"),
         (
             "0;1;2;3\n",
-            "data.csv: line 1: 1 cells, so there is no column 1 (counted from 0); do they have another delimiter?",
+            "data.csv: line 1: 1 cell, so there is no column 1 (counted from 0); do they have another delimiter?",
         ),
     ],
 )

@@ -38,7 +38,7 @@ from imuarray.log import Log, SensorLog
 from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
 from imuarray.log.row_timing import RowTiming, even_rows, notes_of, row_timing
 from imuarray.log.writer import Block
-from imuarray.printable import listed
+from imuarray.printable import counted, listed
 from imuarray.simulate.converters import thermometer_of
 from imuarray.simulate.host_latency import find_delays, lost_rows
 from imuarray.simulate.motion.felt import Motion
@@ -383,6 +383,10 @@ def _settling_ns(header: SensorHeader, line: Timeline) -> Times:
     return first_ns[: np.searchsorted(first_ns, first_ns[0] + settling_s * 1e9)]
 
 
+FEWEST_READINGS = 10
+"""Fewest readings of a sensor that is compared: five for the fit and five for the check."""
+
+
 class _Comparable:
     """A source without what can't be compared: its thermometer's counts, unless it `has_temperature`. The flag of lost
     rows is removed from the rows at `gap_ends_ns` (k,), and set in those at `loss_ends_ns` (l,). It is removed from
@@ -419,12 +423,19 @@ def _chosen_sensors(log: Log, only: Collection[str]) -> tuple[list[str], list[st
     for sensor in sensors:
         if not sensor.is_triad:
             raise LogError(f"{sensor.where}: {sensor.quantity} has no three axes; allowed are triads")
-    notes = [
-        f"{sensor.name} is left out: its sensitivity is not known." for sensor in sensors if not sensor.sensitivity
-    ]
-    chosen = [sensor.name for sensor in sensors if sensor.sensitivity and len(sensor)]
+    notes = []
+    for sensor in sensors:
+        if not sensor.sensitivity:
+            notes.append(f"{sensor.name} is left out: its sensitivity is not known.")
+        elif len(sensor) < FEWEST_READINGS:
+            notes.append(
+                f"{sensor.name} is left out: it has {counted(len(sensor), 'reading')}, {FEWEST_READINGS} are required."
+            )
+    chosen = [sensor.name for sensor in sensors if sensor.sensitivity and len(sensor) >= FEWEST_READINGS]
     if not chosen:
-        raise LogError(f"{log.path}: no sensor with three axes, readings and a known sensitivity")
+        raise LogError(
+            f"{log.path}: no sensor with three axes, a known sensitivity and at least {FEWEST_READINGS} readings"
+        )
     return chosen, notes
 
 
