@@ -197,7 +197,7 @@ given up in less than one of two hundred cases.
 """
 
 
-CLEAR, LEAST_CLEAR = 2.0, 40
+CLEAR, LEAST_CLEAR = 1.5, 40
 """Ratio of the largest score of a recording to the largest of all replicates, of which there are at least so many,
 from which on no more are simulated: by the tails of scores a gap is then certain, and more replicates would change
 little.
