@@ -160,7 +160,7 @@ def _repeats(sensor: Mapping[str, Any]) -> Iterator[_Remark]:
         values = repeats["update_rate_hz"], rate_hz, repeats["longest"]
         yield _Remark(place, sentence, tuple(f"{value:.4g}" for value in values), values)
     elif share < 1 - STALE_SHARE:
-        sentence = "{0} % of its rows repeat the previous row without new readings"
+        sentence = "{0} % of the rows repeat the previous row without new readings"
         yield _Remark(place, sentence, (f"{100 * (1 - share):.1f}",), (share,))
 
 

@@ -487,7 +487,7 @@ class _Codes:
         if step > 1:
             yield "only even codes" if step == 2 and on_zero else f"only every {step}th code"
         if self.held.stop == 0 and self.repeats.new_share < 1 - STALE_SHARE:
-            yield f"{percent(1 - self.repeats.new_share, 1)} of its rows repeat the previous row without new readings"
+            yield f"{percent(1 - self.repeats.new_share, 1)} of the rows repeat the previous row without new readings"
 
     def doubts(self, sensor: SensorLog) -> Iterator[str]:
         """Yield what is impossible in the codes."""

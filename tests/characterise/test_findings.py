@@ -79,7 +79,7 @@ def test_codes_repeats_and_losses_are_told(characterised: Characterise) -> None:
     )  # 0.7 * 350
     assert re.search(r"only 24\d(\.\d)? times; the same reading occurs up to \d+ times in a row", slow)
     (seldom,) = findings(characterised(NOISE, ("stale_samples", {"probability": 0.03})))
-    share = re.fullmatch(r"G: (.*) % of its rows repeat the previous row without new readings", seldom)
+    share = re.fullmatch(r"G: (.*) % of the rows repeat the previous row without new readings", seldom)
     assert share is not None and float(share[1]) == pytest.approx(3, abs=0.3)  # of 70,000 rows: four standard errors
     lossy = findings(characterised(NOISE, ("dropped_samples", {"probability": 0.01, "burst_rows": 50.0})))
     assert any("gaps" in text and "s after" in text for text in lossy)

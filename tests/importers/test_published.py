@@ -91,7 +91,7 @@ def test_ten_minutes_at_rest(name: str, rate: str, tmp_path: Path, capsys: Captu
         assert "in steps of 32 counts (0.094 degC)" in text
         assert "Acc: measures 1.037 g at rest" in text
     else:
-        assert "Mag: 2.7 % of its rows repeat the previous row" in text
+        assert "Mag: 2.7 % of the rows repeat the previous row" in text
     assert "?" not in text
 
 
@@ -110,7 +110,7 @@ def test_the_compass_is_characterised_over_all_its_rows(tmp_path: Path, capsys: 
     assert any(hertz == pytest.approx(24.40, abs=0.03) for hertz in lines_hz)
     assert any(hertz == pytest.approx(26.92, abs=0.03) for hertz in lines_hz)
     assert main(["characterise", str(run)]) == 0
-    assert "2.7 % of its rows repeat the previous row" in " ".join(capsys.readouterr().out.split())
+    assert "2.7 % of the rows repeat the previous row" in " ".join(capsys.readouterr().out.split())
 
 
 @whole
