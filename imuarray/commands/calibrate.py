@@ -227,12 +227,12 @@ class CalibrationOutput:
         """Open the logs, after a check that the file can be written."""
         from imuarray.log import open_log, require_distinct
 
+        for run in runs:
+            refuse_existing(self.output, self.force or self.update, source=run)
         if self.output.suffix != ".toml":
             raise click.UsageError(
                 f"{self.output}: a calibration is a TOML file; name it {self.output.with_suffix('.toml').name}"
             )
-        for run in runs:
-            refuse_existing(self.output, self.force or self.update, source=run)
         with ExitStack() as stack:
             logs = [stack.enter_context(open_log(run)) for run in runs]
             require_distinct(logs)
