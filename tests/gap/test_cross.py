@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from imuarray.gap.model.signal_delay import NO_DELAY, can_fit_signal_delays, fit_signal_delays
+from imuarray.gap.model.signal_delay import NO_DELAY, SignalDelay, can_fit_signal_delays, fit_signal_delays
 from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, PhaseSummary
 from imuarray.gap.statistics.cross import Cross, CrossTally, window_ns
 from imuarray.gap.statistics.probes import PROBES, CrossProbe
@@ -312,6 +312,14 @@ def test_a_replicate_with_an_odd_delay_does_not_shift_the_fit() -> None:
     trials = [(dict.fromkeys(headers, NO_DELAY), replicates)]
     fitted = fit_signal_delays(swaying_campaign(headers, 0.0, 0.018), headers, (), trials)
     assert fitted["B"].stamp_s - fitted["A"].stamp_s == pytest.approx(0.018, abs=0.002)
+
+
+def test_a_step_that_leads_away_from_the_recording_is_taken_back() -> None:
+    """The first trial is late by 2 ms too little, the second by 30 ms too much: the first is the nearer one."""
+    headers = {name: header(name, chip=chip, rate_hz=100.0) for name, chip in (("A", "bma180"), ("B", "adxl345"))}
+    delays = [{"A": NO_DELAY, "B": SignalDelay(stamp_s=stamp_s)} for stamp_s in (0.016, 0.048)]
+    trials = [(tried, [swaying_campaign(headers, 0.0, tried["B"].stamp_s)]) for tried in delays]
+    assert fit_signal_delays(swaying_campaign(headers, 0.0, 0.018), headers, (), trials) == delays[0]
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.018])

@@ -363,6 +363,8 @@ def with_signal_delays(bench: Bench, campaign: Campaign, replicates: int = 6) ->
             for name, parameters in base.fitted.items()
         }
         bench = replace(bench, base=replace(base, fitted=fitted))
+        if any(delays.items() <= tried.items() for tried, _ in trials):
+            break
     return bench
 
 

@@ -87,29 +87,40 @@ def fit_signal_delays(
     quantity, or the track, less the median of those of the replicates. A delay by which the replicates differ, such as
     that of an axis that hardly follows a turn, counts the less the more it scatters. A motion that is fast beside the
     windows shows more of a delay than there is: by how much the first and the last trial tell, whose delays differ
-    most. Empty without such phases.
+    most. If an earlier trial is nearer to the recording than the last, its delays are returned: a motion that is too
+    fast for the rows has no slope that holds for a whole step. Empty without such phases.
     """
     delays: dict[str, SignalDelay] = {}
     for quantity in dict.fromkeys(header.quantity for header in headers.values()):
         of_quantity = {name: header for name, header in headers.items() if header.quantity == quantity}
         usual = _late_stamps(_crosses(campaign), of_quantity, queued)
         late = [*usual, *_odd_units(of_quantity, usual)]
-        problem = _problem(campaign, of_quantity, late, trials)
-        if problem is None:
-            continue
-        parameters = list(range(1 + len(usual)))
-        fits = [_solve(problem, parameters)]
-        for place, odd in enumerate(late[len(usual) :], start=1 + len(usual)):
-            fit = _solve(problem, [*parameters, place])
-            is_late = fit.parameters[-1] > _LEAST_ODD_PERIODS * odd.period_s
-            if is_late and fit.squares < fits[0].squares - _LEAST_ODD_SQUARES:
-                fits.append(fit)
-        ratio, *offsets_s = min(fits, key=lambda fit: fit.squares).parameters.tolist()
-        for name, header in of_quantity.items():
-            pairs = zip(offsets_s, usual, strict=False)  # what an odd unit is late by besides is no usual delay
-            late_s = sum(value_s for value_s, stamps in pairs if name in stamps.sensors)
-            filter_s = _truncate(ratio * _nominal_delay_s(header))
-            delays[name] = SignalDelay(filter_s, stated_delay(header).stamp_s + late_s)
+        nearest, problem = _problem(campaign, of_quantity, late, trials)
+        if problem is not None:
+            delays.update(_step(problem, of_quantity, usual, late))
+        elif nearest is not None:
+            delays.update({name: nearest[name] for name in of_quantity})
+    return delays
+
+
+def _step(
+    problem: _Problem, headers: Mapping[str, SensorHeader], usual: Sequence[_LateStamps], late: Sequence[_LateStamps]
+) -> SignalDelays:
+    """Return the delays of sensors of one quantity by the solution of a problem."""
+    parameters = list(range(1 + len(usual)))
+    fits = [_solve(problem, parameters)]
+    for place, odd in enumerate(late[len(usual) :], start=1 + len(usual)):
+        fit = _solve(problem, [*parameters, place])
+        is_late = fit.parameters[-1] > _LEAST_ODD_PERIODS * odd.period_s
+        if is_late and fit.squares < fits[0].squares - _LEAST_ODD_SQUARES:
+            fits.append(fit)
+    ratio, *offsets_s = min(fits, key=lambda fit: fit.squares).parameters.tolist()
+    delays = {}
+    for name, header in headers.items():
+        pairs = zip(offsets_s, usual, strict=False)  # what an odd unit is late by besides is no usual delay
+        late_s = sum(value_s for value_s, stamps in pairs if name in stamps.sensors)
+        filter_s = _truncate(ratio * _nominal_delay_s(header))
+        delays[name] = SignalDelay(filter_s, stated_delay(header).stamp_s + late_s)
     return delays
 
 
@@ -137,35 +148,54 @@ def _problem(
     headers: Mapping[str, SensorHeader],
     late: Sequence[_LateStamps],
     trials: Sequence[DelayTrial],
-) -> _Problem | None:
-    """Return the problem whose parameters are the ratio of the filters' delays, and the offset of each of the `late`
-    stamps, of sensors of one quantity; None where no motion tells them.
+) -> tuple[SignalDelays | None, _Problem | None]:
+    """Return the delays of the trial that is nearest to the recording, and the problem of a step from the last one.
+
+    The parameters of the problem are the ratio of the filters' delays, and the offset of each of the `late` stamps, of
+    sensors of one quantity. There is none where no motion tells them, or where an earlier trial is nearer.
     """
     nominal_s = {name: _nominal_delay_s(header) for name, header in headers.items()}
     observed = _rows(_crosses(campaign), headers, nominal_s, late)
-    steps = []
-    scatter_s = np.zeros(len(observed.delay_s))
-    for simulated, replicates in trials[:: max(len(trials) - 1, 1)]:
+    steps: list[tuple[SignalDelays, Floats, Floats]] = []
+    information = observed.information
+    for simulated, replicates in trials:
         simulated_s = [_rows(_crosses(replicate), headers, nominal_s, late).delay_s for replicate in replicates]
         comparable = [delay_s for delay_s in simulated_s if len(delay_s) == len(observed.delay_s)]
-        ratios = [simulated[name].filter_s / nominal_s[name] for name in headers if nominal_s[name] > 0]
-        stamps_s = [simulated[name].stamp_s - stated_delay(header).stamp_s for name, header in headers.items()]
-        usual = [stamps for stamps in late if not stamps.is_odd]
-        are_late = np.array([[name in stamps.sensors for stamps in usual] for name in headers], float)
-        offsets_s = np.linalg.lstsq(are_late, np.array(stamps_s))[0]
-        start = np.concatenate([[max(ratios, default=0.0)], offsets_s, np.zeros(len(late) - len(usual))])
-        if comparable and len(observed.delay_s):
-            middle_s = np.median(comparable, axis=0)
-            scatter_s = np.median(np.abs(comparable - middle_s), axis=0) / MEDIAN_ABSOLUTE
-            steps.append((start, middle_s))
+        if not comparable or not len(observed.delay_s):
+            continue
+        middle_s = np.median(comparable, axis=0)
+        scatter_s = np.median(np.abs(comparable - middle_s), axis=0) / MEDIAN_ABSOLUTE
+        information = np.fmin(information, observed.information / (1 + observed.information * scatter_s**2))
+        steps.append((simulated, _parameters(simulated, headers, nominal_s, late), middle_s))
     if not steps:
-        return None
-    start, seen_s = steps[-1]
-    design = observed.design * _slopes(observed.design, *steps)[:, None] if len(steps) > 1 else observed.design
+        return None, None
+    misfits = [float(np.nansum(information * (observed.delay_s - seen_s) ** 2)) for *_, seen_s in steps]
+    nearest = int(np.argmin(misfits))
+    if nearest < len(steps) - 1:
+        return steps[nearest][0], None
+    (_, *first), (_, *last) = steps[0], steps[-1]
+    start, seen_s = last
+    design = observed.design
+    if len(steps) > 1:
+        design = design * _slopes(design, (first[0], first[1]), (last[0], last[1]))[:, None]
     most = np.array([MOST_RATIO, *(stamps.most_s for stamps in late)])
     least = np.array([0.0, *(stamps.least_s for stamps in late)])
-    information = observed.information / (1 + observed.information * scatter_s**2)
-    return _Problem(observed.delay_s - seen_s + design @ start, information, design, least, most)
+    return steps[-1][0], _Problem(observed.delay_s - seen_s + design @ start, information, design, least, most)
+
+
+def _parameters(
+    simulated: SignalDelays,
+    headers: Mapping[str, SensorHeader],
+    nominal_s: Mapping[str, float],
+    late: Sequence[_LateStamps],
+) -> Floats:
+    """Return the parameters (p,) that make these delays of sensors of one quantity."""
+    ratios = [simulated[name].filter_s / nominal_s[name] for name in headers if nominal_s[name] > 0]
+    stamps_s = [simulated[name].stamp_s - stated_delay(header).stamp_s for name, header in headers.items()]
+    usual = [stamps for stamps in late if not stamps.is_odd]
+    are_late = np.array([[name in stamps.sensors for stamps in usual] for name in headers], float)
+    offsets_s = np.linalg.lstsq(are_late, np.array(stamps_s))[0]
+    return np.concatenate([[max(ratios, default=0.0)], offsets_s, np.zeros(len(late) - len(usual))])
 
 
 def _truncate(delay_s: float) -> float:
