@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -225,3 +226,17 @@ def test_a_phase_counts_by_how_well_it_knows_an_axis() -> None:
     assert measured is not None
     assert measured.error[0, 0] == pytest.approx((0.1 * 1e4 - 0.8 * 1.5625) / (1e4 + 1.5625), rel=1e-4)
     assert measured.error[1, 1] == pytest.approx(0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize(("share", "axes"), [(-1.01, ["+X-Y+Z"]), (0.9, [])])
+def test_a_rotation_about_one_axis_tells_its_sign(share: float, axes: list[str]) -> None:
+    """Nothing tells the other two axes; one that reads nine tenths of the rotation is not reversed."""
+
+    def of_y(value: float) -> dict[str, np.ndarray]:
+        return {"motion_along": np.array([[math.nan, value, math.nan]])}
+
+    evidence = replace(
+        evidence_of("static", "G2"), values=of_y(share), expected=of_y(1.0), scores=of_y(1000 * (share - 1))
+    )
+    trials = CANDIDATES["axis_error"].guesses(evidence)
+    assert [effect.axes for trial in trials for effect in trial.effects if isinstance(effect, AxisError)] == axes

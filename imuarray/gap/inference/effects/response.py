@@ -140,9 +140,14 @@ the box does not turn may keep its place.
 
 _MOST_AXES = 3
 
+_REVERSED = 0.5
+"""Share of a rotation that an axis reads with the wrong sign, from which on it is reversed."""
+
 
 def guess_axis_error(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the signed permutations that fit best, left-handed ones too."""
+    """Suggest the signed permutations that fit best, left-handed ones too; where the box turns about a single axis,
+    which tells no axes apart, those that read its rotation with the wrong sign.
+    """
     if not evidence.is_odd(*_AXIS_PROBES):
         return
     matrices = np.array([np.eye(3), *exchanges().values()])
@@ -151,6 +156,11 @@ def guess_axis_error(evidence: Evidence) -> Iterator[Hypothesis]:
     elif turns := turns_of(evidence):  # a reading is what the matrix makes of the rate, which its transpose makes of it
         nominal, *others = misses(turns, matrices.swapaxes(1, 2)).tolist()
     else:
+        along, expected = _mean(evidence, "motion_along")
+        is_reversed = (along < -_REVERSED) & (expected > _REVERSED)
+        if is_reversed.any():
+            signs = np.where(is_reversed, "-", "+")
+            yield Hypothesis((AxisError("".join(sign + axis for sign, axis in zip(signs, "XYZ", strict=True))),))
         return
     misfits = {
         axes: misfit + _CHANGED_AXIS * nominal * np.count_nonzero(np.diag(matrix) != 1)
