@@ -63,8 +63,7 @@ class MotionBetweenRests:
 
     def moved_s(self, time_ns: Integers) -> Reals:
         """Return (n,) the elapsed time of the motion: 0 at rest before it, `_moving_s` at rest after it."""
-        _, moving, _ = self.phases
-        return (np.clip(time_ns, moving.start_ns, moving.end_ns) - moving.start_ns) * 1e-9
+        return np.clip(time_ns - nanoseconds(self.still_s), 0, nanoseconds(self._moving_s)) * 1e-9
 
 
 def smooth_step(share: Reals) -> tuple[Reals, Reals, Reals, Reals]:
