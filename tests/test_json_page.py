@@ -88,7 +88,7 @@ def test_every_key_of_a_diagnosis_is_on_the_page() -> None:
 def test_an_evaluation_has_its_own(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     keys, _ = documented()["fuse"]
     result = printed(f"fuse {RUN} --evaluate", folder, capsys)
-    left_out = {"fused", "frames", "faults", "learned", "error", "results"}
+    left_out = {"fused", "frames", "empty", "faults", "learned", "error", "results"}
     assert result.keys() == (keys - left_out) | {"evaluation"}
     assert result["evaluation"].keys() == {"scores", "coasting"}
 
