@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -119,6 +119,15 @@ _KEPT = 128
 """Simulated sensors that are cached of logs in which the box moves: eight replicates of eight sensors in two logs."""
 
 
+class LogPart(NamedTuple):
+    """The phases of a log (by its number) that are simulated, their layouts, and which rows of them are required."""
+
+    log: int
+    phases: Sequence[Phase]
+    layouts: Sequence[Layout]
+    demand: Demand
+
+
 @dataclass(frozen=True)
 class Stage:
     """The common part of the replicates of a campaign.
@@ -176,10 +185,9 @@ class Stage:
         chosen = range(len(self.kinds)) if logs is None else logs
         effects = [self._effects({**other_models, **models}, number) for models, number in requests]
         phases = self.split.phases(None if held_out else False)
-        layouts = [self._layouts(at, held_out) for at in range(len(self.kinds))]
         demand = Demand.ANY if held_out else Demand.APART
         parts = [
-            self._replicated(at, requests, effects, phases[at], layouts[at], demand)
+            self._replicated(LogPart(at, phases[at], self._layouts(at, held_out), demand), requests, effects)
             if at in chosen
             else [LogSummary(kind, ())] * len(requests)
             for at, kind in enumerate(self.kinds)
@@ -193,38 +201,31 @@ class Stage:
         for log, share in enumerate(self.split.shares):
             moving = [at for at, phase in enumerate(share.phases) if not is_at_rest(phase)]
             phases, layouts = [share.phases[at] for at in moving], [self.layouts[log][at] for at in moving]
-            parts.append(self._replicated(log, requests, effects, phases, layouts, Demand.FEW))
+            parts.append(self._replicated(LogPart(log, phases, layouts, Demand.FEW), requests, effects))
         return [Campaign(replicate) for replicate in zip(*parts, strict=True)]
 
     def _replicated(
-        self,
-        log: int,
-        requests: Sequence[ReplicateRequest],
-        effects: Sequence[Effects],
-        phases: Sequence[Phase],
-        layouts: Sequence[Layout],
-        demand: Demand,
+        self, part: LogPart, requests: Sequence[ReplicateRequest], effects: Sequence[Effects]
     ) -> list[LogSummary]:
-        """These phases of one log in several replicates. Those that are the same are simulated once: many hypotheses
-        change a part of the logs only.
+        """Return summaries of a part of a log in several replicates. Replicates that are the same are simulated once:
+        many hypotheses change some of the logs only.
         """
-        if not phases:
-            return [LogSummary(self.kinds[log], ())] * len(requests)
+        if not part.phases:
+            return [LogSummary(self.kinds[part.log], ())] * len(requests)
+        boot = self.first_boot + part.log
         acting = [
-            {name: effects_in(self.first_boot + log, of_sensor) for name, of_sensor in replicate_effects.items()}
+            {name: effects_in(boot, of_sensor) for name, of_sensor in replicate_effects.items()}
             for replicate_effects in effects
         ]
         keys = [
-            self._log_key(log, *request, replicate_effects, demand)
+            self._log_key(part, *request, replicate_effects)
             for request, replicate_effects in zip(requests, acting, strict=True)
         ]
         latest = self._latest_logs
         known = {key: latest[key] for key in set(keys) if key in latest}
         first = {key: at for at, key in reversed(list(enumerate(keys))) if key not in known}
         new = sorted(first.values())
-        simulated = self._summarised(
-            log, [requests[at] for at in new], [acting[at] for at in new], phases, layouts, demand
-        )
+        simulated = self._summarised(part, [requests[at] for at in new], [acting[at] for at in new])
         known.update(zip((keys[at] for at in new), simulated, strict=True))
         for at in new:
             if any(len(acting[at][name]) < len(effects[at][name]) for name in requests[at][0]):
@@ -233,11 +234,11 @@ class Stage:
             latest.pop(next(iter(latest)), None)
         return [known[key] for key in keys]
 
-    def _log_key(self, log: int, models: Models, number: int, effects: Effects, demand: Demand) -> Hashable:
-        """Return all that one log of a replicate depends on."""
+    def _log_key(self, part: LogPart, models: Models, number: int, effects: Effects) -> Hashable:
+        """Return all that a part of a log depends on in a replicate; of one log, parts differ by their demand."""
         is_swapped = any(effect.name == ChannelSwap.name for of_sensor in effects.values() for effect in of_sensor)
-        names = effects if is_swapped else self._simulated_names(log, models, effects)
-        return log, number, demand, frozenset(models), tuple((name, effects[name]) for name in names)
+        names = effects if is_swapped else self._simulated_names(part.log, models, effects)
+        return part.log, number, part.demand, frozenset(models), tuple((name, effects[name]) for name in names)
 
     @cached_property
     def _latest_logs(self) -> dict[Hashable, LogSummary]:
@@ -245,16 +246,10 @@ class Stage:
         return {}
 
     def _summarised(
-        self,
-        log: int,
-        requests: Sequence[ReplicateRequest],
-        effects: Sequence[Effects],
-        phases: Sequence[Phase],
-        layouts: Sequence[Layout],
-        demand: Demand,
+        self, part: LogPart, requests: Sequence[ReplicateRequest], effects: Sequence[Effects]
     ) -> list[LogSummary]:
-        """Simulate and summarise one log in several replicates, as many at a time as memory allows."""
-        kind, experiment = self.kinds[log], self.experiments[log]
+        """Simulate and summarise a part of a log in several replicates, as many at a time as memory allows."""
+        kind, experiment = self.kinds[part.log], self.experiments[part.log]
         rows = max((line.rows for _, line in experiment.plan.sensors.values()), default=0)
         at_once = max(_ROWS // max(rows, 1), 1)
         reference = reference_of(experiment.motion)
@@ -262,11 +257,11 @@ class Stage:
         for first in range(0, len(requests), at_once):
             some = slice(first, first + at_once)
             replicates = [
-                self._sources(log, *request, request_effects, demand)
+                self._sources(part.log, *request, request_effects, part.demand)
                 for request, request_effects in zip(requests[some], effects[some], strict=True)
             ]
             at_rest = {name for name in replicates[0] if self._is_compared_at_rest(name, requests[0][0])}
-            summaries += summarise_logs(kind, replicates, phases, reference, layouts, at_rest)
+            summaries += summarise_logs(kind, replicates, part.phases, reference, part.layouts, at_rest)
         return summaries
 
     def _sources(self, log: int, models: Models, number: int, effects: Effects, demand: Demand) -> dict[str, Source]:
