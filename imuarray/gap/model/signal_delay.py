@@ -95,11 +95,15 @@ def fit_signal_delays(
         of_quantity = {name: header for name, header in headers.items() if header.quantity == quantity}
         usual = _late_stamps(_crosses(campaign), of_quantity, queued)
         late = [*usual, *_odd_units(of_quantity, usual)]
-        nearest, problem = _problem(campaign, of_quantity, late, trials)
-        if problem is not None:
-            delays.update(_step(problem, of_quantity, usual, late))
-        elif nearest is not None:
-            delays.update({name: nearest[name] for name in of_quantity})
+        observed, simulated = _compare(campaign, of_quantity, late, trials)
+        if not simulated:
+            continue
+        squares = [np.nansum(observed.information * (observed.delay_s - trial.seen_s) ** 2) for trial in simulated]
+        nearest = simulated[int(np.argmin(squares))]
+        if nearest is simulated[-1]:
+            delays.update(_step(_problem(observed, simulated, late), of_quantity, usual, late))
+        else:
+            delays.update({name: nearest.delays[name] for name in of_quantity})
     return delays
 
 
@@ -143,44 +147,54 @@ class _Fit(NamedTuple):
     squares: float
 
 
-def _problem(
+class _SimulatedDelays(NamedTuple):
+    """A trial: its delays, the parameters (p,) that make them, and the median (n,) in s of the delays that are seen in
+    its replicates.
+    """
+
+    delays: SignalDelays
+    parameters: Floats
+    seen_s: Floats
+
+
+def _compare(
     campaign: Campaign,
     headers: Mapping[str, SensorHeader],
     late: Sequence[_LateStamps],
     trials: Sequence[DelayTrial],
-) -> tuple[SignalDelays | None, _Problem | None]:
-    """Return the delays of the trial that is nearest to the recording, and the problem of a step from the last one.
-
-    The parameters of the problem are the ratio of the filters' delays, and the offset of each of the `late` stamps, of
-    sensors of one quantity. There is none where no motion tells them, or where an earlier trial is nearer.
+) -> tuple[_Delays, list[_SimulatedDelays]]:
+    """Return the delays of sensors of one quantity in the recording, with the information that the scatter of the
+    replicates leaves, and the trials whose replicates show as many; no trials where no motion shows a delay.
     """
     nominal_s = {name: _nominal_delay_s(header) for name, header in headers.items()}
     observed = _rows(_crosses(campaign), headers, nominal_s, late)
-    steps: list[tuple[SignalDelays, Floats, Floats]] = []
+    simulated = []
     information = observed.information
-    for simulated, replicates in trials:
-        simulated_s = [_rows(_crosses(replicate), headers, nominal_s, late).delay_s for replicate in replicates]
-        comparable = [delay_s for delay_s in simulated_s if len(delay_s) == len(observed.delay_s)]
+    for delays, replicates in trials:
+        seen_s = [_rows(_crosses(replicate), headers, nominal_s, late).delay_s for replicate in replicates]
+        comparable = [delay_s for delay_s in seen_s if len(delay_s) == len(observed.delay_s)]
         if not comparable or not len(observed.delay_s):
             continue
         middle_s = np.median(comparable, axis=0)
         scatter_s = np.median(np.abs(comparable - middle_s), axis=0) / MEDIAN_ABSOLUTE
         information = np.fmin(information, observed.information / (1 + observed.information * scatter_s**2))
-        steps.append((simulated, _parameters(simulated, headers, nominal_s, late), middle_s))
-    if not steps:
-        return None, None
-    misfits = [float(np.nansum(information * (observed.delay_s - seen_s) ** 2)) for *_, seen_s in steps]
-    nearest = int(np.argmin(misfits))
-    if nearest < len(steps) - 1:
-        return steps[nearest][0], None
-    (_, *first), (_, *last) = steps[0], steps[-1]
-    start, seen_s = last
+        simulated.append(_SimulatedDelays(delays, _parameters(delays, headers, nominal_s, late), middle_s))
+    return observed._replace(information=information), simulated
+
+
+def _problem(observed: _Delays, simulated: Sequence[_SimulatedDelays], late: Sequence[_LateStamps]) -> _Problem:
+    """Return the problem of a step from the last trial. Its parameters are the ratio of the filters' delays, and the
+    offset of each of the `late` stamps.
+    """
+    first, last = simulated[0], simulated[-1]
     design = observed.design
-    if len(steps) > 1:
-        design = design * _slopes(design, (first[0], first[1]), (last[0], last[1]))[:, None]
+    if first is not last:
+        slopes = _slopes(design, (first.parameters, first.seen_s), (last.parameters, last.seen_s))
+        design = design * slopes[:, None]
     most = np.array([MOST_RATIO, *(stamps.most_s for stamps in late)])
     least = np.array([0.0, *(stamps.least_s for stamps in late)])
-    return steps[-1][0], _Problem(observed.delay_s - seen_s + design @ start, information, design, least, most)
+    behind_s = observed.delay_s - last.seen_s + design @ last.parameters
+    return _Problem(behind_s, observed.information, design, least, most)
 
 
 def _parameters(

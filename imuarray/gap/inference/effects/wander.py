@@ -402,7 +402,7 @@ _SPELLS = 4
 _PAIRED = 5.0
 """Standard deviations by which two units have something in common that others needn't have."""
 
-_UNLIKE = 1.3
+_LEAST_RATIO = 1.3
 """Ratio of what two sensors have in common from which on it is tried with a size of its own in each."""
 
 _WHITE_S = 1e-3
@@ -532,7 +532,7 @@ def _in_pairs(evidence: Evidence) -> Iterator[Hypothesis]:
                 continue
             free = ("rms",) if is_white else _FREE_COMMON
             yield Hypothesis((CommonMode(rms, time_s, shared, group),), free, shared=True, members=members)
-            if max(ratio, 1 / ratio) > _UNLIKE:
+            if max(ratio, 1 / ratio) > _LEAST_RATIO:
                 own, other = _common_rms_each(covariance, ratio)
                 yield Hypothesis(
                     (CommonMode(own, time_s, shared, group),),
@@ -546,15 +546,15 @@ def _in_pairs(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _common_rms(covariance: Floats, shared: float) -> Triple:
-    """Sizes by axis of what two sensors have in common alike, by its covariances (3, 3)."""
+    """Return the sizes by axis of what two sensors have in common alike, by its covariances (3, 3)."""
     if shared:
         return triple(covariance.sum(axis=1).clip(0) / math.sqrt(max(float(covariance.sum()), _TINY)))
     return triple(np.sqrt(np.diag(covariance).clip(0)))
 
 
 def _common_rms_each(covariance: Floats, ratio: float) -> tuple[Triple, Triple]:
-    """Sizes by axis of one process in two sensors, of which the first has `ratio` times as much, by the covariances (3,
-    3) between them: the best product of a column and a row.
+    """Return the sizes by axis of one process in two sensors, of which the first has `ratio` times as much, by the
+    covariances (3, 3) between them: the best product of a column and a row.
     """
     columns, values, rows = np.linalg.svd(covariance)
     sign = math.copysign(1.0, columns[:, 0].sum())
