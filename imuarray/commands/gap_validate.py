@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, cast
 import click
 
 from imuarray.atomic import save_figure, write_text
-from imuarray.commands.options import json_option, print_json, progress, workers_option
+from imuarray.commands.options import json_option, names_option, print_json, progress, workers_option
 
 if TYPE_CHECKING:
-    from imuarray.validation.case import Half
+    from imuarray.validation.case import Case, Half
     from imuarray.validation.scoring import Figures
 
 _SIZES = ("none", "glance", "reduced", "bench", "short", "medium", "full")
@@ -24,10 +24,10 @@ _SIZES = ("none", "glance", "reduced", "bench", "short", "medium", "full")
 @click.option(
     "-o",
     "--output",
-    required=True,
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="folder for outcomes, sealed truth and results; repeating the command continues an interrupted run",
+    help="folder for outcomes, sealed truth and results; repeating the command continues an interrupted run (default:"
+    " a new folder validation-DATE in the working directory)",
 )
 @click.option(
     "--size",
@@ -36,6 +36,25 @@ _SIZES = ("none", "glance", "reduced", "bench", "short", "medium", "full")
     show_default=True,
     help="number of cases: short, medium and full use random worlds; glance, reduced and bench use fixed"
     " plans; none uses only --cases",
+)
+@names_option(
+    "--effects",
+    metavar="EFFECT,...",
+    help="only mechanisms that show as one of these effects, and cases without a mechanism (default: all of the size)",
+    may_be_empty=False,
+)
+@names_option(
+    "--severities",
+    metavar="LIMITS,...",
+    help="sizes of single mechanisms in detection limits, from 0.5, 1, 2, 5, 20 (default: those of the size)",
+    may_be_empty=False,
+)
+@click.option(
+    "--repeats",
+    type=click.IntRange(1, 1000),
+    metavar="N",
+    help="number of cases of each mechanism at each severity; all other numbers change in proportion (default: that of "
+    "the size)",
 )
 @click.option(
     "--cases",
@@ -81,6 +100,7 @@ def validate(**options: Any) -> None:
 
     \b
     imuarray gap validate --size glance -o checked
+    imuarray gap validate --effects tone,popcorn_noise --severities 2,5 --repeats 3
     """
     _validate(ValidateOptions(**options))
 
@@ -89,8 +109,11 @@ def validate(**options: Any) -> None:
 class ValidateOptions:
     """The options of `imuarray gap validate`, as they were given."""
 
-    output: Path
+    output: Path | None
     size: str
+    effects: tuple[str, ...]
+    severities: tuple[str, ...]
+    repeats: int | None
     folders: tuple[Path, ...]
     half: str
     seed: int
@@ -104,24 +127,84 @@ class ValidateOptions:
 def _validate(options: ValidateOptions) -> None:
     """Run the planned cases, score them, and write and print the figures."""
     from imuarray.validation.case_folder import cases_in
-    from imuarray.validation.plans import SIZES, cases, shuffle
+    from imuarray.validation.plans import SIZES, cases, restrict, shuffle
 
-    planned = cases(cast("Half", options.half), SIZES[options.size], options.seed)
+    severities = [_severity(text) for text in options.severities]
+    size = restrict(SIZES[options.size], options.effects, severities, options.repeats)
+    planned = cases(cast("Half", options.half), size, options.seed)
     planned = shuffle([*planned, *cases_in(options.folders, cast("Half", options.half), len(planned))], options.seed)
     if not planned:
         raise click.UsageError("--size none requires --cases FOLDER")
-    names = [folder.name for folder in options.folders]
+    plan = _plan_of(options)
     if not options.score_only:
-        plan = {"half": options.half, "size": options.size, "seed": options.seed, "cases": len(planned)}
-        _prepare_folder(options.output, {**plan, "folders": names} if names else plan)
-        _run(options.output, planned, options.where, options.workers, options.again)
-    figures = _scored(options.output, planned)
-    words = " ".join(f"--cases {name}" for name in names) + " " * bool(names)
-    arguments = f"--half {options.half} --size {options.size} --seed {options.seed} {words}-o {options.output.name}"
-    _write(options.output, figures, f"imuarray gap validate {arguments}")
+        folder = _run(options, planned, plan)
+    elif options.output is not None:
+        folder = options.output
+    else:
+        raise click.UsageError("--score-only requires the folder of a run: -o DIR")
+    figures = _scored(folder, planned)
+    _write(folder, figures, f"imuarray gap validate {_words(plan)} -o {folder.name}")
     _print_figures(figures, options.as_json)
     if any(row.is_refuted for row in figures.failed):
         raise click.exceptions.Exit(1)
+
+
+def _severity(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no number", param_hint="--severities") from None
+
+
+def _plan_of(options: ValidateOptions) -> dict[str, Any]:
+    """Return the options that determine the cases, without those that keep their default."""
+    plan = {
+        "half": options.half,
+        "size": options.size,
+        "seed": options.seed,
+        "effects": list(options.effects),
+        "severities": list(options.severities),
+        "repeats": options.repeats,
+        "folders": [folder.name for folder in options.folders],
+    }
+    return {key: value for key, value in plan.items() if value not in ([], None)}
+
+
+def _words(plan: dict[str, Any]) -> str:
+    """Return the plan as options of the command."""
+    words = list[str]()
+    for key, value in plan.items():
+        if key == "folders":
+            words += [f"--cases {name}" for name in value]
+        else:
+            words.append(f"--{key} {','.join(value) if isinstance(value, list) else value}")
+    return " ".join(words)
+
+
+def _new_folder() -> Path:
+    """Make a folder in the working directory that did not exist, and print its name."""
+    name = f"validation-{date.today().isoformat()}"
+    folder, number = Path(name), 1
+    while True:
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            number += 1
+            folder = Path(f"{name}-{number}")
+        else:
+            click.echo(f"{folder}: the folder of this run; -o {folder} continues it", err=True)
+            return folder
+
+
+_PLAN_NAMES = {
+    "frozen": "set of thresholds",
+    "effects": "choice of effects",
+    "severities": "choice of severities",
+    "repeats": "number of repeats",
+    "folders": "choice of --cases",
+    "cases": "number of cases",
+}
+"""What an error calls the entries of a plan, where not by their own names."""
 
 
 def _prepare_folder(folder: Path, plan: dict[str, Any]) -> None:
@@ -139,20 +222,25 @@ def _prepare_folder(folder: Path, plan: dict[str, Any]) -> None:
         write_json(path, frozen_plan)
         return
     noted = json.loads(path.read_text(encoding="utf-8"))
-    for key, value in frozen_plan.items():
-        if noted.get(key) != value:
-            name = "set of thresholds" if key == "frozen" else key
+    for key in sorted({**frozen_plan, **noted}, key="cases".__eq__):  # the reason before the number of cases
+        if noted.get(key) != frozen_plan.get(key):
+            name = _PLAN_NAMES.get(key, key)
             raise ConfigError(f"{path}: the run began with another {name}; use the same {name}, or another folder")
 
 
-def _run(folder: Path, planned: list[Any], where: str, workers: int, again: bool) -> None:
+def _run(options: ValidateOptions, planned: list[Case], plan: dict[str, Any]) -> Path:
+    """Run the cases, and return the folder of their outcomes."""
     from imuarray.validation.running import executor_of, run_cases
     from imuarray.validation.trial import diagnose_case
 
-    with executor_of(where, workers) as executor, progress(len(planned), "cases") as tell:
-        ran = run_cases(planned, folder, diagnose_case, executor, again=again, progress=tell)
+    with executor_of(options.where, options.workers) as executor:
+        folder = _new_folder() if options.output is None else options.output
+        _prepare_folder(folder, {**plan, "cases": len(planned)})
+        with progress(len(planned), "cases") as tell:
+            ran = run_cases(planned, folder, diagnose_case, executor, again=options.again, progress=tell)
     for name in (*ran.failed, *ran.lost):
         click.echo(f"{folder}/outcomes/{name}.json: failed; --again retries it", err=True)
+    return folder
 
 
 def _scored(folder: Path, planned: list[Any]) -> Figures:

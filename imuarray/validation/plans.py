@@ -17,6 +17,9 @@ from itertools import combinations
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from imuarray.errors import ConfigError
+from imuarray.printable import printable
+from imuarray.spelling import guess
 from imuarray.validation.bench import (
     AT_ONE_TEMPERATURE,
     AT_REST,
@@ -109,7 +112,8 @@ class Size:
     """The number of cases: `controls` for each plan, or in total for random worlds; `singles` of each named mechanism
     at each of `severities`, `others` of it on each other fixed plan at the highest severity, `hidden` where it cannot
     show; `withheld` of each named and `unnamed` of each unnamed mechanism; `pairs` on different sensors and on one;
-    `removals` of each extra effect. `mechanisms` restricts the list.
+    `removals` of each extra effect. `mechanisms` restricts the list, and `effects` to the mechanisms that resemble any
+    of them and to these extra effects.
 
     The cases are in random `worlds`, or on the fixed `plans` of the emulated bench.
     """
@@ -124,6 +128,7 @@ class Size:
     removals: int = 0
     severities: tuple[float, ...] = SEVERITIES
     mechanisms: tuple[str, ...] = ()
+    effects: tuple[str, ...] = ()
     worlds: bool = False
     plans: tuple[str, ...] = tuple(PLANS)
 
@@ -157,6 +162,8 @@ SIZES: Mapping[str, Size] = MappingProxyType(
 )
 """Sizes by the names that the command takes: "none" for case folders alone, the next three on the fixed plans."""
 
+MOST_CASES = 10_000
+"""Distance between the first seeds of two sets of cases, and so the greatest number of cases in a set."""
 STRIDE = 10_000_000
 """Distance between the seeds of the worlds tried for one case; the halves stay disjoint."""
 MOST_WORLDS = 2000
@@ -175,12 +182,51 @@ class _DrawnCase(NamedTuple):
     is_hidden: bool = False
 
 
+def restrict(
+    size: Size, effects: Sequence[str] = (), severities: Sequence[float] = (), repeats: int | None = None
+) -> Size:
+    """Return a size with other mechanisms, severities or numbers; what is not given stays as it is.
+
+    `effects` chooses the mechanisms that resemble any of these effects, whatever the size's own list, and no mechanism
+    without a name; controls stay. `severities` are some of `SEVERITIES`. `repeats` is the number of cases of each
+    mechanism at each severity; the numbers of all other cases change in proportion and none becomes 0. ConfigError for
+    an effect without a mechanism, and for another severity.
+    """
+    if effects:
+        size = replace(size, mechanisms=(), effects=tuple(dict.fromkeys(effects)))
+        known = {effect for fact in _mechanisms_of(replace(size, effects=())).values() for effect in fact["resembles"]}
+        for effect in effects:
+            if effect not in known:
+                raise ConfigError(
+                    f"effect {printable(effect)!r}: no case of this size has it; allowed are {', '.join(sorted(known))}"
+                    + guess(effect, known)
+                )
+    for severity in severities:
+        if severity not in SEVERITIES:
+            known_severities = ", ".join(f"{known:g}" for known in SEVERITIES)
+            raise ConfigError(f"severity {severity:g} detection limits; allowed are {known_severities}")
+    if severities:
+        size = replace(size, severities=tuple(sorted(set(severities))))
+    if repeats is None:
+        return size
+    own = max(size.singles, size.others) or 1
+    counts = {name: getattr(size, name) for name in _COUNTS}
+    return replace(size, **{name: math.ceil(count * repeats / own) for name, count in counts.items() if count})
+
+
+_COUNTS = ("controls", "singles", "others", "hidden", "withheld", "unnamed", "pairs", "removals")
+
+
 def cases(half: Half, size: Size, seed: int = 0) -> list[Case]:
-    """Return the numbered cases; each `seed` (0 to 99) makes another set of the same half."""
+    """Return the numbered cases; each `seed` (0 to 99) makes another set of the same half. ConfigError for more cases
+    than `MOST_CASES`.
+    """
     if not 0 <= seed < 100:
         raise ValueError(f"seed {seed}; allowed is 0 to 99")
-    first = _SEEDS[half] + 10_000 * seed
+    first = _SEEDS[half] + MOST_CASES * seed
     planned = list(_all(size))
+    if len(planned) > MOST_CASES:
+        raise ConfigError(f"{len(planned)} cases are planned; allowed are at most {MOST_CASES}")
     random.Random(first).shuffle(planned)  # a run that is stopped early has something of everything
     place = _in_a_world if size.worlds else _on_the_bench
     return [place(drawn, half, number, first + number) for number, drawn in enumerate(planned)]
@@ -193,14 +239,20 @@ def shuffle(planned: Sequence[Case], seed: int) -> list[Case]:
     return random.Random(seed).sample(list(planned), len(planned))
 
 
-def _all(size: Size) -> Iterator[_DrawnCase]:
-    facts = {
+def _mechanisms_of(size: Size) -> dict[str, dict[str, Any]]:
+    """Return the generator's description of the mechanisms of a size."""
+    return {
         name: fact
         for name, fact in mechanisms().items()
         if (not size.mechanisms or name in size.mechanisms)
+        and (not size.effects or not set(size.effects).isdisjoint(fact["resembles"]))
         and not set(CHIPS.values()).isdisjoint(fact["touches"])
         and not (size.worlds and fact["resembles"] and NUISANCES.issuperset(fact["resembles"]))
     }
+
+
+def _all(size: Size) -> Iterator[_DrawnCase]:
+    facts = _mechanisms_of(size)
     named = [name for name, fact in facts.items() if fact["resembles"]]
     for plan in (RANDOM,) if size.worlds else size.plans:
         yield from [_DrawnCase("none", plan)] * size.controls
@@ -222,9 +274,11 @@ def _all(size: Size) -> Iterator[_DrawnCase]:
             for second in apart
             if first != second and (not together or set(facts[first]["touches"]) & set(facts[second]["touches"]))
         ]
-        for _ in range(size.pairs):
+        for _ in range(size.pairs if possible else 0):
             yield _DrawnCase("pair", FULL, choose.choice(possible), STRONG, together=together)
     for extra in EXTRAS:
+        if size.effects and extra["effect"] not in size.effects:
+            continue
         yield from [_DrawnCase("removal", FULL, extra=extra)] * size.removals
 
 

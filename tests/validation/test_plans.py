@@ -6,16 +6,18 @@ import math
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from imuarray.errors import ConfigError
 from imuarray.simulate.effect import from_table
 from imuarray.simulate.effects import EFFECTS
 from imuarray.validation import plans
 from imuarray.validation.bench import CHIPS, HIDDEN, LIMITS, PLANS, limit
 from imuarray.validation.case import Case
 from imuarray.validation.generator import mechanisms
-from imuarray.validation.plans import EXTRAS, SIZES, Size, cases, hidden_in, shuffle
+from imuarray.validation.plans import EXTRAS, SIZES, Size, cases, hidden_in, restrict, shuffle
 from imuarray.validation.worlds import draw_world
 
 BENCH = Size(controls=200, singles=20, others=4, withheld=4, unnamed=20, pairs=100, removals=12)
@@ -120,6 +122,57 @@ def test_a_short_run_asks_everything_in_random_worlds() -> None:
                 assert (set(facts["resembles"]) <= hidden) == case.is_hidden
         if case.kind == "removal":
             assert case.chips[case.extra["sensor"]] == case.extra["chip"]
+
+
+def test_a_run_is_restricted_to_effects_severities_and_repeats() -> None:
+    """Three mechanisms show as glitches, and one extra effect is glitches."""
+    size = restrict(SIZES["bench"], ["glitches"], [20.0, 0.5], 3)
+    planned = cases("development", size)
+    by_kind = Counter(case.kind for case in planned)
+    names = {"cable_bit_errors", "torn_reads", "mux_hang"}
+    assert {put.mechanism for case in planned for put in case.puts} == names
+    on_full = [case.puts[0] for case in planned if case.kind == "single" and case.plan == "full"]
+    assert Counter(put.mechanism for put in on_full) == dict.fromkeys(names, 2 * 3)
+    assert {put.limits for put in on_full if not math.isnan(put.limits)} == {0.5, 20.0}
+    assert by_kind["none"] == 3 * 20 * len(PLANS)
+    assert by_kind["withheld"] == 3 * len(names)
+    assert by_kind["removal"] == 3
+    assert by_kind["unnamed"] == 0
+    assert all("glitches" in names for case in planned for names in case.resembles)
+
+
+def test_an_effect_replaces_the_own_mechanisms_of_a_size() -> None:
+    size = restrict(SIZES["glance"], ["bistable_bias"], repeats=2)
+    assert [case.puts[0].mechanism for case in cases("development", size)] == ["bias_current_dac"] * 2
+    assert restrict(SIZES["full"]) == SIZES["full"]
+
+
+def test_fewer_repeats_leave_some_of_each_kind() -> None:
+    size = restrict(SIZES["short"], repeats=1)
+    assert (size.controls, size.singles, size.hidden, size.withheld, size.unnamed, size.pairs) == (75, 1, 1, 1, 2, 10)
+
+
+def test_a_pair_needs_two_mechanisms() -> None:
+    planned = cases("development", restrict(SIZES["bench"], ["tone"]))
+    assert "pair" not in {case.kind for case in planned}
+
+
+@pytest.mark.parametrize(
+    ("size", "given", "message"),
+    [
+        ("bench", {"effects": ["tine"]}, "effect 'tine': no case of this size has it; .*; did you mean tone?"),
+        ("short", {"effects": ["jitter"]}, "effect 'jitter': no case of this size has it; allowed are axis_error, "),
+        ("bench", {"severities": [3.0]}, "severity 3 detection limits; allowed are 0.5, 1, 2, 5, 20$"),
+    ],
+)
+def test_a_restriction_that_no_plan_knows(size: str, given: dict[str, list[Any]], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        restrict(SIZES[size], **given)
+
+
+def test_a_set_of_cases_has_no_seed_of_the_next() -> None:
+    with pytest.raises(ConfigError, match=r"^10001 cases are planned; allowed are at most 10000$"):
+        cases("development", Size(controls=10_001, worlds=True))
 
 
 def test_halves_share_no_world() -> None:

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from imuarray.cli import main
 from imuarray.commands import gap_validate
+from imuarray.errors import ImuArrayError
+from imuarray.validation import running
+from imuarray.validation.case import Case
 from imuarray.validation.plans import SIZES, cases
+from imuarray.validation.running import RunSummary
 from imuarray.validation.scoring import score_folder
 
 
@@ -37,6 +43,71 @@ def test_who_may_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     words = ["gap", "validate", "-o", str(tmp_path), "--size", "glance", "--executor", "threads"]
     assert main(words) == 2
     assert "neither processes nor the tcp://host:port of a Dask scheduler" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--effects", "tine"], "allowed are axis_error, bandwidth,"),
+        (["--effects", ","], "names are required, with commas between them"),
+        (["--severities", "3"], "severity 3 detection limits; allowed are 0.5, 1, 2, 5, 20"),
+        (["--severities", "x"], "Invalid value for --severities: 'x' is no number"),
+        (["--repeats", "900", "--size", "full"], "cases are planned; allowed are at most 10000"),
+        (["--score-only"], "--score-only requires the folder of a run: -o DIR"),
+    ],
+)
+def test_what_is_allowed(
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is run and no folder is made."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["gap", "validate", *words]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_a_folder_a_new_one_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its plan has the restrictions. The same folder with other restrictions is refused."""
+    ran = list[str]()
+
+    def run(planned: Sequence[Case], folder: Path, *args: Any, **options: Any) -> RunSummary:
+        ran.append(folder.name)
+        return RunSummary(len(planned), 0, (), ())
+
+    class NoScoreError(ImuArrayError):
+        """Ends the command where the outcomes would be scored."""
+
+    def score(folder: Path, planned: list[Case]) -> None:
+        raise NoScoreError
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(running, "run_cases", run)
+    monkeypatch.setattr(gap_validate, "_scored", score)
+    words = ["gap", "validate", "--size", "glance", "--effects", "tone", "--severities", "2,5", "--repeats", "2"]
+    assert main(words) == 2
+    assert main(words) == 2
+    (first, second) = ran
+    assert re.fullmatch(r"validation-\d{4}-\d\d-\d\d", first)
+    assert second == f"{first}-2"
+    assert f"{second}: the folder of this run; -o {second} continues it" in capsys.readouterr().err
+    plan = json.loads((tmp_path / first / "plan.json").read_text())
+    del plan["frozen"]
+    assert plan.pop("cases") == 2
+    assert plan == {
+        "half": "development",
+        "size": "glance",
+        "seed": 0,
+        "effects": ["tone"],
+        "severities": ["2", "5"],
+        "repeats": 2,
+    }
+    assert gap_validate._words(plan | {"folders": ["real"]}).endswith(
+        "--effects tone --severities 2,5 --repeats 2 --cases real"
+    )
+    assert main([*words[:4], "-o", first]) == 2
+    assert f"{first}/plan.json: the run began with another choice of effects" in capsys.readouterr().err
 
 
 MISSED = {
