@@ -57,7 +57,7 @@ def _list_effects(as_json: bool) -> None:
     "--like",
     type=click.Path(path_type=Path),
     metavar="RUN.h5",
-    help="take sensors, times, faces and temperature from this log",
+    help="take sensors, times, faces and temperature from this log; with --experiment only its sensors and frame rate",
 )
 @click.option(
     "-o",
@@ -151,7 +151,7 @@ def command(output: Path | None, list_effects: bool, **options: Any) -> None:
     """Simulate the array of CONFIG, or the recording RUN.h5, with a model of the sensors, and write a log.
 
     The model defines the effects between truth and counts for every unit. /truth in the log holds the true motion. The
-    same seed gives the same log.
+    same seed gives the same log. With both --like and --experiment, another experiment of RUN.h5's array is simulated.
 
     \b
     imuarray simulate martin2013 --experiment tumble -o simulated.h5
@@ -200,7 +200,7 @@ def _run(options: SimulateOptions) -> None:
 
     if (options.config is None) == (options.like is None):
         raise click.UsageError("give either a CONFIG or --like RUN.h5")
-    _refuse_idle(click.get_current_context(), options.experiment, options.like)
+    _refuse_idle(click.get_current_context(), options)
     seed, left_out, population = options.seed, options.without, options.population
     with ExitStack() as stack:
         log, runs = _runs(stack, options)
@@ -256,47 +256,52 @@ _FOR = {
 """Options that apply only to some experiments."""
 
 
-def _refuse_idle(context: click.Context, experiment: str, like: Path | None) -> None:
+def _is_given(context: click.Context, name: str) -> bool:
+    return context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
+
+
+def _refuse_idle(context: click.Context, options: SimulateOptions) -> None:
     """Raise click.UsageError for an option that would have no effect."""
-    idle = [
-        name
-        for name in (*_FOR, "experiment", "seconds", "rate_hz")
-        if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
-    ]
-    for name in idle:
-        option, experiments = _FOR.get(name, (f"--{name.replace('_', '-')}", (experiment,)))
-        if like is not None:
-            raise click.UsageError(f"{option}: with --like it comes from the log")
-        if experiment not in experiments:
-            raise click.UsageError(f"{option} is for --experiment {' or '.join(experiments)}, not {experiment}")
+    is_like_alone = options.like is not None and not _is_given(context, "experiment")
+    for name in (*_FOR, "seconds", "rate_hz"):
+        if not _is_given(context, name):
+            continue
+        option, experiments = _FOR.get(name, (f"--{name.replace('_', '-')}", (options.experiment,)))
+        if is_like_alone:
+            raise click.UsageError(f"{option}: with --like it comes from the log, unless an --experiment is given")
+        if options.experiment not in experiments:
+            raise click.UsageError(f"{option} is for --experiment {' or '.join(experiments)}, not {options.experiment}")
 
 
 def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[BootRun]]:
-    """Return the log of --like, if there is one, and the runs to simulate."""
+    """Return the log whose motion is simulated, if there is one, and the runs to simulate."""
     from imuarray.array import load_array
     from imuarray.errors import ConfigError
     from imuarray.log import open_log
-    from imuarray.simulate.experiments import ExperimentOptions, run_like, run_of, turn_on_series
+    from imuarray.simulate.experiments import ExperimentOptions, array_like, run_like, run_of, turn_on_series
 
-    if options.like is not None:
+    rate_hz = options.rate_hz
+    if options.like is None:
+        array = load_array(find_config(options.config or Path()))
+        array = array.only(options.only) if options.only else array
+    else:
         log = stack.enter_context(open_log(options.like))
-        return log, [run_like(log, options.output, options.only, options.boot)]
-    array = load_array(find_config(options.config or Path()))
-    array = array.only(options.only) if options.only else array
+        context = click.get_current_context()
+        if not _is_given(context, "experiment"):
+            return log, [run_like(log, options.output, options.only, options.boot)]
+        array = array_like(log, options.only)
+        rate_hz = rate_hz if _is_given(context, "rate_hz") or not log.frame_rate_hz else log.frame_rate_hz
     for sensor in array.sensors:
         if sensor.on_iio and not sensor.sensitivity:
             raise ConfigError(
-                f"{options.config}: sensor {sensor.name}: only the kernel knows the scale of its counts; record"
-                " it and use"
-                " --like RUN.h5, or configure a chip with a data sheet, and its range"
+                f"{options.config or options.like}: sensor {sensor.name}: only the kernel knows the scale of its"
+                " counts; record it and use --like RUN.h5 alone, or configure a chip with a data sheet, and its range"
             )
     experiment = ExperimentOptions(options.seconds, options.up, options.temperature_degc, options.drive)
     if options.experiment == "turn-on":
         boots = range(options.boot, options.boot + options.runs)
-        return None, turn_on_series(array, options.output, experiment, options.rate_hz, boots)
-    return None, [
-        run_of(array, options.output, options.experiment, experiment, rate_hz=options.rate_hz, boot=options.boot)
-    ]
+        return None, turn_on_series(array, options.output, experiment, rate_hz, boots)
+    return None, [run_of(array, options.output, options.experiment, experiment, rate_hz=rate_hz, boot=options.boot)]
 
 
 def _model(name: str, calibration: Path | None, plan: Plan) -> Model:

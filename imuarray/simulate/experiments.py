@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
-from imuarray.array import ArrayConfig
-from imuarray.errors import ConfigError, SourceError
+from imuarray.array import ArrayConfig, parse_array
+from imuarray.errors import ConfigError, LogError, SourceError
 from imuarray.log import Log
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
@@ -135,6 +135,23 @@ def run_like(log: Log, path: Path, only: Collection[str], boot: int) -> BootRun:
     does not have.
     """
     return BootRun(path, plan_like(log, only), LikeLog(log), boot)
+
+
+def array_like(log: Log, only: Collection[str]) -> ArrayConfig:
+    """Return the array with which a log was recorded: the sensors that have readings, or `only` these.
+
+    LogError for a sensor that the log does not have, and for a log without a configuration.
+    """
+    if not log.config:
+        raise LogError(f"{log.path}: it has no configuration, which another experiment needs; omit --experiment")
+    array = parse_array(log.config, f"{log.path}: config")
+    recorded = {name for name, sensor in log.sensors.items() if len(sensor)}
+    for name in only:
+        log[name]
+    chosen = tuple(sensor.name for sensor in array.sensors if sensor.name in (only or recorded))
+    if not chosen:
+        raise LogError(f"{log.path}: has no readings of a sensor of its configuration")
+    return array.only(chosen)
 
 
 def turn_on_series(

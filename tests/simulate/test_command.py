@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -128,6 +129,24 @@ def test_like_a_recorded_log(tmp_path: Path) -> None:
     assert np.abs(ours - theirs).max() < 20  # the same unit, in the same pose
 
 
+def test_another_experiment_of_the_array_of_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its sensors and its frame rate; the length, the face and the motion are those of the experiment."""
+    run, other = tmp_path / "run.h5", tmp_path / "other.h5"
+    assert simulate("martin2013", "--only", "Gyro1,BMA2", "--rate-hz", 20, "--seconds", 2, "-o", run) == 0
+    assert simulate("--like", run, "--experiment", "static", "--up=-X", "--seconds", 5, "-o", other) == 0
+    with open_log(other) as log:
+        assert set(log.sensors) == {"Gyro1", "BMA2"}
+        assert len(log["Gyro1"]) == 100
+        assert log.frame_rate_hz == 20
+        assert [phase.up for phase in log.phases] == ["-X"]
+    assert simulate("--like", run, "--experiment", "static", "--only", "Gyro2", "-o", tmp_path / "no.h5") == 2
+    assert "no sensor 'Gyro2'" in capsys.readouterr().err
+    with h5py.File(run, "r+") as file:
+        file.attrs["config"] = ""
+    assert simulate("--like", run, "--experiment", "static", "-o", tmp_path / "no.h5") == 2
+    assert "it has no configuration, which another experiment needs; omit --experiment" in capsys.readouterr().err
+
+
 def test_a_trajectory_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "lift.csv"
     rows = [f"{t / 10},0,0,{0.5 * (t / 10) ** 2},0,0,0" for t in range(101)]  # 1 m/s2 upwards
@@ -157,7 +176,8 @@ def test_a_trajectory_from_a_file(tmp_path: Path) -> None:
         (("martin2013", "--motion", "vehicle"), "--motion is for --experiment motion"),
         (("martin2013", "--runs", "4"), "--runs is for --experiment turn-on"),
         (("martin2013", "--experiment", "heating", "--temperature", "10"), "--temperature is for"),
-        (("--like", "x.h5", "--experiment", "tumble"), "--experiment: with --like it comes from the log"),
+        (("--like", "x.h5", "--seconds", "9"), "--seconds: with --like it comes from the log, unless an --experiment"),
+        (("--like", "x.h5", "--experiment", "tumble", "--runs", "4"), "--runs is for --experiment turn-on, not tumble"),
     ],
 )
 def test_bad_input_is_told_in_one_line(
