@@ -317,7 +317,10 @@ TOLERANCES: dict[str, Sheet] = {
 
 
 def tolerances_of(chip: str, full_scale: float) -> Tolerances:
-    """Return the tolerances of a chip at a measuring range."""
+    """Return the tolerances of a chip at a measuring range. ValueError for a chip without an entry in `TOLERANCES`."""
+    if chip not in TOLERANCES:
+        known = ", ".join(TOLERANCES)
+        raise ValueError(f"chip {chip!r} has no entry in firmware_emulator.units.TOLERANCES, which has {known}")
     sheet = TOLERANCES[chip]
     return sheet if isinstance(sheet, Tolerances) else sheet(full_scale)
 

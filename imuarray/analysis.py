@@ -13,8 +13,8 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
-from imuarray.errors import ConfigError, LogError
-from imuarray.log import Log, open_log, require_distinct
+from imuarray.errors import ConfigError
+from imuarray.log import Log, open_log, require_distinct, require_logs
 from imuarray.spelling import as_names
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def calibrate_tumble(*logs: LogLike) -> TumbleResult:
     """
     from imuarray.calibrate import calibrate_tumble as calibrate
 
-    with _opened(logs) as opened:
+    with _opened("calibrate_tumble(*logs)", logs) as opened:
         return calibrate(*opened)
 
 
@@ -60,7 +60,7 @@ def calibrate_noise(*logs: LogLike, known: str | PathLike[str] | Calibration | N
     """
     from imuarray.calibrate import calibrate_noise as calibrate
 
-    with _opened(logs) as opened:
+    with _opened("calibrate_noise(*logs)", logs) as opened:
         return calibrate(*opened, known=None if known is None else _calibration(known)).stamped(opened)
 
 
@@ -74,7 +74,7 @@ def calibrate_thermal(*logs: LogLike) -> ThermalResult:
     """
     from imuarray.calibrate import calibrate_thermal as calibrate
 
-    with _opened(logs) as opened:
+    with _opened("calibrate_thermal(*logs)", logs) as opened:
         return calibrate(*opened)
 
 
@@ -90,7 +90,7 @@ def calibrate_turn_on(*logs: LogLike, seed: int = 1) -> TurnOnSeries:
     from imuarray.calibrate import calibrate_turn_on as calibrate
     from imuarray.chips import SENSITIVITIES
 
-    with _opened(logs) as opened:
+    with _opened("calibrate_turn_on(*logs)", logs) as opened:
         return calibrate(opened, SENSITIVITIES, seed)
 
 
@@ -115,7 +115,7 @@ def characterise(
     from imuarray.characterise import characterise_log
     from imuarray.characterise.characterisation import Characterisation
 
-    with _opened([log]) as (opened,):
+    with _opened("characterise(log)", [log]) as (opened,):
         scales = {} if calibration is None else _calibration(calibration).scales(opened.sensors.values())
         return Characterisation(
             characterise_log(
@@ -167,7 +167,7 @@ def fuse(  # noqa: PLR0913
     calibration_used = Calibration() if calibration is None else _calibration(calibration)
     events: list[FaultEvent] = []
     notes: list[FusionNotes] = []
-    with _opened([log]) as (opened,):
+    with _opened("fuse(log)", [log]) as (opened,):
         sensor_names = [opened[sensor].name for sensor in as_names(only)]
         if name or calibration_used.sensors:
             require_known_sensors(opened, calibration_used, sensor_names, name or "the calibration")
@@ -344,18 +344,25 @@ def _model(
     return calibrated(loaded, known, [header for header, _ in sensors.values()])
 
 
-def _calibration(calibration: str | PathLike[str] | Calibration) -> Calibration:
-    """Return the calibration itself, or that of a file; CalibrationError."""
+def _calibration(calibration: object) -> Calibration:
+    """Return the calibration itself, or that of a file; CalibrationError, also if it is neither."""
     from imuarray.calibrate import Calibration, load_calibration
+    from imuarray.errors import CalibrationError
 
-    return calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
+    if isinstance(calibration, Calibration):
+        return calibration
+    if not isinstance(calibration, str | PathLike):
+        kind = type(calibration).__name__
+        raise CalibrationError(f"{kind} given as a calibration; allowed is a path or a Calibration")
+    return load_calibration(calibration)
 
 
 @contextmanager
-def _opened(logs: Sequence[LogLike]) -> Iterator[list[Log]]:
-    """Open the logs that are given as paths, and close these at the end. LogError, also if there is none."""
-    if not logs:
-        raise LogError("no log is given; at least one is required")
+def _opened(call: str, logs: Sequence[LogLike]) -> Iterator[list[Log]]:
+    """Open the logs that are given as paths, and close these at the end. LogError, also if there is none or something
+    else is given; the message names the `call`.
+    """
+    require_logs(logs, call, or_paths=True)
     with ExitStack() as stack:
         opened = [log if isinstance(log, Log) else stack.enter_context(open_log(log)) for log in logs]
         require_distinct(opened)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 import imuarray as ia
-from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.calibrate import Calibration, SensorCalibration, calibrate_noise, calibrate_tumble, calibrate_turn_on
 from imuarray.cli import program
 from imuarray.errors import CalibrationError, ConfigError, FusionError, LogError, MissingExtraError
 from imuarray.fuse import read_fused_head
@@ -359,6 +360,40 @@ def test_a_log_counts_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 def test_no_log_is_an_error_of_one_line(analysis: Any) -> None:
     with pytest.raises(LogError, match=r"^no log is given; at least one is required$"):
         analysis()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda log: ia.calibrate_tumble([log]),
+            r"calibrate_tumble\(\*logs\): list given as a log; allowed is a path or ",
+        ),
+        (lambda log: ia.calibrate_noise([log]), r"calibrate_noise\(\*logs\): list given as a log"),
+        (lambda log: ia.calibrate_thermal([log]), r"calibrate_thermal\(\*logs\): list given as a log"),
+        (lambda log: ia.calibrate_turn_on([log]), r"calibrate_turn_on\(\*logs\): list given as a log"),
+        (lambda log: ia.characterise([log]), r"characterise\(log\): list given as a log"),
+        (lambda log: ia.fuse(3), r"fuse\(log\): int given as a log"),
+        (lambda log: calibrate_turn_on(log), r"calibrate_turn_on\(logs\): Log given; allowed is a list of logs$"),
+        (
+            lambda log: calibrate_turn_on(["run.h5"]),
+            r"calibrate_turn_on\(logs\): str given as a log; allowed is an open log$",
+        ),
+        (
+            lambda log: calibrate_tumble([log]),
+            r"calibrate_tumble\(\*logs\): list given as a log; allowed is an open log$",
+        ),
+        (lambda log: calibrate_noise(), "no log is given; at least one is required$"),
+    ],
+)
+def test_a_list_is_no_log_and_a_log_no_list(folder: Path, call: Callable[[Any], Any], message: str) -> None:
+    with ia.open_log(folder / "rest.h5") as log, pytest.raises(LogError, match=f"^{message}"):
+        call(log)
+
+
+def test_a_list_is_no_calibration(folder: Path) -> None:
+    with pytest.raises(CalibrationError, match=r"^list given as a calibration; allowed is a path or a Calibration$"):
+        ia.fuse(folder / "rest.h5", [folder / "cal.toml"])  # type: ignore[arg-type]
 
 
 def test_a_single_name_is_a_name_and_not_its_letters(folder: Path, tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ from imuarray.calibrate.stability import Drift, NoiseLine, Thermal
 from imuarray.characterise.correlation import Autocovariance
 from imuarray.errors import CalibrationError
 from imuarray.kernels import drift_sums
-from imuarray.log import Log, SensorLog
+from imuarray.log import Log, SensorLog, require_logs
 from imuarray.units import INERTIAL
 
 MOST_SEGMENTS = 512
@@ -322,6 +322,7 @@ def calibrate_noise(
     the accelerometers. CalibrationError if there are none. `progress` is called with the step, the number of sensors
     done, and their total.
     """
+    require_logs(logs, "calibrate_noise(*logs)")
     return _calibrated(logs, known, _FALSE_ALARM, progress)
 
 

@@ -50,7 +50,7 @@ from imuarray.calibrate.pose_readings import sensor_in
 from imuarray.calibrate.segments import SegmentMeans, TemperatureSeries, segment_means, thermometer_of
 from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
 from imuarray.errors import CalibrationError
-from imuarray.log import Log, SensorLog
+from imuarray.log import Log, SensorLog, require_logs
 from imuarray.printable import counted
 from imuarray.units import INERTIAL
 
@@ -417,6 +417,7 @@ def calibrate_thermal(*logs: Log, segment_s: float = SEGMENT_S) -> ThermalResult
     The box must stand still in a log, except in phases called `motion`, which are ignored. CalibrationError for a log
     without a thermometer, that is too short, whose temperature hardly changed, or that has several orientations.
     """
+    require_logs(logs, "calibrate_thermal(*logs)")
     first = logs[0]
     sensors = [sensor for sensor in first.sensors.values() if sensor.quantity in INERTIAL and len(sensor)]
     if not sensors:

@@ -54,7 +54,7 @@ from imuarray.calibrate.segments import TemperatureSeries, thermometer_of
 from imuarray.calibrate.thermal import SEGMENT_S
 from imuarray.calibrate.turns import TurnFit, fit_turns
 from imuarray.errors import CalibrationError
-from imuarray.log import Log, SensorLog
+from imuarray.log import Log, SensorLog, require_logs
 from imuarray.log.format import SATURATED, SUSPECT, Phase
 from imuarray.printable import counted
 from imuarray.robust import MEDIAN_SQUARE
@@ -480,6 +480,7 @@ def calibrate_tumble(
     static poses are detected in the logs. `progress` is called with the step, the number done and the total.
     CalibrationError states what is missing or which face does not fit.
     """
+    require_logs(logs, "calibrate_tumble(*logs)")
     first = logs[0]
     accelerometers, gyroscopes = first.of("specific_force"), first.of("angular_rate")
     if not accelerometers:

@@ -34,7 +34,7 @@ from imuarray.calibrate.runs import (
 )
 from imuarray.calibrate.stability import BiasState, TurnOn
 from imuarray.errors import CalibrationError
-from imuarray.log import Log
+from imuarray.log import Log, require_logs
 from imuarray.printable import counted
 from imuarray.units import INERTIAL
 
@@ -135,6 +135,7 @@ def calibrate_turn_on(logs: Sequence[Log], ranges: Ranges = NO_RANGES, seed: int
     """
     if not logs:
         raise CalibrationError("no log")
+    require_logs(logs, "calibrate_turn_on(logs)")
     sensors = [sensor for sensor in logs[0].sensors.values() if sensor.quantity in INERTIAL]
     if not sensors:
         raise CalibrationError(f"{logs[0].path}: it has no inertial sensor")

@@ -1,7 +1,7 @@
 """The log: raw counts in HDF5, the only interface between acquisition and analysis."""
 
 from imuarray.log.columns import Track
-from imuarray.log.reader import Log, open_log, require_distinct
+from imuarray.log.reader import Log, open_log, require_distinct, require_logs
 from imuarray.log.rotate import RotatingWriter
 from imuarray.log.sensor_log import SensorLog, first_at
 from imuarray.log.writer import Block, LogWriter, Stimulus
@@ -17,4 +17,5 @@ __all__ = [
     "first_at",
     "open_log",
     "require_distinct",
+    "require_logs",
 ]

@@ -387,6 +387,20 @@ def open_log(path: str | PathLike[str]) -> Log:
     return log
 
 
+def require_logs(logs: Any, call: str, *, or_paths: bool = False) -> None:
+    """Raise LogError if `logs` is not a list or tuple of one open log (`or_paths`) or more; the message names the
+    `call`, such as `calibrate_tumble(*logs)`.
+    """
+    if not isinstance(logs, Sequence) or isinstance(logs, str):
+        raise LogError(f"{call}: {type(logs).__name__} given; allowed is a list of logs")
+    if not logs:
+        raise LogError("no log is given; at least one is required")
+    for log in logs:
+        if not isinstance(log, (Log, str, PathLike) if or_paths else Log):
+            allowed = "a path or an open log" if or_paths else "an open log"
+            raise LogError(f"{call}: {type(log).__name__} given as a log; allowed is {allowed}")
+
+
 def require_distinct(logs: Iterable[Log]) -> None:
     """Raise LogError if two of the logs are one file: an analysis would count its readings as independent ones."""
     paths: set[Path] = set()

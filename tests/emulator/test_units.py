@@ -234,6 +234,14 @@ def test_every_chip_has_tolerances() -> None:
     assert all(abs(unit.thermometer_offset_degc) <= 0.5 for unit in barometers)
 
 
+def test_a_chip_without_tolerances_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(TOLERANCES, "bmp280")
+    with pytest.raises(
+        ValueError, match=r"^chip 'bmp280' has no entry in firmware_emulator.units.TOLERANCES, which has adxl"
+    ):
+        unit_of("lab", "P", "bmp280", 0.0)
+
+
 def test_noise_is_keyed_and_independent_of_what_is_felt() -> None:
     unit = UnitDeviations(noise=(1.0, 1.0, 1.0))
     streams = [
