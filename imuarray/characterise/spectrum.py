@@ -189,6 +189,9 @@ class Welch:
 _BLOCKS = 6
 """Length of the low-pass filter of `SlowWelch` in decimated rows."""
 
+_PRODUCTS_AT_ONCE = 1 << 18
+"""Products of numbers up to which OpenBLAS multiplies matrices in one thread; the others would wait for work."""
+
 _TERMS = (0.35875, -0.48829, 0.14128, -0.01168)
 """Cosines of the filter, Blackman and Harris's window of four terms (Harris, table I): frequencies that fold to less
 than a fifth of the decimated rate are attenuated by 90 dB or more."""
@@ -217,11 +220,18 @@ class SlowWelch:
         count = max(0, blocks - _BLOCKS + 1)
         if count:
             columns = np.ascontiguousarray(rows[: blocks * self._factor].T)  # products are faster along rows
-            parts = columns.reshape(-1, self._factor) @ self._filter.reshape(_BLOCKS, -1).T
-            means = parts.reshape(rows.shape[1], blocks, _BLOCKS)
+            means = self._products(columns.reshape(-1, self._factor)).reshape(rows.shape[1], blocks, _BLOCKS)
             filtered = np.sum([means[:, at : at + count, at] for at in range(_BLOCKS)], axis=0).T
             self._welch.update(filtered + self._origin)
         self._rest = rows[count * self._factor :]
+
+    def _products(self, blocks: Floats) -> Floats:
+        """Return the products (b, `_BLOCKS`) of blocks (b, factor) of rows with the parts of the filter."""
+        parts, products = self._filter.reshape(_BLOCKS, -1).T, np.empty((len(blocks), _BLOCKS))
+        at_once = max(1, _PRODUCTS_AT_ONCE // parts.size)
+        for start in range(0, len(blocks), at_once):
+            np.matmul(blocks[start : start + at_once], parts, out=products[start : start + at_once])
+        return products
 
     def end_run(self) -> None:
         """End a run at a gap."""
@@ -233,7 +243,7 @@ class SlowWelch:
         self.end_run()
         spectrum = self._welch.result()
         turns = np.outer(2 * np.pi * spectrum.frequency_hz / self._rate_hz, np.arange(len(self._filter)))
-        response = np.abs(np.exp(-1j * turns) @ self._filter) ** 2
+        response = np.abs(np.einsum("fr,r->f", np.exp(-1j * turns), self._filter)) ** 2
         return replace(spectrum, density=spectrum.density / response[:, None])
 
 

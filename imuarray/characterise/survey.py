@@ -123,11 +123,12 @@ class IntervalTally:
         limit = GAP * _quantile(values, self._counts, _QUARTILE)
         is_gap = values > limit
         is_gap[-1] = True
-        gaps_ns = float(values[:-1] @ np.where(is_gap, self._counts, 0)[:-1]) + self._beyond_ns
+        gaps_ns = _weighted_sum(np.where(is_gap, self._counts, 0)[:-1], values[:-1]) + self._beyond_ns
         counts = np.where(is_gap, 0, self._counts)
         number = int(counts.sum())
         mean = (self._last_ns - self._first_ns - gaps_ns) / number
-        variance = float(counts @ (values - float(counts @ values) / number) ** 2) / number
+        centred = values - _weighted_sum(counts, values) / number
+        variance = _weighted_sum(counts, centred**2) / number
         square = self._alternation(variance)
         robust = _quantile(values, self._changes, 0.5) / MEDIAN_ABSOLUTE / sqrt(2) if self._changes.any() else nan
         jitter = sqrt(max(variance - square, 0.0))
@@ -179,6 +180,11 @@ class IntervalTally:
         square = (second / pairs - third / others) / 2
         error = max(variance - square, 0.0) / sqrt(2 * others)
         return float(square) if square > max(_SURE * error, self._bin_ns**2 / 12) else 0.0
+
+
+def _weighted_sum(counts: Times, values: Floats) -> float:
+    """Return the sum of `values` (b,) that come `counts` (b,) times."""
+    return float(np.einsum("b,b", counts, values))  # for "@", OpenBLAS would start threads
 
 
 def _quantile(values: Floats, counts: Times, share: float) -> float:
