@@ -20,6 +20,7 @@ import numpy.typing as npt
 from scipy import fft
 
 from imuarray.arrays import Floats
+from imuarray.products import multiply_rows
 
 Values = npt.NDArray[np.floating] | npt.NDArray[np.integer]
 Precision = Literal["single", "double"]
@@ -189,9 +190,6 @@ class Welch:
 _BLOCKS = 6
 """Length of the low-pass filter of `SlowWelch` in decimated rows."""
 
-_PRODUCTS_AT_ONCE = 1 << 18
-"""Products of numbers up to which OpenBLAS multiplies matrices in one thread; the others would wait for work."""
-
 _TERMS = (0.35875, -0.48829, 0.14128, -0.01168)
 """Cosines of the filter, Blackman and Harris's window of four terms (Harris, table I): frequencies that fold to less
 than a fifth of the decimated rate are attenuated by 90 dB or more."""
@@ -220,18 +218,11 @@ class SlowWelch:
         count = max(0, blocks - _BLOCKS + 1)
         if count:
             columns = np.ascontiguousarray(rows[: blocks * self._factor].T)  # products are faster along rows
-            means = self._products(columns.reshape(-1, self._factor)).reshape(rows.shape[1], blocks, _BLOCKS)
+            parts = multiply_rows(columns.reshape(-1, self._factor), self._filter.reshape(_BLOCKS, -1).T)
+            means = parts.reshape(rows.shape[1], blocks, _BLOCKS)
             filtered = np.sum([means[:, at : at + count, at] for at in range(_BLOCKS)], axis=0).T
             self._welch.update(filtered + self._origin)
         self._rest = rows[count * self._factor :]
-
-    def _products(self, blocks: Floats) -> Floats:
-        """Return the products (b, `_BLOCKS`) of blocks (b, factor) of rows with the parts of the filter."""
-        parts, products = self._filter.reshape(_BLOCKS, -1).T, np.empty((len(blocks), _BLOCKS))
-        at_once = max(1, _PRODUCTS_AT_ONCE // parts.size)
-        for start in range(0, len(blocks), at_once):
-            np.matmul(blocks[start : start + at_once], parts, out=products[start : start + at_once])
-        return products
 
     def end_run(self) -> None:
         """End a run at a gap."""

@@ -26,6 +26,7 @@ import numpy.typing as npt
 from imuarray.arrays import Booleans, Floats
 from imuarray.fuse import compiled_frames
 from imuarray.fuse.frames import Axis, Estimate, entries
+from imuarray.products import multiply_rows
 from imuarray.units import STANDARD_GRAVITY
 
 BLOCK_BYTES = 1 << 19
@@ -195,8 +196,8 @@ def _solved(values: Floats, weights: Floats, rows: Floats) -> tuple[Floats, Floa
     """
     gains, solvable = frame_gains(_distinct(weights), rows)
     if len(gains) == 1:
-        triad = values @ gains[0].T if solvable[0] else np.full((len(values), 3), np.nan)
-        return np.asarray(triad), gains, solvable
+        triad = multiply_rows(values, gains[0].T) if solvable[0] else np.full((len(values), 3), np.nan)
+        return triad, gains, solvable
     solution = np.einsum("nim,nm->ni", gains, values)
     solution[~solvable] = np.nan
     return np.asarray(solution), gains, solvable

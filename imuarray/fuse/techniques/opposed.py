@@ -38,6 +38,7 @@ from imuarray.fuse.frames import Axis, Estimate, Frames, axes_of, directions
 from imuarray.fuse.least_squares import solve_frames
 from imuarray.fuse.techniques.technique import Technique, mean
 from imuarray.log import SensorLog
+from imuarray.products import multiply_rows
 from imuarray.recursion import first_order
 
 _WITHIN = 1.96
@@ -334,7 +335,7 @@ def opposed(axes: Sequence[Axis]) -> Technique:
 
     def fused(frames: Frames) -> Estimate:
         weights = frames.valid.astype(float)
-        residual = frames.values - solve_frames(frames.values, weights, rows) @ rows.T
+        residual = frames.values - multiply_rows(solve_frames(frames.values, weights, rows), rows.T)
         values = frames.values.copy()
         for mode in modes:
             values[:, mode.members] -= mode.estimate(frames.time, residual, frames.valid)[:, None]

@@ -43,6 +43,7 @@ from imuarray.fuse.frames import Axis, Estimate, Frames, directions, entries
 from imuarray.fuse.least_squares import AxisNoise, SlowErrors, frame_gains, solve_frames, weighted, whole_gain
 from imuarray.fuse.techniques.technique import WORTH_WEIGHING, FixedWeights, Technique, known_noise_of
 from imuarray.kernels import track_differences
+from imuarray.products import multiply_rows
 from imuarray.units import READABLE_SI
 
 TAPER = (0.75, 0.95)
@@ -552,7 +553,7 @@ class RangeBlend:
         if self._fading is None:
             return FixedWeights(self._rows, self._weights, self._noise, self._slow)(frames)
         wide = self._weights * ~self._fading.fades.repeat(3) * frames.valid
-        share = self._fading(frames, solve_frames(frames.values, wide, self._rows) @ self._rows.T)
+        share = self._fading(frames, multiply_rows(solve_frames(frames.values, wide, self._rows), self._rows.T))
         weights = self._weights * share * frames.valid
         steady = np.asarray((share == 1).all(axis=1))
         states = self.tracker.follow(TrackedFrames(frames.time, frames.values, frames.valid, steady))
@@ -560,7 +561,7 @@ class RangeBlend:
         level = (frames.values - bias) / (1 + scale)
         first = solve_frames(level, weights, self._rows)
         slope = self._slope(frames.time, first)
-        level += delay / (1 + scale) * (slope @ self._rows.T)
+        level += delay / (1 + scale) * multiply_rows(slope, self._rows.T)
         estimate = weighted(level, weights, AxisNoise(self._rows, self._noise, frames.delay_noise), self._slow)
         extra = self._uncertainty(states, weights, frames.valid, share, estimate.triad_box, slope)
         return replace(estimate, covariance_box=estimate.covariance_box + extra)
