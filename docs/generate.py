@@ -342,7 +342,7 @@ def _technique_names() -> tuple[str, ...]:
 
 
 def _technique_module(name: str) -> str:
-    return {"mean": "imuarray.fuse.techniques.technique", "optimal": "imuarray.fuse.optimal.optimal"}.get(
+    return {"mean": "imuarray.fuse.least_squares", "optimal": "imuarray.fuse.optimal.optimal"}.get(
         name, f"imuarray.fuse.techniques.{name}"
     )
 

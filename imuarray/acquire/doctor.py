@@ -24,8 +24,7 @@ from imuarray.errors import ImuArrayError, SensorError
 from imuarray.facts import bmp180
 from imuarray.log.disk_space import RESERVE, WATERMARK, free_bytes
 from imuarray.log.format import header_of
-from imuarray.log.journal import is_running
-from imuarray.log.layout import sensor_group
+from imuarray.log.journal import is_running, sensor_group
 
 I2C_FUNCS = 0x0705  # LNX-03
 

@@ -25,8 +25,7 @@ from imuarray.fuse import fused_file
 from imuarray.fuse.element_temperature import element_temperatures
 from imuarray.log import Log, SensorLog, open_log
 from imuarray.log.columns import NamedColumn
-from imuarray.log.format import FORMAT, FORMAT_VERSION, SINGLE_PRECISION, SensorHeader
-from imuarray.log.layout import COMPENSATED_UNITS, TRACK_UNITS
+from imuarray.log.format import COMPENSATED_UNITS, FORMAT, FORMAT_VERSION, SINGLE_PRECISION, TRACK_UNITS, SensorHeader
 from imuarray.log.sensor_log import recorded_header
 from imuarray.units import SI_NAME, SI_PER_UNIT
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from imuarray.characterise.codes import Rails, find_rails
 from imuarray.log import LogWriter
 from imuarray.log.format import SATURATED, SensorHeader
-from imuarray.log.layout import Columns
+from imuarray.log.journal import Columns
 from imuarray.printable import counted, listed
 
 

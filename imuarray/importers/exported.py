@@ -20,16 +20,21 @@ from imuarray.axes import orientation_of
 from imuarray.errors import LogError, SourceError
 from imuarray.importers import ImportSummary
 from imuarray.log import Block, LogWriter, Stimulus
-from imuarray.log.format import FORMAT, FORMAT_VERSION, SOURCES, ClockRow, Event, Phase, Preamble, SensorHeader
-from imuarray.log.layout import (
+from imuarray.log.format import (
     COMPENSATED_UNITS,
+    FORMAT,
+    FORMAT_VERSION,
+    SOURCES,
     STIMULI,
     TRACK_COLUMNS,
     TRACK_UNITS,
-    ColumnGroup,
-    Columns,
-    sensor_group,
+    ClockRow,
+    Event,
+    Phase,
+    Preamble,
+    SensorHeader,
 )
+from imuarray.log.journal import ColumnGroup, Columns, sensor_group
 from imuarray.log.untrusted_input import check_note
 from imuarray.printable import printable
 

@@ -29,7 +29,7 @@ from imuarray.importers.exported import (
     write_log,
 )
 from imuarray.importers.mapping import FileTable
-from imuarray.log.layout import ColumnGroup, Columns
+from imuarray.log.journal import ColumnGroup, Columns
 from imuarray.log.untrusted_input import MAX_TEXT_BYTES
 from imuarray.printable import printable
 

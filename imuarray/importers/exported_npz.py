@@ -24,7 +24,7 @@ from imuarray.export.formats import NPZ_HEADER
 from imuarray.importers import ImportSummary, open_source
 from imuarray.importers.exported import MAX_HEADER_BYTES, checked_head, parse_header, read_notes, write_log
 from imuarray.log.inspection import MOST_DEFLATED
-from imuarray.log.layout import ColumnGroup, Columns
+from imuarray.log.journal import ColumnGroup, Columns
 from imuarray.printable import printable
 
 MAX_MEMBERS = 4096

@@ -24,7 +24,7 @@ from imuarray.importers.exported import (
     write_log,
 )
 from imuarray.importers.parquet import open_parquet
-from imuarray.log.layout import ColumnGroup, Columns
+from imuarray.log.journal import ColumnGroup, Columns
 from imuarray.printable import printable
 from imuarray.wall_time import unix_ns
 

@@ -20,7 +20,7 @@ from imuarray.arrays import Times
 from imuarray.importers.cells import Blocks, CellBlock
 from imuarray.log import LogWriter
 from imuarray.log.format import ARRIVAL
-from imuarray.log.layout import Columns
+from imuarray.log.journal import Columns
 from imuarray.log.row_timing import EvenRows, even_rows, row_timing
 
 

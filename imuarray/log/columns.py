@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import LogError
-from imuarray.log.layout import CLOCKS
+from imuarray.log.format import CLOCKS
 
 UNREADABLE = (OSError, RuntimeError, KeyError, MemoryError)
 """The exceptions of HDF5 on stored rows that it can't read; ValueError, TypeError and IndexError mean a bad slice."""

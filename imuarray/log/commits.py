@@ -22,8 +22,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Integers
 from imuarray.errors import LogError
-from imuarray.log.journal import JournalReader
-from imuarray.log.layout import NOTES, ColumnGroup, Columns
+from imuarray.log.journal import NOTES, ColumnGroup, Columns, JournalReader
 from imuarray.log.salvage import Mark
 from imuarray.log.untrusted_input import DAMAGE
 from imuarray.printable import counted

@@ -18,8 +18,7 @@ import numpy as np
 from imuarray.arrays import Floats, Reals, Times
 from imuarray.errors import MissingExtraError
 from imuarray.figures import time_series_figure
-from imuarray.log.format import FLAGS, SYNC_PULSE, TIME_UNCERTAINTY
-from imuarray.log.layout import TRACK_UNITS
+from imuarray.log.format import FLAGS, SYNC_PULSE, TIME_UNCERTAINTY, TRACK_UNITS
 from imuarray.units import SI_NAME, SI_PER_UNIT
 from imuarray.wall_time import wall_time
 

@@ -12,6 +12,7 @@ import json
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from imuarray.axes import Matrix, orientation_of
@@ -364,3 +365,33 @@ def header_of(
         compensated=("temperature", "pressure") if barometer else timing,
         extra={**extra, **further, **pulses},
     )
+
+
+ColumnTypes = tuple[tuple[str, str, tuple[int, ...]], ...]
+"""Equally long columns: name, little-endian type, and shape of a row."""
+
+STIMULUS: ColumnTypes = (
+    ("time", "<i8", ()),
+    ("specific_force", "<f8", (3,)),
+    ("angular_rate", "<f8", (3,)),
+    ("temperature", "<f8", ()),
+)
+CLOCKS: ColumnTypes = tuple((name.removesuffix("_ns"), "<i8", ()) for name in ClockRow._fields)
+
+TRACK_COLUMNS: Mapping[str, ColumnTypes] = MappingProxyType(
+    {"truth": STIMULUS, "reference": STIMULUS, "clocks": CLOCKS}
+)
+"""The groups that a log may have besides its sensors; a group exists if it has rows."""
+
+TRACK_UNITS: Mapping[str, str] = MappingProxyType(
+    {"specific_force": "m s-2", "angular_rate": "rad s-1", "temperature": "degC"}
+    | {name: "ns" for name, _, _ in CLOCKS if name != "time"}
+)
+"""The units of the columns of these groups; `time` is in ns since the epoch."""
+
+STIMULI = ("truth", "reference")
+
+COMPENSATED_UNITS: Mapping[str, str] = MappingProxyType(
+    {"temperature": "degC", "pressure": "Pa", ARRIVAL: "s", TIME_UNCERTAINTY: "s", SYNC_PULSE: "s"}
+)
+"""The units of the columns of a sensor that `SensorHeader.compensated` names."""

@@ -1,5 +1,10 @@
 """The HDF5 file of a log that is being written: compressed columns under a temporary name, which is renamed when it is
 complete (`Draft`), or a file that others can read while it grows (`LiveFile`).
+
+The attributes are those by which xarray (engine h5netcdf) and NeXus viewers recognise a group. HDF5 protects its own
+structures, and `fletcher32` the chunks of columns. Texts of varying length are stored in heaps without a checksum, and
+short tables contiguously in the file. A finished log therefore stores checksums of its texts and of the tables of
+phases and events, as they were written. Attributes that other programs add are ignored.
 """
 
 from __future__ import annotations
@@ -10,7 +15,7 @@ import os
 import re
 import sys
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,38 +32,47 @@ from imuarray.log.disk_space import (
 )
 from imuarray.log.format import (
     CACHE_BYTES,
+    COMPENSATED_UNITS,
+    FORMAT,
+    FORMAT_VERSION,
+    LONG_NAME,
+    PLOTS,
     PREAMBLE,
     PREAMBLE_CRC,
+    STIMULI,
+    THERMOMETER_ATTRIBUTES,
+    TRACK_COLUMNS,
+    TRACK_UNITS,
     Event,
     Phase,
     Preamble,
+    SensorHeader,
 )
-from imuarray.log.layout import (
-    CHECK_SUMS,
-    CHUNK,
-    COMPRESSED,
-    LIBVER,
-    NOTES,
-    PLAIN,
-    STIMULI,
-    TRACK_COLUMNS,
-    ColumnGroup,
-    Columns,
-    Notes,
-    attach_scales,
-    check_sums,
-    create_columns,
-    create_sensor,
-    create_track,
-    groups_of,
-    log_attributes,
-    write_plots,
-    write_table,
-)
+from imuarray.log.journal import NOTES, ColumnGroup, Columns, Notes, groups_of, sensor_group
 from imuarray.log.salvage import Mark
+from imuarray.log.untrusted_input import DAMAGE, read_texts
+from imuarray.units import SI_NAME, SI_PER_UNIT
 
 if sys.platform != "win32":
     import fcntl
+
+CHUNK = 4096
+"""Rows per chunk: about 40 s at 100 Hz; 24 KiB of counts."""
+
+COMPRESSED: Mapping[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
+"""How the columns of a finished log are stored: compressed, each chunk with a checksum."""
+
+PLAIN: Mapping[str, Any] = {}
+"""How the columns of a log are stored while it is written."""
+
+LIBVER = "v110"
+"""The earliest file format with single writer and multiple readers (SWMR). "latest" would depend on the installed HDF5,
+and MATLAB, for example, cannot read that of HDF5 2.0.
+"""
+
+_STRING = h5py.string_dtype("utf-8")
+_PLOTTED: Mapping[str, Any] = {"NX_class": "NXdata", "axes": ["time", "."]}
+"""NeXus: rows over time; the second dimension has no numeric axis."""
 
 _EMPTY_BYTES = 1 << 14
 """Upper estimate of the space that HDF5 needs for a group and its columns."""
@@ -156,7 +170,7 @@ class Draft:
             raise
 
     def append(self, number: int, columns: Columns) -> None:
-        """Add rows of the group of this number (`imuarray.log.layout`); LogError."""
+        """Add rows of the group of this number (`imuarray.log.journal`); LogError."""
         if self.groups[number].path == NOTES:
             self.notes.add(columns)
             return
@@ -339,3 +353,189 @@ class LiveFile:
         with contextlib.suppress(Exception):  # the journal has the rows that this can't write
             self.file.close()
         self._room.close()
+
+
+def log_attributes(preamble: Preamble) -> dict[str, Any]:
+    """Return the attributes of the file itself."""
+    attributes = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "epoch": preamble.epoch,
+        "source": preamble.source,
+        "config": preamble.config,
+        "software": preamble.software,
+        "Conventions": "CF-1.8",
+        "NX_class": "NXroot",
+    }
+    return attributes | ({"frame_rate_hz": float(preamble.frame_rate_hz)} if preamble.frame_rate_hz else {})
+
+
+def sensor_attributes(header: SensorHeader) -> dict[str, Any]:
+    """Return the attributes of `/sensors/<NAME>`; ValueError for impossible axes."""
+    attributes = {
+        "chip": header.chip,
+        "quantity": header.quantity,
+        "range": header.range,
+        "unit": header.unit,
+        "sensitivity": header.sensitivity,
+        "rate_hz": header.rate_hz,
+        "bandwidth_hz": header.bandwidth_hz,
+        "axes": header.axes,
+        "orientation": np.array(header.orientation),
+        "position_mm": np.array(header.position_mm),
+        "columns": list(header.columns),
+        "NX_class": "NXcollection",
+        **header.extra,
+    }
+    return attributes | ({} if header.delay_ns is None else {"delay_ns": header.delay_ns})
+
+
+def create_columns(file: h5py.File, group: ColumnGroup, chunk: int, storage: Mapping[str, Any]) -> h5py.Group:
+    """Create a group with its columns, empty and resizable."""
+    created = file.create_group(group.path)
+    for name, kind, tail in group.columns:
+        created.create_dataset(name, (0, *tail), kind, maxshape=(None, *tail), chunks=(chunk, *tail), **storage)
+    return created
+
+
+def create_sensor(
+    file: h5py.File, header: SensorHeader, epoch: str, chunk: int, storage: Mapping[str, Any]
+) -> h5py.Group:
+    """Create `/sensors/<NAME>` with its attributes and empty columns; ValueError for impossible axes."""
+    attributes = sensor_attributes(header)
+    group = create_columns(file, sensor_group(header), chunk, storage)
+    group.attrs.update(attributes)
+    group.create_dataset("axis", data=list(header.columns), dtype=_STRING)
+    group["time"].attrs["units"] = f"nanoseconds since {epoch}"
+    group["time"].attrs["long_name"] = "start of the burst on the wire"
+    counts = group["counts"].attrs
+    counts["long_name"] = LONG_NAME[header.quantity]
+    if header.columns == ("x", "y", "z") and header.sensitivity:
+        counts["units"] = SI_NAME[header.unit]
+        counts["scale_factor"] = SI_PER_UNIT[header.unit] / header.sensitivity
+        counts["add_offset"] = 0.0
+        group.attrs["comment"] = (
+            f"counts are raw; readers that apply scale_factor (xarray) show {SI_NAME[header.unit]}."
+            f" unit, {header.unit}, is that of range and sensitivity only."
+        )
+    for name in header.compensated:
+        group[name].attrs["units"] = COMPENSATED_UNITS.get(name, "1")
+    return group
+
+
+def create_track(file: h5py.File, name: str, epoch: str, chunk: int, storage: Mapping[str, Any]) -> h5py.Group:
+    """Create a group of `TRACK_COLUMNS`, empty."""
+    group = create_columns(file, ColumnGroup(name, TRACK_COLUMNS[name]), chunk, storage)
+    group["time"].attrs["units"] = f"nanoseconds since {epoch}"
+    for column, _, _ in TRACK_COLUMNS[name][1:]:
+        group[column].attrs["units"] = TRACK_UNITS[column]
+    if name in STIMULI:
+        group.attrs.update(_PLOTTED, signal="specific_force", auxiliary_signals=["angular_rate"])
+        group.create_dataset("axis", data=["X", "Y", "Z"], dtype=_STRING)
+    return group
+
+
+def attach_scales(group: h5py.Group) -> None:
+    """Attach dimension scales to every column; without them xarray invents names and does not recognise the time."""
+    group["time"].make_scale("time")
+    if "axis" in group:
+        group["axis"].make_scale("axis")
+    for name, dataset in group.items():
+        if name in ("time", "axis"):
+            continue
+        dataset.dims[0].attach_scale(group["time"])
+        if dataset.ndim == 2:
+            dataset.dims[1].attach_scale(group["axis"])
+
+
+def write_plots(file: h5py.File, names: Sequence[str]) -> None:
+    """Write `/plots`: for each sensor its counts over time, as NeXus viewers (silx, h5web) look for them.
+
+    A sensor's own group can't provide this, because its attribute `axes` holds the box axes. The columns are soft links
+    to those of the sensor, the only links in a log; the reader does not follow them (`imuarray.log.inspection`).
+    """
+    plots = file.create_group(PLOTS)
+    plots.attrs.update(NX_class="NXentry", default=min(names))
+    file.attrs["default"] = PLOTS
+    for name in names:
+        plot = plots.create_group(name)
+        plot.attrs.update(_PLOTTED, signal="counts")
+        for column in ("time", "counts", "axis"):  # netCDF requires the names of both dimensions
+            plot[column] = h5py.SoftLink(f"/sensors/{name}/{column}")
+
+
+def write_table(
+    file: h5py.File, name: str, fields: Sequence[str], rows: Sequence[Any], renamed: Mapping[str, str]
+) -> None:
+    """Write a group of equally long columns from named tuples; whole numbers are stored as int64, everything else as
+    text.
+    """
+    group = file.create_group(name)
+    for index, key in enumerate(fields):
+        values = [row[index] for row in rows]
+        column = renamed.get(key, key)
+        if key.endswith("_ns"):
+            group.create_dataset(column, data=np.array(values, np.int64))
+        else:
+            group.create_dataset(column, data=values, dtype=_STRING)
+
+
+CHECK_SUMS = "text_crc32"
+"""The root attribute: a CRC-32 for each of `PARTS`."""
+
+_LOG = ("format", "epoch", "source", "config", "software", "Conventions", "NX_class")
+_SENSOR = ("chip", "quantity", "unit", "axes", "columns", "NX_class", *THERMOMETER_ATTRIBUTES)
+_TABLES: Mapping[str, Sequence[str]] = {
+    "phases": ("start", "end", "name", "up"),
+    "events": ("time", "sensor", "kind", "message"),
+}
+PARTS = ("attributes", *_TABLES)
+
+
+def check_sums(file: Any) -> list[int]:
+    """Return the CRC-32 of the attributes, the phases and the events of an open HDF5 file; on damage h5py raises its
+    own errors.
+    """
+    crcs = [0, *(_crc(_column(file[table][name]) for name in names) for table, names in _TABLES.items())]
+    attributes = [_attributes(file.attrs, _LOG)]
+    for name in sorted(file["sensors"]):
+        group = file["sensors"][name]
+        attributes += [name.encode(), _attributes(group.attrs, _SENSOR), _column(group["axis"])]
+    crcs[0] = _crc(iter(attributes))
+    return crcs
+
+
+def changed_parts(file: Any) -> list[str]:
+    """Return the `PARTS` that differ from what was written; none for a log without checksums."""
+    stored = file.attrs.get(CHECK_SUMS)
+    if not isinstance(stored, np.ndarray) or stored.shape != (len(PARTS),):
+        return []
+    try:
+        return [part for part, crc, was in zip(PARTS, check_sums(file), stored.tolist(), strict=True) if crc != was]
+    except DAMAGE:
+        return ["attributes, phases or events"]
+
+
+def _crc(parts: Iterator[bytes]) -> int:
+    crc = 0
+    for part in parts:
+        crc = zlib.crc32(part + b"\0", crc)
+    return crc
+
+
+def _attributes(attributes: Mapping[str, Any], names: Sequence[str]) -> bytes:
+    """Return the values of the attributes of these names that exist."""
+    return b"\0".join(
+        b"\1".join([name.encode(), *map(_bytes, np.ravel(attributes[name]))]) for name in names if name in attributes
+    )
+
+
+def _column(column: Any) -> bytes:
+    """Read a whole column of numbers or texts."""
+    if column.dtype.kind != "O":
+        return np.ascontiguousarray(column[:]).tobytes()
+    return b"\1".join(map(_bytes, read_texts(column)))
+
+
+def _bytes(value: Any) -> bytes:
+    return value if isinstance(value, bytes) else str(value).encode("utf-8", "surrogateescape")

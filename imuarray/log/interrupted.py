@@ -24,20 +24,10 @@ import numpy.typing as npt
 from imuarray.errors import LogError
 from imuarray.log.columns import Column, LiveGroup
 from imuarray.log.commits import COMMITS, CommittedRows, read_commits
-from imuarray.log.format import PREAMBLE, PREAMBLE_CRC, Event, Phase, Preamble
-from imuarray.log.hdf5_writer import Draft
+from imuarray.log.format import PREAMBLE, PREAMBLE_CRC, TRACK_COLUMNS, Event, Phase, Preamble
+from imuarray.log.hdf5_writer import Draft, log_attributes, sensor_attributes
 from imuarray.log.inspection import UnclosedFile, inspect, is_marked_open, refuse_hostile
-from imuarray.log.journal import JournalReader, journal_of
-from imuarray.log.layout import (
-    NOTES,
-    TRACK_COLUMNS,
-    ColumnGroup,
-    Columns,
-    Notes,
-    groups_of,
-    log_attributes,
-    sensor_attributes,
-)
+from imuarray.log.journal import NOTES, ColumnGroup, Columns, JournalReader, Notes, groups_of, journal_of
 from imuarray.log.untrusted_input import DAMAGE
 
 SENSORS = "sensors/"

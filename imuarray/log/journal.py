@@ -1,11 +1,15 @@
-"""The journal of a log that is being written: blocks of rows in the order of their arrival, appended and never changed.
+"""The journal of a log that is being written: blocks of rows in the order of their arrival, appended and never changed;
+and the groups of equally long columns (`ColumnGroup`) whose rows it holds.
 
 ::
 
     "imuarray journal 2\\n"  length u32  preamble (JSON)  crc32 u32                         twice
-    group u16  tag u16  rows u32  crc32 u32  rows of the group (imuarray.log.layout)      for each block
+    group u16  tag u16  rows u32  crc32 u32  rows of the group                            for each block
 
-All little-endian. The CRC of each block continues from that of the previous one (the first from that of the preamble),
+All little-endian. A block of rows is the columns of its group one after the other. The groups are those of the sensors
+in their order, then those of `TRACK_COLUMNS`, then `notes` (phases and events, one line of JSON each, as bytes).
+
+The CRC of each block continues from that of the previous one (the first from that of the preamble),
 so that stale data after the last good block is rejected after a crash or a power cut. After damage in the middle,
 blocks are good again from where the chain continues in blocks of this log, whose tag comes from its identity. Journals
 of earlier versions ("imuarray journal 1") have their preamble once, and the oldest have the tag 0; they can be read
@@ -15,21 +19,25 @@ too.
 from __future__ import annotations
 
 import itertools
+import json
+import math
 import os
 import sys
 import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, Self
+from typing import Any, BinaryIO, NamedTuple, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.arrays import Integers
 from imuarray.errors import LogBusyError, LogError
-from imuarray.log.format import Preamble
-from imuarray.log.layout import ColumnGroup, Columns, groups_of
+from imuarray.log.format import SINGLE_PRECISION, TRACK_COLUMNS, ColumnTypes, Event, Phase, Preamble, SensorHeader
 from imuarray.log.salvage import CRC, HEAD, LONGEST_BLOCK, Mark, Record, Salvage
+from imuarray.log.untrusted_input import check_note
 
 if sys.platform != "win32":  # where logs can be read but not recorded
     import fcntl
@@ -40,6 +48,123 @@ LONGEST_PREAMBLE = 1 << 24
 
 _TRIES, _PAUSE_S = 20, 0.005
 """Most attempts to lock a journal while readers hold it for a moment, and the pause between them."""
+
+
+Columns = Mapping[str, npt.NDArray[Any]]
+"""The columns of a stretch of rows."""
+
+NOTES = "notes"
+_TEXT = "text"
+
+
+@dataclass(frozen=True)
+class ColumnGroup:
+    """A group of equally long columns; each is (name, little-endian type, shape of a row)."""
+
+    path: str
+    columns: tuple[tuple[str, str, tuple[int, ...]], ...]
+
+    @property
+    def row_bytes(self) -> int:
+        """The number of bytes of one row, all columns together."""
+        return sum(np.dtype(kind).itemsize * math.prod(tail) for _, kind, tail in self.columns)
+
+    def checked(self, columns: Columns) -> dict[str, npt.NDArray[Any]]:
+        """Return the columns in order and converted to their types; ValueError unless names match and lengths agree."""
+        names = {name for name, _, _ in self.columns}
+        if columns.keys() != names or len({len(rows) for rows in columns.values()}) != 1:
+            lengths = ", ".join(f"{name} {len(rows)}" for name, rows in columns.items())
+            expected = ", ".join(name for name, _, _ in self.columns)
+            raise ValueError(f"/{self.path}: columns {expected} of one length; got {lengths}")
+        checked = {name: np.ascontiguousarray(columns[name], kind) for name, kind, _ in self.columns}
+        for name, _, tail in self.columns:
+            if checked[name].shape[1:] != tail:
+                raise ValueError(f"/{self.path}: column {name}: rows of shape {tail}; got {checked[name].shape[1:]}")
+        return checked
+
+    def encode(self, columns: Columns) -> bytes:
+        """Return `checked` columns as bytes."""
+        return b"".join([columns[name].tobytes() for name, _, _ in self.columns])
+
+    def decode(self, payload: bytes | memoryview, rows: int) -> dict[str, npt.NDArray[Any]]:
+        """Return the columns of `rows` rows, without copying."""
+        columns, start = {}, 0
+        for name, kind, tail in self.columns:
+            count = rows * math.prod(tail)
+            columns[name] = np.frombuffer(payload, kind, count, start).reshape(rows, *tail)
+            start += count * np.dtype(kind).itemsize
+        return columns
+
+    def joined(self, parts: Sequence[Columns]) -> dict[str, npt.NDArray[Any]]:
+        """Concatenate blocks of columns; empty columns if there is none."""
+        return {
+            name: np.concatenate([np.empty((0, *tail), kind), *(part[name] for part in parts)])
+            for name, kind, tail in self.columns
+        }
+
+
+def sensor_group(header: SensorHeader) -> ColumnGroup:
+    """Return the columns of `/sensors/<NAME>`."""
+    width = (len(header.columns),)
+    counts = "<i2" if header.columns == ("x", "y", "z") and header.count_bits <= 16 else "<i4"
+    columns: ColumnTypes = (("time", "<i8", ()), ("counts", counts, width), ("status", "<u2", ()))
+    if header.has_temperature:
+        columns += (("temperature_counts", "<i2", ()),)
+    further = ((name, "<f4" if name in SINGLE_PRECISION else "<f8", ()) for name in header.compensated)
+    return ColumnGroup(f"sensors/{header.name}", (*columns, *further))
+
+
+def groups_of(sensors: Iterable[SensorHeader]) -> tuple[ColumnGroup, ...]:
+    """Return all groups of a log with these sensors, in their order."""
+    tracks = (ColumnGroup(name, columns) for name, columns in TRACK_COLUMNS.items())
+    return (*(sensor_group(header) for header in sensors), *tracks, ColumnGroup(NOTES, ((_TEXT, "<u1", ()),)))
+
+
+class OpenPhase(NamedTuple):
+    """A phase that has begun and whose end is not known yet; `end_ns` is the latest possible end."""
+
+    start_ns: int
+    end_ns: int
+    name: str
+    up: str = ""
+
+
+@dataclass
+class Notes:
+    """The phases and events of a log."""
+
+    phases: list[Phase] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    begun: list[OpenPhase] = field(default_factory=list)
+
+    def add(self, columns: Columns) -> None:
+        """Read rows of the group `notes`; LogError."""
+        try:
+            for line in np.asarray(columns[_TEXT], np.uint8).tobytes().decode("ascii").splitlines():
+                ((kind, fields),) = json.loads(line).items()
+                check_note(fields, 1 if kind == "event" else 2)
+                if kind == "phase":
+                    self.phases.append(Phase(*fields))
+                elif kind == "event":
+                    self.events.append(Event(*fields))
+                else:
+                    self.begun.append(OpenPhase(*fields))
+        except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
+            raise LogError(f"phases and events can't be read: {error}") from None
+
+    def phases_until(self, end_ns: int) -> list[Phase]:
+        """Return all phases of a log that ends at `end_ns`; a phase that was never ended lasts until then."""
+        ended = {(phase.start_ns, phase.name) for phase in self.phases}
+        open_ended = (begun for begun in self.begun if (begun.start_ns, begun.name) not in ended)
+        unfinished = (Phase(*begun)._replace(end_ns=min(begun.end_ns, end_ns)) for begun in open_ended)
+        return [*self.phases, *(phase for phase in unfinished if phase.end_ns > phase.start_ns)]
+
+
+def note_columns(note: Phase | Event | OpenPhase) -> dict[str, npt.NDArray[np.uint8]]:
+    """Return a note as rows of the group `notes`."""
+    kind = "begun" if isinstance(note, OpenPhase) else "event" if isinstance(note, Event) else "phase"
+    line = json.dumps({kind: note}, default=lambda number: number.item()) + "\n"
+    return {_TEXT: np.frombuffer(line.encode("ascii"), np.uint8)}
 
 
 def journal_of(path: Path) -> Path:

@@ -27,10 +27,10 @@ from imuarray.axes import UP_AXES
 from imuarray.errors import LogError, LogWarning
 from imuarray.log.columns import TRACK_BYTES, ClockTrack, RowCache, Track, clocks_of, track_of
 from imuarray.log.format import FORMAT, FORMAT_VERSION, FUSED, SOURCES, Event, Phase, Preamble
+from imuarray.log.hdf5_writer import changed_parts
 from imuarray.log.inspection import inspect
 from imuarray.log.interrupted import LiveView, RebuiltFile, is_unfinished, may_be_unfinished, open_interrupted
 from imuarray.log.journal import is_running
-from imuarray.log.layout import changed_parts
 from imuarray.log.sensor_log import SensorLog
 from imuarray.log.untrusted_input import DAMAGE, open_file, plain_value, positive, read_texts
 from imuarray.printable import counted

@@ -24,8 +24,7 @@ import numpy as np
 from imuarray.arrays import Integers, Times
 from imuarray.errors import DiskFullError, ImuArrayError
 from imuarray.log.format import ClockRow, Event, Phase, SensorHeader
-from imuarray.log.journal import journal_of
-from imuarray.log.layout import Notes, OpenPhase
+from imuarray.log.journal import Notes, OpenPhase, journal_of
 from imuarray.log.writer import KEPT, Block, LogWriter, Stimulus, WriterSettings
 
 _LEAD_NS = 5_000_000_000

@@ -48,26 +48,29 @@ from imuarray.log.disk_space import (
     write_errors,
 )
 from imuarray.log.format import (
+    CLOCKS,
     MOST_SENSORS,
+    STIMULI,
+    TRACK_COLUMNS,
     ClockRow,
     Event,
     Phase,
     Preamble,
     SensorHeader,
 )
-from imuarray.log.hdf5_writer import Draft, LiveFile, sweep
-from imuarray.log.journal import JournalLock, JournalReader, JournalWriter, is_running, journal_of
-from imuarray.log.layout import (
-    CHUNK,
-    CLOCKS,
+from imuarray.log.hdf5_writer import CHUNK, Draft, LiveFile, sweep
+from imuarray.log.journal import (
     NOTES,
-    STIMULI,
-    TRACK_COLUMNS,
     ColumnGroup,
     Columns,
+    JournalLock,
+    JournalReader,
+    JournalWriter,
     Notes,
     OpenPhase,
     groups_of,
+    is_running,
+    journal_of,
     note_columns,
 )
 from imuarray.log.reader import Log

@@ -20,10 +20,10 @@ from imuarray.errors import LogError
 from imuarray.log import Log, SensorLog, open_log
 from imuarray.log.commits import COMMITS, Commit, read_commits
 from imuarray.log.format import Preamble
+from imuarray.log.hdf5_writer import sensor_attributes
 from imuarray.log.inspection import UnclosedFile, is_marked_open, refuse_hostile
 from imuarray.log.interrupted import SENSORS, stored_preamble
-from imuarray.log.journal import JournalReader, is_running, journal_of
-from imuarray.log.layout import NOTES, ColumnGroup, sensor_attributes
+from imuarray.log.journal import NOTES, ColumnGroup, JournalReader, is_running, journal_of
 from imuarray.log.untrusted_input import DAMAGE
 from imuarray.monitor.snapshot import FINISHED, INTERRUPTED, WRITTEN, EventCounts
 from imuarray.monitor.window import STRIDE, Attributes, Gaps, LatestRows, gaps_of

@@ -21,7 +21,7 @@ from imuarray.characterise.spectrum import Spectrum
 from imuarray.errors import LogError
 from imuarray.log.format import Event
 from imuarray.log.health import Health, is_trouble
-from imuarray.log.layout import Notes
+from imuarray.log.journal import Notes
 from imuarray.log.missed_frames import MISSED, is_fault_of_bus
 
 KEPT = 50

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from imuarray.fuse import Frames, fuse
+from imuarray.fuse.least_squares import FixedWeights
 from imuarray.fuse.stream import RECENT, AxisOffsets
 from imuarray.fuse.techniques import TECHNIQUES
-from imuarray.fuse.techniques.technique import FixedWeights
 from imuarray.log import open_log
 from tests.fuse.arrays import triad
 from tests.fuse.conftest import DPS, Floats, Part, WriteRun, calibration, joined, nothing

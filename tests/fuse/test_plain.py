@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from imuarray.calibrate import Calibration
 from imuarray.fuse import Estimate, Frames, fuse
 from imuarray.fuse import stream as short
-from imuarray.fuse.least_squares import BLOCK_BYTES, ConstantGain
-from imuarray.fuse.techniques.technique import FixedWeights
+from imuarray.fuse.least_squares import BLOCK_BYTES, ConstantGain, FixedWeights
 from imuarray.log import Block, open_log
 from tests.fuse.conftest import DPS, Floats, G, Part, WriteRun, calibration, joined, pointing
 from tests.selection import examples, some

@@ -13,7 +13,7 @@ from imuarray.cli import main
 from imuarray.errors import LogError
 from imuarray.log import open_log
 from imuarray.log.columns import clocks_of
-from imuarray.log.layout import CLOCKS
+from imuarray.log.format import CLOCKS
 from tests.selection import some
 
 

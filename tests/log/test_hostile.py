@@ -19,8 +19,7 @@ from imuarray.cli import main
 from imuarray.errors import LogError
 from imuarray.log import LogWriter, open_log
 from imuarray.log.format import Preamble, SensorHeader
-from imuarray.log.journal import JournalReader, is_running, journal_of
-from imuarray.log.layout import groups_of
+from imuarray.log.journal import JournalReader, groups_of, is_running, journal_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 from hostile import KINDS, built

@@ -14,8 +14,17 @@ from hypothesis import strategies as st
 import imuarray.log.salvage as salvage
 from imuarray.errors import LogError
 from imuarray.log.format import Event, Phase, Preamble, SensorHeader
-from imuarray.log.journal import JournalLock, JournalReader, JournalWriter, Mark, journal_of
-from imuarray.log.layout import Notes, OpenPhase, groups_of, note_columns
+from imuarray.log.journal import (
+    JournalLock,
+    JournalReader,
+    JournalWriter,
+    Mark,
+    Notes,
+    OpenPhase,
+    groups_of,
+    journal_of,
+    note_columns,
+)
 from tests.selection import examples, some
 
 SENSORS = (
@@ -26,7 +35,7 @@ SENSORS = (
 )
 PREAMBLE = Preamble(SENSORS, "i2c", "2026-01-01T00:00:00Z", "# Größe", "imuarray", "abc")
 GROUPS = groups_of(SENSORS)
-ROW = struct.Struct("<q3hHh")  # time, counts, status, temperature of S, as imuarray.log.layout says
+ROW = struct.Struct("<q3hHh")  # time, counts, status, temperature of S, as imuarray.log.journal says
 
 
 def written(path: Path, blocks: list[tuple[int, int, bytes]]) -> bytes:

@@ -33,8 +33,7 @@ from imuarray.fuse.faults.hypotheses import (
 )
 from imuarray.fuse.faults.window import DecisionWindow, NormalModel, Spaces, WindowResiduals, window_residuals
 from imuarray.fuse.frames import Axis
-from imuarray.fuse.least_squares import spans
-from imuarray.fuse.techniques.technique import noise_of
+from imuarray.fuse.least_squares import noise_of, spans
 from imuarray.units import SI_PER_UNIT
 
 SILENT_S = 1.0

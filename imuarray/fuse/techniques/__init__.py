@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
 from imuarray.fuse.frames import Axis
+from imuarray.fuse.least_squares import Maker, Technique, mean
 from imuarray.fuse.techniques import opposed as _opposed
 from imuarray.fuse.techniques import planes as _planes
 from imuarray.fuse.techniques import ranges as _ranges
-from imuarray.fuse.techniques.technique import Maker, Technique, mean
 
 TECHNIQUES: Mapping[str, Maker] = MappingProxyType(
     {"mean": mean, "opposed": _opposed.opposed, "planes": _planes.planes, "ranges": _ranges.ranges}

@@ -35,8 +35,7 @@ from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.opposed import OPPOSED, cancelled
 from imuarray.calibrate.stability import BIAS
 from imuarray.fuse.frames import Axis, Estimate, Frames, axes_of, directions
-from imuarray.fuse.least_squares import solve_frames
-from imuarray.fuse.techniques.technique import Technique, mean
+from imuarray.fuse.least_squares import Technique, mean, solve_frames
 from imuarray.log import SensorLog
 from imuarray.products import multiply_rows
 from imuarray.recursion import first_order

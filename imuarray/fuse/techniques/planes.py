@@ -16,8 +16,14 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.fuse.frames import Axis, Estimate, Frames, directions
-from imuarray.fuse.least_squares import SlowErrors, solve_frames
-from imuarray.fuse.techniques.technique import WORTH_WEIGHING, FixedWeights, Technique, known_noise_of
+from imuarray.fuse.least_squares import (
+    WORTH_WEIGHING,
+    FixedWeights,
+    SlowErrors,
+    Technique,
+    known_noise_of,
+    solve_frames,
+)
 from imuarray.units import READABLE_SI
 
 AVERAGED = 100

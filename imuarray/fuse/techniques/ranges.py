@@ -40,8 +40,18 @@ import numpy.typing as npt
 
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.frames import Axis, Estimate, Frames, directions, entries
-from imuarray.fuse.least_squares import AxisNoise, SlowErrors, frame_gains, solve_frames, weighted, whole_gain
-from imuarray.fuse.techniques.technique import WORTH_WEIGHING, FixedWeights, Technique, known_noise_of
+from imuarray.fuse.least_squares import (
+    WORTH_WEIGHING,
+    AxisNoise,
+    FixedWeights,
+    SlowErrors,
+    Technique,
+    frame_gains,
+    known_noise_of,
+    solve_frames,
+    weighted,
+    whole_gain,
+)
 from imuarray.kernels import track_differences
 from imuarray.products import multiply_rows
 from imuarray.units import READABLE_SI
