@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from imuarray.gap.statistics.probes import PROBES, RunsProbe
-from imuarray.gap.statistics.runs import PARTS, Runs, runs_of
+from imuarray.gap.statistics.runs import PARTS, Runs, divide, runs_of
 from tests.gap.made import block, header, summary
 
 SCALE = 1 / 2048.0
@@ -41,9 +42,43 @@ def test_short_runs_have_profiles_too() -> None:
 
 
 def test_two_states() -> None:
-    """Sorted gaps 1, 1, 97, 1, 1 and so log 97."""
-    found = runs(np.array([100.0, 1.0, 99.0, 0.0, 101.0, 2.0]))
-    np.testing.assert_allclose(value("run_two_states", found), np.log(97.0))
+    """Squares about the common mean are 6 (49.5)^2 + 4, about those of two groups 4; the errors' variances add 6/4."""
+    states = runs(np.array([100.0, 1.0, 99.0, 0.0, 101.0, 2.0]))
+    log_ratio = np.log((6 * 49.5**2 + 4 + 1.5) / (4 + 1.5))
+    np.testing.assert_allclose(value("run_two_states", states), log_ratio)
+    np.testing.assert_allclose(value("run_shared_states", states), log_ratio)
+
+
+def test_a_drift_leaves_a_quarter_of_the_scatter_in_two_groups() -> None:
+    """Squares of n equal steps are n (n^2 - 1) / 12."""
+    means = np.arange(12.0)[:, None]
+    upper, log_ratio = divide(means, np.zeros_like(means))
+    assert upper.tolist() == [False] * 6 + [True] * 6
+    np.testing.assert_allclose(np.exp(log_ratio), (12**2 - 1) / (6**2 - 1))
+
+
+def test_axes_that_change_between_states_at_different_times_share_none() -> None:
+    """Eight runs on three axes: states of their own leave about half of the scatter in any two groups, while states
+    that all axes share, in noise of a fifth of their distance, leave less than a tenth.
+    """
+    rng = np.random.default_rng(1)
+    none = np.full((8, 3), 1e-6)
+    state = np.array([0, 1, 1, 0, 1, 0, 0, 1])
+    shared = [divide(state[:, None] + rng.normal(0, 0.2, (8, 3)), none) for _ in range(200)]
+    own = [
+        divide(np.array([rng.permutation(state) for _ in range(3)]).T + rng.normal(0, 0.2, (8, 3)), none)[1]
+        for _ in range(200)
+    ]
+    assert np.quantile([log_ratio for _, log_ratio in shared], 0.05) > np.quantile(own, 0.95)
+    assert np.mean([(upper == state).all() or (upper != state).all() for upper, _ in shared]) > 0.95
+
+
+@pytest.mark.parametrize("means", [np.zeros((8, 3)), np.arange(9.0).reshape(3, 3), np.zeros((0, 3))])
+def test_runs_that_have_no_two_groups(means: np.ndarray) -> None:
+    """All equal, or fewer than twice the two runs that a group has."""
+    upper, log_ratio = divide(means, np.zeros_like(means))
+    assert not upper.any()
+    assert np.isnan(log_ratio)
 
 
 def test_spread_scatter_and_outlier() -> None:

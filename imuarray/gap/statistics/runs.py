@@ -4,13 +4,14 @@ profile.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Booleans, Floats
 from imuarray.gap.recording.outliers import robust_std
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
@@ -19,6 +20,8 @@ PARTS = 16
 """Points of a run's profile."""
 
 _LEAST_SPREAD = 0.2
+LEAST_GROUP = 2
+"""The fewest runs in a state that is no outlier."""
 
 
 @dataclass(frozen=True)
@@ -53,15 +56,40 @@ class Runs:
         """(r,) distance of each run from the median over all three axes."""
         return np.asarray(np.sqrt((self.deviations**2).sum(axis=1)))
 
-    @property
-    def gaps(self) -> Floats:
-        """Distances (r - 1, 3) of neighbours among the sorted means."""
-        return np.diff(np.sort(self.means, axis=0), axis=0)
-
     @cached_property
     def mean_profile(self) -> Floats:
         """Mean profile (16, 3) of the runs."""
         return np.asarray(self.profiles.mean(axis=0))
+
+
+def divide(means: Floats, variances: Floats, least: int = LEAST_GROUP) -> tuple[Booleans, float]:
+    """Divide runs into the two groups that scatter least within themselves, along the direction of the largest scatter.
+
+    `means` (r, k) of r runs on k axes; `variances` (r, k) of their errors. Returns which runs are in the group of the
+    larger values, and the log of the scatter about a common mean over that within the groups, all axes in units of
+    their own scatter. A group has at least `least` runs. nan with fewer runs than two groups need, or if no axis
+    scatters.
+
+    Two states that all axes change between leave hardly any scatter within the groups; a drift leaves a quarter, and
+    normal scatter of axes that are independent a half.
+    """
+    count = len(means)
+    total = means.var(axis=0) if count else np.zeros(means.shape[1])
+    scattered = total > 0
+    if count < 2 * least or not scattered.any():
+        return np.zeros(count, bool), math.nan
+    scaled = (means - means.mean(axis=0))[:, scattered] / np.sqrt(total[scattered])
+    direction = np.linalg.svd(scaled, full_matrices=False)[2][0]
+    order = np.argsort(scaled @ direction, kind="stable")
+    size = np.arange(least, count - least + 1)
+    sums = scaled[order].cumsum(axis=0)[size - 1]
+    between = (sums**2).sum(axis=1) * (1 / size + 1 / (count - size))
+    cut = int(between.argmax())
+    noise = float((variances[:, scattered] / total[scattered]).sum())
+    upper = np.zeros(count, bool)
+    upper[order[size[cut] :]] = True
+    whole = float(scattered.sum() * count)
+    return upper, math.log((whole + noise) / (max(whole - between[cut], 0.0) + noise))
 
 
 def runs_of(summaries: Sequence[Summary]) -> Runs:

@@ -16,9 +16,10 @@ from imuarray.gap.inference.effects.levels import Levels, change_between_logs, l
 from imuarray.gap.inference.evidence import Evidence, Span, When
 from imuarray.gap.recording.course import changes
 from imuarray.gap.statistics.probes.probe import once
+from imuarray.gap.statistics.runs import divide
 from imuarray.simulate.effects.bias import Bias, BistableBias, TurnOnBias
 
-RUN_TO_RUN = ("run_spread", "run_scatter", "run_two_states", "run_outlier", "mean")
+RUN_TO_RUN = ("run_spread", "run_scatter", "run_two_states", "run_shared_states", "run_outlier", "mean")
 """Probes that move where boots differ."""
 
 _BEYOND_RUNS = 2.7
@@ -43,13 +44,13 @@ def guess_turn_on_bias(evidence: Evidence) -> Iterator[Hypothesis]:
         yield Hypothesis((TurnOnBias((float(x), float(y), float(z))),), ("rms",))
 
 
-_WIDE_GAP = 2.0
-"""A gap so many times the mean of the others parts two groups."""
+_SEPARATION = math.log(5)
+"""Log of the scatter of all levels over that within two groups from which on there are two; of a drift it is log 4."""
 
 
 def guess_bistable_bias(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the logs on either side of the widest gap between their levels: how far apart, and how often the rarer
-    ones.
+    """Suggest the two groups of logs that scatter least within themselves: how far apart their levels are, and how
+    often the rarer one occurs.
     """
     if not evidence.is_odd(*RUN_TO_RUN, beyond=_BEYOND_RUNS):
         return
@@ -62,20 +63,12 @@ def guess_bistable_bias(evidence: Evidence) -> Iterator[Hypothesis]:
     )
 
 
-def rarer(means: Floats, errors: Floats) -> Booleans | None:
-    """Return (l,) the smaller one of two groups of levels (l, 3), by the axis that parts them best;
-    None for one group.
-    """
-    ordered = np.sort(means, axis=0)
-    gaps = np.diff(ordered, axis=0)
-    largest = gaps.max(axis=0)
-    others = (gaps.sum(axis=0) - largest) / max(len(gaps) - 1, 1) + np.sqrt(errors.mean(axis=0)) + 1e-12
-    axis = int((largest / others).argmax())
-    if largest[axis] < _WIDE_GAP * others[axis]:
+def rarer(means: Floats, variances: Floats) -> Booleans | None:
+    """Return (l,) the smaller one of two groups of levels (l, 3); None for one group. `variances` (l, 3) of errors."""
+    upper, separation = divide(means, variances, least=1)
+    if not separation > _SEPARATION:
         return None
-    at = int(gaps[:, axis].argmax())
-    upper = means[:, axis] > (ordered[at, axis] + ordered[at + 1, axis]) / 2
-    return np.asarray(upper if upper.sum() * 2 <= len(upper) else ~upper)
+    return upper if upper.sum() * 2 <= len(upper) else ~upper
 
 
 _TRACES = ("mean", "level", "run_spread", "run_scatter", "run_outlier")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.chips import CHIPS
-from imuarray.gap.inference.effects.bias import rarer
+from imuarray.gap.inference.effects.bias import RUN_TO_RUN, rarer
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.effects.levels import Onset, States, levels, log_levels, onsets, states_of_logs
 from imuarray.gap.inference.effects.noise import with_noise
@@ -18,7 +18,7 @@ from imuarray.simulate.effects.conversion import RangeReset
 from imuarray.simulate.effects.timing import DroppedSamples
 
 _WHOLE = ("force_own", "motion_gain", "thermal_slope", "code_ends", "saturated", "code_pile")
-_LOGS = ("run_spread", "run_scatter", "run_two_states", "run_outlier", "mean", "noise")
+_LOGS = (*RUN_TO_RUN, "noise")
 _WITHIN = ("noise_halves", "noise_uneven", "mean_halves", "wander", "arch", "kurtosis", "noise_excess", "mean_return")
 _BEYOND = 2.7
 

@@ -9,7 +9,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.gap.statistics.margins import GENEROUS, LEVEL, RMS, VARIANCE, Margin
 from imuarray.gap.statistics.probes.probe import NOTHING, Probes, RunsProbe, log
-from imuarray.gap.statistics.runs import PARTS, Runs
+from imuarray.gap.statistics.runs import PARTS, Runs, divide
 from imuarray.gap.statistics.split import FEWEST_RUNS
 
 _TIMES = np.log((np.arange(PARTS) + 0.5) / PARTS)
@@ -26,9 +26,14 @@ def scatter(runs: Runs) -> Floats:
 
 
 def two_states(runs: Runs) -> Floats:
-    """Return the log of the largest gap between the sorted means over the mean of the others."""
-    gaps = np.sort(runs.gaps, axis=0)
-    return np.asarray(log(gaps[-1]) - log(gaps[:-1].mean(axis=0)))
+    """Return the log of the variance of the runs' means over that within the two groups that divide them best."""
+    axes = (slice(axis, axis + 1) for axis in range(runs.means.shape[1]))
+    return np.array([divide(runs.means[:, axis], runs.errors[:, axis] ** 2)[1] for axis in axes])
+
+
+def shared_states(runs: Runs) -> Floats:
+    """Return the same as `two_states` for groups that all axes have in common; one number."""
+    return np.array(divide(runs.means, runs.errors**2)[1])
 
 
 def outlier(runs: Runs) -> Floats:
@@ -59,18 +64,22 @@ def _probe(
     about: str, moved_by: tuple[str, ...], margin: Margin, statistic: Callable[[Runs], Floats], unit: str = ""
 ) -> RunsProbe:
     def of_many(runs: Runs) -> Floats:
-        missing = np.array(np.nan) if statistic is outlier else NOTHING
+        missing = np.array(np.nan) if statistic in _JOINT else NOTHING
         return statistic(runs) if len(runs.means) >= FEWEST_RUNS else missing
 
     return RunsProbe("run_to_run", about, moved_by, margin, of_many, unit=unit)
 
+
+_JOINT = (outlier, shared_states)
+"""Statistics that are one number for all axes."""
 
 PROBES: Probes = {
     "run_spread": _probe("log of the robust spread of runs' means", _BOOT, RMS, spread, "log {u}"),
     "run_scatter": _probe(
         "log of the variance of runs' means over white noise's", (*_BOOT, "bias_instability"), VARIANCE, scatter
     ),
-    "run_two_states": _probe("log of the largest gap of sorted means over others", _STATES, GENEROUS, two_states),
+    "run_two_states": _probe("log of the runs' variance over that within two groups", _STATES, GENEROUS, two_states),
+    "run_shared_states": _probe("the same, for groups that all axes share", _STATES, GENEROUS, shared_states),
     "run_outlier": _probe("log of the farthest run's distance", _STATES, GENEROUS, outlier),
     "run_creep": _probe("slope of the mean profile over log time", (), LEVEL, creep, "{u}"),
     "run_profile": _probe("log of the variance that runs' profiles have in common", (), VARIANCE, profile),
