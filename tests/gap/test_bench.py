@@ -174,12 +174,12 @@ def test_the_recording_is_measured_as_a_replicate_is() -> None:
 
 
 def test_a_step_between_the_halves_shows_in_the_held_out_level() -> None:
-    """Eight boots, of which every second has 0.2 dps more on y: levels of the held-out part are told from the other's.
+    """Twelve boots, of which every second has 0.2 dps more on y: levels of the held-out part are told from the other's.
 
     A boot says 200 rows of 0.05 dps: 0.0035 dps.
     """
-    motions = [turn_on_run(run, 4.0) for run in range(1, 9)]
-    split = split_of(["turn-on"] * 8, [phases_of(motion) for motion in motions])
+    motions = [turn_on_run(run, 4.0) for run in range(1, 13)]
+    split = split_of(["turn-on"] * 12, [phases_of(motion) for motion in motions])
     logs = []
     for boot, motion in enumerate(motions):
         more = (Bias((0.0, 0.2 * (boot % 2), 0.0)),)
@@ -188,7 +188,7 @@ def test_a_step_between_the_halves_shows_in_the_held_out_level() -> None:
     campaign = Campaign(tuple(logs))
     experiments = [Experiment(plan_of(array_of("G1"), RATE_HZ, motion.seconds), motion) for motion in motions]
     train = split.train(campaign)
-    assert train.logs == (0, 2, 4, 6)
+    assert train.logs == (0, 2, 4, 6, 8, 10)
     base = fit(train.campaign, [motions[at] for at in train.logs])
     bench = bench_of(campaign, split, experiments, base)
     values = bench.observed(campaign, ["G1"]).values

@@ -85,7 +85,7 @@ def test_what_a_recording_shows() -> None:
 
 def test_levels_are_told_from_the_present_model() -> None:
     """A model with 0.1 dps more on x leaves 0.1 dps less; sensors that measure the same are named, runs counted."""
-    motions = [turn_on_run(run, 4.0) for run in range(1, 9)]
+    motions = [turn_on_run(run, 4.0) for run in range(1, 13)]
     bench, campaign = prepared([("turn-on", motion) for motion in motions], ["G1", "G2", "A1"])
     train = bench.split.train(campaign)
     model = bench.models()["G1"]
@@ -94,9 +94,9 @@ def test_levels_are_told_from_the_present_model() -> None:
     nothing = ScoredStatistics((), (), np.zeros(0), np.zeros(0), np.zeros(0))
     one, other = (evidence_of(bench, train, "G1", nothing, each, ()) for each in (model, shifted))
     assert [item.name for item in one.others] == ["G2"]
-    assert [seen.log for seen in one.phases] == [0, 2, 4, 6]  # boots of the campaign
+    assert [seen.log for seen in one.phases] == [0, 2, 4, 6, 8, 10]  # boots of the campaign
     assert one.runs is not None
-    assert one.runs.means.shape == (4, 3)
+    assert one.runs.means.shape == (6, 3)
     for before, after in zip(one.phases, other.phases, strict=True):
         apart = (after.residual.segments.mean - before.residual.segments.mean) / one.header.sensitivity
         np.testing.assert_allclose(np.average(apart, axis=0), [-0.1, 0.0, 0.0], atol=1e-9)

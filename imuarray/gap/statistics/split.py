@@ -21,7 +21,7 @@ FEWEST_RUNS = 4
 """Fewer runs of a turn-on series say nothing of what varies from run to run."""
 
 
-_HALVED = {"turn-on": range(FEWEST_RUNS, 2 * FEWEST_RUNS), "motion": range(2, 4), "heating": range(2, 4)}
+_HALVED = {"turn-on": range(FEWEST_RUNS, 3 * FEWEST_RUNS), "motion": range(2, 4), "heating": range(2, 4)}
 """Numbers of logs of a kind that are too few to hold out every second of them."""
 
 
