@@ -75,7 +75,7 @@ command.add_command(validate)
     type=click.IntRange(40, 10_000),
     default=64,
     show_default=True,
-    help="number of simulated replicates, which separate a gap from chance; 40 are usually enough",
+    help="most simulated replicates, which separate a gap from chance; fewer are used where the result is clear",
 )
 @workers_option
 @click.option(

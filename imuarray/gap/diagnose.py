@@ -88,11 +88,10 @@ LogLike = str | PathLike[str] | Log
 Progress = Callable[[str], None]
 """Receives the name of each stage as it begins."""
 
-REPLICATES = 64
-"""Most replicates of the base model. They determine the scatter of statistics to 9 %, and a p-value is 1/65 or more.
+REPLICATES = 128
+"""Most replicates of the base model. They determine the scatter of statistics to 6 %, and a p-value is 1/129 or more.
 Fewer are simulated for a recording that is well within chance (`imuarray.gap.inference.comparison.ENOUGH`) or far
 beyond it (`imuarray.gap.inference.comparison.CLEAR`).
-VALIDATION.md has the results with 40.
 """
 
 REPAIRED = 32
