@@ -30,9 +30,14 @@ def second_bit(summary: Summary) -> Floats:
 
 
 def absent(summary: Summary) -> Floats:
-    """arcsine of the share of codes in the middle nine tenths that never came."""
+    """Return the arcsine of the share of codes in the middle nine tenths of the readings that are absent.
+
+    nan where there are fewer than `_ROWS_A_CODE` rows a code, as in a quick turn: codes are absent there by chance, and
+    the share depends on the path of the box.
+    """
     middles = _middles(summary)
-    return _of_codes(summary, arcsine([missing for missing, _ in middles], [codes for _, codes in middles]))
+    absent_codes = [missing if summary.rows >= _ROWS_A_CODE * codes else math.nan for missing, codes in middles]
+    return _of_codes(summary, arcsine(absent_codes, [codes for _, codes in middles]))
 
 
 def _of_codes(summary: Summary, values: Floats) -> Floats:
@@ -92,6 +97,9 @@ def _one_code(summary: Summary) -> float:
     spans = [codes for _, codes in _middles(summary)]
     return 0.5 / math.sqrt(max(min(spans, default=1), 1))
 
+
+_ROWS_A_CODE = 4
+"""Of so many rows a code, uniform readings leave e^-4, one code in fifty, absent by chance."""
 
 _STEPS = ("quantisation", "odr_error")
 _CLIPPED = ("saturation", "range_reset", "scale", "nonlinearity")
