@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imuarray.gap.model.data_clock import _readings_a_row, _readings_between_polls, clock_errors
+from imuarray.gap.model.data_clock import _readings_between_polls, _readings_per_s, clock_errors
 from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, PhaseSummary
 from imuarray.gap.statistics.intervals import IntervalMoments, Intervals
 from imuarray.gap.statistics.summary import Grid, Summary, Tally
@@ -17,14 +17,14 @@ from imuarray.log.format import Phase, SensorHeader
 POLLS = 400_000
 
 
-def share_of_repeats(error: float, jitter: float) -> float:
-    """Share of polls, at a mean interval of 1 with independent jitter of each poll, that find no new reading of a clock
-    that is faster by `error`.
+def repeats_of(times: np.ndarray, error: float) -> tuple[Intervals, float]:
+    """Intervals of polls at `times`, in units of the nominal period of 10 ms, and the share of them that finds no new
+    reading of a clock that is faster by `error`.
     """
-    rng = np.random.default_rng(3)
-    times = np.arange(POLLS) + rng.normal(0, jitter / np.sqrt(2), POLLS)  # the interval scatters by `jitter`
     newest = np.floor(np.maximum.accumulate(times) * (1 + error) + 0.3)
-    return float((np.diff(newest) == 0).mean())
+    moments = IntervalMoments(period_s=0.01)
+    moments.update(np.rint(times * 1e7).astype(np.int64))
+    return moments.result(), float((np.diff(newest) == 0).mean())
 
 
 @pytest.mark.parametrize("error", [-0.02, -0.001, 0.0, 0.001, 0.003])
@@ -33,12 +33,25 @@ def test_a_clock_near_the_polls_rate(error: float) -> None:
     repeats is known to a few percent, which is a tenth of the jitter at most.
     """
     jitter = 0.003
-    assert _readings_a_row(share_of_repeats(error, jitter), jitter) - 1 == pytest.approx(error, abs=0.1 * jitter)
+    times = np.arange(POLLS) + np.random.default_rng(3).normal(0, jitter / np.sqrt(2), POLLS)
+    assert _readings_per_s(*repeats_of(times, error)) / 100 - 1 == pytest.approx(error, abs=0.1 * jitter)
+
+
+@pytest.mark.parametrize("error", [-0.03, -0.01, -0.004])
+def test_polls_that_are_late_now_and_then_hide_no_slow_clock(error: float) -> None:
+    """One poll in two hundred is half a period late, the others are even to 0.6 %: the standard deviation of the
+    intervals is ten times that of nearly all of them.
+    """
+    rng = np.random.default_rng(4)
+    late = rng.exponential(0.5, POLLS) * (rng.random(POLLS) < 0.005)
+    times = np.sort(np.arange(POLLS) + rng.normal(0, 0.006, POLLS) + late)
+    assert _readings_per_s(*repeats_of(times, error)) / 100 - 1 == pytest.approx(error, abs=3e-4)
 
 
 def test_even_polls_lack_what_they_repeat() -> None:
-    assert _readings_a_row(0.01, 0.0) == pytest.approx(0.99)
-    assert _readings_a_row(0.0, 0.003) == 1.0
+    even = repeats_of(np.arange(10_000.0), 0.0)[0]
+    assert _readings_per_s(even, 0.01) == pytest.approx(99.0)
+    assert _readings_per_s(even, 0.0) == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize("error", [-0.03, 0.0, 0.025])

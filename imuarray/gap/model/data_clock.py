@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import ndtr  # the normal distribution without the weight of scipy.stats
 
 from imuarray.arrays import Floats
 from imuarray.chips import die_of
@@ -36,8 +35,8 @@ _SAME_CLOCK = 0.3
 _UNEVEN = 1.5
 """Readings of a phase that are missed or repeated at its ends: a poll begins or ends between the two."""
 
-_LEAST_JITTER, _MOST_FAST = 0.01, 4.0
-"""Jitter, as a share of the repeats, below which polls are even; the fastest clock that repeats show, in jitters."""
+_MOST_FAST = 4.0
+"""The fastest clock that repeats show, in standard deviations of the intervals."""
 
 _OVERSAMPLED = 1.05
 """Polls for each reading from which on readings come twice as a rule, and three times where polls jitter."""
@@ -91,18 +90,19 @@ def _equal_by_noise(noise_counts: Floats) -> float:
 def _clock_error(summaries: Sequence[Summary], header: SensorHeader, is_flagged: bool) -> float:
     """Return the error of the clock by these phases; nan where they do not tell it.
 
-    A host that polls faster than the chip measures reads some readings again, at regular intervals and each as often as
-    any other, to one: the share of new readings, times the rate of the polls, is that of the chip. Repeats that come in
-    longer runs have another reason, and those of a chip that is off by more than its tolerance are no nuisance. A phase
-    in which a reading is held for long tells nothing of the clock, which the other phases may tell. Rows that the
-    recorder flags as no new reading are repeats, however many rows are equal by chance; of those flagged as overrun
-    there was one reading more than was read, and where polls are much faster than the chip the intervals between them
-    tell the rest (`_readings_between_polls`). Polls that are early or late at the moment of a new reading find none or
-    two: flags that no single rate explains are those of a chip that is polled at its nominal rate. If many readings
-    come while they are read, the polls that find none are no count of what is missing, but one or a few in a row are
-    each slip of one clock against the other. Where no missed reading is flagged, the share of repeats of polls with
-    that jitter tells the rate (`_readings_a_row`). Where as many readings are missed as are repeated, to one or two in
-    a phase, the chip keeps its nominal rate. Flags tell this while the box moves, too.
+    A host that polls faster than the chip measures reads some readings again, at regular intervals and each as
+    often as any other, to one: the share of new readings, times the rate of the polls, is that of the chip. Repeats
+    that come in longer runs have another reason, and those of a chip that is off by more than its tolerance are no
+    nuisance. A phase in which a reading is held for long tells nothing of the clock, which the other phases may
+    tell. Rows that the recorder flags as no new reading are repeats, however many rows are equal by chance; of
+    those flagged as overrun there was one reading more than was read, and where polls are much faster than the chip
+    the intervals between them tell the rest (`_readings_between_polls`). Polls that are early or late at the moment
+    of a new reading find none or two: flags that no single rate explains are those of a chip that is polled at its
+    nominal rate. If many readings come while they are read, the polls that find none are no count of what is
+    missing, but one or a few in a row are each slip of one clock against the other. Where no missed reading is
+    flagged, the share of repeats of polls with their intervals tells the rate (`_readings_per_s`). Where as many
+    readings are missed as are repeated, to one or two in a phase, the chip keeps its nominal rate. Flags tell this
+    while the box moves, too.
     """
     phases = [phase for phase in summaries if phase.intervals.count]
     if header.rate_hz <= 0 or not phases:
@@ -133,8 +133,7 @@ def _clock_error(summaries: Sequence[Summary], header: SensorHeader, is_flagged:
         elif is_flagged and flags_missed:
             readings_per_s.append(rows_per_s * (1 - repeated + phase.flags["overrun"] / phase.rows))
         else:
-            jitter = phase.intervals.std_s / phase.intervals.mean_s
-            readings_per_s.append(rows_per_s * _readings_a_row(repeated, jitter))
+            readings_per_s.append(_readings_per_s(phase.intervals, repeated))
         weight.append(phase.rows)
     if not slips:
         return math.nan
@@ -160,25 +159,23 @@ def _polls_per_s(phase: Summary, rate_hz: float) -> float:
     return rows_per_s * (intervals.count + intervals.gaps) / (intervals.count + 2 * intervals.gaps)
 
 
-def _readings_a_row(repeated: float, jitter: float) -> float:
-    """Return readings of the chip for each poll, if a share of polls `repeated` finds no new one, and intervals between
-    polls scatter by the share `jitter`.
+def _readings_per_s(intervals: Intervals, repeated: float) -> float:
+    """Return readings of the chip in a second, if it is polled about as often as it measures and a share of polls
+    `repeated` finds no new one.
 
-    A poll finds no new reading with the probability E[max(0, 1 - L)], L the readings in an interval, whatever the
-    phase of the clocks. With L normal about 1 + e, of standard deviation s, that is s phi(e / s) - e (1 - Phi(e / s)).
+    A poll finds none with the probability 1 - d f, d the interval since the poll before and f the rate, if d is shorter
+    than the period 1 / f, and 0 else, whatever the phase of the clocks. Some polls of a busy host are late by many
+    times what the others scatter by, so that the mean is over the intervals themselves.
     """
     if repeated <= 0:
-        return 1.0
-    if jitter < _LEAST_JITTER * repeated:
-        return 1 - repeated
+        return 1 / intervals.mean_s
+    counts, sums_s = intervals.lengths
+    most = (1 + _MOST_FAST * intervals.std_s / intervals.mean_s) / intervals.mean_s
 
-    def excess(error: float) -> float:
-        ratio = error / jitter
-        density = float(np.exp(-(ratio * ratio) / 2)) / math.sqrt(2 * math.pi)
-        return jitter * density - error * float(ndtr(-ratio)) - repeated
+    def excess(readings_per_s: float) -> float:
+        return float(np.maximum(counts - readings_per_s * sums_s, 0.0).sum() / counts.sum()) - repeated
 
-    most = _MOST_FAST * jitter
-    return 1 + float(brentq(excess, -repeated - most, most)) if excess(most) < 0 else 1 + most
+    return float(brentq(excess, 0.0, most)) if excess(most) < 0 else most
 
 
 def _readings_between_polls(intervals: Intervals, repeated: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +30,19 @@ APART = 16
 _QUARTILE = 0.75
 _TYPICAL = 1024
 
+_SHORTEST, _LONGEST, _BINS = 0.75, 1.25, 2048
+"""Range of the histogram of intervals, in periods of the sensor's data, and its bins; two more hold what is beyond."""
+
+
+class Lengths(NamedTuple):
+    """Histogram of intervals: how many (k,) are in each bin that has any, and their sum in s."""
+
+    counts: Floats
+    sums_s: Floats
+
+
+_NO_LENGTHS = Lengths(np.zeros(0), np.zeros(0))
+
 
 @dataclass(frozen=True)
 class Intervals:
@@ -37,7 +51,7 @@ class Intervals:
 
     A gap is longer than 1.5 times the upper quartile of the first 1024 intervals; `skips` of the gaps are shorter than
     `STALL` times that. `shorter` of all intervals are shorter than the period of the sensor's data, with a mean of
-    `shorter_s`.
+    `shorter_s`; `lengths` of all intervals, empty if that period is not known.
     """
 
     count: int
@@ -48,6 +62,7 @@ class Intervals:
     shorter: int = 0
     shorter_s: float = 0.0
     skips: int = 0
+    lengths: Lengths = _NO_LENGTHS
 
 
 class IntervalMoments:
@@ -58,6 +73,7 @@ class IntervalMoments:
     def __init__(self, period_s: float = 0.0) -> None:
         self._period_ns = 1e9 * period_s
         self._shorter, self._shorter_ns = 0, 0.0
+        self._bins, self._bins_ns = np.zeros(_BINS + 2), np.zeros(_BINS + 2)
         self._last_ns: int | None = None
         self._waiting: list[Floats] = []
         self._typical_ns = self._longest_ns = 0.0
@@ -83,7 +99,8 @@ class IntervalMoments:
         seconds = ((mean + self._typical_ns) * 1e-9, variance**0.5 * 1e-9)
         shorter_s = 1e-9 * self._shorter_ns / max(self._shorter, 1)
         longest_s = self._longest_ns * 1e-9
-        return Intervals(self._count, *seconds, self._gaps, longest_s, self._shorter, shorter_s, self._skips)
+        lengths = Lengths(self._bins[self._bins > 0], 1e-9 * self._bins_ns[self._bins > 0])
+        return Intervals(self._count, *seconds, self._gaps, longest_s, self._shorter, shorter_s, self._skips, lengths)
 
     def _add(self) -> None:
         """Separates the pending intervals from gaps and adds them up."""
@@ -97,6 +114,10 @@ class IntervalMoments:
             is_shorter = intervals < self._period_ns
             self._shorter += int(np.count_nonzero(is_shorter))
             self._shorter_ns += float(intervals[is_shorter].sum())
+            width = (_LONGEST - _SHORTEST) / _BINS
+            places = ((intervals / self._period_ns - _SHORTEST) / width + 1).clip(0, _BINS + 1).astype(np.intp)
+            self._bins += np.bincount(places, minlength=_BINS + 2)
+            self._bins_ns += np.bincount(places, weights=intervals, minlength=_BINS + 2)
         from_typical = intervals - self._typical_ns
         if self._longest_ns > GAP * self._typical_ns:
             is_gap = intervals > GAP * self._typical_ns
