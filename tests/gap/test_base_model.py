@@ -13,7 +13,18 @@ import numpy.typing as npt
 import pytest
 from scipy.signal import butter, lfilter
 
-from imuarray.gap.model.base_model import Base, FittedParameters, _wander, fit, replicate_seed, residual
+from imuarray.gap.model.base_model import (
+    Base,
+    FittedParameters,
+    _Correlations,
+    _filter_correlations,
+    _form_error,
+    _Reads,
+    _wander,
+    fit,
+    replicate_seed,
+    residual,
+)
 from imuarray.gap.model.populations import is_usual, usual_flicker
 from imuarray.gap.model.rest import response_of
 from imuarray.gap.recording.recordings import LogReference
@@ -307,6 +318,18 @@ def test_a_filter_of_two_poles_is_told_by_its_second_lag() -> None:
     found = fitted_to_noise(*butter(2, 35.0, fs=10_000.0), every=50)
     assert low_pass_of(found).poles == 2.0
     assert low_pass_of(found).cutoff_hz == pytest.approx(35.0, rel=0.06)
+
+
+def test_what_the_nearest_filter_does_not_explain_makes_its_cutoff_uncertain() -> None:
+    """Correlations that differ from those of the filter by a tenth of what all cutoffs of its kind change."""
+    kinds = (_Reads(200.0, 1.0),)
+    filters = dict(_filter_correlations(30.0, math.inf, kinds))
+    of_two_poles = sorted((effect for effect in filters if effect.poles == 2.0), key=lambda effect: effect.cutoff_hz)
+    low, best, high = of_two_poles[0], of_two_poles[len(of_two_poles) // 2], of_two_poles[-1]
+    more = 0.1 * (filters[high] - filters[low])
+    measured = _Correlations(filters[best] + more, kinds, np.array([1e4]), np.array([1.0]), True)
+    assert _form_error(measured, best, filters) == pytest.approx(0.1 * math.log(high.cutoff_hz / low.cutoff_hz))
+    assert _form_error(measured._replace(values=filters[best]), best, filters) == 0.0
 
 
 @pytest.mark.parametrize("samples_a_row", [0.5, 0.8])

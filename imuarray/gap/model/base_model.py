@@ -613,7 +613,20 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
         for effect, misfit in misfits.items()
         if misfit < near and replace(effect, cutoff_hz=best.cutoff_hz) == best
     ]
-    return best, math.log(max(cutoffs_hz) / min(cutoffs_hz)) / 2
+    by_fit = math.log(max(cutoffs_hz) / min(cutoffs_hz)) / 2
+    return best, math.hypot(by_fit, _form_error(measured, best, filters))
+
+
+def _form_error(measured: _Correlations, best: Bandwidth, filters: Mapping[Bandwidth, Floats]) -> float:
+    """Return the change of the log of the cutoff that would change the correlations as much as the `best` filter leaves
+    of them: a chip's filter has not exactly the response of any of these.
+    """
+    family = {other.cutoff_hz: other for other in filters if replace(other, cutoff_hz=best.cutoff_hz) == best}
+    low_hz, high_hz = min(family), max(family)
+    change = measured.mean((filters[family[high_hz]] - filters[family[low_hz]])[:, :_LAGS])
+    rest = measured.mean(measured.beyond(filters[best]))
+    slope = float(np.linalg.norm(change)) / math.log(high_hz / low_hz)
+    return float(np.linalg.norm(rest)) / slope if slope > 0 else 0.0
 
 
 def _is_forgotten(correlations: Sequence[float]) -> bool:
