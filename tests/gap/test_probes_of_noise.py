@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from imuarray.gap.statistics.probes import spectrum
+from imuarray.log.format import Phase
 from tests.gap.made import block, gaussian, summary, value
 
 
@@ -41,6 +43,32 @@ def test_codes() -> None:
     assert (value("code_pile", clipped) > 50.0).all()
     ends = summary(block(np.clip(counts * 1000, -8192, 8191)))  # a BMA180's codes
     assert (value("code_ends", ends) > 0.9).all()
+
+
+def test_codes_that_a_quick_turn_passes_over_are_not_absent() -> None:
+    """20,000 rows on a slope that passes 5000 codes have four a code, on one of 6000 fewer."""
+    slopes = np.linspace(0.0, 1.0, 20_000)[:, None] * np.array([100.0, 5000.0, 6000.0])
+    values = value("absent_codes", summary(block(np.rint(slopes))))
+    np.testing.assert_array_equal(values[:2], 0.0)
+    assert np.isnan(values[2])
+
+
+@pytest.mark.parametrize("cuts", [(), (1, 2, 3, 700, 1001)])
+def test_a_single_reading_that_is_off_stands_out_in_a_motion(cuts: tuple[int, ...]) -> None:
+    """A cosine of amplitude a and w radians a row has second differences of up to a w^2 and 2 / pi of that in the mean;
+    a reading that is off by d on a crest makes one of 2 d more. At rest the largest step says more.
+    """
+    rows, amplitude, radians, spike = 2000, 16_000, 2 * np.pi / 100, 500
+    swing = amplitude * np.cos(radians * np.arange(rows))
+    counts = np.stack([swing] * 3, axis=1)
+    counts[1000, 1] += spike
+    moving = Phase(0, rows * 10_000_000, "motion", "")
+    still, spiked, _ = value("bend_extreme", summary(block(np.rint(counts)), moving, cuts=cuts))
+    bend = 2 * amplitude * (1 - np.cos(radians))
+    mean = bend * 2 / np.pi
+    np.testing.assert_allclose(still, np.log(np.pi / 2), atol=0.05)
+    np.testing.assert_allclose(spiked, np.log((2 * spike + bend) / (mean + 4 * spike / rows)), atol=0.05)
+    assert np.isnan(value("bend_extreme", summary(block(np.rint(counts))))).all()
 
 
 def test_spectrum_of_white_noise_is_flat() -> None:

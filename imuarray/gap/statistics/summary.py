@@ -20,6 +20,7 @@ from imuarray.characterise.correlation import Autocovariance
 from imuarray.characterise.repeats import Repeats, RepeatTally
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
 from imuarray.gap.recording.outliers import Outliers, OutlierTally
+from imuarray.gap.recording.phases import is_at_rest
 from imuarray.gap.recording.recordings import Temperature
 from imuarray.gap.statistics.haar import Haar, HaarTally
 from imuarray.gap.statistics.intervals import IntervalMoments, Intervals, StatusTally
@@ -60,9 +61,10 @@ class Summary:
     `segments` of time; `codes` and `steps` (sizes of the differences of neighbours), a histogram for each axis;
     `spectrum` in squared counts per cycle per row; `alternating`, the mean of the readings with alternating signs;
     `correlation` (6, 3) at lags 0 ... 5 and `arch` (4, 3) that of the squared differences of neighbours at lags 0 ...
-    3; `allan` at octaves; `intervals` of time, joint `repeats` of all axes, rows with each of the log's `flags`,
-    `words`: rows in which all axes read -1, or all 0, `slips` of the polls against the data clock, and of a recording
-    its isolated readings `outliers`.
+    3; `allan` at octaves; `bends` (2, 3), the largest and the mean second difference in size, nan at rest;
+    `intervals` of time, joint `repeats` of all axes, rows with each of the log's `flags`, `words`: rows in which
+    all axes read -1, or all 0, `slips` of the polls against the data clock, and of a recording its isolated
+    readings `outliers`.
     """
 
     header: SensorHeader
@@ -77,6 +79,7 @@ class Summary:
     correlation: Floats
     arch: Floats
     allan: Haar
+    bends: Floats
     intervals: Intervals
     repeats: Repeats
     flags: Mapping[str, int]
@@ -110,6 +113,7 @@ class Tally:
         self._origin, self._rows = np.zeros(columns), 0
         self._alternating = np.zeros(columns)
         self._last = np.zeros((columns, 0))
+        self._bends = None if is_at_rest(phase) else BendTally(columns)
 
     def update(self, *blocks: Block) -> None:
         """Add rows of each replicate, at least one."""
@@ -131,6 +135,8 @@ class Tally:
         self._covariance.update(deviations.T)
         self._arch.update((steps * steps).T)
         self._haar.update(deviations)
+        if self._bends is not None:
+            self._bends.update(steps)
         self._intervals.update(time)
         columns = counts.reshape(len(blocks), 3, -1).swapaxes(1, 2)
         for block, replicate_counts, repeats, status in zip(blocks, columns, self._repeats, self._status, strict=True):
@@ -152,6 +158,7 @@ class Tally:
         correlation, arch, variance, kurtosis = (split_replicates(table, replicates) for table in tables)
         alternating = self._alternating.reshape(replicates, 3) / max(self._rows, 1)
         segments = self._segments.results(self._origin, temperature)
+        bends = np.full((2, 3 * replicates), np.nan) if self._bends is None else self._bends.result()
         return [
             Summary(
                 self._header,
@@ -166,6 +173,7 @@ class Tally:
                 correlation[at],
                 arch[at],
                 haar._replace(variance=variance[at], kurtosis=kurtosis[at]),
+                bends[:, 3 * at : 3 * at + 3],
                 intervals,
                 self._repeats[at].result(),
                 self._status[at].flags,
@@ -181,6 +189,31 @@ class Tally:
         sizes = histograms(np.abs(steps).astype(np.int64))
         self._codes = [histogram.merge(more) for histogram, more in zip(self._codes, codes, strict=True)]
         self._steps = [histogram.merge(more) for histogram, more in zip(self._steps, sizes, strict=True)]
+
+
+class BendTally:
+    """Accumulates the second differences of readings while their steps arrive: a single reading that is off stands out
+    among them, however much the box moves.
+    """
+
+    def __init__(self, columns: int) -> None:
+        self._last = np.zeros((columns, 0))
+        self._largest, self._sum, self._count = np.zeros(columns), np.zeros(columns), 0
+
+    def update(self, steps: Floats) -> None:
+        """Add steps (columns, n) of readings."""
+        line = np.concatenate([self._last, steps], axis=1)
+        self._last = line[:, -1:].copy()
+        size = np.abs(line[:, 1:] - line[:, :-1])
+        self._largest = np.maximum(self._largest, size.max(axis=1, initial=0.0))
+        self._sum += size.sum(axis=1)
+        self._count += size.shape[1]
+
+    def result(self) -> Floats:
+        """Return the largest and the mean size (2, columns) of the second differences so far; nan of none."""
+        return (
+            np.stack([self._largest, self._sum / self._count]) if self._count else np.full((2, len(self._sum)), np.nan)
+        )
 
 
 def _thermometers(blocks: Sequence[Block]) -> npt.NDArray[np.int16] | None:
@@ -217,6 +250,7 @@ def side_by_side(replicates: Sequence[Summary]) -> Summary:
             variance=_columns_together([summary.allan.variance for summary in replicates]),
             kurtosis=_columns_together([summary.allan.kurtosis for summary in replicates]),
         ),
+        bends=_columns_together([summary.bends for summary in replicates]),
     )
 
 

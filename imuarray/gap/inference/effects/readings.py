@@ -19,6 +19,7 @@ from imuarray.simulate.effects.readings import Glitches, Stuck, high_byte
 
 _STEPS = ("tail", "extreme", "kurtosis", "noise_excess", "noise_uneven")
 _IN_MOTION = "motion_residual"
+_BENT = "bend_extreme"
 _BEYOND_NOISE = 4.0
 """Standard deviations of a step."""
 
@@ -57,7 +58,7 @@ def guess_glitches(evidence: Evidence) -> Iterator[Hypothesis]:
         yield from _words([phase.raw for phase in evidence.phases])
     if evidence.is_odd(*_STEPS):
         yield from _spikes_again(evidence)
-    if evidence.is_odd(*_STEPS, _IN_MOTION):
+    if evidence.is_odd(*_STEPS, _IN_MOTION, _BENT):
         yield from _torn_again(evidence)
         yield from _glitches_alone(evidence)
     if evidence.is_odd(_IN_MOTION):
@@ -100,7 +101,8 @@ class _Hit(NamedTuple):
 def _glitches_alone(evidence: Evidence) -> Iterator[Hypothesis]:
     """Guess the very readings that were hit, which are all known, if they are so few that most phases have none."""
     hits = [hit for phase in evidence.still for hit in _hits(phase)]
-    hits += _torn_in_motion(evidence)
+    spikes, torn = _spikes_in_motion(evidence), _torn_in_motion(evidence)
+    hits += spikes if evidence.is_odd(_BENT) and len(torn) < len(spikes) else torn
     if not 0 < len(hits) <= SINGLE:
         return
     rows = sum(phase.raw.rows for phase in evidence.phases)
@@ -140,7 +142,18 @@ def _torn_in_motion(evidence: Evidence) -> list[_Hit]:
     """Return readings of phases that are looked at which are off by high bytes, and far more than the motion leaves.
     One that is off by anything else may have come late.
     """
-    weight, half_s = high_byte(evidence.header.chip), 0.5 / evidence.rows_per_s
+    weight = high_byte(evidence.header.chip)
+    spikes = ((hit, round(hit.jump / weight)) for hit in _spikes_in_motion(evidence))
+    return [
+        hit._replace(jump=bytes_off * weight)
+        for hit, bytes_off in spikes
+        if bytes_off and abs(hit.jump / weight - bytes_off) < _NEAR
+    ]
+
+
+def _spikes_in_motion(evidence: Evidence) -> list[_Hit]:
+    """Return readings of phases that are looked at which are off far more than the motion leaves."""
+    half_s = 0.5 / evidence.rows_per_s
     phases = [(moving.log, moving.raw.phase) for moving in evidence.phases if not moving.is_still]
     spikes = []
     for log, lone in evidence.outliers:
@@ -148,12 +161,10 @@ def _torn_in_motion(evidence: Evidence) -> list[_Hit]:
         for axis, time_ns, apart in zip(
             lone.axis.tolist(), lone.time_ns.tolist(), lone.deviation.tolist(), strict=True
         ):
-            bytes_off = round(apart / weight)
-            is_torn = bytes_off and abs(apart / weight - bytes_off) < _NEAR and abs(apart) > _AMONG * nearest[axis]
-            if is_torn and any(
+            if abs(apart) > _AMONG * nearest[axis] and any(
                 log == log_of_phase and phase.start_ns <= time_ns < phase.end_ns for log_of_phase, phase in phases
             ):
-                spikes.append(_Hit(log, time_ns * 1e-9 - half_s, axis, bytes_off * weight))
+                spikes.append(_Hit(log, time_ns * 1e-9 - half_s, axis, apart))
     return spikes
 
 

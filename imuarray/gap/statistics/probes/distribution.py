@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from imuarray.arrays import Floats
-from imuarray.gap.statistics.margins import KURTOSIS, SCORE, SKEWNESS, TAILS
+from imuarray.gap.statistics.margins import KURTOSIS, SCORE, SKEWNESS, TAILS, VARIANCE
 from imuarray.gap.statistics.probes.probe import (
     NOTHING,
     PhaseProbe,
@@ -55,6 +55,20 @@ def extreme(summary: Summary) -> Floats:
     return score_of_largest(np.array(largest) / (np.sqrt(2) * noise_lsb(summary)), 2 * summary.rows)
 
 
+def bend_extreme(summary: Summary) -> Floats:
+    """Return the log of the largest second difference of the readings over their mean size; nan at rest, where
+    `extreme` says more.
+    """
+    largest, mean = summary.bends
+    return np.asarray(log(largest) - log(mean))
+
+
+def _bend_resolution(summary: Summary) -> float:
+    """One count more or less, on the axis that bends least."""
+    largest = summary.bends[0]
+    return float(1 / np.nanmin(largest, initial=np.inf)) if (largest > 0).any() else 0.0
+
+
 def _share(moment: Floats, of: Floats) -> Floats:
     """nan of nothing."""
     return np.divide(moment, of, out=np.full_like(of, np.nan), where=of > 0)
@@ -92,5 +106,14 @@ PROBES: Probes = {
     ),
     "extreme": PhaseProbe(
         "distribution", "normal score of the largest step", ("glitches", "range_reset"), SCORE, extreme
+    ),
+    "bend_extreme": PhaseProbe(
+        "distribution",
+        "log of the largest second difference in motion over the mean",
+        ("glitches",),
+        VARIANCE,
+        bend_extreme,
+        in_motion=True,
+        resolution=_bend_resolution,
     ),
 }
