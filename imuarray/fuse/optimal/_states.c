@@ -164,7 +164,7 @@ static int is_sparse(const Sparse *s, Py_ssize_t rows, Py_ssize_t columns, Py_ss
 
 /* Arrays and scratch memory of a call. */
 typedef struct {
-    Py_buffer views[12];
+    Py_buffer views[16];
     Py_ssize_t held;
     double *room;
 } Call;
@@ -189,6 +189,21 @@ static int are_sizes(Py_ssize_t n, Py_ssize_t p, Py_ssize_t rows) {
     return sizes_allowed(n >= 0 && n <= MOST_STATES && p >= 0 && p <= MOST_ROWS && rows >= 0 && rows <= MOST_ROWS);
 }
 
+/* Mean (n) and covariance (n, n) of n states. */
+typedef struct {
+    const double *mean, *covariance;
+} States;
+
+static void predict_into(double *mean, double *covariance, States before, const double *remaining, const double *added,
+                         Py_ssize_t n) {
+    for (Py_ssize_t i = 0; i < n; i++) {
+        mean[i] = before.mean[i] * remaining[i];
+        for (Py_ssize_t j = 0; j < n; j++)
+            covariance[i * n + j] = before.covariance[i * n + j] * (remaining[i] * remaining[j]);
+        covariance[i * n + i] += added[i];
+    }
+}
+
 static PyObject *predict(PyObject *module, PyObject *args) {
     (void)module;
     PyObject *sequence;
@@ -197,15 +212,8 @@ static PyObject *predict(PyObject *module, PyObject *args) {
     if (!PyArg_ParseTuple(args, "O!n", &PyTuple_Type, &sequence, &n) || !are_sizes(n, 0, 0)) return NULL;
     const Py_ssize_t bytes[] = {DOUBLES(n), DOUBLES(n), DOUBLES(n), DOUBLES(n * n), DOUBLES(n), DOUBLES(n * n)};
     if (prepared(&call, sequence, 6, bytes, 4, 0)) {
-        const double *remaining = call.views[0].buf, *added = call.views[1].buf, *mean = call.views[2].buf,
-                     *covariance = call.views[3].buf;
-        double *mean_after = call.views[4].buf, *covariance_after = call.views[5].buf;
-        for (Py_ssize_t i = 0; i < n; i++) {
-            mean_after[i] = mean[i] * remaining[i];
-            for (Py_ssize_t j = 0; j < n; j++)
-                covariance_after[i * n + j] = covariance[i * n + j] * (remaining[i] * remaining[j]);
-            covariance_after[i * n + i] += added[i];
-        }
+        States before = {call.views[2].buf, call.views[3].buf};
+        predict_into(call.views[4].buf, call.views[5].buf, before, call.views[0].buf, call.views[1].buf, n);
     }
     return finished(&call, 1);
 }
@@ -233,6 +241,19 @@ CLONES static void whiten(double *rows, const double *root, Py_ssize_t p, Py_ssi
     }
 }
 
+/* What a step of p measurements gives: see `Innovation` in `states.py`. */
+typedef struct {
+    const double *whitened, *gain, *values;
+} Step;
+
+static void update_into(double *mean, double *covariance, States before, Step step, Py_ssize_t n, Py_ssize_t p) {
+    memcpy(mean, before.mean, (size_t)n * sizeof(double));
+    for (Py_ssize_t i = 0; i < p; i++) add(mean, step.values[i], step.gain + i * n, n);
+    memcpy(covariance, before.covariance, (size_t)(n * n) * sizeof(double));
+    add_product(covariance, (Matrix){step.gain, 1, n}, step.gain, (Shape){n, p, n, 1}, -1.0);
+    copy_upper(covariance, n);
+}
+
 static PyObject *correct(PyObject *module, PyObject *args) {
     (void)module;
     PyObject *sequence;
@@ -245,8 +266,8 @@ static PyObject *correct(PyObject *module, PyObject *args) {
     if (prepared(&call, sequence, 9, bytes, 4, p * p + n * p)) {
         const double *mean = call.views[0].buf, *covariance = call.views[1].buf, *rows = call.views[2].buf,
                      *values = call.views[3].buf;
-        double *mean_after = call.views[4].buf, *covariance_after = call.views[5].buf, *whitened = call.views[6].buf,
-               *gain = call.views[7].buf, *innovation = call.views[8].buf, *root = call.room, *turned = root + p * p;
+        double *whitened = call.views[6].buf, *gain = call.views[7].buf, *innovation = call.views[8].buf;
+        double *root = call.room, *turned = root + p * p;
         memset(gain, 0, (size_t)(p * n) * sizeof(double));
         add_product(gain, (Matrix){rows, n, 1}, covariance, (Shape){p, n, n, 0}, 1.0);
         transpose(turned, rows, p, n);
@@ -259,14 +280,33 @@ static PyObject *correct(PyObject *module, PyObject *args) {
             whiten(whitened, root, p, n);
             for (Py_ssize_t i = 0; i < p; i++) innovation[i] = values[i] - dot(rows + i * n, mean, n);
             whiten(innovation, root, p, 1);
-            memcpy(mean_after, mean, (size_t)n * sizeof(double));
-            for (Py_ssize_t i = 0; i < p; i++) add(mean_after, innovation[i], gain + i * n, n);
-            memcpy(covariance_after, covariance, (size_t)(n * n) * sizeof(double));
-            add_product(covariance_after, (Matrix){gain, 1, n}, gain, (Shape){n, p, n, 1}, -1.0);
-            copy_upper(covariance_after, n);
+            Step step = {whitened, gain, innovation};
+            update_into(call.views[4].buf, call.views[5].buf, (States){mean, covariance}, step, n, p);
         }
     }
     return finished(&call, done);
+}
+
+#define ROOM_BACK(n, p) (3 * (p) * (n) + (p) * (p))
+
+/* The information of all later measurements before a step, `room` is scratch memory of `ROOM_BACK`. */
+static void turn_back_into(double *vector_before, double *matrix_before, const double *vector, const double *matrix, Step step,
+                           Py_ssize_t n, Py_ssize_t p, double *room) {
+    double *across = room, *turned = across + p * n, *half = turned + p * n, *inner = half + p * n;
+    memset(room, 0, (size_t)ROOM_BACK(n, p) * sizeof(double));
+    memcpy(vector_before, vector, (size_t)n * sizeof(double));
+    for (Py_ssize_t i = 0; i < p; i++)
+        add(vector_before, -(dot(step.gain + i * n, vector, n) + step.values[i]), step.whitened + i * n, n);
+    add_product(across, (Matrix){step.gain, n, 1}, matrix, (Shape){p, n, n, 0}, 1.0);
+    transpose(turned, step.gain, p, n);
+    add_product(inner, (Matrix){across, n, 1}, turned, (Shape){p, n, p, 0}, 0.5);
+    for (Py_ssize_t i = 0; i < p; i++) inner[i * p + i] += 0.5;
+    add_product(half, (Matrix){inner, p, 1}, step.whitened, (Shape){p, p, n, 0}, 1.0);
+    for (Py_ssize_t i = 0; i < p * n; i++) half[i] -= across[i];
+    memcpy(matrix_before, matrix, (size_t)(n * n) * sizeof(double));
+    add_product(matrix_before, (Matrix){step.whitened, 1, n}, half, (Shape){n, p, n, 1}, 1.0);
+    add_product(matrix_before, (Matrix){half, 1, n}, step.whitened, (Shape){n, p, n, 1}, 1.0);
+    copy_upper(matrix_before, n);
 }
 
 static PyObject *turn_back(PyObject *module, PyObject *args) {
@@ -277,24 +317,9 @@ static PyObject *turn_back(PyObject *module, PyObject *args) {
     if (!PyArg_ParseTuple(args, "O!(nn)", &PyTuple_Type, &sequence, &n, &p) || !are_sizes(n, p, 0)) return NULL;
     const Py_ssize_t bytes[] = {DOUBLES(n),     DOUBLES(n * n), DOUBLES(p * n), DOUBLES(p * n),
                                 DOUBLES(p),     DOUBLES(n),     DOUBLES(n * n)};
-    if (prepared(&call, sequence, 7, bytes, 5, 3 * p * n + p * p)) {
-        const double *vector = call.views[0].buf, *matrix = call.views[1].buf, *whitened = call.views[2].buf,
-                     *gain = call.views[3].buf, *innovation = call.views[4].buf;
-        double *vector_before = call.views[5].buf, *matrix_before = call.views[6].buf;
-        double *across = call.room, *turned = across + p * n, *half = turned + p * n, *inner = half + p * n;
-        memcpy(vector_before, vector, (size_t)n * sizeof(double));
-        for (Py_ssize_t i = 0; i < p; i++)
-            add(vector_before, -(dot(gain + i * n, vector, n) + innovation[i]), whitened + i * n, n);
-        add_product(across, (Matrix){gain, n, 1}, matrix, (Shape){p, n, n, 0}, 1.0);
-        transpose(turned, gain, p, n);
-        add_product(inner, (Matrix){across, n, 1}, turned, (Shape){p, n, p, 0}, 0.5);
-        for (Py_ssize_t i = 0; i < p; i++) inner[i * p + i] += 0.5;
-        add_product(half, (Matrix){inner, p, 1}, whitened, (Shape){p, p, n, 0}, 1.0);
-        for (Py_ssize_t i = 0; i < p * n; i++) half[i] -= across[i];
-        memcpy(matrix_before, matrix, (size_t)(n * n) * sizeof(double));
-        add_product(matrix_before, (Matrix){whitened, 1, n}, half, (Shape){n, p, n, 1}, 1.0);
-        add_product(matrix_before, (Matrix){half, 1, n}, whitened, (Shape){n, p, n, 1}, 1.0);
-        copy_upper(matrix_before, n);
+    if (prepared(&call, sequence, 7, bytes, 5, ROOM_BACK(n, p))) {
+        Step step = {call.views[2].buf, call.views[3].buf, call.views[4].buf};
+        turn_back_into(call.views[5].buf, call.views[6].buf, call.views[0].buf, call.views[1].buf, step, n, p, call.room);
     }
     return finished(&call, 1);
 }
@@ -336,6 +361,44 @@ static PyObject *effect(PyObject *module, PyObject *args) {
     return finished(&call, done);
 }
 
+#define ROOM_DRIFTS(n, r, rows) (2 * (r) * (n) + ((n) + (r)) * ((rows) + (r)))
+
+/* The part of the effect on r rows of t r terms that is due to drifting states, `room` is scratch memory of `ROOM_DRIFTS`. */
+static void drifts_into(double *moved, double *shared, States states, const double *vector, const double *matrix,
+                        const char *drifting, Sparse s, Py_ssize_t n, Py_ssize_t r, Py_ssize_t rows, double *room) {
+    Py_ssize_t wide = rows + r;
+    double *cross = room, *later = cross + r * n, *felt = later + r * n, *effects = felt + n * wide;
+    memset(room, 0, (size_t)ROOM_DRIFTS(n, r, rows) * sizeof(double));
+    for (Py_ssize_t a = 0; a < r; a++) {
+        moved[a] = 0;
+        for (long long e = s.starts[a]; e < s.starts[a + 1]; e++)
+            if (drifting[s.columns[e]]) {
+                moved[a] += s.entries[e] * states.mean[s.columns[e]];
+                add(cross + a * n, s.entries[e], states.covariance + s.columns[e] * n, n);
+            }
+        moved[a] -= dot(cross + a * n, vector, n);
+    }
+    add_product(later, (Matrix){cross, n, 1}, matrix, (Shape){r, n, n, 0}, 1.0);
+    for (Py_ssize_t x = 0; x < n; x++)
+        for (Py_ssize_t b = 0; b < rows; b++)
+            for (long long e = s.starts[b]; e < s.starts[b + 1]; e++) {
+                double product = s.entries[e] * states.covariance[x * n + s.columns[e]];
+                felt[x * wide + b] += product;
+                if (b < r && !drifting[s.columns[e]]) felt[x * wide + rows + b] += product;
+            }
+    add_product(effects, (Matrix){later, n, 1}, felt, (Shape){r, n, wide, 0}, -1.0);
+    for (Py_ssize_t a = 0; a < r; a++)
+        for (Py_ssize_t b = 0; b < rows; b++)
+            for (long long e = s.starts[b]; e < s.starts[b + 1]; e++) {
+                double product = s.entries[e] * cross[a * n + s.columns[e]];
+                effects[a * wide + b] += product;
+                if (b < r && !drifting[s.columns[e]]) effects[a * wide + rows + b] += product;
+            }
+    for (Py_ssize_t a = 0; a < r; a++)
+        for (Py_ssize_t b = 0; b < rows; b++)
+            shared[a * rows + b] = effects[a * wide + b] + (b < r ? effects[b * wide + rows + a] : 0.0);
+}
+
 static PyObject *drifts(PyObject *module, PyObject *args) {
     (void)module;
     PyObject *sequence;
@@ -343,49 +406,84 @@ static PyObject *drifts(PyObject *module, PyObject *args) {
     int done = 0;
     Call call;
     if (!PyArg_ParseTuple(args, "O!(nnnn)", &PyTuple_Type, &sequence, &n, &t, &r, &count) || !are_sizes(n, t, r)) return NULL;
-    Py_ssize_t rows = t * r, wide = rows + r;
+    Py_ssize_t rows = t * r;
     if (!are_sizes(n, count, rows)) return NULL;
     const Py_ssize_t bytes[] = {DOUBLES(n),     DOUBLES(n * n),   DOUBLES(n),     DOUBLES(n * n), n,
                                 DOUBLES(rows + 1), DOUBLES(count), DOUBLES(count), DOUBLES(r),     DOUBLES(r * rows)};
-    if (prepared(&call, sequence, 10, bytes, 8, 2 * r * n + (n + r) * wide)) {
-        const double *mean = call.views[0].buf, *covariance = call.views[1].buf, *vector = call.views[2].buf,
-                     *matrix = call.views[3].buf;
-        const char *drifting = call.views[4].buf;
+    if (prepared(&call, sequence, 10, bytes, 8, ROOM_DRIFTS(n, r, rows))) {
         Sparse s = {call.views[5].buf, call.views[6].buf, call.views[7].buf};
-        double *moved = call.views[8].buf, *shared = call.views[9].buf;
-        double *cross = call.room, *later = cross + r * n, *felt = later + r * n, *effects = felt + n * wide;
+        States states = {call.views[0].buf, call.views[1].buf};
         done = is_sparse(&s, rows, n, count);
-        if (done) {
-            for (Py_ssize_t a = 0; a < r; a++) {
-                moved[a] = 0;
-                for (long long e = s.starts[a]; e < s.starts[a + 1]; e++)
-                    if (drifting[s.columns[e]]) {
-                        moved[a] += s.entries[e] * mean[s.columns[e]];
-                        add(cross + a * n, s.entries[e], covariance + s.columns[e] * n, n);
-                    }
-                moved[a] -= dot(cross + a * n, vector, n);
+        if (done)
+            drifts_into(call.views[8].buf, call.views[9].buf, states, call.views[2].buf, call.views[3].buf,
+                        call.views[4].buf, s, n, r, rows, call.room);
+    }
+    return finished(&call, done);
+}
+
+/* The sum of the numbers of measurements of k steps; -1 if one is not allowed. */
+static Py_ssize_t sum_of(const long long *measurements, Py_ssize_t k) {
+    Py_ssize_t sum = 0;
+    for (Py_ssize_t step = 0; step < k; step++) {
+        if (measurements[step] < 0 || measurements[step] > MOST_ROWS) return -1;
+        sum += (Py_ssize_t)measurements[step];
+    }
+    return sum;
+}
+
+/* k consecutive steps of the smoother, which all have the same response: `SegmentSmoother._smooth_stride` in `filter.py`. */
+static PyObject *smooth(PyObject *module, PyObject *args) {
+    (void)module;
+    PyObject *sequence;
+    Py_ssize_t n, t, r, count, k, all, most = 0;
+    int done = 0;
+    Call call;
+    if (!PyArg_ParseTuple(args, "O!(nnnnnn)", &PyTuple_Type, &sequence, &n, &t, &r, &count, &k, &all)) return NULL;
+    if (!are_sizes(n, t, r) || !are_sizes(n, count, t * r) || !are_sizes(k, 0, 0) || !sizes_allowed(all >= 0)) return NULL;
+    Py_ssize_t rows = t * r;
+    const Py_ssize_t bytes[] = {DOUBLES(n), DOUBLES(n * n), DOUBLES(k * n), DOUBLES(k * n), DOUBLES(k), DOUBLES(all * n),
+                                DOUBLES(all * n), DOUBLES(all), n, DOUBLES(rows + 1), DOUBLES(count), DOUBLES(count),
+                                DOUBLES(n), DOUBLES(n * n), DOUBLES(k * r), DOUBLES(k * r * rows)};
+    if (prepared(&call, sequence, 16, bytes, 12, (k + 1) * (n + n * n) + ROOM_DRIFTS(n, r, rows))) {
+        const double *remaining = call.views[2].buf, *added = call.views[3].buf, *whitened = call.views[5].buf,
+                     *gain = call.views[6].buf, *values = call.views[7].buf;
+        const long long *measurements = call.views[4].buf;
+        Sparse s = {call.views[9].buf, call.views[10].buf, call.views[11].buf};
+        double *vector = call.views[12].buf, *matrix = call.views[13].buf, *moved = call.views[14].buf,
+               *shared = call.views[15].buf;
+        double *beliefs = call.room, *mean = beliefs + k * (n + n * n), *covariance = mean + n, *room = covariance + n * n;
+        done = is_sparse(&s, rows, n, count) && sum_of(measurements, k) == all;
+        for (Py_ssize_t step = 0; done && step < k; step++)
+            if (measurements[step] > most) most = (Py_ssize_t)measurements[step];
+        double *back = done ? PyMem_Malloc((size_t)(ROOM_BACK(n, most) + 1) * sizeof(double)) : NULL;
+        if (done && back == NULL) PyErr_NoMemory();
+        if (back != NULL) {
+            memcpy(mean, call.views[0].buf, (size_t)n * sizeof(double));
+            memcpy(covariance, call.views[1].buf, (size_t)(n * n) * sizeof(double));
+            Py_ssize_t before = 0; /* measurements of the steps before */
+            for (Py_ssize_t step = 0; step < k; step++) {
+                double *predicted = beliefs + step * (n + n * n);
+                Step known = {whitened + before * n, gain + before * n, values + before};
+                predict_into(predicted, predicted + n, (States){mean, covariance}, remaining + step * n, added + step * n, n);
+                update_into(mean, covariance, (States){predicted, predicted + n}, known, n, (Py_ssize_t)measurements[step]);
+                before += (Py_ssize_t)measurements[step];
             }
-            add_product(later, (Matrix){cross, n, 1}, matrix, (Shape){r, n, n, 0}, 1.0);
-            for (Py_ssize_t x = 0; x < n; x++)
-                for (Py_ssize_t b = 0; b < rows; b++)
-                    for (long long e = s.starts[b]; e < s.starts[b + 1]; e++) {
-                        double product = s.entries[e] * covariance[x * n + s.columns[e]];
-                        felt[x * wide + b] += product;
-                        if (b < r && !drifting[s.columns[e]]) felt[x * wide + rows + b] += product;
-                    }
-            add_product(effects, (Matrix){later, n, 1}, felt, (Shape){r, n, wide, 0}, -1.0);
-            for (Py_ssize_t a = 0; a < r; a++) {
-                for (Py_ssize_t b = 0; b < rows; b++)
-                    for (long long e = s.starts[b]; e < s.starts[b + 1]; e++) {
-                        double product = s.entries[e] * cross[a * n + s.columns[e]];
-                        effects[a * wide + b] += product;
-                        if (b < r && !drifting[s.columns[e]]) effects[a * wide + rows + b] += product;
-                    }
+            for (Py_ssize_t step = k - 1; step >= 0; step--) {
+                Py_ssize_t p = (Py_ssize_t)measurements[step];
+                const double *predicted = beliefs + step * (n + n * n), *of_step = remaining + step * n;
+                before -= p;
+                Step known = {whitened + before * n, gain + before * n, values + before};
+                turn_back_into(mean, covariance, vector, matrix, known, n, p, back); /* `mean` is not needed any more */
+                drifts_into(moved + step * r, shared + step * r * rows, (States){predicted, predicted + n}, mean, covariance,
+                            call.views[8].buf, s, n, r, rows, room);
+                for (Py_ssize_t i = 0; i < n; i++) {
+                    vector[i] = mean[i] * of_step[i];
+                    for (Py_ssize_t j = 0; j < n; j++)
+                        matrix[i * n + j] = covariance[i * n + j] * (of_step[i] * of_step[j]);
+                }
             }
-            for (Py_ssize_t a = 0; a < r; a++)
-                for (Py_ssize_t b = 0; b < rows; b++)
-                    shared[a * rows + b] = effects[a * wide + b] + (b < r ? effects[b * wide + rows + a] : 0.0);
         }
+        PyMem_Free(back);
     }
     return finished(&call, done);
 }
@@ -515,6 +613,11 @@ static PyMethodDef methods[] = {
     {"drifts", drifts, METH_VARARGS,
      "drifts(arrays, (n, t, r, entries)): the part of the effect that is due to drifting states, into the last two of (mean,"
      " covariance, vector, matrix, drifting, starts, columns, entries, effect, errors); False as `effect`."},
+    {"smooth", smooth, METH_VARARGS,
+     "smooth(arrays, (n, t, r, entries, k, p)): k consecutive steps of the smoother with p measurements in all, into the"
+     " last four of (mean, covariance, remaining, added, measurements, whitened rows, gains, innovations, drifting, starts,"
+     " columns, entries, vector, matrix, effects, errors); vector and matrix are those after the steps, then those before;"
+     " False as `effect`."},
     {NULL, NULL, 0, NULL}};
 
 static PyModuleDef_Slot slots[] = {{0, NULL}};

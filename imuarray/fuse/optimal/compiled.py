@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-__all__ = ["begin", "correct", "drifts", "effect", "frames", "measure", "predict", "turn_back"]
+__all__ = ["begin", "correct", "drifts", "effect", "frames", "measure", "predict", "smooth", "turn_back"]
 
 try:
     from imuarray.fuse.optimal._segments import begin, frames
@@ -37,7 +37,7 @@ except ImportError:  # installed without a C compiler
 
 
 try:
-    from imuarray.fuse.optimal._states import correct, drifts, effect, measure, predict, turn_back
+    from imuarray.fuse.optimal._states import correct, drifts, effect, measure, predict, smooth, turn_back
 except ImportError:  # installed without a C compiler
 
     def predict(arrays: tuple[npt.NDArray[Any], ...], states: int) -> bool:
@@ -58,6 +58,10 @@ except ImportError:  # installed without a C compiler
 
     def drifts(arrays: tuple[npt.NDArray[Any], ...], sizes: tuple[int, int, int, int]) -> bool:
         """Compute no effect."""
+        return False
+
+    def smooth(arrays: tuple[npt.NDArray[Any], ...], sizes: tuple[int, int, int, int, int, int]) -> bool:
+        """Process no steps."""
         return False
 
     def measure(arrays: tuple[npt.NDArray[Any], ...], sizes: tuple[int, int, int, int, int], doubt: float) -> int:

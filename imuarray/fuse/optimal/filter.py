@@ -22,10 +22,10 @@ stored on a second spool, with the first segment on top.
 from __future__ import annotations
 
 import math
-import struct
 from array import array
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 from tempfile import TemporaryFile
 from typing import NamedTuple
 
@@ -42,10 +42,10 @@ from imuarray.fuse.optimal.states import (
     Gaussian,
     Innovation,
     StateResponse,
-    backwards,
+    StateStep,
     corrected,
     predicted,
-    updated,
+    smoothed_drifts,
 )
 
 OVER_S = 0.05
@@ -378,35 +378,40 @@ class ArrayFilter:
         self._view = None
 
 
-_LENGTH = struct.Struct("<q")
-"""Start of a group: the length of its head, which contains the shapes."""
-
 _HELD_BYTES = 1 << 20
 """Size of the last groups that a spool holds in memory, and writes and reads together."""
 
 
 class Spool:
     """A stack of groups of arrays, the last ones in memory and the others in a temporary file, which is deleted with
-    the object. The arrays of a group must not change later.
+    the object. A group is stored as one row of numbers.
     """
 
     def __init__(self) -> None:
         self._file = TemporaryFile()  # noqa: SIM115, it lives as long as the spool
-        self._starts = array("q")
-        self._end = 0
-        self._heads: dict[tuple[tuple[int, ...], ...], bytes] = {}
-        """The begin of a group by the shapes of its arrays, of which there are few."""
-        self._held: list[list[Floats]] = []
+        self._starts, self._end = array("q"), 0
+        """The number in the file at which each of its groups begins, and the number of all."""
+        self._shapes: list[tuple[tuple[int, ...], ...]] = []
+        self._places: dict[tuple[tuple[int, ...], ...], int] = {}
+        """The distinct shapes of the arrays of a group, of which there are few, and their places in the list."""
+        self._kinds = array("I")
+        """The place of the shapes of each group."""
+        self._held: list[Floats] = []
         self._held_bytes = 0
 
     def __bool__(self) -> bool:
         """Return whether the stack has any group."""
-        return bool(self._held) or self._end > 0
+        return len(self._kinds) > 0
 
     def push(self, arrays: Sequence[Floats]) -> None:
         """Push a group."""
-        self._held.append([np.ascontiguousarray(rows, np.float64) for rows in arrays])
-        self._held_bytes += sum([rows.nbytes for rows in self._held[-1]])
+        shapes = tuple([rows.shape for rows in arrays])
+        place = self._places.setdefault(shapes, len(self._shapes))
+        if place == len(self._shapes):
+            self._shapes.append(shapes)
+        self._kinds.append(place)
+        self._held.append(np.concatenate(arrays, axis=None))
+        self._held_bytes += self._held[-1].nbytes
         if self._held_bytes > _HELD_BYTES:
             self._write()
 
@@ -416,9 +421,13 @@ class Spool:
             raise IndexError("the spool is empty")
         if not self._held:
             self._read()
-        group = self._held.pop()
-        self._held_bytes -= sum([rows.nbytes for rows in group])
-        return group
+        numbers, start, arrays = self._held.pop(), 0, []
+        self._held_bytes -= numbers.nbytes
+        for shape in self._shapes[self._kinds.pop()]:
+            stop = start + math.prod(shape)
+            arrays.append(numbers[start:stop].reshape(shape))
+            start = stop
+        return arrays
 
     def close(self) -> None:
         """Close the file."""
@@ -426,45 +435,24 @@ class Spool:
 
     def _write(self) -> None:
         """Write the groups in memory to the file."""
-        parts: list[bytes | memoryview] = []
-        start = self._end
-        for group in self._held:
-            shapes = tuple([rows.shape for rows in group])
-            head = self._heads.get(shapes)
-            if head is None:
-                numbers = np.array([number for shape in shapes for number in (len(shape), *shape)], np.int64).tobytes()
-                head = self._heads[shapes] = _LENGTH.pack(len(numbers)) + numbers
+        self._file.seek(8 * self._end)
+        self._file.write(b"".join([numbers.data for numbers in self._held]))
+        for numbers in self._held:
             self._starts.append(self._end)
-            parts += [head, *[rows.data for rows in group]]
-            self._end += len(head) + sum([rows.nbytes for rows in group])
-        self._file.seek(start)
-        self._file.write(b"".join(parts))
+            self._end += len(numbers)
         self._held, self._held_bytes = [], 0
 
     def _read(self) -> None:
         """Take the last groups from the file into memory."""
-        first = bisect_left(self._starts, self._end - _HELD_BYTES, hi=len(self._starts) - 1)
+        first = bisect_left(self._starts, self._end - _HELD_BYTES // 8, hi=len(self._starts) - 1)
         start = self._starts[first]
-        self._file.seek(start)
-        content = self._file.read(self._end - start)
-        self._held = [_group(content, at - start) for at in self._starts[first:]]
-        self._held_bytes = sum([rows.nbytes for group in self._held for rows in group])
+        self._file.seek(8 * start)
+        numbers = np.frombuffer(self._file.read(8 * (self._end - start)))
+        self._held_bytes = numbers.nbytes
+        ends = [begin - start for begin in [*self._starts[first + 1 :], self._end]]
+        self._held = [numbers[begin:end] for begin, end in pairwise([0, *ends])]
         del self._starts[first:]
         self._end = start
-
-
-def _group(content: bytes, at: int) -> list[Floats]:
-    """Return the group that begins at a byte of a file's content."""
-    begin = at + _LENGTH.size
-    at = begin + _LENGTH.unpack_from(content, at)[0]
-    head = iter(np.frombuffer(content, np.int64, (at - begin) // 8, begin).tolist())
-    arrays = []
-    for dimensions in head:
-        shape = tuple(next(head) for _ in range(dimensions))
-        size = math.prod(shape)
-        arrays.append(np.frombuffer(content, np.float64, size, at).reshape(shape))
-        at += 8 * size
-    return arrays
 
 
 _STRIDE = 32
@@ -518,14 +506,12 @@ class SegmentSmoother:
 
     def _smooth_stride(self, stride: list[list[Floats]], adjoint: Adjoint) -> Adjoint:
         """Smooth one stride, in order of time, whose first step has the recorded state."""
-        belief, nothing = Gaussian(*stride[0][-2:]), np.zeros(len(self._drifting))
-        beliefs: list[Gaussian] = []
-        for decay, added, _, *innovation in stride:
-            beliefs.append(predicted(belief, decay, added))
-            belief = updated(beliefs[-1], Innovation(*innovation[:3]))
-        for at, (decay, _, warmer_degc, *innovation) in zip(beliefs[::-1], stride[::-1], strict=True):
-            adjoint = backwards(adjoint, Innovation(*innovation[:3]))
-            drift = self._states.response_at(warmer_degc).drift(at, adjoint, self._drifting)
-            self._views.push([warmer_degc, *drift])
-            adjoint = Adjoint(*predicted(Gaussian(*adjoint), decay, nothing))
+        warmer_degc = [step[2] for step in stride]
+        steps = [
+            StateStep(decay, added, Innovation(*innovation[:3]), self._states.response_at(warmer))
+            for decay, added, warmer, *innovation in stride
+        ]
+        drifts, adjoint = smoothed_drifts(Gaussian(*stride[0][-2:]), steps, adjoint, self._drifting)
+        for warmer, drift in zip(warmer_degc[::-1], drifts[::-1], strict=True):
+            self._views.push([warmer, *drift])
         return adjoint

@@ -149,6 +149,66 @@ class StateResponse:
         return Drift(moving @ belief.mean - cross @ adjoint.vector, errors)
 
 
+class StateStep(NamedTuple):
+    """A step of the filter: the share `remaining` (n,) of each state after the time since the step before, and the
+    variance `added` (n,), as `ErrorStates.transition` returns them; the `innovation`; and the response of the rows.
+    """
+
+    remaining: Floats
+    added: Floats
+    innovation: Innovation
+    response: StateResponse
+
+
+def smoothed_drifts(
+    belief: Gaussian, steps: Sequence[StateStep], later: Adjoint, drifting: Booleans
+) -> tuple[list[Drift], Adjoint]:
+    """Return the part of the smoothed effect that is due to the `drifting` states (n,) at each of consecutive steps.
+
+    `belief` is that before the steps, `later` the information of all measurements after them. Also return the
+    information of these and all later measurements on the states before the steps.
+    """
+    response = steps[0].response
+    if all(step.response is response for step in steps):
+        smoothed = _smoothed_alike(belief, steps, later, drifting)
+        if smoothed is not None:
+            return smoothed
+    beliefs: list[Gaussian] = []
+    for step in steps:
+        beliefs.append(predicted(belief, step.remaining, step.added))
+        belief = updated(beliefs[-1], step.innovation)
+    drifts: list[Drift] = []
+    for at, step in zip(beliefs[::-1], steps[::-1], strict=True):
+        later = backwards(later, step.innovation)
+        drifts.append(step.response.drift(at, later, drifting))
+        later = Adjoint(*predicted(Gaussian(*later), step.remaining, np.zeros(len(drifting))))
+    return drifts[::-1], later
+
+
+def _smoothed_alike(
+    belief: Gaussian, steps: Sequence[StateStep], later: Adjoint, drifting: Booleans
+) -> tuple[list[Drift], Adjoint] | None:
+    """Return the result for steps with the same response by compiled code; None if that is not possible."""
+    response, count = steps[0].response, len(steps)
+    terms, rows, _ = response.dense.shape
+    measurements = np.array([len(step.innovation.values) for step in steps], np.int64)
+    given = (
+        *belief,
+        np.array([step.remaining for step in steps]),
+        np.array([step.added for step in steps]),
+        measurements,
+        *(np.concatenate(parts) for parts in zip(*(step.innovation for step in steps), strict=True)),
+        drifting,
+        *response.sparse,
+    )
+    before = Adjoint(later.vector.copy(), later.matrix.copy())
+    offsets, errors = np.empty((count, rows)), np.empty((count, rows, terms, rows))
+    sizes = (len(drifting), terms, rows, len(response.sparse[1]), count, int(measurements.sum()))
+    if not compiled.smooth((*given, *before, offsets, errors), sizes):
+        return None
+    return [Drift(*parts) for parts in zip(offsets, errors, strict=True)], before
+
+
 _KEPT = 16
 """Number of cached responses at different temperatures."""
 
