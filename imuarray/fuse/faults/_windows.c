@@ -1,8 +1,9 @@
 /* Consecutive decision windows in which nothing happens, judged and learnt from one after the other.
 
    Does what `WindowSeries.seen`, `Normal.learn_sums` and `Normal.learn_noise` do of one window, of as many windows as it
-   leads through: a window is some thousand multiplications, which NumPy spreads over a hundred calls. Stops before a
-   window in which anything might have happened, with nothing of that window done; the Python code then judges it.
+   leads through, and what `Baseline.departed` does of every so many: a window is some thousand multiplications, which NumPy
+   spreads over a hundred calls. Stops before a window in which anything might have happened, with nothing of that window
+   done; the Python code then judges it.
    The names are those of the Python code, where every step is explained.
 
    Sizes: k windows, n frames each, m axes; STATES = 5 states of an axis, COURSES = 7 courses. */
@@ -22,13 +23,14 @@ typedef struct {
     double *own, *courses, *usual, *jitter, *moments, *changes;      /* by window */
     double *blind, *rows, *gain, *precision, *share;                 /* of the series */
     double *kept, *fresh, *variance;                                 /* of the normal model, fixed */
+    double *first_state, *first_covariance, *deleted;                /* of the baseline */
     double *state, *covariance, *colour, *change, *seen, *before;    /* of the normal model, written */
     const double *masks;                                             /* (3, m): included, observable, group waiting or -1 */
 } Arrays;
 
 typedef struct {
     double limit, even, uneven, axis_gain, agrees, quiet, quietest, wander, least_share, change_windows,
-        colour_windows, longest_colour;
+        colour_windows, longest_colour, drift, sigmas;
 } Limits;
 
 typedef struct {
@@ -101,6 +103,41 @@ static int moves(const double *changes, const double *usual, Py_ssize_t m, doubl
     return 1;
 }
 
+/* The triad of the biases, in `offset`, and the mean regressors (m, STATES) of a window without it: `WindowSeries.usual`. */
+static void find_usual(const Arrays *a, Py_ssize_t index, Py_ssize_t m, double *usual, double offset[3]) {
+    for (int j = 0; j < 3; j++) {
+        offset[j] = 0;
+        for (Py_ssize_t i = 0; i < m; i++) offset[j] += a->gain[j * m + i] * a->state[i * STATES];
+    }
+    memcpy(usual, a->usual + index * m * STATES, (size_t)(m * STATES) * sizeof(double));
+    for (Py_ssize_t i = 0; i < m; i++)
+        for (int j = 0; j < 3; j++) usual[i * STATES + 1 + j] -= offset[j];
+}
+
+/* Whether no axis has drifted too far since it settled: `Baseline.departed`. */
+static int stays(const Arrays *a, const Limits *limits, Py_ssize_t index, Py_ssize_t m, Work *w) {
+    double offset[3], *moved = w->means, *unknown = w->noise; /* which the window is not yet needed for */
+    find_usual(a, index, m, w->usual, offset);
+    for (Py_ssize_t i = 0; i < m; i++) {
+        const double *felt = w->usual + i * STATES, *covariance = a->first_covariance + i * STATES * STATES;
+        moved[i] = unknown[i] = 0;
+        for (int j = 0; j < STATES; j++) {
+            moved[i] += (a->state[i * STATES + j] - a->first_state[i * STATES + j]) * felt[j];
+            for (int l = 0; l < STATES; l++) unknown[i] += felt[j] * covariance[j * STATES + l] * felt[l];
+        }
+    }
+    for (Py_ssize_t i = 0; i < m; i++) {
+        double departure = 0, variance = 0;
+        for (Py_ssize_t j = 0; j < m; j++) {
+            double share = a->deleted[i * m + j];
+            departure += share * moved[j];
+            variance += share * share * unknown[j];
+        }
+        if (!(fabs(departure) < limits->drift + limits->sigmas * sqrt(variance))) return 0;
+    }
+    return 1;
+}
+
 /* `WindowSeries._sound`: who is to be learnt from; 0 where something may speak for a fault, or for who is waiting. */
 static int find_sound(const Arrays *a, const Limits *limits, Py_ssize_t m, Work *w) {
     const double *included = a->masks, *waiting = a->masks + 2 * m;
@@ -157,11 +194,8 @@ static int find_sound(const Arrays *a, const Limits *limits, Py_ssize_t m, Work 
 CLONES static int look(const Arrays *a, const Limits *limits, Py_ssize_t index, Py_ssize_t n, Py_ssize_t m, Work *w,
                 double offset[3]) {
     const double *own = a->own + index * n * m, *courses = a->courses + index * n * COURSES;
-    const double *usual = a->usual + index * m * STATES, *jitter = a->jitter + index * m;
-    for (int j = 0; j < 3; j++) {
-        offset[j] = 0;
-        for (Py_ssize_t i = 0; i < m; i++) offset[j] += a->gain[j * m + i] * a->state[i * STATES];
-    }
+    const double *jitter = a->jitter + index * m;
+    find_usual(a, index, m, w->usual, offset);
     for (Py_ssize_t i = 0; i < m; i++) {
         const double *state = a->state + i * STATES;
         double explained = state[1] * offset[0] + state[2] * offset[1] + state[3] * offset[2];
@@ -197,8 +231,6 @@ CLONES static int look(const Arrays *a, const Limits *limits, Py_ssize_t index, 
     }
     for (Py_ssize_t i = 0; i < m; i++) {
         double *felt = w->usual + i * STATES, *aged = w->aged + i * STATES * STATES, doubt = 0;
-        memcpy(felt, usual + i * STATES, STATES * sizeof(double));
-        for (int j = 0; j < 3; j++) felt[1 + j] -= offset[j];
         for (int j = 0; j < STATES * STATES; j++)
             aged[j] = a->covariance[i * STATES * STATES + j] * a->kept[j] + a->fresh[j];
         aged[0] += limits->wander * a->variance[i];
@@ -298,23 +330,24 @@ static int pass(const Arrays *a, const Limits *limits, Py_ssize_t index, Py_ssiz
 }
 
 #define ARRAYS (sizeof(Arrays) / sizeof(double *))
-#define WRITTEN 14 /* the first array that is written */
+#define WRITTEN 17 /* the first array that is written */
 
 static PyObject *advance(PyObject *module, PyObject *args) {
     (void)module;
     PyObject *sequence, *result = NULL;
-    Py_ssize_t k, n, m, begin, end, held = 0;
+    Py_ssize_t k, n, m, begin, end, next, every, held = 0;
     Limits limits;
-    if (!PyArg_ParseTuple(args, "O!(nnnnn)(dddddddddddd)", &PyTuple_Type, &sequence, &k, &n, &m, &begin, &end,
+    if (!PyArg_ParseTuple(args, "O!(nnnnnnn)(dddddddddddddd)", &PyTuple_Type, &sequence, &k, &n, &m, &begin, &end, &next, &every,
                           &limits.limit, &limits.even, &limits.uneven, &limits.axis_gain, &limits.agrees, &limits.quiet,
                           &limits.quietest, &limits.wander, &limits.least_share, &limits.change_windows,
-                          &limits.colour_windows, &limits.longest_colour))
+                          &limits.colour_windows, &limits.longest_colour, &limits.drift, &limits.sigmas))
         return NULL;
-    if (m < 3 || m > MOST_AXES || m % 3 || n < 2 || n > MOST_FRAMES || k < 0 || begin < 0 || begin > end || end > k)
+    if (m < 3 || m > MOST_AXES || m % 3 || n < 2 || n > MOST_FRAMES || k < 0 || begin < 0 || begin > end || end > k ||
+        every < 1)
         return PyLong_FromSsize_t(0);
     const Py_ssize_t sizes[] = {k * n * m, k * n * COURSES, k * m * STATES, k * m, k * m * STATES * STATES, k * m,
                                 m * m, 3 * m, 3 * m, m, m,
-                                STATES * STATES, STATES * STATES, m,
+                                STATES * STATES, STATES * STATES, m, m * STATES, m * STATES * STATES, m * m,
                                 m * STATES, m * STATES * STATES, m, m, m, m, 3 * m};
     Py_buffer views[ARRAYS];
     double *pointers[ARRAYS];
@@ -344,7 +377,11 @@ static PyObject *advance(PyObject *module, PyObject *args) {
         work->aged = room + n * m;
         double *covariances = work->aged + m * STATES * STATES, *changes_of_state = covariances + m * STATES * STATES;
         Py_ssize_t index = begin;
-        while (index < end && pass(&arrays, &limits, index, n, m, work, covariances, changes_of_state)) index++;
+        for (; index < end; index++) {
+            int is_due = index >= next && (index - next) % every == 0;
+            if (is_due && !stays(&arrays, &limits, index, m, work)) break;
+            if (!pass(&arrays, &limits, index, n, m, work, covariances, changes_of_state)) break;
+        }
         result = PyLong_FromSsize_t(index - begin);
     }
     PyMem_Free(work);

@@ -21,7 +21,7 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.faults.exclusions import AGREES
-from imuarray.fuse.faults.hypotheses import AXIS_GAIN, QUIET, least_energy_limit
+from imuarray.fuse.faults.hypotheses import AXIS_GAIN, QUIET, DriftLimits, least_energy_limit
 from imuarray.fuse.faults.window import KAPPA_WINDOWS, LEAST_SHARE, Q_WINDOWS, STATES, NormalModel, Parity, slopes
 
 try:
@@ -55,6 +55,16 @@ class WindowStatistics(NamedTuple):
     products: Floats
     usual: Floats
     sound: Booleans
+
+
+class DriftCheck(NamedTuple):
+    """The `limits` of drifts, the number of the `first` window of a series before which they are checked, and after how
+    many windows `every` further check follows.
+    """
+
+    limits: DriftLimits
+    first: int
+    every: int
 
 
 class WindowSeries:
@@ -95,25 +105,30 @@ class WindowSeries:
         normal = rows[self.included].T @ rows[self.included]
         self._even = float(np.linalg.det(normal) / np.trace(normal) ** 3)
 
-    def advance(self, windows: range, normal: NormalModel, waiting: Sequence[Sequence[int]]) -> int:
-        """Process consecutive windows and update `normal`, up to the first one that needs `seen`; return their number.
-        The caller ensures that no sensor stood still before them.
+    def advance(
+        self, windows: range, normal: NormalModel, waiting: Sequence[Sequence[int]], check: DriftCheck | None
+    ) -> int:
+        """Process consecutive windows and update `normal`, up to the first one that needs `seen` or fails a `check` of
+        drifts (None: there is none); return their number. The caller ensures that no sensor stood still before them.
         """
-        groups = np.full(len(self._rows), -1.0)
-        for group, axes in enumerate(waiting):
-            groups[list(axes)] = group
+        axes = len(self._rows)
+        first = (np.zeros((axes, STATES)), np.zeros((axes, STATES, STATES)), np.zeros((axes, axes)))
+        limits, begin, every = check or DriftCheck(DriftLimits(*first, 0.0, 0.0), windows.stop, 1)
+        groups = np.full(axes, -1.0)
+        for group, members in enumerate(waiting):
+            groups[list(members)] = group
         learnt = normal.learnt_now
         passed = advance(
             (
                 *(self._own, self._courses, self._usual, self._jitter, self._moments, self.changes),
                 *(self._blind, self._rows, self._gain, self._precision, self.share),
-                *(normal.kept, normal.fresh, normal.variance, *learnt),
+                *(normal.kept, normal.fresh, normal.variance, limits.state, limits.covariance, limits.shares, *learnt),
                 np.array([self.included, self.observable, groups], float),
             ),
-            (len(self._own), self._frames, len(self._rows), windows.start, windows.stop),
+            (len(self._own), self._frames, axes, windows.start, windows.stop, begin, every),
             (
                 *(self._limit, self._even, _UNEVEN, AXIS_GAIN, AGREES, QUIET, QUIETEST, normal.wander),
-                *(LEAST_SHARE, Q_WINDOWS, KAPPA_WINDOWS, normal.longest_colour),
+                *(LEAST_SHARE, Q_WINDOWS, KAPPA_WINDOWS, normal.longest_colour, limits.limit, limits.sigmas),
             ),
         )
         if passed:

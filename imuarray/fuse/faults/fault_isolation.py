@@ -15,7 +15,7 @@ import numpy as np
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.calibrate.runs import Ranges
 from imuarray.fuse.faults.exclusions import UNIT, Exclusion, FaultReport, agreeing, needs
-from imuarray.fuse.faults.fast_path import QUIETEST, WindowSeries
+from imuarray.fuse.faults.fast_path import QUIETEST, DriftCheck, WindowSeries
 from imuarray.fuse.faults.hypotheses import (
     AXIS_GAIN,
     QUIET,
@@ -224,15 +224,15 @@ class FaultIsolation:
         if self._silence.any or self._still.any or not all(exclusion.named for exclusion in self._out):
             return 0
         before_baseline = _BASELINE_WINDOWS - 1 - self._count % _BASELINE_WINDOWS
-        if before_baseline == 0:
-            usual = stretch.usual(windows.start, self._normal)
-            if not self._baseline.stays(stretch.included, usual, self._normal):
-                return 0
-        windows = windows[: before_baseline or _BASELINE_WINDOWS]
-        passed = stretch.advance(windows, self._normal, [exclusion.axes for exclusion in self._out]) if windows else 0
+        limits = self._baseline.limits(stretch.included)
+        if limits is None:  # an axis may settle, which is decided window by window
+            windows = windows[:before_baseline]
+        check = None if limits is None else DriftCheck(limits, windows.start + before_baseline, _BASELINE_WINDOWS)
+        waiting = [exclusion.axes for exclusion in self._out]
+        passed = stretch.advance(windows, self._normal, waiting, check) if windows else 0
         if passed:
-            if before_baseline == 0:
-                self._baseline.stayed(stretch.included)
+            checks = (self._count + passed) // _BASELINE_WINDOWS - self._count // _BASELINE_WINDOWS
+            self._baseline.stayed(stretch.included, checks)
             self._count += passed
             self._silence.all_present(passed)
             self._still.count_moving(passed)

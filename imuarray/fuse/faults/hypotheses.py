@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -370,6 +370,19 @@ _CLEARLY = 0.7
 """Share of the largest drift above which another sensor may be the faulty one as well."""
 
 
+class DriftLimits(NamedTuple):
+    """What `Baseline.departed` compares once every axis is settled: the first `state` (m, 5) of each axis and its
+    `covariance` (m, 5, 5), the shares (m, m) of the axes' drifts in the departure of each axis from the others, and the
+    limit of a drift in SI, to which `sigmas` standard deviations are added.
+    """
+
+    state: Floats
+    covariance: Floats
+    shares: Floats
+    limit: float
+    sigmas: float
+
+
 class Baseline:
     """The initial state of each axis, and its drift since then."""
 
@@ -399,17 +412,17 @@ class Baseline:
         gain = float((departure[worst] / allowed[worst] * _SIGMAS) ** 2)
         return Suspect((worst,), gain, "mean", tuple(np.flatnonzero(sensors).tolist())), float(departure[worst])
 
-    def stays(self, included: Booleans, usual: Floats, normal: NormalModel) -> bool:
-        """Return whether `departed` would only count the axes: no drift exceeds the limit, and no axis settles."""
-        seen = self._seen + included
-        if self._state is None or (included & (seen == _SETTLED)).any():
-            return False
-        shares = self._shares(included & (seen >= _SETTLED), usual, normal)
-        return shares is None or bool(shares[0].max() < 1)
+    def limits(self, included: Booleans) -> DriftLimits | None:
+        """Return the limits with these axes (m,); None while one of them has not settled, so that they will change."""
+        if self._state is None or self._covariance is None or (included & (self._seen < _SETTLED)).any():
+            return None
+        space = self._spaces(included.astype(float))
+        shares = np.zeros((len(included), len(included))) if space is None else space.deleted * included
+        return DriftLimits(self._state, self._covariance, shares, self._limit, _SIGMAS)
 
-    def stayed(self, included: Booleans) -> None:
-        """Count the axes, as `departed` does."""
-        self._seen += included
+    def stayed(self, included: Booleans, times: int = 1) -> None:
+        """Count the axes, as `departed` does, so many times."""
+        self._seen += included * times
 
     def _shares(self, begun: Booleans, usual: Floats, normal: NormalModel) -> tuple[Floats, Floats, Floats] | None:
         """Return the drift of each axis over its limit, the drift, and the limit, all (m,); None if the axes that have

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -238,9 +239,13 @@ class ErrorStates:
         """1, or 4 if the states include responses: an axis's error is its terms times (1, stimulus)."""
         return 1 + len(self.response)
 
+    @cached_property
+    def _has_thermal(self) -> bool:
+        return bool(self.thermal.any())
+
     def response_at(self, warmer_degc: Floats) -> StateResponse:
         """Return the response to the states of axes at temperatures (m,) above those of their biases."""
-        key = warmer_degc.tobytes() if self.thermal.any() else b""
+        key = warmer_degc.tobytes() if self._has_thermal else b""
         if key not in self._responses:
             if len(self._responses) >= _KEPT:
                 self._responses.clear()

@@ -111,12 +111,12 @@ def test_columns_may_lie_one_after_the_other_in_memory() -> None:
 def test_compiled_windows_refuse_arrays_of_another_size() -> None:
     from imuarray.fuse.faults._windows import advance
 
-    arrays = tuple(np.zeros(1) for _ in range(21))
+    arrays = tuple(np.zeros(1) for _ in range(24))
     with pytest.raises(ValueError, match="array 0: 90 numbers of double precision"):
-        advance(arrays, (1, 10, 9, 0, 1), (0.0,) * 12)
+        advance(arrays, (1, 10, 9, 0, 1, 0, 1), (0.0,) * 14)
     with pytest.raises(ValueError, match="another number of arrays"):
-        advance(arrays[1:], (1, 10, 9, 0, 1), (0.0,) * 12)
-    assert advance(arrays, (1, 10, 8, 0, 1), (0.0,) * 12) == 0  # 8 axes are no triads: NumPy's way is taken
+        advance(arrays[1:], (1, 10, 9, 0, 1, 0, 1), (0.0,) * 14)
+    assert advance(arrays, (1, 10, 8, 0, 1, 0, 1), (0.0,) * 14) == 0  # 8 axes are no triads: NumPy's way is taken
 
 
 def learnt(monitor: FaultMonitor) -> dict[str, Floats]:
