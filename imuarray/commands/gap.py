@@ -73,7 +73,7 @@ command.add_command(validate)
 @click.option(
     "--replicates",
     type=click.IntRange(40, 10_000),
-    default=64,
+    default=128,
     show_default=True,
     help="most simulated replicates, which separate a gap from chance; fewer are used where the result is clear",
 )

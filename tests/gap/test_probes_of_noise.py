@@ -55,20 +55,27 @@ def test_codes_that_a_quick_turn_passes_over_are_not_absent() -> None:
 
 @pytest.mark.parametrize("cuts", [(), (1, 2, 3, 700, 1001)])
 def test_a_single_reading_that_is_off_stands_out_in_a_motion(cuts: tuple[int, ...]) -> None:
-    """A cosine of amplitude a and w radians a row has second differences of up to a w^2 and 2 / pi of that in the mean;
-    a reading that is off by d on a crest makes one of 2 d more. At rest the largest step says more.
+    """One of 500 counts in noise of 5, on a swing whose curvature is up to 63 counts a row, by which a spike is smaller
+    on a crest. At rest the largest step says more.
     """
     rows, amplitude, radians, spike = 2000, 16_000, 2 * np.pi / 100, 500
     swing = amplitude * np.cos(radians * np.arange(rows))
-    counts = np.stack([swing] * 3, axis=1)
-    counts[1000, 1] += spike
+    counts = np.rint(swing[:, None] + np.random.default_rng(2).normal(0.0, 5.0, (rows, 3)))
+    counts[1000, 1] -= spike
     moving = Phase(0, rows * 10_000_000, "motion", "")
-    still, spiked, _ = value("bend_extreme", summary(block(np.rint(counts)), moving, cuts=cuts))
-    bend = 2 * amplitude * (1 - np.cos(radians))
-    mean = bend * 2 / np.pi
-    np.testing.assert_allclose(still, np.log(np.pi / 2), atol=0.05)
-    np.testing.assert_allclose(spiked, np.log((2 * spike + bend) / (mean + 4 * spike / rows)), atol=0.05)
-    assert np.isnan(value("bend_extreme", summary(block(np.rint(counts))))).all()
+    noise, spiked, _ = value("spike", summary(block(counts), moving, cuts=cuts))
+    eighth = summary(block(counts), moving).spikes[-1, 1]
+    np.testing.assert_allclose(spiked, np.log((spike - 63 / 2) / eighth), atol=0.05)
+    assert noise < 0.5
+    assert np.isnan(value("spike", summary(block(counts)))).all()
+
+
+def test_a_motion_without_noise_has_no_spikes() -> None:
+    """Also where its slope changes suddenly: second differences of one sign do not alternate."""
+    rows = np.arange(2000.0)
+    counts = np.stack([rows**2 / 200, np.abs(rows - 1000) * 10, rows * 0 + 7], axis=1)
+    moving = Phase(0, len(rows) * 10_000_000, "motion", "")
+    assert summary(block(counts * 2), moving).spikes[0].max() <= 1.0
 
 
 def test_spectrum_of_white_noise_is_flat() -> None:

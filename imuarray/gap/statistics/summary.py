@@ -33,6 +33,9 @@ ARCH_LAGS = 3
 OCTAVES = 14
 """Averaging factors up to 8192 rows."""
 
+SPIKES = 8
+"""Spikes of each axis that are kept."""
+
 _SEGMENTS = 64
 _SEGMENT_ROWS = 16
 """Fewest rows of a part of a phase; a short phase has fewer parts."""
@@ -61,10 +64,9 @@ class Summary:
     `segments` of time; `codes` and `steps` (sizes of the differences of neighbours), a histogram for each axis;
     `spectrum` in squared counts per cycle per row; `alternating`, the mean of the readings with alternating signs;
     `correlation` (6, 3) at lags 0 ... 5 and `arch` (4, 3) that of the squared differences of neighbours at lags 0 ...
-    3; `allan` at octaves; `bends` (2, 3), the largest and the mean second difference in size, nan at rest;
-    `intervals` of time, joint `repeats` of all axes, rows with each of the log's `flags`, `words`: rows in which
-    all axes read -1, or all 0, `slips` of the polls against the data clock, and of a recording its isolated
-    readings `outliers`.
+    3; `allan` at octaves; `spikes` (8, 3), the largest in a motion, nan at rest; `intervals` of time, joint
+    `repeats` of all axes, rows with each of the log's `flags`, `words`: rows in which all axes read -1, or all 0,
+    `slips` of the polls against the data clock, and of a recording its isolated readings `outliers`.
     """
 
     header: SensorHeader
@@ -79,7 +81,7 @@ class Summary:
     correlation: Floats
     arch: Floats
     allan: Haar
-    bends: Floats
+    spikes: Floats
     intervals: Intervals
     repeats: Repeats
     flags: Mapping[str, int]
@@ -113,7 +115,7 @@ class Tally:
         self._origin, self._rows = np.zeros(columns), 0
         self._alternating = np.zeros(columns)
         self._last = np.zeros((columns, 0))
-        self._bends = None if is_at_rest(phase) else BendTally(columns)
+        self._spikes = None if is_at_rest(phase) else SpikeTally(columns)
 
     def update(self, *blocks: Block) -> None:
         """Add rows of each replicate, at least one."""
@@ -135,8 +137,8 @@ class Tally:
         self._covariance.update(deviations.T)
         self._arch.update((steps * steps).T)
         self._haar.update(deviations)
-        if self._bends is not None:
-            self._bends.update(steps)
+        if self._spikes is not None:
+            self._spikes.update(steps)
         self._intervals.update(time)
         columns = counts.reshape(len(blocks), 3, -1).swapaxes(1, 2)
         for block, replicate_counts, repeats, status in zip(blocks, columns, self._repeats, self._status, strict=True):
@@ -158,7 +160,7 @@ class Tally:
         correlation, arch, variance, kurtosis = (split_replicates(table, replicates) for table in tables)
         alternating = self._alternating.reshape(replicates, 3) / max(self._rows, 1)
         segments = self._segments.results(self._origin, temperature)
-        bends = np.full((2, 3 * replicates), np.nan) if self._bends is None else self._bends.result()
+        spikes = np.full((SPIKES, 3 * replicates), np.nan) if self._spikes is None else self._spikes.result()
         return [
             Summary(
                 self._header,
@@ -173,7 +175,7 @@ class Tally:
                 correlation[at],
                 arch[at],
                 haar._replace(variance=variance[at], kurtosis=kurtosis[at]),
-                bends[:, 3 * at : 3 * at + 3],
+                spikes[:, 3 * at : 3 * at + 3],
                 intervals,
                 self._repeats[at].result(),
                 self._status[at].flags,
@@ -191,29 +193,33 @@ class Tally:
         self._steps = [histogram.merge(more) for histogram, more in zip(self._steps, sizes, strict=True)]
 
 
-class BendTally:
-    """Accumulates the second differences of readings while their steps arrive: a single reading that is off stands out
-    among them, however much the box moves.
+class SpikeTally:
+    """Collects the largest spikes of each column while the steps of readings arrive.
+
+    The second differences about a reading that is off by d are d, -2 d and d. Its size as a spike is the least of these
+    three with their signs (the middle one halved), and 0 where they do not alternate, as in a motion, whose curvature
+    has the same sign from row to row.
     """
 
     def __init__(self, columns: int) -> None:
         self._last = np.zeros((columns, 0))
-        self._largest, self._sum, self._count = np.zeros(columns), np.zeros(columns), 0
+        self._largest = np.zeros((SPIKES, columns))
 
     def update(self, steps: Floats) -> None:
         """Add steps (columns, n) of readings."""
         line = np.concatenate([self._last, steps], axis=1)
-        self._last = line[:, -1:].copy()
-        size = np.abs(line[:, 1:] - line[:, :-1])
-        self._largest = np.maximum(self._largest, size.max(axis=1, initial=0.0))
-        self._sum += size.sum(axis=1)
-        self._count += size.shape[1]
+        self._last = line[:, -3:].copy()
+        bends = line[:, 1:] - line[:, :-1]
+        if bends.shape[1] < 3:
+            return
+        middle, sides = bends[:, 1:-1], np.sign(bends[:, 1:-1])
+        size = np.minimum(np.abs(middle) / 2, np.minimum(-sides * bends[:, :-2], -sides * bends[:, 2:])).clip(0.0)
+        every = np.concatenate([self._largest.T, size], axis=1)
+        self._largest = -np.sort(-np.partition(every, -SPIKES, axis=1)[:, -SPIKES:], axis=1).T
 
     def result(self) -> Floats:
-        """Return the largest and the mean size (2, columns) of the second differences so far; nan of none."""
-        return (
-            np.stack([self._largest, self._sum / self._count]) if self._count else np.full((2, len(self._sum)), np.nan)
-        )
+        """Return the sizes (`SPIKES`, columns) of the largest spikes so far, the largest first; 0 for none."""
+        return self._largest
 
 
 def _thermometers(blocks: Sequence[Block]) -> npt.NDArray[np.int16] | None:
@@ -250,7 +256,7 @@ def side_by_side(replicates: Sequence[Summary]) -> Summary:
             variance=_columns_together([summary.allan.variance for summary in replicates]),
             kurtosis=_columns_together([summary.allan.kurtosis for summary in replicates]),
         ),
-        bends=_columns_together([summary.bends for summary in replicates]),
+        spikes=_columns_together([summary.spikes for summary in replicates]),
     )
 
 

@@ -19,7 +19,7 @@ from imuarray.simulate.effects.readings import Glitches, Stuck, high_byte
 
 _STEPS = ("tail", "extreme", "kurtosis", "noise_excess", "noise_uneven")
 _IN_MOTION = "motion_residual"
-_BENT = "bend_extreme"
+_SPIKED = "spike"
 _BEYOND_NOISE = 4.0
 """Standard deviations of a step."""
 
@@ -58,7 +58,7 @@ def guess_glitches(evidence: Evidence) -> Iterator[Hypothesis]:
         yield from _words([phase.raw for phase in evidence.phases])
     if evidence.is_odd(*_STEPS):
         yield from _spikes_again(evidence)
-    if evidence.is_odd(*_STEPS, _IN_MOTION, _BENT):
+    if evidence.is_odd(*_STEPS, _IN_MOTION, _SPIKED):
         yield from _torn_again(evidence)
         yield from _glitches_alone(evidence)
     if evidence.is_odd(_IN_MOTION):
@@ -102,7 +102,7 @@ def _glitches_alone(evidence: Evidence) -> Iterator[Hypothesis]:
     """Guess the very readings that were hit, which are all known, if they are so few that most phases have none."""
     hits = [hit for phase in evidence.still for hit in _hits(phase)]
     spikes, torn = _spikes_in_motion(evidence), _torn_in_motion(evidence)
-    hits += spikes if evidence.is_odd(_BENT) and len(torn) < len(spikes) else torn
+    hits += spikes if evidence.is_odd(_SPIKED) and len(torn) < len(spikes) else torn
     if not 0 < len(hits) <= SINGLE:
         return
     rows = sum(phase.raw.rows for phase in evidence.phases)

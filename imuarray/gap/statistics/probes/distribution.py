@@ -55,18 +55,18 @@ def extreme(summary: Summary) -> Floats:
     return score_of_largest(np.array(largest) / (np.sqrt(2) * noise_lsb(summary)), 2 * summary.rows)
 
 
-def bend_extreme(summary: Summary) -> Floats:
-    """Return the log of the largest second difference of the readings over their mean size; nan at rest, where
-    `extreme` says more.
+def spike(summary: Summary) -> Floats:
+    """Return the log of the largest spike over the smallest that is kept; nan at rest, where `extreme` sees it.
+
+    Noise and late polls make many spikes of about one size.
     """
-    largest, mean = summary.bends
-    return np.asarray(log(largest) - log(mean))
+    return np.asarray(log(summary.spikes[0]) - log(summary.spikes[-1]))
 
 
-def _bend_resolution(summary: Summary) -> float:
-    """One count more or less, on the axis that bends least."""
-    largest = summary.bends[0]
-    return float(1 / np.nanmin(largest, initial=np.inf)) if (largest > 0).any() else 0.0
+def _spike_resolution(summary: Summary) -> float:
+    """One count more or less, on the axis whose spikes are smallest."""
+    smallest = summary.spikes[-1]
+    return float(1 / np.nanmin(np.where(smallest > 0, smallest, np.nan))) if (smallest > 0).any() else 0.0
 
 
 def _share(moment: Floats, of: Floats) -> Floats:
@@ -107,13 +107,13 @@ PROBES: Probes = {
     "extreme": PhaseProbe(
         "distribution", "normal score of the largest step", ("glitches", "range_reset"), SCORE, extreme
     ),
-    "bend_extreme": PhaseProbe(
+    "spike": PhaseProbe(
         "distribution",
-        "log of the largest second difference in motion over the mean",
+        "log of the largest spike in motion over the eighth",
         ("glitches",),
         VARIANCE,
-        bend_extreme,
+        spike,
         in_motion=True,
-        resolution=_bend_resolution,
+        resolution=_spike_resolution,
     ),
 }
