@@ -437,15 +437,15 @@ def create_track(file: h5py.File, name: str, epoch: str, chunk: int, storage: Ma
 
 def attach_scales(group: h5py.Group) -> None:
     """Attach dimension scales to every column; without them xarray invents names and does not recognise the time."""
-    group["time"].make_scale("time")
-    if "axis" in group:
-        group["axis"].make_scale("axis")
+    scales = {name: group[name] for name in ("time", "axis") if name in group}
+    for name, scale in scales.items():
+        scale.make_scale(name)
     for name, dataset in group.items():
-        if name in ("time", "axis"):
+        if name in scales:
             continue
-        dataset.dims[0].attach_scale(group["time"])
+        dataset.dims[0].attach_scale(scales["time"])
         if dataset.ndim == 2:
-            dataset.dims[1].attach_scale(group["axis"])
+            dataset.dims[1].attach_scale(scales["axis"])
 
 
 def write_plots(file: h5py.File, names: Sequence[str]) -> None:
@@ -525,8 +525,9 @@ def _crc(parts: Iterator[bytes]) -> int:
 
 def _attributes(attributes: Mapping[str, Any], names: Sequence[str]) -> bytes:
     """Return the values of the attributes of these names that exist."""
+    stored = set(attributes)
     return b"\0".join(
-        b"\1".join([name.encode(), *map(_bytes, np.ravel(attributes[name]))]) for name in names if name in attributes
+        b"\1".join([name.encode(), *map(_bytes, np.ravel(attributes[name]))]) for name in names if name in stored
     )
 
 

@@ -210,6 +210,8 @@ MOST_DEFLATED = 1032
 _PACKERS = frozenset({h5z.FILTER_DEFLATE, h5z.FILTER_LZF})
 _FILTERS = _PACKERS | {h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32}
 _PLAIN = frozenset({h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.ENUM})
+_TEXT = h5t.py_create(h5py.string_dtype())
+"""The type in memory of a text of varying length."""
 _SCALES = frozenset({b"DIMENSION_LIST", b"REFERENCE_LIST"})
 """Attributes with references, by which HDF5 links dimensions and scales; they are never followed here."""
 
@@ -321,10 +323,11 @@ class _OpenObject(NamedTuple):
 
 
 class _TextPlace(NamedTuple):
-    """A place with texts: a column, or an attribute of an object."""
+    """A place with texts: a column, or an attribute of an object with its shape."""
 
     path: bytes
-    attribute: bytes | None
+    attribute: bytes | None = None
+    shape: tuple[int, ...] = ()
 
 
 def _printable_name(name: bytes) -> str:
@@ -377,23 +380,23 @@ def _check_attributes(node: _OpenObject, place: str) -> list[_TextPlace]:
     heap_bytes = info.meta_size.attr.heap_size  # checked before an attribute is opened, which reads it
     if heap_bytes > MAX_ATTRIBUTE_BYTES:
         raise LogError(f"{place}: {heap_bytes} bytes of attributes; at most {MAX_ATTRIBUTE_BYTES}")
-    names: list[bytes] = []
-    h5a.iterate(node.item, names.append)
-    for name in names:
-        attribute = h5a.open(node.item, name)
-        where = f"{place}: attribute {_printable_name(name)[:MAX_NAME_BYTES]}"
-        kind = attribute.get_type()
-        if kind.get_class() not in _PLAIN and name not in _SCALES:
-            raise LogError(f"{where}: neither numbers nor text")
-        space = attribute.get_space()
-        count = 0 if space.get_simple_extent_type() == h5s.NULL else space.get_simple_extent_npoints()
-        if count * kind.get_size() > MAX_ATTRIBUTE_BYTES:
-            raise LogError(f"{where}: {count * kind.get_size()} bytes; at most {MAX_ATTRIBUTE_BYTES}")
-        varies = isinstance(kind, h5t.TypeStringID) and kind.is_variable_str()
-        if varies and count > MAX_TEXTS:
-            raise LogError(f"{where}: more than {MAX_TEXTS} texts")
-        if varies and count:
-            texts.append(_TextPlace(node.path or b"/", name))
+    sizes: dict[bytes, int] = {}
+    h5a.iterate(node.item, lambda name, info: sizes.update({name: info.data_size}), info=True)
+    for name, size in sizes.items():
+        mistake = f"{size} bytes; at most {MAX_ATTRIBUTE_BYTES}" if size > MAX_ATTRIBUTE_BYTES else ""
+        if not mistake and name not in _SCALES:
+            attribute = h5a.open(node.item, name)
+            kind = attribute.get_type()
+            if kind.get_class() not in _PLAIN:
+                mistake = "neither numbers nor text"
+            elif isinstance(kind, h5t.TypeStringID) and kind.is_variable_str():
+                space = attribute.get_space()
+                count = 0 if space.get_simple_extent_type() == h5s.NULL else space.get_simple_extent_npoints()
+                mistake = f"more than {MAX_TEXTS} texts" if count > MAX_TEXTS else ""
+                if count:
+                    texts.append(_TextPlace(node.path or b"/", name, space.get_simple_extent_dims()))
+        if mistake:
+            raise LogError(f"{place}: attribute {_printable_name(name)[:MAX_NAME_BYTES]}: {mistake}")
     return texts
 
 
@@ -427,7 +430,7 @@ def _check_dataset(node: _OpenObject, place: str, file_bytes: int) -> list[_Text
         return []
     if _text_bytes(item) > MAX_TEXT_BYTES:  # checked before any is read: all may refer to the same long text
         raise LogError(f"{place}: texts of more than {MAX_TEXT_BYTES} bytes")
-    return [_TextPlace(node.path, None)]
+    return [_TextPlace(node.path)]
 
 
 def _text_bytes(item: h5d.DatasetID) -> int:
@@ -448,8 +451,7 @@ def _text_bytes(item: h5d.DatasetID) -> int:
 def _read_text(item: Any, text: _TextPlace, where: str) -> None:
     """Read the texts of an object from a file whose heaps are checked."""
     if text.attribute is not None:
-        attribute = h5a.open(item, text.attribute)
-        attribute.read(np.empty(attribute.shape, attribute.dtype))
+        h5a.open(item, text.attribute).read(np.empty(text.shape, object), _TEXT)
     elif item.rank == 0:
         item.read(h5s.ALL, h5s.ALL, np.empty((), item.dtype))
     else:

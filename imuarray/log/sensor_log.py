@@ -81,6 +81,8 @@ class SensorLog(CountScale):
         if not isinstance(group, GROUP):
             raise LogError(f"{where}: is not a group; a sensor is a group of columns with attributes")
         self._group, self._cache = group, cache
+        self._attributes = group.attrs
+        self._attribute_names = frozenset(group.attrs)  # HDF5 takes long to tell that an attribute does not exist
         self._columns: dict[str, NamedColumn] = {}
         self._opened = opened
         self._log, self._path = ref(log), log.path  # a weak reference, so that an unused log is closed at once
@@ -100,14 +102,17 @@ class SensorLog(CountScale):
         zero_degc, lsb_per_degc = (self._number(name, 0.0) for name in THERMOMETER_ATTRIBUTES)
         self.thermometer = ThermometerScale(zero_degc, lsb_per_degc) if lsb_per_degc else None
         self.adjustment_words = {
-            name: round(self._number(name)) for name in ADJUSTMENT_ATTRIBUTES if name in self._group.attrs
+            name: round(self._number(name)) for name in ADJUSTMENT_ATTRIBUTES if name in self._attribute_names
         }
         self.position_mm = self._numbers("position_mm", np.zeros(3))
         self.orientation = self._orientation()
         self._check_columns()
 
+    def _attribute(self, name: str, default: Any = None) -> Any:
+        return self._attributes[name] if name in self._attribute_names else default
+
     def _text(self, attribute: str, allowed: tuple[str, ...] = ()) -> str:
-        value = plain_value(self._group.attrs.get(attribute))
+        value = plain_value(self._attribute(attribute))
         if not isinstance(value, str) or (allowed and value not in allowed):
             choice = f"; allowed are {', '.join(allowed)}" if allowed else ""
             raise LogError(
@@ -116,7 +121,7 @@ class SensorLog(CountScale):
         return value
 
     def _number(self, attribute: str, default: float | None = None) -> float:
-        value = plain_value(self._group.attrs.get(attribute, default))
+        value = plain_value(self._attribute(attribute, default))
         try:
             number = float(cast(Any, value))
         except (TypeError, ValueError):
@@ -136,7 +141,7 @@ class SensorLog(CountScale):
 
     def _numbers(self, attribute: str, default: Floats) -> Floats:
         """Return an attribute of several numbers, with the shape of its default."""
-        value = self._group.attrs.get(attribute, default)
+        value = self._attribute(attribute, default)
         try:
             numbers = np.asarray(value, float)
         except (TypeError, ValueError):
@@ -182,7 +187,8 @@ class SensorLog(CountScale):
                 )
         if self.counts.ndim != 2 or (self.is_triad and self.counts.shape[1] != 3):
             raise LogError(f"{self.where}: column counts is not an (n, 3) table: its shape is {self.counts.shape}")
-        for edge in (slice(_EDGE_ROWS), slice(-_EDGE_ROWS, None)):  # `verify` checks all rows
+        edges = (slice(_EDGE_ROWS), slice(-_EDGE_ROWS, None))
+        for edge in edges if len(self) > _EDGE_ROWS else edges[:1]:  # `verify` checks all rows
             try:
                 times = self.time[edge]
             except LogError:  # is raised again when these rows are read; other sensors may be intact

@@ -21,6 +21,8 @@ MAX_TEXT_BYTES = 1 << 24
 """Most bytes of all texts in a column: the messages of a hundred thousand events."""
 _BLOCK_BYTES = 1 << 22
 """Bytes that are read at a time, as estimated from the length of previous texts."""
+_FIRST_ROWS = 4
+"""Rows that are read before any length is known: the names of all axes, or four texts of the longest heaps (64 MB)."""
 _IMPORTED = (".csv", ".npz", ".txt", ".bin")
 """Suffixes of recordings that can be imported."""
 
@@ -78,7 +80,7 @@ def read_texts(column: Any) -> list[Any]:
     if column.ndim != 1:
         raise ValueError("texts are one column")
     values: list[Any] = []
-    rows, size, step = int(column.shape[0]), 0, 1
+    rows, size, step = int(column.shape[0]), 0, _FIRST_ROWS
     while len(values) < rows:
         block = column[len(values) : len(values) + step].tolist()
         longest = max(map(len, block))

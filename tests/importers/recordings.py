@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ class Walk(NamedTuple):
     rate_dps: np.ndarray
 
 
+@cache
 def walk(rows: int = ROWS, rate_hz: float = 100.0, still: bool = False) -> Walk:
     """Noise of 5 mg and 0.1 dps; turns of up to 60 degrees, in closed form, in the second half."""
     rng = np.random.default_rng(22)

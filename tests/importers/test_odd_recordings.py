@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -38,9 +39,11 @@ MAP = SECONDS + ACC + GYRO
 INDEXED = MAP.replace('"t"', "0").replace('["ax", "ay", "az"]', "[1, 2, 3]").replace('["gx", "gy", "gz"]', "[4, 5, 6]")
 
 
+ROWS_OF_COUNTS = tuple(lines_of(walk().time_s, counts_of(walk()), "{:d}"))
+
+
 def plain(header: str = HEAD) -> list[str]:
-    recording = walk()
-    return [header, *lines_of(recording.time_s, counts_of(recording), "{:d}")]
+    return [header, *ROWS_OF_COUNTS]
 
 
 LINEAR_G = np.random.default_rng(6).normal(1e-3, 5e-3, (ROWS, 3))
@@ -53,6 +56,7 @@ def stopped(end: int = ROWS) -> bytes:
     return joined([HEAD, *lines_of(walk().time_s, counts, "{:d}")])
 
 
+@cache
 def units_taken_for_others() -> bytes:
     recording = walk()
     counts = counts_of(recording)
@@ -91,6 +95,7 @@ def turned_throughout() -> bytes:
     return joined([HEAD, *lines_of(time_s, counts, "{:d}")])
 
 
+@cache
 def bursts() -> bytes:
     """A host that is busy stamps what a driver has kept, eight rows in two milliseconds, then none for some time."""
     recording = walk(4000)
@@ -120,6 +125,7 @@ def changing_rate(later_s: float, row: int) -> bytes:
     return joined([HEAD, *lines_of(times_s, counts_of(walk(still=True)), "{:d}")])
 
 
+@cache
 def with_counter(span: int) -> bytes:
     recording = walk()
     ticks = (np.rint(recording.time_s * 1e6).astype(np.int64) + span - 5_000_000) % span
