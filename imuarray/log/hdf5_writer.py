@@ -22,6 +22,7 @@ from typing import Any
 import h5py
 import numpy as np
 import numpy.typing as npt
+from h5py import h5a, h5t
 
 from imuarray.errors import LogError
 from imuarray.log.commits import COMMITS, block_crc, row_of, width
@@ -50,7 +51,7 @@ from imuarray.log.format import (
 )
 from imuarray.log.journal import NOTES, ColumnGroup, Columns, Notes, groups_of, sensor_group
 from imuarray.log.salvage import Mark
-from imuarray.log.untrusted_input import DAMAGE, read_texts
+from imuarray.log.untrusted_input import DAMAGE, TEXT, read_texts
 from imuarray.units import SI_NAME, SI_PER_UNIT
 
 if sys.platform != "win32":
@@ -497,10 +498,10 @@ def check_sums(file: Any) -> list[int]:
     own errors.
     """
     crcs = [0, *(_crc(_column(file[table][name]) for name in names) for table, names in _TABLES.items())]
-    attributes = [_attributes(file.attrs, _LOG)]
-    for name in sorted(file["sensors"]):
-        group = file["sensors"][name]
-        attributes += [name.encode(), _attributes(group.attrs, _SENSOR), _column(group["axis"])]
+    sensors, attributes = file["sensors"], [_attributes(file, _LOG)]
+    for name in sorted(sensors):
+        group = sensors[name]
+        attributes += [name.encode(), _attributes(group, _SENSOR), _column(group["axis"])]
     crcs[0] = _crc(iter(attributes))
     return crcs
 
@@ -523,12 +524,23 @@ def _crc(parts: Iterator[bytes]) -> int:
     return crc
 
 
-def _attributes(attributes: Mapping[str, Any], names: Sequence[str]) -> bytes:
-    """Return the values of the attributes of these names that exist."""
-    stored = set(attributes)
-    return b"\0".join(
-        b"\1".join([name.encode(), *map(_bytes, np.ravel(attributes[name]))]) for name in names if name in stored
-    )
+def _attributes(item: Any, names: Sequence[str]) -> bytes:
+    """Return the values of the attributes of these names that exist; texts without decoding, which takes longer."""
+    stored: list[bytes] = []
+    h5a.iterate(item.id, stored.append)
+    parts = []
+    for name in names:
+        if (key := name.encode()) not in stored:
+            continue
+        attribute = h5a.open(item.id, key)
+        kind = attribute.get_type()
+        if isinstance(kind, h5t.TypeStringID) and kind.is_variable_str():
+            values = np.empty(attribute.get_space().get_simple_extent_dims(), object)
+            attribute.read(values, TEXT)
+        else:
+            values = np.ravel(item.attrs[name])
+        parts.append(b"\1".join([key, *map(_bytes, values.ravel())]))
+    return b"\0".join(parts)
 
 
 def _column(column: Any) -> bytes:

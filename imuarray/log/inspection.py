@@ -37,7 +37,7 @@ from h5py import h5a, h5d, h5fd, h5g, h5i, h5l, h5o, h5s, h5t, h5z
 
 from imuarray.errors import LogError
 from imuarray.log.format import FORMAT, MOST_SENSORS, PLOTS
-from imuarray.log.untrusted_input import DAMAGE, MAX_TEXT_BYTES, read_texts
+from imuarray.log.untrusted_input import DAMAGE, MAX_TEXT_BYTES, TEXT, read_texts
 from imuarray.printable import printable
 
 _SIGN = b"GCOL"
@@ -210,8 +210,6 @@ MOST_DEFLATED = 1032
 _PACKERS = frozenset({h5z.FILTER_DEFLATE, h5z.FILTER_LZF})
 _FILTERS = _PACKERS | {h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32}
 _PLAIN = frozenset({h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.ENUM})
-_TEXT = h5t.py_create(h5py.string_dtype())
-"""The type in memory of a text of varying length."""
 _SCALES = frozenset({b"DIMENSION_LIST", b"REFERENCE_LIST"})
 """Attributes with references, by which HDF5 links dimensions and scales; they are never followed here."""
 
@@ -451,7 +449,7 @@ def _text_bytes(item: h5d.DatasetID) -> int:
 def _read_text(item: Any, text: _TextPlace, where: str) -> None:
     """Read the texts of an object from a file whose heaps are checked."""
     if text.attribute is not None:
-        h5a.open(item, text.attribute).read(np.empty(text.shape, object), _TEXT)
+        h5a.open(item, text.attribute).read(np.empty(text.shape, object), TEXT)
     elif item.rank == 0:
         item.read(h5s.ALL, h5s.ALL, np.empty((), item.dtype))
     else:

@@ -12,10 +12,14 @@ from typing import Any
 
 import h5py
 import numpy as np
+from h5py import h5t
 
 from imuarray.errors import LogError
 from imuarray.log.format import FORMAT, READ_CACHE_BYTES
 from imuarray.spelling import guess_file
+
+TEXT = h5t.py_create(h5py.string_dtype())
+"""The type in memory of a text of varying length, for h5py's functions of HDF5."""
 
 MAX_TEXT_BYTES = 1 << 24
 """Most bytes of all texts in a column: the messages of a hundred thousand events."""

@@ -85,6 +85,7 @@ def test_logs_open_and_are_good(tmp_path: Path, name: str) -> None:
         assert verification.remarks == ()
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_bytes_always(tmp_path: Path) -> None:
     name, case = "s07", CASES["s07"]
     (first,), (again,) = (write_case(name, case, tmp_path / folder) for folder in ("first", "again"))

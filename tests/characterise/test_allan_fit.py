@@ -259,17 +259,27 @@ def test_anything_has_ordered_intervals(values: np.ndarray, terms: list[Term]) -
     assert np.isnan(found.p_value) if found.freedom == 0 else 0 <= found.p_value <= 1
 
 
-def test_runs_of_similar_lengths_scatter_alike(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A night with 200 lengths of runs from 9 to 20,000 rows: two dozen lengths instead of all change the standard
-    deviations of the variances by less than 2 %, and keep the number of runs and of rows.
-    """
+def nights() -> tuple[tuple[int, int], ...]:
+    """(rows, number) of the runs of a night: 200 lengths from 9 to 20,000 rows."""
     lengths = np.unique(np.geomspace(9, 20_000, 260).astype(int))
-    runs = tuple((int(rows), 1 + at % 3) for at, rows in enumerate(lengths))
+    return tuple((int(rows), 1 + at % 3) for at, rows in enumerate(lengths))
+
+
+def test_runs_of_similar_lengths_are_two_dozen_lengths() -> None:
+    """The number of runs and that of rows remain."""
+    runs = nights()
     assert len(merge_similar(runs)) <= 24 < 200 < len(runs)
     assert sum(number for _, number in merge_similar(runs)) == sum(number for _, number in runs)
     total = sum(rows * number for rows, number in runs)
     assert sum(rows * number for rows, number in merge_similar(runs)) == pytest.approx(total, rel=1e-3)
     assert merge_similar(runs[:24]) == runs[:24]
+
+
+@pytest.mark.slow
+def test_runs_of_similar_lengths_scatter_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two dozen lengths instead of all change the standard deviations of the variances by less than 2 %."""
+    runs = nights()
+    total = sum(rows * number for rows, number in runs)
     factors = tuple(2**octave for octave in range(12))
     estimate = AllanEstimate(1 / np.array(factors, float), 1.0, factors, total, INTERVAL_S, runs=runs)
     theta = np.array([0.0, 1.0, 1e-4, 1e-7, 0.0])

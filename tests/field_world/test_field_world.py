@@ -100,6 +100,7 @@ def test_logs_open_and_are_good(tmp_path: Path, name: str) -> None:
     assert verify(path).problems == ()
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_bytes_always(tmp_path: Path) -> None:
     for folder, offset in (("first", "0"), ("again", "0"), ("other", "1000")):
         main([str(tmp_path / folder), "--seed-offset", offset, "--only", "lone_gyro"])

@@ -326,7 +326,7 @@ def test_the_verdict_on_a_partly_explained_gap(causes: Sequence[Cause], sentence
 
 def test_improbable_causes_are_counted(tmp_path: Path) -> None:
     causes = (CAUSES[0], replace(CAUSES[1], probability=0.004))
-    page = page_of(replace(made(), causes=causes), tmp_path)
+    page = page_of(replace(made(), causes=causes, overlays=()), tmp_path)
     assert [row[0].partition("\n")[0] for row in page.rows["Causes"]] == ["effect", "thermal_lag"]
     assert "1 less probable cause: see gap.json." in page.words["Causes"]
 
