@@ -44,8 +44,10 @@ def guess_turn_on_bias(evidence: Evidence) -> Iterator[Hypothesis]:
         yield Hypothesis((TurnOnBias((float(x), float(y), float(z))),), ("rms",))
 
 
-_SEPARATION = math.log(5)
-"""Log of the scatter of all levels over that within two groups from which on there are two; of a drift it is log 4."""
+_SEPARATION, _SHARED_SEPARATION = math.log(5), math.log(3)
+"""Log of the scatter of all levels over that within two groups from which on there are two: on a single axis, where a
+drift has log 4, and over three axes, of which chance rarely makes all change together.
+"""
 
 
 def guess_bistable_bias(evidence: Evidence) -> Iterator[Hypothesis]:
@@ -65,8 +67,11 @@ def guess_bistable_bias(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def rarer(means: Floats, variances: Floats) -> Booleans | None:
     """Return (l,) the smaller one of two groups of levels (l, 3); None for one group. `variances` (l, 3) of errors."""
-    upper, separation = divide(means, variances, least=1)
-    if not separation > _SEPARATION:
+    groups = [(*divide(means, variances, least=1), _SHARED_SEPARATION)]
+    for axis in range(means.shape[1]):
+        groups.append((*divide(means[:, [axis]], variances[:, [axis]], least=1), _SEPARATION))
+    upper, separation, least = max(groups, key=lambda group: np.nan_to_num(group[1] - group[2], nan=-math.inf))
+    if not separation > least:
         return None
     return upper if upper.sum() * 2 <= len(upper) else ~upper
 
