@@ -9,7 +9,6 @@ from __future__ import annotations
 import codecs
 import csv
 import io
-import math
 import re
 import zlib
 from collections import Counter
@@ -61,6 +60,10 @@ _OTHER_DATE = re.compile(r"\d\d?:\d\d:\d\d")
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
+_DIGITS = frozenset("0123456789")
+"""The last characters of most numbers, by which they are told from `MISSING` cells at once."""
+
+
 class CellColumn(NamedTuple):
     """The cells of one column in one block with their line numbers: texts, or numbers of a binary file (`values`, with
     rows in the place of lines).
@@ -90,7 +93,7 @@ class CellColumn(NamedTuple):
         """Return (n,) which cells are empty."""
         if self.values is not None:
             return np.isnan(self.values) if self.values.dtype.kind == "f" else np.zeros(len(self.values), bool)
-        return np.array([text.strip().lower() in MISSING for text in self.texts], bool)
+        return np.array([text[-1:] not in _DIGITS and text.strip().lower() in MISSING for text in self.texts], bool)
 
     def where(self, kept: npt.NDArray[np.bool_]) -> CellColumn:
         """Return the selected cells."""
@@ -309,9 +312,9 @@ def plain_line(line: str, delimiter: str) -> str:
         line = line.strip("| ")
     if line.endswith(";") and delimiter == "," and ";" not in line[:-1]:
         line = line[:-1]
-    if (stamp := _MONITOR_STAMP.match(line)) is not None:
+    if line[2:3] == ":" and (stamp := _MONITOR_STAMP.match(line)) is not None:
         line = stamp[1].replace(",", ".") + delimiter + line[stamp.end() :]
-    prefix = _PREFIX.fullmatch(line)
+    prefix = None if line[:1].isdigit() else _PREFIX.fullmatch(line)
     if prefix is not None and prefix["rest"].count(delimiter) >= _FEWEST_BEHIND_WORD - 1:
         return prefix["word"] + delimiter + prefix["rest"]
     if line.startswith("$") and (sentence := _CHECKSUM.fullmatch(line)) is not None:
@@ -721,12 +724,13 @@ def numbers(column: CellColumn) -> npt.NDArray[np.float64]:
         row = int(np.argmin(np.isfinite(values))) if not np.isfinite(values).all() else None
     else:
         try:
-            read = [number_of(text) for text in column.texts]
-            row = next((row for row, value in enumerate(read) if not math.isfinite(value)), None)
+            try:
+                values = np.array(list(map(float, column.texts)))
+            except ValueError:  # some may be hexadecimal
+                values = np.array(list(map(number_of, column.texts)))
+            row = None if np.isfinite(values).all() else int(np.argmin(np.isfinite(values)))
         except ValueError:
-            row = next(row for row, text in enumerate(column.texts) if not _is_number(text))
-            read = []
-        values = np.array(read)
+            values, row = np.array([]), next(at for at, text in enumerate(column.texts) if not _is_number(text))
     if row is not None:
         raise column.refuse(row, f"{column.text(row)!r} is not a number" + _number_hint(column, row))
     return values

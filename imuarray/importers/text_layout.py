@@ -277,10 +277,15 @@ def columns_of(rows: Sequence[Sequence[str]], layout: TextLayout) -> list[Floats
     for index in range(width):
         texts = (row[index].strip() for row in rows)
         texts = (text.replace(",", ".") for text in texts) if layout.decimal == "," else texts
-        columns.append(
-            np.array([number_of(text) if is_number(text, TextLayout()) and text else np.nan for text in texts])
-        )
+        columns.append(np.array([_number_or_nan(text) for text in texts]))
     return columns
+
+
+def _number_or_nan(text: str) -> float:
+    try:
+        return number_of(text)
+    except ValueError:
+        return np.nan
 
 
 _DATES: Sequence[tuple[str, str]] = (
