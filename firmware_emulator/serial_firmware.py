@@ -17,15 +17,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from firmware_emulator.clock import WireClock
-from firmware_emulator.microcontroller_bus import (
-    DONE,
-    FIRST_SELECT,
-    HELD,
-    NOBODY,
-    REFUSED,
-    Transfers,
-    result_of,
-)
+from firmware_emulator.microcontroller_bus import DONE, FIRST_SELECT, HELD, NOBODY, REFUSED, Transfers, result_of
 
 VERSION = 1
 LONGEST = 1024

@@ -111,12 +111,7 @@ def _run(options: FuseOptions) -> None:
     """Fuse and evaluate as the options say, and print the report."""
     from imuarray.calibrate import Calibration, load_calibration
     from imuarray.chips import SENSITIVITIES
-    from imuarray.fuse.fusion import (
-        complete_responses,
-        prepare_inputs,
-        require_known_sensors,
-        require_technique,
-    )
+    from imuarray.fuse.fusion import complete_responses, prepare_inputs, require_known_sensors, require_technique
     from imuarray.log import open_log
 
     if options.output is not None:

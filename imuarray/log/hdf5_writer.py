@@ -26,11 +26,7 @@ from h5py import h5a, h5t
 
 from imuarray.errors import LogError
 from imuarray.log.commits import COMMITS, block_crc, row_of, width
-from imuarray.log.disk_space import (
-    Allowance,
-    sync_folder,
-    write_errors,
-)
+from imuarray.log.disk_space import Allowance, sync_folder, write_errors
 from imuarray.log.format import (
     CACHE_BYTES,
     COMPENSATED_UNITS,

@@ -38,15 +38,7 @@ import numpy.typing as npt
 from imuarray import __version__
 from imuarray.arrays import Floats, Times
 from imuarray.errors import NO_ROOM, DiskFullError, ImuArrayError, LogBusyError, LogError, OutputExistsError
-from imuarray.log.disk_space import (
-    WATERMARK,
-    Reserve,
-    free_bytes,
-    reserve_of,
-    sync_folder,
-    unwritable,
-    write_errors,
-)
+from imuarray.log.disk_space import WATERMARK, Reserve, free_bytes, reserve_of, sync_folder, unwritable, write_errors
 from imuarray.log.format import (
     CLOCKS,
     MOST_SENSORS,

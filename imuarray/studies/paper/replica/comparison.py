@@ -27,13 +27,7 @@ from scipy import signal
 from imuarray.arrays import Floats
 from imuarray.simulate.motion.heating import Heating
 from imuarray.studies.paper.array_model import PARTS, TIME_CONSTANT_S, WINDOW_S, unit_of, variance_of_mean
-from imuarray.studies.paper.replica.simulation import (
-    BOOTS,
-    ExperimentData,
-    Window,
-    array_rate_hz,
-    high_rate_s,
-)
+from imuarray.studies.paper.replica.simulation import BOOTS, ExperimentData, Window, array_rate_hz, high_rate_s
 from imuarray.studies.paper.replica.statistic import (
     RANGE_OVER_DEVIATION,
     Statistic,
