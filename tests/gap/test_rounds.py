@@ -15,12 +15,19 @@ from imuarray.gap.findings.causes import causes_of
 from imuarray.gap.inference import forward_selection
 from imuarray.gap.inference.comparison import compare_with_base
 from imuarray.gap.inference.effects import CANDIDATES, Candidate, Hypothesis
-from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.inference.forward_selection import Round, are_hopeless, look_at, precursors, search_round
+from imuarray.gap.inference.evidence import Evidence, Span, since
+from imuarray.gap.inference.forward_selection import (
+    Round,
+    gaining_of,
+    look_at,
+    look_in_turns,
+    precursors,
+    search_round,
+)
 from imuarray.gap.inference.refinement import FittedHypothesis
 from imuarray.gap.inference.search import ROUNDS, SearchResult, _deferred, search_causes
 from imuarray.gap.inference.unit_state import Unit, UnitState
-from imuarray.simulate.effects.bias import BiasInstability, PopcornNoise, RandomWalk
+from imuarray.simulate.effects.bias import BiasInstability, CommonMode, PopcornNoise, RandomWalk
 from imuarray.simulate.effects.noise import Tone, WhiteNoise
 from tests.gap.search_inputs import found_in
 from tests.gap.small_bench import LINE, SHORT, Run, prepared
@@ -195,9 +202,37 @@ def test_trials_that_wait_are_looked_at_if_one_of_those_gains(gains: bool, monke
     assert seen == ([WANDER_ON_Z, trials[3], WANDER, TELEGRAPH_ON_Z] if gains else [WANDER_ON_Z, trials[3]])
 
 
-def test_families_are_given_up_only_if_nothing_gains_anywhere() -> None:
+def test_trials_are_pursued_if_they_gain_anywhere() -> None:
     """A trial that makes some logs likelier and others less likely may hold in the former."""
     line = Hypothesis((LINE,), ("amplitude",))
-    assert are_hopeless([FittedHypothesis(line, {}, -5.0, by_log={0: -3.0, 1: 1.0})])
-    assert not are_hopeless([FittedHypothesis(line, {}, -5.0, by_log={0: -30.0, 1: 25.0})])
-    assert not are_hopeless([FittedHypothesis(line, {}, 0.5)])
+    assert not gaining_of([FittedHypothesis(line, {}, -5.0, by_log={0: -3.0, 1: 1.0})])
+    assert gaining_of([FittedHypothesis(line, {}, -5.0, by_log={0: -30.0, 1: 25.0})]) == [line]
+    assert gaining_of([FittedHypothesis(line, {}, 0.5), FittedHypothesis(WANDER, {}, -1.0)]) == [line]
+
+
+COMMON = Hypothesis((CommonMode((0.1, 0.0, 0.1), 9.0),), ("rms",), shared=True)
+COMMON_FOR_A_WHILE = Hypothesis((CommonMode((0.3, 0.0, 0.3), 9.0),), ("rms",), shared=True).at(
+    since(Span(1, 5.0, 60.0), [2])
+)
+
+
+def test_what_sensors_share_for_a_while_waits_for_what_they_always_share() -> None:
+    elsewhere = replace(COMMON_FOR_A_WHILE, members=("G1", "G2"))
+    assert precursors([COMMON_FOR_A_WHILE, COMMON, elsewhere]) == [[1], [], []]
+    alone = replace(COMMON_FOR_A_WHILE, shared=False)
+    assert precursors([alone, COMMON]) == [[], []]
+
+
+@pytest.mark.parametrize(("by_log", "is_seen"), [({0: -9.0, 1: 2.0}, True), ({0: -9.0, 1: 0.5}, False), ({}, False)])
+def test_a_while_is_looked_at_if_a_log_gains(
+    by_log: dict[int, float], is_seen: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Hypothesis] = []
+
+    def run(job: Callable[..., object], items: Sequence[tuple[object, Sequence[Hypothesis]]]) -> list[object]:
+        seen.extend(trial for _, some_trials in items for trial in some_trials)
+        return [[FittedHypothesis(trial, {}, -7.0, by_log=by_log) for trial in trials] for _, trials in items]
+
+    state = cast(UnitState, SimpleNamespace())
+    look_in_turns(run, {("G1",): state}, {("G1",): [COMMON_FOR_A_WHILE, COMMON]})
+    assert seen == ([COMMON, COMMON_FOR_A_WHILE] if is_seen else [COMMON])

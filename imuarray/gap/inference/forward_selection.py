@@ -168,7 +168,7 @@ def search_round(
     known: bool = False,
 ) -> dict[Unit, Round]:
     """One round over all units at once. If it is `known` that one of the trials is right, none needs proof."""
-    looks = _look_in_turns(run, standings, trials)
+    looks = look_in_turns(run, standings, trials)
     for unit, looks_at_parts in _partly(run, standings, looks).items():
         looks[unit] += looks_at_parts
     for unit, narrowed in _narrow(run, standings, looks).items():
@@ -270,7 +270,7 @@ def confirm(bench: Bench, standing: UnitState, hypothesis: FittedHypothesis) -> 
     return Evaluation(hypothesis, state, train_gain, gain, share, independent, closes, squared_scores)
 
 
-def _look_in_turns(
+def look_in_turns(
     run: Run, standings: Mapping[Unit, UnitState], trials: Mapping[Unit, Sequence[Hypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
     """Return a look at all trials, without those that can gain nothing, as one of their `precursors` has to."""
@@ -295,25 +295,44 @@ def _look_in_turns(
 
 
 def _any_gains(looks: Mapping[int, FittedHypothesis], places: Sequence[int]) -> bool:
-    """Return whether any of the trials at these places gains something, of those that were looked at."""
-    return any(at in looks and looks[at].gain > 0 for at in places)
+    """Return whether any of the trials at these places gains something, in all logs or in one of them, of those that
+    were looked at.
+    """
+    return any(at in looks and (looks[at].gain > 0 or _gain_of_a_log(looks[at]) > EACH_NUMBER) for at in places)
+
+
+def _gain_of_a_log(look: FittedHypothesis) -> float:
+    """Return the largest gain of a log, if a part of the logs may have the effect (`_is_divisible`)."""
+    gains = look.by_log.values() if look.trial.shared and _is_divisible(look.trial) else ()
+    return max(gains, default=-math.inf)
 
 
 def precursors(trials: Sequence[Hypothesis]) -> list[list[int]]:
     """Return for each trial the places of those one of which gains something if it does.
 
     Of an effect on several axes it is the same effect on some of these: guesses are of the axes that show it, and of
-    all. Of telegraph noise, whose autocovariance is that of Gauss-Markov noise, these are all slow wanders.
+    all. Of telegraph noise, whose autocovariance is that of Gauss-Markov noise, these are all slow wanders. Of what
+    sensors share for a while it is what they share always, of any size: it gains in the logs with that while.
     """
     wanders = [at for at, trial in enumerate(trials) if trial.name in _WANDERS and not trial.needs_both]
     narrower: list[list[int]] = [
         [at for at, other in enumerate(trials) if _is_narrower(other, trial)] for trial in trials
     ]
     first = [at for at in wanders if not narrower[at]]
-    return [
-        before or (first if trial.name == PopcornNoise.name and not trial.needs_both else [])
-        for trial, before in zip(trials, narrower, strict=True)
-    ]
+    lasting = [at for at, trial in enumerate(trials) if trial.shared and not trial.when.spans and not narrower[at]]
+
+    def others(trial: Hypothesis) -> list[int]:
+        if trial.shared and trial.when.spans:
+            return [at for at in lasting if _is_same_in_time(trials[at], trial)]
+        return first if trial.name == PopcornNoise.name and not trial.needs_both else []
+
+    return [before or others(trial) for trial, before in zip(trials, narrower, strict=True)]
+
+
+def _is_same_in_time(trial: Hypothesis, other: Hypothesis) -> bool:
+    """Return whether two trials are of one form and in the same sensors."""
+    same = (trial.form, trial.sensor, trial.others, trial.members, trial.everywhere)
+    return same == (other.form, other.sensor, other.others, other.members, other.everywhere)
 
 
 def _is_narrower(trial: Hypothesis, other: Hypothesis) -> bool:
@@ -420,9 +439,10 @@ def _until_the_end(spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:
             yield spell.trial.at(since(last, later))
 
 
-def are_hopeless(looks: Sequence[FittedHypothesis]) -> bool:
-    """Return whether none of the trials is pursued: none gains anything, in all logs or in a part of them."""
-    return all(look.gain <= 0 for look in looks) and not _divided(looks)
+def gaining_of(looks: Sequence[FittedHypothesis]) -> list[Hypothesis]:
+    """Return the trials that may be pursued: those that gain something, in all logs or in a part of them."""
+    divided = [look.trial for look in _divided(looks)]
+    return [look.trial for look in looks if look.gain > 0 or any(look.trial is trial for trial in divided)]
 
 
 def _divided(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
@@ -431,10 +451,15 @@ def _divided(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
     for look in looks:
         gain = sum(max(log_gain, 0.0) for log_gain in look.by_log.values())
         loss = sum(min(log_gain, 0.0) for log_gain in look.by_log.values())
-        is_open = bool(look.trial.effects) and not look.trial.when.spans and not look.trial.is_brief
-        if is_open and gain > WORTH and loss < -_LOST and gain > best_of_form.get(look.trial.form, (0.0, look))[0]:
+        is_divided = _is_divisible(look.trial) and gain > WORTH and loss < -_LOST
+        if is_divided and gain > best_of_form.get(look.trial.form, (0.0, look))[0]:
             best_of_form[look.trial.form] = (gain, look)
     return [look for _, look in sorted(best_of_form.values(), key=lambda item: -item[0])][:_DIVIDED]
+
+
+def _is_divisible(trial: Hypothesis) -> bool:
+    """Return whether a part of the logs may have what the trial gives to all."""
+    return bool(trial.effects) and not trial.when.spans and not trial.is_brief
 
 
 def look_at(bench: Bench, request: tuple[UnitState, Sequence[Hypothesis]]) -> list[FittedHypothesis]:

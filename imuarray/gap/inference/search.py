@@ -21,17 +21,17 @@ from imuarray.gap.inference.forward_selection import (
     ACCEPTED,
     Evaluation,
     Round,
-    are_hopeless,
     confirm,
+    gaining_of,
     guesses_of,
-    look_at,
+    look_in_turns,
     look_state,
     placebo_of,
     replicate_state,
     search_round,
 )
 from imuarray.gap.inference.refinement import FittedHypothesis, distinct
-from imuarray.gap.inference.unit_state import LOOKS, REPLICATES, Unit, UnitState, reads_another, update_likelihood
+from imuarray.gap.inference.unit_state import Unit, UnitState, reads_another, update_likelihood
 from imuarray.gap.model.base_model import fit
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import SensorModel
@@ -321,16 +321,15 @@ def _families(
 def _promising(
     comparison: Comparison, trials: Mapping[Unit, Sequence[Hypothesis]], run: Run
 ) -> dict[Unit, Sequence[Hypothesis]]:
-    """Return the shared trials of each family without the families in which none gains anything.
+    """Return the shared trials of each family that gain something, without the families in which none does.
 
-    Of a family with few trials these are looked at first, which needs `LOOKS` replicates of its state: all replicates
-    of the whole array would cost more than the looks.
+    All are looked at first, which needs few replicates of a family's state: all replicates of a state that no trial
+    improves would cost more than the looks.
     """
-    few = [family for family, several in trials.items() if LOOKS * (len(several) + 1) < REPLICATES]
-    states = run(look_state, [_initial_state(comparison, family) for family in few])
-    looks = run(look_at, [(state, trials[state.unit]) for state in states])
-    hopeless = {family for family, looks_of in zip(few, looks, strict=True) if are_hopeless(looks_of)}
-    return {family: several for family, several in trials.items() if family not in hopeless}
+    states = {state.unit: state for state in run(look_state, [_initial_state(comparison, family) for family in trials])}
+    looks = look_in_turns(run, states, trials)
+    gaining = {family: gaining_of(looks_of) for family, looks_of in looks.items()}
+    return {family: several for family, several in gaining.items() if several}
 
 
 def _staying(comparison: Comparison, family: Round, members: Sequence[Evaluation]) -> tuple[Evaluation, ...]:
