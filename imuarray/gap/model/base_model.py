@@ -523,10 +523,16 @@ class _Correlations(NamedTuple):
 
     def misfit(self, expected: Floats) -> float:
         """Return the sum of squares over the lags, in the mean over rows, beyond correlations `expected` (p, k)."""
-        return float(self.rows @ np.square(self.beyond(expected)).sum(axis=1) / self.rows.sum())
+        (misfit,) = self.misfits(expected[None])
+        return misfit
+
+    def misfits(self, expected: Floats) -> list[float]:
+        """Return the `misfit` of each of several expected correlations (f, p, k)."""
+        squares = np.square(self.beyond(expected)).sum(axis=-1)
+        return [float(self.rows @ of_phases / self.rows.sum()) for of_phases in squares]
 
     def beyond(self, expected: Floats) -> Floats:
-        """Return the correlations beyond those `expected` (p, k) and a wander."""
+        """Return the correlations beyond those `expected` (..., p, k) and a wander."""
         return _beyond_wander(self.values, expected, self.least_wander)
 
     def mean(self, values: Floats) -> Floats:
@@ -580,37 +586,38 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     of_kind = [kinds.index(pace) for pace in reads]
     fastest_hz = max(pace.rows_per_s for pace in reads)
     is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * fastest_hz
-    filters = {
-        effect: expected[of_kind]
-        for effect, expected in _filter_correlations(configured_hz, header.rate_hz if is_seen else math.inf, kinds)
-    }
+    sampled_hz = header.rate_hz if is_seen else math.inf
+    filters = _filters(configured_hz, sampled_hz)
+    expected = np.stack([_filter_correlations(configured_hz, sampled_hz, pace) for pace in kinds], axis=1)[:, of_kind]
     shown = min(
-        float(measured.mean(np.square(expected[:, :_LAGS])).sum())
-        for effect, expected in filters.items()
+        float(measured.mean(np.square(of_filter[:, :_LAGS])).sum())
+        for effect, of_filter in zip(filters, expected, strict=True)
         if abs(effect.cutoff_hz / configured_hz - 1) < _AS_CONFIGURED
     )
     has_margin = header.rate_hz <= 0 or 2 * configured_hz < _BELOW_NYQUIST * header.rate_hz
     is_expected = has_margin and 2 * configured_hz < fastest_hz and measured.covers and shown < measured.by_chance
     chance = measured.by_chance * (_EXPECTED if is_expected else 1.0)
     white = measured.misfit(np.zeros_like(measured.values))
-    misfits = {effect: measured.misfit(expected) for effect, expected in filters.items()}
+    misfits = measured.misfits(expected)
+    places = range(len(filters))
     if white <= chance * phases and float(np.square(measured.mean(without_memory)).sum()) <= chance:
-        as_configured = min(misfits, key=lambda effect: (abs(effect.cutoff_hz - configured_hz), misfits[effect]))
+        as_configured = min(places, key=lambda at: (abs(filters[at].cutoff_hz - configured_hz), misfits[at]))
         is_better = has_margin and white - misfits[as_configured] > _BETTER / float(measured.rows.sum())
-        return (as_configured, 0.0) if is_better else (None, 0.0)
-    best = min(misfits, key=misfits.__getitem__)
-    is_filter = misfits[best] < min(white, _FILTER_MISFIT * white + measured.by_chance * phases)
-    if not is_filter or misfits[best] > _MEASURED * measured.by_chance * phases:
-        correlations = _of_samples(measured, filters[best])
+        return (filters[as_configured], 0.0) if is_better else (None, 0.0)
+    nearest = min(places, key=misfits.__getitem__)
+    best, least = filters[nearest], misfits[nearest]
+    is_filter = least < min(white, _FILTER_MISFIT * white + measured.by_chance * phases)
+    if not is_filter or least > _MEASURED * measured.by_chance * phases:
+        correlations = _of_samples(measured, expected[nearest])
         is_short = white > _UNLIKELY * measured.by_chance * phases and _is_forgotten(correlations)
         if correlations and (is_filter or is_short):
             return replace(best, correlations=correlations), 0.0
     if not is_filter:
         return None, 0.0
-    near = misfits[best] + _MEDIAN_VARIANCE / float(measured.rows.sum())
+    near = least + _MEDIAN_VARIANCE / float(measured.rows.sum())
     cutoffs_hz = [
         effect.cutoff_hz
-        for effect, misfit in misfits.items()
+        for effect, misfit in zip(filters, misfits, strict=True)
         if misfit < near and replace(effect, cutoff_hz=best.cutoff_hz) == best
     ]
     by_fit = math.log(max(cutoffs_hz) / min(cutoffs_hz)) / 2
@@ -678,25 +685,25 @@ def _row_correlations(campaign: Campaign, header: SensorHeader, effect: Bandwidt
 
 
 def _beyond_wander(correlations: Floats, expected: Floats, least: Floats) -> Floats:
-    """Return correlations (p, k) of p phases at k lags less those `expected` (p, k), with a slow wander in each phase,
+    """Return correlations (p, k) of p phases at k lags less those `expected` (..., p, k), with a wander in each phase,
     at all lags but the last two.
     """
     wander = _wander(correlations, expected, least)
-    return np.asarray((correlations - expected - wander * (1 - expected))[:, :_LAGS])
+    return np.asarray((correlations - expected - wander * (1 - expected))[..., :_LAGS])
 
 
 def _wander(correlations: Floats, expected: Floats, least: Floats) -> Floats:
-    """Return the share (p, 1) of the variance that a slow wander has in each of p phases.
+    """Return the share (..., p, 1) of the variance that a slow wander has in each of p phases.
 
     A wander with the share w of the variance makes a correlation r one of r + w (1 - r), at every lag. The last lag
     tells w, if the filter has forgotten by then, w is at least `least` (p,), and the correlation no longer falls, as
     far as chance allows to tell.
     """
-    far, expected_far = correlations[:, -1], expected[:, -1]
+    far, expected_far = correlations[:, -1], expected[..., -1]
     share = (far - expected_far) / (1 - expected_far)
     is_flat = far + least / _WANDERS > _FLAT * correlations[:, -2]
     is_wander = (np.abs(expected_far) < _FORGOTTEN) & (share > least) & is_flat
-    return np.asarray(np.where(is_wander, share, 0.0)[:, None])
+    return np.asarray(np.where(is_wander, share, 0.0)[..., None])
 
 
 class _Reads(NamedTuple):
@@ -725,36 +732,37 @@ def _samples_apart(samples_a_row: float, lag: int) -> dict[int, float]:
     return {int(least): 1 - rest, int(least) + 1: rest}
 
 
-@lru_cache(maxsize=64)
-def _filter_correlations(
-    configured_hz: float, sampled_hz: float, kinds: tuple[_Reads, ...]
-) -> tuple[tuple[Bandwidth, Floats], ...]:
-    """Return the filters that the chip may have, and what the correlations (r, k) of each kind of reads at the first k
-    lags have beyond those of noise without a memory; the same for all replicates.
+@lru_cache(maxsize=1024)
+def _filter_correlations(configured_hz: float, sampled_hz: float, reads: _Reads) -> Floats:
+    """Return what the correlations (f, k) behind each of the filters that a chip may have, at the first k lags of these
+    reads, have beyond those of noise without a memory; many replicates have the same reads.
     """
-    filters = []
-    for effect in _filters(configured_hz, sampled_hz):
-        expected = np.zeros((len(kinds), len(_ALL_LAGS)))
-        for at, (rows_per_s, samples_a_row) in enumerate(kinds):
-            decay = effect.decay(rows_per_s * samples_a_row)
-            for column, lag in enumerate(_ALL_LAGS):
-                expected[at, column] = sum(
-                    share * effect.correlation(decay * samples)
-                    for samples, share in _samples_apart(samples_a_row, lag).items()
-                    if samples
-                )
-        filters.append((effect, expected))
-    return tuple(filters)
+    rows_per_s, samples_a_row = reads
+    filters = _filters(configured_hz, sampled_hz)
+    expected = np.zeros((len(filters), len(_ALL_LAGS)))
+    for at, effect in enumerate(filters):
+        decay = effect.decay(rows_per_s * samples_a_row)
+        for column, lag in enumerate(_ALL_LAGS):
+            expected[at, column] = sum(
+                share * effect.correlation(decay * samples)
+                for samples, share in _samples_apart(samples_a_row, lag).items()
+                if samples
+            )
+    expected.flags.writeable = False
+    return expected
 
 
-def _filters(configured_hz: float, sampled_hz: float) -> Iterator[Bandwidth]:
-    """Yield the filters that the chip may have, analogue, and digital unless `sampled_hz` is infinite: one whose rows
+@lru_cache(maxsize=64)
+def _filters(configured_hz: float, sampled_hz: float) -> tuple[Bandwidth, ...]:
+    """Return the filters that the chip may have, analogue, and digital unless `sampled_hz` is infinite: one whose rows
     come far more slowly than its samples looks analogue.
     """
-    for sampled, warped in dict.fromkeys(((math.inf, 0.0), (sampled_hz, 0.0), (sampled_hz, 1.0))):
-        for poles in (1.0, 2.0) if math.isfinite(sampled) or not warped else ():
-            for ratio in np.linspace(1 - CUTOFF_TOLERANCE, 1 + CUTOFF_TOLERANCE, _CUTOFFS).tolist():
-                yield Bandwidth(ratio * configured_hz, poles=poles, sampled_hz=sampled, warped=warped)
+    return tuple(
+        Bandwidth(ratio * configured_hz, poles=poles, sampled_hz=sampled, warped=warped)
+        for sampled, warped in dict.fromkeys(((math.inf, 0.0), (sampled_hz, 0.0), (sampled_hz, 1.0)))
+        for poles in ((1.0, 2.0) if math.isfinite(sampled) or not warped else ())
+        for ratio in np.linspace(1 - CUTOFF_TOLERANCE, 1 + CUTOFF_TOLERANCE, _CUTOFFS).tolist()
+    )
 
 
 def _with_rate_error(effect: Effect, rate_error: float) -> Effect:
