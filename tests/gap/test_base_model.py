@@ -18,6 +18,7 @@ from imuarray.gap.model.base_model import (
     FittedParameters,
     _Correlations,
     _filter_correlations,
+    _filters,
     _form_error,
     _Reads,
     _wander,
@@ -323,7 +324,8 @@ def test_a_filter_of_two_poles_is_told_by_its_second_lag() -> None:
 def test_what_the_nearest_filter_does_not_explain_makes_its_cutoff_uncertain() -> None:
     """Correlations that differ from those of the filter by a tenth of what all cutoffs of its kind change."""
     kinds = (_Reads(200.0, 1.0),)
-    filters = dict(_filter_correlations(30.0, math.inf, kinds))
+    expected = _filter_correlations(30.0, math.inf, kinds[0])[:, None]
+    filters = dict(zip(_filters(30.0, math.inf), expected, strict=True))
     of_two_poles = sorted((effect for effect in filters if effect.poles == 2.0), key=lambda effect: effect.cutoff_hz)
     low, best, high = of_two_poles[0], of_two_poles[len(of_two_poles) // 2], of_two_poles[-1]
     more = 0.1 * (filters[high] - filters[low])

@@ -621,7 +621,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
         if misfit < near and replace(effect, cutoff_hz=best.cutoff_hz) == best
     ]
     by_fit = math.log(max(cutoffs_hz) / min(cutoffs_hz)) / 2
-    return best, math.hypot(by_fit, _form_error(measured, best, filters))
+    return best, math.hypot(by_fit, _form_error(measured, best, dict(zip(filters, expected, strict=True))))
 
 
 def _form_error(measured: _Correlations, best: Bandwidth, filters: Mapping[Bandwidth, Floats]) -> float:
