@@ -47,7 +47,7 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
     imus, rows = _imus(request, progress)
     if not imus:
         raise ExportError(f"{request.source}: no inertial sensor whose noise could be fitted")
-    files = {path: imus[0]} if len(imus) == 1 else {_sensor_path(path, imu.name): imu for imu in imus}
+    files = {path: imus[0]} if len(imus) == 1 else {path.with_stem(f"{path.stem}_{imu.name}"): imu for imu in imus}
     for file in files:
         if file.exists() and not force:
             raise OutputExistsError(file)
@@ -56,10 +56,6 @@ def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -
     progress(1.0)
     notes = tuple(f"{file}: without {', '.join(imu.lacks())}" for file, imu in files.items() if imu.lacks())
     return ExportSummary(tuple(files), rows, "si", notes=notes)
-
-
-def _sensor_path(path: Path, name: str) -> Path:
-    return path.with_name(f"{path.stem}_{name}{path.suffix}")
 
 
 def _imus(request: ExportRequest, progress: Progress) -> tuple[list[ImuNoise], dict[str, int]]:

@@ -166,7 +166,8 @@ class _Tables:
             table = TextTable(file, str(path), FileTable(), named=True)
             table.line += header_lines
             places = {
-                name: [table.index(cell) for cell in _cells(name, tail, cells)] for name, _, tail in group.columns
+                name: list(map(table.index, csv_names(name, cells if tail else (), COLUMN_UNITS.get(name, ""))))
+                for name, _, tail in group.columns
             }
             for block in table.blocks():
                 columns = _columns(group, block, places, table.names, last_ns)
@@ -177,11 +178,6 @@ class _Tables:
                 yield columns
         if expected is not None and count != expected:
             raise SourceError(f"{path}: {count} rows, {self._path.name} states {expected}")
-
-
-def _cells(name: str, tail: tuple[int, ...], cells: tuple[str, ...]) -> list[str]:
-    """Return the table's column names for a column of a log."""
-    return csv_names(name, cells if tail else (), COLUMN_UNITS.get(name, ""))
 
 
 def _columns(

@@ -301,7 +301,7 @@ class SensorLog(CountScale):
         from imuarray.log.datasets import sensor_dataset
 
         rows = self._rows_of(phase) if phase else slice(None)
-        return sensor_dataset(self, self._epoch(), calibration).isel(time=rows)
+        return sensor_dataset(self, self._whole_log().epoch, calibration).isel(time=rows)
 
     def to_pandas(self, calibration: Calibration | None = None, *, phase: str = "") -> Any:
         """Return the contents of `to_xarray` as a `pandas.DataFrame` indexed by time, with a column for each number:
@@ -319,9 +319,6 @@ class SensorLog(CountScale):
         from imuarray.log.datasets import log_figure
 
         return log_figure([self], calibration)
-
-    def _epoch(self) -> str:
-        return self._whole_log().epoch
 
     def _rows_of(self, phase: str) -> Booleans:
         """Return (n,) the rows within the phases of a name; LogError if there is none."""

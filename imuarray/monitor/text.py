@@ -5,7 +5,6 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Sequence
 
-from imuarray.log.health import Health
 from imuarray.monitor.snapshot import SensorView, Snapshot
 from imuarray.printable import counted, duration, percent, printable
 from imuarray.units import READABLE_SI
@@ -28,13 +27,10 @@ def text_lines(snapshot: Snapshot, columns: int = COLUMNS) -> list[str]:
     if snapshot.begins_ns is None:
         return lines
     if snapshot.health is not None:
-        lines += _wrapped(f"health {snapshot.health.level}: {_health_text(snapshot.health)}", columns)
+        advice = f": {snapshot.health.advice}" if snapshot.health.advice else ""
+        lines += _wrapped(f"health {snapshot.health.level}: {snapshot.health.reason}{advice}", columns)
     lines += [*_figures(snapshot, columns), "", *_sensors(snapshot.sensors, columns), ""]
     return [*lines, *_fused(snapshot, columns), *_events(snapshot, columns)]
-
-
-def _health_text(health: Health) -> str:
-    return f"{health.reason}: {health.advice}" if health.advice else health.reason
 
 
 def _wrapped(text: str, columns: int, first: str = "  ") -> list[str]:

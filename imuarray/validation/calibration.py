@@ -14,12 +14,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from math import isfinite, nan
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
 import click
 import numpy as np
-from scipy.optimize import OptimizeResult, minimize
+from scipy.optimize import minimize
 
 from imuarray.arrays import Floats
 from imuarray.gap.findings.verdict import RATES, Rates, calibrated_probability
@@ -165,17 +166,14 @@ def fit_rates(claims: Sequence[CauseClaim]) -> Rates:
         chances = np.clip(probabilities_of(claims, Rates(*values.tolist())), _SURE, 1 - _SURE)
         return -float(np.log(np.where(right, chances, 1 - chances)).sum())
 
-    fit = min((minimize(unlikely, start, bounds=_BOUNDS, method="Nelder-Mead") for start in _STARTS), key=_height)
+    fits = (minimize(unlikely, start, bounds=_BOUNDS, method="Nelder-Mead") for start in _STARTS)
+    fit = min(fits, key=attrgetter("fun"))
     return Rates(*fit.x.tolist())
 
 
 def probabilities_of(claims: Sequence[CauseClaim], rates: Rates) -> Floats:
     """Return the (k,) probabilities that these rates give to the claims."""
     return np.array([calibrated_probability(claim.share, claim.all_closed, rates) for claim in claims])
-
-
-def _height(fit: OptimizeResult) -> float:
-    return float(fit.fun)
 
 
 @click.command()

@@ -33,7 +33,6 @@ from imuarray.studies.paper.systematic import (
     table4,
 )
 from imuarray.studies.paper.tables import (
-    Cell,
     Formula,
     RecomputedRow,
     channels,
@@ -492,7 +491,10 @@ def _pair_slope() -> Statement:
 
 def _gyro_bias() -> Statement:
     six, seven = (
-        sum(_bias_matches(row["channel"], readings).matches for row in table(4))
+        sum(
+            numeric_cell(row, "bias_lsb", mean, numbers_in(row_of(10, row["channel"]), readings)).matches
+            for row in table(4)
+        )
         for readings in (READINGS[:6], READINGS)
     )
     return Statement(
@@ -502,10 +504,6 @@ def _gyro_bias() -> Statement:
         f"{seven} of {len(table4())}",
         six == len(table(4)),
     )
-
-
-def _bias_matches(channel: str, readings: tuple[str, ...]) -> Cell:
-    return numeric_cell(row_of(4, channel), "bias_lsb", mean, numbers_in(row_of(10, channel), readings))
 
 
 def _adxl_ratio() -> Statement:

@@ -59,10 +59,6 @@ _NORMAL_RANGE = 3.534
 """
 
 
-def _largest_difference(values: Sequence[Decimal]) -> Decimal:
-    return max(values) - min(values)
-
-
 def _deviation(values: Sequence[Decimal]) -> Decimal:
     centre = mean(values)
     squares = [(value - centre) ** 2 for value in values]
@@ -72,7 +68,7 @@ def _deviation(values: Sequence[Decimal]) -> Decimal:
 _RUN_COLUMNS: dict[str, Callable[[Sequence[Decimal]], Decimal]] = {
     "runs_mean": mean,
     "runs_std_of_means": _deviation,
-    "runs_range_of_means": _largest_difference,
+    "runs_range_of_means": lambda values: max(values) - min(values),
 }
 
 

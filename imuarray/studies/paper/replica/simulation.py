@@ -15,6 +15,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
 from itertools import count
+from operator import call
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -175,7 +176,7 @@ def observe(seed: int, executor: Executor | None = None, progress: Progress | No
     """Return all experiments; `progress` receives (number completed, all, name) after each."""
     states = [state(seed, boot) for boot in range(1, BOOTS + 1)]
     jobs = list(_jobs(seed))
-    results: Iterator[Any] = (executor.map if executor else map)(_call, [job for _, job in jobs])
+    results: Iterator[Any] = (executor.map if executor else map)(call, [job for _, job in jobs])
     observed = []
     for number, ((name, _), result) in enumerate(zip(jobs, results, strict=True), start=1):
         observed.append(result)
@@ -235,10 +236,6 @@ def _jobs(seed: int) -> Iterator[tuple[str, Callable[[], object]]]:
     faults, second = {fault.run for fault in boot_faults()}, bias_states()[1].runs
     for run in range(1, PARTS + 1):
         yield f"run {run}", partial(_run, seed, boot(run in faults, run in second), run)
-
-
-def _call(job: Callable[[], object]) -> object:
-    return job()
 
 
 @cache
