@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from imuarray.cli import program
 from imuarray.errors import CalibrationError, ConfigError, FusionError, LogError, MissingExtraError
 from imuarray.fuse import read_fused_head
 from imuarray.fuse.fused_file import FusedEvent
+from imuarray.log import Log
 from imuarray.simulate import EFFECTS
 from tests.log.conftest import write_small
 from tests.selection import some
@@ -34,6 +35,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ia.simulate("martin2013", here / "rest.h5", seconds=40.0, model="martin2013").close()
     ia.calibrate_tumble(here / "tumble.h5").calibration.save(here / "cal.toml")
     return here
+
+
+@pytest.fixture(scope="module")
+def rest(folder: Path) -> Iterator[Log]:
+    """The log at rest, open."""
+    with ia.open_log(folder / "rest.h5") as log:
+        yield log
 
 
 def run(*words: str | Path) -> None:
@@ -386,9 +394,9 @@ def test_no_log_is_an_error_of_one_line(analysis: Any) -> None:
         (lambda log: calibrate_noise(), "no log is given; at least one is required$"),
     ],
 )
-def test_a_list_is_no_log_and_a_log_no_list(folder: Path, call: Callable[[Any], Any], message: str) -> None:
-    with ia.open_log(folder / "rest.h5") as log, pytest.raises(LogError, match=f"^{message}"):
-        call(log)
+def test_a_list_is_no_log_and_a_log_no_list(rest: Log, call: Callable[[Any], Any], message: str) -> None:
+    with pytest.raises(LogError, match=f"^{message}"):
+        call(rest)
 
 
 def test_a_list_is_no_calibration(folder: Path) -> None:
