@@ -240,12 +240,13 @@ class ErrorStates:
         return 1 + len(self.response)
 
     @cached_property
-    def _has_thermal(self) -> bool:
+    def follow_temperature(self) -> bool:
+        """True if an effect depends on the temperature."""
         return bool(self.thermal.any())
 
     def response_at(self, warmer_degc: Floats) -> StateResponse:
         """Return the response to the states of axes at temperatures (m,) above those of their biases."""
-        key = warmer_degc.tobytes() if self._has_thermal else b""
+        key = warmer_degc.tobytes() if self.follow_temperature else b""
         if key not in self._responses:
             if len(self._responses) >= _KEPT:
                 self._responses.clear()
