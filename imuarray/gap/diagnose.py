@@ -76,9 +76,10 @@ from imuarray.gap.model.nuisance import nuisance_estimates
 from imuarray.gap.model.workers import Bar, Run, no_bar, processes, runner
 from imuarray.gap.recording.recordings import Recording, recordings_of, refuse_other_array
 from imuarray.gap.statistics.environment import SharedSignal, environment_of
-from imuarray.log import Log, open_log
+from imuarray.log import Log, open_log, require_logs
 from imuarray.log.format import SensorHeader
 from imuarray.shipped import find_model
+from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.model import Model, load_model
 from imuarray.spelling import as_names, guess
 
@@ -281,15 +282,19 @@ def explain(
 
 
 def library(without: Collection[str]) -> dict[str, Candidate]:
-    """Return the candidates except those left out; ConfigError for one that isn't among them."""
-    if unknown := sorted(set(without) - set(CANDIDATES)):
-        raise ConfigError(f"effect {unknown[0]!r}: allowed are {', '.join(CANDIDATES)}{guess(unknown[0], CANDIDATES)}")
+    """Return the candidates except those left out; ConfigError for a name that is no effect. Some effects are always
+    nuisance quantities and never causes: leaving them out changes nothing.
+    """
+    if unknown := sorted(set(without) - set(EFFECTS)):
+        raise ConfigError(f"effect {unknown[0]!r}: allowed are {', '.join(EFFECTS)}{guess(unknown[0], EFFECTS)}")
     return {name: candidate for name, candidate in CANDIDATES.items() if name not in without}
 
 
 def _open(logs: LogLike | Iterable[LogLike], stack: ExitStack) -> list[Log]:
     """Return the logs, each once; those opened here are closed with the stack."""
-    logs = [logs] if isinstance(logs, str | PathLike | Log) else logs
+    logs = [logs] if isinstance(logs, str | PathLike | Log) else list(logs) if isinstance(logs, Iterable) else logs
+    if logs or not isinstance(logs, list):
+        require_logs(logs, "diagnose(logs)", or_paths=True)
     logs_by_path = {(log.path if isinstance(log, Log) else Path(log)).resolve(): log for log in logs}
     return [log if isinstance(log, Log) else stack.enter_context(open_log(log)) for log in logs_by_path.values()]
 

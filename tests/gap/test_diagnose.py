@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imuarray.errors import ConfigError
-from imuarray.gap.diagnose import Reference, compare, explain, library
+from imuarray.errors import ConfigError, LogError
+from imuarray.gap.diagnose import Reference, compare, diagnose, explain, library
 from imuarray.gap.findings.diagnosis import Diagnosis
 from imuarray.gap.inference.comparison import prepare
 from imuarray.gap.inference.effects import CANDIDATES
@@ -202,8 +202,15 @@ def test_briefly_nothing_else_is_missing(lined: tuple[Recording, ...], tone: Dia
 def test_the_library() -> None:
     assert library(()) == dict(CANDIDATES)
     assert set(CANDIDATES) - set(library(["tone", "stuck"])) == {"tone", "stuck"}
+    assert library(["own_clock", "thermometer"]) == dict(CANDIDATES)  # effects that are never causes
     with pytest.raises(ConfigError, match="effect 'ghosts': allowed are"):
         library(["tone", "ghosts"])
+
+
+@pytest.mark.parametrize(("logs", "given"), [(3, "int given; allowed is a list"), ([3], "int given as a log")])
+def test_what_is_no_log(logs: Any, given: str) -> None:
+    with pytest.raises(LogError, match=given):
+        diagnose(logs)
 
 
 @pytest.fixture(scope="module", params=some([13.0, 4.0], 0, 1))
