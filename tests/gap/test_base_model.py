@@ -322,16 +322,19 @@ def test_a_filter_of_two_poles_is_told_by_its_second_lag() -> None:
 
 
 def test_what_the_nearest_filter_does_not_explain_makes_its_cutoff_uncertain() -> None:
-    """Correlations that differ from those of the filter by a tenth of what all cutoffs of its kind change."""
+    """Correlations that differ from those of the filter by a twentieth of what all cutoffs of its kind change; ten
+    times as much says nothing of the cutoff.
+    """
     kinds = (_Reads(200.0, 1.0),)
     expected = _filter_correlations(30.0, math.inf, kinds[0])[:, None]
     filters = dict(zip(_filters(30.0, math.inf), expected, strict=True))
     of_two_poles = sorted((effect for effect in filters if effect.poles == 2.0), key=lambda effect: effect.cutoff_hz)
     low, best, high = of_two_poles[0], of_two_poles[len(of_two_poles) // 2], of_two_poles[-1]
-    more = 0.1 * (filters[high] - filters[low])
+    more = 0.05 * (filters[high] - filters[low])
     measured = _Correlations(filters[best] + more, kinds, np.array([1e4]), np.array([1.0]), True)
-    assert _form_error(measured, best, filters) == pytest.approx(0.1 * math.log(high.cutoff_hz / low.cutoff_hz))
+    assert _form_error(measured, best, filters) == pytest.approx(0.05 * math.log(high.cutoff_hz / low.cutoff_hz))
     assert _form_error(measured._replace(values=filters[best]), best, filters) == 0.0
+    assert _form_error(measured._replace(values=filters[best] + 10 * more), best, filters) == 0.1
 
 
 @pytest.mark.parametrize("samples_a_row", [0.5, 0.8])

@@ -143,6 +143,11 @@ _UNLIKELY = 4.0
 _MEASURED = 1.5
 """Misfit of the best filter, over what chance makes of it, beyond which correlations are taken as measured."""
 
+_LARGEST_FORM_ERROR = 0.1
+"""Most of the uncertainty of the log of a cutoff that is due to the filter's form. Where correlations hardly depend on
+the cutoff, what is left of them says nothing of it.
+"""
+
 _FLICKER_SHOWS = 3.0
 """Multiple of the standard error of the mean over a phase from which on flicker shows."""
 
@@ -626,14 +631,14 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
 
 def _form_error(measured: _Correlations, best: Bandwidth, filters: Mapping[Bandwidth, Floats]) -> float:
     """Return the change of the log of the cutoff that would change the correlations as much as the `best` filter leaves
-    of them: a chip's filter has not exactly the response of any of these.
+    of them, at most `_LARGEST_FORM_ERROR`: a chip's filter has not exactly the response of any of these.
     """
     family = {other.cutoff_hz: other for other in filters if replace(other, cutoff_hz=best.cutoff_hz) == best}
     low_hz, high_hz = min(family), max(family)
     change = measured.mean((filters[family[high_hz]] - filters[family[low_hz]])[:, :_LAGS])
     rest = measured.mean(measured.beyond(filters[best]))
     slope = float(np.linalg.norm(change)) / math.log(high_hz / low_hz)
-    return float(np.linalg.norm(rest)) / slope if slope > 0 else 0.0
+    return min(float(np.linalg.norm(rest)) / slope, _LARGEST_FORM_ERROR) if slope > 0 else 0.0
 
 
 def _is_forgotten(correlations: Sequence[float]) -> bool:
