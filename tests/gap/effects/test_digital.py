@@ -120,6 +120,18 @@ def test_stale_samples(probability: float) -> None:
     assert found.probability == pytest.approx(probability, rel=0.35)
 
 
+def test_stale_samples_of_which_most_phases_have_none() -> None:
+    """About a dozen repetitions in a tumble: the median over its phases is none, their share of all rows is not."""
+    evidence = shown("tumble", "A1", StaleSamples(0.002))
+    repeated = [phase.raw.repeats for phase in evidence.phases]
+    assert max(repeats.longest for repeats in repeated) == 2
+    assert np.median([repeats.repeat_share for repeats in repeated]) < 0.003
+    (trial,) = CANDIDATES["stale_samples"].guesses(evidence)
+    (effect,) = trial.effects
+    assert isinstance(effect, StaleSamples)
+    assert effect.probability == pytest.approx(0.002, rel=0.8)
+
+
 def test_stale_samples_in_bursts() -> None:
     """Thirty bursts of three repetitions in 6000 rows, as the recording has them; a reading is stale at 0.015. As many
     in the part of the log that is held out do not count.

@@ -121,6 +121,22 @@ def _share_of_repeats(summary: Summary) -> float:
     return (repeats.repeat_share * (summary.rows - 1) - longest) / max(summary.rows - 1 - longest, 1)
 
 
+_HELD_ROWS = 3
+"""Repetitions of one reading, one after the other, from which on the chip may have hung."""
+
+
+def _share_of_rare_repeats(evidence: Evidence) -> float:
+    """Return the probability of a repetition over the rows of all phases, beyond what the model makes, without runs of
+    `_HELD_ROWS` and more.
+    """
+    phases = [phase.raw for phase in evidence.phases if phase.raw.repeats.longest <= _HELD_ROWS]
+    rows = sum(phase.rows for phase in phases)
+    repeated = sum(float(np.nan_to_num(phase.repeats.repeat_share)) * phase.rows for phase in phases)
+    usual = np.sin(evidence.expected.get("repeats", np.zeros((0, 1)))) ** 2
+    chance = float(np.mean(usual[np.isfinite(usual)])) if np.isfinite(usual).any() else 0.0
+    return (repeated / rows - chance) / (1 - chance) if rows and chance < 1 else 0.0
+
+
 _MOST_PPM = 2e5
 _FURTHER = (1.0, -1.0, 3.0, -3.0)
 """Where a lag is so large that its sign and its periods can't be told."""
@@ -474,10 +490,14 @@ _FEWEST_BURSTS, _LEAST_BURST = 3, 1.5
 
 
 def guess_stale_samples(evidence: Evidence) -> Iterator[Hypothesis]:
-    """Suggest the share of repetitions beyond what the model makes, and bursts as long as they are on average."""
+    """Suggest the share of repetitions beyond what the model makes, and bursts as long as they are on average. Where
+    most phases have none, it is the share in all of them together.
+    """
     if not evidence.is_odd(*_STALE_PROBES):
         return
     probability = repeated_share(evidence)
+    if probability <= _LEAST_REPEATED:
+        probability = _share_of_rare_repeats(evidence)
     if probability > _LEAST_REPEATED:
         yield Hypothesis((StaleSamples(min(probability, _MOST_STALE)),), ("probability",))
     yield from _bursts(evidence)
