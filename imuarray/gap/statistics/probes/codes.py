@@ -32,11 +32,11 @@ def second_bit(summary: Summary) -> Floats:
 def absent(summary: Summary) -> Floats:
     """Return the arcsine of the share of codes in the middle nine tenths of the readings that are absent.
 
-    nan where there are fewer than `_ROWS_A_CODE` rows a code, as in a quick turn: codes are absent there by chance, and
+    0 where there are fewer than `_ROWS_A_CODE` rows a code, as in a quick turn: codes are absent there by chance, and
     the share depends on the path of the box.
     """
     middles = _middles(summary)
-    absent_codes = [missing if summary.rows >= _ROWS_A_CODE * codes else math.nan for missing, codes in middles]
+    absent_codes = [missing if summary.rows >= _ROWS_A_CODE * codes else 0 for missing, codes in middles]
     return _of_codes(summary, arcsine(absent_codes, [codes for _, codes in middles]))
 
 

@@ -25,6 +25,9 @@ TAIL = 3.0
 """Differences of neighbours beyond so many of their standard deviations are the tail: 0.27 % of Gaussian ones."""
 
 
+_HALF_COUNT = 0.5
+
+
 def skewness(summary: Summary) -> Floats:
     """arsinh of the skewness about the segments' means."""
     variance, third, _ = _central(summary)
@@ -58,15 +61,15 @@ def extreme(summary: Summary) -> Floats:
 def spike(summary: Summary) -> Floats:
     """Return the log of the largest spike over the smallest that is kept; nan at rest, where `extreme` sees it.
 
-    Noise and late polls make many spikes of about one size.
+    Noise and late polls make many spikes of about one size. Half a count is added to both, which may be 0.
     """
-    return np.asarray(log(summary.spikes[0]) - log(summary.spikes[-1]))
+    return np.asarray(log(summary.spikes[0] + _HALF_COUNT) - log(summary.spikes[-1] + _HALF_COUNT))
 
 
 def _spike_resolution(summary: Summary) -> float:
     """One count more or less, on the axis whose spikes are smallest."""
     smallest = summary.spikes[-1]
-    return float(1 / np.nanmin(np.where(smallest > 0, smallest, np.nan))) if (smallest > 0).any() else 0.0
+    return float(1 / (smallest.min() + _HALF_COUNT)) if np.isfinite(smallest).all() else 0.0
 
 
 def _share(moment: Floats, of: Floats) -> Floats:
