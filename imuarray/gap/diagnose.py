@@ -292,10 +292,12 @@ def library(without: Collection[str]) -> dict[str, Candidate]:
 
 def _open(logs: LogLike | Iterable[LogLike], stack: ExitStack) -> list[Log]:
     """Return the logs, each once; those opened here are closed with the stack."""
-    logs = [logs] if isinstance(logs, str | PathLike | Log) else list(logs) if isinstance(logs, Iterable) else logs
-    if logs or not isinstance(logs, list):
-        require_logs(logs, "diagnose(logs)", or_paths=True)
-    logs_by_path = {(log.path if isinstance(log, Log) else Path(log)).resolve(): log for log in logs}
+    if isinstance(logs, str | PathLike | Log):
+        logs = [logs]
+    several = list(logs) if isinstance(logs, Iterable) else logs
+    if several != []:  # earlier recordings need not be given
+        require_logs(several, "diagnose(logs)", or_paths=True)
+    logs_by_path = {(log.path if isinstance(log, Log) else Path(log)).resolve(): log for log in several}
     return [log if isinstance(log, Log) else stack.enter_context(open_log(log)) for log in logs_by_path.values()]
 
 

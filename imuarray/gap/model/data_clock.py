@@ -100,7 +100,7 @@ def _clock_error(summaries: Sequence[Summary], header: SensorHeader, is_flagged:
     of a new reading find none or two: flags that no single rate explains are those of a chip that is polled at its
     nominal rate. If many readings come while they are read, the polls that find none are no count of what is
     missing, but one or a few in a row are each slip of one clock against the other. Where no missed reading is
-    flagged, the share of repeats of polls with their intervals tells the rate (`_readings_per_s`). Where as many
+    flagged, the share of repeats and the intervals between polls tell the rate (`_readings_per_s`). Where as many
     readings are missed as are repeated, to one or two in a phase, the chip keeps its nominal rate. Flags tell this
     while the box moves, too.
     """

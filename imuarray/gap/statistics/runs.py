@@ -20,7 +20,7 @@ PARTS = 16
 """Points of a run's profile."""
 
 _LEAST_SPREAD = 0.2
-LEAST_GROUP = 2
+_LEAST_GROUP = 2
 """The fewest runs in a state that is no outlier."""
 
 
@@ -62,7 +62,7 @@ class Runs:
         return np.asarray(self.profiles.mean(axis=0))
 
 
-def divide(means: Floats, variances: Floats, least: int = LEAST_GROUP) -> tuple[Booleans, float]:
+def divide(means: Floats, variances: Floats, least: int = _LEAST_GROUP) -> tuple[Booleans, float]:
     """Divide runs into the two groups that scatter least within themselves, along the direction of the largest scatter.
 
     `means` (r, k) of r runs on k axes; `variances` (r, k) of their errors. Returns which runs are in the group of the

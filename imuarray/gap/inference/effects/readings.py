@@ -10,7 +10,7 @@ import numpy as np
 
 from imuarray.arrays import Integers
 from imuarray.gap.inference.effects.candidate import Hypothesis
-from imuarray.gap.inference.effects.timing import mean_of, odd_lags
+from imuarray.gap.inference.effects.timing import mean_of, odd_lags, repeated_rows
 from imuarray.gap.inference.evidence import NUMBERS, SINGLE, Evidence, PhaseEvidence, Repetition, Span, stretches
 from imuarray.gap.statistics.probes.probe import noise_lsb
 from imuarray.gap.statistics.summary import Summary
@@ -19,7 +19,7 @@ from imuarray.simulate.effects.readings import Glitches, Stuck, high_byte
 
 _STEPS = ("tail", "extreme", "kurtosis", "noise_excess", "noise_uneven")
 _IN_MOTION = "motion_residual"
-_SPIKED = "spike"
+_SPIKE = "spike"
 _BEYOND_NOISE = 4.0
 """Standard deviations of a step."""
 
@@ -58,7 +58,7 @@ def guess_glitches(evidence: Evidence) -> Iterator[Hypothesis]:
         yield from _words([phase.raw for phase in evidence.phases])
     if evidence.is_odd(*_STEPS):
         yield from _spikes_again(evidence)
-    if evidence.is_odd(*_STEPS, _IN_MOTION, _SPIKED):
+    if evidence.is_odd(*_STEPS, _IN_MOTION, _SPIKE):
         yield from _torn_again(evidence)
         yield from _glitches_alone(evidence)
     if evidence.is_odd(_IN_MOTION):
@@ -102,7 +102,7 @@ def _glitches_alone(evidence: Evidence) -> Iterator[Hypothesis]:
     """Guess the very readings that were hit, which are all known, if they are so few that most phases have none."""
     hits = [hit for phase in evidence.still for hit in _hits(phase)]
     spikes, torn = _spikes_in_motion(evidence), _torn_in_motion(evidence)
-    hits += spikes if evidence.is_odd(_SPIKED) and len(torn) < len(spikes) else torn
+    hits += spikes if evidence.is_odd(_SPIKE) and len(torn) < len(spikes) else torn
     if not 0 < len(hits) <= SINGLE:
         return
     rows = sum(phase.raw.rows for phase in evidence.phases)
@@ -292,7 +292,7 @@ def _single_axes(evidence: Evidence) -> Iterator[Hypothesis]:
 def _stuck_again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Hypothesis]:
     """Suggest stretches as long as these `runs`, as often as explains all repeated rows."""
     length_s = float(np.median([run.end_s - run.onset_s for run in runs]))
-    held_rows = sum(float(np.nan_to_num(phase.raw.repeats.repeat_share)) * phase.raw.rows for phase in evidence.phases)
+    held_rows = repeated_rows(phase.raw for phase in evidence.phases)
     rows = sum(phase.raw.rows for phase in evidence.phases)
     every_s = length_s * (rows / max(held_rows, length_s * evidence.rows_per_s) - 1)
     if every_s > 0:

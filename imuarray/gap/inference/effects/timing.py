@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -106,9 +106,8 @@ def repeated_share(evidence: Evidence) -> float:
     phases; negative where repetitions are missing.
     """
     shares = [_share_of_repeats(phase.raw) for phase in evidence.phases if phase.raw.rows > phase.raw.repeats.longest]
-    usual = np.sin(evidence.expected.get("repeats", np.zeros((0, 1)))) ** 2
-    known = usual[np.isfinite(usual)]
-    chance = float(np.median(known)) if len(known) else 0.0
+    usual = _usual_shares(evidence)
+    chance = float(np.median(usual)) if len(usual) else 0.0
     return (float(np.median(shares)) - chance) / (1 - chance) if shares and chance < 1 else 0.0
 
 
@@ -121,20 +120,29 @@ def _share_of_repeats(summary: Summary) -> float:
     return (repeats.repeat_share * (summary.rows - 1) - longest) / max(summary.rows - 1 - longest, 1)
 
 
+def _usual_shares(evidence: Evidence) -> Floats:
+    """Return the shares (m,) of rows that repeat the one before in what the model makes, where they are known."""
+    expected = evidence.expected.get("repeats", np.zeros((0, 1)))
+    return np.asarray(np.sin(expected[np.isfinite(expected)]) ** 2)
+
+
+def repeated_rows(summaries: Iterable[Summary]) -> float:
+    """Return the number of rows that repeat the one before."""
+    return sum(float(np.nan_to_num(summary.repeats.repeat_share)) * summary.rows for summary in summaries)
+
+
 _HELD_ROWS = 3
-"""Repetitions of one reading, one after the other, from which on the chip may have hung."""
+"""Equal rows, one after the other, up to which no chip has hung."""
 
 
 def _share_of_rare_repeats(evidence: Evidence) -> float:
-    """Return the probability of a repetition over the rows of all phases, beyond what the model makes, without runs of
-    `_HELD_ROWS` and more.
+    """Return the probability of a repetition, beyond what the model makes, over the rows of all phases without a run of
+    more than `_HELD_ROWS` equal rows.
     """
     phases = [phase.raw for phase in evidence.phases if phase.raw.repeats.longest <= _HELD_ROWS]
-    rows = sum(phase.rows for phase in phases)
-    repeated = sum(float(np.nan_to_num(phase.repeats.repeat_share)) * phase.rows for phase in phases)
-    usual = np.sin(evidence.expected.get("repeats", np.zeros((0, 1)))) ** 2
-    chance = float(np.mean(usual[np.isfinite(usual)])) if np.isfinite(usual).any() else 0.0
-    return (repeated / rows - chance) / (1 - chance) if rows and chance < 1 else 0.0
+    rows, usual = sum(phase.rows for phase in phases), _usual_shares(evidence)
+    chance = float(np.mean(usual)) if len(usual) else 0.0
+    return (repeated_rows(phases) / rows - chance) / (1 - chance) if rows and chance < 1 else 0.0
 
 
 _MOST_PPM = 2e5
@@ -506,9 +514,7 @@ def guess_stale_samples(evidence: Evidence) -> Iterator[Hypothesis]:
 def _bursts(evidence: Evidence) -> Iterator[Hypothesis]:
     """Suggest repetitions in bursts, by those of two rows and more, and by the rest of those that the model lacks."""
     rows = sum(phase.raw.rows for phase in evidence.phases)
-    repeated = sum(float(np.nan_to_num(phase.raw.repeats.repeat_share)) * phase.raw.rows for phase in evidence.phases)
-    expected = evidence.expected.get("repeats", np.zeros((0, 1)))
-    usual = np.sin(expected[np.isfinite(expected)]) ** 2
+    repeated, usual = repeated_rows(phase.raw for phase in evidence.phases), _usual_shares(evidence)
     lacking = repeated - rows * float(np.median(usual)) if len(usual) else repeated
     bursts = [repetition.rows for repetition in evidence.repeated if _is_in_a_phase(evidence, repetition.span)]
     if len(bursts) < _FEWEST_BURSTS or not rows:

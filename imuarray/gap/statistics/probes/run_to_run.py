@@ -27,8 +27,8 @@ def scatter(runs: Runs) -> Floats:
 
 def two_states(runs: Runs) -> Floats:
     """Return the log of the variance of the runs' means over that within the two groups that divide them best."""
-    axes = (slice(axis, axis + 1) for axis in range(runs.means.shape[1]))
-    return np.array([divide(runs.means[:, axis], runs.errors[:, axis] ** 2)[1] for axis in axes])
+    variances = runs.errors**2
+    return np.array([divide(runs.means[:, [axis]], variances[:, [axis]])[1] for axis in range(runs.means.shape[1])])
 
 
 def shared_states(runs: Runs) -> Floats:
