@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 
 from imuarray.cli import main
+from imuarray.commands.gap import diagnose
+from imuarray.gap.diagnose import REPLICATES
 from imuarray.gap.findings.verdict import RATES
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.statistics.probes import PROBES
@@ -154,6 +156,12 @@ def test_json_has_what_other_programs_rely_on(found: dict[str, Any]) -> None:
     assert isinstance(found["next_experiment"], str)
     assert (found["seed"], found["model"]) == (3, "data sheets")
     assert found["software"].startswith("imuarray ")
+
+
+def test_the_command_simulates_as_many_replicates_as_the_function() -> None:
+    """Its default is a number of its own, since the function's module takes long to import."""
+    (option,) = [parameter for parameter in diagnose.params if parameter.name == "replicates"]
+    assert option.default == REPLICATES
 
 
 def test_the_cause_is_told(found: dict[str, Any]) -> None:
