@@ -1,4 +1,4 @@
-"""When a burst was on the wire, and when a bus hangs."""
+"""The start time of a burst, and the detection of a bus that hangs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from imuarray.report.verdicts import recording_verdict
 MS = 1_000_000
 
 
-def test_a_burst_starts_when_it_was_asked_for_if_nothing_came_between() -> None:
+def test_a_burst_without_interruption_starts_at_the_time_of_the_request() -> None:
     """90 clocks at 400 kHz are 225 us; the machine adds 50 to 300 us."""
     adapter = AdapterState()
     for index, extra_us in enumerate((300, 50, 120)):
@@ -30,7 +30,9 @@ def test_a_burst_starts_when_it_was_asked_for_if_nothing_came_between() -> None:
 
 @pytest.mark.slow
 @given(st.integers(0, 20 * MS), st.integers(0, 20 * MS))
-def test_after_an_interruption_the_error_is_half_of_it_at_most(before_ns: int, after_ns: int) -> None:
+def test_the_start_of_an_interrupted_burst_is_off_by_at_most_half_the_interruption(
+    before_ns: int, after_ns: int
+) -> None:
     """Whether the program was interrupted before the burst or after it can't be known."""
     adapter = AdapterState()
     adapter.start_of(0, 225_000, 90)
@@ -41,13 +43,13 @@ def test_after_an_interruption_the_error_is_half_of_it_at_most(before_ns: int, a
     assert abs(start_ns - true_ns) <= (slack_ns if certain else slack_ns / 2 + 1)
 
 
-def test_a_quick_chip_tells_what_a_clock_takes_for_a_slow_one_too() -> None:
+def test_the_time_of_a_clock_measured_on_a_quick_chip_applies_to_a_slow_chip() -> None:
     adapter = AdapterState()
     adapter.start_of(0, 250_000, 100)  # 2.5 us a clock
     assert adapter.start_of(10 * MS, 12 * MS + 250_000, 100) == (11 * MS, False)
 
 
-def test_two_time_outs_in_a_row_are_the_bus() -> None:
+def test_two_time_outs_in_a_row_pause_the_bus() -> None:
     adapter = AdapterState()
     assert not adapter.note_time_out(0)
     assert adapter.note_time_out(30 * MS)
@@ -118,7 +120,7 @@ class HungBus(Dawdling):
         return answer
 
 
-def test_frames_that_a_hung_bus_costs_are_told_from_those_of_a_busy_machine(
+def test_frames_missed_by_a_hung_bus_are_counted_apart_from_those_of_a_busy_machine(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     """Two time-outs of 30 ms in a frame of 10 ms, then one more: 5 and 2 frames. 55 ms of a busy machine: 4 frames."""

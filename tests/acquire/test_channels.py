@@ -1,4 +1,4 @@
-"""Twins on two channels are told apart, marked where they are configured alike, and never taken for each other."""
+"""Twins on two channels are distinguished, marked where they are configured alike, and never confused."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def connected(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> Calla
     return make
 
 
-def test_without_twins_there_is_nothing_to_ask(connected: Callable[..., Any]) -> None:
+def test_channels_without_twins_need_no_check(connected: Callable[..., Any]) -> None:
     _, channels = connected(A=0, B=1, G=None)
     assert channels == [None, None, None]
 
@@ -58,7 +58,9 @@ def test_a_sensor_without_a_twin_is_not_marked(connected: Callable[..., Any]) ->
     assert bus.transfer(0x53, b"\x1d", 1) == b"\x00"
 
 
-def test_where_no_register_can_tell_another_chip_can(connected: Callable[..., Any]) -> None:
+def test_twins_without_a_mark_register_are_identified_by_another_chip_on_the_channel(
+    connected: Callable[..., Any],
+) -> None:
     """Two magnetometers look alike; the accelerometer beside the first is on its channel alone."""
     bus, (first, second) = connected(M1=0, A=0, M2=1)
     bus.transfer(0x70, b"\x04")
@@ -80,7 +82,7 @@ def test_a_chip_that_was_reset_or_is_gone_does_not_make_its_channel_wrong(connec
     assert all(first.is_connected() for _ in range(4))
 
 
-def test_it_asks_without_selecting(connected: Callable[..., Any]) -> None:
+def test_a_check_does_not_switch_the_multiplexer(connected: Callable[..., Any]) -> None:
     bus, (first, _) = connected(A1=0, A2=1)
     bus.transfer(0x70, b"\x05")
     before = len(bus.calls)
@@ -88,7 +90,7 @@ def test_it_asks_without_selecting(connected: Callable[..., Any]) -> None:
     assert [call for call in bus.calls[before:] if call.address == 0x70 and call.write] == []
 
 
-def test_witnesses_take_turns_and_say_what_they_saw(connected: Callable[..., Any]) -> None:
+def test_witnesses_take_turns_and_the_matching_witness_is_stated(connected: Callable[..., Any]) -> None:
     bus, (first, _) = connected(B1=0, A=0, B2=1)
     bus.transfer(0x70, b"\x04")
     number = len(first.witnesses)
@@ -98,7 +100,7 @@ def test_witnesses_take_turns_and_say_what_they_saw(connected: Callable[..., Any
 
 
 @pytest.mark.slow
-def test_nothing_is_lost_to_the_question(
+def test_checking_channels_loses_no_reading(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array = an_array(A1=0, B1=0, G1=0, A2=1, B2=1, G2=1)
@@ -106,14 +108,14 @@ def test_nothing_is_lost_to_the_question(
     assert sum(done.lost.values()) == done.late == done.missed == 0
 
 
-def test_route_alone_changes_nothing(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None:
+def test_making_routes_sends_nothing(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None:
     array = an_array(A1=0, A2=1)
     bus = tapped(array)
     routes_of(array, bus)
     assert bus.calls == []
 
 
-def test_queues_that_were_drained_in_anothers_place_are_lost_and_no_others(tmp_path: Path) -> None:
+def test_only_queues_drained_on_the_wrong_channel_are_lost(tmp_path: Path) -> None:
     """For 0.2 s the other channel is connected: what was in the queues of both gyroscopes at 0x68 is lost
     or another's. The queue of the accelerometer on the trunk was read as ever.
     """

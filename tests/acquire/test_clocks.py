@@ -1,4 +1,4 @@
-"""The machine's clocks beside each other; a step of the wall clock is seen and bends nothing."""
+"""The machine's clocks are read together; a step of the wall clock is reported and changes no other clock."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from imuarray.clock import MonotonicClock
 SECOND = 1_000_000_000
 
 
-def test_the_machines_clocks() -> None:
+def test_the_machines_clocks_are_read_in_order() -> None:
     before = time.monotonic_ns(), time.time_ns()
     monotonic, raw, boot, real = machine_clocks()
     assert before[0] <= monotonic <= time.monotonic_ns()

@@ -51,7 +51,7 @@ def test_an_external_clock_keeps_chips_in_step(clock_hz: float, tmp_path: Path) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("clock_hz", "rate_hz"), [(32_768.0, 512.0), (32_768.0 * 1.003, 513.536), (19.2e6, 500.0)])
-def test_mpu_6050_share_a_clock_too(clock_hz: float, rate_hz: float, tmp_path: Path) -> None:
+def test_mpu_6050_share_an_external_clock(clock_hz: float, rate_hz: float, tmp_path: Path) -> None:
     """Of 32.768 kHz they make 1.024 kHz, of 19.2 MHz 1 kHz (INV-37), halved here."""
     text = '[array]\nname = "a"\n'
     for number in (1, 2):
@@ -67,7 +67,7 @@ def test_mpu_6050_share_a_clock_too(clock_hz: float, rate_hz: float, tmp_path: P
 
 
 @pytest.mark.slow
-def test_without_it_they_drift_apart(tmp_path: Path) -> None:
+def test_chips_without_an_external_clock_drift_apart(tmp_path: Path) -> None:
     array = array_of()
     with open_array(array, switches=OSCILLATORS) as bus:
         record(array, bus, tmp_path / "run.h5", rate_hz=40.0, seconds=4.0)
@@ -77,7 +77,7 @@ def test_without_it_they_drift_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_time_stamps_follow_the_clock_in_high_resolution_too(tmp_path: Path) -> None:
+def test_time_stamps_in_high_resolution_follow_the_external_clock(tmp_path: Path) -> None:
     array = array_of("external_clock_hz = 40000", high_resolution=True)
     with open_array(array, switches=OSCILLATORS) as bus:
         summary = record(array, bus, tmp_path / "run.h5", rate_hz=40.0, seconds=1.5)
@@ -86,7 +86,7 @@ def test_time_stamps_follow_the_clock_in_high_resolution_too(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_a_clock_that_is_not_connected_is_noticed(tmp_path: Path) -> None:
+def test_a_clock_that_is_not_connected_is_reported(tmp_path: Path) -> None:
     """The chip stands still (DEC-65): that is reported within a second, and the other chip goes on."""
     array = array_of("external_clock_hz = 32768")
     with open_array(array, switches={"A1": {"clock_input_hz": 0.0}}) as bus:
@@ -101,7 +101,7 @@ def test_a_clock_that_is_not_connected_is_noticed(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_emulated_array_draws_oscillators_if_asked(tmp_path: Path) -> None:
+def test_the_emulated_array_draws_oscillators_on_request(tmp_path: Path) -> None:
     array = array_of()
     query = {"oscillators": "drawn", "seed": "3", "world": "shaking", "still_s": "0.1", "motion_s": "10"}
     with open_bus(query, array) as bus:
@@ -118,7 +118,7 @@ def test_the_emulated_array_draws_oscillators_if_asked(tmp_path: Path) -> None:
     assert sensors["G2"].delay_s == pytest.approx(0.0, abs=50e-6)  # both are timed by their queues
 
 
-def test_other_words_for_oscillators_are_refused() -> None:
+def test_an_unknown_value_for_oscillators_is_refused() -> None:
     with pytest.raises(ValueError, match="oscillators=wild; allowed are exact, drawn"):
         open_bus({"oscillators": "wild"}, array_of())
 
@@ -135,12 +135,12 @@ def test_other_words_for_oscillators_are_refused() -> None:
         ('chip = "mpu6500"\naddress = 0x68\nrange = 4\n', "external_clock_hz: the mpu6500_acc has no clock input"),
     ],
 )
-def test_a_clock_that_cannot_be_is_refused(text: str, complaint: str) -> None:
+def test_an_external_clock_that_the_chip_cannot_use_is_refused(text: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         parse_array(f'[array]\nname = "a"\n[[sensor]]\nname = "A"\n{text}external_clock_hz = 12000\n')
 
 
-def test_both_halves_of_a_chip_have_one_clock() -> None:
+def test_both_halves_of_a_chip_must_have_the_same_clock() -> None:
     text = array_of("external_clock_hz = 32768").text.replace(
         "external_clock_hz = 32768", "external_clock_hz = 32000", 1
     )

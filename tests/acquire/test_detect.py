@@ -1,4 +1,4 @@
-"""What answers, and is it what the configuration says: right, wrong, missing, and strangers."""
+"""The chips that answer are compared with the configuration: as configured, wrong, missing and unexpected."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def found(array: Any, board: Any, folder: Path, number: int = 121) -> list[Detec
         return detect(array, bus)
 
 
-def test_the_papers_array() -> None:
+def test_the_papers_array_is_detected_as_configured() -> None:
     array = load_array(SHIPPED)
     with open_bus("emulated:", array) as bus:
         lines = detect(array, bus)
@@ -36,13 +36,13 @@ def test_the_papers_array() -> None:
 
 
 @pytest.mark.parametrize("number", [6, 121])
-def test_missing(an_array: Callable[..., Any], tmp_path: Path, number: int) -> None:
+def test_a_missing_chip_is_reported(an_array: Callable[..., Any], tmp_path: Path, number: int) -> None:
     lines = found(an_array(A=0, B=1), an_array(A=0), tmp_path, number)
     assert [(line.sensor, line.ok) for line in lines] == [("mux", True), ("A", True), ("B", False)]
     assert lines[2] == Detection("channel 1 address 0x40", "B", "bma180", "no chip acknowledges this address", False)
 
 
-def test_wrong(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None:
+def test_a_chip_of_wrong_identity_is_reported(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None:
     array = an_array(A=0, G=2)
     bus = tapped(array)
     bus.chips["G"].page[0x0F] = 0xD4
@@ -51,7 +51,7 @@ def test_wrong(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None
     )
 
 
-def test_strangers(an_array: Callable[..., Any], tmp_path: Path) -> None:
+def test_unexpected_chips_are_listed(an_array: Callable[..., Any], tmp_path: Path) -> None:
     lines = found(an_array(A=0), an_array(A=0, B=3, M=1, P=0), tmp_path)
     assert all(line.ok for line in lines)
     assert {(line.place, line.found) for line in lines if not line.sensor} == {
@@ -61,7 +61,9 @@ def test_strangers(an_array: Callable[..., Any], tmp_path: Path) -> None:
     }
 
 
-def test_a_sensor_in_another_place_is_missing_and_a_stranger(an_array: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_sensor_in_another_place_is_missing_here_and_unexpected_there(
+    an_array: Callable[..., Any], tmp_path: Path
+) -> None:
     lines = found(an_array(A=0), an_array(A=2), tmp_path)
     assert [(line.place, line.ok, line.expected) for line in lines[1:]] == [
         ("channel 0 address 0x53", False, "adxl345"),
@@ -69,7 +71,7 @@ def test_a_sensor_in_another_place_is_missing_and_a_stranger(an_array: Callable[
     ]
 
 
-def test_a_missing_mux(an_array: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_missing_mux_is_reported(an_array: Callable[..., Any], tmp_path: Path) -> None:
     lines = found(an_array(A=0), an_array(0x74, A=0), tmp_path)
     assert [(line.sensor, line.ok) for line in lines] == [("mux", False), ("A", False)]
     assert lines[0].found.startswith("no answer")
@@ -79,7 +81,7 @@ def test_a_missing_mux(an_array: Callable[..., Any], tmp_path: Path) -> None:
     ("source", "said"),
     [("emulated", "no chip answers; imuarray detect --doctor --bus emulated:"), ("iio", "the kernel serves no device")],
 )
-def test_a_bus_without_chips(
+def test_a_bus_without_chips_is_reported(
     source: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("imuarray.acquire.explore", lambda bus: [])
@@ -88,7 +90,7 @@ def test_a_bus_without_chips(
     assert said in capsys.readouterr().out
 
 
-def test_without_a_mux(tmp_path: Path) -> None:
+def test_detects_chips_without_a_mux(tmp_path: Path) -> None:
     text = '[array]\nname="x"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\n'
     stranger = text + '[[sensor]]\nname="P"\nchip="bmp180"\naddress=0x77\n'
     lines = found(parse_array(text), parse_array(stranger), tmp_path)
@@ -98,7 +100,7 @@ def test_without_a_mux(tmp_path: Path) -> None:
     ]
 
 
-def test_no_chip_is_changed(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None:
+def test_detection_changes_no_chip(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None:
     array = an_array(A=0, B=1, G=2, M=3, P=0)
     bus = tapped(array)
     detect(array, bus)
@@ -106,20 +108,20 @@ def test_no_chip_is_changed(an_array: Callable[..., Any], tapped: Callable[..., 
     assert {len(call.write) for call in bus.calls if call.address == 0x70} <= {0, 1}
 
 
-def test_strangers_behind_a_mux_at_0x77(an_array: Callable[..., Any], tmp_path: Path) -> None:
+def test_unexpected_chips_behind_a_mux_at_0x77_are_listed(an_array: Callable[..., Any], tmp_path: Path) -> None:
     lines = found(an_array(0x77, A=0), an_array(0x77, A=0, M=1), tmp_path)
     assert [(line.place, line.found) for line in lines if not line.sensor] == [
         ("channel 1 address 0x1e", "hmc5883 or hmc5883l")
     ]
 
 
-def test_a_stranger_on_the_trunk_is_told_once(an_array: Callable[..., Any], tmp_path: Path) -> None:
+def test_an_unexpected_chip_on_the_trunk_is_listed_once(an_array: Callable[..., Any], tmp_path: Path) -> None:
     lines = found(an_array(A=0), an_array(A=0, B=None), tmp_path)
     assert [line.found for line in lines if not line.sensor] == ["bma180"]
 
 
-def test_a_bus_of_which_nobody_has_written_yet() -> None:
-    """Every chip of the paper's array is found behind its multiplexer, without a configuration."""
+def test_a_bus_without_a_configuration_is_explored() -> None:
+    """Every chip of the paper's array is detected behind its multiplexer, without a configuration."""
     array = load_array(Path(__file__).parents[2] / "configs" / "martin2013.toml")
     with open_bus("emulated:", array) as bus:
         lines = explore(bus)
@@ -130,7 +132,7 @@ def test_a_bus_of_which_nobody_has_written_yet() -> None:
 
 
 @pytest.mark.parametrize(("chip", "address"), [("bmp180", 0x77), ("bmp280", 0x77), ("bmp280", 0x76), ("bmp388", 0x76)])
-def test_a_lone_barometer_is_not_taken_for_a_multiplexer(chip: str, address: int) -> None:
+def test_a_barometer_alone_is_not_taken_for_a_multiplexer(chip: str, address: int) -> None:
     lone = parse_array(f'[array]\nname = "x"\n[[sensor]]\nname = "P"\nchip = "{chip}"\naddress = {address}\n')
     with open_bus("emulated:", lone) as bus:
         assert [(line.place, line.found) for line in explore(bus)] == [(f"trunk address {address:#04x}", chip)]
@@ -156,13 +158,13 @@ def seen_by_linux(
         return (explore(bus) if explored else detect(array, bus)), board
 
 
-def test_a_driver_of_the_kernel_is_named(an_array: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_kernel_driver_that_owns_an_address_is_named(an_array: Callable[..., Any], tmp_path: Path) -> None:
     lines, _ = seen_by_linux(an_array(A=0, B=1), tmp_path, (0x40, "bma180"))
     assert [(line.sensor, line.ok) for line in lines] == [("mux", True), ("A", True), ("B", False)]
     assert "address 0x40 belongs to the kernel's driver 'bma180'; unbind that driver" in lines[2].found
 
 
-def test_a_multiplexer_that_the_kernel_switches_is_left_alone(an_array: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_multiplexer_that_the_kernel_switches_is_not_accessed(an_array: Callable[..., Any], tmp_path: Path) -> None:
     lines, board = seen_by_linux(an_array(A=0, B=1), tmp_path, (0x70, "pca954x"))
     assert [(line.sensor, line.ok) for line in lines] == [("mux", False), ("A", False), ("B", False)]
     assert "belongs to the kernel's driver 'pca954x'" in lines[0].found
@@ -171,8 +173,10 @@ def test_a_multiplexer_that_the_kernel_switches_is_left_alone(an_array: Callable
     assert board.wire.transactions == 0
 
 
-def test_a_bus_with_somebody_elses_driver(an_array: Callable[..., Any], tmp_path: Path) -> None:
-    """A real-time clock at 0x68, where an L3G4200D could be: said, not asked, and no reason to fail."""
+def test_an_address_of_a_kernel_driver_for_another_device_is_listed(
+    an_array: Callable[..., Any], tmp_path: Path
+) -> None:
+    """A real-time clock at 0x68, where an L3G4200D could be: it is listed, not accessed, and no failure."""
     lines, _ = seen_by_linux(an_array(A=0), tmp_path, (0x68, "rtc-ds1307"), (0x71, "at24"), explored=True)
     assert [(line.place, line.ok) for line in lines] == [
         ("trunk address 0x70", True),
@@ -184,7 +188,7 @@ def test_a_bus_with_somebody_elses_driver(an_array: Callable[..., Any], tmp_path
     assert lines[1].owner
 
 
-def test_an_emulated_driver_of_the_kernel(
+def test_an_emulated_kernel_driver_is_reported(
     an_array: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     array = an_array(A=0, B=None)
@@ -197,7 +201,7 @@ def test_an_emulated_driver_of_the_kernel(
     assert line.endswith("belongs to a driver of the kernel; unbind that driver")
 
 
-def test_an_undetermined_self_test_is_neither_good_nor_bad(
+def test_an_undetermined_self_test_neither_passes_nor_fails(
     an_array: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A bus that takes 30 ms a transaction."""
@@ -216,7 +220,7 @@ def test_an_undetermined_self_test_is_neither_good_nor_bad(
     assert said.splitlines()[-1] == "2 of 3 as configured, 0 not, 1 undetermined"
 
 
-def test_an_adaptive_range_that_is_on_is_said_and_not_wrong() -> None:
+def test_an_active_adaptive_range_is_a_remark_and_no_failure() -> None:
     """TDK-18: on after power-on, off once the driver has set the chip up."""
     array = load_array(SHIPPED.with_name("icm42688x8.toml")).only(("IMU1_acc", "IMU1_gyro"))
     bus = open_array(array)

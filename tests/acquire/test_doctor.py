@@ -1,4 +1,4 @@
-"""Why a bus does not work, on machines made up of a few files."""
+"""The checks of a bus by `detect --doctor`, on machines that consist of a few files."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def only(checks: list[Check]) -> tuple[str, str, str]:
 URL = "i2c:/dev/i2c-1"
 
 
-def test_all_is_well(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+def test_a_working_machine_passes_all_checks(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     checks = examine(array, URL, logs, 50, machine=machine, talk=lambda: [Check("sensors", True, "all 2 answer")])
     assert wrong(checks) == []
     said = {check.name: check.found for check in checks}
@@ -98,19 +98,19 @@ def test_all_is_well(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     assert said["sensors"] == "all 2 answer"
 
 
-def test_clocks_of_a_frame(array: ArrayConfig) -> None:
+def test_the_scl_clocks_of_a_frame_are_counted(array: ArrayConfig) -> None:
     """BUS-04: 9 (n + 3) clocks for n bytes, 8 and 5 of them; BUS-02: 18 for each of two switches."""
     assert frame_clocks(array) == 9 * 11 + 9 * 8 + 2 * 18
 
 
-def test_no_bus_at_all(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+def test_a_machine_without_a_bus_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     shutil.rmtree(machine.root / "sys")
     name, found, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
     assert (name, found) == ("adapter", "this machine has no I2C bus")
     assert "dtparam=i2c_arm=on" in advice
 
 
-def test_the_module_is_not_loaded(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+def test_a_module_that_is_not_loaded_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     (machine.root / "sys/class/i2c-dev").rmdir()
     (machine.root / "dev/i2c-1").unlink()
     name, _, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
@@ -118,13 +118,17 @@ def test_the_module_is_not_loaded(array: ArrayConfig, machine: Machine, logs: Pa
     assert "modprobe i2c-dev" in advice
 
 
-def test_another_bus_is_there(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+def test_other_buses_are_listed_where_the_configured_bus_is_missing(
+    array: ArrayConfig, machine: Machine, logs: Path
+) -> None:
     name, found, _ = only(examine(array, "i2c:/dev/i2c-7", logs, 50, machine=machine, talk=pytest.fail))
     assert (name, found) == ("adapter", "/dev/i2c-7; there are /dev/i2c-1")
 
 
 @pytest.mark.parametrize(("mode", "said"), [(0o660, "sudo adduser $USER i2c"), (0o600, "udev rule")])
-def test_no_permission(array: ArrayConfig, machine: Machine, logs: Path, mode: int, said: str) -> None:
+def test_a_missing_permission_is_reported(
+    array: ArrayConfig, machine: Machine, logs: Path, mode: int, said: str
+) -> None:
     (machine.root / "dev/i2c-1").chmod(mode)
     stranger = replace(machine, groups=frozenset({USER}))
     name, _, advice = only(examine(array, URL, logs, 50, machine=stranger, talk=pytest.fail))
@@ -133,17 +137,17 @@ def test_no_permission(array: ArrayConfig, machine: Machine, logs: Path, mode: i
     assert wrong(examine(array, URL, logs, 50, machine=replace(stranger, user=0))) == []
 
 
-def test_a_bus_that_is_too_slow(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+def test_a_bus_that_is_too_slow_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     clock = machine.root / "sys/bus/i2c/devices/i2c-1/of_node/clock-frequency"
     clock.write_bytes((10_000).to_bytes(4, "big"))
     name, found, advice = only(examine(array, URL, logs, 50, machine=machine))
     assert (name, found) == ("bus clock", "10 kHz: at most 48 frames of this array a second")  # 10000 / 207
     assert "i2c_arm_baudrate" in advice
     clock.unlink()
-    assert wrong(examine(array, URL, logs, 50, machine=machine)) == []  # not told is not wrong
+    assert wrong(examine(array, URL, logs, 50, machine=machine)) == []  # an unknown clock is no failure
 
 
-def test_an_adapter_that_speaks_smbus_only(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+def test_an_adapter_of_smbus_alone_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     smbus = replace(machine, functionality=lambda device: SMBUS_ONLY)
     name, found, _ = only(examine(array, URL, logs, 50, machine=smbus, talk=pytest.fail))
     assert (name, found) == ("abilities", "/dev/i2c-1: SMBus only")
@@ -157,14 +161,14 @@ def bind(machine: Machine, place: str, driver: str) -> Path:
     return device
 
 
-def test_a_driver_of_the_kernel_has_a_sensor(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+def test_a_sensor_that_a_kernel_driver_owns_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     bind(machine, "1-0053", "adxl34x")
     name, found, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
     assert (name, found) == ("kernel driver", "/dev/i2c-1 0x53 (A) belongs to adxl34x")
     assert advice == "echo 1-0053 | sudo tee /sys/bus/i2c/drivers/adxl34x/unbind"
 
 
-def test_a_driver_of_the_kernel_has_the_multiplexer(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+def test_a_multiplexer_that_a_kernel_driver_owns_is_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     mux = bind(machine, "1-0070", "pca954x")
     for channel in range(2):
         (mux / f"channel-{channel}").symlink_to(f"../i2c-{11 + channel}")
@@ -173,7 +177,7 @@ def test_a_driver_of_the_kernel_has_the_multiplexer(array: ArrayConfig, machine:
     assert "channel-0 is /dev/i2c-11, channel-1 is /dev/i2c-12" in advice
 
 
-def test_a_multiplexer_at_the_barometers_address(machine: Machine, logs: Path) -> None:
+def test_a_multiplexer_at_the_barometers_address_is_reported(machine: Machine, logs: Path) -> None:
     text = (
         ARRAY.replace("0x70", "0x77").replace('chip = "bmp180"', 'chip = "adxl345"').replace("rate_hz = 8", "range = 2")
     )
@@ -183,7 +187,7 @@ def test_a_multiplexer_at_the_barometers_address(machine: Machine, logs: Path) -
     assert "0x70 to 0x76" in advice
 
 
-def test_a_kernels_multiplexer_at_the_barometers_address(machine: Machine, logs: Path) -> None:
+def test_a_multiplexer_of_the_kernel_at_the_barometers_address_is_reported(machine: Machine, logs: Path) -> None:
     array = parse_array('[array]\nname="a"\n[[sensor]]\nname="P"\nchip="bmp180"\nbus="/dev/i2c-11"\naddress=0x77\n')
     devices = machine.root / "sys/bus/i2c/devices"
     (devices / "i2c-11").mkdir()
@@ -194,7 +198,7 @@ def test_a_kernels_multiplexer_at_the_barometers_address(machine: Machine, logs:
     assert (name, found) == ("address 0x77", "P: the multiplexer before it has its address")
 
 
-def test_what_the_sensors_say(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+def test_errors_of_opening_and_talking_are_reported(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     def locked() -> list[Check]:
         raise BusUrlError("i2c:/dev/i2c-1: another program has locked this bus")
 
@@ -207,7 +211,7 @@ def test_what_the_sensors_say(array: ArrayConfig, machine: Machine, logs: Path) 
     assert "holds a wire low" in advice
 
 
-def test_a_serial_port(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+def test_a_serial_port_is_checked(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     url = "serial:/dev/ttyACM0?baud=921600"
     assert only(examine(array, url, logs, 50, machine=machine, talk=pytest.fail))[:2] == (
         "port",
@@ -221,7 +225,7 @@ def test_a_serial_port(array: ArrayConfig, machine: Machine, logs: Path) -> None
     assert only(examine(array, url, logs, 50, machine=machine))[0] == "ModemManager"
 
 
-def test_the_disk(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+def test_free_space_on_the_disk_is_checked(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     nearly_full = replace(machine, free_bytes=lambda folder: 70 << 20)
     name, found, _ = only(examine(array, URL, logs, 50, machine=nearly_full))
     assert name == "disk"
@@ -234,7 +238,9 @@ def test_the_disk(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     assert only(examine(array, URL, logs / "none", 50, machine=machine))[0] == "folder"
 
 
-def test_what_an_earlier_night_left(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+def test_journals_and_drafts_of_earlier_recordings_are_reported(
+    array: ArrayConfig, machine: Machine, logs: Path
+) -> None:
     (logs / "old.h5").touch()
     (logs / "old.h5.journal").write_bytes(b"x")
     (logs / ".new.h5.4711.part").touch()
@@ -249,7 +255,7 @@ def test_what_an_earlier_night_left(array: ArrayConfig, machine: Machine, logs: 
     journal_of(logs / "now.h5").unlink()
 
 
-def test_the_command(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_reports_all_checks(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     asked = ["detect", "martin2013", "--bus", "emulated:", "--doctor", "--logs", str(logs)]
     free = os.statvfs(logs).f_bavail * os.statvfs(logs).f_frsize
     if free < 8 << 30:
@@ -263,8 +269,8 @@ def test_the_command(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert [check["name"] for check in said["checks"] if not check["ok"]] == ["journal"]
 
 
-def test_without_a_configuration(machine: Machine, logs: Path) -> None:
-    """No addresses are known: owners are named but not judged, the bus' clock and the disk are told as they are."""
+def test_without_a_configuration_owners_and_limits_are_listed_and_not_judged(machine: Machine, logs: Path) -> None:
+    """No addresses are known: owners are named but not judged; the clock of the bus and the free space are stated."""
     bind(machine, "1-0068", "rtc-ds1307")
     checks = examine(None, URL, logs, 50, machine=machine, talk=lambda: [Check("chips", True, "2 answer")])
     assert wrong(checks) == []
@@ -278,7 +284,9 @@ def test_without_a_configuration(machine: Machine, logs: Path) -> None:
     assert said["kernel driver"] == "/dev/i2c-1: none has an address"
 
 
-def test_the_command_without_a_configuration(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_needs_a_bus_where_there_is_no_configuration(
+    logs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     asked = ["detect", "--doctor", "--logs", str(logs)]
     assert main([*asked, "--bus", "emulated:", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
@@ -292,7 +300,9 @@ def test_the_command_without_a_configuration(logs: Path, capsys: pytest.CaptureF
     assert "-o can't be combined with --doctor" in capsys.readouterr().err
 
 
-def test_no_chip_answers(tmp_path: Path, logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bus_where_no_chip_answers_is_reported(
+    tmp_path: Path, logs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "far.toml").write_text(
         '[array]\nname="f"\n[[sensor]]\nname="P"\nchip="bmp180"\nbus="/dev/i2c-9"\naddress=0x77\n'
     )
@@ -301,8 +311,8 @@ def test_no_chip_answers(tmp_path: Path, logs: Path, capsys: pytest.CaptureFixtu
     assert "NO  chips          no known chip answers -> check supply" in capsys.readouterr().out
 
 
-def test_no_bus_is_named(tmp_path: Path, logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The doctor is not content with an emulated one; plain detect asks it, and says so."""
+def test_the_doctor_needs_a_named_bus(tmp_path: Path, logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The doctor refuses the emulated bus as a default; plain detect uses it and states that."""
     mine = tmp_path / "mine.toml"
     mine.write_text(ARRAY)
     assert main(["detect", str(mine), "--doctor", "--logs", str(logs)]) == 1

@@ -1,4 +1,4 @@
-"""What lasts is told when it begins and when it is over; what comes and goes fills no log."""
+"""A lasting fault is reported at its begin and its end; an intermittent fault makes few events."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def is_end(message: str) -> bool:
 
 
 class Heard:
-    """A episode and what it told."""
+    """An episode and the events that it reported."""
 
     def __init__(self) -> None:
         self.events: list[tuple[int, str]] = []
         self.episode = FaultEpisode("bus", "times", lambda at_ns, kind, message: self.events.append((at_ns, message)))
 
 
-def test_what_lasts_is_told_at_both_ends() -> None:
+def test_a_lasting_fault_is_reported_at_its_begin_and_its_end() -> None:
     heard = Heard()
     heard.episode.begin(0, "hangs")
     for at_s in range(1, 300):
@@ -51,7 +51,7 @@ def test_what_lasts_is_told_at_both_ends() -> None:
     assert heard.events[1:] == [(300 * SECOND, "works again, after 300.0 s")]
 
 
-def test_what_lasts_until_the_log_ends() -> None:
+def test_a_fault_that_lasts_until_the_log_ends_is_closed_once() -> None:
     heard = Heard()
     heard.episode.begin(5 * SECOND, "hangs")
     heard.episode.close(65 * SECOND)
@@ -60,8 +60,8 @@ def test_what_lasts_until_the_log_ends() -> None:
     assert len(heard.events) == 2
 
 
-def test_what_comes_and_goes_is_one_trouble_ever_longer() -> None:
-    """Every 5 s for an hour: told as over after 1, 2 and 4 s of quiet, and then not before it stays away for 8 s."""
+def test_an_intermittent_fault_is_one_episode_of_increasing_length() -> None:
+    """Every 5 s for an hour: its end is reported after 1, 2 and 4 s without it, and then not before 8 s without it."""
     heard = Heard()
     for at_s in range(0, 3600, 5):
         heard.episode.settle(at_s * SECOND)
@@ -72,7 +72,7 @@ def test_what_comes_and_goes_is_one_trouble_ever_longer() -> None:
     assert heard.events[-1][1] == "works again, in all 717 times in 3580.5 s"
 
 
-def test_after_an_hour_of_peace_it_is_a_new_trouble() -> None:
+def test_a_fault_after_an_hour_without_it_is_a_new_episode() -> None:
     heard = Heard()
     for start_s in (0, 4000):
         for at_s in (start_s, start_s + 3):
@@ -89,7 +89,7 @@ def test_after_an_hour_of_peace_it_is_a_new_trouble() -> None:
     st.lists(st.tuples(st.floats(0.001, 2000.0), st.integers(1, 5), st.booleans()), min_size=1, max_size=200),
     st.floats(0.0, 5000.0),
 )
-def test_whatever_happens_events_are_few_and_their_counts_add_up(
+def test_events_of_any_sequence_are_few_and_their_counts_add_up(
     happenings: list[tuple[float, int, bool]], rest_s: float
 ) -> None:
     heard, now_ns, total = Heard(), 0, 0
@@ -184,8 +184,8 @@ def test_no_fault_fills_a_log_with_events(kind: str, every_s: float | None, seco
 
 
 @pytest.mark.parametrize(("reset_s", "rate_hz"), [(20.0, 10.0), (19.4, 5.0), (19.6, 5.0)])
-def test_a_driver_that_takes_a_chip_and_configures_it(reset_s: float, rate_hz: float) -> None:
-    """Both are told, whichever is noticed first, and both are over when the chip is given back and set up again."""
+def test_a_reset_and_a_kernel_driver_of_one_chip_are_both_reported(reset_s: float, rate_hz: float) -> None:
+    """Both are reported, whichever is detected first, and both end when the chip is given back and set up again."""
     reset = {"kind": "reset", "sensor": "C", "at_s": reset_s}
     driver = {"kind": "kernel_driver", "sensor": "C", "at_s": 20.0, "for_s": 4.0}
     log = night(array_of(A=0, C=0), [reset, driver], 60, rate_hz=rate_hz).log

@@ -40,7 +40,7 @@ def array() -> ArrayConfig:
 
 
 @pytest.mark.slow
-def test_every_sample_arrives(tmp_path: Path, array: ArrayConfig) -> None:
+def test_every_sample_of_a_queue_is_logged(tmp_path: Path, array: ArrayConfig) -> None:
     with open_bus("emulated:", array) as bus:
         record(array, bus, tmp_path / "run.h5", rate_hz=40.0, seconds=5.0)
     with open_log(tmp_path / "run.h5") as log:
@@ -53,7 +53,7 @@ def test_every_sample_arrives(tmp_path: Path, array: ArrayConfig) -> None:
             assert not (np.asarray(log[name].status) & OVERRUN).any()
 
 
-def test_too_slow_a_poll_is_flagged_as_overrun(tmp_path: Path, array: ArrayConfig) -> None:
+def test_a_poll_that_is_too_slow_is_flagged_as_overrun(tmp_path: Path, array: ArrayConfig) -> None:
     """32 sets at 800 Hz last 40 ms; five frames a second are far too few."""
     with open_bus("emulated:", array) as bus:
         record(array, bus, tmp_path / "run.h5", rate_hz=5.0, seconds=2.0)
@@ -64,7 +64,7 @@ def test_too_slow_a_poll_is_flagged_as_overrun(tmp_path: Path, array: ArrayConfi
 
 
 @pytest.mark.slow
-def test_queued_counts_are_those_that_polling_reads(tmp_path: Path, array: ArrayConfig) -> None:
+def test_queued_counts_have_the_statistics_of_polled_counts(tmp_path: Path, array: ArrayConfig) -> None:
     """The same chip in the same world: mean and scatter agree within their errors (five of them)."""
     polled = parse_array(TEXT.replace("fifo = true", ""))
     logs = {}

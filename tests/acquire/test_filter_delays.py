@@ -39,7 +39,7 @@ class ClockBoard(Board):
 
 
 @pytest.mark.parametrize(("die", "bandwidths_hz", "delays_ms"), some(DELAYS_MS, 2))
-def test_a_row_shows_what_was_felt_a_delay_ago(
+def test_a_row_shows_the_input_of_one_delay_earlier(
     die: str, bandwidths_hz: tuple[int, int], delays_ms: tuple[float, float], tmp_path: Path
 ) -> None:
     """The accelerometer's x tells when; it is polled at 200 Hz, so that a reading is up to 1 ms old."""

@@ -1,4 +1,4 @@
-"""A reading is called stale in an event only when the chip must have had a newer one, however irregular the frames."""
+"""A reading is reported as stale only when the chip must have had a newer one, however irregular the frames."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def irregular_reads(draw: st.DrawFn) -> npt.NDArray[np.int64]:
     st.floats(0, 1),
     st.integers(0, 1 << 32),
 )
-def test_a_sound_chip_is_never_called_stale(
+def test_a_working_chip_is_never_reported_as_stale(
     reads_ns: npt.NDArray[np.int64], rate_hz: int, error: float, phase: float, seed: int
 ) -> None:
     """The time of a read is known to a millisecond; blocks are cut anywhere."""
@@ -74,7 +74,7 @@ def test_a_sound_chip_is_never_called_stale(
 
 
 @given(irregular_reads(), st.sampled_from([100, 200, 400, 800]), st.floats(-TOLERANCE, TOLERANCE), st.floats(0, 1))
-def test_a_chip_that_gives_nothing_new_is_noticed(
+def test_a_chip_without_new_readings_is_overdue_at_the_first_possible_read(
     reads_ns: npt.NDArray[np.int64], rate_hz: int, error: float, phase: float
 ) -> None:
     """At the first read that follows the last new reading by 1 / 0.85 periods and twice the millisecond."""
@@ -87,7 +87,7 @@ def test_a_chip_that_gives_nothing_new_is_noticed(
 
 
 @pytest.mark.parametrize("doubt", ["uncertain", "lost"])
-def test_a_read_that_says_nothing_breaks_the_chain(doubt: str) -> None:
+def test_an_uncertain_or_lost_read_restarts_the_count(doubt: str) -> None:
     times = np.arange(0, 200, 20, dtype=np.int64) * MS
     status = np.full(10, STALE, np.uint16)
     status[0] = 0
@@ -108,7 +108,7 @@ def irregular_array() -> ArrayConfig:
 @pytest.mark.slow
 @pytest.mark.parametrize("error", some([-0.1, 0.0, 0.1], 1))
 @pytest.mark.parametrize("rate_hz", some([10.0, 14.0, 90.0], 2))
-def test_stalls_and_slow_clocks_raise_no_alarm(rate_hz: float, error: float) -> None:
+def test_stalls_and_slow_clocks_are_not_reported_as_stale(rate_hz: float, error: float) -> None:
     """A magnetometer of 15 Hz, asked at 10 and 14 Hz and as often as it measures; the program is held up at random."""
     rng = np.random.default_rng(3)
     stalls = [
@@ -122,7 +122,7 @@ def test_stalls_and_slow_clocks_raise_no_alarm(rate_hz: float, error: float) -> 
 
 @pytest.mark.parametrize(("kind", "told"), some([("stale", "stale"), ("frozen", "frozen")], 3))
 @pytest.mark.parametrize(("sensor", "within_s"), [("B", 1.5), ("G", 1.5), ("M", 4.0)])
-def test_a_frozen_chip_is_noticed_all_the_same(kind: str, told: str, sensor: str, within_s: float) -> None:
+def test_a_frozen_chip_is_reported_also_in_irregular_frames(kind: str, told: str, sensor: str, within_s: float) -> None:
     """Within a sweep and a second, or as long as 24 readings take (30 of 0.1 s, which wait for each other)."""
     table = {"kind": kind, "sensor": sensor, "at_s": 10.0, "for_s": 30.0}
     log = night(irregular_array(), [table], 30, rate_hz=50.0 if sensor != "M" else 10.0).log

@@ -1,5 +1,5 @@
 """A chip whose oscillator stops, its registers as configured: nothing arrives in its queue, which is reported within a
-second. One whose queue runs over between all frames is told from it.
+second. A chip whose queue runs over between all frames is distinguished from it.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def test_a_queue_that_stops_is_reported_within_a_second(
 
 
 @pytest.mark.slow
-def test_a_chip_that_fell_asleep_is_named_by_the_register_that_says_so(tmp_path: Path) -> None:
+def test_the_event_of_a_sleeping_chip_names_its_register(tmp_path: Path) -> None:
     """An MPU-6050 is asleep after power-on, 0x40 in 0x6B (INV-10)."""
     logged("mpu6050", 200, 20.0, 2.0, tmp_path / "run.h5", lambda chip, now_ns: chip.power_on(now_ns))
     with open_log(tmp_path / "run.h5") as log:
@@ -106,7 +106,7 @@ def test_a_chip_that_fell_asleep_is_named_by_the_register_that_says_so(tmp_path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("die", "rate_hz"), [("icm42688", 1000), ("icm42688", 50)])
-def test_a_queue_that_a_microcontroller_drains_too(die: str, rate_hz: int, tmp_path: Path) -> None:
+def test_a_queue_drained_by_a_microcontroller_that_stops_is_reported(die: str, rate_hz: int, tmp_path: Path) -> None:
     array = parse_array(array_text(die, rate_hz, on_spi=die == "icm42688"))
     bench = Bench(array, "world=shaking&still_s=0.2&motion_s=9", selects=8)
     path = tmp_path / "run.h5"
@@ -121,7 +121,7 @@ def test_a_queue_that_a_microcontroller_drains_too(die: str, rate_hz: int, tmp_p
 
 
 @pytest.mark.slow
-def test_a_queue_that_always_runs_over_is_told_from_an_empty_one(tmp_path: Path) -> None:
+def test_a_queue_that_always_runs_over_is_not_reported_as_empty(tmp_path: Path) -> None:
     """512 bytes of an MPU-6500 are 36 samples (INV-98), 72 ms at 500 Hz: none can be trusted in frames of 0.2 s."""
     logged("mpu6500", 500, 5.0, None, tmp_path / "run.h5")
     with open_log(tmp_path / "run.h5") as log:

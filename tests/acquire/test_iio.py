@@ -119,7 +119,7 @@ def test_a_buffer_is_logged_count_by_count_at_the_kernels_times(machine: KernelM
         assert rows.temperature_counts is None
 
 
-def test_a_text_that_ends_with_a_nul_is_read_without_it(machine: KernelMachine) -> None:
+def test_the_nul_at_the_end_of_an_attribute_is_ignored(machine: KernelMachine) -> None:
     """As that of current_timestamp_clock does (Linux 6.1)."""
     device = machine.add("kx023", "i2c-1/1-001e", ACCEL)
     (device.folder / "current_timestamp_clock").write_bytes(b"monotonic\n\0")
@@ -249,7 +249,7 @@ def test_without_fifo_the_attributes_are_read_in_each_frame(machine: KernelMachi
     assert device.read("buffer/enable") == "0"
 
 
-def test_counts_beyond_sixteen_bits_are_cut_off_and_flagged_where_no_type_says_more(machine: KernelMachine) -> None:
+def test_counts_beyond_sixteen_bits_are_clipped_and_flagged_where_no_type_is_stated(machine: KernelMachine) -> None:
     keys = {name: text for name, text in ACCEL.items() if not name.startswith(("scan_elements", "buffer"))}
     device = machine.add("kx023", "i2c-1/1-001e", keys)
 
@@ -279,7 +279,7 @@ def test_a_buffer_without_times_is_timed_by_its_counts(machine: KernelMachine) -
         assert (np.abs(rows.time[:] + START_NS - true_ns) <= 1e9 * rows.time_uncertainty[:]).all()
 
 
-def test_a_device_that_was_removed_and_is_there_again_goes_on(machine: KernelMachine) -> None:
+def test_a_device_that_is_removed_and_returns_is_logged_again(machine: KernelMachine) -> None:
     device = machine.add("kx023", "i2c-1/1-001e", ACCEL)
     play = played(device, small_scan)
     target = device.link.readlink()
@@ -303,7 +303,7 @@ def test_a_device_that_was_removed_and_is_there_again_goes_on(machine: KernelMac
         assert (time_s > 4.0).sum() > 40
 
 
-# What can't be done is said in one line ---------------------------------------------------------------------------
+# What can't be done is refused in one line -------------------------------------------------------------------------
 
 
 def connected(machine: KernelMachine, array: ArrayConfig) -> None:
@@ -335,7 +335,9 @@ def connected(machine: KernelMachine, array: ArrayConfig) -> None:
         ({"scan_elements/in_accel_x_type": "le:s64/64>>0"}, BUFFERED, r"counts of 64 bits; a log holds at most 31"),
     ],
 )
-def test_what_the_device_cannot_do_is_said(machine: KernelMachine, changes: Any, keys: str, said: str) -> None:
+def test_a_configuration_that_the_device_cannot_meet_is_refused(
+    machine: KernelMachine, changes: Any, keys: str, said: str
+) -> None:
     machine.add("kx023", "i2c-1/1-001e", {**ACCEL, **changes})
     with pytest.raises(SensorError, match=said) as raised:
         connected(machine, array_of(sensor("A", keys)))
@@ -355,7 +357,7 @@ def test_what_the_device_cannot_do_is_said(machine: KernelMachine, changes: Any,
         ("other", "angular_rate", "0.000305", np.radians(1) / 0.000305),
     ],
 )
-def test_a_scale_that_was_rounded_is_the_data_sheets(
+def test_a_rounded_scale_is_replaced_by_that_of_the_data_sheet(
     machine: KernelMachine, chip: str, quantity: str, scale: str, sensitivity: float
 ) -> None:
     kind = {"angular_rate": "in_anglvel", "specific_force": "in_accel"}[quantity]
@@ -366,13 +368,13 @@ def test_a_scale_that_was_rounded_is_the_data_sheets(
         assert route.header.sensitivity == pytest.approx(sensitivity, rel=1e-12)
 
 
-def test_two_axes_are_no_triad(machine: KernelMachine) -> None:
+def test_a_device_with_two_axes_is_refused(machine: KernelMachine) -> None:
     machine.add("kx023", "i2c-1/1-001e", {name: text for name, text in ACCEL.items() if "accel_z" not in name})
     with pytest.raises(SensorError, match="has no in_accel_z; it has specific_force"):
         connected(machine, array_of(sensor("A", BUFFERED)))
 
 
-def test_a_trigger_is_set_with_its_pace(machine: KernelMachine) -> None:
+def test_a_trigger_and_its_rate_are_set(machine: KernelMachine) -> None:
     """The chip's own rate is then the slowest that is not below it."""
     device = machine.add("kx023", "i2c-1/1-001e", {**ACCEL, "trigger/current_trigger": ""})
     for number, name in enumerate(("sysfstrig1", "hr0")):
@@ -398,7 +400,7 @@ def test_axes_of_different_scales_are_refused(machine: KernelMachine) -> None:
         connected(machine, array_of(sensor("A", ACC)))
 
 
-def test_two_devices_of_one_name_are_told_apart_by_their_place(machine: KernelMachine) -> None:
+def test_two_devices_of_one_name_are_distinguished_by_their_place(machine: KernelMachine) -> None:
     for address in ("1-001e", "1-001f"):
         machine.add("kx023", f"i2c-1/{address}", ACCEL)
     with pytest.raises(SensorError, match="2 devices have this name; allowed are iio:kx023@1-001e, iio:kx023@1-001f"):
@@ -417,7 +419,7 @@ def test_two_devices_of_one_name_are_told_apart_by_their_place(machine: KernelMa
         (errno.EACCES, r"A \(kx023\) at iio:kx023: .*/dev/iio:device0: Permission denied; give your group"),
     ],
 )
-def test_a_buffer_that_cannot_be_had_is_named(
+def test_a_buffer_that_cannot_be_opened_is_named(
     machine: KernelMachine, monkeypatch: pytest.MonkeyPatch, number: int, said: str
 ) -> None:
     machine.add("kx023", "i2c-1/1-001e", ACCEL)
@@ -433,7 +435,7 @@ def test_a_buffer_that_cannot_be_had_is_named(
         connected(machine, array_of(sensor("A", BUFFERED)))
 
 
-def test_a_bus_without_devices_and_a_folder_that_is_no_machine(tmp_path: Path) -> None:
+def test_a_tree_without_sysfs_or_devices_is_refused(tmp_path: Path) -> None:
     array = array_of(sensor("A", ACC))
     with pytest.raises(BusUrlError, match="it contains no folder sys"):
         open_bus(f"iio:{tmp_path}", array)
@@ -467,26 +469,26 @@ def test_a_bus_without_devices_and_a_folder_that_is_no_machine(tmp_path: Path) -
         ),
     ],
 )
-def test_configurations_that_cannot_be_meant(keys: str, said: str) -> None:
+def test_invalid_configurations_are_refused(keys: str, said: str) -> None:
     with pytest.raises(ConfigError) as raised:
         array_of(sensor("A", keys))
     assert said in str(raised.value)
 
 
-def test_sensors_of_one_device_agree_about_it() -> None:
+def test_sensors_of_one_device_must_have_the_same_rate() -> None:
     with pytest.raises(ConfigError, match=r"'Acc' and 'Gyro' are both of iio:imu@spi0.0: rate_hz is the same for both"):
         array_of(sensor("Acc", IMU_ACC), sensor("Gyro", IMU_GYRO.replace("50", "100")))
     with pytest.raises(ConfigError, match=r"2 sensors are the specific_force of iio:imu@spi0.0"):
         array_of(sensor("Acc", IMU_ACC), sensor("Acc2", IMU_ACC))
 
 
-def test_a_die_of_two_halves_is_told_by_the_quantity() -> None:
+def test_the_quantity_selects_the_half_of_a_die() -> None:
     array = array_of(sensor("G", 'chip = "mpu6050"\nquantity = "angular_rate"\nbus = "iio:mpu6050"\nrate_hz = 50\n'))
     assert array["G"].chip == "mpu6050_gyro"
     assert array["G"].spec.unit == "dps"
 
 
-def test_detect_says_what_is_there(machine: KernelMachine, capsys: pytest.CaptureFixture[str]) -> None:
+def test_detect_lists_the_devices_of_the_kernel(machine: KernelMachine, capsys: pytest.CaptureFixture[str]) -> None:
     machine.add("kx023", "i2c-1/1-001e", ACCEL)
     array = array_of(sensor("A", ACC), sensor("B", ACC.replace("iio:kx023", "iio:gone")))
     with IioBus(machine.root) as bus:
@@ -531,7 +533,7 @@ def test_detect_writes_a_configuration_that_logs(machine: KernelMachine, capsys:
     assert "the kernel serves no accelerometer, gyroscope or magnetometer" in capsys.readouterr().err
 
 
-def test_the_doctor_looks_for_the_device_and_its_file(machine: KernelMachine) -> None:
+def test_the_doctor_checks_the_device_and_its_file(machine: KernelMachine) -> None:
     device = machine.add("kx023", "i2c-1/1-001e", ACCEL)
     device.file.chmod(0o600)
     owner = Machine(root=machine.root, user=device.file.stat().st_uid, groups=frozenset())

@@ -148,7 +148,7 @@ def test_every_sensor_is_logged_without_a_gap(folder: Path) -> None:
         assert "time_source" not in log["Old"].attributes
 
 
-def test_the_kernels_sensor_is_calibrated_beside_the_others(folder: Path, tmp_path: Path) -> None:
+def test_the_kernels_sensor_is_calibrated_and_fused_with_the_others(folder: Path, tmp_path: Path) -> None:
     path = tmp_path / "cal.toml"
     assert main(["calibrate", "tumble", str(folder / "tumble.h5"), "-o", str(path)]) == 0
     calibration = load_calibration(path)
@@ -168,7 +168,9 @@ def test_the_kernels_sensor_is_calibrated_beside_the_others(folder: Path, tmp_pa
     assert np.nanmedian(np.linalg.norm(forces, axis=1)) == pytest.approx(9.80665, rel=2e-3)  # at rest on its faces
 
 
-def test_it_is_reported_and_diagnosed(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_log_of_a_mixed_array_is_reported_and_diagnosed(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     page = tmp_path / "report.html"
     assert main(["report", str(folder / "still.h5"), "-o", str(page)]) == 0
     assert "Kernel" in page.read_text()

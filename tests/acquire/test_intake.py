@@ -1,4 +1,4 @@
-"""Rows enter a log in the order of their times, from every bus; one that can't is refused, told and counted."""
+"""Rows enter a log in the order of their times, from every bus; a row out of order is refused, reported and counted."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STALE, OVERRUN, LOST, RECONFIGURED = 1, 2, 8, 16
     newest=st.one_of(st.none(), st.integers(-5, 40)),
     latest=st.integers(0, 40),
 )
-def test_one_row_after_the_other(times: list[int], newest: int | None, latest: int) -> None:
+def test_rows_later_than_their_predecessor_are_kept(times: list[int], newest: int | None, latest: int) -> None:
     kept, last = [], newest
     for time in times:
         kept.append(time <= latest and (last is None or time > last))
@@ -41,7 +41,7 @@ def test_one_row_after_the_other(times: list[int], newest: int | None, latest: i
     assert in_order(np.array(times, np.int64), newest, latest).tolist() == kept
 
 
-def test_a_row_takes_over_what_the_refused_ones_before_it_said() -> None:
+def test_a_row_takes_over_the_flags_of_refused_rows_before_it() -> None:
     status = np.array([STALE, RECONFIGURED | STALE, 0, OVERRUN, 0], np.uint16)
     block = Block(
         np.arange(5), np.arange(15).reshape(5, 3), status, np.arange(5, dtype=np.int16), {"p": np.arange(5.0)}
@@ -71,7 +71,7 @@ class Waiting:
         return Block(times - epoch_ns, np.zeros((len(times), 3), np.int16), np.zeros(len(times), np.uint16))
 
 
-def test_a_row_ahead_of_the_clock_does_not_shut_out_those_behind_it() -> None:
+def test_a_row_ahead_of_the_clock_does_not_block_later_rows() -> None:
     stored: list[tuple[int, int]] = []
     told: list[Event] = []
     log: Any = SimpleNamespace(
@@ -91,7 +91,7 @@ def test_a_row_ahead_of_the_clock_does_not_shut_out_those_behind_it() -> None:
 
 
 @pytest.mark.parametrize("rotate_s", some([None, 3.0], 1))
-def test_a_queue_that_counts_time_twice_ends_no_recording(
+def test_a_queue_that_counts_time_twice_does_not_end_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rotate_s: float | None
 ) -> None:
     true_times = FifoClock.times

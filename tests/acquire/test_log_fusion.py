@@ -1,4 +1,4 @@
-"""`log --fuse`: what is written beside the log is what fusing the log gives, and nothing of it harms the log."""
+"""`log --fuse`: the result equals that of fusing the log afterwards, and the log is unchanged by it."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ lag_s = 3.0
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("technique", "warm"), some([("opposed", False), ("mean", True)], 1))
-def test_it_is_what_fusing_the_log_gives(log: Log, tmp_path: Path, technique: str, warm: bool) -> None:
+def test_live_fusion_equals_fusing_the_log(log: Log, tmp_path: Path, technique: str, warm: bool) -> None:
     more = ["--calibration", "cal.toml"] if warm else []
     if warm:
         thermal_calibration(tmp_path / "cal.toml")
@@ -122,7 +122,7 @@ for_s = 1.5
 
 
 @pytest.mark.slow
-def test_optimal_that_watches_is_what_fusing_the_log_gives(log: Log, tmp_path: Path) -> None:
+def test_live_fusion_with_fault_detection_equals_fusing_the_log(log: Log, tmp_path: Path) -> None:
     """To 1e-9 of the largest value, events and what was learnt of slow errors included; one gyroscope freezes."""
     (tmp_path / "faults.toml").write_text(FROZEN)
     assert log(bus="emulated:", seconds="4")[0] == 0
@@ -158,7 +158,7 @@ def test_optimal_that_watches_is_what_fusing_the_log_gives(log: Log, tmp_path: P
         (["--fused", "mine.h5"], ["mine_001.h5", "mine_002.h5", "mine_003.h5"]),
     ],
 )
-def test_a_log_in_parts_has_a_result_for_each(log: Log, more: list[str], names: list[str]) -> None:
+def test_each_part_of_a_log_has_a_fused_file(log: Log, more: list[str], names: list[str]) -> None:
     """The frames of a part's file are those of the part."""
     code, out, _ = log("--fuse", "--rotate", "1s", "--json", *more)
     assert code == 0
@@ -176,7 +176,7 @@ def test_a_log_in_parts_has_a_result_for_each(log: Log, more: list[str], names: 
 
 
 @pytest.mark.slow
-def test_the_log_is_the_same_with_and_without(log: Log) -> None:
+def test_the_log_is_the_same_with_and_without_fusion(log: Log) -> None:
     with_it = log("--fuse", bus=f"{SHAKEN}&seed=3")
     with open_log("run.h5") as run:
         first = np.asarray(run["BMA1"].counts[:])
@@ -201,7 +201,7 @@ def test_the_log_is_the_same_with_and_without(log: Log) -> None:
         (["--fuse", "--fused", "run.h5"], "run.h5"),
     ],
 )
-def test_what_can_not_be_fused_is_refused_before_there_is_a_log(log: Log, arguments: list[str], words: str) -> None:
+def test_a_log_that_cannot_be_fused_is_refused_before_it_is_created(log: Log, arguments: list[str], words: str) -> None:
     Path("there.h5").write_text("mine")
     Path("part_001.h5").write_text("mine")
     code, _, err = log(*arguments)
@@ -212,7 +212,9 @@ def test_what_can_not_be_fused_is_refused_before_there_is_a_log(log: Log, argume
 
 
 @pytest.mark.slow
-def test_fusion_that_breaks_is_told_once_and_the_log_goes_on(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_of_fusion_is_reported_once_and_recording_continues(
+    log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pushes = 0
     push = FusionStream.push
 
@@ -238,9 +240,7 @@ def rows(start: int, count: int = 100) -> Block:
     return Block(time_ns, np.tile(np.array([0, 0, 512], np.int16), (count, 1)), np.zeros(count, np.uint16))
 
 
-def test_rows_that_it_can_not_keep_up_with_are_skipped_and_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_that_overfill_the_queue_are_skipped_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The thread stands still at the first of twenty blocks, the queue holds seven: six seconds are lost."""
     said: list[str] = []
     standing, going = threading.Event(), threading.Event()
@@ -282,7 +282,7 @@ def noisy(start: int, rng: np.random.Generator, count: int = 100, *, stuck: bool
     return rows(start, count)._replace(counts=counts.astype(np.int16))
 
 
-def test_who_fails_is_told_once_and_stands_in_the_file(tmp_path: Path) -> None:
+def test_a_failed_sensor_is_reported_once_and_is_an_event_of_the_file(tmp_path: Path) -> None:
     """One of four is stuck from 3 s on: left out in the window in which it is found, for as long as it lasts."""
     said: list[str] = []
     headers = [SensorHeader(f"A{i}", "bma180", "specific_force", "g", 16.0, 512.0) for i in range(4)]
@@ -305,8 +305,8 @@ def test_who_fails_is_told_once_and_stands_in_the_file(tmp_path: Path) -> None:
     assert not used[320:, 2].any()
 
 
-def test_the_biases_are_those_of_the_states_that_were_found_before_the_first_rows(tmp_path: Path) -> None:
-    """Rows of a barometer come before that is known."""
+def test_biases_are_of_the_states_determined_before_the_first_rows(tmp_path: Path) -> None:
+    """Rows of a barometer arrive before that is known."""
     asked: list[bool] = []
     pressure = SensorHeader("P", "bmp180", "pressure", "Pa", 0.0, 0.0)
 
@@ -329,7 +329,7 @@ def test_the_biases_are_those_of_the_states_that_were_found_before_the_first_row
     assert asked == [True]
 
 
-def test_its_file_can_be_read_while_it_is_written(tmp_path: Path) -> None:
+def test_the_fused_file_can_be_read_while_it_is_written(tmp_path: Path) -> None:
     fusion = LiveFusion(FusionOutput(tmp_path / "f.h5", tmp_path / "r.h5"), Calibration(), LiveFusionOptions(100))
     fusion.begin(EPOCH, HEADERS)
     for second in range(5):
@@ -347,7 +347,7 @@ def test_its_file_can_be_read_while_it_is_written(tmp_path: Path) -> None:
     assert sys.getswitchinterval() == pytest.approx(0.005)
 
 
-def test_a_terminal_shows_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_shows_the_fused_value(monkeypatch: pytest.MonkeyPatch) -> None:
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
             return True
@@ -367,7 +367,7 @@ def test_a_log_without_rows_leaves_no_fused_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_inertial_sensor_is_nothing_to_fuse(tmp_path: Path) -> None:
+def test_an_array_without_an_inertial_sensor_is_refused(tmp_path: Path) -> None:
     fusion = LiveFusion(FusionOutput(tmp_path / "f.h5", tmp_path / "r.h5"), Calibration(), LiveFusionOptions(100))
     magnetometer = SensorHeader("M", "hmc5883", "magnetic_field", "gauss", 1.3, 1090.0)
     with pytest.raises(FusionError, match="the array: no inertial sensor"):
@@ -376,7 +376,7 @@ def test_no_inertial_sensor_is_nothing_to_fuse(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_interrupt_ends_both_cleanly(tmp_path: Path) -> None:
+def test_an_interrupt_ends_the_log_and_its_fusion_cleanly(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "imuarray", "log", "martin2013", "--bus", "emulated:?clock=real", "-o", "run.h5"]
     with subprocess.Popen(
         [*command, "--fuse", "--json", "--rate-hz", "50"],

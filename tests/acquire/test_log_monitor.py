@@ -1,4 +1,5 @@
-"""`log --monitor`: a page beside a recording, told where it is, gone with it, and no harm to the log."""
+"""`log --monitor`: a page is served during a recording, its address is reported, it ends with the recording and does
+not affect the log."""
 
 from __future__ import annotations
 
@@ -55,7 +56,7 @@ def pages(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     return begun
 
 
-def test_the_page_is_of_the_log(log: Call, pages: list[list[str]]) -> None:
+def test_the_page_shows_the_log_that_is_recorded(log: Call, pages: list[list[str]]) -> None:
     code, _, _ = log("--monitor")
     assert code == 0
     assert pages == [["monitor", "run.h5", "--parent", str(os.getpid())]]
@@ -63,7 +64,7 @@ def test_the_page_is_of_the_log(log: Call, pages: list[list[str]]) -> None:
         assert recorded.state == "finished"
 
 
-def test_of_its_first_part_and_of_what_is_fused(log: Call, pages: list[list[str]]) -> None:
+def test_the_page_shows_the_first_part_and_the_fused_file(log: Call, pages: list[list[str]]) -> None:
     options = ["--monitor", "--monitor-port", "0", "--monitor-host", "0.0.0.0", "--rotate", "30s", "--fuse"]  # noqa: S104
     assert log(*options, "--fused", "out.h5")[0] == 0
     parent = ["--parent", str(os.getpid())]
@@ -71,13 +72,13 @@ def test_of_its_first_part_and_of_what_is_fused(log: Call, pages: list[list[str]
     assert pages == [["monitor", "run_001.h5", *parent, *address, "--fused", "out.h5"]]
 
 
-def test_nothing_is_served_unasked(log: Call, pages: list[list[str]]) -> None:
+def test_no_page_is_served_without_the_option(log: Call, pages: list[list[str]]) -> None:
     assert log()[0] == 0
     assert pages == []
 
 
 @pytest.mark.parametrize("option", ["--monitor-port=1", "--monitor-host=127.0.0.1"])
-def test_options_of_no_page_are_refused(log: Call, option: str) -> None:
+def test_options_of_the_page_without_monitor_are_refused(log: Call, option: str) -> None:
     code, _, err = log(option)
     assert code == 2 and f"{option.split('=')[0]} needs --monitor" in err
     assert not Path("run.h5").exists()
@@ -90,7 +91,7 @@ def test_without_the_extra_nothing_is_recorded(log: Call, monkeypatch: pytest.Mo
     assert not Path("run.h5").exists()
 
 
-def test_what_the_page_says_is_told(tmp_path: Path) -> None:
+def test_lines_of_the_page_are_reported(tmp_path: Path) -> None:
     heard: list[str] = []
     log_display._report_lines(
         ["http://127.0.0.1:8765/\n", "imuarray: 127.0.0.1:8765: can't serve the page there\n"], heard.append
@@ -115,7 +116,7 @@ def seen(address: str, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, An
 
 
 @pytest.mark.slow
-def test_a_page_beside_a_real_recording(tmp_path: Path) -> None:
+def test_a_page_follows_a_recording_in_real_time(tmp_path: Path) -> None:
     """In real time, cut into parts, fused meanwhile; ended by Ctrl-C, and no process is left."""
     program = [sys.executable, "-m", "imuarray", "log", str(ROOT / "configs" / "martin2013.toml")]
     program += ["--bus", "emulated:?clock=real", "--rate-hz", "50", "--rotate", "3s", "--fuse", "-o", "run.h5"]
@@ -148,7 +149,7 @@ def test_a_page_beside_a_real_recording(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_page_ends_with_a_logger_that_is_killed(tmp_path: Path) -> None:
+def test_a_page_ends_when_its_logger_is_killed(tmp_path: Path) -> None:
     program = (
         "import sys, pathlib\n"
         "from imuarray.commands.log_display import serve_page\n"

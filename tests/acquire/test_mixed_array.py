@@ -59,7 +59,7 @@ def folder(tmp_path_factory: Any) -> Path:
     return place
 
 
-def test_every_chip_is_there_and_passes_its_self_test(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_chip_is_detected_and_passes_its_self_test(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["detect", str(folder / "mixed.toml"), "--bus", "emulated:", "--self-test"]) == 0
     said = capsys.readouterr().out
     assert "14 of 14 as configured, 0 not" in said
@@ -79,7 +79,7 @@ def test_every_sensor_is_logged_without_a_fault(folder: Path) -> None:
         }
 
 
-def test_barometers_tell_the_weather_within_their_tolerances(folder: Path) -> None:
+def test_barometers_measure_within_their_tolerances(folder: Path) -> None:
     """101325 Pa and 25 degC; noise of the mean of 160 readings is a part of a pascal."""
     with open_log(folder / "still.h5") as log:
         for name, pascal in PRESSURE_PA.items():
@@ -87,7 +87,7 @@ def test_barometers_tell_the_weather_within_their_tolerances(folder: Path) -> No
             assert log[name].compensated("temperature")[:].mean() == pytest.approx(25.0, abs=DEGC[name] + 0.1)
 
 
-def test_magnetometers_tell_one_field(folder: Path) -> None:
+def test_magnetometers_measure_the_same_field(folder: Path) -> None:
     """Of each part's bias and scale, the AK8963 adjusted and the MMC5983MA less where its bridges stand, the field is
     that of the box; six sigma of the mean of 1000 readings and a count.
     """
@@ -113,7 +113,7 @@ def test_magnetometers_tell_one_field(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_it_is_diagnosed(folder: Path) -> None:
+def test_a_mixed_array_is_diagnosed(folder: Path) -> None:
     """An emulated array whose parts keep to their data sheets has no gap: the AK8963's factory took away 16 % of its
     counts.
     """
@@ -124,7 +124,7 @@ def test_it_is_diagnosed(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["csv", "npz", "mcap", "parquet"])
-def test_it_is_exported(folder: Path, tmp_path: Path, suffix: str) -> None:
+def test_a_mixed_array_is_exported(folder: Path, tmp_path: Path, suffix: str) -> None:
     assert main(["export", str(folder / "still.h5"), "-o", str(tmp_path / f"run.{suffix}")]) == 0
 
 
@@ -139,7 +139,9 @@ def test_exported_values_are_those_of_the_log(folder: Path, tmp_path: Path) -> N
             np.testing.assert_array_equal(columns[key], log[name].counts[:])
 
 
-def test_it_is_characterised_and_reported(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mixed_array_is_characterised_and_reported(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["characterise", str(folder / "still.h5"), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert {"LIS1", "MMC1", "AK1"} <= set(json.dumps(said).replace('"', " ").split())
@@ -149,7 +151,7 @@ def test_it_is_characterised_and_reported(folder: Path, tmp_path: Path, capsys: 
     assert all(name in text for name in PLACES)
 
 
-def test_it_is_calibrated_and_fused(folder: Path, tmp_path: Path) -> None:
+def test_a_mixed_array_is_calibrated_and_fused(folder: Path, tmp_path: Path) -> None:
     calibration, fused = tmp_path / "cal.toml", tmp_path / "fused.h5"
     assert main(["calibrate", "tumble", str(folder / "tumble.h5"), "-o", str(calibration)]) == 0
     words = ["fuse", str(folder / "tumble.h5"), "--calibration", str(calibration), "-o", str(fused)]

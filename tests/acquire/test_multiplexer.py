@@ -1,4 +1,4 @@
-"""PCA9544A: one write of 0x04 ... 0x07 a switch (PCA-03), by itself (PCA-06), and nothing believed after a failure."""
+"""PCA9544A: one write of 0x04 ... 0x07 a switch (PCA-03), by itself (PCA-06); after a failure no state is assumed."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class Wires:
 
 
 @pytest.mark.parametrize(("channel", "code"), [(0, 0x04), (1, 0x05), (2, 0x06), (3, 0x07)])
-def test_codes(channel: int, code: int) -> None:
+def test_each_channel_has_its_code(channel: int, code: int) -> None:
     bus = Wires()
     assert Pca9544a(bus, 0x70).channel(channel).transfer(0x53, b"\x32", 6) == bytes(6)
     assert bus.seen == [(0x70, bytes([code]), 0), (0x53, b"\x32", 6)]
 
 
-def test_one_write_per_switch() -> None:
+def test_a_switch_is_one_write() -> None:
     bus = Wires()
     mux = Pca9544a(bus, 0x70)
     first, second = mux.channel(0), mux.channel(1)
@@ -47,7 +47,7 @@ def test_one_write_per_switch() -> None:
     assert bus.switches == [b"\x04", b"\x05", b"\x04"]
 
 
-def test_two_handles_of_one_channel_share_what_is_selected() -> None:
+def test_two_handles_of_one_channel_share_the_selection() -> None:
     bus = Wires()
     mux = Pca9544a(bus, 0x70)
     mux.channel(3).transfer(0x53)
@@ -55,7 +55,7 @@ def test_two_handles_of_one_channel_share_what_is_selected() -> None:
     assert bus.switches == [b"\x07"]
 
 
-def test_forgets_after_a_failed_reading() -> None:
+def test_the_selection_is_unknown_after_a_failed_reading() -> None:
     bus = Wires(failing=[1])
     channel = Pca9544a(bus, 0x70).channel(2)
     with pytest.raises(OSError, match="Remote"):
@@ -65,7 +65,7 @@ def test_forgets_after_a_failed_reading() -> None:
     assert bus.switches == [b"\x06", b"\x06"]
 
 
-def test_forgets_after_a_failed_switch_and_sends_nothing_behind_it() -> None:
+def test_after_a_failed_switch_nothing_is_sent_and_the_selection_is_unknown() -> None:
     bus = Wires(failing=[1 + 1])
     mux = Pca9544a(bus, 0x70)
     mux.channel(0).transfer(0x53)
@@ -77,7 +77,7 @@ def test_forgets_after_a_failed_switch_and_sends_nothing_behind_it() -> None:
 
 
 @pytest.mark.parametrize("channel", [-1, 4])
-def test_there_are_four_channels(channel: int) -> None:
+def test_a_channel_out_of_range_is_refused(channel: int) -> None:
     bus = Wires()
     with pytest.raises(ValueError, match="does not fit"):
         Pca9544a(bus, 0x70).channel(channel).transfer(0x53)
@@ -85,8 +85,8 @@ def test_there_are_four_channels(channel: int) -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.booleans()), max_size=40))
-def test_whatever_fails_the_sensor_of_the_asked_channel_is_reached(calls: list[tuple[int, bool]]) -> None:
-    """Against a model of the mux: 0x04 + k connects channel k; what a failed transaction did to it nobody knows."""
+def test_after_any_failure_the_sensor_of_the_selected_channel_is_reached(calls: list[tuple[int, bool]]) -> None:
+    """Against a model of the mux: 0x04 + k connects channel k; its state after a failed transaction is unknown."""
     connected: list[int | None] = [None]
     reached: list[int | None] = []
     fails = [False]
@@ -98,7 +98,7 @@ def test_whatever_fails_the_sensor_of_the_asked_channel_is_reached(calls: list[t
             else:
                 reached.append(connected[0])
             if fails[0]:
-                connected[0] = None  # a glitch: nobody knows
+                connected[0] = None  # a glitch: unknown
                 raise OSError(6, "No such device or address")
             return b""
 
@@ -114,7 +114,7 @@ def test_whatever_fails_the_sensor_of_the_asked_channel_is_reached(calls: list[t
             assert reached == [channel]
 
 
-def test_reaches_the_chip_of_the_channel_on_the_emulated_board() -> None:
+def test_each_channel_of_the_emulated_board_reaches_its_chip() -> None:
     head = '[array]\nname="a"\nmux={chip="pca9544a",address=0x70}\n'
     sensor = '[[sensor]]\nname="S{0}"\nchip="adxl345"\naddress=0x53\nrange=2\nchannel={0}\n'
     array = parse_array(head + "".join(sensor.format(channel) for channel in range(4)))

@@ -1,4 +1,4 @@
-"""A configuration of what answered: it loads, and names every chip at its place."""
+"""A configuration proposed from the chips that answered: it loads, and names every chip at its place."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from imuarray.errors import SensorError
 SHIPPED = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 
 
-def test_the_papers_array_is_described_as_it_is_wired() -> None:
+def test_the_proposal_for_the_papers_array_matches_its_wiring() -> None:
     array = load_array(SHIPPED)
     with open_bus("emulated:", array) as bus:
         proposed = parse_array(propose(explore(bus), "i2c:/dev/i2c-1", "mine"))
@@ -28,7 +28,7 @@ def test_the_papers_array_is_described_as_it_is_wired() -> None:
     assert {(sensor.chip.removesuffix("l"), sensor.channel, sensor.address) for sensor in proposed.sensors} == wired
 
 
-def test_a_bus_without_a_multiplexer() -> None:
+def test_a_bus_without_a_multiplexer_is_proposed_without_one() -> None:
     found = [Detection("trunk address 0x53", "", "", "adxl345", True, "", None, 0x53)]
     array = parse_array(propose(found, "i2c:/dev/i2c-1"))
     assert array.mux is None
@@ -51,7 +51,7 @@ def test_a_barometer_is_numbered_where_there_are_two_of_its_type(chips: dict[int
     assert [sensor.name for sensor in parse_array(propose(found, "i2c:/dev/i2c-1")).sensors] == names
 
 
-def test_a_chip_that_nobody_knows_is_no_multiplexer() -> None:
+def test_an_unknown_chip_is_not_taken_for_a_multiplexer() -> None:
     """A BME280 sits at 0x76, an address of the multiplexer too; it has an ADXL345 beside it."""
     bus = Chips({0x76: {0x00: 0x00, 0x05: 0x00, 0xD0: 0x60}, 0x53: {0x00: 0xE5}})
     found = explore(bus)
@@ -86,12 +86,14 @@ def test_names_are_quoted(bus: str, name: str) -> None:
     assert (array.bus, array.name) == (bus, name)
 
 
-def test_nothing_answered() -> None:
+def test_a_bus_where_no_chip_answers_is_refused() -> None:
     with pytest.raises(SensorError, match="no chip answered"):
         propose([], "i2c:/dev/i2c-1")
 
 
-def test_a_chip_that_is_told_only_by_its_self_test(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_hmc5883_and_hmc5883l_are_distinguished_by_their_self_test(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The paper's HMC5883 answer like HMC5883L until they test themselves."""
     new = tmp_path / "new.toml"
     assert main(["detect", "--bus", "emulated:", "-o", str(new)]) == 0
@@ -123,8 +125,8 @@ def test_both_kinds_of_compass_on_one_board_have_names_of_their_own(tmp_path: Pa
     ]
 
 
-def test_what_no_self_test_tells_apart_is_said(tmp_path: Path) -> None:
-    """A compass that nobody can test comes out as the more common one, with a remark."""
+def test_types_that_no_self_test_distinguishes_are_a_remark(tmp_path: Path) -> None:
+    """A compass without a self-test result is proposed as the more common type, with a remark."""
     bus = Chips({0x1E: {0x0A: 0x48, 0x0B: 0x34, 0x0C: 0x33}})
     found = distinguish_alike(explore(bus), bus)  # type: ignore[arg-type]
     text = propose(found, "i2c:/dev/i2c-1")
@@ -132,7 +134,7 @@ def test_what_no_self_test_tells_apart_is_said(tmp_path: Path) -> None:
     assert parse_array(text).sensors[0].chip == "hmc5883l"
 
 
-def test_an_address_that_a_driver_of_the_kernel_has_is_no_sensor() -> None:
+def test_an_address_of_a_kernel_driver_is_not_proposed_as_a_sensor() -> None:
     found = [
         Detection("trunk address 0x68", "", "", "belongs to a driver", True, "", None, 0x68, owner="a driver"),
         Detection("trunk address 0x53", "", "", "adxl345", True, "", None, 0x53),
@@ -141,8 +143,8 @@ def test_an_address_that_a_driver_of_the_kernel_has_is_no_sensor() -> None:
 
 
 @pytest.mark.slow
-def test_from_nothing_to_axes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Detect, log, find the axes: nobody filled in a sign."""
+def test_detect_log_and_axes_give_the_orientations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Detect, log, find the axes: no sign is entered by hand."""
     new, poses = tmp_path / "new.toml", tmp_path / "poses.h5"
     assert main(["detect", "--bus", "emulated:", "-o", str(new)]) == 0
     assert main(["detect", "--bus", "emulated:", "-o", str(new)]) == 2  # nothing is overwritten

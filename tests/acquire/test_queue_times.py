@@ -1,7 +1,7 @@
 """Times of samples from the queues of six-axis chips, against the instants at which the emulated chips took them.
 
 The world is a clock: the specific force along x is the share of the present second that has passed, so that each row
-tells when it was taken, to 31 us at 16 g. Oscillators are off by up to one percent, the host comes milliseconds late.
+shows when it was taken, to 31 us at 16 g. Oscillators are off by up to one percent, the host is milliseconds late.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def array_text(die: str, rate_hz: int, *, on_spi: bool) -> str:
         ("mpu6050", 500, 0.0033, False),
     ],
 )
-def test_a_row_is_within_50_us_rms_of_when_its_sample_was_taken(
+def test_the_time_of_a_row_is_within_50_us_rms_of_its_sample(
     die: str, rate_hz: int, error: float, on_spi: bool, tmp_path: Path
 ) -> None:
     array = parse_array(array_text(die, rate_hz, on_spi=on_spi))

@@ -60,7 +60,7 @@ ON_DEMAND = {"bmp180": pressure_rows, "bmp280": forced_rows, "bmp388": forced_ro
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
-def test_every_chip_of_the_papers_array(tmp_path: Path, rate_hz: float) -> None:
+def test_every_chip_of_the_papers_array_gives_its_rows(tmp_path: Path, rate_hz: float) -> None:
     array = load_array(SHIPPED)
     frames = max(40, round(20 * rate_hz))
     with open_bus("emulated:", array) as bus:
@@ -79,7 +79,7 @@ def test_every_chip_of_the_papers_array(tmp_path: Path, rate_hz: float) -> None:
 
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
 @pytest.mark.parametrize("chip", some(ALONE, 1))
-def test_every_chip_alone_and_without_a_multiplexer(tmp_path: Path, chip: str, rate_hz: float) -> None:
+def test_every_chip_alone_without_a_multiplexer_gives_its_rows(tmp_path: Path, chip: str, rate_hz: float) -> None:
     array = parse_array(f'[array]\nname="a"\n[[sensor]]\nname="S"\nchip="{chip}"\n{ALONE[chip]}')
     frames = max(20, round(20 * rate_hz))
     with open_bus("emulated:?world=shaking&still_s=0.1&motion_s=600", array) as bus:
@@ -99,8 +99,8 @@ def test_every_chip_alone_and_without_a_multiplexer(tmp_path: Path, chip: str, r
 
 @pytest.mark.parametrize("rate_hz", some([0.1, 1.0, 5.0, 10.0, 50.0], 1))
 @pytest.mark.parametrize("chip", ["adxl345", "l3g4200d"])
-def test_queues(tmp_path: Path, chip: str, rate_hz: float) -> None:
-    """A queue of 32 gives every sample of 50 Hz from two frames a second on; at fewer it overruns, and says so."""
+def test_queues_give_every_sample_or_overrun(tmp_path: Path, chip: str, rate_hz: float) -> None:
+    """A queue of 32 gives every sample of 50 Hz from two frames a second; at fewer an overrun is reported."""
     array = parse_array(
         f'[array]\nname="a"\n[[sensor]]\nname="S"\nchip="{chip}"\nrate_hz=100\nfifo=true\n{ALONE[chip]}'
     )
@@ -118,7 +118,7 @@ def test_queues(tmp_path: Path, chip: str, rate_hz: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", some([0.1, 1.0, 7.0, 9.0, 20.0], 1))
-def test_a_pressure_is_not_old_when_it_is_read(
+def test_a_pressure_is_read_soon_after_its_conversion(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path, rate_hz: float
 ) -> None:
     array = an_array(A=0, P=1, M=2)
@@ -139,7 +139,7 @@ def test_a_pressure_is_not_old_when_it_is_read(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", some([0.1, 0.5, 1.0, 50.0], 1))
-def test_no_row_waits_long(
+def test_no_row_waits_longer_than_the_limit(
     an_array: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rate_hz: float
 ) -> None:
     """What a killed recording loses, and how long a service's watchdog waits."""
@@ -161,7 +161,7 @@ def test_no_row_waits_long(
     assert set(summary.lost.values()) == {0}
 
 
-def test_a_chip_that_stands_still_is_found_however_seldom_it_is_read(
+def test_a_frozen_chip_is_reported_at_one_frame_in_five_seconds(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     """24 readings of one frame in five seconds take two minutes, and rows are written meanwhile."""
@@ -188,7 +188,7 @@ def test_a_chip_that_stands_still_is_found_however_seldom_it_is_read(
 
 
 @pytest.mark.parametrize("chip", ON_DEMAND)
-def test_a_conversion_that_is_asked_for_seldom_is_taken(chip: str) -> None:
+def test_a_conversion_requested_at_a_low_rate_is_read(chip: str) -> None:
     """Also by a program of its own that calls the driver five times a second, or once in ten seconds."""
     array = parse_array(f'[array]\nname="a"\n[[sensor]]\nname="S"\nchip="{chip}"\n{ALONE[chip]}')
     for pause_s in (0.15, 0.2, 10.0):
@@ -202,7 +202,7 @@ def test_a_conversion_that_is_asked_for_seldom_is_taken(chip: str) -> None:
 
 
 @pytest.mark.parametrize("chip", ON_DEMAND)
-def test_a_conversion_from_before_a_stop_of_the_program_is_not_taken(chip: str) -> None:
+def test_a_conversion_from_before_a_pause_of_the_program_is_discarded(chip: str) -> None:
     array = parse_array(f'[array]\nname="a"\n[[sensor]]\nname="S"\nchip="{chip}"\n{ALONE[chip]}')
     with open_bus("emulated:", array) as bus:
         (route,) = connect(array, bus)
@@ -217,7 +217,7 @@ def test_a_conversion_from_before_a_stop_of_the_program_is_not_taken(chip: str) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
-def test_every_chip_behind_a_microcontroller(tmp_path: Path, rate_hz: float) -> None:
+def test_every_chip_behind_a_microcontroller_gives_its_rows(tmp_path: Path, rate_hz: float) -> None:
     array = load_array(SHIPPED)
     bench = Bench(array)
     frames = max(12, round(4 * rate_hz))
@@ -247,8 +247,10 @@ def test_every_chip_behind_a_microcontroller(tmp_path: Path, rate_hz: float) -> 
 
 
 @pytest.mark.slow
-def test_a_microcontroller_that_sends_seldom_is_not_lost(an_array: Callable[..., Any], tmp_path: Path) -> None:
-    """One frame in ten seconds is no silence, and one that is reset then is still found."""
+def test_a_microcontroller_at_one_frame_in_ten_seconds_is_not_reported_lost(
+    an_array: Callable[..., Any], tmp_path: Path
+) -> None:
+    """One frame in ten seconds is no silence, and a reset at that rate is still reported."""
     array = an_array(A=0)
     bench = Bench(array)
 
@@ -267,10 +269,10 @@ def test_a_microcontroller_that_sends_seldom_is_not_lost(an_array: Callable[...,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [0.1, 1.0, 5.0])
-def test_a_chip_that_is_set_up_again_is_not_away_for_many_frames(
+def test_a_chip_that_is_set_up_again_loses_three_readings_at_most(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path, rate_hz: float
 ) -> None:
-    """One that lost its settings: a frame to see it twice, one to begin, and the next reading is good."""
+    """A chip that lost its settings: a frame to see it twice, one to begin, and the next reading is good."""
     array = an_array(A=0, G=0)
     bus = tapped(array, "world=shaking&still_s=0.1&motion_s=900")
     begun: list[int] = []
@@ -292,7 +294,7 @@ def test_a_chip_that_is_set_up_again_is_not_away_for_many_frames(
 
 
 @pytest.mark.parametrize(("rate_hz", "judged"), some([(0.2, False), (0.8, False), (1.0, True), (50.0, True)], 1))
-def test_a_start_is_judged_by_ten_readings_or_not_at_all(
+def test_a_start_is_judged_by_at_least_ten_readings(
     an_array: Callable[..., Any], tmp_path: Path, rate_hz: float, judged: bool
 ) -> None:
     """What comes in the first ten seconds; two readings are as far from the mean as another state is."""

@@ -1,4 +1,4 @@
-"""The poll loop over the emulated bus: what goes over the wire and what is in the log, also when readings get lost."""
+"""The poll loop over the emulated bus: what goes over the wire and what is in the log, also when readings are lost."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_orders_alternate(an_array: Callable[..., Any], tapped: Callable[..., An
 
 
 @pytest.mark.parametrize(("channels", "switches"), some([((0, 1), 1), ((0, 1, 2), 2), ((3, 1, 2, 0), 3), ((2,), 0)], 1))
-def test_switches_a_frame(
+def test_a_frame_has_one_switch_less_than_channels(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path, channels: tuple[int, ...], switches: int
 ) -> None:
     array = an_array(**{f"A{channel}": channel for channel in channels})
@@ -63,7 +63,7 @@ def test_switches_a_frame(
 
 
 @pytest.mark.slow
-def test_scl_clocks_of_a_frame_of_the_papers_array(tmp_path: Path) -> None:
+def test_a_frame_of_the_papers_array_takes_the_scl_clocks_of_its_transactions(tmp_path: Path) -> None:
     """A burst a sensor, one switch, a register of each channel and up to two more read back: 9 (n + 3) clocks, 18 for
     a switch (BUS-02, BUS-04).
     """
@@ -83,7 +83,7 @@ def test_scl_clocks_of_a_frame_of_the_papers_array(tmp_path: Path) -> None:
     assert set(np.diff(marks[1:])) <= {bursts + 2 * 36, bursts + 3 * 36, bursts + 4 * 36}
 
 
-def test_a_steady_rate_and_every_reading(
+def test_frames_have_a_steady_rate_and_every_reading(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array = an_array(A=0, G=0)
@@ -99,7 +99,7 @@ def test_a_steady_rate_and_every_reading(
         assert not (status & LOST).any()
 
 
-def test_time_is_when_the_burst_started(
+def test_the_time_of_a_row_is_the_start_of_its_burst(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array = an_array(A=0, G=0)
@@ -115,7 +115,7 @@ def test_time_is_when_the_burst_started(
         np.testing.assert_array_equal(logged(tmp_path / "r.h5", name)[0], np.array(bursts) - start[0])
 
 
-def test_time_is_when_the_burst_started_after_a_switch_too(
+def test_the_time_of_a_row_after_a_switch_is_the_start_of_its_burst(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array = an_array(A=0, G=1)
@@ -146,7 +146,7 @@ class TestLostReadings:
         done = record(array, bus, tmp_path / "r.h5", rate_hz=100, seconds=1)
         return done, bus, tmp_path / "r.h5"
 
-    def test_no_row_in_the_silence(self, lost: Any) -> None:
+    def test_a_silent_sensor_has_no_rows(self, lost: Any) -> None:
         done, bus, path = lost
         assert len(bus.failed) > 0
         time, _, _ = logged(path, "B")
@@ -156,13 +156,13 @@ class TestLostReadings:
         assert np.count_nonzero(gaps > 15 * MS) == 1
         assert gaps.max() == pytest.approx(110 * MS, abs=2 * MS)
 
-    def test_the_next_row_says_so(self, lost: Any) -> None:
+    def test_the_next_row_is_flagged_lost(self, lost: Any) -> None:
         _, _, path = lost
         time, _, status = logged(path, "B")
         (flagged,) = np.flatnonzero(status & LOST)
         assert flagged == np.argmax(np.diff(time)) + 1
 
-    def test_one_event_tells_why(self, lost: Any) -> None:
+    def test_one_event_states_the_cause(self, lost: Any) -> None:
         _, _, path = lost
         with open_log(path) as log:
             event, end = log.events
@@ -173,13 +173,13 @@ class TestLostReadings:
         before = time[np.argmax(np.diff(time))]
         assert before < event.time_ns <= before + 12 * MS
 
-    def test_nothing_is_repeated(self, lost: Any) -> None:
+    def test_no_reading_is_repeated(self, lost: Any) -> None:
         _, _, path = lost
         time, counts, _ = logged(path, "B")
         assert (np.diff(time) > 0).all()
         assert (np.diff(counts.astype(int), axis=0) != 0).any(axis=1).mean() > 0.95
 
-    def test_the_others_are_not_concerned(self, lost: Any) -> None:
+    def test_other_sensors_lose_nothing(self, lost: Any) -> None:
         done, _, path = lost
         time, _, status = logged(path, "A")
         assert len(time) == 100
@@ -187,7 +187,7 @@ class TestLostReadings:
         assert not (status & LOST).any()
 
 
-def test_one_failure_is_asked_again_and_not_lost(
+def test_a_reading_that_fails_once_is_repeated_and_not_lost(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array = an_array(A=0)
@@ -206,7 +206,7 @@ def test_one_failure_is_asked_again_and_not_lost(
     assert not (status & LOST).any()
 
 
-def test_a_silent_mux_loses_everything_behind_it_and_comes_back(
+def test_a_silent_mux_loses_the_readings_of_its_channels_until_it_answers(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array = an_array(A=0, B=1, G=None)
@@ -224,7 +224,7 @@ def test_a_silent_mux_loses_everything_behind_it_and_comes_back(
         assert sorted(event.sensor for event in log.events) == ["A", "A", "B", "B"]
 
 
-def test_a_lost_reading_of_the_barometer_is_told_too(
+def test_a_lost_reading_of_the_barometer_is_flagged_and_counted(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array = an_array(P=0)
@@ -241,7 +241,7 @@ def test_a_lost_reading_of_the_barometer_is_told_too(
 
 
 @pytest.mark.slow
-def test_stale_is_a_triad_that_equals_the_one_before(
+def test_a_triad_equal_to_its_predecessor_is_flagged_stale(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array = parse_array(an_array(M=0).text.replace("range=1.2", "range=7.9"))  # no ready bit in its burst
@@ -253,7 +253,7 @@ def test_stale_is_a_triad_that_equals_the_one_before(
     np.testing.assert_array_equal((status[1:] & STALE).astype(bool), same)  # across the batches of 1024, too
 
 
-def test_saturation_at_1600_hz_is_flagged_on_both_sides(tmp_path: Path) -> None:
+def test_saturation_at_1600_hz_is_flagged_at_both_ends_of_the_range(tmp_path: Path) -> None:
     array = parse_array(
         '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\nrate_hz=1600\n'
     )
@@ -266,7 +266,7 @@ def test_saturation_at_1600_hz_is_flagged_on_both_sides(tmp_path: Path) -> None:
     np.testing.assert_array_equal((status & 4).astype(bool), at_end)
 
 
-def test_phases_and_truth_of_the_world(
+def test_phases_and_truth_of_the_world_are_logged(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array = an_array(B=0)
@@ -286,7 +286,7 @@ def test_phases_and_truth_of_the_world(
         assert len(truth.time) == 300
         resting = (truth.time[:] > log.phases[1].start_ns) & (truth.time[:] < log.phases[1].end_ns)
         np.testing.assert_allclose(truth.specific_force[:][resting], [[9.80665, 0, 0]] * resting.sum(), atol=1e-12)
-        # and the sensor felt it: x up, axes as the box's, 4096 counts per g within 5 % and 60 mg
+        # and the sensor measured it: x up, axes as the box's, 4096 counts per g within 5 % and 60 mg
         rows = log["B"].between(log.phases[1].start_ns + 100 * MS, log.phases[1].end_ns)
         np.testing.assert_allclose(log["B"].counts[rows].mean(axis=0), [4096, 0, 0], atol=500)
 
@@ -334,7 +334,9 @@ def test_a_frame_that_ends_when_the_next_one_is_due_is_not_late(
     assert (done.frames, done.late, done.missed) == (10, late, 0)
 
 
-def test_stopped(an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_stop_ends_the_recording_after_the_current_frame(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
     array = an_array(A=0)
     asked = [0]
 
@@ -347,7 +349,7 @@ def test_stopped(an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_p
     assert len(logged(tmp_path / "r.h5", "A")[0]) == 7
 
 
-def test_stopped_before_the_first_frame_is_an_empty_log(
+def test_a_stop_before_the_first_frame_gives_an_empty_log(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array = an_array(A=0)
@@ -355,7 +357,9 @@ def test_stopped_before_the_first_frame_is_an_empty_log(
     assert len(logged(tmp_path / "r.h5", "A")[0]) == 0
 
 
-def test_progress(an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> None:
+def test_progress_is_reported_every_second(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
     array, told = an_array(A=0), list[int]()
     record(array, tapped(array), tmp_path / "r.h5", rate_hz=800, seconds=3, progress=told.append)
     assert told == [800, 1600, 2400, 2400]
@@ -376,7 +380,7 @@ def test_the_epoch_is_the_wall_time_of_the_start(
         assert begun <= datetime.fromisoformat(log.epoch) <= datetime.now(UTC)
 
 
-def test_what_the_log_says_of_its_sensors(
+def test_the_log_describes_its_sensors(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array = an_array(A=0, B=0, G=1, M=1, P=0)
@@ -404,7 +408,7 @@ def test_what_the_log_says_of_its_sensors(
 
 class TestNothingIsWritten:
     @pytest.mark.parametrize("number", [6, 121])
-    def test_a_missing_chip(self, an_array: Callable[..., Any], tmp_path: Path, number: int) -> None:
+    def test_a_missing_chip_is_refused(self, an_array: Callable[..., Any], tmp_path: Path, number: int) -> None:
         array, board = an_array(A=0, B=1), an_array(A=0)
         (tmp_path / "board.toml").write_text(board.text)
         with (
@@ -416,16 +420,18 @@ class TestNothingIsWritten:
             record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=1)
         assert [path.name for path in tmp_path.iterdir()] == ["board.toml"]
 
-    def test_a_wrong_chip(self, an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> None:
+    def test_a_wrong_chip_is_refused(
+        self, an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+    ) -> None:
         array = an_array(A=0, B=1)
         bus = tapped(array)
         bus.chips["B"].page[0] = 0x42
         with pytest.raises(SensorError, match=r"^B \(bma180\) at channel 1 address 0x40: identity 42, expected 03$"):
             record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=1)
         assert list(tmp_path.iterdir()) == []
-        assert not [call for call in bus.calls if len(call.write) > 1]  # nobody was configured
+        assert not [call for call in bus.calls if len(call.write) > 1]  # no chip was configured
 
-    def test_a_chip_that_dies_while_it_is_set_up(
+    def test_a_chip_that_fails_while_it_is_set_up_is_refused(
         self, an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
     ) -> None:
         array = an_array(A=0, B=1)
@@ -436,7 +442,7 @@ class TestNothingIsWritten:
             record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=1)
         assert list(tmp_path.iterdir()) == []
 
-    def test_an_output_that_exists(
+    def test_an_existing_output_is_refused(
         self, an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
     ) -> None:
         (tmp_path / "r.h5").write_text("precious")
@@ -446,7 +452,7 @@ class TestNothingIsWritten:
         assert (tmp_path / "r.h5").read_text() == "precious"
 
 
-def test_an_error_in_the_midst_keeps_what_was_read(
+def test_an_error_during_recording_keeps_the_rows_read_before(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array = an_array(A=0)
@@ -477,7 +483,9 @@ def test_clocks_are_in_the_log(an_array: Callable[..., Any], tapped: Callable[..
 
 
 @pytest.mark.slow
-def test_a_log_in_parts_is_the_log(an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> None:
+def test_the_parts_of_a_log_equal_the_whole_log(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
     array = an_array(A=0, G=1)
     whole = record(array, tapped(array), tmp_path / "w.h5", rate_hz=50, seconds=5, phase="static", up="+Z")
     parts = record(array, tapped(array), tmp_path / "p.h5", rate_hz=50, seconds=5, phase="static", up="+Z", rotate_s=2)
@@ -498,14 +506,14 @@ def test_a_log_in_parts_is_the_log(an_array: Callable[..., Any], tapped: Callabl
 
 
 @pytest.mark.parametrize("rotate_s", some([None, 1.0], 1))
-def test_files_that_take_their_time_cost_no_frame(
+def test_slow_creation_of_files_costs_no_frame(
     an_array: Callable[..., Any],
     tapped: Callable[..., Any],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     rotate_s: float | None,
 ) -> None:
-    """Whoever makes a file in the sampling thread stands still for 0.2 s: that is before the first frame, once."""
+    """Creating a file in the sampling thread takes 0.2 s: it happens once, before the first frame."""
     array, real = an_array(A=0), LogWriter.keep
     bus = tapped(array)
 
@@ -522,7 +530,7 @@ def test_files_that_take_their_time_cost_no_frame(
     assert [len(logged(path, "A")[0]) for path in done.logs] == ([50, 50, 50] if rotate_s else [150])
 
 
-def test_a_log_that_is_cut_short_has_its_phase(
+def test_a_log_that_is_cut_short_contains_its_phase(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array, seen = an_array(A=0), list[Any]()
@@ -539,7 +547,7 @@ def test_a_log_that_is_cut_short_has_its_phase(
     assert last_ns > 1_000_000_000
 
 
-def test_the_service_manager_hears_of_rows_that_are_stored(
+def test_the_service_manager_is_notified_of_stored_rows(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     class Manager(Service):

@@ -88,7 +88,7 @@ def test_flags_stay_with_their_rows(steps: list[tuple[str, int]]) -> None:
     assert ours.times_ns == [each["at"] for each in plain.rows]
 
 
-def test_the_row_behind_the_written_ones_keeps_its_flags() -> None:
+def test_the_first_row_after_the_written_rows_keeps_its_flags() -> None:
     """The boundary: rows 0 and 1 are written, row 2 is the first that stays, and it is the flagged one."""
     ours = buffer()
     ours.add(burst_of(1), 0)
@@ -114,7 +114,7 @@ def test_the_row_after_discarded_ones_is_flagged() -> None:
     assert block.status.tolist() == [0, LOST_BEFORE, 0]
 
 
-def test_nothing_discarded_is_nothing_lost() -> None:
+def test_discarding_no_row_flags_no_row() -> None:
     ours = buffer()
     ours.add(burst_of(1), 0)
     assert ours.cut(1) == 0
@@ -134,7 +134,7 @@ def test_rows_of_a_stream_are_flagged_where_readings_are_missing() -> None:
 FRAME_NS = 20_000_000
 
 
-def test_a_reading_that_stands_still_is_told_from_one_that_hardly_moves() -> None:
+def test_a_frozen_reading_is_distinguished_from_a_slowly_changing_one() -> None:
     """24 equal readings, a second's worth of a slow poll; at 50 Hz it takes the second."""
     ours = buffer()
     for index in range(200):
@@ -147,7 +147,7 @@ def test_a_reading_that_stands_still_is_told_from_one_that_hardly_moves() -> Non
     assert ours.frozen_since() == 200
 
 
-def test_a_frozen_chip_that_a_set_up_did_not_change_is_flagged_from_its_first_reading_on() -> None:
+def test_a_chip_still_frozen_after_a_set_up_is_flagged_from_its_first_equal_reading() -> None:
     ours = buffer()
     for index in range(60):
         ours.add(burst_of(5), index * FRAME_NS)
@@ -168,7 +168,7 @@ def test_a_frozen_chip_that_a_set_up_did_not_change_is_flagged_from_its_first_re
 STEP_NS = 5_000_000_000
 
 
-def test_a_reading_that_stands_still_is_found_across_rows_that_were_written() -> None:
+def test_a_frozen_reading_is_detected_across_written_rows() -> None:
     """24 equal readings are too many to wait for at one in five seconds; the two newest rows wait."""
     (route,) = routes_of(ARRAY, open_bus("emulated:", ARRAY))
     ours = SampleBuffer(route, 0.2)
@@ -195,5 +195,5 @@ def test_a_reading_that_stands_still_is_found_across_rows_that_were_written() ->
     assert ours.still_since_ns(0) == 54 * STEP_NS
 
 
-def test_at_a_usual_rate_rows_wait_for_a_second_and_a_quarter() -> None:
-    assert buffer().held_rows == 62  # of 50 a second: 50 readings that stand still are no chance
+def test_rows_at_50_hz_wait_for_a_second_and_a_quarter() -> None:
+    assert buffer().held_rows == 62  # of 50 a second: 50 equal readings are no coincidence

@@ -1,4 +1,4 @@
-"""Sensors that are lasting are told of, and looked after in their own place of the frame; the others lose no
+"""Lasting faults of sensors are reported and handled in the place of the sensor in the frame; the others lose no
 reading.
 """
 
@@ -47,7 +47,7 @@ def events_of(log: Any) -> list[tuple[str, str]]:
 
 
 @pytest.mark.slow
-def test_an_unplugged_sensor_is_looked_for_ever_less_often(
+def test_an_unplugged_sensor_is_polled_at_increasing_intervals(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
     array = an_array(A=0, B=0)
@@ -64,7 +64,7 @@ def test_an_unplugged_sensor_is_looked_for_ever_less_often(
         assert log.events[1].message.startswith(f"in all {done.lost['B']} readings lost in ")
 
 
-def test_what_was_only_silent_goes_on_as_it_was(bad_night: Callable[..., Any]) -> None:
+def test_a_sensor_that_was_only_silent_is_not_set_up_again(bad_night: Callable[..., Any]) -> None:
     table = '[[fault]]\nkind="no_acknowledge"\nsensor="B"\nat_s=3.0\nfor_s=0.8\n'
     done, log = bad_night(table, 6, A=0, B=0)
     with log:
@@ -76,8 +76,8 @@ def test_what_was_only_silent_goes_on_as_it_was(bad_night: Callable[..., Any]) -
 
 
 @pytest.mark.parametrize("for_s", some([0.08, 0.2, 0.7, 3.0, 20.0], 1))
-def test_a_barometer_loses_readings_and_not_polls(bad_night: Callable[..., Any], for_s: float) -> None:
-    """Eight readings a second, asked for fifty times: rows and lost ones together are what its pace had promised."""
+def test_lost_readings_of_a_barometer_are_counted_at_its_own_rate(bad_night: Callable[..., Any], for_s: float) -> None:
+    """Eight readings a second, asked for fifty times: rows and lost readings together are what its rate would give."""
     table = f'[[fault]]\nkind="no_acknowledge"\nsensor="P"\nat_s=3.0\nfor_s={for_s}\n'
     done, log = bad_night(table, 30, P=0, A=1)
     with log:
@@ -93,7 +93,7 @@ def test_a_barometer_loses_readings_and_not_polls(bad_night: Callable[..., Any],
             assert count == pytest.approx(done.lost["P"], abs=2)  # its way back takes one or two more
 
 
-def test_a_reset_queue_starts_anew(bad_night: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_queue_restarts_after_a_reset(bad_night: Callable[..., Any], tmp_path: Path) -> None:
     array = parse_array(
         '[array]\nname="a"\n[[sensor]]\nname="Q"\nchip="l3g4200d"\naddress=0x68\nrange=250\nrate_hz=800\n'
         "bandwidth_hz=110\nfifo=true\n"
@@ -110,7 +110,7 @@ def test_a_reset_queue_starts_anew(bad_night: Callable[..., Any], tmp_path: Path
 
 
 @pytest.mark.slow
-def test_a_sensor_that_stands_still_for_good_is_set_up_ever_less_often(bad_night: Callable[..., Any]) -> None:
+def test_a_permanently_frozen_sensor_is_set_up_at_increasing_intervals(bad_night: Callable[..., Any]) -> None:
     table = '[[fault]]\nkind="frozen"\nsensor="B"\nat_s=3.0\nfor_s=1000\n'
     _, log = bad_night(table, 63, A=0, B=0)
     with log:
@@ -133,7 +133,7 @@ def test_a_sensor_that_stands_still_for_good_is_set_up_ever_less_often(bad_night
         1,
     ),
 )
-def test_what_stands_still_at_the_end_is_reported_once(
+def test_a_reading_that_is_frozen_at_the_end_is_reported_once(
     bad_night: Callable[..., Any], frames: int, messages: list[str]
 ) -> None:
     """A reading that stands still for a second, 50 rows, is frozen; a look for it every ten frames. Of the first log
@@ -148,10 +148,10 @@ def test_what_stands_still_at_the_end_is_reported_once(
         assert not np.asarray(log["A"].status).any()
 
 
-def test_at_the_end_nothing_unseen_is_called_good(
+def test_rows_without_a_later_check_are_suspect_at_the_end(
     an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
 ) -> None:
-    """From 4 s on nobody can read a configuration register back, though readings arrive."""
+    """From 4 s on no configuration register can be read back, though readings arrive."""
     array = an_array(B=0)
     bus = tapped(array, "", lambda call: call.read == 1 and call.at_ns > 4 * SECOND)
     record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=30)
@@ -162,7 +162,7 @@ def test_at_the_end_nothing_unseen_is_called_good(
         assert not (status[time < 2 * SECOND] & SUSPECT).any()
 
 
-def test_a_bus_of_its_own_goes_on_while_another_hangs(tmp_path: Path) -> None:
+def test_sensors_on_a_separate_bus_are_read_while_another_bus_hangs(tmp_path: Path) -> None:
     array = parse_array(
         '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=4\nrate_hz=800\n'
         '[[sensor]]\nname="B"\nchip="bma180"\naddress=0x40\nrange=2\nbus="/dev/i2c-11"\n'
@@ -191,12 +191,12 @@ def test_a_bus_of_its_own_goes_on_while_another_hangs(tmp_path: Path) -> None:
         assert not np.asarray(log["B"].status).any()
 
 
-def test_an_address_that_a_kernel_driver_has_is_refused_at_the_start(bad_night: Callable[..., Any]) -> None:
+def test_an_address_of_a_kernel_driver_is_refused_at_the_start(bad_night: Callable[..., Any]) -> None:
     with pytest.raises(SensorError, match=r"^B \(bma180\): channel 1 address 0x40 belongs to a driver of the kernel"):
         bad_night('[[fault]]\nkind="kernel_driver"\nsensor="B"\nfor_s=1\n', 1, A=0, B=1)
 
 
-def test_missed_frames_are_lost_readings_of_what_is_polled(bad_night: Callable[..., Any]) -> None:
+def test_missed_frames_are_lost_readings_of_polled_sensors(bad_night: Callable[..., Any]) -> None:
     done, log = bad_night('[[fault]]\nkind="stall"\nat_s=3.0\nfor_s=0.1\n', 4, A=0, B=1)
     with log:
         assert (done.late, done.missed, done.frames) == (1, 4, 196) or (done.missed, done.frames) == (5, 195)
@@ -207,7 +207,7 @@ def test_missed_frames_are_lost_readings_of_what_is_polled(bad_night: Callable[.
             assert time[after] - time[after - 2] > 100 * MS  # the reading in the midst of it has an uncertain time
 
 
-def test_a_sensor_that_comes_up_wrong_for_good_is_trusted_no_more(bad_night: Callable[..., Any]) -> None:
+def test_a_sensor_that_repeatedly_starts_in_another_state_stays_suspect(bad_night: Callable[..., Any]) -> None:
     def judge(readings: Any) -> dict[str, StateVerdict]:
         return {"G": StateVerdict(bool(readings["G"].mean() > 1000), "too much")} if "G" in readings else {}
 
@@ -219,7 +219,7 @@ def test_a_sensor_that_comes_up_wrong_for_good_is_trusted_no_more(bad_night: Cal
         assert not np.asarray(log["A"].status).any()
 
 
-def test_troubles_are_told_when_they_begin_and_when_they_lasted() -> None:
+def test_episodes_are_reported_at_their_begin_and_after_they_lasted() -> None:
     told = list[Any]()
     episode = FaultEpisode("lost", "readings lost", lambda *event: told.append(event))
     for at_ms in range(0, 500, 20):
@@ -235,7 +235,7 @@ def test_troubles_are_told_when_they_begin_and_when_they_lasted() -> None:
     assert told[2:] == [(9500 * MS, "lost", "gone")]
 
 
-def test_a_bad_night_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_logs_an_array_with_faults(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "a.toml").write_text(
         '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=4\nrate_hz=800\n'
     )

@@ -39,7 +39,7 @@ QUICK = ("icm42688 in 20 bits", "mpu9250")
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow, id=name) for name in QUEUES]
 )
-def test_every_sample_passes_the_link(name: str) -> None:
+def test_every_sample_of_a_queue_is_transferred_by_the_link(name: str) -> None:
     """Every row is what went over the wires of the microcontroller, and none is missing from its times."""
     array = array_of(name)
     _, register, _, rate_hz, lasting_ms = QUEUES[name]

@@ -1,4 +1,4 @@
-"""What a service manager hears, at a socket by path and at an abstract one; and the unit itself."""
+"""Notifications of a service manager, at a socket by path and at an abstract one; and the unit file."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def service(manager: Manager, time: Time, **more: str) -> Service:
     return Service({"NOTIFY_SOCKET": manager.address, **more}, time, 77)
 
 
-def test_the_first_rows_make_it_ready(manager: Manager) -> None:
+def test_the_first_stored_rows_report_ready(manager: Manager) -> None:
     told = service(manager, Time())
     told.stored(0)
     assert manager.heard() == []
@@ -71,7 +71,7 @@ def test_the_first_rows_make_it_ready(manager: Manager) -> None:
     assert manager.heard() == ["STOPPING=1\nSTATUS=finishing the log"]
 
 
-def test_the_watchdog_is_fed_by_rows_alone(manager: Manager) -> None:
+def test_only_stored_rows_reset_the_watchdog(manager: Manager) -> None:
     time = Time()
     told = service(manager, time, WATCHDOG_USEC="30000000", WATCHDOG_PID="77")
     rows, fed = 0, []
@@ -80,19 +80,19 @@ def test_the_watchdog_is_fed_by_rows_alone(manager: Manager) -> None:
         rows += 500 if second < 40 or second > 90 else 0  # for 50 s nothing is stored
         told.stored(rows)
         fed += [second] * any("WATCHDOG=1" in words for words in manager.heard())
-    assert fed == [0, 15, 30, 91]  # half of the allowed 30 s apart, and not while nothing came
+    assert fed == [0, 15, 30, 91]  # half of the allowed 30 s apart, and not while nothing was stored
 
 
 @pytest.mark.parametrize(
     "more",
     [{}, {"WATCHDOG_USEC": "0"}, {"WATCHDOG_USEC": "soon"}, {"WATCHDOG_USEC": "1", "WATCHDOG_PID": "78"}],
 )
-def test_nobody_watches(manager: Manager, more: dict[str, str]) -> None:
+def test_without_a_watchdog_none_is_reset(manager: Manager, more: dict[str, str]) -> None:
     service(manager, Time(), **more).stored(5)
     assert manager.heard() == ["READY=1\nSTATUS=recording, 5 rows stored"]
 
 
-def test_status_every_ten_seconds(manager: Manager) -> None:
+def test_the_status_is_sent_every_ten_seconds(manager: Manager) -> None:
     time = Time()
     told = service(manager, time)
     for second in range(25):
@@ -104,14 +104,14 @@ def test_status_every_ten_seconds(manager: Manager) -> None:
 
 
 @pytest.mark.parametrize("address", ["", "/no/such/socket", "@nobody-is-there", "vsock:2:9999", "notify", "@"])
-def test_nobody_is_there(address: str) -> None:
+def test_a_missing_or_invalid_socket_is_ignored(address: str) -> None:
     told = Service({"NOTIFY_SOCKET": address})
     told.stored(5)
     told.stopping()
     Service({}).stored(5)
 
 
-def test_a_manager_that_does_not_listen_holds_nobody_up(manager: Manager) -> None:
+def test_a_manager_that_does_not_read_does_not_block(manager: Manager) -> None:
     time = Time()
     told = service(manager, time, WATCHDOG_USEC="2")
     for rows in range(1, 2000):  # its queue is full long before
@@ -137,7 +137,7 @@ WANTED = {
 }
 
 
-def test_the_unit_says_what_it_should() -> None:
+def test_the_unit_has_the_expected_settings() -> None:
     lines = [line for line in UNIT.read_text(encoding="utf-8").splitlines() if "=" in line and line[0] not in "#;"]
     said = dict(line.split("=", 1) for line in lines)
     assert {name: said.get(name) for name in WANTED} == WANTED
@@ -146,7 +146,7 @@ def test_the_unit_says_what_it_should() -> None:
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
-def test_systemd_takes_the_unit(tmp_path: Path) -> None:
+def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
     """No complaint about a line of it; and by systemd's own measure it exposes little."""
     unit = tmp_path / "imuarray-log@martin2013.service"
     text = UNIT.read_text(encoding="utf-8").replace("/opt/imuarray/bin/imuarray", sys.executable)
@@ -158,15 +158,15 @@ def test_systemd_takes_the_unit(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout[-500:]
 
 
-def test_a_night_is_never_given_up() -> None:
+def test_the_unit_restarts_without_limit() -> None:
     lines = UNIT.read_text(encoding="utf-8").splitlines()
     assert "StartLimitIntervalSec=0" in lines  # systemd.unit(5): no limit
     assert "Restart=on-failure" in lines
     assert not any(line.startswith("StartLimitBurst") for line in lines)
 
 
-def test_the_unit_recovers_what_was_left(tmp_path: Path) -> None:
-    """Each log of this array that has a journal beside it, though the first can't be; and nobody else's."""
+def test_the_unit_recovers_logs_with_a_journal(tmp_path: Path) -> None:
+    """Each log of this array that has a journal, though the first can't be recovered; and no log of another array."""
     (line,) = [line for line in UNIT.read_text(encoding="utf-8").splitlines() if line.startswith("ExecStartPre=-")]
     program, logs = tmp_path / "imuarray", tmp_path / "logs of arrays"
     program.write_text('#!/bin/sh\necho "$@"\nexit 2\n')
@@ -190,8 +190,8 @@ def test_the_unit_recovers_what_was_left(tmp_path: Path) -> None:
     assert said() == [f"recover {logs}/bench-a_001.h5", f"recover {logs}/bench-a_002.h5"]
 
 
-def test_the_units_command_is_one_that_the_program_takes(tmp_path: Path) -> None:
-    """Its shell line with what systemd puts in (systemd.service(5): $$, %%, %i), and a program that tells its words."""
+def test_the_program_accepts_the_command_of_the_unit(tmp_path: Path) -> None:
+    """Its shell line with what systemd puts in (systemd.service(5): $$, %%, %i), and a program that prints them."""
     (line,) = [line for line in UNIT.read_text(encoding="utf-8").splitlines() if line.startswith("ExecStart=")]
     program = tmp_path / "imuarray"
     program.write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')

@@ -49,7 +49,7 @@ RESETS = {
 
 
 @pytest.mark.parametrize("name", some(reversed(SHIPPED), 1))
-def test_what_is_recorded_is_read_back_in_physical_units(name: str, tmp_path: Path) -> None:
+def test_recorded_values_are_read_back_in_physical_units(name: str, tmp_path: Path) -> None:
     die, sensors, (g, dps, degc) = SHIPPED[name]
     path = tmp_path / "run.h5"
     words = ["log", str(CONFIGS / f"{name}.toml"), "--bus", "emulated:?up=-Y", "-o", str(path), "--seconds", "0.3"]
@@ -69,8 +69,8 @@ def test_what_is_recorded_is_read_back_in_physical_units(name: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_what_answers_is_proposed_as_it_is(name: str) -> None:
-    on_i2c = Path(__file__).parents[1] / "data" / f"{name}_i2c.toml"  # on SPI nobody knows where to ask
+def test_the_proposal_matches_the_array(name: str) -> None:
+    on_i2c = Path(__file__).parents[1] / "data" / f"{name}_i2c.toml"  # on SPI there is no address to search
     array = load_array(on_i2c if on_i2c.exists() else CONFIGS / f"{name}.toml")
     with open_array(array) as bus:
         proposed = parse_array(propose(explore(bus), "emulated:"))
@@ -89,7 +89,7 @@ def test_what_answers_is_proposed_as_it_is(name: str) -> None:
         ("icm42688x8", 0x00, "identity 00, which is a line that no chip drives, expected 47"),
     ],
 )
-def test_another_chip_is_named_as_what_it_is(name: str, identity: int, said: str) -> None:
+def test_another_chip_is_named_by_its_type(name: str, identity: int, said: str) -> None:
     array = load_array(CONFIGS / f"{name}.toml")
     switches = {array.sensors[2].name: {"identity": identity}}
     with open_array(array, switches=switches) as bus, pytest.raises(SensorError, match=said) as refused:
@@ -98,7 +98,7 @@ def test_another_chip_is_named_as_what_it_is(name: str, identity: int, said: str
 
 
 @pytest.mark.parametrize("die", RESETS)
-def test_a_reset_die_is_set_up_again_by_either_half_and_the_other_is_left_alone(die: str) -> None:
+def test_either_half_sets_up_a_reset_die_and_does_not_touch_the_other(die: str) -> None:
     reset = RESETS[die]
     text = f'[array]\nname = "a"\n[[sensor]]\nname = "A"\nchip = "{die}_acc"\nrange = 4\naddress = {reset.address}\n'
     text += f'[[sensor]]\nname = "G"\nchip = "{die}_gyro"\nrange = 500\naddress = {reset.address}\n'

@@ -29,7 +29,7 @@ def half(name: str, channel: int = 0, **settings: Any) -> str:
     return f'[[sensor]]\nname = "{name}"\n' + "".join(f"{key} = {json.dumps(value)}\n" for key, value in wanted.items())
 
 
-def test_the_range_tells_which_half_of_a_chip_is_meant() -> None:
+def test_the_range_selects_the_half_of_a_chip() -> None:
     array = parse_array(HEAD + half("A", range=4.0) + half("G", range=500.0))
     assert [sensor.spec.quantity for sensor in array.sensors] == ["specific_force", "angular_rate"]
     assert [sensor.sensitivity for sensor in array.sensors] == [8192.0, 65.5]  # INV-40, INV-41
@@ -47,12 +47,12 @@ def test_the_range_tells_which_half_of_a_chip_is_meant() -> None:
         (half("G", range=3.0), "range 3: allowed are 2, 4, 8, 16, 250, 500, 1000, 2000"),
     ],
 )
-def test_halves_that_can_not_be_one_chip_are_refused(second: str, said: str) -> None:
+def test_halves_that_cannot_be_one_chip_are_refused(second: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         parse_array(HEAD + half("A", range=4.0) + second)
 
 
-def test_a_third_sensor_in_the_place_of_a_chip_is_refused() -> None:
+def test_a_third_sensor_at_the_address_of_a_chip_is_refused() -> None:
     with pytest.raises(ConfigError, match="are both at"):
         parse_array(HEAD + half("A", range=4.0) + half("G", range=500.0) + half("H", range=250.0))
 
@@ -66,7 +66,7 @@ def test_a_third_sensor_in_the_place_of_a_chip_is_refused() -> None:
         (0x00, "identity 00, expected 68"),
     ],
 )
-def test_another_chip_is_named_as_what_it_is(identity: int, said: str) -> None:
+def test_another_chip_is_named_by_its_type(identity: int, said: str) -> None:
     array = load_array(SHIPPED)
     with open_array(array, switches={"IMU3_acc": {"identity": identity}}) as bus:
         with pytest.raises(SensorError, match=said) as refused:
@@ -76,7 +76,7 @@ def test_another_chip_is_named_as_what_it_is(identity: int, said: str) -> None:
     assert [line.sensor for line in lines] == ["IMU3_acc", "IMU3_gyro"]
 
 
-def test_twins_are_marked_and_told_apart() -> None:
+def test_twins_are_marked_and_distinguished() -> None:
     array = load_array(SHIPPED)
     with open_array(array) as bus:
         routes = connect(array, bus)
@@ -86,7 +86,7 @@ def test_twins_are_marked_and_told_apart() -> None:
     assert marks == [1, 1, 2, 2, 3, 3, 4, 4]  # both halves of a die agree
 
 
-def test_what_answers_is_proposed_as_two_sensors() -> None:
+def test_a_six_axis_chip_is_proposed_as_two_sensors() -> None:
     array = load_array(SHIPPED)
     with open_array(array) as bus:
         text = propose(explore(bus), "emulated:")
@@ -95,7 +95,7 @@ def test_what_answers_is_proposed_as_two_sensors() -> None:
     assert {sensor.chip for sensor in proposed.sensors} == {"mpu6050_acc", "mpu6050_gyro"}
 
 
-def test_both_halves_are_of_one_die_and_one_instant() -> None:
+def test_both_halves_read_the_same_burst_of_one_die() -> None:
     array = parse_array(HEAD + half("A", range=4.0) + half("G", range=500.0))
     with open_array(array) as bus:
         assert bus.chips["A"] is bus.chips["G"]
@@ -106,12 +106,12 @@ def test_both_halves_are_of_one_die_and_one_instant() -> None:
 
 
 def run(*words: str) -> None:
-    """Run a command, which must do what it was asked."""
+    """Run a command, which must succeed."""
     assert main(list(words)) == 0
 
 
 @pytest.mark.slow
-def test_a_chip_that_falls_asleep_is_flagged_within_a_second_and_woken(tmp_path: Path) -> None:
+def test_a_sleeping_chip_is_flagged_within_a_second_and_woken(tmp_path: Path) -> None:
     faults = tmp_path / "faults.toml"
     faults.write_text('[[fault]]\nkind = "reset"\nsensor = "IMU2_acc"\nat_s = 4.0\n')
     path = tmp_path / "run.h5"
@@ -143,10 +143,10 @@ MIXED = (
 
 
 @pytest.mark.slow
-def test_an_array_of_old_and_new_chips_from_log_to_diagnosis(
+def test_an_array_of_old_and_new_chips_is_logged_fused_and_diagnosed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Logs, calibrates, fuses and is diagnosed: nothing is found that the emulated chips do not have."""
+    """Logged, calibrated, fused and diagnosed: no effect is diagnosed that the emulated chips do not have."""
     config, tumble, still = tmp_path / "mixed.toml", tmp_path / "tumble.h5", tmp_path / "still.h5"
     calibration, fused = tmp_path / "cal.toml", tmp_path / "fused.h5"
     config.write_text(MIXED)

@@ -32,7 +32,7 @@ SHIPPED = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 
 
 @pytest.mark.slow
-def test_the_papers_array_is_logged_as_it_went_over_the_wire(tmp_path: Path) -> None:
+def test_the_log_of_the_papers_array_equals_the_bytes_on_the_wire(tmp_path: Path) -> None:
     array = load_array(SHIPPED)
     bench = Bench(array, "world=shaking&still_s=0.5&motion_s=5", drift=2e-3, counter_us=(1 << 32) - 4_000_000)
     summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=200, seconds=4)
@@ -51,7 +51,7 @@ def test_the_papers_array_is_logged_as_it_went_over_the_wire(tmp_path: Path) -> 
     assert events(tmp_path / "r.h5") == []
 
 
-def test_the_barometer_is_asked_in_its_turn(tmp_path: Path) -> None:
+def test_the_barometer_is_read_after_its_conversions(tmp_path: Path) -> None:
     array = load_array(SHIPPED).only(("BMP180", "ADXL1"))
     bench = Bench(array, "world=heating&scale=0.01")
     summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=150, seconds=3)
@@ -74,7 +74,7 @@ def test_the_barometer_is_asked_in_its_turn(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", some(range(5), 1))
-def test_a_bad_line_costs_readings_and_never_makes_any(
+def test_a_bad_line_loses_readings_and_never_invents_any(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, seed: int
 ) -> None:
     array = an_array(A=0, G=1, B=None)
@@ -108,7 +108,9 @@ def test_a_bad_line_costs_readings_and_never_makes_any(
 
 
 @pytest.mark.slow
-def test_a_sensor_that_is_unplugged_for_a_while(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+def test_a_sensor_that_is_unplugged_for_a_while_is_logged_again(
+    an_array: Callable[..., ArrayConfig], tmp_path: Path
+) -> None:
     array = an_array(A=0, G=0)
     bench = Bench(array)
 
@@ -128,7 +130,7 @@ def test_a_sensor_that_is_unplugged_for_a_while(an_array: Callable[..., ArrayCon
 
 
 @pytest.mark.slow
-def test_a_lost_channel_spoils_what_is_behind_it_and_is_told(
+def test_a_lost_channel_discards_its_readings_and_is_reported(
     an_array: Callable[..., ArrayConfig], tmp_path: Path
 ) -> None:
     array = an_array(A0=0, A1=1)
@@ -175,7 +177,7 @@ def test_a_chip_that_lost_its_settings_is_flagged_and_set_up_again(
 
 
 @pytest.mark.slow
-def test_when_a_reset_is_noticed(tmp_path: Path) -> None:
+def test_a_reset_is_reported_at_the_time_of_its_detection(tmp_path: Path) -> None:
     array = load_array(SHIPPED)
     bench = Bench(array)
     noticed: list[int] = []
@@ -193,12 +195,14 @@ def test_when_a_reset_is_noticed(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_microcontroller_is_reset(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+def test_the_stream_restarts_after_a_reset_of_the_microcontroller(
+    an_array: Callable[..., ArrayConfig], tmp_path: Path
+) -> None:
     array = an_array(A=0, G=0)
     bench = Bench(array, counter_us=2_000_000_000)
 
     def reset() -> None:
-        bench.firmware.__init__(bench, bench.clock)  # type: ignore[misc]  # another life, counting from 0
+        bench.firmware.__init__(bench, bench.clock)  # type: ignore[misc]  # it restarts and counts from 0
 
     summary, start_ns = stream(bench, array, tmp_path / "r.h5", seconds=8, at={2.0: reset})
     time, counts, status = logged(tmp_path / "r.h5", "G")
@@ -215,7 +219,9 @@ def test_the_microcontroller_is_reset(an_array: Callable[..., ArrayConfig], tmp_
     assert len(time) + summary.lost["G"] == pytest.approx(800, abs=2)
 
 
-def test_the_port_is_pulled_out_and_put_back(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+def test_the_stream_restarts_after_the_port_is_unplugged_and_plugged_in(
+    an_array: Callable[..., ArrayConfig], tmp_path: Path
+) -> None:
     array = an_array(A=0)
     bench = Bench(array)
 
@@ -230,21 +236,23 @@ def test_the_port_is_pulled_out_and_put_back(an_array: Callable[..., ArrayConfig
     assert summary.frames == 800
 
 
-def test_pulled_out_for_good_it_still_ends(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+def test_a_recording_ends_also_when_the_port_stays_unplugged(
+    an_array: Callable[..., ArrayConfig], tmp_path: Path
+) -> None:
     array = an_array(A=0)
     bench = Bench(array)
     summary, _ = stream(bench, array, tmp_path / "r.h5", seconds=4, at={2.0: bench.unplug})
     time, _, status = logged(tmp_path / "r.h5", "A")
     assert len(time) + summary.lost["A"] == summary.frames == 400
     assert 195 <= len(time) <= 205
-    assert status[-1] & SUSPECT  # nobody could vouch for the last rows
+    assert status[-1] & SUSPECT  # the last rows have no later check
     assert not status[0] & SUSPECT
     with open_log(tmp_path / "r.h5") as log:
         noted_s = [event.time_ns / S for event in log.events if event.kind == "link"]
     assert noted_s[0] == pytest.approx(2.0, abs=0.1)  # counted from the epoch of the log, as rows are
 
 
-def test_pulled_out_after_its_last_frame_nothing_is_lost(
+def test_unplugging_after_the_last_frame_loses_nothing(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The stream can't be stopped any more, but all 400 frames are there."""
@@ -259,7 +267,7 @@ def test_pulled_out_after_its_last_frame_nothing_is_lost(
     assert len(logged(tmp_path / "r.h5", "A")[0]) == 400
 
 
-def test_stopped_while_it_is_pulled_out_what_it_missed_is_counted(
+def test_readings_missed_until_a_stop_while_unplugged_are_counted(
     an_array: Callable[..., ArrayConfig], tmp_path: Path
 ) -> None:
     array = an_array(A=0)
@@ -268,13 +276,13 @@ def test_stopped_while_it_is_pulled_out_what_it_missed_is_counted(
         bench, array, tmp_path / "r.h5", seconds=None, at={2.0: bench.unplug, 7.0: lambda: StopIteration}
     )
     assert len(logged(tmp_path / "r.h5", "A")[0]) + summary.lost["A"] == summary.frames
-    assert summary.frames == pytest.approx(700, abs=40)  # it looks now and then whether it is to stop
+    assert summary.frames == pytest.approx(700, abs=40)  # a stop is checked at intervals
 
 
-def test_stopped_shortly_after_it_was_pulled_out_what_it_missed_is_counted(
+def test_readings_missed_until_a_stop_shortly_after_unplugging_are_counted(
     an_array: Callable[..., ArrayConfig], tmp_path: Path
 ) -> None:
-    """The silence is shorter than a pause of the microcontroller, but the port is gone."""
+    """The silence is shorter than a pause of the microcontroller, but the port is unplugged."""
     array = an_array(A=0)
     bench = Bench(array)
     summary, _ = stream(
@@ -286,7 +294,7 @@ def test_stopped_shortly_after_it_was_pulled_out_what_it_missed_is_counted(
     assert rows + summary.lost["A"] == summary.frames
 
 
-def test_until_it_is_told_to_stop(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+def test_a_stream_without_a_duration_runs_until_the_stop(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
     array = an_array(A=0)
     summary, _ = stream(Bench(array), array, tmp_path / "r.h5", seconds=None, at={1.0: lambda: StopIteration})
     assert summary.frames == pytest.approx(100, abs=6)
@@ -294,7 +302,9 @@ def test_until_it_is_told_to_stop(an_array: Callable[..., ArrayConfig], tmp_path
 
 
 @pytest.mark.slow
-def test_registers_that_nobody_can_read_back(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+def test_rows_are_suspect_where_registers_cannot_be_read_back(
+    an_array: Callable[..., ArrayConfig], tmp_path: Path
+) -> None:
     array = an_array(A=0, G=0)
     bench = Bench(array)
 
@@ -303,7 +313,7 @@ def test_registers_that_nobody_can_read_back(an_array: Callable[..., ArrayConfig
 
     stream(bench, array, tmp_path / "r.h5", rate_hz=50, seconds=30, at={5.0: deaf})
     time, _, status = logged(tmp_path / "r.h5", "A")
-    assert len(time) == 1500  # not held back for ever, and not believed
+    assert len(time) == 1500  # written all the same, and suspect
     suspect = time[(status & SUSPECT) != 0]
     assert suspect[0] == pytest.approx(5.0 * S, abs=0.9 * S)
     assert len(suspect) == (time >= suspect[0]).sum()
@@ -311,7 +321,7 @@ def test_registers_that_nobody_can_read_back(an_array: Callable[..., ArrayConfig
 
 
 @pytest.mark.slow
-def test_a_chip_whose_reading_stands_still(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+def test_a_frozen_chip_is_flagged_and_set_up_again(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
     array = an_array(A=0, G=0)
     bench = Bench(array)
     kept: list[bytes] = []
@@ -339,7 +349,9 @@ def test_a_chip_whose_reading_stands_still(an_array: Callable[..., ArrayConfig],
 
 
 @pytest.mark.slow
-def test_a_sensor_that_came_up_wrong(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+def test_a_sensor_in_another_start_up_state_is_set_up_again(
+    an_array: Callable[..., ArrayConfig], tmp_path: Path
+) -> None:
     array = an_array(A=0, G=0)
     asked: list[int] = []
 
@@ -367,7 +379,7 @@ def test_a_queue_is_not_streamed(an_array: Callable[..., ArrayConfig]) -> None:
             plan(routes, 50)
 
 
-def test_no_room_for_so_many_lists(
+def test_more_lists_than_the_firmware_has_room_for_are_refused(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serial_firmware, "LISTS", 3)
@@ -378,7 +390,7 @@ def test_no_room_for_so_many_lists(
 
 
 @pytest.mark.campaign
-def test_until_both_counters_have_wrapped_by_themselves(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+def test_times_continue_when_both_counters_wrap(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
     array = an_array(A=0)
     bench = Bench(array, drift=5e-4)
     summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=25, seconds=4500)  # 2^32 us are 4295 s
@@ -397,17 +409,17 @@ class TestPlan:
         return plan(connect(array, bus), rate_hz), bus, array
 
     @pytest.mark.parametrize("rate_hz", [1.0, 48.0, 100.0, 200.0, 400.0])
-    def test_fits_into_the_papers_microcontroller(self, rate_hz: float) -> None:
+    def test_the_plan_fits_into_the_papers_microcontroller(self, rate_hz: float) -> None:
         found, bus, _ = self.the(rate_hz)
         bus.start(found.lists, round(1e6 / rate_hz))
 
-    def test_one_list_for_all_that_is_read_in_every_frame(self) -> None:
+    def test_one_list_holds_all_requests_of_every_frame(self) -> None:
         found, _, _ = self.the(50.0)
         assert [len(found.lists[0].requests), found.lists[0].every] == [9 + 2, 1]
         # list number, ages, 4 BMA180 of 7 bytes, 2 ADXL345 and 3 L3G4200D of 8
         assert found.lists[0].size == 1 + 2 * 11 + 4 * 7 + 5 * 8
 
-    def test_every_register_twice_within_a_second(self) -> None:
+    def test_every_register_is_read_twice_within_a_second(self) -> None:
         found, _, _ = self.the(48.0)
         places = [watched.place for watched in found.watched]
         assert all(2 * place.every / 48.0 < 1 for place in places)
@@ -428,7 +440,7 @@ class TestPlan:
         assert 0 <= taken[0] <= taken[-1] < every
         assert apart.max() - apart.min() <= 1
 
-    def test_conversions_have_their_time(self) -> None:
+    def test_readings_wait_for_their_conversions(self) -> None:
         for rate_hz in (0.1, 1.0, 9.0, 30.0, 100.0, 200.0, 1000.0):
             found, _, array = self.the(rate_hz)
             start, temperature, pressure = found.visits[[sensor.name for sensor in array.sensors].index("BMP180")]

@@ -1,7 +1,7 @@
 """Queues that a microcontroller drains by their own count (LSM6DSO, MPU-6050, MPU-6500), whatever happens on the line.
 
 The world is a clock: the specific force along x is the share of the present second that has passed, so that each row
-tells when its sample was taken; y and z are 0, so that bytes that were shifted show. A row is good if its time in the
+shows when its sample was taken; y and z are 0, so that bytes that were shifted show. A row is good if its time in the
 log differs from that by no more than the log states.
 """
 
@@ -84,7 +84,7 @@ def check(
 
 
 @pytest.mark.parametrize("die", EVERY_DIE)
-def test_every_sample_arrives_at_its_time(die: str, tmp_path: Path) -> None:
+def test_every_sample_is_logged_at_its_time(die: str, tmp_path: Path) -> None:
     array = array_of(die)
     bench = bench_of(array, die, drift=-2e-4)
     summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=50, seconds=3)
@@ -99,7 +99,7 @@ def test_every_sample_arrives_at_its_time(die: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("die", "half"), [("lsm6dso", "acc"), ("mpu6050", "acc")])
-def test_one_half_alone(die: str, half: str, tmp_path: Path) -> None:
+def test_one_half_alone_is_streamed(die: str, half: str, tmp_path: Path) -> None:
     array = array_of(die, (half,))
     summary, start_ns = stream(bench_of(array, die), array, tmp_path / "r.h5", rate_hz=31, seconds=3)
     assert set(summary.lost.values()) == {0}
@@ -109,7 +109,7 @@ def test_one_half_alone(die: str, half: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("die", DIES)
 @pytest.mark.parametrize("seed", some(range(4), 1))
-def test_a_bad_line_makes_no_samples(seed: int, die: str, tmp_path: Path) -> None:
+def test_a_bad_line_invents_no_samples(seed: int, die: str, tmp_path: Path) -> None:
     array = array_of(die)
     bench = bench_of(array, die, drift=-1e-3)
     line = bench.delivered = BadLine(seed, 0.03, repeats=True)
@@ -122,8 +122,8 @@ def test_a_bad_line_makes_no_samples(seed: int, die: str, tmp_path: Path) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("die", DIES)
 @pytest.mark.parametrize("held_ms", [15, 400])
-def test_a_microcontroller_that_is_late(held_ms: int, die: str, tmp_path: Path) -> None:
-    """The queue bridges a short pause; after a long one the chip says that it ran over."""
+def test_a_counted_queue_bridges_a_short_pause_of_the_microcontroller(held_ms: int, die: str, tmp_path: Path) -> None:
+    """The queue bridges a short pause; after a long one the chip reports that it ran over."""
     array = array_of(die)
     bench = bench_of(array, die)
     held: list[int] = []
@@ -145,8 +145,8 @@ def test_a_microcontroller_that_is_late(held_ms: int, die: str, tmp_path: Path) 
 @pytest.mark.slow
 @pytest.mark.parametrize("die", DIES)
 @pytest.mark.parametrize("errno", [121, 110])
-def test_transactions_that_fail(errno: int, die: str, tmp_path: Path) -> None:
-    """Nobody acknowledges, or the clock is held, now and then: within a drain, too."""
+def test_failed_transactions_give_no_wrong_rows(errno: int, die: str, tmp_path: Path) -> None:
+    """No acknowledgement, or a clock that is held low, at intervals: within a drain, too."""
     array = array_of(die)
     bench = bench_of(array, die)
     draw = np.random.default_rng(1)
@@ -174,8 +174,8 @@ def test_transactions_that_fail(errno: int, die: str, tmp_path: Path) -> None:
         assert log["acc"].time[-1] > 7.5 * S
 
 
-def test_firmware_that_cannot_count_leaves_these_queues_to_the_host() -> None:
+def test_queues_are_drained_by_the_host_where_the_firmware_cannot_count() -> None:
     array = array_of("lsm6dso")
-    bench = Bench(array)  # says nothing of features
+    bench = Bench(array)  # reports no features
     with bench.bus() as bus:
         assert not streams(bus, connect(array, bus))

@@ -150,7 +150,7 @@ def test_each_row_is_a_packet_at_the_time_of_its_stamp(frames_hz: float, drift: 
 
 
 @pytest.mark.campaign
-def test_eight_chips_at_1_khz(tmp_path: Path) -> None:
+def test_eight_chips_at_1_khz_are_streamed(tmp_path: Path) -> None:
     array = array_of(8)
     bench = bench_of(array)
     summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=20, seconds=2)
@@ -160,7 +160,7 @@ def test_eight_chips_at_1_khz(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("half", ["gyro", "acc"])
-def test_one_half_alone_in_packets_without_stamps(half: str, tmp_path: Path) -> None:
+def test_one_half_alone_is_streamed_in_packets_without_stamps(half: str, tmp_path: Path) -> None:
     array = array_of(1, halves=(half,))
     bench = bench_of(array)
     summary, _ = stream(bench, array, tmp_path / "r.h5", rate_hz=20, seconds=2)
@@ -177,7 +177,7 @@ def test_one_half_alone_in_packets_without_stamps(half: str, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_packets_of_high_resolution(tmp_path: Path) -> None:
+def test_packets_of_high_resolution_are_decoded(tmp_path: Path) -> None:
     array = parse_array(
         "".join(
             f'[[sensor]]\nname="I0_{half}"\nchip="icm42688"\nbus="/dev/spidev0.0"\nrange={full_scale}\nrate_hz=1000\n'
@@ -203,7 +203,7 @@ def test_packets_of_high_resolution(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", some(range(4), 1))
-def test_a_bad_line_costs_packets_and_never_makes_any(seed: int, tmp_path: Path) -> None:
+def test_a_bad_line_loses_packets_and_never_invents_any(seed: int, tmp_path: Path) -> None:
     array = array_of(2)
     bench = bench_of(array, drift=-1e-3)
     line = bench.delivered = BadLine(seed, 0.03, repeats=True)
@@ -213,7 +213,7 @@ def test_a_bad_line_costs_packets_and_never_makes_any(seed: int, tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_a_link_that_is_dead_for_a_while_is_a_gap_of_known_length(tmp_path: Path) -> None:
+def test_an_interruption_of_the_link_is_a_gap_of_known_length(tmp_path: Path) -> None:
     """As long as two turns of the chips' time stamps, which alone would show no gap."""
     array = array_of(2)
     bench = bench_of(array)
@@ -233,10 +233,8 @@ def test_a_link_that_is_dead_for_a_while_is_a_gap_of_known_length(tmp_path: Path
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("held_ms", "is_lost"), [(90, False), (400, True)])
-def test_a_microcontroller_that_is_late_finds_the_samples_in_the_queue(
-    held_ms: int, is_lost: bool, tmp_path: Path
-) -> None:
-    """A queue of 128 packets bridges a pause; a longer one loses samples, which the chip says."""
+def test_the_queue_bridges_a_short_pause_of_the_microcontroller(held_ms: int, is_lost: bool, tmp_path: Path) -> None:
+    """A queue of 128 packets bridges a pause; a longer one loses samples, which the chip reports."""
     array = array_of(2)
     bench = bench_of(array)
     held: list[int] = []
@@ -256,7 +254,7 @@ def test_a_microcontroller_that_is_late_finds_the_samples_in_the_queue(
         assert ("I0_acc", "lost", "no reading: the chip's queue ran over") in events(tmp_path / "r.h5")
 
 
-def test_packets_that_arrive_during_the_burst_are_taken(tmp_path: Path) -> None:
+def test_packets_that_arrive_during_the_burst_are_kept(tmp_path: Path) -> None:
     """More packets than were counted: the count is lowered by one packet where there is one."""
     array = array_of(1, rate_hz=500)
     bench = bench_of(array)
@@ -313,8 +311,8 @@ def test_bytes_that_are_no_samples_are_not_stored(spoil: Callable[[bytes], bytes
 
 
 @pytest.mark.slow
-def test_a_line_that_nobody_drives_gives_no_rows(tmp_path: Path) -> None:
-    """FF in every byte is an impossible count: no rows meanwhile, and none is made up."""
+def test_an_undriven_line_gives_no_rows(tmp_path: Path) -> None:
+    """FF in every byte is an impossible count: no rows meanwhile, and none is invented."""
     array = array_of(1)
     bench = bench_of(array)
     dead: list[int] = []
@@ -354,7 +352,7 @@ def test_a_chip_that_was_reset_is_set_up_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_microcontroller_that_is_reset(tmp_path: Path) -> None:
+def test_the_stream_restarts_after_a_reset_of_the_microcontroller(tmp_path: Path) -> None:
     array = array_of(2)
     bench: Any = bench_of(array, counter_us=2_000_000_000)
 
@@ -375,8 +373,8 @@ def test_a_microcontroller_that_is_reset(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_port_is_pulled_out_for_good(tmp_path: Path) -> None:
-    """What was read before is stored, and what did not come any more is counted."""
+def test_a_port_that_stays_unplugged_keeps_the_rows_read_before(tmp_path: Path) -> None:
+    """Rows read before are stored, and missing rows are counted."""
     array = array_of(1)
     bench = bench_of(array)
     summary, _ = stream(bench, array, tmp_path / "r.h5", rate_hz=20, seconds=5, at={2.0: bench.unplug})
@@ -387,7 +385,7 @@ def test_the_port_is_pulled_out_for_good(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_queue_beside_sensors_that_are_polled(tmp_path: Path) -> None:
+def test_a_queue_and_polled_sensors_are_streamed_together(tmp_path: Path) -> None:
     array = array_of(1, sensor='[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=4\nrate_hz=400\n')
     bench = bench_of(array)
     summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=40, seconds=2)
@@ -399,7 +397,7 @@ def test_a_queue_beside_sensors_that_are_polled(tmp_path: Path) -> None:
     assert np.abs(time + start_ns - wire_time[:80]).max() < 20_000
 
 
-def test_the_bytes_on_the_line_of_eight_chips_at_1_khz() -> None:
+def test_the_bytes_of_eight_chips_at_1_khz_match_the_calculation() -> None:
     """On paper, at 20 frames a second: visits of 100 Hz, room for ceil(11.5) + 1 packets of 16 bytes behind 3 bytes,
     2 bytes for the age; four chips to a list, with 1 byte for its number and 15 for the frame.
     """

@@ -82,7 +82,7 @@ def injected(
         if not piece or piece[4] != DATA:
             return piece
         if not tape.frames:
-            end_ns[0] = bench.now_ns() + round((SECONDS - 0.2) * 1e9)  # what comes at the very end nobody reads
+            end_ns[0] = bench.now_ns() + round((SECONDS - 0.2) * 1e9)  # bytes at the very end are not read
         extra = Injection(b"", 0)
         if tape.frames and draw.random() < chance and bench.now_ns() < end_ns[0]:
             extra = inject(tape, draw)
@@ -140,7 +140,7 @@ REPLAYS = [one_old_frame, the_last_frame_again, a_recent_span, recent_bytes, a_s
 @pytest.mark.parametrize("inject", some(REPLAYS, 1))
 @pytest.mark.parametrize("counter_us", some([(1 << 32) - 3_000_000, 70_000_000], 1))  # it wraps after 3 s
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_a_replayed_frame_costs_itself_alone(
+def test_a_replayed_frame_is_refused_and_loses_no_other(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, inject: Inject, counter_us: int, seed: int
 ) -> None:
     array = an_array(A=0, G=1, B=None)
@@ -158,7 +158,9 @@ def test_a_replayed_frame_costs_itself_alone(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("later_us", some([-1_000_000_000, -2_300_000, -37_000, 13_000, 37_000, 400_000, 1 << 31], 1))
-def test_frames_of_an_earlier_boot(an_array: Callable[..., ArrayConfig], tmp_path: Path, later_us: int) -> None:
+def test_frames_of_an_earlier_boot_are_refused(
+    an_array: Callable[..., ArrayConfig], tmp_path: Path, later_us: int
+) -> None:
     """Its counter stood elsewhere when it was started: `later_us` is by how much."""
     array = an_array(A=0, G=1, B=None)
     tape = previous_boot(array, tmp_path / "old.h5", (70_000_000 + later_us) % (1 << 32))
@@ -180,7 +182,7 @@ def test_frames_of_an_earlier_boot(an_array: Callable[..., ArrayConfig], tmp_pat
 
 
 @pytest.mark.slow
-def test_frames_of_an_earlier_boot_that_nothing_tells_from_the_true_ones(
+def test_frames_of_an_earlier_boot_with_equal_counters_are_refused_or_replace_the_true_frame(
     an_array: Callable[..., ArrayConfig], tmp_path: Path
 ) -> None:
     """Two boots that were started at the same count of their counters send the same frames at the same counts. What is
@@ -203,7 +205,7 @@ def test_frames_of_an_earlier_boot_that_nothing_tells_from_the_true_ones(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 5))])
-def test_what_is_reordered_costs_no_more_than_what_was_moved(
+def test_reordered_frames_lose_no_more_than_the_moved_frames(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, seed: int
 ) -> None:
     """Spans of frames arrive later than those behind them: in order again if together, refused if much later."""
@@ -244,7 +246,7 @@ def test_what_is_reordered_costs_no_more_than_what_was_moved(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
-def test_bytes_inserted_anywhere_cost_at_most_the_frame_that_they_split(
+def test_inserted_bytes_lose_at_most_the_frame_that_they_split(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, seed: int
 ) -> None:
     array = an_array(A=0, G=1, B=None)
@@ -274,7 +276,7 @@ def test_bytes_inserted_anywhere_cost_at_most_the_frame_that_they_split(
 
 
 @pytest.mark.slow
-def test_the_number_of_refused_frames_is_told_with_the_time(
+def test_the_number_of_refused_frames_is_reported_over_time(
     an_array: Callable[..., ArrayConfig], tmp_path: Path
 ) -> None:
     array = an_array(A=0, G=1, B=None)

@@ -52,7 +52,7 @@ def check_as_on_the_wire(bench: Bench, path: Path, start_ns: int, select_of: dic
 
 
 @pytest.mark.parametrize("selects", some([((0, 1),), ((5, 2),)], 1))
-def test_two_chips_are_logged_as_they_went_over_the_wires(tmp_path: Path, selects: tuple[int, ...]) -> None:
+def test_the_log_of_two_chips_equals_the_bytes_on_the_wires(tmp_path: Path, selects: tuple[int, ...]) -> None:
     array = array_of(2, lambda chip: selects[chip])
     bench = Bench(array, "world=shaking&still_s=0.2&motion_s=5", selects=8, drift=-1e-3)
     summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=250, seconds=1)
@@ -61,7 +61,7 @@ def test_two_chips_are_logged_as_they_went_over_the_wires(tmp_path: Path, select
 
 
 @pytest.mark.campaign
-def test_eight_chips_at_1_khz(tmp_path: Path) -> None:
+def test_eight_chips_at_1_khz_are_streamed(tmp_path: Path) -> None:
     array = array_of(8)
     bench = Bench(array, "world=shaking&still_s=0.2&motion_s=5", selects=8)
     summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=1000, seconds=0.4)
@@ -69,7 +69,7 @@ def test_eight_chips_at_1_khz(tmp_path: Path) -> None:
     check_as_on_the_wire(bench, tmp_path / "r.h5", start_ns, {f"I{chip}": chip for chip in range(8)})
 
 
-def test_both_halves_of_a_chip_are_read_at_once() -> None:
+def test_both_halves_of_a_chip_are_read_in_one_request() -> None:
     with Bench(array_of(8), selects=8).bus() as bus:
         lists = plan(connect(array_of(8), bus), 1000.0).lists
     assert [len(lists[0].requests), lists[0].every] == [8, 1]
@@ -83,7 +83,7 @@ def test_a_chip_that_is_missing_is_named() -> None:
 
 
 @pytest.mark.parametrize(("selects", "path"), [(0, "/dev/spidev0.0"), (4, "/dev/spidev0.4"), (8, "/dev/spidev1.0")])
-def test_a_chip_select_that_there_is_not(selects: int, path: str) -> None:
+def test_a_chip_select_that_does_not_exist_is_refused(selects: int, path: str) -> None:
     array = parse_array(f'[array]\nname="s"\n[[sensor]]\nname="I0"\nbus="{path}"\nrange=4\n{ICM42688}')
     reason = f"I0: chip select {path}: this microcontroller has {selects} chip selects"
     with Bench(array, selects=selects).bus() as bus, pytest.raises(BusUrlError, match=reason):
@@ -100,7 +100,7 @@ def test_after_a_reset_the_chip_selects_are_set_again(tmp_path: Path) -> None:
         bench.buses.__init__(bench.emulated)
         inner = bench.buses.set_select
         bench.set_select = lambda *setting: (settings.append(setting), inner(*setting))[1]
-        bench.firmware.__init__(bench, bench.clock, selects=8)  # another life, counting from 0
+        bench.firmware.__init__(bench, bench.clock, selects=8)  # it restarts and counts from 0
 
     summary, _ = stream(bench, array, tmp_path / "r.h5", seconds=7, at={2.0: reset})
     assert settings == [(0, 3, 24_000_000)]

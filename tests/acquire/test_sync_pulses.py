@@ -44,7 +44,7 @@ def recorded(array: ArrayConfig, path: Path, seconds: float, switches: Any = OSC
 
 
 @pytest.mark.parametrize("die", some(DIES, 1))
-def test_rows_after_pulses_tell_when_the_pulses_were(die: str, tmp_path: Path) -> None:
+def test_rows_after_pulses_contain_the_time_of_the_pulse(die: str, tmp_path: Path) -> None:
     """Pulses are at whole multiples of their period on the bus's clock; a row's time is uncertain as the log states."""
     seconds = 1.5 if die == "icm42688" else 6.0
     start_ns = recorded(array_of(die), tmp_path / "run.h5", seconds)
@@ -68,7 +68,7 @@ def test_rows_after_pulses_tell_when_the_pulses_were(die: str, tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_marks_are_no_part_of_readings(tmp_path: Path) -> None:
+def test_marks_of_pulses_are_removed_from_readings(tmp_path: Path) -> None:
     """The lowest bit of the temperature (MPU-6050) or of the gyroscope's z (LSM6DSO) is 0 in the log."""
     recorded(array_of("mpu6050"), tmp_path / "mpu.h5", 1.0)
     recorded(array_of("lsm6dso"), tmp_path / "lsm.h5", 1.0)
@@ -107,7 +107,7 @@ def test_a_queue_with_pulses_that_ran_over_is_flagged(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_export_has_the_pulses(tmp_path: Path) -> None:
+def test_an_export_contains_the_pulses(tmp_path: Path) -> None:
     """The frequency is that of the URL; the column is in exports and in xarray."""
     config = tmp_path / "a.toml"
     config.write_text(array_of("mpu9250").text)
@@ -137,7 +137,7 @@ def test_without_pulses_no_row_is_marked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("value", ["-1", "2e6", "many"])
-def test_other_frequencies_of_pulses_are_refused(value: str) -> None:
+def test_invalid_frequencies_of_pulses_are_refused(value: str) -> None:
     with pytest.raises(ValueError, match="pulse_hz"):
         open_bus({"pulse_hz": value}, array_of("icm42688"))
 
@@ -164,12 +164,12 @@ def test_other_frequencies_of_pulses_are_refused(value: str) -> None:
         ),
     ],
 )
-def test_what_cannot_have_pulses_is_refused(text: str, complaint: str) -> None:
+def test_a_sensor_that_cannot_have_pulses_is_refused(text: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         parse_array(f'[array]\nname = "a"\n[[sensor]]\nname = "A"\n{text}sync_pulse = true\n')
 
 
-def test_both_halves_of_a_chip_have_pulses_or_none() -> None:
+def test_both_halves_of_a_chip_must_agree_on_pulses() -> None:
     text = array_of("mpu6050").text.replace("sync_pulse = true", "sync_pulse = false", 1)
     with pytest.raises(ConfigError, match="are one mpu6050: sync_pulse is the same for both"):
         parse_array(text)

@@ -6,34 +6,34 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.acquire.test_serial_queue import test_every_sample_passes_the_link
+from tests.acquire.test_serial_queue import test_every_sample_of_a_queue_is_transferred_by_the_link
 from tests.acquire.test_stream_counted_queue import (
-    test_a_bad_line_makes_no_samples,
-    test_a_microcontroller_that_is_late,
-    test_every_sample_arrives_at_its_time,
-    test_transactions_that_fail,
+    test_a_bad_line_invents_no_samples,
+    test_a_counted_queue_bridges_a_short_pause_of_the_microcontroller,
+    test_every_sample_is_logged_at_its_time,
+    test_failed_transactions_give_no_wrong_rows,
 )
 from tests.acquire.test_stream_queue import (
-    test_a_bad_line_costs_packets_and_never_makes_any,
-    test_a_microcontroller_that_is_late_finds_the_samples_in_the_queue,
-    test_a_microcontroller_that_is_reset,
+    test_a_bad_line_loses_packets_and_never_invents_any,
     test_each_row_is_a_packet_at_the_time_of_its_stamp,
-    test_packets_that_arrive_during_the_burst_are_taken,
+    test_packets_that_arrive_during_the_burst_are_kept,
+    test_the_queue_bridges_a_short_pause_of_the_microcontroller,
+    test_the_stream_restarts_after_a_reset_of_the_microcontroller,
 )
 from tests.bus import serial_bench
 from tests.firmware.build import CoreFirmware
 
 __all__ = [
-    "test_a_bad_line_costs_packets_and_never_makes_any",
-    "test_a_bad_line_makes_no_samples",
-    "test_a_microcontroller_that_is_late",
-    "test_a_microcontroller_that_is_late_finds_the_samples_in_the_queue",
-    "test_a_microcontroller_that_is_reset",
+    "test_a_bad_line_invents_no_samples",
+    "test_a_bad_line_loses_packets_and_never_invents_any",
+    "test_a_counted_queue_bridges_a_short_pause_of_the_microcontroller",
     "test_each_row_is_a_packet_at_the_time_of_its_stamp",
-    "test_every_sample_arrives_at_its_time",
-    "test_every_sample_passes_the_link",
-    "test_packets_that_arrive_during_the_burst_are_taken",
-    "test_transactions_that_fail",
+    "test_every_sample_is_logged_at_its_time",
+    "test_every_sample_of_a_queue_is_transferred_by_the_link",
+    "test_failed_transactions_give_no_wrong_rows",
+    "test_packets_that_arrive_during_the_burst_are_kept",
+    "test_the_queue_bridges_a_short_pause_of_the_microcontroller",
+    "test_the_stream_restarts_after_a_reset_of_the_microcontroller",
 ]
 
 
