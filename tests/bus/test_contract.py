@@ -175,7 +175,7 @@ class TestLinux:
             with pytest.raises(BusUrlError, match="/dev/i2c-7: another program"):
                 LinuxBus("/dev/i2c-7")
 
-    def test_says_where_its_logs_come_from(self) -> None:
+    def test_a_linux_bus_states_its_source_and_has_a_clock(self) -> None:
         with linux({"/dev/i2c-1": emulated(ON_TRUNK, "")[0].wire}), LinuxBus("/dev/i2c-1") as bus:
             assert bus.source == "i2c"
             first = bus.clock.now_ns()

@@ -18,7 +18,7 @@ def element(name: str, index: int, kind: str) -> ScanElement:
     return ScanElement.parse(name, str(index), kind)
 
 
-def test_the_example_of_the_documentation() -> None:
+def test_the_layout_matches_the_example_of_the_documentation() -> None:
     """iio_devbuf.rst: u16, u32, u32, u64, big-endian, at bytes 0, 4, 8, 16; the first and the last alone at 0 and 8."""
     kinds = ("be:u16/16>>0", "be:u32/32>>0", "be:u32/32>>0", "be:u64/64>>0")
     channels = [element(f"channel{number}", number, kind) for number, kind in enumerate(kinds)]
@@ -31,14 +31,14 @@ def test_the_example_of_the_documentation() -> None:
     assert (values["channel0"].tolist(), values["channel3"].tolist()) == ([65535], [2**64 - 1])
 
 
-def test_twelve_bits_in_the_upper_part_of_sixteen() -> None:
+def test_twelve_bits_in_the_upper_part_of_sixteen_are_unpacked() -> None:
     """iio_devbuf.rst: le:s12/16>>4; bits below are no part of the value."""
     layout = ScanLayout.of([element("in_accel_y", 0, "le:s12/16>>4")])
     assert layout.unpack(bytes.fromhex("0f80 f07f 1f00"))["in_accel_y"].tolist() == [-2048, 2047, 1]
 
 
 @pytest.mark.parametrize(("order", "sign"), [("<", "le"), (">", "be")])
-def test_as_a_compiler_aligns_a_structure(order: str, sign: str) -> None:
+def test_the_layout_matches_the_alignment_of_a_c_structure(order: str, sign: str) -> None:
     """Three axes of 16 bits, a temperature and a time: `struct` with native alignment puts the time at byte 8."""
     channels = [element(f"in_accel_{axis}", number, f"{sign}:s16/16>>0") for number, axis in enumerate("xyz")]
     layout = ScanLayout.of([*channels, element("in_timestamp", 9, f"{sign}:s64/64>>0")])
@@ -72,7 +72,7 @@ def channels(draw: Any) -> tuple[str, list[int], tuple[int, int, str]]:
 
 
 @given(st.lists(channels(), min_size=1, max_size=6), st.randoms(use_true_random=False))
-def test_any_channels_come_back(made: list[Any], random: Any) -> None:
+def test_any_channels_are_unpacked(made: list[Any], random: Any) -> None:
     """Against words made with `int.to_bytes` and aligned one by one: byte order, bits, shift, sign, repetitions, gaps
     in the indices, and whatever order the channels are listed in.
     """
@@ -96,13 +96,13 @@ def test_any_channels_come_back(made: list[Any], random: Any) -> None:
     ["", "le", "le:s16", "LE:s16/16", "le:x16/16", "le:s16/24", "le:s17/16", "le:s0/16", "le:s12/16>>5", "le:s16/16X3",
      "le:s16/16X64", "le:s16/16>>-1", "le:s16/16>>0 ", "le:s१६/16", "ne:s16/16", "le:s16/9999", "le:s16/16>>0\nx"],
 )  # fmt: skip
-def test_types_that_are_none_are_refused(kind: str) -> None:
+def test_invalid_types_are_refused(kind: str) -> None:
     with pytest.raises(ValueError, match=r"in_accel_x_type is .*: allowed is"):
         element("in_accel_x", 0, kind)
 
 
 @pytest.mark.parametrize("index", ["", "-1", "x", "1.0", "99999999", "²"])
-def test_indices_that_are_none_are_refused(index: str) -> None:
+def test_invalid_indices_are_refused(index: str) -> None:
     with pytest.raises(ValueError, match=r"in_accel_x_index is .*: a whole number"):
         ScanElement.parse("in_accel_x", index, "le:s16/16")
 

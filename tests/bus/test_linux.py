@@ -1,4 +1,4 @@
-"""The bus of Linux against an emulated adapter: what is sent, who is kept out, what is refused, and whole logs."""
+"""The bus of Linux against an emulated adapter: messages that are sent, locks, refusals, and whole logs."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class TestOpening:
         with LinuxBus(ROOT) as bus:
             assert bus.transfer(0x53, b"\x00", 1) == b"\xe5"
 
-    def test_a_channel_that_another_program_holds_is_refused(self, served: Any) -> None:
+    def test_a_channel_that_another_program_has_locked_is_refused(self, served: Any) -> None:
         served(board_of(BEHIND_KERNEL_MUX)[0])
         with LinuxBus(LEFT), LinuxBus(ROOT) as bus, pytest.raises(BusUrlError, match=r"^i2c:/dev/i2c-11: another"):
             bus.channel_bus(LEFT)
@@ -133,14 +133,14 @@ class TestOpening:
         monkeypatch.setattr(Adapter, "functionality", 0x0EFF0000)  # as i2c-stub: LNX-18
         assert refused() == "i2c:/dev/i2c-1: this adapter speaks SMBus only, plain I2C messages are needed"
 
-    def test_refusing_leaves_nothing_open(self) -> None:
+    def test_a_refusal_closes_the_device(self) -> None:
         before = len(list(Path("/proc/self/fd").iterdir()))
         assert refused("/dev/null").startswith("i2c:/dev/null: Inappropriate ioctl for device")
         assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
 class TestTransfer:
-    def test_one_read_message_and_last(self, served: Any) -> None:
+    def test_a_transfer_has_at_most_one_read_message_at_its_end(self, served: Any) -> None:
         board, _ = board_of(ON_TRUNK)
         served(board, "bcm2835")  # refuses everything else: LNX-10
         with LinuxBus(ROOT) as bus:
@@ -153,7 +153,7 @@ class TestTransfer:
     @given(
         st.lists(st.tuples(st.sampled_from([0x53, 0x1D, 0x40]), st.binary(max_size=3), st.integers(0, 40)), max_size=30)
     )
-    def test_kept_structures_change_nothing(self, requests: list[tuple[int, bytes, int]]) -> None:
+    def test_reused_structures_give_the_same_results(self, requests: list[tuple[int, bytes, int]]) -> None:
         # The same traffic on two equal boards, one of them reached through structures, each transaction twice.
         (direct, _), (behind, _) = board_of(ON_TRUNK), board_of(ON_TRUNK)
         with device_files({ROOT: Adapter(behind.wire)}), LinuxBus(ROOT) as bus:
@@ -161,7 +161,7 @@ class TestTransfer:
                 assert outcome(bus, request) == outcome(direct, request)
 
     @pytest.mark.slow
-    def test_more_transactions_than_are_kept(self, served: Any) -> None:
+    def test_more_transactions_than_the_cache_holds_are_correct(self, served: Any) -> None:
         board, _ = board_of(ON_TRUNK)
         served(board)
         with LinuxBus(ROOT) as bus:
@@ -172,7 +172,7 @@ class TestTransfer:
                 assert bus.transfer(0x53, b"\x1e", 2) == bytes([low, high])
             assert 100 < structures() - before <= 256
 
-    def test_what_no_adapter_can_send(self, served: Any) -> None:
+    def test_messages_that_no_adapter_can_send_are_refused(self, served: Any) -> None:
         served(board_of(ON_TRUNK)[0])
         with LinuxBus(ROOT) as bus:
             with pytest.raises(ValueError, match=r"0x53: 8193 bytes, a message carries at most 8192"):
@@ -204,7 +204,7 @@ class TestClaim:
             (folder / place / "driver").symlink_to(folder / "drivers" / driver)
         return folder
 
-    def test_names_the_driver(self, served: Any, tmp_path: Path) -> None:
+    def test_a_claim_names_the_driver_that_owns_the_address(self, served: Any, tmp_path: Path) -> None:
         board, _ = board_of(ON_TRUNK)
         served(board, owned={0x53: "adxl345_i2c", 0x70: "pca954x"})
         devices = self.devices(tmp_path, ("1-0053", "adxl345_i2c"))
@@ -216,7 +216,7 @@ class TestClaim:
             bus.claim(0x1D)
         assert board.wire.transactions == 0
 
-    def test_a_channel_is_asked_for_its_own_sensors(self, served: Any, tmp_path: Path) -> None:
+    def test_a_claim_on_a_channel_checks_that_channel(self, served: Any, tmp_path: Path) -> None:
         board, _ = board_of(BEHIND_KERNEL_MUX)
         adapters = served(board)
         adapters[RIGHT].owned[0x40] = "bma180"
@@ -252,7 +252,7 @@ class TestClaim:
 
 
 @pytest.mark.parametrize("number", [6, 121])
-def test_both_errnos_mean_that_nobody_is_there(served: Any, number: int) -> None:
+def test_both_errnos_of_a_missing_acknowledgement_are_a_missing_chip(served: Any, number: int) -> None:
     board, _ = board_of(ON_TRUNK, nack_errno=number)
     served(board)
     other = parse_array(ON_TRUNK.replace("0x53", "0x1D"))
@@ -279,7 +279,7 @@ def opened(text: str, url: str, served: Any) -> Iterator[tuple[Any, ArrayConfig,
         1,
     ),
 )
-def test_a_log_through_the_linux_path(served: Any, tmp_path: Path, text: str, url: str) -> None:
+def test_a_log_is_recorded_through_the_linux_bus(served: Any, tmp_path: Path, text: str, url: str) -> None:
     # Two accelerometers of one address on two channels, one of them turned: the box stands upright, +Z up, at 1 g.
     with opened(text, url, served) as (bus, array, _):
         summary = record(array, bus, tmp_path / "log.h5", rate_hz=100, seconds=0.3)

@@ -49,7 +49,7 @@ def test_contract(talk: Callable[[Bus], None]) -> None:
         talk(Pca9544a(bus, MUX).channel(2))
 
 
-def test_what_it_is() -> None:
+def test_a_serial_bus_states_its_source_and_its_limits() -> None:
     bench = Bench(ARRAY)
     with bench.bus() as bus:
         assert bus.source == "serial"
@@ -66,7 +66,7 @@ def test_what_it_is() -> None:
     assert [handle.closed for handle in bench.handles] == [True]
 
 
-def test_a_held_clock_is_a_time_out() -> None:
+def test_a_clock_held_low_is_a_time_out() -> None:
     class Held(Bench):
         def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
             raise OSError(110, "held")
@@ -77,7 +77,7 @@ def test_a_held_clock_is_a_time_out() -> None:
 
 
 @pytest.mark.parametrize("lost", ["command", "answer"])
-def test_what_gets_lost_is_said_again_and_done_once(lost: str) -> None:
+def test_a_lost_command_or_answer_is_repeated_and_executed_once(lost: str) -> None:
     bench = Bench(ARRAY)
     with bench.bus() as bus:
         kept = iter([b""])  # the next piece disappears, the others arrive
@@ -90,7 +90,7 @@ def test_what_gets_lost_is_said_again_and_done_once(lost: str) -> None:
         assert len(bench.taps) == before + 1
 
 
-def test_answers_in_pieces_and_garbage_around_them() -> None:
+def test_answers_in_pieces_within_garbage_are_read() -> None:
     bench = Bench(ARRAY)
     with bench.bus() as bus:
         bench.delivered = lambda piece: b"\xa5\x5a\x30\x00noise\xa5" + piece + b"\xa5\x5a"
@@ -99,7 +99,7 @@ def test_answers_in_pieces_and_garbage_around_them() -> None:
         assert bus.skipped >= 5 * 10
 
 
-def test_a_late_answer_to_another_command_is_none() -> None:
+def test_a_late_answer_to_another_command_is_ignored() -> None:
     bench = Bench(ARRAY)
     with bench.bus() as bus:
         stale = framed(0x02 | ANSWER, 0x1234, b"\x00\x99")
@@ -108,7 +108,7 @@ def test_a_late_answer_to_another_command_is_none() -> None:
 
 
 @pytest.mark.parametrize("counter_us", [5_000_000, (1 << 32) - 1_000_000])
-def test_answers_of_earlier_boots_are_none(counter_us: int) -> None:
+def test_answers_of_earlier_boots_are_refused(counter_us: int) -> None:
     """Commands are numbered from 1 in each session, so that an earlier boot has answered the same numbers."""
     earlier = Bench(ARRAY, counter_us=counter_us)
     kept: list[bytes] = []
@@ -146,7 +146,7 @@ def test_a_left_over_answer_to_hello_does_not_set_the_clock() -> None:
         assert bus.transfer(DEVICE, b"\x00", 1) == b"\xe5"
 
 
-def test_silence() -> None:
+def test_a_silent_port_is_an_error_until_it_answers() -> None:
     bench = Bench(ARRAY)
     with bench.bus() as bus:
         bench.delivered = lambda piece: b""
@@ -162,7 +162,7 @@ def test_silence() -> None:
         assert bus.transfer(0x53, b"\x00", 1) == b"\xe5"
 
 
-def test_nobody_speaks_the_link() -> None:
+def test_a_port_without_the_link_protocol_is_refused() -> None:
     bench = Bench(ARRAY)
     bench.delivered = lambda piece: b"AT+OK\r\n"
     with pytest.raises(LinkError, match="does not answer"):
@@ -170,14 +170,14 @@ def test_nobody_speaks_the_link() -> None:
     assert [handle.closed for handle in bench.handles] == [True]
 
 
-def test_another_version() -> None:
+def test_another_version_of_the_link_is_refused() -> None:
     bench = Bench(ARRAY)
     bench.delivered = lambda piece: framed(0x81, int.from_bytes(piece[5:7], "little"), b"\x02\x80\x00\x06")
     with pytest.raises(LinkError, match="speaks version 2 of the link, not 1"):
         bench.bus()
 
 
-def test_lists_in_their_frames_with_numbers_and_times() -> None:
+def test_lists_arrive_in_their_frames_with_numbers_and_times() -> None:
     bench = Bench(ARRAY, drift=3e-3, counter_us=77)
     with bench.bus() as bus:
         begun_ns = bench.now_ns()
@@ -193,7 +193,7 @@ def test_lists_in_their_frames_with_numbers_and_times() -> None:
         assert not bus.streaming
 
 
-def test_a_slower_list() -> None:
+def test_a_list_of_every_third_frame_arrives_in_its_frames() -> None:
     with Bench(ARRAY).bus() as bus:
         bus.start([PollList(3, 2, (Request(DEVICE, b"\x2c", 1), DEVID))], 5000)
         numbers, _, payloads = received(bus, 0, 20)
@@ -203,7 +203,7 @@ def test_a_slower_list() -> None:
 
 @pytest.mark.parametrize("silent_frames", [65_400, 65_536 * 3 + 20_000])
 @pytest.mark.parametrize("counter_us", [(1 << 32) - 700_000, 0])
-def test_counters_start_over_in_mid_stream(counter_us: int, silent_frames: int) -> None:
+def test_counters_that_wrap_in_mid_stream_are_extended(counter_us: int, silent_frames: int) -> None:
     bench = Bench(ARRAY, counter_us=counter_us)
     with bench.bus() as bus:
         bus.start([PollList(1, 0, (DEVID,))], 5000)
@@ -216,11 +216,11 @@ def test_counters_start_over_in_mid_stream(counter_us: int, silent_frames: int) 
         np.testing.assert_allclose(np.diff(times), 5 * MS, atol=150_000)  # the first begins late
 
 
-def test_frames_of_an_earlier_program_are_not_taken_for_ours() -> None:
+def test_frames_of_an_earlier_program_are_ignored() -> None:
     bench = Bench(ARRAY)
     old = bench.bus()
     old.start([PollList(1, 0, (DEVID, DEVID))], 2000)
-    bench.sleep_until(bench.now_ns() + 300 * MS)  # it ended without a word; nobody reads
+    bench.sleep_until(bench.now_ns() + 300 * MS)  # it ended without a STOP; no program reads
     with bench.bus() as bus:
         bus.start([PollList(1, 0, (DEVID,))], 5000)
         numbers, _, payloads = received(bus, 0, 20)
@@ -230,7 +230,7 @@ def test_frames_of_an_earlier_program_are_not_taken_for_ours() -> None:
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 255), st.integers(0, 0xFFFF), st.binary(max_size=8)), max_size=20))
-def test_frames_that_are_whole_and_mean_nothing(strange: list[tuple[int, int, bytes]]) -> None:
+def test_whole_frames_of_unknown_meaning_are_ignored(strange: list[tuple[int, int, bytes]]) -> None:
     bench = Bench(ARRAY)
     with bench.bus() as bus:
         bus.start([PollList(1, 0, (DEVID,))], 5000)
@@ -246,7 +246,7 @@ def test_frames_that_are_whole_and_mean_nothing(strange: list[tuple[int, int, by
         assert bus.transfer(DEVICE, b"\x00", 1) == b"\xe5"
 
 
-def test_no_room() -> None:
+def test_lists_beyond_the_capacity_are_refused() -> None:
     with Bench(ARRAY).bus() as bus:
         with pytest.raises(OSError, match=r"129 lists with 516 bytes of requests; .* room for 128 with 1536") as full:
             bus.start([PollList(1, 0, (DEVID,))] * 129, 5000)
@@ -255,7 +255,7 @@ def test_no_room() -> None:
             bus.start([PollList(1, 1, (DEVID,))], 5000)  # no frame has this remainder
 
 
-def test_the_port_disappears_and_comes_back() -> None:
+def test_a_port_that_disappears_is_reopened() -> None:
     bench = Bench(ARRAY)
     with bench.bus() as bus:
         bus.start([PollList(1, 0, (DEVID,))], 5000)
@@ -271,7 +271,7 @@ def test_the_port_disappears_and_comes_back() -> None:
         assert [handle.closed for handle in bench.handles] == [True, False]
 
 
-def test_a_port_that_opens_and_can_not_be_written_to() -> None:
+def test_a_port_that_cannot_be_written_is_refused() -> None:
     bench = Bench(ARRAY)
 
     def dead() -> Handle:
@@ -291,7 +291,7 @@ def refusal(url: str) -> str:
     return str(refused.value)
 
 
-def test_urls_that_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_invalid_urls_and_ports_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(serial_bus, "PATIENCE_S", 0.0)
     monkeypatch.setattr(serial_session, "ANSWER_S", 0.05)
     assert refusal("serial:") == "bus 'serial:': name the port, as in serial:/dev/ttyACM0"
@@ -304,7 +304,7 @@ def test_urls_that_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     assert refusal(f"serial:{tmp_path / 'file'}").startswith(f"serial:{tmp_path / 'file'}: ")
 
 
-def test_a_terminal_where_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_without_an_answer_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serial_bus, "PATIENCE_S", 0.0)
     monkeypatch.setattr(serial_session, "ANSWER_S", 0.05)
     ours, theirs = os.openpty()

@@ -15,19 +15,19 @@ S = 1_000_000_000
 
 @settings(deadline=None)
 @given(st.integers(0, 2**40), st.integers(-(2**31), 2**31 - 1), st.sampled_from([1 << 16, 1 << 32]))
-def test_a_counter_is_widened_to_the_turn_that_is_expected(true: int, off: int, modulus: int) -> None:
+def test_a_counter_is_extended_to_the_value_nearest_to_the_expected(true: int, off: int, modulus: int) -> None:
     expected = true - off % (modulus // 2) if off > 0 else true + (-off) % (modulus // 2)
     assert nearest(np.array([true % modulus]), modulus, expected).tolist() == [true]
 
 
-def test_turns_of_counters() -> None:
+def test_counters_are_extended_across_their_wraps() -> None:
     assert nearest(np.array([1, 65_534]), 1 << 16, 65_535).tolist() == [65_537, 65_534]
     assert nearest(np.array([65_535]), 1 << 16, 65_537).tolist() == [65_535]
     assert nearest(np.array([5, (1 << 32) - 5]), 1 << 32, 0).tolist() == [5, -5]
     assert nearest(np.arange(4), 4, 10).tolist() == [8, 9, 10, 11]
 
 
-def test_the_latest_time_at_which_a_frame_can_have_been_sent() -> None:
+def test_the_latest_possible_counter_of_a_sent_frame_follows_the_fit() -> None:
     fit = ClockFit()
     assert fit.latest_sent_ns(7) is None
     fit.add(1_000 * S, 3 * S)  # delivered in no time
@@ -53,7 +53,7 @@ def deliveries(
 
 
 @pytest.mark.parametrize("drift", [0.0, 5e-3, -5e-3, 40e-6])
-def test_offset_and_drift_of_a_resonator(drift: float) -> None:
+def test_offset_and_drift_of_a_resonator_are_fitted(drift: float) -> None:
     true, counter, arrived = deliveries(60, 50, drift, 1)
     fit = ClockFit(latency_ns=50_000)
     for sent_ns, arrived_ns in zip(counter.tolist(), arrived.tolist(), strict=True):
@@ -66,7 +66,7 @@ def test_offset_and_drift_of_a_resonator(drift: float) -> None:
 
 @settings(deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_in_order_while_it_learns(seed: int) -> None:
+def test_times_increase_while_the_fit_converges(seed: int) -> None:
     true, counter, arrived = deliveries(8, 50, 4e-3, seed, late=0.5)
     fit, given_ns = ClockFit(), []
     for start in range(0, len(counter), 5):
@@ -77,7 +77,7 @@ def test_in_order_while_it_learns(seed: int) -> None:
     assert abs(given_ns[-1] - true[-1]) < S / 2
 
 
-def test_a_better_fit_is_approached_and_not_jumped_to() -> None:
+def test_a_better_fit_is_approached_without_a_step() -> None:
     fit = ClockFit()
     fit.add(0, 5_000_000)  # 5 ms late
     before = fit.host_ns(np.array([0, 1000]))
@@ -90,7 +90,7 @@ def test_a_better_fit_is_approached_and_not_jumped_to() -> None:
     assert after[-1] == times[-1]
 
 
-def test_warming_up_is_followed() -> None:
+def test_the_drift_of_warming_up_is_followed() -> None:
     # The rate changes by 20 parts in a million in five minutes: a line over all of it would be 0.75 ms off.
     draw = np.random.default_rng(3)
     seconds = np.arange(0, 300, 0.05)
@@ -107,7 +107,7 @@ def test_warming_up_is_followed() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("drift", [5e-3, -40e-6])
-def test_what_is_stated_of_the_error_is_at_least_the_error(drift: float, seed: int) -> None:
+def test_the_stated_uncertainty_bounds_the_error(drift: float, seed: int) -> None:
     """The quickest delivery takes 50 us, of which between nothing and twice as much is taken off."""
     true, counter, arrived = deliveries(20, 50, drift, seed, late=0.01)
     for latency_ns in (30_000, 50_000, 90_000):
@@ -121,14 +121,14 @@ def test_what_is_stated_of_the_error_is_at_least_the_error(drift: float, seed: i
         assert fit.uncertainty_ns < latency_ns + 100_000
 
 
-def test_nothing_to_fit() -> None:
+def test_a_fit_without_data_is_refused() -> None:
     with pytest.raises(ValueError, match="without data"):
         ClockFit().host_ns(np.array([1]))
 
 
 @settings(deadline=None)
 @given(st.integers(2, 40), st.integers(0, 2**32 - 1))
-def test_the_line_lies_under_all_points_and_as_close_as_one_can(count: int, seed: int) -> None:
+def test_the_line_is_the_closest_below_all_points(count: int, seed: int) -> None:
     draw = np.random.default_rng(seed)
     sent = np.cumsum(draw.uniform(1e7, 1e8, count)) - 1e7
     sent -= sent[0]

@@ -1,4 +1,4 @@
-"""The serial link, byte by byte: layouts from its description, and whatever a bad line can make of them."""
+"""The serial link, byte by byte: layouts from its description, and frames damaged by a bad line."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def on_the_wire(kind: int, sequence: int, time_us: int, payload: bytes) -> bytes
     return b"\xa5\x5a" + body + crc32(body).to_bytes(4, "little")
 
 
-def test_the_check_value_of_the_crc() -> None:
+def test_the_crc_gives_its_check_value() -> None:
     assert crc32(b"123456789") == 0xCBF43926
 
 
@@ -56,7 +56,7 @@ def test_the_check_value_of_the_crc() -> None:
         (firmware.frame(0xD0, 70_000, (1 << 32) + 5, b"\x00\x07"), on_the_wire(0xD0, 4464, 5, b"\x00\x07")),
     ],
 )
-def test_golden_frames(ours: bytes, bytes_of_the_description: bytes) -> None:
+def test_frames_match_the_description_byte_by_byte(ours: bytes, bytes_of_the_description: bytes) -> None:
     assert ours == bytes_of_the_description
 
 
@@ -97,7 +97,7 @@ def pieces(data: bytes, cuts: list[int]) -> list[bytes]:
 @given(st.binary(max_size=3000), st.lists(st.integers(0, 5000), max_size=6))
 @example(b"\xa5\x5a" * 600, [3, 700])
 @example(b"\xa5", [])
-def test_any_bytes_in_pieces_of_any_length(data: bytes, cuts: list[int]) -> None:
+def test_any_bytes_in_pieces_of_any_length_are_skipped_or_are_frames(data: bytes, cuts: list[int]) -> None:
     deframer = Deframer()
     found = [frame for piece in pieces(data, cuts) for frame in deframer.feed(piece)]
     found += deframer.feed(b"", final=True)
@@ -107,9 +107,7 @@ def test_any_bytes_in_pieces_of_any_length(data: bytes, cuts: list[int]) -> None
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(garbage, frames), max_size=6), garbage, st.lists(st.integers(0, 20_000), max_size=6))
-def test_frames_in_one_piece_survive_whatever_stands_between_them(
-    sent: list[tuple[bytes, Frame]], tail: bytes, cuts: list[int]
-) -> None:
+def test_whole_frames_are_read_between_any_noise(sent: list[tuple[bytes, Frame]], tail: bytes, cuts: list[int]) -> None:
     data = b"".join(noise + wire(frame) for noise, frame in sent) + tail
     deframer = Deframer()
     found = [frame for piece in pieces(data, cuts) for frame in deframer.feed(piece)]
@@ -129,7 +127,7 @@ def test_a_flipped_bit_costs_one_frame(sent: list[Frame], where: int) -> None:
 
 @settings(deadline=None)
 @given(st.lists(frames, max_size=5))
-def test_nothing_waits_behind_a_whole_frame(sent: list[Frame]) -> None:
+def test_a_whole_frame_is_returned_at_once(sent: list[Frame]) -> None:
     deframer = Deframer()
     for frame in sent:
         assert deframer.feed(wire(frame)) == [frame]
@@ -138,7 +136,7 @@ def test_nothing_waits_behind_a_whole_frame(sent: list[Frame]) -> None:
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(garbage, frames), max_size=4), st.lists(st.integers(0, 20_000), max_size=4))
-def test_the_firmware_hears_the_same(sent: list[tuple[bytes, Frame]], cuts: list[int]) -> None:
+def test_the_firmware_receives_the_same_frames(sent: list[tuple[bytes, Frame]], cuts: list[int]) -> None:
     data = b"".join(noise + wire(frame) for noise, frame in sent) + bytes(1100)
     receiver = firmware.Receiver()
     heard = [command for piece in pieces(data, cuts) for command in receiver.feed(piece)]
@@ -148,7 +146,7 @@ def test_the_firmware_hears_the_same(sent: list[tuple[bytes, Frame]], cuts: list
 
 @settings(deadline=None)
 @given(st.binary(max_size=20), st.integers(0, 20))
-def test_answers_with_any_payload_mean_something_or_are_refused(payload: bytes, count: int) -> None:
+def test_answers_with_any_payload_are_decoded_or_refused(payload: bytes, count: int) -> None:
     for read in (lambda: link.outcome_of(payload, count, "x"), lambda: link.capacity_of(payload)):
         try:
             read()
@@ -166,7 +164,7 @@ def test_results_are_errnos_of_linux(payload: bytes, number: int) -> None:
     assert isinstance(refused.value, LinkError) == (number == 71)
 
 
-def test_what_no_frame_can_carry_is_refused() -> None:
+def test_payloads_that_no_frame_can_carry_are_refused() -> None:
     with pytest.raises(ValueError, match="1025 bytes in a frame"):
         framed(1, 0, bytes(1025))
     for address, write, read in ((0x80, b"", 0), (-1, b"", 0), (0x53, b"", -1)):
@@ -179,14 +177,14 @@ def test_what_no_frame_can_carry_is_refused() -> None:
         link.list_payload(0, PollList(1, 0, (Request(0x53, b"\x00", 200),) * 6))
 
 
-def test_the_answer_to_hello() -> None:
+def test_the_answer_to_hello_is_decoded() -> None:
     assert link.capacity_of(struct.pack("<BBH", 1, 128, 1536)) == (1, 128, 1536, 0, 0, 0)
     assert link.capacity_of(struct.pack("<BBHBBI", 1, 128, 1536, 3, 8, 65536)) == (1, 128, 1536, 3, 8, 65536)
     with pytest.raises(LinkError, match="has 3 bytes"):
         link.capacity_of(b"\x01\x02\x03")
 
 
-def test_the_counts_of_the_firmware() -> None:
+def test_the_counts_of_the_firmware_are_decoded() -> None:
     payload = bytes.fromhex("00 01 0807060504030201 01000000 02000000 03000000 04000000 05000000 ffffffff")
     assert link.counts_of(payload) == (True, 0x0102030405060708, 1, 2, 3, 4, 5, 0xFFFFFFFF)
     with pytest.raises(LinkError, match="33 requested"):

@@ -112,7 +112,7 @@ def test_the_same_driver_reads_the_same_over_both(chip: str) -> None:
     assert means[0] == pytest.approx(means[1], abs=tolerance)
 
 
-def test_without_its_bit_for_several_a_chip_repeats_one_register() -> None:
+def test_without_the_multiple_byte_bit_a_chip_repeats_one_register() -> None:
     """ADX-80: MB. DATA_FORMAT is 0x31; what follows it is the triad."""
     with open_array(parse_array(text("adxl345"))) as bus:
         port = bus.spi_port("/dev/spidev0.0", 3, 5_000_000)
@@ -120,7 +120,7 @@ def test_without_its_bit_for_several_a_chip_repeats_one_register() -> None:
         assert port.exchange(b"\xc0\x00\x00\x00")[1:] == b"\xe5\x00\x00"
 
 
-def test_bytes_and_times_of_a_transfer() -> None:
+def test_a_transfer_takes_the_clocks_of_its_bytes() -> None:
     """A byte is eight clocks: at 24 MHz 17 of them last 5.667 us, and 0.2 us are around them."""
     with open_array(parse_array(text("icm42688_acc"))) as bus:
         port = bus.spi_port("/dev/spidev0.0", 0, 24_000_000)
@@ -141,7 +141,7 @@ def test_too_fast_a_clock_or_another_mode_gives_another_identity(mode: int, cloc
     ("chip", "register", "bits", "value"),
     [("icm42688_acc", 0x4C, 0x03, 0x03), ("lsm6dso_acc", 0x13, 0x04, 0x04), ("mpu6500_acc", 0x6A, 0x10, 0x10)],
 )
-def test_i2c_is_switched_off_on_spi_alone(chip: str, register: int, bits: int, value: int) -> None:
+def test_i2c_is_disabled_only_on_spi(chip: str, register: int, bits: int, value: int) -> None:
     """TDK-71, LSM-71, INV-96."""
     address = CHIPS[chip].addresses[0]
     on_i2c = text(chip).replace('bus = "/dev/spidev0.0"', f"address = {address:#x}")
@@ -161,12 +161,12 @@ def test_i2c_is_switched_off_on_spi_alone(chip: str, register: int, bits: int, v
         ("icm42688_acc", "spi_clock_hz = 0\n", "allowed is 1 or more"),
     ],
 )
-def test_a_configuration_that_cannot_be_is_refused(chip: str, keys: str, said: str) -> None:
+def test_invalid_configurations_are_refused(chip: str, keys: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         parse_array(text(chip, keys))
 
 
-def test_a_clock_belongs_to_spi_and_an_address_to_i2c() -> None:
+def test_a_clock_is_only_for_spi_and_an_address_only_for_i2c() -> None:
     words = text("adxl345", "spi_clock_hz = 1000000\n").replace('bus = "/dev/spidev0.0"', "address = 0x53")
     with pytest.raises(ConfigError, match="spi_clock_hz: only for a sensor on SPI"):
         parse_array(words)
@@ -180,7 +180,7 @@ def test_two_chips_on_one_chip_select_are_refused() -> None:
         parse_array(text("icm42688_acc") + "[[sensor]]" + second)
 
 
-def test_a_missing_chip_is_said_to_be_missing() -> None:
+def test_a_missing_chip_is_reported() -> None:
     array = parse_array(text("icm42688_acc"))
     with open_array(array) as bus:
         bus.selects["/dev/spidev0.0"].device = _Nobody()
@@ -245,7 +245,7 @@ class Spidev:
 
 @pytest.fixture
 def spidev(tmp_path: Path) -> Iterator[tuple[str, Spidev]]:
-    """The path of a chip select with an emulated ICM-42688-P, and what stands behind it."""
+    """The path of a chip select with an emulated ICM-42688-P, and its device."""
     path = tmp_path / "spidev0.0"
     path.touch()
     with open_array(parse_array(text("icm42688_acc"))) as bus:
@@ -264,8 +264,8 @@ def spidev(tmp_path: Path) -> Iterator[tuple[str, Spidev]]:
             replace_everywhere("ioctl", ioctl, real)
 
 
-def test_the_structure_is_the_kernels() -> None:
-    """LNX-51: 32 bytes, the size that stands in the number of the call."""
+def test_the_structure_has_the_size_of_the_kernels() -> None:
+    """LNX-51: 32 bytes, the size encoded in the number of the call."""
     assert ctypes.sizeof(SpiTransfer) == 32 == 0x40206B00 >> 16 & 0x3FFF
 
 
@@ -286,14 +286,14 @@ def test_spidev_is_set_up_and_exchanges_bytes(spidev: tuple[str, Spidev]) -> Non
     port.close()
 
 
-def test_a_clock_that_the_controller_refuses_is_one_line(spidev: tuple[str, Spidev]) -> None:
+def test_a_clock_that_the_controller_refuses_is_an_error_of_one_line(spidev: tuple[str, Spidev]) -> None:
     path, device = spidev
     device.refused, device.error = 0x40046B04, errno.EINVAL
     with pytest.raises(BusUrlError, match="refuses mode 3 or a clock of 99 Hz: Invalid argument"):
         LinuxSpiPort(path, 3, 99)
 
 
-def test_what_is_not_there_is_one_line() -> None:
+def test_a_missing_device_is_an_error_of_one_line() -> None:
     with pytest.raises(BusUrlError, match=r"No such file.*enable SPI, join group spi"):
         LinuxSpiPort("/dev/spidev99.9", 3, 1_000_000)
     array = load_array(CONFIGS / "icm42688x8.toml")
@@ -305,7 +305,7 @@ def test_what_is_not_there_is_one_line() -> None:
             bus.transfer(0x68)
 
 
-def test_the_doctor_looks_for_chip_selects(tmp_path: Path) -> None:
+def test_the_doctor_checks_chip_selects(tmp_path: Path) -> None:
     array = load_array(CONFIGS / "icm42688x8.toml")
     (tmp_path / "dev").mkdir()
     (tmp_path / "dev" / "spidev0.0").touch()

@@ -1,4 +1,4 @@
-"""Transcripts: what was recorded is played back, errors included, and the first difference is refused with its line."""
+"""Transcripts: transactions are recorded and replayed, errors included; the first difference is refused with its line."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ TRANSACTIONS = st.tuples(
 
 
 @given(st.lists(TRANSACTIONS, max_size=12))
-def test_round_trip(
+def test_a_recorded_conversation_is_replayed(
     tmp_path_factory: pytest.TempPathFactory, talk: list[tuple[str, int, bytes, bytes | int, int]]
 ) -> None:
     path = tmp_path_factory.mktemp("t") / "t.jsonl"
@@ -151,7 +151,7 @@ def test_another_bus_is_a_difference(tmp_path: Path) -> None:
             bus.channel_bus("/dev/i2c-12").transfer(0x53, b"\x00", 1)
 
 
-def test_an_unfinished_transcript_is_told(tmp_path: Path) -> None:
+def test_an_unfinished_transcript_is_reported(tmp_path: Path) -> None:
     with ReplayBus(transcript(tmp_path, GOOD, GOOD, GOOD)) as bus:
         bus.transfer(0x53, b"\x00", 1)
         with pytest.raises(SensorError, match="2 recorded transactions were not repeated"):
@@ -189,14 +189,14 @@ def test_a_malformed_line_is_named(tmp_path: Path, line: str) -> None:
     assert str(refused.value) == f"{path}, line 2: not a transaction of a transcript"
 
 
-def test_what_is_no_file_or_no_text(tmp_path: Path) -> None:
+def test_a_path_that_is_no_text_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "b").write_bytes(b"\xff\xfe\x00")
     for path in (tmp_path / "none.jsonl", tmp_path, tmp_path / "b"):
         with pytest.raises(BusUrlError, match="replay:"):
             ReplayBus(path)
 
 
-def test_a_transcript_is_not_overwritten_unless_told(tmp_path: Path) -> None:
+def test_a_transcript_is_overwritten_only_with_force(tmp_path: Path) -> None:
     path = transcript(tmp_path, GOOD)
     with pytest.raises(OutputExistsError):
         RecordingBus(Script([]), path)
@@ -206,7 +206,7 @@ def test_a_transcript_is_not_overwritten_unless_told(tmp_path: Path) -> None:
     assert [line["to"] for line in lines(path)] == ["20"]
 
 
-def test_what_never_went_over_the_wire_is_not_in_the_transcript(tmp_path: Path) -> None:
+def test_a_refused_transfer_is_not_in_the_transcript(tmp_path: Path) -> None:
     class Refusing(Script):
         def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
             raise ValueError("too long")
@@ -217,7 +217,7 @@ def test_what_never_went_over_the_wire_is_not_in_the_transcript(tmp_path: Path) 
     assert lines(path) == []
 
 
-def test_recording_hands_through_clock_source_and_whatever_else_there_is() -> None:
+def test_a_recording_bus_passes_on_the_attributes_of_its_inner_bus() -> None:
     array = parse_array('[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\n')
     with open_bus("emulated:", array) as inner:
         bus = RecordingBus(inner, "/dev/null", force=True)
@@ -341,7 +341,7 @@ def faulty_night(tmp_path: Path, hurried: bool) -> tuple[Any, Any, ArrayConfig]:
     inner = open_bus(f"emulated:?faults={tmp_path / 'night.toml'}&bit_rate=400000", array)
     if hurried:
         inner.clock = Hurried(inner.clock)
-        inner.truth = None  # type: ignore[attr-defined]  # hardware has none: nobody looks at the clock for it
+        inner.truth = None  # type: ignore[attr-defined]  # hardware has none: no read of the clock for it
     start = datetime(2026, 3, 1, tzinfo=UTC)
     with RecordingBus(inner, tmp_path / "t.jsonl") as bus:
         live = record(array, bus, tmp_path / "live.h5", rate_hz=50, seconds=18, wall_time=start)
@@ -353,7 +353,7 @@ def faulty_night(tmp_path: Path, hurried: bool) -> tuple[Any, Any, ArrayConfig]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hurried", some([False, True], 1))
-def test_a_faulty_night_replays_frame_by_frame(tmp_path: Path, hurried: bool) -> None:
+def test_a_recording_with_faults_replays_frame_by_frame(tmp_path: Path, hurried: bool) -> None:
     live_summary, again_summary, array = faulty_night(tmp_path, hurried)
     with open_log(tmp_path / "live.h5") as live, open_log(tmp_path / "again.h5") as again:
         kinds = {event.kind for event in live.events}
@@ -373,7 +373,7 @@ def test_a_faulty_night_replays_frame_by_frame(tmp_path: Path, hurried: bool) ->
 
 
 @pytest.mark.slow
-def test_the_first_difference_of_a_night_names_its_line(tmp_path: Path) -> None:
+def test_the_first_difference_from_a_recording_with_faults_names_its_line(tmp_path: Path) -> None:
     _, _, array = faulty_night(tmp_path, False)
     rows = (tmp_path / "t.jsonl").read_text().splitlines()
     at = next(index for index, row in enumerate(rows) if index > 2000 and '"write": "30"' in row)
@@ -386,7 +386,7 @@ def test_the_first_difference_of_a_night_names_its_line(tmp_path: Path) -> None:
         record(array, replay, tmp_path / "other.h5", rate_hz=50, seconds=18)
 
 
-def test_questions_whose_an_address_is_are_recorded(tmp_path: Path) -> None:
+def test_checks_of_address_owners_are_recorded(tmp_path: Path) -> None:
     class Owned(Script):
         def claim(self, address: int, path: str | None = None) -> None:
             if address == 0x53:
@@ -422,7 +422,7 @@ def test_questions_whose_an_address_is_are_recorded(tmp_path: Path) -> None:
         assert not hasattr(bus, "claim")
 
 
-def test_a_disk_that_is_full_is_no_failure_of_the_bus(tmp_path: Path) -> None:
+def test_a_full_disk_ends_the_transcript_and_not_the_bus(tmp_path: Path) -> None:
     class Full(io.StringIO):
         def write(self, text: str) -> int:
             raise OSError(28, "No space left on device")
@@ -464,7 +464,7 @@ def test_any_text_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, r
         assert len(str(refused).splitlines()) == 1
 
 
-def test_a_stopped_log_replays_to_its_end_at_its_own_time(tmp_path: Path) -> None:
+def test_a_stopped_log_replays_to_its_end_with_its_own_times(tmp_path: Path) -> None:
     array = parse_array('[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=4\n')
     start, frames = datetime(2026, 3, 1, 12, tzinfo=UTC), iter([False] * 37 + [True] * 9)
     with RecordingBus(open_bus("emulated:", array), tmp_path / "t.jsonl") as bus:

@@ -1,4 +1,4 @@
-"""An adapter that is unplugged while it is in use: noticed, given back to the kernel, found again by what it is."""
+"""An adapter that is unplugged while it is in use: detected, released to the kernel, identified when it returns."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def bench(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
 
 
 @pytest.mark.slow
-def test_a_recording_goes_on_when_the_adapter_is_there_again_under_another_number(
+def test_a_recording_continues_when_the_adapter_returns_with_another_number(
     bench: Callable[..., Bench], tmp_path: Path
 ) -> None:
     """Away from 2 s to 6 s; then another adapter has its number, and its chips lost their supply."""
@@ -157,7 +157,7 @@ def test_a_recording_goes_on_when_the_adapter_is_there_again_under_another_numbe
             assert np.abs(z - 1.0).max() < 0.4
 
 
-def test_the_kernel_gets_its_adapter_back(bench: Callable[..., Bench]) -> None:
+def test_an_unplugged_adapter_is_closed(bench: Callable[..., Bench]) -> None:
     it = bench()
     it.machine.plug(1, "1-1")
     with it.bus() as bus:
@@ -172,7 +172,7 @@ def test_the_kernel_gets_its_adapter_back(bench: Callable[..., Bench]) -> None:
     assert it.machine.opened(1) == 0
 
 
-def test_an_error_of_an_adapter_that_is_there_is_its_own(bench: Callable[..., Bench]) -> None:
+def test_an_error_of_a_plugged_adapter_is_passed_on(bench: Callable[..., Bench]) -> None:
     it = bench()
     it.machine.plug(1, "1-1")
     with it.bus() as bus:
@@ -183,7 +183,9 @@ def test_an_error_of_an_adapter_that_is_there_is_its_own(bench: Callable[..., Be
         assert bus.transfer(0x70, read=1) == b"\x00"
 
 
-def test_it_is_looked_for_now_and_then(bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unplugged_adapter_is_searched_at_intervals(
+    bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
     it = bench()
     it.machine.plug(1, "1-1")
     looks: list[int] = []
@@ -201,9 +203,9 @@ def test_it_is_looked_for_now_and_then(bench: Callable[..., Bench], monkeypatch:
         assert 45 <= len(looks) <= 51  # 10 s, every 0.2 s
 
 
-def test_channels_that_the_kernel_drives(bench: Callable[..., Bench], tmp_path: Path) -> None:
+def test_channels_of_the_kernel_return_with_their_adapter(bench: Callable[..., Bench], tmp_path: Path) -> None:
     """Each channel's removal waits until it is closed, the adapter's until all of them are; nothing is on the adapter
-    itself. Whoever set up the multiplexer does so again; the channels have other numbers then.
+    itself. The multiplexer is set up again from outside; the channels have other numbers then.
     """
     it = bench(CHANNELS)
     machine = it.machine
@@ -231,7 +233,7 @@ def test_channels_that_the_kernel_drives(bench: Callable[..., Bench], tmp_path: 
 
 
 @pytest.mark.slow
-def test_one_that_stays_away_is_told_until_the_end(bench: Callable[..., Bench], tmp_path: Path) -> None:
+def test_an_adapter_that_stays_unplugged_is_reported_until_the_end(bench: Callable[..., Bench], tmp_path: Path) -> None:
     it = bench()
     it.machine.plug(1, "1-1")
     done, told = it.record(tmp_path / "r.h5", 3600, {2.0: lambda: it.machine.unplug(1)})
@@ -258,13 +260,13 @@ class TestIdentity:
             ("", ("",), ("1-2", ""), None),  # another port: it could be the other one
             ("", ("",), ("1-1", ""), "i2c-9"),
             ("S1", (), ("1-2", "S1"), "i2c-9"),  # the same serial number
-            ("S1", (), ("1-1", "S2"), None),  # somebody else at its port
+            ("S1", (), ("1-1", "S2"), None),  # another adapter at its port
             ("S1", ("S2",), ("1-2", "S1"), "i2c-9"),
             ("S1", ("S1",), ("1-2", "S1"), None),  # cheap adapters share a serial number
             ("S1", ("S1",), ("1-1", "S1"), "i2c-9"),
         ],
     )
-    def test_which_adapter_is_ours(
+    def test_the_adapter_is_identified_by_serial_number_or_port(
         self, machine: Machine, serial: str, others: tuple[str, ...], again: tuple[str, str], expected: str | None
     ) -> None:
         machine.plug(1, "1-1", serial)
@@ -279,7 +281,7 @@ class TestIdentity:
         machine.plug(9, again[0], again[1])
         assert search(wanted, adapters(machine.devices), known, alone=alone) == expected
 
-    def test_a_built_in_adapter_is_where_it_is(self, tmp_path: Path) -> None:
+    def test_a_built_in_adapter_is_identified_by_its_address(self, tmp_path: Path) -> None:
         devices = tmp_path / "bus"
         devices.mkdir()
         for number, parent in ((0, "fe804000.i2c"), (1, "fe205000.i2c")):
@@ -294,7 +296,7 @@ class TestIdentity:
         ]
         assert is_alone(found["i2c-0"].identity, found)
 
-    def test_a_serial_port(self, tmp_path: Path) -> None:
+    def test_a_serial_port_is_identified_by_its_usb_device(self, tmp_path: Path) -> None:
         for name, part in (("ttyACM0", "1-2:1.0"), ("ttyUSB0", "1-3:1.0/ttyUSB0")):
             port = part.partition(":")[0]
             folder = tmp_path / "devices/usb1" / port / part
@@ -310,13 +312,13 @@ class TestIdentity:
             ("ttyUSB0", "USB 2341:0043 at port 1-3, interface 1.0"),
         ]
 
-    def test_no_sysfs(self, tmp_path: Path) -> None:
+    def test_without_sysfs_no_device_is_listed(self, tmp_path: Path) -> None:
         assert adapters(tmp_path / "none") == {}
         assert ports(tmp_path / "none") == {}
 
 
 @pytest.mark.parametrize(("for_s", "expected"), some([(100.0, 1), (3.0, 0)], 1))
-def test_a_log_in_which_nobody_answers_any_more_says_so(
+def test_a_log_whose_adapter_stays_unplugged_ends_with_an_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], for_s: float, expected: int
 ) -> None:
     (tmp_path / "a.toml").write_text(TRUNK)
@@ -346,7 +348,7 @@ class TestSerialPort:
         removed.mkdir(exist_ok=True)
         (folder / "devices/usb1" / port).rename(removed / f"{len(list(removed.iterdir()))}")
 
-    def test_it_is_the_device_that_is_opened_again_and_not_the_number(self, tmp_path: Path) -> None:
+    def test_the_same_device_is_reopened_under_its_new_number(self, tmp_path: Path) -> None:
         opened: list[str] = []
 
         def open_port(path: str, baud: int) -> Any:
@@ -359,14 +361,14 @@ class TestSerialPort:
         self.unplug(tmp_path, "ttyACM0", "1-1")
         with pytest.raises(FileNotFoundError, match=r"USB 2341:0043 at port 1-1, interface 1\.0 was removed"):
             port()
-        self.plug(tmp_path, "ttyACM0", "1-2", "0042")  # somebody else takes the number
+        self.plug(tmp_path, "ttyACM0", "1-2", "0042")  # another device takes the number
         with pytest.raises(FileNotFoundError):
             port()
         self.plug(tmp_path, "ttyACM1", "1-1")
         port()
         assert opened == ["/dev/ttyACM0", "/dev/ttyACM0", "/dev/ttyACM1"]
 
-    def test_without_sysfs_it_is_the_path(self, tmp_path: Path) -> None:
+    def test_without_sysfs_the_path_is_reopened(self, tmp_path: Path) -> None:
         opened: list[str] = []
         port = UsualPort("/dev/ttyS0", 9600, devices=tmp_path, open_port=lambda path, baud: opened.append(path))  # type: ignore[func-returns-value,arg-type,return-value]
         port()
@@ -375,7 +377,7 @@ class TestSerialPort:
 
 
 @pytest.mark.slow
-def test_a_microcontroller_that_is_asked_for_each_transaction_is_found_again(tmp_path: Path) -> None:
+def test_a_microcontroller_without_a_stream_is_reconnected(tmp_path: Path) -> None:
     """With a transcript, or queues, it does not stream. Unplugged for 5 s; its chips lose their supply."""
     array = parse_array(TRUNK)
     it = SerialBench(array)

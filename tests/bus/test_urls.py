@@ -1,4 +1,4 @@
-"""Bus URLs: what each one opens, and that what names no bus is refused in one line that says what is allowed."""
+"""Bus URLs: the bus that each opens; any other text is refused in one line that states the allowed forms."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def refusal(url: str) -> str:
 
 
 @pytest.mark.parametrize("url", ["", ":", "i2c", "/dev/i2c-1", "usb:1", "EMULATED:", "emulated", "SERIAL:/dev/ttyACM0"])
-def test_no_bus_at_all(url: str) -> None:
+def test_text_that_names_no_bus_is_refused(url: str) -> None:
     assert refusal(url).startswith(f"bus {url!r}: allowed are i2c:/dev/i2c-1, serial:/dev/ttyACM0, replay:T.jsonl")
 
 
@@ -55,18 +55,18 @@ def test_no_bus_at_all(url: str) -> None:
         ),
     ],
 )
-def test_emulated_parameters(query: str, said: str) -> None:
+def test_invalid_parameters_of_the_emulated_bus_are_refused(query: str, said: str) -> None:
     assert refusal(f"emulated:{query}").startswith(f"bus 'emulated:{query}': {said}")
 
 
-def test_emulated() -> None:
+def test_the_emulated_bus_is_opened() -> None:
     with open_bus("emulated:", ARRAY) as bus:
         assert bus.source == "emulated"
         assert bus.transfer(0x53, b"\x00", 1) == b"\xe5"
         assert bus.clock.now_ns() == 93_700  # 36 clocks at 400 kHz and one repeated START: BUS-07
 
 
-def test_emulated_board_from_another_file(tmp_path: Path) -> None:
+def test_the_emulated_board_is_read_from_another_file(tmp_path: Path) -> None:
     other = tmp_path / "other.toml"
     other.write_text(SENSOR.replace("0x53", "0x1D"))
     with open_bus(f"emulated:?board={other}&seed=3", ARRAY) as bus:
@@ -77,12 +77,12 @@ def test_emulated_board_from_another_file(tmp_path: Path) -> None:
         open_bus(f"emulated:?board={tmp_path / 'none.toml'}", ARRAY)
 
 
-def test_a_kernel_bus_that_the_board_lacks_is_no_device(tmp_path: Path) -> None:
+def test_a_kernel_bus_that_the_board_lacks_is_refused(tmp_path: Path) -> None:
     with open_bus("emulated:", ARRAY) as bus, pytest.raises((OSError, BusUrlError)):
         bus.channel_bus("/dev/i2c-11")
 
 
-def test_replay(tmp_path: Path) -> None:
+def test_a_transcript_is_opened(tmp_path: Path) -> None:
     (tmp_path / "t.jsonl").write_text('{"to": "53", "write": "00", "read": "e5"}\n')
     with open_bus(f"replay:{tmp_path / 't.jsonl'}", ARRAY) as bus:
         assert isinstance(bus, ReplayBus)
@@ -91,17 +91,17 @@ def test_replay(tmp_path: Path) -> None:
     assert refusal(f"replay:{tmp_path / 'none.jsonl'}").endswith("none.jsonl: No such file or directory")
 
 
-def test_i2c_that_is_not_there() -> None:
+def test_a_missing_i2c_bus_is_refused() -> None:
     assert refusal("i2c:/dev/no-such-bus").startswith(
         "i2c:/dev/no-such-bus: No such file or directory; buses are /dev/i2c-*"
     )
 
 
-def test_i2c_that_is_no_i2c() -> None:
+def test_a_device_other_than_i2c_is_refused() -> None:
     assert refusal("i2c:/dev/null").startswith("i2c:/dev/null: Inappropriate ioctl for device")
 
 
-def test_i2c_that_is_forbidden(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_i2c_bus_without_permission_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     def forbidden(path: str, flags: int) -> int:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), path)  # LNX-48
 
@@ -112,7 +112,7 @@ def test_i2c_that_is_forbidden(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
-def test_i2c_without_a_path_needs_a_sensor_that_names_one() -> None:
+def test_i2c_without_a_path_takes_the_path_of_a_sensor() -> None:
     assert refusal("i2c:") == "bus 'i2c:': name the device, as in i2c:/dev/i2c-1"
     with (
         device_files({"/dev/i2c-11": Adapter(Wire(VirtualClock()))}),
