@@ -1,4 +1,4 @@
-"""Transcripts: transactions are recorded and replayed, errors included; the first difference is refused with its line."""
+"""Transcripts: transactions are recorded and replayed, errors included; a first difference is refused with its line."""
 
 from __future__ import annotations
 
