@@ -1,4 +1,4 @@
-"""A chip on a wire of its own, and buses that do less than they are told."""
+"""A chip on a wire of its own, and a bus that drops some writes."""
 
 from __future__ import annotations
 

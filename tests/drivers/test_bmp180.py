@@ -1,4 +1,4 @@
-"""BMP180: the worked example of its data sheet to the last pascal, and the conversions that nobody waits for."""
+"""BMP180: the worked example of its data sheet to the last pascal, and conversions without blocking."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def sensor(rate_hz: float = 4.0) -> SensorConfig:
     return SensorConfig(name="P", chip="bmp180", address=0x77, rate_hz=rate_hz)
 
 
-def test_calibration_words() -> None:
+def test_calibration_words_are_those_of_the_worked_example() -> None:
     assert Bmp180.calibration_words(BLOCK) == WORDS
 
 
-def test_which_words_are_unsigned() -> None:
+def test_only_three_words_are_unsigned() -> None:
     words = Bmp180.calibration_words(b"\xff\xfe" * 11)
     assert {name for name, word in words.items() if word == 65534} == {"AC4", "AC5", "AC6"}
     assert {word for name, word in words.items() if name not in ("AC4", "AC5", "AC6")} == {-2}
@@ -67,7 +67,7 @@ def test_temperature(ut: int, degc: float) -> None:
     assert temperature[0] == pytest.approx(degc, abs=1e-9)
 
 
-def test_nonsense_does_not_end_a_log() -> None:
+def test_impossible_raw_values_give_finite_results() -> None:
     # X1 = -MD divides by zero: BMP-66. Every UT must give some number.
     ut = np.arange(0, 65536)
     temperature, pressure = compensate(ut, np.full_like(ut, 300000), WORDS, 3)
@@ -100,7 +100,7 @@ def test_header_is_the_words(ready: Any) -> None:
     assert {name: header[name] for name in WORDS} == WORDS
 
 
-def test_a_reading_takes_both_conversions_and_nothing_comes_early(ready: Any) -> None:
+def test_a_reading_takes_the_time_of_both_conversions(ready: Any) -> None:
     start_ns = ready.clock.now_ns()
     came: list[int] = []
     while ready.clock.now_ns() < start_ns + 60_000_000:
@@ -114,7 +114,7 @@ def test_a_reading_takes_both_conversions_and_nothing_comes_early(ready: Any) ->
     assert commands == [b"\xf4\x2e", b"\xf4\xf4"]
 
 
-def test_no_result_register_is_read_before_its_time(ready: Any) -> None:
+def test_results_are_read_after_their_conversion_time(ready: Any) -> None:
     seen: list[tuple[int, bytes]] = []
     for _ in range(100):
         before, at_ns = len(ready.tap.seen), ready.clock.now_ns()
@@ -135,7 +135,7 @@ def test_no_result_register_is_read_before_its_time(ready: Any) -> None:
         *((rate_hz, 0.02) for rate_hz in (1, 2, 4, 8)),
     ],
 )
-def test_rate_is_kept(bench: Callable[..., Any], rate_hz: int, frame_s: float) -> None:
+def test_readings_have_the_configured_rate(bench: Callable[..., Any], rate_hz: int, frame_s: float) -> None:
     made = bench(Chip, sensor(rate_hz))
     made.driver.configure()
     start_ns = made.clock.now_ns()
@@ -175,7 +175,7 @@ def test_an_overdue_conversion_is_an_error(ready: Any) -> None:
     assert overdue.value.errno == 5
 
 
-def test_after_an_error_it_begins_again(ready: Any) -> None:
+def test_readings_restart_after_an_error(ready: Any) -> None:
     inner = ready.tap.bus
 
     class Dead:
@@ -231,15 +231,15 @@ def test_an_old_result_is_never_taken_for_a_new_one(ready: Any) -> None:
 
 @pytest.mark.parametrize("word", ["AC1", "AC4", "MD"])
 @pytest.mark.parametrize("value", [0x0000, 0xFFFF])
-def test_no_calibration_word_is_0_or_ffff(bench: Callable[..., Any], word: str, value: int) -> None:
+def test_a_calibration_word_of_0_or_ffff_is_refused(bench: Callable[..., Any], word: str, value: int) -> None:
     made = bench(Chip, sensor(), calibration={word: value})
     with pytest.raises(SensorError, match=rf"P \(bmp180\) at trunk address 0x77: calibration word {word} reads "):
         made.driver.configure()
 
 
-def test_dirty_state(bench: Callable[..., Any]) -> None:
+def test_a_conversion_of_an_earlier_program_is_discarded(bench: Callable[..., Any]) -> None:
     made = bench(Chip, sensor())
-    made.write((0xF4, 0xF4))  # somebody's conversion is under way
+    made.write((0xF4, 0xF4))  # the conversion of another program is under way
     made.driver.configure()
     burst = b""
     while not burst:

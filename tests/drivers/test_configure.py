@@ -1,4 +1,4 @@
-"""Setting chips up: from whatever state an earlier program left, and never believed without reading back.
+"""Setting chips up: from any state that an earlier program left, and verified by reading back.
 
 The expected register values are written out from the data sheets' register tables, not taken from the drivers.
 """
@@ -37,7 +37,7 @@ class TestAdxl345:
 
     @pytest.mark.parametrize(("range_", "code"), [(2, 0), (4, 1), (8, 2), (16, 3)])
     @pytest.mark.parametrize("dirty", [(), DIRTY])
-    def test_from_any_state(self, bench: Build, range_: int, code: int, dirty: Any) -> None:
+    def test_a_chip_is_configured_from_any_state(self, bench: Build, range_: int, code: int, dirty: Any) -> None:
         made = bench(Adxl345Chip, sensor("adxl345", 0x53, range_, rate_hz=400.0), (1.0, -0.5, 0.25))
         made.write(*dirty)
         made.wait(0.1)
@@ -69,7 +69,7 @@ class TestAdxl345:
         assert writes[0] == b"\x2d\x00"  # ADX-38
         assert writes[-1] == b"\x2d\x08"
 
-    def test_a_second_look_within_a_period_is_stale(self, bench: Build) -> None:
+    def test_a_second_read_within_a_period_is_stale(self, bench: Build) -> None:
         made = bench(Adxl345Chip, sensor("adxl345", 0x53, 16, rate_hz=100.0))
         made.driver.configure()
         first, second = made.read(), made.read()
@@ -78,7 +78,7 @@ class TestAdxl345:
         assert [told.status[0] for told in (first, second, third)] == [0, 1, 0]
 
     @pytest.mark.parametrize("register", [0x2D, 0x2C, 0x31, 0x38, 0x2E, 0x1E, 0x1F, 0x20])
-    def test_a_register_that_keeps_nothing_is_noticed(self, bench: Build, register: int) -> None:
+    def test_a_register_that_drops_a_write_is_reported(self, bench: Build, register: int) -> None:
         made = bench(Adxl345Chip, sensor("adxl345", 0x53, 16, rate_hz=400.0))
         made.write(*self.DIRTY)
         made.tap.drops = register.__eq__
@@ -119,7 +119,9 @@ class TestBma180:
         ],  # BMA-70 ...
     )
     @pytest.mark.parametrize("dirty", [False, True])
-    def test_from_any_state(self, bench: Build, range_: float, code: int, lsb_per_g: int, dirty: bool) -> None:
+    def test_a_chip_is_configured_from_any_state(
+        self, bench: Build, range_: float, code: int, lsb_per_g: int, dirty: bool
+    ) -> None:
         made = bench(Bma180Chip, sensor("bma180", 0x40, range_, bandwidth_hz=40.0), (0.5, -0.25, 0.75))
         if dirty:  # unlocked, 3 g, 1200 Hz, low power, shadow off, asleep
             made.write((0x0D, 0x10), (0x35, 0x06), (0x20, 0x78), (0x30, 0x83), (0x33, 0x81), (0x0D, 0x12))
@@ -143,7 +145,7 @@ class TestBma180:
         made.driver.configure()
         assert made.register(0x20) >> 4 == code
 
-    def test_trim_bits_survive(self, bench: Build) -> None:
+    def test_trim_bits_are_kept(self, bench: Build) -> None:
         made = bench(Bma180Chip, sensor("bma180", 0x40, 16, bandwidth_hz=150.0), eeprom=OWN_TRIMS)
         before = {register: made.register(register) for register in range(0x20, 0x3C)}
         assert {register: before[register] for register in OWN_TRIMS} == OWN_TRIMS
@@ -172,7 +174,7 @@ class TestBma180:
         assert max(write[0] for _, write, _ in made.tap.seen if write) < 0x40
         assert {len(write) for write in made.tap.writes} == {2}  # pairs: BMA-05
 
-    def test_nothing_is_said_during_the_download(self, bench: Build) -> None:
+    def test_nothing_is_sent_during_the_download(self, bench: Build) -> None:
         """Writes are undone if they come within 10 ms of the reset (BMA-53): 20 ms of silence."""
         made = bench(Bma180Chip, sensor("bma180", 0x40, 16))
         times: list[tuple[int, bytes]] = []
@@ -186,17 +188,17 @@ class TestBma180:
         assert min(after) - reset_ns >= 20_000_000
 
     @pytest.mark.parametrize("vanish", [False, True])
-    def test_a_slow_download_is_noticed(self, bench: Build, vanish: bool) -> None:
+    def test_a_slow_download_is_reported(self, bench: Build, vanish: bool) -> None:
         made = bench(Bma180Chip, sensor("bma180", 0x40, 16), download_ns=60_000_000, early_writes_vanish=vanish)
         made.clock.sleep_until(2_000_000_000)
         if vanish:
             with pytest.raises(SensorError, match=r"S \(bma180\) at trunk address 0x40: register 0x35 reads"):
                 made.driver.configure()
         else:
-            made.driver.configure()  # undone later; nobody can know yet
+            made.driver.configure()  # undone later; not visible yet
 
     @pytest.mark.parametrize("register", [0x0D, 0x20, 0x30, 0x33, 0x35])
-    def test_a_register_that_keeps_nothing_is_noticed(self, bench: Build, register: int) -> None:
+    def test_a_register_that_drops_a_write_is_reported(self, bench: Build, register: int) -> None:
         made = bench(Bma180Chip, sensor("bma180", 0x40, 16, bandwidth_hz=150.0), eeprom=OWN_TRIMS)
         made.tap.drops = register.__eq__
         with pytest.raises(
@@ -204,7 +206,7 @@ class TestBma180:
         ):
             made.driver.configure()
 
-    def test_a_burst_of_two_looks_within_an_update_is_stale(self, bench: Build) -> None:
+    def test_two_reads_within_an_update_give_a_stale_reading(self, bench: Build) -> None:
         made = bench(Bma180Chip, sensor("bma180", 0x40, 2, bandwidth_hz=1200.0))
         made.driver.configure()
         assert made.read().status[0] == 0
@@ -227,7 +229,9 @@ class TestL3g4200d:
         ("range_", "bits", "dps_per_digit"), [(250, 0x00, 0.00875), (500, 0x10, 0.0175), (2000, 0x20, 0.07)]
     )
     @pytest.mark.parametrize("dirty", [(), DIRTY])
-    def test_from_any_state(self, bench: Build, range_: int, bits: int, dps_per_digit: float, dirty: Any) -> None:
+    def test_a_chip_is_configured_from_any_state(
+        self, bench: Build, range_: int, bits: int, dps_per_digit: float, dirty: Any
+    ) -> None:
         made = bench(
             L3g4200dChip, sensor("l3g4200d", 0x69, range_, rate_hz=400.0, bandwidth_hz=50.0), (70.0, -35.0, 14.0)
         )
@@ -266,7 +270,9 @@ class TestL3g4200d:
         assert made.register(0x20) == top | 0x0F
 
     @pytest.mark.parametrize("rate_hz", [100, 200, 400, 800])
-    def test_without_a_bandwidth_the_chip_gets_the_one_that_the_log_names(self, bench: Build, rate_hz: int) -> None:
+    def test_without_a_bandwidth_the_chip_gets_the_bandwidth_that_the_log_states(
+        self, bench: Build, rate_hz: int
+    ) -> None:
         table = {100: (12.5, 25, 25, 25), 200: (12.5, 25, 50, 70), 400: (20, 25, 50, 110), 800: (30, 35, 50, 110)}
         config = sensor("l3g4200d", 0x68, 250, rate_hz=float(rate_hz))
         made = bench(L3g4200dChip, config)
@@ -274,7 +280,7 @@ class TestL3g4200d:
         assert table[rate_hz][made.register(0x20) >> 4 & 0b11] == config.chip_bandwidth_hz
 
     @pytest.mark.parametrize("register", [0x20, 0x21, 0x22, 0x23, 0x24, 0x2E])
-    def test_a_register_that_keeps_nothing_is_noticed(self, bench: Build, register: int) -> None:
+    def test_a_register_that_drops_a_write_is_reported(self, bench: Build, register: int) -> None:
         made = bench(L3g4200dChip, sensor("l3g4200d", 0x68, 250, rate_hz=400.0))
         made.write(*self.DIRTY)
         made.tap.drops = register.__eq__
@@ -289,7 +295,7 @@ class TestL3g4200d:
         assert made.chip.forbidden_writes == 0  # L3G-07
         assert made.tap.seen[-1] == (0x68, b"\xa6", 8)  # with the bit that counts on: L3G-03
 
-    def test_a_second_look_within_a_period_is_stale(self, bench: Build) -> None:
+    def test_a_second_read_within_a_period_is_stale(self, bench: Build) -> None:
         made = bench(L3g4200dChip, sensor("l3g4200d", 0x68, 250, rate_hz=100.0))
         made.driver.configure()
         made.wait(0.5)
@@ -311,7 +317,7 @@ class TestHmc5883:
     DIRTY = ((0x00, 0x71), (0x01, 0xE0), (0x02, 0x03))  # eight averages, 30 Hz, biased; coarsest gain; idle
 
     @pytest.mark.parametrize("dirty", [(), DIRTY])
-    def test_from_any_state(
+    def test_a_chip_is_configured_from_any_state(
         self, bench: Build, chip: str, emulated: Any, range_: float, gain: int, lsb_per_gauss: int, dirty: Any
     ) -> None:
         made = bench(emulated, sensor(chip, 0x1E, range_, rate_hz=75.0), (0.2, -0.1, 0.4))
@@ -332,7 +338,7 @@ class TestHmc5883:
         made.wait(2 / 75)
         np.testing.assert_allclose(made.read().counts, [[-0.2 * lsb_per_gauss, 0.1 * lsb_per_gauss, 0]], atol=1)
 
-    def test_partly_read_and_locked(
+    def test_a_chip_with_locked_data_is_configured(
         self, bench: Build, chip: str, emulated: Any, range_: float, gain: int, lsb_per_gauss: int
     ) -> None:
         made = bench(emulated, sensor(chip, 0x1E, range_, rate_hz=75.0), (0.2, -0.1, 0.4))
@@ -343,7 +349,7 @@ class TestHmc5883:
         )
 
     @pytest.mark.parametrize("register", [0x00, 0x01])
-    def test_a_register_that_keeps_nothing_is_noticed(
+    def test_a_register_that_drops_a_write_is_reported(
         self, bench: Build, chip: str, emulated: Any, range_: float, gain: int, lsb_per_gauss: int, register: int
     ) -> None:
         made = bench(emulated, sensor(chip, 0x1E, range_, rate_hz=75.0))
@@ -354,7 +360,7 @@ class TestHmc5883:
 
 
 @pytest.mark.parametrize(("chip", "emulated"), [("hmc5883", Hmc5883Chip), ("hmc5883l", Hmc5883lChip)])
-def test_an_hmc5883_that_stays_idle_is_noticed(bench: Build, chip: str, emulated: Any) -> None:
+def test_an_hmc5883_that_stays_idle_is_reported(bench: Build, chip: str, emulated: Any) -> None:
     made = bench(emulated, sensor(chip, 0x1E, 1.9, rate_hz=75.0))
     made.write((0x02, 0x03))
     made.tap.drops = (0x02).__eq__
@@ -372,7 +378,9 @@ def test_an_hmc5883_that_stays_idle_is_noticed(bench: Build, chip: str, emulated
     ],
 )
 class TestIdentity:
-    def test_nobody(self, bench: Build, chip: str, emulated: Any, range_: float, address: int) -> None:
+    def test_a_missing_acknowledgement_is_reported(
+        self, bench: Build, chip: str, emulated: Any, range_: float, address: int
+    ) -> None:
         for number in (6, 121):
             made = bench(emulated, sensor(chip, address, range_))
             made.chip.address = 0x10
@@ -383,7 +391,9 @@ class TestIdentity:
             ):
                 made.driver.identify()
 
-    def test_a_sick_bus(self, bench: Build, chip: str, emulated: Any, range_: float, address: int) -> None:
+    def test_a_failing_bus_is_reported(
+        self, bench: Build, chip: str, emulated: Any, range_: float, address: int
+    ) -> None:
         made = bench(emulated, sensor(chip, address, range_))
 
         class Stuck:
@@ -394,13 +404,15 @@ class TestIdentity:
         with pytest.raises(SensorError, match=r": the bus fails: Connection timed out$"):
             made.driver.identify()
 
-    def test_another_chip(self, bench: Build, chip: str, emulated: Any, range_: float, address: int) -> None:
+    def test_another_chip_is_refused(self, bench: Build, chip: str, emulated: Any, range_: float, address: int) -> None:
         made = bench(emulated, sensor(chip, address, range_))
         made.chip.page[:] = bytes(256)
         with pytest.raises(SensorError, match=r"identity 00( 00 00)?, expected (e5|03|d3|48 34 33)$"):
             made.driver.identify()
 
-    def test_changes_nothing(self, bench: Build, chip: str, emulated: Any, range_: float, address: int) -> None:
+    def test_identification_changes_nothing(
+        self, bench: Build, chip: str, emulated: Any, range_: float, address: int
+    ) -> None:
         made = bench(emulated, sensor(chip, address, range_))
         made.driver.identify()
         assert made.tap.writes == []

@@ -1,4 +1,4 @@
-"""Bytes into counts, from the literal test vectors of the data sheets; and the flags that a burst itself tells."""
+"""Bytes into counts, from the literal test vectors of the data sheets; and the flags that a burst contains."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ADDRESSES = {"bma180": 0x40, "adxl345": 0x53, "l3g4200d": 0x68, "hmc5883": 0x1E,
 
 
 class NoBus:
-    """Decoding is pure: it asks nobody."""
+    """Decoding is pure: it makes no transfer."""
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         raise AssertionError("decoding touched the bus")
@@ -53,7 +53,7 @@ class TestBma180:
         assert told.temperature_counts.dtype == np.int16
         np.testing.assert_array_equal(told.temperature_counts, [0, -128, 2, -1])
 
-    def test_the_new_data_flag_is_no_part_of_the_code(self) -> None:
+    def test_the_new_data_flag_does_not_change_the_code(self) -> None:
         with_flag, without = decoded("bma180", "01 40 01 40 01 40 00"), decoded("bma180", "00 40 00 40 00 40 00")
         np.testing.assert_array_equal(with_flag.counts, without.counts)
 
@@ -61,7 +61,7 @@ class TestBma180:
         ("burst", "stale"),
         [("00 10 00 10 00 10 00", True), ("01 10 00 10 00 10 00", False), ("00 10 00 10 01 10 00", False)],
     )
-    def test_stale_when_no_axis_is_new(self, burst: str, stale: bool) -> None:
+    def test_a_burst_without_a_new_axis_is_stale(self, burst: str, stale: bool) -> None:
         assert decoded("bma180", burst).status[0] == (STALE if stale else 0)
 
     @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ class TestHmc5883:
     def test_overflow_is_flagged(self, chip: str, burst: str) -> None:
         assert decoded(chip, burst).status[0] == SATURATED
 
-    def test_the_last_codes_inside_are_not(self, chip: str) -> None:
+    def test_the_last_codes_inside_the_range_are_not_saturated(self, chip: str) -> None:
         assert decoded(chip, "F8 01 07 FE 00 00").status[0] == 0
 
 
@@ -167,7 +167,7 @@ def test_many_bursts_at_once_are_the_same_as_one_by_one(bursts: list[bytes]) -> 
 
 
 @given(st.tuples(*[st.integers(-8192, 8191)] * 3), st.integers(-128, 127))
-def test_bma180_gets_back_what_14_bits_can_hold(codes: tuple[int, int, int], temperature: int) -> None:
+def test_a_bma180_burst_round_trips_all_14_bit_codes(codes: tuple[int, int, int], temperature: int) -> None:
     burst = b"".join(((code & 0x3FFF) << 2 | 1).to_bytes(2, "little") for code in codes) + temperature.to_bytes(
         1, "big", signed=True
     )
@@ -177,7 +177,7 @@ def test_bma180_gets_back_what_14_bits_can_hold(codes: tuple[int, int, int], tem
     assert told.temperature_counts[0] == temperature
 
 
-def test_the_time_of_a_burst_is_computed_for_its_length() -> None:
+def test_the_burst_length_of_a_spec_is_that_of_its_driver() -> None:
     """The simulated bus time of a reading (`burst_bytes`) is that of the transaction which the driver makes."""
     lengths = {chip: spec.burst_bytes for chip, spec in CHIPS.items() if not spec.on_demand}
     assert lengths == {chip: DRIVERS[chip].burst for chip in lengths}

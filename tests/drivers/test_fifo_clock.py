@@ -39,9 +39,7 @@ def drained(
     poll_s=st.floats(0.005, 0.03),
     seed=st.integers(0, 1000),
 )
-def test_never_more_than_about_a_period_off_and_always_in_order(
-    rate_hz: float, error: float, poll_s: float, seed: int
-) -> None:
+def test_times_are_ordered_and_within_1_3_periods(rate_hz: float, error: float, poll_s: float, seed: int) -> None:
     pairs = drained(rate_hz, error, poll_s, 0.002, 200, seed)
     period_ns = 1e9 / rate_hz / (1 + error)
     estimated = [estimate for estimate, _ in pairs]
@@ -52,7 +50,7 @@ def test_never_more_than_about_a_period_off_and_always_in_order(
 
 @pytest.mark.parametrize("error", [-0.08, 0.0, 0.08])
 def test_spacing_converges_to_the_chips_own_period(error: float) -> None:
-    """Not to the nominal one: 8 % off would bend a second of samples by 80 ms."""
+    """Not to the nominal period: 8 % off would shift a second of samples by 80 ms."""
     pairs = drained(800.0, error, 0.02, 0.001, 500, seed=1)
     estimated = [estimate for estimate, _ in pairs[-4000:]]
     spacing_ns = (estimated[-1] - estimated[0]) / (len(estimated) - 1)
@@ -67,7 +65,7 @@ def test_an_empty_queue_has_no_times() -> None:
     assert FifoClock(100.0).times(0, 5) == []
 
 
-def test_after_an_overrun_time_jumps_and_order_is_kept() -> None:
+def test_after_an_overrun_times_jump_and_stay_ordered() -> None:
     clock = FifoClock(100.0)
     first = clock.times(4, 100_000_000)
     after = clock.times(32, 5_000_000_000, overrun=True)
@@ -78,7 +76,7 @@ def test_after_an_overrun_time_jumps_and_order_is_kept() -> None:
 
 @pytest.mark.parametrize("seed", some(range(12), 4))
 @pytest.mark.parametrize("error", [-0.01, -0.0037, 0.0, 0.01])
-def test_no_time_is_further_off_than_the_uncertainty_says(error: float, seed: int) -> None:
+def test_the_uncertainty_bounds_the_error_of_every_time(error: float, seed: int) -> None:
     """None of the samples of any seed, the first ones included: the uncertainty is a bound, not a standard deviation.
 
     The host is late by up to 3 ms after the count, and counts up to 200 us before the chip does.
@@ -101,4 +99,4 @@ def test_no_time_is_further_off_than_the_uncertainty_says(error: float, seed: in
             assert abs(time_ns - phase_ns - number * period_ns) <= uncertainty_ns + 1  # times are whole ns
         stated.append(clock.uncertainty_ns)
         taken = have - left
-    assert sorted(stated)[len(stated) // 2] < 0.2 * period_ns  # and it says something
+    assert sorted(stated)[len(stated) // 2] < 0.2 * period_ns  # and the bound is narrow

@@ -1,4 +1,4 @@
-"""Barometers in forced mode: the worked examples of data sheets, and the measurements that nobody waits for."""
+"""Barometers in forced mode: the worked examples of data sheets, and measurements without blocking."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ WORDS_280 = {
     "P8": -14600,
     "P9": 6000,
 }
-# Bytes and words of a BMP388 that somebody measured with: BMP-220.
+# Bytes and words of a published measurement with a BMP388: BMP-220.
 BLOCK_388 = bytes.fromhex("236b 5849 f6 5cff cef4 23 00 ea63 6e79 f3 f6 aa43 12 c4")
 WORDS_388 = {
     "T1": 27427,
@@ -74,13 +74,13 @@ def sensor(chip: str, rate_hz: float = 4.0) -> SensorConfig:
 # Arithmetic -----------------------------------------------------------------------------------------------------------
 
 
-def test_calibration_words_of_a_bmp280() -> None:
+def test_calibration_words_of_a_bmp280_are_decoded() -> None:
     assert Bmp280.calibration_words(BLOCK_280) == WORDS_280
     unsigned = {name for name, word in Bmp280.calibration_words(b"\xfe\xff" * 12).items() if word == 65534}
     assert unsigned == {"T1", "P1"}  # BMP-103
 
 
-def test_the_worked_example_of_the_bmp280() -> None:
+def test_the_worked_example_of_the_bmp280_is_reproduced() -> None:
     """BMP-120: t_fine 128422, 25.08 degC, 100653.27 Pa, computed in real numbers; integers deviate a little."""
     ut, up = np.array([519888]), np.array([415148])
     fine = fine_temperature_bmp280(ut, WORDS_280)
@@ -90,13 +90,13 @@ def test_the_worked_example_of_the_bmp280() -> None:
     assert pressure[0] == pytest.approx(100653.27, abs=0.05)
 
 
-def test_calibration_words_of_a_bmp388() -> None:
+def test_calibration_words_of_a_bmp388_are_decoded() -> None:
     assert Bmp388.calibration_words(BLOCK_388) == WORDS_388
     unsigned = {name for name, word in Bmp388.calibration_words(b"\xfe\xff" * 10 + b"\xfe").items() if word > 0}
     assert unsigned == {"T1", "T2", "P5", "P6"}  # BMP-203
 
 
-def test_a_measurement_that_somebody_published_with_his_bmp388() -> None:
+def test_a_published_measurement_with_a_bmp388_is_reproduced() -> None:
     """BMP-220: bytes 97 9F 6D 73 D8 85 are 30.499314 degC and 100876.0063 Pa in real numbers; integers drop what is
     below 0.01.
     """
@@ -141,7 +141,7 @@ def test_the_integers_of_the_bmp280_follow_the_formulas_in_real_numbers() -> Non
 
 
 @pytest.mark.parametrize("chip", BAROMETERS)
-def test_raw_words_come_back(chip: str) -> None:
+def test_raw_words_round_trip(chip: str) -> None:
     arithmetic = BAROMETERS[chip]
     degc, pascal = np.repeat([-20.0, 0.0, 25.0, 60.0], 3), np.tile([40_000.0, 90_000.0, 105_000.0], 4)
     ut, up = arithmetic.uncompensated(degc, pascal, arithmetic.words)
@@ -151,7 +151,7 @@ def test_raw_words_come_back(chip: str) -> None:
 
 
 @pytest.mark.parametrize("chip", FORCED)
-def test_nonsense_does_not_end_a_log(chip: str) -> None:
+def test_impossible_raw_values_give_finite_results(chip: str) -> None:
     """Every raw word gives some number, whatever the other one is."""
     arithmetic = BAROMETERS[chip]
     bits = {"bmp280": 20, "bmp388": 24}[chip]
@@ -184,7 +184,7 @@ def reading(made: Any, tries: int = 1000) -> Any:
 
 
 @pytest.mark.parametrize("chip", FORCED)
-def test_settings_and_driver_agree_on_how_long_a_measurement_takes(chip: str) -> None:
+def test_settings_and_driver_agree_on_the_measurement_time(chip: str) -> None:
     kind: Any = DRIVERS[chip]
     assert [nanoseconds * 1e-9 for nanoseconds in kind.conversions_ns] == pytest.approx(SPECS[chip].conversions_s)
 
@@ -205,7 +205,7 @@ def test_readings_agree_with_the_world(ready: Any) -> None:
         assert decoded.counts.dtype == np.int32
 
 
-def test_nothing_is_looked_at_before_its_time(ready: Any) -> None:
+def test_a_result_is_read_after_its_measurement_time(ready: Any) -> None:
     chip = ready.sensor.chip
     seen: list[tuple[int, bytes, int]] = []
     for _ in range(240):
@@ -221,7 +221,7 @@ def test_nothing_is_looked_at_before_its_time(ready: Any) -> None:
 
 @pytest.mark.parametrize("chip", FORCED)
 @pytest.mark.parametrize(("rate_hz", "frame_s"), [(1, 0.002), (4, 0.02), (8, 0.002), (16, 0.005)])
-def test_rate_is_kept(bench: Callable[..., Any], chip: str, rate_hz: int, frame_s: float) -> None:
+def test_readings_have_the_configured_rate(bench: Callable[..., Any], chip: str, rate_hz: int, frame_s: float) -> None:
     made = bench(CHIPS[chip], sensor(chip, rate_hz))
     made.driver.configure()
     start_ns = made.clock.now_ns()
@@ -233,8 +233,8 @@ def test_rate_is_kept(bench: Callable[..., Any], chip: str, rate_hz: int, frame_
     assert abs(readings - 10 * rate_hz) <= 1
 
 
-def test_a_chip_that_was_reset_meanwhile_gives_no_reading(ready: Any) -> None:
-    """Its data registers say "skipped" then, which compensates to a temperature and a pressure all the same."""
+def test_a_chip_that_is_reset_during_a_measurement_gives_no_reading(ready: Any) -> None:
+    """Its data registers state "skipped" then, which compensates to a temperature and a pressure all the same."""
     assert ready.driver.fetch() == b""
     ready.write(RESET[ready.sensor.chip])
     ready.wait(LONGEST_S[ready.sensor.chip] + 0.001)
@@ -244,7 +244,7 @@ def test_a_chip_that_was_reset_meanwhile_gives_no_reading(ready: Any) -> None:
     assert reading(ready).compensated["pressure"][0] == pytest.approx(101325, abs=0.5)
 
 
-def test_after_an_error_of_the_bus_the_result_is_still_there(ready: Any) -> None:
+def test_a_result_is_read_after_an_error_of_the_bus(ready: Any) -> None:
     inner = ready.tap.bus
 
     class Dead:
@@ -274,7 +274,7 @@ def test_an_old_result_is_never_taken_for_a_new_one(ready: Any) -> None:
 
 @pytest.mark.parametrize(("chip", "word"), [("bmp280", word) for word in ("T1", "T2", "P1")] + [("bmp388", "P5")])
 @pytest.mark.parametrize("value", [0x0000, 0xFFFF])
-def test_no_calibration_word_that_matters_is_0_or_ffff(
+def test_a_calibration_word_of_0_or_ffff_is_refused(
     bench: Callable[..., Any], chip: str, word: str, value: int
 ) -> None:
     made = bench(CHIPS[chip], sensor(chip), calibration={word: value})
@@ -282,8 +282,8 @@ def test_no_calibration_word_that_matters_is_0_or_ffff(
         made.driver.configure()
 
 
-def test_dirty_state(ready: Any) -> None:
-    """Somebody's filter (and three-wire SPI) are switched off, his measurements stop."""
+def test_settings_of_an_earlier_program_are_replaced(ready: Any) -> None:
+    """The filter (and three-wire SPI) of an earlier program are switched off, its measurements stop."""
     filters, measure = {"bmp280": ((0xF5, 0xFD), (0xF4, 0x27)), "bmp388": ((0x1F, 0x0E), (0x1B, 0x33))}[
         ready.sensor.chip
     ]

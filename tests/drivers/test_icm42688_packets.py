@@ -56,7 +56,7 @@ def status(counts: list[int], lowest: int) -> int:
 
 
 @given(SAMPLES)
-def test_counts_of_more_bits_survive_a_packet(samples: list[tuple[tuple[int, ...], tuple[int, ...], int]]) -> None:
+def test_counts_of_18_and_19_bits_are_decoded(samples: list[tuple[tuple[int, ...], tuple[int, ...], int]]) -> None:
     packets = b"".join(packet(*sample) for sample in samples)
     for half, place, lowest in (("acc", 0, -(1 << 17)), ("gyro", 1, -(1 << 18))):
         told = decoded(half, high_resolution_rows(packets, half))
@@ -67,7 +67,7 @@ def test_counts_of_more_bits_survive_a_packet(samples: list[tuple[tuple[int, ...
 
 
 @given(st.lists(st.tuples(WORD, WORD, WORD, st.integers(-128, 127)), max_size=20), st.sampled_from(["acc", "gyro"]))
-def test_packets_of_one_triad_are_widened(samples: list[tuple[int, ...]], half: str) -> None:
+def test_packets_with_one_triad_are_decoded(samples: list[tuple[int, ...]], half: str) -> None:
     packets = b"".join(
         bytes([0x40 if half == "acc" else 0x20])
         + b"".join(count.to_bytes(2, "big", signed=True) for count in counts)
@@ -81,7 +81,7 @@ def test_packets_of_one_triad_are_widened(samples: list[tuple[int, ...]], half: 
 
 
 @pytest.mark.parametrize("half", ["acc", "gyro"])
-def test_the_lowest_code_is_no_reading_and_its_neighbours_are_the_ends(half: str) -> None:
+def test_the_lowest_code_is_suspect_and_the_end_codes_are_saturated(half: str) -> None:
     """TDK-88: -524288 of 20 bits, on any axis; TDK-89: of 20 bits two or one are always 0."""
     step = {"acc": 4, "gyro": 2}[half]
     lowest = -524288 // step
@@ -101,13 +101,13 @@ def test_the_lowest_code_is_no_reading_and_its_neighbours_are_the_ends(half: str
         *((0xFF, 0), (0x80, 0), (0x00, 0), (0x0F, 0), (0x50, 0), (0x30, 0), (0xF8, 0)),
     ],
 )
-def test_the_header_tells_the_size(header: int, size: int) -> None:
+def test_the_header_gives_the_size(header: int, size: int) -> None:
     """TDK-81."""
     assert packet_size(header) == size
 
 
 @given(st.integers(0, 255))
-def test_a_size_belongs_to_the_halves_of_a_header(header: int) -> None:
+def test_the_size_of_a_packet_matches_the_halves_of_its_header(header: int) -> None:
     halves = [half for half, bit in (("acc", 0x40), ("gyro", 0x20)) if header & bit]
     size = packet_size(header)
     assert size in (0, 8, 16, 20)
@@ -138,12 +138,12 @@ def entry(half: str, **keys: object) -> str:
         ),
     ],
 )
-def test_what_a_configuration_can_not_ask_for(entries: list[str], complaint: str) -> None:
+def test_unsupported_configurations_are_refused(entries: list[str], complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         parse_array('[array]\nname = "a"\n' + "".join(entries))
 
 
-def test_what_a_count_is() -> None:
+def test_high_resolution_counts_have_their_sensitivity() -> None:
     """TDK-89: 8192 a g in 18 bits, 131 a dps in 19."""
     text = '[array]\nname = "a"\n' + entry("acc", chip='"icm42688"') + entry("gyro", chip='"icm42688"')
     acc, gyro = parse_array(text).sensors

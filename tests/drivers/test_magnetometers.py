@@ -1,4 +1,4 @@
-"""Magnetometers that can be bought: what their drivers make of the emulated chips, whatever was left behind."""
+"""Current magnetometers: their drivers read the emulated chips, from any state that an earlier program left."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def fields(made: Any, count: int = 4) -> np.ndarray:
 
 
 def bridge(made: Any) -> np.ndarray:
-    """Where the bridges stand without a field, in gauss, by the header; 0 for chips that have none."""
+    """Offsets of the bridges in gauss, from the header; 0 for chips that have none."""
     header = made.driver.header()
     return np.array([header.get(f"bridge_{axis}", 0.0) for axis in "xyz"]) / made.sensor.sensitivity
 
@@ -75,8 +75,8 @@ def test_every_range_reads_the_field(bench: Callable[..., Any], chip: str, gauss
 
 
 @pytest.mark.parametrize(("chip", "rate_hz"), [(chip, rate) for chip, rates in RATES_HZ.items() for rate in rates])
-def test_every_rate_gives_so_many_readings(bench: Callable[..., Any], chip: str, rate_hz: float) -> None:
-    """A sample that falls into a burst, behind its status, comes without its flag: the bus takes 0.3 ms for a burst."""
+def test_every_rate_gives_its_number_of_readings(bench: Callable[..., Any], chip: str, rate_hz: float) -> None:
+    """A sample during a burst, after its status byte, is read without its flag: the bus takes 0.3 ms for a burst."""
     made = bench(CHIPS[chip], sensor(chip, rate_hz=rate_hz), vector=FIELD)
     made.driver.configure()
     made.read()
@@ -88,7 +88,7 @@ def test_every_rate_gives_so_many_readings(bench: Callable[..., Any], chip: str,
 
 
 @pytest.mark.parametrize("poll_s", [0.0008, 0.0033, 0.0097])
-def test_an_ak8975_that_takes_longer_is_waited_for(
+def test_a_slower_measurement_of_an_ak8975_is_awaited(
     bench: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, poll_s: float
 ) -> None:
     """Sources say 9 ms or 10 ms at the most (AKM-25); a new measurement would end the one in progress (DEC-235)."""
@@ -103,7 +103,7 @@ def test_an_ak8975_that_takes_longer_is_waited_for(
 
 
 @pytest.mark.parametrize("chip", GAUSS)
-def test_what_an_earlier_program_left_behind_does_not_matter(bench: Callable[..., Any], chip: str) -> None:
+def test_settings_of_an_earlier_program_are_replaced(bench: Callable[..., Any], chip: str) -> None:
     made = bench(CHIPS[chip], sensor(chip), vector=FIELD)
     made.write(*LEFT_BEHIND[chip])
     made.driver.configure()
@@ -122,7 +122,7 @@ def test_old_and_lost_readings_are_flagged(bench: Callable[..., Any], chip: str)
     assert status & OVERRUN
 
 
-def test_a_lis3mdl_tells_its_temperature(bench: Callable[..., Any]) -> None:
+def test_a_lis3mdl_measures_its_temperature(bench: Callable[..., Any]) -> None:
     made = bench(CHIPS["lis3mdl"], sensor("lis3mdl"), vector=FIELD)
     made.chip.element.temperature_degc = 41.0
     made.driver.configure()
@@ -146,7 +146,7 @@ def test_a_microcontroller_reads_a_lis3mdl_twice_in_a_frame(tmp_path: Path) -> N
             assert np.abs(np.asarray(log["M"].temperature_counts)).max() <= 8  # of 8 a degC, 0 at 25 degC: LIS-20
 
 
-def test_a_mark_is_kept_and_watched(bench: Callable[..., Any]) -> None:
+def test_a_mark_is_kept_and_verified(bench: Callable[..., Any]) -> None:
     made = bench(CHIPS["lis3mdl"], sensor("lis3mdl"), vector=FIELD)
     assert made.driver.mark(21)
     made.driver.configure()
@@ -171,8 +171,8 @@ def test_another_chip_is_named(bench: Callable[..., Any], chip: str, identity: i
         made.driver.identify()
 
 
-def test_set_and_reset_tell_where_the_bridges_stand(bench: Callable[..., Any]) -> None:
-    """MMC-14: (m_set + m_reset) / 2, within a code; counts stay as they come."""
+def test_set_and_reset_measure_the_offset_of_the_bridges(bench: Callable[..., Any]) -> None:
+    """MMC-14: (m_set + m_reset) / 2, within a code; counts are not corrected."""
     made = bench(CHIPS["mmc5983"], sensor("mmc5983"), vector=FIELD, bridge=(0.3, -0.4, 0.05))
     made.driver.configure()
     header = made.driver.header()
@@ -181,7 +181,7 @@ def test_set_and_reset_tell_where_the_bridges_stand(bench: Callable[..., Any]) -
     assert made.read().counts.dtype == np.int32
 
 
-def test_18_bits_have_their_lowest_two(bench: Callable[..., Any]) -> None:
+def test_the_lowest_two_of_18_bits_are_decoded(bench: Callable[..., Any]) -> None:
     codes = []
     for step in range(8):
         made = bench(CHIPS["mmc5983"], sensor("mmc5983"), vector=(step / 16384, 0.0, -step / 16384), bridge=(0, 0, 0))
@@ -190,7 +190,7 @@ def test_18_bits_have_their_lowest_two(bench: Callable[..., Any]) -> None:
     assert codes == [[step, 0, -step] for step in range(8)]
 
 
-def test_a_chip_that_does_not_measure_is_noticed_though_nothing_can_be_read_back(bench: Callable[..., Any]) -> None:
+def test_a_chip_that_does_not_measure_is_reported(bench: Callable[..., Any]) -> None:
     made = bench(CHIPS["mmc5983"], sensor("mmc5983"), vector=FIELD)
     made.tap.drops = lambda register: register == 0x09
     with pytest.raises(SensorError, match="a measurement is not done after 9 ms"):
@@ -206,7 +206,9 @@ def test_a_chip_that_does_not_measure_is_noticed_though_nothing_can_be_read_back
         ((5.0, 0.0, 0.0), (0.0, 0.0, 0.0), False),  # magnetised, or beside a magnet
     ],
 )
-def test_the_self_test_of_an_mmc5983(bench: Callable[..., Any], field: Any, bridge: Any, passed: bool | None) -> None:
+def test_the_self_test_of_an_mmc5983_judges_field_and_bridge(
+    bench: Callable[..., Any], field: Any, bridge: Any, passed: bool | None
+) -> None:
     made = bench(CHIPS["mmc5983"], sensor("mmc5983"), vector=field, bridge=bridge)
     assert made.driver.self_test().passed is passed
 
@@ -241,7 +243,7 @@ def behind(request: Any) -> ArrayConfig:
     return parse_array(text)
 
 
-def test_a_magnetometer_is_hidden_until_the_bypass_of_its_mpu9250_is_open(behind: ArrayConfig) -> None:
+def test_a_magnetometer_answers_only_while_the_bypass_of_its_mpu9250_is_open(behind: ArrayConfig) -> None:
     with open_array(behind) as bus:
         if behind.mux is not None:
             bus.transfer(0x70, b"\x05")
@@ -259,8 +261,8 @@ def test_a_magnetometer_is_hidden_until_the_bypass_of_its_mpu9250_is_open(behind
             bus.transfer(0x0C, b"\x00", 1)
 
 
-def test_the_driver_opens_the_bypass_and_the_axes_are_the_boxs(behind: ArrayConfig) -> None:
-    """Counts, adjusted by the fuse ROM, are the field that this part feels where it lies; mean of 25 at 4.4 sigma."""
+def test_the_driver_opens_the_bypass_and_reads_the_field_in_the_axes_of_the_box(behind: ArrayConfig) -> None:
+    """Counts, adjusted by the fuse ROM, are the field at the orientation of this part; mean of 25 at 4.4 sigma."""
     with open_array(behind, switches={"Mag": {"adjustment": (190, 140, 100)}}) as bus:
         magnetometer, _ = (route.driver for route in connect(behind, bus))
         bursts = b""
@@ -278,7 +280,7 @@ def test_the_driver_opens_the_bypass_and_the_axes_are_the_boxs(behind: ArrayConf
         assert magnetometer.self_test().passed
 
 
-def test_a_reset_mpu9250_is_noticed_and_its_bypass_opened_again(behind: ArrayConfig, tmp_path: Path) -> None:
+def test_a_reset_mpu9250_is_reported_and_its_bypass_opened_again(behind: ArrayConfig, tmp_path: Path) -> None:
     faults, path = tmp_path / "faults.toml", tmp_path / "run.h5"
     faults.write_text('[[fault]]\nkind = "reset"\nsensor = "Acc"\nat_s = 2.0\n')
     with open_bus(f"emulated:?faults={faults}", behind) as bus:
@@ -289,7 +291,7 @@ def test_a_reset_mpu9250_is_noticed_and_its_bypass_opened_again(behind: ArrayCon
         assert np.count_nonzero(late) > 40
 
 
-def test_two_mpu9250_on_one_bus_hide_their_magnetometers_from_each_other() -> None:
+def test_two_mpu9250_with_magnetometers_on_one_bus_are_refused() -> None:
     second = '[[sensor]]\nname = "Acc2"\nchip = "mpu9250"\nchannel = 1\naddress = 0x68\nrange = 4\n'
     array = parse_array(BEHIND + second)
     with open_array(array) as bus, pytest.raises(SensorError, match="two MPU-9250 are on this bus"):
@@ -327,7 +329,7 @@ def test_the_magnetometer_of_an_mpu9150_is_read_behind_its_bypass() -> None:
 
 
 @pytest.mark.parametrize(("text", "chip"), [(BEHIND, "ak8963"), (BEHIND_9150, "ak8975")])
-def test_the_magnetometers_of_an_mpu9150_and_an_mpu9250_are_told_apart_by_their_self_test(text: str, chip: str) -> None:
+def test_ak8963_and_ak8975_are_distinguished_by_their_self_test(text: str, chip: str) -> None:
     with open_array(parse_array(text.replace("channel = 1\n", "").replace("mux =", "# mux ="))) as bus:
         bus.transfer(0x69, b"\x37\x02")
         listed = explore(bus)
@@ -337,19 +339,19 @@ def test_the_magnetometers_of_an_mpu9150_and_an_mpu9250_are_told_apart_by_their_
         assert [sensor.chip for sensor in parse_array(propose(distinct, "spi:")).sensors].count(chip) == 1
 
 
-def test_two_mpu9150_on_one_bus_hide_their_magnetometers_from_each_other() -> None:
+def test_two_mpu9150_with_magnetometers_on_one_bus_are_refused() -> None:
     second = '[[sensor]]\nname = "Acc2"\nchip = "mpu6050"\nchannel = 1\naddress = 0x68\nrange = 4\n'
     array = parse_array(BEHIND_9150 + second)
     with open_array(array) as bus, pytest.raises(SensorError, match="two MPU-9150 are on this bus"):
         connect(array, bus)
 
 
-def test_a_reading_is_taken_and_the_next_measurement_started_in_one_visit_of_a_microcontroller() -> None:
+def test_a_microcontroller_reads_and_restarts_an_ak8975_in_one_visit() -> None:
     (visit,) = visits_of(sensor("ak8975"))
     assert visit.requests == (Request(0x0C, b"\x02", 8), Request(0x0C, b"\x0a\x01", 0))
 
 
-def test_it_is_logged_at_the_rate_of_the_frames(tmp_path: Path) -> None:
+def test_an_ak8975_is_logged_at_the_rate_of_the_frames(tmp_path: Path) -> None:
     array, path = parse_array(BEHIND_9150), tmp_path / "run.h5"
     with open_bus("emulated:", array) as bus:
         record(array, bus, path, rate_hz=50.0, seconds=2.0)

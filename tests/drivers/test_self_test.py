@@ -1,4 +1,4 @@
-"""Self-tests have three outcomes: good, bad, and could not be determined; a slow bus and a moving box make none bad."""
+"""Self-tests have three outcomes: passed, failed and undetermined; a slow bus or a moving box never gives "failed"."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ AKM-15): without them a chip is dead.
 
 
 class Slow:
-    """A bus whose transactions take so long, before what happens and after; `dead` chips don't hear some bits."""
+    """A bus whose transactions take so long, before what happens and after; `dead` chips ignore some bits."""
 
     def __init__(self, bus: Any, delays_ms: Iterator[tuple[float, float]], dead: tuple[int, int] | None = None) -> None:
         self.bus, self.delays_ms, self.dead = bus, delays_ms, dead
@@ -92,12 +92,12 @@ def steady(before_ms: float, after_ms: float) -> Iterator[tuple[float, float]]:
 
 @pytest.mark.parametrize("ms", some([0.0, 0.5, 1.0, 3.0, 7.0, 20.0, 50.0, 100.0], 3))
 @pytest.mark.parametrize("chip", SENSORS)
-def test_a_good_chip_is_never_called_bad(chip: str, ms: float) -> None:
-    """Whatever share of the delay comes before the transfer."""
+def test_a_working_chip_never_fails(chip: str, ms: float) -> None:
+    """For any share of the delay before the transfer."""
     for share in (0.0, 0.5, 1.0):
         verdict = outcome(chip, steady(share * ms, (1 - share) * ms))
         assert verdict.passed is not False, (share, verdict.text)
-        # What is deflected as long as its bit is set can be looked at.
+        # A deflection that lasts as long as its bit is set can be read at any time.
         if ms <= 0.5 or chip not in ("bma180", "bmp180", "bmp280"):
             assert verdict.passed, (share, verdict.text)
         if verdict.passed is None:
@@ -105,7 +105,7 @@ def test_a_good_chip_is_never_called_bad(chip: str, ms: float) -> None:
 
 
 @pytest.mark.parametrize("pattern", [(0.0, 40.0), (0.2, 0.2, 0.2, 30.0), (25.0, 0.1)])
-def test_a_bus_that_stalls_now_and_then(pattern: tuple[float, ...]) -> None:
+def test_a_working_chip_does_not_fail_on_a_bus_that_stalls(pattern: tuple[float, ...]) -> None:
     for shift in range(len(pattern)):
         delays = itertools.cycle([(ms, 0.0) for ms in (*pattern[shift:], *pattern[:shift])])
         verdict = outcome("bma180", delays)
@@ -125,16 +125,16 @@ def test_a_dead_chip_never_passes_on_a_slow_bus(chip: str, ms: float) -> None:
     assert verdict.passed is (None if chip == "bma180" else False), verdict.text
 
 
-def test_how_often_it_must_be_looked_at() -> None:
-    """The limit is 2 ms between looks: a test that lasts 10 ms at most (BMA-104) is then seen five times."""
-    assert outcome("bma180", steady(0.7, 0.0), dead=True).passed is False  # the order and a look: 1.8 ms
+def test_a_self_test_needs_reads_at_2_ms_at_most() -> None:
+    """The limit is 2 ms between reads: a test that lasts 10 ms at most (BMA-104) is then seen five times."""
+    assert outcome("bma180", steady(0.7, 0.0), dead=True).passed is False  # the command and a read: 1.8 ms
     assert outcome("bma180", steady(1.0, 0.0), dead=True).passed is None
     assert "the bus allowed 1 look in " in outcome("bma180", steady(30.0, 0.0), dead=True).text
 
 
 @pytest.mark.parametrize("chip", ["adxl345", "bma180", "l3g4200d"])
 @pytest.mark.parametrize("dead", [True, False])
-def test_a_moving_box_is_not_judged(chip: str, dead: bool) -> None:
+def test_the_self_test_of_a_moving_box_is_undetermined(chip: str, dead: bool) -> None:
     verdict = outcome(chip, steady(0.0, 0.0), dead=dead, world=Shaking())
     assert verdict.passed is None, verdict.text
     assert verdict.text.endswith("it moved during the test: keep it at rest and try again")

@@ -126,7 +126,7 @@ def test_a_setting_is_in_its_register(bench: Build, case: Case) -> None:
         ("mpu9250_gyro", 500.0, (0x19, 0x1A, 0x1B, 0x1D)),
     ],
 )
-def test_a_register_that_keeps_nothing_is_noticed(
+def test_a_register_that_drops_a_write_is_reported(
     bench: Build, chip: str, range_: float, registers: tuple[int, ...]
 ) -> None:
     """Each of those whose value is not that of power-on."""

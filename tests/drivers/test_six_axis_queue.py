@@ -1,5 +1,5 @@
-"""The one queue of a die and its two readers: what is delivered, and what becomes of queues that ran over, of transfers
-that broke off and of buses that read nonsense.
+"""The one queue of a die and its two readers: delivery of samples, queues that ran over, interrupted transfers and
+buses that return invalid bytes.
 
 The world counts: the specific force along x rises by a step of 20 counts a millisecond, so that a missing, repeated or
 shifted sample shows.
@@ -99,7 +99,7 @@ def steps(counts: np.ndarray, rate_hz: float) -> np.ndarray:
     return np.rint(np.diff(counts[:, 0].astype(int)) / (20e3 / rate_hz)).astype(int)
 
 
-def test_what_every_bus_carries() -> None:
+def test_each_bus_has_its_longest_read() -> None:
     """i2c-dev refuses more than 8192 bytes, spidev buffers 4096, a frame of the link holds 1024 (LNX-05, LNX-52)."""
     assert six_axis_queue.LONGEST_READS == {"i2c:": 8192, "spi:": 4095, "serial:": 1023}
     assert six_axis_queue.LONGEST_READ == 1023
@@ -107,7 +107,7 @@ def test_what_every_bus_carries() -> None:
 
 @pytest.mark.parametrize("longest", [20, 61, 1023, 8192])
 @pytest.mark.parametrize("die", RATES_HZ)
-def test_a_queue_is_read_in_whole_samples_of_what_a_bus_carries(
+def test_a_queue_is_read_in_whole_samples_within_the_limit_of_the_bus(
     die: str, longest: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(six_axis_queue, "LONGEST_READ", longest)
@@ -141,7 +141,7 @@ def test_every_sample_is_delivered_once_to_each_half(die: str, halves: str) -> N
 @pytest.mark.parametrize(
     ("die", "rate_hz"), [("icm42688", 200), ("icm42688", 25), (FINE, 500), ("lsm6dso", 104), ("mpu6500", 250)]
 )
-def test_other_data_rates(die: str, rate_hz: int) -> None:
+def test_every_sample_is_delivered_at_other_data_rates(die: str, rate_hz: int) -> None:
     bench = Bench(die, rate_hz=rate_hz)
     rows, begun_ns = [], bench.bus.clock.now_ns()
     for _ in range(40):
@@ -177,13 +177,13 @@ def test_a_queue_that_ran_over_is_flagged_and_its_rows_are_whole(die: str) -> No
         times = np.concatenate([times for _, times, _ in told])
         assert times[0] > last_ns[number]
         felt_ns = (rows[:, 0].astype(float) + 30000) / 20 * MS
-        taken_ns = felt_ns + (bench.routes[number].header.delay_ns or 0)  # the filter shows what was felt before
+        taken_ns = felt_ns + (bench.routes[number].header.delay_ns or 0)  # the filter shows an earlier input
         assert np.abs(times - taken_ns).max() < 1.2e9 / RATES_HZ[die]
 
 
 @pytest.mark.parametrize("die", RATES_HZ)
-def test_a_drain_that_broke_off_costs_rows_and_says_so(die: str) -> None:
-    """The bytes have left the chip, and nobody knows which."""
+def test_an_interrupted_drain_is_flagged_as_a_gap(die: str) -> None:
+    """The bytes have left the chip; which samples they held is unknown."""
     bench = Bench(die)
     for number in (0, 1):
         bench.wait(20)
@@ -210,7 +210,7 @@ def test_a_drain_that_broke_off_costs_rows_and_says_so(die: str) -> None:
 
 
 @pytest.mark.parametrize("die", RATES_HZ)
-def test_a_dead_bus_is_an_error_and_no_reading(die: str) -> None:
+def test_an_undriven_bus_gives_an_error_and_no_rows(die: str) -> None:
     """On SPI a chip without supply reads ff or 00."""
     bench = Bench(die)
     bench.wait(20)
@@ -225,7 +225,7 @@ def test_a_dead_bus_is_an_error_and_no_reading(die: str) -> None:
 
 
 @pytest.mark.parametrize("die", RATES_HZ)
-def test_a_half_that_is_set_up_again_leaves_the_other_with_a_flag(die: str) -> None:
+def test_setting_up_a_half_again_flags_a_gap_in_the_other(die: str) -> None:
     bench = Bench(die)
     for _ in range(3):
         bench.wait(20)
@@ -239,7 +239,7 @@ def test_a_half_that_is_set_up_again_leaves_the_other_with_a_flag(die: str) -> N
     assert len(rows)
 
 
-def test_a_half_that_is_not_visited_waits_and_then_loses_with_a_flag(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_of_an_unread_half_are_kept_up_to_a_limit_and_then_flagged_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("imuarray.drivers.six_axis_queue.MOST_ROWS", 200)
     bench = Bench("icm42688")
     seen = 0
@@ -263,7 +263,7 @@ def test_a_half_that_is_not_visited_waits_and_then_loses_with_a_flag(monkeypatch
         (FINE, b"\x20" + bytes(7)),
     ],
 )
-def test_a_packet_of_another_kind_is_not_believed(die: str, packet: bytes) -> None:
+def test_a_packet_of_another_kind_is_discarded(die: str, packet: bytes) -> None:
     """TDK-81: an empty queue, and one with packets of 8, 16 and 20 bytes, after which the others are shifted."""
     bench = Bench(die)
     bench.wait(20)
@@ -299,7 +299,7 @@ def test_a_lost_packet_shows_in_the_time_stamps(die: str) -> None:
 
 @pytest.mark.parametrize("die", ["icm42688", FINE])
 @pytest.mark.parametrize("halves", ["both", "acc", "gyro"])
-def test_the_first_sample_after_a_flush_is_the_first_after_it(die: str, halves: str) -> None:
+def test_no_sample_from_before_a_flush_is_delivered(die: str, halves: str) -> None:
     """TDK-84: the count of 0 that follows a flush belongs to no drain, and no sample from before it is delivered."""
     bench = Bench(die, halves)
     bench.wait(20)
@@ -313,7 +313,7 @@ def test_the_first_sample_after_a_flush_is_the_first_after_it(die: str, halves: 
     assert np.abs(times - taken_ns).max() < 1.2 * MS
 
 
-def test_both_halves_have_a_queue_or_none() -> None:
+def test_both_halves_must_agree_on_a_queue() -> None:
     text = '[array]\nname = "a"\n'
     for half, full_scale, keys in (("acc", 4, "fifo = true\n"), ("gyro", 500, "")):
         text += f'[[sensor]]\nname = "{half}"\nchip = "icm42688"\naddress = 0x68\nrange = {full_scale}\n{keys}'
