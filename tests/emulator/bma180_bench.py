@@ -1,4 +1,4 @@
-"""A bench for one emulated BMA180: a sensing element that remembers, and reads and writes at chosen times."""
+"""A bench for one emulated BMA180: a sensing element that records requests, and reads and writes at chosen times."""
 
 from firmware_emulator.chips.bma180 import Bma180Chip
 
@@ -8,7 +8,7 @@ LATER = 100 * MS  # booted and settled at 150 Hz
 
 
 class Box:
-    """A sensing element at rest, or moving by `slope` g/s; remembers what it was asked."""
+    """A sensing element at rest, or moving by `slope` g/s; records each request."""
 
     def __init__(self, g=(0.0, 0.0, 1.0), degc=25.0, slope=(0.0, 0.0, 0.0)):
         self.g, self.degc, self.slope = g, degc, slope

@@ -1,4 +1,4 @@
-"""The emulated Linux adapter, driven by programs that know nothing of it: smbus2 and plain `fcntl.ioctl`.
+"""The emulated Linux adapter, driven by unmodified programs: smbus2 and plain `fcntl.ioctl`.
 
 Expected messages are those of the kernel's SMBus protocol page; expected errnos are facts LNX-04 ... LNX-49.
 """
@@ -38,7 +38,7 @@ READ, STOP = 1, 0x8000
 
 
 class Tape:
-    """A wire that writes down what passes and sends 1, 2, 3, ..."""
+    """A wire that records each message and sends 1, 2, 3, ..."""
 
     def __init__(self) -> None:
         self.clock = VirtualClock()
@@ -93,7 +93,7 @@ class TestSmbus:
             ("write_block_data", (0x1E, [7, 8, 9]), None, [(0x53, b"\x1e\x03\x07\x08\x09")]),
         ],
     )
-    def test_becomes_the_messages_of_the_kernel(
+    def test_smbus_calls_become_the_messages_of_the_kernel(
         self, name: str, arguments: tuple[Any, ...], result: Any, sent: list[Any]
     ) -> None:
         tape = Tape()
@@ -114,7 +114,7 @@ class TestSmbus:
             assert bus.read_i2c_block_data(0x53, 0x1E, 3) == [0x12, 0x34, 0x56]
             assert bus.read_word_data(0x53, 0x1E) == 0x3412
 
-    def test_the_old_block_read_brings_32_bytes(self) -> None:
+    def test_the_old_block_read_returns_32_bytes(self) -> None:
         tape, data = Tape(), (ctypes.c_uint8 * 34)()
         call = struct.pack("BBIP", 1, 0x32, 6, ctypes.addressof(data))
         with bus_on(tape) as bus:
@@ -123,7 +123,7 @@ class TestSmbus:
         assert bytes(data[:33]) == bytes([32, *range(1, 33)])
 
     @pytest.mark.parametrize(("read_write", "size"), [(2, 2), (0, 9), (1, 0xFFFFFFFF)])
-    def test_calls_that_do_not_exist(self, read_write: int, size: int) -> None:
+    def test_calls_that_do_not_exist_are_refused(self, read_write: int, size: int) -> None:
         data = (ctypes.c_uint8 * 34)()
         with bus_on(Tape()) as bus:
             call = struct.pack("BBIP", read_write, 0, size, ctypes.addressof(data))
@@ -131,7 +131,7 @@ class TestSmbus:
             assert refusal(fcntl.ioctl, bus.fd, I2C_SMBUS, struct.pack("BBIP", 1, 0, 2, 0)) == errno.EINVAL
 
     @pytest.mark.parametrize("read_write", [0, 1])
-    def test_a_block_longer_than_32_bytes(self, read_write: int) -> None:
+    def test_a_block_longer_than_32_bytes_is_refused(self, read_write: int) -> None:
         data = (ctypes.c_uint8 * 34)(33)
         call = struct.pack("BBIP", read_write, 0, 8, ctypes.addressof(data))
         with bus_on(Tape()) as bus:
@@ -147,7 +147,7 @@ class TestRdwr:
         assert tape.log == [(0x53, b"\x1e\x01"), (0x1D, b"\x32"), (0x53, 6), "P"]  # LNX-06
         assert bytes(read) == b"\x01\x02\x03\x04\x05\x06"
 
-    def test_42_messages_of_8192_bytes_and_no_more(self) -> None:
+    def test_42_messages_of_8192_bytes_are_the_limit(self) -> None:
         with bus_on(Tape()) as bus:
             bus.i2c_rdwr(*[i2c_msg.read(0x53, 1)] * 42)
             assert refusal(bus.i2c_rdwr, *[i2c_msg.read(0x53, 1)] * 43) == errno.EINVAL  # LNX-04
@@ -157,7 +157,7 @@ class TestRdwr:
             assert refusal(bus.i2c_rdwr, i2c_msg.read(0x53, 8193)) == errno.EINVAL
             assert refusal(bus.i2c_rdwr, i2c_msg.read(0x80, 1)) == errno.EINVAL
 
-    def test_length_is_a_field_of_16_bits(self) -> None:
+    def test_the_length_of_a_message_has_16_bits(self) -> None:
         tape = Tape()
         with bus_on(tape) as bus:
             bus.i2c_rdwr(i2c_msg.read(0x53, 70000))
@@ -204,7 +204,7 @@ class TestRdwr:
                 assert refusal(bus.i2c_rdwr, message) == errno.EOPNOTSUPP
 
     @pytest.mark.parametrize("number", [6, 121])
-    def test_nobody_acknowledges(self, number: int) -> None:
+    def test_a_missing_acknowledgement_has_the_errno_of_the_adapter(self, number: int) -> None:
         answer, lost = i2c_msg.read(0x53, 1), i2c_msg.read(0x1D, 1)
         with bus_on(adxl345(number)) as bus:
             assert refusal(bus.i2c_rdwr, i2c_msg.write(0x53, [0]), answer, i2c_msg.write(0x1D, [0]), lost) == number
@@ -213,7 +213,7 @@ class TestRdwr:
             bus.i2c_rdwr(i2c_msg.write(0x53, [0]), answer)
             assert bytes(answer) == b"\xe5"
 
-    def test_structures_packed_by_hand(self) -> None:
+    def test_structures_packed_by_hand_are_accepted(self) -> None:
         # 64-bit layouts of linux/i2c.h and linux/i2c-dev.h, without anybody's ctypes classes.
         write, read = ctypes.create_string_buffer(b"\x00", 1), ctypes.create_string_buffer(1)
         messages = struct.pack(
@@ -232,7 +232,7 @@ class TestRdwr:
             assert fcntl.ioctl(number, I2C_RDWR, ctypes.addressof(ctypes.c_char.from_buffer(kept))) == 2
             os.close(number)
 
-    def test_pointers_to_nowhere(self) -> None:
+    def test_invalid_pointers_are_refused(self) -> None:
         memory = ctypes.create_string_buffer(struct.pack("HHHxxP", 0x53, READ, 1, 0))
         with bus_on(adxl345()) as bus:
             assert refusal(fcntl.ioctl, bus.fd, I2C_RDWR, 0) == errno.EFAULT
@@ -252,7 +252,7 @@ class TestFile:
             assert refusal(bus.read_byte_data, 0x80, 0) == errno.EINVAL
             assert refusal(bus.read_byte_data, 0x1D, 0) == 121
 
-    def test_every_opening_has_an_address_of_its_own(self) -> None:
+    def test_each_open_file_has_its_own_address(self) -> None:
         tape = Tape()
         with bus_on(tape) as first, SMBus(PATH) as second:
             first.read_byte(0x10)
@@ -260,7 +260,7 @@ class TestFile:
             first.read_byte(0x10)
         assert [entry for entry in tape.log if entry != "P"] == [(0x10, 1), (0x20, 1), (0x10, 1)]
 
-    def test_a_reopened_device_starts_afresh(self) -> None:
+    def test_a_reopened_device_has_no_address(self) -> None:
         tape = Tape()
         with device_files({PATH: Adapter(tape)}):
             with SMBus(1) as bus:
@@ -272,7 +272,7 @@ class TestFile:
             os.close(again)
         assert tape.log[-2:] == [(0, b"\x07"), "P"]
 
-    def test_functionality(self) -> None:
+    def test_each_kind_of_adapter_has_its_functionality(self) -> None:
         # I2C_FUNC_I2C | I2C_FUNC_SMBUS_EMUL of linux/i2c.h (0x0EFF0008) without packet error codes (0x08).
         for kind, expected in (("plain", 0x0EFF0001), ("bcm2835", 0x0EFF0001), ("gpio", 0x0EFF0005)):
             with bus_on(Tape(), kind) as bus:
@@ -295,20 +295,20 @@ class TestFile:
             assert refusal(fcntl.ioctl, bus.fd, I2C_TIMEOUT, 1 << 31) == errno.EINVAL
         assert tape.log == []
 
-    def test_other_requests(self) -> None:
+    def test_other_requests_are_refused_or_ignored(self) -> None:
         with bus_on(Tape()) as bus:
             assert refusal(fcntl.ioctl, bus.fd, 0x0799) == errno.ENOTTY
             assert fcntl.ioctl(bus.fd, I2C_PEC, 0) == 0
             assert refusal(fcntl.ioctl, bus.fd, I2C_PEC, 1) == errno.EOPNOTSUPP
             assert fcntl.ioctl(bus.fd, 0x0704, 0) == 0
 
-    def test_an_adapter_of_unknown_kind(self) -> None:
+    def test_an_adapter_of_unknown_kind_is_refused(self) -> None:
         with pytest.raises(ValueError, match="adapter 'pi'; allowed are plain, bcm2835, gpio"):
             Adapter(adxl345(), "pi")
 
 
 class TestDeviceFiles:
-    def test_other_files_are_left_alone(self) -> None:
+    def test_other_files_are_not_affected(self) -> None:
         with device_files({PATH: Adapter(adxl345())}):
             reading, writing = os.pipe()
             os.write(writing, b"abc")
@@ -320,7 +320,7 @@ class TestDeviceFiles:
             with pytest.raises(FileNotFoundError):
                 SMBus(2)
 
-    def test_everything_is_put_back(self) -> None:
+    def test_the_patched_functions_are_restored(self) -> None:
         before = fcntl.ioctl, os.open
         late = ModuleType("late")
         sys.modules["late"] = late
@@ -335,7 +335,7 @@ class TestDeviceFiles:
         with pytest.raises(FileNotFoundError):
             SMBus(PATH)
 
-    def test_two_wires_two_devices(self) -> None:
+    def test_two_wires_are_two_devices(self) -> None:
         one: Any = Tape()
         two: Any = Tape()
         with device_files({PATH: Adapter(one), "/dev/i2c-11": Adapter(two)}), SMBus(11) as bus:

@@ -16,7 +16,7 @@ MS = 1_000_000
 
 
 class Fed:
-    """An element that gives a function of time, and remembers when and how it was asked."""
+    """An element that gives a function of time, and records each request."""
 
     def __init__(self, force_g: Callable[[int], Triple]) -> None:
         self.force_g = force_g
@@ -54,7 +54,7 @@ class Board:
 
 
 def ticks(at_ns: int) -> Triple:
-    """A force in full-resolution codes that counts milliseconds: which conversion it is can be read from x."""
+    """A force in full-resolution codes that counts milliseconds: x is the number of the conversion."""
     return round(at_ns / MS) / 256, 0.0, 0.0
 
 
@@ -62,7 +62,7 @@ def x_of(data: bytes) -> int:
     return int.from_bytes(data[:2], "little", signed=True)
 
 
-def test_after_power_on() -> None:
+def test_registers_have_their_reset_values_after_power_on() -> None:
     board = Board()
     board.wait(1000)
     expected = {0x00: 0xE5, 0x2C: 0x0A, 0x30: 0x02}  # ADX-30
@@ -71,7 +71,7 @@ def test_after_power_on() -> None:
     assert not board.element.asked  # standby
 
 
-def test_reserved_and_read_only_registers_keep_nothing() -> None:
+def test_reserved_and_read_only_registers_ignore_writes() -> None:
     board = Board()
     board.set(0x00, 0x12, 0x10, 0x34, 0x39, 0x56, 0x31, 0xFF)
     assert board.get(0x00) == b"\xe5"
@@ -80,7 +80,7 @@ def test_reserved_and_read_only_registers_keep_nothing() -> None:
     assert board.get(0x31) == b"\xef"  # bit 4 is always 0
 
 
-def test_multi_byte_write_counts_on() -> None:
+def test_a_multi_byte_write_increments_the_register() -> None:
     board = Board()
     board.wire.transfer(0x53, b"\x1e\x01\x02\x03")
     assert board.get(0x1E, 3) == b"\x01\x02\x03"
@@ -106,7 +106,7 @@ def test_multi_byte_write_counts_on() -> None:
         (0x0A, 9.0, "ff07"),
     ],
 )
-def test_formats(data_format: int, force_g: float, expected: str) -> None:
+def test_formats_match_the_data_sheet(data_format: int, force_g: float, expected: str) -> None:
     board = Board((force_g, 0.0, 0.0))
     board.set(0x31, data_format, 0x2D, 0x08)
     board.wait(20)
@@ -148,7 +148,7 @@ def test_one_conversion_is_sampled_once() -> None:
     assert len(board.element.asked) == 1
 
 
-def test_only_even_codes_at_1600_and_3200_hz() -> None:
+def test_codes_are_even_at_1600_and_3200_hz() -> None:
     codes = {
         (rate, data_format): {code_at(step, rate, data_format) % 2 for step in range(40)}
         for rate in (0x0D, 0x0E, 0x0F)
@@ -272,7 +272,7 @@ def test_bypass_empties_the_fifo() -> None:
     assert board.get(0x30) == b"\x02"
 
 
-def test_a_single_byte_loses_a_set_and_a_long_burst_takes_one() -> None:
+def test_reading_a_single_byte_discards_a_set_and_a_long_burst_reads_one_set() -> None:
     board = fifo_board(0x40)
     board.wait(300)
     first = board.get(0x32)[0]
@@ -300,7 +300,7 @@ def test_within_a_transaction_a_set_ends_only_with_its_last_byte() -> None:
     assert twice(6) == twice(7) == (11, 21)  # ADX-55
 
 
-def test_a_burst_is_one_conversion() -> None:
+def test_a_burst_reads_one_conversion() -> None:
     board = Board(lambda at_ns: (math.floor(at_ns / MS) / 256,) * 3)
     board.set(0x31, 0x0B, 0x2C, 0x0F, 0x2D, 0x08)
     for _ in range(50):
@@ -328,7 +328,7 @@ def test_self_test_moves_every_axis_within_the_limits() -> None:
     assert 0.30 < z < 3.40
 
 
-def test_nothing_but_power_resets_it() -> None:
+def test_only_a_power_cycle_resets_the_chip() -> None:
     board = Board()
     board.set(0x1E, 0x11, 0x31, 0x0B, 0x2D, 0x08)
     board.wait(50)

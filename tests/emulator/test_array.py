@@ -71,7 +71,7 @@ def adxl_readings(bus: EmulatedBus, count: int = 5) -> bytes:
     return read
 
 
-def test_every_chip_answers_where_it_was_soldered() -> None:
+def test_every_chip_answers_at_its_address_and_channel() -> None:
     with open_array(TWELVE) as bus:
         assert set(bus.chips) == {soldered.name for soldered in TWELVE.sensors}
         for soldered in TWELVE.sensors:
@@ -85,14 +85,14 @@ def test_every_chip_answers_where_it_was_soldered() -> None:
         assert bus.source == "emulated"
 
 
-def test_same_seed_same_bytes_whatever_else_is_on_the_board() -> None:
+def test_bytes_of_a_chip_depend_on_the_seed_and_not_on_other_chips() -> None:
     whole = adxl_readings(open_array(TWELVE, seed=3))
     assert adxl_readings(open_array(TWELVE, seed=3)) == whole
     assert adxl_readings(open_array(TWELVE, seed=4)) != whole
     assert adxl_readings(open_array(array(*TWELVE.sensors[:1]), seed=3)) == whole
 
 
-def test_kernel_driven_channels_are_trunks_of_their_own() -> None:
+def test_channels_of_the_kernel_are_separate_buses() -> None:
     board = array(
         sensor("A", "adxl345", 0x53, bus="/dev/i2c-11"),
         sensor("B", "bma180", 0x40, bus="/dev/i2c-12"),
@@ -110,7 +110,7 @@ def test_kernel_driven_channels_are_trunks_of_their_own() -> None:
         assert bus.clock.now_ns() == 3 * 93_700 + 25_000  # one clock for all
 
 
-def test_time_of_a_scan_is_the_bus_arithmetics() -> None:
+def test_the_time_of_a_scan_matches_the_bus_arithmetic() -> None:
     """BUS-08: four BMA180 with temperature, two ADXL345, three L3G4200D, two HMC5883L and four selects take 2548 us."""
     with open_array(TWELVE) as bus:
         begun_ns = bus.clock.now_ns()
@@ -126,7 +126,7 @@ def test_time_of_a_scan_is_the_bus_arithmetics() -> None:
         assert round((bus.clock.now_ns() - begun_ns) / 1000) == 2548
 
 
-def test_a_tumbling_board_reads_gravity_and_knows_its_phases() -> None:
+def test_a_tumbling_board_measures_gravity_and_has_phases() -> None:
     with open_array(array(*TWELVE.sensors[:1]), world=TumbleWorld(face_s=1.0, turn_s=0.5)) as bus:
         adxl_readings(bus, 1)
         assert [phase.name for phase in bus.phases][:2] == ["z_up", "x_up"]
@@ -156,7 +156,7 @@ def test_a_world_begins_when_the_array_is_opened() -> None:
         assert bus.phases == ()
 
 
-def test_real_clock() -> None:
+def test_the_real_clock_is_used_on_request() -> None:
     with firmware_emulator.open_bus({"clock": "real", "world": "tumble", "face_s": "7"}, TWELVE) as bus:
         before = time.monotonic_ns()
         assert 0 <= before - bus.phases[0].start_ns < S
@@ -171,7 +171,7 @@ def test_real_clock() -> None:
         assert bus.transfer(0x53, b"\x32", 6) != bytes(6)
 
 
-def test_parameters_of_a_url() -> None:
+def test_parameters_of_a_url_apply() -> None:
     query = {"world": "still", "up": " X", "temperature_degc": "30", "seed": "9", "bit_rate": "100000", "errno": "6"}
     with firmware_emulator.open_bus(query, TWELVE) as bus:
         assert bus.truth(0).force_box == (9.80665, 0.0, 0.0)  # the + of up=+X arrives as a space
@@ -207,20 +207,20 @@ def test_parameters_of_a_url() -> None:
         ({"world": "tumble", "face_s": "0"}, "face_s: 0.0; allowed is anything above 0"),
     ],
 )
-def test_parameters_that_are_refused(query: dict[str, str], said: str) -> None:
+def test_invalid_parameters_are_refused(query: dict[str, str], said: str) -> None:
     with pytest.raises(ValueError, match=said) as caught:
         firmware_emulator.open_bus(query, TWELVE)
     assert "\n" not in str(caught.value)
 
 
-def test_boards_that_are_refused() -> None:
+def test_invalid_boards_are_refused() -> None:
     with pytest.raises(ValueError, match="no mux"):
         open_array(array(*TWELVE.sensors, mux=False))
     with pytest.raises(ValueError, match="sensor A: chip 'mpu6050'; allowed are adxl345"):
         open_array(array(sensor("A", "mpu6050", 0x68)))
 
 
-def test_switches_reach_the_chips_they_are_for() -> None:
+def test_switches_apply_to_their_chips() -> None:
     """DEC-20: a burst past 0x2D goes on to 0x2E or wraps; a dirty start; by chip, and by sensor where both are said."""
     switches = {"l3g4200d": {"wrap_always": True}, "Gyro2": {"wrap_always": False}, "ADXL1": {}}
     bus = open_array(TWELVE, switches=switches)

@@ -4,7 +4,7 @@ from firmware_emulator.chips.bma180 import Bma180Chip
 from tests.emulator.bma180_bench import BYTE_NS, LATER, MS, Box, codes, peek, poke, unlocked
 
 
-def test_it_wakes_up_measuring_at_2_g_and_150_hz():
+def test_the_chip_starts_measuring_at_2_g_and_150_hz():
     box = Box()
     chip = Bma180Chip(0x40, box)
     assert peek(chip, 0x00, 2) == b"\x03\x14"  # BMA-10, DEC-12
@@ -18,7 +18,7 @@ def test_image_after_the_download_has_the_bytes_of_bma_58():
     assert image[14:27] == bytes.fromhex("81828084808080 0400b0808080")
 
 
-def test_without_ee_w_an_image_write_is_acknowledged_and_dropped():
+def test_without_ee_w_an_image_write_is_acknowledged_and_ignored():
     chip = Bma180Chip(0x40, Box())
     assert poke(chip, 0x35, 0x0C) == 2
     assert peek(chip, 0x35) == b"\x04"
@@ -28,7 +28,7 @@ def test_without_ee_w_an_image_write_is_acknowledged_and_dropped():
     assert peek(chip, 0x3C) == b"\x00"  # BMA-48
 
 
-def test_a_write_is_pairs_and_never_counts_on():
+def test_a_write_is_pairs_of_register_and_value():
     chip = unlocked()
     poke(chip, 0x21, 0x02, 0x23)  # meant as a block: the third byte is a register, BMA-05
     assert peek(chip, 0x20, 4) == bytes.fromhex("48021500")
@@ -37,7 +37,7 @@ def test_a_write_is_pairs_and_never_counts_on():
     assert peek(chip, 0x23) + peek(chip, 0x2C) == b"\x11\x22"
 
 
-def test_reading_counts_on_with_seven_bits():
+def test_a_read_increments_the_register_in_seven_bits():
     chip = Bma180Chip(0x40, Box(degc=25.0))
     assert peek(chip, 0x82, 7, at=LATER) == bytes.fromhex("0100 0100 0140 02")  # BMA-03, BMA-04
     assert peek(chip, 0x7F, 2) == b"\x00\x03"
@@ -52,7 +52,7 @@ def test_a_write_during_the_download_is_undone_at_its_end():
     assert peek(chip, 0x0D, at=10 * MS) == b"\x10"
 
 
-def test_the_download_can_refuse_writes_or_take_no_time():
+def test_the_download_ignores_early_writes_or_takes_no_time_by_switch():
     chip = Bma180Chip(0x40, Box(), early_writes_vanish=True)
     poke(chip, 0x0D, 0x10, 0x35, 0x0C, at=5 * MS)
     assert peek(chip, 0x35, at=6 * MS) == b"\x04"
@@ -83,7 +83,7 @@ def test_update_image_reads_1_until_it_is_done():
     assert peek(chip, 0x0D, at=LATER + 11 * MS) + peek(chip, 0x35, at=LATER + 11 * MS) == b"\x10\x04"
 
 
-def test_a_former_owner_may_have_changed_the_eeprom():
+def test_eeprom_and_registers_can_be_preset():
     chip = Bma180Chip(0x40, Box(), eeprom={0x35: 0x0C, 0x38: 0x71})
     assert codes(chip) == (0, 0, 512)
     chip = Bma180Chip(0x40, Box(), left_over={0x35: 0x0C, 0x0D: 0x10})
@@ -92,7 +92,7 @@ def test_a_former_owner_may_have_changed_the_eeprom():
     assert peek(chip, 0x35, at=40 * MS) == b"\x04"
 
 
-def test_the_eeprom_is_burned_by_any_write_to_an_even_address_of_its_window():
+def test_any_write_to_an_even_address_of_its_window_burns_the_eeprom():
     chip = unlocked()
     poke(chip, 0x34, 0x82, 0x35, 0x0C)
     assert chip.eeprom_writes == 0
@@ -120,13 +120,13 @@ def test_the_eeprom_keeps_its_size_and_neighbours():
     assert len(chip.eeprom) == 28
 
 
-def test_operational_registers():
+def test_operational_registers_keep_only_their_settings():
     chip = Bma180Chip(0x40, Box())
     poke(chip, 0x0D, 0x40, 0x0E, 0xE0, 0x0F, 0xF0, 0x02, 0xAA, 0x11, 0xAA)
     assert peek(chip, 0x0D, 5) == bytes.fromhex("00 00 f0 00 00")  # reset_int and the one-shots are over
 
 
-def test_a_whole_byte_into_the_range_register_destroys_the_x_offset():
+def test_a_whole_byte_written_to_the_range_register_destroys_the_x_offset():
     chip = Bma180Chip(0x40, Box((0.0, 0.0, 0.0)), eeprom={0x35: 0xF4})
     assert codes(chip) == (0, 0, 0)
     poke(chip, 0x0D, 0x10, 0x35, 0x04)

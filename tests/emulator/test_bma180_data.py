@@ -26,7 +26,7 @@ def test_both_ends_saturate_on_every_axis(g, code):
     ("code", "range_g", "half_g"),  # 0.5 g of BMA-70 ... BMA-76
     [(0, 1.0, 4096), (1, 1.5, 2730), (2, 2.0, 2048), (3, 3.0, 1365), (4, 4.0, 1024), (5, 8.0, 512), (6, 16.0, 256)],
 )
-def test_every_range(code, range_g, half_g):
+def test_every_range_has_its_sensitivity(code, range_g, half_g):
     box = Box((0.5, -0.5, 0.0))
     chip = unlocked(box)
     poke(chip, 0x35, code << 1)
@@ -43,7 +43,7 @@ def test_every_range(code, range_g, half_g):
         *((0x35, 0x04, 0xF4, 0), (0x36, 0x00, 0x0F, 1), (0x36, 0x00, 0xF0, 2)),
     ],
 )
-def test_a_trim_moves_its_own_axis(register, mid, more, axis):
+def test_a_trim_affects_only_its_own_axis(register, mid, more, axis):
     chip = unlocked(Box((0.5, 0.5, 0.5), degc=45.0))
     assert peek(chip, register)[0] == mid
     poke(chip, register, more)
@@ -52,7 +52,7 @@ def test_a_trim_moves_its_own_axis(register, mid, more, axis):
     assert moved == [0, 0]
 
 
-def test_axes_of_a_slow_oscillator_are_looked_at_in_their_turn():
+def test_axes_of_a_slow_oscillator_are_sampled_in_turn():
     """A hundredth of 2400 Hz: quarters of 10.4 ms (BMA-94), in which 1 g/s is 43 codes at 2 g; z is of the cycle
     before, 171 codes ago.
     """
@@ -71,7 +71,7 @@ def test_offset_trims_shift_the_output():
     assert codes(chip, at=3 * LATER)[2] in (13, 14)
 
 
-def test_gain_and_temperature_trims_act():
+def test_gain_and_temperature_trims_change_the_output():
     chip = unlocked(Box((1.0, 1.0, 1.0), degc=35.0))
     poke(chip, 0x32, 0x82)
     x, y, z = codes(chip, at=2 * LATER)
@@ -105,7 +105,7 @@ def test_axes_are_converted_one_quarter_of_a_period_apart():
 
 
 @pytest.mark.parametrize(("mode", "updates", "bandwidth_hz"), [(0, 240, 150.0), (1, 240, 150.0), (3, 120, 75.0)])
-def test_updates_in_a_tenth_of_a_second(mode, updates, bandwidth_hz):
+def test_each_mode_has_its_update_rate(mode, updates, bandwidth_hz):
     box = Box()
     chip = unlocked(box)
     poke(chip, 0x30, 0x80 | mode)
@@ -118,7 +118,7 @@ def test_updates_in_a_tenth_of_a_second(mode, updates, bandwidth_hz):
     ("code", "bandwidth_hz"),
     [(0, 10), (1, 20), (2, 40), (3, 75), (4, 150), (5, 300), (6, 600), (7, 1200), (8, 1200), (9, 300)],
 )
-def test_every_bandwidth(code, bandwidth_hz):
+def test_every_bandwidth_reaches_the_element(code, bandwidth_hz):
     box = Box()
     chip = unlocked(box)
     poke(chip, 0x20, code << 4 | 8)
@@ -131,7 +131,7 @@ def test_the_oscillator_may_be_ten_percent_off():
     assert abs(sum(chip.load(0x02, at) & 1 for at in range(LATER, 2 * LATER, 100_000)) - 216) <= 1
 
 
-def test_twice_within_a_period_is_the_same_value_and_one_question():
+def test_two_reads_within_a_period_give_one_sample():
     box = Box(slope=(1.0, 1.0, 1.0))
     chip = Bma180Chip(0x40, box)
     at = 2_500_000 + 300 * PERIOD_NS + 10
@@ -170,7 +170,7 @@ def test_without_shadow_a_value_is_torn():
     assert (low + high).hex() == "fd01"  # 127: neither 63 nor 64, BMA-101
 
 
-def test_readout_of_12_bits_keeps_the_scale():
+def test_a_12_bit_read_out_keeps_the_scale():
     chip = unlocked(Box((7 / 4096, -1 / 4096, 0.5)))
     poke(chip, 0x37, 0xB1)
     assert codes(chip, at=2 * LATER) == (4, -4, 2048)  # BMA-61
@@ -179,7 +179,7 @@ def test_readout_of_12_bits_keeps_the_scale():
 @pytest.mark.parametrize(
     ("degc", "byte"), [(24.0, 0x00), (25.0, 0x02), (-30.0, 0x94), (-40.0, 0x80), (-60.0, 0x80), (150.0, 0x7F)]
 )
-def test_thermometer(degc, byte):
+def test_the_thermometer_has_the_codes_of_the_data_sheet(degc, byte):
     assert peek(Bma180Chip(0x40, Box(degc=degc)), 0x08)[0] == byte  # BMA-63
 
 
@@ -220,7 +220,7 @@ def test_the_output_settles_after_a_change_of_range(bandwidth, settling):
     assert path[-1] == 512
 
 
-def test_the_high_pass_forgets_gravity():
+def test_the_high_pass_removes_gravity():
     box = Box()
     chip = unlocked(box)
     poke(chip, 0x20, 0x88)
@@ -237,7 +237,7 @@ def test_the_high_pass_forgets_gravity():
     st.integers(1_000, 150_000),
     st.integers(0, 3 * MS),
 )
-def test_a_burst_is_the_same_as_its_bytes(gaps, count, byte_ns, first):
+def test_a_burst_equals_single_byte_reads(gaps, count, byte_ns, first):
     quick, slow = (Bma180Chip(0x40, Box(slope=(3.0, -5.0, 7.0))) for _ in range(2))
     at = 2 * MS + first
     for gap in gaps:

@@ -68,13 +68,13 @@ def test_identity_calibration_and_reset_values():
     assert peek(chip, 0xAA) == b"\x01"
 
 
-def test_another_part_has_other_words():
+def test_calibration_words_can_be_replaced():
     chip = Bmp180Chip(0x77, Weather(25.0), calibration={"AC5": 40000, "MC": -11786})
     assert peek(chip, 0xB2, 2) + peek(chip, 0xBC, 2) == bytes.fromhex("9c40 d1f6")
     assert result(chip, T_COMMAND) != result(Bmp180Chip(0x77, Weather(25.0)), T_COMMAND)
 
 
-def test_the_worked_example():
+def test_the_worked_example_is_reproduced():
     chip = Bmp180Chip(0x77, Weather())
     assert result(chip, T_COMMAND) == 27898 << 8
     assert result(chip, P_COMMANDS[0], 2 * LATER) == 23843 << 8
@@ -98,7 +98,7 @@ def test_temperature_vectors_both_ways(ut, tenths):
 
 
 @given(st.floats(-20.0, 65.0), st.floats(30_000.0, 110_000.0), st.integers(0, 3))
-def test_words_are_those_of_the_real_valued_formulas(degc, pascal, oss):
+def test_raw_words_match_the_real_valued_formulas(degc, pascal, oss):
     ut = ut_of(Bmp180Words(), degc)
     back_degc, back_pascal = compensated(ut, up_of(Bmp180Words(), ut, oss, pascal), oss)
     assert abs(back_degc - degc) < 0.02  # a step of UT is 0.006 degC
@@ -107,14 +107,14 @@ def test_words_are_those_of_the_real_valued_formulas(degc, pascal, oss):
 
 
 @given(st.floats(-500.0, 500.0), st.floats(-1e6, 1e7), st.integers(0, 3))
-def test_words_of_impossible_weather_still_fit(degc, pascal, oss):
+def test_raw_words_of_impossible_weather_are_within_their_bits(degc, pascal, oss):
     ut = ut_of(Bmp180Words(), degc)
     assert 0 <= ut <= 0xFFFF
     assert 0 <= up_of(Bmp180Words(), ut, oss, pascal) < 1 << 16 + oss
 
 
 @pytest.mark.parametrize(("command", "typical_ms"), [(0x2E, 3), (0x34, 3), (0x74, 5), (0xB4, 9), (0xF4, 17)])
-def test_a_conversion_takes_its_time(command, typical_ms):
+def test_a_conversion_takes_its_typical_time(command, typical_ms):
     chip = Bmp180Chip(0x77, Weather())
     poke(chip, 0xF4, command)
     end = LATER + typical_ms * MS
@@ -124,7 +124,7 @@ def test_a_conversion_takes_its_time(command, typical_ms):
     assert peek(chip, 0xF6, 2, at=end) != b"\x80\x00"
 
 
-def test_too_early_gives_the_previous_result():
+def test_a_read_before_the_end_gives_the_previous_result():
     chip = Bmp180Chip(0x77, Weather())
     result(chip, T_COMMAND)
     poke(chip, 0xF4, P_COMMANDS[3], at=2 * LATER)
@@ -132,14 +132,14 @@ def test_too_early_gives_the_previous_result():
     assert peek(chip, 0xF6, 3, at=2 * LATER + 18 * MS) != bytes.fromhex("6cfa00")
 
 
-def test_pressure_words_are_16_to_19_bits_at_the_left():
+def test_pressure_words_are_left_aligned_in_24_bits():
     for oss, command in enumerate(P_COMMANDS):
         raw = result(Bmp180Chip(0x77, Weather()), command)
         assert raw % (1 << 8 - oss) == 0
         assert abs((raw >> 8 - oss) / (1 << oss) - 23843) < 1  # BMP-47
 
 
-def test_nothing_updates_by_itself():
+def test_results_change_only_on_command():
     weather = Weather()
     chip = Bmp180Chip(0x77, weather)
     first = result(chip, T_COMMAND)
@@ -155,14 +155,14 @@ def test_other_commands_start_nothing(command):
     assert peek(chip, 0xF4) == bytes((command & ~0x20,))
 
 
-def test_a_second_command_takes_the_place_of_the_first():
+def test_a_second_command_replaces_the_first():
     chip = Bmp180Chip(0x77, Weather())
     poke(chip, 0xF4, P_COMMANDS[3])
     poke(chip, 0xF4, T_COMMAND, at=LATER + MS)
     assert peek(chip, 0xF6, 3, at=LATER + 50 * MS) == bytes.fromhex("6cfa00")
 
 
-def test_soft_reset():
+def test_a_soft_reset_clears_the_result_and_takes_the_start_up_time():
     chip = Bmp180Chip(0x77, Weather())
     result(chip, T_COMMAND)
     poke(chip, 0xE0, 0xB5, at=2 * LATER)
@@ -177,7 +177,7 @@ def test_soft_reset():
 
 
 @pytest.mark.parametrize(("oss", "rms"), [(0, 6.0), (1, 5.0), (2, 4.0), (3, 3.0)])
-def test_pressure_noise(oss, rms):
+def test_pressure_noise_is_that_of_the_data_sheet(oss, rms):
     chip = Bmp180Chip(0x77, Weather(pascal=100_000.0), generator=random.Random(oss))
     b5 = b5_of(Bmp180Words(), result(chip, T_COMMAND) >> 8)
     pressure = pressure_function(Bmp180Words(), b5, oss)[1]

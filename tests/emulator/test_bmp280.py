@@ -42,7 +42,7 @@ def shown(chip: Bmp280Chip, at_ns: int) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("code", "rms"), [(1, 3.3), (2, 2.6), (3, 2.1), (4, 1.6), (5, 1.3)])
-def test_pressure_noise(code: int, rms: float) -> None:
+def test_pressure_noise_is_that_of_the_data_sheet(code: int, rms: float) -> None:
     """BMP-125. 400 draws: 5 sigma is 18 % of the rms; steps at x1 are 2.6 Pa, which adds 3 % to 3.3 Pa."""
     chip = Bmp280Chip(0x76, Weather(), generator=random.Random(code))
     drawn = []
@@ -53,7 +53,7 @@ def test_pressure_noise(code: int, rms: float) -> None:
     assert statistics.fmean(drawn) == pytest.approx(100_000, abs=5 * rms / 20 + 0.2)
 
 
-def test_nothing_changes_until_it_is_told_to_measure_again() -> None:
+def test_results_change_only_on_command() -> None:
     chip = Bmp280Chip(0x76, Weather((0, 100_000.0), (500 * MS, 90_000.0)))
     poke(chip, 0xF4, 0x55, 100 * MS)
     assert shown(chip, 200 * MS)[1] == pytest.approx(100_000, abs=0.5)
@@ -72,7 +72,7 @@ def test_normal_mode_measures_after_each_pause() -> None:
     assert sorted(set(seen)) == pytest.approx([15, 83, 151, 219, 287], abs=1)
 
 
-def test_the_filter_takes_as_many_samples_as_the_data_sheet_says() -> None:
+def test_the_filter_settles_in_the_samples_of_the_data_sheet() -> None:
     """BMP-110: 75 % of a step after 2, 5, 11 and 22 samples with coefficients 2, 4, 8 and 16."""
     needed = []
     for code in (1, 2, 3, 4):
@@ -90,7 +90,7 @@ def test_the_filter_takes_as_many_samples_as_the_data_sheet_says() -> None:
     assert needed == [2, 5, 11, 22]
 
 
-def test_words_of_impossible_weather_still_fit() -> None:
+def test_raw_words_of_impossible_weather_are_within_their_bits() -> None:
     for degc in (-500.0, 0.0, 500.0):
         ut = ut_of(Bmp280Words(), degc)
         assert 0 <= ut < 1 << 20

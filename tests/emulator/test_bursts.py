@@ -1,4 +1,4 @@
-"""The faster path of each chip for its usual burst sends the bytes that it would send one after the other."""
+"""The faster path of each chip for its usual burst sends the same bytes as single reads."""
 
 import math
 import random
@@ -38,7 +38,7 @@ class Swinging:
         (L3g4200dChip, b"\x20\x0f", 0xA8, 6),
     ],
 )
-def test_a_burst_is_its_bytes_one_after_the_other(kind: type[Chip], setting: bytes, register: int, count: int) -> None:
+def test_a_burst_equals_single_byte_reads(kind: type[Chip], setting: bytes, register: int, count: int) -> None:
     burst_chip, byte_chip = kind(0x40, Swinging()), kind(0x40, Swinging())
     for chip in (burst_chip, byte_chip):
         chip.write(setting, 20_000_000, BYTE_NS)

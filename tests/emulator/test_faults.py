@@ -1,4 +1,4 @@
-"""Faults by the clock: what each does to the emulated bus, and what a file of them may say."""
+"""Timed faults: the effect of each on the emulated bus, and the allowed entries of their file."""
 
 from __future__ import annotations
 
@@ -88,17 +88,17 @@ def refused(bus: EmulatedBus, address: int = 0x40) -> int | None:
     [(99, 0, False, 0), (100, 1, True, 0), (129, 1, True, 0), (130, 1, False, 1), (250, 2, True, 1), (580, 4, False, 4),
      (700, 4, False, 4)],
 )  # fmt: skip
-def test_when_a_fault_is_there(at_ms: int, begun: int, there: bool, ended: int) -> None:
+def test_a_fault_is_active_at_its_times(at_ms: int, begun: int, there: bool, ended: int) -> None:
     times = Times(100 * MS, 30 * MS, 150 * MS, 4)
     assert (times.begun(at_ms * MS), times.during(at_ms * MS), times.ended(at_ms * MS)) == (begun, there, ended)
 
 
-def test_once_and_for_ever() -> None:
+def test_a_fault_can_happen_once_or_for_ever() -> None:
     assert [Times(100, 30, 0, 1).during(instant) for instant in (99, 100, 129, 130, 230)] == [0, 1, 1, 0, 0]
     assert Times(100, 30, 50, 0).begun(100 + 50 * 10_000) == 10_001
 
 
-def test_silence(bus_with: Callable[..., EmulatedBus]) -> None:
+def test_a_silent_chip_does_not_acknowledge_until_the_fault_ends(bus_with: Callable[..., EmulatedBus]) -> None:
     bus = bus_with(kind="no_acknowledge", sensor="B", at_s=1.0, for_s=0.5)
     assert refused(bus) is None
     at(bus, 1.2)
@@ -135,7 +135,7 @@ def test_a_chip_that_lost_its_supply_has_its_defaults(
     assert bus.transfer(0x53, b"\x31", 1) == b"\x0b"  # it happened once
 
 
-def test_the_bit_that_keeps_readings_whole(bus_with: Callable[..., EmulatedBus]) -> None:
+def test_a_torn_fault_clears_the_bit_that_keeps_readings_whole(bus_with: Callable[..., EmulatedBus]) -> None:
     bus = bus_with(kind="torn", sensor="B", at_s=1.0)
     before = bus.transfer(0x40, b"\x33", 1)[0]
     at(bus, 1.1)
@@ -148,7 +148,7 @@ def test_the_bit_that_keeps_readings_whole(bus_with: Callable[..., EmulatedBus])
 
 
 @pytest.mark.parametrize(("kind", "ready"), [("frozen", 1), ("stale", 0)])
-def test_a_reading_that_stands_still(bus_with: Callable[..., EmulatedBus], kind: str, ready: int) -> None:
+def test_a_frozen_reading_repeats_until_a_set_up(bus_with: Callable[..., EmulatedBus], kind: str, ready: int) -> None:
     bus = bus_with(kind=kind, sensor="B", at_s=1.0, for_s=0.5, until_set_up=True)
     held = set()
     for index in range(10):
@@ -165,7 +165,7 @@ def test_a_reading_that_stands_still(bus_with: Callable[..., EmulatedBus], kind:
     assert len(moving) > 3
 
 
-def test_a_stale_adxl345_says_so(bus_with: Callable[..., EmulatedBus]) -> None:
+def test_a_stale_adxl345_clears_data_ready(bus_with: Callable[..., EmulatedBus]) -> None:
     bus = bus_with(kind="stale", sensor="A", at_s=1.0, for_s=0.5)
     bus.transfer(0x53, b"\x2d\x08")
     at(bus, 0.9)
@@ -174,7 +174,7 @@ def test_a_stale_adxl345_says_so(bus_with: Callable[..., EmulatedBus]) -> None:
     assert not bus.transfer(0x53, b"\x30", 8)[0] & 0x80
 
 
-def test_another_bias(bus_with: Callable[..., EmulatedBus]) -> None:
+def test_a_bias_fault_shifts_the_reading(bus_with: Callable[..., EmulatedBus]) -> None:
     readings = []
     for table in ({"at_s": 100.0}, {"at_s": 0.0}):
         bus = bus_with(kind="start_up", sensor="B", bias=[0.5, 0.0, 0.0], **table)
@@ -184,7 +184,7 @@ def test_another_bias(bus_with: Callable[..., EmulatedBus]) -> None:
     assert readings[1] - readings[0] == pytest.approx(2048, rel=0.05)  # 0.5 g at 4096 counts per g (BMA-72)
 
 
-def test_a_held_wire_takes_the_time_out(bus_with: Callable[..., EmulatedBus]) -> None:
+def test_a_stuck_bus_times_out(bus_with: Callable[..., EmulatedBus]) -> None:
     bus = bus_with(kind="stuck_bus", at_s=1.0, for_s=0.2)
     at(bus, 1.0)
     assert refused(bus) == refused(bus, 0x53) == errno.ETIMEDOUT
@@ -193,14 +193,14 @@ def test_a_held_wire_takes_the_time_out(bus_with: Callable[..., EmulatedBus]) ->
     assert refused(bus) is None
 
 
-def test_a_chip_that_holds_the_clock_only_when_it_is_addressed(bus_with: Callable[..., EmulatedBus]) -> None:
+def test_a_chip_holds_the_clock_only_when_it_is_addressed(bus_with: Callable[..., EmulatedBus]) -> None:
     bus = bus_with(kind="clock_held", sensor="B", at_s=1.0, for_s=0.2)
     at(bus, 1.0)
     assert refused(bus) == errno.ETIMEDOUT
     assert refused(bus, 0x53) is None
 
 
-def test_an_order_that_is_not_taken(bus_with: Callable[..., EmulatedBus]) -> None:
+def test_a_wrong_channel_fault_ignores_the_selection(bus_with: Callable[..., EmulatedBus]) -> None:
     bus = bus_with(kind="wrong_channel", at_s=1.0, for_s=0.2)
     at(bus, 1.1)
     bus.transfer(0x70, SELECT_1)
@@ -212,7 +212,7 @@ def test_an_order_that_is_not_taken(bus_with: Callable[..., EmulatedBus]) -> Non
     assert refused(bus, 0x53) == errno.EREMOTEIO
 
 
-def test_a_switch_that_is_stuck_reads_back_as_ordered(bus_with: Callable[..., EmulatedBus]) -> None:
+def test_a_stuck_switch_can_read_back_as_selected(bus_with: Callable[..., EmulatedBus]) -> None:
     bus = bus_with(kind="wrong_channel", at_s=1.0, for_s=0.2, reads_right=True)
     at(bus, 1.1)
     bus.transfer(0x70, SELECT_1)
@@ -220,7 +220,7 @@ def test_a_switch_that_is_stuck_reads_back_as_ordered(bus_with: Callable[..., Em
     assert refused(bus, 0x53) is None
 
 
-def test_a_channel_by_name(bus_with: Callable[..., EmulatedBus]) -> None:
+def test_a_wrong_channel_fault_can_select_a_given_channel(bus_with: Callable[..., EmulatedBus]) -> None:
     bus = bus_with(kind="wrong_channel", at_s=1.0, for_s=0.2, channel=1)
     at(bus, 1.1)
     bus.transfer(0x70, SELECT_0)
@@ -228,7 +228,7 @@ def test_a_channel_by_name(bus_with: Callable[..., EmulatedBus]) -> None:
     assert refused(bus, 0x68) is None
 
 
-def test_a_multiplexer_that_forgets(bus_with: Callable[..., EmulatedBus]) -> None:
+def test_a_reset_multiplexer_selects_no_channel(bus_with: Callable[..., EmulatedBus]) -> None:
     bus = bus_with(kind="mux_reset", at_s=1.0)
     at(bus, 1.1)
     assert refused(bus) == errno.EREMOTEIO
@@ -237,7 +237,7 @@ def test_a_multiplexer_that_forgets(bus_with: Callable[..., EmulatedBus]) -> Non
     assert refused(bus) is None
 
 
-def test_a_program_that_is_not_run(bus_with: Callable[..., EmulatedBus]) -> None:
+def test_a_stall_delays_the_program(bus_with: Callable[..., EmulatedBus]) -> None:
     bus = bus_with(kind="stall", at_s=1.0, for_s=0.2)
     at(bus, 1.0)
     assert refused(bus) is None
@@ -246,7 +246,7 @@ def test_a_program_that_is_not_run(bus_with: Callable[..., EmulatedBus]) -> None
     assert bus.clock.now_ns() < 1201 * MS
 
 
-def test_an_address_that_a_kernel_driver_has(bus_with: Callable[..., EmulatedBus]) -> None:
+def test_an_address_of_a_kernel_driver_refuses_claims(bus_with: Callable[..., EmulatedBus]) -> None:
     bus = bus_with(kind="kernel_driver", sensor="B", at_s=1.0, for_s=0.2)
     bus.claim(0x40)
     at(bus, 1.1)
@@ -257,7 +257,7 @@ def test_an_address_that_a_kernel_driver_has(bus_with: Callable[..., EmulatedBus
     assert refused(bus) is None  # I2C_RDWR does not ask (LNX-12)
 
 
-def test_a_file_of_faults(array: ArrayConfig, tmp_path: Path) -> None:
+def test_a_file_of_faults_is_read(array: ArrayConfig, tmp_path: Path) -> None:
     path = tmp_path / "night.toml"
     path.write_text('[[fault]]\nkind = "unplugged"\nsensor = "B"\nat_s = 600\nfor_s = 5.0\nevery_s = 60\ntimes = 10\n')
     bus = open_bus({"faults": str(path)}, array)
@@ -270,7 +270,7 @@ def test_a_file_of_faults(array: ArrayConfig, tmp_path: Path) -> None:
     assert refused(bus) is None
 
 
-def test_faults_and_mechanisms_together(array: ArrayConfig, tmp_path: Path) -> None:
+def test_faults_and_mechanisms_act_together(array: ArrayConfig, tmp_path: Path) -> None:
     (tmp_path / "n.toml").write_text('[[fault]]\nkind = "no_acknowledge"\nsensor = "B"\nfor_s = 1\n')
     bus = open_bus({"faults": str(tmp_path / "n.toml"), "mechanism": "loose_contact", "sensor": "B"}, array)
     bus.transfer(0x70, SELECT_0)
@@ -296,13 +296,13 @@ def test_faults_and_mechanisms_together(array: ArrayConfig, tmp_path: Path) -> N
         ({"kind": "start_up", "sensor": "G", "bias": [1, 2]}, "required are three numbers"),
     ],
 )
-def test_what_is_refused(array: ArrayConfig, table: dict[str, Any], message: str) -> None:
+def test_invalid_faults_are_refused(array: ArrayConfig, table: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=r"^fault 1: ") as refusal:
         faults_from({"fault": [table]}, array)
     assert message in str(refusal.value)
 
 
-def test_a_mistake_has_its_line(array: ArrayConfig, tmp_path: Path) -> None:
+def test_an_error_names_its_line(array: ArrayConfig, tmp_path: Path) -> None:
     path = tmp_path / "n.toml"
     good = '[[fault]]\nkind = "stuck_bus"\nfor_s = 1\n'
     for wrong, said in (
@@ -316,7 +316,7 @@ def test_a_mistake_has_its_line(array: ArrayConfig, tmp_path: Path) -> None:
         assert f"{path}{said}" in str(refusal.value)
 
 
-def test_files_that_are_refused(array: ArrayConfig, tmp_path: Path) -> None:
+def test_invalid_files_are_refused(array: ArrayConfig, tmp_path: Path) -> None:
     for text, message in (("[[fault]", "no TOML"), ("[fault]\nkind=1", "tables"), ("other = 1", "tables")):
         (tmp_path / "n.toml").write_text(text)
         with pytest.raises(ValueError, match=message):
@@ -325,11 +325,11 @@ def test_files_that_are_refused(array: ArrayConfig, tmp_path: Path) -> None:
         open_bus({"faults": str(tmp_path / "none.toml")}, array)
 
 
-def test_without_a_multiplexer_no_channel_is_wrong() -> None:
+def test_a_multiplexer_fault_without_a_multiplexer_is_refused() -> None:
     array = parse_array('[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\n')
     with pytest.raises(ValueError, match="array a has no multiplexer"):
         faults_from({"fault": [{"kind": "mux_reset"}]}, array)
 
 
-def test_every_kind_is_described_where_a_user_reads_it() -> None:
+def test_every_kind_of_fault_is_documented() -> None:
     assert len(FAULTS) == len(set(FAULTS)) == 14

@@ -10,7 +10,7 @@ SECOND = 1_000_000_000
 
 
 @pytest.mark.parametrize("steps", [1, 7])
-def test_a_constant_decays_however_often_one_looks(steps):
+def test_a_constant_decays_independently_of_the_number_of_reads(steps):
     high_pass = HighPass(0.5, since_ns=SECOND)
     for step in range(1, steps + 1):
         left = high_pass((1.0, -2.0, 3.0), SECOND + step * SECOND // steps)
@@ -18,7 +18,7 @@ def test_a_constant_decays_however_often_one_looks(steps):
     assert left == pytest.approx((kept, -2 * kept, 3 * kept))
 
 
-def test_a_step_passes_whole_and_then_decays():
+def test_a_step_passes_unattenuated_and_then_decays():
     high_pass = HighPass(1.0, since_ns=0)
     high_pass((0.0, 0.0, 0.0), SECOND)
     assert high_pass((5.0, 0.0, -5.0), 2 * SECOND) == (5.0, 0.0, -5.0)
@@ -26,7 +26,7 @@ def test_a_step_passes_whole_and_then_decays():
     assert later == pytest.approx((5 * math.exp(-math.pi / 2), 0.0, -5 * math.exp(-math.pi / 2)))
 
 
-def test_zero_makes_the_present_input_the_zero():
+def test_zeroing_subtracts_the_present_input():
     high_pass = HighPass(1.0, since_ns=0)
     high_pass.zero((1.0, 2.0, 3.0), SECOND)
     assert high_pass((1.0, 2.0, 3.0), SECOND) == (0.0, 0.0, 0.0)

@@ -15,7 +15,7 @@ MS = 1_000_000
 
 
 class Fed:
-    """An element that gives a function of time, and remembers when and how it was asked."""
+    """An element that gives a function of time, and records each request."""
 
     def __init__(self, field: Callable[[int], Triple]) -> None:
         self.field = field
@@ -58,7 +58,7 @@ class Board:
         return self.get(0x03, 6)
 
 
-def test_after_power_on() -> None:
+def test_registers_have_their_reset_values_after_power_on() -> None:
     board = Board()
     assert board.get(0x00, 3) == b"\x10\x20\x01"  # HMC-10 ... HMC-12
     board.get(0x03, 6)
@@ -77,7 +77,7 @@ def test_the_reset_mode_measures_once_when_ready(variant: str, first_ms: float) 
     assert [asked[0] for asked in board.element.asked] == [round(first_ms * MS)]
 
 
-def test_order_sign_and_bytes() -> None:
+def test_data_have_their_order_sign_and_byte_order() -> None:
     board = Board((0.5, 0.25, -0.25))
     board.wait(60)
     # 545 (HMC-40), then Z = -272.5 and Y = 272.5, rounded to even
@@ -92,7 +92,7 @@ GAINS = {
 
 @pytest.mark.parametrize("variant", GAINS)
 @pytest.mark.parametrize("code", range(8))
-def test_gains(variant: str, code: int) -> None:
+def test_each_gain_has_its_sensitivity(variant: str, code: int) -> None:
     board = Board((1.0, -1.0, 0.0), variant)
     board.wait(60)
     board.set(0x01, code << 5)
@@ -112,7 +112,7 @@ def test_the_first_measurement_after_a_gain_change_has_the_old_gain() -> None:
     assert board.single()[:2] == (230).to_bytes(2, "big")
 
 
-def test_a_new_gain_is_in_force_when_nobody_read_the_first_measurement() -> None:
+def test_a_new_gain_applies_also_when_the_first_measurement_is_not_read() -> None:
     board = Board((1.0, 0.0, 0.0))
     board.wait(60)
     board.set(0x00, 0x18)
@@ -122,7 +122,7 @@ def test_a_new_gain_is_in_force_when_nobody_read_the_first_measurement() -> None
     assert board.get(0x03, 6)[:2] == (230).to_bytes(2, "big")
 
 
-def test_overflow_of_one_axis() -> None:
+def test_overflow_marks_only_its_axis() -> None:
     board = Board((2047.4 / 1090, -2048.4 / 1090, 2048.0 / 1090))
     board.wait(60)
     assert board.get(0x03, 6).hex() == "07ff" + "f000" + "f800"  # HMC-31, HMC-32
@@ -142,7 +142,7 @@ def continuous(rate: int = 6) -> Board:
 
 
 @pytest.mark.parametrize(("rate", "hertz"), list(enumerate((0.75, 1.5, 3.0, 7.5, 15.0, 30.0, 75.0))))
-def test_continuous_rates(rate: int, hertz: float) -> None:
+def test_each_continuous_rate_has_its_period(rate: int, hertz: float) -> None:
     board = continuous(rate)
     written_ns = board.wire.clock.now_ns() - 1900
     board.wait(2e3 / hertz - 0.6)
@@ -175,7 +175,7 @@ def test_ready_is_low_while_the_registers_are_written() -> None:
     assert board.get(0x09) == b"\x01"
 
 
-def test_two_bytes_read_freeze_all_six() -> None:
+def test_reading_two_bytes_locks_all_six() -> None:
     board = continuous()
     board.wait(30)
     first = board.get(0x03, 2)
@@ -189,7 +189,7 @@ def test_two_bytes_read_freeze_all_six() -> None:
 
 
 @pytest.mark.parametrize(("variant", "locked"), [("hmc5883l", 2), ("hmc5883", 0)])
-def test_reading_the_mode_locks_the_l_only(variant: str, locked: int) -> None:
+def test_reading_the_mode_locks_only_the_hmc5883l(variant: str, locked: int) -> None:
     board = Board(variant=variant)
     board.wait(60)
     board.get(0x02)
@@ -224,7 +224,7 @@ def test_idle_measures_nothing() -> None:
     assert board.get(0x02) == b"\x02"
 
 
-def test_pointer_wraps() -> None:
+def test_the_pointer_wraps() -> None:
     board = Board()
     board.wait(60)
     six = board.get(0x03, 6)
@@ -236,7 +236,7 @@ def test_pointer_wraps() -> None:
     assert other.get(0x03, 8) == six + b"\x00" + six[:1]  # byte 7 is the status: read, so not ready
 
 
-def test_pointer_stays_while_writing_and_reserved_bits_are_dropped() -> None:
+def test_a_write_does_not_increment_the_pointer_and_drops_reserved_bits() -> None:
     board = Board()
     board.wire.transfer(0x1E, b"\x00\xf0\x9c")
     assert board.get(0x00, 2) == b"\x1c\x20"
@@ -252,7 +252,7 @@ def test_pointer_stays_while_writing_and_reserved_bits_are_dropped() -> None:
         ("hmc5883", 1, 1, (655, 655, -604)),  # HMC-42
     ],
 )
-def test_self_test(variant: str, gain: int, bias: int, expected: tuple[int, ...]) -> None:
+def test_the_self_test_adds_its_field(variant: str, gain: int, bias: int, expected: tuple[int, ...]) -> None:
     board = Board((0.3, -0.2, 0.4), variant)
     board.wait(60)
     board.set(0x00, 0x10 | bias)
@@ -263,7 +263,7 @@ def test_self_test(variant: str, gain: int, bias: int, expected: tuple[int, ...]
     assert (x, y, z) == pytest.approx(expected, abs=1)
 
 
-def test_averaging_on_the_l_halves_the_noise_at_eight() -> None:
+def test_averaging_on_the_hmc5883l_quarters_the_bandwidth_at_eight() -> None:
     bandwidths = {}
     for variant in GAINS:
         for code in (0, 3):
@@ -276,7 +276,7 @@ def test_averaging_on_the_l_halves_the_noise_at_eight() -> None:
     assert bandwidths["hmc5883", 3] == bandwidths["hmc5883", 0]
 
 
-def test_regulator_bit_and_the_name_of_the_l() -> None:
+def test_variants_have_their_regulator_bit_and_gains() -> None:
     assert Board(variant="hmc5883").get(0x09) == b"\x04"
     assert Hmc5883lChip(0x1E, Fed(counting)).variant.gains[0] == 1370
     with pytest.raises(ValueError, match="hmc5883l"):

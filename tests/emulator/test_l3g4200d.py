@@ -16,7 +16,7 @@ ODR_100, ODR_400 = 0x0F, 0x8F
 
 
 class Table:
-    """A rate table: constant rates, growing by `slope` dps/s; remembers what it was asked."""
+    """A rate table: constant rates, growing by `slope` dps/s; records each request."""
 
     def __init__(self, dps=(100.0, -100.0, 0.0), degc=25.0, slope=(0.0, 0.0, 0.0)):
         self.dps, self.degc, self.slope = dps, degc, slope
@@ -58,7 +58,7 @@ def running(table=None, ctrl1=ODR_100, ctrl4=0x80, ctrl5=0x00, ctrl2=0x00, **swi
     return chip
 
 
-def test_it_wakes_up_in_power_down():
+def test_the_chip_starts_in_power_down():
     table = Table()
     chip = L3g4200dChip(0x68, table)
     assert peek(chip, 0x0F) == b"\xd3"
@@ -77,7 +77,7 @@ def test_vectors_of_l3g_45():
     ("ctrl4", "range_dps", "code"),
     [(0x80, 250.0, 11429), (0x90, 500.0, 5714), (0xA0, 2000.0, 1429), (0xB0, 2000.0, 1429)],
 )
-def test_every_range(ctrl4, range_dps, code):
+def test_every_range_has_its_sensitivity(ctrl4, range_dps, code):
     table = Table()
     assert codes(running(table, ctrl4=ctrl4)) == (code, -code, 0)  # 8.75, 17.5, 70 mdps: L3G-40 ... L3G-42
     assert table.asked[-1][1] == range_dps
@@ -95,7 +95,7 @@ def test_the_span_of_codes_is_wider_than_the_range_and_saturates():
     assert codes(running(Table((286.6, 286.8, -287.0)))) == (32754, 32767, -32768)  # +/-286.7 dps, L3G-40
 
 
-def test_without_bit_7_a_burst_is_one_register():
+def test_without_bit_7_a_burst_repeats_one_register():
     chip = running()
     chip.write(b"\x28", READY, BYTE_NS)
     assert chip.read(6, READY, BYTE_NS) == b"\xa5" * 6  # L3G-03
@@ -130,7 +130,7 @@ def test_start_up_after_power_down():
 
 
 @pytest.mark.parametrize(("out_select", "periods"), [(0x00, 1), (0x02, 6)])
-def test_from_sleep_to_normal(out_select, periods):
+def test_conversions_resume_after_sleep(out_select, periods):
     chip = running(ctrl5=out_select)
     poke(chip, 0x20, 0x08, at=READY)
     codes(chip, at=READY)
@@ -174,7 +174,7 @@ def test_rate_and_bandwidth(dr, rate, cutoffs, lpf1):
     assert len(table.asked) == rate // 10
 
 
-def test_status_says_available_and_overrun_per_axis():
+def test_status_flags_available_and_overrun_per_axis():
     chip = running()
     assert peek(chip, 0x27) == b"\x0f"
     peek(chip, 0x28, 2)
@@ -185,7 +185,7 @@ def test_status_says_available_and_overrun_per_axis():
     assert peek(chip, 0x27, at=READY + 20 * MS) == b"\x00"
 
 
-def test_reading_is_one_value_per_conversion():
+def test_reads_between_conversions_give_the_same_value():
     table = Table((-300.0, 0.0, 0.0), slope=(1000.0, 0.0, 0.0))
     chip = running(table)
     first = codes(chip, at=READY + MS)
@@ -205,7 +205,7 @@ def test_block_data_update_keeps_two_bytes_together(ctrl4, second):
     assert peek(chip, 0x28, 2, at=READY + 10 * MS) == b"\x00\x01"
 
 
-def test_with_block_data_update_half_a_value_stays_for_ever():
+def test_with_block_data_update_a_half_read_value_stays():
     table = Table((1.0, 1.0, 1.0))
     chip = running(table)
     low = peek(chip, 0x28)
@@ -234,7 +234,7 @@ def test_axes_that_are_off_keep_their_value():
 
 
 @pytest.mark.parametrize(("degc", "code"), [(20.0, 30), (25.0, 25), (35.4, 15), (-100.0, 127), (200.0, -128)])
-def test_thermometer_falls_when_it_gets_warmer(degc, code):
+def test_temperature_counts_decrease_with_temperature(degc, code):
     table = Table(degc=degc)
     chip = running(table, temperature_zero=50.0)
     assert int.from_bytes(peek(chip, 0x26), "big", signed=True) == code  # L3G-60
@@ -264,7 +264,7 @@ def test_boot_clears_itself_and_changes_nothing():
 
 
 @pytest.mark.parametrize("ctrl5", [0x01, 0x11, 0x12])
-def test_high_pass_forgets_a_constant_rate(ctrl5):
+def test_high_pass_removes_a_constant_rate(ctrl5):
     chip = running(ctrl2=0x03, ctrl5=ctrl5)  # 1 Hz at ODR 100, L3G-35
     assert codes(chip, at=READY)[0] < 11429 * 0.2  # 0.3 s of 1 Hz have passed
     assert abs(codes(chip, at=READY + 1000 * MS)[0]) < 11429 * 0.01
@@ -287,7 +287,7 @@ def test_high_pass_cut_offs(dr, cutoffs):
 
 
 @pytest.mark.parametrize("ctrl5", [0x00, 0x10, 0x02])
-def test_high_pass_is_not_always_in_the_path(ctrl5):
+def test_high_pass_is_bypassed_by_other_output_selections(ctrl5):
     assert codes(running(ctrl2=0x03, ctrl5=ctrl5), at=READY + 1000 * MS)[0] == 11429
 
 
@@ -304,7 +304,7 @@ def test_reference_mode_subtracts_the_reference():
     assert codes(chip, at=READY + 10 * MS)[0] == 0xA5
 
 
-def test_the_wrap_of_a_burst():
+def test_a_burst_wraps_only_with_the_switch():
     chip = running()
     assert peek(chip, 0x2C, 5)[2:] == bytes((0x00, 0x20, 0x00))  # FIFO off: on to 0x2E, DEC-20
     assert peek(running(wrap_always=True), 0x28, 8)[6:] == bytes.fromhex("a52c")
@@ -318,7 +318,7 @@ def test_the_wrap_of_a_burst():
     st.sampled_from([0x00, 0x80, 0x40, 0xC0]),
     st.booleans(),
 )
-def test_a_burst_is_the_same_as_its_bytes(gaps, burst, byte_ns, ctrl4, wrap):
+def test_a_burst_equals_single_byte_reads(gaps, burst, byte_ns, ctrl4, wrap):
     register, count = burst
     quick, slow = (
         running(Table((1.0, 2.0, 3.0), slope=(30.0, -50.0, 70.0)), ODR_400, ctrl4, wrap_always=wrap) for _ in range(2)

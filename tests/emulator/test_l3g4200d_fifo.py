@@ -64,7 +64,7 @@ def after(conversions):
     return READY + (conversions - 1) * 10 * MS + MS
 
 
-def test_a_burst_goes_round_and_drains_set_by_set():
+def test_a_burst_wraps_and_drains_set_by_set():
     chip = queueing(STREAM)
     assert level(chip, after(5)) == 5
     assert sets(chip, 3, after(5)) == [(1, 2, -1), (2, 4, -2), (3, 6, -3)]  # L3G-05
@@ -73,14 +73,14 @@ def test_a_burst_goes_round_and_drains_set_by_set():
     assert peek(chip, 0x2F, at=after(5)) == b"\xa0"
 
 
-def test_byte_by_byte_reading_takes_one_set_per_round():
+def test_byte_by_byte_reading_takes_one_set_per_six_bytes():
     chip = queueing(STREAM)
     for n in (1, 2, 3):
         data = b"".join(peek(chip, register, at=after(4)) for register in range(0x28, 0x2E))
         assert data == b"".join(v.to_bytes(2, "little", signed=True) for v in (n, 2 * n, -n))  # L3G-56
 
 
-def test_fifo_mode_stops_at_32_until_it_has_been_through_bypass():
+def test_fifo_mode_stops_at_32_until_bypass():
     chip = queueing(FIFO)
     assert peek(chip, 0x2F, at=after(31)) == b"\x9f"
     assert peek(chip, 0x2F, at=after(40)) == b"\xdf"  # OVRN and 31: DEC-23
@@ -98,11 +98,11 @@ def test_stream_mode_discards_the_oldest(mode):
     counter = Counter()
     chip = queueing(mode, counter=counter)
     assert peek(chip, 0x2F, at=after(1000)) == b"\xdf"
-    assert counter.asked == 32  # what would be discarded is never asked for
+    assert counter.asked == 32  # samples that would be discarded are never requested
     assert sets(chip, 32, after(1000))[::31] == [(969, 1938, -969), (1000, 2000, -1000)]
 
 
-def test_a_set_that_is_being_read_is_not_overwritten():
+def test_a_partly_read_set_is_not_overwritten():
     chip = queueing(STREAM)
     assert peek(chip, 0x28, 2, at=after(32)) == b"\x01\x00"
     assert peek(chip, 0x2A, 4, at=after(40)) == b"\x02\x00\xff\xff"
@@ -133,7 +133,7 @@ def test_status_follows_the_fifo():
     assert peek(chip, 0x27, at=after(33)) == b"\x00"
 
 
-def test_a_change_of_rate_keeps_what_is_stored():
+def test_a_change_of_rate_keeps_stored_sets():
     counter = Counter()
     chip = queueing(STREAM, counter=counter)
     poke(chip, 0x20, 0x8F, at=after(2))

@@ -15,7 +15,7 @@ MS = 1_000_000
 
 
 class Ramp:
-    """An element that feels the time in seconds along x."""
+    """An element whose x is the time in seconds."""
 
     def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> tuple[float, float, float]:
         return at_ns * 1e-9, 0.0, 0.0
@@ -58,16 +58,14 @@ def bench() -> Bench:
     return Bench()
 
 
-def test_a_half_is_taken_once(bench: Bench) -> None:
+def test_a_second_element_for_a_half_is_refused(bench: Bench) -> None:
     with pytest.raises(ValueError, match="two sensors are the gyroscope"):
         bench.chip.take_element(GYROSCOPE, Ramp())
 
 
 @pytest.mark.parametrize(("filter_code", "divider", "period_ms"), [(1, 9, 10.0), (0, 79, 10.0), (1, 199, 200.0)])
-def test_samples_come_at_the_rate_of_the_divider(
-    bench: Bench, filter_code: int, divider: int, period_ms: float
-) -> None:
-    """8 kHz / 80 and 1 kHz / 10 are one rate (INV-11); a ramp of 16384 counts a second tells the time of a sample."""
+def test_samples_have_the_rate_of_the_divider(bench: Bench, filter_code: int, divider: int, period_ms: float) -> None:
+    """8 kHz / 80 and 1 kHz / 10 are one rate (INV-11); a ramp of 16384 counts a second shows the time of a sample."""
     bench.write(0x1A, filter_code)
     bench.write(0x19, divider)
     bench.wait(1000)
@@ -89,7 +87,7 @@ def test_a_burst_is_of_one_instant(bench: Bench) -> None:
         assert word(data, 8) == pytest.approx(word(data) * 131 / 16384, abs=1)
 
 
-def test_the_range_is_that_of_the_next_sample(bench: Bench) -> None:
+def test_a_new_range_applies_to_the_next_sample(bench: Bench) -> None:
     bench.wait(900)
     bench.write(0x1C, 0x18)
     bench.wait(2)
@@ -121,7 +119,7 @@ def test_the_queue_holds_every_sample_while_it_is_drained(bench: Bench) -> None:
     assert steps <= {81, 82}  # 16384 counts a second, 200 samples a second: 81.92
 
 
-def test_an_overflow_loses_the_oldest_and_says_so(bench: Bench) -> None:
+def test_an_overflow_loses_the_oldest_samples_and_is_flagged(bench: Bench) -> None:
     bench.write(0x23, 0x08)
     bench.write(0x6A, 0x44)
     bench.read(0x3A)

@@ -1,5 +1,5 @@
-"""The master of an MPU-9250's auxiliary bus beyond its golden conversation: byte order, devices that come and go, the
-array around it.
+"""The master of an MPU-9250's auxiliary bus beyond its golden conversation: byte order, devices that appear
+and disappear, and the array.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ range = 49.12
 
 
 class Device:
-    """Notes what is written; answers its pointer and on."""
+    """Records writes; answers with register numbers from its pointer on."""
 
     def __init__(self, address: int) -> None:
         self.address = address
@@ -78,7 +78,7 @@ def test_swapping_twice_changes_nothing(data: bytes, alone: bool) -> None:
         (0x80, 0x02, ""),
     ],
 )
-def test_the_bytes_of_pairs(control: int, register: int, expected: str) -> None:
+def test_the_bytes_of_pairs_are_swapped(control: int, register: int, expected: str) -> None:
     """INV-111."""
     master = AuxiliaryMaster()
     master.devices = [Device(0x0C)]
@@ -88,8 +88,8 @@ def test_the_bytes_of_pairs(control: int, register: int, expected: str) -> None:
     assert registers[0x36] == 0
 
 
-def test_slots_one_after_the_other_and_a_device_that_is_away() -> None:
-    """INV-113, INV-114: what was read before stays where nobody answers."""
+def test_slots_are_read_in_order_and_a_missing_device_keeps_its_bytes() -> None:
+    """INV-113, INV-114: bytes read before stay where no device answers."""
     near, far = Device(0x0C), Device(0x1E)
     master = AuxiliaryMaster()
     master.devices = [near, far]
@@ -105,7 +105,7 @@ def test_slots_one_after_the_other_and_a_device_that_is_away() -> None:
     assert registers[0x49:0x53] == bytes.fromhex("4041 202122 30313233 00")
 
 
-def test_what_does_not_fit_is_left_out() -> None:
+def test_a_slot_beyond_24_bytes_is_cut() -> None:
     """INV-113: 24 bytes."""
     master = AuxiliaryMaster()
     master.devices = [Device(0x0C)]
@@ -115,7 +115,7 @@ def test_what_does_not_fit_is_left_out() -> None:
     assert registers[0x61:0x63] == b"\0\0"
 
 
-def test_without_register_the_pointer_is_the_devices() -> None:
+def test_a_slot_without_a_register_reads_at_the_devices_pointer() -> None:
     device = Device(0x0C)
     device.pointer = 0x77
     master = AuxiliaryMaster()
@@ -126,7 +126,7 @@ def test_without_register_the_pointer_is_the_devices() -> None:
 
 
 @pytest.mark.parametrize("delay", [0, 1, 4, 31])
-def test_a_slot_that_is_delayed(delay: int) -> None:
+def test_a_delayed_slot_runs_at_every_nth_sample(delay: int) -> None:
     """INV-115: every 1 + n samples; a slot whose bit is not set is not."""
     device = Device(0x0C)
     master = AuxiliaryMaster()
@@ -162,15 +162,15 @@ def test_the_magnetometer_of_an_array_is_on_the_auxiliary_bus() -> None:
     assert bus.transfer(0x0C, b"\0", 1) == b"\x48"
 
 
-def test_an_mpu_without_magnetometer_finds_nobody() -> None:
+def test_an_mpu_without_magnetometer_gets_no_acknowledgement() -> None:
     bus = opened(BOARD[: BOARD.index('[[sensor]]\nname = "M"')])
     say(bus, "1a01", "1909", "258c", "2600", "2781", "6a20")
     bus.clock.sleep_until(50 * MS)
     assert bus.transfer(0x68, b"\x36", 1) == b"\x01"
 
 
-def test_readings_go_on_while_nobody_looks() -> None:
-    """Single measurements that slot 1 asks for at each sample are there after a second without a word."""
+def test_the_master_measures_without_host_traffic() -> None:
+    """Single measurements that slot 1 asks for at each sample are available after a second without a transaction."""
     bus = opened()
     say(bus, "1a01", "1909", "258c", "2602", "2788", "280c", "290a", "6411", "2a81", "6a20")
     bus.clock.sleep_until(1000 * MS)

@@ -26,5 +26,5 @@ TRIADS = {chip for chip, spec in CHIPS.items() if spec.quantity != "pressure"}
         ("firmware_emulator/faulty_parts.py: LAYOUTS", LAYOUTS, TRIADS),
     ],
 )
-def test_every_chip_has_its_line(registry: str, lines: Collection[str], needed: set[str]) -> None:
+def test_every_chip_has_an_entry_in_each_registry(registry: str, lines: Collection[str], needed: set[str]) -> None:
     assert needed - set(lines) == set(), f"no line in {registry}"

@@ -1,4 +1,4 @@
-"""The emulated microcontroller: what it answers and sends, and when; bytes from the description of the link."""
+"""The emulated microcontroller: its answers, its frames and their times; bytes from the description of the link."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TRANSACTION_NS = 100 * US
 
 
 class Board:
-    """Answers 0, 1, 2, ... at address 0x53, after a tenth of a millisecond; fails as it is told."""
+    """Answers 0, 1, 2, ... at address 0x53, after a tenth of a millisecond; fails as configured."""
 
     def __init__(self, clock: VirtualClock) -> None:
         self.clock = clock
@@ -84,11 +84,11 @@ def run(firmware: Firmware, clock: VirtualClock, frames: int) -> list[tuple[int,
     return sent
 
 
-def test_hello_tells_version_and_room() -> None:
+def test_hello_reports_version_and_capacity() -> None:
     assert ask(bench()[0], 1) == struct.pack("<BBH", 1, LISTS, REQUEST_BYTES)
 
 
-def test_a_transaction() -> None:
+def test_a_transaction_is_executed_and_answered() -> None:
     firmware, board, _ = bench()
     assert ask(firmware, 2, bytes.fromhex("53 0600 32")) == b"\x00" + bytes(range(6))
     assert board.asked == [(0x53, b"\x32", 6)]
@@ -98,7 +98,7 @@ def test_a_transaction() -> None:
     assert ask(firmware, 2, bytes.fromhex("53 0100 00"), 4) == b"\x02"
 
 
-def test_the_same_command_again_is_answered_again_and_not_done_again() -> None:
+def test_a_repeated_command_is_answered_again_and_executed_once() -> None:
     firmware, board, _ = bench()
     command = framed(2, 7, bytes.fromhex("53 0100 00"))
     first = firmware.feed(command)
@@ -116,7 +116,7 @@ def test_the_same_command_again_is_answered_again_and_not_done_again() -> None:
         (2, "ff 0100 00"),
         (3, "00 0100"),
         (3, "00 0000 0000 53010230"),  # every 0
-        (3, "00 0200 0200 53010230"),  # a remainder that there isn't
+        (3, "00 0200 0200 53010230"),  # a remainder that does not exist
         (3, "80 0100 0000 53010230"),  # list 128
         (3, "00 0100 0000 530102"),  # cut off
         (3, "00 0100 0000 53010230 ff"),
@@ -127,13 +127,13 @@ def test_the_same_command_again_is_answered_again_and_not_done_again() -> None:
         (9, ""),
     ],
 )
-def test_what_it_refuses(kind: int, payload: str) -> None:
+def test_invalid_commands_are_refused(kind: int, payload: str) -> None:
     firmware, _, _ = bench()
     assert ask(firmware, kind, bytes.fromhex(payload)) == b"\x03"
     assert firmware.due_ns is None
 
 
-def test_memory_is_finite() -> None:
+def test_lists_beyond_the_memory_are_refused() -> None:
     firmware, _, _ = bench()
     body = ONE * 100  # 400 bytes
     results = [ask(firmware, 3, bytes([number, 1, 0, 0, 0]) + body, number) for number in range(5)]
@@ -142,7 +142,7 @@ def test_memory_is_finite() -> None:
     assert ask(firmware, 3, bytes([4, 1, 0, 0, 0]) + body, 10) == b"\x00"
 
 
-def test_lists_in_their_frames() -> None:
+def test_lists_run_in_their_frames() -> None:
     firmware, _, clock = started(5000, "00 0100 0000" + ONE.hex(), "01 0300 0200" + NOBODY.hex())
     sent = run(firmware, clock, 7)
     assert [(frame[1], frame[3][0]) for frame in sent] == [
@@ -158,14 +158,14 @@ def test_lists_in_their_frames() -> None:
     ]
 
 
-def test_times_and_ages() -> None:
+def test_frames_have_times_and_ages() -> None:
     firmware, _, clock = started(5000, "00 0100 0000" + (ONE * 3).hex(), counter_us=1000)
     sent = run(firmware, clock, 3)
     assert [frame[2] for frame in sent] == [1300, 6300, 11300]  # 300 us after each beginning
     assert sent[0][3].hex(" ") == "00 2c 01 00 01 c8 00 00 01 64 00 00 01"  # ages 300, 200, 100
 
 
-def test_drift_is_of_the_counter_and_of_the_period() -> None:
+def test_drift_applies_to_the_counter_and_the_period() -> None:
     firmware, _, clock = started(5000, "00 0100 0000" + ONE.hex(), drift=0.01)
     begun_ns = clock.now_ns()
     sent = run(firmware, clock, 102)
@@ -181,7 +181,7 @@ def test_counters_wrap() -> None:
     assert [frame[1] for frame in run(firmware, clock, 3)] == [65_535, 0, 1]
 
 
-def test_what_nobody_acknowledges_is_tried_twice() -> None:
+def test_a_request_without_acknowledgement_is_tried_twice() -> None:
     firmware, board, clock = started(5000, "00 0100 0000" + ONE.hex())
     board.failures = [121, 0, 121, 121, 110]
     first, second, third = run(firmware, clock, 3)
@@ -191,7 +191,7 @@ def test_what_nobody_acknowledges_is_tried_twice() -> None:
     assert len(board.asked) == 5
 
 
-def test_frames_for_which_there_was_no_time_are_left_out() -> None:
+def test_frames_without_time_are_skipped() -> None:
     firmware, _, clock = started(1000, "00 0100 0000" + ONE.hex())
     run(firmware, clock, 2)
     clock.advance(3 * MS + MS // 2)
@@ -199,7 +199,7 @@ def test_frames_for_which_there_was_no_time_are_left_out() -> None:
 
 
 @pytest.mark.parametrize("kind", [1, 5])
-def test_hello_and_stop_end_it(kind: int) -> None:
+def test_hello_and_stop_end_the_stream(kind: int) -> None:
     firmware, _, clock = started(1000, "00 0100 0000" + ONE.hex())
     run(firmware, clock, 2)
     ask(firmware, kind)
@@ -219,7 +219,7 @@ def test_hello_and_stop_end_it(kind: int) -> None:
         max_size=10,
     )
 )
-def test_no_bytes_upset_it(data: list[bytes]) -> None:
+def test_any_bytes_leave_the_firmware_responsive(data: list[bytes]) -> None:
     firmware, _, clock = bench()
     for piece in data:
         firmware.feed(piece)

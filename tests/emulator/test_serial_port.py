@@ -72,7 +72,7 @@ def config(tmp_path: Path) -> Path:
     return tmp_path / "small.toml"
 
 
-def test_a_log_through_it_is_what_the_emulated_bus_gives(config: Path, tmp_path: Path) -> None:
+def test_a_log_through_the_port_equals_the_data_of_the_emulated_bus(config: Path, tmp_path: Path) -> None:
     run = tmp_path / "run.h5"
     with served(config, drift=1e-3, counter_us=(1 << 32) - 600_000) as (port, tap):
         words = ["log", str(config), "--bus", f"serial:{port.path}", "-o", str(run), "--seconds", "0.4"]
@@ -95,12 +95,12 @@ def test_a_log_through_it_is_what_the_emulated_bus_gives(config: Path, tmp_path:
 
 @pytest.fixture
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """These tests ask nothing of the clock fit."""
+    """These tests do not depend on the clock fit."""
     monkeypatch.setattr(serial_session, "PING_S", 0.0)
 
 
 @pytest.mark.usefixtures("hasty")
-def test_one_program_after_the_other_and_nobody_in_between(config: Path) -> None:
+def test_one_program_at_a_time_uses_the_port(config: Path) -> None:
     with served(config) as (port, _):
         for _ in range(2):
             bus = open_serial(port.path)
@@ -116,7 +116,7 @@ def test_one_program_after_the_other_and_nobody_in_between(config: Path) -> None
 
 
 @pytest.mark.usefixtures("hasty")
-def test_what_nobody_takes_is_dropped_whole(config: Path) -> None:
+def test_unread_frames_are_dropped_whole(config: Path) -> None:
     with served(config) as (port, _):
         with open_serial(port.path) as bus:
             bus.start([PollList(1, 0, (Request(0x70, b"\x05", 0), *[Request(0x53, b"\x00", 57)] * 8))], 500)
@@ -131,7 +131,7 @@ def test_what_nobody_takes_is_dropped_whole(config: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_papers_array_from_another_process(tmp_path: Path) -> None:
+def test_the_papers_array_is_logged_from_another_process(tmp_path: Path) -> None:
     run, configs = tmp_path / "run.h5", Path(__file__).parents[2] / "configs"
     arguments = [str(configs / "martin2013.toml"), "--serial"]
     in_a_terminal = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # a shell's & doesn't

@@ -124,7 +124,7 @@ def eventually(log: list[str], part: str) -> str:
     raise AssertionError(f"{part!r} is not in {log}")
 
 
-def test_enumeration(server: UsbipServer) -> None:
+def test_a_client_enumerates_the_adapter(server: UsbipServer) -> None:
     with Client(server.address) as client:
         status, descriptor = client.control(struct.pack("<BBHHH", 0x80, 6, 0x0100, 0, 64))
         assert status == 0
@@ -134,7 +134,7 @@ def test_enumeration(server: UsbipServer) -> None:
         assert client.control(struct.pack("<BBHHH", 0x41, 2, 10, 0, 0)) == (0, b"")
 
 
-def test_identities_behind_the_multiplexer(server: UsbipServer) -> None:
+def test_chips_behind_the_multiplexer_have_their_identities(server: UsbipServer) -> None:
     with Client(server.address) as client:
         with pytest.raises(OSError, match="no acknowledge"):
             client.i2c((0x53, b"\x00"), (0x53, 1))
@@ -147,7 +147,7 @@ def test_identities_behind_the_multiplexer(server: UsbipServer) -> None:
             client.i2c((0x53, b"\x00"), (0x53, 1))
 
 
-def test_two_devices_in_one_transaction(server: UsbipServer) -> None:
+def test_two_devices_are_read_in_one_transaction(server: UsbipServer) -> None:
     with Client(server.address) as client:
         client.i2c((0x70, b"\x04"))
         got = client.i2c((0x53, b"\x00"), (0x53, 1), (0x77, b"\xd0"), (0x77, 1))
@@ -162,12 +162,12 @@ def test_a_conversion_takes_real_time(server: UsbipServer) -> None:
         begun_ns = time.monotonic_ns()
         client.i2c((0x77, b"\xf4\xf4"))
         converting = client.i2c((0x77, b"\xf4"), (0x77, 1))[0][0] & 0x20
-        assert converting or time.monotonic_ns() - begun_ns > 17_000_000  # a machine that was busy elsewhere
+        assert converting or time.monotonic_ns() - begun_ns > 17_000_000  # or the machine was busy
         time.sleep(0.0255)
         assert not client.i2c((0x77, b"\xf4"), (0x77, 1))[0][0] & 0x20
 
 
-def test_every_other_bus_is_an_adapter_of_its_own(server: UsbipServer) -> None:
+def test_every_other_bus_is_a_separate_adapter(server: UsbipServer) -> None:
     assert server.titles == {"1-1": "mine", "1-2": "mine /dev/i2c-11"}
     with Client(server.address) as trunk, Client(server.address, b"1-2") as other:
         assert other.i2c((0x69, b"\x0f"), (0x69, 1)) == [b"\xd3"]
@@ -175,7 +175,7 @@ def test_every_other_bus_is_an_adapter_of_its_own(server: UsbipServer) -> None:
             trunk.i2c((0x69, b"\x0f"), (0x69, 1))
 
 
-def test_one_client_at_a_time_and_a_released_bus_for_the_next(server: UsbipServer, log: list[str]) -> None:
+def test_one_client_at_a_time_and_its_bus_is_released_afterwards(server: UsbipServer, log: list[str]) -> None:
     with Client(server.address) as first:
         with Client(server.address) as second:
             assert second.status == 1
@@ -186,10 +186,10 @@ def test_one_client_at_a_time_and_a_released_bus_for_the_next(server: UsbipServe
         assert third.i2c((0x53, 1)) == [b"\xe5"]
 
 
-def test_junk_closes_its_own_connection_and_no_other(server: UsbipServer, log: list[str]) -> None:
+def test_invalid_data_closes_only_its_own_connection(server: UsbipServer, log: list[str]) -> None:
     with Client(server.address) as client, socket.create_connection(server.address, timeout=5) as junk:
         junk.sendall(b"GET / HTTP/1.1\r\n\r\n" * 5000)
-        with suppress(ConnectionResetError):  # what was not read any more resets the connection
+        with suppress(ConnectionResetError):  # unread data resets the connection
             assert junk.recv(1) == b""
         eventually(log, "not USB/IP: version 0x4745; allowed is 0x0111")
         client.i2c((0x70, b"\x04"))
@@ -197,7 +197,9 @@ def test_junk_closes_its_own_connection_and_no_other(server: UsbipServer, log: l
     assert all("\n" not in line for line in log)
 
 
-def test_there_is_an_end_to_connections(server: UsbipServer, log: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_idle_and_excess_connections_are_closed(
+    server: UsbipServer, log: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(serve, "PATIENCE_S", 0.2)
     idle = [socket.create_connection(server.address, timeout=5) for _ in range(serve.MAX_CONNECTIONS + 1)]
     eventually(log, "refused, 16 are connected")
@@ -210,7 +212,7 @@ def test_there_is_an_end_to_connections(server: UsbipServer, log: list[str], mon
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("usbip") is None, reason="Debian's package usbip is not installed")
-def test_the_real_tool_lists_it(server: UsbipServer) -> None:
+def test_usbip_lists_the_adapters(server: UsbipServer) -> None:
     command = ["usbip", "--tcp-port", str(server.address[1]), "list", "-r", "127.0.0.1"]
     shown = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True).stdout
     assert "1-1: " in shown
@@ -218,7 +220,7 @@ def test_the_real_tool_lists_it(server: UsbipServer) -> None:
     assert shown.count("(0403:c631)") == 2
 
 
-def test_the_command_says_how_to_attach_and_serves() -> None:
+def test_the_command_prints_how_to_attach_and_serves() -> None:
     command = [sys.executable, "-m", "firmware_emulator", str(CONFIG), "--usbip", "--port", "0", "--query", "seed=4"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

@@ -1,4 +1,4 @@
-"""Sessions that somebody drew: poses, turns, temperatures, vibrations against closed forms; a case of such a world."""
+"""Sessions from a table: poses, turns, temperatures, vibrations against closed forms; a case of such a world."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def course(room=None, **table):
     return session({"name": "a", "seconds": 10.0, "poses": poses, **table}, room or Room(degc=20.0), 1).world
 
 
-def test_a_box_goes_from_pose_to_pose_and_feels_gravity_and_its_turning():
+def test_a_box_turns_between_poses_with_matching_gravity_and_rate():
     world = course(poses=[{"up": [0, 0, 1], "hold_s": 4.0}, {"up": [1, 0, 0], "hold_s": 4.0}], turn_s=2.0)
     assert world(2 * S).force_box == pytest.approx((0, 0, G))
     assert world(8 * S).force_box == pytest.approx((G, 0, 0))
@@ -59,15 +59,15 @@ def test_a_box_goes_from_pose_to_pose_and_feels_gravity_and_its_turning():
 
 
 @pytest.mark.parametrize("after", [(0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (0.6, 0.0, 0.8), UP])
-def test_a_turn_leads_to_the_pose_that_was_meant(after):
+def test_a_turn_ends_in_the_requested_pose(after):
     axis, angle = turn_to(UP, after)
     assert np.linalg.norm(axis) == pytest.approx(1.0)
     assert math.cos(angle) == pytest.approx(after[2])
 
 
 @pytest.mark.slow
-def test_a_rocked_box_is_turned_as_its_gyroscopes_say():
-    """Gravity, turned by the integral of the rate, is what is felt; shaking acts along the axis."""
+def test_the_rate_of_a_rocked_box_matches_its_gravity():
+    """Gravity, turned by the integral of the rate, is the specific force; shaking acts along the axis."""
     motion = {"start_s": 1.0, "end_s": 9.0, "axis": [1.0, 0.0, 0.0], "angle_rad": 0.5, "rock_hz": 0.7}
     world = course(motions=[{**motion, "peak_g": 0.0, "shake_hz": 3.0}])
     times = np.arange(1.0, 6.0, 0.0005)
@@ -79,7 +79,7 @@ def test_a_rocked_box_is_turned_as_its_gyroscopes_say():
     assert max(shaken(round(at * S)).force_box[0] for at in times) == pytest.approx(0.3 * G, rel=0.01)
 
 
-def test_temperatures_go_exponentially_and_drift_with_the_room():
+def test_temperatures_approach_exponentially_and_drift_with_the_room():
     stretches = [{"seconds": 5.0, "towards_degc": 40.0, "constant_s": 5.0}]
     world = course(Room(degc=20.0, drift_degc_per_s=0.01), stretches=stretches)
     assert world(5 * S).temperature_degc == pytest.approx(40 - 20 / math.e + 0.05)
@@ -88,7 +88,7 @@ def test_temperatures_go_exponentially_and_drift_with_the_room():
     assert np.std(temperatures) == pytest.approx(0.5, rel=0.05)
 
 
-def test_a_fridge_runs_for_a_share_of_its_cycle_and_no_reference_knows():
+def test_a_table_vibration_runs_for_a_share_of_its_cycle_and_is_absent_from_the_reference():
     fridge = TableVibration(24.5, (1.0, 0.0, 0.0), 1e-3, 0.1, cycle_s=4.0, share=0.5)
     world = course(Room(vibrations=(fridge,)))
     on, off = (
@@ -99,7 +99,7 @@ def test_a_fridge_runs_for_a_share_of_its_cycle_and_no_reference_knows():
     assert world.commanded(S // 3).force_box == pytest.approx((0, 0, G))
 
 
-def test_what_is_not_known_is_refused_in_a_line():
+def test_unknown_entries_are_refused_in_one_line():
     with pytest.raises(ValueError, match="ghost: no entry of a rest pose; allowed are hold_s, up"):
         course(poses=[{"up": [0, 0, 1], "ghost": 1}])
     with pytest.raises(ValueError, match="session: 'poses' is missing"):
@@ -109,7 +109,7 @@ def test_what_is_not_known_is_refused_in_a_line():
     assert RestPose(UP, 1.0) != TemperatureStretch(1.0, 2.0, 3.0) != Rocking(0, 1, UP, 1, 1, 1, 1)
 
 
-def test_toleranced_parts_scatter_between_power_ups_and_keep_everything_else():
+def test_only_the_bias_of_toleranced_parts_changes_between_power_ups():
     parts = [toleranced_part("bma180", "B", 4.0, 1, run) for run in range(200)]
     scatter = np.std([part.bias for part in parts], axis=0)
     assert scatter == pytest.approx([TURN_ON_SHARE * 0.06] * 3, rel=0.2)

@@ -1,4 +1,4 @@
-"""What six-axis chips do in time, beyond their golden conversations: torn readings, grids of samples, both halves."""
+"""Timing of six-axis chips, beyond their golden conversations: torn readings, grids of samples, both halves."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MS = 1_000_000
 
 
 class Ramp:
-    """An element that feels `per_second` times the time in seconds along each axis."""
+    """An element whose input is `per_second` times the time in seconds along each axis."""
 
     def __init__(self, per_second: float = 1.0) -> None:
         self.per_second = per_second
@@ -66,7 +66,7 @@ def lsm6dso(control: str) -> Bench:
 
 
 @pytest.mark.parametrize(("control", "torn"), [("1204", True), ("1244", False)])
-def test_without_block_update_the_two_bytes_of_a_number_are_of_two_samples(control: str, torn: bool) -> None:
+def test_without_block_update_the_bytes_of_a_number_are_of_two_samples(control: str, torn: bool) -> None:
     """LSM-13: at 100 kHz two bytes are 90 us apart, and a sample comes each 600 us. A number made of the high byte of
     one and the low byte of another is off by 256 counts.
     """
@@ -89,7 +89,7 @@ def test_without_block_update_the_two_bytes_of_a_number_are_of_two_samples(contr
 )
 def test_a_burst_is_of_one_instant(bench: Callable[[], Bench], register: int, order: str, delay_s: float) -> None:
     """TDK-12, DEC-60, INV-75: at 100 kHz six bytes take half a millisecond, and a sample comes each millisecond. It is
-    what the chip has felt before its filter's delay (INV-79).
+    the input of the chip one filter delay earlier (INV-79).
     """
     there, per_unit = bench(), 16384.0
     there.wait(100)
@@ -119,7 +119,7 @@ def test_each_half_of_an_lsm6dso_has_its_own_rate() -> None:
     assert fresh[1] == pytest.approx(416 * seconds, abs=2)
 
 
-def test_the_stall_of_an_icm_42688_ends_after_two_milliseconds_and_comes_again_at_each_crossing() -> None:
+def test_the_stall_of_an_icm_42688_lasts_2_ms_and_repeats_at_each_crossing() -> None:
     """TDK-18, DEC-63: a ramp of 1000 dps a second passes 100 dps once; 1 kHz, 2000 dps."""
     for control, held in (("4d91", True), ("4d51", False)):
         bench = Bench(Icm42688Chip(0x68, {GYROSCOPE: Ramp(1000.0)}), control, "4e0c")
@@ -149,7 +149,7 @@ def test_samples_fall_on_the_grid() -> None:
 
 
 @pytest.mark.parametrize("name", DIES)
-def test_a_half_is_taken_once(name: str) -> None:
+def test_a_second_element_for_a_half_is_refused(name: str) -> None:
     chip = DIES[name].build(0x68, {ACCELEROMETER: Ramp()})
     chip.take_element(GYROSCOPE, Ramp())
     with pytest.raises(ValueError, match="two sensors are the gyroscope"):

@@ -1,4 +1,4 @@
-"""The USB adapter's endpoint 0: requests as Linux sends them, and what they do to the wire."""
+"""The USB adapter's endpoint 0: requests as Linux sends them, and their effect on the wire."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BOTH = 0x07  # CMD_I2C_IO | CMD_I2C_IO_BEGIN | CMD_I2C_IO_END
 
 
 class Device:
-    """Remembers what it hears; acknowledges `room` bytes a message and sends 0xA0, 0xA1, ..."""
+    """Records writes; acknowledges `room` bytes a message and sends 0xA0, 0xA1, ..."""
 
     def __init__(self, address: int, room: int = 99) -> None:
         self.address = address
@@ -58,7 +58,7 @@ def write(usb: TinyUsb, address: int, data: bytes, request: int = BOTH) -> bytes
     return usb.control(Setup(VENDOR_OUT, request, 0x0000, address, len(data)), data)
 
 
-def test_identity_is_the_one_that_linux_knows() -> None:
+def test_the_identity_is_that_expected_by_linux() -> None:
     descriptor = adapter().control(Setup(0x80, 6, 0x0100, 0, 64), b"")
     assert descriptor is not None
     assert len(descriptor) == descriptor[0] == 18
@@ -68,14 +68,14 @@ def test_identity_is_the_one_that_linux_knows() -> None:
     assert descriptor[17] == 1  # one configuration
 
 
-def test_configuration_descriptor_tells_its_own_length_and_no_endpoint() -> None:
+def test_the_configuration_descriptor_has_its_length_and_no_endpoint() -> None:
     descriptor = adapter().control(Setup(0x80, 6, 0x0200, 0, 255), b"")
     assert descriptor is not None
     assert descriptor[:5] == bytes([9, 2, len(descriptor), 0, 1])
     assert descriptor[9:14] == bytes([9, 4, 0, 0, 0])
 
 
-def test_strings() -> None:
+def test_strings_are_returned() -> None:
     usb = adapter()
     assert usb.control(Setup(0x80, 6, 0x0300, 0, 255), b"") == bytes.fromhex("04030904")
     assert usb.control(Setup(0x80, 6, 0x0302, 0x0409, 255), b"") == b"\x1a\x03" + b"".join(
@@ -93,7 +93,7 @@ def test_a_long_title_fits_its_length_byte() -> None:
     assert descriptor[0] == len(descriptor) <= 255
 
 
-def test_standard_requests_of_an_enumeration() -> None:
+def test_standard_requests_of_an_enumeration_are_answered() -> None:
     usb = adapter()
     assert usb.control(Setup(0x00, 5, 7, 0, 0), b"") == b""
     assert usb.control(Setup(0x80, 8, 0, 0, 1), b"") == b"\0"
@@ -106,7 +106,7 @@ def test_standard_requests_of_an_enumeration() -> None:
 @pytest.mark.parametrize(
     "setup",
     [
-        Setup(0x00, 9, 2, 0, 0),  # there is no configuration 2
+        Setup(0x00, 9, 2, 0, 0),  # configuration 2 does not exist
         Setup(0x00, 3, 1, 0, 0),  # SET_FEATURE remote wake-up
         Setup(0x80, 6, 0x0600, 0, 10),  # device qualifier: only for high speed
         Setup(0x80, 6, 0x0101, 0, 18),
@@ -118,11 +118,11 @@ def test_standard_requests_of_an_enumeration() -> None:
         Setup(0x60, 0, 0, 0, 0),  # reserved type
     ],
 )
-def test_what_it_does_not_know_stalls(setup: Setup) -> None:
+def test_unknown_requests_stall(setup: Setup) -> None:
     assert adapter(Device(0x53)).control(setup, b"") is None
 
 
-def test_echo_functionality_delay_status() -> None:
+def test_echo_functionality_delay_and_status_are_answered() -> None:
     usb = adapter()
     assert usb.control(Setup(VENDOR_IN, 0, 0x1234, 0, 2), b"") == b"\x34\x12"
     quick, byte, byte_data, word_data = 0x00010000, 0x00060000, 0x00180000, 0x00600000  # uapi/linux/i2c.h
@@ -161,7 +161,7 @@ def test_messages_between_begin_and_end_are_joined_by_repeated_starts() -> None:
     assert usb.wire.scl_clocks == 9 * (2 + 2 + 3)
 
 
-def test_nobody_acknowledges() -> None:
+def test_a_missing_acknowledgement_is_a_status() -> None:
     usb = adapter(Device(0x53))
     assert write(usb, 0x54, b"\x00") is not None  # the transfer itself succeeds: Linux asks for the status next
     assert status(usb) == NAK
@@ -171,13 +171,13 @@ def test_nobody_acknowledges() -> None:
     assert status(usb) == ACK
 
 
-def test_an_address_of_more_than_seven_bits_is_nobodys() -> None:
+def test_an_address_of_more_than_seven_bits_is_not_acknowledged() -> None:
     usb = adapter(Device(0x53))
     write(usb, 0x0153, b"")
     assert status(usb) == NAK
 
 
-def test_a_data_byte_that_is_not_acknowledged() -> None:
+def test_a_data_byte_without_acknowledgement_is_a_status() -> None:
     usb = adapter(Device(0x53, room=1))
     write(usb, 0x53, b"\x00\x01")
     assert status(usb) == NAK
@@ -229,7 +229,7 @@ class StandingClock(VirtualClock):
 
 
 @pytest.mark.parametrize("bit_rate_hz", [10_000, 100_000, 400_000])
-def test_a_transaction_takes_the_time_that_its_clocks_need(bit_rate_hz: int) -> None:
+def test_a_transaction_takes_the_time_of_its_clocks(bit_rate_hz: int) -> None:
     clock, device = StandingClock(), Device(0x53)
     wire = Wire(clock, bit_rate_hz)
     wire.connect(device)
@@ -261,7 +261,7 @@ requests = st.builds(
 
 
 @given(st.lists(requests, max_size=30))
-def test_no_sequence_of_requests_breaks_it(setups: list[Setup]) -> None:
+def test_any_sequence_of_requests_leaves_the_adapter_usable(setups: list[Setup]) -> None:
     device = Device(0x53, room=20)
     usb = adapter(device)
     for setup in setups:

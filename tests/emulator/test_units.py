@@ -65,7 +65,7 @@ ADXL1_STD = (5.811277, 6.560084, 12.28892)
 TABLE_3_ADXL1 = ((7.734, 261.38), (7.805, 264.09), (-8.260, 255.29))  # bias, size of the scale factor
 
 
-def test_the_papers_readings_of_adxl1_come_back() -> None:
+def test_the_papers_readings_of_adxl1_are_reproduced() -> None:
     """18 face means, 3 biases, 3 scales, 3 deviations, each at 4.4 sigma: one false alarm in 3500 seeds."""
     count = 3000
     readings = {up: adxl1_readings(up, count) for up in UPS}
@@ -114,7 +114,7 @@ def test_accelerometers_have_table_3s_scale_and_bias(name: str) -> None:
         assert unit.response[axis][axis] * published.counts_per_unit > 0.99 * lengths[axis]
 
 
-def test_bma2_through_its_orientation() -> None:
+def test_bma2_has_the_readings_of_table_10() -> None:
     """Table 10: x is largest with +Y up, y with +X up, z smallest with +Z up."""
     up = {face: noiseless("BMA2", "bma180", 16, face) for face in UPS}
     halves = [
@@ -125,7 +125,7 @@ def test_bma2_through_its_orientation() -> None:
     assert halves[2] == pytest.approx([(69.95953 - 64.45256) / 2, (90.44258 - 44.14392) / 2, (-451.826 - 591.1872) / 2])
 
 
-def test_bma1_through_its_orientation() -> None:
+def test_bma1_has_the_readings_of_table_10() -> None:
     """Its matrix is not its own inverse: x points along -Y, y along +X (Table 10)."""
     x_up, x_down, y_up, y_down = (noiseless("BMA1", "bma180", 16, face) for face in ("+X", "-X", "+Y", "-Y"))
     assert 512 * (y_up[0] - y_down[0]) == pytest.approx(-604.112 - 418.4423)
@@ -167,7 +167,7 @@ def test_noise_of_the_bma180_grows_with_the_range() -> None:
     assert rms[16.0, 1200.0] / rms[1.5, 1200.0] == pytest.approx(17.05 / 9.53, rel=0.05)
 
 
-def test_a_bma180_in_another_range_than_the_papers_loses_its_shift() -> None:
+def test_a_bma180_outside_the_papers_range_has_no_shift() -> None:
     at_16_g = noiseless("BMA2", "bma180", 16, "+Z")
     unit = replace(unit_of("martin2013", "BMA2", "bma180", 16), noise=ZERO)
     at_2_g = SensingElement(StillWorld(), "bma180", "BMA2", ORIENTATIONS["BMA2"], unit).sample(0, 2.0, 100.0)
@@ -206,7 +206,7 @@ def test_spread_of_drawn_biases() -> None:
     assert fmean(biases) == pytest.approx(0.0, abs=4.4 * 0.0264 / math.sqrt(len(biases)))
 
 
-def test_units_are_the_papers_only_where_everything_matches() -> None:
+def test_units_are_the_papers_only_where_array_name_and_range_match() -> None:
     paper = unit_of("martin2013", "BMA3", "bma180", 1.5)
     assert paper.response[2][2] == pytest.approx(1.0042, abs=0.001)  # 5483 counts of 5460
     for array, name, full_scale in (("mine", "BMA3", 1.5), ("martin2013", "BMA9", 1.5), ("martin2013", "BMA3", 2.0)):
@@ -242,7 +242,7 @@ def test_a_chip_without_tolerances_is_named(monkeypatch: pytest.MonkeyPatch) -> 
         unit_of("lab", "P", "bmp280", 0.0)
 
 
-def test_noise_is_keyed_and_independent_of_what_is_felt() -> None:
+def test_noise_is_keyed_and_independent_of_the_input() -> None:
     unit = UnitDeviations(noise=(1.0, 1.0, 1.0))
     streams = [
         SensingElement(StillWorld(), "adxl345", name, IDENTITY, unit, seed)

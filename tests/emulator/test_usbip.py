@@ -1,4 +1,4 @@
-"""USB/IP frames against the layouts of the kernel's documentation (usbip_protocol); the parser on what nobody sends."""
+"""USB/IP frames against the layouts of the kernel's documentation (usbip_protocol); the parser on invalid frames."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UNLINK = bytes.fromhex("00000002 00000009 00010002 00000000 00000000  00000007")
 
 
 class Device:
-    """Answers every inward request with its own idea of a descriptor; stalls request 99."""
+    """Answers every inward request with a made-up descriptor; stalls request 99."""
 
     identity = UsbIdentity(0x1234, 0x5678, 0x0201, (0xFF, 0xEE, 0xDD), (0xCC, 0xBB, 0xAA))
 
@@ -49,7 +49,7 @@ def answers(talk: Conversation, data: bytes) -> bytes:
     return b"".join(talk.feed(data))
 
 
-def test_list_of_devices() -> None:
+def test_a_device_is_listed() -> None:
     talk, _ = conversation()
     answer = answers(talk, LIST_DEVICES)
     assert answer[:12] == bytes.fromhex("0111 0005 00000000 00000001")
@@ -61,7 +61,7 @@ def test_list_of_devices() -> None:
     assert talk.over
 
 
-def test_list_of_several_devices_and_of_none() -> None:
+def test_several_devices_and_none_are_listed() -> None:
     talk = Conversation([Export(1, Device()), Export(2, Device())])
     answer = answers(talk, LIST_DEVICES)
     assert len(answer) == 0x0C + 2 * (0x138 + 4)
@@ -70,7 +70,7 @@ def test_list_of_several_devices_and_of_none() -> None:
     assert answers(Conversation([]), LIST_DEVICES) == bytes.fromhex("0111 0005 00000000 00000000")
 
 
-def test_import() -> None:
+def test_a_device_is_imported() -> None:
     talk, _ = conversation()
     answer = answers(talk, IMPORT_1_2)
     assert answer[:8] == bytes.fromhex("0111 0003 00000000")
@@ -81,7 +81,7 @@ def test_import() -> None:
 
 
 @pytest.mark.parametrize("busid", [b"1-1", b"", b"\xff" * 32, b"1-2" * 10 + b"11"])
-def test_import_of_what_is_not_there_is_refused(busid: bytes) -> None:
+def test_import_of_an_unknown_device_is_refused(busid: bytes) -> None:
     talk, _ = conversation()
     assert answers(talk, IMPORT_1_2[:8] + busid.ljust(32, b"\0")) == bytes.fromhex("0111 0003 00000001")
     assert talk.over
@@ -99,7 +99,7 @@ def test_only_one_client_at_a_time_has_the_device() -> None:
     assert answers(third, IMPORT_1_2)[7] == 0
 
 
-def test_submit_inwards() -> None:
+def test_submit_inwards_returns_the_data() -> None:
     talk, device = conversation()
     answer = answers(talk, IMPORT_1_2 + SUBMIT_IN)[0x140:]
     assert answer[:0x30] == bytes.fromhex(
@@ -118,7 +118,7 @@ def test_submit_outwards_returns_the_length_and_no_data() -> None:
     assert device.seen == [(Setup(0x41, 7, 0, 0x53, 2), b"\x2d\x08")]
 
 
-def test_more_than_was_asked_for_is_cut() -> None:
+def test_a_longer_answer_is_cut_to_the_requested_length() -> None:
     talk, _ = conversation()
     frame = SUBMIT_IN[:0x18] + struct.pack(">I", 8) + SUBMIT_IN[0x1C:0x2E] + struct.pack("<H", 8)
     answer = answers(talk, IMPORT_1_2 + frame)[0x140:]
@@ -126,14 +126,14 @@ def test_more_than_was_asked_for_is_cut() -> None:
     assert answer[0x30:] == bytes(range(8))
 
 
-def test_a_stall_is_broken_pipe() -> None:
+def test_a_stall_is_reported_as_broken_pipe() -> None:
     talk, _ = conversation()
     answer = answers(talk, IMPORT_1_2 + SUBMIT_IN[:0x29] + bytes([99]) + SUBMIT_IN[0x2A:])[0x140:]
     assert struct.unpack_from(">iI", answer, 0x14) == (-32, 0)
     assert len(answer) == 0x30
 
 
-def test_the_documents_own_example_finds_no_such_endpoint() -> None:
+def test_the_example_of_the_document_addresses_a_missing_endpoint() -> None:
     """Frames captured by the kernel's documentation: device 15, endpoint 1, which a device like ours doesn't have."""
     talk, device = conversation(port=15)
     command_in = bytes.fromhex(
@@ -153,7 +153,7 @@ def test_the_documents_own_example_finds_no_such_endpoint() -> None:
     assert device.seen == []
 
 
-def test_unlink_comes_too_late() -> None:
+def test_unlink_after_completion_is_answered_with_zero() -> None:
     talk, _ = conversation()
     answers(talk, IMPORT_1_2 + SUBMIT_IN)
     assert answers(talk, UNLINK) == bytes.fromhex("00000004 00000009") + bytes(0x28)
@@ -175,7 +175,7 @@ def test_unlink_comes_too_late() -> None:
         (IMPORT_1_2 + SUBMIT_OUT[:12] + b"\0\0\0\x01" + SUBMIT_OUT[16:], "direction 1, does not fit"),
     ],
 )
-def test_frames_that_no_client_sends(frame: bytes, said: str) -> None:
+def test_invalid_frames_are_refused(frame: bytes, said: str) -> None:
     talk, device = conversation()
     with pytest.raises(ProtocolError, match=said):
         answers(talk, frame)
@@ -196,7 +196,7 @@ def fed(talk: Conversation, chunks: list[bytes]) -> tuple[bytes, int]:
 
 
 @given(st.lists(st.binary(max_size=200), max_size=20), st.sampled_from([b"", IMPORT_1_2]))
-def test_random_bytes_do_no_harm(chunks: list[bytes], before: bytes) -> None:
+def test_memory_is_bounded_for_random_bytes(chunks: list[bytes], before: bytes) -> None:
     talk, _ = conversation()
     _, kept = fed(talk, [before, *chunks])
     assert kept < 48 + 65535
@@ -206,7 +206,7 @@ words = st.sampled_from([0, 1, 2, 3, 0x40, 0xFFFF, 0x10000, 0x10002, 0x7FFFFFFF,
 
 
 @given(st.lists(st.tuples(st.lists(words, min_size=10, max_size=10), st.binary(min_size=8, max_size=8)), max_size=8))
-def test_frames_of_plausible_numbers_do_no_harm(frames: list[tuple[list[int], bytes]]) -> None:
+def test_memory_is_bounded_for_frames_of_plausible_numbers(frames: list[tuple[list[int], bytes]]) -> None:
     talk, device = conversation()
     stream = [struct.pack(">10I", *numbers) + setup for numbers, setup in frames]
     _, kept = fed(talk, [IMPORT_1_2, *stream])
@@ -215,7 +215,7 @@ def test_frames_of_plausible_numbers_do_no_harm(frames: list[tuple[list[int], by
 
 
 @given(st.lists(st.integers(0, 40 + 2 * 48 + 50), max_size=10))
-def test_it_does_not_matter_how_the_stream_is_cut(cuts: list[int]) -> None:
+def test_answers_do_not_depend_on_the_cuts_of_the_stream(cuts: list[int]) -> None:
     stream = IMPORT_1_2 + SUBMIT_OUT + SUBMIT_IN + UNLINK
     edges = [0, *sorted(cuts), len(stream)]
     chunks = [stream[begin:end] for begin, end in pairwise(edges)]

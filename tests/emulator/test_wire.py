@@ -1,4 +1,4 @@
-"""Who answers, what comes back and how long it takes; times from the table BUS-07 of minimum bus times."""
+"""Acknowledgement, answers and durations of transactions; times from the table BUS-07 of minimum bus times."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from firmware_emulator.wire import Wire
 
 
 class Memory:
-    """Remembers every call; sends `answer` over and over; acknowledges the first `appetite` bytes of a message."""
+    """Records every call; sends `answer` over and over; acknowledges the first `appetite` bytes of a message."""
 
     def __init__(self, address: int, answer: bytes = b"\x00", appetite: int = 99) -> None:
         self.address = address
@@ -55,14 +55,14 @@ BUS_07 = [
 
 
 @pytest.mark.parametrize(("written", "read", "clocks", "slow_ns", "fast_ns"), BUS_07)
-def test_bus_times(written: int, read: int, clocks: int, slow_ns: int, fast_ns: int) -> None:
+def test_transfers_take_the_minimum_bus_times(written: int, read: int, clocks: int, slow_ns: int, fast_ns: int) -> None:
     for bit_rate_hz, expected_ns in ((100_000, slow_ns), (400_000, fast_ns)):
         wire = wire_with(Memory(0x53), bit_rate_hz=bit_rate_hz)
         wire.transfer(0x53, bytes(written), read)
         assert (wire.clock.now_ns(), wire.scl_clocks, wire.transactions) == (expected_ns, clocks, 1)
 
 
-def test_bytes_reach_the_device_when_they_are_on_the_wire() -> None:
+def test_bytes_reach_the_device_at_their_time_on_the_wire() -> None:
     device = Memory(0x53)
     wire_with(device).transfer(0x53, b"\x32", 6)
     # 0.6 us START, 18 clocks of 2.5 us to the end of the first byte; 1.2 us repeated START, 9 clocks of address.
@@ -73,7 +73,7 @@ def test_bytes_reach_the_device_when_they_are_on_the_wire() -> None:
     ]
 
 
-def test_nobody_answers() -> None:
+def test_an_address_without_a_device_is_not_acknowledged() -> None:
     wire = wire_with(Memory(0x53))
     with pytest.raises(OSError, match="0x1d") as caught:
         wire.transfer(0x1D, b"\x00", 1)
@@ -86,7 +86,7 @@ def test_nobody_answers() -> None:
     assert caught.value.errno == 6
 
 
-def test_address_alone_asks_for_an_acknowledge() -> None:
+def test_a_transfer_without_data_sends_only_the_address() -> None:
     device = Memory(0x53)
     wire = wire_with(device)
     assert wire.transfer(0x53) == b""
@@ -94,7 +94,7 @@ def test_address_alone_asks_for_an_acknowledge() -> None:
     assert [call[0] for call in device.calls] == ["write", "stop"]
 
 
-def test_plain_read_has_no_write() -> None:
+def test_a_plain_read_has_no_write() -> None:
     device = Memory(0x53, b"\xa5\x5a")
     wire = wire_with(device)
     assert wire.transfer(0x53, read=3) == b"\xa5\x5a\xa5"
@@ -135,7 +135,7 @@ def test_messages_to_two_addresses_in_one_transaction() -> None:
 
 
 @given(st.binary(max_size=5), st.integers(0, 8), st.sampled_from([100_000, 400_000, 123_457]), st.integers(0, 6))
-def test_transfer_is_its_messages(write: bytes, read: int, bit_rate_hz: int, appetite: int) -> None:
+def test_a_transfer_equals_its_messages(write: bytes, read: int, bit_rate_hz: int, appetite: int) -> None:
     whole, parts = Memory(0x53, b"\x01\x02\x03", appetite), Memory(0x53, b"\x01\x02\x03", appetite)
     one, other = wire_with(whole, bit_rate_hz=bit_rate_hz), wire_with(parts, bit_rate_hz=bit_rate_hz)
     answers = []
@@ -171,17 +171,17 @@ def test_host_time_precedes_every_start() -> None:
 
 
 @pytest.mark.parametrize(("address", "read"), [(0x80, 0), (-1, 1), (0x53, -1)])
-def test_impossible_transfers(address: int, read: int) -> None:
+def test_impossible_transfers_are_refused(address: int, read: int) -> None:
     with pytest.raises(ValueError, match="7 bits"):
         wire_with(Memory(0x53)).transfer(address, b"\x00", read)
 
 
-def test_impossible_speed() -> None:
+def test_an_impossible_bit_rate_is_refused() -> None:
     with pytest.raises(ValueError, match="bit_rate_hz"):
         Wire(VirtualClock(), 0)
 
 
-def test_a_device_that_leaves_its_address_is_gone_after_the_stop() -> None:
+def test_a_device_without_an_address_stops_answering_after_the_stop() -> None:
     device = Memory(0x40)
     wire = wire_with(device)
     device.address = -1
@@ -193,7 +193,7 @@ def test_a_device_that_leaves_its_address_is_gone_after_the_stop() -> None:
     assert wire.transfer(0x40, b"\x00") == b""
 
 
-def test_clocks() -> None:
+def test_virtual_and_real_clocks_advance() -> None:
     clock = VirtualClock(5)
     clock.advance(10)
     clock.sleep_until(12)
@@ -256,7 +256,7 @@ def test_mux_keeps_the_last_byte_and_only_three_bits() -> None:
         wire.transfer(0x53)
 
 
-def test_mux_switches_at_the_stop_not_before() -> None:
+def test_mux_switches_at_the_stop_and_not_before() -> None:
     wire, _, devices = muxed()
     wire.transfer(0x70, b"\x04")
     wire.send(0x70, b"\x05")
@@ -276,7 +276,7 @@ def test_mux_switches_at_the_stop_of_a_broken_transfer() -> None:
     assert wire.transfer(0x53, b"\x00", 1) == b"\x11"  # DEC-41
 
 
-def test_mux_at_the_address_of_another_device() -> None:
+def test_mux_and_a_device_at_one_address_answer_together() -> None:
     wire = Wire(VirtualClock())
     wire.connect(Memory(0x77, b"\x55"))
     wire.connect_router(Pca9544aChip(0x77, {1: [Memory(0x53, b"\x11")]}))

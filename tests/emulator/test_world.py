@@ -1,4 +1,4 @@
-"""The worlds: what a box feels at rest, turning, warm, shaken."""
+"""The worlds: inputs of a box at rest, turning, heated and shaken."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ S = 10**9
         ("-Y", (0, -G, 0), (0.2, 0.43, 0)),
     ],
 )
-def test_still(up: str, force: tuple[float, ...], field: tuple[float, ...]) -> None:
+def test_a_still_world_is_constant(up: str, force: tuple[float, ...], field: tuple[float, ...]) -> None:
     world = StillWorld(up, 30.0)
     for at_ns in (-S, 0, 10**18):
         assert world(at_ns) == WorldStimulus(force, (0, 0, 0), 30.0, 101325.0, field)
@@ -67,7 +67,7 @@ def cross(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, ...]:
 
 
 @pytest.mark.parametrize("turn", range(6))
-def test_rates_of_a_turn_match_what_gravity_and_field_do(turn: int) -> None:
+def test_rates_of_a_turn_match_the_change_of_gravity_and_field(turn: int) -> None:
     """A vector v that is fixed to the earth changes in the box by v' = -rate x v."""
     world = TumbleWorld(face_s=10.0, turn_s=2.0)
     begin_ns, step_ns = (turn * 12 + 10) * S, 10_000
@@ -81,7 +81,7 @@ def test_rates_of_a_turn_match_what_gravity_and_field_do(turn: int) -> None:
         assert math.hypot(*now.force_box) == pytest.approx(G)
 
 
-def test_turns_begin_and_end_softly_and_cover_their_angle() -> None:
+def test_turns_begin_and_end_at_rate_zero_and_cover_their_angle() -> None:
     world = TumbleWorld(face_s=1.0, turn_s=2.0)
     for turn, degrees in enumerate((90, 90, 90, 90, 90, 180)):
         begin_ns = (turn * 3 + 1) * S
@@ -111,7 +111,7 @@ def test_heating_follows_the_papers_profile() -> None:
     assert quick.phases[-1].end_ns == 11 * 60 * S
 
 
-def test_shaking_stays_within_its_bounds_and_uses_them() -> None:
+def test_shaking_reaches_and_keeps_its_bounds() -> None:
     world = Shaking(peak_g=6.0, peak_dps=400.0, still_s=5.0, motion_s=40.0)
     assert [phase.name for phase in world.phases] == ["static", "motion", "static"]
     assert world.phases[-1].end_ns == 50 * S
@@ -151,6 +151,6 @@ def test_worlds_have_phases_in_order() -> None:
         (lambda: Shaking(peak_g=float("nan")), "peak_g"),
     ],
 )
-def test_impossible_worlds(make: object, named: str) -> None:
+def test_impossible_worlds_are_refused(make: object, named: str) -> None:
     with pytest.raises(ValueError, match=named):
         make()  # type: ignore[operator]

@@ -23,29 +23,29 @@ from tests.emulator.test_serial_firmware import (  # the same tests, of the core
     run,
     said,
     started,
-    test_a_transaction,
-    test_drift_is_of_the_counter_and_of_the_period,
-    test_frames_for_which_there_was_no_time_are_left_out,
-    test_hello_and_stop_end_it,
-    test_lists_in_their_frames,
-    test_the_same_command_again_is_answered_again_and_not_done_again,
-    test_times_and_ages,
-    test_what_it_refuses,
-    test_what_nobody_acknowledges_is_tried_twice,
+    test_a_repeated_command_is_answered_again_and_executed_once,
+    test_a_request_without_acknowledgement_is_tried_twice,
+    test_a_transaction_is_executed_and_answered,
+    test_drift_applies_to_the_counter_and_the_period,
+    test_frames_have_times_and_ages,
+    test_frames_without_time_are_skipped,
+    test_hello_and_stop_end_the_stream,
+    test_invalid_commands_are_refused,
+    test_lists_run_in_their_frames,
 )
 from tests.firmware.build import CoreFirmware
 from tests.selection import examples
 
 __all__ = [
-    "test_a_transaction",
-    "test_drift_is_of_the_counter_and_of_the_period",
-    "test_frames_for_which_there_was_no_time_are_left_out",
-    "test_hello_and_stop_end_it",
-    "test_lists_in_their_frames",
-    "test_the_same_command_again_is_answered_again_and_not_done_again",
-    "test_times_and_ages",
-    "test_what_it_refuses",
-    "test_what_nobody_acknowledges_is_tried_twice",
+    "test_a_repeated_command_is_answered_again_and_executed_once",
+    "test_a_request_without_acknowledgement_is_tried_twice",
+    "test_a_transaction_is_executed_and_answered",
+    "test_drift_applies_to_the_counter_and_the_period",
+    "test_frames_have_times_and_ages",
+    "test_frames_without_time_are_skipped",
+    "test_hello_and_stop_end_the_stream",
+    "test_invalid_commands_are_refused",
+    "test_lists_run_in_their_frames",
 ]
 
 LISTS, REQUEST_BYTES, LINE_BYTES, KEPT_BYTES = 128, 4096, 8192, 32768
@@ -69,7 +69,7 @@ def test_hello_tells_version_room_and_what_it_can_do() -> None:
     assert ask(bench()[0], 1) == struct.pack("<BBHBBI", 1, LISTS, REQUEST_BYTES, 7, 0, KEPT_BYTES)
 
 
-def test_memory_is_finite() -> None:
+def test_lists_beyond_the_memory_are_refused() -> None:
     firmware, _, _ = bench()
     body = ONE * 250  # 1000 bytes, of which 4 lists have room; every answer has 1 + 1000 bytes
     results = [ask(firmware, 3, bytes([number, 1, 0, 0, 0]) + body, number) for number in range(5)]
@@ -379,7 +379,7 @@ def test_what_the_core_and_the_emulated_firmware_do_is_the_same(core_firmware: t
         max_size=12,
     )
 )
-def test_no_bytes_upset_it(data: list[bytes]) -> None:
+def test_any_bytes_leave_the_firmware_responsive(data: list[bytes]) -> None:
     firmware, _, clock = bench()
     for piece in data:
         firmware.feed(piece)

@@ -1,4 +1,4 @@
-"""A bench for single mechanisms: ideal units in a world of the test's own, so that what is left is the mechanism's."""
+"""A bench for single mechanisms: ideal units in a world of the test's own, so that only the mechanism has an effect."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def errors(
     noisy: bool = False,
     full_scale: float = 250.0,
 ) -> npt.NDArray[np.float64]:
-    """What the mechanism adds to the very same sensor without it, (n, 3) in g or dps."""
+    """The difference that the mechanism makes to the same sensor, (n, 3) in g or dps."""
     there = board(mechanism, name, world=world, seed=seed, run=run, noisy=noisy)
     kind = NoisyBoard if noisy else IdealBoard
     plain = kind(ARRAY, world or StillWorld(), seed, run=run)

@@ -1,4 +1,4 @@
-"""Cases: real logs by the real drivers, which don't tell what made them; a sealed file that does."""
+"""Cases: logs by the real drivers, which do not reveal their mechanisms; a sealed file that states them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def written(tmp_path, name, *mechanisms, seed=1, **settings):
 
 
 def outside(path):
-    """All names, attributes, shapes and events of a file: what it shows besides its numbers."""
+    """All names, attributes, shapes and events of a file: everything but its numbers."""
     shown = {}
 
     def look(name, item):
@@ -65,14 +65,14 @@ def test_logs_of_two_cases_differ_in_their_numbers_only(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["trapped_charges", "scheduler_latency"])
-def test_the_same_seed_makes_the_same_logs_and_another_one_others(tmp_path, name):
+def test_equal_seeds_give_equal_logs_and_other_seeds_other_logs(tmp_path, name):
     one, two, three = (written(tmp_path, f"{at}", (name, 2.0, ()), seed=seed)[0] for at, seed in enumerate((3, 3, 4)))
     assert [path.read_bytes() for path in one] == [path.read_bytes() for path in two]
     assert one[0].read_bytes() != three[0].read_bytes()
 
 
 @pytest.mark.slow
-def test_units_stay_and_noise_goes_from_log_to_log(tmp_path):
+def test_units_are_the_same_and_noise_differs_between_logs(tmp_path):
     paths, _ = written(tmp_path, "a")
     with open_log(paths[0]) as static, open_log(paths[1]) as first, open_log(paths[2]) as second:
         readings = [log["Gyro3"].counts[:64] for log in (static, first, second)]
@@ -83,7 +83,7 @@ def test_units_stay_and_noise_goes_from_log_to_log(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_truth_tells_everything(tmp_path):
+def test_the_truth_states_mechanisms_sensors_and_logs(tmp_path):
     _, truth = written(tmp_path, "a", ("package_tilt", 2.0, ("BMA3",)), ("mux_hang", 20.0, ()), seed=9)
     assert truth["seed"] == 9
     tilt, hang = truth["mechanisms"]
@@ -100,8 +100,8 @@ def test_the_truth_tells_everything(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_truth_tells_whose_readings_were_anothers(tmp_path):
-    """Who comes first in a segment and has no twin isn't acknowledged: the order is repeated before others are read."""
+def test_the_truth_states_which_sensors_had_readings_of_a_twin(tmp_path):
+    """The first sensor of a segment, without a twin, isn't acknowledged: its order is repeated first."""
     array = load_array(configs() / "martin2013.toml").only(("ADXL1", "BMA1", "BMA3", "Gyro1", "Gyro3"))
     case = BenchCase.of(array, SHORT[:1], ("mux_hang", 20.0, ()))
     case.write(tmp_path / "logs", tmp_path / "truth.json")
@@ -110,7 +110,7 @@ def test_the_truth_tells_whose_readings_were_anothers(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_truth_may_not_lie_beside_the_logs(tmp_path):
+def test_the_truth_in_the_folder_of_the_logs_is_refused(tmp_path):
     case = BenchCase.of(ARRAY, SHORT[:1])
     with pytest.raises(ValueError, match="in the folder of the logs"):
         case.write(tmp_path, tmp_path / "truth.json")
@@ -120,7 +120,7 @@ def test_the_truth_may_not_lie_beside_the_logs(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_reference_tells_what_the_bench_was_told_or_is_left_out(tmp_path):
+def test_a_reference_records_the_commanded_course_or_is_omitted(tmp_path):
     heated = BenchExperiment("heating", HeatingWorld(scale=0.005), 6.0)
     told, silent = (BenchCase.of(ARRAY, [heated], reference=reference) for reference in (True, False))
     (told_path,) = told.write(tmp_path / "told", tmp_path / "told.json")
@@ -135,7 +135,7 @@ def test_a_reference_tells_what_the_bench_was_told_or_is_left_out(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_moving_box_is_followed_by_a_faster_reference(tmp_path):
+def test_a_faster_reference_follows_a_moving_box(tmp_path):
     moved = BenchExperiment(
         "motion", Shaking(peak_g=0.3, peak_dps=100.0, still_s=1.0, motion_s=2.0), 4.0, reference_hz=500.0
     )
@@ -153,7 +153,7 @@ def test_a_moving_box_is_followed_by_a_faster_reference(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(MECHANISMS)))
-def test_every_mechanism_can_be_recorded_at_its_worst(tmp_path, name):
+def test_every_mechanism_can_be_recorded_at_severity_20(tmp_path, name):
     sensors = ("BMA1", "BMA3") if MECHANISMS[name].place == "pair" else ()
     array = ARRAY if set(MECHANISMS[name].touches) & {"bma180", "l3g4200d"} else SIX_AXIS
     case = BenchCase.of(array, [BenchExperiment("motion", SHORT[2].world, 6.5)], (name, 20.0, sensors), seed=2)
@@ -166,7 +166,7 @@ def test_the_plan_of_the_paper_takes_nine_minutes_of_emulated_time():
     assert sum(one.seconds * one.logs for one in EXPERIMENTS.values()) == pytest.approx(647.0)
 
 
-def test_command_line(tmp_path, capsys):
+def test_the_command_writes_a_case_and_refuses_bad_arguments(tmp_path, capsys):
     where = ["-o", str(tmp_path / "logs"), "--truth", str(tmp_path / "truth.json")]
     small = ["--only", "BMA1,Gyro1", "--experiments", "static", "--rate-hz", "4"]
     asked = ["--mechanism", "log_creep", "--severity", "3", "--sensor", "Gyro1", "--seed", "5"]
@@ -185,7 +185,7 @@ def test_command_line(tmp_path, capsys):
 
 
 def test_mechanisms_are_described(capsys):
-    """What a run over all of them has to know, as JSON; a register that is there or not has no degrees."""
+    """The properties of all mechanisms as JSON; a mechanism that is either on or off is not graded."""
     assert main(["--mechanisms"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert set(told) == set(MECHANISMS)

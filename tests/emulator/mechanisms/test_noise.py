@@ -33,8 +33,8 @@ def test_shot_noise_has_twice_the_carriers_as_its_variance():
     assert abs(steps.mean()) < 4 * math.sqrt(16 / 12000)
 
 
-def test_more_shot_noise_is_of_more_carriers():
-    """A charge is as large as ever: noise twice as strong has four times the carriers, and no coarser steps."""
+def test_the_number_of_carriers_grows_with_the_square_of_shot_noise():
+    """The charge is the same: noise twice as strong has four times the carriers, and no coarser steps."""
     assert CarrierShotNoise.at(2.0) == CarrierShotNoise(carriers=4 * CarrierShotNoise().carriers)
 
 
@@ -75,15 +75,15 @@ def test_the_output_filter_answers_a_step_as_scipys_butterworth_does():
     assert got.max() == pytest.approx(1.0432, abs=0.002)  # overshoot exp(-pi) of a damping of 1 / sqrt 2
 
 
-def test_the_output_filter_is_late_by_its_delay_however_seldom_it_is_looked_at():
-    """sqrt(2) / w behind a rate that rises evenly: 1.0 ms at 222 Hz, looked at every 15 ms."""
+def test_the_output_filter_has_its_delay_at_any_read_interval():
+    """sqrt(2) / w after a rate that rises evenly: 1.0 ms at 222 Hz, read every 15 ms."""
     rising = turning(lambda at_s: (at_s, 0.0, 0.0))
     got = np.radians(samples(board(OutputFilter(222.0), "Gyro", world=rising), "Gyro", every(15, 20))[:, 0])
     late = 0.015 * np.arange(20) - got
     np.testing.assert_allclose(late[5:], math.sqrt(2) / (2 * math.pi * 222.0), rtol=1e-3)
 
 
-def test_what_changed_while_nobody_looked_changed_at_once():
+def test_an_input_change_long_before_a_read_has_settled():
     """As when a chip is set up: its filter has settled long since, 0.8 s or 50 time constants ago."""
     shifted = turning(lambda at_s: (1.0 if at_s >= 0.05 else 0.0, 0.0, 0.0))
     times = [0, 40_000_000, 860_000_000, 880_000_000]
@@ -104,7 +104,7 @@ def test_the_output_filter_colours_noise_as_scipys_butterworth_does():
         assert got == pytest.approx(wanted / np.trapezoid(power, frequencies), abs=0.03)
 
 
-def test_a_filter_narrower_than_the_registers_say_takes_its_share_of_the_noise():
+def test_a_filter_narrower_than_the_registers_reduces_the_noise():
     element = board(OutputFilter(5.0), "Gyro", noisy=True).element(
         next(one for one in board(OutputFilter(), "Gyro").sensors.values() if one.name == "Gyro")
     )
@@ -140,7 +140,7 @@ def test_two_converters_take_turns():
     assert np.allclose(twice[2], -twice[0])
 
 
-def test_a_transmitter_is_heard_only_while_it_sends():
+def test_a_transmitter_disturbs_only_while_it_sends():
     found = errors(KeyedTransmitter(rms_dps=0.5, sending_s=1.5, period_s=9.0), "Gyro", every(10, 18000))
     heard = found.any(axis=1)
     assert heard.mean() == pytest.approx(1.5 / 9.0, abs=0.002)
@@ -148,7 +148,7 @@ def test_a_transmitter_is_heard_only_while_it_sends():
     assert found[heard].std() == pytest.approx(0.5, rel=0.03)
 
 
-def test_the_reference_is_noisier_the_more_there_is_to_convert():
+def test_noise_of_the_reference_is_proportional_to_the_input():
     def spread(dps: float) -> float:
         world = turning(lambda at_s: (math.radians(dps), 0.0, 0.0))
         return float(errors(ReferenceNoise(0.01), "Gyro", every(10, 4000), world=world)[:, 0].std())
@@ -171,7 +171,7 @@ def test_a_motor_spins_up_to_its_speed():
     assert np.abs(wave[times > 30]).max() == pytest.approx(1.0, abs=3e-3)
 
 
-def test_units_differ_in_direction_and_runs_in_chance():
+def test_units_differ_in_direction_and_runs_in_random_draws():
     creep = MainsRipple(peak_dps=1.0)
     one, other = (errors(creep, name, every(3, 300)) for name in ("Gyro", "Gyro twin"))
     assert not np.allclose(one.std(axis=0), other.std(axis=0), rtol=0.01)
@@ -181,7 +181,7 @@ def test_units_differ_in_direction_and_runs_in_chance():
     assert np.array_equal(one, errors(creep, "Gyro", every(3, 300)))
 
 
-def test_time_since_power_on_is_what_counts():
+def test_mechanisms_depend_on_the_time_since_power_on():
     begun = 7 * S
     early = errors(SpinningMotor(peak_dps=1.0), "Gyro", every(7, 3000))
 

@@ -1,4 +1,4 @@
-"""What every mechanism promises: parameters that move with severity, an effect that grows with it, independence."""
+"""Properties of every mechanism: parameters change with severity, the effect grows with it, independence."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def both(at_ns):
 
 
 @pytest.mark.parametrize("name", MECHANISMS)
-def test_a_mechanism_is_a_frozen_record_with_its_physics_told(name):
+def test_a_mechanism_is_a_frozen_record_with_documented_physics(name):
     kind = MECHANISMS[name]
     mechanism = kind.at(1.0)
     assert mechanism == kind()  # severity 1 is the size that the defaults state
@@ -59,7 +59,7 @@ def test_a_mechanism_is_a_frozen_record_with_its_physics_told(name):
 
 
 @pytest.mark.parametrize("name", sorted(set(MECHANISMS) - set(EITHER_OR)))
-def test_parameters_move_one_way_with_severity(name):
+def test_parameters_change_monotonically_with_severity(name):
     ladder = np.array(
         [[value for value in astuple(MECHANISMS[name].at(step)) if np.isscalar(value)] for step in (0.5, 1, 2, 5, 20)],
         dtype=float,
@@ -89,7 +89,7 @@ def test_every_effect_with_a_name_has_a_mechanism_and_some_mechanisms_have_no_na
     assert sum(not kind.resembles for kind in MECHANISMS.values()) >= 8
 
 
-def test_no_file_imports_the_simulator_or_its_judges():
+def test_no_file_imports_the_simulator_or_the_diagnosis():
     """By its text: the mechanisms share register facts with the library and nothing else; cases may record."""
     allowed = {"cases.py": ("facts", "acquire", "array", "atomic", "bus", "commands", "errors", "shipped")}
     files = [*(PACKAGE / "mechanisms").rglob("*.py"), PACKAGE / "cases.py", PACKAGE / "board.py"]
@@ -106,8 +106,8 @@ def test_no_file_imports_the_simulator_or_its_judges():
 
 
 @pytest.mark.slow
-def test_nothing_of_the_simulator_is_loaded_by_making_a_case():
-    """By what a fresh interpreter has loaded, whoever imported it."""
+def test_making_a_case_does_not_load_the_simulator():
+    """By the modules that a fresh interpreter has loaded, also indirectly."""
     code = (
         "import sys, firmware_emulator.cases, firmware_emulator.mechanisms.query;"
         "print([name for name in sys.modules if name.startswith(('imuarray.simulate', 'imuarray.gap'))])"
@@ -145,12 +145,12 @@ def test_a_url_names_mechanisms_sensors_and_severities():
         ({"run": "-1"}, "run=-1; allowed is a whole number"),
     ],
 )
-def test_a_url_that_asks_for_what_is_not_possible(query, said):
+def test_a_url_with_impossible_parameters_is_refused(query, said):
     with pytest.raises(ValueError, match=said):
         open_bus(query, ARRAY)
 
 
-def test_a_fitted_board_with_nothing_on_it_is_the_plain_one():
+def test_a_board_without_mechanisms_equals_the_plain_board():
     def conversation(**settings):
         with open_bus({"seed": "4", **settings}, ARRAY) as bus:
             bus.transfer(0x70, b"\x04")

@@ -46,11 +46,11 @@ def one(mechanism, name, world=None, at_ns=S, **settings):
     return samples(board(mechanism, name, world=world, **settings), name, [at_ns])[0]
 
 
-def test_a_reference_three_percent_high_makes_everything_smaller():
+def test_a_reference_three_percent_high_reduces_all_readings():
     assert one(ReferenceVoltage(0.03), "BMA") == pytest.approx([0, 0, 1 / 1.03])
 
 
-def test_a_tilted_package_feels_the_same_force_from_elsewhere():
+def test_a_tilted_package_measures_the_same_force_in_rotated_axes():
     upright, sideways = one(PackageTilt(2.0), "BMA"), one(PackageTilt(2.0), "BMA", force(1, 0, 0))
     assert np.linalg.norm(upright) == pytest.approx(1.0)
     assert upright @ sideways == pytest.approx(0.0, abs=1e-12)
@@ -60,16 +60,16 @@ def test_a_tilted_package_feels_the_same_force_from_elsewhere():
     assert squares == pytest.approx(2.0)  # the trace of a rotation is 1 + 2 cos, whatever its axis
 
 
-def test_a_quarter_turn_gives_x_what_y_should_feel():
+def test_a_quarter_turn_swaps_x_and_y():
     assert one(RotatedPackage(), "BMA", force(0.3, 0.5, 0.7)) == pytest.approx([0.5, -0.3, 0.7])
 
 
-def test_plates_that_come_closer_read_more():
+def test_the_scale_grows_as_the_plate_gap_closes():
     assert one(PlateGap(gap_g=80.0), "BMA")[2] == pytest.approx(80 / 79)
     assert one(PlateGap(gap_g=80.0), "BMA", force(0, 0, -1))[2] == pytest.approx(-80 / 81)
 
 
-def test_a_pendulous_gyroscope_feels_force_across_it_only():
+def test_a_pendulous_gyroscope_is_sensitive_only_to_force_across_its_axis():
     pulls = [one(DriveImbalance(0.3), "Gyro", force(*axis)) for axis in np.eye(3)]
     for axis, pull in zip(np.eye(3), pulls, strict=True):
         assert pull @ axis == pytest.approx(0.0, abs=1e-12)
@@ -78,7 +78,7 @@ def test_a_pendulous_gyroscope_feels_force_across_it_only():
     assert one(DriveImbalance(0.3), "Gyro", force(0, 0, 2)) == pytest.approx(2 * pulls[2])
 
 
-def test_bow_is_even_about_room_temperature():
+def test_the_thermistor_bow_is_even_about_room_temperature():
     at = {degc: one(ThermistorBow(50e-6), "BMA", warm(lambda _, degc=degc: degc)) for degc in (5.0, 25.0, 35.0, 45.0)}
     assert at[25.0] == pytest.approx([0, 0, 1])
     bow = at[45.0] - [0, 0, 1]
@@ -87,7 +87,7 @@ def test_bow_is_even_about_room_temperature():
     assert math.sqrt(np.mean(bow**2)) == pytest.approx(0.02)
 
 
-def test_a_resistor_raises_gain_by_the_same_factor_for_every_degree():
+def test_the_gain_resistor_raises_gain_by_the_same_factor_for_every_degree():
     got = [one(GainResistor(1e-3), "BMA", warm(lambda _, degc=degc: degc))[2] for degc in (25.0, 35.0, 45.0)]
     assert got[0] == 1.0
     assert got[2] == pytest.approx(got[1] ** 2)
@@ -105,7 +105,7 @@ def heated_errors(mechanism, degc, times):
     return samples(fitted, "Gyro", times)[:, 0] + 25.0
 
 
-def test_under_a_ramp_the_die_is_late_by_both_time_constants():
+def test_under_a_ramp_the_die_lags_by_both_time_constants():
     late = heated_errors(BoardToDie(6.0, 2.0), lambda at_s: 25.0 + 0.1 * at_s, every(20, 5000))
     assert (25.0 + 0.1 * 99.98 - late[-1]) / 0.1 == pytest.approx(8.0, abs=0.03)
 
@@ -117,7 +117,7 @@ def test_after_a_step_the_die_follows_two_exponentials():
     assert np.abs(got - wanted).max() < 0.05
 
 
-def test_the_thermometer_is_late_by_the_board_alone():
+def test_the_thermometer_lags_by_the_time_constant_of_the_board():
     fitted = board(BoardToDie(6.0, 2.0), "BMA", world=warm(lambda at_s: 25.0 + 0.1 * at_s))
     element = fitted.element(fitted.sensors["BMA"])
     for at_ns in every(20, 5000):
@@ -125,7 +125,7 @@ def test_the_thermometer_is_late_by_the_board_alone():
     assert 25.0 + 9.998 - element.temperature(99_980 * MS) == pytest.approx(0.6, abs=0.005)
 
 
-def test_a_chip_that_heats_itself_shows_it_on_its_own_thermometer_only():
+def test_self_heating_affects_only_the_chips_own_thermometer():
     fitted = board(SelfHeating(3.0, 5.0), "BMA")
     element = fitted.element(fitted.sensors["BMA"])
     got = [element.temperature(at * S) for at in (0, 5, 500)]
@@ -133,7 +133,7 @@ def test_a_chip_that_heats_itself_shows_it_on_its_own_thermometer_only():
     assert element.sample(500 * S, 2.0, 1.0) == (0.0, 0.0, 1.0)
 
 
-def test_hysteresis_depends_on_the_way_and_not_on_its_speed():
+def test_hysteresis_depends_on_the_path_and_not_on_the_rate():
     def up_and_down(at_s: float) -> float:
         return 25.0 + (at_s if at_s < 20 else 40 - at_s)
 
@@ -155,7 +155,7 @@ def test_scale_sags_with_the_battery():
     assert found == pytest.approx([1.0, 1 - 0.02 * (1 - math.exp(-1)), 0.98])
 
 
-def test_creep_gains_the_same_in_every_decade_and_boot():
+def test_creep_adds_the_same_in_every_decade_and_boot():
     found = [errors(LogCreep(per_decade_dps=0.15), "Gyro", [0, 9 * S, 99 * S, 999 * S], run=run) for run in (0, 5)]
     assert np.array_equal(*found)
     assert np.allclose(found[0], np.outer([0, 1, 2, 3], found[0][1]))
@@ -170,7 +170,7 @@ def test_stress_is_drawn_at_power_on_and_kept():
     assert drawn.mean() == pytest.approx(0.2, rel=0.12)
 
 
-def test_the_bias_current_comes_up_in_one_of_two_states():
+def test_the_bias_current_starts_in_one_of_two_states():
     runs = np.array([errors(BiasCurrentDac(step_dps=0.5, share=0.4), "Gyro", [S], run=run)[0] for run in range(300)])
     states = np.unique(np.round(runs, 9), axis=0)
     assert len(states) == 2
@@ -178,14 +178,14 @@ def test_the_bias_current_comes_up_in_one_of_two_states():
     assert np.count_nonzero(states[np.abs(states).sum(axis=1) > 0]) == 3
 
 
-def test_a_fall_after_the_first_recording_lasts():
+def test_a_fall_after_the_first_recording_shifts_all_later_ones():
     runs = np.array([errors(DroppedBox(shift_dps=0.5), "Gyro", [S], run=run)[0] for run in range(4)])
     assert not runs[0].any()
     assert np.array_equal(runs[1], runs[3])
     assert math.sqrt(np.mean(runs[1] ** 2)) == pytest.approx(0.5)
 
 
-def test_a_range_switch_that_stays_open_doubles_the_codes_after_every_fourth_power_up():
+def test_a_stuck_range_switch_doubles_the_codes_after_every_fourth_power_up():
     got = [samples(board(RangeSwitch(), "BMA", run=run), "BMA", [S], full_scale=16.0)[0, 2] for run in range(20)]
     wrong = [run for run, z in enumerate(got) if z != 1.0]
     assert all(got[run] == 2.0 for run in wrong)
@@ -197,13 +197,13 @@ def test_a_range_switch_that_stays_open_doubles_the_codes_after_every_fourth_pow
     ("name", "asked", "in_force"),
     [("BMA", 16.0, 8.0), ("BMA", 2.0, 1.5), ("BMA", 1.0, 1.5), ("Gyro", 2000.0, 500.0), ("Gyro", 250.0, 500.0)],
 )
-def test_the_range_in_force_is_one_that_the_chip_has(name, asked, in_force):
+def test_the_range_in_force_is_a_range_of_the_chip(name, asked, in_force):
     """BMA-70 to BMA-76, L3G-40 to L3G-42."""
     chain = board(RangeSwitch(every=1), name, run=9)._sites[name].chain
     assert [setting(asked) for setting in chain.full_scale] == [in_force]
 
 
-def test_clipping_is_soft_and_never_passes_its_limit():
+def test_clipping_is_gradual_and_never_exceeds_its_limit():
     limits = SoftClipping(0.5)
     element = board(limits, "BMA", world=force(0.1, 1.0, 50.0)).element(ARRAY.sensors[1])
     x, y, z = element.sample(S, 2.0, 1.0)
@@ -212,12 +212,12 @@ def test_clipping_is_soft_and_never_passes_its_limit():
     assert 0.99 < z <= 1.0
 
 
-def test_a_delayed_chip_feels_the_past_of_a_ramp():
+def test_a_delayed_chip_measures_the_earlier_value_of_a_ramp():
     world = turning(lambda at_s: (math.radians(10 * at_s), 0.0, 0.0))
     assert errors(PipelineDelay(0.02), "Gyro", [S], world=world)[0] == pytest.approx([-0.2, 0, 0])
 
 
-def test_a_lever_feels_centripetal_and_tangential_force():
+def test_a_lever_arm_adds_centripetal_and_tangential_force():
     steady = turning(lambda at_s: (0.0, 0.0, 3.0))
     found = one(LeverArm(0.05), "BMA", steady) * STANDARD_GRAVITY
     speeding = turning(lambda at_s: (0.0, 0.0, 4.0 * (at_s - 1.0)))
@@ -229,7 +229,7 @@ def test_a_lever_feels_centripetal_and_tangential_force():
     assert tangential @ found == pytest.approx(0.0, abs=1e-9)
 
 
-def test_shaking_is_rectified_by_its_mean_square():
+def test_vibration_is_rectified_by_its_mean_square():
     def shaken(at_ns: int) -> WorldStimulus:
         return UPRIGHT._replace(
             force_box=(0.5 * STANDARD_GRAVITY * math.sin(2 * math.pi * 11.0 * at_ns * 1e-9), 0.0, STANDARD_GRAVITY)
@@ -241,7 +241,7 @@ def test_shaking_is_rectified_by_its_mean_square():
     assert np.sqrt(np.mean(found.mean(axis=0) ** 2)) == pytest.approx(10.0 * 0.5**2 / 2, rel=0.03)
 
 
-def test_a_supply_is_felt_by_all_chips_of_a_kind_at_once():
+def test_a_drifting_supply_affects_all_chips_of_a_kind_equally():
     drift = SupplyDrift(drift_v=0.02, drift_s=0.5, per_v_dps=50.0)
     fitted = board(drift, "Gyro", "Gyro twin")
     times = every(20, 6000)
@@ -253,7 +253,7 @@ def test_a_supply_is_felt_by_all_chips_of_a_kind_at_once():
     assert lag == pytest.approx(math.exp(-1), abs=0.15)
 
 
-def test_crossed_wires_lead_to_the_other_unit():
+def test_crossed_wires_exchange_two_units():
     fitting = Fitting(CrossedWiring(), ("BMA", "BMA twin"))
     crossed, straight = (FittedBoard(ARRAY, StillWorld(), 3, [*which], units="drawn") for which in ([fitting], []))
     for name, other in (("BMA", "BMA twin"), ("BMA twin", "BMA")):

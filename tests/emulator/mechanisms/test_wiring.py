@@ -48,7 +48,7 @@ def test_a_stuck_bit_is_never_set():
     assert latch(0, (7, -1, 4)) == (3, -5, 0)
 
 
-def test_missing_codes_come_out_as_the_carry():
+def test_missing_codes_become_the_next_code_above():
     latch = board(MissingCodes(4), "BMA")._sites["BMA"].links.latches[0]
     assert latch(0, (11, 12, 15)) == (11, 16, 16)
     assert latch(0, (-1, -4, -5)) == (0, 0, -5)
@@ -73,7 +73,7 @@ def test_latched_codes_keep_the_chips_width_and_its_ready_bit():
 @pytest.mark.parametrize(
     ("name", "address", "first", "ready"), [("ADXL", ADXL, 0x30, 0x80), ("Gyro", GYRO, 0xA7, 0x08)]
 )
-def test_a_slow_oscillator_has_nothing_new_most_of_the_time(name, address, first, ready):
+def test_a_slow_oscillator_gives_new_samples_at_its_own_rate(name, address, first, ready):
     with bus_with(SlowOscillator(40.0), name) as bus:
         awake(bus)
         fresh = 0
@@ -83,7 +83,7 @@ def test_a_slow_oscillator_has_nothing_new_most_of_the_time(name, address, first
         assert fresh == pytest.approx(200, abs=2)  # 40 a second for 5 s, asked a hundred times a second
 
 
-def test_a_slow_bma180_too():
+def test_a_slow_bma180_gives_new_samples_at_its_own_rate():
     with bus_with(SlowOscillator(40.0), "BMA") as bus:
         fresh = 0
         for index in range(500):
@@ -92,7 +92,7 @@ def test_a_slow_bma180_too():
         assert fresh == pytest.approx(200, abs=2)
 
 
-def test_a_divider_that_loses_a_bit_reads_back_right_and_acts_wrong():
+def test_a_divider_that_loses_a_bit_acts_on_another_value_than_it_reads_back():
     assert [without_bit(0b1110, which) for which in range(4)] == [0b1100, 0b1010, 0b0110, 0b0110]
     assert without_bit(0, 1) == 0
     with bus_with(RateDivider(0), "ADXL", "Gyro", "BMA") as bus:
@@ -112,7 +112,7 @@ def test_a_divider_that_loses_a_bit_reads_back_right_and_acts_wrong():
         assert bus.chips["BMA"]._converter._bandwidth_hz == 10.0
 
 
-def test_bit_errors_are_as_frequent_as_they_should_be():
+def test_bit_errors_have_their_rate():
     with bus_with(CableBitErrors(1e-3), "ADXL") as bus:
         awake(bus)
         assert all(bus.transfer(ADXL, b"\x00", 1) == b"\xe5" for _ in range(300))  # while it is set up
@@ -121,7 +121,7 @@ def test_bit_errors_are_as_frequent_as_they_should_be():
         assert flipped == pytest.approx(40, abs=4 * math.sqrt(40))
 
 
-def test_a_torn_reading_has_two_halves():
+def test_a_torn_reading_has_bytes_of_two_samples():
     latch = board(TornReads(1.0), "Gyro")._sites["Gyro"].links.latches[0]
     assert latch(0, (-1, 255, 256)) == (-1, 255, 256)
     assert latch(1, (0, 256, 255)) == (-256, 0, 511)
@@ -131,7 +131,7 @@ def test_a_torn_reading_has_two_halves():
     assert latch(1, (0, 64, 63)) == (-64, 0, 127)
 
 
-def test_a_converter_holds_for_its_time():
+def test_a_converter_repeats_its_value_for_the_hold_time():
     latch = board(ConverterHold(held_s=1.0, free_s=3.0), "Gyro")._sites["Gyro"].links.latches[0]
     got = [latch(index * 10 * MS, (index, 0, 0))[0] for index in range(60000)]
     held = np.array([code != index for index, code in enumerate(got)])
@@ -141,7 +141,7 @@ def test_a_converter_holds_for_its_time():
     assert held.mean() == pytest.approx(0.25, abs=0.06)
 
 
-def test_a_brown_out_brings_back_the_eeproms_range():
+def test_a_brown_out_restores_the_range_of_the_eeprom():
     with bus_with(BrownOut(mean_s=5.0), "BMA") as bus:
         bus.transfer(BMA, b"\x0d\x10")
         bus.clock.sleep_until(100 * MS)
@@ -156,8 +156,8 @@ def test_a_brown_out_brings_back_the_eeproms_range():
 
 
 @pytest.mark.parametrize(("until_s", "touched"), [(1, set()), (200, {"BMA"})])
-def test_a_brown_out_that_never_came_is_known(until_s, touched):
-    """It comes 5 s after power-on at the soonest, and after 200 s it came but for one case in 10^17."""
+def test_the_truth_states_whether_a_brown_out_happened(until_s, touched):
+    """It happens 5 s after power-on at the earliest, and within 200 s but for one case in 10^17."""
     fitted = board(BrownOut(mean_s=5.0), "BMA")
     fitted._sites["BMA"].links.resets[0](until_s * S)
     assert fitted.touched == {BrownOut(mean_s=5.0): touched}
@@ -177,7 +177,7 @@ def test_a_loose_contact_does_not_acknowledge_for_its_share_of_the_time():
         assert lost == pytest.approx(3000, abs=400)
 
 
-def test_a_hanging_multiplexer_leaves_the_twin_to_answer():
+def test_the_twin_answers_while_the_multiplexer_hangs():
     with bus_with(MuxHang(0.5)) as bus:
         awake(bus)
         bus.clock.sleep_until(6 * S)
@@ -187,13 +187,13 @@ def test_a_hanging_multiplexer_leaves_the_twin_to_answer():
             assert bus.transfer(MUX, read=1)[0] & 7 == (4 if index % 2 else 5)
             try:
                 bus.transfer(ADXL, b"\x00", 1)
-                hung += index % 2 == 0  # nobody on channel 1 has that address
+                hung += index % 2 == 0  # no chip on channel 1 has that address
             except OSError:
                 hung += index % 2
         assert hung == pytest.approx(80, abs=32)  # two STOPs an order: h = (1 - h) / 4, of 400
 
 
-def test_whoever_is_answered_for_is_noted():
+def test_the_truth_states_for_which_sensor_a_twin_answered():
     fitted = board(MuxHang(0.5), "BMA", "BMA twin")
     mux, passes = fitted.router("pca9544a", MUX, {}, 0), fitted._sites["BMA"].links.latches[0]
     fitted.host.obeys[:] = [lambda at_ns: True]
@@ -208,7 +208,7 @@ def test_whoever_is_answered_for_is_noted():
     assert fitted.touched == {MuxHang(0.5): {"BMA twin"}}
 
 
-def test_the_switch_of_the_multiplexer_is_heard_for_a_while():
+def test_a_switch_of_the_multiplexer_adds_a_decaying_kick():
     fitted = board(MuxCrosstalk(kick_dps=0.6, decay_ms=2.0), "Gyro")
     element = fitted.element(of("Gyro"))
     assert element.sample(MS, 250.0, 1.0) == (0.0, 0.0, 0.0)
@@ -227,7 +227,7 @@ def test_the_host_waits_before_transactions():
         assert waited_ms == pytest.approx(0.5 * 4.0, rel=0.15)
 
 
-def test_a_resonator_gains_its_error_once_it_is_warm():
+def test_a_warm_resonator_is_fast_by_its_error():
     resonator = HostResonator(error=5e-3, warm_up_s=30.0)
     gained = [resonator.shown(at * S) - at * S for at in (1000, 1001)]
     assert gained[1] - gained[0] == pytest.approx(5e-3 * S, rel=1e-6)
@@ -249,7 +249,7 @@ def test_a_ticking_kernel_shows_and_wakes_on_ticks():
         assert bus.clock.now_ns() == 30 * MS
 
 
-def test_clocks_add_up():
+def test_errors_of_two_clocks_add_up():
     fittings = [Fitting(clock, ("BMA",)) for clock in (HostResonator(0.1, 1.0), CoarseTimestamps(10.0))]
     host = IdealBoard(ARRAY, StillWorld(), 1, fittings)
     clock = host.host_clock(VirtualClock())
