@@ -11,13 +11,17 @@ import click
 
 from imuarray.atomic import save_figure, write_text
 from imuarray.commands.options import (
+    declared,
     force_option,
     json_option,
     log_argument,
     only_option,
+    option,
+    output_option,
     print_json,
     progress,
     refuse_existing,
+    takes,
 )
 from imuarray.errors import ImuArrayError, MissingExtraError, OutputExistsError
 
@@ -28,32 +32,35 @@ if TYPE_CHECKING:
 RESULT = "characterise.json"
 
 
+@dataclass(frozen=True)
+class CharacteriseOptions:
+    """The options of `imuarray characterise`."""
+
+    run: Path = declared(log_argument)
+    output: Path | None = output_option(
+        folder=True,
+        metavar="DIR",
+        help=f"write {RESULT} and, with matplotlib, figures into DIR",
+    )
+    phase: str | None = option(metavar="NAME", help="the phase to evaluate (default: the longest phase at rest)")
+    only: tuple[str, ...] = declared(only_option("only these sensors (default: all with three axes)"))
+    estimator: Estimator | None = option(
+        type=click.Choice(("overlapping", "decimated")),
+        help=(
+            "estimator of the Allan deviation (default: overlapping; beyond 4 million rows decimated, which is as"
+            " precise and needs less memory)"
+        ),
+    )
+    calibration: Path | None = option(
+        metavar="CAL.toml", help="scale factors for converting counts to units (default: those of the data sheet)"
+    )
+    as_json: bool = declared(json_option)
+    force: bool = declared(force_option)
+
+
 @click.command("characterise")
-@log_argument
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="DIR",
-    help=f"write {RESULT} and, with matplotlib, figures into DIR",
-)
-@click.option("--phase", metavar="NAME", help="the phase to evaluate (default: the longest phase at rest)")
-@only_option("only these sensors (default: all with three axes)")
-@click.option(
-    "--estimator",
-    type=click.Choice(("overlapping", "decimated")),
-    help="estimator of the Allan deviation (default: overlapping; beyond 4 million rows decimated, which is as"
-    " precise and needs less memory)",
-)
-@click.option(
-    "--calibration",
-    type=click.Path(path_type=Path),
-    metavar="CAL.toml",
-    help="scale factors for converting counts to units (default: those of the data sheet)",
-)
-@json_option
-@force_option
-def command(**options: Any) -> None:
+@takes(CharacteriseOptions)
+def command(options: CharacteriseOptions) -> None:
     """Determine Allan deviation, spectrum, correlation, codes and noise of the sensors in a log at rest.
 
     Prints for every axis the mean, the spread, and the white noise, bias instability and random walk that fit its Allan
@@ -64,25 +71,6 @@ def command(**options: Any) -> None:
     \b
     imuarray characterise run.h5 --phase z_up -o noise
     """
-    _run(CharacteriseOptions(**options))
-
-
-@dataclass(frozen=True)
-class CharacteriseOptions:
-    """The options of `imuarray characterise`, as they were given."""
-
-    run: Path
-    output: Path | None
-    phase: str | None
-    only: tuple[str, ...]
-    estimator: Estimator | None
-    calibration: Path | None
-    as_json: bool
-    force: bool
-
-
-def _run(options: CharacteriseOptions) -> None:
-    """Characterise the log, print the result and write it into the folder, if one is given."""
     from imuarray.characterise import render_text
     from imuarray.log import open_log
 

@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imuarray.commands.options import bus_option, force_option, json_option, print_json, refuse_existing
+from imuarray.commands.options import (
+    argument,
+    bus_option,
+    declared,
+    force_option,
+    json_option,
+    option,
+    output_option,
+    print_json,
+    refuse_existing,
+    takes,
+)
 from imuarray.printable import printable
 from imuarray.shipped import find_config
 
@@ -24,30 +35,31 @@ _USUAL_RATE_HZ = 50.0
 _SENSOR_ADVICE = "check its supply, its wiring and its address pin, and the channel in CONFIG"
 
 
+@dataclass(frozen=True)
+class DetectOptions:
+    """The options of `imuarray detect`."""
+
+    config: Path | None = argument(required=False)
+    bus_url: str | None = declared(bus_option)
+    self_test: bool = option(help="run the self-test of each chip, which resets its settings")
+    doctor: bool = option(help="diagnose a bus that does not work, with advice: permissions, drivers, disk")
+    logs: Path | None = option(
+        metavar="FOLDER", help="folder for the logs, which --doctor checks (default: the current folder)"
+    )
+    output: Path | None = output_option(
+        metavar="NEW.toml",
+        help=(
+            "without CONFIG: write a configuration of the chips that answer, ready to log with; chips that identify"
+            " themselves alike (HMC5883, HMC5883L) are distinguished by their self-test"
+        ),
+    )
+    force: bool = declared(force_option)
+    as_json: bool = declared(json_option)
+
+
 @click.command("detect")
-@click.argument("config", required=False, type=click.Path(path_type=Path))
-@bus_option
-@click.option("--self-test", is_flag=True, help="run the self-test of each chip, which resets its settings")
-@click.option(
-    "--doctor", is_flag=True, help="diagnose a bus that does not work, with advice: permissions, drivers, disk"
-)
-@click.option(
-    "--logs",
-    type=click.Path(path_type=Path),
-    metavar="FOLDER",
-    help="folder for the logs, which --doctor checks (default: the current folder)",
-)
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    metavar="NEW.toml",
-    help="without CONFIG: write a configuration of the chips that answer, ready to log with; chips that identify"
-    " themselves alike (HMC5883, HMC5883L) are distinguished by their self-test",
-)
-@force_option
-@json_option
-def command(**options: Any) -> int:
+@takes(DetectOptions)
+def command(options: DetectOptions) -> int:
     """Report which sensors answer and whether they match CONFIG; without CONFIG, which chips answer on --bus.
 
     \b
@@ -57,29 +69,6 @@ def command(**options: Any) -> int:
     fails its self-test; 1 if the result of a self-test is undetermined. --doctor needs no CONFIG, and also checks each
     sensor if there is one; it exits 1 if any check fails.
     """
-    return _run(DetectOptions(**options))
-
-
-_NOTHING_ON_BUS = "no chip answers; imuarray detect --doctor --bus {url} looks for the cause"
-_NOTHING_ON_IIO = "the kernel serves no device; load the module of the sensor's driver, and bind it"
-
-
-@dataclass(frozen=True)
-class DetectOptions:
-    """The options of `imuarray detect`, as they were given."""
-
-    config: Path | None
-    bus_url: str | None
-    self_test: bool
-    doctor: bool
-    logs: Path | None
-    output: Path | None
-    force: bool
-    as_json: bool
-
-
-def _run(options: DetectOptions) -> int:
-    """Check the options and examine the bus; return the exit code."""
     if options.config is None and (options.self_test or (options.bus_url is None and not options.doctor)):
         raise click.UsageError("CONFIG or --bus URL is required; --self-test requires CONFIG")
     if options.logs is not None and not options.doctor:
@@ -95,6 +84,10 @@ def _run(options: DetectOptions) -> int:
     if options.config is None:
         return _explore(options.bus_url or "", options.output, options.force, options.as_json)
     return _verify(options.config, options.bus_url, options.self_test, options.as_json)
+
+
+_NOTHING_ON_BUS = "no chip answers; imuarray detect --doctor --bus {url} looks for the cause"
+_NOTHING_ON_IIO = "the kernel serves no device; load the module of the sensor's driver, and bind it"
 
 
 def _verify(config: Path, bus_url: str | None, self_test: bool, as_json: bool) -> int:

@@ -4,56 +4,62 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
 from imuarray.commands.options import (
+    argument,
+    declared,
     force_option,
     json_option,
     only_option,
+    option,
+    output_option,
     print_json,
     refuse_existing,
     share_progress,
+    takes,
 )
 from imuarray.export import TOOLS, UNITS, WRITERS
 from imuarray.printable import counted, listed
 
 
+@dataclass(frozen=True)
+class ExportOptions:
+    """The options of `imuarray export`."""
+
+    source: Path = argument(metavar="RUN.h5")
+    output: Path = output_option(
+        required=True,
+        metavar=f"RUN{'|'.join(WRITERS)}",
+        help="the file to write; its suffix chooses the format",
+    )
+    only: tuple[str, ...] = declared(only_option("only these sensors (default: everything)"))
+    calibration_file: Path | None = option(
+        "--calibration", metavar="CAL.toml", help="write calibrated values, in SI along the axes of the box"
+    )
+    units: str | None = option(
+        type=click.Choice(UNITS),
+        help=(
+            "counts; si (m/s2, rad/s) or sensor (g, dps), converted by the calibration or else the data sheets"
+            " (default: counts, or si with a calibration and in .mcap)"
+        ),
+    )
+    tool: str | None = option(
+        type=click.Choice([tool for tools in TOOLS.values() for tool in tools]),
+        help=(
+            "the tool that will read the file"
+            f" ({'; '.join(f'{suffix}: ' + ', '.join(tools) for suffix, tools in TOOLS.items())};"
+            " default: the first)"
+        ),
+    )
+    force: bool = declared(force_option)
+    as_json: bool = declared(json_option)
+
+
 @click.command("export")
-@click.argument("source", metavar="RUN.h5", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    type=click.Path(path_type=Path),
-    metavar=f"RUN{'|'.join(WRITERS)}",
-    help="the file to write; its suffix chooses the format",
-)
-@only_option("only these sensors (default: everything)")
-@click.option(
-    "--calibration",
-    "calibration_file",
-    type=click.Path(path_type=Path),
-    metavar="CAL.toml",
-    help="write calibrated values, in SI along the axes of the box",
-)
-@click.option(
-    "--units",
-    type=click.Choice(UNITS),
-    help="counts; si (m/s2, rad/s) or sensor (g, dps), converted by the calibration or else the data sheets"
-    " (default: counts, or si with a calibration and in .mcap)",
-)
-@click.option(
-    "--tool",
-    type=click.Choice([tool for tools in TOOLS.values() for tool in tools]),
-    help="the tool that will read the file"
-    f" ({'; '.join(f'{suffix}: ' + ', '.join(tools) for suffix, tools in TOOLS.items())};"
-    " default: the first)",
-)
-@force_option
-@json_option
-def command(**options: Any) -> None:
+@takes(ExportOptions)
+def command(options: ExportOptions) -> None:
     """Write a log or a fused result as a file that other tools open.
 
     \b
@@ -71,25 +77,6 @@ def command(**options: Any) -> None:
     \b
     imuarray export run.h5 --calibration cal.toml -o run.mcap
     """
-    _run(ExportOptions(**options))
-
-
-@dataclass(frozen=True)
-class ExportOptions:
-    """The options of `imuarray export`, as they were given."""
-
-    source: Path
-    output: Path
-    only: tuple[str, ...]
-    calibration_file: Path | None
-    units: str | None
-    tool: str | None
-    force: bool
-    as_json: bool
-
-
-def _run(options: ExportOptions) -> None:
-    """Export, and print what was written."""
     from imuarray.calibrate import load_calibration
     from imuarray.export import export
 

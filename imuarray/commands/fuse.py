@@ -13,14 +13,18 @@ import numpy as np
 from imuarray.commands.fuse_report import evaluated, notes_sentences, pair_lines, pairs_of, print_evaluation
 from imuarray.commands.options import (
     bars,
+    declared,
     force_option,
     json_option,
     log_argument,
     only_option,
+    option,
+    output_option,
     print_json,
     refuse_existing,
     refuse_other_suffix,
     share_progress,
+    takes,
 )
 from imuarray.fuse.technique_descriptions import NAME_WIDTH, TECHNIQUE_DESCRIPTIONS, TECHNIQUE_NAMES
 from imuarray.printable import listed
@@ -59,56 +63,32 @@ imuarray fuse run.h5 --calibration cal.toml --technique optimal -o fused.h5
 """
 
 
-@click.command("fuse", help=_HELP)
-@log_argument
-@click.option(
-    "--calibration",
-    "calibration_file",
-    type=click.Path(path_type=Path),
-    metavar="CAL.toml",
-    help="the calibration to apply (default: data-sheet values)",
-)
-@click.option("--technique", default="mean", show_default=True, metavar="NAME", help=TECHNIQUE_NAMES)
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    metavar="FUSED.h5",
-    help="the result to write (optional with --evaluate)",
-)
-@only_option("fuse only these sensors")
-@click.option("--causal", is_flag=True, help="use only readings up to each frame, as `log --fuse` does")
-@click.option(
-    "--watch/--no-watch",
-    default=None,
-    help="detect, report and exclude failing sensors (default: only with optimal)",
-)
-@click.option("--evaluate", is_flag=True, help="compare every technique with the truth in the log, and with the mean")
-@force_option
-@json_option
-def command(**options: Any) -> None:
-    """Fuse the sensors of a log."""
-    _run(FuseOptions(**options))
-
-
 @dataclass(frozen=True)
 class FuseOptions:
-    """The options of `imuarray fuse`, as they were given."""
+    """The options of `imuarray fuse`."""
 
-    run: Path
-    calibration_file: Path | None
-    technique: str
-    output: Path | None
-    only: tuple[str, ...]
-    causal: bool
-    watch: bool | None
-    evaluate: bool
-    force: bool
-    as_json: bool
+    run: Path = declared(log_argument)
+    calibration_file: Path | None = option(
+        "--calibration", metavar="CAL.toml", help="the calibration to apply (default: data-sheet values)"
+    )
+    technique: str = option(default="mean", show_default=True, metavar="NAME", help=TECHNIQUE_NAMES)
+    output: Path | None = output_option(metavar="FUSED.h5", help="the result to write (optional with --evaluate)")
+    only: tuple[str, ...] = declared(only_option("fuse only these sensors"))
+    causal: bool = option(help="use only readings up to each frame, as `log --fuse` does")
+    watch: bool | None = option(
+        "--watch/--no-watch",
+        default=None,
+        help="detect, report and exclude failing sensors (default: only with optimal)",
+    )
+    evaluate: bool = option(help="compare every technique with the truth in the log, and with the mean")
+    force: bool = declared(force_option)
+    as_json: bool = declared(json_option)
 
 
-def _run(options: FuseOptions) -> None:
-    """Fuse and evaluate as the options say, and print the report."""
+@click.command("fuse", help=_HELP)
+@takes(FuseOptions)
+def command(options: FuseOptions) -> None:
+    """Fuse the sensors of a log."""
     from imuarray.calibrate import Calibration, load_calibration
     from imuarray.chips import SENSITIVITIES
     from imuarray.fuse.fusion import complete_responses, prepare_inputs, require_known_sensors, require_technique

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import get_terminal_size
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -13,13 +13,19 @@ from imuarray.atomic import write_text
 from imuarray.commands.gap_validate import validate
 from imuarray.commands.options import (
     Steps,
+    argument,
+    declared,
     ended_by_signals,
     force_option,
     json_option,
     names_option,
     only_option,
+    option,
+    output_option,
     prepare_folder,
     print_json,
+    seed_option,
+    takes,
     workers_option,
 )
 from imuarray.shipped import find_model
@@ -47,47 +53,52 @@ def command(context: click.Context) -> None:
 command.add_command(validate)
 
 
+@dataclass(frozen=True)
+class DiagnoseOptions:
+    """The options of `imuarray gap diagnose`."""
+
+    logs: tuple[Path, ...] = argument(nargs=-1, required=True, metavar="REAL.h5...")
+    model_name: str | None = option(
+        "--model",
+        metavar="MODEL",
+        help=(
+            "the simulator's model: a file, or one that comes with the package: datasheet, martin2013 (default: the"
+            " data sheets of the log's chips)"
+        ),
+    )
+    without: tuple[str, ...] = declared(
+        names_option(
+            "--without",
+            metavar="EFFECT,...",
+            help="remove these effects from the library of causes (imuarray simulate --effects lists them)",
+        )
+    )
+    only: tuple[str, ...] = declared(only_option("diagnose only these sensors"))
+    against: tuple[Path, ...] = option(
+        multiple=True,
+        metavar="EARLIER.h5",
+        help="an earlier log of the same array, to find what has changed since then (may be repeated)",
+    )
+    seed: int = declared(seed_option)
+    replicates: int = option(
+        type=click.IntRange(40, 10_000),
+        default=128,
+        show_default=True,
+        help="most simulated replicates, which separate a gap from chance; fewer are used where the result is clear",
+    )
+    workers: int = declared(workers_option)
+    output: Path | None = output_option(
+        folder=True,
+        metavar="DIR",
+        help="write report.html, gap.json and the repaired model, repaired.toml, into DIR",
+    )
+    force: bool = declared(force_option)
+    as_json: bool = declared(json_option)
+
+
 @command.command("diagnose", short_help="name the effects that the simulator of recorded logs lacks")
-@click.argument("logs", nargs=-1, required=True, metavar="REAL.h5...", type=click.Path(path_type=Path))
-@click.option(
-    "--model",
-    "model_name",
-    metavar="MODEL",
-    help="the simulator's model: a file, or one that comes with the package: datasheet, martin2013 (default: the data "
-    "sheets of the log's chips)",
-)
-@names_option(
-    "--without",
-    metavar="EFFECT,...",
-    help="remove these effects from the library of causes (imuarray simulate --effects lists them)",
-)
-@only_option("diagnose only these sensors")
-@click.option(
-    "--against",
-    multiple=True,
-    metavar="EARLIER.h5",
-    type=click.Path(path_type=Path),
-    help="an earlier log of the same array, to find what has changed since then (may be repeated)",
-)
-@click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True, help="seed of all random draws")
-@click.option(
-    "--replicates",
-    type=click.IntRange(40, 10_000),
-    default=128,
-    show_default=True,
-    help="most simulated replicates, which separate a gap from chance; fewer are used where the result is clear",
-)
-@workers_option
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="DIR",
-    help="write report.html, gap.json and the repaired model, repaired.toml, into DIR",
-)
-@force_option
-@json_option
-def diagnose(**options: Any) -> None:
+@takes(DiagnoseOptions)
+def diagnose(options: DiagnoseOptions) -> None:
     """Compare recorded logs with simulated replicates of them, and name the causes of the differences.
 
     The logs come from one array and from any experiments: static, tumble, heating, turn-on, motion. Parameters are
@@ -99,28 +110,6 @@ def diagnose(**options: Any) -> None:
     imuarray gap diagnose static.h5 tumble.h5 -o gap
     imuarray gap diagnose today.h5 --against last_year.h5
     """
-    _diagnose(DiagnoseOptions(**options))
-
-
-@dataclass(frozen=True)
-class DiagnoseOptions:
-    """The options of `imuarray gap diagnose`, as they were given."""
-
-    logs: tuple[Path, ...]
-    model_name: str | None
-    without: tuple[str, ...]
-    only: tuple[str, ...]
-    against: tuple[Path, ...]
-    seed: int
-    replicates: int
-    workers: int
-    output: Path | None
-    force: bool
-    as_json: bool
-
-
-def _diagnose(options: DiagnoseOptions) -> None:
-    """Diagnose, and write and print the result."""
     from imuarray import diagnose as diagnose_logs
     from imuarray.gap.diagnose import library
 

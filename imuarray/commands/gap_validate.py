@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Any, cast
 import click
 
 from imuarray.atomic import save_figure, write_text
-from imuarray.commands.options import json_option, names_option, print_json, progress, workers_option
+from imuarray.commands.options import (
+    declared,
+    json_option,
+    names_option,
+    option,
+    output_option,
+    print_json,
+    progress,
+    takes,
+    workers_option,
+)
 
 if TYPE_CHECKING:
     from imuarray.validation.case import Case, Half
@@ -20,77 +30,86 @@ _SIZES = ("none", "glance", "reduced", "bench", "short", "medium", "full")
 """The keys of `imuarray.validation.plans.SIZES`, whose import would be slow; a test compares them."""
 
 
+@dataclass(frozen=True)
+class ValidateOptions:
+    """The options of `imuarray gap validate`."""
+
+    output: Path | None = output_option(
+        folder=True,
+        metavar="DIR",
+        help=(
+            "folder for outcomes, sealed truth and results; repeating the command continues an interrupted run"
+            " (default: a new folder validation-DATE in the working directory)"
+        ),
+    )
+    size: str = option(
+        type=click.Choice(_SIZES),
+        default="reduced",
+        show_default=True,
+        help=(
+            "number of cases: short, medium and full use random worlds; glance, reduced and bench use fixed"
+            " plans; none uses only --cases"
+        ),
+    )
+    effects: tuple[str, ...] = declared(
+        names_option(
+            "--effects",
+            metavar="EFFECT,...",
+            help=(
+                "only mechanisms that show as one of these effects, and cases without a mechanism (default: all of the"
+                " size)"
+            ),
+            may_be_empty=False,
+        )
+    )
+    severities: tuple[str, ...] = declared(
+        names_option(
+            "--severities",
+            metavar="LIMITS,...",
+            help="sizes of single mechanisms in detection limits, from 0.5, 1, 2, 5, 20 (default: those of the size)",
+            may_be_empty=False,
+        )
+    )
+    repeats: int | None = option(
+        type=click.IntRange(1, 1000),
+        metavar="N",
+        help=(
+            "number of cases of each mechanism at each severity; all other numbers change in proportion (default: that"
+            " of the size)"
+        ),
+    )
+    folders: tuple[Path, ...] = option(
+        "--cases",
+        multiple=True,
+        type=click.Path(exists=True, file_okay=False, path_type=Path),
+        metavar="FOLDER",
+        help="cases from other generators, scored separately (python -m pydoc imuarray.validation.case_folder)",
+    )
+    half: str = option(
+        type=click.Choice(["development", "sealed"]),
+        default="development",
+        show_default=True,
+        help="development seeds are for trying changes; sealed seeds are used once, for final figures",
+    )
+    seed: int = option(
+        type=click.IntRange(0, 99), default=0, show_default=True, help="number of the set of cases within the half"
+    )
+    where: str = option(
+        "--executor",
+        default="processes",
+        show_default=True,
+        metavar="processes|tcp://HOST:PORT",
+        help="where to run: processes on this machine, or the Dask cluster of a scheduler",
+    )
+    workers: int = declared(workers_option)
+    again: bool = option(help="retry the cases that failed")
+    score_only: bool = option(help="score the existing outcomes; run nothing")
+    as_json: bool = declared(json_option)
+
+
 @click.command("validate", short_help="score the diagnosis on cases whose cause is withheld")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="DIR",
-    help="folder for outcomes, sealed truth and results; repeating the command continues an interrupted run (default:"
-    " a new folder validation-DATE in the working directory)",
-)
-@click.option(
-    "--size",
-    type=click.Choice(_SIZES),
-    default="reduced",
-    show_default=True,
-    help="number of cases: short, medium and full use random worlds; glance, reduced and bench use fixed"
-    " plans; none uses only --cases",
-)
-@names_option(
-    "--effects",
-    metavar="EFFECT,...",
-    help="only mechanisms that show as one of these effects, and cases without a mechanism (default: all of the size)",
-    may_be_empty=False,
-)
-@names_option(
-    "--severities",
-    metavar="LIMITS,...",
-    help="sizes of single mechanisms in detection limits, from 0.5, 1, 2, 5, 20 (default: those of the size)",
-    may_be_empty=False,
-)
-@click.option(
-    "--repeats",
-    type=click.IntRange(1, 1000),
-    metavar="N",
-    help="number of cases of each mechanism at each severity; all other numbers change in proportion (default: that of "
-    "the size)",
-)
-@click.option(
-    "--cases",
-    "folders",
-    multiple=True,
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    metavar="FOLDER",
-    help="cases from other generators, scored separately (python -m pydoc imuarray.validation.case_folder)",
-)
-@click.option(
-    "--half",
-    type=click.Choice(["development", "sealed"]),
-    default="development",
-    show_default=True,
-    help="development seeds are for trying changes; sealed seeds are used once, for final figures",
-)
-@click.option(
-    "--seed",
-    type=click.IntRange(0, 99),
-    default=0,
-    show_default=True,
-    help="number of the set of cases within the half",
-)
-@click.option(
-    "--executor",
-    "where",
-    default="processes",
-    show_default=True,
-    metavar="processes|tcp://HOST:PORT",
-    help="where to run: processes on this machine, or the Dask cluster of a scheduler",
-)
-@workers_option
-@click.option("--again", is_flag=True, help="retry the cases that failed")
-@click.option("--score-only", is_flag=True, help="score the existing outcomes; run nothing")
-@json_option
-def validate(**options: Any) -> None:
+@takes(ValidateOptions)
+def validate(options: ValidateOptions) -> None:
     """Diagnose cases whose cause is withheld, and score the answers.
 
     The logs come from emulated arrays in which physical mechanisms act; the emulator shares no code with the simulator
@@ -102,30 +121,6 @@ def validate(**options: Any) -> None:
     imuarray gap validate --size glance -o checked
     imuarray gap validate --effects tone,popcorn_noise --severities 2,5 --repeats 3
     """
-    _validate(ValidateOptions(**options))
-
-
-@dataclass(frozen=True)
-class ValidateOptions:
-    """The options of `imuarray gap validate`, as they were given."""
-
-    output: Path | None
-    size: str
-    effects: tuple[str, ...]
-    severities: tuple[str, ...]
-    repeats: int | None
-    folders: tuple[Path, ...]
-    half: str
-    seed: int
-    where: str
-    workers: int
-    again: bool
-    score_only: bool
-    as_json: bool
-
-
-def _validate(options: ValidateOptions) -> None:
-    """Run the planned cases, score them, and write and print the figures."""
     from imuarray.validation.case_folder import cases_in
     from imuarray.validation.plans import SIZES, cases, restrict, shuffle
 

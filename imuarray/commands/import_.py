@@ -5,18 +5,23 @@ from __future__ import annotations
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from imuarray.axes import UP_AXES
 from imuarray.commands.options import (
+    argument,
+    declared,
     force_option,
     json_option,
+    option,
+    output_option,
     print_json,
     progress,
     refuse_existing,
     refuse_other_suffix,
+    takes,
 )
 from imuarray.errors import LogError
 from imuarray.importers import FORMATS
@@ -29,27 +34,32 @@ if TYPE_CHECKING:
 _WIDTH = 110
 
 
+@dataclass(frozen=True)
+class ImportOptions:
+    """The options of `imuarray import`."""
+
+    source: Path = argument()
+    map_path: Path | None = option(
+        "--map",
+        metavar="MAP.toml",
+        help=(
+            "map that describes the columns of SOURCE, required unless its format is known: a file, or the name of a"
+            " map of the package"
+        ),
+    )
+    format_name: str | None = option("--format", type=click.Choice(tuple(FORMATS)), help="a format that needs no map")
+    guess: bool = option(help="propose a map for editing and list what is uncertain; -o MAP.toml writes it")
+    up: str | None = option(
+        type=click.Choice(UP_AXES), default=None, help="the box axis that pointed up during the whole recording"
+    )
+    output: Path | None = output_option(metavar="RUN.h5", help="the log to write")
+    force: bool = declared(force_option)
+    as_json: bool = declared(json_option)
+
+
 @click.command("import")
-@click.argument("source", type=click.Path(path_type=Path))
-@click.option(
-    "--map",
-    "map_path",
-    type=click.Path(path_type=Path),
-    metavar="MAP.toml",
-    help="map that describes the columns of SOURCE, required unless its format is known: a file, or the name of a"
-    " map of the package",
-)
-@click.option("--format", "format_name", type=click.Choice(tuple(FORMATS)), help="a format that needs no map")
-@click.option(
-    "--guess", is_flag=True, help="propose a map for editing and list what is uncertain; -o MAP.toml writes it"
-)
-@click.option(
-    "--up", type=click.Choice(UP_AXES), default=None, help="the box axis that pointed up during the whole recording"
-)
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="RUN.h5", help="the log to write")
-@force_option
-@json_option
-def command(**options: Any) -> None:
+@takes(ImportOptions)
+def command(options: ImportOptions) -> None:
     """Convert a recording made by other software into a log: a known format, or any table of numbers with a map.
 
     SOURCE is a text file (also .gz, or a folder or zip file with one per sensor), JSON, .npz, .npy, .mat, .parquet,
@@ -62,38 +72,6 @@ def command(**options: Any) -> None:
     imuarray import data.csv --map map.toml -o run.h5
     imuarray import run.npz -o run2.h5
     """
-    _run(ImportOptions(**options))
-
-
-@dataclass(frozen=True)
-class ImportOptions:
-    """The options of `imuarray import`, as they were given."""
-
-    source: Path
-    map_path: Path | None
-    format_name: str | None
-    guess: bool
-    up: str | None
-    output: Path | None
-    force: bool
-    as_json: bool
-
-
-def _is_log(source: Path) -> bool:
-    """Return whether a file is a log already."""
-    from imuarray.log import Log
-
-    if source.suffix != ".h5" or not source.is_file():
-        return False
-    try:
-        with Log(source):
-            return True
-    except LogError:
-        return False
-
-
-def _run(options: ImportOptions) -> None:
-    """Import a recording or propose a map, and print the summary."""
     from imuarray.importers import importer
     from imuarray.importers.table import import_table
 
@@ -130,6 +108,19 @@ def _run(options: ImportOptions) -> None:
                 options.source, options.output, force=options.force, progress=set_progress
             )
     _print_result(summary, options.output, options.as_json)
+
+
+def _is_log(source: Path) -> bool:
+    """Return whether a file is a log already."""
+    from imuarray.log import Log
+
+    if source.suffix != ".h5" or not source.is_file():
+        return False
+    try:
+        with Log(source):
+            return True
+    except LogError:
+        return False
 
 
 def _reader_of_export(source: Path) -> Importer | None:

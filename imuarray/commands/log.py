@@ -17,13 +17,17 @@ from imuarray.commands.options import (
     Duration,
     bus_option,
     config_argument,
+    declared,
     force_option,
     json_option,
     only_option,
+    option,
+    output_option,
     print_json,
     rate_option,
     refuse_existing,
     refuse_other_suffix,
+    takes,
 )
 from imuarray.errors import ConfigError
 from imuarray.fuse.technique_descriptions import TECHNIQUE_NAMES
@@ -145,115 +149,67 @@ def _logs_with_events(logs: Sequence[Path], sensor: str) -> list[Path]:
     return matching or list(logs)
 
 
-@click.command("log")
-@config_argument
-@bus_option
-@click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path), metavar="RUN.h5", help="the log to write"
-)
-@click.option(
-    "--seconds", type=Duration(), metavar="60s", help="duration: 90, 90s, 10min, 8h (default: until interrupted)"
-)
-@rate_option
-@click.option(
-    "--phase",
-    default="",
-    metavar="NAME",
-    help="name of the phase that is recorded: static, z_up, room, heat, motion, run 3, ...",
-)
-@click.option(
-    "--up",
-    type=click.Choice(UP_AXES),
-    default=None,
-    help="the box axis that points up (default: from the name of the phase, such as z_up)",
-)
-@click.option(
-    "--transcript",
-    type=click.Path(path_type=Path),
-    metavar="T.jsonl",
-    help="also write a transcript of every transaction",
-)
-@only_option("read only these sensors")
-@click.option(
-    "--calibration",
-    type=click.Path(path_type=Path),
-    metavar="CAL.toml",
-    help="from `calibrate turn-on`: detect from the first seconds at rest which sensor started in a wrong state, flag"
-    " its readings and configure it again; with --fuse: the calibration for the fusion",
-)
-@click.option("--fuse", is_flag=True, help="also fuse the readings while recording, with a delay of one or two seconds")
-@click.option("--technique", metavar="NAME", help=f"for --fuse: {TECHNIQUE_NAMES}  [default: mean]")
-@click.option(
-    "--fused",
-    "fused_file",
-    type=click.Path(path_type=Path),
-    metavar="FUSED.h5",
-    help="output of --fuse  [default: RUN_fused.h5]; with --rotate one file for each part: RUN_001_fused.h5, ...",
-)
-@click.option(
-    "--watch/--no-watch",
-    default=None,
-    help="for --fuse: detect, report and exclude failing sensors (default: only with optimal)",
-)
-@click.option(
-    "--rotate",
-    "rotate_s",
-    type=Duration(),
-    metavar="1h",
-    help="split the log into parts of this length: RUN_001.h5, RUN_002.h5, ... (30s, 10min, 1h, 1d)",
-)
-@click.option("--monitor", is_flag=True, help="also serve a live page of the recording, as `imuarray monitor` does")
-@click.option(
-    "--monitor-port", type=click.IntRange(0, 65535), help="for --monitor: the port, 0 for any free one  [default: 8765]"
-)
-@click.option(
-    "--monitor-host",
-    metavar="ADDRESS",
-    help="for --monitor: the address to serve on; if other machines can reach it, the page requires the printed token"
-    "  [default: 127.0.0.1]",
-)
-@force_option
-@json_option
-def command(**options: Any) -> int:
-    """Record the array of CONFIG into a log of raw counts. Interrupt (Ctrl-C) to end it cleanly.
-
-    Events are printed on standard error. Over ssh, start it as a service, in tmux or with nohup: closing the terminal
-    ends the log.
-
-    The bus is --bus or that of the configuration; without either, nothing is recorded. If the adapter is unplugged,
-    recording goes on when it is back. Exits 1 if no sensor answered when the recording ended.
-
-    \b
-    imuarray log array.toml -o run.h5 --phase z_up --seconds 60
-    imuarray log array.toml -o night.h5 --rotate 1h --fuse --calibration cal.toml
-    """
-    return _record(LogOptions(**options))
-
-
 @dataclass(frozen=True)
 class LogOptions:
-    """The options of `imuarray log`, as they were given."""
+    """The options of `imuarray log`."""
 
-    config: Path
-    bus_url: str | None
-    output: Path
-    seconds: float | None
-    rate_hz: float
-    phase: str
-    up: str | None
-    transcript: Path | None
-    only: tuple[str, ...]
-    calibration: Path | None
-    fuse: bool
-    technique: str | None
-    fused_file: Path | None
-    watch: bool | None
-    rotate_s: float | None
-    monitor: bool
-    monitor_port: int | None
-    monitor_host: str | None
-    force: bool
-    as_json: bool
+    config: Path = declared(config_argument)
+    bus_url: str | None = declared(bus_option)
+    output: Path = output_option(required=True, metavar="RUN.h5", help="the log to write")
+    seconds: float | None = option(
+        type=Duration(), metavar="60s", help="duration: 90, 90s, 10min, 8h (default: until interrupted)"
+    )
+    rate_hz: float = declared(rate_option)
+    phase: str = option(
+        default="",
+        metavar="NAME",
+        help="name of the phase that is recorded: static, z_up, room, heat, motion, run 3, ...",
+    )
+    up: str | None = option(
+        type=click.Choice(UP_AXES),
+        default=None,
+        help="the box axis that points up (default: from the name of the phase, such as z_up)",
+    )
+    transcript: Path | None = option(metavar="T.jsonl", help="also write a transcript of every transaction")
+    only: tuple[str, ...] = declared(only_option("read only these sensors"))
+    calibration: Path | None = option(
+        metavar="CAL.toml",
+        help=(
+            "from `calibrate turn-on`: detect from the first seconds at rest which sensor started in a wrong state,"
+            " flag its readings and configure it again; with --fuse: the calibration for the fusion"
+        ),
+    )
+    fuse: bool = option(help="also fuse the readings while recording, with a delay of one or two seconds")
+    technique: str | None = option(metavar="NAME", help=f"for --fuse: {TECHNIQUE_NAMES}  [default: mean]")
+    fused_file: Path | None = option(
+        "--fused",
+        metavar="FUSED.h5",
+        help="output of --fuse  [default: RUN_fused.h5]; with --rotate one file for each part: RUN_001_fused.h5, ...",
+    )
+    watch: bool | None = option(
+        "--watch/--no-watch",
+        default=None,
+        help="for --fuse: detect, report and exclude failing sensors (default: only with optimal)",
+    )
+    rotate_s: float | None = option(
+        "--rotate",
+        type=Duration(),
+        metavar="1h",
+        help="split the log into parts of this length: RUN_001.h5, RUN_002.h5, ... (30s, 10min, 1h, 1d)",
+    )
+    monitor: bool = option(help="also serve a live page of the recording, as `imuarray monitor` does")
+    monitor_port: int | None = option(
+        type=click.IntRange(0, 65535), help="for --monitor: the port, 0 for any free one  [default: 8765]"
+    )
+    monitor_host: str | None = option(
+        metavar="ADDRESS",
+        help=(
+            "for --monitor: the address to serve on; if other machines can reach it, the page requires the printed"
+            " token  [default: 127.0.0.1]"
+        ),
+    )
+    force: bool = declared(force_option)
+    as_json: bool = declared(json_option)
 
     @property
     def first(self) -> Path:
@@ -277,28 +233,21 @@ class LogOptions:
         _refuse_without("--monitor", self.monitor, page)
 
 
-_FACES = tuple(f"{axis}_{way}" for axis in "xyz" for way in ("up", "down"))
-_PHASES = ("static", "room", "heat", "cool", "motion", "run 1", *_FACES, *(f"{face}_check" for face in _FACES))
-"""Names of phases that other commands recognise; any other name is allowed."""
+@click.command("log")
+@takes(LogOptions)
+def command(options: LogOptions) -> int:
+    """Record the array of CONFIG into a log of raw counts. Interrupt (Ctrl-C) to end it cleanly.
 
+    Events are printed on standard error. Over ssh, start it as a service, in tmux or with nohup: closing the terminal
+    ends the log.
 
-def _check_phase(phase: str) -> None:
-    """Raise click.UsageError if the name of a phase differs from one that other commands recognise in letter case and
-    punctuation only; print a remark if it differs slightly.
+    The bus is --bus or that of the configuration; without either, nothing is recorded. If the adapter is unplugged,
+    recording goes on when it is back. Exits 1 if no sensor answered when the recording ended.
+
+    \b
+    imuarray log array.toml -o run.h5 --phase z_up --seconds 60
+    imuarray log array.toml -o night.h5 --rotate 1h --fuse --calibration cal.toml
     """
-    if not phase or phase in _PHASES or re.fullmatch(r"run \d+", phase):
-        return
-    plain = {re.sub(r"[\W_]", "", name): name for name in _PHASES}
-    if recognised := plain.get(re.sub(r"[\W_]", "", phase.casefold())):
-        raise click.UsageError(
-            f"phase {phase!r}: other commands recognise {recognised!r} only; write --phase {recognised}"
-        )
-    if near := guess(phase, _PHASES):
-        click.echo(f"imuarray: phase {phase!r} is not a name that other commands recognise{near}", err=True)
-
-
-def _record(options: LogOptions) -> int:
-    """Record, print the summary, and return the exit code."""
     from imuarray.acquire import RecordingOptions, record
     from imuarray.commands.log_display import LogScreen, serve_page
 
@@ -343,6 +292,26 @@ def _record(options: LogOptions) -> int:
             doctor = f"imuarray detect {options.config} --doctor"
             click.echo(f"imuarray: no sensor answered when the recording ended; try `{doctor}`", err=True)
     return 1 if len(summary.silent) == len(array.sensors) else 0
+
+
+_FACES = tuple(f"{axis}_{way}" for axis in "xyz" for way in ("up", "down"))
+_PHASES = ("static", "room", "heat", "cool", "motion", "run 1", *_FACES, *(f"{face}_check" for face in _FACES))
+"""Names of phases that other commands recognise; any other name is allowed."""
+
+
+def _check_phase(phase: str) -> None:
+    """Raise click.UsageError if the name of a phase differs from one that other commands recognise in letter case and
+    punctuation only; print a remark if it differs slightly.
+    """
+    if not phase or phase in _PHASES or re.fullmatch(r"run \d+", phase):
+        return
+    plain = {re.sub(r"[\W_]", "", name): name for name in _PHASES}
+    if recognised := plain.get(re.sub(r"[\W_]", "", phase.casefold())):
+        raise click.UsageError(
+            f"phase {phase!r}: other commands recognise {recognised!r} only; write --phase {recognised}"
+        )
+    if near := guess(phase, _PHASES):
+        click.echo(f"imuarray: phase {phase!r} is not a name that other commands recognise{near}", err=True)
 
 
 def _refuse_without(option: str, is_given: bool, dependent: dict[str, Any]) -> None:

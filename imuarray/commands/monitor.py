@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from imuarray.commands.options import Duration
+from imuarray.commands.options import Duration, argument, option, takes
 from imuarray.spelling import guess_file
 
 if TYPE_CHECKING:
@@ -70,44 +70,42 @@ class MonitorScreen:
             signal.signal(signal.SIGWINCH, self._attributes)
 
 
+@dataclass(frozen=True)
+class MonitorOptions:
+    """The options of `imuarray monitor`."""
+
+    run: Path = argument(metavar="RUN.h5")
+    as_text: bool = option("--text", help="show the log in this terminal instead of serving a page")
+    as_json: bool = option("--json", help="print one JSON object per line and update, instead of serving a page")
+    once: bool = option(help="show the current state and exit (with --text or --json)")
+    every_s: float = option(
+        "--every",
+        type=Duration(minimum_s=0.2, maximum_s=3600),
+        default=1.0,
+        show_default=True,
+        metavar="1s",
+        help="time between updates, 0.2s to 1h; the logger writes once a second",
+    )
+    calibration: Path | None = option(
+        metavar="CAL.toml", help="calibration for the fused output (default: data-sheet values)"
+    )
+    port: int = option(type=click.IntRange(0, 65535), default=8765, show_default=True, help="port; 0 for any free one")
+    host: str = option(
+        default="127.0.0.1",
+        show_default=True,
+        help="address to serve on; if other machines can reach it, the page requires the printed token",
+    )
+    result: Path | None = option(
+        "--fused",
+        metavar="FUSED.h5",
+        help="the fused result to show  [default: RUN_fused.h5, else the average of all sensors]",
+    )
+    parent: int | None = option(type=int, hidden=True, help="end with this process")
+
+
 @click.command("monitor")
-@click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
-@click.option("--text", "as_text", is_flag=True, help="show the log in this terminal instead of serving a page")
-@click.option(
-    "--json", "as_json", is_flag=True, help="print one JSON object per line and update, instead of serving a page"
-)
-@click.option("--once", is_flag=True, help="show the current state and exit (with --text or --json)")
-@click.option(
-    "--every",
-    "every_s",
-    type=Duration(minimum_s=0.2, maximum_s=3600),
-    default=1.0,
-    show_default=True,
-    metavar="1s",
-    help="time between updates, 0.2s to 1h; the logger writes once a second",
-)
-@click.option(
-    "--calibration",
-    type=click.Path(path_type=Path),
-    metavar="CAL.toml",
-    help="calibration for the fused output (default: data-sheet values)",
-)
-@click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True, help="port; 0 for any free one")
-@click.option(
-    "--host",
-    default="127.0.0.1",
-    show_default=True,
-    help="address to serve on; if other machines can reach it, the page requires the printed token",
-)
-@click.option(
-    "--fused",
-    "result",
-    type=click.Path(path_type=Path),
-    metavar="FUSED.h5",
-    help="the fused result to show  [default: RUN_fused.h5, else the average of all sensors]",
-)
-@click.option("--parent", type=int, hidden=True, help="end with this process")
-def command(**options: Any) -> None:
+@takes(MonitorOptions)
+def command(options: MonitorOptions) -> None:
     """Monitor a log while it is written: rates, gaps, events, disk, every sensor, the fused output.
 
     Serves a page to this machine's browser; with --text, shows the same in the terminal. It only reads, at low
@@ -116,27 +114,6 @@ def command(**options: Any) -> None:
     \b
     imuarray monitor night.h5 --text
     """
-    _run(MonitorOptions(**options))
-
-
-@dataclass(frozen=True)
-class MonitorOptions:
-    """The options of `imuarray monitor`, as they were given."""
-
-    run: Path
-    as_text: bool
-    as_json: bool
-    once: bool
-    every_s: float
-    calibration: Path | None
-    port: int
-    host: str
-    result: Path | None
-    parent: int | None
-
-
-def _run(options: MonitorOptions) -> None:
-    """Show the log in the terminal, or serve the page."""
     if options.run.is_file() and options.run.suffix not in (".h5", ".hdf5"):
         raise click.UsageError(f"{options.run}: is not a log; allowed is an HDF5 file (.h5) that is written or will be")
     calibration = _calibration(options.calibration)

@@ -11,8 +11,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import field, fields
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, cast
 
 import click
 
@@ -36,6 +38,9 @@ rate_option = click.option(
     show_default=True,
     help="frames per second; a frame reads every sensor once",
 )
+seed_option = click.option(
+    "--seed", type=click.IntRange(0, 2**63), default=0, show_default=True, help="seed of all random draws"
+)
 force_option = click.option("--force", is_flag=True, help="overwrite the output if it exists")
 workers_option = click.option(
     "--workers",
@@ -46,6 +51,67 @@ workers_option = click.option(
 )
 
 _Decorated = TypeVar("_Decorated", bound=Callable[..., Any] | click.Command)
+_Options = TypeVar("_Options")
+_Result = TypeVar("_Result")
+
+
+_PARAMETER = "parameter"
+"""Key in the metadata of a field: the function of its name and type that returns the decorator of its parameter."""
+
+_PATH = click.Path(path_type=Path)
+_TYPES: Mapping[str, Mapping[str, Any]] = {
+    "bool": {"is_flag": True},
+    "Path": {"type": _PATH},
+    "Path | None": {"type": _PATH},
+    "tuple[Path, ...]": {"type": _PATH},
+}
+"""Settings of parameters that follow from the type of a field."""
+
+
+def declared(decorator: Callable[[Any], Any]) -> Any:
+    """Return a field of a class of options whose parameter a decorator declares, such as `force_option`."""
+    return field(metadata={_PARAMETER: lambda name, kind: decorator})
+
+
+def argument(**settings: Any) -> Any:
+    """Return a field of a class of options that is an argument of a command, with the settings of `click.argument`."""
+    return field(metadata={_PARAMETER: lambda name, kind: click.argument(name, **{**_TYPES.get(kind, {}), **settings})})
+
+
+def option(*declarations: str, **settings: Any) -> Any:
+    """Return a field of a class of options that is an option of a command, with the settings of `click.option`.
+
+    The parameter has the name of the field, and the option too unless `declarations` name it. A field of type bool is a
+    flag, unless it has a second name for False.
+    """
+
+    def decorator(name: str, kind: str) -> Callable[[Any], Any]:
+        names = declarations or (f"--{name.replace('_', '-')}",)
+        return click.option(*names, name, **{**_TYPES.get(kind, {}), **settings})
+
+    return field(metadata={_PARAMETER: decorator})
+
+
+def output_option(*, folder: bool = False, **settings: Any) -> Any:
+    """Return a field of a class of options that is the output of a command, a file or a `folder`."""
+    return option("-o", "--output", type=click.Path(file_okay=not folder, path_type=Path), **settings)
+
+
+def takes(options: type[_Options]) -> Callable[[Callable[[_Options], _Result]], Callable[..., _Result]]:
+    """Return a decorator of a function of one argument, an instance of the dataclass `options`: the parameters of the
+    command are the fields of the class, in their order.
+    """
+
+    def decorate(function: Callable[[_Options], _Result]) -> Callable[..., _Result]:
+        @wraps(function)
+        def call(**values: Any) -> _Result:
+            return function(options(**values))
+
+        for each in reversed(fields(cast(Any, options))):
+            call = each.metadata[_PARAMETER](each.name, each.type)(call)
+        return call
+
+    return decorate
 
 
 def names_option(

@@ -13,15 +13,21 @@ import click
 from imuarray.axes import UP_AXES
 from imuarray.commands.options import (
     Duration,
+    argument,
+    declared,
     force_option,
     json_option,
     names_option,
     only_option,
+    option,
+    output_option,
     print_json,
     progress,
     rate_option,
     refuse_existing,
     refuse_other_suffix,
+    seed_option,
+    takes,
 )
 from imuarray.shipped import find_config, find_model
 
@@ -51,103 +57,88 @@ def _list_effects(as_json: bool) -> None:
     )
 
 
+@dataclass(frozen=True)
+class SimulateOptions:
+    """The options of `imuarray simulate`."""
+
+    config: Path | None = argument(required=False)
+    like: Path | None = option(
+        metavar="RUN.h5",
+        help=(
+            "take sensors, times, faces and temperature from this log; with --experiment only its sensors and frame"
+            " rate"
+        ),
+    )
+    output: Path | None = output_option(
+        metavar="SIM.h5",
+        help="the log to write (required without --effects); a turn-on series adds the number of each run",
+    )
+    experiment: str = option(type=click.Choice(EXPERIMENTS), default="static", show_default=True)
+    drive: str = option(
+        "--motion",
+        metavar="hand|vehicle|T.csv",
+        default="hand",
+        show_default=True,
+        help="motion of the box in --experiment motion; T.csv holds a trajectory, or force and rate",
+    )
+    seconds: float | None = option(
+        type=Duration(),
+        metavar="60s",
+        help="length of the log: 90, 90s, 10min, 8h (default: depends on the experiment)",
+    )
+    runs: int = option(
+        type=click.IntRange(1, 999),
+        default=15,
+        show_default=True,
+        help="number of boots in a turn-on series, one log each",
+    )
+    rate_hz: float = declared(rate_option)
+    up: str = option(
+        type=click.Choice(UP_AXES), default="+Z", show_default=True, help="the box axis that points up in a static log"
+    )
+    temperature_degc: float = option(
+        "--temperature",
+        type=click.FloatRange(-40, 85),
+        default=25.0,
+        show_default=True,
+        help="temperature in degC, if the experiment has no temperature profile",
+    )
+    model_name: str = option(
+        "--model",
+        metavar="MODEL",
+        default="datasheet",
+        show_default=True,
+        help="a model file, or one that comes with the package: datasheet, martin2013",
+    )
+    calibration: Path | None = option(
+        metavar="CAL.toml", help="take the parameters of the units from this calibration and the rest from the model"
+    )
+    population: bool = option(help="draw all units at random from their designs, even units that the model knows")
+    without: tuple[str, ...] = declared(
+        names_option(
+            "--without", metavar="EFFECT,...", help="leave these effects out; other random draws do not change"
+        )
+    )
+    only: tuple[str, ...] = declared(only_option("simulate only these sensors"))
+    seed: int = declared(seed_option)
+    boot: int = option(
+        type=click.IntRange(0), default=0, show_default=True, help="number of the boot: another run of the same units"
+    )
+    single: bool = option(help="compute in single precision (float32), which is faster")
+    workers: int = option(
+        type=click.IntRange(1, 64),
+        default=1,
+        show_default=True,
+        help="number of threads; it does not change the result",
+    )
+    list_effects: bool = option("--effects", help="list the effects and their parameters")
+    force: bool = declared(force_option)
+    as_json: bool = declared(json_option)
+
+
 @click.command("simulate")
-@click.argument("config", required=False, type=click.Path(path_type=Path))
-@click.option(
-    "--like",
-    type=click.Path(path_type=Path),
-    metavar="RUN.h5",
-    help="take sensors, times, faces and temperature from this log; with --experiment only its sensors and frame rate",
-)
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    metavar="SIM.h5",
-    help="the log to write (required without --effects); a turn-on series adds the number of each run",
-)
-@click.option("--experiment", type=click.Choice(EXPERIMENTS), default="static", show_default=True)
-@click.option(
-    "--motion",
-    "drive",
-    metavar="hand|vehicle|T.csv",
-    default="hand",
-    show_default=True,
-    help="motion of the box in --experiment motion; T.csv holds a trajectory, or force and rate",
-)
-@click.option(
-    "--seconds",
-    type=Duration(),
-    metavar="60s",
-    help="length of the log: 90, 90s, 10min, 8h (default: depends on the experiment)",
-)
-@click.option(
-    "--runs",
-    type=click.IntRange(1, 999),
-    default=15,
-    show_default=True,
-    help="number of boots in a turn-on series, one log each",
-)
-@rate_option
-@click.option(
-    "--up",
-    type=click.Choice(UP_AXES),
-    default="+Z",
-    show_default=True,
-    help="the box axis that points up in a static log",
-)
-@click.option(
-    "--temperature",
-    "temperature_degc",
-    type=click.FloatRange(-40, 85),
-    default=25.0,
-    show_default=True,
-    help="temperature in degC, if the experiment has no temperature profile",
-)
-@click.option(
-    "--model",
-    "model_name",
-    metavar="MODEL",
-    default="datasheet",
-    show_default=True,
-    help="a model file, or one that comes with the package: datasheet, martin2013",
-)
-@click.option(
-    "--calibration",
-    type=click.Path(path_type=Path),
-    metavar="CAL.toml",
-    help="take the parameters of the units from this calibration and the rest from the model",
-)
-@click.option(
-    "--population", is_flag=True, help="draw all units at random from their designs, even units that the model knows"
-)
-@names_option("--without", metavar="EFFECT,...", help="leave these effects out; other random draws do not change")
-@only_option("simulate only these sensors")
-@click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True, help="seed of all random draws")
-@click.option(
-    "--boot",
-    type=click.IntRange(0),
-    default=0,
-    show_default=True,
-    help="number of the boot: another run of the same units",
-)
-@click.option("--single", is_flag=True, help="compute in single precision (float32), which is faster")
-@click.option(
-    "--workers",
-    type=click.IntRange(1, 64),
-    default=1,
-    show_default=True,
-    help="number of threads; it does not change the result",
-)
-@click.option(
-    "--effects",
-    "list_effects",
-    is_flag=True,
-    help="list the effects and their parameters",
-)
-@force_option
-@json_option
-def command(output: Path | None, list_effects: bool, **options: Any) -> None:
+@takes(SimulateOptions)
+def command(options: SimulateOptions) -> None:
     """Simulate the array of CONFIG, or the recording RUN.h5, with a model of the sensors, and write a log.
 
     The model defines the effects between truth and counts for every unit. /truth in the log holds the true motion. The
@@ -157,43 +148,11 @@ def command(output: Path | None, list_effects: bool, **options: Any) -> None:
     imuarray simulate martin2013 --experiment tumble -o simulated.h5
     imuarray simulate --like run.h5 --calibration cal.toml -o twin.h5
     """
-    if list_effects:
-        _list_effects(options["as_json"])
-    elif output is None:
+    if options.list_effects:
+        _list_effects(options.as_json)
+        return
+    if options.output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
-    else:
-        _run(SimulateOptions(output=output, **options))
-
-
-@dataclass(frozen=True)
-class SimulateOptions:
-    """The options of `imuarray simulate`, as they were given."""
-
-    config: Path | None
-    like: Path | None
-    output: Path
-    experiment: str
-    drive: str
-    seconds: float | None
-    runs: int
-    rate_hz: float
-    up: str
-    temperature_degc: float
-    model_name: str
-    calibration: Path | None
-    population: bool
-    without: tuple[str, ...]
-    only: tuple[str, ...]
-    seed: int
-    boot: int
-    single: bool
-    workers: int
-    force: bool
-    as_json: bool
-
-
-def _run(options: SimulateOptions) -> None:
-    """Write the logs, and print what was written."""
     from imuarray.simulate import Simulation, effects_of
     from imuarray.simulate.effect import to_table
     from imuarray.simulate.experiments import remarks_on
@@ -203,7 +162,7 @@ def _run(options: SimulateOptions) -> None:
     _refuse_idle(click.get_current_context(), options)
     seed, left_out, population = options.seed, options.without, options.population
     with ExitStack() as stack:
-        log, runs = _runs(stack, options)
+        log, runs = _runs(stack, options, options.output)
         model = _model(options.model_name, options.calibration, runs[0].plan)
         for run in runs:
             refuse_other_suffix(run.path, "a log")
@@ -273,7 +232,7 @@ def _refuse_idle(context: click.Context, options: SimulateOptions) -> None:
             raise click.UsageError(f"{option} is for --experiment {' or '.join(experiments)}, not {options.experiment}")
 
 
-def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[BootRun]]:
+def _runs(stack: ExitStack, options: SimulateOptions, output: Path) -> tuple[Log | None, list[BootRun]]:
     """Return the log whose motion is simulated, if there is one, and the runs to simulate."""
     from imuarray.array import load_array
     from imuarray.errors import ConfigError
@@ -288,7 +247,7 @@ def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[
         log = stack.enter_context(open_log(options.like))
         context = click.get_current_context()
         if not _is_given(context, "experiment"):
-            return log, [run_like(log, options.output, options.only, options.boot)]
+            return log, [run_like(log, output, options.only, options.boot)]
         array = array_like(log, options.only)
         rate_hz = rate_hz if _is_given(context, "rate_hz") or not log.frame_rate_hz else log.frame_rate_hz
     for sensor in array.sensors:
@@ -300,8 +259,8 @@ def _runs(stack: ExitStack, options: SimulateOptions) -> tuple[Log | None, list[
     experiment = ExperimentOptions(options.seconds, options.up, options.temperature_degc, options.drive)
     if options.experiment == "turn-on":
         boots = range(options.boot, options.boot + options.runs)
-        return None, turn_on_series(array, options.output, experiment, rate_hz, boots)
-    return None, [run_of(array, options.output, options.experiment, experiment, rate_hz=rate_hz, boot=options.boot)]
+        return None, turn_on_series(array, output, experiment, rate_hz, boots)
+    return None, [run_of(array, output, options.experiment, experiment, rate_hz=rate_hz, boot=options.boot)]
 
 
 def _model(name: str, calibration: Path | None, plan: Plan) -> Model:

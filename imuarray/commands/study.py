@@ -5,17 +5,21 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from imuarray.commands.options import (
+    declared,
     force_option,
     json_option,
     names_option,
+    option,
+    output_option,
     prepare_folder,
     print_json,
     progress,
+    takes,
     workers_option,
 )
 from imuarray.spelling import guess
@@ -29,37 +33,42 @@ EXPERIMENTS = ("static", "tumble", "heating", "turn-on", "motion", "shaking")
 FILES = ("study.json", "study.html", "ratios.png", "bound.png", "coasting.png", "heating.png")
 
 
+@dataclass(frozen=True)
+class StudyOptions:
+    """The options of `imuarray study`."""
+
+    output: Path | None = output_option(
+        folder=True,
+        metavar="DIR",
+        help="write study.json and, with matplotlib, figures and the page study.html into DIR",
+    )
+    seeds: int | None = option(
+        type=click.IntRange(1, 1000), help="number of simulated arrays for each experiment (default: 6)"
+    )
+    experiments: tuple[str, ...] = declared(
+        names_option(
+            "--experiments",
+            metavar="NAME,...",
+            default=",".join(EXPERIMENTS),
+            show_default=True,
+            help="the experiments to run; motion is a drive, shaking is done by hand",
+        )
+    )
+    array: Path | None = option(
+        metavar="CONFIG",
+        help=(
+            "determine what the number and the mounting of this array's gyroscopes gain, instead; the result is printed"
+        ),
+    )
+    quick: bool = option(help="two seeds of short logs: enough to see what it does, but not for conclusions")
+    workers: int = declared(workers_option)
+    force: bool = declared(force_option)
+    as_json: bool = declared(json_option)
+
+
 @click.command("study")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="DIR",
-    help="write study.json and, with matplotlib, figures and the page study.html into DIR",
-)
-@click.option(
-    "--seeds", type=click.IntRange(1, 1000), help="number of simulated arrays for each experiment (default: 6)"
-)
-@names_option(
-    "--experiments",
-    metavar="NAME,...",
-    default=",".join(EXPERIMENTS),
-    show_default=True,
-    help="the experiments to run; motion is a drive, shaking is done by hand",
-)
-@click.option(
-    "--array",
-    type=click.Path(path_type=Path),
-    metavar="CONFIG",
-    help="determine what the number and the mounting of this array's gyroscopes gain, instead; the result is printed",
-)
-@click.option(
-    "--quick", is_flag=True, help="two seeds of short logs: enough to see what it does, but not for conclusions"
-)
-@workers_option
-@force_option
-@json_option
-def command(**options: Any) -> None:
+@takes(StudyOptions)
+def command(options: StudyOptions) -> None:
     """Determine what each fusion technique gains on simulated experiments of the paper's array.
 
     Compares errors with those of the simple average of the same sensors, using calibrations made from simulated logs.
@@ -71,25 +80,6 @@ def command(**options: Any) -> None:
     imuarray study --experiments static,heating -o study
     imuarray study --array icm42688x8
     """
-    _run(StudyOptions(**options))
-
-
-@dataclass(frozen=True)
-class StudyOptions:
-    """The options of `imuarray study`, as they were given."""
-
-    output: Path | None
-    seeds: int | None
-    experiments: str
-    array: Path | None
-    quick: bool
-    workers: int
-    force: bool
-    as_json: bool
-
-
-def _run(options: StudyOptions) -> None:
-    """Run the study, and write and print the result."""
     if options.array is not None:
         _run_numbers(options)
         return

@@ -6,23 +6,32 @@ registers (AKM-12). The factory's adjustment of the sensitivity, a byte for each
 are not adjusted. Its x is along the y of the MPU-9250, its y along x, its z opposite to z (AKM-03).
 """
 
-from __future__ import annotations
+"""AK8975 magnetometer, as it is in the MPU-9150; facts AKM-21 ... AKM-28.
 
+It measures only on command: a call reads the last measurement and starts the next, so that a reading was measured right
+after the previous call, at most 100 times a second. Otherwise it is like the AK8963 (`imuarray.drivers.ak8963`): behind
+the bypass of the MPU, with a fuse ROM, and with the same axes.
+"""
+
+from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import ClassVar
-
 import numpy as np
-
 from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
 from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, Registers, SelfTest, carry_out, flagged, within
 from imuarray.errors import SensorError
-from imuarray.facts import ak8963 as facts
-from imuarray.facts import mpu6500
-from imuarray.facts.registers import Setting
+from imuarray.facts import ak8963, ak8975, mpu6500
+from imuarray.ak8963.registers import Setting
 from imuarray.log.format import OVERRUN, SATURATED, STALE
+from collections.abc import Iterator
+from imuarray.clock import Clock
+from imuarray.drivers.ak8963 import Ak8963
+from imuarray.drivers.driver import Bytes, DecodedBursts, flagged
+from imuarray.ak8975.registers import Setting
+from imuarray.log.format import SATURATED, STALE
 
 _MODES = {8.0: 0b0010, 100.0: 0b0110}  # AKM-13
 _POWER_DOWN, _SELF_TEST_MODE, _FUSE_ROM = 0b0000, 0b1000, 0b1111
@@ -49,8 +58,8 @@ class Ak8963(ChipDriver):
 
     def settings(self) -> tuple[Setting, tuple[Setting, ...]]:
         """Return the mode in which it measures, and the settings that can be read back during measurement."""
-        mode = facts.SIXTEEN_BITS(1) | facts.MODE(_MODES[self.rate_hz])
-        return mode, (mode, facts.SELF_TEST(0))
+        mode = ak8963.SIXTEEN_BITS(1) | ak8963.MODE(_MODES[self.rate_hz])
+        return mode, (mode, ak8963.SELF_TEST(0))
 
     def open_bypass(self) -> None:
         """Open the bypass of the MPU on this bus, if there is one; SensorError for two of them, whose magnetometers
@@ -83,9 +92,9 @@ class Ak8963(ChipDriver):
         """Open the bypass, read the fuse ROM, then measure continuously; SensorError if the ROM holds no adjustment."""
         self.open_bypass()
         yield from self._set_mode(_POWER_DOWN)
-        self.registers.set(facts.SELF_TEST(0))
+        self.registers.set(ak8963.SELF_TEST(0))
         yield from self._set_mode(_FUSE_ROM)
-        self.adjustment = self.registers.peek(facts.ASAX, 3)
+        self.adjustment = self.registers.peek(ak8963.ASAX, 3)
         if not all(self.adjustment):
             raise SensorError(f"{self.registers.label}: the fuse ROM reads {self.adjustment.hex(' ')}: not an AK8963")
         yield from self._set_mode(_POWER_DOWN)
@@ -98,7 +107,7 @@ class Ak8963(ChipDriver):
 
     def _set_mode(self, mode: int) -> Iterator[float]:
         """Set a mode through power-down (AKM-13)."""
-        self.registers.poke(facts.CNTL1, (facts.SIXTEEN_BITS(1) | facts.MODE(mode)).value)
+        self.registers.poke(ak8963.CNTL1, (ak8963.SIXTEEN_BITS(1) | ak8963.MODE(mode)).value)
         yield _MODE_CHANGE_S
 
     @property
@@ -110,12 +119,12 @@ class Ak8963(ChipDriver):
         """Measure the field of the self-test, adjusted (AKM-15)."""
         self.configure()
         carry_out(self.clock, self._set_mode(_POWER_DOWN))
-        self.registers.poke(facts.ASTC, facts.SELF_TEST(1).value)
+        self.registers.poke(ak8963.ASTC, ak8963.SELF_TEST(1).value)
         carry_out(self.clock, self._set_mode(_SELF_TEST_MODE))
         sleep_for(self.clock, _MEASURED_S)
         burst = np.frombuffer(self.measured(), np.uint8).reshape(1, -1)
         decoded = self.decode(burst)
-        self.registers.poke(facts.ASTC, 0)
+        self.registers.poke(ak8963.ASTC, 0)
         answer = decoded.counts[0] * self.factors
         self.configure()
         wanted = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in self.self_test_limits)
@@ -126,7 +135,7 @@ class Ak8963(ChipDriver):
 
     def fetch(self) -> bytes:
         """Read 0x02 ... 0x09: ST1, x, y, z, ST2 (AKM-12)."""
-        return self.registers.peek(facts.ST1, self.burst)
+        return self.registers.peek(ak8963.ST1, self.burst)
 
     def measured(self) -> bytes:
         """Return the burst of the self-test."""
@@ -137,10 +146,73 @@ class Ak8963(ChipDriver):
         data, saturated where ST2 showed an overflow of the sensor (AKM-11, AKM-12).
         """
         counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16)
-        status = flagged(~bursts[:, 0], facts.DATA_READY.mask, STALE)
-        status |= flagged(bursts[:, 0], facts.DATA_OVERRUN.mask, OVERRUN)
-        return DecodedBursts(counts, None, status | flagged(bursts[:, 7], facts.OVERFLOW.mask, SATURATED))
+        status = flagged(~bursts[:, 0], ak8963.DATA_READY.mask, STALE)
+        status |= flagged(bursts[:, 0], ak8963.DATA_OVERRUN.mask, OVERRUN)
+        return DecodedBursts(counts, None, status | flagged(bursts[:, 7], ak8963.OVERFLOW.mask, SATURATED))
 
     def header(self) -> Mapping[str, int]:
         """Return the adjustment of the sensitivity: a field is counts * (asa + 128) / 256 / sensitivity (AKM-16)."""
         return dict(zip(("asa_x", "asa_y", "asa_z"), self.adjustment, strict=True))
+
+
+_SINGLE = 0b0001
+_PERIOD_NS = 9_500_000
+"""Shortest time from one measurement to the next at 100 Hz: a poll may be early."""
+_LONGEST_NS = 20_000_000
+"""A measurement that is not over after this time never began: twice the longest time that any source states
+(AKM-25).
+"""
+
+
+class Ak8975(Ak8963):
+    """Driver of one AK8975."""
+
+    host_name: ClassVar[str] = "MPU-9150"
+    host_identities: ClassVar[tuple[int, ...]] = (0x68,)  # INV-02
+    self_test_limits: ClassVar[tuple[tuple[float, float], ...]] = ((-100.0, 100.0), (-100.0, 100.0), (-1000.0, -300.0))
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        super().__init__(bus, sensor, clock)
+        self._is_over, self._started_ns = True, -_PERIOD_NS
+
+    def settings(self) -> tuple[Setting, tuple[Setting, ...]]:
+        """Return the single-measurement mode, and the settings that remain as written: the mode does not (AKM-24)."""
+        return ak8975.MODE(_SINGLE), (ak8975.SELF_TEST(0),)
+
+    def _set_mode(self, mode: int) -> Iterator[float]:
+        """Set a mode through power-down (AKM-24)."""
+        self.registers.poke(ak8975.CNTL, ak8975.MODE(mode).value)
+        yield 0.001
+
+    def steps(self) -> Iterator[float]:
+        """Set the chip up as the AK8963, to the first measurement."""
+        yield from super().steps()
+        self._is_over, self._started_ns = True, self.clock.now_ns() - _PERIOD_NS
+
+    def start_measuring(self) -> None:
+        """Start the first measurement; the chip powers down when it is over."""
+        self.registers.poke(ak8975.CNTL, self.mode.value)
+
+    def fetch(self) -> bytes:
+        """Read 0x02 ... 0x09: ST1, x, y, z, ST2; then start a new measurement if that one is over: a write of the mode
+        would abort it (AKM-23, DEC-235).
+        """
+        block = self.registers.peek(ak8975.ST1, self.burst)
+        self._is_over |= bool(block[0] & ak8975.DATA_READY.mask)
+        now_ns = self.clock.now_ns()
+        if now_ns >= self._started_ns + (_PERIOD_NS if self._is_over else _LONGEST_NS):
+            self.start_measuring()
+            self._is_over, self._started_ns = False, now_ns
+        return block
+
+    def measured(self) -> bytes:
+        """Return the burst of the self-test: no measurement follows it."""
+        return self.registers.peek(ak8975.ST1, self.burst)
+
+    def decode(self, bursts: Bytes) -> DecodedBursts:
+        """Return counts of 13 bits in words of 16, low byte first; stale where ST1 showed no new data, saturated where
+        ST2 showed an overflow of the sensor (AKM-22, AKM-23).
+        """
+        counts = np.ascontiguousarray(bursts[:, self.reading]).view("<i2").astype(np.int16)
+        status = flagged(~bursts[:, 0], ak8975.DATA_READY.mask, STALE)
+        return DecodedBursts(counts, None, status | flagged(bursts[:, 7], ak8975.OVERFLOW.mask, SATURATED))
