@@ -31,7 +31,7 @@ from imuarray.facts import (
 )
 from imuarray.facts.registers import Register
 from imuarray.thermometers import THERMOMETERS, ChipThermometer
-from imuarray.units import Quantity
+from imuarray.units import UNIT_OF, Quantity
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,6 @@ class ChipSpec:
     """
 
     quantity: Quantity
-    unit: str
     addresses: tuple[int, ...]
     identity: Register
     label: str
@@ -144,6 +143,11 @@ class ChipSpec:
         return None
 
     @property
+    def unit(self) -> str:
+        """The unit of its ranges and of what its sensitivity counts."""
+        return UNIT_OF[self.quantity]
+
+    @property
     def on_demand(self) -> bool:
         """True if it converts only when asked; its driver keeps the pace."""
         return bool(self.conversions_s)
@@ -173,12 +177,11 @@ _ICM42688_PULSES = PulseInput(1e-6, 25.0, is_on_clock_pin=True)  # TDK-24, TDK-9
 
 def _gyroscope_of(accelerometer: ChipSpec, **own: Any) -> ChipSpec:
     """Return the gyroscope of a die: its accelerometer, but for the fields `own`."""
-    return replace(accelerometer, quantity="angular_rate", unit="dps", label="IMU{}_gyro", **own)
+    return replace(accelerometer, quantity="angular_rate", label="IMU{}_gyro", **own)
 
 
 _MPU6500_ACC = ChipSpec(
     quantity="specific_force",
-    unit="g",
     addresses=mpu6500.ADDRESSES,
     identity=mpu6500.WHO_AM_I,
     label="IMU{}_acc",
@@ -218,7 +221,6 @@ _LSM6DSO_BANDWIDTHS_HZ = {104.0: 33.0, 208.0: 66.8, 416.0: 135.9, 833.0: 295.5, 
 
 _MPU6050_ACC = ChipSpec(
     quantity="specific_force",
-    unit="g",
     addresses=mpu6050.ADDRESSES,
     identity=mpu6050.WHO_AM_I,
     label="IMU{}_acc",
@@ -246,7 +248,6 @@ _MPU6050_GYRO = _gyroscope_of(
 )
 _ICM42688_ACC = ChipSpec(
     quantity="specific_force",
-    unit="g",
     addresses=icm42688.ADDRESSES,
     identity=icm42688.WHO_AM_I,
     label="IMU{}_acc",
@@ -282,7 +283,6 @@ _ICM42688_GYRO = _gyroscope_of(
 )
 _LSM6DSO_ACC = ChipSpec(
     quantity="specific_force",
-    unit="g",
     addresses=lsm6dso.ADDRESSES,
     identity=lsm6dso.WHO_AM_I,
     label="IMU{}_acc",
@@ -319,7 +319,6 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
     {
         "adxl345": ChipSpec(
             quantity="specific_force",
-            unit="g",
             addresses=adxl345.ADDRESSES,
             identity=adxl345.DEVID,
             label="ADXL{}",
@@ -333,7 +332,6 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
         ),
         "bma180": ChipSpec(
             quantity="specific_force",
-            unit="g",
             addresses=bma180.ADDRESSES,
             identity=bma180.CHIP_ID,
             label="BMA{}",
@@ -349,7 +347,6 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
         ),
         "l3g4200d": ChipSpec(
             quantity="angular_rate",
-            unit="dps",
             addresses=l3g4200d.ADDRESSES,
             identity=l3g4200d.WHO_AM_I,
             label="Gyro{}",
@@ -381,7 +378,6 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
         "lsm6dso_gyro": _LSM6DSO_GYRO,
         "bmp180": ChipSpec(
             quantity="pressure",
-            unit="Pa",
             addresses=bmp180.ADDRESSES,
             identity=bmp180.CHIP_ID,
             label="BMP{}",
@@ -392,7 +388,6 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
         ),
         "bmp280": ChipSpec(
             quantity="pressure",
-            unit="Pa",
             addresses=bmp280.ADDRESSES,
             identity=bmp280.CHIP_ID,
             label="BMP{}",
@@ -403,7 +398,6 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
         ),
         "bmp388": ChipSpec(
             quantity="pressure",
-            unit="Pa",
             addresses=bmp388.ADDRESSES,
             identity=bmp388.CHIP_ID,
             label="BMP{}",
@@ -414,7 +408,6 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
         ),
         "lis3mdl": ChipSpec(
             quantity="magnetic_field",
-            unit="gauss",
             addresses=lis3mdl.ADDRESSES,
             identity=lis3mdl.WHO_AM_I,
             label="LIS{}",
@@ -427,7 +420,6 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
         ),
         "mmc5983": ChipSpec(
             quantity="magnetic_field",
-            unit="gauss",
             addresses=mmc5983.ADDRESSES,
             identity=mmc5983.PRODUCT_ID,
             label="MMC{}",
@@ -446,7 +438,6 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
         ),
         "ak8963": ChipSpec(
             quantity="magnetic_field",
-            unit="gauss",
             addresses=ak8963.ADDRESSES,
             identity=ak8963.WIA,
             label="AK{}",
@@ -458,7 +449,6 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
         ),
         "ak8975": ChipSpec(
             quantity="magnetic_field",
-            unit="gauss",
             addresses=ak8975.ADDRESSES,
             identity=ak8975.WIA,
             label="AK{}",
@@ -470,7 +460,6 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
         ),
         "hmc5883l": ChipSpec(
             quantity="magnetic_field",
-            unit="gauss",
             addresses=hmc5883.ADDRESSES,
             identity=hmc5883.IDENTITY_A,
             label="HMC{}",
@@ -492,7 +481,6 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
         ),
         "hmc5883": ChipSpec(
             quantity="magnetic_field",
-            unit="gauss",
             addresses=hmc5883.ADDRESSES,
             identity=hmc5883.IDENTITY_A,
             label="HMC{}",
@@ -539,18 +527,12 @@ def chip_of(name: str) -> str:
     return plain if plain in CHIPS or plain in HALVES else name
 
 
-_UNITS: Mapping[Quantity, str] = MappingProxyType(
-    {"specific_force": "g", "angular_rate": "dps", "magnetic_field": "gauss"}
-)
-
-
 def kernel_chip(quantity: Quantity) -> ChipSpec:
     """Return the data of a chip that only a driver of the kernel knows: what it measures, and nothing that could
     be set.
     """
     return ChipSpec(
         quantity=quantity,
-        unit=_UNITS[quantity],
         addresses=(),
         identity=Register(0x00, "r"),  # of a chip whose registers nobody reads
         label="IIO{}",

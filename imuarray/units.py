@@ -17,6 +17,11 @@ INERTIAL: tuple[Quantity, ...] = ("specific_force", "angular_rate")
 TRIADS: tuple[Quantity, ...] = (*INERTIAL, "magnetic_field")
 """Quantities that have three axes."""
 
+UNIT_OF: Mapping[str, str] = MappingProxyType(
+    {"specific_force": "g", "angular_rate": "dps", "magnetic_field": "gauss", "pressure": "Pa", "temperature": "degC"}
+)
+"""The unit of each quantity in data sheets, configurations and logs."""
+
 STANDARD_GRAVITY = 9.80665
 """m/s2 in one g; 3rd CGPM (1901)."""
 

@@ -60,7 +60,7 @@ from imuarray.log import Log, SensorLog
 from imuarray.log.format import SensorHeader
 from imuarray.spelling import guess, guess_file
 from imuarray.toml_files import key_lines, no_text
-from imuarray.units import SI_PER_UNIT
+from imuarray.units import SI_PER_UNIT, TRIADS, UNIT_OF
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -420,7 +420,7 @@ def _stamped(sensor: SensorCalibration, logs: Sequence[Log]) -> SensorCalibratio
     return replace(sensor, provenance={**fresh, **sensor.provenance})
 
 
-_UNITS = {"specific_force": "g", "angular_rate": "dps", "magnetic_field": "gauss"}
+_UNITS = {quantity: UNIT_OF[quantity] for quantity in TRIADS}
 
 
 def load_calibration(path: str | PathLike[str]) -> Calibration:

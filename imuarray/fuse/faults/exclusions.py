@@ -12,10 +12,7 @@ import numpy as np
 from imuarray.arrays import Booleans
 from imuarray.fuse.faults.hypotheses import AXIS_GAIN, FaultKind, energy_limit
 from imuarray.fuse.faults.window import NormalModel, WindowResiduals
-from imuarray.units import READABLE_SI
-
-UNIT: Mapping[str, str] = MappingProxyType({"specific_force": "g", "angular_rate": "dps"})
-"""Unit of measuring ranges."""
+from imuarray.units import READABLE_SI, UNIT_OF
 
 _PLURAL: Mapping[str, str] = MappingProxyType(
     {
@@ -90,7 +87,7 @@ class FaultEvent:
         """Return the fault in words, in the singular."""
         factor, unit = READABLE_SI[self.quantity]
         size = f"{factor * self.size_si:.3g} {unit}"
-        span = f"{self.range or 0:g} {UNIT[self.quantity]}"
+        span = f"{self.range or 0:g} {UNIT_OF[self.quantity]}"
         reset = f"has {self.size_si:.3g} times its scale, as if set to a range of {span}"
         words = {
             "bias": f"is off by {size}" if self.size_si else "disagrees with the others in its few valid readings",

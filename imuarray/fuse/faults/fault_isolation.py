@@ -14,7 +14,7 @@ import numpy as np
 
 from imuarray.arrays import Booleans, Floats, Times
 from imuarray.calibrate.runs import Ranges
-from imuarray.fuse.faults.exclusions import UNIT, Exclusion, FaultReport, agreeing, needs
+from imuarray.fuse.faults.exclusions import Exclusion, FaultReport, agreeing, needs
 from imuarray.fuse.faults.fast_path import QUIETEST, DriftCheck, WindowSeries
 from imuarray.fuse.faults.hypotheses import (
     AXIS_GAIN,
@@ -34,7 +34,7 @@ from imuarray.fuse.faults.hypotheses import (
 from imuarray.fuse.faults.window import DecisionWindow, NormalModel, Spaces, WindowResiduals, window_residuals
 from imuarray.fuse.frames import Axis
 from imuarray.fuse.least_squares import noise_of, spans
-from imuarray.units import SI_PER_UNIT
+from imuarray.units import SI_PER_UNIT, UNIT_OF
 
 SILENT_S = 1.0
 
@@ -173,7 +173,7 @@ class FaultIsolation:
         self, axes: Sequence[Axis], rows: Floats, quantity: str, window: int, period_s: float, ranges: Ranges
     ) -> None:
         self._axes, self._rows, self._ranges = axes, rows, ranges
-        self._unit_si = SI_PER_UNIT[UNIT[quantity]]
+        self._unit_si = SI_PER_UNIT[UNIT_OF[quantity]]
         self._window_s = window * period_s
         self._normal = NormalModel(noise_of(axes), quantity, window, period_s)
         self._baseline = Baseline(rows, quantity)
