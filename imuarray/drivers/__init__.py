@@ -6,8 +6,7 @@ from __future__ import annotations
 
 from imuarray.array import SensorConfig
 from imuarray.drivers.adxl345 import Adxl345, Adxl345Fifo
-from imuarray.drivers.ak8963 import Ak8963
-from imuarray.drivers.ak8975 import Ak8975
+from imuarray.drivers.akm import Ak8963, Ak8975
 from imuarray.drivers.barometers import Bmp180, Bmp280, Bmp388
 from imuarray.drivers.bma180 import Bma180
 from imuarray.drivers.driver import DecodedBursts, Driver, FifoDriver, OnDemandDriver, RemarkingDriver, SelfTest

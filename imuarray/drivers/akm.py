@@ -1,22 +1,19 @@
-"""AK8963 magnetometer, as it is in the MPU-9250. AKM data sheet MS1356-E-02 (2013); facts AKM-*.
+"""AKM's magnetometers in InvenSense's chips: AK8963 in the MPU-9250 (AKM data sheet MS1356-E-02, 2013; facts AKM-01 to
+-16), and AK8975 in the MPU-9150 (facts AKM-21 to -28).
 
-It is on the MPU-9250's auxiliary bus, and answers on the array's bus while that chip's bypass is open (INV-97): this
-driver opens it. One burst is ST1, x, y, z low byte first, and ST2, which must be read last: it unlocks the data
-registers (AKM-12). The factory's adjustment of the sensitivity, a byte for each axis, is in the header of a log; counts
-are not adjusted. Its x is along the y of the MPU-9250, its y along x, its z opposite to z (AKM-03).
-"""
-
-"""AK8975 magnetometer, as it is in the MPU-9150; facts AKM-21 ... AKM-28.
-
-It measures only on command: a call reads the last measurement and starts the next, so that a reading was measured right
-after the previous call, at most 100 times a second. Otherwise it is like the AK8963 (`imuarray.drivers.ak8963`): behind
-the bypass of the MPU, with a fuse ROM, and with the same axes.
+They are on the auxiliary bus of the MPU, and answer on the array's bus while its bypass is open (INV-97): the driver
+opens it. One burst is ST1, x, y, z low byte first, and ST2, which must be read last: it unlocks the data registers
+(AKM-12). The factory's adjustment of the sensitivity, a byte for each axis, is in the header of a log; counts are not
+adjusted. Their x is along the y of the MPU, their y along x, their z opposite to z (AKM-03).
 """
 
 from __future__ import annotations
+
 from collections.abc import Iterator, Mapping
 from typing import ClassVar
+
 import numpy as np
+
 from imuarray.array import SensorConfig
 from imuarray.arrays import Floats
 from imuarray.bus.protocol import Bus
@@ -24,14 +21,8 @@ from imuarray.clock import Clock, sleep_for
 from imuarray.drivers.driver import Bytes, ChipDriver, DecodedBursts, Registers, SelfTest, carry_out, flagged, within
 from imuarray.errors import SensorError
 from imuarray.facts import ak8963, ak8975, mpu6500
-from imuarray.ak8963.registers import Setting
+from imuarray.facts.registers import Setting
 from imuarray.log.format import OVERRUN, SATURATED, STALE
-from collections.abc import Iterator
-from imuarray.clock import Clock
-from imuarray.drivers.ak8963 import Ak8963
-from imuarray.drivers.driver import Bytes, DecodedBursts, flagged
-from imuarray.ak8975.registers import Setting
-from imuarray.log.format import SATURATED, STALE
 
 _MODES = {8.0: 0b0010, 100.0: 0b0110}  # AKM-13
 _POWER_DOWN, _SELF_TEST_MODE, _FUSE_ROM = 0b0000, 0b1000, 0b1111
@@ -165,7 +156,9 @@ _LONGEST_NS = 20_000_000
 
 
 class Ak8975(Ak8963):
-    """Driver of one AK8975."""
+    """Driver of one AK8975. It measures only on command: a call reads the last measurement and starts the next, so that
+    a reading was measured right after the previous call, at most 100 times a second.
+    """
 
     host_name: ClassVar[str] = "MPU-9150"
     host_identities: ClassVar[tuple[int, ...]] = (0x68,)  # INV-02

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from imuarray.array import SensorConfig
 from imuarray.bus.serial_link import MAX_LIST_READ, Request
 from imuarray.drivers import DRIVERS, Driver
-from imuarray.drivers.ak8975 import Ak8975
+from imuarray.drivers.akm import Ak8975
 from imuarray.drivers.barometers import ForcedBarometer
 from imuarray.drivers.fifo_clock import TOLERANCE
 from imuarray.drivers.six_axis import QueuedHalf
