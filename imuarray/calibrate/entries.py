@@ -1,14 +1,15 @@
-"""Tables of the calibration file: written from dataclasses, read back key by key.
+"""Tables of the calibration file: written from dataclasses, read back field by field.
 
-A reader takes a value of the file with its place in it, and returns the value or raises a CalibrationError. A table is
-read by a mapping from its keys to readers. The keys that a table must have are the fields without a default.
+A reader takes a value of the file with its place in it, and returns the value or raises a CalibrationError. The type of
+each field of a dataclass is annotated with its reader. The keys that a table must have are the fields without a
+default.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 
@@ -76,38 +77,47 @@ def _plain(value: object) -> object:
     return to_table(value) if is_dataclass(value) else value
 
 
-def read_table(entry: object, where: EntryPlace, kind: type[T], readers: Mapping[str, Reader]) -> T:
+def read_table(entry: object, where: EntryPlace, kind: type[T]) -> T:
     """Read a `kind` from a table; CalibrationError names a key that is missing, unknown or has an invalid value."""
     required = [item.name for item in fields(kind) if item.default is MISSING and item.default_factory is MISSING]  # type: ignore[arg-type]
     if not isinstance(entry, dict) or not set(required) <= set(entry):
         raise CalibrationError(f"{where}: a table is required with {', '.join(required)}")
+    readers = _readers(kind)
     if unknown := set(entry) - set(readers):
         place = where.key(sorted(unknown)[0])
         raise CalibrationError(f"{place}: unknown key; allowed are {', '.join(sorted(readers))}")
     return kind(**{key: readers[key](value, where.key(key)) for key, value in entry.items()})
 
 
-def table(kind: type[T], readers: Mapping[str, Reader]) -> Reader:
+def _readers(kind: type) -> Mapping[str, Reader]:
+    """Return the reader of each field of a dataclass, with which its type, or a part of it, is annotated."""
+    readers: dict[str, Reader] = {}
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        readers[name] = next(part.__metadata__[0] for part in (hint, *get_args(hint)) if hasattr(part, "__metadata__"))
+    return readers
+
+
+def table(kind: type[T]) -> Reader:
     """A reader of one table."""
-    return lambda value, where: read_table(value, where, kind, readers)
+    return lambda value, where: read_table(value, where, kind)
 
 
-def tables(kind: type[T], readers: Mapping[str, Reader]) -> Reader:
+def tables(kind: type[T]) -> Reader:
     """A reader of an array of tables, into a tuple."""
 
     def read(value: object, where: EntryPlace) -> tuple[T, ...]:
-        return tuple(read_table(entry, where.entry(i), kind, readers) for i, entry in enumerate(_list(value, where), 1))
+        return tuple(read_table(entry, where.entry(i), kind) for i, entry in enumerate(_list(value, where), 1))
 
     return read
 
 
-def named_tables(kind: type[T], readers: Mapping[str, Reader], allowed: tuple[str, ...]) -> Reader:
+def named_tables(kind: type[T], allowed: tuple[str, ...]) -> Reader:
     """A reader of a table of tables whose names are among `allowed`."""
 
     def read(value: object, where: EntryPlace) -> dict[str, T]:
         if not isinstance(value, dict) or not set(value) <= set(allowed):
             raise CalibrationError(f"{where}: tables called {', '.join(allowed)} are required")
-        return {name: read_table(entry, where.key(name), kind, readers) for name, entry in value.items()}
+        return {name: read_table(entry, where.key(name), kind) for name, entry in value.items()}
 
     return read
 
@@ -201,3 +211,13 @@ def _list(value: object, where: EntryPlace) -> list[object]:
     if not isinstance(value, list):
         raise CalibrationError(f"{where}: a list is required")
     return value
+
+
+Triple = Annotated[Floats, numbers(3)]
+"""Three numbers, one for each axis of a sensor."""
+Sizes = Annotated[Floats, numbers(3, lowest=0.0)]
+"""The same, none negative: standard errors and deviations."""
+Matrix = Annotated[Floats, numbers(3, 3)]
+"""Three rows of three numbers."""
+Number = Annotated[float, number()]
+Text = Annotated[str, text()]

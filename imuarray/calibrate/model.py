@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,29 +32,20 @@ from imuarray.arrays import Floats
 from imuarray.atomic import write_text
 from imuarray.calibrate.entries import (
     EntryPlace,
-    Reader,
+    Matrix,
+    Number,
+    Sizes,
+    Text,
+    Triple,
     covariance,
     named_tables,
-    number,
     numbers,
     read_table,
     table,
     tables,
-    text,
     to_table,
 )
-from imuarray.calibrate.stability import (
-    DRIFT,
-    NOISE_LINE,
-    PROVENANCE,
-    THERMAL,
-    TURN_ON,
-    Drift,
-    NoiseLine,
-    Provenance,
-    Thermal,
-    TurnOn,
-)
+from imuarray.calibrate.stability import Drift, NoiseLine, NotNegative, Provenance, Thermal, TurnOn
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SensorHeader
@@ -124,31 +115,33 @@ class SensorCalibration:
     group of figures (`GROUPS`).
     """
 
-    name: str
-    quantity: str
-    unit: str
-    bias_lsb: Floats
-    response_lsb_per_unit: Floats
-    bias_sem_lsb: Floats | None = None
-    response_sem_lsb_per_unit: Floats | None = None
-    g_sensitivity_lsb_per_g: Floats | None = None
-    noise_lsb: Floats | None = None
-    temperature_degc: float | None = None
-    range: float | None = None
+    name: Text
+    quantity: Text
+    unit: Text
+    bias_lsb: Triple
+    response_lsb_per_unit: Matrix
+    bias_sem_lsb: Sizes | None = None
+    response_sem_lsb_per_unit: Sizes | None = None
+    g_sensitivity_lsb_per_g: Matrix | None = None
+    noise_lsb: Sizes | None = None
+    temperature_degc: Number | None = None
+    range: Number | None = None
     """The measuring range, in `unit`, at which this holds."""
-    chip: str | None = None
+    chip: Text | None = None
     """The chip that this holds for, as its log has it."""
-    bias_covariance_lsb2: Floats | None = None
-    response_covariance_lsb2_per_unit2: Floats | None = None
-    g_sensitivity_sem_lsb_per_g: Floats | None = None
-    thermal: Thermal | None = None
-    turn_on: TurnOn | None = None
-    noise_sem_lsb: Floats | None = None
-    noise_correlation: Floats | None = None
-    noise_lines: tuple[NoiseLine, ...] = ()
-    drift: Drift | None = None
-    response_change: float | None = None
-    provenance: Mapping[str, Provenance] = field(default_factory=lambda: MappingProxyType({}))
+    bias_covariance_lsb2: Annotated[Floats | None, covariance(3)] = None
+    response_covariance_lsb2_per_unit2: Annotated[Floats | None, covariance(9)] = None
+    g_sensitivity_sem_lsb_per_g: Annotated[Floats | None, numbers(3, 3, lowest=0.0)] = None
+    thermal: Annotated[Thermal | None, table(Thermal)] = None
+    turn_on: Annotated[TurnOn | None, table(TurnOn)] = None
+    noise_sem_lsb: Sizes | None = None
+    noise_correlation: Annotated[Floats | None, numbers(3, lowest=-1.0, highest=1.0)] = None
+    noise_lines: Annotated[tuple[NoiseLine, ...], tables(NoiseLine)] = ()
+    drift: Annotated[Drift | None, table(Drift)] = None
+    response_change: NotNegative | None = None
+    provenance: Annotated[Mapping[str, Provenance], named_tables(Provenance, tuple(GROUPS))] = field(
+        default_factory=lambda: MappingProxyType({})
+    )
 
     def measured(self) -> tuple[str, ...]:
         """The groups of figures that were measured."""
@@ -420,7 +413,7 @@ def _stamped(sensor: SensorCalibration, logs: Sequence[Log]) -> SensorCalibratio
     return replace(sensor, provenance={**fresh, **sensor.provenance})
 
 
-_UNITS = {quantity: UNIT_OF[quantity] for quantity in TRIADS}
+_UNITS: Mapping[str, str] = {quantity: UNIT_OF[quantity] for quantity in TRIADS}
 
 
 def load_calibration(path: str | PathLike[str]) -> Calibration:
@@ -457,37 +450,10 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
 
 
 def _from_table(entry: object, where: EntryPlace) -> SensorCalibration:
-    sensor = read_table(entry, where, SensorCalibration, _SENSOR)
+    sensor = read_table(entry, where, SensorCalibration)
     if _UNITS.get(sensor.quantity) != sensor.unit:
         choices = ", ".join(f"{quantity} in {unit}" for quantity, unit in _UNITS.items())
         raise CalibrationError(f"{where.key('unit')}: {sensor.quantity!r} in {sensor.unit!r}; allowed are {choices}")
     if not np.linalg.cond(sensor.response_lsb_per_unit) < 1e3:
         raise CalibrationError(f"{where.key('response_lsb_per_unit')}: can't be inverted")
     return sensor
-
-
-_SENSOR: Mapping[str, Reader] = {
-    "name": text(),
-    "quantity": text(),
-    "unit": text(),
-    "bias_lsb": numbers(3),
-    "response_lsb_per_unit": numbers(3, 3),
-    "bias_sem_lsb": numbers(3, lowest=0.0),
-    "bias_covariance_lsb2": covariance(3),
-    "response_covariance_lsb2_per_unit2": covariance(9),
-    "response_sem_lsb_per_unit": numbers(3, lowest=0.0),
-    "g_sensitivity_lsb_per_g": numbers(3, 3),
-    "g_sensitivity_sem_lsb_per_g": numbers(3, 3, lowest=0.0),
-    "noise_lsb": numbers(3, lowest=0.0),
-    "noise_sem_lsb": numbers(3, lowest=0.0),
-    "noise_correlation": numbers(3, lowest=-1.0, highest=1.0),
-    "noise_lines": tables(NoiseLine, NOISE_LINE),
-    "drift": table(Drift, DRIFT),
-    "response_change": number(lowest=0.0),
-    "temperature_degc": number(),
-    "range": number(),
-    "chip": text(),
-    "thermal": table(Thermal, THERMAL),
-    "turn_on": table(TurnOn, TURN_ON),
-    "provenance": named_tables(Provenance, PROVENANCE, tuple(GROUPS)),
-}

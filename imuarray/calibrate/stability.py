@@ -4,15 +4,14 @@ spectral lines of a sensor's noise; and the provenance of each figure.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.arrays import Floats
-from imuarray.calibrate.entries import Reader, number, numbers, several, tables, text, whole
+from imuarray.calibrate.entries import Number, Sizes, Triple, number, numbers, several, tables, text, whole
 
 BIAS = "bias"
 BIAS_OR_SCALE = "bias or scale"
@@ -24,6 +23,12 @@ THERMOMETERS = ("barometer", "reference", "chip", "relative")
 """Kinds of thermometers: the log's barometer, its `/reference`, a chip's thermometer with a zero (BMA180: BMA-63) and a
 chip's thermometer without one (L3G4200D: L3G-60).
 """
+
+
+NotNegative = Annotated[float, number(0.0)]
+Share = Annotated[float, number(0.0, 1.0)]
+Runs = Annotated[tuple[int, ...], several(whole)]
+"""Numbers of runs."""
 
 
 @dataclass(frozen=True)
@@ -39,17 +44,17 @@ class Thermal:
     the reference in both cases.
     """
 
-    slope_lsb_per_degc: Floats
-    slope_sem_lsb_per_degc: Floats
-    reference_degc: float
-    meaning: tuple[str, ...]
-    thermometer: str
-    lag_s: float = 0.0
-    lag_interval_s: Floats | None = None
-    quadratic_lsb_per_degc2: Floats | None = None
-    scale_slope_per_degc: Floats | None = None
-    scale_slope_sem_per_degc: Floats | None = None
-    quadratic_sem_lsb_per_degc2: Floats | None = None
+    slope_lsb_per_degc: Triple
+    slope_sem_lsb_per_degc: Sizes
+    reference_degc: Number
+    meaning: Annotated[tuple[str, ...], several(text(BIAS, BIAS_OR_SCALE), 3)]
+    thermometer: Annotated[str, text(*THERMOMETERS)]
+    lag_s: NotNegative = 0.0
+    lag_interval_s: Annotated[Floats | None, numbers(2, lowest=0.0)] = None
+    quadratic_lsb_per_degc2: Triple | None = None
+    scale_slope_per_degc: Annotated[Floats | None, numbers(3, unknown=True)] = None
+    scale_slope_sem_per_degc: Annotated[Floats | None, numbers(3, lowest=0.0, unknown=True)] = None
+    quadratic_sem_lsb_per_degc2: Sizes | None = None
 
     @property
     def significant_lag_s(self) -> float:
@@ -73,9 +78,9 @@ class Thermal:
 class BiasState:
     """One of the biases (3,) with which a sensor starts, in counts; the share of the runs in it, and their numbers."""
 
-    bias_lsb: Floats
-    share: float
-    runs: tuple[int, ...] = ()
+    bias_lsb: Triple
+    share: Share
+    runs: Runs = ()
 
 
 @dataclass(frozen=True)
@@ -89,14 +94,14 @@ class TurnOn:
     one entry for a sensor with a single state. `gravity_lsb` is the gravity assumed in the runs' pose (accelerometers).
     """
 
-    rms_lsb: Floats
-    rms_sem_lsb: Floats
-    spread_lsb: Floats
-    p_value: Floats
-    runs: int
-    states: tuple[BiasState, ...] = ()
-    apart: tuple[int, ...] = ()
-    gravity_lsb: Floats | None = None
+    rms_lsb: Sizes
+    rms_sem_lsb: Sizes
+    spread_lsb: Sizes
+    p_value: Annotated[Floats, numbers(3, lowest=0.0, highest=1.0, unknown=True)]
+    runs: Annotated[int, whole]
+    states: Annotated[tuple[BiasState, ...], tables(BiasState)] = ()
+    apart: Runs = ()
+    gravity_lsb: Triple | None = None
 
 
 @dataclass(frozen=True)
@@ -109,12 +114,12 @@ class Drift:
     end that the log does not determine. Drift slower than `span_s`, the longest stretch, is not included.
     """
 
-    rms_lsb: Floats
-    rms_sem_lsb: Floats
-    time_constant_s: float
-    rms_upper_lsb: Floats | None = None
-    time_constant_interval_s: Floats | None = None
-    span_s: float | None = None
+    rms_lsb: Sizes
+    rms_sem_lsb: Sizes
+    time_constant_s: Annotated[float, number(1e-6)]
+    rms_upper_lsb: Sizes | None = None
+    time_constant_interval_s: Annotated[Floats | None, numbers(2, lowest=0.0, unknown=True)] = None
+    span_s: NotNegative | None = None
 
 
 @dataclass(frozen=True)
@@ -124,13 +129,13 @@ class NoiseLine:
     frequency of a line that wandered, else None.
     """
 
-    axis: str
-    frequency_hz: float
-    amplitude_lsb: float
-    share: float
-    frequency_sem_hz: float | None = None
-    amplitude_sem_lsb: float | None = None
-    range_hz: Floats | None = None
+    axis: Annotated[str, text("x", "y", "z")]
+    frequency_hz: NotNegative
+    amplitude_lsb: NotNegative
+    share: Share
+    frequency_sem_hz: NotNegative | None = None
+    amplitude_sem_lsb: NotNegative | None = None
+    range_hz: Annotated[Floats | None, numbers(2, lowest=0.0)] = None
 
 
 @dataclass(frozen=True)
@@ -139,75 +144,7 @@ class Provenance:
     and the mean temperature (degC).
     """
 
-    logs: tuple[str, ...] = ()
-    software: str = ""
-    epoch: str = ""
-    temperature_degc: float | None = None
-
-
-_TRIPLE = numbers(3)
-_POSITIVE = numbers(3, lowest=0.0)
-
-THERMAL: Mapping[str, Reader] = MappingProxyType(
-    {
-        "slope_lsb_per_degc": _TRIPLE,
-        "slope_sem_lsb_per_degc": _POSITIVE,
-        "reference_degc": number(),
-        "meaning": several(text(BIAS, BIAS_OR_SCALE), 3),
-        "thermometer": text(*THERMOMETERS),
-        "lag_s": number(0.0),
-        "lag_interval_s": numbers(2, lowest=0.0),
-        "quadratic_lsb_per_degc2": _TRIPLE,
-        "scale_slope_per_degc": numbers(3, unknown=True),
-        "scale_slope_sem_per_degc": numbers(3, lowest=0.0, unknown=True),
-        "quadratic_sem_lsb_per_degc2": _POSITIVE,
-    }
-)
-"""Readers of the file's keys, here and below."""
-
-STATE: Mapping[str, Reader] = MappingProxyType({"bias_lsb": _TRIPLE, "share": number(0.0, 1.0), "runs": several(whole)})
-
-TURN_ON: Mapping[str, Reader] = MappingProxyType(
-    {
-        "rms_lsb": _POSITIVE,
-        "rms_sem_lsb": _POSITIVE,
-        "spread_lsb": _POSITIVE,
-        "p_value": numbers(3, lowest=0.0, highest=1.0, unknown=True),
-        "runs": whole,
-        "states": tables(BiasState, STATE),
-        "apart": several(whole),
-        "gravity_lsb": _TRIPLE,
-    }
-)
-
-DRIFT: Mapping[str, Reader] = MappingProxyType(
-    {
-        "rms_lsb": _POSITIVE,
-        "rms_sem_lsb": _POSITIVE,
-        "time_constant_s": number(1e-6),
-        "rms_upper_lsb": _POSITIVE,
-        "time_constant_interval_s": numbers(2, lowest=0.0, unknown=True),
-        "span_s": number(0.0),
-    }
-)
-
-NOISE_LINE: Mapping[str, Reader] = MappingProxyType(
-    {
-        "axis": text("x", "y", "z"),
-        "frequency_hz": number(0.0),
-        "amplitude_lsb": number(0.0),
-        "share": number(0.0, 1.0),
-        "frequency_sem_hz": number(0.0),
-        "amplitude_sem_lsb": number(0.0),
-        "range_hz": numbers(2, lowest=0.0),
-    }
-)
-
-PROVENANCE: Mapping[str, Reader] = MappingProxyType(
-    {
-        "logs": several(text(empty=True)),
-        "software": text(empty=True),
-        "epoch": text(empty=True),
-        "temperature_degc": number(),
-    }
-)
+    logs: Annotated[tuple[str, ...], several(text(empty=True))] = ()
+    software: Annotated[str, text(empty=True)] = ""
+    epoch: Annotated[str, text(empty=True)] = ""
+    temperature_degc: Number | None = None
