@@ -90,7 +90,7 @@ def fused(tmp_path: Path, fused_bytes: bytes) -> Path:
 
 
 def back(source: Path) -> Path:
-    """What was exported to `source`, imported again."""
+    """The export `source`, imported again."""
     output = source.with_name("back.h5")
     importer = importer_of(source)
     assert importer is not None

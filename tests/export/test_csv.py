@@ -1,4 +1,4 @@
-"""CSV as other programs read it: names and numbers, and a JSON file beside them with everything else."""
+"""CSV as other programs read it: names and numbers, and a JSON file with everything else."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def read(path: Path) -> tuple[list[str], list[list[str]]]:
     return names, rows
 
 
-def test_a_file_for_each_table_and_a_list_of_them(run: Path) -> None:
+def test_each_table_has_a_file_and_a_list_names_them(run: Path) -> None:
     written = export(run, run.with_name("r.csv"))
     names = [file.name for file in written.files]
     tables = ["r_Acc.csv", "r_Baro.csv", "r_Gyro.csv", "r_truth.csv", "r_clocks.csv", "r_phases.csv", "r_events.csv"]
@@ -39,7 +39,7 @@ def test_a_file_for_each_table_and_a_list_of_them(run: Path) -> None:
     assert read(run.with_name("r.csv")) == (["file", "table", "rows"], rows)
 
 
-def test_counts(run: Path) -> None:
+def test_counts_and_times_are_exact(run: Path) -> None:
     export(run, run.with_name("r.csv"))
     names, rows = read(run.with_name("r_Acc.csv"))
     assert names == ["time_s", "counts_x", "counts_y", "counts_z", "status", "temperature_counts"]
@@ -81,7 +81,7 @@ def test_pandas_reads_every_table_without_arguments(run: Path, fused: Path) -> N
     assert table["specific_force_z_mps2"].isna().tolist() == [False, False, True, False]
 
 
-def test_the_file_beside_it_says_the_unit_of_every_column(run: Path) -> None:
+def test_the_json_file_states_the_unit_of_every_column(run: Path) -> None:
     export(run, run.with_name("r.csv"), units="si")
     head = json.loads(run.with_name("r.json").read_text())
     assert head["imuarray_csv"] == 2
@@ -90,7 +90,7 @@ def test_the_file_beside_it_says_the_unit_of_every_column(run: Path) -> None:
     assert head["column_units"]["sensors/Acc"] == dict(zip(names, ["s", *["m s-2"] * 3, "1", "degC"], strict=True))
 
 
-def test_a_file_of_an_earlier_version_comes_back(run: Path) -> None:
+def test_a_file_of_an_earlier_version_is_imported(run: Path) -> None:
     """Version 1 had two lines of comment, of which the second held the header; the list's was that of the log."""
     export(run, run.with_name("r.csv"))
     head = json.loads(run.with_name("r.json").read_text())
@@ -104,13 +104,13 @@ def test_a_file_of_an_earlier_version_comes_back(run: Path) -> None:
         assert [event.message for event in log.events] == [MESSAGE, ""]
 
 
-def test_a_table_beside_which_somebody_else_has_a_json_file_is_none_of_ours(tmp_path: Path) -> None:
+def test_a_table_with_a_json_file_of_another_program_is_not_imported(tmp_path: Path) -> None:
     (tmp_path / "data.csv").write_text("t,x,y,z\n0,1,2,3\n")
     (tmp_path / "data.json").write_text('{"rate": 100}')
     assert importer_of(tmp_path / "data.csv") is None
 
 
-def test_the_header_says_how_to_convert(run: Path) -> None:
+def test_the_header_has_the_conversion_to_si(run: Path) -> None:
     export(run, run.with_name("one.csv"), sensors=["Acc"])
     head = json.loads(run.with_name("one.json").read_text())
     assert (head["epoch"], head["source"], head["units"]) == (EPOCH, "simulated", "counts")
@@ -119,7 +119,7 @@ def test_the_header_says_how_to_convert(run: Path) -> None:
     np.testing.assert_allclose(force, [0, 0, -9.80665])  # one g along the chip's z, which points down
 
 
-def test_units_of_the_data_sheet(run: Path) -> None:
+def test_values_can_be_in_units_of_the_data_sheet(run: Path) -> None:
     export(run, run.with_name("u.csv"), units="sensor")
     names, rows = read(run.with_name("u_Gyro.csv"))
     assert names == [
@@ -133,7 +133,7 @@ def test_units_of_the_data_sheet(run: Path) -> None:
     assert [float(cell) for cell in rows[0][1:]] == [-0.5, 1.0, 0.0, 0, 25.0]  # 24 degC at 0, half a degree a count
 
 
-def test_calibrated(run: Path) -> None:
+def test_a_calibration_is_applied(run: Path) -> None:
     """Bias (10, 20, 30), axes x and y exchanged and 500 counts per g: by hand."""
     response = np.array([[0.0, 500.0, 0.0], [500.0, 0.0, 0.0], [0.0, 0.0, -500.0]])
     known = SensorCalibration("Acc", "specific_force", "g", np.array([10.0, 20.0, 30.0]), response)
@@ -156,7 +156,7 @@ def test_a_fused_result_is_one_table(fused: Path) -> None:
     assert rows[2][names.index("specific_force_y_mps2")] == "nan"
 
 
-def test_what_can_not_be_asked_for(run: Path, fused: Path) -> None:
+def test_unsupported_options_are_refused(run: Path, fused: Path) -> None:
     to = run.with_name("x.csv")
     known = Calibration()
     with pytest.raises(ExportError, match=r"'.xlsx'; allowed are .csv, .npz, .parquet, .mcap, .mat, .yaml, .sdf"):
@@ -177,7 +177,7 @@ def test_what_can_not_be_asked_for(run: Path, fused: Path) -> None:
     assert sorted(path.name for path in run.parent.iterdir()) == ["fused.h5", "run.h5"]
 
 
-def test_nothing_is_overwritten_unless_told(run: Path) -> None:
+def test_files_are_overwritten_only_with_force(run: Path) -> None:
     mine = run.with_name("r_Gyro.csv")
     mine.write_text("mine")
     with pytest.raises(OutputExistsError, match=r"r_Gyro\.csv: exists already"):
@@ -188,8 +188,8 @@ def test_nothing_is_overwritten_unless_told(run: Path) -> None:
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt(), LogError("damaged")])
-def test_all_of_it_or_nothing(run: Path, monkeypatch: pytest.MonkeyPatch, failure: BaseException) -> None:
-    """All tables are written when it fails; what stood there stays."""
+def test_a_failure_writes_no_file(run: Path, monkeypatch: pytest.MonkeyPatch, failure: BaseException) -> None:
+    """All tables are written when it fails; existing files are kept."""
     run.with_name("r_Acc.csv").write_text("mine")
 
     def breaks(*_: object) -> str:
@@ -210,7 +210,7 @@ def test_all_of_it_or_nothing(run: Path, monkeypatch: pytest.MonkeyPatch, failur
         (lambda file: file["fused"].create_dataset("big", (1 << 40,), "i2", chunks=(4,)), "more than this file"),
     ],
 )
-def test_a_fused_file_built_to_do_harm(fused: Path, spoil: Callable[[h5py.File], object], said: str) -> None:
+def test_a_hostile_fused_file_is_refused(fused: Path, spoil: Callable[[h5py.File], object], said: str) -> None:
     with h5py.File(fused, "r+") as file:
         spoil(file)
     with pytest.raises(LogError, match=said):

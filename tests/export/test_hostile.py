@@ -1,4 +1,4 @@
-"""Exports that were damaged, or built to do harm: refused in a line, and nothing is left."""
+"""Damaged or hostile exports: refused in one line, with no file written."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def packed(path: Path, members: Members, kind: int = zipfile.ZIP_DEFLATED) -> Pa
 
 
 def array(values: Any, **header: Any) -> bytes:
-    """An array as npy, its header perhaps a lie."""
+    """An array as npy, whose header may be false."""
     file = io.BytesIO()
     said = {"descr": values.dtype.str, "fortran_order": False, "shape": values.shape} | header
     np.lib.format.write_array_header_1_0(file, said)
@@ -116,7 +116,7 @@ def _pickled() -> bytes:
 
 
 @pytest.mark.parametrize("kind", some(BAD, 15))
-def test_a_bad_npz_is_refused_and_leaves_nothing(tmp_path: Path, members: Members, kind: str) -> None:
+def test_a_bad_npz_is_refused_and_leaves_no_file(tmp_path: Path, members: Members, kind: str) -> None:
     spoil, said = BAD[kind]
     with pytest.raises(SourceError, match=r"bad\.npz") as caught:
         back(packed(tmp_path / "bad.npz", members | spoil(members)))
@@ -127,7 +127,7 @@ def test_a_bad_npz_is_refused_and_leaves_nothing(tmp_path: Path, members: Member
 
 @pytest.mark.slow
 def test_a_bomb_is_refused_unopened(tmp_path: Path, members: Members, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A member that says it is a thousand times what its bytes can make, in the archive's list."""
+    """A member whose entry in the archive's list states a thousand times the size that its bytes can give."""
     path = packed(tmp_path / "bomb.npz", members)
     data = bytearray(path.read_bytes())
     entry = data.rindex(COUNTS.encode()) - 46  # its entry in the list: sizes at 20 and 24
@@ -140,7 +140,7 @@ def test_a_bomb_is_refused_unopened(tmp_path: Path, members: Members, monkeypatc
         back(path)
 
 
-def test_archives_that_numpy_does_not_write(tmp_path: Path, members: Members) -> None:
+def test_archives_that_numpy_does_not_write_are_refused(tmp_path: Path, members: Members) -> None:
     with pytest.raises(SourceError, match="compressed by a method that NumPy does not use"):
         back(packed(tmp_path / "a.npz", members, zipfile.ZIP_BZIP2))
     (tmp_path / "b.npz").write_bytes(packed(tmp_path / "a.npz", members).read_bytes()[:-100])
@@ -156,7 +156,7 @@ def test_archives_that_numpy_does_not_write(tmp_path: Path, members: Members) ->
 
 @settings(max_examples=examples(30), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_damage_is_told_in_a_line(tmp_path: Path, members: Members, data: st.DataObject) -> None:
+def test_a_damaged_archive_is_an_error_of_one_line(tmp_path: Path, members: Members, data: st.DataObject) -> None:
     """Some bytes of an archive changed: SourceError, or no harm done."""
     path = packed(tmp_path / "d.npz", members)
     spoilt = bytearray(path.read_bytes())
@@ -195,7 +195,7 @@ CSV_BAD = {
 
 
 @pytest.mark.parametrize("kind", some(CSV_BAD, 2))
-def test_a_bad_csv_is_refused_and_leaves_nothing(run: Path, kind: str) -> None:
+def test_a_bad_csv_is_refused_and_leaves_no_file(run: Path, kind: str) -> None:
     name, was, becomes, said = CSV_BAD[kind]
     files = export(run, run.with_name("r.csv")).files
     spoilt = run.with_name(name)
@@ -210,7 +210,7 @@ def test_a_bad_csv_is_refused_and_leaves_nothing(run: Path, kind: str) -> None:
 
 @settings(max_examples=examples(30), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_damaged_text_is_told_in_a_line(tmp_path: Path, data: st.DataObject) -> None:
+def test_damaged_text_is_an_error_of_one_line(tmp_path: Path, data: st.DataObject) -> None:
     """Some bytes of one of the files changed: SourceError, or no harm done."""
     if not (tmp_path / "r.csv").exists():
         export(write_run(tmp_path / "run.h5"), tmp_path / "r.csv")
@@ -232,7 +232,7 @@ def test_damaged_text_is_told_in_a_line(tmp_path: Path, data: st.DataObject) -> 
 
 
 @pytest.mark.slow
-def test_a_csv_header_without_end(tmp_path: Path) -> None:
+def test_a_csv_header_without_end_is_refused(tmp_path: Path) -> None:
     (tmp_path / "h.csv").write_bytes(b"# imuarray-csv 1: x\n# {" + b" " * (1 << 26))
     with pytest.raises(SourceError, match="a header of more than 67108864 bytes"):
         back(tmp_path / "h.csv")

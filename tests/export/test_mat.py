@@ -1,4 +1,4 @@
-"""MATLAB's version 5, as scipy reads it; what it can't hold; and a log itself, as MATLAB's h5read would see it."""
+"""MATLAB's version 5, as scipy reads it; its limits; and a log itself, as MATLAB's h5read would see it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from imuarray.log import Block, LogWriter
 from tests.export.conftest import ACC, ACC_COUNTS, EPOCH, MESSAGE, MS
 
 
-def test_structs(run: Path) -> None:
+def test_tables_are_structs(run: Path) -> None:
     export(run, run.with_name("r.mat"))
     found = loadmat(run.with_name("r.mat"), simplify_cells=True)
     acc = found["Acc"]
@@ -36,21 +36,21 @@ def test_structs(run: Path) -> None:
     assert head["phases"]["name"].tolist() == ["z_up", "motion"]
 
 
-def test_columns_stand_upright(run: Path) -> None:
+def test_columns_are_n_by_3_or_n_by_1(run: Path) -> None:
     """n-by-3 and n-by-1, as MATLAB would have them."""
     export(run, run.with_name("r.mat"))
     acc = loadmat(run.with_name("r.mat"))["Acc"][0, 0]
     assert (acc["counts"].shape, acc["time_ns"].shape) == ((5, 3), (5, 1))
 
 
-def test_a_fused_result(fused: Path) -> None:
+def test_a_fused_result_is_a_struct(fused: Path) -> None:
     export(fused, fused.with_name("f.mat"))
     found = loadmat(fused.with_name("f.mat"), simplify_cells=True)["fused"]
     np.testing.assert_array_equal(found["specific_force"][0], [0.0, 0.5, 9.8])
     assert list(found["cells"]["specific_force_covariance"]) == ["xx", "yy", "zz", "xy", "xz", "yz"]
 
 
-def test_names_that_matlab_takes(tmp_path: Path) -> None:
+def test_names_of_variables_are_valid_in_matlab(tmp_path: Path) -> None:
     names = ["IMU-1", "IMU 1", "1st", "imuarray", "µ"]
     with LogWriter(
         tmp_path / "a.h5", [replace(ACC, name=name) for name in names], source="simulated", epoch=EPOCH
@@ -64,7 +64,7 @@ def test_names_that_matlab_takes(tmp_path: Path) -> None:
     assert {json.loads(found[name]["about_json"])["name"] for name in found["imuarray"]["variables"]} == set(names)
 
 
-def test_more_than_the_format_holds(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_beyond_the_limit_of_the_format_is_refused(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert mat.MOST_BYTES == 2147483647
     monkeypatch.setattr(mat, "MOST_BYTES", 39)
     with pytest.raises(ExportError, match=r'read the log itself: h5read\("RUN.h5", "/sensors/NAME/counts"\)'):
@@ -76,7 +76,7 @@ READABLE = (h5t.INTEGER, h5t.FLOAT, h5t.STRING)
 """Classes of types that h5read and h5readatt turn into numbers and text (MATLAB: "Export to HDF5 Files", "h5read")."""
 
 
-def test_a_log_holds_only_what_h5read_reads(run: Path) -> None:
+def test_a_log_contains_only_types_that_h5read_reads(run: Path) -> None:
     """Every column and every attribute is of numbers or text, but for the references of dimension scales."""
     with h5py.File(run) as file:
         places = [file, *(file[name] for name in _names(file))]
@@ -91,7 +91,7 @@ def test_a_log_holds_only_what_h5read_reads(run: Path) -> None:
         assert {file["sensors/Acc"][name].id.get_type().get_order() for name in ("time", "counts")} == {h5t.ORDER_LE}
 
 
-def test_a_log_is_as_old_readers_know_it(run: Path) -> None:
+def test_a_log_has_the_layout_of_hdf5_1_10(run: Path) -> None:
     """The layout of a column is described in version 4 of that message, which HDF5 has read since 1.10; with the format
     of HDF5 2.0 it would be version 5, which MATLAB's library does not know (HDF5 File Format Specification, IV.A.2.i).
     """

@@ -61,7 +61,7 @@ def write_matlab_functions(run: Path, folder: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("octave-cli") is None, reason="GNU Octave is not installed")
-def test_the_branch_for_matlab_reads_the_log_itself(run: Path, tmp_path: Path) -> None:
+def test_the_branch_for_matlab_reads_the_log(run: Path, tmp_path: Path) -> None:
     write_matlab_functions(run, tmp_path)
     ask = f"addpath('{SCRIPT.parent}'); addpath('{tmp_path}'); r = read_imuarray('{run}'); printf('%s\\n', r.epoch);"
     ask += "printf('%d ', r.Acc.counts.'); printf('\\n'); printf('%.17g ', r.Gyro.values.'); printf('\\n');"
@@ -77,13 +77,13 @@ def test_the_branch_for_matlab_reads_the_log_itself(run: Path, tmp_path: Path) -
 
 
 def test_every_block_of_the_script_is_closed() -> None:
-    """All that is checked of its syntax without MATLAB or Octave."""
+    """The only check of its syntax without MATLAB or Octave."""
     lines = [line.split("%")[0] for line in SCRIPT.read_text().splitlines()]
     begun = sum(len(re.findall(r"^\s*(?:function|if|for|switch)\b", line)) for line in lines)
     assert begun == sum(len(re.findall(r"^\s*end\s*$", line)) for line in lines)
 
 
-def test_the_script_names_what_files_have(run: Path) -> None:
+def test_names_in_the_script_exist_in_the_files(run: Path) -> None:
     """Groups, columns and attributes that it asks for are in a log and in a .mat file."""
     import h5py
     from scipy.io import loadmat

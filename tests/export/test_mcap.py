@@ -43,7 +43,7 @@ def read(path: Path) -> Read:
 
 
 def misses(value: Any, schema: Mapping[str, Any], place: str = "") -> list[str]:
-    """Where a value is not as a JSON Schema says: of the words that ours use (json-schema.org, draft 2020-12)."""
+    """Where a value violates a JSON Schema, for the keywords that our schemas use (json-schema.org, draft 2020-12)."""
     if "oneOf" in schema:
         return [] if sum(value == one["const"] for one in schema["oneOf"]) == 1 else [place]
     kinds = {"object": dict, "array": list, "string": str, "integer": int, "number": (int, float)}
@@ -75,7 +75,7 @@ def test_every_message_keeps_its_schema(run: Path, units: str | None) -> None:
         assert [miss for _, value in listed for miss in misses(value, schemas[topic])] == [], topic
 
 
-def test_the_checker_of_schemas_finds_what_is_wrong() -> None:
+def test_the_checker_of_schemas_detects_violations() -> None:
     schema = {"type": "object", "required": ["a"], "properties": {"a": {"type": "integer", "minimum": 0}}}
     assert misses({"a": 1}, schema) == []
     assert misses({"a": -1}, schema) == [".a"]
@@ -128,7 +128,7 @@ def log_of(path: Path, rows: int) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("units", some(["counts", "si"], 1))
-def test_every_message_is_what_a_row_by_row_writer_says(tmp_path: Path, units: str) -> None:
+def test_every_message_equals_that_of_a_row_by_row_writer(tmp_path: Path, units: str) -> None:
     """Values to the last bit, and every message's number and time."""
     from mcap.reader import make_reader
 
@@ -157,7 +157,7 @@ def test_every_message_is_what_a_row_by_row_writer_says(tmp_path: Path, units: s
 
 
 @pytest.mark.filterwarnings("ignore:(start|end)_time is deprecated")  # the lowest version has no other name
-def test_a_stretch_of_time_is_found_by_the_index(tmp_path: Path) -> None:
+def test_a_time_range_is_read_by_the_index(tmp_path: Path) -> None:
     from mcap.reader import make_reader
 
     source = log_of(tmp_path / "long.h5", 6000)
@@ -182,7 +182,7 @@ def test_events_are_for_the_log_panel(run: Path) -> None:
     assert texts == ["z_up begins, +Z up", "motion begins", "z_up ends", "motion ends"]
 
 
-def test_a_fused_result_is_as_in_ros(fused: Path) -> None:
+def test_a_fused_result_has_covariances_as_in_ros(fused: Path) -> None:
     export(fused, fused.with_name("f.mcap"))
     schemas, messages = read(fused.with_name("f.mcap"))
     values = [value for _, value in messages["/fused"]]
@@ -197,7 +197,7 @@ def test_a_fused_result_is_as_in_ros(fused: Path) -> None:
     assert values[2]["angular_velocity"]["x"] == 1 / 7
 
 
-def test_what_is_known_of_the_log_comes_along(run: Path) -> None:
+def test_metadata_and_configuration_of_the_log_are_exported(run: Path) -> None:
     from mcap.reader import make_reader
 
     export(run, run.with_name("r.mcap"))
@@ -209,7 +209,7 @@ def test_what_is_known_of_the_log_comes_along(run: Path) -> None:
         assert (attached.name, attached.data.decode()) == ("array.toml", "[array]\nname = 'µ'\n")
 
 
-def test_times_before_1970(tmp_path: Path) -> None:
+def test_times_before_1970_are_refused(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "a.h5", [ACC], source="imported", epoch="1970-01-01T00:00:00Z") as log:
         log.append("Acc", Block(np.array([-1]), np.ones((1, 3)), np.zeros(1, np.uint16), np.zeros(1)))
     with pytest.raises(ExportError, match="-1 ns since 1970; MCAP has no such times"):
@@ -221,14 +221,14 @@ def test_times_before_1970(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.h5", "b.h5"]
 
 
-def test_without_the_package(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_named(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'imuarray\[export\]'"):
         export(run, run.with_name("r.mcap"))
 
 
 @pytest.mark.parametrize("values", [[0], [7, 0], [9999, 10_000], [123, 0, 999_999_999, 10_000, 99_999_999], [2**40, 1]])
-def test_integers_are_spelled_to_one_width_with_spaces_before(values: list[int]) -> None:
+def test_integers_are_right_aligned_to_one_width(values: list[int]) -> None:
     width = len(str(max(values)))
     texts = _digits(np.array(values, np.int64))
     assert [bytes(text).decode() for text in texts] == [f"{value:>{width}}" for value in values]

@@ -1,4 +1,4 @@
-"""What is held while a log is exported does not grow with it."""
+"""The memory that an export takes does not grow with the log."""
 
 from __future__ import annotations
 
@@ -41,7 +41,9 @@ def peak(work: Callable[[], object]) -> int:
         ("ros2.mcap", 1500, 3000),
     ],
 )
-def test_there_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, few: int, many: int) -> None:
+def test_memory_of_export_and_import_does_not_grow_with_the_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, few: int, many: int
+) -> None:
     """A row takes half a kilobyte as text, and 16 bytes as an array: held, they would show, as nearly twice as much or
     more. When garbage is collected differs from run to run.
     """

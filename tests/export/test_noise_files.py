@@ -1,5 +1,5 @@
-"""Noise figures for Kalibr and others from a log, a fused result and what `characterise` wrote, read by parsers of YAML
-and XML.
+"""Noise figures for Kalibr and others from a log, a fused result and a result of `characterise`, read by parsers of
+YAML and XML.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def test_an_accelerometer_and_a_gyroscope_are_one_imu(still: Path, tmp_path: Pat
         assert f"# {name}_random_walk: not significant, at most " in text
 
 
-def test_a_walk_that_one_axis_shows_is_that_axis_s_and_no_bound(still: Path, tmp_path: Path) -> None:
+def test_a_random_walk_significant_on_one_axis_is_exported(still: Path, tmp_path: Path) -> None:
     """The value of the axis in which it is significant, though another's bound is larger."""
     with open_log(still) as log:
         result = characterise_log(log)
@@ -78,8 +78,8 @@ def test_a_walk_that_one_axis_shows_is_that_axis_s_and_no_bound(still: Path, tmp
 
 
 @pytest.mark.slow
-def test_more_sensors_are_a_file_each(still: Path, tmp_path: Path) -> None:
-    """From a characterisation in which the accelerometer stands twice."""
+def test_each_of_several_sensors_has_a_file(still: Path, tmp_path: Path) -> None:
+    """From a characterisation that contains the accelerometer twice."""
     with open_log(still) as log:
         result = characterise_log(log)
     first = result["sensors"][0]
@@ -105,7 +105,7 @@ def test_more_sensors_are_a_file_each(still: Path, tmp_path: Path) -> None:
         ('{"sensors": []}', "no inertial sensor whose noise could be fitted"),
     ],
 )
-def test_a_file_that_is_something_else(tmp_path: Path, text: str, said: str) -> None:
+def test_a_file_of_another_kind_is_refused(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "c.json").write_text(text)
     with pytest.raises(ExportError, match=said):
         export(tmp_path / "c.json", tmp_path / "i.yaml")
@@ -180,7 +180,7 @@ def walking(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(("name", "topic"), some([("log.h5", "/sensors/IMU1"), ("fused.h5", "/fused")], 1))
-def test_kalibr_finds_every_key_of_an_imu(walking: Path, tmp_path: Path, name: str, topic: str) -> None:
+def test_an_imu_has_every_key_of_kalibr(walking: Path, tmp_path: Path, name: str, topic: str) -> None:
     """The walk is the largest of three axes over 1000 s: within 40 %."""
     written = export(walking / name, tmp_path / "imu.yaml")
     assert (written.files, written.notes) == ((tmp_path / "imu.yaml",), ())
@@ -196,7 +196,7 @@ def test_kalibr_finds_every_key_of_an_imu(walking: Path, tmp_path: Path, name: s
 
 
 @pytest.mark.slow
-def test_the_topic_is_the_one_that_the_bag_has(walking: Path, tmp_path: Path) -> None:
+def test_the_topic_is_that_of_the_bag(walking: Path, tmp_path: Path) -> None:
     reader = pytest.importorskip("mcap.reader")
     export(walking / "log.h5", tmp_path / "imu.yaml")
     export(walking / "log.h5", tmp_path / "bag.mcap", tool="ros2")
@@ -236,7 +236,7 @@ def test_vins_fusion_has_standard_deviations_at_the_rate(walking: Path, tmp_path
 
 
 @pytest.mark.slow
-def test_opencv_opens_them_as_these_tools_do(walking: Path, tmp_path: Path) -> None:
+def test_opencv_reads_the_files_of_openvins_and_vins_fusion(walking: Path, tmp_path: Path) -> None:
     """Both read their configuration by `cv::FileStorage`."""
     cv2 = pytest.importorskip("cv2")
     for tool in ("kalibr", "openvins", "vins-fusion"):
@@ -273,7 +273,7 @@ def test_gazebo_has_a_sensor_with_noise_on_every_axis(walking: Path, tmp_path: P
             assert walk == pytest.approx(kalibr[f"{prefix}_random_walk"], rel=1e-5)
 
 
-def test_px4_has_a_plugin_with_kalibrs_figures(walking: Path, tmp_path: Path) -> None:
+def test_px4_has_a_plugin_with_the_figures_of_kalibr(walking: Path, tmp_path: Path) -> None:
     """Elements as gazebo_imu_plugin.cpp reads them."""
     export(walking / "log.h5", tmp_path / "kalibr.yaml")
     export(walking / "log.h5", tmp_path / "px4.sdf", tool="px4")
@@ -288,8 +288,10 @@ def test_px4_has_a_plugin_with_kalibrs_figures(walking: Path, tmp_path: Path) ->
 
 @pytest.mark.parametrize("suffix", some(["yaml", "sdf"], 1))
 @pytest.mark.parametrize("second", [False, True])
-def test_a_bound_is_never_a_value(still: Path, tmp_path: Path, suffix: str, second: bool) -> None:
-    """White noise alone: no walk was seen, which every file says in a comment; the summary names the missing keys."""
+def test_a_bound_is_a_comment_and_never_a_value(still: Path, tmp_path: Path, suffix: str, second: bool) -> None:
+    """White noise alone: no walk is significant, which every file states in a comment; the summary names the missing
+    keys.
+    """
     tools = {"yaml": ("openvins", "vins-fusion"), "sdf": ("gazebo", "px4")}[suffix]
     written = export(still, tmp_path / f"imu.{suffix}", tool=tools[second])
     text = (tmp_path / f"imu.{suffix}").read_text()
@@ -303,7 +305,7 @@ def test_a_bound_is_never_a_value(still: Path, tmp_path: Path, suffix: str, seco
 
 
 @pytest.mark.parametrize("tool", ["kalibr", "gazebo", "px4"])
-def test_coloured_noise_is_no_random_walk(tool: str, tmp_path: Path) -> None:
+def test_coloured_noise_is_not_exported_as_a_random_walk(tool: str, tmp_path: Path) -> None:
     """Noise that a first-order filter coloured fits no sum of white noise, flicker and walk."""
     white = np.random.default_rng(9).normal(0, 5, (ROWS, 3))
     counts = np.rint(lfilter([1.0], [1.0, -0.95], white, axis=0)).astype(np.int16)
@@ -321,7 +323,7 @@ def test_coloured_noise_is_no_random_walk(tool: str, tmp_path: Path) -> None:
         assert f"{key}: not determined, because the noise is of another kind" in text
 
 
-def test_a_fused_result_that_moves_has_no_noise(tmp_path: Path) -> None:
+def test_a_fused_result_in_motion_is_refused(tmp_path: Path) -> None:
     time = np.arange(2000) * 50_000_000
     swing = np.sin(time * 1e-9)[:, None] * np.ones(3)
     block = FusedBlock(time, {"angular_rate": swing}, {}, {})
@@ -330,7 +332,7 @@ def test_a_fused_result_that_moves_has_no_noise(tmp_path: Path) -> None:
         export(tmp_path / "f.h5", tmp_path / "f.yaml")
 
 
-def test_the_rest_of_a_fused_result_is_what_counts(tmp_path: Path) -> None:
+def test_noise_of_a_fused_result_is_that_at_rest(tmp_path: Path) -> None:
     """The box is turned after 60 % of the time: its noise is that of the rest before."""
     write_walking_fused(tmp_path / "still.h5", rows=2000)
     with h5py.File(tmp_path / "still.h5", "r+") as file:

@@ -14,7 +14,7 @@ from imuarray.log import Block, LogWriter
 from tests.export.conftest import ACC, ACC_COUNTS, EPOCH, GYRO_COUNTS, MESSAGE, MS
 
 
-def test_arrays(run: Path) -> None:
+def test_every_column_is_an_array(run: Path) -> None:
     export(run, run.with_name("r.npz"))
     with np.load(run.with_name("r.npz"), allow_pickle=False) as arrays:
         assert arrays["Acc_counts"].tolist() == ACC_COUNTS
@@ -32,7 +32,7 @@ def test_arrays(run: Path) -> None:
         assert set(arrays.files) == {"header", *(name for one in head["arrays"].values() for name in one.values())}
 
 
-def test_a_fused_result(fused: Path) -> None:
+def test_a_fused_result_is_exported(fused: Path) -> None:
     export(fused, fused.with_name("f.npz"))
     with np.load(fused.with_name("f.npz"), allow_pickle=False) as arrays:
         assert arrays["fused_time"].tolist() == [0, 10 * MS, 20 * MS, 30 * MS]
@@ -42,7 +42,7 @@ def test_a_fused_result(fused: Path) -> None:
         assert json.loads(arrays["header"].item())["technique"] == "mean"
 
 
-def test_names_that_would_be_one(tmp_path: Path) -> None:
+def test_colliding_names_are_made_distinct(tmp_path: Path) -> None:
     """Sensor A has A_temperature_counts, and so has the counts of a sensor called A_temperature."""
     from dataclasses import replace
 
@@ -58,7 +58,7 @@ def test_names_that_would_be_one(tmp_path: Path) -> None:
         assert arrays[called["sensors/A_temperature"]["counts"]].tolist() == [[1, 1, 1]] * 2
 
 
-def test_blocks_make_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_size_of_blocks_does_not_change_the_arrays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(3)
     with LogWriter(tmp_path / "a.h5", [ACC], source="simulated", epoch=EPOCH) as log:
         counts = rng.integers(-(2**15), 2**15, (1000, 3))
@@ -70,7 +70,7 @@ def test_blocks_make_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             assert (arrays["Acc_counts"] == counts).all()
 
 
-def test_a_full_disk_leaves_nothing(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_no_file(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import errno
 
     def full(*_: object) -> None:

@@ -50,7 +50,7 @@ def test_units_and_the_header_are_in_the_metadata(run: Path) -> None:
     assert (head["epoch"], head["units"], head["table"]) == (EPOCH, "si", "sensors/Gyro")
 
 
-def test_an_epoch_that_is_no_date_leaves_nanoseconds(tmp_path: Path) -> None:
+def test_without_a_date_as_epoch_times_are_nanoseconds(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "a.h5", [ACC], source="imported", epoch="yesterday") as log:
         log.append("Acc", Block(np.array([-7]), np.ones((1, 3)), np.zeros(1, np.uint16), np.zeros(1)))
     export(tmp_path / "a.h5", tmp_path / "a.parquet", sensors=["Acc"])
@@ -59,7 +59,7 @@ def test_an_epoch_that_is_no_date_leaves_nanoseconds(tmp_path: Path) -> None:
         assert log["Acc"].time[:].tolist() == [-7]
 
 
-def test_a_file_of_somebody_else_is_imported_by_its_map(run: Path, tmp_path: Path) -> None:
+def test_a_file_of_another_program_is_imported_by_its_map(run: Path, tmp_path: Path) -> None:
     import pyarrow
 
     columns = {"t": np.arange(20.0), **{f"acc_{axis}": np.linspace(0, 1, 20) for axis in "xyz"}}
@@ -68,7 +68,7 @@ def test_a_file_of_somebody_else_is_imported_by_its_map(run: Path, tmp_path: Pat
     assert "acc_x" in guess_map(tmp_path / "other.parquet")
 
 
-def test_the_package_is_optional(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_named(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
@@ -78,7 +78,7 @@ def test_the_package_is_optional(run: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 @settings(max_examples=examples(30), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_damage_is_told_in_a_line(tmp_path: Path, data: st.DataObject) -> None:
+def test_a_damaged_file_is_an_error_of_one_line(tmp_path: Path, data: st.DataObject) -> None:
     """Some bytes of one of the files changed: SourceError, or no harm done."""
     if not (tmp_path / "r.parquet").exists():
         export(write_run(tmp_path / "run.h5"), tmp_path / "r.parquet")

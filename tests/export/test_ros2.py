@@ -58,14 +58,14 @@ def bag(run: Path) -> Path:
 
 
 @pytest.mark.skipif(version("rosbags") < "0.11", reason="an older one opens no file without the folder of a bag")
-def test_a_topic_for_each_sensor(bag: Path) -> None:
+def test_each_sensor_has_a_topic(bag: Path) -> None:
     with AnyReader([bag]) as reader:
         kinds = {connection.topic: (connection.msgtype, connection.msgcount) for connection in reader.connections}
     assert kinds == {
         "/sensors/Acc": ("sensor_msgs/msg/Imu", 5),
         "/sensors/Acc/temperature": ("sensor_msgs/msg/Temperature", 5),
         "/sensors/Gyro": ("sensor_msgs/msg/Imu", 3),
-        "/sensors/Baro": ("sensor_msgs/msg/FluidPressure", 1),  # the other is nan: a reading that is not there
+        "/sensors/Baro": ("sensor_msgs/msg/FluidPressure", 1),  # the other is nan: a missing reading
         "/sensors/Baro/temperature": ("sensor_msgs/msg/Temperature", 2),
         "/truth": ("sensor_msgs/msg/Imu", 5),
         "/truth/temperature": ("sensor_msgs/msg/Temperature", 5),
@@ -93,7 +93,7 @@ def test_values_are_si_in_the_box_frame(bag: Path) -> None:
     assert events == [(20, "array", "simulated: "), (30, "Acc", f"lost: {MESSAGE}")]  # 20 is INFO, 30 WARN
 
 
-def test_a_magnetometer_is_a_field(tmp_path: Path) -> None:
+def test_a_magnetometer_is_a_magnetic_field(tmp_path: Path) -> None:
     header = SensorHeader("Mag", "hmc5883", "magnetic_field", "gauss", 1.3, 1090.0)
     with LogWriter(tmp_path / "m.h5", [header], source="simulated", epoch=EPOCH) as log:
         log.append("Mag", Block(np.array([0]), np.array([[1090, 0, -545]]), np.zeros(1, np.uint16)))
@@ -115,7 +115,7 @@ def test_a_fused_result_has_its_covariances(fused: Path) -> None:
     assert messages[2].angular_velocity.x == 1 / 7
 
 
-def test_every_message_is_byte_for_byte_as_rosbags_writes_it(bag: Path, fused: Path) -> None:
+def test_every_message_equals_that_of_rosbags_byte_for_byte(bag: Path, fused: Path) -> None:
     export(fused, fused.with_name("f.mcap"), tool="ros2")
     for path in (bag, fused.with_name("f.mcap")):
         for topic, kind, raw in raw_messages(path):
@@ -142,7 +142,7 @@ def test_the_file_is_of_the_ros2_profile(bag: Path) -> None:
 
 
 @pytest.mark.parametrize("apart_ns", some([0, 1], 1))
-def test_halves_of_a_six_axis_chip_are_one_imu_if_they_are_read_together(tmp_path: Path, apart_ns: int) -> None:
+def test_halves_of_a_six_axis_chip_read_together_are_one_imu(tmp_path: Path, apart_ns: int) -> None:
     """Kalibr and others want force and rate of a chip in one message."""
     headers = [
         SensorHeader("IMU1_acc", "mpu9150", "specific_force", "g", 2.0, 16384.0),
@@ -162,7 +162,7 @@ def test_halves_of_a_six_axis_chip_are_one_imu_if_they_are_read_together(tmp_pat
     assert (first.angular_velocity.x != 0) == (apart_ns == 0)
 
 
-def test_topics_have_names_that_ros_allows(tmp_path: Path) -> None:
+def test_names_of_topics_are_valid_in_ros(tmp_path: Path) -> None:
     """Letters, digits, single underscores, no digit first; names that become alike are numbered."""
     names = ["Acc 1", "Acc-1", "9", "a__b"]
     headers = [SensorHeader(name, "bma180", "specific_force", "g", 2.0, 4096.0) for name in names]
@@ -173,7 +173,7 @@ def test_topics_have_names_that_ros_allows(tmp_path: Path) -> None:
     assert set(read(tmp_path / "n.mcap")) == {"/sensors/Acc_1", "/sensors/Acc_1_2", "/sensors/s9", "/sensors/a_b"}
 
 
-def test_what_can_not_be_asked_for(run: Path, tmp_path: Path) -> None:
+def test_unsupported_options_and_times_are_refused(run: Path, tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="messages of ROS 2 are in SI"):
         export(run, tmp_path / "x.mcap", tool="ros2", units="sensor")
     with pytest.raises(ExportError, match=r"tool 'ros': allowed for .mcap are foxglove, ros2.*did you mean"):
@@ -226,10 +226,10 @@ PRESSURES = st.lists(st.floats(1.0, 2e5), min_size=1, max_size=4)
 @pytest.mark.slow
 @settings(max_examples=examples(15), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(force=COUNTS, rate=COUNTS, pressures=PRESSURES)
-def test_any_counts_come_back(
+def test_any_counts_round_trip(
     tmp_path: Path, force: list[list[int]], rate: list[list[int]], pressures: list[float]
 ) -> None:
-    """Counts, times and pressures, exactly; axes that are those of the box in another order come back in the box's."""
+    """Counts, times and pressures, exactly; axes that permute the box's are imported in the box's order."""
     source, bag = tmp_path / "run.h5", tmp_path / "run.mcap"
     headers = [ACC.__class__(**{**vars_of(ACC), "axes": "+Y+Z+X", "has_temperature": False}), GYRO, BARO]
     with LogWriter(source, headers, source="simulated", epoch=EPOCH, force=True) as log:
@@ -255,7 +255,7 @@ def vars_of(header: SensorHeader) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_a_guessed_map_brings_the_counts_back(tmp_path: Path) -> None:
+def test_a_guessed_map_restores_the_counts(tmp_path: Path) -> None:
     """Units and names are those of ROS, sensitivities those of the values' grid; halves without values are none."""
     rng = np.random.default_rng(3)
     time, none = np.arange(500) * 2 * MS, np.zeros(500, np.uint16)
@@ -281,7 +281,7 @@ def test_a_guessed_map_brings_the_counts_back(tmp_path: Path) -> None:
     assert main(["verify", f"{tmp_path}/b.h5"]) == 0
 
 
-def test_a_guess_leaves_out_the_truth(tmp_path: Path) -> None:
+def test_a_guessed_map_omits_the_truth(tmp_path: Path) -> None:
     """It would be two more sensors of the array."""
     words = ["simulate", "martin2013", "--only", "ADXL1,Gyro1", "--seconds", "20", "-o", f"{tmp_path}/run.h5"]
     assert main(words) == 0

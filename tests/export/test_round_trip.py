@@ -1,4 +1,4 @@
-"""ExportSummary and imported again: the same log, whatever is in it."""
+"""Exported and imported again: the same log, for any content."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def everything(path: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("suffix", some(FORMATS, 1))
-def test_a_log_comes_back(run: Path, suffix: str) -> None:
+def test_a_log_round_trips(run: Path, suffix: str) -> None:
     export(run, run.with_name(f"r.{suffix}"))
     assert everything(back(run.with_name(f"r.{suffix}"))) == everything(run)
 
 
-def test_one_sensor_comes_back_from_its_table(run: Path) -> None:
+def test_one_sensor_round_trips_by_its_table(run: Path) -> None:
     export(run, run.with_name("one.csv"), sensors=["Baro"])
     came, was = everything(back(run.with_name("one.csv"))), everything(run)
     assert {name for name in came if name.startswith("sensors/")} == {
@@ -56,7 +56,7 @@ def test_one_sensor_comes_back_from_its_table(run: Path) -> None:
     assert all(came[name] == was[name] for name in came if name.startswith("sensors/"))
 
 
-def test_an_interrupted_log_is_exported_as_far_as_it_goes(tmp_path: Path) -> None:
+def test_the_rows_of_an_interrupted_log_are_exported(tmp_path: Path) -> None:
     header = SensorHeader("S", "l3g4200d", "angular_rate", "dps", 250.0, 114.3)
     log = LogWriter(tmp_path / "a.h5", [header], source="emulated", epoch=EPOCH)
     log.keep()
@@ -78,7 +78,7 @@ FLOAT = st.floats(allow_nan=False) | st.just(float("nan"))
 
 @st.composite
 def logs(draw: Any) -> Callable[[Path], Path]:
-    """One or two sensors of any kind with a few rows, and whatever else a log has."""
+    """One or two sensors of any kind with a few rows, and the other contents of a log."""
     parts = []
     for name in draw(st.lists(WORD, min_size=1, max_size=2, unique=True)):
         baro, warm, times = draw(st.booleans()), draw(st.booleans()), draw(TIMES)
@@ -128,7 +128,7 @@ def _rows(draw: Any, header: SensorHeader, times: list[int]) -> Block:
 @pytest.mark.slow
 @settings(max_examples=examples(10), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(write=logs())
-def test_any_log_comes_back(tmp_path: Path, write: Callable[[Path], Path]) -> None:
+def test_any_log_round_trips(tmp_path: Path, write: Callable[[Path], Path]) -> None:
     run = write(tmp_path / "any.h5")
     was = everything(run)
     for suffix in FORMATS:
@@ -137,7 +137,7 @@ def test_any_log_comes_back(tmp_path: Path, write: Callable[[Path], Path]) -> No
 
 
 @pytest.mark.slow
-def test_what_is_no_log_does_not_come_back(run: Path, fused: Path) -> None:
+def test_exports_that_are_no_logs_are_not_imported(run: Path, fused: Path) -> None:
     for suffix in FORMATS:
         export(run, run.with_name(f"si.{suffix}"), units="si")
         with pytest.raises(SourceError, match="only raw counts make a log: export with --units counts"):
@@ -150,7 +150,7 @@ def test_what_is_no_log_does_not_come_back(run: Path, fused: Path) -> None:
         importer_of(run.with_name("nothing.npz"))
 
 
-def test_nothing_is_overwritten_and_nothing_left(run: Path) -> None:
+def test_an_import_overwrites_no_file_and_leaves_no_draft(run: Path) -> None:
     export(run, run.with_name("r.npz"))
     importer = importer_of(run.with_name("r.npz"))
     assert importer is not None
@@ -161,7 +161,7 @@ def test_nothing_is_overwritten_and_nothing_left(run: Path) -> None:
 
 class TestCommand:
     @pytest.mark.slow
-    def test_there_and_back(
+    def test_the_commands_export_and_import_a_log(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
         monkeypatch.chdir(tmp_path)

@@ -1,10 +1,10 @@
-"""Which wrong facts would be noticed? Every fact in `imuarray.facts` is made wrong, one bit at a time.
+"""Which wrong facts are detected? Every fact in `imuarray.facts` is made wrong, one bit at a time.
 
     python tests/facts/mutation.py [--json]
 
 Of each register the address, access, reset value and reserved bits (also where the table leaves them at their default),
 of each field both bounds, of each chip its bus addresses. A wrong fact is noticed if the table check (tables.py)
-complains or a golden conversation (tests/golden) differs, with driver or chip. Whatever escapes both has to be in
+complains or a golden conversation (tests/golden) differs, with driver or chip. A fact that neither detects has to be in
 `INERT`, with the reason.
 """
 
@@ -59,7 +59,7 @@ class Mutant(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Who noticed it."""
+    """The checks that detected it."""
 
     mutant: Mutant
     tables: bool
@@ -155,11 +155,11 @@ def _wrong_numbers(value: ast.expr) -> Iterator[tuple[str, str, ast.expr]]:
                 yield "number", f"{node.value:#04x} -> {node.value ^ 1 << bit:#04x}", wrong
 
 
-# Who notices ----------------------------------------------------------------------------------------------------------
+# Detection ------------------------------------------------------------------------------------------------------------
 
 
 def judge(mutant: Mutant) -> Verdict:
-    """Replace the table, and everything that has read it, and see who complains."""
+    """Replace the table, and everything that has read it, and run the checks."""
     for name in READERS:
         import_module(name)
     package, before = import_module("imuarray.facts"), _ours()
@@ -181,7 +181,7 @@ def judge(mutant: Mutant) -> Verdict:
 
 
 def _ours() -> dict[str, ModuleType]:
-    """What is loaded of the project and its tests."""
+    """The loaded modules of the project and its tests."""
     ours = ("imuarray", "firmware_emulator", "golden_replay", "facts_tables")
     return {name: module for name, module in sys.modules.items() if name.startswith(ours)}
 
@@ -191,7 +191,7 @@ def _hangs(number: int, frame: FrameType | None) -> NoReturn:
 
 
 def _install(mutant: Mutant, package: ModuleType) -> ModuleType:
-    """The wrong table in place of the right one; whoever has read that is forgotten."""
+    """The wrong table in place of the right one; modules that have read that are unloaded."""
     name = f"imuarray.facts.{mutant.chip}"
     facts = ModuleType(name)
     exec(compile(mutant.source, name, "exec"), vars(facts))  # noqa: S102 - our own table, mutated
@@ -218,7 +218,7 @@ def _golden_notices(chip: str) -> bool:
                 replay.play_to_driver(conversation)
             if conversation.is_for("chip"):
                 replay.play_to_chip(conversation)
-    except Exception:  # whatever a wrong fact leads to, it is noticed
+    except Exception:  # any error from a wrong fact counts as detected
         return True
     return False
 
@@ -237,7 +237,7 @@ def _loaded(name: str, path: Path) -> ModuleType:
 
 
 def run() -> dict[str, Any]:
-    """All verdicts, summed up: shares noticed, and what escaped."""
+    """All verdicts, summed up: shares detected, and facts that escaped."""
     for chip in CHIPS:
         if judge(_right(chip)).noticed:
             raise RuntimeError(f"{chip}: complaints as it stands; run tests/facts and tests/golden first")
@@ -262,7 +262,7 @@ def run() -> dict[str, Any]:
 
 
 def _right(chip: str) -> Mutant:
-    """The table as it is, with which nothing may be found wrong."""
+    """The unchanged table, which must have no complaint."""
     return Mutant(chip, "", "", True, (ROOT / "imuarray" / "facts" / f"{chip}.py").read_text())
 
 
@@ -282,7 +282,7 @@ def _shares(verdicts: list[Verdict]) -> dict[str, float]:
 
 
 def main() -> int:
-    """Print what the run found; 1 if a fact has no witness."""
+    """Print the result of the run; 1 if a fact has no witness."""
     parser = argparse.ArgumentParser(description="Make register facts wrong one by one; count those noticed (minutes).")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
     arguments = parser.parse_args()

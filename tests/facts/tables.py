@@ -1,4 +1,4 @@
-"""What must be true of any table of register facts, and of ours by the data sheets' register maps.
+"""Properties of any table of register facts, and of ours by the data sheets' register maps.
 
 `complaints` is used by test_tables.py and, on tables with one wrong fact, by mutation.py.
 """

@@ -1,4 +1,4 @@
-"""No fact without a witness: the mutation run, and that it would tell."""
+"""Every fact has a witness: the mutation run, and tests of the run itself."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_facts_of_one_chip_have_witnesses(mutation):
     assert len(escaped) < 0.2 * len(tried)
 
 
-def test_what_is_made_wrong(mutation):
+def test_mutants_cover_values_access_and_addresses(mutation):
     wrong = {(mutant.fact, mutant.change): mutant for mutant in mutation.mutants("bmp180")}
     assert wrong["CHIP_ID reset", "0x55 -> 0x54"].stated
     assert not wrong["CTRL_MEAS reset", "0x00 -> 0x01"].stated
@@ -54,12 +54,12 @@ def test_what_is_made_wrong(mutation):
         ("bma180", "CTRL_REG0 reset", "0x00 -> 0x20", False, False),
     ],
 )
-def test_who_notices(mutation, chip, fact, change, tables, golden):
+def test_a_mutant_is_detected_by_the_expected_check(mutation, chip, fact, change, tables, golden):
     (mutant,) = [mutant for mutant in mutation.mutants(chip) if (mutant.fact, mutant.change) == (fact, change)]
     assert mutation.judge(mutant)[1:] == (tables, golden)
 
 
-def test_judging_leaves_the_packages_as_they_were(mutation):
+def test_judging_restores_the_packages(mutation):
     """The import of the mutated table sets attributes of the packages; these are restored."""
     import imuarray.acquire
     import imuarray.facts

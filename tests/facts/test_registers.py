@@ -25,7 +25,7 @@ def test_a_field_reads_its_digits(bound, byte):
 
 
 @given(bounds, bytes_, st.data())
-def test_a_setting_replaces_its_digits_and_no_other(bound, byte, data):
+def test_a_setting_replaces_only_its_digits(bound, byte, data):
     low, high = bound
     width = high - low + 1
     code = data.draw(st.integers(0, 2**width - 1))
@@ -53,7 +53,7 @@ def test_settings_of_one_register_are_written_together(cut, byte, data):
 
 
 @given(bounds, st.data())
-def test_codes_that_do_not_fit(bound, data):
+def test_codes_that_do_not_fit_are_refused(bound, data):
     low, high = bound
     too_large = data.draw(st.integers(2 ** (high - low + 1), 1000))
     for code in (too_large, -1):
@@ -61,7 +61,7 @@ def test_codes_that_do_not_fit(bound, data):
             REGISTER[high:low](code)
 
 
-def test_settings_that_do_not_belong_together():
+def test_settings_that_do_not_belong_together_are_refused():
     with pytest.raises(ValueError, match="settings of two registers, 0x2d and 0x2e"):
         REGISTER[0](1) | Register(0x2E)[1](1)
     with pytest.raises(ValueError, match="bits 0x02 set twice"):
@@ -69,11 +69,11 @@ def test_settings_that_do_not_belong_together():
 
 
 @pytest.mark.parametrize("bound", [slice(8, 0), slice(0, 1), 8, -1])
-def test_bits_that_a_byte_does_not_have(bound):
+def test_bits_outside_a_byte_are_refused(bound):
     with pytest.raises(ValueError, match="register 0x2d: no bits"):
         REGISTER[bound]
 
 
-def test_what_a_register_is_when_nothing_is_said():
+def test_a_register_has_its_defaults():
     assert Register(0x10) == Register(0x10, "rw", 0x00, 0x00)
     assert Field(REGISTER, 3, 2).register.reset == 0x0A

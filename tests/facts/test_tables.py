@@ -1,4 +1,4 @@
-"""The tables of `imuarray.facts` check themselves; and the check notices each kind of mistake."""
+"""The tables of `imuarray.facts` check themselves; and the check detects each kind of mistake."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def table(**contents: object) -> ModuleType:
     return module
 
 
-def test_every_table_is_looked_at(tables):
+def test_every_table_is_checked(tables):
     modules = {path.stem for path in Path(facts.__file__).parent.glob("*.py")}
     assert modules - {"__init__", "registers"} == set(CHIPS) == set(tables.CHIPS)
 
 
 @pytest.mark.parametrize("chip", CHIPS)
-def test_tables(tables, chip):
+def test_tables_have_no_complaints(tables, chip):
     assert tables.complaints(chip, import_module(f"imuarray.facts.{chip}")) == []
 
 
@@ -48,18 +48,18 @@ GOOD = Register(0x00, reserved=0x08)
         ({"A": GOOD, "HIGH": GOOD[7:4], "LOW": GOOD[2:0], "LOST": Register(0x05)[0]}, "LOST: its register has no name"),
     ],
 )
-def test_each_kind_of_mistake_is_noticed(tables, contents, complaint):
+def test_each_kind_of_mistake_is_detected(tables, contents, complaint):
     found = tables.complaints("pca9544a", table(**contents))
     assert (found == []) if complaint is None else any(line.startswith(complaint) for line in found)
 
 
-def test_an_invented_reset_value_is_noticed(tables):
+def test_an_invented_reset_value_is_detected(tables):
     sensor = ModuleType("bmp180")
     vars(sensor).update(vars(import_module("imuarray.facts.bmp180")) | {"CALIBRATION": Register(0xAA, "r", reset=0x01)})
     assert tables.complaints("bmp180", sensor) == ["CALIBRATION: no reset value is printed, 0x01 is said"]
 
 
-def test_a_wrong_bus_address_is_noticed(tables):
+def test_a_wrong_bus_address_is_detected(tables):
     module = table(A=GOOD, HIGH=GOOD[7:4], LOW=GOOD[2:0])
     module.ADDRESSES = (0x70, 0x71)
     assert tables.complaints("pca9544a", module) == ["bus addresses (112, 113)"]

@@ -22,7 +22,7 @@ MAX_FRAME = 1039
 
 
 def compiled(folder: Path, name: str, sources: tuple[Path, ...], *flags: str) -> Path:
-    """Compile `sources` strictly; RuntimeError with what the compiler says."""
+    """Compile `sources` strictly; RuntimeError with the compiler's message."""
     words = [str(COMPILER), *STRICT, "-O1", "-g", *flags, "-o", str(folder / name), *map(str, sources)]
     ran = subprocess.run(words, capture_output=True, text=True)
     if ran.returncode:
@@ -139,7 +139,7 @@ class Core:
         functions.probe_number.argtypes = (c_void_p, c_uint64)
 
     def frame(self, kind: int, sequence: int, time_us: int, payload: bytes) -> bytes:
-        """What ``link_complete`` makes of a payload; empty if it refuses."""
+        """The result of ``link_complete`` for a payload; empty if it refuses."""
         buffer = ctypes.create_string_buffer(15 + len(payload))
         ctypes.memmove(ctypes.addressof(buffer) + 11, payload, len(payload))
         size: int = self.functions.link_complete(buffer, kind, sequence, time_us, len(payload))
@@ -166,7 +166,7 @@ class CoreReceiver:
         return frames
 
     def pause(self) -> list[bytes]:
-        """The frames that stand behind a damaged one."""
+        """The frames after a damaged one."""
         frames, frame = [], Found()
         while self._functions.link_receive_pause(self._receiver, frame):
             frames.append(frame.raw[: frame.raw_size])

@@ -23,7 +23,7 @@ KEY = np.array([1, 7919, -12553])
 
 
 def reading(number: int) -> np.ndarray:
-    """The counts that stand for one burst; no two of 2^16 are the same, and no mixture of two is a third."""
+    """The counts of one burst; no two of 2^16 are the same, and no mixture of two is a third."""
     return ((number * KEY + 2**15) % 2**16 - 2**15).astype("<i2")
 
 

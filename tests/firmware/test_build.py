@@ -1,4 +1,4 @@
-"""How the firmware is compiled: strictly, without heap or system, the RP2040's port against what the sdk declares."""
+"""The firmware is compiled strictly, without heap or system, the RP2040's port against the declarations of the SDK."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.selection import some
 
 
 @pytest.mark.parametrize("sizes", some([((),), (("-DFIRMWARE_KEPT_BYTES=4096u", "-DFIRMWARE_LINE_BYTES=2560u"),)], 1))
-def test_the_core_calls_nothing_but_the_memory_functions_of_c(folder: Path, sizes: tuple[str, ...]) -> None:
+def test_the_core_calls_only_the_memory_functions_of_c(folder: Path, sizes: tuple[str, ...]) -> None:
     if shutil.which("nm") is None:
         pytest.skip("no nm (Debian's package binutils)")
     for source in CORE:
@@ -31,7 +31,7 @@ def test_the_core_calls_nothing_but_the_memory_functions_of_c(folder: Path, size
 
 
 @pytest.mark.parametrize("size", ["FIRMWARE_KEPT_BYTES=1000u", "FIRMWARE_LINE_BYTES=1500u", "FIRMWARE_LISTS=256u"])
-def test_sizes_that_can_not_work_are_refused_by_the_compiler(folder: Path, size: str) -> None:
+def test_the_compiler_refuses_invalid_sizes(folder: Path, size: str) -> None:
     with pytest.raises(RuntimeError, match=r"negative|array"):
         compiled(folder, "core.o", (CORE[1],), "-c", f"-D{size}")
 
@@ -46,7 +46,7 @@ def test_the_port_for_the_rp2040_uses_the_sdk_as_it_is_declared(folder: Path) ->
 
 
 @pytest.mark.slow
-def test_the_makefile_builds_both(folder: Path) -> None:
+def test_the_makefile_builds_program_and_library(folder: Path) -> None:
     if shutil.which("make") is None:
         pytest.skip("no make")
     subprocess.run(["make", "-s", "-C", SOURCES, f"BUILD={folder / 'made'}"], check=True, capture_output=True)

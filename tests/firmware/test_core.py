@@ -1,4 +1,4 @@
-"""What the firmware's core answers and sends: the tests of the emulated firmware, and what only the core can do."""
+"""Answers and frames of the firmware's core: the tests of the emulated firmware, and functions of the core alone."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ RESEND, STATUS, SELECT = 6, 7, 8
 
 @pytest.fixture(autouse=True)
 def _the_core(core_firmware: type[CoreFirmware], monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The tests of the emulated firmware are handed the core."""
+    """The tests of the emulated firmware run with the core."""
     monkeypatch.setattr(emulated, "Firmware", core_firmware)
     yield
 
@@ -65,7 +65,7 @@ def counts(firmware: Any, sequence: int = 500) -> dict[str, int]:
     return dict(zip(names, struct.unpack("<BBQ6I", answer), strict=True))
 
 
-def test_hello_tells_version_room_and_what_it_can_do() -> None:
+def test_hello_reports_version_capacity_and_features() -> None:
     assert ask(bench()[0], 1) == struct.pack("<BBHBBI", 1, LISTS, REQUEST_BYTES, 7, 0, KEPT_BYTES)
 
 
@@ -78,7 +78,7 @@ def test_lists_beyond_the_memory_are_refused() -> None:
     assert ask(firmware, 3, bytes([4, 1, 0, 0, 0]) + body, 10) == b"\x00"
 
 
-def test_a_list_in_place_of_another_leaves_the_others_as_they_are() -> None:
+def test_replacing_a_list_does_not_change_the_others() -> None:
     firmware, _, clock = started(5000, "00 0100 0000 53010130", "01 0100 0000 53010231", "02 0100 0000 53010332")
     assert ask(firmware, 3, bytes.fromhex("00 0100 0000 53010430"), 20) == b"\x00"
     sizes = [len(frame[3]) for frame in run(firmware, clock, 1)]
@@ -93,7 +93,7 @@ def test_counters_wrap() -> None:
     assert counts(firmware)["now_us"] > 1 << 32
 
 
-def test_its_own_answers_on_an_echoing_line_are_no_commands() -> None:
+def test_echoed_answers_are_not_executed() -> None:
     firmware, _, _ = bench()
     answer = firmware.feed(framed(1, 1))
     assert firmware.feed(answer) == b""
@@ -101,7 +101,7 @@ def test_its_own_answers_on_an_echoing_line_are_no_commands() -> None:
     assert firmware.feed(framed(0xD0, 1)) == b""
 
 
-def test_a_command_behind_a_damaged_length_is_heard_after_a_pause() -> None:
+def test_a_command_after_a_damaged_length_is_executed_after_a_pause() -> None:
     firmware, _, clock = bench()
     assert firmware.feed(b"\xa5\x5a\xff\x03" + framed(1, 1)) == b""  # 1023 bytes are announced
     clock.advance(99 * MS)
@@ -137,16 +137,16 @@ class TestKeptData:
             data = data[size:]
         return pieces[:-1], struct.unpack("<BHH", said(pieces[-1])[3])
 
-    def test_the_very_same_bytes(self) -> None:
+    def test_frames_are_sent_again_unchanged(self) -> None:
         firmware, _, sent = self.the(20)
         assert self.again(firmware, 5, 3) == (sent[5:8], (0, 3, 8))
 
-    def test_what_is_acknowledged_is_forgotten(self) -> None:
+    def test_acknowledged_frames_are_discarded(self) -> None:
         firmware, _, sent = self.the(20)
         assert self.again(firmware, 12, 0) == ([], (0, 0, 12))
         assert self.again(firmware, 0, 20, 301)[0] == sent[12:]
 
-    def test_numbers_that_have_wrapped(self) -> None:
+    def test_frames_are_sent_again_across_the_wrap_of_numbers(self) -> None:
         firmware, clock, _ = self.the(1)
         firmware.skip_to(65_530)
         sent = []
@@ -155,12 +155,12 @@ class TestKeptData:
             sent += firmware.tick()
         assert self.again(firmware, 65_534, 5) == (sent[4:9], (0, 5, 3))
 
-    def test_the_oldest_makes_room_and_that_is_counted(self) -> None:
+    def test_the_oldest_frame_is_overwritten_and_counted(self) -> None:
         frames, record = 200, 4 + 15 + 1 + 2 + 200
         firmware, _, sent = self.the(frames, 200)
         room = KEPT_BYTES // record
         assert counts(firmware)["overwritten"] == frames - room
-        # The line holds fewer at once; `next` says where to go on.
+        # The line holds fewer at once; `next` is the number to continue with.
         received: list[bytes] = []
         first = 0
         for sequence in range(300, 340):
@@ -172,7 +172,7 @@ class TestKeptData:
                 break
         assert received == sent[frames - room :]
 
-    def test_what_found_no_room_on_the_line_can_still_be_had(self) -> None:
+    def test_frames_without_room_on_the_line_can_be_requested_later(self) -> None:
         firmware, clock, _ = self.the(1, 200)
         firmware.room = 0
         for _ in range(60):
@@ -191,14 +191,14 @@ class TestKeptData:
         assert numbers == list(range(1, 61))
         assert (pieces + later)[: len(on_the_line)] == on_the_line
 
-    def test_a_new_stream_has_none_of_the_old_one(self) -> None:
+    def test_a_new_stream_has_no_frames_of_the_old_one(self) -> None:
         firmware, _, _ = self.the(20)
         ask(firmware, 4, struct.pack("<I", 1000), 400)
         assert self.again(firmware, 0, 20)[0] == []
 
     @settings(max_examples=examples(40), deadline=None)
     @given(frames=st.integers(1, 400), size=st.integers(0, 255), data=st.data())
-    def test_what_is_sent_again_was_sent_before(self, frames: int, size: int, data: st.DataObject) -> None:
+    def test_only_frames_sent_before_are_sent_again(self, frames: int, size: int, data: st.DataObject) -> None:
         firmware, _, sent = self.the(frames, size)
         acknowledged = 0
         for sequence in range(300, 303):
@@ -213,7 +213,7 @@ class TestKeptData:
             acknowledged = max(first, acknowledged)
 
 
-def test_status_counts_what_went_wrong() -> None:
+def test_status_counts_skipped_late_and_failed_requests() -> None:
     firmware, board, clock = started(1000, "00 0100 0000" + ONE.hex() + NOBODY.hex(), counter_us=7)
     run(firmware, clock, 3)  # of 0.3 ms, until 2.3 ms
     clock.advance(3 * MS + MS // 2)  # frames 3 and 4 should have begun and ended
@@ -250,7 +250,7 @@ class Selects:
         self.settings.append((select, mode, clock_hz))
 
 
-def test_spi(core_firmware: type[CoreFirmware]) -> None:
+def test_chip_selects_are_read_and_listed(core_firmware: type[CoreFirmware]) -> None:
     clock = VirtualClock(0)
     selects = Selects(clock)
     firmware: Any = core_firmware(selects, clock, selects=8)
@@ -303,7 +303,7 @@ DATA_7 = bytes.fromhex("53 81 0f  01 03 ff7f 07  10")  # at most 15 bytes; packe
         (DATA_7, 0, 0),
         (DATA_7, 1, 7),
         (DATA_7, 2, 14),
-        (DATA_7, 500, 14),  # no more than there is room for
+        (DATA_7, 500, 14),  # at most the room in the list
         (bytes.fromhex("53 81 0f  01 01 ff7f 07  10"), 13, 7),  # bytes are counted: one whole packet
         (bytes.fromhex("53 81 0f  01 01 0800 07  10"), 0x7FF7, 0),  # the mask leaves nothing
         (bytes.fromhex("53 81 05  01 03 ff7f 07  10"), 3, 0),  # no packet fits
@@ -341,13 +341,13 @@ def test_a_queue_is_read_by_its_count(
         COUNT + DATA_7[:5],
     ],
 )
-def test_a_count_that_is_nowhere_is_refused(kind: str, requests: bytes, core_firmware: type[CoreFirmware]) -> None:
+def test_a_count_outside_its_read_is_refused(kind: str, requests: bytes, core_firmware: type[CoreFirmware]) -> None:
     clock = VirtualClock(0)
     firmware: Any = (core_firmware if kind == "core" else Firmware)(Queue(clock), clock, selects=8)
     assert ask(firmware, 3, bytes(1) + bytes.fromhex("0100 0000") + requests, 2) == b"\x03"
 
 
-def test_what_the_core_and_the_emulated_firmware_do_is_the_same(core_firmware: type[CoreFirmware]) -> None:
+def test_the_core_and_the_emulated_firmware_send_the_same_bytes(core_firmware: type[CoreFirmware]) -> None:
     """The same commands at the same times: the same bytes on the line, HELLO's room aside."""
     both = [kind(emulated.Board(clock := VirtualClock(5 * MS)), clock) for kind in (core_firmware, Firmware)]
     commands = [

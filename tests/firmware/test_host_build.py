@@ -1,5 +1,6 @@
-"""The firmware as a process behind a pseudo-terminal, and the logger at its other end: what is stored was read, and
-what was acknowledged was done, whatever happens on the line. The process is compiled with the compiler's sanitizers.
+"""The firmware as a process behind a pseudo-terminal, and the logger at its other end: stored rows were read, and
+acknowledged commands were executed, for any failure of the line. The process is compiled with the compiler's
+sanitizers.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def hosted(program: Path, folder: Path, *options: str) -> Iterator[tuple[HostBui
 
 @pytest.fixture
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """These tests ask nothing of the clock fit."""
+    """These tests do not depend on the clock fit."""
     monkeypatch.setattr(serial_session, "PING_S", 0.0)
 
 
@@ -80,7 +81,7 @@ def check_rows(path: Path, bus: NumberedBus) -> np.ndarray:
     return numbers
 
 
-def test_a_transaction_through_the_process(host_program: Path, tmp_path: Path, hasty: None) -> None:
+def test_a_transaction_is_made_through_the_process(host_program: Path, tmp_path: Path, hasty: None) -> None:
     with (
         hosted(host_program, tmp_path) as (host, _),
         SerialBus(BadLine(host.path)) as bus,
@@ -93,7 +94,7 @@ def test_a_transaction_through_the_process(host_program: Path, tmp_path: Path, h
 
 
 @pytest.mark.parametrize("seed", some(range(4), 1))
-def test_hostile_bytes_upset_nothing(host_program: Path, tmp_path: Path, hasty: None, seed: int) -> None:
+def test_hostile_bytes_leave_the_process_responsive(host_program: Path, tmp_path: Path, hasty: None, seed: int) -> None:
     draw = np.random.default_rng(seed)
     with hosted(host_program, tmp_path) as (host, _):
         port: Any = usual_port(str(host.path), 115_200)
@@ -107,10 +108,10 @@ def test_hostile_bytes_upset_nothing(host_program: Path, tmp_path: Path, hasty: 
 
 
 @pytest.mark.parametrize("seed", some(range(3), 1))
-def test_what_is_acknowledged_was_done_once(
+def test_acknowledged_commands_were_executed_once(
     host_program: Path, tmp_path: Path, hasty: None, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
-    """Commands and answers get lost, are spoiled, and come late, behind the question that was asked again."""
+    """Commands and answers are lost, damaged and late, after the command was repeated."""
     monkeypatch.setattr(serial_session, "ANSWER_S", 0.02)
     draw = np.random.default_rng(seed)
     worse = False
@@ -130,7 +131,7 @@ def test_what_is_acknowledged_was_done_once(
                 try:
                     bus.transfer(ADXL345, bytes([0x1E, value]))  # OFSX: any value is allowed
                 except LinkError:
-                    bus._lost = False  # asked no further: the line is as bad as before
+                    bus._lost = False  # no further check: the line is as bad as before
                 except OSError:
                     pass
                 else:
@@ -143,7 +144,7 @@ def test_what_is_acknowledged_was_done_once(
         assert done == sorted(done)
 
 
-def test_what_nobody_takes_is_dropped_whole(host_program: Path, tmp_path: Path, hasty: None) -> None:
+def test_unread_frames_are_dropped_whole(host_program: Path, tmp_path: Path, hasty: None) -> None:
     with hosted(host_program, tmp_path) as (host, wire), SerialBus(BadLine(host.path)) as bus:
         bus.start([PollList(1, 0, (Request(ADXL345, BURST, 8), *[Request(ADXL345, b"\x00", 57)] * 12))], 5000)
         until_s = time.monotonic() + 10
@@ -157,10 +158,10 @@ def test_what_nobody_takes_is_dropped_whole(host_program: Path, tmp_path: Path, 
 
 
 @pytest.mark.slow
-def test_detect_tells_what_the_firmware_has_counted(
+def test_detect_reports_the_counts_of_the_firmware(
     host_program: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Frames that were sent, a chip that never answered, and bytes that were no frame, as the firmware saw them."""
+    """Frames that were sent, a chip that never answered, and bytes that were no frame, as counted by the firmware."""
     (tmp_path / "a.toml").write_text(CONFIG)
     with hosted(host_program, tmp_path, "--counter-us", "7000000") as (host, _):
         port = usual_port(str(host.path), 115_200)
@@ -190,7 +191,7 @@ def test_detect_tells_what_the_firmware_has_counted(
 
 
 @pytest.mark.slow
-def test_a_log_by_the_command(host_program: Path, tmp_path: Path) -> None:
+def test_the_command_logs_through_the_process(host_program: Path, tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(CONFIG)
     run = tmp_path / "run.h5"
     with hosted(host_program, tmp_path, "--counter-us", str((1 << 32) - 900_000)) as (host, bus):
@@ -203,7 +204,7 @@ def test_a_log_by_the_command(host_program: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
-def test_a_bad_line_makes_no_readings(host_program: Path, tmp_path: Path, seed: int) -> None:
+def test_a_bad_line_invents_no_readings(host_program: Path, tmp_path: Path, seed: int) -> None:
     with hosted(host_program, tmp_path) as (host, bus):
         spoiled = damage(seed, 0.1)
         # Its chips are set up and the stream runs, with a good deal of luck, on a line that loses a tenth: not tested.
@@ -215,8 +216,8 @@ def test_a_bad_line_makes_no_readings(host_program: Path, tmp_path: Path, seed: 
 
 
 @pytest.mark.slow
-def test_it_is_unplugged_restarted_and_plugged_in_again(host_program: Path, tmp_path: Path) -> None:
-    """The process is killed in the middle of a stream, and another boot begins, counting from elsewhere."""
+def test_a_restarted_and_replugged_process_is_logged_again(host_program: Path, tmp_path: Path) -> None:
+    """The process is killed in the middle of a stream, and another boot begins, with another counter."""
     with hosted(host_program, tmp_path, "--counter-us", "5000000") as (host, bus):
 
         def accident() -> None:
@@ -256,7 +257,7 @@ class EightChips:
         """Any mode and clock."""
 
 
-def test_eight_six_axis_chips_at_1_khz(host_program: Path, tmp_path: Path, hasty: None) -> None:
+def test_eight_six_axis_chips_at_1_khz_are_streamed(host_program: Path, tmp_path: Path, hasty: None) -> None:
     """A frame has 144 bytes on the wire, as on paper: 15 of the link, the number of the list, and of each chip an age
     and 14 bytes. Each row is what its chip answered in that frame; frames for which there was no time are missing whole
     and counted.
@@ -288,7 +289,7 @@ def test_eight_six_axis_chips_at_1_khz(host_program: Path, tmp_path: Path, hasty
     assert counts.sent + counts.dropped == max(chips.reads)
 
 
-def test_it_ends_with_whoever_serves_its_bus(host_program: Path) -> None:
+def test_the_process_ends_when_its_bus_closes(host_program: Path) -> None:
     ours, theirs = os.pipe()
     os.close(theirs)
     try:
@@ -299,7 +300,7 @@ def test_it_ends_with_whoever_serves_its_bus(host_program: Path) -> None:
 
 
 @pytest.mark.parametrize("words", [[], ["--bus"], ["--bus", "x"], ["--bus", "99999"]])
-def test_arguments_that_are_refused(host_program: Path, words: list[str]) -> None:
+def test_invalid_arguments_are_refused(host_program: Path, words: list[str]) -> None:
     ended = subprocess.run([host_program, *words], capture_output=True, timeout=20)
     assert ended.returncode == 2
     assert len(ended.stderr.splitlines()) == 1
@@ -331,7 +332,7 @@ QUEUES = {  # address, rate, register of the queue, bytes of a record, and where
 @pytest.mark.slow
 @pytest.mark.parametrize("die", QUEUES)
 @pytest.mark.parametrize("fault", ["none", "bad line", "restart"])
-def test_a_queue_that_the_process_drains(die: str, fault: str, host_program: Path, tmp_path: Path) -> None:
+def test_the_process_drains_a_queue(die: str, fault: str, host_program: Path, tmp_path: Path) -> None:
     """Each row is a record of the wire, in order and once; records that are no rows are flagged as a gap. The line
     damages a twentieth of its pieces, or the process is killed and another boot begins.
     """

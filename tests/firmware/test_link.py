@@ -44,7 +44,7 @@ def pieces(data: bytes, cuts: list[int]) -> list[bytes]:
     return [data[start:stop] for start, stop in pairwise(places)]
 
 
-def test_the_check_value_of_the_crc(core: Core) -> None:
+def test_the_crc_gives_its_check_value(core: Core) -> None:
     assert core.functions.link_crc32(b"123456789", 9) == 0xCBF43926
 
 
@@ -55,7 +55,7 @@ def test_the_crc_is_zlibs(core: Core, data: bytes) -> None:
 
 
 @pytest.mark.parametrize("name", GOLDEN)
-def test_golden_frames_both_ways(core: Core, name: str) -> None:
+def test_golden_frames_are_written_and_read(core: Core, name: str) -> None:
     (kind, sequence, time_us, payload), text = GOLDEN[name]
     golden = bytes.fromhex(text)
     assert core.frame(kind, sequence, time_us, bytes.fromhex(payload)) == golden
@@ -64,7 +64,7 @@ def test_golden_frames_both_ways(core: Core, name: str) -> None:
 
 @settings(deadline=None)
 @given(frame=frames)
-def test_what_it_sends_python_reads_and_the_other_way_round(core: Core, frame: Frame) -> None:
+def test_the_core_and_python_read_each_others_frames(core: Core, frame: Frame) -> None:
     sent = core.frame(frame.kind, frame.sequence, frame.time_us, frame.payload)
     assert Deframer().feed(sent) == [frame]
     assert CoreReceiver(core).feed(wire(frame)) == [sent]
@@ -73,7 +73,9 @@ def test_what_it_sends_python_reads_and_the_other_way_round(core: Core, frame: F
 @settings(max_examples=examples(60), deadline=None)
 @given(sent=st.lists(st.tuples(damage, frames), max_size=5), cuts=st.lists(st.integers(0, 20_000), max_size=6))
 @example(sent=[(b"\xa5\x5a\x00\x04" * 300, Frame(1, 1, 0, b""))], cuts=[3, 700])
-def test_both_hear_the_same_on_a_bad_line(core: Core, sent: list[tuple[bytes, Frame]], cuts: list[int]) -> None:
+def test_the_core_and_python_read_the_same_frames_on_a_bad_line(
+    core: Core, sent: list[tuple[bytes, Frame]], cuts: list[int]
+) -> None:
     data = b"".join(noise + wire(frame) for noise, frame in sent)
     receiver, deframer = CoreReceiver(core), Deframer()
     heard = [raw for piece in pieces(data, cuts) for raw in receiver.feed(piece)] + receiver.pause()
@@ -84,7 +86,7 @@ def test_both_hear_the_same_on_a_bad_line(core: Core, sent: list[tuple[bytes, Fr
 @given(data=st.binary(max_size=3000), cuts=st.lists(st.integers(0, 5000), max_size=6))
 @example(data=b"\xa5\x5a" * 600, cuts=[3, 700])
 @example(data=b"\xa5\x5a\xff\xff" * 300, cuts=[1])
-def test_any_bytes_in_pieces_of_any_length(core: Core, data: bytes, cuts: list[int]) -> None:
+def test_any_bytes_in_pieces_of_any_length_are_skipped_or_are_frames(core: Core, data: bytes, cuts: list[int]) -> None:
     receiver = CoreReceiver(core)
     heard = [raw for piece in pieces(data, cuts) for raw in receiver.feed(piece)] + receiver.pause()
     assert all(raw in data and Deframer().feed(raw) for raw in heard)

@@ -1,5 +1,5 @@
-"""Frames that the line lost are sent again by the firmware's core, and are rows like any others; what it no longer has
-is lost, flagged and counted.
+"""Frames that the line lost are sent again by the firmware's core, and are rows like any others; frames that it no
+longer has are lost, flagged and counted.
 """
 
 from __future__ import annotations
@@ -47,7 +47,9 @@ def check_rows(bench: Bench, array: ArrayConfig, path: Path, start_ns: int, summ
 
 
 @pytest.mark.parametrize("seed", some(range(4), 1))
-def test_what_a_bad_line_loses_is_sent_again(an_array: Callable[..., ArrayConfig], tmp_path: Path, seed: int) -> None:
+def test_frames_that_a_bad_line_loses_are_sent_again(
+    an_array: Callable[..., ArrayConfig], tmp_path: Path, seed: int
+) -> None:
     array = an_array(A=0, G=1, B=None)
     bench = Bench(array, WORLD, drift=-1e-3)
     line = bench.delivered = BadLine(seed, 0.1)
@@ -55,13 +57,13 @@ def test_what_a_bad_line_loses_is_sent_again(an_array: Callable[..., ArrayConfig
     check_rows(bench, array, tmp_path / "r.h5", start_ns, summary)
     assert line.damaged > 20
     assert max(summary.lost.values()) <= 2  # three attempts were spoiled as well, or it was the last frame
-    # An answer that was asked for twice is one too many; data never is.
+    # An answer that was requested twice is refused as superfluous; data never is.
     refusals = [text for _, kind, text in events(tmp_path / "r.h5") if kind == "refused"]
     assert not [text for text in refusals if "old" in text or "no kind" in text or "connected" in text]
 
 
 @pytest.mark.parametrize("silent_s", [0.5, 1.5])
-def test_a_line_that_is_dead_for_a_while_costs_nothing(
+def test_an_interruption_of_the_line_loses_nothing(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, silent_s: float
 ) -> None:
     array = an_array(A=0, G=1)
@@ -83,9 +85,9 @@ def test_a_line_that_is_dead_for_a_while_costs_nothing(
 
 
 @pytest.mark.slow
-def test_more_than_the_memory_holds_is_lost_and_flagged(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+def test_frames_beyond_the_memory_are_lost_and_flagged(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
     """A frame of two sensors takes 15 + 1 + 2 (2 + 8) bytes and 4 more in the memory: 32 KB hold at most 819 of them,
-    and fewer beside the read-backs.
+    and fewer with the read-backs.
     """
     array = an_array(A=0, G=1)
     bench = Bench(array, WORLD)
@@ -104,9 +106,7 @@ def test_more_than_the_memory_holds_is_lost_and_flagged(an_array: Callable[..., 
 
 
 @pytest.mark.slow
-def test_frames_for_which_there_was_no_time_are_asked_for_seldom(
-    an_array: Callable[..., ArrayConfig], tmp_path: Path
-) -> None:
+def test_skipped_frames_are_seldom_requested_again(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
     array = an_array(A=0, G=1)
     bench = Bench(array, WORLD)
     asked = 0
@@ -158,7 +158,7 @@ class TestMissing:
 
     @pytest.mark.parametrize("first", [0, 1, 65_530])
     @pytest.mark.parametrize("seed", range(5))
-    def test_by_counting(self, first: int, seed: int) -> None:
+    def test_missing_frames_match_a_count(self, first: int, seed: int) -> None:
         from collections import Counter
 
         draw = np.random.default_rng(seed)
@@ -174,7 +174,7 @@ class TestMissing:
         runs = admission.missing(*self.frames(arrived))
         assert [number for start, count in runs for number in range(start, start + count)] == expected
 
-    def test_a_list_that_is_lost_in_the_newest_frame_is_missed_later(self) -> None:
+    def test_a_list_lost_in_the_newest_frame_is_reported_missing_later(self) -> None:
         from collections import Counter
 
         admission = Admission(self.LISTS, self.PERIOD_US, 0, Counter())

@@ -1,9 +1,9 @@
 """Golden conversations, and the two ways to replay one: against the driver, against the emulated chip.
 
-A file's first line says what it is about; each further line is one transaction with the facts that it follows from, a
-wait, or what the bytes mean. `mask` marks the bits of an answer that the facts settle: the driver hears `read` as it
-stands, the chip has to agree in the masked bits. `after` names a conversation held before, `dirty` the writes by which
-an earlier program left the chip changed, `played` the side that a file is for if it is for one alone.
+A file's first line describes it; each further line is one transaction with the facts that it follows from, a wait, or
+what the bytes mean. `mask` marks the bits of an answer that the facts settle: the driver receives `read` unchanged, the
+chip has to agree in the masked bits. `after` names a conversation played before, `dirty` the writes by which an earlier
+program left the chip changed, `played` the side that a file is for if it is for one alone.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _FACT = re.compile(r"\b(BMA|ADX|L3G|BMP|HMC|INV|TDK|LSM|LIS|MMC|AKM|PCA|DEC)-\d{
 
 
 class DifferenceError(Exception):
-    """Somebody departed from a golden conversation; the message names file and line."""
+    """A driver or chip differs from a golden conversation; the message names file and line."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Line:
 
     @property
     def wait_ns(self) -> int:
-        """How long nothing is said; 0 for a transaction."""
+        """How long no transaction is made; 0 for a transaction."""
         return round(float(self.content.get("wait_ms", 0)) * MS)
 
     @property
@@ -74,7 +74,7 @@ class Line:
 
     @property
     def refused(self) -> bool:
-        """Nobody acknowledges."""
+        """The address is not acknowledged."""
         return bool(self.content.get("nack"))
 
 
@@ -100,7 +100,7 @@ class Conversation:
 
     @property
     def sensor(self) -> SensorConfig:
-        """The configuration for which a driver holds this conversation."""
+        """The configuration for which a driver makes these transactions."""
         entry = {**self.head["sensor"], "address": self.address}
         for key in {"range", "rate_hz", "bandwidth_hz"} & entry.keys():
             entry[key] = float(entry[key])
@@ -113,7 +113,7 @@ class Conversation:
 
     @property
     def before(self) -> Conversation | None:
-        """What was said before this."""
+        """The conversation before this."""
         return load(HERE / f"{self.head['after']}.jsonl") if "after" in self.head else None
 
     def is_for(self, side: str) -> bool:
@@ -144,7 +144,7 @@ def load(path: Path) -> Conversation:
 
 
 class Script:
-    """A bus that plays a conversation, and the clock of whoever talks to it; bus traffic takes no time."""
+    """A bus that plays a conversation, and the clock of its driver; bus traffic takes no time."""
 
     def __init__(self, conversation: Conversation) -> None:
         self._at_ns = self._heard_ns = 0
@@ -174,7 +174,7 @@ class Script:
         return line.read
 
     def finish(self) -> None:
-        """DifferenceError unless everything was said and every wait kept."""
+        """DifferenceError unless every transaction was made and every wait kept."""
         self._waited()
         if self._lines:
             raise DifferenceError(f"{self._lines[0].place}: not said: {_words(self._lines[0].asked)}")
@@ -249,7 +249,7 @@ def _numbers(values: Any) -> list[float | None]:
 
 
 class Still:
-    """A sensing element without noise or imperfections that always feels the same."""
+    """A sensing element without noise or imperfections with a constant input."""
 
     def __init__(self, world: dict[str, Any]) -> None:
         vector = next((value for key, value in world.items() if key.startswith("sensor_")), (0, 0, 0))
@@ -267,7 +267,7 @@ class Still:
 
 
 def play_to_chip(conversation: Conversation) -> None:
-    """Say all this to a chip that has just been switched on; DifferenceError where it answers something else."""
+    """Play all transactions to a chip that was just switched on; DifferenceError where its answer differs."""
     clock = VirtualClock()
     wire = Wire(clock)
     element = Still(conversation.head["world"])

@@ -1,4 +1,4 @@
-"""Every golden conversation, both ways; and that the player itself notices what it should."""
+"""Every golden conversation, both ways; and the player itself detects differences."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def played_by(side: str) -> list[Any]:
 
 
 @pytest.mark.parametrize("path", played_by("driver"))
-def test_the_driver_says_this(replay, path):
+def test_the_driver_makes_these_transactions(replay, path):
     conversation = replay.load(path)
     assert conversation.is_for("driver")
     replay.play_to_driver(conversation)
 
 
 @pytest.mark.parametrize("path", played_by("chip"))
-def test_the_chip_answers_this(replay, path):
+def test_the_chip_gives_these_answers(replay, path):
     conversation = replay.load(path)
     assert conversation.is_for("chip")
     replay.play_to_chip(conversation)
@@ -83,7 +83,7 @@ def set_(line: int, **values: Any) -> Callable[[Lines], None]:
         ("pca9544a_select", set_(-1, write="06"), "line 5: to 70"),
     ],
 )
-def test_a_driver_that_differs_is_found_out(replay, changed, name, spoil, complaint):
+def test_a_driver_that_differs_is_detected(replay, changed, name, spoil, complaint):
     with pytest.raises(replay.DifferenceError, match=complaint):
         replay.play_to_driver(changed(name, spoil))
 
@@ -97,12 +97,12 @@ def test_a_driver_that_differs_is_found_out(replay, changed, name, spoil, compla
         ("adxl345_fetch_16g", set_(2, read="830b0001000001ff"), "line 3: .*: 83 0b 00 01 00 00 00 ff, expected"),
     ],
 )
-def test_a_chip_that_differs_is_found_out(replay, changed, name, spoil, complaint):
+def test_a_chip_that_differs_is_detected(replay, changed, name, spoil, complaint):
     with pytest.raises(replay.DifferenceError, match=complaint):
         replay.play_to_chip(changed(name, spoil))
 
 
-def test_only_what_the_facts_settle_is_compared(replay, changed):
+def test_only_masked_bits_are_compared(replay, changed):
     replay.play_to_chip(changed("adxl345_identify", set_(1, read="ef", mask="f0")))
     with pytest.raises(replay.DifferenceError, match="line 2"):
         replay.play_to_chip(changed("adxl345_identify", set_(1, read="ef", mask="02")))
@@ -116,7 +116,7 @@ def test_only_what_the_facts_settle_is_compared(replay, changed):
         ({"wait_ms": 1}, "line 2: neither transaction nor wait"),
     ],
 )
-def test_a_line_that_is_no_witness_is_refused(replay, changed, values, complaint):
+def test_an_invalid_line_is_refused(replay, changed, values, complaint):
     with pytest.raises(replay.DifferenceError, match=complaint):
         changed("adxl345_identify", set_(1, **values))
 
