@@ -1,4 +1,4 @@
-"""Small logs to look at and to spoil."""
+"""Small logs to read and to damage."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def small_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 @pytest.fixture
 def small(tmp_path: Path, small_bytes: bytes) -> Path:
-    """A copy of its own for every test: many spoil it."""
+    """A separate copy for every test: many damage it."""
     path = tmp_path / "small.h5"
     path.write_bytes(small_bytes)
     return path

@@ -1,8 +1,8 @@
-"""Spoil a log in as many ways as asked and read all of each: `python fuzz.py LOG SEED COUNT [fixed]`.
+"""Damage a log in COUNT ways and read all of each: `python fuzz.py LOG SEED COUNT [fixed]`.
 
-Ends with 0 if every one was read or refused by a LogError, in time and in little memory; says which one was not. A
-crash of the interpreter is the caller's to see. `fixed`: the check sums of object headers are made right again, so that
-HDF5 believes what it finds.
+Ends with 0 if every one was read or refused by a LogError, in time and in little memory; names any other. A crash of
+the interpreter is detected by the caller. `fixed`: the check sums of object headers are made right again, so that HDF5
+accepts them.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def spoilt(data: bytes, draw: np.random.Generator, marks: list[int]) -> bytearra
 
 
 def marks_of(data: bytes) -> list[int]:
-    """Where something begins that HDF5 knows by a signature."""
+    """Where structures begin that HDF5 identifies by a signature."""
     signs = (b"OHDR", b"OCHK", b"FRHP", b"FHDB", b"FHIB", b"BTHD", b"BTLF", b"BTIN", b"GCOL", b"EAHD", b"EAIB", b"FADB")
     signs += (b"TREE", b"SNOD", b"HEAP", b"\x89HDF", b"imuarray", b"deflate")
     return sorted(at for sign in signs for at in range(len(data)) if data.startswith(sign, at))
@@ -71,7 +71,7 @@ def fix(data: bytearray) -> None:
 
 
 def read(path: Path) -> bool:
-    """All there is; whether it was let in."""
+    """Read everything; return whether it was accepted."""
     try:
         with open_log(path) as log:
             _ = (log.phases, log.events, log.epoch, log.config, log.software, log.state)
@@ -89,7 +89,7 @@ def read(path: Path) -> bool:
         if not str(error).isprintable():
             raise
         return False
-    except OSError:  # a chunk whose check sum is wrong is told when it is read
+    except OSError:  # a wrong check sum of a chunk is reported when the chunk is read
         return True
 
 
@@ -118,7 +118,7 @@ def main() -> int:
         begun_s = time.monotonic()
         let_in += read(path)
         slowest = max(slowest, time.monotonic() - begun_s)
-    status = Path("/proc/self/status").read_text(encoding="ascii")  # ru_maxrss is at least that of who started this
+    status = Path("/proc/self/status").read_text(encoding="ascii")  # ru_maxrss is at least that of the parent process
     peak = int(status.split("VmHWM:")[1].split()[0]) >> 10
     print(f"{count} logs: {let_in} let in, slowest {slowest:.3f} s, {peak} MiB")
     return 0

@@ -1,4 +1,4 @@
-"""Logs built to do harm: each kind is a good log that was spoilt, and what its refusal says."""
+"""Hostile logs: each kind is a good log that is modified, and the text of its refusal."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ COUNTS = "sensors/Acc/counts"
 
 
 def instead(name: str, data: Any) -> Spoil:
-    """Something else in the place of a column."""
+    """Another object in the place of a column."""
 
     def spoil(file: h5py.File) -> None:
         del file[name]
@@ -189,7 +189,7 @@ KINDS: Mapping[str, tuple[Spoil, str]] = MappingProxyType(
 
 
 def built(path: Path, kind: str) -> str:
-    """Spoil the good log at `path`; what its refusal must say."""
+    """Modify the good log at `path`; return the text of its refusal."""
     spoil, said = KINDS[kind]
     with h5py.File(path, "r+", libver="latest") as file:
         spoil(file)

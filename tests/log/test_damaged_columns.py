@@ -1,4 +1,4 @@
-"""A column that can't be read says whose it is and which rows, wherever it is read; else it is as its dataset."""
+"""The error of a damaged column names sensor and rows, in any read; other columns behave as their datasets."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.selection import some
 
 
 def flip_a_bit(path: Path, column: str) -> Path:
-    """In the middle of the first chunk of a column, behind whose back the check sum stands."""
+    """In the middle of the first chunk of a column, without an update of the check sum."""
     with h5py.File(path, "r") as file:
         chunk = file[column].id.get_chunk_info(0)
     at = chunk.byte_offset + chunk.size // 2
@@ -28,7 +28,7 @@ def flip_a_bit(path: Path, column: str) -> Path:
     return path
 
 
-def test_it_is_as_the_dataset(small: Path) -> None:
+def test_a_column_behaves_as_its_dataset(small: Path) -> None:
     with open_log(small) as log, h5py.File(small) as file:
         ours, theirs = log["Acc"].counts, file["sensors/Acc/counts"]
         assert (ours.shape, ours.dtype, ours.ndim, len(ours)) == (theirs.shape, theirs.dtype, theirs.ndim, len(theirs))
@@ -54,7 +54,7 @@ def test_damaged_rows_are_named(small: Path, key: object, rows: str) -> None:
     assert str(refused.value) == f"{small}, sensor Acc: counts: {rows} damaged (imuarray verify lists all)"
 
 
-def test_so_are_those_of_the_truth(small: Path) -> None:
+def test_damaged_rows_of_the_truth_are_named(small: Path) -> None:
     with open_log(flip_a_bit(small, "truth/specific_force")) as log, pytest.raises(LogError) as refused:
         assert log.truth is not None
         np.asarray(log.truth.specific_force)
@@ -64,7 +64,7 @@ def test_so_are_those_of_the_truth(small: Path) -> None:
 @pytest.mark.parametrize(
     "command", some(["fuse", "characterise", "calibrate noise", "calibrate tumble", "gap diagnose"], 2)
 )
-def test_commands_say_so_in_one_line(
+def test_commands_report_damaged_rows_in_one_line(
     small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
     flip_a_bit(small, "sensors/Acc/counts")
@@ -76,7 +76,7 @@ def test_commands_say_so_in_one_line(
     assert not (tmp_path / "output").is_file()
 
 
-def test_verify_names_them(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verify_names_damaged_rows(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["verify", str(flip_a_bit(small, "sensors/Acc/counts"))])
     out, err = capsys.readouterr()
     assert "sensor Acc: column counts: rows 0 to 4 are damaged" in out + err
@@ -94,7 +94,7 @@ def test_a_refused_log_does_not_keep_others_from_reading(small: Path) -> None:
     assert read == [3], refused
 
 
-def test_clocks_are_whole_numbers_of_one_length() -> None:
+def test_clocks_must_be_integers_of_one_length() -> None:
     names = [name for name, _, _ in CLOCKS]
     with h5py.File("clocks", "w", driver="core", backing_store=False) as file:
         for number, name in enumerate(names):

@@ -1,4 +1,4 @@
-"""A log in the making counts again and again what its compressed rows really took of the disk."""
+"""A draft of a log regularly counts the space that its compressed rows take on the disk."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ from imuarray.log.hdf5_writer import Draft
 from tests.log.conftest import EPOCH, GYRO
 
 
-def test_rows_are_counted_and_their_room_is_settled_now_and_then(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_reserved_room_of_rows_is_settled_at_intervals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A row of time, three counts and flags has 8 + 6 + 2 bytes, four of them 64. Settled beyond 150 bytes: with every
     third chunk of four rows.
     """
@@ -35,7 +33,7 @@ def test_rows_are_counted_and_their_room_is_settled_now_and_then(
 
 
 @pytest.mark.parametrize("durable", [False, True])
-def test_a_closed_draft_takes_no_more_than_it_needs(tmp_path: Path, durable: bool) -> None:
+def test_a_closed_draft_has_the_size_of_its_content(tmp_path: Path, durable: bool) -> None:
     """Room for all texts was asked for, of a durable one allocated; the end of the file is that of its superblock, at
     byte 28 of version 3.
     """
@@ -48,8 +46,8 @@ def test_a_closed_draft_takes_no_more_than_it_needs(tmp_path: Path, durable: boo
     assert len(content) == int.from_bytes(content[28:36], "little")
 
 
-def test_room_that_a_file_does_not_use_is_given_back(tmp_path: Path) -> None:
-    """HDF5 itself usually cuts a file that it closes; what stands behind the end in its superblock goes in any case. A
+def test_unused_room_of_a_file_is_released(tmp_path: Path) -> None:
+    """HDF5 itself usually cuts a file that it closes; bytes after the end in its superblock are cut in any case. A
     file without such a superblock stays as it is.
     """
     path, other = tmp_path / "a.h5", tmp_path / "b.h5"

@@ -1,4 +1,4 @@
-"""The file itself, looked at with h5py alone: names, types and attributes as the format is described; and in xarray."""
+"""The file as read by h5py alone: names, types and attributes as the format is described; and in xarray."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from imuarray.log.reader import verify
 EPOCH = "2013-09-16T08:30:00.000000Z"
 
 
-def test_root(small: Path) -> None:
+def test_the_root_has_its_attributes_and_groups(small: Path) -> None:
     with h5py.File(small) as file:
         attrs = dict(file.attrs)
         assert (attrs["format"], attrs["format_version"], attrs["epoch"], attrs["source"]) == (
@@ -32,7 +32,7 @@ def test_root(small: Path) -> None:
         assert set(file["sensors"]) == {"Acc", "Gyro", "Baro"}
 
 
-def test_a_triads_attributes(small: Path) -> None:
+def test_a_triad_has_its_attributes(small: Path) -> None:
     with h5py.File(small) as file:
         attrs = dict(file["sensors/Acc"].attrs)
         assert (attrs["chip"], attrs["quantity"], attrs["unit"]) == ("bma180", "specific_force", "g")
@@ -45,7 +45,7 @@ def test_a_triads_attributes(small: Path) -> None:
         assert file["sensors/Gyro"].attrs["delay_ns"] == 1_500_000
 
 
-def test_columns(small: Path) -> None:
+def test_columns_have_their_types_and_shapes(small: Path) -> None:
     with h5py.File(small) as file:
         shapes = {
             name: {
@@ -73,14 +73,14 @@ def test_columns(small: Path) -> None:
         assert file["sensors/Acc/time"].attrs["units"] == f"nanoseconds since {EPOCH}"
 
 
-def test_the_barometers_words(small: Path) -> None:
+def test_the_barometers_words_are_attributes(small: Path) -> None:
     with h5py.File(small) as file:
         attrs = file["sensors/Baro"].attrs
         assert list(attrs["columns"]) == ["ut", "up"]
         assert (attrs["AC1"], attrs["MD"]) == (408, 2868)
 
 
-def test_tables(small: Path) -> None:
+def test_phases_and_events_are_tables(small: Path) -> None:
     with h5py.File(small) as file:
         assert {name: file["phases"][name][:].tolist() for name in file["phases"]} == {
             "start": [0, 20_000_000],
@@ -93,7 +93,7 @@ def test_tables(small: Path) -> None:
         assert file["phases"]["start"].dtype == file["events"]["time"].dtype == np.dtype("int64")
 
 
-def test_truth(small: Path) -> None:
+def test_the_truth_has_its_columns(small: Path) -> None:
     with h5py.File(small) as file:
         assert {name: dataset.shape for name, dataset in file["truth"].items()} == {
             "time": (5,),
@@ -155,8 +155,8 @@ class TestXarray:
             assert truth.specific_force.dims[0] == "time"
 
 
-def test_a_factorys_adjustment_divides_the_counts_per_unit() -> None:
-    """(ASA + 128) / 256: 128 is none, 0 half, 255 almost one and a half (AKM-16). Nonsense is no adjustment."""
+def test_the_factory_adjustment_divides_the_counts_per_unit() -> None:
+    """(ASA + 128) / 256: 128 is none, 0 half, 255 almost one and a half (AKM-16). Invalid values are no adjustment."""
 
     def header(**words: Any) -> SensorHeader:
         return SensorHeader("HMC", "ak8963", "magnetic_field", "gauss", 49.12, 667.0, extra=words)

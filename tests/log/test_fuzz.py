@@ -1,4 +1,4 @@
-"""Good logs spoilt at random, many ways, in another process: each is read or refused; none crashes or hangs it."""
+"""Good logs damaged at random in another process: each is read or refused; none crashes or hangs it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def finished(small: Path, folder: Path) -> Path:
 
 
 def old_format(small: Path, folder: Path) -> Path:
-    """The same in HDF5's first format, whose headers have no check sums: it believes more of what it finds."""
+    """The same in HDF5's first format, whose headers have no check sums: it accepts more damage."""
     with h5py.File(small) as log, h5py.File(folder / "a.h5", "w", libver="earliest") as copy:
         for name in log:
             log.copy(name, copy, without_attrs=True)  # HDF5 1.14.2 crashes where it copies references to scales
@@ -82,7 +82,7 @@ KINDS = {
     "count", [12, pytest.param(120, marks=pytest.mark.slow), pytest.param(800, marks=pytest.mark.campaign)]
 )
 @pytest.mark.parametrize("kind", some(KINDS, 1))
-def test_none_does_harm(small: Path, tmp_path: Path, kind: str, count: int) -> None:
+def test_no_damaged_log_does_harm(small: Path, tmp_path: Path, kind: str, count: int) -> None:
     make, extra = KINDS[kind]
     folder = tmp_path / "fuzz"
     folder.mkdir()
@@ -118,7 +118,7 @@ def test_a_heap_that_never_ends_is_refused(small: Path, tmp_path: Path) -> None:
 
 
 def test_counts_that_look_like_a_heap_are_counts(tmp_path: Path) -> None:
-    """A log that is being written, whose numbers are by chance what a heap begins with."""
+    """A log that is being written, whose numbers are by chance the signature of a heap."""
     path = tmp_path / "run.h5"
     word = np.frombuffer(b"GCOL" * 3, "<i2")
     with LogWriter(path, [GYRO], source="simulated", epoch="2013-09-16T08:30:00Z", watermark=0) as log:

@@ -1,4 +1,4 @@
-"""The sign of a recording's health, and which events are trouble."""
+"""The health level of a recording, and the events that count as faults."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ from imuarray.log.health import Health, Observations, health_of, is_trouble
         ),
     ],
 )
-def test_the_worst_decides_and_is_named_first(seen: Observations, health: Health) -> None:
+def test_the_worst_fault_decides_the_level_and_is_named_first(seen: Observations, health: Health) -> None:
     found = health_of(seen)
     assert (found.level, found.reason) == (health.level, health.reason)
     assert (found.advice == "") == (found.level == "green")
 
 
-def test_what_to_do_is_about_the_first_reason() -> None:
+def test_the_advice_is_for_the_first_reason() -> None:
     assert health_of(Observations(4, 90, missed=10)).advice == "lower the frame rate, or record fewer sensors"
     advice = health_of(Observations(4, 90, missed=10, bus_failed=True)).advice
     assert advice == "check the wires and pull-up resistors of the bus"
@@ -47,7 +47,7 @@ def test_what_to_do_is_about_the_first_reason() -> None:
     assert health_of(seen).advice == "check cable, power and address"
 
 
-def test_what_is_counted_otherwise_is_no_further_fault() -> None:
+def test_faults_that_have_a_count_are_not_counted_as_events_too() -> None:
     """The logger reports missed frames and lost readings by events too."""
     seen = Observations(4, 999, missed=2, lost={"A": 1}, faults={("", "late"): 1, ("A", "lost"): 1})
     assert health_of(seen).reason == "2 frames missed; 1 reading of A lost"
@@ -71,11 +71,11 @@ def test_what_is_counted_otherwise_is_no_further_fault() -> None:
         ("recovered", "the log was cut short", False),
     ],
 )
-def test_the_end_of_a_fault_is_no_trouble(kind: str, message: str, trouble: bool) -> None:
+def test_the_end_of_a_fault_is_not_a_fault(kind: str, message: str, trouble: bool) -> None:
     assert is_trouble(Event(0, "A", kind, message)) is trouble
 
 
-def test_consecutive_names_are_a_range() -> None:
+def test_consecutive_names_are_written_as_a_range() -> None:
     """Eight gyroscopes of one board are named by the first and the last, as everywhere else."""
     seen = Observations(sensors=8, frames=100, clipped={f"IMU{number}_gyro": 10 for number in range(1, 9)})
     assert "80 readings of IMU1_gyro to IMU8_gyro at the end of the range" in health_of(seen).reason

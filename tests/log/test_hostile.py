@@ -1,4 +1,4 @@
-"""Logs built to do harm are refused, each with one line, before anything in them is read."""
+"""Hostile logs are refused, each with one line, before any column is read."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ def refusal(path: Path) -> str:
 
 
 @pytest.mark.parametrize("kind", some(KINDS, 4))
-def test_refused(small: Path, kind: str) -> None:
+def test_hostile_logs_are_refused(small: Path, kind: str) -> None:
     said = built(small, kind)
     assert said in refusal(small)
 
 
 def journal(path: Path, text: bytes, rest: bytes = b"", *, length: int | None = None) -> Path:
-    """A journal beside a file that is no use, with a preamble whose check sum is right."""
+    """A journal next to a useless file, with a preamble whose check sum is right."""
     path.write_bytes(b"\x89HDF\r\n\x1a\n")
     head = b"imuarray journal 1\n" + struct.pack("<I", len(text) if length is None else length) + text
     journal_of(path).write_bytes(head + struct.pack("<I", zlib.crc32(head)) + rest)
@@ -55,14 +55,14 @@ def journal(path: Path, text: bytes, rest: bytes = b"", *, length: int | None = 
 
 
 def preamble(**changed: Any) -> bytes:
-    """What a good journal begins with, but for these."""
+    """The preamble of a good journal, with these changes."""
     header = json.loads(Preamble((GYRO,), "i2c", EPOCH, "", "x", "id").to_json())
     header["sensors"][0] |= {name: value for name, value in changed.items() if name in header["sensors"][0]}
     return json.dumps(header | {name: value for name, value in changed.items() if name in header}).encode()
 
 
 def block(text: bytes, group: int, rows: int, payload: bytes) -> bytes:
-    """One block behind that preamble, with its check sum."""
+    """One block after that preamble, with its check sum."""
     head = b"imuarray journal 1\n" + struct.pack("<I", len(text)) + text
     crc = zlib.crc32(payload, zlib.crc32(struct.pack("<HHI", group, 0, rows), zlib.crc32(head)))
     return struct.pack("<HHII", group, 0, rows, crc) + payload
@@ -121,11 +121,11 @@ def test_a_journal_alone_is_read(tmp_path: Path) -> None:
     ],
     ids=lambda text: text[-60:].decode(),
 )
-def test_hostile_preambles(tmp_path: Path, text: bytes) -> None:
+def test_hostile_preambles_are_refused(tmp_path: Path, text: bytes) -> None:
     refusal(journal(tmp_path / "r.h5", text))
 
 
-def test_a_preamble_that_is_longer_than_its_file(tmp_path: Path) -> None:
+def test_a_preamble_longer_than_its_file_is_refused(tmp_path: Path) -> None:
     refusal(journal(tmp_path / "r.h5", b"{}", length=0xFFFFFFFF))
 
 
@@ -145,12 +145,12 @@ def test_a_preamble_that_is_longer_than_its_file(tmp_path: Path) -> None:
         b"\xff",
     ],
 )
-def test_hostile_notes(tmp_path: Path, line: bytes) -> None:
+def test_hostile_notes_are_refused(tmp_path: Path, line: bytes) -> None:
     notes = len(groups_of([GYRO])) - 1
     refusal(journal(tmp_path / "r.h5", preamble(), block(preamble(), notes, len(line), line)))
 
 
-def test_a_block_that_declares_more_than_there_is_asks_for_no_memory(tmp_path: Path) -> None:
+def test_a_block_with_an_excessive_size_allocates_no_memory(tmp_path: Path) -> None:
     path = journal(tmp_path / "r.h5", preamble(), struct.pack("<HHII", 0, 0, (1 << 28) // 16, 0) + b"x" * 100)
     tracemalloc.start()
     with open_log(path) as log:
@@ -160,7 +160,7 @@ def test_a_block_that_declares_more_than_there_is_asks_for_no_memory(tmp_path: P
     assert peak < 1 << 24
 
 
-def test_a_journal_that_is_a_pipe_is_not_waited_for(small: Path) -> None:
+def test_a_journal_that_is_a_pipe_does_not_block(small: Path) -> None:
     os.mkfifo(journal_of(small))
     with open_log(small) as log:
         assert log.state == "finished"
@@ -169,7 +169,7 @@ def test_a_journal_that_is_a_pipe_is_not_waited_for(small: Path) -> None:
     assert not is_running(small)
 
 
-def test_a_hostile_file_does_not_hide_behind_an_unfinished_log(tmp_path: Path) -> None:
+def test_an_unfinished_hostile_log_is_refused(tmp_path: Path) -> None:
     """The table of commits is a link to another file: it is not followed."""
     path = tmp_path / "r.h5"
     with h5py.File(path, "w", libver="latest") as file:
@@ -181,7 +181,7 @@ def test_a_hostile_file_does_not_hide_behind_an_unfinished_log(tmp_path: Path) -
     refusal(path)
 
 
-def test_what_steers_a_terminal_is_spelled_out(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_control_characters_are_escaped(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with h5py.File(small, "r+") as file:
         del file["events/message"]
         file["events/message"] = ["\x1b[2J gone\r\n"]
@@ -204,7 +204,7 @@ PICKLES = re.compile(
 
 @pytest.mark.slow
 def test_nothing_is_unpickled() -> None:
-    """Files are data: nowhere does the program load what could run."""
+    """Files are data: no module loads executable objects."""
     found = [
         f"{path.name}: {line.strip()}"
         for folder in ("imuarray", "firmware_emulator")
@@ -216,7 +216,7 @@ def test_nothing_is_unpickled() -> None:
 
 
 def test_a_log_of_too_many_sensors_is_not_written(tmp_path: Path) -> None:
-    """What could not be read again is refused at once."""
+    """A log that could not be read again is refused at once."""
     headers = [SensorHeader(f"S{number}", "x", "angular_rate", "dps", 250.0, 114.3) for number in range(513)]
     with pytest.raises(LogError, match="513 sensors; a log has at most 512"):
         LogWriter(tmp_path / "r.h5", headers, source="simulated", epoch="2026-01-01T00:00:00Z")

@@ -1,4 +1,4 @@
-"""What `imuarray info` says of when a log's rows were read."""
+"""The times of a log's rows in `imuarray info`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from imuarray.cli import main
 
 
-def test_rows_have_a_wall_time_of_their_own(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_rows_of_a_part_have_their_own_wall_time(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with h5py.File(small, "r+") as file:
         for sensor in file["sensors"].values():
             sensor["time"][:] += 3_600_000_000_000  # the second part of a log that began an hour before
@@ -23,7 +23,7 @@ def test_rows_have_a_wall_time_of_their_own(small: Path, capsys: pytest.CaptureF
     assert "rows from 2013-09-16T09:30:00.000Z to 2013-09-16T09:30:00.090Z" in capsys.readouterr().out
 
 
-def test_a_log_without_a_date_has_none(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_without_a_date_has_no_wall_time(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with h5py.File(small, "r+") as file:
         file.attrs["epoch"] = "then"
     assert main(["info", str(small), "--json"]) == 0

@@ -1,4 +1,4 @@
-"""Logs that were never finished: read as they are, finished by `recover`, checked by `verify`, whatever was damaged."""
+"""Logs that were never finished: read as they are, finished by `recover`, checked by `verify`, for any damage."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def baro(row: int) -> Block:
 
 @pytest.fixture(scope="module")
 def cut_short(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a log as a kill leaves it: 230 rows, some commits, the last rows in the journal alone."""
+    """A folder with a log after a kill: 230 rows, some commits, the last rows only in the journal."""
     folder = tmp_path_factory.mktemp("cut")
     left = folder / "left"
     with pytest.MonkeyPatch.context() as patch:
@@ -108,10 +108,10 @@ def check(path: Path, rows: int = ROWS) -> None:
 
 
 @pytest.mark.parametrize("commits", some([1, 2, 64, 65, 66, 129], 1))
-def test_a_log_that_is_written_is_read_from_its_file_after_any_number_of_commits(
+def test_a_log_being_written_is_read_from_its_file_after_any_number_of_commits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, commits: int
 ) -> None:
-    """The table of commits gets a chunk of its own for every 64: it stands behind the end that the superblock tells."""
+    """The table of commits gets a chunk of its own for every 64: it is after the end that the superblock states."""
     monkeypatch.setattr(writing, "CHUNK", 8)
     with LogWriter(tmp_path / "run.h5", HEADERS, source="emulated", epoch="2026-01-01T00:00:00Z") as log:
         log.keep()
@@ -123,7 +123,7 @@ def test_a_log_that_is_written_is_read_from_its_file_after_any_number_of_commits
 
 
 @pytest.mark.slow
-def test_it_is_read_and_not_changed(run: Path) -> None:
+def test_an_interrupted_log_is_read_and_not_changed(run: Path) -> None:
     before = {path: path.read_bytes() for path in run.parent.iterdir()}
     assert is_marked_open(run)
     check(run)
@@ -132,7 +132,7 @@ def test_it_is_read_and_not_changed(run: Path) -> None:
     assert {path: path.read_bytes() for path in run.parent.iterdir()} == before
 
 
-def test_it_is_recovered(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_interrupted_log_is_recovered(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (run.parent / f".run.h5.{2**22 + 1}.part").write_bytes(b"of a process that is gone")
     (run.parent / f".run.h5.{os.getppid()}.part").write_bytes(b"of one that is not")
     assert main(["recover", str(run), "--json"]) == 0
@@ -148,7 +148,7 @@ def test_it_is_recovered(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "nothing to recover" in capsys.readouterr().out
 
 
-def test_it_is_recovered_elsewhere(run: Path, tmp_path: Path) -> None:
+def test_an_interrupted_log_is_recovered_to_another_path(run: Path, tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere.h5"
     before = run.read_bytes()
     assert main(["recover", str(run), "-o", str(elsewhere)]) == 0
@@ -158,7 +158,7 @@ def test_it_is_recovered_elsewhere(run: Path, tmp_path: Path) -> None:
     assert main(["recover", str(run), "-o", str(elsewhere)]) == 2
 
 
-def test_without_its_journal_it_is_good_up_to_the_last_commit(run: Path) -> None:
+def test_without_its_journal_a_log_is_read_up_to_the_last_commit(run: Path) -> None:
     journal_of(run).unlink()
     with pytest.warns(
         LogWarning, match="its journal run.h5.journal is missing: rows since the last commit are missing"
@@ -169,14 +169,14 @@ def test_without_its_journal_it_is_good_up_to_the_last_commit(run: Path) -> None
 
 
 def check_damaged(path: Path, rows: int) -> None:
-    """A recovered log that says what it lost."""
+    """A recovered log that states its losses."""
     with open_log(path) as log:
         assert np.asarray(log["Acc"].counts[:]).tolist() == acc(0, rows).counts.tolist()
         assert [event.kind for event in log.events] == ["lost", "damaged", "recovered"]
 
 
 @pytest.mark.slow
-def test_without_its_journal_it_is_not_called_whole(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_its_journal_a_log_is_recovered_only_with_force(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     journal_of(run).unlink()
     before = run.read_bytes()
     missing = "its journal run.h5.journal is missing: rows since the last commit are missing"
@@ -196,9 +196,7 @@ def test_without_its_journal_it_is_not_called_whole(run: Path, capsys: pytest.Ca
 
 
 @pytest.mark.slow
-def test_with_a_flipped_bit_in_the_journal_the_rows_behind_it_are_saved(
-    run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rows_after_a_flipped_bit_in_the_journal_are_recovered(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     content = bytearray(journal_of(run).read_bytes())
     with JournalReader(run) as journal:
         blocks = [record for record in journal.records() if record.group == 0]
@@ -225,14 +223,14 @@ def test_a_journal_alone_is_the_whole_log(run: Path, command: str) -> None:
     check(run)
 
 
-def test_a_journal_alone_that_is_none_is_refused(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_invalid_journal_alone_is_refused(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run.unlink()
     journal_of(run).write_bytes(b"no journal")
     assert main(["info", str(run)]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
-def test_a_recovered_log_says_that_it_was_cut_short(run: Path) -> None:
+def test_a_recovered_log_has_an_event_of_its_recovery(run: Path) -> None:
     recover(run, now=datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC))
     with open_log(run) as log:
         last_ns = int(log["Acc"].time[-1])
@@ -240,14 +238,16 @@ def test_a_recovered_log_says_that_it_was_cut_short(run: Path) -> None:
         assert log.events[-1] == Event(last_ns, "", "recovered", text)
 
 
-def test_a_finished_log_is_copied_elsewhere(run: Path, tmp_path: Path) -> None:
+def test_recovering_a_finished_log_to_another_path_copies_it(run: Path, tmp_path: Path) -> None:
     recover(run)
     copy = tmp_path / "copy.h5"
     assert main(["recover", str(run), "-o", str(copy)]) == 0
     assert copy.read_bytes() == run.read_bytes()
 
 
-def test_no_room_to_recover_does_not_say_that_nothing_was_recorded(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_at_recovery_is_reported_and_the_log_is_unchanged(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = {path: path.read_bytes() for path in run.parent.iterdir()}
 
     def full(fd: int, start: int, length: int) -> None:
@@ -259,7 +259,7 @@ def test_no_room_to_recover_does_not_say_that_nothing_was_recorded(run: Path, mo
     assert {path: path.read_bytes() for path in run.parent.iterdir()} == before
 
 
-def test_the_journal_of_another_log_is_not_believed(run: Path, tmp_path: Path) -> None:
+def test_the_journal_of_another_log_is_ignored(run: Path, tmp_path: Path) -> None:
     content = journal_of(run).read_bytes()
     (tmp_path / "other").mkdir()
     with LogWriter(tmp_path / "other" / "run.h5", HEADERS, source="emulated", epoch="2026-01-01T00:00:00Z") as log:
@@ -275,7 +275,7 @@ def test_the_journal_of_another_log_is_not_believed(run: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     "damage", some(["removed data", "wrong data", "wrong table", "cut", "empty", "no superblock"], 1)
 )
-def test_with_a_damaged_file_it_comes_from_the_journal(run: Path, damage: str) -> None:
+def test_a_log_with_a_damaged_file_is_read_from_its_journal(run: Path, damage: str) -> None:
     content = bytearray(run.read_bytes())
     with h5py.File(UnclosedFile(run), "r") as file:
         chunk = file["sensors/Acc/counts"].id.get_chunk_info(3)
@@ -314,7 +314,7 @@ def test_wrong_data_before_the_last_commit_are_read_from_the_journal(run: Path) 
     check(run)
 
 
-def test_with_everything_damaged_it_is_refused(run: Path) -> None:
+def test_a_log_with_file_and_journal_damaged_is_refused(run: Path) -> None:
     run.write_bytes(run.read_bytes()[:3000])
     journal_of(run).write_bytes(b"no journal")
     with pytest.raises(LogError, match="was not finished, and is damaged; its journal is damaged"):
@@ -322,8 +322,8 @@ def test_with_everything_damaged_it_is_refused(run: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_finished_log_does_not_mind_a_journal_that_was_left(run: Path) -> None:
-    """As a kill between the last two steps of its end leaves it."""
+def test_a_finished_log_ignores_its_remaining_journal(run: Path) -> None:
+    """The state after a kill between the last two steps of its end."""
     journal = journal_of(run).read_bytes()
     recover(run)
     journal_of(run).write_bytes(journal)
@@ -337,7 +337,7 @@ def test_a_finished_log_does_not_mind_a_journal_that_was_left(run: Path) -> None
 def test_a_log_that_is_finished_while_it_is_opened_is_read(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """HDF5 fails on a draft that its writer changes; then the log takes its place, and the journal goes."""
+    """HDF5 fails on a draft that its writer changes; then the log replaces it, and the journal is removed."""
     finished = tmp_path / "finished.h5"
     for path, copy in ((run, finished), (journal_of(run), journal_of(finished))):
         shutil.copy(path, copy)
@@ -358,10 +358,10 @@ def test_a_log_that_is_finished_while_it_is_opened_is_read(
 
 
 @pytest.mark.slow
-def test_the_journal_of_another_log_beside_a_finished_one_is_kept(
+def test_the_journal_of_another_log_next_to_a_finished_log_is_kept(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its rows are nowhere else; nor is what was put aside before overwritten."""
+    """Its rows are nowhere else; nor is a journal kept before overwritten."""
     recover(run)
     run.with_name("run.h5.journal.damaged").write_text("precious")
     (tmp_path / "other").mkdir()
@@ -377,7 +377,7 @@ def test_the_journal_of_another_log_beside_a_finished_one_is_kept(
     assert run.with_name("run.h5.journal.damaged.2").read_bytes() == content
 
 
-def test_a_copy_that_is_not_equal_does_not_take_the_logs_place(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_copy_that_differs_does_not_replace_the_log(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import imuarray.log.hdf5_writer as draft
 
     write = draft.Draft.append
@@ -401,20 +401,22 @@ class TestVerify:
         return run
 
     @pytest.mark.slow
-    def test_good(self, finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_a_good_log_is_verified(self, finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["verify", str(finished), "--json"]) == 0
         found = json.loads(capsys.readouterr().out)
         assert (found["log"], found["good"], found["state"]) == (str(finished), True, "finished")
         assert (found["rows"], found["problems"], found["remarks"]) == ({"Acc": ROWS, "Baro": 23}, [], [])
 
-    def test_interrupted(self, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_an_interrupted_log_is_verified(self, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["verify", str(run)]) == 0
         assert "imuarray recover" in capsys.readouterr().out
         assert main(["info", str(run)]) == 0
         assert "interrupted: all acknowledged rows are shown" in capsys.readouterr().out
 
     @pytest.mark.parametrize("column", some(["sensors/Acc/counts", "sensors/Acc/time", "sensors/Baro/pressure"], 1))
-    def test_a_damaged_chunk(self, finished: Path, column: str, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_a_damaged_chunk_is_a_problem(
+        self, finished: Path, column: str, capsys: pytest.CaptureFixture[str]
+    ) -> None:
         with h5py.File(finished) as file:
             chunk = file[column].id.get_chunk_info(0)
         content = bytearray(finished.read_bytes())
@@ -427,7 +429,7 @@ class TestVerify:
         assert len(said.err.splitlines()) == 1
         assert name in said.err or "damaged or malformed" in said.err
 
-    def test_a_chunk_that_was_never_written_and_times_that_go_back(self, finished: Path) -> None:
+    def test_missing_chunks_and_decreasing_times_are_problems(self, finished: Path) -> None:
         with h5py.File(finished, "r+") as file:
             group = file["sensors/Acc"]
             for name, rows, fill in (("counts", 10_000, None), ("time", 10_000, np.arange(10_000) % 5000 + 1)):
@@ -458,7 +460,7 @@ class TestVerify:
 def test_a_column_of_two_parts_is_sliced_as_one(tmp_path: Path, rows: int, key: Any) -> None:
     whole = np.arange(36, dtype=np.int16).reshape(12, 3)
     with h5py.File(tmp_path / f"{os.getpid()}.h5", "w") as file:
-        stored = np.concatenate([whole[:rows], np.full((5, 3), -1, np.int16)])  # more than is good
+        stored = np.concatenate([whole[:rows], np.full((5, 3), -1, np.int16)])  # more than the valid rows
         dataset = file.create_dataset("c", data=stored, maxshape=(None, 3))
         column = Column("c", whole[rows:], rows, lambda start, stop: dataset[start:stop])
         assert (column.shape, column.ndim, column.dtype, len(column), column.size) == ((12, 3), 2, whole.dtype, 12, 36)
@@ -469,7 +471,7 @@ def test_a_column_of_two_parts_is_sliced_as_one(tmp_path: Path, rows: int, key: 
             column[12]
 
 
-def test_the_check_sum_of_an_unclosed_file_is_hdf5s_own(tmp_path: Path) -> None:
+def test_the_check_sum_of_an_unclosed_file_is_that_of_hdf5(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w", libver="latest") as file:
         file.attrs["x"] = 5
         file.flush()

@@ -1,4 +1,4 @@
-"""The journal as bytes: what is whole is read, what is not is not; and nothing in it is believed for being there."""
+"""The journal as bytes: whole blocks are read, others are not; and no field is used unchecked."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SENSORS = (
 )
 PREAMBLE = Preamble(SENSORS, "i2c", "2026-01-01T00:00:00Z", "# Größe", "imuarray", "abc")
 GROUPS = groups_of(SENSORS)
-ROW = struct.Struct("<q3hHh")  # time, counts, status, temperature of S, as imuarray.log.journal says
+ROW = struct.Struct("<q3hHh")  # time, counts, status, temperature of S, as imuarray.log.journal states
 
 
 def written(path: Path, blocks: list[tuple[int, int, bytes]]) -> bytes:
@@ -56,7 +56,7 @@ def read(path: Path, start: Mark | None = None) -> list[tuple[int, int, bytes]]:
 BLOCKS = [(0, 1, ROW.pack(5, 1, -2, 3, 4, 5)), (5, 3, b"abc"), (0, 2, ROW.pack(6, 7, 8, 9, 1, 1) * 2), (5, 1, b"x")]
 
 
-def test_the_bytes_are_as_described(tmp_path: Path) -> None:
+def test_the_bytes_match_the_description(tmp_path: Path) -> None:
     content = written(tmp_path / "r.h5", BLOCKS[:1])
     text = PREAMBLE.to_json().encode()
     head = b"imuarray journal 2\n" + struct.pack("<I", len(text)) + text
@@ -66,7 +66,7 @@ def test_the_bytes_are_as_described(tmp_path: Path) -> None:
     assert content == (head + struct.pack("<I", first)) * 2 + block + struct.pack("<I", chain) + BLOCKS[0][2]
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_blocks_written_are_read_back(tmp_path: Path) -> None:
     written(tmp_path / "r.h5", BLOCKS)
     assert read(tmp_path / "r.h5") == BLOCKS
     with JournalReader(tmp_path / "r.h5") as journal:
@@ -77,7 +77,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
         assert list(journal.records(Mark(10**9, 0))) == []
 
 
-def test_cut_anywhere_it_holds_the_blocks_before(tmp_path: Path) -> None:
+def test_a_journal_cut_anywhere_keeps_the_blocks_before_the_cut(tmp_path: Path) -> None:
     content = written(tmp_path / "r.h5", BLOCKS)
     ends = []
     with JournalReader(tmp_path / "r.h5") as journal:
@@ -85,7 +85,7 @@ def test_cut_anywhere_it_holds_the_blocks_before(tmp_path: Path) -> None:
         ends = [record.after.position for record in journal.records()]
     for length in [*range(0, begin, 29), *range(begin - 3, len(content))]:
         journal_of(tmp_path / "r.h5").write_bytes(content[:length])
-        if length < begin // 2:  # the preamble stands there twice
+        if length < begin // 2:  # the preamble is stored twice
             with pytest.raises(LogError):
                 read(tmp_path / "r.h5")
         else:
@@ -99,7 +99,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 @settings(max_examples=examples(100), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(where=st.integers(0, 10**6), bits=st.integers(1, 255))
-def test_with_a_wrong_byte_it_holds_blocks_that_were_written(
+def test_a_wrong_byte_never_gives_a_block_that_was_not_written(
     tmp_path: Path, whole: bytes, where: int, bits: int
 ) -> None:
     content = bytearray(whole)
@@ -114,10 +114,10 @@ def test_with_a_wrong_byte_it_holds_blocks_that_were_written(
 
 @settings(max_examples=examples(100), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(where=st.integers(0, 10**6), bits=st.integers(1, 255), known=st.booleans())
-def test_a_wrong_byte_in_the_preamble_costs_nothing(
+def test_a_wrong_byte_in_the_preamble_loses_nothing(
     tmp_path: Path, whole: bytes, where: int, bits: int, known: bool
 ) -> None:
-    """It stands there twice; where both copies are damaged, that of the HDF5 file stands in for them."""
+    """It is stored twice; where both copies are damaged, that of the HDF5 file replaces them."""
     size = len(b"imuarray journal 2\n") + 4 + len(PREAMBLE.to_json()) + 4
     content = bytearray(whole)
     content[where % (2 * size)] ^= bits
@@ -153,8 +153,8 @@ TAG = zlib.crc32(b"abc") & 0xFFFF
 
 @pytest.mark.parametrize("version", ["2", "1", "1, without tags"])
 @pytest.mark.parametrize("byte", [0, 2, 4, 5, 8, 12, SIZE - 1])
-def test_a_flipped_bit_costs_the_payload_that_it_hit_and_no_more(tmp_path: Path, byte: int, version: str) -> None:
-    """Bytes 0 to 11 are the head, which can be worked out again."""
+def test_a_flipped_bit_loses_only_the_payload_that_it_hits(tmp_path: Path, byte: int, version: str) -> None:
+    """Bytes 0 to 11 are the head, which can be reconstructed."""
     content = written(tmp_path / "r.h5", ROWS) if version == "2" else of_version_1(TAG if version == "1" else 0)
     spoilt, begin = bytearray(content), len(content) - len(ROWS) * SIZE
     at = next(number for number in range(100, 400) if 0 < (begin + number * SIZE) % 512 < 400)
@@ -173,7 +173,7 @@ def test_a_flipped_bit_costs_the_payload_that_it_hit_and_no_more(tmp_path: Path,
 
 
 @pytest.mark.parametrize("byte", [0, 2, 4, 5, 12, SIZE - 1])
-def test_a_flipped_bit_in_the_last_block_is_told(tmp_path: Path, byte: int) -> None:
+def test_a_flipped_bit_in_the_last_block_is_reported(tmp_path: Path, byte: int) -> None:
     content = bytearray(written(tmp_path / "r.h5", ROWS))
     content[len(content) - SIZE + byte] ^= 1
     journal_of(tmp_path / "r.h5").write_bytes(content)
@@ -184,7 +184,7 @@ def test_a_flipped_bit_in_the_last_block_is_told(tmp_path: Path, byte: int) -> N
         assert (count, journal.damage) == ((400, []) if byte < 8 else (399, [lost]))
 
 
-def test_behind_a_bad_sector_blocks_are_good_again(tmp_path: Path) -> None:
+def test_blocks_after_a_bad_sector_are_read(tmp_path: Path) -> None:
     content = bytearray(written(tmp_path / "r.h5", ROWS))
     content[5120:5632] = b"\x55" * 512
     journal_of(tmp_path / "r.h5").write_bytes(content)
@@ -197,7 +197,7 @@ def test_behind_a_bad_sector_blocks_are_good_again(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("length", [SIZE - 1, 12, 11, 5, 1])
 @pytest.mark.parametrize("zeros", [0, 1, 5000, 100_000])
-def test_a_torn_end_is_no_damage(tmp_path: Path, length: int, zeros: int) -> None:
+def test_an_incomplete_last_block_is_no_damage(tmp_path: Path, length: int, zeros: int) -> None:
     """A kill leaves the first bytes of a block; a power cut zeros from the end of a page on."""
     begin = len(written(tmp_path / "o.h5", []))
     content = written(tmp_path / "r.h5", ROWS)[: length - SIZE]
@@ -210,8 +210,8 @@ def test_a_torn_end_is_no_damage(tmp_path: Path, length: int, zeros: int) -> Non
 
 
 @pytest.mark.parametrize("head", [1, 3, 4, 5, 11, 12, 13])
-def test_a_head_across_two_pages_of_which_the_second_is_zeros_is_torn(tmp_path: Path, head: int) -> None:
-    """The first `head` bytes of a block were the last ones of a page that reached the disk. Anything behind them other
+def test_a_head_whose_second_page_is_zeros_is_incomplete(tmp_path: Path, head: int) -> None:
+    """The first `head` bytes of a block were the last ones of a page that reached the disk. Anything after them other
     than zeros was written later, so that the rows between are lost.
     """
     first = len(written(tmp_path / "o.h5", [(5, 1, b"#")]))
@@ -229,8 +229,8 @@ def test_a_head_across_two_pages_of_which_the_second_is_zeros_is_torn(tmp_path: 
 @pytest.mark.parametrize(
     ("place", "kept"), [(0, False), (1, True), (250, True), (500, True), (501, False), (511, False)]
 )
-def test_a_check_sum_is_trusted_in_the_sector_of_the_block_before(tmp_path: Path, place: int, kept: bool) -> None:
-    """A bad block, head (12 bytes) and payload, of which the check sum alone is right: the block behind it is kept if
+def test_a_check_sum_is_accepted_in_the_sector_of_the_block_before(tmp_path: Path, place: int, kept: bool) -> None:
+    """A bad block, head (12 bytes) and payload, of which only the check sum is right: the block after it is kept if
     that sum is in one sector (512 bytes) with the end of the block before, and so of this log.
     """
     first = len(written(tmp_path / "o.h5", [(5, 1, b"#")]))
@@ -246,7 +246,7 @@ def test_a_check_sum_is_trusted_in_the_sector_of_the_block_before(tmp_path: Path
 
 
 @pytest.mark.parametrize("garbage", [b"abc", b"\xff" * 5000, bytes(5000) + b"x", b"\x55" * 12])
-def test_bytes_behind_the_last_block_that_are_no_block_are_told(tmp_path: Path, garbage: bytes) -> None:
+def test_invalid_bytes_after_the_last_block_are_reported(tmp_path: Path, garbage: bytes) -> None:
     content = written(tmp_path / "r.h5", ROWS)
     journal_of(tmp_path / "r.h5").write_bytes(content + garbage)
     with JournalReader(tmp_path / "r.h5") as journal:
@@ -254,8 +254,8 @@ def test_bytes_behind_the_last_block_that_are_no_block_are_told(tmp_path: Path, 
         assert bool(journal.damage) == (len(garbage) >= 12)  # fewer may be the begin of a head
 
 
-def test_blocks_behind_a_page_of_zeros_are_kept(tmp_path: Path) -> None:
-    """A power cut may have kept that page from the disk, or a payload of zeros was hit: the rows behind are good."""
+def test_blocks_after_a_page_of_zeros_are_kept(tmp_path: Path) -> None:
+    """A power cut may have kept that page from the disk, or a payload of zeros was hit: the rows after it are good."""
     content = bytearray(written(tmp_path / "r.h5", ROWS))
     content[4096:8192] = bytes(4096)
     journal_of(tmp_path / "r.h5").write_bytes(content)
@@ -268,7 +268,7 @@ def test_blocks_behind_a_page_of_zeros_are_kept(tmp_path: Path) -> None:
         assert "were not on the disk at a power cut, or are damaged, rows are lost" in journal.damage[0]
 
 
-def test_a_flipped_bit_in_a_payload_of_zeros_hides_no_rows_behind_it(tmp_path: Path) -> None:
+def test_a_flipped_bit_in_a_payload_of_zeros_loses_no_later_rows(tmp_path: Path) -> None:
     zeros = (0, 600, b"".join(ROW.pack(0, 0, 0, 0, 0, 0) for _ in range(600)))
     times = np.arange(500, 1100, dtype="<i8").tobytes()
     zeros = (0, 600, times + zeros[2][len(times) :])
@@ -292,8 +292,8 @@ def test_a_flipped_bit_in_a_payload_of_zeros_hides_no_rows_behind_it(tmp_path: P
         3,
     ),
 )
-def test_the_search_behind_damage_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tail: bytes) -> None:
-    """Whatever stands behind a journal: so many blocks are checked at the most, and no byte is searched twice."""
+def test_the_search_after_damage_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tail: bytes) -> None:
+    """For any bytes after a journal: the number of checked blocks is limited, and no byte is searched twice."""
     checks: list[salvage.Mark] = []
     is_good = salvage.Salvage.is_good
     monkeypatch.setattr(salvage.Salvage, "is_good", lambda self, at: (checks.append(at), is_good(self, at))[1])
@@ -305,7 +305,7 @@ def test_the_search_behind_damage_is_bounded(tmp_path: Path, monkeypatch: pytest
     assert len(checks) <= (1 << 26) // 4096 * 3  # a head is checked against three check sums at the most
 
 
-def test_stale_sectors_of_another_log_are_not_believed(tmp_path: Path) -> None:
+def test_stale_sectors_of_another_log_are_rejected(tmp_path: Path) -> None:
     """Blocks of the same size at the same places, with the other log's own check sums, and times that would go on."""
     content = bytearray(written(tmp_path / "r.h5", ROWS))
     other = Preamble(SENSORS, "i2c", "2026-01-01T00:00:00Z", "# Größe", "imuarray", "abd")
@@ -320,7 +320,7 @@ def test_stale_sectors_of_another_log_are_not_believed(tmp_path: Path) -> None:
         assert read(tmp_path / "r.h5") == ROWS[: (start - begin) // SIZE]
 
 
-def test_times_that_go_back_behind_damage_are_not_believed(tmp_path: Path) -> None:
+def test_times_that_decrease_after_damage_are_rejected(tmp_path: Path) -> None:
     content = bytearray(written(tmp_path / "r.h5", [*ROWS[:50], *ROWS[40:]]))
     begin = len(content) - 410 * SIZE
     content[begin + 49 * SIZE + 20] ^= 1
@@ -330,7 +330,7 @@ def test_times_that_go_back_behind_damage_are_not_believed(tmp_path: Path) -> No
 
 @settings(max_examples=examples(100), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(content=st.binary(max_size=200))
-def test_any_bytes(tmp_path: Path, content: bytes) -> None:
+def test_any_bytes_are_refused(tmp_path: Path, content: bytes) -> None:
     journal_of(tmp_path / "r.h5").write_bytes(content)
     with pytest.raises(LogError):
         read(tmp_path / "r.h5")
@@ -355,7 +355,7 @@ def preamble(text: bytes) -> bytes:
         PREAMBLE.to_json().replace('"AC1"', "AC1").encode(),
     ],
 )
-def test_preambles_that_mean_nothing(tmp_path: Path, text: bytes) -> None:
+def test_invalid_preambles_are_refused(tmp_path: Path, text: bytes) -> None:
     journal_of(tmp_path / "r.h5").write_bytes(preamble(text))
     with pytest.raises(LogError, match="preamble can't be read"):
         read(tmp_path / "r.h5")
@@ -370,8 +370,8 @@ def test_absurd_lengths_allocate_nothing(tmp_path: Path) -> None:
         read(tmp_path / "r.h5")
 
 
-def test_a_block_that_can_not_be_written_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A disk that takes 40 bytes and then says that it is full."""
+def test_a_block_that_cannot_be_written_leaves_no_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk that accepts 40 bytes and then is full."""
     lock = JournalLock(tmp_path / "r.h5", create=True)
     journal = JournalWriter(lock.fd, PREAMBLE)
     journal.append(BLOCKS[:1])
@@ -397,7 +397,7 @@ def test_a_block_that_can_not_be_written_is_not_there(tmp_path: Path, monkeypatc
     assert read(tmp_path / "r.h5") == BLOCKS
 
 
-def test_rows_as_bytes_and_back() -> None:
+def test_rows_are_encoded_and_decoded() -> None:
     group = GROUPS[0]
     columns = group.decode(ROW.pack(5, 1, -2, 3, 4, 5) + ROW.pack(5, 1, -2, 3, 4, 5)[:0], 1)
     assert {name: column.tolist() for name, column in columns.items()} == {
@@ -411,7 +411,7 @@ def test_rows_as_bytes_and_back() -> None:
         group.checked(columns | {"counts": np.ones((1, 2), np.int16)})
 
 
-def test_phases_and_events_are_lines() -> None:
+def test_phases_and_events_are_stored_as_lines() -> None:
     notes = [Phase(1, 2, "z_up", "+Z"), Event(-5, "Ä", "lost", 'a "b"\n')]
     columns = {"text": np.concatenate([note_columns(note)["text"] for note in notes])}
     read = Notes()
@@ -422,7 +422,7 @@ def test_phases_and_events_are_lines() -> None:
             Notes().add({"text": np.frombuffer(text, np.uint8)})
 
 
-def test_a_phase_that_was_never_ended_goes_on_to_the_end() -> None:
+def test_a_phase_without_an_end_lasts_until_the_last_row() -> None:
     notes = Notes(
         [Phase(0, 50, "z_up", "+Z"), Phase(0, 50, "z_up", "+Z")],
         begun=[

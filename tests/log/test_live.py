@@ -1,4 +1,4 @@
-"""A log while it is recorded: seen by readers, refused to a second writer, and never in a state that has no meaning."""
+"""A log while it is recorded: readable, refused to a second writer, and always in a valid state."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ except OSError as error:
 
 
 @pytest.mark.slow
-def test_another_program_opens_it_as_the_readme_says(
+def test_another_program_reads_the_log_as_the_readme_states(
     tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(writing, "CHUNK", 64)
@@ -66,7 +66,7 @@ def test_another_program_opens_it_as_the_readme_says(
         assert len(finished["Gyro"]) == 110
 
 
-def test_what_a_reader_sees_while_it_is_written(
+def test_a_reader_sees_all_acknowledged_rows_of_a_running_log(
     tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rows in the HDF5 file and in the journal, events, phases, truth; and afterwards the same, finished."""
@@ -77,7 +77,7 @@ def test_what_a_reader_sees_while_it_is_written(
         for first in range(0, 300, 10):
             log.append("Gyro", gyro(first, 10))
             log.flush()
-        with h5py.File(path, "r", swmr=True) as file:  # any HDF5 reader can look on; the rest stands in the journal
+        with h5py.File(path, "r", swmr=True) as file:  # any HDF5 reader can read; the rest is in the journal
             assert len(file["sensors/Gyro/time"]) == 280
         with open_log(path) as seen:
             np.testing.assert_array_equal(seen["Gyro"].time[270:290], gyro(270, 20).time)
@@ -108,7 +108,7 @@ def check(log: object) -> None:
     assert log.reference is None  # type: ignore[attr-defined]
 
 
-def test_what_came_before_it_was_kept(tmp_path: Path, writer: Writer) -> None:
+def test_rows_and_events_before_keep_are_in_the_log(tmp_path: Path, writer: Writer) -> None:
     with writer(tmp_path / "run.h5") as log:
         log.append("Gyro", gyro(0, 10))
         log.event(Event(1, "", "note", "early"))
@@ -120,7 +120,7 @@ def test_what_came_before_it_was_kept(tmp_path: Path, writer: Writer) -> None:
         assert [event.message for event in log.events] == ["early"]
 
 
-def test_everything_that_a_header_says_stands_in_a_finished_log(tmp_path: Path, writer: Writer) -> None:
+def test_a_finished_log_contains_every_field_of_its_headers(tmp_path: Path, writer: Writer) -> None:
     for name, kept in (("live", True), ("draft", False)):
         with writer(tmp_path / f"{name}.h5", "Acc", "Gyro", "Baro") as log:
             if kept:
@@ -139,10 +139,10 @@ def test_everything_that_a_header_says_stands_in_a_finished_log(tmp_path: Path, 
 
 
 @pytest.mark.parametrize(("looks", "free"), [(3, True), (1000, False)])
-def test_who_only_looks_keeps_no_log_from_being_begun(
+def test_the_lock_of_a_reader_is_awaited_for_a_limited_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, looks: int, free: bool
 ) -> None:
-    """Somebody who looks has the lock for a moment, as one of many; one who keeps it is not waited for, for ever."""
+    """A reader has the lock for a moment, as one of many; a process that keeps it is waited for only a limited time."""
     path = tmp_path / "run.h5"
     looker = os.open(journal_of(path), os.O_RDWR | os.O_CREAT)
     fcntl.flock(looker, fcntl.LOCK_SH)
@@ -167,12 +167,12 @@ def test_who_only_looks_keeps_no_log_from_being_begun(
         fcntl.flock(looker, fcntl.LOCK_EX)
         with pytest.raises(LogBusyError):
             JournalLock(path, create=True)
-        assert waited == []  # who writes is not waited for
+        assert waited == []  # a writer is not waited for
     finally:
         os.close(looker)
 
 
-def test_many_who_look_and_one_who_begins(tmp_path: Path) -> None:
+def test_a_log_starts_while_many_readers_look(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     journal_of(path).touch()
     done = threading.Event()
@@ -217,7 +217,7 @@ def test_a_second_log_into_a_running_one_is_refused(tmp_path: Path, writer: Writ
         writer(path)
 
 
-def test_a_journal_left_over_is_not_overwritten(tmp_path: Path, writer: Writer) -> None:
+def test_a_remaining_journal_is_not_overwritten(tmp_path: Path, writer: Writer) -> None:
     journal = journal_of(tmp_path / "run.h5")
     journal.write_text("precious")
     with pytest.raises(LogError, match=r"run\.h5\.journal: belongs to another log"), writer(tmp_path / "run.h5") as log:
@@ -228,7 +228,7 @@ def test_a_journal_left_over_is_not_overwritten(tmp_path: Path, writer: Writer) 
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
 
 
-def test_an_old_log_goes_when_the_new_one_is_kept(tmp_path: Path, writer: Writer) -> None:
+def test_an_old_log_is_replaced_when_the_new_log_is_kept(tmp_path: Path, writer: Writer) -> None:
     path = tmp_path / "run.h5"
     with writer(path) as log:
         log.append("Gyro", gyro(0, 5))
@@ -245,7 +245,7 @@ def test_an_old_log_goes_when_the_new_one_is_kept(tmp_path: Path, writer: Writer
 
 
 @pytest.mark.slow
-def test_readers_come_and_go_while_it_is_written(
+def test_readers_of_a_running_log_see_no_error_and_no_wrong_row(
     tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In another process, as often as it can: never an error, never a wrong row, never fewer than before."""
@@ -279,7 +279,7 @@ print(looks)
 
 
 def test_a_slow_disk_makes_append_wait(tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The queue is bounded: no more than so many blocks wait, none is lost."""
+    """The queue is bounded: a limited number of blocks wait, none is lost."""
     monkeypatch.setattr(live, "QUEUE_BLOCKS", 4)
     gate = threading.Event()
     append = live.JournalWriter.append
@@ -304,7 +304,7 @@ def test_a_slow_disk_makes_append_wait(tmp_path: Path, writer: Writer, monkeypat
         assert len(seen["Gyro"]) == 40
 
 
-def test_what_the_thread_can_not_write_is_raised_and_the_rest_kept(
+def test_an_error_of_the_writing_thread_is_raised_and_earlier_rows_are_kept(
     tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.h5"
@@ -325,7 +325,7 @@ def test_what_the_thread_can_not_write_is_raised_and_the_rest_kept(
 
 
 @pytest.mark.parametrize("loss", some(["removed", "replaced"], 1))
-def test_a_journal_that_goes_while_a_log_is_written_costs_nothing(tmp_path: Path, writer: Writer, loss: str) -> None:
+def test_a_journal_removed_during_recording_loses_no_rows(tmp_path: Path, writer: Writer, loss: str) -> None:
     path = tmp_path / "run.h5"
     with writer(path) as log:
         log.keep()
@@ -349,11 +349,11 @@ def test_a_journal_that_goes_while_a_log_is_written_costs_nothing(tmp_path: Path
         assert seen.state == "finished"
         np.testing.assert_array_equal(seen["Gyro"].counts[:], gyro(0, 30).counts)
         assert [(event.kind, event.message[:23]) for event in seen.events] == [("damaged", "the journal was removed")]
-    assert journal_of(path).exists() == (loss == "replaced")  # what is not ours stays
+    assert journal_of(path).exists() == (loss == "replaced")  # another file is kept
 
 
 @pytest.mark.parametrize("loss", some(["removed", "emptied", "overwritten", "finished by another process"], 2))
-def test_a_file_that_goes_while_a_log_is_written_costs_nothing(
+def test_a_file_removed_during_recording_loses_no_rows(
     tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch, loss: str
 ) -> None:
     monkeypatch.setattr(writing, "CHUNK", 16)
@@ -388,10 +388,10 @@ def finished_bytes(folder: Path, writer: Writer) -> bytes:
 
 
 @pytest.mark.slow
-def test_a_log_that_could_not_be_finished_never_passes_as_finished(
+def test_a_log_that_could_not_be_finished_is_reported_interrupted(
     tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """HDF5 closed its file in good order, and cleared its flags; the journal is lost, as by a copy without it."""
+    """HDF5 closed its file properly, and cleared its flags; the journal is lost, as by a copy without it."""
     path = tmp_path / "run.h5"
 
     def full(path: Path, lock: object) -> None:
@@ -419,9 +419,9 @@ def test_a_log_that_could_not_be_finished_never_passes_as_finished(
     assert main(["recover", str(path), "--force"]) == 0
 
 
-def test_what_a_killed_process_left_under_a_temporary_name_goes(tmp_path: Path, writer: Writer) -> None:
-    """Of this log and of others in the folder, also what can't be opened or is only read; not what a process that lives
-    has, nor what HDF5 has locked on another machine, nor what is no log.
+def test_drafts_of_a_killed_process_are_removed(tmp_path: Path, writer: Writer) -> None:
+    """Of this log and of others in the folder, also drafts that can't be opened or are read-only; not drafts of a
+    running process, nor files that HDF5 has locked on another machine, nor files that are no logs.
     """
     gone, other = 2**22 + 1, os.getppid()
     kept = {f".run.h5.{other}.part", f".film.mp4.{gone}.part", ".run.h5.part", f".run.h5.{gone}.parts"}
@@ -439,7 +439,7 @@ def test_what_a_killed_process_left_under_a_temporary_name_goes(tmp_path: Path, 
     assert {path.name for path in tmp_path.iterdir()} == {"run.h5", f".run.h5.{gone + 1}.part", *kept}
 
 
-def test_a_part_that_can_not_be_removed_keeps_no_log_from_being_begun(
+def test_a_draft_that_cannot_be_removed_does_not_prevent_a_log(
     tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As in a folder where another user's process was killed."""
@@ -474,7 +474,7 @@ HDF5_TEXT = """Can't write data (file write failed: time = Mon Nov 23 12:38:50 2
     ],
 )
 @pytest.mark.parametrize("raised", [OSError, RuntimeError])
-def test_hdf5s_paragraphs_become_one_line(
+def test_errors_of_hdf5_are_shortened_to_one_line(
     number: int, kind: type[LogError], said: str, raised: type[Exception]
 ) -> None:
     error = disk_space.unwritable(Path("run.h5"), raised(HDF5_TEXT.format(number)))
@@ -484,8 +484,8 @@ def test_hdf5s_paragraphs_become_one_line(
 
 
 @pytest.mark.parametrize(("version", "checksum"), [(3, b"\0\0\0\0"), (2, b"\0\0\0\0")])
-def test_a_superblock_that_is_not_understood_is_left_alone(tmp_path: Path, version: int, checksum: bytes) -> None:
-    """Of another version, or with a check sum that does not fit: what is wrong with the file shows."""
+def test_an_unknown_superblock_is_not_changed(tmp_path: Path, version: int, checksum: bytes) -> None:
+    """Of another version, or with a wrong check sum: the bytes of the file are returned unchanged."""
     content = b"\x89HDF\r\n\x1a\n" + bytes([version, 8, 8, 1]) + bytes(32) + checksum + bytes(100)
     (tmp_path / "r.h5").write_bytes(content)
     with UnclosedFile(tmp_path / "r.h5", check_heaps=False) as file:

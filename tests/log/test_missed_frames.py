@@ -1,4 +1,4 @@
-"""Missed frames, told from rows: the logger's own grid is walked through here, frame by frame, and compared."""
+"""Missed frames, determined from rows, compared with the logger's own grid, frame by frame."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ACC = SensorHeader("Acc", "bma180", "specific_force", "g", 16.0, 512.0)
 
 
 def polled(lengths: list[float], forth: float, back: float) -> tuple[list[int], int]:
-    """Times of a sensor's rows in frames that take so many periods, and how many frames were missed between them."""
+    """Times of a sensor's rows in frames of these lengths in periods, and the number of frames missed between them."""
     times, passed, missed, due = [], [], 0, 0.0
     now = 0.0
     for number, length in enumerate(lengths):
@@ -53,26 +53,26 @@ def polled(lengths: list[float], forth: float, back: float) -> tuple[list[int], 
     lengths=st.lists(st.sampled_from([0.25, 0.5, 0.9, 1.4, 2.3, 7.1]), min_size=2, max_size=120),
     forth=st.sampled_from([0.0, 0.2, 0.8]),
 )
-def test_what_is_missing_is_what_the_logger_missed(lengths: list[float], forth: float) -> None:
-    times, missed = polled([*lengths, 0.1, 0.1, 0.1, 0.1], forth, 0.8 - forth)  # at last it has caught up
+def test_missing_rows_equal_the_frames_that_the_logger_missed(lengths: list[float], forth: float) -> None:
+    times, missed = polled([*lengths, 0.1, 0.1, 0.1, 0.1], forth, 0.8 - forth)  # at the end it has caught up
     assert missing_rows(times[0], np.array(times[-2:]), len(times), PERIOD_NS) == missed
 
 
-def test_two_rows_and_none() -> None:
+def test_few_rows_have_missing_rows_only_with_a_known_period() -> None:
     assert missing_rows(0, np.array([3 * PERIOD_NS]), 2, PERIOD_NS) == 2
     assert missing_rows(0, np.array([3 * PERIOD_NS]), 2, 0) == 0
     assert missing_rows(3 * PERIOD_NS, np.array([3 * PERIOD_NS]), 1, PERIOD_NS) == 0
 
 
 @pytest.mark.parametrize("length", [1.1, 1.4, 1.9, 2.5])
-def test_a_machine_that_is_too_slow_all_the_time(length: float) -> None:
-    """Its rows come evenly, and too seldom."""
+def test_missed_frames_of_a_permanently_slow_machine_are_counted(length: float) -> None:
+    """Its rows have a constant interval, which is too long."""
     times, missed = polled([length] * 1000, 0.0, 0.0)
     assert missed == pytest.approx((length - 1) * 999, abs=1)
     assert abs(missing_rows(times[0], np.array(times[-2:]), 1000, PERIOD_NS) - missed) <= 1
 
 
-def test_the_grid_is_known_where_the_clock_is_the_loggers() -> None:
+def test_the_frame_period_is_known_where_the_clock_is_the_loggers() -> None:
     assert [frame_period_ns(source, 50.0) for source in ("i2c", "emulated", "replay")] == [20_000_000] * 3
     assert [frame_period_ns(source, 50.0) for source in ("serial", "simulated", "imported")] == [0, 0, 0]
     assert frame_period_ns("i2c", 0.0) == 0
@@ -82,11 +82,11 @@ def test_the_grid_is_known_where_the_clock_is_the_loggers() -> None:
     ("chip_rate_hz", "rate_hz", "once"),
     [(0, 100, True), (800, 100, True), (800, 60, True), (75, 75, False), (800, 790, False)],
 )
-def test_which_sensors_are_read_once_a_frame(chip_rate_hz: float, rate_hz: float, once: bool) -> None:
+def test_sensors_of_sufficient_rate_are_read_once_a_frame(chip_rate_hz: float, rate_hz: float, once: bool) -> None:
     assert is_read_once_a_frame(chip_rate_hz, rate_hz, PERIOD_NS) is once
 
 
-def test_a_reading_lost_from_one_sensor_is_no_frame_missed() -> None:
+def test_a_reading_lost_by_one_sensor_is_no_missed_frame() -> None:
     assert missed_by_all([(0, 3), (5_000_000, 7)], PERIOD_NS) == 3
     assert missed_by_all([(0, 12), (110_000_000, 1)], PERIOD_NS) == 12  # the first frame took eleven periods
     assert missed_by_all([], PERIOD_NS) is None
@@ -94,7 +94,7 @@ def test_a_reading_lost_from_one_sensor_is_no_frame_missed() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", some([100.0, 700.0], 1))
-def test_the_logger_says_the_same(tmp_path: Path, rate_hz: float) -> None:
+def test_the_count_from_rows_equals_that_of_the_logger(tmp_path: Path, rate_hz: float) -> None:
     """At 100 Hz the array keeps pace, at 700 Hz the bus is too slow for it."""
     array = load_array(ROOT / "configs" / "martin2013.toml")
     with open_bus("emulated:", array) as bus:
@@ -110,7 +110,7 @@ def test_the_logger_says_the_same(tmp_path: Path, rate_hz: float) -> None:
     ("seconds", "rate_hz", "frames"),
     [(40, 50, 2000), (40, 9, 360), (200, 0.3, 60), (20, 0.1, 2), (0.001, 50, 1), (1.25, 1, 2), (2, 1 / 3, 1)],
 )
-def test_frames_of_a_recording(seconds: float, rate_hz: float, frames: int) -> None:
+def test_the_number_of_frames_of_a_recording_is_rounded(seconds: float, rate_hz: float, frames: int) -> None:
     assert frames_in(seconds, rate_hz) == frames
 
 
@@ -118,7 +118,7 @@ def late(message: str, sensor: str = "") -> Event:
     return Event(0, sensor, "late", message)
 
 
-def test_what_events_tell_of_missed_frames() -> None:
+def test_missed_frames_are_counted_from_events() -> None:
     first, more = late("3 frames missed: the one before ended too late"), late("1 frame missed: the one before ended")
     assert missed_by_events([]) == 0
     assert missed_by_events([first, more]) == 4
@@ -142,8 +142,8 @@ quarter costs n frames while a frame takes less than three quarters."""
 
 @pytest.mark.parametrize("name", some(BLOCKS, 1))
 @pytest.mark.parametrize("sensors", some(["Gyro1", "BMA1,BMA2,ADXL1,Gyro1,Gyro2,BMP180", "ADXL1,HMC1"], 1))
-def test_a_recorder_that_is_blocked(tmp_path: Path, name: str, sensors: str) -> None:
-    """Whatever it is that keeps the logger: the summary and the log tell the same missed frames and duration."""
+def test_missed_frames_of_a_blocked_recorder_are_counted(tmp_path: Path, name: str, sensors: str) -> None:
+    """For any cause of blocking: the summary and the log have the same missed frames and duration."""
     array = load_array(ROOT / "configs" / "martin2013.toml").only(tuple(sensors.split(",")))
     blocks, missed = BLOCKS[name]
     left = dict(blocks)
@@ -166,7 +166,7 @@ def test_a_recorder_that_is_blocked(tmp_path: Path, name: str, sensors: str) -> 
         assert describe(log)["missed"] == missed
 
 
-def test_files_are_made_in_no_time_of_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_creating_files_takes_no_time_of_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     array = load_array(ROOT / "configs" / "martin2013.toml").only(("Gyro1",))
     with open_bus("emulated:", array) as bus:
         keep = LogWriter.keep
@@ -183,7 +183,7 @@ def test_files_are_made_in_no_time_of_the_recording(tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.slow
-def test_parts_tell_what_was_missed_in_each(tmp_path: Path) -> None:
+def test_each_part_has_its_own_missed_frames(tmp_path: Path) -> None:
     array = load_array(ROOT / "configs" / "martin2013.toml").only(("Gyro1", "BMA1"))
     left = {225: 0.145, 234: 0.145, 252: 0.145, 261: 0.145, 700: 0.205}  # the second part begins with frame 250
     begins: list[int] = []
@@ -206,9 +206,9 @@ def test_parts_tell_what_was_missed_in_each(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("recovered", "missed"), [(False, 2), (True, 3)])
-def test_events_of_a_complete_log_are_believed(tmp_path: Path, recovered: bool, missed: int) -> None:
+def test_events_count_missed_frames_only_in_a_complete_log(tmp_path: Path, recovered: bool, missed: int) -> None:
     """Rows at 0, 1, 2, 6, 7 and 8 periods: three are missing, of which the logger counted two. Events of a log that was
-    interrupted may be incomplete; then the rows are believed.
+    interrupted may be incomplete; then the rows are counted.
     """
     path = tmp_path / "run.h5"
     with LogWriter(path, [ACC], source="i2c", epoch="2026-01-01T00:00:00Z", frame_rate_hz=100.0) as writer:
@@ -232,7 +232,7 @@ def test_a_log_of_another_clock_lasts_from_its_first_row_to_its_last(tmp_path: P
 
 
 @pytest.mark.parametrize("kept", [False, True])
-def test_the_rate_stands_in_the_log(tmp_path: Path, kept: bool) -> None:
+def test_the_frame_rate_is_an_attribute_of_the_log(tmp_path: Path, kept: bool) -> None:
     path = tmp_path / "run.h5"
     with LogWriter(path, [ACC], source="i2c", epoch="2026-01-01T00:00:00Z", frame_rate_hz=12.5) as writer:
         if kept:
@@ -248,7 +248,7 @@ def test_the_rate_stands_in_the_log(tmp_path: Path, kept: bool) -> None:
 
 
 @pytest.mark.parametrize("said", [None, "fast", -3.0, float("nan"), float("inf"), [50.0, 50.0], True])
-def test_a_log_may_say_anything(tmp_path: Path, said: object) -> None:
+def test_invalid_frame_rates_are_ignored(tmp_path: Path, said: object) -> None:
     path = tmp_path / "run.h5"
     with LogWriter(path, [ACC], source="i2c", epoch="2026-01-01T00:00:00Z") as writer:
         writer.append("Acc", Block(np.arange(3), np.zeros((3, 3), np.int16), np.zeros(3, np.uint16)))

@@ -1,4 +1,4 @@
-"""What NeXus viewers (silx, h5web) follow in a log: default to default to a group that says signal and axes."""
+"""The path of NeXus viewers (silx, h5web) in a log: default to default to a group that names signal and axes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def default(file: h5py.File) -> h5py.Group:
     return group
 
 
-def test_what_is_plotted_first(small: Path) -> None:
+def test_the_first_plot_is_the_first_triad(small: Path) -> None:
     with h5py.File(small) as file:
         assert file.attrs["NX_class"] == "NXroot"
         plot = default(file)
@@ -30,8 +30,8 @@ def test_what_is_plotted_first(small: Path) -> None:
         assert plot["time"] == file["sensors/Acc/time"]
 
 
-def test_every_nxdata_is_one(small: Path) -> None:
-    """A signal that is there, an axis for each of its dimensions, each as long as that; others of its shape."""
+def test_every_nxdata_group_is_valid(small: Path) -> None:
+    """A signal that exists, an axis for each of its dimensions, each as long as that; others of its shape."""
     with h5py.File(small) as file:
         found = [file["truth"], *file["plots"].values()]
         assert len(found) == 4
@@ -64,7 +64,7 @@ def test_silx_plots_it(small: Path) -> None:
 @pytest.mark.parametrize(
     ("place", "target"),
     [
-        ("plots/Acc/status", "/sensors/Acc/counts"),  # another column than it says
+        ("plots/Acc/status", "/sensors/Acc/counts"),  # another column than its name
         ("plots/Acc/status", "/sensors/Gyro/status"),
         ("plots/Acc/status", "/plots/Acc/status"),
         ("plots/Acc/status", "sensors/Acc/status"),
@@ -74,15 +74,15 @@ def test_silx_plots_it(small: Path) -> None:
         ("others/Acc/status", "/sensors/Acc/status"),
     ],
 )
-def test_no_other_links(small: Path, place: str, target: str) -> None:
+def test_other_links_are_refused(small: Path, place: str, target: str) -> None:
     with h5py.File(small, "r+") as file:
         file[place] = h5py.SoftLink(target)
     with pytest.raises(LogError, match=f"{place}: a link to another place"):
         open_log(small)
 
 
-def test_the_links_there_are_need_lead_nowhere(small: Path) -> None:
-    """They are never followed: a link to a column that is not there is no concern of who reads the log."""
+def test_the_allowed_links_are_not_followed(small: Path) -> None:
+    """They are never followed: a link to a missing column does not affect reading."""
     with h5py.File(small, "r+") as file:
         file["plots/Acc/temperature"] = h5py.SoftLink("/sensors/Acc/temperature")
         file["plots/Nobody/counts"] = h5py.SoftLink("/sensors/Nobody/counts")
@@ -96,7 +96,7 @@ def test_the_links_there_are_need_lead_nowhere(small: Path) -> None:
 
 
 @pytest.mark.slow
-def test_xarray_opens_all_of_it(small: Path) -> None:
+def test_xarray_opens_the_whole_log(small: Path) -> None:
     xarray = pytest.importorskip("xarray")
     pytest.importorskip("h5netcdf")
     with xarray.open_datatree(small, engine="h5netcdf", phony_dims="sort") as tree:

@@ -36,7 +36,7 @@ def write(path: Path, columns: dict[str, Any], **others: Any) -> Path:
     ("stored", "read"),
     [("u1", "i2"), ("<u2", "i4"), (">u2", "i4"), (">i2", "i2"), ("u4", "i8"), ("u8", "i8"), ("i8", "i8")],
 )
-def test_counts_are_read_in_a_type_with_a_sign(tmp_path: Path, stored: str, read: str) -> None:
+def test_counts_are_read_as_signed_integers(tmp_path: Path, stored: str, read: str) -> None:
     """The difference of 3 and 200 is -197; in one byte without a sign it is 59."""
     path = write(tmp_path / "a.h5", {"time": np.arange(2), "counts": np.array([[200, 1, 0], [3, 0, 1]], stored)})
     with open_log(path) as log:
@@ -59,7 +59,7 @@ def test_times_beyond_53_bits_keep_their_last_nanosecond(tmp_path: Path, stored:
         assert (time[:] + np.int64(1)).tolist() == [2**60 + 1, 2**60 + 2]
 
 
-def test_numbers_as_matlab_writes_them(tmp_path: Path) -> None:
+def test_numbers_as_written_by_matlab_are_read(tmp_path: Path) -> None:
     """An attribute is an array with one element, and every number a float."""
     columns = {"time": np.arange(2), "counts": np.zeros((2, 3), np.int16)}
     path = write(

@@ -17,7 +17,7 @@ def sent(what: Any) -> Any:
     return pickle.loads(pickle.dumps(what))  # noqa: S301
 
 
-def test_it_is_its_path_that_is_sent(small: Path) -> None:
+def test_a_log_is_sent_as_its_path(small: Path) -> None:
     with open_log(small) as log:
         assert len(pickle.dumps(log)) < 1000
         again = sent(log)
@@ -28,7 +28,7 @@ def test_it_is_its_path_that_is_sent(small: Path) -> None:
     again.close()
 
 
-def test_one_log_stays_one(small: Path) -> None:
+def test_one_log_sent_several_times_is_opened_once(small: Path) -> None:
     with open_log(small) as log:
         first, second, sensor = sent((log, log, log["Acc"]))
         assert first is second
@@ -41,14 +41,14 @@ def test_one_log_stays_one(small: Path) -> None:
         other.close()
 
 
-def test_a_sensor_alone_can_be_sent_even_if_its_log_is_gone(small: Path) -> None:
+def test_a_sensor_alone_can_be_sent_after_its_log_is_out_of_scope(small: Path) -> None:
     sensor = open_log(small)["Gyro"]
     again = sent(sensor)
     assert again.name == "Gyro"
     np.testing.assert_array_equal(again.time[:], sensor.time[:])
 
 
-def test_relative_paths_hold_wherever_they_are_read(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_relative_paths_are_sent_as_absolute_paths(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(small.parent)
     with open_log(small.name) as log:
         pickled = pickle.dumps(log)
@@ -57,7 +57,7 @@ def test_relative_paths_hold_wherever_they_are_read(small: Path, monkeypatch: py
         assert again.source == "simulated"
 
 
-def test_a_log_that_is_gone_is_refused(small: Path) -> None:
+def test_a_removed_log_is_refused(small: Path) -> None:
     with open_log(small) as log:
         pickled = pickle.dumps(log)
     small.unlink()

@@ -1,4 +1,4 @@
-"""Files that are no logs, spoilt logs and logs built to do harm: each a `LogError` of one line."""
+"""Files that are no logs, damaged logs and hostile logs: each a `LogError` of one line."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Spoil = Callable[[h5py.File], None]
 
 
 def refusal(path: Path) -> str:
-    """The one line with which a file is refused; reading everything that it says counts as opening it."""
+    """The one line with which a file is refused, when it is opened or when its contents are read."""
     with pytest.raises(LogError) as refused, open_log(path) as log:
         _ = log.phases, log.events, log.truth, log.reference, log.epoch
     message = str(refused.value)
@@ -53,18 +53,18 @@ def test_a_good_log_is_not_refused(small: Path) -> None:
         assert log["Baro"].compensated("pressure")[0] == 69963.0
 
 
-def test_missing_and_folder(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
     assert refusal(tmp_path / "none.h5") == "no such file"
     assert refusal(tmp_path) == "is a folder"
 
 
 @pytest.mark.parametrize("content", [b"", b"time,x,y,z\n0,1,2,3\n", b"\x89HDF\r\n\x1a\n", b"PK\x03\x04", bytes(4096)])
-def test_not_hdf5(tmp_path: Path, content: bytes) -> None:
+def test_files_other_than_hdf5_are_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "x.h5").write_bytes(content)
     assert "a log is an HDF5 file of format 'imuarray-log'" in refusal(tmp_path / "x.h5")
 
 
-def test_truncated_anywhere(tmp_path: Path, small_bytes: bytes) -> None:
+def test_a_log_truncated_anywhere_is_refused(tmp_path: Path, small_bytes: bytes) -> None:
     path = tmp_path / "cut.h5"
     for kept in [*range(0, 100, 7), *np.linspace(100, len(small_bytes) - 1, 60).astype(int)]:
         path.write_bytes(small_bytes[:kept])
@@ -72,8 +72,8 @@ def test_truncated_anywhere(tmp_path: Path, small_bytes: bytes) -> None:
 
 
 @pytest.mark.slow
-def test_damaged_metadata(tmp_path: Path, small_bytes: bytes) -> None:
-    """One wrong byte in each object header and heap; always the same, for some damage sends HDF5 itself astray."""
+def test_damaged_metadata_are_refused_or_omitted(tmp_path: Path, small_bytes: bytes) -> None:
+    """One wrong byte in each object header and heap; always the same, since some damage makes HDF5 itself fail."""
     path = tmp_path / "damaged.h5"
     places = [match.start() for match in re.finditer(rb"OHDR|OCHK|FRHP|FHDB|BTHD|BTLF|GCOL", small_bytes)]
     assert len(places) > 20
@@ -93,7 +93,7 @@ def test_damaged_metadata(tmp_path: Path, small_bytes: bytes) -> None:
     assert told > 10  # a sensor is left out, the others can be read
 
 
-def test_foreign_hdf5(tmp_path: Path) -> None:
+def test_other_hdf5_files_are_refused(tmp_path: Path) -> None:
     for attribute in (None, "netcdf", b"imuarray", 5, [1, 2], ["a", "b"], h5py.Empty("f")):
         with h5py.File(tmp_path / "x.h5", "w") as file:
             if attribute is not None:
@@ -102,7 +102,7 @@ def test_foreign_hdf5(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("version", some([0, 2, "1.0", -1, None, [1, 1]], 3))
-def test_other_versions(small: Path, version: Any) -> None:
+def test_other_versions_are_refused(small: Path, version: Any) -> None:
     def spoil(file: h5py.File) -> None:
         del file.attrs["format_version"]
         if version is not None:
@@ -232,13 +232,13 @@ def attribute(name: str, key: str, value: Any) -> Spoil:
         ),
     ],
 )
-def test_malformed(small: Path, spoil: Spoil, said: str) -> None:
+def test_malformed_logs_are_refused(small: Path, spoil: Spoil, said: str) -> None:
     message = refusal(spoilt(small, spoil))
     assert re.search(said, message), message
 
 
-def test_as_long_as_a_refusal_is_kept_other_threads_can_read(small: Path) -> None:
-    """The traceback keeps what was being done, and with it h5py's lock if that was held."""
+def test_a_kept_refusal_does_not_block_other_threads(small: Path) -> None:
+    """The traceback keeps the frames of the read, and with them h5py's lock if that was taken."""
 
     def is_free() -> bool:
         free: bool = phil.acquire(blocking=False)
@@ -253,7 +253,7 @@ def test_as_long_as_a_refusal_is_kept_other_threads_can_read(small: Path) -> Non
     assert refused.tb is not None
 
 
-def test_a_sensor_that_is_a_table_with_attributes(small: Path) -> None:
+def test_a_sensor_that_is_a_dataset_is_refused(small: Path) -> None:
     def spoil(file: h5py.File) -> None:
         attributes = dict(file["sensors/Acc"].attrs)
         del file["sensors/Acc"]
@@ -312,13 +312,13 @@ def unknown_filter(file: h5py.File) -> None:
         (circular, "sensors/Acc/again: reached twice"),
     ],
 )
-def test_hostile(small: Path, spoil: Spoil, said: str) -> None:
+def test_hostile_logs_are_refused(small: Path, spoil: Spoil, said: str) -> None:
     message = refusal(spoilt(small, spoil))
     assert re.search(said, message), message
 
 
 @pytest.mark.filterwarnings("ignore::imuarray.errors.LogWarning")  # the tables are not those that were written
-def test_extra_things_do_no_harm(small: Path) -> None:
+def test_additional_and_missing_optional_entries_are_accepted(small: Path) -> None:
     def spoil(file: h5py.File) -> None:
         file["sensors/Acc"].attrs["colour"] = "red"
         file["sensors/Acc/more"] = np.arange(7)
@@ -341,15 +341,15 @@ def test_extra_things_do_no_harm(small: Path) -> None:
         assert log.truth is None
 
 
-def test_a_finer_orientation_than_axes_can_say(small: Path) -> None:
+def test_an_orientation_between_the_axes_is_read(small: Path) -> None:
     angle = np.radians(1.5)
     turned = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     with open_log(spoilt(small, attribute("sensors/Gyro", "orientation", turned))) as log:
         np.testing.assert_array_equal(log["Gyro"].orientation, turned)
 
 
-def test_a_malformed_track_is_a_problem_that_verify_lists(small: Path) -> None:
-    """The log opens: only who asks for the truth is refused it."""
+def test_a_malformed_truth_is_a_problem_of_verify(small: Path) -> None:
+    """The log opens: only reading the truth is refused."""
     spoilt(small, replace("truth/specific_force", np.zeros((4, 3))))
     (problem,) = verify(small).problems
     assert "group truth" in problem
@@ -358,9 +358,7 @@ def test_a_malformed_track_is_a_problem_that_verify_lists(small: Path) -> None:
 @pytest.mark.parametrize(
     ("offset", "whence", "place"), [(7, os.SEEK_SET, 7), (7, os.SEEK_CUR, 12), (-7, os.SEEK_END, -7)]
 )
-def test_a_file_whose_heaps_are_checked_is_positioned_as_any_file(
-    small: Path, offset: int, whence: int, place: int
-) -> None:
+def test_a_heap_checked_file_is_positioned_as_any_file(small: Path, offset: int, whence: int, place: int) -> None:
     """After five bytes were read."""
     content = small.read_bytes()
     expected = place % len(content)

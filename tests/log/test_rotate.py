@@ -34,7 +34,7 @@ def rotating(path: Path, every_s: float = 1.0, *, force: bool = False) -> Rotati
     return RotatingWriter(path, HEADERS, every_s=every_s, source="i2c", epoch="2026-01-01T00:00:00Z", force=force)
 
 
-def test_parts(tmp_path: Path) -> None:
+def test_each_part_has_its_rows_phases_and_truth(tmp_path: Path) -> None:
     with rotating(tmp_path / "run.h5") as log:
         log.keep()
         log.phase(Phase(SECOND // 2, 10**15, "static", "+Z"))
@@ -71,8 +71,8 @@ def test_parts(tmp_path: Path) -> None:
 @pytest.mark.slow
 @settings(max_examples=examples(10), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(lengths=st.lists(st.integers(1, 30), min_size=1, max_size=6), every_s=st.sampled_from([0.3, 1.0, 2.5]))
-def test_no_row_is_lost_whatever_the_blocks(tmp_path: Path, lengths: list[int], every_s: float) -> None:
-    """Also where one sensor falls silent: then its parts do not wait for it for ever."""
+def test_no_row_is_lost_for_any_blocks(tmp_path: Path, lengths: list[int], every_s: float) -> None:
+    """Also where one sensor falls silent: parts do not wait for it for ever."""
     with rotating(tmp_path / "run.h5", every_s, force=True) as log:
         first = 0
         for length in lengths:
@@ -87,7 +87,7 @@ def test_no_row_is_lost_whatever_the_blocks(tmp_path: Path, lengths: list[int], 
     assert back == rows(0, first).time.tolist()
 
 
-def test_an_error_keeps_what_was_kept_and_leaves_no_drafts(tmp_path: Path) -> None:
+def test_an_error_keeps_a_kept_log_and_leaves_no_drafts(tmp_path: Path) -> None:
     for kept in (True, False):
         with pytest.raises(RuntimeError, match="mine"), rotating(tmp_path / f"{kept}.h5") as log:
             if kept:
@@ -116,7 +116,7 @@ def test_the_phases_of_the_last_part_are_written_when_the_recording_ends(
         assert part.phases == (Phase(0, 4 * SECOND // 10 + 1, "static", "+Z"),)
 
 
-def test_nothing_is_overwritten(tmp_path: Path) -> None:
+def test_existing_files_are_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "run_002.h5").write_text("precious")
     with pytest.raises(OutputExistsError, match=r"run_002\.h5"), rotating(tmp_path / "run.h5") as log:
         log.append("A", rows(0, 15))
@@ -126,7 +126,7 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 
 
 def parts_made_by(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, bool]]:
-    """Name of each file that is made, and whether who appends rows had to wait for it."""
+    """Name of each file that is created, and whether appending had to wait for it."""
     made: list[tuple[str, bool]] = []
     real = LogWriter.keep
 
@@ -139,7 +139,7 @@ def parts_made_by(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, bool]]:
 
 
 @pytest.mark.slow
-def test_who_appends_does_not_wait_for_the_next_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_appending_does_not_wait_for_the_next_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = parts_made_by(monkeypatch)
     with rotating(tmp_path / "run.h5") as log:
         log.keep()
@@ -151,8 +151,10 @@ def test_who_appends_does_not_wait_for_the_next_part(tmp_path: Path, monkeypatch
     assert [path.name for path in log.paths] == ["run_001.h5", "run_002.h5", "run_003.h5"]
 
 
-def test_a_part_that_could_not_be_begun_ahead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its error comes when the part is required, and not where it never is."""
+def test_the_error_of_a_part_created_ahead_is_raised_when_it_is_required(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its error is raised when the part is required, and not where it never is."""
     real = LogWriter.keep
 
     def full(self: LogWriter) -> None:
@@ -186,8 +188,8 @@ def test_an_older_log_is_replaced_when_its_part_begins_and_not_before(tmp_path: 
 
 
 @pytest.mark.slow
-def test_a_part_that_time_passed_by(tmp_path: Path) -> None:
-    """Nobody had a row in the second part, which was begun; it is not there, and later ones are."""
+def test_a_part_without_rows_is_not_written(tmp_path: Path) -> None:
+    """No sensor had a row in the second part, which was created ahead; it is removed, and later parts exist."""
     with rotating(tmp_path / "run.h5") as log:
         log.keep()
         for first in (8, 20, 30, 40):

@@ -1,4 +1,4 @@
-"""What goes into a log comes out, whatever the sizes of the blocks; and what must not go in doesn't."""
+"""Rows written to a log are read back, for any sizes of blocks; invalid rows are refused."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def columns(path: Path) -> dict[str, np.ndarray]:
 
 @settings(max_examples=examples(25), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(lengths=st.lists(st.integers(0, 25), max_size=12), seed=st.integers(0, 2**32 - 1), chunk=st.integers(1, 16))
-def test_round_trip_whatever_the_blocks_and_chunks(tmp_path: Path, lengths: list[int], seed: int, chunk: int) -> None:
+def test_rows_round_trip_for_any_blocks_and_chunks(tmp_path: Path, lengths: list[int], seed: int, chunk: int) -> None:
     rows = rows_of(np.random.default_rng(seed), sum(lengths))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(writing, "CHUNK", chunk)
@@ -65,7 +65,7 @@ def test_round_trip_whatever_the_blocks_and_chunks(tmp_path: Path, lengths: list
         assert back[name].dtype == expected.dtype
 
 
-def test_blocks_across_real_chunks(tmp_path: Path) -> None:
+def test_blocks_across_chunks_are_read_back(tmp_path: Path) -> None:
     rows = rows_of(np.random.default_rng(1), 10_000)
     for name, lengths in (("one", [10_000]), ("odd", [4095, 1, 1, 4097, 1806]), ("many", [100] * 100)):
         with LogWriter(tmp_path / f"{name}.h5", [HEADER], source="simulated", epoch=EPOCH) as log:
@@ -104,7 +104,9 @@ TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00
     events=st.lists(st.tuples(st.integers(-(2**62), 2**62), TEXT, TEXT, TEXT), max_size=4),
     config=TEXT,
 )
-def test_phases_events_and_texts(tmp_path: Path, phases: list[tuple], events: list[tuple], config: str) -> None:
+def test_phases_events_and_texts_are_read_back(
+    tmp_path: Path, phases: list[tuple], events: list[tuple], config: str
+) -> None:
     path = tmp_path / "t.h5"
     with LogWriter(path, [HEADER], source="imported", epoch=EPOCH, config=config, force=True) as log:
         for phase in phases:
@@ -123,7 +125,7 @@ def test_phases_events_and_texts(tmp_path: Path, phases: list[tuple], events: li
         assert log.reference is None
 
 
-def test_stimuli(tmp_path: Path) -> None:
+def test_stimuli_are_read_back(tmp_path: Path) -> None:
     generator = np.random.default_rng(2)
     rows = Stimulus(
         np.arange(7) * 3, generator.normal(size=(7, 3)), generator.normal(size=(7, 3)), generator.normal(size=7)
@@ -160,7 +162,7 @@ def test_time_must_increase_across_blocks(tmp_path: Path, writer: Writer) -> Non
         assert log["Gyro"].time[:].tolist() == [5, 6]
 
 
-def test_columns_of_one_block_are_equally_long(tmp_path: Path, writer: Writer) -> None:
+def test_columns_of_one_block_must_be_equally_long(tmp_path: Path, writer: Writer) -> None:
     with writer(tmp_path / "t.h5") as log:
         with pytest.raises(ValueError, match="Gyro"):
             log.append("Gyro", Block(np.array([1, 2, 3]), np.ones((2, 3), np.int16), np.zeros(3, np.uint16)))
@@ -168,14 +170,14 @@ def test_columns_of_one_block_are_equally_long(tmp_path: Path, writer: Writer) -
             log.append("Gyro", Block(np.array([4, 5]), np.ones((3, 3), np.int16), np.zeros(2, np.uint16)))
 
 
-def test_nothing_is_left_after_an_exception(tmp_path: Path, writer: Writer) -> None:
+def test_an_exception_leaves_no_file(tmp_path: Path, writer: Writer) -> None:
     with pytest.raises(RuntimeError, match="mine"), writer(tmp_path / "t.h5") as log:
         log.append("Gyro", Block(np.array([1]), np.ones((1, 3), np.int16), np.zeros(1, np.uint16)))
         raise RuntimeError("mine")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_worth_keeping_is_kept(tmp_path: Path, writer: Writer) -> None:
+def test_a_kept_log_survives_an_exception(tmp_path: Path, writer: Writer) -> None:
     with pytest.raises(RuntimeError, match="mine"), writer(tmp_path / "t.h5") as log:
         log.append("Gyro", Block(np.array([1]), np.ones((1, 3), np.int16), np.zeros(1, np.uint16)))
         log.keep()
@@ -185,7 +187,7 @@ def test_what_is_worth_keeping_is_kept(tmp_path: Path, writer: Writer) -> None:
         assert len(log["Gyro"]) == 1
 
 
-def test_nothing_is_left_when_a_header_is_impossible(tmp_path: Path) -> None:
+def test_an_impossible_header_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="left-handed"):
         LogWriter(
             tmp_path / "t.h5",
@@ -203,7 +205,7 @@ def test_the_name_appears_when_the_log_is_complete(tmp_path: Path, writer: Write
     assert [left.name for left in tmp_path.iterdir()] == ["t.h5"]
 
 
-def test_nothing_is_overwritten_unless_told(tmp_path: Path, writer: Writer) -> None:
+def test_a_log_is_overwritten_only_with_force(tmp_path: Path, writer: Writer) -> None:
     path = tmp_path / "t.h5"
     path.write_text("precious")
     with pytest.raises(OutputExistsError, match=r"t\.h5: exists already; .*--force"):
@@ -212,20 +214,20 @@ def test_nothing_is_overwritten_unless_told(tmp_path: Path, writer: Writer) -> N
     assert len(list(tmp_path.iterdir())) == 1
     with pytest.raises(RuntimeError, match="mine"), writer(path, force=True):
         raise RuntimeError("mine")
-    assert path.read_text() == "precious"  # the old file goes only when the new one is complete
+    assert path.read_text() == "precious"  # the old file is replaced only when the new file is complete
     with writer(path, force=True):
         pass
     assert h5py.is_hdf5(path)
 
 
-def test_what_can_not_be_written(tmp_path: Path, writer: Writer) -> None:
+def test_a_path_that_cannot_be_written_is_refused(tmp_path: Path, writer: Writer) -> None:
     with pytest.raises(LogError, match=r"t\.h5: can't be written: No such file or directory"):
         writer(tmp_path / "none" / "t.h5")
 
 
 @settings(max_examples=examples(30), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(at=st.lists(st.integers(-10, 60_000), min_size=1, max_size=20), seed=st.integers(0, 1000))
-def test_rows_are_found_without_reading_the_column(tmp_path: Path, at: list[int], seed: int) -> None:
+def test_rows_are_located_by_time(tmp_path: Path, at: list[int], seed: int) -> None:
     time = np.cumsum(np.random.default_rng(seed).integers(1, 5, 20_000))
     with h5py.File(tmp_path / f"{os.getpid()}.h5", "w") as file:
         dataset = file.create_dataset("time", data=time, chunks=(4096,))

@@ -35,7 +35,7 @@ def cached(column: Any, name: str, limit_bytes: int | None = None) -> NamedColum
     return NamedColumn(column, name, cache)
 
 
-def test_any_slice_is_that_of_the_column() -> None:
+def test_any_slice_equals_that_of_the_column() -> None:
     values = np.random.default_rng(1).integers(-32768, 32767, (ROWS, 3), dtype=np.int16)
     column = cached(Counted(values), "counts")
     ends = np.random.default_rng(2).integers(-ROWS, 2 * ROWS, (200, 2))
@@ -45,7 +45,7 @@ def test_any_slice_is_that_of_the_column() -> None:
     np.testing.assert_array_equal(column[:], values)
 
 
-def test_rows_are_read_once_while_there_is_room() -> None:
+def test_rows_are_read_once_while_the_cache_has_room() -> None:
     counted = Counted(np.arange(ROWS))
     column = cached(counted, "time", 8 * ROWS)
     for _ in range(3):
@@ -55,7 +55,9 @@ def test_rows_are_read_once_while_there_is_room() -> None:
 
 
 @pytest.mark.parametrize(("size_bytes", "blocks"), [(8 * ROWS, 4), (1 << 30, 2)])
-def test_of_a_long_log_the_rows_used_last_stay(monkeypatch: pytest.MonkeyPatch, size_bytes: int, blocks: int) -> None:
+def test_the_most_recent_rows_of_a_long_log_stay_cached(
+    monkeypatch: pytest.MonkeyPatch, size_bytes: int, blocks: int
+) -> None:
     """Four blocks of half a megabyte; a log of a gigabyte may keep two."""
     monkeypatch.setattr("imuarray.log.columns.RECENT_BYTES", 1 << 20)
     counted, cache = Counted(np.arange(ROWS)), RowCache()
@@ -68,7 +70,7 @@ def test_of_a_long_log_the_rows_used_last_stay(monkeypatch: pytest.MonkeyPatch, 
     assert counted.rows_read == ROWS + again
 
 
-def test_few_rows_come_from_memory_if_they_are_there() -> None:
+def test_a_few_cached_rows_are_not_read_again() -> None:
     counted = Counted(np.arange(ROWS) ** 2)
     column = cached(counted, "time")
     assert column[70_000:70_010].tolist() == [row**2 for row in range(70_000, 70_010)] and counted.rows_read == 10
@@ -84,7 +86,7 @@ def test_few_rows_come_from_memory_if_they_are_there() -> None:
         cached(np.arange(ROWS), "time")[ROWS]
 
 
-def test_what_was_used_last_stays() -> None:
+def test_the_most_recently_used_blocks_stay_cached() -> None:
     counted = Counted(np.arange(ROWS))
     column = cached(counted, "time", 2 * 8 * 65_536)
     for start in (0, 65_536, 0, 131_072, 0):  # the third block takes the place of the second
@@ -94,20 +96,20 @@ def test_what_was_used_last_stays() -> None:
     assert counted.rows_read == 4 * 65_536
 
 
-def test_a_caller_may_change_what_it_got() -> None:
+def test_changing_a_returned_slice_does_not_change_the_cache() -> None:
     column = cached(Counted(np.arange(ROWS)), "time")
     column[0:5000][:] = -1
     assert column[0:5000].tolist() == list(range(5000))
 
 
-def test_few_rows_are_read_by_themselves() -> None:
+def test_a_few_rows_are_read_without_their_block() -> None:
     counted = Counted(np.arange(ROWS))
     column = cached(counted, "time")
     assert column[-1:].tolist() == [ROWS - 1] and column[7:71].tolist() == list(range(7, 71))
     assert counted.rows_read == 65
 
 
-def test_rows_beside_damaged_ones_can_be_read(tmp_path: Path) -> None:
+def test_rows_next_to_damaged_rows_can_be_read(tmp_path: Path) -> None:
     values, chunk = np.arange(20_000), 4096
     with h5py.File(tmp_path / "log.h5", "w") as file:
         file.create_dataset("time", data=values, chunks=(chunk,), fletcher32=True)
@@ -123,7 +125,7 @@ def test_rows_beside_damaged_ones_can_be_read(tmp_path: Path) -> None:
             column[:]
 
 
-def test_nothing_is_kept_before_somebody_wants_it(tmp_path: Path) -> None:
+def test_rows_are_not_cached_by_default(tmp_path: Path) -> None:
     counted = Counted(np.arange(ROWS))
     column = NamedColumn(counted, "time", RowCache())  # type: ignore[arg-type]
     for _ in range(2):

@@ -1,4 +1,4 @@
-"""Times of rows that stall or come in bursts, made with known lengths and rates, and what is told of them."""
+"""Times of rows that stall or arrive in bursts, made with known lengths and rates, and their descriptions."""
 
 from __future__ import annotations
 
@@ -48,15 +48,15 @@ def timing_of(path: Path, time_s: npt.NDArray[np.float64]) -> RowTiming:
 
 
 def stalling(rows: int, every: int, interval_s: float, stall_s: float) -> npt.NDArray[np.float64]:
-    """A row every `interval_s`, and after every so many rows none for `stall_s`."""
+    """A row every `interval_s`, and after each given number of rows none for `stall_s`."""
     row = np.arange(rows)
     stalls = row // every
     return (row - stalls) * interval_s + stalls * stall_s
 
 
 def bursts(rows: int, rate_hz: float, seed: int = 0) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Times of readings, evenly, and of their arrival at a host that comes by when it can, takes what is there, a
-    reading in a millisecond, and is away for 60 ms on average.
+    """Times of readings, evenly, and of their arrival at a host that reads all available readings, one a
+    millisecond, and pauses for 60 ms on average.
     """
     rng = np.random.default_rng(seed)
     read_s = 1 + np.arange(rows) / rate_hz
@@ -70,7 +70,7 @@ def bursts(rows: int, rate_hz: float, seed: int = 0) -> tuple[npt.NDArray[np.flo
 
 
 @pytest.mark.parametrize(("every", "stall_s"), [(51, 2.83), (7, 0.4), (200, 11.0)])
-def test_stalls_after_every_so_many_rows(tmp_path: Path, every: int, stall_s: float) -> None:
+def test_periodic_stalls_are_described_with_their_period(tmp_path: Path, every: int, stall_s: float) -> None:
     found = timing_of(tmp_path / "log.h5", stalling(every * 40, every, 0.017, stall_s))
     assert (found.kind, found.period_rows, found.gaps) == ("stalls", every, 39)
     assert found.gap_s == pytest.approx(stall_s, rel=1e-6)
@@ -81,8 +81,8 @@ def test_stalls_after_every_so_many_rows(tmp_path: Path, every: int, stall_s: fl
 
 
 @pytest.mark.parametrize(("share", "period_rows"), [(0.9, 20), (0.6, 0)])
-def test_stalls_without_a_period(tmp_path: Path, share: float, period_rows: int) -> None:
-    """So many come after 20 rows, the others after 30."""
+def test_stalls_without_a_period_are_counted(tmp_path: Path, share: float, period_rows: int) -> None:
+    """A share of stalls follows 20 rows, the others 30."""
     lengths = np.where(np.arange(60) % 10 < round(10 * share), 20, 30)
     stalls = np.repeat(np.arange(60), lengths)
     found = timing_of(tmp_path / "log.h5", np.arange(len(stalls)) * 0.01 + stalls * 1.0)
@@ -101,13 +101,13 @@ def test_stalls_without_a_period(tmp_path: Path, share: float, period_rows: int)
         (20, 0.075, "stalls"),  # 7.5 %
     ],
 )
-def test_rows_that_are_late_now_and_then_are_no_stall(tmp_path: Path, stalls: int, stall_s: float, kind: str) -> None:
+def test_rows_that_are_late_occasionally_are_no_stall(tmp_path: Path, stalls: int, stall_s: float, kind: str) -> None:
     rows = 2000 if stalls == 20 else 900
     assert timing_of(tmp_path / "log.h5", stalling(rows, rows // stalls - 1, 0.01, stall_s)).kind == kind
 
 
 @pytest.mark.parametrize("rate_hz", [25.0, 99.3, 400.0])
-def test_bursts_are_told_with_the_rate_of_the_readings(tmp_path: Path, rate_hz: float) -> None:
+def test_bursts_are_described_with_the_rate_of_the_readings(tmp_path: Path, rate_hz: float) -> None:
     read_s, arrived_s = bursts(12_000, rate_hz)
     with open_log(log_with(tmp_path / "log.h5", arrived_s)) as log:
         found, line = row_timing(log["S"]), even_rows(log["S"])
@@ -122,16 +122,16 @@ def test_bursts_are_told_with_the_rate_of_the_readings(tmp_path: Path, rate_hz: 
         assert line.rows_per_s == pytest.approx(rate_hz, rel=2e-3)
 
 
-def test_as_many_rows_each_time_are_a_burst_if_they_hurry(tmp_path: Path) -> None:
+def test_equal_groups_of_fast_rows_are_bursts(tmp_path: Path) -> None:
     """A queue of 32 readings, drained at once when it is full, and a recorder that stalls after 32 rows."""
     drained = stalling(32 * 60, 32, 0.0003, 0.32)
     assert timing_of(tmp_path / "queue.h5", drained).kind == "bursts"
     assert timing_of(tmp_path / "stalls.h5", stalling(32 * 60, 32, 0.01, 0.32)).kind == "stalls"
 
 
-def test_equal_stamps_within_bursts(tmp_path: Path) -> None:
-    """A host that takes what a driver kept at 99.3 Hz every 70 ms, and stamps some rows up to 2 ms later, others with
-    the same time (apart by 100 ns in the log).
+def test_equal_stamps_within_bursts_are_accepted(tmp_path: Path) -> None:
+    """A host that reads the queue of a driver of 99.3 Hz every 70 ms, and stamps some rows up to 2 ms later, others
+    with the same time (apart by 100 ns in the log).
     """
     arrived_s = np.ceil(np.arange(6000) / 99.3 / 0.07) * 0.07 + np.random.default_rng(6).uniform(0, 0.002, 6000)
     timing = timing_of(tmp_path / "log.h5", np.maximum.accumulate(arrived_s) + 1e-7 * np.arange(6000))
@@ -140,7 +140,7 @@ def test_equal_stamps_within_bursts(tmp_path: Path) -> None:
     assert timing.gap_s == pytest.approx(0.069, abs=0.002)
 
 
-def test_what_makes_a_burst() -> None:
+def test_bursts_are_decided_by_spread_and_speed() -> None:
     rng = np.random.default_rng(8)
     length_s, other = rng.uniform(0.5, 1.5, (2, 4000))
     standing = (length_s - 1) / length_s.std(), (other - 1) / other.std()
@@ -148,13 +148,13 @@ def test_what_makes_a_burst() -> None:
         mixed = correlation * standing[0] + np.sqrt(1 - correlation**2) * standing[1]
         assert _is_burst(length_s, np.rint(1000 * (10 + mixed)).astype(np.int64), 5.0) == expected
     behind = np.rint(1000 * (10 + standing[0])).astype(np.int64)
-    for scatter, expected in ((0.035, False), (0.07, True)):  # lengths that are all the same say nothing
+    for scatter, expected in ((0.035, False), (0.07, True)):  # lengths that are all equal decide nothing
         assert _is_burst(1 + scatter * standing[0], behind, 5.0) == expected
     for hurry, expected in ((7.0, False), (14.0, True)):
         assert _is_burst(np.ones(50), np.full(50, 32), hurry) == expected
 
 
-def test_a_steady_log_is_not_spoken_of(tmp_path: Path) -> None:
+def test_a_steady_log_has_no_note(tmp_path: Path) -> None:
     jitter = np.random.default_rng(2).uniform(0, 0.004, 3000)
     steady = timing_of(tmp_path / "log.h5", np.arange(3000) * 0.01 + jitter)
     assert (steady.kind, notes_of([("S", steady)])) == ("steady", [])
@@ -207,7 +207,7 @@ def test_rows_that_return_to_the_grid_after_a_stall_are_no_burst(tmp_path: Path)
 
 
 @pytest.mark.parametrize(("flagged", "kind"), [(0.0, "bursts"), (0.4, "bursts"), (0.6, "steady"), (1.0, "steady")])
-def test_no_burst_makes_up_for_rows_that_are_flagged_as_lost(tmp_path: Path, flagged: float, kind: str) -> None:
+def test_gaps_flagged_as_lost_are_not_described_as_bursts(tmp_path: Path, flagged: float, kind: str) -> None:
     """Times that look like bursts, where the recorder counted what it lost in a share of the gaps."""
     _, arrived_s = bursts(3000, 99.3)
     gaps = np.flatnonzero(np.diff(arrived_s) > 3 * np.median(np.diff(arrived_s))) + 1

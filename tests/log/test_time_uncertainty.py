@@ -37,7 +37,7 @@ def queue(tmp_path: Path) -> Path:
     return path
 
 
-def test_it_is_a_column_in_seconds(queue: Path) -> None:
+def test_the_uncertainty_is_a_column_in_seconds(queue: Path) -> None:
     with h5py.File(queue) as file:
         column = file["sensors/Q/time_uncertainty"]
         assert (column.dtype, column.attrs["units"]) == (np.dtype("<f4"), "s")
@@ -49,7 +49,7 @@ def test_it_is_a_column_in_seconds(queue: Path) -> None:
         np.testing.assert_allclose(stated[:], STATED_S, rtol=1e-6)
 
 
-def test_info_says_how_well_times_are_known(queue: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_reports_the_uncertainty(queue: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", str(queue)]) == 0
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if " rows " in line}
     assert "times known within 21 us (at worst 500 us)" in lines["Q"]
@@ -60,7 +60,7 @@ def test_info_says_how_well_times_are_known(queue: Path, capsys: pytest.CaptureF
     assert drained["time_uncertainty_s"] == pytest.approx({"median": 21e-6, "max": 500e-6}, rel=1e-6)
 
 
-def test_characterise_has_it_in_the_alignment(queue: Path) -> None:
+def test_characterise_reports_the_uncertainty(queue: Path) -> None:
     with open_log(queue) as log:
         result = characterise_log(log)
     polled, drained = result["alignment"]["sensors"]
@@ -71,7 +71,7 @@ def test_characterise_has_it_in_the_alignment(queue: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", some(["npz", "csv", "parquet"], 1))
-def test_an_export_keeps_it(suffix: str, queue: Path, tmp_path: Path) -> None:
+def test_an_export_keeps_the_uncertainty(suffix: str, queue: Path, tmp_path: Path) -> None:
     assert main(["export", str(queue), "-o", str(tmp_path / f"q.{suffix}")]) == 0
     assert main(["import", str(tmp_path / f"q.{suffix}"), "-o", str(tmp_path / "again.h5")]) == 0
     with open_log(tmp_path / "again.h5") as log:
@@ -79,7 +79,7 @@ def test_an_export_keeps_it(suffix: str, queue: Path, tmp_path: Path) -> None:
         np.testing.assert_array_equal(log["Q"].time_uncertainty[:], STATED_S.astype(np.float32))
 
 
-def test_xarray_has_it(queue: Path) -> None:
+def test_xarray_contains_the_uncertainty(queue: Path) -> None:
     with open_log(queue) as log:
         variable = log["Q"].to_xarray()["time_uncertainty"]
     assert variable.attrs["units"] == "s"
