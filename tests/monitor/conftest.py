@@ -1,4 +1,4 @@
-"""Logs that are being written, in the hands of the test."""
+"""Logs that are being written, step by step by the test."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ACC_LSB, TURNED_LSB, GYRO_LSB = (512, -1024, 2048), (-128, -64, 256), (1000, -50
 
 
 def rows(name: str, start_s: float, seconds: float, period_ns: int = PERIOD_NS) -> Block:
-    """Rows of a sensor that reads the same all the time, with a count of scatter up and down in turn."""
+    """Rows of a constant sensor whose counts alternate by one count."""
     count = round(seconds * 1e9 / period_ns)
     time = np.int64(round(start_s * 1e9)) + np.arange(count, dtype=np.int64) * period_ns
     status = np.zeros(count, np.uint16)
@@ -42,7 +42,7 @@ def rows(name: str, start_s: float, seconds: float, period_ns: int = PERIOD_NS) 
 
 
 class Logger:
-    """Writes all sensors, so many seconds more at a time; what is left out is missing."""
+    """Writes all sensors, in steps of some seconds; sensors can be left out."""
 
     def __init__(self, writer: LogWriter) -> None:
         self.writer = writer

@@ -1,4 +1,4 @@
-"""A monitor that is served to a test."""
+"""A monitor process for a test."""
 
 from __future__ import annotations
 

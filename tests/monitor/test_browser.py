@@ -1,4 +1,4 @@
-"""The page in a real browser: it shows the log, changes with it, and comes back when the monitor does."""
+"""The page in a real browser: it shows the log, follows its changes, and reconnects to a restarted monitor."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ROWS = "document.querySelectorAll('#sensors tbody tr').length"
 NEWEST = "document.querySelector('#tiles .more').textContent"
 
 
-def test_the_page_shows_the_log_and_changes_with_it(logger: Logger, log_path: Path, tmp_path: Path) -> None:
+def test_the_page_shows_the_log_and_follows_its_changes(logger: Logger, log_path: Path, tmp_path: Path) -> None:
     logger.go_on(12.0)
 
     async def visit(address: str) -> None:
@@ -73,7 +73,7 @@ def test_the_page_shows_the_log_and_changes_with_it(logger: Logger, log_path: Pa
         asyncio.run(visit(address))
 
 
-def test_a_sensor_that_died_is_silent_in_the_colour_of_trouble(logger: Logger, log_path: Path, tmp_path: Path) -> None:
+def test_a_dead_sensor_is_shown_silent_in_the_fault_colour(logger: Logger, log_path: Path, tmp_path: Path) -> None:
     logger.go_on(4.0)
     logger.go_on(49.0, without=("Turned",))
     warned = "[...document.querySelectorAll('#sensors .warn, #cards .warn')]"
@@ -94,7 +94,7 @@ def test_a_sensor_that_died_is_silent_in_the_colour_of_trouble(logger: Logger, l
         asyncio.run(visit(address))
 
 
-def test_the_page_says_that_the_monitor_is_gone_and_comes_back_with_it(log_path: Path, tmp_path: Path) -> None:
+def test_the_page_reports_a_stopped_monitor_and_reconnects(log_path: Path, tmp_path: Path) -> None:
     writer = LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH)
     writer.keep()
     Logger(writer).go_on(2.0)

@@ -1,4 +1,4 @@
-"""What is to be seen of a log that is written, ended, interrupted, cut into parts, or replaced."""
+"""Snapshots of a log that is written, ended, interrupted, cut into parts, or replaced."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def sensor(snapshot: Snapshot, name: str) -> SensorView:
     return next(view for view in snapshot.sensors if view.name == name)
 
 
-def test_a_log_that_is_not_there_yet_is_waited_for(log_path: Path) -> None:
+def test_the_monitor_waits_for_a_log_that_does_not_exist_yet(log_path: Path) -> None:
     with LogMonitor(log_path) as watch:
         first = watch.refresh(0.0)
         assert (first.state, first.sensors) == ("waiting", ())
@@ -45,7 +45,7 @@ def test_a_log_that_is_not_there_yet_is_waited_for(log_path: Path) -> None:
             assert watch.refresh(1.0).state == "being written"
 
 
-def test_sensors_in_their_units_while_they_are_written(logger: Logger, log_path: Path) -> None:
+def test_sensors_are_shown_in_their_units_while_they_are_written(logger: Logger, log_path: Path) -> None:
     logger.go_on(4.0)
     with LogMonitor(log_path) as watch:
         seen = watch.refresh(100.0)
@@ -67,7 +67,7 @@ def test_sensors_in_their_units_while_they_are_written(logger: Logger, log_path:
     assert (acc.rows, baro.rows) == (400, 16)
 
 
-def test_the_spectrum_holds_the_variance(logger: Logger, log_path: Path) -> None:
+def test_the_integral_of_the_spectrum_is_the_variance(logger: Logger, log_path: Path) -> None:
     logger.go_on(10.0)
     with LogMonitor(log_path) as watch:
         spectrum = sensor(watch.refresh(0.0), "Acc").spectrum
@@ -78,7 +78,7 @@ def test_the_spectrum_holds_the_variance(logger: Logger, log_path: Path) -> None
     assert (spectrum.density.argmax(axis=0) == len(spectrum.frequency_hz) - 1).all()
 
 
-def test_all_sensors_average_to_what_both_tell(logger: Logger, log_path: Path) -> None:
+def test_sensors_of_a_quantity_are_fused_by_their_mean(logger: Logger, log_path: Path) -> None:
     logger.go_on(3.0)
     with LogMonitor(log_path) as watch:
         fused = watch.refresh(0.0).fused
@@ -89,7 +89,7 @@ def test_all_sensors_average_to_what_both_tell(logger: Logger, log_path: Path) -
     np.testing.assert_allclose(fused.noise["angular_rate"], swing / math.sqrt(2), rtol=0.01)
 
 
-def test_a_fused_file_beside_it_is_shown_instead(logger: Logger, log_path: Path) -> None:
+def test_a_fused_file_of_the_log_is_shown_instead_of_the_mean(logger: Logger, log_path: Path) -> None:
     logger.go_on(3.0)
     time = np.arange(300, dtype=np.int64) * 10_000_000
     block = FusedBlock(time, {"angular_rate": np.tile([1.0, 2.0, 3.0], (300, 1))})
@@ -102,7 +102,7 @@ def test_a_fused_file_beside_it_is_shown_instead(logger: Logger, log_path: Path)
         assert fused.time[0] == 990_000_000
         write_fused(fused_path, [block], epoch="2020-01-01T00:00:00Z", technique="optimal", log="x.h5", force=True)
         other = watch.refresh(1.0).fused
-        assert other is not None and other.technique == "mean"  # that is another log's
+        assert other is not None and other.technique == "mean"  # that file is of another log
 
 
 def test_a_fused_file_is_shown_while_it_is_written(logger: Logger, log_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_a_fused_file_is_shown_while_it_is_written(logger: Logger, log_path: Pat
     assert fused.mean["angular_rate"].tolist() == [1.0, 2.0, 3.0]
 
 
-def test_a_calibration_that_does_not_fit_is_told(logger: Logger, log_path: Path) -> None:
+def test_a_calibration_that_does_not_fit_is_reported(logger: Logger, log_path: Path) -> None:
     from imuarray.calibrate.model import nominal
     from imuarray.log import open_log
 
@@ -130,7 +130,7 @@ def test_a_calibration_that_does_not_fit_is_told(logger: Logger, log_path: Path)
     assert len(seen.sensors) == 4
 
 
-def test_frames_are_missing_from_all_and_readings_from_one(logger: Logger, log_path: Path) -> None:
+def test_missed_frames_and_missed_readings_are_counted_separately(logger: Logger, log_path: Path) -> None:
     logger.go_on(5.0)
     logger.now_s += 0.05  # five frames
     logger.go_on(2.0)
@@ -145,7 +145,7 @@ def test_frames_are_missing_from_all_and_readings_from_one(logger: Logger, log_p
 
 
 @pytest.mark.slow
-def test_a_look_costs_what_came_since(log_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refresh_reads_only_new_rows(log_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A reader that begins late does not read the journal from its start, yet knows all rows, gaps and events."""
     monkeypatch.setattr(writing, "CHUNK", 256)
     with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
@@ -182,7 +182,7 @@ def test_a_look_costs_what_came_since(log_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("commits", some([1, 2, 64, 65, 66], 1))
-def test_a_log_is_seen_after_any_number_of_commits(
+def test_a_log_is_read_after_any_number_of_commits(
     log_path: Path, monkeypatch: pytest.MonkeyPatch, commits: int
 ) -> None:
     monkeypatch.setattr(writing, "CHUNK", 8)
@@ -210,8 +210,8 @@ def test_events_are_counted_and_the_last_are_kept(logger: Logger, log_path: Path
     assert len(seen.recent) == KEPT and seen.recent[0].kind == "back"
 
 
-def test_a_machine_that_is_too_slow_all_the_time_tells_what_it_missed(logger: Logger, log_path: Path) -> None:
-    """Its rows come evenly: only the events know."""
+def test_missed_frames_of_a_permanently_slow_machine_are_counted_from_events(logger: Logger, log_path: Path) -> None:
+    """Its rows have a constant interval: only the events contain the count."""
     logger.go_on(4.0)
     why = "frames missed: the one before ended too late"
     for number, text in enumerate((f"3 {why}", "in all 40 frames missed in 2.1 s", f"2 {why}", "1 frame missed: so")):
@@ -224,7 +224,7 @@ def test_a_machine_that_is_too_slow_all_the_time_tells_what_it_missed(logger: Lo
 
 
 @pytest.mark.slow
-def test_missed_frames_are_told_by_the_frame_rate_that_was_asked_for(log_path: Path) -> None:
+def test_missed_frames_are_counted_from_the_configured_frame_rate(log_path: Path) -> None:
     """A machine that needs 1.4 periods for every frame: its rows come evenly, and no event tells yet what it missed."""
     writer = LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH, frame_rate_hz=100.0)
     writer.keep()
@@ -242,7 +242,7 @@ def test_missed_frames_are_told_by_the_frame_rate_that_was_asked_for(log_path: P
         fresh.close()
 
 
-def test_a_sensor_with_a_queue_and_a_slow_one_keep_a_pace_of_their_own(log_path: Path) -> None:
+def test_sensors_with_a_queue_or_a_low_rate_have_their_own_period(log_path: Path) -> None:
     with LogWriter(log_path, HEADERS, source="i2c", epoch=EPOCH, frame_rate_hz=50.0) as writer:
         writer.append("Acc", rows("Acc", 0.0, 4.0))  # at 100 Hz, with five of them missing
         writer.append("Acc", rows("Acc", 4.05, 2.0))
@@ -254,7 +254,7 @@ def test_a_sensor_with_a_queue_and_a_slow_one_keep_a_pace_of_their_own(log_path:
     assert told == {"Acc": (False, 5), "Turned": (True, 0), "Baro": (False, 0)}
 
 
-def test_quiet_time_and_room(logger: Logger, log_path: Path) -> None:
+def test_quiet_time_and_free_space_are_reported(logger: Logger, log_path: Path) -> None:
     logger.go_on(2.0)
     with LogMonitor(log_path) as watch:
         watch.refresh(10.0)
@@ -270,7 +270,7 @@ def test_quiet_time_and_room(logger: Logger, log_path: Path) -> None:
     assert disk.left_s == pytest.approx((disk.free_bytes - (64 << 20)) / disk.bytes_per_s)
 
 
-def test_the_end_is_seen_with_the_last_rows(log_path: Path) -> None:
+def test_the_end_of_a_log_is_shown_with_its_last_rows(log_path: Path) -> None:
     watch = LogMonitor(log_path)
     with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
         writer.keep()
@@ -291,7 +291,7 @@ def test_the_end_is_seen_with_the_last_rows(log_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_another_log_of_that_name_is_begun_anew(log_path: Path) -> None:
+def test_a_new_log_of_the_same_name_starts_anew(log_path: Path) -> None:
     watch = LogMonitor(log_path)
     for number, seconds in enumerate((3.0, 1.0)):
         with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH, force=True) as writer:
@@ -338,7 +338,7 @@ def test_a_killed_logger_leaves_an_interrupted_log(log_path: Path) -> None:
 @pytest.mark.parametrize(
     "name", some(["night_fused.h5", "night_00{part}_fused.h5", "elsewhere.h5", "elsewhere_00{part}.h5"], 1)
 )
-def test_what_is_fused_meanwhile_is_shown_in_every_part(tmp_path: Path, name: str) -> None:
+def test_the_fused_file_of_every_part_is_shown(tmp_path: Path, name: str) -> None:
     given = tmp_path / "elsewhere.h5" if name.startswith("elsewhere") else None
     results: dict[str, LiveFused] = {}
     writer = RotatingWriter(tmp_path / "night.h5", HEADERS, every_s=2.0, source="emulated", epoch=EPOCH)
@@ -374,7 +374,7 @@ def fused_rows(start_s: int, force: list[float]) -> FusedBlock:
 
 
 @pytest.mark.slow
-def test_a_log_cut_into_parts_is_followed(tmp_path: Path) -> None:
+def test_a_log_in_parts_is_followed(tmp_path: Path) -> None:
     path = tmp_path / "night.h5"
     watch = LogMonitor(path)
     names, total = [], 0
@@ -399,14 +399,12 @@ def test_a_log_cut_into_parts_is_followed(tmp_path: Path) -> None:
     with LogMonitor(path) as late:
         assert late.refresh(0.0).path.name == "night_003.h5"
         assert late.refresh(1.0).remark == ""
-    with LogMonitor(tmp_path / "night_001.h5") as first:  # nobody writes any of it: that part was asked for
+    with LogMonitor(tmp_path / "night_001.h5") as first:  # no part is being written: the given part is shown
         assert first.refresh(0.0).path.name == "night_001.h5"
 
 
 @pytest.mark.slow
-def test_what_was_missed_before_anybody_looked_is_not_forgotten_in_the_next_part(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_earlier_missed_frames_are_kept_in_the_next_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(writing, "CHUNK", 64)
     path = tmp_path / "night.h5"
     with RotatingWriter(path, HEADERS, every_s=5.0, source="emulated", epoch=EPOCH) as writer:
@@ -426,7 +424,7 @@ def test_what_was_missed_before_anybody_looked_is_not_forgotten_in_the_next_part
 
 
 @pytest.mark.slow
-def test_of_a_log_that_goes_on_its_newest_part_is_shown(tmp_path: Path) -> None:
+def test_the_newest_part_of_a_running_log_is_shown(tmp_path: Path) -> None:
     path = tmp_path / "night.h5"
     with RotatingWriter(path, HEADERS, every_s=1.0, source="emulated", epoch=EPOCH) as writer:
         writer.keep()
@@ -449,7 +447,7 @@ def test_a_part_of_another_recording_is_not_followed(tmp_path: Path) -> None:
         assert watch.refresh(0.0).path.name == "run_001.h5"
 
 
-def test_what_is_no_log_is_told(tmp_path: Path, log_path: Path) -> None:
+def test_a_file_that_is_no_log_is_reported(tmp_path: Path, log_path: Path) -> None:
     log_path.write_bytes(b"no log at all")
     with LogMonitor(log_path) as watch:
         seen = watch.refresh(0.0)
@@ -466,8 +464,8 @@ def test_what_is_no_log_is_told(tmp_path: Path, log_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("frame_rate_hz", some([100.0, 0.0], 1))
-def test_a_sensor_that_died_is_not_shown_as_it_was(log_path: Path, frame_rate_hz: float) -> None:
-    """Who looked on is told what those are told who come late, or when the log is finished."""
+def test_a_dead_sensor_is_shown_without_values(log_path: Path, frame_rate_hz: float) -> None:
+    """A monitor from the start shows the same as one that starts late, or after the log is finished."""
     with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH, frame_rate_hz=frame_rate_hz) as writer:
         writer.keep()
         logger = Logger(writer)
@@ -488,12 +486,12 @@ def test_a_sensor_that_died_is_not_shown_as_it_was(log_path: Path, frame_rate_hz
 
 
 def fully_counted(path: Path) -> Snapshot:
-    """A look of somebody who comes late, within a few of which all is counted."""
+    """A snapshot of a monitor that starts late, after it has counted all rows."""
     with LogMonitor(path) as late:
         return next(seen for step in range(5) if (seen := late.refresh(float(step))).counted == 1.0)
 
 
-def test_a_sensor_is_silent_after_a_second_and_is_heard_when_it_is_back(logger: Logger, log_path: Path) -> None:
+def test_a_sensor_is_silent_after_a_second_and_returns(logger: Logger, log_path: Path) -> None:
     logger.go_on(4.0)
     with LogMonitor(log_path) as watch:
         watch.refresh(0.0)
@@ -505,7 +503,7 @@ def test_a_sensor_is_silent_after_a_second_and_is_heard_when_it_is_back(logger: 
         assert told == [(None, 0, True), (1.8, 180, False), (2.7, 270, False), (None, 270, True)]
 
 
-def test_the_fused_noise_is_not_that_of_a_sensor_that_died(logger: Logger, log_path: Path) -> None:
+def test_the_fused_noise_excludes_a_dead_sensor(logger: Logger, log_path: Path) -> None:
     """Its last rows were fused alone, long before those of the others, and made the scatter theirs."""
     with LogMonitor(log_path, span_s=2.0) as watch:
         logger.go_on(3.0)
@@ -526,8 +524,8 @@ def test_a_slow_sensor_is_not_silent_between_its_rows(log_path: Path) -> None:
     assert (baro.silent_s, baro.missed, baro.mean.tolist()) == (None, 0, [1002.5])
 
 
-def test_a_barometer_whose_readings_the_logger_holds_is_not_silent(log_path: Path) -> None:
-    """The logger writes a row once it knows that the sensor is not frozen: 24 readings of 4 Hz are six seconds."""
+def test_a_barometer_with_readings_buffered_by_the_logger_is_not_silent(log_path: Path) -> None:
+    """The logger writes a row after the check that the sensor is not frozen: 24 readings of 4 Hz are six seconds."""
     seen = []
     with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer, LogMonitor(log_path) as watch:
         writer.keep()
@@ -544,13 +542,13 @@ def test_a_barometer_whose_readings_the_logger_holds_is_not_silent(log_path: Pat
     assert sensor(dead, "Baro").silent_s == pytest.approx(7.04)
 
 
-def test_the_monitor_waits_as_long_as_the_logger_holds_readings() -> None:
+def test_the_monitor_waits_longer_than_the_logger_buffers_readings() -> None:
     assert composition._HELD_PERIODS > sample_buffer._FROZEN_READINGS
     assert composition._HELD_BANDWIDTHS >= sample_buffer._FROZEN_BANDWIDTHS
     assert composition._HELD_NS * 1e-9 > sample_buffer.HELD_S
 
 
-def test_a_sensor_without_rows_is_shown_as_such(logger: Logger, log_path: Path) -> None:
+def test_a_sensor_without_rows_is_shown_without_values(logger: Logger, log_path: Path) -> None:
     logger.go_on(2.0, without=("Acc", "Baro"))
     with LogMonitor(log_path) as watch:
         seen = watch.refresh(0.0)
@@ -564,10 +562,10 @@ def test_a_sensor_without_rows_is_shown_as_such(logger: Logger, log_path: Path) 
 @pytest.mark.parametrize(
     "error", some([OSError("gone"), RuntimeError("Unable to read"), KeyError("commits"), ValueError("x")], 1)
 )
-def test_a_file_that_changes_while_it_is_looked_at_is_looked_at_anew(
+def test_a_file_that_changes_during_a_read_is_read_again(
     logger: Logger, log_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    """As when a log is finished just now: the page says so, and goes on at the next look."""
+    """As when a log is being finished: the page reports it, and continues at the next refresh."""
     logger.go_on(1.0)
     with LogMonitor(log_path) as watch:
         assert len(watch.refresh(0.0).sensors) == 4

@@ -1,4 +1,4 @@
-"""The page's colours can be told apart from what is behind them (WCAG 2.2, 1.4.3 and 1.4.11, AA)."""
+"""The page's colours have the required contrast to their background (WCAG 2.2, 1.4.3 and 1.4.11, AA)."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def contrast(one: str, other: str) -> float:
     return (light + 0.05) / (dark + 0.05)
 
 
-def test_the_formula() -> None:
+def test_the_contrast_formula_gives_known_values() -> None:
     assert contrast("#000000", "#ffffff") == pytest.approx(21)
     assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.01)  # the grey that just misses
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_text_and_curves_are_seen(theme: str) -> None:
+def test_text_and_curves_have_the_required_contrast(theme: str) -> None:
     colours = variables(theme)
     for name in TEXT:
         for behind in ("back", "card"):

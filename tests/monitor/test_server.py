@@ -1,4 +1,4 @@
-"""The page's server: who is served, with which headers, and what it costs nobody to ask."""
+"""The page's server: authorised requests, their headers, and requests after the last snapshot."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def asked(address: str, part: str = "", method: str = "GET", **headers: str) -> 
         ("", "", "localhost:8765", {"Sec-Fetch-Site": "same-origin", "Origin": "http://localhost:8765"}, None),
         ("", "", "[::1]:8765", {"Sec-Fetch-Site": "none"}, None),
         ("", "", "[::1]", {}, None),
-        ("", "", "127.0.0.2:8765", {}, None),  # no name, so that nobody can have made it lead here
+        ("", "", "127.0.0.2:8765", {}, None),  # no name, so that no DNS record can point here
         ("", "", "[::ffff:192.168.1.5]:8765", {}, "another host name"),
         ("", "", "evil.example:8765", {}, "another host name"),
         ("", "", "127.0.0.1.evil.example", {}, "another host name"),
@@ -60,7 +60,9 @@ def asked(address: str, part: str = "", method: str = "GET", **headers: str) -> 
         ("right", "right", "pi.local:8765", {"Origin": "http://evil.example"}, "another page"),
     ],
 )
-def test_who_is_served(token: str, given: str, host: str, headers: dict[str, str], refused: str | None) -> None:
+def test_requests_are_served_or_refused_by_token_host_and_origin(
+    token: str, given: str, host: str, headers: dict[str, str], refused: str | None
+) -> None:
     why = refusal(token, given, host, headers)
     assert why is None if refused is None else why is not None and refused in why
 
@@ -70,7 +72,7 @@ def test_who_is_served(token: str, given: str, host: str, headers: dict[str, str
     [("127.0.0.1", True), ("127.3.2.1", True), ("::1", True), ("localhost", True), ("0.0.0.0", False), ("::", False),  # noqa: S104
      ("192.168.1.5", False), ("raspberrypi", False), ("localhost.evil.example", False)],
 )  # fmt: skip
-def test_which_addresses_are_this_machines_own(host: str, own: bool) -> None:
+def test_loopback_addresses_are_local(host: str, own: bool) -> None:
     assert is_own(host) == own
 
 
@@ -78,19 +80,19 @@ def test_which_addresses_are_this_machines_own(host: str, own: bool) -> None:
     ("host", "address"),
     [("127.0.0.1", "http://127.0.0.1:1/"), ("::1", "http://[::1]:1/"), ("[::1]", "http://[::1]:1/")],
 )
-def test_what_to_open(host: str, address: str) -> None:
+def test_the_address_to_open_is_built_from_host_port_and_token(host: str, address: str) -> None:
     assert address_of(host, 1, "") == address
     assert address_of(host, 1, "t") == f"{address}?token=t"
 
 
-def test_tokens_are_long_and_new() -> None:
+def test_tokens_are_long_and_distinct() -> None:
     tokens = {new_token() for _ in range(100)}
     assert len(tokens) == 100
     assert all(re.fullmatch(r"[\w-]{32}", token) for token in tokens)
 
 
 @pytest.mark.slow
-def test_the_page_on_this_machine(logger, log_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_the_page_is_served_on_the_local_machine(logger, log_path: Path) -> None:  # type: ignore[no-untyped-def]
     logger.go_on(3.0)
     with served(log_path) as (address, process):
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
@@ -100,7 +102,7 @@ def test_the_page_on_this_machine(logger, log_path: Path) -> None:  # type: igno
         assert "Access-Control-Allow-Origin" not in page.headers
         assert "unsafe-eval" not in page.headers["Content-Security-Policy"]
         parts = re.findall(r'(?:src|href)="([^"]+)"', page.text)
-        assert sorted(parts) == ["bokeh.min.js", "data:,", "page.css", "page.js"]  # nothing from elsewhere
+        assert sorted(parts) == ["bokeh.min.js", "data:,", "page.css", "page.js"]  # no external resource
         assert [asked(address, part).status for part in ("page.css", "page.js", "bokeh.min.js")] == [200, 200, 200]
         first = json.loads(asked(address, "snapshot.json").text)
         assert (first["state"], [one["name"] for one in first["sensors"]]) == (
@@ -126,7 +128,7 @@ def test_the_page_on_this_machine(logger, log_path: Path) -> None:  # type: igno
 
 
 @pytest.mark.slow
-def test_another_address_wants_the_token(logger, log_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_another_address_requires_the_token(logger, log_path: Path) -> None:  # type: ignore[no-untyped-def]
     logger.go_on(1.0)
     with served(log_path, "--host", "0.0.0.0") as (printed, _):  # noqa: S104
         found = re.fullmatch(r"http://[^/]+:(\d+)/\?token=([\w-]{32})", printed)
@@ -141,7 +143,7 @@ def test_another_address_wants_the_token(logger, log_path: Path) -> None:  # typ
 
 
 @pytest.mark.slow
-def test_who_asks_after_the_last_look_gets_it_again(logger, log_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_a_request_after_the_end_gets_the_last_snapshot(logger, log_path: Path) -> None:  # type: ignore[no-untyped-def]
     """The server ends while a page still asks: no error."""
     logger.go_on(1.0)
 

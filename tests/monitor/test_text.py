@@ -33,7 +33,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished log: 12 s, five frames missing, two events, one of them made to do harm."""
+    """A finished log: 12 s, five frames missing, two events, one of them hostile."""
     path = tmp_path_factory.mktemp("ended") / "run.h5"
     with LogWriter(path, HEADERS, source="emulated", epoch=EPOCH, frame_rate_hz=100.0) as writer:
         writer.keep()
@@ -50,7 +50,7 @@ def words(line: str) -> str:
     return " ".join(line.split())
 
 
-def test_the_table(ended: Path) -> None:
+def test_the_table_shows_sensors_and_events(ended: Path) -> None:
     with LogMonitor(ended) as watch:
         lines = text_lines(watch.refresh(0.0))
     assert lines[0] == "run.h5: finished, 12 s"
@@ -96,11 +96,11 @@ def test_the_table_fits_into_80_columns(ended: Path) -> None:
 
 
 @pytest.mark.parametrize(("seconds", "words"), [(75, "75 s"), (600, "10 min"), (9000, "2.5 h"), (864000, "10 d")])
-def test_durations(seconds: float, words: str) -> None:
+def test_durations_are_written_with_units(seconds: float, words: str) -> None:
     assert duration(seconds) == words
 
 
-def test_json_says_the_same_in_numbers(ended: Path) -> None:
+def test_json_contains_the_same_figures(ended: Path) -> None:
     with LogMonitor(ended) as watch:
         found = described(watch.refresh(0.0))
     json.dumps(found, allow_nan=False)
@@ -114,7 +114,7 @@ def test_json_says_the_same_in_numbers(ended: Path) -> None:
     assert force["mean"] == pytest.approx([250, -500, 1000], abs=0.5)
 
 
-def test_curves_keep_both_ends_of_every_piece(ended: Path) -> None:
+def test_curves_keep_the_extremes_of_every_piece(ended: Path) -> None:
     with LogMonitor(ended) as watch:
         snapshot = watch.refresh(0.0)
     view = snapshot.sensors[0]
@@ -135,7 +135,7 @@ def test_curves_keep_both_ends_of_every_piece(ended: Path) -> None:
     assert max(density["x"]) == density["x"][-1]
 
 
-def test_monitor_text_once(ended: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_monitor_prints_text_once(ended: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["monitor", str(ended), "--text", "--once"]) == 0
     out = capsys.readouterr().out
     assert "\x1b" not in out
@@ -153,7 +153,7 @@ def died(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_sensor_that_died_is_silent_in_the_table(died: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_dead_sensor_is_silent_in_the_table(died: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["monitor", str(died), "--text", "--once"]) == 0
     lines = capsys.readouterr().out.splitlines()
     (line,) = (line for line in lines if line.startswith("  Turned"))
@@ -162,7 +162,7 @@ def test_a_sensor_that_died_is_silent_in_the_table(died: Path, capsys: pytest.Ca
     assert lines[2] == "  100.0 of 100 Hz, 0 frames missed, 0 delayed"
 
 
-def test_a_sensor_that_died_is_silent_in_json(died: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_dead_sensor_is_silent_in_json(died: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["monitor", str(died), "--json", "--once"]) == 0
     told = {view["name"]: view for view in json.loads(capsys.readouterr().out)["sensors"]}
     acc, turned = told["Acc"], told["Turned"]
@@ -171,7 +171,7 @@ def test_a_sensor_that_died_is_silent_in_json(died: Path, capsys: pytest.Capture
     assert (turned["mean"], turned["sd"], turned["use_percent"]) == ([None] * 3, [None] * 3, None)
 
 
-def test_curves_of_a_sensor_that_died_are_empty(died: Path) -> None:
+def test_curves_of_a_dead_sensor_are_empty(died: Path) -> None:
     with LogMonitor(died) as watch:
         (turned,) = (view for view in drawn(watch.refresh(0.0))["sensors"] if view["name"] == "Turned")
     assert turned["trace"] == {"t": [], "x": [], "y": [], "z": []}
@@ -184,7 +184,7 @@ def test_monitor_ends_with_the_log(ended: Path, capsys: pytest.CaptureFixture[st
     assert json.loads(line)["state"] == "finished"
 
 
-def test_json_has_the_keys_that_are_promised(ended: Path) -> None:
+def test_json_has_the_documented_keys(ended: Path) -> None:
     """Those of the module's docstring, and no other."""
     with LogMonitor(ended) as watch:
         found = described(watch.refresh(0.0))
@@ -196,7 +196,7 @@ def test_json_has_the_keys_that_are_promised(ended: Path) -> None:
 
 
 def test_repeated_events_are_one_line_with_a_count(log_path: Path) -> None:
-    """Alike but for numbers; the end of a fault is a line of its own, and no trouble."""
+    """Alike but for numbers; the end of a fault is a separate line, and no fault."""
     with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
         Logger(writer).go_on(10.0)
         for second in range(1, 6):
@@ -223,7 +223,7 @@ def test_repeated_events_are_one_line_with_a_count(log_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_barometer_that_is_read_four_times_a_second_is_not_silent(log_path: Path) -> None:
-    """However long its newest row is ago within its period, from the first second on."""
+    """For any age of its newest row within its period, from the first second on."""
     with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
         writer.keep()
         logger = Logger(writer)
@@ -241,13 +241,13 @@ def heed_interrupts() -> None:
 
 
 @pytest.mark.slow
-def test_on_a_terminal(log_path: Path, logger: Logger) -> None:
-    """Nothing is cleared before it is written over, a new size is seen at once, Ctrl-C is the usual end."""
+def test_a_terminal_is_redrawn_in_place(log_path: Path, logger: Logger) -> None:
+    """Nothing is cleared before it is overwritten, a new size applies at once, Ctrl-C is the usual end."""
     logger.go_on(3.0)
     screen, end = pty.openpty()
     fcntl.ioctl(end, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 80, 0, 0))
     program = [sys.executable, "-m", "imuarray", "monitor", str(log_path), "--text", "--every", "60"]
-    size = {"COLUMNS", "LINES"}  # would be believed before the terminal
+    size = {"COLUMNS", "LINES"}  # would take precedence over the terminal
     environment = {name: value for name, value in os.environ.items() if name not in size}
     process = subprocess.Popen(
         program, cwd=ROOT, stdin=end, stdout=end, stderr=end, env=environment, preexec_fn=heed_interrupts
@@ -267,7 +267,7 @@ def test_on_a_terminal(log_path: Path, logger: Logger) -> None:
         second = look()  # the next look would be in a minute
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 0
-        assert select.select([screen], [], [], 0)[0] == []  # and nothing is said of it
+        assert select.select([screen], [], [], 0)[0] == []  # and nothing is printed
     finally:
         process.kill()
         process.wait(20)
@@ -294,7 +294,7 @@ def test_bad_input_is_one_line(arguments: list[str], says: str, capsys: pytest.C
     assert says in capsys.readouterr().err
 
 
-def test_without_the_extra_the_text_form_works_and_the_page_says_what_to_install(
+def test_without_the_extra_text_works_and_the_page_names_the_package(
     ended: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     import sys

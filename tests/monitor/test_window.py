@@ -30,7 +30,7 @@ def window_of(time: Times, *, at_once: int, span_ns: int = 1_000_000_000) -> Lat
 
 
 @pytest.mark.parametrize("forth_and_back", [0.0, 0.4, 0.9])
-def test_a_steady_sensor_misses_nothing_whatever_its_place_in_a_frame(forth_and_back: float) -> None:
+def test_a_steady_sensor_misses_nothing_at_any_place_in_a_frame(forth_and_back: float) -> None:
     time = frames(np.arange(500), forth_and_back)
     assert period_of(time) == PERIOD_NS
     assert gaps_of(time, PERIOD_NS) == Gaps(0, 0)
@@ -55,7 +55,7 @@ def test_a_delayed_frame_is_counted_once_and_is_not_missing() -> None:
     at_once=st.integers(1, 400),
     forth_and_back=st.sampled_from([0.0, 0.3, 0.8]),
 )
-def test_rows_may_come_in_blocks_of_any_length(lost: set[int], at_once: int, forth_and_back: float) -> None:
+def test_rows_are_counted_in_blocks_of_any_length(lost: set[int], at_once: int, forth_and_back: float) -> None:
     numbers = np.delete(np.arange(400), sorted(lost))
     span_ns = 400 * PERIOD_NS  # a median needs most of what it is taken of to be whole
     window = window_of(frames(numbers, forth_and_back), at_once=at_once, span_ns=span_ns)
@@ -71,12 +71,12 @@ def test_only_the_last_seconds_are_kept() -> None:
     assert all(column.base is None for column in window.rows.values())  # no view that keeps more alive
 
 
-def test_times_that_stand_still_fill_no_memory() -> None:
+def test_the_number_of_rows_in_memory_is_limited() -> None:
     window = window_of(np.arange(3 * MOST_ROWS), at_once=MOST_ROWS // 2)
     assert len(window.time) == MOST_ROWS
 
 
-def test_rows_that_came_before_are_left_out() -> None:
+def test_rows_added_twice_are_counted_once() -> None:
     window = window_of(frames(np.arange(100)), at_once=100)
     again = frames(np.arange(90, 110))
     assert window.add({"time": again, "counts": np.full((20, 3), -7, np.int16)}) == 10
@@ -84,7 +84,7 @@ def test_rows_that_came_before_are_left_out() -> None:
     assert window.peak_lsb is not None and window.peak_lsb.tolist() == [7, 7, 7]
 
 
-def test_what_is_missing_is_counted_over_rows_that_were_let_go() -> None:
+def test_missing_rows_are_counted_across_discarded_rows() -> None:
     window = window_of(frames(np.arange(100)), at_once=100)
     window.forget(1 << 60)
     assert len(window.time) == 0 and window.newest.tolist() == frames(np.arange(98, 100)).tolist()
@@ -93,14 +93,14 @@ def test_what_is_missing_is_counted_over_rows_that_were_let_go() -> None:
     assert (window.total, window.gaps.missed, window.usual_ns) == (130, 30, PERIOD_NS)
 
 
-def test_the_period_of_a_sensor_that_was_silent_before_anybody_looked() -> None:
+def test_the_period_of_a_silent_sensor_is_determined_from_earlier_rows() -> None:
     window = LatestRows(1_000_000_000)
     window.begins_behind(90, frames(np.arange(100)))
     assert (window.total, window.first_ns, window.period_ns, window.usual_ns) == (90, 0, 0, PERIOD_NS)
     assert window.newest.tolist() == frames(np.arange(88, 90)).tolist()
 
 
-def test_rows_without_a_period_are_passed_over() -> None:
+def test_rows_without_a_period_are_skipped() -> None:
     backlog = Backlog({"A": (frames(np.arange(5)), 5)})
     backlog.step({"A": 0.0})
     assert (backlog.counted, backlog.gaps("A")) == (1.0, Gaps())
@@ -122,7 +122,7 @@ def test_earlier_rows_are_counted_a_piece_at_a_time(monkeypatch: pytest.MonkeyPa
     assert closed == [True]
 
 
-def test_nothing_earlier_is_counted_at_once() -> None:
+def test_without_earlier_rows_the_count_is_complete() -> None:
     backlog = Backlog({})
     assert backlog.counted == 1.0
     assert backlog.gaps("A") == Gaps()
