@@ -1,4 +1,4 @@
-"""A bad night on the emulated array, recorded into memory: what a log would hold, without its file."""
+"""A recording of the emulated array with faults into memory: the content of a log, without its file."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def array_of(**channels: int | None) -> ArrayConfig:
 
 @dataclass
 class Memory:
-    """What a `LogWriter` would have been given."""
+    """The calls of a `LogWriter`, kept in memory."""
 
     blocks: dict[str, list[Block]] = field(default_factory=lambda: defaultdict(list))
     events: list[Event] = field(default_factory=list)

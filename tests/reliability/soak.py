@@ -30,7 +30,7 @@ RATE_HZ = 48.0
 
 
 class Counted(Memory):
-    """Keeps nothing but how many rows came, whether their times increase and how much memory is in use."""
+    """Keeps only the number of rows, whether their times increase, and the memory in use."""
 
     def __init__(self, every_h: float = 0.25) -> None:
         super().__init__()
@@ -60,7 +60,7 @@ def resident_mib() -> float:
 
 
 def soak(hours: float, every_h: float = 0.25) -> dict[str, Any]:
-    """What was counted."""
+    """The counts."""
     counted, began = Counted(every_h), time.perf_counter()
     done = night(load_array(CONFIG), (), hours * 3600, rate_hz=RATE_HZ, log=counted)
     summary = done.summary

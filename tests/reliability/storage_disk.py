@@ -1,4 +1,4 @@
-"""A disk made of the calls that changed it: what it holds after any of them, and what a power cut may leave of that.
+"""A disk made of the calls that changed it: its content after any of them, and after a power cut.
 
 The page model is cruder than a real file system and no kinder: of a file, each 4 KiB page that changed since its last
 sync is the old or the new one, at random, and its length is the old or the new one; of the folder, the first so many of
@@ -27,7 +27,7 @@ class Call(NamedTuple):
 
 
 def read_calls(path: Path) -> list[Call]:
-    """All calls that were noted."""
+    """All recorded calls."""
     content, calls, at = path.read_bytes(), [], 0
     while at < len(content):
         kind, inode, offset, length = _HEAD.unpack_from(content, at)
@@ -39,7 +39,7 @@ def read_calls(path: Path) -> list[Call]:
 
 @dataclass
 class File:
-    """What a process sees of a file, and what is on the disk for certain."""
+    """The content of a file for a process, and its synchronised content."""
 
     now: bytearray = field(default_factory=bytearray)
     synced: bytes = b""
@@ -117,11 +117,11 @@ class Disk:
             self.folder[name] = file
 
     def now(self) -> dict[str, bytes]:
-        """What every file holds, as after a kill."""
+        """The content of every file, as after a kill."""
         return {name: bytes(file.now) for name, file in self.folder.items()}
 
     def after_power_cut(self, draw: random.Random) -> dict[str, bytes]:
-        """What may be left of it."""
+        """One possible content after a power cut."""
         folder = dict(self.synced_folder)
         for name, file in self.unsynced[: draw.randint(0, len(self.unsynced))]:
             if file is None:

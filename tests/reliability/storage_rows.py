@@ -1,4 +1,4 @@
-"""Rows that can be told from any others by their number, a process that logs them, and a look at what is left of them.
+"""Rows that are identified by their number, a process that logs them, and a check of the rows in a log.
 
 As a program: ``python -m tests.reliability.storage_rows FOLDER FRAMES BATCH CHUNK``. It writes `FOLDER/run.h5`, and
 into `FOLDER/acknowledged` and `FOLDER/synced`, each time with one write, how many frames are.

@@ -89,7 +89,7 @@ class Faults:
 
 
 @pytest.mark.parametrize("count", TIMES)
-def test_no_acknowledge(count: int) -> None:
+def test_a_missing_acknowledgement_is_flagged_and_reported(count: int) -> None:
     faults = Faults(array_of(A=0, C=0), count, 2.013, {"kind": "no_acknowledge", "sensor": "C", "for_s": 0.31})
     time, _ = faults.rows("C")
     assert (np.searchsorted(time, faults.end) == np.searchsorted(time, faults.begin)).all()  # nothing made up
@@ -99,7 +99,7 @@ def test_no_acknowledge(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", TIMES)
-def test_unplugged_and_plugged_in_again(count: int) -> None:
+def test_an_unplugged_sensor_is_flagged_and_set_up_again(count: int) -> None:
     faults = Faults(array_of(A=0, C=0), count, 4.017, {"kind": "unplugged", "sensor": "C", "for_s": 0.7})
     again = faults.next_with("C", RECONFIGURED)
     assert faults.good_between("C", faults.begin, again) == 0
@@ -112,8 +112,8 @@ def test_unplugged_and_plugged_in_again(count: int) -> None:
 
 @pytest.mark.parametrize("count", TIMES)
 @pytest.mark.parametrize(("kind", "sensor"), [("reset", "C"), ("torn", "C"), ("torn", "G")])
-def test_lost_configuration(count: int, kind: str, sensor: str) -> None:
-    """Within a second of array time it is told; nothing that the chip said meanwhile stands as good."""
+def test_a_lost_configuration_is_reported_within_a_second(count: int, kind: str, sensor: str) -> None:
+    """Within a second of array time it is reported; no reading in between is stored as good."""
     faults = Faults(array_of(A=0, **{sensor: 0}), count, 3.017, {"kind": kind, "sensor": sensor})
     again = faults.next_with(sensor, RECONFIGURED)
     assert faults.good_between(sensor, faults.begin, again) == 0
@@ -121,13 +121,13 @@ def test_lost_configuration(count: int, kind: str, sensor: str) -> None:
     faults.told("reconfigured", sensor)
     time, status = faults.rows(sensor)
     assert not (status[time < faults.begin[0] - SECOND] & SUSPECT).any()
-    assert np.mean((status & SUSPECT) == 0) > 0.3  # most of the time it was well
+    assert np.mean((status & SUSPECT) == 0) > 0.3  # most of the time it worked
     faults.undisturbed("A")
 
 
 @pytest.mark.parametrize("count", TIMES)
 @pytest.mark.parametrize("cured", [True, False])
-def test_frozen(count: int, cured: bool) -> None:
+def test_a_frozen_sensor_is_flagged_and_reported(count: int, cured: bool) -> None:
     table = {"kind": "frozen", "sensor": "C", "for_s": 3.2, "until_set_up": cured}
     faults = Faults(array_of(A=0, C=0), count, 6.017, table)
     time, _ = faults.rows("C")
@@ -139,7 +139,7 @@ def test_frozen(count: int, cured: bool) -> None:
 
 
 @pytest.mark.parametrize("count", TIMES)
-def test_stale(count: int) -> None:
+def test_stale_readings_are_flagged_and_reported(count: int) -> None:
     faults = Faults(array_of(A=0, C=0), count, 3.013, {"kind": "stale", "sensor": "C", "for_s": 0.5})
     time, status = faults.rows("C")
     inside = (np.searchsorted(faults.begin, time, "right") - np.searchsorted(faults.end, time, "right")) == 1
@@ -150,8 +150,8 @@ def test_stale(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", TIMES)
-def test_queue_overrun(count: int) -> None:
-    """The program is not run for 0.5 s; 32 sets at 100 Hz last 0.32 s. What is polled has lost its readings too."""
+def test_a_queue_overrun_is_flagged(count: int) -> None:
+    """The program is not run for 0.5 s; 32 sets at 100 Hz last 0.32 s. Polled sensors have lost readings too."""
     faults = Faults(array_of(A=0, Q=0), count, 2.013, {"kind": "stall", "for_s": 0.5})
     faults.next_with("Q", OVERRUN)
     faults.told("overrun", "Q")
@@ -163,7 +163,7 @@ def test_queue_overrun(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", TIMES)
-def test_stuck_bus(count: int) -> None:
+def test_a_stuck_bus_is_reported(count: int) -> None:
     faults = Faults(array_of(A=0, C=1), count, 4.013, {"kind": "stuck_bus", "for_s": 0.4})
     assert faults.told("bus").max() < 0.3 * SECOND
     for sensor in "AC":
@@ -173,8 +173,8 @@ def test_stuck_bus(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", TIMES)
-def test_a_sensor_that_holds_the_clock(count: int) -> None:
-    """It costs everybody a time-out now and then, and the others no reading besides."""
+def test_a_sensor_that_holds_the_clock_costs_the_others_no_reading(count: int) -> None:
+    """It costs all sensors a time-out at intervals, and the others no reading."""
     faults = Faults(array_of(A=0, C=0), count, 3.013, {"kind": "clock_held", "sensor": "C", "for_s": 0.5})
     time, _ = faults.rows("C")
     assert (np.searchsorted(time, faults.end) == np.searchsorted(time, faults.begin)).all()
@@ -186,7 +186,7 @@ def test_a_sensor_that_holds_the_clock(count: int) -> None:
 
 @pytest.mark.parametrize("count", TIMES)
 @pytest.mark.parametrize("reads_right", [True, False])
-def test_wrong_channel(count: int, reads_right: bool) -> None:
+def test_a_wrong_channel_gives_no_reading_of_the_twin(count: int, reads_right: bool) -> None:
     """Two BMA180 at one address, at 2 g and at 16 g, at rest: 4096 and 512 counts per g (BMA-72, BMA-76)."""
     table = {"kind": "wrong_channel", "for_s": 0.25, "reads_right": reads_right}
     faults = Faults(array_of(A=0, B=0, C=1), count, 2.013, table)
@@ -199,8 +199,8 @@ def test_wrong_channel(count: int, reads_right: bool) -> None:
 
 
 @pytest.mark.parametrize("count", TIMES)
-def test_wrong_channel_of_twins_that_are_configured_alike(count: int) -> None:
-    """The second of two equal gyroscopes came up 50 dps off, so that the readings themselves can be told apart."""
+def test_a_wrong_channel_gives_no_reading_of_a_twin_configured_alike(count: int) -> None:
+    """The second of two equal gyroscopes starts 50 dps off, so that their readings differ."""
     off = {"kind": "start_up", "sensor": "H", "bias": [50.0, 0.0, 0.0]}
     table = {"kind": "wrong_channel", "for_s": 0.25, "reads_right": True}
     faults = Faults(array_of(G=0, H=1), count, 2.013, table, also=[off])
@@ -210,18 +210,18 @@ def test_wrong_channel_of_twins_that_are_configured_alike(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", TIMES)
-def test_multiplexer_that_forgets(count: int) -> None:
+def test_a_reset_multiplexer_gives_no_wrong_reading(count: int) -> None:
     faults = Faults(array_of(A=0, B=0, C=1), count, 1.513, {"kind": "mux_reset"})
     for sensor, low, high in (("B", 3000, 5000), ("C", 350, 700)):
         z = faults.log.of(sensor, "counts")[:, 2]
         assert ((z > low) & (z < high)).all()
-        _, status = faults.rows(sensor)  # asked again in the same frame, unless it forgot in the midst of a visit
+        _, status = faults.rows(sensor)  # read again in the same frame, unless the reset was during a visit
         assert len(z) == faults.night.summary.frames - faults.night.summary.lost[sensor]
         assert np.count_nonzero(status & LOST_BEFORE) == faults.night.summary.lost[sensor] < 0.02 * count
 
 
 @pytest.mark.parametrize("count", TIMES)
-def test_an_address_that_a_kernel_driver_takes(count: int) -> None:
+def test_an_address_taken_by_a_kernel_driver_is_reported(count: int) -> None:
     faults = Faults(array_of(A=0, C=0), count, 5.017, {"kind": "kernel_driver", "sensor": "C", "for_s": 1.1})
     again = faults.next_with("C", RECONFIGURED)
     assert faults.good_between("C", faults.begin, again) == 0
@@ -231,7 +231,7 @@ def test_an_address_that_a_kernel_driver_takes(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", [pytest.param(5, id="5"), TIMES[1]])
-def test_start_up_in_another_state(count: int) -> None:
+def test_a_start_up_in_another_state_is_flagged_and_set_up_again(count: int) -> None:
     """Known are -2 (the emulated unit's own) and 1 dps; it comes up elsewhere, and well once it was set up again."""
     sensitivity = 1 / 0.00875  # L3G-40
     random = np.random.default_rng(8)

@@ -14,7 +14,7 @@ from soak import RATE_HZ, soak
 @pytest.mark.parametrize(
     "hours", [pytest.param(0.1, marks=pytest.mark.slow), pytest.param(0.5, marks=pytest.mark.campaign)]
 )
-def test_nothing_grows_and_nothing_is_lost(hours: float) -> None:
+def test_memory_does_not_grow_and_no_row_is_lost(hours: float) -> None:
     counted = soak(hours, every_h=hours / 24)
     assert counted["frames"] == pytest.approx(hours * 3600 * RATE_HZ, abs=2)
     assert counted["late"] == counted["missed"] == counted["lost"] == counted["events"] == 0

@@ -1,8 +1,9 @@
-"""A flipped bit anywhere in a log: every value that is read is as it was written, and what is missing is said.
+"""A flipped bit anywhere in a log: every value that is read is as it was written, and missing rows are reported.
 
 A log has rows of noise and rows of zeros, events, a phase, a track of truth. One bit of one of its files is flipped at
-a time. A row is known by its time. Rows may be missing, or a text be another, only if the log says so: by `Log.losses`,
-or by a LogError for who reads them, and `verify` must say so too. It is refused only where nothing else has its rows.
+a time. A row is identified by its time. Rows may be missing, or a text be another, only if the log says so: by
+`Log.losses`, or by a LogError for who reads them, and `verify` must say so too. It is refused only where nothing else
+has its rows.
 """
 
 from __future__ import annotations
@@ -96,7 +97,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
 
 
 class Outcome(NamedTuple):
-    """What came of one flip."""
+    """The result of one flip."""
 
     wrong: tuple[str, ...]
     missing: int
@@ -203,34 +204,40 @@ COUNT = [10, pytest.param(300, marks=pytest.mark.campaign)]
 @pytest.mark.parametrize("count", COUNT)
 class TestFlips:
     @pytest.mark.slow
-    def test_in_the_journal_beside_its_file(self, logs: Logs, tmp_path: Path, count: int) -> None:
-        """Nothing that the file has is lost: three of five batches."""
+    def test_a_flip_in_the_journal_of_an_existing_file_loses_nothing_of_the_file(
+        self, logs: Logs, tmp_path: Path, count: int
+    ) -> None:
+        """No row in the file is lost: three of five batches."""
         kinds = flips(logs.unfinished, JOURNAL, tmp_path, places(count, 1), 1, [RUN])
         assert kinds["whole"] + kinds["missing, told"] == count
         assert kinds["whole"] >= 0.6 * count - 3 * (0.6 * 0.4 * count) ** 0.5
 
     @pytest.mark.slow
-    def test_in_the_journal_alone(self, logs: Logs, tmp_path: Path, count: int) -> None:
-        """The rows of one block are lost, and said to be."""
+    def test_a_flip_in_a_journal_alone_loses_one_block(self, logs: Logs, tmp_path: Path, count: int) -> None:
+        """The rows of one block are lost, and reported."""
         kinds = flips(logs.unfinished, JOURNAL, tmp_path, places(count, 2), 2)
         assert kinds["whole"] + kinds["missing, told"] == count
 
     @pytest.mark.slow
-    def test_in_the_file_of_an_unfinished_log(self, logs: Logs, tmp_path: Path, count: int) -> None:
-        """The journal has all of it: nothing is lost, wherever the file is hit."""
+    def test_a_flip_in_the_file_of_an_unfinished_log_loses_nothing(
+        self, logs: Logs, tmp_path: Path, count: int
+    ) -> None:
+        """The journal contains all rows: nothing is lost, for a flip anywhere in the file."""
         kinds = flips(logs.unfinished, RUN, tmp_path, places(count, 3), 3, [JOURNAL])
         assert kinds["whole"] == count
 
     @pytest.mark.slow
-    def test_in_the_file_of_an_unfinished_log_without_its_journal(self, logs: Logs, tmp_path: Path, count: int) -> None:
+    def test_a_flip_in_an_unfinished_log_without_its_journal_loses_one_commit(
+        self, logs: Logs, tmp_path: Path, count: int
+    ) -> None:
         """The rows of one commit are lost; refused if HDF5 can't read its own structures."""
         kinds = flips(logs.unfinished, RUN, tmp_path, places(count, 4), 4)
         assert kinds["missing, told"] + kinds["refused"] == count
         assert kinds["refused"] <= 0.1 * count + 3 * (0.09 * count) ** 0.5
 
     @pytest.mark.slow
-    def test_in_a_finished_log(self, logs: Logs, tmp_path: Path, count: int) -> None:
-        """A damaged row is a LogError for who reads it, a damaged sensor is left out, a text that is another is told;
+    def test_a_flip_in_a_finished_log_is_reported(self, logs: Logs, tmp_path: Path, count: int) -> None:
+        """Reading a damaged row is a LogError, a damaged sensor is left out, a changed text is reported;
         refused only if the root of the file is hit. This log is short: half of it are structures of HDF5.
         """
         kinds = flips(logs.finished, RUN, tmp_path, places(count, 5), 5)
@@ -240,16 +247,14 @@ class TestFlips:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [97, pytest.param(7, marks=pytest.mark.campaign)])
-def test_in_the_first_6_kb_of_an_unfinished_log(logs: Logs, tmp_path: Path, step: int) -> None:
+def test_a_flip_in_the_first_6_kb_of_an_unfinished_log_loses_nothing(logs: Logs, tmp_path: Path, step: int) -> None:
     """Superblock, headers, preamble, attributes: the journal alone suffices."""
     at = range(0, 6006, step)
     assert flips(logs.unfinished, RUN, tmp_path, at, 6, [JOURNAL])["whole"] == len(at)
 
 
 @pytest.mark.parametrize("share", some([0.1, 0.3, 0.5, 0.95], 1))
-def test_of_a_log_that_is_hit_in_both_files_recover_takes_what_is_good_in_each(
-    logs: Logs, tmp_path: Path, share: float
-) -> None:
+def test_recover_combines_the_good_rows_of_two_damaged_files(logs: Logs, tmp_path: Path, share: float) -> None:
     """One block of one sensor is lost at the most, and only if both files are hit there."""
     for name in (RUN, JOURNAL):
         content = bytearray((logs.unfinished / name).read_bytes())

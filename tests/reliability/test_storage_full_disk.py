@@ -74,7 +74,7 @@ def check(done: subprocess.CompletedProcess[str], folder: Path) -> int:
     return frames
 
 
-def test_it_ends_at_the_watermark_and_is_finished(small_disk: Path) -> None:
+def test_a_log_ends_at_the_watermark_and_is_finished(small_disk: Path) -> None:
     frames = check(logged(small_disk, watermark=4 * MIB), small_disk)
     assert [path.name for path in small_disk.iterdir()] == ["run.h5"]
     with open_log(small_disk / "run.h5") as log:
@@ -83,8 +83,8 @@ def test_it_ends_at_the_watermark_and_is_finished(small_disk: Path) -> None:
 
 
 @pytest.mark.slow
-def test_it_ends_where_there_is_no_room_at_all(small_disk: Path, tmp_path: Path) -> None:
-    """Without a watermark: the journal, or the room that HDF5 is given, meets the end of the disk."""
+def test_a_log_ends_on_a_full_disk_without_a_watermark(small_disk: Path, tmp_path: Path) -> None:
+    """Without a watermark: the journal, or the space reserved for HDF5, reaches the end of the disk."""
     frames = check(logged(small_disk, watermark=0), small_disk)
     with open_log(small_disk / "run.h5") as log:
         assert log.state == "interrupted"
@@ -95,7 +95,7 @@ def test_it_ends_where_there_is_no_room_at_all(small_disk: Path, tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_somebody_else_fills_the_disk(small_disk: Path) -> None:
+def test_a_log_ends_when_another_process_fills_the_disk(small_disk: Path) -> None:
     filler = f"""
 import threading, time
 def fill():
@@ -112,7 +112,7 @@ threading.Thread(target=fill, daemon=True).start()
 
 
 @pytest.mark.slow
-def test_files_may_not_be_longer(tmp_path: Path) -> None:
+def test_a_log_ends_at_a_limit_of_the_file_size(tmp_path: Path) -> None:
     """A limit that the disk's free space does not show, as a quota is."""
     folder = tmp_path / "disk"
     folder.mkdir()
@@ -122,8 +122,8 @@ def test_files_may_not_be_longer(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", some([0, 3000, 30_000, 300_000, 1_100_000], 1))
-def test_a_short_limit_on_files_is_one_line(tmp_path: Path, limit: int) -> None:
-    """Wherever it is met: in the draft, the reserve, the journal, the file."""
+def test_a_low_limit_of_the_file_size_is_an_error_of_one_line(tmp_path: Path, limit: int) -> None:
+    """In the draft, the reserve, the journal or the file."""
     folder = tmp_path / "disk"
     folder.mkdir()
     program = f"import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))\n"
@@ -143,7 +143,7 @@ def test_a_short_limit_on_files_is_one_line(tmp_path: Path, limit: int) -> None:
 
 @pytest.fixture
 def few_files(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
-    """A disk in memory that takes so many files and folders, its root among them."""
+    """A disk in memory with a limited number of files and folders, its root included."""
     place = tmp_path / "disk"
     place.mkdir()
 
@@ -161,7 +161,7 @@ def few_files(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
 
 
 @pytest.mark.parametrize("inodes", some([2, 3, 4], 1))
-def test_a_disk_that_takes_no_more_files_keeps_nothing(few_files: Callable[[int], Path], inodes: int) -> None:
+def test_a_disk_without_free_inodes_leaves_no_file(few_files: Callable[[int], Path], inodes: int) -> None:
     folder = few_files(inodes)
     done = logged(folder, watermark=0)
     assert done.returncode == 3
@@ -170,10 +170,10 @@ def test_a_disk_that_takes_no_more_files_keeps_nothing(few_files: Callable[[int]
 
 
 @pytest.mark.slow
-def test_a_rotated_log_on_a_full_disk_names_what_is_not_finished(
+def test_a_rotated_log_on_a_full_disk_names_unfinished_parts(
     small_disk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Every part can be read and recovered; no reserve stays. Whatever room there is, somebody else takes it."""
+    """Every part can be read and recovered; no reserve remains. Another process takes all free space."""
     full = threading.Event()
     ended = threading.Event()
 
@@ -220,7 +220,7 @@ def test_a_rotated_log_on_a_full_disk_names_what_is_not_finished(
     capsys.readouterr()
 
 
-def test_it_does_not_begin_below_the_watermark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_does_not_begin_below_the_watermark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("imuarray.log.writer.free_bytes", lambda path: 10 * MIB)
     with (
         pytest.raises(
@@ -233,7 +233,7 @@ def test_it_does_not_begin_below_the_watermark(tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.slow
-def test_a_disk_that_takes_the_name_and_no_byte_keeps_nothing(tmp_path: Path) -> None:
+def test_a_disk_that_accepts_a_name_but_no_byte_leaves_no_file(tmp_path: Path) -> None:
     folder = tmp_path / "disk"
     folder.mkdir()
     no_byte = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))"
@@ -243,7 +243,7 @@ def test_a_disk_that_takes_the_name_and_no_byte_keeps_nothing(tmp_path: Path) ->
     assert list(folder.iterdir()) == []
 
 
-def test_a_draft_on_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_draft_on_a_full_disk_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with (
         pytest.raises(DiskFullError, match="no space left on the disk"),
         LogWriter(tmp_path / "run.h5", rows.SENSORS, source="simulated", epoch=rows.EPOCH) as log,

@@ -1,4 +1,4 @@
-"""What a crash or a power cut may leave of a log, point by point: it always opens, and never says anything wrong.
+"""States of a log after a crash or a power cut at any call: it always opens, and never contains a wrong value.
 
 A recording runs once with all calls noted that change the disk (`storage_writes.c`); the disk is made again from them.
 """
@@ -54,7 +54,7 @@ def calls(tmp_path_factory: pytest.TempPathFactory) -> list[Call]:
 
 
 def look(folder: Path, image: dict[str, bytes], before: dict[str, bytes]) -> tuple[int, list[str]] | None:
-    """What the log in an image holds; None if there is none. `before` is what the folder holds already."""
+    """The content of the log in an image; None if there is none. `before` is the earlier content of the folder."""
     for name in before.keys() - image.keys():
         (folder / name).unlink()
     for name, content in image.items():
@@ -69,7 +69,7 @@ def number(image: dict[str, bytes], name: str) -> int:
 
 
 @pytest.mark.parametrize("every", some([7, 1], 0, 1))
-def test_every_prefix_of_the_calls(calls: list[Call], tmp_path: Path, every: int) -> None:
+def test_a_log_opens_after_every_prefix_of_the_calls(calls: list[Call], tmp_path: Path, every: int) -> None:
     """A kill between any two calls, or after every seventh."""
     disk, before, looked = Disk(), {}, 0
     writes = sum(call.kind == "w" for call in calls)
@@ -92,7 +92,7 @@ def test_every_prefix_of_the_calls(calls: list[Call], tmp_path: Path, every: int
 
 
 @pytest.mark.parametrize("count", some([50, 400], 0, 1))
-def test_power_cuts(calls: list[Call], tmp_path: Path, count: int) -> None:
+def test_a_log_opens_after_power_cuts(calls: list[Call], tmp_path: Path, count: int) -> None:
     draw = random.Random(8)
     cuts = sorted(draw.randrange(1, len(calls)) for _ in range(count))
     disk, at, before, looked = Disk(), 0, {}, 0
@@ -116,7 +116,7 @@ def test_power_cuts(calls: list[Call], tmp_path: Path, count: int) -> None:
     print(f"{count} power cuts, {looked} with a log: all open, no synced frame lost, nothing made up")
 
 
-def test_the_disk_keeps_what_was_synced() -> None:
+def test_the_disk_model_keeps_synced_data() -> None:
     file = File()
     file.write(0, b"a" * 5000)
     file.sync()
@@ -129,7 +129,7 @@ def test_the_disk_keeps_what_was_synced() -> None:
     assert any(image[8192:8193] == b"\0" for image in left)
 
 
-def test_the_disk_keeps_the_first_of_the_names_that_were_given() -> None:
+def test_the_disk_model_keeps_the_first_changes_of_the_folder() -> None:
     disk = Disk()
     for call in (
         Call("c", 1, 0, b"/x/old"),

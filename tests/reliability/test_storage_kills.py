@@ -1,4 +1,4 @@
-"""A recording killed at any moment: the log opens by itself, and no acknowledged frame is missing from it."""
+"""A recording killed at any moment: the log can be opened, and contains every acknowledged frame."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def recorded(folder: Path, batches: int = 0, seconds: float | None = None) -> in
 
 
 def nursery(folder: Path, times: int, seed: int) -> None:
-    """Many killed recordings, in a process of their own that has nothing open.
+    """Many killed recordings, in a separate process without open files.
 
     Three of four are killed after a random number of batches, and a random part of a batch more: how fast the
     machine is at that moment changes nothing.  The others die at a random time, also while the log is opened or
@@ -96,7 +96,7 @@ def check(places: list[Path]) -> dict[str, int]:
 
 
 @pytest.mark.campaign
-def test_killed_a_hundred_times(tmp_path: Path) -> None:
+def test_a_log_killed_a_hundred_times_contains_all_acknowledged_frames(tmp_path: Path) -> None:
     states = check(killed(tmp_path, 100, 2))
     print(f"killed at 100 random moments: {states}; no acknowledged frame lost, none wrong")
     assert sum(states.values()) == 100
