@@ -193,7 +193,7 @@ def made() -> Diagnosis:
 
 
 def made_without_gap() -> Diagnosis:
-    """Nothing was found."""
+    """No gap."""
     empty = np.full((len(SENSORS), len(DOMAINS)), nan)
     return replace(
         made(),

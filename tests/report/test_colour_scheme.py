@@ -23,12 +23,12 @@ def contrast(one: str, other: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-def test_white_is_the_page_and_black_its_ink() -> None:
+def test_white_becomes_the_page_and_black_the_ink() -> None:
     assert on_dark("#ffffff") == PAPER
     assert contrast(on_dark("#000000"), INK) < 1.05
 
 
-def test_the_lighter_a_colour_the_darker_its_counterpart() -> None:
+def test_lightness_is_inverted() -> None:
     greys = [on_dark(f"#{level:02x}{level:02x}{level:02x}") for level in range(0, 256, 15)]
     assert [luminance(grey) for grey in greys] == sorted(map(luminance, greys), reverse=True)
 
@@ -39,7 +39,7 @@ def test_curves_are_as_distinct_on_dark_as_on_white(colour: str) -> None:
     assert contrast(on_dark(colour), PAPER) > min(3.0, contrast(colour, "#ffffff"))
 
 
-def test_a_hue_stays() -> None:
+def test_hue_is_kept() -> None:
     red, green, blue = (on_dark(colour) for colour in ("#cc0000", "#00aa00", "#0000cc"))
     for colour, strongest in ((red, 1), (green, 3), (blue, 5)):
         parts = {first: int(colour[first : first + 2], 16) for first in (1, 3, 5)}

@@ -1,4 +1,4 @@
-"""A page from any mix of files: each is recognised, says its part, and nothing else is taken for one."""
+"""A page from any mix of files: each is recognised and has its section, and other files are refused."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_each_file_says_its_part(made: Path, tmp_path: Path) -> None:
+def test_each_file_has_its_section(made: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     kinds = write_report([made / "fused.h5", made / "cal.toml", made / "tumble.h5"], page)
     assert list(kinds.values()) == ["fused result", "calibration", "log"]
@@ -56,12 +56,12 @@ def test_each_file_says_its_part(made: Path, tmp_path: Path) -> None:
     assert text.count("<img") == text.count("alt=") == 4  # no Allan curve, no spectrum: a face lasts two seconds
     assert "too short: 2 s, at least 30 s are needed" in text
     markup = re.sub(r"(<script[^>]*>).*?</script>", r"\1", text, flags=re.DOTALL)  # BokehJS contains such texts itself
-    assert not re.search(r'(src|href)="(?!#|data:)', markup)  # it needs nothing beside it
+    assert not re.search(r'(src|href)="(?!#|data:)', markup)  # it needs no other file
 
 
 @pytest.mark.slow
 def test_residuals_are_those_of_the_faces(made: Path, tmp_path: Path) -> None:
-    """The calibration was fitted to these faces: what is left is the noise of their means. An ADXL345's z scatters by
+    """The calibration was fitted to these faces: the residual is the noise of their means. An ADXL345's z scatters by
     47 mg, 50 readings a face: 6.7 mg; twice that is beyond every rms over seven faces.
     """
     page = tmp_path / "page.html"
@@ -73,7 +73,7 @@ def test_residuals_are_those_of_the_faces(made: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_sensors_that_failed_are_told(made: Path, tmp_path: Path) -> None:
+def test_failed_sensors_are_reported(made: Path, tmp_path: Path) -> None:
     told = FaultEvent(1_500_000_000, "specific_force", "B<1>", ("x",), "range_reset", "isolated", 8.0, 40.0, range=2.0)
     back = replace(told, time_ns=9_000_000_000, state="readmitted")
     frames = FusedBlock(np.arange(50) * 20_000_000, {"specific_force": np.zeros((50, 3))})
@@ -87,7 +87,7 @@ def test_sensors_that_failed_are_told(made: Path, tmp_path: Path) -> None:
 
 
 def test_the_claimed_error_is_that_at_rest(tmp_path: Path) -> None:
-    """A third of the frames is motion, whose claimed error of 0.5 m/s2 (uncertain times) says nothing of the rest."""
+    """A third of the frames is motion, whose claimed error of 0.5 m/s2 (uncertain times) does not apply to the rest."""
     rng, motion = np.random.default_rng(1), np.arange(3000) >= 2000
     force = rng.normal(0.0, np.where(motion, 5.0, 0.02)[:, None], (3000, 3))
     claimed = np.repeat(np.where(motion, 0.5, 0.02)[:, None] ** 2, 6, axis=1) * [1, 1, 1, 0, 0, 0]
@@ -104,7 +104,7 @@ def test_the_claimed_error_is_that_at_rest(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_gap_diagnosis_and_names_that_would_be_markup(made: Path, tmp_path: Path) -> None:
+def test_a_gap_diagnosis_is_shown_with_escaped_names(made: Path, tmp_path: Path) -> None:
     table = {
         "verdict": "unexplained", "sentence": "<script>alert(1)</script>", "p": 0.001,
         "gap": {"before": 3.0, "after": 3.0, "floor": 1.0, "closed": 0.0, "closed_ci95": None, "domains": {}},
@@ -127,7 +127,7 @@ def test_a_gap_diagnosis_and_names_that_would_be_markup(made: Path, tmp_path: Pa
         write_report([folder], page, force=True)
 
 
-def test_a_folder_stands_for_the_files_in_it(made: Path, tmp_path: Path) -> None:
+def test_a_folder_is_replaced_by_its_files(made: Path, tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     for name in ("cal.toml", "fused.h5"):
         (tmp_path / "in" / name).write_bytes((made / name).read_bytes())
@@ -145,14 +145,14 @@ def test_a_folder_stands_for_the_files_in_it(made: Path, tmp_path: Path) -> None
     ("name", "text"),
     [("a.json", "[1, 2]"), ("b.toml", "[array]\nname = 'x'"), ("c.csv", "1,2"), ("d.json", "{" * 9999)],
 )
-def test_other_files_are_refused_with_what_is_allowed(tmp_path: Path, name: str, text: str) -> None:
+def test_other_files_are_refused_with_the_allowed_kinds(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(LogError, match="allowed are logs and fused results"):
         file_kind(tmp_path / name)
 
 
 @pytest.mark.slow
-def test_nothing_is_overwritten_and_a_missing_file_is_named(made: Path, tmp_path: Path) -> None:
+def test_an_existing_page_is_not_overwritten_and_a_missing_file_is_named(made: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     page.write_text("mine")
     with pytest.raises(OutputExistsError):
@@ -162,7 +162,7 @@ def test_nothing_is_overwritten_and_a_missing_file_is_named(made: Path, tmp_path
         file_kind(tmp_path / "none.h5")
 
 
-def test_the_command(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_a_page(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "page.html"
     assert main(["report", str(made / "cal.toml"), "-o", str(page), "--json", "--title", "My array"]) == 0
     assert json.loads(capsys.readouterr().out)["files"] == {str(made / "cal.toml"): "calibration"}
@@ -171,7 +171,7 @@ def test_the_command(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.slow
-def test_a_log_without_anything_at_rest_still_says_what_was_recorded(made: Path, tmp_path: Path) -> None:
+def test_a_log_without_rest_has_a_table_of_its_recording(made: Path, tmp_path: Path) -> None:
     with open_log(made / "tumble.h5") as log:
         rates = [len(sensor) for sensor in log.of("specific_force")]
     page = tmp_path / "page.html"
@@ -182,8 +182,8 @@ def test_a_log_without_anything_at_rest_still_says_what_was_recorded(made: Path,
 
 
 @pytest.mark.parametrize("frames", [1, 5])
-def test_a_log_that_is_too_short_for_any_figure(tmp_path: Path, frames: int) -> None:
-    """A fit of the Allan deviation wants more."""
+def test_a_log_too_short_for_any_figure_has_a_page(tmp_path: Path, frames: int) -> None:
+    """A fit of the Allan deviation requires more."""
     run = WriteRun(tmp_path)([Part("A", sigma=0.01)], frames=frames)
     with open_log(run) as log:
         sections = list(log_sections(log, {}, with_figures=False))
@@ -195,7 +195,7 @@ def test_a_log_that_is_too_short_for_any_figure(tmp_path: Path, frames: int) -> 
 
 
 def test_noise_is_that_of_the_longest_rest_and_findings_are_listed(tmp_path: Path) -> None:
-    """20 s at rest (0.01 g of noise), then shaken by 1 g: no phase says so. What is unusual has a row each, and a
+    """20 s at rest (0.01 g of noise), then shaken by 1 g, without a phase. Each finding has a row, and a
     magnetometer has its noise in the table.
     """
     run, rng, rows = tmp_path / "run.h5", np.random.default_rng(3), 3000

@@ -1,4 +1,4 @@
-"""The page of a gap: every cause, the map's numbers, nothing fetched, no name believed; and without matplotlib."""
+"""The page of a gap: every cause, the map's numbers, no external resource, escaped names; and without matplotlib."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Page:
 
 
 def evil() -> Diagnosis:
-    """Every text that comes from files or from people is hostile."""
+    """Every text from a file or a user is hostile."""
     diagnosis = made()
     names = (EVIL, *SENSORS[1:])
     return replace(
@@ -158,7 +158,7 @@ def evil() -> Diagnosis:
     )
 
 
-def test_all_sections_in_order(page: Page) -> None:
+def test_all_sections_are_in_order(page: Page) -> None:
     assert 'class="verdict' in page.source.split("<main>")[0]
     assert [heading for heading in page.words if heading in ORDER] == ORDER
     assert page.open_tags == []
@@ -176,7 +176,7 @@ def test_the_sentence_and_the_verdict_come_first(page: Page) -> None:
     assert "probability of 31 %" in start
 
 
-def test_the_map_in_numbers(page: Page) -> None:
+def test_the_map_is_a_table_of_numbers(page: Page) -> None:
     heading, *rows = page.rows["Where the gap is"]
     assert heading == ["sensor", *(domain.replace("_", " ") for domain in DOMAINS)]
     assert [row[0] for row in rows] == list(SENSORS)
@@ -191,7 +191,7 @@ def test_the_map_in_numbers(page: Page) -> None:
     assert "Largest: Gyro3 allan 7.1" in alternatives[1]
 
 
-def test_every_cause_with_what_is_known_of_it(page: Page) -> None:
+def test_every_cause_has_a_row_with_its_parameters(page: Page) -> None:
     rows = {row[0].partition("\n")[0]: row for row in page.rows["Causes"] if len(row) == 7}
     assert set(rows) == {"effect", "thermal_lag", "tone", "quantisation", "bias other than the simulator's"}
     assert rows["effect"][4] == "would close"
@@ -224,11 +224,11 @@ def test_parts_are_listed_with_their_pulls(page: Page) -> None:
     assert "Beyond tolerance as fitted without thermal_lag, which may be the reason: Gyro2 x (bias)." in words
 
 
-def test_what_is_missing_has_a_table(page: Page) -> None:
+def test_missing_data_have_a_table(page: Page) -> None:
     assert [row[1] for row in page.rows["What is missing"]] == ["missing", *made().missing]
 
 
-def test_how_far_it_shrinks(page: Page) -> None:
+def test_the_closed_share_of_the_gap_is_tabulated(page: Page) -> None:
     rows = page.rows["How much of the gap closes"]
     assert ["all", "14", "2.9", "86 % (75 to 94)"] in rows
     assert ["allan", "5.1", "3.8", "40 %"] in rows
@@ -242,7 +242,7 @@ def test_how_far_it_shrinks(page: Page) -> None:
     )
 
 
-def test_the_long_table_is_cut_and_the_rest_counted(page: Page) -> None:
+def test_a_long_table_is_cut_and_the_rest_counted(page: Page) -> None:
     rows = page.rows["Where it differs"]
     assert len(rows) == 1 + MOST_ROWS
     assert rows[1][:4] == ["Gyro2 x", "temperature", "coefficient of dT/dt", "heating.h5, face_0"]
@@ -251,7 +251,7 @@ def test_the_long_table_is_cut_and_the_rest_counted(page: Page) -> None:
     assert len(page.rows["What is unexplained"]) == 1 + 2
 
 
-def test_what_is_open_and_where_it_is_from(page: Page) -> None:
+def test_open_questions_and_recordings_are_listed(page: Page) -> None:
     assert ["bistable_bias", "all", "at least eight boots"] in page.rows["What the recordings cannot show"]
     assert made().next_experiment in page.words["Next experiment"]
     judged = page.rows["Candidates that were examined"]
@@ -263,7 +263,7 @@ def test_what_is_open_and_where_it_is_from(page: Page) -> None:
     assert made().held_out in page.words["Recordings and method"]
 
 
-def test_curves_say_what_to_see(page: Page) -> None:
+def test_curves_have_descriptions(page: Page) -> None:
     alternatives = page.images["Curves: real, before and after"]
     assert len(alternatives) == 4
     assert "farthest at frequency 13.8 Hz" in alternatives[0]  # 13.75 Hz is the sample next to the line at 13.7
@@ -281,14 +281,14 @@ def test_names_are_escaped(hostile: Page) -> None:
         assert "alert('x')" in "".join([hostile.words[section], *cells]), section
 
 
-def test_without_matplotlib_there_are_tables_alone(bare: Page) -> None:
+def test_without_matplotlib_the_page_has_only_tables(bare: Page) -> None:
     assert bare.images == {}
     assert NO_FIGURES in bare.words[""]
     assert bare.rows["Curves: real, before and after"][1:][0][:3] == ["Gyro1 x", "spectrum", "z_up"]
     assert len(bare.rows["Where the gap is"]) == 1 + len(SENSORS)
 
 
-def test_without_a_gap(tmp_path: Path) -> None:
+def test_a_page_without_a_gap_states_it(tmp_path: Path) -> None:
     page = page_of(made_without_gap(), tmp_path)
     assert "No gap: no statistic differs beyond chance. Chance alone: p = 0.41." in page.words[""]
     assert "nothing to close" not in page.words[""]
@@ -332,7 +332,7 @@ def test_improbable_causes_are_counted(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_unexplained(tmp_path: Path) -> None:
+def test_a_page_of_an_unexplained_gap_states_it(tmp_path: Path) -> None:
     page = page_of(made_unexplained(), tmp_path)
     assert "Unexplained: no known effect was accepted as a cause." in page.words[""]
     assert "probability of 93 %" in page.words[""]
@@ -340,7 +340,7 @@ def test_unexplained(tmp_path: Path) -> None:
     assert page.rows["What is unexplained"][1][0] == "ADXL1 z"
 
 
-def test_nothing_at_all_is_said_too(tmp_path: Path) -> None:
+def test_a_page_without_any_statistic_states_it(tmp_path: Path) -> None:
     none = np.full((2, 1), nan)
     silent = replace(made_without_gap(), map=Map(("a", "b"), ("level",), none, none, 4.0), unshown=(), recorded=())
     page = page_of(silent, tmp_path)
@@ -355,7 +355,7 @@ def test_many_curves_are_counted(tmp_path: Path) -> None:
     assert "Shown are the 12 of 16 that lay farthest outside before." in page.words["Curves: real, before and after"]
 
 
-def test_a_page_is_not_overwritten_unless_told(tmp_path: Path) -> None:
+def test_a_page_is_overwritten_only_with_force(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     path.write_text("mine")
     with pytest.raises(OutputExistsError):
@@ -378,7 +378,7 @@ def test_every_effect_has_a_meaning() -> None:
     assert meaning("thermal_lag") == "the sensing element, or a part of it, warms up later than the box"
 
 
-def test_both_maps_have_one_scale_that_breaks_at_the_limit() -> None:
+def test_both_maps_share_a_scale_with_a_break_at_the_limit() -> None:
     shown = made().map
     images = [map_figure(scores, shown, "").axes[0].collections[0] for scores in (shown.before, shown.after)]
     before, after = (image.norm for image in images)
@@ -391,7 +391,7 @@ def test_both_maps_have_one_scale_that_breaks_at_the_limit() -> None:
     np.testing.assert_allclose(np.asarray(before.inverse(halves), float), places, atol=1e-9)
 
 
-def test_a_map_draws_what_is_not_finite() -> None:
+def test_a_map_draws_values_that_are_not_finite() -> None:
     shown = Map(("a",), ("x", "y", "z"), np.array([[inf, nan, 0.0]]), np.array([[1.0, nan, 0.0]]), 4.0)
     assert top_of(shown) == 40
     panel = map_figure(shown.before, shown, "before").axes[0]
@@ -399,7 +399,7 @@ def test_a_map_draws_what_is_not_finite() -> None:
     assert [patch.get_hatch() for patch in panel.patches] == ["////"]
 
 
-def test_axes_are_logarithmic_where_that_is_usual() -> None:
+def test_axes_are_logarithmic_where_usual() -> None:
     panels = [overlay_figure(one).axes[0] for one in overlays()]
     assert [(panel.get_xscale(), panel.get_yscale()) for panel in panels] == [
         ("log", "log"),
@@ -411,7 +411,7 @@ def test_axes_are_logarithmic_where_that_is_usual() -> None:
 
 
 @pytest.mark.parametrize("diagnosis", [made(), made_unexplained()])
-def test_bars_begin_at_the_floor_which_is_in_view(diagnosis: Diagnosis) -> None:
+def test_bars_begin_at_the_visible_floor(diagnosis: Diagnosis) -> None:
     panel = shrink_figure(diagnosis.gap).axes[0]
     low, high = panel.get_xlim()
     assert panel.get_xscale() == "log"
@@ -421,13 +421,13 @@ def test_bars_begin_at_the_floor_which_is_in_view(diagnosis: Diagnosis) -> None:
     assert diagnosis.gap.before in {round(bar.x1, 9) for bar in bars}
 
 
-def test_a_gap_below_all_logarithms_is_drawn_on_an_even_scale() -> None:
+def test_a_gap_of_zero_is_drawn_on_a_linear_scale() -> None:
     assert shrink_figure(Gap(3.0, 0.0, 0.0, 1.0, None, {})).axes[0].get_xscale() == "linear"
 
 
 @pytest.mark.parametrize("overlay", some(overlays(), 2))
 @pytest.mark.parametrize("points", [0, 1])
-def test_curves_of_which_hardly_anything_is_known(overlay: Overlay, points: int, tmp_path: Path) -> None:
+def test_curves_of_no_or_one_point_are_drawn(overlay: Overlay, points: int, tmp_path: Path) -> None:
     short = replace(
         overlay,
         x=overlay.x[:points],
@@ -440,13 +440,13 @@ def test_curves_of_which_hardly_anything_is_known(overlay: Overlay, points: int,
     figure.savefig(tmp_path / "curve.svg")
 
 
-def test_figures_of_use_stand_over_the_recorded_ones() -> None:
+def test_figures_of_use_are_drawn_with_the_recorded_figures() -> None:
     lines = use_figure(USES).axes[0].get_lines()
     drawn = {round(float(x), 4) for line in lines for x in np.atleast_1d(line.get_xdata())}
     assert {round(0.9 / 1.6, 4), round(1.5 / 1.6, 4), round(0.05 / 0.42, 4), 1.0} <= drawn
 
 
-def test_how_much_is_outside_and_where() -> None:
+def test_the_share_outside_a_band_and_its_largest_point_are_computed() -> None:
     """A band of 1 ± 0.1: two of four points are outside, the last by (2 - 1.1) / 0.1 = 9 half widths."""
     band = np.array([[1.0], [0.9], [1.1]]) * np.ones(4)
     curve = replace(overlays()[0], x=np.arange(4.0), real=np.array([1.0, 0.5, 1.05, 2.0]), before=band)

@@ -1,4 +1,4 @@
-"""The page needs nothing from elsewhere, believes no name, and speaks to those who can't see its figures."""
+"""The page has no external resource, escapes names, and has texts for its figures."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def drawings(page: Page) -> list[str]:
     return [base64.b64decode(source[len(head) :]).decode("utf-8") for source in sources]
 
 
-def test_nothing_is_fetched(text: str) -> None:
+def test_the_page_has_no_external_resource(text: str) -> None:
     page = Page(text)
     assert "://" not in re.sub(r"data:[^\"]*", "", text)
     assert "//" not in re.sub(r"data:[^\"]*", "", text)
@@ -96,7 +96,7 @@ def test_nothing_is_fetched(text: str) -> None:
     assert "url(" not in text and "@import" not in text
 
 
-def test_the_drawings_fetch_nothing_either(text: str) -> None:
+def test_drawings_have_no_external_resource(text: str) -> None:
     """Addresses in them are names of namespaces or vocabularies; references lead to the drawing itself."""
     found = drawings(Page(text))
     assert len(found) == 4
@@ -141,13 +141,13 @@ def test_names_are_escaped(evil: str) -> None:
         assert "<img" not in drawing
 
 
-def test_numbers_stand_in_the_table(text: str) -> None:
+def test_numbers_are_in_the_table(text: str) -> None:
     cells = re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", text)
     assert cells == ["BMA1", "mg", "BMA1", "1.5", "b", "2"]
     assert "<caption>caption BMA1</caption>" in text
 
 
-def test_a_page_is_not_overwritten_unless_told(tmp_path: Path) -> None:
+def test_a_page_is_overwritten_only_with_force(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     path.write_text("mine")
     with pytest.raises(OutputExistsError, match="exists already"):
@@ -157,14 +157,14 @@ def test_a_page_is_not_overwritten_unless_told(tmp_path: Path) -> None:
     assert Page(path.read_text()).headings == ["new"]
 
 
-def test_sections_of_one_title_have_anchors_of_their_own(tmp_path: Path) -> None:
+def test_sections_of_one_title_have_distinct_anchors(tmp_path: Path) -> None:
     write_page(tmp_path / "report.html", "t", [], [Section("Noise", ""), Section("Noise", "")])
     ids = [heading["id"] for heading in Page((tmp_path / "report.html").read_text()).attributes("h2")]
     assert len(set(ids)) == 2
 
 
-def test_what_steers_a_terminal_is_spelled_out(tmp_path: Path) -> None:
-    """Texts of a log may be anybody's; lines stay lines."""
+def test_control_characters_are_escaped(tmp_path: Path) -> None:
+    """Texts of a log may come from any program; line breaks are kept."""
     table = Table(("\x1b[1m",), (("\x9b31m",),), "\u202eb")
     write_page(tmp_path / "report.html", "a\x1b[2J", ["one\ntwo\r"], [Section("\x07", "\x00", [table])])
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

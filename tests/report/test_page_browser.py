@@ -42,7 +42,7 @@ async def background(page: Browser) -> float:
     return float(np.median(np.asarray(Image.open(io.BytesIO(base64.b64decode(shot["data"]))).convert("L"))))
 
 
-def test_what_is_folded_on_the_screen_is_open_on_paper(tmp_path: Path) -> None:
+def test_folded_parts_are_open_in_print(tmp_path: Path) -> None:
     async def visit(address: str) -> None:
         async with browser(tmp_path / "profile", address) as page:
             await page.until("document.querySelector('details table') !== null")
@@ -61,8 +61,8 @@ async def press(page: Browser, key: str, code: int) -> None:
     await page.call("Input.dispatchKeyEvent", type="keyUp", key=key, code=key, windowsVirtualKeyCode=code)
 
 
-def test_a_page_without_a_mouse(tmp_path: Path) -> None:
-    """Tab goes from link to link to the fold, with an outline around what has the focus; Enter opens the fold."""
+def test_a_page_can_be_used_by_keyboard(tmp_path: Path) -> None:
+    """Tab goes from link to link to the fold, with an outline around the focus; Enter opens the fold."""
 
     async def visit(address: str) -> None:
         async with browser(tmp_path / "profile", address) as page:
@@ -79,7 +79,7 @@ def test_a_page_without_a_mouse(tmp_path: Path) -> None:
     asyncio.run(visit(written(tmp_path / "page.html")))
 
 
-def test_a_page_on_four_screens(tmp_path: Path) -> None:
+def test_a_page_fits_four_screens(tmp_path: Path) -> None:
     pytest.importorskip("PIL")
 
     async def visit(address: str) -> None:

@@ -1,5 +1,5 @@
-"""The recording on a page: envelopes that hold every value, marks where readings are clipped, missing or silent, and a
-page that is whole without scripts.
+"""The recording on a page: envelopes that contain every value, marks where readings are clipped, missing or silent, and
+a page that is whole without scripts.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def test_a_calibration_scales_the_curves(run: Path) -> None:
     assert np.nanmax(recording(run, known).traces[0].high) == pytest.approx(2.0)
 
 
-def test_a_sensor_that_began_late_and_one_that_never_read_are_silent(tmp_path: Path) -> None:
+def test_sensors_without_rows_at_the_start_or_at_all_are_silent(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "run.h5", [ACC, GYRO, BARO], source="imported", epoch=EPOCH) as log:
         time = np.arange(1000) * 10_000_000
         for header, first in ((ACC, 0), (GYRO, 400)):
@@ -90,7 +90,7 @@ def test_a_sensor_that_began_late_and_one_that_never_read_are_silent(tmp_path: P
     assert gyro.spans == (SignalSpan("silent", 0.0, 4.0),)
 
 
-def test_polling_forth_and_back_misses_nothing(tmp_path: Path) -> None:
+def test_alternating_poll_order_is_not_shown_as_missing(tmp_path: Path) -> None:
     """The first sensor of one frame is the last of the next: readings are 2 ms and 18 ms apart in turn."""
     time = np.arange(1000) * 10_000_000 + np.where(np.arange(1000) % 2, 8_000_000, 0)
     with LogWriter(tmp_path / "run.h5", [ACC], source="imported", epoch=EPOCH) as log:
@@ -125,7 +125,7 @@ def _named(number: int) -> SensorHeader:
     return SensorHeader(f"Acc{number}", "bma180", "specific_force", "g", 4.0, 2048.0)
 
 
-def test_no_row_of_a_table_is_hidden(tmp_path: Path) -> None:
+def test_tables_are_shown_without_scrolling(tmp_path: Path) -> None:
     """Forty different events are forty rows; a thousand of one kind are one. No box scrolls up and down."""
     with LogWriter(tmp_path / "run.h5", [ACC], source="imported", epoch=EPOCH) as log:
         log.append("Acc", Block(np.arange(100) * 10_000_000, np.zeros((100, 3)), np.zeros(100, np.uint16)))
@@ -143,7 +143,7 @@ def test_no_row_of_a_table_is_hidden(tmp_path: Path) -> None:
     assert "overflow-y" not in style
 
 
-def test_an_allan_curve_of_too_short_a_recording_is_a_sentence(run: Path, tmp_path: Path) -> None:
+def test_a_recording_too_short_for_an_allan_curve_has_a_sentence(run: Path, tmp_path: Path) -> None:
     """Ten seconds less a pause of one; half a second is cut off at either end of a rest."""
     write_report([run], tmp_path / "page.html")
     assert "No Allan deviation: too short: 8 s, at least 30 s are needed." in (tmp_path / "page.html").read_text()
@@ -158,7 +158,7 @@ def test_names_are_escaped_in_drawings_and_data(tmp_path: Path) -> None:
     assert "<img src=x" not in (tmp_path / "page.html").read_text()
 
 
-def test_the_numbers_of_the_script_are_those_of_the_log(run: Path) -> None:
+def test_the_data_of_the_script_equal_those_of_the_log(run: Path) -> None:
     shown = recording(run)
     trace = shown.data["traces"][0]
     low, high = (np.frombuffer(base64.b64decode(trace[name][1]), "<f4") for name in ("low", "high"))
@@ -210,7 +210,7 @@ def test_a_spike_of_one_reading_is_in_the_envelope(shown: RecordingFigure) -> No
     assert float(np.nanmax(first.high[:, [0, 2]])) == pytest.approx(3 / 256)
 
 
-def test_what_is_out_of_bounds_is_marked_and_said(shown: RecordingFigure) -> None:
+def test_clipped_missing_and_silent_stretches_are_marked_and_described(shown: RecordingFigure) -> None:
     first, second = shown.traces
     assert first.spans == (SignalSpan("clipped", 50.0, pytest.approx(50.5)),)
     assert first.note == "50 readings clipped"
@@ -226,13 +226,13 @@ def test_a_sensor_is_drawn_along_the_axes_of_the_box(shown: RecordingFigure) -> 
     np.testing.assert_allclose(np.nanmax(second.high, axis=0), np.array([2.0, 1.0, -3.0]) / 256)
 
 
-def test_the_curve_is_open_where_readings_are_missing(shown: RecordingFigure) -> None:
+def test_the_curve_is_interrupted_where_readings_are_missing(shown: RecordingFigure) -> None:
     paths = shown.drawings[1].paths
     assert [path.count("M") for path in paths] == [2, 2, 2]
 
 
-def test_the_page_has_all_of_it_without_a_script(long_run: Path, tmp_path: Path) -> None:
-    """And stays small; with Bokeh at hand it has the scripts that zoom."""
+def test_the_page_is_complete_without_scripts(long_run: Path, tmp_path: Path) -> None:
+    """And stays small; with Bokeh installed it has the scripts that zoom."""
     page = tmp_path / "report.html"
     write_report([long_run], page)
     text = page.read_text(encoding="utf-8")
@@ -249,7 +249,7 @@ def test_the_page_has_all_of_it_without_a_script(long_run: Path, tmp_path: Path)
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
-def test_a_browser_draws_and_zooms_every_sensor_and_prints_the_svg(run: Path, tmp_path: Path) -> None:
+def test_a_browser_draws_and_zooms_every_sensor(run: Path, tmp_path: Path) -> None:
     """A zoom of one figure moves all, and the y axis follows what is in view."""
     pytest.importorskip("bokeh")
     write_report([run], tmp_path / "page.html")

@@ -1,4 +1,4 @@
-"""The page of a validation run: every figure with its mark, plots, nothing fetched, no name believed."""
+"""The page of a validation run: every figure with its mark, plots, no external resource, escaped names."""
 
 from __future__ import annotations
 
@@ -113,14 +113,14 @@ def page(source: str) -> Page:
     return Page(source)
 
 
-def test_nothing_is_fetched_and_every_tag_is_closed(source: str, page: Page) -> None:
+def test_the_page_has_no_external_resource_and_every_tag_is_closed(source: str, page: Page) -> None:
     without_images = re.sub(r"data:image/svg\+xml;base64,[^\"]*", "", source)
     assert "//" not in without_images and "url(" not in without_images and "<script" not in source
     assert page.open_tags == []
     assert list(page.rows) == ORDER
 
 
-def test_every_figure_stands_with_its_bar_and_its_mark(figures: Figures, page: Page) -> None:
+def test_every_figure_has_its_bar_and_its_mark(figures: Figures, page: Page) -> None:
     """2 of 40 are 5 %; right first are 9 of 11, 9 of 10 at 5x: below 0.97, but not surely."""
     rows = {row[0]: row[1:] for row in page.rows["Figures and their bars"][: len(figures.rows) + 1]}
     assert rows["figure"] == ["", "value", "95 %", "cases", "bar"]
@@ -136,7 +136,7 @@ def test_every_figure_stands_with_its_bar_and_its_mark(figures: Figures, page: P
     assert page.marked == ["FAIL"] * len(figures.failed)
 
 
-def test_what_misses_a_bar_is_told_with_its_cells(figures: Figures, page: Page) -> None:
+def test_figures_that_miss_a_bar_are_listed_with_their_cells(figures: Figures, page: Page) -> None:
     rows = page.rows["Where a bar is missed"][1:]
     assert [row[0] for row in rows if row[1] == "all"] == [row.name for row in figures.failed]
     assert ["right cause first", "severity there or not", "0.000", "0.000 to 0.793", "1"] in rows
@@ -157,14 +157,14 @@ def test_the_sections_have_their_numbers(page: Page) -> None:
     assert page.rows["Closure"][1][:2] == ["closure near the oracle's", "0.900"]
 
 
-def test_it_says_how_it_was_made(page: Page) -> None:
+def test_settings_of_the_run_are_listed(page: Page) -> None:
     rows = {row[0]: row[1] for row in page.rows["Settings of the run"][1:]}
     assert rows["command"] == COMMAND
     assert (rows["half"], rows["fixed: level"], rows["fixed: version"]) == ("sealed", "0.05", "1.2.3")
     assert (rows["cases"], rows["lost"]) == ("53", "1")
 
 
-def test_plots_tell_what_they_show(page: Page) -> None:
+def test_plots_have_descriptions(page: Page) -> None:
     assert len(page.images) == 5
     assert "full 5 %" in page.images[0]
     assert "All plans: 2 limits 0 %, 5 limits 100 %" in page.images[1]
@@ -174,7 +174,7 @@ def test_plots_tell_what_they_show(page: Page) -> None:
 
 
 @pytest.mark.slow
-def test_no_name_is_believed(tmp_path: Path) -> None:
+def test_names_are_escaped(tmp_path: Path) -> None:
     hostile = filled(Made(tmp_path / "run", plan={"half": EVIL, "frozen": {EVIL: EVIL}}), EVIL, EVIL)
     path = tmp_path / "page.html"
     write_validation_page(path, hostile, command=EVIL)
@@ -189,7 +189,7 @@ def test_no_name_is_believed(tmp_path: Path) -> None:
     assert {len(re.split(r"(?<!\\)\|", line)) for line in table} == {8, 7}
 
 
-def test_without_matplotlib_there_are_tables_alone(
+def test_without_matplotlib_the_page_has_only_tables(
     figures: Figures, page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(page_module, "find_spec", lambda name: None)
@@ -211,7 +211,7 @@ def test_a_run_without_cases_makes_a_page(tmp_path: Path) -> None:
     assert "No threshold was fixed" in markdown(score, "2026-01-31")
 
 
-def test_markdown_has_every_figure_and_what_misses(figures: Figures) -> None:
+def test_markdown_has_every_figure_and_the_failures(figures: Figures) -> None:
     lines = markdown(figures, "2026-01-31", COMMAND).splitlines()
     assert lines[0] == "## Results of 2026-01-31, sealed half"
     assert "- Fixed before the truth was opened: level 0.05; version 1.2.3." in lines
@@ -222,7 +222,7 @@ def test_markdown_has_every_figure_and_what_misses(figures: Figures) -> None:
     assert "| right cause first | severity there or not | 0.000 | 0.000 to 0.793 | 1 |" in lines
 
 
-def test_points_are_where_they_belong() -> None:
+def test_points_and_whiskers_are_drawn_at_their_values() -> None:
     """Shares in percent, whiskers at the ends of intervals, limits on a logarithmic axis."""
     alarms = alarms_figure([ScoreRow("false alarms, plan full", 0.05, 0.02, 0.09, 100, (0.035, 0.065))]).axes[0]
     band = alarms.patches[0].get_extents().transformed(alarms.transData.inverted())

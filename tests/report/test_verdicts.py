@@ -1,4 +1,4 @@
-"""Pages open with a verdict: one sentence, how good it is, three to five figures."""
+"""Pages open with a verdict: one sentence, a level, three to five figures."""
 
 from __future__ import annotations
 
@@ -65,14 +65,16 @@ def recorded(path: Path, rows: int = 1000, gyro_rows: int = 1000, status: int = 
         ),
     ],
 )
-def test_is_the_recording_healthy(tmp_path: Path, arguments: tuple[object, ...], level: str, sentence: str) -> None:
+def test_the_verdict_on_a_recording_states_its_health(
+    tmp_path: Path, arguments: tuple[object, ...], level: str, sentence: str
+) -> None:
     verdict = recorded(tmp_path / "run.h5", *arguments)  # type: ignore[arg-type]
     assert (verdict.level, verdict.sentence) == (level, sentence)
     assert verdict.figures[0][0] == "10.0 s"
     assert len(verdict.figures) == 5
 
 
-def test_a_recorder_that_stalls_is_no_healthy_recording(tmp_path: Path) -> None:
+def test_a_recording_with_stalls_is_doubtful(tmp_path: Path) -> None:
     """Fifty rows in half a second, then nothing for half a second, twenty times."""
     time_ns = (np.arange(1000) * 10_000_000 + np.arange(1000) // 50 * 500_000_000).astype(np.int64)
     with LogWriter(tmp_path / "run.h5", [ACC], source="imported", epoch="2026-01-01T00:00:00Z") as log:
@@ -93,7 +95,7 @@ def test_a_result_without_most_of_its_sensors_is_doubtful() -> None:
     assert "; 2 of 3 sensors were excluded for part of the time" in verdict.sentence
 
 
-def test_a_log_without_readings(tmp_path: Path) -> None:
+def test_a_log_without_readings_is_bad(tmp_path: Path) -> None:
     verdict = recorded(tmp_path / "run.h5", 0, 0)
     assert (verdict.level, verdict.sentence) == ("bad", "run.h5 holds no reading.")
 
@@ -102,7 +104,7 @@ def test_a_sensor_that_never_gave_a_reading_is_silent(tmp_path: Path) -> None:
     assert "Gyro silent for 10 s" in recorded(tmp_path / "run.h5", 1000, 0).sentence
 
 
-def test_gaps_are_told_in_the_section_too(tmp_path: Path) -> None:
+def test_gaps_are_also_stated_in_the_section(tmp_path: Path) -> None:
     recorded(tmp_path / "run.h5", 1000, 1000, 8)
     with open_log(tmp_path / "run.h5") as log:
         section = next(iter(log_sections(log, {}, with_figures=False)))
@@ -119,7 +121,7 @@ def sensor(name: str, *, measured: bool, scaled: bool = True) -> SensorCalibrati
     )  # fmt: skip
 
 
-def test_is_the_calibration_good() -> None:
+def test_the_verdict_on_a_calibration_states_its_quality() -> None:
     good = {"A1": sensor("A1", measured=True), "G1": sensor("G1", measured=True, scaled=False)}
     verdict = calibration_verdict(Path("cal.toml"), Calibration(good))
     assert (verdict.level, verdict.sentence) == ("good", "cal.toml is good: biases are known to 2 mg and 0.02 dps.")
@@ -146,7 +148,7 @@ def test_is_the_calibration_good() -> None:
 
 
 @pytest.mark.parametrize(("claimed", "level"), [(0.01, "good"), (0.004, "doubtful")])
-def test_is_the_fused_result_as_good_as_it_says(claimed: float, level: str) -> None:
+def test_the_verdict_on_a_fused_result_compares_scatter_and_claim(claimed: float, level: str) -> None:
     head = FusedHead("optimal", "run.h5", "", "", 500, {"specific_force": ("A", "B")})
     noise, own = {"specific_force": np.full(3, 0.00980665)}, {"specific_force": np.full(3, claimed)}
     verdict = fused_verdict(Path("f.h5"), head, noise, own)
@@ -156,7 +158,7 @@ def test_is_the_fused_result_as_good_as_it_says(claimed: float, level: str) -> N
     assert ("more than it claims" in verdict.sentence) == (level == "doubtful")
 
 
-def test_the_worst_of_several_is_the_verdict() -> None:
+def test_the_verdict_of_several_files_is_that_of_the_worst() -> None:
     good, bad = (
         Verdict("a.h5 is healthy: yes.", "good", [("1", "a"), ("2", "b")]),
         Verdict("b.h5 is not.", "bad", [("3", "c")]),
@@ -179,7 +181,7 @@ def test_the_worst_of_several_is_the_verdict() -> None:
     assert three is not None and three.sentence.endswith("a.h5 is healthy; o.h5 scatters by 5 mg at rest.")
 
 
-def test_is_the_simulator_good_enough() -> None:
+def test_the_verdict_on_a_gap_states_whether_the_simulator_is_good_enough() -> None:
     assert gap_verdict(made_without_gap()).sentence.startswith("The simulator is good enough for what these recordings")
     assert gap_verdict(made_without_gap()).level == "good"
     assert gap_verdict(made_unexplained()).level == "bad"
@@ -199,8 +201,8 @@ def test_is_the_simulator_good_enough() -> None:
     assert harmless and enough.sentence.endswith("added it is good enough.")
 
 
-def test_a_page_opens_with_it(tmp_path: Path) -> None:
-    """Before the sections, escaped, with a sign for those who see no colour."""
+def test_a_page_opens_with_its_verdict(tmp_path: Path) -> None:
+    """Before the sections, escaped, with a symbol in addition to the colour."""
     verdict = Verdict("<b>a</b> is good.", "doubtful", [("1 <i>", "of & all"), ("2", "b"), ("3", "c")])
     write_page(tmp_path / "p.html", "Title", ["line"], [], verdict=verdict)
     text = (tmp_path / "p.html").read_text()
