@@ -44,7 +44,7 @@ def log(bench: Bench, name: str, seconds: float, rate_hz: float) -> None:
 
 
 def pull(trigger: Path, stopped: threading.Event) -> None:
-    """Pull the trigger again and again."""
+    """Pull the trigger repeatedly."""
     while not stopped.wait(PULLS_S):
         trigger.write_text("1")
 

@@ -142,7 +142,7 @@ class Bench:
         wait_for(f"more rows of the log {name}", grown)
 
     def told(self, name: str, word: str) -> None:
-        """Wait until the log has told of something on standard error."""
+        """Wait until the log has written a message to standard error."""
         path = self.folder / f"{name}.err"
         wait_for(f"{word!r} from the log {name}", lambda: word in path.read_text(errors="replace"))
 
@@ -215,7 +215,7 @@ def let_the_kernel_drive_the_multiplexer(bench: Bench, number: int) -> None:
 
 
 def lose_everything(bench: Bench, number: int) -> None:
-    """The plug is pulled, and nobody puts it in again."""
+    """The adapter is unplugged and stays unplugged."""
     log = bench.log("lost", number)
     bench.unplug()
     bench.told("lost", "was removed")

@@ -14,7 +14,7 @@ Rows = list[list[int]]
 
 
 class TappedWire:
-    """A wire that notes what passes: address, register, bytes that were read."""
+    """A wire that records each transfer: address, register, bytes that were read."""
 
     def __init__(self, wire: Any) -> None:
         self.wire = wire

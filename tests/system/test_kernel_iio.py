@@ -87,7 +87,7 @@ KERNEL_TIME = "CLOCK_MONOTONIC of the kernel's driver"
 
 @pytest.fixture(scope="module")
 def seen(host_guest: HostGuest) -> tuple[Path, TappedWire]:
-    """The folder with what the guest left, and what the chips gave."""
+    """The folder with the files of the guest, and the bytes of the chips."""
     folder = host_guest.share
     for name, text in CONFIGS.items():
         (folder / f"{name}.toml").write_text(text)
@@ -108,7 +108,7 @@ def seen(host_guest: HostGuest) -> tuple[Path, TappedWire]:
 
 
 def needs(folder: Path, module: str) -> None:
-    """Skip the test if a module was not there."""
+    """Skip the test if a module is missing."""
     if not (folder / f"{module}.ko").exists():
         pytest.skip(f"no module {module}; tests/system/build_kernel_modules builds it")
 
@@ -137,7 +137,7 @@ def queue_rows(wire: TappedWire, name: str) -> Rows:
 
 
 def check_log(log: Log, given_by: Callable[[TappedWire, str], Rows], wire: TappedWire, least: int) -> None:
-    """Every row is what the chip gave, one after the other, none left out but at the ends."""
+    """The rows are the readings of the chip, in order and complete but for the ends."""
     assert log.source == "iio"
     for name, logged in log.sensors.items():
         counts: list[Any] = logged.counts[:].tolist()

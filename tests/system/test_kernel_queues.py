@@ -139,7 +139,7 @@ def check_rows(taken: Rows, given: Rows) -> None:
     assert len(starts) == 1, (taken[:3], given[:8])
 
 
-def test_the_kernels_buffers_hold_what_the_queues_gave(
+def test_the_kernels_buffers_contain_the_bytes_of_the_queues(
     guest: Callable[[str, Iterable[str], float], str], wires: dict[str, TappedWire]
 ) -> None:
     with served(wires, "kernel queues") as port:

@@ -65,7 +65,7 @@ section end
 
 
 def sections(written: str) -> dict[str, str]:
-    """What the script wrote under each heading."""
+    """The output of the script under each heading."""
     parts = (part.partition("\n") for part in written.split("## ")[1:])
     return {heading.strip(): text for heading, _, text in parts}
 
@@ -100,9 +100,7 @@ def numbers(text: str) -> npt.NDArray[np.float64]:
 
 
 @pytest.mark.slow
-def test_the_kernel_believes_the_emulated_array(
-    guest: Callable[[str, Iterable[str], float], str], tmp_path: Path
-) -> None:
+def test_the_kernel_reads_the_emulated_array(guest: Callable[[str, Iterable[str], float], str], tmp_path: Path) -> None:
     config = tmp_path / "bench.toml"
     config.write_text(CONFIG)
     with served(config) as port:

@@ -1,4 +1,4 @@
-"""This project's commands in a guest, on the kernel's own /dev/i2c-N: what they do there, seen from outside.
+"""This project's commands in a guest, on the kernel's own /dev/i2c-N: their results, checked from outside.
 
 One boot and one Python process for all (`on_a_real_bus`): the first import alone takes longer than all the rest
 there. The array is plugged in over USB/IP, and pulled out. It takes minutes, so it is a campaign:
@@ -67,7 +67,7 @@ def seen(host_guest: HostGuest) -> Seen:
     return Seen(folder, json.loads(codes.read_text()) if codes.exists() else {}, written)
 
 
-def test_all_of_it_ran(seen: Seen) -> None:
+def test_all_commands_ran(seen: Seen) -> None:
     assert "Traceback" not in seen.written, seen.written
     assert {"detect", "self_test", "shared", "unplugged", "killed", "recover", "verify", "lost"} <= set(seen.codes)
 
@@ -77,7 +77,7 @@ def rows_of(log: Log, name: str) -> tuple[Any, Any]:
     return log[name].time[:] * 1e-9, log[name].status[:]
 
 
-def test_detect_finds_what_the_configuration_says(seen: Seen) -> None:
+def test_detect_agrees_with_the_configuration(seen: Seen) -> None:
     assert (seen.codes["detect"], seen.codes["self_test"]) == (0, 0)
     said = {entry["sensor"]: entry["ok"] for entry in seen.report("detect")["found"]}
     assert said == dict.fromkeys(SENSORS | {"mux"}, True)
@@ -86,7 +86,7 @@ def test_detect_finds_what_the_configuration_says(seen: Seen) -> None:
     assert all(text.startswith("self-test passed") for text in tested), tested
 
 
-def test_a_driver_of_the_kernel_takes_a_chip_and_gives_it_back(seen: Seen) -> None:
+def test_a_kernel_driver_takes_and_releases_a_chip(seen: Seen) -> None:
     """Only that chip has a gap; it is set up again."""
     assert seen.codes["shared"] == 0, seen.errors("shared")
     with open_log(seen.folder / "shared.h5") as log:
@@ -103,7 +103,7 @@ def test_a_driver_of_the_kernel_takes_a_chip_and_gives_it_back(seen: Seen) -> No
         assert np.diff(others).max() < back_s - taken_s
 
 
-def test_unplugged_and_plugged_in_again_under_another_number(seen: Seen) -> None:
+def test_a_log_continues_when_the_adapter_returns_with_another_number(seen: Seen) -> None:
     """One log, with rows before and after of every sensor, and events that say so."""
     assert seen.codes["unplugged"] == 0, seen.errors("unplugged")
     before, after = json.loads((seen.folder / "numbers.json").read_text())
@@ -134,7 +134,7 @@ def test_a_killed_log_is_recovered(seen: Seen) -> None:
             np.testing.assert_array_equal(log[name].counts[:], cut[name].counts[:])
 
 
-def test_the_kernel_drives_the_multiplexer(seen: Seen) -> None:
+def test_a_multiplexer_of_the_kernel_is_logged_by_channel(seen: Seen) -> None:
     """Each channel by its own bus; the trunk with our own multiplexer is refused, by the driver's name."""
     if "channels" not in seen.codes:
         pytest.skip("no module i2c-mux-pca954x, which Debian does not build; tests/system/build_kernel_modules does")
@@ -147,7 +147,7 @@ def test_the_kernel_drives_the_multiplexer(seen: Seen) -> None:
         assert {name for name in log.sensors if len(log[name].time) > 3} == SENSORS
 
 
-def test_a_recording_in_which_all_was_lost_does_not_exit_0(seen: Seen) -> None:
+def test_a_recording_without_any_reading_exits_with_1(seen: Seen) -> None:
     assert seen.codes["lost"] == 1, seen.errors("lost")
     with open_log(seen.folder / "lost.h5") as log:
         assert log.state == "finished"

@@ -1,4 +1,4 @@
-"""The service's unit under systemd, process 1 of a guest: what it does there, seen from outside.
+"""The service's unit under systemd, process 1 of a guest: its behaviour, checked from outside.
 
 The guest's systemd is this machine's. The unit is the one of configs/, unchanged; a drop-in shortens its times, so that
 nobody waits a minute for the watchdog. The array is on the kernel's /dev/i2c-N, over USB/IP. It takes minutes, so it is
@@ -149,7 +149,7 @@ def test_start_waits_for_the_first_rows(seen: Seen) -> None:
     assert (int(lines["CapBnd"], 16), lines["NoNewPrivs"], lines["Seccomp"]) == (0, "1", "2")
 
 
-def test_rows_feed_the_watchdog_and_nothing_else_does(seen: Seen) -> None:
+def test_only_stored_rows_reset_the_watchdog(seen: Seen) -> None:
     """It is fed while rows are stored, and without a bus the watchdog ends the service, which starts anew."""
     fed = seen.properties["fed"]
     assert (fed["MainPID"], fed["NRestarts"]) == (seen.properties["started"]["MainPID"], "0")
@@ -160,7 +160,7 @@ def test_rows_feed_the_watchdog_and_nothing_else_does(seen: Seen) -> None:
     assert int(unplugged["NRestarts"]) >= 2
 
 
-def test_killed_it_starts_anew_and_recovers(seen: Seen) -> None:
+def test_a_killed_service_restarts_and_recovers(seen: Seen) -> None:
     killed = seen.properties["killed"]
     assert (killed["ActiveState"], killed["NRestarts"]) == ("active", "1")
     assert killed["MainPID"] != seen.properties["started"]["MainPID"]
@@ -170,8 +170,8 @@ def test_killed_it_starts_anew_and_recovers(seen: Seen) -> None:
         assert [event.kind for event in log.events if event.kind == "recovered"] == ["recovered"]
 
 
-def test_stop_leaves_finished_logs(seen: Seen) -> None:
-    """Of every start one, and no journal beside any of them."""
+def test_a_stopped_service_leaves_finished_logs(seen: Seen) -> None:
+    """One log of every start, and no journal."""
     stopped = seen.properties["stopped"]
     assert (stopped["ActiveState"], stopped["Result"]) == ("inactive", "success")
     assert len(seen.logs) >= 3
