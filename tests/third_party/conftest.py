@@ -1,4 +1,4 @@
-"""Perfect chips on an emulated wire, and what other people's drivers expect of the machine around them.
+"""Perfect chips on an emulated wire, and the environment that other people's drivers expect.
 
 The drivers come from the package index and run unmodified. Their chips are ideal units: whatever a reading misses, the
 driver misses.
@@ -25,7 +25,7 @@ from firmware_emulator.world import WorldStimulus
 
 
 class Board(NamedTuple):
-    """One chip on one wire; what is put into `felt` is what it feels from then on."""
+    """One chip on one wire; `felt` is its input."""
 
     wire: Wire
     chip: Chip

@@ -28,8 +28,10 @@ FORCES = [(0.0, 0.0, STANDARD_GRAVITY), (-9.0, 3.0, 1.0), (5.0, -14.0, -7.5)]
 
 
 @pytest.mark.parametrize("force", FORCES)
-def test_acceleration(accelerometer: Any, force: tuple[float, float, float]) -> None:
-    """It takes 0.004 g a count, where the data sheet has 1/256 g (ADX-40): all it says is 2.4 % too much."""
+def test_acceleration_is_read_with_the_scale_of_the_driver(
+    accelerometer: Any, force: tuple[float, float, float]
+) -> None:
+    """It takes 0.004 g a count, where the data sheet has 1/256 g (ADX-40): all its values are 2.4 % too large."""
     accelerometer.board.feel(WorldStimulus(force_box=force))
     count = 0.004 * STANDARD_GRAVITY
     for said, true in zip(accelerometer.chip.acceleration, force, strict=True):
@@ -48,7 +50,7 @@ def test_every_range_has_one_scale(accelerometer: Any, name: str) -> None:
     assert abs(accelerometer.chip.raw_z - 256) <= 1
 
 
-def test_range_beyond_2_g(accelerometer: Any) -> None:
+def test_the_range_can_be_set_beyond_2_g(accelerometer: Any) -> None:
     strong = WorldStimulus(force_box=(10 * STANDARD_GRAVITY, 0.0, 0.0))
     accelerometer.board.feel(strong)
     assert accelerometer.chip.raw_x == 511  # 10 bits: ADX-41
@@ -57,7 +59,7 @@ def test_range_beyond_2_g(accelerometer: Any) -> None:
     assert abs(accelerometer.chip.raw_x - 2560) <= 1
 
 
-def test_data_rate(accelerometer: Any) -> None:
+def test_the_data_rate_can_be_set(accelerometer: Any) -> None:
     """Twice the code, twice the rate: at 25 Hz a reading changes 25 times a second."""
     rates = accelerometer.driver.DataRate
     for rate, per_second in ((rates.RATE_25_HZ, 25), (rates.RATE_100_HZ, 100)):
@@ -71,12 +73,12 @@ def test_data_rate(accelerometer: Any) -> None:
         assert changes == pytest.approx(per_second, abs=0.15 * per_second)
 
 
-def test_it_takes_any_chip_at_the_address(driver: Any, busio: Any, boards: Any) -> None:
+def test_the_driver_accepts_any_chip_at_the_address(driver: Any, busio: Any, boards: Any) -> None:
     """It names the identity register and never reads it (ADX-10): a gyroscope at 0x53 passes for an accelerometer."""
     board = boards("l3g4200d", 0x53)
     assert len(driver.ADXL345(busio(board.wire)).acceleration) == 3
 
 
-def test_nobody_at_the_address(driver: Any, busio: Any, boards: Any) -> None:
+def test_a_missing_chip_is_refused(driver: Any, busio: Any, boards: Any) -> None:
     with pytest.raises(ValueError, match="No I2C device at address: 0x53"):
         driver.ADXL345(busio(boards("adxl345", 0x1D).wire))

@@ -23,7 +23,7 @@ def barometer(request: pytest.FixtureRequest, busio: Any, boards: Any) -> Any:
 
 
 @pytest.mark.parametrize(("pascal", "degc"), WEATHER)
-def test_pressure_and_temperature(barometer: Any, pascal: float, degc: float) -> None:
+def test_pressure_and_temperature_are_read(barometer: Any, pascal: float, degc: float) -> None:
     """The driver computes with real numbers; hPa and degC."""
     board, chip = barometer
     board.feel(WorldStimulus(pressure_pa=pascal, temperature_degc=degc))

@@ -23,7 +23,7 @@ def board(boards: Any, serve: Any) -> Any:
 
 
 @pytest.mark.parametrize(("degc", "pascal"), [(25.0, 101325.0), (-5.0, 84000.0), (41.3, 104000.0)])
-def test_temperature_and_pressure(board: Any, degc: float, pascal: float) -> None:
+def test_temperature_and_pressure_are_read(board: Any, degc: float, pascal: float) -> None:
     board.feel(WorldStimulus(temperature_degc=degc, pressure_pa=pascal), settle_ns=0)
     barometer = bmp180.BMP180()
     assert barometer.read_temperature() == pytest.approx(degc, abs=0.11)  # resolution 0.1 degC
@@ -53,7 +53,7 @@ def test_calibration_words_are_those_of_the_worked_example(board: Any) -> None:
     }
 
 
-def test_it_never_asks_who_answers(boards: Any, serve: Any) -> None:
+def test_the_driver_does_not_check_the_identity(boards: Any, serve: Any) -> None:
     """The identity at 0xD0 (BMP-11) is not read: an accelerometer passes for a barometer of words all 0 (BMP-31)."""
     serve(boards("adxl345", 0x77))
     barometer = bmp180.BMP180()

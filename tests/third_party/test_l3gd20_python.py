@@ -31,7 +31,7 @@ def turning(rate_dps: tuple[float, float, float]) -> WorldStimulus:
 @pytest.mark.parametrize(
     ("name", "dps_per_count"), [("RANGE_250DPS", 0.00875), ("RANGE_500DPS", 0.0175), ("RANGE_2000DPS", 0.07)]
 )
-def test_angular_rate(
+def test_angular_rate_is_read(
     driver: Any,
     smbus: Any,
     boards: Any,
@@ -51,7 +51,7 @@ def test_angular_rate(
         assert axis == pytest.approx(true, abs=dps_per_count)  # L3G-40 ... L3G-42
 
 
-def test_it_leaves_block_data_update_off(driver: Any, smbus: Any, boards: Any, serve: Any) -> None:
+def test_the_driver_leaves_block_data_update_off(driver: Any, smbus: Any, boards: Any, serve: Any) -> None:
     """CTRL_REG4 gets the range and nothing else, so that a reading may mix two samples (L3G-50)."""
     board = boards("l3g4200d", 0x6B)
     serve(board)
@@ -60,7 +60,7 @@ def test_it_leaves_block_data_update_off(driver: Any, smbus: Any, boards: Any, s
         assert bus.read_byte_data(0x6B, 0x23) == 0x20
 
 
-def test_its_100_hz_are_no_12_5_hz(driver: Any, smbus: Any, boards: Any, serve: Any) -> None:
+def test_rate_code_0_is_100_hz_and_not_12_5_hz(driver: Any, smbus: Any, boards: Any, serve: Any) -> None:
     """Its comment takes rate code 00 for 12.5 Hz; in the L3G4200D that is the cut-off, the rate is 100 Hz (L3G-30)."""
     board = boards("l3g4200d", 0x6B)
     serve(board)
@@ -74,8 +74,8 @@ def test_its_100_hz_are_no_12_5_hz(driver: Any, smbus: Any, boards: Any, serve: 
     assert len(set(read)) == pytest.approx(500 * 0.0022 * 100, rel=0.1)  # 2 ms and a transaction of some 0.2 ms a step
 
 
-def test_it_never_asks_who_answers(driver: Any, smbus: Any, boards: Any, serve: Any) -> None:
-    """WHO_AM_I of the chip it was written for is 0xD4; ours says 0xD3 (L3G-10) and is taken all the same."""
+def test_the_driver_does_not_check_the_identity(driver: Any, smbus: Any, boards: Any, serve: Any) -> None:
+    """WHO_AM_I of the chip it was written for is 0xD4; ours is 0xD3 (L3G-10) and is accepted."""
     board = boards("l3g4200d", 0x6B)
     serve(board)
     with smbus.SMBus(1) as bus:

@@ -31,7 +31,7 @@ FIELD_GAUSS = (0.21, -0.05, 0.43)
 
 
 class Bench:
-    """An array of ideal chips on one bus, and what they feel."""
+    """An array of ideal chips on one bus, and their input."""
 
     def __init__(self, *sensors: tuple[str, int]) -> None:
         self.felt = WorldStimulus()
@@ -49,7 +49,7 @@ class Bench:
         self.clock: VirtualClock = self.bus.clock  # type: ignore[assignment]
 
     def sleep(self, seconds: float) -> None:
-        """What a driver's sleep is here."""
+        """The replacement of a driver's sleep."""
         self.clock.sleep_until(self.clock.now_ns() + round(1e9 * seconds))
 
     def feel(self, stimulus: WorldStimulus) -> None:
@@ -123,8 +123,10 @@ def test_circuit_python_refuses_another_chip(busio: Any, monkeypatch: pytest.Mon
         module.MPU6050(busio(bench.bus.wire))
 
 
-def test_circuit_python_does_not_count_on_in_a_lis3mdl(busio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bit 7 of the register address makes it count on (LIS-03); the driver leaves it 0 and gets x's low byte again."""
+def test_circuit_python_does_not_increment_the_register_of_a_lis3mdl(
+    busio: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bit 7 of the register address increments it (LIS-03); the driver leaves it 0 and gets x's low byte again."""
     bench = Bench(("lis3mdl", 0x1C))
     module = package("adafruit_lis3mdl", bench, monkeypatch)
     chip = module.LIS3MDL(busio(bench.bus.wire))
@@ -146,7 +148,7 @@ def served() -> Any:
 
 
 @pytest.mark.parametrize("full_scale", [2, 4, 8, 16])
-def test_ijtsmas_mpu6050(smbus: ModuleType, served: Callable[[Bench], None], full_scale: int) -> None:
+def test_ijtsmas_driver_reads_an_mpu6050(smbus: ModuleType, served: Callable[[Bench], None], full_scale: int) -> None:
     """It wakes the chip, which is asleep after power-on (INV-25), and reads byte by byte."""
     bench = Bench(*halves("mpu6050", 0x68))
     served(bench)
@@ -163,7 +165,7 @@ def test_ijtsmas_mpu6050(smbus: ModuleType, served: Callable[[Bench], None], ful
     chip.bus.close()
 
 
-def test_menegazzos_mpu9250(served: Callable[[Bench], None], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_menegazzos_driver_reads_an_mpu9250(served: Callable[[Bench], None], monkeypatch: pytest.MonkeyPatch) -> None:
     """It opens the bypass, reads the fuse ROM of the AK8963 and puts the adjustment on its readings (AKM-16)."""
     bench = Bench(*halves("mpu9250", 0x68), ("ak8963", 0x0C))
     served(bench)
