@@ -1,4 +1,4 @@
-"""What holds for all tests."""
+"""Fixtures and settings of all tests."""
 
 import os
 
@@ -20,7 +20,7 @@ if sys.dont_write_bytecode:  # as in many containers: every start of the program
 import pytest
 from hypothesis import settings
 
-# How long an example takes is the machine's business.  The examples are the same every time, so that what passed
+# The time of an example depends on the machine.  The examples are the same every time, so that what passed
 # passes again; `pytest --hypothesis-profile explore` draws others.  The quick half draws few, .ci/run all ("full").
 settings.register_profile("quick", deadline=None, derandomize=True, max_examples=5)
 settings.register_profile("full", deadline=None, derandomize=True)

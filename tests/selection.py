@@ -1,4 +1,4 @@
-"""What of a long test the quick half runs: some of its cases, and fewer examples of a property.
+"""The part of a long test that the quick half runs: some of its cases, and fewer examples of a property.
 
 `.ci/run` runs more of both: the slow half has other cases, and it repeats every property with the profile "full". The
 rest is run by `.ci/campaigns`.

@@ -1,4 +1,4 @@
-"""One call for each step: the same numbers as the commands give, with uncertainties, drawings and tables."""
+"""One call for each step: the same results as the commands, with uncertainties, drawings and tables."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def equal(first: dict[str, Any], second: dict[str, Any]) -> bool:
 
 
 def test_a_fused_file_is_read_again(folder: Path, tmp_path: Path) -> None:
-    """Frames, sensors and events; a file of one that was read is the same file."""
+    """Frames, sensors and events; saving a result that was read gives the same file."""
     fused = ia.fuse(folder / "rest.h5", folder / "cal.toml", "mean")
     event = FusedEvent(2_000_000_000, "Gyro1", "stuck", "isolated", "Gyro1 is stuck: excluded")
     replace(fused, events=(event,)).save(tmp_path / "first.h5")
@@ -93,7 +93,7 @@ def test_an_array_of_the_package_is_loaded_by_its_name() -> None:
 
 
 @pytest.mark.slow
-def test_a_simulation_is_that_of_the_command(tmp_path: Path) -> None:
+def test_a_simulation_equals_that_of_the_command(tmp_path: Path) -> None:
     run("simulate", "martin2013", "-o", tmp_path / "a.h5", "--seconds", "5", "--seed", "3", "--without", "tone")
     with ia.simulate("martin2013", tmp_path / "b.h5", seconds=5.0, seed=3, without=["tone"]) as log:
         assert log.source == "simulated"
@@ -104,7 +104,7 @@ def test_a_simulation_is_that_of_the_command(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_effect_is_added_to_one_sensor_and_changes_no_other(tmp_path: Path) -> None:
+def test_an_effect_is_added_to_one_sensor_only(tmp_path: Path) -> None:
     """A sine of amplitude a has an rms of a / sqrt(2)."""
     tone = EFFECTS["tone"](amplitude=5.0, frequency_hz=7.0)  # type: ignore[call-arg]
     with (
@@ -125,13 +125,15 @@ def test_an_effect_is_added_to_one_sensor_and_changes_no_other(tmp_path: Path) -
         ({"model": "datashet"}, "no model of that name"),
     ],
 )
-def test_a_wrong_word_is_told_with_what_is_allowed(tmp_path: Path, options: dict[str, Any], words: str) -> None:
+def test_an_invalid_option_is_refused_with_the_allowed_values(
+    tmp_path: Path, options: dict[str, Any], words: str
+) -> None:
     with pytest.raises(ConfigError, match=words):
         ia.simulate("martin2013", tmp_path / "a.h5", seconds=1.0, **options)
     assert not (tmp_path / "a.h5").exists()
 
 
-def test_seconds_are_a_number(tmp_path: Path) -> None:
+def test_seconds_must_be_a_number(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="seconds '20s': allowed is a number of seconds"):
         ia.simulate("martin2013", tmp_path / "a.h5", seconds="20s")  # type: ignore[arg-type]
 
@@ -153,13 +155,13 @@ def test_a_calibration_is_indexed_and_becomes_a_table() -> None:
 
 
 @pytest.mark.slow
-def test_a_log_that_is_simulated_again_has_its_own_conditions(folder: Path, tmp_path: Path) -> None:
+def test_simulating_a_recorded_log_refuses_other_conditions(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="seconds: with a recorded log these come from the log"):
         ia.simulate(folder / "rest.h5", tmp_path / "a.h5", seconds=1.0)
 
 
 @pytest.mark.parametrize("technique", some(["mean", "optimal"], 1))
-def test_a_fusion_is_that_of_the_command(folder: Path, tmp_path: Path, technique: str) -> None:
+def test_a_fusion_equals_that_of_the_command(folder: Path, tmp_path: Path, technique: str) -> None:
     command, own = tmp_path / "command.h5", tmp_path / "own.h5"
     run("fuse", folder / "rest.h5", "--calibration", folder / "cal.toml", "--technique", technique, "-o", command)
     fused = ia.fuse(folder / "rest.h5", folder / "cal.toml", technique)
@@ -173,7 +175,7 @@ def test_a_fusion_is_that_of_the_command(folder: Path, tmp_path: Path, technique
 
 
 @pytest.mark.slow
-def test_a_fusion_says_what_it_lacked(folder: Path) -> None:
+def test_a_fusion_remarks_on_missing_calibration(folder: Path) -> None:
     fused = ia.fuse(folder / "rest.h5", technique="planes", only=["BMA1", "BMA2", "Gyro1"])
     assert fused.sensors == {"specific_force": ["BMA1", "BMA2"], "angular_rate": ["Gyro1"]}
     assert any(remark.startswith("no noise in the calibration") for remark in fused.remarks)
@@ -183,7 +185,7 @@ def test_a_fusion_says_what_it_lacked(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_characterisation_is_that_of_the_command(folder: Path, tmp_path: Path) -> None:
+def test_a_characterisation_equals_that_of_the_command(folder: Path, tmp_path: Path) -> None:
     run("characterise", folder / "rest.h5", "-o", tmp_path / "noise", "--sensor", "Gyro1,BMA1")
     found = ia.characterise(folder / "rest.h5", sensors=["Gyro1", "BMA1"])
     assert found.result == json.loads((tmp_path / "noise" / "characterise.json").read_text())
@@ -207,7 +209,7 @@ def test_a_characterisation_is_that_of_the_command(folder: Path, tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_every_result_draws_itself_and_shows_a_table(folder: Path, tmp_path: Path) -> None:
+def test_every_result_has_a_figure_and_a_table(folder: Path, tmp_path: Path) -> None:
     with ia.open_log(folder / "rest.h5") as log:
         tumble = ia.calibrate_tumble(folder / "tumble.h5")
         results = [log, tumble, tumble.calibration, ia.calibrate_noise(log), ia.fuse(log, technique="mean")]
@@ -222,7 +224,7 @@ def test_every_result_draws_itself_and_shows_a_table(folder: Path, tmp_path: Pat
     assert repr(log).endswith("closed>")
 
 
-def test_a_group_that_was_not_measured_is_no_figure(folder: Path) -> None:
+def test_a_figure_of_an_unmeasured_group_is_refused(folder: Path) -> None:
     known = ia.load_calibration(folder / "cal.toml")
     panels = [axes.get_xlabel() for axes in known.plot("bias").axes]
     assert panels == ["bias, mg; bars: two standard errors", "bias, dps; bars: two standard errors"]
@@ -244,7 +246,7 @@ def test_one_log_is_diagnosed_without_a_list(folder: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("name", ["fuse", "simulate", "characterise"])
-def test_a_package_is_the_function_of_its_name(name: str) -> None:
+def test_a_package_can_be_called_as_the_function_of_its_name(name: str) -> None:
     import imuarray.analysis
 
     package = getattr(ia, name)
@@ -255,7 +257,7 @@ def test_a_package_is_the_function_of_its_name(name: str) -> None:
 class TestLabelled:
     """Against the literals of `write_small`: 512 counts are one g (range 16), axes +Y+X-Z."""
 
-    def test_sensors_say_their_units_and_times(self, tmp_path: Path) -> None:
+    def test_sensors_have_units_and_times(self, tmp_path: Path) -> None:
         with ia.open_log(write_small(tmp_path / "small.h5")) as log:
             tree = log.to_xarray()
         force = tree["Acc"]["specific_force"]
@@ -286,14 +288,14 @@ class TestLabelled:
         assert str(table.index[0]) == "2013-09-16 08:30:00.010000"
 
     @pytest.mark.slow
-    def test_a_calibration_takes_the_bias_out(self, folder: Path) -> None:
+    def test_a_calibration_removes_the_bias(self, folder: Path) -> None:
         known = ia.load_calibration(folder / "cal.toml")
         with ia.open_log(folder / "rest.h5") as log:
             gyro = log["Gyro1"]
             raw, calibrated = (gyro.to_xarray(each)["angular_rate"].mean("time").values for each in (None, known))
             assert np.linalg.norm(calibrated) < 0.2 * np.linalg.norm(raw)
 
-    def test_a_log_whose_epoch_is_no_date_has_durations(self) -> None:
+    def test_a_log_without_a_date_has_durations(self) -> None:
         from imuarray.log.datasets import times_of
 
         assert times_of(np.array([5]), "")[0] == np.timedelta64(5, "ns")
@@ -318,7 +320,7 @@ class TestLabelled:
         variance = fused.to_pandas()["specific_force_covariance_xx"]
         np.testing.assert_array_equal(variance, fused.frames.covariances["specific_force"][:, 0])
 
-    def test_without_the_package_it_is_named(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_a_missing_package_is_named(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "xarray", None)
         with (
             ia.open_log(write_small(tmp_path / "small.h5")) as log,
@@ -327,7 +329,7 @@ class TestLabelled:
             log.to_pandas()
 
 
-def test_a_table_holds_the_rows_of_a_phase(folder: Path) -> None:
+def test_a_table_contains_the_rows_of_a_phase(folder: Path) -> None:
     pytest.importorskip("xarray")
     with ia.open_log(folder / "tumble.h5") as log:
         sensor, phase = log["BMA1"], log.phases[1]
@@ -342,7 +344,7 @@ def test_a_table_holds_the_rows_of_a_phase(folder: Path) -> None:
             sensor.to_pandas(phase="zup")
 
 
-def test_what_a_notebook_shows_is_one_line(folder: Path) -> None:
+def test_representations_are_one_line(folder: Path) -> None:
     with ia.open_log(folder / "rest.h5") as log:
         counts = log["Gyro1"].counts
         place = f"{folder / 'rest.h5'}, sensor Gyro1: counts"
@@ -352,8 +354,8 @@ def test_what_a_notebook_shows_is_one_line(folder: Path) -> None:
     assert repr(ia.load_array("martin2013")).startswith("<ArrayConfig martin2013: ADXL1, ")
 
 
-def test_a_log_counts_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same poses twice would look like twice as many, and standard errors like 0.71 of what they are."""
+def test_a_log_given_twice_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same poses twice would count as twice as many, and standard errors would be 0.71 of their true size."""
     monkeypatch.chdir(folder)
     with pytest.raises(LogError, match=r"tumble.h5: is given more than once; each log is allowed once$"):
         ia.calibrate_tumble("./tumble.h5", folder / "tumble.h5")
@@ -365,7 +367,7 @@ def test_a_log_counts_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     "analysis",
     [ia.calibrate_tumble, ia.calibrate_noise, ia.calibrate_thermal, ia.calibrate_turn_on, lambda: ia.diagnose([])],
 )
-def test_no_log_is_an_error_of_one_line(analysis: Any) -> None:
+def test_a_call_without_a_log_is_an_error_of_one_line(analysis: Any) -> None:
     with pytest.raises(LogError, match=r"^no log is given; at least one is required$"):
         analysis()
 
@@ -394,17 +396,19 @@ def test_no_log_is_an_error_of_one_line(analysis: Any) -> None:
         (lambda log: calibrate_noise(), "no log is given; at least one is required$"),
     ],
 )
-def test_a_list_is_no_log_and_a_log_no_list(rest: Log, call: Callable[[Any], Any], message: str) -> None:
+def test_a_list_is_not_accepted_as_a_log_nor_a_log_as_a_list(
+    rest: Log, call: Callable[[Any], Any], message: str
+) -> None:
     with pytest.raises(LogError, match=f"^{message}"):
         call(rest)
 
 
-def test_a_list_is_no_calibration(folder: Path) -> None:
+def test_a_list_is_not_accepted_as_a_calibration(folder: Path) -> None:
     with pytest.raises(CalibrationError, match=r"^list given as a calibration; allowed is a path or a Calibration$"):
         ia.fuse(folder / "rest.h5", [folder / "cal.toml"])  # type: ignore[arg-type]
 
 
-def test_a_single_name_is_a_name_and_not_its_letters(folder: Path, tmp_path: Path) -> None:
+def test_a_single_name_is_not_split_into_letters(folder: Path, tmp_path: Path) -> None:
     noise = ia.characterise(folder / "rest.h5", sensors="Gyro1")
     assert {row["sensor"] for row in noise.to_pandas().reset_index().to_dict("records")} == {"Gyro1"}
     with ia.simulate("martin2013", tmp_path / "one.h5", seconds=1, only="Gyro1", without="tone") as log:
@@ -423,7 +427,7 @@ def test_a_single_name_is_a_name_and_not_its_letters(folder: Path, tmp_path: Pat
         ({"rate_hz": 0}, "0 frames per second: allowed is anything above 0"),
     ],
 )
-def test_conditions_that_are_not_allowed(tmp_path: Path, options: dict[str, Any], said: str) -> None:
+def test_invalid_conditions_are_refused(tmp_path: Path, options: dict[str, Any], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         ia.simulate("martin2013", tmp_path / "s.h5", **{"seconds": 1, **options})
     assert not list(tmp_path.iterdir())
@@ -434,7 +438,7 @@ def test_an_unknown_estimator_is_refused(folder: Path) -> None:
         ia.characterise(folder / "rest.h5", sensors=["Gyro1"], estimator="modified")  # type: ignore[arg-type]
 
 
-def test_a_closed_log_is_not_called_damaged(folder: Path) -> None:
+def test_reading_a_closed_log_is_not_reported_as_damage(folder: Path) -> None:
     with ia.open_log(folder / "rest.h5") as log:
         gyro = log["Gyro1"]
     with pytest.raises(LogError, match=r"sensor Gyro1: counts: the log is closed; read its rows while it is open"):

@@ -1,4 +1,4 @@
-"""Configurations: what is accepted; every refusal is one line with the file, the sensor, key and what is allowed."""
+"""Configurations: accepted files; every refusal is one line with the file, the sensor, the key and the allowed values."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ position_mm = [1.0, -2.0, 3.5]
 
 
 def refusal(tmp_path: Path, text: str | bytes) -> str:
-    """The one line with which a file of this content is refused; the file's name stands at its head."""
+    """The one line with which a file of this content is refused; it begins with the file's name."""
     path = tmp_path / "mine.toml"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ConfigError) as refused:
@@ -56,7 +56,7 @@ def changed(before: str, after: str) -> str:
     return GOOD.replace(before, after, 1)
 
 
-def test_a_good_file_says_what_it_says() -> None:
+def test_a_valid_file_is_parsed() -> None:
     array = parse_array(GOOD)
     assert array.name == "small"
     assert array.bus is None
@@ -78,12 +78,12 @@ def test_a_good_file_says_what_it_says() -> None:
         array["Gyro2"]
 
 
-def test_a_mux_at_0x70_is_not_in_the_way_of_anything() -> None:
+def test_a_mux_at_0x70_conflicts_with_no_chip() -> None:
     text = GOOD + '[[sensor]]\nname="P"\nchip="bmp180"\nchannel=2\naddress=0x77\n'
     assert parse_array(text)["P"].sensitivity == 0.0
 
 
-def test_a_part_of_an_array() -> None:
+def test_an_array_can_be_reduced_to_some_sensors() -> None:
     array = parse_array(GOOD)
     assert [sensor.name for sensor in array.only(("Gyro",)).sensors] == ["Gyro"]
     assert array.only(("Gyro",)).text == GOOD
@@ -94,7 +94,7 @@ def test_a_part_of_an_array() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        # Unknown keys, wherever they stand, with the nearest that exists and all that exist.
+        # Unknown keys, in any table, with the nearest that exists and all that exist.
         (
             changed("bandwidth_hz = 150", "bandwith_hz = 150"),
             r"sensor 1 'Acc': bandwith_hz: unknown key \(did you mean 'bandwidth_hz'\?\); allowed are",
@@ -109,7 +109,7 @@ def test_a_part_of_an_array() -> None:
         ),
         (GOOD + "[sensors]\n", r"sensors: unknown key \(did you mean 'sensor'\?\); allowed are array, sensor"),
         (changed("range = 16", "range = 16\nqqqq = 1"), r"sensor 1 'Acc': qqqq: unknown key; allowed are"),
-        # What a chip can't be set to.
+        # Settings that a chip does not have.
         (changed("range = 16", "range = 17"), r"sensor 1 'Acc': range 17: allowed are 1, 1\.5, 2, 3, 4, 8, 16$"),
         (changed("range = 16\n", ""), r"sensor 1 'Acc': range is missing: allowed are 1, 1\.5"),
         (changed("range = 2000", "range = nan"), r"sensor 2 'Gyro': range nan: allowed are 250, 500, 2000$"),
@@ -157,7 +157,7 @@ def test_a_part_of_an_array() -> None:
         (changed("range = 16", "range = true"), r"sensor 1 'Acc': range: .*number"),
         (changed("[1.0, -2.0, 3.5]", "[1.0, -2.0]"), r"sensor 2 'Gyro': position_mm: .*3"),
         (changed('chip = "bma180"\n', ""), r"sensor 1 'Acc': chip: "),
-        # Not what it should be at all.
+        # Values of another type.
         ('[array]\nname = "x"\n', r"sensor: "),
         ('sensor = []\n[array]\nname = "x"\n', r"sensor: "),
         ('sensor = [3]\n[array]\nname = "x"\n', r"sensor 1: "),
@@ -168,11 +168,11 @@ def test_a_part_of_an_array() -> None:
         ("\x00", r"not TOML: "),
     ],
 )
-def test_refusals(tmp_path: Path, text: str, said: str) -> None:
+def test_invalid_files_are_refused(tmp_path: Path, text: str, said: str) -> None:
     assert re.match(said, refusal(tmp_path, text)), refusal(tmp_path, text)
 
 
-def test_every_kind_of_mistake_is_told_at_once(tmp_path: Path) -> None:
+def test_every_kind_of_mistake_is_reported_at_once(tmp_path: Path) -> None:
     """Unknown keys, and of each sensor everything that its chip does not have."""
     text = GOOD.replace('name = "small"', 'name = "small"\ncolour = "red"')
     text = text.replace('chip = "bma180"', 'chip = "bma18"\nfoo = 1').replace("range = 2000", "range = 2001")
@@ -205,7 +205,7 @@ def test_mistakes_name_file_and_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("channel", ["channel = 0\n", ""])
-def test_a_mux_at_0x77_hides_a_bmp180(tmp_path: Path, channel: str) -> None:
+def test_a_mux_at_0x77_with_a_bmp180_is_refused(tmp_path: Path, channel: str) -> None:
     head = '[array]\nname="x"\nmux={chip="pca9544a",address=0x77}\n'
     text = f'{head}[[sensor]]\nname="P"\nchip="bmp180"\n{channel}address=0x77\n'
     assert re.match(
@@ -213,23 +213,23 @@ def test_a_mux_at_0x77_hides_a_bmp180(tmp_path: Path, channel: str) -> None:
     )
 
 
-def test_every_mistake_is_told_at_once(tmp_path: Path) -> None:
+def test_every_mistake_is_reported_at_once(tmp_path: Path) -> None:
     said = refusal(tmp_path, GOOD.replace("range = 16", "range = 17").replace("range = 2000", "range = 2001"))
     assert "'Acc': range 17" in said
     assert "'Gyro': range 2001" in said
 
 
-def test_not_utf8(tmp_path: Path) -> None:
+def test_a_file_other_than_utf8_is_refused(tmp_path: Path) -> None:
     assert refusal(tmp_path, b'name = "\xff"\n') == "is not a text file"
 
 
-def test_missing_files_and_folders(tmp_path: Path) -> None:
+def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "none.toml", tmp_path):
         with pytest.raises(ConfigError, match=re.escape(f"{path}: ")):
             load_array(path)
 
 
-def test_same_address_on_two_channels_or_two_kernel_buses_is_fine() -> None:
+def test_one_address_on_two_channels_or_two_kernel_buses_is_accepted() -> None:
     sensor = '[[sensor]]\nname="{}"\nchip="bma180"\naddress=0x40\nrange=2\n{}\n'
     behind_mux = (
         '[array]\nname="x"\nmux={chip="pca9544a",address=0x70}\n'
@@ -253,18 +253,18 @@ def test_the_rates_that_a_refusal_lists_are_accepted() -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [100, 200, 400, 800])
-def test_a_gyro_without_a_bandwidth_gets_one_that_its_rate_allows(rate_hz: int) -> None:
+def test_a_gyro_without_a_bandwidth_gets_an_allowed_bandwidth(rate_hz: int) -> None:
     text = f'[array]\nname="x"\n[[sensor]]\nname="G"\nchip="l3g4200d"\naddress=0x68\nrange=250\nrate_hz={rate_hz}\n'
     gyro = parse_array(text)["G"]
     assert gyro.chip_bandwidth_hz in gyro.spec.allowed_bandwidths_hz(rate_hz)
 
 
-def test_positions_are_finite(tmp_path: Path) -> None:
+def test_positions_must_be_finite(tmp_path: Path) -> None:
     assert "position_mm" in refusal(tmp_path, changed("[1.0, -2.0, 3.5]", "[nan, inf, 0.0]"))
 
 
 @given(st.text(max_size=60))
-def test_whatever_the_text_the_refusal_is_one_line(text: str) -> None:
+def test_the_refusal_of_any_text_is_one_line(text: str) -> None:
     try:
         parse_array(text, "f.toml")
     except ConfigError as error:
@@ -272,7 +272,7 @@ def test_whatever_the_text_the_refusal_is_one_line(text: str) -> None:
 
 
 @given(st.text(min_size=1, max_size=10))
-def test_whatever_the_key_the_refusal_is_one_line(key: str) -> None:
+def test_the_refusal_of_any_key_is_one_line(key: str) -> None:
     quoted = "".join(f"\\U{ord(letter):08x}" for letter in key if not 0xD800 <= ord(letter) < 0xE000)
     try:
         parse_array(f'"{quoted}" = 1\n' + GOOD, "f.toml")
@@ -302,7 +302,7 @@ def test_the_papers_array_has_the_chips_of_section_3(paper: ArrayConfig) -> None
     }
 
 
-def test_the_papers_ranges(paper: ArrayConfig) -> None:
+def test_the_papers_array_has_the_ranges_of_the_paper(paper: ArrayConfig) -> None:
     ranges = {sensor.name: sensor.range for sensor in paper.sensors if sensor.chip not in ("bmp180", "hmc5883")}
     g = {"ADXL1": 16, "ADXL2": 16, "BMA1": 16, "BMA2": 16, "BMA3": 1.5, "BMA4": 1.5}
     assert ranges == {**g, "Gyro1": 2000, "Gyro2": 2000, "Gyro3": 250}
@@ -321,11 +321,11 @@ def test_hostile_files_are_refused_in_one_line(tmp_path: Path, hostile: str) -> 
     ("written", "chip"),
     [("BMA180", "bma180"), ("L3G4200D", "l3g4200d"), ("ADXL345", "adxl345"), ("HMC5883L", "hmc5883l")],
 )
-def test_the_name_of_a_data_sheet_is_that_of_a_chip(written: str, chip: str) -> None:
+def test_the_name_in_a_data_sheet_is_accepted_as_a_chip(written: str, chip: str) -> None:
     assert chip_of(written) == chip
 
 
-def test_a_six_axis_chip_by_the_name_that_it_is_sold_by() -> None:
+def test_a_six_axis_chip_is_accepted_by_its_part_name() -> None:
     text = """
         [array]
         name = "pair"
@@ -344,7 +344,7 @@ def test_a_six_axis_chip_by_the_name_that_it_is_sold_by() -> None:
     assert [sensor.chip for sensor in array.sensors] == ["icm42688_acc", "icm42688_gyro"]
 
 
-def test_a_byte_order_mark_is_not_part_of_the_text(tmp_path: Path) -> None:
+def test_a_byte_order_mark_is_ignored(tmp_path: Path) -> None:
     """Editors on Windows begin UTF-8 with it."""
     text = Path("configs/martin2013.toml").read_text(encoding="utf-8")
     (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbf" + text.encode())

@@ -1,4 +1,4 @@
-"""Outputs are whole or not there, and what stood there before stays."""
+"""Outputs are complete or absent, and existing files are kept."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from imuarray.errors import OutputError, OutputExistsError
 
 @pytest.fixture
 def full(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A disk that is full when what was written has to go there."""
+    """A disk that is full when written data are synchronised."""
 
     def fsync(fd: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -27,7 +27,7 @@ def full(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("full")
 @pytest.mark.parametrize("before", [None, "old"])
-def test_a_full_disk_leaves_what_there_was(tmp_path: Path, before: str | None) -> None:
+def test_a_full_disk_keeps_the_existing_file(tmp_path: Path, before: str | None) -> None:
     path = tmp_path / "cal.toml"
     if before is not None:
         path.write_text(before)
@@ -38,14 +38,14 @@ def test_a_full_disk_leaves_what_there_was(tmp_path: Path, before: str | None) -
     assert [one.read_text() for one in tmp_path.iterdir()] == ([] if before is None else [before])
 
 
-def test_what_fails_for_another_reason_leaves_nothing_either(tmp_path: Path) -> None:
+def test_any_other_error_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), whole_file(tmp_path / "a") as draft:
         draft.write_text("half")
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
 
 
-def test_only_force_overwrites_and_rights_and_links_stay(tmp_path: Path) -> None:
+def test_only_force_overwrites_and_keeps_permissions_and_links(tmp_path: Path) -> None:
     path, link = tmp_path / "a", tmp_path / "b"
     write_text(path, "one")
     path.chmod(0o600)
@@ -58,24 +58,24 @@ def test_only_force_overwrites_and_rights_and_links_stay(tmp_path: Path) -> None
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_a_device_stays_one() -> None:
+def test_a_device_is_written_and_not_replaced() -> None:
     write_text("/dev/null", "nothing", force=True)
     assert Path("/dev/null").is_char_device()
 
 
-def test_the_words_of_hdf5_are_not_repeated() -> None:
+def test_the_message_of_hdf5_is_not_repeated() -> None:
     told = OutputError("f.h5", OSError(errno.ENOSPC, "Unable to create file (file write failed: time = Sun ...)"))
     assert str(told) == "f.h5: can't be written: No space left on device"
 
 
-def test_no_folder(tmp_path: Path) -> None:
+def test_a_missing_folder_is_reported(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="No such file or directory") as refused:
         write_text(tmp_path / "none" / "a", "")
     assert refused.value.exit_code == 2
 
 
 @pytest.mark.parametrize(("number", "exit_code"), [(errno.ENOSPC, 3), (errno.EDQUOT, 3), (errno.EIO, 2), (None, 2)])
-def test_a_system_error_that_nobody_caught_is_one_line(
+def test_an_uncaught_system_error_is_one_line(
     number: int | None, exit_code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     @click.command()

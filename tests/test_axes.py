@@ -31,7 +31,7 @@ def is_right_handed(text: str) -> bool:
 
 
 @given(st.sampled_from(SIGNED_PERMUTATIONS))
-def test_accepted_iff_right_handed_and_then_a_rotation(axes: str) -> None:
+def test_axes_are_accepted_only_if_right_handed_and_give_a_rotation(axes: str) -> None:
     if not is_right_handed(axes):
         with pytest.raises(ValueError, match="left-handed"):
             orientation_of(axes)
@@ -47,12 +47,12 @@ def test_half_of_the_48_signed_permutations_are_rotations() -> None:
     assert sum(map(is_right_handed, SIGNED_PERMUTATIONS)) == 24
 
 
-def test_one_matrix_written_out() -> None:
+def test_one_matrix_equals_its_literal() -> None:
     # Sensor x along box +Y, sensor y along box +X, sensor z along box -Z: BMA2 of the paper's array.
     assert orientation_of("+Y+X-Z") == ((0, 1, 0), (1, 0, 0), (0, 0, -1))
 
 
-def test_the_printed_axes_of_two_sensors_are_left_handed() -> None:
+def test_the_printed_axes_of_two_sensors_are_refused_as_left_handed() -> None:
     # Table 1 prints BMA2 and BMA3 with one sign wrong; a mirrored triad is no chip.
     for printed in ("-Y+X-Z", "+Y-X-Z"):
         with pytest.raises(ValueError, match="left-handed"):
@@ -70,12 +70,12 @@ def test_any_other_text_is_refused_in_one_line_that_quotes_it(text: str) -> None
     assert "\n" not in message
 
 
-def test_an_axis_that_comes_twice_is_refused() -> None:
+def test_an_axis_named_twice_is_refused() -> None:
     with pytest.raises(ValueError, match="once"):
         orientation_of("+X+X+Z")
 
 
-def test_a_final_newline_is_no_part_of_axes() -> None:
+def test_a_final_newline_is_refused() -> None:
     with pytest.raises(ValueError, match="axes"):
         orientation_of("+X+Y+Z\n")
 
@@ -91,12 +91,12 @@ def test_a_final_newline_is_no_part_of_axes() -> None:
         ("-Z", (0, 0, -1)),
     ],
 )
-def test_up_vector(up: str, vector: tuple[int, int, int]) -> None:
+def test_up_axes_have_their_unit_vectors(up: str, vector: tuple[int, int, int]) -> None:
     assert up in UP_AXES
     assert up_vector(up) == vector
 
 
 @pytest.mark.parametrize("up", ["", "Z", "+z", "+Z ", "+W", "++", "Z+"])
-def test_up_vector_refuses_and_lists_the_six(up: str) -> None:
+def test_other_up_axes_are_refused_with_the_allowed_six(up: str) -> None:
     with pytest.raises(ValueError, match=r"\+X, -X, \+Y, -Y, \+Z, -Z"):
         up_vector(up)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from imuarray.barometer import EXAMPLE_WORDS, compensate, uncompensated
 
 
-def test_the_data_sheets_example_comes_back() -> None:
+def test_the_data_sheets_example_round_trips() -> None:
     # BMP-60 ... BMP-63: UT 27898 and UP 23843 at oversampling 0 are 15.0 degC and 69964 Pa
     temperature, pressure = compensate(np.array([27898]), np.array([23843]), EXAMPLE_WORDS, 0)
     assert (temperature[0], pressure[0]) == (15.0, 69964.0)
@@ -19,7 +19,7 @@ def test_the_data_sheets_example_comes_back() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(-20, 65), st.floats(30_000, 110_000)), min_size=1, max_size=20))
-def test_raw_words_mean_what_was_asked_for(pairs: list[tuple[float, float]]) -> None:
+def test_raw_words_give_the_requested_temperature_and_pressure(pairs: list[tuple[float, float]]) -> None:
     asked = np.array(pairs)
     ut, up = uncompensated(asked[:, 0], asked[:, 1], EXAMPLE_WORDS, 3)
     temperature, pressure = compensate(ut, up, EXAMPLE_WORDS, 3)

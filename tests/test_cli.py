@@ -1,4 +1,4 @@
-"""The acquisition commands through the front door: exit codes, one line a mistake, nothing left over, and Ctrl-C."""
+"""The acquisition commands as a user calls them: exit codes, one line a mistake, no remaining files, and Ctrl-C."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ Run = Callable[..., tuple[int, str, list[str]]]
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of its own to work in, with a configuration."""
+    """A separate working folder with a configuration."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "one.toml").write_text(CONFIG)
     return tmp_path
@@ -71,7 +71,7 @@ def run(here: Path, capsys: pytest.CaptureFixture[str]) -> Run:
     "arguments",
     some([["--help"], ["-h"], ["completion", "-h"], ["log", "--help"], ["detect", "-h"], ["info", "--help"]], 3),
 )
-def test_help_is_light(arguments: list[str]) -> None:
+def test_help_imports_no_heavy_package(arguments: list[str]) -> None:
     program = (
         "import sys; from imuarray.cli import main; code = main(sys.argv[1:])\n"
         "heavy = {'numpy', 'h5py', 'scipy', 'pydantic', 'matplotlib', 'smbus2'} & set(sys.modules)\n"
@@ -82,7 +82,7 @@ def test_help_is_light(arguments: list[str]) -> None:
     assert done.stdout
 
 
-def test_version_names_what_results_depend_on(run: Run) -> None:
+def test_version_lists_the_packages_that_results_depend_on(run: Run) -> None:
     code, out, _ = run("--version")
     assert code == 0
     assert {line.split()[0] for line in out.splitlines()} >= {"imuarray", "python", "HDF5", "numpy", "scipy", "h5py"}
@@ -95,7 +95,7 @@ def test_completion_is_a_script_for_the_shell(run: Run, shell: str) -> None:
     assert f"_IMUARRAY_COMPLETE={shell}_complete" in out
 
 
-def test_a_shell_that_asks_is_told_the_commands() -> None:
+def test_a_shell_gets_the_completions() -> None:
     asked = {**os.environ, "_IMUARRAY_COMPLETE": "bash_complete", "COMP_WORDS": "imuarray cal", "COMP_CWORD": "1"}
     done = subprocess.run([sys.executable, "-m", "imuarray"], capture_output=True, text=True, timeout=30, env=asked)
     assert done.stdout == "plain,calibrate\n"
@@ -108,7 +108,7 @@ def test_help_names_every_command(run: Run) -> None:
         assert f"\n  {name} " in out
 
 
-def test_log_info_json(run: Run, here: Path) -> None:
+def test_log_and_info_print_json(run: Run, here: Path) -> None:
     arguments = ("--bus", "emulated:", "-o", "r.h5", "--seconds", "2", "--phase", "x_down", "--json")
     code, out, err = run("log", "one.toml", *arguments)
     assert (code, err) == (0, [])
@@ -129,7 +129,7 @@ def test_log_info_json(run: Run, here: Path) -> None:
     assert sorted(path.name for path in here.iterdir()) == ["one.toml", "r.h5"]
 
 
-def test_the_same_for_a_person(run: Run) -> None:
+def test_log_and_info_print_text(run: Run) -> None:
     code, out, _ = run(
         "log", "one.toml", "--bus", "emulated:?world=tumble&face_s=1&turn_s=0.2", "-o", "r.h5", "--seconds", "3"
     )
@@ -142,12 +142,12 @@ def test_the_same_for_a_person(run: Run) -> None:
     assert "(+X up)" in out
 
 
-def test_it_says_so_when_there_is_no_hardware(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_note_states_that_there_is_no_hardware(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["log", "one.toml", "--bus", "emulated:", "-o", "r.h5", "--seconds", "0.1"]) == 0
     assert capsys.readouterr().err == NOTE + "\n"
 
 
-def test_only_some_sensors_and_a_transcript(run: Run, here: Path) -> None:
+def test_some_sensors_are_logged_with_a_transcript(run: Run, here: Path) -> None:
     arguments = ("--bus", "emulated:", "-o", "r.h5", "--seconds", "1", "--only", "A", "--transcript", "t.jsonl")
     assert run("log", "one.toml", *arguments)[0] == 0
     with open_log(here / "r.h5") as log:
@@ -162,7 +162,7 @@ def test_only_some_sensors_and_a_transcript(run: Run, here: Path) -> None:
         assert log.source == "replay"
 
 
-def test_a_log_needs_no_import_and_phases_are_suggested(run: Run, here: Path) -> None:
+def test_importing_a_log_is_refused_and_phases_are_suggested(run: Run, here: Path) -> None:
     arguments = ("--bus", "emulated:", "-o", "r.h5", "--seconds", "1", "--sensor", "A", "--phase", "z_up")
     assert run("log", "one.toml", *arguments)[0] == 0
     code, _, err = run("import", "r.h5", "-o", "again.h5")
@@ -171,7 +171,7 @@ def test_a_log_needs_no_import_and_phases_are_suggested(run: Run, here: Path) ->
     assert code == 2 and err[0].endswith("it has z_up; did you mean z_up?")
 
 
-def test_shipped_configurations_by_name(run: Run) -> None:
+def test_shipped_configurations_are_loaded_by_name(run: Run) -> None:
     code, out, _ = run("detect", "martin2013", "--bus", "emulated:", "--json")
     told = json.loads(out)
     assert code == 0
@@ -179,7 +179,7 @@ def test_shipped_configurations_by_name(run: Run) -> None:
     assert len(told["found"]) == 13
 
 
-def test_detect_tells_what_is_wrong_and_exits_2(run: Run, here: Path) -> None:
+def test_detect_reports_differences_and_exits_with_2(run: Run, here: Path) -> None:
     (here / "board.toml").write_text(CONFIG.replace("0x53", "0x1D"))
     code, out, err = run("detect", "one.toml", "--bus", "emulated:?board=board.toml&errno=6")
     assert (code, err) == (2, [])
@@ -246,7 +246,7 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
 
 
 @pytest.mark.parametrize(("arguments", "said"), BAD_INPUT)
-def test_bad_input_is_one_line_exit_2_and_nothing_left(
+def test_bad_input_is_one_line_exit_code_2_and_leaves_no_file(
     run: Run, here: Path, arguments: tuple[str, ...], said: str
 ) -> None:
     (here / "broken.toml").write_text("[array")
@@ -281,7 +281,7 @@ def test_bad_input_is_one_line_exit_2_and_nothing_left(
         2,
     ),
 )
-def test_a_phase_called_almost_as_a_known_one_is_mentioned(run: Run, here: Path, phase: str, said: str) -> None:
+def test_a_phase_similar_to_a_known_name_is_mentioned(run: Run, here: Path, phase: str, said: str) -> None:
     """Other names are allowed: they are recorded as they are."""
     code, _, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "0.1", "--phase", phase)
     assert code == 0
@@ -293,7 +293,7 @@ def test_a_phase_called_almost_as_a_known_one_is_mentioned(run: Run, here: Path,
 
 
 @pytest.mark.parametrize("phase", ["zup", "Z-UP", "z up"])
-def test_a_phase_that_differs_in_punctuation_only_is_refused(run: Run, here: Path, phase: str) -> None:
+def test_a_phase_that_differs_only_in_punctuation_is_refused(run: Run, here: Path, phase: str) -> None:
     code, _, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "0.1", "--phase", phase)
     assert (code, err) == (
         2,
@@ -327,7 +327,7 @@ def test_a_phase_that_differs_in_punctuation_only_is_refused(run: Run, here: Pat
         ("monitor cal.toml --text", "cal.toml: is not a log; allowed is an HDF5 file (.h5) that is written or will be"),
     ],
 )
-def test_a_mistake_is_answered_by_what_is_allowed(run: Run, here: Path, line: str, said: str) -> None:
+def test_the_error_of_a_mistake_states_the_allowed_values(run: Run, here: Path, line: str, said: str) -> None:
     for name in ("cal.toml", "run.csv"):
         (here / name).write_text("")
     code, out, err = run(*line.split())
@@ -342,13 +342,13 @@ def test_a_folder_is_never_replaced(run: Run, here: Path) -> None:
     assert sorted(path.name for path in here.iterdir()) == ["folder", "one.toml"]
 
 
-def test_a_kernel_bus_that_is_not_there(run: Run, here: Path) -> None:
+def test_a_missing_kernel_bus_is_an_error_of_one_line(run: Run, here: Path) -> None:
     (here / "kernel.toml").write_text(CONFIG + 'bus = "/dev/i2c-11"\n')
     code, _, err = run("detect", "kernel.toml", "--bus", "emulated:?board=one.toml")
     assert (code, len(err)) == (2, 1)
 
 
-def test_without_arguments_the_help_can_be_read(run: Run) -> None:
+def test_without_arguments_lines_are_at_most_120_characters(run: Run) -> None:
     _, out, err = run()
     assert max(map(len, (out.splitlines() or [""]) + err)) <= 120
 
@@ -366,7 +366,7 @@ def test_an_output_is_overwritten_only_with_force(run: Run, here: Path) -> None:
     assert sorted(path.name for path in here.iterdir()) == ["one.toml", "r.h5"]
 
 
-def test_json_is_json_on_a_terminal_too(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_json_output_is_clean_also_on_a_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """With standard error on a terminal and standard output in a file, progress belongs on standard error."""
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     code, out, _ = run(*GOOD_LOG, "-o", "r.h5", "--json")
@@ -375,7 +375,7 @@ def test_json_is_json_on_a_terminal_too(run: Run, monkeypatch: pytest.MonkeyPatc
 
 
 def interrupted(here: Path, number: int, *more: str) -> subprocess.CompletedProcess[str]:
-    """A recording in real time without an end that gets a signal once it runs, and ends within a minute; what it
+    """A recording in real time without an end that receives a signal once it runs, and ends within a minute; what it
     said.
     """
     command = [
@@ -417,7 +417,7 @@ def test_an_interrupt_ends_a_log_cleanly(here: Path, number: int) -> None:
     assert sorted(path.name for path in here.iterdir()) == ["one.toml", "r.h5"]
 
 
-def test_a_hang_up_that_is_ignored_stays_so(here: Path) -> None:
+def test_an_ignored_hang_up_stays_ignored(here: Path) -> None:
     """As nohup starts a program."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
@@ -431,7 +431,7 @@ def test_a_hang_up_that_is_ignored_stays_so(here: Path) -> None:
         signal.signal(signal.SIGHUP, before)
 
 
-def test_a_terminal_that_is_gone_does_not_end_a_log(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_closed_terminal_does_not_end_a_log(monkeypatch: pytest.MonkeyPatch) -> None:
     class Gone(io.StringIO):
         def isatty(self) -> bool:
             return True
@@ -447,12 +447,12 @@ def test_a_terminal_that_is_gone_does_not_end_a_log(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.slow
-def test_an_interrupt_of_a_slow_log_is_heard_soon(here: Path) -> None:
+def test_an_interrupt_ends_a_slow_log_soon(here: Path) -> None:
     done = interrupted(here, signal.SIGINT, "--rate-hz", "0.01")  # a frame in 100 s
     assert done.returncode == 0
 
 
-def test_events_reach_info(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_events_are_shown_by_info(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from firmware_emulator.wire import Wire
 
     real, silent = Wire.transfer, [0]
@@ -480,7 +480,7 @@ def test_events_reach_info(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.slow
-def test_a_log_in_parts(run: Run, here: Path) -> None:
+def test_a_log_is_written_in_parts(run: Run, here: Path) -> None:
     arguments = ("log", "one.toml", "--bus", "emulated:", "-o", "n.h5", "--seconds", "3")
     code, out, _ = run(*arguments, "--rotate", "1s", "--json")
     assert code == 0
@@ -493,7 +493,7 @@ def test_a_log_in_parts(run: Run, here: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_parts_with_the_events_are_named(run: Run, here: Path) -> None:
+def test_the_part_with_the_events_is_named(run: Run, here: Path) -> None:
     (here / "night.toml").write_text('[[fault]]\nkind="no_acknowledge"\nsensor="A"\nat_s=1.5\nfor_s=0.1\n')
     url = "emulated:?faults=night.toml"
     code, out, _ = run("log", "one.toml", "--bus", url, "-o", "n.h5", "--seconds", "4", "--rotate", "1s")
@@ -501,7 +501,7 @@ def test_the_parts_with_the_events_are_named(run: Run, here: Path) -> None:
     assert re.search(r"  A: \d readings lost \(see events: imuarray info n_002\.h5\)$", out, re.MULTILINE)
 
 
-def test_how_far_it_is_stands_on_a_terminal(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_is_shown_on_a_terminal(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setattr("imuarray.commands.log_display._PAUSE_S", 0)
     _, out, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "3")
@@ -511,13 +511,13 @@ def test_how_far_it_is_stands_on_a_terminal(run: Run, here: Path, monkeypatch: p
     assert out.startswith("r.h5: 150 frames in 3.0 s")
 
 
-def test_a_log_is_named_as_one(run: Run, here: Path) -> None:
+def test_the_name_of_a_log_needs_its_suffix(run: Run, here: Path) -> None:
     code, _, (line,) = run(*GOOD_LOG, "-o", "night")
     assert (code, line) == (2, "imuarray: night: a log is an HDF5 file; name it night.h5")
     assert [path.name for path in here.iterdir()] == ["one.toml"]
 
 
-def test_a_full_disk_has_an_exit_code_of_its_own(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_has_exit_code_3(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("imuarray.log.writer.free_bytes", lambda path: 0)
     code, _, err = run("log", "one.toml", "--bus", "emulated:", "-o", "n.h5", "--seconds", "1")
     assert code == 3
@@ -525,7 +525,7 @@ def test_a_full_disk_has_an_exit_code_of_its_own(run: Run, here: Path, monkeypat
 
 
 @pytest.mark.parametrize("arguments", [["demo", "-o", "demo"], ["report", "log.h5", "-o", "report.html"]])
-def test_a_package_that_pages_need_is_asked_for_before_the_work(
+def test_a_missing_package_of_pages_is_named_before_the_work(
     arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

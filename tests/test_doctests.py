@@ -45,7 +45,7 @@ SHOWN = tuple(
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the examples find around them: configs/, run.h5, and cal.toml."""
+    """The files that examples use: configs/, run.h5, and cal.toml."""
     here = tmp_path_factory.mktemp("doctest")
     (here / "configs").symlink_to(ROOT / "configs")
     array = ia.load_array(ROOT / "configs" / "martin2013.toml")
@@ -96,5 +96,5 @@ def resolved(name: str) -> tuple[Any, dict[str, Any]]:
     return shown, around
 
 
-def test_every_public_function_has_one() -> None:
+def test_every_public_function_has_an_example() -> None:
     assert {name.rpartition(".")[2] for name in SHOWN} >= set(ia.__all__) - {"__version__"}

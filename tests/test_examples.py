@@ -1,4 +1,4 @@
-"""The scripts in configs/examples do what they say."""
+"""The scripts in configs/examples run with the stated results."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import pytest
 EXAMPLES = Path(__file__).parents[1] / "configs" / "examples"
 
 
-def test_a_new_chip_holds_its_golden_conversation() -> None:
+def test_the_driver_of_a_new_chip_follows_its_golden_conversation() -> None:
     """AN3308 prints these bytes for 350 mg, -350 mg and 0."""
     assert runpy.run_path(str(EXAMPLES / "new_chip.py"))["main"]() == [0.35, -0.35, 0.0]
 
 
-def test_a_driver_that_departs_from_it_is_stopped() -> None:
+def test_a_driver_that_departs_from_the_conversation_is_refused() -> None:
     names = runpy.run_path(str(EXAMPLES / "new_chip.py"))
     bus = names["Conversation"](names["GOLDEN"])
     with pytest.raises(ValueError, match="WHO_AM_I"):
@@ -24,7 +24,7 @@ def test_a_driver_that_departs_from_it_is_stopped() -> None:
 
 
 @pytest.mark.slow
-def test_from_a_log_to_numbers(tmp_path: Path) -> None:
+def test_the_script_from_a_night_to_numbers_gives_bias_and_noise(tmp_path: Path) -> None:
     """Table 4 gives Gyro1 x a bias of 8.4 counts; the emulated unit's noise is 0.18 dps over 35 Hz at best (L3G-74)."""
     found = runpy.run_path(str(EXAMPLES / "night_to_numbers.py"))["main"](tmp_path)
     assert found["Gyro1 x bias in counts"] == pytest.approx(8.4, abs=2.0)

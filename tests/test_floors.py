@@ -1,4 +1,4 @@
-"""Every floor in pyproject.toml is the version with which .ci/run tests: what is not tested is not promised."""
+"""Every floor in pyproject.toml is the version with which .ci/run tests: only tested versions are promised."""
 
 from __future__ import annotations
 
@@ -42,6 +42,6 @@ def test_every_floor_is_tested() -> None:
     assert set(pins) >= INDIRECT
 
 
-def test_they_are_tested() -> None:
+def test_ci_installs_the_lowest_versions() -> None:
     words = (ROOT / ".ci" / "run").read_text(encoding="utf-8").split()
     assert words.count(".ci/lowest-versions.txt") == 1

@@ -1,4 +1,4 @@
-"""Memory that a process keeps for its next arrays."""
+"""Reuse of memory for later arrays."""
 
 import subprocess
 import sys
@@ -31,5 +31,5 @@ def faults(*arguments: str) -> int:
 
 @pytest.mark.slow
 @pytest.mark.skipif(libc_ver()[0] != "glibc", reason="a setting of glibc")
-def test_the_next_array_takes_the_pages_of_the_one_before() -> None:
-    assert faults("keep") < 600  # those of two or so
+def test_later_arrays_reuse_the_pages_of_earlier_ones() -> None:
+    assert faults("keep") < 600  # those of about two arrays

@@ -1,4 +1,4 @@
-"""Every command's --help ends its story with an example that it would understand."""
+"""Every command's --help ends its description with an example that the command accepts."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FOUND = list(leaves(program, ("imuarray",)))
 
 
 @pytest.mark.parametrize(("words", "command"), FOUND, ids=["-".join(words[1:]) for words, _ in FOUND])
-def test_there_is_an_example_and_the_command_knows_its_options(words: tuple[str, ...], command: click.Command) -> None:
+def test_every_command_has_an_example_with_valid_options(words: tuple[str, ...], command: click.Command) -> None:
     context = click.Context(command, info_name=" ".join(words))
     story = command.get_help(context).split("\nOptions:")[0]
     examples = re.findall(rf"^  {' '.join(words)} (.+)$", story, flags=re.MULTILINE)

@@ -63,7 +63,7 @@ def printed(words: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> dic
 
 @pytest.mark.slow
 def test_every_key_is_on_the_page(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """In this order: a command reads what one before it wrote."""
+    """In this order: a command reads files of earlier commands."""
     sections = documented()
     assert sections.keys() == COMMANDS.keys() | IN_OTHER_TESTS
     for command, words in COMMANDS.items():
@@ -85,7 +85,7 @@ def test_every_key_of_a_diagnosis_is_on_the_page() -> None:
 
 
 @pytest.mark.slow
-def test_an_evaluation_has_its_own(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_evaluation_has_its_own_keys(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     keys, _ = documented()["fuse"]
     result = printed(f"fuse {RUN} --evaluate", folder, capsys)
     left_out = {"fused", "frames", "empty", "faults", "learned", "error", "results"}

@@ -1,4 +1,4 @@
-"""What JSON has in place of arrays, dataclasses, and numbers that are not finite."""
+"""JSON values of arrays, dataclasses, and numbers that are not finite."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Reading:
     values: tuple[float, ...]
 
 
-def test_values() -> None:
+def test_arrays_dataclasses_and_infinities_are_converted() -> None:
     value = {"a": np.array([1.0, np.nan]), "b": (np.int64(3), float("inf")), "c": np.array(["x"]), "d": np.bool_(True)}
     assert json_value(value) == {"a": [1.0, None], "b": [3, None], "c": ["x"], "d": True}
     assert json_value([Reading("x", (0.5, float("-inf")))]) == [{"name": "x", "values": [0.5, None]}]

@@ -1,4 +1,4 @@
-"""Compiled recursions beside NumPy's, and beside the equations that they solve."""
+"""Compiled recursions compared with NumPy's, and with the equations that they solve."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(not kernels.COMPILED, reason="installed without 
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 50])
-def test_equations_between_neighbours(rows: int) -> None:
+def test_tridiagonal_equations_are_solved(rows: int) -> None:
     """Against a matrix of all equations."""
     rng = np.random.default_rng(rows)
     before, after = rng.uniform(-0.5, 0.5, (2, rows))
@@ -36,7 +36,9 @@ def stretch(rows: int) -> SegmentMeans:
 
 @pytest.mark.parametrize("axes", [1, 3])
 @pytest.mark.parametrize("rows", [2, 31, 32, 200])
-def test_the_likelihood_of_a_drift(rows: int, axes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_compiled_likelihood_of_a_drift_equals_that_of_numpy(
+    rows: int, axes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of one grid for all axes, and of a grid for each, from a drift of a fiftieth of the noise to 500 times it."""
     times = np.geomspace(4.0, 400.0, 5)
     ratios = np.geomspace(0.02, 500.0, 9)[:, None] * np.linspace(1.0, 1.3, axes)
@@ -46,7 +48,7 @@ def test_the_likelihood_of_a_drift(rows: int, axes: int, monkeypatch: pytest.Mon
     np.testing.assert_allclose(compiled.log_likelihood, wanted.log_likelihood, rtol=1e-12, atol=1e-10)
 
 
-def test_a_drift_beside_the_covariance_of_all_means() -> None:
+def test_innovations_of_a_drift_match_the_covariance_of_all_means() -> None:
     """Squares of the innovations add up to x' C^-1 x, logs of their variances to log |C|, by C = shared exp(-|d| / tau)
     and the noise on its diagonal.
     """
@@ -63,7 +65,7 @@ def test_a_drift_beside_the_covariance_of_all_means() -> None:
 
 
 def segments_of(count: int, axes: int) -> ranges.SegmentMoments:
-    """Moments of frames with some motion; a few segments tell nothing, in some no axis moved, in some one did."""
+    """Moments of frames with some motion; a few segments contain nothing, in some no axis moved, in some one did."""
     rng = np.random.default_rng(3)
     terms = rng.normal(size=(count, axes, 62, 3)) * [0.0, 2.0, 0.5] + [1.0, 3.0, 0.0]
     products = np.einsum("kmni,kmnj->kmij", terms, terms)
@@ -80,7 +82,7 @@ def start_of(axes: int) -> tuple[Floats, Floats]:
 
 
 @pytest.mark.parametrize("count", [0, 1, 40])
-def test_differences_of_axes_over_segments(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_differences_of_axes_equal_those_of_numpy(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = np.vstack([np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0] for seed in range(3)])
     blend = ranges.Blends(rows, np.linspace(1, 2, 9), np.full(9, 0.2)).of(np.ones(9, bool))
     assert blend is not None
@@ -96,7 +98,7 @@ def test_differences_of_axes_over_segments(count: int, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("columns", [1, 2, 5, 16])
-def test_least_squares_without_negative_coefficients(columns: int) -> None:
+def test_non_negative_least_squares_equal_those_of_scipy(columns: int) -> None:
     """Against SciPy's, of random problems in which about half of the coefficients are zero, and of steep curves."""
     rng = np.random.default_rng(columns)
     for _ in range(100):
@@ -108,7 +110,7 @@ def test_least_squares_without_negative_coefficients(columns: int) -> None:
         assert np.linalg.norm(design @ found - target) == pytest.approx(residual, rel=1e-12)
 
 
-def test_a_target_that_points_away_has_no_coefficients() -> None:
+def test_a_target_of_opposite_direction_has_zero_coefficients() -> None:
     found = kernels.non_negative(np.ones((4, 2)), -np.ones(4))
     assert found is not None and found.tolist() == [0.0, 0.0]
 

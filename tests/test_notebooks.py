@@ -1,4 +1,4 @@
-"""The notebooks of the documentation run from top to bottom, and end with what their text says."""
+"""The notebooks of the documentation run from top to bottom, and end with the results that their text states."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def cells(path: Path, kind: str) -> list[dict[str, Any]]:
 
 
 def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """The names that a notebook leaves, run in a folder that lies as deep in a checkout as its own."""
+    """The names that a notebook defines, run in a folder as deep in a checkout as its own."""
     for part in ("tests", "configs"):
         (folder / part).symlink_to(ROOT / part)
     place = folder / "docs" / "notebooks"
@@ -30,7 +30,7 @@ def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, A
     return names
 
 
-def test_there_are_three_and_they_carry_no_output() -> None:
+def test_there_are_three_notebooks_without_output() -> None:
     assert [path.stem for path in NOTEBOOKS] == ["diagnosis", "first_night", "other_rig"]
     for path in NOTEBOOKS:
         assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells(path, "code"))
@@ -38,7 +38,7 @@ def test_there_are_three_and_they_carry_no_output() -> None:
 
 
 @pytest.mark.slow
-def test_the_first_night(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_notebook_first_night_gives_the_expected_scatter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The mean of four BMA180 of 1.9 mg and two ADXL345 of 12 mg scatters by sqrt(4 1.9^2 + 2 12^2) / 6 = 2.9 mg; the
     best weights make it 1.9 / sqrt(4 + 2 (1.9 / 12)^2) = 0.94 mg.
     """
@@ -49,13 +49,13 @@ def test_the_first_night(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.slow
-def test_the_other_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_notebook_other_rig_imports_all_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = run("other_rig", tmp_path, monkeypatch)
     assert names["summary"].rows == len(names["accelerometer"])
 
 
 @pytest.mark.slow
-def test_the_diagnosis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_notebook_diagnosis_names_the_tone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The notebook adds a tone of 0.6 dps at 11 Hz."""
     (cause,) = run("diagnosis", tmp_path, monkeypatch)["diagnosis"].causes
     assert (cause.effect, cause.sensors) == ("tone", ("Gyro2",))

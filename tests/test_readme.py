@@ -1,4 +1,4 @@
-"""README.md and the pages in docs/ keep their word: every command block runs, and every name in them exists.
+"""README.md and the pages in docs/ are correct: every command block runs, and every name in them exists.
 
 Of the code blocks, `sh` is run in order, `sh slow` line by line by the campaigns, `sh setup` installs packages, `sh
 hardware` needs a bus. Pages of docs/ continue from the files of docs/tutorials/first_steps.md, each in a copy. The
@@ -87,7 +87,7 @@ def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def copied(walked: Path, folder: Path) -> Path:
-    """A folder of its own with the files of the first steps."""
+    """A separate folder with the files of the first steps."""
     for path in walked.iterdir():
         if path.is_file():
             shutil.copy(path, folder)
@@ -95,7 +95,7 @@ def copied(walked: Path, folder: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_the_first_steps_write_what_they_say(walked: Path) -> None:
+def test_the_first_steps_write_the_stated_files(walked: Path) -> None:
     assert {path.name for path in walked.iterdir()} >= {
         "tumble.h5",
         "cal.toml",
@@ -106,7 +106,7 @@ def test_the_first_steps_write_what_they_say(walked: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_gain_that_the_first_steps_show(walked: Path) -> None:
+def test_the_gain_of_fusion_in_the_first_steps_is_reached(walked: Path) -> None:
     """Opposed gyroscopes drift less about box Y, and the optimal specific force along Z is nearer to the truth."""
     drift, error = {}, {}
     for name in ("fused", "optimal"):
@@ -122,7 +122,7 @@ def test_the_gain_that_the_first_steps_show(walked: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", WALKED, ids=lambda page: page.stem)
-def test_the_commands_of_a_page(page: Path, walked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_commands_of_a_page_run(page: Path, walked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(copied(walked, tmp_path))
     for line in lines(page, "sh"):
         run_line(line, tmp_path)
@@ -144,7 +144,7 @@ def test_the_commands_of_a_page(page: Path, walked: Path, tmp_path: Path, monkey
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("line", SLOW)
-def test_what_takes_longer(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slow_commands_run(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(with_sources(tmp_path))
     run_line(line, tmp_path)
 
@@ -185,7 +185,7 @@ def test_options_exist(line: str) -> None:
     command.make_parser(click.Context(command)).parse_args(rest)
 
 
-def test_set_up_commands_are_those_that_ci_runs() -> None:
+def test_set_up_commands_are_those_of_ci() -> None:
     demo, tests = [line for line in SHELL if line.startswith("python3 -m venv")]
     ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
     assert tests in ci
@@ -219,7 +219,7 @@ def prose(page: Path) -> str:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_have_existing_targets(page: Path) -> None:
     targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", prose(page))
     assert [target for target in targets if ":" not in target and not (page.parent / target).exists()] == []
 

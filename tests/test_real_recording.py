@@ -1,4 +1,4 @@
-"""From somebody else's recording to the paper's claim: eight MPU-9150, four on each side of a board.
+"""From a published recording to the paper's claim: eight MPU-9150, four on each side of a board.
 
 H. Carlsson, I. Skog, J. Jalden, Self-Calibration of Inertial Sensor Arrays, IEEE Sensors Journal 21(6), 2021; an
 extract of their first recording lies in tests/data/mimu4444. All units share a bias in their own frames, above all
@@ -48,7 +48,7 @@ def report(folder: Path) -> dict[str, Any]:
     return found
 
 
-def test_the_twenty_orientations_are_found_and_fit(report: dict[str, Any]) -> None:
+def test_the_twenty_orientations_are_detected_and_fit(report: dict[str, Any]) -> None:
     assert (report["method"], report["poses"]) == ("gravity", 20)
     assert sorted(report["residual_mg"]) == ACCELEROMETERS
     assert report["left_out"] == []
@@ -60,7 +60,7 @@ def test_the_twenty_orientations_are_found_and_fit(report: dict[str, Any]) -> No
 
 
 def test_only_one_axis_scatters_more_than_its_noise(report: dict[str, Any]) -> None:
-    """Once the drift of the warm-up is told, noise explains what is left of the others."""
+    """With the drift of the warm-up removed, noise explains the residuals of the others."""
     rows = {row["name"]: row for row in report["sensors"] if row["quantity"] == "specific_force"}
     beyond = {name: np.array(row["repeatability_lsb"]) / 2.048 for name, row in rows.items()}
     assert [(name, axis) for name in rows for axis in range(3) if beyond[name][axis] > 0] == [("IMU4_acc", 2)]
@@ -103,7 +103,7 @@ def test_scale_factors_and_axes_are_those_of_the_board(report: dict[str, Any]) -
             assert abs(row["elevation_deg"][2]) == pytest.approx(90.0, abs=1.0)
 
 
-def test_at_rest_the_calibrated_array_feels_one_g(folder: Path, report: dict[str, Any]) -> None:
+def test_at_rest_the_calibrated_array_measures_one_g(folder: Path, report: dict[str, Any]) -> None:
     """Length of the fused specific force in the first pose; uncalibrated, one side alone errs by its bias."""
     assert report["poses"] == 20
     with open_log(folder / "run.h5") as log:
@@ -114,7 +114,7 @@ def test_at_rest_the_calibrated_array_feels_one_g(folder: Path, report: dict[str
 
 @pytest.fixture(scope="module")
 def noise(folder: Path, report: dict[str, Any]) -> str:
-    """What `calibrate noise` says of the extract; its figures are in cal.toml from then on."""
+    """The result of `calibrate noise` for the extract; its figures are in cal.toml from then on."""
     assert report["poses"] == 20
     with pytest.MonkeyPatch.context() as patch:
         said: list[str] = []
@@ -147,7 +147,7 @@ def test_the_unit_with_a_line_is_recognised(folder: Path, noise: str) -> None:
 
 
 @pytest.mark.slow
-def test_weighed_by_that_noise_the_unit_does_no_harm(folder: Path, noise: str) -> None:
+def test_weighted_by_that_noise_the_unit_does_not_increase_the_scatter(folder: Path, noise: str) -> None:
     """Its x points along box -Y. Inverse variances bring Y to what the array has without the unit, to 3 %."""
     assert noise
     calibration = load_calibration(folder / "cal.toml")
@@ -172,7 +172,7 @@ def test_weighed_by_that_noise_the_unit_does_no_harm(folder: Path, noise: str) -
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (WHOLE / "exp_6.bin").exists(), reason="the whole recordings are not here")
-def test_from_run_to_run_opposed_sides_change_less(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_mean_of_opposed_sides_changes_less_between_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The whole recordings 1 and 6, of the nine the one that differs most from the first.
 
     `experimental_data/calibration/exp_N/data.bin` of github.com/hcarlsso/Self-Calibration-Inertial-Sensor-Arrays-BCD.jl
@@ -195,7 +195,7 @@ def test_from_run_to_run_opposed_sides_change_less(folder: Path, capsys: pytest.
     assert ratios[1] < 1 / 6
     assert ratios[2] < 1 / 6
     assert (z[1] - z[0] > 3).all()  # all units alike
-    # The command says the same: most of the change along z is common to the units. Two runs that differ by 7.8 mg in
+    # The command agrees: most of the change along z is common to the units. Two runs that differ by 7.8 mg in
     # common have a standard deviation of 7.8 / sqrt(2) = 5.5 mg, and changes that scatter by 2.9 mg one of 2.1 mg.
     capsys.readouterr()
     assert main(["calibrate", "compare", *(str(folder / f"exp_{run}.toml") for run in (1, 6)), "--json"]) == 0

@@ -1,4 +1,4 @@
-"""Every page of the reference has its picture, and the pictures show something."""
+"""Every page of the reference has its picture, and each picture shows a difference."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_every_effect_domain_and_technique_has_a_picture() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
-def test_an_effect_changes_what_is_shown(name: str) -> None:
+def test_an_effect_changes_its_picture(name: str) -> None:
     """A picture in which both curves are the same shows nothing."""
     example, pair = PICTURES["EXAMPLES"][name], PICTURES["_pair"](name)
     shown = [

@@ -1,4 +1,4 @@
-"""Medians of Gaussian numbers: scipy's quantiles, which the package does without."""
+"""Medians of Gaussian numbers: scipy's quantiles, which the package does not use."""
 
 from __future__ import annotations
 

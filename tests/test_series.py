@@ -1,4 +1,4 @@
-"""Compiled passes over series beside NumPy's."""
+"""Compiled passes over series compared with NumPy's."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(not series.COMPILED, reason="installed without a
 
 
 @pytest.mark.parametrize("rows", [40, 300])
-def test_medians_of_windows(rows: int) -> None:
+def test_medians_of_windows_equal_those_of_numpy(rows: int) -> None:
     """Of windows that move, grow, repeat, begin again at an earlier row, and contain equal heights."""
     rng = np.random.default_rng(rows)
     height = rng.integers(0, 9, rows) * rng.choice([0.5, 1.7])
@@ -36,12 +36,12 @@ def test_medians_are_those_of_sorted_windows(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize(("first", "side"), [([0], [257]), ([490], [11]), ([-1], [4]), ([0], [0])])
-def test_windows_that_are_not_possible_are_left_to_numpy(first: list[int], side: list[int]) -> None:
+def test_invalid_windows_have_no_compiled_result(first: list[int], side: list[int]) -> None:
     assert series.window_medians(np.zeros(500), np.array(first), np.array(side)) is None
 
 
 @pytest.mark.parametrize("flags", [0, 4])
-def test_figures_of_windows(flags: int) -> None:
+def test_compiled_sums_of_windows_equal_those_of_numpy(flags: int) -> None:
     """Of two blocks with pauses, rows before the first window and after the last, and windows without rows."""
     rng = np.random.default_rng(5)
     results = [(np.zeros(30), np.zeros((4, 30, 3))) for _ in range(2)]
@@ -62,7 +62,9 @@ def test_figures_of_windows(flags: int) -> None:
 
 @pytest.mark.parametrize("kind", [np.int32, np.float64])
 @pytest.mark.parametrize("first", [0, 70_000])
-def test_sums_of_second_differences(kind: type, first: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sums_of_second_differences_equal_their_definition(
+    kind: type, first: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of distances from one to half of the series and beyond."""
     phase = np.cumsum(np.random.default_rng(1).integers(-50, 60, 140_001)).astype(kind)
     distances = [1, 2, 7, 4096, 40_000, 70_000, 70_001, 200_000]
@@ -77,14 +79,14 @@ def test_sums_of_second_differences(kind: type, first: int, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize(("rows", "lags"), [(1, 3), (7, 7), (100, 33), (1000, 1)])
-def test_products_with_later_rows(rows: int, lags: int) -> None:
+def test_lagged_products_equal_their_definition(rows: int, lags: int) -> None:
     lines = np.random.default_rng(rows).normal(size=(3, rows))
     result = series.lagged_products(lines, lags)
     wanted = [[line[: max(rows - lag, 0)] @ line[lag:] for lag in range(lags)] for line in lines]
     np.testing.assert_allclose(result, wanted, rtol=1e-12, atol=1e-12)
 
 
-def test_an_autocorrelation_is_that_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_compiled_autocorrelation_equals_that_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     values = np.random.default_rng(4).integers(-99, 99, (30_000, 3))
     results = []
     for compiled in (True, False):

@@ -15,12 +15,12 @@ from imuarray.fuse.pipeline import QuantityPipeline
 from imuarray.spelling import guess, guess_file
 
 
-def test_the_nearest_word_or_none() -> None:
+def test_the_nearest_word_is_suggested_or_none() -> None:
     assert guess("calibrat", ["detect", "calibrate"]) == "; did you mean calibrate?"
     assert guess("xyzzy", ["detect", "calibrate"]) == ""
 
 
-def test_a_technique() -> None:
+def test_a_misspelt_technique_is_refused_with_a_suggestion() -> None:
     with pytest.raises(FusionError, match=r"^technique 'oposed': allowed are mean, .*; did you mean opposed\?$"):
         QuantityPipeline({}, "oposed")
 
@@ -29,7 +29,7 @@ def test_letter_case_does_not_matter() -> None:
     assert guess("GYRO1", ["Gyro1", "BMA2"]) == "; did you mean Gyro1?"
 
 
-def test_a_file(tmp_path: Path) -> None:
+def test_a_similar_file_is_suggested(tmp_path: Path) -> None:
     (tmp_path / "tumble.h5").touch()
     (tmp_path / "notes.txt").touch()
     assert guess_file(tmp_path / "tumbel.h5") == f"; did you mean {tmp_path / 'tumble.h5'}?"
@@ -76,7 +76,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("line", MISSPELT)
-def test_a_misspelt_word_on_the_command_line(line: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_misspelt_word_on_the_command_line_gets_a_suggestion(
+    line: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(shlex.split(line.replace("{}", str(folder)))) == 2
     complaint = capsys.readouterr().err
     assert MISSPELT[line] in complaint.replace(f"{folder}/", "") and complaint.count("\n") <= 2
@@ -86,17 +88,17 @@ def test_a_misspelt_word_on_the_command_line(line: str, folder: Path, capsys: py
     ("text", "seconds"),
     [("90", 90.0), ("1.5", 1.5), ("500ms", 0.5), ("10s", 10.0), ("30min", 1800.0), ("2h", 7200.0), ("1d", 86400.0)],
 )
-def test_a_duration(text: str, seconds: float) -> None:
+def test_durations_are_converted_to_seconds(text: str, seconds: float) -> None:
     assert Duration().convert(text, None, None) == seconds
 
 
 @pytest.mark.parametrize("text", ["", "0", "-5s", "5 m", "10m", "h", "1h30min", "inf", "nan", "s10"])
-def test_no_duration(text: str) -> None:
+def test_invalid_durations_are_refused(text: str) -> None:
     with pytest.raises(click.UsageError, match="is not a duration; write 30s, 10min, 1h or 1d"):
         Duration().convert(text, None, None)
 
 
-def test_a_duration_within_bounds() -> None:
+def test_durations_out_of_bounds_are_refused() -> None:
     bounded = Duration(minimum_s=0.2, maximum_s=3600)
     assert bounded.convert("1h", None, None) == 3600.0
     with pytest.raises(click.UsageError, match=r"allowed is at least 0\.2 s"):

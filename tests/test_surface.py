@@ -1,4 +1,4 @@
-"""What the package offers at its top, and the few lines of Python that its users are promised."""
+"""The public names of the package, and the documented lines of Python."""
 
 from __future__ import annotations
 
@@ -55,31 +55,31 @@ def bound_names(init: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: ".".join(package.relative_to(ROOT).parts))
-def test_no_name_of_a_package_is_that_of_a_module_in_it(package: Path) -> None:
+def test_names_of_a_package_differ_from_its_modules(package: Path) -> None:
     """The import of such a module would replace the function, or the function would hide the module."""
     modules = {path.stem for path in package.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
     functions = {"characterise", "fuse", "simulate"} if package.name == "imuarray" else set()  # `CallablePackage`
     assert (bound_names(package / "__init__.py") & modules) == functions
 
 
-def test_all_is_what_is_public() -> None:
+def test_all_lists_the_public_names() -> None:
     assert set(imuarray.__all__) == offered()
     assert list(imuarray.__all__) == sorted(imuarray.__all__)
     assert dir(imuarray) == sorted(imuarray.__all__)
 
 
 @pytest.mark.parametrize("name", imuarray.__all__)
-def test_every_name_is_there_and_documented(name: str) -> None:
+def test_every_name_exists_and_is_documented(name: str) -> None:
     value = getattr(imuarray, name)
     assert isinstance(value, str) or value.__doc__
 
 
-def test_nothing_else_is() -> None:
+def test_other_names_raise_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'open_sesame'"):
         _ = imuarray.open_sesame  # type: ignore[attr-defined]
 
 
-def test_importing_costs_nothing() -> None:
+def test_importing_loads_no_heavy_package() -> None:
     program = (
         "import sys, imuarray\n"
         "heavy = {'numpy', 'h5py', 'scipy', 'pydantic', 'click', 'matplotlib'} & set(sys.modules)\n"
@@ -90,7 +90,7 @@ def test_importing_costs_nothing() -> None:
 
 
 @pytest.mark.slow
-def test_the_library_does_not_reach_for_the_emulator() -> None:
+def test_the_library_does_not_import_the_emulator() -> None:
     program = (
         "import sys, imuarray.acquire, imuarray.drivers, imuarray.log, imuarray.bus.transcript\n"
         "sys.exit('firmware_emulator' if 'firmware_emulator' in sys.modules else 0)"
@@ -98,7 +98,7 @@ def test_the_library_does_not_reach_for_the_emulator() -> None:
     assert subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=30).returncode == 0
 
 
-def test_the_promised_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_documented_lines_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from imuarray.acquire import record
 
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""Lines of keys in a TOML text: those on which a writer of other hands (tomli_w) prints each value."""
+"""Lines of keys in a TOML text: those on which an independent writer (tomli_w) prints each value."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def numbered(value: Any, numbers: Iterator[int]) -> Any:
 
 
 def places(value: Any, above: Place = ()) -> Iterator[tuple[Place, Any]]:
-    """Every key, table and entry below a value, with what is there."""
+    """Every key, table and entry below a value, with its value."""
     parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, part in parts:
         yield (*above, key), part
@@ -70,7 +70,7 @@ def test_lines_are_those_of_the_printed_values(table: dict[str, Any], multiline:
         ("[ a . \"b.c\" ]\n\n# d = 1\n'd' = 1", ("a", "b.c", "d"), 4),
     ],
 )
-def test_dotted_keys_nested_arrays_of_tables_and_strings(text: str, place: Place, line: int) -> None:
+def test_dotted_keys_nested_arrays_of_tables_and_strings_have_their_lines(text: str, place: Place, line: int) -> None:
     """Forms that the writer never prints."""
     tomllib.loads(text)
     assert key_lines(text)[place] == line

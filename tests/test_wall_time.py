@@ -26,12 +26,12 @@ def test_times_are_in_utc(text: str, seconds: float) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "yesterday", "2001-13-01", "0001-01-01T00:00:00+14:00"])
-def test_a_text_that_is_no_date(text: str) -> None:
+def test_a_text_that_is_no_date_has_no_time(text: str) -> None:
     assert wall_time(text) is None
     assert unix_ns(text) is None
 
 
-def test_text_of_a_moment_in_any_zone() -> None:
+def test_a_moment_in_any_zone_is_written_in_utc() -> None:
     moment = datetime(2013, 9, 16, 10, 30, tzinfo=timezone(timedelta(hours=2)))
     assert iso_text(moment) == "2013-09-16T08:30:00.000000Z"
     assert iso_text(datetime(2013, 9, 16, tzinfo=UTC), "seconds") == "2013-09-16T00:00:00Z"
