@@ -1,4 +1,4 @@
-"""Configurations: accepted files; every refusal is one line with the file, the sensor, the key and the allowed values."""
+"""Configurations: valid files; every refusal is one line with the file, the sensor, the key and the allowed values."""
 
 from __future__ import annotations
 
