@@ -1,4 +1,4 @@
-"""Logs whose truth is known in closed form: made here with numpy alone, from response matrices, biases and noise."""
+"""Logs with known truth in closed form, computed with numpy alone from response matrices, biases and noise."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FACES = (
 
 
 class Part(NamedTuple):
-    """A sensor and what its counts truly are: ``response @ up + bias + noise``, code span and all."""
+    """A sensor and the true model of its counts, ``response @ up + bias + noise``, limited to the span of codes."""
 
     header: SensorHeader
     response: Floats
@@ -45,7 +45,7 @@ class Part(NamedTuple):
 
 
 def ideal(axes: str, sensitivity: float) -> Floats:
-    """The response (3, 3) of a sensor whose axes point as the text says."""
+    """The response (3, 3) of a sensor whose axes point in the given directions."""
     rows = np.zeros((3, 3))
     for index in range(3):
         rows[index, "XYZ".index(axes[2 * index + 1])] = sensitivity * (1 if axes[2 * index] == "+" else -1)
@@ -53,7 +53,7 @@ def ideal(axes: str, sensitivity: float) -> Floats:
 
 
 def skewed(axes: str, sensitivity: float, rng: np.random.Generator, spread: float = 0.02) -> Floats:
-    """`ideal`, with scale factors and angles off by some per cent."""
+    """`ideal`, with errors of scale factors and angles of some per cent."""
     return ideal(axes, sensitivity) @ (np.eye(3) + rng.uniform(-spread, spread, (3, 3)))
 
 
@@ -111,7 +111,7 @@ class WriteLog:
         return path
 
     def faces(self, parts: Sequence[Part], *, labels: Sequence[tuple[str, str]] = (), **options: object) -> Path:
-        """Table 10's seven readings; `labels` instead of the right ones for who mislabels them."""
+        """Table 10's seven readings; `labels` replace the right ones, to mislabel faces."""
         ups = np.array([up for _, _, up in FACES], float)
         named = labels or [(label, up) for label, up, _ in FACES]
         return self(parts, ups, names=named, **options)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""What opposing axes cancel of their biases, by hand."""
+"""The part of their biases that opposing axes cancel, computed by hand."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SENSORS = (
 )
 
 
-def test_biases_along_against_and_opposed(write_log: WriteLog) -> None:
+def test_mean_bias_of_parallel_and_opposed_axes_by_hand(write_log: WriteLog) -> None:
     parts = [Part(accelerometer(name, axes, chip), ideal(axes, 2048), np.zeros(3)) for name, chip, axes, _ in SENSORS]
     known = {
         name: SensorCalibration(name, "specific_force", "g", 2.048 * np.array(bias), ideal(axes, 2048))
@@ -43,7 +43,7 @@ def test_biases_along_against_and_opposed(write_log: WriteLog) -> None:
     assert {row.unit for row in rows.values()} == {"g"}
 
 
-def test_quantities_of_one_chip_are_kept_apart(write_log: WriteLog) -> None:
+def test_quantities_of_one_chip_are_separate_groups(write_log: WriteLog) -> None:
     parts = [
         Part(accelerometer("IMU1_acc", chip="l3g4200d"), ideal("+X+Y+Z", 2048), np.zeros(3)),
         Part(gyroscope("IMU1_gyro"), ideal("+X+Y+Z", 100), np.zeros(3)),
@@ -60,8 +60,8 @@ def test_quantities_of_one_chip_are_kept_apart(write_log: WriteLog) -> None:
     ]
 
 
-def test_an_axis_without_another_of_its_design_is_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    """A chip of its own has nothing to oppose: 30 mg along X. Two parallel ones of 30 and 50 mg have a mean of 40."""
+def test_a_single_axis_of_its_design_is_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    """A single chip, 30 mg along X, has no opponent. Two parallel chips of 30 and 50 mg have a mean of 40."""
     single = {"chip": "any", "quantity": "specific_force", "unit": "g", "box_axis": "X"}
     alone = single | {"along": 0.03, "against": None, "opposed": None, "single_rms": 0.03}
     parallel = single | {"along": 0.04, "against": None, "opposed": None, "single_rms": (0.0017) ** 0.5}

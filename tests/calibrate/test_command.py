@@ -1,4 +1,4 @@
-"""`imuarray calibrate` as a person types it."""
+"""`imuarray calibrate` through the command line."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     return err
 
 
-def test_tumble_writes_what_it_found(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tumble_writes_the_calibration_that_it_reports(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     output = tmp_path / "cal.toml"
     assert main(["calibrate", "tumble", str(run), "-o", str(output), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
@@ -79,10 +81,10 @@ def test_tumble_of_unnamed_poses(write_log: WriteLog, tmp_path: Path, capsys: py
         assert row["bias_lsb"] == pytest.approx(part.bias + pull, abs=6.0)
 
 
-def test_tumble_tells_gyroscopes_residuals_and_what_was_left_out(
+def test_tumble_reports_gyroscopes_residuals_and_excluded_poses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A hand-tumbled log; the table and the JSON object say the same."""
+    """A hand-tumbled log; the table and the JSON object agree."""
     motion = Tumbled(attitudes(14, np.random.default_rng(2)))
     still = {name: (WhiteNoise((0.002,) * 3),) for name in ("BMA1", "BMA2")}
     effects = {**still, "Gyro1": (WhiteNoise((0.1,) * 3), Scale((0.02,) * 3))}
@@ -106,7 +108,7 @@ def test_tumble_tells_gyroscopes_residuals_and_what_was_left_out(
     assert known.provenance["response"].logs == (str(path),)
 
 
-def test_tumble_says_what_was_left_out(write_log: WriteLog, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tumble_prints_excluded_poses(write_log: WriteLog, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One face of six leans by 5 degrees."""
     ups = np.array([up for _, _, up in FACES], float)
     ups[2] = (0.0, np.cos(np.radians(5)), np.sin(np.radians(5)))
@@ -117,7 +119,7 @@ def test_tumble_says_what_was_left_out(write_log: WriteLog, tmp_path: Path, caps
     assert "6 named faces" in out
 
 
-def test_nothing_is_overwritten(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_existing_output_is_not_overwritten(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "cal.toml"
     output.write_text("mine")
     for kind in ("tumble", "noise"):
@@ -127,7 +129,7 @@ def test_nothing_is_overwritten(run: Path, tmp_path: Path, capsys: pytest.Captur
     assert "A1" in load_calibration(output).sensors
 
 
-def test_update_adds_to_what_is_known(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_update_adds_to_an_existing_calibration(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "cal.toml"
     assert main(["calibrate", "tumble", str(run), "-o", str(output), "--update"]) == 0
     before = load_calibration(output).sensors["A1"]
@@ -142,7 +144,9 @@ def test_update_adds_to_what_is_known(run: Path, tmp_path: Path, capsys: pytest.
     assert rows["G1"]["noise_unit"] == "dps"
 
 
-def test_update_of_a_file_that_is_no_calibration(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_update_of_another_kind_of_file_is_refused(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     output = tmp_path / "cal.toml"
     output.write_text("mine")
     assert str(output) in refused(["calibrate", "noise", str(run), "-o", str(output), "--update"], capsys)
@@ -165,7 +169,7 @@ def test_noise_prints_a_table(run: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert "mg rms" in lines[1] and "dps rms" in lines[7] and " +- " in lines[1]
 
 
-def test_logs_that_can_not_be_calibrated(
+def test_logs_that_cannot_be_calibrated_are_refused(
     write_log: WriteLog, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = str(tmp_path / "cal.toml")
@@ -179,11 +183,13 @@ def test_logs_that_can_not_be_calibrated(
     assert not (tmp_path / "cal.toml").exists()
 
 
-def test_an_output_in_a_missing_folder(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_output_in_a_missing_folder_is_refused(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     refused(["calibrate", "noise", str(run), "-o", str(tmp_path / "no" / "cal.toml")], capsys)
 
 
-def test_the_log_itself_is_never_the_output(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_log_as_output_is_refused(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["calibrate", "noise", str(run), "-o", str(run), "--force"])
     with open_log(run) as log:
         assert len(log["A1"]) == 2800

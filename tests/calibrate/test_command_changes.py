@@ -1,4 +1,4 @@
-"""`imuarray calibrate thermal` and `calibrate turn-on` as a person types them."""
+"""`imuarray calibrate thermal` and `calibrate turn-on` through the command line."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_turn_on_prints_a_table(runs: list[str], tmp_path: Path, capsys: pytest.
 
 
 @pytest.mark.slow
-def test_two_runs_are_refused(runs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_turn_on_with_two_runs_is_refused(runs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "turn-on", *runs[:2], "-o", str(tmp_path / "cal.toml")]) == 2
     assert "at least 3 are required" in capsys.readouterr().err
     assert not (tmp_path / "cal.toml").exists()
@@ -126,7 +126,7 @@ def test_thermal_prints_a_table(heating: str, tmp_path: Path, capsys: pytest.Cap
 
 
 @pytest.mark.slow
-def test_thermal_adds_to_what_turn_on_found(
+def test_thermal_adds_to_a_turn_on_calibration(
     runs: list[str], heating: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = str(tmp_path / "cal.toml")

@@ -1,4 +1,4 @@
-"""Several calibrations of one array: changes by how many sigmas, what is common, what opposing cancels."""
+"""Several calibrations of one array: changes in sigmas, their common part, and the part that opposing axes cancel."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def calibration(*sensors: SensorCalibration) -> Calibration:
     return Calibration({each.name: each for each in sensors})
 
 
-def test_a_change_is_its_difference_over_both_standard_errors() -> None:
+def test_a_change_is_the_difference_over_both_standard_errors() -> None:
     """Bias x by 40 counts of 2048 a g, known to 2 and 3 counts: 40 / sqrt(13) = 11.09 sigmas; scale factor y by 5
     counts of 2048, known to 1 each: 3.54; an angle of 1 degree, known to atan(1 / 2048).
     """
@@ -62,7 +62,7 @@ def test_a_change_is_its_difference_over_both_standard_errors() -> None:
     assert scale.p_value == pytest.approx(10 * 4.07e-4, rel=2e-3)
 
 
-def test_of_many_calibrations_the_two_furthest_apart_are_named() -> None:
+def test_the_two_most_different_calibrations_are_named() -> None:
     files = {
         f"{n}": calibration(sensor("A", bias_lsb=np.array([bias, 0.0, 0]))) for n, bias in enumerate((0, 30, -9, 3))
     }
@@ -73,7 +73,7 @@ def test_of_many_calibrations_the_two_furthest_apart_are_named() -> None:
 
 
 @pytest.mark.slow
-def test_what_does_not_change_is_rarely_called_changed() -> None:
+def test_false_alarms_of_unchanged_figures_are_rare() -> None:
     """200 pairs of calibrations of three sensors whose figures scatter as their standard errors say: in 5 % of them
     some figure is said to have changed; more than 10 % of 5 % would in less than one of five hundred seeds.
     """
@@ -111,9 +111,10 @@ def files_of(changes: Floats, axes: tuple[str, ...]) -> dict[str, Calibration]:
     }
 
 
-def test_what_is_common_by_hand() -> None:
-    """Two units, three calibrations: (-1, -3), (0, 0), (1, 3). Common: -2, 0, 2; mean square 2 * 8 / 2 = 8; what is
-    left, +-1, 0, +-1: 4 / 2 = 2. Common variance (8 - 2) / 2 = 3; F = 4, 2 and 2 degrees of freedom: p = 1 / (1 + 4).
+def test_common_change_by_hand() -> None:
+    """Two units, three calibrations: (-1, -3), (0, 0), (1, 3). Common: -2, 0, 2; mean square 2 * 8 / 2 = 8; the
+    remainder, +-1, 0, +-1: 4 / 2 = 2. Common variance (8 - 2) / 2 = 3; F = 4, 2 and 2 degrees of freedom: p = 1 / (1 +
+    4).
     """
     found = compare_calibrations(files_of(np.array([[-1.0, -3], [0, 0], [1, 3]]), ("+X+Y+Z", "+X+Y+Z")))
     (x, _, _) = found.common
@@ -123,7 +124,7 @@ def test_what_is_common_by_hand() -> None:
     assert x.p_value == pytest.approx(0.2)
 
 
-def test_what_opposing_cancels_by_hand() -> None:
+def test_cancellation_of_opposed_axes_by_hand() -> None:
     """Own x of A and B change by (-1, -3), (0, 0), (1, 3) counts and oppose each other in the box, as y does not: alone
     sqrt((2 + 18) / 2 / 2) = 2.236, together half of the difference, sqrt(2 / 2) = 1; they correlate fully.
     """
@@ -139,7 +140,7 @@ def test_what_opposing_cancels_by_hand() -> None:
 
 
 @pytest.mark.slow
-def test_chance_of_what_is_common_and_opposed_is_uniform() -> None:
+def test_p_values_of_common_and_opposed_changes_are_uniform() -> None:
     """200 draws of four calibrations that share nothing: 5 % below 0.05, to four standard errors of 1.5 %."""
     rng = np.random.default_rng(6)
     common, opposed = [], []
@@ -151,7 +152,7 @@ def test_chance_of_what_is_common_and_opposed_is_uniform() -> None:
         assert np.mean(np.array(chances) < 0.05) == pytest.approx(0.05, abs=0.062)
 
 
-def test_what_does_not_go_together_is_refused() -> None:
+def test_calibrations_that_cannot_be_compared_are_refused() -> None:
     one = calibration(sensor("A"))
     with pytest.raises(CalibrationError, match="at least two calibrations"):
         compare_calibrations({"a": one})
@@ -163,7 +164,7 @@ def test_what_does_not_go_together_is_refused() -> None:
         compare_calibrations({"a": one, "b": calibration(sensor("A", chip="mpu6050"))})
 
 
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_and_writes_the_comparison(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     paths = []
     for number, file in enumerate(files_of(np.array([[0.0, 0], [50, 45], [100, 95]]), ("+X+Y+Z", "-X+Y-Z")).values()):
         paths.append(str(tmp_path / f"{number}.toml"))
@@ -183,7 +184,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert len(capsys.readouterr().err.splitlines()) >= 2
 
 
-def test_figures_that_only_one_has_are_left_out() -> None:
+def test_figures_of_only_one_calibration_are_omitted() -> None:
     noisy = replace(sensor("A"), noise_lsb=np.ones(3), noise_sem_lsb=np.full(3, 0.1))
     found = compare_calibrations({"a": calibration(noisy), "b": calibration(sensor("A", bias_sem_lsb=None))})
     assert {change.figure for change in found.changes} == {"scale factor", "lean to X", "lean to Y", "lean to Z"}

@@ -1,4 +1,4 @@
-"""In-run drift: a Gauss-Markov process under white noise comes back, honestly uncertain, and nothing where none is."""
+"""In-run drift: a Gauss-Markov process in white noise is estimated with valid intervals; white noise alone has none."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def fitted(*stretches: SegmentMeans) -> Drift:
     return drift
 
 
-def test_the_filter_gives_the_likelihood_of_the_dense_covariance() -> None:
+def test_the_filter_likelihood_is_that_of_the_dense_covariance() -> None:
     """Means of a process, integrated numerically, and a free level, by Cholesky: differences between grid points."""
     rng = np.random.default_rng(1)
     part = stretch(rng, 40, (2.0, 1.0, 0.5), 12.0)
@@ -77,7 +77,7 @@ def test_the_filter_gives_the_likelihood_of_the_dense_covariance() -> None:
 
 
 @pytest.mark.slow
-def test_a_drift_comes_back_within_its_errors() -> None:
+def test_a_drift_is_estimated_within_its_errors() -> None:
     """48 axes of 1 and 3 counts rms, 40 s, in 1000 s: 95 % within two errors; fewer than 41 once in 400 seeds."""
     assert binom.cdf(40, 48, 0.95) < 1 / 400
     rng = np.random.default_rng(2)
@@ -90,7 +90,7 @@ def test_a_drift_comes_back_within_its_errors() -> None:
 
 
 @pytest.mark.slow
-def test_without_drift_it_stays_below_a_small_bound() -> None:
+def test_white_noise_without_drift_gives_a_small_estimate() -> None:
     """White noise of 1 count: hardly an axis seems to drift (two errors), and none more than the noise of a mean."""
     rng = np.random.default_rng(3)
     found = [fitted(stretch(rng, 400, (0.0, 0.0, 0.0), 40.0)) for _ in range(8)]
@@ -98,7 +98,7 @@ def test_without_drift_it_stays_below_a_small_bound() -> None:
     assert max(drift.rms_upper_lsb.max() for drift in found if drift.rms_upper_lsb is not None) < 1.0
 
 
-def test_stretches_of_other_levels_are_one_measurement() -> None:
+def test_segments_of_different_levels_are_pooled() -> None:
     rng = np.random.default_rng(4)
     parts = [stretch(rng, 200, (2.0, 2.0, 2.0), 20.0, level) for level in (-4000.0, 0.0, 4000.0)]
     drift = fitted(*parts)
@@ -106,20 +106,20 @@ def test_stretches_of_other_levels_are_one_measurement() -> None:
     assert drift.span_s == pytest.approx(400.0)
 
 
-def test_slower_than_the_stretch_has_no_upper_end() -> None:
+def test_a_drift_slower_than_the_segment_has_no_upper_limit() -> None:
     """A process of 20000 s in 400 s: the interval of the time constant is open, its lower end far above the noise."""
     drift = fitted(stretch(np.random.default_rng(5), 200, (60.0, 60.0, 60.0), 20000.0))
     low, high = drift.time_constant_interval_s  # type: ignore[misc]
     assert np.isnan(high) and low > 40.0
 
 
-def test_too_short_or_constant_tells_nothing() -> None:
+def test_short_or_constant_segments_give_no_estimate() -> None:
     rng = np.random.default_rng(6)
     assert fit_drift([stretch(rng, 12, (1.0, 1.0, 1.0), 20.0)] * 20, WIDTH_S) is None
     assert fit_drift([SegmentMeans(np.arange(0.0, 200.0, WIDTH_S), np.full((100, 3), 7.0))], WIDTH_S) is None
 
 
-def test_an_axis_that_is_stuck_does_not_drift() -> None:
+def test_a_stuck_axis_has_no_drift() -> None:
     part = stretch(np.random.default_rng(7), 200, (2.0, 2.0, 2.0), 20.0)
     drift = fitted(SegmentMeans(part.time_s, part.mean * [1.0, 1.0, 0.0] + [0.0, 0.0, 3.0]))
     assert (drift.rms_lsb[2], drift.rms_sem_lsb[2]) == (0, 0)
@@ -130,7 +130,7 @@ SLOPE = np.array([10.0, -20.0, 40.0])
 
 
 def heated(path: Path) -> Path:
-    """10000 rows at 10 Hz: noise of 5 counts and 30 degrees more by and by, on slopes of 10, -20 and 40 counts."""
+    """10000 rows at 10 Hz: noise of 5 counts and a warming by 30 degrees, on slopes of 10, -20 and 40 counts."""
     rows = 10000
     degc = 20 + 30 * np.linspace(0, 1, rows) ** 2
     counts = np.random.default_rng(8).normal(0, 5, (rows, 3)) + (degc - 20)[:, None] * SLOPE
@@ -143,7 +143,7 @@ def heated(path: Path) -> Path:
     return path
 
 
-def test_what_follows_temperature_by_known_slopes_is_no_drift(tmp_path: Path) -> None:
+def test_known_thermal_slopes_are_removed_before_the_drift(tmp_path: Path) -> None:
     with open_log(heated(tmp_path / "run.h5")) as log:
         raw = calibrate_noise(log).sensors["G"].drift
         slopes = Thermal(SLOPE, np.ones(3), 25.0, (BIAS,) * 3, "reference")
@@ -155,7 +155,7 @@ def test_what_follows_temperature_by_known_slopes_is_no_drift(tmp_path: Path) ->
 
 
 def test_an_open_interval_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The heat's rise goes on until the end: no upper end of the time constant, which JSON has as null."""
+    """The temperature rises until the end: the time constant has no upper limit, which is null in JSON."""
     path = heated(tmp_path / "run.h5")
     given = ["calibrate", "noise", str(path), "-o", str(tmp_path / "cal.toml"), "--force"]
     assert main(given) == 0

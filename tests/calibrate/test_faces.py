@@ -1,4 +1,4 @@
-"""Six faces on a table: the paper's Table 10 to its Tables 3 and 4, the stated uncertainty, and what is refused."""
+"""Six faces on a table: Tables 3 and 4 of the paper from its Table 10, the stated uncertainty, and refusals."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ NAMES = ("z_up", "x_up", "y_up", "x_down", "y_down", "z_down", "z_up_check")
 
 
 def whole_counts(mean: float) -> np.ndarray:
-    """ROWS whole numbers with that mean, in no order that means anything."""
+    """ROWS integers with that mean, in random order."""
     low = int(np.floor(mean))
     above = round((mean - low) * ROWS)
     return np.random.default_rng(5).permutation(np.r_[np.full(above, low + 1), np.full(ROWS - above, low)])
@@ -130,7 +130,7 @@ def test_response_is_the_half_difference_of_opposite_faces(table_10: TumbleResul
     assert table_10.calibration.sensors["BMA3"].response_lsb_per_unit == pytest.approx(half, abs=3e-4)
 
 
-def test_azimuth_and_elevation_of_a_tilted_axis(table_10: TumbleResult) -> None:
+def test_azimuth_and_elevation_of_a_tilted_axis_by_hand(table_10: TumbleResult) -> None:
     # BMA1 x points along box -Y. Half differences of Table 10: 10.1731, -511.27715, -8.1668; by hand:
     # azimuth = atan2(-511.27715, 10.1731) = -88.8601 degrees, elevation = atan2(-8.1668, 511.37835) = -0.9149 degrees.
     angles = table_10.calibration.sensors["BMA1"].azimuth_elevation_deg()
@@ -138,7 +138,7 @@ def test_azimuth_and_elevation_of_a_tilted_axis(table_10: TumbleResult) -> None:
 
 
 @pytest.mark.slow
-def test_stated_uncertainty_is_honest(write_log: WriteLog) -> None:
+def test_errors_agree_with_the_stated_uncertainty(write_log: WriteLog) -> None:
     """100 sensors, errors over standard errors: chi-square, two-sided error rate 1e-3 for each of six sums."""
     rng = np.random.default_rng(11)
     parts = [
@@ -182,8 +182,8 @@ def test_parameters_of_200_sensors_are_within_their_covariance(write_log: WriteL
 
 
 @pytest.mark.slow
-def test_a_gyroscope_s_bias_is_as_sure_as_all_seven_readings_together(write_log: WriteLog) -> None:
-    """sigma / sqrt(7 * 160), rms over 20 gyroscopes; 60 sums of 7 * 15 squares tell it to 0.9 %."""
+def test_gyroscope_bias_uses_all_seven_readings(write_log: WriteLog) -> None:
+    """sigma / sqrt(7 * 160), rms over 20 gyroscopes; 60 sums of 7 * 15 squares determine it to 0.9 %."""
     parts = [Part(gyroscope(f"G{i:03}"), np.zeros((3, 3)), np.array([40.0, -7.0, 0.3]), 20.0) for i in range(20)]
     with open_log(write_log.faces(parts, rows=160, seed=14)) as log:
         fitted = [fit_faces(log[part.header.name], named_faces(log))[0] for part in parts]
@@ -193,7 +193,7 @@ def test_a_gyroscope_s_bias_is_as_sure_as_all_seven_readings_together(write_log:
     assert np.mean([found.bias_lsb for found in fitted], axis=0) == pytest.approx([40.0, -7.0, 0.3], abs=5 * stated / 4)
 
 
-def test_a_slow_drift_shows_between_the_two_readings_of_a_face(write_log: WriteLog) -> None:
+def test_a_slow_drift_is_the_difference_of_two_readings_of_a_face(write_log: WriteLog) -> None:
     part = Part(accelerometer("A"), ideal("+X+Y+Z", 2048), np.zeros(3), 3.0)
     with open_log(write_log.faces([part], rows=500, drift_lsb_per_s=0.8)) as log:
         # The check begins 6 faces of 5 s after the first reading: 30 s of 0.8 counts/s.
@@ -226,26 +226,26 @@ def test_two_faces_swapped_are_refused(write_log: WriteLog) -> None:
         calibrate_tumble(log)
 
 
-def test_of_two_swapped_faces_one_is_named(write_log: WriteLog) -> None:
+def test_the_refusal_names_one_of_two_swapped_faces(write_log: WriteLog) -> None:
     path = sloppy(write_log, labels=relabel({"x_up": "y_down", "y_down": "x_up"}))
     with open_log(path) as log, refused("phase '(x_up|y_down)'"):
         calibrate_tumble(log)
 
 
-def test_opposite_faces_swapped_look_like_a_mirrored_axis(write_log: WriteLog) -> None:
+def test_swapped_opposite_faces_indicate_a_mirrored_axis(write_log: WriteLog) -> None:
     path = sloppy(write_log, labels=relabel({"x_up": "x_down", "x_down": "x_up"}))
     with open_log(path) as log, refused(r"axis x .*'\+X\+Y\+Z'; the faces indicate '-X\+Y\+Z'"):
         calibrate_tumble(log)
 
 
-def test_axes_that_do_not_fit_are_refused_with_what_the_faces_say(write_log: WriteLog) -> None:
+def test_wrong_axes_are_refused_with_those_that_the_faces_indicate(write_log: WriteLog) -> None:
     part = Part(accelerometer("A", "+X+Y+Z"), ideal("-Y+X+Z", 2048), np.zeros(3), 10.0)
     with open_log(write_log.faces([part], rows=64)) as log, refused(r"'\+X\+Y\+Z'; the faces indicate '-Y\+X\+Z'"):
         calibrate_tumble(log)
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_too_few_faces(write_log: WriteLog, count: int) -> None:
+def test_too_few_faces_are_refused(write_log: WriteLog, count: int) -> None:
     part = Part(accelerometer("A"), ideal("+X+Y+Z", 2048), np.zeros(3), 10.0)
     ups = np.array([up for _, _, up in FACES], float)[:count]
     path = write_log([part], ups, names=list(zip(NAMES, UPS, strict=True))[:count])
@@ -262,7 +262,7 @@ def test_four_faces_of_one_plane_are_too_few(write_log: WriteLog) -> None:
 
 
 def clipped(write_log: WriteLog, bias: float) -> Path:
-    """Range +-1 g, so that z clips where it carries gravity: always, half of the time or never, as its bias is."""
+    """Range +-1 g, so that z clips where it carries gravity: always, half of the time or never, by its bias."""
     header = SensorHeader("A", "bma180", "specific_force", "g", 1.0, 8192.0)
     part = Part(header, np.diag([7500.0, 7500.0, 8192.0]), np.array([0.0, 0.0, bias]), 40.0, 8191)
     status: Callable[[str, np.ndarray], np.ndarray] = lambda name, counts: np.where(  # noqa: E731
@@ -271,12 +271,12 @@ def clipped(write_log: WriteLog, bias: float) -> Path:
     return write_log.faces([part], rows=1000, status=status)
 
 
-def test_a_face_that_only_clips_is_refused_and_named(write_log: WriteLog) -> None:
+def test_a_face_with_only_clipped_readings_is_refused_and_named(write_log: WriteLog) -> None:
     with open_log(clipped(write_log, 800.0)) as log, refused("no valid readings in phase 'z_up'"):
         fit_faces(log["A"], named_faces(log))
 
 
-def test_a_face_that_clips_now_and_then_is_refused_or_right(write_log: WriteLog) -> None:
+def test_a_partly_clipped_face_is_refused_or_unbiased(write_log: WriteLog) -> None:
     with open_log(clipped(write_log, -20.0)) as log:
         try:
             fitted, _ = fit_faces(log["A"], named_faces(log))
@@ -286,7 +286,7 @@ def test_a_face_that_clips_now_and_then_is_refused_or_right(write_log: WriteLog)
     assert abs(fitted.scale_lsb_per_unit[2] - 8192) < 5 * fitted.response_sem_lsb_per_unit[2]
 
 
-def test_a_phase_that_names_no_axis_as_up(write_log: WriteLog) -> None:
+def test_a_phase_with_an_unknown_up_axis_is_refused(write_log: WriteLog) -> None:
     with open_log(sloppy(write_log, labels=[("z_up", "+Q")])) as log, pytest.raises(CalibrationError):
         calibrate_tumble(log)
 
@@ -300,21 +300,21 @@ def refused(pattern: str) -> Iterator[None]:
     assert "sensor A" in str(caught.value)
 
 
-def test_faces_noted_by_what_was_up_are_faces(write_log: WriteLog) -> None:
-    """Six logs whose phases are all called `static` and say what was up, as `imuarray log --up` notes it."""
+def test_phases_with_a_noted_up_axis_are_faces(write_log: WriteLog) -> None:
+    """A log whose phases are all called `static` and state which axis was up, as `imuarray log --up` notes it."""
     named = calibrate_tumble(open_log(sloppy(write_log)))
     noted = calibrate_tumble(open_log(sloppy(write_log, name="up.h5", labels=[("static", up) for _, up, _ in FACES])))
     assert noted.method == named.method == "faces"
     assert "static (-X)" in noted.pose_names
     for name, sensor in noted.calibration.sensors.items():
         other = named.calibration.sensors[name]
-        # The reading of +Z that is a check by its name is one more here.
+        # The reading of +Z that is named as a check in the other log is a seventh face here.
         assert sensor.response_lsb_per_unit == pytest.approx(other.response_lsb_per_unit, abs=6.0)
         assert sensor.bias_lsb == pytest.approx(other.bias_lsb, abs=6.0)
 
 
-def test_five_faces_are_warned_of(write_log: WriteLog) -> None:
-    """All but z_down; of six nothing is said."""
+def test_five_faces_give_a_warning(write_log: WriteLog) -> None:
+    """All faces except z_down; six faces give no warning."""
     rng = np.random.default_rng(3)
     parts = [Part(accelerometer("A"), skewed("+X+Y+Z", 2048, rng), np.array([30.0, -20, 10]), 3.0)]
     ups = np.array([up for _, _, up in FACES], float)
@@ -325,8 +325,8 @@ def test_five_faces_are_warned_of(write_log: WriteLog) -> None:
     assert calibrate_tumble(open_log(write_log(parts, ups, names=names, name="six.h5"))).warnings == ()
 
 
-def test_poses_that_disagree_are_warned_of(write_log: WriteLog) -> None:
-    """A table that leans by three degrees another way for each face: 50 mg."""
+def test_poses_that_disagree_give_a_warning(write_log: WriteLog) -> None:
+    """A table that leans by three degrees in a different direction for each face: 50 mg."""
     rng = np.random.default_rng(4)
     parts = [Part(accelerometer("A"), ideal("+X+Y+Z", 2048), np.zeros(3), 3.0)]
     ups = np.array([up for _, _, up in FACES], float)[:6] + rng.normal(0, 0.05, (6, 3))
@@ -336,7 +336,7 @@ def test_poses_that_disagree_are_warned_of(write_log: WriteLog) -> None:
 
 
 def test_the_file_of_a_mislabelled_face_is_named(write_log: WriteLog) -> None:
-    """A log a face; x_up was in truth the box on its y face."""
+    """One log per face; in the log x_up the box was on its y face."""
     rng = np.random.default_rng(5)
     parts = [Part(accelerometer("A"), skewed("+X+Y+Z", 2048, rng), np.zeros(3), 3.0)]
     logs = []

@@ -1,4 +1,4 @@
-"""Any static poses: bias and response within their stated uncertainty, whatever way the array lies."""
+"""Arbitrary static poses: bias and response are within their stated uncertainty, in any orientation of the array."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ ROWS = 64
 
 
 def array(count: int, rng: np.random.Generator, sigma: float = SIGMA) -> list[Part]:
-    """`count` accelerometers, scale factors and angles off by up to 2 %, biases up to 100 counts of 2048 a g."""
+    """`count` accelerometers with errors of scale factors and angles of up to 2 % and biases up to 100 counts (2048 per
+    g).
+    """
     return [
         Part(
             accelerometer(f"A{index:03}", AXES[index % 4]),
@@ -49,7 +51,7 @@ def fit(write_log: WriteLog, parts: list[Part], ups: Floats, seed: int = 1) -> t
 
 
 class Draws(NamedTuple):
-    """Fitted and true parameters of many sensors that saw the same poses."""
+    """Fitted and true parameters of many sensors in the same poses."""
 
     parts: list[Part]
     fitted: list[SensorCalibration]
@@ -112,11 +114,11 @@ def test_response_is_within_its_stated_uncertainty() -> None:
 
 
 @pytest.mark.slow
-def test_response_is_recovered() -> None:
+def test_response_is_within_the_bound_of_an_ellipsoid_fit() -> None:
     """Every entry within a bound of its own: six times sqrt(15 / poses), the worst entry of a sphere's ellipsoid fit.
 
-    For directions spread evenly the mean of x^2 y^2 is 1/15, so an off-diagonal shape parameter has the variance
-    15 sigma^2 / poses, the largest of all nine; what is left is a rotation that 36 poses tell better.
+    For directions spread evenly the mean of x^2 y^2 is 1/15, so an off-diagonal shape parameter has the variance 15
+    sigma^2 / poses, the largest of all nine; the remainder is a rotation, which 36 poses determine better.
     """
     found = draws(36)
     worst = 6 * np.sqrt(15 / 36) * SIGMA / np.sqrt(ROWS)
@@ -125,9 +127,10 @@ def test_response_is_recovered() -> None:
 
 
 @pytest.mark.slow
-def test_residuals_are_those_of_the_noise() -> None:
-    """Sum of squares over sigma^2 / rows is chi-square with 32 a sensor: a hundred of them know where up is, and of 36
-    readings along it the four unknowns of a straight line take their leverages. Error rate 1e-3 over 100 sensors.
+def test_residuals_have_the_variance_of_the_noise() -> None:
+    """Sum of squares over sigma^2 / rows is chi-square with 32 degrees of freedom for each sensor: a hundred sensors
+    determine the vertical, and a straight line along it has four unknowns for 36 readings. Error rate 1e-3 over 100
+    sensors.
     """
     found = draws(36)
     scale = np.array([np.linalg.norm(part.response, axis=1).mean() for part in found.parts])
@@ -137,17 +140,17 @@ def test_residuals_are_those_of_the_noise() -> None:
     assert 0.96 * low < total < 1.04 * high
 
 
-def test_nine_poses_do_not_claim_to_be_exact(write_log: WriteLog) -> None:
+def test_nine_poses_have_a_realistic_standard_error(write_log: WriteLog) -> None:
     rng = np.random.default_rng(8)
     parts = array(1, rng)
     (fitted,), _ = fit(write_log, parts, directions(9, rng))
-    # No estimate from nine means can be surer than all nine averaged.
+    # No estimate from nine means has a smaller error than the mean of all nine.
     assert (sem(fitted.bias_sem_lsb) > 0.3 * SIGMA / np.sqrt(ROWS * 9)).all()
 
 
 @pytest.mark.slow
 def test_the_array_keeps_the_orientation_of_its_configuration(write_log: WriteLog) -> None:
-    """Poses turned as a whole change nothing: nobody knows how the table lies."""
+    """A common rotation of all poses changes nothing, since the orientation of the table is unknown."""
     rng = np.random.default_rng(9)
     parts = [Part(accelerometer(f"A{i}", AXES[i]), ideal(AXES[i], 2048), np.zeros(3), 0.0) for i in range(4)]
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
@@ -161,8 +164,10 @@ def test_the_array_keeps_the_orientation_of_its_configuration(write_log: WriteLo
 
 
 @pytest.mark.slow
-def test_a_turned_sensor_is_turned_back_onto_the_others(write_log: WriteLog) -> None:
-    """One of eight sensors sits 2 degrees askew: the common orientation moves by an eighth, the rest is found."""
+def test_a_misaligned_sensor_is_aligned_to_the_others(write_log: WriteLog) -> None:
+    """One of eight sensors is misaligned by 2 degrees: the common orientation moves by an eighth of it, seven eighths
+    are estimated.
+    """
     rng = np.random.default_rng(10)
     angle = np.radians(2.0)
     askew = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
@@ -181,7 +186,7 @@ NEES_PARTS = 2
 
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[SensorLog, ...]]:
-    """Two accelerometers that point in different ways; readings of theirs are drawn, not recorded."""
+    """Two accelerometers of different orientation; their readings are drawn, not recorded."""
     parts = array(NEES_PARTS, np.random.default_rng(30))
     with open_log(WriteLog(tmp_path_factory.mktemp("pair"))(parts, np.eye(3), rows=2)) as log:
         yield tuple(log.sensors.values())
@@ -196,7 +201,8 @@ def drawn(
     drift: float = 0.0,
     strange: float = 0.0,
 ) -> tuple[PoseReadings, Floats]:
-    """Readings of `poses` random directions and the true coefficients (6, 4), turned so that no common turn is left.
+    """Readings of `poses` random directions and the true coefficients (6, 4), turned so that no common rotation
+    remains.
 
     Noise of SIGMA over ROWS rows, known from 15 batches a pose; biases that `wander` (counts) from pose to pose or
     `drift` (counts from first to last); in the last pose `strange` g more than gravity.
@@ -228,7 +234,9 @@ def drawn(
 
 
 def squared_errors(found: GravityFit, truth: Floats) -> float:
-    """Normalised error squared of all parameters of all sensors; chi-square with three less than there are."""
+    """Normalised error squared of all parameters of all sensors; chi-square, three degrees of freedom less than
+    parameters.
+    """
     error = np.concatenate([fitted.coefficients[:, :4] for fitted in found.fits]) - truth
     inverse = np.linalg.pinv(found.covariance, rcond=1e-9, hermitian=True)
     return float(error.ravel() @ inverse @ error.ravel())
@@ -236,7 +244,7 @@ def squared_errors(found: GravityFit, truth: Floats) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("drift", "poses", "count"), [(0.0, NEES_POSES, 200), (40.0, 20, 50)])
-def test_parameters_are_within_their_covariance_over_many_draws(
+def test_parameters_of_many_draws_are_within_their_covariance(
     pair: tuple[SensorLog, ...], drift: float, poses: int, count: int
 ) -> None:
     """Mean of the normalised error squared, chi-square with 21 degrees of freedom a draw; two-sided error rate 1e-3 for
@@ -260,7 +268,7 @@ def fit_drawn(
 
 
 @pytest.mark.slow
-def test_biases_that_wander_from_pose_to_pose_are_in_the_covariance(pair: tuple[SensorLog, ...]) -> None:
+def test_scatter_of_biases_between_poses_widens_the_covariance(pair: tuple[SensorLog, ...]) -> None:
     """Biases that scatter by three times the noise: chi-squared by noise alone is 10; with each axis's own scatter,
     known from some 24 - 4 - 48 / 6 = 12 degrees of freedom, the error squared is larger by 12 / 10 than chi-square.
     Over 30 draws its mean is within 3.3 standard errors of that.
@@ -278,7 +286,7 @@ def test_biases_that_wander_from_pose_to_pose_are_in_the_covariance(pair: tuple[
 
 
 @pytest.mark.slow
-def test_only_the_axis_that_wanders_is_given_a_scatter(pair: tuple[SensorLog, ...]) -> None:
+def test_only_the_wandering_axis_has_a_scatter_term(pair: tuple[SensorLog, ...]) -> None:
     """The y axis of the second sensor wanders by 30 counts, six times the noise, known from some 54 degrees of freedom
     to a tenth. It turns the fitted directions a little, so its triad scatters too, but by less than the noise of 5.
     Where nothing wanders, chi-squared of 1.06 and 1.1 is chance (one draw in ten has both above 1.05).
@@ -294,16 +302,16 @@ def test_only_the_axis_that_wanders_is_given_a_scatter(pair: tuple[SensorLog, ..
     assert all(fitted.repeatability_lsb.tolist() == [0.0, 0.0, 0.0] for fitted in fits)
 
 
-def test_a_drift_is_told_from_the_rest(pair: tuple[SensorLog, ...]) -> None:
+def test_a_drift_term_is_estimated_and_removed_from_the_residuals(pair: tuple[SensorLog, ...]) -> None:
     found, _ = fit_drawn(pair, np.random.default_rng(33), 20, drift=80.0)
     assert found.drift_terms == 1
-    # First less last; a slope over 20 poses is known to 5 sqrt(12 / 20) of a noise of 5 counts.
+    # First minus last; a slope over 20 poses is known to 5 sqrt(12 / 20) of a noise of 5 counts.
     assert found.drift_lsb == pytest.approx(np.full((2, 3), -80.0), abs=6 * 5 * np.sqrt(12 / 20))
     assert found.residual_g.max() < 4 * 5 / 2048
     assert found.held_out_residual_g.max() < 8 * 5 / 2048
 
 
-def test_a_pose_that_was_not_at_rest_is_left_out_and_named(pair: tuple[SensorLog, ...]) -> None:
+def test_a_disturbed_pose_is_excluded_and_named(pair: tuple[SensorLog, ...]) -> None:
     found, truth = fit_drawn(pair, np.random.default_rng(34), 20, strange=0.05)
     assert [each.phase for each in found.left_out] == ["pose 20"]
     assert float(found.left_out[0].reason.split()[0]) == pytest.approx(50.0, abs=20.0)  # mg
@@ -321,7 +329,7 @@ def test_disturbed_poses_are_named_where_too_few_remain(pair: tuple[SensorLog, .
         fit_readings(readings)
 
 
-def test_poses_of_another_go_are_left_out(pair: tuple[SensorLog, ...]) -> None:
+def test_poses_of_a_separate_session_are_excluded(pair: tuple[SensorLog, ...]) -> None:
     readings, _ = drawn(pair, np.random.default_rng(36), 12)
     late = [pose.phase._replace(start_ns=10**12, end_ns=10**12 + 10**10) for pose in readings.poses[-1:]]
     poses = (*readings.poses[:-1], *(Pose(phase, None) for phase in late))
@@ -331,7 +339,7 @@ def test_poses_of_another_go_are_left_out(pair: tuple[SensorLog, ...]) -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1, 8])
-def test_fewer_than_nine_poses(write_log: WriteLog, count: int) -> None:
+def test_fewer_than_nine_poses_are_refused(write_log: WriteLog, count: int) -> None:
     rng = np.random.default_rng(1)
     parts = array(1, rng)
     with (
@@ -352,9 +360,9 @@ def test_poses_in_one_plane_are_refused(write_log: WriteLog, sigma: float, seed:
         fit(write_log, parts, ups, seed)
 
 
-def test_the_six_faces_alone_say_what_they_leave_open(write_log: WriteLog) -> None:
-    """Twelve poses on the faces of a box, as an owner turns it without naming them: the length of gravity along the
-    axes says nothing of the angles between them.
+def test_unnamed_poses_on_the_six_faces_are_refused_with_advice(write_log: WriteLog) -> None:
+    """Twelve poses on the unnamed faces of a box: the magnitude of gravity along the axes does not determine the angles
+    between them.
     """
     faces = np.concatenate([np.eye(3), -np.eye(3)])
     with pytest.raises(CalibrationError, match=r"poses lie on the six faces.* edges and corners, or name the faces"):
@@ -362,6 +370,6 @@ def test_the_six_faces_alone_say_what_they_leave_open(write_log: WriteLog) -> No
 
 
 @pytest.mark.slow
-def test_the_same_pose_nine_times_is_refused(write_log: WriteLog) -> None:
+def test_nine_equal_poses_are_refused(write_log: WriteLog) -> None:
     with pytest.raises(CalibrationError, match="add poses on other sides"):
         fit(write_log, array(1, np.random.default_rng(1)), np.tile([0.0, 0.0, 1.0], (9, 1)))

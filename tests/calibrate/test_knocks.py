@@ -1,4 +1,4 @@
-"""Knocks of a box at rest are named, and do not cut its rest into pieces."""
+"""Knocks of a box at rest are reported and do not split the rest."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def knocked(*at_s: float, g: float = 0.4) -> Felt:
 
 
 def tilted(at_s: float, g: float) -> Felt:
-    """Knocked, and since then pushed into another attitude."""
+    """Knocked, and pushed into another attitude."""
     return lambda seconds: knocked(at_s)(seconds) + g * np.outer(seconds > at_s, [1.0, 0, 0])
 
 
@@ -38,7 +38,7 @@ def knocks_of(log: Log) -> str:
     return knock_sentence(find_knocks(rest_windows(log)), "mg", 1e3)
 
 
-def test_a_knocked_rest_is_one(tmp_path: Path) -> None:
+def test_knocks_do_not_split_a_rest_and_are_excluded(tmp_path: Path) -> None:
     with open_log(record(tmp_path / "run.h5", knocked(*KNOCKS_S), 1, seconds=100.0, noise_g=0.002)) as log:
         rest = longest_rest(log)
         assert rest is not None
@@ -55,7 +55,7 @@ def test_a_knocked_rest_is_one(tmp_path: Path) -> None:
         assert any("the box was knocked 3 times" in text for text in report_of(log).quirks)
 
 
-def test_a_push_ends_a_rest(tmp_path: Path) -> None:
+def test_a_change_of_attitude_ends_a_rest(tmp_path: Path) -> None:
     with open_log(record(tmp_path / "run.h5", tilted(60.0, 0.006), 2, seconds=100.0, noise_g=0.002)) as log:
         rest = longest_rest(log)
         assert rest is not None
@@ -71,7 +71,7 @@ def test_an_undisturbed_rest_has_no_knock(tmp_path: Path, rate_noise_g: float) -
         assert knocks_of(log) == ""
 
 
-def test_a_new_pose_is_no_knock(tmp_path: Path) -> None:
+def test_a_new_pose_is_not_a_knock(tmp_path: Path) -> None:
     """A box that is laid on another side within two seconds was not knocked."""
 
     def turned(seconds: Floats) -> Floats:
@@ -85,7 +85,7 @@ def test_a_new_pose_is_no_knock(tmp_path: Path) -> None:
 
 
 def test_the_first_five_knocks_are_listed() -> None:
-    """In the middle of each; of a sixth one the sentence says only that there are more."""
+    """The times are the middles of the knocks; a sixth knock is counted and not listed."""
     knocks = [Knock(round(second * 1e9), round((second + 0.2) * 1e9), True, 0.0) for second in range(1, 7)]
     assert LISTED == 5
     five = "the box was knocked 5 times at rest, at 1.1, 2.1, 3.1, 4.1, 5.1 s"

@@ -1,4 +1,4 @@
-"""The calibration file: round trip, what is refused, what an update keeps."""
+"""The calibration file: round trip, refusals, and what an update keeps."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ sensors = st.builds(
 
 
 def assert_alike(before: object, after: object) -> None:
-    """Arrays to nine digits (nan is nan; what is next to nothing is 0), everything else exactly."""
+    """Arrays to nine digits (nan equals nan; a tiny value is 0), everything else exactly."""
     if is_dataclass(before):
         assert type(before) is type(after)
         for item in fields(before):
@@ -172,8 +172,8 @@ def assert_alike(before: object, after: object) -> None:
 
 @settings(max_examples=examples(60), deadline=None)
 @given(st.lists(sensors, max_size=3, unique_by=lambda sensor: sensor.name), st.lists(st.text(max_size=9), max_size=2))
-def test_round_trip(written: list[SensorCalibration], sources: list[str]) -> None:
-    """Nine digits survive, names and sources exactly; what was not measured stays unknown."""
+def test_a_calibration_survives_a_round_trip(written: list[SensorCalibration], sources: list[str]) -> None:
+    """Nine digits survive, names and sources exactly; figures that were not measured stay unknown."""
     sources = [source.encode("utf-8", "ignore").decode() for source in sources]
     with TemporaryDirectory() as folder:
         path = Path(folder) / "cal.toml"
@@ -297,7 +297,7 @@ def test_malformed_files_are_refused_in_one_line(tmp_path: Path, text: str) -> N
 WHOLE = HEAD + SENSOR + HEATED + TURNED_ON + WANDERED
 
 
-def test_the_tables_that_the_refused_files_spoil_are_read(tmp_path: Path) -> None:
+def test_the_valid_tables_of_the_malformed_cases_are_read(tmp_path: Path) -> None:
     path = tmp_path / "cal.toml"
     path.write_text(WHOLE, encoding="utf-8")
     sensor = load_calibration(path).sensors["A"]
@@ -312,8 +312,8 @@ def test_the_tables_that_the_refused_files_spoil_are_read(tmp_path: Path) -> Non
 @settings(max_examples=examples(150), deadline=None)
 @given(st.integers(0, len(WHOLE) - 1), st.binary(max_size=6), st.integers(0, 20))
 @example(0, b"\xff\xfe", 0)
-def test_a_damaged_file_is_read_or_refused(place: int, inserted: bytes, removed: int) -> None:
-    """Bytes overwritten at a random place: never another exception than ours."""
+def test_a_damaged_file_is_read_or_raises_a_calibration_error(place: int, inserted: bytes, removed: int) -> None:
+    """Bytes overwritten at a random place: no other exception than CalibrationError."""
     good = WHOLE.encode()
     with TemporaryDirectory() as folder:
         path = Path(folder) / "cal.toml"
@@ -324,8 +324,8 @@ def test_a_damaged_file_is_read_or_refused(place: int, inserted: bytes, removed:
             assert str(error).startswith(str(path))
 
 
-def test_what_is_next_to_nothing_is_nothing(tmp_path: Path) -> None:
-    """A noise whose square is zero, by which somebody would divide."""
+def test_a_noise_whose_square_underflows_is_zero(tmp_path: Path) -> None:
+    """The square of such a noise is zero, and a division by it fails."""
     path = tmp_path / "cal.toml"
     path.write_text(HEAD + SENSOR + "noise_lsb = [1e-300, 1e-9, 2]\n")
     noise = load_calibration(path).sensors["A"].noise_lsb
@@ -333,12 +333,12 @@ def test_what_is_next_to_nothing_is_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["missing.toml", "."])
-def test_a_file_that_is_not_there(tmp_path: Path, name: str) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(CalibrationError, match=r"No such file|Is a directory"):
         load_calibration(tmp_path / name)
 
 
-def test_saving_never_overwrites_unless_told(tmp_path: Path) -> None:
+def test_saving_overwrites_only_with_force(tmp_path: Path) -> None:
     path = tmp_path / "cal.toml"
     path.write_text("mine")
     with pytest.raises(OutputExistsError, match="exists already"):
@@ -364,7 +364,7 @@ NOISY = known(noise_lsb=np.array([7.0, 8, 9]))
 
 
 @pytest.mark.parametrize(("older", "newer"), [(TUMBLED, NOISY), (NOISY, TUMBLED)])
-def test_tumble_and_noise_add_up_in_either_order(older: SensorCalibration, newer: SensorCalibration) -> None:
+def test_tumble_and_noise_merge_in_either_order(older: SensorCalibration, newer: SensorCalibration) -> None:
     merged = Calibration({"A": older}, ("one",)).merged(Calibration({"A": newer}, ("two",)))
     both = merged.sensors["A"]
     assert both.bias_lsb.tolist() == [1, 2, 3]
@@ -375,7 +375,7 @@ def test_tumble_and_noise_add_up_in_either_order(older: SensorCalibration, newer
     assert merged.sources == ("one", "two")
 
 
-def test_what_was_measured_again_replaces_what_was_known() -> None:
+def test_a_new_measurement_replaces_the_older_figure() -> None:
     newer = known(bias_lsb=np.array([4.0, 5, 6]), bias_sem_lsb=np.ones(3), noise_lsb=np.ones(3))
     both = Calibration({"A": TUMBLED}).merged(Calibration({"A": newer})).sensors["A"]
     assert both.bias_lsb.tolist() == [4, 5, 6]
@@ -398,7 +398,7 @@ FORCED = known(g_sensitivity_lsb_per_g=np.eye(3), g_sensitivity_sem_lsb_per_g=np
 
 @settings(max_examples=examples(30), deadline=None)
 @given(st.permutations([TUMBLED, NOISY, HEATED_SENSOR, STARTED, FORCED]))
-def test_every_command_adds_what_it_measured_in_any_order(order: list[SensorCalibration]) -> None:
+def test_results_of_all_commands_merge_in_any_order(order: list[SensorCalibration]) -> None:
     merged = Calibration()
     for sensor in order:
         group = sensor.measured()[0]
@@ -414,7 +414,7 @@ def test_every_command_adds_what_it_measured_in_any_order(order: list[SensorCali
     }
 
 
-def test_what_belonged_to_a_bias_goes_with_it() -> None:
+def test_a_new_bias_drops_covariance_and_provenance_of_the_older() -> None:
     older = known(
         **{**vars(TUMBLED), "bias_covariance_lsb2": np.eye(3), "provenance": {"bias": Provenance(("old.h5",))}}
     )
@@ -424,12 +424,12 @@ def test_what_belonged_to_a_bias_goes_with_it() -> None:
     assert both.provenance == {}
 
 
-def test_figures_of_two_ranges_are_not_mixed() -> None:
+def test_merging_figures_of_two_ranges_is_refused() -> None:
     with pytest.raises(CalibrationError, match="sensor A: calibrated at a range of 2 g before, at 16 now"):
         Calibration({"A": known(range=2.0)}).merged(Calibration({"A": known(range=16.0)}))
 
 
-def test_a_bias_follows_its_slopes_from_where_it_was_measured() -> None:
+def test_thermal_slopes_shift_the_bias_from_its_temperature() -> None:
     """From 25 to 40 degC about 30: slopes by 15, squares 100 - 25; the axis that may be one of scale stays."""
     moved = known(bias_lsb=np.array([1.0, 2.0, 3.0]), temperature_degc=25.0, thermal=HEATED_SENSOR.thermal)
     expected = [1 + 0.5 * 15, 2 - 2 * 15 + 0.1 * 75, 3]
@@ -437,13 +437,13 @@ def test_a_bias_follows_its_slopes_from_where_it_was_measured() -> None:
     assert moved.bias_at([25.0, 40.0]) == pytest.approx(np.array([[1, 2, 3], expected]))
 
 
-def test_a_bias_whose_temperature_is_not_known_holds_at_the_reference() -> None:
+def test_a_bias_of_unknown_temperature_holds_at_the_reference() -> None:
     moved = known(bias_lsb=np.array([1.0, 2.0, 3.0]), thermal=HEATED_SENSOR.thermal)
     assert moved.bias_at(32.0) == pytest.approx([1 + 1, 2 - 4 + 0.4, 3])
     assert known(bias_lsb=np.array([1.0, 2.0, 3.0])).bias_at([10.0, 20.0]).tolist() == [[1, 2, 3], [1, 2, 3]]
 
 
-def test_logs_and_conditions_are_stamped_on_what_was_measured(write_log: WriteLog) -> None:
+def test_provenance_is_added_to_figures_without_it(write_log: WriteLog) -> None:
     part = Part(accelerometer("A"), ideal("+X+Y+Z", 2048), np.zeros(3))
     done = known(**{**vars(TUMBLED), "noise_lsb": np.ones(3), "provenance": {"noise": Provenance(("before.h5",))}})
     with open_log(write_log([part], np.eye(3), name="one.h5")) as log:
@@ -455,7 +455,7 @@ def test_logs_and_conditions_are_stamped_on_what_was_measured(write_log: WriteLo
     assert stamped["response"].software.startswith("imuarray ")
 
 
-def test_a_person_reads_a_list_on_a_line() -> None:
+def test_lists_are_written_on_one_line() -> None:
     sensor = known(noise_lsb=np.array([7.0, 8.25, 1e-7]), thermal=HEATED_SENSOR.thermal)
     lines = Calibration({"A": sensor}, ("a, b.h5",)).to_toml().splitlines()
     assert "noise_lsb = [7.0, 8.25, 1e-07]" in lines
@@ -464,18 +464,18 @@ def test_a_person_reads_a_list_on_a_line() -> None:
     assert "  [0.0, 2048.0, 0.0]," in lines
 
 
-def test_other_sensors_are_kept() -> None:
+def test_a_merge_keeps_other_sensors() -> None:
     merged = Calibration({"A": TUMBLED}).merged(Calibration({"B": known(name="B")}))
     assert sorted(merged.sensors) == ["A", "B"]
 
 
-def test_two_different_sensors_of_one_name_are_not_mixed() -> None:
+def test_merging_different_sensors_of_one_name_is_refused() -> None:
     gyro = known(quantity="angular_rate", unit="dps", noise_lsb=np.ones(3))
     with pytest.raises(CalibrationError):
         Calibration({"A": TUMBLED}).merged(Calibration({"A": gyro}))
 
 
-def test_a_sensor_that_is_not_calibrated_is_taken_from_the_data_sheet(write_log: WriteLog) -> None:
+def test_an_uncalibrated_sensor_uses_the_data_sheet(write_log: WriteLog) -> None:
     part = Part(accelerometer("A", "-Y-X-Z"), ideal("-Y-X-Z", 2048), np.zeros(3))
     with open_log(write_log([part], np.eye(3))) as log:
         plain = Calibration().of(log["A"])
@@ -500,7 +500,7 @@ def test_a_calibration_at_another_range_is_refused(write_log: WriteLog) -> None:
 
 
 def test_a_calibration_of_another_array_is_refused(write_log: WriteLog) -> None:
-    """It knows other sensors, or one of the same name that is another chip."""
+    """It has other sensors, or one of the same name with another chip."""
     part = Part(accelerometer("BMA1", "+X+Y+Z"), ideal("+X+Y+Z", 2048), np.zeros(3))
     with open_log(write_log([part], np.eye(3))) as log:
         with pytest.raises(
@@ -518,8 +518,8 @@ def test_a_calibration_of_another_array_is_refused(write_log: WriteLog) -> None:
             next(fuse(log, Calibration({"BMA2": known(name="BMA2")}), "mean"))
 
 
-def test_counts_become_a_triad_in_the_box_frame() -> None:
-    """Axes askew and of different scale: the counts of a known stimulus give it back, in SI."""
+def test_counts_are_converted_to_a_triad_in_the_box_frame() -> None:
+    """Misaligned axes of different scale: the counts of a known stimulus are converted back to it, in SI."""
     response = np.array([[100.0, 20.0, -5.0], [3.0, -250.0, 0.0], [10.0, 0.0, 60.0]])
     bias = np.array([5.0, -7.0, 11.0])
     sensor = known(response_lsb_per_unit=response, bias_lsb=bias)
@@ -544,7 +544,7 @@ def test_counts_become_a_triad_in_the_box_frame() -> None:
         ((-1, -1, np.sqrt(2)), -135, 45),
     ],
 )
-def test_angles_are_zero_along_x_ninety_along_y_and_know_their_quadrant(
+def test_azimuth_and_elevation_in_all_quadrants(
     direction: tuple[float, float, float], azimuth: float, elevation: float
 ) -> None:
     rows = np.array([direction, direction, direction], float) * 512
@@ -563,7 +563,7 @@ def test_angles_are_zero_along_x_ninety_along_y_and_know_their_quadrant(
         ),
     ],
 )
-def test_a_mistake_has_its_line(wrong: str, said: str, tmp_path: Path) -> None:
+def test_an_error_names_the_line_of_the_file(wrong: str, said: str, tmp_path: Path) -> None:
     path = tmp_path / "cal.toml"
     path.write_text(
         '[calibration]\nformat_version = 1\n[[sensor]]\nname = "A"\nquantity = "specific_force"\nunit = "g"\n'

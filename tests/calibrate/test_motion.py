@@ -1,4 +1,4 @@
-"""Calibrations whose logs can't give what is asked say so, and none prints a figure that is made of motion."""
+"""A calibration of unsuitable logs is refused; no figure is computed from motion."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def carried(seconds: Floats) -> Floats:
 
 
 def rolled(seconds: Floats) -> Floats:
-    """Turned over within the log, slower than any window notices."""
+    """Turned over within the log, too slowly for a window to detect."""
     angle = np.pi * seconds / seconds[-1]
     return np.stack([np.sin(angle), np.zeros(len(seconds)), np.cos(angle)], axis=1)
 
@@ -50,7 +50,7 @@ def record(
     phase: str = "",
     warm: Floats | None = None,
 ) -> Path:
-    """An accelerometer and a gyroscope that turns as the box swings; ordinary noise."""
+    """An accelerometer and a gyroscope that measures the rate of the swing; usual noise."""
     rng = np.random.default_rng(seed)
     at_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     force = felt(at_s)
@@ -87,8 +87,8 @@ def test_runs_of_several_poses_are_refused_and_named(tmp_path: Path) -> None:
         log.close()
 
 
-def test_a_change_that_readings_do_not_tell_is_refused(tmp_path: Path) -> None:
-    """Three runs of a tenth of a second that scatter by 0.09 g: less than motion, far more than is asked."""
+def test_a_turn_on_change_too_uncertain_to_determine_is_refused(tmp_path: Path) -> None:
+    """Three runs of a tenth of a second that scatter by 0.09 g: less than motion, far more than the required error."""
     logs = [open_log(record(tmp_path / f"{i}.h5", resting, i, seconds=0.1, noise_g=0.09)) for i in range(3)]
     with pytest.raises(CalibrationError, match=r"sensor A: these runs determine the change of the . bias"):
         calibrate_turn_on(logs)
@@ -120,7 +120,7 @@ def test_slopes_of_a_moving_log_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_box_at_rest_is_never_said_to_move(tmp_path: Path) -> None:
+def test_a_box_at_rest_is_not_reported_as_moving(tmp_path: Path) -> None:
     """20 logs with four times the noise of the paper's accelerometers, and a knock of two seconds in each."""
 
     def knocked(seconds: Floats) -> Floats:
@@ -132,7 +132,7 @@ def test_a_box_at_rest_is_never_said_to_move(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("quantity", ["magnetic_field", "angular_rate"])
-def test_a_log_without_accelerometers_rests_by_what_it_has(tmp_path: Path, quantity: str) -> None:
+def test_the_rest_is_detected_by_a_magnetometer_or_a_gyroscope(tmp_path: Path, quantity: str) -> None:
     """Ten seconds in which a field or a rate is steady, then two of turning."""
     unit, sigma = ("gauss", 0.002) if quantity == "magnetic_field" else ("dps", 0.1)
     rng, at_s = np.random.default_rng(2), np.arange(600) / RATE_HZ

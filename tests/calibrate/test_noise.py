@@ -50,14 +50,14 @@ def white(rows: int, sigma: tuple[float, float, float] = (20.0, 30.0, 50.0), see
     return np.asarray(np.random.default_rng(seed).normal(0, sigma, (rows, 3)))
 
 
-def test_scatter_of_white_noise(tmp_path: Path) -> None:
+def test_noise_of_white_readings_is_their_standard_deviation(tmp_path: Path) -> None:
     """Five standard errors of a standard deviation, sigma / sqrt(2 n)."""
     noise = noise_of(write(tmp_path, white(20000), [STILL]))
     expected = np.sqrt(np.array([20.0, 30.0, 50.0]) ** 2 + 1 / 12)
     assert (np.abs(noise - expected) < 5 * expected / np.sqrt(2 * 20000 * 255 / 256)).all()
 
 
-def test_drift_is_not_noise(tmp_path: Path) -> None:
+def test_a_drift_hardly_adds_to_the_noise(tmp_path: Path) -> None:
     """A ramp of 0.2 counts a row adds 0.2^2 * 256^2 / 12 to the variance within a segment, not its 4000 counts."""
     ramp = 0.2 * np.arange(20000)[:, None] - 2000
     noise = noise_of(write(tmp_path, white(20000) + ramp, [STILL]))
@@ -65,8 +65,8 @@ def test_drift_is_not_noise(tmp_path: Path) -> None:
     assert (np.abs(noise - expected) < 5 * expected / np.sqrt(2 * 20000)).all()
 
 
-def test_pooled_over_stretches_with_different_means(tmp_path: Path) -> None:
-    """Two faces of 300 and 10 rows: squares about each one's mean, over the degrees of freedom, by hand."""
+def test_noise_is_pooled_over_segments_with_different_means(tmp_path: Path) -> None:
+    """Two faces of 300 and 10 rows: squares about the mean of each, over the degrees of freedom, by hand."""
     counts = np.rint(white(310, seed=5))
     counts[300:] += 5000
     phases = [Phase(0, 3_000_000_000, "x_up", "+X"), Phase(3_000_000_000, 4_000_000_000, "x_down", "-X")]
@@ -75,7 +75,7 @@ def test_pooled_over_stretches_with_different_means(tmp_path: Path) -> None:
     assert noise_of(write(tmp_path, counts, phases)) == pytest.approx(np.sqrt(squares / (310 - 3)))
 
 
-def test_stale_saturated_and_suspect_rows_do_not_count(tmp_path: Path) -> None:
+def test_stale_saturated_and_suspect_rows_are_excluded(tmp_path: Path) -> None:
     counts = np.rint(white(200, seed=6))
     status = np.zeros(200, np.uint16)
     for row, flag in ((10, 1), (50, 4), (90, 32)):
@@ -85,28 +85,28 @@ def test_stale_saturated_and_suspect_rows_do_not_count(tmp_path: Path) -> None:
     assert noise_of(write(tmp_path, counts, [STILL], status)) == pytest.approx(expected)
 
 
-def test_motion_outside_the_still_phases_does_not_count(tmp_path: Path) -> None:
+def test_motion_outside_the_still_phases_is_excluded(tmp_path: Path) -> None:
     counts = white(4000)
     counts[2000:] *= 100
     phases = [Phase(0, 20_000_000_000, "room"), Phase(20_000_000_000, 40_000_000_000, "motion")]
     assert (noise_of(write(tmp_path, counts, phases)) < [25, 35, 55]).all()
 
 
-def test_without_phases_the_accelerometers_show_where_the_box_stood_still(tmp_path: Path) -> None:
+def test_rests_are_detected_by_accelerometers_where_phases_are_missing(tmp_path: Path) -> None:
     counts = white(6000, (5.0, 5.0, 5.0)) + np.array([0, 0, 2048])
     counts[3000:3600] += np.random.default_rng(7).normal(0, 500, (600, 3))
     noise = noise_of(write(tmp_path, counts, [], header=accelerometer("A")), "A")
     assert noise == pytest.approx([5.0] * 3, rel=5 / np.sqrt(2 * 4000))
 
 
-def test_a_log_that_never_stood_still_is_refused(tmp_path: Path) -> None:
+def test_a_log_without_rest_is_refused(tmp_path: Path) -> None:
     counts = white(6000, (900.0, 900.0, 900.0))
     path = write(tmp_path, counts, [], header=accelerometer("A"))
     with open_log(path) as log, pytest.raises(CalibrationError, match="no stretch in which the box stood still"):
         calibrate_noise(log)
 
 
-def test_progress_is_told_sensor_by_sensor(tmp_path: Path) -> None:
+def test_progress_is_reported_for_each_sensor(tmp_path: Path) -> None:
     told: list[tuple[str, int, int]] = []
     with open_log(write(tmp_path, white(2000), [STILL])) as log:
         calibrate_noise(log, progress=lambda *told_now: told.append(told_now))
@@ -114,7 +114,7 @@ def test_progress_is_told_sensor_by_sensor(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("technique", "expected"), [("planes", [("noise", 1, 1)]), ("mean", [])])
-def test_progress_is_told_of_noise_that_a_technique_needs(
+def test_progress_is_reported_for_the_noise_that_a_technique_needs(
     tmp_path: Path, technique: str, expected: list[tuple[str, int, int]]
 ) -> None:
     told: list[tuple[str, int, int]] = []
@@ -123,7 +123,7 @@ def test_progress_is_told_of_noise_that_a_technique_needs(
     assert told == expected
 
 
-def test_a_sensor_without_sound_readings_is_named(tmp_path: Path) -> None:
+def test_a_sensor_without_valid_readings_is_named(tmp_path: Path) -> None:
     path = write(tmp_path, white(100), [STILL], np.full(100, 32, np.uint16))
     with open_log(path) as log, pytest.raises(CalibrationError, match="sensor G: no valid readings"):
         calibrate_noise(log)
@@ -135,7 +135,7 @@ def calibrated(path: Path, name: str = "G") -> SensorCalibration:
 
 
 @pytest.mark.slow
-def test_standard_error_is_what_repetitions_scatter(tmp_path: Path) -> None:
+def test_standard_error_is_the_scatter_of_repetitions(tmp_path: Path) -> None:
     """Of 16 logs of 4096 white rows each, three axes: the standard deviation of 48 figures is known to 10 %."""
     found = []
     for seed in range(16):
@@ -147,8 +147,10 @@ def test_standard_error_is_what_repetitions_scatter(tmp_path: Path) -> None:
     assert np.mean(sem) == pytest.approx(20 / np.sqrt(2 * 4096), rel=0.1)
 
 
-def test_standard_error_knows_that_neighbours_correlate(tmp_path: Path) -> None:
-    """The variance of rows that correlate by r^k is told by fewer: its error grows by sqrt((1 + r^2) / (1 - r^2))."""
+def test_standard_error_grows_with_the_correlation_of_neighbours(tmp_path: Path) -> None:
+    """Rows that correlate by r^k are fewer independent ones: the error of the variance grows by sqrt((1 + r^2) / (1 -
+    r^2)).
+    """
     known = calibrated(write(tmp_path, filtered(32768, 0.8), [STILL]))
     assert known.noise_sem_lsb is not None and known.noise_lsb is not None
     expected = known.noise_lsb * np.sqrt((1 + 0.8**2) / (1 - 0.8**2) / (2 * 32768))
@@ -172,7 +174,7 @@ def test_correlation_of_neighbours(tmp_path: Path) -> None:
     assert coloured == pytest.approx([0.5] * 3, abs=4 / np.sqrt(10000) + 3 / 256)
 
 
-def test_rows_beside_a_gap_are_no_neighbours(tmp_path: Path) -> None:
+def test_rows_across_a_gap_are_not_neighbours(tmp_path: Path) -> None:
     """Runs of a, -a, a, ... of 8 rows: 7 products of -a^2. Their variance is 8/7 a^2, a mean of 8 white rows would take
     1/8 of it from each product, which is put back: (-7 + 1) / 7 / (8/7). Across the gaps there would be -7/8.
     """
@@ -182,15 +184,15 @@ def test_rows_beside_a_gap_are_no_neighbours(tmp_path: Path) -> None:
     assert calibrated(write(tmp_path, rows, [STILL], status)).noise_correlation == pytest.approx([-0.75] * 3)
 
 
-def test_a_stale_row_is_no_neighbour_of_itself(tmp_path: Path) -> None:
-    """Rows that come twice, the second flagged: those that are new don't correlate."""
+def test_stale_rows_do_not_correlate_with_their_original(tmp_path: Path) -> None:
+    """Every row is repeated, the repetition flagged: the new rows do not correlate."""
     rows = np.repeat(np.rint(white(4000)), 2, axis=0)
     status = np.tile([0, 1], 4000).astype(np.uint16)
     found = calibrated(write(tmp_path, rows, [STILL], status)).noise_correlation
     assert found == pytest.approx([0.0] * 3, abs=4 / np.sqrt(4000))
 
 
-def test_a_line_is_found_with_its_share(tmp_path: Path) -> None:
+def test_a_line_is_detected_with_its_share_of_the_variance(tmp_path: Path) -> None:
     """40 counts at 23.4 Hz on 20 counts of noise on x: 800 of 1200 of the variance."""
     counts = white(12000)
     counts[:, 0] += 40 * np.sin(2 * np.pi * 23.4 * np.arange(12000) / 100)
@@ -206,7 +208,7 @@ def wandering(rows: int, from_hz: float, to_hz: float, amplitude: float) -> Floa
     return np.asarray(amplitude * np.sin(2 * np.pi * np.cumsum(np.linspace(from_hz, to_hz, rows)) / 100))
 
 
-def test_a_line_that_wanders_is_one_line(tmp_path: Path) -> None:
+def test_a_line_of_varying_frequency_is_one_line(tmp_path: Path) -> None:
     """40 counts from 20 to 22 Hz on 20 counts of noise: a hump in the mean spectrum, a line in every window."""
     counts = white(24000)
     counts[:, 0] += wandering(24000, 20.0, 22.0, 40.0)
@@ -216,7 +218,7 @@ def test_a_line_that_wanders_is_one_line(tmp_path: Path) -> None:
     assert line.share == pytest.approx(800 / 1200, abs=0.05)
 
 
-def test_a_line_that_comes_for_a_moment_is_none(tmp_path: Path) -> None:
+def test_a_short_line_is_not_a_line_of_varying_frequency(tmp_path: Path) -> None:
     """A tenth of the log: neither steady nor in a quarter of the windows, at two frequencies far apart."""
     counts = white(24000)
     counts[:1200, 0] += wandering(1200, 20.0, 26.0, 60.0)
@@ -225,14 +227,14 @@ def test_a_line_that_comes_for_a_moment_is_none(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_noise_has_no_lines(tmp_path: Path) -> None:
-    """One in a hundred logs of nothing but noise may show one: 8 logs, and none of 2 coloured ones."""
+def test_noise_alone_shows_no_lines(tmp_path: Path) -> None:
+    """One in a hundred logs of noise alone may show a line: none of 8 white logs, and none of 2 coloured logs."""
     logs = [white(4096, seed=seed) for seed in range(6)] + [filtered(4096, 0.5, seed) for seed in (1, 2)]
     found = [calibrated(write(tmp_path / str(i), counts, [STILL])).noise_lines for i, counts in enumerate(logs)]
     assert [lines for lines in found if lines] == []
 
 
-def test_lines_are_said_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lines_are_printed_and_saved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     counts = white(12000)
     counts[:, 1] += 60 * np.sin(2 * np.pi * 23.4 * np.arange(12000) / 100)
     run = write(tmp_path, counts, [STILL])
@@ -243,9 +245,9 @@ def test_lines_are_said_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixt
     assert [line.axis for line in saved.noise_lines] == ["y"] and saved.drift is not None
 
 
-def test_a_line_of_rows_that_arrived_in_bursts(tmp_path: Path) -> None:
-    """Read at 100 Hz, taken by a host that comes by every 50 to 90 ms: lines are those of the readings, and one of
-    amplitude 15 has a fifth of the variance, 15^2 / 2 of 15^2 / 2 + 20^2.
+def test_a_line_in_rows_that_arrive_in_bursts_is_detected(tmp_path: Path) -> None:
+    """Read at 100 Hz, polled by a host every 50 to 90 ms: lines are those of the readings, and a line of amplitude 15
+    has a fifth of the variance, 15^2 / 2 of 15^2 / 2 + 20^2.
     """
     rows, rng = 30_000, np.random.default_rng(6)
     read_s = np.arange(rows) / 100.0
@@ -266,7 +268,7 @@ def test_a_line_of_rows_that_arrived_in_bursts(tmp_path: Path) -> None:
     assert line.share == pytest.approx(15**2 / 2 / (15**2 / 2 + 20**2), rel=0.15)
 
 
-def test_a_line_has_no_more_than_the_whole_variance() -> None:
-    """A sine of amplitude a has the variance a^2 / 2; one that was estimated too large has all of it."""
+def test_the_share_of_a_line_is_at_most_the_whole_variance() -> None:
+    """A sine of amplitude a has the variance a^2 / 2; a sine that was estimated too large has the whole variance."""
     assert _share(1.0, 1.0) == 0.5
     assert _share(4.0, 1.0) == _share(2.0, 1.0) == 1.0

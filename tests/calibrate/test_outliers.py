@@ -1,4 +1,4 @@
-"""Faces that are mislabelled, that moved or that leaned: found and named, never averaged in."""
+"""Faces that are mislabelled, that moved or that leaned are detected, named and excluded from the means."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def three(mounted: Sequence[str] = AXES) -> list[Part]:
 
 
 def calibrate(write_log: WriteLog, labels: Mapping[str, str], parts: Sequence[Part] = ()) -> TumbleResult:
-    """Six faces and a check, some under another name."""
+    """Calibrate six faces and a check, some of them with another label."""
     named = [(labels.get(name, name), UPS[labels.get(name, name)]) for name in UPS]
     with open_log(write_log.faces(parts or three(), labels=named, rows=64)) as log:
         return calibrate_tumble(log)
@@ -62,7 +62,7 @@ def both(turn: Sequence[float]) -> tuple[Floats, Floats]:
     return np.array(turn, float), np.array(turn, float)
 
 
-def test_a_mislabelled_face_is_named_with_what_really_points_up(write_log: WriteLog) -> None:
+def test_a_mislabelled_face_is_named_with_its_true_up_axis(write_log: WriteLog) -> None:
     with pytest.raises(
         CalibrationError, match=r"phase 'y_up' is 1\.4. g off the other faces: -X points up in it; misl"
     ):
@@ -75,12 +75,12 @@ def test_two_swapped_labels_are_both_named(write_log: WriteLog) -> None:
         calibrate(write_log, {"x_up": "y_down", "y_down": "x_up"})
 
 
-def test_opposite_labels_exchanged_or_an_axis_mirrored(write_log: WriteLog) -> None:
+def test_exchanged_opposite_labels_are_named(write_log: WriteLog) -> None:
     with pytest.raises(CalibrationError, match=r"labels of 'x_down' and 'x_up' are exchanged, and no chip is mirrored"):
         calibrate(write_log, {"x_up": "x_down", "x_down": "x_up"})
 
 
-def test_one_accelerometer_mounted_otherwise_is_named_and_not_the_faces(write_log: WriteLog) -> None:
+def test_a_differently_mounted_accelerometer_is_named_not_the_faces(write_log: WriteLog) -> None:
     with pytest.raises(CalibrationError, match=r"sensor A1: axis x .*'-Y-X-Z'; the faces indicate '-X\+Y-Z'") as caught:
         calibrate(write_log, {}, three((AXES[0], "-X+Y-Z", AXES[2])))
     assert "labels" not in str(caught.value)
@@ -93,7 +93,7 @@ def test_undisturbed_faces_are_all_used(write_log: WriteLog) -> None:
 
 
 @pytest.mark.parametrize("face", some(["x_up", "z_down", "z_up_check"], 1))
-def test_a_face_that_moved_is_left_out_and_named(tmp_path: Path, face: str) -> None:
+def test_a_face_that_moved_is_excluded_and_named(tmp_path: Path, face: str) -> None:
     """By 1 degree in the middle of the reading: 17.5 mg between the halves."""
     axis = [0.0, 0.0, 1.0] if face == "x_up" else [1.0, 0.0, 0.0]
     with open_log(turned_faces(tmp_path, {face: (np.zeros(3), np.array(axis))})) as log:
@@ -105,7 +105,7 @@ def test_a_face_that_moved_is_left_out_and_named(tmp_path: Path, face: str) -> N
     check_bias(result)
 
 
-def test_a_face_that_leaned_is_left_out_and_named(tmp_path: Path) -> None:
+def test_a_face_that_leaned_is_excluded_and_named(tmp_path: Path) -> None:
     """By 4 degrees: 70 mg, twice as much as the skew of the accelerometers' mean explains."""
     with open_log(turned_faces(tmp_path, {"y_up": both((0.0, 0.0, 4.0))})) as log:
         result = calibrate_tumble(log)
@@ -122,7 +122,7 @@ def check_bias(result: TumbleResult) -> None:
         assert found.bias_lsb == pytest.approx(part.bias, abs=6 * SIGMA / np.sqrt(2 * ROWS))
 
 
-def test_a_face_that_leans_no_more_than_the_mounting_may_is_not_guessed(tmp_path: Path) -> None:
+def test_an_ambiguous_leaning_face_is_refused(tmp_path: Path) -> None:
     """0.9 degrees, 16 mg: as much as the accelerometers' own angles, so that it may be this face or the opposite."""
     with (
         open_log(turned_faces(tmp_path, {"y_up": both((0.0, 0.0, 0.9))})) as log,
@@ -133,7 +133,7 @@ def test_a_face_that_leans_no_more_than_the_mounting_may_is_not_guessed(tmp_path
         calibrate_tumble(log)
 
 
-def test_too_few_sound_faces_are_refused_and_the_others_named(tmp_path: Path) -> None:
+def test_too_few_valid_faces_are_refused_and_excluded_faces_named(tmp_path: Path) -> None:
     moved = (np.zeros(3), np.array([0.0, 1.0, 0.0]))
     with (
         open_log(turned_faces(tmp_path, {"x_up": moved, "x_down": moved})) as log,
@@ -142,9 +142,9 @@ def test_too_few_sound_faces_are_refused_and_the_others_named(tmp_path: Path) ->
         calibrate_tumble(log)
 
 
-def test_a_table_that_leans_every_time_is_in_the_standard_errors(tmp_path: Path) -> None:
-    """Random leanings of 0.2 degrees (3.5 mg, 7 counts) on every face: chi-squared tells, and standard errors of the
-    bias are those of such readings and not of the noise (0.2 counts).
+def test_random_leaning_of_the_table_widens_the_standard_errors(tmp_path: Path) -> None:
+    """Random leaning of 0.2 degrees (3.5 mg, 7 counts) of every face: chi-squared is large, and standard errors of the
+    bias include it, not only the noise (0.2 counts).
     """
     rng = np.random.default_rng(12)
     turns = {name: both(rng.normal(0, 0.2, 3).tolist()) for name in UPS}
@@ -158,20 +158,20 @@ def test_a_table_that_leans_every_time_is_in_the_standard_errors(tmp_path: Path)
         assert 0.5 < sem.mean() < 7.0
 
 
-def test_a_misfit_s_chance_is_that_of_the_f_distribution() -> None:
-    """F(2, 10) above 4.103 in 5 % of cases (tables); a fit without freedom tells nothing."""
+def test_the_p_value_of_a_misfit_is_that_of_the_f_distribution() -> None:
+    """F(2, 10) above 4.103 in 5 % of cases (tables); a fit without degrees of freedom has no p-value."""
     assert misfit_probability(10.0 + 2 * 4.103, 10.0, 2, 10) == pytest.approx(0.05, abs=1e-4)
     assert misfit_probability(10.0, 1.0, 2, 0) == 1.0
 
 
-def test_the_worst_is_one_that_is_both_unlikely_and_large() -> None:
+def test_an_outlier_is_both_unlikely_and_the_largest() -> None:
     sizes = np.array([0.1, 0.001, 0.1])
     assert find_outlier([0.5, 1e-9, 0.5], sizes, 0.01) is None
     assert find_outlier([0.5, 1e-9, 1e-6], sizes, 0.01) == 2
-    assert find_outlier([0.5, 0.5, 5e-4], sizes, 0.01) is None  # one of three at 1e-3 in all
+    assert find_outlier([0.5, 0.5, 5e-4], sizes, 0.01) is None  # 5e-4 for each of three is above 1e-3 in all
 
 
-def test_a_go_ends_with_a_long_break() -> None:
+def test_a_long_break_separates_poses() -> None:
     def pose(start_s: int) -> Pose:
         return Pose(Phase(start_s * 10**9, (start_s + 8) * 10**9, "pose"), None)
 
@@ -183,8 +183,8 @@ def test_a_go_ends_with_a_long_break() -> None:
     assert separated_poses([*slow, pose(360)]) == {}
 
 
-def test_ideal_axes_are_needed_by_none(write_log: WriteLog) -> None:
-    """A single sensor whose axes are as the log says passes the check of labels whatever its axes."""
+def test_a_single_sensor_with_any_axes_passes_the_check_of_labels(write_log: WriteLog) -> None:
+    """A single sensor whose axes are those of the log passes the check of labels, whichever axes these are."""
     for axes in AXES:
         part = Part(accelerometer("A", axes), ideal(axes, 2048), np.array([400.0, -400.0, 300.0]), 5.0)
         assert calibrate(write_log, {}, [part]).left_out == ()

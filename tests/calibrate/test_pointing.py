@@ -1,4 +1,4 @@
-"""Which way sensors point, from poses held by hand: a box turned as nobody wrote down, sensors mounted at random."""
+"""Orientation of sensors from poses by hand: a box turned in an unrecorded way, sensors mounted at random."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UP = {"+X": (1, 0, 0), "-X": (-1, 0, 0), "+Y": (0, 1, 0), "-Y": (0, -1, 0), "+Z"
 
 
 def attitude(up: str, heading_rad: float) -> Rotation:
-    """Box to world: that box axis up, turned about the vertical anyhow."""
+    """Box to world: the given box axis up, with any heading."""
     axis = (1, 0, 0) if up[1] == "Z" else np.cross(UP[up], (0, 0, 1))
     level = Rotation.from_rotvec(np.arccos(UP[up][2]) * np.asarray(axis, float))
     return Rotation.from_rotvec([0, 0, heading_rad]) * level
@@ -52,7 +52,7 @@ Written = Callable[..., Path]
 
 @pytest.fixture
 def written(tmp_path: Path) -> Written:
-    """A log of sensors that point along `axes`, of which the log itself says +X+Y+Z; phases only where named."""
+    """A log of sensors that point along `axes`, while the log states +X+Y+Z; phases only where named."""
 
     def write(axes: dict[str, str], ups: Sequence[str], *, named: bool = False, bias: float = 0.1) -> Path:
         rng = np.random.default_rng(3)
@@ -89,14 +89,14 @@ AXES = {"a1": "-Y+X+Z", "a2": "+Y+X-Z", "a3": "+Z+X+Y", "g1": "+X-Y-Z", "g2": "-
 
 
 @pytest.mark.parametrize("named", [True, False])
-def test_three_poses_tell_every_axis(written: Written, named: bool) -> None:
+def test_three_poses_determine_every_axis(written: Written, named: bool) -> None:
     with open_log(written(AXES, ("+Z", "+X", "+Y"), named=named)) as log:
         found = find_pointing(log, upright_poses(log))
     assert {each.sensor: each.axes for each in found} == AXES
 
 
 @pytest.mark.slow
-def test_every_way_to_mount_a_chip_is_found(written: Written) -> None:
+def test_every_mounting_orientation_is_determined(written: Written) -> None:
     signs = [
         "".join("+-"[int(row[np.abs(row).argmax()] < 0)] + "XYZ"[np.abs(row).argmax()] for row in t) for t in TURNS
     ]
@@ -108,7 +108,7 @@ def test_every_way_to_mount_a_chip_is_found(written: Written) -> None:
     assert {each.sensor: each.axes for each in found} == axes
 
 
-def test_poses_held_in_another_order_are_refused(written: Written) -> None:
+def test_poses_in_another_order_are_refused(written: Written) -> None:
     with (
         open_log(written(AXES, ("+Z", "+X", "+Y"))) as log,
         pytest.raises(CalibrationError, match=r"not \+X, \+Z, \+Y up"),
@@ -116,15 +116,15 @@ def test_poses_held_in_another_order_are_refused(written: Written) -> None:
         find_pointing(log, upright_poses(log, ("+X", "+Z", "+Y")))
 
 
-def test_one_of_two_accelerometers_that_no_orientation_explains_is_not_determined(written: Written) -> None:
-    """Half of them can't outvote the poses; more than half can: the other test. A mirrored triad fits no rotation."""
+def test_a_mirrored_accelerometer_is_not_determined(written: Written) -> None:
+    """A mirrored triad fits no rotation; one of two accelerometers does not contradict the poses."""
     with open_log(written({"a1": "-Y+X+Z", "a2": "-X+Y+Z"}, ("+Z", "+X", "+Y"))) as log:
         pointings = {each.sensor: each for each in find_pointing(log, upright_poses(log))}
     assert pointings["a1"].axes == "-Y+X+Z"
     assert pointings["a2"].axes == "" and "no orientation explains" in pointings["a2"].reason
 
 
-def test_another_number_of_poses_is_told_with_their_times(written: Written) -> None:
+def test_a_wrong_number_of_poses_is_refused_with_their_times(written: Written) -> None:
     with (
         open_log(written(AXES, ("+Z", "+X"))) as log,
         pytest.raises(CalibrationError, match=r"2 poses detected \(.* s\)"),
@@ -132,13 +132,13 @@ def test_another_number_of_poses_is_told_with_their_times(written: Written) -> N
         upright_poses(log)
 
 
-def test_one_way_up_tells_nothing(written: Written) -> None:
+def test_poses_about_a_single_vertical_axis_are_refused(written: Written) -> None:
     alike = pytest.raises(CalibrationError, match="one box axis up")
     with open_log(written(AXES, ("+Z", "+Z", "-Z"), named=True)) as log, alike:
         find_pointing(log, upright_poses(log))
 
 
-def test_without_a_gyroscope_a_magnetometer_is_not_told(written: Written) -> None:
+def test_a_magnetometer_without_a_gyroscope_is_not_determined(written: Written) -> None:
     axes = {name: text for name, text in AXES.items() if name[0] != "g"}
     with open_log(written(axes, ("+Z", "+X", "+Y"))) as log:
         found = {each.sensor: each for each in find_pointing(log, upright_poses(log))}
@@ -146,8 +146,8 @@ def test_without_a_gyroscope_a_magnetometer_is_not_told(written: Written) -> Non
     assert found["a3"].axes == AXES["a3"]
 
 
-def test_two_poses_leave_a_gyroscope_untold(written: Written) -> None:
-    """One turn: whatever is turned about its axis looks the same."""
+def test_two_poses_do_not_determine_a_gyroscope(written: Written) -> None:
+    """One turn: every rotation about its axis gives the same readings."""
     ups = ("+Z", "+X")
     with open_log(written(AXES, ups)) as log:
         found = {each.sensor: each for each in find_pointing(log, upright_poses(log, ups))}
@@ -163,7 +163,7 @@ def test_an_unknown_pose_is_refused(written: Written) -> None:
 FOUND = [Pointing("A", "bma180", "+Y+X-Z", 0.01, 1.0)]
 
 
-def test_axes_go_into_a_configuration_that_stays_as_it_is() -> None:
+def test_axes_are_written_into_an_otherwise_unchanged_configuration() -> None:
     text = '# mine\r\n[[sensor]]\nname = "A" # low\n\n[[sensor]]\nname = "B"\n'
     assert with_axes(text, FOUND, "run.h5") == text.replace("low\n", 'low\naxes = "+Y+X-Z"\n')
 
@@ -184,19 +184,19 @@ def test_axes_go_into_a_configuration_that_stays_as_it_is() -> None:
     ],
     ids=range(10),
 )
-def test_a_configuration_that_is_none_is_told_in_a_line(text: str, said: str) -> None:
+def test_an_invalid_configuration_is_refused_in_one_line(text: str, said: str) -> None:
     with pytest.raises(ConfigError, match=rf"^run\.h5: its configuration .*{said}") as caught:
         with_axes(text, FOUND, "run.h5")
     assert str(caught.value).isprintable()
 
 
-def test_names_that_are_none_are_nobodys() -> None:
+def test_sensors_with_an_invalid_name_stay_unchanged() -> None:
     text = '[[sensor]]\nname = ["A"]\n[[sensor]]\nname = {A = 1}\n[[sensor]]\n'
     assert with_axes(text, FOUND, "run.h5") == text
 
 
 def test_the_report_names_the_residual_of_each_sensor(capsys: pytest.CaptureFixture[str]) -> None:
-    """Programs that read the former key `left` still find it."""
+    """The former key `left` is kept for programs that read it."""
     pointings = [Pointing("A1", "bma180", "+Y-X+Z", 0.02, 1.41), Pointing("G1", "l3g4200d", "", 0.6, 0.7, "no turn")]
     report = _axes_report(pointings, {"A1": "+X+Y+Z", "G1": "+X+Y+Z"})
     assert report["sensors"][0]["residual"] == report["sensors"][0]["left"] == 0.02

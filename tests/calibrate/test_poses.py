@@ -1,4 +1,4 @@
-"""Static poses found in a log that names none, and what one pose reads."""
+"""Detection of static poses in a log without phases, and the mean reading of a pose."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def tumbled() -> Floats:
 
 
 def check_poses(path: Path, rows: int, moving_rows: int) -> None:
-    """Each pose is found once, lies inside the true one, and is not much shorter."""
+    """Each pose is detected once, lies inside the true pose, and is not much shorter."""
     with open_log(path) as log:
         poses = find_poses(log)
     assert len(poses) == 14
@@ -46,7 +46,7 @@ def check_poses(path: Path, rows: int, moving_rows: int) -> None:
         first_ns = round(index * (rows + moving_rows) * 1e9 / RATE_HZ)
         last_ns = first_ns + round(rows * 1e9 / RATE_HZ)
         assert first_ns <= pose.phase.start_ns < pose.phase.end_ns <= last_ns
-        # Up to a window is lost at each end to the grid of windows, and one more is cut off on purpose.
+        # Up to a window is lost at each end to the grid of windows, and another window is cut off on purpose.
         assert pose.phase.end_ns - pose.phase.start_ns >= last_ns - first_ns - 2_000_000_000
         assert pose.up_box is None
 
@@ -54,7 +54,7 @@ def check_poses(path: Path, rows: int, moving_rows: int) -> None:
 @pytest.mark.parametrize("rows", some([300, 600], 1))
 @pytest.mark.parametrize("moving_rows", some([10, 40, 250], 2))
 @pytest.mark.parametrize("sigma", [0.0, 1.0, 30.0])
-def test_every_pose_of_a_hand_tumbled_log_is_found(
+def test_every_pose_of_a_hand_tumbled_log_is_detected(
     write_log: WriteLog, rows: int, moving_rows: int, sigma: float
 ) -> None:
     check_poses(write_log(two_sensors(sigma), tumbled(), rows=rows, moving_rows=moving_rows), rows, moving_rows)
@@ -66,7 +66,7 @@ def test_drift_does_not_split_a_pose(write_log: WriteLog) -> None:
     check_poses(path, 600, 50)
 
 
-def test_gaps_between_the_poses_are_no_poses(write_log: WriteLog) -> None:
+def test_gaps_between_the_poses_are_not_poses(write_log: WriteLog) -> None:
     """Nothing was recorded while the box was turned: 10 s without a row are not 10 s of standing still."""
     rows, moving = 600, 1000
 
@@ -109,8 +109,8 @@ def test_a_box_that_is_shaken_has_no_poses(tmp_path: Path) -> None:
         assert find_poses(log) == []
 
 
-def test_a_turn_about_the_vertical_is_no_rest(tmp_path: Path) -> None:
-    """Accelerometers feel nothing of it; a gyroscope reads 5 dps for 4 of 20 s, from 8 s on."""
+def test_a_turn_about_the_vertical_is_not_rest(tmp_path: Path) -> None:
+    """Accelerometers do not sense it; a gyroscope reads 5 dps for 4 of 20 s, from 8 s on."""
     time = np.arange(2000, dtype=np.int64) * 10_000_000
     part, path = two_sensors()[0], tmp_path / "run.h5"
     turning = np.where((time >= 8 * 10**9) & (time < 12 * 10**9), round(5 / 0.00875), 0)
@@ -122,11 +122,11 @@ def test_a_turn_about_the_vertical_is_no_rest(tmp_path: Path) -> None:
         writer.append("G", Block(time, np.rint(counts).astype(np.int16), still))
     with open_log(path) as log:
         found = [(pose.phase.start_ns * 1e-9, pose.phase.end_ns * 1e-9) for pose in find_poses(log)]
-    # Windows of half a second, and one more cut off at each end.
+    # Windows of half a second, and another window cut off at each end.
     assert found == [pytest.approx((0.5, 7.5)), pytest.approx((12.5, 19.0))]
 
 
-def test_a_log_too_short_to_hold_poses_is_refused(tmp_path: Path) -> None:
+def test_a_log_too_short_for_poses_is_refused(tmp_path: Path) -> None:
     with (
         open_log(felt_log(tmp_path, np.tile([0.0, 0.0, 1.0], (150, 1)))) as log,
         pytest.raises(CalibrationError, match=r"1\.5 s of data, too short"),
@@ -134,7 +134,7 @@ def test_a_log_too_short_to_hold_poses_is_refused(tmp_path: Path) -> None:
         find_poses(log)
 
 
-def test_an_accelerometer_that_read_nothing_does_not_hide_the_poses(write_log: WriteLog) -> None:
+def test_an_accelerometer_without_rows_does_not_hide_the_poses(write_log: WriteLog) -> None:
     keep: Callable[[str, npt.NDArray[np.int64]], npt.NDArray[np.bool_]] = lambda name, time: np.full(  # noqa: E731
         len(time), name != "A1"
     )
@@ -161,8 +161,8 @@ def test_a_recorder_that_stalls_does_not_end_a_pose(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("silent_s", "poses"), [(4.0, 1), (8.0, 2)])
-def test_a_longer_silence_ends_a_pose(tmp_path: Path, silent_s: float, poses: int) -> None:
-    """Five seconds (`BRIDGED_S`) are the most in which nobody can have turned the box and put it back."""
+def test_a_longer_gap_ends_a_pose(tmp_path: Path, silent_s: float, poses: int) -> None:
+    """Five seconds (`BRIDGED_S`) are too short to turn the box and put it back."""
     row = np.arange(2000, dtype=np.int64)
     time = row * 10_000_000 + np.where(row >= 1000, round(silent_s * 1e9), 0)
     part, path = two_sensors()[0], tmp_path / "silence.h5"
@@ -174,10 +174,8 @@ def test_a_longer_silence_ends_a_pose(tmp_path: Path, silent_s: float, poses: in
 
 
 @pytest.mark.parametrize(("unit", "moved"), [("dps", 30.0), ("gauss", 0.4)])
-def test_without_accelerometers_gyroscopes_or_magnetometers_tell_the_rests(
-    tmp_path: Path, unit: str, moved: float
-) -> None:
-    """20 s still, 4 s in which every axis goes to and fro, 20 s still; read four times a second by the slowest."""
+def test_gyroscopes_or_magnetometers_alone_detect_rests(tmp_path: Path, unit: str, moved: float) -> None:
+    """20 s still, 4 s in which every axis oscillates, 20 s still; read four times a second by the slowest."""
     sensitivity, rate_hz = {"dps": (100.0, 50.0), "gauss": (1000.0, 4.0)}[unit]
     quantity: Quantity = "angular_rate" if unit == "dps" else "magnetic_field"
     header = SensorHeader("S", "unheard_of", quantity, unit, 1000.0, sensitivity)
@@ -195,7 +193,7 @@ def test_without_accelerometers_gyroscopes_or_magnetometers_tell_the_rests(
     assert found == [pytest.approx((0, 20), abs=2.6), pytest.approx((24, 44), abs=2.6)]
 
 
-def test_named_faces_are_those_with_an_up_and_a_face_for_a_name(write_log: WriteLog) -> None:
+def test_named_faces_have_an_up_axis_and_the_name_of_a_face(write_log: WriteLog) -> None:
     names = [("z_up", "+Z"), ("static", "+Z"), ("x_down_check", "-X"), ("y_up", ""), ("w_up", "+X"), ("z_over", "+Z")]
     with open_log(write_log(two_sensors(), tumbled()[: len(names)], names=names)) as log:
         faces = named_faces(log)
@@ -212,8 +210,8 @@ def flagged(folder: Path, counts: npt.NDArray[np.int16], status: npt.NDArray[np.
     return path
 
 
-def test_saturated_and_suspect_readings_are_left_out_of_a_pose_and_stale_ones_are_not(tmp_path: Path) -> None:
-    """One clipped reading in more than a thousand is left out; more of them and there is no valid mean."""
+def test_a_pose_excludes_saturated_and_suspect_but_not_stale_readings(tmp_path: Path) -> None:
+    """One clipped reading in more than a thousand is excluded; with more of them there is no valid mean."""
     counts = np.tile(np.array([[1, 2, 3], [5, 6, 7]], np.int16), (600, 1))
     counts[10], counts[11] = (9999, 0, 0), (0, 9999, 0)
     status = np.zeros(1200, np.uint16)
@@ -233,8 +231,8 @@ def test_saturated_and_suspect_readings_are_left_out_of_a_pose_and_stale_ones_ar
 
 
 @pytest.mark.slow
-def test_standard_error_of_a_pose_holds_for_correlated_noise(tmp_path: Path) -> None:
-    """A moving average of 8 rows is 8 times more uncertain in its mean's variance than single rows say.
+def test_standard_error_of_a_pose_is_valid_in_correlated_noise(tmp_path: Path) -> None:
+    """In a moving average of 8 rows the variance of the mean is 8 times that of independent rows.
 
     200 poses of 1024 rows; the ratio of squares is chi-square with 200 (times the batches' own 15): error rate 1e-3.
     """
@@ -255,8 +253,8 @@ def test_standard_error_of_a_pose_holds_for_correlated_noise(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("sensor", ["accelerometer", "gyroscope"])
-def test_a_wrong_reading_now_and_then_does_not_end_a_pose(tmp_path: Path, sensor: str) -> None:
-    """Single readings that are 40 standard deviations off: nobody has turned the box."""
+def test_single_wrong_readings_do_not_end_a_pose(tmp_path: Path, sensor: str) -> None:
+    """Single readings that are 40 standard deviations off do not mean that the box was turned."""
     counts = np.rint(np.random.default_rng(1).normal(0, 10, (3000, 3))).astype(np.int16)
     counts[[700, 1500, 1900], 1] += 400
     header = accelerometer("A1") if sensor == "accelerometer" else gyroscope("G1")
@@ -269,7 +267,7 @@ def test_a_wrong_reading_now_and_then_does_not_end_a_pose(tmp_path: Path, sensor
 
 
 def test_a_short_shake_ends_a_pose(tmp_path: Path) -> None:
-    """Ten readings, 0.1 s, 40 standard deviations off and back: somebody has touched the box."""
+    """Ten readings, 0.1 s, 40 standard deviations off and back: the box was touched."""
     counts = np.rint(np.random.default_rng(1).normal(0, 10, (3000, 3))).astype(np.int16)
     counts[1510:1520, 1] += np.tile([400, -400], 5).astype(np.int16)
     header = accelerometer("A1")
@@ -281,7 +279,7 @@ def test_a_short_shake_ends_a_pose(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("quantity", ["specific_force", "angular_rate", "both"])
-def test_the_slow_beginning_of_a_motion_is_no_rest(tmp_path: Path, quantity: str) -> None:
+def test_the_slow_beginning_of_a_motion_is_not_rest(tmp_path: Path, quantity: str) -> None:
     """From 30 s on the box turns at 0.1 dps/s2 times the squared time: 0.9 dps after 3 s, when the angle is 0.9 degrees
     and gravity along x 16 mg. At 31 s the rate is as large as the noise.
     """
@@ -308,7 +306,7 @@ def test_the_slow_beginning_of_a_motion_is_no_rest(tmp_path: Path, quantity: str
     assert 25.0 < rest.end_ns * 1e-9 <= 31.5
 
 
-def test_a_drift_is_one_over_the_middles_of_the_poses() -> None:
+def test_drift_terms_are_powers_of_the_middle_times_of_the_poses() -> None:
     """Poses of 0.2 to 1 s about 1, 2, 3, 4 and 5 s: (-2, -1, 0, 1, 2) / sqrt(2) has a mean square of 1."""
     poses = tuple(
         Pose(Phase(round((middle - length / 2) * 1e9), round((middle + length / 2) * 1e9), "static", ""), None)

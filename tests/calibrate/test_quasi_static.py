@@ -1,4 +1,4 @@
-"""A box that is tumbled by hand and never rests: accelerometers from gravity's length along the path."""
+"""A box that is tumbled by hand without rests: accelerometers from the magnitude of gravity along the path."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NAMES = ("A", "B", "C")
 
 def tumbled(seconds: Floats, rng: np.random.Generator, *, turning_dps: float = 35.0, sway_m: float = 0.02) -> Floats:
     """Specific force (n, 3) in g of a box that is turned to all sides and sways: attitude by small steps of a rate that
-    is a sum of slow sines, place by sines of 0.3 to 1 Hz, whose second derivative is in closed form.
+    is a sum of slow sines, position by sines of 0.3 to 1 Hz, whose second derivative is in closed form.
     """
     step = seconds[1] - seconds[0]
 
@@ -43,7 +43,7 @@ def tumbled(seconds: Floats, rng: np.random.Generator, *, turning_dps: float = 3
 
 
 def planted(rng: np.random.Generator) -> dict[str, tuple[Floats, Floats]]:
-    """Responses whose mean is symmetric, so that the box frame is theirs, and biases of 0.1 g."""
+    """Responses whose mean is symmetric, so that it defines the box frame, and biases of 0.1 g."""
     found = {}
     for name in NAMES:
         lean = rng.normal(0, 0.02, (3, 3))
@@ -77,8 +77,8 @@ SECONDS = np.arange(0, 120, 1 / RATE_HZ)
 
 @pytest.mark.slow
 def test_a_path_without_stops_calibrates_accelerometers(tmp_path: Path) -> None:
-    """Two minutes: biases of 100 mg to a few mg, scale factors to a per cent, within five standard errors each; nothing
-    is claimed of gyroscopes.
+    """Two minutes: biases of 100 mg to a few mg, scale factors to a per cent, within five standard errors each;
+    gyroscopes are not calibrated.
     """
     rng = np.random.default_rng(1)
     truth = planted(rng)
@@ -96,11 +96,11 @@ def test_a_path_without_stops_calibrates_accelerometers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("hands", "most"), some([(3, 2.9), (10, 1.9)], 0, 1))
-def test_what_it_claims_is_true(tmp_path: Path, hands: int, most: float) -> None:
-    """Biases of several hands and boxes. A hand goes to and fro, so that neighbouring stretches err against each other,
-    which the covariance does not reckon with: errors are smaller than it claims, as a rule. Their normalised square is
-    at least a tenth and at most `most`, which chi-square of three degrees of freedom for each hand exceeds in one of
-    400 (the sensors of a box err alike); no bias is off by four standard errors.
+def test_bias_errors_agree_with_the_covariance(tmp_path: Path, hands: int, most: float) -> None:
+    """Biases of several motions and boxes. A hand moves to and fro, so that errors of neighbouring segments have
+    opposite signs, which the covariance ignores: errors are usually smaller than it states. Their normalised square is
+    at least a tenth and at most `most`, which chi-square of three degrees of freedom for each motion exceeds in one of
+    400 (the sensors of a box have common errors); no bias is off by four standard errors.
     """
     assert chi2.sf(most * 3 * hands, 3 * hands) < 1 / 400
     squares, worst = [], 0.0
@@ -120,7 +120,7 @@ def test_what_it_claims_is_true(tmp_path: Path, hands: int, most: float) -> None
 
 
 @pytest.mark.slow
-def test_a_calm_path_is_known_better_than_a_hasty_one(tmp_path: Path) -> None:
+def test_a_calm_path_gives_smaller_errors_than_a_fast_one(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     truth = planted(rng)
     sems = []
@@ -145,7 +145,7 @@ def test_turns_about_one_axis_and_short_paths_are_refused(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_the_command_says_how(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_names_the_method(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(1)
     run = record(tmp_path / "run.h5", tumbled(SECONDS, rng, sway_m=0.003)[:5000], planted(rng), 1)
     assert main(["calibrate", "tumble", str(run), "-o", str(tmp_path / "cal.toml")]) == 0
@@ -156,9 +156,9 @@ def test_the_command_says_how(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ("rows", "flag", "is_sound"),
     [(5, 0, True), (4, 0, False), (5, SATURATED, False), (5, SUSPECT, False), (5, OVERRUN, True)],
 )
-def test_the_middle_of_a_stretch(tmp_path: Path, rows: int, flag: int, is_sound: bool) -> None:
-    """1000 + 100 k + 10 k^2, k = -2 ... 2, plus 6 (1, -4, 6, -4, 1), which no parabola follows: 36 * 70 over 5 - 3
-    degrees of freedom. Four rows, or one that is saturated or suspect, tell nothing.
+def test_the_middle_of_a_segment_by_a_parabola(tmp_path: Path, rows: int, flag: int, is_sound: bool) -> None:
+    """1000 + 100 k + 10 k^2, k = -2 ... 2, plus 6 (1, -4, 6, -4, 1), which is orthogonal to every parabola: 36 * 70
+    over 5 - 3 degrees of freedom. Four rows, or a saturated or suspect row, give no value.
     """
     k = np.arange(-2, 3)
     counts = np.repeat((1000 + 100 * k + 10 * k**2 + 6 * np.array([1, -4, 6, -4, 1]))[:rows, None], 3, axis=1)

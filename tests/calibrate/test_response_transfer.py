@@ -1,4 +1,4 @@
-"""Gyroscopes that were turned about two axes, completed by the rates of another one in the same box."""
+"""Gyroscopes that were turned about two axes, completed by the rates of another gyroscope in the same box."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def moved(folder: Path, seed: int, turn_s: float = 5.0, axes: str = "XYZ") -> Pa
 
 
 @pytest.mark.slow
-def test_the_third_column_within_its_covariance(tmp_path: Path) -> None:
+def test_the_third_column_is_within_its_covariance(tmp_path: Path) -> None:
     """Over four worlds, with turns of 2 s and of 5 s: the normalised error squared of the nine entries is chi-square,
-    error rate 1e-3; the third column, of which the data sheet says 2 %, within half a per cent.
+    error rate 1e-3; the third column, which the data sheet states to 2 %, within half a per cent.
     """
     squares = []
     for seed in range(4):
@@ -72,8 +72,8 @@ def errors_over_noise(log: Log, calibration: Calibration) -> list[float]:
 
 
 @pytest.mark.slow
-def test_every_technique_gains_by_it(tmp_path: Path) -> None:
-    """In motion about all axes the error is at most 1.1 times the noise (before, more than 1.2); `fuse` says so."""
+def test_every_technique_improves_by_the_transfer(tmp_path: Path) -> None:
+    """In motion about all axes the error is at most 1.1 times the noise (before, more than 1.2); `fuse` reports it."""
     known = half_known(tmp_path, 0)
     with open_log(moved(tmp_path, 0)) as log:
         inputs = complete_responses(log, prepare_inputs(log, known))
@@ -84,7 +84,7 @@ def test_every_technique_gains_by_it(tmp_path: Path) -> None:
 
 
 def without_reference(folder: Path, seed: int) -> Calibration:
-    """Gyro3 alone, turned about X and Z only, beside two accelerometers."""
+    """Gyro3 alone, turned about X and Z only, and two accelerometers."""
     motion = Tumbled(about("XZ", 16, np.random.default_rng(seed)))
     path = record(folder / f"half_{seed}.h5", motion, effects(*NOISE), seed=seed, only=(*ACCELEROMETERS, "Gyro3"))
     with open_log(path) as log:
@@ -103,11 +103,12 @@ def rested(folder: Path, seed: int, turn_s: float, bias_g: float = 0.1, axes: st
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("bias_g", "most"), [(0.1, 0.005), (0.12, 0.02)])
-def test_the_third_column_from_gravity(bias_g: float, most: float, tmp_path: Path) -> None:
+def test_the_third_column_from_gravity_is_within_its_covariance(bias_g: float, most: float, tmp_path: Path) -> None:
     """No other gyroscope is known. Over four worlds the normalised error squared of the nine entries is chi-square,
     error rate 1e-3, also if the accelerometers' bias has changed by 20 mg since (1.1 degrees of direction: turns then
-    miss by more, and the covariance says so). Then it is at most chi-square: the errors at the ends of a turn are one
-    bias, taken to be independent. The third column, of which the data sheet says 2 %, is known to half a per cent.
+    end further off, and the covariance includes it). Then it is at most chi-square: the errors at the ends of a turn
+    are one bias, taken to be independent. The third column, which the data sheet states to 2 %, is known to half a per
+    cent.
     """
     squares = []
     for seed in range(4):
@@ -126,8 +127,8 @@ def test_the_third_column_from_gravity(bias_g: float, most: float, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_every_technique_gains_by_gravity(tmp_path: Path) -> None:
-    """In motion about all axes the error is at most 1.1 times the noise (before, more than 1.4); `fuse` says so."""
+def test_every_technique_improves_by_gravity(tmp_path: Path) -> None:
+    """In motion about all axes the error is at most 1.1 times the noise (before, more than 1.4); `fuse` reports it."""
     known = without_reference(tmp_path, 0)
     with open_log(rested(tmp_path, 0, 5.0)) as log:
         inputs = complete_responses(log, prepare_inputs(log, known))
@@ -138,9 +139,9 @@ def test_every_technique_gains_by_gravity(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_gravity_that_tells_nothing_or_contradicts(tmp_path: Path) -> None:
-    """Turns about the known axes alone, and rests too short to be found, leave the calibration as it is; a scale factor
-    that is off by a fifth in the calibration is contradicted by gravity.
+def test_uninformative_or_contradicting_gravity_changes_nothing(tmp_path: Path) -> None:
+    """Turns about the known axes alone, and rests too short to be detected, leave the calibration as it is; a scale
+    factor that is off by a fifth in the calibration is contradicted by gravity.
     """
     known = without_reference(tmp_path, 1)
     with open_log(rested(tmp_path, 1, 2.0, axes="XZ")) as log:
@@ -160,9 +161,9 @@ def test_gravity_that_tells_nothing_or_contradicts(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_can_not_be_transferred_stays(tmp_path: Path) -> None:
-    """Motion about the known axes alone tells nothing of the third; without a reference nothing changes; a reference
-    whose scale factor has changed by a fifth is noticed by the known columns, and nothing is taken from it.
+def test_responses_that_cannot_be_transferred_stay(tmp_path: Path) -> None:
+    """Motion about the known axes alone does not determine the third; without a reference nothing changes; a reference
+    whose scale factor has changed by a fifth is detected by the known columns, and is not used.
     """
     known = half_known(tmp_path, 1)
     with open_log(moved(tmp_path, 1, axes="XZ")) as log:

@@ -1,4 +1,4 @@
-"""A log a face is as good as one log of six faces, and an array that was set otherwise in between is noticed."""
+"""One log per face is as good as one log of six faces, and different settings of the logs are refused."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SCALE = np.array([2000.0, 2050.0, 2100.0])
 
 
 def write(path: Path, faces: list[str], range_g: float = 16.0) -> Path:
-    """A sensor of known bias and scale, 400 rows a face, noise of 10 counts."""
+    """A sensor of known bias and scale, 400 rows per face, noise of 10 counts."""
     rng = np.random.default_rng(len(faces) + ord(faces[0][0]))
     header = SensorHeader("A", "bma180", "specific_force", "g", range_g, 2048.0)
     with LogWriter(path, [header], source="simulated", epoch="2026-01-01T00:00:00Z") as log:
@@ -41,7 +41,7 @@ def write(path: Path, faces: list[str], range_g: float = 16.0) -> Path:
 
 
 @pytest.mark.slow
-def test_a_log_a_face_calibrates_as_one_log_does(tmp_path: Path) -> None:
+def test_one_log_per_face_calibrates_like_one_log(tmp_path: Path) -> None:
     paths = [write(tmp_path / f"{face}.h5", [face]) for face in FACES]
     calibration = tmp_path / "cal.toml"
     assert main(["calibrate", "tumble", *map(str, paths), "-o", str(calibration)]) == 0
@@ -68,7 +68,7 @@ def test_another_range_in_one_of_the_logs_is_refused(tmp_path: Path) -> None:
         log.close()
 
 
-def test_none_of_the_logs_is_ever_the_output(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_any_of_the_logs_as_output_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     paths = [write(tmp_path / f"{face}.h5", [face]) for face in FACES]
     assert main(["calibrate", "tumble", *map(str, paths), "-o", str(paths[3]), "--force"]) == 2
     assert "is the input; choose another name for the output" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Six faces that nobody named: bias and scale are known, and the result says which angles are not."""
+"""Six unnamed faces: bias and scale are determined, and the result states which angles are not."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ FACES = np.array([(0, 0, 1), (0, 0, -1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -
 
 
 def leaning(ups: Floats, degrees: float, seed: int) -> Floats:
-    """The directions (k, 3), each off by some degrees, as of a box that is held by hand or has feet."""
+    """The directions (k, 3), each off by some degrees, like a box in the hand or on uneven feet."""
     tilted = ups + np.radians(degrees) * np.random.default_rng(seed).normal(size=ups.shape)
     return np.asarray(tilted / np.linalg.norm(tilted, axis=1, keepdims=True))
 
 
 def calibrated(write_log: WriteLog, ups: Floats, seed: int = 1) -> TumbleResult:
-    """An accelerometer whose axes are off by some tenths of a degree, and a gyroscope with a bias."""
+    """Calibrate an accelerometer whose axes are off by some tenths of a degree, and a gyroscope with a bias."""
     angles = np.eye(3) + np.random.default_rng(seed).normal(0, np.radians(0.3), (3, 3)) * (1 - np.eye(3))
     response = SCALE[:, None] * (ideal("+Y+X-Z", PER_G) @ angles)
     parts = [
@@ -40,7 +40,7 @@ def calibrated(write_log: WriteLog, ups: Floats, seed: int = 1) -> TumbleResult:
 @pytest.mark.parametrize("seed", some([1, 2, 3, 4], 1))
 @pytest.mark.parametrize("degrees", some([0.0, 1.5, 3.0], 1))
 def test_bias_and_scale_of_leaning_faces(degrees: float, seed: int, write_log: WriteLog) -> None:
-    """A lean of 3 degrees beside angles of 0.3: 0.4 mg; noise of 3 mg over 600 rows: 0.12 mg a pose."""
+    """A lean of 3 degrees and angles of 0.3: 0.4 mg; noise of 3 mg over 600 rows: 0.12 mg a pose."""
     result = calibrated(write_log, leaning(FACES, degrees, seed), seed)
     known = result.calibration.sensors["A"]
     assert result.method == "six faces"
@@ -51,7 +51,7 @@ def test_bias_and_scale_of_leaning_faces(degrees: float, seed: int, write_log: W
     np.testing.assert_allclose(result.calibration.sensors["G"].bias_lsb, [40, -30, 20], atol=1.0)
 
 
-def test_it_says_what_remains_of_the_data_sheet(write_log: WriteLog) -> None:
+def test_figures_kept_from_the_data_sheet_are_reported(write_log: WriteLog) -> None:
     result = calibrated(write_log, FACES)
     assert any("angles between the axes are the data sheet's (+- 0.5 degrees)" in text for text in result.warnings)
     sentence = calibration_verdict(write_log.folder / "cal.toml", result.calibration).sentence
@@ -59,8 +59,8 @@ def test_it_says_what_remains_of_the_data_sheet(write_log: WriteLog) -> None:
 
 
 @pytest.mark.slow
-def test_faces_in_any_order_and_twice(write_log: WriteLog) -> None:
-    """Twelve poses on the faces: more than nine, and no angles either."""
+def test_faces_may_have_any_order_and_repeat(write_log: WriteLog) -> None:
+    """Twelve poses on the faces: more than nine, but the angles are still not determined."""
     result = calibrated(write_log, leaning(np.concatenate([FACES[::-1], FACES]), 1.0, 5))
     assert (result.method, result.poses) == ("six faces", 12)
     np.testing.assert_allclose(result.calibration.sensors["A"].bias_lsb, BIAS, atol=1e-3 * PER_G)

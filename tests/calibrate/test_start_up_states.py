@@ -1,5 +1,5 @@
-"""How sensors came up: the state's bias is taken, a sensor in the wrong range is named, while a log is being recorded
-and before one is fused.
+"""Start-up states of sensors: the bias of the state is used, and a sensor in the wrong range is named, while a log is
+recorded and before it is fused.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def calibration_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("second", some([False, True], 1))
-def test_the_bias_of_the_state_is_taken(calibration_file: Path, tmp_path: Path, second: bool) -> None:
+def test_the_bias_of_the_state_is_used(calibration_file: Path, tmp_path: Path, second: bool) -> None:
     from imuarray.calibrate import load_calibration
 
     known = load_calibration(calibration_file)
@@ -89,17 +89,17 @@ def test_the_bias_of_the_state_is_taken(calibration_file: Path, tmp_path: Path, 
         chosen, starts = start_up_states(log, known, BY_SENSOR)
     lsb_per_dps = 1 / 0.00875  # L3G-40
     expected = [(0.3 + second * offset) * lsb_per_dps for offset in OFFSET_DPS]
-    # a state's bias is known to 0.2 counts (turn-on 0.23, noise 20 / sqrt(3000), over four runs at least)
+    # the bias of a state is known to 0.2 counts (turn-on 0.23, noise 20 / sqrt(3000), over four runs at least)
     assert chosen.sensors["G"].bias_lsb == pytest.approx(expected, abs=1.0)
     turn_on = chosen.sensors["G"].turn_on
-    assert turn_on is not None and len(turn_on.states) == 1  # the other one is not to be feared any more
+    assert turn_on is not None and len(turn_on.states) == 1  # the other state is excluded now
     assert not any(start.fault for start in starts.values())
     assert "started in state" in starts["G"].sentence("G", known)
     assert starts["B"].sentence("B", known) == ""
 
 
-def test_live_fusion_is_given_the_same_biases(calibration_file: Path, tmp_path: Path) -> None:
-    """By the judge of a recording, who has seen the same first seconds."""
+def test_live_fusion_uses_the_same_biases(calibration_file: Path, tmp_path: Path) -> None:
+    """The monitor of a recording reads the same first seconds."""
     judge = StartStateDetector(load_calibration(calibration_file), ARRAY.sensitivities)
     before = judge.in_states().sensors["G"].bias_lsb
     with open_log(write(tmp_path / "today.h5", 51, second=True)) as log:
@@ -112,7 +112,7 @@ def test_live_fusion_is_given_the_same_biases(calibration_file: Path, tmp_path: 
     assert before != pytest.approx(expected, abs=3.0)
 
 
-def test_a_sensor_in_the_wrong_range_is_named_and_left_out(
+def test_a_sensor_in_the_wrong_range_is_named_and_excluded(
     calibration_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = write(tmp_path / "today.h5", 60, second=False, faulty=True)
@@ -125,7 +125,7 @@ def test_a_sensor_in_the_wrong_range_is_named_and_left_out(
     assert abs(report["results"]["mean"]["specific_force"]["mean"][0]) < 0.02 * 9.80665
 
 
-def test_a_log_without_rest_says_nothing(calibration_file: Path, tmp_path: Path) -> None:
+def test_a_log_without_rest_reports_no_start_up_fault(calibration_file: Path, tmp_path: Path) -> None:
     from imuarray.calibrate import load_calibration
     from imuarray.simulate.motion import HandShake
 
@@ -139,10 +139,10 @@ def test_a_log_without_rest_says_nothing(calibration_file: Path, tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_log_says_it_while_it_records(
+def test_log_reports_wrong_states_while_it_records(
     calibration_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The emulated units have biases of their own, far from those of the file: all of them come up wrong."""
+    """The emulated units have their own biases, far from those of the file: all of them start in a wrong state."""
     config = tmp_path / "two.toml"
     config.write_text(TEXT, encoding="utf-8")
     arguments = ["log", str(config), "--bus", "emulated:", "--seconds", "25", "-o", str(tmp_path / "run.h5")]
@@ -154,9 +154,9 @@ def test_log_says_it_while_it_records(
         assert f"imuarray: {text}" in captured.err
 
 
-def test_restlessness_is_a_ratio_of_variances() -> None:
+def test_restlessness_is_the_ratio_of_variances_by_hand() -> None:
     """Ten parts of four readings, one count to either side of 0 and 10 in turn: 4/3 and a rounding of 1/12 within them,
-    of which a mean has a quarter; 250 / 9 between them.
+    a quarter of that in their means; 250 / 9 between them.
     """
     parts = [level + side for level in [0, 10] * 5 for side in (-1, 1, -1, 1)]
     counts = np.array(parts)[:, None] * [0, 1, 0]

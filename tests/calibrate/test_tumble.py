@@ -1,4 +1,4 @@
-"""The whole of `calibrate tumble` on simulated logs: the paper's array, on faces and tumbled by hand."""
+"""`calibrate tumble` on simulated logs: the paper's array, on faces and tumbled by hand."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def on_faces(path: Path, tilts: tuple[tuple[float, float], ...]) -> TumbleResult
         return calibrate_tumble(log)
 
 
-def test_faces_tell_of_gyroscopes_what_their_turns_do(tmp_path: Path) -> None:
+def test_turns_between_faces_calibrate_gyroscopes(tmp_path: Path) -> None:
     """The order of Table 10 has six turns: one of 90 degrees about Y, three about Z, two about X.
 
-    What rates about X and Z do is told, and two of the three things that rates about Y do; the third is known to two
-    per cent, as the data sheet has it. All within six standard errors.
+    The responses to rates about X and Z are determined, and two of the three to rates about Y; the third is known to
+    the two per cent of the data sheet. All are within six standard errors.
     """
     result = on_faces(tmp_path / "run.h5", ((0.0, 0.0),) * 7)
     assert result.method == "faces" and result.left_out == ()
@@ -78,8 +78,8 @@ def test_a_leaning_table_widens_the_standard_errors_of_faces(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_poses_of_several_logs_go_together(tmp_path: Path) -> None:
-    """Two logs of seven poses each, none enough alone; turns are those within each."""
+def test_poses_of_several_logs_are_combined(tmp_path: Path) -> None:
+    """Two logs of seven poses each, neither sufficient alone; turns are those within each log."""
     made, parts = attitudes(14, np.random.default_rng(4)), []
     for index, part in enumerate((made[:7], made[7:])):
         parts.append(record(tmp_path / f"{index}.h5", Tumbled(part), EFFECTS, seed=index, only=SENSORS))
@@ -100,9 +100,8 @@ def test_poses_of_several_logs_go_together(tmp_path: Path) -> None:
 
 
 def test_the_box_frame_is_the_mean_of_the_configured_axes() -> None:
-    """Whatever turn the directions start from, the mean response is symmetric, and nothing else changes.
-
-    The covariance of the coefficients has three directions of nothing: the turns that the frame forbids.
+    """For every initial rotation of the directions the mean response is symmetric, and nothing else changes. The
+    covariance of the coefficients has three null directions: the rotations that the frame fixes.
     """
     rng = np.random.default_rng(5)
     rows = np.concatenate([np.eye(3), np.eye(3)[[1, 0, 2]] * [1, 1, -1]]) + rng.uniform(-0.02, 0.02, (6, 3))

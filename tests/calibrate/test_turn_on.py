@@ -1,4 +1,4 @@
-"""Switching on again and again: what is a boot fault, what a state, what a turn-on bias, and what only noise."""
+"""Repeated power-up: boot faults, states, turn-on bias and noise are distinguished."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def printed_runs(number: int, degc: tuple[float, float]) -> SensorRuns:
     return SensorRuns("Gyro3", "angular_rate", "dps", 250.0, 1 / 0.00875, numbers, means, warm)
 
 
-def test_run_10_of_table_6_came_up_at_two_g() -> None:
+def test_run_10_of_table_6_started_in_the_2_g_range() -> None:
     result = compare_runs(printed_runs(6, (24.0, 0.5)), BMA180)
     assert [(fault.run, fault.range) for fault in result.apart] == [(10, 2.0)]
     assert result.apart[0].ratio == pytest.approx(4308.719 / 536.5055)  # the median run of the fifteen
@@ -50,14 +50,14 @@ def test_run_10_of_table_6_came_up_at_two_g() -> None:
     assert result.states[0].runs == (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 12, 13, 14, 15)
 
 
-def test_without_the_ranges_run_10_is_apart_all_the_same() -> None:
+def test_run_10_is_isolated_without_known_ranges() -> None:
     result = compare_runs(printed_runs(6, (24.0, 0.5)))
     assert [(fault.run, fault.range) for fault in result.apart] == [(10, None)]
     assert "unexplained" in str(result.apart[0])
 
 
 @pytest.mark.parametrize("known", some([True, False], 1))
-def test_the_two_states_of_table_7(known: bool) -> None:
+def test_table_7_has_two_states(known: bool) -> None:
     runs = printed_runs(7, (0.0, -1.0))
     result = compare_runs(runs if known else SensorRuns(**{**vars(runs), "temperature_degc": None}))
     assert result.apart == ()
@@ -70,8 +70,8 @@ def test_the_two_states_of_table_7(known: bool) -> None:
         assert state.bias_lsb == pytest.approx(np.array(members, float).mean(axis=0))
 
 
-def test_table_11_has_no_significant_turn_on_of_an_adxl345() -> None:
-    """15 runs against 15 parts of one, all channels but the odd BMA1 and Gyro3, 5 % for all of them together."""
+def test_turn_on_of_adxl345_in_table_11_is_not_significant() -> None:
+    """15 runs against 15 parts of one run, all channels except BMA1 and Gyro3, 5 % for all of them together."""
     rows = [row for row in table(11) if row["range"] != "int" and row["channel"].split()[0] not in ("BMA1", "Gyro3")]
     spreads = np.array([[float(row["runs_std_of_means"]), float(row["cont_std_of_means"])] for row in rows])
     allowed = holm(f.sf((spreads[:, 0] / spreads[:, 1]) ** 2, 14, 14))
@@ -81,7 +81,7 @@ def test_table_11_has_no_significant_turn_on_of_an_adxl345() -> None:
 
 
 def test_holm_by_hand() -> None:
-    """0.01 x 3, then the larger of that and 0.02 x 2, then 0.9; what is not known does not count."""
+    """0.01 x 3, then the larger of that and 0.02 x 2, then 0.9; an unknown p-value does not count."""
     assert holm([0.9, 0.01, np.nan, 0.02]) == pytest.approx([0.9, 0.03, np.nan, 0.04], nan_ok=True)
     assert holm([0.04, 0.03]) == pytest.approx([0.06, 0.06])
 
@@ -93,7 +93,7 @@ FALSE_ALARMS = 0.01 + 3 * np.sqrt(0.01 * 0.99 / DATASETS)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tails", some(["normal", "student 3", "laplace"], 1))
-def test_one_state_is_rarely_called_two(tails: str) -> None:
+def test_false_alarms_of_two_states_are_rare(tails: str) -> None:
     """1000 series of correlated axes: no more false alarms than 1 % and three binomial standard errors (1.9 %)."""
     rng = np.random.default_rng(12)
     mixing = rng.normal(size=(3, 3))
@@ -108,7 +108,7 @@ def test_one_state_is_rarely_called_two(tails: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_warm_up_is_not_called_a_state() -> None:
+def test_a_warm_up_is_not_reported_as_a_state() -> None:
     """Biases that follow a temperature which rises and settles: two groups at first sight."""
     rng = np.random.default_rng(13)
     warm = 30 - 8 * np.exp(-np.arange(15) / 2)
@@ -116,8 +116,10 @@ def test_a_warm_up_is_not_called_a_state() -> None:
     assert np.mean([two_states(means, warm, 1)[1] < 0.01 for means in series]) <= FALSE_ALARMS
 
 
-def test_states_ten_spreads_apart_are_found() -> None:
-    """50 series, 6 of 15 runs in the other state, along an axis that is none of the sensor's: nine of ten are found."""
+def test_states_ten_spreads_apart_are_detected() -> None:
+    """50 series, 6 of 15 runs in the other state, along a direction oblique to the sensor's axes: nine of ten are
+    detected.
+    """
     rng = np.random.default_rng(14)
     found = 0
     for _ in range(50):
@@ -129,8 +131,8 @@ def test_states_ten_spreads_apart_are_found() -> None:
 
 
 @pytest.mark.slow
-def test_the_best_split_is_that_of_all_splits() -> None:
-    """Ten points in two dimensions: every split into two groups of three or more, tried one by one."""
+def test_the_best_split_equals_exhaustive_search() -> None:
+    """Ten points in two dimensions: every split into two groups of three or more is tried."""
     rng = np.random.default_rng(15)
     for _ in range(30):
         points = np.linalg.svd(rng.normal(size=(10, 2)) - 0.0, full_matrices=False)[0]
@@ -150,25 +152,25 @@ def test_the_best_split_is_that_of_all_splits() -> None:
 @pytest.mark.parametrize(
     ("z", "range_g"), [(4308.7, 2.0), (1073.0, 8.0), (536.0, None), (700.0, None), (-4308.7, None), (8586.0, 1.0)]
 )
-def test_which_range_explains_a_reading(z: float, range_g: float | None) -> None:
+def test_the_range_that_explains_a_reading(z: float, range_g: float | None) -> None:
     ratio, found = explained_range(np.array([0.0, 0, z]), np.array([-100.0, -134, 536.5]), 512.0, BMA180)
     assert found == range_g
     assert ratio == pytest.approx(z / 536.5)
 
 
-def test_nothing_is_explained_where_no_axis_carries_gravity() -> None:
+def test_no_range_is_explained_without_gravity_on_an_axis() -> None:
     ratio, found = explained_range(np.array([100.0, 160, 0]), np.array([12.0, 20, 0]), 512.0, BMA180)
     assert np.isnan(ratio) and found is None
 
 
-def test_a_gyroscope_is_never_said_to_be_in_another_range() -> None:
+def test_a_gyroscope_is_not_explained_by_another_range() -> None:
     """A bias of 70 counts and one of 140: twice the usual reading, as a range of half the size would give gravity."""
     means = np.array([70.0] * 8 + [140.0])[:, None] + np.random.default_rng(18).normal(size=(9, 3))
     runs = SensorRuns("G", "angular_rate", "dps", 500.0, 57.0, tuple(range(1, 10)), means)
     assert [(fault.run, fault.range) for fault in compare_runs(runs, RANGES["l3g4200d"]).apart] == [(9, None)]
 
 
-def test_the_smaller_of_two_states_is_not_apart_but_a_lone_run_is() -> None:
+def test_a_single_run_is_isolated_but_a_smaller_state_is_not() -> None:
     rng = np.random.default_rng(16)
     means = rng.normal(size=(15, 3))
     means[[3, 8, 11]] += 40.0
@@ -188,10 +190,9 @@ def wandering(rng: np.random.Generator, runs: int, parts: int, rms: float, corre
 
 @pytest.mark.slow
 @pytest.mark.parametrize("correlation_s", [30.0, 100.0])
-def test_a_wander_within_runs_is_not_called_turn_on(correlation_s: float) -> None:
-    """60 series of 15 runs that differ by their wander alone: below 5 % in 5 % and three standard errors at most.
-
-    Means of white segments would be called different almost always.
+def test_a_wander_within_runs_is_not_reported_as_turn_on(correlation_s: float) -> None:
+    """60 series of 15 runs that differ by their wander alone: p-values below 5 % in 5 % of them and three standard
+    errors at most. A test for white noise would report a difference almost always.
     """
     rng = np.random.default_rng(17)
     gaps_s = np.full(15 * 60 - 1, 5.0)
@@ -206,8 +207,8 @@ def test_a_wander_within_runs_is_not_called_turn_on(correlation_s: float) -> Non
     assert np.mean(naive) > 0.5
 
 
-def test_the_scatter_within_runs_is_taken_out() -> None:
-    """Runs scatter by 5, within runs by 3: 4 is left; its error to first order is sqrt(2 5^4 / 14 + 2 3^4 / 50) / 8."""
+def test_the_scatter_within_runs_is_subtracted() -> None:
+    """Runs scatter by 5, within runs by 3: 4 remains; its error to first order is sqrt(2 5^4 / 14 + 2 3^4 / 50) / 8."""
     runs = printed_runs(7, (0.0, -1.0))
     flat = (BiasState(np.zeros(3), 1.0, runs.numbers),)
     five, three = np.full(3, 5.0), np.full(3, 3.0)
@@ -225,7 +226,7 @@ Write = Callable[..., list[Path]]
 
 @pytest.fixture
 def write(tmp_path: Path) -> Write:
-    """Writes a log a run (or one log of all, `together`): sensors and their biases (r, 3)."""
+    """Writes one log per run (or one log of all, `together`): sensors and their biases (r, 3)."""
 
     def made(
         sensors: Sequence[tuple[SensorHeader, Floats]],
@@ -275,7 +276,7 @@ def run(paths: Sequence[Path], **options: object) -> tuple[Calibration, dict[str
 
 @pytest.mark.slow
 @pytest.mark.parametrize("together", some([False, True], 1))
-def test_a_turn_on_bias_and_its_absence(write: Write, together: bool) -> None:
+def test_a_turn_on_bias_is_estimated_and_a_steady_bias_is_not_reported(write: Write, together: bool) -> None:
     """12 runs. A changes by 2 counts rms, S not at all: noise of 3 counts makes 3 / sqrt(1200) = 0.087 of a mean."""
     rng = np.random.default_rng(20)
     changing, steady = rng.normal(0, 2.0, (12, 3)), np.zeros((12, 3))
@@ -293,7 +294,7 @@ def test_a_turn_on_bias_and_its_absence(write: Write, together: bool) -> None:
 
 
 @pytest.mark.slow
-def test_a_warm_up_is_no_turn_on(write: Write) -> None:
+def test_a_warm_up_is_not_a_turn_on_bias(write: Write) -> None:
     """Three counts per degree and nothing else: with the barometer a slope, without it a turn-on bias."""
     warm = (30 - 6 * np.exp(-np.arange(10) / 4)).round(2)
     sensors = [(gyroscope("G"), 3.0 * (warm - 25)[:, None] * np.ones(3))]
@@ -306,8 +307,8 @@ def test_a_warm_up_is_no_turn_on(write: Write) -> None:
 
 
 @pytest.mark.slow
-def test_faults_and_states_from_logs_to_file_and_back(write: Write, tmp_path: Path) -> None:
-    """An accelerometer that comes up at 2 g once, and a gyroscope of two biases; the next run is recognised."""
+def test_faults_and_states_are_saved_and_recognised_in_the_next_run(write: Write, tmp_path: Path) -> None:
+    """An accelerometer that starts in the 2 g range once, and a gyroscope of two biases; the next run is recognised."""
     rng = np.random.default_rng(21)
     second = np.array([k in (2, 3, 5, 8, 9) for k in range(12)])
     states = np.array([[0.0, 70.0, 2.0], [-12.6, 75.0, 0.7]])
@@ -348,7 +349,7 @@ def started(**values: object) -> Calibration:
         ((np.nan, 0.0, 0.0), 0, np.nan, True),
     ],
 )
-def test_how_far_a_start_is_from_the_states_by_hand(
+def test_the_distance_of_a_start_from_the_states_by_hand(
     means: tuple[float, float, float], state: int, distance: float, fault: bool
 ) -> None:
     found = state_of({"G": means, "other": (0, 0, 0)}, started())
@@ -358,14 +359,14 @@ def test_how_far_a_start_is_from_the_states_by_hand(
     assert bool(found["G"].explanation) is fault
 
 
-def test_a_slight_tilt_is_no_fault() -> None:
-    """Gravity of 512 counts, a pose good to 0.02 g (2.28 counts of 114): 10 counts are less than 8 spreads of 2.33."""
+def test_a_slight_tilt_is_not_a_fault() -> None:
+    """Gravity of 512 counts, a pose known to 0.02 g (2.28 counts of 114): 10 counts are less than 8 spreads of 2.33."""
     tilted = started(gravity_lsb=np.array([0.0, 0.0, 512.0]))
     assert not state_of({"G": (0.0, 10.0, 512.0)}, tilted)["G"].fault
     assert state_of({"G": (0.0, 10.0, 512.0)}, tilted, pose_g=0.0, limit=5.0)["G"].fault
 
 
-def test_runs_that_do_not_go_together_are_refused(write: Write) -> None:
+def test_too_few_or_duplicate_runs_are_refused(write: Write) -> None:
     paths = write([(gyroscope("G"), np.zeros((4, 3)))])
     with pytest.raises(CalibrationError, match="sensor G: 2 sound runs, at least 3 are required"):
         run(paths[:2])
@@ -377,7 +378,7 @@ def test_runs_that_do_not_go_together_are_refused(write: Write) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_without_a_sound_reading_is_set_apart(write: Write) -> None:
+def test_a_run_without_valid_readings_is_isolated(write: Write) -> None:
     paths = write([(gyroscope("G"), np.zeros((5, 3))), (accelerometer("A"), np.zeros((5, 3)))])
     with LogWriter(
         paths[2], [gyroscope("G"), accelerometer("A")], source="simulated", epoch=EPOCH, force=True

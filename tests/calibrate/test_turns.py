@@ -1,4 +1,4 @@
-"""Gyroscopes from the turns between poses: planted responses found within their covariance, and what can't be told."""
+"""Gyroscopes from the turns between poses: true responses are within their covariance, and some are not determined."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.calibrate.turned import ACCELEROMETERS, G_SENSITIVITY, GYROSCOPES, SC
 
 
 def planted(sensitivity: float, orientation: Floats) -> Floats:
-    """The response (3, 3) in counts per dps that the effects make of an ideal sensor's."""
+    """The response (3, 3) in counts per dps after the effects are applied to an ideal sensor."""
     leaning = np.eye(3) + np.tan(np.radians([[0, 0.5, -1.0], [0.8, 0, 0.3], [-0.6, 1.2, 0]]))
     leaning /= np.linalg.norm(leaning, axis=1, keepdims=True)
     return np.asarray(sensitivity * np.diag(1 + np.array(SCALE)) @ leaning @ orientation.T)
@@ -29,7 +29,7 @@ def planted(sensitivity: float, orientation: Floats) -> Floats:
 def tumble(
     path: Path, motion: Tumbled, noise_g: float, noise_dps: float, seed: int, gyroscopes: tuple[str, ...] = GYROSCOPES
 ) -> tuple[TumbleResult, dict[str, Floats]]:
-    """What a calibration of a simulated log finds, and the true responses."""
+    """The result of a calibration of a simulated log, and the true responses."""
     record(path, motion, effects(noise_g, noise_dps), seed=seed, only=(*ACCELEROMETERS, *gyroscopes))
     with open_log(path) as log:
         truth = {name: planted(log[name].sensitivity, log[name].orientation) for name in gyroscopes}
@@ -64,13 +64,13 @@ def test_responses_are_within_their_covariance(tmp_path: Path) -> None:
     assert low < np.mean(squares) < high
 
 
-def test_turns_about_one_axis_do_not_tell_the_others(tmp_path: Path) -> None:
-    """Ten poses on a cone tell the accelerometers' parameters, but every turn is about one box axis: its column is
+def test_turns_about_one_axis_do_not_determine_the_others(tmp_path: Path) -> None:
+    """Ten poses on a cone determine the accelerometers' parameters, but every turn is about one box axis: its column is
     known by the turns, the others within the data sheet's tolerance.
     """
     still = Rotation.from_euler("xy", [[0, 0], [0, 40], [0, 80]], degrees=True)
     steps = Rotation.from_rotvec(np.outer(np.arange(14) * np.radians(55), (1.0, 0.0, 0.0)))
-    # Rows about box X; two changes of the cone about other axes leave their turns too few to tell Y and Z.
+    # Rows about box X; two changes of the cone about other axes are too few turns to determine Y and Z.
     made = Rotation.concatenate([still[0] * steps[:6], still[1] * steps[6:10], still[2] * steps[10:]])
     result, truth = tumble(tmp_path / "run.h5", Tumbled(made), 0.017, 0.18, 1, ("Gyro3",))
     fit, known = result.turns["Gyro3"], result.calibration.sensors["Gyro3"]
@@ -85,10 +85,10 @@ def test_turns_about_one_axis_do_not_tell_the_others(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_two_axes_tell_is_used(tmp_path: Path) -> None:
-    """Turns about box X and Z alone: those columns to a thousandth, that of Y as the data sheet has it to its two per
-    cent; over six draws of a world whose gyroscopes are off by as much, the normalised error squared is chi-square with
-    nine degrees of freedom each, error rate 1e-3.
+def test_the_columns_of_two_turned_axes_are_determined(tmp_path: Path) -> None:
+    """Turns about box X and Z alone: those columns to a thousandth, that of Y to the two per cent of the data sheet;
+    over six draws of a world whose gyroscopes are off by as much, the normalised error squared is chi-square with nine
+    degrees of freedom each, error rate 1e-3.
     """
     squares, sensitivity = [], 1 / 0.00875
     for seed in range(6):
@@ -116,7 +116,7 @@ def test_what_two_axes_tell_is_used(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_turns_that_clip_are_left_out_and_named(tmp_path: Path) -> None:
+def test_turns_that_clip_are_excluded_and_named(tmp_path: Path) -> None:
     """A turn's rate is 2.19 times the mean one at its peak (35 / 16, the smooth step's slope): within 1 s those of more
     than 114 degrees may clip at 250 dps, and only those.
     """
@@ -130,7 +130,7 @@ def test_turns_that_clip_are_left_out_and_named(tmp_path: Path) -> None:
     assert result.turns["Gyro1"].turns == 15
 
 
-def test_rates_are_carried_as_if_they_were_linear_between_readings() -> None:
+def test_rates_are_integrated_as_linear_between_readings() -> None:
     """Against a product of fifty times as many small turns; without the coning term it would be off by 100 times more.
 
     Random rates of some 100 dps that change direction from reading to reading, 20 ms apart.
@@ -147,10 +147,9 @@ def test_rates_are_carried_as_if_they_were_linear_between_readings() -> None:
         assert np.abs(_missed(turn, np.eye(3)).missed).max() < 3e-6
 
 
-def test_a_cone_is_carried_through() -> None:
-    """Attitude Rz(a) Ry(30 degrees) Rz(-a), whose rate is a' (z seen from the box less z), in 400 steps a cone.
-
-    What lies between readings is not known: trapezoids err by (2 pi / 400)^2 / 12 of what they integrate.
+def test_coning_motion_is_integrated() -> None:
+    """Attitude Rz(a) Ry(30 degrees) Rz(-a), whose rate is a' (z in the box frame minus z), in 400 steps a cone. The
+    rate between readings is unknown: trapezoids have an error of (2 pi / 400)^2 / 12 of what they integrate.
     """
     around = 2 * np.pi * np.linspace(0, 0.7, 281)
     made = Rotation.from_euler("z", around[:, None]) * Rotation.from_rotvec([0.0, np.radians(30.0), 0.0])
@@ -161,7 +160,7 @@ def test_a_cone_is_carried_through() -> None:
         assert np.abs(_missed(turn, np.eye(3)).missed).max() < 2 * (2 * np.pi / 400) ** 2 / 12 * around[-1] / 2
 
 
-def test_too_few_turns_tell_nothing(write_log: WriteLog) -> None:
+def test_too_few_turns_keep_the_data_sheet_response(write_log: WriteLog) -> None:
     """Readings are missing in all turns but one: the response stays the data sheet's."""
     ups = directions(14, np.random.default_rng(3))
     parts = [

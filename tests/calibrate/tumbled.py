@@ -1,4 +1,4 @@
-"""A box tumbled by hand: from one attitude to the next and resting in each; and the array that it holds."""
+"""A box tumbled by hand from one attitude to the next, with a rest in each; and its array."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Tumbled:
 
     @cached_property
     def turns(self) -> Floats:
-        """(k, 3) rotation vectors in the box frame from each attitude to the next; none after the last."""
+        """(k, 3) rotation vectors in the box frame from each attitude to the next; no turn after the last."""
         return np.concatenate([(self.attitudes[:-1].inv() * self.attitudes[1:]).as_rotvec(), np.zeros((1, 3))])
 
     def felt(self, time_ns: np.ndarray) -> Felt:
@@ -60,7 +60,7 @@ class Tumbled:
 
 
 def attitudes(count: int, rng: np.random.Generator, least_deg: float = 40.0, most_deg: float = 150.0) -> Rotation:
-    """Random attitudes, each some way from the one before."""
+    """Random attitudes, each at some distance from the previous one."""
     made = [Rotation.random(random_state=rng)]
     while len(made) < count:
         axis = rng.normal(size=3)
@@ -79,7 +79,7 @@ def record(
     seed: int = 1,
     only: tuple[str, ...] = (),
 ) -> Path:
-    """The paper's array, or some of it, in the box: a log, with sensors of other rates by name."""
+    """Write a log of the paper's array, or a part of it, in the box, with other rates for some sensors by name."""
     array = load_array(CONFIG)
     array = array.only(only) if only else array
     plan = plan_of(array, rate_hz, motion.seconds)

@@ -21,7 +21,7 @@ G_SENSITIVITY = (0.10, -0.05, 0.02, 0.03, 0.08, -0.06, -0.04, 0.01, 0.07)
 
 
 def effects(noise_g: float, noise_dps: float) -> dict[str, tuple[Effect, ...]]:
-    """Ideal accelerometers but for noise and bias; gyroscopes with errors of all kinds that a tumble tells."""
+    """Accelerometers with noise and bias only; gyroscopes with errors of all kinds that a tumble determines."""
     still = {name: (WhiteNoise((noise_g,) * 3), Bias((0.1, -0.05, 0.02))) for name in ACCELEROMETERS}
     turning = (
         WhiteNoise((noise_dps,) * 3),
@@ -34,7 +34,7 @@ def effects(noise_g: float, noise_dps: float) -> dict[str, tuple[Effect, ...]]:
 
 
 def drawn_effects(rng: np.random.Generator, noise_g: float, noise_dps: float) -> dict[str, tuple[Effect, ...]]:
-    """The same, with errors of the response that each gyroscope draws from the tolerance of its data sheet."""
+    """The same, with errors of the response that are drawn for each gyroscope from the tolerance of its data sheet."""
     turning = {
         name: (
             WhiteNoise((noise_dps,) * 3),
@@ -71,7 +71,9 @@ TOLERANCE = 0.02
 
 
 def about(axes: str, count: int, rng: np.random.Generator) -> Rotation:
-    """Attitudes from one to the next by 50 to 150 degrees about one of these box axes after the other, either way."""
+    """Attitudes, each turned from the previous one by 50 to 150 degrees about the next of these box axes, in either
+    sense.
+    """
     made = [Rotation.random(random_state=rng)]
     for step in range(count - 1):
         axis = np.eye(3)["XYZ".index(axes[step % len(axes)])]
