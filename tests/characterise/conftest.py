@@ -1,4 +1,4 @@
-"""A small log at rest with what goes wrong in one: a gap, stale rows, a chip in doubt, even codes, motion."""
+"""A small log at rest with usual defects: a gap, stale rows, a suspect reading, even codes, motion."""
 
 from __future__ import annotations
 

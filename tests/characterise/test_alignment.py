@@ -1,4 +1,4 @@
-"""Alignment in time of sensors whose clocks, delays and gains are known, because the rows are made here."""
+"""Alignment in time of synthetic sensors with known clocks, delays and gains."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def rates_dps(at_s: np.ndarray) -> np.ndarray:
 def rows(
     seed: int, rate_hz: float, first_s: float, delay_s: float, gain: float = 1.0, noise: float = 5.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,) in ns, and counts (n, 3) of what the box did `delay_s` before."""
+    """Times (n,) in ns, and counts (n, 3) of the rotation `delay_s` earlier."""
     at_s = first_s + np.arange(int(SECONDS * rate_hz)) / rate_hz
     skewed = rates_dps(at_s - delay_s) @ np.array([[1.0, 0.02, 0.0], [-0.02, 1.0, 0.01], [0.0, 0.0, 1.0]])
     counts = gain * COUNTS_PER_DPS * skewed + np.random.default_rng(seed).normal(0.0, noise, (len(at_s), 3))
@@ -35,7 +35,7 @@ def rows(
 
 
 def aligned(path: Path, others: dict[str, tuple[np.ndarray, np.ndarray]], delay_ns: int = 0, clipped: int = 0) -> Path:
-    """A log of gyroscope A at 200 Hz from 0 on, and these; `clipped`: where B's counts end, with flags."""
+    """Write a log of gyroscope A at 200 Hz from 0 on, and of `others`; `clipped` limits B's counts, with flags."""
     sensors = {"A": rows(1, 200.0, 0.0, 0.0), **others}
     headers = [
         SensorHeader(name, "l3g4200d", "angular_rate", "dps", 500.0, COUNTS_PER_DPS, extra={"delay_ns": delay_ns})
@@ -62,8 +62,8 @@ def of(path: Path) -> tuple[Alignment, dict[str, SensorAlignment]]:
 
 
 @pytest.mark.parametrize("delay_s", some([0.0, 2.7e-3, -4e-4, 1.5e-2], 2))
-def test_a_delay_is_told_within_its_error(tmp_path: Path, delay_s: float) -> None:
-    """A gain of 3 % less and an axis that leans by a degree are no delay."""
+def test_a_delay_is_estimated_within_its_error(tmp_path: Path, delay_s: float) -> None:
+    """A gain error of -3 % and an axis that is misaligned by a degree do not bias the delay."""
     found, sensors = of(aligned(tmp_path / "r.h5", {"B": rows(2, 200.0, 0.0, delay_s, gain=0.97)}))
     assert (found.delays_from, sensors["A"].delay_s) == ("A", 0.0)
     told, error = sensors["B"].delay_s, sensors["B"].delay_error_s
@@ -75,18 +75,18 @@ def test_a_delay_is_told_within_its_error(tmp_path: Path, delay_s: float) -> Non
     assert found.motion_from_s <= 10.0
 
 
-def test_a_filter_delay_that_the_log_knows_is_not_told_again(tmp_path: Path) -> None:
+def test_a_filter_delay_in_the_header_is_subtracted(tmp_path: Path) -> None:
     _, sensors = of(aligned(tmp_path / "r.h5", {"B": rows(2, 200.0, 0.0, 5e-3)}, delay_ns=5_000_000))
     assert sensors["B"].delay_s == pytest.approx(0.0, abs=2e-5)
 
 
-def test_clipped_rows_tell_nothing(tmp_path: Path) -> None:
+def test_clipped_rows_do_not_bias_the_delay(tmp_path: Path) -> None:
     _, sensors = of(aligned(tmp_path / "r.h5", {"B": rows(2, 200.0, 0.0, 1e-3)}, clipped=4000))
     assert sensors["B"].delay_s == pytest.approx(1e-3, abs=5e-5)
 
 
-def test_a_sensor_with_its_own_clock(tmp_path: Path) -> None:
-    """1 % fast: it gains a row in half a second, and the nearest row is anywhere within half a period."""
+def test_rate_and_delay_of_a_sensor_with_its_own_clock(tmp_path: Path) -> None:
+    """1 % fast: it gains a row in half a second, and the nearest row is uniform within half a period."""
     _, sensors = of(aligned(tmp_path / "r.h5", {"B": rows(2, 202.0, 0.0012, 6e-4)}))
     fast = sensors["B"]
     assert fast.rate_hz == pytest.approx(202.0, rel=1e-6)
@@ -96,14 +96,14 @@ def test_a_sensor_with_its_own_clock(tmp_path: Path) -> None:
     assert fast.delay_s == pytest.approx(6e-4, abs=5e-5)
 
 
-def test_a_sensor_that_is_read_later_in_each_frame(tmp_path: Path) -> None:
+def test_the_offset_of_a_sensor_read_later_in_each_frame(tmp_path: Path) -> None:
     _, sensors = of(aligned(tmp_path / "r.h5", {"B": rows(2, 200.0, 0.0007, 0.0)}))
     assert sensors["B"].offset_s == pytest.approx(0.0007, abs=1e-9)
     assert (sensors["B"].spread_s, sensors["B"].row_apart_s) == (pytest.approx(0.0, abs=1e-9), None)
     assert sensors["B"].delay_s == pytest.approx(0.0, abs=2e-5)
 
 
-def test_rest_tells_no_delay(tmp_path: Path) -> None:
+def test_a_log_at_rest_gives_no_delay(tmp_path: Path) -> None:
     time_ns, counts = rows(1, 200.0, 0.0, 0.0)
     quiet = np.random.default_rng(3).normal(0.0, 5.0, counts.shape).round().astype(np.int32)
     path = tmp_path / "r.h5"
@@ -120,7 +120,7 @@ def test_rest_tells_no_delay(tmp_path: Path) -> None:
     assert "alignment in time" not in render_text(result)
 
 
-def test_characterise_tells_how_well_sensors_are_aligned(tmp_path: Path) -> None:
+def test_characterise_reports_the_alignment_of_sensors(tmp_path: Path) -> None:
     path = aligned(tmp_path / "r.h5", {"B": rows(2, 202.0, 0.0, 2.7e-3)})
     with open_log(path) as log:
         text = render_text(characterise_log(log))
@@ -133,10 +133,10 @@ def test_characterise_tells_how_well_sensors_are_aligned(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(("uncertainty_s", "is_equal"), [(None, False), (17e-6, True), (2e-6, False)])
-def test_rates_that_differ_less_than_times_are_known_are_equal(
+def test_rates_that_differ_within_their_uncertainty_are_equal(
     uncertainty_s: float | None, is_equal: bool, tmp_path: Path
 ) -> None:
-    """2 ppm in 40 s: times that are 17 us off in an eighth of that make 3.4 ppm."""
+    """2 ppm in 40 s: times with an error of 17 us over an eighth of that give 3.4 ppm."""
     compensated = () if uncertainty_s is None else (TIME_UNCERTAINTY,)
     headers = [
         SensorHeader(

@@ -27,7 +27,7 @@ def oadev(values: np.ndarray, rate: float, taus: np.ndarray) -> Any:
     return allantools.oadev(values, rate=rate, data_type="freq", taus=taus)
 
 
-def test_riley_1000_points() -> None:
+def test_riley_1000_point_suite() -> None:
     """The 1000-point suite of NIST SP 1065 ("Test suites"): a Lehmer generator, overlapping deviations as printed."""
     state = [1234567890]
     for _ in range(999):
@@ -36,7 +36,7 @@ def test_riley_1000_points() -> None:
     assert [f"{value:.6e}" for value in curve.deviation] == ["2.922319e-01", "9.159953e-02", "3.241343e-02"]
 
 
-def test_nbs_nine_points() -> None:
+def test_nbs_nine_point_suite() -> None:
     """The nine values of NBS Monograph 140, annex 8.E, as SP 1065 prints their overlapping deviations."""
     curve = allan_deviation([892, 809, 823, 798, 671, 644, 883, 903, 677], 1.0, [1, 2])
     assert [f"{value:.5f}" for value in curve.deviation] == ["91.22945", "85.95287"]
@@ -63,8 +63,8 @@ def test_equals_allantools(rows: int, kind: str) -> None:
     hnp.arrays(np.int16, st.integers(2, 40), elements=st.integers(-(2**15), 2**15 - 1)),
     st.data(),
 )
-def test_counts_are_exact(values: np.ndarray, data: st.DataObject) -> None:
-    """Against the definition as a difference of neighbouring averages, in rational numbers."""
+def test_deviation_of_counts_equals_rational_arithmetic(values: np.ndarray, data: st.DataObject) -> None:
+    """Compared with the definition as a difference of neighbouring averages, in rational numbers."""
     m = data.draw(st.integers(1, len(values) // 2))
     whole = [int(value) for value in values]
     means = [Fraction(sum(whole[start : start + m]), m) for start in range(len(whole) - m + 1)]
@@ -75,7 +75,7 @@ def test_counts_are_exact(values: np.ndarray, data: st.DataObject) -> None:
     assert curve.terms[0] == len(apart)
 
 
-def test_counts_stay_exact_on_a_large_mean() -> None:
+def test_deviation_of_counts_on_a_large_mean_is_exact() -> None:
     """Sums beyond 2^53, where float64 would lose counts, and sums that wrap round int64 don't change the result."""
     noise = np.random.default_rng(1).integers(-3, 4, 5000)
     expected = allan_deviation(noise, 1.0).deviation
@@ -83,7 +83,7 @@ def test_counts_stay_exact_on_a_large_mean() -> None:
         np.testing.assert_array_equal(allan_deviation(noise + offset, 1.0).deviation, expected)
 
 
-def test_wide_whole_numbers_fall_back_to_floating_point() -> None:
+def test_wide_integers_are_computed_in_floating_point() -> None:
     values = np.array([0, 2**62, 0, 2**62, 0, 2**62], np.uint64)
     assert allan_deviation(values, 1.0, [1]).deviation[0] == pytest.approx(2**62 / 2**0.5, rel=1e-12)
     assert allan_deviation(values, 1.0, [2]).deviation[0] == 0
@@ -112,14 +112,14 @@ def test_columns_are_independent(values: np.ndarray, interval_s: float) -> None:
 
 @settings(deadline=None)
 @given(hnp.arrays(np.int32, st.integers(2, 60), elements=st.integers(-1000, 1000)), st.integers(-(10**6), 10**6))
-def test_offset_and_scale(values: np.ndarray, offset: int) -> None:
+def test_an_offset_changes_nothing_and_the_deviation_scales(values: np.ndarray, offset: int) -> None:
     deviation = allan_deviation(values, 1.0).deviation
     np.testing.assert_array_equal(allan_deviation(values + offset, 1.0).deviation, deviation)
     np.testing.assert_array_equal(allan_deviation(values * -4, 1.0).deviation, 4 * deviation)
 
 
-def test_ramp_and_alternation() -> None:
-    """A drift of 1 a row gives m / sqrt(2); one that alternates by 2 gives sqrt(2) at m = 1 and 0 at even m."""
+def test_deviation_of_a_ramp_and_an_alternation() -> None:
+    """A drift of 1 per row gives m / sqrt(2); an alternation by 2 gives sqrt(2) at m = 1 and 0 at even m."""
     ramp = allan_deviation(np.arange(1000), 1.0, [1, 7, 100])
     np.testing.assert_allclose(ramp.deviation, np.array([1, 7, 100]) / 2**0.5, rtol=1e-14)
     alternating = allan_deviation(np.tile([0, 2], 50), 1.0, [1, 2, 4])
@@ -127,8 +127,8 @@ def test_ramp_and_alternation() -> None:
     assert alternating.low[1] == alternating.high[1] == 0
 
 
-def test_a_million_counts_are_exact() -> None:
-    """Against sums in whole numbers, to the last digits, where a running sum of rounded readings is off by 1e-12."""
+def test_deviation_of_a_million_counts_is_exact() -> None:
+    """Compared with integer sums, to the last digits; a running sum of rounded readings has an error of 1e-12."""
     values = np.rint(np.random.default_rng(5).normal(0, 20, 1_000_000)).astype(np.int16) + np.int16(5460)
     curve = allan_deviation(values, 1.0)
     phase = np.concatenate([[0], np.cumsum(values.astype(np.int64))])
@@ -140,9 +140,9 @@ def test_a_million_counts_are_exact() -> None:
 
 @pytest.mark.parametrize("step", [1, 40, 65_535])
 @pytest.mark.parametrize("kind", [np.int16, np.int32, np.uint8])
-def test_counts_read_block_by_block_give_the_definition(step: int, kind: type[np.integer]) -> None:
-    """Against sums in whole numbers; columns alternate, then rise by `step`, of which the largest makes a running sum
-    that 32 bits do not hold.
+def test_deviation_from_blocks_of_counts_equals_the_definition(step: int, kind: type[np.integer]) -> None:
+    """Compared with integer sums; columns alternate, then rise by `step`. The largest step makes a running sum that
+    exceeds 32 bits.
     """
     limits = np.iinfo(kind)
     rows = 70_001  # beyond two blocks
@@ -158,7 +158,7 @@ def test_counts_read_block_by_block_give_the_definition(step: int, kind: type[np
     assert curve.tau_s.tolist() == [0.5 * m for m in octaves(rows)]
 
 
-def test_counts_read_block_by_block_take_four_bytes_each() -> None:
+def test_blocks_of_counts_need_four_bytes_per_reading() -> None:
     values = np.random.default_rng(7).integers(-40, 40, 500_000).astype(np.int16)
     tracemalloc.start()
     allan_deviation_of_counts([values], 1.0)
@@ -177,10 +177,9 @@ def averaged(density: np.ndarray, frequency: np.ndarray) -> list[float]:
 
 
 def flicker_noise(rng: np.random.Generator) -> np.ndarray:
-    """Readings (n, r) of spectrum 1 / (2 sin(pi f)) but for their start: the sum of their differences.
-
-    These are stationary, of spectrum 2 sin(pi f) and so of autocovariance 4 / (pi (1 - 4 k^2)); drawn by embedding it
-    in a circle (Davies and Harte, Biometrika 74, 1987).
+    """Readings (n, r) of spectrum 1 / (2 sin(pi f)) except for their start: the sum of their differences. These are
+    stationary, of spectrum 2 sin(pi f) and therefore of autocovariance 4 / (pi (1 - 4 k^2)); drawn by circulant
+    embedding (Davies and Harte, Biometrika 74, 1987).
     """
     covariance = 4 / (np.pi * (1 - 4 * np.arange(ROWS + 1.0) ** 2))
     power = np.fft.rfft(np.concatenate([covariance, covariance[-2:0:-1]])).real
@@ -200,11 +199,11 @@ TRUTHS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["overlapping", "decimated"])
 @pytest.mark.parametrize("noise", TRUTHS)
-def test_closed_forms_and_coverage(noise: str, estimator: Any) -> None:
+def test_means_equal_closed_forms_and_intervals_cover(noise: str, estimator: Any) -> None:
     """2000 replicates: mean within 5 standard errors; 95 % intervals cover as often as a binomial of 0.95 allows.
 
-    Each of the 24 counts leaves its limits with a chance of 1e-4 if the coverage is 95 %. (It need not be: noise types
-    are told from the data, and the distribution is not quite chi-squared.)
+    Each of the 24 counts leaves its limits with a chance of 1e-4 if the coverage is 95 %. (It is only near 95 %: noise
+    types are estimated from the data, and the distribution is not quite chi-squared.)
     """
     rng = np.random.default_rng(11)
     series = flicker_noise(rng) if noise == "flicker" else rng.normal(size=(ROWS, REPEATS))
@@ -234,12 +233,12 @@ def test_closed_forms_and_coverage(noise: str, estimator: Any) -> None:
         (np.zeros(10), 1.0, [], "whole numbers"),
     ],
 )
-def test_refused(values: Any, interval_s: float, factors: Any, message: str) -> None:
+def test_invalid_arguments_are_refused(values: Any, interval_s: float, factors: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         allan_deviation(values, interval_s, factors)
 
 
-def test_octaves_end_at_a_third() -> None:
+def test_octaves_end_at_a_third_of_the_rows() -> None:
     assert octaves(2) == octaves(3) == (1,)
     assert octaves(47) == (1, 2, 4, 8)
     assert octaves(48) == (1, 2, 4, 8, 16)
@@ -250,7 +249,7 @@ def test_octaves_end_at_a_third() -> None:
     lengths=st.lists(st.integers(9, 40), min_size=2, max_size=6),
     seed=st.integers(0, 1000),
 )
-def test_runs_are_pooled_by_their_terms(lengths: list[int], seed: int) -> None:
+def test_runs_are_pooled_by_their_squared_differences(lengths: list[int], seed: int) -> None:
     """The mean over the squared second differences of all runs, summed term by term; none spans a gap."""
     rng = np.random.default_rng(seed)
     runs = [rng.integers(-500, 500, (length, 2)) + 300 * number for number, length in enumerate(lengths)]
@@ -268,15 +267,15 @@ def test_runs_are_pooled_by_their_terms(lengths: list[int], seed: int) -> None:
             assert curve.deviation[point, column] == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-9)
 
 
-def test_a_single_run_is_as_ever() -> None:
+def test_a_single_run_equals_the_deviation_of_counts() -> None:
     counts = np.random.default_rng(3).integers(-99, 99, 500).astype(np.int16)
     pooled, alone = allan_deviation_of_runs([counts], 0.1, [500]), allan_deviation_of_counts([counts], 0.1)
     np.testing.assert_array_equal(pooled.deviation, alone.deviation)
     np.testing.assert_array_equal(pooled.freedom, alone.freedom)
 
 
-def test_freedom_of_equal_runs_adds_up() -> None:
-    """Twenty independent runs tell twenty times as much as one."""
+def test_degrees_of_freedom_of_equal_runs_add_up() -> None:
+    """Twenty independent runs have twenty times the degrees of freedom of one run."""
     counts = np.random.default_rng(4).integers(-99, 99, 20 * 60).astype(np.int16)
     pooled = allan_deviation_of_runs([counts], 0.1, [60] * 20)
     alone = allan_deviation_of_counts([counts[:60]], 0.1)
@@ -285,7 +284,7 @@ def test_freedom_of_equal_runs_adds_up() -> None:
 
 @pytest.mark.slow
 def test_intervals_of_white_noise_with_stalls_cover() -> None:
-    """150 recordings of 60 runs of 51 rows and a longer one: the 95 % interval of N holds the truth in 135 ... 149."""
+    """150 recordings of 60 runs of 51 rows and a longer one: the 95 % interval of N covers the truth in 135 ... 149."""
     rng = np.random.default_rng(6)
     lengths = [51] * 30 + [400] + [51] * 30
     held, width = 0, []

@@ -30,8 +30,8 @@ def of_phase(term: Term, apart: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("term", ["quantisation", "white", "flicker", "random walk"])
 @pytest.mark.parametrize("ramp", [0.0, 0.3])
 @pytest.mark.parametrize("pair", [(1, 1), (1, 2), (2, 16), (16, 16), (1, 60), (5, 60), (40, 60)])
-def test_by_every_pair(term: Term, ramp: float, pair: tuple[int, int]) -> None:
-    """All pairs of second differences of 150 rows, one by one; lags taken together cost 1 % of a correlation."""
+def test_covariances_equal_sums_over_all_pairs(term: Term, ramp: float, pair: tuple[int, int]) -> None:
+    """All pairs of second differences of 150 rows are summed; grouped lags change a correlation by up to 1 %."""
     rows, binomial = 150, np.array([1.0, -2.0, 1.0])
     points = [np.arange(rows + 1 - 2 * m)[:, None] + m * np.arange(3) for m in pair]
 
@@ -50,8 +50,8 @@ def test_by_every_pair(term: Term, ramp: float, pair: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize(("noise", "rows"), [("white", 10**7), ("flicker", 10**7), ("random walk", 10**7)])
-def test_long_series_have_the_degrees_of_freedom(noise: Noise, rows: int) -> None:
-    """2 avar^2 / variance at octaves of 1e7 rows; lags taken together cost 1 %."""
+def test_variances_of_long_series_agree_with_degrees_of_freedom(noise: Noise, rows: int) -> None:
+    """2 avar^2 / variance at octaves of 1e7 rows; grouped lags change it by up to 1 %."""
     factors = tuple(1 << power for power in range(22))
     found = 2 * variances(noise, np.array(factors)) ** 2 / np.diag(covariance(factors, rows, theta_of(noise)))
     expected = [degrees_of_freedom(noise, m, rows + 1 - 2 * m) for m in factors]
@@ -64,7 +64,7 @@ def theta_of(noise: Noise) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("noise", "sums"), [("white", 0), ("random walk", 1)])
-def test_by_simulation(noise: Noise, sums: int) -> None:
+def test_correlations_equal_those_of_replicates(noise: Noise, sums: int) -> None:
     """Correlations of 4000 replicates: standard error below 0.016, so that 0.07 is over four of them."""
     series = np.random.default_rng(6).normal(size=(600, 4000))
     squares = allan_deviation(np.cumsum(series, axis=0) if sums else series, 1.0, FACTORS).deviation ** 2
@@ -73,7 +73,7 @@ def test_by_simulation(noise: Noise, sums: int) -> None:
     np.testing.assert_allclose(np.corrcoef(squares), expected / np.outer(spread, spread), atol=0.07)
 
 
-def test_variances_of_known_series() -> None:
+def test_variances_of_a_ramp_and_differenced_noise() -> None:
     """A ramp of 1 a row has m / sqrt(2); white noise that is differenced has 3 / m^2 (IEEE Std 952, annex C)."""
     m = np.array([1, 7, 100])
     ramp = allan_deviation(np.arange(1000), 1.0, [1, 7, 100]).deviation

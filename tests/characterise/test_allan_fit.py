@@ -1,4 +1,4 @@
-"""Fitted noise coefficients: exact curves, intervals and p-values counted in simulations, curves that are no such sum.
+"""Fitted noise coefficients: exact curves, intervals and p-values in simulations, curves that the model does not fit.
 
 Flicker noise is drawn exactly (its differences are stationary) at four times the rate and averaged by fours.
 """
@@ -53,11 +53,11 @@ def covered(fits: list[NoiseFit], term: Term, truth: float) -> int:
 
 
 @pytest.mark.slow
-def test_intervals_cover_and_p_is_uniform() -> None:
+def test_intervals_cover_and_p_values_are_uniform() -> None:
     """White, flicker and random walk together, 250 times: terms, 95 % intervals, and p-values.
 
-    Intervals span two models and cover in 92 % to 99 %: a chance below 1e-4 each to fail if it is 93 % or more. The
-    largest distance of p-values from uniform fails with a chance of 1e-3.
+    Intervals span two models and cover in 92 % to 99 %: each fails with a chance below 1e-4 if coverage is 93 % or
+    more. The largest distance of p-values from uniform fails with a chance of 1e-3.
     """
     series = white(1) + 0.2 * flicker(2) + 0.02 * np.cumsum(white(3), axis=0)
     fits = all_fitted(series)
@@ -89,9 +89,8 @@ def heavy(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
 @pytest.mark.parametrize(
     ("draw", "walk"), [(rounded, 0.0), (clipped, 0.0), (heavy, 0.0), (normal, 0.0), (normal, 0.004)]
 )
-def test_white_intervals_cover_whatever_the_distribution(draw: Any, walk: float) -> None:
-    """White noise of 1500 rows, 500 times, alone or with a random walk: the interval of its density holds the truth.
-
+def test_white_intervals_cover_for_every_distribution(draw: Any, walk: float) -> None:
+    """White noise of 1500 rows, 500 times, alone or with a random walk: the interval of its density covers the truth.
     The truth is the standard deviation of two million draws. 93 to 97 % are required, less three standard errors of the
     count (0.97 %).
     """
@@ -103,7 +102,7 @@ def test_white_intervals_cover_whatever_the_distribution(draw: Any, walk: float)
     assert 0.93 - 0.029 <= covered(fits, "white", truth) / len(fits) <= 0.97 + 0.023
 
 
-def test_kurtosis_of_the_white_noise() -> None:
+def test_kurtosis_of_white_noise_of_known_distributions() -> None:
     """Uniform readings have an excess kurtosis of -6/5, Laplace's 3, coin tosses -2, and a drift changes nothing."""
     rng, rows = np.random.default_rng(4), 400_000
     drift = np.linspace(0, 50, rows)
@@ -114,8 +113,8 @@ def test_kurtosis_of_the_white_noise() -> None:
 
 
 @pytest.mark.slow
-def test_terms_that_are_not_there_are_left_out() -> None:
-    """White noise alone: each other term stays in 1 % to 3 %, and what it could be is bounded."""
+def test_absent_terms_are_omitted() -> None:
+    """White noise alone: each other term stays in 1 % to 3 %, and its upper limit is stated."""
     fits = all_fitted(white(4))
     for term in ("flicker", "random walk"):
         assert sum(found[term].significant for found in fits) <= binom.isf(1e-4, REPEATS, 0.03)
@@ -127,7 +126,7 @@ def test_terms_that_are_not_there_are_left_out() -> None:
 
 
 @pytest.mark.slow
-def test_random_walk_alone() -> None:
+def test_a_random_walk_alone_is_fitted() -> None:
     fits = all_fitted(np.cumsum(white(5), axis=0))
     assert covered(fits, "random walk", INTERVAL_S**-0.5) >= binom.ppf(1e-4, REPEATS, 0.94)
     assert all(found["random walk"].significant for found in fits)
@@ -143,7 +142,7 @@ COEFFICIENTS: dict[Term, float] = {
 
 
 @pytest.mark.parametrize("left_out", [(), ("flicker",), ("quantisation", "ramp")])
-def test_exact_curve_gives_its_coefficients(left_out: tuple[Term, ...]) -> None:
+def test_an_exact_curve_gives_its_coefficients(left_out: tuple[Term, ...]) -> None:
     """The variance of IEEE Std 952, annex C, without scatter; a random walk of readings differs at first."""
     curve = allan_deviation(white(6, 1_000_000, 1)[:, 0], INTERVAL_S)
     given = {term: 0.0 if term in left_out else value for term, value in COEFFICIENTS.items()}
@@ -180,7 +179,7 @@ ONE = np.random.default_rng(7).normal(size=ROWS_ONE)
     ],
     ids=["strong tone", "weak tone", "ramp", "low-pass filter", "quantised angle"],
 )
-def test_bad_fit_says_so(series: np.ndarray) -> None:
+def test_a_bad_fit_is_reported(series: np.ndarray) -> None:
     found = fitted(series)
     assert found.p_value < 1e-4
     assert "no sum of white, flicker and random walk fits this curve" in found.verdict
@@ -188,7 +187,7 @@ def test_bad_fit_says_so(series: np.ndarray) -> None:
     assert abs(np.log(found.worst_ratio)) > 0.05
 
 
-def test_ramp_and_quantisation_in_the_model() -> None:
+def test_ramp_and_quantisation_terms_fit() -> None:
     """The same ramp and the same quantised angle with their terms; 3e-5 a row is 0.012 a second."""
     ramp = fitted(ONE + 3e-5 * TIME, terms=(*USUAL, "ramp"))
     assert ramp.verdict == ""
@@ -199,16 +198,16 @@ def test_ramp_and_quantisation_in_the_model() -> None:
     assert angle["quantisation"].value == pytest.approx(INTERVAL_S, rel=0.02)
 
 
-def test_filtered_start_can_be_left_out() -> None:
-    """Behind a first-order filter with a time constant of 1.4 rows, from 32 rows on it is the white noise it was."""
+def test_the_filtered_start_can_be_excluded() -> None:
+    """After a first-order filter with a time constant of 1.4 rows the curve is that of white noise from 32 rows on."""
     found = fitted(lfilter([0.5], [1, -0.5], ONE), shortest_s=32 * INTERVAL_S)
     assert found.tau_s[0] == pytest.approx(32 * INTERVAL_S)
     assert found.verdict == ""
     assert found["white"].value == pytest.approx(INTERVAL_S**0.5, rel=0.06)
 
 
-def test_column_and_scale() -> None:
-    """Coefficients scale with the series, and columns don't mix."""
+def test_columns_are_independent_and_coefficients_scale() -> None:
+    """Coefficients scale with the series, and each column has its own."""
     two = fit_noise(allan_deviation(np.column_stack([np.cumsum(ONE), 3 * ONE]), INTERVAL_S), 1)
     one = fitted(ONE)
     assert two is not None
@@ -218,14 +217,14 @@ def test_column_and_scale() -> None:
 
 
 @pytest.mark.parametrize("scale", [1e-120, 1e120])
-def test_any_unit(scale: float) -> None:
-    """Deviations whose squares float64 does not hold."""
+def test_tiny_and_huge_units_are_fitted(scale: float) -> None:
+    """Deviations whose squares underflow or overflow float64."""
     found, one = fitted(scale * ONE), fitted(ONE)
     assert found["white"].value == pytest.approx(scale * one["white"].value, rel=1e-6)
     assert found["flicker"].high == pytest.approx(scale * one["flicker"].high, rel=1e-6)
 
 
-def test_nothing_to_fit() -> None:
+def test_too_few_points_give_no_fit() -> None:
     assert fit_noise(allan_deviation(np.zeros(100), 1.0)) is None
     assert fit_noise(allan_deviation(ONE[:9], 1.0)) is None
     assert fit_noise(allan_deviation(ONE, 1.0), shortest_s=1e6) is None
@@ -236,7 +235,7 @@ def test_nothing_to_fit() -> None:
         two["ramp"]
 
 
-def test_refused() -> None:
+def test_unknown_terms_are_refused() -> None:
     curve = allan_deviation(ONE[:1000], 1.0)
     with pytest.raises(ValueError, match="not none"):
         fit_noise(curve, terms=())
@@ -249,7 +248,7 @@ def test_refused() -> None:
     hnp.arrays(np.float64, st.integers(20, 200), elements=st.floats(-1e3, 1e3, allow_subnormal=False)),
     st.lists(st.sampled_from(TERMS), min_size=1, unique=True),
 )
-def test_anything_has_ordered_intervals(values: np.ndarray, terms: list[Term]) -> None:
+def test_intervals_of_any_series_are_ordered(values: np.ndarray, terms: list[Term]) -> None:
     found = fit_noise(allan_deviation(values, 0.1), terms=terms)
     if found is None:
         return
@@ -265,8 +264,8 @@ def nights() -> tuple[tuple[int, int], ...]:
     return tuple((int(rows), 1 + at % 3) for at, rows in enumerate(lengths))
 
 
-def test_runs_of_similar_lengths_are_two_dozen_lengths() -> None:
-    """The number of runs and that of rows remain."""
+def test_runs_of_similar_lengths_are_grouped_to_two_dozen() -> None:
+    """The number of runs and the number of rows are kept."""
     runs = nights()
     assert len(merge_similar(runs)) <= 24 < 200 < len(runs)
     assert sum(number for _, number in merge_similar(runs)) == sum(number for _, number in runs)
@@ -276,7 +275,7 @@ def test_runs_of_similar_lengths_are_two_dozen_lengths() -> None:
 
 
 @pytest.mark.slow
-def test_runs_of_similar_lengths_scatter_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_grouped_lengths_keep_the_standard_deviations(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two dozen lengths instead of all change the standard deviations of the variances by less than 2 %."""
     runs = nights()
     total = sum(rows * number for rows, number in runs)

@@ -1,4 +1,4 @@
-"""The decimated estimator and the stream: against their definition, whatever the blocks, and in bounded memory."""
+"""The decimated estimator and the stream against their definition, with any block sizes, and in bounded memory."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_largest_divisor_up_to_an_eighth(factor: int, stride: int) -> None:
 
 
 @pytest.mark.parametrize("m", [1, 5, 16, 40, 64, 97, 300])
-def test_decimated_by_definition(m: int) -> None:
+def test_the_decimated_estimator_equals_its_definition(m: int) -> None:
     values = np.random.default_rng(m).integers(-50, 50, 1000)
     curve = allan_deviation(values, 1.0, [m], estimator="decimated")
     assert curve.deviation[0] == pytest.approx(by_definition(values.tolist(), m, stride_of(m)), rel=1e-15)
@@ -53,8 +53,8 @@ def test_decimated_by_definition(m: int) -> None:
     st.lists(st.integers(0, 300), max_size=6),
     st.sampled_from(["decimated", "overlapping"]),
 )
-def test_blocks_do_not_matter(values: np.ndarray, cuts: list[int], estimator: Any) -> None:
-    """Whole numbers add up exactly, so that the results are the same to the last bit."""
+def test_results_do_not_depend_on_blocks(values: np.ndarray, cuts: list[int], estimator: Any) -> None:
+    """Integers are summed exactly, so that the results are the same to the last bit."""
     factors = [m for m in (1, 2, 3, 16, 40, 64) if m <= len(values) // 2]
     stream = fed(values, cuts, AllanStream(0.5, factors, estimator))
     at_once = allan_deviation(values, 0.5, factors, estimator=estimator)
@@ -65,8 +65,8 @@ def test_blocks_do_not_matter(values: np.ndarray, cuts: list[int], estimator: An
 
 
 @pytest.mark.parametrize("estimator", ["decimated", "overlapping"])
-def test_beyond_the_buffers(estimator: Any) -> None:
-    """100,003 rows in three columns fill every level's buffer; columns and blocks don't matter."""
+def test_rows_beyond_the_buffers_are_exact(estimator: Any) -> None:
+    """100,003 rows in three columns fill every level's buffer; results do not depend on columns and blocks."""
     values = np.random.default_rng(2).integers(-30, 30, (100_003, 3))
     factors = [1, 4, 16, 1000, 4096, 30_000]
     stream = fed(values, [1, 2, 32_767, 32_769, 90_000], AllanStream(1.0, factors, estimator))
@@ -81,7 +81,7 @@ def test_beyond_the_buffers(estimator: Any) -> None:
             assert curve.terms[row] == len(second)
 
 
-def test_goes_on_after_a_look() -> None:
+def test_feeding_continues_after_a_curve() -> None:
     values = np.random.default_rng(4).normal(size=50_000)
     stream = AllanStream(1.0)
     stream.feed(values[:20_000])
@@ -108,14 +108,14 @@ def peak_of(rows: int) -> int:
 
 @pytest.mark.slow
 def test_memory_does_not_grow() -> None:
-    """Sixteen times the rows, hardly a byte more than the deeper levels' first values (64 KiB each); below 10 MB."""
-    peak_of(10_000)  # what is imported when first needed
+    """Sixteen times the rows need only the memory of the deeper levels' first values (64 KiB each); below 10 MB."""
+    peak_of(10_000)  # modules that are imported on first use
     short, long = peak_of(500_000), peak_of(8_000_000)
     assert long < short + 5 * 2 * 8193 * 8
     assert long < 10_000_000
 
 
-def test_wide_whole_numbers() -> None:
+def test_wide_integers_do_not_wrap_round() -> None:
     """Exact on a large mean; beyond what float64 counts exactly, rounded, but not wrapped round."""
     noise = np.random.default_rng(1).integers(-3, 4, 5000)
     expected = allan_deviation(noise, 1.0, estimator="decimated").deviation
@@ -125,7 +125,7 @@ def test_wide_whole_numbers() -> None:
     assert allan_deviation(apart, 1.0, [1], estimator="decimated").deviation[0] == pytest.approx(2**63.5, rel=1e-12)
 
 
-def test_decimated_is_as_sure() -> None:
+def test_the_decimated_estimator_keeps_the_degrees_of_freedom() -> None:
     """An eighth of the terms has at least 97 % of the degrees of freedom."""
     values = np.random.default_rng(3).normal(size=10_000)
     full, few = (allan_deviation(values, 1.0, estimator=way) for way in ("overlapping", "decimated"))
@@ -133,7 +133,7 @@ def test_decimated_is_as_sure() -> None:
     assert few.terms[-3] < full.terms[-3] / 50
 
 
-def test_refused() -> None:
+def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="interval_s is 0"):
         AllanStream(0)
     with pytest.raises(ValueError, match="needs its averaging factors"):

@@ -1,4 +1,4 @@
-"""Wide lines: where they are, how strong, and that noise of any colour shows none."""
+"""Wide lines: their frequency and amplitude, and no detection in noise of any colour."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def wander(frequency_hz: float, wide_hz: float, amplitude: float, seed: int) -> 
 
 
 @pytest.mark.parametrize(("frequency_hz", "wide_hz"), [(10.4, 0.5), (31.4, 0.3), (20.0, 1.5), (47.0, 0.2)])
-def test_a_line_that_wanders(frequency_hz: float, wide_hz: float) -> None:
-    """Amplitude 1 in noise of standard deviation 1; no narrow line is there."""
+def test_a_line_of_varying_frequency_is_detected(frequency_hz: float, wide_hz: float) -> None:
+    """Amplitude 1 in noise of standard deviation 1; there is no narrow line."""
     values = wander(frequency_hz, wide_hz, 1.0, 1) + np.random.default_rng(2).normal(0, 1, ROWS)
     spectrum = spectrum_of(values)
     (band,) = find_bands(spectrum, 0, find_lines(spectrum).lines)
@@ -41,8 +41,8 @@ def test_a_line_that_wanders(frequency_hz: float, wide_hz: float) -> None:
     assert band.over_floor > 5
 
 
-def test_a_slow_line_at_the_first_bins() -> None:
-    """0.54 Hz: nearer to 0 than a floor of 24 bins can be had; 83 times the floor."""
+def test_a_slow_line_at_the_first_bins_is_detected() -> None:
+    """0.54 Hz: nearer to 0 than the 24 bins that a floor needs; 83 times the floor."""
     time_s = np.arange(ROWS) / RATE_HZ
     values = 0.12 * np.sin(2 * np.pi * 0.54 * time_s) + np.random.default_rng(3).normal(0, 1, ROWS)
     spectrum = spectrum_of(values)
@@ -64,8 +64,8 @@ def colours(seed: int) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.slow
-def test_noise_of_any_colour_shows_none() -> None:
-    """At most the share that the search promises (1 %), of 150 each: 5 or more have a chance of 2 %."""
+def test_noise_of_any_colour_shows_no_band() -> None:
+    """At most the stated share of false alarms (1 %), of 150 each: 5 or more have a chance of 2 %."""
     alarms: dict[str, int] = {}
     for seed in range(150):
         for colour, values in colours(seed).items():
@@ -74,7 +74,7 @@ def test_noise_of_any_colour_shows_none() -> None:
     assert max(alarms.values()) < 5, alarms
 
 
-def test_a_narrow_line_is_no_band() -> None:
+def test_a_narrow_line_is_not_a_band() -> None:
     time_s = np.arange(ROWS) / RATE_HZ
     values = 0.5 * np.sin(2 * np.pi * 23.456 * time_s) + np.random.default_rng(4).normal(0, 1, ROWS)
     spectrum = spectrum_of(values)
@@ -83,7 +83,7 @@ def test_a_narrow_line_is_no_band() -> None:
     assert find_bands(spectrum, 0, narrow) == ()
 
 
-def test_what_is_granted_to_floors() -> None:
+def test_tolerances_of_the_floor() -> None:
     assert (WIDTHS[0], RISES, SLACK) == (4, 1.35, 1.08)
 
 

@@ -26,7 +26,7 @@ def gauss(seed: int, spread: float = 10.0, rows: int = 20_000) -> np.ndarray:
 
 @settings(deadline=None)
 @given(st.lists(hnp.arrays(np.int16, st.integers(0, 40), elements=st.integers(-300, 300)), max_size=5))
-def test_merged_blocks(blocks: list[np.ndarray]) -> None:
+def test_histograms_of_blocks_merge_to_the_whole(blocks: list[np.ndarray]) -> None:
     merged = reduce(Histogram.merge, (histogram(block) for block in blocks), NOTHING)
     codes, counts = np.unique(np.concatenate([*blocks, np.zeros(0, np.int16)]), return_counts=True)
     np.testing.assert_array_equal(merged.codes, codes)
@@ -35,14 +35,14 @@ def test_merged_blocks(blocks: list[np.ndarray]) -> None:
 
 @settings(deadline=None)
 @given(hnp.arrays(np.int64, st.tuples(st.integers(1, 4), st.integers(0, 40)), elements=st.integers(-3000, 3000)))
-def test_rows_at_once(values: np.ndarray) -> None:
+def test_histograms_of_several_rows_equal_numpy(values: np.ndarray) -> None:
     for seen, row in zip(histograms(values), values, strict=True):
         codes, counts = np.unique(row, return_counts=True)
         np.testing.assert_array_equal(seen.codes, codes)
         np.testing.assert_array_equal(seen.counts, counts)
 
 
-def test_wide_codes_take_no_memory() -> None:
+def test_a_histogram_of_widely_spread_codes() -> None:
     seen = histogram(np.array([-(2**31), 5, 5, 2**31 - 1], np.int32))
     assert seen.codes.tolist() == [-(2**31), 5, 2**31 - 1]
     assert seen.counts.tolist() == [1, 2, 1]
@@ -50,7 +50,7 @@ def test_wide_codes_take_no_memory() -> None:
 
 @settings(deadline=None)
 @given(CODES)
-def test_moments_and_step(values: np.ndarray) -> None:
+def test_moments_and_step_equal_scipy(values: np.ndarray) -> None:
     found = of(values)
     assert found.readings == len(values)
     assert found.mean == pytest.approx(float(values.mean(dtype=float)), abs=1e-9)
@@ -64,15 +64,15 @@ def test_moments_and_step(values: np.ndarray) -> None:
         assert found.excess_kurtosis == pytest.approx(float(kurtosis(real, bias=False)), rel=1e-6, abs=1e-6)
 
 
-def test_errors_of_the_shape() -> None:
-    """Over 400 Gaussian series the estimates scatter as their standard errors say: sure to 3.5 %, 18 % are five."""
+def test_skewness_and_kurtosis_scatter_by_their_errors() -> None:
+    """Over 400 Gaussian series the estimates scatter by their standard errors (known to 3.5 %; 18 % are five)."""
     found = [of(gauss(seed, rows=500)) for seed in range(400)]
     assert np.std([one.skewness for one in found]) == pytest.approx(found[0].skewness_error, rel=0.18)
     assert np.std([one.excess_kurtosis for one in found]) == pytest.approx(found[0].kurtosis_error, rel=0.18)
 
 
-def test_sound_converter() -> None:
-    """200 Gaussian series of 5000 readings: each test says 1 % or less to no more than 1 % of them (limit: 1e-4)."""
+def test_false_alarms_of_a_sound_converter() -> None:
+    """200 Gaussian series of 5000 readings: each test has p < 1 % in at most 1 % of them (limit: 1e-4)."""
     found = [of(gauss(seed, 4.0, 5000)) for seed in range(200)]
     most = binom.isf(1e-4, 200, 0.01)
     assert sum(one.even_p < 0.01 for one in found) <= most
@@ -82,14 +82,14 @@ def test_sound_converter() -> None:
     assert {one.step for one in found} == {one.usual_step for one in found} == {1}
 
 
-def test_share_of_even_codes_by_chance() -> None:
+def test_p_values_of_even_codes_by_chance_are_uniform() -> None:
     """Its p-value is below 5 % in 5 % of 600 series (each limit fails once in 10,000 runs)."""
     small = sum(of(gauss(seed, 4.0, 500)).even_p < 0.05 for seed in range(600))
     assert binom.ppf(1e-4, 600, 0.05) <= small <= binom.isf(1e-4, 600, 0.05)
 
 
-def test_even_codes_only() -> None:
-    """An ADXL345 at 1600 Hz and more: the least bit is 0 (ADX-47); a bus word of ones among them changes the step."""
+def test_even_codes_alone_are_detected() -> None:
+    """An ADXL345 at 1600 Hz and more: the least bit is 0 (ADX-47); a bus word of ones changes the step."""
     even = gauss(1) // 2 * 2
     found = of(even)
     assert (found.even_share, found.step, found.usual_step) == (1, 2, 2)
@@ -99,7 +99,7 @@ def test_even_codes_only() -> None:
     assert (found.step, found.usual_step) == (1, 2)
 
 
-def test_missing_codes() -> None:
+def test_missing_codes_are_detected() -> None:
     values = gauss(2)
     values = values[(values != 1003) & ((values < 990) | (values > 991))]
     found = of(values)
@@ -111,13 +111,13 @@ def test_missing_codes() -> None:
 
 
 def test_missing_code_by_hand() -> None:
-    """Neighbours came 5 and 3 times, three codes occur: 2 * (1 / 2)^3."""
+    """Neighbours occur 5 and 3 times, three codes occur: 2 * (1 / 2)^3."""
     found = of(np.repeat([10, 12, 13], [5, 3, 9]))
     assert [(gap.first, gap.last) for gap in found.missing] == [(11, 11)]
     assert found.missing[0].p_value == pytest.approx(0.25)
 
 
-def test_clipped_end() -> None:
+def test_a_clipped_end_is_detected() -> None:
     values = np.minimum(gauss(3), 1010)
     found = of(values, (-4096, 1010))
     assert found.high_end.code == 1010
@@ -127,7 +127,7 @@ def test_clipped_end() -> None:
     assert np.isnan(of(values).span_share)
 
 
-def test_narrow_and_constant_say_nothing_of_parity() -> None:
+def test_narrow_or_constant_readings_have_no_parity_test() -> None:
     found = of(gauss(4, 0.5))
     assert np.isnan([found.even_p, found.low_end.p_value, found.high_end.p_value]).all()
     found = of(np.full(100, 7))

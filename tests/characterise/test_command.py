@@ -1,4 +1,4 @@
-"""`imuarray characterise`: what it prints, what it writes, what it refuses, and the figure."""
+"""`imuarray characterise`: printed output, files, refusals, and the figure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from imuarray.log.format import SensorHeader
 from imuarray.report.files import write_report
 
 
-def test_prints_the_table(log_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_the_table(log_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["characterise", str(log_path)]) == 0
     out, err = capsys.readouterr()
     assert "specific force in g" in out
@@ -28,7 +28,7 @@ def test_prints_the_table(log_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert err == ""
 
 
-def test_json_of_one_sensor(log_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_json_of_one_sensor(log_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["characterise", str(log_path), "--json", "--sensor", "G", "--phase", "motion"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert [sensor["name"] for sensor in result["sensors"]] == ["G"]
@@ -36,7 +36,9 @@ def test_json_of_one_sensor(log_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.slow
-def test_writes_and_overwrites_nothing(log_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_files_and_overwrites_only_with_force(
+    log_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / "new" / "folder"
     arguments = ["characterise", str(log_path), "-o", str(folder)]
     assert main(arguments) == 0
@@ -54,7 +56,7 @@ def test_writes_and_overwrites_nothing(log_path: Path, tmp_path: Path, capsys: p
 
 
 @pytest.mark.slow
-def test_without_matplotlib(
+def test_the_command_works_without_matplotlib(
     log_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
@@ -76,7 +78,7 @@ def test_without_matplotlib(
         (["-o", "{log}"], "is a file"),
     ],
 )
-def test_bad_input_is_one_line(
+def test_invalid_input_gives_one_line(
     log_path: Path, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["characterise", str(log_path), *(item.format(log=log_path) for item in arguments)]) == 2
@@ -87,7 +89,7 @@ def test_bad_input_is_one_line(
 
 
 @pytest.mark.slow
-def test_figure_has_a_panel_per_quantity(log_path: Path) -> None:
+def test_the_figure_has_a_panel_per_quantity(log_path: Path) -> None:
     with open_log(log_path) as log:
         figure = allan_figure(characterise_log(log, sensors=["A", "E", "G", "P"]))
     panels = figure.get_axes()
@@ -99,7 +101,7 @@ def test_figure_has_a_panel_per_quantity(log_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_figure_of_many_or_no_curves(log_path: Path) -> None:
+def test_a_figure_of_many_or_no_curves_is_drawn(log_path: Path) -> None:
     with open_log(log_path) as log:
         result = characterise_log(log, sensors=["A"])
     many = [result["sensors"][0] | {"name": f"$A{number}"} for number in range(32)]
@@ -111,7 +113,7 @@ def test_figure_of_many_or_no_curves(log_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_heavy_packages_stay_out() -> None:
+def test_heavy_packages_are_imported_only_when_needed() -> None:
     """The library needs NumPy and h5py until intervals or figures are asked for; a figure never loads pyplot."""
     code = (
         "import sys, imuarray.commands.characterise; assert 'numpy' not in sys.modules\n"
@@ -127,7 +129,9 @@ def test_heavy_packages_stay_out() -> None:
 def test_a_log_without_phases_is_characterised_where_it_rests(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Shaken for twenty seconds between rests of ten and (after the log's end) more: the rest before is the longest."""
+    """Shaken for twenty seconds after a rest of ten; the next rest is after the end of the log: the first rest is the
+    longest.
+    """
     from dataclasses import replace as changed
 
     from imuarray.array import parse_array
@@ -145,12 +149,12 @@ def test_a_log_without_phases_is_characterised_where_it_rests(
     result = json.loads(capsys.readouterr().out)
     assert result["stretch"]["phase"].startswith("pose")
     assert result["stretch"]["end_s"] <= 12.0
-    # 16 mg of noise are 8.2 counts; the shaking would make hundreds of them
+    # 16 mg of noise are 8.2 counts; the shaking would give hundreds of counts
     assert result["sensors"][0]["axes"][0]["counts"]["std"] == pytest.approx(8.2, rel=0.2)
 
 
-def test_a_curve_is_written_in_a_line() -> None:
-    """The text says the same as that of the standard library, with a line for each list of numbers."""
+def test_json_lists_of_numbers_are_on_one_line() -> None:
+    """The text has the same content as that of the standard library, with a line for each list of numbers."""
     result = {"log": "ü", "sensors": [{"tau_s": [0.1, 1e-7, None], "rows": [[1, 2], [3]], "none": {}, "nobody": []}]}
     text = json_text(result)
     assert json.loads(text) == result
@@ -159,10 +163,10 @@ def test_a_curve_is_written_in_a_line() -> None:
 
 
 @pytest.mark.slow
-def test_noise_with_a_time_constant_is_no_bias_instability(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_noise_with_a_time_constant_is_not_bias_instability(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """White noise of 0.05 dps and a first-order process of 0.01 dps and 2 s (the Allan deviation of which falls again
-    beyond 2 s): the figures B and K stand in brackets, without limits, and p is marked; JSON, notebooks and pages
-    say so, too.
+    beyond 2 s): the figures B and K are in brackets, without limits, and p is marked, also in JSON, notebooks and
+    pages.
     """
     from scipy.signal import lfilter
 

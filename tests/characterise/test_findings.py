@@ -1,4 +1,4 @@
-"""What stands out, in sentences, on simulated logs whose effects are known."""
+"""Findings in sentences, on simulated logs whose effects are known."""
 
 from __future__ import annotations
 
@@ -40,15 +40,16 @@ def characterised(tmp_path: Path) -> Characterise:
 NOISE = ("white_noise", {"rms": 0.18})
 
 
-def test_a_sound_sensor_gives_nothing_to_say(characterised: Characterise) -> None:
+def test_a_sound_sensor_has_no_findings(characterised: Characterise) -> None:
     assert findings(characterised(NOISE)) == []
 
 
 @pytest.mark.slow
-def test_the_papers_gyroscope_has_its_line_and_its_correlation(characterised: Characterise) -> None:
+def test_line_and_correlation_of_the_papers_gyroscope(characterised: Characterise) -> None:
     """Appendix A: neighbours correlate by 0.4 at 350 Hz, and y alone has a line near 50 Hz (Figures 13 and 14).
 
-    Behind 51 Hz samples of 400 Hz correlate by 0.449, and by 0.201 two apart, as one of seven rows is: 0.41.
+    After a filter of 51 Hz samples of 400 Hz correlate by 0.449, and by 0.201 two apart, which one of seven rows is:
+    0.41.
     """
     shaped = ("bandwidth", {"cutoff_hz": 51.0})
     told = findings(characterised(NOISE, shaped, ("tone", {"amplitude": (0.0, 0.06, 0.0), "frequency_hz": 50.0})))
@@ -57,8 +58,8 @@ def test_the_papers_gyroscope_has_its_line_and_its_correlation(characterised: Ch
     assert "G x, z: neighbouring readings correlate by 0.41" in told
 
 
-def test_mains_are_named_aliased_or_not(characterised: Characterise) -> None:
-    """50.02 Hz at 76.93 Hz appear at 26.91 Hz, and 60 Hz at 350 Hz as they are; a line at 21 Hz is neither."""
+def test_mains_lines_are_named_with_their_alias(characterised: Characterise) -> None:
+    """50.02 Hz at 76.93 Hz appears at 26.91 Hz, and 60 Hz at 350 Hz at 60 Hz; a line at 21 Hz is neither."""
     hum = ("tone", {"amplitude": (0.0, 0.05, 0.0), "frequency_hz": 50.02})
     other = ("tone", {"amplitude": (0.05, 0.0, 0.0), "frequency_hz": 21.0})
     texts = [text for text in findings(characterised(NOISE, hum, other, rate_hz=76.93)) if " line at " in text]
@@ -70,7 +71,7 @@ def test_mains_are_named_aliased_or_not(characterised: Characterise) -> None:
 
 
 @pytest.mark.slow
-def test_codes_repeats_and_losses_are_told(characterised: Characterise) -> None:
+def test_codes_repeats_and_losses_are_reported(characterised: Characterise) -> None:
     coarse = ("quantisation", {"step_lsb": 4})
     told = findings(characterised(NOISE, coarse, ("stale_samples", {"probability": 0.3})))
     assert "G x, y, z: only every 4th code" in told
@@ -85,7 +86,7 @@ def test_codes_repeats_and_losses_are_told(characterised: Characterise) -> None:
     assert any("gaps" in text and "s after" in text for text in lossy)
 
 
-def test_even_codes_of_a_fast_adxl345(tmp_path: Path) -> None:
+def test_even_codes_of_a_fast_adxl345_are_reported(tmp_path: Path) -> None:
     array = parse_array(
         '[array]\nname = "a"\n[[sensor]]\nname = "A"\nchip = "adxl345"\naddress = 0x53\nrange = 16\nrate_hz = 1600\n'
     )
@@ -96,7 +97,7 @@ def test_even_codes_of_a_fast_adxl345(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_kalibrs_file_has_the_planted_figures_in_si(characterised: Characterise) -> None:
+def test_the_kalibr_file_has_the_true_figures_in_si(characterised: Characterise) -> None:
     """0.18 dps rms at 350 Hz: 0.18 pi / 180 / sqrt(350) rad/s/sqrt(Hz); walk 0.002 dps/sqrt(s)."""
     result = characterised(NOISE, ("random_walk", {"density": 0.002}), seconds=1500.0)
     (name, text), = imu_files(result).items()  # fmt: skip
@@ -117,7 +118,7 @@ SIX_AXIS = parse_array(
 
 
 @pytest.mark.parametrize("hold_s", some([0.0, 0.0015], 1))
-def test_an_adaptive_range_that_is_on(tmp_path: Path, hold_s: float) -> None:
+def test_an_adaptive_range_is_reported(tmp_path: Path, hold_s: float) -> None:
     """A gyroscope that is turned by hand, up to 286 dps, in a log of every sample."""
     effects = [
         EFFECTS["white_noise"](rms=0.03),
@@ -139,7 +140,7 @@ def test_an_adaptive_range_that_is_on(tmp_path: Path, hold_s: float) -> None:
 
 
 def axis_of(name: str, **known: Any) -> dict[str, Any]:
-    """An axis of which nothing is remarkable but what is `known`."""
+    """An axis without findings except those in `known`."""
     nothing = {"correlation": [1.0, 0.0], "error": [0.0, 0.01]}
     return {
         "axis": name, "unit_per_count": 0.1, "counts": {"std": 10.0}, "codes": None, "fit": None, "lines": [],
@@ -167,8 +168,8 @@ def result_of(axes: dict[str, list[dict[str, Any]]], **known: Any) -> dict[str, 
     return {"stretch": {"remark": "", "phase": None}, "sensors": sensors}
 
 
-def test_sensors_of_which_the_same_is_true_share_a_sentence() -> None:
-    """Correlations 0.2 and 0.3 of four units; the unit that has only one such axis is listed apart."""
+def test_sensors_with_the_same_finding_share_a_sentence() -> None:
+    """Correlations 0.2 and 0.3 of four units; the unit with only one such axis is listed separately."""
     correlated = {"autocorrelation": {"correlation": [1.0, 0.2], "error": [0.0, 0.01]}}
     more = {"autocorrelation": {"correlation": [1.0, 0.3], "error": [0.0, 0.01]}}
     axes = {f"G{number}": [axis_of("x", **correlated), axis_of("y", **more)] for number in (1, 2, 3)}
@@ -176,7 +177,7 @@ def test_sensors_of_which_the_same_is_true_share_a_sentence() -> None:
     assert findings(result_of(axes)) == ["G1 to G3 x, y; G7 y: neighbouring readings correlate by 0.20 to 0.30"]
 
 
-def test_one_line_of_several_axes_is_one_sentence_and_the_strongest_is_first() -> None:
+def test_one_line_of_several_axes_is_one_sentence_by_strength() -> None:
     """Of 100 counts of variance, amplitudes 10, 5 and 2 are 50, 12.5 and 2 %; 50.03 Hz is another line at 0.02 Hz."""
     axes = {
         "A": [axis_of("x", lines=[line_of(31.0, 5.0)])],
@@ -190,13 +191,13 @@ def test_one_line_of_several_axes_is_one_sentence_and_the_strongest_is_first() -
     ]
 
 
-def test_a_slow_change_of_the_mean_is_named() -> None:
+def test_a_slow_change_of_the_mean_is_reported() -> None:
     """A variance of 100 counts squared, of which the spectrum of 1 Hz times 25 a bin has 25 % or all."""
     drifting = axis_of("z", density=[0.0, *[25.0] * 100])
     steady = axis_of("x", density=[0.0, *[100.0] * 100])
     spectrum = {"resolution_hz": 0.02, "segments": 20, "frequency_hz": [0.01 * number for number in range(101)]}
     result = result_of({"A": [steady, drifting], "B": [drifting]}, spectrum=spectrum)
-    assert findings(result) == []  # of a log that may be of motion
+    assert findings(result) == []  # a log that may contain motion
     result["stretch"]["phase"] = "pose 1"
     (text,) = findings(result)
     assert text.startswith("A, B z: 75 % of the variance is a slow change of the mean")
@@ -213,7 +214,7 @@ def test_clipping_at_a_known_rail_is_one_sentence() -> None:
     assert text == "A x: readings accumulate at code 2047: clipped"
 
 
-def test_rows_of_equal_time_are_called_so() -> None:
+def test_rows_of_equal_time_are_reported() -> None:
     burst = {"kind": "bursts", "usual_s": 1e-9, "gap_s": 0.02, "sentence": "rows arrive in bursts, 1e-06 ms apart"}
     result = result_of({"A": [axis_of("x")]})
     result["sensors"][0]["timing"]["pattern"] = burst
@@ -233,5 +234,5 @@ def test_rows_of_equal_time_are_called_so() -> None:
         ([], ""),
     ],
 )
-def test_consecutive_names_in_short(names: list[str], text: str) -> None:
+def test_consecutive_names_are_abbreviated(names: list[str], text: str) -> None:
     assert listed(names) == text

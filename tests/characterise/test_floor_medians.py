@@ -1,4 +1,4 @@
-"""The noise floor's medians, bin by bin as they are defined."""
+"""The medians of the noise floor against their definition for each bin."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from imuarray.characterise.lines import _GUARD, _joined_medians, _sides
 
 
 @pytest.mark.parametrize("last", [64, 257, 2048])
-def test_as_bin_by_bin(last: int) -> None:
+def test_joined_medians_equal_those_of_each_bin(last: int) -> None:
     height = np.random.default_rng(last).normal(size=last + 60)
     bins = np.arange(12, last + 1)
     wanted = []

@@ -17,7 +17,7 @@ with warnings.catch_warnings():
 
 
 @pytest.mark.parametrize("m", [1, 2, 3, 10, 64, 100, 333])
-def test_white_noise_as_printed(m: int) -> None:
+def test_white_noise_equals_the_printed_formula(m: int) -> None:
     """NIST SP 1065, table of edf formulas for the overlapping estimator, white FM; N counts phase values."""
     N = 2001
     printed = (3 * (N - 1) / (2 * m) - 2 * (N - 2) / N) * 4 * m**2 / (4 * m**2 + 5)
@@ -26,8 +26,8 @@ def test_white_noise_as_printed(m: int) -> None:
 
 @pytest.mark.parametrize(("noise", "alpha"), [("white", 0), ("flicker", -1), ("random walk", -2)])
 @pytest.mark.parametrize("m", [128, 1000, 3000])
-def test_long_factors_as_greenhall_and_riley(noise: Noise, alpha: int, m: int) -> None:
-    """allantools evaluates the same theory from its tables and limits; they meet where m is long."""
+def test_long_factors_agree_with_greenhall_and_riley(noise: Noise, alpha: int, m: int) -> None:
+    """allantools evaluates the same theory from its tables and limits; both agree where m is long."""
     N = 10_001
     assert degrees_of_freedom(noise, m, N - 2 * m) == pytest.approx(
         edf_greenhall(alpha, 2, m, N, overlapping=True), rel=0.01
@@ -36,7 +36,7 @@ def test_long_factors_as_greenhall_and_riley(noise: Noise, alpha: int, m: int) -
 
 @pytest.mark.parametrize(("noise", "sums"), [("white", 0), ("random walk", 1)])
 @pytest.mark.parametrize("m", [1, 2, 5, 40])
-def test_by_simulation(noise: Noise, sums: int, m: int) -> None:
+def test_degrees_of_freedom_equal_those_of_replicates(noise: Noise, sums: int, m: int) -> None:
     """2 mean^2 / variance of 4000 replicates: its relative error is below 4 %, so 16 % is four of them."""
     series = np.random.default_rng(m).normal(size=(4000, 100))
     phase = np.pad(series, ((0, 0), (1, 0)))
@@ -55,7 +55,7 @@ def test_shortest_factor_is_exact() -> None:
 
 
 @pytest.mark.parametrize("noise", ["white", "flicker", "random walk"])
-def test_single_term_has_one_degree(noise: Noise) -> None:
+def test_a_single_term_has_one_degree_of_freedom(noise: Noise) -> None:
     assert degrees_of_freedom(noise, 500, 1) == 1
 
 
@@ -67,7 +67,7 @@ def _power_law(rng: np.random.Generator, exponent: float, rows: int) -> np.ndarr
 
 
 @pytest.mark.parametrize(("noise", "exponent"), some([("white", 0.0), ("flicker", 1.0), ("random walk", 2.0)], 1))
-def test_noise_is_identified(noise: Noise, exponent: float) -> None:
+def test_the_noise_type_is_identified(noise: Noise, exponent: float) -> None:
     """In 200 series of 1000 values: the next type is over four standard errors away, so that two may fail at most.
 
     (Standard error of r / (1 + r): 0.03 for white noise, 0.06 for flicker noise; the limits are 0.25 from the middle.)
@@ -78,7 +78,7 @@ def test_noise_is_identified(noise: Noise, exponent: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("noise", "exponent"), some([("white", 0.0), ("flicker", 1.0), ("random walk", 2.0)], 1))
-def test_noise_is_identified_in_averages(noise: Noise, exponent: float) -> None:
+def test_the_noise_type_is_identified_in_averages(noise: Noise, exponent: float) -> None:
     """In 100 series of 500 averages over 16: averaging moves the correlations, and the next type is three standard
     errors of them away (0.13 of 0.045), so that three may fail at most."""
     rng = np.random.default_rng(18)
@@ -88,7 +88,7 @@ def test_noise_is_identified_in_averages(noise: Noise, exponent: float) -> None:
 
 @pytest.mark.parametrize("noise", ["white", "flicker", "random walk"])
 @pytest.mark.parametrize(("factor", "stride"), [(16, 2), (40, 5), (64, 8), (512, 64), (512, 512)])
-def test_stride_by_definition(noise: Noise, factor: int, stride: int) -> None:
+def test_degrees_of_freedom_with_a_stride_equal_their_definition(noise: Noise, factor: int, stride: int) -> None:
     """2 / variance of the mean of squares, from the covariance of every pair of terms."""
     covariance = {
         "white": lambda t: -t / 2,

@@ -1,4 +1,4 @@
-"""Rows that were interpolated between readings, and what only looks like it."""
+"""Rows that were interpolated between readings, and rows that only look so."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def found(path: Path, counts: np.ndarray) -> tuple[float, float] | None:
 
 
 @pytest.mark.parametrize("factor", [2, 4, 10])
-def test_the_rate_of_the_readings(factor: int, tmp_path: Path) -> None:
+def test_the_rate_of_interpolated_readings_is_estimated(factor: int, tmp_path: Path) -> None:
     at = np.arange(ROWS)
     rows = np.stack([np.interp(at, at[::factor], column[::factor]) for column in (MOTION + NOISE).T], axis=1)
     result = found(tmp_path / "a.h5", rows)
@@ -50,5 +50,5 @@ OTHERS = {
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_what_is_not_interpolated(name: str, tmp_path: Path) -> None:
+def test_other_rows_are_not_reported_as_interpolated(name: str, tmp_path: Path) -> None:
     assert found(tmp_path / "a.h5", OTHERS[name]) is None

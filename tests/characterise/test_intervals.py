@@ -1,4 +1,4 @@
-"""Intervals and gaps of clocks with known faults, whatever the blocks."""
+"""Intervals and gaps of clocks with known faults, with any block sizes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def tally(time_ns: np.ndarray, block: int = 10_000) -> SamplingIntervals:
 
 
 def clock(rows: int, seed: int, jitter_ns: float = 0.0, stamp_ns: float = 0.0, alternation_ns: int = 0) -> np.ndarray:
-    """Times with independent jitter of the intervals, of the stamps, and short and long intervals in turn."""
+    """Times with independent jitter of the intervals, of the stamps, and alternating short and long intervals."""
     rng = np.random.default_rng(seed)
     intervals = MEAN_NS + rng.normal(0, jitter_ns, rows) + alternation_ns * (-1) ** np.arange(rows)
     return np.rint(np.cumsum(intervals) + rng.normal(0, stamp_ns, rows)).astype(np.int64)
@@ -31,7 +31,7 @@ def clock(rows: int, seed: int, jitter_ns: float = 0.0, stamp_ns: float = 0.0, a
 
 @settings(deadline=None, max_examples=examples(30))
 @given(st.lists(st.integers(1, 60_000), min_size=1, max_size=300), st.integers(1, 400))
-def test_short_logs_are_exact(intervals: list[int], block: int) -> None:
+def test_intervals_of_short_logs_are_exact(intervals: list[int], block: int) -> None:
     """Intervals up to 65,535 ns have bins of 1 ns: median, and gaps above 1.5 upper quartiles, by sorting."""
     time_ns = 10**15 + np.cumsum([0, *intervals])
     found = tally(time_ns, block)
@@ -49,7 +49,7 @@ def test_short_logs_are_exact(intervals: list[int], block: int) -> None:
         assert time_ns[gap.row] - gap.after_ns == round(gap.length_s * 1e9)
 
 
-def test_blocks_do_not_matter() -> None:
+def test_results_do_not_depend_on_blocks() -> None:
     time_ns = clock(5000, 1, 20_000, 0, 100_000)
     time_ns[3000:] += 10**10
     one, other = tally(time_ns, 7), tally(time_ns, 5000)
@@ -58,8 +58,8 @@ def test_blocks_do_not_matter() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_jitter_of_intervals(seed: int) -> None:
-    """20,000 ns: the standard deviation of 40,000 is sure to 0.35 %, the robust one to 0.8 % (five of them: 4 %)."""
+def test_jitter_of_intervals_is_estimated(seed: int) -> None:
+    """20,000 ns: the standard deviation of 40,000 is known to 0.35 %, the robust to 0.8 % (five of them: 4 %)."""
     found = tally(clock(40_000, seed, 20_000))
     assert found.jitter_rms_s == pytest.approx(20e-6, rel=0.02)
     assert found.jitter_robust_s == pytest.approx(20e-6, rel=0.04)
@@ -68,7 +68,7 @@ def test_jitter_of_intervals(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_jitter_of_stamps_is_no_alternation(seed: int) -> None:
+def test_jitter_of_stamps_is_not_an_alternation(seed: int) -> None:
     """Neighbouring intervals correlate by -1/2, of sqrt(2) times the stamps' jitter."""
     found = tally(clock(40_000, seed, 0, 20_000))
     assert found.jitter_rms_s == pytest.approx(2**0.5 * 20e-6, rel=0.03)
@@ -76,8 +76,8 @@ def test_jitter_of_stamps_is_no_alternation(seed: int) -> None:
 
 
 @pytest.mark.parametrize("alternation_ns", [30_000, 700_000, 2_000_000])
-def test_there_and_back(alternation_ns: int) -> None:
-    """Down to 0.5 ms and 4.5 ms in turn, with jitter, and a gap that shifts the turns."""
+def test_alternating_intervals_are_detected(alternation_ns: int) -> None:
+    """Intervals alternate down to 0.5 ms and 4.5 ms, with jitter, and a gap shifts the alternation."""
     early = clock(20_000, 3, 20_000, 0, alternation_ns)
     late = clock(15_001, 4, 20_000, 0, -alternation_ns) + early[-1] + 50_000_000
     found = tally(np.concatenate([early, late]))
@@ -87,7 +87,7 @@ def test_there_and_back(alternation_ns: int) -> None:
     assert (found.gaps, found.longest[0].row, found.longest[0].after_ns) == (1, 20_000, early[-1])
 
 
-def test_outliers_and_slow_clocks_spare_the_robust_jitter() -> None:
+def test_outliers_and_drift_do_not_bias_the_robust_jitter() -> None:
     """One interval in a hundred 40 % late, and a clock that slows down by a tenth over the log."""
     rng = np.random.default_rng(5)
     intervals = MEAN_NS * np.linspace(1, 1.1, 40_000) + rng.normal(0, 10_000, 40_000)
@@ -98,7 +98,7 @@ def test_outliers_and_slow_clocks_spare_the_robust_jitter() -> None:
     assert found.alternation_s == 0
 
 
-def test_regular_clock() -> None:
+def test_a_regular_clock_has_no_jitter() -> None:
     found = tally(np.arange(5000) * MEAN_NS)
     assert found.median_s == pytest.approx(2.5e-3, rel=1e-5)
     assert found.mean_s == pytest.approx(2.5e-3, rel=1e-12)
@@ -107,7 +107,7 @@ def test_regular_clock() -> None:
     assert (found.alternation_s, found.gaps, found.longest) == (0, 0, ())
 
 
-def test_few_rows_and_refused() -> None:
+def test_few_rows_have_no_figures_and_repeated_times_are_refused() -> None:
     for rows in (0, 1):
         found = tally(np.arange(rows))
         assert (found.rows, found.gaps) == (rows, 0)

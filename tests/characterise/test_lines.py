@@ -1,4 +1,4 @@
-"""Lines: how often noise makes one, how well planted ones are found, and what they may be aliases of."""
+"""Lines: rate of false alarms, errors of known lines, and frequencies of which they may be aliases."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def coloured(kind: str, rng: np.random.Generator, shape: tuple[int, int]) -> np.
 @pytest.mark.slow
 @pytest.mark.parametrize("rows", [8192, 32_768])
 @pytest.mark.parametrize("kind", ["white", "first order", "1/f"])
-def test_false_alarms(kind: str, rows: int) -> None:
-    """Of 240 columns of noise so many have a line as a chance of 10 % allows; both limits fail once in 10,000 runs.
+def test_rate_of_false_alarms(kind: str, rows: int) -> None:
+    """The number of 240 columns of noise with a line is that of a chance of 10 %; both limits fail once in 10,000 runs.
 
     The lower limit is that of 5 %: bins are correlated, and a line must be narrow too.
     """
@@ -48,11 +48,10 @@ def test_false_alarms(kind: str, rows: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("amplitude", "at"), [(0.2, 60), (0.6, 60), (4.0, 100), (0.6, 25), (0.6, 250)])
 @pytest.mark.parametrize("kind", ["white", "first order"])
-def test_planted_lines(kind: str, amplitude: float, at: int) -> None:
-    """160 lines anywhere between two bins: errors in units of the stated ones have a spread of 1 and no mean.
-
-    The spread of 160 normal values is sure to 0.056: 0.75 to 1.25 leave four of them and 3 % for what the formula
-    leaves out. The mean is sure to 0.08: 0.35 is four. Where a line is weak the floor's chance counts as much.
+def test_known_lines_are_estimated_within_their_errors(kind: str, amplitude: float, at: int) -> None:
+    """160 lines at any place between two bins: errors over stated errors have a spread of 1 and a mean of 0. The spread
+    of 160 normal values is known to 0.056: 0.75 to 1.25 allow four of them and 3 % for terms that the formula omits.
+    The mean is known to 0.08: 0.35 is four. For a weak line the scatter of the floor contributes as much.
     """
     rng = np.random.default_rng(at)
     frequency_hz = (at + rng.uniform(-0.5, 0.5, 160)) / 512
@@ -82,7 +81,7 @@ def test_planted_lines(kind: str, amplitude: float, at: int) -> None:
     ],
     ids=["white", "first order", "1/f", "1/f^2"],
 )
-def test_floor_of_a_smooth_spectrum(rows: int, law: Any, tolerance: float) -> None:
+def test_the_floor_of_a_smooth_spectrum_is_the_spectrum(rows: int, law: Any, tolerance: float) -> None:
     """A density without any scatter is its own floor."""
     turn = np.maximum(2 * np.pi * np.arange(rows // 2 + 1) / rows, 1e-9)
     density = law(turn)
@@ -93,7 +92,7 @@ def test_floor_of_a_smooth_spectrum(rows: int, law: Any, tolerance: float) -> No
     np.testing.assert_allclose(floor.density, density[floor.bins], rtol=tolerance)
 
 
-def test_floor_is_the_mean_of_the_noise() -> None:
+def test_the_floor_is_the_mean_of_the_noise() -> None:
     """Not its median, which lies 2 / 3 / freedom lower: mean over 100 columns within five standard errors."""
     found = spectrum(np.random.default_rng(31).normal(size=(2048, 100)))
     means = [float(noise_floor(found, column).density[:-1].mean()) for column in range(100)]
@@ -101,8 +100,8 @@ def test_floor_is_the_mean_of_the_noise() -> None:
     assert np.std(means) / 10 < 0.01
 
 
-def test_noise_that_comes_and_goes_has_less_freedom() -> None:
-    """Twenty times as loud in a tenth of the time: of the segments only those count, and no line is found."""
+def test_intermittent_noise_has_fewer_degrees_of_freedom() -> None:
+    """Twenty times as loud in a tenth of the time: only those segments contribute, and no line is detected."""
     values = np.random.default_rng(32).normal(size=(32_768, 40))
     values[:3277] *= 20
     found = spectrum(values)
@@ -111,7 +110,7 @@ def test_noise_that_comes_and_goes_has_less_freedom() -> None:
     assert sum(bool(find_lines(found, column, 0.1).lines) for column in range(40)) <= binom.isf(1e-4, 40, 0.1)
 
 
-def test_strong_line_hides_nothing_and_invents_nothing() -> None:
+def test_a_strong_line_neither_hides_nor_creates_lines() -> None:
     """67 dB above the floor, a weak one 30 bins on, and the alternation +A, -A at half the rate."""
     row = np.arange(32_768)
     values = np.random.default_rng(33).normal(0, 0.01, (len(row), 20)) + 3 * np.sin(2 * np.pi * 0.1003 * row)[:, None]
@@ -127,7 +126,7 @@ def test_strong_line_hides_nothing_and_invents_nothing() -> None:
         assert weak.false_alarm < 1e-6 < weak.over_floor
 
 
-def test_nothing_to_look_at() -> None:
+def test_constant_or_short_series_have_no_lines() -> None:
     for values in (np.full((4096, 1), 7), np.random.default_rng(1).normal(size=(100, 1))):
         search = find_lines(spectrum(values))
         assert search.lines == ()
@@ -149,7 +148,7 @@ def test_aliases_of_the_paper_array() -> None:
 
 
 @given(st.integers(0, 500), st.integers(1, 1000), st.integers(0, 5000))
-def test_aliases_look_alike(apparent: int, rate: int, highest: int) -> None:
+def test_aliases_are_the_frequencies_that_fold_to_the_line(apparent: int, rate: int, highest: int) -> None:
     """Whole frequencies: exactly those that the rate's folding maps to the apparent one."""
     apparent = min(apparent, rate // 2)
     expected = [true for true in range(highest + 1) if min(true % rate, -true % rate) == apparent]

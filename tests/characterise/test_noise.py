@@ -19,7 +19,7 @@ from tests.selection import examples
 
 
 class Rows:
-    """As much of a `SensorLog` as the statistics read."""
+    """The part of a `SensorLog` that the statistics read."""
 
     def __init__(self, counts: np.ndarray, status: np.ndarray | None = None) -> None:
         self.counts = counts
@@ -32,8 +32,8 @@ def statistics(counts: np.ndarray, status: np.ndarray | None = None, rows: slice
 
 @settings(max_examples=examples(60), deadline=None)
 @given(st.integers(2, 700), st.integers(0, 3), st.integers(0, 2**32 - 1), st.sampled_from([3, 50, 1 << 16]))
-def test_as_the_whole_array(count: int, share: int, seed: int, block: int) -> None:
-    """Mean and spread of the used rows, as NumPy finds them in one piece, whatever the blocks."""
+def test_streamed_statistics_equal_numpy(count: int, share: int, seed: int, block: int) -> None:
+    """Mean and spread of the used rows equal those by NumPy of the whole array, with any block sizes."""
     rng = np.random.default_rng(seed)
     counts = rng.integers(-(2**15), 2**15, (count, 3), dtype=np.int16)
     status = np.where(rng.random(count) < share / 4, rng.choice([STALE, SATURATED, SUSPECT]), OVERRUN).astype(np.uint16)
@@ -49,13 +49,13 @@ def test_as_the_whole_array(count: int, share: int, seed: int, block: int) -> No
         np.testing.assert_allclose(found.even_share, (used % 2 == 0).mean(axis=0), rtol=1e-12)
 
 
-def test_large_mean_loses_nothing() -> None:
+def test_a_large_mean_keeps_the_precision() -> None:
     """A mean 10^8 times the spread, where a sum of squares in float64 has no digit left."""
     noise = np.random.default_rng(2).integers(-3, 4, (10_000, 1))
     np.testing.assert_allclose(statistics(noise + 300_000_000).std, noise.std(axis=0, ddof=1), rtol=1e-8)
 
 
-def test_rows_outside_are_not_seen() -> None:
+def test_rows_outside_the_range_are_excluded() -> None:
     counts = np.vstack([np.full((100, 3), 9), np.tile([[0], [2]], (50, 3)), np.full((100, 3), 9)])
     found = statistics(counts, rows=slice(100, 200))
     np.testing.assert_array_equal(found.mean, [1, 1, 1])
@@ -63,7 +63,7 @@ def test_rows_outside_are_not_seen() -> None:
     np.testing.assert_array_equal(found.even_share, 1)
 
 
-def test_lag_one_of_a_known_process() -> None:
+def test_lag_one_correlation_of_a_known_process() -> None:
     """0.6 within 5 standard errors (sqrt((1 - 0.36) / n) each), also where every reading is followed by a stale one."""
     noise = lfilter([1.0], [1.0, -0.6], np.random.default_rng(4).normal(0, 100, (40_000, 3)), axis=0)
     counts = np.rint(noise).astype(np.int16)
@@ -73,12 +73,14 @@ def test_lag_one_of_a_known_process() -> None:
     np.testing.assert_allclose(statistics(np.repeat(counts, 2, axis=0), status).lag1, 0.6, atol=limit)
 
 
-def test_lag_one_of_a_ramp() -> None:
-    """Every row a little more than the one before, and the first rows far from the mean: 1 but for the ends."""
+def test_lag_one_correlation_of_a_ramp() -> None:
+    """Every row is a little larger than the previous row, and the first rows are far from the mean: 1 except for the
+    ends.
+    """
     np.testing.assert_allclose(statistics(np.arange(32_000)[:, np.newaxis]).lag1, 1, atol=1e-3)
 
 
-def test_too_few_rows_are_unknown() -> None:
+def test_too_few_rows_give_no_statistics() -> None:
     nothing = statistics(np.zeros((0, 3), np.int16))
     assert nothing.rows == nothing.used == 0
     assert np.isnan([nothing.mean, nothing.std, nothing.sem, nothing.lag1, nothing.even_share]).all()
@@ -92,8 +94,8 @@ def test_too_few_rows_are_unknown() -> None:
 
 
 @pytest.mark.parametrize("pole", [0.0, 0.8])
-def test_error_of_the_mean_covers(pole: float) -> None:
-    """Mean +- t(31) * error holds the true mean in 95 % of 600 series, white or with a correlation of 0.8.
+def test_intervals_of_the_mean_cover(pole: float) -> None:
+    """Mean +- t(31) * error covers the true mean in 95 % of 600 series, white or with a correlation of 0.8.
 
     A chance below 1e-5 to fail if coverage lies between 93 % and 97 % (batches of 100 rows are not quite independent).
     With the plain s / sqrt(n) the correlated series would be covered in 49 %.

@@ -1,4 +1,4 @@
-"""The figures of a result: panels, what is drawn against the result's own numbers, marks, and sensors with nothing."""
+"""The figures of a result: panels, drawn data against the numbers of the result, marks, and sensors without results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LEVEL = 1e-3
 
 
 def _sensors() -> dict[str, np.ndarray]:
-    """Counts of accelerometers, each with what its name says; what isn't said is white with sigma 10."""
+    """Counts of accelerometers, each with the property in its name, otherwise white with sigma 10."""
     rng = np.random.default_rng(20250607)
 
     def white(rows: int = ROWS) -> np.ndarray:
@@ -76,10 +76,10 @@ def _axes(result: dict[str, Any], name: str) -> list[dict[str, Any]]:
 @pytest.mark.parametrize(
     "sensors", some([(("empty",),), (("one",),), (("short",),), (("constant",),), (("ramp",),), None], 1)
 )
-def test_whatever_a_sensor_lacks_the_figure_is_drawn(
+def test_figures_of_incomplete_sensors_are_drawn(
     result: dict[str, Any], name: str, sensors: tuple[str, ...] | None
 ) -> None:
-    """Warnings are errors: of matplotlib's layout, of NumPy's logarithms."""
+    """Warnings of matplotlib's layout and of NumPy's logarithms are errors."""
     figure = FIGURES[name](_of(result, *sensors) if sensors else result)
     figure.canvas.draw()
     assert r"odd_\$1_^.h5" in figure.get_suptitle()
@@ -89,14 +89,16 @@ def test_whatever_a_sensor_lacks_the_figure_is_drawn(
 
 
 @pytest.mark.parametrize("name", FIGURES)
-def test_without_matplotlib(result: dict[str, Any], name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_figure_without_matplotlib_is_refused(
+    result: dict[str, Any], name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MissingExtraError, match=r"imuarray\[report\]"):
         FIGURES[name](result)
 
 
-def test_allan_curve_and_fit_are_the_results(result: dict[str, Any]) -> None:
+def test_drawn_allan_curve_and_fit_are_those_of_the_result(result: dict[str, Any]) -> None:
     panel = FIGURES["allan.png"](_of(result, "white")).get_axes()[0]
     curves = [line for line in panel.get_lines() if line.get_marker() == "o"]
     fits = [line for line in panel.get_lines() if line.get_gid() == "fit"]
@@ -109,13 +111,13 @@ def test_allan_curve_and_fit_are_the_results(result: dict[str, Any]) -> None:
     assert note == "white ±1.5 g\nN 0.00018 g/√Hz"
 
 
-def test_a_bad_fit_is_not_drawn_but_said(result: dict[str, Any]) -> None:
+def test_a_bad_fit_is_noted_and_not_drawn(result: dict[str, Any]) -> None:
     panel = FIGURES["allan.png"](_of(result, "hum")).get_axes()[0]
     assert sum(line.get_gid() == "fit" for line in panel.get_lines()) == 2
     assert panel.get_legend().get_texts()[0].get_text().endswith("not fitted: x")
 
 
-def test_the_axis_own_scale_counts(result: dict[str, Any]) -> None:
+def test_each_axis_is_drawn_with_its_own_scale(result: dict[str, Any]) -> None:
     """A calibration may have a scale for each axis."""
     sensor = _of(result, "white")["sensors"][0]
     axes = [axis | {"unit_per_count": scale} for axis, scale in zip(sensor["axes"], (1.0, -2.0, 3.0), strict=True)]
@@ -131,7 +133,7 @@ def test_the_axis_own_scale_counts(result: dict[str, Any]) -> None:
         np.testing.assert_allclose(np.array(levels) / before, np.array([1.0, 2.0, 3.0]) / PER_COUNT)
 
 
-def test_density_of_white_noise_and_a_line(result: dict[str, Any]) -> None:
+def test_drawn_density_of_white_noise_and_a_line(result: dict[str, Any]) -> None:
     """White noise of variance 100 + 1/12 at 100 Hz has sqrt(2 * 100.083 / 100) = 1.4148 counts/sqrt(Hz), one-sided.
 
     1 % allows for 5 standard errors of the mean of the curve's upper bands; a sine of amplitude 8 adds no more than its
@@ -163,10 +165,9 @@ def test_bands_are_means_of_a_sixth_of_an_octave() -> None:
     assert (found.frequency_hz[-1], found.density[-1]) == (last.mean(), pytest.approx((last**2).mean()))
 
 
-def test_band_intervals_hold_the_truth() -> None:
-    """95 % of the intervals of white noise hold its density: of 300 spectra of 33 bands, 94 to 96 %.
-
-    The share has a standard error below 0.4 % even if all bands of a spectrum held or failed in threes.
+def test_band_intervals_cover_the_truth() -> None:
+    """95 % of the intervals of white noise cover its density: of 300 spectra of 33 bands, 94 to 96 %. The share has a
+    standard error below 0.4 % even if bands of a spectrum covered or failed in groups of three.
     """
     rng = np.random.default_rng(77)
     window = np.sin(np.pi * np.arange(256) / 256) ** 2
@@ -189,11 +190,11 @@ def test_band_intervals_hold_the_truth() -> None:
         (12.34, [12.34, 112.34], "12.34 Hz"),
     ],
 )
-def test_mains_are_named(apparent_hz: float, aliases_hz: list[float], label: str) -> None:
+def test_mains_lines_are_labelled(apparent_hz: float, aliases_hz: list[float], label: str) -> None:
     assert line_label({"frequency_hz": apparent_hz, "aliases_hz": aliases_hz}) == label
 
 
-def test_only_axes_that_correlate_are_coloured(result: dict[str, Any]) -> None:
+def test_only_correlated_axes_are_coloured(result: dict[str, Any]) -> None:
     """Chance of a coloured axis among the five that are white: below 1 %, and the seed is fixed."""
     panel = FIGURES["autocorrelation.png"](_of(result, "white", "hum")).get_axes()[0]
     coloured = [line for line in panel.get_lines() if line.get_color() in COLOURS]
@@ -206,7 +207,7 @@ def test_only_axes_that_correlate_are_coloured(result: dict[str, Any]) -> None:
     assert texts == ["hum ±1.5 g", "axis x", "axis y", "axis z", "like white noise", "±0.014: 95 % of white noise"]
 
 
-def test_a_sensor_has_its_colour_in_every_figure(result: dict[str, Any]) -> None:
+def test_a_sensor_has_the_same_colour_in_every_figure(result: dict[str, Any]) -> None:
     sensors = _of(result, "constant", "hum")
     for name in ("allan.png", "spectrum.png", "autocorrelation.png"):
         handles = FIGURES[name](sensors).get_axes()[0].get_legend().get_lines()
@@ -223,11 +224,11 @@ def test_a_sensor_has_its_colour_in_every_figure(result: dict[str, Any]) -> None
         ("one", [[], [], []]),
     ],
 )
-def test_marks(result: dict[str, Any], sensor: str, said: list[list[str]]) -> None:
+def test_marks_of_codes(result: dict[str, Any], sensor: str, said: list[list[str]]) -> None:
     assert [marks(axis, LEVEL) for axis in _axes(result, sensor)] == said
 
 
-def test_marks_with_numbers(result: dict[str, Any]) -> None:
+def test_marks_state_the_share_of_clipped_readings(result: dict[str, Any]) -> None:
     """Of a Gaussian with sigma 10, rounded, Phi(-1.45) = 7.4 % lie at or below -15, 12.5 % at or above 12."""
     (low,), (high,), none = (marks(axis, LEVEL) for axis in _axes(result, "clipped"))
     assert low.endswith(" % at the low end")
@@ -240,7 +241,7 @@ def test_marks_with_numbers(result: dict[str, Any]) -> None:
     assert far == ["outlier at 600"]
 
 
-def test_histogram_panels_bars_and_gaussian(result: dict[str, Any]) -> None:
+def test_histogram_has_panels_bars_and_a_gaussian(result: dict[str, Any]) -> None:
     panels = FIGURES["histogram.png"](_of(result, "missing", "steps", "white")).get_axes()
     assert [panel.get_title(loc="left") for panel in panels[3:5]] == ["steps ±1.5 g, x", "steps ±1.5 g, y"]
     for panel, axis in zip(panels[6:], _axes(result, "white"), strict=True):
@@ -257,20 +258,20 @@ def test_histogram_panels_bars_and_gaussian(result: dict[str, Any]) -> None:
 def test_wide_histograms_keep_their_area() -> None:
     codes = list(range(-300, 301, 2))
     heights, edges = bars({"codes": codes, "counts": [5] * len(codes)}, 2)
-    # 301 codes in bars of 3, 6 wide: the share of one code is 1/301, and the last bar has but one
+    # 301 codes in bars of 3, 6 wide: the share of one code is 1/301, and the last bar has only one
     np.testing.assert_allclose(edges, -300.5 + 6 * np.arange(102))
     np.testing.assert_allclose(heights, [1 / 301] * 100 + [1 / 903])
 
 
-def test_even_codes_have_gaps() -> None:
+def test_histogram_of_even_codes_has_gaps() -> None:
     heights, edges = bars({"codes": [-2, 0, 4], "counts": [1, 2, 1]}, 2)
     assert edges.tolist() == [-2.5, -1.5, -0.5, 0.5, 3.5, 4.5]
     assert heights.tolist() == [0.25, 0.0, 0.5, 0.0, 0.25]
 
 
 @pytest.mark.slow
-def test_more_sensors_than_panels(result: dict[str, Any]) -> None:
-    """Those with something to say come first, in the log's order."""
+def test_sensors_with_findings_have_panels_first(result: dict[str, Any]) -> None:
+    """Sensors with findings are first, in the order of the log."""
     white, steps = (_of(result, name)["sensors"][0] for name in ("white", "steps"))
     many = [white | {"name": f"W{number}"} for number in range(14)] + [steps]
     figure = FIGURES["histogram.png"](result | {"sensors": many})
@@ -298,7 +299,7 @@ def test_files_are_named_and_written(result: dict[str, Any], tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", some(FIGURES, 2))
-def test_labels_lie_inside_the_figure_and_panels_apart(result: dict[str, Any], name: str) -> None:
+def test_labels_are_inside_the_figure_and_panels_do_not_overlap(result: dict[str, Any], name: str) -> None:
     figure = FIGURES[name](result)
     figure.canvas.draw()
     width, height = figure.canvas.get_width_height()

@@ -1,4 +1,4 @@
-"""Readings that a program processed are called so, and raw ones are not."""
+"""Readings that a program processed are reported as processed, and raw readings are not."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ MATRIX = np.eye(6) + np.random.default_rng(3).normal(0, 4e-3, (6, 6))
 
 
 def resampled_then_moved() -> np.ndarray:
-    """Ten seconds at rest, coarse codes as of a wristband, and then motion at 2 Hz."""
+    """Ten seconds at rest, coarse codes like those of a wristband, and then motion at 2 Hz."""
     values = resampled(97.3)
     values[1024:, :] += np.sin(4 * np.pi * np.arange(ROWS - 1024)[:, None] / RATE_HZ) * [0.4, 0.3, 0.2, 40, 30, 20]
     return values
@@ -100,8 +100,8 @@ def imported(values: np.ndarray, folder: Path) -> Path:
 @pytest.mark.parametrize(
     "name", [name if name == "resampled" else pytest.param(name, marks=pytest.mark.slow) for name in PROCESSED]
 )
-def test_a_processed_recording_is_called_processed(name: str, tmp_path: Path) -> None:
-    """In the report of the import, and by the diagnosis, which finds no cause in it."""
+def test_a_processed_recording_is_reported_as_processed(name: str, tmp_path: Path) -> None:
+    """The report of the import and the diagnosis state it, and the diagnosis names no cause."""
     values, said = PROCESSED[name]
     with open_log(imported(values, tmp_path)) as log:
         for sensor in log.sensors.values():
@@ -115,14 +115,14 @@ def test_a_processed_recording_is_called_processed(name: str, tmp_path: Path) ->
 @pytest.mark.parametrize(
     "name", [name if name == "codes" else pytest.param(name, marks=pytest.mark.slow) for name in RAW]
 )
-def test_raw_readings_are_not(name: str, tmp_path: Path) -> None:
+def test_raw_readings_are_not_reported_as_processed(name: str, tmp_path: Path) -> None:
     with open_log(imported(RAW[name], tmp_path)) as log:
         for sensor in log.sensors.values():
             assert [text for text in find_processing(sensor) if "gravity" not in text] == []
 
 
 @pytest.mark.parametrize(("order", "is_named"), some([(3, False), (2, False), (6, True), (4, True)], 2))
-def test_a_filter_of_codes_is_a_programs_if_no_chip_has_its_order(order: int, is_named: bool, tmp_path: Path) -> None:
+def test_a_filter_of_higher_order_than_a_chips_is_a_programs(order: int, is_named: bool, tmp_path: Path) -> None:
     """The rounded output of a Butterworth filter; chips have filters up to the third order (ICM-42688-P)."""
     smooth = lfilter(*butter(order, 0.2), readings(ROWS + 300), axis=0)[300:]
     with open_log(imported(np.rint(smooth / STEPS) * STEPS, tmp_path)) as log:
@@ -133,7 +133,7 @@ def test_a_filter_of_codes_is_a_programs_if_no_chip_has_its_order(order: int, is
 
 
 @pytest.mark.slow
-def test_an_accelerometer_without_gravity_is_left_out(tmp_path: Path) -> None:
+def test_an_accelerometer_without_gravity_is_excluded(tmp_path: Path) -> None:
     with open_log(imported(without_gravity(), tmp_path)) as log:
         (recording,) = recordings_of([log])
         assert list(recording.experiment.plan.sensors) == ["Gyro"]
@@ -150,7 +150,7 @@ def test_an_accelerometer_without_gravity_is_left_out(tmp_path: Path) -> None:
         pytest.param("calibrated", ASSUMED, 32767 / 125, marks=pytest.mark.slow),
     ],
 )
-def test_the_log_says_whether_counts_are_codes(name: str, wanted: str | None, per_dps: float, tmp_path: Path) -> None:
+def test_the_log_states_whether_counts_are_codes(name: str, wanted: str | None, per_dps: float, tmp_path: Path) -> None:
     with open_log(imported(RAW[name], tmp_path)) as log:
         assert log["Gyro"].attributes.get(RESOLUTION) == wanted
         assert log["Gyro"].sensitivity == pytest.approx(per_dps, rel=1e-3)

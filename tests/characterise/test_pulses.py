@@ -17,8 +17,8 @@ SECONDS, PULSE_S = 60.0, 0.37
 
 
 def written(path: Path, sensors: dict[str, tuple[float, float, bool]]) -> dict[str, SensorAlignment]:
-    """Alignment of sensors of a nominal 500 Hz by name, each with its actual rate, how late its times are (s), and
-    whether it measures the time since a pulse, by its own oscillator.
+    """Alignment of sensors of a nominal 500 Hz by name, each with its actual rate, the lateness of its times (s), and
+    whether it measures the time since a pulse by its own oscillator.
     """
     headers = [
         SensorHeader(
@@ -51,7 +51,7 @@ def written(path: Path, sensors: dict[str, tuple[float, float, bool]]) -> dict[s
     return {sensor.name: sensor for sensor in alignment.sensors}
 
 
-def test_measured_pulses_show_late_times_to_a_microsecond(tmp_path: Path) -> None:
+def test_measured_pulses_determine_late_times_to_a_microsecond(tmp_path: Path) -> None:
     late = {"A": 0.0, "B": 150e-6, "C": -2e-3}
     rates = {"A": 503.1, "B": 498.7, "C": 500.2}
     sensors = written(tmp_path / "r.h5", {name: (rates[name], late[name], True) for name in late})
@@ -62,7 +62,7 @@ def test_measured_pulses_show_late_times_to_a_microsecond(tmp_path: Path) -> Non
     assert sensors["B"].pulse_error_s <= 41e-6
 
 
-def test_marks_alone_show_late_times_to_a_part_of_a_period(tmp_path: Path) -> None:
+def test_marks_alone_determine_late_times_to_part_of_a_period(tmp_path: Path) -> None:
     """A pulse at any phase of two periods of 2 ms: 0.82 ms of one difference, 0.126 ms of 162 (95 %)."""
     sensors = written(tmp_path / "r.h5", {"A": (503.1, 0.0, False), "B": (498.7, 700e-6, False)})
     late, error = sensors["B"].pulse_offset_s, sensors["B"].pulse_error_s
@@ -72,13 +72,13 @@ def test_marks_alone_show_late_times_to_a_part_of_a_period(tmp_path: Path) -> No
     assert 60e-6 < error < 200e-6
 
 
-def test_pulses_at_one_phase_of_the_samples_are_known_no_better_than_each_of_them(tmp_path: Path) -> None:
-    """Periods of exactly 2 ms, pulses a quarter of one after a sample: the mean of many tells no more."""
+def test_pulses_at_one_phase_do_not_average_down(tmp_path: Path) -> None:
+    """Periods of exactly 2 ms, pulses a quarter of a period after a sample: the mean of many is no better."""
     sensors = written(tmp_path / "r.h5", {"A": (500.0, 0.0, False), "B": (500.0, 0.0, False)})
     assert sensors["B"].pulse_error_s == pytest.approx(2.02e-3)
 
 
-def test_characterise_prints_pulses(tmp_path: Path) -> None:
+def test_characterise_prints_the_alignment_by_pulses(tmp_path: Path) -> None:
     path = tmp_path / "r.h5"
     written(path, {"A": (503.1, 0.0, False), "B": (498.7, 700e-6, False)})
     with open_log(path) as log:

@@ -1,4 +1,4 @@
-"""Where a sensor clips: by its range, by a pile at its last code; and where it only seems to."""
+"""Detection of clipping by the range and by a pile at the last code; and readings that only look clipped."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ def shaken(at: float, rows: int = 4000, low: float | None = None) -> np.ndarray:
     [
         (shaken(8192), 8192, -8192),  # range times sensitivity
         (shaken(8191, low=-8192), 8191, -8192),  # two's complement of 14 bits
-        (shaken(8400), 8400, -8400),  # a little beyond the range, as chips go
-        (shaken(5000), 5000, -5000),  # another range than the log says
+        (shaken(8400), 8400, -8400),  # a little beyond the range, which chips reach
+        (shaken(5000), 5000, -5000),  # another range than that of the log
         (shaken(5000, low=-40_000), 5000, -np.inf),  # one end only
         (shaken(8192, rows=40) // 3, np.inf, -np.inf),
         (np.rint(np.random.default_rng(2).normal(0, 300, (4000, 3))), np.inf, -np.inf),
-        (np.rint(np.random.default_rng(2).normal(0, 0.4, (4000, 3))), np.inf, -np.inf),  # hardly any code
+        (np.rint(np.random.default_rng(2).normal(0, 0.4, (4000, 3))), np.inf, -np.inf),  # hardly any codes
         (np.zeros((400, 3)), np.inf, -np.inf),
     ],
 )
-def test_rails(counts: np.ndarray, high: float, low: float, tmp_path: Path) -> None:
+def test_rails_of_clipped_and_unclipped_readings(counts: np.ndarray, high: float, low: float, tmp_path: Path) -> None:
     with open_log(logged(tmp_path, counts)) as log:
         rails = find_rails(log["S"])
     np.testing.assert_array_equal(rails.high, [high] * 3)
@@ -52,22 +52,22 @@ def test_rails(counts: np.ndarray, high: float, low: float, tmp_path: Path) -> N
     np.testing.assert_array_equal(rails.clipped(counts), ((counts >= high) | (counts <= low)).any(axis=1))
 
 
-def test_a_log_that_flags_none_is_told_so(tmp_path: Path) -> None:
+def test_clipped_readings_without_flags_are_reported(tmp_path: Path) -> None:
     with open_log(logged(tmp_path, shaken(8192))) as log:
         told = [text for text in findings(characterise_log(log)) if "clips at -8192 and 8192" in text]
     assert told and all("none of them is flagged as saturated: import the log again" in text for text in told)
 
 
 @pytest.mark.slow
-def test_uniform_noise_is_no_clipping(tmp_path: Path) -> None:
-    """Its density does not fall, and ends at once."""
+def test_uniform_noise_is_not_clipping(tmp_path: Path) -> None:
+    """Its density is constant and ends abruptly."""
     counts = np.random.default_rng(3).integers(-3000, 3001, (20_000, 3))
     with open_log(logged(tmp_path, counts)) as log:
         assert not find_rails(log["S"]).rows.any()
 
 
 @pytest.mark.slow
-def test_gaussian_noise_is_never_called_clipped(tmp_path: Path) -> None:
+def test_gaussian_noise_is_not_reported_as_clipped(tmp_path: Path) -> None:
     """40 recordings of six ends each, at a level of one in a million."""
     rng = np.random.default_rng(4)
     for spread in rng.uniform(1, 2000, 40):
@@ -76,8 +76,8 @@ def test_gaussian_noise_is_never_called_clipped(tmp_path: Path) -> None:
             assert not find_rails(log["S"]).rows.any()
 
 
-def test_a_smooth_motion_that_turns_at_its_largest_rate_does_not_clip(tmp_path: Path) -> None:
-    """A swing of 45 dps in whole dps: the time at its largest code follows a square root, and is no pile."""
+def test_a_smooth_peak_of_the_rate_is_not_clipping(tmp_path: Path) -> None:
+    """A swing of 45 dps in whole dps: the time at its largest code follows a square root, and is not a pile."""
     at = np.arange(4000) * 0.01
     swing = np.stack([60 * np.sin(2 * at), 45 * np.sin(1.5 * at), 30 * np.sin(at)], axis=1)
     with open_log(logged(tmp_path, np.rint(swing), 250.0, 1.0)) as log:

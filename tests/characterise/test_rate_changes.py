@@ -1,4 +1,4 @@
-"""Changes of the rate of rows, and what is none."""
+"""Changes of the rate of rows, and rows without such a change."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def runs_of(path: Path, intervals_s: np.ndarray) -> tuple[tuple[int, float], ...
 
 @pytest.mark.parametrize("after", [700, 3000, 5500])
 @pytest.mark.parametrize("later_s", [0.004, 0.02])
-def test_the_row_and_the_rates(after: int, later_s: float, tmp_path: Path) -> None:
+def test_a_change_has_its_row_and_both_rates(after: int, later_s: float, tmp_path: Path) -> None:
     intervals = np.where(np.arange(ROWS) < after, 0.01, later_s)
     (first, rate_hz), (row, later_hz) = runs_of(tmp_path / "a.h5", intervals)
     assert (first, row) == (0, after)
@@ -47,12 +47,12 @@ STEADY = {
 
 
 @pytest.mark.parametrize("name", STEADY)
-def test_what_is_no_change_of_the_rate(name: str, tmp_path: Path) -> None:
+def test_steady_rates_have_no_change(name: str, tmp_path: Path) -> None:
     assert runs_of(tmp_path / "a.h5", STEADY[name]) == ()
 
 
 def test_many_changes_are_counted(tmp_path: Path) -> None:
-    """A phone that saves power whenever its screen is dark: 1000 rows at 100 Hz, 1000 rows at 20 Hz, and so on."""
+    """A phone that saves power while its screen is dark: 1000 rows at 100 Hz, 1000 rows at 20 Hz, and so on."""
     intervals = np.where(np.arange(ROWS) // 1000 % 2 == 0, 0.01, 0.05)
     assert [row for row, _ in runs_of(tmp_path / "a.h5", intervals)] == [0, 1000, 2000, 3000, 4000, 5000]
     with open_log(tmp_path / "a.h5") as log:
@@ -60,5 +60,5 @@ def test_many_changes_are_counted(tmp_path: Path) -> None:
     assert sentence == "the rate changes 5 times, between 20 and 100 rows per second"
 
 
-def test_a_short_log_has_none(tmp_path: Path) -> None:
+def test_a_short_log_has_no_change(tmp_path: Path) -> None:
     assert runs_of(tmp_path / "a.h5", np.where(np.arange(200) < 100, 0.01, 0.02)) == ()

@@ -1,4 +1,4 @@
-"""Repeated readings of chips that are slower than their poll, by chance, and in blocks."""
+"""Repeated readings: chips that are slower than their poll, equal readings by chance, and any block sizes."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def tally(counts: np.ndarray, block: int = 10_000) -> Repeats:
 
 @settings(deadline=None)
 @given(st.lists(st.lists(st.integers(0, 2), max_size=150), max_size=4), st.integers(1, 160), st.integers(1, 2))
-def test_as_counted(runs: list[list[int]], block: int, columns: int) -> None:
-    """Against Python's groupby, runs of the log apart; the second column is always the same."""
+def test_repeats_equal_those_counted_by_groupby(runs: list[list[int]], block: int, columns: int) -> None:
+    """Compared with Python's groupby, for separate runs of the log; the second column is constant."""
     found = RepeatTally()
     for run in runs:
         counts = np.column_stack([run, np.full(len(run), 7)])[:, :columns].astype(np.int16)
@@ -45,10 +45,10 @@ def test_as_counted(runs: list[list[int]], block: int, columns: int) -> None:
 
 @pytest.mark.parametrize("spread", [0.4, 50.0])
 @pytest.mark.parametrize("rate_hz", [100.0, 270.0, 800.0])
-def test_update_rate(rate_hz: float, spread: float) -> None:
+def test_the_update_rate_is_estimated(rate_hz: float, spread: float) -> None:
     """A chip of 100, 270 and 800 Hz polled at 400 Hz, also where a third of new readings are equal by chance.
 
-    40,000 rows: the shares are sure to 0.0025, the rate to 2 Hz where chance takes a third off; 10 Hz are five.
+    40,000 rows: the shares are known to 0.0025, the rate to 2 Hz where a third is equal by chance; 10 Hz are five.
     """
     fresh = np.rint(np.random.default_rng(1).normal(0, spread, (100_000, 3))).astype(np.int16)
     found = tally(fresh[(np.arange(40_000) * rate_hz / 400).astype(int)])
@@ -59,13 +59,13 @@ def test_update_rate(rate_hz: float, spread: float) -> None:
         assert found.chance_share < 1e-3
 
 
-def test_all_columns_must_repeat() -> None:
+def test_a_repeat_needs_all_columns_equal() -> None:
     counts = np.array([[1, 2, 3], [1, 2, 4], [1, 2, 4], [1, 2, 4], [0, 2, 4]], np.int16)
     found = tally(counts)
     assert (found.repeat_share, found.longest, found.longest_row) == (0.5, 3, 1)
 
 
-def test_stuck_chip_has_no_rate_to_tell() -> None:
+def test_a_stuck_chip_has_no_update_rate() -> None:
     found = tally(np.full((500, 3), 9))
     assert (found.repeat_share, found.longest) == (1, 500)
     assert np.isnan(found.new_share)

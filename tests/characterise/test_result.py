@@ -1,4 +1,4 @@
-"""The whole characterisation of a log: stretch, runs, scales, JSON and the table."""
+"""The characterisation of a log: stretch, runs, scales, JSON and the table."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def sensor(result: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_is_plain_json(result: dict[str, Any]) -> None:
+def test_the_result_is_plain_json(result: dict[str, Any]) -> None:
     assert json.loads(json.dumps(result, allow_nan=False)) == result
     assert [item["name"] for item in result["sensors"]] == ["A", "E", "G"]
 
 
 @pytest.mark.slow
-def test_longest_phase_at_rest(result: dict[str, Any]) -> None:
+def test_the_longest_phase_at_rest_is_chosen(result: dict[str, Any]) -> None:
     assert result["stretch"] == {
         "phase": "static",
         "up": "+Z",
@@ -45,7 +45,7 @@ def test_longest_phase_at_rest(result: dict[str, Any]) -> None:
     }
 
 
-def test_gap_splits_the_run(result: dict[str, Any]) -> None:
+def test_a_gap_splits_the_run(result: dict[str, Any]) -> None:
     """Rows 500 ... 1999 and 2020 ... 5499: the Allan deviation pools both; no term spans the gap."""
     found = sensor(result, "A")
     assert (found["rows"], found["gaps"], found["flags"]["lost_before"]) == (4980, 1, 1)
@@ -58,7 +58,7 @@ def test_gap_splits_the_run(result: dict[str, Any]) -> None:
     assert found["axes"][0]["allan"]["terms"][0] == 1499 + 3479
 
 
-def test_white_sensor_in_all_units(result: dict[str, Any]) -> None:
+def test_figures_of_a_white_sensor_in_all_units(result: dict[str, Any]) -> None:
     """Sigma 20 counts at 100 Hz and 5460 counts per g: 2 counts / sqrt(Hz); rounding adds 1/12 to the variance."""
     z = sensor(result, "A")["axes"][2]
     sigma = (20.0**2 + 1 / 12) ** 0.5
@@ -74,7 +74,7 @@ def test_white_sensor_in_all_units(result: dict[str, Any]) -> None:
     assert sensor(result, "G")["si_per_count"] == pytest.approx(0.00875 * np.pi / 180)
 
 
-def test_doubtful_and_saturated_rows_are_left_out(result: dict[str, Any]) -> None:
+def test_suspect_and_saturated_rows_are_excluded(result: dict[str, Any]) -> None:
     """The suspect row of 30000 counts would make the spread 400; the run begins after it."""
     found = sensor(result, "E")
     assert (found["rows"], found["rows_used"]) == (5000, 4989)
@@ -86,8 +86,8 @@ def test_doubtful_and_saturated_rows_are_left_out(result: dict[str, Any]) -> Non
     assert (run["rows"], run["longest_run_rows"], run["start_s"]) == (2400 + 2599, 2599, pytest.approx(29.01))
 
 
-def test_stale_rows(result: dict[str, Any]) -> None:
-    """Half the rows are stale; new readings follow one another without correlation."""
+def test_stale_rows_are_excluded(result: dict[str, Any]) -> None:
+    """Half of the rows are stale; the new readings do not correlate."""
     found = sensor(result, "G")
     assert found["stale_share"] == 0.5
     assert found["rows_used"] == 2500
@@ -95,7 +95,7 @@ def test_stale_rows(result: dict[str, Any]) -> None:
     assert found["allan_run"]["left_out_share"] == 0
 
 
-def test_named_phase_and_sensors(log_path: Path) -> None:
+def test_a_named_phase_and_sensors_are_selected(log_path: Path) -> None:
     calls: list[None] = []
     with open_log(log_path) as log:
         found = characterise_log(log, "motion", ["P", "A"], lambda: calls.append(None))
@@ -111,7 +111,7 @@ def test_named_phase_and_sensors(log_path: Path) -> None:
     assert " ut " in render_text(found)
 
 
-def test_unknown_names(log_path: Path) -> None:
+def test_unknown_names_are_refused(log_path: Path) -> None:
     with open_log(log_path) as log:
         with pytest.raises(LogError, match=r"no phase 'room'; it has static, motion"):
             characterise_log(log, "room")
@@ -141,7 +141,9 @@ def write_log(path: Path, time: np.ndarray, phases: tuple[Phase, ...] = (), stat
         ((Phase(0, 90, "warm_up"),), None),
     ],
 )
-def test_choice_of_stretch(tmp_path: Path, phases: tuple[Phase, ...], chosen: str | None) -> None:
+def test_the_stretch_is_the_longest_phase_at_rest(
+    tmp_path: Path, phases: tuple[Phase, ...], chosen: str | None
+) -> None:
     with open_log(write_log(tmp_path / "run.h5", np.arange(100), phases)) as log:
         stretch = choose_stretch(log)
     assert stretch.phase == chosen
@@ -150,8 +152,8 @@ def test_choice_of_stretch(tmp_path: Path, phases: tuple[Phase, ...], chosen: st
 
 
 @pytest.mark.parametrize("block", [1, 2, 7, 1 << 16])
-def test_runs_whatever_the_blocks(tmp_path: Path, block: int) -> None:
-    """Intervals 10, but 15 (no gap) after row 9, 16 after row 29 and 40 after row 69; row 50 is set up again."""
+def test_runs_do_not_depend_on_blocks(tmp_path: Path, block: int) -> None:
+    """Intervals 10, except 15 (no gap) after row 9, 16 after row 29 and 40 after row 69; row 50 is set up again."""
     intervals = np.full(99, 10)
     intervals[[9, 29, 69]] = 15, 16, 40
     status = np.zeros(100, np.uint16)
@@ -165,8 +167,8 @@ def test_runs_whatever_the_blocks(tmp_path: Path, block: int) -> None:
     assert timing.largest_gap_s == pytest.approx(40e-9)
 
 
-def test_rate_of_alternating_intervals(tmp_path: Path) -> None:
-    """19 ms and 21 ms in turn are 50 Hz, and no gap."""
+def test_the_rate_of_alternating_intervals_is_their_mean(tmp_path: Path) -> None:
+    """19 ms and 21 ms alternating are 50 Hz, without a gap."""
     time = np.cumsum(np.tile([19_000_000, 21_000_000], 60))
     with open_log(write_log(tmp_path / "run.h5", time)) as log:
         found = characterise_log(log)["sensors"][0]
@@ -176,7 +178,7 @@ def test_rate_of_alternating_intervals(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2, 8, 9])
-def test_short_logs(tmp_path: Path, rows: int) -> None:
+def test_short_logs_are_characterised(tmp_path: Path, rows: int) -> None:
     with open_log(write_log(tmp_path / "run.h5", np.arange(rows) * 10)) as log:
         found = characterise_log(log)
     assert (found["sensors"][0]["axes"][0]["allan"] is not None) == (rows >= 9)
@@ -184,7 +186,7 @@ def test_short_logs(tmp_path: Path, rows: int) -> None:
     json.dumps(found, allow_nan=False)
 
 
-def test_table_fits_and_says_what_it_shows(result: dict[str, Any]) -> None:
+def test_the_table_fits_the_terminal_and_has_a_title(result: dict[str, Any]) -> None:
     long_name = result | {"log": "folder/" * 30 + "run.h5", "source": "emulated"}
     long_name["sensors"] = [item | {"name": item["name"] * 30, "chip": "chip" * 9} for item in result["sensors"]]
     for text in (render_text(result), render_text(long_name)):
@@ -195,14 +197,14 @@ def test_table_fits_and_says_what_it_shows(result: dict[str, Any]) -> None:
     assert sum(line.startswith(("A ", "E ", "G ")) for line in text.splitlines()) == 2 * 9 + 3  # readings, fits; rows
 
 
-def test_table_warns_of_a_log_that_is_not_at_rest(tmp_path: Path) -> None:
+def test_the_table_warns_of_a_log_in_motion(tmp_path: Path) -> None:
     with open_log(write_log(tmp_path / "run.h5", np.arange(50) * 10)) as log:
         text = render_text(characterise_log(log))
     assert "any motion counts as noise" in text
     assert "emulated, no hardware" in text
 
 
-def test_a_calibrations_scale_takes_the_data_sheets_place(log_path: Path) -> None:
+def test_the_scale_of_a_calibration_replaces_that_of_the_data_sheet(log_path: Path) -> None:
     with open_log(log_path) as log:
         found = characterise_log(log, sensors=["A"], scales={"A": [5000.0, 5460.0, 6000.0]})
     axes = sensor(found, "A")["axes"]
@@ -211,7 +213,7 @@ def test_a_calibrations_scale_takes_the_data_sheets_place(log_path: Path) -> Non
         assert axis["unit"]["std"] == pytest.approx(axis["counts"]["std"] * axis["unit_per_count"])
 
 
-def test_the_decimated_estimator_says_so_and_agrees(log_path: Path) -> None:
+def test_the_decimated_estimator_is_named_and_agrees(log_path: Path) -> None:
     with open_log(log_path) as log:
         exact, fewer = (characterise_log(log, sensors=["G"], estimator=name) for name in ("overlapping", "decimated"))
     for result, name in ((exact, "overlapping"), (fewer, "decimated")):
@@ -227,8 +229,8 @@ def test_the_decimated_estimator_says_so_and_agrees(log_path: Path) -> None:
 
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With less room for rows that stay in memory than the shorter log has, which is long enough for the longest
-    segments of both spectra.
+    """The limit of rows in memory is below the length of the shorter log, which is long enough for the longest segments
+    of both spectra.
     """
     import tracemalloc
 

@@ -1,4 +1,4 @@
-"""Lines with few periods in the segments of the usual spectrum: of a minute's sway in a few minutes of rows."""
+"""Lines with few periods in the segments of the usual spectrum, such as a slow sway in a few minutes of rows."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def sway(over_floor: float, frequency_hz: float = 0.54) -> np.ndarray:
     return np.asarray(amplitude * np.sin(2 * np.pi * frequency_hz * np.arange(ROWS) / RATE_HZ + 1))
 
 
-def test_a_sway_of_half_a_hertz_in_three_minutes() -> None:
+def test_a_sway_of_half_a_hertz_in_three_minutes_is_detected() -> None:
     """0.54 Hz is bin 6.6 of the usual spectrum, which has no floor there; 83 times the floor, and 10 times."""
     noise = np.random.default_rng(1).normal(0, 1, (ROWS, 3))
     values = noise + np.stack([sway(83), sway(10), np.zeros(ROWS)], axis=1)
@@ -57,7 +57,7 @@ def test_a_sway_of_half_a_hertz_in_three_minutes() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["white", "first order", "1/f"])
 @pytest.mark.parametrize("rows", [15_000, 60_000])
-def test_false_alarms(kind: str, rows: int) -> None:
+def test_rate_of_false_alarms(kind: str, rows: int) -> None:
     """Of 400 columns of noise, 4 or more with a line have a chance of less than 1 % at the stated level."""
     assert binom.sf(3, 400, SLOW_FALSE_ALARM) < 0.01
     rng, alarms = np.random.default_rng(31), 0
@@ -67,14 +67,14 @@ def test_false_alarms(kind: str, rows: int) -> None:
     assert alarms <= 3
 
 
-def test_the_density_is_that_of_the_series() -> None:
+def test_the_density_of_white_noise() -> None:
     """White noise of unit variance has the density 2 / rate."""
     spectrum, below_hz = slow_spectrum(np.random.default_rng(2).normal(5000, 1, (1 << 20, 4)))
     inside = (spectrum.frequency_hz > 4 * spectrum.resolution_hz) & (spectrum.frequency_hz < below_hz)
     assert float(spectrum.density[inside].mean()) == pytest.approx(2 / RATE_HZ, rel=0.02)
 
 
-def test_fast_lines_do_not_fold() -> None:
+def test_fast_lines_do_not_alias() -> None:
     """Lines 10^5 times the noise, at frequencies that fold to 0.1 to 1.9 Hz, are attenuated to less than it."""
     folded_hz = np.linspace(0.6, 1.9, 12)
     times_s = np.arange(ROWS) / RATE_HZ
@@ -96,7 +96,7 @@ def test_runs_are_not_joined() -> None:
     assert slow_welch(100.0, 2000, 1) is None
 
 
-def test_it_is_in_the_characterisation(tmp_path: Path) -> None:
+def test_a_slow_line_is_in_the_characterisation(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     header = SensorHeader("Acc", "mpu6050", "specific_force", "g", 2.0, 16384.0, axes="+X+Y+Z")
     counts = np.random.default_rng(4).normal(0, 30, (ROWS, 3))

@@ -1,4 +1,6 @@
-"""The streamed spectrum against SciPy's, whatever the blocks; runs, freedom, intervals, precision and memory."""
+"""The streamed spectrum against SciPy's, with any block sizes; runs, degrees of freedom, intervals, precision and
+memory.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,8 @@ def spectrum(values: np.ndarray, rate_hz: float = 1.0, rows: int = 256, **how: A
 
 @pytest.mark.parametrize("rows", [256, 1000, 4096])
 @pytest.mark.parametrize("count", [4096, 20_011, 300_000])
-def test_equals_scipy(rows: int, count: int) -> None:
-    """A walk far from 0, so that the means of the segments matter."""
+def test_the_spectrum_equals_scipy(rows: int, count: int) -> None:
+    """A walk far from 0, so that the means of the segments have an influence."""
     values = 1e4 + np.cumsum(np.random.default_rng(count).normal(size=(count, 2)), axis=0)
     found = spectrum(values, 400.0, rows, precision="double")
     frequency_hz, expected = welch(values, 400.0, nperseg=rows, axis=0)
@@ -36,8 +38,10 @@ def test_equals_scipy(rows: int, count: int) -> None:
     assert (found.runs, found.rows, found.left_over) == (1, count, count - (found.segments + 1) * (rows // 2))
 
 
-def test_single_precision_is_good_enough() -> None:
-    """Noise through a filter that leaves 6e-7 of the mean at the top: 1e-4 of each density, 1e-6 of the large."""
+def test_single_precision_is_sufficient() -> None:
+    """Noise after a filter that attenuates the top to 6e-7 of the mean: 1e-4 of each density, 1e-6 of the large
+    densities.
+    """
     values = np.random.default_rng(1).normal(size=200_000)
     for _ in range(2):
         values = lfilter([0.01], [1, -0.99], values)
@@ -50,7 +54,7 @@ def test_single_precision_is_good_enough() -> None:
 
 @settings(deadline=None, max_examples=examples(40))
 @given(st.lists(st.integers(0, 90), min_size=1, max_size=12), st.integers(0, 2**32 - 1))
-def test_blocks_do_not_matter(blocks: list[int], seed: int) -> None:
+def test_results_do_not_depend_on_blocks(blocks: list[int], seed: int) -> None:
     values = np.random.default_rng(seed).integers(-(2**15), 2**15, (sum(blocks), 3), dtype=np.int16)
     estimate = Welch(100.0, 16, 3, "double")
     for part in np.split(values, np.cumsum(blocks)[:-1]):
@@ -66,7 +70,7 @@ def test_blocks_do_not_matter(blocks: list[int], seed: int) -> None:
         )
 
 
-def test_no_segment_reaches_over_a_gap() -> None:
+def test_segments_do_not_span_a_gap() -> None:
     """Two runs with a step between them, and a run that is too short: the mean of SciPy's spectra by segments."""
     rng = np.random.default_rng(2)
     first, second, short = rng.normal(size=1000), 50 + rng.normal(size=700), rng.normal(size=99)
@@ -80,7 +84,7 @@ def test_no_segment_reaches_over_a_gap() -> None:
     assert (found.segments, found.runs, found.rows, found.left_over) == (32, 2, 1799, 99)
 
 
-def test_sine_and_white_noise_have_their_power() -> None:
+def test_power_of_a_sine_and_of_white_noise() -> None:
     """A^2 / 2 within the bins of a sine; 2 s^2 / rate of white noise, mean over bins within five standard errors."""
     time_s = np.arange(100_000) / 200
     found = spectrum(3 * np.sin(2 * np.pi * 20.3 * time_s), 200.0, 1000)
@@ -90,8 +94,8 @@ def test_sine_and_white_noise_have_their_power() -> None:
     assert abs(inner.mean() - 0.04) < 5 * 0.04 * (2 / (found.freedom[2] * len(inner) / 2)) ** 0.5
 
 
-def test_freedom_by_simulation() -> None:
-    """2 mean^2 / variance over 400 columns at 20 bins that share nothing: its relative error is 1.6 %, 8 % are five."""
+def test_degrees_of_freedom_by_simulation() -> None:
+    """2 mean^2 / variance over 400 columns at 20 independent bins: its relative error is 1.6 %, 8 % are five."""
     rng = np.random.default_rng(4)
     for runs, rows in ((1, 2048), (4, 512), (8, 128)):
         estimate = Welch(1.0, 128, 400)
@@ -104,8 +108,8 @@ def test_freedom_by_simulation() -> None:
     assert found.freedom[[0, 3, -1]].tolist() == [8, 16, 8]  # eight single segments
 
 
-def test_interval_covers() -> None:
-    """The true density 2 of 80 columns at 40 bins that share nothing: 95 % within 3200 draws' limits of 1e-6."""
+def test_intervals_cover_the_true_density() -> None:
+    """The true density 2 of 80 columns at 40 independent bins: 95 % within 3200 draws' limits of 1e-6."""
     found = spectrum(np.random.default_rng(5).normal(size=(2048, 80)))
     low, high = found.interval(0.95)
     covered = int(((low <= 2) & (high >= 2))[4:124:3].sum())
@@ -132,17 +136,17 @@ def test_memory_does_not_grow() -> None:
     ("rate_hz", "rows", "columns", "message"),
     [(0.0, 256, 1, "rate_hz is 0.0"), (1.0, 255, 1, "255 rows"), (1.0, 8, 1, "8 rows"), (1.0, 256, 0, "0 columns")],
 )
-def test_refused(rate_hz: float, rows: int, columns: int, message: str) -> None:
+def test_invalid_arguments_are_refused(rate_hz: float, rows: int, columns: int, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Welch(rate_hz, rows, columns)
 
 
-def test_refused_values() -> None:
+def test_invalid_values_are_refused() -> None:
     with pytest.raises(ValueError, match="not finite"):
         spectrum(np.array([1.0, np.nan] * 200))
     with pytest.raises(ValueError, match="2 columns, 1"):
         Welch(1.0).update(np.zeros((5, 2)))
 
 
-def test_segment_leaves_sixteen() -> None:
+def test_segments_are_short_enough_for_sixteen() -> None:
     assert [segment_rows(rows) for rows in (10, 2000, 34_815, 34_816, 10**7)] == [64, 128, 2048, 4096, 4096]
