@@ -112,6 +112,39 @@ class RepeatTally:
         self._begun = int(starts[-1])
 
 
+class RunTally:
+    """The two longest runs of equal codes of an axis: first row and length of the longest, length of the next."""
+
+    def __init__(self) -> None:
+        self.rows = self.first_row = self.longest = self.next_longest = 0
+        self._begun, self._before = 0, np.zeros(0, np.int64)
+
+    def update(self, codes: Counts) -> None:
+        """Add the next codes (n,)."""
+        column = np.concatenate([self._before, codes])
+        starts = self.rows - len(self._before) + 1 + np.flatnonzero(column[1:] != column[:-1])
+        self.rows += len(codes)
+        self._end(starts)
+        self._before = column[-1:]
+
+    def finish(self) -> None:
+        """End the last run."""
+        self._end(np.array([self.rows]))
+
+    def _end(self, starts: npt.NDArray[np.int64]) -> None:
+        """Consider the runs that end where others begin, at `starts` (k,)."""
+        if not len(starts):
+            return
+        lengths = np.diff(starts, prepend=self._begun)
+        for at in np.argsort(lengths)[-2:].tolist():
+            if lengths[at] > self.longest:
+                self.next_longest, self.longest = self.longest, int(lengths[at])
+                self.first_row = int(starts[at]) - self.longest
+            else:
+                self.next_longest = max(self.next_longest, int(lengths[at]))
+        self._begun = int(starts[-1])
+
+
 def _equal_rows(rows: Counts, others: Counts) -> npt.NDArray[np.bool_]:
     """Return (n,) which rows (n, k) are equal; column by column, 5 times as fast as over each row."""
     equal = np.ones(len(rows), bool)

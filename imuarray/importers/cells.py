@@ -164,12 +164,14 @@ class TextTable:
             raise SourceError(f"{self.source}: after line {self.line}: damaged gzip data: {error}") from None
 
     def _names(self) -> list[str]:
-        """Return the cells of the header; the first row of numbers is kept for `_row` if the header is a comment."""
+        """Return the cells of the header; the first row of numbers is kept for `_row` if the header is a comment. Some
+        cells of that row may be words, such as the `frame_id` of a ROS message.
+        """
         row = self._row()
         header = next(csv.reader([self._comment], delimiter=self._layout.delimiter, skipinitialspace=True), [])
         kinds = self._layout.kind_columns
         numbers_ = [_is_number(cell) for at, cell in enumerate(row) if at not in kinds]
-        if len(header) != len(row) or not all(numbers_) or any(map(_is_number, header)):
+        if len(header) != len(row) or 2 * sum(numbers_) < len(numbers_) or any(map(_is_number, header)):
             return row
         self._first_row = row
         return header

@@ -45,6 +45,7 @@ from imuarray.importers.triad_behaviour import (
     keeps_its_length,
     triads_by_values,
 )
+from imuarray.printable import listed
 from imuarray.units import UNITS_OF
 
 _QUANTITY_OF_UNIT: Mapping[str, str] = {unit: quantity for quantity, units in UNITS_OF.items() for unit in units}
@@ -171,7 +172,32 @@ def propose_columns(
             propose_barometer(proposal, name, columns[index])
         for item in proposal.items[known:]:
             add_own_time(item, names, columns, index, (time, dates), proposal)
+    triad_columns = {index for _, indices in triads for index in indices}
+    proposal.doubts += _incomplete_triads(names[: len(columns)], taken | triad_columns)
     return proposal
+
+
+_AXIS = re.compile(r"(?<![A-Za-z])[A-Za-z]?[xyz](?![A-Za-z])|(?<![A-Z])[XYZ](?![A-Za-z])")
+"""The letter of an axis in the name of a column, perhaps behind the letter of a quantity: gx_dps, acc_x, AccX."""
+
+
+def _incomplete_triads(names: Sequence[str], taken: set[int]) -> Iterator[str]:
+    """Yield a doubt for each quantity that has columns of one or two axes only."""
+    axes: dict[str, dict[str, str]] = {}
+    for index, name in enumerate(names):
+        if index in taken or (match := _AXIS.search(name)) is None:
+            continue
+        place = match.end() - 1
+        stem = f"{name[:place]}*{name[place + 1 :]}"
+        if _QUANTITY_OF_UNIT.get(unit_in(name)) or quantity_of(stem):
+            axes.setdefault(stem, {})[name[place].lower()] = name
+    for present in axes.values():
+        if len(present) < len("xyz"):
+            missing = listed([axis for axis in "xyz" if axis not in present])
+            yield (
+                f"left out: {', '.join(map(quoted, present.values()))}: no column of axis {missing}; a sensor needs"
+                " three axes"
+            )
 
 
 def _is_temperature(name: str, units: Mapping[str, str]) -> bool:

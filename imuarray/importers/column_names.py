@@ -10,7 +10,7 @@ from imuarray.units import UNITS_OF, standard_unit
 
 _UNIT_IN_NAME = re.compile(
     r"[\[(]\s*([^\])]*?)\s*[\])]"
-    r"|_(ms|us|ns|s|g|mg|m_?s2|mps2|m?dps|deg_?s|m?rad_?s|radps|m?gauss|[mun]T|degC|C|K)$"
+    r"|_(ms|us|ns|s|g|mg|m_?s2|m/s\^?[2²]|mps2|m?dps|(?:deg|°)/s|deg_?s|m?rad[_/]?s|radps|m?gauss|[mun]T|degC|C|K)$"
 )
 SPELLINGS: Mapping[str, str] = {
     "m/(s^2)": "m/s2", "ms2": "m/s2", "m_s2": "m/s2", "deg/s": "dps", "deg_s": "dps", "degs": "dps",

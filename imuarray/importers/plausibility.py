@@ -29,7 +29,7 @@ from imuarray.characterise.codes import NOTHING, Histogram, histogram, usual_ste
 from imuarray.characterise.findings import SURE, shares_times
 from imuarray.characterise.processing import NO_GRAVITY, find_filters, find_interpolation
 from imuarray.characterise.rate_changes import find_rate_changes, rate_change_sentence
-from imuarray.characterise.repeats import STALE_SHARE, Repeats, RepeatTally
+from imuarray.characterise.repeats import STALE_SHARE, Repeats, RepeatTally, RunTally
 from imuarray.importers.triad_behaviour import fit_sphere
 from imuarray.log import Log, SensorLog
 from imuarray.log.row_timing import GAP, RowTiming, row_timing
@@ -127,6 +127,12 @@ LEAST_HELD = 32
 
 BESIDE = 64
 """Rows on either side of these that are looked at."""
+
+AXIS_HELD = 64
+OTHER_RUNS = 8.0
+"""Least number of equal readings in a row of a single axis that stops, and how many times as long as its next longest
+run that is: an axis at rest whose noise is small repeats often.
+"""
 
 FITS = 0.95
 """Correlation between the rotations of accelerometers and gyroscope at which other axes than those of the map fit."""
@@ -397,10 +403,12 @@ def _doubled(ratio: float) -> str:
 
 
 def _shared_times(timing: RowTiming) -> str:
+    # Rows share the time of a tick; those at the first and the last are incomplete.
+    rate_hz = timing.period_rows / timing.gap_s if timing.period_rows else timing.rate_hz
     return (
         f"several rows have the same time, and the next time is {timing.gap_s:.3g} s later: the clock is coarse,"
         " or the rows are of several sensors, which kind_column in the map tells apart. If they are of one sensor, its"
-        f" rate is {timing.rate_hz:.4g} Hz, and stamps = 'arrival' in the map reconstructs the reading times"
+        f" rate is {rate_hz:.4g} Hz, and stamps = 'arrival' in the map reconstructs the reading times"
     )
 
 
@@ -463,11 +471,16 @@ class _Codes:
 
     def __init__(self, sensor: SensorLog) -> None:
         histograms: list[Histogram] = [NOTHING] * 3
-        tally = RepeatTally()
+        tally, runs = RepeatTally(), [RunTally() for _ in "xyz"]
         for block in sensor.blocks():
             counts = np.asarray(sensor.counts[block], np.int64)
             histograms = [merged.merge(histogram(column)) for merged, column in zip(histograms, counts.T, strict=True)]
             tally.update(counts)
+            for run, column in zip(runs, counts.T, strict=True):
+                run.update(column)
+        for run in runs:
+            run.finish()
+        self.runs = runs
         self.seen, self.repeats = histograms, tally.result()
         self.held = _held_rows(sensor, self.repeats)
         """Rows that repeat one reading for longer than chance or a slow chip explains; an empty slice without any."""
@@ -489,6 +502,17 @@ class _Codes:
         if self.held.stop == 0 and self.repeats.new_share < 1 - STALE_SHARE:
             yield f"{percent(1 - self.repeats.new_share, 1)} of the rows repeat the previous row without new readings"
 
+    def _held_axes(self, sensor: SensorLog) -> Iterator[str]:
+        """Yield the axes that stop while others of the triad change; codes at an end of the range are clipped."""
+        for axis, run, codes in zip("xyz", self.runs, self.seen, strict=True):
+            usual = max(run.next_longest, AXIS_HELD / OTHER_RUNS)
+            if len(codes.codes) == 1 or run.longest < max(OTHER_RUNS * usual, AXIS_HELD):
+                continue
+            if run.longest >= self.repeats.longest * OTHER_RUNS:
+                code = int(sensor.counts[run.first_row, "xyz".index(axis)])
+                if code not in (int(codes.codes[0]), int(codes.codes[-1])):
+                    yield _held_axis_in_words(sensor, axis, run)
+
     def doubts(self, sensor: SensorLog) -> Iterator[str]:
         """Yield what is impossible in the codes."""
         constant = "".join(axis for axis, codes in zip("xyz", self.seen, strict=True) if len(codes.codes) == 1)
@@ -502,6 +526,7 @@ class _Codes:
             yield f"{constant} is always {codes}{zero}"
         if self.held.stop and not self.is_constant:
             yield _held_in_words(sensor, self.held)
+        yield from self._held_axes(sensor)
         limit = OVER_RANGE * sensor.range * sensor.sensitivity
         most = max(int(np.abs(codes.codes[[0, -1]]).max()) for codes in self.seen)
         if limit and most > limit:
@@ -541,6 +566,17 @@ def _held_in_words(sensor: SensorLog, held: slice) -> str:
     return (
         f"repeats one reading for {last_s - first_s:.3g} s, from {first_s:.4g} s after the beginning"
         f" ({held.stop - held.start} rows): did it stop?"
+    )
+
+
+def _held_axis_in_words(sensor: SensorLog, axis: str, run: RunTally) -> str:
+    first_s = (int(sensor.time[run.first_row]) - int(sensor.time[0])) * 1e-9
+    code = int(sensor.counts[run.first_row, "xyz".index(axis)])
+    unit = f" ({code / sensor.sensitivity:.4g} {sensor.unit})" if sensor.sensitivity else ""
+    until = " to the end" if run.first_row + run.longest == run.rows else ""
+    return (
+        f"{axis} stays at {code}{unit} from {first_s:.4g} s after the beginning{until}"
+        f" ({run.longest} of {run.rows} rows), while the other axes change: did it stop?"
     )
 
 

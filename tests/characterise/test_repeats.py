@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imuarray.characterise.repeats import APART, Repeats, RepeatTally
+from imuarray.characterise.repeats import APART, Repeats, RepeatTally, RunTally
 
 
 def tally(counts: np.ndarray, block: int = 10_000) -> Repeats:
@@ -69,3 +69,13 @@ def test_a_stuck_chip_has_no_update_rate() -> None:
     found = tally(np.full((500, 3), 9))
     assert (found.repeat_share, found.longest) == (1, 500)
     assert np.isnan(found.new_share)
+
+
+@pytest.mark.parametrize("at", [0, 1, 4, 9])
+def test_the_longest_runs_of_an_axis_however_its_rows_are_split(at: int) -> None:
+    codes = np.array([7, 7, 3, 5, 5, 5, 5, 2, 2, 2])
+    runs = RunTally()
+    for part in (codes[:at], codes[at:]):
+        runs.update(part)
+    runs.finish()
+    assert (runs.rows, runs.first_row, runs.longest, runs.next_longest) == (10, 3, 4, 3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -10,10 +11,14 @@ import pytest
 
 from imuarray.cli import main
 from imuarray.errors import SourceError
-from imuarray.importers.cells import CellColumn, TimeColumn
+from imuarray.importers.cells import CellColumn, TextTable, TimeColumn
+from imuarray.importers.column_meaning import propose_columns
+from imuarray.importers.column_names import unit_in
 from imuarray.importers.guess import guess_map
+from imuarray.importers.mapping import FileTable
 from imuarray.importers.plausibility import report_of, turns_of
 from imuarray.importers.table import import_table
+from imuarray.importers.text_layout import TextLayout
 from imuarray.log import open_log
 from tests.importers.recordings import PER_DPS, PER_G, ROWS, G, counts_of, joined, lines_of, walk
 
@@ -354,3 +359,29 @@ def test_a_unit_of_time_with_a_factor(tmp_path: Path) -> None:
     with open_log(path) as log:
         seconds = (int(log["Acc"].time[-1]) - int(log["Acc"].time[0])) * 1e-9
     assert seconds == pytest.approx((ROWS - 1) / 100, abs=1e-4)
+
+
+def test_a_header_in_a_comment_above_rows_that_hold_a_word() -> None:
+    """`rostopic echo -p` writes "%time,..." above rows with the frame_id of each message."""
+    text = b"%time,field.header.frame_id,x,y\n1,imu,2,3\n2,imu,4,5\n"
+    table = TextTable(io.BytesIO(text), "echo.csv", FileTable(comment="%"), named=True)
+    assert table.names == ["time", "field.header.frame_id", "x", "y"]
+    assert [row for block in table.blocks() for row in zip(*block.columns, strict=True)] == [
+        ("1", "imu", "2", "3"),
+        ("2", "imu", "4", "5"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("ax_m/s^2", "m/s2"), ("ax_m/s2", "m/s2"), ("gx_rad/s", "rad/s"), ("gx_deg/s", "dps"), ("gx_°/s", "dps")],
+)
+def test_units_behind_an_underscore(name: str, unit: str) -> None:
+    assert unit_in(name) == unit
+
+
+def test_a_sensor_with_a_column_of_two_axes_only_is_named() -> None:
+    names = ["t", "AccX", "AccY", "AccZ", "gx_dps", "gz_dps", "max_x"]
+    columns = [np.arange(40.0), *np.tile([0.01, 0.02, 1.0, 3.0, 4.0, 5.0], (40, 1)).T]
+    doubts = propose_columns(TextLayout(), names, columns, {}).doubts
+    assert doubts == ['left out: "gx_dps", "gz_dps": no column of axis y; a sensor needs three axes']

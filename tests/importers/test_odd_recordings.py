@@ -56,6 +56,13 @@ def stopped(end: int = ROWS) -> bytes:
     return joined([HEAD, *lines_of(walk().time_s, counts, "{:d}")])
 
 
+def stuck_axis() -> bytes:
+    """From row 1500 on, the accelerometer's y stays at one reading."""
+    counts = counts_of(walk())
+    counts[1500:, 1] = 1234
+    return joined([HEAD, *lines_of(walk().time_s, counts, "{:d}")])
+
+
 @cache
 def units_taken_for_others() -> bytes:
     recording = walk()
@@ -406,6 +413,15 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
             "? Gyro: repeats one reading from 15 s after the beginning to the end (500 of 2000 rows): did it stop?",
         ],
     ),
+    "an axis that sticks": (
+        stuck_axis(),
+        MAP,
+        0,
+        [
+            "? Acc: y stays at 1234 (0.3013 g) from 15 s after the beginning to the end (500 of 2000 rows), while the"
+            " other axes change: did it stop?"
+        ],
+    ),
     "a gyroscope that stops for three seconds": (
         stopped(1800),
         MAP,
@@ -537,6 +553,7 @@ SLOW = (
     "a rate that changes early",
     "a rate that rises",
     "a gyroscope that stops for three seconds",
+    "an axis that sticks",
     "rad/s as dps, at rest",
     "lines above the header",
     "another delimiter, of a header",
