@@ -1,4 +1,4 @@
-"""Axes and frames without a log, and what a technique makes of them."""
+"""Axes and frames without a log, and the weights and errors of a technique."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.fuse.conftest import Floats, Part, pointing
 def triad(
     sensor: str, axes: str, noise: tuple[float, float, float] | None, chip: str = "c", span: float = 1e3
 ) -> list[Axis]:
-    """The three axes of a sensor; noise and range in whatever unit."""
+    """The three axes of a sensor; noise and range in any unit."""
     return [
         Axis(sensor, chip, index, tuple(row), span, None if noise is None else noise[index])
         for index, row in enumerate(pointing(axes).tolist())
@@ -25,7 +25,7 @@ def at_once(values: Floats) -> Frames:
 
 
 def weights(technique: Technique, count: int) -> Floats:
-    """(3, m) what each axis adds to each box axis: the answers to a small unit reading of every axis in turn."""
+    """(3, m) contribution of each axis to each box axis: the responses to a unit reading of each axis alone."""
     small = 1e-3
     return np.asarray(technique(at_once(small * np.eye(count))).triad_box.T / small)
 
@@ -35,7 +35,7 @@ LOW_MG, HIGH_MG = 9.53, 17.05
 
 
 def low_and_high(bias_g: float = 0.0, sigma: bool = True) -> list[Part]:
-    """A BMA180 at each of the two ranges, that point alike."""
+    """A BMA180 at each of the two ranges, with the same orientation."""
 
     def error(seconds: Floats) -> Floats:
         return np.full((len(seconds), 3), bias_g)

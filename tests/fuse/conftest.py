@@ -1,4 +1,4 @@
-"""Logs of a moving box whose truth is known in closed form: made here with numpy alone."""
+"""Logs of a moving box with known truth in closed form, computed with numpy alone."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def pointing(axes: str) -> Floats:
 
 
 class Part(NamedTuple):
-    """One sensor: its errors, in its own unit along its own axes, and how late in the frame it is read."""
+    """One sensor: its errors, in its own unit along its own axes, and its delay within the frame."""
 
     name: str
     axes: str = "+X+Y+Z"
@@ -120,7 +120,7 @@ class WriteRun:
 
 
 def calibration(parts: Sequence[Part], noise: bool = True) -> Calibration:
-    """What a perfect calibration of these parts would say: no bias, the nominal response, their noise."""
+    """A perfect calibration of these parts: no bias, the nominal response, their noise."""
     sensors = {}
     for part in parts:
         sensors[part.name] = SensorCalibration(
@@ -135,7 +135,7 @@ def calibration(parts: Sequence[Part], noise: bool = True) -> Calibration:
 
 
 def joined(blocks: Sequence[FusedBlock], quantity: str = "specific_force") -> tuple[npt.NDArray[np.int64], Floats]:
-    """Time and triads of all blocks, one after the other."""
+    """Time and triads of all blocks, concatenated."""
     blocks = list(blocks)
     return np.concatenate([b.time for b in blocks]), np.concatenate([b.triads[quantity] for b in blocks])
 

@@ -1,4 +1,4 @@
-"""Rows of a log that are pushed into a fusion as they would arrive."""
+"""Rows of a log that are pushed into a fusion like arriving rows."""
 
 from __future__ import annotations
 

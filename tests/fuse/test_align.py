@@ -1,4 +1,4 @@
-"""One time grid for all sensors: skew is taken out, doubtful and late readings are left out, blocks leave no trace."""
+"""One time grid for all sensors: skew is corrected, suspect and late readings are excluded, blocks do not matter."""
 
 from __future__ import annotations
 
@@ -33,20 +33,22 @@ def run(path: Path, parts: list[Part], technique: str = "mean", block: int = 1 <
     return time * 1e-9, triad / G
 
 
-def test_skew_is_taken_out_of_a_linear_motion(write_run: WriteRun) -> None:
-    """The slope of straight lines is exact but for rounding: half a count of the value, and 0.4 of a frame of slope."""
+def test_skew_is_corrected_in_a_linear_motion(write_run: WriteRun) -> None:
+    """The slope of straight lines is exact except for rounding: half a count of the value, and 0.4 of a
+    frame of slope.
+    """
     motion: Motion = lambda seconds: np.outer(seconds - 5, [0.2, -0.1, 0.15])  # noqa: E731
     parts = precise((0.0, 0.002, 0.003, 0.004))
     seconds, fused = run(write_run(parts, force=motion), parts)
     assert np.abs(fused - motion(seconds)).max() < 1.5 * LSB
-    # Left in, it would be the mean delay of 2.25 ms times 0.2 g/s: 7 counts.
+    # Without the correction the error is the mean delay of 2.25 ms times 0.2 g/s: 7 counts.
     assert 4 * 1.5 * LSB < 0.00225 * 0.2
 
 
-def test_skew_is_taken_out_of_a_shaking(write_run: WriteRun) -> None:
-    """A sin(w t) read late by d: with the slope of the mean, what is left of every axis' Taylor series is
+def test_skew_is_corrected_in_a_shaking(write_run: WriteRun) -> None:
+    """A sin(w t) read late by d: with the slope of the mean, the remainder of the Taylor series of every axis is
 
-    (mean(d^2) / 2 - mean(d)^2) A w^2 + A w^3 (mean|d|^3 / 6 + |mean d| mean(d^2) / 2), besides a count of rounding.
+    (mean(d^2) / 2 - mean(d)^2) A w^2 + A w^3 (mean|d|^3 / 6 + |mean d| mean(d^2) / 2), and a count of rounding.
     """
     amplitude, omega = 0.5, 2 * np.pi * 1.5
 
@@ -60,10 +62,10 @@ def test_skew_is_taken_out_of_a_shaking(write_run: WriteRun) -> None:
     third = amplitude * omega**3 * ((late**3).mean() / 6 + late.mean() * (late**2).mean() / 2)
     error = np.abs(fused - motion(seconds))[10:-10].max()
     assert error < second + third + 1.5 * LSB
-    assert late.mean() * amplitude * omega > 20 * (second + third + 1.5 * LSB)  # what it would be if left in
+    assert late.mean() * amplitude * omega > 20 * (second + third + 1.5 * LSB)  # the error without the correction
 
 
-def test_a_sensor_read_late_in_the_frame_gives_its_reading_to_the_next_one(write_run: WriteRun) -> None:
+def test_a_reading_late_in_a_frame_belongs_to_the_next_frame(write_run: WriteRun) -> None:
     """8 ms late is 2 ms early for the next frame; the correction is of that sign."""
     motion: Motion = lambda seconds: np.outer(seconds - 5, [0.2, -0.1, 0.15])  # noqa: E731
     parts = precise((0.0, 0.008))
@@ -71,21 +73,23 @@ def test_a_sensor_read_late_in_the_frame_gives_its_reading_to_the_next_one(write
     assert np.abs(fused - motion(seconds))[5:-5].max() < 1.5 * LSB
 
 
-def test_the_grid_is_that_of_the_sensor_in_the_middle_of_the_frame(write_run: WriteRun) -> None:
+def test_the_grid_follows_the_sensor_in_the_middle_of_the_frame(write_run: WriteRun) -> None:
     parts = precise((0.0, 0.001, 0.002, 0.003, 0.004))
     seconds, _ = run(write_run(parts), parts)
     assert seconds == pytest.approx(np.arange(1000) / 100 + 0.002)
 
 
-def test_sensors_that_are_read_at_once_leave_the_grid_to_the_first(write_run: WriteRun) -> None:
+def test_the_grid_follows_the_first_of_simultaneous_sensors(write_run: WriteRun) -> None:
     parts = [part._replace(lost=lambda seconds: seconds < 0.05) for part in precise((0.0, 0.0, 0.0))]
     parts[0] = parts[0]._replace(lost=lambda seconds: seconds < 0.0)
     seconds, _ = run(write_run(parts), parts)
     assert seconds == pytest.approx(np.arange(1000) / 100)
 
 
-def test_frames_outlive_the_sensor_that_gives_their_times(write_run: WriteRun) -> None:
-    """While the first says nothing the second's times stand in, but within a period of the first's own rows."""
+def test_another_sensor_gives_the_grid_while_the_first_is_lost(write_run: WriteRun) -> None:
+    """While the first sensor has no rows, the times of the second are used, except within a period of rows of the
+    first.
+    """
     parts = precise((0.0, 0.002))
     parts[0] = parts[0]._replace(lost=lambda seconds: (seconds > 3.0) & (seconds < 4.0))
     seconds, fused = run(write_run(parts), parts)
@@ -95,9 +99,9 @@ def test_frames_outlive_the_sensor_that_gives_their_times(write_run: WriteRun) -
     assert fused == pytest.approx(np.tile([0.0, 0.0, 1.0], (999, 1)), abs=1e-12)
 
 
-def test_a_sensor_that_is_lost_for_long_drops_out(write_run: WriteRun) -> None:
-    """While one of two sensors has no readings, the mean keeps its level for 32 frames; then it is the other's value
-    exactly.
+def test_a_sensor_lost_for_long_is_removed_from_the_mean(write_run: WriteRun) -> None:
+    """While one of two sensors has no readings, the mean keeps its level for 32 frames; then it equals the value of the
+    other.
     """
     parts = precise((0.0, 0.0))
     parts[1] = parts[1]._replace(
@@ -111,7 +115,7 @@ def test_a_sensor_that_is_lost_for_long_drops_out(write_run: WriteRun) -> None:
 
 
 @pytest.mark.parametrize("technique", TECHNIQUES)
-def test_frames_without_a_sound_reading_are_unknown(write_run: WriteRun, technique: str) -> None:
+def test_frames_without_a_valid_reading_are_nan(write_run: WriteRun, technique: str) -> None:
     doubt: Callable[[Floats], npt.NDArray[np.bool_]] = lambda seconds: (seconds > 2.995) & (seconds < 3.995)  # noqa: E731
     parts = [part._replace(suspect=doubt) for part in precise((0.0, 0.0))]
     seconds, fused = run(write_run(parts), parts, technique)
@@ -156,8 +160,8 @@ def missing(kind: str) -> list[Part]:
 @pytest.mark.parametrize("technique", some(TECHNIQUES, 1))
 @pytest.mark.parametrize("kind", some(["one sensor", "nothing", "every seventh row", "all in doubt", "frames"], 2))
 @pytest.mark.parametrize("jitter_s", some([0.001, 0.0], 1))
-def test_blocks_leave_no_trace(write_run: WriteRun, technique: str, kind: str, jitter_s: float) -> None:
-    """What is missing lies across the end of the first block of 1000."""
+def test_results_do_not_depend_on_blocks(write_run: WriteRun, technique: str, kind: str, jitter_s: float) -> None:
+    """The missing rows cross the end of the first block of 1000."""
     parts = missing(kind)
     path = write_run(parts, force=shaken, frames=1500, jitter_s=jitter_s)
     results = []
@@ -170,16 +174,16 @@ def test_blocks_leave_no_trace(write_run: WriteRun, technique: str, kind: str, j
 
 
 @pytest.mark.parametrize("step_s", some([0.0005, 0.0012], 1))
-def test_correcting_the_skew_costs_no_noise(write_run: WriteRun, step_s: float) -> None:
-    """Eight sensors spread over 40 % of a frame and over all of it: the noise of their mean, sigma / sqrt(8), within
-    2 %. Three axes of 10000 frames tell it to 0.7 % each.
+def test_correcting_the_skew_adds_no_noise(write_run: WriteRun, step_s: float) -> None:
+    """Eight sensors spread over 40 % of a frame and over all of it: the noise of their mean, sigma / sqrt(8), within 2
+    %. Three axes of 10000 frames determine it to 0.7 % each.
     """
     parts = [Part(f"A{i}", sigma=0.01, late_s=step_s * i) for i in range(8)]
     _, fused = run(write_run(parts, frames=10000), parts)
     assert np.sqrt((fused.std(axis=0) ** 2).mean()) == pytest.approx(0.01 / np.sqrt(8), rel=0.02)
 
 
-def test_correcting_the_skew_costs_no_noise_where_two_quantities_share_a_frame(write_run: WriteRun) -> None:
+def test_correcting_the_skew_of_two_quantities_adds_no_noise(write_run: WriteRun) -> None:
     """Accelerometers in its first half, gyroscopes in the second: each a quarter of a frame off its middle, where the
     slope alone would add 1 - sqrt(1 + 9 (2 / sqrt 3 - 1) / 16), 4.3 %.
     """
@@ -193,7 +197,7 @@ def test_correcting_the_skew_costs_no_noise_where_two_quantities_share_a_frame(w
         assert np.sqrt((triad.std(axis=0) ** 2).mean()) == pytest.approx(sigma / 2, rel=0.02)
 
 
-def test_two_rows_are_nothing_to_fuse(write_run: WriteRun) -> None:
+def test_too_few_rows_are_refused(write_run: WriteRun) -> None:
     parts = precise((0.0,))
     with open_log(write_run(parts, frames=2)) as log, pytest.raises(FusionError, match="sensor A0: 2 rows"):
         list(fuse(log, calibration(parts), "mean"))
@@ -209,7 +213,7 @@ def test_only_the_named_sensors_are_fused(write_run: WriteRun) -> None:
             list(fuse(log, calibration(parts), "mean", only=["B7"]))
 
 
-def test_an_unknown_technique_is_refused_with_those_that_there_are(write_run: WriteRun) -> None:
+def test_an_unknown_technique_is_refused_with_the_list_of_techniques(write_run: WriteRun) -> None:
     parts = precise((0.0,))
     with open_log(write_run(parts)) as log, pytest.raises(FusionError, match="'best': allowed are mean, opposed"):
         list(fuse(log, calibration(parts), "best"))
@@ -223,11 +227,11 @@ def test_both_quantities_have_one_grid(write_run: WriteRun) -> None:
         blocks = list(fuse(log, calibration(parts), "mean"))
     time, turned = joined(blocks, "angular_rate")
     assert (time == joined(blocks)[0]).all()
-    # The slope of one sensor's own rounded values: a count, and 0.3 of a frame of a slope that errs by two.
+    # The slope from the rounded values of one sensor: a count, and 0.3 of a frame of a slope with an error of two.
     assert np.abs(np.degrees(turned) - rate(time * 1e-9)).max() < 2 / 100
 
 
-def test_who_is_read_in_every_second_frame_costs_the_others_nothing(
+def test_a_slower_sensor_does_not_remove_frames_of_the_others(
     write_run: WriteRun,
 ) -> None:
     parts = [part._replace(sigma=0.01) for part in precise((0.0, 0.001, 0.002, 0.003))]

@@ -1,4 +1,4 @@
-"""A calibration that was made at another temperature: a line, and covariances that allow for it."""
+"""A calibration at another temperature: a printed line, and wider covariances."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def parts() -> list[Part]:
 
 
 def known(calibrated_degc: float | None, **more: object) -> Calibration:
-    """Without an error but the noise, at a temperature."""
+    """A calibration without errors except the noise, at a temperature."""
     found = calibration(parts())
     values = {"bias_sem_lsb": np.zeros(3), "temperature_degc": calibrated_degc, **more}
     return Calibration({name: replace(sensor, **values) for name, sensor in found.sensors.items()})  # type: ignore[arg-type]
@@ -54,8 +54,8 @@ def test_the_covariance_allows_for_usual_slopes(write_run: WriteRun, quantity: s
     assert away - at_home == pytest.approx((20 * slope) ** 2 * np.eye(3), rel=1e-6)
 
 
-def test_techniques_that_are_compared_state_the_covariances_of_fuse(write_run: WriteRun) -> None:
-    """Of the mean of one sensor, 20 degC away: the usual slope times 20 degC, squared, more than at home."""
+def test_compared_techniques_state_the_covariances_of_fuse(write_run: WriteRun) -> None:
+    """The mean of one sensor, 20 degC away: larger by the square of the usual slope times 20 degC."""
     run = write_run(parts(), truth="reference", frames=400)
     with open_log(run) as log:
         home, away = (
@@ -65,8 +65,10 @@ def test_techniques_that_are_compared_state_the_covariances_of_fuse(write_run: W
     assert away - home == pytest.approx((20 * SLOPE_G * G) ** 2 * np.eye(3), rel=1e-6)
 
 
-def test_a_slope_that_is_known_leaves_its_standard_error(write_run: WriteRun) -> None:
-    """Of 0.1 counts per degC of 2048 a g, 20 degC away; of an axis whose slope may be one of scale, all of it."""
+def test_a_known_slope_adds_its_standard_error_only(write_run: WriteRun) -> None:
+    """0.1 counts per degC at 2048 per g, 20 degC away; an axis whose slope may be of the scale factor has the whole
+    usual slope.
+    """
     thermal = Thermal(np.array([1.0, 1.0, 2.0]), np.full(3, 0.1), 5.0, (BIAS, BIAS, "bias or scale"), "reference")
     run = write_run(parts(), truth="reference", frames=400)
     home, away = (claimed(run, known(degc, thermal=thermal), "specific_force") for degc in (HERE_DEGC, HERE_DEGC - 20))
@@ -74,7 +76,7 @@ def test_a_slope_that_is_known_leaves_its_standard_error(write_run: WriteRun) ->
     assert away - home == pytest.approx(np.diag(expected), rel=1e-6)
 
 
-def test_scale_factors_change_too(write_run: WriteRun) -> None:
+def test_the_covariance_allows_for_changes_of_the_scale_factor(write_run: WriteRun) -> None:
     """Under 1 g along Z with a measured response: 2 % over 125 degC (L3G-72), 20 degC away, along Z alone."""
     run = write_run(parts(), truth="reference", frames=400)
     response = {"response_sem_lsb_per_unit": np.full(3, 1e-9)}
@@ -87,7 +89,7 @@ def test_scale_factors_change_too(write_run: WriteRun) -> None:
 
 @pytest.mark.slow
 def test_errors_of_sensors_that_changed_are_within_their_covariance(write_run: WriteRun) -> None:
-    """40 sensors whose slopes are drawn as such usually are, 20 degC away: the normalised error squared of the mean of
+    """40 sensors with slopes drawn from the usual population, 20 degC away: the normalised error squared of the mean of
     a log is chi-square of 120 degrees of freedom, error rate 1e-3.
     """
     rng, squares = np.random.default_rng(11), 0.0
@@ -101,12 +103,14 @@ def test_errors_of_sensors_that_changed_are_within_their_covariance(write_run: W
         covariance = matrices(blocks[0].covariances["specific_force"])[0]
         squares += float(error @ np.linalg.solve(covariance, error))
     low, high = chi2.ppf((0.0005, 0.9995), 120)
-    # The noise that `known` claims, 0.01 g, and the mean over a log has not, is half of the covariance: see below.
+    # The noise that `known` states, 0.01 g, is half of the covariance and absent from the mean over a log: see below.
     share = (20 * SLOPE_G) ** 2 / ((20 * SLOPE_G) ** 2 + 0.01**2)
     assert low < squares / share < high
 
 
-def test_a_line_says_so(write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_a_line_on_the_temperature(
+    write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = str(write_run(parts(), truth="reference", frames=400))
     for degc, lines in ((HERE_DEGC - 20, 1), (HERE_DEGC - 0.9 * AWAY_DEGC, 0)):
         known(degc).save(tmp_path / "cal.toml", force=True)
@@ -123,8 +127,8 @@ def test_a_line_says_so(write_run: WriteRun, tmp_path: Path, capsys: pytest.Capt
             assert said[0] in capsys.readouterr().out
 
 
-def test_covariances_without_noise_include_nothing(write_run: WriteRun) -> None:
-    """They are unknown, and the line does not say otherwise."""
+def test_without_noise_the_line_states_unknown_covariances(write_run: WriteRun) -> None:
+    """The covariances are NaN, and the line states it."""
     cold = known(HERE_DEGC - 20)
     bare = Calibration({name: replace(each, noise_lsb=None) for name, each in cold.sensors.items()})
     with open_log(write_run(parts(), truth="reference", frames=400)) as log:
@@ -134,7 +138,7 @@ def test_covariances_without_noise_include_nothing(write_run: WriteRun) -> None:
         assert np.isnan(next(iter(fuse(log, bare, "mean"))).covariances["specific_force"]).any()
 
 
-def test_nothing_is_said_where_no_temperature_is_known(write_run: WriteRun) -> None:
+def test_no_line_is_printed_for_unknown_temperatures(write_run: WriteRun) -> None:
     with open_log(write_run(parts(), truth="truth", frames=400)) as log:
         assert temperature_mismatch(log, list(log.sensors.values()), known(5.0)) == {}
     with open_log(write_run(parts(), truth="reference", frames=400, name="b.h5")) as log:

@@ -22,14 +22,14 @@ WEIGHTS = np.repeat([1.0, 2.0, 3.0, 4.0, 1.0, 2.0, 3.0, 4.0], 3)
 
 
 def frames(count: int = 200, seed: int = 1) -> Frames:
-    """A rate that changes, and eight triads along the box with a bias each."""
+    """A changing rate, and eight triads along the box with one bias each."""
     truth = np.random.default_rng(seed).normal(0.0, 1.0, (count, 1, 3))
     values = (truth + BIASES).reshape(count, 24)
     return Frames(np.arange(count, dtype=np.int64) * 10_000_000, values, np.ones(values.shape, bool))
 
 
 def lacking(whole: Frames, sensor: int, rows: slice) -> Frames:
-    """The frames, some of them without the readings of a sensor; what is left in their place must not matter."""
+    """The frames, some of them without the readings of a sensor; the values in their place must have no effect."""
     whole.valid[rows, 3 * sensor : 3 * sensor + 3] = False
     whole.values[rows, 3 * sensor : 3 * sensor + 3] = 1e3
     return whole
@@ -49,16 +49,16 @@ def test_a_frame_without_a_sensor_keeps_the_weighted_mean_of_all_biases(weights:
     assert fused(technique, part) == pytest.approx(truth + mean_bias, abs=1e-12)
 
 
-def test_the_step_of_a_sensor_that_stays_away_is_its_share() -> None:
-    """From frame `RECENT` of its silence on: bias less mean, over the seven sensors that remain."""
+def test_a_lost_sensor_changes_the_mean_by_its_share() -> None:
+    """From frame `RECENT` after its loss on: bias minus mean, over the seven remaining sensors."""
     step = fused(FixedWeights(ROWS, np.ones(24), np.ones(24)), lacking(frames(), 2, slice(100, 200)))
     truth = np.random.default_rng(1).normal(0.0, 1.0, (200, 3))
     level = np.where(np.arange(200)[:, None] < 100 + RECENT, 0.0, (BIASES.mean(axis=0) - BIASES[2]) / 7)
     assert step == pytest.approx(truth + BIASES.mean(axis=0) + level, abs=1e-12)
 
 
-def test_an_excluded_sensor_takes_its_bias_with_it() -> None:
-    """A fault monitor behind the alignment excludes sensor 5; then a frame without sensor 2 has the mean of seven."""
+def test_an_excluded_sensor_removes_its_bias_from_the_mean() -> None:
+    """A fault monitor after the alignment excludes sensor 5; then a frame without sensor 2 has the mean of seven."""
     part = AxisOffsets(ROWS)(lacking(frames(), 2, slice(100, 101)))
     excluded = np.zeros(part.valid.shape, bool)
     excluded[:, 15:18] = True
@@ -67,7 +67,7 @@ def test_an_excluded_sensor_takes_its_bias_with_it() -> None:
     assert result == pytest.approx(truth + np.delete(BIASES, 5, axis=0).mean(axis=0), abs=1e-12)
 
 
-def test_blocks_and_unknown_offsets() -> None:
+def test_blocks_do_not_change_offsets_and_unknown_offsets_are_ignored() -> None:
     technique = FixedWeights(ROWS, np.ones(24), np.ones(24))
     part = lacking(frames(), 2, slice(100, 110))
     cuts = [0, 1, 90, 105, 108, 200]
@@ -81,9 +81,9 @@ def test_blocks_and_unknown_offsets() -> None:
 
 
 @pytest.mark.parametrize("technique", some([name for name in TECHNIQUES if name != "opposed"], 1))
-def test_a_slow_oscillator_leaves_no_steps_in_the_fused_log(write_run: WriteRun, technique: str) -> None:
-    """Eight gyroscopes at rest with a bias each, in whole counts; one misses a frame of fifty, one after the other.
-    Every fused frame is the mean of the biases, whether it was combined directly or not.
+def test_a_slow_oscillator_causes_no_steps_in_the_fused_log(write_run: WriteRun, technique: str) -> None:
+    """Eight gyroscopes at rest with one bias each, in whole counts; each of them misses one frame of fifty. Every fused
+    frame is the mean of the biases, whether it was combined directly or not.
     """
     counts = np.arange(-4.0, 4.0) * 37
     parts = [
@@ -104,12 +104,12 @@ def test_a_slow_oscillator_leaves_no_steps_in_the_fused_log(write_run: WriteRun,
     with open_log(write_run(parts, rate=nothing, frames=600)) as log:
         time, result = joined(list(fuse(log, known, technique, block=97)), "angular_rate")
     assert len(time) == 600
-    late = np.flatnonzero(time > 20 * 10_000_000)  # a first frame that lacks a reading has nothing before it
+    late = np.flatnonzero(time > 20 * 10_000_000)  # a first frame that lacks a reading has no earlier frame
     assert result[late] / DPS == pytest.approx(np.full((len(late), 3), counts.mean() / 100.0), abs=1e-9)
 
 
-def test_axes_that_point_apart() -> None:
-    """Least squares of triads that point in six ways: the level of all is kept there, too."""
+def test_axes_of_six_directions_keep_the_level() -> None:
+    """Least squares of triads in six orientations: the level of all is kept."""
     axes = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z", "+Y-X+Z", "+Y+Z+X", "-X-Y+Z")
     rows = np.array([axis.direction_box for i, way in enumerate(axes) for axis in triad(f"A{i}", way, None)])
     bias = np.random.default_rng(4).normal(0.0, 0.1, 18)

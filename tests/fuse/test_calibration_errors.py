@@ -1,4 +1,4 @@
-"""What a calibration leaves unknown is in the covariance of every technique, as far as it was measured."""
+"""The uncertainty of a calibration is in the covariance of every technique, as far as it was measured."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ CHANGE = 0.004
 
 
 def unsure(rng: np.random.Generator) -> Calibration:
-    """A calibration of `PARTS` whose biases and responses are correlated in all ways, and whose responses change."""
+    """A calibration of `PARTS` whose biases and responses are fully correlated, and whose responses change."""
     sensors = {}
     for name, known in calibration(PARTS).sensors.items():
         per_lsb = np.abs(known.response_lsb_per_unit).max()
@@ -58,15 +58,17 @@ def headers() -> list[SensorHeader]:
 
 
 @pytest.mark.parametrize("technique", ["mean", "opposed", "planes", "ranges"])
-def test_it_is_how_the_triad_answers_to_the_calibration(technique: str) -> None:
-    """Against the covariance carried through numerical derivatives of the triad by every entry of every calibration."""
+def test_the_covariance_is_the_propagated_one_of_the_calibration(technique: str) -> None:
+    """Compared with the covariance propagated by numerical derivatives of the triad by every entry of every
+    calibration.
+    """
     known = unsure(np.random.default_rng(1))
     truth_dps = np.array([20.0, -7.0, 11.0])
     rows = np.concatenate([pointing(part.axes) for part in PARTS])
     maker = TECHNIQUES[technique]
 
     def triad(off: dict[str, tuple[Floats, Floats]]) -> Floats:
-        """By readings of sensors whose response and bias are off by so many counts."""
+        """The triad of readings of sensors whose response and bias have these errors in counts."""
         values = rows @ truth_dps * DPS
         for index, part in enumerate(PARTS):
             response, bias = off.get(part.name, (np.zeros((3, 3)), np.zeros(3)))
@@ -93,8 +95,8 @@ def test_it_is_how_the_triad_answers_to_the_calibration(technique: str) -> None:
     assert claimed - noise == pytest.approx(expected, rel=1e-5, abs=1e-9 * np.trace(expected))
 
 
-def test_the_short_way_claims_the_same(write_run: WriteRun) -> None:
-    """Frames that are one matrix times their counts have the covariance of those that are not."""
+def test_the_fast_path_states_the_same_covariance(write_run: WriteRun) -> None:
+    """Frames computed by one matrix from their counts have the same covariance as other frames."""
     turning = lambda seconds: 30 * np.sin(np.outer(seconds, [1.0, 2.0, 3.0]))  # noqa: E731
     run = write_run(PARTS, rate=turning, frames=200)
     known = unsure(np.random.default_rng(2))
@@ -117,7 +119,7 @@ SIMPLE = ("mean", "opposed", "planes", "ranges")
 
 @dataclass(frozen=True)
 class Rates:
-    """Rates of the readings of all sensors, and those of sensors that have another."""
+    """Rates of the readings of all sensors, with exceptions by sensor."""
 
     all_hz: float
     others_hz: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
@@ -133,9 +135,9 @@ def scores_after_turns(
     change: float = 0.0,
 ) -> dict[str, list[Score]]:
     """The scores of all techniques in motion about box X and Z, and about all axes, after a calibration by turns about
-    X and Z only with rests of `rest_s`. Turns in motion are slow, since only `optimal` allows for the doubt about when
-    a chip with a clock of its own made a reading. Between calibration and motion, the responses of the gyroscopes
-    change by a draw of `change` of the scale.
+    X and Z only with rests of `rest_s`. Turns in motion are slow, since only `optimal` allows for the unknown age of a
+    reading of a chip with its own clock. Between calibration and motion, the responses of the gyroscopes change by a
+    draw of `change` of the scale.
     """
     rng = np.random.default_rng(seed)
     timing = {"rate_hz": rates.all_hz, "rates_hz": rates.others_hz}
@@ -143,7 +145,7 @@ def scores_after_turns(
     record(folder / f"turns{seed}.h5", turns, world, seed=seed, only=NAMES, **timing)  # type: ignore[arg-type]
     with open_log(folder / f"turns{seed}.h5") as log:
         found = calibrate_tumble(log).calibration.merged(calibrate_noise(log))
-    # Nothing changes from run to run, drifts or follows temperature in this world, and the calibration says so.
+    # In this world there is no change from run to run, no drift and no thermal slope, and the calibration states so.
     none = np.zeros(3)
     nothing_else = {
         "drift": Drift(none, none, 600.0),
@@ -170,15 +172,15 @@ APART = [
 
 
 @pytest.mark.parametrize("rates", some([*ALIKE, *APART], 0, 4))
-def test_a_gyroscope_that_was_turned_about_two_axes(rates: Rates, tmp_path: Path) -> None:
+def test_errors_of_a_gyroscope_calibrated_about_two_axes(rates: Rates, tmp_path: Path) -> None:
     """Turned about box X and Z only, with the noise of the paper's chips. In motion about those axes the error of the
-    angular rate is at most 1.1 times the noise; in motion about all three the covariance says what the third column
-    lacks: the normalised error squared is in its 95 % interval for every technique (fixed seeds).
+    angular rate is at most 1.1 times the noise; in motion about all three the covariance includes the uncertainty of
+    the third column: the normalised error squared is in its 95 % interval for every technique (fixed seeds).
 
     At high rates the correction of delays changes the noise by several percent, and the rests are so long that the
-    noise of the calibration is known to less than that. If sensors have different rates, frames without the slower one
-    have other errors of the response than frames with it, and the interval, which takes frames for many draws of such
-    errors, is too narrow: the test of many worlds below is for those.
+    noise of the calibration is known to less than that. If sensors have different rates, frames without the slower
+    sensor have other errors of the response than frames with it, and the interval, which assumes many draws of such
+    errors, is too narrow: these are tested with many worlds below.
     """
     scores = scores_after_turns(tmp_path, drawn_effects(np.random.default_rng(3), 0.017, 0.18), rates, 3, rest_s=20.0)
     for axes, each in scores.items():
@@ -207,7 +209,7 @@ def check_many_worlds(folder: Path, rates: Rates, count: int, *, axes: str = "XY
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("rates", [ALIKE[0], APART[0]], ids=["alike", "apart"])
-def test_covariances_of_unknown_responses_are_those_of_many_worlds(rates: Rates, tmp_path: Path) -> None:
+def test_covariances_of_unknown_responses_agree_with_many_worlds(rates: Rates, tmp_path: Path) -> None:
     """See `check_many_worlds`."""
     check_many_worlds(tmp_path, rates, 16)
 
@@ -215,19 +217,19 @@ def test_covariances_of_unknown_responses_are_those_of_many_worlds(rates: Rates,
 @pytest.mark.campaign
 @pytest.mark.parametrize("change", [0.002, 0.005])
 @pytest.mark.parametrize("axes", ["XZ", "XYZ"])
-def test_covariances_are_those_of_many_worlds_whose_responses_change(axes: str, change: float, tmp_path: Path) -> None:
-    """By a draw of the data sheet's nonlinearity (L3G-73: 0.2 %) after the calibration, and by one of 0.5 %."""
+def test_covariances_of_changing_responses_agree_with_many_worlds(axes: str, change: float, tmp_path: Path) -> None:
+    """Changes by a draw of the data sheet's nonlinearity (L3G-73: 0.2 %) after the calibration, and of 0.5 %."""
     check_many_worlds(tmp_path, ALIKE[0], 16, axes=axes, change=change)
 
 
 @pytest.mark.slow
-def test_covariances_are_those_of_a_few_worlds_whose_responses_change(tmp_path: Path) -> None:
-    """By a draw of the data sheet's nonlinearity (L3G-73: 0.2 %) after the calibration."""
+def test_covariances_of_changing_responses_agree_with_a_few_worlds(tmp_path: Path) -> None:
+    """Changes by a draw of the data sheet's nonlinearity (L3G-73: 0.2 %) after the calibration."""
     check_many_worlds(tmp_path, ALIKE[0], 5, axes="XZ", change=0.002)
 
 
-def test_rotations_are_about_the_axes_that_are_named() -> None:
-    """What the tests above call turned about two axes is."""
+def test_rotations_are_about_the_named_axes() -> None:
+    """The motion about two axes of the tests above has no turn about the third."""
     made = about("XZ", 9, np.random.default_rng(1))
     turns = (made[:-1].inv() * made[1:]).as_rotvec()
     assert np.abs(turns[:, 1]).max() < 1e-9

@@ -1,4 +1,4 @@
-"""Coasting by closed forms."""
+"""Coasting against closed forms."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def errors(
     rate: Floats | None = None,
     force: Floats | None = None,
 ) -> Errors:
-    """Frames of `seconds`, the last included, of a box at rest unless a motion is given; errors not given are none."""
+    """Frames of `seconds`, the last included, of a box at rest unless a motion is given; omitted errors are zero."""
     count = round(seconds * RATE_HZ) + 1
     whole = lambda value: np.zeros((count, 3)) + (0.0 if value is None else value)  # noqa: E731
     time = np.arange(count, dtype=np.int64) * (1_000_000_000 // RATE_HZ)
@@ -54,12 +54,12 @@ def test_a_ramp_of_the_rate_error() -> None:
 
 
 def test_a_constant_force_error() -> None:
-    """a t, level parts only: the vertical one is no horizontal velocity."""
+    """a t, level parts only: the vertical part adds no horizontal velocity."""
     assert end(coasting(errors(None, np.array([0.03, 0.04, 0.5])), still_s=0))[1] == pytest.approx(0.05 * 60)
 
 
-def test_a_level_rate_error_tips_gravity_into_velocity() -> None:
-    """g b t^2 / 2, along -y for a turn about x: what points up seems to lean towards -y."""
+def test_a_level_rate_error_projects_gravity_into_velocity() -> None:
+    """g b t^2 / 2, along -y for a turn about x: the up direction tilts towards -y."""
     b = 1e-5
     tilt, velocity = propagate(errors(np.array([b, 0, 0])))
     assert tilt == pytest.approx([60 * b, 0, 0])
@@ -67,9 +67,9 @@ def test_a_level_rate_error_tips_gravity_into_velocity() -> None:
 
 
 @pytest.mark.slow
-def test_white_noise() -> None:
-    """N sqrt(t), and after standing still for tau N sqrt(t + t^2 / tau): 200 coasts know an rms to
-    5 %; four of these. Velocity from the level rates, without standing still: g N sqrt(t^3 / 3) along each of two axes.
+def test_white_noise_gives_a_random_walk() -> None:
+    """N sqrt(t), and after a rest of tau N sqrt(t + t^2 / tau): 200 coasts determine an rms to 5 %; four of these.
+    Velocity from the level rates, without a rest: g N sqrt(t^3 / 3) along each of two axes.
     """
     rng = np.random.default_rng(3)
     density = 1e-4
@@ -89,7 +89,7 @@ def test_white_noise() -> None:
     assert np.divide(rms, expected) == pytest.approx([1.0] * 3, abs=4 * 0.05)
 
 
-def test_standing_still_takes_constants_out_and_half_a_ramp_leaves_more() -> None:
+def test_a_rest_removes_constants_and_the_mean_of_a_ramp() -> None:
     """A ramp from the start of ten seconds at rest: mean 5 r; then r (t^2 / 2 + 10 t) - 5 r t."""
     constant = errors(np.array([0.01, 0.02, 0.03]), np.array([0.1, 0.2, 0.3]), seconds=70)
     assert end(coasting(constant)) == pytest.approx((0, 0), abs=1e-9)
@@ -98,8 +98,8 @@ def test_standing_still_takes_constants_out_and_half_a_ramp_leaves_more() -> Non
 
 
 def test_errors_turn_with_the_box() -> None:
-    """A box that turns about its upright z once a minute: a constant error about its x sweeps a circle and ends at 0;
-    after half a turn it is 2 b / w along y.
+    """A box that turns about its vertical z once a minute: a constant error about its x turns in a circle and ends at
+    0; after half a turn it is 2 b / w along y.
     """
     omega, b = 2 * np.pi / 60, 1e-4
     whole = propagate(errors(np.array([b, 0, 0]), rate=np.array([0, 0, omega])))[0]
@@ -108,7 +108,7 @@ def test_errors_turn_with_the_box() -> None:
     assert half == pytest.approx([0, 2 * b / omega, 0], rel=1e-4, abs=1e-8)
 
 
-def test_against_two_navigators() -> None:
+def test_coasting_equals_the_difference_of_two_navigators() -> None:
     """A tumbling, shaken box: the difference of navigators with and without errors, integrated step by step."""
     seconds = times(20)
     rate = np.stack([0.5 * np.sin(seconds), 0.4 * np.cos(0.7 * seconds), 0.3 * np.sin(0.3 * seconds)], axis=1)
@@ -132,7 +132,7 @@ def test_against_two_navigators() -> None:
     assert velocity == pytest.approx(wrong - plain, rel=0.01, abs=1e-5)
 
 
-def test_a_coast_begins_where_the_box_stood_still() -> None:
+def test_a_coast_begins_after_a_rest() -> None:
     """It turns for the first five seconds: the coast begins ten seconds after that. In 200 s there is room for two."""
     rate = np.where(times(200)[:, None] < 5, [0, 0, 0.1], 0.0)
     found = coasting(errors(seconds=200, rate=rate))
@@ -142,8 +142,8 @@ def test_a_coast_begins_where_the_box_stood_still() -> None:
 
 
 @pytest.mark.parametrize("cut", some([1, 63, 500, 4001], 2))
-def test_errors_in_blocks_coast_as_those_in_one(cut: int) -> None:
-    """Turning in between, which puts a window off, and a pause."""
+def test_results_do_not_depend_on_blocks(cut: int) -> None:
+    """With a turn, which delays a window, and a pause."""
     rng = np.random.default_rng(6)
     rate = np.zeros((300 * RATE_HZ + 1, 3))
     rate[100 * RATE_HZ : 105 * RATE_HZ, 2] = 0.5

@@ -1,4 +1,4 @@
-"""`imuarray fuse` as a person types it."""
+"""`imuarray fuse` through the command line."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BIAS_G = 0.05
 
 
 def parts(bias_g: float = 0.0) -> list[Part]:
-    """Two accelerometers that point alike and a gyroscope."""
+    """Two accelerometers of the same orientation and a gyroscope."""
     return [
         *(Part(f"A{i}", sigma=0.01, error=lambda seconds: np.full((len(seconds), 3), bias_g)) for i in (1, 2)),
         Part("G1", "+X+Y+Z", "angular_rate", "l3g4200d", 250.0, 100.0, sigma=0.2),
@@ -59,7 +59,7 @@ def test_fuse_writes_a_file_and_reports_errors(
     out, err = capsys.readouterr()
     report = json.loads(out)
     assert (report["fused"], report["technique"], report["frames"]) == (str(output), technique, 1000)
-    # Two alike: sigma / sqrt(2) of 1000 frames, to five standard errors.
+    # Two equal sensors: sigma / sqrt(2) of 1000 frames, to five standard errors.
     rms = np.array(report["error"]["specific_force"]["rms"]) / G
     assert rms == pytest.approx([0.01 / np.sqrt(2)] * 3, rel=5 / np.sqrt(2000))
     assert np.degrees(report["error"]["angular_rate"]["noise"]) == pytest.approx([0.2] * 3, rel=6 / np.sqrt(2000))
@@ -70,7 +70,7 @@ def test_fuse_writes_a_file_and_reports_errors(
         assert file.attrs["log"] == str(run)
 
 
-def test_fuse_prints_for_people(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fuse_prints_a_summary(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fuse", str(run), "-o", str(tmp_path / "fused.h5")]) == 0
     out = capsys.readouterr().out
     assert "1000 frames by mean" in out
@@ -81,11 +81,9 @@ def test_fuse_prints_for_people(run: Path, tmp_path: Path, capsys: pytest.Captur
     assert float(rms[rms.index("x") + 1]) == pytest.approx(7.07, rel=0.12)
 
 
-def test_optimal_says_what_it_learnt_of_biases(
-    write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """One of two is off by 100 mg on each axis, nobody knows which: 50 mg each way, and half the variance is left.
-    Their responses are known to 1e-4.
+def test_optimal_reports_learnt_biases(write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One of two sensors has an error of 100 mg on each axis, and it is unknown which: 50 mg for each, and half of the
+    variance remains. Their responses are known to 1e-4.
     """
     one = Part("A2", sigma=0.01, error=lambda seconds: np.full((len(seconds), 3), 0.1))
     path, known, output = write_run([*parts()[:1], one]), tmp_path / "cal.toml", str(tmp_path / "f.h5")
@@ -97,7 +95,8 @@ def test_optimal_says_what_it_learnt_of_biases(
     learned = json.loads(capsys.readouterr().out)["learned"]["biases"]["specific_force"]
     assert [each["axis"] for each in learned] == ["A1 x", "A1 y", "A1 z", "A2 x", "A2 y", "A2 z"]
     mg = np.array([each["bias"] for each in learned]) / G * 1e3
-    assert mg[3:] - mg[:3] == pytest.approx([100.0] * 3, abs=1.0)  # 14 mg over sqrt(1000), and a little for the prior
+    # 14 mg over sqrt(1000), and some allowance for the prior
+    assert mg[3:] - mg[:3] == pytest.approx([100.0] * 3, abs=1.0)
     assert mg == pytest.approx([-50.0] * 3 + [50.0] * 3, abs=1.0)
     left = [each["sd"] / each["sd_before"] for each in learned]
     assert left == pytest.approx([0.5**0.5] * 6, rel=0.01)
@@ -106,12 +105,14 @@ def test_optimal_says_what_it_learnt_of_biases(
     (heading,) = [index for index, line in enumerate(lines) if "slow errors of the specific_force sensors" in line]
     assert [line.split()[0] for line in lines[heading + 1 : heading + 3]] == ["A1", "A2"]
     assert float(lines[heading + 2].split()[2]) == pytest.approx(mg[3], abs=1e-3)
-    assert "mg (before: 0 +- 125)" in lines[heading]  # of BMA180s: 2.5 times the paper's 50 mg
+    assert "mg (before: 0 +- 125)" in lines[heading]  # BMA180: 2.5 times the paper's 50 mg
 
 
-def test_techniques_remark_on_sensors(write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A low range that reads 20 mg more; of its 20 mg beside the blend of both, weighed by inverse variance, a share
-    of 9.53^2 / (9.53^2 + 17.05^2) is left.
+def test_techniques_report_remarks_on_sensors(
+    write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A low range that reads 20 mg more; relative to the blend of both by inverse variance a share of 9.53^2 / (9.53^2
+    + 17.05^2) of it remains.
     """
     low, high = low_and_high()
     low = low._replace(error=lambda seconds: np.full((len(seconds), 3), 0.02))
@@ -128,7 +129,7 @@ def test_techniques_remark_on_sensors(write_run: WriteRun, tmp_path: Path, capsy
     assert json.loads(capsys.readouterr().out)["learned"] == {"biases": {}, "remarks": []}
 
 
-def test_a_log_without_a_truth_is_fused_without_a_verdict(
+def test_a_log_without_a_truth_is_fused_without_errors(
     write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_run(parts(), truth="")
@@ -163,7 +164,7 @@ def test_a_bias_without_an_uncertainty_is_used_by_every_technique(
     assert means[1] == pytest.approx(means[0])
 
 
-def test_nothing_is_overwritten(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_existing_output_is_not_overwritten(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "fused.h5"
     output.write_text("mine")
     assert "exists already" in refused([str(run), "-o", str(output)], capsys)
@@ -185,7 +186,7 @@ def test_techniques_that_change_only_some_arrays_are_described_for_both() -> Non
         assert bool(description.effect) == bool(description.no_effect) == (name in CHANGES)
 
 
-def test_bad_input_is_one_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_input_gives_one_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = ["-o", str(tmp_path / "fused.h5")]
     assert "no such file" in refused([str(tmp_path / "no.h5"), *output], capsys)
     assert "allowed are mean, opposed, planes, ranges" in refused([str(run), "--technique", "best", *output], capsys)
@@ -195,7 +196,7 @@ def test_bad_input_is_one_line(run: Path, tmp_path: Path, capsys: pytest.Capture
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
 
 
-def test_a_log_that_never_stands_still_can_not_tell_its_noise(
+def test_noise_of_a_log_without_rest_is_refused(
     write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rng = np.random.default_rng(3)
@@ -208,11 +209,13 @@ def test_a_log_that_never_stands_still_can_not_tell_its_noise(
     assert not output.exists()
 
 
-def test_an_output_in_a_missing_folder(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_output_in_a_missing_folder_is_refused(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     refused([str(run), "-o", str(tmp_path / "no" / "fused.h5")], capsys)
 
 
-def test_the_log_itself_is_never_the_output(run: Path) -> None:
+def test_the_log_as_output_is_refused(run: Path) -> None:
     main(["fuse", str(run), "-o", str(run), "--force"])
     with open_log(run) as log:
         assert len(log["A1"]) == 1000
@@ -221,7 +224,7 @@ def test_the_log_itself_is_never_the_output(run: Path) -> None:
 def test_a_calibration_of_another_array_is_refused(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Not one sensor in common: nothing would be calibrated, and nothing would tell."""
+    """Without a common sensor nothing would be calibrated, and the result would not reveal it."""
     foreign = tmp_path / "foreign.toml"
     foreign.write_text("[calibration]\nformat_version = 1\n")
     arguments = ["fuse", str(run), "--calibration", str(foreign), "-o", str(tmp_path / "f.h5")]
@@ -229,7 +232,7 @@ def test_a_calibration_of_another_array_is_refused(
     assert "contains no sensor, but none of" in capsys.readouterr().err
 
 
-def test_it_says_what_the_technique_changed_and_what_is_not_calibrated(
+def test_the_report_lists_changes_and_uncalibrated_sensors(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["fuse", str(run), "--technique", "opposed", "-o", str(tmp_path / "f.h5"), "--json"]) == 0
@@ -247,7 +250,7 @@ def test_it_says_what_the_technique_changed_and_what_is_not_calibrated(
 def test_both_results_are_measured_while_the_file_is_written(
     write_run: WriteRun, tmp_path: Path, technique: str, truth: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As each of them fused by itself, and the file read back."""
+    """The same as each of them fused alone, and the file read back."""
     path = write_run(parts(), phases=STATIC, truth=truth)
     assert main(["fuse", str(path), "--technique", technique, "-o", str(tmp_path / "f.h5"), "--json"]) == 0
     results = json.loads(capsys.readouterr().out)["results"]

@@ -1,4 +1,4 @@
-"""Opposed axes: what drifts alike is taken out, what drifts alone is hardly made worse."""
+"""Opposed axes: a common drift is removed, a drift of a single unit hardly increases."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def gyros(
 
 
 def temperatures(seconds: Floats) -> Floats:
-    """The same on every axis of every unit: 1 dps (1 - exp(-t / 100 s))."""
+    """The same drift on every axis of every unit: 1 dps (1 - exp(-t / 100 s))."""
     return np.outer(DRIFT_DPS * (1 - np.exp(-seconds / TIME_S)), [1, 1, 1])
 
 
@@ -36,7 +36,7 @@ def fused_dps(write_run: WriteRun, parts: list[Part], technique: str, **options:
         return np.asarray(np.degrees(joined(list(fuse(log, calibration(parts), technique)), "angular_rate")[1]))
 
 
-def test_a_drift_that_all_units_share_is_taken_out(write_run: WriteRun) -> None:
+def test_a_common_drift_is_removed(write_run: WriteRun) -> None:
     """1 + 2 axes: the average keeps a third. The low-pass of 10 s lags by 10 s times the slope."""
     parts = gyros(temperatures)
     average = fused_dps(write_run, parts, "mean", frames=8000, rate_hz=20.0)
@@ -46,11 +46,11 @@ def test_a_drift_that_all_units_share_is_taken_out(write_run: WriteRun) -> None:
     # Of 1 + 2 axes, one minus two over three: +1/3 of it along X (two point along), -1/3 along Y, +1/3 along Z.
     noise = 5 * 0.2 / np.sqrt(3 * 2000)
     assert average[end].mean(axis=0) == pytest.approx(drift / 3 * np.array([1, -1, 1]), abs=noise)
-    # The lag, and a trust that began below one: a fortieth of what the average keeps.
+    # The lag, and an initial weight below one: a fortieth of the drift that the average keeps.
     assert np.abs(opposed[end].mean(axis=0)).max() < drift / 3 / 40 + noise
 
 
-def test_taking_it_out_costs_no_noise(write_run: WriteRun) -> None:
+def test_removing_the_drift_adds_no_noise(write_run: WriteRun) -> None:
     parts = gyros(temperatures)
     scatter = {}
     for name in ("mean", "opposed"):
@@ -59,16 +59,18 @@ def test_taking_it_out_costs_no_noise(write_run: WriteRun) -> None:
     assert scatter["opposed"] / scatter["mean"] == pytest.approx([1.0] * 3, abs=0.01)
 
 
-def test_a_motion_is_not_taken_for_a_drift(write_run: WriteRun) -> None:
-    """Noiseless and without errors the result is the truth, however slowly the box turns."""
+def test_a_motion_is_not_removed_as_drift(write_run: WriteRun) -> None:
+    """Without noise and errors the result is the truth, also for a slow turn of the box."""
     rate: Callable[[Floats], Floats] = lambda seconds: np.outer(np.sin(seconds / 20), [50.0, 30.0, -40.0])  # noqa: E731
     parts = gyros(lambda seconds: np.zeros((len(seconds), 3)), sigma=0.0)
     opposed = fused_dps(write_run, parts, "opposed", frames=4000, rate_hz=20.0, rate=rate)
     assert np.abs(opposed - rate(np.arange(4000) / 20)).max() < 1.01 / 100
 
 
-def test_one_pair_balances_itself(write_run: WriteRun) -> None:
-    """1 + 1 axes along Y and Z: the average is free of what they share. Along X both point alike: nothing is seen."""
+def test_one_pair_is_balanced(write_run: WriteRun) -> None:
+    """1 + 1 axes along Y and Z: the average has no common error. Along X both have the same direction: it is not
+    observable.
+    """
     parts = gyros(temperatures, GYROS[:2], sigma=0.0)
     average = fused_dps(write_run, parts, "mean", frames=4000, rate_hz=20.0)
     opposed = fused_dps(write_run, parts, "opposed", frames=4000, rate_hz=20.0)
@@ -92,7 +94,7 @@ def steady(errors: Floats, ways: tuple[tuple[str, str], ...] = GYROS) -> tuple[F
 
 
 def cost(ways: tuple[tuple[str, str], ...], draws: int, seed: int) -> float:
-    """Rms of the opposed result over that of the average where every unit errs for itself, less one."""
+    """Rms of the opposed result over that of the average for independent errors of units, minus one."""
     rng = np.random.default_rng(seed)
     found = np.array([steady(rng.normal(size=(len(ways), 3)), ways) for _ in range(draws)])
     return float(np.sqrt((found[:, 1] ** 2).sum() / (found[:, 0] ** 2).sum())) - 1
@@ -100,22 +102,22 @@ def cost(ways: tuple[tuple[str, str], ...], draws: int, seed: int) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("against", [2, 3, 5])
-def test_errors_of_single_units_are_made_worse_by_less_than_one_percent(against: int) -> None:
-    """One axis along and 2, 3 or 5 against: 3000 draws of nothing in common tell the cost to 0.3 %."""
+def test_independent_errors_increase_by_less_than_one_percent(against: int) -> None:
+    """One axis along and 2, 3 or 5 against: 3000 draws of independent errors determine the increase to 0.3 %."""
     ways = (("G0", "+X+Y+Z"), *((f"G{unit}", "-X-Y+Z") for unit in range(1, against)), ("G9", "-X-Y-Z"))
     assert -0.003 < cost(ways, 1000, 21) < 0.0125
 
 
-def test_a_level_that_all_units_share_is_taken_out() -> None:
-    """1 + 2 axes that err by 1 but for a hundredth of it: the average keeps a third."""
+def test_a_common_constant_error_is_removed() -> None:
+    """1 + 2 axes with an error of 1 that differs by a hundredth: the average keeps a third."""
     own = 0.01 * np.random.default_rng(3).normal(size=(3, 3))
     average, opposed = steady(1 + own)
     assert np.abs(average) == pytest.approx([1 / 3] * 3, abs=0.03)
     assert np.abs(opposed).max() < 1 / 30
 
 
-def test_a_shared_drift_is_seen_beneath_biases_of_their_own(write_run: WriteRun) -> None:
-    """Biases of 2 dps that differ from unit to unit stay as they are in the average; the drift of 1 dps goes."""
+def test_a_common_drift_is_removed_under_individual_biases(write_run: WriteRun) -> None:
+    """Biases of 2 dps that differ from unit to unit stay as they are in the average; the drift of 1 dps is removed."""
     rng = np.random.default_rng(4)
 
     def biased(bias: Floats) -> Callable[[Floats], Floats]:
@@ -130,8 +132,8 @@ def test_a_shared_drift_is_seen_beneath_biases_of_their_own(write_run: WriteRun)
     assert moved["opposed"].max() < 0.95 / 3 / 10
 
 
-def test_frame_by_frame_it_is_the_same() -> None:
-    """Errors that drift alike but for a little, 25 s at 10 Hz: one block, and blocks of 1, 7 and the rest."""
+def test_results_do_not_depend_on_blocks() -> None:
+    """Errors with nearly the same drift, 25 s at 10 Hz: one block, and blocks of 1, 7 and the rest."""
     rng = np.random.default_rng(5)
     time = np.arange(250, dtype=np.int64) * 100_000_000
     residual = np.linspace(0, 1, 250)[:, None] + 0.01 * rng.normal(size=(250, 3))
@@ -162,7 +164,7 @@ def test_even_order_errors_of_a_design_cancel(write_run: WriteRun) -> None:
 
 
 def test_odd_order_errors_stay_as_in_the_average(write_run: WriteRun) -> None:
-    """k u^3 changes its sign with the axis, as the truth does: nothing to see, to cancel or to make worse."""
+    """k u^3 changes its sign with the axis, like the truth: it is not observable, not cancelled and not increased."""
 
     def cubic(way: str) -> Callable[[Floats], Floats]:
         signs = pointing(way).sum(axis=1)
@@ -177,10 +179,10 @@ def test_odd_order_errors_stay_as_in_the_average(write_run: WriteRun) -> None:
     )
     off = np.abs(average - steady_turn(np.arange(6000) / 20))[-100:].mean(axis=0)
     assert off == pytest.approx([5.12] * 3, rel=0.01)
-    assert opposed == pytest.approx(average, abs=1.01 / 100)  # a count: rounding is no error of a design
+    assert opposed == pytest.approx(average, abs=1.01 / 100)  # a count: rounding is not an error of a design
 
 
-def test_groups_are_axes_of_one_design_both_ways_and_not_balanced() -> None:
+def test_groups_are_unbalanced_opposed_axes_of_one_design() -> None:
     def triad(name: str, way: str, chip: str) -> list[Axis]:
         rows = pointing(way).tolist()
         return [Axis(name, chip, index, tuple(row), 1.0, None) for index, row in enumerate(rows)]
@@ -196,7 +198,7 @@ def test_groups_are_axes_of_one_design_both_ways_and_not_balanced() -> None:
     assert opposing_groups(axes[:6]) == []  # one pair along X and Z
 
 
-def test_smoother_is_a_mean_at_first_and_exponential_after() -> None:
+def test_the_smoother_is_a_mean_at_first_and_exponential_after() -> None:
     """10 rows to the time constant: a running mean of ten rows, then x' = x + (new - x) / 10, by hand."""
     rng = np.random.default_rng(1)
     rows = rng.normal(size=(40, 2))
@@ -208,7 +210,7 @@ def test_smoother_is_a_mean_at_first_and_exponential_after() -> None:
 
 
 @pytest.mark.parametrize("cuts", [(1,), (7,), (10,), (11, 12, 30), range(1, 60)])
-def test_smoother_does_not_depend_on_blocks(cuts: Sequence[int]) -> None:
+def test_the_smoother_does_not_depend_on_blocks(cuts: Sequence[int]) -> None:
     rows = np.random.default_rng(2).normal(size=(60, 3))
     rows[[4, 5, 20, 31]] = np.nan
     time = np.arange(60, dtype=np.int64) * 10_000_000
@@ -219,14 +221,14 @@ def test_smoother_does_not_depend_on_blocks(cuts: Sequence[int]) -> None:
     assert np.concatenate(pieces) == pytest.approx(whole)
 
 
-def test_smoother_keeps_what_it_knew_through_a_gap() -> None:
+def test_the_smoother_keeps_its_value_through_a_gap() -> None:
     rows = np.array([[1.0], [1.0], [np.nan], [np.nan], [1.0]])
     assert Smoother(0.02, 1)(np.arange(5, dtype=np.int64) * 10_000_000, rows).ravel() == pytest.approx([1.0] * 5)
 
 
-def test_a_common_error_is_believed_by_the_ratio_of_variances() -> None:
-    """Three axes one way and two the other: their own errors have 2 + 1 degrees of freedom, and the sum of the ways'
-    means varies by them by 1/3 + 1/2. Squares of 6 are 2 each, so 5/3 in the sum; 600 are 360 times as much.
+def test_a_common_error_is_weighted_by_the_ratio_of_variances() -> None:
+    """Three axes along and two against: their own errors have 2 + 1 degrees of freedom, and contribute 1/3 + 1/2 to the
+    variance of the sum of both means. Squares of 6 are 2 each, so 5/3 in the sum; 600 are 360 times as much.
     """
     mode = CommonErrorEstimate(OpposingGroup((0, 1, 2), (3, 4)))
     own = [2.0, 2.0, 2.0, 0.0, 0.0]

@@ -27,7 +27,7 @@ FRAMES = 8000
 
 
 def parts() -> list[Part]:
-    """A quiet low range and a noisy high one, and a gyroscope that drifts by nothing."""
+    """A low range of low noise and a noisy high range, and a gyroscope without drift."""
     return [
         Part("LOW", range=1.5, sensitivity=16384.0, sigma=0.01),
         Part("HIGH", sigma=0.02),
@@ -41,9 +41,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_every_technique_beside_the_average(run: Path) -> None:
+def test_scores_of_every_technique_relative_to_the_average(run: Path) -> None:
     """0.01 and 0.02 g by inverse variance: 0.8 of the average, with which such errors correlate by 0.8: a ratio of 8000
-    each scatters by 0.8 sqrt(0.36 / 8000) = 0.0054. Covariances from the true noise hold.
+    each scatters by 0.8 sqrt(0.36 / 8000) = 0.0054. Covariances from the true noise are consistent.
     """
     with open_log(run) as log:
         comparison = compare(log, calibration(parts()))
@@ -79,7 +79,7 @@ def test_optimal_gives_the_average_of_the_same_frames(run: Path) -> None:
 
 
 @pytest.mark.slow
-def test_another_process_makes_the_same_figures(run: Path) -> None:
+def test_another_process_computes_the_same_figures(run: Path) -> None:
     shares, told = list[float](), list[float]()
     with open_log(run) as log, processes(1) as executor:
         alone = compare(log, calibration(parts()), ("optimal",), progress=shares.append)
@@ -96,7 +96,7 @@ def test_another_process_makes_the_same_figures(run: Path) -> None:
 
 
 @pytest.mark.parametrize("block", some([777, 5000], 1))
-def test_what_is_told_does_not_depend_on_blocks(run: Path, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scores_do_not_depend_on_blocks(run: Path, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
     with open_log(run) as log:
         wanted = compare(log, calibration(parts()), ("ranges",))
         monkeypatch.setattr("imuarray.fuse.spools.AT_ONCE", block)
@@ -112,7 +112,7 @@ def test_what_is_told_does_not_depend_on_blocks(run: Path, block: int, monkeypat
 
 
 def test_frames_at_common_times_are_compared() -> None:
-    """Each of two has frames that the other lacks, at the beginning, in between and at the end."""
+    """Each of two techniques has frames that the other lacks, at the beginning, in the middle and at the end."""
     frames = [np.setdiff1d(np.arange(5, 90_005), missing) for missing in ([5, 40_000, 90_004], [7, 8, 39_999])]
     made = {
         quantity: ErrorFrames(time, *(np.repeat(time[:, None] * factor, k, axis=1) for k in (3, 3, 6)))
@@ -126,7 +126,7 @@ def test_frames_at_common_times_are_compared() -> None:
 
 
 def test_the_interval_covers_a_ratio() -> None:
-    """White errors, half of them shared: of 400 intervals from twenty parts 95 % hold the true ratio, to four standard
+    """White errors, half of them shared: of 400 intervals from twenty parts 95 % cover the true ratio, to four standard
     errors of 1.1 %.
     """
     rng = np.random.default_rng(8)
@@ -142,8 +142,8 @@ def test_the_interval_covers_a_ratio() -> None:
 
 
 @pytest.mark.slow
-def test_the_command_tells_everything(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As JSON, of which the table is made; and it writes what it is told to."""
+def test_the_command_reports_all_scores(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As JSON, from which the table is printed; the command also writes the requested output."""
     output = tmp_path / "fused.h5"
     assert main(["fuse", str(run), "--evaluate", "--technique", "ranges", "-o", str(output), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
@@ -162,7 +162,7 @@ def test_the_command_tells_everything(run: Path, tmp_path: Path, capsys: pytest.
     assert "coasting" in table and max(map(len, table.splitlines())) <= 132
 
 
-def test_a_reference_of_the_temperature_alone_is_no_truth(
+def test_a_reference_of_temperature_alone_is_refused(
     write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_run(parts(), truth="reference")
@@ -177,20 +177,20 @@ def test_a_reference_of_the_temperature_alone_is_no_truth(
     assert main(["fuse", str(path), "--evaluate"]) == 2
 
 
-def test_without_a_truth_there_is_nothing_to_evaluate(write_run: WriteRun, capsys: pytest.CaptureFixture[str]) -> None:
+def test_evaluation_without_a_truth_is_refused(write_run: WriteRun, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_run(parts(), truth="")
     assert main(["fuse", str(path), "--evaluate"]) == 2
     out, err = capsys.readouterr()
     assert out == "" and "neither /truth nor /reference" in err.splitlines()[-1]
 
 
-def test_without_an_output_it_must_be_told_to_evaluate(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fuse_without_output_or_evaluate_is_refused(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fuse", str(run)]) == 2
     assert "--output" in capsys.readouterr().err
 
 
-def test_techniques_together_give_what_each_gives_by_itself(run: Path) -> None:
-    """Aligned once, or once for each: to rounding, where counts need not be aligned at all."""
+def test_techniques_together_equal_each_alone(run: Path) -> None:
+    """Aligned once, or once for each: equal to rounding, also where counts need no alignment."""
     names = [name for name in technique_names() if name in TECHNIQUES]
     with open_log(run) as log:
         known = with_noise_of(log, calibration(parts()))

@@ -1,4 +1,4 @@
-"""Compiled passes over frames beside NumPy's."""
+"""Compiled passes over frames against NumPy."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def fused(path: Path, parts: list[Part], technique: str) -> list[Floats]:
 
 @pytest.mark.parametrize("technique", ["mean", "planes", "ranges"])
 @pytest.mark.parametrize("case", ["sound", "suspect", "lost", "clipped"])
-def test_a_fusion_is_that_of_numpy(
+def test_a_compiled_fusion_equals_numpy(
     write_run: WriteRun, monkeypatch: pytest.MonkeyPatch, technique: str, case: str
 ) -> None:
-    """Of sensors that are read one after the other, one of them far off."""
+    """Sensors that are read one after the other, one of them with a large error."""
     parts = [Part(f"A{number}", axes, late_s=0.001 * number, sigma=0.004) for number, axes in enumerate(AXES)]
     parts[2] = parts[2]._replace(error=lambda seconds: np.full((len(seconds), 3), 0.6))
     if case == "suspect":
@@ -61,8 +61,10 @@ def test_a_fusion_is_that_of_numpy(
 
 @pytest.mark.parametrize("sensors", [1, 2, 3, 4, 6, 9, 12, 33])
 @pytest.mark.parametrize("frames", [1, 31, 32, 100])
-def test_a_consensus_is_that_of_numpy(sensors: int, frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of sensors that agree in some frames and not in others; more sensors than the compiled code takes are NumPy's."""
+def test_a_compiled_consensus_equals_numpy(sensors: int, frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sensors that agree in some frames and not in others; NumPy handles more sensors than the compiled
+    code accepts.
+    """
     rng = np.random.default_rng(sensors)
     rows = np.concatenate([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(sensors)])
     spread = rng.choice([0.05, 3.0], (frames, 1)) * TOLERATED_SI[FORCE]
@@ -77,7 +79,7 @@ def test_a_consensus_is_that_of_numpy(sensors: int, frames: int, monkeypatch: py
 @pytest.mark.parametrize("sensors", [1, 3])
 @pytest.mark.parametrize("complete", [True, False])
 @pytest.mark.parametrize("frames", [1, 2, 3, 4, 100])
-def test_the_noise_of_delays_is_that_of_numpy(
+def test_the_compiled_noise_of_delays_equals_numpy(
     sensors: int, complete: bool, frames: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At irregular frames with a pause, some without a known slope, some without a reading."""
@@ -94,8 +96,8 @@ def test_the_noise_of_delays_is_that_of_numpy(
 
 
 @pytest.mark.parametrize("jitter_ns", [0, 3_000_000])
-def test_readings_are_those_of_numpy(jitter_ns: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of frames that are not regular, two of which may be near to the same reading; one sensor has no rows."""
+def test_compiled_nearest_readings_equal_numpy(jitter_ns: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Irregular frames, two of which may be near the same reading; one sensor has no rows."""
     rng = np.random.default_rng(5)
     grid = 10_000_000 * np.arange(1, 400) + rng.integers(0, jitter_ns + 1, 399)
     units = [AlignedSensor(SensorCalibration("A", FORCE, "g", np.ones(3), 1000 * np.eye(3)), 8191.0)] * 3
@@ -118,7 +120,7 @@ def test_readings_are_those_of_numpy(jitter_ns: int, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("rows", [4, 5, 200])
-def test_a_spline_is_that_of_numpy(rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_compiled_spline_equals_numpy(rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(rows)
     known = np.cumsum(rng.integers(5_000_000, 15_000_000, rows))
     at = np.sort(rng.integers(known[0], known[-1] + 1, 300))
@@ -131,7 +133,7 @@ def test_a_spline_is_that_of_numpy(rows: int, monkeypatch: pytest.MonkeyPatch) -
         np.testing.assert_allclose(result, wanted, rtol=1e-11, atol=1e-11 * np.abs(wanted).max())
 
 
-def test_covariances_of_slow_errors_are_those_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_covariances_of_slow_errors_equal_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(2)
     axes = []
     for sensor in range(3):
@@ -141,13 +143,13 @@ def test_covariances_of_slow_errors_are_those_of_numpy(monkeypatch: pytest.Monke
             axes.append(Axis(f"A{sensor}", "chip", index, tuple(direction), 10.0, 0.1, errors=errors))
     slow, gain, triads = SlowErrors(axes), rng.normal(size=(1, 3, 9)), rng.normal(size=(70, 3))
     result = slow.covariance(gain, triads)
-    each = slow.covariance(np.repeat(gain, 70, axis=0), triads)  # frame by frame, with the matrices as they are defined
+    each = slow.covariance(np.repeat(gain, 70, axis=0), triads)  # for each frame, with the matrices by their definition
     np.testing.assert_allclose(result, each, rtol=1e-12, atol=1e-11)
     leave_out(monkeypatch)
     np.testing.assert_allclose(result, slow.covariance(gain, triads), rtol=1e-12, atol=1e-11)
 
 
-def test_other_sizes_are_refused() -> None:
+def test_arrays_of_other_sizes_are_refused() -> None:
     from imuarray.fuse import _frames
 
     numbers = np.zeros(12)

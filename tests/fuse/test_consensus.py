@@ -1,4 +1,4 @@
-"""What an array agrees on: the mean, of which nobody who is far off gets hold, nor of what is made of it."""
+"""The consensus of an array: the mean, with a bounded influence of each sensor."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def agreed(values: Floats) -> Floats:
 
 @given(seed=st.integers(0, 1 << 32))
 @settings(max_examples=examples(20), deadline=None)
-def test_who_agree_are_averaged(seed: int) -> None:
-    """Of triads that point along the box's axes, however turned, that is the plain mean of their vectors."""
+def test_sensors_that_agree_are_averaged(seed: int) -> None:
+    """For triads along the axes of the box, in any orientation, it is the mean of their vectors."""
     rng = np.random.default_rng(seed)
     vectors = rng.normal(0, 5, (4, 1, 3)) + rng.uniform(-LIMIT / 5, LIMIT / 5, (4, len(AXES), 3))
     values = np.einsum("sij,nsj->nsi", ROWS.reshape(-1, 3, 3), vectors).reshape(4, -1)
@@ -34,15 +34,15 @@ def test_who_agree_are_averaged(seed: int) -> None:
 
 
 @pytest.mark.parametrize("off", [1.0, 10.0, 1e4])
-def test_whoever_is_far_off_counts_for_no_more_than_the_limit(off: float) -> None:
-    """One of five, by `off` limits along the box's X: it pulls by a fifth of the limit."""
+def test_the_influence_of_an_outlier_is_limited(off: float) -> None:
+    """One of five sensors has an error of `off` limits along box X: it shifts the consensus by a fifth of the limit."""
     truth = np.array([[1.0, -2.0, G]])
     values = truth @ ROWS.T
     values[:, :3] += off * LIMIT * ROWS[:3, 0]
     np.testing.assert_allclose(agreed(values) - truth, [[min(off, 1.0) * LIMIT / 5, 0, 0]], atol=1e-12)
 
 
-def test_nothing_jumps_when_somebody_passes_the_limit() -> None:
+def test_the_consensus_is_continuous_at_the_limit() -> None:
     """No step of the result is larger than the step of that one reading; all the others differ a little."""
     rng = np.random.default_rng(5)
     off = np.linspace(0, 5 * LIMIT, 4001)
@@ -51,7 +51,7 @@ def test_nothing_jumps_when_somebody_passes_the_limit() -> None:
     assert np.abs(np.diff(agreed(values), axis=0)).max() <= off[1] * (1 + 1e-9)
 
 
-def test_frames_without_enough_axes_are_not_known() -> None:
+def test_frames_without_enough_axes_are_nan() -> None:
     valid = np.ones((2, len(ROWS)), bool)
     valid[1, 2:] = False
     found = consensus(np.full(valid.shape, 100.0), valid, ROWS, FORCE)
@@ -60,8 +60,8 @@ def test_frames_without_enough_axes_are_not_known() -> None:
 
 
 def test_a_sensor_in_another_range_does_not_move_the_others_in_time(write_run: WriteRun) -> None:
-    """Sensors are read up to 4 ms after each other while the force swings; one reads eight times as much. The mean's
-    slope would be 2.4 times too steep, and the others off by up to 1.4 x 4 ms of motion.
+    """Sensors are read up to 4 ms after each other while the force oscillates; one reads eight times as much. The slope
+    of the mean would be 2.4 times too steep, and give the others an error of up to 1.4 x 4 ms of motion.
     """
 
     def swinging(seconds: Floats) -> Floats:
@@ -85,8 +85,8 @@ def test_a_sensor_in_another_range_does_not_move_the_others_in_time(write_run: W
 
 @pytest.mark.parametrize("sensors", [3, 4, 6, 8, 9, 12])
 @pytest.mark.parametrize("complete", [True, False])
-def test_frame_by_frame_as_it_is_defined(sensors: int, complete: bool) -> None:
-    """Few sensors or many, in blocks in which every reading is there or one is not."""
+def test_the_consensus_equals_its_definition(sensors: int, complete: bool) -> None:
+    """Few sensors or many, in blocks with every reading or with a missing reading."""
     rng = np.random.default_rng(sensors)
     rows = np.concatenate([pointing(AXES[number % len(AXES)]) for number in range(sensors)])
     values = rng.normal(0, 3 * LIMIT, (50, 3 * sensors))
@@ -103,8 +103,8 @@ def test_frame_by_frame_as_it_is_defined(sensors: int, complete: bool) -> None:
     np.testing.assert_allclose(consensus(values, valid, rows, FORCE)[:-1], wanted, rtol=1e-12, atol=1e-12)
 
 
-def test_a_sensor_without_a_reading_counts_for_nothing() -> None:
-    """The other four are averaged, whichever is missing, in a frame beside one in which none is."""
+def test_a_missing_reading_has_no_weight() -> None:
+    """The other four are averaged, for each missing sensor, in a block with a complete frame."""
     rng = np.random.default_rng(7)
     vectors = np.array([1.0, -2.0, G]) + rng.uniform(-LIMIT / 5, LIMIT / 5, (2, len(AXES), 3))
     values = np.einsum("sij,nsj->nsi", ROWS.reshape(-1, 3, 3), vectors).reshape(2, -1)
@@ -116,8 +116,10 @@ def test_a_sensor_without_a_reading_counts_for_nothing() -> None:
         np.testing.assert_allclose(consensus(values, valid, ROWS, FORCE), expected, atol=1e-12)
 
 
-def test_the_middle_is_that_of_the_readings_there_are() -> None:
-    """Of four readings 0, 0, 3, 3 limits it is 1.5; each counts for what lies within one limit of it: 1.5 again."""
+def test_the_median_is_that_of_the_available_readings() -> None:
+    """The median of four readings 0, 0, 3, 3 limits is 1.5; each has an influence up to one limit from
+    it: 1.5 again.
+    """
     vectors = np.array([1.0, -2.0, G]) * np.ones((2, len(AXES), 1))
     vectors[:, 2:4, 0] += 3 * LIMIT
     values = np.einsum("sij,nsj->nsi", ROWS.reshape(-1, 3, 3), vectors).reshape(2, -1)

@@ -1,4 +1,4 @@
-"""Consistency of covariances: the stated error rate where they are right, a verdict where they are not."""
+"""Consistency of covariances: the stated error rate for right covariances, a verdict for wrong ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ ROWS = 2000
 
 
 def judged(unit: Floats, claimed: float = 1.0) -> Consistency:
-    """Errors whose covariance is `COVARIANCE` if `unit` (n, 3) has unit variance, and `claimed` times that is said."""
+    """Consistency of errors with covariance `COVARIANCE` if `unit` (n, 3) has unit variance, where `claimed` times that
+    is stated.
+    """
     found = consistency(unit @ ROOT.T, np.tile(entries(claimed * COVARIANCE), (len(unit), 1)))
     assert found is not None
     return found
@@ -45,44 +47,44 @@ def mixed(rng: np.random.Generator) -> Floats:
 
 
 @pytest.mark.parametrize(("kind", "fewest"), some([(white, 86), (slow, 84), (mixed, 84)], 1))
-def test_right_covariances_are_inside(kind: Callable[[np.random.Generator], Floats], fewest: int) -> None:
-    """Of 100 about 95; four standard errors of 2.2 allow 86; somewhat more where the memory itself is estimated."""
+def test_right_covariances_are_inside_the_interval(kind: Callable[[np.random.Generator], Floats], fewest: int) -> None:
+    """About 95 of 100; four standard errors of 2.2 allow 86; somewhat more where the correlation time is estimated."""
     inside = sum(judged(kind(np.random.default_rng(seed))).holds for seed in range(100))
     assert inside >= fewest
 
 
-def test_a_constant_error_counts_once() -> None:
-    """One draw: chi-square of one to three degrees of freedom, whatever the length."""
+def test_a_constant_error_has_one_to_three_degrees_of_freedom() -> None:
+    """One draw: chi-square of one to three degrees of freedom, for any length."""
     found = judged(constant(np.random.default_rng(1)))
     assert 1 <= found.freedom <= 3.1
     assert found.high > 3
 
 
-def test_white_errors_count_each() -> None:
+def test_white_errors_have_a_degree_of_freedom_each() -> None:
     found = judged(white(np.random.default_rng(2)))
     assert found.freedom == pytest.approx(3 * ROWS, rel=0.15)
     assert found.high - 1 == pytest.approx(1.96 * np.sqrt(2 / (3 * ROWS)), rel=0.1)
 
 
 @pytest.mark.parametrize(("claimed", "normalised"), [(0.8, 1.25), (1.25, 0.8)])
-def test_wrong_covariances_are_outside(claimed: float, normalised: float) -> None:
-    """A fifth off: 12 standard deviations of 6000 squares."""
+def test_wrong_covariances_are_outside_the_interval(claimed: float, normalised: float) -> None:
+    """An error of a fifth: 12 standard deviations of 6000 squares."""
     found = judged(white(np.random.default_rng(3)), claimed)
     assert found.normalised == pytest.approx(normalised, rel=0.08)
     assert not found.holds
 
 
-def test_a_bias_that_nobody_claims_is_outside() -> None:
+def test_an_unstated_bias_is_outside_the_interval() -> None:
     assert not judged(white(np.random.default_rng(4)) + 5.0).holds
 
 
-def test_unknown_covariances_are_not_judged() -> None:
+def test_unknown_covariances_have_no_verdict() -> None:
     assert consistency(np.zeros((100, 3)), np.full((100, 6), np.nan)) is None
     assert consistency(np.zeros((5, 3)), np.tile(entries(COVARIANCE), (5, 1))) is None
 
 
 def test_every_covariance_whitens_its_own_error() -> None:
-    """Against the general solution, frame by frame; covariances that are not positive definite don't count."""
+    """Compared with the general solution for each frame; covariances that are not positive definite are excluded."""
     rng = np.random.default_rng(7)
     roots = np.tril(rng.normal(size=(500, 3, 3))) + 2 * np.eye(3)
     covariances = roots @ roots.transpose(0, 2, 1)
@@ -99,10 +101,10 @@ def test_every_covariance_whitens_its_own_error() -> None:
 
 
 @pytest.mark.parametrize(("segment", "block"), [(1 << 17, 1 << 15), (401, 100), (64, 399), (37, 1)])
-def test_the_freedom_is_that_of_all_lags_wherever_blocks_are_cut(
+def test_the_freedom_is_that_of_all_lags_for_any_blocks(
     segment: int, block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The sum of the module's docstring, lag by lag; lags beyond half of 401 are as those of its upper half."""
+    """The sum in the module's docstring, for each lag; lags beyond half of 401 equal those of its upper half."""
     monkeypatch.setattr("imuarray.fuse.spools.AT_ONCE", block)
     monkeypatch.setattr("imuarray.fuse.error_consistency._SEGMENT", segment)
     unit = slow(np.random.default_rng(9))[:401]

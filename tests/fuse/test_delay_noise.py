@@ -21,7 +21,7 @@ ROWS = np.concatenate([pointing(part.axes) for part in PARTS])
 INNER = slice(40, -40)
 RNG = np.random.default_rng(2)
 
-# Periods (ms), and readings of B after those of A (ms): in alternating order, at other rates, and at random times.
+# Periods (ms), and readings of B after those of A (ms): in alternating order, at different rates, and at random times.
 GRIDS = {
     "regular": (np.full(200, 3.0), np.full(201, 0.8)),
     "alternating order": (np.resize([3.3, 2.7], 200), np.resize([0.3, -0.7], 201)),
@@ -56,9 +56,9 @@ def aligned_noise(grid_ns: Floats, late_ns: Floats, present: Floats) -> tuple[Fl
 
 
 @pytest.mark.parametrize("case", GRIDS)
-def test_it_is_in_the_covariance_of_the_mean(case: str) -> None:
-    """Against the weights of every reading by SciPy's spline: variances to 1.5 % of the noise, on average to 0.3 %,
-    where the correction changes some of them by up to 30 %.
+def test_the_covariance_of_the_mean_includes_the_noise_of_delays(case: str) -> None:
+    """Compared with the weights of every reading by SciPy's spline: variances to 1.5 % of the noise, on average to 0.3
+    %, where the correction changes some of them by up to 30 %.
     """
     steps, late = GRIDS[case]
     grid_ns = np.round(1e6 * np.concatenate([[0.0], np.cumsum(steps)]))
@@ -72,7 +72,7 @@ def test_it_is_in_the_covariance_of_the_mean(case: str) -> None:
     assert np.abs(stated[:, 0, 1]).max() < 1e-9
 
 
-def test_a_technique_with_weights_of_its_own() -> None:
+def test_the_noise_of_delays_with_weights_by_inverse_variance() -> None:
     """Inverse variances: the mean of the readings of two sensors with different noise, whose delay is corrected by the
     plain mean.
     """
@@ -90,8 +90,8 @@ def test_a_technique_with_weights_of_its_own() -> None:
     assert np.ptp(expected) > 0.04
 
 
-def test_frames_that_lack_a_sensor() -> None:
-    """The slower sensor is in two of three frames; its neighbours' means have more noise."""
+def test_the_noise_of_delays_in_frames_that_lack_a_sensor() -> None:
+    """The slower sensor is in two of three frames; the means of neighbouring frames have more noise."""
     count = 201
     grid_ns, present = 3e6 * np.arange(count), np.resize([1.0, 0.0, 1.0], count)
     late = np.round(1e6 * np.resize([1.0, 0.0, -1.0], count))
@@ -103,11 +103,11 @@ def test_frames_that_lack_a_sensor() -> None:
 
 
 def test_a_reading_belongs_to_the_nearest_frame_only() -> None:
-    """Frames 2.7 and 3.3 ms apart: a reading between two that are near each other lies within half a period of both."""
+    """Frames 2.7 and 3.3 ms apart: a reading between two near frames is within half a period of both."""
     known = calibration(PARTS).sensors
     units = [AlignedSensor(known[part.name], 30000.0) for part in PARTS]
     grid = np.cumsum(np.resize([3_300_000, 2_700_000], 60))
-    between = grid[1:-1:2] - 1_300_000  # 1.4 ms after the frame before, 1.3 ms before the one after
+    between = grid[1:-1:2] - 1_300_000  # 1.4 ms after the previous frame, 1.3 ms before the next frame
     blocks = [
         Block(time, np.ones((len(time), 3), np.int16), np.zeros(len(time), np.uint16)) for time in (grid, between)
     ]

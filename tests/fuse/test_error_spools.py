@@ -1,4 +1,4 @@
-"""Frames with errors on the disk: results share what their frames have in common, as long as they have the same."""
+"""Frames with errors on the disk: results share their columns of frames as long as the frames are the same."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from imuarray.fuse.evaluation import ErrorFrames, ErrorFrameSpool
 
 
 def frames(first: int, count: int, sd: float) -> ErrorFrames:
-    """Frames of independent errors of one size, whose times and truth count up."""
+    """Frames of independent errors of one size, with increasing times and truth."""
     number = np.arange(first, first + count)
     truth = np.stack([number, number + 0.25, number + 0.5], axis=1).astype(float)
     covariances = np.tile([sd**2, sd**2, sd**2, 0.0, 0.0, 0.0], (count, 1))

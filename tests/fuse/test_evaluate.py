@@ -1,4 +1,4 @@
-"""Errors against a truth, by closed forms."""
+"""Errors against a truth, compared with closed forms."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def shaken(seconds: Floats) -> Floats:
 
 
 def results(error: Floats, *, late_s: float = 0.0, cut: int = 700) -> list[FusedBlock]:
-    """A fusion of `shaken` at 100 Hz that errs by `error` (n, 3) m/s2, in two blocks; its rate errs by nothing."""
+    """A fusion of `shaken` at 100 Hz with an error of `error` (n, 3) m/s2, in two blocks; its rate has no error."""
     seconds = np.arange(len(error)) / 100 + late_s
     force, rate = shaken(seconds) * G + error, still(seconds) * DPS
     time = np.round(seconds * 1e9).astype(np.int64)
@@ -39,7 +39,7 @@ def log_of(write_run: WriteRun, truth: str = "truth") -> Path:
 
 
 @pytest.mark.parametrize("truth", ["truth", "reference"])
-def test_a_ramp_of_errors(write_run: WriteRun, truth: str) -> None:
+def test_figures_of_a_ramp_of_errors(write_run: WriteRun, truth: str) -> None:
     """From 0 to 1: mean 1/2, rms 1/sqrt(3), no scatter between neighbours, means of sixteenths 15/16 apart."""
     ramp = np.outer(np.arange(ROWS) / ROWS, [1.0, -2.0, 0.0])
     with open_log(log_of(write_run, truth)) as log:
@@ -53,8 +53,8 @@ def test_a_ramp_of_errors(write_run: WriteRun, truth: str) -> None:
     assert found["angular_rate"].rms == pytest.approx([0.0] * 3, abs=1e-12)
 
 
-def test_white_errors(write_run: WriteRun) -> None:
-    """Noise and rms are sigma within four standard errors, 1 / sqrt(2 n) and somewhat more for differences."""
+def test_figures_of_white_errors(write_run: WriteRun) -> None:
+    """Noise and rms are sigma within four standard errors, 1 / sqrt(2 n) and slightly more for differences."""
     sigma = np.array([0.1, 0.2, 0.3])
     with open_log(log_of(write_run)) as log:
         force = evaluate(log, results(np.random.default_rng(5).normal(0, sigma, (ROWS, 3))))["specific_force"]
@@ -62,7 +62,7 @@ def test_white_errors(write_run: WriteRun) -> None:
     assert force.noise / sigma == pytest.approx([1.0] * 3, abs=4 * np.sqrt(1.5) / np.sqrt(2 * ROWS))
 
 
-def test_only_inside_phases(write_run: WriteRun) -> None:
+def test_errors_are_limited_to_phases(write_run: WriteRun) -> None:
     error = np.zeros((ROWS, 3))
     error[300:500], error[1000:1001] = 1.0, 7.0
     phases: Sequence[Phase] = [
@@ -75,7 +75,7 @@ def test_only_inside_phases(write_run: WriteRun) -> None:
     assert rows[:, 0] == pytest.approx([1.0] * 200 + [7.0])
 
 
-def test_unknown_frames_do_not_count(write_run: WriteRun) -> None:
+def test_nan_frames_are_excluded(write_run: WriteRun) -> None:
     error = np.zeros((ROWS, 3))
     error[100:200, 1] = np.nan
     with open_log(log_of(write_run)) as log:
@@ -84,17 +84,17 @@ def test_unknown_frames_do_not_count(write_run: WriteRun) -> None:
     assert found["angular_rate"].frames == ROWS
 
 
-def test_between_the_rows_of_the_truth_a_spline_knows_the_motion(write_run: WriteRun) -> None:
-    """Half way between rows: 5/384 h^4 of the fourth derivative, (2 pi)^4 g: 2 um/s2. Straight lines: 5 mm/s2."""
+def test_a_spline_interpolates_the_truth(write_run: WriteRun) -> None:
+    """Halfway between rows: 5/384 h^4 of the fourth derivative, (2 pi)^4 g: 2 um/s2. Straight lines: 5 mm/s2."""
     with open_log(log_of(write_run)) as log:
         time, rows = errors_of(log, results(np.zeros((ROWS, 3)), late_s=0.005))["specific_force"]
-    assert len(time) == ROWS - 1  # the last one lies beyond the truth
+    assert len(time) == ROWS - 1  # the last row is beyond the truth
     inner = np.abs(rows[20:-20]).max()
     assert inner < 1.1 * 5 / 384 * 0.01**4 * (2 * np.pi) ** 4 * G
-    assert np.abs(rows).max() < 100 * inner  # the ends of a spline are worse, not bad
+    assert np.abs(rows).max() < 100 * inner  # the ends of a spline are less accurate
 
 
-def test_blocks_leave_no_trace(write_run: WriteRun) -> None:
+def test_results_do_not_depend_on_blocks(write_run: WriteRun) -> None:
     error = np.zeros((ROWS, 3))
     with open_log(log_of(write_run)) as log:
         one = errors_of(log, results(error, late_s=0.005, cut=701))["specific_force"][1]
@@ -102,27 +102,27 @@ def test_blocks_leave_no_trace(write_run: WriteRun) -> None:
     assert one == pytest.approx(other, abs=1e-9)
 
 
-def test_nothing_to_compare_with(write_run: WriteRun) -> None:
+def test_a_log_without_truth_or_reference_is_refused(write_run: WriteRun) -> None:
     with open_log(log_of(write_run, "")) as log, pytest.raises(FusionError, match="neither /truth nor /reference"):
         evaluate(log, results(np.zeros((ROWS, 3))))
 
 
-def test_a_truth_of_other_times_knows_nothing(write_run: WriteRun) -> None:
+def test_a_truth_at_other_times_gives_no_errors(write_run: WriteRun) -> None:
     with open_log(log_of(write_run)) as log:
         assert evaluate(log, results(np.zeros((50, 3)), late_s=1000.0, cut=20)) == {}
 
 
-def test_a_reference_with_a_gap(write_run: WriteRun) -> None:
+def test_a_gap_of_the_reference_excludes_frames(write_run: WriteRun) -> None:
     path = log_of(write_run, "reference")
     with h5py.File(path, "a") as file:
         file["reference/specific_force"][100:110] = np.nan
     with open_log(path) as log:
         errors = evaluate(log, results(np.zeros((ROWS, 3))))
     assert ROWS - 200 < errors["specific_force"].frames < ROWS
-    assert errors["angular_rate"].frames == ROWS  # what the other quantity lacks is no gap of this one
+    assert errors["angular_rate"].frames == ROWS  # a gap of the other quantity does not concern this one
 
 
-def test_a_truth_of_one_row(write_run: WriteRun) -> None:
+def test_a_truth_of_one_row_gives_no_errors(write_run: WriteRun) -> None:
     path = log_of(write_run)
     with h5py.File(path, "a") as file:
         first = {name: column[:1] for name, column in file["truth"].items()}
@@ -134,8 +134,8 @@ def test_a_truth_of_one_row(write_run: WriteRun) -> None:
         assert evaluate(log, results(np.zeros((ROWS, 3)))) == {}
 
 
-def test_the_quiet_noise_of_white_noise_wherever_blocks_are_cut() -> None:
-    """256 steps of differences tell sigma to 5 %, so that their lower quartile is 3.6 % below it: 0.92 to 1."""
+def test_the_quiet_noise_of_white_noise_for_any_blocks() -> None:
+    """256 steps of differences determine sigma to 5 %, so that their lower quartile is 3.6 % below it: 0.92 to 1."""
     frames = 40 * 256 + 100
     time, triad = np.arange(frames) * 10_000_000, np.random.default_rng(5).normal(0, 2.0, (frames, 3))
     whole = FusedBlock(time, {"specific_force": triad})
@@ -152,8 +152,8 @@ def test_the_quiet_noise_of_white_noise_wherever_blocks_are_cut() -> None:
 
 
 @pytest.mark.parametrize("faster", [2, 5])
-def test_the_quiet_noise_of_a_quantity_that_is_slower_than_the_frames(faster: int) -> None:
-    """Frames of which one in two or in five has an accelerometer's reading: the scatter is that of the readings."""
+def test_the_quiet_noise_of_a_quantity_slower_than_the_frames(faster: int) -> None:
+    """Frames of which every second or fifth has a reading of the accelerometer: the scatter is that of the readings."""
     frames = 40 * 256 * faster
     triad = np.random.default_rng(5).normal(0, 2.0, (frames, 3))
     triad[np.arange(frames) % faster != 0] = np.nan
@@ -162,7 +162,7 @@ def test_the_quiet_noise_of_a_quantity_that_is_slower_than_the_frames(faster: in
 
 
 @pytest.mark.parametrize(("rows", "block"), [(2, 333), (3, 1), (17, 5), (1000, 333), (ROWS, 1 << 15)])
-def test_figures_of_errors_on_the_disk_are_those_of_all_errors_at_once(
+def test_figures_of_errors_on_the_disk_equal_those_in_memory(
     write_run: WriteRun, rows: int, block: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("imuarray.fuse.spools.AT_ONCE", block)

@@ -1,5 +1,5 @@
-"""Sensors of the paper's array that fail in a log, from its file to the result: found within a second, left out, told;
-the result is that of the array without them, down to one sensor and to none.
+"""Faults of sensors of the paper's array, from the file of a log to the result: detected within a second, excluded, and
+reported; the result equals that of the array without them, down to one sensor and to none.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ FALLEN_BACK = {"bma180": {16.0: 2.0, 1.5: 2.0}, "l3g4200d": {2000.0: 250.0, 250.
 
 
 class Scene(NamedTuple):
-    """A simulated log of the array, and when the fault begins."""
+    """A simulated log of the array, and the onset of the fault."""
 
     experiment: str = "static"
     seconds: float = 16.0
@@ -62,7 +62,7 @@ DRIVEN = Scene("motion", 60.0, 100.0, "vehicle", 25.04)
 
 
 class Technique(NamedTuple):
-    """Its name, and whether it does without what is to come."""
+    """A technique by its name, and whether it is causal."""
 
     name: str
     causal: bool = False
@@ -78,7 +78,7 @@ MEAN, PLANES, SMOOTHED, CAUSAL = (
 
 @lru_cache
 def written(scene: Scene) -> tuple[Path, Calibration]:
-    """The log without a fault, and what a perfect calibration would say of it."""
+    """The log without a fault, and a perfect calibration of it."""
     array, model = load_array(CONFIGS / "martin2013.toml"), load_model(CONFIGS / "models/martin2013.toml")
     plan = plan_of(array, scene.rate_hz, scene.seconds)
     effects = effects_of(plan, model, 1, without=CALIBRATED)
@@ -91,7 +91,7 @@ def written(scene: Scene) -> tuple[Path, Calibration]:
     with open_log(path) as log:
         for name in ARRAY:
             rms = next(effect.rms for effect in effects[name] if effect.name == "white_noise")  # type: ignore[attr-defined]
-            step = 2.0 if log[name].chip == "adxl345" else 1.0  # only even codes come out of it
+            step = 2.0 if log[name].chip == "adxl345" else 1.0  # it gives only even codes
             noise = np.hypot(np.array(rms) * log[name].sensitivity, step / 12**0.5)
             known[name] = replace(nominal(log[name]), noise_lsb=noise)
     return path, Calibration(known)
@@ -173,8 +173,9 @@ def quantity_of(sensor: str) -> str:
 
 
 def check(scene: Scene, technique: Technique, sensor: str, fault: str, folder: Path) -> None:
-    """Found and out within a second, called what it is, nobody else blamed; no more than 10 % above the error, in x, y
-    and z, of the array without the sensor, from the onset to the end of the log.
+    """Check that the sensor is detected and excluded within a second with the right kind of fault, that no other sensor
+    is named, and that the error in x, y and z is at most 10 % above that of the array without the sensor, from the
+    onset to the end of the log.
     """
     path = spoiled(scene, sensor, fault, folder)
     blocks, events = fused(path, written(scene)[1], technique)
@@ -204,7 +205,7 @@ def check(scene: Scene, technique: Technique, sensor: str, fault: str, folder: P
     ),
     ids=["mean", "planes", "optimal", "causal"],
 )
-def test_one_that_fails_at_rest(technique: Technique, sensor: str, fault: str, tmp_path: Path) -> None:
+def test_a_fault_at_rest_is_isolated(technique: Technique, sensor: str, fault: str, tmp_path: Path) -> None:
     check(AT_REST, technique, sensor, fault, tmp_path)
 
 
@@ -217,8 +218,8 @@ TECHNIQUES = {"mean": MEAN, "planes": PLANES, "optimal": SMOOTHED, "causal": CAU
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sensor", ARRAY)
-def test_whoever_fails_at_rest(sensor: str, tmp_path: Path) -> None:
-    """Each fault by another technique in turn."""
+def test_a_fault_of_every_kind_at_rest_is_isolated(sensor: str, tmp_path: Path) -> None:
+    """Each fault with another technique."""
     turn = ARRAY.index(sensor)
     for index, fault in enumerate(fault for name, fault in EVERY if name == sensor):
         check(AT_REST, list(TECHNIQUES.values())[(turn + index) % 4], sensor, fault, tmp_path)
@@ -236,8 +237,8 @@ def test_whoever_fails_at_rest(sensor: str, tmp_path: Path) -> None:
         ("optimal", "Gyro3", "stuck"),
     ],
 )
-def test_one_that_fails_in_a_vehicle(technique: str, sensor: str, fault: str, tmp_path: Path) -> None:
-    """Where sensors are read one after the other, the slope that aligns them is not that of the faulty one."""
+def test_a_fault_in_a_vehicle_is_isolated(technique: str, sensor: str, fault: str, tmp_path: Path) -> None:
+    """Where sensors are read one after the other, the slope that aligns them is not that of the faulty sensor."""
     check(DRIVEN, TECHNIQUES[technique], sensor, fault, tmp_path)
 
 
@@ -252,7 +253,7 @@ def edited(folder: Path, change: Callable[[str, h5py.Group], None]) -> Path:
 
 
 def flag(group: h5py.Group, since_s: float, until_s: float = np.inf) -> None:
-    """Says of readings that they may be wrong, which they are."""
+    """Flags readings as suspect and makes them wrong."""
     time = group["time"][:] * 1e-9
     which = (time >= since_s) & (time < until_s)
     status, counts = group["status"][:], group["counts"][:]
@@ -264,7 +265,9 @@ def flag(group: h5py.Group, since_s: float, until_s: float = np.inf) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("technique", [MEAN, pytest.param(CAUSAL, marks=pytest.mark.slow)], ids=["mean", "optimal"])
 def test_flags_of_the_log_are_respected(technique: Technique, tmp_path: Path) -> None:
-    """From the first flagged reading on, watched or not; who watches says that the sensor is silent, and is back."""
+    """From the first flagged reading on, with or without the monitor; the monitor reports the sensor as silent, and as
+    back.
+    """
 
     def flagged(name: str, group: h5py.Group) -> None:
         if name == "BMA1":
@@ -284,8 +287,8 @@ def test_flags_of_the_log_are_respected(technique: Technique, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("technique", some([(technique,) for technique in TECHNIQUES.values()], 1), ids=TECHNIQUES)
-def test_it_degrades_to_what_is_left_and_says_so(technique: Technique, tmp_path: Path) -> None:
-    """Every second or two another sensor goes, until there is one of each quantity, and none."""
+def test_fusion_degrades_to_the_remaining_sensors_and_reports_it(technique: Technique, tmp_path: Path) -> None:
+    """Every two or four seconds another sensor ends, until one of each quantity remains, and none."""
     ends_s = {name: 2.0 + 2 * index for index, name in enumerate(ACCELEROMETERS)}
     ends_s |= {name: 4.0 + 4 * index for index, name in enumerate(GYROSCOPES)}
     path = edited(tmp_path, lambda name, group: flag(group, ends_s[name]))
@@ -309,7 +312,7 @@ def test_it_degrades_to_what_is_left_and_says_so(technique: Technique, tmp_path:
 
 
 @pytest.mark.slow
-def test_live_is_what_fusing_the_log_gives(tmp_path: Path) -> None:
+def test_live_fusion_equals_fusion_of_the_log(tmp_path: Path) -> None:
     """Rows cut at random, with one sensor that fails: the same result, and the same events."""
     path, calibration = spoiled(AT_REST, "BMA3", "biased", tmp_path), written(AT_REST)[1]
     found: list[FaultEvent] = []
@@ -324,8 +327,8 @@ def test_live_is_what_fusing_the_log_gives(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_one_after_the_other_gets_stuck(tmp_path: Path) -> None:
-    """The last one can't be told from a box at rest; before that it is said that nobody is checked any more."""
+def test_sensors_that_get_stuck_in_turn_are_isolated_except_the_last(tmp_path: Path) -> None:
+    """The last sensor looks like a box at rest; the loss of redundancy is reported before."""
 
     def stuck(name: str, group: h5py.Group) -> None:
         if name in GYROSCOPES:

@@ -1,4 +1,4 @@
-"""Frames that go to the disk and come back."""
+"""Frames that are written to the disk and read back."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def block(rng: np.random.Generator, first: int, frames: int, flags: bool) -> dic
     }
 
 
-def test_blocks_come_back_in_order_as_often_as_they_are_asked_for() -> None:
+def test_blocks_are_read_back_in_order_repeatedly() -> None:
     rng = np.random.default_rng(11)
     written = [
         (block(rng, 10 * number, 10 - number, number != 1), {"A": rng.normal(size=10 - number)}) for number in range(3)
@@ -51,7 +51,7 @@ def test_blocks_come_back_in_order_as_often_as_they_are_asked_for() -> None:
                             np.testing.assert_array_equal(other, column)
 
 
-def test_columns_may_lie_one_after_the_other_in_memory() -> None:
+def test_columns_may_be_contiguous_in_memory() -> None:
     values = np.asfortranarray(np.random.default_rng(12).normal(size=(5, 3)))
     frames = {"angular_rate": Frames(np.arange(5), values, np.ones((5, 3), bool))}
     with closing(FrameSpool()) as spool:

@@ -1,4 +1,4 @@
-"""Frames cut and put together again."""
+"""Frames that are split and joined again."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import numpy as np
 from imuarray.fuse import Frames, FusedBlock
 
 
-def test_parts_joined_are_the_whole() -> None:
-    """Flags that some parts don't have are 0 in these; those that none has stay none."""
+def test_joined_parts_equal_the_whole() -> None:
+    """Flags that some parts lack are 0 in these; flags that no part has stay None."""
     time, values = np.arange(5, dtype=np.int64), np.arange(10.0).reshape(5, 2)
     clipped = np.array([[0, 0], [0, 0], [0, 0], [1, 0], [0, -1]], np.int8)
     whole = Frames(time, values, values > 2, clipped)
@@ -22,7 +22,7 @@ def test_parts_joined_are_the_whole() -> None:
     assert again.stale is None
 
 
-def test_blocks_joined_keep_their_columns() -> None:
+def test_joined_blocks_keep_their_columns() -> None:
     one = FusedBlock(np.array([1]), {"angular_rate": np.ones((1, 3))}, {}, {"angular_rate": np.array([[7]], np.uint8)})
     two = FusedBlock(np.array([2]), {"angular_rate": np.zeros((1, 3))}, {}, {"angular_rate": np.array([[3]], np.uint8)})
     both = FusedBlock.joined([one, two])

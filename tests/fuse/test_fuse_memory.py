@@ -1,4 +1,4 @@
-"""Fusing a log takes as much memory whatever its length."""
+"""Memory of fusion does not depend on the length of the log."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.fuse.conftest import Part, WriteRun, calibration
 @pytest.mark.slow
 @pytest.mark.parametrize("technique", ["opposed"])
 def test_memory_does_not_grow_with_the_log(write_run: WriteRun, technique: str) -> None:
-    """Three times the frames; the second sensor says nothing for most of the log, and is not waited for."""
+    """Three times the frames; the second sensor has no rows for most of the log, and is not waited for."""
     parts = [Part(f"A{i}", late_s=0.001 * i, sigma=0.01) for i in range(2)]
     parts.append(Part("A2", lost=lambda seconds: seconds > 10.0))
     peaks = []

@@ -1,4 +1,4 @@
-"""Fused files that were damaged, cut short or built to do harm: a line that says where, or what is still good."""
+"""Damaged, truncated or malicious fused files: one line that names the place, or the valid part."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FRAMES = 50
 
 
 def block(frames: int = FRAMES) -> FusedBlock:
-    """So many frames of a force and of who went into it."""
+    """Frames of a force and of the sensors in use."""
     time = np.arange(frames, dtype=np.int64) * 10_000_000
     triad, covariance = np.tile([0.0, 0.0, 9.8], (frames, 1)), np.ones((frames, 6))
     used = np.full((frames, 2), 7, np.uint8)
@@ -87,7 +87,7 @@ BAD: dict[str, tuple[Callable[[h5py.File], Any], str]] = {
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_what_is_no_column_is_told_in_a_line(tmp_path: Path, kind: str) -> None:
+def test_invalid_columns_are_refused_in_one_line(tmp_path: Path, kind: str) -> None:
     change, words = BAD[kind]
     path = written(tmp_path / "bad.h5")
     with h5py.File(path, "a") as file:
@@ -111,7 +111,7 @@ def test_triads_are_not_compressed_but_checked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("value", [5, [5, 6], "AB", np.zeros((2, 2)), h5py.Empty("S3")], ids=str)
-def test_names_that_are_none_are_left_out(tmp_path: Path, value: Any) -> None:
+def test_invalid_sensor_names_are_ignored(tmp_path: Path, value: Any) -> None:
     path = written(tmp_path / "f.h5")
     assert read_fused_head(path).sensors == {"specific_force": ("A", "B")}
     with h5py.File(path, "a") as file:
@@ -119,7 +119,7 @@ def test_names_that_are_none_are_left_out(tmp_path: Path, value: Any) -> None:
     assert read_fused_head(path).sensors == {"specific_force": ()}
 
 
-def test_columns_that_the_format_has_not_are_passed_over(tmp_path: Path) -> None:
+def test_unknown_columns_are_ignored(tmp_path: Path) -> None:
     path = written(tmp_path / "f.h5")
     with h5py.File(path, "a") as file:
         file["fused"]["x_used"] = np.zeros((3, 1 << 10))
@@ -139,7 +139,7 @@ def test_damaged_rows_are_named(tmp_path: Path) -> None:
         list(read_fused(path))
 
 
-def test_a_variance_below_zero_does_no_harm(tmp_path: Path) -> None:
+def test_a_negative_variance_is_printed_as_a_dash(tmp_path: Path) -> None:
     path = written(tmp_path / "f.h5")
     with h5py.File(path, "a") as file:
         other(COVARIANCE, np.full((FRAMES, 6), -1.0))(file)
@@ -148,7 +148,7 @@ def test_a_variance_below_zero_does_no_harm(tmp_path: Path) -> None:
     assert [row[-1] for row in section.parts[0].rows] == ["–"] * 3
 
 
-def test_the_page_lists_the_use_of_sensors_only_if_it_differs(tmp_path: Path) -> None:
+def test_the_page_lists_the_use_of_sensors_only_if_it_varies(tmp_path: Path) -> None:
     path = written(tmp_path / "f.h5")
     texts = []
     for used in (7, 5):
@@ -163,8 +163,8 @@ def test_the_page_lists_the_use_of_sensors_only_if_it_differs(tmp_path: Path) ->
     assert "every frame" not in part and more[1] == ["sensor", "x", "y", "z"]
 
 
-def test_a_result_can_be_read_while_it_is_written_and_if_its_writing_was_cut_short(tmp_path: Path) -> None:
-    """HDF5 refuses a file that says it is open for writing; one column is longer, for it came first."""
+def test_an_unfinished_result_can_be_read(tmp_path: Path) -> None:
+    """HDF5 refuses a file that is marked as open for writing; one column is longer, since it is written first."""
     live = LiveFused(tmp_path / "live.h5", epoch=EPOCH, technique="mean", log="run.h5")
     live.append(block())
     path, cut_file = tmp_path / "live.h5", tmp_path / "cut.h5"
@@ -184,7 +184,7 @@ def test_a_result_can_be_read_while_it_is_written_and_if_its_writing_was_cut_sho
 EVENT = FaultEvent(1, "specific_force", "A", ("x",), "stuck", "isolated", 0.0, 9.0)
 
 
-def test_events_that_were_being_written_do_not_count(tmp_path: Path) -> None:
+def test_unfinished_events_are_ignored(tmp_path: Path) -> None:
     path = tmp_path / "f.h5"
     write_fused(path, [block()], epoch=EPOCH, technique="mean", log="run.h5", events=[EVENT])
     (told,) = read_fused_events(path)
@@ -208,11 +208,12 @@ def test_events_that_were_being_written_do_not_count(tmp_path: Path) -> None:
     ],
     ids=["none", "a group", "two times each", "no time", "a flood of words"],
 )
-def test_events_that_are_none_are_told_in_a_line(tmp_path: Path, change: Callable[[h5py.Group], Any]) -> None:
+def test_invalid_events_are_refused(tmp_path: Path, change: Callable[[h5py.Group], Any]) -> None:
     path = tmp_path / "f.h5"
     write_fused(path, [block()], epoch=EPOCH, technique="mean", log="run.h5", events=[EVENT])
     with h5py.File(path, "a") as file:
         change(file["events"])
-        file["ballast"] = np.ones(1 << 18, np.uint8)  # so that deflated it could hold what it declares
+        # so that the file is large enough for the declared data in compressed form
+        file["ballast"] = np.ones(1 << 18, np.uint8)
     with pytest.raises(LogError, match="its events can't be read"):
         read_fused_events(path)

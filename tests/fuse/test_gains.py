@@ -35,7 +35,7 @@ def write(
     high_lost: tuple[float, float] = (0.0, 0.0),
     drift_g: float = 0.0,
 ) -> Path:
-    """100 Hz; both sensors are off by `drift_g` at first and twice that at the end."""
+    """100 Hz; both sensors have an error of `drift_g` at first and twice that at the end."""
     rng = np.random.default_rng(seed)
     seconds = np.arange(rows) / 100
     time = np.arange(rows, dtype=np.int64) * 10_000_000
@@ -78,12 +78,14 @@ def found(path: Path, **options: object) -> list[Gain]:
 
 
 def root(gain: Gain) -> float:
-    """By how much the length of a vector is larger than one of three like components, rms."""
+    """Ratio of the rms length of a vector to one of three equal components."""
     return float(np.sqrt(len(gain.box_axis)))
 
 
 def test_ratio_of_inverse_variance_weights_to_equal_ones(tmp_path: Path) -> None:
-    """0.01 and 0.02 g: sqrt(1 / (1e4 + 2.5e3)) over sqrt(1e-4 + 4e-4) / 2 is 0.8; lengths err sqrt(3) times that."""
+    """0.01 and 0.02 g: sqrt(1 / (1e4 + 2.5e3)) over sqrt(1e-4 + 4e-4) / 2 is 0.8; lengths have errors sqrt(3) times
+    that.
+    """
     rows = found(write(tmp_path, 6000))
     assert [(gain.technique, gain.quantity, gain.box_axis) for gain in rows] == [
         ("ranges", "specific_force", axis) for axis in ("X", "Y", "Z", "XYZ")
@@ -95,8 +97,10 @@ def test_ratio_of_inverse_variance_weights_to_equal_ones(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_standard_error_is_that_of_a_bootstrap(tmp_path: Path) -> None:
-    """Rows drawn anew 2000 times; the jackknife's twenty blocks tell a standard error to 16 %, three axes to 9 %."""
+def test_the_standard_error_equals_that_of_a_bootstrap(tmp_path: Path) -> None:
+    """Rows are resampled 2000 times; the jackknife's twenty blocks determine a standard error to 16 %, three axes to 9
+    %.
+    """
     path = write(tmp_path, 4000, seed=2)
     with open_log(path) as log:
         before, after = (errors_of(log, fuse(log, known(), name))["specific_force"][1] for name in ("mean", "ranges"))
@@ -110,8 +114,8 @@ def test_standard_error_is_that_of_a_bootstrap(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_slow_is_drift_and_hardly_noise(tmp_path: Path) -> None:
-    """Both sensors drift from 0.1 to 0.2 g in 400 s: ten-second means less the first, for every technique alike."""
+def test_slow_gains_compare_drift_without_noise(tmp_path: Path) -> None:
+    """Both sensors drift from 0.1 to 0.2 g in 400 s: ten-second means minus the first, the same for every technique."""
     rows = found(write(tmp_path, 40000, drift_g=0.1), slow=True)
     steps = np.arange(40) * 0.1 * 10 / 400
     for gain in rows:
@@ -119,7 +123,7 @@ def test_slow_is_drift_and_hardly_noise(tmp_path: Path) -> None:
         assert gain.ratio == pytest.approx(1.0, abs=0.02)
 
 
-def test_only_inside_phases_and_of_named_sensors(tmp_path: Path) -> None:
+def test_gains_are_limited_to_phases_and_named_sensors(tmp_path: Path) -> None:
     path = write(tmp_path, 6000)
     alone = found(path, only=["HIGH"], static=True)
     for gain in alone:
@@ -132,8 +136,8 @@ def test_too_few_frames_are_refused(tmp_path: Path) -> None:
         found(write(tmp_path, 9))
 
 
-def test_both_are_compared_on_the_same_frames(tmp_path: Path) -> None:
-    """At 1.45 g the low range has faded; while the high range's rows were lost, only the average knows."""
+def test_techniques_are_compared_on_the_same_frames(tmp_path: Path) -> None:
+    """At 1.45 g the low range has no weight; while rows of the high range are lost, only the average has a value."""
 
     def lifted(seconds: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return np.outer(np.where((seconds > 1) & (seconds < 8), 1.45, 1.0), [0, 0, 1])

@@ -1,4 +1,4 @@
-"""Opposed axes of the paper's array while it is heated, and what is said before of what they can cancel."""
+"""Opposed axes of the paper's array while it is heated, and the predicted cancellation."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ def heated(folder: Path, seed: int, *options: str, rate_hz: float) -> Path:
 
 
 def drifts(path: Path) -> dict[str, Floats]:
-    """Magnitude (3,) in dps of what the heat did: the error when 28 degC hotter less that of the first five minutes."""
+    """Magnitude (3,) in dps of the thermal drift: the error when 28 degC hotter minus that of the first
+    five minutes.
+    """
     ways = {"mean": ("mean", ()), "opposed": ("opposed", ()), **{name: ("mean", (name,)) for name in GYROS}}
     found = {}
     with open_log(path) as log:
@@ -62,7 +64,7 @@ def test_a_heated_array_keeps_a_tenth_of_the_drift_where_slopes_agree(tmp_path: 
 
 
 @pytest.mark.parametrize("seeds", some([3, 10], 0, 1))
-def test_over_seeds_a_tenth_where_slopes_agree_and_never_more_than_the_average(tmp_path: Path, seeds: int) -> None:
+def test_drift_over_seeds_is_a_tenth_where_slopes_agree_and_at_most_the_average(tmp_path: Path, seeds: int) -> None:
     """Several seeds (noise, in-run wander and turn-on of the paper's figures)."""
     found = [drifts(heated(tmp_path, seed, rate_hz=15.0)) for seed in range(seeds)]
     ratio = np.array([drift["opposed"] / drift["mean"] for drift in found])
@@ -74,10 +76,10 @@ def test_over_seeds_a_tenth_where_slopes_agree_and_never_more_than_the_average(t
 
 
 @pytest.mark.campaign
-def test_drawn_units_are_made_worse_by_no_more_than_a_percent(tmp_path: Path) -> None:
+def test_drift_of_drawn_units_increases_by_at_most_a_percent(tmp_path: Path) -> None:
     """30 arrays drawn from the population, a quarter of whose variance the design shares: 90 drifts about the axes.
 
-    The ratio of rms drifts scatters by 0.03; it gains where units happen to agree.
+    The ratio of rms drifts scatters by 0.03; it is smaller where units agree by chance.
     """
     found = [drifts(heated(tmp_path, seed, "--population", rate_hz=4.0)) for seed in range(30)]
     mean, opposed = (np.array([drift[name] for drift in found]) for name in ("mean", "opposed"))
@@ -96,7 +98,7 @@ OPPOSED = [
 
 
 def calibrated(*, meaning: tuple[str, ...] = (BIAS,) * 3, sem: float = 0.001) -> Calibration:
-    """Gyro1 and Gyro2 of Table 8 along y, in counts of 0.1 and of 0.01 dps; biases there of 4 and 3 dps."""
+    """Gyro1 and Gyro2 of Table 8 along y, in counts of 0.1 and of 0.01 dps; biases along y of 4 and 3 dps."""
     found = calibration(OPPOSED)
 
     def gyro(name: str, scale: float, slope: float, bias: float) -> SensorCalibration:
@@ -111,8 +113,8 @@ def calibrated(*, meaning: tuple[str, ...] = (BIAS,) * 3, sem: float = 0.001) ->
     return replace(found, sensors={**found.sensors, **two})
 
 
-def test_pairs_say_what_they_cancel(write_run: WriteRun) -> None:
-    """By hand: slopes 0.0265 and 0.0261 dps/degC, half the difference 0.0002 +- 0.00007; biases 4 and 3 dps."""
+def test_pairs_report_their_cancellation(write_run: WriteRun) -> None:
+    """By hand: slopes 0.0265 and 0.0261 dps/degC, half of the difference 0.0002 +- 0.00007; biases 4 and 3 dps."""
     path = write_run(OPPOSED, frames=200, rate_hz=20.0)
     with open_log(path) as log:
         first, second = capabilities(log.of("angular_rate"), calibrated())
@@ -128,7 +130,7 @@ def test_pairs_say_what_they_cancel(write_run: WriteRun) -> None:
     assert drift.p_value < 1e-6 and bias.p_value < 1e-6
 
 
-def test_a_pair_that_may_cancel_all_has_no_upper_end(write_run: WriteRun) -> None:
+def test_a_pair_that_may_cancel_fully_has_no_upper_limit(write_run: WriteRun) -> None:
     with open_log(write_run(OPPOSED, frames=200, rate_hz=20.0)) as log:
         found = pairs_of(log, calibrated(sem=0.01, meaning=(BIAS, BIAS_OR_SCALE, BIAS)), [])
         unknown = pairs_of(log, calibration(OPPOSED), ["G1", "G2"])
@@ -148,7 +150,7 @@ def test_a_pair_that_may_cancel_all_has_no_upper_end(write_run: WriteRun) -> Non
     assert alone == []
 
 
-def test_fuse_says_it(write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fuse_reports_opposing_pairs(write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_run(OPPOSED, frames=200, rate_hz=20.0)
     calibrated().save(tmp_path / "cal.toml")
     fused = ["fuse", str(path), "--calibration", str(tmp_path / "cal.toml"), "-o", str(tmp_path / "f.h5"), "--force"]

@@ -1,4 +1,4 @@
-"""The short way from counts to triads gives what the long one does, and is taken where nothing speaks against it."""
+"""The fast path from counts to triads equals the full path, and is taken where its conditions are met."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ AXES = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z")
 
 @given(seed=st.integers(0, 1 << 32), sensors=st.integers(1, 9), rows=st.integers(1, 3000))
 @settings(max_examples=examples(25), deadline=None)
-def test_it_is_the_gain_times_the_counts_less_the_bias(seed: int, sensors: int, rows: int) -> None:
-    """Frame by frame in plain Python numbers of a few rows; int16 to its ends, blocks of any length."""
+def test_triads_are_the_gain_times_counts_minus_bias(seed: int, sensors: int, rows: int) -> None:
+    """Compared for a few rows with plain Python numbers; the whole span of int16, blocks of any length."""
     rng = np.random.default_rng(seed)
     counts = [rng.integers(-32768, 32768, (rows, 3)).astype(np.int16) for _ in range(sensors)]
     gain, bias = rng.normal(size=(3, 3 * sensors)), rng.normal(0, 100, 3 * sensors)
@@ -36,8 +36,8 @@ def test_it_is_the_gain_times_the_counts_less_the_bias(seed: int, sensors: int, 
         assert single[row] == pytest.approx([sum(line) for line in terms], abs=1e-6 * largest * sensors)
 
 
-def test_blocks_of_rows_follow_one_another() -> None:
-    """Three blocks and a bit: the sum of the columns, exactly."""
+def test_blocks_of_rows_are_contiguous() -> None:
+    """Three blocks and a part of another: the sum of the columns, exactly."""
     rows = 3 * BLOCK_BYTES // (4 * 8) + 5
     counts = np.arange(3 * rows, dtype=np.int64).reshape(rows, 3) % 30_000
     triads = ConstantGain(np.ones((3, 3)), np.zeros(3))([counts.astype(np.int16)])
@@ -56,7 +56,7 @@ def shaken(seconds: Floats) -> Floats:
 
 
 def ways(run: Path, known: Calibration, monkeypatch: pytest.MonkeyPatch) -> tuple[list[Floats], list[Floats], int]:
-    """Both triads as they are, and without the short way; how many blocks of frames took the long one."""
+    """Both triads with and without the fast path; the number of blocks of frames on the full path."""
     seen = 0
     whole = FixedWeights.__call__
 
@@ -79,13 +79,13 @@ def ways(run: Path, known: Calibration, monkeypatch: pytest.MonkeyPatch) -> tupl
     return [joined(first, name)[1] for name in quantities], [joined(second, name)[1] for name in quantities], long
 
 
-def test_both_ways_agree(write_run: WriteRun, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fast_and_full_paths_agree(write_run: WriteRun, monkeypatch: pytest.MonkeyPatch) -> None:
     run = write_run(at_once(), force=shaken, rate=shaken)
     first, second, long = ways(run, calibration(at_once()), monkeypatch)
     assert long == 0
     for one, other in zip(first, second, strict=True):
         assert np.abs(one - other).max() < 1e-12 * np.abs(one).max()
-    # And both are what the mean of the rounded counts is, worked out sensor by sensor.
+    # Both equal the mean of the rounded counts, computed for each sensor.
     with open_log(run) as log:
         sensors = [np.asarray(log[f"A{i}"].counts[:], float) @ pointing(AXES[i]) / 2048 * G for i in range(3)]
         turning = np.asarray(log["G"].counts[:], float) / 114 * DPS
@@ -94,7 +94,7 @@ def test_both_ways_agree(write_run: WriteRun, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("what", some(["late", "lost", "suspect", "saturated"], 2))
-def test_the_long_way_is_gone_where_there_is_something_to_think_about(
+def test_the_full_path_is_taken_for_late_lost_or_flagged_readings(
     what: str, write_run: WriteRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parts = at_once()
@@ -113,7 +113,7 @@ def test_the_long_way_is_gone_where_there_is_something_to_think_about(
     assert all(np.abs(one - other).max() < 1e-12 * np.abs(one).max() for one, other in zip(first, second, strict=True))
 
 
-def test_readings_at_other_times_are_not_plain() -> None:
+def test_readings_at_different_times_take_the_full_path() -> None:
     time = np.arange(10) * 1000
     block = Block(time, np.zeros((10, 3), np.int16), np.zeros(10, np.uint16))
     assert short.plain_counts([block], time[3:6]) is not None

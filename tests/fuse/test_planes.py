@@ -1,4 +1,4 @@
-"""`planes`: no axis of the box worse than an in-plane axis, and the others standing watch."""
+"""`planes`: no axis of the box is noisier than an in-plane axis, and out-of-plane axes monitor the others."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from tests.fuse.conftest import DPS, Floats, G, Part, WriteRun, calibration, joi
 
 
 def test_planes_weigh_by_inverse_variance() -> None:
-    """z scatters twice as much as x and y: 4 to 1 where they meet along one box axis."""
+    """z has twice the noise of x and y: weights 4 to 1 where they are along one box axis."""
     axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 2.0)), *triad("B", "+Y+Z+X", (1.0, 1.0, 2.0))]
     # B: x along Y, y along Z, z along X.
     expected = [[0.8, 0, 0, 0, 0, 0.2], [0, 0.5, 0, 0.5, 0, 0], [0, 0, 0.2, 0, 0.8, 0]]
     assert weights(TECHNIQUES["planes"](axes), 6) == pytest.approx(np.array(expected), abs=1e-12)
 
 
-def test_planes_can_be_better_out_of_plane() -> None:
+def test_planes_prefer_out_of_plane_axes_of_lower_noise() -> None:
     axes = [*triad("A", "+X+Y+Z", (3.0, 3.0, 1.0)), *triad("B", "+Y+Z+X", (3.0, 3.0, 1.0))]
     found = weights(TECHNIQUES["planes"](axes), 6)
     assert found[0, [0, 5]] == pytest.approx([0.1, 0.9])
 
 
-def test_planes_look_at_the_plane_and_not_at_the_sensor() -> None:
-    """B is ten times noisier on every axis, C of another design: weights differ by plane alone, within a design."""
+def test_planes_weigh_by_the_plane_and_not_by_the_sensor() -> None:
+    """B has ten times the noise on every axis, C another design: within a design weights differ by plane alone."""
     axes = [
         *triad("A", "+X+Y+Z", (1.0, 1.0, 2.0)),
         *triad("B", "+X+Y+Z", (10.0, 10.0, 20.0)),
@@ -50,7 +50,7 @@ IN_PLANE_LSB, OUT_OF_PLANE_LSB = 6.0, 12.0
 """Noise of an ADXL345's x and y, and of its z (Table 10, section 6.2), of 256 to the g."""
 
 
-def test_perpendicular_boards_leave_no_axis_noisier_than_an_in_plane_one() -> None:
+def test_perpendicular_boards_have_no_axis_noisier_than_in_plane() -> None:
     """The first board's z is the second's x: ``1 / (1/36 + 1/144)`` there, two in-plane axes along Y; 6 and 12 LSB.
 
     To the rate of 6e-5, two-sided, of 50 000 readings; the plain average is noisier along X and Z.
@@ -103,7 +103,7 @@ rms_g = [{IN_PLANE_LSB / 256}, {IN_PLANE_LSB / 256}, {OUT_OF_PLANE_LSB / 256}]
 """
 
 
-def test_simulated_perpendicular_boards_do_the_same(tmp_path: Path) -> None:
+def test_simulated_perpendicular_boards_have_no_axis_noisier_than_in_plane(tmp_path: Path) -> None:
     """The paper's proposal of section 2.2, through the simulator's codes and a log; same error rate."""
     simulation = Simulation.of_array(
         parse_array(ARRAY), Still(seconds=100.0), parse_model(MODEL), frame_rate_hz=200.0, seed=2
@@ -128,7 +128,7 @@ def test_simulated_perpendicular_boards_do_the_same(tmp_path: Path) -> None:
 
 
 def measured(part: Part, noise_lsb: Floats, turn_on_lsb: Floats | None = None) -> SensorCalibration:
-    """What is known of a sensor whose noise was measured, and perhaps its change from run to run."""
+    """Calibration of a sensor with measured noise and, optionally, its change from run to run."""
     known = calibration([part], noise=False).sensors[part.name]
     turn_on = None
     if turn_on_lsb is not None:
@@ -149,8 +149,8 @@ def with_stability(axes: list[Axis], *stability: float | None) -> list[Axis]:
     return [replace(axis, stability_si=stability[axis.index]) for axis in axes]
 
 
-def test_slow_errors_count_as_much_as_noise_over_a_hundred_readings() -> None:
-    """``1/100 + 0.3^2 = 0.1`` and ``1/100 + 0.7^2 = 0.5``, though all three scatter alike: 5 to 1."""
+def test_slow_errors_are_weighted_like_the_mean_of_a_hundred_readings() -> None:
+    """``1/100 + 0.3^2 = 0.1`` and ``1/100 + 0.7^2 = 0.5``, though all three have the same noise: 5 to 1."""
     axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 1.0)), *triad("B", "+Y+Z+X", (1.0, 1.0, 1.0))]
     found = weights(TECHNIQUES["planes"](with_stability(axes, 0.3, 0.3, 0.7)), 6)
     assert found[0, [0, 5]] == pytest.approx([5 / 6, 1 / 6])
@@ -162,7 +162,7 @@ def test_slow_errors_count_as_much_as_noise_over_a_hundred_readings() -> None:
     ]
 
 
-def test_a_stability_that_is_not_known_of_every_axis_is_left_aside() -> None:
+def test_a_stability_unknown_for_some_axis_is_ignored() -> None:
     axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 2.0)), *triad("B", "+Y+Z+X", (1.0, 1.0, 2.0))]
     found = weights(TECHNIQUES["planes"](with_stability(axes, 0.3, 0.3, None)), 6)
     assert found[0, [0, 5]] == pytest.approx([0.8, 0.2])
@@ -170,16 +170,18 @@ def test_a_stability_that_is_not_known_of_every_axis_is_left_aside() -> None:
 
 @pytest.mark.parametrize("ratio", [1.2, 1.8, 2.0, 4.0])
 @pytest.mark.parametrize("slow", [0.0, 0.1, 5.0])
-def test_no_axis_is_noisier_than_an_in_plane_one_however_slow_errors_are(ratio: float, slow: float) -> None:
-    """With slow errors alike the weights would be, and scatter by ``sqrt(1 + ratio^2) / 2`` of an in-plane axis."""
+def test_no_axis_is_noisier_than_in_plane_for_any_slow_errors(ratio: float, slow: float) -> None:
+    """With equal slow errors the weights would be equal, and the noise ``sqrt(1 + ratio^2) / 2`` of an
+    in-plane axis.
+    """
     noise = (1.0, 1.0, ratio)
     axes = with_stability([*triad("A", "+X+Y+Z", noise), *triad("B", "+Z+Y-X", noise)], slow, slow, slow)
     covariance = TECHNIQUES["planes"](axes)(at_once(np.zeros((1, 6)))).covariance_box[0, :3]
     assert (covariance <= 1 + 1e-12).all()
 
 
-def test_the_calibration_tells_the_stability(tmp_path: Path, write_run: WriteRun) -> None:
-    """What it does from run to run, in SI: 2.56 LSB of 256 to the g are 0.01 g."""
+def test_the_calibration_gives_the_stability(tmp_path: Path, write_run: WriteRun) -> None:
+    """The change from run to run, in SI: 2.56 LSB at 256 LSB/g are 0.01 g."""
     part = Part("A", chip="adxl345", sensitivity=256.0)
     known = measured(part, np.full(3, 6.0), np.array([2.56, 2.56, np.nan]))
     with open_log(write_run([part], frames=10)) as log:
@@ -200,8 +202,8 @@ def watched(bias: float, frames: int = 2000, blocks: int = 1, stability: float |
     return technique
 
 
-def test_the_axes_that_weigh_less_stand_watch() -> None:
-    """A z 12 LSB off against the X of the other board: scatter sqrt(144 + 36), of 2000 frames 0.3 LSB: 40 sigma."""
+def test_axes_of_lower_weight_monitor_the_others() -> None:
+    """A bias of z of 12 LSB against X of the other board: scatter sqrt(144 + 36), of 2000 frames 0.3 LSB: 40 sigma."""
     sound, off = watched(12.0).monitors()
     assert (sound.label, off.label) == ("BMA1 z", "BMA2 z")
     sem = np.sqrt(180 / 2000)
@@ -212,7 +214,7 @@ def test_the_axes_that_weigh_less_stand_watch() -> None:
     assert off.frames == 2000
 
 
-def test_a_difference_that_the_calibration_allows_for_is_no_alarm() -> None:
+def test_a_difference_within_the_calibration_is_not_an_alarm() -> None:
     (_, off) = watched(12.0, stability=6.0).monitors()
     assert off.sigmas == pytest.approx(off.difference_si / np.hypot(6.0, off.sem_si))
 
@@ -223,7 +225,7 @@ def test_monitors_do_not_depend_on_blocks() -> None:
         assert pieces.sem_si == pytest.approx(whole.sem_si)
 
 
-def test_a_monitor_is_a_sentence() -> None:
+def test_a_monitor_is_reported_in_a_sentence() -> None:
     assert Monitor("BMA2 z", 3.1e-3 * G, 1e-3, 8.02, 2000).sentence("specific_force") == (
         "BMA2 z differs from the in-plane axes by 3.1 mg, 8 sigma"
     )
@@ -232,8 +234,8 @@ def test_a_monitor_is_a_sentence() -> None:
     )
 
 
-def test_a_monitor_without_anything_to_compare_says_so() -> None:
-    """All boards alike: along Z there are only out-of-plane axes."""
+def test_a_monitor_without_a_comparison_is_reported() -> None:
+    """All boards have the same orientation: along Z there are only out-of-plane axes."""
     noise = (6.0, 6.0, 12.0)
     technique = PlaneBlend([*triad("A", "+X+Y+Z", noise), *triad("B", "+X+Y+Z", noise)])
     technique(at_once(np.zeros((10, 6))))
@@ -242,9 +244,9 @@ def test_a_monitor_without_anything_to_compare_says_so() -> None:
     assert first.sentence("specific_force") == "A z has no axis to compare with"
 
 
-def test_a_flat_board_has_nothing_to_compare_its_normal_with() -> None:
+def test_the_normal_of_a_flat_board_has_no_comparison() -> None:
     """Tilts of 0.3 degrees give in-plane axes half a percent of the normal; a value from them would have 300 times the
-    noise, and whatever scale errors do in motion would be called a difference of the out-of-plane axes.
+    noise, and scale errors in motion would be reported as a difference of the out-of-plane axes.
     """
     noise = (6.0, 6.0, 12.0)
     axes = [*triad("A", "+X+Y+Z", noise), *triad("B", "+X+Y+Z", noise)]
@@ -273,7 +275,7 @@ def test_the_noise_of_the_comparison(others: np.ndarray, wanted: float) -> None:
     assert dilution(np.array([[0.0, 0, 1]]), others)[0] == pytest.approx(wanted)
 
 
-def test_a_repeated_reading_is_no_new_evidence() -> None:
+def test_repeated_readings_do_not_narrow_the_comparison() -> None:
     noise = (6.0, 6.0, 12.0)
     technique = PlaneBlend([*triad("A", "+X+Y+Z", noise), *triad("B", "+Z+Y-X", noise)])
     frames = at_once(np.ones((10, 6)))

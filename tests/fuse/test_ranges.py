@@ -1,4 +1,4 @@
-"""`ranges`: what Table 10 promises at rest, and no trace of the low range's end in motion."""
+"""`ranges`: the gain of Table 10 at rest, and no step at the end of the low range in motion."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ BIAS_G, SCALE, DELAY_S = 0.05, 0.02, 1e-3
 """What the low range reads otherwise than the high one."""
 
 
-def test_ranges_gain_what_table_10_promises(write_run: WriteRun) -> None:
+def test_noise_of_ranges_is_that_predicted_by_table_10(write_run: WriteRun) -> None:
     """8.32 mg, against 9.77 mg of the average and 9.53 mg of the low range alone; error rate 6e-5."""
     assert pytest.approx(0.762, abs=5e-4) == SHARE
     assert pytest.approx(8.32e-3, abs=5e-6) == BLEND_G
@@ -41,20 +41,20 @@ def test_ranges_gain_what_table_10_promises(write_run: WriteRun) -> None:
         assert found[name].std() == pytest.approx(expected, rel=4 / np.sqrt(2 * 60000))
 
 
-def test_ranges_weigh_by_inverse_variance_and_leave_other_designs_alone() -> None:
+def test_ranges_weigh_by_inverse_variance_within_a_design() -> None:
     axes = [
         *triad("LOW", "+X+Y+Z", (1.0, 1.0, 1.0), span=10.0),
         *triad("HIGH", "+X+Y+Z", (3.0, 3.0, 3.0), span=100.0),
         *triad("OTHER", "+X+Y+Z", (50.0, 50.0, 50.0), chip="d", span=100.0),
     ]
-    # 1 : 1/9 within the design, which counts for two of three sensors as in the average.
+    # 1 : 1/9 within the design, which has the weight of two of three sensors, as in the average.
     expected = np.array([0.9 * 2 / 3, 0.1 * 2 / 3, 1 / 3])
     assert weights(TECHNIQUES["ranges"](axes), 9)[1, [1, 4, 7]] == pytest.approx(expected)
 
 
-def test_ranges_of_different_chips_are_ranges() -> None:
-    """Designs with a range each: 1 : 1/9 by inverse variance, of two units of the high range 1/18 each; a chip with the
-    same range as another gains nothing on it, and full scales of 2000 and 2048 are one range.
+def test_ranges_of_different_chips_are_blended() -> None:
+    """Designs with one range each: 1 : 1/9 by inverse variance, for two units of the high range 1/18 each; chips with
+    the same range have equal weights, and full scales of 2000 and 2048 are one range.
     """
     axes = [
         *triad("LOW", "+X+Y+Z", (1.0, 1.0, 1.0), chip="c", span=10.0),
@@ -71,9 +71,9 @@ def test_ranges_of_different_chips_are_ranges() -> None:
     assert changes("ranges", one) == []
 
 
-def test_a_low_range_of_another_chip_fades_out_and_leaves_no_step(write_run: WriteRun) -> None:
-    """From 0 to 3 g over a chip of 1.5 g and another of 16 g that read otherwise by 50 mg: no step at the hand-over; by
-    the noise of the calibration, in a log that never rests.
+def test_a_low_range_of_another_chip_fades_out_without_a_step(write_run: WriteRun) -> None:
+    """From 0 to 3 g with a chip of 1.5 g and another of 16 g that differ by 50 mg: no step at the hand-over; by the
+    noise of the calibration, in a log without rest.
     """
     low, high = low_and_high(sigma=False)
     low = low._replace(chip="mpu9150", error=lambda seconds: np.full((len(seconds), 3), 0.05))
@@ -88,7 +88,7 @@ def test_a_low_range_of_another_chip_fades_out_and_leaves_no_step(write_run: Wri
 def test_the_noise_of_the_calibration_needs_no_rest(
     write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A log that never rests, of two chips whose noise is known and a third, which is not fused, whose is not."""
+    """A log without rest, of two chips with known noise and a third of unknown noise that is not fused."""
     low, high = low_and_high()
     parts = [low._replace(chip="mpu9150"), high, Part("THIRD", sigma=0.02)]
     known = calibration(parts)
@@ -107,7 +107,7 @@ def test_the_noise_of_the_calibration_needs_no_rest(
 
 
 def low_share(level: float, axis: int = 0) -> float:
-    """Weight of a low-range sensor's y, whose axis `axis` stands at that share of its range."""
+    """Weight of a low-range sensor's y if axis `axis` reads that share of its range."""
     technique = TECHNIQUES["ranges"](
         [*triad("LOW", "+X+Y+Z", (1.0, 1.0, 1.0), span=10.0), *triad("HIGH", "+X+Y+Z", (2.0, 2.0, 2.0), span=100.0)]
     )
@@ -118,14 +118,14 @@ def low_share(level: float, axis: int = 0) -> float:
     return float((technique(at_once(values)).triad_box[0, 1] - before) / 1e-6)
 
 
-def test_the_low_range_is_trusted_in_full_until_three_quarters_of_it() -> None:
+def test_the_low_range_has_full_weight_until_three_quarters_of_it() -> None:
     for level in (0.0, 0.5, -0.7, 0.75):
         assert low_share(level) == pytest.approx(0.8, abs=1e-6)
 
 
 @pytest.mark.parametrize("axis", [0, 2])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_the_low_range_is_not_used_at_all_before_its_end(axis: int, sign: int) -> None:
+def test_the_low_range_has_no_weight_near_its_end(axis: int, sign: int) -> None:
     """By the largest axis of the triad: exactly zero from 95 % on."""
     for level in (0.95, 0.97, 1.0, 1.2):
         assert low_share(sign * level, axis) == 0.0
@@ -149,15 +149,15 @@ def test_no_step_where_the_high_range_takes_over(write_run: WriteRun, bias_g: fl
     assert np.abs(error).max() < 0.6 / 2048
 
 
-def test_the_high_range_is_used_to_its_end() -> None:
-    """Nothing comes after it: at 99 % of 16 g it carries on alone."""
+def test_the_high_range_is_used_up_to_its_end() -> None:
+    """There is no higher range: at 99 % of 16 g it is used alone."""
     axes = [*triad("LOW", "+X+Y+Z", (1.0, 1.0, 1.0), span=1.5), *triad("HIGH", "+X+Y+Z", (2.0, 2.0, 2.0), span=16.0)]
     values = np.tile([1.5, 0.0, 0.0, 15.84, 0.0, 0.0], (2, 1))
     assert TECHNIQUES["ranges"](axes)(at_once(values)).triad_box[0] == pytest.approx([15.84, 0.0, 0.0])
 
 
-def test_two_low_sensors_and_no_high_one_are_not_faded() -> None:
-    """A design with one range has nothing to hand over to."""
+def test_sensors_of_a_single_range_are_not_faded() -> None:
+    """A design with one range has no other range for a hand-over."""
     axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 1.0), span=10.0), *triad("B", "+X+Y+Z", (1.0, 1.0, 1.0), span=10.0)]
     fused = TECHNIQUES["ranges"](axes)(at_once(np.full((1, 6), 9.9))).triad_box
     assert fused == pytest.approx(np.full((1, 3), 9.9))
@@ -173,8 +173,8 @@ def pair(bandwidth_hz: float | None = 150.0) -> list[Axis]:
 
 
 class Case(NamedTuple):
-    """A motion of the box in g, with the frames of `pair` and the level of their blend (n, 3): the weighted mean of
-    what both ranges would read without noise, clipping or end.
+    """A motion of the box in g, with the frames of `pair` and the level of their blend (n, 3): the weighted mean of the
+    readings of both ranges without noise, clipping or limits.
     """
 
     seconds: Floats
@@ -191,7 +191,7 @@ def sensed(
     scale: float = SCALE,
     delay_s: float = DELAY_S,
 ) -> Case:
-    """What both ranges read of a motion."""
+    """The readings of both ranges of a motion."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     truth, late = motion(time), (1 + scale) * motion(time - delay_s) + bias_g
@@ -206,7 +206,7 @@ def sensed(
 
 
 def manoeuvre(seconds: Floats) -> Floats:
-    """Ten seconds of swaying by 0.5 g along X and Y, then 5 g along X and back within four seconds, then rest."""
+    """A sway by 0.5 g along X and Y for ten seconds, then 5 g along X and back within four seconds, then rest."""
     swaying, pull = seconds < 10, np.clip((seconds - 10) / 4, 0, 1)
     x = np.where(swaying, 0.5 * np.sin(2 * np.pi * seconds), 5 * np.sin(np.pi * pull) ** 2)
     y = np.where(swaying, 0.5 * np.sin(1.4 * np.pi * seconds), 0.0)
@@ -219,7 +219,7 @@ def still_until_10(seconds: Floats) -> Floats:
 
 
 def error_g(case: Case, technique: Callable[[Frames], Estimate] | None = None) -> tuple[Floats, Estimate]:
-    """Result less the blend's level along X, and the result."""
+    """Result minus the blend's level along X, and the result."""
     estimate = (technique or RangeBlend(pair()))(case.frames)
     return estimate.triad_box[:, 0] - case.level[:, 0], estimate
 
@@ -252,16 +252,16 @@ def test_no_step_across_a_manoeuvre_of_5_g() -> None:
     assert abs(np.mean(tops)) < HIGH_G / 5
 
 
-def test_without_tracking_the_same_manoeuvre_shows_the_step() -> None:
-    """The test above can fail: 38 mg of bias at least, where nothing was learned (the manoeuvre comes at once)."""
+def test_the_same_manoeuvre_without_tracking_has_a_step() -> None:
+    """The test above can fail: 38 mg of bias at least, where nothing was learned (the manoeuvre is at the start)."""
     case = sensed(lambda seconds: manoeuvre(seconds + 10.5), 4, 1)
     error, estimate = error_g(case)
     assert error[(~estimate.used[:, 0]) & (case.seconds < 0.6)].mean() < -0.038
 
 
-def test_a_manoeuvre_after_rest_is_never_worse_for_what_was_learned() -> None:
-    """Rest tells the bias, not the scale: rms at 4 to 5 g against that of the high range corrected for nothing. Over
-    differences as large as expected at the start (1.5 g / 20, 1 %, 1.5 ms) much better, and for none at all as good.
+def test_learning_at_rest_does_not_increase_errors_of_a_manoeuvre() -> None:
+    """Rest determines the bias, not the scale: rms at 4 to 5 g compared with that of the uncorrected high range. For
+    differences as large as the prior (1.5 g / 20, 1 %, 1.5 ms) much better, and equal without differences.
     """
     rng = np.random.default_rng(5)
     drawn = rng.normal(0, 1, (12, 3)) * [0.075, 0.01, 1.5e-3]
@@ -276,9 +276,9 @@ def test_a_manoeuvre_after_rest_is_never_worse_for_what_was_learned() -> None:
         assert tracked < allowed * plain_rms
 
 
-def test_the_covariance_holds_what_the_corrections_may_be_wrong() -> None:
-    """Before: 8.32 mg. While the low range is out: its square is 17.05^2 and what is not known of the differences; the
-    squared error in units of it is 1 on the average of differences as large as expected (12 of them: 0.4 to 2).
+def test_the_covariance_includes_the_uncertainty_of_the_corrections() -> None:
+    """Before: 8.32 mg. Without the low range: its square is 17.05^2 and the uncertainty of the differences; the squared
+    error over it is 1 in the mean of differences as large as the prior (12 of them: 0.4 to 2).
     """
     rng = np.random.default_rng(6)
     found = []
@@ -292,8 +292,8 @@ def test_the_covariance_holds_what_the_corrections_may_be_wrong() -> None:
     assert 0.4 < np.mean(found) < 2
 
 
-def test_what_is_not_known_grows_while_the_low_range_is_out() -> None:
-    """Held at 5 g for a minute and a half: the correction stays, its uncertainty does not."""
+def test_uncertainty_grows_while_the_low_range_is_unused() -> None:
+    """5 g for a minute and a half: the correction stays, its uncertainty grows."""
     case = sensed(lambda seconds: manoeuvre(np.minimum(seconds, 12)), 102, 11)
     error, estimate = error_g(case)
     begin, end = slice(1200, 2200), slice(9200, 10200)
@@ -302,9 +302,9 @@ def test_what_is_not_known_grows_while_the_low_range_is_out() -> None:
     assert error[end].mean() == pytest.approx(error[begin].mean(), abs=5 * HIGH_G / np.sqrt(500))
 
 
-def test_a_scale_that_is_left_out_leaves_its_share_to_the_bias() -> None:
-    """Along Z, 1 g and a sway of 50 mg, that hardly tell a scale of 1 %: what is read at 1 g is known all the same,
-    within 1.5 mg rms of 12 runs (the means of 200 readings scatter by 1.2 mg).
+def test_the_bias_absorbs_a_scale_that_is_not_estimated() -> None:
+    """Along Z, 1 g and a sway of 50 mg, which hardly determine a scale of 1 %: the reading at 1 g is still known within
+    1.5 mg rms of 12 runs (the means of 200 readings scatter by 1.2 mg).
     """
     means = []
     for seed in range(12):
@@ -318,22 +318,22 @@ def test_a_scale_that_is_left_out_leaves_its_share_to_the_bias() -> None:
     assert np.sqrt(np.mean(np.square(means))) < 1.5 * HIGH_G / np.sqrt(200)
 
 
-def test_what_is_tracked_is_what_was_put_in() -> None:
-    """Low less high along X within four standard errors, which are as small as twenty seconds of swaying allow."""
+def test_tracked_differences_equal_the_simulated_ones() -> None:
+    """Low minus high along X within four standard errors, which are as small as twenty seconds of sway allow."""
     technique = RangeBlend(pair())
     technique(sensed(lambda seconds: manoeuvre(seconds % 10), 20, 2).frames)
     low, high = technique.tracker.relative()[0], technique.tracker.relative()[3]
     assert (low.label, high.label) == ("LOW x", "HIGH x")
     assert low.bias_si - high.bias_si == pytest.approx(BIAS_G, abs=4 * (low.bias_sem_si + high.bias_sem_si))
     assert low.scale - high.scale == pytest.approx(SCALE, abs=4 * (low.scale_sem + high.scale_sem))
-    # The noise of the slope takes up to a tenth of a delay.
+    # The noise of the slope reduces a delay by up to a tenth.
     assert low.delay_s - high.delay_s == pytest.approx(DELAY_S, abs=1e-4 + 4 * (low.delay_sem_s + high.delay_sem_s))
     assert low.bias_sem_si + high.bias_sem_si < 1e-3
     assert low.scale_sem + high.scale_sem < 3e-3
     assert low.delay_sem_s + high.delay_sem_s < 6e-4
 
 
-def test_rest_tells_the_bias_alone() -> None:
+def test_rest_determines_the_bias_alone() -> None:
     technique = RangeBlend(pair())
     technique(sensed(nothing, 20, 3).frames)
     low, high = technique.tracker.relative()[0], technique.tracker.relative()[3]
@@ -342,8 +342,8 @@ def test_rest_tells_the_bias_alone() -> None:
     assert (low.scale, high.scale) == (0.0, 0.0)
 
 
-def test_a_slow_turn_tells_the_scale_and_no_delay() -> None:
-    """0.28 g/s at most: the slope drowns in its noise, 0.6 g/s."""
+def test_a_slow_turn_determines_the_scale_and_no_delay() -> None:
+    """0.28 g/s at most: the slope is below its noise, 0.6 g/s."""
     technique = RangeBlend(pair())
     technique(sensed(lambda seconds: np.outer(0.9 * np.sin(0.1 * np.pi * seconds), [1, 0, 0]), 40, 9).frames)
     low, high = technique.tracker.relative()[0], technique.tracker.relative()[3]
@@ -351,9 +351,9 @@ def test_a_slow_turn_tells_the_scale_and_no_delay() -> None:
     assert low.scale - high.scale == pytest.approx(SCALE, abs=4 * (low.scale_sem + high.scale_sem))
 
 
-def test_a_delay_is_taken_out_where_the_high_range_is_alone() -> None:
-    """A low range 4 ms late: on the way to 5 g, at 3 g/s, its blend is late by 0.76 of that, and so is what follows.
-    Without: 9 mg.
+def test_a_delay_is_corrected_where_the_high_range_is_alone() -> None:
+    """A low range 4 ms late: during the rise to 5 g, at 3 g/s, the blend is late by 0.76 of that, and the high range
+    has the same delay. Without the correction: 9 mg.
     """
     found = []
     for seed in SEEDS:
@@ -364,7 +364,7 @@ def test_a_delay_is_taken_out_where_the_high_range_is_alone() -> None:
 
 
 def test_a_drifting_difference_is_followed() -> None:
-    """0.1 mg/s for 300 s: as far behind as the memory is long, 20 s, give or take its noise; no scale is seen in it."""
+    """0.1 mg/s for 300 s: the estimate lags by the memory of 20 s, within its noise; no scale is estimated."""
     drift = 1e-4 * np.arange(30000)[:, None] / RATE_HZ
     technique = RangeBlend(pair())
     technique(sensed(nothing, 300, 4, bias_g=drift, scale=0.0, delay_s=0.0).frames)
@@ -373,7 +373,7 @@ def test_a_drifting_difference_is_followed() -> None:
     assert low.scale == high.scale == 0.0
 
 
-def test_the_blend_of_all_is_as_without_tracking() -> None:
+def test_the_blend_of_all_ranges_is_not_changed_by_tracking() -> None:
     """Corrections cancel in the weighted mean: differences below a fiftieth of the noise."""
     case = sensed(lambda seconds: 0.2 * manoeuvre(seconds), 9, 5)
     values = case.frames.values
@@ -384,8 +384,8 @@ def test_the_blend_of_all_is_as_without_tracking() -> None:
     assert np.abs((estimate.triad_box - plain).mean(axis=0)).max() < BLEND_G / 1000
 
 
-def test_blocks_leave_no_trace() -> None:
-    """Any cuts, in the middle of segments, of the hand-over, of settling."""
+def test_results_do_not_depend_on_blocks() -> None:
+    """Any block limits: in the middle of segments, of the hand-over, of settling."""
     case = sensed(manoeuvre, 16, 6)
     whole = RangeBlend(pair(20.0))(case.frames)
     pieces, technique = [], RangeBlend(pair(20.0))
@@ -400,8 +400,10 @@ def test_blocks_leave_no_trace() -> None:
         assert joined_up == pytest.approx(getattr(whole, name), rel=1e-9, abs=1e-12)
 
 
-def test_a_lost_reading_and_a_lost_sensor_leave_no_step() -> None:
-    """The low sensor is silent in every tenth frame, and from second 12 on: the high range carries on at the level."""
+def test_a_lost_reading_or_sensor_causes_no_step() -> None:
+    """The low sensor has no reading in every tenth frame, and none from second 12 on: the high range
+    keeps the level.
+    """
     case = sensed(lambda seconds: manoeuvre(np.minimum(seconds, 9.75)), 20, 7)
     valid = case.frames.valid.copy()
     valid[::10, :3] = False
@@ -413,7 +415,7 @@ def test_a_lost_reading_and_a_lost_sensor_leave_no_step() -> None:
 
 
 def test_a_dead_high_sensor_does_not_stop_the_tracking() -> None:
-    """Two high sensors, one of them never there: the other one is compared with the low range all the same."""
+    """Two high sensors, one of them without readings: the other is still compared with the low range."""
     third = [Axis("DEAD", "bma180", axis.index, axis.direction_box, 16.0, HIGH_G) for axis in pair()[3:]]
     technique = RangeBlend([*pair(), *third])
     case = sensed(lambda seconds: manoeuvre(seconds % 10), 20, 8)
@@ -426,9 +428,9 @@ def test_a_dead_high_sensor_does_not_stop_the_tracking() -> None:
     assert (found[6].bias_si, found[6].scale) == (0.0, 0.0)
 
 
-def test_a_sensor_that_dies_leaves_its_share_of_the_level() -> None:
-    """A second high sensor, 60 mg off, is 0.19 of the level; when it has gone the others stay there, and don't come
-    back by 11.5 mg within the memory of the tracker.
+def test_a_sensor_that_fails_keeps_its_share_of_the_level() -> None:
+    """A second high sensor with an error of 60 mg has 0.19 of the level; after its loss the others stay at the level,
+    and do not return by 11.5 mg within the memory of the tracker.
     """
     third = [Axis("DIES", "bma180", axis.index, axis.direction_box, 16.0, HIGH_G) for axis in pair()[3:]]
     case = sensed(nothing, 80, 10, bias_g=0.0)
@@ -448,8 +450,8 @@ def filtered(signal: Floats, bandwidth_hz: float, rate_hz: float) -> Floats:
 
 
 def back_from_5_g(bandwidth_hz: float, inside: int = 20) -> tuple[Floats, Frames]:
-    """Along X: what the box feels behind the chips' low-pass, and frames of 400 Hz of both ranges without noise: 5 g,
-    gone within 2 ms. The low range clips before its low-pass, whose output is inside again long before it is right.
+    """Along X: the force after the chips' low-pass, and frames of 400 Hz of both ranges without noise: 5 g that end
+    within 2 ms. The low range clips before its low-pass, whose output is inside the range long before it is right.
     """
     rate_hz = 400.0 * inside
     seconds = np.arange(round(2 * rate_hz)) / rate_hz
@@ -466,7 +468,7 @@ def back_from_5_g(bandwidth_hz: float, inside: int = 20) -> tuple[Floats, Frames
 
 @pytest.mark.parametrize("bandwidth_hz", [10.0, 20.0, 40.0])
 def test_a_low_range_stays_out_until_its_filter_has_settled(bandwidth_hz: float) -> None:
-    """What the low-pass remembers of 3.5 g too little stays below a tenth of a reading's noise."""
+    """The transient of the low-pass after the clipped 3.5 g stays below a tenth of the noise of a reading."""
     high, frames = back_from_5_g(bandwidth_hz)
     estimate = RangeBlend(pair(bandwidth_hz))(frames)
     after = np.flatnonzero(frames.time > 1_000_000_000)
@@ -477,7 +479,7 @@ def test_a_low_range_stays_out_until_its_filter_has_settled(bandwidth_hz: float)
     assert 1.0 < frames.time[back] * 1e-9 < 1.0 + 2.5 / bandwidth_hz + 0.02
 
 
-def test_it_comes_in_again_smoothly() -> None:
+def test_the_low_range_returns_smoothly() -> None:
     """The weight of the low range rises from nothing, to the whole within the settling time, without a step."""
     _, frames = back_from_5_g(20.0)
     share = Fading(pair(20.0))(frames, np.full((len(frames.time), 6), np.nan))
@@ -498,9 +500,9 @@ def test_the_settling_time_is_that_of_a_second_order_low_pass() -> None:
     assert settling_s(None, 14.5, LOW_G) == pytest.approx(15 * settling_s(150.0, 14.5, LOW_G))
 
 
-def test_more_than_the_low_range_can_feel_puts_it_out_though_it_looks_sound() -> None:
-    """A spike of 3 g that the low sensor, slower, shows as 0.5 g: the high one knows. The next frame is 5 ms behind the
-    middle between the two, the one after that 15 ms, when the settling time of 14.4 ms is over.
+def test_a_spike_beyond_the_low_range_excludes_it() -> None:
+    """A spike of 3 g that the slower low sensor reads as 0.5 g: the high sensor detects it. The next frame is 5 ms
+    after the middle between the two, the following 15 ms, when the settling time of 14.4 ms has passed.
     """
     values = np.zeros((40, 6))
     values[10, [0, 3]] = 0.5, 3.0
@@ -510,7 +512,7 @@ def test_more_than_the_low_range_can_feel_puts_it_out_though_it_looks_sound() ->
 
 
 def test_axes_that_do_not_span_space_have_no_blend() -> None:
-    """Of two triads: any six, five, ... axes do while X, Y and Z are among them; two of them, or none, do not."""
+    """Two triads: any six, five, ... axes have a blend if X, Y and Z are among them; two of them, or none, do not."""
     blends = Blends(np.concatenate([np.eye(3)] * 2), np.ones(6), np.ones(6))
     for present, spans in (("111111", True), ("110001", True), ("110110", False), ("000001", False), ("000000", False)):
         blend = blends.of(np.array([sign == "1" for sign in present]))

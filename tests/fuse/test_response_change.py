@@ -1,4 +1,4 @@
-"""A log in which the box turns shows by how much responses changed since their calibration."""
+"""A log with turns of the box determines the change of responses since their calibration."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def gyroscopes(changes: Sequence[Floats]) -> list[Part]:
 
 
 def measured(parts: Sequence[Part], sem_share: float = 1e-5) -> Calibration:
-    """A calibration that knows the data sheet's responses with this standard error."""
+    """A calibration with the responses of the data sheet and this standard error."""
     return Calibration(
         {
             name: replace(known, response_sem_lsb_per_unit=np.full(3, 100.0 * sem_share))
@@ -53,7 +53,7 @@ def measured(parts: Sequence[Part], sem_share: float = 1e-5) -> Calibration:
 
 
 def learned(run: Path, known: Calibration) -> float | None:
-    """The change that a log shows, the same for all of its gyroscopes."""
+    """The change estimated from a log, the same for all of its gyroscopes."""
     with open_log(run) as log:
         changes = {sensor.response_change for sensor in with_response_change(log, known).sensors.values()}
     assert len(changes) == 1
@@ -66,10 +66,10 @@ def drawn(rng: np.random.Generator, share: float) -> list[Floats]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.004])
-def test_it_is_that_of_the_world(share: float, write_run: WriteRun) -> None:
-    """Twelve worlds of three gyroscopes show 12 times 18 combinations: the rms of a change within 1 / sqrt(2 * 216) =
-    5 %, and its prior (0.2 %) pulls the estimate of one world, with 18 degrees of freedom, by some percent more.
-    Without a change, the rest is what noise hides: 0.1 dps over 28 dps rms and the root of 6000 rows is 5e-5.
+def test_the_estimated_change_is_that_of_the_world(share: float, write_run: WriteRun) -> None:
+    """Twelve worlds of three gyroscopes give 12 times 18 combinations: the rms of a change within 1 / sqrt(2 * 216) = 5
+    %, and its prior (0.2 %) pulls the estimate of one world, with 18 degrees of freedom, by some percent more. Without
+    a change, the remainder is due to noise: 0.1 dps over 28 dps rms and the root of 6000 rows is 5e-5.
     """
     rng = np.random.default_rng(7)
     squares = []
@@ -83,7 +83,7 @@ def test_it_is_that_of_the_world(share: float, write_run: WriteRun) -> None:
     assert rms < 1.5e-4 if share == 0 else abs(rms / share - 1) < 0.15
 
 
-def test_what_the_calibration_leaves_unknown_is_no_change(write_run: WriteRun) -> None:
+def test_uncertainty_of_the_calibration_is_not_a_change(write_run: WriteRun) -> None:
     """Differences of 1 % between responses that are known to 1 % are errors of the calibration."""
     parts = gyroscopes(drawn(np.random.default_rng(8), 0.01))
     run = write_run(parts, rate=turning, frames=3000)
@@ -92,8 +92,8 @@ def test_what_the_calibration_leaves_unknown_is_no_change(write_run: WriteRun) -
     assert unexplained == pytest.approx(0.01, rel=0.3)
 
 
-def test_a_fault_is_no_change(write_run: WriteRun) -> None:
-    """Of a gyroscope that is stuck for a third of the log."""
+def test_a_fault_is_not_a_change(write_run: WriteRun) -> None:
+    """A gyroscope is stuck for a third of the log."""
     parts = gyroscopes(drawn(np.random.default_rng(9), 0.001))
     stuck = parts[0]._replace(
         error=lambda seconds: np.where((seconds > 20)[:, None], -turning(seconds) @ pointing("+X+Y+Z").T, 0.0)
@@ -103,7 +103,7 @@ def test_a_fault_is_no_change(write_run: WriteRun) -> None:
 
 
 def tumbled_s(seconds: Floats) -> Floats:
-    """How far a box has turned (n,) in rests of four seconds and turns of two, in turns."""
+    """Angle (n,) of a box with rests of four seconds and turns of two, in turns."""
     step, rest = np.divmod(seconds, 6.0)
     return np.asarray(step + np.clip(rest - 4, 0, 2) / 2)
 
@@ -120,8 +120,8 @@ def tumbled_rate(seconds: Floats) -> Floats:
 
 
 @pytest.mark.parametrize("with_gyroscope", [True, False])
-def test_rotations_of_accelerometers_that_are_apart_are_no_change(with_gyroscope: bool, write_run: WriteRun) -> None:
-    """While the box turns, one of them feels 5 % more; without a gyroscope nobody knows when that is."""
+def test_lever_arms_of_accelerometers_are_not_a_change(with_gyroscope: bool, write_run: WriteRun) -> None:
+    """While the box turns, one of them reads 5 % more; without a gyroscope the turns are unknown."""
     apart = lambda seconds: 0.05 * tumbled_force(seconds) * (seconds % 6.0 > 4)[:, None]  # noqa: E731
     parts = [Part(f"Acc{number}", sigma=0.004, error=error) for number, error in ((1, apart), (2, nothing))]
     gyroscope = Part("Gyro1", "+X+Y+Z", "angular_rate", "l3g4200d", 250.0, 100.0, sigma=SIGMA_DPS)
@@ -135,14 +135,14 @@ def test_rotations_of_accelerometers_that_are_apart_are_no_change(with_gyroscope
     assert (change is not None and change < 5e-4) if with_gyroscope else change is None
 
 
-def test_nothing_is_estimated_without_motion_or_another_sensor(write_run: WriteRun) -> None:
+def test_no_change_is_estimated_without_motion_or_another_sensor(write_run: WriteRun) -> None:
     parts = gyroscopes([np.zeros((3, 3))] * 3)
     at_rest = [part._replace(error=nothing) for part in parts]
     assert learned(write_run(at_rest, frames=3000), measured(parts)) is None
     assert learned(write_run(parts[:1], rate=turning, frames=3000, name="single.h5"), measured(parts[:1])) is None
 
 
-def test_a_stated_change_and_an_exact_response_remain(write_run: WriteRun) -> None:
+def test_a_stated_change_or_an_exact_response_is_kept(write_run: WriteRun) -> None:
     parts = gyroscopes(drawn(np.random.default_rng(10), 0.003))
     run = write_run(parts, rate=turning, frames=2000)
     stated = Calibration({n: replace(each, response_change=0.01) for n, each in measured(parts).sensors.items()})
@@ -150,14 +150,14 @@ def test_a_stated_change_and_an_exact_response_remain(write_run: WriteRun) -> No
     assert learned(run, measured(parts, 0.0)) is None
 
 
-def test_it_does_not_need_the_noise(write_run: WriteRun) -> None:
+def test_the_change_is_estimated_without_known_noise(write_run: WriteRun) -> None:
     parts = gyroscopes(drawn(np.random.default_rng(11), 0.004))
     known = Calibration({n: replace(each, noise_lsb=None) for n, each in measured(parts).sensors.items()})
     assert learned(write_run(parts, rate=turning, frames=3000), known) == pytest.approx(0.004, rel=0.5)
 
 
-def test_a_large_change_is_in_the_covariance_and_in_the_remarks(write_run: WriteRun) -> None:
-    """1.5 % of 40 dps is 0.6 dps, of three gyroscopes 0.35 dps, many times the noise of their mean, 0.06 dps."""
+def test_a_large_change_is_in_the_covariance_and_the_remarks(write_run: WriteRun) -> None:
+    """1.5 % of 40 dps is 0.6 dps, for three gyroscopes 0.35 dps, many times the noise of their mean, 0.06 dps."""
     parts = gyroscopes(drawn(np.random.default_rng(12), 0.015))
     with open_log(write_run(parts, rate=turning, frames=3000)) as log:
         inputs = complete_responses(log, prepare_inputs(log, measured(parts), technique="mean"))

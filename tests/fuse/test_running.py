@@ -1,4 +1,4 @@
-"""A thermometer for those who can't see the future, against closed forms."""
+"""The causal thermometer against closed forms."""
 
 from __future__ import annotations
 
@@ -22,11 +22,13 @@ def fed(seconds: Floats, degc: Floats, lags_s: list[float], cuts: int = 7) -> Ca
     return thermometer
 
 
-SECONDS = np.arange(4000) / 4  # 20 rows a segment, their middle 2.375 s after its begin
+SECONDS = np.arange(4000) / 4  # 20 rows per segment, their middle 2.375 s after its begin
 
 
-def test_a_ramp_goes_on() -> None:
-    """Of 0.1 degC/s, from the middle of the last whole segment on; the first two have no trend yet, and hold."""
+def test_a_ramp_is_extrapolated() -> None:
+    """A ramp of 0.1 degC/s, from the middle of the last complete segment on; the first two segments have no trend and
+    are constant.
+    """
     thermometer = fed(SECONDS[:4020], 20 + 0.1 * SECONDS[:4020], [0.0])
     asked = np.array([500.01, 502.5, 504.9, 505.01])
     assert thermometer.at(asked, 0) == pytest.approx(20 + 0.1 * asked)
@@ -36,9 +38,9 @@ def test_a_ramp_goes_on() -> None:
     assert beginning.at(asked, 0) == pytest.approx(20 + 0.1 * expected)
 
 
-def test_noise_costs_little() -> None:
-    """Gone on for 17.6 s from the mean of 20 rows of unit noise, by the slope through four such means: of their
-    variance the slope has 12 / (4 (4^2 - 1) 5^2) s^-2, and 7.5 / 125 s^-1 in common with the last of them.
+def test_noise_of_the_extrapolation() -> None:
+    """Extrapolation for 17.6 s from the mean of 20 rows of unit noise, by the slope through four such means: the slope
+    has 12 / (4 (4^2 - 1) 5^2) s^-2 of their variance, and a covariance of 7.5 / 125 s^-1 with the last of them.
     """
     rng = np.random.default_rng(4)
     late = CausalThermometer([0.0], 15.0)
@@ -57,14 +59,14 @@ def test_before_a_segment_is_whole_its_rows_are_averaged() -> None:
         assert thermometer.at(np.array([-1.0]), column) == pytest.approx([20.0])
 
 
-def test_behind_a_lag_a_ramp_is_late_by_it() -> None:
+def test_a_ramp_is_late_by_the_lag() -> None:
     """After more than ten lags."""
     thermometer = fed(SECONDS, 20 + 0.1 * SECONDS, [0.0, 40.0])
     assert thermometer.at(np.array([903.0]), 1) == pytest.approx([20 + 0.1 * (903.0 - 40.0)], abs=1e-6)
 
 
-def test_rows_that_come_late_are_waited_for_by_nobody() -> None:
-    """15 s old: as if it were 15 s earlier, but that the ramp has gone on, and the element behind it."""
+def test_late_rows_are_extrapolated_by_their_age() -> None:
+    """Rows are 15 s old: the ramp is extrapolated by 15 s, and so is the element after it."""
     late = CausalThermometer([0.0, 40.0], 15.0)
     late.add((SECONDS * 1e9).astype(np.int64), 20 + 0.1 * SECONDS)
     asked = np.array([615.1, 903.0])
@@ -74,17 +76,17 @@ def test_rows_that_come_late_are_waited_for_by_nobody() -> None:
 
 
 def test_a_step_is_followed_as_an_exponential() -> None:
-    """From 20 to 30 degC between two segments: the straight line between their middles is a part of the way."""
+    """From 20 to 30 degC between two segments: the straight line between their middles is a part of the step."""
     lag_s, at_s = 60.0, 500.0
     thermometer = fed(SECONDS, np.where(at_s > SECONDS, 20.0, 30.0), [lag_s])
     after = np.array([530.0, 560.0, 620.0])
-    # The response to the ramp of 5 s that the line is, whose middle is the step less an eighth of a second.
+    # The response to a ramp of 5 s, whose middle is an eighth of a second before the step.
     start = at_s - 5 + 2.375
     ramp = 10 / 5 * (5 - lag_s * (np.exp(-(after - start - 5) / lag_s) - np.exp(-(after - start) / lag_s)))
     assert thermometer.at(after, 0) == pytest.approx(20 + ramp, abs=1e-6)
 
 
-def test_what_it_says_depends_on_no_later_row() -> None:
+def test_temperatures_do_not_depend_on_later_rows() -> None:
     rng = np.random.default_rng(1)
     degc = 20 + rng.normal(0, 1, len(SECONDS))
     asked = np.arange(0.0, 600.0, 0.7)
@@ -92,14 +94,14 @@ def test_what_it_says_depends_on_no_later_row() -> None:
     assert whole.at(asked, 0) == pytest.approx(part.at(asked, 0), abs=1e-12)
 
 
-def test_values_that_are_none_do_not_count() -> None:
+def test_nan_values_are_ignored() -> None:
     degc = np.where(SECONDS % 1 == 0, np.nan, 25.0)
     assert fed(SECONDS, degc, [10.0]).at(np.array([0.0, 3.0, 700.0]), 0) == pytest.approx([25.0] * 3)
     assert np.isnan(fed(SECONDS, np.full(len(SECONDS), np.nan), [10.0]).at(np.array([5.0]), 0)).all()
 
 
 @pytest.mark.slow
-def test_it_keeps_no_more_than_it_needs() -> None:
+def test_old_segments_are_dropped() -> None:
     thermometer = CausalThermometer([10.0])
     for start in range(0, 40_000, 50):
         seconds = start + np.arange(50.0)
@@ -113,12 +115,12 @@ def test_it_keeps_no_more_than_it_needs() -> None:
     [
         (["P", "A1"], "barometer", {"A1": "P", "A2": "P", "G1": "P"}),
         (["A1"], "chip", {"A1": "A1", "A2": "A1", "G1": "A1"}),
-        (["A1", "G1"], "chip", {"A1": "A1", "A2": "A1"}),  # a gyroscope's own has no zero
+        (["A1", "G1"], "chip", {"A1": "A1", "A2": "A1"}),  # the thermometer of a gyroscope has no zero
         (["G1"], "relative", {"A1": "G1", "A2": "G1", "G1": "G1"}),
         ([], "barometer", {}),
     ],
 )
-def test_whose_thermometer_it_is(thermometers: list[str], slopes: str, found: dict[str, str]) -> None:
+def test_the_thermometer_of_each_element(thermometers: list[str], slopes: str, found: dict[str, str]) -> None:
     inertial = [replace(header, has_temperature=name in thermometers) for name, header in HEADERS.items()]
     everything = [*inertial, *([BAROMETER] if "P" in thermometers else [])]
     temperatures = causal_temperatures(everything, inertial, with_slopes(slopes))
@@ -126,6 +128,6 @@ def test_whose_thermometer_it_is(thermometers: list[str], slopes: str, found: di
     assert set(temperatures.feeds) == set(found.values())
 
 
-def test_without_slopes_nobody_is_asked() -> None:
+def test_without_slopes_no_thermometer_is_used() -> None:
     temperatures = causal_temperatures([*HEADERS.values(), BAROMETER], list(HEADERS.values()), Calibration())
     assert (temperatures.elements, temperatures.feeds) == ({}, {})

@@ -1,4 +1,4 @@
-"""The spline by its conditions, and beside that of another library."""
+"""The spline by its conditions, and against that of another library."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from imuarray.fuse.alignment import between_gaps, derivatives
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 6, 50, 700])
-def test_as_scipy_has_it(count: int) -> None:
+def test_the_spline_equals_scipy(count: int) -> None:
     rng = np.random.default_rng(count)
     known = np.cumsum(rng.integers(5_000_000, 15_000_000, count)) + 1_700_000_000_000_000_000
     rows = rng.normal(size=(count, 3))
@@ -36,7 +36,7 @@ def test_a_cubic_is_its_own_spline() -> None:
     np.testing.assert_allclose(second[:, 0], 6 * seconds, atol=1e-11)
 
 
-def test_nothing_across_a_pause() -> None:
+def test_the_spline_does_not_span_a_pause() -> None:
     known = np.array([0, 1, 2, 10, 11, 12]) * 10**9
     found = between_gaps(known, np.arange(6.0)[:, None], np.array([5, 11]) * 10**9, gap_ns=2e9)
     assert np.isnan(found[0, 0])
@@ -44,7 +44,7 @@ def test_nothing_across_a_pause() -> None:
 
 
 @pytest.mark.parametrize("narrowest", [1_000, 1_000_000])
-def test_knots_as_uneven_as_they_may_be(narrowest: int) -> None:
+def test_very_uneven_knots(narrowest: int) -> None:
     """Widths from a microsecond to ten seconds in any order, against a solver that eliminates row by row."""
     rng = np.random.default_rng(narrowest)
     known = np.cumsum(10.0 ** rng.uniform(np.log10(narrowest), 10, 300)).astype(np.int64)
@@ -54,7 +54,7 @@ def test_knots_as_uneven_as_they_may_be(narrowest: int) -> None:
     np.testing.assert_allclose(first, wanted, rtol=1e-9, atol=1e-12 * np.abs(wanted).max())
 
 
-def test_rows_that_were_asked_for_are_given_as_they_are() -> None:
+def test_values_at_the_knots_are_exact() -> None:
     known = np.array([0, 10, 20, 31, 40]) * 10**6
     rows = np.random.default_rng(3).normal(size=(5, 3))
     np.testing.assert_array_equal(between_gaps(known, rows, known[[0, 1, 3, 4]], gap_ns=1e9), rows[[0, 1, 3, 4]])

@@ -1,4 +1,4 @@
-"""A fused result as a file: what is in it, and that half of one never appears."""
+"""A fused result as a file: its content, and no unfinished file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.fuse.conftest import EPOCH
 
 
 def blocks(count: int = 3, rows: int = 5000) -> Iterator[FusedBlock]:
-    """Row k of the whole holds time 1000 k, force (k, k + 0.25, NaN) and rate (-k, 0, 0)."""
+    """Row k of the whole has time 1000 k, force (k, k + 0.25, NaN) and rate (-k, 0, 0)."""
     for block in range(count):
         k = np.arange(block * rows, (block + 1) * rows, dtype=float)
         force = np.stack([k, k + 0.25, np.full(rows, np.nan)], axis=1)
@@ -24,7 +24,7 @@ def blocks(count: int = 3, rows: int = 5000) -> Iterator[FusedBlock]:
         yield FusedBlock((1000 * k).astype(np.int64), {"specific_force": force, "angular_rate": rate})
 
 
-def test_what_is_written(tmp_path: Path) -> None:
+def test_columns_and_attributes_of_a_fused_file(tmp_path: Path) -> None:
     path, told = tmp_path / "fused.h5", []
     frames = write_fused(
         path, blocks(), epoch=EPOCH, technique="planes", log="run.h5", calibration="cal.toml", progress=told.append
@@ -49,7 +49,7 @@ def test_what_is_written(tmp_path: Path) -> None:
     assert [entry.name for entry in tmp_path.iterdir()] == ["fused.h5"]
 
 
-def test_nothing_is_overwritten_unless_told(tmp_path: Path) -> None:
+def test_an_existing_file_is_overwritten_only_with_force(tmp_path: Path) -> None:
     path = tmp_path / "fused.h5"
     path.write_text("mine")
     with pytest.raises(OutputExistsError, match="exists already"):
@@ -60,8 +60,8 @@ def test_nothing_is_overwritten_unless_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("failure", [FusionError("no"), KeyboardInterrupt(), MemoryError()])
-def test_nothing_is_left_after_an_exception(tmp_path: Path, failure: BaseException) -> None:
-    """Neither the half-written file nor the loss of what was there."""
+def test_an_exception_keeps_the_existing_file_and_no_partial_file(tmp_path: Path, failure: BaseException) -> None:
+    """No half-written file remains, and an existing file is not lost."""
     path = tmp_path / "fused.h5"
     path.write_text("mine")
 
@@ -75,7 +75,7 @@ def test_nothing_is_left_after_an_exception(tmp_path: Path, failure: BaseExcepti
     assert path.read_text() == "mine"
 
 
-def test_a_file_that_leads_elsewhere_is_refused(tmp_path: Path) -> None:
+def test_a_file_with_an_external_link_is_refused(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "f.h5", "w") as file:
         file["fused/time"] = np.arange(3)
         file["fused/A"] = h5py.ExternalLink("/etc/passwd", "/x")
@@ -83,7 +83,7 @@ def test_a_file_that_leads_elsewhere_is_refused(tmp_path: Path) -> None:
         list(read_fused(tmp_path / "f.h5"))
 
 
-def test_covariances_and_the_sensors_used_come_back(tmp_path: Path) -> None:
+def test_covariances_and_sensors_in_use_are_read_back(tmp_path: Path) -> None:
     time = np.arange(4, dtype=np.int64)
     covariance = np.arange(24.0).reshape(4, 6)
     used = np.array([[7, 0], [7, 5], [0, 0], [3, 7]], np.uint8)
@@ -109,7 +109,7 @@ TOLD = [
 ]
 
 
-def test_events_that_come_while_blocks_do(tmp_path: Path) -> None:
+def test_events_added_during_writing_are_stored(tmp_path: Path) -> None:
     path, events = tmp_path / "fused.h5", []
 
     def watched() -> Iterator[FusedBlock]:
@@ -160,8 +160,8 @@ def test_older_files_have_no_events_and_broken_ones_are_refused(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("rows", [1, 777, 4096, 16384, 40000])
-def test_how_frames_come_leaves_no_trace(tmp_path: Path, rows: int) -> None:
-    """The file's columns are the blocks one after the other, whatever their lengths."""
+def test_the_file_does_not_depend_on_blocks(tmp_path: Path, rows: int) -> None:
+    """The columns of the file are the concatenated blocks, of any lengths."""
     given = list(blocks(max(2, min(50, 50000 // rows)), rows))
     write_fused(tmp_path / "f.h5", given, epoch=EPOCH, technique="mean", log="run.h5")
     found = FusedBlock.joined(list(read_fused(tmp_path / "f.h5")))

@@ -1,4 +1,4 @@
-"""Rows as they come, cut at random: the same as the log at once. Who is silent is not waited for."""
+"""Rows in pieces of random length give the same result as the log. A silent sensor is not waited for."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ QUANTITIES = ("specific_force", "angular_rate")
 
 
 def parts() -> list[Part]:
-    """Two ranges and two gyroscopes, one after the other in a frame of 10 ms; some say nothing for a while."""
+    """Two ranges and two gyroscopes, one after the other in a frame of 10 ms; some are silent for a while."""
     units = [
         Part(
             f"A{i}",
@@ -53,7 +53,7 @@ def turned(seconds: Floats) -> Floats:
 
 
 def in_steps(stream: FusionStream, rows: dict[str, Block], until_s: float, step_s: float = 0.1) -> Iterator[FusedBlock]:
-    """As a recording writes them: every sensor's rows of a stretch of time."""
+    """Rows in the order of a recording: the rows of every sensor for each interval of time."""
     for start_ns in range(0, round(until_s * 1e9), round(step_s * 1e9)):
         for name, block in rows.items():
             first, last = np.searchsorted(block.time, [start_ns, start_ns + round(step_s * 1e9)])
@@ -74,9 +74,7 @@ def warm(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("technique", some(TECHNIQUES, 1))
 @given(seed=st.integers(0, 1 << 32), most_s=st.sampled_from([0.02, 0.3, 1.5]))
 @settings(max_examples=4, deadline=None)
-def test_however_rows_are_cut_the_result_is_that_of_the_log(
-    run: Path, technique: str, seed: int, most_s: float
-) -> None:
+def test_rows_in_any_pieces_give_the_result_of_the_log(run: Path, technique: str, seed: int, most_s: float) -> None:
     with open_log(run) as log:
         headers = [recorded_header(sensor) for sensor in log.sensors.values()]
         stream = live(headers, calibration(parts()), technique, patience=Patience(10.0))
@@ -84,33 +82,33 @@ def test_however_rows_are_cut_the_result_is_that_of_the_log(
 
 
 @pytest.mark.parametrize("seed", some(range(3), 1))
-def test_temperatures_are_those_that_were_known(warm: Path, seed: int) -> None:
+def test_live_temperatures_are_causal(warm: Path, seed: int) -> None:
     with open_log(warm) as log:
         headers = [recorded_header(sensor) for sensor in log.sensors.values()]
         stream = live(headers, with_slopes(), "mean", patience=Patience(1000.0))
         one = list(pushed(stream, read(log), seed, 300.0))
         same(one, list(fuse(log, with_slopes(), "mean", causal=True)))
         same(one, list(fuse(log, with_slopes(), "mean", causal=True, block=777)))
-        # Up to 22.5 s old at 20 degC in 300 s, 1.5 degC of 3 counts each: not the same, but no more than that.
+        # Up to 22.5 s old at 20 degC in 300 s, 1.5 degC of 3 counts each: the difference is at most that.
         (_, early), (_, late) = joined(one), joined(list(fuse(log, with_slopes(), "mean")))
         assert 1e-3 < np.abs(early - late).max() / 9.80665 * 512 < 4.5
 
 
 def started(log: Log, timeout_s: float = 10.0, tell: Callable[[str], None] = lambda text: None) -> FusionStream:
-    """The mean, of what the log's sensors will say."""
+    """Live fusion by the mean for the sensors of the log."""
     headers = [recorded_header(sensor) for sensor in log.sensors.values()]
     return live(headers, calibration(parts()), "mean", patience=Patience(timeout_s, tell))
 
 
-def test_frames_come_while_rows_do(run: Path) -> None:
-    """No later than a margin beyond them, as many together, what the grid looks ahead, and a step of the rows."""
+def test_frames_are_given_while_rows_arrive(run: Path) -> None:
+    """At most a margin after them, plus a block, the look-ahead of the grid, and a step of the rows."""
     with open_log(run) as log:
         frames = np.concatenate([fused.time for fused in in_steps(started(log), read(log), 3.5)])
     assert 3.5 - frames[-1] * 1e-9 < (2 * 32 + 6 + 10) / 100
 
 
-def test_a_silent_sensor_is_waited_for_so_long_and_said(run: Path) -> None:
-    """G2 ends at 4 s: from the time-out on frames come without it, and what they are is what the log gives."""
+def test_a_silent_sensor_is_waited_for_until_the_time_out_and_reported(run: Path) -> None:
+    """G2 ends at 4 s: after the time-out frames are given without it, and equal those of the log."""
     said: list[str] = []
     with open_log(run) as log:
         stream = started(log, 1.0, said.append)
@@ -121,8 +119,8 @@ def test_a_silent_sensor_is_waited_for_so_long_and_said(run: Path) -> None:
     assert waits[-1].time[-1] < 4.0e9 < 5.0e9 < early[-1].time[-1]
 
 
-def test_it_is_back_when_it_speaks_again(run: Path) -> None:
-    """A1 says nothing from 2 to 2.5 s."""
+def test_a_silent_sensor_is_used_again_after_its_return(run: Path) -> None:
+    """A1 is silent from 2 to 2.5 s."""
     said: list[str] = []
     with open_log(run) as log:
         fused = list(in_steps(started(log, 0.3, said.append), read(log), 5.0))
@@ -133,7 +131,7 @@ def test_it_is_back_when_it_speaks_again(run: Path) -> None:
     assert (used[(time > 2.55) & (time < 3.5), 1] == 7).all()
 
 
-def test_rows_must_follow_one_another(run: Path) -> None:
+def test_rows_out_of_order_are_refused(run: Path) -> None:
     with open_log(run) as log:
         block = read(log)["A0"]
     rows = RowWindow()
@@ -143,14 +141,16 @@ def test_rows_must_follow_one_another(run: Path) -> None:
 
 
 def test_the_window_of_rows_does_not_grow(run: Path) -> None:
-    """Three margins of rows, a step, what the grid looks ahead and back, half a second of another one.s silence."""
+    """Three margins of rows, a step, the look-ahead and look-back of the grid, half a second of silence of another
+    sensor.
+    """
     with open_log(run) as log:
         stream = started(log)
         most = max(stream.rows_kept for _ in in_steps(stream, read(log), 6.0))
     assert most < 6 * (3 * 32 + 10 + 3 * 6 + 50)
 
 
-def test_a_few_rows_are_nothing_to_fuse(run: Path) -> None:
+def test_too_few_rows_are_refused(run: Path) -> None:
     with open_log(run) as log:
         stream = started(log)
         assert list(stream.push("A0", cut(read(log)["A0"], slice(0, 2)))) == []
@@ -160,8 +160,8 @@ def test_a_few_rows_are_nothing_to_fuse(run: Path) -> None:
         list(started(log).finish())
 
 
-def test_a_pipeline_may_hold_frames_back(run: Path) -> None:
-    """One that gives everything at the end gives the same."""
+def test_a_pipeline_may_delay_frames(run: Path) -> None:
+    """A pipeline that gives all frames at the end gives the same result."""
 
     class Late:
         def __init__(self, inner: Pipeline[FusedBlock]) -> None:
@@ -182,7 +182,7 @@ def test_a_pipeline_may_hold_frames_back(run: Path) -> None:
         same(late, list(fuse(log, calibration(parts()), "opposed")))
 
 
-def test_a_pipeline_hears_how_warm_the_elements_are(warm: Path) -> None:
+def test_a_pipeline_receives_the_element_temperatures(warm: Path) -> None:
     heard: dict[str, list[Floats]] = {"A1": [], "A2": [], "G1": []}
 
     class Listening:

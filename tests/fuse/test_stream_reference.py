@@ -1,4 +1,4 @@
-"""The stream beside a loop over frames and sensors that anyone would write: at rest both must say the same."""
+"""The stream against a plain loop over frames and sensors: at rest both must agree."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ SENSITIVITY = 1024.0
 
 
 class Course(NamedTuple):
-    """What becomes of one sensor: every how many frames it is read, from and to which share of the run, the share that
-    is lost, whether rows have flags, and how late in the frame it is read.
+    """The course of one sensor: its divisor of the frame rate, the begin and end as a share of the run, the share of
+    lost rows, whether rows have flags, and the delay within the frame.
     """
 
     every: int
@@ -60,7 +60,7 @@ COURSES = st.integers(1, 4).flatmap(
 
 
 def rows_of(course: Course, part: Part, frames_ns: np.ndarray, rng: np.random.Generator) -> Block:
-    """The rows that are left, all with the same counts."""
+    """The remaining rows, all with the same counts."""
     number = np.arange(len(frames_ns))
     share = number / len(frames_ns)
     kept = (number % course.every == 0) & (share >= course.begins) & (share < course.ends)
@@ -72,7 +72,7 @@ def rows_of(course: Course, part: Part, frames_ns: np.ndarray, rng: np.random.Ge
 
 
 def looped(rows: list[Block], time_ns: int) -> list[int]:
-    """The sensors that have a sound reading within half a frame, the nearest one."""
+    """The sensors with a valid reading within half a frame, by the nearest reading."""
     found = []
     for number, block in enumerate(rows):
         if len(block.time):
@@ -92,7 +92,7 @@ def looped(rows: list[Block], time_ns: int) -> list[int]:
     most_s=st.sampled_from([0.02, 0.5, 3.0]),
 )
 @settings(max_examples=examples(60), deadline=None)
-def test_at_rest_every_frame_is_the_mean_of_who_read_something(
+def test_every_frame_at_rest_is_the_mean_of_the_sensors_with_readings(
     courses: list[Course], frames: int, pause_s: float, jitter_ns: int, seed: int, most_s: float
 ) -> None:
     rng = np.random.default_rng(seed)

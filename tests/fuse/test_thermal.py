@@ -1,4 +1,4 @@
-"""Biases that follow the temperature of the log: planted slopes are taken out, and nothing else is."""
+"""Biases that follow the temperature of the log: known slopes are removed, and nothing else changes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.selection import some
 
 
 def cold(calibration: Calibration) -> Calibration:
-    """The same without slopes."""
+    """The same calibration without slopes."""
     return Calibration({name: replace(sensor, thermal=None) for name, sensor in calibration.sensors.items()})
 
 
@@ -29,15 +29,14 @@ def fused(path: Path, calibration: Calibration, quantity: str, block: int = 1 <<
 
 
 def drift(values: Floats) -> Floats:
-    """Largest less smallest of sixteen means."""
+    """Largest minus smallest of sixteen means."""
     return np.asarray(np.ptp([part.mean(axis=0) for part in np.array_split(values, 16)], axis=0))
 
 
 @pytest.mark.parametrize("thermometer", some(["barometer", "reference", "bma180"], 1))
-def test_drift_with_temperature_goes(tmp_path: Path, thermometer: str) -> None:
-    """From 20 degC times the mean slope to what rounding of the thermometer leaves: a twentieth and less.
-
-    Sixteen means of 375 rows of one count of noise span 0.2 counts, the slopes make 30 and more.
+def test_drift_with_temperature_is_removed(tmp_path: Path, thermometer: str) -> None:
+    """From 20 degC times the mean slope to the rounding of the thermometer: a twentieth and less. Sixteen means of 375
+    rows of one count of noise span 0.2 counts, the slopes give 30 and more.
     """
     path = heating(tmp_path / "heat.h5", thermometer)
     calibration = known("chip" if thermometer == "bma180" else thermometer)
@@ -46,15 +45,15 @@ def test_drift_with_temperature_goes(tmp_path: Path, thermometer: str) -> None:
         assert (drift(after)[axes] < drift(before)[axes] / 20).all()
 
 
-def test_an_axis_that_may_be_one_of_scale_is_left_alone(tmp_path: Path) -> None:
+def test_a_slope_that_may_be_of_the_scale_factor_is_not_applied(tmp_path: Path) -> None:
     path = heating(tmp_path / "heat.h5", "barometer")
     before, after = (fused(path, calibration, "specific_force") for calibration in (cold(known()), known()))
     assert after[:, 2] == pytest.approx(before[:, 2], abs=1e-12)
     assert drift(after)[2] > 0.9 * 9.80665 * (19 * np.mean([1.5 / 512, 2.0 / 256]))
 
 
-def test_a_thermometer_without_a_zero_serves_its_own_slopes(tmp_path: Path) -> None:
-    """The L3G4200D counts 45 - T here: read as T - 45, so that 25 degC is its -20."""
+def test_a_thermometer_without_a_zero_is_used_for_its_own_slopes(tmp_path: Path) -> None:
+    """The L3G4200D counts 45 - T here: read as T - 45, so that 25 degC is read as -20."""
     path = heating(tmp_path / "heat.h5", "l3g4200d", ["G1"])
     calibration = known("relative", -20.0, ["G1"])
     before, after = (fused(path, cal, "angular_rate") for cal in (cold(calibration), calibration))
@@ -62,7 +61,7 @@ def test_a_thermometer_without_a_zero_serves_its_own_slopes(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(("inside", "slopes"), [("l3g4200d", "barometer"), ("barometer", "relative")])
-def test_degrees_that_do_not_compare_correct_nothing(tmp_path: Path, inside: str, slopes: str) -> None:
+def test_slopes_of_another_kind_of_thermometer_are_not_applied(tmp_path: Path, inside: str, slopes: str) -> None:
     path = heating(tmp_path / "heat.h5", inside, ["G1"])
     calibration = known(slopes, names=["G1"])
     with open_log(path) as log:
@@ -70,21 +69,20 @@ def test_degrees_that_do_not_compare_correct_nothing(tmp_path: Path, inside: str
     assert (fused(path, calibration, "angular_rate") == fused(path, cold(calibration), "angular_rate")).all()
 
 
-def test_the_bias_holds_at_the_temperature_at_which_it_was_measured(tmp_path: Path) -> None:
-    """The bias of 35 degC, ten slopes away from that of 25: nothing turns, whatever the temperature.
-
-    After 225 s, when 2 % are left of what the lag began with (0.16 degC, 5 counts each).
+def test_the_bias_is_exact_at_its_calibration_temperature(tmp_path: Path) -> None:
+    """The bias of 35 degC, ten slopes away from that of 25: the fused rate is zero at every temperature. After 225 s,
+    when 2 % of the initial error of the lag remain (0.16 degC, 5 counts each).
     """
     gyroscope = known().sensors["G1"]
     there = np.array(BIAS["G1"]) + 10 * np.array(SLOPES["G1"])
     calibration = Calibration({"G1": replace(gyroscope, bias_lsb=there, temperature_degc=35.0)})
     values = fused(heating(tmp_path / "heat.h5", "barometer", ["G1"]), calibration, "angular_rate")
     means_lsb = np.degrees([part.mean(axis=0) for part in np.array_split(values, 16)[3:]]) * 114.0
-    # Five standard errors of 375 rows; the barometer's means err by less than 0.01 degC of 5 counts each.
+    # Five standard errors of 375 rows; the barometer's means have errors below 0.01 degC of 5 counts each.
     assert np.abs(means_lsb).max() < 5 / np.sqrt(375) + 0.05
 
 
-def test_a_lag_that_may_be_none_is_not_applied(tmp_path: Path) -> None:
+def test_a_lag_that_may_be_zero_is_not_applied(tmp_path: Path) -> None:
     gyroscope = known().sensors["G1"]
     assert gyroscope.thermal is not None
     unsure = replace(gyroscope, thermal=replace(gyroscope.thermal, lag_interval_s=np.array([0.0, 70.0])))
@@ -94,18 +92,18 @@ def test_a_lag_that_may_be_none_is_not_applied(tmp_path: Path) -> None:
             for unit in (unsure, gyroscope)
         )
     assert warm.at(SECONDS[100:-100]) == pytest.approx(WARM[100:-100], abs=0.05)
-    # The lag is taken to be in balance at the first mid time, 2.4 s: 0.16 degC of rise, forgotten as the lag forgets.
+    # The lag is assumed to be in balance at the first mid time, 2.4 s: an error of 0.16 degC that decays with the lag.
     assert lagged.at(SECONDS[100:-100]) == pytest.approx(ELEMENT[100:-100], abs=0.2)
     assert np.abs(WARM - ELEMENT).max() > 2.0
 
 
-def test_blocks_leave_no_trace_of_themselves(tmp_path: Path) -> None:
+def test_results_do_not_depend_on_blocks(tmp_path: Path) -> None:
     path = heating(tmp_path / "heat.h5", "barometer")
     one, many = (fused(path, known(), "specific_force", block) for block in (1 << 14, 777))
     assert np.abs(one - many).max() < 1e-9
 
 
-def test_fuse_says_whose_bias_follows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fuse_names_sensors_whose_bias_follows_temperature(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, calibration = heating(tmp_path / "heat.h5", "barometer"), known(names=["A1", "G1"])
     calibration.save(tmp_path / "cal.toml")
     arguments = ["fuse", str(path), "--calibration", str(tmp_path / "cal.toml"), "-o", str(tmp_path / "fused.h5")]
@@ -117,7 +115,7 @@ def test_fuse_says_whose_bias_follows(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "  bias follows the log's temperature: G1\n" in capsys.readouterr().out
 
 
-def test_fuse_says_that_a_log_has_no_thermometer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fuse_reports_a_log_without_thermometer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = heating(tmp_path / "heat.h5", "none")
     known().save(tmp_path / "cal.toml")
     arguments = ["fuse", str(path), "--calibration", str(tmp_path / "cal.toml"), "-o", str(tmp_path / "fused.h5")]

@@ -35,7 +35,7 @@ BAROMETER = SensorHeader(
 
 
 def heating(path: Path, thermometer: str, names: Sequence[str] = ("A1", "A2", "G1")) -> Path:
-    """A box at rest, Z up, heated by 20 degC: biases behind a lag of 60 s, one count of noise."""
+    """A box at rest, Z up, heated by 20 degC: biases with a lag of 60 s, one count of noise."""
     rng, nothing = np.random.default_rng(5), np.zeros((ROWS, 3))
     time, status = np.round(SECONDS * 1e9).astype(np.int64), np.zeros(ROWS, np.uint16)
     headers = [replace(HEADERS[name], has_temperature=thermometer == HEADERS[name].chip) for name in names]
@@ -59,7 +59,7 @@ def heating(path: Path, thermometer: str, names: Sequence[str] = ("A1", "A2", "G
 def known(
     thermometer: str = "barometer", reference_degc: float = 25.0, names: Sequence[str] = ("A1", "A2", "G1")
 ) -> Calibration:
-    """All as planted; z of accelerometers carried gravity, so that its slope may be one of scale."""
+    """All as simulated; z of accelerometers carried gravity, so that its slope may be of the scale factor."""
     return Calibration(
         {
             name: SensorCalibration(

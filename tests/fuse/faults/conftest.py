@@ -1,4 +1,4 @@
-"""The paper's array, simulated and aligned: what a fault monitor is fed with."""
+"""The paper's array, simulated and aligned: the input of a fault monitor."""
 
 from __future__ import annotations
 
@@ -80,8 +80,8 @@ def simulated(
     without: tuple[str, ...] = CALIBRATED,
     changed: tuple[tuple[str, Effect], ...] = (),
 ) -> Mapping[str, Run]:
-    """Both quantities of an experiment with the paper's array, calibrated but for effects that are not in `without`;
-    `changed` effects by sensor besides.
+    """Both quantities of an experiment with the paper's array, with the effects except those in `without`, and with
+    `changed` effects by sensor.
     """
     array, model = load_array(CONFIGS / "martin2013.toml"), load_model(CONFIGS / "models/martin2013.toml")
     plan = plan_of(array, rate_hz, seconds)
@@ -102,7 +102,7 @@ def _run(log: Log, quantity: str, model: Model, effects: Mapping[str, Sequence[E
     for sensor in sensors:
         noise = next(effect for effect in effects[sensor.name] if effect.name == "white_noise")
         rms_lsb = np.array(noise.rms) * sensor.sensitivity  # type: ignore[attr-defined]
-        step = 2.0 if sensor.chip == "adxl345" else 1.0  # of quantisation: only even codes came out of an ADXL345
+        step = 2.0 if sensor.chip == "adxl345" else 1.0  # quantisation: an ADXL345 gives only even codes
         known[sensor.name] = replace(known[sensor.name], noise_lsb=np.hypot(rms_lsb, step / 12**0.5))
     calibration = Calibration(known)
     parts = [found[quantity] for found, _ in aligned(log, calibration)]
@@ -121,14 +121,14 @@ def watched(monitor: FaultMonitor, *fed: Frames) -> tuple[Frames, tuple[FaultEve
 
 
 def faulty(run: Run, change: Callable[[Floats], None], start: int = 0, stop: int | None = None) -> Frames:
-    """Rows of the run with its values changed in place by `change`, which gets all of them."""
+    """Rows of the run after `change` has changed the values of all rows in place."""
     values = run.frames.values.copy()
     change(values)
     return replace(run.frames, values=values).part(slice(start, stop))
 
 
 def of_range(run: Run, sensor: str) -> tuple[float, float, float]:
-    """The range of a sensor, another one that it might fall back to, and by how much it then reads too much."""
+    """The range of a sensor, another range after a reset, and the factor by which it then reads too much."""
     axis = run.axes[run.members(sensor)[0]]
     unit = SI_PER_UNIT[CHIPS[axis.chip].unit]
     now = round(axis.range_si / unit, 6)

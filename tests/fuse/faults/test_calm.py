@@ -1,4 +1,4 @@
-"""The short way through windows in which nothing happens decides as the long way does."""
+"""The fast path for normal windows decides like the full path."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.selection import some
 
 
 def offended(values: Floats, run: Run) -> None:
-    """A sensor that is off for three seconds, one that walks off, one that stands still, and a noisy axis."""
+    """A sensor with an error for three seconds, a drifting sensor, a stuck sensor, and a noisy axis."""
     values[400:700, 4] += 12 * run.noise[4]
     values[900:, 7] += 25 * run.noise[7] * np.clip((np.arange(len(values) - 900)) / 300, 0, 1)
     values[1500:1600, 0:3] = values[1500, 0:3]
@@ -41,7 +41,7 @@ def cases(quantity: str) -> dict[str, tuple[Run, Frames]]:
     "case", some(["at rest", "in motion", "readings are missing", "faults at rest", "faults in motion"], 1)
 )
 @pytest.mark.parametrize("quantity", some(QUANTITIES, 1))
-def test_both_ways_leave_out_the_same_and_learn_the_same(
+def test_fast_and_full_paths_exclude_and_learn_the_same(
     quantity: str, case: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, fed = cases(quantity)[case]
@@ -69,7 +69,7 @@ COMPILED = importlib.util.find_spec("imuarray.fuse.faults._windows") is not None
     "case", some(["at rest", "in motion", "readings are missing", "faults at rest", "faults in motion"], 1)
 )
 @pytest.mark.parametrize("quantity", QUANTITIES)
-def test_compiled_windows_are_those_of_numpy(quantity: str, case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_windows_equal_those_of_numpy(quantity: str, case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     run, fed = cases(quantity)[case]
     passed: list[int] = []
     advance = FaultIsolation.advance
@@ -97,8 +97,8 @@ def test_compiled_windows_are_those_of_numpy(quantity: str, case: str, monkeypat
         np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-10, atol=1e-12 * scale, err_msg=name)
 
 
-def test_columns_may_lie_one_after_the_other_in_memory() -> None:
-    """As of frames that somebody took from a table."""
+def test_columns_may_be_contiguous_in_memory() -> None:
+    """Like frames that are a slice of a table."""
     run = simulated("static", 25.0)["specific_force"]
     usual, turned = run.monitor(), run.monitor()
     watched(usual, run.frames)
@@ -116,11 +116,11 @@ def test_compiled_windows_refuse_arrays_of_another_size() -> None:
         advance(arrays, (1, 10, 9, 0, 1, 0, 1), (0.0,) * 14)
     with pytest.raises(ValueError, match="another number of arrays"):
         advance(arrays[1:], (1, 10, 9, 0, 1, 0, 1), (0.0,) * 14)
-    assert advance(arrays, (1, 10, 8, 0, 1, 0, 1), (0.0,) * 14) == 0  # 8 axes are no triads: NumPy's way is taken
+    assert advance(arrays, (1, 10, 8, 0, 1, 0, 1), (0.0,) * 14) == 0  # 8 axes are not triads: NumPy is used
 
 
 def learnt(monitor: FaultMonitor) -> dict[str, Floats]:
-    """What the monitor holds for normal."""
+    """The normal model that the monitor has learnt."""
     normal = monitor._isolation._normal
     return {name: getattr(normal, name) for name in ("state", "covariance", "colour", "change", "variance")}
 
@@ -130,10 +130,10 @@ def learnt(monitor: FaultMonitor) -> dict[str, Floats]:
     some([("static", ("Gyro1",)), ("motion", ("Gyro1",)), ("static", ("Gyro1", "Gyro2", "Gyro3"))], 1),
     ids=["one at rest", "one in motion", "two of three left out"],
 )
-def test_both_ways_learn_the_same_where_nobody_can_check(
+def test_fast_and_full_paths_learn_the_same_without_redundancy(
     kind: str, sensors: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One triad alone, and three of which the last steps away and the second stands still, then is off."""
+    """One triad alone, and three triads of which the third steps away and the second is stuck, then has an error."""
     run = simulated(kind, 25.0)["angular_rate"].only(*sensors)
     values = run.frames.values.copy()
     values[400:, 6:] += 40 * run.noise[6:]
@@ -163,8 +163,10 @@ def test_both_ways_learn_the_same_where_nobody_can_check(
         np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-6, atol=1e-12, err_msg=name)
 
 
-def test_nearly_every_window_at_rest_takes_the_short_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else it is of no use: of 250 windows those of the first seconds, in which noise is learnt, and few others."""
+def test_most_windows_at_rest_take_the_fast_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise it has no use: of 250 windows those of the first seconds, in which noise is learnt, and few others take
+    the full path.
+    """
     run, calls = simulated("static", 25.0)["specific_force"], []
     judge = FaultIsolation.__call__
     monkeypatch.setattr(FaultIsolation, "__call__", lambda *given: (calls.append(1), judge(*given)))
@@ -174,8 +176,8 @@ def test_nearly_every_window_at_rest_takes_the_short_way(monkeypatch: pytest.Mon
 
 @pytest.mark.skipif(not COMPILED, reason="installed without a C compiler")
 def test_compiled_windows_end_before_an_axis_that_has_drifted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An axis seems to have begun half a g lower than it did, which is more than any may drift. NumPy decides about it
-    at the next check, in the same window whether or not the windows before it are compiled.
+    """The recorded start of an axis is lowered by half a g, which is more than any drift. NumPy decides about it at the
+    next check, in the same window whether or not the windows before it are compiled.
     """
     run = simulated("static", 25.0)["specific_force"]
     middle, by_way = len(run.frames.time) // 2, []

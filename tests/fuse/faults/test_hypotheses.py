@@ -1,4 +1,4 @@
-"""Who is suspected where several sensors differ at once."""
+"""The suspected sensor where several sensors differ at once."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def window_of(off: Floats) -> tuple[WindowResiduals, NormalModel]:
     return last, normal
 
 
-def test_a_knock_within_one_frame_is_nobodys_fault() -> None:
+def test_a_knock_within_one_frame_is_not_a_fault() -> None:
     """The chip that differs most would be blamed if the others agreed, and is not, since most differ in that frame."""
     seen, normal = window_of(KNOCK.T.ravel())
     suspect = strongest(seen, normal)
@@ -60,7 +60,7 @@ def test_a_knock_within_one_frame_is_nobodys_fault() -> None:
 
 
 @pytest.mark.parametrize("sensor", [0, 3, 7])
-def test_one_reading_that_is_off_is_its_sensors_fault(sensor: int) -> None:
+def test_a_single_wrong_reading_is_a_fault_of_its_sensor(sensor: int) -> None:
     """All others have noise only."""
     off = np.zeros((8, 3))
     off[sensor, 1] = 30.0
@@ -72,8 +72,8 @@ def test_one_reading_that_is_off_is_its_sensors_fault(sensor: int) -> None:
 
 @pytest.mark.parametrize("sizes", some([3, 12], 1))
 def test_the_bounds_hide_no_fault(sizes: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Readings that are off by more and more, of one axis after the other: with and without the bounds the verdict is
-    the same; small errors are within the bounds, large ones are not.
+    """Readings of each axis with increasing errors: with and without the bounds the verdict is the same; small errors
+    are within the bounds, large ones are not.
     """
     results = []
     for bounded in (True, False):
@@ -89,7 +89,7 @@ def test_the_bounds_hide_no_fault(sizes: int, monkeypatch: pytest.MonkeyPatch) -
     assert results[0][0] is None and results[0][-1] is not None
 
 
-def test_a_normal_window_is_quiet_by_the_bounds() -> None:
+def test_the_bounds_accept_a_normal_window() -> None:
     seen, _ = window_of(np.zeros(24))
     assert hypotheses._is_quiet(seen)
 
@@ -109,16 +109,17 @@ def shaken_variance(frequency_hz: float, period_s: float, peak: float = 100.0) -
 
 
 @pytest.mark.parametrize("share", [0.2, 0.31, 0.45])
-def test_motion_that_is_too_fast_for_the_rows_is_no_fault(share: float) -> None:
-    """A sine of peak 100 and frequency f delays of 3 ms (DELAY_S) put off by 0.003 * 2 pi f * 100 at most; what is
-    allowed is at least that and at most pi / 2 times that (closed form: pi / 2 sin(pi f T) / (pi f T), f T < 1/2).
+def test_motion_too_fast_for_the_rows_is_not_a_fault(share: float) -> None:
+    """Delays of 3 ms (DELAY_S) give an error of at most 0.003 * 2 pi f * 100 for a sine of peak 100 and frequency f;
+    the allowance is at least that and at most pi / 2 times that (closed form: pi / 2 sin(pi f T) / (pi f T), f T <
+    1/2).
     """
     allowed = np.sqrt(2 * shaken_variance(share / 0.1, 0.1)) / (0.003 * 2 * np.pi * (share / 0.1) * 100)
     assert allowed == pytest.approx(np.sin(np.pi * share) / (2 * share), rel=0.01)
     assert 1 <= allowed <= np.pi / 2
 
 
-def test_motion_that_the_rows_follow_is_resolved() -> None:
+def test_motion_that_the_rows_resolve_has_no_allowance() -> None:
     """Below a sixth of the rate of rows, in fast rows, and at rest, where there is noise only."""
     assert shaken_variance(0.15 / 0.1, 0.1) == 0
     assert shaken_variance(0.3 / 0.02, 0.02) == 0

@@ -1,5 +1,5 @@
-"""One sensor stuck, reset to another range, or biased by 10 sigma: left out within a second, and the result is that of
-an array without it.
+"""One sensor stuck, reset to another range, or biased by 10 sigma is excluded within a second, and the result equals
+that of an array without it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from tests.selection import some
 
 
 class Motion(NamedTuple):
-    """A simulated log, and between which frames it is looked at."""
+    """A simulated log, and the first and last of its frames that are examined."""
 
     experiment: str
     seconds: float
@@ -54,14 +54,14 @@ def run_of(motion: Motion, sensor: str) -> Run:
 
 @lru_cache(maxsize=8)
 def healthy(motion: Motion, quantity: str) -> tuple[FaultMonitor, Frames]:
-    """A monitor that has seen the log up to where it is looked at, and what it gave."""
+    """A monitor after the log up to the examined frames, and its results."""
     run = simulated(motion.experiment, motion.seconds, drive=motion.drive)[quantity]
     monitor = run.monitor()
     return monitor, monitor(run.frames.part(slice(0, motion.begins)))
 
 
 def seen(motion: Motion, run: Run, change: Callable[[Floats], None]) -> tuple[Flags, tuple[FaultEvent, ...]]:
-    """Which readings (n, m) of the stretch are left in, where `change` spoils it, and what is told."""
+    """The readings (n, m) of the stretch that remain in use after `change`, and the events."""
     before, given = healthy(motion, run.quantity)
     monitor = deepcopy(before)
     after, events = watched(monitor, faulty(run, change, motion.begins, motion.ends))
@@ -77,7 +77,7 @@ def rms(run: Run, values: Floats, valid: Flags, weights: Floats, motion: Motion)
 
 
 class Fault(NamedTuple):
-    """Spoils values (n, m) from a row on; which axes (0, 1, 2) of the sensor it concerns, and what it is called."""
+    """A fault of values (n, m) from a row on; the axes (0, 1, 2) of the sensor that it affects, and its name."""
 
     name: str
     spoil: Callable[[Floats, Run, str, int], None]
@@ -108,8 +108,9 @@ ONE = tuple(Fault(f"{'xyz'[axis]} alone", shift(axis), (axis,), "bias") for axis
 
 
 def check(motion: Motion, sensor: str, fault: Fault, onset_s: float = 0.0) -> None:
-    """Found within a second, named, nobody else blamed, and no more than 10 % above the error, in x, y and z, of an
-    array without the axes concerned: by the mean and by inverse variance, over the ten seconds from the onset on.
+    """Check that the fault is detected within a second, named, and attributed to no other sensor, and that the error in
+    x, y and z is at most 10 % above that of an array without the axes concerned: by the mean and by inverse variance,
+    over the ten seconds from the onset on.
     """
     run = run_of(motion, sensor)
     onset = motion.begins + round(onset_s / run.period_s)
@@ -138,46 +139,46 @@ WITH_RANGES = EVERY[2:]
 
 @pytest.mark.parametrize("sensor", some(EVERY, 3))
 @pytest.mark.parametrize("fault", [STUCK, WHOLE, ONE[0], ONE[2]], ids=lambda fault: fault.name)
-def test_at_rest(sensor: str, fault: Fault) -> None:
+def test_a_fault_at_rest_is_isolated(sensor: str, fault: Fault) -> None:
     check(AT_REST, sensor, fault, onset_s=0.01 * EVERY.index(sensor))
 
 
 @pytest.mark.parametrize("sensor", some(WITH_RANGES, 3))
-def test_another_range_at_rest(sensor: str) -> None:
-    """A gyroscope at rest shows it by its noise only."""
+def test_a_range_reset_at_rest_is_isolated(sensor: str) -> None:
+    """A gyroscope at rest indicates it by its noise only."""
     check(AT_REST, sensor, RESET, onset_s=0.01 * EVERY.index(sensor))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sensor", EVERY)
 @pytest.mark.parametrize("fault", [STUCK, WHOLE, ONE[1]], ids=lambda fault: fault.name)
-def test_in_a_vehicle(sensor: str, fault: Fault) -> None:
+def test_a_fault_in_a_vehicle_is_isolated(sensor: str, fault: Fault) -> None:
     check(DRIVEN, sensor, fault, onset_s=0.01 * EVERY.index(sensor))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sensor", some(["BMA2", "BMA3", "Gyro3"], 1))
-def test_another_range_in_a_vehicle(sensor: str) -> None:
+def test_a_range_reset_in_a_vehicle_is_isolated(sensor: str) -> None:
     check(DRIVEN, sensor, RESET, onset_s=0.01 * EVERY.index(sensor))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sensor", [*ACCELEROMETERS[:4], *GYROSCOPES])
 @pytest.mark.parametrize("fault", [STUCK, RESET, WHOLE, *ONE], ids=lambda fault: fault.name)
-def test_shaken_by_hand(sensor: str, fault: Fault) -> None:
+def test_a_fault_while_shaken_by_hand_is_isolated(sensor: str, fault: Fault) -> None:
     if fault is RESET and sensor not in WITH_RANGES:
         pytest.skip("an ADXL345 at full resolution has one scale whatever its range")
     check(SHAKEN, sensor, fault, onset_s=0.01 * EVERY.index(sensor))
 
 
 @pytest.mark.parametrize("onset", [1500, 1503, 1509])
-def test_wherever_in_a_window_it_begins(onset: int) -> None:
-    """Ten frames are a window; one of the heaviest faults, on the axis along gravity and on those near 0 g."""
+def test_a_fault_is_isolated_at_any_onset_within_a_window(onset: int) -> None:
+    """Ten frames are a window; one of the largest faults, on the axis along gravity and on those near 0 g."""
     check(AT_REST, "BMA2", RESET, onset_s=0.01 * (onset - 1500))
 
 
-def test_a_burst_of_spikes() -> None:
-    """Of 20 sigma, on three of ten readings of one axis, for a second; none of the others are blamed."""
+def test_a_burst_of_spikes_is_isolated() -> None:
+    """Spikes of 20 sigma on three of ten readings of one axis, for a second; no other axis is suspected."""
     run = run_of(AT_REST, "BMA1")
     axis = run.members("BMA1")[1]
     rng = np.random.default_rng(3)
@@ -194,8 +195,8 @@ def test_a_burst_of_spikes() -> None:
     assert events[0].size_si == pytest.approx(20 * run.noise[axis], rel=0.2)
 
 
-def test_two_at_a_time() -> None:
-    """One is off, and another one gets stuck in the same window."""
+def test_two_faults_in_one_window_are_isolated() -> None:
+    """One sensor is biased, and another gets stuck in the same window."""
     run = run_of(AT_REST, "BMA3")
     off, held = run.members("BMA3"), run.members("ADXL2")
 
@@ -208,7 +209,7 @@ def test_two_at_a_time() -> None:
     assert {(event.sensor, event.kind) for event in events} == {("BMA3", "bias"), ("ADXL2", "stuck")}
 
 
-def test_the_sentence_says_how_much() -> None:
+def test_the_sentence_states_the_size_of_the_error() -> None:
     run = run_of(AT_REST, "Gyro2")
     axis = run.members("Gyro2")[2]
 
@@ -238,7 +239,7 @@ def test_the_sentence_says_how_much() -> None:
         ),
     ],
 )
-def test_sentences_of_one_axis_of_two_and_of_a_sensor(axes: str, state: State, sentence: str) -> None:
+def test_sentences_of_one_axis_two_axes_and_a_sensor(axes: str, state: State, sentence: str) -> None:
     event = FaultEvent(
         2_000_000_000, "specific_force", "A", tuple(axes), "white_noise", state, 3.0, 9.0, others=("B", "C")
     )
@@ -246,6 +247,6 @@ def test_sentences_of_one_axis_of_two_and_of_a_sensor(axes: str, state: State, s
 
 
 @pytest.mark.parametrize(("axes", "verb"), [("z", "disagrees"), ("xz", "disagree")])
-def test_a_sensor_with_too_few_valid_readings_for_a_size_is_not_off_by_zero(axes: str, verb: str) -> None:
+def test_an_error_with_too_few_readings_has_no_stated_size(axes: str, verb: str) -> None:
     event = FaultEvent(2_000_000_000, "angular_rate", "A", tuple(axes), "bias", "isolated", 0.0, 8.0)
     assert event.sentence.endswith(f"{verb} with the others in its few valid readings (8 sigma): excluded")

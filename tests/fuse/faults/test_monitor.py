@@ -1,4 +1,6 @@
-"""The stage itself: blocks, what it holds back, who comes back, what can't be told, and what is no fault."""
+"""The fault monitor: blocks, latency, readmission, faults that cannot be isolated, and normal
+behaviour without faults.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,7 @@ def at_rest(quantity: str = "specific_force") -> Run:
 
 
 def spoilt() -> Frames:
-    """A sensor that is off for 2 s, then one that gets stuck, and readings that flags rule out."""
+    """A sensor with an error for 2 s, then a sensor that gets stuck, and readings that flags exclude."""
     run = at_rest()
 
     def change(values: Floats) -> None:
@@ -50,7 +52,7 @@ def spoilt() -> Frames:
 @pytest.mark.slow
 @settings(max_examples=3, deadline=None)
 @given(cuts=st.lists(st.integers(0, 1500), max_size=12))
-def test_cuts_leave_no_trace(cuts: list[int]) -> None:
+def test_results_do_not_depend_on_blocks(cuts: list[int]) -> None:
     fed = spoilt()
     whole, events = watched(at_rest().monitor(), fed)
     edges = [0, *sorted(cuts), len(fed.time)]
@@ -63,7 +65,7 @@ def test_cuts_leave_no_trace(cuts: list[int]) -> None:
 
 
 @pytest.mark.slow
-def test_flags_of_the_log_hold_and_nothing_else_is_touched() -> None:
+def test_flagged_readings_stay_excluded_and_healthy_axes_stay_in_use() -> None:
     fed = spoilt()
     whole, _ = watched(at_rest().monitor(), fed)
     assert not (whole.valid & ~fed.valid).any()
@@ -72,7 +74,7 @@ def test_flags_of_the_log_hold_and_nothing_else_is_touched() -> None:
 
 
 @pytest.mark.slow
-def test_frame_by_frame_no_more_than_a_fifth_of_a_second_is_held_back() -> None:
+def test_single_frames_are_delayed_by_at_most_a_fifth_of_a_second() -> None:
     run = at_rest()
     monitor, given_ = run.monitor(), 0
     for index in range(100):
@@ -83,7 +85,7 @@ def test_frame_by_frame_no_more_than_a_fifth_of_a_second_is_held_back() -> None:
     assert given_ + len(rest.time) == 100
 
 
-def test_a_log_shorter_than_a_window_passes() -> None:
+def test_a_log_shorter_than_a_window_is_passed_through() -> None:
     run = at_rest()
     fed = run.frames.part(slice(0, 3))
     whole, events = watched(run.monitor(), fed)
@@ -92,8 +94,8 @@ def test_a_log_shorter_than_a_window_passes() -> None:
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES)
-def test_it_comes_back_after_three_seconds_and_after_six_the_next_time(quantity: str) -> None:
-    """Off from 5 to 7 s, and from 12 to 14 s."""
+def test_readmission_takes_three_seconds_and_six_the_second_time(quantity: str) -> None:
+    """An error from 5 to 7 s, and from 12 to 14 s."""
     run = at_rest(quantity)
 
     def change(values: Floats) -> None:
@@ -109,8 +111,10 @@ def test_it_comes_back_after_three_seconds_and_after_six_the_next_time(quantity:
 
 
 @pytest.mark.parametrize("pair", some([(("BMA1", "BMA2"),), (("Gyro1", "Gyro2"),)], 1))
-def test_of_two_triads_nobody_knows_who_is_off(pair: tuple[str, str]) -> None:
-    """A bias that grows within a second, so that not even a jump tells; both stay in use, and it is said."""
+def test_a_bias_between_two_triads_is_not_isolated(pair: tuple[str, str]) -> None:
+    """A bias that grows within a second, without a jump that would identify the sensor; both stay in use, and an event
+    reports it.
+    """
     run = next(run for run in simulated("static", 25.0).values() if run.members(pair[0])).only(*pair)
 
     def change(values: Floats) -> None:
@@ -128,13 +132,13 @@ KNOCK_ROWS = (900, 1100, 1400, 1650)
 
 
 def knocked(values: Floats, size: float) -> None:
-    """Every axis rings on its own, as chips that take their readings at other moments of a knock do."""
+    """Every axis rings on its own, like chips that sample a knock at different times."""
     for row in KNOCK_ROWS:
         values[row : row + 10] += np.random.default_rng(row).normal(0, size, (10, values.shape[1]))
 
 
 @pytest.mark.parametrize("sigmas", [5, 30, 300])
-def test_a_knock_that_all_feel_is_nobodys_fault(sigmas: float) -> None:
+def test_a_knock_of_all_sensors_is_not_a_fault(sigmas: float) -> None:
     run = at_rest()
     monitor = run.monitor()
     whole, events = watched(monitor, faulty(run, lambda values: knocked(values, sigmas * float(run.noise.max()))))
@@ -143,8 +147,8 @@ def test_a_knock_that_all_feel_is_nobodys_fault(sigmas: float) -> None:
     assert 0 < monitor.disagreement_s <= 8 * 0.1 + 1e-9
 
 
-def test_who_fails_among_knocks_is_still_isolated() -> None:
-    """A bias of 30 standard deviations that comes with a knock of 5 and stays."""
+def test_a_fault_that_begins_at_a_knock_is_isolated() -> None:
+    """A bias of 30 standard deviations that begins with a knock of 5 and stays."""
     run = at_rest()
     axes = run.members("BMA2")
 
@@ -171,8 +175,8 @@ def test_rest_after_a_shake_is_not_stuck() -> None:
 
 @pytest.mark.parametrize("fault", some(["stuck", "range_reset", "noise"], 2))
 @pytest.mark.parametrize("pair", [("BMA1", "BMA2"), ("Gyro1", "Gyro2")])
-def test_of_two_triads_a_stuck_a_reset_and_a_noisy_one_are_told(pair: tuple[str, str], fault: str) -> None:
-    """And that the one that is left is checked by nobody."""
+def test_a_stuck_reset_or_noisy_sensor_of_two_is_isolated(pair: tuple[str, str], fault: str) -> None:
+    """The remaining sensor is reported as without redundancy."""
     run = next(run for run in simulated("static", 25.0).values() if run.members(pair[0])).only(*pair)
     rng = np.random.default_rng(2)
 
@@ -192,8 +196,8 @@ def test_of_two_triads_a_stuck_a_reset_and_a_noisy_one_are_told(pair: tuple[str,
     assert fault not in ("stuck", "range_reset") or events[0].kind == fault
 
 
-def test_the_last_triad_stays() -> None:
-    """All sensors of an array get stuck one after the other, then the last one: something is left to fuse."""
+def test_the_last_triad_stays_in_use() -> None:
+    """All sensors of an array get stuck one after the other; the last triad is still fused."""
     run = at_rest("angular_rate")
 
     def change(values: Floats) -> None:
@@ -208,8 +212,8 @@ def test_the_last_triad_stays() -> None:
 
 
 @pytest.mark.slow
-def test_a_walk_off_is_found_in_the_end() -> None:
-    """10 mg/s on one axis: any drift of a second is within the noise, 0.1 g is beyond what temperature does."""
+def test_a_slow_drift_is_isolated_in_the_end() -> None:
+    """10 mg/s on one axis: the drift within a second is below the noise, 0.1 g is beyond the effect of temperature."""
     run = simulated("static", 40.0)["specific_force"]
 
     def change(values: Floats) -> None:
@@ -220,7 +224,7 @@ def test_a_walk_off_is_found_in_the_end() -> None:
     assert 0.1 < events[0].size_si / 9.80665 < 0.25
 
 
-def test_a_sensor_that_falls_silent_is_told() -> None:
+def test_a_silent_sensor_is_reported_with_its_return() -> None:
     run = at_rest()
     valid = run.frames.valid.copy()
     valid[500:900, 6:9] = False
@@ -230,8 +234,8 @@ def test_a_sensor_that_falls_silent_is_told() -> None:
 
 
 @pytest.mark.slow
-def test_effects_of_the_simulator_through_counts() -> None:
-    """Held counts, which their chip flags as stale, and 2 g instead of 16 g from the middle of a log on."""
+def test_simulated_stuck_counts_and_a_range_reset_are_isolated() -> None:
+    """Repeated counts, which their chip flags as stale, and 2 g instead of 16 g from the middle of a log on."""
     changed = (("Gyro3", Stuck(onset_s=7.0)), ("BMA2", RangeReset(range=2.0, onset_s=7.0)))
     runs = simulated("static", 12.0, changed=changed)
     for quantity, sensor, kind in (("specific_force", "BMA2", "range_reset"), ("angular_rate", "Gyro3", "stuck")):
@@ -242,8 +246,8 @@ def test_effects_of_the_simulator_through_counts() -> None:
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES)
-def test_noise_need_not_be_known(quantity: str) -> None:
-    """Learnt from the log's first seconds: nothing healthy is blamed, what is off by 10 sigma is found."""
+def test_unknown_noise_is_learnt(quantity: str) -> None:
+    """Learnt from the first seconds of the log: no healthy sensor is excluded, an error of 10 sigma is detected."""
     run = at_rest(quantity)
     unknown = tuple(replace(axis, noise_si=None) for axis in run.axes)
 
@@ -256,8 +260,8 @@ def test_noise_need_not_be_known(quantity: str) -> None:
     assert events[0].time_ns * 1e-9 == pytest.approx(15.0, abs=0.15)
 
 
-def test_noise_is_learnt_also_where_a_sensor_comes_late_or_starts_stuck() -> None:
-    """One without a valid reading for 5 s, and one that stands still for as long: nobody else is blamed for them."""
+def test_noise_is_learnt_though_a_sensor_starts_late_or_stuck() -> None:
+    """A sensor without a valid reading for 5 s, and a sensor stuck for as long: no other sensor is excluded."""
     run = at_rest()
     unknown = tuple(replace(axis, noise_si=None) for axis in run.axes)
 
@@ -273,7 +277,7 @@ def test_noise_is_learnt_also_where_a_sensor_comes_late_or_starts_stuck() -> Non
     assert whole.valid[1000:].all()
 
 
-def test_what_can_not_be_watched_is_refused() -> None:
+def test_invalid_axes_and_periods_are_refused() -> None:
     axes = at_rest().axes
     with pytest.raises(FusionError, match="triads in the order"):
         FaultMonitor(axes[:4], "specific_force", period_s=0.01)
@@ -284,9 +288,9 @@ def test_what_can_not_be_watched_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_a_turning_box_is_no_fault_where_sensors_sit_apart() -> None:
-    """Up to 3 cm from the middle, shaken at up to 500 dps: what they feel of it, worked out here from the truth, is up
-    to 0.3 g; with the rates of the box at hand it is no fault, without them it is.
+def test_lever_arm_effects_are_not_a_fault() -> None:
+    """Up to 3 cm from the middle, shaken at up to 500 dps: the lever-arm acceleration, computed here from the truth, is
+    up to 0.3 g; with known rates of the box it is not a fault, without them it is.
     """
     runs = simulated("motion", 30.0)
     run, turned = runs["specific_force"], runs["angular_rate"].truth
@@ -317,8 +321,8 @@ HEALTHY = (
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("experiment", "seconds", "drive"), HEALTHY)
-def test_healthy_sensors_are_left_alone(experiment: str, seconds: float, drive: str) -> None:
-    """None in three hours: at one exclusion an hour, that would be so once in e^3 = 20 times. The data sheet's
+def test_healthy_sensors_are_not_excluded(experiment: str, seconds: float, drive: str) -> None:
+    """None in three hours: at a rate of one exclusion an hour, the chance of that is 1 in e^3 = 20. The data sheet's
     calibration: mountings off by up to 5 degrees, scales by 3 %, and 28 degC of heating.
     """
     for run in simulated(experiment, seconds, 25.0, 7, drive, ("range_reset",)).values():
@@ -328,9 +332,9 @@ def test_healthy_sensors_are_left_alone(experiment: str, seconds: float, drive: 
 
 
 @pytest.mark.slow
-def test_readings_whose_age_nobody_knows_are_no_fault() -> None:
+def test_readings_of_unknown_age_are_not_a_fault() -> None:
     """Nine axes, shaken at 5 Hz by 150 dps (4700 dps/s), their noise 0.17 dps; each chip's reading is up to 0.6 ms
-    older or younger than thought (800 a second): 3 dps at most. A hundred seconds.
+    older or younger than assumed (800 a second): 3 dps at most. A hundred seconds.
     """
     rng = np.random.default_rng(8)
     time_s = np.arange(100 * 48) / 48
@@ -345,7 +349,7 @@ def test_readings_whose_age_nobody_knows_are_no_fault() -> None:
 
 
 def test_masks_last_until_the_next_change() -> None:
-    """Windows of four frames: nothing, axis 1 for two windows, nothing again. The array of a window is used again."""
+    """Windows of four frames: no exclusion, axis 1 for two windows, no exclusion. The array of a window is reused."""
     masks, window = ExclusionMasks(4, 2), np.zeros(2, bool)
     for out in (False, True, True, False):
         window[1] = out

@@ -1,4 +1,4 @@
-"""What is learnt as normal: errors of calibration, delays, the colour of noise."""
+"""The learnt normal model: errors of calibration, delays, the colour of noise."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def learnt(values: Floats, sigma: float = 0.02, window: int = 10) -> NormalModel
 
 def test_errors_of_calibration_are_learnt_in_motion() -> None:
     """One of three triads: 0.3 m/s2 of bias on x, 3 % too much on y, z 4 ms late. Only differences between the three
-    show: two thirds of each for this one, a third with the other sign for the others.
+    are observable: two thirds of each error for this triad, a third with the other sign for the others.
     """
     rng = np.random.default_rng(2)
     seconds = np.arange(6000) * PERIOD_S
@@ -52,10 +52,10 @@ def test_errors_of_calibration_are_learnt_in_motion() -> None:
     assert state[5, 4] == pytest.approx(0.004 / 3, abs=0.0003)
 
 
-def test_jerks_teach_no_errors_of_calibration() -> None:
+def test_jerks_are_not_learnt_as_errors_of_calibration() -> None:
     """Three perfect triads that are shaken at 6 Hz (750 m/s3); every reading is up to a conversion of 1/800 s older
-    than thought, which is 47 times the noise. What is learnt of responses and delays is off by no more than is claimed:
-    the mean of the 36 squares over their variances is below 1 + 4 sqrt(2 / 36).
+    than assumed, which is 47 times the noise. Errors of learnt responses and delays agree with their variances: the
+    mean of the 36 squares over their variances is below 1 + 4 sqrt(2 / 36).
     """
     rng = np.random.default_rng(5)
     seconds = np.arange(3000) * PERIOD_S
@@ -70,8 +70,8 @@ def test_jerks_teach_no_errors_of_calibration() -> None:
     assert np.sqrt(variances[:, 1:4]).max() < 0.002  # of a prior of 0.04
 
 
-def test_axes_without_a_change_take_the_noise_of_the_others() -> None:
-    """Six of nine axes stand still and one next to still: the usual change is that of those that change."""
+def test_axes_without_a_change_use_the_noise_of_the_others() -> None:
+    """Six of nine axes are stuck and one is nearly stuck: the usual change is that of the changing axes."""
     normal = NormalModel(np.full(9, np.nan), "specific_force", 10, PERIOD_S)
     normal.begin(np.array([0.0] * 6 + [1e-6, 4.0, 4.0]))
     assert not normal.begun
@@ -83,7 +83,7 @@ def test_axes_without_a_change_take_the_noise_of_the_others() -> None:
 
 
 @pytest.mark.slow
-def test_the_colour_of_noise_is_found() -> None:
+def test_the_colour_of_noise_is_estimated() -> None:
     """An AR(1) process of correlation p = 0.7: the mean of n = 10 readings scatters (1 + p) / (1 - p) - 2 p (1 - p^n) /
     (n (1 - p)^2) = 5.667 - 1.512 = 4.155 times as much as that of white ones. Change from window to window shows that
     less the covariance of neighbours, p (1 - p^n)^2 / (n (1 - p)^2) = 0.735.
@@ -95,12 +95,12 @@ def test_the_colour_of_noise_is_found() -> None:
 
 
 @pytest.mark.slow
-def test_white_noise_has_none() -> None:
+def test_white_noise_has_no_colour() -> None:
     noise = np.random.default_rng(4).normal(0, 0.02, (10000, 9))
     assert learnt(noise).colour.mean() < 1.3
 
 
-def test_noise_that_nobody_measured_is_learnt() -> None:
+def test_unmeasured_noise_is_learnt() -> None:
     """Of 50 windows of 10 readings: known to 5 % and better, so to 25 % at five standard deviations."""
     sigma = np.array([0.02, 0.03, 0.05, 0.03, 0.02, 0.05, 0.04, 0.02, 0.03])
     noise = np.random.default_rng(6).normal(0, sigma, (2000, 9))

@@ -1,4 +1,4 @@
-"""Parity residuals beside another derivation: least squares with and without what is to be found."""
+"""Parity residuals against another derivation: least squares with and without the fault."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def of(rows: Floats, weights: Floats) -> Parity:
 
 
 def squares(rows: Floats, weights: Floats, values: Floats) -> float:
-    """What weighted least squares leave."""
+    """The residual sum of squares of weighted least squares."""
     root = np.sqrt(weights)
     solved = np.linalg.lstsq(root[:, None] * rows, root * values, rcond=None)[0]
     return float((weights * (values - rows @ solved) ** 2).sum())
@@ -35,7 +35,7 @@ def squares(rows: Floats, weights: Floats, values: Floats) -> float:
 
 @settings(max_examples=examples(25), deadline=None)
 @given(seed=st.integers(0, 10**6), sensors=st.integers(2, 5))
-def test_gains_are_what_a_free_error_takes_off_the_squares(seed: int, sensors: int) -> None:
+def test_gains_are_the_decrease_of_the_squares_by_a_free_error(seed: int, sensors: int) -> None:
     """Twice the log-likelihood ratio of nested normal models is the difference of their weighted sums of squares."""
     rows, weights, values = drawn(seed, sensors)
     space, before = of(rows, weights), squares(rows, weights, values)
@@ -49,14 +49,14 @@ def test_gains_are_what_a_free_error_takes_off_the_squares(seed: int, sensors: i
 
 @settings(max_examples=examples(25), deadline=None)
 @given(seed=st.integers(0, 10**6), sensors=st.integers(2, 5))
-def test_motion_leaves_no_trace(seed: int, sensors: int) -> None:
+def test_motion_has_no_parity_residual(seed: int, sensors: int) -> None:
     rows, weights, values = drawn(seed, sensors)
     space = of(rows, weights)
     moved = values + rows @ np.array([30.0, -200.0, 7.0])
     assert space.axis_gains(moved) == pytest.approx(space.axis_gains(values), rel=1e-6, abs=1e-7)
 
 
-def test_a_deleted_residual_is_the_reading_less_what_all_others_say() -> None:
+def test_a_deleted_residual_is_the_reading_minus_the_fit_of_the_others() -> None:
     rows, weights, values = drawn(5, 3)
     deleted = of(rows, weights).deleted @ values
     for axis in range(9):
@@ -77,13 +77,13 @@ def test_without_a_fault_gains_are_chi_square() -> None:
     assert np.abs(sensor - 3).max() < 5 * np.sqrt(6 / 4000)
 
 
-def test_of_two_triads_either_explains_all() -> None:
+def test_either_of_two_triads_explains_the_difference() -> None:
     rows, weights, values = drawn(3, 2)
     gains = of(rows, weights).sensor_gains(values)
     assert gains[0] == pytest.approx(gains[1], rel=1e-6)
 
 
-def test_an_axis_that_nobody_checks_shows_nothing() -> None:
+def test_an_axis_without_redundancy_is_not_observable() -> None:
     """x twice, y and z once: only x can be checked."""
     space = of(np.eye(3)[[0, 1, 2, 0]], np.ones(4))
     assert space.observable.tolist() == [True, False, False, True]
@@ -94,7 +94,7 @@ def test_too_few_axes_have_no_parity_space() -> None:
     assert parity(np.eye(3), np.array([1.0, 1.0, 0.0])) is None
 
 
-def test_slopes_are_central_and_one_sided_at_the_ends() -> None:
+def test_slopes_are_central_and_one_sided_at_ends() -> None:
     """Of t^2 at 0, 1, 3 and 4 s: 1 from 0 to 1, 9/3 from 0 to 3, 15/3 from 1 to 4, 7 from 3 to 4."""
     time = np.array([0, 1, 3, 4]) * 1_000_000_000 + 7
     triads = np.array([0.0, 1.0, 9.0, 16.0])[:, None] * [1.0, -2.0, 0.0]
@@ -110,7 +110,7 @@ def test_gains_of_frames_with_gaps_are_least_squares_of_the_valid_readings(seed:
     rng = np.random.default_rng(seed)
     rows, weights, _ = drawn(seed, sensors)
     spaces = Spaces(rows)
-    for each in (weights, weights, weights[::-1].copy()):  # the second time they are kept, the third they are others
+    for each in (weights, weights, weights[::-1].copy()):  # the second call reuses the cache, the third replaces it
         valid = np.repeat(rng.random((12, sensors)) < 0.6, 3, axis=1)
         gains, tells = spaces.gains(valid, each)
         assert (tells == valid.any(axis=1)).all()

@@ -1,4 +1,4 @@
-"""Arrays whose errors are drawn here, by numpy alone, from what an error model says of them."""
+"""Arrays whose errors are drawn here, by numpy alone, from an error model."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def triad(name: str, axes: Floats, chip: str = "a", **known: object) -> list[Axi
 def model_of(
     axes: Sequence[Axis], designs: Mapping[tuple[str, int], DesignErrors] | None = None, **known: float
 ) -> ErrorModel:
-    """Every axis alike, with the noise that it says it has."""
+    """The same errors for every axis, with its stated noise."""
     errors = {(axis.sensor, axis.index): AxisErrors(noise=axis.noise_si or 0.0, **known) for axis in axes}  # type: ignore[arg-type]
     return ErrorModel(errors, designs or {})
 
@@ -65,8 +65,8 @@ class Log(NamedTuple):
 
 
 def covariance_of(axes: Sequence[Axis], model: ErrorModel, count: int, warmer: Floats) -> Floats:
-    """(n m, n m) covariance of all errors of a log but those of response, entry by entry as the model's words say;
-    `warmer` (n, m).
+    """(n m, n m) covariance of all errors of a log except those of response, entry by entry by the definitions of the
+    model; `warmer` (n, m).
     """
     errors = [model.axes[axis.sensor, axis.index] for axis in axes]
     frame, which = np.divmod(np.arange(count * len(axes)), len(axes))
@@ -124,7 +124,7 @@ def dense(log: Log, keep: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
 
 
 def random_axes(rng: np.random.Generator, count: int = 9) -> list[Axis]:
-    """Axes any way, three to a sensor, two sensors of design "a", then one of "b", and so on."""
+    """Axes of random directions, three for each sensor, two sensors of design "a", then one of "b", and so on."""
     rows = rng.normal(size=(count, 3))
     rows /= np.linalg.norm(rows, axis=1)[:, None]
     return [
@@ -134,7 +134,7 @@ def random_axes(rng: np.random.Generator, count: int = 9) -> list[Axis]:
 
 
 def rich_model(axes: Sequence[Axis], slowness: float = 1.0) -> ErrorModel:
-    """Every kind of error at once but those of response, each axis with figures of its own."""
+    """Every kind of error at once except those of response, each axis with its own figures."""
     errors = {
         (axis.sensor, axis.index): AxisErrors(
             noise=axis.noise_si or 0.0,

@@ -1,4 +1,4 @@
-"""Blocks leave no trace; missing, stale and stray readings do no harm."""
+"""Results do not depend on blocks; missing, stale and wrong readings do no harm."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def whole() -> tuple[dict[str, list[Axis]], ErrorModel]:
 def readings(
     axes: dict[str, list[Axis]],
 ) -> tuple[dict[str, Frames], dict[str, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]]:
-    """A shaking that clips the narrow one now and then, with gaps, stale readings and odd temperatures."""
+    """A shaking that sometimes clips the narrow sensor, with gaps, stale readings and unusual temperatures."""
     rng = np.random.default_rng(102)
     time = np.delete(times(COUNT + 60), slice(300, 360))
     frames = {}
@@ -82,7 +82,7 @@ def run(size: int, smoothed: bool) -> dict[str, np.ndarray[tuple[int, ...], np.d
 
 @pytest.mark.slow
 @pytest.mark.parametrize("smoothed", [False, True])
-def test_blocks_leave_no_trace(smoothed: bool) -> None:
+def test_results_do_not_depend_on_blocks(smoothed: bool) -> None:
     """Frame by frame, in blocks of 97, and all at once."""
     once = run(COUNT, smoothed)
     for size in (1, 97):
@@ -95,7 +95,7 @@ def test_blocks_leave_no_trace(smoothed: bool) -> None:
 
 
 @pytest.mark.slow
-def test_a_log_may_be_smoothed_again_after_use() -> None:
+def test_a_log_may_be_smoothed_twice() -> None:
     axes, model = whole()
     frames, degc = readings(axes)
     optimal = Optimal(axes, model, period_s=PERIOD_S)
@@ -109,7 +109,7 @@ def test_a_log_may_be_smoothed_again_after_use() -> None:
     assert np.nanmax(np.abs(results[0] - results[1])) == 0.0
 
 
-def test_a_smoother_that_is_left_halfway_gives_back_its_room() -> None:
+def test_a_smoother_closed_early_closes_its_files() -> None:
     axes, model = whole()
     frames, degc = readings(axes)
     optimal = Optimal(axes, model, period_s=PERIOD_S)
@@ -121,7 +121,7 @@ def test_a_smoother_that_is_left_halfway_gives_back_its_room() -> None:
     assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
-def test_no_frames_are_no_estimates() -> None:
+def test_no_frames_give_no_estimates() -> None:
     axes, model = whole()
     frames, degc = readings(axes)
     optimal = Optimal(axes, model, period_s=PERIOD_S)
@@ -131,7 +131,7 @@ def test_no_frames_are_no_estimates() -> None:
     assert optimal(nothing)[RATE].covariance_box.shape == (0, 6)
 
 
-def test_axes_that_do_not_span_space_give_nothing() -> None:
+def test_axes_that_do_not_span_space_give_no_estimate() -> None:
     axes = [*triad("S0", np.eye(3)), *triad("S1", np.diag([1.0, -1, -1]))]
     valid = np.ones((4, 6), bool)
     valid[1, [2, 5]] = False  # no axis along Z
@@ -157,8 +157,10 @@ def test_stale_readings_are_used_only_where_they_are_needed() -> None:
     assert estimate.triad_box == pytest.approx(np.array([[2.0] * 3, [1.0] * 3, [2.0] * 3]))
 
 
-def test_what_is_learned_outlives_the_loss_of_a_sensor() -> None:
-    """Half the run all three tell that S2 is off by 1; then it is alone, and right to 0.02."""
+def test_a_learned_bias_remains_after_the_loss_of_sensors() -> None:
+    """In the first half of the run all three sensors determine the bias of 1 of S2; then it is alone, and correct to
+    0.02.
+    """
     rng = np.random.default_rng(103)
     axes = [axis for name in ("S0", "S1", "S2") for axis in triad(name, np.eye(3))]
     errors = {(axis.sensor, axis.index): AxisErrors(0.1, bias=2.0 if axis.sensor == "S2" else 1e-4) for axis in axes}
@@ -167,14 +169,14 @@ def test_what_is_learned_outlives_the_loss_of_a_sensor() -> None:
     valid[2000:, :6] = False
     estimate = Optimal({FORCE: axes}, ErrorModel(errors), period_s=PERIOD_S)({FORCE: frames_of(values, valid)})[FORCE]
     assert np.abs(estimate.triad_box[2000:].mean(axis=0)).max() < 0.02
-    # Noise of one, and what 2000 frames leave unknown
+    # Noise of one sensor, and the uncertainty after 2000 frames
     assert matrices(estimate.covariance_box)[-1].diagonal() == pytest.approx([0.01] * 3, rel=0.01)
 
 
 @pytest.mark.slow
-def test_smoothing_a_longer_log_takes_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_of_smoothing_does_not_grow_with_the_log(monkeypatch: pytest.MonkeyPatch) -> None:
     """The peak of Python's and numpy's own memory, of 96 s and of 384 s: 2400 and 9600 segments, of which both spools
-    hold the last quarter of a megabyte, less than the segments of either need.
+    keep the last quarter of a megabyte, less than the segments of either need.
     """
     monkeypatch.setattr(spooled, "_HELD_BYTES", 1 << 18)
     axes, model = whole()

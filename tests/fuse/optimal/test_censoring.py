@@ -1,4 +1,4 @@
-"""Clipped axes are bounds: against scipy's truncated normal and against integrals on a grid."""
+"""Clipped axes as bounds: compared with scipy's truncated normal and with integrals on a grid."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def pair(bias: float = 0.0) -> tuple[list[Axis], ErrorModel]:
     return axes, model_of(axes, bias=bias)
 
 
-def test_the_standard_truncated_normal_is_scipys() -> None:
+def test_the_standard_truncated_normal_equals_scipy() -> None:
     for distance in (-40.0, -5.0, -1.0, 0.0, 0.5, 3.0, 8.0, 30.0):
         mean, variance = truncated(np.array([distance]))
         wanted = truncnorm.stats(distance, np.inf, moments="mv")
@@ -29,7 +29,7 @@ def test_the_standard_truncated_normal_is_scipys() -> None:
 
 
 @pytest.mark.parametrize("distance", [100.0, 1e4, 1e8])
-def test_far_in_the_tail_it_is_an_exponential(distance: float) -> None:
+def test_the_far_tail_of_the_truncated_normal_is_exponential(distance: float) -> None:
     """Mean d + 1/d and deviation 1/d (Mills's ratio), where scipy's own loses all digits."""
     mean, variance = truncated(np.array([distance]))
     assert mean[0] == pytest.approx(distance + 1 / distance, rel=1e-6)
@@ -38,7 +38,7 @@ def test_far_in_the_tail_it_is_an_exponential(distance: float) -> None:
 
 @pytest.mark.parametrize("end", [1, -1])
 @pytest.mark.parametrize("reading", [9.0, 10.1, 13.0])
-def test_one_clipped_axis_makes_a_truncated_normal(reading: float, end: int) -> None:
+def test_one_clipped_axis_gives_a_truncated_normal(reading: float, end: int) -> None:
     """In one dimension u given the wide reading is N(reading, 0.5^2), and the narrow one's y = u + 0.2 n is beyond its
     end: y is a truncated normal of variance 0.29, and u follows it by 0.25 / 0.29.
     """
@@ -54,9 +54,9 @@ def test_one_clipped_axis_makes_a_truncated_normal(reading: float, end: int) -> 
     assert matrices(estimate.covariance_box[0]) == pytest.approx(np.diag([wanted, 0.25, 0.25]))
 
 
-def test_several_clipped_axes_that_share_a_direction_and_biases() -> None:
+def test_several_clipped_axes_with_common_direction_and_biases() -> None:
     """Mean and covariance by a fine grid over the one unknown: two narrow axes along X, both clipped, biases unknown by
-    0.3. Taking them one after the other is off by less than 3 % of a standard deviation.
+    0.3. Processing them one after the other has an error below 3 % of a standard deviation.
     """
     axes = [
         axis
@@ -76,8 +76,8 @@ def test_several_clipped_axes_that_share_a_direction_and_biases() -> None:
     assert np.sqrt(estimate.covariance_box[0, 0]) == pytest.approx(spread, rel=0.03)
 
 
-def test_a_reading_near_the_end_is_taken_for_a_bound() -> None:
-    """9.9 of 10 without a flag: only that the truth is at 9.8 or beyond is believed."""
+def test_a_reading_near_the_end_of_the_range_is_a_bound() -> None:
+    """9.9 of 10 without a flag: only the bound that the truth is at 9.8 or beyond is used."""
     axes, model = pair()
     values = np.array([[12.0, 0, 0, 9.9, 0, 0]])
     estimate = Optimal({FORCE: axes}, model, period_s=PERIOD_S)(
@@ -88,10 +88,10 @@ def test_a_reading_near_the_end_is_taken_for_a_bound() -> None:
     assert estimate[FORCE].triad_box[0, 0] == pytest.approx(12.0, abs=1e-3)
 
 
-def test_readings_near_the_end_are_values_where_no_others_determine_the_direction() -> None:
+def test_readings_near_the_end_are_values_if_only_they_determine_a_direction() -> None:
     """Two triads of 0.2 and 0.3, the second turned by 10 mrad about Y, X at 9.9 of 10 on both: the triad is the
-    weighted least squares of all six readings (the formula of Gauss and Markov), not what Z of the second says about X,
-    whose deviation is 0.36 / 0.01 = 36.
+    weighted least squares of all six readings (the formula of Gauss and Markov), not the estimate of X from Z of the
+    second, whose deviation is 0.36 / 0.01 = 36.
     """
     turned = np.array([[np.cos(0.01), 0, -np.sin(0.01)], [0, 1, 0], [np.sin(0.01), 0, np.cos(0.01)]])
     axes = [*triad("S0", np.eye(3), noise_si=0.2, range_si=10.0), *triad("S1", turned, noise_si=0.3, range_si=10.0)]
@@ -107,7 +107,7 @@ def test_readings_near_the_end_are_values_where_no_others_determine_the_directio
     assert estimate.used.all()
 
 
-def test_a_reading_near_the_end_stays_a_value_while_another_of_the_same_range_is_below() -> None:
+def test_a_reading_near_the_end_is_a_value_if_another_of_its_range_is_below() -> None:
     """9.81 and 9.79 of 10, both of 0.2: their mean, 9.8."""
     axes = [*triad("S0", np.eye(3), noise_si=0.2, range_si=10.0), *triad("S1", np.eye(3), noise_si=0.2, range_si=10.0)]
     values = np.array([[9.81, 0, 0, 9.79, 0, 0]])
@@ -118,8 +118,10 @@ def test_a_reading_near_the_end_stays_a_value_while_another_of_the_same_range_is
     assert matrices(estimate.covariance_box[0]) == pytest.approx(0.02 * np.eye(3))
 
 
-def test_a_flagged_reading_is_a_bound_even_where_no_others_determine_the_direction() -> None:
-    """The first triad is flagged, the second says 9.9: one value and one bound, of one unknown. Integrals on a grid."""
+def test_a_flagged_reading_is_a_bound_in_every_case() -> None:
+    """The first triad is flagged, the second reads 9.9: one value and one bound, of one unknown.
+    Integrals on a grid.
+    """
     axes = [
         *triad("S0", np.eye(3), noise_si=0.5, range_si=10.0),
         *triad("S1", np.eye(3), noise_si=0.2, range_si=10.0),
@@ -137,10 +139,10 @@ def test_a_flagged_reading_is_a_bound_even_where_no_others_determine_the_directi
 
 
 @pytest.mark.slow
-def test_through_the_end_of_the_range_and_back() -> None:
-    """A ramp from 8 to 12 and back, 20 000 readings. Errors are as large as is told: 3000 to 5000 squares of an axis,
-    99.9 % of the time within 10 %; where the narrow one is clipped its bound makes them smaller than the wide one's;
-    and the readings that happened to be below the end teach no bias.
+def test_errors_agree_with_covariances_beyond_the_range_and_back() -> None:
+    """A ramp from 8 to 12 and back, 20 000 readings. Errors agree with their covariances: 3000 to 5000 squares of an
+    axis, 99.9 % of the time within 10 %; where the narrow sensor is clipped its bound makes them smaller than those of
+    the wide sensor; and the readings below the end by chance do not bias the estimates.
     """
     rng = np.random.default_rng(101)
     axes, model = pair(bias=0.05)
@@ -162,7 +164,7 @@ def test_through_the_end_of_the_range_and_back() -> None:
 
 
 @pytest.mark.slow
-def test_readings_that_all_end_alike_are_as_accurate_as_claimed_up_to_the_end() -> None:
+def test_sensors_of_one_range_are_as_accurate_as_stated_up_to_its_end() -> None:
     """Eight triads of one range, tilted by some 10 mrad, in a box whose X goes from 9 to 9.85 of 10: in the last 2 %
     the errors are those of the mean of eight (0.05 / sqrt(8)), and as large as their covariances say.
     """

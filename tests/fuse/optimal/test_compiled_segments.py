@@ -1,4 +1,4 @@
-"""The compiled part of `optimal` beside NumPy's, frame by frame."""
+"""The compiled part of `optimal` against NumPy, for every frame."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def array_of(case: str) -> tuple[dict[str, list[Axis]], ErrorModel]:
 
 
 def readings_of(axes: dict[str, list[Axis]]) -> dict[str, Frames]:
-    """A shaking; one sensor is missing for a while, frames are lost, and a reading comes near its end."""
+    """A shaking; one sensor is missing for a while, frames are lost, and a reading is near the end of its range."""
     rng = np.random.default_rng(6)
     time = np.delete(times(COUNT + 60), slice(500, 560))
     frames = {}
@@ -68,7 +68,7 @@ def readings_of(axes: dict[str, list[Axis]]) -> dict[str, Frames]:
 
 
 def fused(case: str, smoothed: bool) -> dict[str, Floats]:
-    """Triads, covariances and the axes in use, of blocks whose ends are no ends of segments."""
+    """Triads, covariances and the axes in use, of blocks whose ends are not ends of segments."""
     axes, model = array_of(case)
     frames = readings_of(axes)
     optimal = Optimal(axes, model, period_s=PERIOD_S, segment_s=0.2)
@@ -89,7 +89,7 @@ def fused(case: str, smoothed: bool) -> dict[str, Floats]:
 
 @pytest.mark.parametrize("smoothed", [False, True])
 @pytest.mark.parametrize("case", some(CASES, 2))
-def test_compiled_segments_are_those_of_numpy(case: str, smoothed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_segments_equal_those_of_numpy(case: str, smoothed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[int] = []
     frames = compiled.frames
 
@@ -116,7 +116,7 @@ def test_compiled_segments_refuse_arrays_of_another_size() -> None:
         compiled.begin(arrays, (3, 3, 1), False, 0.0, 0.1)
     with pytest.raises(ValueError, match="another number of arrays"):
         compiled.begin(arrays[1:], (3, 3, 1), False, 0.0, 0.1)
-    assert compiled.begin(arrays, (3, 4, 1), False, 0.0, 0.1) == -1.0  # NumPy's way is taken
+    assert compiled.begin(arrays, (3, 4, 1), False, 0.0, 0.1) == -1.0  # NumPy is used
     with pytest.raises(ValueError, match="array 0: 240 bytes are required"):
         compiled.frames((*arrays, *arrays[:3]), (10, 3, 3, 1, 5), False, 1.0, 0.0, 0.0)
     assert compiled.frames((*arrays, *arrays[:3]), (10, 3, 3, 2, 5), False, 1.0, 0.0, 0.0) == (0, 0.0)

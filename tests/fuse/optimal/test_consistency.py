@@ -1,4 +1,4 @@
-"""The covariance that is told is that of the errors that are made, and no single technique makes smaller ones."""
+"""The stated covariance is that of the errors, and no other technique has smaller errors."""
 
 from __future__ import annotations
 
@@ -58,7 +58,9 @@ def normalised(log: Log, smoothed: bool) -> Floats:
 
 
 def paper_like() -> list[Axis]:
-    """Two designs of two ranges, boards both ways: 5 sensors, three of which point alike along box X."""
+    """Two designs of two ranges, boards in both orientations: 5 sensors, three of which have the same direction along
+    box X.
+    """
     plus, turned, minus = np.eye(3), np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]]), np.diag([1.0, -1, -1])
     return [
         *triad("S0", plus, "a", noise_si=0.17),
@@ -80,9 +82,9 @@ CASES = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", some(CASES, 1))
-def test_it_is_never_worse_than_a_single_technique(case: str) -> None:
-    """20 s of 20 logs each: the mean squared error of all frames. Of what is the same in all, noise and draws, the
-    ratio of two techniques is free; 1 % is left for how the draws fall where they weigh alike.
+def test_optimal_is_not_worse_than_any_other_technique(case: str) -> None:
+    """20 s of 20 logs each: the mean squared error of all frames. Common noise and draws cancel in the ratio of two
+    techniques; 1 % allows for the scatter of the draws where the weights are equal.
     """
     rng = np.random.default_rng(94)
     axes = paper_like()
@@ -134,7 +136,7 @@ def slow_log(
 
 
 def wander(rng: np.random.Generator, count: int, time_constant_s: float) -> Floats:
-    """A Gauss-Markov process of unit variance, over 16 frames at a time."""
+    """A Gauss-Markov process of unit variance, in steps of 16 frames."""
     kept = np.exp(-16 * PERIOD_S / time_constant_s)
     found = [rng.normal()]
     for _ in range(count // 16 + 1):
@@ -144,8 +146,8 @@ def wander(rng: np.random.Generator, count: int, time_constant_s: float) -> Floa
 
 @pytest.mark.slow
 def test_errors_are_within_a_twentieth_of_the_bound() -> None:
-    """Root mean square over 600 logs of a frame at which everything is learned that can be: 1800 squares tell it to
-    1.7 % (one sigma; fixed seed). The bound is least squares of all readings so far.
+    """Root mean square over 600 logs of a frame at which all observable errors are learned: 1800 squares determine it
+    to 1.7 % (one sigma; fixed seed). The bound is least squares of all readings so far.
     """
     rng = np.random.default_rng(95)
     axes = random_axes(rng, 7)
@@ -159,9 +161,9 @@ def test_errors_are_within_a_twentieth_of_the_bound() -> None:
 
 
 @pytest.mark.slow
-def test_what_is_told_of_directions_that_are_wrong_is_true() -> None:
-    """40 arrays whose axes are off by 2 % every way and have biases, turned through all poses and shaken; at three
-    frames each, chi-square of 120 degrees of freedom, 99.9 % over the three of them.
+def test_covariances_with_wrong_directions_agree_with_the_errors() -> None:
+    """40 arrays whose axes have errors of 2 % in every direction and biases, turned through all poses and shaken; at
+    three frames each, chi-square of 120 degrees of freedom, 99.9 % over the three of them.
     """
     rng = np.random.default_rng(97)
     seconds = times(2000)[:, None] * 1e-9

@@ -1,4 +1,4 @@
-"""Against another derivation: one generalised least squares over all readings of a short log at once."""
+"""Comparison with another derivation: one generalised least squares over all readings of a short log."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def valid() -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     return np.random.default_rng(91).random((FRAMES, 9)) > 0.125
 
 
-def test_the_filter_is_least_squares_of_all_readings_so_far(
+def test_the_filter_equals_least_squares_of_all_readings_so_far(
     log: Log, valid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 ) -> None:
     optimal = Optimal({FORCE: log.axes}, log.model, period_s=PERIOD_S, segment_s=PERIOD_S)
@@ -50,10 +50,10 @@ def test_the_filter_is_least_squares_of_all_readings_so_far(
 
 
 @pytest.mark.parametrize("block", [7, FRAMES])
-def test_the_smoother_is_least_squares_of_all_readings(
+def test_the_smoother_equals_least_squares_of_all_readings(
     log: Log, valid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], block: int
 ) -> None:
-    """33 steps and more: the way back crosses from one stride to another."""
+    """33 steps and more: the backward pass crosses from one stride to another."""
     optimal = Optimal({FORCE: log.axes}, log.model, period_s=PERIOD_S, segment_s=PERIOD_S)
     frames = {FORCE: frames_of(log.values, valid)}
     estimates = [estimates[FORCE] for _, estimates in optimal.smoothed(lambda: blocks_of(frames, block, log.degc))]
@@ -66,9 +66,9 @@ def test_the_smoother_is_least_squares_of_all_readings(
         assert spreads[frame] == pytest.approx(covariance[at, at], rel=1e-6, abs=1e-9)
 
 
-def test_segments_cost_next_to_nothing() -> None:
-    """Segments of up to 8 frames, 1 % of the shortest time constant: the variance that is told is within 5 % of the
-    bound, which is that of least squares of all readings so far.
+def test_segments_hardly_increase_the_variance() -> None:
+    """Segments of up to 8 frames, 1 % of the shortest time constant: the stated variance is within 5 % of the bound,
+    which is that of least squares of all readings so far.
     """
     rng = np.random.default_rng(92)
     axes = random_axes(rng)

@@ -1,4 +1,4 @@
-"""Times that are not known exactly: what is told is wider, what is learned less."""
+"""Uncertain times: covariances are wider, and less is learned."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ TIMING_S = 0.002
 
 
 def test_a_steady_change_widens_the_covariance() -> None:
-    """100 m/s3 along X for 2 ms is 0.2: one sensor's variance of 0.01 becomes 0.05 each way, two sensors' half of it.
-    Its difference over 0.05 s has noise of its own, 2 * 0.01 / 0.05^2 an axis: 24 m2/s6 of 10 000.
+    """100 m/s3 along X for 2 ms is 0.2: the variance of one sensor of 0.01 becomes 0.05 along each axis, that of two
+    sensors half of it. Its difference over 0.05 s has a noise of 2 * 0.01 / 0.05^2 per axis: 24 m2/s6 of 10 000.
     """
     ramp = np.outer(100.0 * times(200) * 1e-9, [1.0, 0, 0])
     rng = np.random.default_rng(106)
@@ -27,10 +27,10 @@ def test_a_steady_change_widens_the_covariance() -> None:
         assert still[FORCE].covariance_box[10:, :3].mean() == pytest.approx(0.01 / count, rel=0.02)
 
 
-def test_a_late_sensor_is_not_taken_for_a_biased_one() -> None:
-    """18.5 swings of 10 m/s2 in 20 s, the second sensor 20 ms late: it is off by up to 1.2 m/s2, and by 0.02 in the
-    mean, where noise over 2000 frames leaves 0.1 sqrt(2 / 2000) = 0.003. That is six standard deviations for a filter
-    that takes times for exact.
+def test_a_late_sensor_is_not_estimated_as_biased() -> None:
+    """18.5 swings of 10 m/s2 in 20 s, the second sensor 20 ms late: its error is up to 1.2 m/s2, and 0.02 in the mean,
+    where noise over 2000 frames gives 0.1 sqrt(2 / 2000) = 0.003. That is six standard deviations for a filter that
+    assumes exact times.
     """
     seconds = times(2000)[:, None] * 1e-9
     axes = [axis for name in ("S0", "S1") for axis in triad(name, np.eye(3))]

@@ -42,7 +42,7 @@ def model(write_run: WriteRun) -> Callable[..., ErrorModel]:
     return made
 
 
-def test_what_was_measured_is_taken(model: Callable[..., ErrorModel]) -> None:
+def test_measured_figures_are_used(model: Callable[..., ErrorModel]) -> None:
     measured = {
         "bias_sem_lsb": np.array([3.0, 4.0, 5.0]),
         "turn_on": TurnOn(np.array([4.0, 3.0, 12.0]), np.zeros(3), np.zeros(3), np.zeros(3), 15),
@@ -54,7 +54,7 @@ def test_what_was_measured_is_taken(model: Callable[..., ErrorModel]) -> None:
     of = [found.axes["Gyro1", index] for index in range(3)]
     lsb = 0.01 * DPS  # 100 counts per dps
     assert [one.noise for one in of] == pytest.approx([17 * lsb] * 3)
-    # besides, Table 4: 0.0083 dps of 1 g, which nobody measured here
+    # in addition, Table 4: 0.0083 dps of 1 g, which is not measured here
     assert [one.bias for one in of] == pytest.approx(np.hypot([5 * lsb, 5 * lsb, 13 * lsb], 0.0083 * DPS))
     # nonlinearity: L3G-73, 0.2 % of the range
     assert [one.response for one in of] == pytest.approx(np.hypot([0.002, 0.001, 0.003], 0.002))
@@ -62,7 +62,7 @@ def test_what_was_measured_is_taken(model: Callable[..., ErrorModel]) -> None:
     assert {one.bias_degc for one in of} == {22.0}
 
 
-def test_a_covariance_of_biases_stands_for_their_standard_errors(model: Callable[..., ErrorModel]) -> None:
+def test_a_covariance_of_biases_replaces_their_standard_errors(model: Callable[..., ErrorModel]) -> None:
     covariance = np.array([[9.0, 1, 0], [1, 16, 2], [0, 2, 25]])
     measured = {
         "bias_sem_lsb": np.sqrt(np.diag(covariance)),
@@ -75,7 +75,7 @@ def test_a_covariance_of_biases_stands_for_their_standard_errors(model: Callable
     assert found.axes["BMA1", 0].bias == pytest.approx(10 * lsb)
 
 
-def test_two_states_of_a_bias_widen_it(model: Callable[..., ErrorModel]) -> None:
+def test_two_states_of_a_bias_widen_its_uncertainty(model: Callable[..., ErrorModel]) -> None:
     """Half of the runs 12 counts from the others (as Table 7's Gyro3): a run differs from another by 12 or 0, a mean
     square of 72.
     """
@@ -87,7 +87,7 @@ def test_two_states_of_a_bias_widen_it(model: Callable[..., ErrorModel]) -> None
     assert found.axes["Gyro1", 1].bias == pytest.approx(np.sqrt(25 + 4) * 0.01 * DPS)
 
 
-def test_what_was_not_measured_is_as_such_sensors_are(model: Callable[..., ErrorModel]) -> None:
+def test_figures_that_were_not_measured_are_those_of_the_population(model: Callable[..., ErrorModel]) -> None:
     """Table 11's turn-on: a sixth of a gyroscope's noise; Table 8's slopes, 0.8 of their square common."""
     found = model(GYRO, OTHER, Gyro1={"bias_sem_lsb": np.zeros(3)})
     calibrated, raw = found.axes["Gyro1", 1], found.axes["Gyro2", 1]
@@ -108,7 +108,7 @@ def test_without_a_thermometer_slopes_become_drift(model: Callable[..., ErrorMod
     assert found.designs["l3g4200d", 0].common == pytest.approx(np.hypot(0.04 * 0.17, 3 * 0.022 * np.sqrt(0.8)) * DPS)
 
 
-def test_without_a_thermometer_slopes_that_are_known_are_drift_as_well(model: Callable[..., ErrorModel]) -> None:
+def test_known_slopes_become_drift_without_a_thermometer(model: Callable[..., ErrorModel]) -> None:
     """A slope of 4 counts and its standard error of 3, over 3 degC."""
     thermal = Thermal(np.full(3, 4.0), np.full(3, 3.0), 25.0, ("bias",) * 3, "barometer")
     found = model(GYRO, OTHER, watched=["Gyro2"], Gyro1={"thermal": thermal}, Gyro2={"thermal": thermal})
@@ -124,7 +124,7 @@ def test_an_unknown_or_impossible_noise_is_refused(model: Callable[..., ErrorMod
         model(BMA, BMA1={"noise_lsb": noise})
 
 
-def test_noise_correlation_and_drift_of_a_calibration_that_has_them(model: Callable[..., ErrorModel]) -> None:
+def test_measured_noise_correlation_and_drift_are_used(model: Callable[..., ErrorModel]) -> None:
     if "noise_correlation" not in SensorCalibration.__dataclass_fields__:
         pytest.skip("this calibration does not know them")
     from imuarray.calibrate import stability
@@ -136,7 +136,7 @@ def test_noise_correlation_and_drift_of_a_calibration_that_has_them(model: Calla
     assert found.axes["BMA1", 0].drift_time_constant_s == 250.0
 
 
-def test_nothing_is_added_to_what_is_known_exactly(model: Callable[..., ErrorModel]) -> None:
+def test_exactly_known_figures_have_no_added_error(model: Callable[..., ErrorModel]) -> None:
     """Standard errors of zero, as in a study that knows the truth: noise and a clock's error remain."""
     zero = np.zeros(3)
     known = {
@@ -153,13 +153,13 @@ def test_nothing_is_added_to_what_is_known_exactly(model: Callable[..., ErrorMod
     assert {(design.common, design.slope_per_degc) for design in found.designs.values()} == {(0, 0)}
 
 
-def test_a_measured_response_may_have_changed(model: Callable[..., ErrorModel]) -> None:
-    """However well it was measured: nonlinearity of 0.2 % (L3G-73)."""
+def test_a_measured_response_has_an_allowance_for_change(model: Callable[..., ErrorModel]) -> None:
+    """With any precision of the measurement: nonlinearity of 0.2 % (L3G-73)."""
     measured = model(GYRO, Gyro1={"response_sem_lsb_per_unit": np.full(3, 1e-9)})
     assert [measured.axes["Gyro1", index].response for index in range(3)] == pytest.approx([0.002] * 3)
 
 
-def test_a_design_shares_what_was_measured_of_some_of_its_units_among_the_others(
+def test_units_without_measured_drift_share_that_of_the_design(
     model: Callable[..., ErrorModel],
 ) -> None:
     measured = {
@@ -174,7 +174,7 @@ def test_a_design_shares_what_was_measured_of_some_of_its_units_among_the_others
     assert design.common == pytest.approx(0.04 * 0.34 * DPS)
 
 
-def test_a_bias_has_the_turn_on_of_the_logs_it_was_calibrated_in(model: Callable[..., ErrorModel]) -> None:
+def test_the_bias_error_includes_turn_on_of_the_calibration_logs(model: Callable[..., ErrorModel]) -> None:
     """Turn-on 4 counts, drift 3, two logs: 16 now, and (16 + 9) / 2 of the calibration's; drift now is a state."""
     zero = np.zeros(3)
     measured = {
@@ -193,15 +193,16 @@ TURNED = [GYRO._replace(name=f"Gyro{number}", axes="+X+Y+Z", sigma=0.05) for num
 
 
 def shaken_error(run: Path, change: float | None = None) -> float:
-    """The error of `optimal` over that of the mean: four gyroscopes of which turns about Y were never calibrated. About
-    Y, each knows the sum of x and z to 1 % only, along directions u that differ by some 5e-3; all else it seems to know
-    to 3e-6. In truth, every element is 5e-4 off. The calibration states the `change` of responses.
+    """The error of `optimal` over that of the mean: four gyroscopes without a calibration of turns about Y. About Y,
+    each determines the sum of x and z to 1 % only, along directions u that differ by some 5e-3; all other elements have
+    a stated error of 3e-6. In truth, every element has an error of 5e-4. The calibration states the `change` of
+    responses.
     """
     rng = np.random.default_rng(5)
     sensors = calibration(TURNED).sensors
     for name in sensors:
         u = np.zeros(9)
-        u[[1, 7]] = 1.0, 1.0 + rng.normal(0, 5e-3)  # of x and z to the rate about Y, row by row
+        u[[1, 7]] = 1.0, 1.0 + rng.normal(0, 5e-3)  # responses of x and z to the rate about Y, for each row
         covariance = 1e-11 * np.eye(9) + 0.01**2 * np.outer(u, u)
         sensors[name] = replace(
             sensors[name],
@@ -223,7 +224,7 @@ def shaken_error(run: Path, change: float | None = None) -> float:
 
 
 def test_an_unmodelled_difference_of_responses_is_not_amplified(write_run: WriteRun) -> None:
-    """With equal noise, the mean is the best estimate of what all have in common; `RESPONSE_CHANGE`."""
+    """With equal noise, the mean is the best estimate of the common part; `RESPONSE_CHANGE`."""
     run = write_run(TURNED, frames=5)
     assert shaken_error(run) < 1.1
     assert shaken_error(run, change=0.0) > 10

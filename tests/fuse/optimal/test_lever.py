@@ -16,7 +16,7 @@ PLACES = [(0.05, 0.0, 0.02), (0.05, 0.06, 0.0), (0.0, 0.05, -0.04), (0.04, 0.0, 
 
 
 def array(places: list[tuple[float, float, float]]) -> tuple[dict[str, list[Axis]], ErrorModel]:
-    """Accelerometers there, 0.05 m/s2, and two gyroscopes of 0.002 rad/s."""
+    """Accelerometers at these places, 0.05 m/s2, and two gyroscopes of 0.002 rad/s."""
     force = [
         axis
         for index, place in enumerate(places)
@@ -46,9 +46,9 @@ def turning(axes: dict[str, list[Axis]]) -> tuple[dict[str, Frames], Floats, Flo
     return frames, force, acceleration
 
 
-def test_euler_and_centripetal_terms_are_taken_out() -> None:
-    """They are up to 8 m/s2 here. What is left has the covariance that is told, and is no multiple of what was there:
-    2 % of the terms' rms is 7 times what 4000 frames can tell.
+def test_euler_and_centripetal_terms_are_removed() -> None:
+    """They are up to 8 m/s2 here. The remainder has the stated covariance, and is not proportional to the terms: 2 % of
+    the terms' rms is 7 times the resolution of 4000 frames.
     """
     axes, model = array(PLACES)
     frames, force, _ = turning(axes)
@@ -56,7 +56,7 @@ def test_euler_and_centripetal_terms_are_taken_out() -> None:
     error = (estimate.triad_box - force)[10:]
     told = matrices(estimate.covariance_box)[10:]
     squares = np.einsum("ni,nij,nj->n", error, np.linalg.inv(told), error)
-    # 4000 squares of three tell a mean to 1.3 %, 99.9 % of the time within 4.3 %; neighbours correlate a little
+    # 4000 squares of three determine a mean to 1.3 %, 99.9 % of the time within 4.3 %; neighbours correlate a little
     assert squares.mean() == pytest.approx(3.0, rel=0.07)
     values = frames[FORCE].values
     mean = np.stack([values[:, index::3].mean(axis=1) for index in range(3)], axis=1)
@@ -65,8 +65,8 @@ def test_euler_and_centripetal_terms_are_taken_out() -> None:
     assert np.abs(np.sum(error * left, axis=0) / np.sum(left**2, axis=0)).max() < 0.02
 
 
-def test_accelerometers_tell_angular_acceleration_better_than_the_rate_does() -> None:
-    """0.002 / sqrt(2) rad/s over 2.5 ms makes a slope of 1.4 rad/s2; lever arms of 5 cm make less of 0.05 m/s2."""
+def test_accelerometers_determine_angular_acceleration_better_than_gyroscopes() -> None:
+    """0.002 / sqrt(2) rad/s over 2.5 ms gives a slope of 1.4 rad/s2; 0.05 m/s2 over lever arms of 5 cm gives less."""
     axes, model = array(PLACES)
     frames, _, acceleration = turning(axes)
     optimal = Optimal(axes, model, period_s=PERIOD_S)
@@ -79,7 +79,7 @@ def test_accelerometers_tell_angular_acceleration_better_than_the_rate_does() ->
     assert error.std(axis=0) == pytest.approx(np.sqrt(told.covariance_box[10:, :3].mean(axis=0)), rel=0.05)
 
 
-def test_a_single_accelerometer_leans_on_the_gyroscopes() -> None:
+def test_a_single_accelerometer_uses_the_gyroscopes() -> None:
     axes, model = array(PLACES[:1])
     frames, force, _ = turning(axes)
     estimate = Optimal(axes, model, period_s=PERIOD_S)(frames)[FORCE]
@@ -99,7 +99,7 @@ def test_a_gap_in_the_rate_is_bridged_by_the_accelerometers() -> None:
 
 
 @pytest.mark.parametrize("without", ["places", "gyroscopes", "a gyroscope axis"])
-def test_without_places_or_gyroscopes_it_is_left_out(without: str) -> None:
+def test_without_places_or_gyroscopes_no_correction_is_made(without: str) -> None:
     axes, model = array([(0.0, 0.0, 0.0)] * 4 if without == "places" else PLACES)
     if without == "gyroscopes":
         del axes[RATE]

@@ -12,9 +12,7 @@ from tests.selection import examples
 
 @settings(max_examples=examples(50), deadline=None)
 @given(seed=st.integers(0, 10**6), frames=st.integers(0, 60), axes=st.integers(1, 20), share=st.floats(0, 1))
-def test_every_frame_is_in_the_pattern_that_it_has_and_patterns_differ(
-    seed: int, frames: int, axes: int, share: float
-) -> None:
+def test_every_frame_is_in_its_pattern_and_patterns_are_unique(seed: int, frames: int, axes: int, share: float) -> None:
     flags = np.random.default_rng(seed).random((frames, axes)) < share
     parts = patterns(flags)
     seen = np.zeros(frames, int)

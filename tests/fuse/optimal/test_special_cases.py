@@ -1,4 +1,4 @@
-"""The other techniques are special cases."""
+"""The other techniques are special cases of `optimal`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def optimal_of(axes: list[Axis], model: ErrorModel | None = None) -> Optimal:
     return Optimal({FORCE: axes}, model or model_of(axes), period_s=PERIOD_S)
 
 
-def test_with_equal_noise_alone_it_is_the_mean() -> None:
+def test_equal_noise_alone_gives_the_mean() -> None:
     rng = np.random.default_rng(96)
     axes = [*triad("S0", np.eye(3)), *triad("S1", OPPOSITE), *triad("S2", np.eye(3))]
     values = rng.normal(size=(50, 9))
@@ -31,8 +31,8 @@ def test_with_equal_noise_alone_it_is_the_mean() -> None:
     assert estimate.used.all()
 
 
-def test_with_noise_alone_it_weighs_by_inverse_variance() -> None:
-    """Twice the noise is a quarter of the weight: 0.8 and 0.2, and a variance of 0.8 of the better one's."""
+def test_noise_alone_gives_weights_by_inverse_variance() -> None:
+    """Twice the noise is a quarter of the weight: 0.8 and 0.2, and a variance of 0.8 of that of the better sensor."""
     values = np.random.default_rng(97).normal(size=(50, 6))
     axes = [*triad("S0", np.eye(3), noise_si=0.1), *triad("S1", np.eye(3), noise_si=0.2)]
     estimate = optimal_of(axes)({FORCE: frames_of(values)})[FORCE]
@@ -40,9 +40,9 @@ def test_with_noise_alone_it_weighs_by_inverse_variance() -> None:
     assert matrices(estimate.covariance_box)[-1] == pytest.approx(np.eye(3) * 0.8 * 0.01)
 
 
-def test_what_a_design_shares_is_cancelled_by_opposite_axes() -> None:
-    """Two sensors along X, one against it: in the mean a third of the common error is left, here nothing, as noise is
-    averaged away. The common error is a ramp of fifty times the noise.
+def test_opposite_axes_cancel_the_common_error_of_a_design() -> None:
+    """Two sensors along X, one against it: in the mean a third of the common error remains, here none after noise is
+    averaged. The common error is a ramp of fifty times the noise.
     """
     rng = np.random.default_rng(98)
     axes = [*triad("S0", np.eye(3)), *triad("S1", np.diag([1.0, -1, -1])), *triad("S2", OPPOSITE)]
@@ -53,12 +53,12 @@ def test_what_a_design_shares_is_cancelled_by_opposite_axes() -> None:
     mean = (values[:, 0] + values[:, 3] - values[:, 6]) / 3
     assert mean[-1000:].mean() > 1.5
     assert np.abs(estimate.triad_box[-1000:].mean(axis=0)).max() < 0.02
-    # Cancelling costs next to no noise: that of the mean of three
+    # Cancelling adds hardly any noise to that of the mean of three
     assert estimate.triad_box[-1000:].std(axis=0) == pytest.approx([0.1 / np.sqrt(3)] * 3, rel=0.1)
 
 
-def test_a_bias_that_the_others_contradict_is_learned() -> None:
-    """Three alike, one off by ten times its noise with a loose prior and two that are known to be right."""
+def test_a_bias_contradicted_by_the_others_is_learned() -> None:
+    """Three equal sensors, one biased by ten times its noise with a wide prior, two with a known bias of zero."""
     rng = np.random.default_rng(99)
     axes = [axis for name in ("S0", "S1", "S2") for axis in triad(name, np.eye(3))]
     errors = {(axis.sensor, axis.index): AxisErrors(0.1, bias=2.0 if axis.sensor == "S2" else 1e-4) for axis in axes}
@@ -72,7 +72,7 @@ def test_a_bias_that_the_others_contradict_is_learned() -> None:
     assert (learned.axis, learned.sd_before) == ("S2 x", 2.0)
     assert learned.bias == pytest.approx(1.0, abs=3.3 * sd)
     assert learned.sd == pytest.approx(sd, rel=0.02)
-    # The smoother ends with the same knowledge
+    # The smoother ends with the same estimate
     again = optimal_of(axes, ErrorModel(errors))
     for _ in again.smoothed(lambda: iter([({FORCE: frames_of(values)}, None)])):
         pass
@@ -80,7 +80,7 @@ def test_a_bias_that_the_others_contradict_is_learned() -> None:
     assert (whole.bias, whole.sd) == pytest.approx((learned.bias, learned.sd), rel=0.1)
 
 
-def test_a_scale_that_is_wrong_is_learned_from_the_motion() -> None:
+def test_a_wrong_scale_factor_is_learned_from_the_motion() -> None:
     """One of four sensors has 3 % too much along X: known to 0.1 % after a motion, and the triad follows."""
     rng = np.random.default_rng(100)
     axes = [axis for name in ("S0", "S1", "S2", "S3") for axis in triad(name, np.eye(3))]
@@ -94,15 +94,15 @@ def test_a_scale_that_is_wrong_is_learned_from_the_motion() -> None:
     values[:, 9] += 0.03 * truth[:, 0]
     estimate = optimal_of(axes, ErrorModel(errors))({FORCE: frames_of(values)})[FORCE]
     error = estimate.triad_box[3000:, 0] - truth[3000:, 0]
-    # a quarter of 3 % is what it would be in the mean
+    # in the mean it would be a quarter of 3 %
     assert abs(error @ truth[3000:, 0] / (truth[3000:, 0] @ truth[3000:, 0])) < 0.0004
-    # Told and true agree: 3000 squares tell a variance to 2.6 %, 99.9 % of the time within 8.5 %
+    # Stated and true variance agree: 3000 squares determine a variance to 2.6 %, 99.9 % of the time within 8.5 %
     told = estimate.covariance_box[3000:, 0].mean()
     assert np.mean(error**2) == pytest.approx(told, rel=0.085)
 
 
-def test_doubt_about_directions_widens_the_covariance_with_the_signal() -> None:
-    """One sensor: 2 % of 10 m/s2 along X is 0.2, of no rate nothing; noise 0.1 each way."""
+def test_uncertain_directions_widen_the_covariance_with_the_signal() -> None:
+    """One sensor: 2 % of 10 m/s2 along X is 0.2, of a zero rate 0; noise 0.1 along each axis."""
     axes = triad("S0", np.eye(3))
     errors = {(axis.sensor, axis.index): AxisErrors(0.1, response=0.02) for axis in axes}
     values = np.repeat([[0.0, 0, 0], [10.0, 0, 0]], 10, axis=0)
@@ -113,8 +113,8 @@ def test_doubt_about_directions_widens_the_covariance_with_the_signal() -> None:
 
 @given(seed=st.integers(0, 2**31), count=st.integers(3, 12), shared=st.booleans())
 @settings(max_examples=examples(25), deadline=None)
-def test_any_array_gives_the_truth_of_readings_without_errors(seed: int, count: int, shared: bool) -> None:
-    """Unbiased: where readings have no errors there is none in the triads, whatever the model thinks they may have."""
+def test_any_array_without_errors_gives_the_truth(seed: int, count: int, shared: bool) -> None:
+    """Unbiased: readings without errors give triads without errors, for any error model."""
     rng = np.random.default_rng(seed)
     rows = rng.normal(size=(count, 3))
     rows /= np.linalg.norm(rows, axis=1)[:, None]
@@ -132,7 +132,7 @@ def test_any_array_gives_the_truth_of_readings_without_errors(seed: int, count: 
     assert np.abs(estimate.triad_box - truth)[solved].max(initial=0.0) < 1e-7 * (1 + spread)
 
 
-def test_what_the_model_does_not_know_is_refused() -> None:
+def test_missing_or_invalid_errors_of_the_model_are_refused() -> None:
     axes = triad("S0", np.eye(3))
     with pytest.raises(FusionError, match="sensor S0 axis x: it is not in the error model"):
         Optimal({FORCE: axes}, ErrorModel({}), period_s=PERIOD_S)
@@ -146,8 +146,10 @@ def test_what_the_model_does_not_know_is_refused() -> None:
         DesignErrors(common_time_constant_s=0.0)
 
 
-def test_correlated_readings_teach_less() -> None:
-    """Neighbours that correlate by 1/3 count half: 1000 frames tell a bias as 500 of white noise do."""
+def test_correlated_readings_determine_a_bias_less_precisely() -> None:
+    """Neighbours that correlate by 1/3 have half the weight: 1000 frames determine a bias like 500 frames of white
+    noise.
+    """
     sds: list[Floats] = []
     for correlation, count in ((1 / 3, 1000), (0.0, 500)):
         axes = [*triad("S0", np.eye(3)), *triad("S1", np.eye(3))]
@@ -164,6 +166,6 @@ def test_correlated_readings_teach_less() -> None:
     "wrong",
     [{"correlation": 1.0}, {"correlation": -1.0}, {"drift_time_constant_s": 0.0}, {"bias": np.inf}, {"noise": 0.0}],
 )
-def test_errors_that_no_axis_can_have_are_refused(wrong: dict[str, float]) -> None:
+def test_impossible_errors_of_an_axis_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(FusionError, match="error model"):
         AxisErrors(**{"noise": 0.1, **wrong})

@@ -1,4 +1,4 @@
-"""The spool: last in, first out, with room for what memory should not hold."""
+"""The spool: last in, first out, with a file beyond its limit of memory."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from imuarray.fuse.optimal.filter import Spool
 
 
 @pytest.mark.parametrize("held_bytes", [0, 100, 1 << 20])
-def test_what_goes_in_last_comes_out_first(held_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whether the groups are in the file one by one, several together, or all in memory."""
+def test_the_spool_returns_the_last_group_first(held_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For groups in the file one by one, several together, or all in memory."""
     monkeypatch.setattr(spooled, "_HELD_BYTES", held_bytes)
     rng = np.random.default_rng(105)
     groups = [[rng.normal(size=(index, 3)), rng.normal(size=index), np.zeros((0, 2))] for index in range(5)]

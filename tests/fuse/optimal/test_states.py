@@ -1,4 +1,4 @@
-"""The algebra of slow errors beside the textbook's products of whole matrices."""
+"""The algebra of slow errors against the textbook's products of full matrices."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def _spread(rng: np.random.Generator, size: int) -> np.ndarray:
 
 
 def _dense(rng: np.random.Generator, terms: int) -> np.ndarray:
-    """Sparse rows: some feel nothing, some several states."""
+    """Sparse rows: some depend on no state, some on several."""
     dense = np.where(rng.random((terms, ROWS, STATES)) < 0.05, rng.choice([1.0, 0.3], (terms, ROWS, STATES)), 0.0)
     dense[0, 0] = 0.0
     return dense
 
 
 @pytest.mark.parametrize("terms", [1, 4])
-def test_what_rows_feel_is_the_product_with_the_whole_matrix(terms: int) -> None:
+def test_the_response_of_rows_equals_the_full_matrix_product(terms: int) -> None:
     rng = np.random.default_rng(terms)
     dense = _dense(rng, terms)
     flat = dense.reshape(-1, STATES)
@@ -40,8 +40,10 @@ def test_what_rows_feel_is_the_product_with_the_whole_matrix(terms: int) -> None
 
 
 @pytest.mark.parametrize("terms", [1, 4])
-def test_what_rows_feel_of_smoothed_states(terms: int) -> None:
-    """The smoothed belief is mean - P lambda, P - P Lambda P (Bierman 1973); drifting states act on the first term."""
+def test_the_response_of_rows_to_smoothed_states(terms: int) -> None:
+    """The smoothed estimate is mean - P lambda, P - P Lambda P (Bierman 1973); drifting states act on
+    the first term.
+    """
     rng = np.random.default_rng(3)
     dense = _dense(rng, terms)
     drifting = rng.random(STATES) < 0.4
@@ -59,12 +61,12 @@ def test_what_rows_feel_of_smoothed_states(terms: int) -> None:
     assert np.allclose(added[ROWS:, ROWS:], 0.0, atol=1e-14)
 
 
-def test_states_that_nothing_feels() -> None:
+def test_rows_without_states_have_zero_response() -> None:
     mean, covariance = StateResponse(np.zeros((1, 3, 0))).of(Gaussian(np.zeros(0), np.zeros((0, 0))))
     assert mean.tolist() == [[0.0, 0.0, 0.0]] and not covariance.any()
 
 
-def test_step_back_is_that_of_whole_matrices() -> None:
+def test_a_backward_step_equals_that_of_full_matrices() -> None:
     """lambda' = K' lambda - H' S^-1 v, Lambda' = K' Lambda K + H' S^-1 H, K = 1 - P H' S^-1 H (Bierman 1973)."""
     rng = np.random.default_rng(4)
     at = Gaussian(rng.normal(size=STATES), _spread(rng, STATES) / STATES)
@@ -81,7 +83,7 @@ def test_step_back_is_that_of_whole_matrices() -> None:
     np.testing.assert_array_equal(before.matrix, before.matrix.T)
 
 
-def test_step_back_without_measurements_changes_nothing() -> None:
+def test_a_backward_step_without_measurements_changes_nothing() -> None:
     rng = np.random.default_rng(5)
     later = Adjoint(rng.normal(size=3), _spread(rng, 3))
     before = backwards(later, Innovation(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)))
@@ -89,7 +91,7 @@ def test_step_back_without_measurements_changes_nothing() -> None:
     np.testing.assert_array_equal(before.matrix, later.matrix)
 
 
-def test_states_without_measurements_stay() -> None:
+def test_states_without_measurements_are_unchanged() -> None:
     belief = Gaussian(np.arange(3.0), np.diag([1.0, 2.0, 3.0]))
     after, innovation = corrected(belief, np.zeros((0, 3)), np.zeros(0))
     assert (after.mean == belief.mean).all() and (after.covariance == belief.covariance).all()
@@ -97,7 +99,7 @@ def test_states_without_measurements_stay() -> None:
 
 
 @pytest.mark.parametrize(("states", "measurements"), [(1, 1), (5, 9), (8, 3), (40, 5), (114, 15), (50, 33)])
-def test_compiled_steps_are_those_of_numpy(states: int, measurements: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_steps_equal_those_of_numpy(states: int, measurements: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Sizes below, at and above those of the tiles of products."""
     rng = np.random.default_rng(states)
     belief = Gaussian(rng.normal(size=states), _spread(rng, states) / states)
@@ -118,7 +120,7 @@ def test_compiled_steps_are_those_of_numpy(states: int, measurements: int, monke
 
 
 @pytest.mark.parametrize("terms", [1, 4])
-def test_compiled_effects_are_those_of_numpy(terms: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_effects_equal_those_of_numpy(terms: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(8)
     dense, drifting = _dense(rng, terms), rng.random(STATES) < 0.4
     dense[1:, :, drifting] = 0.0
@@ -153,8 +155,8 @@ def test_compiled_steps_refuse_arrays_of_another_size() -> None:
 
 @pytest.mark.parametrize("terms", [1, 4])
 @pytest.mark.parametrize("moves", [0.0, 3.0])
-def test_compiled_measurements_are_those_of_numpy(terms: int, moves: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Components that the stimulus does not show are left out by both; a component's sign is free."""
+def test_compiled_measurements_equal_those_of_numpy(terms: int, moves: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Components that the stimulus does not determine are omitted by both; the sign of a component is free."""
     rng = np.random.default_rng(9)
     evidence = SegmentEvidence(_geometry(), terms)
     sums = evidence.sums_of(np.ones(ROWS, bool))
