@@ -1,4 +1,4 @@
-"""A place for effects to act, and what reaches them: one sensor, a motion in closed form, rows made to measure."""
+"""The inputs of effects: a place of one sensor, a motion in closed form, rows made to measure."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ G = 9.80665
 
 @dataclass(frozen=True)
 class Constant:
-    """Everything stays as it is, unless it is given as a function of the seconds."""
+    """Every column is constant, unless it is given as a function of the seconds."""
 
     force_box: Sequence[float] | OfTime = (0.0, 0.0, G)
     rate_box: Sequence[float] | OfTime = (0.0, 0.0, 0.0)
@@ -204,7 +204,7 @@ def sensor() -> Callable[..., SensorHeader]:
 
 @pytest.fixture
 def constant() -> type[Constant]:
-    """The motion that stays as it is; each column a constant or a function of the seconds (n,)."""
+    """A constant motion; each column a constant or a function of the seconds (n,)."""
     return Constant
 
 

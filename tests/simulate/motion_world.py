@@ -10,7 +10,7 @@ from imuarray.simulate.motion.felt import Motion
 
 
 class MotionWorld:
-    """A callable ``at_ns -> WorldStimulus`` that shows what `motion` shows, exactly. The same object is returned while
+    """A callable ``at_ns -> WorldStimulus`` with exactly the values of `motion`. The same object is returned while
     the instant is the same.
     """
 

@@ -1,4 +1,4 @@
-"""Effects that act for a part of the time: inside as if always, outside as if never."""
+"""Effects that act for a part of the time: inside as without spans, outside as without the effect."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def rows(*effects: Effect, run: int = 0) -> tuple[np.ndarray, np.ndarray]:
     [Tone(0.5, 17.0), Bandwidth(5.0), Quantisation(2.0), Quantisation(8.0), Scale(0.5), StaleSamples(0.3)],
     ids=lambda effect: effect.name,
 )
-def test_inside_as_if_always_outside_as_if_never(effect: Effect) -> None:
+def test_an_effect_acts_only_within_its_spans(effect: Effect) -> None:
     time_s, never = rows()
     always = rows(effect)[1]
     spans = spans_of([(0, 4.0, 9.5), (0, 15.0, np.inf), (2, 0.0, np.inf)])
@@ -47,15 +47,15 @@ def test_inside_as_if_always_outside_as_if_never(effect: Effect) -> None:
     np.testing.assert_array_equal(rows(some, run=2)[1], rows(effect, run=2)[1])
 
 
-def test_rows_that_are_lost_within_a_stretch() -> None:
+def test_rows_are_lost_only_within_a_span() -> None:
     time_s, _ = rows(DroppedSamples(0.3, spans=(0.0, 4.0, 9.0)))
     inside = np.count_nonzero((time_s >= 4.0) & (time_s < 9.0))
     assert 300 < inside < 400
     assert len(time_s) - inside == 1500
 
 
-def test_a_rate_is_one_for_a_whole_run() -> None:
-    """A chip is set to one: it may be another in some runs, not for a part of one."""
+def test_effects_on_a_whole_run_refuse_partial_spans() -> None:
+    """The rate of a chip can differ in some runs, not in a part of a run."""
     whole = OdrError(50.0, spans=spans_of([(0, 0.0, np.inf)]))
     assert (np.diff(rows(whole)[1], axis=0) == 0).all(axis=1).mean() > 0.4
     np.testing.assert_array_equal(rows(whole, run=1)[1], rows(run=1)[1])
@@ -65,7 +65,7 @@ def test_a_rate_is_one_for_a_whole_run() -> None:
         rows(ThermalLag(10.0, spans=(0.0, 4.0, 9.0)))
 
 
-def test_spans_in_a_model_file() -> None:
+def test_spans_are_stored_in_a_model_file() -> None:
     tone = Tone(0.5, 17.0, spans=spans_of([(0, 4.0, np.inf)]))
     table = to_table(tone, "dps")
     assert table == {"amplitude_dps": 0.5, "frequency_hz": 17.0, "spans": [0.0, 4.0, FOREVER_S]}
@@ -75,8 +75,8 @@ def test_spans_in_a_model_file() -> None:
             from_table(Tone, {"spans": spans}, "dps", "here")
 
 
-def test_effects_that_do_not_act_in_a_run_are_left_out_unless_they_matter_there() -> None:
-    """A tone before another one has another random phase than the only one; a jitter tells how rows are read."""
+def test_inactive_effects_are_removed_unless_they_change_other_draws() -> None:
+    """A tone before another one has another random phase than a single tone; a jitter defines how rows are read."""
     always, later = Tone((0.1, 0.0, 0.0), 3.0), Tone((0.1, 0.0, 0.0), 3.0, spans=(2.0, 0.0, 1e9))
     jitter = Jitter(1.0, spans=(2.0, 0.0, 1e9))
     assert effects_in(1, (always, later)) == (always,)

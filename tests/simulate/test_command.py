@@ -1,4 +1,4 @@
-"""`imuarray simulate`, as it is typed."""
+"""`imuarray simulate` on the command line."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def counts(path: Path, name: str = "BMA1") -> Any:
         return np.asarray(log[name].counts)
 
 
-def test_the_command_knows_every_experiment() -> None:
+def test_the_command_has_every_experiment() -> None:
     assert tuple(EXPERIMENTS) == TYPED
 
 
 @pytest.mark.parametrize("experiment", some(["static", "tumble", "heating", "motion"], 1))
-def test_every_experiment_lasts_as_long_as_asked(tmp_path: Path, experiment: str) -> None:
+def test_every_experiment_has_the_requested_length(tmp_path: Path, experiment: str) -> None:
     run = tmp_path / "run.h5"
     assert simulate("martin2013", "--experiment", experiment, "--seconds", 30, "-o", run) == 0
     with open_log(run) as log:
@@ -64,7 +64,7 @@ def test_a_turn_on_series_is_one_file_per_run(tmp_path: Path, capsys: pytest.Cap
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_log_and_another_another(tmp_path: Path) -> None:
+def test_equal_seeds_give_equal_logs_and_other_seeds_other_logs(tmp_path: Path) -> None:
     paths = [tmp_path / f"{name}.h5" for name in "abcd"]
     for path, more in zip(paths, [(), ("--workers", 2), ("--seed", 1), ("--boot", 1)], strict=True):
         assert simulate("martin2013", "--seconds", 2, *more, "-o", path) == 0
@@ -75,13 +75,13 @@ def test_the_same_seed_gives_the_same_log_and_another_another(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_without_an_effect_every_other_draw_stays(tmp_path: Path) -> None:
+def test_leaving_out_an_effect_changes_no_other_draw(tmp_path: Path) -> None:
     for name, more in (("all", ""), ("less", "bias"), ("silent", "white_noise,bias_instability")):
         arguments = ["martin2013", "--model", "martin2013", "--seconds", 20, "--without", more]
         assert simulate(*arguments, "-o", tmp_path / f"{name}.h5") == 0
     everything, unbiased, silent = (counts(tmp_path / f"{name}.h5").astype(float) for name in ("all", "less", "silent"))
     apart = everything - unbiased
-    # what is gone is a constant, up to the rounding of both
+    # the removed part is a constant, up to the rounding of both
     assert (np.ptp(apart, axis=0) <= 1).all()
     assert np.abs(apart.mean(axis=0)).min() > 5
     assert silent.std(axis=0).max() < 1 < everything.std(axis=0).min()
@@ -113,7 +113,7 @@ def test_a_calibration_becomes_units(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_like_a_recorded_log(tmp_path: Path) -> None:
+def test_a_log_is_simulated_like_a_recorded_log(tmp_path: Path) -> None:
     first, again = tmp_path / "first.h5", tmp_path / "again.h5"
     assert (
         main(["log", "martin2013", "--bus", "emulated:?world=tumble&face_s=3", "--seconds", "12", "-o", str(first)])
@@ -129,7 +129,9 @@ def test_like_a_recorded_log(tmp_path: Path) -> None:
     assert np.abs(ours - theirs).max() < 20  # the same unit, in the same pose
 
 
-def test_another_experiment_of_the_array_of_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_another_experiment_is_simulated_for_the_array_of_a_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Its sensors and its frame rate; the length, the face and the motion are those of the experiment."""
     run, other = tmp_path / "run.h5", tmp_path / "other.h5"
     assert simulate("martin2013", "--only", "Gyro1,BMA2", "--rate-hz", 20, "--seconds", 2, "-o", run) == 0
@@ -147,7 +149,7 @@ def test_another_experiment_of_the_array_of_a_log(tmp_path: Path, capsys: pytest
     assert "it has no configuration, which another experiment needs; omit --experiment" in capsys.readouterr().err
 
 
-def test_a_trajectory_from_a_file(tmp_path: Path) -> None:
+def test_a_trajectory_is_read_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "lift.csv"
     rows = [f"{t / 10},0,0,{0.5 * (t / 10) ** 2},0,0,0" for t in range(101)]  # 1 m/s2 upwards
     path.write_text("time_s,x_m,y_m,z_m,roll_deg,pitch_deg,yaw_deg\n" + "\n".join(rows) + "\n", encoding="utf-8")
@@ -180,7 +182,7 @@ def test_a_trajectory_from_a_file(tmp_path: Path) -> None:
         (("--like", "x.h5", "--experiment", "tumble", "--runs", "4"), "--runs is for --experiment turn-on, not tumble"),
     ],
 )
-def test_bad_input_is_told_in_one_line(
+def test_bad_input_is_reported_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], complaint: str
 ) -> None:
     assert simulate(*arguments, "-o", tmp_path / "run.h5") == 2
@@ -191,7 +193,7 @@ def test_bad_input_is_told_in_one_line(
 
 
 @pytest.mark.slow
-def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_existing_log_is_overwritten_only_with_force(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = tmp_path / "run.h5"
     assert simulate("martin2013", "--seconds", 2, "-o", run) == 0
     before = run.read_bytes()
@@ -207,7 +209,7 @@ def test_every_shipped_model_loads_by_its_name(path: Path) -> None:
     assert load_model(path).name == path.stem
 
 
-def test_a_heated_box_can_stand_on_its_head(tmp_path: Path) -> None:
+def test_a_heated_box_can_be_upside_down(tmp_path: Path) -> None:
     run = tmp_path / "run.h5"
     assert simulate("martin2013", "--experiment", "heating", "--up=-Z", "--seconds", 20, "-o", run) == 0
     with open_log(run) as log:
@@ -216,7 +218,7 @@ def test_a_heated_box_can_stand_on_its_head(tmp_path: Path) -> None:
         np.testing.assert_allclose(np.asarray(log.truth.specific_force)[:5], [[0, 0, -9.80665]] * 5, atol=1e-12)
 
 
-def test_what_a_model_leaves_out_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sensors_missing_in_the_model_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = tmp_path / "small.toml"
     text = '[model]\nname = "small"\n[[sensor]]\nname = "Gyro7"\nchip = "l3g4200d"\n[sensor.bias]\noffset_dps = 1.0\n'
     model.write_text(text, encoding="utf-8")
@@ -230,14 +232,14 @@ def test_what_a_model_leaves_out_is_said(tmp_path: Path, capsys: pytest.CaptureF
 
 @pytest.fixture
 def as_in_a_terminal() -> Iterator[None]:
-    """Ctrl-C as Python finds it, also where a shell has started the tests in the background."""
+    """Ctrl-C as in an interactive program, also where a shell has started the tests in the background."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.usefixtures("as_in_a_terminal")
-def test_an_interrupt_that_python_loses_is_heeded_at_the_next_step() -> None:
+def test_an_interrupt_lost_by_python_acts_at_the_next_step() -> None:
     """An exception raised in a callback of the garbage collector is printed and forgotten: the next step ends it."""
     from imuarray.commands.options import progress
 
@@ -249,7 +251,7 @@ def test_an_interrupt_that_python_loses_is_heeded_at_the_next_step() -> None:
 
 
 @pytest.mark.usefixtures("as_in_a_terminal")
-def test_other_signals_that_end_a_program_are_heeded_as_an_interrupt() -> None:
+def test_other_terminating_signals_act_as_an_interrupt() -> None:
     from imuarray.commands.options import ended_by_signals, progress
 
     before = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)]
@@ -269,13 +271,13 @@ def test_other_signals_that_end_a_program_are_heeded_as_an_interrupt() -> None:
         ((1, 21, 60.0), "step: 1 of 21 in 60 s, 20 min left"),
     ],
 )
-def test_a_line_says_how_far_a_step_is(state: tuple[int, int, float], line: str) -> None:
+def test_a_line_shows_the_progress_of_a_step(state: tuple[int, int, float], line: str) -> None:
     from imuarray.commands.options import progress_line
 
     assert progress_line("step", *state) == line
 
 
-def test_lines_come_where_nobody_watches_also_while_nothing_gets_done(
+def test_progress_lines_are_printed_without_a_terminal_also_during_a_long_step(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from imuarray.commands import options

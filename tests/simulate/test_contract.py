@@ -1,4 +1,4 @@
-"""What holds for every effect, whatever it does: a table of harmful parameters, one of the columns that they change."""
+"""Properties of every effect: a table of harmful parameters, a table of the columns that they change."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ ROWS = 300
 
 
 class NotedStreams(Streams):
-    """Streams that remember what they were asked for."""
+    """Streams that record requests."""
 
     def __init__(self, seed: int) -> None:
         super().__init__(seed)
@@ -187,7 +187,7 @@ def bench(place, instants, analog, codes, constant) -> Bench:
 
 
 def passed(effect: Effect, stages: tuple[Row, ...], at: Place) -> tuple[Row, ...]:
-    """Each stage's rows after the effect has had them."""
+    """Each stage's rows after the effect."""
     instants, felt, analog, codes = stages
     return effect.sampled(instants, at), effect.felt(felt, at), effect.analog(analog, at), effect.codes(codes, at)
 
@@ -215,7 +215,7 @@ def test_tables_are_complete() -> None:
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_made_without_arguments_it_does_nothing(bench: Bench, name: str) -> None:
+def test_an_effect_without_arguments_does_nothing(bench: Bench, name: str) -> None:
     before, at = bench.stages(0, ROWS), bench.place()
     assert differing(before, passed(EFFECTS[name](), before, at)) == set()
     assert EFFECTS[name]().lookback(at) == 0
@@ -223,7 +223,7 @@ def test_made_without_arguments_it_does_nothing(bench: Bench, name: str) -> None
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("name", EFFECTS)
-def test_it_changes_its_columns_and_no_other(bench: Bench, name: str, dtype: npt.DTypeLike) -> None:
+def test_an_effect_changes_only_its_columns(bench: Bench, name: str, dtype: npt.DTypeLike) -> None:
     before = bench.stages(0, ROWS, dtype)
     boots = [passed(harmful(name), before, bench.place(boot=boot, dtype=dtype)) for boot in range(4)]
     assert set().union(*(differing(before, after) for after in boots)) == CHANGED[name]
@@ -231,7 +231,7 @@ def test_it_changes_its_columns_and_no_other(bench: Bench, name: str, dtype: npt
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("name", EFFECTS)
-def test_shapes_and_types_stay(bench: Bench, name: str, dtype: npt.DTypeLike) -> None:
+def test_shapes_and_types_are_kept(bench: Bench, name: str, dtype: npt.DTypeLike) -> None:
     before = bench.stages(0, ROWS, dtype)
     after = passed(harmful(name), before, bench.place(dtype=dtype))
     for (column, old), (_, new) in zip(columns(before), columns(after), strict=True):
@@ -244,7 +244,7 @@ def test_shapes_and_types_stay(bench: Bench, name: str, dtype: npt.DTypeLike) ->
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_rows_that_it_was_given_stay_as_they_were(bench: Bench, name: str) -> None:
+def test_input_rows_are_not_modified(bench: Bench, name: str) -> None:
     before = bench.stages(0, ROWS)
     arrays = [value for _, value in columns(before) if isinstance(value, np.ndarray)]
     copies = [value.tobytes() for value in arrays]
@@ -255,7 +255,7 @@ def test_rows_that_it_was_given_stay_as_they_were(bench: Bench, name: str) -> No
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_chance_comes_of_seed_and_boot_alone(bench: Bench, name: str) -> None:
+def test_random_draws_depend_only_on_seed_and_boot(bench: Bench, name: str) -> None:
     before = bench.stages(0, ROWS)
 
     def after(**place: int) -> tuple[Row, ...]:
@@ -268,7 +268,7 @@ def test_chance_comes_of_seed_and_boot_alone(bench: Bench, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_its_streams_bear_its_name(bench: Bench, name: str) -> None:
+def test_random_streams_have_the_name_of_the_effect(bench: Bench, name: str) -> None:
     """So that no other effect, present or not, can change what it draws."""
     streams = NotedStreams(1)
     passed(harmful(name), bench.stages(0, ROWS), replace(bench.place(), streams=streams))
@@ -276,7 +276,7 @@ def test_its_streams_bear_its_name(bench: Bench, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(RANDOM))
-def test_draws_are_the_same_beside_another_effect(bench: Bench, name: str) -> None:
+def test_draws_do_not_depend_on_other_effects(bench: Bench, name: str) -> None:
     before = bench.stages(0, ROWS)
     alone = passed(harmful(name), before, bench.place())
     for other in sorted(RANDOM - {name}):
@@ -286,7 +286,7 @@ def test_draws_are_the_same_beside_another_effect(bench: Bench, name: str) -> No
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_any_stretch_alone(bench: Bench, name: str) -> None:
+def test_any_block_alone_equals_that_of_the_whole(bench: Bench, name: str) -> None:
     """Rows across the border of two chunks, as they come out of a longer stretch; numbers may differ by rounding, and
     by the 1e-12 that filters forget.
     """
@@ -302,7 +302,7 @@ def test_any_stretch_alone(bench: Bench, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", some([None, *EFFECTS], 10))
-def test_rows_that_are_worked_out_alone_are_those_of_their_chunk(name: str | None) -> None:
+def test_rows_computed_alone_equal_those_of_their_chunk(name: str | None) -> None:
     """Of a box that is heated and turned, bit for bit, whether or not the effect lets them be worked out alone."""
     array = parse_array(
         '[array]\nname = "a"\n[[sensor]]\nname = "S1"\nchip = "adxl345"\naddress = 0x53\nrange = 16\nrate_hz = 400\n'

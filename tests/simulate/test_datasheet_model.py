@@ -1,4 +1,4 @@
-"""configs/models/datasheet.toml against the figures of the fact sheet, spelled out here once more from there."""
+"""configs/models/datasheet.toml against the figures of the fact sheet, copied here independently."""
 
 from __future__ import annotations
 
@@ -271,7 +271,7 @@ def _named(header: SensorHeader, name: str) -> SensorHeader:
     [(chip, range_, printed) for chip, (range_, sheet) in SHEETS.items() for printed in sheet],
     ids=lambda value: "-".join(map(str, value[:2])) if isinstance(value, Printed) else str(value),
 )
-def test_two_thousand_units_are_what_the_data_sheet_says(
+def test_two_thousand_units_have_the_tolerances_of_the_data_sheet(
     sensor: MakeSensor, chip: str, range_: float, printed: Printed
 ) -> None:
     """Mean and deviation at 4.4 sigma each (24 populations: one false alarm in 1900 seeds), none beyond the limit.
@@ -296,7 +296,7 @@ def test_two_thousand_units_are_what_the_data_sheet_says(
     ids=lambda value: "-".join(map(str, value[:2])) if isinstance(value, Printed) else str(value),
 )
 def test_the_file_has_the_printed_figures(sensor: MakeSensor, chip: str, range_: float, printed: Printed) -> None:
-    """What 2000 units can't tell: sigma and limit to four digits."""
+    """More exact than by 2000 units: sigma and limit to four digits."""
     recipe = MODEL.parts(sensor(chip, range_=range_))[printed.effect].effects[printed.effect][0]
     figure = next(figure for key, figure in recipe.items() if key.startswith(printed.parameter))
     for axis in printed.axes:
@@ -328,7 +328,7 @@ RATIOS = {
 
 
 @pytest.mark.parametrize(("key", "figures"), RATIOS.items(), ids=["-".join(key[:2]) for key in RATIOS])
-def test_ranges_differ_as_the_data_sheet_says(
+def test_ranges_differ_as_in_the_data_sheet(
     sensor: MakeSensor, key: tuple[str, str, str], figures: dict[float, float]
 ) -> None:
     """A unit draws the same deviate at every range, so that its values are in the ratio of the printed figures."""
@@ -374,7 +374,7 @@ def test_the_bma180s_offset_shifts_at_8_and_16_g(sensor: MakeSensor) -> None:
         ("mmc5983", {"bandwidth_hz": 400.0}, (0.8e-3,) * 3),
     ],
 )
-def test_noise_is_the_data_sheets(
+def test_noise_is_that_of_the_data_sheet(
     sensor: MakeSensor, chip: str, settings: dict[str, float], expected: tuple[float, ...]
 ) -> None:
     assert drawn(sensor(chip, **settings), "white_noise", "rms", 1) == pytest.approx(expected, rel=2e-3)
@@ -415,7 +415,7 @@ UNPRINTED = {
 """What the others print, and these do not."""
 
 
-def test_every_clock_starts_anew_at_each_boot_and_only_boschs_has_a_tolerance(sensor: MakeSensor) -> None:
+def test_every_clock_starts_anew_at_each_boot_and_only_that_of_bosch_has_a_tolerance(sensor: MakeSensor) -> None:
     """BMA-107; for the others none is printed. The clock of no chip waits for a poll."""
     for chip in TRIADS:
         (clock,) = (effect for effect in MODEL.effects(sensor(chip), Streams(3)) if isinstance(effect, OwnClock))
@@ -423,7 +423,7 @@ def test_every_clock_starts_anew_at_each_boot_and_only_boschs_has_a_tolerance(se
         assert (clock.rate_error != 0) == (chip == "bma180")
 
 
-def test_every_chip_and_range_has_what_is_printed_and_nothing_else(sensor: MakeSensor) -> None:
+def test_every_chip_and_range_has_exactly_the_printed_effects(sensor: MakeSensor) -> None:
     for chip, spec in TRIADS.items():
         for range_ in spec.sensitivity:
             effects = MODEL.effects(sensor(chip, range_=range_), Streams(0))

@@ -1,4 +1,4 @@
-"""Calibrations as effects: run one after the other they make the calibration's own map again."""
+"""Calibrations as effects: applied in order they reproduce the calibration's map."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ thermal_scale.slope_per_degc = 0.001
 
 
 def measured(header: SensorHeader, response: Floats, **more: Any) -> SensorCalibration:
-    """A calibration of this sensor in which everything was measured."""
+    """A calibration of this sensor with all groups measured."""
     known: dict[str, Any] = {
         "bias_lsb": np.array([10.5, -300.25, 7.125]),
         "bias_sem_lsb": np.ones(3),
@@ -67,7 +67,7 @@ def askew(header: SensorHeader, rng: np.random.Generator, spread: float) -> Floa
 def counts_of(
     model: Model, header: SensorHeader, stimulus_box: Floats, force_box_g: Floats, degc: float, place: Any, analog: Any
 ) -> Floats:
-    """What the effects of a sensor make of a stimulus in its unit: counts before they are rounded."""
+    """The output of a sensor's effects for a stimulus in its unit: counts before they are rounded."""
     orientation = np.array(orientation_of(header.axes))
     signal: Analog = analog(0, len(stimulus_box))
     signal = replace(
@@ -87,7 +87,7 @@ def counts_of(
     ("chip", "range_"), [("adxl345", 16.0), ("bma180", 1.5), ("l3g4200d", 2000.0), ("hmc5883", 1.2)]
 )
 @pytest.mark.parametrize("designs", [EMPTY, parse_model(DESIGNS)], ids=["alone", "over designs"])
-def test_the_effects_make_the_calibrations_map(
+def test_the_effects_reproduce_the_calibrations_map(
     axes: str, chip: str, range_: float, designs: Model, sensor: MakeSensor, place: Any, analog: MakeAnalog
 ) -> None:
     """counts = response @ stimulus + g_sensitivity @ force + bias, in the box frame, at the temperature of then."""
@@ -103,7 +103,7 @@ def test_the_effects_make_the_calibrations_map(
 
 
 @pytest.mark.parametrize("really", ["-X+Y+Z", "+Y+X+Z", "+Z+X+Y", "-X-Y-Z", "+X-Z+Y"])
-def test_axes_mounted_or_noted_wrongly_are_found(
+def test_wrongly_mounted_axes_become_an_axis_error(
     really: str, sensor: MakeSensor, place: Any, analog: MakeAnalog
 ) -> None:
     """A response near other signed axes than the header's, left-handed ones included (the paper's Table 1 has two)."""
@@ -124,7 +124,7 @@ def test_axes_mounted_or_noted_wrongly_are_found(
     assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9)
 
 
-def test_known_angles_and_scales_come_out(sensor: MakeSensor) -> None:
+def test_known_angles_and_scales_are_recovered(sensor: MakeSensor) -> None:
     """x leans 3 degrees towards y, z counts 1 % too much, the bias is 51.2 counts of 512: 0.1 g."""
     header = sensor("bma180", "S1", 16.0)
     lean = np.radians(3.0)
@@ -147,7 +147,7 @@ def test_known_angles_and_scales_come_out(sensor: MakeSensor) -> None:
         ("bma180", 2400.0, 0.2, 0.0),
     ],
 )
-def test_noise_is_what_rounding_does_not_make(
+def test_rounding_noise_is_subtracted(
     sensor: MakeSensor, chip: str, rate_hz: float, noise_lsb: float, rms_lsb: float
 ) -> None:
     header = sensor(chip, "S1", 16.0, rate_hz=rate_hz)
@@ -158,7 +158,7 @@ def test_noise_is_what_rounding_does_not_make(
     assert rms == pytest.approx((rms_lsb / header.sensitivity,) * 3)
 
 
-def test_coarser_codes_of_the_model_are_rounding_too(sensor: MakeSensor) -> None:
+def test_rounding_to_coarser_codes_of_the_model_is_subtracted(sensor: MakeSensor) -> None:
     header = sensor("bma180", "S1", 16.0)
     text = '[model]\nname = "m"\n[[design]]\nchip = "bma180"\nquantisation.step_lsb = 4\n'
     unit = measured(header, 512 * np.eye(3), noise_lsb=np.full(3, 5.0))
@@ -166,7 +166,7 @@ def test_coarser_codes_of_the_model_are_rounding_too(sensor: MakeSensor) -> None
     assert part.effects["white_noise"][0]["rms_g"] == pytest.approx(np.sqrt(25 - 16 / 12) / 512)
 
 
-def test_noise_was_measured_at_a_bandwidth(sensor: MakeSensor) -> None:
+def test_noise_scales_with_the_bandwidth(sensor: MakeSensor) -> None:
     header = sensor("bma180", "S1", 16.0, bandwidth_hz=150.0)
     unit = measured(header, 512 * np.eye(3), noise_lsb=np.full(3, 8.0))
     model = calibrated(EMPTY, Calibration({"S1": unit}), [header])
@@ -177,7 +177,7 @@ def test_noise_was_measured_at_a_bandwidth(sensor: MakeSensor) -> None:
     assert at[600.0].rms == pytest.approx([2 * rms for rms in at[150.0].rms])
 
 
-def test_what_was_not_measured_stays_the_models(sensor: MakeSensor) -> None:
+def test_unmeasured_groups_are_those_of_the_model(sensor: MakeSensor) -> None:
     """`calibrate noise` leaves bias and response at the data sheet's: they are not zero, they are unknown."""
     header = sensor("l3g4200d", "S1", 2000.0)
     designs = parse_model(DESIGNS)
@@ -191,7 +191,7 @@ def test_what_was_not_measured_stays_the_models(sensor: MakeSensor) -> None:
     assert any(isinstance(effect, WhiteNoise) for effect in after)
 
 
-def test_figures_without_an_uncertainty_count_if_they_are_not_the_data_sheets(sensor: MakeSensor) -> None:
+def test_figures_without_uncertainty_are_used_if_they_differ_from_the_data_sheet(sensor: MakeSensor) -> None:
     """A calibration written by hand."""
     header = sensor("bma180", "S1", 16.0)
     unit = measured(header, 520 * np.eye(3), bias_lsb=np.full(3, 5.12))
@@ -201,7 +201,7 @@ def test_figures_without_an_uncertainty_count_if_they_are_not_the_data_sheets(se
     assert Scale(520 / 512 - 1) in effects  # type: ignore[arg-type]
 
 
-def test_a_perfect_unit_replaces_a_model_that_says_otherwise(sensor: MakeSensor) -> None:
+def test_a_perfect_unit_replaces_the_errors_of_a_model(sensor: MakeSensor) -> None:
     header = sensor("l3g4200d", "S1", 2000.0)
     unit = measured(header, header.sensitivity * np.eye(3), bias_lsb=np.zeros(3))
     effects = calibrated(parse_model(DESIGNS), Calibration({"S1": unit}), [header]).effects(header, Streams(1))
@@ -209,7 +209,7 @@ def test_a_perfect_unit_replaces_a_model_that_says_otherwise(sensor: MakeSensor)
     assert Scale() in effects
 
 
-def test_temperature_counts_from_where_the_unit_was_calibrated(sensor: MakeSensor) -> None:
+def test_the_reference_temperature_is_that_of_the_calibration(sensor: MakeSensor) -> None:
     """Same slope, drawn as before, from another temperature on."""
     header = sensor("l3g4200d", "S1", 2000.0)
     designs = parse_model(DESIGNS)
@@ -261,10 +261,10 @@ def test_measured_slopes_are_the_models_slopes(
     ("thermometer", "lag_interval_s", "reference_degc"),
     [("barometer", (0.0, 100.0), 30.0), ("chip", (60.0, 100.0), 30.0), ("relative", (60.0, 100.0), 25.0)],
 )
-def test_lags_that_are_not_behind_the_box_make_none(
+def test_other_lags_and_thermometers_give_no_thermal_lag(
     thermometer: str, lag_interval_s: tuple[float, float], reference_degc: float, sensor: MakeSensor
 ) -> None:
-    """Nor does a thermometer without a zero say at which temperature a bias holds."""
+    """Nor does a thermometer without a zero define the temperature of a bias."""
     header = sensor("l3g4200d", "S1", 2000.0)
     thermal = sloped(thermometer, lag_s=80.0, lag_interval_s=np.array(lag_interval_s))
     unit = measured(header, header.sensitivity * np.eye(3), thermal=thermal)
@@ -281,7 +281,7 @@ def test_slopes_about_an_impossible_temperature_are_refused(sensor: MakeSensor) 
         calibrated(EMPTY, Calibration({"S1": unit}), [header])
 
 
-def test_known_units_keep_what_was_not_measured_of_them(sensor: MakeSensor) -> None:
+def test_known_units_keep_their_unmeasured_effects(sensor: MakeSensor) -> None:
     """Another sensor's table, and another effect of the same sensor."""
     head = '[model]\nname = "m"\n'
     units = "".join(
@@ -313,7 +313,9 @@ def test_known_units_keep_what_was_not_measured_of_them(sensor: MakeSensor) -> N
         ({"response_lsb_per_unit": 512 * np.array([[1, 0, 0], [0, 1, 0], [0.995, 0, 0.1]])}, "S1: .* too oblique"),
     ],
 )
-def test_what_does_not_fit_is_refused(sensor: MakeSensor, changes: dict[str, Any], complaint: str) -> None:
+def test_a_calibration_that_does_not_fit_is_refused(
+    sensor: MakeSensor, changes: dict[str, Any], complaint: str
+) -> None:
     header = sensor("bma180", "S1", 16.0)
     unit = replace(measured(header, 512 * np.eye(3)), **changes)
     with pytest.raises(CalibrationError, match=complaint):
@@ -326,7 +328,7 @@ def test_a_sensor_without_a_sensitivity_is_refused(sensor: MakeSensor) -> None:
         calibrated(EMPTY, Calibration({"S1": measured(header, 512 * np.eye(3))}), [header])
 
 
-def test_a_chip_of_other_people_says_its_unit(sensor: MakeSensor) -> None:
+def test_a_model_of_an_unknown_chip_states_its_unit(sensor: MakeSensor) -> None:
     header = replace(sensor("bma180", "S1", 16.0), chip="mpu9150", sensitivity=2048.0)
     made = calibrated(EMPTY, Calibration({"S1": measured(header, 2050 * np.eye(3))}), [header])
     again = parse_model(made.to_toml())

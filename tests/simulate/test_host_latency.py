@@ -1,4 +1,4 @@
-"""When the host came late: a poll loop in a few lines, whose waits are known, is the other derivation."""
+"""Delays of the host: a poll loop in a few lines, whose waits are known, is the other derivation."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def halves_of(line: Timeline) -> dict[int, int]:
 
 
 @pytest.mark.parametrize("sensors", some([2, 3, 5], 2))
-def test_waits_come_back(tmp_path: Path, sensors: int) -> None:
+def test_waits_are_recovered(tmp_path: Path, sensors: int) -> None:
     """Before the first, the last or any sensor of a frame, one in a frame, and so that no frame is missed."""
     rng = np.random.default_rng(sensors)
     frames = rng.choice(np.arange(2, FRAMES, 4), 40, replace=False).tolist()
@@ -81,7 +81,7 @@ def test_waits_come_back(tmp_path: Path, sensors: int) -> None:
             assert halves_of(lines[f"A{at}"]) == pytest.approx(wanted, abs=2)
 
 
-def test_two_waits_of_one_frame(tmp_path: Path) -> None:
+def test_two_waits_in_one_frame_are_recovered(tmp_path: Path) -> None:
     with recorded(tmp_path / "log.h5", 5, {(100, 1): 3 * MS, (100, 3): 4 * MS, (201, 4): 2 * MS, (201, 0): MS}) as log:
         found = [halves_of(line) if isinstance(line, DelayedTimes) else {} for line in lines_of(log).values()]
         assert found == [
@@ -93,8 +93,8 @@ def test_two_waits_of_one_frame(tmp_path: Path) -> None:
         ]
 
 
-def test_frames_that_nobody_read(tmp_path: Path) -> None:
-    """A wait of three periods before A2 costs two frames, of every sensor; what A1 lost alone is its own loss."""
+def test_frames_missed_by_a_wait_are_lost_by_every_sensor(tmp_path: Path) -> None:
+    """A wait of three periods before A2 costs two frames, of every sensor; a row lost only by A1 is its own loss."""
     lost_alone = [(250, 1), (251, 1)]
     with recorded(tmp_path / "log.h5", 3, {(100, 2): 3 * PERIOD_NS}, without=lost_alone) as log:
         lines = lines_of(log)
@@ -111,7 +111,7 @@ def test_frames_that_nobody_read(tmp_path: Path) -> None:
         assert halves_of(lines["A2"]) == {100: pytest.approx(1.5 * PERIOD_NS)}
 
 
-def test_rows_behind_a_hole_have_the_numbers_of_the_filled_line(tmp_path: Path) -> None:
+def test_rows_after_a_hole_are_numbered_as_in_the_filled_line(tmp_path: Path) -> None:
     with recorded(tmp_path / "log.h5", 3, {(300, 1): 4 * MS}, without=[(50, 1), (60, 1)]) as log:
         line = pickle.loads(pickle.dumps(lines_of(log)["A1"]))  # noqa: S301
         assert (line.rows, line.rows_per_s) == (FRAMES, pytest.approx(1e9 / PERIOD_NS, rel=1e-3))
@@ -122,8 +122,8 @@ def test_rows_behind_a_hole_have_the_numbers_of_the_filled_line(tmp_path: Path) 
         np.testing.assert_array_equal(line.stamps(298, 302), log["A1"].time[296:300])
 
 
-def test_a_host_in_time_says_nothing(tmp_path: Path) -> None:
-    """Nor does a sensor alone, whatever its times are."""
+def test_a_host_in_time_gives_no_delays(tmp_path: Path) -> None:
+    """Nor does a sensor alone, for any times."""
     with recorded(tmp_path / "log.h5", 4, {}) as log:
         assert not any(isinstance(line, DelayedTimes) for line in lines_of(log).values())
     with recorded(tmp_path / "one.h5", 1, {(100, 0): 5 * MS}) as log:

@@ -1,4 +1,4 @@
-"""Model files: which table a sensor's effects come from, how they are drawn, what is refused and in which words."""
+"""Model files: the table of a sensor's effects, random draws, and the messages of refusals."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def drawn(text: str, sensor: SensorHeader, seed: int = 1, **how: bool) -> tuple[
         ("BMA1", 2.0, True, (0.1, 0.1, 0.1), 0.01),
     ],
 )
-def test_an_effect_comes_from_the_table_that_is_nearest_to_the_sensor(
+def test_an_effect_is_taken_from_the_most_specific_table(
     sensor: MakeSensor, name: str, range_: float, population: bool, bias: object, noise: float
 ) -> None:
     effects = drawn(GOOD, sensor("bma180", name, range_), population=population)
@@ -111,12 +111,12 @@ def test_an_effect_comes_from_the_table_that_is_nearest_to_the_sensor(
     assert found.rms[0] == noise
 
 
-def test_a_sensor_table_is_for_its_chip_only(sensor: MakeSensor) -> None:
+def test_a_sensor_table_applies_only_to_its_chip(sensor: MakeSensor) -> None:
     assert kinds(drawn(GOOD, sensor("l3g4200d", "BMA1"))) == ["tone", "tone"]
     assert drawn(GOOD, sensor("adxl345", "BMA1")) == ()
 
 
-def test_what_is_known_of_the_model_is_kept() -> None:
+def test_name_text_and_tables_of_a_model_are_kept() -> None:
     model = parse_model(GOOD)
     assert (model.name, model.about, model.text) == ("small", "two accelerometers and a gyroscope", GOOD)
     assert [(part.chip, part.range) for part in model.designs] == [
@@ -127,7 +127,7 @@ def test_what_is_known_of_the_model_is_kept() -> None:
     assert [(part.name, part.range) for part in model.sensors] == [("BMA1", None), ("BMA1", 16.0)]
 
 
-def test_several_effects_of_a_kind_draw_apart(sensor: MakeSensor) -> None:
+def test_effects_of_a_kind_are_drawn_independently(sensor: MakeSensor) -> None:
     first, second = drawn(GOOD, sensor("l3g4200d", "Gyro1"))
     assert first == Tone(1.0, 50.0, 0.0)  # type: ignore[arg-type]
     assert isinstance(second, Tone)
@@ -142,7 +142,7 @@ def test_several_effects_of_a_kind_draw_apart(sensor: MakeSensor) -> None:
     assert again.amplitude != other.amplitude == second.amplitude
 
 
-def test_leaving_something_out_changes_no_other_draw(sensor: MakeSensor) -> None:
+def test_leaving_out_an_entry_changes_no_other_draw(sensor: MakeSensor) -> None:
     """Neither an effect, by name or from the file, nor another parameter, nor another sensor."""
     header = sensor("bma180", "BMA7", 2.0)
     spread = GOOD.replace("offset_g = 0.1\n", "offset_g = { sigma = 0.1 }\n")
@@ -169,7 +169,7 @@ def test_leaving_something_out_changes_no_other_draw(sensor: MakeSensor) -> None
         ("hmc5883", {"bandwidth_hz": 0.0}, 50, 2.0, 2.0, 1e-9),  # it has none that is known
     ],
 )
-def test_noise_goes_with_the_root_of_the_bandwidth(
+def test_noise_scales_with_the_root_of_the_bandwidth(
     sensor: MakeSensor,
     chip: str,
     settings_of: dict[str, float],
@@ -326,7 +326,7 @@ def test_a_damaged_file_is_read_or_refused(place: int, inserted: bytes, removed:
             assert "\n" not in str(error)
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"none\.toml: No such file"):
         load_model(tmp_path / "none.toml")
 
@@ -352,9 +352,7 @@ TABLES = st.fixed_dictionaries(
 
 @settings(max_examples=examples(50), deadline=None)
 @given(st.text(min_size=1), st.lists(TABLES, max_size=7), st.lists(TABLES, max_size=3))
-def test_a_model_is_read_as_it_was_written(
-    name: str, designs: list[dict[str, object]], sensors: list[dict[str, object]]
-) -> None:
+def test_a_model_round_trips(name: str, designs: list[dict[str, object]], sensors: list[dict[str, object]]) -> None:
     ranges = (1, 1.5, 2, 3, 4, 8, 16)
     table = {
         "model": {"name": name, "about": name},
@@ -368,13 +366,13 @@ def test_a_model_is_read_as_it_was_written(
     assert len(again.designs) == len(designs)
 
 
-def test_a_model_that_knows_nothing(sensor: MakeSensor) -> None:
+def test_an_empty_model_has_no_effects(sensor: MakeSensor) -> None:
     model = Model("empty", "", (), ())
     assert parse_model(model.to_toml()) == model
     assert model.effects(sensor(), Streams(0)) == ()
 
 
-def test_every_effect_can_stand_in_a_file(sensor: MakeSensor) -> None:
+def test_every_effect_can_be_in_a_file(sensor: MakeSensor) -> None:
     """Without parameters each does nothing, and all come in the order of EFFECTS."""
     text = '[model]\nname = "all"\n[[design]]\nchip = "bma180"\n' + "".join(
         f"{name} = {{}}\n" for name in reversed(EFFECTS)

@@ -27,7 +27,7 @@ TEXTS = ("", "+X+Y+Z", "-Y+X+Z", "spike", "torn", "word", "BMA2")
 
 
 class TestSpelled:
-    def test_units_stand_in_the_keys(self) -> None:
+    def test_keys_contain_the_units(self) -> None:
         assert list(spelled(Nonlinearity, "g")) == ["quadratic_per_g", "cubic_per_g2", "spans"]
         assert list(spelled(GSensitivity, "dps")) == ["response_dps_per_g", "spans"]
         assert list(spelled(Bias, "gauss")) == ["offset_gauss", "from_boot", "spans"]
@@ -46,7 +46,7 @@ class TestSpelled:
 
     @pytest.mark.parametrize("name", EFFECTS)
     @pytest.mark.parametrize("unit", UNITS)
-    def test_one_key_for_each_parameter(self, name: str, unit: str) -> None:
+    def test_each_parameter_has_one_key(self, name: str, unit: str) -> None:
         found = spelled(EFFECTS[name], unit)
         assert [item.name for item in found.values()] == [*(item.name for item in fields(EFFECTS[name])[1:]), "spans"]
         assert not any("{" in key for key in found)
@@ -65,21 +65,21 @@ class TestToTable:
             (Stuck(3, 4), {"onset_s": 3.0, "duration_s": 4.0}),
         ],
     )
-    def test_only_what_is_not_the_default(self, effect: Effect, table: dict[str, object]) -> None:
+    def test_a_table_contains_only_values_other_than_defaults(self, effect: Effect, table: dict[str, object]) -> None:
         assert to_table(effect, "g") == table
 
     @pytest.mark.parametrize("name", EFFECTS)
-    def test_nothing_for_the_harmless_one(self, name: str) -> None:
+    def test_an_effect_with_defaults_is_an_empty_table(self, name: str) -> None:
         """Infinities and nan are defaults of some: no table of JSON could hold them."""
         assert to_table(EFFECTS[name](), "g") == {}
 
 
 class TestFromTable:
-    def test_a_number_stands_for_three_axes(self) -> None:
+    def test_a_number_applies_to_three_axes(self) -> None:
         assert from_table(Bias, {"offset_dps": 1}, "dps", "here") == Bias((1.0, 1.0, 1.0))
         assert from_table(Bias, {"offset_dps": [1, 2.5, 3]}, "dps", "here") == Bias((1.0, 2.5, 3.0))
 
-    def test_what_is_left_out_is_the_default(self) -> None:
+    def test_missing_parameters_have_their_defaults(self) -> None:
         assert from_table(Nonlinearity, {"cubic_per_g2": 2.0}, "g", "here") == Nonlinearity(0.0, 2.0)
         assert from_table(Stuck, {}, "g", "here") == Stuck(math.inf, math.inf)
 
@@ -104,7 +104,7 @@ class TestFromTable:
             (AxisError, {"axes": "XYZ"}, "axes: 'XYZ'; each of X, Y, Z once, signed, such as '+Y+X-Z'"),
         ],
     )
-    def test_refusals_name_place_and_key(self, kind: type[Effect], table: dict[str, object], message: str) -> None:
+    def test_a_refusal_names_place_and_key(self, kind: type[Effect], table: dict[str, object], message: str) -> None:
         with pytest.raises(ConfigError) as caught:
             from_table(kind, table, "g", "model.toml: sensor 'BMA1'")
         assert str(caught.value).startswith(f"model.toml: sensor 'BMA1': {message}")
@@ -115,7 +115,7 @@ class TestFromTable:
         assert len(str(caught.value)) < 120
 
 
-def test_numbers_are_finite_and_so_many() -> None:
+def test_numbers_must_be_finite_and_of_the_required_count() -> None:
     assert numbers("angles", [1, 2], 2) == (1.0, 2.0)
     for wrong in ((1.0,), (1.0, math.inf), ((1.0, 2.0),)):
         with pytest.raises(ValueError, match=r"^angles: .*; 2 finite numbers are required$"):
@@ -159,7 +159,7 @@ def same(one: Effect, other: Effect) -> bool:
 @pytest.mark.parametrize("name", some(EFFECTS, 11))
 @settings(max_examples=examples(20), suppress_health_check=[HealthCheck.filter_too_much])  # some refuse most numbers
 @given(data=st.data(), unit=st.sampled_from(UNITS))
-def test_there_and_back(name: str, data: st.DataObject, unit: str) -> None:
+def test_parameters_round_trip_through_tables(name: str, data: st.DataObject, unit: str) -> None:
     effect = data.draw(effects(name))
     table = to_table(effect, unit)
     assert same(from_table(EFFECTS[name], table, unit, "here"), effect)

@@ -1,4 +1,4 @@
-"""Populations: what a table of mean, sigma, limit and shared draws, and that nothing else changes a draw."""
+"""Populations: draws from a table of mean, sigma, limit and shared, and their independence of everything else."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ KEYS = spelled(WhiteNoise, "g")
 
 
 def values(figure: Figure, sensor: SensorHeader, seed: int = 0) -> list[float]:
-    """What a sensor draws for a figure of three axes."""
+    """The draws of a sensor for a figure of three axes."""
     found = drawn({"rms_g": figure}, KEYS, "white_noise", sensor, Streams(seed))["rms_g"]
     return list(found)
 
@@ -33,7 +33,7 @@ def values(figure: Figure, sensor: SensorHeader, seed: int = 0) -> list[float]:
     cut=st.floats(0.01, 6),
     deviate=st.floats(-5, 5),
 )
-def test_a_unit_stands_at_the_quantile_of_the_cut_off_normal(
+def test_a_unit_is_at_the_quantile_of_the_truncated_normal(
     mean: float, sigma: float, cut: float, deviate: float
 ) -> None:
     """A normal redrawn until it lies within the limit is the truncated normal, by definition of the latter."""
@@ -42,7 +42,7 @@ def test_a_unit_stands_at_the_quantile_of_the_cut_off_normal(
     assert found == pytest.approx(population.ppf(norm.cdf(deviate)), abs=1e-6 * sigma)
 
 
-def test_sigmas_without_a_limit_end_at_three() -> None:
+def test_without_a_limit_draws_end_at_three_sigma() -> None:
     spread = Spread(mean=1.0, sigma=2.0)
     assert spread.reach == 6.0
     assert spread.at(9.0) == pytest.approx(7.0, abs=1e-4)
@@ -51,7 +51,7 @@ def test_sigmas_without_a_limit_end_at_three() -> None:
 
 
 @pytest.mark.parametrize("spread", [Spread(mean=4.0, sigma=0.0, limit=1.0), Spread(mean=4.0, sigma=1.0, limit=0.0)])
-def test_no_spread_is_the_mean(spread: Spread) -> None:
+def test_a_population_without_spread_gives_the_mean(spread: Spread) -> None:
     assert spread.at(2.5) == 4.0
     assert spread.reach == 0.0
 
@@ -69,7 +69,7 @@ def test_draws_are_those_of_repeated_normals(sensor: MakeSensor) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_shared_goes_through_all_sensors_of_a_chip_and_no_other(sensor: MakeSensor) -> None:
+def test_the_shared_part_is_common_to_sensors_of_a_chip_only(sensor: MakeSensor) -> None:
     """Correlation over 3 x 1500 arrays at 4.4 sigma: one false alarm in 30 000 sets of seeds."""
     spread = Spread(sigma=1.0, limit=8.0, shared=0.7)
     first, second, other = (
@@ -86,13 +86,13 @@ def test_what_is_shared_goes_through_all_sensors_of_a_chip_and_no_other(sensor: 
     assert kstest(first, "norm").pvalue > 1e-3
 
 
-def test_all_shared_is_the_same_for_all(sensor: MakeSensor) -> None:
+def test_a_fully_shared_figure_is_the_same_for_all_sensors(sensor: MakeSensor) -> None:
     spread = Spread(sigma=1.0, shared=1.0)
     assert values(spread, sensor(name="A")) == values(spread, sensor(name="B"))
     assert len(set(values(spread, sensor(name="A")))) == 3
 
 
-def test_a_sensor_draws_the_same_whatever_the_range(sensor: MakeSensor) -> None:
+def test_the_draws_of_a_sensor_do_not_depend_on_the_range(sensor: MakeSensor) -> None:
     spread = Spread(sigma=1.0)
     assert values(spread, sensor("bma180", "A", 16.0)) == values(spread, sensor("bma180", "A", 1.5))
     assert values(spread, sensor(name="A")) != values(spread, sensor(name="B"))
@@ -100,13 +100,13 @@ def test_a_sensor_draws_the_same_whatever_the_range(sensor: MakeSensor) -> None:
 
 
 def test_a_list_draws_axis_by_axis(sensor: MakeSensor) -> None:
-    """An axis that is known changes nothing about the others, and each has its own population."""
+    """An axis with a given value changes no other axis, and each has its own population."""
     alone = values(Spread(sigma=1.0), sensor())
     mixed = values((Spread(sigma=1.0), 0.5, Spread(sigma=10.0, mean=3.0)), sensor())
     assert mixed == pytest.approx([alone[0], 0.5, 3.0 + 10.0 * alone[2]])
 
 
-def test_ends_are_the_furthest_that_can_be_drawn() -> None:
+def test_ends_are_the_extreme_draws() -> None:
     recipe = {"rms_g": (Spread(mean=1.0, sigma=0.1), 7.0, Spread(sigma=1.0, limit=2.0))}
     assert at_ends(recipe, KEYS, 0) == {"rms_g": [1.0, 7.0, 0.0]}
     assert at_ends(recipe, KEYS, -1)["rms_g"] == pytest.approx([0.7, 7.0, -2.0])
@@ -134,7 +134,7 @@ def test_ends_are_the_furthest_that_can_be_drawn() -> None:
         (-1e300, r"K: a number beyond 1e\+12"),
     ],
 )
-def test_what_is_no_figure_is_refused(value: object, complaint: str) -> None:
+def test_an_invalid_figure_is_refused(value: object, complaint: str) -> None:
     with pytest.raises(ConfigError, match=f"^{complaint}") as refused:
         figure_of(value, "K")
     assert "\n" not in str(refused.value)
@@ -148,11 +148,11 @@ def test_a_table_of_many_mistakes_names_twelve_of_them() -> None:
 
 
 @pytest.mark.parametrize("value", [1.5, float("inf"), "spike", [1, 2.0, 3], [{"sigma": 1.0}, 2.0, 3.0]])
-def test_a_figure_is_written_as_it_was_read(value: object) -> None:
+def test_a_figure_round_trips(value: object) -> None:
     assert table_of(figure_of(value, "")) == value
 
 
-def test_a_population_is_written_without_what_goes_without_saying() -> None:
+def test_a_population_is_written_without_defaults() -> None:
     assert table_of(Spread(mean=0.0, sigma=1.0)) == {"sigma": 1.0}
     full = {"mean": 1.0, "sigma": 2.0, "limit": 3.0, "shared": 0.5}
     assert table_of(figure_of(full, "")) == full

@@ -1,4 +1,4 @@
-"""Slow processes: the exact law at their knots, straight lines between, any stretch alone."""
+"""Slow processes: the exact distribution at their knots, straight lines between, independence of blocks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def drawn(process_of_seed: list[SlowProcess], rows: list[int]) -> Floats:
     ("rows_per_s", "time_constant_s", "rows"),
     [
         (10.0, 90.0, [0, 1, 2800, 4095, 4096, 4102, 8192, 2500]),  # every row a knot; chunks of 4096 knots meet
-        (10.0, 90.0, [101_000, 102_399, 102_400, 102_401, 104_000]),  # long after what is still felt of the beginning
+        (10.0, 90.0, [101_000, 102_399, 102_400, 102_401, 104_000]),  # long after any influence of the beginning
         (1.0, 0.5, [0, 1, 2, 3, 8191, 8192]),  # shorter than a row
         (100.0, 100.0, [0, 20, 40, 81_900, 81_920, 16_380, 163_840]),  # every twentieth row a knot
         (100.0, 1e6, [0, 256 * 4095, 256 * 4096, 256 * 2000, 256 * 200_000]),  # knots no farther apart than 256 rows
@@ -74,7 +74,7 @@ def walk(at: Place) -> SlowProcess:
 
 
 @pytest.mark.parametrize(("kind", "spacing"), [(gauss, 20), (walk, 10)])
-def test_between_knots_it_is_a_straight_line(
+def test_a_process_is_linear_between_knots(
     place: MakePlace, kind: Callable[[Place], SlowProcess], spacing: int
 ) -> None:
     rows = kind(place(rows_per_s=100.0)).rows(0, 20_001)
@@ -86,7 +86,7 @@ def test_between_knots_it_is_a_straight_line(
 
 @pytest.mark.parametrize("kind", [gauss, walk])
 @pytest.mark.parametrize("rows_per_s", [4.0, 100.0])  # every row a knot; knots farther apart
-def test_a_stretch_alone_is_what_it_is_in_sequence(
+def test_a_block_alone_equals_that_in_sequence(
     place: MakePlace, kind: Callable[[Place], SlowProcess], rows_per_s: float
 ) -> None:
     process, again = (kind(place(rows_per_s=rows_per_s)) for _ in range(2))
@@ -101,14 +101,14 @@ def test_a_stretch_alone_is_what_it_is_in_sequence(
     same()
 
 
-def test_months_later_it_still_has_the_same_law(place: MakePlace) -> None:
+def test_the_distribution_is_the_same_months_later(place: MakePlace) -> None:
     at = place()
     far = np.concatenate([gauss_markov(100.0, at, "b").rows(10**9 + k, 10**9 + k + 1) for k in range(0, 10**7, 10**5)])
     # 300 independent standard normal numbers: mean square 1 +- 5 sqrt(2 / 300); chance 6e-7
     assert abs((far**2).mean() - 1) < 5 * np.sqrt(2 / 300)
 
 
-def test_what_is_named_differently_is_drawn_differently(place: MakePlace) -> None:
+def test_processes_of_different_names_differ(place: MakePlace) -> None:
     def path(at: Place, effect: str = "b", time_constant_s: float = 100.0, shared_by: str = "") -> Floats:
         return gauss_markov(time_constant_s, at, effect, shared_by).rows(0, 5000)
 
@@ -129,7 +129,7 @@ def test_what_is_named_differently_is_drawn_differently(place: MakePlace) -> Non
 
 
 @pytest.mark.parametrize("rows_per_s", [4.0, 100.0])
-def test_single_precision_stays_single(place: MakePlace, rows_per_s: float) -> None:
+def test_single_precision_is_kept(place: MakePlace, rows_per_s: float) -> None:
     rows = gauss_markov(100.0, place(rows_per_s=rows_per_s, dtype=np.float32), "b").rows(0, 3000, np.float32)
     assert rows.dtype == np.float32
     assert rows.shape == (3000, 3)

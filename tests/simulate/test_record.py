@@ -1,4 +1,4 @@
-"""A simulated log: the shape of a recorded one, the same bytes of data whoever works it out."""
+"""A simulated log: the structure of a recorded log, the same data for any workers."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def datasets(path: Path) -> dict[str, Any]:
 
 
 def shape(path: Path) -> dict[str, Any]:
-    """Everything of a log but its values: datasets with kind and width, groups with the names of their attributes."""
+    """The structure of a log: datasets with kind and width, groups with the names of their attributes."""
     found: dict[str, Any] = {}
 
     def note(name: str, item: Any) -> None:
@@ -68,7 +68,7 @@ def shape(path: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_its_shape_is_that_of_a_recorded_log(array: ArrayConfig, tmp_path: Path) -> None:
+def test_a_simulated_log_has_the_structure_of_a_recorded_log(array: ArrayConfig, tmp_path: Path) -> None:
     with open_bus("emulated:", array) as bus:
         record(array, bus, tmp_path / "recorded.h5", rate_hz=48.0, seconds=5.0, phase="static", up="+Z")
     write_log(simulation(array, 5.0), tmp_path / "simulated.h5", origin=Origin(note="x"))
@@ -93,7 +93,7 @@ def test_neither_block_nor_workers_change_a_value(
         np.testing.assert_array_equal(values, other[name], name)
 
 
-def test_dropped_rows_are_told(array: ArrayConfig, tmp_path: Path) -> None:
+def test_dropped_rows_are_counted_and_are_events(array: ArrayConfig, tmp_path: Path) -> None:
     written = write_log(simulation(array), tmp_path / "run.h5")
     with open_log(tmp_path / "run.h5") as log:
         assert len(log["BMA1"]) + written.lost["BMA1"] == written.frames
@@ -102,7 +102,7 @@ def test_dropped_rows_are_told(array: ArrayConfig, tmp_path: Path) -> None:
         assert 0 < len(silences) <= written.lost["BMA1"]
 
 
-def test_phases_and_truth_are_there(array: ArrayConfig, tmp_path: Path) -> None:
+def test_phases_and_truth_are_written(array: ArrayConfig, tmp_path: Path) -> None:
     motion = Tumble(face_s=4.0, turn_s=1.0)
     write_log(simulation(array, 12.0, motion), tmp_path / "run.h5")
     with open_log(tmp_path / "run.h5") as log:
@@ -117,7 +117,7 @@ def test_phases_and_truth_are_there(array: ArrayConfig, tmp_path: Path) -> None:
         assert len(force) == 576  # 12 s at 48 Hz
 
 
-def test_progress_reaches_the_total_and_nothing_is_overwritten(array: ArrayConfig, tmp_path: Path) -> None:
+def test_progress_reaches_the_total_and_an_existing_log_is_not_overwritten(array: ArrayConfig, tmp_path: Path) -> None:
     heard: list[int] = []
     made = simulation(array, 3.0)
     write_log(made, tmp_path / "run.h5", progress=heard.append)
@@ -159,7 +159,7 @@ def test_memory_does_not_grow_with_the_log(array: ArrayConfig, tmp_path: Path) -
     assert peaks[1] < 1.1 * peaks[0]
 
 
-def test_a_thermometer_whose_scale_is_not_known_is_not_simulated(tmp_path: Path) -> None:
+def test_a_thermometer_of_unknown_scale_is_not_simulated(tmp_path: Path) -> None:
     """Of a chip that the package does not know by this name, in more rows than are computed at once."""
     header = SensorHeader("U", "unheard_of", "angular_rate", "dps", 250.0, 131.0, has_temperature=True)
     rows = CHUNK + 100

@@ -1,4 +1,4 @@
-"""One simulated sensor: the same rows whatever is asked for, codes and flags as the chip and the logger give them."""
+"""One simulated sensor: the same rows for any request, codes and flags as the chip and the logger give them."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_an_ideal_sensor_reads_the_data_sheets_test_vector(constant: Any) -> Non
     assert sensor(spun, "l3g4200d").block(0, 1).counts.tolist() == [[0, 1000, 0]]  # 8.75 mdps a count: L3G-40
 
 
-def test_axes_turn_the_box_into_the_sensor(constant: Any) -> None:
+def test_axes_rotate_the_box_into_the_sensor(constant: Any) -> None:
     turned = sensor(constant(force_box=(1 * 9.80665, 2 * 9.80665, 3 * 9.80665)), "adxl345",
                     settings_of_chip='address = 0x53\nrange = 16\naxes = "-Y+X+Z"')  # fmt: skip
     # x points along -Y, y along +X
@@ -86,7 +86,7 @@ def test_codes_end_at_the_span_and_are_flagged(constant: Any, chip: str, force: 
         ("mpu6050", 0x68, -32768, 36.0, -181),  # -521 at 35 degC and 340 a degC: INV-42
     ],
 )
-def test_six_axis_chips_end_at_their_span_and_tell_their_temperature(
+def test_six_axis_chips_saturate_and_measure_their_temperature(
     constant: Any, chip: str, address: int, lowest: int, degc: float, temperature: int
 ) -> None:
     motion = constant(force_box=(-99.0, 99.0, 0.0), temperature_degc=degc)
@@ -97,13 +97,13 @@ def test_six_axis_chips_end_at_their_span_and_tell_their_temperature(
     assert block.temperature_counts.tolist() == [temperature]
 
 
-def test_a_magnetometer_beyond_its_span_says_so(constant: Any) -> None:
+def test_a_magnetometer_beyond_its_span_is_flagged(constant: Any) -> None:
     block = sensor(constant(field_box=(2.0, 0.0, 0.0)), "hmc5883l").block(0, 1)
     assert block.counts[0, 0] == -4096  # HMC-32
     assert block.status[0] & SATURATED
 
 
-def test_a_fast_adxl345_has_even_codes_alone(constant: Any) -> None:
+def test_a_fast_adxl345_has_only_even_codes(constant: Any) -> None:
     def ramp(seconds: Any) -> Any:
         return np.outer(seconds, [9.80665, 0.0, 0.0])
 
@@ -114,7 +114,7 @@ def test_a_fast_adxl345_has_even_codes_alone(constant: Any) -> None:
     assert set(np.diff(np.unique(codes)).tolist()) == {2}
 
 
-def test_a_slow_chip_repeats_itself_and_says_so(constant: Any) -> None:
+def test_a_slow_chip_repeats_readings_flagged_stale(constant: Any) -> None:
     def ramp(seconds: Any) -> Any:
         return np.outer(np.asarray(seconds), [9.80665, 0.0, 0.0])
 
@@ -128,7 +128,7 @@ def test_a_slow_chip_repeats_itself_and_says_so(constant: Any) -> None:
     assert ((block.status & STALE) != 0).reshape(20, 2).tolist() == [[False, True]] * 20
 
 
-def test_thermometers(constant: Any) -> None:
+def test_thermometers_have_the_scales_of_the_data_sheets(constant: Any) -> None:
     bma = sensor(constant(temperature_degc=25.0)).block(0, 1)
     assert bma.temperature_counts is not None
     assert bma.temperature_counts.tolist() == [2]  # 0 at 24 degC, half a degree a count: BMA-63
@@ -142,7 +142,7 @@ def test_thermometers(constant: Any) -> None:
 
 
 def noisy() -> tuple[Effect, ...]:
-    """An effect of each kind that remembers or draws."""
+    """One effect of each kind with memory or random draws."""
     return (
         EFFECTS["white_noise"](rms=0.01),  # type: ignore[call-arg]
         EFFECTS["bias_instability"](rms=0.01, time_constant_s=3.0),  # type: ignore[call-arg]
@@ -163,7 +163,7 @@ def noisy_sensor(motion: Any, dtype: Any = np.float64, seed: int = 5) -> Simulat
 
 @settings(max_examples=examples(15), deadline=None)
 @given(start=st.integers(0, 2 * CHUNK), length=st.integers(1, CHUNK), single=st.booleans())
-def test_any_stretch_alone_is_cut_out_of_the_whole(start: int, length: int, single: bool) -> None:
+def test_any_block_alone_equals_that_of_the_whole(start: int, length: int, single: bool) -> None:
     motion = _Rest()
     dtype = np.float32 if single else np.float64
     whole = noisy_sensor(motion, dtype)
@@ -176,7 +176,7 @@ def test_any_stretch_alone_is_cut_out_of_the_whole(start: int, length: int, sing
         np.testing.assert_array_equal(ours, np.asarray(theirs)[rows])
 
 
-def test_what_is_dropped_has_no_row_and_the_next_one_says_so(constant: Any) -> None:
+def test_a_dropped_row_is_missing_and_the_next_row_is_flagged(constant: Any) -> None:
     found = noisy_sensor(constant())
     block, lost = found.block(0, found.rows), found.lost_rows(0, found.rows)
     assert 0 < len(lost) < 0.05 * found.rows
@@ -199,7 +199,7 @@ class _Gone(Effect):
         return replace(instants, kept=rows % 5 != 0)
 
 
-def test_a_loss_at_a_chunks_edge_is_told(constant: Any) -> None:
+def test_a_loss_at_the_edge_of_a_chunk_is_flagged(constant: Any) -> None:
     found = sensor(constant(), "l3g4200d", (_Gone(),), rate_hz=400.0, seconds=(CHUNK + 100) / 400.0)
     block = found.block(CHUNK - 10, CHUNK + 10)
     stamps = found.timeline.stamps(0, found.rows)
@@ -211,7 +211,7 @@ def test_a_loss_at_a_chunks_edge_is_told(constant: Any) -> None:
     ("chip", "rms_pa", "step_pa", "step_degc"),
     [("bmp180", 3.0, 1.0, 0.1), ("bmp280", 1.3, 0.0, 0.01), ("bmp388", 1.3, 0.0, 0.01)],
 )
-def test_a_barometer_tells_temperature_and_pressure(
+def test_a_barometer_measures_temperature_and_pressure(
     constant: Any, chip: str, rms_pa: float, step_pa: float, step_degc: float
 ) -> None:
     text = f'[array]\nname = "a"\n[[sensor]]\nname = "P"\nchip = "{chip}"\naddress = 0x77'
@@ -263,8 +263,8 @@ position_mm = [0.0, -30.0, 0.0]
 """
 
 
-def test_a_sensor_in_the_place_of_another(constant: Any) -> None:
-    """What is read as A sits where B is said to sit: x along -Y, and 30 mm from the origin. Its header stays as the
+def test_a_sensor_can_be_read_in_the_place_of_another(constant: Any) -> None:
+    """The sensor read as A is at the position of B: x along -Y, and 30 mm from the origin. Its header stays as the
     configuration has it, and the other one where it was.
     """
     plan = plan_of(parse_array(CROSSED), 50.0, 1.0)
@@ -285,7 +285,7 @@ def test_a_sensor_in_the_place_of_another(constant: Any) -> None:
         Simulation(plan, motion, {"A": (ChannelSwap("C", "place"),)})
 
 
-def test_rows_that_come_a_little_faster_than_the_nominal_rate_are_readings_unless_they_are_polled(
+def test_rows_slightly_above_the_nominal_rate_are_readings_unless_polled(
     constant: Any,
 ) -> None:
     """401 rows a second for 20 s: whose clock made them is not known, but for a host's. That host asks a chip of

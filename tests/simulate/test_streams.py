@@ -1,4 +1,4 @@
-"""Named streams: any stretch alone, nothing in common between names, runs, units."""
+"""Named streams: independence of blocks, and of other names, runs, units."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.selection import examples
 
 @settings(max_examples=examples(40), deadline=None)
 @given(st.integers(0, 3 * CHUNK), st.integers(1, CHUNK), st.sampled_from(["float32", "float64"]))
-def test_any_stretch_is_cut_out_of_the_same_rows(start: int, length: int, dtype: str) -> None:
+def test_any_block_alone_equals_that_of_the_whole(start: int, length: int, dtype: str) -> None:
     whole = Streams(7).of_boot("S1", "white_noise", dtype=dtype).normal(0, 4 * CHUNK)
     alone = Streams(7).of_boot("S1", "white_noise", dtype=dtype).normal(start, start + length)
     assert alone.dtype == dtype
@@ -38,7 +38,7 @@ def test_another_name_seed_or_boot_is_another_stream() -> None:
     assert np.abs(correlation).max() < 0.13
 
 
-def test_what_belongs_to_a_unit_stays_from_boot_to_boot() -> None:
+def test_draws_of_a_unit_are_the_same_in_every_boot() -> None:
     assert Streams(3, 0).of_unit("S1", "bias").normal() == Streams(3, 9).of_unit("S1", "bias").normal()
     assert Streams(3).of_unit("S1", "bias").normal() != Streams(4).of_unit("S1", "bias").normal()
 
@@ -50,7 +50,7 @@ def test_rows_are_standard_normal_across_chunk_edges() -> None:
     assert stats.kstest(uniform, "uniform").pvalue > 1e-3
 
 
-def test_rows_can_not_be_written_to() -> None:
+def test_rows_are_read_only() -> None:
     with pytest.raises(ValueError, match="read-only"):
         Streams(1).of_boot("S1", "noise").normal(0, 3)[0, 0] = 1.0
 
@@ -60,8 +60,8 @@ def test_negative_seeds_are_refused() -> None:
         Streams(-1)
 
 
-def test_remembered_draws_are_the_same_numbers() -> None:
-    """Of a whole chunk, of a part of one, scaled and not; the second time, and beside a stream without memory."""
+def test_cached_draws_are_the_same_numbers() -> None:
+    """Of a whole chunk, of a part of one, scaled and not; also the second time, and compared with a plain stream."""
     memory = DrawMemory(1 << 22)
     for _ in range(2):
         for scale in (None, (1.0, 2.0, 0.5)):
@@ -71,7 +71,7 @@ def test_remembered_draws_are_the_same_numbers() -> None:
                 np.testing.assert_array_equal(remembered, plain)
 
 
-def test_a_memory_forgets_what_was_not_asked_for_lately() -> None:
+def test_a_cache_discards_the_least_recent_results() -> None:
     """Of results of 400 bytes each 1000 bytes hold two; a result that is larger than the memory is made each time."""
     memory, made = DrawMemory(1000), list[str]()
 

@@ -1,4 +1,4 @@
-"""When rows are read: the recorder's own poll loop over the emulated bus is the other derivation."""
+"""Times of rows: the recorder's own poll loop over the emulated bus is the other derivation."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def recorded(array: ArrayConfig, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 
 @pytest.mark.slow
-def test_rows_come_when_the_recorder_reads_them(array: ArrayConfig, recorded: Path) -> None:
+def test_rows_have_the_times_of_the_recorder(array: ArrayConfig, recorded: Path) -> None:
     lines = poll(array, 48.0, 20.0)
     with open_log(recorded) as log:
         for name, sensor in log.sensors.items():
@@ -51,13 +51,13 @@ def test_rows_come_when_the_recorder_reads_them(array: ArrayConfig, recorded: Pa
 
 
 @pytest.mark.slow
-def test_the_barometer_gives_as_many_rows(array: ArrayConfig, recorded: Path) -> None:
+def test_the_barometer_has_the_number_of_rows_of_the_recorder(array: ArrayConfig, recorded: Path) -> None:
     lines = poll(array, 48.0, 20.0)
     with open_log(recorded) as log:
         assert abs(lines["BMP180"].rows - len(log["BMP180"])) <= 1
 
 
-def test_stamps_increase_and_any_stretch_is_the_same(array: ArrayConfig) -> None:
+def test_stamps_increase_and_do_not_depend_on_the_block(array: ArrayConfig) -> None:
     for line in poll(array, 48.0, 30.0).values():
         whole = line.stamps(0, line.rows)
         assert (np.diff(whole) > 0).all()
@@ -80,14 +80,14 @@ def test_frames_are_counted_as_the_recorder_does(array: ArrayConfig) -> None:
     assert [poll(array, rate_hz, 20.0)["BMA1"].rows for rate_hz in (48.0, 50.0, 9.0)] == [960, 1000, 180]
 
 
-def test_a_recorded_sensors_own_times(recorded: Path) -> None:
+def test_the_times_of_a_recorded_sensor_are_used(recorded: Path) -> None:
     with open_log(recorded) as log:
         line = LogTimes(log["Gyro1"])
         np.testing.assert_array_equal(line.stamps(10, 20), log["Gyro1"].time[10:20])
         assert line.rows_per_s == pytest.approx(48.0, rel=1e-3)
 
 
-def test_a_recorded_line_is_read_from_its_log_wherever_it_is_sent(recorded: Path) -> None:
+def test_a_recorded_line_is_read_from_its_log_after_pickling(recorded: Path) -> None:
     with open_log(recorded) as log:
         line = LogTimes(log["Gyro1"])
         line.stamps(0, 1), line.stamps(3, 9)
@@ -129,7 +129,7 @@ def holed(draw: st.DrawFn) -> tuple[GapFilledTimes, list[int]]:
 
 
 @given(holed(), st.data())
-def test_any_stretch_of_a_line_whose_holes_are_filled(
+def test_any_block_of_a_line_with_filled_holes_equals_the_whole(
     made: tuple[GapFilledTimes, list[int]], data: st.DataObject
 ) -> None:
     line, whole = made
@@ -156,11 +156,11 @@ def log_of(path: Path, times: np.ndarray, lost_before: Sequence[int] | np.ndarra
 @given(
     lost=st.lists(st.booleans(), min_size=1, max_size=60), period_ns=st.integers(1000, 10**8), seed=st.integers(0, 99)
 )
-def test_an_even_line_comes_back_whole(
+def test_an_even_line_is_completed(
     tmp_path_factory: pytest.TempPathFactory, lost: list[bool], period_ns: int, seed: int
 ) -> None:
     """Times off the grid by a twentieth of its period at most, and by so little that the longest hole's rows can be
-    counted where the usual interval is known from one; rows that were lost come back to within that.
+    counted where the usual interval is known from one; lost rows are restored to within that.
     """
     kept = np.array([True, True, *(not one for one in lost), True])
     rows = np.flatnonzero(kept)
@@ -180,7 +180,7 @@ def test_an_even_line_comes_back_whole(
         assert np.abs(found - times).max() <= 2 * off * period_ns + 1
 
 
-def test_which_holes_are_filled(tmp_path: Path) -> None:
+def test_holes_with_a_flag_and_room_for_rows_are_filled(tmp_path: Path) -> None:
     """Of those with the flag the ones with room for a row; a gap without the flag stays one."""
     times = np.cumsum([5, 10, 10, 14, 10, 16, 10, 24, 26, 30, 10])
     with open_log(log_of(tmp_path / "log.h5", times, [0, 3, 5, 8, 9])) as log:
@@ -193,7 +193,7 @@ def test_which_holes_are_filled(tmp_path: Path) -> None:
         assert list(line.holes()) == [(49, 65, 1), (99, 125, 2), (125, 155, 2)]
 
 
-def test_holes_wherever_a_long_log_is_cut(tmp_path: Path) -> None:
+def test_holes_are_filled_across_blocks_of_a_long_log(tmp_path: Path) -> None:
     """Blocks of 65536 rows; in the last hundred rows every second one is lost."""
     kept = np.ones(80_000, bool)
     kept[[65_536, 70_000]] = False
@@ -213,7 +213,7 @@ def test_a_log_without_flags_has_no_holes(tmp_path: Path) -> None:
         assert isinstance(filled(log["A"]), LogTimes)
     with open_log(log_of(tmp_path / "one.h5", times[:1], [0])) as log:
         assert filled(log["A"]).rows == 1
-    with open_log(log_of(tmp_path / "two.h5", times[:2], [0, 1])) as log:  # nothing tells what is usual
+    with open_log(log_of(tmp_path / "two.h5", times[:2], [0, 1])) as log:  # the usual interval is unknown
         assert filled(log["A"]).rows == 2
 
 
@@ -227,7 +227,7 @@ def regular(rows: int, missing: Sequence[int], jitter: float = 0.02, seed: int =
 
 
 @pytest.mark.parametrize("rows", [1000, 65_610, 70_000])
-def test_rows_that_a_regular_record_lacks_are_lost_whether_or_not_a_flag_says_so(tmp_path: Path, rows: int) -> None:
+def test_missing_rows_of_a_regular_record_are_lost_also_without_a_flag(tmp_path: Path, rows: int) -> None:
     """Gaps of one, two and three rows at uneven distances, one of them where blocks of 65536 rows meet, and one in the
     last block, however short that is.
     """
@@ -241,15 +241,15 @@ def test_rows_that_a_regular_record_lacks_are_lost_whether_or_not_a_flag_says_so
         assert np.abs(line.stamps(0, rows) - np.arange(rows) * PERIOD_NS).max() < 0.12 * PERIOD_NS
 
 
-def test_a_late_row_is_not_a_lost_one(tmp_path: Path) -> None:
-    """A busy host reads some rows most of a period late: the next ones come early by as much."""
+def test_a_late_row_is_not_a_lost_row(tmp_path: Path) -> None:
+    """A busy host reads some rows most of a period late: the next rows are early by as much."""
     late = regular(1000, [])
     late[[100, 430, 431, 800]] += PERIOD_NS * 7 // 10
     with open_log(log_of(tmp_path / "log.h5", late, [])) as log:
         assert isinstance(filled(log["A"]), LogTimes)
 
 
-def test_what_is_no_loss_of_a_regular_record(tmp_path: Path) -> None:
+def test_other_gaps_are_no_losses_of_a_regular_record(tmp_path: Path) -> None:
     """Evenly spaced gaps, gaps that do not fit the period, long ones, and any gap among irregular times."""
     rng = np.random.default_rng(1)
     uneven = [57, 130, 390, 444, 910]
@@ -269,7 +269,7 @@ def test_what_is_no_loss_of_a_regular_record(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("flagged", [False, True])
-def test_pauses_of_the_recorder_do_not_count_for_the_rate(tmp_path: Path, *, flagged: bool) -> None:
+def test_pauses_of_the_recorder_do_not_change_the_rate(tmp_path: Path, *, flagged: bool) -> None:
     """At 100 Hz, one row lost in a hundred, and pauses of six seconds and two, which are 8 s of 18; where rows are
     flagged as lost, so are those of the pauses.
     """
@@ -281,7 +281,7 @@ def test_pauses_of_the_recorder_do_not_count_for_the_rate(tmp_path: Path, *, fla
         assert LogTimes(log["A"]).rows_per_s == pytest.approx(100.0 * 0.99, rel=0.01)
 
 
-def test_flagged_losses_count_among_evenly_spaced_gaps(tmp_path: Path) -> None:
+def test_flagged_losses_are_filled_among_evenly_spaced_gaps(tmp_path: Path) -> None:
     times = regular(1000, list(range(37, 1000, 90)))
     (gaps,) = np.nonzero(np.diff(times) > 1.5 * PERIOD_NS)
     with open_log(log_of(tmp_path / "log.h5", times, gaps[3:5] + 1)) as log:

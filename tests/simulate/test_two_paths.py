@@ -38,7 +38,7 @@ INERTIAL = ("ADXL1", "ADXL2", "BMA1", "BMA2", "BMA3", "BMA4", "Gyro1", "Gyro2", 
 
 
 def effects_of_unit(array: ArrayConfig, sensor: SensorConfig) -> tuple[Effect, ...]:
-    """What the emulator says of one of its units, in our words."""
+    """The parameters of an emulated unit as effects."""
     unit = unit_of(array.name, sensor.name, sensor.chip, sensor.range or 0.0, SEED)
     response = np.array(unit.response)
     lean = np.degrees(np.arctan(response / np.diag(response)[:, None]))
@@ -133,7 +133,7 @@ def test_means_and_spreads_agree_in_every_still_phase(pair: tuple[Log, Log]) -> 
 
 
 @pytest.mark.slow
-def test_moved_the_two_follow_each_other(pair: tuple[Log, Log]) -> None:
+def test_moving_readings_of_both_paths_agree(pair: tuple[Log, Log]) -> None:
     for name in INERTIAL:
         theirs, ours = (np.asarray(log[name].counts, float) for log in pair)
         swing = theirs.std(axis=0)
@@ -205,9 +205,9 @@ def slow_chips(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["A", "G"])
-def test_readings_are_as_old_as_the_chips_own_clock_has_them(slow_chips: Any, name: str) -> None:
-    """With the right rate there is a phase at which nothing is left but two noises, in all rows of the motion; half a
-    period beside it, or with another rate, far more is left whatever the phase.
+def test_ages_of_readings_are_those_of_the_chips_own_clock(slow_chips: Any, name: str) -> None:
+    """With the right rate there is a phase at which only two noises remain, in all rows of the motion; half a
+    period beside it, or with another rate, far more remains at any phase.
 
     Of x alone, whose first byte comes 27 clocks after the stamp: a conversion that ends within the burst tears y and z
     off.

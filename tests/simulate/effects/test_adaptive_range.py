@@ -1,4 +1,4 @@
-"""adaptive_range: what a ramp looks like, by hand, and that the emulated chip looks alike."""
+"""adaptive_range: the readings of a ramp, by hand, and compared with the emulated chip."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def shown(place, codes, sensor, counts, hold_s: float = 1.5e-3, every_ms: float 
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_ramp_through_the_threshold(place, codes, gyroscope, sign: int) -> None:
+def test_a_ramp_through_the_threshold_is_held(place, codes, gyroscope, sign: int) -> None:
     """1000 counts are 100 dps: of rows 1 ms apart the one that is beyond, and the next, show the one before."""
     ramp = [sign * 300 * row for row in range(8)]
     expected = [0, 300, 600, 900, 900, 900, 1800, 2100]
@@ -44,18 +44,18 @@ def test_a_ramp_through_the_threshold(place, codes, gyroscope, sign: int) -> Non
 
 
 @pytest.mark.parametrize(("hold_s", "rows"), [(0.5e-3, 1), (1e-3, 1), (1.001e-3, 2), (3.5e-3, 4)])
-def test_the_hold_is_so_long(place, codes, gyroscope, hold_s: float, rows: int) -> None:
+def test_the_hold_has_its_duration(place, codes, gyroscope, hold_s: float, rows: int) -> None:
     step = [0] * 5 + [2000 + row for row in range(20)]
     after = shown(place, codes, gyroscope, step, hold_s)
     assert after == [0] * (5 + rows) + [2000 + row for row in range(rows, 20)]
 
 
-def test_another_passage_within_the_hold_lengthens_it(place, codes, gyroscope) -> None:
+def test_another_crossing_within_the_hold_lengthens_it(place, codes, gyroscope) -> None:
     after = shown(place, codes, gyroscope, [10, 20, 1500, 30, 40, 50, 60])
     assert after == [10, 20, 20, 20, 20, 50, 60]
 
 
-def test_seldom_rows_show_the_reading_of_the_passage(place, codes, gyroscope) -> None:
+def test_slow_rows_show_the_reading_of_the_crossing(place, codes, gyroscope) -> None:
     """A ramp of 100 counts a millisecond, of which a row is read every 10 ms: 1000 is passed 4 ms before the row at 24
     ms, so late that the hold is over; 0.5 ms before that at 20.5 ms, which shows what was read at 20 ms.
     """
@@ -68,12 +68,12 @@ def test_seldom_rows_show_the_reading_of_the_passage(place, codes, gyroscope) ->
     assert 950 <= after[1] <= 1000 < soon[1]
 
 
-def test_at_rest_nothing_happens(place, codes, gyroscope) -> None:
+def test_readings_below_the_threshold_are_unchanged(place, codes, gyroscope) -> None:
     noise = np.random.default_rng(1).integers(-500, 500, 5000).tolist()
     assert shown(place, codes, gyroscope, noise) == noise
 
 
-def test_blocks_make_no_difference(place, codes, gyroscope) -> None:
+def test_readings_do_not_depend_on_blocks(place, codes, gyroscope) -> None:
     """Within its lookback, also while the threshold is passed all the time."""
     counts = np.random.default_rng(2).integers(900, 1100, 6000).tolist()
     at = place(gyroscope, rows_per_s=1000.0)
@@ -132,7 +132,7 @@ def readings(control: str, *fittings: Fitting) -> list[int]:
 
 
 def test_the_mechanism_the_register_and_the_effect_agree(place, codes, sensor) -> None:
-    """Three spellings of TDK-18, made apart."""
+    """Three independent implementations of TDK-18."""
     clean = readings("4d51")
     by_register = readings("4d91")
     by_mechanism = readings("4d51", Fitting(Mechanism(), ("G",)))
@@ -146,7 +146,7 @@ def test_the_mechanism_the_register_and_the_effect_agree(place, codes, sensor) -
     assert np.count_nonzero(changed) == 2 * 10  # two rows at each of four passages in each of 2.5 periods
 
 
-def test_a_longer_hold_by_severity() -> None:
+def test_severity_lengthens_the_hold() -> None:
     assert Mechanism.at(2.0).held_s == pytest.approx(3e-3)
     longer = readings("4d51", Fitting(Mechanism.at(4.0), ("G",)))
     assert max(np.diff(np.flatnonzero(np.diff(longer)))) >= 6

@@ -1,4 +1,4 @@
-"""`bandwidth`: the noise's size stays, its memory is exponential."""
+"""`bandwidth`: the rms of the noise is kept, its correlation is exponential."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_same_rms_and_exponential_correlation_from_the_first_row_on(place: MakeP
     assert furthest(np.concatenate(runs), 0.09 * toeplitz(np.exp(-np.arange(6) / 2))) < 5
 
 
-def test_noise_of_a_chip_that_is_read_again_remembers_samples(constant: type[Constant]) -> None:
+def test_noise_of_a_chip_read_repeatedly_is_correlated_by_samples(constant: type[Constant]) -> None:
     """100 samples a second, read 160 times: behind 10 Hz successive samples correlate by exp(-2 pi 10 / 100) = 0.53,
     and not by exp(-2 pi 10 / 160) = 0.68, as rows would. Standard error 0.005.
     """
@@ -63,7 +63,7 @@ def test_two_poles_are_scipys_butterworth(place: MakePlace, analog: MakeAnalog) 
 
 
 @pytest.mark.parametrize("cutoff_hz", [1e4, 1e6])
-def test_two_poles_far_beyond_the_rows_leave_noise_as_it_is(
+def test_two_poles_far_above_the_row_rate_leave_noise_unchanged(
     place: MakePlace, analog: MakeAnalog, cutoff_hz: float
 ) -> None:
     white = np.random.default_rng(6).normal(0, 0.3, (50, 3))
@@ -71,7 +71,7 @@ def test_two_poles_far_beyond_the_rows_leave_noise_as_it_is(
     np.testing.assert_allclose(noise, white, rtol=1e-12)
 
 
-def test_the_papers_gyroscope(place: MakePlace, analog: MakeAnalog) -> None:
+def test_noise_of_the_papers_gyroscope_has_its_correlation(place: MakePlace, analog: MakeAnalog) -> None:
     """Correlation 0.4 between neighbours at 350 Hz (Appendix A, Figure 13) is a cutoff of 51 Hz."""
     white = np.random.default_rng(6).normal(0, 0.31, (100_000, 3))
     noise = Bandwidth(51.0).analog(analog(0, 100_000, noise=white), place(rows_per_s=350.0)).noise
@@ -80,14 +80,14 @@ def test_the_papers_gyroscope(place: MakePlace, analog: MakeAnalog) -> None:
         assert axis.std() == pytest.approx(0.31, abs=0.004)
 
 
-def test_value_stays_and_no_noise_stays_none(place: MakePlace, analog: MakeAnalog) -> None:
+def test_the_value_is_unchanged_and_no_noise_is_added(place: MakePlace, analog: MakeAnalog) -> None:
     rows = Bandwidth(5.0).analog(analog(0, 50, value=1.5), place())
     assert (rows.value == 1.5).all()
     assert (rows.noise == 0).all()
 
 
 @pytest.mark.parametrize("cutoff_hz", [0.5, 5.0, 40.0])
-def test_a_ramp_is_late_by_the_time_constant(place: MakePlace, analog: MakeAnalog, cutoff_hz: float) -> None:
+def test_a_ramp_lags_by_the_time_constant(place: MakePlace, analog: MakeAnalog, cutoff_hz: float) -> None:
     """x(t) = t behind a filter of time constant T is t - T + T exp(-t / T), from rest at 0, whatever the rows' rate."""
     time_s, constant_s = np.arange(300) / 100, 1 / (2 * np.pi * cutoff_hz)
     ramp = np.repeat(time_s[:, None], 3, axis=1)
@@ -98,14 +98,14 @@ def test_a_ramp_is_late_by_the_time_constant(place: MakePlace, analog: MakeAnalo
     np.testing.assert_allclose(half, (ramp + found) / 2, atol=1e-12)
 
 
-def test_what_is_at_rest_stays_where_it_is(place: MakePlace, analog: MakeAnalog) -> None:
+def test_a_constant_value_is_unchanged(place: MakePlace, analog: MakeAnalog) -> None:
     rows = Bandwidth(5.0, 1.0).analog(analog(0, 50, value=1.5), place())
     np.testing.assert_allclose(rows.value, 1.5, rtol=1e-14)
 
 
 @pytest.mark.parametrize("cutoff_hz", [5.0, 25.0, 45.0])
 @pytest.mark.parametrize("poles", [1.0, 2.0])
-def test_the_lookback_of_a_digital_filter_is_enough(
+def test_the_lookback_of_a_digital_filter_is_sufficient(
     place: MakePlace, analog: MakeAnalog, cutoff_hz: float, poles: float
 ) -> None:
     white = np.random.default_rng(7).normal(0, 1, (3000, 3))
@@ -117,7 +117,7 @@ def test_the_lookback_of_a_digital_filter_is_enough(
 
 
 @pytest.mark.parametrize("cutoff_hz", [0.5, 5.0, 40.0])
-def test_its_lookback_is_enough(place: MakePlace, analog: MakeAnalog, cutoff_hz: float) -> None:
+def test_the_lookback_is_sufficient_and_minimal(place: MakePlace, analog: MakeAnalog, cutoff_hz: float) -> None:
     white = np.random.default_rng(7).normal(0, 1, (3000, 3))
     effect, at = Bandwidth(cutoff_hz), place(rows_per_s=100.0)
     back = effect.lookback(at)
@@ -128,7 +128,7 @@ def test_its_lookback_is_enough(place: MakePlace, analog: MakeAnalog, cutoff_hz:
     np.testing.assert_allclose(alone[back:], whole[2000:], rtol=0, atol=1e-11)
 
 
-def test_single_precision_stays_single(place: MakePlace, analog: MakeAnalog) -> None:
+def test_single_precision_is_kept(place: MakePlace, analog: MakeAnalog) -> None:
     white = np.random.default_rng(8).normal(0, 1, (1000, 3))
     double = Bandwidth(1.0).analog(analog(0, 1000, noise=white), place())
     single = Bandwidth(1.0).analog(analog(0, 1000, noise=white, dtype=np.float32), place(dtype=np.float32))
@@ -136,7 +136,7 @@ def test_single_precision_stays_single(place: MakePlace, analog: MakeAnalog) -> 
     np.testing.assert_allclose(single.noise, double.noise, atol=1e-6)
 
 
-def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog) -> None:
+def test_defaults_do_nothing_and_invalid_parameters_are_refused(place: MakePlace, analog: MakeAnalog) -> None:
     rows = analog(0, 10)
     assert Bandwidth().analog(rows, place()) is rows
     assert Bandwidth().lookback(place()) == 0
@@ -160,7 +160,9 @@ def test_the_correlation_of_a_band_is_a_cosine_transform(decay: float, poles: fl
 
 
 @pytest.mark.parametrize(("poles", "cutoff_hz"), [(1.0, 25.0), (2.0, 25.0), (1.0, 60.0)])
-def test_noise_behind_a_digital_filter(place: MakePlace, analog: MakeAnalog, poles: float, cutoff_hz: float) -> None:
+def test_noise_of_a_digital_filter_equals_that_filtered_by_fourier_transform(
+    place: MakePlace, analog: MakeAnalog, poles: float, cutoff_hz: float
+) -> None:
     """Against noise that is filtered by its Fourier transform: the same correlations, and the rms stays."""
     rows, generator = 1 << 17, np.random.default_rng(6)
     effect, at = Bandwidth(cutoff_hz, poles=poles, sampled_hz=100.0), place(rows_per_s=100.0)
@@ -176,7 +178,7 @@ def test_noise_behind_a_digital_filter(place: MakePlace, analog: MakeAnalog, pol
         assert np.corrcoef(found[lag:], found[:-lag])[0, 1] == pytest.approx(wanted, abs=0.015)
 
 
-def test_a_share_of_the_noise_comes_through(place: MakePlace, analog: MakeAnalog) -> None:
+def test_a_share_of_the_noise_is_passed(place: MakePlace, analog: MakeAnalog) -> None:
     white = np.random.default_rng(6).normal(0, 0.3, (500, 3))
     rows, at = analog(0, 500, noise=white), place(rows_per_s=100.0)
     whole, half = (Bandwidth(10.0, noise_share=share).analog(rows, at).noise for share in (1.0, 0.5))
@@ -186,7 +188,7 @@ def test_a_share_of_the_noise_comes_through(place: MakePlace, analog: MakeAnalog
 
 
 @pytest.mark.parametrize(("rows_per_s", "poles"), [(80.0, 2.0), (60.0, 1.0), (37.0, 2.0)])
-def test_noise_of_a_chip_that_is_polled_more_slowly_than_it_samples(
+def test_noise_of_a_chip_polled_below_its_rate_is_correlated_by_samples(
     constant: type[Constant], rows_per_s: float, poles: float
 ) -> None:
     """100 samples a second behind a digital filter of 12.5 Hz: rows one sample apart correlate as scipy's filtered
@@ -208,7 +210,7 @@ def test_noise_of_a_chip_that_is_polled_more_slowly_than_it_samples(
         assert np.mean(level[at] * level[at + 1]) / level.var() == pytest.approx(expected, abs=0.03)
 
 
-def test_noise_that_grows_at_a_moment_on_a_chip_that_is_polled_more_slowly(constant: type[Constant]) -> None:
+def test_a_step_of_noise_on_a_chip_polled_below_its_rate_includes_unread_samples(constant: type[Constant]) -> None:
     """3 counts of noise for 250 s, and then 4 more: 5 together, also in the samples that no row reads."""
     rows = 40_000
     lines = PollTimes(rows, 12_500_000)
@@ -227,9 +229,7 @@ def test_noise_that_grows_at_a_moment_on_a_chip_that_is_polled_more_slowly(const
 
 @pytest.mark.parametrize("poles", [1.0, 2.0])
 @pytest.mark.parametrize("sampled_hz", [100.0, np.inf])
-def test_samples_that_no_row_reads_do_not_depend_on_the_block(
-    constant: type[Constant], poles: float, sampled_hz: float
-) -> None:
+def test_unread_samples_do_not_depend_on_the_block(constant: type[Constant], poles: float, sampled_hz: float) -> None:
     lines = PollTimes(4000, 12_500_000)
     plan = Plan({"S1": (header("l3g4200d", rate_hz=100.0), lines)}, lines)
     effects = (WhiteNoise(5.0), Bandwidth(6.0, poles=poles, sampled_hz=sampled_hz))
@@ -239,7 +239,7 @@ def test_samples_that_no_row_reads_do_not_depend_on_the_block(
 
 
 @pytest.mark.parametrize("poles", [1, 2])
-def test_a_warped_filter_is_scipys_digital_one(poles: int, place: MakePlace, analog: MakeAnalog) -> None:
+def test_a_warped_filter_equals_scipys_digital_filter(poles: int, place: MakePlace, analog: MakeAnalog) -> None:
     """Designed by the bilinear transform for 13.75 Hz at 100 samples a second, one or two for each row: correlations of
     SciPy's filter, from its impulse response; those of simulated noise have standard errors of 0.005.
     """
@@ -262,7 +262,7 @@ def _correlations(impulse: np.ndarray) -> list[float]:
 
 
 def test_measured_correlations_replace_those_of_the_filter(place: MakePlace, analog: MakeAnalog) -> None:
-    """Noise of three rows' memory that no filter of the family has; a set that no noise can have is refused."""
+    """Noise correlated over three rows, as no filter of the family gives; an impossible set is refused."""
     measured = (0.5, 0.3, -0.1)
     effect = Bandwidth(20.0, correlations=measured)
     white = np.random.default_rng(6).normal(0, 0.3, (100_000, 3))

@@ -24,12 +24,12 @@ def test_turn_on_bias_is_normal_from_boot_to_boot(place: MakePlace, analog: Make
     assert furthest(runs, np.diag([0.01, 0.04, 0.25])) < 5  # 9 numbers: 5e-6
 
 
-def test_bias_from_a_boot_on(place: MakePlace, analog: MakeAnalog) -> None:
+def test_a_bias_begins_with_its_boot(place: MakePlace, analog: MakeAnalog) -> None:
     runs = [Bias(0.5, from_boot=2).analog(analog(0, 1), place(boot=boot)).value[0, 0] for boot in range(4)]
     assert runs == [0.0, 0.0, 0.5, 0.5]
 
 
-def test_bistable_bias_comes_with_its_probability_and_on_all_axes(place: MakePlace, analog: MakeAnalog) -> None:
+def test_bistable_bias_has_its_probability_on_all_axes(place: MakePlace, analog: MakeAnalog) -> None:
     effect = BistableBias(GYRO3, 7 / 15)
     runs = np.stack([effect.analog(analog(0, 1, value=(0, 69, 2)), place(boot=boot)).value[0] for boot in range(1000)])
     flipped = (runs == (-13, 75, 0)).all(axis=1)
@@ -39,7 +39,9 @@ def test_bistable_bias_comes_with_its_probability_and_on_all_axes(place: MakePla
 
 
 @pytest.mark.parametrize(("probability", "offset"), [(0.0, 0.0), (1.0, 2.0)])
-def test_never_and_always(place: MakePlace, analog: MakeAnalog, probability: float, offset: float) -> None:
+def test_probabilities_0_and_1_give_never_and_always(
+    place: MakePlace, analog: MakeAnalog, probability: float, offset: float
+) -> None:
     for boot in range(50):
         rows = BistableBias((2.0, 2.0, 2.0), probability).analog(analog(0, 1), place(boot=boot))
         assert (rows.value == offset).all()
@@ -47,7 +49,9 @@ def test_never_and_always(place: MakePlace, analog: MakeAnalog, probability: flo
 
 @pytest.mark.parametrize("effect", [TurnOnBias(0.1), BistableBias(0.1, 0.5)], ids=lambda effect: effect.name)  # type: ignore[arg-type]
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_the_same_in_all_of_a_run(place: MakePlace, analog: MakeAnalog, effect: Effect, dtype: npt.DTypeLike) -> None:
+def test_the_bias_is_constant_within_a_run(
+    place: MakePlace, analog: MakeAnalog, effect: Effect, dtype: npt.DTypeLike
+) -> None:
     seen = set()
     for boot in range(20):
         early, late = (
@@ -61,13 +65,13 @@ def test_the_same_in_all_of_a_run(place: MakePlace, analog: MakeAnalog, effect: 
     assert len(seen) == (20 if effect.name == "turn_on_bias" else 2)  # 20 equal coins: 2e-6
 
 
-def test_sensors_and_seeds_are_switched_on_independently(place: MakePlace, analog: MakeAnalog) -> None:
+def test_turn_on_biases_of_sensors_seeds_and_boots_differ(place: MakePlace, analog: MakeAnalog) -> None:
     places = [place(), place(header(name="S2")), place(seed=2), place(boot=1)]
     biases = [TurnOnBias(0.1).analog(analog(0, 1), at).value[0, 0] for at in places]  # type: ignore[arg-type]
     assert len(set(biases)) == 4
 
 
-def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog) -> None:
+def test_defaults_do_nothing_and_invalid_parameters_are_refused(place: MakePlace, analog: MakeAnalog) -> None:
     rows = analog(0, 10)
     assert TurnOnBias().analog(rows, place()) is rows
     assert BistableBias().analog(rows, place()) is rows

@@ -1,4 +1,4 @@
-"""`odr_error`: noise, step and pace of a chip that runs otherwise than it was told to."""
+"""`odr_error`: noise, step and rate of a chip that runs at other settings than configured."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ MakeAnalog = Callable[..., Analog]
         ("adxl345", {"rate_hz": 1600.0}, OdrError(400.0), 0.5),
         ("adxl345", {"rate_hz": 100.0}, OdrError(12.5), 1.0),  # no quieter below 100 Hz: ADX-68
         ("adxl345", {"rate_hz": 25.0}, OdrError(400.0), 2.0),
-        ("adxl345", {"rate_hz": 400.0}, OdrError(1600.0, 50.0), 0.5),  # as it is said
+        ("adxl345", {"rate_hz": 400.0}, OdrError(1600.0, 50.0), 0.5),  # as stated
         ("bma180", {"bandwidth_hz": 150.0}, OdrError(bandwidth_hz=600.0), 2.0),
-        ("bma180", {"bandwidth_hz": 150.0}, OdrError(1200.0), 1.0),  # its filter doesn't hang on its rate
+        ("bma180", {"bandwidth_hz": 150.0}, OdrError(1200.0), 1.0),  # its filter does not depend on its rate
         ("l3g4200d", {"rate_hz": 400.0, "bandwidth_hz": 110.0}, OdrError(400.0, 27.5), 0.5),
         ("hmc5883l", {"rate_hz": 15.0}, OdrError(75.0), 1.0),
     ],
@@ -44,7 +44,7 @@ def test_noise_follows_the_root_of_the_bandwidth(
     ("configured_hz", "real_hz", "step", "highest"),
     [(400.0, 800.0, 1, 4095), (400.0, 1600.0, 2, 4094), (400.0, 3200.0, 2, 4094), (1600.0, 400.0, 1, 4095)],
 )
-def test_even_codes_of_a_fast_adxl345(
+def test_a_fast_adxl345_has_even_codes(
     place: MakePlace, analog: MakeAnalog, configured_hz: float, real_hz: float, step: int, highest: int
 ) -> None:
     """ADX-46, ADX-47: at 16 g; the highest even code is 4094."""
@@ -54,14 +54,14 @@ def test_even_codes_of_a_fast_adxl345(
     assert (after.step, after.lowest, after.highest, after.rate_hz) == (step, -4096, highest, real_hz)
 
 
-def test_bandwidth_alone_leaves_the_pace(place: MakePlace, analog: MakeAnalog) -> None:
+def test_a_bandwidth_alone_does_not_change_the_rate(place: MakePlace, analog: MakeAnalog) -> None:
     rows = OdrError(bandwidth_hz=300.0).analog(analog(0, 3, rate_hz=2400.0), place(header(bandwidth_hz=150.0)))
     assert (rows.rate_hz, rows.step, rows.lowest, rows.highest) == (2400.0, 1, -8192, 8191)
     assert OdrError(bandwidth_hz=300.0).lookback(place()) == 0
 
 
 @pytest.mark.parametrize(("rate_hz", "rows"), [(25.0, 5), (30.0, 5), (100.0, 0), (400.0, 0), (0.4, 251)])
-def test_its_lookback_is_enough(place: MakePlace, codes: Callable[..., Codes], rate_hz: float, rows: int) -> None:
+def test_the_lookback_is_sufficient(place: MakePlace, codes: Callable[..., Codes], rate_hz: float, rows: int) -> None:
     """All rows that share a reading, and the one before them: what is held in rows 700 ... is the same."""
     back = OdrError(rate_hz).lookback(place(rows_per_s=100.0))
     assert back == rows
@@ -71,7 +71,7 @@ def test_its_lookback_is_enough(place: MakePlace, codes: Callable[..., Codes], r
         np.testing.assert_array_equal(alone.fresh[back:], whole.fresh[700:])
 
 
-def test_an_oscillator_that_limps(place: MakePlace, analog: MakeAnalog) -> None:
+def test_a_slow_oscillator_keeps_codes_and_noise(place: MakePlace, analog: MakeAnalog) -> None:
     """Set to 1600 Hz it makes a twentieth of that; its codes stay even, its noise as large."""
     at, effect = place(header("adxl345", rate_hz=1600.0), rows_per_s=100.0), OdrError(clock_ratio=0.05)
     stamps = np.arange(5, dtype=np.int64) * 10_000_000
@@ -87,12 +87,12 @@ def test_an_oscillator_that_limps(place: MakePlace, analog: MakeAnalog) -> None:
     assert (wider.analog(rows, at).step, wider.analog(rows, at).rate_hz) == (1, pytest.approx(100.0))
 
 
-def test_single_precision_stays_single(place: MakePlace, analog: MakeAnalog) -> None:
+def test_single_precision_is_kept(place: MakePlace, analog: MakeAnalog) -> None:
     rows = OdrError(bandwidth_hz=300.0).analog(analog(0, 3, noise=1.0, dtype=np.float32), place(dtype=np.float32))
     assert rows.noise.dtype == np.float32
 
 
-def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog) -> None:
+def test_defaults_do_nothing_and_invalid_parameters_are_refused(place: MakePlace, analog: MakeAnalog) -> None:
     rows = analog(0, 10)
     assert OdrError().analog(rows, place()) is rows
     assert OdrError().lookback(place()) == 0

@@ -1,4 +1,4 @@
-"""`own_clock`: which reading a poll gets, beside readings numbered by hand."""
+"""`own_clock`: the reading of each poll, compared with readings numbered by hand."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ def ramp(g_per_s: float) -> Callable[[Any], Any]:
 
 
 class TestInstants:
-    def test_readings_numbered_by_hand(self, place: MakePlace, instants: MakeInstants) -> None:
+    def test_readings_match_those_numbered_by_hand(self, place: MakePlace, instants: MakeInstants) -> None:
         """80 Hz and a quarter more are 100 Hz; a quarter of 10 ms had passed at the epoch: -2.5, 7.5, 17.5 ... ms."""
         rows = instants(0, 5, rows_per_s=40.0, rate_hz=80.0)
         found = polled(OwnClock(0.25, 90.0), rows, at_rate(place, 80.0, rows_per_s=40.0))
         assert found.tolist() == [-2_500_000, 17_500_000, 47_500_000, 67_500_000, 97_500_000]
 
-    def test_a_beat(self, place: MakePlace, instants: MakeInstants) -> None:
+    def test_ages_have_a_beat(self, place: MakePlace, instants: MakeInstants) -> None:
         """1 % more than 800 Hz, polled 100 times a second: 8.08 periods a poll. Ages grow by 8 hundredths of a period
         and come back after 25 polls, in which they have gone round twice.
         """
@@ -71,13 +71,13 @@ class TestInstants:
         np.testing.assert_allclose(age, hundredths / 100 * period_ns, atol=1)
         assert age.mean() == pytest.approx(0.48 * period_ns, rel=1e-6)  # of 0, 4, ..., 96 hundredths
 
-    def test_ages_stay_where_both_keep_step(self, place: MakePlace, instants: MakeInstants) -> None:
+    def test_ages_are_constant_at_a_multiple_of_the_rate(self, place: MakePlace, instants: MakeInstants) -> None:
         """800 Hz polled 100 times a second, 120 deg: a third of 1.25 ms, always."""
         rows = instants(0, 1000, rate_hz=800.0)
         age = rows.instant_ns - polled(OwnClock(phase_deg=120.0), rows, at_rate(place, 800.0))
         assert np.unique(age).tolist() == [416_667]
 
-    def test_a_phase_of_its_own_for_every_boot_and_sensor(self, place: MakePlace, instants: MakeInstants) -> None:
+    def test_the_phase_differs_for_every_boot_and_sensor(self, place: MakePlace, instants: MakeInstants) -> None:
         """Uniform by Kolmogorov and Smirnov, not correlated from one sensor to the next: a false alarm in 1000 seeds
         each.
         """
@@ -90,42 +90,44 @@ class TestInstants:
             assert stats.kstest(phases, "uniform").pvalue > 1e-3
         assert stats.pearsonr(first, second).pvalue > 1e-3
 
-    def test_a_phase_that_is_given_is_that_of_every_boot(self, place: MakePlace, instants: MakeInstants) -> None:
+    def test_a_given_phase_is_that_of_every_boot(self, place: MakePlace, instants: MakeInstants) -> None:
         rows = instants(0, 1)
         assert {OwnClock(phase_deg=90.0).sampled(rows, place(boot=boot)).phase for boot in range(5)} == {0.25}
 
     @given(st.integers(-(10**12), 10**15), st.floats(0.1, 3400.0), st.floats(0.0, 1.0))
     @example(123_956_804, 3210.7, 0.25)
-    def test_a_reading_is_not_older_than_a_period_and_is_its_own_latest(
+    def test_a_reading_is_at_most_one_period_old_and_stable(
         self, instant_ns: int, rate_hz: float, phase: float
     ) -> None:
-        """`held` tells by the readings' times which of them are the same."""
+        """`held` decides by the readings' times which of them are the same."""
         (found,) = latest_reading(np.array([instant_ns]), rate_hz, phase).tolist()
         rounding_ns = 2 + 1e-6 * 1e9 / rate_hz
         assert -rounding_ns <= instant_ns - found <= 1e9 / rate_hz + rounding_ns
         assert latest_reading(np.array([found]), rate_hz, phase).tolist() == [found]
 
 
-class TestWhereNothingHappens:
+class TestUnchangedRows:
     @pytest.mark.parametrize("rows_per_s", [95.5, 100.0, 104.5])
-    def test_rows_that_are_readings(self, place: MakePlace, instants: MakeInstants, rows_per_s: float) -> None:
+    def test_rows_at_the_rate_of_readings_are_unchanged(
+        self, place: MakePlace, instants: MakeInstants, rows_per_s: float
+    ) -> None:
         rows = instants(0, 50, rows_per_s=rows_per_s, rate_hz=100.0)
         at, effect = at_rate(place, 100.0, rows_per_s=rows_per_s), OwnClock(-0.03, DRAWN)
         assert effect.sampled(rows, at) is rows
         assert effect.lookback(at) == 0
 
     @pytest.mark.parametrize("rows_per_s", [90.0, 110.0])
-    def test_but_not_rows_that_are_polled(self, place: MakePlace, instants: MakeInstants, rows_per_s: float) -> None:
+    def test_polled_rows_are_changed(self, place: MakePlace, instants: MakeInstants, rows_per_s: float) -> None:
         rows = instants(0, 50, rows_per_s=rows_per_s, rate_hz=100.0)
         after = OwnClock(-0.03, DRAWN).sampled(rows, at_rate(place, 100.0, rows_per_s=rows_per_s))
         assert after.rate_hz == pytest.approx(97.0)
         assert after.phase != 0
 
-    def test_a_chip_without_a_rate(self, place: MakePlace, instants: MakeInstants) -> None:
+    def test_a_chip_without_a_rate_is_unchanged(self, place: MakePlace, instants: MakeInstants) -> None:
         rows = instants(0, 50, rate_hz=0.0)
         assert OwnClock(0.1, DRAWN).sampled(rows, at_rate(place, 0.0)) is rows
 
-    def test_a_queue_that_is_drained(self, constant: Any) -> None:
+    def test_a_drained_queue_is_unchanged(self, constant: Any) -> None:
         text = '[array]\nname = "a"\n[[sensor]]\nname = "S"\nchip = "adxl345"\naddress = 0x53\nrange = 16\nfifo = true'
         plan, motion = plan_of(parse_array(text), 30.0, 2.0), constant(force_box=ramp(5.0))
         plain, late = (
@@ -137,7 +139,7 @@ class TestWhereNothingHappens:
 
 class TestHeldReadings:
     @pytest.mark.parametrize("phase", [0.2, 1e-6])
-    def test_rows_repeat_by_the_real_rate(self, constant: Any, phase: float) -> None:
+    def test_rows_repeat_according_to_the_real_rate(self, constant: Any, phase: float) -> None:
         """50 Hz and 3 % are 51.5 readings a second; asked 100 times. The force rises by 2 counts a millisecond, so
         every reading has counts of its own, those of the instant at which it was made.
         """
@@ -155,7 +157,7 @@ class TestHeldReadings:
         [(OwnClock(-0.3, DRAWN), 100), (OwnClock(0.05, DRAWN), 100), (OwnClock(phase_deg=DRAWN), 100),
          (OwnClock(-0.5, DRAWN), 400), (OwnClock(-0.5, DRAWN), 200)],
     )  # fmt: skip
-    def test_any_stretch_alone(self, constant: Any, effect: OwnClock, set_hz: int) -> None:
+    def test_any_block_alone_equals_that_of_the_whole(self, constant: Any, effect: OwnClock, set_hz: int) -> None:
         """Across the border of two chunks, where readings are held from one to the next; also of a chip that is set to
         be faster than the polls, and isn't.
         """
@@ -170,7 +172,7 @@ class TestHeldReadings:
             assert part.status.tolist() == whole.status[rows].tolist()
 
     @pytest.mark.parametrize(("rate_error", "rows"), [(-0.5, 21), (-0.2, 14), (0.2, 10), (0.0, 0)])
-    def test_its_lookback_is_enough(
+    def test_the_lookback_is_sufficient(
         self, place: MakePlace, codes: Callable[..., Codes], rate_error: float, rows: int
     ) -> None:
         """A chip set to 10 Hz, asked 100 times: all rows that share a reading, and the one before them."""
@@ -182,8 +184,8 @@ class TestHeldReadings:
             np.testing.assert_array_equal(alone.fresh[back:], whole.fresh[700:])
 
 
-class TestBesideOdrError:
-    def test_whose_rate_is_the_real_one(self, place: MakePlace, instants: MakeInstants) -> None:
+class TestWithOdrError:
+    def test_odr_error_determines_the_rate(self, place: MakePlace, instants: MakeInstants) -> None:
         rows, at = instants(0, 3, rate_hz=800.0), at_rate(place, 800.0)
         after = OdrError(200.0).sampled(OwnClock(0.05, 90.0).sampled(rows, at), at)
         assert (after.rate_hz, after.phase) == (200.0, 0.25)
@@ -191,7 +193,7 @@ class TestBesideOdrError:
     @pytest.mark.parametrize(("set_hz", "step"), [(1600, 2), (800, 1)])
     @pytest.mark.parametrize("rate_error", [-0.1, 0.1])
     @pytest.mark.parametrize("bandwidth_hz", [math.nan, 300.0])
-    def test_codes_go_by_the_rate_that_was_set(
+    def test_codes_depend_on_the_configured_rate(
         self, constant: Any, set_hz: int, step: int, rate_error: float, bandwidth_hz: float
     ) -> None:
         """ADX-47: at 1600 Hz they are even, whatever the oscillator makes of it, at 800 Hz they aren't."""
@@ -209,6 +211,6 @@ class TestBesideOdrError:
         ((0.0, math.inf), "phase_deg: inf; a number is required, or nan: drawn at each boot"),
     ],
 )
-def test_refusals(arguments: tuple[float, float], message: str) -> None:
+def test_invalid_parameters_are_refused(arguments: tuple[float, float], message: str) -> None:
     with pytest.raises(ValueError, match="^" + message):
         OwnClock(*arguments)

@@ -1,4 +1,4 @@
-"""`popcorn_noise`: two levels, Poisson switching, any stretch alone."""
+"""`popcorn_noise`: two levels, Poisson switching, independence of blocks."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tests.simulate.conftest import MakePlace
 MakeAnalog = Callable[..., Analog]
 
 
-def test_two_levels(place: MakePlace, analog: MakeAnalog) -> None:
+def test_noise_has_two_levels(place: MakePlace, analog: MakeAnalog) -> None:
     value = PopcornNoise((0.2, 0.4, 1.0), 1.0).analog(analog(0, 5000, value=7.0), place()).value
     for axis, half in enumerate((0.1, 0.2, 0.5)):
         np.testing.assert_allclose(np.unique(value[:, axis]), [7 - half, 7 + half])
 
 
 @pytest.mark.slow
-def test_autocovariance_of_a_random_telegraph(place: MakePlace, analog: MakeAnalog) -> None:
+def test_the_autocovariance_is_that_of_a_random_telegraph(place: MakePlace, analog: MakeAnalog) -> None:
     """(amplitude / 2)^2 exp(-2 switches_per_s |t|), mean 0, wherever: at the start, across the ends of chunks."""
     rows = np.array([0, 5, 30, 16_383, 16_384, 16_400])
     effect = PopcornNoise(2.0, 0.1)
@@ -38,7 +38,7 @@ def test_autocovariance_of_a_random_telegraph(place: MakePlace, analog: MakeAnal
 
 
 @pytest.mark.slow
-def test_a_level_that_is_seldom(place: MakePlace, analog: MakeAnalog) -> None:
+def test_a_rare_level_has_its_share_and_durations(place: MakePlace, analog: MakeAnalog) -> None:
     """A fifth of the time at the upper level: mean 0, variance 4 x 0.2 x 0.8 = 0.64, exp(-0.4 t / 0.32) from one
     reading to another, wherever; times at a level of 2 x 0.2 / 0.4 = 1 s and 4 s.
     """
@@ -70,7 +70,7 @@ def test_numbers_of_switches_are_poisson(place: MakePlace, analog: MakeAnalog) -
     assert switches.var() == pytest.approx(3, abs=5 * variance_error + 0.03)
 
 
-def test_chunks_switch_in_other_places(place: MakePlace, analog: MakeAnalog) -> None:
+def test_chunks_switch_at_different_rows(place: MakePlace, analog: MakeAnalog) -> None:
     """80 places of 16 384 and 80 others: 0.4 in common on average, 8 or more with probability 1e-8."""
     value = PopcornNoise(2.0, 0.5).analog(analog(0, 32_768), place(rows_per_s=100.0)).value[:, 0]
     first, second = (set(np.flatnonzero(np.diff(part)).tolist()) for part in np.split(value, 2))
@@ -88,7 +88,7 @@ def test_axes_switch_independently(place: MakePlace, analog: MakeAnalog) -> None
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize(("first", "stop"), [(0, 1), (100, 200), (16_383, 16_385), (16_384, 32_768), (20_000, 40_000)])
-def test_any_stretch_alone(
+def test_any_block_alone_equals_that_of_the_whole(
     place: MakePlace, analog: MakeAnalog, dtype: type[np.floating], first: int, stop: int
 ) -> None:
     effect = PopcornNoise((0.1, 0.2, 0.3), 0.5)
@@ -98,14 +98,14 @@ def test_any_stretch_alone(
     np.testing.assert_array_equal(alone, whole[first:stop])
 
 
-def test_another_boot_begins_and_switches_otherwise(place: MakePlace, analog: MakeAnalog) -> None:
+def test_boots_begin_and_switch_independently(place: MakePlace, analog: MakeAnalog) -> None:
     runs = [PopcornNoise(2.0, 0.1).analog(analog(0, 5000), place(boot=boot)).value for boot in range(40)]
     begins = np.array([run[0] for run in runs])
     assert (np.ptp(begins, axis=0) == 2).all()  # 40 equal coins on one of three axes: 5e-12
     assert len({run.tobytes() for run in runs}) == 40
 
 
-def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog) -> None:
+def test_defaults_do_nothing_and_invalid_parameters_are_refused(place: MakePlace, analog: MakeAnalog) -> None:
     rows = analog(0, 10)
     assert PopcornNoise().analog(rows, place()) is rows
     with pytest.raises(ValueError, match=r"switches_per_s: -1(\.0)?; allowed is 0 to 1e\+06"):

@@ -16,7 +16,7 @@ from tests.simulate.conftest import MakePlace, header
 MakeAnalog = Callable[..., Analog]
 
 
-def test_bma1_in_run_10(place: MakePlace, analog: MakeAnalog) -> None:
+def test_bma1_in_run_10_has_the_counts_of_table_6(place: MakePlace, analog: MakeAnalog) -> None:
     """Table 6: z 536.4 LSB at 16 g (512 LSB/g: BMA-76), 4308.7 at 2 g (4096 LSB/g: BMA-72); the offset, 4.3 mg here,
     is that range's own (BMA-79).
     """
@@ -28,7 +28,7 @@ def test_bma1_in_run_10(place: MakePlace, analog: MakeAnalog) -> None:
     assert (rows.lowest, rows.highest) == (-8192, 8191)
 
 
-def test_from_one_row_to_the_next(place: MakePlace, analog: MakeAnalog) -> None:
+def test_the_range_changes_from_one_row_to_the_next(place: MakePlace, analog: MakeAnalog) -> None:
     """Onset at 0.05 s: row 5 of 100 a second."""
     for dtype in (np.float32, np.float64):
         rows = RangeReset(2.0, 0.25, onset_s=0.05).analog(analog(0, 10, value=1.0, dtype=dtype), place(dtype=dtype))  # type: ignore[arg-type]
@@ -38,26 +38,26 @@ def test_from_one_row_to_the_next(place: MakePlace, analog: MakeAnalog) -> None:
         np.testing.assert_array_equal(counts, np.repeat([[512.0] * 3, [1.25 * 4096] * 3], 5, axis=0))
 
 
-def test_a_reading_that_is_older_than_its_log(place: MakePlace, analog: MakeAnalog) -> None:
+def test_a_reading_older_than_its_log_is_in_the_other_range(place: MakePlace, analog: MakeAnalog) -> None:
     """The chip measured the first row before the log's clock began: it is in the other range too."""
     rows = analog(0, 5, value=1.0)
     early = replace(rows, instant_ns=rows.instant_ns - 5_000_000)
     assert RangeReset(2.0).analog(early, place()).sensitivity == 4096
 
 
-def test_in_one_run_only(place: MakePlace, analog: MakeAnalog) -> None:
+def test_a_reset_acts_in_its_run_only(place: MakePlace, analog: MakeAnalog) -> None:
     effect, before = RangeReset(2.0, run=3.0), analog(0, 5)
     assert effect.analog(before, place(boot=2)) is before
     assert effect.analog(before, place(boot=3)).sensitivity == 4096
 
 
-def test_in_several_runs(place: MakePlace, analog: MakeAnalog) -> None:
+def test_a_reset_can_act_in_several_runs(place: MakePlace, analog: MakeAnalog) -> None:
     effect, before = RangeReset(2.0, runs=(3, 5)), analog(0, 5)
     reset = [effect.analog(before, place(boot=boot)).sensitivity == 4096 for boot in range(7)]
     assert np.flatnonzero(reset).tolist() == [3, 5]
 
 
-def test_stretches_before_within_and_after_agree(place: MakePlace, analog: MakeAnalog) -> None:
+def test_blocks_before_within_and_after_the_onset_agree(place: MakePlace, analog: MakeAnalog) -> None:
     effect = RangeReset(2.0, (0.1, 0.2, 0.3), onset_s=0.05)
     whole = effect.analog(analog(0, 20, value=1.0), place())
     for first, stop in ((0, 5), (5, 20), (3, 7)):
@@ -67,7 +67,7 @@ def test_stretches_before_within_and_after_agree(place: MakePlace, analog: MakeA
     assert effect.analog(before, place()) is before
 
 
-def test_gyroscope(place: MakePlace, analog: MakeAnalog) -> None:
+def test_a_gyroscope_changes_its_scale_and_keeps_its_codes(place: MakePlace, analog: MakeAnalog) -> None:
     """70 mdps a digit at 2000 dps, 8.75 at 250 (L3G-40, L3G-42): eight times as many counts, in 16 bits still."""
     rows = analog(0, 2, sensitivity=1 / 0.07, lowest=-32768, highest=32767)
     after = RangeReset(250.0).analog(rows, place(header("l3g4200d")))
@@ -87,14 +87,14 @@ def test_adxl345_keeps_its_scale_and_clips_sooner(
     np.testing.assert_array_equal(np.ravel(after.highest), [4095] * 5 + [highest] * 5)
 
 
-def test_as_often_as_it_is_said(place: MakePlace, analog: MakeAnalog) -> None:
+def test_resets_have_their_probability(place: MakePlace, analog: MakeAnalog) -> None:
     """One boot of fifteen, as in Table 6; 5 standard errors of 1000 boots: 6e-7."""
     effect, rows = RangeReset(2.0, probability=1 / 15), analog(0, 1)
     reset = [effect.analog(rows, place(boot=boot)).sensitivity == 4096 for boot in range(1000)]
     assert np.mean(reset) == pytest.approx(1 / 15, abs=5 * np.sqrt(14 / 15**2 / 1000))
 
 
-def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog) -> None:
+def test_defaults_do_nothing_and_invalid_parameters_are_refused(place: MakePlace, analog: MakeAnalog) -> None:
     rows = analog(0, 10)
     assert RangeReset().analog(rows, place()) is rows
     with pytest.raises(ValueError, match=r"range: 7; allowed for S1 \(bma180\) are 1, 1\.5, 2, 3, 4, 8, 16$"):
@@ -105,7 +105,9 @@ def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog
         RangeReset(2.0, onset_s=np.inf)
 
 
-def test_stretches_that_are_known(place: MakePlace, analog: MakeAnalog, instants: Callable[..., Instants]) -> None:
+def test_known_stretches_are_flagged_and_in_the_other_range(
+    place: MakePlace, analog: MakeAnalog, instants: Callable[..., Instants]
+) -> None:
     """Rows 7 and 8 of 100 a second in run 2, doubted since row 5; rows 9 and 10 are lost while it is set up again."""
     effect = RangeReset(2.0, 0.25, runs=(2, 3), moments_s=(0.065, 0.2), lengths_s=(0.02, 0.1), doubts_s=(0.02, 0.0))  # type: ignore[arg-type]
     for first in (0, 8, 12):
@@ -129,8 +131,8 @@ def test_stretches_that_are_known(place: MakePlace, analog: MakeAnalog, instants
     assert effect.analog(analog(0, 20), place(boot=1)).sensitivity == 512
 
 
-def test_before_the_first_reading(place: MakePlace, codes: Callable[..., Codes]) -> None:
-    """Rows 7 to 9 of 100 a second in run 2, 7 before the chip has measured anything; none unless that is said."""
+def test_readings_before_the_first_measurement_are_blank(place: MakePlace, codes: Callable[..., Codes]) -> None:
+    """Rows 7 to 9 of 100 a second in run 2, 7 before the chip has measured anything; none without that parameter."""
     effect = RangeReset(2.0, runs=(2,), moments_s=(0.065,), lengths_s=(0.03,), doubts_s=(0.0,), blanks_s=(0.01,))
     before = codes(0, 20, np.full((20, 1), 300))
     for first in (0, 7, 8):

@@ -1,4 +1,4 @@
-"""What a sensor makes of the truth: axis_error, misalignment, nonlinearity, scale, g_sensitivity, bias."""
+"""The response of a sensor: axis_error, misalignment, nonlinearity, scale, g_sensitivity, bias."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class TestAxisError:
         ("axes", "read"),
         [("+Y-X+Z", (2, -1, 3)), ("+X+Y-Z", (1, 2, -3)), ("-Z-Y-X", (-3, -2, -1)), ("+Z+X+Y", (3, 1, 2))],
     )
-    def test_reads_the_axis_that_is_written(self, place, analog, axes: str, read: tuple[float, ...]) -> None:
+    def test_each_sensor_axis_reads_the_given_box_axis(self, place, analog, axes: str, read: tuple[float, ...]) -> None:
         before = analog(0, 2, value=(1, 2, 3), noise=(7, 8, 9), force_g=np.array([[1.0, 2.0, 3.0]] * 2))
         after = AxisError(axes).analog(before, place())
         assert after.value.tolist() == after.force_g.tolist() == [list(read)] * 2
         assert after.noise.tolist() == [[7, 8, 9]] * 2
 
-    def test_all_forty_eight(self, place, analog) -> None:
+    def test_all_48_signed_permutations_are_accepted(self, place, analog) -> None:
         """Signed permutations: each reads the three numbers once, no two alike, half of them left-handed."""
         read = [
             AxisError("".join(map("".join, zip(signs, axes, strict=True))))
@@ -44,14 +44,14 @@ class TestAxisError:
 
 
 class TestMisalignment:
-    def test_one_degree_is_the_cross_axis_figure_of_the_data_sheet(self, place, analog) -> None:
-        """BMA-119 says 1 degree, BMA-118 1.75 %: the same thing twice."""
+    def test_one_degree_gives_the_cross_axis_figure_of_the_data_sheet(self, place, analog) -> None:
+        """BMA-119 states 1 degree, BMA-118 1.75 %: the same figure."""
         read = Misalignment((1, 0, 0, 0, 0, 0)).analog(analog(0, 1, value=(0, 1, 0)), place()).value[0]
         assert read == pytest.approx([math.sin(math.radians(1)), 1, 0], abs=1e-15)
         assert round(100 * read[0], 2) == 1.75
 
     @pytest.mark.parametrize("index", range(6))
-    def test_which_angle_is_which(self, index: int) -> None:
+    def test_each_angle_tilts_its_axis_towards_another(self, index: int) -> None:
         angles = [0.0] * 6
         angles[index] = 30.0
         expected = np.eye(3)
@@ -59,7 +59,7 @@ class TestMisalignment:
         expected[axis, axis], expected[axis, towards] = math.cos(math.pi / 6), 0.5
         assert Misalignment(tuple(angles)).directions == pytest.approx(expected)
 
-    def test_two_angles_of_one_axis(self) -> None:
+    def test_two_angles_of_one_axis_add_as_tangents(self) -> None:
         """Tangents of 45 degrees: the axis is the diagonal of the cube."""
         row = Misalignment((0, 0, 45, 45, 0, 0)).directions[1]
         assert row == pytest.approx([1 / math.sqrt(3)] * 3)
@@ -78,7 +78,7 @@ class TestMisalignment:
 
 
 class TestNonlinearity:
-    def test_polynomial(self, place, analog) -> None:
+    def test_the_polynomial_is_added(self, place, analog) -> None:
         effect = Nonlinearity((0.01, 0.0, -0.01), (0.001, 0.002, 0.0))
         after = effect.analog(analog(0, 1, value=(2, -3, 10)), place())
         assert after.value[0] == pytest.approx([2 + 0.04 + 0.008, -3 - 0.054, 10 - 1])
@@ -102,18 +102,18 @@ def test_scale_and_bias_give_the_faces_of_table_10(place, analog) -> None:
     assert not after.value[:, 1:].any()
 
 
-def test_scale_is_a_share(place, analog) -> None:
+def test_scale_is_a_relative_error(place, analog) -> None:
     after = Scale((0.01, -0.02, 0.5)).analog(analog(0, 1, value=(100, 100, -2)), place())
     assert after.value[0] == pytest.approx([101, 98, -3])
 
 
-def test_bias_of_table_3(place, analog) -> None:
+def test_the_bias_of_table_3_is_added(place, analog) -> None:
     after = Bias((-0.1806, -0.2495, 0.0225)).analog(analog(0, 1, value=(0, 0, 1)), place())
     assert after.value[0] == pytest.approx([-0.1806, -0.2495, 1.0225])
 
 
 class TestGSensitivity:
-    def test_differences_between_faces_of_table_4(self, place, analog) -> None:
+    def test_the_differences_between_faces_of_table_4_are_reproduced(self, place, analog) -> None:
         """Gyro1 x: 0.000, -0.038 and -0.005 dps between the faces of each box axis, 2 g apart; x leads the row."""
         effect = GSensitivity((0.0, -0.019, -0.0025, 0, 0, 0, 0, 0, 0))
         force = np.concatenate([np.eye(3), -np.eye(3)])
@@ -122,13 +122,13 @@ class TestGSensitivity:
         assert difference[:, 0] == pytest.approx([0.0, -0.038, -0.005])
         assert not difference[:, 1:].any()
 
-    def test_row_major(self, place, analog) -> None:
-        """Entry ij: what force along j does to axis i."""
+    def test_the_response_is_in_row_major_order(self, place, analog) -> None:
+        """Entry ij: the effect of force along j on axis i."""
         force = np.array([[1.0, 10.0, 100.0]])
         after = GSensitivity(tuple(range(1, 10))).analog(analog(0, 1, force_g=force), place())
         assert after.value[0].tolist() == [1 + 20 + 300, 4 + 50 + 600, 7 + 80 + 900]
 
-    def test_nothing_in_free_fall(self, place, analog) -> None:
+    def test_g_sensitivity_is_zero_in_free_fall(self, place, analog) -> None:
         after = GSensitivity(tuple(range(1, 10))).analog(analog(0, 1, force_g=np.zeros((1, 3)), value=2), place())
         assert after.value[0].tolist() == [2, 2, 2]
 
@@ -148,6 +148,6 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
 
 
 @pytest.mark.parametrize(("make", "message"), REFUSED)
-def test_refusals(make: Callable[[], object], message: str) -> None:
+def test_invalid_parameters_are_refused(make: Callable[[], object], message: str) -> None:
     with pytest.raises(ValueError, match="^" + message):
         make()

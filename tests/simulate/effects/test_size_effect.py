@@ -1,4 +1,4 @@
-"""`size_effect`: what a place away from the origin feels of the box's turning."""
+"""`size_effect`: the force at a place away from the origin of a turning box."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def felt(rate: tuple[float, ...], acceleration: tuple[float, ...], rows: int = 2
     return Constant(rate_box=rate, angular_acceleration_box=acceleration).felt(times(0, rows))
 
 
-def test_spun_about_z(place: MakePlace) -> None:
+def test_rotation_about_z_adds_centripetal_and_tangential_force(place: MakePlace) -> None:
     """A tenth of a metre out on x at 10 rad/s and 3 rad/s2: 10 m/s2 inwards, 0.3 m/s2 along y."""
     after = SizeEffect((100.0, 0.0, 0.0)).felt(felt((0, 0, 10), (0, 0, 3)), place())
     np.testing.assert_allclose(after.force_box, [[-10, 0.3, G]] * 2, atol=1e-12)
@@ -29,7 +29,7 @@ def test_spun_about_z(place: MakePlace) -> None:
 
 @settings(max_examples=examples(40))
 @given(TRIPLE, st.floats(-3, 3), st.floats(-3, 3), TRIPLE)
-def test_it_is_the_second_derivative_of_where_the_place_is(
+def test_the_added_force_is_the_second_derivative_of_the_position(
     axis: tuple[float, float, float], rate: float, acceleration: float, place_mm: tuple[float, float, float]
 ) -> None:
     """Turned by the angle rate t + acceleration t^2 / 2 about an axis, r is at exp(angle [axis]x) r: differenced twice,
@@ -46,7 +46,7 @@ def test_it_is_the_second_derivative_of_where_the_place_is(
     np.testing.assert_allclose(added, (at[0] - 2 * at[1] + at[2]) / h**2, rtol=0, atol=5e-3)
 
 
-def test_rows_that_differ(place: MakePlace) -> None:
+def test_each_row_has_its_own_rate(place: MakePlace) -> None:
     """On y, turning faster and faster about x: each row by its own square."""
     motion = Constant(rate_box=lambda s: np.stack([s, 0 * s, 0 * s], axis=1))
     after = SizeEffect((0.0, 1000.0, 0.0)).felt(motion.felt(times(0, 400)), place())
@@ -54,13 +54,13 @@ def test_rows_that_differ(place: MakePlace) -> None:
     np.testing.assert_allclose(after.force_box, np.stack([0 * seconds, -(seconds**2), G + 0 * seconds], axis=1))
 
 
-def test_only_the_acceleration_differs(place: MakePlace) -> None:
+def test_rows_can_differ_in_angular_acceleration_alone(place: MakePlace) -> None:
     motion = Constant(angular_acceleration_box=lambda s: np.stack([0 * s, 0 * s, s], axis=1))
     after = SizeEffect((1000.0, 0.0, 0.0)).felt(motion.felt(times(0, 400)), place())
     np.testing.assert_allclose(after.force_box[:, 1], np.arange(400) / 100, atol=1e-12)
 
 
-def test_what_never_changes_stays_one_row(place: MakePlace) -> None:
+def test_a_constant_input_stays_one_row(place: MakePlace) -> None:
     after = SizeEffect((100.0, 0.0, 0.0)).felt(felt((0, 0, 10), (0, 0, 0), 50), place())
     assert after.force_box.shape == (50, 3)
     assert (after.force_box == after.force_box[0]).all()
@@ -69,7 +69,7 @@ def test_what_never_changes_stays_one_row(place: MakePlace) -> None:
 @pytest.mark.parametrize(
     ("place_mm", "rate", "acceleration"), [((0, 0, 0), (1, 2, 3), (4, 5, 6)), ((10, 20, 30), (0, 0, 0), (0, 0, 0))]
 )
-def test_nothing_at_the_origin_or_at_rest(
+def test_nothing_is_added_at_the_origin_or_at_rest(
     place: MakePlace,
     place_mm: tuple[float, float, float],
     rate: tuple[float, float, float],
@@ -79,6 +79,6 @@ def test_nothing_at_the_origin_or_at_rest(
     assert SizeEffect(place_mm).felt(before, place()) is before
 
 
-def test_default_is_the_origin(place: MakePlace) -> None:
+def test_the_default_place_is_the_origin(place: MakePlace) -> None:
     before = felt((1, 2, 3), (4, 5, 6))
     assert SizeEffect().felt(before, place()) is before

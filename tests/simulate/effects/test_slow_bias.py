@@ -1,4 +1,4 @@
-"""`bias_instability`, `common_mode`, `random_walk`: how large, how correlated, who shares them."""
+"""`bias_instability`, `common_mode`, `random_walk`: size, correlation, and sharing between sensors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def added(effect: Effect, at: Place, analog: MakeAnalog, first: int, stop: int) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [BiasInstability, CommonMode])
-def test_gauss_markov_of_the_given_rms_and_time_constant(
+def test_biases_are_gauss_markov_of_the_given_rms_and_time_constant(
     place: MakePlace, analog: MakeAnalog, kind: type[BiasInstability] | type[CommonMode]
 ) -> None:
     rms, rows = np.array([0.01, 0.02, 0.05]), np.array([0, 20, 50, 100])
@@ -35,7 +35,7 @@ def test_gauss_markov_of_the_given_rms_and_time_constant(
 
 
 @pytest.mark.slow
-def test_random_walk_of_the_given_density(place: MakePlace, analog: MakeAnalog) -> None:
+def test_a_random_walk_has_the_given_density(place: MakePlace, analog: MakeAnalog) -> None:
     density, rows = np.array([0.01, 0.02, 0.05]), np.array([1, 100, 400])
     effect = RandomWalk((0.01, 0.02, 0.05))
     runs = np.stack([added(effect, place(rows_per_s=10.0, seed=seed), analog, 0, 401)[rows] for seed in range(300)])
@@ -50,7 +50,7 @@ def allan_variance(values: Floats) -> float:
 
 
 @pytest.mark.slow
-def test_allan_deviation_peaks_where_the_standard_says(place: MakePlace, analog: MakeAnalog) -> None:
+def test_allan_deviation_peaks_as_in_the_standard(place: MakePlace, analog: MakeAnalog) -> None:
     """sigma^2(tau) = 2 rms^2 (T / tau) (1 - T / (2 tau) (3 - 4 exp(-tau / T) + exp(-2 tau / T))): IEEE Std 952, with
     rms^2 = q^2 T / 2; 0.618 rms at 1.89 T.
     """
@@ -86,13 +86,13 @@ def test_flicker_noise_is_a_sum_of_processes_of_equal_variance(place: MakePlace,
 
 
 @pytest.mark.slow
-def test_allan_deviation_of_a_random_walk(place: MakePlace, analog: MakeAnalog) -> None:
+def test_allan_deviation_of_a_random_walk_is_that_of_the_standard(place: MakePlace, analog: MakeAnalog) -> None:
     """density sqrt(tau / 3): IEEE Std 952."""
     runs = np.stack([added(RandomWalk(1.0), place(rows_per_s=1.0, seed=seed), analog, 0, 400) for seed in range(400)])
     assert allan_variance(runs) == pytest.approx(200 / 3, rel=5 * np.sqrt(2 / 1200))
 
 
-def test_common_mode_is_one_for_a_design_and_nothing_else_is(place: MakePlace, analog: MakeAnalog) -> None:
+def test_only_common_mode_is_shared_by_sensors_of_a_design(place: MakePlace, analog: MakeAnalog) -> None:
     sensors = [header("bma180", "A"), header("bma180", "B", axes="-X-Y+Z"), header("l3g4200d", "C")]
     for effect in KINDS:
         one, twin, other = (added(effect, place(sensor), analog, 0, 500) for sensor in sensors)
@@ -101,7 +101,7 @@ def test_common_mode_is_one_for_a_design_and_nothing_else_is(place: MakePlace, a
 
 
 @pytest.mark.slow
-def test_two_time_constants_are_two_draws(place: MakePlace, analog: MakeAnalog) -> None:
+def test_two_time_constants_are_drawn_independently(place: MakePlace, analog: MakeAnalog) -> None:
     """Correlation of 900 pairs: standard error 1 / 30; five of them 6e-7."""
     pairs = [
         [added(BiasInstability(1.0, tau), place(seed=seed), analog, 0, 1)[0] for tau in (10.0, 1000.0)]
@@ -113,7 +113,9 @@ def test_two_time_constants_are_two_draws(place: MakePlace, analog: MakeAnalog) 
 
 @pytest.mark.parametrize("effect", KINDS, ids=lambda effect: effect.name)
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_any_stretch_alone(place: MakePlace, analog: MakeAnalog, effect: Effect, dtype: npt.DTypeLike) -> None:
+def test_any_block_alone_equals_that_of_the_whole(
+    place: MakePlace, analog: MakeAnalog, effect: Effect, dtype: npt.DTypeLike
+) -> None:
     whole = effect.analog(analog(0, 40_000, dtype=dtype), place(dtype=dtype)).value
     alone = effect.analog(analog(16_383, 33_000, dtype=dtype), place(dtype=dtype)).value
     assert alone.dtype == dtype
@@ -121,14 +123,16 @@ def test_any_stretch_alone(place: MakePlace, analog: MakeAnalog, effect: Effect,
 
 
 @pytest.mark.parametrize("kind", [BiasInstability, CommonMode, RandomWalk])
-def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog, kind: type[Effect]) -> None:
+def test_defaults_do_nothing_and_invalid_parameters_are_refused(
+    place: MakePlace, analog: MakeAnalog, kind: type[Effect]
+) -> None:
     rows = analog(0, 10)
     assert kind().analog(rows, place()) is rows
     with pytest.raises(ValueError, match=r"(rms|density): -1(\.0)?; allowed"):
         kind(-1.0)  # type: ignore[call-arg]
 
 
-def test_time_constants_are_positive() -> None:
+def test_time_constants_must_be_positive() -> None:
     for kind in (BiasInstability, CommonMode):
         with pytest.raises(ValueError, match=r"time_constant_s: 0(\.0)?; allowed is 0\.001 to 1e\+09"):
             kind(1.0, 0.0)  # type: ignore[arg-type]

@@ -19,14 +19,14 @@ MakeAnalog = Callable[..., Analog]
 WARM = np.array([25.0, 35.0, 15.0])
 
 
-def test_thermal_bias(place: MakePlace, analog: MakeAnalog) -> None:
+def test_thermal_bias_is_a_polynomial_of_temperature(place: MakePlace, analog: MakeAnalog) -> None:
     """At the reference nothing; 10 degC above it 10 slopes and 100 quadratics, below it -10 and 100."""
     effect = ThermalBias((0.1, -0.2, 0.0), (0.01, 0.0, 0.02))
     value = effect.analog(analog(0, 3, value=5.0, temperature_degc=WARM), place()).value
     np.testing.assert_allclose(value, [[5, 5, 5], [7, 3, 7], [5, 7, 7]])
 
 
-def test_thermal_scale(place: MakePlace, analog: MakeAnalog) -> None:
+def test_thermal_scale_is_linear_in_temperature(place: MakePlace, analog: MakeAnalog) -> None:
     """1e-4 per degC (BMA-116): 1.001 and 0.999 at 10 degC above and below; the reference may be another."""
     rows = analog(0, 3, value=(1.0, -2.0, 4.0), temperature_degc=WARM)
     value = ThermalScale((1e-4, 1e-4, 0.0)).analog(rows, place()).value
@@ -37,7 +37,7 @@ def test_thermal_scale(place: MakePlace, analog: MakeAnalog) -> None:
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("effect", [ThermalBias(0.1, 0.1), ThermalScale(0.1)], ids=lambda effect: effect.name)  # type: ignore[arg-type]
-def test_precision_stays(place: MakePlace, analog: MakeAnalog, effect: Effect, dtype: npt.DTypeLike) -> None:
+def test_precision_is_kept(place: MakePlace, analog: MakeAnalog, effect: Effect, dtype: npt.DTypeLike) -> None:
     rows = analog(0, 3, value=1.0, dtype=dtype, temperature_degc=WARM)
     assert effect.analog(rows, place(dtype=dtype)).value.dtype == dtype
 
@@ -51,7 +51,7 @@ def lagged(
 
 
 @pytest.mark.parametrize("time_constant_s", [0.3, 12.0, 40.0])
-def test_a_ramp_is_followed_late(place: MakePlace, time_constant_s: float) -> None:
+def test_a_ramp_is_followed_with_the_lag(place: MakePlace, time_constant_s: float) -> None:
     """From equilibrium at 0: T = T0 + r (t - tau (1 - exp(-t / tau))), exact where a step ends (fifty of them in a time
     constant, 10 ms at least), and r step^2 / (8 tau) beside it at most.
     """
@@ -64,7 +64,7 @@ def test_a_ramp_is_followed_late(place: MakePlace, time_constant_s: float) -> No
 
 def test_a_slow_wave_is_damped_and_delayed(place: MakePlace) -> None:
     """Of period 2 pi tau: by sqrt(2) and an eighth of a period; straight lines of a fiftieth cut at most
-    (1 / 50)^2 / 8 off in what is felt and again in between.
+    (1 / 50)^2 / 8 off in the input and again in between.
     """
     tau = 30.0
     seconds = np.arange(2000.0, 2400.0, 0.37)
@@ -73,8 +73,8 @@ def test_a_slow_wave_is_damped_and_delayed(place: MakePlace) -> None:
 
 
 @pytest.mark.parametrize("time_constant_s", [0.05, 5.0, 600.0])
-def test_any_stretch_alone(place: MakePlace, time_constant_s: float) -> None:
-    """To the 2e-9 that is left of the difference between box and element after 20 time constants."""
+def test_any_block_alone_equals_that_of_the_whole(place: MakePlace, time_constant_s: float) -> None:
+    """To the 2e-9 that remains of the difference between box and element after 20 time constants."""
 
     def heated(seconds: Floats) -> Floats:
         return np.where((seconds // 900) % 2, 45.0, 24.0)
@@ -86,7 +86,7 @@ def test_any_stretch_alone(place: MakePlace, time_constant_s: float) -> None:
     assert 24 <= whole.min() <= whole.max() <= 45
 
 
-def test_shorter_than_a_step_it_is_not_there(place: MakePlace) -> None:
+def test_a_lag_shorter_than_a_step_does_nothing(place: MakePlace) -> None:
     seconds = np.arange(0.0, 20.0, 0.013)
     found = lagged(1e-6, lambda s: 20 + np.sin(s), (seconds * 1e9).round().astype(np.int64), place)
     np.testing.assert_allclose(found, 20 + np.sin(seconds), rtol=0, atol=2e-5)  # (10 ms)^2 / 8 of the curvature
@@ -108,20 +108,20 @@ def test_a_part_that_warms_up_late_adds_its_own_bias(place: MakePlace, analog: M
     assert part.felt(felt, place(motion=motion)) is felt
 
 
-def test_in_equilibrium_before_the_beginning_and_where_nothing_changes(place: MakePlace) -> None:
+def test_the_part_is_in_equilibrium_before_the_beginning_and_at_constant_temperature(place: MakePlace) -> None:
     found = lagged(10.0, lambda s: 20 + 0.1 * s, np.array([-5_000_000, -1, 0]), place)
     np.testing.assert_allclose(found, 20.0)
     np.testing.assert_allclose(lagged(10.0, lambda s: 0 * s + 31.5, times(0, 100), place), 31.5, rtol=1e-14)
 
 
-def test_nothing_else_is_felt_otherwise(place: MakePlace) -> None:
+def test_only_the_temperature_is_changed(place: MakePlace) -> None:
     felt = Constant().felt(times(0, 50))
     after = ThermalLag(3.0).felt(felt, place())
     assert after.force_box is felt.force_box
     assert after.time_ns is felt.time_ns
 
 
-def test_thermometer_is_off_and_nothing_else(place: MakePlace, analog: MakeAnalog) -> None:
+def test_the_thermometer_has_its_offset_and_noise(place: MakePlace, analog: MakeAnalog) -> None:
     rows = analog(0, 4000, value=1.0, thermometer_degc=np.full(4000, 30.0))
     after = Thermometer(-3.0, 0.5).analog(rows, place())
     error = after.thermometer_degc - 27.0
@@ -136,7 +136,7 @@ def test_thermometer_is_off_and_nothing_else(place: MakePlace, analog: MakeAnalo
     np.testing.assert_array_equal(alone.thermometer_degc, after.thermometer_degc[1000:1100])
 
 
-def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog) -> None:
+def test_defaults_do_nothing_and_invalid_parameters_are_refused(place: MakePlace, analog: MakeAnalog) -> None:
     rows, felt = analog(0, 10), Constant().felt(times(0, 10))
     assert ThermalBias().analog(rows, place()) is rows
     assert ThermalScale().analog(rows, place()) is rows

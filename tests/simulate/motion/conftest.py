@@ -1,6 +1,6 @@
-"""Independent derivations: numerical derivatives of an attitude, and a strapdown navigation by what is felt.
+"""Independent derivations: numerical derivatives of an attitude, and a strapdown navigation.
 
-Nothing of the package computes here: rotations are scipy's, the rest is finite differences and sums.
+No function of the package is used here: rotations are scipy's, the rest is finite differences and sums.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Rates(NamedTuple):
 
 
 class Track(NamedTuple):
-    """Where a strapdown navigation from rest at the origin leads."""
+    """The result of a strapdown navigation from rest at the origin."""
 
     attitude: Rotation
     velocity: Floats

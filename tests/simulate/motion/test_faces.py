@@ -28,7 +28,9 @@ S = 10**9
         ("-Y", (0, -G, 0), (0.2, 0.43, 0)),
     ],
 )
-def test_a_box_at_rest(up: str, force: tuple[float, ...], field: tuple[float, ...]) -> None:
+def test_a_box_at_rest_has_gravity_and_field_of_its_face(
+    up: str, force: tuple[float, ...], field: tuple[float, ...]
+) -> None:
     felt = Still(up, temperature_degc=31.0).felt(np.array([0, 5 * S]))
     assert np.array_equal(felt.force_box, [force, force])
     assert np.array_equal(felt.field_box, [field, field])
@@ -37,18 +39,18 @@ def test_a_box_at_rest(up: str, force: tuple[float, ...], field: tuple[float, ..
     assert felt.pressure_pa.tolist() == [101325.0, 101325.0]
 
 
-def test_a_box_at_rest_costs_no_memory() -> None:
+def test_a_box_at_rest_takes_no_memory() -> None:
     felt = Still().felt(np.arange(1000))
     assert felt.force_box.strides[0] == felt.temperature_degc.strides[0] == 0
 
 
-def test_drift_is_linear_and_ends() -> None:
+def test_drift_is_linear_until_the_end() -> None:
     felt = Still(seconds=7200.0, drift_degc_per_h=1.5).felt(np.array([0, 1800, 3600, 7200, 9000]) * S)
     assert felt.temperature_degc == pytest.approx([25.0, 25.75, 26.5, 28.0, 28.0], abs=1e-12)
 
 
 @pytest.mark.parametrize("up", ["+X", "-X", "+Y", "-Y", "+Z", "-Z"])
-def test_a_tilted_table_takes_gravity_and_field_along(up: str) -> None:
+def test_a_tilted_table_turns_gravity_and_field_together(up: str) -> None:
     """The angle between the force and the face's axis is the tilt; the angle between force and field does not change,
     for both are turned together.
     """
@@ -58,7 +60,7 @@ def test_a_tilted_table_takes_gravity_and_field_along(up: str) -> None:
     assert leaning.force_box[0] @ leaning.field_box[0] == pytest.approx(G * -0.43, rel=1e-12)
 
 
-def test_which_way_a_table_leans() -> None:
+def test_a_positive_tilt_raises_the_axis() -> None:
     """Turned by +1 degree about level x, the box's y axis rises: the reaction to gravity has a part along +y."""
     force = Still(tilt_deg=(1.0, 0.0)).felt(np.array([0])).force_box[0]
     assert force == pytest.approx([0, G * math.sin(math.radians(1)), G * math.cos(math.radians(1))], abs=1e-12)
@@ -66,8 +68,8 @@ def test_which_way_a_table_leans() -> None:
     assert force == pytest.approx([-G * math.sin(math.radians(1)), 0, G * math.cos(math.radians(1))], abs=1e-12)
 
 
-def test_tumble_against_the_emulators_own() -> None:
-    """Worked out a second time, in scalars, for the emulated array."""
+def test_a_tumble_equals_that_of_the_emulator() -> None:
+    """Implemented a second time, in scalars, for the emulated array."""
     mine, other = Tumble(face_s=2.0, turn_s=1.5), EmulatedTumble(face_s=2.0, turn_s=1.5)
     times = np.arange(-S, 26 * S, 31_234_567)
     felt, expected = mine.felt(times), [other(at) for at in times.tolist()]
@@ -88,7 +90,7 @@ def test_faces_are_exactly_level() -> None:
         assert np.array_equal(force[0], force[1])
 
 
-def test_a_turn_carries_gravity_and_field_with_it() -> None:
+def test_a_turn_rotates_gravity_and_field() -> None:
     """A vector v that is fixed to the earth changes in the box by v' = -rate x v; rates change by the acceleration."""
     step_ns, times = 20_000, np.arange(50_000, 24 * S, 17_654_321)
     before, now, after = (TILTED.felt(times + shift) for shift in (-step_ns, 0, step_ns))
@@ -101,7 +103,7 @@ def test_a_turn_carries_gravity_and_field_with_it() -> None:
 
 
 def test_rates_lead_from_each_tilted_face_to_the_next(navigate: Callable[..., Any]) -> None:
-    """Integrated from the first face; a box that turns about its own origin goes nowhere."""
+    """Integrated from the first face; a box that turns about its own origin does not move."""
     step_ns = 2_000_000
     track = navigate(TILTED, step_ns)
     start = Rotation.from_matrix(TILTED.attitudes[0])
@@ -110,7 +112,7 @@ def test_rates_lead_from_each_tilted_face_to_the_next(navigate: Callable[..., An
         assert (Rotation.from_matrix(attitude).inv() * reached).magnitude() < 1e-5
 
 
-def test_each_face_has_its_temperature_and_its_tilt() -> None:
+def test_each_face_has_its_temperature() -> None:
     starts = np.array([phase.start_ns for phase in TILTED.phases])
     felt = TILTED.felt(starts + S)
     assert felt.temperature_degc.tolist() == [20.0, 21.0, 21.0, 22.0, 22.0, 22.0, 25.0]
@@ -124,7 +126,7 @@ def test_each_face_has_its_temperature_and_its_tilt() -> None:
     assert quarter == pytest.approx(20 + 0.25 - 1 / (2 * math.pi))  # the integral of 1 - cos
 
 
-def test_heating_follows_the_paper() -> None:
+def test_heating_has_the_phases_of_the_paper() -> None:
     """Section 5.2.5: 24 degC for 5 minutes, 42 to 43 after 5 of heat, 5 to cool, 52 after 5 more, 90 to cool, not quite
     to the beginning.
     """

@@ -60,7 +60,7 @@ def track(time: Times) -> Stimulus:
     return Stimulus(time, felt.force_box, felt.rate_box, 20.0 + time * 1e-9)
 
 
-def test_follows_the_truth_between_its_rows(tmp_path: Path) -> None:
+def test_the_truth_is_interpolated_between_its_rows(tmp_path: Path) -> None:
     """Rows at 200 Hz, sines up to 6 Hz: cubic pieces with three-point slopes err by some w^3 h^3 / 50 of the amplitude,
     1e-4 of it; a straight line would err by w^2 h^2 / 8, 4e-3.
     """
@@ -80,7 +80,7 @@ def test_follows_the_truth_between_its_rows(tmp_path: Path) -> None:
         assert felt.angular_acceleration_box == pytest.approx(slope, abs=1e-4)
 
 
-def test_results_do_not_depend_on_blocks_nor_on_what_was_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_do_not_depend_on_blocks_or_earlier_calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = np.cumsum(np.random.default_rng(2).integers(1_000_000, 9_000_000, 2000))  # uneven
     path = write(tmp_path / "log.h5", tracks={"truth": track(rows)})
     asked = np.random.default_rng(3).integers(-S, 12 * S, 3000)
@@ -128,7 +128,7 @@ def test_a_gap_in_the_rows_is_crossed_without_overshoot() -> None:
 
 
 @pytest.mark.parametrize("late", [0, 2])
-def test_a_late_thermometer_among_three_alike_does_not_count(tmp_path: Path, late: int) -> None:
+def test_a_lagging_thermometer_among_three_is_ignored(tmp_path: Path, late: int) -> None:
     """Chips warm by 20 degC; their zeros differ, and one of them lags by a minute. BMA-64: 2 LSB/degC, 24 degC at 0."""
     time = np.arange(0, 60 * S, S // 10)
     headers = [replace(ACC, name=f"Acc{at}", chip="bma180", has_temperature=True) for at in range(3)]
@@ -144,7 +144,7 @@ def test_a_late_thermometer_among_three_alike_does_not_count(tmp_path: Path, lat
     assert degc[1] - degc[0] == pytest.approx(20 * 58 / 60, abs=0.5)
 
 
-def test_before_the_first_row_and_after_the_last(tmp_path: Path) -> None:
+def test_the_first_and_last_rows_are_extended(tmp_path: Path) -> None:
     rows = np.arange(3 * S, 5 * S, 10_000_000)
     with Log(write(tmp_path / "log.h5", tracks={"reference": track(rows)})) as log:
         motion = LikeLog(log)
@@ -156,15 +156,15 @@ def test_before_the_first_row_and_after_the_last(tmp_path: Path) -> None:
         assert felt.temperature_degc == pytest.approx([23, 23, 4.99 + 20, 4.99 + 20])
 
 
-def test_truth_comes_before_reference(tmp_path: Path) -> None:
+def test_the_truth_has_precedence_over_the_reference(tmp_path: Path) -> None:
     rows = np.array([0, S])
     other = Stimulus(rows, np.ones((2, 3)), np.ones((2, 3)), np.full(2, -7.0))
     with Log(write(tmp_path / "log.h5", tracks={"reference": other, "truth": track(rows)})) as log:
         assert LikeLog(log).felt(rows).temperature_degc.tolist() == [20.0, 21.0]
 
 
-def test_without_them_the_faces_of_its_phases(tmp_path: Path) -> None:
-    """Out of order in the file; between faces the last one stays, before the first the first."""
+def test_without_tracks_the_faces_of_phases_are_used(tmp_path: Path) -> None:
+    """Out of order in the file; between faces the last is kept, before the first the first is used."""
     phases = [Phase(5 * S, 8 * S, "x_down", "-X"), Phase(S, 2 * S, "y_up", "+Y"), Phase(3 * S, 4 * S, "motion")]
     with Log(write(tmp_path / "log.h5", phases)) as log:
         motion = LikeLog(log)
@@ -181,12 +181,12 @@ def test_without_them_the_faces_of_its_phases(tmp_path: Path) -> None:
         assert motion.felt(np.array([], np.int64)).force_box.shape == (0, 3)
 
 
-def test_a_log_that_tells_nothing_lies_upright(tmp_path: Path) -> None:
+def test_a_log_without_phases_is_upright(tmp_path: Path) -> None:
     with Log(write(tmp_path / "log.h5")) as log:
         assert LikeLog(log).felt(np.array([0, S])).force_box.tolist() == [[0, 0, G]] * 2
 
 
-def test_temperature_from_the_barometer(tmp_path: Path) -> None:
+def test_the_temperature_is_that_of_the_barometer(tmp_path: Path) -> None:
     """A parabola in time passes through cubic pieces unchanged, except next to its ends."""
     time = np.arange(11) * S
     degc = 30 - 0.1 * (time * 1e-9 - 5) ** 2
@@ -198,8 +198,8 @@ def test_temperature_from_the_barometer(tmp_path: Path) -> None:
         assert felt.force_box[0].tolist() == [0, 0, G]
 
 
-def test_a_thermometer_of_whole_degrees_in_a_fast_heat() -> None:
-    """From 60 s on by a degree a second, which means of ten seconds would be late for and smooth by degrees; before,
+def test_means_of_a_thermometer_of_whole_degrees_are_shorter_in_fast_heating() -> None:
+    """From 60 s on by a degree a second, which means of ten seconds would delay and smooth by degrees; before,
     and in a room that warms by a degree in a hundred seconds, they are means of ten seconds.
     """
     time_s = np.arange(0.25, 120, 0.5)
@@ -218,7 +218,7 @@ def test_the_noise_of_a_thermometer_does_not_shorten_its_means() -> None:
     assert 500 <= len(mean_s) <= 505
 
 
-def test_a_barometer_that_was_read_once(tmp_path: Path) -> None:
+def test_a_barometer_with_one_reading_gives_a_constant_temperature(tmp_path: Path) -> None:
     time = np.array([4 * S])
     path = write(tmp_path / "log.h5", [Phase(0, S, "x_up", "+X")], barometer=(time, np.array([33.0])))
     with Log(path) as log:
@@ -227,7 +227,7 @@ def test_a_barometer_that_was_read_once(tmp_path: Path) -> None:
         assert felt.force_box.tolist() == [[G, 0, 0]] * 3
 
 
-def test_logs_that_can_not_be_meant(tmp_path: Path) -> None:
+def test_invalid_logs_are_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "up.h5", [Phase(0, S, "z_up", "up")])
     with Log(path) as log, pytest.raises(LogError, match=r"up.h5: phase 'z_up': up 'up'; allowed are \+X"):
         LikeLog(log)
@@ -241,7 +241,7 @@ def test_logs_that_can_not_be_meant(tmp_path: Path) -> None:
         LikeLog(log).felt(np.array([0]))
 
 
-def test_what_stands_still_is_one_row_exactly(tmp_path: Path) -> None:
+def test_a_constant_track_is_one_row_exactly(tmp_path: Path) -> None:
     """Uneven times: the three-point formula rounds; a row of no change has no slope all the same."""
     rows = np.cumsum(np.random.default_rng(5).integers(1_000_000, 9_000_000, 300))
     force = np.tile([0.1, -0.3, 9.7], (300, 1))
@@ -255,7 +255,7 @@ def test_what_stands_still_is_one_row_exactly(tmp_path: Path) -> None:
         assert not felt.angular_acceleration_box.any()
 
 
-def test_a_stretch_at_rest_within_a_motion_is_exact(tmp_path: Path) -> None:
+def test_a_rest_within_a_motion_is_exact(tmp_path: Path) -> None:
     rows = np.arange(0, 10 * S, 10_000_000)
     moved = track(rows)
     moved.specific_force[400:600] = [1.0, 2.0, 3.0]
@@ -270,7 +270,7 @@ def test_a_stretch_at_rest_within_a_motion_is_exact(tmp_path: Path) -> None:
     assert not np.array_equal(force[0], force[1])
 
 
-def test_few_instants_are_worked_out_once(tmp_path: Path) -> None:
+def test_results_for_a_few_instants_are_cached(tmp_path: Path) -> None:
     rows = np.arange(0, 10 * S, 10_000_000)
     with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:
         motion = LikeLog(log)
@@ -279,7 +279,7 @@ def test_few_instants_are_worked_out_once(tmp_path: Path) -> None:
         assert motion.felt(few[:1]) is not motion.felt(few)
 
 
-def test_it_is_sent_as_its_log(tmp_path: Path) -> None:
+def test_a_motion_is_sent_as_its_log(tmp_path: Path) -> None:
     rows = np.arange(0, 10 * S, 10_000_000)
     with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:
         motion = LikeLog(log)
@@ -291,7 +291,7 @@ def test_it_is_sent_as_its_log(tmp_path: Path) -> None:
         again.log.close()
 
 
-def test_instants_that_begin_and_end_alike_are_not_taken_for_each_other(tmp_path: Path) -> None:
+def test_instants_with_equal_ends_are_distinguished(tmp_path: Path) -> None:
     rows = np.arange(0, 10 * S, 5_000_000)
     asked = np.linspace(0, 9 * S, 1000).astype(np.int64)
     other = np.concatenate([asked[:1], asked[1:-1] + 1_000_000, asked[-1:]])

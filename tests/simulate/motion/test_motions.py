@@ -1,4 +1,4 @@
-"""What holds for every motion: shapes, pure functions of time, ends, phases, what it says of its own rest."""
+"""Properties of every motion: shapes, pure functions of time, ends, phases, rest within phases."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def columns(felt: Felt) -> dict[str, npt.NDArray[np.float64]]:
 
 
 @moving
-def test_shapes(motion: Motion) -> None:
+def test_columns_have_their_shapes(motion: Motion) -> None:
     for count in (0, 1, 5):
         shapes = {name: values.shape for name, values in columns(motion.felt(np.arange(count) * 2 * S)).items()}
         vectors = ("force_box", "rate_box", "angular_acceleration_box", "field_box")
@@ -53,7 +53,7 @@ def test_shapes(motion: Motion) -> None:
 
 
 @moving
-def test_any_order_and_any_part_give_the_same_bits(motion: Motion) -> None:
+def test_any_order_and_any_part_of_times_give_the_same_bits(motion: Motion) -> None:
     times = np.arange(-S, round(motion.seconds * S) + S, 7_654_321)
     whole = columns(motion.felt(times))
     order = np.random.default_rng(1).permutation(len(times))
@@ -83,7 +83,7 @@ def test_phases_are_in_order_and_end_with_the_motion(motion: Motion) -> None:
 
 
 @moving
-def test_in_a_phase_with_a_face_up_gravity_is_there(motion: Motion) -> None:
+def test_a_phase_with_a_face_up_is_at_rest_with_gravity(motion: Motion) -> None:
     for phase in motion.phases:
         if not phase.up:
             continue
@@ -96,7 +96,7 @@ def test_in_a_phase_with_a_face_up_gravity_is_there(motion: Motion) -> None:
         assert not felt.angular_acceleration_box.any()
 
 
-def test_experiments_by_name() -> None:
+def test_experiments_have_their_names_phases_and_lengths() -> None:
     assert list(EXPERIMENTS) == ["static", "tumble", "heating", "turn-on", "motion"]
     names = {key: [phase.name for phase in make(ExperimentOptions()).phases] for key, make in EXPERIMENTS.items()}
     assert names == {
@@ -133,6 +133,6 @@ def test_experiments_by_name() -> None:
         (lambda: Vehicle(lateral_mps2=float("inf")), "lateral_mps2"),
     ],
 )
-def test_impossible_motions(make: object, named: str) -> None:
+def test_impossible_motions_are_refused(make: object, named: str) -> None:
     with pytest.raises(ValueError, match=named):
         make()  # type: ignore[operator]

@@ -1,5 +1,5 @@
-"""Shaken by hand, driven: what is felt against the numerical derivatives of attitude and position, and against a
-strapdown navigation.
+"""Shaken by hand, driven: force and rate compared with the numerical derivatives of attitude and position, and against
+a strapdown navigation.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ DRIVE = Vehicle(still_s=1.0, drive_s=20.0, road_mps2=1.0)
 
 
 @pytest.mark.parametrize("shake", SHAKES)
-def test_shaking_against_differences(shake: HandShake, rates: Callable[..., Any]) -> None:
+def test_shaking_matches_numerical_derivatives(shake: HandShake, rates: Callable[..., Any]) -> None:
     times = np.arange(S // 4, round(shake.seconds * S), 13_345_678)
     felt, attitude = shake.felt(times), shake.attitude(times)
     assert felt.rate_box == pytest.approx(rates(shake.attitude, times).rate_box, abs=1e-4)
@@ -50,7 +50,7 @@ def test_shaking_against_differences(shake: HandShake, rates: Callable[..., Any]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shake", SHAKES)
-def test_shaking_navigates_back_to_where_it_began(shake: HandShake, navigate: Callable[..., Any]) -> None:
+def test_navigation_of_shaking_returns_to_the_origin(shake: HandShake, navigate: Callable[..., Any]) -> None:
     track = navigate(shake, 100_000)
     assert track.attitude[-1].magnitude() < 1e-5
     assert track.velocity[-1] == pytest.approx(0, abs=1e-4)
@@ -73,7 +73,7 @@ def test_shaking_stays_within_its_peaks(peak_g: float, peak_dps: float, motion_s
 
 
 @pytest.mark.slow
-def test_each_axis_keeps_its_third_of_the_peaks_while_the_motion_swells() -> None:
+def test_each_axis_keeps_its_share_of_the_peaks_while_the_motion_swells() -> None:
     """Half a second of motion is nothing but swelling and fading, which adds to the derivatives of every sine. Three
     equal axes share a magnitude: 1 / sqrt(3) each. Of 200 seeds the worst come within a tenth of it.
     """
@@ -100,7 +100,7 @@ def test_shaking_comes_near_its_peaks(seed: int) -> None:
     assert 0.7 * 400 < math.degrees(np.linalg.norm(felt.rate_box, axis=1).max()) <= 400
 
 
-def test_seeds_shake_differently_and_all_are_at_rest_outside() -> None:
+def test_seeds_shake_differently_and_rest_outside_the_motion() -> None:
     times = np.arange(0, 50 * S, 10_000_000)
     first, again, other = (HandShake(seed=seed).felt(times) for seed in (1, 1, 2))
     assert np.array_equal(first.force_box, again.force_box)
@@ -111,7 +111,7 @@ def test_seeds_shake_differently_and_all_are_at_rest_outside() -> None:
 
 
 @pytest.mark.parametrize("length", [0.0, 1e-9, 1e-4, 0.4, 0.447213, 0.447214, 0.5, 2.0, 3.14159, 6.0, 9.0])
-def test_rotation_vectors_of_any_length(length: float) -> None:
+def test_rotation_vectors_of_any_length_match_scipy(length: float) -> None:
     """Against scipy's rotations, on both sides of where series take over (theta^2 = 0.2), and beyond a half turn."""
     axis, speed = np.array([0.6, -0.48, 0.64]), np.array([0.3, 1.1, -0.7])
     phi, gain = length * axis, np.array([2.0, -1.0, 0.5])
@@ -128,7 +128,7 @@ def test_rotation_vectors_of_any_length(length: float) -> None:
     assert acceleration[:, 0] == pytest.approx((end - begin) / step**2, abs=1e-5)
 
 
-def test_angles_of_any_size(rates: Callable[..., Any]) -> None:
+def test_angles_of_any_size_match_numerical_derivatives(rates: Callable[..., Any]) -> None:
     """Quadratics in time with all of roll, pitch and yaw large and turning."""
     terms = np.array([[0.9, 1.3, -2.0], [-0.7, 0.8, 1.5], [2.5, -1.1, 0.6]])  # value, speed, gain of roll, pitch, yaw
     angles = EulerAngles(*terms[:, :, None])
@@ -146,7 +146,7 @@ def test_angles_of_any_size(rates: Callable[..., Any]) -> None:
     assert seen == pytest.approx(attitude(np.array([0])).inv().apply(FIELD)[0], abs=1e-14)
 
 
-def test_driving_against_differences(rates: Callable[..., Any]) -> None:
+def test_driving_matches_numerical_derivatives(rates: Callable[..., Any]) -> None:
     times = np.arange(S // 4, round(DRIVE.seconds * S), 23_345_678)
     felt, attitude = DRIVE.felt(times), DRIVE.attitude(times)
     assert felt.rate_box == pytest.approx(rates(DRIVE.attitude, times).rate_box, abs=1e-5)
@@ -159,7 +159,7 @@ def test_driving_against_differences(rates: Callable[..., Any]) -> None:
     assert felt.field_box == pytest.approx(attitude.inv().apply(FIELD), abs=1e-12)
 
 
-def test_the_drivers_part_alone_against_differences(rates: Callable[..., Any]) -> None:
+def test_driving_without_the_road_matches_numerical_derivatives(rates: Callable[..., Any]) -> None:
     """Without the road's shaking what bends and changes of speed do together shows to the fifth digit."""
     drive = Vehicle(road_mps2=0.0, still_s=1.0, drive_s=20.0, lateral_mps2=6.0)
     times = np.arange(S // 4, round(drive.seconds * S), 23_345_678)
@@ -170,7 +170,7 @@ def test_the_drivers_part_alone_against_differences(rates: Callable[..., Any]) -
 
 @pytest.mark.slow
 def test_driving_navigates_to_a_stop(navigate: Callable[..., Any]) -> None:
-    """Force and rate alone tell speed, way and height."""
+    """Force and rate alone determine speed, distance and height."""
     step_ns = 500_000
     track = navigate(DRIVE, step_ns)
     middles = np.arange(0, len(track.velocity), 2000)
@@ -187,7 +187,7 @@ def test_driving_navigates_to_a_stop(navigate: Callable[..., Any]) -> None:
     assert DRIVE.felt(ends).pressure_pa == pytest.approx(101325 - PA_PER_M * height, abs=1e-2)
 
 
-def test_the_nose_lifts_when_it_speeds_up_and_dives_when_it_brakes() -> None:
+def test_the_nose_rises_in_acceleration_and_dips_in_braking() -> None:
     """Steepest slope of the step: 35 / 16. A lifted nose adds a part of gravity's reaction along +X."""
     drive = Vehicle(road_mps2=0.0, drive_s=100.0)
     force = drive.felt(np.arange(drive.phases[1].start_ns, drive.phases[1].end_ns, S // 10)).force_box[:, 0]
@@ -196,7 +196,7 @@ def test_the_nose_lifts_when_it_speeds_up_and_dives_when_it_brakes() -> None:
         assert extreme == pytest.approx(gain * math.cos(lift) + G * math.sin(lift), rel=1e-4)
 
 
-def test_bends_have_the_lateral_force_asked_for() -> None:
+def test_bends_have_the_requested_lateral_force() -> None:
     """Left first: force along +Y; the body leans out of the bend, which adds gravity's part."""
     drive = Vehicle(road_mps2=0.0, drive_s=100.0, lateral_mps2=3.0)
     felt = drive.felt(np.arange(drive.phases[1].start_ns, drive.phases[1].end_ns, S // 10))
@@ -215,7 +215,7 @@ def vertical(drive: Vehicle, begin_s: float, end_s: float) -> np.ndarray:
     return level[:, 2] - G
 
 
-def test_the_road_has_its_rms_and_its_band_and_grows_with_the_speed() -> None:
+def test_vibration_of_the_road_has_its_rms_and_band_and_grows_with_speed() -> None:
     """Eight sines between 1 and 15 Hz. Full speed is reached after a fifth of the drive, half of it at a tenth."""
     drive = Vehicle(drive_s=4000.0, lateral_mps2=0.0, road_mps2=0.8)
     road = vertical(drive, 1000, 1200)

@@ -1,4 +1,4 @@
-"""A box put down by hand: gravity's reaction along the direction that is up, whatever comes before and after."""
+"""A box put down by hand: gravity's reaction along the up direction, for any poses before and after."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SECOND = PoseAttitude(Phase(6 * S, 9 * S, "z_down", "-Z"), (0.0, 0.0, -1.0), est
 TWO = PoseSequence((FIRST, SECOND), Still(seconds=12, temperature_degc=31.0))
 
 
-def test_gravity_pushes_along_up_and_nothing_turns() -> None:
+def test_force_is_gravity_along_up_and_the_rate_is_zero() -> None:
     felt = TWO.felt(np.array([0, 3 * S, 7 * S, 20 * S]))
     expected = [[5.88399, 0, 7.84532]] * 2 + [[0, 0, -G]] * 2
     np.testing.assert_allclose(felt.force_box, expected, atol=1e-12)
@@ -30,14 +30,14 @@ def test_gravity_pushes_along_up_and_nothing_turns() -> None:
     assert len(TWO.felt(np.zeros(0, np.int64)).force_box) == 0
 
 
-def test_it_jumps_half_way_between_the_phases() -> None:
+def test_the_attitude_changes_half_way_between_the_phases() -> None:
     before, after = TWO.felt(np.array([5 * S - 1, 5 * S])).force_box[:, 2]
     assert (before, after) == (pytest.approx(0.8 * G), pytest.approx(-G))
 
 
 @pytest.mark.parametrize(("step_g", "is_removed"), [(0.1, True), (0.3, False)])
 def test_a_movement_begins_and_ends_with_the_force_of_the_attitudes(step_g: float, is_removed: bool) -> None:
-    """The sensors that tell the movement have an offset along X, of up to what their tolerances allow; a larger step
+    """The sensors that measure the movement have an offset along X, of up to what their tolerances allow; a larger step
     is a box that already moves.
     """
     time_ns = np.arange(4 * S, 6 * S + 1, S // 50)
@@ -52,7 +52,7 @@ def test_a_movement_begins_and_ends_with_the_force_of_the_attitudes(step_g: floa
     np.testing.assert_allclose(end, [shift[0], 0.0, -G], atol=1e-6)
 
 
-def test_knows_what_was_estimated() -> None:
+def test_estimated_phases_are_marked() -> None:
     assert TWO.is_estimated(FIRST.phase)
     assert not TWO.is_estimated(SECOND.phase)
     assert TWO.is_estimated(Phase(2 * S, 4 * S, "second half"))
@@ -73,13 +73,13 @@ def test_an_attitude_is_the_shortest_turn_to_up(way: tuple[float, float, float])
 
 
 @pytest.mark.parametrize("up", ["+X", "-X", "+Y", "-Y", "+Z", "-Z"])
-def test_on_its_faces_it_lies_as_a_labelled_box(up: str) -> None:
+def test_attitudes_of_faces_equal_those_of_a_labelled_box(up: str) -> None:
     way = np.zeros(3)
     way["XYZ".index(up[1])] = 1.0 if up[0] == "+" else -1.0
     np.testing.assert_allclose(upright_from([tuple(way)])[0], standing_on(up), atol=1e-12)
 
 
-def test_what_is_no_attitude_is_refused() -> None:
+def test_invalid_attitudes_are_refused() -> None:
     with pytest.raises(ValueError, match="at least one"):
         PoseSequence((), Still())
     with pytest.raises(ValueError, match="phase 'pose 1': up_box"):

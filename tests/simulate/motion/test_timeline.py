@@ -27,7 +27,7 @@ def test_smooth_step_beyond_its_ends() -> None:
     assert smooth_step_area(beyond) == pytest.approx([0.0, 0.0, 0.5, 3.5])  # symmetric: half of its length
 
 
-def test_stretches() -> None:
+def test_consecutive_phases_and_motion_times_are_computed() -> None:
     assert [tuple(p) for p in consecutive(("a", 5, "+X"), ("b", 7, ""))] == [(0, 5, "a", "+X"), (5, 12, "b", "")]
     shake = HandShake(still_s=2.0, motion_s=3.0)
     assert shake.seconds == 7.0

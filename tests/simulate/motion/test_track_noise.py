@@ -1,4 +1,4 @@
-"""The noise of a recorded track is no motion of the box."""
+"""The noise of a recorded track is reduced, since it is no motion of the box."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def response(felt: np.ndarray, track: np.ndarray) -> float:
     return float(felt[moving, 0] @ track[moving, 0] / (track[moving, 0] @ track[moving, 0]))
 
 
-def test_a_sensor_responds_to_the_reduced_track_as_to_the_motion() -> None:
+def test_the_response_to_the_reduced_track_equals_that_to_the_motion() -> None:
     """A noise of the motion's power halves the response. Behind the filter it is 1: standard error 0.02 from 3200
     independent values of the motion. Where the box does not move, less than a fiftieth of the noise's power is left.
     """
@@ -43,14 +43,14 @@ def test_a_sensor_responds_to_the_reduced_track_as_to_the_motion() -> None:
     np.testing.assert_array_equal(reduced[:4000], track[:4000])
 
 
-def test_a_track_without_rests_or_with_missing_rows_is_as_it_is() -> None:
+def test_a_track_without_rests_or_with_missing_rows_is_unchanged() -> None:
     _, track = recorded()
     np.testing.assert_array_equal(without_track_noise(TIME_NS, track, []), track)
     uneven_ns = TIME_NS + 100_000_000 * (np.arange(ROWS) > 9000)
     np.testing.assert_array_equal(without_track_noise(uneven_ns, track, [REST]), track)
 
 
-def test_power_may_be_kept_in_place_of_the_response() -> None:
+def test_power_can_be_kept_instead_of_the_response() -> None:
     """The power of the motion within 5 %, where the Wiener filter keeps the share of each frequency once more."""
     felt, track = recorded()
     moving, variance = slice(4000, ROWS), np.full(3, 1e-4)

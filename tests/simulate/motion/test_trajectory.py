@@ -1,4 +1,4 @@
-"""Motions from files: paths through rows, what the box felt row by row, and what is refused."""
+"""Motions from files: paths through rows, recorded force and rate, and refusals."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ def table(*columns: npt.ArrayLike) -> npt.NDArray[np.float64]:
 T = np.linspace(0, 4, 401)
 
 
-def test_a_circle_at_constant_speed(write: Write) -> None:
+def test_a_circle_at_constant_speed_has_centripetal_force_and_rate(write: Write) -> None:
     """Nose along the path, a turn in 4 s on a radius of 2 m: centripetal force to the left, a steady rate about z."""
     pace, radius = np.pi / 2, 2.0
     place = radius * np.stack([np.sin(pace * T), 1 - np.cos(pace * T), 0 * T], axis=1)
     angles = np.stack([0 * T, 0 * T, np.degrees(pace * T)], axis=1)
     motion = load_trajectory(write(f"time_s,{PLACE},{ANGLES}", table(T, place, angles)))
-    times = np.arange(S // 2, 3 * S, 12_345_678)  # away from the ends, where a spline knows less
+    times = np.arange(S // 2, 3 * S, 12_345_678)  # away from the ends, where a spline is less accurate
     felt = motion.felt(times)
     assert felt.force_box == pytest.approx(np.tile([0, radius * pace**2, G], (len(times), 1)), abs=1e-3)
     assert felt.rate_box == pytest.approx(np.tile([0, 0, pace], (len(times), 1)), abs=1e-9)
@@ -67,7 +67,7 @@ def test_a_circle_at_constant_speed(write: Write) -> None:
     assert [tuple(phase) for phase in motion.phases] == [(0, 4 * S, "motion", "")]
 
 
-def test_a_lift_tells_force_and_pressure(write: Write) -> None:
+def test_a_lift_has_its_force_and_pressure(write: Write) -> None:
     """Height t^2 / 2: 1 m/s2 more, and 12 Pa less per metre. Times count from the first row; temperature is linear."""
     rows = table(T + 100, 0 * T, 0 * T, T**2 / 2, 0 * T, 0 * T, 0 * T, 20 + T)
     motion = load_trajectory(write(f"time_s,{PLACE},{ANGLES},temperature_degc", rows))
@@ -86,8 +86,8 @@ def test_angles_turn_about_z_then_y_then_x(write: Write) -> None:
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 40])
-def test_a_path_against_differences(count: int, write: Write, rates: Callable[..., Any]) -> None:
-    """Whatever the splines do between rows: rate and force are derivatives of the attitude and position they give."""
+def test_a_path_matches_numerical_derivatives(count: int, write: Write, rates: Callable[..., Any]) -> None:
+    """Whichever splines run between rows, rate and force are derivatives of the attitude and position they give."""
     random = np.random.default_rng(4)
     attitudes = Rotation.from_rotvec(np.cumsum(0.3 * random.standard_normal((count, 3)), axis=0))
     place = np.cumsum(0.1 * random.standard_normal((count, 3)), axis=0)
@@ -112,7 +112,7 @@ def test_a_path_against_differences(count: int, write: Write, rates: Callable[..
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("dps", np.pi / 180), ("radps", 1.0)])
-def test_what_the_box_felt(unit: str, factor: float, write: Write) -> None:
+def test_recorded_force_and_rate_are_interpolated(unit: str, factor: float, write: Write) -> None:
     """Cubics pass through cubic splines unchanged."""
     force = np.stack([T**3, 1 - T**2, 9 + T], axis=1)
     rate = np.stack([T**2, T**3 - T, -T], axis=1)
@@ -152,7 +152,7 @@ ROW = "0,0,0,9.8,0,0,0"
         ),
     ],
 )
-def test_files_that_say_nothing_clear(text: str, complaint: str, tmp_path: Path) -> None:
+def test_invalid_files_are_refused(text: str, complaint: str, tmp_path: Path) -> None:
     path = tmp_path / "path.csv"
     path.write_text(text)
     with pytest.raises(SourceError, match=complaint) as caught:
@@ -161,7 +161,7 @@ def test_files_that_say_nothing_clear(text: str, complaint: str, tmp_path: Path)
     assert "\n" not in str(caught.value)
 
 
-def test_no_file(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match=r"nothing\.csv: No such file or directory"):
         load_trajectory(tmp_path / "nothing.csv")
     with pytest.raises(SourceError, match="Is a directory"):
@@ -169,7 +169,7 @@ def test_no_file(tmp_path: Path) -> None:
 
 
 @given(junk=st.binary(max_size=200))
-def test_junk_is_refused_in_one_line(junk: bytes, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_random_bytes_are_refused_in_one_line(junk: bytes, tmp_path_factory: pytest.TempPathFactory) -> None:
     path = tmp_path_factory.getbasetemp() / "junk.csv"
     for content in (junk, f"{HEADER}\n{ROW}\n".encode() + junk):
         path.write_bytes(content)

@@ -42,7 +42,7 @@ axes = "+Y-X+Z"
 )
 
 
-def test_its_stimulus_is_what_the_emulator_takes() -> None:
+def test_its_stimulus_is_that_of_the_emulator() -> None:
     shown = MotionWorld(Still())(0)
     assert shown == EmulatedStimulus()
     assert all(type(value) is float for value in (*shown.force_box, *shown.rate_box, *shown.field_box, *shown[2:4]))
@@ -60,8 +60,8 @@ def test_its_stimulus_is_what_the_emulator_takes() -> None:
         3,
     ),
 )
-def test_shows_exactly_the_motion_at_any_instant(motion: Still | Tumble | Heating | HandShake) -> None:
-    """Forwards, then here and there: what is kept from the call before never shows at a wrong time."""
+def test_the_world_equals_the_motion_at_any_instant(motion: Still | Tumble | Heating | HandShake) -> None:
+    """Forwards, then in random order: results kept from an earlier call are never returned at another time."""
     world = MotionWorld(motion)
     end_ns = round(motion.seconds * S)
     times = [*range(-S // 10, min(end_ns, 7 * S) + S // 10, 13_456_789)]
@@ -77,7 +77,7 @@ def test_shows_exactly_the_motion_at_any_instant(motion: Still | Tumble | Heatin
 
 
 @pytest.mark.slow
-def test_the_emulated_array_feels_the_motion_and_the_log_knows_it(tmp_path: Path) -> None:
+def test_the_emulated_array_measures_the_motion_and_the_log_contains_it(tmp_path: Path) -> None:
     """Recorded through the emulated chips; the truth in the log is the motion, and a motion again. What the units are
     off by at rest is small beside 0.3 g and beside the shaking.
     """
