@@ -168,7 +168,7 @@ def test_a_fusion_equals_that_of_the_command(folder: Path, tmp_path: Path, techn
     assert fused.save(own) == len(fused.time) > 1000
     assert equal(columns(command), columns(own))
     assert read_fused_head(own) == read_fused_head(command)
-    # against the truth by hand: the box lies still, Z up. (All frames, not only those within the truth's times.)
+    # against the truth by hand: the box is at rest, Z up. (All frames, not only those within the truth's times.)
     still = np.array([0.0, 0.0, 9.80665])
     by_hand = np.sqrt(np.nanmean((fused.specific_force - still) ** 2, axis=0))
     np.testing.assert_allclose(fused.errors["specific_force"].rms, by_hand, rtol=1e-2)

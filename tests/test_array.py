@@ -65,7 +65,7 @@ def test_a_valid_file_is_parsed() -> None:
     acc, gyro = array.sensors
     assert (acc.name, acc.chip, acc.channel, acc.address, acc.range) == ("Acc", "bma180", 0, 0x40, 16.0)
     assert acc.sensitivity == 512  # BMA-76
-    assert acc.chip_rate_hz == 2400  # BMA-93, whatever is asked
+    assert acc.chip_rate_hz == 2400  # BMA-93, for any configuration
     assert acc.chip_bandwidth_hz == 150
     assert gyro.sensitivity == pytest.approx(1 / 0.070)  # L3G-42: 70 mdps per digit
     assert (gyro.chip_rate_hz, gyro.chip_bandwidth_hz) == (400, 110)

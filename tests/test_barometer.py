@@ -23,7 +23,7 @@ def test_raw_words_give_the_requested_temperature_and_pressure(pairs: list[tuple
     asked = np.array(pairs)
     ut, up = uncompensated(asked[:, 0], asked[:, 1], EXAMPLE_WORDS, 3)
     temperature, pressure = compensate(ut, up, EXAMPLE_WORDS, 3)
-    # one step of UT is below 0.1 degC; pressure comes in steps of 2 Pa where B7 / B4 is doubled (BMP-60), of less than
+    # one step of UT is below 0.1 degC; pressure has steps of 2 Pa where B7 / B4 is doubled (BMP-60), of less than
     # 4 with what is added to it, and the word is the first that reaches what was asked for
     assert (np.abs(temperature - asked[:, 0]) <= 0.1).all()
     assert (np.abs(pressure - asked[:, 1]) < 4.0).all()

@@ -34,7 +34,7 @@ def test_the_script_from_a_night_to_numbers_gives_bias_and_noise(tmp_path: Path)
 
 @pytest.mark.slow
 def test_the_simulators_missing_tone_is_diagnosed(tmp_path: Path) -> None:
-    """The script adds a tone of 0.6 dps at 11 Hz to Gyro2, which its simulator does not know."""
+    """The script adds a tone of 0.6 dps at 11 Hz to Gyro2, which its simulator does not have."""
     assert len((EXAMPLES / "sim_to_real.py").read_text().splitlines()) < 50
     results = runpy.run_path(str(EXAMPLES / "sim_to_real.py"))["main"](tmp_path)
     (cause,) = results["diagnosis"].causes

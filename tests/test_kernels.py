@@ -94,7 +94,7 @@ def test_compiled_differences_of_axes_equal_those_of_numpy(count: int, monkeypat
         assert found.shape == each.shape
         np.testing.assert_allclose(found, each, rtol=1e-9, atol=1e-12)
     if count > 1:
-        assert np.abs(wanted[0][-1] - wanted[0][0]).max() > 0.01  # they learn
+        assert np.abs(wanted[0][-1] - wanted[0][0]).max() > 0.01  # they converge
 
 
 @pytest.mark.parametrize("columns", [1, 2, 5, 16])

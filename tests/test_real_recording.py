@@ -1,7 +1,7 @@
 """From a published recording to the paper's claim: eight MPU-9150, four on each side of a board.
 
 H. Carlsson, I. Skog, J. Jalden, Self-Calibration of Inertial Sensor Arrays, IEEE Sensors Journal 21(6), 2021; an
-extract of their first recording lies in tests/data/mimu4444. All units share a bias in their own frames, above all
+extract of their first recording is in tests/data/mimu4444. All units share a bias in their own frames, above all
 along z, so that the two sides err in opposite directions and the paper's section 2.1 applies.
 """
 

@@ -1,4 +1,4 @@
-"""Small arrays on the emulated bus, and a bus that notes everything and fails when it is told to."""
+"""Small arrays on the emulated bus, and a bus that records every transaction and fails on request."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Call(NamedTuple):
 
 
 class Tapped:
-    """An open bus that notes every transaction; one for which `fails(call)` is true reaches nobody: errno 121."""
+    """An open bus that notes every transaction; a call for which `fails(call)` is true reaches no chip: errno 121."""
 
     def __init__(self, bus: Any, fails: Callable[[Call], bool] = lambda call: False) -> None:
         self.bus, self.clock, self.source, self.fails = bus, bus.clock, bus.source, fails

@@ -58,7 +58,7 @@ def words(code: str, data: bytes) -> tuple[int, ...]:
 
 
 DECODED: dict[str, tuple[int, int, Callable[[bytes], tuple[int, ...]]]] = {
-    # register that the burst begins with, bytes, and what they say
+    # first register of the burst, bytes, and their meaning
     "adxl345": (0x30, 8, lambda data: words("<3h", data[2:])),
     "bma180": (0x02, 7, lambda data: tuple(word >> 2 for word in words("<3h", data[:6]))),
     "l3g4200d": (0xA6, 8, lambda data: words("<3h", data[2:])),

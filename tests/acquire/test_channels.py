@@ -61,7 +61,7 @@ def test_a_sensor_without_a_twin_is_not_marked(connected: Callable[..., Any]) ->
 def test_twins_without_a_mark_register_are_identified_by_another_chip_on_the_channel(
     connected: Callable[..., Any],
 ) -> None:
-    """Two magnetometers look alike; the accelerometer beside the first is on its channel alone."""
+    """Two magnetometers look alike; only the first has an accelerometer on its channel."""
     bus, (first, second) = connected(M1=0, A=0, M2=1)
     bus.transfer(0x70, b"\x04")
     assert first.is_connected()

@@ -38,7 +38,7 @@ def periods_ns(path: Path) -> dict[str, float]:
 @pytest.mark.slow
 @pytest.mark.parametrize("clock_hz", [32_768.0, 48_000.0])
 def test_an_external_clock_keeps_chips_in_step(clock_hz: float, tmp_path: Path) -> None:
-    """Rows are as far apart as the clock says, 1 kHz times its frequency over 32 kHz, whatever the oscillators do."""
+    """The rate of rows is that of the clock, 1 kHz times its frequency over 32 kHz, for any oscillators."""
     array = array_of(f"external_clock_hz = {clock_hz}")
     with open_array(array, switches=OSCILLATORS) as bus:
         summary = record(array, bus, tmp_path / "run.h5", rate_hz=40.0, seconds=4.0)
@@ -87,7 +87,7 @@ def test_time_stamps_in_high_resolution_follow_the_external_clock(tmp_path: Path
 
 @pytest.mark.slow
 def test_a_clock_that_is_not_connected_is_reported(tmp_path: Path) -> None:
-    """The chip stands still (DEC-65): that is reported within a second, and the other chip goes on."""
+    """The chip stops (DEC-65): that is reported within a second, and the other chip is not affected."""
     array = array_of("external_clock_hz = 32768")
     with open_array(array, switches={"A1": {"clock_input_hz": 0.0}}) as bus:
         record(array, bus, tmp_path / "run.h5", rate_hz=40.0, seconds=2.0)

@@ -231,5 +231,5 @@ def test_an_active_adaptive_range_is_a_remark_and_no_failure() -> None:
     connect(array, bus)
     assert [line.remark for line in detect(array, bus)] == ["", ""]
     spi = bus.spi_port("/dev/spidev0.0", 3, 24_000_000)
-    spi.exchange(bytes([0x76, 0x01]))  # what 0x4D says now belongs to bank 1
+    spi.exchange(bytes([0x76, 0x01]))  # 0x4D is now a register of bank 1
     assert [line.remark for line in detect(array, bus)] == ["", ""]

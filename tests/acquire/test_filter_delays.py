@@ -32,7 +32,7 @@ DELAYS_MS = [
 
 
 class ClockBoard(Board):
-    """Every element feels the share of the second that has passed."""
+    """The input of every element is the elapsed share of the second."""
 
     def element(self, sensor: Any) -> Any:
         return ClockElement()
@@ -42,7 +42,7 @@ class ClockBoard(Board):
 def test_a_row_shows_the_input_of_one_delay_earlier(
     die: str, bandwidths_hz: tuple[int, int], delays_ms: tuple[float, float], tmp_path: Path
 ) -> None:
-    """The accelerometer's x tells when; it is polled at 200 Hz, so that a reading is up to 1 ms old."""
+    """The accelerometer's x is the time; it is polled at 200 Hz, so that a reading is up to 1 ms old."""
     text = '[array]\nname = "a"\n'
     for name, full_scale, bandwidth_hz in zip("AG", (16, 2000), bandwidths_hz, strict=True):
         text += f'[[sensor]]\nname = "{name}"\nchip = "{die}"\naddress = 0x68\nrange = {full_scale}\n'
@@ -101,7 +101,7 @@ def error_in_motion(path: Path, truth_of: Path) -> float:
 
 @pytest.mark.slow
 def test_fusion_takes_the_delay_into_account(tmp_path: Path) -> None:
-    """An LSM6DSO, whose emulated filter does not delay, beside an MPU-9250 that is 11.8 ms late: with a log that does
+    """An LSM6DSO, whose emulated filter does not delay, and an MPU-9250 that is 11.8 ms late: with a log that does
     not state it, the mean has several times the error.
     """
     config, path, silent = tmp_path / "a.toml", tmp_path / "run.h5", tmp_path / "silent.h5"

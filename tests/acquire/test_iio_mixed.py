@@ -1,5 +1,5 @@
 """An array that mixes sensors that the kernel serves with chips on an I2C bus is logged, calibrated, fused and
-diagnosed as any other. The kernel's device feels what the emulated chips feel; its bias and scale are known.
+diagnosed as any other. The kernel's device has the same input as the emulated chips; its bias and scale are known.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class MixedBus(IioBus):
 
 
 def play(device: KernelDevice, array: ArrayConfig, wired: EmulatedBus, clock: TickedClock) -> None:
-    """Let a sample wait in the device's buffer every 20 ms, of what it feels then."""
+    """Put a sample of the present input into the device's buffer every 20 ms."""
     generator, turn = np.random.default_rng(5), np.array(array["Kernel"].orientation).T
     begun_ns, count = clock.now_ns(), 0
 

@@ -241,7 +241,7 @@ def rows(start: int, count: int = 100) -> Block:
 
 
 def test_rows_that_overfill_the_queue_are_skipped_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The thread stands still at the first of twenty blocks, the queue holds seven: six seconds are lost."""
+    """The thread stops at the first of twenty blocks, the queue has room for seven: six seconds are lost."""
     said: list[str] = []
     standing, going = threading.Event(), threading.Event()
     push = FusionStream.push

@@ -43,7 +43,7 @@ def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 @pytest.fixture
 def pages(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
-    """The programs that are begun in the place of a page; each says a line and waits for its end."""
+    """The programs that are begun in the place of a page; each prints a line and waits for its end."""
     begun: list[list[str]] = []
     real = subprocess.Popen
 
@@ -136,7 +136,7 @@ def test_a_page_follows_a_recording_in_real_time(tmp_path: Path) -> None:
         later = seen(address, lambda now: now["log"] != "run_001.h5" and now["ends_s"] > 3.5)
         assert later["state"] == "being written" and later["begins_s"] == now["begins_s"]
         process.send_signal(signal.SIGINT)
-        seen(address, lambda now: now["state"] == "finished")  # a page that is looked at learns how it ended
+        seen(address, lambda now: now["state"] == "finished")  # an open page shows the end
         out, _ = process.communicate(timeout=40)
     finally:
         process.kill()
@@ -173,4 +173,4 @@ def test_a_page_ends_when_its_logger_is_killed(tmp_path: Path) -> None:
             time.sleep(0.2)
             snapshot_or_not = urllib.request.urlopen(address, timeout=5)  # noqa: S310
             snapshot_or_not.close()
-            time.sleep(4)  # nobody looks for longer than a page lingers
+            time.sleep(4)  # no request for longer than the page waits

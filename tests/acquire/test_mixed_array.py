@@ -88,7 +88,7 @@ def test_barometers_measure_within_their_tolerances(folder: Path) -> None:
 
 
 def test_magnetometers_measure_the_same_field(folder: Path) -> None:
-    """Of each part's bias and scale, the AK8963 adjusted and the MMC5983MA less where its bridges stand, the field is
+    """Of each part's bias and scale, the AK8963 adjusted and the MMC5983MA less the offset of its bridges, the field is
     that of the box; six sigma of the mean of 1000 readings and a count.
     """
     array = parse_array(TEXT)

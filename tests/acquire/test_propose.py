@@ -52,7 +52,7 @@ def test_a_barometer_is_numbered_where_there_are_two_of_its_type(chips: dict[int
 
 
 def test_an_unknown_chip_is_not_taken_for_a_multiplexer() -> None:
-    """A BME280 sits at 0x76, an address of the multiplexer too; it has an ADXL345 beside it."""
+    """A BME280 at 0x76, which is an address of the multiplexer too, and an ADXL345."""
     bus = Chips({0x76: {0x00: 0x00, 0x05: 0x00, 0xD0: 0x60}, 0x53: {0x00: 0xE5}})
     found = explore(bus)
     assert [(line.found, line.channel, line.address) for line in found] == [("adxl345", None, 0x53)]

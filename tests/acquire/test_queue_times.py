@@ -97,7 +97,7 @@ def test_the_time_of_a_row_is_within_50_us_rms_of_its_sample(
         acc, gyro = log["acc"], log["gyro"]
         assert not np.asarray(acc.status[:]).any()
         share = acc.counts[:][:, 0] / acc.sensitivity / (SPAN_G * 0.999) + 0.5
-        felt_ns = np.asarray(acc.time[:]) - acc.delay_ns  # what a chip feels comes through its filter
+        felt_ns = np.asarray(acc.time[:]) - acc.delay_ns  # the input passes the filter of the chip
         time_s = felt_ns * 1e-9 + starts_ns[0] * 1e-9
         off_s = (time_s - share + 0.5) % 1.0 - 0.5
         settled = acc.time[:] > STARTS_S * 1e9

@@ -297,7 +297,7 @@ def test_a_chip_that_is_set_up_again_loses_three_readings_at_most(
 def test_a_start_is_judged_by_at_least_ten_readings(
     an_array: Callable[..., Any], tmp_path: Path, rate_hz: float, judged: bool
 ) -> None:
-    """What comes in the first ten seconds; two readings are as far from the mean as another state is."""
+    """The readings of the first ten seconds; two readings are as far from the mean as another state is."""
     array = an_array(A=0, G=0)
     heard: list[int] = []
 

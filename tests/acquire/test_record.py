@@ -129,7 +129,7 @@ def test_the_time_of_a_row_after_a_switch_is_the_start_of_its_burst(
 
 
 def silence(address: int, start_ms: float, end_ms: float) -> Callable[[Any], bool]:
-    """Nobody acknowledges `address` between these times after the chips have been set up, 2 s after power-on."""
+    """No chip acknowledges `address` between these times after the chips have been set up, 2 s after power-on."""
     return lambda call: call.address == address and 2000 + start_ms <= call.at_ns / MS < 2000 + end_ms
 
 

@@ -1,4 +1,4 @@
-"""Rows that wait keep their flags, whatever is added, thrown away, doubted and written in between."""
+"""Waiting rows keep their flags when other rows are added, discarded, doubted or written."""
 
 from __future__ import annotations
 

@@ -136,7 +136,7 @@ def test_a_permanently_frozen_sensor_is_set_up_at_increasing_intervals(bad_night
 def test_a_reading_that_is_frozen_at_the_end_is_reported_once(
     bad_night: Callable[..., Any], frames: int, messages: list[str]
 ) -> None:
-    """A reading that stands still for a second, 50 rows, is frozen; a look for it every ten frames. Of the first log
+    """A constant reading for a second, 50 rows, is frozen; this is checked every ten frames. Of the first log
     54 rows stand still, of which the last look saw 46; of the second the last look saw 56, and the sensor is set up.
     """
     done, log = bad_night('[[fault]]\nkind="frozen"\nsensor="B"\nat_s=3.0\nfor_s=1000\n', frames / 50, A=0, B=0)

@@ -1,6 +1,6 @@
-"""An array that a microcontroller streams: the log equals what went over its wire, whatever happens on the line.
+"""An array that a microcontroller streams: the log equals the bytes on its wire, for any failure of the line.
 
-What is expected is decoded here from the bytes on the emulated wire, as the data sheets say (ADX-45, BMA-60, L3G-60,
+Expected values are decoded here from the bytes on the emulated wire, as in the data sheets (ADX-45, BMA-60, L3G-60,
 HMC-31, BMP-47), and timed by the emulated clock.
 """
 
@@ -43,7 +43,7 @@ def test_the_log_of_the_papers_array_equals_the_bytes_on_the_wire(tmp_path: Path
         time, counts, status = logged(tmp_path / "r.h5", sensor.name)
         wire_time, wire_counts = on_the_wire(bench, array, sensor.name)
         np.testing.assert_array_equal(counts, wire_counts[: len(counts)])
-        assert len(wire_counts) - len(counts) <= 5  # frames that began before the microcontroller heard STOP
+        assert len(wire_counts) - len(counts) <= 5  # frames that began before the microcontroller received STOP
         assert np.abs(time + start_ns - wire_time[: len(time)]).max() < 20_000
         assert not (status & (LOST | SUSPECT | RECONFIGURED | OVERRUN)).any()
     assert len(logged(tmp_path / "r.h5", "Gyro3")[0]) == 800

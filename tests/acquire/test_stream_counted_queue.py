@@ -1,4 +1,4 @@
-"""Queues that a microcontroller drains by their own count (LSM6DSO, MPU-6050, MPU-6500), whatever happens on the line.
+"""Queues that a microcontroller drains by their own count (LSM6DSO, MPU-6050, MPU-6500), with failures of the line.
 
 The world is a clock: the specific force along x is the share of the present second that has passed, so that each row
 shows when its sample was taken; y and z are 0, so that bytes that were shifted show. A row is good if its time in the
@@ -159,7 +159,7 @@ def test_failed_transactions_give_no_wrong_rows(errno: int, die: str, tmp_path: 
 
     def held(address: int, write: bytes = b"", read: int = 0) -> bytes:
         if errno == 110 and begun and draw.random() < 0.01:
-            transfer(address, write, min(read, 5))  # a part is read, and is gone
+            transfer(address, write, min(read, 5))  # a part is read, and is lost
             raise OSError(110, "held")
         return transfer(address, write, read)
 

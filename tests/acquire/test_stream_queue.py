@@ -1,5 +1,5 @@
 """Queues of ICM-42688-P that a microcontroller drains by itself: each row is a packet that went over its wires, at the
-time that the chip stamped on it, and what is missing is flagged and counted, whatever happens on the line.
+time that the chip stamped on it, and missing packets are flagged and counted, for any failure of the line.
 
 Packets are decoded here as TDK-81 ... TDK-85 say: flags, count, then 16 bytes each with a time stamp in microseconds of
 the chip's own clock, which in these tests is off by up to one percent.

@@ -161,14 +161,14 @@ def test_a_replayed_frame_is_refused_and_loses_no_other(
 def test_frames_of_an_earlier_boot_are_refused(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, later_us: int
 ) -> None:
-    """Its counter stood elsewhere when it was started: `later_us` is by how much."""
+    """Its counter had another value when it was started: `later_us` is the difference."""
     array = an_array(A=0, G=1, B=None)
     tape = previous_boot(array, tmp_path / "old.h5", (70_000_000 + later_us) % (1 << 32))
 
     def inject(now: Tape, draw: np.random.Generator) -> Injection:
         if draw.random() < 0.5:  # anything
             first = int(draw.integers(len(tape.frames) - 60))
-        else:  # what was sent when the counter stood where it stands now, give or take half a second
+        else:  # sent at the same value of the counter, within half a second
             first = len(now.frames) + int(draw.integers(-100, 100))
         return tape.whole(first, first + int(draw.integers(1, 60)))
 

@@ -1,4 +1,5 @@
-"""A machine whose I2C adapters come and go: a tree like sysfs, and device files that emulated adapters serve.
+"""A machine whose I2C adapters are plugged in and unplugged: a tree like sysfs, and device files that emulated adapters
+serve.
 
 It does as Linux does (drivers/i2c/i2c-core-base.c, i2c-mux.c): an adapter that is unplugged leaves sysfs at once, but
 while a program has it open its removal is not finished, and until then nothing at its port is seen. Of a multiplexer

@@ -27,7 +27,7 @@ class Tapped(NamedTuple):
 class Bench:
     """The microcontroller, and the host's clock (`now_ns`, `sleep_until`).
 
-    `delivered` may change each piece of what is sent; `fails(call)` makes a transaction reach nobody; `answered` may
+    `delivered` may change each piece of what is sent; `fails(call)` makes a transaction reach no chip; `answered` may
     change what comes back.
     """
 

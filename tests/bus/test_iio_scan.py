@@ -74,7 +74,7 @@ def channels(draw: Any) -> tuple[str, list[int], tuple[int, int, str]]:
 @given(st.lists(channels(), min_size=1, max_size=6), st.randoms(use_true_random=False))
 def test_any_channels_are_unpacked(made: list[Any], random: Any) -> None:
     """Against words made with `int.to_bytes` and aligned one by one: byte order, bits, shift, sign, repetitions, gaps
-    in the indices, and whatever order the channels are listed in.
+    in the indices, and any order of the channels.
     """
     indices = sorted(random.sample(range(100), len(made)))
     listed = [

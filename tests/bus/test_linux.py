@@ -190,7 +190,7 @@ def outcome(bus: Any, request: tuple[int, bytes, int]) -> bytes | int | None:
 
 
 def structures() -> int:
-    """How many transactions are kept somewhere."""
+    """The number of cached transactions."""
     gc.collect()
     return sum(type(thing).__name__ == "i2c_rdwr_ioctl_data" for thing in gc.get_objects())
 

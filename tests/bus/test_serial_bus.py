@@ -1,4 +1,4 @@
-"""The host's end of the link: a bus like any other, lists that are gone through, and lines that fail."""
+"""The host's end of the link: a bus like any other, lists that are executed, and lines that fail."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def test_lists_arrive_in_their_frames_with_numbers_and_times() -> None:
         assert bus.streaming
         numbers, times, payloads = received(bus, 0, 200)
         assert numbers == list(range(len(numbers)))
-        np.testing.assert_allclose(np.diff(times), 5 * MS / 1.003, atol=3000)  # microseconds, and a fit that learns
+        np.testing.assert_allclose(np.diff(times), 5 * MS / 1.003, atol=3000)  # microseconds, and a fit that converges
         taps = [tap.at_ns for tap in bench.taps if tap.write == b"\x00" and tap.at_ns >= begun_ns]
         assert abs(times[0] - taps[0] - 93_700) < 50_000  # the age: one transaction, BUS-07
         assert {bytes(row) for row in payloads} == {bytes([94, 0, 0xE5]), bytes([93, 0, 0xE5])}

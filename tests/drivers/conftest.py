@@ -14,7 +14,7 @@ from imuarray.drivers import DRIVERS, Driver
 
 
 class Constant:
-    """A sensing element that always feels the same."""
+    """A sensing element with a constant input."""
 
     def __init__(
         self, vector: tuple[float, float, float], temperature_degc: float = 25.0, pressure_pa: float = 101325.0

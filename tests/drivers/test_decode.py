@@ -122,14 +122,14 @@ class TestL3g4200d:
         np.testing.assert_array_equal(told.temperature_counts, [20, -1, -128])
 
     def test_stale_without_zyxda(self) -> None:
-        # L3G-18: bit 3 says that all three axes are new.
+        # L3G-18: bit 3 means that all three axes are new.
         told = decoded(
             "l3g4200d", *(f"14 {status} 00 00 00 00 00 00" for status in ("0F", "08", "07", "00", "F0", "FF"))
         )
         np.testing.assert_array_equal(told.status & ~np.uint16(OVERRUN), [0, 0, STALE, STALE, STALE, 0])
 
     def test_overrun_with_zyxor(self) -> None:
-        # L3G-18, L3G-52: bit 7 says that all three axes were replaced unread.
+        # L3G-18, L3G-52: bit 7 means that all three axes were replaced unread.
         told = decoded("l3g4200d", *(f"14 {status} 00 00 00 00 00 00" for status in ("0F", "8F", "7F", "FF")))
         np.testing.assert_array_equal(told.status, [0, OVERRUN, 0, OVERRUN])
 

@@ -152,7 +152,7 @@ def test_raw_words_round_trip(chip: str) -> None:
 
 @pytest.mark.parametrize("chip", FORCED)
 def test_impossible_raw_values_give_finite_results(chip: str) -> None:
-    """Every raw word gives some number, whatever the other one is."""
+    """Every raw word gives a finite number, for any value of the other."""
     arithmetic = BAROMETERS[chip]
     bits = {"bmp280": 20, "bmp388": 24}[chip]
     raw = np.arange(0, 1 << bits, (1 << bits) // 1009)

@@ -201,9 +201,9 @@ def test_a_chip_that_does_not_measure_is_reported(bench: Callable[..., Any]) -> 
     ("field", "bridge", "passed"),
     [
         ((0.2, 0.0, 0.45), (0.1, -0.1, 0.2), True),
-        ((0.01, 0.0, 0.0), (0.1, 0.0, 0.0), None),  # too weak to tell
+        ((0.01, 0.0, 0.0), (0.1, 0.0, 0.0), None),  # too weak to decide
         ((0.2, 0.0, 0.45), (1.4, 0.0, 0.0), False),
-        ((5.0, 0.0, 0.0), (0.0, 0.0, 0.0), False),  # magnetised, or beside a magnet
+        ((5.0, 0.0, 0.0), (0.0, 0.0, 0.0), False),  # magnetised, or near a magnet
     ],
 )
 def test_the_self_test_of_an_mmc5983_judges_field_and_bridge(
@@ -304,7 +304,7 @@ BEHIND_9150 = BEHIND.replace('"ak8963"', '"ak8975"').replace("49.12", "12.29").r
 
 
 def test_the_magnetometer_of_an_mpu9150_is_read_behind_its_bypass() -> None:
-    """As of the MPU-9250: the field that this part feels; mean of 25 at 4.4 sigma and a count."""
+    """As of the MPU-9250: the field at this part; mean of 25 at 4.4 sigma and a count."""
     array = parse_array(BEHIND_9150)
     with open_array(array) as bus:
         bus.transfer(0x70, b"\x05")

@@ -95,7 +95,7 @@ CASES = [
 
 
 def built(bench: Build, chip: str, settings: dict[str, float], unit: float) -> Any:
-    """The bench of a chip that feels `unit` along x."""
+    """The bench of a chip whose input is `unit` along x."""
     address = 0x6A if chip.startswith("lsm") else 0x68
     sensor = SensorConfig(name="S", chip=chip, address=address, **settings)  # type: ignore[arg-type]
     return bench(CHIPS[chip], sensor, (unit, 0.0, 0.0))

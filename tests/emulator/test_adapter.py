@@ -214,7 +214,7 @@ class TestRdwr:
             assert bytes(answer) == b"\xe5"
 
     def test_structures_packed_by_hand_are_accepted(self) -> None:
-        # 64-bit layouts of linux/i2c.h and linux/i2c-dev.h, without anybody's ctypes classes.
+        # 64-bit layouts of linux/i2c.h and linux/i2c-dev.h, without ctypes classes of a library.
         write, read = ctypes.create_string_buffer(b"\x00", 1), ctypes.create_string_buffer(1)
         messages = struct.pack(
             "HHHxxPHHHxxP", 0x53, 0, 1, ctypes.addressof(write), 0x53, READ, 1, ctypes.addressof(read)

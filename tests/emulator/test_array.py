@@ -221,7 +221,7 @@ def test_invalid_boards_are_refused() -> None:
 
 
 def test_switches_apply_to_their_chips() -> None:
-    """DEC-20: a burst past 0x2D goes on to 0x2E or wraps; a dirty start; by chip, and by sensor where both are said."""
+    """DEC-20: a burst past 0x2D goes on to 0x2E or wraps; a dirty start; by chip, and by sensor, which prevails."""
     switches = {"l3g4200d": {"wrap_always": True}, "Gyro2": {"wrap_always": False}, "ADXL1": {}}
     bus = open_array(TWELVE, switches=switches)
     bus.transfer(0x70, b"\x04")

@@ -105,7 +105,7 @@ def test_one_program_at_a_time_uses_the_port(config: Path) -> None:
         for _ in range(2):
             bus = open_serial(port.path)
             bus.start([PollList(1, 0, (Request(0x70, b"\x05", 0), *[Request(0x53, b"\x00", 57)] * 8))], 500)
-            bus._session.port.close()  # killed: the stream goes on, into nothing
+            bus._session.port.close()  # killed: the stream continues without a reader
             time.sleep(0.05)
         with open_serial(port.path) as bus:
             bus.transfer(0x70, b"\x05")

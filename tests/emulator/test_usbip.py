@@ -183,7 +183,7 @@ def test_invalid_frames_are_refused(frame: bytes, said: str) -> None:
 
 
 def fed(talk: Conversation, chunks: list[bytes]) -> tuple[bytes, int]:
-    """What came back until the conversation was over or broken, and the most that was ever kept."""
+    """The answers until the conversation was over or broken, and the largest number of bytes kept."""
     got, kept = bytearray(), 0
     try:
         for chunk in chunks:

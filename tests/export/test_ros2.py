@@ -143,7 +143,7 @@ def test_the_file_is_of_the_ros2_profile(bag: Path) -> None:
 
 @pytest.mark.parametrize("apart_ns", some([0, 1], 1))
 def test_halves_of_a_six_axis_chip_read_together_are_one_imu(tmp_path: Path, apart_ns: int) -> None:
-    """Kalibr and others want force and rate of a chip in one message."""
+    """Kalibr and others require force and rate of a chip in one message."""
     headers = [
         SensorHeader("IMU1_acc", "mpu9150", "specific_force", "g", 2.0, 16384.0),
         SensorHeader("IMU1_gyro", "mpu9150", "angular_rate", "dps", 250.0, 131.0),

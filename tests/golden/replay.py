@@ -191,7 +191,7 @@ class Script:
 
 
 def play_to_driver(conversation: Conversation) -> None:
-    """Let the driver hold this conversation; DifferenceError where it says something else or decodes something else."""
+    """Let the driver hold this conversation; DifferenceError where a transaction or a decoded value differs."""
     script = Script(conversation)
     if conversation.part == "select":
         mux = MuxDriver(script, conversation.address)
@@ -216,10 +216,10 @@ def play_to_driver(conversation: Conversation) -> None:
 
 
 def _fetch(driver: Any, script: Script, conversation: Conversation) -> None:
-    """Poll until everything is said, then compare what the bytes mean; a chip polled too early gives nothing."""
+    """Poll until every transaction is made, then compare the decoded values; a chip polled too early gives nothing."""
     (meaning,) = [line for line in conversation.lines if line.meaning]
     opening_ns = conversation.lines[0].wait_ns
-    if opening_ns:  # the poll loop came late
+    if opening_ns:  # the poll loop was late
         script.sleep_until(script.now_ns() + opening_ns)
     wanted = meaning.content["counts"] * meaning.content.get("times", 1)
     bursts = b""

@@ -85,7 +85,7 @@ def test_verify_names_damaged_rows(small: Path, capsys: pytest.CaptureFixture[st
 def test_a_refused_log_does_not_keep_others_from_reading(small: Path) -> None:
     with h5py.File(small, "r+") as file:
         file["sensors/Acc/time"][:] = 0
-    with pytest.raises(LogError) as refused:  # kept, with everything that it stands in
+    with pytest.raises(LogError) as refused:  # kept, with its frames
         open_log(small)
     read: list[int] = []
     other = threading.Thread(target=lambda: read.append(len(h5py.File(small)["sensors"])), daemon=True)

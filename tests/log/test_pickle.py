@@ -1,4 +1,4 @@
-"""A log goes to another process as its path, and is opened there once."""
+"""A log is sent to another process as its path, and is opened there once."""
 
 from __future__ import annotations
 

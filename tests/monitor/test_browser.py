@@ -63,7 +63,7 @@ def test_the_page_shows_the_log_and_follows_its_changes(logger: Logger, log_path
             for width in (1366, 390):  # nothing sticks out of a laptop's or a phone's screen
                 await page.screen(width, 800, dark=True)
                 assert await page.value("document.documentElement.scrollWidth") <= width
-            for dark in (False, True, False, True, False):  # as fast as it goes: no figure keeps the other's colours
+            for dark in (False, True, False, True, False):  # in quick succession: no figure keeps the other's colours
                 await page.screen(1366, 2500, dark=dark)
             await page.until(f"Bokeh.documents.length === 9 && {LIGHT}")
             await page.until(f"{DRAWN} === 9")

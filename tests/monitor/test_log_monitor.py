@@ -146,7 +146,7 @@ def test_missed_frames_and_missed_readings_are_counted_separately(logger: Logger
 
 @pytest.mark.slow
 def test_a_refresh_reads_only_new_rows(log_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A reader that begins late does not read the journal from its start, yet knows all rows, gaps and events."""
+    """A reader that begins late does not read the journal from its start, but counts all rows, gaps and events."""
     monkeypatch.setattr(writing, "CHUNK", 256)
     with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
         writer.keep()
@@ -225,7 +225,9 @@ def test_missed_frames_of_a_permanently_slow_machine_are_counted_from_events(log
 
 @pytest.mark.slow
 def test_missed_frames_are_counted_from_the_configured_frame_rate(log_path: Path) -> None:
-    """A machine that needs 1.4 periods for every frame: its rows come evenly, and no event tells yet what it missed."""
+    """A machine that needs 1.4 periods for every frame: its rows have a constant interval, and no event has counted the
+    missed frames yet.
+    """
     writer = LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH, frame_rate_hz=100.0)
     writer.keep()
     with writer, LogMonitor(log_path) as watch:

@@ -99,7 +99,7 @@ def night(
     **settings: Any,
 ) -> Night:
     """Record `array` for `seconds` while `faults` (tables as in their TOML) happen; with `each` every episode of a
-    fault is told that is a second after the one before, though it comes and goes.
+    fault is reported that is a second after the last, though it is intermittent.
     """
     board = with_faults(Board, faults_from({"fault": list(faults)}, array))
     memory = Memory() if log is None else log

@@ -61,7 +61,7 @@ def record(
     synced: Callable[[int], Any] = lambda frames: None,
     **options: Any,
 ) -> None:
-    """Log frames; the callbacks hear how many are acknowledged, and every ten batches how many are on the disk."""
+    """Log frames; the callbacks get the number of acknowledged rows, and every ten batches of those on the disk."""
     writing.CHUNK = chunk
     with LogWriter(path, SENSORS, source="simulated", epoch=EPOCH, sync_s=0.02, **options) as log:
         log.keep()
@@ -85,7 +85,7 @@ def record(
 
 def wrong(path: Path) -> tuple[int, list[str]]:
     """How many whole frames the log begins with, and what in it is not as it was written: rows are known by their
-    times; where some are missing before others, the log must say so. LogError if it can't be read.
+    times; where some are missing before others, the log must report it. LogError if it can't be read.
     """
     problems, lengths = [], []
     with Log(path) as log:

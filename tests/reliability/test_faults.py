@@ -31,7 +31,7 @@ Times = npt.NDArray[np.int64]
 
 
 class Faults:
-    """A night of `count` faults of one kind, one every `every_s`, and where they lie in its log."""
+    """A night of `count` faults of one kind, one every `every_s`, and their times in its log."""
 
     def __init__(
         self,
@@ -232,7 +232,9 @@ def test_an_address_taken_by_a_kernel_driver_is_reported(count: int) -> None:
 
 @pytest.mark.parametrize("count", [pytest.param(5, id="5"), TIMES[1]])
 def test_a_start_up_in_another_state_is_flagged_and_set_up_again(count: int) -> None:
-    """Known are -2 (the emulated unit's own) and 1 dps; it comes up elsewhere, and well once it was set up again."""
+    """Known are -2 (the emulated unit's own) and 1 dps; it starts in another state, and in a known state after it was
+    set up again.
+    """
     sensitivity = 1 / 0.00875  # L3G-40
     random = np.random.default_rng(8)
 

@@ -1,8 +1,8 @@
 """A flipped bit anywhere in a log: every value that is read is as it was written, and missing rows are reported.
 
 A log has rows of noise and rows of zeros, events, a phase, a track of truth. One bit of one of its files is flipped at
-a time. A row is identified by its time. Rows may be missing, or a text be another, only if the log says so: by
-`Log.losses`, or by a LogError for who reads them, and `verify` must say so too. It is refused only where nothing else
+a time. A row is identified by its time. Rows may be missing, or a text be another, only if the log reports it: by
+`Log.losses`, or by a LogError for reads of them, and `verify` must report it too. It is refused only where nothing else
 has its rows.
 """
 
@@ -162,7 +162,7 @@ def read(path: Path) -> Outcome:
 def flips(
     folder: Path, name: str, work: Path, places: Iterable[int], seed: int, others: Iterable[str] = ()
 ) -> Counter[str]:
-    """Flip a bit of the file `name` at each of the `places`, with the files `others` beside it; count the outcomes."""
+    """Flip a bit of the file `name` at each of the `places`, with `others` in its folder; count the outcomes."""
     draw = random.Random(seed)
     content = (folder / name).read_bytes()
     for other in others:

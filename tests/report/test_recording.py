@@ -74,7 +74,7 @@ def test_out_of_bounds_stretches_are_marked(run: Path, monkeypatch: pytest.Monke
 
 
 def test_a_calibration_scales_the_curves(run: Path) -> None:
-    """A sensor of half the nominal response felt twice as much."""
+    """With half the nominal response the input was twice as large."""
     known = calibration([Part("Acc", "+Y-X+Z", sensitivity=1024.0)])
     assert np.nanmax(recording(run, known).traces[0].high) == pytest.approx(2.0)
 

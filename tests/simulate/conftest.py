@@ -55,7 +55,7 @@ class Constant:
 
 
 def header(chip: str = "bma180", name: str = "S1", range_: float | None = None, **changes: Any) -> SensorHeader:
-    """A sensor as its chip's defaults have it, at its largest range unless `range_` says otherwise."""
+    """A sensor as its chip's defaults have it, at its largest range unless `range_` is given."""
     spec = CHIPS[chip]
     measured = max(spec.sensitivity, default=0.0) if range_ is None else range_
     made = SensorHeader(
@@ -98,7 +98,7 @@ class MakePlace(Protocol):
 
 @pytest.fixture
 def place() -> MakePlace:
-    """Makes a `Place`; a BMA180 at 16 g called S1, at rest with +Z up, unless told otherwise."""
+    """Makes a `Place`; a BMA180 at 16 g called S1, at rest with +Z up, by default."""
 
     def make(
         sensor: SensorHeader | None = None,

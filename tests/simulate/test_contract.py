@@ -137,7 +137,7 @@ class NotedStreams(Streams):
 
 @dataclass(frozen=True)
 class Bench:
-    """Makes places, and rows [first, stop) as they come to each stage: lively ones, the same for any stretch."""
+    """Makes places, and rows [first, stop) as the input of each stage: lively ones, the same for any stretch."""
 
     make_place: Callable[..., Place]
     make_instants: Callable[..., Instants]
@@ -287,7 +287,7 @@ def test_draws_do_not_depend_on_other_effects(bench: Bench, name: str) -> None:
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_any_block_alone_equals_that_of_the_whole(bench: Bench, name: str) -> None:
-    """Rows across the border of two chunks, as they come out of a longer stretch; numbers may differ by rounding, and
+    """Rows across the border of two chunks, as in a longer block; numbers may differ by rounding, and
     by the 1e-12 that filters forget.
     """
     begin, end, at = CHUNK - 200, CHUNK + 100, bench.place()

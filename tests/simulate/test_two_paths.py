@@ -1,8 +1,9 @@
 """Two independent ways from one motion to counts: our effects, and registers polled from the emulated bus.
 
 The emulated array is driven by our motions and recorded through the drivers; then the same log is simulated, at the
-recorded times, with the parameters of the emulated units turned into effects. What one unit is, is shared; how a
-reading comes about is not: the emulator has its own chips, converters, clocks, queues and noise, and no word of ours.
+recorded times, with the parameters of the emulated units turned into effects. What one unit is, is shared; the
+derivation of a reading is not: the emulator has its own chips, converters, clocks, queues and noise, and no word of
+ours.
 """
 
 from __future__ import annotations

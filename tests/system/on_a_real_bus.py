@@ -1,7 +1,7 @@
 """What runs in the guest of test_own_python.py: this project's commands on the kernel's /dev/i2c-N, in one process.
 
 Python takes long to start there, so that each command is a fork of this process, which has everything loaded. What a
-command prints goes to NAME.out and NAME.err beside the configuration; `codes.json` has the exit codes.
+command prints is written to NAME.out and NAME.err in the folder of the configuration; `codes.json` has the exit codes.
 
     on_a_real_bus.py FOLDER PORT
 """
@@ -38,7 +38,7 @@ LOGS = Path("/tmp/logs")
 
 
 def wait_for(what: str, condition: Callable[[], bool]) -> None:
-    """RuntimeError if it does not come true in time."""
+    """RuntimeError if it does not become true in time."""
     end = time.monotonic() + WAIT_S
     while not condition():
         if time.monotonic() > end:
@@ -104,7 +104,7 @@ class Bench:
             os._exit(code)
 
     def end(self, name: str, process: int, how: int | None = None) -> None:
-        """Wait for a command, with the signal `how` if it goes on by itself."""
+        """Wait for a command, with the signal `how` if it does not end by itself."""
         if how is not None:
             os.kill(process, how)
         self.codes[name] = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
@@ -171,7 +171,7 @@ def share_with_a_driver(bench: Bench, number: int) -> None:
 
 
 def unplug_during_a_log(bench: Bench, number: int) -> int:
-    """Another adapter takes the number while the plug is out; the number under which it comes back."""
+    """Another adapter takes the number while the plug is out; the number under which it returns."""
     log = bench.log("unplugged", number)
     bench.unplug()
     wait_for("the adapter's removal", lambda: number not in adapters())

@@ -70,9 +70,9 @@ def lsm6dso_rows(wire: TappedWire, address: int, tag: int) -> Rows:
 
 
 def icm_rows(wire: TappedWire, address: int, half: int) -> Rows:
-    """Valid triads of one half in what was read of an ICM-426xx's queue: 0 acceleration, 1 rate. A header says which
-    are there; a packet of both has 16 bytes, of one 8 (TDK-81, TDK-82); -32768 is no reading (TDK-13). What a read left
-    of a packet is in the next (TDK-86).
+    """Valid triads of one half in what was read of an ICM-426xx's queue: 0 acceleration, 1 rate. A header states which
+    are present; a packet of both has 16 bytes, of one 8 (TDK-81, TDK-82); -32768 is no reading (TDK-13). What a read
+    left of a packet is in the next (TDK-86).
     """
     rows, queue, at = [], b"".join(wire.given(address, 0x30)), 0
     while at < len(queue):

@@ -3,8 +3,9 @@
 The guest attaches two adapters over USB/IP, served by this process, which notes every byte. inv_mpu6050, st_lsm6dsx and
 inv_icm42600 of a mainline kernel bind to the chips with an interrupt that a module of this project raises
 (`build_kernel_modules`; an adapter on USB has no wire for one), and fill their buffers. The driver of Linux 6.1 does
-not know the ICM-42688-P; the chip answers as its relative ICM-42605, whose registers are the same where the driver uses
-them, and is bound by a front of this project, because a PC has no device tree. No adapter for SPI can be had this way.
+not support the ICM-42688-P; the chip answers as its relative ICM-42605, whose registers are the same where the driver
+uses them, and is bound by a front of this project, because a PC has no device tree. No adapter for SPI can be had this
+way.
 """
 
 from __future__ import annotations

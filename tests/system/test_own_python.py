@@ -104,7 +104,7 @@ def test_a_kernel_driver_takes_and_releases_a_chip(seen: Seen) -> None:
 
 
 def test_a_log_continues_when_the_adapter_returns_with_another_number(seen: Seen) -> None:
-    """One log, with rows before and after of every sensor, and events that say so."""
+    """One log, with rows before and after of every sensor, and events of the interruption."""
     assert seen.codes["unplugged"] == 0, seen.errors("unplugged")
     before, after = json.loads((seen.folder / "numbers.json").read_text())
     assert before != after

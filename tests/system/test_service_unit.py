@@ -1,8 +1,8 @@
 """The service's unit under systemd, process 1 of a guest: its behaviour, checked from outside.
 
 The guest's systemd is this machine's. The unit is the one of configs/, unchanged; a drop-in shortens its times, so that
-nobody waits a minute for the watchdog. The array is on the kernel's /dev/i2c-N, over USB/IP. It takes minutes, so it is
-a campaign: `tests/acquire/test_service.py` has what the service tells systemd.
+no test waits a minute for the watchdog. The array is on the kernel's /dev/i2c-N, over USB/IP. It takes minutes, so it
+is a campaign: `tests/acquire/test_service.py` checks the notifications to systemd.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ QUICKER = f"[Service]\nWatchdogSec={WATCHDOG_S}s\nRestartSec=1s\nTimeoutStartSec
 ONCE = f"[Unit]\nDefaultDependencies=no\n[Service]\nType=oneshot\nExecStart=/bin/sh {SHARE}/check\n"
 WITHOUT = "systemd-udev-trigger systemd-tmpfiles-setup systemd-tmpfiles-setup-dev systemd-sysusers modprobe@"
 """What systemd starts first and the service does not need; it takes half a minute there."""
-# What the unit's first lines tell a user to do. ProtectHome= and the user's rights hide this machine's Python and
-# sources from the service wherever they are: they are mounted where the unit wants them.
+# The steps that the unit's first lines describe. ProtectHome= and the user's rights hide this machine's Python and
+# sources from the service in any place: they are mounted where the unit expects them.
 PREPARE = f"""#!/bin/sh
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin
 : > /etc/fstab
@@ -140,7 +140,7 @@ def seen(host_guest: HostGuest) -> Seen:
 
 
 def test_start_waits_for_the_first_rows(seen: Seen) -> None:
-    """READY=1 comes with them: sd_notify(3). The user is the unit's, without any capability, behind seccomp."""
+    """READY=1 is sent with them: sd_notify(3). The user is the unit's, without any capability, behind seccomp."""
     started = seen.properties["started"]
     assert (started["ActiveState"], started["SubState"], started["User"]) == ("active", "running", "imuarray")
     assert re.fullmatch(r"recording, [1-9]\d* rows stored", started["StatusText"])

@@ -1,7 +1,7 @@
 """Perfect chips on an emulated wire, and the environment that other people's drivers expect.
 
-The drivers come from the package index and run unmodified. Their chips are ideal units: whatever a reading misses, the
-driver misses.
+The drivers come from the package index and run unmodified. Their chips are ideal units: any error of a reading is one
+of the driver.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def serve() -> Iterator[Any]:
 
 @pytest.fixture
 def smbus(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The C extension smbus, for which smbus2 says it stands in."""
+    """The C extension smbus, of which smbus2 is a replacement."""
     monkeypatch.setitem(sys.modules, "smbus", smbus2)
     return smbus2
 

@@ -1,7 +1,7 @@
 """jackw01's driver of the L3GD20, package l3gd20-python, on the L3G4200D, whose registers and scales it shares.
 
-It goes through smbus2 (in place of the smbus that it imports) and the emulated /dev/i2c-1. It knows the one address
-0x6B, so the chip is soldered there.
+It uses smbus2 (in place of the smbus that it imports) and the emulated /dev/i2c-1. Its only address is
+0x6B, so the chip is at that address.
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ def circuit_python(request: pytest.FixtureRequest, busio: Any, monkeypatch: pyte
         bench = Bench(*halves("lsm6dso", 0x6A))
         package("adafruit_lsm6ds", bench, monkeypatch)
         module = package("adafruit_lsm6ds.lsm6dsox", bench, monkeypatch)
-        chip = module.LSM6DSOX(busio(bench.bus.wire))  # it says 0x6C, too: LSM-03
+        chip = module.LSM6DSOX(busio(bench.bus.wire))  # its identity is 0x6C, too: LSM-03
         return SimpleNamespace(bench=bench, chip=chip, per_g=1 / 0.122e-3, per_dps=1 / 8.75e-3, dps=250.0)
     bench = Bench(*halves("mpu6050", 0x68))
     module = package("adafruit_mpu6050", bench, monkeypatch)

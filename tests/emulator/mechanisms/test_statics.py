@@ -57,7 +57,7 @@ def test_a_tilted_package_measures_the_same_force_in_rotated_axes():
     tilts = [np.degrees(np.arccos(axis @ one(PackageTilt(2.0), "BMA", force(*axis)))) for axis in np.eye(3)]
     assert max(tilts) <= 2.0 + 1e-6
     squares = np.sum((2 - 2 * np.cos(np.radians(tilts))) / (2 - 2 * math.cos(math.radians(2.0))))
-    assert squares == pytest.approx(2.0)  # the trace of a rotation is 1 + 2 cos, whatever its axis
+    assert squares == pytest.approx(2.0)  # the trace of a rotation is 1 + 2 cos, for any axis
 
 
 def test_a_quarter_turn_swaps_x_and_y():

@@ -88,7 +88,7 @@ def test_the_value_is_unchanged_and_no_noise_is_added(place: MakePlace, analog: 
 
 @pytest.mark.parametrize("cutoff_hz", [0.5, 5.0, 40.0])
 def test_a_ramp_lags_by_the_time_constant(place: MakePlace, analog: MakeAnalog, cutoff_hz: float) -> None:
-    """x(t) = t behind a filter of time constant T is t - T + T exp(-t / T), from rest at 0, whatever the rows' rate."""
+    """x(t) = t behind a filter of time constant T is t - T + T exp(-t / T), from rest at 0, for any rate of rows."""
     time_s, constant_s = np.arange(300) / 100, 1 / (2 * np.pi * cutoff_hz)
     ramp = np.repeat(time_s[:, None], 3, axis=1)
     found = Bandwidth(cutoff_hz, 1.0).analog(analog(0, 300, value=ramp), place(rows_per_s=100.0)).value

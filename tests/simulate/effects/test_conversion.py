@@ -32,7 +32,7 @@ class TestQuantisation:
         assert Quantisation(asked).analog(analog(0, 1, step=already), place()).step == becomes
 
     def test_each_axis_can_have_its_step(self, place, analog, sensor) -> None:
-        """0.0195 g are 9.98 counts of 512 per g: 10 where codes come one by one, 8 where they come in fours."""
+        """0.0195 g are 9.98 counts of 512 per g: 10 where codes have steps of one, 8 where they have steps of four."""
         after = Quantisation((1.0, 4.0, 2.0)).analog(analog(0, 2, value=0.0195), place())
         assert converted(after, code_span(sensor("bma180"))).tolist() == [[10, 8, 10]] * 2
 
@@ -43,13 +43,13 @@ class TestQuantisation:
         assert after.tolist() == [-13, -8, -7, -6, -5, -8, -7, -6, -5, 0, 1, 2, 3, 0, 1, 2, 3, 8, 9]
 
     def test_missing_codes_become_the_carry_above(self, place, codes) -> None:
-        """Of every eight the last three, 5, 6 and 7, come out as the next eight: of negative codes -3, -2 and -1."""
+        """Of every eight the last three, 5, 6 and 7, become the next eight: of negative codes -3, -2 and -1."""
         before = codes(0, 19, np.arange(-9, 10)[:, None])
         after = Quantisation(carry_lsb=8, missing_lsb=3).codes(before, place()).counts[:, 0]
         assert after.tolist() == [-8, -8, -7, -6, -5, -4, 0, 0, 0, 0, 1, 2, 3, 4, 8, 8, 8, 8, 9]
 
     def test_an_offset_shifts_the_missing_codes(self, place, codes) -> None:
-        """Of 0 ... 9 the code before 3 and 7, carries three beyond multiples of four, comes out as the carry."""
+        """Of 0 ... 9 the code before 3 and 7, carries three beyond multiples of four, becomes the carry."""
         after = Quantisation(carry_lsb=4, missing_lsb=1, carry_at_lsb=3).codes(
             codes(0, 10, np.arange(10)[:, None]), place()
         )

@@ -62,7 +62,7 @@ class TestInstants:
 
     def test_ages_have_a_beat(self, place: MakePlace, instants: MakeInstants) -> None:
         """1 % more than 800 Hz, polled 100 times a second: 8.08 periods a poll. Ages grow by 8 hundredths of a period
-        and come back after 25 polls, in which they have gone round twice.
+        and repeat after 25 polls, in which they have wrapped twice.
         """
         rows = instants(0, 1000, rate_hz=800.0)
         age = rows.instant_ns - polled(OwnClock(0.01), rows, at_rate(place, 800.0))
@@ -196,7 +196,7 @@ class TestWithOdrError:
     def test_codes_depend_on_the_configured_rate(
         self, constant: Any, set_hz: int, step: int, rate_error: float, bandwidth_hz: float
     ) -> None:
-        """ADX-47: at 1600 Hz they are even, whatever the oscillator makes of it, at 800 Hz they aren't."""
+        """ADX-47: at 1600 Hz they are even, for any error of the oscillator, at 800 Hz they aren't."""
         effects = (OwnClock(rate_error), OdrError(bandwidth_hz=bandwidth_hz))
         made = sensor(constant(force_box=ramp(1.0)), effects, set_hz=set_hz, frames_hz=400.0, seconds=2.0)
         codes = np.unique(made.block(0, 800).counts[:, 0])

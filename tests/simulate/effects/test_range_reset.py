@@ -79,7 +79,7 @@ def test_a_gyroscope_changes_its_scale_and_keeps_its_codes(place: MakePlace, ana
 def test_adxl345_keeps_its_scale_and_clips_sooner(
     place: MakePlace, analog: MakeAnalog, rate_hz: float, highest: int
 ) -> None:
-    """256 LSB/g whatever the range (ADX-40), ten bits at 2 g (ADX-46), even codes at 1600 Hz (ADX-47)."""
+    """256 LSB/g at any range (ADX-40), ten bits at 2 g (ADX-46), even codes at 1600 Hz (ADX-47)."""
     rows = analog(0, 10, sensitivity=256.0, lowest=-4096, highest=4095, rate_hz=rate_hz)
     after = RangeReset(2.0, onset_s=0.05).analog(rows, place(header("adxl345", rate_hz=400.0)))
     np.testing.assert_array_equal(np.ravel(after.sensitivity), [256.0] * 10)

@@ -53,7 +53,7 @@ def lagged(
 @pytest.mark.parametrize("time_constant_s", [0.3, 12.0, 40.0])
 def test_a_ramp_is_followed_with_the_lag(place: MakePlace, time_constant_s: float) -> None:
     """From equilibrium at 0: T = T0 + r (t - tau (1 - exp(-t / tau))), exact where a step ends (fifty of them in a time
-    constant, 10 ms at least), and r step^2 / (8 tau) beside it at most.
+    constant, 10 ms at least), and off by r step^2 / (8 tau) at most.
     """
     seconds = np.arange(0.0, 200.0, 0.1)
     found = lagged(time_constant_s, lambda s: 20 + 0.1 * s, (seconds * 1e9).round().astype(np.int64), place)

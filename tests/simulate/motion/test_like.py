@@ -116,7 +116,7 @@ def test_only_a_few_blocks_are_in_memory(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_a_gap_in_the_rows_is_crossed_without_overshoot() -> None:
     """Rest, a stall of 1.2 s, and a rotation that began in it: between the rows the rate lies between theirs. A cubic
-    piece by the slopes of the short intervals beside it would swing to +2.6 deg/s.
+    piece by the slopes of the adjacent short intervals would swing to +2.6 deg/s.
     """
     time_ns = np.r_[np.arange(20), np.arange(44, 60)] * 50_000_000
     rate = np.where(time_ns < 44 * 50_000_000, 0.0, -0.4 - 100.0 * (time_ns * 1e-9 - 2.2))[:, None] * np.ones((1, 3))

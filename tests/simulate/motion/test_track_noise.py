@@ -13,8 +13,8 @@ REST = (0, int(TIME_NS[4000]))
 
 
 def recorded() -> tuple[np.ndarray, np.ndarray]:
-    """Return (n, 6) what the box feels at 100 rows a second, and its track: at rest for 40 s, then a faint motion below
-    10 Hz along X of the power of the track's white noise (0.01); none along Y and Z.
+    """Return (n, 6) the input of the box at 100 rows a second, and its track: at rest for 40 s, then a faint motion
+    below 10 Hz along X of the power of the track's white noise (0.01); none along Y and Z.
     """
     rng = np.random.default_rng(3)
     spectrum = np.fft.rfft(rng.normal(size=ROWS - 4000))
