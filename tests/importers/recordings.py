@@ -1,4 +1,4 @@
-"""Recordings in closed form, as texts of other programs."""
+"""Recordings in closed form, in the text formats of other programs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PER_G, PER_DPS = 4096.0, 131.0
 
 
 class Walk(NamedTuple):
-    """What a box felt that turned slowly, to and fro, about two axes: s, g, dps."""
+    """Specific force and angular rate of a box that turns slowly to and fro about two axes: s, g, dps."""
 
     time_s: np.ndarray
     force_g: np.ndarray
@@ -36,7 +36,7 @@ def walk(rows: int = ROWS, rate_hz: float = 100.0, still: bool = False) -> Walk:
 
 
 def counts_of(recording: Walk) -> np.ndarray:
-    """(n, 6) whole numbers."""
+    """(n, 6) integers."""
     return np.rint(np.hstack([recording.force_g * PER_G, recording.rate_dps * PER_DPS])).astype(int)
 
 
@@ -50,7 +50,7 @@ def joined(lines: list[str]) -> bytes:
 
 
 def several_tables() -> bytes:
-    """Rows of a gyroscope, and of an accelerometer at half its rate, each with a time of its own."""
+    """Rows of a gyroscope, and of an accelerometer at half its rate, each with its own time."""
     recording, rows = walk(), counts_of(walk())
     lines = []
     for number in range(ROWS):

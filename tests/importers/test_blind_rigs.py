@@ -1,4 +1,4 @@
-"""Recordings of rigs that nobody had in mind: each is imported at once by its guessed map, with the true values."""
+"""Recordings of unusual rigs: each is imported unchanged by its guessed map, with the true values."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def row_counter(folder: Path) -> list[str]:
 
 
 def hexadecimal(folder: Path) -> list[str]:
-    """Codes as registers hold them."""
+    """Codes as in registers."""
     rows = [
         f"{round(1000 * at)}," + ",".join(f"0x{code & 0xFFFF:04X}" for code in codes)
         for at, codes in zip(T.tolist(), CODES.tolist(), strict=True)
@@ -83,7 +83,7 @@ SAID = {
 
 
 @pytest.mark.parametrize("write", SAID)
-def test_it_is_imported_at_once(write: Callable[[Path], list[str]], tmp_path: Path) -> None:
+def test_the_guessed_map_gives_the_true_values(write: Callable[[Path], list[str]], tmp_path: Path) -> None:
     source, map_path = tmp_path / "rig.csv", tmp_path / "map.toml"
     source.write_text("\n".join(write(tmp_path)) + "\n")
     text = guess_map(source)
@@ -98,8 +98,8 @@ def test_it_is_imported_at_once(write: Callable[[Path], list[str]], tmp_path: Pa
         assert np.asarray(gyro.counts[:]) / gyro.sensitivity == pytest.approx(WALK.rate_dps, abs=0.01)
 
 
-def test_many_rows_of_words_are_no_summaries(tmp_path: Path) -> None:
-    """A column of time that holds words in a tenth of the rows is refused, with the place."""
+def test_many_rows_of_words_are_refused(tmp_path: Path) -> None:
+    """A column of time with words in a tenth of the rows is refused, with the place."""
     lines = [f"t,{NAMES}", *lines_of(T, SI, "{:.6f}")]
     lines[200::10] = [f"late,{line.split(',', 1)[1]}" for line in lines[200::10]]
     (tmp_path / "rig.csv").write_text("\n".join(lines) + "\n")

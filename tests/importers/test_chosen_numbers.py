@@ -1,4 +1,4 @@
-"""What was chosen for imports: a change by a factor of two is noticed here, and has to be meant."""
+"""Constants chosen for imports: a change must be made here, too."""
 
 from __future__ import annotations
 
@@ -50,5 +50,5 @@ CHOSEN = {
 
 
 @pytest.mark.parametrize(("module", "name"), CHOSEN)
-def test_it_is_as_chosen(module: object, name: str) -> None:
+def test_a_constant_has_the_chosen_value(module: object, name: str) -> None:
     assert getattr(module, name) == pytest.approx(CHOSEN[module, name])  # type: ignore[index]

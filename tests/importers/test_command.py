@@ -1,4 +1,4 @@
-"""`imuarray import`: its arguments, what it prints, what it refuses."""
+"""`imuarray import`: its arguments, printed output and refusals."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EXAMPLE = ROOT / "configs" / "import_example.toml"
 
 
 @pytest.mark.slow
-def test_a_format_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_report_of_a_format_is_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.h5"
     assert main(["import", str(EXTRACT), "--format", "mimu4444", "-o", str(out), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
@@ -55,7 +55,7 @@ def test_the_example_map_reads_the_table_in_its_comments(tmp_path: Path, capsys:
         (["--map", str(EXAMPLE)], "is not text; allowed are tables of text"),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_nothing(
+def test_invalid_input_gives_one_line_and_no_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     assert main(["import", str(EXTRACT), *arguments, "-o", str(tmp_path / "out.h5")]) == 2
@@ -67,13 +67,13 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_output_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_output_is_required(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["import", str(EXTRACT), "--format", "mimu4444"]) == 2
     assert "Missing option '-o' / '--output'" in capsys.readouterr().err
 
 
 @pytest.mark.slow
-def test_nothing_is_overwritten_without_force(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_existing_file_is_overwritten_only_with_force(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.h5"
     out.write_text("dear data")
     arguments = ["import", str(EXTRACT), "--format", "mimu4444", "-o", str(out)]
@@ -85,7 +85,7 @@ def test_nothing_is_overwritten_without_force(tmp_path: Path, capsys: pytest.Cap
 
 
 @pytest.mark.slow
-def test_progress_is_shown_to_a_person(
+def test_progress_is_shown_on_a_terminal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
@@ -95,7 +95,7 @@ def test_progress_is_shown_to_a_person(
     assert EXTRACT.name in captured.err
 
 
-def test_help_loads_nothing_heavy() -> None:
+def test_help_imports_no_heavy_package() -> None:
     code = (
         "import sys; from imuarray.cli import main; main(['import', '--help']);"
         "sys.exit(any(name in sys.modules for name in ('numpy', 'h5py', 'pydantic')))"

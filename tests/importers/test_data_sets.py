@@ -1,6 +1,5 @@
-"""Layouts of public data sets and loggers: the guessed map imports each at once, with the true values.
-
-The recordings are in closed form (`tests.importers.recordings`); what is compared is the truth in g, dps and s.
+"""Layouts of public data sets and loggers: the guessed map imports each unchanged, with the true values. The recordings
+are in closed form (`tests.importers.recordings`); the truth is compared in g, dps and s.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ def kitti(folder: Path) -> Path:
 
 
 def json_lines(folder: Path) -> Path:
-    """As MQTT messages are kept, with one of another kind and a line that a power cut ended."""
+    """Stored MQTT messages, with a message of another kind and a line that a power cut truncated."""
     rows = [
         json.dumps({"topic": "imu/1", "ts": 1_690_000_000 + round(at, 3), "payload": {"acc": row[:3], "gyr": row[3:]}})
         for at, row in zip(T.tolist(), SI.tolist(), strict=True)
@@ -88,7 +87,7 @@ def influx(folder: Path) -> Path:
 
 
 def can_frames(folder: Path) -> Path:
-    """candump -L: little-endian words, a counter behind them, and a frame of another device."""
+    """candump -L: little-endian words, a counter after them, and a frame of another device."""
     rows = []
     for at, row in zip(T.tolist(), CODES.tolist(), strict=True):
         for place, words in ((0, row[:3]), (1, row[3:])):
@@ -120,7 +119,7 @@ def ardupilot(folder: Path) -> Path:
 
 
 def wide(folder: Path) -> Path:
-    """PAMAP2: labels, a heart rate now and then, a temperature, two accelerometers, gyroscope, magnetometer and a
+    """PAMAP2: labels, a heart rate in some rows, a temperature, two accelerometers, gyroscope, magnetometer and a
     quaternion; no names.
     """
     magnet = np.tile([20.0, 4.0, -43.0], (ROWS, 1)) + np.random.default_rng(3).normal(0, 0.2, (ROWS, 3))
@@ -133,7 +132,7 @@ def wide(folder: Path) -> Path:
 
 
 def nameless_files(folder: Path) -> Path:
-    """RIDI and ADVIO: a file for each sensor without a header; that of the pose is no sensor."""
+    """RIDI and ADVIO: a file for each sensor without a header; the file of the pose is not a sensor."""
     (folder / "raw").mkdir()
     head = "# Created at Fri Mar 17 14:56:29 EDT 2017"
     nanos = US * 1000 + 86_000_123_456_789
@@ -144,7 +143,7 @@ def nameless_files(folder: Path) -> Path:
 
 
 def torn_serial(folder: Path) -> Path:
-    """A terminal's log in which two lines ran into each other."""
+    """A terminal's log in which two lines are merged."""
     rows = lines("{}" + ",{}" * 6, np.rint(T * 1e3).astype(int) + 400, CODES)
     rows[700:702] = ["7400,12" + rows[701]]
     (folder / "putty.log").write_text(text("rst:0x1 (POWERON_RESET),boot:0x13", *rows))
@@ -152,7 +151,7 @@ def torn_serial(folder: Path) -> Path:
 
 
 def kinds_behind_the_time(folder: Path) -> Path:
-    """A commented header, and words that tell the sensors apart in the second column (RealSense T265)."""
+    """A commented header, and words that name the sensor in the second column (RealSense T265)."""
     form = "{:.3f},gyro,{:.6f},{:.6f},{:.6f}\n{:.3f},accel,{:.6f},{:.6f},{:.6f}"
     rows = lines(form, 1e12 + T * 1e3, SI[:, 3:], 1e12 + T * 1e3 + 0.4, SI[:, :3])
     (folder / "imu.csv").write_text(text("#timestamp,type,x,y,z", *rows))
@@ -160,7 +159,7 @@ def kinds_behind_the_time(folder: Path) -> Path:
 
 
 def arrays(folder: Path) -> Path:
-    """APDM's Opal: a group called Calibrated, whose name is no rate."""
+    """APDM's Opal: a group called Calibrated, whose name does not indicate a rate."""
     h5py = pytest.importorskip("h5py")
     with h5py.File(folder / "opal.h5", "w") as file:
         file["SI-738/Time"] = US
@@ -179,7 +178,7 @@ def packets_of_a_phone(folder: Path) -> Path:
 
 
 def files_with_dots(folder: Path) -> Path:
-    """MetaWear: names of files that differ behind several dots."""
+    """MetaWear: names of files that differ after several dots."""
     (folder / "MW").mkdir()
     for name, unit, values in (("Accelerometer", "g", FORCE), ("Gyroscope", "deg/s", RATE)):
         head = f"epoc (ms),elapsed (s),x-axis ({unit}),y-axis ({unit}),z-axis ({unit})"
@@ -189,7 +188,7 @@ def files_with_dots(folder: Path) -> Path:
 
 
 def angles_beside_rates(folder: Path) -> Path:
-    """WitMotion: angles are no rates; German names of accelerations are names of accelerations."""
+    """WitMotion: angles are not rates; German names of accelerations are recognised."""
     axes = [f"{name}{axis}({unit})" for name, unit in (("w", "\u00b0/s"), ("Angle", "\u00b0")) for axis in "xyz"]
     head = ";".join(["t_ms", "Beschl X", "Beschl Y", "Beschl Z", *axes])
     rows = lines("{:.1f}" + ";{:.5f}" * 9, T * 1e3, FORCE, RATE, RATE / 7)
@@ -211,7 +210,7 @@ SENSORS = {
     [pytest.param(write, marks=() if write in QUICK else pytest.mark.slow) for write in SENSORS],
     ids=lambda write: write.__name__,
 )
-def test_a_guess_has_the_true_values(
+def test_the_guessed_map_gives_the_true_values(
     write: Callable[[Path], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source, target, log_path = write(tmp_path), tmp_path / "map.toml", tmp_path / "run.h5"
@@ -228,7 +227,7 @@ def test_a_guess_has_the_true_values(
             times_s = (np.asarray(sensor.time[:]) - int(sensor.time[0])) * 1e-9
             there = np.stack([np.interp(times_s, T, axis) for axis in truth.T], axis=1)
             values = np.asarray(sensor.counts[:]) / sensor.sensitivity
-            if write is novatel:  # the scale of increments is the receiver's secret: shape and signs are compared
+            if write is novatel:  # the scale of increments is not documented: shape and signs are compared
                 values *= np.linalg.norm(there) / np.linalg.norm(values)
                 most *= 10
             np.testing.assert_allclose(values, there, atol=most + 0.02 * float(np.abs(there).max()))
@@ -236,8 +235,8 @@ def test_a_guess_has_the_true_values(
 
 
 @pytest.mark.slow
-def test_lists_of_numbers_on_each_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As MicroPython prints them."""
+def test_lists_of_numbers_on_each_line_are_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Lines as printed by MicroPython."""
     rows = [json.dumps([round(at, 3), *row]) for at, row in zip(T.tolist(), SI.tolist(), strict=True)]
     (tmp_path / "repl.txt").write_text(text(*rows))
     assert main(["import", str(tmp_path / "repl.txt"), "--guess", "-o", str(tmp_path / "map.toml")]) == 0

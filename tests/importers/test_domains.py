@@ -1,4 +1,4 @@
-"""Recordings of other domains, from motion capture to seismology: each is imported by its guessed map, with the true
+"""Recordings of other domains, from motion capture to seismology: each is imported by its guessed map with the true
 values.
 """
 
@@ -103,7 +103,7 @@ def autopilot(folder: Path) -> Path:
 
 
 def prints(folder: Path) -> Path:
-    """What a sketch prints: labels, a stamp before the first value, bars."""
+    """Output of an Arduino sketch: labels, a stamp before the first value, bars."""
     labels = ("aX", "aY", "aZ", "gX", "gY", "gZ")
     rows = (
         f"t={round(T[n] * 1000)} "
@@ -122,7 +122,7 @@ def timetables(folder: Path) -> Path:
 
 
 def matlab_73(folder: Path) -> Path:
-    """The same in a file of version 7.3, with a vector for each axis."""
+    """The same recording in a file of version 7.3, with a vector for each axis."""
     with h5py.File(folder / "run.mat", "w", userblock_size=512) as file:
         file["imu/Time"] = T[None]
         for axis, name in enumerate("XYZ"):
@@ -139,7 +139,7 @@ RIGS = [
 
 
 @pytest.mark.parametrize("write", some(RIGS, 4))
-def test_it_is_imported_at_once(write: Callable[[Path], Path], tmp_path: Path) -> None:
+def test_the_guessed_map_gives_the_true_values(write: Callable[[Path], Path], tmp_path: Path) -> None:
     source, map_path = write(tmp_path), tmp_path / "map.toml"
     map_path.write_text(guess_map(source))
     import_table(source, map_path, tmp_path / "run.h5")
@@ -150,7 +150,7 @@ def test_it_is_imported_at_once(write: Callable[[Path], Path], tmp_path: Path) -
             assert np.asarray(sensor.time[:] - int(sensor.time[0])) * 1e-9 == pytest.approx(T, abs=1e-6)
             truth, off = (FORCE, 3e-4) if sensor.name == "Acc" else (RATE, 0.04)
             if write is blackbox and sensor.name == "Gyro":
-                assert sensor.sensitivity == pytest.approx(16.4, rel=2e-3)  # 131 / 8 is as near to the rotations
+                assert sensor.sensitivity == pytest.approx(16.4, rel=2e-3)  # 131 / 8 fits the rotations equally well
                 off += 2e-3 * float(np.abs(RATE).max())
             assert np.asarray(sensor.counts[:]) / sensor.sensitivity == pytest.approx(truth, abs=off)
         assert ("Barometer" in log.sensors) == (write is timetables)
@@ -158,7 +158,7 @@ def test_it_is_imported_at_once(write: Callable[[Path], Path], tmp_path: Path) -
             assert np.asarray(log["Barometer"].time[:] - int(log["Acc"].time[0])) * 1e-9 == pytest.approx(T[::10])
 
 
-def test_a_millimetre_and_a_gal(tmp_path: Path) -> None:
+def test_units_of_millimetres_and_gal(tmp_path: Path) -> None:
     """1 gal is 1 cm/s2 (Galileo); both spellings of both units give the same counts."""
     counts = []
     for unit, size in (("mm/s2", 1000.0), ("mm/s^2", 1000.0), ("gal", 100.0), ("cm/s2", 100.0)):

@@ -1,4 +1,4 @@
-"""Counts come through every unit, offset and format: written as another program would, imported, exported again."""
+"""Counts survive every unit, offset and format: written like another program, imported, and exported again."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def write_mat5(folder: Path, columns: Columns) -> Path:
 
 
 def write_mat73(folder: Path, columns: Columns) -> Path:
-    """As MATLAB does: a block of 512 bytes before HDF5, a column is 1 by n."""
+    """Write like MATLAB: a block of 512 bytes before HDF5, a column is 1 by n."""
     path = folder / "data73.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, column in columns.items():
@@ -116,7 +116,7 @@ TRIADS = st.lists(st.tuples(COUNT, COUNT, COUNT), min_size=3, max_size=20)
 
 
 def exported(folder: Path, source: Path, table_map: str) -> tuple[np.ndarray, np.ndarray]:
-    """Counts and times, by way of a log and of `imuarray export`."""
+    """Counts and times after an import to a log and `imuarray export`."""
     (folder / "map.toml").write_text(table_map)
     import_table(source, folder / "map.toml", folder / "run.h5", force=True)
     assert main(["export", str(folder / "run.h5"), "-o", str(folder / "run.npz"), "--force"]) == 0
@@ -127,7 +127,7 @@ def exported(folder: Path, source: Path, table_map: str) -> tuple[np.ndarray, np
 
 
 @pytest.mark.parametrize(("form", "unit"), list(zip(("csv", "npz", "mat 5", "parquet"), SI, strict=False)))
-def test_every_format_once(form: str, unit: str, tmp_path: Path) -> None:
+def test_every_format_keeps_counts_and_times(form: str, unit: str, tmp_path: Path) -> None:
     """The quick half of the property tests below."""
     quantity = next(name for name, (units, _, _) in QUANTITIES.items() if unit in units)
     counts = np.array([[-32768, 32767, 0], [1, -1, 2], [12345, -1, 0]])
@@ -146,7 +146,7 @@ def columns_of(values: np.ndarray) -> dict[str, np.ndarray]:
 @pytest.mark.slow
 @settings(max_examples=examples(60), deadline=None)
 @given(TRIADS, st.sampled_from(list(FORMATS)), st.integers(-100_000, 100_000))
-def test_codes_of_any_offset(triads: list[tuple[int, int, int]], form: str, offset: int) -> None:
+def test_codes_with_any_offset_are_kept(triads: list[tuple[int, int, int]], form: str, offset: int) -> None:
     counts = np.array(triads, np.int64)
     sensor = SENSOR.format(quantity="specific_force", unit="g", range=16, how=f"sensitivity = 2048\noffset = {offset}")
     with TemporaryDirectory() as name:
@@ -163,7 +163,9 @@ def test_codes_of_any_offset(triads: list[tuple[int, int, int]], form: str, offs
     st.sampled_from(list(FORMATS)),
     st.sampled_from([(q, u) for q, (us, _, _) in QUANTITIES.items() for u in us]),
 )
-def test_values_in_any_unit(triads: list[tuple[int, int, int]], form: str, which: tuple[str, str]) -> None:
+def test_values_in_any_unit_give_their_counts(
+    triads: list[tuple[int, int, int]], form: str, which: tuple[str, str]
+) -> None:
     quantity, unit = which
     _, per_log_unit, log_unit = QUANTITIES[quantity]
     counts = np.array(triads, np.int64)
@@ -183,7 +185,7 @@ def test_values_in_any_unit(triads: list[tuple[int, int, int]], form: str, which
 @pytest.mark.slow
 @settings(max_examples=examples(20), deadline=None)
 @given(TRIADS, st.integers(8, 32))
-def test_twos_complement_that_was_read_as_unsigned(triads: list[tuple[int, int, int]], bits: int) -> None:
+def test_twos_complement_read_as_unsigned_is_restored(triads: list[tuple[int, int, int]], bits: int) -> None:
     counts = np.array(triads, np.int64) >> max(16 - bits, 0) << max(bits - 16, 0)
     counts += np.arange(counts.size).reshape(counts.shape) % (1 << max(bits - 16, 0))  # the lowest bits occur, too
     sensor = SENSOR.format(quantity="angular_rate", unit="mdps", range=1e6, how=f"scale = 61.0\nbits = {bits}")
@@ -195,7 +197,7 @@ def test_twos_complement_that_was_read_as_unsigned(triads: list[tuple[int, int, 
 
 
 @pytest.mark.parametrize("unit", ["m/s2", *(pytest.param(unit, marks=pytest.mark.slow) for unit in ("g", "mg"))])
-def test_the_grid_of_the_values_tells_the_counts(tmp_path: Path, unit: str) -> None:
+def test_the_grid_of_the_values_determines_the_counts(tmp_path: Path, unit: str) -> None:
     """An MPU-6050 at +-4 g has 8192 counts per g; a driver multiplied them and rounded to six digits."""
     counts = np.rint(np.random.default_rng(5).normal(0, 3000, (4000, 3))).astype(np.int64)
     values = counts / 8192 * SI["g"] / SI[unit]
@@ -209,7 +211,7 @@ def test_the_grid_of_the_values_tells_the_counts(tmp_path: Path, unit: str) -> N
         assert (log["S"].sensitivity, log["S"].range) == (8192, 2)
 
 
-def test_values_on_no_grid_are_rounded_to_16_bits(tmp_path: Path) -> None:
+def test_values_without_a_grid_are_rounded_to_16_bits(tmp_path: Path) -> None:
     values = np.random.default_rng(5).normal(0, 2.0, (4000, 3))
     sensor = (
         '[[sensor]]\nname = "S"\nchip = "any"\nquantity = "angular_rate"\ncolumns = ["x", "y", "z"]\nunit = "rad/s"'
@@ -222,8 +224,8 @@ def test_values_on_no_grid_are_rounded_to_16_bits(tmp_path: Path) -> None:
     assert per_unit == pytest.approx(32767 / 500)
 
 
-def test_arrays_of_several_columns(tmp_path: Path) -> None:
-    """A matrix in a struct, sensors of different lengths with times of their own."""
+def test_arrays_of_several_columns_are_imported(tmp_path: Path) -> None:
+    """A matrix in a struct, sensors of different lengths with their own times."""
     from scipy.io import savemat
 
     acc, gyro = np.arange(30).reshape(10, 3), -np.arange(60).reshape(20, 3)
@@ -256,7 +258,7 @@ def imu_messages(rows: int) -> list[tuple[int, np.ndarray, np.ndarray]]:
 
 
 def write_bag(path: Path, kind: str) -> Path:
-    """As ROS 1 or ROS 2 records it (SQLite or MCAP)."""
+    """Write a bag like ROS 1 or ROS 2 (SQLite or MCAP)."""
     pytest.importorskip("rosbags")
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import StoragePlugin
@@ -308,7 +310,7 @@ unit = "rad/s"
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ros1", "ros2", "mcap", "mcap alone"])
-def test_bags(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bags_are_imported(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("rosbags")
     name = "run.bag" if kind == "ros1" else "run"
     source = write_bag(tmp_path / name, kind.removesuffix(" alone"))
@@ -341,7 +343,9 @@ def test_bags(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         ("a.db3", b"SQLite format 3\0" + b"\0" * 99),
     ],
 )
-def test_damaged_files_are_one_line(name: str, data: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damaged_files_are_refused_in_one_line(
+    name: str, data: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / name).write_bytes(data)
     (tmp_path / "map.toml").write_text(BAG_MAP)
     assert (
@@ -352,8 +356,8 @@ def test_damaged_files_are_one_line(name: str, data: bytes, tmp_path: Path, caps
     assert not (tmp_path / "r.h5").exists()
 
 
-def test_bursts_are_counted_out_and_the_raw_times_stay(tmp_path: Path) -> None:
-    """A chip at 100 Hz whose clock is 200 ppm off and drifts, read by a host in bursts of a dozen rows."""
+def test_times_in_bursts_are_regularised_and_raw_times_kept(tmp_path: Path) -> None:
+    """A chip at 100 Hz whose clock has an error of 200 ppm and drifts, read by a host in bursts of a dozen rows."""
     rng = np.random.default_rng(9)
     rows = 20_000
     read_ns = np.cumsum(np.full(rows, 1e7) * (1 + 2e-4 + 1e-4 * np.arange(rows) / rows)).astype(np.int64)
@@ -373,7 +377,7 @@ def test_bursts_are_counted_out_and_the_raw_times_stay(tmp_path: Path) -> None:
         delay = np.asarray(log["S"].compensated(ARRIVAL))
         np.testing.assert_array_equal(time + np.rint(delay * 1e9).astype(np.int64), arrived)
         late = (time - read_ns) * 1e-9
-        assert np.ptp(late) < 5e-3  # a constant delay is left: nothing tells it
+        assert np.ptp(late) < 5e-3  # a constant delay remains, since it is not observable
         assert np.ptp(late[2000:-2000]) < 3e-3
         (phase,) = log.phases
         assert (phase.start_ns, phase.end_ns) == (time[0], time[9999] + 1)
@@ -393,7 +397,7 @@ def test_bursts_are_counted_out_and_the_raw_times_stay(tmp_path: Path) -> None:
     ],
 )
 def test_clipping_is_flagged(at: int, flagged: bool, tmp_path: Path) -> None:
-    """At the range (8 g of 2048 counts), at an end that nobody knows, and at the ends of the code."""
+    """At the range (8 g of 2048 counts), at an unknown limit, and at the ends of the code."""
     counts = np.rint(np.random.default_rng(2).normal(0, 0.7 * at, (5000, 3))).clip(-at, at).astype(np.int64)
     sensor = SENSOR.format(quantity="specific_force", unit="g", range=8, how="sensitivity = 2048")
     (tmp_path / "map.toml").write_text(TIME + sensor)
@@ -405,8 +409,8 @@ def test_clipping_is_flagged(at: int, flagged: bool, tmp_path: Path) -> None:
     assert any(f"xyz clips at -{at} " in text for text in summary.remarks)
 
 
-def test_a_coarse_sensor_at_rest_does_not_clip(tmp_path: Path) -> None:
-    """31 counts per g, without noise: every face piles up its readings, and nothing moves while it does."""
+def test_a_coarse_sensor_at_rest_is_not_flagged_as_clipped(tmp_path: Path) -> None:
+    """31 counts per g, without noise: on every face all readings have the same code, without motion."""
     faces = np.repeat(31 * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1]]), 300, axis=0)
     sensor = SENSOR.format(quantity="specific_force", unit="g", range=16, how="sensitivity = 31")
     (tmp_path / "map.toml").write_text(TIME + sensor)

@@ -1,4 +1,4 @@
-"""`imuarray import DATA --guess`: a map that imports at once, and what in it is doubtful."""
+"""`imuarray import DATA --guess`: a map that imports unchanged, with its doubtful entries marked."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ QUICK = ("long names with units", "another range of the gyroscope")
 @pytest.mark.parametrize(
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
 )
-def test_a_guess_imports_at_once(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_guessed_map_imports_unchanged(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text, expected = CASES[name]
     (tmp_path / "data.csv").write_text(text)
     guessed = guess_map(tmp_path / "data.csv")
@@ -149,8 +149,8 @@ def test_a_guess_imports_at_once(name: str, tmp_path: Path, capsys: pytest.Captu
         )
 
 
-def test_a_matrix_with_time_and_padding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As a MATLAB script keeps it: a row a reading, time first, and rows of zeros that were never filled."""
+def test_a_matrix_with_time_and_padding_is_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A matrix of a MATLAB script: a row for each reading, time first, and unused rows of zeros."""
     from scipy.io import savemat
 
     matrix = np.vstack([np.column_stack([walk().time_s + 1, SI]), np.zeros((300, 7))])
@@ -166,7 +166,7 @@ def test_a_matrix_with_time_and_padding(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 @pytest.mark.parametrize("encoding", some(["cp1252", "utf-8", "utf-8-sig", "utf-16"], 2))
-def test_units_of_a_spreadsheet_in_any_encoding(encoding: str, tmp_path: Path) -> None:
+def test_units_of_a_spreadsheet_in_any_encoding_are_read(encoding: str, tmp_path: Path) -> None:
     """Names in German, units with ° and ², decimal commas."""
     names = [*(f"Beschl. {axis} [m/s²]" for axis in "XYZ"), *(f"Drehrate {axis} [°/s]" for axis in "XYZ")]
     values = np.hstack([SI[:, :3], np.degrees(SI[:, 3:])])
@@ -181,7 +181,7 @@ def test_units_of_a_spreadsheet_in_any_encoding(encoding: str, tmp_path: Path) -
         assert [sensor.unit for sensor in log.sensors.values()] == ["g", "dps"]
 
 
-def test_a_file_that_is_called_as_its_sensor(tmp_path: Path) -> None:
+def test_the_file_name_gives_the_sensor(tmp_path: Path) -> None:
     """Phones write a file for each sensor, with columns x, y, z."""
     values = SI[:, 5:2:-1]
     (tmp_path / "Gyroscope.csv").write_text(text_of("seconds_elapsed,z,y,x", values))
@@ -189,7 +189,7 @@ def test_a_file_that_is_called_as_its_sensor(tmp_path: Path) -> None:
     assert 'quantity = "angular_rate"' in guessed and 'columns = ["x", "y", "z"]' in guessed
 
 
-def test_recordings_one_after_the_other(tmp_path: Path) -> None:
+def test_consecutive_recordings_in_a_file_are_imported(tmp_path: Path) -> None:
     (tmp_path / "data.csv").write_text(text_of("t,ax,ay,az,gx,gy,gz", COUNTS, walk().time_s % 7, "{:d}"))
     text = " ".join(guess_map(tmp_path / "data.csv").replace("\n#  ", "").split())
     assert "# ~ the times fell 2 times, by 6.99 s, 6.99 s; rows after that go on at the usual interval" in text
@@ -197,7 +197,7 @@ def test_recordings_one_after_the_other(tmp_path: Path) -> None:
     assert "restarts = true # ?" in text and "sort = true #" not in text
 
 
-def test_rows_of_several_kinds_are_told_apart(tmp_path: Path) -> None:
+def test_rows_of_several_kinds_are_distinguished(tmp_path: Path) -> None:
     (tmp_path / "data.csv").write_bytes(several_tables())
     guessed = guess_map(tmp_path / "data.csv")
     found = parse_map(guessed, "guess")
@@ -210,7 +210,7 @@ def test_rows_of_several_kinds_are_told_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_kinds_of_equal_width_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_kinds_of_equal_width_are_distinguished(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = [
         f"{kind},{stamp:.6f}," + ",".join(map(str, row[at : at + 3]))
         for stamp, row in zip(walk().time_s.tolist(), COUNTS.tolist(), strict=True)
@@ -224,7 +224,7 @@ def test_kinds_of_equal_width_are_told_apart(tmp_path: Path, capsys: pytest.Capt
     assert "2000 rows each over 20.0 s" in report and "Acc: measures 0.9998 g at rest" in report
 
 
-def test_an_array_in_a_file_of_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_array_in_a_separate_file_is_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.save(tmp_path / "data.npy", np.column_stack([walk().time_s, COUNTS]))
     (tmp_path / "map.toml").write_text(guess_map(tmp_path / "data.npy"))
     arguments = [str(tmp_path / "data.npy"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
@@ -235,13 +235,15 @@ def test_an_array_in_a_file_of_its_own(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize("data", [b"", b"\0" * 100, b"nothing but\nwords in it\n", bytes(range(256)) * 40])
-def test_what_no_map_can_describe(data: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_data_that_no_map_can_describe_is_refused(
+    data: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "data.csv").write_bytes(data)
     assert main(["import", str(tmp_path / "data.csv"), "--guess"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_a_guess_overwrites_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_guess_does_not_overwrite_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "data.csv").write_text(CASES["short names"][0])
     (tmp_path / "map.toml").write_text("mine")
     assert main(["import", str(tmp_path / "data.csv"), "--guess", "-o", str(tmp_path / "map.toml")]) == 2
@@ -250,8 +252,8 @@ def test_a_guess_overwrites_nothing(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["import", str(tmp_path / "data.csv"), "--guess", "--up", "+Z"]) == 2
 
 
-def test_units_are_told_apart_by_the_last_part_of_a_name(tmp_path: Path) -> None:
-    """Counts of two units, gyroscopes that read a bias: gravity is not looked for in them."""
+def test_units_are_distinguished_by_the_last_part_of_a_name(tmp_path: Path) -> None:
+    """Counts of two units, gyroscopes with a bias: gravity is not searched for in them."""
     columns = [f"imu{unit}_{letter}{axis}" for unit in (0, 1) for letter in "agm" for axis in "xyz"]
     rows = "".join(f"{number},0,1,4096,33,65,98,200,10,300,3,2,4095,30,60,90,210,20,290\n" for number in range(300))
     (tmp_path / "data.csv").write_text(",".join(["t_ms", *columns]) + "\n" + rows)
@@ -259,7 +261,7 @@ def test_units_are_told_apart_by_the_last_part_of_a_name(tmp_path: Path) -> None
     assert sorted(quantities) == sorted(["specific_force", "angular_rate", "magnetic_field"] * 2)
 
 
-def test_a_second_accelerometer_without_a_name(tmp_path: Path) -> None:
+def test_a_second_unnamed_accelerometer_is_recognised(tmp_path: Path) -> None:
     """Both triads turn through the faces and keep their lengths, 256 and 1024 counts."""
     faces = [(0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 0, -1), (0, -1, 0), (-1, 0, 0)]
     rows = "".join(
@@ -273,7 +275,7 @@ def test_a_second_accelerometer_without_a_name(tmp_path: Path) -> None:
     assert "sensitivity = 1024" in text
 
 
-def test_a_single_row_is_no_warning(tmp_path: Path) -> None:
+def test_a_single_row_raises_no_warning(tmp_path: Path) -> None:
     """One row has no step of time; warnings are errors here."""
     (tmp_path / "one.csv").write_text(text_of("t,ax,ay,az,gx,gy,gz", COUNTS[:1], walk().time_s[:1], form="{:d}"))
     assert 'column = "t"' in guess_map(tmp_path / "one.csv")

@@ -1,4 +1,4 @@
-"""Layouts of other people's recordings: several clocks, files and instances, dates in other formats, unsigned codes."""
+"""Layouts of other recordings: several clocks, files and instances, dates in other formats, unsigned codes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BOTH = np.hstack([WALK.force_g, WALK.rate_dps])
 
 
 def imported(source: Path, tmp_path: Path) -> tuple[str, Path]:
-    """The proposed map of a recording, and the log that it makes of it."""
+    """The proposed map of a recording, and the imported log."""
     text = guess_map(source)
     (tmp_path / "map.toml").write_text(text, encoding="utf-8")
     import_table(source, tmp_path / "map.toml", tmp_path / "run.h5")
@@ -41,7 +41,7 @@ def written(tmp_path: Path, data: bytes, name: str = "data.csv") -> Path:
 
 
 @pytest.mark.slow
-def test_each_sensor_of_a_wide_table_keeps_its_own_clock(tmp_path: Path) -> None:
+def test_each_sensor_of_a_wide_table_has_its_own_clock(tmp_path: Path) -> None:
     half = ROWS // 2
     lines = ["ACC_Time,ACC_X_g,ACC_Y_g,ACC_Z_g,GYR_Time,GYR_X_dps,GYR_Y_dps,GYR_Z_dps"]
     for row in range(ROWS):
@@ -59,7 +59,7 @@ def test_each_sensor_of_a_wide_table_keeps_its_own_clock(tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_a_folder_of_one_file_a_sensor_is_one_recording(tmp_path: Path) -> None:
-    """As a phone exports it: columns z, y, x, epochs in ns, SI units that no header says."""
+    """An export of a phone: columns z, y, x, epochs in ns, SI units that no header states."""
     phone = tmp_path / "phone"
     phone.mkdir()
     for name, values, late_ns in (
@@ -85,7 +85,7 @@ def test_a_folder_of_one_file_a_sensor_is_one_recording(tmp_path: Path) -> None:
         assert report_of(log).doubts == ()
 
 
-def test_a_folder_says_which_files_it_has(tmp_path: Path) -> None:
+def test_a_folder_without_the_file_lists_its_files(tmp_path: Path) -> None:
     (tmp_path / "phone").mkdir()
     with pytest.raises(SourceError, match=r"no ROS 2 bag, and has no \.csv"):
         guess_map(tmp_path / "phone")
@@ -176,7 +176,7 @@ def test_a_fraction_of_a_formatted_date_has_up_to_nine_digits() -> None:
 
 
 @pytest.mark.parametrize("unit", ["%d.%m.%Y", "%H:%M:%Q", "fortnight"])
-def test_a_unit_of_time_that_is_none_says_what_is_allowed(
+def test_an_unknown_unit_of_time_is_refused_with_the_allowed_ones(
     unit: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = written(tmp_path, joined([HEADER, *lines_of(WALK.time_s[:20], BOTH[:20])]))
@@ -213,7 +213,7 @@ def test_the_middle_of_an_unsigned_converter_is_proposed_as_offset(middle: int, 
         assert report_of(log).doubts == ()
 
 
-def test_codes_with_an_offset_that_the_map_lacks_are_doubted(tmp_path: Path) -> None:
+def test_codes_with_an_undeclared_offset_are_doubted(tmp_path: Path) -> None:
     codes = np.rint(512 + WALK.force_g * 100).astype(int)
     source = written(tmp_path, joined(["t,ax,ay,az", *lines_of(WALK.time_s, codes, "{:d}")]))
     lines = [line for line in guess_map(source).splitlines() if not line.startswith("offset")]
@@ -223,7 +223,7 @@ def test_codes_with_an_offset_that_the_map_lacks_are_doubted(tmp_path: Path) -> 
         assert any("are they unsigned, with an offset?" in text for text in report_of(log).doubts)
 
 
-def test_an_acceleration_without_gravity_is_left_out_beside_one_with_it(tmp_path: Path) -> None:
+def test_linear_acceleration_is_omitted_if_the_full_one_exists(tmp_path: Path) -> None:
     linear = np.hstack([np.ones((ROWS, 1)), np.zeros((ROWS, 3)), BOTH, WALK.force_g - [0, 0, 1]])
     header = "t,qw,qx,qy,qz,ax,ay,az,gx,gy,gz,lin_acc_x,lin_acc_y,lin_acc_z"
     text, path = imported(written(tmp_path, joined([header, *lines_of(WALK.time_s, linear)])), tmp_path)
@@ -234,7 +234,7 @@ def test_an_acceleration_without_gravity_is_left_out_beside_one_with_it(tmp_path
 
 @pytest.mark.slow
 @pytest.mark.parametrize("true_scale", [1.0, 0.5, 131 / 57.142857])
-def test_the_scale_of_a_gyroscope_follows_quick_turns_about_three_axes(true_scale: float, tmp_path: Path) -> None:
+def test_the_scale_of_a_gyroscope_is_estimated_from_quick_turns(true_scale: float, tmp_path: Path) -> None:
     """Turns of up to 2.2 rad/s: each step is turned exactly, by Rodrigues' formula."""
     time_s = np.arange(4000) * 0.01
     rate = np.stack([1.5 * np.sin(1.9 * time_s), 1.2 * np.sin(2.3 * time_s + 1), np.sin(1.4 * time_s)], axis=1)
@@ -261,7 +261,7 @@ def test_the_scale_of_a_gyroscope_follows_quick_turns_about_three_axes(true_scal
         assert turns_of(log) == pytest.approx(true_scale, rel=0.02)
 
 
-def test_rows_that_share_their_time_are_said_to_do_so(tmp_path: Path) -> None:
+def test_rows_with_equal_times_are_reported(tmp_path: Path) -> None:
     stamps = np.floor(WALK.time_s * 5) / 5
     source = written(tmp_path, joined([HEADER, *lines_of(stamps, counts_of(WALK), "{:d}")]))
     text, path = imported(source, tmp_path)
@@ -283,8 +283,8 @@ def quantities(path: Path) -> dict[str, tuple[str, int, np.ndarray]]:
 
 
 @pytest.mark.slow
-def test_rows_whose_sensor_is_a_word_in_a_column_are_told_apart(tmp_path: Path) -> None:
-    """One row a reading, as a phone's app writes all its sensors into one file; the columns are z, y, x."""
+def test_rows_with_the_sensor_named_in_a_column_are_separated(tmp_path: Path) -> None:
+    """One row for each reading, where the app of a phone writes all sensors into one file; the columns are z, y, x."""
     lines = ["time,seconds_elapsed,sensor,z,y,x"]
     for row in range(0, ROWS, 2):
         stamp = 1_730_000_000_000_000_000 + row * 10_000_000
@@ -307,7 +307,7 @@ def test_rows_whose_sensor_is_a_word_in_a_column_are_told_apart(tmp_path: Path) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("brackets", ["[]", "()", ""])
-def test_a_row_of_units_says_what_names_in_another_language_mean(brackets: str, tmp_path: Path) -> None:
+def test_a_row_of_units_identifies_names_in_another_language(brackets: str, tmp_path: Path) -> None:
     """A data logger of a laboratory: a preamble, names, units below them, decimal commas."""
     opening, closing = (brackets[:1], brackets[1:])
     units = [f"{opening}{unit}{closing}" for unit in ("s", "m/s²", "m/s²", "m/s²", "°/s", "°/s", "°/s", "°C")]
@@ -325,9 +325,9 @@ def test_a_row_of_units_says_what_names_in_another_language_mean(brackets: str, 
 
 
 @pytest.mark.slow
-def test_a_column_of_comments_that_has_no_cells(tmp_path: Path) -> None:
-    """As LabVIEW writes a measurement file: two heads, tabs, and a name "Comment" without a cell in any row; a header
-    that is longer than the rows for another reason is refused as before.
+def test_a_column_of_comments_without_cells_is_accepted(tmp_path: Path) -> None:
+    """A measurement file of LabVIEW: two heads, tabs, and a name "Comment" without a cell in any row; a header that is
+    longer than the rows for another reason is refused.
     """
     head = [
         "LabVIEW Measurement\t",
@@ -348,7 +348,7 @@ def test_a_column_of_comments_that_has_no_cells(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_unit_of_time_with_a_factor(tmp_path: Path) -> None:
+def test_a_unit_of_time_with_a_factor_is_read(tmp_path: Path) -> None:
     """The counter of a Bosch chip: ticks of 39.0625 us, 24 bits; without the factor the rate would be 3.9 kHz."""
     ticks = (np.rint(WALK.time_s / 39.0625e-6).astype(int) + (1 << 24) - 200_000) % (1 << 24)
     counts = counts_of(WALK)

@@ -1,4 +1,4 @@
-"""Maps that can't be meant are refused on one line that names file, place, and what is allowed."""
+"""Invalid maps are refused in one line that names file, place, and allowed values."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def complaint(tmp_path: Path, text: str) -> str:
     return re.sub(re.escape(str(path)) + r"(:\d+)?: ", "", message)
 
 
-def test_the_shortest_map(tmp_path: Path) -> None:
+def test_the_shortest_map_is_read(tmp_path: Path) -> None:
     path = tmp_path / "map.toml"
     path.write_text(TIME + SENSOR)
     table_map = load_map(path)
@@ -149,19 +149,19 @@ def test_the_shortest_map(tmp_path: Path) -> None:
         ("[time]", "[time", "not TOML: "),
     ],
 )
-def test_what_cannot_be_meant(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_an_invalid_map_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     text = TIME + SENSOR
     assert text.count(old) == 1 or old == 'unit = "s"\n'
     assert message in complaint(tmp_path, text.replace(old, new, 1))
 
 
-def test_every_mistake_is_named(tmp_path: Path) -> None:
+def test_all_errors_are_named(tmp_path: Path) -> None:
     message = complaint(tmp_path, (TIME + SENSOR).replace("range = 16", "range = 0").replace('"t"', '""'))
     assert "time: column: '': allowed are" in message
     assert "; sensor 1 'A': range: " in message
 
 
-def test_every_mistake_names_its_line(tmp_path: Path) -> None:
+def test_every_error_names_its_line(tmp_path: Path) -> None:
     path = tmp_path / "map.toml"
     path.write_text('time = { column = "t", unit = "s" }\n[[sensor]]\n' + SENSOR_KEYS)
     with pytest.raises(ConfigError) as caught:
@@ -183,17 +183,17 @@ chip = "bma180"
 """
 
 
-def test_names_are_unique_and_there_is_a_sensor(tmp_path: Path) -> None:
+def test_names_must_be_unique_and_a_sensor_is_required(tmp_path: Path) -> None:
     assert complaint(tmp_path, TIME + SENSOR * 2) == "2 sensors are called 'A'; names are unique"
     assert complaint(tmp_path, TIME) == "sensor: is missing"
 
 
-def test_tables_of_the_wrong_shape(tmp_path: Path) -> None:
+def test_values_in_place_of_tables_are_refused(tmp_path: Path) -> None:
     assert complaint(tmp_path, TIME + "sensor = 3").startswith("time: sensor: unknown key")
     assert complaint(tmp_path, "sensor = [3]\n" + TIME).startswith("sensor 1: 3: a table is required")
 
 
-def test_a_map_that_is_not_there_or_no_text(tmp_path: Path) -> None:
+def test_a_missing_or_binary_map_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"none\.toml: No such file"):
         load_map(tmp_path / "none.toml")
     path = tmp_path / "map.toml"
@@ -206,7 +206,7 @@ def test_a_map_that_is_not_there_or_no_text(tmp_path: Path) -> None:
     ("name", "up"),
     [("z_up", "+Z"), ("x_down", "-X"), ("y_up_check", "+Y"), ("static", ""), ("w_up", ""), ("z", ""), ("run 3", "")],
 )
-def test_faces_say_what_is_up(tmp_path: Path, name: str, up: str) -> None:
+def test_the_name_of_a_face_gives_the_up_axis(tmp_path: Path, name: str, up: str) -> None:
     path = tmp_path / "map.toml"
     path.write_text(TIME + SENSOR + f'[[phase]]\nname = "{name}"\nrows = [0, 0]\n')
     assert load_map(path).phase[0].box_up == up
@@ -228,14 +228,14 @@ def test_faces_say_what_is_up(tmp_path: Path, name: str, up: str) -> None:
         ("magnetic_field", "\u03bcT", 1e-2),
     ],
 )
-def test_units_are_known_by_their_usual_spellings(quantity: str, spelt: str, size: float) -> None:
-    """The size in g, dps and gauss. A G is one of acceleration or of a field, by the quantity."""
+def test_usual_spellings_of_units_are_accepted(quantity: str, spelt: str, size: float) -> None:
+    """The size in g, dps and gauss. A G is a unit of acceleration or of a field, by the quantity."""
     sensor = f'name = "A", chip = "any", quantity = "{quantity}", columns = [0, 1, 2], unit = "{spelt}"'
     found = parse_map(f"time = {{ rate_hz = 1 }}\nsensor = [{{ {sensor} }}]\n", "map.toml")
     assert found.sensor[0].log_units == pytest.approx(size, rel=1e-12)
 
 
-def test_units_of_time_and_temperature_are_known_by_their_usual_spellings() -> None:
+def test_usual_spellings_of_time_and_temperature_are_accepted() -> None:
     sensor = 'name = "A", chip = "any", quantity = "angular_rate", columns = [1, 2, 3], unit = "deg/s"'
     text = f"""
 time = {{ column = 0, unit = "usec" }}

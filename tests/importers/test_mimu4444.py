@@ -1,4 +1,4 @@
-"""MIMU4444 recordings become logs: counts, time, flags, events, and what is refused."""
+"""Import of MIMU4444 recordings: counts, time, flags, events, and refusals."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def kinds(log: Log) -> list[str]:
     return [event.kind for event in log.events]
 
 
-def test_its_packets_are_recognised(tmp_path: Path, out: Path) -> None:
+def test_packets_are_recognised_by_the_guess(tmp_path: Path, out: Path) -> None:
     """`--guess` proposes the format, and the proposal imports it."""
     recording = source(tmp_path, b"\xa0\x28\x00\xc8" + run(range(20)))
     (tmp_path / "map.toml").write_text(guess_map(recording))
@@ -64,15 +64,15 @@ def test_its_packets_are_recognised(tmp_path: Path, out: Path) -> None:
         guess_map(source(tmp_path, bytes(range(256)) * 40))
 
 
-def test_a_sentence_about_all_sensors_is_short(tmp_path: Path, out: Path) -> None:
-    """Rows are missing in all sixteen sensors, which the log has in turn: accelerometer, gyroscope, accelerometer."""
+def test_a_finding_of_all_sensors_is_one_short_sentence(tmp_path: Path, out: Path) -> None:
+    """Rows are missing in all sixteen sensors, in the order of the log: accelerometer, gyroscope, accelerometer."""
     import_file(source(tmp_path, run([*range(100), *range(150, 250)])), out)
     with open_log(out) as log:
         texts = [text for text in report_of(log).quirks if "gap between rows" in text]
     assert len(texts) == 1 and texts[0].startswith("IMU1_acc to IMU8_acc, IMU1_gyro to IMU8_gyro: 1 gap between rows")
 
 
-def test_the_sixteen_sensors() -> None:
+def test_headers_of_the_sixteen_sensors() -> None:
     headers = {header.name: header for header in sensors()}
     assert list(headers) == [f"IMU{unit}_{part}" for unit in range(1, 9) for part in ("acc", "gyro")]
     assert {header.chip for header in headers.values()} == {"mpu9150"}
@@ -88,7 +88,7 @@ def test_the_sixteen_sensors() -> None:
 
 
 @pytest.mark.slow
-def test_counts_go_to_their_sensors(tmp_path: Path, out: Path) -> None:
+def test_counts_are_assigned_to_their_sensors(tmp_path: Path, out: Path) -> None:
     summary = import_file(source(tmp_path, run([5, 6])), out)
     assert (summary.rows, summary.lost, summary.seconds, summary.events) == (2, 0, 0.016, {})
     with open_log(out) as log:
@@ -115,7 +115,7 @@ def test_the_ends_of_the_code_span_are_saturated(tmp_path: Path, out: Path) -> N
     assert full == {"IMU1_acc": [SATURATED, 0], "IMU2_gyro": [SATURATED, 0]}
 
 
-def test_a_gap_has_no_rows_a_flag_and_an_event(tmp_path: Path, out: Path) -> None:
+def test_a_gap_gives_a_flag_and_an_event_and_no_rows(tmp_path: Path, out: Path) -> None:
     summary = import_file(source(tmp_path, run([1, 2, 6, 7])), out)
     assert (summary.rows, summary.lost, summary.events) == (4, 3, {"lost": 1})
     with open_log(out) as log:
@@ -126,7 +126,7 @@ def test_a_gap_has_no_rows_a_flag_and_an_event(tmp_path: Path, out: Path) -> Non
 
 
 @pytest.mark.slow
-def test_a_broken_packet_is_lost_and_garbage_alone_loses_nothing(tmp_path: Path, out: Path) -> None:
+def test_a_broken_packet_is_lost_and_garbage_loses_no_packet(tmp_path: Path, out: Path) -> None:
     wrong = bytearray(run([2]))
     wrong[60] ^= 1
     content = run([1]) + bytes(wrong) + run([3]) + b"garbage" + run([4]) + run([5])[:99]
@@ -141,7 +141,7 @@ def test_a_broken_packet_is_lost_and_garbage_alone_loses_nothing(tmp_path: Path,
         ]
 
 
-def test_a_packet_that_comes_twice_is_one_row(tmp_path: Path, out: Path) -> None:
+def test_a_repeated_packet_is_one_row(tmp_path: Path, out: Path) -> None:
     summary = import_file(source(tmp_path, run([1, 2, 2, 3])), out)
     assert (summary.rows, summary.lost, summary.events) == (3, 0, {"repeated": 1})
 
@@ -170,8 +170,12 @@ STEPS = st.lists(st.one_of(st.just(1), st.integers(1, 100), st.integers(1, 60_00
 @pytest.mark.slow
 @settings(max_examples=examples(20), deadline=None)
 @given(st.integers(0, 65535), st.integers(0, 2**32 - 1), STEPS, st.integers(-1000, 1000), st.integers(1, 600))
-def test_time_and_losses_through_every_wrap(number: int, ticks: int, steps: list[int], drift: int, block: int) -> None:
-    """Counter and packet number begin anywhere, gaps are up to 16 minutes long, the clock is up to 0.1 % off."""
+def test_time_and_losses_are_right_through_every_wrap(
+    number: int, ticks: int, steps: list[int], drift: int, block: int
+) -> None:
+    """Counter and packet number begin at any value, gaps are up to 16 minutes long, the clock has an error of up to 0.1
+    %.
+    """
     packets = [0, *itertools.accumulate(steps)]
     content = b"".join(packet(number + at, ticks + at * (PERIOD + drift)) for at in packets)
     with TemporaryDirectory() as folder:
@@ -188,21 +192,21 @@ def test_time_and_losses_through_every_wrap(number: int, ticks: int, steps: list
 @pytest.mark.parametrize(
     "content", [b"", b"t,ax,ay,az\n1,2,3,4\n" * 50, bytes(1000), bytes.fromhex("a02800c8"), run([1])[:105]]
 )
-def test_a_file_without_a_packet_is_refused_and_leaves_nothing(tmp_path: Path, out: Path, content: bytes) -> None:
+def test_a_file_without_a_packet_is_refused_and_no_log_remains(tmp_path: Path, out: Path, content: bytes) -> None:
     path = source(tmp_path, content)
     with pytest.raises(SourceError, match=r"data\.bin: no MIMU4444 packet in it; expected packets of 106 bytes"):
         import_file(path, out)
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_counter_that_stands_still_is_refused(tmp_path: Path, out: Path) -> None:
+def test_a_constant_counter_is_refused(tmp_path: Path, out: Path) -> None:
     path = source(tmp_path, packet(1, 5) + packet(2, 5))
     with pytest.raises(SourceError, match=r"data\.bin: packet 2: it has the time stamp of the packet before it"):
         import_file(path, out)
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_sources_that_cannot_be_read(tmp_path: Path, out: Path) -> None:
+def test_unreadable_sources_are_refused(tmp_path: Path, out: Path) -> None:
     with pytest.raises(SourceError, match=r"none\.bin: no such file"):
         import_file(tmp_path / "none.bin", out)
     with pytest.raises(SourceError, match="is a folder"):
@@ -214,7 +218,7 @@ def test_sources_that_cannot_be_read(tmp_path: Path, out: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_output_is_replaced_only_by_force_and_only_when_complete(tmp_path: Path, out: Path) -> None:
+def test_an_output_is_replaced_only_with_force_and_when_complete(tmp_path: Path, out: Path) -> None:
     good, bad = source(tmp_path, run([1, 2])), tmp_path / "bad.bin"
     bad.write_bytes(b"nothing")
     import_file(good, out)
@@ -233,7 +237,7 @@ def test_an_output_is_replaced_only_by_force_and_only_when_complete(tmp_path: Pa
 def extract(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("extract") / "extract.h5"
     summary = import_file(EXTRACT, out)
-    # Packets 505 to 34499 of the recording, 12500 of which are in the extract; every other figure follows.
+    # Packets 505 to 34499 of the recording, 12500 of which are in the extract; all other figures follow from this.
     assert (summary.rows, summary.lost, summary.events) == (12_500, 34_500 - 505 - 12_500, {"lost": 20})
     return out
 
@@ -254,7 +258,7 @@ def test_the_rate_of_the_extract(extract: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_extract_holds_twenty_static_orientations(extract: Path) -> None:
+def test_the_extract_has_twenty_static_orientations(extract: Path) -> None:
     with open_log(extract) as log:
         poses = np.array(
             [
@@ -273,7 +277,7 @@ def test_the_extract_holds_twenty_static_orientations(extract: Path) -> None:
 
 @pytest.mark.slow
 def test_the_two_sides_of_the_board_agree_in_the_box_frame(extract: Path) -> None:
-    """Rates of the shaken stretch, saturated rows left out: what one side shows, the other shows turned."""
+    """Rates of the shaken stretch without saturated rows: both sides read the same after the rotation."""
     rows = slice(10_000, 12_500)
     with open_log(extract) as log:
         sound = np.all([log[f"IMU{unit}_gyro"].status[rows] & SATURATED == 0 for unit in range(1, 9)], axis=0)

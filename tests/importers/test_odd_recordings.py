@@ -1,4 +1,4 @@
-"""Recordings as other people's programs leave them, and what is said of each: a table."""
+"""Defective recordings of other programs, with the report of each: a table."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ LINEAR_G = np.random.default_rng(6).normal(1e-3, 5e-3, (ROWS, 3))
 
 
 def stopped(end: int = ROWS) -> bytes:
-    """From row 1500 to `end` the program writes the gyroscope's last reading again and again."""
+    """From row 1500 to `end` the program repeats the last reading of the gyroscope."""
     counts = counts_of(walk())
     counts[1500:end, 3:] = counts[1500, 3:]
     return joined([HEAD, *lines_of(walk().time_s, counts, "{:d}")])
@@ -91,7 +91,7 @@ def in_units(still: bool) -> np.ndarray:
 
 
 def turned_throughout() -> bytes:
-    """Turned about an axis that is not along gravity, at a rate that goes to and fro between 30 and 90 dps."""
+    """Turned about an axis that is not along gravity, at a rate that oscillates between 30 and 90 dps."""
     time_s = np.arange(ROWS) * 0.01
     rate = np.radians(60 + 30 * np.sin(2 * np.pi * 0.1 * time_s))
     angle = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * 0.01)])
@@ -104,7 +104,9 @@ def turned_throughout() -> bytes:
 
 @cache
 def bursts() -> bytes:
-    """A host that is busy stamps what a driver has kept, eight rows in two milliseconds, then none for some time."""
+    """A busy host stamps the rows that a driver has buffered, eight rows in two milliseconds, then none
+    for some time.
+    """
     recording = walk(4000)
     rng = np.random.default_rng(3)
     sizes = rng.integers(2, 14, 700)
@@ -127,7 +129,7 @@ def stalls() -> bytes:
 
 
 def changing_rate(later_s: float, row: int) -> bytes:
-    """100 rows a second until `row`, then a row every `later_s`."""
+    """100 rows per second until `row`, then a row every `later_s`."""
     times_s = np.cumsum(np.where(np.arange(ROWS) <= row, 0.01, later_s)) - 0.01
     return joined([HEAD, *lines_of(times_s, counts_of(walk(still=True)), "{:d}")])
 
@@ -564,7 +566,7 @@ SLOW = (
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in CASES]
 )
-def test_what_is_said(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_report_names_the_defect(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data, table_map, code, said = CASES[name]
     (tmp_path / "data.csv").write_bytes(data)
     (tmp_path / "map.toml").write_text(table_map, encoding="utf-8")
@@ -591,7 +593,7 @@ SLEEPS = np.cumsum(np.random.default_rng(8).uniform(0, 16e-3, ROWS))
 
 
 @pytest.mark.parametrize("delays_s", [LATE, SLEEPS], ids=["late", "sleeps"])
-def test_late_rows_are_not_called_missing(
+def test_late_rows_are_not_reported_as_missing(
     delays_s: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "data.csv").write_bytes(late(delays_s))
@@ -601,16 +603,16 @@ def test_late_rows_are_not_called_missing(
     assert "missing" not in capsys.readouterr().out
 
 
-def test_there_are_twenty_at_least() -> None:
+def test_there_are_at_least_twenty_cases() -> None:
     assert len(CASES) >= 20
 
 
 @pytest.mark.parametrize(("axes", "doubted"), [("+X+Y+Z", True), ("+X-Y-Z", False)])
-def test_gravity_of_an_accelerometer_that_is_mounted_upside_down(
+def test_an_accelerometer_mounted_upside_down_is_reported(
     axes: str, doubted: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Two accelerometers, the second turned by 180 degrees about X, where both read 100 counts: 177 degrees, which is
-    180 - 2 atan(100 / 4096), are between their gravities, unless the map says how it is mounted.
+    180 - 2 atan(100 / 4096), are between their directions of gravity, unless the map states the mounting.
     """
     noise = np.rint(np.random.default_rng(5).normal(0, 8, (2000, 6))).astype(int)
     codes = noise + np.array([100, 50, 4096, 100, -50, -4096])

@@ -1,6 +1,5 @@
-"""Recordings as programs of their owners write them: the guessed map imports each at once, with the true values.
-
-What is compared is the truth that was written, in g, dps, gauss and s, however the file spells it.
+"""Recordings in the formats of various programs: the guessed map imports each unchanged, with the true values. The
+written truth is compared in g, dps, gauss and s, independent of the spelling in the file.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ MAGNET = np.array([0.2, 0.05, -0.43]) + np.random.default_rng(3).normal(0, 2e-3,
 
 
 def turned_over() -> np.ndarray:
-    """(n, 3) g: the quiet first half, then gravity along many directions, seen with biases of up to 50 mg."""
+    """(n, 3) g: the quiet first half, then gravity along many directions, with biases of up to 50 mg."""
     angle = np.where(T < 8, 0.0, 2 * np.pi * (T - 8) / 8)
     force = np.stack([np.sin(angle) * np.sin(3 * angle), np.sin(angle) * np.cos(3 * angle), np.cos(angle)], axis=1)
     return force + np.array([0.02, -0.03, 0.05]) + np.random.default_rng(4).normal(0, 2e-3, force.shape)
@@ -240,7 +239,9 @@ def imported(files: str | dict[str, str], folder: Path, name: str) -> tuple[str,
 
 
 def check_truth(log: Log, force: np.ndarray, error: tuple[float, float]) -> None:
-    """Each inertial sensor has the true values at the true times, and there is one of each quantity."""
+    """Check that each inertial sensor has the true values at the true times, and that there is one sensor of each
+    quantity.
+    """
     wanted = {"specific_force": (force, error[0]), "angular_rate": (RATE, error[1])}
     for quantity, (truth, most) in wanted.items():
         (sensor,) = log.of(quantity)  # type: ignore[arg-type]
@@ -256,7 +257,7 @@ def check_truth(log: Log, force: np.ndarray, error: tuple[float, float]) -> None
         for at, (name, case) in enumerate(CASES.items())
     ],
 )
-def test_the_owner_gets_the_true_values_at_once(case: Case, tmp_path: Path) -> None:
+def test_the_guessed_map_gives_the_true_values(case: Case, tmp_path: Path) -> None:
     guessed, path = imported(case.files, tmp_path, case.name)
     for line in case.map_lines:
         assert line in guessed, guessed
@@ -271,8 +272,8 @@ def test_the_owner_gets_the_true_values_at_once(case: Case, tmp_path: Path) -> N
         assert not [said for said in report_of(log).doubts if said.startswith("Acc")]
 
 
-def test_a_zip_file_of_a_phone_is_read_as_its_folder(tmp_path: Path) -> None:
-    """As phyphox exports it: a text for each sensor, and others about the phone in a folder."""
+def test_a_zip_file_of_a_phone_is_read_like_its_folder(tmp_path: Path) -> None:
+    """An export of phyphox: a text for each sensor, and texts about the phone in a folder."""
     with zipfile.ZipFile(tmp_path / "phone.zip", "w") as archive:
         for name, unit, values in (("Accelerometer", "m/s^2", SI[:, :3]), ("Gyroscope", "rad/s", SI[:, 3:])):
             header = ",".join(f'"{axis} ({unit})"' for axis in "XYZ")
@@ -286,7 +287,7 @@ def test_a_zip_file_of_a_phone_is_read_as_its_folder(tmp_path: Path) -> None:
         check_truth(log, FORCE, (2e-4, 6e-3))
 
 
-def test_a_zip_file_that_is_damaged_is_named(tmp_path: Path) -> None:
+def test_a_damaged_zip_file_is_refused(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "phone.zip", "w") as archive:
         archive.writestr("Accelerometer.csv", table("t,x,y,z", "{:.3f}" + ",{:.6f}" * 3, T, FORCE))
     data = bytearray((tmp_path / "phone.zip").read_bytes())
@@ -296,14 +297,14 @@ def test_a_zip_file_that_is_damaged_is_named(tmp_path: Path) -> None:
         guess_map(tmp_path / "phone.zip")
 
 
-def test_garbage_that_looks_like_a_byte_order_mark(tmp_path: Path) -> None:
-    """A serial port gives anything while a board starts, FF FE too."""
+def test_garbage_like_a_byte_order_mark_is_skipped(tmp_path: Path) -> None:
+    """A serial port gives random bytes while a board starts, FF FE among them."""
     (tmp_path / "data.csv").write_bytes(b"\xff\xfe\x80boot\n" + table(f"t,{AXES}", PLAIN, T, FORCE, RATE).encode())
     assert 'columns = ["ax", "ay", "az"]' in guess_map(tmp_path / "data.csv")
 
 
 @pytest.mark.slow
-def test_a_row_after_a_clock_was_set_back_is_flagged(tmp_path: Path) -> None:
+def test_a_row_after_a_backward_clock_step_is_flagged(tmp_path: Path) -> None:
     _, path = imported(CASES["a recorder that starts again"].files, tmp_path, "data.csv")
     with open_log(path) as log:
         for sensor in log.sensors.values():
@@ -313,13 +314,13 @@ def test_a_row_after_a_clock_was_set_back_is_flagged(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("head", "packer"), [(b"\x28\xb5\x2f\xfd", "zstd"), (b"BZh91AY", "bzip2"), (b"\xfd7zXZ\0", "xz")]
 )
-def test_a_compressed_file_that_is_not_read_is_named(head: bytes, packer: str, tmp_path: Path) -> None:
+def test_an_unsupported_compression_is_named(head: bytes, packer: str, tmp_path: Path) -> None:
     (tmp_path / "run.db3.zstd").write_bytes(head + bytes(range(256)) * 8)
     with pytest.raises(SourceError, match=rf"run\.db3\.zstd: compressed by {packer}; decompress it first"):
         guess_map(tmp_path / "run.db3.zstd")
 
 
-def test_the_command_counts_the_doubts_of_a_guess(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_the_number_of_doubts_of_a_guess(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "data.csv").write_text(table("time (s),ax (g),ay (g),az (g)", "{:.3f}" + ",{:.6f}" * 3, T * 1e3, FORCE))
     assert main(["import", str(tmp_path / "data.csv"), "--guess", "-o", str(tmp_path / "map.toml")]) == 0
     assert "map.toml, with 1 doubt at its top; read its comments" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Framing of MIMU4444 packets: found whatever lies between them, whatever the size of the blocks, in bounded memory."""
+"""Framing of MIMU4444 packets: detected between any other bytes, with any size of blocks, in bounded memory."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EXTRACT = Path(__file__).parent.parent / "data" / "mimu4444" / "exp_1_extract.bi
 
 
 def packet(number: int, ticks: int = 0, value: int = 7) -> bytes:
-    """A sound packet, all of whose axes read `value`."""
+    """A valid packet with `value` on all axes."""
     body = struct.pack(">BHBI48h", 0xAA, number % 65536, 100, ticks % 2**32, *[value] * 48)
     return body + struct.pack(">H", sum(body) % 65536)
 
@@ -43,7 +43,7 @@ def read(stream: bytes, block_bytes: int) -> tuple[list[int], list[int], list[in
     return numbers, skipped, broken
 
 
-def test_the_first_published_packet() -> None:
+def test_the_first_published_packet_is_decoded() -> None:
     assert len(FIRST) == 106
     (piece, _) = read_packets(io.BytesIO(FIRST))
     (only,) = piece.packets
@@ -54,16 +54,16 @@ def test_the_first_published_packet() -> None:
 
 
 @pytest.mark.parametrize("head", [bytes.fromhex("a02800c8"), b""])
-def test_an_acknowledge_at_the_head_is_no_garbage(head: bytes) -> None:
+def test_an_acknowledge_at_the_head_is_not_garbage(head: bytes) -> None:
     for block_bytes in (1, 3, 4, 5, 1000):
         assert read(head + packet(1) + packet(2), block_bytes) == ([1, 2], [0, 0, 0], [0, 0, 0])
 
 
-def test_a_head_that_is_no_acknowledge_is_garbage() -> None:
+def test_a_head_without_acknowledge_is_garbage() -> None:
     assert read(bytes.fromhex("a02800c9") + packet(1), 1000) == ([1], [4, 0], [0, 0])
 
 
-def test_every_single_byte_error_is_caught() -> None:
+def test_every_single_byte_error_is_detected() -> None:
     for at in range(106):
         wrong = bytearray(packet(2, 12345))
         wrong[at] ^= 0x10
@@ -72,19 +72,19 @@ def test_every_single_byte_error_is_caught() -> None:
         assert broken == [0, 0 if at in (0, 3) else 1, 0]
 
 
-def test_a_packet_cut_short_is_garbage_and_the_next_is_found() -> None:
+def test_a_truncated_packet_is_garbage_and_the_next_is_read() -> None:
     assert read(packet(1) + packet(2)[:50] + packet(3), 4096) == ([1, 3], [0, 50, 0], [0, 0, 0])
     assert read(packet(1) + packet(2)[:105], 4096) == ([1], [0, 105], [0, 0])
 
 
-def test_a_packet_within_a_broken_one_wins() -> None:
+def test_a_valid_packet_within_a_broken_packet_is_read() -> None:
     inner = packet(9)
     broken = packet(2)[:30] + inner
     assert read(packet(1) + broken, 4096)[0] == [1, 9]
 
 
-def test_a_sound_packet_within_a_sound_one_is_part_of_its_payload() -> None:
-    """A payload that happens to look like a packet, sound to the last byte, ten bytes later."""
+def test_a_packet_within_a_valid_packet_is_part_of_its_payload() -> None:
+    """A payload that is itself a complete valid packet, ten bytes later."""
     head, filler = struct.pack(">BHBI", 0xAA, 5, 100, 0), b"\x01\x01"
     inner = bytearray(packet(6))
     outer_body = head + filler + bytes(inner[:94])
@@ -96,8 +96,10 @@ def test_a_sound_packet_within_a_sound_one_is_part_of_its_payload() -> None:
 
 
 @pytest.mark.slow
-def test_a_broken_packet_at_the_edge_of_a_block() -> None:
-    """Framed alike, the first ends in a sound packet after 40 bytes, so it is garbage; the second is a broken one."""
+def test_a_broken_packet_at_the_edge_of_a_block_is_reported() -> None:
+    """Both have the same framing: the first ends in a valid packet after 40 bytes, so it is garbage; the second is a
+    broken packet.
+    """
     start = bytes.fromhex("aa000064")
     stream = packet(1) + start + bytes(36) + packet(2) + start + bytes(102) + packet(3)
     for block_bytes in range(1, len(stream) + 1):
@@ -112,7 +114,7 @@ noise = st.one_of(
 
 
 @given(st.lists(st.tuples(noise, st.integers(0, 65535)), max_size=12), noise, st.integers(1, 700))
-def test_all_packets_are_found_between_any_noise(parts: list[tuple[bytes, int]], tail: bytes, block_bytes: int) -> None:
+def test_all_packets_are_read_between_any_noise(parts: list[tuple[bytes, int]], tail: bytes, block_bytes: int) -> None:
     stream = packet(0) + b"".join(garbage + packet(number) for garbage, number in parts) + tail
     numbers, skipped, _ = read(stream, block_bytes)
     assert numbers == [0, *(number for _, number in parts)]
@@ -128,14 +130,14 @@ framed = st.binary(max_size=20).map(lambda start: (b"\xaa\x00\x00\x64" + start).
     ),
     st.integers(1, 500),
 )
-def test_the_size_of_the_blocks_changes_nothing(stream: bytes, block_bytes: int) -> None:
+def test_results_do_not_depend_on_blocks(stream: bytes, block_bytes: int) -> None:
     numbers, skipped, broken = read(stream, block_bytes)
     assert (numbers, skipped, broken) == read(stream, 1 << 20)
     assert sum(skipped) + 106 * len(numbers) == len(stream)
     assert all(106 * bad <= gap for bad, gap in zip(broken, skipped, strict=True))
 
 
-def test_the_extract_is_sound() -> None:
+def test_the_extract_has_only_valid_packets() -> None:
     with EXTRACT.open("rb") as file:
         pieces = list(read_packets(file))
     packets = np.concatenate([piece.packets for piece in pieces])

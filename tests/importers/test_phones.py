@@ -1,4 +1,4 @@
-"""Recordings of apps for phones: linear accelerations and attitudes are named, and no measurements."""
+"""Recordings of apps for phones: linear accelerations and attitudes are named, and are not measurements."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def imported(folder: Path, source: Path, text: str) -> Log:
     ],
 )
 def test_only_measurements_are_proposed(write: Callable[[Path], Path], attitude: str, tmp_path: Path) -> None:
-    """The gyroscope alone; linear acceleration and attitude are named in one line each, and the former is a comment."""
+    """The gyroscope alone; linear acceleration and attitude are named in one line each, the former as a comment."""
     source = write(tmp_path)
     text = guess_map(source)
     assert attitude in plain(text)
@@ -121,7 +121,7 @@ def test_only_measurements_are_proposed(write: Callable[[Path], Path], attitude:
         assert rates == pytest.approx(np.degrees(GYRO), abs=0.01)
 
 
-def test_the_attitude_adds_gravity_again_if_the_map_asks_for_it(tmp_path: Path) -> None:
+def test_the_attitude_restores_gravity_on_request(tmp_path: Path) -> None:
     """With the comment of the proposal as part of the map: the force in closed form, and rotations that agree."""
     source = android_table(tmp_path)
     text = guess_map(source)
@@ -135,8 +135,8 @@ def test_the_attitude_adds_gravity_again_if_the_map_asks_for_it(tmp_path: Path) 
     assert force == pytest.approx(LINEAR / G + UP, abs=1e-3)
 
 
-def test_rows_without_an_attitude_are_left_out(tmp_path: Path) -> None:
-    """Zeros, which an app writes until it knows its attitude."""
+def test_rows_without_an_attitude_are_omitted(tmp_path: Path) -> None:
+    """Zeros, which an app writes until its attitude is known."""
     turned = QUATERNION.copy()
     turned[:50] = 0.0
     source = table(tmp_path / "phone.csv", "t,ax,ay,az,qw,qx,qy,qz", T, LINEAR, turned)
@@ -153,7 +153,7 @@ def test_rows_without_an_attitude_are_left_out(tmp_path: Path) -> None:
         ("specific_force", "g", "range = 2\nsensitivity = 16384", "attitude_columns applies to columns in a unit"),
     ],
 )
-def test_maps_that_cannot_be(quantity: str, unit: str, more: str, said: str) -> None:
+def test_contradictory_maps_are_refused(quantity: str, unit: str, more: str, said: str) -> None:
     text = f"""
 [time]
 rate_hz = 100

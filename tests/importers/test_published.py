@@ -1,5 +1,5 @@
-"""Recordings that others have published, each imported in one try by the map that comes with the package, and what is
-said of what is known of them. The whole recordings are skipped where they are absent; extracts lie in tests/data.
+"""Published recordings, each imported by the map of the package, with the known properties in the report. The whole
+recordings are skipped where they are absent; extracts are in tests/data.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def test_maps_have_twenty_lines_at_most(name: str) -> None:
     assert len((MAPS / f"{name}.toml").read_text().splitlines()) <= 20
 
 
-def test_an_extract_of_the_thermal_ramp(tmp_path: Path, capsys: Capture) -> None:
+def test_the_report_of_an_extract_of_the_thermal_ramp(tmp_path: Path, capsys: Capture) -> None:
     source = ROOT / "tests" / "data" / EXTRACTS["freeimu_thermal"]
     text = said_of(source, "freeimu_thermal", tmp_path / "run.h5", capsys)
     assert "Acc, Gyro: rows stall for 2.83 s after every 51 rows" in text
@@ -56,19 +56,19 @@ def test_an_extract_of_the_thermal_ramp(tmp_path: Path, capsys: Capture) -> None
 
 
 @pytest.mark.slow
-def test_an_extract_of_the_board(tmp_path: Path, capsys: Capture) -> None:
+def test_the_report_of_an_extract_of_the_board(tmp_path: Path, capsys: Capture) -> None:
     source = ROOT / "tests" / "data" / EXTRACTS["mimu4444"]
     text = said_of(source, "mimu4444", tmp_path / "run.h5", capsys)
     assert "xyz clips at -32768 (-1998 dps) and 32767 (1998 dps); " in text
     assert "g at rest" in text
     assert "lost: 20" in text
-    assert "bursts" not in text  # the packets are numbered: the extract lacks some, and none came late
+    assert "bursts" not in text  # the packets are numbered: the extract lacks some, and none is late
     assert "?" not in text
 
 
 @whole
 @pytest.mark.slow
-def test_the_thermal_ramp(tmp_path: Path, capsys: Capture) -> None:
+def test_the_report_of_the_thermal_ramp(tmp_path: Path, capsys: Capture) -> None:
     """Stalls of 2.83 s after 51 rows, 1071 of 2158 s in all; even codes; the die from 10.4 to 28.9 degC."""
     text = said_of(RECORDINGS / FILES["freeimu_thermal"], "freeimu_thermal", tmp_path / "run.h5", capsys)
     assert "63792 rows each over 2158.0 s" in text
@@ -80,7 +80,7 @@ def test_the_thermal_ramp(tmp_path: Path, capsys: Capture) -> None:
 @whole
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "rate"), [("sunsided_mpu", "99.32"), ("sunsided_mag", "76.93")])
-def test_ten_minutes_at_rest(name: str, rate: str, tmp_path: Path, capsys: Capture) -> None:
+def test_the_report_of_ten_minutes_at_rest(name: str, rate: str, tmp_path: Path, capsys: Capture) -> None:
     """Codes in fours, temperature in steps of 32, arrival times in bursts, 3 % of the compass's frames stale."""
     run = tmp_path / "run.h5"
     text = said_of(RECORDINGS / FILES[name], name, run, capsys)
@@ -98,7 +98,9 @@ def test_ten_minutes_at_rest(name: str, rate: str, tmp_path: Path, capsys: Captu
 @whole
 @pytest.mark.slow
 def test_the_compass_is_characterised_over_all_its_rows(tmp_path: Path, capsys: Capture) -> None:
-    """Lines at 24.40 Hz and 76.93 - 50.01 = 26.92 Hz, the mains' alias; no row is left out for arriving in a burst."""
+    """Lines at 24.40 Hz and 76.93 - 50.01 = 26.92 Hz, the mains' alias; no row is excluded for its
+    arrival in a burst.
+    """
     run = tmp_path / "run.h5"
     said_of(RECORDINGS / FILES["sunsided_mag"], "sunsided_mag", run, capsys)
     assert main(["characterise", str(run), "--json"]) == 0
@@ -115,8 +117,8 @@ def test_the_compass_is_characterised_over_all_its_rows(tmp_path: Path, capsys: 
 
 @whole
 @pytest.mark.slow
-def test_wide_lines(tmp_path: Path, capsys: Capture) -> None:
-    """The gyroscope's z at 31.4 Hz; unit 4's x, which wanders between 8.7 and 12.9 Hz."""
+def test_wide_lines_are_detected(tmp_path: Path, capsys: Capture) -> None:
+    """The gyroscope's z at 31.4 Hz; x of unit 4, whose frequency varies between 8.7 and 12.9 Hz."""
     for name, sensor, axis, low_hz, high_hz in (
         ("sunsided_mpu", "Gyro", 2, 31.3, 31.5),
         ("mimu4444", "IMU4_acc", 0, 8.7, 12.9),
@@ -131,8 +133,8 @@ def test_wide_lines(tmp_path: Path, capsys: Capture) -> None:
 
 @whole
 @pytest.mark.slow
-def test_the_compass_counted_out(tmp_path: Path, capsys: Capture) -> None:
-    """Mean intervals of 13 ms, and the raw times beside them, to the nanosecond."""
+def test_regularised_times_of_the_compass(tmp_path: Path, capsys: Capture) -> None:
+    """Mean intervals of 13 ms, and the raw times in addition, to the nanosecond."""
     source = RECORDINGS / FILES["sunsided_mag"]
     text = (MAPS / "sunsided_mag.toml").read_text().replace('unit = "s"', 'unit = "s", stamps = "arrival"')
     (tmp_path / "map.toml").write_text(text)
@@ -149,7 +151,7 @@ def test_the_compass_counted_out(tmp_path: Path, capsys: Capture) -> None:
 
 @whole
 @pytest.mark.slow
-def test_the_board(tmp_path: Path, capsys: Capture) -> None:
+def test_the_report_of_the_board(tmp_path: Path, capsys: Capture) -> None:
     text = said_of(RECORDINGS / FILES["mimu4444"], "mimu4444", tmp_path / "run.h5", capsys)
     assert "16 sensors" in text and "0 lost" in text
     assert "g at rest" in text and "xyz clips at" in text
@@ -159,8 +161,8 @@ def test_the_board(tmp_path: Path, capsys: Capture) -> None:
 @whole
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["freeimu_thermal", "sunsided_mpu", "sunsided_mag"])
-def test_a_guessed_map_imports_at_once(name: str, tmp_path: Path, capsys: Capture) -> None:
-    """What it can't know it says: ranges of gyroscopes, what counts of a thermometer mean."""
+def test_a_guessed_map_imports_unchanged(name: str, tmp_path: Path, capsys: Capture) -> None:
+    """Unknown entries are marked: ranges of gyroscopes, the scale of a thermometer."""
     source = RECORDINGS / FILES[name]
     assert main(["import", str(source), "--guess", "-o", str(tmp_path / "map.toml")]) == 0
     text = said_of(source, str(tmp_path / "map.toml"), tmp_path / "run.h5", capsys)

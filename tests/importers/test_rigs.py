@@ -1,4 +1,4 @@
-"""Recordings of many kinds of rigs: the guessed map imports each at once, with the true values.
+"""Recordings of many kinds of rigs: the guessed map imports each unchanged, with the true values.
 
 The recordings are in closed form (`tests.importers.recordings`).
 """
@@ -26,7 +26,7 @@ BOOT_ROW = 900
 
 
 def rebooted_ms() -> list[int]:
-    """Milliseconds since the board started, which it did again before row 900, 350 ms earlier."""
+    """Milliseconds since the start of the board, which restarted before row 900, 350 ms earlier."""
     since = np.rint(T * 1000).astype(int) + 512
     since[BOOT_ROW:] += 350 - since[BOOT_ROW]
     return [int(each) for each in since]
@@ -57,7 +57,7 @@ def prefixed(folder: Path) -> Path:
 
 
 def gopro(folder: Path) -> Path:
-    """Packets share a date, and rows have a time of their own (gopro-telemetry)."""
+    """Packets have one date, and rows their own time (gopro-telemetry)."""
 
     def stream(place: slice) -> dict[str, object]:
         date = "2023-05-01T10:00:00.000Z"
@@ -93,7 +93,7 @@ def of_stopwatch(at: float) -> str:
 
 
 def joined_parts(folder: Path) -> Path:
-    """Two files that overlap by 200 rows, one behind the other."""
+    """Two consecutive files that overlap by 200 rows."""
     rows = lines_of(T, SI, "{:.6f}")
     return written(folder / "joined.csv", [f"t,{NAMES}", *rows[:800], *rows[600:]])
 
@@ -137,7 +137,7 @@ CHANGED = LINES[650].replace(",", ",1", 1)
 
 
 def folder_of(folder: Path, *files: list[str]) -> Path:
-    """A folder with a text of one recorder for each list of rows."""
+    """A folder with one text of a recorder for each list of rows."""
     folder.mkdir()
     for number, rows in enumerate(files):
         written(folder / f"imu{number}.csv", [HEAD, *rows])
@@ -156,7 +156,7 @@ def folder_of(folder: Path, *files: list[str]) -> Path:
     ids=["overlap", "follow", "three", "inside"],
 )
 def test_parts_in_a_folder_are_joined(files: tuple[list[str], ...], said: str, tmp_path: Path) -> None:
-    """Files that begin one after the other and agree where they overlap are one recording, each row of it once."""
+    """Files that begin one after the other and agree where they overlap are one recording, with each row once."""
     source = folder_of(tmp_path / "parts", *files)
     assert said in " ".join(line.lstrip("# ~") for line in guess_map(source).splitlines())
     with imported(tmp_path, source) as log:
@@ -186,18 +186,18 @@ def test_files_that_do_not_follow_each_other_are_doubted(case: str, tmp_path: Pa
         assert set(log.sensors) == {"Acc", "Gyro", "Acc2", "Gyro2"}
 
 
-def test_sensors_beside_each_other_are_no_parts(tmp_path: Path) -> None:
+def test_files_of_simultaneous_sensors_are_not_parts(tmp_path: Path) -> None:
     assert "parts" not in guess_map(folder_of(tmp_path / "sensors", LINES, LINES))
 
 
-def test_readings_in_seconds_are_no_times_of_day(tmp_path: Path) -> None:
+def test_readings_in_seconds_are_not_times_of_day(tmp_path: Path) -> None:
     """Six digits before the point, and no step at the end of a minute."""
     source = stamped("t", lambda at: f"{120000 + at:.2f}")(tmp_path)
     assert 'unit = "s"' in guess_map(source)
 
 
 @pytest.mark.parametrize("name", some(["Zimmer [°C]", "room_degC", "T1 (K)"], 2))
-def test_a_unit_of_temperature_is_a_thermometers(name: str, tmp_path: Path) -> None:
+def test_a_unit_of_temperature_indicates_a_thermometer(name: str, tmp_path: Path) -> None:
     rows = [f"{line},23.45" if "K" not in name else f"{line},296.6" for line in lines_of(T, SI, "{:.6f}")]
     with imported(tmp_path, written(tmp_path / "warm.csv", [f"t,{NAMES},{name}", *rows])) as log:
         degrees = np.asarray(log["Thermometer"].compensated("temperature"))

@@ -1,4 +1,6 @@
-"""Axes of a gyroscope that contradict those of the accelerometer: the import's report names those that fit."""
+"""Axes of a gyroscope that contradict those of the accelerometer: the report of the import names
+the consistent axes.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ ROWS, RATE_HZ = 3000, 100.0
 
 
 def record(path: Path, axes: str, mounted: np.ndarray) -> None:
-    """A box that turns about all axes; `mounted` (3, 3) takes vectors of the box into the gyroscope's frame."""
+    """A box that turns about all axes; `mounted` (3, 3) transforms vectors of the box into the gyroscope's frame."""
     time_s, rng = np.arange(ROWS) / RATE_HZ, np.random.default_rng(8)
     rate = np.stack([np.sin(2 * np.pi * f * time_s) for f in (0.31, 0.23, 0.17)], axis=1) * [1.6, 1.2, 2.0]
     attitude, up = Rotation.identity(), np.empty((ROWS, 3))
@@ -45,7 +47,7 @@ QUARTER = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
 """x points along box -Y, y along box X."""
 
 
-def test_the_axes_that_fit_are_named_and_are_right(tmp_path: Path) -> None:
+def test_the_consistent_axes_are_named_and_right(tmp_path: Path) -> None:
     record(tmp_path / "wrong.h5", "+X+Y+Z", QUARTER)
     (text,) = doubts(tmp_path / "wrong.h5")
     assert text.startswith("G: its rotations do not fit those of the accelerometers, but would with axes = '-Y+X+Z'")
@@ -61,7 +63,7 @@ def test_a_mirrored_gyroscope_is_doubted(tmp_path: Path, mirrored: np.ndarray) -
 
 
 def at_rest(path: Path, sign: int, field: np.ndarray | None = None, up: str = "") -> tuple[str, ...]:
-    """What is said of a box at rest with +Z up, by an accelerometer of this sign and a magnetometer; `up` is noted."""
+    """The doubts on a box at rest with +Z up, with an accelerometer of this sign and a magnetometer; `up` is noted."""
     headers = [SensorHeader("A", "any", "specific_force", "g", 8.0, 4096.0)]
     rng = np.random.default_rng(9)
     readings = {"A": sign * 4096 * (np.array([0.0, 0.0, 1.0]) + rng.normal(0, 0.003, (ROWS, 3)))}
@@ -78,7 +80,7 @@ def at_rest(path: Path, sign: int, field: np.ndarray | None = None, up: str = ""
         return report_of(log).quirks
 
 
-def test_gravity_along_a_negative_axis_is_said_to_be_one_of_three_things(tmp_path: Path) -> None:
+def test_gravity_along_a_negative_axis_has_three_explanations(tmp_path: Path) -> None:
     """The field in Central Europe: 0.2 gauss to the north and 0.43 down, 65 degrees below the horizon (IGRF)."""
     assert at_rest(tmp_path / "up.h5", 1) == ()
     assert at_rest(tmp_path / "noted.h5", -1, up="-Z") == ()

@@ -1,4 +1,4 @@
-"""Rows out of order, sorted by time or refused."""
+"""Rows out of order are sorted by time or refused."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ sensitivity = 16384
 
 
 def table(times_s: np.ndarray, first: np.ndarray) -> bytes:
-    """x counts the rows of the order of time, so that the sorted log has 0, 1, 2, ..."""
+    """x numbers the rows in the order of time, so that the sorted log has 0, 1, 2, ..."""
     rows = [f"{time:.4f},{int(x)},1,16384" for time, x in zip(times_s, first, strict=True)]
     return "\n".join(["t,ax,ay,az", *rows, ""]).encode()
 
@@ -49,7 +49,7 @@ SWAPPED = np.r_[0:300, 310:320, 300:310, 320:1000]
 
 
 def test_late_rows_are_sorted_and_counted(tmp_path: Path) -> None:
-    """Rows 300 to 309 come after 310 to 319: ten rows are late."""
+    """Rows 300 to 309 are after 310 to 319: ten rows are late."""
     data = table(0.01 * SWAPPED + 1, SWAPPED)
     counts, remarks = imported(tmp_path, data, ", sort = true")
     np.testing.assert_array_equal(counts, np.arange(1000))
@@ -59,7 +59,7 @@ def test_late_rows_are_sorted_and_counted(tmp_path: Path) -> None:
 
 
 def test_rows_of_two_blocks_are_sorted_together(tmp_path: Path) -> None:
-    """Blocks have 4096 rows: the late ones are in the second block."""
+    """Blocks have 4096 rows: the late rows are in the second block."""
     order = np.r_[0:4090, 4100:4200, 4090:4100, 4200:9000]
     counts, _ = imported(tmp_path, table(0.01 * order + 1, order), ", sort = true")
     np.testing.assert_array_equal(counts, np.arange(9000))
@@ -72,7 +72,7 @@ def test_padding_stays_at_the_end(tmp_path: Path) -> None:
     assert any("5 rows of zeros only" in text for text in remarks)
 
 
-def test_the_guess_sorts_what_fits_and_nothing_else(tmp_path: Path) -> None:
+def test_the_guess_sorts_late_rows_but_not_a_clock_step(tmp_path: Path) -> None:
     (tmp_path / "data.csv").write_bytes(table(0.01 * SWAPPED + 1, SWAPPED))
     text = guess_map(tmp_path / "data.csv")
     assert "sort = true   # rows are out of order, and fit between the others" in text
@@ -92,7 +92,7 @@ def test_sort_and_a_wrapping_counter_exclude_each_other() -> None:
 
 @settings(max_examples=100)
 @given(st.lists(st.integers(0, 50), max_size=40), st.integers(1, 7))
-def test_any_order_within_reach_comes_out_as_sorting_says(times: list[int], rows: int) -> None:
+def test_any_order_within_the_buffer_is_sorted(times: list[int], rows: int) -> None:
     assert len(times) <= MOST_ROWS_LATE
     blocks = [
         (CellBlock("s", list(range(at, at + len(part))), [[str(t) for t in part], np.arange(at, at + len(part))]), [0])
@@ -125,7 +125,7 @@ def test_equal_readings_of_a_coarse_clock_are_kept(tmp_path: Path) -> None:
     assert not [text for text in remarks if "twice" in text]
 
 
-def test_a_column_that_numbers_rows_is_no_time(tmp_path: Path) -> None:
+def test_a_column_that_numbers_rows_is_not_a_time(tmp_path: Path) -> None:
     rows = "".join(f"{number},1,2,16384\n" for number in range(200))
     (tmp_path / "data.csv").write_text("sample,ax,ay,az\n" + rows)
     text = " ".join(guess_map(tmp_path / "data.csv").replace("\n#  ", "").split())
@@ -133,8 +133,8 @@ def test_a_column_that_numbers_rows_is_no_time(tmp_path: Path) -> None:
     assert "rate_hz = 100 # ? enter the true rate" in text
 
 
-def test_the_rate_of_a_counter_that_wraps(tmp_path: Path) -> None:
-    """Every 20 ms a row, of a counter of 16 bits of milliseconds: 50 rows a second."""
+def test_the_rate_of_a_wrapping_counter(tmp_path: Path) -> None:
+    """A row every 20 ms, with a 16-bit counter of milliseconds: 50 rows per second."""
     rows = "".join(f"{20 * number % 65536},1,2,16384\n" for number in range(9000))
     (tmp_path / "data.csv").write_text("ms,ax,ay,az\n" + rows)
     text = guess_map(tmp_path / "data.csv")

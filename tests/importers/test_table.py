@@ -1,4 +1,4 @@
-"""Text tables become logs by their map; a wrong cell is named by file, line and column, and nothing is left behind."""
+"""Text tables are imported by their map; a wrong cell is named by file, line and column, and no file remains."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def counts_and_times(folder: Path, name: str = "A") -> tuple[list[list[int]], li
 
 
 def refused(folder: Path, table: str | bytes, table_map: str, error: type[ImuArrayError] = SourceError) -> str:
-    """The complaint; and nothing is left but what was there before."""
+    """The error message, after a check that no new file remains."""
     with pytest.raises(error) as caught:
         write(folder, table, table_map)
     assert sorted(path.name for path in folder.iterdir()) == ["data.csv", "map.toml"]
@@ -63,7 +63,7 @@ def refused(folder: Path, table: str | bytes, table_map: str, error: type[ImuArr
     return message.replace(f"{folder}/", "")
 
 
-def test_a_table_with_a_header(tmp_path: Path) -> None:
+def test_a_table_with_a_header_is_imported(tmp_path: Path) -> None:
     summary = write(tmp_path, "t,x,y,z\n0.5,1,-2,3\n0.51,4,5,-6\n", NAMED)
     assert summary == ImportSummary(("A",), 2, None, 0.01)
     assert counts_and_times(tmp_path) == ([[1, -2, 3], [4, 5, -6]], [500_000_000, 510_000_000])
@@ -79,7 +79,7 @@ def test_a_table_with_a_header(tmp_path: Path) -> None:
         assert not log.is_dated
 
 
-def test_a_table_with_dates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_table_with_dates_is_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = "t,x,y,z\n2024-05-01T10:00:00.000Z,1,-2,3\n2024-05-01T10:00:00.020Z,4,5,-6\n"
     write(tmp_path, rows, NAMED.replace('unit = "s"', 'unit = "iso8601"'))
     with open_log(tmp_path / "out.h5") as log:
@@ -91,8 +91,8 @@ def test_a_table_with_dates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert "event     0.000 s" in out and "1970" not in out
 
 
-def test_what_the_counts_of_a_thermometer_mean(tmp_path: Path) -> None:
-    """By the map they come into the log, and out of its export again."""
+def test_the_scale_of_a_thermometer_is_imported_and_exported(tmp_path: Path) -> None:
+    """The map gives it to the log, and the export returns it."""
     said = 'temperature_column = "w"\nthermometer = { zero_degc = 36.53, lsb_per_degc = 340 }\n'
     write(tmp_path, "t,x,y,z,w\n0.5,1,-2,3,-340\n0.51,4,5,-6,680\n", NAMED + said)
     assert main(["export", str(tmp_path / "out.h5"), "-o", str(tmp_path / "out.npz")]) == 0
@@ -106,7 +106,7 @@ def test_what_the_counts_of_a_thermometer_mean(tmp_path: Path) -> None:
             assert LikeLog(log).temperature_source == "chip"
 
 
-def test_a_table_packed_by_gzip(tmp_path: Path) -> None:
+def test_a_table_compressed_by_gzip_is_imported(tmp_path: Path) -> None:
     packed = gzip.compress(b"t,x,y,z\n" + b"".join(b"%d,1,-2,3\n" % row for row in range(5000)))
     assert write(tmp_path, packed, NAMED).rows == 5000
     (tmp_path / "out.h5").unlink()
@@ -131,12 +131,12 @@ def test_a_table_packed_by_gzip(tmp_path: Path) -> None:
         ("", "0,1,2,3,9\n1,4,5,6,9\n"),
     ],
 )
-def test_layouts_of_the_same_table(tmp_path: Path, layout: str, table: str) -> None:
+def test_layouts_of_the_same_table_give_the_same_log(tmp_path: Path, layout: str, table: str) -> None:
     write(tmp_path, table, layout + NUMBERED)
     assert counts_and_times(tmp_path) == ([[1, 2, 3], [4, 5, 6]], [0, 1_000_000_000])
 
 
-def test_a_header_after_skipped_rows_in_another_alphabet(tmp_path: Path) -> None:
+def test_a_header_in_another_alphabet_after_skipped_rows_is_read(tmp_path: Path) -> None:
     write(
         tmp_path,
         "Einheit \xb5T\n t ;x; y;z\n0;1;2;3\n".encode("latin-1"),
@@ -145,7 +145,7 @@ def test_a_header_after_skipped_rows_in_another_alphabet(tmp_path: Path) -> None
     assert counts_and_times(tmp_path) == ([[1, 2, 3]], [0])
 
 
-def test_a_rate_instead_of_a_column(tmp_path: Path) -> None:
+def test_a_rate_replaces_a_column_of_time(tmp_path: Path) -> None:
     assert write(tmp_path, "1,2,3\n4,5,6\n7,8,9\n", RATE).seconds == pytest.approx(0.02)
     assert counts_and_times(tmp_path)[1] == [0, 10_000_000, 20_000_000]
     with open_log(tmp_path / "out.h5") as log:
@@ -158,7 +158,7 @@ def test_a_rate_does_not_drift(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("unit", "time_ns"), [("s", 10**9), ("ms", 10**6), ("us", 10**3), ("ns", 1)])
-def test_units_of_time(tmp_path: Path, unit: str, time_ns: int) -> None:
+def test_units_of_time_are_converted(tmp_path: Path, unit: str, time_ns: int) -> None:
     write(tmp_path, "t,x,y,z\n-1,1,2,3\n2,1,2,3\n", NAMED.replace('"s"', f'"{unit}"'))
     assert counts_and_times(tmp_path)[1] == [-time_ns, 2 * time_ns]
 
@@ -168,7 +168,7 @@ def test_times_since_1970_keep_every_nanosecond(tmp_path: Path) -> None:
     assert counts_and_times(tmp_path)[1] == [1_367_400_000_123_456_789, 1_367_400_000_123_456_790]
 
 
-def test_two_sensors_a_thermometer_and_physical_values(tmp_path: Path) -> None:
+def test_two_sensors_with_physical_values_and_a_thermometer(tmp_path: Path) -> None:
     gyro = """
 [[sensor]]
 name = "G"
@@ -201,7 +201,7 @@ def test_the_ends_of_the_code_span_are_saturated(tmp_path: Path) -> None:
         assert log["A"].status[:].tolist() == [0, SATURATED, SATURATED]
 
 
-def test_phases_hold_their_first_and_last_row(tmp_path: Path) -> None:
+def test_phases_include_their_first_and_last_row(tmp_path: Path) -> None:
     phases = '[[phase]]\nname = "z_up"\nrows = [0, 1]\n[[phase]]\nname = "x_down"\nrows = [2, 2]\n'
     write(tmp_path, "t,x,y,z\n" + "".join(f"{row},{row},0,0\n" for row in range(4)), NAMED + phases, block_rows=1)
     with open_log(tmp_path / "out.h5") as log:
@@ -210,7 +210,7 @@ def test_phases_hold_their_first_and_last_row(tmp_path: Path) -> None:
     assert inside == [[0, 1], [2]]
 
 
-def test_a_phase_beyond_the_table(tmp_path: Path) -> None:
+def test_a_phase_beyond_the_table_is_refused(tmp_path: Path) -> None:
     phase = '[[phase]]\nname = "z_up"\nrows = [0, 2]\n'
     message = refused(tmp_path, "t,x,y,z\n0,1,2,3\n1,1,2,3\n", NAMED + phase, ConfigError)
     assert message == "map.toml: phase 1 'z_up': rows [0, 2], but data.csv has data rows 0 to 1"
@@ -218,8 +218,10 @@ def test_a_phase_beyond_the_table(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("hole", some(["", " ", "nan", "NaN", "NA", "null", "None"], 2))
 @pytest.mark.parametrize("block_rows", [1, 2, 4096])
-def test_a_reading_that_lacks_an_axis_is_left_out(tmp_path: Path, hole: str, block_rows: int) -> None:
-    """Two in a row are one loss before the next reading; a row without any value belongs to another sensor."""
+def test_a_reading_without_an_axis_is_omitted(tmp_path: Path, hole: str, block_rows: int) -> None:
+    """Two consecutive readings are one loss before the next reading; a row without any value belongs to
+    another sensor.
+    """
     rows = ["0,1,2,3", f"1,4,{hole},6", f"2,{hole},5,6", "3,4,5,6", "4,7,8,9", f"5,{hole},{hole},{hole}", "6,1,1,1"]
     summary = write(tmp_path, "\n".join(rows) + "\n", NUMBERED, block_rows=block_rows)
     assert counts_and_times(tmp_path) == (
@@ -234,13 +236,13 @@ def test_a_reading_that_lacks_an_axis_is_left_out(tmp_path: Path, hole: str, blo
     )
 
 
-def test_the_last_comment_is_the_header_of_a_table_that_has_no_other(tmp_path: Path) -> None:
-    """As numpy.savetxt and the EuRoC data sets write it."""
+def test_the_last_comment_is_the_header_of_a_table_without_one(tmp_path: Path) -> None:
+    """The format of numpy.savetxt and of the EuRoC data sets."""
     write(tmp_path, "# recorded on a bench\n#t, x, y, z\n0.5,1,-2,3\n# a pause\n0.51,4,5,-6\n", NAMED)
     assert counts_and_times(tmp_path) == ([[1, -2, 3], [4, 5, -6]], [500_000_000, 510_000_000])
 
 
-def test_a_comment_above_a_header_is_no_header(tmp_path: Path) -> None:
+def test_a_comment_above_a_header_is_ignored(tmp_path: Path) -> None:
     write(tmp_path, "#a,b,c,d\nt,x,y,z\n0.5,1,-2,3\n0.51,4,5,-6\n", NAMED)
     assert counts_and_times(tmp_path)[0] == [[1, -2, 3], [4, 5, -6]]
 
@@ -276,7 +278,7 @@ def test_a_comment_above_a_header_is_no_header(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_cells_that_are_wrong(tmp_path: Path, table: str, message: str) -> None:
+def test_wrong_cells_are_refused(tmp_path: Path, table: str, message: str) -> None:
     assert refused(tmp_path, table, NUMBERED).startswith(message)
 
 
@@ -291,22 +293,22 @@ def test_cells_that_are_wrong(tmp_path: Path, table: str, message: str) -> None:
         ("t,x,y,z\n0,1,?,3\n", "data.csv: line 2, column 'y': '?' is not a number"),
     ],
 )
-def test_headers_that_are_wrong(tmp_path: Path, table: str, message: str) -> None:
+def test_wrong_headers_are_refused(tmp_path: Path, table: str, message: str) -> None:
     assert refused(tmp_path, table, NAMED).startswith(message)
 
 
-def test_a_physical_value_that_no_count_can_hold(tmp_path: Path) -> None:
+def test_a_physical_value_beyond_the_counts_is_refused(tmp_path: Path) -> None:
     message = refused(tmp_path, "0,1,2,3\n1,4,5,100\n", NUMBERED + 'values = "physical"\n')
     wanted = "data.csv: line 2, column 3: 100 is 51200 counts; allowed are -32768 to 32767"
     assert message == wanted + "; are unit and sensitivity those of the column?"
 
 
 @pytest.mark.parametrize("content", [bytes(range(256)) * 10, b"\x00" * 100, b'"' + b"1,\n" * 100_000])
-def test_what_is_no_table(tmp_path: Path, content: bytes) -> None:
+def test_binary_data_is_refused(tmp_path: Path, content: bytes) -> None:
     assert refused(tmp_path, content, NUMBERED).startswith("data.csv: ")
 
 
-def test_an_error_late_in_the_file_leaves_nothing_and_spares_the_old_log(tmp_path: Path) -> None:
+def test_a_late_error_keeps_the_old_log_and_no_partial_file(tmp_path: Path) -> None:
     rows = "".join(f"{row},1,2,3\n" for row in range(10_000))
     assert refused(tmp_path, rows + "10000,1,2,x\n", NUMBERED).startswith("data.csv: line 10001, column 3: 'x'")
     write(tmp_path, rows, NUMBERED)
@@ -318,12 +320,12 @@ def test_an_error_late_in_the_file_leaves_nothing_and_spares_the_old_log(tmp_pat
     assert (tmp_path / "out.h5").read_bytes() == before
 
 
-def test_time_increases_across_blocks(tmp_path: Path) -> None:
+def test_time_must_increase_across_blocks(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match=r"line 2, column 0: 0 is not later than the row before"):
         write(tmp_path, "0,1,2,3\n0,1,2,3\n", NUMBERED, block_rows=1)
 
 
-def test_the_source_is_never_the_output(tmp_path: Path) -> None:
+def test_the_source_as_output_is_refused(tmp_path: Path) -> None:
     write(tmp_path, "0,1,2,3\n", NUMBERED)
     with pytest.raises(SourceError, match="is also the output"):
         import_table(tmp_path / "data.csv", tmp_path / "map.toml", tmp_path / "data.csv", force=True)
@@ -339,7 +341,7 @@ COUNT = st.integers(-32768, 32767)
     st.sampled_from([",", ";", "\\t", " ", "|"]),
     st.integers(1, 7),
 )
-def test_every_count_and_time_survives(rows: list[tuple[int, int, int, int]], delimiter: str, block_rows: int) -> None:
+def test_every_count_and_time_is_kept(rows: list[tuple[int, int, int, int]], delimiter: str, block_rows: int) -> None:
     times = np.cumsum([step for step, *_ in rows]).tolist()
     between = "\t" if delimiter == "\\t" else delimiter
     text = [f"{time // 1000}.{time % 1000:03d}" for time in times]

@@ -1,4 +1,4 @@
-"""Thermometers and references of other rigs, from their recording to what `calibrate thermal` makes of them."""
+"""Thermometers and references of other rigs, from their recording to `calibrate thermal`."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def imported(folder: Path, more: str, sensor: str = "") -> Path:
         2,
     ),
 )
-def test_a_temperature_is_calibrated_against(sensor: str, more: str, kind: str, tmp_path: Path) -> None:
+def test_slopes_are_calibrated_with_an_imported_temperature(sensor: str, more: str, kind: str, tmp_path: Path) -> None:
     degc = warming(tmp_path)
     with open_log(imported(tmp_path, more, sensor)) as log:
         found = thermometer_of(log, log["Acc"], 5.0)
@@ -79,8 +79,8 @@ def test_a_temperature_is_calibrated_against(sensor: str, more: str, kind: str, 
 
 
 @pytest.mark.slow
-def test_a_simulation_like_the_log_takes_the_temperature_of_its_own_thermometer(tmp_path: Path) -> None:
-    """Beside a chip whose counts of temperature nobody explains."""
+def test_a_simulation_uses_the_temperature_of_the_external_thermometer(tmp_path: Path) -> None:
+    """The chip has counts of temperature of unknown scale in addition."""
     degc = warming(tmp_path)
     more = '[[thermometer]]\nname = "Baro"\ncolumn = "degc"\nunit = "degC"\n'
     with open_log(imported(tmp_path, more, 'temperature_column = "code"\n')) as log:
@@ -91,7 +91,7 @@ def test_a_simulation_like_the_log_takes_the_temperature_of_its_own_thermometer(
 
 
 @pytest.mark.slow
-def test_a_thermometer_of_its_own_in_every_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_accepts_an_external_thermometer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     warming(tmp_path)
     run = imported(tmp_path, '[[thermometer]]\nname = "Baro"\nchip = "bmp085"\ncolumn = "degc"\nunit = "degC"\n')
     with open_log(run) as log:
@@ -111,7 +111,7 @@ def test_a_thermometer_of_its_own_in_every_command(tmp_path: Path, capsys: pytes
 
 
 @pytest.mark.slow
-def test_a_reference_has_what_was_named_and_nothing_else(tmp_path: Path) -> None:
+def test_a_reference_has_only_the_named_columns(tmp_path: Path) -> None:
     warming(tmp_path)
     run = imported(tmp_path, '[reference]\ntemperature = { column = "degc" }\n')
     with open_log(run) as log:
@@ -127,7 +127,7 @@ def test_a_reference_has_what_was_named_and_nothing_else(tmp_path: Path) -> None
             assert log.reference.temperature is not None
 
 
-def test_a_reference_in_any_unit(tmp_path: Path) -> None:
+def test_a_reference_in_any_unit_is_converted(tmp_path: Path) -> None:
     (tmp_path / "data.csv").write_text(
         "t,x,y,z,fx,fy,fz,wx,wy,wz\n0,1,2,3,1,0,-0.5,180,0,90\n1,1,2,3,,,,,,\n2,1,2,3,0,0,1,0,0,0\n"
     )
@@ -146,7 +146,7 @@ angular_rate = { columns = ["wx", "wy", "wz"], unit = "dps" }
 
 
 @pytest.mark.slow
-def test_up_names_the_face(tmp_path: Path) -> None:
+def test_the_option_up_names_the_face(tmp_path: Path) -> None:
     """`--up` of the command, and of a phase."""
     warming(tmp_path)
     imported(tmp_path, "")
@@ -164,7 +164,7 @@ def test_up_names_the_face(tmp_path: Path) -> None:
     assert main([*arguments, str(tmp_path / "both.h5"), "--up", "-X"]) == 2
 
 
-def test_a_temperature_with_blank_cells_is_a_thermometer_of_its_own(
+def test_a_temperature_with_blank_cells_is_a_separate_thermometer(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Many recorders read the temperature in every tenth row only."""

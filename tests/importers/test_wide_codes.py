@@ -1,4 +1,4 @@
-"""Codes of more than 16 bits: a log keeps each of them."""
+"""Codes of more than 16 bits are kept in a log."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_codes_of_20_bits_are_kept(tmp_path: Path) -> None:
     )
 
 
-def test_twos_complement_of_24_bits_that_was_read_as_unsigned(tmp_path: Path) -> None:
+def test_twos_complement_of_24_bits_read_as_unsigned_is_restored(tmp_path: Path) -> None:
     codes = codes_of_20_bits() * 16
     source = write(tmp_path, codes % (1 << 24), "{:d}")
     sensor, _ = imported(tmp_path, source, MAP + "range = 2.048\nsensitivity = 4096000\nbits = 24\n")
@@ -72,7 +72,7 @@ def test_twos_complement_of_24_bits_that_was_read_as_unsigned(tmp_path: Path) ->
     assert np.array_equal(np.asarray(sensor.counts[:]), codes)
 
 
-def test_a_wide_range_in_the_map_alone_makes_no_wide_counts(tmp_path: Path) -> None:
+def test_a_wide_range_of_the_map_alone_gives_no_wide_counts(tmp_path: Path) -> None:
     codes = np.rint(walk(600).force_g * 4096).astype(int)
     sensor, _ = imported(tmp_path, write(tmp_path, codes, "{:d}"), MAP + "range = 16\nsensitivity = 4096\n")
     assert sensor.count_bits == 16
@@ -103,7 +103,7 @@ def test_noise_below_a_count_of_16_bits_keeps_the_digits(tmp_path: Path) -> None
     assert sensor.attributes["resolution"] == "digits"
 
 
-def test_fine_values_on_no_grid_lose_a_sixteenth_of_their_noise_at_most(tmp_path: Path) -> None:
+def test_fine_values_without_a_grid_are_rounded_to_a_sixteenth_of_their_noise(tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     values = np.array([0.01, -0.02, 1.0]) + rng.normal(0, 1e-6, (600, 3))
     np.savez(tmp_path / "recording.npz", t=np.arange(600) * 0.01, acc=values)
@@ -122,7 +122,7 @@ def test_coarse_noise_stays_in_16_bits(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", some(["npz", "csv", "parquet"], 1))
-def test_exported_counts_come_back(tmp_path: Path, suffix: str) -> None:
+def test_exported_counts_are_imported_unchanged(tmp_path: Path, suffix: str) -> None:
     codes = codes_of_20_bits()
     imported(tmp_path, write(tmp_path, codes, "{:d}"), ADXL355)
     target = tmp_path / f"again.{suffix}"
