@@ -1,4 +1,4 @@
-"""Cases, and what is done with them where tests look at how they are run: importable wherever they are worked on."""
+"""Cases and their job for tests of the executors; importable in every worker."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def case_of(number: int, plan: str = "work") -> Case:
 
 
 def worked(case: Case, folder: Path) -> None:
-    """Does what the case's plan says, then writes what depends on its seed alone."""
+    """Acts by the case's plan, then writes a result that depends on its seed alone."""
     trace = folder / f"{case.plan}-{case.number}"
     if case.plan == "raise":
         raise ValueError("no\nsuch thing")
@@ -48,7 +48,7 @@ def _count(trace: Path) -> None:
 
 
 def written(folder: Path) -> dict[str, bytes]:
-    """Every file that is for others, and what is in it."""
+    """Every public file of a run, with its content."""
     return {
         f"{path.parent.name}/{path.name}": path.read_bytes()
         for part in ("outcomes", "sealed")

@@ -1,4 +1,4 @@
-"""Runs made by hand: cases, what was at work in them, and what a diagnosis said, as the files of a folder."""
+"""Runs made by hand: cases, their truth, and their diagnoses, as the files of a folder."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NAMES: Mapping[str, tuple[str, ...]] = {
 
 
 def cause(effect: str, probability: float = 0.9, *sensors: str, **more: Any) -> dict[str, Any]:
-    """As the JSON of a diagnosis has it; on Gyro1 unless said."""
+    """A cause as in the JSON of a diagnosis; on Gyro1 by default."""
     return {
         "effect": effect,
         "action": "add",
@@ -45,7 +45,7 @@ def said(
     unknown: float = 0.1,
     unshown: Sequence[Mapping[str, Any]] = (),
 ) -> dict[str, Any]:
-    """A diagnosis in which a gap is told."""
+    """A diagnosis that reports a gap."""
     gap = {"before": 9.0, "after": 2.0, "floor": 1.0, "closed": closed, "closed_ci95": ci95 and list(ci95)}
     return {
         "verdict": verdict,
@@ -83,7 +83,7 @@ class Made:
         touched: Sequence[Mapping[str, Sequence[str]]] = (),
         **about: Any,
     ) -> Case:
-        """The next one, of those that are sealed; in each log what comes by chance `touched` these. `about`: other
+        """The next case, with its truth sealed; in each log random faults `touched` these sensors. `about`: other
         fields of the case.
         """
         self.count += 1
@@ -109,7 +109,7 @@ class Made:
         return case
 
     def answer(self, case: Case, diagnosis: Mapping[str, Any], **more: Any) -> None:
-        """What came of it."""
+        """Write the outcome of a case."""
         outcome = Outcome(case.name, diagnosis, **{"oracle": {}, "seconds": 10.0, **more})
         write_json(self.folder / "outcomes" / f"{case.name}.json", asdict(outcome))
 
@@ -125,7 +125,7 @@ class Made:
 
 
 def put(mechanism: str, limits: float = 5.0, *sensors: str) -> Put:
-    """On Gyro1 unless said; nan: it is there or not."""
+    """A mechanism, on Gyro1 by default; nan: it has no severity."""
     return Put(mechanism, 1.0 if limits != limits else limits / 2, limits, sensors)
 
 

@@ -1,4 +1,4 @@
-"""Rates of being right, from causes that were drawn with known ones, and from a run's folder."""
+"""Rates of right causes, from causes that were drawn with known rates, and from a folder of a run."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from tests.validation.made_run import Made, cause, put, said
 
 
 @pytest.mark.slow
-def test_rates_are_found_again() -> None:
-    """800 causes each that close nothing, a half and all of it, half of them with odds of 27 to 1 against a rival, half
-    without one (10000 to 1): by the third root worth 3 and 21.5 to 1. Drawn from 0.25 and 0.9 and squares; shares of
-    400 come within 0.08 but for one in a thousand.
+def test_known_rates_are_estimated() -> None:
+    """800 causes each that close none, a half and all of the gap, half of them with odds of 27 to 1 against a rival,
+    half without a rival (10000 to 1): by the third root worth 3 and 21.5 to 1. Drawn from 0.25 and 0.9 and squares;
+    shares of 400 are within 0.08 except for one in a thousand.
     """
     random = np.random.default_rng(2)
     claims = [
@@ -35,8 +35,10 @@ def test_rates_are_found_again() -> None:
     assert all(map(math.isnan, fit_rates([])))
 
 
-def test_a_run(tmp_path: Path) -> None:
-    """Right, of another sensor, and one that has no share; a pair counts, what has to go doesn't."""
+def test_causes_of_a_run_are_counted_as_right_or_wrong(tmp_path: Path) -> None:
+    """A right cause, a cause at another sensor, and a cause without a share; a pair is counted, an effect to remove is
+    not.
+    """
     made = Made(tmp_path)
     right, other = (cause("tone", 0.7, sensor, share=0.95, all_closed=0.9) for sensor in ("Gyro1", "Gyro3"))
     made.both("single", said(right, other, cause("axis_error", 0.9, share=None)), put("mains_ripple"))
@@ -49,8 +51,10 @@ def test_a_run(tmp_path: Path) -> None:
     assert "0.90 to 0.95 closed: 0.50 of 2" in printed
 
 
-def test_what_is_confused_is_counted(tmp_path: Path) -> None:
-    """Three of four ripples are called a scale once, twice a tone, once a jitter; one of nothing is no confusion."""
+def test_confusions_are_counted(tmp_path: Path) -> None:
+    """Three of four ripples: one is named a scale, two a tone, one a jitter; a case without a cause is
+    not a confusion.
+    """
     made = Made(tmp_path)
     for first in ("scale", "scale", "tone", "tone", "tone", "jitter"):
         made.both("single", said(cause(first)), put("mains_ripple"))
@@ -60,9 +64,10 @@ def test_what_is_confused_is_counted(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_probabilities_are_judged_by_rates_of_other_worlds(tmp_path: Path) -> None:
+def test_probabilities_are_scored_by_rates_of_other_worlds(tmp_path: Path) -> None:
     """Where every cause with a share of 0.95 that closes nine tenths is right in half of the cases, rates fitted to
-    some say about a half of the others; of a second kind of world in which they are never right that is far off.
+    some predict about a half for the others; for a second kind of world in which they are never right the prediction is
+    far off.
     """
     made = Made(tmp_path)
     diagnosis = said(cause("tone", 0.9, share=0.95, all_closed=0.9))

@@ -1,4 +1,4 @@
-"""Folders of cases: what their truth says becomes a case, and what is no truth is refused in a line."""
+"""Folders of cases: their truth is read as a case, and an invalid truth is refused in one line."""
 
 from __future__ import annotations
 
@@ -52,8 +52,10 @@ def effect(name: str | None, severity: float | None = 5.0, axes: str = "x", **mo
     }
 
 
-def test_a_truth_becomes_a_case(tmp_path: Path) -> None:
-    """By its effects' names: one, none, two, no effect; a thermometer that is off is what parts may have."""
+def test_a_truth_is_read_as_a_case(tmp_path: Path) -> None:
+    """By the names of its effects: one, none, two, no effect; an offset of a thermometer is within the tolerance of
+    parts.
+    """
     truths = [
         truth(effect("tone", also_called=["common_mode"]), experiments=["static", "heating"], sensors={"A": "bma180"}),
         truth(effect(None, None, "xyz"), kind="unknown", world="real", strata={"busy_board": True}),
@@ -64,10 +66,10 @@ def test_a_truth_becomes_a_case(tmp_path: Path) -> None:
     for number, written_truth in enumerate(truths):
         written(tmp_path / f"{number:03d}" / "log.h5")
         write_truth(tmp_path, f"{number:03d}", written_truth)
-    (tmp_path / "999").mkdir()  # a case that was never finished
+    (tmp_path / "999").mkdir()  # an unfinished case
     planned = cases_in([tmp_path], "sealed", 10)
     assert [case.name for case in planned] == [f"sealed-{number:05d}" for number in range(10, 15)]
-    assert all(case.kind == "none" and not case.puts for case in planned)  # nothing of the truth
+    assert all(case.kind == "none" and not case.puts for case in planned)  # no part of the truth
     named, unnamed, pair, control, part = (read_case(case) for case in planned)
     case, logs, sealed = named
     assert (case.kind, case.plan, case.world, case.chips) == ("single", "heating+static", "foreign", {"A": "bma180"})
@@ -91,7 +93,7 @@ def test_a_truth_becomes_a_case(tmp_path: Path) -> None:
         (truth(effect("ghost")), "effect 'ghost': allowed are"),
     ],
 )
-def test_what_is_no_truth_is_refused(tmp_path: Path, table: dict[str, Any], said: str) -> None:
+def test_an_invalid_truth_is_refused(tmp_path: Path, table: dict[str, Any], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         write_truth(tmp_path, "000", table)
     written(tmp_path / "000" / "log.h5")
@@ -121,9 +123,9 @@ def injected(tmp_path: Path, name: str, size: float) -> tuple[Any, Any, Any, Any
 
 
 @pytest.mark.slow
-def test_what_is_put_into_a_recording(tmp_path: Path) -> None:
+def test_effects_put_into_a_recording(tmp_path: Path) -> None:
     """A line of 100 counts has a variance of 100^2 / 2, on one axis; a wander of 100 rms is slow; a tenth of the rows
-    is gone; codes are even; a clock is 2 % fast; an axis is another's.
+    is missing; codes are even; a clock is 2 % fast; an axis has the readings of another.
     """
     _, before, _, after = injected(tmp_path / "line", "line", 100.0)
     added = after - before
@@ -165,8 +167,10 @@ def _coarse(rows: Rows, axis: int, size: float, random: Any) -> Rows:
     return rows._replace(counts=np.round(rows.counts / 8) * 8)
 
 
-def test_only_effects_that_a_recording_shows_are_put_into_it(tmp_path: Path) -> None:
-    """At rest neither a swapped axis nor a wrong clock shows; doubled steps only in the sensor with all codes."""
+def test_only_observable_effects_are_put_into_a_recording(tmp_path: Path) -> None:
+    """At rest neither a swapped axis nor a wrong clock is observable; doubled steps only in the sensor
+    with all codes.
+    """
     path = written(tmp_path / "run.h5")
     inject(path, INJECTIONS["even_codes"], "A", 0, 1.0, seed=1)
     names = ("swapped_axis", "clock_off", "even_codes")
@@ -175,8 +179,8 @@ def test_only_effects_that_a_recording_shows_are_put_into_it(tmp_path: Path) -> 
     assert [(effect["effect"], effect["sensors"]) for effect in told["effects"]] == [("even_codes", ["G"])]
 
 
-def test_a_recording_becomes_a_control_and_cases(tmp_path: Path) -> None:
-    """Of the size that is asked for; the control is the untouched log, and a second recording goes on behind it."""
+def test_a_recording_gives_a_control_and_cases(tmp_path: Path) -> None:
+    """Cases of the requested size; the control is the unchanged log, and the cases of a second recording follow."""
     path = written(tmp_path / "run.h5")
     folder = tmp_path / "cases"
     numbers = write_cases([path], folder, 1, names=("line", "even_codes"), limits=5.0)

@@ -1,4 +1,4 @@
-"""Cases over a real Dask scheduler: a lost worker costs nothing but time, and the outcomes are those of one process."""
+"""Cases over a real Dask scheduler: a lost worker loses no outcome, and the outcomes are those of one process."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ Found = TypeVar("Found")
 
 @pytest.fixture(autouse=True)
 def _importable(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Processes have their path from here: they import the tests' jobs."""
+    """Processes inherit the path from here, to import the jobs of the tests."""
     monkeypatch.setattr(sys, "path", [str(ROOT), *sys.path])
 
 
 def soon(look: Callable[[], Found | None]) -> Found:
-    """What `look` finds, as soon as it finds anything."""
+    """Wait until `look` returns a value, and return it."""
     until = time.monotonic() + WAIT_S
     while time.monotonic() < until:
         result = look()
@@ -63,7 +63,7 @@ def dask(*arguments: str, **environment: str) -> Iterator[subprocess.Popen[bytes
 
 @contextmanager
 def cluster(folder: Path, nanny: str, allowed_failures: int = 3) -> Iterator[tuple[Workers, subprocess.Popen[bytes]]]:
-    """Two workers of one thread each, and their scheduler. A nanny starts its worker anew when it dies."""
+    """Two workers of one thread each, and their scheduler. A nanny restarts its worker after its death."""
     schedule = folder / "scheduler.json"
     allowed = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": str(allowed_failures)}
     with ExitStack() as stack:
@@ -77,8 +77,8 @@ def cluster(folder: Path, nanny: str, allowed_failures: int = 3) -> Iterator[tup
         yield executor, scheduler
 
 
-def test_a_killed_worker_costs_nothing(tmp_path: Path) -> None:
-    """It is in the middle of a case; the one that is left does that case and all others."""
+def test_a_killed_worker_loses_no_case(tmp_path: Path) -> None:
+    """It is in the middle of a case; the remaining worker runs that case and all others."""
     cases = [case_of(number, "wait to be killed" if number == 5 else "slow") for number in range(24)]
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()
@@ -103,8 +103,8 @@ def test_a_killed_worker_costs_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("allowed_failures", [0, 3])
-def test_a_case_that_kills_its_workers_is_lost_after_two(tmp_path: Path, allowed_failures: int) -> None:
-    """Whether the scheduler sends a lost worker's case to another one or gives it back."""
+def test_a_case_that_kills_two_workers_is_lost(tmp_path: Path, allowed_failures: int) -> None:
+    """Both if the scheduler sends the case of a lost worker to another worker and if it returns it."""
     plans = {4: "die", 9: "die once", 11: "raise"}
     cases = [case_of(number, plans.get(number, "work")) for number in range(20)]
     here, there = tmp_path / "here", tmp_path / "there"
@@ -117,7 +117,7 @@ def test_a_case_that_kills_its_workers_is_lost_after_two(tmp_path: Path, allowed
     assert written(there) == written(here)
 
 
-def test_when_the_scheduler_is_gone_another_executor_goes_on(tmp_path: Path) -> None:
+def test_another_executor_continues_after_the_scheduler_is_lost(tmp_path: Path) -> None:
     cases = [case_of(number, "slow") for number in range(24)]
     here, there = tmp_path / "here", tmp_path / "there"
     run_cases(cases, here, worked)
@@ -135,7 +135,7 @@ def test_when_the_scheduler_is_gone_another_executor_goes_on(tmp_path: Path) -> 
     assert written(there) == written(here)
 
 
-def test_where_no_scheduler_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_scheduler_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(running, "_CONNECT_S", 0.5)
     with (
         pytest.raises(ImuArrayError, match=r"tcp://127.0.0.1:9: no Dask scheduler"),

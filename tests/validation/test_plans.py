@@ -1,4 +1,4 @@
-"""Which cases there are, and that nothing of a half is in the other."""
+"""The planned cases, and the independence of both halves."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ UNITS = {"adxl345": "g", "bma180": "g", "l3g4200d": "dps"}
 
 
 @pytest.mark.slow
-def test_everything_is_withheld_put_to_work_and_recorded_in_every_plan() -> None:
-    """On the bench: each mechanism that has a name at five severities, each other one, each extra effect."""
+def test_every_plan_has_every_mechanism_and_extra_effect() -> None:
+    """On the bench: each mechanism with a name at five severities, each other mechanism, each extra effect."""
     planned = cases("sealed", BENCH)
     kinds = Counter(case.kind for case in planned)
     assert kinds["none"] == 200 * len(PLANS)
@@ -42,7 +42,7 @@ def test_everything_is_withheld_put_to_work_and_recorded_in_every_plan() -> None
 
 
 @pytest.mark.slow
-def test_halves_and_sets_share_no_seed() -> None:
+def test_halves_and_sets_have_different_seeds() -> None:
     size = Size(controls=4, singles=1, severities=(5.0,))
     halves = [cases(half, size, seed) for half in ("development", "sealed") for seed in (0, 1, 99)]
     seeds = [case.seed for half in halves for case in half]
@@ -53,7 +53,7 @@ def test_halves_and_sets_share_no_seed() -> None:
 
 
 @pytest.mark.slow
-def test_a_case_tells_nothing_by_its_name_and_survives_json() -> None:
+def test_the_name_of_a_case_hides_its_truth_and_json_keeps_it() -> None:
     for case in cases("development", replace(SIZES["bench"], controls=1)):
         assert case.name == f"development-{case.number:05d}"
         again = Case.of_table(case.table())
@@ -61,8 +61,8 @@ def test_a_case_tells_nothing_by_its_name_and_survives_json() -> None:
 
 
 @pytest.mark.slow
-def test_where_mechanisms_are_put() -> None:
-    """On sensors that they touch; two at once on different ones, or on one."""
+def test_mechanisms_are_put_on_suitable_sensors() -> None:
+    """On sensors that they affect; pairs on different sensors, or on one."""
     planned = cases("development", BENCH)
     for case in planned:
         for put in case.puts:
@@ -83,14 +83,14 @@ def test_severity_is_in_detection_limits() -> None:
 
 
 @pytest.mark.slow
-def test_limits_are_of_mechanisms_that_are_graded() -> None:
+def test_limits_exist_for_graded_mechanisms_only() -> None:
     graded = {name for name, facts in mechanisms().items() if facts["graded"]}
     assert set(LIMITS) <= graded
     assert all(value > 0 for limits in LIMITS.values() for value in limits.values() if not math.isnan(value))
 
 
-def test_extra_effects_are_effects() -> None:
-    """With parameters that they have, in the unit of their sensor."""
+def test_extra_effects_are_valid_effects() -> None:
+    """With existing parameters, in the unit of their sensor."""
     for extra in EXTRAS:
         effect = from_table(EFFECTS[extra["effect"]], extra["parameters"], UNITS[extra["chip"]], "extra")
         assert effect != EFFECTS[extra["effect"]]()
@@ -99,8 +99,8 @@ def test_extra_effects_are_effects() -> None:
 
 
 @pytest.mark.slow
-def test_a_short_run_asks_everything_in_random_worlds() -> None:
-    """At least 400 cases; every mechanism and every kind; each in a world of its own that has what it needs."""
+def test_a_short_run_has_every_mechanism_in_random_worlds() -> None:
+    """At least 400 cases; every mechanism and every kind; each in its own world that can show it."""
     planned = cases("sealed", SIZES["short"])
     assert len(planned) >= 400
     assert {case.kind for case in planned} == {"none", "single", "withheld", "unnamed", "pair", "removal"}
@@ -125,7 +125,7 @@ def test_a_short_run_asks_everything_in_random_worlds() -> None:
 
 
 def test_a_run_is_restricted_to_effects_severities_and_repeats() -> None:
-    """Three mechanisms show as glitches, and one extra effect is glitches."""
+    """Three mechanisms resemble glitches, and one extra effect is glitches."""
     size = restrict(SIZES["bench"], ["glitches"], [20.0, 0.5], 3)
     planned = cases("development", size)
     by_kind = Counter(case.kind for case in planned)
@@ -141,13 +141,13 @@ def test_a_run_is_restricted_to_effects_severities_and_repeats() -> None:
     assert all("glitches" in names for case in planned for names in case.resembles)
 
 
-def test_an_effect_replaces_the_own_mechanisms_of_a_size() -> None:
+def test_an_effect_replaces_the_mechanisms_of_a_size() -> None:
     size = restrict(SIZES["glance"], ["bistable_bias"], repeats=2)
     assert [case.puts[0].mechanism for case in cases("development", size)] == ["bias_current_dac"] * 2
     assert restrict(SIZES["full"]) == SIZES["full"]
 
 
-def test_fewer_repeats_leave_some_of_each_kind() -> None:
+def test_fewer_repeats_keep_cases_of_each_kind() -> None:
     size = restrict(SIZES["short"], repeats=1)
     assert (size.controls, size.singles, size.hidden, size.withheld, size.unnamed, size.pairs) == (75, 1, 1, 1, 2, 10)
 
@@ -165,24 +165,24 @@ def test_a_pair_needs_two_mechanisms() -> None:
         ("bench", {"severities": [3.0]}, "severity 3 detection limits; allowed are 0.5, 1, 2, 5, 20$"),
     ],
 )
-def test_a_restriction_that_no_plan_knows(size: str, given: dict[str, list[Any]], message: str) -> None:
+def test_an_unknown_restriction_is_refused(size: str, given: dict[str, list[Any]], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         restrict(SIZES[size], **given)
 
 
-def test_a_set_of_cases_has_no_seed_of_the_next() -> None:
+def test_consecutive_sets_of_cases_have_different_seeds() -> None:
     with pytest.raises(ConfigError, match=r"^10001 cases are planned; allowed are at most 10000$"):
         cases("development", Size(controls=10_001, worlds=True))
 
 
-def test_halves_share_no_world() -> None:
+def test_halves_have_different_worlds() -> None:
     size = Size(controls=30, worlds=True)
     drawn = [{case.draw for case in cases(half, size, seed)} for half in ("development", "sealed") for seed in (0, 1)]
     assert len(set.union(*drawn)) == sum(map(len, drawn))
 
 
-def test_nothing_that_no_diagnosis_names_is_a_case() -> None:
-    """A chip that warms its own thermometer is what parts do."""
+def test_mechanisms_within_tolerance_are_not_cases() -> None:
+    """A chip that warms its own thermometer is normal for parts."""
     assert "self_heating" not in mechanisms()
     assert all("thermometer" not in facts["resembles"] for facts in mechanisms().values())
 
@@ -196,7 +196,7 @@ def test_worlds_are_shuffled_together() -> None:
 
 
 @pytest.mark.parametrize("page", ["docs/how_to/validate.md", "VALIDATION.md"])
-def test_the_pages_know_how_many_cases_there_are(page: str) -> None:
+def test_the_pages_state_the_number_of_cases(page: str) -> None:
     text = (Path(__file__).parents[2] / page).read_text(encoding="utf-8")
     counts = {name: sum(1 for _ in plans._all(size)) for name, size in SIZES.items()}
     told = {"short": f"{counts['short']} cases", "full": f"{counts['full']}"}
@@ -206,8 +206,8 @@ def test_the_pages_know_how_many_cases_there_are(page: str) -> None:
         assert said in text, name
 
 
-def test_what_leaves_no_trace_is_no_case() -> None:
-    """Twins that are mounted alike, and the orientation of a single accelerometer of which nobody noted the level."""
+def test_unobservable_mechanisms_are_not_cases() -> None:
+    """Twins of the same mounting, and the orientation of a single accelerometer without a noted level."""
     worlds = [draw_world(seed) for seed in range(1_000_000, 1_000_400)]
     pairs = [(world, pair) for world in worlds for pair in world.twins()]
     assert pairs
@@ -220,7 +220,7 @@ def test_what_leaves_no_trace_is_no_case() -> None:
 
 
 @pytest.mark.slow
-def test_one_sensor_answers_for_another_only_at_the_same_address() -> None:
+def test_a_mux_hang_needs_two_sensors_at_the_same_address() -> None:
     hung = [case for case in cases("development", SIZES["short"]) if "mux_hang" in {put.mechanism for put in case.puts}]
     assert hung
     for case in hung:

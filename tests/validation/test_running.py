@@ -1,4 +1,6 @@
-"""Cases over an executor: what is done stays done, what goes wrong costs its case, and nobody can tell who worked."""
+"""Cases over an executor: finished cases stay finished, an error loses its case only, and results do not depend on
+workers.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ def counted(calls: list[int], case: Case, folder: Path) -> None:
     worked(case, folder)
 
 
-def test_a_case_with_an_outcome_is_not_run_again(tmp_path: Path) -> None:
+def test_a_case_with_an_outcome_is_not_repeated(tmp_path: Path) -> None:
     cases = [case_of(number) for number in range(4)]
     calls: list[int] = []
     heard: list[int] = []
@@ -46,7 +48,7 @@ def test_a_case_with_an_outcome_is_not_run_again(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["outcomes", "sealed"]
 
 
-def test_a_case_whose_outcome_is_cut_short_is_run_again(tmp_path: Path) -> None:
+def test_a_case_with_a_truncated_outcome_is_repeated(tmp_path: Path) -> None:
     case = case_of(0)
     run_cases([case], tmp_path, worked)
     whole = written(tmp_path)
@@ -70,7 +72,7 @@ def test_an_error_is_the_outcome_of_its_case_alone(tmp_path: Path) -> None:
     ]
 
 
-def test_errors_are_tried_again_when_asked(tmp_path: Path) -> None:
+def test_cases_with_errors_are_repeated_on_request(tmp_path: Path) -> None:
     cases = [case_of(0, "raise"), case_of(1)]
     run_cases(cases, tmp_path, worked)
     calls: list[int] = []
@@ -88,7 +90,7 @@ def test_two_cases_of_one_name_are_refused(tmp_path: Path) -> None:
 
 
 class Places(ThreadPoolExecutor):
-    """Threads, and how many calls were out at once."""
+    """Threads, and the number of simultaneous calls."""
 
     deaths: tuple[type[Exception], ...] = ()
 
@@ -98,7 +100,7 @@ class Places(ThreadPoolExecutor):
 
     @property
     def places(self) -> int:
-        """What comes next; the last for ever."""
+        """The next number of places; the last number is repeated."""
         if len(self._places) > 1:
             self.most.append(0)
             return self._places.pop(0)
@@ -118,15 +120,15 @@ class Places(ThreadPoolExecutor):
 
 
 @pytest.mark.parametrize(("places", "most"), [(3, 3), (0, 1)])
-def test_no_more_are_out_than_there_are_places_for(tmp_path: Path, places: int, most: int) -> None:
-    """One waits for a place if there is none."""
+def test_simultaneous_cases_are_limited_to_the_places(tmp_path: Path, places: int, most: int) -> None:
+    """A case waits for a free place."""
     cases = [case_of(number, "slow") for number in range(9)]
     with Places([places]) as executor:
         assert run_cases(cases, tmp_path, worked, executor) == RunSummary(9, 0, (), ())
     assert executor.most == [most]
 
 
-def test_places_that_come_later_are_used(tmp_path: Path) -> None:
+def test_later_places_are_used(tmp_path: Path) -> None:
     cases = [case_of(number, "slow") for number in range(12)]
     with Places([1, 1, 4]) as executor:
         run_cases(cases, tmp_path, worked, executor)
@@ -135,9 +137,11 @@ def test_places_that_come_later_are_used(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_who_worked_cannot_be_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A worker that dies once costs nothing, a case that kills two is lost, and all others are as if nothing was."""
-    monkeypatch.setattr(sys, "path", [str(ROOT), *sys.path])  # processes have it from here: they import the job
+def test_results_do_not_depend_on_workers_or_their_deaths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A worker that dies once loses no case, a case that kills two workers is lost, and all others have the same
+    outcome.
+    """
+    monkeypatch.setattr(sys, "path", [str(ROOT), *sys.path])  # processes inherit the path from here, to import the job
     plans = ["work", "die once", "raise", "work", "die", "work", "die once", "work"]
     cases = [case_of(number, plan) for number, plan in enumerate(plans)]
     here, one, two = (tmp_path / name for name in ("here", "one", "two"))
@@ -152,11 +156,11 @@ def test_who_worked_cannot_be_told(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         assert not (folder / "begun").exists()
     assert written(one) == written(two)
     assert written(here).items() <= written(one).items()
-    assert len(written(one)) == 8 + 6  # errors have nothing to seal
+    assert len(written(one)) == 8 + 6  # errors have no sealed file
 
 
 class Dying(Places):
-    """Its workers die before they begin."""
+    """An executor whose workers die before they begin."""
 
     deaths = (BrokenProcessPool,)
 
@@ -166,14 +170,14 @@ class Dying(Places):
         return future
 
 
-def test_workers_that_never_begin_stop_the_run(tmp_path: Path) -> None:
-    """Cases that were never tried are not lost."""
+def test_workers_that_do_not_start_stop_the_run(tmp_path: Path) -> None:
+    """Cases that were not tried are not lost."""
     with Dying([2]) as executor, pytest.raises(ImuArrayError, match="die before they begin: BrokenProcessPool: gone"):
         run_cases([case_of(0), case_of(1)], tmp_path, worked, executor)
     assert written(tmp_path) == {}
 
 
-def test_a_folder_that_workers_have_not_stops_the_run(tmp_path: Path) -> None:
+def test_a_folder_that_workers_cannot_read_stops_the_run(tmp_path: Path) -> None:
     def taken_away(done: int) -> None:
         (tmp_path / "begun").rmdir()
 
@@ -181,7 +185,7 @@ def test_a_folder_that_workers_have_not_stops_the_run(tmp_path: Path) -> None:
         run_cases([case_of(0)], tmp_path, worked, executor, progress=taken_away)
 
 
-def test_an_interrupt_says_how_to_go_on_and_the_rest_is_done_later(tmp_path: Path) -> None:
+def test_an_interrupt_prints_how_to_resume_and_the_run_can_be_resumed(tmp_path: Path) -> None:
     cases = [case_of(number) for number in range(5)]
 
     def stop(done: int) -> None:
@@ -244,12 +248,12 @@ def read_when_there(path: Path) -> int:
 @pytest.mark.parametrize(
     "text", ["", "threads", "tcp://", "tcp://here", "http://here:1", "tcp://here:1/x", "processes "]
 )
-def test_what_is_no_executor_is_refused(text: str) -> None:
+def test_an_unknown_executor_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="neither processes nor the tcp://host:port"), executor_of(text, 1):
         pass
 
 
-def test_a_cluster_needs_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_without_its_extra_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
         pytest.raises(MissingExtraError, match=r"distributed.*imuarray\[cluster\]"),
@@ -258,6 +262,6 @@ def test_a_cluster_needs_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
         pass
 
 
-def test_processes_need_a_place() -> None:
+def test_zero_processes_are_refused() -> None:
     with pytest.raises(ValueError, match="max_workers"):
         Processes(0)

@@ -1,4 +1,4 @@
-"""Figures of several worlds, what is lost between them, and of parts against the rest, in runs made by hand."""
+"""Figures of several worlds, the loss between them, and figures of parts against the rest, in runs made by hand."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ CHIPS = {"Gyro1": "l3g4200d", "BMA1": "bma180"}
 
 @pytest.fixture
 def run(tmp_path: Path) -> Made:
-    """Ten of ten first causes are right in the emulator's worlds, six of ten in another's; a false alarm in four of
-    each there, none here.
+    """Ten of ten first causes are right in the worlds of the emulator, six of ten in the other worlds; these have four
+    false alarms in ten, the emulator none.
     """
     made = Made(tmp_path)
     for world, right in (("emulator", 10), ("foreign", 6)):
@@ -48,7 +48,7 @@ def test_each_world_has_its_figures_and_its_bars(run: Made) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_lost_between_worlds_is_said_first(run: Made) -> None:
+def test_the_loss_between_worlds_is_reported_first(run: Made) -> None:
     figures_ = score_folder(run.folder)
     lost = {transfer.name: transfer.lost for transfer in figures_.transfers}
     assert lost["right cause first"] == pytest.approx(0.4)
@@ -63,8 +63,8 @@ def test_what_is_lost_between_worlds_is_said_first(run: Made) -> None:
     assert {"name": "false alarms", "emulator": 0.0, "foreign": 0.25, "lost": 0.25} in table["transfer"]
 
 
-def test_parts_are_judged_against_the_rest(run: Made) -> None:
-    """Five cases with heating, nine without, of the emulator's; the sensors of all of them have one chip."""
+def test_parts_are_compared_with_the_rest(run: Made) -> None:
+    """Five cases of the emulator with heating, nine without; the sensors of all of them have one chip."""
     answers = [item for item in read_run(run.folder).answers if item.case.world == "foreign"]
     parts = {(item.part, item.figure): item for item in split_figures(answers, {})}
     heated = parts["experiment heating", "right cause first"]
@@ -74,7 +74,7 @@ def test_parts_are_judged_against_the_rest(run: Made) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_said_of_the_control_was_not_put_in(tmp_path: Path) -> None:
+def test_causes_of_the_control_are_ignored_in_its_cases(tmp_path: Path) -> None:
     made = Made(tmp_path)
     control = made.both("none", said(cause("quantisation", 0.9, "BMA1")), world="real")
     diagnosis = said(cause("quantisation", 0.95, "BMA1"), cause("tone", 0.7, "BMA1"))
@@ -84,7 +84,7 @@ def test_what_is_said_of_the_control_was_not_put_in(tmp_path: Path) -> None:
     assert score.row("right cause first, 5x and above").bar == (0.80, None)
 
 
-def test_what_a_world_cannot_show_is_no_detection(tmp_path: Path) -> None:
+def test_unobservable_mechanisms_are_not_counted_in_detection(tmp_path: Path) -> None:
     made = Made(tmp_path)
     made.both("single", NO_GAP, put("reference_voltage"), plan="static", world="emulator", is_hidden=True)
     score = score_folder(tmp_path)
@@ -92,8 +92,8 @@ def test_what_a_world_cannot_show_is_no_detection(tmp_path: Path) -> None:
     assert score.row("effects that a plan can't show, reported so").cases == 1
 
 
-def test_an_old_case_is_read() -> None:
-    """As runs of the fixed plans have it, which say nothing of worlds."""
+def test_a_case_of_an_older_version_is_read() -> None:
+    """A case of a run of the fixed plans, which has no field of worlds."""
     table = {
         "number": 1,
         "half": "sealed",
@@ -109,8 +109,8 @@ def test_an_old_case_is_read() -> None:
 
 
 @pytest.mark.slow
-def test_what_a_world_has_by_itself_is_no_false_alarm(tmp_path: Path) -> None:
-    """Two faces that are noted wrongly are right to be told, alone and explained; a room that shakes likewise."""
+def test_defects_of_a_world_are_not_false_alarms(tmp_path: Path) -> None:
+    """Two wrongly noted faces are rightly reported, alone and explained; likewise a room with vibration."""
     made = Made(tmp_path)
     labels, shaken = {"labels": "some wrong"}, {"vibration": "fan"}
     for strata, diagnosis in (
@@ -126,8 +126,8 @@ def test_what_a_world_has_by_itself_is_no_false_alarm(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_a_world_has_by_itself_is_not_the_first_cause(tmp_path: Path) -> None:
-    """The mechanism is named behind wrong labels, and a line in a room that shakes may be that of the mechanism."""
+def test_defects_of_a_world_are_ignored_before_the_first_cause(tmp_path: Path) -> None:
+    """The mechanism is named after wrong labels, and a line in a room with vibration may be that of the mechanism."""
     made = Made(tmp_path)
     for strata, diagnosis in (
         ({"labels": "some wrong"}, said(cause("face_error"), cause("tone"))),

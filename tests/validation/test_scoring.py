@@ -1,4 +1,4 @@
-"""Scores of runs that were made by hand, worked out on paper."""
+"""Scores of runs that were made by hand, computed by hand."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def cells(row: ScoreRow, group: str) -> Any:
 
 
 @pytest.mark.slow
-def test_false_alarms_have_their_bar_on_each_plan(made: Made) -> None:
+def test_false_alarms_of_each_plan_are_compared_with_their_bar(made: Made) -> None:
     """1 of 20, 2 of 10, 30 of 30: within the bar, outside by chance (Wilson: 0.057 on), outside for sure."""
     for plan, alarms, cases in (("full", 1, 20), ("static", 2, 10), ("heat", 30, 30)):
         for number in range(cases):
@@ -51,7 +51,7 @@ def test_false_alarms_have_their_bar_on_each_plan(made: Made) -> None:
 
 
 @pytest.mark.slow
-def test_detection_by_severity_plan_and_mechanism(made: Made) -> None:
+def test_detection_is_counted_by_severity_plan_and_mechanism(made: Made) -> None:
     for detected, limits in ((False, 0.5), (True, 2.0), (True, 2.0), (False, 2.0), (True, 5.0)):
         made.both("single", RIPPLE if detected else NO_GAP, put("mains_ripple", limits))
     made.both("single", RIPPLE, put("single_trap", 2.0))
@@ -79,7 +79,7 @@ def test_detection_by_severity_plan_and_mechanism(made: Made) -> None:
 
 
 @pytest.mark.slow
-def test_the_first_cause_and_its_class(made: Made) -> None:
+def test_right_first_causes_and_classes_are_counted(made: Made) -> None:
     """Of seven that are detected three are right; two more have the right name in their class. 5x and above: 2 of 3."""
     large, small = put("mains_ripple", 5.0), put("mains_ripple", 2.0)
     made.both("single", said(cause("tone"), cause("scale", 0.8)), large)
@@ -124,10 +124,10 @@ def test_the_first_cause_and_its_class(made: Made) -> None:
         (["Gyro1"], [cause("tone")], ("x",), False),
     ],
 )
-def test_the_place_of_a_right_cause(
+def test_the_place_of_a_right_cause_is_scored(
     made: Made, truth: list[str], causes: list[dict[str, Any]], axes: tuple[str, ...], right: bool
 ) -> None:
-    """Sensors on which no mechanism can be put don't count; an axis does where the truth names one."""
+    """Sensors on which no mechanism can be put are not counted; an axis is counted where the truth names it."""
     case = made.both("single", said(*causes), put("mains_ripple", 5.0, *truth))
     if axes:
         path = made.folder / "sealed" / f"{case.name}.json"
@@ -139,8 +139,8 @@ def test_the_place_of_a_right_cause(
 
 
 @pytest.mark.slow
-def test_the_place_is_scored_of_right_causes_alone(made: Made) -> None:
-    """Gyro2 counts, as another case's truth names it."""
+def test_the_place_is_scored_for_right_causes_only(made: Made) -> None:
+    """Gyro2 is counted, since the truth of another case names it."""
     made.both("single", RIPPLE, put("mains_ripple", 5.0, "Gyro1"))
     made.both("single", said(cause("tone", 0.9, "Gyro1", "Gyro2")), put("mains_ripple", 5.0, "Gyro1"))
     made.both("single", said(cause("scale", 0.9, "Gyro1")), put("mains_ripple", 5.0, "Gyro2"))
@@ -149,9 +149,9 @@ def test_the_place_is_scored_of_right_causes_alone(made: Made) -> None:
 
 
 @pytest.mark.slow
-def test_what_has_no_name(made: Made) -> None:
+def test_recognition_of_unknown_mechanisms_is_scored(made: Made) -> None:
     """Known at 5x: 0.0, 0.1 ... 0.9, so that the limit is 0.8; of 4 unknown ones 0.95 and 0.85 are above. Of 40 pairs
-    10 + 9 + 8 + 0 are in order, one is even.
+    10 + 9 + 8 + 0 are in order, one is tied.
     """
     for number in range(10):
         verdict = "unexplained" if number == 9 else "partly explained" if number == 8 else "explained"
@@ -189,7 +189,9 @@ def test_what_has_no_name(made: Made) -> None:
         ([], False),
     ],
 )
-def test_two_at_once(made: Made, causes: list[dict[str, Any]], named: bool) -> None:
+def test_two_mechanisms_on_different_sensors_are_both_named(
+    made: Made, causes: list[dict[str, Any]], named: bool
+) -> None:
     made.both("pair", said(*causes), put("mains_ripple", 5.0, "Gyro1"), put("reference_voltage", 5.0, "BMA1"))
     score = figures(made)
     assert shares(score.row("two on different units, both named")) == (float(named), 1)
@@ -197,8 +199,8 @@ def test_two_at_once(made: Made, causes: list[dict[str, Any]], named: bool) -> N
 
 
 @pytest.mark.slow
-def test_two_on_one_sensor_and_two_of_one_name(made: Made) -> None:
-    """Two mechanisms that have the same name on two sensors of a chip may be told as one cause."""
+def test_two_mechanisms_on_one_sensor_or_of_one_name(made: Made) -> None:
+    """Two mechanisms that have the same name on two sensors of a chip may be reported as one cause."""
     made.both("pair", said(cause("tone"), cause("scale")), put("mains_ripple"), put("reference_voltage"))
     made.both("pair", said(cause("tone")), put("mains_ripple"), put("reference_voltage"))
     both = put("torn_reads", 5.0, "Gyro1"), put("cable_bit_errors", 5.0, "Gyro2")
@@ -221,18 +223,22 @@ def test_two_on_one_sensor_and_two_of_one_name(made: Made) -> None:
         ({"sensor": "Gyro1", "tone": {"frequency_hz": 7.0}}, cause("scale", action="remove"), False),
     ],
 )
-def test_what_has_to_go(made: Made, extra: dict[str, Any], said_cause: dict[str, Any], right: bool) -> None:
+def test_a_removed_effect_of_the_base_model_is_named(
+    made: Made, extra: dict[str, Any], said_cause: dict[str, Any], right: bool
+) -> None:
     made.both("removal", said(said_cause), extra=extra, resembles=[])
     assert shares(figures(made).row("removed base effect named")) == (float(right), 1)
 
 
-def test_a_table_without_a_name_is_what_it_resembles() -> None:
+def test_an_unnamed_extra_effect_has_the_names_that_it_resembles() -> None:
     assert extra_of({"frequency_hz": 7.0}, [["tone"]]) == ({"tone"}, set())
 
 
 @pytest.mark.slow
-def test_closure_against_the_oracle(made: Made) -> None:
-    """Off by 0.05, by 0.06 (and outside its interval), nothing said, and a pair; without oracle and gap none counts."""
+def test_closure_is_compared_with_the_oracle(made: Made) -> None:
+    """An error of 0.05, of 0.06 (and outside its interval), no statement, and a pair; cases without oracle or gap are
+    not counted.
+    """
     for claimed, interval, oracle in (
         (0.85, (0.8, 1.0), 0.9),
         (0.64, (0.6, 0.68), 0.7),
@@ -256,8 +262,8 @@ def test_closure_against_the_oracle(made: Made) -> None:
 
 
 @pytest.mark.slow
-def test_closure_that_is_claimed_wrongly(made: Made) -> None:
-    """0.1 and 0.6 for wrong causes; a right one, and one that claims nothing, don't count."""
+def test_closure_claimed_by_wrong_causes_is_scored(made: Made) -> None:
+    """0.1 and 0.6 for wrong causes; a right cause, and a cause without closure, are not counted."""
     for effect, closed in (("scale", 0.1), ("scale", 0.6), ("tone", 0.9), ("scale", None)):
         made.both("single", said(cause(effect, closed=closed)), put("mains_ripple"))
     made.both("none", NO_GAP)
@@ -271,8 +277,10 @@ def test_closure_that_is_claimed_wrongly(made: Made) -> None:
     assert shares(score.row("without a gap, closure may be 0")) == (0.75, 4)
 
 
-def test_closure_where_only_wrong_causes_are_left(made: Made) -> None:
-    """0.6, nothing said, and worse than nothing: 0.2 on average. Only what is detected and withheld counts."""
+def test_closure_of_withheld_mechanisms_is_scored(made: Made) -> None:
+    """0.6, no statement, and a negative closure: 0.2 on average. Only detected cases with withheld
+    effects are counted.
+    """
     for closed in (0.6, None, -0.1):
         made.both("withheld", said(cause("scale", closed=0.9), closed=closed), put("mains_ripple"))
     made.both("withheld", NO_GAP, put("mains_ripple"))
@@ -281,9 +289,9 @@ def test_closure_where_only_wrong_causes_are_left(made: Made) -> None:
 
 
 @pytest.mark.slow
-def test_probabilities_of_all_causes_told(made: Made) -> None:
-    """0.9 right, 0.9 at another sensor and so wrong, 0.2 wrong: ECE (2 * 0.4 + 0.2) / 3, Brier 0.86 / 3.
-    Unknown mechanisms and removals have no right name, and do not count.
+def test_probabilities_of_all_reported_causes_are_scored(made: Made) -> None:
+    """0.9 right, 0.9 at another sensor and therefore wrong, 0.2 wrong: ECE (2 * 0.4 + 0.2) / 3, Brier 0.86 / 3. Unknown
+    mechanisms and removals have no right name, and are not counted.
     """
     made.both("single", said(cause("tone"), cause("scale", 0.2)), put("mains_ripple"))
     made.both("single", said(cause("tone", 0.9, "BMA1")), put("mains_ripple"))
@@ -295,8 +303,8 @@ def test_probabilities_of_all_causes_told(made: Made) -> None:
     assert [(bin_.cases, bin_.right) for bin_ in score.reliability if bin_.cases] == [(1, 0.0), (2, 0.5)]
 
 
-def test_what_a_plan_cannot_show(made: Made) -> None:
-    """It doesn't count as undetected; it has to be told, with what to record, at that sensor."""
+def test_mechanisms_that_a_plan_cannot_show_are_reported_so(made: Made) -> None:
+    """The case is not counted as undetected; the diagnosis must report it at that sensor, with a recording to make."""
     entry = {"effect": "scale", "sensors": ["Gyro1"], "record": "motion: turns"}
     for unshown in (
         [entry],
@@ -321,7 +329,7 @@ def test_what_a_plan_cannot_show(made: Made) -> None:
     ("parameters", "axes", "is_new"),
     [({"frequency_hz": 20.2}, [], False), ({"frequency_hz": 31.0}, [], True), ({"frequency_hz": 20.0}, ["z"], True)],
 )
-def test_a_line_of_the_control_is_not_that_of_the_case(
+def test_a_line_of_the_control_is_not_a_line_of_the_case(
     made: Made, parameters: dict[str, float], axes: list[str], is_new: bool
 ) -> None:
     """Another frequency or another axis is another line; the control has 20 Hz on x."""
@@ -332,7 +340,7 @@ def test_a_line_of_the_control_is_not_that_of_the_case(
     assert bool(answer.causes) == is_new
 
 
-def test_an_effect_that_the_recording_itself_has_is_not_counted(made: Made) -> None:
+def test_an_effect_of_the_recording_itself_is_not_counted(made: Made) -> None:
     """Whether or not it is named in the case; on another axis it is counted."""
     control = made.both("none", said(cause("popcorn_noise", axes=["x"])))
     for axis in "xy":
@@ -348,8 +356,8 @@ def test_an_effect_that_the_recording_itself_has_is_not_counted(made: Made) -> N
     assert any("In 1 cases the recording itself has the effect" in note for note in run.notes)
 
 
-def test_lost_cases_are_told(made: Made) -> None:
-    """Without an outcome, with an error, with an outcome that can't be read, without truth, and never begun."""
+def test_lost_cases_are_reported(made: Made) -> None:
+    """Without an outcome, with an error, with an unreadable outcome, without truth, and not begun."""
     made.both("none", NO_GAP)
     made.case("none")
     made.answer(made.case("none"), {}, error="Traceback\nMemoryError: too large", seconds=0.0)
@@ -377,7 +385,7 @@ def test_lost_cases_are_told(made: Made) -> None:
 
 
 @pytest.mark.slow
-def test_shuffled_labels_are_right_by_chance_alone(made: Made) -> None:
+def test_shuffled_labels_are_right_by_chance_only(made: Made) -> None:
     """40 cases of 4 effects, every one right: 0.25 on average once shuffled, with a deviation of sqrt(0.25 * 0.75 / 39)
     = 0.069, of which three are allowed.
     """
@@ -397,7 +405,7 @@ def test_shuffled_labels_are_right_by_chance_alone(made: Made) -> None:
     assert figures(made, seed=3).row("right cause first, labels shuffled").value != control.value
 
 
-def test_seconds_are_those_of_the_full_plan(made: Made) -> None:
+def test_seconds_of_a_case_are_those_of_the_full_plan(made: Made) -> None:
     for seconds in range(1, 12):
         made.answer(made.case("none"), NO_GAP, seconds=float(seconds))
     made.answer(made.case("none", plan="static"), NO_GAP, seconds=1000.0)
@@ -407,8 +415,8 @@ def test_seconds_are_those_of_the_full_plan(made: Made) -> None:
     assert score.row("seconds a case, median").mark == ""
 
 
-def test_what_never_came_does_not_count(made: Made) -> None:
-    """It came in one of the logs, in none, and the last leaves nothing to chance."""
+def test_random_faults_that_did_not_occur_are_not_counted(made: Made) -> None:
+    """The fault occurs in one of the logs, in none, and the last case has no random fault."""
     for touched in ([{"torn_reads": []}, {"torn_reads": ["Gyro1"]}], [{"torn_reads": []}] * 2, [{}, {}]):
         made.both("single", NO_GAP, put("torn_reads"), touched=touched)
     score = figures(made)
@@ -428,7 +436,7 @@ def test_names_that_differ_from_the_generators_are_noted(made: Made) -> None:
     assert len(figures(made).notes) == 1
 
 
-def test_an_empty_run_has_no_cases_for_anything(made: Made) -> None:
+def test_an_empty_run_has_no_counted_cases(made: Made) -> None:
     score = figures(made)
     assert {row.mark for row in score.rows} == {"n.a.", ""}
     assert score.failed == () and score.half == "sealed" and score.frozen == FROZEN
@@ -437,14 +445,14 @@ def test_an_empty_run_has_no_cases_for_anything(made: Made) -> None:
     json.dumps(as_json(score), allow_nan=False)
 
 
-def test_a_folder_that_is_no_run(tmp_path: Path) -> None:
+def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"plan\.json"):
         score_folder(tmp_path)
 
 
 @pytest.mark.slow
-def test_json_and_text(made: Made) -> None:
-    """No number that JSON has no word for; no line over 120 columns; the same twice."""
+def test_scores_are_written_as_json_and_text(made: Made) -> None:
+    """No number that JSON cannot represent; no line over 120 columns; two calls give the same."""
     for number in range(12):
         effect = "tone" if number else "scale" * 40
         made.both("single", said(cause(effect)), put("mains_ripple", 5.0), oracle=0.9)
@@ -477,7 +485,7 @@ def test_json_and_text(made: Made) -> None:
     assert as_json(figures(made)) == as_json(score)
 
 
-def test_bars_include_their_ends() -> None:
+def test_bars_include_their_limits() -> None:
     inside, outside = ScoreRow("a", 0.3, 0.1, 0.5, 9, (0.1 + 0.2, None)), ScoreRow("b", 0.29, 0.2, 0.31, 9, (0.3, None))
     assert inside.passes is True and outside.passes is False and not outside.is_refuted
     assert ScoreRow("c", 0.29, 0.2, 0.295, 9, (0.3, None)).is_refuted

@@ -1,4 +1,4 @@
-"""The matched statistic against closed forms, on logs that are written by hand, and the search for a severity."""
+"""The matched statistic against closed forms, on synthetic logs, and the search for a severity."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ HEADER = SensorHeader("A", "bma180", "specific_force", "g", 4.0, 2048.0)
 
 @contextmanager
 def logs(folder: Path, *counts: Floats, header: SensorHeader = HEADER, up: str = "+Z") -> Iterator[list[Log]]:
-    """Logs at 100 Hz of these (n, 3); `up` is noted for all of it."""
+    """Logs at 100 Hz of these (n, 3); `up` is noted for the whole log."""
     opened = []
     for number, values in enumerate(counts):
         path = folder / f"{len(list(folder.iterdir()))}-{number}.h5"
@@ -56,8 +56,8 @@ def on_x(values: Floats) -> Floats:
 
 
 def test_a_step_between_halves_has_the_ratio_of_a_matched_filter(tmp_path: Path) -> None:
-    """Of a step of h at the middle of n rows of white noise, of which the mean is fitted: h sqrt(n) / (2 sigma) = 4;
-    the density of the noise is estimated from the lowest bins of a spectrum of some tens of windows.
+    """A step of h at the middle of n rows of white noise, with a fitted mean: h sqrt(n) / (2 sigma) = 4; the density of
+    the noise is estimated from the lowest bins of a spectrum of some tens of windows.
     """
     step = 8 * SIGMA / math.sqrt(ROWS) * (np.arange(ROWS) >= ROWS / 2)
     with logs(tmp_path, noise(), noise() + on_x(step)) as (plain, changed):
@@ -65,8 +65,8 @@ def test_a_step_between_halves_has_the_ratio_of_a_matched_filter(tmp_path: Path)
         assert matched_statistic([plain], [plain]) == 0.0
 
 
-def test_what_is_fitted_has_no_ratio(tmp_path: Path) -> None:
-    """A bias; a noise that is as white as the other one: what is left is chance."""
+def test_a_fitted_bias_or_noise_has_no_ratio(tmp_path: Path) -> None:
+    """A bias; a noise that is also white: the remainder is chance."""
     louder = noise() * 1.3
     with logs(tmp_path, noise(), noise() + 50.0, louder) as (plain, moved, loud):
         assert matched_statistic([plain], [moved]) < LIMIT
@@ -74,9 +74,9 @@ def test_what_is_fitted_has_no_ratio(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_the_part_may_have_is_no_effect(tmp_path: Path) -> None:
+def test_deviations_within_the_tolerance_of_a_part_are_not_an_effect(tmp_path: Path) -> None:
     """A scale factor within 2.3 % (BMA-70), four times the noise, and a bias that scatters by half of what is usual
-    from one log to the next (0.6 mg, 1.2 counts); ten times as much of a scale or a scatter is one.
+    from one log to the next (0.6 mg, 1.2 counts); ten times as much of a scale or a scatter is an effect.
     """
     swing = noise() + on_x(2000 * np.sin(2 * np.pi * 0.02 * np.arange(ROWS) / 100 * 16))
     with logs(tmp_path, swing, 1.01 * swing, 1.1 * swing, 4 * noise(3), noise(3)) as (plain, usual, off, loud, quiet):
@@ -87,8 +87,8 @@ def test_what_the_part_may_have_is_no_effect(tmp_path: Path) -> None:
         assert matched_statistic([first, first], [first, far]) > LIMIT
 
 
-def test_another_cutoff_is_no_effect(tmp_path: Path) -> None:
-    """The filter of a part may be off by a half; one at a third of its cutoff is an effect."""
+def test_a_cutoff_within_its_tolerance_is_not_an_effect(tmp_path: Path) -> None:
+    """The filter of a part may differ by a half; a filter at a third of its cutoff is an effect."""
     header = replace(HEADER, bandwidth_hz=20.0)
 
     def filtered(cutoff_hz: float) -> Floats:
@@ -99,7 +99,7 @@ def test_another_cutoff_is_no_effect(tmp_path: Path) -> None:
         assert matched_statistic([plain], [near]) < LIMIT < matched_statistic([plain], [far])
 
 
-def test_the_attitude_of_one_accelerometer_is_known_if_it_is_noted(tmp_path: Path) -> None:
+def test_a_tilt_of_one_accelerometer_is_observable_with_noted_attitude(tmp_path: Path) -> None:
     """A tilt by 10 deg moves 0.17 g from z to x."""
     level, tilted = (
         noise() + 2048 * np.array([math.sin(angle), 0.0, math.cos(angle)]) for angle in (0.0, math.radians(10))
@@ -132,9 +132,9 @@ def turning(folder: Path, *added: Floats) -> list[Log]:
     return opened
 
 
-def test_a_bias_does_not_show_in_motion(tmp_path: Path) -> None:
-    """What the bias adds to all rows of a log is fitted, in motion too; what grows with the square of the force is
-    not.
+def test_a_bias_is_not_an_effect_in_motion(tmp_path: Path) -> None:
+    """The constant that the bias adds to all rows of a log is fitted, also in motion; a term of the square of the force
+    is not.
     """
     square = on_x(40.0 * np.sin(ANGLE_RAD) ** 2)
     plain, biased, bent = turning(tmp_path, on_x(np.zeros(ROWS)), np.full((ROWS, 3), 30.0), square)
@@ -142,17 +142,17 @@ def test_a_bias_does_not_show_in_motion(tmp_path: Path) -> None:
     assert matched_statistic([plain], [bent]) > LIMIT
 
 
-def test_other_noise_does_not_show_in_motion(tmp_path: Path) -> None:
+def test_sensor_noise_is_not_an_effect_in_motion(tmp_path: Path) -> None:
     """The response is that to the commanded motion: the sensor's own noise, 80 times its standard error in the readings
-    of all rows, is no motion that it responds to. Spectra of fifty windows differ by up to 1.5 limits.
+    of all rows, is not a response to the motion. Spectra of fifty windows differ by up to 1.5 limits.
     """
     plain, other = turning(tmp_path, np.zeros((ROWS, 3)), noise(2) - noise())
     assert matched_statistic([plain], [other]) < 1.5 * LIMIT
 
 
-def test_motion_shows_only_what_the_recordings_can_compare(tmp_path: Path) -> None:
-    """An accelerometer 20 ms late, beyond the 9 ms that its filter and a sample of 10 ms explain by half, shows against
-    a track; without one, and without another accelerometer, it shows nowhere.
+def test_a_delay_is_observable_only_against_another_recording(tmp_path: Path) -> None:
+    """An accelerometer 20 ms late, beyond the 9 ms that its filter and a sample of 10 ms explain by half, is observable
+    against a track; without a track and without another accelerometer it is not observable.
     """
     late = np.zeros((ROWS, 3))
     plain = turning(tmp_path, late)[0]
@@ -165,9 +165,9 @@ def test_motion_shows_only_what_the_recordings_can_compare(tmp_path: Path) -> No
     )
 
 
-def test_a_displacement_within_the_tolerance_is_no_effect(tmp_path: Path) -> None:
-    """An accelerometer 3 mm from its noted place feels rate x (rate x r) + acceleration x r (about z: -x w^2 along x,
-    x w' along y); at 50 mm it is an effect.
+def test_a_displacement_within_the_tolerance_is_not_an_effect(tmp_path: Path) -> None:
+    """An accelerometer 3 mm from its noted place reads rate x (rate x r) + acceleration x r (about z: -x w^2 along x, x
+    w' along y); at 50 mm it is an effect.
     """
     rate = np.gradient(ANGLE_RAD, SECONDS)
     per_metre = np.stack([-(rate**2), np.gradient(rate, SECONDS), 0 * rate], axis=1) / 9.80665 * 2048
@@ -176,9 +176,9 @@ def test_a_displacement_within_the_tolerance_is_no_effect(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("sigma", some([0.25, 0.4, 0.6], 1))
-def test_another_level_within_a_code_is_no_effect(tmp_path: Path, sigma: float) -> None:
-    """With little noise another bias changes the noise of rounding, how often codes repeat, and the share of even ones
-    (its first harmonic at a sigma of 0.4 counts is 0.21 of the mean); codes that are all even are an effect.
+def test_another_level_within_a_code_is_not_an_effect(tmp_path: Path, sigma: float) -> None:
+    """With little noise another bias changes the noise of rounding, the share of repeated codes, and the share of even
+    codes (its first harmonic at a sigma of 0.4 counts is 0.21 of the mean); codes that are all even are an effect.
     """
     white = sigma * np.random.default_rng(3).standard_normal((ROWS, 3))
     levels = [white + 500.0 + level for level in (0.0, 0.25, 0.5)]
@@ -190,12 +190,12 @@ def test_another_level_within_a_code_is_no_effect(tmp_path: Path, sigma: float) 
 
 
 @pytest.mark.slow
-def test_noise_that_is_drawn_anew_is_no_effect(tmp_path: Path) -> None:
+def test_another_draw_of_noise_is_not_an_effect(tmp_path: Path) -> None:
     with logs(tmp_path, *(noise(seed) for seed in range(6))) as (plain, *others):
         assert max(matched_statistic([plain], [other]) for other in others) < LIMIT
 
 
-def test_a_line_is_in_the_spectrum(tmp_path: Path) -> None:
+def test_a_line_is_detected_in_the_spectrum(tmp_path: Path) -> None:
     """With an amplitude of sigma, half the noise's power in a bin or three of thirty-two, of some hundred windows."""
     line = SIGMA * np.sin(2 * np.pi * 0.31 * np.arange(ROWS))
     with logs(tmp_path, noise(), noise() + on_x(0.3 * line), noise() + on_x(line)) as (plain, small, large):
@@ -204,7 +204,7 @@ def test_a_line_is_in_the_spectrum(tmp_path: Path) -> None:
 
 @settings(max_examples=examples(60))
 @given(limit=st.floats(0.05, 15.0), power=st.floats(0.7, 2.2), wanted=st.sampled_from([2.0, 5.0]))
-def test_a_severity_is_found_in_a_few_tries(limit: float, power: float, wanted: float) -> None:
+def test_the_search_for_a_severity_needs_few_steps(limit: float, power: float, wanted: float) -> None:
     asked: list[float] = []
 
     def statistic(size: float) -> float:
@@ -218,7 +218,7 @@ def test_a_severity_is_found_in_a_few_tries(limit: float, power: float, wanted: 
         assert 0.5 < score.limits / wanted < 2.0
 
 
-def test_what_never_shows_has_no_limit() -> None:
+def test_an_unobservable_mechanism_has_no_limit() -> None:
     score = find_severity(lambda size: 0.01, 5.0, 1.0)
     assert math.isnan(score.limits)
     assert score.severity == 64.0
@@ -226,7 +226,7 @@ def test_what_never_shows_has_no_limit() -> None:
 
 
 @pytest.mark.slow
-def test_what_the_generator_refuses_is_said_in_a_line(tmp_path: Path) -> None:
+def test_an_error_of_the_generator_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"the generator of cases: .*nobody"):
         generator.record(tmp_path, "static", (Put("mains_ripple", 1.0, 1.0, ("nobody",)),), 1)
     with pytest.raises(ConfigError, match=r"the generator of cases: .*world: recorder is missing"):

@@ -1,4 +1,4 @@
-"""The model that has an effect too many."""
+"""The model with an extra effect."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.gap.made import header
 
 
 @pytest.mark.parametrize("extra", EXTRAS, ids=lambda extra: extra["effect"])
-def test_one_sensor_has_one_effect_more_than_is_usual(extra: dict[str, str]) -> None:
+def test_one_sensor_has_one_effect_more_than_the_usual_model(extra: dict[str, str]) -> None:
     headers = [header(name, chip=chip) for name, chip in CHIPS.items()]
     extra = {**extra, "sensor": next(name for name, chip in CHIPS.items() if chip == extra["chip"])}
     model, usual = model_with(extra, headers), usual_model(headers)

@@ -1,4 +1,4 @@
-"""`imuarray gap validate`, as it is typed, and one case from its recording to its outcome."""
+"""`imuarray gap validate` through the command line, and one case from its recording to its outcome."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from imuarray.validation.running import RunSummary
 from imuarray.validation.scoring import score_folder
 
 
-def test_the_sizes_that_are_offered() -> None:
+def test_the_offered_sizes_are_those_of_the_plans() -> None:
     assert set(gap_validate._SIZES) == set(SIZES)
 
 
 @pytest.mark.slow
-def test_a_run_is_not_mixed_with_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Neither other cases nor other thresholds; nothing is run."""
+def test_a_folder_of_another_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Other cases and other thresholds are refused; no case is run."""
     gap_validate._prepare_folder(tmp_path, {"half": "sealed", "size": "glance", "seed": 0, "cases": 1})
     assert main(["gap", "validate", "-o", str(tmp_path), "--size", "glance"]) == 2
     assert "the run began with another half; use the same half, or another folder" in capsys.readouterr().err
@@ -39,7 +39,7 @@ def test_a_run_is_not_mixed_with_another(tmp_path: Path, capsys: pytest.CaptureF
     assert not (tmp_path / "outcomes").exists()
 
 
-def test_who_may_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_executor_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["gap", "validate", "-o", str(tmp_path), "--size", "glance", "--executor", "threads"]
     assert main(words) == 2
     assert "neither processes nor the tcp://host:port of a Dask scheduler" in capsys.readouterr().err
@@ -56,10 +56,10 @@ def test_who_may_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         (["--score-only"], "--score-only requires the folder of a run: -o DIR"),
     ],
 )
-def test_what_is_allowed(
+def test_invalid_options_are_refused_with_the_allowed_values(
     words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nothing is run and no folder is made."""
+    """No case is run and no folder is made."""
     monkeypatch.chdir(tmp_path)
     assert main(["gap", "validate", *words]) == 2
     assert message in capsys.readouterr().err
@@ -77,7 +77,7 @@ def test_without_a_folder_a_new_one_is_made(
         return RunSummary(len(planned), 0, (), ())
 
     class NoScoreError(ImuArrayError):
-        """Ends the command where the outcomes would be scored."""
+        """An error that ends the command before the outcomes are scored."""
 
     def score(folder: Path, planned: list[Case]) -> None:
         raise NoScoreError
@@ -122,9 +122,9 @@ converters in turn for a line at half the rate, which it is.
 
 
 @pytest.mark.slow
-def test_a_glance(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """One case, ripple of the mains at rest, twenty times its limit: it is found and named. Its files are there, and
-    the same command again runs nothing. A reduced run, which is a campaign, has nine cases.
+def test_a_glance_runs_one_case_to_its_outcome(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One case, ripple of the mains at rest, twenty times its limit: it is detected and named. Its files exist, and the
+    same command again runs no case. A reduced run, which is a campaign, has nine cases.
     """
     words = ["gap", "validate", "-o", str(tmp_path), "--size", "glance", "--json"]
     code = main(words)
@@ -145,11 +145,10 @@ def test_a_glance(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.campaign
-def test_a_reduced_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Nine cases: nothing wrong in five plans, three mechanisms far beyond their limits and one without a name.
-
-    All four are found, two of three causes named rightly, and no bar is missed by more than chance but those that are
-    known to be, for which the exit code is 1. Going on with what is done runs nothing again.
+def test_a_reduced_run_meets_its_bars(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nine cases: five plans without a mechanism, three mechanisms far beyond their limits and one without a name. All
+    four are detected, two of three causes named rightly, and no bar is missed by more than chance except the known
+    ones, for which the exit code is 1. A resumed run repeats no case.
     """
     words = ["gap", "validate", "-o", str(tmp_path), "--size", "reduced", "--json"]
     code = main(words)

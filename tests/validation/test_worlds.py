@@ -1,4 +1,4 @@
-"""Random worlds over seeds: each is possible, small enough and the same again; a short run has something of all."""
+"""Random worlds over seeds: each is possible, small enough and reproducible; a short run has all kinds."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ SEEDS = st.integers(0, 20_000_000_000)
 @settings(max_examples=examples(80), deadline=None)
 @given(SEEDS)
 def test_every_world_is_possible(seed: int) -> None:
-    """An array that its reader accepts, with at most 16 inertial sensors, read no faster than a bus of 400 kHz can, in
-    logs of at most ten minutes and 30000 rows; faces within a tilt, phases within their log.
+    """An array that its reader accepts, with at most 16 inertial sensors, read no faster than a bus of 400 kHz permits,
+    in logs of at most ten minutes and 30000 rows; faces within a tilt, phases within their log.
     """
     world = draw_world(seed)
     array = parse_array(world.array)
@@ -49,8 +49,8 @@ def test_every_world_is_possible(seed: int) -> None:
     assert draw_world(seed) == world
 
 
-def test_nothing_clips_and_no_part_is_beyond_its_sheet() -> None:
-    """Gravity, shaking and turning stay within nine tenths of every range; what rooms do is small."""
+def test_no_motion_clips_and_no_part_exceeds_its_data_sheet() -> None:
+    """Gravity, shaking and turning stay within nine tenths of every range; effects of rooms are small."""
     for seed in range(200):
         world = draw_world(seed)
         forces = [world.sensors[name].range for name, chip in world.inertial.items() if chip != "l3g4200d"]
@@ -67,12 +67,12 @@ def test_nothing_clips_and_no_part_is_beyond_its_sheet() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("first", [1_000_000, 2_120_000])
-def test_a_short_run_has_something_of_everything(first: int) -> None:
-    """Of 40 seeds in a row, wherever they begin, each stratum has its share of 400 to within 0.15."""
+def test_a_short_run_has_its_share_of_every_stratum(first: int) -> None:
+    """In 40 consecutive seeds, from any start, each stratum has its share of 400 to within 0.15."""
     few = [draw_world(seed) for seed in range(first, first + 40)]
     many = [draw_world(seed) for seed in range(first, first + 400)]
     for name in many[0].strata:
-        if name in ("sensors", "rate_hz", "poses"):  # of many kinds, or only where there is a tumble
+        if name in ("sensors", "rate_hz", "poses"):  # strata of many kinds, or only in worlds with a tumble
             continue
         shares = {value: count / 400 for value, count in Counter(world.strata[name] for world in many).items()}
         counted = Counter(world.strata[name] for world in few)
@@ -97,8 +97,8 @@ SMALL = [seed for seed in range(200) if draw_world(seed).rows < 14_000][:3]
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", SMALL)
 def test_logs_of_a_world_are_written_and_read(seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As `imuarray info` reads them: the sensors, rows about as many as were reckoned, phases as they were noted, no
-    truth; what the recorder doesn't read is not there. The same seed makes the same rows.
+    """As `imuarray info` reads them: the sensors, about the expected number of rows, the noted phases, no truth;
+    sensors that the recorder does not read are absent. The same seed gives the same rows.
     """
     world = draw_world(seed)
     logs, truth = record_in(world.table(), tmp_path / "one", (), seed)
@@ -124,8 +124,8 @@ def test_logs_of_a_world_are_written_and_read(seed: int, tmp_path: Path, capsys:
 
 @pytest.mark.slow
 def test_the_reference_begins_with_the_log(tmp_path: Path) -> None:
-    """After the sensors have been set up, however long the last frame waits: the box begins to turn when the motion was
-    noted to begin.
+    """After the sensors have been set up, however long the last frame waits: the box begins to turn at the noted begin
+    of the motion.
     """
     table = draw_world(9_000_174).table()
     recorder = {**table["recorder"], "reference": True}
