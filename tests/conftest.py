@@ -63,7 +63,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish() -> None:
-    """Collect garbage seldom: thousands of collected tests, none of which is freed before the end, are looked at each
+    """Collect garbage seldom: thousands of collected tests, none of which is freed before the end, are examined each
     time. They are not frozen, since Hypothesis looks for referrers of its random numbers, which would hide them.
     """
     gc.set_threshold(100_000, 20, 50)

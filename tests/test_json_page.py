@@ -1,4 +1,4 @@
-"""docs/reference/json.md states what the commands print with --json: every key that they print, and no other."""
+"""docs/reference/json.md describes the output of commands with --json: every key that they print, and no other."""
 
 from __future__ import annotations
 

@@ -148,7 +148,9 @@ def test_the_unit_with_a_line_is_recognised(folder: Path, noise: str) -> None:
 
 @pytest.mark.slow
 def test_weighted_by_that_noise_the_unit_does_not_increase_the_scatter(folder: Path, noise: str) -> None:
-    """Its x points along box -Y. Inverse variances bring Y to what the array has without the unit, to 3 %."""
+    """Its x points along box -Y. Inverse variances reduce the scatter of Y to that of the array without the unit, to 3
+    %.
+    """
     assert noise
     calibration = load_calibration(folder / "cal.toml")
     with open_log(folder / "run.h5") as log:

@@ -26,7 +26,7 @@ _TABLES = st.recursive(
 
 
 def numbered(value: Any, numbers: Iterator[int]) -> Any:
-    """The value with a number of its own in place of each None."""
+    """The value with a distinct number in place of each None."""
     if isinstance(value, dict):
         return {key: numbered(part, numbers) for key, part in value.items()}
     if isinstance(value, list):

@@ -20,7 +20,7 @@ SENSORS = {
 
 
 class Call(NamedTuple):
-    """One transaction: when it began, and what it was."""
+    """One transaction: its start time and its bytes."""
 
     at_ns: int
     address: int

@@ -116,8 +116,8 @@ def test_making_routes_sends_nothing(an_array: Callable[..., Any], tapped: Calla
 
 
 def test_only_queues_drained_on_the_wrong_channel_are_lost(tmp_path: Path) -> None:
-    """For 0.2 s the other channel is connected: what was in the queues of both gyroscopes at 0x68 is lost
-    or another's. The queue of the accelerometer on the trunk was read as ever.
+    """For 0.2 s the other channel is connected: the samples in the queues of both gyroscopes at 0x68 are lost
+    or of the other. The queue of the accelerometer on the trunk was read normally.
     """
     gyroscope = 'chip="l3g4200d"\naddress=0x68\nrange=250\nrate_hz=100\nbandwidth_hz=12.5\nfifo=true\n'
     array = parse_array(

@@ -81,7 +81,7 @@ def test_a_row_ahead_of_the_clock_does_not_block_later_rows() -> None:
     faults = FaultEpisodes(lambda sensor, at_ns, kind, message: told.append(Event(at_ns - 100, sensor, kind, message)))
     intake = Intake(log, 100, lambda name, block: None, faults, lost)
     waiting: Any = Waiting([110, 120, 120 + 4277 * S, 130], [125], [140, 150])
-    assert AHEAD_NS == S  # what a fitted clock may be off, and far less than an invented time
+    assert AHEAD_NS == S  # the largest error of a fitted clock, and far less than an invented time
     for now_ns in (140, 145, 150):
         intake.write(waiting, 1, now_ns)
     assert stored == [(10, 0), (20, 0), (30, LOST), (40, LOST), (50, 0)]

@@ -123,7 +123,7 @@ for_s = 1.5
 
 @pytest.mark.slow
 def test_live_fusion_with_fault_detection_equals_fusing_the_log(log: Log, tmp_path: Path) -> None:
-    """To 1e-9 of the largest value, events and what was learnt of slow errors included; one gyroscope freezes."""
+    """To 1e-9 of the largest value, events and estimates of slow errors included; one gyroscope freezes."""
     (tmp_path / "faults.toml").write_text(FROZEN)
     assert log(bus="emulated:", seconds="4")[0] == 0
     assert main(["calibrate", "noise", "run.h5", "-o", "cal.toml"]) == 0

@@ -106,7 +106,7 @@ def snapshot(address: str) -> dict[str, Any]:
 
 
 def seen(address: str, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-    """The first snapshot of which that is true."""
+    """The first snapshot for which the condition is true."""
     end_s = time.monotonic() + 40
     while time.monotonic() < end_s:
         if wanted(found := snapshot(address)):

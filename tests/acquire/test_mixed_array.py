@@ -43,7 +43,7 @@ PLACES = {
     "AK1": 'chip = "ak8963"\nchannel = 2\naddress = 0x0C\nrange = 49.12\naxes = "+Y+X-Z"',
 }
 TEXT = MIXED + "".join(f'[[sensor]]\nname = "{name}"\n{text}\n' for name, text in PLACES.items())
-PRESSURE_PA = {"BMP180": 400.0, "BMP280": 100.0, "BMP388": 50.0}  # BMP-70, BMP-124, BMP-222: how far a part may be off
+PRESSURE_PA = {"BMP180": 400.0, "BMP280": 100.0, "BMP388": 50.0}  # BMP-70, BMP-124, BMP-222: the tolerance of a part
 DEGC = {"BMP180": 1.5, "BMP280": 0.5, "BMP388": 0.5}
 
 

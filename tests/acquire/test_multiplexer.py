@@ -71,7 +71,7 @@ def test_after_a_failed_switch_nothing_is_sent_and_the_selection_is_unknown() ->
     mux.channel(0).transfer(0x53)
     with pytest.raises(OSError, match="Remote"):
         mux.channel(1).transfer(0x53, b"\x2d\x08")
-    assert bus.seen[-1] == (0x70, b"\x05", 0)  # channel 0's chip never gets what was meant for channel 1's
+    assert bus.seen[-1] == (0x70, b"\x05", 0)  # channel 0's chip never gets the bytes for channel 1's
     mux.channel(0).transfer(0x53)  # may or may not be connected: select anew
     assert bus.switches == [b"\x04", b"\x05", b"\x04"]
 

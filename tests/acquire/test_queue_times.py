@@ -105,9 +105,9 @@ def test_the_time_of_a_row_is_within_50_us_rms_of_its_sample(
         assert np.abs(off_s[settled]).max() < 400e-6
         assert np.abs(off_s).max() < 1.3 / rate_hz
         stated_s = np.asarray(acc.time_uncertainty[:], float)
-        clock_step_s = 1 / acc.sensitivity / SPAN_G  # what the world's clock resolves
+        clock_step_s = 1 / acc.sensitivity / SPAN_G  # the resolution of the world's clock
         assert (np.abs(off_s) <= stated_s + clock_step_s).all()  # a bound, also before the period is known
         assert np.median(stated_s[settled]) < 200e-6
         assert stated_s.max() < 2.0 / rate_hz
         assert len(acc.time) == pytest.approx(SECONDS * rate_hz * (1 + error), rel=0.01)
-        assert abs(len(acc.time) - len(gyro.time)) <= 0.05 * rate_hz  # what is in the queue at the end
+        assert abs(len(acc.time) - len(gyro.time)) <= 0.05 * rate_hz  # the samples in the queue at the end

@@ -142,7 +142,7 @@ def test_a_pressure_is_read_soon_after_its_conversion(
 def test_no_row_waits_longer_than_the_limit(
     an_array: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rate_hz: float
 ) -> None:
-    """What a killed recording loses, and how long a service's watchdog waits."""
+    """The limit of the rows that a killed recording loses, and of the wait of a service's watchdog."""
     waits_s: list[float] = []
     with open_bus("emulated:", an_array(A=0, G=0, P=1)) as bus:
         begun_ns = bus.clock.now_ns()

@@ -1,4 +1,4 @@
-"""The poll loop over the emulated bus: what goes over the wire and what is in the log, also when readings are lost."""
+"""The poll loop over the emulated bus: transactions on the wire and rows in the log, also when readings are lost."""
 
 from __future__ import annotations
 
@@ -54,7 +54,9 @@ def test_a_frame_has_one_switch_less_than_channels(
     )
     polled = bus.calls[configured[0] :]
     selects = [call for call in polled if call.address == 0x70]
-    assert abs(len(selects) - 100 * switches) <= 2 * len(channels)  # the first frame finds its way, the last looks back
+    assert abs(len(selects) - 100 * switches) <= 2 * len(
+        channels
+    )  # the first frame selects its channel, the last reads it back
     assert all(call.write[0] in (4, 5, 6, 7) and len(call.write) == 1 and call.read == 0 for call in selects)
     assert len([call for call in polled if call.read > 1]) == 100 * len(channels)
     # One register a frame is checked, and one in each visit of a channel on which twins could be taken for each other.

@@ -189,7 +189,7 @@ def test_a_frozen_reading_is_detected_across_written_rows() -> None:
     for index in range(54, 77):
         ours.add(burst_of(77), index * STEP_NS)
         ours.take(len(ours.times_ns) - 2, 0)
-        assert ours.frozen_since() is None  # what was before the set-up does not count
+        assert ours.frozen_since() is None  # readings before the set-up do not count
     ours.add(burst_of(77), 77 * STEP_NS)
     assert ours.frozen_since() == 0
     assert ours.still_since_ns(0) == 54 * STEP_NS

@@ -29,7 +29,7 @@ MS = 1_000_000
 
 @pytest.fixture
 def bad_night(an_array: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:
-    """``bad_night(toml, seconds, A=0, B=1)``: what `record` counted, and the log."""
+    """``bad_night(toml, seconds, A=0, B=1)``: the counts of `record`, and the log."""
 
     def make(toml: str, seconds: float, *, rate_hz: float = 50.0, judge: Any = None, **channels: int | None) -> Any:
         array = an_array(**channels)
@@ -137,7 +137,7 @@ def test_a_reading_that_is_frozen_at_the_end_is_reported_once(
     bad_night: Callable[..., Any], frames: int, messages: list[str]
 ) -> None:
     """A constant reading for a second, 50 rows, is frozen; this is checked every ten frames. Of the first log
-    54 rows stand still, of which the last look saw 46; of the second the last look saw 56, and the sensor is set up.
+    54 rows stand still, of which the last check saw 46; of the second the last check saw 56, and the sensor is set up.
     """
     done, log = bad_night('[[fault]]\nkind="frozen"\nsensor="B"\nat_s=3.0\nfor_s=1000\n', frames / 50, A=0, B=0)
     with log:

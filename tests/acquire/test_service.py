@@ -191,7 +191,9 @@ def test_the_unit_recovers_logs_with_a_journal(tmp_path: Path) -> None:
 
 
 def test_the_program_accepts_the_command_of_the_unit(tmp_path: Path) -> None:
-    """Its shell line with what systemd puts in (systemd.service(5): $$, %%, %i), and a program that prints them."""
+    """Its shell line with the substitutions of systemd (systemd.service(5): $$, %%, %i), and a program that prints
+    them.
+    """
     (line,) = [line for line in UNIT.read_text(encoding="utf-8").splitlines() if line.startswith("ExecStart=")]
     program = tmp_path / "imuarray"
     program.write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')

@@ -255,7 +255,7 @@ def test_a_recording_ends_also_when_the_port_stays_unplugged(
 def test_unplugging_after_the_last_frame_loses_nothing(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The stream can't be stopped any more, but all 400 frames are there."""
+    """The stream can't be stopped any more, but all 400 frames were received."""
 
     def stop(bus: SerialBus) -> None:
         raise OSError(errno.EIO, "the port is gone")

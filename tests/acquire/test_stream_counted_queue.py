@@ -116,7 +116,7 @@ def test_a_bad_line_invents_no_samples(seed: int, die: str, tmp_path: Path) -> N
     summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=50, seconds=4)
     assert line.damaged > 5
     gaps = check(die, tmp_path / "r.h5", start_ns, summary)
-    assert (gaps > 0) == any(summary.lost.values())  # none where the firmware sends again what was lost
+    assert (gaps > 0) == any(summary.lost.values())  # none where the firmware sends lost frames again
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 """Frames with a good checksum that are not the stream's: old, repeated, reordered, of an earlier boot.
 
-Each test injects them into what an emulated microcontroller sends, at random places from a fixed seed, and compares the
-log with what went over the microcontroller's own wire.
+Each test injects them into the output of an emulated microcontroller, at random places from a fixed seed, and compares
+the log with the bytes on the microcontroller's own wire.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ Inject = Callable[[Tape, np.random.Generator], Injection]
 
 
 def previous_boot(array: ArrayConfig, path: Path, counter_us: int) -> Tape:
-    """What an earlier boot sent, whose counter stood at `counter_us` when it was plugged in."""
+    """The frames of an earlier boot, whose counter was `counter_us` when it was plugged in."""
     bench, tape = Bench(array, WORLD + "&seed=5", counter_us=counter_us), Tape()
 
     def kept(piece: bytes) -> bytes:
@@ -96,7 +96,7 @@ def injected(
 
 
 def check_rows(bench: Bench, array: ArrayConfig, path: Path, start_ns: int) -> dict[str, int]:
-    """Each row is a genuine reading at its true time, and none is there twice; the numbers of rows."""
+    """Each row is a genuine reading at its true time, and none is repeated; the numbers of rows."""
     rows = {}
     for name in SENSORS:
         time, counts, status = logged(path, name)

@@ -32,7 +32,7 @@ def array_of(chips: int, selects: Callable[[int], int] = lambda chip: chip) -> A
 
 
 def bursts(bench: Bench, select: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (ns) of what a chip was asked for, specific force and angular rate (n, 3) as counts: after the temperature,
+    """Times (ns) of the bursts of a chip, specific force and angular rate (n, 3) as counts: after the temperature,
     the most significant byte first (TDK-52).
     """
     ours = [tap for tap in bench.taps if (tap.address, tap.write) == (0x80 + select, BURST) and tap.answer]

@@ -1,6 +1,6 @@
 """A machine whose kernel serves sensors: a tree like sysfs, and FIFOs for the character devices of their buffers.
 
-Attributes are plain files; what the kernel would do when one is written is left to the tests. Scans are laid out by
+Attributes are plain files; the reaction of the kernel to a write is left to the tests. Scans are laid out by
 hand, byte by byte, from the description in the kernel's documentation.
 """
 

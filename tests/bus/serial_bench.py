@@ -16,7 +16,7 @@ READ_NS = 20_000_000
 
 
 class Tapped(NamedTuple):
-    """One transaction of the microcontroller: when it began, what it was, what was answered (None: nobody)."""
+    """One transaction of the microcontroller: its start time, its bytes, its answer (None: nobody)."""
 
     at_ns: int
     address: int
@@ -27,7 +27,7 @@ class Tapped(NamedTuple):
 class Bench:
     """The microcontroller, and the host's clock (`now_ns`, `sleep_until`).
 
-    `delivered` may change each piece of what is sent; `fails(call)` makes a transaction reach no chip; `answered` may
+    `delivered` may change each piece that is sent; `fails(call)` makes a transaction reach no chip; `answered` may
     change what comes back.
     """
 
@@ -62,7 +62,7 @@ class Bench:
         return self.handles[-1]
 
     def unplug(self) -> None:
-        """What is open is of no use any more."""
+        """Open handles fail from then on."""
         self.unplugged = True
         for handle in self.handles:
             handle.dead = True

@@ -52,7 +52,7 @@ def test_the_layout_matches_the_alignment_of_a_c_structure(order: str, sign: str
 
 @st.composite
 def channels(draw: Any) -> tuple[str, list[int], tuple[int, int, str]]:
-    """A type, the values of one scan, and how the stored words look: value with other bits around it, size, order."""
+    """A type, the values of one scan, and the stored words: value with other bits around it, size, order."""
     stored = draw(st.sampled_from((8, 16, 32, 64)))
     bits = draw(st.integers(1, stored))
     shift = draw(st.integers(0, stored - bits))

@@ -115,7 +115,7 @@ def test_answers_of_earlier_boots_are_refused(counter_us: int) -> None:
     earlier.delivered = lambda piece: kept.append(piece) or piece  # type: ignore[func-returns-value]
     with earlier.bus() as bus:
         for _ in range(40):
-            bus.transfer(DEVICE, b"\x1e", 1)  # 0: not what the other command reads
+            bus.transfer(DEVICE, b"\x1e", 1)  # 0: not the value that the other command reads
     bench = Bench(ARRAY, counter_us=900_000_000)
     with bench.bus() as bus:
         draw = np.random.default_rng(2)

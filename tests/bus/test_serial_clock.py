@@ -61,7 +61,7 @@ def test_offset_and_drift_of_a_resonator_are_fitted(drift: float) -> None:
     error_ns = fit.host_ns(counter) - true
     assert np.abs(error_ns).max() < 60_000
     assert fit.rate * (1 + drift) == pytest.approx(1, abs=2e-6)
-    assert (arrived - true).mean() > 30_000_000  # what a mean, or least squares, would be off by
+    assert (arrived - true).mean() > 30_000_000  # the error of a mean, or of least squares
 
 
 @settings(deadline=None)

@@ -70,7 +70,7 @@ payloads = st.binary(max_size=60) | st.just(b"\xa5\x5a" * 20) | st.binary(min_si
 frames = st.builds(Frame, st.integers(0, 255), st.integers(0, 0xFFFF), st.integers(0, 0xFFFFFFFF), payloads)
 
 
-# What a bad line leaves: noise, syncs that begin nothing, frames cut off, lengths beyond all bounds. A frame whose last
+# The bytes of a bad line: noise, syncs that begin nothing, frames cut off, lengths out of bounds. A frame whose last
 # byte was lost and is that with which the next one begins is whole again; such a coincidence is left out.
 syncs = st.sampled_from([b"\xa5", b"\x5a", b"\xa5\x5a", b"\xa5\x5a\xff\x03", b"\xa5\x5a\xff\xff"])
 garbage = st.one_of(

@@ -27,7 +27,7 @@ from imuarray.errors import BusUrlError, ConfigError, SensorError
 from imuarray.log import open_log
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-IDENTITIES = {  # by chip: what reads its identity, and the answer: ADX-10, BMA-10, L3G-10, INV-70, TDK-02, LSM-02
+IDENTITIES = {  # by chip: request of its identity, and the answer: ADX-10, BMA-10, L3G-10, INV-70, TDK-02, LSM-02
     "adxl345": ("8000", "ffe5"),
     "bma180": ("8000", "ff03"),
     "l3g4200d": ("8f00", "ffd3"),
@@ -57,7 +57,7 @@ def text(chip: str, keys: str = "") -> str:
 
 
 class Scripted:
-    """A chip select that remembers what was sent."""
+    """A chip select that records the bytes sent."""
 
     def __init__(self, answer: str) -> None:
         self.sent: list[str] = []
@@ -113,7 +113,7 @@ def test_the_same_driver_reads_the_same_over_both(chip: str) -> None:
 
 
 def test_without_the_multiple_byte_bit_a_chip_repeats_one_register() -> None:
-    """ADX-80: MB. DATA_FORMAT is 0x31; what follows it is the triad."""
+    """ADX-80: MB. DATA_FORMAT is 0x31; the triad follows it."""
     with open_array(parse_array(text("adxl345"))) as bus:
         port = bus.spi_port("/dev/spidev0.0", 3, 5_000_000)
         assert port.exchange(b"\x80\x00\x00\x00") == b"\xff\xe5\xe5\xe5"
@@ -222,7 +222,7 @@ def test_eight_chips_are_recorded_and_replayed(tmp_path: Path) -> None:
 
 
 class Spidev:
-    """The system calls of one chip select, on a real file; `calls` holds what was set."""
+    """The system calls of one chip select, on a real file; `calls` contains the settings."""
 
     def __init__(self, port: Any) -> None:
         self.port = port

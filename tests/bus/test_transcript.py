@@ -326,7 +326,7 @@ class Hurried:
 
 
 def faulty_night(tmp_path: Path, hurried: bool) -> tuple[Any, Any, ArrayConfig]:
-    """The summary of what was recorded as live.h5, and of its replay as again.h5."""
+    """The summary of the recording live.h5, and of its replay again.h5."""
     (tmp_path / "night.toml").write_text(NIGHT)
     text = '[array]\nname="a"\nmux={chip="pca9544a",address=0x70}\n'
     for name, chip, channel, address, extra in (

@@ -1,4 +1,4 @@
-"""A chip on a wire of its own, and a bus that drops some writes."""
+"""A chip on a separate wire, and a bus that drops some writes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Constant:
 
 
 class Tap:
-    """A bus that notes what passes and drops the writes to some registers, acknowledging them all the same."""
+    """A bus that records transactions and drops the writes to some registers, but acknowledges them."""
 
     def __init__(self, bus: Wire, drops: Callable[[int], bool] = lambda register: False) -> None:
         self.bus = bus
@@ -59,12 +59,12 @@ class Bench:
         self.driver: Driver = DRIVERS[sensor.chip](self.tap, sensor, clock)
 
     def write(self, *pairs: tuple[int, int]) -> None:
-        """What an earlier program did."""
+        """The writes of an earlier program."""
         for register, value in pairs:
             self.wire.transfer(self.sensor.address, bytes([register, value]))
 
     def register(self, address: int) -> int:
-        """What the chip holds."""
+        """The value of a register of the chip."""
         return self.wire.transfer(self.sensor.address, bytes([address]), 1)[0]
 
     def wait(self, seconds: float) -> None:

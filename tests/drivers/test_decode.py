@@ -27,7 +27,7 @@ class NoBus:
 
 
 def decoded(chip: str, *bursts: str, **settings: Any) -> DecodedBursts:
-    """What bursts, written as hexadecimal digits, decode to."""
+    """The decoded values of bursts, written as hexadecimal digits."""
     settings = settings or {
         "range": {"bma180": 2, "adxl345": 16, "l3g4200d": 250, "hmc5883": 1.2, "hmc5883l": 1.3}.get(chip)
     }

@@ -234,7 +234,7 @@ def test_readings_have_the_configured_rate(bench: Callable[..., Any], chip: str,
 
 
 def test_a_chip_that_is_reset_during_a_measurement_gives_no_reading(ready: Any) -> None:
-    """Its data registers state "skipped" then, which compensates to a temperature and a pressure all the same."""
+    """Its data registers state "skipped" then, which also compensates to a temperature and a pressure."""
     assert ready.driver.fetch() == b""
     ready.write(RESET[ready.sensor.chip])
     ready.wait(LONGEST_S[ready.sensor.chip] + 0.001)

@@ -130,7 +130,7 @@ def test_a_lis3mdl_measures_its_temperature(bench: Callable[..., Any]) -> None:
 
 
 def test_a_microcontroller_reads_a_lis3mdl_twice_in_a_frame(tmp_path: Path) -> None:
-    """The temperature is a transaction of its own (LIS-18): no frame is left out for it, and it is that of the room."""
+    """The temperature is a separate transaction (LIS-18): no frame is left out for it, and it is that of the room."""
     array = parse_array(
         '[array]\nname = "one"\n[[sensor]]\nname = "M"\nchip = "lis3mdl"\naddress = 0x1C\nrange = 4\nrate_hz = 80'
     )

@@ -1,4 +1,4 @@
-"""Every range, rate and filter of the six-axis chips: the register that is written, and what a reading then means.
+"""Every range, rate and filter of the six-axis chips: the register that is written, and the meaning of a reading.
 
 Register values and counts are written out from the sources of `imuarray/facts/SOURCES.md`, not taken from the drivers.
 """

@@ -34,7 +34,7 @@ class Fed:
 
 
 class Board:
-    """One chip at 0x53 on a wire of its own."""
+    """One chip at 0x53 on a separate wire."""
 
     def __init__(self, force_g: Callable[[int], Triple] | Triple = (1.0, -1.0, 0.0)) -> None:
         self.element = Fed(force_g if callable(force_g) else lambda at_ns: force_g)

@@ -33,7 +33,7 @@ class Fed:
 
 
 class Board:
-    """One chip at 0x1E on a wire of its own."""
+    """One chip at 0x1E on a separate wire."""
 
     def __init__(
         self, field: Callable[[int], Triple] | Triple = (0.5, 0.25, -0.25), variant: str = "hmc5883l", wrap: int = 8

@@ -28,7 +28,7 @@ class Ramp:
 
 
 class Bench:
-    """A chip with both elements, awake at 1 kHz with its 184 Hz filter, on a wire of its own."""
+    """A chip with both elements, awake at 1 kHz with its 184 Hz filter, on a separate wire."""
 
     def __init__(self) -> None:
         self.clock = VirtualClock()

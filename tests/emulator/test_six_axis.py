@@ -36,7 +36,7 @@ class Ramp:
 
 
 class Bench:
-    """A chip with both elements on a wire of its own, after some writes."""
+    """A chip with both elements on a separate wire, after some writes."""
 
     def __init__(self, chip: SixAxis, *writes: str) -> None:
         self.clock = VirtualClock()

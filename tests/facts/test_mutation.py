@@ -27,7 +27,7 @@ def test_every_fact_has_a_witness():
 
 @pytest.mark.slow
 def test_facts_of_one_chip_have_witnesses(mutation):
-    """Every eighth of what can be wrong with a small table; campaigns try all of every table."""
+    """Every eighth mutant of a small table; campaigns try all of every table."""
     tried = list(mutation.mutants("bmp180"))[::8]
     escaped = {mutant[:3] for mutant in tried if not mutation.judge(mutant).noticed}
     assert escaped <= mutation.INERT.keys()

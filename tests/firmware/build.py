@@ -221,7 +221,7 @@ class CoreFirmware:
         return at_ns
 
     def feed(self, data: bytes) -> bytes:
-        """Bytes from the host; what is sent."""
+        """Bytes from the host; the bytes to send."""
         self._functions.firmware_take(self._self, data, len(data))
         return b"".join(self._pieces())
 

@@ -134,7 +134,7 @@ class BadLine:
 
 
 def damage(seed: int, chance: float) -> Callable[[bytes], bytes]:
-    """Return what a bad line does to pieces: of some it loses bytes, flips a bit, adds noise, or loses all."""
+    """Return the effect of a bad line on pieces: of some it loses bytes, flips a bit, adds noise, or loses all."""
     draw = np.random.default_rng(seed)
 
     def spoiled(piece: bytes) -> bytes:

@@ -326,7 +326,7 @@ def test_a_queue_is_read_by_its_count(
     data = bytes(range(1, read + 1)) + bytes(room - read)
     assert frame[3] == b"\0" + struct.pack("<H", ages[0]) + counted + struct.pack("<H", ages[1]) + data
     queue.errno = 110
-    (frame,) = run(firmware, clock, 1)  # the count fails, and so does what it would count
+    (frame,) = run(firmware, clock, 1)  # the count fails, and so does the counted read
     assert frame[3] == b"\0" + b"\xfe\xff" + bytes(3) + b"\xfe\xff" + bytes(room)
 
 

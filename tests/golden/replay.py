@@ -1,9 +1,9 @@
 """Golden conversations, and the two ways to replay one: against the driver, against the emulated chip.
 
 A file's first line describes it; each further line is one transaction with the facts that it follows from, a wait, or
-what the bytes mean. `mask` marks the bits of an answer that the facts settle: the driver receives `read` unchanged, the
-chip has to agree in the masked bits. `after` names a conversation played before, `dirty` the writes by which an earlier
-program left the chip changed, `played` the side that a file is for if it is for one alone.
+the meaning of the bytes. `mask` marks the bits of an answer that the facts settle: the driver receives `read`
+unchanged, the chip has to agree in the masked bits. `after` names a conversation played before, `dirty` the writes by
+which an earlier program left the chip changed, `played` the side that a file is for if it is for one alone.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ def test_no_damaged_log_does_harm(small: Path, tmp_path: Path, kind: str, count:
     said = re.match(r"\d+ logs: (\d+) let in, slowest ([\d.]+) s, (\d+) MiB", done.stdout)
     assert said
     assert 0 < int(said[1]) < count  # some are harmless, some are not
-    # HDF5 asks for what the descriptor of a text declares, 32 bits at most, before it finds the text shorter.
+    # HDF5 allocates the size that the descriptor of a text declares, 32 bits at most, before it reads a shorter text.
     assert int(said[3]) < (400 if count < 100 else 2048)
 
 

@@ -1,4 +1,4 @@
-"""Logs that other programs write: what the format allows and our own writer never does."""
+"""Logs that other programs write: forms that the format allows and our own writer does not use."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ def test_damaged_metadata_are_refused_or_omitted(tmp_path: Path, small_bytes: by
         except LogError as error:
             refused += 1
             assert len(str(error).splitlines()) == 1
-    assert refused > 5  # its root, or what is read here
+    assert refused > 5  # its root, or an object that is read here
     assert told > 10  # a sensor is left out, the others can be read
 
 

@@ -116,7 +116,9 @@ def test_bursts_are_described_with_the_rate_of_the_readings(tmp_path: Path, rate
         assert f"The true rate is {found.rate_hz:.4g} Hz" in found.sentence
         even_s = line.stamps(0, 12_000) * 1e-9
         apart_s = even_s - read_s
-        assert np.ptp(apart_s) < 0.05 < 0.3 < np.ptp(arrived_s - read_s)  # all are late by as much, for who waits
+        assert (
+            np.ptp(apart_s) < 0.05 < 0.3 < np.ptp(arrived_s - read_s)
+        )  # all are equally late, for a reader that waits
         assert (np.diff(even_s) > 0).all()
         np.testing.assert_array_equal(line.stamps(700, 800), line.stamps(0, 800)[700:])
         assert line.rows_per_s == pytest.approx(rate_hz, rel=2e-3)
@@ -208,7 +210,7 @@ def test_rows_that_return_to_the_grid_after_a_stall_are_no_burst(tmp_path: Path)
 
 @pytest.mark.parametrize(("flagged", "kind"), [(0.0, "bursts"), (0.4, "bursts"), (0.6, "steady"), (1.0, "steady")])
 def test_gaps_flagged_as_lost_are_not_described_as_bursts(tmp_path: Path, flagged: float, kind: str) -> None:
-    """Times that look like bursts, where the recorder counted what it lost in a share of the gaps."""
+    """Times that look like bursts, where the recorder counted its losses in a share of the gaps."""
     _, arrived_s = bursts(3000, 99.3)
     gaps = np.flatnonzero(np.diff(arrived_s) > 3 * np.median(np.diff(arrived_s))) + 1
     status = np.zeros(3000, np.uint16)

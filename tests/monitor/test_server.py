@@ -113,7 +113,7 @@ def test_the_page_is_served_on_the_local_machine(logger, log_path: Path) -> None
         logger.go_on(1.0)
         time.sleep(0.3)
         assert json.loads(asked(address, "snapshot.json").text)["sensors"][0]["rows"] == 400
-        with pytest.raises(urllib.error.URLError, match="refused"):  # no other address, not even another of its own
+        with pytest.raises(urllib.error.URLError, match="refused"):  # no other address, not even another local address
             asked(address.replace("127.0.0.1", "127.0.0.2"))
         assert asked(address, "snapshot.json", Host="evil.example").status == 403
         assert asked(address, "snapshot.json", Origin="http://evil.example").status == 403

@@ -254,7 +254,7 @@ def test_a_terminal_is_redrawn_in_place(log_path: Path, logger: Logger) -> None:
     )
 
     def look() -> str:
-        """What is drawn once."""
+        """One drawing of the screen."""
         drawn = b""
         while not drawn.endswith(b"\x1b[J"):
             drawn += os.read(screen, 1 << 16)
@@ -264,7 +264,7 @@ def test_a_terminal_is_redrawn_in_place(log_path: Path, logger: Logger) -> None:
         first = look()
         fcntl.ioctl(end, termios.TIOCSWINSZ, struct.pack("HHHH", 10, 40, 0, 0))
         process.send_signal(signal.SIGWINCH)
-        second = look()  # the next look would be in a minute
+        second = look()  # the next refresh would be in a minute
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 0
         assert select.select([screen], [], [], 0)[0] == []  # and nothing is printed

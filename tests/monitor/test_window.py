@@ -57,7 +57,7 @@ def test_a_delayed_frame_is_counted_once_and_is_not_missing() -> None:
 )
 def test_rows_are_counted_in_blocks_of_any_length(lost: set[int], at_once: int, forth_and_back: float) -> None:
     numbers = np.delete(np.arange(400), sorted(lost))
-    span_ns = 400 * PERIOD_NS  # a median needs most of what it is taken of to be whole
+    span_ns = 400 * PERIOD_NS  # a median needs most of its values to be whole periods
     window = window_of(frames(numbers, forth_and_back), at_once=at_once, span_ns=span_ns)
     assert window.total == 400 - len(lost)
     if at_once > 60:

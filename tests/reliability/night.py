@@ -78,7 +78,7 @@ class Memory:
 
 @dataclass
 class Night:
-    """A log, what was counted, and when the array was powered on, in the log's time."""
+    """A log, its counts, and the time of power-on of the array, in the log's time."""
 
     log: Memory
     summary: RecordingCounts

@@ -2,7 +2,7 @@
 
 The page model is cruder than a real file system and no kinder: of a file, each 4 KiB page that changed since its last
 sync is the old or the new one, at random, and its length is the old or the new one; of the folder, the first so many of
-the changes since its last sync are there. What was synced is there.
+the changes since its last sync are kept. Synced data are kept.
 """
 
 from __future__ import annotations

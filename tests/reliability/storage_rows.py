@@ -84,8 +84,8 @@ def record(
 
 
 def wrong(path: Path) -> tuple[int, list[str]]:
-    """How many whole frames the log begins with, and what in it is not as it was written: rows are known by their
-    times; where some are missing before others, the log must report it. LogError if it can't be read.
+    """The number of whole frames at the start of the log, and the differences from the written values: rows are known
+    by their times; where some are missing before others, the log must report it. LogError if it can't be read.
     """
     problems, lengths = [], []
     with Log(path) as log:

@@ -81,7 +81,7 @@ class Faults:
         return int((np.searchsorted(good, end) - np.searchsorted(good, begin)).sum())
 
     def undisturbed(self, sensor: str) -> None:
-        """Every frame's reading is there, without a flag."""
+        """Every frame has a reading, without a flag."""
         _, status = self.rows(sensor)
         assert len(status) == self.night.summary.frames
         assert not status.any()

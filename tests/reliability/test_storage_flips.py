@@ -105,7 +105,7 @@ class Outcome(NamedTuple):
 
 
 def read(path: Path) -> Outcome:
-    """Everything in a log, compared with what was written; LogError if it can't be opened."""
+    """Everything in a log, compared with the written values; LogError if it can't be opened."""
     wrong: list[str] = []
     missing, is_told = 0, False
     with Log(path) as log:

@@ -37,7 +37,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def logged(folder: Path, setup: str = "", **options: int) -> subprocess.CompletedProcess[str]:
-    """Log until the disk is full, in a process of its own that ends as the command line does."""
+    """Log until the disk is full, in a separate process that ends as the command line does."""
     program = f"""
 import sys, click
 from pathlib import Path

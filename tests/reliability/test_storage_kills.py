@@ -42,7 +42,7 @@ def nursery(folder: Path, times: int, seed: int) -> None:
     """Many killed recordings, in a separate process without open files.
 
     Three of four are killed after a random number of batches, and a random part of a batch more: how fast the
-    machine is at that moment changes nothing.  The others die at a random time, also while the log is opened or
+    machine is at that moment does not matter.  The others die at a random time, also while the log is opened or
     finished.
     """
     draw = random.Random(seed)
@@ -64,7 +64,7 @@ def nursery(folder: Path, times: int, seed: int) -> None:
 
 
 def look(folder: Path) -> tuple[str, int, int]:
-    """State of the log, frames that it holds, frames that were acknowledged; what it holds is right."""
+    """State of the log, frames that it holds, frames that were acknowledged; its rows are correct."""
     acknowledged = rows.counted(folder / "acknowledged")
     if acknowledged == 0 and not (folder / "run.h5").exists():
         return "not begun", 0, 0

@@ -250,7 +250,7 @@ def test_the_page_is_complete_without_scripts(long_run: Path, tmp_path: Path) ->
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
 def test_a_browser_draws_and_zooms_every_sensor(run: Path, tmp_path: Path) -> None:
-    """A zoom of one figure moves all, and the y axis follows what is in view."""
+    """A zoom of one figure moves all, and the y axis follows the visible part."""
     pytest.importorskip("bokeh")
     write_report([run], tmp_path / "page.html")
     figures = "Bokeh.documents[0].roots()"

@@ -269,7 +269,7 @@ def test_random_draws_depend_only_on_seed_and_boot(bench: Bench, name: str) -> N
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_random_streams_have_the_name_of_the_effect(bench: Bench, name: str) -> None:
-    """So that no other effect, present or not, can change what it draws."""
+    """So that no other effect, present or not, can change its draws."""
     streams = NotedStreams(1)
     passed(harmful(name), bench.stages(0, ROWS), replace(bench.place(), streams=streams))
     assert {effect for _, effect, *_ in streams.asked} == ({name} if name in RANDOM else set())

@@ -1,7 +1,7 @@
 """Two independent ways from one motion to counts: our effects, and registers polled from the emulated bus.
 
 The emulated array is driven by our motions and recorded through the drivers; then the same log is simulated, at the
-recorded times, with the parameters of the emulated units turned into effects. What one unit is, is shared; the
+recorded times, with the parameters of the emulated units turned into effects. The parameters of a unit are shared; the
 derivation of a reading is not: the emulator has its own chips, converters, clocks, queues and noise, and no word of
 ours.
 """

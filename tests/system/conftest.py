@@ -1,6 +1,6 @@
 """Linux guests under QEMU with Debian's kernel: each runs one script and powers off.
 
-`guest` has a root of its own, made of busybox and a few tools. `host_guest` has this machine's root, read-only over 9p
+`guest` has its own root, of busybox and a few tools. `host_guest` has this machine's root, read-only over 9p
 with a writable overlay in memory: all that is installed here, this project and its Python included, runs there on
 another kernel. `.ci/system-packages` fetches what is needed; where something is missing, the tests that ask for a guest
 are skipped.
@@ -164,7 +164,7 @@ def host_machine(share: Path) -> Machine:
 
 
 def run_guest(folder: Path, image: Path, system: bytes, timeout_s: float, machine: Machine) -> str:
-    """Boot, run, power off; what the script wrote. AssertionError with the console's end if it took too long."""
+    """Boot, run, power off; the output of the script. AssertionError with the console's end if it took too long."""
     console, written, packed = folder / "console", folder / "written", folder / "initramfs"
     packed.write_bytes(system)
     # Software emulation: it is the same everywhere, and a /dev/kvm that is there need not work.
@@ -193,7 +193,7 @@ def require(*programs: str) -> None:
 
 
 def kernel_with(modules: Sequence[str]) -> tuple[Path, dict[str, bytes]]:
-    """The first kernel that has all `modules`, and those with what they depend on; without one the test is skipped."""
+    """The first kernel that has all `modules`, and those with their dependencies; without one the test is skipped."""
     found = kernels()
     if not found:
         pytest.skip(f"no Linux kernel with modules in {cache_folder() / 'kernel'} (.ci/system-packages fetches one)")
@@ -207,7 +207,7 @@ def kernel_with(modules: Sequence[str]) -> tuple[Path, dict[str, bytes]]:
 
 @pytest.fixture
 def guest(tmp_path: Path) -> Run:
-    """``guest(script, modules, timeout_s)``: what the script writes in a guest that has loaded the modules."""
+    """``guest(script, modules, timeout_s)``: the output of the script in a guest that has loaded the modules."""
     require("qemu-system-x86_64", "busybox", "ldd", *TOOLS)
 
     def run(script: str, modules: Iterable[str], timeout_s: float) -> str:

@@ -1,4 +1,4 @@
-"""What runs in the guest of test_kernel_iio.py: the kernel's drivers bind to emulated chips, which are logged.
+"""The program in the guest of test_kernel_iio.py: the kernel's drivers bind to emulated chips, which are logged.
 
 python -m tests.system.kernel_iio FOLDER PORT
 """
@@ -31,7 +31,7 @@ def names() -> set[str]:
 
 
 def load(module: Path) -> bool:
-    """Load a module, if it is there."""
+    """Load a module, if it exists."""
     if module.exists():
         subprocess.run([BUSYBOX, "insmod", str(module)], check=True)
     return module.exists()

@@ -1,4 +1,4 @@
-"""What runs in the guest of test_own_python.py: this project's commands on the kernel's /dev/i2c-N, in one process.
+"""The program in the guest of test_own_python.py: this project's commands on the kernel's /dev/i2c-N, in one process.
 
 Python takes long to start there, so that each command is a fork of this process, which has everything loaded. What a
 command prints is written to NAME.out and NAME.err in the folder of the configuration; `codes.json` has the exit codes.
@@ -52,7 +52,7 @@ def adapters() -> dict[int, str]:
 
 
 def emulated() -> int | None:
-    """The number of the adapter that was plugged in, once its device file is there."""
+    """The number of the adapter that was plugged in, once its device file exists."""
     numbers = [number for number, name in adapters().items() if name.startswith("i2c-tiny-usb")]
     return numbers[0] if numbers and Path(f"/dev/i2c-{numbers[0]}").exists() else None
 
@@ -121,7 +121,7 @@ class Bench:
         return process
 
     def rows(self, name: str) -> list[int]:
-        """How many rows of each sensor the log has by now; none before it is there."""
+        """How many rows of each sensor the log has by now; none before it exists."""
         path = LOGS / f"{name}.h5"
         if not journal_of(path).exists():
             return []
@@ -185,7 +185,7 @@ def unplug_during_a_log(bench: Bench, number: int) -> int:
 
 
 def kill_and_recover(bench: Bench, number: int) -> None:
-    """The journal holds what a killed log had stored."""
+    """The journal contains the rows that a killed log had stored."""
     log = bench.log("killed", number)
     bench.end("killed", log, signal.SIGKILL)
     path = LOGS / "killed.h5"
@@ -196,7 +196,7 @@ def kill_and_recover(bench: Bench, number: int) -> None:
 
 
 def let_the_kernel_drive_the_multiplexer(bench: Bench, number: int) -> None:
-    """Each channel is a bus of its own."""
+    """Each channel is a separate bus."""
     subprocess.run([BUSYBOX, "insmod", str(bench.folder / "i2c-mux-pca954x.ko")], check=True)
     (DEVICES / f"i2c-{number}" / "new_device").write_text("pca9544 0x70\n")
     channels = [DEVICES / f"{number}-0070" / f"channel-{channel}" for channel in range(4)]

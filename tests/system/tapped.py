@@ -31,7 +31,7 @@ class TappedWire:
         return answer
 
     def given(self, address: int, register: int) -> list[bytes]:
-        """What was read from one register on, a piece a transaction."""
+        """The bytes that were read from one register on, a piece a transaction."""
         return [data for at, where, data in self.reads if (at, where) == (address, register)]
 
     def __getattr__(self, name: str) -> Any:
@@ -40,7 +40,7 @@ class TappedWire:
 
 @contextmanager
 def served(wires: Mapping[str, TappedWire], name: str) -> Iterator[int]:
-    """Serve the wires, each as an adapter of its own; the port."""
+    """Serve the wires, each as a separate adapter; the port."""
     with UsbipServer(wires, name, port=0) as server:  # type: ignore[arg-type]
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
@@ -63,14 +63,14 @@ def mpu_rows(wire: TappedWire, address: int) -> Rows:
 
 
 def lsm6dso_rows(wire: TappedWire, address: int, tag: int) -> Rows:
-    """Triads of one tag in what was read of an LSM6DSO's queue: 1 is the rate, 2 the acceleration (LSM-50)."""
+    """Triads of one tag in the bytes of an LSM6DSO's queue: 1 is the rate, 2 the acceleration (LSM-50)."""
     queue = b"".join(wire.given(address, 0x78))
     pieces = [queue[at : at + 7] for at in range(0, len(queue) - 6, 7)]
     return [words(piece[1:], "<") for piece in pieces if piece[0] >> 3 == tag]
 
 
 def icm_rows(wire: TappedWire, address: int, half: int) -> Rows:
-    """Valid triads of one half in what was read of an ICM-426xx's queue: 0 acceleration, 1 rate. A header states which
+    """Valid triads of one half in the bytes of an ICM-426xx's queue: 0 acceleration, 1 rate. A header states which
     are present; a packet of both has 16 bytes, of one 8 (TDK-81, TDK-82); -32768 is no reading (TDK-13). What a read
     left of a packet is in the next (TDK-86).
     """

@@ -129,7 +129,7 @@ def register_rows(wire: TappedWire, name: str) -> Rows:
 
 
 def queue_rows(wire: TappedWire, name: str) -> Rows:
-    """The triads of a sensor in what was read of the queue of its chip."""
+    """The triads of a sensor in the bytes of the queue of its chip."""
     is_force = name[0] == "A"
     if name[1] == "2":
         return lsm6dso_rows(wire, 0x6A, 2 if is_force else 1)
@@ -180,7 +180,7 @@ def test_buffers_that_a_trigger_fills_are_logged(seen: tuple[Path, TappedWire]) 
 
 
 def test_queues_of_chips_are_logged(seen: tuple[Path, TappedWire]) -> None:
-    """What the kernel's drivers take from the queues of two six-axis chips, and push into their buffers."""
+    """Samples that the kernel's drivers read from the queues of two six-axis chips, and push into their buffers."""
     folder, wire = seen
     needs(folder, INTERRUPT_MODULE)
     ended(folder, "queued")

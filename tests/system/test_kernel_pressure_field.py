@@ -170,7 +170,7 @@ def check_mpu9250(
 ) -> None:
     """The kernel asks for single measurements of 16 bits, whose bytes the master swaps (INV-111), and scales them by
     1.5 mG and the adjustment of x, for its channels lack an address. Bound of 5 standard errors and a count. Its
-    accelerometer has a range of its own; ours is at 4 g.
+    accelerometer has another range; ours is at 4 g.
     """
     for index, axis in enumerate("xyz"):
         theirs = numbers(said[f"mpu9250/in_magn_{axis}_raw"])

@@ -1,4 +1,4 @@
-"""The kernel's drivers take the queues of emulated six-axis chips: what its buffers hold is what the chips gave.
+"""The kernel's drivers take the queues of emulated six-axis chips: the content of its buffers is that of the queues.
 
 The guest attaches two adapters over USB/IP, served by this process, which notes every byte. inv_mpu6050, st_lsm6dsx and
 inv_icm42600 of a mainline kernel bind to the chips with an interrupt that a module of this project raises
@@ -87,14 +87,14 @@ section end
 
 @pytest.fixture(scope="module")
 def wires() -> dict[str, TappedWire]:
-    """The wires of the array; what they gave once the guest has ended."""
+    """The wires of the array; their bytes once the guest has ended."""
     array = parse_array(BOARD)
     bus = open_array(array, clock="real", seed=7, switches={"A3": {"identity": ICM42605}})
     return {name: TappedWire(wire) for name, wire in bus.wires.items()}
 
 
 def scans(said: dict[str, str], name: str) -> bytes:
-    """What was read from a device's file."""
+    """The bytes that were read from a device's file."""
     (text,) = re.findall("^[0-9a-f]+$", said[f"{name}/scans"], re.MULTILINE)
     return bytes.fromhex(text)
 
@@ -133,7 +133,7 @@ def times_ns(said: dict[str, str], name: str) -> list[int]:
 
 
 def check_rows(taken: Rows, given: Rows) -> None:
-    """What was taken is a piece of what was given, nothing left out within it."""
+    """The rows of the kernel are a contiguous part of those of the chip."""
     assert len(taken) >= 20
     assert len({tuple(row) for row in taken}) >= 5, "or a constant would pass"
     starts = [start for start in range(len(given)) if given[start : start + len(taken)] == taken]

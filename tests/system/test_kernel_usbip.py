@@ -71,13 +71,13 @@ def sections(written: str) -> dict[str, str]:
 
 
 def addresses(table: str) -> set[int]:
-    """What i2cdetect found."""
+    """The addresses listed by i2cdetect."""
     rows = [line.partition(":")[2].split() for line in table.splitlines()[1:]]
     return {int(cell, 16) for row in rows for cell in row if cell not in ("--", "UU")}
 
 
 def own_readings(config: Path) -> dict[str, npt.NDArray[np.float64]]:
-    """What this project's drivers read from an equal array: (n, axes) counts by chip, or (n, 2) kPa and degC."""
+    """The readings of this project's drivers from an equal array: (n, axes) counts by chip, or (n, 2) kPa and degC."""
     array = load_array(config)
     readings: dict[str, list[npt.NDArray[np.float64]]] = {}
     with open_bus(f"emulated:?seed={SEED}", array) as bus:

@@ -34,14 +34,14 @@ ROOT = Path(__file__).parents[2]
 
 
 class Seen(NamedTuple):
-    """What the guest left: files in `folder`, exit codes by the command's name, and what it wrote itself."""
+    """The results of the guest: files in `folder`, exit codes by the command's name, and its output."""
 
     folder: Path
     codes: dict[str, int]
     written: str
 
     def report(self, name: str) -> Any:
-        """What a command printed as JSON."""
+        """The JSON output of a command."""
         return json.loads((self.folder / f"{name}.out").read_text())
 
     def errors(self, name: str) -> str:

@@ -109,7 +109,7 @@ finish
 
 
 class Seen(NamedTuple):
-    """What the guest left: its logs by name, the unit's properties by the heading under which they were shown."""
+    """The results of the guest: its logs by name, the unit's properties by the heading under which they were shown."""
 
     logs: dict[str, Path]
     properties: dict[str, dict[str, str]]

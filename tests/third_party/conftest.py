@@ -113,7 +113,7 @@ class I2C:
 
 @pytest.fixture
 def busio(monkeypatch: pytest.MonkeyPatch) -> type[I2C]:
-    """What CircuitPython's drivers import of CircuitPython, so that its whole layer for hardware is not needed."""
+    """The part of CircuitPython that its drivers import, so that its whole layer for hardware is not needed."""
     offered = {
         "busio": {"I2C": I2C, "SPI": Any},
         "digitalio": {"DigitalInOut": Any},

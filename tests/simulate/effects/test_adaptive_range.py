@@ -57,7 +57,7 @@ def test_another_crossing_within_the_hold_lengthens_it(place, codes, gyroscope) 
 
 def test_slow_rows_show_the_reading_of_the_crossing(place, codes, gyroscope) -> None:
     """A ramp of 100 counts a millisecond, of which a row is read every 10 ms: 1000 is passed 4 ms before the row at 24
-    ms, so late that the hold is over; 0.5 ms before that at 20.5 ms, which shows what was read at 20 ms.
+    ms, so late that the hold is over; 0.5 ms before that at 20.5 ms, which shows the reading at 20 ms.
     """
     late = [100 * (10 * row + 4) for row in range(5)]
     assert shown(place, codes, gyroscope, late, every_ms=10.0) == late

@@ -62,7 +62,7 @@ def test_a_bandwidth_alone_does_not_change_the_rate(place: MakePlace, analog: Ma
 
 @pytest.mark.parametrize(("rate_hz", "rows"), [(25.0, 5), (30.0, 5), (100.0, 0), (400.0, 0), (0.4, 251)])
 def test_the_lookback_is_sufficient(place: MakePlace, codes: Callable[..., Codes], rate_hz: float, rows: int) -> None:
-    """All rows that share a reading, and the one before them: what is held in rows 700 ... is the same."""
+    """All rows that share a reading, and the one before them: the readings in rows 700 ... are the same."""
     back = OdrError(rate_hz).lookback(place(rows_per_s=100.0))
     assert back == rows
     if back:

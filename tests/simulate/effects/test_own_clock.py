@@ -141,7 +141,7 @@ class TestHeldReadings:
     @pytest.mark.parametrize("phase", [0.2, 1e-6])
     def test_rows_repeat_according_to_the_real_rate(self, constant: Any, phase: float) -> None:
         """50 Hz and 3 % are 51.5 readings a second; asked 100 times. The force rises by 2 counts a millisecond, so
-        every reading has counts of its own, those of the instant at which it was made.
+        every reading has distinct counts, those of the instant at which it was made.
         """
         effects = (OwnClock(0.03, 360 * phase),)
         slow = sensor(constant(force_box=ramp(8.0)), effects, set_hz=50, frames_hz=100.0, seconds=1.9)

@@ -56,7 +56,7 @@ class TestStaleSamples:
     @shared
     @given(st.lists(st.booleans(), min_size=1, max_size=60), st.integers(0, 50))
     def test_fresh_marks_new_readings(self, place, codes, chip_fresh: list[bool], boot: int) -> None:
-        """Each new conversion has a number of its own, so a reading is fresh if and only if the number changes."""
+        """Each new conversion has a distinct number, so a reading is fresh if and only if the number changes."""
         new = np.array([True, *chip_fresh])
         before = codes(0, len(new), np.cumsum(new)[:, None], fresh=new)
         after = StaleSamples(0.5).codes(before, place(boot=boot))
@@ -177,7 +177,7 @@ class TestGlitches:
             assert np.array_equal(after.temperature_counts, before.temperature_counts)
 
     def test_glitches_in_single_precision_are_the_same(self, place, codes) -> None:
-        """Its random numbers are multiples of 2^-24: too coarse for what is rarer than one row in a million."""
+        """Its random numbers are multiples of 2^-24: too coarse for events rarer than one row in a million."""
         before = codes(0, ROWS)
         after = [Glitches(0.01, kind="word").codes(before, place(dtype=dtype)) for dtype in (np.float64, np.float32)]
         assert np.array_equal(after[0].counts, after[1].counts)
@@ -247,7 +247,7 @@ class TestStuck:
 
     @pytest.mark.parametrize("first", [0, 3, 6, 7, 8, 12])
     def test_stuck_readings_can_be_given(self, standing, place, codes, first: int) -> None:
-        """Rows 6 ... 9 read what is given; row 6 is the reading that the others repeat, and fresh."""
+        """Rows 6 ... 9 have the given readings; row 6 is the reading that the others repeat, and fresh."""
         stretch = {"runs": (0,), "moments_s": (0.055,), "lengths_s": (0.04,)}
         given = tuple(count / place().sensor.sensitivity for count in (-5, 90, 17))
         before = codes(first, 20, temperature_counts=np.arange(first, 20))

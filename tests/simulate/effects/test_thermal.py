@@ -1,4 +1,6 @@
-"""`thermal_bias`, `thermal_scale`, `thermal_lag`, `thermometer`: what temperature does, when, and who reads it."""
+"""`thermal_bias`, `thermal_scale`, `thermal_lag`, `thermometer`: the effects of temperature, their delay, and the
+thermometer.
+"""
 
 from __future__ import annotations
 
@@ -93,8 +95,8 @@ def test_a_lag_shorter_than_a_step_does_nothing(place: MakePlace) -> None:
 
 
 def test_a_part_that_warms_up_late_adds_its_own_bias(place: MakePlace, analog: MakeAnalog) -> None:
-    """0.1 and -0.2 per degC of the part above 25 degC, which follows the ramp T = 25 + t as above, with 10 s; what the
-    element feels stays as it is.
+    """0.1 and -0.2 per degC of the part above 25 degC, which follows the ramp T = 25 + t as above, with 10 s; the input
+    of the element is unchanged.
     """
     time_ns = times(0, 900)
     seconds, part = time_ns * 1e-9, ThermalLag(10.0, (0.1, -0.2, 0.0))

@@ -67,7 +67,7 @@ class TestSkew:
         assert Skew(0.0025).sampled(stamped(0, DAY_NS), place()).instant_ns.tolist() == [-2_500_000, DAY_NS - 2_500_000]
 
     def test_a_skewed_reading_shows_the_earlier_value(self, place, constant) -> None:
-        """A ramp of 3 degC/s read half a second late shows what was 1.5 degC less."""
+        """A ramp of 3 degC/s read half a second late shows 1.5 degC less."""
         motion = constant(temperature_degc=lambda seconds: 3.0 * seconds)
         after = Skew(0.5).sampled(stamped(10 * 10**9), place())
         assert motion.felt(after.instant_ns).temperature_degc[0] == pytest.approx(28.5)

@@ -242,7 +242,7 @@ def test_invalid_logs_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_constant_track_is_one_row_exactly(tmp_path: Path) -> None:
-    """Uneven times: the three-point formula rounds; a row of no change has no slope all the same."""
+    """Uneven times: the three-point formula rounds; a row of no change still has no slope."""
     rows = np.cumsum(np.random.default_rng(5).integers(1_000_000, 9_000_000, 300))
     force = np.tile([0.1, -0.3, 9.7], (300, 1))
     still = Stimulus(rows, force, np.zeros((300, 3)), np.full(300, 21.3))

@@ -37,7 +37,7 @@ def test_the_attitude_changes_half_way_between_the_phases() -> None:
 
 @pytest.mark.parametrize(("step_g", "is_removed"), [(0.1, True), (0.3, False)])
 def test_a_movement_begins_and_ends_with_the_force_of_the_attitudes(step_g: float, is_removed: bool) -> None:
-    """The sensors that measure the movement have an offset along X, of up to what their tolerances allow; a larger step
+    """The sensors that measure the movement have an offset along X, of up to their tolerances; a larger step
     is a box that already moves.
     """
     time_ns = np.arange(4 * S, 6 * S + 1, S // 50)

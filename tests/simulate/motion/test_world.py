@@ -78,8 +78,8 @@ def test_the_world_equals_the_motion_at_any_instant(motion: Still | Tumble | Hea
 
 @pytest.mark.slow
 def test_the_emulated_array_measures_the_motion_and_the_log_contains_it(tmp_path: Path) -> None:
-    """Recorded through the emulated chips; the truth in the log is the motion, and a motion again. What the units are
-    off by at rest is small compared with 0.3 g and with the shaking.
+    """Recorded through the emulated chips; the truth in the log is the motion, and a motion again. The errors of the
+    units at rest are small compared with 0.3 g and with the shaking.
     """
     motion = HandShake(peak_g=4.0, peak_dps=400.0, still_s=1.0, motion_s=2.0)
     path = tmp_path / "log.h5"
