@@ -254,7 +254,16 @@ def refusal(text: str, where: str, mistakes: Iterable[Mistake]) -> ConfigError:
 def _joined(listed: Sequence[str]) -> str:
     """Return the first complaints on one line, and how many more there are."""
     more = [f"and {len(listed) - _TOLD} more"] if len(listed) > _TOLD else []
-    return "; ".join([*listed[:_TOLD], *more])
+    complaints: list[str] = []
+    for text in listed[:_TOLD]:
+        _, mark, choices = text.partition(_ALLOWED)
+        is_known = mark and any(each.endswith(mark + choices) for each in complaints)
+        complaints.append(text.removesuffix(mark + choices) if is_known else text)
+    return "; ".join([*complaints, *more])
+
+
+_ALLOWED = "; allowed are "
+"""Before a list of what is allowed, which is stated once."""
 
 
 def _line(mistake: Mistake, lines: Mapping[Place, int]) -> int:

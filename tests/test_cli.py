@@ -16,6 +16,7 @@ from typing import Any
 
 import h5py
 import pytest
+from numpy.lib.format import write_array_header_1_0
 
 from imuarray.acquire import RecordingCounts
 from imuarray.cli import COMMANDS, main
@@ -167,6 +168,7 @@ def test_importing_a_log_is_refused_and_phases_are_suggested(run: Run, here: Pat
     assert run("log", "one.toml", *arguments)[0] == 0
     code, _, err = run("import", "r.h5", "-o", "again.h5")
     assert (code, err) == (2, ["imuarray: r.h5: is a log already; all commands can read it"])
+    assert run("import", "r.h5", "--guess")[::2] == (code, err)
     code, _, err = run("characterise", "r.h5", "--phase", "zup", "-o", "noise")
     assert code == 2 and err[0].endswith("it has z_up; did you mean z_up?")
 
@@ -220,6 +222,7 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     ((*GOOD_LOG, "-o", "r.h5", "--seconds", "0"), "--seconds"),
     ((*GOOD_LOG, "-o", "r.h5", "--seconds", "x"), "--seconds"),
     ((*GOOD_LOG, "-o", "r.h5", "--rate-hz", "0"), "--rate-hz"),
+    ((*GOOD_LOG, "-o", "r.h5", "--rate-hz", "nan"), "'nan' is not a number from 0.01 to 3200"),
     ((*GOOD_LOG, "-o", "r.h5", "--up", "up"), "--up"),
     ((*GOOD_LOG, "-o", "r.h5", "--only", "B"), "no sensor 'B'; it has A, M"),
     ((*GOOD_LOG, "-o", "none/r.h5"), "none/r.h5: the folder none does not exist"),
@@ -233,6 +236,9 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     (("info", "none.h5"), "none.h5: no such file"),
     (("info", "folder"), "folder: is a folder"),
     (("info", "one.toml"), "one.toml: is not an HDF5 file"),
+    (("info", "/dev/null"), "/dev/null: is a device or a pipe"),
+    (("import", "x.npz", "--guess"), "x.npz: does not begin as .npz files do"),
+    (("import", "large.npy", "--guess"), "its header states an array of 800000000000 bytes, the file has 144"),
     (("info", "x.csv"), "format 'imuarray-log'; imuarray import makes a log of a .csv"),
     (("info", "foreign.h5"), "foreign.h5: an HDF5 file, but not a log"),
     (("info", "fused.h5"), "fused.h5: is a fused result, not a log"),
@@ -258,6 +264,10 @@ def test_bad_input_is_one_line_exit_code_2_and_leaves_no_file(
     with h5py.File(here / "fused.h5", "w") as file:
         file.attrs["format"] = "imuarray-fused"
     (here / "x.csv").write_text("t,x\n0,1\n")
+    (here / "x.npz").write_bytes(bytes(range(128, 255)))
+    large = io.BytesIO()
+    write_array_header_1_0(large, {"descr": "<f8", "fortran_order": False, "shape": (100_000_000_000,)})
+    (here / "large.npy").write_bytes(large.getvalue() + bytes(16))
     before = {path: path.stat().st_mtime_ns for path in here.rglob("*")}
     code, out, err = run(*arguments)
     assert code == 2

@@ -13,7 +13,7 @@ import tomli_w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imuarray.toml_files import Place, key_lines
+from imuarray.toml_files import Mistake, Place, key_lines, refusal
 from tests.selection import examples
 
 _TEXTS = st.text(alphabet="a#[]{}=,.'\"\\\n é", max_size=8)
@@ -79,3 +79,10 @@ def test_dotted_keys_nested_arrays_of_tables_and_strings_have_their_lines(text: 
 def test_a_text_nested_without_end_has_no_lines() -> None:
     assert key_lines(f"a{'.a' * 100_000} = 1") == {}
     assert key_lines("a = " + "[" * 100_000 + "]" * 100_000) == {}
+
+
+def test_what_is_allowed_is_stated_once() -> None:
+    mistakes = [Mistake(("a",), "", f"{key}: unknown key; allowed are p, q") for key in "xy"]
+    assert str(refusal("a = 1\n", "m.toml", mistakes)) == (
+        "m.toml:1: x: unknown key; allowed are p, q; m.toml:1: y: unknown key"
+    )

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from imuarray.importers import Importer, ImportSummary
 
 _WIDTH = 110
+_IS_LOG = "{}: is a log already; all commands can read it"
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def command(options: ImportOptions) -> None:
     exported = _reader_of_export(options.source) if options.map_path is None and options.format_name is None else None
     if exported is None and (options.map_path is None) == (options.format_name is None):
         if _is_log(options.source):
-            raise click.UsageError(f"{options.source}: is a log already; all commands can read it")
+            raise click.UsageError(_IS_LOG.format(options.source))
         raise click.UsageError(f"give either --map MAP.toml or --format {'|'.join(FORMATS)}; --guess proposes a map")
     if options.up is not None and options.map_path is None:
         raise click.UsageError("--up requires --map")
@@ -137,6 +138,8 @@ def _guess(source: Path, output: Path | None, force: bool) -> None:
 
     if output is not None:
         refuse_existing(output, force, source)
+    if _is_log(source):
+        raise click.UsageError(_IS_LOG.format(source))
     text = guess_map(source)
     if output is None:
         click.echo(text, nl=False)

@@ -31,9 +31,22 @@ bus_option = click.option(
     help="i2c:/dev/i2c-1, spi:, iio:, serial:/dev/ttyACM0, replay:T.jsonl or emulated: (default: that of CONFIG)",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object instead of text")
+
+
+class NumberRange(click.FloatRange):
+    """A number in a range; "nan", which no comparison refuses, is none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number; a usage error states what is allowed."""
+        number = float(super().convert(value, param, ctx))
+        if math.isnan(number):
+            self.fail(f"{value!r} is not a valid float range.", param, ctx)
+        return number
+
+
 rate_option = click.option(
     "--rate-hz",
-    type=click.FloatRange(0.01, 3200),
+    type=NumberRange(0.01, 3200),
     default=50.0,
     show_default=True,
     help="frames per second; a frame reads every sensor once",

@@ -39,6 +39,8 @@ def run(command: click.Command, name: str, arguments: Sequence[str] | None = Non
         return _end(name, _explained(error), 2)
     except ImuArrayError as error:
         return _end(name, str(error), error.exit_code)
+    except MemoryError as error:
+        return _end(name, f"the memory of this machine is too small: {error or 'no more memory'}", 2)
     except OSError as error:  # of a file or a bus, without an error of its own
         place = f"{error.filename}: " if error.filename else ""
         return _end(name, f"{place}{error.strerror or error}", 3 if error.errno in NO_ROOM else 2)

@@ -13,6 +13,7 @@ import click
 from imuarray.axes import UP_AXES
 from imuarray.commands.options import (
     Duration,
+    NumberRange,
     argument,
     declared,
     force_option,
@@ -98,7 +99,7 @@ class SimulateOptions:
     )
     temperature_degc: float = option(
         "--temperature",
-        type=click.FloatRange(-40, 85),
+        type=NumberRange(-40, 85),
         default=25.0,
         show_default=True,
         help="temperature in degC, if the experiment has no temperature profile",

@@ -6,6 +6,7 @@ structs are `imu.acc`. The columns of a file with a single table can also be sel
 
 from __future__ import annotations
 
+import math
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -41,7 +42,7 @@ def open_rows(path: Path, progress: Callable[[int], None]) -> ArrayRows:
             arrays = dict(_of_npz(path))
         elif first.startswith(npy.MAGIC_PREFIX):
             with path.open("rb") as file:
-                arrays = dict(_of_npy("", file))
+                arrays = dict(_of_npy("", file, path.stat().st_size))
         elif first.startswith((b"\x89HDF", _MATLAB73)):
             arrays = dict(_of_hdf5(path))
         else:
@@ -52,6 +53,7 @@ def open_rows(path: Path, progress: Callable[[int], None]) -> ArrayRows:
         OSError,
         EOFError,
         KeyError,
+        MemoryError,
         NotImplementedError,
         zipfile.BadZipFile,
         zlib.error,
@@ -141,11 +143,20 @@ def _of_npz(path: Path) -> Iterator[tuple[str, Array]]:
             raise ValueError("a zip file without arrays of NumPy; unpack it, or save a spreadsheet as CSV")
         for member in arrays:
             with archive.open(member) as file:
-                yield from _of_npy(member.filename.removesuffix(".npy"), file)
+                yield from _of_npy(member.filename.removesuffix(".npy"), file, member.file_size)
 
 
-def _of_npy(name: str, file: IO[bytes]) -> Iterator[tuple[str, Array]]:
-    """Yield an array of numbers, or every field of a structured one; `name` is "" if it is alone in its file."""
+def _of_npy(name: str, file: IO[bytes], size: int) -> Iterator[tuple[str, Array]]:
+    """Yield an array of numbers, or every field of a structured one; `name` is "" if it is alone in its file.
+
+    ValueError if the header states an array that is larger than the file of `size` bytes: no memory is reserved for it.
+    """
+    read_header = npy.read_array_header_1_0 if npy.read_magic(file) == (1, 0) else npy.read_array_header_2_0
+    shape, _, dtype = read_header(file)
+    stated = math.prod(shape) * dtype.itemsize
+    if stated > size:
+        raise ValueError(f"its header states an array of {stated} bytes, the file has {size}")
+    file.seek(0)
     array: Array = npy.read_array(file, allow_pickle=False)
     if array.dtype.names:
         parts = (part for part in array.dtype.names if _is_column(array[part]))

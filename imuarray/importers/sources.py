@@ -256,8 +256,15 @@ def reader_of(source: str | PathLike[str]) -> str | None:
     module = next((module for magic, module in READERS.items() if first.startswith(magic)), None)
     if module is None and is_of_records(path):
         return "records"
+    if module is None and path.suffix.lower() in _BINARY and any(byte < 9 or byte > 126 for byte in first):
+        raise SourceError(
+            f"{path}: does not begin as {path.suffix.lower()} files do: it is damaged, or has a wrong name"
+        )
     return ZIP if module == "arrays" and first.startswith(b"PK") and zipped_texts(path) else module
 
+
+_BINARY = (".npy", ".npz", ".mat", ".h5", ".hdf5", ".parquet", ".bag", ".db3", ".mcap", ".zip")
+"""Suffixes of binary files; some texts have them, too (`save -ascii` of MATLAB)."""
 
 PACKERS: Mapping[bytes, str] = {
     b"\x28\xb5\x2f\xfd": "zstd", b"\xfd7zXZ\0": "xz", b"BZh": "bzip2",

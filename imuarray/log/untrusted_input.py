@@ -39,7 +39,8 @@ DAMAGE = (
 def open_file(path: Path) -> h5py.File:
     """Open an HDF5 file for reading; LogError if it is missing, truncated or something else."""
     if not path.is_file():
-        raise LogError(f"{path}: {'is a folder' if path.is_dir() else f'no such file{guess_file(path)}'}")
+        kind = "is a folder" if path.is_dir() else "is a device or a pipe; a log is a file" if path.exists() else ""
+        raise LogError(f"{path}: {kind or f'no such file{guess_file(path)}'}")
     try:
         return h5py.File(path, "r", rdcc_nbytes=READ_CACHE_BYTES)
     except OSError as error:
