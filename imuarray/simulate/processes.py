@@ -3,7 +3,9 @@
 A process is generated on knots, every `spacing` rows, and is linear in between. Where knots are rows it is exact; knots
 are at most a five hundredth of a time constant apart (a tenth of a second for a random walk), or one row. That leaves
 out less than 0.1 % of a Gauss-Markov process's variance, at frequencies where every sensor's white noise is many
-thousand times stronger.
+thousand times stronger. The spacing of a Gauss-Markov process is a power of two and its draws are the same for every
+time constant, so that a process with a slightly different time constant is a slightly different one, unless the spacing
+changes.
 
 Knots are grouped in chunks. The values at the begin and end of a chunk are drawn first, from a stream of its own and
 with the exact law x[end] = phi**KNOTS x[begin] + w; its inside is drawn from another stream as if free, x' = phi x' +
@@ -153,23 +155,26 @@ def _bridge(decay: float) -> Floats:
 
 
 def gauss_markov(
-    time_constant_s: float, at: Place, effect: str, shared_by: str = "", scale: Triple = _UNIT
+    time_constant_s: float, at: Place, effect: str, shared_by: str = "", scale: Triple = _UNIT, number: int = 1
 ) -> SlowProcess:
     """Return a stationary first-order Gauss-Markov process of rms `scale`: correlation exp(-|t| / time_constant).
-    Processes with different time constants have independent draws, so that they can be added.
+    Processes of an effect with different numbers have independent draws, so that they can be added.
     """
     return at.kept(
-        ("gauss_markov", time_constant_s, effect, at.copy, shared_by, scale),
-        lambda: _gauss_markov(time_constant_s, at, effect, shared_by, scale),
+        ("gauss_markov", time_constant_s, effect, at.copy, shared_by, scale, number),
+        lambda: _gauss_markov(time_constant_s, at, effect, shared_by, scale, number),
     )
 
 
-def _gauss_markov(time_constant_s: float, at: Place, effect: str, shared_by: str, scale: Triple) -> SlowProcess:
+def _gauss_markov(
+    time_constant_s: float, at: Place, effect: str, shared_by: str, scale: Triple, number: int
+) -> SlowProcess:
     rows_felt = at.rows_per_s * time_constant_s
-    spacing = min(max(1, math.floor(rows_felt / _PER_TIME_CONSTANT)), _WIDEST)
+    widest = min(max(1, math.floor(rows_felt / _PER_TIME_CONSTANT)), _WIDEST)
+    spacing = 1 << (widest.bit_length() - 1)
     decay = spacing / rows_felt
-    inside = at.stream(effect, f"inside {time_constant_s!r} s", shared_by=shared_by, chunk_rows=KNOTS)
-    ends = at.stream(effect, f"ends {time_constant_s!r} s", shared_by=shared_by, chunk_rows=_ENDS)
+    inside = at.stream(effect, f"inside, number {number}", shared_by=shared_by, chunk_rows=KNOTS)
+    ends = at.stream(effect, f"ends, number {number}", shared_by=shared_by, chunk_rows=_ENDS)
     return SlowProcess(spacing, Recursion(decay, math.sqrt(-math.expm1(-2 * decay)), 1.0), inside, ends, scale)
 
 

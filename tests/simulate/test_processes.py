@@ -30,7 +30,7 @@ def drawn(process_of_seed: list[SlowProcess], rows: list[int]) -> Floats:
         (10.0, 90.0, [0, 1, 2800, 4095, 4096, 4102, 8192, 2500]),  # every row a knot; chunks of 4096 knots meet
         (10.0, 90.0, [101_000, 102_399, 102_400, 102_401, 104_000]),  # long after any influence of the beginning
         (1.0, 0.5, [0, 1, 2, 3, 8191, 8192]),  # shorter than a row
-        (100.0, 100.0, [0, 20, 40, 81_900, 81_920, 16_380, 163_840]),  # every twentieth row a knot
+        (100.0, 100.0, [0, 16, 32, 65_520, 65_536, 16_384, 131_072]),  # every sixteenth row a knot
         (100.0, 1e6, [0, 256 * 4095, 256 * 4096, 256 * 2000, 256 * 200_000]),  # knots no farther apart than 256 rows
     ],
 )
@@ -73,7 +73,7 @@ def walk(at: Place) -> SlowProcess:
     return random_walk(at, "w")
 
 
-@pytest.mark.parametrize(("kind", "spacing"), [(gauss, 20), (walk, 10)])
+@pytest.mark.parametrize(("kind", "spacing"), [(gauss, 16), (walk, 10)])
 def test_a_process_is_linear_between_knots(
     place: MakePlace, kind: Callable[[Place], SlowProcess], spacing: int
 ) -> None:
@@ -109,8 +109,8 @@ def test_the_distribution_is_the_same_months_later(place: MakePlace) -> None:
 
 
 def test_processes_of_different_names_differ(place: MakePlace) -> None:
-    def path(at: Place, effect: str = "b", time_constant_s: float = 100.0, shared_by: str = "") -> Floats:
-        return gauss_markov(time_constant_s, at, effect, shared_by).rows(0, 5000)
+    def path(at: Place, effect: str = "b", number: int = 1, shared_by: str = "") -> Floats:
+        return gauss_markov(100.0, at, effect, shared_by, number=number).rows(0, 5000)
 
     other = place(header(name="S2"))
     paths = [
@@ -119,13 +119,23 @@ def test_processes_of_different_names_differ(place: MakePlace) -> None:
         path(place(seed=2)),
         path(place(boot=1)),
         path(place(), "c"),
-        path(place(), time_constant_s=101.0),
+        path(place(), number=2),
         path(place(), shared_by="bma180"),
     ]
     firsts = np.array([rows[0] for rows in paths])
     assert len(np.unique(firsts)) == firsts.size
     np.testing.assert_array_equal(path(place()), paths[0])
     np.testing.assert_array_equal(path(other, shared_by="bma180"), paths[-1])
+
+
+@pytest.mark.parametrize("rows_per_s", [4.0, 100.0])
+def test_another_time_constant_changes_the_process_little(place: MakePlace, rows_per_s: float) -> None:
+    first, other = (
+        gauss_markov(time_s, place(rows_per_s=rows_per_s), "b").rows(0, 50_000) for time_s in (100.0, 101.0)
+    )
+    # The draws are the same. Those of one moment are felt as exp(-s / T), so that two of 1 % different time constants
+    # have a correlation of 2 sqrt(T U) / (T + U), 1 - 1.2e-5; the mean square of their difference is 2.5e-5.
+    assert 1e-6 < ((other - first) ** 2).mean() < 1e-4
 
 
 @pytest.mark.parametrize("rows_per_s", [4.0, 100.0])

@@ -10,6 +10,7 @@ import pytest
 
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import BiasInstability, CommonMode, RandomWalk
+from imuarray.simulate.processes import gauss_markov
 from imuarray.simulate.signal import Analog, Place
 from tests.simulate.conftest import Floats, MakePlace, furthest, header
 
@@ -74,11 +75,12 @@ def test_allan_deviation_of_flicker_noise_is_flat(place: MakePlace, analog: Make
 
 
 def test_flicker_noise_is_a_sum_of_processes_of_equal_variance(place: MakePlace, analog: MakeAnalog) -> None:
-    """Rows are those of the single processes with half of the rms, one for each time constant."""
+    """Rows are those of independent processes with half of the rms, one for each time constant."""
     at = place(rows_per_s=10.0)
     flicker = added(BiasInstability((0.02, 0.0, 0.04), 64.0, 1.0), at, analog, 0, 200)
     single = [
-        added(BiasInstability((0.01, 0.0, 0.02), time_s), at, analog, 0, 200) for time_s in (64.0, 16.0, 4.0, 1.0)
+        gauss_markov(time_s, at, "bias_instability", scale=(0.01, 0.0, 0.02), number=number).rows(0, 200)
+        for number, time_s in ((1, 64.0), (2, 16.0), (3, 4.0), (4, 1.0))
     ]
     np.testing.assert_allclose(flicker, np.sum(single, axis=0), rtol=1e-12, atol=1e-15)
     assert BiasInstability(1.0, 64.0, 0.9).time_constants_s == (64.0, 16.0, 4.0, 1.0)
