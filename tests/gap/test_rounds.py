@@ -223,8 +223,17 @@ def test_what_sensors_share_for_a_while_waits_for_what_they_always_share() -> No
     assert precursors([alone, COMMON]) == [[], []]
 
 
-@pytest.mark.parametrize(("by_log", "is_seen"), [({0: -9.0, 1: 2.0}, True), ({0: -9.0, 1: 0.5}, False), ({}, False)])
-def test_a_while_is_looked_at_if_a_log_gains(
+@pytest.mark.parametrize(
+    ("by_log", "is_seen"),
+    [
+        ({0: -9.0, 1: 2.0}, True),
+        ({0: -9.0, 1: 0.5}, False),
+        ({0: 2.0, 1: -9.0}, False),
+        ({0: 2.0, 1: 0.0, 2: 0.0}, True),  # the part that was looked at does not have its logs
+        ({}, False),
+    ],
+)
+def test_a_while_is_looked_at_if_a_log_of_it_gains(
     by_log: dict[int, float], is_seen: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[Hypothesis] = []

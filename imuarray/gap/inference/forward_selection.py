@@ -10,7 +10,7 @@ still missing.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -20,7 +20,7 @@ import numpy as np
 from imuarray.arrays import Floats, triple
 from imuarray.gap.inference.effects import Candidate, Hypothesis
 from imuarray.gap.inference.evidence import NUMBERS as EACH_NUMBER
-from imuarray.gap.inference.evidence import Evidence, in_logs, join_spans, since, views
+from imuarray.gap.inference.evidence import Evidence, When, in_logs, join_spans, since, views
 from imuarray.gap.inference.refinement import (
     FittedHypothesis,
     active_axes,
@@ -282,7 +282,11 @@ def look_in_turns(
             unit: [at for at in places if not set(before[unit][at]) & set(places)] for unit, places in waiting.items()
         }
         due = {
-            unit: [at for at in places if not before[unit][at] or _any_gains(seen[unit], before[unit][at])]
+            unit: [
+                at
+                for at in places
+                if not before[unit][at] or _any_gains(seen[unit], before[unit][at], trials[unit][at].when)
+            ]
             for unit, places in ready.items()
         }
         looks = _look_at_all(
@@ -294,17 +298,20 @@ def look_in_turns(
     return {unit: [looks_at[at] for at in sorted(looks_at)] for unit, looks_at in seen.items()}
 
 
-def _any_gains(looks: Mapping[int, FittedHypothesis], places: Sequence[int]) -> bool:
-    """Return whether any of the trials at these places gains something, in all logs or in one of them, of those that
+def _any_gains(looks: Mapping[int, FittedHypothesis], places: Sequence[int], when: When) -> bool:
+    """Return whether any of the trials at these places gains something where another one acts `when`, of those that
     were looked at.
     """
-    return any(at in looks and (looks[at].gain > 0 or _gain_of_a_log(looks[at]) > EACH_NUMBER) for at in places)
+    return any(at in looks and _gains(looks[at], {span.log for span in when.spans}) for at in places)
 
 
-def _gain_of_a_log(look: FittedHypothesis) -> float:
-    """Return the largest gain of a log, if a part of the logs may have the effect (`_is_divisible`)."""
-    gains = look.by_log.values() if look.trial.shared and _is_divisible(look.trial) else ()
-    return max(gains, default=-math.inf)
+def _gains(look: FittedHypothesis, logs: Collection[int]) -> bool:
+    """Return whether a trial gains something: in one of these `logs`, if it acts in others too and shows in these;
+    otherwise in all logs, or in one of them if a part of the logs may have the effect (`_is_divisible`).
+    """
+    by_log = look.by_log if look.trial.shared and _is_divisible(look.trial) else {}
+    shown = [by_log[log] for log in logs if by_log.get(log)]
+    return max(shown) > EACH_NUMBER if shown else look.gain > 0 or max(by_log.values(), default=0.0) > EACH_NUMBER
 
 
 def precursors(trials: Sequence[Hypothesis]) -> list[list[int]]:
@@ -350,7 +357,7 @@ def _look_at_all(
     run: Run, standings: Mapping[Unit, UnitState], trials: Mapping[Unit, Sequence[Hypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
     """Return a look at all trials, a few of a unit in each job."""
-    most = TOGETHER // LOOKS
+    most = TOGETHER
     parts = {
         unit: [unit_trials[first : first + most] for first in range(0, len(unit_trials), most)]
         for unit, unit_trials in trials.items()
