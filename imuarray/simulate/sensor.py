@@ -86,6 +86,14 @@ class Surroundings:
     dtype: npt.DTypeLike
 
 
+class _SharedSignal(NamedTuple):
+    """The memory of signals after the first so many acting `effects`, which belong to an `owner` there."""
+
+    memory: DrawMemory
+    owner: Hashable
+    effects: int
+
+
 class SimulatedSensor:
     """A triad; `block(start, stop)` returns rows in the form of a log."""
 
@@ -126,9 +134,9 @@ class SimulatedSensor:
         self._lookback = (
             1 + 2 * self._is_polled + self._held_rows() + sum(effect.lookback(at) for effect, at in self._acting)
         )
-        self._is_local = not any(effect.lookback(at) for effect, at in self._acting)
         self._chunk: Callable[[int, bool], Chunk] = lru_cache(maxsize=4)(self._evaluated)
         self._stretch: Callable[[int, int], Chunk] = lru_cache(maxsize=4)(self._evaluated_alone)
+        self._shared: _SharedSignal | None = None
 
     def remember(self, memory: DrawMemory, owner: Hashable) -> None:
         """Keep computed rows in a memory, in which they belong to `owner`, rather than the latest of them here."""
@@ -142,6 +150,16 @@ class SimulatedSensor:
             return memory.recall(key, lambda: self._evaluated_alone(begin, end), lambda rows: rows.nbytes)
 
         self._chunk, self._stretch = chunk, stretch
+
+    def share(self, memory: DrawMemory, owner: Hashable, count: int) -> None:
+        """Keep the signal after the first `count` effects in a memory, in which it belongs to `owner`: simulations that
+        differ in later effects only have it in common, unless one of these changes when rows are read or what is felt.
+        """
+        chosen, later = self.effects[:count], self.effects[count:]
+        if not any(_changes_felt_signal(effect) for effect in later):
+            boot = self._place.streams.boot
+            acting_count = sum(acting(effect, boot) is not None for effect in chosen)
+            self._shared = _SharedSignal(memory, (owner, chosen), acting_count)
 
     def block(self, start: int, stop: int, demand: Demand = Demand.ANY) -> Block:
         """Return those of the rows start ... stop - 1 that arrive (fewer than stop - start if readings are dropped).
@@ -184,7 +202,7 @@ class SimulatedSensor:
         begin, end = max(start, number * CHUNK), min(stop, (number + 1) * CHUNK, self.rows)
         if demand is Demand.FEW and end - begin + self._lookback < CHUNK // 2:
             chunk = self._stretch(begin, end)
-        elif demand is not Demand.ANY and self._is_local and _WORTH_IT <= end - begin < CHUNK:
+        elif demand is not Demand.ANY and _WORTH_IT <= end - begin < CHUNK - self._lookback:
             chunk = self._evaluated_alone(begin, end)
         else:
             chunk, begin = self._chunk(number, True), number * CHUNK
@@ -246,6 +264,23 @@ class SimulatedSensor:
         self, first: int, stop: int, acting: Sequence[tuple[Effect, Place]], until: int | None = None
     ) -> tuple[Instants, Codes]:
         """Compute rows first ... stop - 1 through all stages; the last stage only up to effect number `until`."""
+        shared = self._shared
+        if shared is None:
+            instants, analog = self._felt_signal(first, stop, acting)
+        else:
+            instants, analog = shared.memory.recall(
+                (shared.owner, first, stop),
+                lambda: self._passed(*self._felt_signal(first, stop, acting), acting[: shared.effects]),
+                lambda signal: _bytes_of(*signal),
+            )
+        _, analog = self._passed(instants, analog, acting[0 if shared is None else shared.effects :])
+        codes = self._coded(analog, instants.phase)
+        for effect, at in acting[:until]:
+            codes = effect.codes(codes, at)
+        return instants, codes
+
+    def _felt_signal(self, first: int, stop: int, acting: Sequence[tuple[Effect, Place]]) -> tuple[Instants, Analog]:
+        """Return when rows first ... stop - 1 are read, and the true quantity."""
         stamps = self.timeline.stamps(first, stop)
         instants = Instants(first, stamps, stamps, np.ones(len(stamps), bool), self.header.rate_hz)
         for effect, at in acting:
@@ -254,13 +289,14 @@ class SimulatedSensor:
         felt = self._motion.felt(instants.instant_ns)
         for effect, at in acting:
             felt = effect.felt(felt, at)
-        analog = self._sensed(first, instants, felt)
+        return instants, self._sensed(first, instants, felt)
+
+    @staticmethod
+    def _passed(instants: Instants, analog: Analog, acting: Sequence[tuple[Effect, Place]]) -> tuple[Instants, Analog]:
+        """Return the instants and the signal after these effects."""
         for effect, at in acting:
             analog = effect.analog(analog, at)
-        codes = self._coded(analog, instants.phase)
-        for effect, at in acting[:until]:
-            codes = effect.codes(codes, at)
-        return instants, codes
+        return instants, analog
 
     def _sensed(self, first: int, instants: Instants, felt: Felt) -> Analog:
         """Return the true quantity along the sensor's axes, before any effect."""
@@ -338,6 +374,18 @@ class SimulatedBarometer:
     def lost_rows(self, start: int, stop: int) -> Integers:
         """Return no rows: a barometer loses none."""
         return np.zeros(0, np.int64)
+
+
+def _changes_felt_signal(effect: Effect) -> bool:
+    """Return whether an effect changes when rows are read or what is felt then."""
+    kind = type(effect)
+    return kind.sampled is not Effect.sampled or kind.felt is not Effect.felt
+
+
+def _bytes_of(instants: Instants, analog: Analog) -> int:
+    """Return the memory of the arrays of a signal, each counted once; those that repeat one row have none."""
+    arrays = {id(item): item for stage in (instants, analog) for item in vars(stage).values()}.values()
+    return sum(item.nbytes for item in arrays if isinstance(item, np.ndarray) and item.strides[0])
 
 
 def _turn_to_sensor(vector_box: Reals, orientation: Reals, dtype: npt.DTypeLike) -> Reals:

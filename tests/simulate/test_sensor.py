@@ -21,7 +21,7 @@ from imuarray.simulate.model import parse_model
 from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
 from imuarray.simulate.signal import Instants, Place
 from imuarray.simulate.simulation import Simulation, effects_of, plan_of
-from imuarray.simulate.streams import CHUNK
+from imuarray.simulate.streams import CHUNK, DrawMemory
 from tests.selection import examples
 
 CHIPS = {
@@ -174,6 +174,28 @@ def test_any_block_alone_equals_that_of_the_whole(start: int, length: int, singl
     rows = (everything.time >= stamps[0]) & (everything.time <= stamps[-1])
     for ours, theirs in zip(alone[:4], everything[:4], strict=True):
         np.testing.assert_array_equal(ours, np.asarray(theirs)[rows])
+
+
+LATER = (
+    (EFFECTS["white_noise"](rms=0.5),),  # type: ignore[call-arg]
+    (EFFECTS["bandwidth"](cutoff_hz=20.0, share=1.0), EFFECTS["glitches"](probability=0.01)),  # type: ignore[call-arg]
+    (EFFECTS["odr_error"](rate_hz=390.0),),  # type: ignore[call-arg]
+    (EFFECTS["tone"](amplitude=2.0, frequency_hz=30.0, spans=(0.0, 20.0, 40.0)),),  # type: ignore[call-arg]
+)
+
+
+def test_sensors_share_the_signal_after_the_effects_they_begin_with() -> None:
+    """Bit for bit, with different effects after the first two. The last sensor takes the signal of the first; an effect
+    that changes the times of the readings, as in the third, has no signal in common.
+    """
+    memory, begin = DrawMemory(1 << 26), (noisy()[1], noisy()[3])
+    for later in LATER:
+        alone, sharing = (
+            sensor(_Rest(), "l3g4200d", (*begin, *later), rate_hz=400.0, seconds=SECONDS, seed=5) for _ in range(2)
+        )
+        sharing.share(memory, "a log", 2)
+        for ours, theirs in zip(sharing.block(3000, 20_000), alone.block(3000, 20_000), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
 
 
 def test_a_dropped_row_is_missing_and_the_next_row_is_flagged(constant: Any) -> None:

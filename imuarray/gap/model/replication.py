@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -32,7 +32,7 @@ from imuarray.simulate.effects.response import GSensitivity, Misalignment, Scale
 from imuarray.simulate.effects.temperature import ThermalBias
 from imuarray.simulate.motion.felt import Felt, Motion, MotionVariant
 from imuarray.simulate.sensor import Demand, SimulatedSensor
-from imuarray.simulate.simulation import Simulation
+from imuarray.simulate.simulation import Simulation, in_physical_order
 from imuarray.simulate.streams import CHUNK, DrawMemory, Streams
 from imuarray.units import INERTIAL, SI_PER_UNIT, STANDARD_GRAVITY
 
@@ -111,6 +111,9 @@ _ROWS_BYTES = 1 << 25
 """Rows that a process remembers of sensors with which others are compared: an hour of six sensors at 40 Hz, or some
 motions of minutes in eight replicates.
 """
+
+_SIGNALS_BYTES = 1 << 26
+"""Signals that a process remembers, which models have in common: those of three sensors of three hours at 28 Hz."""
 
 _KEPT_LOGS = 256
 """Summaries of logs that a process keeps: of a sensor in two replicates of a campaign of a hundred logs."""
@@ -253,20 +256,24 @@ class Stage:
         rows = max((line.rows for _, line in experiment.plan.sensors.values()), default=0)
         at_once = max(_ROWS // max(rows, 1), 1)
         reference = reference_of(experiment.motion)
+        common = _common_effects([number for _, number in requests], effects)
         summaries: list[LogSummary] = []
         for first in range(0, len(requests), at_once):
             some = slice(first, first + at_once)
             replicates = [
-                self._sources(part.log, *request, request_effects, part.demand)
+                self._sources(part.log, *request, request_effects, part.demand, common[request[1]])
                 for request, request_effects in zip(requests[some], effects[some], strict=True)
             ]
             at_rest = {name for name in replicates[0] if self._is_compared_at_rest(name, requests[0][0])}
             summaries += summarise_logs(kind, replicates, part.phases, reference, part.layouts, at_rest)
         return summaries
 
-    def _sources(self, log: int, models: Models, number: int, effects: Effects, demand: Demand) -> dict[str, Source]:
-        """One replicate of a log: these sensors and those with which they are compared. Many models share the others.
-        Those that are only compared in motion are simulated only there.
+    def _sources(
+        self, log: int, models: Models, number: int, effects: Effects, demand: Demand, common: Mapping[str, int]
+    ) -> dict[str, Source]:
+        """One replicate of a log: these sensors and those with which they are compared. Many models share the others,
+        and the signal after the first `common` effects of these. Those that are only compared in motion are simulated
+        only there.
         """
         experiment = self.experiments[log]
         plan = experiment.plan
@@ -283,7 +290,9 @@ class Stage:
         return {
             name: experiment.comparable_rows(name, array[name])
             if name in swapped
-            else self._source(log, name, effects[name], number, demand)
+            else self._source(
+                log, name, effects[name], number, demand, partial(self._share, (log, name, number), common[name])
+            )
             if name in models
             else self._cached_source(
                 log, name, effects[name], number, demand if self._is_compared_at_rest(name, models) else Demand.FEW
@@ -321,8 +330,10 @@ class Stage:
         """`_source`, with a cache of sources, whose rows are remembered too."""
 
         def source(log: int, name: str, effects: tuple[Effect, ...], number: int, demand: Demand) -> Source:
-            owner = ("rows", log, name, effects, number)
-            return self._source(log, name, effects, number, demand, owner)
+            owner = (log, name, effects, number)
+            return self._source(
+                log, name, effects, number, demand, lambda sensor: sensor.remember(self._rows_memory, owner)
+            )
 
         return lru_cache(maxsize=_KEPT)(source)
 
@@ -335,6 +346,16 @@ class Stage:
     def _rows_memory(self) -> DrawMemory:
         """The latest rows of sensors with which others are compared, apart from draws, of which there are many more."""
         return DrawMemory(_ROWS_BYTES)
+
+    def _share(self, owner: Hashable, common: int, sensor: SimulatedSensor) -> None:
+        """Let a sensor remember its signal after the first effects, which several models have in `common`."""
+        if common:
+            sensor.share(self._signals_memory, owner, common)
+
+    @cached_property
+    def _signals_memory(self) -> DrawMemory:
+        """The latest signals that several models of a sensor have in common."""
+        return DrawMemory(_SIGNALS_BYTES)
 
     def _felt_motion(self, log: int, number: int) -> Motion:
         """Return the motion of a log in a replicate, which remembers what was felt."""
@@ -355,9 +376,15 @@ class Stage:
         return draw_room_temperature(motion, units, self.first_boot + log, usual_degc)
 
     def _source(
-        self, log: int, name: str, effects: tuple[Effect, ...], number: int, demand: Demand, owner: Hashable = None
+        self,
+        log: int,
+        name: str,
+        effects: tuple[Effect, ...],
+        number: int,
+        demand: Demand,
+        remember: Callable[[SimulatedSensor], None],
     ) -> Source:
-        """Return the simulation of a sensor that does not depend on others; with an `owner` its rows are remembered."""
+        """Return the simulation of a sensor that does not depend on others, which is told what to `remember`."""
         experiment = self.experiments[log]
         plan = replace(experiment.plan, sensors={name: experiment.plan.sensors[name]})
         simulation = Simulation(
@@ -368,8 +395,9 @@ class Stage:
             boot=self.first_boot + log,
         )
         simulation.streams.memory = self._memory
-        if owner is not None and isinstance(sensor := simulation.sensors[name], SimulatedSensor):
-            sensor.remember(self._rows_memory, owner)
+        sensor = simulation.sensors[name]
+        if isinstance(sensor, SimulatedSensor):
+            remember(sensor)
         return experiment.comparable_rows(name, simulated_sources(simulation, demand)[name])
 
     @cached_property
@@ -460,3 +488,27 @@ class Stage:
     def __getstate__(self) -> dict[str, Any]:
         """The fields without cached results, which are computed again where they are needed."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
+
+
+def _common_effects(numbers: Sequence[int], effects: Sequence[Effects]) -> dict[int, dict[str, int]]:
+    """Return, for each number of a replicate and each sensor, how many effects its models begin with alike, in physical
+    order; 0 if there is one model only.
+    """
+    by_number: dict[int, dict[str, set[tuple[Effect, ...]]]] = {}
+    for number, of_replicate in zip(numbers, effects, strict=True):
+        chains = by_number.setdefault(number, {})
+        for name, of_sensor in of_replicate.items():
+            chains.setdefault(name, set()).add(in_physical_order(of_sensor))
+    return {
+        number: {name: _common_length(list(several)) for name, several in chains.items()}
+        for number, chains in by_number.items()
+    }
+
+
+def _common_length(chains: Sequence[tuple[Effect, ...]]) -> int:
+    """Return the number of first items that several sequences have in common; 0 for a single one."""
+    if len(chains) < 2:
+        return 0
+    return next(
+        (at for at, items in enumerate(zip(*chains, strict=False)) if len(set(items)) > 1), min(map(len, chains))
+    )
