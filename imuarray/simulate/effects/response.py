@@ -33,6 +33,8 @@ class SizeEffect(Effect):
         rate, acceleration = felt.rate_box, felt.angular_acceleration_box
         if rate.strides[0] == acceleration.strides[0] == 0:
             rate, acceleration = rate[:1], acceleration[:1]
+        if not (rate.any() or acceleration.any()):
+            return felt
         place = np.array(self.position_mm) * 1e-3
         added = np.cross(acceleration, place) + np.cross(rate, np.cross(rate, place))
         return replace(felt, force_box=felt.force_box + added) if added.any() else felt
