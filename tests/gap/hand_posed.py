@@ -1,4 +1,4 @@
-"""The small array put down by hand in attitudes that nobody noted, simulated and as a log without truth."""
+"""The small array put down by hand in unrecorded attitudes, simulated and as a log without truth."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ POSE_S, TURN_S = 5, 1
 
 
 def directions(count: int, seed: int = 0) -> Floats:
-    """(k, 3) in all directions, no two alike."""
+    """(k, 3) in all directions, all different."""
     ways = np.random.default_rng(seed).normal(size=(count, 3))
     return np.asarray(ways / np.linalg.norm(ways, axis=1)[:, None])
 
@@ -50,7 +50,7 @@ def campaign_in(motion: PoseSequence, more: Effects | None = None, seed: int = 0
 
 
 def written(path: Path, simulation: Simulation, phases: tuple[Phase, ...] = ()) -> Path:
-    """A log that says nothing but `phases` of what happened."""
+    """A log with no information on the motion except `phases`."""
     sensors = simulation.sensors
     with LogWriter(
         path, [one.header for one in sensors.values()], source="imported", epoch="2024-01-01T00:00:00Z"

@@ -1,4 +1,4 @@
-"""What the parts of every diagnosis have to say of each other, checked on the JSON that it is written as."""
+"""Consistency of the parts of every diagnosis, checked on its JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ROUNDING = 1e-12
 
 
 def check_agreement(found: Mapping[str, Any]) -> None:
-    """Verdict, closure, probabilities, sentence and what is unexplained don't contradict each other."""
+    """Check that verdict, closure, probabilities, sentence and unexplained part are consistent."""
     verdict, gap, causes, unknown = (found[key] for key in ("verdict", "gap", "causes", "unknown"))
     chances = [cause["probability"] for cause in causes]
     assert verdict in ("no gap", "explained", "partly explained", "unexplained")

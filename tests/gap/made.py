@@ -133,7 +133,7 @@ def header(name: str = "S", axes: str = "+X+Y+Z", chip: str = "bma180", **change
 
 
 def block(counts: npt.ArrayLike, interval_ns: int = 10_000_000, start_ns: int = 0, **changes: Any) -> Block:
-    """Counts (n, 3) or (n,), which all axes then have, at even times."""
+    """Counts (n, 3) or (n,), the same for all axes, at even times."""
     rows = np.asarray(counts)
     wide = np.asarray(rows if rows.ndim == 2 else np.stack([rows] * 3, axis=1), np.int16)
     times = start_ns + np.arange(len(wide), dtype=np.int64) * interval_ns
@@ -147,7 +147,7 @@ def summary(
     cuts: Sequence[int] = (),
     sensor: SensorHeader | None = None,
 ) -> Summary:
-    """Of one block, fed in pieces that end at `cuts`."""
+    """Summary of one block, fed in pieces that end at `cuts`."""
     whole = phase or Phase(0, int(rows.time[-1]) + 10_000_000, "static", "+Z")
     tally = Tally(sensor or header(), whole, Grid.of(len(rows.time)))
     edges = [0, *cuts, len(rows.time)]
@@ -188,7 +188,7 @@ def where(sensor: str, axis: str, statistic: str = "line") -> Where:
 
 
 def units(seed: int) -> dict[str, tuple[Effect, ...]]:
-    """Scales and leaning axes as the data sheets have them, drawn by other means than the library's."""
+    """Scales and misalignments within the data sheets, drawn independently of the library."""
     random = np.random.default_rng((99, seed))
     return {
         name: (

@@ -1,4 +1,4 @@
-"""States of units with statistics that are given by hand."""
+"""States of units with given statistics."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def standing(
     models: Mapping[str, SensorModel] | None = None,
     independent: float = 1.0,
 ) -> UnitState:
-    """Of statistics that are standard without a change."""
+    """A state with standard statistics before a change."""
     count = len(real)
     usual = SyntheticLikelihood(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
     known = models or {"G1": SensorModel(FITTED)}

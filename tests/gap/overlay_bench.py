@@ -39,7 +39,7 @@ def where(sensor: str = "G1", axis: str = "y", domain: str = "spectrum", phase: 
 
 
 class Run:
-    """One item after the other; counts them."""
+    """Run the items in order and count them."""
 
     def __init__(self, bench: Bench) -> None:
         self._bench, self.items = bench, 0

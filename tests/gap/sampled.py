@@ -1,5 +1,5 @@
-"""Logs written by hand with NumPy alone: two or three experiments at different rates, with an effect that shows at some
-rates, at some times or in some units only. Nothing of the simulator's effects is used.
+"""Logs written by hand with NumPy alone: two or three experiments at different rates, with an effect that is visible at
+some rates, at some times or in some units only. The simulator's effects are not used.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ address = {address}
 {settings}
 axes = "{axes}"
 """
-# noise is white from row to row: the filters are set so high that rows would not show them
+# noise is white from row to row: the cutoffs are too high to be visible in the rows
 _SETTINGS = {
     "l3g4200d": "range = 250\nrate_hz = 800\nbandwidth_hz = 110",
     "bma180": "range = 4\nbandwidth_hz = 150",
@@ -49,7 +49,7 @@ _AXES = ("+X+Y+Z", "-X+Y-Z", "+X-Y-Z")
 
 
 class Experiment(NamedTuple):
-    """A log at rest: rows a second, seconds on each of these faces."""
+    """A log at rest: rows per second, seconds on each of these faces."""
 
     rate_hz: float
     face_s: float
@@ -62,8 +62,8 @@ FAST, SLOW = Experiment(200.0, 60.0), Experiment(48.0, 20.0, ("+Z", "+X", "+Y", 
 @dataclass
 class Rows:
     """One sensor in one log: `time_s` (n,), `signal` and `noise` (n, 3) in the sensor's unit, which an effect changes
-    before they are converted to `counts`; these, `kept` and `stale` (n,) it changes afterwards. Rows before which
-    others are lost have a flag if the recorder `flags_losses`.
+    before they are converted to `counts`; it changes these, `kept` and `stale` (n,) afterwards. Rows after lost rows
+    have a flag if the recorder `flags_losses`.
     """
 
     log: int
@@ -80,11 +80,11 @@ class Rows:
 
 
 def _nothing(rows: Rows) -> None:
-    """Changes nothing."""
+    """Change nothing."""
 
 
 class Change(NamedTuple):
-    """What an effect does before and after the conversion to counts."""
+    """The change by an effect before and after the conversion to counts."""
 
     analog: Callable[[Rows], None] = _nothing
     digital: Callable[[Rows], None] = _nothing
@@ -183,7 +183,7 @@ def _block(
 
 
 def low_pass(cutoff_hz: float) -> Change:
-    """Noise behind a low-pass of one pole, sampled 16 times as finely as rows."""
+    """Noise after a low-pass of one pole, sampled 16 times as finely as rows."""
 
     def analog(rows: Rows) -> None:
         fine = 16
@@ -196,7 +196,7 @@ def low_pass(cutoff_hz: float) -> Change:
 
 
 def low_pass_since(cutoff_hz: float, since_s: float, log: int = 0) -> Change:
-    """What was white goes through a filter of one pole from a moment on, row by row: less is left of it."""
+    """White noise passes a filter of one pole from a moment on, row by row, and becomes smaller."""
 
     def analog(rows: Rows) -> None:
         if rows.log == log:
@@ -232,7 +232,7 @@ def shifted(by: float, since_s: float, end_s: float = np.inf, axis: int = 0, log
 
 
 def held(new_hz: float, since_s: float = 0.0, end_s: float = np.inf) -> Change:
-    """The chip has so many new readings a second, for a part of the time: rows that come faster repeat."""
+    """The chip has so many new readings per second, for a part of the time: faster rows are repeats."""
 
     def digital(rows: Rows) -> None:
         if new_hz >= rows.rate_hz:
@@ -271,7 +271,7 @@ def in_fours(axis: int, logs: Sequence[int]) -> Change:
 def shared_noise(
     rms: float, sign: int = 1, seed: int = 5, since_s: float = 0.0, logs: Sequence[int] = (0, 1)
 ) -> Change:
-    """White noise that is the same in every unit that has this change, along their own axes, but for its sign; from a
+    """White noise that is the same in every unit with this change, along their own axes, except for its sign; from a
     moment on, in these logs.
     """
 
@@ -284,7 +284,7 @@ def shared_noise(
 
 
 def lost(moments_s: Sequence[float], log: int = 0, *, flagged: bool = True) -> Change:
-    """Single readings that never arrive, with the flag that says so or without."""
+    """Single readings that are lost, with or without the flag."""
 
     def digital(rows: Rows) -> None:
         rows.flags_losses = flagged
@@ -295,7 +295,7 @@ def lost(moments_s: Sequence[float], log: int = 0, *, flagged: bool = True) -> C
 
 
 def repeated(moments_s: Sequence[float], log: int = 0) -> Change:
-    """Single readings that are the one before once more."""
+    """Single readings that repeat the previous one."""
 
     def digital(rows: Rows) -> None:
         if rows.log == log:
@@ -307,7 +307,7 @@ def repeated(moments_s: Sequence[float], log: int = 0) -> Change:
 
 
 def off(moments_s: Sequence[float], jump_lsb: int, log: int = 0) -> Change:
-    """Single readings of one axis that are off."""
+    """Single readings of one axis with an error."""
 
     def digital(rows: Rows) -> None:
         if rows.log == log:

@@ -1,4 +1,4 @@
-"""Evidence and states of units from recordings of the small bench, as the search gets them."""
+"""Evidence and states of units from recordings of the small bench, as input of the search."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ LINE = Tone((0.0, 0.04, 0.0), 17.0)
 
 
 def array_of(*names: str) -> ArrayConfig:
-    """`ARRAY` with these sensors alone."""
+    """`ARRAY` with these sensors only."""
     head, *parts = ARRAY.split("[[sensor]]")
     return parse_array("[[sensor]]".join([head, *(part for part in parts if part.split('"')[1] in names)]))
 
@@ -56,12 +56,12 @@ def prepared(
 
 @cache
 def static(*more: Effect, seed: int = 1) -> tuple[Bench, Campaign]:
-    """One gyroscope, 20 s at rest; worked out once."""
+    """One gyroscope, 20 s at rest; computed once."""
     return prepared([("static", SHORT)], ["G1"], {"G1": more}, seed)
 
 
 class Run:
-    """One item after the other."""
+    """Run the items in order."""
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench

@@ -1,4 +1,4 @@
-"""Noise that goes with an effect: by what two simulations made of theirs."""
+"""The noise to combine with an effect, from the noise of two simulations."""
 
 from __future__ import annotations
 
@@ -25,8 +25,10 @@ def of(rms: float) -> FittedParameters:
         lambda x: abs(x[0] - x[1]) > 0.1
     ),
 )
-def test_a_line_through_two_simulations(added: float, scaled: float, truth: float, guesses: list[float]) -> None:
-    """A simulation makes `scaled` s^2 + `added` of the variance s^2: whatever these are, two tell them."""
+def test_two_simulations_determine_scaled_and_added_noise(
+    added: float, scaled: float, truth: float, guesses: list[float]
+) -> None:
+    """A simulation turns the variance s^2 into `scaled` s^2 + `added`: two simulations determine both."""
 
     def made(rms: float) -> FittedParameters:
         return of((scaled * rms**2 + added) ** 0.5)
@@ -36,7 +38,7 @@ def test_a_line_through_two_simulations(added: float, scaled: float, truth: floa
     assert found.rms == pytest.approx((truth,) * 3, rel=0.02, abs=guesses[1] / 60)
 
 
-def test_two_simulations_alike_tell_no_line() -> None:
-    """Then what is missing is added, as after one."""
+def test_two_equal_simulations_fall_back_to_added_noise() -> None:
+    """Then the missing variance is added, as after one simulation."""
     now = of(1.0)
     assert now.between(of(1.2), [of(1.1)], of(1.001), [of(1.3)]).rms == now.moved(of(1.2), [of(1.1)]).rms

@@ -1,4 +1,4 @@
-"""Which way is up, against directions that are known; and that whoever doesn't know them loses only what he must."""
+"""Estimated directions up against known directions, and the information lost where they are unknown."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FACES = np.array([[0.0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0,
 
 @pytest.mark.parametrize("exchange", [np.diag([-1.0, 1, 1]), np.eye(3)[[1, 0, 2]], 2 * np.eye(3)])
 @pytest.mark.parametrize("faulty", [0, 1])
-def test_of_two_accelerometers_that_disagree_the_noted_faces_tell_the_right_one(exchange: Floats, faulty: int) -> None:
+def test_noted_faces_select_the_right_one_of_two_accelerometers(exchange: Floats, faulty: int) -> None:
     """One has an axis reversed, two exchanged, or another range; the box leans by up to 0.1 rad on its faces."""
     lean = np.random.default_rng(4).uniform(-0.1, 0.1, FACES.shape)
     right, wrong = FACES + lean, (FACES + lean) @ exchange.T
@@ -42,31 +42,31 @@ def test_of_two_accelerometers_that_disagree_the_noted_faces_tell_the_right_one(
     unnoted = (
         (right + wrong) / 2 if np.allclose(np.linalg.norm(wrong, axis=1), np.linalg.norm(right, axis=1)) else right
     )
-    np.testing.assert_allclose(array_mean(readings), unnoted, atol=1e-12)  # the length tells another range
+    np.testing.assert_allclose(array_mean(readings), unnoted, atol=1e-12)  # the magnitude identifies another range
     partly = np.where(np.arange(6)[:, None] < 5, FACES, np.nan)
     np.testing.assert_allclose(array_mean(readings, partly), right, atol=1e-12)
     corrected = right[:, None] + 0.2 * (readings - right[:, None])
     np.testing.assert_allclose(array_mean(corrected, FACES, readings), right, atol=1e-12)
 
 
-def test_noted_faces_that_no_accelerometer_agrees_with_change_nothing() -> None:
+def test_noted_faces_that_contradict_all_accelerometers_are_ignored() -> None:
     up = directions(4)
     readings = np.stack([up + 0.2, up - 0.2], axis=1)
     np.testing.assert_allclose(array_mean(readings, -up), up, atol=1e-12)
 
 
 @given(st.integers(0, 2**32 - 1), st.tuples(*[st.floats(-0.1, 0.1)] * 3))
-def test_a_common_bias_is_told_from_directions(seed: int, bias: tuple[float, float, float]) -> None:
-    """Twenty poses without noise: lengths differ from one by nothing else."""
+def test_a_common_bias_is_separated_from_directions(seed: int, bias: tuple[float, float, float]) -> None:
+    """Twenty poses without noise: magnitudes differ from one by the bias only."""
     ups = directions(20, seed)
     found = ups_of(ups + np.array(bias), UNKNOWN)
     np.testing.assert_allclose(found.bias_g, bias, atol=1e-6)
     np.testing.assert_allclose(found.up_box, ups, atol=1e-6)
 
 
-def test_what_poses_do_not_tell_is_left_at_none() -> None:
-    """One pose: 30 mg along up show in the length, 50 mg across turn the direction instead. Two opposite ones: the
-    same, though nearly opposite ones would tell a little more.
+def test_biases_that_poses_do_not_determine_stay_zero() -> None:
+    """One pose: 30 mg along up change the magnitude, 50 mg across turn the direction instead. Two opposite poses: the
+    same, though nearly opposite poses would determine slightly more.
     """
     found = ups_of(np.array([[0.05, 0.0, 1.03]]), UNKNOWN[:1])
     length = np.hypot(0.05, 1.03)
@@ -77,14 +77,14 @@ def test_what_poses_do_not_tell_is_left_at_none() -> None:
     assert abs(found.bias_g[0]) < 5e-3
 
 
-def test_a_pose_that_is_noted_tells_the_whole_bias() -> None:
+def test_a_noted_pose_determines_the_whole_bias() -> None:
     known = np.array([[0.0, 0, 1], [np.nan] * 3])
     found = ups_of(np.array([[0.05, -0.02, 1.03], [1.05, -0.02, 0.03]]), known)
     np.testing.assert_allclose(found.bias_g, [0.05, -0.02, 0.03], atol=1e-9)
     np.testing.assert_allclose(found.up_box[1], [1, 0, 0], atol=1e-9)
 
 
-def test_the_mean_is_of_sensors_that_always_read_and_agree() -> None:
+def test_the_mean_uses_sensors_with_complete_and_consistent_readings() -> None:
     up = directions(3)
     readings = up[:, None] + np.array([[0.01] * 3, [-0.01] * 3, [0.03] * 3, [0.5, 0, 0], [0.0] * 3])
     readings[1, 4] = np.nan
@@ -93,9 +93,10 @@ def test_the_mean_is_of_sensors_that_always_read_and_agree() -> None:
     np.testing.assert_allclose(array_mean(readings)[[0, 2]], up[[0, 2]], atol=1e-12)
 
 
-def test_biases_of_a_box_put_down_by_hand() -> None:
+def test_biases_of_a_box_put_down_by_hand_are_estimated() -> None:
     """12 poses x 500 rows of 4 mg noise at each of two sensors leave 4 mg sqrt(3 / 12000) = 0.063 mg of a common bias,
-    of which only lengths tell, a little more where directions cluster, and 0.05 mg of each one's own; 5 of these.
+    which only magnitudes determine, slightly more where directions cluster, and 0.05 mg of each individual bias; 5 of
+    these.
     """
     campaign = campaign_in(posed(directions(12)), seed=3)
     base = fit(campaign, [posed(directions(12))])
@@ -106,14 +107,16 @@ def test_biases_of_a_box_put_down_by_hand() -> None:
 
 
 def leaning(motion: PoseSequence) -> PoseSequence:
-    """The same, with directions that are 2 degrees off."""
+    """The same, with directions 2 degrees wrong."""
     ups = np.array([attitude.up_box for attitude in motion.attitudes]) + 0.035 * directions(len(motion.attitudes), 9)
     return posed(ups / np.linalg.norm(ups, axis=1)[:, None])
 
 
 @pytest.mark.slow
-def test_what_is_felt_is_estimated_from_the_campaign_itself() -> None:
-    """The motion's own directions don't matter where they are only an estimate; they do where they are known."""
+def test_unknown_directions_are_estimated_from_the_campaign() -> None:
+    """The directions of the motion have no effect where they are only an estimate, and have one where
+    they are known.
+    """
     motion = posed(directions(9))
     campaign, other = campaign_in(motion), leaning(motion)
     assert fit(campaign, [motion]).fitted == fit(campaign, [other]).fitted
@@ -123,9 +126,9 @@ def test_what_is_felt_is_estimated_from_the_campaign_itself() -> None:
 
 
 @pytest.mark.slow
-def test_held_out_halves_are_judged_by_the_parameters_of_the_others() -> None:
-    """The first halves give the biases, the second ones the directions, by these: 1 mg is 5 standard errors of 250 rows
-    at each of two sensors. By biases that are 30 mg off along all axes of A1 alone, they don't agree.
+def test_held_out_halves_are_compared_by_parameters_of_the_training_halves() -> None:
+    """The first halves give the biases, the second halves the directions, with these biases: 1 mg is 5 standard errors
+    of 250 rows at each of two sensors. With biases of A1 alone that are wrong by 30 mg along all axes, they disagree.
     """
     motion = posed(directions(9))
     halves = [
@@ -146,24 +149,24 @@ def means_left(campaign: Campaign, motion: PoseSequence) -> Floats:
 
 
 def means_of(left: Campaign) -> Floats:
-    """Of the accelerometers, in all phases."""
+    """Means of the accelerometers in all phases."""
     found = statistics(left)
     return found.values[[key.probe == "mean" and key.sensor.startswith("A") for key in found.keys]]
 
 
 @pytest.mark.slow
-def test_one_sensors_scale_is_seen_and_that_of_all_alike_is_half_hidden() -> None:
-    """A1 alone reads 5 % more: half of it goes into the direction's length, which is taken as 1; the rest is left."""
+def test_a_scale_error_of_one_sensor_is_observable_by_half() -> None:
+    """A1 alone reads 5 % more: half of it is absorbed by the magnitude, which is taken as 1; the rest remains."""
     motion = posed(directions(12))
     left = means_left(campaign_in(motion, {"A1": (Scale(0.05),)}), motion)
     assert 0.02 < np.abs(left).max() < 0.06
 
 
 @pytest.mark.slow
-def test_a_recording_without_a_gap_lies_among_its_replicates() -> None:
-    """A campaign whose units are drawn as those of the replicates are. As many of its scores are below 1 as of theirs
-    (six such campaigns scatter by 0.8 % there: 4 % are five of these), and its largest one is beyond 20 of theirs by
-    chance in one case of 21; the seed is one of the others.
+def test_scores_of_a_recording_without_a_gap_are_those_of_replicates() -> None:
+    """A campaign whose units are drawn like those of the replicates. The share of its scores below 1 equals theirs (six
+    such campaigns scatter by 0.8 %: 4 % are five of these), and its largest score exceeds 20 of theirs by chance in one
+    case of 21; the seed is one of the other cases.
     """
     motion = posed(directions(6), 3)
     first, _ = prepared([("tumble", motion)], tuple(BASE))
@@ -180,10 +183,10 @@ def test_a_recording_without_a_gap_lies_among_its_replicates() -> None:
     scale=st.tuples(*[st.floats(-0.02, 0.02)] * 3),
     seed=st.integers(0, 999),
 )
-def test_opposite_noted_faces_tell_the_bias_however_the_box_leans(
+def test_opposite_noted_faces_determine_the_bias_of_a_leaning_box(
     bias: tuple[float, float, float], scale: tuple[float, float, float], seed: int
 ) -> None:
-    """Reading up and down along an axis, half their sum is the bias, but for the square of the lean."""
+    """Half of the sum of both readings along an axis is the bias, except for the square of the lean."""
     faces = np.concatenate([np.eye(3), -np.eye(3)])
     vectors = faces + np.random.default_rng(seed).normal(0, 0.01, (6, 3))
     leaning = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -191,7 +194,7 @@ def test_opposite_noted_faces_tell_the_bias_however_the_box_leans(
     np.testing.assert_allclose(found.bias_g, bias, atol=1.5e-3)
 
 
-def test_a_single_noted_face_leans_as_little_as_it_can() -> None:
-    """What it reads across is taken as bias: a hundredth of a radian is no surprise in neither, but nothing tells."""
+def test_a_single_noted_face_is_assumed_level() -> None:
+    """Its readings across are assigned to the bias: a hundredth of a radian of lean is usual, but not observable."""
     found = ups_of(np.array([[0.01, 0.0, 1.0]]), np.full((1, 3), np.nan), np.array([[0.0, 0.0, 1.0]]))
     np.testing.assert_allclose(found.up_box, [[0.0, 0.0, 1.0]], atol=1e-6)

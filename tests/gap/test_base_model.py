@@ -1,4 +1,4 @@
-"""The fit against the effects that were simulated; expected readings against laws, not against the code."""
+"""The fit against the simulated effects; expected readings against laws, not against the code."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def fitted_to(kind: str, more: object = None, seed: int = 0) -> Base:
 
 
 @pytest.mark.slow
-def test_a_heated_array_gives_back_what_was_put_in() -> None:
+def test_noise_slopes_and_offsets_of_a_heated_array_are_fitted() -> None:
     """Noise within 5 standard errors of a median of 64 variances, slopes and offsets within 5 of a straight line."""
     rows = sum(part.sensors["A1"].rows for part in campaign_of("heating").logs[0].phases)
     base = fitted_to("heating", seed=4)
@@ -62,14 +62,14 @@ def test_a_heated_array_gives_back_what_was_put_in() -> None:
         np.testing.assert_allclose(found.offset, bias.offset, atol=20 * noise.rms[0] / np.sqrt(rows))  # type: ignore[attr-defined]
 
 
-def test_opposite_faces_cancel_an_error_of_scale() -> None:
+def test_opposite_faces_cancel_a_scale_error() -> None:
     """Six faces: the mean of + and - is the bias alone; one face: 3 % of 1 g are in it."""
     more = {"A1": (Scale(0.03),)}
     assert fitted_to("tumble", more).fitted["A1"].offset == pytest.approx((0.02,) * 3, abs=5e-4)
     assert fitted_to("static", more).fitted["A1"].offset == pytest.approx((0.02, 0.02, 0.05), abs=5e-4)
 
 
-def test_a_constant_temperature_says_nothing_of_a_slope() -> None:
+def test_a_constant_temperature_gives_no_slope() -> None:
     assert {found.slope for found in fitted_to("static").fitted.values()} == {(0.0, 0.0, 0.0)}
 
 
@@ -80,7 +80,7 @@ def campaign_by_hand(counts: np.ndarray, degc: float = 25.0) -> Campaign:
     return Campaign((LogSummary("static", (part,)),))
 
 
-def test_rounding_is_taken_out() -> None:
+def test_rounding_is_subtracted_from_the_noise() -> None:
     """Noise of 0.8 counts reads as sqrt(0.64 + 1/12); 20000 rows, 5 standard errors of a median of variances."""
     counts = np.rint(np.random.default_rng(2).normal([0, 0, 2048], 0.8, (20_000, 3)))
     found = fit(campaign_by_hand(counts), [Still()]).fitted["S"]
@@ -88,7 +88,7 @@ def test_rounding_is_taken_out() -> None:
     np.testing.assert_allclose(found.noise(header()), np.sqrt(0.64 + 1 / 12) / 2048, rtol=0.03)
 
 
-def test_a_few_wild_segments_do_not_move_the_noise() -> None:
+def test_a_few_outlying_segments_do_not_change_the_noise() -> None:
     counts = gaussian() + np.array([0, 0, 2048])
     quiet = fit(campaign_by_hand(counts), [Still()]).fitted["S"]
     counts[5000:5003] = 8000
@@ -96,7 +96,7 @@ def test_a_few_wild_segments_do_not_move_the_noise() -> None:
     np.testing.assert_allclose(wild.rms, quiet.rms, rtol=0.01)
 
 
-def test_a_sensor_that_was_never_at_rest_is_ideal() -> None:
+def test_a_sensor_without_rest_is_fitted_as_ideal() -> None:
     campaign = campaign_by_hand(gaussian())
     (part,) = campaign.logs[0].phases
     moving = replace(part, phase=Phase(part.phase.start_ns, part.phase.end_ns, "motion", ""))
@@ -106,9 +106,9 @@ def test_a_sensor_that_was_never_at_rest_is_ideal() -> None:
 
 
 @pytest.mark.slow
-def test_what_is_predicted_is_taken_away() -> None:
-    """A fitted mean is left at 0; of a scale error of 5 % the 2 % that the data sheet allows (BMA-74) are fitted, and
-    the 0.3 % that gravity may be off.
+def test_residuals_are_statistics_minus_predictions() -> None:
+    """A fitted mean has a residual of 0; of a scale error of 5 % the fit takes the 2 % of the data sheet (BMA-74) and
+    the 0.3 % of the uncertainty of gravity.
     """
     campaign = campaign_of("tumble", {"A1": (Scale(0.05),)})
     base = fit(campaign, PLANS["tumble"])
@@ -130,8 +130,8 @@ def drawn(base: Base, name: str, kind: type[Scale]) -> np.ndarray:
 
 @pytest.mark.slow
 def test_every_replicate_draws_its_units() -> None:
-    """BMA180 at 4 g: +-2 % are two sigma (BMA-74), cut there, which leaves 0.88 of sigma; gyroscopes, of which the data
-    sheet names nothing: 1 %, cut at three sigma, 0.99 of it. 1200 draws; 5 standard errors are 10 %.
+    """BMA180 at 4 g: +-2 % are two sigma (BMA-74), cut there, which leaves 0.88 of sigma; gyroscopes, without a figure
+    in the data sheet: 1 %, cut at three sigma, 0.99 of it. 1200 draws; 5 standard errors are 10 %.
     """
     base = fitted_to("static")
     for name, expected in (("A1", 0.0088), ("G1", 0.00987)):
@@ -141,7 +141,7 @@ def test_every_replicate_draws_its_units() -> None:
     effects = base.effects(7)
     assert effects == base.effects(7) != base.effects(8)
     fitted_too = {"own_clock", "scale", "misalignment", "turn_on_bias", "white_noise", "bias", "thermal_bias"}
-    fitted_too |= {"nonlinearity", "thermal_scale"}  # as far as the data sheets print them (BMA-116, BMA-117)
+    fitted_too |= {"nonlinearity", "thermal_scale"}  # as far as stated in the data sheets (BMA-116, BMA-117)
     assert {effect.name for effect in effects["A1"]} == fitted_too | {"size_effect"}
     assert {effect.name for effect in effects["G2"]} == fitted_too | {"g_sensitivity", "bias_instability"}
     angles = [effect.angles_deg for effect in effects["G2"] if isinstance(effect, Misalignment)]
@@ -160,7 +160,7 @@ random_walk.density_g_per_sqrt_s = 1e-5
 """
 
 
-def test_a_model_keeps_all_but_what_is_fitted() -> None:
+def test_a_model_keeps_all_except_fitted_effects() -> None:
     campaign = campaign_of("static")
     base = fit(campaign, PLANS["static"], model=parse_model(MODEL))
     effects = base.effects(0)
@@ -178,16 +178,14 @@ def test_a_model_keeps_all_but_what_is_fitted() -> None:
         ("own_clock.rate_error = 0.02", OwnClock(0.02)),
     ],
 )
-def test_a_clock_of_which_a_model_says_nothing_keeps_step_with_a_phase_of_its_own(
-    clock: str, expected: OwnClock
-) -> None:
+def test_a_clock_absent_from_the_model_has_the_nominal_rate_and_a_random_phase(clock: str, expected: OwnClock) -> None:
     base = fit(campaign_of("static"), PLANS["static"], model=parse_model(MODEL + clock))
     (found,) = (effect for effect in base.drawn(0)["A1"] if isinstance(effect, OwnClock))
     assert found == expected
 
 
 @pytest.mark.slow
-def test_every_other_replicate_keeps_step_at_each_chips_set_rate() -> None:
+def test_every_other_replicate_has_clocks_at_the_configured_rate() -> None:
     """The others have clocks that are too fast by 2 % (rms), 6 % at most."""
     base = fitted_to("static")
     errors = np.array(
@@ -204,7 +202,7 @@ def test_every_other_replicate_keeps_step_at_each_chips_set_rate() -> None:
 
 
 @pytest.mark.slow
-def test_a_slope_that_no_temperature_tells_is_drawn() -> None:
+def test_a_slope_without_a_known_temperature_is_drawn() -> None:
     """BMA180: +-0.5 mg/K are two sigma (BMA-115), of a gyroscope +-0.03 dps/degC at 250 dps (L3G-71)."""
     base, warm = fitted_to("static"), fitted_to("heating")
     assert not base.fitted["A1"].is_slope_known
@@ -218,9 +216,9 @@ def test_a_slope_that_no_temperature_tells_is_drawn() -> None:
 
 
 @pytest.mark.parametrize(("rows", "is_long"), [(20_000, True), (500, False)])
-def test_parts_have_some_usual_flicker_in_long_phases(rows: int, *, is_long: bool) -> None:
+def test_replicates_have_the_usual_flicker_noise_in_long_phases(rows: int, *, is_long: bool) -> None:
     """White noise of 0.175 dps: the mean of 20,000 rows is known to 0.0012 dps, a third of the largest usual floor of
-    0.004 dps, that of 500 rows to 0.008 dps. Of 60 draws with flicker the floors are between 0 and that one.
+    0.004 dps, that of 500 rows to 0.008 dps. In 60 draws with flicker the floors are between 0 and that limit.
     """
     noise = np.random.default_rng(3).normal(size=(rows, 3))
     base = base_of_rows(noise, data_rate_hz=800.0, bandwidth_hz=50.0, ends_s=(rows / 200,))
@@ -236,7 +234,7 @@ def test_parts_have_some_usual_flicker_in_long_phases(rows: int, *, is_long: boo
         assert 0.003 < np.max(drawn_floors) <= 0.004
 
 
-def test_more_flicker_than_usual_is_an_effect() -> None:
+def test_flicker_noise_within_the_limit_is_usual() -> None:
     gyro = header("G", chip="l3g4200d")
     assert is_usual(usual_flicker((0.004, 0.001, 0.0)), gyro)
     assert not is_usual(usual_flicker((0.001, 0.005, 0.0)), gyro)
@@ -244,7 +242,7 @@ def test_more_flicker_than_usual_is_an_effect() -> None:
 
 
 @pytest.mark.slow
-def test_the_curve_of_a_bias_over_temperature_is_drawn() -> None:
+def test_the_curvature_of_a_bias_over_temperature_is_drawn() -> None:
     """The slope of a part changes by 0.15 % of it per degC (one sigma): 600 draws give that to 3 %."""
     warm = fitted_to("heating")
     curves = [
@@ -256,8 +254,8 @@ def test_the_curve_of_a_bias_over_temperature_is_drawn() -> None:
     assert np.std(np.array(curves) / warm.fitted["G1"].slope) == pytest.approx(0.0015, rel=0.12)
 
 
-def test_response_is_bounded_by_the_tolerance() -> None:
-    """Six faces: half the difference of opposite ones is the response, whatever else; beyond, the bound."""
+def test_the_response_is_bounded_by_the_tolerance() -> None:
+    """Six faces: half of the difference of opposite faces is the response; beyond the tolerance, the bound."""
     forces = np.concatenate([np.eye(3), -np.eye(3)])
     truth = np.array([[0.01, 0.03, 0.0], [0.0, -0.05, 0.0], [-0.002, 0.0, 0.004]])
     levels = 0.1 + forces @ truth.T
@@ -268,8 +266,8 @@ def test_response_is_bounded_by_the_tolerance() -> None:
         assert not np.any(response_of(few, forces[: len(few)], np.full(3, 1e-4), np.full((3, 3), 0.02)))
 
 
-def test_what_no_face_tells_stays_at_the_prior() -> None:
-    """Two opposite faces along z tell what force along z adds, and nothing of x and y."""
+def test_responses_that_no_face_determines_stay_at_the_prior() -> None:
+    """Two opposite faces along z determine the response to force along z, and not to x and y."""
     forces = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     levels = np.array([[0.01, 0.0, 0.015], [-0.01, 0.0, -0.015]])
     raw, _ = response_of(levels, forces, np.full(3, 1e-4), np.full((3, 3), 0.02))
@@ -277,7 +275,7 @@ def test_what_no_face_tells_stays_at_the_prior() -> None:
     np.testing.assert_allclose(raw[:, :2], 0.0, atol=1e-12)
 
 
-def test_seeds_of_replicates_are_their_own() -> None:
+def test_seeds_of_replicates_are_unique() -> None:
     seeds = {replicate_seed(seed, number) for seed in range(20) for number in range(50)}
     assert len(seeds) == 1000
     assert 2**63 <= min(seeds) <= max(seeds) < 2**64
@@ -287,7 +285,7 @@ def test_seeds_of_replicates_are_their_own() -> None:
     ("lag_1", "expected"),
     [(0.333, 35.0), (0.24, 45.4), (0.8, 17.5)],
 )
-def test_the_filter_that_is_configured_is_fitted_where_it_shows(lag_1: float, expected: float) -> None:
+def test_a_configured_filter_is_fitted_where_it_is_observable(lag_1: float, expected: float) -> None:
     """35 Hz at 200 rows a second: exp(-2 pi 35 / 200) = 0.333; within half of 35 Hz."""
     low_pass = fitted_to_noise([math.sqrt(1 - lag_1**2)], [1.0, -lag_1]).low_pass
     assert low_pass is not None
@@ -295,8 +293,8 @@ def test_the_filter_that_is_configured_is_fitted_where_it_shows(lag_1: float, ex
     assert lag_1 == 0.8 or low_pass.poles == 1.0
 
 
-def test_white_noise_tells_no_filter() -> None:
-    """One of 250 recordings of 3000 rows does by chance, so that 3 of 40 do once in 1500 times."""
+def test_white_noise_gives_no_filter() -> None:
+    """One of 250 recordings of 3000 rows gives a filter by chance, so that 3 of 40 do once in 1500 times."""
     each = [
         fitted_to_rows(np.random.default_rng(seed).normal(size=(3000, 3)), data_rate_hz=800.0, bandwidth_hz=50.0)
         for seed in range(40)
@@ -304,8 +302,8 @@ def test_white_noise_tells_no_filter() -> None:
     assert sum(fitted.low_pass is not None for fitted in each) < 3
 
 
-def test_a_faint_filter_shows_in_a_long_phase_beside_short_ones() -> None:
-    """90 Hz at 200 rows a second leave a correlation of 0.06, a third of which is chance in each of 20 phases of 400
+def test_a_weak_filter_is_fitted_from_a_long_phase_among_short_ones() -> None:
+    """90 Hz at 200 rows per second give a correlation of 0.06, a third of which is chance in each of 20 phases of 400
     rows, and a seventh in one of 12,000.
     """
     ends_s = [60, *range(62, 102, 2)]
@@ -314,14 +312,14 @@ def test_a_faint_filter_shows_in_a_long_phase_beside_short_ones() -> None:
     assert low_pass_of(filtered).cutoff_hz == pytest.approx(90.0, rel=0.15)
 
 
-def test_a_filter_of_two_poles_is_told_by_its_second_lag() -> None:
+def test_a_filter_of_two_poles_is_identified_by_its_second_lag() -> None:
     """Butterworth of 35 Hz, sampled 50 times as fast as the rows: after 5 ms 0.62, after 10 ms 0.19."""
     found = fitted_to_noise(*butter(2, 35.0, fs=10_000.0), every=50)
     assert low_pass_of(found).poles == 2.0
     assert low_pass_of(found).cutoff_hz == pytest.approx(35.0, rel=0.06)
 
 
-def test_what_the_nearest_filter_does_not_explain_makes_its_cutoff_uncertain() -> None:
+def test_a_misfit_of_the_nearest_filter_widens_its_cutoff() -> None:
     """Correlations that differ from those of the filter by a twentieth of what all cutoffs of its kind change; ten
     times as much says nothing of the cutoff.
     """
@@ -338,9 +336,9 @@ def test_what_the_nearest_filter_does_not_explain_makes_its_cutoff_uncertain() -
 
 
 @pytest.mark.parametrize("samples_a_row", [0.5, 0.8])
-def test_a_filter_is_fitted_to_samples_that_are_read_again(samples_a_row: float) -> None:
-    """Noise behind 20 Hz, sampled at 160 or 100 Hz and read 200 times a second: its correlation is that of samples,
-    exp(-2 pi 20 / 160) = 0.46 or 0.28, not that of rows (0.53).
+def test_a_filter_is_fitted_to_repeated_samples(samples_a_row: float) -> None:
+    """Noise after a filter of 20 Hz, sampled at 160 or 100 Hz and read 200 times a second: its correlation is that of
+    samples, exp(-2 pi 20 / 160) = 0.46 or 0.28, not that of rows (0.53).
     """
     data_rate_hz = 200 * samples_a_row
     phi = math.exp(-2 * math.pi * 20 / data_rate_hz)
@@ -352,8 +350,8 @@ def test_a_filter_is_fitted_to_samples_that_are_read_again(samples_a_row: float)
     assert low_pass_of(fitted).cutoff_hz == pytest.approx(20.0, rel=0.06)
 
 
-def test_a_digital_filter_is_told_from_an_analogue_one() -> None:
-    """Noise that a converter samples at 200 Hz, the rate of the rows, ends at 100 Hz: behind one pole at 50 Hz the
+def test_a_digital_filter_is_distinguished_from_an_analogue_one() -> None:
+    """Noise that a converter samples at 200 Hz, the rate of the rows, ends at 100 Hz: after one pole at 50 Hz the
     transform of 1 / (1 + f^2 / 50^2) up to there has correlations of 0.335, 0.048 and 0.019.
     """
     rows = 20_000
@@ -368,16 +366,16 @@ def test_a_digital_filter_is_told_from_an_analogue_one() -> None:
 
 @pytest.mark.parametrize("slow", [0.004, 0.03])
 @pytest.mark.parametrize("rows_a_reading", [1, 2])
-def test_a_slow_data_clock_is_told_by_the_readings_that_come_again(slow: float, rows_a_reading: int) -> None:
-    """Of n polls at the nominal rate (or twice that), n (1 - e) (or half of that) find a new reading."""
+def test_a_slow_data_clock_is_estimated_from_repeated_readings(slow: float, rows_a_reading: int) -> None:
+    """Of n polls at the nominal rate (or twice that), n (1 - e) (or half of that) return a new reading."""
     noise = np.random.default_rng(5).normal(size=(20_000, 3))
     latest = np.floor(np.arange(20_000) * (1 - slow) / rows_a_reading).astype(int)
     found = fitted_to_rows(noise[latest], data_rate_hz=200.0 / rows_a_reading, bandwidth_hz=50.0)
     assert found.clock_error == pytest.approx(-slow, abs=2e-4)
 
 
-def test_rows_that_the_recorder_flags_tell_a_slow_clock_where_most_readings_are_equal() -> None:
-    """Of 2000 polls 24 find no new reading: 1.2 % slow. Coarse counts are equal by chance in one of ten rows, which
+def test_a_slow_clock_is_estimated_from_flags_where_readings_are_often_equal() -> None:
+    """Of 2000 polls 24 return no new reading: 1.2 % slow. Coarse counts are equal by chance in one of ten rows, which
     hides 24 repeats; the flags don't.
     """
     coarse = np.random.default_rng(5).normal(size=(2000, 3))
@@ -405,16 +403,16 @@ def test_readings_that_are_equal_after_a_repeat_do_not_hide_a_slow_clock() -> No
 
 
 @pytest.mark.parametrize("second", [0.048, 0.036])
-def test_a_wander_is_flat_as_far_as_chance_tells(second: float) -> None:
-    """Correlations of an MPU-6050 in the heat behind 42 Hz, Butterworth, at 100 rows a second: 0.103 and -0.033, and a
-    wander with a share of 0.035; in 24,000 rows each correlation is uncertain by 0.0065.
+def test_a_wander_needs_equal_correlations_within_chance(second: float) -> None:
+    """Correlations of a heated MPU-6050 after a filter of 42 Hz, Butterworth, at 100 rows a second: 0.103 and -0.033,
+    and a wander with a share of 0.035; in 24,000 rows each correlation is uncertain by 0.0065.
     """
     lags = np.array([[0.134, 0.003, 0.036, second, 0.035]])
     share = _wander(lags, np.zeros((1, 5)), np.array([4 / math.sqrt(24_000)]))
     assert share.tolist() == [[0.035 if second < 0.04 else 0.0]]
 
 
-def test_a_configured_filter_is_expected_where_nothing_proves_it() -> None:
+def test_a_configured_filter_is_assumed_without_evidence() -> None:
     """Butterworth of 130 Hz at 200 rows a second: -0.040 after a row, by 3000 rows uncertain by 0.018 on each axis."""
     noise = lfilter(*butter(2, 130.0, fs=10_000.0), np.random.default_rng(3).normal(size=(150_000, 3)), axis=0)[::50]
     filtered = fitted_to_rows(noise, data_rate_hz=2400.0, bandwidth_hz=130.0, ends_s=(15,))
@@ -422,9 +420,9 @@ def test_a_configured_filter_is_expected_where_nothing_proves_it() -> None:
     assert low_pass_of(filtered).poles == 2.0
 
 
-def test_a_filter_at_half_the_data_rate_is_not_expected() -> None:
+def test_a_filter_at_half_the_data_rate_is_not_assumed() -> None:
     """White noise at 200 rows a second of a chip that samples at 200 Hz with a bandwidth of 100 Hz: a digital filter of
-    100 Hz has a zero there, of which these rows have nothing.
+    100 Hz has a zero there, which these rows lack.
     """
     noises = np.random.default_rng(4).normal(size=(12, 3000, 3))
     fitted = [fitted_to_rows(noise, data_rate_hz=200.0, bandwidth_hz=100.0, ends_s=(15,)) for noise in noises]
@@ -433,8 +431,8 @@ def test_a_filter_at_half_the_data_rate_is_not_expected() -> None:
 
 @pytest.mark.parametrize("wander_rms", [0.0, 0.4])
 def test_a_short_digital_filter_has_the_measured_correlations(wander_rms: float) -> None:
-    """Taps 1, 0.25 and -0.157 leave (0.25 - 0.157 x 0.25) / 1.087 = 0.194 after a row, -0.144 after two and nothing
-    later, which no filter of one or two poles does. A wander shares all lags alike.
+    """Taps 1, 0.25 and -0.157 give (0.25 - 0.157 x 0.25) / 1.087 = 0.194 after a row, -0.144 after two and zero later,
+    unlike any filter of one or two poles. A wander adds equally to all lags.
     """
     generator = np.random.default_rng(7)
     noise = lfilter([1.0, 0.25, -0.157], [1.0], generator.normal(size=(20_000, 3)), axis=0)
@@ -445,8 +443,8 @@ def test_a_short_digital_filter_has_the_measured_correlations(wander_rms: float)
 
 
 @pytest.mark.parametrize("wander_rms", [0.0, 0.5, 1.0])
-def test_a_filter_is_fitted_beside_a_slow_wander(wander_rms: float) -> None:
-    """One pole at 35 Hz: 0.333 at the first lag; a wander over a minute makes it 0.67 where both have one rms."""
+def test_a_filter_is_fitted_in_the_presence_of_a_slow_wander(wander_rms: float) -> None:
+    """One pole at 35 Hz: 0.333 at the first lag; a wander over a minute makes it 0.67 where both have the same rms."""
     generator = np.random.default_rng(7)
     phi = math.exp(-2 * math.pi * 35 / 200)
     noise = lfilter([math.sqrt(1 - phi**2)], [1.0, -phi], generator.normal(size=(20_000, 3)), axis=0)
@@ -457,7 +455,7 @@ def test_a_filter_is_fitted_beside_a_slow_wander(wander_rms: float) -> None:
 
 
 @pytest.mark.slow
-def test_a_drift_in_short_phases_is_no_filter() -> None:
+def test_a_drift_in_short_phases_gives_no_filter() -> None:
     """White noise: 600 rows without a drift, and 12 phases of 550 rows that drift by 0.8 of its standard deviation,
     which adds 0.05 to their correlations. Fitted to all phases 9 of 20 recordings have a filter, by chance one of 250.
     """
@@ -474,8 +472,10 @@ def test_a_drift_in_short_phases_is_no_filter() -> None:
 
 
 @pytest.mark.parametrize(("cutoff_hz", "poles"), some([(25.0, 1), (12.0, 1), (12.0, 2), (6.0, 2)], 2))
-def test_noise_with_a_memory_is_not_taken_for_less(cutoff_hz: float, poles: int) -> None:
-    """Segments of 312 rows: about their own mean rows behind 6 Hz vary by 5 % less, and their median lies lower."""
+def test_correlated_noise_is_not_underestimated(cutoff_hz: float, poles: int) -> None:
+    """Segments of 312 rows: about their own mean rows after a filter of 6 Hz vary by 5 % less, and their median is
+    lower.
+    """
     white = np.random.default_rng(8).normal(size=(400_000, 3))
     noise = lfilter(*butter(poles, cutoff_hz, fs=4000.0), white, axis=0)[::20]
     result = fitted_to_rows(noise, data_rate_hz=800.0, bandwidth_hz=cutoff_hz)
@@ -485,9 +485,10 @@ def test_noise_with_a_memory_is_not_taken_for_less(cutoff_hz: float, poles: int)
     np.testing.assert_allclose(result.rms, each, rtol=0.03)
 
 
-def test_polls_that_are_early_and_late_by_turns_tell_the_nominal_rate() -> None:
-    """Polls 1 ms early and late by turns, of readings made 0.5 ms after each of the nominal moments: every other poll
-    finds nothing new, and every other one finds that it missed a reading. As many overruns as repeats: no clock is off.
+def test_alternately_early_and_late_polls_give_the_nominal_rate() -> None:
+    """Polls alternately 1 ms early and late, of readings made 0.5 ms after each of the nominal moments: every other
+    poll returns no new reading, and the others report a missed reading. Equal numbers of overruns and repeats mean no
+    clock error.
     """
     polls = np.arange(2000) + 0.2 * (-1.0) ** np.arange(2000)
     latest = np.floor(polls - 0.1).astype(int) + 1
@@ -498,9 +499,9 @@ def test_polls_that_are_early_and_late_by_turns_tell_the_nominal_rate() -> None:
     assert found.clock_error == 0.0
 
 
-def test_a_reading_that_is_held_once_tells_nothing_of_the_clock() -> None:
-    """Readings that are 1.6 % slower than the polls come twice each 62 rows. One is held for 25 rows: the other log
-    tells the clock; without it nothing does.
+def test_a_single_hold_does_not_change_the_clock() -> None:
+    """Readings that are 1.6 % slower than the polls are repeated every 62 rows. One is held for 25 rows: the other log
+    determines the clock; without it nothing does.
     """
     latest = np.floor(np.arange(20_000) * 0.984).astype(int)
     latest[15_000:15_025] = latest[15_000]
@@ -510,8 +511,8 @@ def test_a_reading_that_is_held_once_tells_nothing_of_the_clock() -> None:
     assert math.isnan(fitted_to_rows(noise, data_rate_hz=200.0, bandwidth_hz=50.0).clock_error)
 
 
-def test_repeats_at_random_are_no_slow_clock() -> None:
-    """Of 20,000 rows of which each repeats the one before with a chance of 3 %, some 18 do so twice in a row."""
+def test_random_repeats_are_not_a_slow_clock() -> None:
+    """Of 20,000 rows, each of which repeats the previous row with a chance of 3 %, about 18 do so twice in a row."""
     generator = np.random.default_rng(6)
     noise, repeats = generator.normal(size=(20_000, 3)), generator.random(20_000) < 0.03
     latest = np.maximum.accumulate(np.where(repeats, 0, np.arange(20_000)))
@@ -530,7 +531,7 @@ def low_pass_of(fitted: FittedParameters) -> Bandwidth:
 
 
 def fitted_to_noise(over: Sequence[float], under: Sequence[float], every: int = 1) -> FittedParameters:
-    """A gyroscope that is set to 35 Hz, whose 200 rows a second hold filtered noise."""
+    """A gyroscope configured to 35 Hz with filtered noise at 200 rows per second."""
     noise = lfilter(over, under, np.random.default_rng(3).normal(size=(20_000 * every, 3)), axis=0)[::every]
     return fitted_to_rows(noise, data_rate_hz=800.0, bandwidth_hz=35.0)
 
@@ -551,7 +552,7 @@ def base_of_rows(
     overrun: npt.NDArray[np.bool_] | None = None,
     ends_s: Sequence[float] = (100,),
 ) -> Base:
-    """A gyroscope with these settings whose 200 rows a second hold that noise (n, 3) of so many counts, in logs up to
+    """A gyroscope with these settings and that noise (n, 3) of so many counts at 200 rows per second, in logs up to
     each of `ends_s`; the recorder flags the rows that are `stale` and `overrun` (n,), or none.
     """
     gyro = header("G", chip="l3g4200d", rate_hz=data_rate_hz, bandwidth_hz=bandwidth_hz)
@@ -572,9 +573,9 @@ def base_of_rows(
 
 
 @pytest.mark.slow
-def test_an_accelerometer_sits_near_the_place_in_its_header() -> None:
-    """Within 1.5 mm (one sigma) along each axis, each at a place of its own; a gyroscope feels the same everywhere. 200
-    draws give the mean to 0.11 mm and the standard deviation to 0.08 mm.
+def test_places_of_accelerometers_are_drawn_near_those_of_the_header() -> None:
+    """Within 1.5 mm (one sigma) along each axis, independently; the place of a gyroscope has no effect. 200 draws give
+    the mean to 0.11 mm and the standard deviation to 0.08 mm.
     """
     base = fitted_to("static")
     headers = {name: replace(header, position_mm=(10.0, 0.0, -5.0)) for name, header in base.headers.items()}
@@ -591,8 +592,8 @@ def _places_mm(drawn: Mapping[str, Sequence[Effect]]) -> dict[str, Triple]:
     return {name: effect.position_mm for name, effect in effects if isinstance(effect, SizeEffect)}
 
 
-def test_rows_of_a_queue_are_readings_whatever_the_clock_does() -> None:
-    """Nobody polls them, so that none is older than its stamp; those of other sensors may be, in odd replicates."""
+def test_rows_of_a_queue_are_new_readings_for_any_clock() -> None:
+    """They are not polled, so that none is older than its stamp; rows of other sensors may be, in odd replicates."""
     base = replace(fitted_to("static"), queued=frozenset({"G1"}))
     polled = {
         name: [one.polled for one in effects if isinstance(one, OwnClock)] for name, effects in base.drawn(1).items()
@@ -601,8 +602,8 @@ def test_rows_of_a_queue_are_readings_whatever_the_clock_does() -> None:
 
 
 @pytest.mark.slow
-def test_accelerometers_of_a_replicate_have_a_bias_in_common() -> None:
-    """The same in the box, whatever way a chip is mounted; gyroscopes have none. 400 draws give the standard deviation
+def test_accelerometers_of_a_replicate_have_a_common_bias() -> None:
+    """The same in the box frame for any mounting of a chip; gyroscopes have none. 400 draws give the standard deviation
     to 3.5 %.
     """
     base = fitted_to("static")

@@ -1,4 +1,4 @@
-"""A recording on its bench: keys and their places, replicates that are drawn alike, and what a change does to them."""
+"""A recording on its bench: keys and their places, reproducible replicates, and the effect of a change on them."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ def both() -> tuple[Bench, Campaign]:
     return prepared(logs, ["G1", "G2"])
 
 
-def test_keys_are_of_the_training_part_first(both: tuple[Bench, Campaign]) -> None:
-    """Both are halves of every log, so that both have the same keys."""
+def test_keys_of_the_training_part_are_first(both: tuple[Bench, Campaign]) -> None:
+    """Both parts are halves of every log, so that both have the same keys."""
     bench, _ = both
     assert bench.keys[: bench.of_train] == bench.keys[bench.of_train :]
     np.testing.assert_array_equal(np.flatnonzero(bench.held_out), np.arange(bench.of_train, len(bench.keys)))
     assert len(bench.resolutions) == len(bench.keys)
 
 
-def test_columns(both: tuple[Bench, Campaign]) -> None:
-    """Of one sensor, of both, and without what they share at rest; what they share in motion stays."""
+def test_columns_of_one_or_two_sensors(both: tuple[Bench, Campaign]) -> None:
+    """Columns of one sensor, of both, and without common statistics at rest; common statistics in motion stay."""
     bench, _ = both
     whole, alone = (bench.columns(["G2"], cross=cross) for cross in (True, False))
     assert {bench.keys[at].sensor for at in whole} == {"G2"}
@@ -59,7 +59,7 @@ def test_columns(both: tuple[Bench, Campaign]) -> None:
     assert len(bench.columns([], cross=True)) == 0
 
 
-def test_replicates_are_draws_of_their_number() -> None:
+def test_replicates_depend_on_their_number() -> None:
     bench, _ = static()
     models = bench.models()
     one, again, other = (bench.replicate(models, number).values for number in (0, 0, 1))
@@ -68,8 +68,8 @@ def test_replicates_are_draws_of_their_number() -> None:
 
 
 @pytest.mark.slow
-def test_several_replicates_are_the_same_as_one_by_one(both: tuple[Bench, Campaign]) -> None:
-    """Whether or not their rows have the same times, and though the sensor beside them is simulated once."""
+def test_replicates_together_equal_single_ones(both: tuple[Bench, Campaign]) -> None:
+    """With equal or different times of rows, and though the other sensor is simulated only once."""
     bench, _ = both
     model = bench.models()["G1"]
     gappy = replace(model, added=(DroppedSamples(0.05),))
@@ -80,15 +80,15 @@ def test_several_replicates_are_the_same_as_one_by_one(both: tuple[Bench, Campai
         np.testing.assert_allclose(found.fitted["G1"].rms, alone.fitted["G1"].rms, rtol=1e-9)
 
 
-def test_what_is_only_kept_goes_nowhere(both: tuple[Bench, Campaign]) -> None:
-    """A bench is sent to other processes with every job: as large as before it was used."""
+def test_caches_of_a_bench_are_not_pickled(both: tuple[Bench, Campaign]) -> None:
+    """A bench is sent to other processes with every job: its size does not grow with use."""
     bench, _ = both
     before = len(pickle.dumps(replace(bench)))
     bench.replicate({"G1": bench.models()["G1"]}, 0)
     assert len(pickle.dumps(bench)) <= before
 
 
-def test_the_training_part_alone_is_the_same_training_part(both: tuple[Bench, Campaign]) -> None:
+def test_the_training_part_alone_equals_that_of_the_whole(both: tuple[Bench, Campaign]) -> None:
     bench, _ = both
     whole = bench.replicate(bench.models(), 3)
     part = bench.replicate(bench.models(), 3, held_out=False)
@@ -97,8 +97,8 @@ def test_the_training_part_alone_is_the_same_training_part(both: tuple[Bench, Ca
     assert part.fitted == whole.fitted
 
 
-def test_a_lone_sensor_at_rest_is_the_same_in_company() -> None:
-    """Whether or not the other one is simulated, but for what they share."""
+def test_a_sensor_alone_at_rest_equals_that_among_others() -> None:
+    """With or without simulation of the other sensor, except for common statistics."""
     bench, _ = prepared([("static", Still(seconds=5))], ["G1", "G2"])
     models = bench.models()
     alone = bench.replicate({"G1": models["G1"]}, 4).values
@@ -108,8 +108,8 @@ def test_a_lone_sensor_at_rest_is_the_same_in_company() -> None:
     assert np.isnan(alone[~np.isin(columns, own)]).all()
 
 
-def test_two_of_three_sensors_are_compared_with_the_third() -> None:
-    """A pair's statistics are those of the whole array, also where they are a mean over the others of the chip."""
+def test_two_of_three_sensors_are_still_compared_with_the_third() -> None:
+    """The statistics of a pair are those of the whole array, also where they are a mean over the others of the chip."""
     third = '[[sensor]]\nname = "G3"\nchip = "l3g4200d"\nchannel = 1\naddress = 0x68\nrange = 250\nrate_hz = 800\n'
     mux = 'bus = "i2c:/dev/i2c-1"\nmux = { chip = "pca9544a", address = 0x70 }'
     text = ARRAY.replace('bus = "i2c:/dev/i2c-1"', mux).replace("\naddress", "\nchannel = 0\naddress")
@@ -127,8 +127,8 @@ def test_two_of_three_sensors_are_compared_with_the_third() -> None:
     np.testing.assert_array_equal(pair.values, together[bench.columns(["G1", "G2"], cross=True)])
 
 
-def test_what_is_added_and_taken_out_is_simulated() -> None:
-    """The draws stay: of a bias that is added the fit finds just that, of a noise that is more the root of squares."""
+def test_added_and_removed_effects_are_simulated() -> None:
+    """The draws stay the same: the fit returns an added bias exactly, and added noise as the root of squares."""
     bench, _ = static()
     (model,) = bench.models().values()
     before = bench.replicate({"G1": model}, 0, held_out=False).fitted["G1"]
@@ -151,7 +151,7 @@ def test_a_kind_that_is_removed_is_not_drawn() -> None:
         return np.std(found, axis=0)
 
     as_drawn, without = levels(model), levels(replace(model, removed=frozenset({"scale", "misalignment"})))
-    assert as_drawn[2] > 0.003  # a sheet's scale of a percent or so, at 1 g
+    assert as_drawn[2] > 0.003  # a scale error within the data sheet, about a percent, at 1 g
     assert (without < 0.001).all()  # 0.004 g over the root of 100 rows
     known = replace(model, removed=frozenset({"scale", "misalignment"}), added=(Scale((0.0, 0.0, 0.05)),))
     shifted = bench.replicate({"A1": known}, 0, held_out=False).fitted["A1"].offset[2]
@@ -159,8 +159,10 @@ def test_a_kind_that_is_removed_is_not_drawn() -> None:
     assert shifted - plain == pytest.approx(0.05, abs=1e-3)
 
 
-def test_the_recording_is_measured_as_a_replicate_is() -> None:
-    """What the fit makes zero is zero in both: levels of the training half. Those of the other are told from it."""
+def test_the_recording_has_the_statistics_of_a_replicate() -> None:
+    """Levels of the training half, which the fit makes zero, are zero in both. Those of the other half are relative to
+    it.
+    """
     bench, campaign = static()
     real = bench.observed(campaign, ["G1"])
     assert real.uses
@@ -173,10 +175,9 @@ def test_the_recording_is_measured_as_a_replicate_is() -> None:
     assert not replicate.uses
 
 
-def test_a_step_between_the_halves_shows_in_the_held_out_level() -> None:
-    """Twelve boots, of which every second has 0.2 dps more on y: levels of the held-out part are told from the other's.
-
-    A boot says 200 rows of 0.05 dps: 0.0035 dps.
+def test_a_step_between_the_halves_is_in_the_held_out_level() -> None:
+    """Twelve boots, every second with 0.2 dps more on y: levels of the held-out part are relative to the training part.
+    A boot has 200 rows of 0.05 dps: 0.0035 dps.
     """
     motions = [turn_on_run(run, 4.0) for run in range(1, 13)]
     split = split_of(["turn-on"] * 12, [phases_of(motion) for motion in motions])
@@ -198,8 +199,8 @@ def test_a_step_between_the_halves_shows_in_the_held_out_level() -> None:
     assert found[False, "y"] == pytest.approx(0.0, abs=0.02)
 
 
-def test_readings_of_a_queue_wait_for_no_poll(both: tuple[Bench, Campaign]) -> None:
-    """Also where the queue was seen in earlier recordings: it is part of the base model."""
+def test_readings_of_a_queue_have_no_age(both: tuple[Bench, Campaign]) -> None:
+    """Also if the queue is known from earlier recordings: it is part of the base model."""
     bench, campaign = both
     drained = bench_of(campaign, bench.split, bench.experiments, replace(bench.base, queued=frozenset({"G1"})))
     for before, after in zip(bench.experiments, drained.experiments, strict=True):

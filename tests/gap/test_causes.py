@@ -1,4 +1,4 @@
-"""Causes, their probabilities, and which of them are one, from rounds made by hand."""
+"""Causes, their probabilities, and merged causes, from rounds made by hand."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ LINE = Tone((0.0, 0.04, 0.0), 17.0)
 
 
 def nats(log_odds: float) -> float:
-    """The gain, of which a share counts, that makes such odds."""
+    """The gain that gives these odds after tempering by its share."""
     return log_odds / TEMPER
 
 
@@ -61,7 +61,7 @@ def standing(bench: Bench, sensor: str, score: float) -> UnitState:
 
 
 def confirmed(bench: Bench, sensor: str, trial: Hypothesis | Effect, gain: float, score: float = 1.0) -> Evaluation:
-    """With it all statistics have this score."""
+    """A confirmed trial after which all statistics have this score."""
     wanted = trial if isinstance(trial, Hypothesis) else Hypothesis((trial,))
     return Evaluation(FittedHypothesis(wanted), standing(bench, sensor, score), 2 * gain, gain)
 
@@ -75,7 +75,7 @@ def causes(bench: Bench, sensor: str, *rounds: Round) -> tuple[Cause, ...]:
 
 
 def of_sensors(bench: Bench, *effects: tuple[str, Effect], gain: float = 10.0) -> tuple[Cause, ...]:
-    """One round for each, in which it was taken."""
+    """One round for each, in which it was accepted."""
     rounds: dict[tuple[str, ...], Sequence[Round]] = {
         (sensor,): [round_of(bench, sensor, confirmed(bench, sensor, effect, gain))] for sensor, effect in effects
     }
@@ -83,8 +83,8 @@ def of_sensors(bench: Bench, *effects: tuple[str, Effect], gain: float = 10.0) -
 
 
 @given(st.lists(st.floats(-1e4, 1e4), max_size=5))
-def test_probabilities_leave_room_for_none_of_them(gains: list[float]) -> None:
-    """They sum to one or less, the larger gain is the more probable; nothing is said of numbers too large for exp."""
+def test_probabilities_of_causes_sum_to_at_most_one(gains: list[float]) -> None:
+    """They sum to one or less, the larger gain is more probable; gains too large for exp are handled."""
     unit = UnitState((), {}, np.zeros(0), SyntheticLikelihood(*(np.zeros(0),) * 4), np.zeros((0, 0)), {}, 1.0)  # type: ignore[arg-type]
     found = tuple(Evaluation(FittedHypothesis(Hypothesis((LINE,))), unit, gain, gain) for gain in gains)
     chances = probabilities(Round(unit, found, 0.0, None))
@@ -94,15 +94,17 @@ def test_probabilities_leave_room_for_none_of_them(gains: list[float]) -> None:
     assert (np.diff(np.array(chances)[order]) >= 0).all()
 
 
-def test_probabilities_are_of_tempered_nats(bench: Bench) -> None:
+def test_probabilities_use_tempered_gains(bench: Bench) -> None:
     """Odds are e^2 to e^1 to 1."""
     one = round_of(bench, "G1", *(confirmed(bench, "G1", LINE, gain) for gain in (nats(2.0), nats(1.0))))
     total = 1 + math.e + math.e**2
     assert probabilities(one) == pytest.approx([math.e**2 / total, math.e / total])
 
 
-def test_a_cause_in_full(bench: Bench) -> None:
-    """Scores of 10 before, of 1 after: all of the excess is closed. Odds are e^15 to 1, with what a number costs."""
+def test_all_fields_of_a_cause(bench: Bench) -> None:
+    """Scores of 10 before, of 1 after: all of the excess is closed. Odds are e^15 to 1, after the cost of the
+    parameters.
+    """
     trial = Hypothesis((LINE,), ("amplitude",))
     (found,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", trial, nats(15.0) + COST)))
     assert (found.effect, found.action, found.sensors, found.axes) == ("tone", "add", ("G1",), ("y",))
@@ -133,14 +135,14 @@ def test_a_cause_in_full(bench: Bench) -> None:
     ],
 )
 def test_the_axes_on_which_a_cause_acts(bench: Bench, effect: Effect, axes: tuple[str, ...]) -> None:
-    """No axis is named where all are concerned."""
+    """No axis is named where all are affected."""
     (cause,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", effect, nats(15.0))))
     assert (cause.effect, cause.axes) == (effect.name, axes)
 
 
-def test_what_is_as_likely_is_confusable(bench: Bench) -> None:
-    """Odds of e^-0.5 are told as a cause of its own; e^-5 is below 1 in 20; e^-2.5 is confusable but too improbable to
-    be told.
+def test_equally_likely_effects_are_confusable(bench: Bench) -> None:
+    """Odds of e^-0.5 are listed as a separate cause; e^-5 is below 1 in 20; e^-2.5 is confusable but too improbable to
+    be listed.
     """
     found = [
         confirmed(bench, "G1", LINE, nats(10.0)),
@@ -155,8 +157,8 @@ def test_what_is_as_likely_is_confusable(bench: Bench) -> None:
     ]
 
 
-def test_two_guesses_of_one_effect_count_together(bench: Bench) -> None:
-    """With odds e^2, e^2 and 1 of nothing."""
+def test_two_trials_of_one_effect_are_added(bench: Bench) -> None:
+    """With odds e^2, e^2 and 1 for no cause."""
     found = [confirmed(bench, "G1", effect, nats(2.0)) for effect in (LINE, Tone(LINE.amplitude, 34.0))]
     (told,) = causes(bench, "G1", round_of(bench, "G1", *found))
     assert told.share == pytest.approx(2 * math.e**2 / (1 + 2 * math.e**2))
@@ -164,16 +166,16 @@ def test_two_guesses_of_one_effect_count_together(bench: Bench) -> None:
     assert told.confusable_with == ()
 
 
-def test_what_was_taken_is_told(bench: Bench) -> None:
-    """The best one did nothing on the training part; the second guess of the same effect was taken."""
+def test_the_accepted_trial_is_reported(bench: Bench) -> None:
+    """The best trial had no gain on the training part; the second trial of the same effect was accepted."""
     found = [confirmed(bench, "G1", LINE, 6.0), confirmed(bench, "G1", Tone(LINE.amplitude, 34.0), 5.0)]
     (told,) = causes(bench, "G1", round_of(bench, "G1", *found, selection=1))
     assert told.parameters["frequency_hz"] == 34.0
 
 
-def test_shares_are_of_what_was_left(bench: Bench) -> None:
-    """10 at first, 6 after the first round, 1 after the second: excesses 99, 35, 0. The second closes all that the
-    first had left.
+def test_shares_are_relative_to_the_remaining_excess(bench: Bench) -> None:
+    """10 at first, 6 after the first round, 1 after the second: excesses 99, 35, 0. The second closes the whole
+    remainder of the first.
     """
     first = round_of(bench, "G1", confirmed(bench, "G1", LINE, 10.0, score=6.0))
     second = round_of(bench, "G1", confirmed(bench, "G1", Quantisation(2.0), 8.0), before=6.0)
@@ -183,8 +185,8 @@ def test_shares_are_of_what_was_left(bench: Bench) -> None:
     assert line.all_closed == steps.all_closed == pytest.approx(1.0)
 
 
-def test_what_leaves_much_of_the_gap_is_less_probable(bench: Bench) -> None:
-    """Half of the excess of 10 is closed with a score of sqrt(50.5), none of it with 10; whatever the share is."""
+def test_a_cause_that_closes_less_is_less_probable(bench: Bench) -> None:
+    """Half of the excess of 10 is closed with a score of sqrt(50.5), none of it with 10; for every share."""
     half, all_, none = (
         causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", LINE, 99.0, score)))
         for score in (50.5**0.5, 1.0, 10.0)
@@ -195,7 +197,7 @@ def test_what_leaves_much_of_the_gap_is_less_probable(bench: Bench) -> None:
     assert all_[0].probability == calibrated_probability(all_[0].share, all_[0].all_closed) > half[0].probability
 
 
-def test_rounds_without_a_cause_tell_none(bench: Bench) -> None:
+def test_rounds_without_an_accepted_trial_have_no_cause(bench: Bench) -> None:
     assert causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", LINE, 2.0), selection=None)) == ()
     assert causes_of(bench, {}, 1) == ()
 
@@ -205,8 +207,8 @@ def test_removal_has_no_parameters(bench: Bench) -> None:
     assert (gone.effect, gone.action, gone.axes, gone.parameters) == ("tone", "remove", (), {})
 
 
-def test_only_what_the_base_model_has_is_replaced(bench: Bench) -> None:
-    """A line in the place of one that an earlier round added is new to the base model, which has noise alone."""
+def test_only_effects_of_the_base_model_are_replaced(bench: Bench) -> None:
+    """A line that replaces a line of an earlier round is new to the base model, which has noise only."""
     for effect, action in ((LINE, "add"), (WhiteNoise((0.1, 0.1, 0.1)), "replace")):
         trial = Hypothesis((effect,), removed=effect.name)
         (found,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", trial, 9.0)))
@@ -224,18 +226,18 @@ def test_a_rival_is_an_alternative_to_the_accepted_cause(bench: Bench) -> None:
     ("effect", "origin"),
     [
         (ChannelSwap("G2"), "metadata"),
-        (RangeReset(500.0, onset_s=0.0), "metadata"),  # from boot on
+        (RangeReset(500.0, onset_s=0.0), "metadata"),  # from the boot on
         (RangeReset(500.0, onset_s=2.0), "sensor"),
         (LINE, "sensor"),
     ],
 )
-def test_where_a_cause_lies(bench: Bench, effect: Effect, origin: str) -> None:
+def test_the_origin_of_a_cause(bench: Bench, effect: Effect, origin: str) -> None:
     (found,) = of_sensors(bench, ("G1", effect))
     assert found.origin == origin
 
 
-def test_a_cause_of_one_sensor_in_the_place_of_a_family(bench: Bench) -> None:
-    """Of the two that show it, it is told of the one that has it."""
+def test_a_cause_of_one_sensor_replaces_that_of_its_family(bench: Bench) -> None:
+    """Of the two sensors that show it, the cause names the sensor that has it."""
     trial = Hypothesis((ChannelSwap("G2"),), shared=True, sensor="G1", others=("G2",))
     columns = bench.columns(["G1", "G2"], cross=True)
     count = len(columns)
@@ -248,7 +250,7 @@ def test_a_cause_of_one_sensor_in_the_place_of_a_family(bench: Bench) -> None:
 
 
 def test_an_exchange_is_one_cause_of_two_sensors(bench: Bench) -> None:
-    """Each has its own parameters."""
+    """Each sensor has its own parameters."""
     one, other = ChannelSwap("G2", "place"), ChannelSwap("G1", "place")
     trial = Hypothesis((one,), shared=True, sensor="G1", others=("G2",), opposite=(other,))
     count = len(bench.columns(["G1", "G2"], cross=True))
@@ -271,41 +273,41 @@ def test_the_same_in_two_sensors_of_a_chip_is_one_cause(bench: Bench) -> None:
     assert both.gain == pytest.approx(4.0)
     odds = (alone.share / (1 - alone.share)) ** 2
     assert both.share == pytest.approx(odds / (1 + odds))
-    assert both.probability == calibrated_probability(both.share, 1.0)  # what is in no library is so in both of them
+    assert both.probability == calibrated_probability(both.share, 1.0)  # an effect outside the library is so for both
 
 
 @pytest.mark.parametrize(
     "other",
     [
-        ("G2", Tone((0.0, 0.06, 0.0), 17.0)),  # half as large again
+        ("G2", Tone((0.0, 0.06, 0.0), 17.0)),  # larger by a half
         ("G2", Tone((0.04, 0.0, 0.0), 17.0)),  # on another axis
         ("G2", Quantisation(2.0)),
-        ("A1", LINE),  # of another chip
+        ("A1", LINE),  # a sensor of another chip
     ],
 )
-def test_what_differs_stays_apart(bench: Bench, other: tuple[str, Effect]) -> None:
+def test_different_effects_are_separate_causes(bench: Bench, other: tuple[str, Effect]) -> None:
     assert len(of_sensors(bench, ("G1", LINE), other)) == 2
 
 
-def test_for_ever_is_not_for_a_while(bench: Bench) -> None:
+def test_permanent_and_temporary_effects_are_separate_causes(bench: Bench) -> None:
     assert len(of_sensors(bench, ("G1", Stuck(5.0, math.inf)), ("G2", Stuck(5.0, 3.0)))) == 2
 
 
-def test_as_many_events_are_not_more_of_them(bench: Bench) -> None:
-    """Two sensors whose single losses are listed lost other rows: these are two causes."""
+def test_separate_lists_of_events_are_separate_causes(bench: Bench) -> None:
+    """Two sensors with different lists of lost rows: these are two causes."""
     one = DroppedSamples(runs=(0, 0), moments_s=(1.0, 2.0), lengths_s=(0.1, 0.1))
     other = DroppedSamples(runs=(0, 0, 0), moments_s=(1.0, 2.0, 3.0), lengths_s=(0.1, 0.1, 0.1))
     assert len(of_sensors(bench, ("G1", one), ("G2", other))) == 2
     assert len(of_sensors(bench, ("G1", one), ("G2", one))) == 1
 
 
-def test_other_lines_are_other_causes(bench: Bench) -> None:
-    """17 and 20 Hz, which 4 s of rows tell apart."""
+def test_lines_of_different_frequencies_are_separate_causes(bench: Bench) -> None:
+    """17 and 20 Hz, which 4 s of rows resolve."""
     assert len(of_sensors(bench, ("G1", LINE), ("G2", replace(LINE, frequency_hz=20.0)))) == 2
 
 
 def test_no_sensor_is_named_twice(bench: Bench) -> None:
-    """Both gyroscopes have two lines that are alike."""
+    """Both gyroscopes have two equal lines."""
     lines = [confirmed(bench, "G1", LINE, 9.0, 5.0), confirmed(bench, "G1", replace(LINE, frequency_hz=18.0), 9.0)]
     rounds = {
         (name,): [
@@ -326,7 +328,7 @@ def test_causes_are_in_order_of_probability(bench: Bench) -> None:
     assert [cause.sensors for cause in causes_of(bench, rounds, 1)] == [("A1",), ("G1",)]
 
 
-def test_everything_that_was_confirmed_is_told_with_its_placebo(bench: Bench) -> None:
+def test_all_confirmed_trials_are_reported_with_the_placebo(bench: Bench) -> None:
     found = [confirmed(bench, "G1", LINE, 9.0), confirmed(bench, "G1", Hypothesis((), removed="scale"), 1.0)]
     judged = judged_of({("G1",): [round_of(bench, "G1", *found)]})
     assert judged[:2] == (
@@ -336,16 +338,16 @@ def test_everything_that_was_confirmed_is_told_with_its_placebo(bench: Bench) ->
     assert (judged[2].effect, judged[2].gain, judged[2].is_accepted) == ("", -1.0, False)
 
 
-def test_what_closes_nothing_is_no_cause(bench: Bench) -> None:
-    """Scores of 9 that are 8.95 with it: 1 % less of the squares; with 8.0 it is a cause."""
+def test_a_trial_that_closes_nothing_is_not_a_cause(bench: Bench) -> None:
+    """Scores of 9 that become 8.95: 1 % less of the squares; with 8.0 it is a cause."""
     for score, count in ((8.95, 0), (8.0, 1)):
         found = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", LINE, 9.0, score), before=9.0))
         assert len(found) == count
 
 
-def test_of_two_that_gain_as_much_the_one_that_leaves_less(bench: Bench) -> None:
-    """Where statistics depend on each other, gains count little and parameters cost as ever: the simpler one doesn't
-    win if it leaves more than twice the squares.
+def test_of_two_equal_gains_the_trial_with_the_smaller_remainder_is_preferred(bench: Bench) -> None:
+    """Where statistics are correlated, gains are reduced and the cost of parameters is not: the simpler trial is not
+    preferred if its remaining squares are more than twice as large.
     """
     free = Hypothesis((Tone((0.1, 0.1, 0.1), 9.0),), ("amplitude", "frequency_hz"))
     simple, better = (
@@ -360,9 +362,9 @@ def test_of_two_that_gain_as_much_the_one_that_leaves_less(bench: Bench) -> None
     assert better_odds < simple_odds
 
 
-def test_a_later_cause_is_no_more_probable_than_what_it_was_detected_with(bench: Bench) -> None:
-    """A line with even odds is taken first. With it in the model a second effect has hardly a rival: by itself it would
-    be the more probable one.
+def test_a_later_cause_is_at_most_as_probable_as_the_earlier_one(bench: Bench) -> None:
+    """A line with even odds is accepted first. With it in the model a second effect has hardly a rival, and would be
+    the more probable one.
     """
     alone = confirmed(bench, "G1", LINE, nats(0.0))
     with_line = replace(standing(bench, "G1", 5.0), models={"G1": replace(bench.models()["G1"], added=(LINE,))})
@@ -385,35 +387,37 @@ def rounds_without_selection(bench: Bench, **offers: Sequence[Evaluation]) -> di
 
 
 def test_the_nearest_effect_of_an_unexplained_gap(bench: Bench) -> None:
-    """That with the larger gain on both parts: twice as much on the training part (`confirmed`)."""
+    """The effect with the larger gain on both parts: twice as much on the training part (`confirmed`)."""
     weaker, stronger = confirmed(bench, "G1", Bias((0.1, 0.0, 0.0)), 1.2), confirmed(bench, "A1", Bias((0.2,) * 3), 1.9)
     (cause,) = nearest_of(bench, rounds_without_selection(bench, G1=[weaker], A1=[stronger]), 1)
     assert (cause.effect, cause.sensors, cause.is_accepted) == ("bias", ("A1",), False)
     assert cause.probability == pytest.approx(NEAREST_RIGHT / (1 + math.exp(3 * (1.2 - 1.9))))
 
 
-def test_no_effect_is_near_that_gains_little_or_only_removes(bench: Bench) -> None:
+def test_small_gains_and_removals_are_not_the_nearest_effect(bench: Bench) -> None:
     little = confirmed(bench, "G1", Bias((0.1, 0.0, 0.0)), 0.9 * NEAREST_NATS / 3)
     removal = confirmed(bench, "G1", Hypothesis((), removed="tone"), 9.0)
     assert nearest_of(bench, rounds_without_selection(bench, G1=[little, removal]), 1) == ()
     assert nearest_of(bench, {}, 1) == ()
 
 
-def test_no_effect_is_nearest_of_many_that_are_as_near(bench: Bench) -> None:
-    """Of three each would have a probability of 0.13, of four 0.1."""
+def test_many_equally_near_effects_give_no_nearest_effect(bench: Bench) -> None:
+    """With three, each has a probability of 0.13, with four 0.1."""
     effects = [Bias((0.1, 0.0, 0.0)), LINE, Quantisation(2.0), GSensitivity((0.1,) * 9), DroppedSamples(0.01)]
     alike = [confirmed(bench, "G1", effect, 3.0) for effect in effects]
     assert len(nearest_of(bench, rounds_without_selection(bench, G1=alike[:3]), 1)) == 1
     assert nearest_of(bench, rounds_without_selection(bench, G1=alike), 1) == ()
 
 
-def test_no_nearest_effect_of_a_sensor_with_an_accepted_one(bench: Bench) -> None:
+def test_a_sensor_with_an_accepted_effect_has_no_nearest_effect(bench: Bench) -> None:
     accepted = round_of(bench, "G1", confirmed(bench, "G1", LINE, 20.0))
     assert nearest_of(bench, {("G1",): [accepted]}, 1) == ()
 
 
-def test_the_choice_of_a_moment_costs_among_effects_but_not_to_be_the_nearest(bench: Bench) -> None:
-    """The gain of a trial that needs both parts is their mean, less the cost of a moment: a sum of 14 nats is 2 * 7."""
+def test_the_cost_of_a_moment_applies_to_odds_but_not_to_the_nearest_effect(bench: Bench) -> None:
+    """The gain of a trial that needs both parts is their mean, minus the cost of a moment: a sum of 14
+    nats is 2 * 7.
+    """
     needs_both = Hypothesis((Bias((0.1, 0.0, 0.0)),), whole=True)
     sure = confirmed(bench, "G1", needs_both, 7.0 - BRIEF)
     (cause,) = nearest_of(bench, rounds_without_selection(bench, G1=[sure]), 1)

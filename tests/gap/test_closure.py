@@ -1,4 +1,4 @@
-"""Shares closed of scores made by hand, and how often their interval holds the true one."""
+"""Closed shares of scores made by hand, and the coverage of their interval."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def key(domain: str = "level", number: int = 0, sensor: str = "A1", probe: str =
 
 
 def counted(domains: list[str], before: list[float], after: list[float]) -> DeviatingStatistics:
-    """Deviating in both parts, the training part as `before`."""
+    """Scores that deviate in both parts, the training part as `before`."""
     keys = [key(domain, number) for number, domain in enumerate(domains)]
     pairs = pairs_of([*keys, *keys], [False] * len(keys) + [True] * len(keys))
     scores = [np.array([*part, *part]) for part in (before, after)]
@@ -48,20 +48,22 @@ def test_the_share_of_the_excess() -> None:
     assert found.closed == pytest.approx(0.5)
     assert found.interval is not None
     low, high = found.interval
-    assert low < 0.5 < high  # of a single score as well
+    assert low < 0.5 < high  # also for a single score
 
 
 @settings(max_examples=examples(30), deadline=None)
 @given(st.integers(1, 10), st.floats(4, 90), st.floats(0, 90), st.floats(4, 90), st.floats(0, 90))
-def test_domains_weigh_alike(count: int, one: float, one_after: float, other: float, other_after: float) -> None:
-    """However many statistics a domain has: the mean over domains of their mean squares. No more than all is closed."""
+def test_domains_have_equal_weights(count: int, one: float, one_after: float, other: float, other_after: float) -> None:
+    """For any number of statistics of a domain: the mean over domains of their mean squares. The closed share is at
+    most one.
+    """
     found = counted(["level"] * count + ["spectrum"], [one] * count + [-other], [one_after] * count + [-other_after])
     before, after = (one**2 + other**2) / 2, (one_after**2 + other_after**2) / 2
     shrunk = found.closure(1)
     assert shrunk.before == pytest.approx(before**0.5)
     assert shrunk.after == pytest.approx(
         after**0.5, abs=1e-7
-    )  # 1 is taken from the square and added: root of its rounding
+    )  # 1 is subtracted from the square and added: root of its rounding
     assert shrunk.closed == pytest.approx(min(1 - (after - 1) / (before - 1), 1.0))
     assert found.domains() == ("level", "spectrum")
     level = found.of(np.array([True] * count + [False])).closure(1)
@@ -70,7 +72,7 @@ def test_domains_weigh_alike(count: int, one: float, one_after: float, other: fl
 
 @settings(max_examples=examples(30), deadline=None)
 @given(st.lists(st.floats(4, 90), min_size=1, max_size=20), st.integers(0, 5))
-def test_nothing_done_closes_nothing_and_chance_may_be_all(scores: list[float], seed: int) -> None:
+def test_unchanged_scores_close_nothing_and_scores_of_chance_close_all(scores: list[float], seed: int) -> None:
     domains = ["level", "allan"] * len(scores)
     same = counted(domains[: len(scores)], scores, scores).closure(seed)
     assert (same.closed, same.interval) == (pytest.approx(0), pytest.approx((0, 0)))
@@ -80,16 +82,16 @@ def test_nothing_done_closes_nothing_and_chance_may_be_all(scores: list[float], 
     assert right.interval[1] == pytest.approx(1)
 
 
-def test_no_score_counts_for_more_than_the_largest() -> None:
+def test_scores_are_limited_to_the_largest() -> None:
     assert counted(["level"], [1e6], [1.0]).closure(0).before == pytest.approx(LARGEST)
 
 
-def test_nothing_deviates() -> None:
+def test_without_deviations_no_closure_is_stated() -> None:
     assert counted(["level"], [1.0], [1.0]).closure(0) == (1.0, 1.0, None, None)
 
 
-def test_too_little_to_close() -> None:
-    """It deviates on the training part alone: on held-out data its score is that of chance."""
+def test_no_closure_is_stated_without_a_held_out_excess() -> None:
+    """The statistic deviates on the training part alone: on held-out data its score is that of chance."""
     one = key()
     pairs = pairs_of([one, one], [False, True])
     found = deviating(pairs, np.array([9.0, 1.2]), np.array([1.0, 0.3]), np.zeros(2, bool)).closure(0)
@@ -97,9 +99,9 @@ def test_too_little_to_close() -> None:
     assert (found.closed, found.interval) == (None, None)
 
 
-def test_what_counts_is_chosen_on_the_training_part() -> None:
-    """The last is there on the training part alone; what the fourth has there is zero for the fit, and little here; the
-    third deviates here alone.
+def test_statistics_are_selected_on_the_training_part() -> None:
+    """The last has a value on the training part only; the fourth is zero there because of the fit, and small here; the
+    third deviates here only.
     """
     keys = [key(number=number) for number in range(5)]
     pairs = Pairs(tuple(keys), np.arange(5), np.array([5, 6, 7, 8, ABSENT]))
@@ -110,7 +112,7 @@ def test_what_counts_is_chosen_on_the_training_part() -> None:
     np.testing.assert_array_equal(found.after, [1.0])
 
 
-def test_what_is_beyond_chance_on_the_held_out_part_counts_whatever_the_training_part_shows() -> None:
+def test_statistics_beyond_chance_on_the_held_out_part_are_always_selected() -> None:
     """Of four thousand normal scores the largest is beyond this in one of ten billion draws."""
     keys = [key(number=number) for number in range(2)]
     pairs = Pairs(tuple(keys), np.arange(2), np.arange(2, 4))
@@ -120,17 +122,17 @@ def test_what_is_beyond_chance_on_the_held_out_part_counts_whatever_the_training
     assert 4000 * math.erfc(BEYOND_CHOICE / math.sqrt(2)) < 1e-10
 
 
-def test_what_only_the_held_out_part_shows_is_chosen_there() -> None:
-    """Where the training part says nothing, or the fit makes it zero there: farther off than what is seen in both."""
+def test_statistics_of_the_held_out_part_alone_are_selected_there() -> None:
+    """Where the training part has no value, or the fit makes it zero: further from zero than those in both parts."""
     keys = [key(number=number) for number in range(5)]
     pairs = Pairs(tuple(keys), np.array([ABSENT, ABSENT, 0, 1, 2]), np.arange(3, 8))
     train, held_out = [NAN, 0.0, 0.0], [BY_ITSELF + 0.1, BY_ITSELF - 0.1, 8.0, 8.0, 8.0]
     found = deviating(pairs, np.array([*train, *held_out]), np.full(8, NAN), np.arange(8) == 1)
     assert found.keys == (keys[0], keys[2], keys[3])
-    np.testing.assert_array_equal(found.after, 0.0)  # silent with the causes in: nothing is left
+    np.testing.assert_array_equal(found.after, 0.0)  # no value with the causes in the model: no remainder
 
 
-def test_where_nothing_else_deviates_the_held_out_part_chooses() -> None:
+def test_the_held_out_part_selects_where_nothing_else_deviates() -> None:
     keys = [key(number=number) for number in range(2)]
     pairs = Pairs(tuple(keys), np.arange(2), np.arange(2, 4))
     before = np.array([DEVIATES - 0.1, 0.0, DEVIATES - 0.1, DEVIATES + 0.1])
@@ -139,9 +141,9 @@ def test_where_nothing_else_deviates_the_held_out_part_chooses() -> None:
 
 @pytest.mark.slow
 def test_the_interval_covers() -> None:
-    """40 blocks of 3 scores that hang together, of standard deviation 10 before and sqrt(10.9) after: of the excess 99
-    9.9 is left, 90 % closed. In 150 campaigns a 95 % bootstrap interval of 40 blocks holds it in 0.85 or more of all;
-    at least 115 of 150 come with one of 0.996 at that.
+    """40 blocks of 3 correlated scores, of standard deviation 10 before and sqrt(10.9) after: of the excess 99 9.9
+    remains, 90 % is closed. In 150 campaigns a 95 % bootstrap interval of 40 blocks covers it in 0.85 or more of all;
+    at least 115 of 150 have a probability of 0.996 at that rate.
     """
     random, covered = np.random.default_rng(8), 0
     for seed in range(150):
@@ -160,8 +162,8 @@ def test_the_interval_covers() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("blocks", [1, 2, 3, 6])
 def test_the_interval_of_a_few_blocks_covers(blocks: int) -> None:
-    """Three scores each, off by 10 or so before and, the same way, by a share of that after; chance adds one standard
-    deviation to both. At least 134 of 150 come in one of 0.96 campaigns of an interval that holds 0.925 of all.
+    """Three scores each, about 10 before and a share of that with the same sign after; chance adds one standard
+    deviation to both. At least 134 of 150 have a probability of 0.96 for an interval that covers 0.925 of all.
     """
     random, covered = np.random.default_rng(blocks), 0
     keys = tuple(key(number=block, probe=f"{part}") for block in range(blocks) for part in range(3))
@@ -178,15 +180,15 @@ def test_the_interval_of_a_few_blocks_covers(blocks: int) -> None:
     assert covered >= 134
 
 
-def test_the_interval_is_the_seeds() -> None:
+def test_the_interval_depends_on_the_seed_only() -> None:
     values = np.random.default_rng(9).normal(10, 3, 12).tolist()
     made = counted(["level"] * 12, values, [value / 3 for value in values])
     assert made.closure(4) == made.closure(4)
     assert made.closure(4).interval != made.closure(5).interval
 
 
-def test_what_happens_in_one_part_counts_where_it_shows() -> None:
-    """Squares 400 and 900 less chance: half of the one is left and nothing of the other, 199.5 of 1298."""
+def test_events_of_one_part_are_counted_in_that_part() -> None:
+    """Squares 400 and 900 minus chance: half of the first remains and none of the second, 199.5 of 1298."""
     keys = [key(number=number) for number in range(3)]
     pairs = pairs_of([*keys, *keys], [False] * 3 + [True] * 3)
     before = np.array([20.0, 0.3, 4.0, 1.0, 30.0, NAN])

@@ -1,4 +1,4 @@
-"""`imuarray gap diagnose`, as it is typed."""
+"""`imuarray gap diagnose` through the command line."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def typed(here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
 
 @pytest.fixture(scope="module")
 def found(here: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What is written of the line; worked out once."""
+    """The written diagnosis of the line; computed once."""
     asked = [here / "humming.h5", "--only", "G1", "--workers", 1, "--replicates", 40, "--seed", 3, "-o", here / "out"]
     assert main(["gap", "diagnose", *map(str, asked)]) == 0
     assert sorted(path.name for path in (here / "out").iterdir()) == FILES
@@ -135,8 +135,8 @@ WHOLE = {
 }
 
 
-def test_json_has_what_other_programs_rely_on(found: dict[str, Any]) -> None:
-    """The published names, of the published kinds; more may be there."""
+def test_json_has_the_published_fields(found: dict[str, Any]) -> None:
+    """The published names with the published types; there may be more."""
     assert found.keys() >= WHOLE
     assert found["gap"].keys() >= {"before", "after", "floor", "closed", "closed_ci95"}
     assert all(one.keys() >= WHERE for one in [*found["where"], *found["unexplained"]])
@@ -164,8 +164,8 @@ def test_the_command_simulates_as_many_replicates_as_the_function() -> None:
     assert option.default == REPLICATES
 
 
-def test_the_cause_is_told(found: dict[str, Any]) -> None:
-    """1000 rows in noise of 0.05 dps tell an amplitude to 0.0022 dps."""
+def test_the_cause_is_reported_with_its_amplitude(found: dict[str, Any]) -> None:
+    """1000 rows in noise of 0.05 dps determine an amplitude to 0.0022 dps."""
     cause = found["causes"][0]
     assert (cause["effect"], cause["action"], cause["sensors"], cause["axes"]) == ("tone", "add", ["G1"], ["y"])
     assert cause["share"] > 0.9
@@ -177,8 +177,8 @@ def test_the_cause_is_told(found: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_overwritten_without_force(found: dict[str, Any], typed: Type, here: Path) -> None:
-    """It is said before anything is worked out, and only one of the files has to be there."""
+def test_an_existing_file_is_overwritten_only_with_force(found: dict[str, Any], typed: Type, here: Path) -> None:
+    """The refusal precedes the computation, and one existing file is sufficient."""
     before = {name: (here / "out" / name).read_bytes() for name in FILES}
     code, out, err = typed("humming.h5", "-o", "out")
     assert (code, out, len(err)) == (2, "", 1)
@@ -197,15 +197,15 @@ def test_nothing_is_overwritten_without_force(found: dict[str, Any], typed: Type
 
 
 @pytest.mark.slow
-def test_json_on_standard_output_is_the_file(found: dict[str, Any], typed: Type) -> None:
+def test_json_on_standard_output_equals_the_file(found: dict[str, Any], typed: Type) -> None:
     code, out, _ = typed("humming.h5", "--only", "G1", "--seed", 3, "--json")
     assert code == 0
     assert json.loads(out) == found
 
 
 @pytest.mark.slow
-def test_no_gap(typed: Type) -> None:
-    """The seed is one of the 20 of 21 in which chance makes none."""
+def test_a_recording_without_a_gap(typed: Type) -> None:
+    """The seed is one of the 20 of 21 without a gap by chance."""
     code, out, _ = typed("quiet.h5", "--json")
     said = json.loads(out)
     check_agreement(said)
@@ -214,10 +214,10 @@ def test_no_gap(typed: Type) -> None:
 
 
 @pytest.mark.slow
-def test_the_repaired_model_is_a_model(
+def test_the_repaired_model_can_be_simulated_and_compared(
     found: dict[str, Any], typed: Type, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It is simulated from, and a recording is compared with it: the line is no gap any more."""
+    """It is simulated, and a recording is compared with it: the line is not a gap any more."""
     with (here / "out" / "repaired.toml").open("rb") as file:
         assert tomllib.load(file)["model"]["name"] == "repaired data sheets"
     assert "tone" in load_model(here / "out" / "repaired.toml").sensors[0].effects
@@ -233,8 +233,8 @@ def test_the_repaired_model_is_a_model(
 
 
 @pytest.mark.slow
-def test_what_has_changed_since_an_earlier_log(typed: Type) -> None:
-    """The line is no difference beside the log that has it, and is missing in the other one since then."""
+def test_changes_since_an_earlier_log_are_reported(typed: Type) -> None:
+    """The line is not a difference from the log that has it, and is missing in the other log."""
     code, out, _ = typed("humming.h5", "--only", "G1", "--against", "humming.h5", "--json")
     same = json.loads(out)
     check_agreement(same)
@@ -260,7 +260,7 @@ def test_what_has_changed_since_an_earlier_log(typed: Type) -> None:
         (["humming.h5", "-o", "two.toml"], ["two.toml"]),
     ],
 )
-def test_what_is_wrong_is_one_line_and_nothing_is_left(
+def test_invalid_input_gives_one_line_and_no_file(
     typed: Type, here: Path, arguments: list[str], words: list[str]
 ) -> None:
     before = sorted(here.iterdir())
@@ -273,7 +273,7 @@ def test_what_is_wrong_is_one_line_and_nothing_is_left(
 @pytest.mark.parametrize(
     "arguments", [[], ["humming.h5", "--replicates", "10"], ["humming.h5", "--workers", "0"], ["humming.h5", "--what"]]
 )
-def test_a_slip_of_the_keyboard(
+def test_invalid_options_are_refused(
     here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: list[str]
 ) -> None:
     monkeypatch.chdir(here)
@@ -282,8 +282,8 @@ def test_a_slip_of_the_keyboard(
 
 
 @pytest.mark.parametrize("arguments", [["gap", "--help"], ["gap", "diagnose", "--help"]])
-def test_help(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
-    """Every option says what it does."""
+def test_help_lists_the_options(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
+    """The page of the command names its options."""
     assert main(arguments) == 0
     out = capsys.readouterr().out
     for word in (
@@ -295,8 +295,8 @@ def test_help(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
 
 
 @pytest.mark.slow
-def test_effects_can_be_left_out(found: dict[str, Any], typed: Type) -> None:
-    """Without its cause the line may be blamed on something else, but on no tone, and is closed less."""
+def test_effects_can_be_excluded(found: dict[str, Any], typed: Type) -> None:
+    """Without its cause the line may be attributed to another effect, but not to a tone, and is closed less."""
     code, out, _ = typed("humming.h5", "--only", "G1", "--without", "tone", "--json")
     said = json.loads(out)
     assert code == 0
@@ -306,15 +306,15 @@ def test_effects_can_be_left_out(found: dict[str, Any], typed: Type) -> None:
 
 
 @pytest.mark.slow
-def test_workers_change_nothing(found: dict[str, Any], typed: Type) -> None:
+def test_results_do_not_depend_on_workers(found: dict[str, Any], typed: Type) -> None:
     code, out, _ = typed("humming.h5", "--only", "G1", "--seed", 3, "--json", workers=2)
     assert code == 0
     assert json.loads(out) == found
 
 
 @pytest.mark.slow
-def test_all_sensors_of_a_log(typed: Type) -> None:
-    """The accelerometer has nothing to do with it."""
+def test_all_sensors_of_a_log_are_diagnosed(typed: Type) -> None:
+    """The accelerometer has no part in the cause."""
     code, out, _ = typed("humming.h5", "--json")
     said = json.loads(out)
     assert code == 0
@@ -323,8 +323,8 @@ def test_all_sensors_of_a_log(typed: Type) -> None:
 
 
 @pytest.mark.slow
-def test_two_logs(typed: Type) -> None:
-    """Of one kind: the second is held out, in which the line isn't. A name given twice is one log."""
+def test_two_logs_of_a_kind_are_training_and_held_out(typed: Type) -> None:
+    """The second log is held out and has no line. A name given twice is one log."""
     code, out, _ = typed("humming.h5", "quiet.h5", "humming.h5", "--only", "G1", "--json")
     said = json.loads(out)
     assert code == 0

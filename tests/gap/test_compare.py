@@ -1,4 +1,4 @@
-"""A recording beside its replicates: false alarms where nothing is wrong, gaps where they were put."""
+"""A recording compared with its replicates: rate of false alarms, and detection of simulated gaps."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ NAMES = tuple(BASE)
 
 @cache
 def bare(seed: int = 0) -> tuple[Bench, Campaign]:
-    """All four sensors, 20 s at rest, without anything but the base's effects."""
+    """All four sensors, 20 s at rest, with the effects of the base only."""
     return recorded({}, seed)
 
 
@@ -60,7 +60,7 @@ def recorded(more: More, seed: int, motion: Motion = SHORT, kind: str = "static"
 
 
 def compared(more: More, seed: int, replicates: int = 40) -> Comparison:
-    """The whole way, from a simulated recording on."""
+    """The whole comparison of a simulated recording."""
     bench, campaign = recorded(more, seed)
     return compare_with_base(bench, campaign, Run(bench), replicates)
 
@@ -71,9 +71,9 @@ def nothing() -> Comparison:
 
 
 @pytest.mark.slow
-def test_false_alarms(nothing: Comparison) -> None:
-    """60 campaigns, each with its own fit, beside the 80 replicates of another one: p <= 0.05 has a probability of 4/81
-    over both; at most 14 come with one of 0.9998 (beta-binomial: 60, 4, 77).
+def test_rate_of_false_alarms_with_common_replicates(nothing: Comparison) -> None:
+    """60 campaigns, each with its own fit, compared with the 80 replicates of another one: p <= 0.05 has a probability
+    of 4/81 over both; at most 14 have a probability of 0.9998 (beta-binomial: 60, 4, 77).
     """
     bench = nothing.bench
 
@@ -88,17 +88,17 @@ def test_false_alarms(nothing: Comparison) -> None:
 
 
 @pytest.mark.campaign
-def test_false_alarms_are_as_rare_as_promised() -> None:
-    """60 campaigns, 40 replicates each: p <= 0.05 has a probability of 2/41 each; at most 8 of 60 come with one of
+def test_rate_of_false_alarms_with_own_replicates() -> None:
+    """60 campaigns, 40 replicates each: p <= 0.05 has a probability of 2/41 each; at most 8 of 60 have a probability of
     0.998 (binomial).
     """
     assert sum(compared(units(seed), seed).localisation.is_gap for seed in range(60)) <= 8
 
 
 @pytest.mark.slow
-def test_scores_are_standard(nothing: Comparison) -> None:
-    """About normal in the middle: 68 % within one, of 40 x 700 scores that hang together, by the other 40; scales of 40
-    replicates scatter by 11 %, which makes tails a little longer. Statistics that count things are not normal.
+def test_scores_have_unit_variance(nothing: Comparison) -> None:
+    """Nearly normal in the middle: 68 % within one, of 40 x 700 correlated scores, by the other 40; scales of 40
+    replicates scatter by 11 %, which makes tails slightly longer. Statistics that are counts are not normal.
     """
     likelihood = likelihood_of(nothing.chance[1::2], nothing.bench.resolutions)
     chosen = np.array([key.domain in ("level", "spread", "spectrum", "allan") for key in nothing.bench.keys])
@@ -110,7 +110,7 @@ def test_scores_are_standard(nothing: Comparison) -> None:
 
 
 @pytest.mark.slow
-def test_another_seed_draws_others(nothing: Comparison) -> None:
+def test_another_seed_draws_other_replicates(nothing: Comparison) -> None:
     bench = replace(nothing.bench, base=replace(nothing.bench.base, seed=77))
     other = compare_with_base(bench, nothing.campaign, Run(bench), 40)
     assert not np.array_equal(other.chance, nothing.chance[:40], equal_nan=True)
@@ -121,7 +121,7 @@ def test_another_seed_draws_others(nothing: Comparison) -> None:
 
 
 @pytest.mark.slow
-def test_a_tone_is_found_where_it_is() -> None:
+def test_a_tone_is_detected_on_its_axis() -> None:
     """0.8 of the noise's standard deviation at 17 Hz on one axis of one gyroscope: readings correlate over many rows,
     and the spectrum has a line.
     """
@@ -143,8 +143,8 @@ def test_a_tone_is_found_where_it_is() -> None:
 
 
 @pytest.mark.slow
-def test_sizes_are_in_the_units_of_the_statistic() -> None:
-    """0.06 g per g^2 along x: the mean of the faces +x and -x is off by 0.06 g."""
+def test_sizes_have_the_unit_of_the_statistic() -> None:
+    """0.06 g per g^2 along x: the mean of the faces +x and -x has an error of 0.06 g."""
     bench, campaign = recorded({"A2": (Nonlinearity(quadratic=(0.06, 0.0, 0.0)),)}, 3, Tumble(4.0, 1.0), "tumble")
     found = compare_with_base(bench, campaign, Run(bench), 40)
     told = where_of(
@@ -174,10 +174,10 @@ tone.frequency_hz = 17.0
 """
 
 
-def test_what_a_model_adds_is_not_counted_twice() -> None:
+def test_effects_of_the_model_are_not_fitted_twice() -> None:
     """Of A1's 1.05 g on +z the model explains 0.03 g, 0.02 g are bias; of G1's variance 0.05^2 / 2 is the tone's, the
-    rest of 0.05^2 + 0.05^2 / 2 white. 1000 rows: 4 standard errors of the rms are 9 %, of what is left without the tone
-    14 %.
+    rest of 0.05^2 + 0.05^2 / 2 white. 1000 rows: 4 standard errors of the rms are 9 %, of the remainder without the
+    tone 14 %.
     """
     bench, campaign = recorded({"A1": (Scale(0.03),), "G1": (Tone(0.05, 17.0, float("nan")),)}, 8)
     base = fit(bench.split.train(campaign).campaign, [SHORT], model=parse_model(MODEL))
@@ -189,8 +189,8 @@ def test_what_a_model_adds_is_not_counted_twice() -> None:
     assert found["G2"].rms == pytest.approx(base.fitted["G2"].rms, rel=0.1)
 
 
-def test_what_is_sent_to_processes_can_be_sent() -> None:
-    """Plain data, small beside what is simulated."""
+def test_jobs_for_processes_can_be_pickled() -> None:
+    """Plain data, small compared with the simulation."""
     bench, _ = bare()
     sent = pickle.dumps(bench)
     assert len(sent) < 500_000
@@ -198,7 +198,7 @@ def test_what_is_sent_to_processes_can_be_sent() -> None:
 
 
 @pytest.mark.slow
-def test_processes_change_no_bit() -> None:
+def test_processes_give_identical_results() -> None:
     bench, campaign = bare()
     alone = compare_with_base(bench, campaign, runner(bench), 40)
     with processes(2) as pool:
@@ -208,8 +208,8 @@ def test_processes_change_no_bit() -> None:
 
 
 class Chances:
-    """A bench whose statistics are normal numbers: those of the recording, moved by so many standard deviations, and of
-    each replicate.
+    """A bench whose statistics are normal numbers: those of the recording, shifted by so many standard deviations, and
+    those of each replicate.
     """
 
     keys = tuple(
@@ -239,7 +239,7 @@ class Chances:
 
 
 def sequential(seed: int, moved: float = 0.0, replicates: int = 100) -> tuple[float, int]:
-    """The p-value, and by how many replicates it was found."""
+    """The p-value, and the number of replicates."""
     bench = Chances(seed, moved)
     found = compare_with_base(cast(Bench, bench), cast(Campaign, None), bench.run, replicates)
     assert bench.asked == list(range(len(found.replicates)))  # each once
@@ -247,9 +247,9 @@ def sequential(seed: int, moved: float = 0.0, replicates: int = 100) -> tuple[fl
 
 
 @pytest.mark.slow
-def test_p_is_uniform_though_most_comparisons_end_early() -> None:
-    """Of 300 recordings without a gap at most a share a is found at p <= a, within three standard errors; half of them
-    end after 24 replicates, three of four after 40 (43.4 on average: 24 + 16 / 2 + 24 / 4 + 36 * 15 / 100).
+def test_p_values_are_uniform_though_most_comparisons_end_early() -> None:
+    """Of 300 recordings without a gap at most a share a has p <= a, within three standard errors; half of them end
+    after 24 replicates, three of four after 40 (43.4 on average: 24 + 16 / 2 + 24 / 4 + 36 * 15 / 100).
     """
     found = np.array([sequential(seed) for seed in range(300)])
     for level in (0.05, 0.1, 0.2, 0.4, 0.8):
@@ -259,9 +259,9 @@ def test_p_is_uniform_though_most_comparisons_end_early() -> None:
     assert found[:, 1].mean() == pytest.approx(43.4, abs=5.0)
 
 
-def test_what_is_strange_is_compared_with_all_replicates_unless_it_is_clear() -> None:
-    """2.5 standard deviations in each statistic, hardly more than the largest of all replicates; 40, ten times as much;
-    and where 40 are all, these.
+def test_a_moderate_deviation_needs_all_replicates_and_a_clear_one_does_not() -> None:
+    """2.5 standard deviations in each statistic, slightly more than the largest of all replicates; 40, ten times as
+    much; and a limit of 40 replicates.
     """
     for seed in range(5):
         p, replicates = sequential(seed, 2.5)
@@ -271,8 +271,8 @@ def test_what_is_strange_is_compared_with_all_replicates_unless_it_is_clear() ->
     assert sequential(0, 2.5, replicates=40)[1] == 40
 
 
-def test_limits_of_a_sequential_test_never_rise() -> None:
-    """Upon which its p-value stands; and a gap, p <= 0.05, is never far from one that went on."""
+def test_limits_of_a_sequential_test_do_not_rise() -> None:
+    """Its p-value depends on this; and a gap, p <= 0.05, is near the result of a continued test."""
     assert sorted(ENOUGH) == list(ENOUGH)
     limits = list(ENOUGH.values())
     assert limits == sorted(limits, reverse=True)
@@ -281,8 +281,8 @@ def test_limits_of_a_sequential_test_never_rise() -> None:
     assert min(ENOUGH) < REPLICATES
 
 
-def test_a_flag_that_no_row_has_is_missing() -> None:
-    """Of two sensors' shares of repeated rows: kept where one sensor has any, since the recorder compares readings."""
+def test_a_flag_without_rows_is_missing() -> None:
+    """Shares of repeated rows of two sensors: kept if one sensor has any, since the recorder compares readings."""
     keys = [Key(0, name, "", "static", 0, "status", probe) for name in ("A", "B") for probe in ("stale", "lost")]
     nan = math.nan
     for values, known in (
@@ -294,8 +294,8 @@ def test_a_flag_that_no_row_has_is_missing() -> None:
 
 
 def test_a_queue_is_known_by_the_configuration_or_by_its_rows() -> None:
-    """A queue may be slower than the frames, which its rows do not show; a log without a configuration has only
-    those.
+    """A queue may be slower than the frames, which its rows do not reveal; a log without a configuration has only
+    these.
     """
     text = """[array]
 name = "queue"

@@ -1,4 +1,4 @@
-"""Stretches of windows whose statistics differ from those of the rest."""
+"""Intervals of windows whose statistics differ from those of the rest."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from imuarray.log import Block
 from imuarray.log.format import Phase, SensorHeader
 
 
-def test_a_sensor_that_is_stuck_for_most_windows_has_no_stretch() -> None:
-    """Without scatter nothing tells how clear a difference is; the other statistic still does."""
+def test_a_sensor_stuck_for_most_windows_has_no_interval() -> None:
+    """Without scatter the significance of a difference is unknown; the other statistic still has it."""
     statistics = np.zeros((40, 2))
     statistics[:5, 0] = 0.1
     assert not list(changes(statistics, np.zeros(2)))
@@ -27,9 +27,9 @@ def test_a_sensor_that_is_stuck_for_most_windows_has_no_stretch() -> None:
     assert np.flatnonzero(change.inside).tolist() == list(range(10, 20))
 
 
-def test_a_hole_in_a_stretch_is_none_of_it() -> None:
-    """Windows 10 to 19 and 23 to 34 of 40 lie higher: the clearest stretch is from 10 to 34, with three in it that are
-    as the rest.
+def test_normal_windows_within_an_interval_are_excluded() -> None:
+    """Windows 10 to 19 and 23 to 34 of 40 are higher: the clearest interval is from 10 to 34, with three normal windows
+    in it.
     """
     statistics = np.random.default_rng(3).normal(0, 1, (40, 1))
     statistics[10:35] += 20
@@ -40,10 +40,10 @@ def test_a_hole_in_a_stretch_is_none_of_it() -> None:
 
 @pytest.mark.parametrize(("windows", "columns"), [(4, 1), (9, 11), (64, 3), (200, 2)])
 @pytest.mark.parametrize("step", [0.0, 1.0, 20.0])
-def test_compiled_code_and_numpy_find_the_same_stretches(
+def test_compiled_code_and_numpy_give_the_same_intervals(
     windows: int, columns: int, step: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also where no statistic scatters, so that many stretches explain it equally well."""
+    """Also where no statistic scatters, so that many intervals explain it equally well."""
     statistics = np.random.default_rng(windows).normal(0, 1, (windows, columns))
     statistics[windows // 3 : windows // 2 + 1] += step
     for values in (statistics, np.where(statistics > step / 2, step, 0.0)):
@@ -86,9 +86,9 @@ def lines_on(source: MemorySource, rows: int) -> list[tuple[float, float]]:
     return [stretches[0] for stretches in stretches_of(source, [phase]) if len(stretches) == 1]
 
 
-def test_a_faint_line_from_a_moment_on() -> None:
-    """4 counts beside a noise of 10: a window of 64 rows has an amplitude of noise of 1.8, and 2600 rows gain 104 nats,
-    twice what one in all 5200 rows gains.
+def test_a_faint_line_from_a_moment_on_is_detected() -> None:
+    """4 counts in a noise of 10: a window of 64 rows has an amplitude of noise of 1.8, and 2600 rows gain 104 nats,
+    twice the gain of a line in all 5200 rows.
     """
     for seed in (1, 2, 3):
         (*_, (begin_s, end_s)) = lines_on(line_source(5200, seed, 4.0, 2600), 5200)
@@ -97,15 +97,15 @@ def test_a_faint_line_from_a_moment_on() -> None:
 
 
 @pytest.mark.slow
-def test_a_line_that_is_always_on_and_noise_have_no_stretch() -> None:
-    """In one of twenty logs at most: of 60 logs of each kind 6 or more have one with a probability of 0.03."""
+def test_a_permanent_line_and_noise_have_no_interval() -> None:
+    """In one of twenty logs at most: of 60 logs of each kind 6 or more have an interval with a probability of 0.03."""
     assert sum(bool(lines_on(line_source(5200, seed, 3.0), 5200)) for seed in range(60)) <= 5
     assert sum(bool(lines_on(line_source(5200, seed), 5200)) for seed in range(60)) <= 5
 
 
 @pytest.mark.slow
 def test_a_long_phase_needs_little_memory() -> None:
-    """A line in the second half of 400,000 rows: 64 windows have 2000 stretches, and windows of 64 rows 20 million."""
+    """A line in the second half of 400,000 rows: 64 windows have 2000 intervals, and windows of 64 rows 20 million."""
     source = line_source(400_000, 1, 1.0, 200_000)
     tracemalloc.start()
     (*_, (begin_s, end_s)) = lines_on(source, 400_000)

@@ -1,4 +1,4 @@
-"""Window means of several sensors beside a plain loop; true motion and common errors told apart by the mounting."""
+"""Window means of several sensors against a plain loop; true motion and common errors separated by the mounting."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def random_counts(seed: int, sigma: float = 30.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("pieces", [1, 7, 40])
-def test_moments_are_those_of_a_plain_loop(pieces: int) -> None:
+def test_moments_equal_those_of_a_plain_loop(pieces: int) -> None:
     """400 windows of 10 rows in 50 segments of 8."""
     sensors = [header("A"), header("B", "-X+Y-Z")]
     counts = [random_counts(1), random_counts(2)]
@@ -70,7 +70,7 @@ def test_moments_are_those_of_a_plain_loop(pieces: int) -> None:
     np.testing.assert_allclose(found.slow_covariance[:6, :6], np.cov(segments.mean(axis=1).T), rtol=1e-9)
 
 
-def test_replicates_side_by_side_are_what_each_is_alone() -> None:
+def test_replicates_together_equal_single_ones() -> None:
     sensors = [header("A"), header("B", "-X+Y-Z")]
     replicates = [[random_counts(1), random_counts(2)], [random_counts(3), random_counts(4)]]
     tally = CrossTally(sensors, PHASE, WINDOW_NS, 2)
@@ -83,7 +83,7 @@ def test_replicates_side_by_side_are_what_each_is_alone() -> None:
         assert found.windows == alone.windows
 
 
-def test_windows_that_one_sensor_missed_are_left_out() -> None:
+def test_windows_that_one_sensor_lacks_are_excluded() -> None:
     sensors = [header("A"), header("B")]
     tally = CrossTally(sensors, PHASE, WINDOW_NS)
     tally.update("A", block(random_counts(1), INTERVAL_NS))
@@ -92,7 +92,7 @@ def test_windows_that_one_sensor_missed_are_left_out() -> None:
     assert tally.result().windows == 396
 
 
-def test_a_sensor_that_falls_silent_ends_what_all_have_in_common() -> None:
+def test_common_windows_end_with_the_first_lost_sensor() -> None:
     sensors = [header("A"), header("B")]
     tally = CrossTally(sensors, PHASE, WINDOW_NS)
     tally.update("B", block(random_counts(2)[:2000], INTERVAL_NS))
@@ -104,8 +104,8 @@ def test_a_sensor_that_falls_silent_ends_what_all_have_in_common() -> None:
     assert np.isfinite(found.slow[:25]).all()
 
 
-def test_mounting_tells_motion_from_a_common_error() -> None:
-    """B stands on its head: x and z reversed. Correlation s^2 / (s^2 + n^2) = 0.5 where both show the same."""
+def test_the_mounting_separates_motion_from_a_common_error() -> None:
+    """B is upside down: x and z reversed. Correlation s^2 / (s^2 + n^2) = 0.5 where both read the same."""
     sensors = [header("A"), header("B", "-X+Y-Z")]
     shared, mine, yours = random_counts(1), random_counts(2), random_counts(3)
     z = np.arctanh(0.5)
@@ -121,15 +121,15 @@ def test_mounting_tells_motion_from_a_common_error() -> None:
     np.testing.assert_allclose(value("fast_between_axes", motion, "B"), 0.0, atol=0.27)
 
 
-def test_box_axes_are_told_for_the_axis_that_lies_along_them() -> None:
-    """A's y lies along X, B's x against X: what both feel along X shows on A's y."""
+def test_box_axes_are_reported_at_the_sensor_axis_along_them() -> None:
+    """A's y is along X, B's x against X: the common motion along X is reported on A's y."""
     sensors = [header("A", "+Y+X-Z"), header("B", "-X+Y-Z")]
     along_x, mine, yours = random_counts(1)[:, :1], random_counts(2), random_counts(3)
     found = crossed(sensors, [mine + along_x * [0, 1, 0], yours + along_x * [-1, 0, 0]])
     np.testing.assert_allclose(value("fast_box_axes", found, "A"), [0, np.arctanh(0.5), 0], atol=0.27)
 
 
-def test_a_sensor_alone_of_its_kind_has_nothing_in_common() -> None:
+def test_a_single_sensor_of_its_kind_has_no_common_statistics() -> None:
     found = crossed([header("A"), header("G", chip="l3g4200d")], [random_counts(1), random_counts(2)])
     for name in ("fast_own_axes", "slow_box_axes", "motion_gain", "motion_delay", "motion_coupling"):
         assert np.isnan(value(name, found, "A")).all()
@@ -137,7 +137,7 @@ def test_a_sensor_alone_of_its_kind_has_nothing_in_common() -> None:
 
 
 def swaying(seconds: np.ndarray) -> np.ndarray:
-    """(n, 3) three sines that don't repeat each other."""
+    """(n, 3) three sines of incommensurate frequencies."""
     return np.stack([np.sin(2 * np.pi * hz * seconds) for hz in (0.9, 1.3, 1.7)], axis=1)
 
 
@@ -146,13 +146,15 @@ MOVING = PHASE._replace(name="motion", up="")
 
 
 def moved(response: np.ndarray, delay_s: float = 0.0) -> Cross:
-    """A feels the motion through `response` and late; B, turned, feels it as it is. One count is 5e-5 of it."""
+    """A reads the motion through `response` and with a delay; B, rotated, reads it without errors. One count is 5e-5 of
+    it.
+    """
     other = header("B", "-X+Y-Z")
     counts = [20_000 * swaying(SECONDS - delay_s) @ response.T, 20_000 * swaying(SECONDS) @ np.array(other.orientation)]
     return crossed([header("A"), other], [np.rint(rows) for rows in counts], MOVING, window=50_000_000)
 
 
-def test_gain_and_cross_axes_of_motion() -> None:
+def test_gain_and_cross_axis_response_of_motion() -> None:
     response = np.array([[1.02, 0.01, 0.0], [0.0, 0.97, -0.03], [0.02, 0.0, -1.0]])
     found = moved(response)
     np.testing.assert_allclose(value("motion_gain", found, "A"), [1.02, 0.97, -1.0], atol=1e-4)
@@ -160,10 +162,10 @@ def test_gain_and_cross_axes_of_motion() -> None:
     np.testing.assert_allclose(value("motion_after", found, "A"), [0.0, 0.0, 0.0], atol=1e-4)
 
 
-def test_motion_about_one_axis_tells_the_scale_along_it() -> None:
-    """All axes of the box turn alike: the gain along each alone is that of the scale and of what crosses into it, and a
-    regression on all three, which only the noise would tell apart, has no value. An axis along which the box does not
-    turn says nothing.
+def test_motion_about_one_axis_determines_the_scale_along_it() -> None:
+    """All axes of the box have the same rate: the gain along each alone is that of the scale and of its cross-axis
+    response, and a regression on all three, which only the noise could separate, has no value. An axis without rotation
+    has no value.
     """
     sway = swaying(SECONDS)[:, :1] * [0.8, 0.6, 0.0]
     response = np.diag([0.75, 0.75, 0.75])
@@ -178,9 +180,9 @@ def test_motion_about_one_axis_tells_the_scale_along_it() -> None:
         assert np.isnan(value(probe, found, "A")).all()
 
 
-def test_motion_about_one_axis_tells_what_the_axes_across_show_of_it() -> None:
-    """A box that turns about Y only: the other axes of a sensor show the sines of its misalignment. Motions about three
-    axes have shares of their own.
+def test_motion_about_one_axis_determines_the_cross_axis_responses() -> None:
+    """A box that turns about Y only: the other axes of a sensor read the sines of its misalignment. Motions about three
+    axes have shares on each axis.
     """
     sway = swaying(SECONDS)[:, :1] * [0.0, 1.0, 0.0]
     response = np.array([[1.0, 0.05, 0.0], [0.0, 1.0, 0.0], [0.0, -0.03, 1.0]])
@@ -192,8 +194,8 @@ def test_motion_about_one_axis_tells_what_the_axes_across_show_of_it() -> None:
     assert np.isnan(value("motion_across", moved(response), "A")).all()
 
 
-def test_turns_about_single_axes_tell_the_response_together() -> None:
-    """Three turns, each about another oblique axis: none tells the axes apart, all three do."""
+def test_turns_about_several_single_axes_determine_the_response() -> None:
+    """Three turns, each about another oblique axis: none separates the axes, all three do."""
     response = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.02], [0.0, 0.0, 0.97]])
     rng = np.random.default_rng(4)
     crosses = []
@@ -222,9 +224,9 @@ class Swaying:
         return replace(resting(time_ns, np.eye(3), 25.0), force_box=9.80665 * sway, rate_box=np.radians(100) * sway)
 
 
-def test_the_only_sensor_of_its_quantity_is_compared_with_the_track() -> None:
-    """An accelerometer with errors of scale and mounting, a gyroscope with none: gains of 1.05 and 1, 2 % of X on the
-    axis along Y, and nothing of Z, along which the box does not move.
+def test_a_single_sensor_is_compared_with_the_track() -> None:
+    """An accelerometer with errors of scale and mounting, a gyroscope without errors: gains of 1.05 and 1, 2 % of X on
+    the axis along Y, and nothing of Z, along which the box does not move.
     """
     sensors = [
         header("A", "+Y+X-Z"),
@@ -257,16 +259,16 @@ def tracked_gains(gains: tuple[float, ...]) -> tuple[tuple[str, ...], list[np.nd
     return moments.tracked, [value("motion_gain", moments, sensor.name) for sensor in sensors]
 
 
-def test_of_two_sensors_the_track_tells_which_is_wrong() -> None:
-    """Each is compared with the mean of the other one and the track: 1.1 with 1, and 1 with 1.05."""
+def test_the_track_identifies_the_wrong_one_of_two_sensors() -> None:
+    """Each is compared with the mean of the other and the track: 1.1 with 1, and 1 with 1.05."""
     tracked, (first, other) = tracked_gains((1.1, 1.0))
     assert tracked == ("A", "B")
     np.testing.assert_allclose(first, 1.1, atol=3e-3)
     np.testing.assert_allclose(other, 1 / 1.05, atol=3e-3)
 
 
-def test_two_sensors_may_be_late_behind_a_track_by_the_same_delay() -> None:
-    """The clock of an instrument is that of neither sensor."""
+def test_a_common_delay_behind_the_track_is_allowed() -> None:
+    """The clock of the reference differs from that of the sensors."""
 
     def campaign(delay_s: float) -> Campaign:
         tally = CrossTally(list(headers.values()), MOVING, 50_000_000, track=Swaying(share_z=1.0))
@@ -282,7 +284,7 @@ def test_two_sensors_may_be_late_behind_a_track_by_the_same_delay() -> None:
 
 
 def swaying_campaign(headers: Mapping[str, SensorHeader], *delays_s: float) -> Campaign:
-    """A motion that these sensors show so much later than it happens."""
+    """A motion that these sensors read with these delays."""
     tally = CrossTally(list(headers.values()), MOVING, 50_000_000)
     for sensor, delay_s in zip(headers.values(), delays_s, strict=True):
         rows = np.rint(sensor.sensitivity * swaying(SECONDS - delay_s))
@@ -292,8 +294,8 @@ def swaying_campaign(headers: Mapping[str, SensorHeader], *delays_s: float) -> C
 
 
 @pytest.mark.parametrize(("chips", "is_nuisance"), [(("bma180", "adxl345"), True), (("adxl345", "adxl345"), False)])
-def test_units_of_one_chip_may_be_late_beside_those_of_another(chips: tuple[str, str], is_nuisance: bool) -> None:
-    """18 ms beside a data rate of 100 Hz; of two units of one chip only a fault makes one late."""
+def test_a_common_delay_of_the_units_of_a_chip_is_allowed(chips: tuple[str, str], is_nuisance: bool) -> None:
+    """18 ms at a data rate of 100 Hz; a delay of one of two units of a chip is a fault."""
     headers = {name: header(name, chip=chip, rate_hz=100.0) for name, chip in zip("AB", chips, strict=True)}
 
     assert can_fit_signal_delays(swaying_campaign(headers, 0.0, 0.018), headers, ()) == is_nuisance
@@ -303,7 +305,7 @@ def test_units_of_one_chip_may_be_late_beside_those_of_another(chips: tuple[str,
     assert later_s == pytest.approx(0.018 if is_nuisance else 0.0, abs=0.002)
 
 
-def test_a_replicate_with_an_odd_delay_does_not_shift_the_fit() -> None:
+def test_a_replicate_with_an_outlying_delay_does_not_shift_the_fit() -> None:
     """One of six is late by 60 ms, by which the mean of all would be late by 10 ms."""
     headers = {
         name: header(name, chip=chip, rate_hz=100.0) for name, chip in zip("AB", ("bma180", "adxl345"), strict=True)
@@ -314,8 +316,8 @@ def test_a_replicate_with_an_odd_delay_does_not_shift_the_fit() -> None:
     assert fitted["B"].stamp_s - fitted["A"].stamp_s == pytest.approx(0.018, abs=0.002)
 
 
-def test_a_step_that_leads_away_from_the_recording_is_taken_back() -> None:
-    """The first trial is late by 2 ms too little, the second by 30 ms too much: the first is the nearer one."""
+def test_a_step_that_increases_the_distance_is_reverted() -> None:
+    """The first trial is 2 ms too early, the second 30 ms too late: the first is nearer."""
     headers = {name: header(name, chip=chip, rate_hz=100.0) for name, chip in (("A", "bma180"), ("B", "adxl345"))}
     delays = [{"A": NO_DELAY, "B": SignalDelay(stamp_s=stamp_s)} for stamp_s in (0.016, 0.048)]
     trials = [(tried, [swaying_campaign(headers, 0.0, tried["B"].stamp_s)]) for tried in delays]
@@ -323,8 +325,8 @@ def test_a_step_that_leads_away_from_the_recording_is_taken_back() -> None:
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.018])
-def test_a_unit_that_is_later_than_another_of_its_chip_does_not_make_both_late(late_s: float) -> None:
-    """One by 30 ms more than the other: the fault is its own, and both are late by what the other one is."""
+def test_the_delay_of_one_unit_is_not_assigned_to_its_chip(late_s: float) -> None:
+    """One is 30 ms later than the other: the fault is its own, and the common delay is that of the other."""
     chips = {"A": "bma180", "B": "adxl345", "C": "adxl345"}
     headers = {name: header(name, chip=chip, rate_hz=100.0) for name, chip in chips.items()}
 
@@ -334,7 +336,7 @@ def test_a_unit_that_is_later_than_another_of_its_chip_does_not_make_both_late(l
     assert fitted["B"].stamp_s - fitted["A"].stamp_s == pytest.approx(late_s, abs=0.002)
 
 
-def test_three_sensors_of_a_quantity_are_compared_with_each_other_only() -> None:
+def test_three_sensors_are_compared_with_each_other_only() -> None:
     tracked, (first, second, third) = tracked_gains((1.1, 1.0, 1.0))
     assert tracked == ()
     np.testing.assert_allclose(first, 1.1, atol=3e-3)
@@ -342,7 +344,7 @@ def test_three_sensors_of_a_quantity_are_compared_with_each_other_only() -> None
 
 
 def test_an_axis_that_hardly_moves_has_no_delay() -> None:
-    """One part in a thousand of the others' motion, with what a misalignment mixes in a quarter of a period late."""
+    """One part in a thousand of the others' motion, with a misaligned part a quarter of a period late."""
     mixed = np.stack([np.sin(2 * np.pi * 0.9 * SECONDS), np.cos(2 * np.pi * 0.9 * SECONDS)], axis=1)
     still = 1e-3 * mixed[:, :1]
     first = 20_000 * np.concatenate([mixed, still - 0.01 * mixed[:, 1:]], axis=1)
@@ -353,18 +355,18 @@ def test_an_axis_that_hardly_moves_has_no_delay() -> None:
     np.testing.assert_allclose(delay_s[:2], 0.0, atol=1e-4)
 
 
-def test_what_is_late_by_the_same_time_leaves_nothing() -> None:
-    """Three milliseconds of a sine make (w d)^2 of its mean square. Less than a tenth of that stays, of the slowest
-    sine most: a segment of eleven windows holds half a period of it.
+def test_a_constant_delay_has_no_residual() -> None:
+    """Three milliseconds of a sine give (w d)^2 of its mean square. Less than a tenth of that remains, mostly of the
+    slowest sine: a segment of eleven windows has half a period of it.
     """
     square = (20_000 / 2048) ** 2 / 2
     delayed = square * (2 * np.pi * np.array([0.9, 1.3, 1.7]) * 0.003) ** 2
     assert np.exp(value("motion_residual", moved(np.eye(3), 0.003), "A")).sum() < delayed.sum() / 10
 
 
-def test_what_is_late_by_another_time_in_every_row_is_left() -> None:
-    """Jitter of 10 ms rms makes (w d)^2 of a sine's mean square in each of a window's five rows, less what a segment's
-    mean takes away, one of eleven; 800 windows whose speed varies: 5 standard errors of 6 %.
+def test_a_random_delay_of_rows_remains_in_the_residual() -> None:
+    """Jitter of 10 ms rms gives (w d)^2 of a sine's mean square in each of the five rows of a window, minus the part of
+    a segment's mean, one of eleven; 800 windows whose speed varies: 5 standard errors of 6 %.
     """
     late_s = np.random.default_rng(8).normal(0.0, 0.01, ROWS)
     counts = [20_000 * swaying(SECONDS - off) for off in (late_s, 0.0)]
@@ -374,17 +376,17 @@ def test_what_is_late_by_another_time_in_every_row_is_left() -> None:
     np.testing.assert_allclose(np.exp(value("motion_residual", found, "A")), expected, rtol=0.3)
 
 
-def test_delay_of_motion() -> None:
-    """Three milliseconds late. Of a sine the central difference over h is sin(w h) / (w h) of the change: the delay
-    comes out too long by 1.3, 2.8 and 4.8 % at 0.9, 1.3 and 1.7 Hz and 50 ms.
+def test_the_delay_of_motion_is_estimated() -> None:
+    """Three milliseconds late. For a sine the central difference over h is sin(w h) / (w h) of the change: the
+    estimated delay is too long by 1.3, 2.8 and 4.8 % at 0.9, 1.3 and 1.7 Hz and 50 ms.
     """
     found = moved(np.eye(3), 0.003)
     np.testing.assert_allclose(value("motion_delay", found, "A"), [0.00304, 0.00308, 0.00314], rtol=0.02)
     np.testing.assert_allclose(value("motion_delay", found, "B"), [-0.00304, -0.00308, -0.00314], rtol=0.02)
 
 
-def test_what_rotation_explains() -> None:
-    """A lies r off the origin: alpha x r + w x (w x r); B at it."""
+def test_a_displacement_is_estimated_from_rotation() -> None:
+    """A is r from the origin: alpha x r + w x (w x r); B at the origin."""
     r = np.array([0.0, 0.08, 0.03])
     rate = 3.0 * swaying(SECONDS)
     gain = 2 * np.pi * np.array([0.9, 1.3, 1.7])
@@ -404,16 +406,17 @@ def test_what_rotation_explains() -> None:
     assert (value("motion_residual", placed, "A") > value("motion_residual", still, "A")).all()
 
 
-def test_windows() -> None:
-    """At least two rows of the slowest sensor."""
+def test_windows_have_at_least_two_rows() -> None:
+    """Two rows of the slowest sensor."""
     assert window_ns([100.0, 400.0]) == 20_000_000
     assert window_ns([28.0, 400.0]) == 100_000_000
     assert window_ns([0.01]) == 5_000_000_000
 
 
-def test_a_response_that_bends_shows_in_square_and_cube() -> None:
+def test_nonlinear_responses_are_estimated_as_square_and_cube() -> None:
     """Two gyroscopes on one turning box, noise of 0.1 dps, rates of 60 dps rms about each axis. A reads w + b w^2 + c
-    w^3, with b = 2e-4 per dps on x and c = 2e-6 per dps^2 on y: 1.0 dps and 1.0 dps rms beside what is linear.
+    w^3, with b = 2e-4 per dps on x and c = 2e-6 per dps^2 on y: 1.0 dps and 1.0 dps rms in addition to the linear
+    response.
     """
     stream = np.random.default_rng(5)
     rate = np.cumsum(stream.normal(0, 1.0, (ROWS, 3)), axis=0)
@@ -430,7 +433,7 @@ def test_a_response_that_bends_shows_in_square_and_cube() -> None:
     assert np.abs(cubes[[0, 2]]).max() < 0.4
 
 
-def test_only_a_gyroscope_bends_with_the_rate() -> None:
+def test_only_gyroscopes_have_nonlinear_statistics_of_the_rate() -> None:
     found = crossed([header("A"), header("B")], [random_counts(1), random_counts(2)])
     assert np.isnan(value("motion_square", found, "A")).all()
     assert np.isnan(value("motion_cube", found, "A")).all()

@@ -1,4 +1,4 @@
-"""The rate of a chip's data clock by the polls that find no new reading."""
+"""The rate of a chip's data clock from the polls that return no new reading."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ POLLS = 400_000
 
 
 def repeats_of(times: np.ndarray, error: float) -> tuple[Intervals, float]:
-    """Intervals of polls at `times`, in units of the nominal period of 10 ms, and the share of them that finds no new
+    """Intervals of polls at `times`, in units of the nominal period of 10 ms, and the share of them without a new
     reading of a clock that is faster by `error`.
     """
     newest = np.floor(np.maximum.accumulate(times) * (1 + error) + 0.3)
@@ -28,9 +28,9 @@ def repeats_of(times: np.ndarray, error: float) -> tuple[Intervals, float]:
 
 
 @pytest.mark.parametrize("error", [-0.02, -0.001, 0.0, 0.001, 0.003])
-def test_a_clock_near_the_polls_rate(error: float) -> None:
-    """A slow clock repeats as many readings as it lacks; a fast one repeats some too, as polls jitter. The share of
-    repeats is known to a few percent, which is a tenth of the jitter at most.
+def test_a_clock_near_the_rate_of_polls(error: float) -> None:
+    """A slow clock repeats as many readings as it lacks; a fast clock repeats some too, since polls jitter. The share
+    of repeats is known to a few percent, which is a tenth of the jitter at most.
     """
     jitter = 0.003
     times = np.arange(POLLS) + np.random.default_rng(3).normal(0, jitter / np.sqrt(2), POLLS)
@@ -38,9 +38,9 @@ def test_a_clock_near_the_polls_rate(error: float) -> None:
 
 
 @pytest.mark.parametrize("error", [-0.03, -0.01, -0.004])
-def test_polls_that_are_late_now_and_then_hide_no_slow_clock(error: float) -> None:
-    """One poll in two hundred is half a period late, the others are even to 0.6 %: the standard deviation of the
-    intervals is ten times that of nearly all of them.
+def test_occasional_late_polls_do_not_hide_a_slow_clock(error: float) -> None:
+    """One poll in two hundred is half a period late, the others are even to 0.6 %: the standard deviation of all
+    intervals is ten times that of the even ones.
     """
     rng = np.random.default_rng(4)
     late = rng.exponential(0.5, POLLS) * (rng.random(POLLS) < 0.005)
@@ -48,16 +48,16 @@ def test_polls_that_are_late_now_and_then_hide_no_slow_clock(error: float) -> No
     assert _readings_per_s(*repeats_of(times, error)) / 100 - 1 == pytest.approx(error, abs=3e-4)
 
 
-def test_even_polls_lack_what_they_repeat() -> None:
+def test_even_polls_repeat_the_lacking_readings() -> None:
     even = repeats_of(np.arange(10_000.0), 0.0)[0]
     assert _readings_per_s(even, 0.01) == pytest.approx(99.0)
     assert _readings_per_s(even, 0.0) == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize("error", [-0.03, 0.0, 0.025])
-def test_a_clock_that_is_polled_more_often_than_it_measures(error: float) -> None:
-    """Polls of a 200 Hz clock come 2.7 and 5.3 ms apart, in pairs or not: how many readings were missed in the longer
-    intervals is not asked. The share of repeats of 400,000 polls is known to a thousandth.
+def test_a_clock_slower_than_the_polls(error: float) -> None:
+    """Polls of a 200 Hz clock are 2.7 and 5.3 ms apart, in pairs or not: readings missed in the longer intervals have
+    no influence. The share of repeats of 400,000 polls is known to a thousandth.
     """
     rng = np.random.default_rng(5)
     intervals_s = np.where(rng.random(POLLS) < 0.6, 2.7e-3, 5.3e-3) + rng.normal(0, 5e-5, POLLS)
@@ -68,7 +68,7 @@ def test_a_clock_that_is_polled_more_often_than_it_measures(error: float) -> Non
     assert _readings_between_polls(moments.result(), repeated) / 200 - 1 == pytest.approx(error, abs=3e-3)
 
 
-def test_more_repeats_than_short_intervals_are_no_clock() -> None:
+def test_more_repeats_than_short_intervals_give_no_clock() -> None:
     intervals = Intervals(100, 5e-3, 0.0, 0, 5e-3, shorter=50, shorter_s=4e-3)
     assert np.isnan(_readings_between_polls(intervals, 0.6))
 
@@ -85,9 +85,9 @@ def polled(header: SensorHeader, phase: Phase, rows: int, slow: float, noise_cou
 
 
 @pytest.mark.parametrize("chips", [("mpu9150", "mpu9150"), ("mpu6050_acc", "mpu6050_gyro")])
-def test_a_motion_tells_a_clock_of_which_a_short_rest_tells_too_little(chips: tuple[str, str]) -> None:
+def test_a_clock_is_estimated_from_motion_if_the_rest_is_short(chips: tuple[str, str]) -> None:
     """Three seconds at rest have one repeat, a minute of motion has 24. The gyroscope of the chip, whose readings are
-    often equal by chance, has its clock; one in another chip has not.
+    often equal by chance, has the same clock; a gyroscope in another chip does not.
     """
     accelerometer = SensorHeader("U1_acc", chips[0], "specific_force", "g", 2.0, 16384.0, rate_hz=100.0)
     gyroscope = SensorHeader("U1_gyro", chips[1], "angular_rate", "dps", 2000.0, 16.4, rate_hz=100.0)

@@ -1,4 +1,4 @@
-"""Lines put into simulated logs at known frequencies, and the sentences that tell them."""
+"""Lines in simulated logs at known frequencies, and the sentences that report them."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def campaign():  # type: ignore[no-untyped-def]
     return campaign_of("static", {"G1": (LINE,)}, seed=3)
 
 
-def test_a_line_is_where_it_was_put(campaign) -> None:  # type: ignore[no-untyped-def]
+def test_a_line_is_detected_at_its_frequency(campaign) -> None:  # type: ignore[no-untyped-def]
     (phase,) = campaign.logs[0].still("G1")
     assert line_hz(phase, 1) == pytest.approx(20.0, abs=phase.spectrum.resolution_hz / phase.intervals.mean_s)
     assert line_hz(phase, 0) is None
 
 
-def test_it_is_told_once(campaign) -> None:  # type: ignore[no-untyped-def]
+def test_a_line_is_reported_once(campaign) -> None:  # type: ignore[no-untyped-def]
     told = unexplained_lines(campaign, [where("G1", "y"), where("G1", "y"), where("G1", "y", "lag_1")], ["a.h5"])
     assert len(told) == 1
     found = re.fullmatch(
@@ -37,14 +37,14 @@ def test_it_is_told_once(campaign) -> None:  # type: ignore[no-untyped-def]
     assert float(found[1]) == pytest.approx(20.0, abs=0.2)
 
 
-def test_nothing_is_told_of_what_has_none(campaign) -> None:  # type: ignore[no-untyped-def]
+def test_no_line_is_reported_without_one(campaign) -> None:  # type: ignore[no-untyped-def]
     assert unexplained_lines(campaign, [where("G2", "x")], ["a.h5"]) == ()
     assert unexplained_lines(campaign, [], ["a.h5"]) == ()
 
 
 @pytest.mark.parametrize(("changes", "told"), [((0.008, 0.0085, 0.0082), True), ((0.008, -0.008, 0.0082), False)])
-def test_a_change_that_units_share(changes: tuple[float, ...], told: bool) -> None:
-    """Three units 8 mg higher in the held-out log, along their own axes; what was fitted to doesn't count."""
+def test_a_common_change_of_units_is_reported(changes: tuple[float, ...], told: bool) -> None:
+    """Three units 8 mg higher in the held-out log, along their own axes; the training part is ignored."""
     headers = {name: header(name) for name in ("A1", "A2", "A3")}
     keys = [Key(0, name, "z", "", -1, "level", "level") for name in headers]
     both = np.array([*(1.0, 1.0, 1.0), *changes])
@@ -54,8 +54,10 @@ def test_a_change_that_units_share(changes: tuple[float, ...], told: bool) -> No
         assert "All 3 bma180, z: held-out log 1 lies +8.23 mg" in found[0]
 
 
-def test_lines_are_told_with_their_frequencies() -> None:
-    """One at 20 Hz on one axis, and the mains, which rows at 100 Hz show at 40 Hz and 60 Hz alike: 60 is beyond."""
+def test_lines_are_reported_with_their_frequencies() -> None:
+    """A line at 20 Hz on one axis, and the mains, whose 40 Hz and 60 Hz are equal at 100 rows per second: 60 is beyond
+    half.
+    """
     mains = Tone((0.05, 0.0, 0.0), 60.0)
     campaign = campaign_of("static", {"G1": (LINE, mains)}, seed=3)
     rate_hz = 1 / campaign.logs[0].still("G1")[0].intervals.mean_s
@@ -73,7 +75,7 @@ def test_lines_are_told_with_their_frequencies() -> None:
     [
         (26.93, 76.93, 50.0),
         (3.86, 76.93, 150.0),  # the third harmonic, 150 - 2 * 76.93
-        (30.79, 76.93, 30.79),  # the fourth, 3 * 76.93 - 200, is not looked for
+        (30.79, 76.93, 30.79),  # the fourth, 3 * 76.93 - 200, is not searched
         (50.0, 200.0, 50.0),
         (24.4, 76.93, 24.4),
     ],
@@ -88,7 +90,7 @@ def test_which_lines_are_aliases_of_the_mains(seen_hz: float, rows_per_s: float,
         (7.4, 0.24, 7.4),  # 180 - 3 * 62.5 is -7.5; four bins of 0.24 Hz in 31.25 Hz are 3 % for each multiple
         (7.45, 0.06, 180.0),
         (24.9, 0.15, 100.0),  # 100 - 2 * 62.5 is -25; four bins are 2 %
-        (12.4, 0.24, 50.0),  # the mains itself is always looked for
+        (12.4, 0.24, 50.0),  # the mains frequency itself is always searched
     ],
 )
 def test_multiples_of_the_mains_need_narrow_bins(seen_hz: float, bin_hz: float, true_hz: float) -> None:

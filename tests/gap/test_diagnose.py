@@ -1,4 +1,4 @@
-"""The whole way, from logs on disk: what is put in is named and closed on held-out data, what isn't there isn't."""
+"""The whole diagnosis, from logs on disk: simulated effects are named and closed on held-out data, others are not."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ tone.frequency_hz = 17.0
 def recorded(
     folder: Path, more: More | None = None, names: Sequence[str] = ("G1",), motions: Sequence[Motion] = (SHORT,)
 ) -> tuple[Recording, ...]:
-    """Logs of these sensors, written and opened again."""
+    """Logs of these sensors, written and opened."""
     logs = []
     for boot, motion in enumerate(motions):
         path = folder / f"log{boot}.h5"
@@ -83,7 +83,9 @@ def amplitude_of(cause: Mapping[str, Any]) -> list[float]:
 
 
 def test_a_line_is_named_and_closed(tone: Diagnosis) -> None:
-    """1000 rows in noise of 0.05 dps tell an amplitude to 0.0022 dps, bins of the spectrum are 0.4 Hz apart at most."""
+    """1000 rows in noise of 0.05 dps determine an amplitude to 0.0022 dps, bins of the spectrum are 0.4 Hz apart at
+    most.
+    """
     (cause,) = tone.causes
     assert (cause.effect, cause.action, cause.sensors, cause.axes) == ("tone", "add", ("G1",), ("y",))
     assert cause.share > 0.9
@@ -101,7 +103,7 @@ def test_a_line_is_named_and_closed(tone: Diagnosis) -> None:
     assert "G1 (y): tone" in tone.sentence
 
 
-def test_where_it_differs_is_the_axis_that_has_the_line(tone: Diagnosis) -> None:
+def test_differences_name_the_axis_with_the_line(tone: Diagnosis) -> None:
     assert (tone.where[0].sensor, tone.where[0].axis, tone.where[0].domain) == ("G1", "y", "spectrum")
     assert {(one.sensor, one.axis) for one in tone.where} == {("G1", "y")}
     sizes = [abs(one.significance) for one in tone.where]
@@ -109,7 +111,7 @@ def test_where_it_differs_is_the_axis_that_has_the_line(tone: Diagnosis) -> None
     assert tone.held_out == "held out: the second half of every phase of 1 log"
 
 
-def test_all_that_was_looked_at_is_told(tone: Diagnosis) -> None:
+def test_all_evaluated_candidates_are_reported(tone: Diagnosis) -> None:
     accepted = [one for one in tone.judged if one.is_accepted]
     assert [one.effect for one in accepted] == ["tone"]
     assert [one for one in tone.judged if not one.effect]  # placebos
@@ -119,8 +121,8 @@ def test_all_that_was_looked_at_is_told(tone: Diagnosis) -> None:
     assert recording.seconds == pytest.approx(20.0, abs=0.05)
 
 
-def test_it_goes_into_json(tone: Diagnosis) -> None:
-    """Whatever isn't a finite number is null."""
+def test_a_diagnosis_is_written_as_json(tone: Diagnosis) -> None:
+    """A number that is not finite is null."""
     read = json.loads(json.dumps(tone.as_json(), allow_nan=False))
     assert read["verdict"] == tone.verdict
     assert read["causes"][0]["effect"] == "tone"
@@ -130,14 +132,14 @@ def test_it_goes_into_json(tone: Diagnosis) -> None:
 
 @pytest.mark.slow
 def test_the_repaired_model_is_accepted(tone: Diagnosis, lined: tuple[Recording, ...]) -> None:
-    """As the model to begin with it leaves no gap; p > 0.05 has a probability of 0.95, the seed is fixed."""
+    """As the initial model it gives no gap; p > 0.05 has a probability of 0.95, the seed is fixed."""
     assert tone.repaired is not None
     again = diagnosed(lined, model=tone.repaired)
     assert (again.verdict, again.causes) == ("no gap", ())
     assert again.model == tone.repaired.name
 
 
-def test_no_gap_no_causes(tmp_path: Path) -> None:
+def test_no_gap_has_no_causes(tmp_path: Path) -> None:
     heard: list[str] = []
     found = diagnosed(recorded(tmp_path), progress=heard.append)
     assert (found.verdict, found.causes, found.where, found.unexplained) == ("no gap", (), (), ())
@@ -149,8 +151,10 @@ def test_no_gap_no_causes(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_the_library_lacks_is_not_blamed(lined: tuple[Recording, ...], tone: Diagnosis) -> None:
-    """The same recording without lines among the causes: nothing else takes their place and closes the gap."""
+def test_an_effect_outside_the_library_is_not_attributed_to_others(
+    lined: tuple[Recording, ...], tone: Diagnosis
+) -> None:
+    """The same recording without lines among the causes: no other effect closes the gap."""
     found = diagnosed(lined, without=["tone"])
     assert found.verdict == "unexplained"
     assert "tone" not in {cause.effect for cause in found.causes} | {one.effect for one in found.judged}
@@ -163,7 +167,7 @@ def test_what_the_library_lacks_is_not_blamed(lined: tuple[Recording, ...], tone
 
 
 @pytest.mark.slow
-def test_an_effect_that_a_model_has_too_many_is_taken_out(tmp_path: Path) -> None:
+def test_a_surplus_effect_of_the_model_is_removed(tmp_path: Path) -> None:
     found = diagnosed(recorded(tmp_path), model=parse_model(WITH_LINE))
     (cause,) = found.causes
     assert (cause.effect, cause.action, cause.sensors, cause.parameters) == ("tone", "remove", ("G1",), {})
@@ -175,7 +179,7 @@ def test_an_effect_that_a_model_has_too_many_is_taken_out(tmp_path: Path) -> Non
     assert "tone" not in sensor.effects
 
 
-def test_noise_is_not_counted_twice(tmp_path: Path) -> None:
+def test_noise_is_not_fitted_twice(tmp_path: Path) -> None:
     """The model has the line that the recording has: of the variance 0.05^2 + 0.05^2 / 2 the noise keeps the first."""
     line = Tone((0.0, 0.05, 0.0), 17.0)
     recordings = recorded(tmp_path, {"G1": (line,)})
@@ -186,41 +190,43 @@ def test_noise_is_not_counted_twice(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_seed_is_a_diagnosis(lined: tuple[Recording, ...], tone: Diagnosis) -> None:
+def test_a_seed_gives_the_same_diagnosis(lined: tuple[Recording, ...], tone: Diagnosis) -> None:
     again = diagnosed(lined)
     assert json.dumps(again.as_json()) == json.dumps(tone.as_json())
 
 
 @pytest.mark.slow
-def test_briefly_nothing_else_is_missing(lined: tuple[Recording, ...], tone: Diagnosis) -> None:
+def test_a_brief_diagnosis_lacks_only_overlays_and_the_next_experiment(
+    lined: tuple[Recording, ...], tone: Diagnosis
+) -> None:
     brief = explain(compare(lined, Run, seed=1, replicates=REPLICATES), library(()), briefly=True)
     assert (brief.overlays, brief.next_experiment) == ((), "")
     whole = replace(brief, next_experiment=tone.next_experiment)
     assert json.dumps(whole.as_json()) == json.dumps(tone.as_json())
 
 
-def test_the_library() -> None:
+def test_excluded_effects_are_removed_from_the_library() -> None:
     assert library(()) == dict(CANDIDATES)
     assert set(CANDIDATES) - set(library(["tone", "stuck"])) == {"tone", "stuck"}
-    assert library(["own_clock", "thermometer"]) == dict(CANDIDATES)  # effects that are never causes
+    assert library(["own_clock", "thermometer"]) == dict(CANDIDATES)  # effects that are not causes
     with pytest.raises(ConfigError, match="effect 'ghosts': allowed are"):
         library(["tone", "ghosts"])
 
 
 @pytest.mark.parametrize(("logs", "given"), [(3, "int given; allowed is a list"), ([3], "int given as a log")])
-def test_what_is_no_log(logs: Any, given: str) -> None:
+def test_an_invalid_log_is_refused(logs: Any, given: str) -> None:
     with pytest.raises(LogError, match=given):
         diagnose(logs)
 
 
 @pytest.fixture(scope="module", params=some([13.0, 4.0], 0, 1))
 def stuck(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[float, Diagnosis]:
-    """1.5 s of the same counts, in the half that is fitted to or in that which is judged by."""
+    """1.5 s of the same counts, in the training half or in the held-out half."""
     return request.param, diagnosed(recorded(tmp_path_factory.mktemp("stuck"), {"G1": (Stuck(request.param, 1.5),)}))
 
 
 @pytest.mark.slow
-def test_a_moment_of_silence_is_found_in_either_part(stuck: tuple[float, Diagnosis]) -> None:
+def test_a_stuck_interval_is_detected_in_either_part(stuck: tuple[float, Diagnosis]) -> None:
     cause = stuck[1].causes[0]
     assert (cause.effect, cause.action, cause.sensors) == ("stuck", "add", ("G1",))
     assert cause.share > 0.9
@@ -228,7 +234,7 @@ def test_a_moment_of_silence_is_found_in_either_part(stuck: tuple[float, Diagnos
 
 
 @pytest.mark.slow
-def test_when_it_stood_still_and_how_long(stuck: tuple[float, Diagnosis]) -> None:
+def test_onset_and_duration_of_a_stuck_interval(stuck: tuple[float, Diagnosis]) -> None:
     """Rows are 0.01 s apart."""
     onset_s, found = stuck
     assert found.causes[0].parameters["onset_s"] == pytest.approx(onset_s, abs=0.1)
@@ -243,9 +249,9 @@ def swapped(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
 
 
 @pytest.mark.slow
-def test_a_sensor_that_has_anothers_data(swapped: Diagnosis) -> None:
-    """Each may be the one; between them all is the same. The line of one of them seems to be one of the surroundings,
-    since both have it.
+def test_a_sensor_with_the_data_of_another_is_named(swapped: Diagnosis) -> None:
+    """Each may have the data of the other; both readings are the same. The line of one of them seems to be of the
+    surroundings, since both have it.
     """
     (cause,) = swapped.causes
     assert cause.effect == "channel_swap"
@@ -255,14 +261,14 @@ def test_a_sensor_that_has_anothers_data(swapped: Diagnosis) -> None:
 
 
 @pytest.mark.slow
-def test_no_two_sensors_have_each_others_data(swapped: Diagnosis) -> None:
-    """That would look like nothing at all."""
+def test_an_exchange_is_a_single_cause(swapped: Diagnosis) -> None:
+    """A mutual exchange would have no effect."""
     assert len([cause for cause in swapped.causes if cause.effect == "channel_swap"]) == 1
 
 
 @pytest.mark.campaign
-def test_on_six_faces_it_is_told_which(tmp_path: Path) -> None:
-    """A2 is put on another way round than A1: what A1 says is what A2 feels."""
+def test_six_faces_identify_the_sensor_with_wrong_data(tmp_path: Path) -> None:
+    """A2 has another orientation than A1: A1 has the readings of A2."""
     found = diagnosed(recorded(tmp_path, {"A1": (ChannelSwap("A2"),)}, ("A1", "A2"), (Tumble(2.0, 0.5),)))
     cause = found.causes[0]
     assert (cause.effect, cause.sensors, cause.parameters) == ("channel_swap", ("A1",), {"sensor": "A2"})
@@ -271,9 +277,9 @@ def test_on_six_faces_it_is_told_which(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_sensors_share_is_one_cause(tmp_path: Path) -> None:
-    """A wander of 0.03 dps that both gyroscopes have, of 5 s: 60 s tell how fast it wanders, rms over the root of its
-    time, to a quarter; how far it would go in the end is told by few of its turns.
+def test_a_common_wander_is_one_cause(tmp_path: Path) -> None:
+    """A wander of 0.03 dps of both gyroscopes, of 5 s: 60 s determine its rate, rms over the root of its time, to a
+    quarter; its final size is determined poorly by a few correlation times.
     """
     shared = CommonMode((0.03, 0.03, 0.03), 5.0)
     motion = Still(seconds=60)
@@ -287,8 +293,8 @@ def test_what_sensors_share_is_one_cause(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_changes_from_boot_to_boot(tmp_path: Path) -> None:
-    """Six boots, both halves of each; usual is a scatter of at most 0.15 dps."""
+def test_a_turn_on_bias_is_named(tmp_path: Path) -> None:
+    """Six boots, both halves of each; a usual scatter is at most 0.15 dps."""
     motions = [turn_on_run(run, 6.0) for run in range(1, 7)]
     found = diagnosed(recorded(tmp_path, {"G1": (TurnOnBias((0.4, 0.4, 0.4)),)}, motions=motions))
     (cause,) = found.causes
@@ -296,13 +302,13 @@ def test_what_changes_from_boot_to_boot(tmp_path: Path) -> None:
     assert cause.share > 0.9
     assert found.gap.closed is not None
     assert found.gap.closed > 0.95
-    assert found.verdict in ("explained", "partly explained")  # six boots make it about as likely as not
+    assert found.verdict in ("explained", "partly explained")  # with six boots it is about as likely as not
     assert found.held_out == "held out: the second half of every phase of 6 logs"
 
 
 @pytest.mark.slow
-def test_a_sensor_that_one_log_lacks(tmp_path: Path) -> None:
-    """The second one wasn't read in the log that is held out: the first is diagnosed as ever."""
+def test_a_sensor_missing_from_the_held_out_log_is_diagnosed(tmp_path: Path) -> None:
+    """The second sensor is not in the held-out log: the first is diagnosed as usual."""
     paths = [tmp_path / name for name in ("both.h5", "one.h5")]
     write_log(simulated(SHORT, ["G1", "G2"], {"G1": (LINE,)}), paths[0])
     write_log(simulated(SHORT, ["G1"], {"G1": (LINE,)}, boot=1), paths[1])
@@ -313,7 +319,7 @@ def test_a_sensor_that_one_log_lacks(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_sensor_that_only_the_held_out_log_has(tmp_path: Path) -> None:
+def test_a_sensor_of_the_held_out_log_alone_does_not_disturb_the_diagnosis(tmp_path: Path) -> None:
     paths = [tmp_path / name for name in ("one.h5", "both.h5")]
     write_log(simulated(SHORT, ["G1"], {"G1": (LINE,)}), paths[0])
     write_log(simulated(SHORT, ["G1", "G2"], {"G1": (LINE,)}, boot=1), paths[1])
@@ -322,8 +328,10 @@ def test_a_sensor_that_only_the_held_out_log_has(tmp_path: Path) -> None:
 
 @pytest.mark.xfail(reason="it is told as two lines, each during a part of the time", strict=True)
 @pytest.mark.campaign
-def test_a_line_that_drifts_is_closed_on_another_log(tmp_path: Path) -> None:
-    """Of two tumbles the first one trains: its line rises by 12 Hz, that of the other begins elsewhere."""
+def test_a_drifting_line_is_closed_on_another_log(tmp_path: Path) -> None:
+    """The first of two tumbles is for training: its line rises by 12 Hz, that of the other begins at
+    another frequency.
+    """
     line = Tone((0.0, 0.06, 0.0), 18.0, frequency_spread_hz=5.0, drift_hz_per_h=700.0)
     found = diagnosed(recorded(tmp_path, {"G1": (line,)}, motions=(Tumble(8.0, 0.5),) * 2))
     cause = found.causes[0]
@@ -335,9 +343,9 @@ def test_a_line_that_drifts_is_closed_on_another_log(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_bias_that_units_share_changes_between_two_logs(tmp_path: Path) -> None:
-    """Two accelerometers of a chip, by 10 mg rms alike from boot to boot, one of which has a line of its own: that
-    stays beside the shared cause, which both logs are needed to see.
+def test_a_common_bias_change_between_two_logs_is_one_cause(tmp_path: Path) -> None:
+    """Two accelerometers of a chip, with a common change of 10 mg rms from boot to boot, one with its own line: that
+    remains a cause in addition to the common one, which needs both logs.
     """
     shared = CommonMode((0.01, 0.01, 0.01), 1e6)
     names = ("A1", "A2")

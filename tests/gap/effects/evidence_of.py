@@ -1,4 +1,4 @@
-"""What a simulated campaign shows of one sensor, beside what the fitted base model makes of it."""
+"""Evidence of one sensor from a simulated campaign, compared with its fitted base model."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def evidence_of(
     modelled: Sequence[Effect] = (),
 ) -> Evidence:
     """Of `sensor` in a campaign of one or more of `PLANS` or `TWO_FACES`, simulated with `BASE` and `more`; `modelled`
-    is what the model gives the sensor besides. Scores are rough: their scale is that of a dozen replicates.
+    are further effects of the sensor in the model. Scores are rough: their scale is that of a dozen replicates.
     """
     names = (kinds,) if isinstance(kinds, str) else kinds
     campaign, motions = _campaign(names, more, seed), _motions(names)
@@ -89,7 +89,7 @@ def _motions(kinds: tuple[str, ...]) -> tuple[Motion, ...]:
 
 @cache
 def _usual(kinds: tuple[str, ...]) -> tuple[Floats, Floats]:
-    """(n,) median and spread of residual statistics where nothing is wrong."""
+    """(n,) median and spread of residual statistics without a gap."""
     campaign, motions = _campaign(kinds, None, 99), _motions(kinds)
     plans = [plan_of(parse_array(ARRAY), RATE_HZ, motion.seconds) for motion in motions]
     experiments = [Experiment(plan, motion) for plan, motion in zip(plans, motions, strict=True)]
@@ -102,7 +102,9 @@ def _usual(kinds: tuple[str, ...]) -> tuple[Floats, Floats]:
 
 
 def _pooled(keys: Sequence[Key], scale: Floats) -> Floats:
-    """Root mean square over all phases and axes of a sensor's probe, since few replicates say little of one."""
+    """Root mean square over all phases and axes of a sensor's probe, since few replicates determine a single scale
+    poorly.
+    """
     members: dict[tuple[str, str], list[int]] = {}
     for place, key in enumerate(keys):
         members.setdefault((key.sensor, key.probe), []).append(place)
@@ -141,7 +143,7 @@ def _logs_of(keys: Sequence[Key], sensor: str) -> dict[str, tuple[int, ...]]:
 
 
 def _by_probe(keys: Sequence[Key], values: Floats, sensor: str) -> dict[str, Floats]:
-    """(m, 3) or (m, 1) for each probe, a row for every place that it was worked out at."""
+    """(m, 3) or (m, 1) for each probe, one row for every place of a value."""
     rows: dict[str, dict[tuple[int, str, int], list[float]]] = {}
     for key, value in zip(keys, values, strict=True):
         if key.sensor == sensor:

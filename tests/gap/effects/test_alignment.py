@@ -1,4 +1,4 @@
-"""bias, scale, misalignment, axis_error: guessed from faces and from motion."""
+"""bias, scale, misalignment, axis_error: suggested from faces and from motion."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ FACES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
 @pytest.mark.slow
-def test_a_bias_is_in_the_fit_whatever_it_is() -> None:
+def test_a_bias_is_fitted_and_not_suggested() -> None:
     strong: Effect = Bias((0.3,) * 3)
     assert not list(CANDIDATES["bias"].guesses(evidence_of("tumble", "A1", {"A1": (strong,)})))
 
 
 @pytest.mark.parametrize(("kind", "sensor", "within"), some([("tumble", "A1", 0.002), ("motion", "G1", 0.02)], 1))
-def test_scale(kind: str, sensor: str, within: float) -> None:
-    """Motion is compared with that of one other sensor; some of it is beyond the range."""
+def test_a_scale_error_is_suggested_at_its_size(kind: str, sensor: str, within: float) -> None:
+    """Motion is compared with that of one other sensor; a part of it is beyond the range."""
     (trial,) = CANDIDATES["scale"].guesses(evidence_of(kind, sensor, {sensor: (Scale((0.05, -0.08, 0.06)),)}))
     (found,) = trial.effects
     assert isinstance(found, Scale)
@@ -42,8 +42,8 @@ def test_scale(kind: str, sensor: str, within: float) -> None:
 
 
 @pytest.mark.slow
-def test_scale_by_a_rotation_that_tells_no_axes_apart() -> None:
-    """The gain by three axes says nothing, as about a single one; that along each axis alone does."""
+def test_a_scale_error_is_suggested_from_gains_along_each_axis() -> None:
+    """The gain by three axes has no value, as in a rotation about a single axis; the gain along each axis alone has."""
     evidence = evidence_of("motion", "G1", {"G1": (Scale((0.06, 0.06, 0.06)),)})
     blind = replace(evidence, scores={**evidence.scores, "motion_gain": 0 * evidence.scores["motion_gain"]})
     common, each = CANDIDATES["scale"].guesses(blind)
@@ -54,8 +54,10 @@ def test_scale_by_a_rotation_that_tells_no_axes_apart() -> None:
 
 
 @pytest.mark.slow
-def test_exchanged_axes_by_motions_of_which_none_tells_the_axes_apart() -> None:
-    """Gains of single phases have no value, as of turns about single axes; the motions together tell the exchange."""
+def test_exchanged_axes_are_suggested_from_all_motions_together() -> None:
+    """Gains of single phases have no value, as for turns about single axes; the motions together determine the
+    exchange.
+    """
     wrong = AxisError("-Y+X+Z")
     evidence = evidence_of("motion", "G1", {"G1": (wrong,)})
     unknown = {probe: np.full_like(evidence.values[probe], np.nan) for probe in ("motion_gain", "motion_next")}
@@ -63,7 +65,7 @@ def test_exchanged_axes_by_motions_of_which_none_tells_the_axes_apart() -> None:
     assert wrong in [hypothesis.effects[0] for hypothesis in CANDIDATES["axis_error"].guesses(blind)]
 
 
-def test_an_axis_within_the_population_has_no_part_in_it() -> None:
+def test_an_axis_within_the_population_has_no_suggested_error() -> None:
     (trial,) = CANDIDATES["scale"].guesses(evidence_of("tumble", "A1", {"A1": (Scale((0.05, 0.0, 0.0)),)}))
     (found,) = trial.effects
     assert isinstance(found, Scale)
@@ -75,8 +77,10 @@ def test_an_axis_within_the_population_has_no_part_in_it() -> None:
 @pytest.mark.parametrize(
     "effect", [Scale((0.1,) * 3, spans=(0, 17.0, 1e9)), Bias((0.0, 0.0, 0.1), spans=(0, 17.0, 1e9))]
 )
-def test_a_level_that_changes_in_a_motion_is_that_of_a_bias_or_of_a_scale(effect: Effect) -> None:
-    """The box lies with its z axis up before the motion and after it: 0.1 g of bias, or a tenth of what z feels."""
+def test_a_level_change_in_a_motion_suggests_a_bias_or_a_scale(effect: Effect) -> None:
+    """The box lies with its z axis up before the motion and after it: 0.1 g of bias, or a tenth of the
+    force along z.
+    """
     evidence = evidence_of("motion", "A1", {"A1": (effect,)})
     trials = [
         *CANDIDATES["bias"].guesses(evidence),
@@ -88,20 +92,20 @@ def test_a_level_that_changes_in_a_motion_is_that_of_a_bias_or_of_a_scale(effect
     for trial in trials:
         (span,) = trial.when.spans
         assert (span.log, span.length_s) == (0, np.inf)
-        assert trial.begin_bounds_s == pytest.approx((5.0, 25.0), abs=0.05)  # of the motion
+        assert trial.begin_bounds_s == pytest.approx((5.0, 25.0), abs=0.05)  # levels of the motion
         assert trial.free == ({"bias": "offset", "scale": "error"}[trial.name],)
 
 
 @pytest.mark.slow
-def test_a_level_that_changes_at_rest_is_that_of_a_bias() -> None:
+def test_a_level_change_at_rest_suggests_a_bias() -> None:
     evidence = evidence_of("static", "A1", {"A1": (Scale((0.1,) * 3, spans=(0, 15.0, 1e9)),)})
     (trial,) = CANDIDATES["bias"].guesses(evidence)
     assert trial.begin_bounds_s is None
     assert not list(CANDIDATES["scale"].guesses(evidence))
 
 
-def test_a_scale_that_changed_before_the_same_faces_were_up_again() -> None:
-    """By 1 % along y, 100 s after the beginning of the tumble, before it is done again."""
+def test_a_scale_change_between_two_times_on_the_same_faces() -> None:
+    """By 1 % along y, 100 s after the beginning of the tumble, before it is repeated."""
     evidence = evidence_of("tumble", "A1")
     sensitivity = evidence.header.sensitivity
     again = []
@@ -133,7 +137,7 @@ def test_a_scale_that_changed_before_the_same_faces_were_up_again() -> None:
 
 
 @pytest.mark.parametrize(("kind", "sensor", "within"), some([("tumble", "A1", 0.1), ("motion", "G1", 0.5)], 1))
-def test_misalignment(kind: str, sensor: str, within: float) -> None:
+def test_a_misalignment_is_suggested_at_its_size(kind: str, sensor: str, within: float) -> None:
     angles = (4.0, 0.0, 0.0, 0.0, 0.0, -3.0)
     (trial,) = CANDIDATES["misalignment"].guesses(evidence_of(kind, sensor, {sensor: (Misalignment(angles),)}))
     (found,) = trial.effects
@@ -155,15 +159,15 @@ def test_misalignment(kind: str, sensor: str, within: float) -> None:
         1,
     ),
 )
-def test_axis_error(kind: str, sensor: str, axes: str) -> None:
-    """The right one comes first."""
+def test_an_axis_error_is_suggested(kind: str, sensor: str, axes: str) -> None:
+    """The right orientation is suggested first."""
     trials = list(CANDIDATES["axis_error"].guesses(evidence_of(kind, sensor, {sensor: (AxisError(axes),)})))
     assert 1 <= len(trials) <= 3
     assert trials[0] == Hypothesis((AxisError(axes),))
 
 
-def test_an_axis_error_that_the_model_has_goes() -> None:
-    """Taken out, or replaced by what fits better."""
+def test_an_axis_error_of_the_model_is_removed_or_replaced() -> None:
+    """Removed, or replaced by an orientation that fits better."""
     swapped = AxisError("-X-Y+Z")
     evidence = evidence_of("tumble", "A1", {"A1": (AxisError("+Y+X-Z"),)}, modelled=(swapped,))
     first, second, *_ = CANDIDATES["axis_error"].guesses(evidence)
@@ -171,15 +175,15 @@ def test_an_axis_error_that_the_model_has_goes() -> None:
     assert second == Hypothesis((AxisError("+Y+X-Z"),), removed="axis_error")
 
 
-def test_scale_and_misalignment_are_never_taken_out() -> None:
-    """Every unit has some."""
+def test_removal_of_scale_and_misalignment_is_not_suggested() -> None:
+    """Every unit has both."""
     evidence = evidence_of("tumble", "A1")
     assert {"scale", "misalignment"} <= {effect.name for effect in evidence.effects}
     assert not [*CANDIDATES["scale"].guesses(evidence), *CANDIDATES["misalignment"].guesses(evidence)]
 
 
 def test_there_are_47_exchanges() -> None:
-    """Signed permutations of three axes: 3! 2^3 = 48 with the nominal one; the effect calls them the same."""
+    """Signed permutations of three axes: 3! 2^3 = 48 with the nominal one; the effect has the same notation."""
     found = exchanges()
     assert len(found) == 47
     vectors = np.array([[1.0, 2.0, 3.0]])
@@ -197,8 +201,8 @@ def test_response_of_six_faces_is_exact(errors: list[float]) -> None:
     assert found.misfit(np.eye(3) + matrix) < 1e-20
 
 
-def test_what_two_faces_do_not_tell_is_no_error() -> None:
-    """The two faces of z say how each axis follows z, and nothing else."""
+def test_responses_that_two_faces_do_not_determine_are_no_error() -> None:
+    """The two faces of z determine how each axis follows z, and no other response."""
     felt = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     error = np.array([[0.1, 0.2, 0.3], [0.1, 0.2, 0.3], [0.1, 0.2, 0.3]])
     found = Response(felt, felt @ (np.eye(3) + error).T).error
@@ -206,14 +210,14 @@ def test_what_two_faces_do_not_tell_is_no_error() -> None:
 
 
 @pytest.mark.slow
-def test_without_any_turn_nothing_is_guessed() -> None:
+def test_nothing_is_suggested_without_a_turn() -> None:
     evidence = replace(evidence_of("static", "A1"), scores={"mean": np.full((1, 3), 50.0)})
     for guesses in (CANDIDATES["scale"].guesses, CANDIDATES["misalignment"].guesses, CANDIDATES["axis_error"].guesses):
         assert not list(guesses(evidence))
 
 
-def test_a_phase_counts_by_how_well_it_knows_an_axis() -> None:
-    """0.1 at 10 standard deviations and -0.8 at one: weights 1e4 and 1.5625. nan in a phase is nothing known."""
+def test_phases_are_weighted_by_their_errors() -> None:
+    """0.1 at 10 standard deviations and -0.8 at one: weights 1e4 and 1.5625. nan means unknown in a phase."""
     evidence = evidence_of("motion", "G1", seed=3)
     size = np.array([[0.1, 1e-6, 1e-6], [-0.8, 1e-6, 1e-6], [np.nan] * 3])
     score = np.array([[10.0, 1.0, 1.0], [1.0, 1.0, 1.0], [np.nan] * 3])
@@ -229,8 +233,8 @@ def test_a_phase_counts_by_how_well_it_knows_an_axis() -> None:
 
 
 @pytest.mark.parametrize(("share", "axes"), [(-1.01, ["+X-Y+Z"]), (0.9, [])])
-def test_a_rotation_about_one_axis_tells_its_sign(share: float, axes: list[str]) -> None:
-    """Nothing tells the other two axes; one that reads nine tenths of the rotation is not reversed."""
+def test_a_rotation_about_one_axis_determines_its_sign(share: float, axes: list[str]) -> None:
+    """The other two axes are not determined; an axis that reads nine tenths of the rotation is not reversed."""
 
     def of_y(value: float) -> dict[str, np.ndarray]:
         return {"motion_along": np.array([[math.nan, value, math.nan]])}

@@ -1,4 +1,4 @@
-"""Bias, slope and noise behind codes that lack some, from what they make by closed forms."""
+"""Bias, slope and noise in the presence of missing codes, against closed forms."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from imuarray.simulate.effects.temperature import ThermalBias
 from tests.gap.effects.evidence_of import evidence_of
 
 
-def test_moments_of_a_dead_bit_at_its_edge() -> None:
-    """At the edge of the stretch half of the readings are S = 64 lower: mean S / 2 lower, and the variance that of a
-    normal distribution and of two equally likely places, less what these are nearer than S: s^2 + S^2 / 4 - S E|n|.
+def test_moments_at_the_edge_of_the_codes_of_a_dead_bit() -> None:
+    """At the edge of the missing codes half of the readings are S = 64 lower: mean S / 2 lower, and the variance that
+    of a normal distribution and of two equally likely values, minus the part by which these are nearer than S: s^2 +
+    S^2 / 4 - S E|n|.
     """
     sigma = 6.0
     table = _moments(lambda codes: codes & ~64, 128, sigma)
@@ -27,7 +28,7 @@ def test_moments_of_a_dead_bit_at_its_edge() -> None:
     assert table.variance[edge] == pytest.approx(expected, rel=1e-3)
 
 
-def test_moments_where_no_reading_leaps() -> None:
+def test_moments_far_from_the_missing_codes() -> None:
     table = _moments(lambda codes: codes & ~64, 128, 2.0)
     assert table.shift[32 * 4] == pytest.approx(0.0, abs=1e-9)
     assert table.variance[32 * 4] == pytest.approx(2.0**2 + 1 / 12, rel=1e-3)
@@ -36,9 +37,9 @@ def test_moments_where_no_reading_leaps() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("below_lsb", [2.0, 4.0])
-def test_a_gyroscope_that_warms_up_towards_a_dead_bit(below_lsb: float) -> None:
-    """Its fit sees leaps by 32 counts where the bias comes near the stretch; without them bias, slope and noise are
-    those of the same sensor, with the same draws, whose bits are all alive.
+def test_the_fit_of_a_gyroscope_that_warms_up_towards_a_dead_bit(below_lsb: float) -> None:
+    """Readings jump by 32 counts where the bias is near the missing codes; after a correction bias, slope and noise are
+    those of the same sensor, with the same draws, without a dead bit.
     """
     sound = _heated(below_lsb)
     dead = Quantisation(dead_bits=32.0)
@@ -54,13 +55,13 @@ def test_a_gyroscope_that_warms_up_towards_a_dead_bit(below_lsb: float) -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_known_of_a_sensor_that_was_never_at_rest() -> None:
+def test_a_sensor_without_rest_has_no_corrected_fit() -> None:
     evidence = replace(_heated(3.0), phases=())
     assert behind(evidence, lambda codes: codes, 2, 1) is None
 
 
 def _heated(below_lsb: float, *effects: Quantisation) -> Evidence:
-    """Its levels at 25 degC lie so many counts below a stretch whose bit 5 is set."""
+    """A heated gyroscope whose levels at 25 degC are so many counts below the codes with bit 5 set."""
     scale = evidence_of("heating", "G1").header.sensitivity
     base = evidence_of("heating", "G1").fitted.offset
     bias = Bias(tuple((31.5 - below_lsb) / scale - one for one in base))

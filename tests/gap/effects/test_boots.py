@@ -1,4 +1,4 @@
-"""What differs from boot to boot, and a range that isn't the configured one."""
+"""Differences from boot to boot, and a range other than the configured one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def resets(kind: str, sensor: str, put_in: RangeReset, seed: int = 7) -> list[Ra
 
 
 @pytest.mark.slow
-def test_levels_that_scatter() -> None:
+def test_levels_that_scatter_suggest_a_turn_on_bias() -> None:
     """Eight boots: a standard deviation of seven degrees of freedom is within a factor of 2 in 99 of 100 cases."""
     evidence = evidence_of("turn-on", "G1", {"G1": (TurnOnBias((0.5, 0.1, 0.3)),)}, seed=7)
     (trial,) = CANDIDATES["turn_on_bias"].guesses(evidence)
@@ -33,8 +33,8 @@ def test_levels_that_scatter() -> None:
 
 
 @pytest.mark.slow
-def test_two_groups_of_levels() -> None:
-    """The two states as they were put in, whichever is the rarer one."""
+def test_two_groups_of_levels_suggest_two_states() -> None:
+    """The two states as simulated, whichever is the rarer."""
     put_in = np.array([0.9, 0.4, -0.2])
     evidence = evidence_of("turn-on", "G1", {"G1": (BistableBias((0.9, 0.4, -0.2), 0.4),)}, seed=7)
     (trial,) = CANDIDATES["bistable_bias"].guesses(evidence)
@@ -46,7 +46,7 @@ def test_two_groups_of_levels() -> None:
 
 
 @pytest.mark.slow
-def test_another_range_in_some_boots() -> None:
+def test_another_range_in_some_boots_is_suggested() -> None:
     found = resets("turn-on", "A1", RangeReset(2.0, (0.02,) * 3, (1.5,) * 3, probability=0.4))
     of_two_g, just_in = [one for one in found if one.range == 2.0]
     assert just_in == replace(of_two_g, probability=1.0, runs=just_in.runs)
@@ -58,8 +58,8 @@ def test_another_range_in_some_boots() -> None:
 
 
 @pytest.mark.slow
-def test_another_range_in_the_boots_that_have_it() -> None:
-    """Boots 2 and 6, both of one part; a bias of its own in these, without another noise, is no range of theirs."""
+def test_another_range_is_suggested_for_its_boots_only() -> None:
+    """Boots 2 and 6, both of one part; another bias in these, without another noise, is not another range."""
     put_in = RangeReset(2.0, (0.02,) * 3, runs=(2.0, 6.0))
     trials = CANDIDATES["range_reset"].guesses(evidence_of("turn-on", "A1", {"A1": (put_in,)}, seed=7))
     told = [trial for trial in trials if trial.effects[0].runs]  # type: ignore[attr-defined]
@@ -78,8 +78,8 @@ def test_another_range_in_the_boots_that_have_it() -> None:
 
 
 @pytest.mark.slow
-def test_another_range_in_logs_whose_levels_scatter() -> None:
-    """The bias of each boot hides which of them came up in the range of 2000 dps; their noise in counts does not."""
+def test_another_range_is_suggested_though_levels_scatter() -> None:
+    """The bias of each boot hides which of them have the range of 2000 dps; their noise in counts does not."""
     runs = (1.0, 2.0, 4.0, 5.0, 7.0)
     put_in = (TurnOnBias((1.0, 1.0, 1.0)), RangeReset(2000.0, runs=runs))
     trials = CANDIDATES["range_reset"].guesses(evidence_of("turn-on", "G1", {"G1": put_in}, seed=7))
@@ -88,7 +88,7 @@ def test_another_range_in_logs_whose_levels_scatter() -> None:
 
 
 @pytest.mark.parametrize(("sensor", "range_", "offset"), some([("A1", 2.0, 0.02), ("G1", 2000.0, 0.2)], 1))
-def test_another_range_from_a_row_on(sensor: str, range_: float, offset: float) -> None:
+def test_another_range_from_a_row_on_is_suggested(sensor: str, range_: float, offset: float) -> None:
     first, *_ = resets("static", sensor, RangeReset(range_, (offset,) * 3, (0.8,) * 3, 33.3))
     assert first.range == range_
     assert first.onset_s == pytest.approx(33.3, abs=0.1)
@@ -99,8 +99,8 @@ def test_another_range_from_a_row_on(sensor: str, range_: float, offset: float) 
 
 
 @pytest.mark.slow
-def test_another_range_from_a_row_of_a_tumble_on() -> None:
-    """The faces show the ratio, 4 / 3, whichever face follows the step, and the log after it is in that range too."""
+def test_another_range_from_a_row_of_a_tumble_on_is_suggested() -> None:
+    """The faces determine the ratio, 4 / 3, whichever face follows the step, and the next log has that range too."""
     put_in = (RangeReset(3.0, onset_s=70.0, run=0.0), RangeReset(3.0, runs=(1.0,)))
     evidence = evidence_of(("tumble", "static"), "A1", {"A1": put_in}, seed=7)
     lasting, *_ = [
@@ -114,8 +114,8 @@ def test_another_range_from_a_row_of_a_tumble_on() -> None:
 
 
 @pytest.mark.slow
-def test_another_range_from_another_row_on_in_each_log() -> None:
-    """A supply that dips now and then: the second log has its own moment, the same range."""
+def test_another_range_with_an_onset_in_each_log_is_suggested() -> None:
+    """A supply with occasional dips: the second log has its own onset and the same range."""
     dips = [RangeReset(2.0, onset_s=onset_s, run=run) for onset_s, run in ((33.3, 0.0), (20.0, 1.0))]
     evidence = evidence_of(("static", "heating"), "A1", {"A1": tuple(dips)}, seed=7)
     trial = next(trial for trial in CANDIDATES["range_reset"].guesses(evidence) if trial.is_brief)
@@ -129,12 +129,12 @@ def test_another_range_from_another_row_on_in_each_log() -> None:
 @pytest.mark.parametrize(
     ("kind", "sensor", "range_"), some([("tumble", "A1", 2.0), ("tumble", "A1", 8.0), ("motion", "G1", 500.0)], 1)
 )
-def test_another_range_always(kind: str, sensor: str, range_: float) -> None:
+def test_another_range_in_all_logs_is_suggested(kind: str, sensor: str, range_: float) -> None:
     assert range_ in {one.range for one in resets(kind, sensor, RangeReset(range_))}
 
 
 @pytest.mark.slow
-def test_boots_are_alike() -> None:
+def test_equal_boots_suggest_nothing() -> None:
     evidence = evidence_of("turn-on", "A1", seed=5)
     for candidate in (
         CANDIDATES["turn_on_bias"],
@@ -146,8 +146,8 @@ def test_boots_are_alike() -> None:
 
 
 @pytest.mark.slow
-def test_a_step_that_stays() -> None:
-    """From the fifth of eight boots on; single boots scatter by less than a hundredth of that."""
+def test_a_permanent_step_between_boots_suggests_a_bias() -> None:
+    """From the fifth of eight boots on; the scatter of single boots is less than a hundredth of it."""
     evidence = evidence_of("turn-on", "A1", {"A1": (Bias((0.05, 0.0, -0.02), 4),)}, seed=7)
     (trial,) = CANDIDATES["bias"].guesses(evidence)
     (effect,) = trial.effects
@@ -156,9 +156,9 @@ def test_a_step_that_stays() -> None:
     assert effect.offset == pytest.approx((0.05, 0.0, -0.02), abs=0.002)
 
 
-def test_faces_tell_the_range() -> None:
-    """z up and z down at 4 g, as at 1 g (four times the counts) with an offset of 0.3 g; any other range would need
-    another offset on either face.
+def test_faces_determine_the_range() -> None:
+    """z up and z down at 4 g, then at 1 g (four times the counts) with an offset of 0.3 g; any other range would need a
+    different offset on each face.
     """
     noise = np.full(3, 3.0)
     up, down = (np.array([0.0, 0.0, 2048.0 * z]) for z in (0.7, -1.3))
@@ -176,12 +176,12 @@ def test_faces_tell_the_range() -> None:
     assert effect.offset == pytest.approx((0.0, 0.0, 0.3))
 
 
-def test_another_range_for_a_while() -> None:
-    """2 g in the place of 4 g in two logs, as the recorder noticed: twice the counts, and 20 mg more; behind the second
-    rows are lost while the chip is set up again, and others by themselves.
+def test_a_temporary_range_reset_is_suggested() -> None:
+    """2 g instead of 4 g in two logs, detected by the recorder: twice the counts, and 20 mg more; after the second,
+    rows are lost while the chip is configured again, and other rows independently.
     """
     before, noise = np.array([100.0, -200.0, 2000.0]), np.full(3, 3.0)
-    within, felt = 2 * (before + 0.02 * 2048), 4 * noise  # twice of the doubled one
+    within, felt = 2 * (before + 0.02 * 2048), 4 * noise  # twice the doubled value
     told = (Reset(4.9, 5.0, 5.1, before, within, noise, felt), Reset(7.8, 8.0, 8.2, before, within, noise, felt))
     evidence = replace(
         evidence_of("static", "A1"),
@@ -211,9 +211,9 @@ def test_another_range_for_a_while() -> None:
 
 
 @pytest.mark.slow
-def test_a_thermometer_of_any_zero_does_not_move_the_offset_of_a_range() -> None:
-    """2000 dps in the place of 250 in one of three logs, with no offset. A slope over a temperature that is far from
-    the reference is no offset, since all logs are as warm; nor is a phase in which the sensor was not read.
+def test_the_offset_of_a_range_does_not_depend_on_the_zero_of_a_thermometer() -> None:
+    """2000 dps in the place of 250 in one of three logs, with no offset. A slope over a temperature far from the
+    reference is not an offset, since all logs are equally warm; neither is a phase in which the sensor was not read.
     """
     other = RangeReset(2000.0, runs=(1.0,))
     evidence = evidence_of("turn-on", "G1", {"G1": (Bias((5.0, -4.0, 3.0)), other)}, seed=7)

@@ -1,4 +1,4 @@
-"""How far a sensor is behind the others, by moments of their readings."""
+"""The lag of a sensor behind the others, by moments of their readings."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ALL_AXES, ONE_AXIS = np.eye(3), np.outer([0.8, 0.6, 0.0], [0.8, 0.6, 0.0])
 
 
 def behind(cross: Cross, late_s: float, pace: float, motion_box: Floats = ALL_AXES, noise: float = 0.0) -> Cross:
-    """A1 that much behind A2 in sines of one angular frequency with these moments, beside noise."""
+    """A1 with this lag behind A2 in sines of one angular frequency with these moments, and noise."""
     turns = {name: np.array(cross.header(name).orientation) for name in ("A1", "A2")}
     change, lag = np.sin(pace * WINDOW_S), pace * late_s
     own, other = cross.columns("A1"), cross.columns("A2")
@@ -39,15 +39,15 @@ def behind(cross: Cross, late_s: float, pace: float, motion_box: Floats = ALL_AX
         moments[own, own] = same * seen["A1", "A1"] + noise * np.eye(3)
         moments[other, other] = same * seen["A2", "A2"] + noise * np.eye(3)
         moments[own, other], moments[other, own] = across * seen["A1", "A2"], across * seen["A2", "A1"]
-    turning[own, other] = -change * np.sin(lag) / 2 * seen["A1", "A2"]  # sin(w t - w d) cos(w t) in the mean
+    turning[own, other] = -change * np.sin(lag) / 2 * seen["A1", "A2"]  # mean of sin(w t - w d) cos(w t)
     turning[other, own] = change * np.sin(lag) / 2 * seen["A2", "A1"]
     return replace(cross, window_s=WINDOW_S, fast=fast, turning=turning, changes=changes)
 
 
 @pytest.mark.parametrize("late_s", some([0.003, -0.02], 1))
 @pytest.mark.parametrize("frequency_hz", [0.5, 2.0, 4.5])
-def test_a_sine_of_any_frequency(frequency_hz: float, late_s: float) -> None:
-    """Below a quarter of the windows' rate, 5 Hz: a fast motion changes less from window to window than it goes."""
+def test_the_lag_of_a_sine_of_any_frequency(frequency_hz: float, late_s: float) -> None:
+    """Below a quarter of the rate of windows, 5 Hz: differences between windows underestimate a fast motion."""
     evidence = evidence_of("motion", "A1")
     pace = 2 * np.pi * frequency_hz
     seen = tuple(
@@ -60,8 +60,8 @@ def test_a_sine_of_any_frequency(frequency_hz: float, late_s: float) -> None:
         assert one.pace == pytest.approx(pace, rel=1e-6)
 
 
-def test_a_rotation_about_a_single_axis() -> None:
-    """What both feel along their axes is proportional, and a regression on three axes cannot tell these apart."""
+def test_the_lag_in_a_rotation_about_a_single_axis() -> None:
+    """Readings along all axes are proportional, and a regression on three axes cannot separate them."""
     evidence, pace = evidence_of("motion", "A1"), 2 * np.pi
     seen = tuple(
         each if each.cross is None else replace(each, cross=behind(each.cross, 0.006, pace, ONE_AXIS, 1e-6))
@@ -71,9 +71,9 @@ def test_a_rotation_about_a_single_axis() -> None:
         assert lag.lag_s == pytest.approx(0.006, rel=1e-3)
 
 
-def test_torn_readings_are_a_row_late_in_the_mean() -> None:
-    """So many that none stands alone: a third of 60 % on each axis. A sensor that is a tenth of a second late is more
-    than a row behind, and not torn.
+def test_torn_readings_are_suggested_from_their_mean_lag() -> None:
+    """Too many for single outliers: a third of 60 % on each axis. A sensor with a lag of a tenth of a second is more
+    than a row late, and not torn.
     """
     evidence = evidence_of("motion", "G1", {"G1": (Glitches(0.6, kind="torn"),)})
     found = [trial.effects[0] for trial in CANDIDATES["glitches"].guesses(evidence) if trial.free == ("probability",)]

@@ -1,4 +1,4 @@
-"""No guess without any rows to guess from, however odd a sensor is said to be."""
+"""No suggestion without rows, even with large scores of a sensor."""
 
 from __future__ import annotations
 
@@ -33,27 +33,27 @@ OF_ROWS = (
 
 
 def evidence(odd: float, *seen: PhaseEvidence) -> Evidence:
-    """Every probe says 0, as far from what the model makes as that."""
+    """Every probe has the value 0, and all scores are `odd`."""
     nothing, scores = (dict.fromkeys(PROBES, np.full((1, 3), value)) for value in (0.0, odd))
     fitted = FittedParameters((1.0,) * 3, (0.0,) * 3, (0.0,) * 3)
     return Evidence(header(), fitted, seen, nothing, nothing, scores, ())
 
 
 @pytest.mark.parametrize("name", [*OF_ROWS, *STATISTICS_ALONE])
-def test_nothing_odd(name: str) -> None:
+def test_scores_of_zero_suggest_nothing(name: str) -> None:
     rows = summary(block(gaussian(rows=500)))
     assert not list(CANDIDATES[name].guesses(evidence(0.0, PhaseEvidence(0, "static", True, rows, rows, None))))
 
 
 @pytest.mark.parametrize("name", OF_ROWS)
-def test_no_phase(name: str) -> None:
+def test_no_phase_suggests_nothing(name: str) -> None:
     assert not list(CANDIDATES[name].guesses(evidence(50.0)))
 
 
 @pytest.mark.parametrize("name", [*OF_ROWS, *STATISTICS_ALONE])
 @pytest.mark.parametrize("rows", [0, 1])
-def test_hardly_a_row(name: str, rows: int) -> None:
-    """A phase of a sensor that had stopped."""
+def test_a_single_row_suggests_nothing(name: str, rows: int) -> None:
+    """A phase of a sensor that has stopped."""
     phase = Phase(0, 10**9, "static", "+Z")
     tally = Tally(header(), phase, Grid.of(100))
     if rows:
@@ -64,7 +64,7 @@ def test_hardly_a_row(name: str, rows: int) -> None:
 
 
 class Asked(dict[str, np.ndarray]):
-    """Scores that are asked for by the names of probes alone."""
+    """Scores that accept only names of probes."""
 
     def __contains__(self, name: object) -> bool:
         assert name in PROBES, name
@@ -72,8 +72,8 @@ class Asked(dict[str, np.ndarray]):
 
 
 @pytest.mark.parametrize("name", CANDIDATES)
-def test_what_is_looked_at_are_probes(name: str) -> None:
-    """A name that is none would be passed over in silence."""
+def test_candidates_read_only_existing_probes(name: str) -> None:
+    """An unknown name would be ignored without an error."""
     rows = summary(block(gaussian(rows=500)))
     told = evidence(0.0, PhaseEvidence(0, "static", True, rows, rows, None))
     list(CANDIDATES[name].guesses(replace(told, scores=Asked(told.scores))))

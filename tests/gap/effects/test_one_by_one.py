@@ -1,4 +1,4 @@
-"""Holds and losses that are told one by one: what is guessed from a recording happens to its simulation again."""
+"""Holds and losses that are listed individually: the suggestion from a recording reproduces them in its simulation."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Made]:
 
 
 def shown(made: Made, sensor: str) -> Evidence:
-    """With everything odd: nothing is as the model makes it, which repeats no row."""
+    """Evidence with large scores: every statistic differs from the model, which repeats no row."""
     *_, bench, campaign = made
     places = bench.columns((sensor,), cross=True)
     nothing = np.zeros(len(places))
@@ -75,9 +75,9 @@ def _flagged(status: npt.ArrayLike, flag: int) -> npt.NDArray[np.bool_]:
 
 @pytest.mark.parametrize("has_readings", some([False, True], 1))
 @pytest.mark.parametrize(("sensor", "kind"), some([("G1", "new"), ("G2", "stale")], 1))
-def test_rows_that_are_held(made: Made, sensor: str, kind: str, has_readings: bool) -> None:
-    """By a noise of some counts three rows are not equal by chance; the flag is as it was. The readings are those of
-    the recording, or what the simulation holds.
+def test_held_rows_are_reproduced(made: Made, sensor: str, kind: str, has_readings: bool) -> None:
+    """With a noise of some counts three rows are not equal by chance; the flag is unchanged. The readings are those of
+    the recording, or those that the simulation repeats.
     """
     trials = [trial for trial in CANDIDATES["stuck"].guesses(shown(made, sensor)) if trial.whole]
     trial = trials[has_readings]
@@ -85,7 +85,7 @@ def test_rows_that_are_held(made: Made, sensor: str, kind: str, has_readings: bo
     (effect,) = trial.effects
     assert isinstance(effect, Stuck)
     assert effect.kind == kind
-    assert trial.rarity == len(effect.moments_s) > 0  # two numbers each, of which either part tells half
+    assert trial.rarity == len(effect.moments_s) > 0  # two numbers each, half of which each part determines
     _, recording, _, campaign = made
     simulated = again(made, sensor, effect).sensors[sensor]
     block = simulated.block(0, simulated.rows)
@@ -96,14 +96,14 @@ def test_rows_that_are_held(made: Made, sensor: str, kind: str, has_readings: bo
     assert (_flagged(block.status, STALE) == _flagged(recording.log[sensor].status[:], STALE)).all()
 
 
-def test_the_reading_that_is_repeated_may_be_the_first_of_a_log() -> None:
-    """The first repetition comes a row of 10 ms later; its stretch begins half a row before it."""
+def test_a_repetition_of_the_first_row_is_reproduced() -> None:
+    """The first repetition is a row of 10 ms later; its interval begins half a row before it."""
     repetition = Repetition(Span(0, 0.005, 0.03), 3, (1, 2, 3))
     assert _with_first_reading(repetition) == pytest.approx(Span(0, 0.0, 0.035))
 
 
-def test_rows_that_are_lost(made: Made) -> None:
-    """All that are missing between the first and the last that came, and no others."""
+def test_lost_rows_are_reproduced(made: Made) -> None:
+    """All rows missing between the first and the last received row, and no others."""
     (trial,) = [trial for trial in CANDIDATES["dropped_samples"].guesses(shown(made, "A2")) if trial.whole]
     (effect,) = trial.effects
     _, recording, *_ = made
@@ -114,8 +114,10 @@ def test_rows_that_are_lost(made: Made) -> None:
     assert len(block.time) < simulated.rows
 
 
-def test_readings_that_are_torn_in_motion(made: Made) -> None:
-    """By two of the high byte of a BMA180 (BMA-60), which the shaking hides from who looks at neighbours alone."""
+def test_torn_readings_in_motion_are_reproduced(made: Made) -> None:
+    """By two units of the high byte of a BMA180 (BMA-60), which a comparison of neighbours cannot detect in the
+    shaking.
+    """
     (trial,) = [trial for trial in CANDIDATES["glitches"].guesses(shown(made, "A1")) if trial.whole]
     (effect,) = trial.effects
     assert isinstance(effect, Glitches)

@@ -1,4 +1,4 @@
-"""What a sensor shows of force and rotation that it shouldn't, and readings that are another sensor's."""
+"""Undue responses of a sensor to force and rotation, and readings of another sensor."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.selection import some
 
 
 @pytest.mark.slow
-def test_a_place() -> None:
+def test_a_displacement_is_suggested() -> None:
     evidence = evidence_of("motion", "A1", {"A1": (SizeEffect((0.0, 50.0, -20.0)),)}, seed=7)
     (trial,) = CANDIDATES["size_effect"].guesses(evidence)
     (effect,) = trial.effects
@@ -30,7 +30,7 @@ def test_a_place() -> None:
 
 
 @pytest.mark.slow
-def test_a_place_beside_the_configured_one() -> None:
+def test_a_displacement_from_the_configured_place_is_suggested() -> None:
     """The sensor sits at (0, 50, -120) mm, and its header says (0, 0, -100): the others are at the origin."""
     evidence = evidence_of("motion", "A1", {"A1": (SizeEffect((0.0, 50.0, -120.0)),)}, seed=7)
     phases = []
@@ -51,7 +51,7 @@ def test_a_place_beside_the_configured_one() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "size", "tolerance"), some([("tumble", 1.0, 0.005), ("motion", 10.0, 0.05)], 1))
-def test_a_gyroscope_that_feels_force(kind: str, size: float, tolerance: float) -> None:
+def test_a_g_sensitivity_is_suggested(kind: str, size: float, tolerance: float) -> None:
     response = size * np.array([0.05, 0.02, 0.0, 0.0, -0.05, 0.0, 0.01, 0.0, 0.03])
     evidence = evidence_of(kind, "G1", {"G1": (GSensitivity(tuple(response.tolist())),)}, seed=7)
     trials = list(CANDIDATES["g_sensitivity"].guesses(evidence))[: 2 if kind == "tumble" else 1]
@@ -59,15 +59,15 @@ def test_a_gyroscope_that_feels_force(kind: str, size: float, tolerance: float) 
         (effect,) = trial.effects
         assert isinstance(effect, GSensitivity)
         np.testing.assert_allclose(effect.response, response, atol=2 * tolerance)
-        assert trial.rarity == np.count_nonzero(effect.response)  # a nat each, as numbers cost that are refined
+        assert trial.rarity == np.count_nonzero(effect.response)  # a nat each, the cost of a refined number
     np.testing.assert_allclose(trials[0].effects[0].response, response, atol=tolerance)
     assert len(trials) == (2 if kind == "tumble" else 1)
 
 
 @pytest.mark.slow
-def test_a_mass_unbalance_delays_the_axes_of_a_box_that_rocks() -> None:
-    """Gravity turns in step with the change of the rate about a fixed axis. m x f with m of 13 dps/g makes delays of
-    milliseconds, by least squares; what the guess makes of them is the same, by a smaller m.
+def test_a_g_sensitivity_is_suggested_from_delays_of_a_rocking_box() -> None:
+    """Gravity turns in step with the change of the rate about a fixed axis. m x f with m of 13 dps/g gives delays of
+    milliseconds, by least squares; the suggestion gives the same delays, by a smaller m.
     """
     rng = np.random.default_rng(3)
     axis, gravity, unbalance = np.array([0.6, 0.3, -0.7]), np.array([0.4, -0.2, 0.2]), np.array([2.0, -12.0, 4.0])
@@ -97,7 +97,7 @@ def test_a_mass_unbalance_delays_the_axes_of_a_box_that_rocks() -> None:
     assert np.abs(guess).max() < 13
 
 
-def test_changes_are_per_second_whatever_the_windows() -> None:
+def test_changes_are_per_second_for_any_window_length() -> None:
     """In windows twice as long a slow motion changes twice as much from one to the next."""
     (cross,) = [phase.cross for phase in evidence_of("motion", "G1", seed=7).phases if not phase.is_still]
     assert cross is not None
@@ -108,8 +108,8 @@ def test_changes_are_per_second_whatever_the_windows() -> None:
 
 
 @pytest.mark.slow
-def test_only_what_is_clear_of_a_force() -> None:
-    """One of nine responses, each of which has an error of its own."""
+def test_only_significant_responses_to_force_are_suggested() -> None:
+    """One of nine responses, each with its own error."""
     alone = GSensitivity((0.0,) * 5 + (0.05,) + (0.0,) * 3)
     *_, trial = CANDIDATES["g_sensitivity"].guesses(evidence_of("tumble", "G1", {"G1": (alone,)}, seed=7))
     (effect,) = trial.effects
@@ -120,7 +120,7 @@ def test_only_what_is_clear_of_a_force() -> None:
 
 
 @pytest.mark.slow
-def test_a_curve_on_faces() -> None:
+def test_a_nonlinearity_is_suggested_from_faces() -> None:
     evidence = evidence_of("tumble", "A1", {"A1": (Nonlinearity(quadratic=(0.005,) * 3),)}, seed=7)
     (trial,) = CANDIDATES["nonlinearity"].guesses(evidence)
     (effect,) = trial.effects
@@ -128,8 +128,8 @@ def test_a_curve_on_faces() -> None:
     assert effect.quadratic == pytest.approx((0.005,) * 3, rel=0.1)
 
 
-def test_a_gyroscope_on_a_face_has_no_rate_to_square() -> None:
-    """What the square of force adds, in dps/g^2, is no coefficient of the square of a rate."""
+def test_a_nonlinearity_of_a_gyroscope_is_not_suggested_from_faces() -> None:
+    """A response to the square of force, in dps/g^2, is not a coefficient of the square of a rate."""
     evidence = evidence_of("tumble", "G1", {"G1": (GSensitivity((0.05, 0.02, 0.0) * 3),)}, seed=7)
     odd = replace(evidence, scores={**evidence.scores, "force_square": np.full((1, 3), 9.0)})
     assert list(CANDIDATES["nonlinearity"].guesses(odd)) == []
@@ -138,7 +138,7 @@ def test_a_gyroscope_on_a_face_has_no_rate_to_square() -> None:
 @pytest.mark.parametrize(
     ("sensor", "put_in"), [("A1", Nonlinearity(cubic=(0.005,) * 3)), ("G1", Nonlinearity(quadratic=(0.0005,) * 3))]
 )
-def test_a_curve_in_motion(sensor: str, put_in: Nonlinearity) -> None:
+def test_a_nonlinearity_is_suggested_from_motion(sensor: str, put_in: Nonlinearity) -> None:
     """Clipped at 4 g and 250 dps."""
     evidence = evidence_of("motion", sensor, {sensor: (put_in,)}, seed=7)
     first, *_ = (trial.effects[0] for trial in CANDIDATES["nonlinearity"].guesses(evidence))
@@ -148,9 +148,9 @@ def test_a_curve_in_motion(sensor: str, put_in: Nonlinearity) -> None:
 
 
 @pytest.mark.parametrize("sensor", ["G1", "G2"])
-def test_a_gyroscope_whose_response_bends_symmetrically(sensor: str) -> None:
-    """A cubic response on y alone: 1 dps at 80 dps. G2 lies the other way round. The windows average the motion, whose
-    cubes they take: the value, which is refined later, is right within a factor of two.
+def test_a_cubic_nonlinearity_is_suggested(sensor: str) -> None:
+    """A cubic response on y alone: 1 dps at 80 dps. G2 has the opposite orientation. The windows average the motion
+    before its cubes are taken: the value, which is refined later, is right within a factor of two.
     """
     evidence = evidence_of("motion", sensor, {sensor: (Nonlinearity(cubic=(0.0, 2e-6, 0.0)),)}, seed=7)
     effects = [trial.effects[0] for trial in CANDIDATES["nonlinearity"].guesses(evidence) if trial.free == ("cubic",)]
@@ -161,7 +161,7 @@ def test_a_gyroscope_whose_response_bends_symmetrically(sensor: str) -> None:
 
 
 @pytest.mark.parametrize(("kind", "sensor"), [("static", "G1"), ("tumble", "A1"), ("motion", "G1")])
-def test_readings_of_another(kind: str, sensor: str) -> None:
+def test_readings_of_another_sensor_are_suggested(kind: str, sensor: str) -> None:
     other = sensor[0] + "2"
     evidence = evidence_of(kind, sensor, {sensor: (ChannelSwap(other),)}, seed=7)
     assert [trial.effects for trial in CANDIDATES["channel_swap"].guesses(evidence)] == [(ChannelSwap(other),)]
@@ -169,8 +169,8 @@ def test_readings_of_another(kind: str, sensor: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", some(["data", "place"], 1))
-def test_an_exchange_shows_by_its_axes(kind: str) -> None:
-    """Either has the other's data, or both sit in each other's place."""
+def test_an_exchange_is_suggested_from_its_axes(kind: str) -> None:
+    """One sensor has the data of the other, or both are exchanged."""
     both = {"A1": (ChannelSwap("A2", kind),), "A2": (ChannelSwap("A1", kind),)}
     for sensor, other in (("A1", "A2"), ("A2", "A1")):
         evidence = evidence_of("tumble", sensor, both, seed=7)
@@ -182,8 +182,8 @@ def test_an_exchange_shows_by_its_axes(kind: str) -> None:
 
 
 @pytest.mark.slow
-def test_two_opposite_faces_show_an_exchange_by_a_level() -> None:
-    """They measure no response; an axis reads 1 g where another should."""
+def test_two_opposite_faces_suggest_an_exchange_by_a_level() -> None:
+    """They determine no response; an axis reads 1 g in the place of another."""
     both = {"A1": (ChannelSwap("A2", "place"),), "A2": (ChannelSwap("A1", "place"),)}
     (exchange,) = CANDIDATES["channel_swap"].guesses(evidence_of(TWO_FACES, "A1", both, seed=7))
     assert (exchange.sensor, exchange.others) == ("A1", ("A2",))
@@ -195,7 +195,7 @@ def test_two_opposite_faces_show_an_exchange_by_a_level() -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_shared_or_felt() -> None:
+def test_no_exchange_or_response_is_suggested_without_one() -> None:
     for kind in ("tumble", "static"):
         for sensor in ("A1", "G1"):
             evidence = evidence_of(kind, sensor, seed=5)
@@ -220,11 +220,11 @@ def test_nothing_is_shared_or_felt() -> None:
     ),
 )
 @pytest.mark.parametrize("is_exchange", some([True, False], 1))
-def test_readings_of_another_for_a_while(
+def test_temporary_readings_of_another_sensor_are_suggested(
     kind: str, spans: tuple[tuple[int, float, float], ...], is_exchange: bool
 ) -> None:
-    """G1 lies at 0.5 dps, G2 at -1 dps: in two boots, from a moment on, or for a while, G1 reads as G2 does, and G2 as
-    G1 or itself. Biases are those of the rest.
+    """G1 lies at 0.5 dps, G2 at -1 dps: in two boots, from a moment on, or temporarily, G1 has the readings of G2, and
+    G2 those of G1 or its own. Biases are those of the rest of the log.
     """
     acting = spans_of(spans)
     effects = {"G1": (ChannelSwap("G2", spans=acting),)}
@@ -243,8 +243,8 @@ def test_readings_of_another_for_a_while(
 
 
 @pytest.mark.slow
-def test_an_exchange_from_a_moment_of_a_tumble_on() -> None:
-    """Each face follows once, so that no level comes twice; both logs after the moment are exchanged."""
+def test_an_exchange_from_a_moment_of_a_tumble_is_suggested() -> None:
+    """Each face occurs once, so that no level is repeated; both logs after the moment are exchanged."""
     acting = spans_of(((0, 70.0, math.inf), (1, 0.0, math.inf)))
     effects = {"A1": (ChannelSwap("A2", spans=acting),), "A2": (ChannelSwap("A1", spans=acting),)}
     trials = list(CANDIDATES["channel_swap"].guesses(evidence_of(("tumble", "static"), "A1", effects, seed=7)))
@@ -256,9 +256,9 @@ def test_an_exchange_from_a_moment_of_a_tumble_on() -> None:
 
 
 @pytest.mark.slow
-def test_an_exchange_in_any_of_the_logs() -> None:
-    """Each segment of two accelerometers that lie differently tells whose readings it has: all of the log at rest and
-    the end of the tumble, in whatever order they were recorded.
+def test_an_exchange_in_any_log_is_suggested() -> None:
+    """Each segment of two accelerometers of different orientation identifies its sensor: the whole log at rest and the
+    end of the tumble, in any order of the logs.
     """
     acting = spans_of(((0, 0.0, math.inf), (1, 40.0, math.inf)))
     effects = {"A1": (ChannelSwap("A2", spans=acting),), "A2": (ChannelSwap("A1", spans=acting),)}
@@ -270,15 +270,15 @@ def test_an_exchange_in_any_of_the_logs() -> None:
     assert after[1] == pytest.approx(40.0, abs=1.0)
 
 
-def test_a_step_that_is_no_level_of_another_is_no_exchange() -> None:
-    """Half way, or to the other's level on one axis only."""
+def test_a_step_to_no_level_of_another_suggests_no_exchange() -> None:
+    """Halfway, or to the other's level on one axis only."""
     for offset in ((-0.75,) * 3, (-1.5, 0.0, 0.0)):
         step = Bias(offset, spans=(0.0, 35.0, 1e9))
         assert list(CANDIDATES["channel_swap"].guesses(evidence_of("static", "G1", {"G1": (step,)}, seed=7))) == []
 
 
-def test_a_scale_from_some_moment_of_a_motion_on() -> None:
-    """The first half of the motion, 5 to 15 s, shows nothing, the second a tenth on the only axis that moves."""
+def test_a_scale_error_from_a_moment_of_a_motion_is_suggested() -> None:
+    """The first half of the motion, 5 to 15 s, has no error, the second a tenth on the only axis that moves."""
     evidence = evidence_of("motion", "G1", seed=7)
     shift = np.array([[0.001, 0.0, 0.0], [0.1, 0.001, 0.0]])
     odd = replace(
@@ -299,8 +299,8 @@ def test_a_scale_from_some_moment_of_a_motion_on() -> None:
     assert not [trial for trial in CANDIDATES["scale"].guesses(steady) if trial.when.spans]
 
 
-def test_an_axis_that_never_changes_says_nothing_of_an_exchange() -> None:
-    """A sensor at the end of its range; without a warning of NumPy, which is an error here."""
+def test_a_constant_axis_suggests_no_exchange() -> None:
+    """A sensor at the limit of its range; without a warning of NumPy, which is an error here."""
     rng = np.random.default_rng(2)
     own, exchanged = rng.normal(0, 1, (2, 40, 6))
     own[:, 2] = exchanged[:, 2] = 0.0
@@ -312,8 +312,8 @@ def test_an_axis_that_never_changes_says_nothing_of_an_exchange() -> None:
 
 
 @pytest.mark.parametrize(("share", "expected"), [(1.0, [(0, 15.0, 25.0)]), (0.4, [])])
-def test_a_single_segment_that_has_little_of_the_step_is_no_stretch(share: float, expected: list[object]) -> None:
-    """Of segments of 10 s only one has readings of the other sensor: all of them, or too few to last."""
+def test_a_single_segment_with_a_part_of_the_step_is_not_an_interval(share: float, expected: list[object]) -> None:
+    """Only one segment of 10 s has readings of the other sensor: all of them, or too few."""
     time_s, shares = np.arange(0.0, 50.0, 10.0), np.array([0.0, 0.0, share, 0.0, 0.0])
     nothing = np.zeros(5, np.int64)
     course = _Course(nothing, time_s, nothing, np.zeros((5, 3)), np.zeros((5, 3)), np.ones(3))

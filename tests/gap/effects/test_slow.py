@@ -1,5 +1,5 @@
-"""Slow processes are guessed at the size at which they were simulated. A minute holds few of their times, so that even
-the best estimate scatters: factors of 2 to 4, at fixed seeds.
+"""Slow processes are suggested at their simulated size. A minute has few of their correlation times, so that even the
+best estimate scatters: factors of 2 to 4, at fixed seeds.
 """
 
 from __future__ import annotations
@@ -28,22 +28,24 @@ def test_the_law_of_allan_variances(x: float) -> None:
     """Half the mean square of the difference of two neighbouring means of a process with autocovariance exp(-|t|)."""
 
     def mean_product(apart: float) -> float:
-        """Of means over [0, x] and [apart, apart + x]."""
+        """Mean product of means over [0, x] and [apart, apart + x]."""
         whole, _ = quad(lambda t: (x - abs(t)) * np.exp(-abs(apart + t)), -x, x, points=[0.0, -apart], epsabs=1e-14)
         return whole / x**2
 
     assert float(gauss_markov(np.array([x]), 1.0)[0]) == pytest.approx(mean_product(0.0) - mean_product(x), rel=1e-4)
 
 
-def test_the_variance_in_a_stretch() -> None:
-    """1 - the variance of the mean, 2 (x - 1 + exp(-x)) / x^2: all in long stretches, a walk's in short."""
+def test_the_variance_of_a_process_within_an_interval() -> None:
+    """1 - the variance of the mean, 2 (x - 1 + exp(-x)) / x^2: the whole variance in long intervals, that of a random
+    walk in short.
+    """
     assert within(1e6, 1.0) == pytest.approx(1.0, abs=1e-5)
     assert within(1e-4, 1.0) == pytest.approx(1e-4 / 3, rel=1e-3)
     assert within(2.0, 1.0) == pytest.approx(1 - 2 * (1 + np.exp(-2)) / 4)
 
 
 @pytest.mark.parametrize(("rms", "time_constant_s"), [(0.05, 0.2), (0.04, 3.0), (0.05, 10.0)])
-def test_a_wander(rms: float, time_constant_s: float) -> None:
+def test_a_wander_is_suggested(rms: float, time_constant_s: float) -> None:
     evidence = evidence_of("static", "G1", {"G1": (BiasInstability((rms,) * 3, time_constant_s),)}, seed=2)
     first, *_ = (trial.effects[0] for trial in CANDIDATES["bias_instability"].guesses(evidence))
     assert isinstance(first, BiasInstability)
@@ -52,8 +54,8 @@ def test_a_wander(rms: float, time_constant_s: float) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_flicker_noise(seed: int) -> None:
-    """The Allan deviation is rms / sqrt(number of processes), whatever the ends are; on one axis alone."""
+def test_flicker_noise_is_suggested(seed: int) -> None:
+    """The Allan deviation is rms / sqrt(number of processes), for any limits; on one axis alone."""
     effect = BiasInstability((0.0, 0.2, 0.0), 3600.0, 0.05)
     evidence = evidence_of("static", "G1", {"G1": (effect,)}, seed=seed)
     several = [trial.effects[0] for trial in CANDIDATES["bias_instability"].guesses(evidence)]
@@ -64,9 +66,9 @@ def test_flicker_noise(seed: int) -> None:
     assert is_near(floors[0], floors[1], 1.5)
 
 
-def test_a_filter_in_the_shortest_averaging_times_does_not_decide() -> None:
-    """A level of 0.01 beside white noise 1 / tau of which the shortest variance lacks a fifth. By the terms alone, of
-    which that has half of all, the level would be 0.016.
+def test_a_filter_of_short_averaging_times_does_not_bias_a_level() -> None:
+    """A level of 0.01 and white noise 1 / tau whose shortest variance is a fifth too low. Weighted by the numbers of
+    terms, half of which it has, the level would be 0.016.
     """
     time_s, terms = 2.0 ** np.arange(8), 1e6 / 2.0 ** np.arange(8)
     variance = np.repeat(1 / time_s + 0.01, 3).reshape(8, 3)
@@ -77,8 +79,8 @@ def test_a_filter_in_the_shortest_averaging_times_does_not_decide() -> None:
 
 
 @pytest.mark.slow
-def test_a_wander_that_is_as_slow_as_a_run() -> None:
-    """Runs are 20 s long: their levels say how large it is, what goes on within them how slow."""
+def test_a_wander_as_slow_as_a_run_is_suggested() -> None:
+    """Runs are 20 s long: their levels determine its size, changes within them its time constant."""
     evidence = evidence_of("turn-on", "G1", {"G1": (BiasInstability((0.2,) * 3, 60.0),)}, seed=4)
     found = [trial.effects[0] for trial in CANDIDATES["bias_instability"].guesses(evidence)]
     assert any(
@@ -90,7 +92,7 @@ def test_a_wander_that_is_as_slow_as_a_run() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_walk(seed: int) -> None:
+def test_a_random_walk_is_suggested(seed: int) -> None:
     evidence = evidence_of("static", "G1", {"G1": (RandomWalk((0.02, 0.0, 0.02)),)}, seed=seed)
     first, *_ = (trial.effects[0] for trial in CANDIDATES["random_walk"].guesses(evidence))
     assert isinstance(first, RandomWalk)
@@ -100,8 +102,8 @@ def test_a_walk(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_what_follows_the_temperature_is_no_wander() -> None:
-    """G1's bias has a slope, which the model has too: of a heat pulse the Allan variances are those of white noise,
+def test_a_thermal_drift_suggests_no_wander() -> None:
+    """G1's bias has a slope, which the model has too: in a heat pulse the Allan variances are those of white noise,
     rms^2 over the rows, within the scatter of a few terms.
     """
     allan = allan_of(evidence_of("heating", "G1", seed=3))
@@ -111,7 +113,7 @@ def test_what_follows_the_temperature_is_no_wander() -> None:
     assert (allan.variance[warmed] < 2 * white[warmed]).all()
 
 
-def test_a_telegraph() -> None:
+def test_telegraph_noise_is_suggested() -> None:
     evidence = evidence_of("static", "A1", {"A1": (PopcornNoise((0.01,) * 3, 0.5),)}, seed=1)
     by_moments, *_, by_jumps = (trial.effects[0] for trial in CANDIDATES["popcorn_noise"].guesses(evidence))
     for found in (by_moments, by_jumps):
@@ -121,9 +123,9 @@ def test_a_telegraph() -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_level_that_is_seldom(side: float) -> None:
-    """A fifth of a minute at the one level, in some twelve stretches: the share within a half of it, the amplitude
-    within a quarter, to the side on which it is.
+def test_telegraph_noise_with_a_rare_level_is_suggested(side: float) -> None:
+    """A fifth of a minute at one level, in about twelve intervals: the share within a half of it, the amplitude within
+    a quarter, with its sign.
     """
     effect = PopcornNoise((0.0, side * 0.01, 0.0), 0.4, 0.2)
     evidence = evidence_of("static", "A1", {"A1": (effect,)}, seed=1)
@@ -135,8 +137,8 @@ def test_a_level_that_is_seldom(side: float) -> None:
     assert is_near(found.switches_per_s, 0.4, 2.5)
 
 
-def test_few_jumps() -> None:
-    """0.05 a second on one axis: seed 2 has two of them in a minute."""
+def test_few_jumps_suggest_telegraph_noise() -> None:
+    """0.05 per second on one axis: seed 2 has two jumps in a minute."""
     evidence = evidence_of("static", "A1", {"A1": (PopcornNoise((0.01, 0.0, 0.0), 0.05),)}, seed=2)
     found = [trial.effects[0] for trial in CANDIDATES["popcorn_noise"].guesses(evidence)]
     assert any(
@@ -159,16 +161,16 @@ def common(trials: list[Hypothesis]) -> CommonMode:
 @pytest.mark.parametrize(
     ("kind", "rms", "time_constant_s"), [("static", 0.003, 2.0), ("static", 0.003, 40.0), ("heating", 0.003, 5.0)]
 )
-def test_a_wander_of_all_units(kind: str, rms: float, time_constant_s: float) -> None:
-    """Slopes over temperature that the units have in common are not taken for it."""
+def test_a_common_wander_of_all_units_is_suggested(kind: str, rms: float, time_constant_s: float) -> None:
+    """Common thermal slopes of the units do not suggest it."""
     both = dict.fromkeys(("A1", "A2"), (CommonMode((rms,) * 3, time_constant_s),))
     found = common(list(CANDIDATES["common_mode"].guesses(evidence_of(kind, "A1", both, seed=7))))
     assert is_near(float(np.mean(found.rms)), rms, 2.0)
     assert is_near(found.time_constant_s, time_constant_s, 4.0)
 
 
-def test_all_of_a_wander_may_be_shared() -> None:
-    """A few values say little of a covariance: sizes of the sensor's own wander are tried too, as large as it is."""
+def test_a_fully_common_wander_is_suggested() -> None:
+    """A few values determine a covariance poorly: the full size of the sensor's own wander is tried too."""
     both = dict.fromkeys(("A1", "A2"), (CommonMode((0.003,) * 3, 2.0),))
     evidence = evidence_of("static", "A1", both, seed=7)
     wander = wander_of(evidence)
@@ -178,8 +180,8 @@ def test_all_of_a_wander_may_be_shared() -> None:
     assert CommonMode(tuple(apart.rms.tolist()), apart.time_constant_s) in effects
 
 
-def test_a_supply_may_disturb_one_sensor_more_than_another() -> None:
-    """9 mg in one accelerometer and 3 mg in the other, on all axes alike: sizes of their own are tried for each."""
+def test_a_common_wander_of_different_sizes_is_suggested() -> None:
+    """9 mg in one accelerometer and 3 mg in the other, on all axes alike: individual sizes are tried."""
     own, other = (CommonMode((rms,) * 3, 0.5, 1.0, "A1+A2") for rms in (0.009, 0.003))
     trials = CANDIDATES["common_mode"].guesses(evidence_of("static", "A1", {"A1": (own,), "A2": (other,)}, seed=7))
     (first, *_) = [trial for trial in trials if trial.opposite]
@@ -191,8 +193,8 @@ def test_a_supply_may_disturb_one_sensor_more_than_another() -> None:
     assert guess.group == its.group
 
 
-def test_a_wander_is_tried_in_the_spells_of_a_sensor() -> None:
-    """A quarter of the rows: what the whole log shows of it is twice as large there."""
+def test_a_wander_in_some_intervals_of_a_log_is_suggested() -> None:
+    """A quarter of the rows: the size over the whole log is twice as large in them."""
     both = dict.fromkeys(("A1", "A2"), (CommonMode((0.003,) * 3, 2.0),))
     evidence = evidence_of("static", "A1", both, seed=7)
     (phase,) = evidence.still
@@ -212,8 +214,8 @@ def test_a_wander_is_tried_in_the_spells_of_a_sensor() -> None:
 
 
 @pytest.mark.slow
-def test_a_change_between_two_logs_that_all_units_share() -> None:
-    """All of it is shared, or with what the other unit lacks beside it."""
+def test_a_common_change_between_two_logs_is_suggested() -> None:
+    """The whole change is common, or one unit has an additional part."""
     shared = (CommonMode((0.01,) * 3, 1e6),)
     (trial,) = CANDIDATES["common_mode"].guesses(
         evidence_of(("static", "static"), "A1", {"A1": shared, "A2": shared}, seed=5)
@@ -229,7 +231,7 @@ def test_a_change_between_two_logs_that_all_units_share() -> None:
     assert [effect.name for effect in both.effects] == ["common_mode", "turn_on_bias"]
 
 
-def test_nothing_wanders() -> None:
+def test_nothing_slow_is_suggested_for_white_noise() -> None:
     evidence = evidence_of("static", "A1", seed=9)
     for candidate in (
         CANDIDATES["bias_instability"],

@@ -1,4 +1,4 @@
-"""What shapes noise within a second: low-pass, lines; and the noise itself."""
+"""Effects on noise within a second: low-pass, lines; and the noise itself."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def tones(kind: str, put_in: Tone, modelled: tuple[Tone, ...] = ()) -> list[Tone
 
 
 @pytest.mark.parametrize("cutoff_hz", [5.0, 15.0, 30.0])
-def test_a_cutoff(cutoff_hz: float) -> None:
+def test_a_cutoff_is_suggested(cutoff_hz: float) -> None:
     evidence = evidence_of("static", "G1", {"G1": (Bandwidth(cutoff_hz),)}, seed=7)
     first, *_ = (trial.effects[0] for trial in CANDIDATES["bandwidth"].guesses(evidence))
     assert isinstance(first, Bandwidth)
@@ -37,7 +37,7 @@ def test_a_cutoff(cutoff_hz: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 1.0])
-def test_a_filter_on_the_signal_is_tried_where_motion_comes_late(share: float) -> None:
+def test_a_filter_is_suggested_from_late_motion(share: float) -> None:
     evidence = evidence_of(("static", "motion"), "G1", {"G1": (Bandwidth(5.0, share),)}, seed=7)
     found = [
         one
@@ -49,8 +49,8 @@ def test_a_filter_on_the_signal_is_tried_where_motion_comes_late(share: float) -
     assert [one for one in found if one.poles == 1][-1].cutoff_hz == pytest.approx(5.0, rel=0.1)
 
 
-def test_a_filter_of_two_poles() -> None:
-    """Lag 1 of 100 rows a second: exp(-a t) (cos a t + sin a t), a t = sqrt(2) pi 15 / 100."""
+def test_a_filter_of_two_poles_is_suggested() -> None:
+    """Lag 1 at 100 rows per second: exp(-a t) (cos a t + sin a t), a t = sqrt(2) pi 15 / 100."""
     evidence = evidence_of("static", "G1", {"G1": (Bandwidth(15.0, poles=2.0),)}, seed=7)
     found = [
         one
@@ -63,7 +63,7 @@ def test_a_filter_of_two_poles() -> None:
 
 
 @pytest.mark.slow
-def test_a_filter_too_fast_for_the_rows_is_guessed_by_its_delay() -> None:
+def test_a_filter_too_fast_for_the_rows_is_suggested_from_its_delay() -> None:
     """60 Hz: 3.8 ms, and a correlation of -0.04 from row to row."""
     evidence = evidence_of(("static", "motion"), "G1", {"G1": (Bandwidth(60.0, 1.0, 2.0),)}, seed=7)
     trial = list(CANDIDATES["bandwidth"].guesses(evidence))[-1]
@@ -77,8 +77,8 @@ def test_a_filter_too_fast_for_the_rows_is_guessed_by_its_delay() -> None:
     ]
 
 
-def test_who_is_quieter_than_printed_has_a_filter() -> None:
-    """30 mdps in 1 Hz are 0.18 dps rms in 35 Hz; two poles at 3.15 Hz pass 3.5 Hz, which leaves a third of that."""
+def test_noise_below_the_data_sheet_suggests_a_filter() -> None:
+    """30 mdps in 1 Hz are 0.18 dps rms in 35 Hz; two poles at 3.15 Hz pass 3.5 Hz, a third of the rms."""
     evidence = evidence_of("static", "G1", seed=5)
     header = replace(evidence.header, chip="l3g4200d", rate_hz=800.0, bandwidth_hz=35.0)
     usual, quiet = (
@@ -87,14 +87,14 @@ def test_who_is_quieter_than_printed_has_a_filter() -> None:
     )
     assert rarity_behind(usual, 3.15) == pytest.approx(-rarity_behind(quiet, 3.15), abs=0.01)
     assert rarity_behind(quiet, 3.15) < -3  # 20 to 1
-    assert rarity_behind(quiet, 500.0) == 0  # passes all that the chip's own filter does
+    assert rarity_behind(quiet, 500.0) == 0  # passes everything that the chip's own filter passes
     unknown = replace(quiet, header=replace(header, bandwidth_hz=0.0))
     assert rarity_behind(unknown, 3.15) == 0
 
 
-def test_a_filter_from_a_moment_on_that_rows_do_not_show() -> None:
+def test_a_filter_from_a_moment_on_is_suggested_from_less_noise() -> None:
     """exp(-1/2) of the noise, on all axes: two poles pass that share of 35 Hz if they pass 35 / e = 12.9 Hz, which is
-    pi / (2 sqrt 2) of the cutoff. Less noise on one axis is no filter.
+    pi / (2 sqrt 2) of the cutoff. Less noise on one axis suggests no filter.
     """
     evidence = evidence_of("static", "G1", seed=5)
     when = When((Span(0, 30.0, math.inf),))
@@ -115,7 +115,7 @@ def test_a_filter_from_a_moment_on_that_rows_do_not_show() -> None:
     assert not list(CANDIDATES["bandwidth"].guesses(replace(quiet, scores={**quiet.scores, "noise": one_axis})))
 
 
-def test_a_line() -> None:
+def test_a_line_is_suggested() -> None:
     """6000 rows: the amplitude's standard error is sqrt(2 / 6000) of the noise, 0.001 dps."""
     first, *_ = tones("static", Tone((0.0, 0.02, 0.0), 13.7))
     assert first.frequency_hz == pytest.approx(13.7, abs=0.02)
@@ -123,20 +123,20 @@ def test_a_line() -> None:
 
 
 @pytest.mark.slow
-def test_a_line_beyond_half_the_rate_is_guessed_where_it_shows() -> None:
+def test_a_line_beyond_half_the_rate_is_suggested_at_its_alias() -> None:
     first, *_ = tones("turn-on", Tone((0.0, 0.03, 0.01), 63.7))
     rate_hz = RATE_HZ
     assert first.frequency_hz == pytest.approx(rate_hz - 63.7, abs=0.1)
     assert first.amplitude[1] == pytest.approx(0.03, rel=0.2)
 
 
-def test_mains_are_recognised_by_their_alias() -> None:
-    """60 Hz shows at 40 Hz of 100 rows a second."""
+def test_mains_lines_are_recognised_by_their_alias() -> None:
+    """60 Hz appears at 40 Hz at 100 rows per second."""
     first, *_ = tones("static", Tone((0.03,) * 3, 60.0))
     assert first.frequency_hz == 60.0
 
 
-def test_a_line_that_the_model_has_is_not_found_again() -> None:
+def test_a_line_of_the_model_is_not_suggested_again() -> None:
     known = Tone((0.04,) * 3, 21.0)
     first, *_ = tones("static", Tone((0.02,) * 3, 13.7), (known,))
     assert first.frequency_hz == pytest.approx(13.7, abs=0.02)
@@ -145,8 +145,10 @@ def test_a_line_that_the_model_has_is_not_found_again() -> None:
 
 
 @pytest.mark.slow
-def test_a_line_that_drifts() -> None:
-    """From 13 Hz on by 0.04 Hz/s while the box lies on six faces; how far others begin from there, nobody can see."""
+def test_a_drifting_line_is_suggested() -> None:
+    """From 13 Hz by 0.04 Hz/s while the box is on six faces; the initial frequencies of other logs are
+    not observable.
+    """
     put_in = Tone((0.0, 0.05, 0.0), 13.0, drift_hz_per_h=144.0)
     (drifting,) = (tone for tone in tones("tumble", put_in) if tone.drift_hz_per_h)
     assert drifting.frequency_hz == pytest.approx(13.0, abs=0.3)
@@ -156,22 +158,22 @@ def test_a_line_that_drifts() -> None:
     assert all(tone.drift_hz_per_h == 0 for tone in tones("tumble", replace(put_in, drift_hz_per_h=0.0)))
 
 
-def test_a_phase_of_one_code_has_no_line() -> None:
-    """As of a converter of which codes are missing: all of its spectrum is 0."""
+def test_a_phase_of_a_single_code_suggests_no_line() -> None:
+    """As with a converter with missing codes: its whole spectrum is 0."""
     (seen,) = evidence_of("static", "A1", seed=5).still
     silent = replace(seen.raw.spectrum, density=np.zeros_like(seen.raw.spectrum.density))
     assert list(highest_lines(silent, 3)) == []
 
 
-def test_nothing_is_shaped() -> None:
+def test_nothing_spectral_is_suggested_for_white_noise() -> None:
     evidence = evidence_of("static", "A1", seed=5)
     for candidate in (CANDIDATES["bandwidth"], CANDIDATES["tone"], CANDIDATES["white_noise"]):
         assert list(candidate.guesses(evidence)) == []
 
 
 @pytest.mark.slow
-def test_noise_of_a_sensor_that_was_never_at_rest() -> None:
-    """In 20 s of motion; what others, as noisy, don't explain: sqrt(2) of the noise at most."""
+def test_noise_of_a_sensor_without_rest_is_suggested() -> None:
+    """In 20 s of motion; the part not explained by equally noisy sensors: sqrt(2) of the noise at most."""
     seen = evidence_of("motion", "A1", seed=5)
     nothing = FittedParameters(*((0.0, 0.0, 0.0),) * 3)
     lost = np.log(seen.noise / nothing.noise(seen.header))
@@ -199,13 +201,13 @@ def test_a_line_in_antiphase_has_the_sign_of_the_correlations(
     assert assign_signs((1.0, 2.0, 3.0), np.array(between_axes)) == expected
 
 
-def test_an_axis_without_the_line_says_nothing_of_its_sign() -> None:
+def test_an_axis_without_the_line_has_no_sign() -> None:
     x, y, z = assign_signs((1.0, 0.0, 3.0), np.array([-0.9, -0.9, 0.1]))
     assert (y, x * z) == (0.0, 3.0)
 
 
-def test_a_filter_of_a_spell_takes_noise_away() -> None:
-    """Half of the noise is left; the cutoff is that of the correlation; the filter of the model stays."""
+def test_a_temporary_filter_is_suggested_from_less_noise() -> None:
+    """Half of the noise remains; the cutoff is that of the correlation; the filter of the model stays."""
     evidence = evidence_of("static", "G1", {"G1": (Bandwidth(15.0),)}, seed=7, modelled=(Bandwidth(30.0),))
     quiet = {"noise": np.full_like(evidence.values["noise"], math.log(0.5))}
     none = {"noise": np.zeros_like(quiet["noise"])}
@@ -226,7 +228,7 @@ def test_a_filter_of_a_spell_takes_noise_away() -> None:
 
 
 @pytest.mark.slow
-def test_noise_that_grows_at_a_moment_and_stays() -> None:
+def test_a_permanent_increase_of_noise_is_suggested() -> None:
     """0.05 dps and, from 30 s of the first log on, 0.1 dps more on one axis, as in the log after it."""
     grown = WhiteNoise((0.0, 0.1, 0.0), spans=spans_of(((0, 30.0, math.inf), (1, 0.0, math.inf))))
     evidence = evidence_of(("static", "tumble"), "G1", {"G1": (grown,)}, seed=7)
@@ -241,9 +243,9 @@ def test_noise_that_grows_at_a_moment_and_stays() -> None:
 
 
 @pytest.mark.slow
-def test_logs_that_are_quieter_by_the_same_share_on_all_axes_have_a_filter() -> None:
-    """Three times as noisy in the log at rest, as in the tumble before its noise went through a filter: 35 Hz of the
-    chip's noise, of whose power one ninth is left, and of two poles, which pass pi / (2 sqrt(2)) of their cutoff.
+def test_logs_with_less_noise_on_all_axes_suggest_a_filter() -> None:
+    """The log at rest has three times the noise of the tumble, whose noise was filtered: 35 Hz of the chip's noise, one
+    ninth of whose power remains, and two poles, which pass pi / (2 sqrt(2)) of their cutoff.
     """
     noisy = WhiteNoise((0.05 * math.sqrt(8),) * 3, spans=spans_of(((0, 0.0, math.inf),)))
     evidence = evidence_of(("static", "tumble"), "G1", {"G1": (noisy,)}, seed=7)
@@ -258,8 +260,8 @@ def test_logs_that_are_quieter_by_the_same_share_on_all_axes_have_a_filter() -> 
 
 
 @pytest.mark.slow
-def test_noise_of_most_logs_is_more_than_that_of_the_quiet_ones() -> None:
-    """0.05 dps in one log at rest and 0.15 dps in two others: the fit is that of the two."""
+def test_noise_of_most_logs_above_that_of_a_quiet_log_is_suggested() -> None:
+    """0.05 dps in one log at rest and 0.15 dps in two others: the fit is that of these two."""
     noisy = WhiteNoise((0.05 * math.sqrt(8),) * 3, spans=spans_of(((1, 0.0, math.inf), (2, 0.0, math.inf))))
     evidence = evidence_of(("static", "tumble", "tumble"), "G1", {"G1": (noisy,)}, seed=7)
     logs = noise_of_logs(evidence)
@@ -269,8 +271,8 @@ def test_noise_of_most_logs_is_more_than_that_of_the_quiet_ones() -> None:
 
 
 @pytest.mark.slow
-def test_noise_that_grew_at_a_moment_of_a_log_whose_date_is_not_the_first() -> None:
-    """From 30 s of the second log on, and in the first: the logs that are as noisy, whatever their dates are."""
+def test_an_increase_of_noise_is_suggested_for_any_order_of_logs() -> None:
+    """From 30 s of the second log on, and in the first: the logs of equal noise, in any order of their dates."""
     grown = WhiteNoise((0.0, 0.1, 0.0), spans=spans_of(((0, 0.0, math.inf), (1, 30.0, math.inf))))
     evidence = evidence_of(("tumble", "static"), "G1", {"G1": (grown,)}, seed=7)
     trials = [trial for trial in CANDIDATES["white_noise"].guesses(evidence) if trial.when.spans]

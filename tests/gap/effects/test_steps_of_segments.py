@@ -1,4 +1,4 @@
-"""Steps of segments and divisors of codes, compared with their definitions, number by number."""
+"""Steps of segments and divisors of codes, compared with their definitions."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ SEED = 7
 
 
 @pytest.mark.parametrize("ratio", [1.0, 2.0])
-def test_gains_of_a_step_are_those_of_two_means_and_variances(ratio: float) -> None:
+def test_gains_of_a_step_equal_their_definition(ratio: float) -> None:
     """n / 2 log (n var / (a var of the first a + b var of the last b)), summed over levels and logs of variances, where
-    the last b are those of a sensor whose readings are `ratio` times as large.
+    the last b are of a sensor whose readings are `ratio` times as large.
     """
     generator = np.random.default_rng(SEED)
     level, log_variance = generator.normal(300.0, 1.0, (40, 3)), generator.normal(0.0, 0.2, (40, 3))
@@ -48,6 +48,6 @@ def test_gains_of_a_step_are_those_of_two_means_and_variances(ratio: float) -> N
     ],
 )
 def test_the_greatest_common_divisor_of_nearly_all_codes(codes: tuple[int, ...], odd: int, divisor: int) -> None:
-    """Readings of 1 beside 100 readings of each code: fewer than a hundredth of all change nothing."""
+    """Readings of 1 and 100 readings of each code: fewer than a hundredth of all change nothing."""
     values = np.concatenate([np.repeat(codes, 100), np.full(odd, 1)])
     assert _divisor(histogram(values)) == divisor

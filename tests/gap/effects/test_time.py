@@ -1,4 +1,4 @@
-"""clock_error, jitter, dropped_samples, skew: guessed from motion beside other sensors, and from gaps."""
+"""clock_error, jitter, dropped_samples, skew: suggested from motion of several sensors, and from gaps."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def shown(kind: str, sensor: str, effect: Effect) -> Evidence:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["static", "motion"])
 @pytest.mark.parametrize("sensor", ["A1", "G1"])
-def test_nothing_is_guessed_without_a_trace(kind: str, sensor: str) -> None:
+def test_nothing_is_suggested_without_evidence(kind: str, sensor: str) -> None:
     assert not [trial for name in ALL for trial in CANDIDATES[name].guesses(evidence_of(kind, sensor))]
 
 
@@ -39,19 +39,19 @@ def test_nothing_is_guessed_without_a_trace(kind: str, sensor: str) -> None:
 @pytest.mark.parametrize(
     ("sensor", "delay_s"), some([("G1", 0.002), ("G1", 0.005), ("A1", -0.02), ("A1", 0.1), ("G1", -0.08)], 2)
 )
-def test_skew(sensor: str, delay_s: float) -> None:
+def test_a_skew_is_suggested(sensor: str, delay_s: float) -> None:
     """A tenth of a second is most of half a period of the fastest part of the motion, 6 Hz."""
     trial = next(iter(CANDIDATES["skew"].guesses(shown("motion", sensor, Skew(delay_s)))))
     (found,) = trial.effects
     assert isinstance(found, Skew)
     assert found.delay_s == pytest.approx(delay_s, rel=0.4)
     assert trial.free == ("delay_s",)
-    assert (trial.rarity > 0) == (delay_s < 0)  # readings come before their stamps
+    assert (trial.rarity > 0) == (delay_s < 0)  # readings are made before their stamps
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("sensor", "error_ppm"), some([("A1", 2000.0), ("G1", -1000.0), ("G1", 300.0)], 1))
-def test_clock_error(sensor: str, error_ppm: float) -> None:
+def test_a_clock_error_is_suggested(sensor: str, error_ppm: float) -> None:
     (trial,) = CANDIDATES["clock_error"].guesses(shown("motion", sensor, ClockError(error_ppm)))
     (found,) = trial.effects
     assert isinstance(found, ClockError)
@@ -59,10 +59,10 @@ def test_clock_error(sensor: str, error_ppm: float) -> None:
     assert trial.free == ("error_ppm",)
 
 
-def test_the_clock_of_the_host() -> None:
-    """All sensors 4 ms behind at the epoch, and by 1 ms a second more (a fast clock: -1000 ppm); or by a rate that
-    settles within 30 s, 0.001 (t - 30 s (1 - exp(-t / 30 s))). A sensor whose own oscillator is slow is as late all the
-    time, and asks for no clock.
+def test_a_clock_error_of_the_host_is_suggested() -> None:
+    """All sensors lag by 4 ms at the epoch, and by 1 ms more each second (a fast clock: -1000 ppm); or at a rate that
+    settles within 30 s, 0.001 (t - 30 s (1 - exp(-t / 30 s))). A sensor with a slow oscillator has a constant lag, and
+    suggests no clock error.
     """
     at_s = np.linspace(5, 100, 12)
     bare = evidence_of("static", "A1")
@@ -81,13 +81,13 @@ def test_the_clock_of_the_host() -> None:
 
 
 def _of_the_host(evidence: Evidence, at_s: npt.NDArray[np.float64], lag_s: npt.NDArray[np.float64]) -> list[Hypothesis]:
-    """What is guessed of lags that are known to 0.2 ms."""
+    """The suggestions from lags that are known to 0.2 ms."""
     lags = tuple(HostLag(at, lag, 2e-4) for at, lag in zip(at_s.tolist(), lag_s.tolist(), strict=True))
     return list(CANDIDATES["clock_error"].guesses(replace(evidence, hosts=(Host(lags=lags),))))
 
 
-def test_a_clock_that_is_far_off_may_be_so_either_way() -> None:
-    """At 10 000 ppm the sensor is a seventh of a second off in the middle of the motion, about a period."""
+def test_a_large_clock_error_is_suggested_with_both_signs() -> None:
+    """At 10 000 ppm the time error is a seventh of a second in the middle of the motion, about a period."""
     trials = list(CANDIDATES["clock_error"].guesses(shown("motion", "G1", ClockError(-10000.0))))
     assert 2 <= len(trials) <= 4
     found = [effect.error_ppm for trial in trials for effect in trial.effects if isinstance(effect, ClockError)]
@@ -95,7 +95,7 @@ def test_a_clock_that_is_far_off_may_be_so_either_way() -> None:
 
 
 @pytest.mark.parametrize(("sensor", "rms_s"), some([("G1", 0.002), ("G1", 0.004), ("A1", 0.002)], 1))
-def test_jitter(sensor: str, rms_s: float) -> None:
+def test_jitter_is_suggested(sensor: str, rms_s: float) -> None:
     trial = next(iter(CANDIDATES["jitter"].guesses(shown("motion", sensor, Jitter(rms_s)))))
     (found,) = trial.effects
     assert isinstance(found, Jitter)
@@ -103,9 +103,9 @@ def test_jitter(sensor: str, rms_s: float) -> None:
     assert trial.free == ("rms_s",)
 
 
-def test_a_host_that_was_late() -> None:
-    """As the times of all rows tell: 40 of 1000 waited, half of it 3 ms; in every sensor, all of it before the transfer
-    or, more rarely, behind it. Without an odd statistic nobody asks for a reason.
+def test_delays_of_the_host_are_suggested() -> None:
+    """From the times of all rows: 40 of 1000 waited, half of them 3 ms; in every sensor, before the transfer or, more
+    rarely, after it. Without a deviating statistic nothing is suggested.
     """
     odd = shown("motion", "G1", Jitter(0.004))
     host = (Host(600, 30, 30 * 9e-6, 1), Host(400, 10, 10 * 9e-6))
@@ -120,10 +120,10 @@ def test_a_host_that_was_late() -> None:
     assert not list(CANDIDATES["jitter"].guesses(replace(odd, hosts=host, scores={})))
 
 
-def test_rows_that_are_late_are_repeated() -> None:
-    """Rows every 10 ms of a chip that makes a reading as often: what is late by w is repeated with the probability
-    w / 10 ms, and for exponential w of mean m with m / 10 ms (1 - e^(-10 ms / m)). 5 ms of a tenth make 4.3 %, and
-    sqrt(2 0.1) 5 ms of all; if nothing is told of that, they are late by a row.
+def test_late_rows_are_repeated() -> None:
+    """Rows every 10 ms of a chip with the same period: a row late by w is repeated with the probability w / 10 ms, and
+    for exponential w of mean m with m / 10 ms (1 - e^(-10 ms / m)). 5 ms for a tenth of rows give 4.3 %, and sqrt(2
+    0.1) 5 ms for all; without such information they are late by a row.
     """
     (trial,) = late(0.1 * 0.5 * (1 - math.exp(-2)), math.sqrt(0.2) * 5e-3, 0.01, 100.0)
     (found,) = trial.effects
@@ -135,11 +135,11 @@ def test_rows_that_are_late_are_repeated() -> None:
     assert isinstance(untold, Jitter)
     assert untold.rms_s == pytest.approx(math.sqrt(2) * 0.01, rel=0.1)
     assert untold.share == pytest.approx(0.02 / (1 - math.exp(-1)), rel=0.1)
-    assert not list(late(0.02, 0.0, 0.01, 0.0))  # a chip without a rate answers with what is now
+    assert not list(late(0.02, 0.0, 0.01, 0.0))  # a chip without a rate returns the current value
 
 
 @pytest.mark.parametrize(("probability", "burst_rows"), [(0.03, 3.0), (0.1, 1.0), (0.2, 10.0), (0.3, 30.0)])
-def test_dropped_samples(probability: float, burst_rows: float) -> None:
+def test_dropped_samples_are_suggested(probability: float, burst_rows: float) -> None:
     """6000 rows: 60 to 600 bursts, whose share scatters by up to a third."""
     evidence = shown("static", "A1", DroppedSamples(probability, burst_rows))
     (trial,) = CANDIDATES["dropped_samples"].guesses(evidence)
@@ -151,8 +151,8 @@ def test_dropped_samples(probability: float, burst_rows: float) -> None:
     assert trial.free == (("probability", "burst_rows") if burst_rows > 1 else ("probability",))
 
 
-def test_stalls_of_the_recorder_are_no_lost_rows() -> None:
-    """100 rows were lost, one at a time; 500 other intervals are long, and in a third of the time nothing was read."""
+def test_stalls_of_the_recorder_are_not_lost_rows() -> None:
+    """100 rows were lost, one at a time; 500 other intervals are long, and a third of the time has no rows."""
     evidence = shown("static", "A1", DroppedSamples(0.02))
     (phase,) = evidence.phases
     intervals = replace(phase.raw.intervals, gaps=600, longest_s=3.0)
@@ -180,6 +180,6 @@ def test_stalls_of_the_recorder_are_no_lost_rows() -> None:
         2,
     ),
 )
-def test_what_the_model_has_and_the_sensor_has_not_goes(name: str, effect: Effect, kind: str) -> None:
+def test_an_effect_of_the_model_alone_is_removed(name: str, effect: Effect, kind: str) -> None:
     evidence = evidence_of(kind, "A1", modelled=(effect,))
     assert list(CANDIDATES[name].guesses(evidence)) == [Hypothesis((), removed=effect.name)]

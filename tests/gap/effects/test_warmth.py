@@ -1,4 +1,4 @@
-"""What a heated sensor shows beside the straight line over temperature that is fitted."""
+"""Effects of a heated sensor in addition to the fitted straight line over temperature."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.selection import some
 
 
 @pytest.mark.slow
-def test_a_square() -> None:
+def test_a_quadratic_thermal_bias_is_suggested() -> None:
     evidence = evidence_of("heating", "G1", {"G1": (ThermalBias(quadratic=(0.001, 0.001, -0.0005)),)}, seed=7)
     (trial,) = CANDIDATES["thermal_bias"].guesses(evidence)
     (effect,) = trial.effects
@@ -27,14 +27,14 @@ def test_a_square() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("sensor", "time_constant_s"), some([("G1", 1.0), ("G1", 10.0), ("A1", 3.0)], 1))
-def test_a_lag_that_is_usual_is_fitted(sensor: str, time_constant_s: float) -> None:
+def test_a_usual_lag_is_fitted_and_not_suggested(sensor: str, time_constant_s: float) -> None:
     evidence = evidence_of("heating", sensor, {sensor: (ThermalLag(time_constant_s),)}, seed=7)
     assert evidence.fitted.lag_s == pytest.approx(time_constant_s, rel=0.3)
     assert list(CANDIDATES["thermal_lag"].guesses(evidence)) == []
 
 
 @pytest.mark.slow
-def test_a_longer_lag_takes_the_place_of_the_fitted_one() -> None:
+def test_a_longer_lag_replaces_the_fitted_lag() -> None:
     evidence = evidence_of("heating", "G1", {"G1": (ThermalLag(150.0),)}, seed=7)
     first, *_ = CANDIDATES["thermal_lag"].guesses(evidence)
     (effect,) = first.effects
@@ -45,7 +45,7 @@ def test_a_longer_lag_takes_the_place_of_the_fitted_one() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("time_constant_s", some([15.0, 40.0], 1))
-def test_a_part_of_the_bias_that_lags(time_constant_s: float) -> None:
+def test_a_lagging_part_of_the_bias_is_suggested(time_constant_s: float) -> None:
     """On one axis, against the slope of the element, which follows the temperature at once."""
     part = ThermalLag(time_constant_s, (0.0, 0.0, -0.05))
     evidence = evidence_of("heating", "G1", {"G1": (part,)}, seed=7)
@@ -60,8 +60,8 @@ def test_a_part_of_the_bias_that_lags(time_constant_s: float) -> None:
 
 
 @pytest.mark.slow
-def test_the_lagged_temperature() -> None:
-    """Behind a slow ramp by its slope times the time constant, once that has passed."""
+def test_the_lagged_temperature_of_a_ramp() -> None:
+    """It lags a slow ramp by its slope times the time constant, after several time constants."""
     found = levels(evidence_of("heating", "A1", seed=7))
     slope = np.gradient(found.degc, found.time_s)
     steady = (np.abs(np.gradient(slope)) < 0.02 * np.abs(slope).max()) & (found.time_s > 3.0)
@@ -71,12 +71,12 @@ def test_the_lagged_temperature() -> None:
 
 
 @pytest.mark.slow
-def test_a_scale_that_follows_temperature_needs_two_faces() -> None:
-    """On one face it is a slope of the bias, which is fitted."""
+def test_a_thermal_scale_is_suggested_from_two_faces() -> None:
+    """On one face it equals a slope of the bias, which is fitted."""
     put_in = {"A1": (ThermalScale((1e-3,) * 3),)}
     assert list(CANDIDATES["thermal_scale"].guesses(evidence_of("heating", "A1", put_in, seed=7))) == []
     trials = list(CANDIDATES["thermal_scale"].guesses(evidence_of(TWO_FACES, "A1", put_in, seed=3)))
-    assert len(trials) == 2  # by slopes, and by the error of the scale at the temperature of the faces
+    assert len(trials) == 2  # from slopes, and from the error of the scale at the temperature of the faces
     for trial in trials:
         (effect,) = trial.effects
         assert isinstance(effect, ThermalScale)
@@ -84,8 +84,8 @@ def test_a_scale_that_follows_temperature_needs_two_faces() -> None:
 
 
 @pytest.mark.slow
-def test_a_scale_that_is_off_in_warmth() -> None:
-    """All faces at 45 degC, 20 above the reference: 1e-3 per degC makes 2 %, which an error of the scale makes too."""
+def test_a_thermal_scale_is_suggested_from_warm_faces() -> None:
+    """All faces at 45 degC, 20 above the reference: 1e-3 per degC gives 2 %, like an error of the scale."""
     put_in = {"A1": (ThermalScale((1e-3, 1e-3, 1e-3)),)}
     (trial,) = CANDIDATES["thermal_scale"].guesses(evidence_of((WARM_TUMBLE, "heating"), "A1", put_in, seed=3))
     (effect,) = trial.effects
@@ -94,7 +94,7 @@ def test_a_scale_that_is_off_in_warmth() -> None:
 
 
 @pytest.mark.slow
-def test_nothing_follows_temperature() -> None:
+def test_no_thermal_effect_is_suggested_without_one() -> None:
     evidence = evidence_of("heating", "G1", seed=5)
     for candidate in (CANDIDATES["thermal_bias"], CANDIDATES["thermal_lag"], CANDIDATES["thermal_scale"]):
         assert list(candidate.guesses(evidence)) == []
@@ -104,11 +104,11 @@ def test_nothing_follows_temperature() -> None:
     ("begin_s", "end_s", "warming_degc", "expected"),
     [(0.0, 240.0, 8.0, True), (60.0, 180.0, 8.0, True), (0.0, 240.0, 0.5, False), (480.0, 700.0, 8.0, False)],
 )
-def test_a_level_that_lasts_as_long_as_the_heat_is_told(
+def test_a_level_change_during_the_heating_is_suggested(
     begin_s: float, end_s: float, warming_degc: float, expected: bool
 ) -> None:
     """The box warms up for 240 s, cools down for as long, and keeps its temperature for 240 s more. The warming, or
-    half of it, is heat; a change of half a degree and a stretch at constant temperature are none.
+    half of it, is a heating; a change of half a degree and an interval at constant temperature are not.
     """
     time_s = np.arange(0.0, 720.0, 5.0)
     degc = 22.0 + warming_degc * np.interp(time_s, [0.0, 240.0, 480.0], [0.0, 1.0, 0.0])
