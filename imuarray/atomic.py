@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from imuarray.errors import OutputError, OutputExistsError, errno_of
+from imuarray.printable import encodable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,9 +52,11 @@ def whole_file(path: str | PathLike[str], *, force: bool = False) -> Iterator[Pa
 
 
 def write_text(path: str | PathLike[str], text: str, *, force: bool = False) -> None:
-    """Write a file of text, UTF-8; errors as `whole_file`."""
+    """Write a file of text, UTF-8, in which the names of files may stand that are no text (`encodable`); errors as
+    `whole_file`.
+    """
     with whole_file(path, force=force) as draft:
-        draft.write_text(text, encoding="utf-8")
+        draft.write_text(encodable(text), encoding="utf-8")
 
 
 def save_figure(path: str | PathLike[str], figure: Figure, **options: Any) -> None:

@@ -38,6 +38,16 @@ def printable(text: str) -> str:
     return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
 
 
+def encodable(text: str) -> str:
+    """Return `text` with lone surrogates escaped, so that UTF-8 can encode it: they stand for the bytes of a file name
+    that are no text in the encoding of this machine.
+
+    >>> encodable("log\\udcff.h5")
+    'log\\\\udcff.h5'
+    """
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
 def listed(names: Sequence[str]) -> str:
     """Return names with commas; three or more that differ only by consecutive numbers as `Gyro1 to Gyro4`."""
     texts: list[str] = []

@@ -20,7 +20,7 @@ import click
 
 from imuarray.errors import ImuArrayError, OutputExistsError
 from imuarray.json_values import json_value
-from imuarray.printable import duration
+from imuarray.printable import duration, encodable
 
 config_argument = click.argument("config", type=click.Path(path_type=Path))
 log_argument = click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
@@ -240,7 +240,8 @@ def prepare_folder(folder: Path, names: Sequence[str], force: bool) -> None:
 
 def print_json(value: Any) -> None:
     """Print one JSON object on standard output; null for numbers that are not finite, which JSON lacks."""
-    click.echo(json.dumps(json_value(value), indent=1, ensure_ascii=False, allow_nan=False))
+    text = json.dumps(json_value(value), indent=1, ensure_ascii=False, allow_nan=False)
+    click.echo(encodable(text))  # an escaped surrogate is an escape of JSON, too
 
 
 @contextmanager

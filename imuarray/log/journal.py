@@ -38,6 +38,7 @@ from imuarray.errors import LogBusyError, LogError
 from imuarray.log.format import SINGLE_PRECISION, TRACK_COLUMNS, ColumnTypes, Event, Phase, Preamble, SensorHeader
 from imuarray.log.salvage import CRC, HEAD, LONGEST_BLOCK, Mark, Record, Salvage
 from imuarray.log.untrusted_input import check_note
+from imuarray.printable import encodable
 
 if sys.platform != "win32":  # where logs can be read but not recorded
     import fcntl
@@ -163,7 +164,8 @@ class Notes:
 def note_columns(note: Phase | Event | OpenPhase) -> dict[str, npt.NDArray[np.uint8]]:
     """Return a note as rows of the group `notes`."""
     kind = "begun" if isinstance(note, OpenPhase) else "event" if isinstance(note, Event) else "phase"
-    line = json.dumps({kind: note}, default=lambda number: number.item()) + "\n"
+    fields = [encodable(each) if isinstance(each, str) else each for each in note]
+    line = json.dumps({kind: fields}, default=lambda number: number.item()) + "\n"
     return {_TEXT: np.frombuffer(line.encode("ascii"), np.uint8)}
 
 
