@@ -39,13 +39,13 @@ def printable(text: str) -> str:
 
 
 def encodable(text: str) -> str:
-    """Return `text` with lone surrogates escaped, so that UTF-8 can encode it: they stand for the bytes of a file name
-    that are no text in the encoding of this machine.
-
-    >>> encodable("log\\udcff.h5")
-    'log\\\\udcff.h5'
+    """Return `text` with U+FFFD in the place of lone surrogates, which UTF-8 cannot encode: they stand for the bytes of
+    a file name that are no text in the encoding of this machine.
     """
-    return text.encode("utf-8", "backslashreplace").decode()
+    return _SURROGATE.sub("\N{REPLACEMENT CHARACTER}", text)
+
+
+_SURROGATE = re.compile(r"[\ud800-\udfff]")
 
 
 def listed(names: Sequence[str]) -> str:

@@ -27,7 +27,7 @@ from imuarray.commands.options import (
     takes,
 )
 from imuarray.fuse.technique_descriptions import NAME_WIDTH, TECHNIQUE_DESCRIPTIONS, TECHNIQUE_NAMES
-from imuarray.printable import listed
+from imuarray.printable import encodable, listed
 from imuarray.units import INERTIAL, READABLE_SI
 
 if TYPE_CHECKING:
@@ -195,8 +195,8 @@ def _write_fused(work: _Work, output: Path, source: str, force: bool) -> tuple[d
             _note_values(_measure(work, quality, events.append, notes.append, progress), valued),
             epoch=log.epoch,
             technique=technique,
-            log=str(log.path),
-            calibration=source,
+            log=encodable(str(log.path)),
+            calibration=encodable(source),
             sensors=sensors,
             events=events,
             force=force,

@@ -241,7 +241,7 @@ def prepare_folder(folder: Path, names: Sequence[str], force: bool) -> None:
 def print_json(value: Any) -> None:
     """Print one JSON object on standard output; null for numbers that are not finite, which JSON lacks."""
     text = json.dumps(json_value(value), indent=1, ensure_ascii=False, allow_nan=False)
-    click.echo(encodable(text))  # an escaped surrogate is an escape of JSON, too
+    click.echo(encodable(text))
 
 
 @contextmanager

@@ -39,6 +39,8 @@ def run(command: click.Command, name: str, arguments: Sequence[str] | None = Non
         return _end(name, _explained(error), 2)
     except ImuArrayError as error:
         return _end(name, str(error), error.exit_code)
+    except UnicodeEncodeError as error:  # of the name of a file, the only text that comes from outside as it is
+        return _end(name, f"{error.object!a}: a name with bytes that are no text on this machine; rename the file", 2)
     except MemoryError as error:
         return _end(name, f"the memory of this machine is too small: {error or 'no more memory'}", 2)
     except OSError as error:  # of a file or a bus, without an error of its own

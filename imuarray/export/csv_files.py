@@ -34,6 +34,7 @@ from imuarray.export.formats import (
     csv_names,
 )
 from imuarray.export.tables import Content, ExportTable, Meter, TableColumn, numbered
+from imuarray.printable import encodable
 
 
 def write(request: ExportRequest, path: Path, force: bool, progress: Progress) -> ExportSummary:
@@ -68,7 +69,7 @@ def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[
             ("phases", len(phases)),
             ("events", len(events)),
         ]
-        index = [(file.name, table, rows) for file, (table, rows) in zip(files, tables, strict=True)]
+        index = [(encodable(file.name), table, rows) for file, (table, rows) in zip(files, tables, strict=True)]
         _write_head(described, content, files={name: table for name, table, _ in index})
         with listed.open("w", encoding="utf-8", newline="") as text:
             csv.writer(text, lineterminator="\n").writerows([CSV_INDEX, *index])

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats
 from imuarray.errors import MissingExtraError
+from imuarray.printable import encodable
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -201,8 +202,8 @@ def how_to_read(figure: Figure, reading: str) -> None:
 
 
 def plain(text: str) -> str:
-    """Text in which matplotlib sees no mathematics."""
-    return text.replace("$", r"\$")
+    """Return text in which matplotlib sees no mathematics, and nothing that it cannot draw."""
+    return encodable(text).replace("$", r"\$")
 
 
 def floats(values: Sequence[float | None]) -> Floats:
