@@ -1,4 +1,4 @@
-"""A recording beside an earlier one of the same array: what is as it was is no gap, what changed is one."""
+"""A recording compared with an earlier one of the same array: unchanged effects are no gap, changes are a gap."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def written(
 
 
 def since(folder: Path, before: Sequence[Effect], now: Sequence[Effect], **more: Any) -> Diagnosis:
-    """A minute with the effects `now` beside one with those `before`."""
+    """A minute with the effects `now` compared with a minute with those `before`."""
     earlier, later = written(folder / "before.h5", before, 0), written(folder / "now.h5", now, 1)
     found = imuarray.diagnose([later], against=[earlier], seed=1, replicates=40, **more)
     check_agreement(json.loads(json.dumps(found.as_json())))
@@ -52,7 +52,7 @@ def since(folder: Path, before: Sequence[Effect], now: Sequence[Effect], **more:
 
 
 @pytest.mark.slow
-def test_the_same_array_twice_is_no_gap(tmp_path: Path) -> None:
+def test_the_same_array_twice_has_no_gap(tmp_path: Path) -> None:
     found = since(tmp_path, (), ())
     assert (found.verdict, found.causes) == ("no gap", ())
     assert found.sentence == "The recordings agree with before.h5: nothing has changed beyond chance."
@@ -60,8 +60,8 @@ def test_the_same_array_twice_is_no_gap(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_old_line_in_both_is_no_gap(tmp_path: Path) -> None:
-    """Without the earlier log it is one."""
+def test_an_old_line_in_both_recordings_is_no_gap(tmp_path: Path) -> None:
+    """Without the earlier log it is a gap."""
     found = since(tmp_path, (LINE,), (LINE,))
     assert (found.verdict, found.causes) == ("no gap", ())
     alone = imuarray.diagnose([tmp_path / "now.h5"], seed=1, replicates=40)
@@ -69,7 +69,7 @@ def test_an_old_line_in_both_is_no_gap(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_line_since_then_is_named_beside_an_old_one(tmp_path: Path) -> None:
+def test_a_new_line_is_named_and_an_old_line_is_not(tmp_path: Path) -> None:
     found = since(tmp_path, (LINE,), (LINE, NEW_LINE))
     assert found.verdict == "explained"
     cause = found.causes[0]
@@ -79,8 +79,8 @@ def test_a_line_since_then_is_named_beside_an_old_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_bias_since_then(tmp_path: Path) -> None:
-    """1.5 dps on z; from one power-on to the next it may change by 0.2 dps without anything having happened."""
+def test_a_new_bias_is_named(tmp_path: Path) -> None:
+    """1.5 dps on z; from one power-on to the next a change by 0.2 dps is usual."""
     found = since(tmp_path, (), (Bias((0.0, 0.0, 1.5)),))
     assert found.verdict == "explained"
     assert found.causes[0].effect == "bias"
@@ -89,8 +89,8 @@ def test_a_bias_since_then(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_noise_since_then(tmp_path: Path) -> None:
-    """0.05 and 0.04 dps add to 0.064: by a quarter more."""
+def test_an_increase_of_noise_is_named(tmp_path: Path) -> None:
+    """0.05 and 0.04 dps add to 0.064: a quarter more."""
     found = since(tmp_path, (), (WhiteNoise(0.04),))
     assert found.verdict == "explained"
     assert found.causes[0].effect == "white_noise"
@@ -98,8 +98,8 @@ def test_noise_since_then(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_less_noise_than_before(tmp_path: Path) -> None:
-    """0.064 dps that fall to 0.05."""
+def test_a_decrease_of_noise_is_named(tmp_path: Path) -> None:
+    """0.064 dps that decrease to 0.05."""
     found = since(tmp_path, (WhiteNoise(0.04),), ())
     assert found.verdict == "explained"
     assert (found.causes[0].effect, found.causes[0].action) == ("white_noise", "replace")
@@ -107,7 +107,7 @@ def test_less_noise_than_before(tmp_path: Path) -> None:
 
 
 @pytest.mark.campaign
-def test_an_earlier_recording_of_another_kind_and_length_tells_what_it_can(tmp_path: Path) -> None:
+def test_an_earlier_recording_of_another_kind_is_used_as_far_as_possible(tmp_path: Path) -> None:
     """Six faces of ten seconds, then a minute on one: the same array with its line, and afterwards another bias."""
     before = written(tmp_path / "before.h5", (LINE,), 0, Tumble(10.0, 1.0))
     same, biased = written(tmp_path / "same.h5", (LINE,), 1), written(tmp_path / "biased.h5", (LINE, Bias(0.6)), 2)
@@ -117,8 +117,8 @@ def test_an_earlier_recording_of_another_kind_and_length_tells_what_it_can(tmp_p
 
 
 def test_pieces_are_of_one_length_and_spread_over_the_phase() -> None:
-    """A minute beside ten seconds is six of ten seconds; ten minutes are eight of ten seconds, the last one at the end;
-    what is hardly longer stays whole, and so does a motion.
+    """A minute compared with ten seconds is six pieces of ten seconds; ten minutes are eight of ten seconds, the last
+    at the end; a slightly longer phase stays whole, and so does a motion.
     """
     second = 10**9
 
@@ -135,8 +135,8 @@ def test_pieces_are_of_one_length_and_spread_over_the_phase() -> None:
 
 
 @pytest.mark.slow
-def test_what_the_earlier_log_lacks_is_missing_and_no_difference(tmp_path: Path) -> None:
-    """Its only gyroscope is compared; the new one's is left out, and so is what only six faces show."""
+def test_statistics_absent_from_the_earlier_log_are_missing(tmp_path: Path) -> None:
+    """Its only gyroscope is compared; the new gyroscope is excluded, and so are statistics of six faces."""
     before = written(tmp_path / "before.h5", (), 0, names=("G1",))
     now = written(tmp_path / "now.h5", (), 1, Tumble(10.0, 1.0), ("G1", "G2"))
     found = imuarray.diagnose([now], against=[before], seed=1, replicates=40)
@@ -155,7 +155,7 @@ def test_another_array_is_refused_in_one_line(tmp_path: Path) -> None:
         imuarray.diagnose([now, other])
 
 
-def test_a_sensor_that_was_set_otherwise_is_refused(tmp_path: Path) -> None:
+def test_a_sensor_with_different_settings_is_refused(tmp_path: Path) -> None:
     before = written(tmp_path / "before.h5", (), 0)
     plan = plan_of(parse_array(ARRAY.replace("range = 250", "range = 500")), RATE_HZ, 20.0)
     write_log(Simulation(replace(plan, sensors={"G1": plan.sensors["G1"]}), MINUTE, {}), tmp_path / "now.h5")

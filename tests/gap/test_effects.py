@@ -1,9 +1,8 @@
-"""Each effect, strong, moves a probe of the domain that it belongs to; without effects nothing moves.
-
-Some effects are seen in one experiment only: what needs a motion (clock_error, own_clock, skew, size_effect),
-several faces (scale, misalignment, axis_error, nonlinearity, g_sensitivity: on one face all of them look like a bias),
-warmth (thermal_bias, thermal_scale, thermal_lag) or several boots (turn_on_bias, bistable_bias, a range that is lost at
-a boot). What stays unseen is pinned too: at rest no instant matters.
+"""Each strong effect moves a probe of its domain; without effects no probe moves. Some effects are observable in one
+experiment only: those that need a motion (clock_error, own_clock, skew, size_effect), several faces (scale,
+misalignment, axis_error, nonlinearity, g_sensitivity: on one face all of them look like a bias), heating (thermal_bias,
+thermal_scale, thermal_lag) or several boots (turn_on_bias, bistable_bias, a range that is lost at a boot). Effects that
+are not observable are tested too: at rest times have no influence.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ STRONG_SEED = 1000
 
 
 class Case(NamedTuple):
-    """An effect at a severity that a person would see, the experiment that shows it, and the domain."""
+    """An effect at an obvious severity, the experiment that shows it, and the domain."""
 
     plan: str
     domain: Domain
@@ -83,8 +82,8 @@ class Null(NamedTuple):
     resolutions: np.ndarray
 
     def scores(self, values: np.ndarray) -> np.ndarray:
-        """Standard deviations of the replicates, or of what a chip can resolve, from their mean; 0 where nothing is
-        said.
+        """Distance from the mean in standard deviations of the replicates, or in resolutions of a chip; 0 without a
+        value.
         """
         rounding = 1e-9 * np.abs(self.values).max(axis=0) + 1e-12
         scale = np.maximum(self.values.std(axis=0, ddof=1), np.maximum(self.resolutions, rounding))
@@ -121,8 +120,8 @@ def test_an_effect_moves_its_domain(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", UNSEEN_AT_REST)
-def test_what_no_probe_sees_at_rest(name: str) -> None:
-    """Exactly nothing: the very same numbers as without the effect."""
+def test_effects_on_times_change_no_probe_at_rest(name: str) -> None:
+    """All values are identical to those without the effect."""
     case = CASES[name]
     more = {sensor: (EFFECTS[name](**case.parameters),) for sensor in case.sensors}
     np.testing.assert_array_equal(
@@ -131,9 +130,9 @@ def test_what_no_probe_sees_at_rest(name: str) -> None:
 
 
 @pytest.mark.parametrize("plan", PLANS)
-def test_replicates_stay_together(plan: str) -> None:
-    """No statistic is said in some replicates and not in others, and none strays: of 30 normal numbers the farthest is
-    beyond 5 of their standard deviations practically never (5.3 is the most that there can be).
+def test_statistics_of_replicates_have_no_outliers(plan: str) -> None:
+    """No statistic has a value in some replicates only, and none is an outlier: the largest of 30 normal numbers is
+    practically never beyond 5 of their standard deviations (5.3 is the maximum).
     """
     usual = null(plan)
     said = np.isfinite(usual.values)
@@ -144,7 +143,7 @@ def test_replicates_stay_together(plan: str) -> None:
 @pytest.mark.parametrize("plan", PLANS)
 def test_statistics_are_nearly_normal(plan: str) -> None:
     """Pooled over everything that scatters: the shares beyond 2 and 3 standard deviations, of 30 numbers about their
-    own mean 4.4 % and 0.15 % where they are normal; codes that can be counted on a hand are left out.
+    own mean 4.4 % and 0.15 % where they are normal; statistics of a few codes are excluded.
     """
     usual = null(plan)
     spread = usual.values.std(axis=0, ddof=1)

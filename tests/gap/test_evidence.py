@@ -1,4 +1,4 @@
-"""What a sensor shows, told from scores made by hand, and collected from a recording."""
+"""Evidence of a sensor from scores made by hand, and from a recording."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from tests.gap.small_bench import LINE, prepared, static
 NAN = math.nan
 
 
-def test_the_score_that_is_farthest_from_zero() -> None:
-    """By axis, over rows and probes; that of a whole sensor stands for each axis."""
+def test_the_score_farthest_from_zero_is_returned() -> None:
+    """By axis, over rows and probes; that of a whole sensor is used for each axis."""
     made = evidence({"line": [[1.0, -4.0, NAN], [2.0, 3.0, NAN]], "repeats": [[-2.5]], "silent": [[NAN] * 3]})
     np.testing.assert_array_equal(made.score("line"), [2.0, -4.0, 0.0])
     np.testing.assert_array_equal(made.score("line", "repeats"), [-2.5, -4.0, -2.5])
@@ -28,7 +28,7 @@ def test_the_score_that_is_farthest_from_zero() -> None:
     np.testing.assert_array_equal(made.score("no such probe"), 0.0)
 
 
-def test_oddity_is_of_size_on_any_axis() -> None:
+def test_a_deviation_on_any_axis_is_odd() -> None:
     made = evidence({"line": [[1.0, -4.0, NAN]], "repeats": [[3.0]]})
     assert made.is_odd("line")
     assert not made.is_odd("line", beyond=4.0)
@@ -36,8 +36,8 @@ def test_oddity_is_of_size_on_any_axis() -> None:
     assert not made.is_odd("no such probe")
 
 
-def test_shifts_are_of_the_worst_row_and_of_the_typical_one() -> None:
-    """Scores times their scale; a row that misses an axis is no typical one."""
+def test_shifts_of_the_worst_and_of_the_typical_row() -> None:
+    """Scores times their scale; a row without an axis is not a typical row."""
     made = evidence({"mean": [[1.0, -4.0, NAN], [2.0, 3.0, 1.0], [4.0, 9.0, 3.0]], "repeats": [[2.0], [NAN], [-6.0]]})
     np.testing.assert_allclose(made.shift("mean"), [2.0, 4.5, 1.5])
     np.testing.assert_allclose(made.typical("mean"), [1.5, 3.0, 1.0])
@@ -47,21 +47,21 @@ def test_shifts_are_of_the_worst_row_and_of_the_typical_one() -> None:
         np.testing.assert_array_equal(nothing, 0.0)
 
 
-def test_rate_is_the_usual_one() -> None:
-    """Of 100, 100 and 20 rows/s; without a phase the sensor's own."""
+def test_the_rate_is_the_median_over_phases() -> None:
+    """Phases of 100, 100 and 20 rows/s; without a phase the rate of the sensor."""
     rows = [summary(block(gaussian(rows=100), interval_ns)) for interval_ns in (10**7, 10**7, 5 * 10**7)]
     seen = [PhaseEvidence(0, "static", True, one, one, None) for one in rows]
     assert evidence({}, seen=seen).rows_per_s == pytest.approx(100.0)
     assert evidence({}).rows_per_s == 1.0
 
 
-def test_noise_has_that_of_rounding() -> None:
+def test_noise_includes_rounding() -> None:
     """2048 counts/g: a step's variance is 1 / (12 x 2048^2)."""
     np.testing.assert_allclose(evidence({}).noise, np.sqrt(np.array([1e-4, 1e-4, 4e-4]) + 1 / (12 * 2048**2)))
 
 
-def test_what_a_recording_shows() -> None:
-    """The training half alone: of each probe as many rows as it has phases; what is left has no level."""
+def test_evidence_of_a_recording_is_of_the_training_half() -> None:
+    """The training half alone: as many rows of each probe as it has phases; residuals have no level."""
     bench, campaign = static(LINE)
     train = bench.split.train(campaign)
     number = np.arange(bench.of_train, dtype=float)
@@ -83,8 +83,10 @@ def test_what_a_recording_shows() -> None:
         assert found.values[key.probe].shape == (1, 3 if key.axis else 1)
 
 
-def test_levels_are_told_from_the_present_model() -> None:
-    """A model with 0.1 dps more on x leaves 0.1 dps less; sensors that measure the same are named, runs counted."""
+def test_levels_are_relative_to_the_present_model() -> None:
+    """A model with 0.1 dps more on x gives residuals 0.1 dps lower; sensors of the same quantity are named, runs
+    counted.
+    """
     motions = [turn_on_run(run, 4.0) for run in range(1, 13)]
     bench, campaign = prepared([("turn-on", motion) for motion in motions], ["G1", "G2", "A1"])
     train = bench.split.train(campaign)

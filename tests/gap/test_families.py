@@ -1,4 +1,4 @@
-"""A cause that sensors share against causes of their own, and where the members stand with it."""
+"""A common cause of sensors against individual causes, and the state of members with it."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ def found(gain: float) -> Evaluation:
 @pytest.mark.parametrize(
     ("shared", "members", "is_shared"), [(9.0, 8.0, True), (8.0, 9.0, False), (8.0, 8.0, False), (None, -5.0, False)]
 )
-def test_what_is_shared_has_to_be_taken_and_to_gain_more(shared: float | None, members: float, is_shared: bool) -> None:
+def test_a_common_cause_must_be_accepted_and_gain_more(shared: float | None, members: float, is_shared: bool) -> None:
     best = None if shared is None else found(shared)
     round_ = Round(by_hand([0.0], drawn(1)), () if best is None else (best,), 0.0, best)
     assert shared_wins(round_, found(members)) is (best if is_shared else None)
 
 
-def test_both_parts_tell_whose_cause_it_is() -> None:
-    """One that fits 6 nats better and gains 2 less; not if it is rarer by 5."""
+def test_a_common_cause_is_preferred_by_both_parts() -> None:
+    """A common cause that fits 6 nats better and gains 2 less; not if it is rarer by 5."""
     shared, members = replace(found(10.0), train_gain=18.0), replace(found(12.0), train_gain=12.0)
     round_ = Round(by_hand([0.0], drawn(1)), (shared,), 0.0, shared)
     assert shared_wins(round_, members) is shared
@@ -64,8 +64,10 @@ def test_both_parts_tell_whose_cause_it_is() -> None:
     assert shared_wins(replace(round_, selection=rarer), members) is None
 
 
-def test_what_stays_beside_a_shared_cause() -> None:
-    """A line that gains more than a member's part, 20 of 2; not what gains less, nor another of the shared kind."""
+def test_individual_causes_kept_with_a_common_cause() -> None:
+    """A line that gains more than a member's part, 20 of 2; not a cause that gains less, nor another of
+    the same kind.
+    """
     shared = found(40.0)
     shared = replace(
         shared,
@@ -81,21 +83,21 @@ def test_what_stays_beside_a_shared_cause() -> None:
     assert separate_causes(replace(round_, selection=None), (line,)) == ()
 
 
-def test_trials_of_all_members_are_tried_once() -> None:
+def test_equal_trials_of_members_are_tried_once() -> None:
     trials = [Hypothesis((Tone(1.0, 5.0),), shared=True), SWAP, Hypothesis((Tone(1.0, 5.0),), shared=True), SWAP]
     assert without_duplicates(trials) == trials[:2]
     assert without_duplicates([]) == []
 
 
-def test_an_exchange_is_one_from_either_side() -> None:
+def test_an_exchange_is_one_trial_of_both_sensors() -> None:
     one = replace(SWAP, opposite=(ChannelSwap("A1"),))
     other = replace(one, effects=one.opposite, sensor="A2", others=("A1",), opposite=one.effects)
     assert without_duplicates([one, other]) == [other]
     assert without_duplicates([SWAP, one]) == [SWAP, one]
 
 
-def test_several_causes_have_to_be_worth_it_each() -> None:
-    """One cause of three sensors in the place of three, which gain up to twice as much more as one has to."""
+def test_several_causes_must_each_gain_enough() -> None:
+    """One cause of three sensors instead of three, which gain up to twice the required gain more."""
     line = Hypothesis((Tone(1.0, 5.0),), ("amplitude",))
     one = replace(found(10.0), hypothesis=FittedHypothesis(line))
     round_ = Round(by_hand([0.0], drawn(1)), (one,), 0.0, one)
@@ -104,8 +106,8 @@ def test_several_causes_have_to_be_worth_it_each() -> None:
 
 
 @pytest.mark.parametrize(("members", "is_shared"), [(1050.0, True), (1059.0, False)])
-def test_an_exchange_without_fitted_numbers_need_not_explain_quite_as_much(members: float, is_shared: bool) -> None:
-    """1000 nats on each part beside those of two fitted causes: 5 % less and 3 nats on each are forgiven."""
+def test_an_exchange_without_fitted_numbers_may_explain_slightly_less(members: float, is_shared: bool) -> None:
+    """1000 nats on each part compared with those of two fitted causes: 5 % less and 3 nats on each are accepted."""
     exchange = replace(found(1000.0), hypothesis=FittedHypothesis(SWAP))
     round_ = Round(by_hand([0.0], drawn(1)), (exchange,), 0.0, exchange)
     assert (shared_wins(round_, found(members), 2) is exchange) == is_shared
@@ -114,10 +116,10 @@ def test_an_exchange_without_fitted_numbers_need_not_explain_quite_as_much(membe
 
 
 @pytest.mark.slow
-def test_the_same_readings_show_between_two_sensors(
+def test_equal_readings_of_two_sensors_are_observable_as_a_pair(
     swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]],
 ) -> None:
-    """Alone neither shows anything; as a pair they are far off, and with the right cause they aren't."""
+    """Alone neither deviates; as a pair they deviate strongly, and with the right cause they do not."""
     bench, pair, alone = swapped
     assert all(np.nanmax(np.abs(one.scores)) < 8 for one in alone.values())
     right = confirm(bench, pair, FittedHypothesis(SWAP, pair.changed(SWAP)))
@@ -130,10 +132,10 @@ def test_the_same_readings_show_between_two_sensors(
 
 
 @pytest.mark.slow
-def test_members_stand_with_the_familys_models(
+def test_states_of_members_use_the_models_of_the_family(
     swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]],
 ) -> None:
-    """Each with its own model and statistics, those between sensors left out."""
+    """Each with its own model and statistics, without those between sensors."""
     bench, pair, alone = swapped
     with_it = replace(pair, models=pair.changed(SWAP))
     members = members_of(bench, with_it, alone)
@@ -151,8 +153,10 @@ def test_members_stand_with_the_familys_models(
 
 
 @pytest.mark.slow
-def test_causes_of_members_together(swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]]) -> None:
-    """Without any nothing is gained; those that aren't there lose."""
+def test_gain_of_individual_causes_of_members_together(
+    swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]],
+) -> None:
+    """Without causes the gain is zero; wrong causes lose."""
     bench, pair, alone = swapped
     assert together(bench, (pair, ())).gain == pytest.approx(0.0, abs=1e-6)
     line = Tone((0.01, 0.0, 0.0), 9.0)
@@ -165,9 +169,11 @@ def test_causes_of_members_together(swapped: tuple[Bench, UnitState, dict[tuple[
     assert all(both.standing.models[name].added == (line,) for name in BOTH)
 
 
-def test_what_is_told_twice(swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]]) -> None:
-    """A member's own cause takes twelve statistics that lay 5 off back to the middle; the shared one seven of them, or
-    five, or makes all of them worse.
+def test_an_individual_cause_explained_by_the_common_one_is_redundant(
+    swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]],
+) -> None:
+    """A member's own cause moves twelve statistics that deviate by 5 back to the middle; the common one moves seven of
+    them, or five, or makes all of them worse.
     """
     bench, pair, alone = swapped
     member, mine = alone[("A1",)], bench.among(("A1",), BOTH)

@@ -1,4 +1,4 @@
-"""Numbers, shares, parameters, statistics and quantities of parts as a person reads them."""
+"""Text of numbers, shares, parameters, statistics and quantities of parts."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from imuarray.gap.statistics.synthetic_likelihood import LARGEST_SCORE
 from tests.report.made_diagnosis import CAUSES, made, where
 
 
-def test_many_sensors_are_listed_in_short() -> None:
+def test_many_sensors_are_abbreviated() -> None:
     names = [f"IMU{number}_{half}" for number in range(1, 9) for half in ("acc", "gyro")]
     assert names_text(names) == "IMU1_acc to IMU8_acc, IMU1_gyro to IMU8_gyro"
     assert names_text(["BMA1", "Gyro1", "BMA2"]) == "BMA1, BMA2, Gyro1"
@@ -48,7 +48,7 @@ def test_many_sensors_are_listed_in_short() -> None:
         (1.2e7, "1.2e+07"), (0.00012345, "0.000123"), (-3.0, "-3"), (nan, "–"), (inf, "–"),
     ],
 )  # fmt: skip
-def test_numbers(value: float, text: str) -> None:
+def test_text_of_numbers(value: float, text: str) -> None:
     assert number(value) == text
 
 
@@ -56,7 +56,7 @@ def test_numbers(value: float, text: str) -> None:
     ("value", "text"),
     [(0.0, "0.0"), (9.94, "9.9"), (9.96, "10"), (412.3, "412"), (-1.5, "-1.5"), (inf, "∞"), (nan, "–")],
 )
-def test_scores(value: float, text: str) -> None:
+def test_text_of_scores(value: float, text: str) -> None:
     assert scored(value) == text
 
 
@@ -67,11 +67,11 @@ def test_scores(value: float, text: str) -> None:
         (nan, "–"), (-0.06, "-6 %"), (1.2, "120 %"),
     ],
 )  # fmt: skip
-def test_shares(value: float | None, text: str) -> None:
+def test_text_of_shares(value: float | None, text: str) -> None:
     assert share(value) == text
 
 
-def test_closed_and_chance() -> None:
+def test_text_of_closed_shares_and_chance() -> None:
     assert closed_text(0.86, (0.75, 0.94)) == "86 % (75 to 94)"
     assert closed_text(0.86, None) == "86 %"
     assert closed_text(0.999, (0.996, 1.0)) == ">99 %"
@@ -84,14 +84,14 @@ def test_closed_and_chance() -> None:
 
 
 @pytest.mark.parametrize(("replicates", "text"), [(64, "p < 0.016"), (40, "p < 0.025"), (400, "p < 0.0025")])
-def test_the_smallest_p_is_a_bound(replicates: int, text: str) -> None:
-    """1/65 is 0.01538: p is at most that, which is less than 0.016. Twice as much is a value."""
+def test_the_smallest_p_is_printed_as_a_bound(replicates: int, text: str) -> None:
+    """1/65 is 0.01538: p is at most that, printed as less than 0.016. Twice as much is a value."""
     least = 1 / (replicates + 1)
     assert chance(least, replicates) == text
     assert chance(2 * least, replicates) == f"p = {2 * least:.2g}"
 
 
-def test_a_p_by_fitted_tails_is_added_where_it_says_more() -> None:
+def test_a_p_by_fitted_tails_is_added_where_it_is_smaller() -> None:
     limited = replace(made(), p=1 / 65, replicates=64)
     none = "p < 0.016: none of 64 simulations without a gap differs as much"
     assert chance_text(limited) == none
@@ -101,12 +101,12 @@ def test_a_p_by_fitted_tails_is_added_where_it_says_more() -> None:
     assert chance_text(replace(limited, p=2 / 65, p_tail=1e-9)) == "p = 0.031"
 
 
-def test_the_limits_of_scores_agree() -> None:
+def test_limits_of_scores_are_consistent() -> None:
     """The mean square of scores is limited as the scores are."""
     assert LARGEST == LARGEST_SCORE == 100
 
 
-def test_a_gap() -> None:
+def test_text_of_a_gap() -> None:
     assert gap_text(Gap(14.2, 2.9, 1.02, 0.86, (0.75, 0.94))) == (
         "14 standard deviations (rms) before, 2.9 after, 1.0 without a gap: 86 % (75 to 94) closed"
     )
@@ -137,7 +137,7 @@ def test_a_gap() -> None:
          ("response to force along the axis", "0.9 g/g", "0.02 g/g")),
     ],
 )  # fmt: skip
-def test_statistics_are_shown_without_their_transformation(
+def test_statistics_are_printed_without_their_transformation(
     about: str, unit: str, values: tuple[float, float], text: tuple[str, str, str]
 ) -> None:
     real, simulated = values
@@ -145,14 +145,14 @@ def test_statistics_are_shown_without_their_transformation(
 
 
 @given(st.sampled_from(sorted(PROBES)), st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
-def test_no_statistic_is_shown_as_a_logarithm(name: str, real: float, simulated: float) -> None:
+def test_no_statistic_is_printed_as_a_logarithm(name: str, real: float, simulated: float) -> None:
     probe = PROBES[name]
     entry = replace(where(0, 1.0), about=probe.about, unit=probe.unit, real=real, simulated=simulated)
     about = readable_statistic(entry).about
     assert not about.startswith(("log", "ar", "Fisher"))
 
 
-def test_a_difference() -> None:
+def test_text_of_a_difference() -> None:
     entry = replace(where(0, 412.3), phase="hot")
     text = (
         "Gyro2 x, coefficient of dT/dt in hot: recorded 50.9 dps s/°C, simulated 0 dps s/°C (more than 100 sd too high;"
@@ -169,13 +169,13 @@ def test_a_difference() -> None:
     assert difference_text(replace(entry, size="can't tell")).endswith("too uncertain to say whether it matters)")
 
 
-def test_what_a_cause_changes_in_the_simulator() -> None:
+def test_text_of_the_change_by_a_cause() -> None:
     cause = replace(CAUSES[0], effect="tone")
     texts = [effect_text(replace(cause, action=action)) for action in ("add", "remove", "replace")]
     assert texts == ["tone", "no tone (the simulator has it)", "tone other than the simulator's"]
 
 
-def test_only_causes_worth_reading_are_listed() -> None:
+def test_only_probable_causes_are_listed() -> None:
     causes = [replace(CAUSES[0], probability=probability) for probability in (0.9, 0.05, 0.049, 0.004)]
     assert listed_causes(causes) == tuple(causes[:2])
 
@@ -198,7 +198,7 @@ def test_quantities_of_parts_have_units() -> None:
     ]
 
 
-def test_a_pull_that_a_cause_may_have_made_is_no_second_finding() -> None:
+def test_a_pull_that_a_cause_may_explain_is_not_a_separate_finding() -> None:
     assert unexplained_pulls(PULLS) == [PULLS[4], PULLS[3]]
     assert explained_pulls_text(PULLS) == (
         "Beyond tolerance as fitted without range_reset and bias, which may be the reason: B2 z x (scale factor error),"
@@ -245,5 +245,5 @@ def test_a_pull_that_a_cause_may_have_made_is_no_second_finding() -> None:
         ),
     ],
 )
-def test_parameters(parameters: dict[str, Any], text: str) -> None:
+def test_text_of_parameters(parameters: dict[str, Any], text: str) -> None:
     assert parameters_text(parameters) == text

@@ -1,4 +1,4 @@
-"""Allan variances of the tally beside second differences spelled out, and white noise."""
+"""Allan variances of the tally against second differences by definition, and white noise."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def spelled_out(values: np.ndarray, factor: int) -> list[float]:
 
 
 @given(st.lists(st.integers(-3000, 3000), min_size=1, max_size=400), st.lists(st.integers(0, 400), max_size=4))
-def test_any_series_in_any_pieces(numbers: list[int], cuts: list[int]) -> None:
+def test_variances_of_any_series_in_any_pieces_equal_the_definition(numbers: list[int], cuts: list[int]) -> None:
     values = np.array(numbers, float)
     tally = HaarTally(OCTAVES, columns=2)
     edges = sorted({0, len(values), *(cut for cut in cuts if cut < len(values))})
@@ -39,7 +39,7 @@ def test_any_series_in_any_pieces(numbers: list[int], cuts: list[int]) -> None:
         np.testing.assert_allclose(found.kurtosis[octave], [kurtosis, kurtosis], rtol=1e-9)
 
 
-def test_white_noise_falls_with_the_averaging_time() -> None:
+def test_the_variance_of_white_noise_decreases_with_the_averaging_time() -> None:
     """sigma^2 / m; a fixed seed, 5 standard errors of the least sure octave (about 3 % of 2^17 / 64 / 2 terms)."""
     values = np.random.default_rng(1).normal(size=(3, 1 << 17)) * 4.0
     tally = HaarTally(OCTAVES)

@@ -33,7 +33,7 @@ def lags(folder: Path, *effects: Effect) -> tuple[HostLag, ...]:
     ("effect", "late_s", "rate"),
     some([(ClockError(-4000.0), 0.0, 4e-3), (ClockError(9000.0), 0.0, -9e-3), (Skew(0.03), 0.03, 0)], 1),
 )
-def test_lag(tmp_path: Path, effect: Effect, late_s: float, rate: float) -> None:
+def test_the_lag_by_a_clock_error(tmp_path: Path, effect: Effect, late_s: float, rate: float) -> None:
     """A clock that is fast by 4000 ppm is 4 ms ahead after a second."""
     at_s, lag_s, error_s = np.array(lags(tmp_path, effect)).T
     assert len(at_s) >= 4
@@ -42,7 +42,7 @@ def test_lag(tmp_path: Path, effect: Effect, late_s: float, rate: float) -> None
     assert (error_s < 2e-3).all()
 
 
-def test_nothing_moves(tmp_path: Path) -> None:
+def test_no_lag_is_estimated_without_motion(tmp_path: Path) -> None:
     path = tmp_path / "log.h5"
     write_log(simulation(Still(seconds=20), {}, seed=2), path)
     with open_log(path) as log:

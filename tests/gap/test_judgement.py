@@ -1,4 +1,4 @@
-"""Verdicts, and what is told of single statistics, on replicates made by hand and on a recording."""
+"""Verdicts and figures of single statistics, on replicates made by hand and on a recording."""
 
 from __future__ import annotations
 
@@ -75,9 +75,9 @@ def after(largest: float, p: float = 0.5, limit: float = 4.0) -> Assessment:
 
 
 @pytest.mark.slow
-def test_where_nothing_is_wrong_p_is_even() -> None:
-    """Of 150 campaigns without a gap, each with 40 replicates of its own, p is 0.1 or less in a tenth: 15, and at most
-    27 with a probability of 0.999 (binomial).
+def test_p_values_without_a_gap_are_uniform() -> None:
+    """Of 150 campaigns without a gap, each with its own 40 replicates, p is 0.1 or less in a tenth: 15, and at most 27
+    with a probability of 0.999 (binomial).
     """
     ps = []
     for seed in range(150):
@@ -87,8 +87,8 @@ def test_where_nothing_is_wrong_p_is_even() -> None:
     assert 0.3 < np.median(ps) < 0.7
 
 
-def test_what_is_wrong_is_scored_in_standard_deviations() -> None:
-    """5 in both parts: 5 sqrt(2); 6 in one: 6 / sqrt(2). 120 replicates tell a scatter to 7 %."""
+def test_deviations_are_scored_in_standard_deviations() -> None:
+    """5 in both parts: 5 sqrt(2); 6 in one: 6 / sqrt(2). 120 replicates determine a scatter to 7 %."""
     real = chance(1, 1)[0]
     real[[3, COUNT + 3]], real[[4, COUNT + 4]] = 5.0, (6.0, 0.0)
     found = assess(PAIRS, real, chance(120, 2), np.zeros(2 * COUNT))
@@ -100,20 +100,20 @@ def test_what_is_wrong_is_scored_in_standard_deviations() -> None:
     assert np.abs(np.delete(found.scores, [3, 4])).max() < 5
 
 
-def test_p_of_few_replicates_is_not_small() -> None:
-    """However large a score is."""
+def test_p_of_few_replicates_has_a_lower_limit() -> None:
+    """For any size of a score."""
     real = np.full(2 * COUNT, 50.0)
     assert assess(PAIRS, real, chance(40, 3), np.zeros(2 * COUNT)).p == pytest.approx(1 / 41)
 
 
 def judged(closed: float | None, chances: Sequence[float], unknown: float = 0.1, left: str = "") -> Judgement:
-    """One cause of G1, the next of G2, and so on; something is left of the sensor `left`."""
+    """One cause of G1, the next of G2, and so on; the sensor `left` has a remainder."""
     causes = [replace(CAUSE, sensors=(f"G{at}",), probability=chance) for at, chance in enumerate(chances, 1)]
     return judge(gap(closed), causes, unknown, is_gap=True, unlikely=[left] if left else [])
 
 
 def test_the_thresholds_of_the_verdict() -> None:
-    """As README.md says them: nine tenths, and as probable as not."""
+    """As in README.md: nine tenths, and a probability of a half."""
     assert (EXPLAINED, PARTLY, EVEN) == (0.9, 0.3, 0.5)
 
 
@@ -123,15 +123,16 @@ def test_the_thresholds_of_the_verdict() -> None:
         (1.0, [0.9], 0.1, "", "explained"),
         (0.9, [0.5], 0.49, "", "explained"),
         (0.89, [0.9], 0.1, "", "partly explained"),
-        (0.95, [0.49], 0.1, "", "partly explained"),  # which of several causes is at work can't be told
+        (0.95, [0.49], 0.1, "", "partly explained"),  # the effective one of several causes is not determined
         (0.95, [0.9], 0.5, "", "partly explained"),
         (0.3, [0.1], 0.9, "", "partly explained"),
         (0.29, [0.9], 0.1, "", "unexplained"),
         (-2.0, [0.9], 0.1, "", "unexplained"),
         (1.0, [], 0.1, "", "unexplained"),
-        (0.99, [0.9], 0.1, "G1", "unexplained"),  # two converters in turn: closed by a line, whose noise is none of it
+        # two converters in turn: closed by a line, which does not explain the noise
+        (0.99, [0.9], 0.1, "G1", "unexplained"),
         (0.99, [0.9, 0.4], 0.1, "G1", "unexplained"),
-        (0.99, [0.9, 0.6], 0.1, "G1", "partly explained"),  # what is left is of another sensor than the second cause
+        (0.99, [0.9, 0.6], 0.1, "G1", "partly explained"),  # the remainder is of another sensor than the second cause
         (0.99, [0.9], 0.1, "G7", "partly explained"),
         (0.2, [0.9], 0.1, "G7", "unexplained"),
         (None, [0.9], 0.1, "", "partly explained"),
@@ -139,11 +140,13 @@ def test_the_thresholds_of_the_verdict() -> None:
         (None, [], 0.1, "", "unexplained"),
     ],
 )
-def test_verdicts(closed: float | None, chances: list[float], unknown: float, left: str, verdict: str) -> None:
+def test_the_verdict_of_closure_probabilities_and_remainder(
+    closed: float | None, chances: list[float], unknown: float, left: str, verdict: str
+) -> None:
     assert judged(closed, chances, unknown, left).verdict == verdict
 
 
-def test_where_no_known_effect_makes_a_recording_likely_none_is_probable() -> None:
+def test_no_cause_is_probable_if_none_makes_the_recording_likely() -> None:
     found = judged(0.97, [0.98, 0.3], 0.2, "G1")
     assert (found.verdict, found.unknown) == ("unexplained", 0.5)
     assert [cause.probability for cause in found.causes] == [0.5, 0.3]
@@ -152,20 +155,20 @@ def test_where_no_known_effect_makes_a_recording_likely_none_is_probable() -> No
     assert [cause.probability for cause in surer.causes] == pytest.approx([0.2, 0.2])
 
 
-def test_a_cause_of_another_sensor_than_what_is_left_comes_first() -> None:
-    """0.1 and less is left to what is outside of the library; something is left of G1, nothing of G2."""
+def test_a_cause_of_a_sensor_without_remainder_is_first() -> None:
+    """An unknown effect has 0.1 or less; G1 has a remainder, G2 has none."""
     found = judged(0.95, [0.98, 0.85], 0.1, "G1")
     assert found.verdict == "partly explained"
     assert [(cause.sensors, cause.probability) for cause in found.causes] == [(("G2",), 0.85), (("G1",), 0.5)]
 
 
-def test_a_cause_of_all_sensors_is_not_sound_where_something_is_left() -> None:
+def test_a_cause_of_all_sensors_is_doubtful_with_a_remainder() -> None:
     everywhere = replace(CAUSE, sensors=())
     assert judge(gap(0.99), [everywhere], 0.1, is_gap=True, unlikely=["G1"]).verdict == "unexplained"
     assert judge(gap(0.99), [everywhere], 0.1, is_gap=True).verdict == "explained"
 
 
-def test_a_little_that_is_left_is_explained_in_part() -> None:
+def test_a_small_remainder_is_partly_explained() -> None:
     assert judge(gap(0.99), [CAUSE], 0.1, is_gap=True, has_remainder=True).verdict == "partly explained"
     assert judge(gap(0.2), [CAUSE], 0.1, is_gap=True, has_remainder=True).verdict == "unexplained"
     assert judge(gap(0.99), [CAUSE], 0.1, is_gap=False, has_remainder=True).verdict == "no gap"
@@ -217,11 +220,11 @@ def test_p_by_fitted_tails() -> None:
     ("times", "is_left", "is_unlikely"),
     some([(0.8, False, False), (1.2, True, False), (1.4, True, False), (1.8, True, True)], 3),
 )
-def test_what_is_far_beyond_any_replicate_makes_a_recording_unlikely(
+def test_a_deviation_far_beyond_all_replicates_makes_a_recording_unlikely(
     times: float, is_left: bool, is_unlikely: bool
 ) -> None:
-    """A line without a cause; the furthest that chance went is so chosen that its worst statistic is as many times well
-    beyond that (1.25 times it).
+    """A line without a cause; the limit of chance is chosen so that its worst statistic is this many
+    times 1.25 of it.
     """
     found = found_in(LINE)
     report = StatisticReport(found.bench, found.campaign, found.pairs, ["a.h5"])
@@ -239,7 +242,7 @@ CAUSES = st.lists(st.tuples(CHANCES, st.lists(st.sampled_from("ABCD"), max_size=
 
 
 @given(CLOSED, CAUSES, CHANCES, st.booleans(), st.sets(st.sampled_from("ABCD")), st.booleans())
-def test_verdict_closure_and_probabilities_never_contradict_each_other(
+def test_verdict_closure_and_probabilities_are_consistent(
     closed: float | None,
     given_causes: list[tuple[float, list[str]]],
     unknown: float,
@@ -275,14 +278,16 @@ def test_verdict_closure_and_probabilities_never_contradict_each_other(
 
 
 @given(CLOSED, CHANCES, CHANCES, st.booleans())
-def test_no_probability_is_raised(closed: float | None, chance: float, unknown: float, is_left: bool) -> None:
+def test_the_judgement_does_not_raise_a_probability(
+    closed: float | None, chance: float, unknown: float, is_left: bool
+) -> None:
     found = judged(closed, [chance], unknown, "G1" if is_left else "")
     assert [cause.probability <= chance for cause in found.causes] == [True]
 
 
-def test_a_cause_may_miss_a_twentieth_of_what_it_moves() -> None:
-    """All statistics moved by 200, by a model that is 10 off: root of 1 and 10^2 is how sure it is of both parts. One
-    that is 50 off, and one that nothing moved, 30 off, are something else.
+def test_a_cause_may_have_an_error_of_a_twentieth_of_its_shift() -> None:
+    """All statistics are moved by 200, by a model with an error of 10: the root of 1 + 10^2 is its uncertainty in both
+    parts. A statistic with an error of 50, and one with 30 that is not moved, have another cause.
     """
     without, replicates = np.zeros(2 * COUNT), chance(100, 5) + 200.0
     replicates[:, [3, COUNT + 3]] -= 200.0
@@ -298,7 +303,7 @@ def test_a_cause_may_miss_a_twentieth_of_what_it_moves() -> None:
 
 
 @given(st.floats(-1, 1.2), st.floats(0.001, 0.2), st.floats(0.1, 99), st.floats(0.1, 10))
-def test_something_unknown_is_the_less_probable_the_more_is_closed(
+def test_an_unknown_effect_is_less_probable_with_more_closure(
     closed: float, more: float, largest: float, further: float
 ) -> None:
     found = unknown_probability(closed, after(largest))
@@ -307,8 +312,8 @@ def test_something_unknown_is_the_less_probable_the_more_is_closed(
     assert unknown_probability(closed, after(largest + further)) >= found
 
 
-def test_unknown_is_even_at_two_thirds() -> None:
-    """With what is left just at the limit of chance."""
+def test_an_unknown_effect_has_even_odds_at_two_thirds() -> None:
+    """With a remainder at the limit of chance."""
     assert unknown_probability(0.65, after(4.0)) == pytest.approx(0.5)
     assert unknown_probability(1.0, after(4.0)) < 0.2
     assert unknown_probability(0.0, after(40.0)) > 0.9
@@ -317,15 +322,15 @@ def test_unknown_is_even_at_two_thirds() -> None:
     assert unlikely == pytest.approx(unknown_probability(0.0, after(4.0)))
 
 
-def test_what_is_left_has_a_small_p() -> None:
-    """Scores of 50 with the causes in."""
+def test_a_large_remainder_has_a_small_p() -> None:
+    """Scores of 50 with the causes in the model."""
     left = assess(PAIRS, np.full(2 * COUNT, 50.0), chance(REPAIRED, 4), np.zeros(2 * COUNT))
     assert left.p < DOUBT
     assert unknown_probability(None, left) > 0.9
 
 
-def test_the_gap_overall_and_by_domain() -> None:
-    """A level of 10 that goes, a line of 8 that stays: squares 100, 64 before, 1, 64 after."""
+def test_the_gap_is_stated_overall_and_by_domain() -> None:
+    """A level of 10 that is explained, a line of 8 that remains: squares 100, 64 before, 1, 64 after."""
     pairs = paired([key(0), key(1, domain="spectrum")])
     before, left = np.array([10.0, 8.0, 10.0, 8.0]), np.array([1.0, 8.0, 1.0, 8.0])
     found = gap_of(deviating(pairs, before, left, np.zeros(4, bool)), 0.7, 1)
@@ -352,7 +357,7 @@ def test_the_floor_is_that_of_chance() -> None:
     assert floor_of(nothing, before, rows) == 1.0
 
 
-def test_the_map_has_the_largest_of_each() -> None:
+def test_the_map_has_the_largest_score_of_each_sensor_and_domain() -> None:
     keys = [key(0), key(1), key(0, "A1"), key(2, domain="spectrum")]
     nothing = SyntheticLikelihood(*(np.zeros(8),) * 4)  # type: ignore[arg-type]
     one, two = (
@@ -367,7 +372,7 @@ def test_the_map_has_the_largest_of_each() -> None:
     assert (found.sensors, found.limit) == (("A1", "G1"), 4.0)
 
 
-def test_a_statistic_in_its_units() -> None:
+def test_a_statistic_is_reported_in_its_unit() -> None:
     """A line of 0.04 dps in noise of 0.05 dps; 20 s of 100 rows/s."""
     found = found_in(LINE)
     places = list(found.localisation.p_by_place)
@@ -387,7 +392,7 @@ def test_a_statistic_in_its_units() -> None:
 
 
 def labelled(logs: Sequence[tuple[str, Motion]]) -> list[tuple[str, str, int, int]]:
-    """Of every pair of levels: the log that is told, its phase, and where the two parts stand (-1: nowhere)."""
+    """For every pair of levels: the reported log, its phase, and the places of the two parts (-1: none)."""
     bench, campaign = prepared(logs, ["G1"])
     pairs = bench.pairs()
     count = len(bench.keys)
@@ -402,16 +407,16 @@ def labelled(logs: Sequence[tuple[str, Motion]]) -> list[tuple[str, str, int, in
     ]
 
 
-def test_a_log_is_named_by_the_part_that_it_is_of() -> None:
-    """Four boots: the first and third are fitted to, the second and fourth are judged by."""
+def test_pairs_of_boots_are_labelled_by_their_parts() -> None:
+    """Four boots: the first and third are for training, the second and fourth are held out."""
     found = labelled([("turn-on", turn_on_run(run, 2.0)) for run in range(1, 5)])
     assert sorted((log, phase) for log, phase, _, _ in found) == [
         (f"log {run - 1}", f"run {run}") for run in range(1, 5)
     ]
 
 
-def test_halves_are_paired_whatever_other_logs_there_are() -> None:
-    """Three static logs, of which two are fitted to, and a tumble, whose halves belong together."""
+def test_halves_are_paired_among_other_logs() -> None:
+    """Three static logs, two of them for training, and a tumble, whose halves are a pair."""
     logs: list[tuple[str, Motion]] = [("static", Still(seconds=2))] * 3
     found = labelled([*logs, ("tumble", Tumble(1.0, 0.5))])
     tumbled = [one for one in found if one[1] != "static"]
@@ -419,7 +424,7 @@ def test_halves_are_paired_whatever_other_logs_there_are() -> None:
     assert all(first >= 0 and second >= 0 for _, _, first, second in tumbled)
 
 
-def test_unknown_leaves_room_for_the_nearest_effect() -> None:
+def test_the_nearest_effect_reduces_the_probability_of_unknown() -> None:
     """An effect that was not accepted closes nothing; one that was accepted, and closes nothing, is improbable."""
     nearest = replace(CAUSE, probability=0.4, is_accepted=False)
     judgement = judge(gap(0.0), [nearest], 0.98, is_gap=True)

@@ -1,4 +1,4 @@
-"""Faces noted wrongly: found where most accelerometers contradict the label, and only there."""
+"""Wrongly noted faces are detected where most accelerometers contradict the label, and only there."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def tumbled(
     more: Mapping[str, Sequence[Effect]] | None = None,
     only: Sequence[str] = tuple(FACES),
 ) -> Recording:
-    """The seven faces, noted as `labels` say where they say something; nothing else tells how the box lay."""
+    """The seven faces, with `labels` replacing the right notes; there is no other information on the attitude."""
     text = '[array]\nname = "accelerometers"\nbus = "i2c:/dev/i2c-1"\n' + GYROSCOPE
     for name, chip, address, setting, axes in SENSORS[:sensors]:
         text += SENSOR.format(name=name, chip=chip, address=address, setting=setting, axes=axes)
@@ -110,8 +110,8 @@ def told(found: Sequence[WrongLabel]) -> dict[str, tuple[str, str]]:
         1,
     ),
 )
-def test_wrong_labels_are_found_one_by_one(tmp_path: Path, labels: Labels) -> None:
-    """Two that were exchanged are both found."""
+def test_each_wrong_label_is_detected(tmp_path: Path, labels: Labels) -> None:
+    """Two exchanged labels are both detected."""
     found = found_in(tumbled(tmp_path / "tumble.h5", labels))
     assert told(found) == {name: (noted, FACES[name]) for name, noted in labels.items()}
     for one in found:
@@ -119,7 +119,7 @@ def test_wrong_labels_are_found_one_by_one(tmp_path: Path, labels: Labels) -> No
         assert one.probability > 0.999
 
 
-def test_halves_of_phases_tell_the_same(tmp_path: Path) -> None:
+def test_halves_of_phases_give_the_same_labels(tmp_path: Path) -> None:
     """The campaign of a diagnosis has each phase in two parts."""
     recording = tumbled(tmp_path / "tumble.h5", {"x_up": "-X"})
     split = split_of([recording.kind], [recording.phases])
@@ -129,8 +129,8 @@ def test_halves_of_phases_tell_the_same(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_one_sensor_that_errs_is_not_the_label(tmp_path: Path) -> None:
-    """An exchange of axes, or a wrong range, in one of four: neither makes a label wrong nor hides that one is."""
+def test_an_error_of_one_sensor_is_not_a_wrong_label(tmp_path: Path) -> None:
+    """An exchange of axes, or a wrong range, in one of four: it neither indicates nor hides a wrong label."""
     for number, effect in enumerate((AxisError("+Y-X+Z"), RangeReset(2.0))):
         more = {"B1": (effect,)}
         assert not found_in(tumbled(tmp_path / f"right_{number}.h5", {}, more=more))
@@ -140,7 +140,7 @@ def test_one_sensor_that_errs_is_not_the_label(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_single_accelerometer_is_believed_if_its_mounting_is_determined(tmp_path: Path) -> None:
+def test_a_single_accelerometer_decides_if_its_mounting_is_determined(tmp_path: Path) -> None:
     """It agrees with six of seven labels, along all axes. With faces along one axis only, or with most labels
     contradicted, its axes may as well be exchanged.
     """
@@ -153,9 +153,9 @@ def test_a_single_accelerometer_is_believed_if_its_mounting_is_determined(tmp_pa
 
 
 @pytest.mark.slow
-def test_a_large_bias_hides_no_face(tmp_path: Path) -> None:
-    """With 0.45 g more, one of two accelerometers is 32 degrees from three of its faces, and a turn of it would fit the
-    others.
+def test_a_large_bias_does_not_hide_a_wrong_label(tmp_path: Path) -> None:
+    """With a bias of 0.45 g, one of two accelerometers is 32 degrees from three of its faces, and a rotation of it
+    would fit the others.
     """
     bias = {"B2": (Bias((0.45, -0.2, -0.2)),)}
     wrong = {"y_down": "-Z", "z_down": "-Y"}
@@ -171,9 +171,9 @@ def test_two_accelerometers_decide_together(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_turn_of_all_sensors_may_be_it_as_well(tmp_path: Path) -> None:
-    """Half a turn about X exchanges +Y with -Y and +Z with -Z: it is the labels or the axes of the whole array. A
-    mirror is no turn, and a face that is noted rightly in another log rules the turn out.
+def test_a_rotation_of_all_sensors_is_an_alternative(tmp_path: Path) -> None:
+    """Half a turn about X exchanges +Y with -Y and +Z with -Z: the labels or the axes of the whole array are wrong. A
+    mirror is not a rotation, and a rightly noted face in another log excludes the rotation.
     """
     turned = {"y_up": "-Y", "y_down": "+Y", "z_up": "-Z", "z_down": "+Z", "z_up_check": "-Z"}
     recording = tumbled(tmp_path / "turned.h5", turned)
@@ -191,9 +191,9 @@ CROSSED = {"B1": (AxisError("-X+Y-Z"),), "B2": (AxisError("-X+Y-Z"),)}
 
 
 @pytest.mark.slow
-def test_several_that_are_turned_are_not_the_labels(tmp_path: Path) -> None:
-    """Two of three contradict five of seven labels: two sensors are turned, or five labels wrong and the third sensor
-    turned. A label that is wrong besides is found, by all three.
+def test_several_rotated_sensors_are_not_wrong_labels(tmp_path: Path) -> None:
+    """Two of three contradict five of seven labels: two sensors are rotated, or five labels are wrong and the third
+    sensor is rotated. An additional wrong label is detected by all three.
     """
     assert not found_in(tumbled(tmp_path / "crossed.h5", {}, sensors=3, more=CROSSED))
     (found,) = found_in(tumbled(tmp_path / "wrong.h5", {"y_up": "-X"}, sensors=3, more=CROSSED))
@@ -201,29 +201,29 @@ def test_several_that_are_turned_are_not_the_labels(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_two_sensors_in_each_others_place_are_not_the_labels(tmp_path: Path) -> None:
-    """From 7 s on, so that three of five faces are felt as each other's: one exchange rather than three wrong labels.
-    With a third accelerometer no face is contradicted by most.
+def test_two_exchanged_sensors_are_not_wrong_labels(tmp_path: Path) -> None:
+    """From 7 s on, so that three of five faces have the readings of each other: one exchange rather than three wrong
+    labels. With a third accelerometer no face is contradicted by most.
     """
     spans = (0.0, 7.0, 1e9)
     exchanged = {"B1": (ChannelSwap("B2", spans=spans),), "B2": (ChannelSwap("B1", spans=spans),)}
     assert not found_in(tumbled(tmp_path / "two.h5", {}, sensors=2, more=exchanged))
     assert not found_in(tumbled(tmp_path / "three.h5", {}, sensors=3, more=exchanged))
-    # Labels that are wrong here and there need no exchange, nor do all of them.
+    # Single wrong labels need no exchange, and neither do all of them.
     here_and_there = {"z_up": "-Z", "y_up": "-Y", "x_down": "+X", "z_down": "+Z"}
     assert len(found_in(tumbled(tmp_path / "labels.h5", here_and_there, sensors=2))) == len(here_and_there)
 
 
-def test_a_turn_of_three_of_four_is_less_likely_than_one_label(tmp_path: Path) -> None:
-    """Of one label: it and one sensor are wrong, or three sensors."""
+def test_one_wrong_label_is_more_likely_than_three_rotated_sensors(tmp_path: Path) -> None:
+    """One label: it and one sensor are wrong, or three sensors."""
     turned = {name: (AxisError("-X+Y-Z"),) for name in ("B1", "B2", "D1")}
     (found,) = found_in(tumbled(tmp_path / "one.h5", {}, more=turned, only=("z_up",)))
     assert (found.phase.name, found.up) == ("z_up", "-Z")
 
 
 @pytest.mark.slow
-def test_corrected_recordings_feel_what_was_felt(tmp_path: Path) -> None:
-    """In every phase, also in another process; a log that was noted rightly is left alone."""
+def test_corrected_recordings_have_the_true_faces(tmp_path: Path) -> None:
+    """In every phase, also in another process; a rightly noted log is unchanged."""
     wrong = tumbled(tmp_path / "wrong.h5", {"x_up": "-X", "z_down": "+Y"})
     right = tumbled(tmp_path / "right.h5", {})
     recordings = (right, wrong)
@@ -245,8 +245,8 @@ def test_corrected_recordings_feel_what_was_felt(tmp_path: Path) -> None:
     np.testing.assert_allclose(offset, [0.05, -0.05, 0.05], atol=1e-3)
 
 
-def test_unnoted_attitudes_are_estimated_anew(tmp_path: Path) -> None:
-    """A wrong label spoils the common bias, and with it the attitude of phases that nobody noted."""
+def test_unnoted_attitudes_are_estimated_again_after_the_correction(tmp_path: Path) -> None:
+    """A wrong label biases the common bias, and with it the attitude of phases without a note."""
     recording = tumbled(tmp_path / "part.h5", {"x_up": "-X", "y_up": ""})
     (found,) = found_in(recording)
     (put_right,) = correct_labels([recording], [found])
@@ -261,7 +261,7 @@ def made(readings: Mapping[str, Sequence[float]], agree: tuple[str, ...]) -> Wro
     )
 
 
-def test_probability_and_share_closed() -> None:
+def test_probability_and_closed_share_of_a_wrong_label() -> None:
     """A is 3-4-5: sqrt(2 (1 - 0.96)) from +X and sqrt(2 (1 + 0.28)) from -Z; B, eight times too large, the same. Two
     votes: odds (2.56 / 0.08)^2 = 1024. Chi-squared of 4: 0.48442 and 11.1433 (2.5 and 97.5 %).
     """
@@ -278,8 +278,8 @@ def test_probability_and_share_closed() -> None:
     assert "2 of 2 accelerometers measure +X up: 1.6 g from the noted face, 0.28 g from that one" in note_of(found)
 
 
-def test_who_does_not_agree_counts_against_it() -> None:
-    """Three against one say as much as two."""
+def test_a_contradicting_sensor_cancels_a_vote() -> None:
+    """Three votes against one are equivalent to two."""
     three = made({"A": (0.96, 0, 0.28), "B": (0.96, 0, 0.28), "C": (0.96, 0, 0.28), "D": (0, 0, -1)}, ("A", "B", "C"))
     assert three.probability == pytest.approx(1024 / 1025)
     assert made({"A": (1.0, 0, 0), "B": (1.0, 0, 0)}, ("A", "B")).probability == 1.0
@@ -287,11 +287,13 @@ def test_who_does_not_agree_counts_against_it() -> None:
 
 @settings(max_examples=examples(60), deadline=None)
 @given(st.sampled_from(UP_AXES), st.tuples(*[st.floats(-0.2, 0.2)] * 3), st.floats(0.1, 9.0))
-def test_a_face_is_told_whatever_bias_and_scale(up: str, bias: tuple[float, float, float], scale: float) -> None:
+def test_a_face_is_recognised_with_any_usual_bias_and_scale(
+    up: str, bias: tuple[float, float, float], scale: float
+) -> None:
     """0.2 g on each axis turn it by at most atan(0.283 / 0.8) = 19.5 degrees."""
     assert face_of(scale * (np.array(up_vector(up)) + bias)) == up
 
 
-def test_an_edge_is_no_face() -> None:
+def test_an_edge_is_not_a_face() -> None:
     assert face_of(np.array([1.0, 1.0, 0.0])) == ""
     assert face_of(np.zeros(3)) == ""

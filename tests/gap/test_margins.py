@@ -1,4 +1,4 @@
-"""Margins beside figures of use worked out with and without the difference; sizes; lengths."""
+"""Margins against figures of use with and without the difference; sizes; lengths."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def margin_of(probe: str, axis: str = "x", chip: str = "bma180", seconds: float 
 
 
 def coasting_error(noise: float) -> float:
-    """Of white noise after 60 s: 6000 readings less the mean of 6000 before, 10 ms each."""
+    """Error of white noise after 60 s: 6000 readings minus the mean of 6000 before, 10 ms each."""
     return 0.01 * math.sqrt(6000 * noise**2 + 6000**2 * noise**2 / 6000)
 
 
@@ -38,7 +38,7 @@ def test_every_probe_has_a_rule() -> None:
             assert math.isfinite(found) and found > 0
 
 
-def test_noise_that_is_more_by_a_margin_has_errors_more_by_a_twentieth() -> None:
+def test_noise_larger_by_a_margin_increases_errors_by_a_twentieth() -> None:
     more = NOISE[0] * math.exp(margin_of("noise"))
     assert coasting_error(more) == pytest.approx(1.05 * coasting_error(NOISE[0]))
     assert margin_of("allan_2048") == pytest.approx(math.log(1.05**2))
@@ -46,12 +46,12 @@ def test_noise_that_is_more_by_a_margin_has_errors_more_by_a_twentieth() -> None
 
 
 def added(integral: float) -> float:
-    """By how much a constant whose integral over 60 s is that raises the rms error of white noise."""
+    """Increase of the rms error of white noise by a constant with that integral over 60 s."""
     noise = coasting_error(NOISE[0])
     return math.sqrt(noise**2 + integral**2) / noise - 1
 
 
-def test_a_level_adds_a_twentieth_to_the_error_of_white_noise() -> None:
+def test_a_level_of_a_margin_increases_errors_by_a_twentieth() -> None:
     assert added(margin_of("mean") * 60) == pytest.approx(0.05)
     assert margin_of("mean") * 60 == pytest.approx(0.3202 * coasting_error(NOISE[0]), rel=1e-3)
     assert margin_of("level") == margin_of("level_apart") == margin_of("mean")
@@ -59,21 +59,21 @@ def test_a_level_adds_a_twentieth_to_the_error_of_white_noise() -> None:
     assert margin_of("mean", axis="") == pytest.approx(margin_of("mean") * math.sqrt((16 + 25 + 36) / 48))
 
 
-def test_a_slope_makes_that_level_within_ten_degrees() -> None:
+def test_a_slope_of_a_margin_gives_that_level_in_ten_degrees() -> None:
     assert margin_of("thermal_slope") * 10 == pytest.approx(margin_of("mean"))
     assert margin_of("thermal_square") * 10**2 == pytest.approx(margin_of("mean"))
     assert margin_of("thermal_change") * 10 / 60 == pytest.approx(margin_of("mean"))
 
 
-def test_a_response_matters_by_a_quarter_turn() -> None:
-    """And the error of an accelerometer's by what 1 g adds in one second."""
+def test_the_margin_of_a_response_is_by_a_quarter_turn() -> None:
+    """And that of an accelerometer by the contribution of 1 g in one second."""
     assert added(margin_of("motion_gain", chip="l3g4200d") * 90) == pytest.approx(0.05)
     assert added(margin_of("motion_delay", chip="l3g4200d") * 90) == pytest.approx(0.05)
     assert added(margin_of("motion_gain") * 1.0) == pytest.approx(0.05)
 
 
-def test_shares() -> None:
-    """From none to one row in a thousand, from half of the codes to 52.5 % of them."""
+def test_margins_of_shares() -> None:
+    """From zero to one row in a thousand, from half of the codes to 52.5 % of them."""
     assert math.sin(margin_of("lost")) ** 2 == pytest.approx(0.001)
     assert math.sin(math.pi / 4 + margin_of("odd_codes")) ** 2 == pytest.approx(0.525)
     assert share(0.2, usual=0.3) == pytest.approx(math.asin(math.sqrt(0.5)) - math.asin(math.sqrt(0.3)))
@@ -81,7 +81,7 @@ def test_shares() -> None:
     assert math.sin(math.asin(math.sqrt(usual)) + margin_of("tail")) ** 2 == pytest.approx(usual + 0.001, rel=1e-3)
 
 
-def test_limits_of_three_sigma_move_by_a_twentieth() -> None:
+def test_margins_of_tails_move_three_sigma_by_a_twentieth() -> None:
     """Those of a Pearson III of that skewness, and of Student's t of that kurtosis, whose excess is 6 / (n - 4); the
     margins come from the first term of an expansion, good to 0.5 % here.
     """
@@ -91,24 +91,24 @@ def test_limits_of_three_sigma_move_by_a_twentieth() -> None:
     assert t.isf(beyond, freedom) / t.std(freedom) == pytest.approx(3 * 1.05, rel=0.005)
 
 
-def test_uneven_noise() -> None:
-    """6000 rows in 64 segments, whose noises scatter by 5 %: log variances do by 2 ln 1.05 more than chance has."""
+def test_margin_of_uneven_noise() -> None:
+    """6000 rows in 64 segments, whose noise scatters by 5 %: log variances scatter by 2 ln 1.05 more than by chance."""
     rows = 6000 / 64
     chance = 2 / (rows - 1)
     expected = math.log((chance + (2 * math.log(1.05)) ** 2) / chance)
     assert margin_of("noise_uneven", seconds=60.0) == pytest.approx(expected)
 
 
-def test_a_correlation_in_a_mean_of_three() -> None:
-    """Three sensors that correlate by as much: the mean of all covariances is a twentieth more in its root."""
+def test_margin_of_a_correlation_in_a_mean_of_three() -> None:
+    """Three sensors with this correlation: the root of the mean of all covariances is a twentieth larger."""
     rho = math.tanh(margin_of("fast_own_axes"))
     covariance = np.full((3, 3), rho) + np.eye(3) * (1 - rho)
     assert math.sqrt(covariance.mean() * 3) == pytest.approx(1.05, rel=2e-3)
 
 
-def test_sizes() -> None:
+def test_a_size_is_material_harmless_or_undetermined() -> None:
     assert sized(1.0, 0.1, 0.5) == sized(-1.0, 0.1, 0.5) == "material"
-    assert sized(0.1, 0.01, 0.5) == "harmless"  # ten standard deviations, and nothing to worry about
+    assert sized(0.1, 0.01, 0.5) == "harmless"  # ten standard deviations, but without effect
     assert sized(0.0, 0.1, 0.5) == "harmless"
     assert sized(0.5, 0.1, 0.5) == sized(0.0, 1.0, 0.5) == sized(1.0, 0.3, 0.5) == "can't tell"
     assert sized(math.nan, 0.1, 0.5) == sized(1.0, math.nan, 0.5) == "can't tell"
@@ -116,7 +116,7 @@ def test_sizes() -> None:
     assert found == ("material", "harmless", "can't tell")
 
 
-def test_sizes_are_seldom_wrong() -> None:
+def test_sizes_are_rarely_wrong() -> None:
     """Differences on either side of the margin, 20000 each: 2.5 % at most on the wrong side (standard error 0.11 %)."""
     random = np.random.default_rng(5)
     for true, wrong in ((1.0, "material"), (1.0, "harmless")):
@@ -125,19 +125,19 @@ def test_sizes_are_seldom_wrong() -> None:
 
 
 @given(st.floats(-1e3, 1e3), FINITE, FINITE)
-def test_no_size_is_both_and_smaller_margins_make_more_material(shift: float, scale: float, limit: float) -> None:
+def test_smaller_margins_make_more_differences_material(shift: float, scale: float, limit: float) -> None:
     order = ("harmless", "can't tell", "material")
     assert order.index(sized(shift, scale, limit)) <= order.index(sized(shift, scale, limit / 2))
 
 
 @given(FINITE, FINITE, FINITE)
-def test_a_log_as_long_as_needed_tells(seconds: float, scale: float, limit: float) -> None:
+def test_a_log_of_the_required_length_determines_the_size(seconds: float, scale: float, limit: float) -> None:
     """At that length 1.96 standard errors are the margin."""
     longer = needed(seconds, scale, limit) / seconds
     assert 1.96 * scale / math.sqrt(longer) == pytest.approx(limit)
 
 
-def test_no_log_tells_nothing() -> None:
+def test_a_margin_of_zero_needs_an_infinite_log() -> None:
     assert needed(60.0, 1.0, 0.0) == math.inf
     assert length_words(math.inf) == "no log is long enough"
 
@@ -156,5 +156,5 @@ def test_no_log_tells_nothing() -> None:
         (86_400.0 * 123, "130 days"),
     ],
 )
-def test_words(seconds: float, words: str) -> None:
+def test_text_of_lengths(seconds: float, words: str) -> None:
     assert length_words(seconds) == words

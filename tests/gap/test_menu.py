@@ -1,4 +1,4 @@
-"""Which experiment tells two causes apart, and what is said where there are none to tell apart."""
+"""The experiment that separates two causes, and the advice without such causes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _NOTHING = np.zeros(0)
 
 
 def standing(models: Mapping[str, SensorModel], independent: float = 0.3) -> UnitState:
-    """A standing of which only models and share matter."""
+    """A state of which only models and share are used."""
     never = np.zeros(0, bool)
     likelihood = SyntheticLikelihood(_NOTHING, _NOTHING, never, never)
     return UnitState(tuple(models), models, _NOTHING, likelihood, np.zeros((0, 0)), {}, independent)
@@ -57,7 +57,7 @@ def confirmed(bench: Bench, effect: Effect, sensor: str, gain: float = 9.0) -> E
 
 
 def searched(bench: Bench, sensor: str, *effects: Effect) -> SearchResult:
-    """One round in which these were confirmed and the first one was taken."""
+    """One round in which these were confirmed and the first was accepted."""
     every = tuple(confirmed(bench, effect, sensor, 9.0 - at) for at, effect in enumerate(effects))
     before = standing({sensor: bench.models()[sensor]})
     return SearchResult({(sensor,): [Round(before, every, 0.0, every[0])]}, bench.models())
@@ -77,8 +77,8 @@ def _short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(menu, "MENU", SHORT)
 
 
-def test_one_distance_in_nats() -> None:
-    """Two statistics of variance 1; the second one 4 apart, the same draws: 3 ln(1 + 16 / (1 + 0.2^2) / 5)."""
+def test_a_distance_in_nats_by_hand() -> None:
+    """Two statistics of variance 1; the second 4 apart, the same draws: 3 ln(1 + 16 / (1 + 0.2^2) / 5)."""
     draws = np.array([[-1.0, -1.0], [1.0, 1.0]] * 3) * math.sqrt(5 / 6)
     apart = draws + np.array([0.0, 4.0])
     expected = 3 * math.log(1 + 16 / 1.04 / 5)
@@ -87,22 +87,22 @@ def test_one_distance_in_nats() -> None:
     assert nats_between(draws, draws, np.zeros(2), 1.0) == 0.0
 
 
-def test_a_difference_below_the_least_scatter_is_none() -> None:
+def test_a_difference_below_the_least_scatter_is_zero() -> None:
     constant = np.ones((6, 1))
     assert nats_between(constant, constant + 0.01, np.ones(1), 1.0) < 0.001
     assert nats_between(constant, constant + 0.01, np.zeros(1), 1.0) > 10
 
 
-def test_what_speaks_under_one_model_only_counts_as_the_farthest() -> None:
-    """3 ln(1 + 100^2 / 5) nats; what speaks now and then says nothing."""
+def test_a_statistic_of_one_model_only_has_the_largest_distance() -> None:
+    """3 ln(1 + 100^2 / 5) nats; a statistic with occasional values has no distance."""
     spoken, silent = np.ones((6, 2)), np.full((6, 2), np.nan)
     silent[0, 1] = 1.0
     assert nats_between(spoken, silent, np.zeros(2), 1.0) == pytest.approx(3 * math.log(2001))
 
 
-def test_chance_is_not_taken_for_a_difference() -> None:
-    """300 statistics, 100 pairs of models that are alike: mean below 1 nat however the draws hang together, and with
-    the same draws (correlation 0.8) never 3 nats of those that are one in five.
+def test_equal_models_have_no_distance() -> None:
+    """300 statistics, 100 pairs of equal models: mean below 1 nat for any correlation of the draws, and with the same
+    draws (correlation 0.8) always below 3 nats for a share of one in five.
     """
     random = np.random.default_rng(1)
     for share in (0.0, 0.8):
@@ -115,7 +115,7 @@ def test_chance_is_not_taken_for_a_difference() -> None:
         assert share == 0.0 or max(found) < LEAST
 
 
-def test_the_most_probable_cause_with_a_rival_is_asked_about(bench: Bench) -> None:
+def test_the_experiment_is_for_the_most_probable_cause_with_a_rival(bench: Bench) -> None:
     found = searched(bench, "G1", Tone(0.05, 20.0), Bias(0.1), TurnOnBias(0.1))
     causes = [cause("tone", "G1"), cause("bias", "G1", rivals=["turn_on_bias"]), cause("tone", "G2", rivals=["bias"])]
     rivals = rivals_of(found, causes)
@@ -128,8 +128,8 @@ def test_the_most_probable_cause_with_a_rival_is_asked_about(bench: Bench) -> No
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("_short")
-def test_a_turn_on_series_tells_a_bias_from_one_that_changes(bench: Bench) -> None:
-    """Nothing else does: in one run both are a bias."""
+def test_a_turn_on_series_separates_a_bias_from_a_turn_on_bias(bench: Bench) -> None:
+    """No other experiment does: in one run both are a bias."""
     found = searched(bench, "G1", Bias(0.1), TurnOnBias(0.1))
     said = next_experiment(bench, found, [cause("bias", "G1", rivals=["turn_on_bias"])], [], [], Run(bench))
     assert said.startswith("Record a turn-on series. It separates bias from turn_on_bias of G1 (")
@@ -140,9 +140,9 @@ def test_a_turn_on_series_tells_a_bias_from_one_that_changes(bench: Bench) -> No
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("_short")
-def test_nothing_tells_lines_of_other_phase_apart(bench: Bench) -> None:
-    """A static log knows no phase of a line; where the box is turned it is no other. The line is weak: of a strong one
-    the ends of short phases know the phase.
+def test_no_experiment_separates_lines_of_different_phase(bench: Bench) -> None:
+    """A static log does not determine the phase of a line; a turned box does not change it. The line is weak: the ends
+    of short phases would determine the phase of a strong line.
     """
     found = searched(bench, "A1", Tone(0.005, 20.0, 0.0), Tone(0.005, 20.0, 90.0))
     (one,) = found.rounds["A1",]
@@ -152,19 +152,19 @@ def test_nothing_tells_lines_of_other_phase_apart(bench: Bench) -> None:
     assert said.startswith(
         "No usual experiment (static, tumble, heating, turn-on) separates tone from bias of A1: the expected odds are"
     )
-    assert float(re.findall(r"at most ([\d.]+) to 1", said)[0]) <= 1.1 * math.exp(LEAST)  # as rounded
+    assert float(re.findall(r"at most ([\d.]+) to 1", said)[0]) <= 1.1 * math.exp(LEAST)  # rounded
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("_short")
-def test_the_sensor_whose_data_another_has_is_simulated_too(bench: Bench) -> None:
-    """G2 lies the other way round about y and z: on a tumble, or beside another bias, it is no G1."""
+def test_the_source_of_exchanged_data_is_simulated_too(bench: Bench) -> None:
+    """G2 is reversed about y and z: in a tumble, or with another bias, it differs from G1."""
     found = searched(bench, "G1", ChannelSwap("G2"), Bias(0.1))
     said = next_experiment(bench, found, [cause("channel_swap", "G1", rivals=["bias"])], [], [], Run(bench))
     assert said.startswith("Record a tumble. It separates channel_swap from bias of G1 (")
 
 
-def test_without_rivals_what_is_not_explained_or_not_shown(bench: Bench) -> None:
+def test_without_rivals_the_advice_is_for_unexplained_or_unobservable_effects(bench: Bench) -> None:
     nothing, run = SearchResult({}, {}), Run(bench)
     hidden = [
         Unobservable("thermal_scale", ("A1",), "heating: on all six faces"),
@@ -188,18 +188,18 @@ def test_without_rivals_what_is_not_explained_or_not_shown(bench: Bench) -> None
     assert run.items == 0
 
 
-def test_every_domain_has_an_experiment_that_shows_more_of_it() -> None:
+def test_every_domain_has_an_experiment() -> None:
     assert {probe.domain for probe in PROBES.values()} == set(menu._MORE)
 
 
-def test_hours_hold_the_logs() -> None:
+def test_stated_hours_include_the_logs() -> None:
     for offer in MENU.values():
         assert sum(motion.seconds for motion in offer.motions) / 3600 < offer.hours < 1
 
 
 @pytest.mark.slow
-def test_the_whole_menu(bench: Bench) -> None:
-    """As above, with the logs as they would be recorded."""
+def test_the_advice_with_the_full_menu(bench: Bench) -> None:
+    """As above, with logs of full length."""
     found = searched(bench, "G1", Bias(0.5), TurnOnBias(0.5))
     said = next_experiment(bench, found, [cause("bias", "G1", rivals=["turn_on_bias"])], [], [], Run(bench))
     assert said.startswith("Record a turn-on series: 12 runs of 1 minute, switched off in between. It separates bias")

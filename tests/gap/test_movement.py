@@ -44,7 +44,7 @@ def rate_rad_s(seconds: Floats) -> Floats:
 
 
 def felt(header: SensorHeader, seconds: Floats) -> Floats:
-    """What a sensor reads (n, 3) along its own axes, in its unit: gravity's reaction in the box is (-sin, 0, cos)."""
+    """Reading (n, 3) of a sensor along its own axes, in its unit: gravity's reaction in the box is (-sin, 0, cos)."""
     turned = angle_rad(seconds)
     if header.unit == "g":
         box = np.stack([-np.sin(turned), 0 * turned, np.cos(turned)], axis=1)
@@ -94,7 +94,7 @@ def written(
 
 
 def array(*, accelerometers: int, gyroscopes: int) -> list[SensorHeader]:
-    """Sensors with axes of their own."""
+    """Sensors with individual axes."""
     axes = ("+X+Y+Z", "+Y-X+Z", "-Z+Y+X")
     return [
         *(replace(ACC, name=f"Acc{number}", axes=axes[number]) for number in range(accelerometers)),
@@ -107,9 +107,10 @@ def movement_of(log: Log, phase: Phase, rests: Sequence[Phase]) -> Movement | No
 
 
 @pytest.mark.parametrize("missing_s", [(0.0, 0.0), (5.0, 6.5)])
-def test_it_is_the_mean_of_the_sensors(tmp_path: Path, missing_s: tuple[float, float]) -> None:
-    """Force and rate within 4 mg and 0.1 dps (biases average to 2.5 mg, those of gyroscopes show at rest), and the
-    angular acceleration within 5 %, wherever the sensors' axes point; a sensor that lacks a stretch leaves no step.
+def test_the_movement_is_the_mean_of_the_sensors(tmp_path: Path, missing_s: tuple[float, float]) -> None:
+    """Force and rate within 4 mg and 0.1 dps (biases average to 2.5 mg, those of gyroscopes are known from the rest),
+    and the angular acceleration within 5 %, for any orientation of the sensors; a sensor that lacks rows causes no
+    step.
     """
     sensors = array(accelerometers=2, gyroscopes=3)
     log = written(tmp_path / "log.h5", sensors, (0.003, -0.002, 3.0, -2.0, 1.0), missing_s=missing_s)
@@ -126,7 +127,7 @@ def test_it_is_the_mean_of_the_sensors(tmp_path: Path, missing_s: tuple[float, f
     np.testing.assert_allclose(slopes[:, 4], acceleration, atol=0.03)
 
 
-def test_one_of_three_that_is_mounted_otherwise_does_not_count(tmp_path: Path) -> None:
+def test_one_of_three_with_another_mounting_is_ignored(tmp_path: Path) -> None:
     """The median of three: a gyroscope whose axes are not those in its header changes nothing."""
     sensors = array(accelerometers=0, gyroscopes=3)
     log = written(tmp_path / "log.h5", sensors, reversed_sensor="Gyro0")
@@ -137,9 +138,9 @@ def test_one_of_three_that_is_mounted_otherwise_does_not_count(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("noted", ["+Z", "-Y"])
-def test_one_of_two_that_contradicts_the_noted_face_does_not_count(tmp_path: Path, noted: str) -> None:
+def test_one_of_two_that_contradicts_the_noted_face_is_ignored(tmp_path: Path, noted: str) -> None:
     """An accelerometer that reads -1 g on its upper face; if both contradict the note, the note is wrong, and the mean
-    of the two is nothing here.
+    of the two is zero here.
     """
     sensors = array(accelerometers=2, gyroscopes=2)
     log = written(tmp_path / "log.h5", sensors, reversed_sensor="Acc1")
@@ -151,29 +152,31 @@ def test_one_of_two_that_contradicts_the_noted_face_does_not_count(tmp_path: Pat
 
 
 @pytest.mark.parametrize(("accelerometers", "gyroscopes"), [(1, 1), (0, 1), (3, 0)])
-def test_it_needs_two_of_a_kind_and_a_gyroscope(tmp_path: Path, accelerometers: int, gyroscopes: int) -> None:
+def test_a_movement_needs_two_sensors_of_a_kind_and_a_gyroscope(
+    tmp_path: Path, accelerometers: int, gyroscopes: int
+) -> None:
     sensors = array(accelerometers=accelerometers, gyroscopes=gyroscopes)
     log = written(tmp_path / "log.h5", sensors)
     assert movement_of(log, TURN, [REST]) is None
 
 
-def test_a_rest_is_no_motion(tmp_path: Path) -> None:
+def test_a_rest_is_not_a_movement(tmp_path: Path) -> None:
     sensors = array(accelerometers=2, gyroscopes=2)
     log = written(tmp_path / "log.h5", sensors)
     assert movement_of(log, Phase(0, 4 * SECOND, "turn"), [REST]) is None
     assert movement_of(log, Phase(5 * SECOND, 5 * SECOND + SECOND // 10, "turn"), [REST]) is None
 
 
-def test_hours_are_not_kept_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_movement_of_too_many_windows_is_not_estimated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sensors = array(accelerometers=2, gyroscopes=2)
     log = written(tmp_path / "log.h5", sensors)
     monkeypatch.setattr(movement, "MOST_WINDOWS", 50)
     assert movement_of(log, TURN, [REST]) is None
 
 
-def test_an_axis_that_does_not_move_has_no_noise(tmp_path: Path) -> None:
-    """Two gyroscopes of 0.02 dps (two counts) in windows of two rows: their mean has 0.01 dps, of which at most
-    two thirds are left about the axes that do not turn.
+def test_a_still_axis_has_no_noise_in_the_movement(tmp_path: Path) -> None:
+    """Two gyroscopes of 0.02 dps (two counts) in windows of two rows: their mean has 0.01 dps, of which at most two
+    thirds remain about the still axes.
     """
     sensors = array(accelerometers=0, gyroscopes=2)
     motion = movement_of(written(tmp_path / "log.h5", sensors), TURN, [REST, AFTER])
@@ -184,8 +187,8 @@ def test_an_axis_that_does_not_move_has_no_noise(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("hertz", "is_left_out"), [(3.0, False), (31.0, True)])
-def test_a_vibration_is_no_motion_that_sensors_share(tmp_path: Path, hertz: float, is_left_out: bool) -> None:
-    """A third of a g at 3 Hz is a motion, at 31 Hz every row of 100 Hz differs from the one before."""
+def test_a_fast_vibration_is_not_a_movement(tmp_path: Path, hertz: float, is_left_out: bool) -> None:
+    """A third of a g at 3 Hz is a motion, at 31 Hz every row of 100 Hz differs from the previous row."""
     sensors = array(accelerometers=2, gyroscopes=1)
     shaken = written(tmp_path / "log.h5", sensors, shaking=(1.0, hertz), phases=(REST, TURN._replace(name="drive")))
     assert (movement_of(shaken, TURN, [REST]) is None) == is_left_out
@@ -195,8 +198,8 @@ def test_a_vibration_is_no_motion_that_sensors_share(tmp_path: Path, hertz: floa
 
 
 @pytest.mark.parametrize(("amplitude_g", "is_left_out"), [(0.0, False), (0.002, True)])
-def test_a_phase_that_is_no_rest_is_left_out(tmp_path: Path, amplitude_g: float, *, is_left_out: bool) -> None:
-    """A hand that holds the box shakes it by 16 counts at 7 Hz, the noise is two; the label says rest."""
+def test_a_noted_rest_with_shaking_is_excluded(tmp_path: Path, amplitude_g: float, *, is_left_out: bool) -> None:
+    """The box is in a hand that shakes it by 16 counts at 7 Hz, the noise is two; the label states a rest."""
     sensors = array(accelerometers=2, gyroscopes=1)
     recording = recording_of(
         written(tmp_path / "log.h5", sensors, shaking=(amplitude_g, 7.0), shaken_s=(0.0, 4.0), phases=(REST, AFTER))
@@ -206,8 +209,8 @@ def test_a_phase_that_is_no_rest_is_left_out(tmp_path: Path, amplitude_g: float,
     assert any("feel the same motion" in note for note in recording.notes) == is_left_out
 
 
-def test_accelerometers_that_are_shaken_at_every_rest_are_left_out(tmp_path: Path) -> None:
-    """Beside a running engine, which the gyroscope does not feel; if all sensors feel it, they are compared."""
+def test_accelerometers_shaken_at_every_rest_are_excluded(tmp_path: Path) -> None:
+    """Near a running engine, which the gyroscope does not sense; if all sensors sense it, they are compared."""
     sensors = array(accelerometers=2, gyroscopes=1)
     for count, expected in ((3, {"Gyro0"}), (2, {"Acc0", "Acc1"})):
         path = tmp_path / f"log{count}.h5"
@@ -219,11 +222,11 @@ def test_accelerometers_that_are_shaken_at_every_rest_are_left_out(tmp_path: Pat
 
 
 @pytest.mark.parametrize(("accelerometers", "is_left_out"), [(2, True), (1, False)])
-def test_a_touch_that_several_sensors_feel_is_left_out(
+def test_a_touch_sensed_by_several_sensors_is_excluded(
     tmp_path: Path, accelerometers: int, *, is_left_out: bool
 ) -> None:
-    """A push by 0.05 g from 1.5 s to 1.6 s is left out with its block of a third of a second and half a second beside
-    that; what a single sensor shows is its own.
+    """A push by 0.05 g from 1.5 s to 1.6 s is excluded with its block of a third of a second and half a second around
+    it; a disturbance of a single sensor is its own.
     """
     sensors = array(accelerometers=accelerometers, gyroscopes=1)
     recording = recording_of(
@@ -238,8 +241,8 @@ def test_a_touch_that_several_sensors_feel_is_left_out(
         assert np.max(times_ns) * 1e-9 == pytest.approx(2.25, abs=0.35)
 
 
-def test_a_touch_at_the_end_of_a_rest_leaves_the_motion_after_it(tmp_path: Path) -> None:
-    """A push from 3.4 s to 3.5 s of a rest that ends at 4 s: half a second beside its block would end at 4.17 s."""
+def test_a_touch_at_the_end_of_a_rest_does_not_shorten_the_motion(tmp_path: Path) -> None:
+    """A push from 3.4 s to 3.5 s of a rest that ends at 4 s: half a second after its block would end at 4.17 s."""
     sensors = array(accelerometers=2, gyroscopes=1)
     log = written(
         tmp_path / "log.h5",
@@ -255,9 +258,9 @@ def test_a_touch_at_the_end_of_a_rest_leaves_the_motion_after_it(tmp_path: Path)
     assert end_ns == REST.end_ns
 
 
-def test_the_end_of_a_rest_in_which_the_box_moves_is_cut(tmp_path: Path) -> None:
+def test_a_rest_is_cut_where_the_box_moves(tmp_path: Path) -> None:
     """The label of the rest ends a second late, when the box has begun to turn at 4 s; it turns by 0.5 dps after a
-    tenth of a second. The next one begins half a second early.
+    tenth of a second. The next rest begins half a second early.
     """
     sensors = array(accelerometers=1, gyroscopes=1)
     phases = (REST._replace(end_ns=5 * SECOND), AFTER._replace(start_ns=15 * SECOND // 2))
@@ -278,8 +281,8 @@ def test_a_rest_is_cut_where_motors_start(tmp_path: Path) -> None:
         assert recording_of(log).phases[0].end_ns * 1e-9 == pytest.approx(end_s, abs=0.3 if count == 2 else 1e-9)
 
 
-def test_held_readings_are_not_quiet(tmp_path: Path) -> None:
-    """Two sensors hold their readings for a fifth of the rest: the noise of the others is as usual."""
+def test_held_readings_are_not_taken_as_low_noise(tmp_path: Path) -> None:
+    """Two sensors repeat their readings for a fifth of the rest: the noise of the others is unchanged."""
     log = written(tmp_path / "log.h5", array(accelerometers=2, gyroscopes=1), phases=(REST,))
     log.close()
     with h5py.File(tmp_path / "log.h5", "r+") as file:
@@ -291,16 +294,16 @@ def test_held_readings_are_not_quiet(tmp_path: Path) -> None:
     assert rest == QuietRest(REST)
 
 
-def test_noise_alone_is_no_motion() -> None:
-    """White noise of 0.5 m/s2 and 0.05 rad/s; a drift of as much is motion."""
+def test_noise_alone_is_not_a_motion() -> None:
+    """White noise of 0.5 m/s2 and 0.05 rad/s; a drift of the same size is motion."""
     noise = np.random.default_rng(1).standard_normal((500, 3))
     drift = np.linspace(-1, 1, 500)[:, None] * np.ones(3)
     assert not shows_motion(0.5 * noise, 0.05 * noise)
     assert shows_motion(0.5 * noise + drift, 0.05 * noise)
 
 
-def test_a_log_without_a_track_has_its_turns(tmp_path: Path) -> None:
-    """The simulation of it turns as the array did, and lies on its faces before and after."""
+def test_turns_of_a_log_without_a_track_are_simulated(tmp_path: Path) -> None:
+    """Its simulation has the turns of the array, and its faces before and after."""
     sensors = array(accelerometers=2, gyroscopes=2)
     recording = recording_of(written(tmp_path / "log.h5", sensors))
     assert recording.phases == (REST, TURN, AFTER)
@@ -319,7 +322,7 @@ def test_a_log_without_a_track_has_its_turns(tmp_path: Path) -> None:
 def test_a_motion_between_detected_rests_is_compared(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, longest_s: float, is_compared: bool
 ) -> None:
-    """Nobody noted a phase: the box is at rest, turns for 4 s, and is at rest again."""
+    """No phase is noted: the box is at rest, turns for 4 s, and is at rest again."""
     monkeypatch.setattr("imuarray.gap.recording.phases._LONGEST_TURN_S", longest_s)
     sensors = array(accelerometers=2, gyroscopes=2)
     recording = recording_of(written(tmp_path / "log.h5", sensors, phases=()))
@@ -331,7 +334,7 @@ def test_a_motion_between_detected_rests_is_compared(
 
 
 @pytest.mark.slow
-def test_turns_in_the_held_out_log_alone(tmp_path: Path) -> None:
+def test_turns_of_the_held_out_log_alone_are_simulated(tmp_path: Path) -> None:
     """Two logs of one kind, of which the second, with turns, is held out: its sensors are simulated together, and those
     that the search does not fit have no parameters in a replicate.
     """

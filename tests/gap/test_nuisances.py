@@ -1,5 +1,5 @@
 """Nuisance quantities are fitted: the lag of an element, a line of the surroundings, the delay of a filter, and one
-attitude in several phases of a log; expected values are those that were simulated.
+attitude in several phases of a log; expected values are those of the simulation.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ def test_the_lag_of_one_chip_is_fitted_and_its_slope_with_it(lag_s: float) -> No
 
 @pytest.mark.parametrize(("slope", "expected_s"), [(0.0, LONGEST_DIE_LAG_S), (-0.05, LONGEST_LAG_S)])
 def test_a_lag_beyond_the_usual_is_left_to_the_effect(slope: float, expected_s: float) -> None:
-    """Of a die whose thermometer is as late, and of elements whose thermometer follows the box at once: with the slope
-    of the array, +0.05 dps/degC, nothing follows at once.
+    """A die whose thermometer has the same lag, and elements whose thermometer follows the box without lag: with the
+    slope of the array, +0.05 dps/degC, no element follows without lag.
     """
     at_once = (ThermalBias((slope,) * 3),) if slope else ()
     lag = ThermalLag(100.0, (-slope,) * 3) if slope else ThermalLag(100.0)
@@ -50,8 +50,8 @@ def test_a_lag_beyond_the_usual_is_left_to_the_effect(slope: float, expected_s: 
     assert base.fitted["G1"].lag_s == expected_s
 
 
-def test_an_element_may_be_as_late_as_the_dies_on_the_board() -> None:
-    """One die is 30 s late by its thermometer, an accelerometer 35 s; without the first, it is too late to be usual."""
+def test_an_element_may_have_the_lag_of_the_dies_on_the_board() -> None:
+    """One die lags by 30 s by its thermometer, an accelerometer by 35 s; without the first, this lag is unusual."""
     late = {"A1": (ThermalLag(35.0),), "G1": (ThermalLag(30.0),)}
     for effects, expected_s in ((late, 35.0), ({"A1": late["A1"]}, LONGEST_LAG_S)):
         campaign = without_thermometer(campaign_of("heating", effects, seed=3), "A1")
@@ -71,13 +71,15 @@ def without_thermometer(campaign: Campaign, name: str) -> Campaign:
 
 
 class Leading(Heating):
-    """A heating whose temperature is told by a thermometer with a lag of 5 s, which is taken off."""
+    """A heating whose temperature is measured by a thermometer with a lag of 5 s, which is corrected."""
 
     lead_s = 5.0
 
 
-def test_where_a_chip_tells_the_temperature_other_elements_have_its_usual_lag_or_their_own() -> None:
-    """By readings that follow the temperature at once; without a slope nothing tells, and the lag is the usual one."""
+def test_elements_have_the_usual_lag_of_the_thermometer_or_a_fitted_one() -> None:
+    """Fitted from readings that follow the temperature without lag; without a slope it is not observable, and the lag
+    is the usual one.
+    """
     leading = [Leading(scale=0.02)]
     assert fit(campaign_of("heating", {}, seed=3), leading).fitted["G1"].lag_s == pytest.approx(0.0, abs=0.2)
     level = {"G1": (ThermalBias((-0.05,) * 3),)}
@@ -92,8 +94,8 @@ class Warming(Still):
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 8.0])
-def test_a_bias_that_is_curved_in_a_heating_that_only_rises_has_the_lag_of_its_element(lag_s: float) -> None:
-    """Such a curve follows the temperature of some time ago better than that of now by a straight line."""
+def test_a_curved_bias_in_a_monotonic_heating_gives_the_lag_of_its_element(lag_s: float) -> None:
+    """Such a curve is a straight line in an earlier temperature rather than in the present one."""
     motion = Warming(seconds=300.0)
     effects = (ThermalBias(quadratic=(0.002, -0.002, 0.001)), *((ThermalLag(lag_s),) if lag_s else ()))
     sources = simulated_sources(simulation(motion, {"G1": effects}, seed=3))
@@ -101,7 +103,7 @@ def test_a_bias_that_is_curved_in_a_heating_that_only_rises_has_the_lag_of_its_e
     assert fit(campaign, [motion]).fitted["G1"].lag_s == pytest.approx(lag_s, abs=0.5)
 
 
-def test_nothing_heated_has_no_lag() -> None:
+def test_without_heating_no_lag_is_fitted() -> None:
     assert {parameters.lag_s for parameters in fit(campaign_of("static"), PLANS["static"]).fitted.values()} == {0.0}
 
 
@@ -117,27 +119,29 @@ def vibrating(amplitude_g: float, *names: str) -> tuple[float, ...]:
     return tuple(item.amplitude_box[0] / 9.80665 for item in fitted if abs(item.frequency_hz - 17.0) < 0.2)
 
 
-def test_a_faint_line_of_all_accelerometers_is_the_rooms() -> None:
+def test_a_weak_line_of_all_accelerometers_is_of_the_room() -> None:
     (amplitude_g,) = vibrating(4e-4, "A1", "A2")
     assert amplitude_g == pytest.approx(4e-4, rel=0.15)
 
 
-def test_a_line_of_one_accelerometer_is_its_own() -> None:
+def test_a_line_of_one_accelerometer_is_not_of_the_room() -> None:
     assert vibrating(4e-4, "A1") == ()
 
 
-def test_a_strong_line_is_of_the_surroundings_if_several_have_it() -> None:
+def test_a_strong_line_of_several_sensors_is_of_the_surroundings() -> None:
     (amplitude_g,) = vibrating(10 * MOST_G, "A1", "A2")
     assert amplitude_g == pytest.approx(10 * MOST_G, rel=0.15)
     assert vibrating(3 * MOST_G, "A1") == ()
-    rate = 0.2  # dps, of which the function makes g
+    rate = 0.2  # dps, which the function converts to g
     (amplitude,) = vibrating(rate, "G1", "G2")
     assert amplitude * 9.80665 == pytest.approx(np.radians(rate), rel=0.15)
     assert vibrating(rate, "G1") == ()
 
 
 def test_the_delay_of_filters_is_fitted_in_motion() -> None:
-    """Both gyroscopes are configured alike; with 12.5 Hz instead of 35 one of them would be late by 11.6 ms more."""
+    """Both gyroscopes have the same configuration; with 12.5 Hz instead of 35 one of them has an additional delay of
+    11.6 ms.
+    """
     campaign = campaign_of("motion", {"G1": (Bandwidth(12.5, share=1.0, poles=2.0, signal_only=1.0),)}, seed=2)
     headers = {name: part.header for name, part in campaign.logs[0].phases[0].sensors.items()}
     headers["G1"] = replace(headers["G1"], bandwidth_hz=12.5)
@@ -148,8 +152,8 @@ def test_the_delay_of_filters_is_fitted_in_motion() -> None:
     assert difference_s == pytest.approx(own_s, rel=0.25)
 
 
-def test_a_filter_that_delays_nothing_is_none() -> None:
-    """Sensors of one cutoff, in step: a delay of a picosecond would have a cutoff that no effect accepts."""
+def test_a_filter_without_a_delay_is_not_fitted() -> None:
+    """Synchronous sensors of one cutoff: a delay of a picosecond would give a cutoff that no effect accepts."""
     campaign = campaign_of("motion", seed=2)
     headers = {name: part.header for name, part in campaign.logs[0].phases[0].sensors.items()}
     headers["G1"] = replace(headers["G1"], bandwidth_hz=1e4)
@@ -157,8 +161,10 @@ def test_a_filter_that_delays_nothing_is_none() -> None:
     assert {delays[name].filter_s for name in ("G1", "G2")} == {0.0}
 
 
-def test_a_delay_that_the_log_states_is_simulated_as_it_is() -> None:
-    """It is no parameter of the fit, which then finds nothing else in a motion that both gyroscopes follow in step."""
+def test_a_delay_stated_in_the_log_is_simulated_unchanged() -> None:
+    """It is not a parameter of the fit, which then gives no other delay in a motion that both gyroscopes follow
+    synchronously.
+    """
     campaign = campaign_of("motion", seed=2)
     headers = {name: part.header for name, part in campaign.logs[0].phases[0].sensors.items()}
     headers["G1"] = replace(headers["G1"], bandwidth_hz=41.0, delay_ns=5_900_000)
@@ -173,7 +179,7 @@ def phases(*ends_s: tuple[float, float, str]) -> list[Phase]:
 
 
 def test_steps_of_a_heating_share_an_attitude() -> None:
-    """Also their first halves alone, or their second ones; a box that was turned in between has another one."""
+    """Also their first or second halves alone; a box that was turned in between has another attitude."""
     whole = phases((0, 20, "+Z"), (20, 60, "+Z"), (60, 100, "+Z"), (104, 120, "-X"), (120, 130, "+Z"))
     assert attitude_numbers(whole) == [0, 0, 0, 1, 2]
     halves = phases((0, 10, "+Z"), (20, 40, "+Z"), (60, 80, "+Z"), (104, 112, "-X"))
@@ -181,7 +187,7 @@ def test_steps_of_a_heating_share_an_attitude() -> None:
     others = phases((10, 20, "+Z"), (40, 60, "+Z"), (80, 100, "+Z"), (112, 120, "-X"))
     assert attitude_numbers(others) == [0, 0, 0, 1]
     assert attitude_numbers(phases((0, 10, "+Z"), (13, 20, "+Z"))) == [0, 1]  # put down again
-    assert attitude_numbers(phases((0, 10, ""), (10, 20, ""))) == [0, 1]  # nobody says so
+    assert attitude_numbers(phases((0, 10, ""), (10, 20, ""))) == [0, 1]  # without a note
 
 
 def test_readings_in_one_attitude_are_averaged() -> None:
@@ -190,7 +196,7 @@ def test_readings_in_one_attitude_are_averaged() -> None:
     np.testing.assert_array_equal(shared[:, 0], [[2, 0, 0], [2, 0, 0], [7, 0, 0]])
 
 
-def test_a_fast_motion_shows_more_of_a_delay_than_there_is() -> None:
+def test_the_apparent_delay_of_a_fast_motion_is_corrected() -> None:
     """Twice as much in the first row, as much as expected in the second; in the last nothing was changed."""
     design = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
     before = np.array([0.0, 0.001]), np.array([0.001, 0.002, 0.003])
@@ -215,7 +221,7 @@ def test_the_noise_is_compared_with_the_data_sheet() -> None:
     assert math.isnan(y.pull)  # a typical figure has no tolerance
 
 
-def test_a_noise_that_no_data_sheet_prints_is_not_compared() -> None:
+def test_a_noise_without_a_data_sheet_figure_is_not_compared() -> None:
     campaign = campaign_of("static")
     base = fit(campaign, [Still(seconds=60.0)], seed=0)
     unknown = {name: replace(header, bandwidth_hz=0.0, rate_hz=0.0) for name, header in base.headers.items()}
@@ -224,7 +230,7 @@ def test_a_noise_that_no_data_sheet_prints_is_not_compared() -> None:
 
 
 @pytest.mark.parametrize(("accelerometers", "widening"), [(1, 1.0), (2, 1.0), (3, 1.234), (9, 1.0838)])
-def test_a_misalignment_is_that_against_the_median_of_the_accelerometers(accelerometers: int, widening: float) -> None:
+def test_a_misalignment_is_relative_to_the_median_of_the_accelerometers(accelerometers: int, widening: float) -> None:
     """The root of 1 + pi / 6 for three of them. A scale error does not depend on the attitude."""
     sensors = campaign_of("static").logs[0].phases[0].sensors.values()
     part = next(sensor.header for sensor in sensors if sensor.header.quantity == "specific_force")

@@ -1,4 +1,4 @@
-"""Readings that stand alone in a motion that others feel too."""
+"""Single outlying readings in a motion of several sensors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ JUMP_G = 128 / 2048
 
 @pytest.fixture(scope="module")
 def shaken(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Log]:
-    """By hand; three readings of A1's x are off by less than the motion moves it from row to row."""
+    """Shaken by hand; three readings of A1's x have errors smaller than the change by the motion from row to row."""
     path: Path = tmp_path_factory.mktemp("shaken") / "log.h5"
     hit = Glitches(runs=(0.0,) * 3, moments_s=HIT_S, jumps=(JUMP_G, 0.0, 0.0) * 3)
     write_log(simulation(HandShake(peak_g=3.0, peak_dps=100.0, still_s=5, motion_s=20), {"A1": (hit,)}, seed=3), path)
@@ -34,8 +34,8 @@ def shaken(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Log]:
 MOVING = Phase(6 * SECOND, 24 * SECOND, "motion", "")
 
 
-def test_what_was_hit_is_furthest_off(shaken: Log) -> None:
-    """Each reading came at the next hundredth of a second; 128 counts off, with noise of 8 of it and half of that of
+def test_wrong_readings_have_the_largest_deviations(shaken: Log) -> None:
+    """Each reading is at the next hundredth of a second; an error of 128 counts, with a noise of 8 and half of that of
     each neighbour, of both sensors: 14.
     """
     found = outliers_in_motion(shaken["A1"], [shaken["A2"]], MOVING)
@@ -46,8 +46,8 @@ def test_what_was_hit_is_furthest_off(shaken: Log) -> None:
     np.testing.assert_allclose(found.deviation[own][order], 128.0, atol=4 * 14)
 
 
-def test_the_motion_itself_goes(shaken: Log) -> None:
-    """On an axis that was not hit the furthest is off by noise, without the other sensor by a third more."""
+def test_the_motion_is_removed(shaken: Log) -> None:
+    """On an axis without wrong readings the largest deviation is noise, without the other sensor a third more."""
     tally, span = OutlierTally(), shaken["A1"].between(MOVING.start_ns, MOVING.end_ns)
     tally.update(np.asarray(shaken["A1"].time[span]), np.asarray(shaken["A1"].counts[span], float).T)
     alone, beside = tally.result(), outliers_in_motion(shaken["A1"], [shaken["A2"]], MOVING)
@@ -55,5 +55,5 @@ def test_the_motion_itself_goes(shaken: Log) -> None:
     assert furthest[0] > 1.3 * furthest[1]
 
 
-def test_nobody_to_compare_with(shaken: Log) -> None:
+def test_without_another_sensor_there_are_no_outliers(shaken: Log) -> None:
     assert len(outliers_in_motion(shaken["A1"], [], MOVING).deviation) == 0

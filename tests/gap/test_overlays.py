@@ -1,4 +1,4 @@
-"""Which curves are drawn of what differs, and what stands in them."""
+"""The curves that are drawn of differences, and their contents."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ def tone() -> tuple[Bench, Campaign]:
 def drawn_tone(tone: tuple[Bench, Campaign]) -> tuple[tuple[Overlay, ...], Run]:
     bench, campaign = tone
     before = bench.models()
-    quiet = replace(before["G1"].fitted, rms=(0.05, 0.05, 0.05))  # the fit took the line for noise
+    quiet = replace(before["G1"].fitted, rms=(0.05, 0.05, 0.05))  # the fit includes the line in the noise
     after = {**before, "G1": replace(before["G1"], fitted=quiet, added=(TONE,))}
     run = Run(bench)
     found = [where(), where(), where(domain="level"), where(domain="codes", axis=""), where(domain="timing")]
     return overlays_of(bench, campaign, found, (before, after), run), run
 
 
-def test_a_line_is_outside_before_and_inside_after(drawn_tone: tuple[tuple[Overlay, ...], Run]) -> None:
-    """0.05 dps at 20 Hz: of a Hann window the bin at the line has amplitude^2 / 3 over the distance of bins."""
+def test_a_line_is_outside_the_band_before_and_inside_after(drawn_tone: tuple[tuple[Overlay, ...], Run]) -> None:
+    """0.05 dps at 20 Hz: with a Hann window the bin at the line has amplitude^2 / 3 over the distance of bins."""
     found, run = drawn_tone
     assert run.items == 4  # jobs: 8 and 4 replicates of either model
     assert [(one.kind, one.sensor, one.axis) for one in found] == [
@@ -62,14 +62,16 @@ def test_a_line_is_outside_before_and_inside_after(drawn_tone: tuple[tuple[Overl
         assert (one.before[0] <= one.before[2]).all()
 
 
-def test_most_points_are_inside_the_right_model(drawn_tone: tuple[tuple[Overlay, ...], Run]) -> None:
-    """12 replicates leave a point outside with 0.2 to 0.25; more than half of some hundred bins never are."""
+def test_most_points_are_inside_the_band_of_the_right_model(drawn_tone: tuple[tuple[Overlay, ...], Run]) -> None:
+    """With 12 replicates a point is outside with a probability of 0.2 to 0.25; never more than half of some hundred
+    bins.
+    """
     spectrum = drawn_tone[0][0]
     outside = (spectrum.real < spectrum.after[1]) | (spectrum.real > spectrum.after[2])
     assert outside.mean() < 0.5
 
 
-def test_white_noise_falls_with_the_root_of_time(tone: tuple[Bench, Campaign]) -> None:
+def test_white_noise_decreases_with_the_root_of_time(tone: tuple[Bench, Campaign]) -> None:
     """0.05 dps at 100 rows/s on an axis without a line: 0.05 sqrt(0.01 / tau), within 3 sigma of 18 % at 1.28 s."""
     bench, campaign = tone
     (curve,) = curves_of(bench, campaign, [where(axis="x", domain="allan")], 12)
@@ -82,7 +84,7 @@ def test_white_noise_falls_with_the_root_of_time(tone: tuple[Bench, Campaign]) -
     np.testing.assert_allclose(how.x[0], 0.01, rtol=1e-3)
 
 
-def test_each_once_and_few_of_one_sensor(tone: tuple[Bench, Campaign]) -> None:
+def test_each_curve_is_drawn_once_and_few_of_one_sensor(tone: tuple[Bench, Campaign]) -> None:
     bench, campaign = tone
     domains = ("spectrum", "autocorrelation", "codes", "allan", "force")
     found = [where(sensor, axis, domain) for sensor in ("G1", "A1") for axis in "xyz" for domain in domains]
@@ -94,7 +96,7 @@ def test_each_once_and_few_of_one_sensor(tone: tuple[Bench, Campaign]) -> None:
     assert overlays_of(bench, campaign, [where(domain="timing")], ({}, {}), Run(bench)) == ()
 
 
-def test_models_that_are_alike_are_simulated_once(tone: tuple[Bench, Campaign]) -> None:
+def test_equal_models_are_simulated_once(tone: tuple[Bench, Campaign]) -> None:
     bench, campaign = tone
     run = Run(bench)
     (found,) = overlays_of(bench, campaign, [where()], (bench.models(), bench.models()), run)
@@ -102,7 +104,7 @@ def test_models_that_are_alike_are_simulated_once(tone: tuple[Bench, Campaign]) 
     np.testing.assert_array_equal(found.before, found.after)
 
 
-def test_an_unknown_phase_stands_for_the_longest() -> None:
+def test_an_unknown_phase_selects_the_longest() -> None:
     bench, campaign = benched(["turn-on"], {})
     (named,) = curves_of(bench, campaign, [where(phase="run 4")], 12)
     assert (named.log, named.phases) == (3, (1,))  # the second halves of eight boots are held out
@@ -114,8 +116,8 @@ def test_an_unknown_phase_stands_for_the_longest() -> None:
 
 
 @pytest.mark.slow
-def test_heat_shows_at_the_same_temperatures() -> None:
-    """0.02 dps more per degC on z, over the same places on x."""
+def test_thermal_curves_have_common_temperatures() -> None:
+    """0.02 dps more per degC on z, over the same temperatures on x."""
     bench, campaign = benched(["heating"], {"G1": (HOTTER,)})
     before = bench.models()
     cold = replace(before["G1"].fitted, slope=(0.05, 0.05, 0.05))
@@ -132,8 +134,8 @@ def test_heat_shows_at_the_same_temperatures() -> None:
     assert np.abs(heat.real - heat.after[0]).max() < 0.05
 
 
-def test_even_codes_stay_even_when_they_are_moved() -> None:
-    """All even beside all even but another level: zigzag upon zigzag."""
+def test_shifted_even_codes_stay_even() -> None:
+    """Even codes compared with even codes of another level: both curves alternate alike."""
     curve = Curve("codes", "S", 0, 0, (0,))
     even, other = (summary(block(2 * gaussian(4.0, seed=seed) + level)) for seed, level in ((1, 0), (2, 12)))
     how = drawn(curve, (even,))
@@ -144,7 +146,7 @@ def test_even_codes_stay_even_when_they_are_moved() -> None:
 
 
 def test_a_wide_histogram_is_coarse() -> None:
-    """Spread of 2000 counts: some 15 000 between the rarest 0.1 % and as much as a half again in 200 places at most."""
+    """Spread of 2000 counts: some 15 000 between the rarest 0.1 % and half of that again, in at most 200 bins."""
     curve = Curve("codes", "S", 2, 0, (0,))
     wide = summary(block(gaussian(2000.0)))
     how = drawn(curve, (wide,))
@@ -153,7 +155,7 @@ def test_a_wide_histogram_is_coarse() -> None:
     assert how.values((wide,)).sum() == pytest.approx(1.0, abs=0.005)
 
 
-def test_bands_say_nothing_of_what_is_hardly_there() -> None:
+def test_bands_omit_rare_values() -> None:
     values = [np.array([float(number), math.nan if number < 7 else 1.0]) for number in range(12)]
     middle, low, high = bands(values).T[0]
     assert (middle, low, high) == (5.5, pytest.approx(0.275), pytest.approx(10.725))

@@ -1,4 +1,4 @@
-"""A statistic of two parts put together again, and how far such sums scatter."""
+"""Sums of a statistic over both parts, and the scatter of such sums."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ def key(name: str, log: int = 0) -> Key:
     return Key(log, name, "x", "static", 0, "level", "mean")
 
 
-def test_a_sum_is_of_the_parts_that_speak() -> None:
-    """Of two independent standard scores the sum over the root of two is standard; of one it is the score."""
+def test_a_sum_is_over_the_parts_with_a_value() -> None:
+    """The sum of two independent standard scores over the root of two is standard; a single score is unchanged."""
     np.testing.assert_allclose(BOTH.sums(np.array([3.0, -2.0, 1.0, 7.0])), [4 / 2**0.5, -2.0, 7.0])
     np.testing.assert_allclose(BOTH.sums(np.array([3.0, NAN, NAN, 7.0])), [3.0, NAN, 7.0])
     np.testing.assert_allclose(BOTH.sums(np.array([NAN, 1.0, -4.0, NAN])), [-4.0, 1.0, NAN])
     np.testing.assert_allclose(BOTH.sums(np.full(4, NAN)), [NAN] * 3)
 
 
-def test_means_are_of_the_parts_that_speak() -> None:
+def test_means_are_over_the_parts_with_a_value() -> None:
     np.testing.assert_allclose(BOTH.means(np.array([3.0, -2.0, 1.0, 7.0])), [2.0, -2.0, 7.0])
     np.testing.assert_allclose(BOTH.means(np.array([NAN, -2.0, 1.0, NAN])), [1.0, -2.0, NAN])
 
 
 @given(st.lists(st.lists(st.one_of(st.just(NAN), st.floats(-1e6, 1e6)), min_size=4, max_size=4), max_size=5))
-def test_replicates_are_summed_one_by_one(rows: list[list[float]]) -> None:
+def test_each_replicate_is_summed(rows: list[list[float]]) -> None:
     scores = np.array(rows).reshape(-1, 4)
     every = BOTH.sums(scores)
     assert every.shape == (len(rows), 3)
@@ -45,8 +45,8 @@ def test_replicates_are_summed_one_by_one(rows: list[list[float]]) -> None:
 
 
 @given(st.sets(st.text("abc", min_size=1, max_size=2)), st.sets(st.text("abc", min_size=1, max_size=2)))
-def test_pairs_are_of_the_same_key(train: set[str], held_out: set[str]) -> None:
-    """Each key once; where it stands in each part is where it stood."""
+def test_pairs_have_the_same_key(train: set[str], held_out: set[str]) -> None:
+    """Each key once; the places of both parts are the original ones."""
     keys = [*map(key, sorted(train)), *map(key, sorted(held_out, reverse=True))]
     pairs = pairs_of(keys, [False] * len(train) + [True] * len(held_out))
     assert set(pairs.keys) == set(keys)
@@ -59,7 +59,7 @@ def test_pairs_are_of_the_same_key(train: set[str], held_out: set[str]) -> None:
 
 
 def test_the_spread_of_standard_sums() -> None:
-    """1 if parts are independent, the root of two if they are the same, the root of a half if the fit makes the one
+    """1 if parts are independent, the root of two if they are the same, the root of a half if the fit makes one of them
     zero: 2000 replicates, each within 5 standard errors of 1 / sqrt(4000).
     """
     random = np.random.default_rng(1)
@@ -70,8 +70,8 @@ def test_the_spread_of_standard_sums() -> None:
         assert spread[0] == pytest.approx(expected, rel=0.08)
 
 
-def test_no_spread_is_small_and_wild_ones_count_little() -> None:
-    """Nothing known, all the same, and one of 100 in 50: squares are of 5 at most."""
+def test_a_spread_has_a_lower_limit_and_outliers_have_little_weight() -> None:
+    """No values, equal values, and one value of 100 in 50: squares are limited to those of 5."""
     sums = np.zeros((50, 3))
     sums[:, 0] = NAN
     sums[3, 2] = 100.0

@@ -1,4 +1,4 @@
-"""Effects that one rate, one log, a part of the time or some units show, in logs written by hand: each is named."""
+"""Effects in one rate, one log, a part of the time or some units only, in synthetic logs: each is named."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.selection import some
 REPLICATES = 40
 
 CASES: Mapping[str, tuple[str, tuple[str, ...], Mapping[str, sampled.Change], Mapping[str, float]]] = {
-    # named: effect, sensors; made: changes by sensor; told: parameters to a tenth
+    # expected effect and sensors; changes by sensor; parameters to a tenth
     "rows of one rate are correlated": ("bandwidth", ("G1",), {"G1": sampled.low_pass(30.0)}, {"cutoff_hz": 30.0}),
     "a line that the slower rows alias": ("tone", ("G2",), {"G2": sampled.line(71.3, 0.018)}, {"frequency_hz": 71.3}),
     "rows of one rate repeat": ("odr_error", ("G1",), {"G1": sampled.held(160.0)}, {"rate_hz": 160.0}),
@@ -72,7 +72,7 @@ CASES: Mapping[str, tuple[str, tuple[str, ...], Mapping[str, sampled.Change], Ma
 
 
 @pytest.mark.parametrize("case", some(CASES, 0, 2))
-def test_it_is_named_first(case: str, tmp_path: Path) -> None:
+def test_the_effect_is_the_first_cause(case: str, tmp_path: Path) -> None:
     effect, sensors, changes, told = CASES[case]
     recordings = sampled.recorded(tmp_path, changes)
     found = explain(compare(recordings, Run, seed=1, replicates=REPLICATES), library(()), briefly=True)
@@ -85,8 +85,8 @@ def test_it_is_named_first(case: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.campaign
-def test_units_of_two_chips_share_noise(tmp_path: Path) -> None:
-    """What a supply puts into both: their own axes have it in common, wherever these point."""
+def test_common_noise_of_two_chips_is_named(tmp_path: Path) -> None:
+    """Noise of a supply in both: it is common along their own axes, for any orientation."""
     changes = {name: sampled.shared_noise(0.003) for name in ("A1", "D1")}
     recordings = sampled.recorded(tmp_path, changes, names=("A1", "A2", "D1"))
     found = explain(compare(recordings, Run, seed=1, replicates=REPLICATES), library(()), briefly=True)
@@ -94,8 +94,8 @@ def test_units_of_two_chips_share_noise(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_rates_are_looked_at_one_by_one() -> None:
-    """A trial that one log suggests is there beside those of all, and none comes twice."""
+def test_trials_of_single_rates_are_added() -> None:
+    """A trial suggested by one log is added to those of all logs, and none is repeated."""
     heard: list[int] = []
 
     def guesses(evidence: Any) -> list[Hypothesis]:
@@ -112,12 +112,12 @@ def test_rates_are_looked_at_one_by_one() -> None:
 
 
 def _with_rows(evidence: Any, numbered: Mapping[str, tuple[int, ...]]) -> Any:
-    """All rows are of the first log; what the other one shows isn't known."""
+    """All rows are of the first log; those of the other log are unknown."""
     return replace(evidence, rows_of=numbered)
 
 
-def test_what_ends_at_the_same_place_is_tried_once() -> None:
-    """Numbers that are refined may be a fifth apart, others a hundredth; it matters when it is, and whose it is."""
+def test_trials_that_converge_to_the_same_place_are_tried_once() -> None:
+    """Refined numbers may differ by a fifth, others by a hundredth; time and sensor must be equal."""
     amplitudes, free = [(0.0, size, 0.0) for size in (0.1, 0.11, 0.2)], ("amplitude",)
     lines = [Hypothesis((Tone(one, 17.0),), free) for one in amplitudes]
     assert distinct(lines) == [lines[0], lines[2]]

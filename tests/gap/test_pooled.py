@@ -1,4 +1,4 @@
-"""Pooled scores of the statistics of a sensor in a log, on normal numbers drawn for the purpose."""
+"""Pooled scores of the statistics of a sensor in a log, on drawn normal numbers."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def p_of(scores: PooledScores) -> float:
 
 
 @pytest.mark.parametrize("shared", some([0.5, 0.0], 1))
-def test_chance_exceeds_them_as_rarely_as_it_should(shared: float) -> None:
+def test_rate_of_false_alarms(shared: float) -> None:
     """False alarms at 5 % (2 of 41): 400 campaigns without a gap, whose places may depend on each other, have between
     8 and 34 of them with a probability of 0.997.
     """
@@ -50,7 +50,7 @@ def test_chance_exceeds_them_as_rarely_as_it_should(shared: float) -> None:
     assert 8 <= alarms <= 34
 
 
-def test_deviations_in_many_places_are_seen() -> None:
+def test_deviations_in_many_places_are_detected() -> None:
     """2.6 standard deviations in each of 21 of 84 places: chance gives as much in one of 107 places, not in 21."""
     scores = normal(np.random.default_rng(5))
     scores[0, :21] = 2.6
@@ -59,7 +59,7 @@ def test_deviations_in_many_places_are_seen() -> None:
     assert p_of(pooled) == pytest.approx(1 / 41)
 
 
-def test_a_slight_shift_of_every_place_is_no_gap() -> None:
+def test_a_slight_shift_of_every_place_is_not_a_gap() -> None:
     """A fit that is slightly wrong shifts all places alike, by less than a standard deviation."""
     scores = normal(np.random.default_rng(7))
     scores[0] = 0.95 * BEYOND
@@ -80,9 +80,9 @@ def test_each_log_is_pooled_and_all_logs_together() -> None:
     assert p_of(pooled) == pytest.approx(1 / 41)
 
 
-def test_axes_that_respond_alike_to_a_motion_are_summed() -> None:
-    """A delay of 2.8 standard deviations on each of three axes is one of 2.8 sqrt(3) = 4.8 of the sensor; with another
-    sign on one axis it is 1.6, which chance exceeds.
+def test_axes_with_the_same_response_to_a_motion_are_summed() -> None:
+    """A delay of 2.8 standard deviations on each of three axes is 2.8 sqrt(3) = 4.8 for the sensor; with another sign
+    on one axis it is 1.6, which chance exceeds.
     """
     moving = keys("motion_delay", phases=4)
     scores = np.random.default_rng(9).standard_normal((41, len(moving)))
@@ -107,7 +107,7 @@ def test_few_places_are_not_pooled() -> None:
     assert pooled_scores(np.ones((41, len(few))), few).scores.shape == (41, 0)
 
 
-def test_places_without_a_value_count_nothing() -> None:
+def test_places_without_a_value_have_no_weight() -> None:
     scores = normal(np.random.default_rng(8))
     scores[:, 5:21] = np.nan
     pooled = pooled_scores(scores, ALL)
@@ -115,7 +115,7 @@ def test_places_without_a_value_count_nothing() -> None:
     assert p_of(pooled) > 0.05
 
 
-def test_the_largest_are_those_of_single_statistics() -> None:
+def test_the_largest_pooled_scores_equal_those_of_single_statistics() -> None:
     """Median and 90 % quantile of a campaign's largest score, whatever the number and the tails of pools."""
     heavy = np.random.default_rng(9).standard_t(4, size=(41, len(ALL)))
     pooled = np.abs(pooled_scores(heavy, ALL).scores).max(axis=1)

@@ -1,4 +1,4 @@
-"""Probes of the shape of noise, in values, codes, frequencies and time, beside closed forms."""
+"""Probes of the shape of noise, in values, codes, frequencies and time, against closed forms."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_distribution_of_exponential_noise() -> None:
     np.testing.assert_allclose(3 * np.exp(value("kurtosis", found)), 9.0, rtol=0.1)
 
 
-def test_codes() -> None:
+def test_probes_of_codes() -> None:
     counts = gaussian()
     found = summary(block(counts))
     quarter, half = np.pi / 4, 5 * 0.5 / np.sqrt(20_000)  # arcsin of the root of a half; five standard errors
@@ -45,8 +45,8 @@ def test_codes() -> None:
     assert (value("code_ends", ends) > 0.9).all()
 
 
-def test_codes_that_a_quick_turn_passes_over_are_not_absent() -> None:
-    """20,000 rows on a slope that passes 5000 codes have four a code, on one of 6000 fewer."""
+def test_codes_skipped_by_a_quick_turn_are_not_absent() -> None:
+    """20,000 rows on a slope over 5000 codes have four rows per code, over 6000 codes fewer."""
     slopes = np.linspace(0.0, 1.0, 20_000)[:, None] * np.array([100.0, 5000.0, 6000.0])
     values = value("absent_codes", summary(block(np.rint(slopes))))
     np.testing.assert_array_equal(values, 0.0)
@@ -56,9 +56,9 @@ def test_codes_that_a_quick_turn_passes_over_are_not_absent() -> None:
 
 
 @pytest.mark.parametrize("cuts", [(), (1, 2, 3, 700, 1001)])
-def test_a_single_reading_that_is_off_stands_out_in_a_motion(cuts: tuple[int, ...]) -> None:
-    """One of 500 counts in noise of 5, on a swing whose curvature is up to 63 counts a row, by which a spike is smaller
-    on a crest. At rest the largest step says more.
+def test_a_single_wrong_reading_is_a_spike_in_a_motion(cuts: tuple[int, ...]) -> None:
+    """A spike of 500 counts in noise of 5, on a swing whose curvature is up to 63 counts per row, by which a spike is
+    smaller on a crest. At rest the largest step is more sensitive.
     """
     rows, amplitude, radians, spike = 2000, 16_000, 2 * np.pi / 100, 500
     swing = amplitude * np.cos(radians * np.arange(rows))
@@ -89,7 +89,7 @@ def test_spectrum_of_white_noise_is_flat() -> None:
     np.testing.assert_allclose(value("alternation", found), 0.0, atol=1.2)
 
 
-def test_lines() -> None:
+def test_probes_of_lines() -> None:
     rows = np.arange(20_000)
     tone = summary(block(gaussian() + 8 * np.sin(2 * np.pi * 0.123 * rows)[:, None]))
     assert (value("line", tone) > 10.0).all()
@@ -97,7 +97,7 @@ def test_lines() -> None:
     assert (value("alternation", turns) > 3.0).all()
 
 
-def test_a_line_of_all_phases_together() -> None:
+def test_the_line_over_all_phases_exceeds_that_of_each_phase() -> None:
     """A sine of 0.12 of the noise's standard deviation at one frequency, in phases of 8000, 4000 and 3000 rows: in the
     mean of twenty such logs the score of all phases together is higher than that of any phase.
     """
@@ -128,9 +128,9 @@ def test_the_line_of_a_log_is_a_normal_score() -> None:
     assert 0.75 < np.std(scores) < 1.25
 
 
-def test_every_other_reading() -> None:
-    """0.3 of the noise added and taken away in turn, over 20000 rows: 0.3 sqrt(20000) = 42; a sine of twice that,
-    at 0.4985 of the rate, turns round and round. Without either it is normal.
+def test_an_alternation_of_readings() -> None:
+    """0.3 of the noise alternately added and subtracted, over 20000 rows: 0.3 sqrt(20000) = 42; the phase of a sine of
+    twice that, at 0.4985 of the rate, rotates. Without either it is normal.
     """
     rows, noise = np.arange(20_000), gaussian()
     spread = noise.std(axis=0).mean()
@@ -141,8 +141,8 @@ def test_every_other_reading() -> None:
     assert (np.abs(value("every_other", beats)) < 6.0).all()
 
 
-def test_correlation() -> None:
-    """A moving mean of two: 1/2 at lag 1, nothing beyond; and noise that comes in bursts."""
+def test_probes_of_correlation() -> None:
+    """A moving mean of two: 1/2 at lag 1, zero beyond; and noise in bursts."""
     noise = gaussian(rows=20_001)
     found = summary(block(noise[1:] + noise[:-1]))
     np.testing.assert_allclose(np.tanh(value("lag_1", found)), 0.5, atol=0.03)
@@ -153,24 +153,24 @@ def test_correlation() -> None:
     assert (value("arch", summary(block(np.rint(bursts)))) > 0.15).all()
 
 
-def test_jumps_come_at_once() -> None:
-    """Every 1000 rows, far beyond noise: one that lies u from the middle of 2 m rows changes their two means by
-    1 - |u| / m, of which the mean square is 2 m / 3 rows a jump, the mean fourth power 2 m / 5: kurtosis
-    9 x 1000 / (10 m). Noise, and what wanders in many small steps, has 3.
+def test_kurtosis_of_jumps() -> None:
+    """Every 1000 rows, far beyond noise: a jump u from the middle of 2 m rows changes their two means by 1 - |u| / m,
+    whose mean square is 2 m / 3 rows per jump, the mean fourth power 2 m / 5: kurtosis 9 x 1000 / (10 m). Noise, and a
+    wander in many small steps, has 3.
     """
     turns = np.rint(200 * (-1.0) ** (np.arange(40_000) // 1000))[:, None]
     found = summary(block(turns + gaussian(1.0, rows=40_000)))
     for rows in (8, 32, 128):
         np.testing.assert_allclose(3 * np.exp(value(f"jumps_{rows}", found)), 900 / rows, rtol=0.1)
     walk = summary(block(np.rint(np.cumsum(np.random.default_rng(4).normal(0.0, 20.0, (40_000, 3)), axis=0) / 30)))
-    for rows in (8, 32):  # of 40 000 / 2 m independent differences: root of 24 over that, over 3; five of these
+    for rows in (8, 32):  # 40 000 / 2 m independent differences: root of 24 over that, over 3; five of these
         for one in (walk, summary(block(gaussian(rows=40_000)))):
             np.testing.assert_allclose(value(f"jumps_{rows}", one), 0.0, atol=5 * np.sqrt(24 * 2 * rows / 40_000) / 3)
 
 
-def test_allan() -> None:
-    """White: nothing above 0; a random walk: (2 m^2 + 1) / (3 m) as much at m rows, known for its variance
-    (2 m + 1 / m) / 6 against 1 / 2 at one row.
+def test_probes_of_allan_variances() -> None:
+    """White: not above 0; a random walk: (2 m^2 + 1) / (3 m) as much at m rows, known for its variance (2 m + 1 / m) /
+    6 against 1 / 2 at one row.
     """
     white = summary(block(gaussian()))
     np.testing.assert_allclose(value("allan_8", white), 0.0, atol=0.2)

@@ -1,4 +1,4 @@
-"""Probes of temperature, force, times and flags beside closed forms, on rows made by hand."""
+"""Probes of temperature, force, times and flags against closed forms, on rows made by hand."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def heated(coefficients: tuple[float, float, float, float]) -> list[Summary]:
     return phases
 
 
-def test_temperature() -> None:
-    """Each term is told where those that come before it in the fit are there too."""
+def test_probes_of_temperature() -> None:
+    """Each term is estimated in the presence of the earlier terms of the fit."""
     phases = heated((100.0, 0.0, 3.0, 300.0))
     np.testing.assert_allclose(value("thermal_change", phases), 300.0 / SCALE, rtol=0.02)
     np.testing.assert_allclose(value("thermal_residual", phases), 0.0, atol=0.7)  # 124 degrees of freedom
@@ -45,7 +45,7 @@ def test_temperature() -> None:
     np.testing.assert_allclose(value("thermal_change", curved), 0.0, atol=5.0 / SCALE)
 
 
-def test_nothing_is_said_of_temperature_where_it_does_not_change() -> None:
+def test_a_constant_temperature_has_no_thermal_probes() -> None:
     phase = summary(block(gaussian(rows=3000)))
     for name in ("thermal_slope", "thermal_square", "thermal_change", "thermal_residual", "thermal_noise"):
         assert np.isnan(value(name, [phase])).all()
@@ -67,8 +67,8 @@ AXES = ("+X+Y+Z", "+Y+X-Z")
 
 
 @pytest.mark.parametrize("axes", AXES)
-def test_force(axes: str) -> None:
-    """Readings b + M f + q f^2 of six faces and a check, told along the sensor's own axes."""
+def test_probes_of_force(axes: str) -> None:
+    """Readings b + M f + q f^2 of six faces and a check, along the sensor's own axes."""
     response = np.array([[1000.0, 30.0, -50.0], [7.0, 1100.0, 0.0], [0.0, -90.0, 900.0]])
     quadratic, bias = np.array([40.0, 0.0, -20.0]), np.array([500.0, -300.0, 80.0])
     sensor = header(axes=axes)
@@ -85,7 +85,7 @@ def test_force(axes: str) -> None:
 
 
 def test_a_response_that_changed_between_two_times_on_the_same_faces() -> None:
-    """A scale that grows by 2 and 3 % along y and z; along x one face changes, as by a bias that wanders."""
+    """A scale that grows by 2 and 3 % along y and z; along x one face changes, like by a wandering bias."""
     sensor = header(axes="-X+Y-Z")
     faces = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
     phases = []
@@ -100,7 +100,7 @@ def test_a_response_that_changed_between_two_times_on_the_same_faces() -> None:
     assert np.isnan(value("force_return", phases[: len(faces) + 1])).all()
 
 
-def test_timing() -> None:
+def test_probes_of_timing() -> None:
     rows = gaussian(rows=3000)
     rows[100:103] = rows[99]
     times = np.arange(3000) * 10_000_000
@@ -121,7 +121,7 @@ def test_timing() -> None:
     np.testing.assert_allclose(value("skips", stalled), np.arcsin(np.sqrt(2 / 2999)))
 
 
-def test_status() -> None:
+def test_probes_of_status_flags() -> None:
     status = np.zeros(1000, np.uint16)
     status[:250] = STALE
     status[400:410] |= LOST_BEFORE

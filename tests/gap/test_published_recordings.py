@@ -1,5 +1,5 @@
-"""What is said of recordings that others have published: an MPU-6050 that warms up, read by a program that stalls, and
-an MPU-6050 and an HMC5883L at rest whose rows a busy host stamped. Skipped where the recordings are absent.
+"""Diagnosis of published recordings: an MPU-6050 that warms up, read by a program that stalls, and an MPU-6050 and an
+HMC5883L at rest whose rows a busy host stamped. Skipped where the recordings are absent.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Recording]]:
-    """Each imported by the map that comes with the package."""
+    """Each recording imported by the map of the package."""
     folder = tmp_path_factory.mktemp("recordings")
     for name, source in SOURCES.items():
         import_table(source, MAPS / f"{name}.toml", folder / f"{name}.h5")
@@ -53,8 +53,8 @@ def test_maps_have_twenty_lines_at_most(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SOURCES)
-def test_a_box_that_never_moved_has_one_attitude(recordings: dict[str, Recording], name: str) -> None:
-    """The sensor that warms by 18 degC in it is heated, however slowly; the two of the other box rest in a room."""
+def test_a_box_without_motion_has_one_attitude(recordings: dict[str, Recording], name: str) -> None:
+    """The sensor that warms by 18 degC in it is heated, though slowly; the two of the other box rest in a room."""
     recording = recordings[name]
     (phase,) = recording.phases
     length_s = {"freeimu_thermal": 2158}.get(name, 655)
@@ -62,7 +62,7 @@ def test_a_box_that_never_moved_has_one_attitude(recordings: dict[str, Recording
     assert (phase.end_ns - phase.start_ns) * 1e-9 == pytest.approx(length_s, abs=4)  # ends may be cut by 3 s
 
 
-def test_stalls(recordings: dict[str, Recording]) -> None:
+def test_stalls_are_measured(recordings: dict[str, Recording]) -> None:
     """2.83 s after every 51 rows, 1071 s of 2158."""
     found = recordings["freeimu_thermal"]
     timing = row_timing(found.log["Acc"])
@@ -73,14 +73,14 @@ def test_stalls(recordings: dict[str, Recording]) -> None:
 
 
 @pytest.mark.parametrize(("name", "sensor", "rate_hz"), [("sunsided_mpu", "Acc", 99.3), ("sunsided_mag", "Mag", 76.93)])
-def test_bursts(recordings: dict[str, Recording], name: str, sensor: str, rate_hz: float) -> None:
+def test_bursts_are_recognised(recordings: dict[str, Recording], name: str, sensor: str, rate_hz: float) -> None:
     timing = row_timing(recordings[name].log[sensor])
     assert timing.kind == "bursts"
     assert timing.rate_hz == pytest.approx(rate_hz, abs=0.03)
 
 
-def test_the_die_tells_its_temperature(recordings: dict[str, Recording]) -> None:
-    """10.4 to 28.9 degC; a barometer's chip beside it was 0.9 degC colder throughout."""
+def test_the_temperature_of_the_die_is_used(recordings: dict[str, Recording]) -> None:
+    """10.4 to 28.9 degC; the chip of a nearby barometer was 0.9 degC colder throughout."""
     found = recordings["freeimu_thermal"]
     degc = found.experiment.motion.felt(np.array([17, 300, 2174], np.int64) * 10**9).temperature_degc
     assert degc[[0, 2]] == pytest.approx([10.5, 28.9], abs=0.5)
@@ -95,7 +95,7 @@ def test_the_die_tells_its_temperature(recordings: dict[str, Recording]) -> None
         ("sunsided_mpu", "Gyro", "z", "z 31.4"),
     ],
 )
-def test_lines(recordings: dict[str, Recording], name: str, sensor: str, axis: str, said: str) -> None:
+def test_lines_are_measured(recordings: dict[str, Recording], name: str, sensor: str, axis: str, said: str) -> None:
     _, campaign = prepare([recordings[name]], None, 0)
     (told,) = lines_shown(campaign, [where(sensor, axis[-1])], ())
     assert said in told
@@ -106,7 +106,9 @@ def diagnosed(recording: Recording) -> Diagnosis:
 
 
 def named(found: Diagnosis, effect: str, sensor: str) -> Cause:
-    """The most probable cause of this effect: the gyroscope has a weak line at 19.9 Hz beside the one at 31.4 Hz."""
+    """The most probable cause of this effect: the gyroscope has a weak line at 19.9 Hz in addition to
+    that at 31.4 Hz.
+    """
     return next(cause for cause in found.causes if cause.effect == effect and sensor in cause.sensors)
 
 

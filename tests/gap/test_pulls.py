@@ -1,4 +1,4 @@
-"""Pulls of parts, and which causes may have made them."""
+"""Pulls of parts, and the causes that may explain them."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ def cause(effect: str, probability: float = 0.6, sensors: tuple[str, ...] = ("B2
         ("zero of the chip's thermometer", "thermal_bias", False),
     ],
 )
-def test_a_cause_that_moves_the_quantity_may_have_made_the_pull(quantity: str, effect: str, is_explained: bool) -> None:
+def test_a_cause_that_moves_the_quantity_may_explain_the_pull(quantity: str, effect: str, is_explained: bool) -> None:
     (pull,) = pulls_of([estimate(quantity)], [cause(effect)])
     assert pull.explained_by == ((effect,) if is_explained else ())
 
 
-def test_only_a_listed_cause_of_the_same_sensor_counts() -> None:
+def test_only_a_listed_cause_of_the_same_sensor_may_explain_a_pull() -> None:
     (pull,) = pulls_of([estimate()], [cause("scale", sensors=("B1",)), cause("range_reset", 0.04)])
     assert pull.explained_by == ()
     (pull,) = pulls_of(
@@ -59,6 +59,6 @@ def test_a_quantity_without_a_tolerance_has_no_pull() -> None:
     assert (pull.value, pull.pull, pull.source) == (pytest.approx(0.056), pytest.approx(2.0), "data sheet")
 
 
-def test_only_effects_are_named() -> None:
-    """And a wrong face, which is a cause in the notes of a log."""
+def test_explanations_of_pulls_are_existing_effects() -> None:
+    """Or a wrong face, which is a cause in the notes of a log."""
     assert set().union(*_MOVED_BY.values()) <= {*EFFECTS, "face_error"}

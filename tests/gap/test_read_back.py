@@ -1,4 +1,4 @@
-"""A diagnosis read back from the JSON that it was written as."""
+"""A diagnosis read back from its JSON."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def table() -> dict[str, Any]:
     return loaded
 
 
-def test_all_that_json_holds_comes_back() -> None:
+def test_all_content_of_the_json_is_read_back() -> None:
     assert diagnosis_of(table()).as_json() == made().as_json()
 
 
@@ -47,7 +47,7 @@ def test_all_that_json_holds_comes_back() -> None:
         (("causes", 0, "parameters"), {"\ud800": 1}, "parameters: .* contains half a character"),
     ],
 )
-def test_what_is_wrong_is_named(path: tuple[str | int, ...], value: object, said: str) -> None:
+def test_a_wrong_field_is_named(path: tuple[str | int, ...], value: object, said: str) -> None:
     found = table()
     place: Any = found
     for key in path[:-1]:
@@ -57,28 +57,28 @@ def test_what_is_wrong_is_named(path: tuple[str | int, ...], value: object, said
         diagnosis_of(found)
 
 
-def test_what_is_missing_is_named() -> None:
+def test_a_missing_field_is_named() -> None:
     found = table()
     del found["cannot_tell"]
     with pytest.raises(LogError, match="cannot_tell is missing"):
         diagnosis_of(found)
 
 
-def test_files_of_earlier_versions_have_no_pulls_and_nothing_missing() -> None:
+def test_files_of_earlier_versions_have_no_pulls_and_no_missing_statistics() -> None:
     found = table()
     del found["pulls"], found["missing"]
     earlier = diagnosis_of(found)
     assert (earlier.pulls, earlier.missing) == ((), ())
 
 
-def test_json_says_when_p_is_a_bound() -> None:
+def test_json_states_that_p_is_a_bound() -> None:
     """No simulation of 64 differs as much: p is at most 1/65."""
     limited = replace(made(), p=1 / 65, replicates=64, p_tail=1e-9).as_json()
     assert (limited["p"], limited["p_limit"], limited["p_tail"]) == (1 / 65, 1 / 65, 1e-9)
     assert replace(made(), replicates=99).as_json()["p_limit"] == 0.01
 
 
-def test_json_says_which_parts_are_out_of_specification() -> None:
+def test_json_states_the_parts_out_of_specification() -> None:
     assert [pull["is_out_of_specification"] for pull in table()["pulls"]] == [False, True, True, True]
     assert [pull["explained_by"] for pull in table()["pulls"]] == [[], [], [], ["thermal_lag"]]
     assert diagnosis_of(table()).pulls == made().pulls
@@ -93,6 +93,6 @@ _JSON = st.recursive(
 
 @given(key=st.sampled_from(sorted(made().as_json())), value=_JSON)
 @settings(max_examples=examples(60), deadline=None)
-def test_nonsense_is_refused_or_harmless(key: str, value: object) -> None:
+def test_any_wrong_value_raises_only_a_log_error(key: str, value: object) -> None:
     with contextlib.suppress(LogError):
         assert diagnosis_of({**table(), key: value}).seed in (value, made().seed)

@@ -1,4 +1,4 @@
-"""Rows that no sensor has are missing from a log, and nothing that differs from a simulation of it."""
+"""Rows that all sensors lack are gaps of the recorder, and not a difference from a simulation."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def logged(
     flag: int = LOST_BEFORE,
     kind: str = "late",
 ) -> Recording:
-    """At rest for 20 s; each sensor lacks the rows `lost`; the logger says that it was late. If it `is_delayed` within
-    a frame, the row after the lost ones comes 1 ms before the next one, which is flagged in its place.
+    """At rest for 20 s; each sensor lacks the rows `lost`; the logger reports that it was late. If it `is_delayed`
+    within a frame, the row after the lost rows is 1 ms before the next row, which has the flag instead.
     """
     rng = np.random.default_rng(1)
     with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z", frame_rate_hz=frame_rate_hz) as log:
@@ -63,7 +63,7 @@ def due(recording: Recording) -> dict[str, int]:
 
 
 @pytest.mark.parametrize("rows", [slice(300, 301), slice(300, 340)])
-def test_rows_that_all_sensors_lack_are_not_due(tmp_path: Path, rows: slice) -> None:
+def test_rows_that_all_sensors_lack_are_not_counted_as_lost(tmp_path: Path, rows: slice) -> None:
     recording = logged(tmp_path / "log.h5", {"Acc": rows, "Gyro": rows})
     left = ROWS - (rows.stop - rows.start)
     assert due(recording) == {"Acc": left, "Gyro": left}
@@ -71,15 +71,15 @@ def test_rows_that_all_sensors_lack_are_not_due(tmp_path: Path, rows: slice) -> 
 
 
 @pytest.mark.parametrize("rows", [slice(300, 301), slice(300, 340)])
-def test_rows_that_one_sensor_lacks_were_lost(tmp_path: Path, rows: slice) -> None:
+def test_rows_that_one_sensor_lacks_are_counted_as_lost(tmp_path: Path, rows: slice) -> None:
     recording = logged(tmp_path / "log.h5", {"Acc": rows})
     assert due(recording) == {"Acc": ROWS, "Gyro": ROWS}
     assert not any("recorder" in note for note in recording.notes)
 
 
 @pytest.mark.parametrize(("chip_hz", "lost"), [(25.0, 0), (40.0, 1), (50.0, 1), (0.0, 1)])
-def test_a_slow_chip_that_is_not_polled_once_lost_nothing(tmp_path: Path, chip_hz: float, lost: int) -> None:
-    """Polled 50 times a second: rows that are 40 ms apart skip none of 25 readings a second, but one of 40 or 50."""
+def test_a_skipped_poll_of_a_slow_chip_loses_no_reading(tmp_path: Path, chip_hz: float, lost: int) -> None:
+    """Polled 50 times a second: rows that are 40 ms apart skip none of 25 readings per second, but one of 40 or 50."""
     slow = tuple(replace(sensor, rate_hz=chip_hz) for sensor in SENSORS)
     recording = logged(tmp_path / "log.h5", {"Acc": slice(300, 301)}, sensors=slow)
     assert due(recording) == {"Acc": ROWS - 1 + lost, "Gyro": ROWS}
@@ -89,8 +89,8 @@ def test_a_slow_chip_that_is_not_polled_once_lost_nothing(tmp_path: Path, chip_h
 @pytest.mark.parametrize(
     ("frame_rate_hz", "flag", "lost"), [(20.0, 0, 0), (20.0, OVERRUN, 1), (20.0, LOST_BEFORE, 1), (50.0, 0, 1)]
 )
-def test_a_queue_that_did_not_overflow_lost_nothing(tmp_path: Path, frame_rate_hz: float, flag: int, lost: int) -> None:
-    """50 rows a second in 20 frames come from a queue; of a sensor that is polled once a frame a row is missing."""
+def test_a_queue_without_overflow_loses_no_reading(tmp_path: Path, frame_rate_hz: float, flag: int, lost: int) -> None:
+    """50 rows a second in 20 frames come from a queue; a sensor that is polled once a frame lacks a row."""
     recording = logged(tmp_path / "log.h5", {"Acc": slice(300, 301)}, frame_rate_hz=frame_rate_hz, flag=flag)
     assert due(recording) == {"Acc": ROWS - 1 + lost, "Gyro": ROWS}
 
@@ -105,9 +105,11 @@ def test_a_queue_that_did_not_overflow_lost_nothing(tmp_path: Path, frame_rate_h
         ("in all 80 frames missed in 2.5 s", 10.0, False),
     ],
 )
-def test_the_logger_says_when_it_was_late(tmp_path: Path, message: str, late_s: float, is_of_recorder: bool) -> None:
-    """From 6.0 to 6.8 s; of a single sensor nothing else tells whose rows they are. A queue that overflows lacks the
-    first rows of a delay of 60 frames of 20 ms, which the logger reports when it ends.
+def test_delays_reported_by_the_logger_are_used(
+    tmp_path: Path, message: str, late_s: float, is_of_recorder: bool
+) -> None:
+    """From 6.0 to 6.8 s; for a single sensor there is no other information on the lost rows. A queue that overflows
+    lacks the first rows of a delay of 60 frames of 20 ms, which the logger reports when it ends.
     """
     recording = logged(tmp_path / "log.h5", {"Acc": slice(300, 340)}, message, late_s)
     assert due(recording)["Acc"] == (ROWS - 40 if is_of_recorder else ROWS)
@@ -121,16 +123,16 @@ def test_the_logger_says_when_it_was_late(tmp_path: Path, message: str, late_s: 
         ("note", "the fan was switched on", False),
     ],
 )
-def test_other_loggers_report_delays_in_their_own_words(
+def test_delays_reported_by_other_loggers_are_used(
     tmp_path: Path, kind: str, message: str, is_of_recorder: bool
 ) -> None:
-    """A single sensor lacks rows, and an event without a sensor stands at the first row after them."""
+    """A single sensor lacks rows, and there is an event without a sensor at the next row."""
     recording = logged(tmp_path / "log.h5", {"Acc": slice(400, 403)}, message, 403 / RATE_HZ, SENSORS[:1], kind=kind)
     assert due(recording)["Acc"] == ROWS - 3 * is_of_recorder
 
 
 @pytest.mark.parametrize("is_delayed", [False, True])
-def test_a_gap_of_the_recorder_leaves_no_trace_in_the_statistics(tmp_path: Path, is_delayed: bool) -> None:
+def test_a_gap_of_the_recorder_does_not_change_the_statistics(tmp_path: Path, is_delayed: bool) -> None:
     rows = slice(300, 340)
     recording = logged(tmp_path / "log.h5", {"Acc": rows, "Gyro": rows}, is_delayed=is_delayed)
     bench, campaign = prepare([recording], None, 0)
@@ -145,9 +147,9 @@ def test_a_gap_of_the_recorder_leaves_no_trace_in_the_statistics(tmp_path: Path,
             assert shown.values[place] == pytest.approx(simulated.values[place], abs=1e-9)
 
 
-def test_a_row_in_the_middle_of_a_stall_is_not_compared(tmp_path: Path) -> None:
-    """A stall of 0.8 s: the reading that was requested before it has the time of its middle; nobody knows whether the
-    next one is new.
+def test_a_row_within_a_stall_is_not_compared(tmp_path: Path) -> None:
+    """A stall of 0.8 s: the reading that was requested before it has the time of its middle; it is unknown whether the
+    next row is new.
     """
     path = tmp_path / "log.h5"
     rng = np.random.default_rng(1)
@@ -170,9 +172,9 @@ def test_a_row_in_the_middle_of_a_stall_is_not_compared(tmp_path: Path) -> None:
         np.testing.assert_array_equal(compared, np.delete(time, [301, 302]))
 
 
-def test_a_late_row_of_a_busy_host_takes_a_wrong_flag_with_it(tmp_path: Path) -> None:
-    """Rows come up to 12 ms late; row 501 comes 1 ms before row 502, which is flagged as if rows had been lost. No
-    timeline that follows such times has a gap.
+def test_a_late_row_with_a_wrong_flag_is_not_compared(tmp_path: Path) -> None:
+    """Rows are up to 12 ms late; row 501 is 1 ms before row 502, which is flagged as if rows were lost. A timeline with
+    such times has no gap.
     """
     rng, path = np.random.default_rng(1), tmp_path / "log.h5"
     time = np.arange(ROWS) * SECOND // RATE_HZ + rng.integers(0, 12_000_000, ROWS)
@@ -192,7 +194,7 @@ def test_a_late_row_of_a_busy_host_takes_a_wrong_flag_with_it(tmp_path: Path) ->
 
 def in_bursts(path: Path, lost: Sequence[int], second_ns: int = 0) -> Recording:
     """At rest for 40 s; a busy host stamps both sensors when it reads them, 1 to 20 rows at once. The gyroscope lacks
-    rows, and is stamped `second_ns` later.
+    rows, and has its stamp `second_ns` later.
     """
     rng = np.random.default_rng(3)
     rows = 40 * RATE_HZ
@@ -212,8 +214,8 @@ def in_bursts(path: Path, lost: Sequence[int], second_ns: int = 0) -> Recording:
     return recording_of(open_log(path))
 
 
-def test_rows_with_common_stamps_tell_which_rows_a_sensor_lost(tmp_path: Path) -> None:
-    """However irregular the stamps are; without common stamps nobody knows."""
+def test_common_stamps_determine_the_lost_rows_of_a_sensor(tmp_path: Path) -> None:
+    """Also for irregular stamps; without common stamps they are unknown."""
     lost = (30, 500, 501, 1700)
     recording = in_bursts(tmp_path / "common.h5", lost)
     rows = len(recording.log["Acc"])
@@ -228,7 +230,7 @@ def test_rows_with_common_stamps_tell_which_rows_a_sensor_lost(tmp_path: Path) -
     assert due(apart) == {"Acc": rows, "Gyro": rows - len(lost)}
 
 
-def test_a_filter_settles_in_the_first_rows_of_a_log(tmp_path: Path) -> None:
+def test_settling_rows_of_a_filter_are_excluded(tmp_path: Path) -> None:
     """Five time constants of 10 Hz are 80 ms: four rows at 50 Hz. A chip without a filter has none."""
     sensors = (replace(SENSORS[0], bandwidth_hz=10.0), SENSORS[1])
     recording = logged(tmp_path / "log.h5", {}, sensors=sensors)

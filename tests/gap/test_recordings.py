@@ -1,4 +1,4 @@
-"""What is made of a log that says all, some or nothing of what happened."""
+"""The recording from a log with complete, partial or no information on the experiment."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def phase(start_s: int, end_s: int, name: str, up: str = "") -> Phase:
         ([phase(0, 9, "run 3", "+Z")], "turn-on"),
     ],
 )
-def test_what_was_done_follows_from_the_phases(tmp_path: Path, phases: list[Phase], kind: str) -> None:
+def test_the_experiment_is_derived_from_the_phases(tmp_path: Path, phases: list[Phase], kind: str) -> None:
     found = recorded(foreign_log(tmp_path / "log.h5", phases))
     assert (found.name, found.kind, found.phases) == ("log.h5", kind, tuple(phases))
     assert found.notes == (
@@ -82,7 +82,7 @@ def test_what_was_done_follows_from_the_phases(tmp_path: Path, phases: list[Phas
     )
 
 
-def test_a_motion_that_nothing_tells_of_is_left_out(tmp_path: Path) -> None:
+def test_a_motion_without_a_track_is_excluded(tmp_path: Path) -> None:
     phases = [phase(0, 4, "static", "+Z"), phase(4, 8, "motion")]
     found = recorded(foreign_log(tmp_path / "log.h5", phases))
     assert (found.kind, found.phases) == ("static", (phases[0],))
@@ -95,12 +95,12 @@ def test_a_motion_that_nothing_tells_of_is_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize("with_unread", [False, True])
 @pytest.mark.parametrize("turns_back", [False, True])
 @pytest.mark.parametrize(("by_reference", "rate_dps"), [(False, 45.0), (True, 2.0)])
-def test_a_turntable_is_not_at_rest_although_its_phases_note_a_face(
+def test_a_turntable_with_noted_faces_is_not_at_rest(
     tmp_path: Path, by_reference: bool, rate_dps: float, *, turns_back: bool, with_unread: bool
 ) -> None:
     """By a reference of the rate alone, or by a mean reading that differs from that at rest; a bias of 40 dps, as at a
-    range of 2000 dps, is no turn. Steps forth and back have a mean rate of zero. A second gyroscope that is read at
-    rest alone tells nothing.
+    range of 2000 dps, is not a rotation. Steps forth and back have a mean rate of zero. A second gyroscope that is read
+    only at rest gives no information.
     """
     times = np.arange(0, 12 * SECOND, SECOND // 10)
     gyroscope = FOREIGN[1]
@@ -124,7 +124,7 @@ def test_a_turntable_is_not_at_rest_although_its_phases_note_a_face(
     assert [item.name for item in recording.phases] == ["z_up", "heat"]
 
 
-def test_a_reference_tells_of_it(tmp_path: Path) -> None:
+def test_a_reference_describes_the_motion(tmp_path: Path) -> None:
     path = tmp_path / "log.h5"
     phases = [phase(0, 4, "static"), phase(4, 8, "motion")]
     times = np.arange(0, 12 * SECOND, SECOND // 10)
@@ -142,7 +142,7 @@ def test_a_reference_tells_of_it(tmp_path: Path) -> None:
 
 def test_the_turns_between_rests_are_compared_where_a_track_shows_them(tmp_path: Path) -> None:
     """The box turns by 90 degrees in 4 s, pauses for 2 s without turning, and turns in 1 s, which is short. A
-    magnetometer has no statistics of a turn, since nobody knows the field then, and is not left out.
+    magnetometer has no statistics of a turn, since the field is unknown then, and is not excluded.
     """
     path = tmp_path / "log.h5"
     phases = [phase(0, 4, "z_up", "+Z"), phase(8, 12, "x_up", "+X"), phase(14, 18, "x_up", "+X")]
@@ -169,8 +169,8 @@ def test_the_turns_between_rests_are_compared_where_a_track_shows_them(tmp_path:
     assert "Mag" in summary.phases[0].sensors
 
 
-def test_static_stretches_are_found_and_their_attitudes_estimated(tmp_path: Path) -> None:
-    """Ten poses; the array's common bias is left in no direction: 1.5e-3 is 0.1 degree."""
+def test_rests_are_detected_and_their_attitudes_estimated(tmp_path: Path) -> None:
+    """Ten poses; the directions do not include the array's common bias: 1.5e-3 is 0.1 degree."""
     ups = directions(10)
     found = recorded(written(tmp_path / "log.h5", simulated(posed(ups), {})))
     motion = found.experiment.motion
@@ -186,15 +186,15 @@ def test_static_stretches_are_found_and_their_attitudes_estimated(tmp_path: Path
         np.testing.assert_allclose(fit(campaign, [motion]).fitted[name].offset, bias.offset, atol=5e-4)
 
 
-def test_one_long_still_stretch_is_static(tmp_path: Path) -> None:
+def test_one_long_rest_is_a_static_log(tmp_path: Path) -> None:
     found = recorded(foreign_log(tmp_path / "log.h5"))
     assert (found.kind, [one.name for one in found.phases]) == ("static", ["pose 1"])
     up = found.experiment.motion.felt(np.array([SECOND])).force_box[0] / 9.80665
     np.testing.assert_allclose(up, [0, 0, 1], atol=1e-3)
 
 
-def test_noted_attitudes_are_believed_but_for_a_tilt(tmp_path: Path) -> None:
-    """One face is named, the other is only said to be at rest."""
+def test_noted_attitudes_are_used_except_for_a_tilt(tmp_path: Path) -> None:
+    """One face is named, the other phase is only noted as at rest."""
     ups = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
     phases = (phase(0, 5, "z_up", "+Z"), phase(6, 11, "static"))
     found = recorded(written(tmp_path / "log.h5", simulated(posed(ups), {}), phases))
@@ -205,7 +205,7 @@ def test_noted_attitudes_are_believed_but_for_a_tilt(tmp_path: Path) -> None:
 
 
 def test_a_foreign_chip_is_simulated_without_its_thermometer(tmp_path: Path) -> None:
-    """Recorded and simulated summaries have the same to say; of counts of an unknown scale, nothing."""
+    """Recorded and simulated summaries have the same statistics; counts of an unknown scale have none."""
     found = recorded(foreign_log(tmp_path / "log.h5", [phase(0, 9, "static", "+Z")]))
     bench, campaign = prepare([found], None, 0)
     made = bench.simulated(bench.models(), 0)
@@ -216,7 +216,7 @@ def test_a_foreign_chip_is_simulated_without_its_thermometer(tmp_path: Path) -> 
     assert campaign.logs[0].phases[0].layout == made.logs[0].phases[0].layout
 
 
-def test_all_triads_unless_some_are_named(tmp_path: Path) -> None:
+def test_all_triads_are_compared_unless_some_are_named(tmp_path: Path) -> None:
     path = foreign_log(tmp_path / "log.h5", [phase(0, 9, "static", "+Z")], [*FOREIGN, COMPASS])
     with open_log(path) as log:
         assert recording_of(log).experiment.plan.sensors.keys() == {"Acc", "Gyro", "Mag"}
@@ -227,8 +227,9 @@ def test_all_triads_unless_some_are_named(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_rows_that_a_recording_lost_are_in_its_plan(tmp_path: Path) -> None:
-    """Simulated without dropped samples nothing is missing, with them as much as was recorded: 600 of 6000 rows each,
-    standard error sqrt(6000 0.1 0.9 (1 + r) / (1 - r)) = 38, r = 4 / 9 the correlation of neighbours (bursts of 2).
+    """Simulated without dropped samples no row is missing, with them as many as in the recording: 600 of 6000 rows
+    each, standard error sqrt(6000 0.1 0.9 (1 + r) / (1 - r)) = 38, r = 4 / 9 the correlation of neighbours (bursts of
+    2).
     """
     still = Still(seconds=60)
     dropped = {name: (DroppedSamples(0.1, 2.0),) for name in BASE}
@@ -240,7 +241,7 @@ def test_rows_that_a_recording_lost_are_in_its_plan(tmp_path: Path) -> None:
     again = Simulation(plan, motion, {name: (*BASE[name], *dropped[name]) for name in BASE}, seed=2)
     for name, sensor in whole.sensors.items():
         at_ends = made.sensors[name].rows - sensor.rows
-        assert 0 <= at_ends < 30  # what was lost before the first row, or after the last, nobody knows
+        assert 0 <= at_ends < 30  # losses before the first row, or after the last, are unknown
         assert lost[name] - at_ends + len(found.log[name]) == sensor.rows
         assert len(sensor.lost_rows(0, sensor.rows)) == 0
         assert abs(len(again.sensors[name].lost_rows(0, sensor.rows)) - lost[name]) < 4 * 38 * 2**0.5
@@ -254,7 +255,7 @@ def test_rows_that_a_recording_lost_are_in_its_plan(tmp_path: Path) -> None:
         assert ours.flags["lost_before"] > 100
 
 
-def test_logs_of_one_array(tmp_path: Path) -> None:
+def test_logs_of_one_array_are_accepted(tmp_path: Path) -> None:
     still = [phase(0, 9, "static", "+Z")]
     one = open_log(foreign_log(tmp_path / "one.h5", still))
     other = open_log(foreign_log(tmp_path / "other.h5", still, FOREIGN[:1]))
@@ -267,7 +268,7 @@ def test_logs_of_one_array(tmp_path: Path) -> None:
         recordings_of([one, other], ["Gyro"])
 
 
-def test_a_sensor_that_was_set_otherwise_is_refused(tmp_path: Path) -> None:
+def test_a_sensor_with_different_settings_is_refused(tmp_path: Path) -> None:
     still = [phase(0, 9, "static", "+Z")]
     turned = SensorHeader("Acc", "mpu9150", "specific_force", "g", 16.0, 2048.0, axes="-X+Y-Z", has_temperature=True)
     one = open_log(foreign_log(tmp_path / "one.h5", still))
@@ -278,7 +279,7 @@ def test_a_sensor_that_was_set_otherwise_is_refused(tmp_path: Path) -> None:
         recordings_of([one, other])
 
 
-def test_a_log_in_which_nothing_can_be_compared_is_refused(tmp_path: Path) -> None:
+def test_a_log_without_comparable_sensors_is_refused(tmp_path: Path) -> None:
     turning = replace(FOREIGN[1], sensitivity=0.5)  # noise of 10 dps
     with pytest.raises(LogError, match=r"the box is never at rest for 1\.5 s .*at least 3 s at rest are needed"):
         recorded(foreign_log(tmp_path / "log.h5", sensors=[turning]))
@@ -288,13 +289,13 @@ def test_a_log_in_which_nothing_can_be_compared_is_refused(tmp_path: Path) -> No
     refusal = "no sensor with three axes, a known sensitivity and at least 10 readings"
     with pytest.raises(LogError, match=refusal):
         recorded(foreign_log(tmp_path / "unknown.h5", [phase(0, 9, "static", "+Z")], [unknown]))
-    with pytest.raises(LogError, match=refusal):  # 9 rows at 50 Hz, in which no statistic differs from anything
+    with pytest.raises(LogError, match=refusal):  # 9 rows at 50 Hz, too few for any statistic
         recorded(foreign_log(tmp_path / "nine.h5", [phase(0, 9, "static", "+Z")], seconds=0.18))
     recorded(foreign_log(tmp_path / "ten.h5", [phase(0, 9, "static", "+Z")], seconds=0.2))
 
 
 @pytest.mark.parametrize("sensor", [FOREIGN[1], COMPASS])
-def test_without_accelerometers_others_tell_when_the_box_rests(tmp_path: Path, sensor: SensorHeader) -> None:
+def test_other_sensors_detect_rests_without_accelerometers(tmp_path: Path, sensor: SensorHeader) -> None:
     found = recorded(foreign_log(tmp_path / "log.h5", sensors=[sensor]))
     assert (found.kind, len(found.phases)) == ("static", 1)
 
@@ -307,8 +308,8 @@ def test_logs_of_two_arrays_are_refused(tmp_path: Path) -> None:
     assert len(recordings_of([one, one])) == 2
 
 
-def test_the_field_is_what_magnetometers_read_on_average(tmp_path: Path) -> None:
-    """Two magnetometers along other axes; their mean level in the box is felt, so that it is no error of theirs."""
+def test_the_field_is_the_mean_of_the_magnetometers(tmp_path: Path) -> None:
+    """Two magnetometers along different axes; their mean level in the box is the field, and not an error."""
     second = replace(COMPASS, name="Mag2", axes="+X+Y+Z")
     path = foreign_log(tmp_path / "log.h5", [phase(0, 4, "z_up", "+Z"), phase(5, 9, "x_up", "+X")], [COMPASS, second])
     found = recorded(path)
@@ -323,12 +324,12 @@ def test_the_field_is_what_magnetometers_read_on_average(tmp_path: Path) -> None
 def test_a_magnetometer_alone_has_no_error_of_level(tmp_path: Path) -> None:
     found = recorded(foreign_log(tmp_path / "log.h5", sensors=[FOREIGN[0], COMPASS]))
     bench, _ = prepare([found], None, 0)
-    assert bench.base.fitted["Mag"].offset == pytest.approx((0, 0, 0), abs=1e-3)  # the first half less the whole
+    assert bench.base.fitted["Mag"].offset == pytest.approx((0, 0, 0), abs=1e-3)  # the first half minus the whole
     assert bench.base.fitted["Mag"].rms[0] * 1090 == pytest.approx(5.0, rel=0.2)
 
 
-def test_a_track_of_the_motion_tells_no_field(tmp_path: Path) -> None:
-    """At rest for a while, then turned to and fro, as a reference tells: the magnetometer is compared at rest."""
+def test_a_track_of_the_motion_gives_no_field(tmp_path: Path) -> None:
+    """At rest for a while, then turned to and fro, as measured by a reference: the magnetometer is compared at rest."""
     path = tmp_path / "turned.h5"
     time = np.arange(3000, dtype=np.int64) * SECOND // 50
     rate = np.where(time[:, None] % (2 * SECOND) < SECOND, 1.0, -1.0) * (time[:, None] > 20 * SECOND) * np.eye(3)[2]
@@ -344,7 +345,7 @@ def test_a_track_of_the_motion_tells_no_field(tmp_path: Path) -> None:
     assert campaign.logs[0].phases[0].sensors.keys() == {"Gyro", "Mag"}
 
 
-def test_while_the_box_moves_no_field_is_known(tmp_path: Path) -> None:
+def test_the_field_is_unknown_in_motion(tmp_path: Path) -> None:
     path = tmp_path / "moving.h5"
     rows = np.arange(500, dtype=np.int64) * SECOND // 50
     with LogWriter(path, [*FOREIGN[1:], COMPASS], source="imported", epoch="2024-01-01T00:00:00Z") as log:
@@ -362,9 +363,9 @@ def test_while_the_box_moves_no_field_is_known(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["unheard_of", "bma180"])
-def test_a_thermometer_that_the_log_explains_tells_the_temperature(tmp_path: Path, name: str) -> None:
-    """From 36.5 degC at count 0 by 8 counts a degree: 10 degC more after 40 s, to a step. The box is warmer by what it
-    warms up in the 5 s of the thermometer's lag, 1.25 degC.
+def test_a_thermometer_of_known_scale_gives_the_temperature(tmp_path: Path, name: str) -> None:
+    """From 36.5 degC at count 0 by 8 counts a degree: 10 degC more after 40 s, to a step. The box is warmer by its
+    change in the 5 s of the thermometer's lag, 1.25 degC.
     """
     known = replace(FOREIGN[0], chip=name, extra=ThermometerScale(36.5, 8.0).attributes)
     path = foreign_log(tmp_path / "log.h5", [phase(0, 39, "static", "+Z")], [known, FOREIGN[1]], seconds=40)
@@ -373,14 +374,14 @@ def test_a_thermometer_that_the_log_explains_tells_the_temperature(tmp_path: Pat
     assert note.startswith("There is no reference temperature: it is taken from a chip's own thermometer")
     degc = found.experiment.motion.felt(np.array([5, 20, 39]) * SECOND).temperature_degc
     assert degc == pytest.approx([36.5 + 2.5, 36.5 + 6.25, 36.5 + 11.0], abs=0.13)
-    assert not found.experiment.plan.sensors["Acc"][0].has_temperature  # there is none to compare it with
+    assert not found.experiment.plan.sensors["Acc"][0].has_temperature  # there is no other thermometer to compare with
     assert missing_in([found], _ABSENT) == (
         f"no reference temperature in {path.name}",
         f"no thermometer beside those of the chips in {path.name}",
     )
 
 
-def test_a_thermometer_is_compared_where_something_else_tells_the_temperature(tmp_path: Path) -> None:
+def test_a_thermometer_is_compared_with_another_temperature(tmp_path: Path) -> None:
     known = replace(FOREIGN[0], chip="unheard_of", extra=ThermometerScale(36.5, 8.0).attributes)
     path = tmp_path / "log.h5"
     rows = np.arange(600, dtype=np.int64) * SECOND // 50
@@ -399,7 +400,7 @@ def test_a_thermometer_is_compared_where_something_else_tells_the_temperature(tm
     assert expected == pytest.approx(np.full(len(shown), -92.0))  # (25 - 36.5) * 8
 
 
-def test_flags_that_an_import_cannot_set_are_not_missed(tmp_path: Path) -> None:
+def test_flags_that_an_import_cannot_set_are_not_compared(tmp_path: Path) -> None:
     """A magnetometer that is read 50 times a second, as its simulation would flag where rows repeat."""
     chip = replace(COMPASS, chip="hmc5883l", sensitivity=100.0)
     found = recorded(foreign_log(tmp_path / "log.h5", [phase(0, 9, "static", "+Z")], [chip]))
@@ -409,7 +410,7 @@ def test_flags_that_an_import_cannot_set_are_not_missed(tmp_path: Path) -> None:
     assert flags["stale"] == 0
 
 
-def test_without_accelerometers_the_box_stands_upright(tmp_path: Path) -> None:
+def test_the_box_is_assumed_upright_without_accelerometers(tmp_path: Path) -> None:
     found = recorded(foreign_log(tmp_path / "log.h5", [phase(0, 9, "static")], FOREIGN[1:]))
     assert found.notes[0].endswith(
         "no accelerometer to estimate the attitude from: +Z up is assumed where no phase notes it."
@@ -418,7 +419,7 @@ def test_without_accelerometers_the_box_stands_upright(tmp_path: Path) -> None:
 
 
 def heated_log(path: Path, sensors: Sequence[SensorHeader], phases: Sequence[Phase], warm_degc: float) -> Path:
-    """At rest for 40 s while the reference rises by so much."""
+    """At rest for 40 s while the reference temperature rises by `warm_degc`."""
     rows = np.arange(2000, dtype=np.int64) * SECOND // 50
     with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
         for number, sensor in enumerate(sensors):
@@ -432,15 +433,15 @@ def heated_log(path: Path, sensors: Sequence[SensorHeader], phases: Sequence[Pha
 
 
 @pytest.mark.parametrize(("warm_degc", "kind"), [(1.0, "static"), (10.0, "heating")])
-def test_a_heating_is_one_whatever_its_phase_is_called(tmp_path: Path, warm_degc: float, kind: str) -> None:
+def test_a_heating_is_recognised_with_any_name_of_its_phase(tmp_path: Path, warm_degc: float, kind: str) -> None:
     accelerometer = replace(FOREIGN[0], has_temperature=False)
     path = heated_log(tmp_path / "log.h5", [accelerometer], [phase(0, 39, "static", "+Z")], warm_degc)
     assert recorded(path).kind == kind
 
 
 @pytest.mark.parametrize("faces", [["+Z"], ["+Z", "-Z"]])
-def test_a_magnetometer_that_is_heated_on_two_faces_is_left_out(tmp_path: Path, faces: list[str]) -> None:
-    """Its scale follows the temperature, and the bias that this makes is another on each face."""
+def test_a_magnetometer_heated_on_two_faces_is_excluded(tmp_path: Path, faces: list[str]) -> None:
+    """Its scale follows the temperature, and the resulting bias differs between the faces."""
     sensors = [replace(FOREIGN[0], has_temperature=False), COMPASS]
     phases = [phase(20 * at, 20 * at + 19, "heat", up) for at, up in enumerate(faces)]
     found = recorded(heated_log(tmp_path / "log.h5", sensors, phases, 10.0))
@@ -449,7 +450,7 @@ def test_a_magnetometer_that_is_heated_on_two_faces_is_left_out(tmp_path: Path, 
     assert (note in found.notes) == (len(faces) == 2)
 
 
-def test_a_heating_whose_temperature_nobody_knows_is_left_out_beside_others(tmp_path: Path) -> None:
+def test_a_heating_of_unknown_temperature_is_excluded_among_others(tmp_path: Path) -> None:
     sensors = [replace(FOREIGN[0], has_temperature=False)]
     static = foreign_log(tmp_path / "static.h5", [phase(0, 9, "static", "+Z")], sensors)
     heating = foreign_log(tmp_path / "heating.h5", [phase(0, 9, "heat", "+Z")], sensors)
@@ -459,7 +460,7 @@ def test_a_heating_whose_temperature_nobody_knows_is_left_out_beside_others(tmp_
     assert [recording.name for recording in recordings_of([open_log(heating)])] == ["heating.h5"]
 
 
-def test_a_box_that_turns_by_its_track_is_not_at_rest_whatever_is_noted(tmp_path: Path) -> None:
+def test_a_box_that_turns_by_its_track_is_not_at_rest(tmp_path: Path) -> None:
     path = tmp_path / "log.h5"
     rows = np.arange(1000, dtype=np.int64) * SECOND // 50
     with LogWriter(path, FOREIGN[1:], source="imported", epoch="2024-01-01T00:00:00Z") as log:
@@ -475,7 +476,7 @@ def test_a_box_that_turns_by_its_track_is_not_at_rest_whatever_is_noted(tmp_path
 
 
 def turning_log(path: Path, rate: float, noise: float) -> Recording:
-    """Sensors too noisy to show it in a box that turns about the vertical to and fro, as a noisy reference says."""
+    """Sensors too noisy to detect that the box turns about the vertical to and fro, with a noisy reference."""
     rng = np.random.default_rng(1)
     time = np.arange(1000, dtype=np.int64) * SECOND // 50
     turning = rate * np.sin(2 * np.pi * time / (4 * SECOND))[:, None] * np.eye(3)[2]
@@ -490,13 +491,13 @@ def turning_log(path: Path, rate: float, noise: float) -> Recording:
     return recorded(path)
 
 
-def test_a_track_tells_a_gentle_motion_from_rest(tmp_path: Path) -> None:
+def test_a_track_distinguishes_a_gentle_motion_from_rest(tmp_path: Path) -> None:
     turned = turning_log(tmp_path / "turned.h5", 0.05, 2e-4)
     assert [part.name for part in turned.phases] == ["motion"]
 
 
 @pytest.mark.parametrize("noise", [2e-5, 2e-4, 2e-3])
-def test_the_noise_of_a_reference_is_no_motion(tmp_path: Path, noise: float) -> None:
+def test_the_noise_of_a_reference_is_not_a_motion(tmp_path: Path, noise: float) -> None:
     still = turning_log(tmp_path / "still.h5", 0.0, noise)
     rest = still.phases[0]
     assert [part.name for part in still.phases] == ["pose 1"]
@@ -526,11 +527,9 @@ COURSES = {
         3,
     ),
 )
-def test_a_heating_that_nobody_recorded_is_left_out(
-    tmp_path: Path, drifting: int, shape: str, is_left_out: bool
-) -> None:
-    """Most of three sensors drift by 60 counts in a minute beside a noise of 5, evenly, with a time constant of a
-    quarter of that, or there and back; one alone may wander, and sensors that are exchanged step.
+def test_an_unrecorded_heating_is_excluded(tmp_path: Path, drifting: int, shape: str, is_left_out: bool) -> None:
+    """Most of three sensors drift by 60 counts in a minute with a noise of 5, linearly, with a time constant of a
+    quarter of that, or up and down; a single sensor may wander, and exchanged sensors have steps.
     """
     sensors = [replace(FOREIGN[0], name=name, has_temperature=False) for name in ("A", "B", "C")]
     plain = foreign_log(tmp_path / "plain.h5", [phase(0, 12, "static", "+Z")], sensors)
@@ -561,10 +560,10 @@ def test_a_heating_that_nobody_recorded_is_left_out(
         2,
     ),
 )
-def test_a_single_sensor_whose_axes_drift_along_one_course_is_heated(
+def test_a_common_drift_of_the_axes_of_a_single_sensor_is_a_heating(
     tmp_path: Path, shapes: Sequence[str], is_left_out: bool
 ) -> None:
-    """By -40, 60 and 80 counts: two axes are enough; three that wander each by itself are not heated."""
+    """By -40, 60 and 80 counts: two axes are sufficient; three axes with independent wander are not heated."""
     sensor = replace(FOREIGN[0], has_temperature=False)
     plain = foreign_log(tmp_path / "plain.h5", [phase(0, 12, "static", "+Z")], [sensor])
     path, rows = tmp_path / "warm.h5", 3000
@@ -580,8 +579,8 @@ def test_a_single_sensor_whose_axes_drift_along_one_course_is_heated(
 
 
 @pytest.mark.parametrize("warming", [0, 1])
-def test_the_noise_of_a_chips_thermometer_is_no_change_of_the_temperature(tmp_path: Path, warming: int) -> None:
-    """Eight counts a degree, noise of one degree: a straight line, unless it warms up by ten degrees."""
+def test_the_noise_of_a_chip_thermometer_is_not_a_temperature_change(tmp_path: Path, warming: int) -> None:
+    """Eight counts per degree, noise of one degree: a constant temperature, unless it warms up by ten degrees."""
     known = replace(FOREIGN[0], chip="unheard_of", extra=ThermometerScale(36.5, 8.0).attributes)
     path, rows = tmp_path / "log.h5", 3000
     time = np.arange(rows, dtype=np.int64) * SECOND // 50

@@ -1,4 +1,4 @@
-"""Parameters found again from guesses that are far off, with noise and level moved to suit."""
+"""Parameters refined from rough suggestions, with adapted noise and level."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def tone() -> tuple[Bench, UnitState]:
     return found.bench, standing_of(found)
 
 
-def test_factors_are_numbers_that_do_something() -> None:
+def test_factors_are_the_effective_numbers() -> None:
     assert factors_of(Hypothesis((Tone((0.0, 0.1, 0.0), 9.0),), ("amplitude", "frequency_hz"))) == [
         Factor(0, "amplitude", 1, 1),
         Factor(0, "frequency_hz"),
@@ -41,8 +41,8 @@ def test_factors_are_numbers_that_do_something() -> None:
     assert factors_of(Hypothesis((Tone(1.0, 2.0),))) == []
 
 
-def test_sensors_with_sizes_of_their_own_keep_their_ratio() -> None:
-    """One process has one time constant, and twice as much of it is twice as much in both."""
+def test_sensors_with_individual_sizes_keep_their_ratio() -> None:
+    """One process has one time constant, and a factor of two applies to both sizes."""
     trial = Hypothesis(
         (CommonMode((0.006, 0.004, 0.002), 1.0),),
         ("rms", "time_constant_s"),
@@ -55,21 +55,21 @@ def test_sensors_with_sizes_of_their_own_keep_their_ratio() -> None:
     assert doubled.opposite == (CommonMode((0.006, 0.002, 0.001), 4.0),)
 
 
-def test_a_guess_is_ranked_by_what_it_gains(tone: tuple[Bench, UnitState]) -> None:
-    """The line that is there, one elsewhere, and nothing at all."""
+def test_trials_are_ranked_by_their_gain(tone: tuple[Bench, UnitState]) -> None:
+    """The right line, a line at another frequency, and no effect."""
     bench, standing = tone
     right, wrong, nothing = (
         looks(bench, standing, [Hypothesis(effects)])[0] for effects in ((LINE,), (Tone(LINE.amplitude, 31.0),), ())
     )
     assert right.gain > 10
     assert right.gain > wrong.gain + 10
-    assert nothing.gain == pytest.approx(0.0, abs=0.2)  # noise and level moved by what two draws say
+    assert nothing.gain == pytest.approx(0.0, abs=0.2)  # noise and level are adapted by two draws
 
 
 @pytest.mark.parametrize("guess", [0.025, 0.06])
-def test_an_amplitude_is_found_again(tone: tuple[Bench, UnitState], guess: float) -> None:
-    """From 0.6 and 1.5 of it; the noise, which the fit had taken the line for, is what it was. 1000 rows of 0.05 dps
-    tell an amplitude to 0.05 sqrt(2 / 1000) = 0.0022 dps and a noise to 2.2 %; frequencies are 0.1 Hz apart.
+def test_an_amplitude_is_refined(tone: tuple[Bench, UnitState], guess: float) -> None:
+    """From 0.6 and 1.5 of it; the noise, which had included the line, is restored. 1000 rows of 0.05 dps determine an
+    amplitude to 0.05 sqrt(2 / 1000) = 0.0022 dps and a noise to 2.2 %; frequencies are 0.1 Hz apart.
     """
     bench, standing = tone
     trial = Hypothesis((Tone((0.0, guess, 0.0), 17.0),), ("amplitude",))
@@ -85,8 +85,8 @@ def test_an_amplitude_is_found_again(tone: tuple[Bench, UnitState], guess: float
     assert found.models["G1"].fitted.rms[1] == pytest.approx(0.05, rel=0.1)
 
 
-def test_axes_that_gain_nothing_are_left(tone: tuple[Bench, UnitState]) -> None:
-    """A line guessed on all three axes stays on the one that has it."""
+def test_axes_without_gain_are_removed(tone: tuple[Bench, UnitState]) -> None:
+    """A line suggested on all three axes stays on its true axis."""
     bench, standing = tone
     found = refine(bench, standing, Hypothesis((Tone((0.02, 0.03, 0.02), 17.0),), ("amplitude",)))
     (effect,) = found.trial.effects
@@ -97,9 +97,9 @@ def test_axes_that_gain_nothing_are_left(tone: tuple[Bench, UnitState]) -> None:
 
 
 @pytest.mark.slow
-def test_an_axis_that_gains_nothing_stays_where_it_loses_without() -> None:
-    """Another range for half a second, with half the counts: its offset on x makes good for that, so that nothing shows
-    there; without the offset the model would have x change by half of its bias.
+def test_an_axis_without_gain_is_kept_if_its_removal_loses() -> None:
+    """Another range for half a second, with half the counts: its offset on x compensates that, so that there is no
+    change; without the offset x of the model would change by half of its bias.
     """
     known = {"runs": (0.0,), "moments_s": (8.0,), "lengths_s": (0.5,), "doubts_s": (0.0,)}
     reset = RangeReset(500.0, (0.5, 0.0, 2.0), (2.0, 1.0, 1.0), **known)
@@ -111,25 +111,26 @@ def test_an_axis_that_gains_nothing_stays_where_it_loses_without() -> None:
     assert effect.offset[0] > 0
 
 
-def test_what_has_no_free_parameter_is_as_guessed(tone: tuple[Bench, UnitState]) -> None:
+def test_a_trial_without_free_parameters_is_unchanged(tone: tuple[Bench, UnitState]) -> None:
     bench, standing = tone
     trial = Hypothesis((LINE,))
     found = refine(bench, standing, trial)
     assert found.trial == trial
-    assert found.gain == pytest.approx(looks(bench, standing, [trial])[0].gain, abs=3)  # of two draws, and of the first
+    # mean of two draws, and the first draw
+    assert found.gain == pytest.approx(looks(bench, standing, [trial])[0].gain, abs=3)
 
 
 @pytest.mark.slow
 def test_shares_stay_below_one(tone: tuple[Bench, UnitState]) -> None:
-    """However little it gains: a probability is one."""
+    """For any gain: a probability is at most one."""
     bench, standing = tone
     for effect in (StaleSamples(0.9), Glitches(0.9, 0.5)):
         (found,) = refine(bench, standing, Hypothesis((effect,), ("probability",))).trial.effects
         assert 0 < found.probability <= 1  # type: ignore[attr-defined]
 
 
-def test_what_can_not_be_simulated_is_no_model(tone: tuple[Bench, UnitState]) -> None:
-    """Data of a sensor that isn't there."""
+def test_an_effect_that_cannot_be_simulated_has_no_model(tone: tuple[Bench, UnitState]) -> None:
+    """Data of a sensor that does not exist."""
     bench, standing = tone
     for job in (lambda *request: looks(*request[:2], [request[2]])[0], refine):
         found = job(bench, standing, Hypothesis((ChannelSwap("G9"),)))
@@ -137,7 +138,7 @@ def test_what_can_not_be_simulated_is_no_model(tone: tuple[Bench, UnitState]) ->
 
 
 @pytest.mark.parametrize("size", [1.0, 1e12, 1e160])
-def test_columns_that_can_not_be_told_apart_share_what_they_explain(size: float) -> None:
+def test_collinear_columns_share_their_contribution(size: float) -> None:
     """3 is explained by two columns of ones: with a prior of width 2, x = 3 n / (2 n + 1/4) each, for n = 4 rows of
     weight 1; as columns grow it is half of 3 over their size.
     """

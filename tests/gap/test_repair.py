@@ -1,4 +1,4 @@
-"""The repaired model as a file: what is in it, that it is read again, and what is simulated from it."""
+"""The repaired model as a file: its content, reading it again, and its simulation."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ bias.offset_dps = 1
 
 
 def bench_with(*headers: SensorHeader, kinds: Sequence[str] = ("static",)) -> Bench:
-    """A bench on which nothing is simulated."""
+    """A bench without simulation."""
     base = Base({one.name: one for one in headers}, {one.name: FITTED for one in headers})
     return Bench(tuple(kinds), Split(()), (), (), base, (), 0, np.zeros(0))
 
@@ -75,13 +75,13 @@ def gyroscope(name: str = "G1") -> SensorHeader:
 
 
 def again(model: Model) -> Model:
-    """Written and read."""
+    """The model after writing and reading."""
     found = parse_model(model.to_toml(), "repaired")
     assert found == model
     return found
 
 
-def test_found_effects_are_in_the_file() -> None:
+def test_accepted_effects_are_in_the_file() -> None:
     bench = bench_with(gyroscope(), header("A1"), kinds=("static", "turn-on", "turn-on"))
     models = {**bench.models(), "G1": SensorModel(FITTED, (TONE, replace(TONE, frequency_hz=31.0)))}
     model = again(repair_model(bench, models, None, "fixed"))
@@ -114,8 +114,8 @@ def test_found_effects_are_in_the_file() -> None:
     assert not {"white_noise", "bias"} & {kind for part in model.designs for kind in part.effects}
 
 
-def test_a_model_keeps_what_is_not_fitted() -> None:
-    """Bias, noise and slope of the model give way; its curve over temperature and the rest stay."""
+def test_a_model_keeps_effects_that_are_not_fitted() -> None:
+    """Bias, noise and slope of the model are replaced; its curve over temperature and other effects stay."""
     bench = bench_with(gyroscope("G1"), gyroscope("G2"))
     before = parse_model(MODEL)
     found = SensorModel(FITTED, (TONE,), frozenset({"quantisation", "stale_samples"}))
@@ -140,14 +140,14 @@ def test_a_model_keeps_what_is_not_fitted() -> None:
     assert curves[0].quadratic == drawn[0].quadratic
 
 
-def test_another_of_a_kind_takes_its_place() -> None:
+def test_an_effect_replaces_another_of_its_kind() -> None:
     found = SensorModel(FITTED, (TONE,), frozenset({"tone"}))
     model = again(repair_model(bench_with(gyroscope()), {"G1": found}, parse_model(MODEL), "fixed"))
     tones = [effect for effect in model.effects(gyroscope(), Streams(0)) if isinstance(effect, Tone)]
     assert [one.frequency_hz for one in tones] == [20.0]
 
 
-def test_a_chip_that_nobody_knows_says_its_unit() -> None:
+def test_an_unknown_chip_states_its_unit() -> None:
     """Both sensors of one such chip: a design for each unit."""
     both = [header("A", chip="bma180"), header("G", chip="l3g4200d")]
     accelerometer, gyro = (replace(one, chip="mpu9150", range=1234.0) for one in both)
@@ -170,7 +170,7 @@ def test_a_chip_that_nobody_knows_says_its_unit() -> None:
         ]
 
 
-def test_texts_and_figures_without_number_survive() -> None:
+def test_texts_and_nan_figures_survive() -> None:
     strange = (ChannelSwap("G2"), RangeReset(2000.0, onset_s=5.0), Tone(0.1, 7.0, 90.0))
     models = {"G1": SensorModel(FITTED, strange), "G2": SensorModel(FittedParameters(*((0.0, 0.0, 0.0),) * 3))}
     model = again(repair_model(bench_with(gyroscope("G1"), gyroscope("G2")), models, None, "fixed"))
@@ -180,7 +180,7 @@ def test_texts_and_figures_without_number_survive() -> None:
 
 
 def test_a_simulation_of_the_file_shows_the_line() -> None:
-    """0.05 dps in noise of 0.05 dps at 100 rows/s over 20 s: the bin nearest to 20 Hz stands far above the others."""
+    """0.05 dps in noise of 0.05 dps at 100 rows/s over 20 s: the bin nearest to 20 Hz is far above the others."""
     bench = bench_with(gyroscope("G1"), gyroscope("G2"))
     models = {**bench.models(), "G1": SensorModel(FITTED, (TONE,))}
     model = again(repair_model(bench, models, None, "fixed"))
@@ -197,9 +197,9 @@ def test_a_simulation_of_the_file_shows_the_line() -> None:
 
 
 @pytest.mark.slow
-def test_a_second_diagnosis_finds_no_gap(tmp_path: Path) -> None:
-    """Without the line in the model there is a gap, with the repaired model none (p > 0.05 has a probability of 0.95;
-    fixed seed).
+def test_a_second_diagnosis_has_no_gap(tmp_path: Path) -> None:
+    """Without the line in the model there is a gap, with the repaired model there is none (p > 0.05 has a probability
+    of 0.95; fixed seed).
     """
     motion = Still(seconds=60)
     effects = {name: (*own, *((TONE,) if name == "G1" else ())) for name, own in units(1).items()}

@@ -1,4 +1,4 @@
-"""Stretches in which the recorder found a chip set otherwise: when its readings changed, and what they were before."""
+"""Intervals with changed settings of a chip: the time of the change, and the readings before it."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def recorded(
     return open_log(path)
 
 
-def test_a_dip_that_comes_back(tmp_path: Path) -> None:
-    """Doubted since row 300, other readings from 306 to 311, then set up again, for which ten rows are lost."""
+def test_a_temporary_reset_is_detected(tmp_path: Path) -> None:
+    """Suspect since row 300, other readings from 306 to 311, then configured again with a loss of ten rows."""
     with recorded(tmp_path / "log.h5", readings(500, range(306, 312)), range(300, 312), range(312, 322)) as log:
         (found,) = resets_in(log["A"])
     assert (found.doubt_s, found.moment_s, found.end_s) == pytest.approx((2.995, 3.055, 3.115))
@@ -55,8 +55,10 @@ def test_a_dip_that_comes_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.within, OTHER, atol=16)
 
 
-def test_a_chip_that_has_made_no_reading_yet(tmp_path: Path) -> None:
-    """Zeros in row 306, one reading in 307, and then it is set up again: one reading says nothing of the noise."""
+def test_zeros_after_a_reset_are_ignored(tmp_path: Path) -> None:
+    """Zeros in row 306, one reading in 307, and then it is configured again: one reading does not
+    determine the noise.
+    """
     with recorded(tmp_path / "log.h5", readings(500, [306, 307]), range(300, 308), range(308, 330), [306]) as log:
         (found,) = resets_in(log["A"])
     assert (found.doubt_s, found.moment_s, found.end_s) == pytest.approx((2.995, 3.055, 3.075))
@@ -65,12 +67,12 @@ def test_a_chip_that_has_made_no_reading_yet(tmp_path: Path) -> None:
     assert np.isnan(found.noise_within).all()
 
 
-def test_zeros_alone_tell_no_range(tmp_path: Path) -> None:
+def test_zeros_alone_give_no_reset(tmp_path: Path) -> None:
     with recorded(tmp_path / "log.h5", readings(500), range(300, 308), range(308, 330), [306, 307]) as log:
         assert resets_in(log["A"]) == ()
 
 
-def test_until_the_log_ends(tmp_path: Path) -> None:
+def test_a_reset_until_the_end_of_the_log_is_detected(tmp_path: Path) -> None:
     with recorded(tmp_path / "log.h5", readings(400, range(300, 400)), range(295, 400)) as log:
         (found,) = resets_in(log["A"])
     assert (found.doubt_s, found.moment_s, found.end_s) == pytest.approx((2.945, 2.995, 3.995))
@@ -78,7 +80,7 @@ def test_until_the_log_ends(tmp_path: Path) -> None:
     assert 1 < found.noise_before.mean() < 3
 
 
-def test_across_blocks(tmp_path: Path) -> None:
+def test_a_reset_across_blocks_is_detected(tmp_path: Path) -> None:
     """Flags are read 65536 rows at a time."""
     with recorded(tmp_path / "log.h5", readings(65_700, range(65_530, 65_560)), range(65_520, 65_560)) as log:
         (found,) = resets_in(log["A"])
@@ -86,8 +88,8 @@ def test_across_blocks(tmp_path: Path) -> None:
     assert found.end_s == pytest.approx(655.595)
 
 
-def test_doubt_alone_is_no_reset(tmp_path: Path) -> None:
-    """Nor is one from the first row on; without a flag nothing is looked at."""
+def test_flags_alone_are_not_a_reset(tmp_path: Path) -> None:
+    """Neither are flags from the first row on; rows without a flag are not examined."""
     with recorded(tmp_path / "same.h5", readings(200), range(100, 120)) as log:
         assert resets_in(log["A"]) == ()
     with recorded(tmp_path / "first.h5", readings(200, range(20)), range(20)) as log:
@@ -96,8 +98,8 @@ def test_doubt_alone_is_no_reset(tmp_path: Path) -> None:
         assert resets_in(log["A"]) == ()
 
 
-def test_another_setting_than_the_range_may_be_lost(tmp_path: Path) -> None:
-    """Doubted from row 300 on with the same readings, and set up again at row 330, after 18 lost rows."""
+def test_a_lost_setting_other_than_the_range_is_detected(tmp_path: Path) -> None:
+    """Suspect from row 300 on with the same readings, and configured again at row 330, after 18 lost rows."""
     doubted, lost = range(300, 312), range(312, 330)
     with recorded(tmp_path / "log.h5", readings(500), doubted, lost, configured=[330]) as log:
         (reset,) = resets_in(log["A"])
@@ -105,7 +107,7 @@ def test_another_setting_than_the_range_may_be_lost(tmp_path: Path) -> None:
     np.testing.assert_allclose(reset.within, USUAL, atol=3)
 
 
-def test_so_many_are_kept(tmp_path: Path) -> None:
+def test_the_number_of_resets_is_limited(tmp_path: Path) -> None:
     changed = [row for row in range(100, 4000) if row % 40 < 5]
     with recorded(tmp_path / "log.h5", readings(4000, changed), changed) as log:
         assert len(resets_in(log["A"])) == MOST

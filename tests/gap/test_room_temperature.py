@@ -1,4 +1,4 @@
-"""The temperature of a room that nobody recorded: each replicate has a course of its own."""
+"""The temperature of a room without a record: each replicate has its own course."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ DAY_NS = np.arange(0, 86_400 * 10**9, 10**9, dtype=np.int64)
 
 
 def courses(count: int) -> np.ndarray:
-    """Temperatures (count, n) of rooms over a day, less their mean, in degC."""
+    """Temperatures (count, n) of rooms over a day, minus their mean, in degC."""
     rooms = (draw_room_temperature(STILL, Streams(seed), 0) for seed in range(count))
     degc = np.array([room.felt(DAY_NS).temperature_degc for room in rooms])
     return degc - degc.mean(axis=1, keepdims=True)
 
 
 @pytest.mark.slow
-def test_courses_wander_by_what_rooms_do() -> None:
+def test_courses_have_the_usual_size_of_rooms() -> None:
     """Between 0.02 and 0.5 degC (rms), half of the rooms below their geometric mean of 0.1 degC; 200 rooms are below it
     in 80 to 120 cases with a probability of 0.996.
     """
@@ -36,7 +36,7 @@ def test_courses_wander_by_what_rooms_do() -> None:
 
 
 @pytest.mark.slow
-def test_they_have_periods_of_20_s_to_half_an_hour() -> None:
+def test_courses_have_periods_of_20_s_to_half_an_hour() -> None:
     spectra = np.abs(np.fft.rfft(courses(30))) ** 2
     frequency_hz = np.fft.rfftfreq(len(DAY_NS))
     is_within = (frequency_hz > 1 / 2000) & (frequency_hz < 1 / 18)
@@ -53,7 +53,7 @@ def test_sensors_of_a_log_share_the_course_and_logs_do_not() -> None:
 
 @pytest.mark.parametrize("has_temperature", [True, False])
 def test_biases_follow_it_where_no_temperature_was_recorded(has_temperature: bool) -> None:
-    """The bias of a part without noise, 100 dps per degC from 25 degC on, is constant or shows the room's course."""
+    """The bias of a part without noise, 100 dps per degC from 25 degC on, is constant or follows the room's course."""
     bench, _ = prepared([("static", STILL)], ["G1"])
     experiments = tuple(each._replace(has_temperature=has_temperature) for each in bench.experiments)
     stage = Stage(bench.kinds, bench.split, bench.layouts, experiments, bench.base)

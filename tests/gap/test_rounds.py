@@ -1,4 +1,4 @@
-"""All rounds of the search, from where a recording leaves the base model to models that explain it."""
+"""All rounds of the search, from the base model to models that explain a recording."""
 
 from __future__ import annotations
 
@@ -44,8 +44,10 @@ def two_lines() -> SearchResult:
 
 
 @pytest.mark.slow
-def test_what_one_round_takes_the_next_one_has(two_lines: SearchResult) -> None:
-    """Both lines are found, one after the other or both at once; the last round finds nothing, or nothing is left."""
+def test_the_effect_of_a_round_is_in_the_model_of_the_next(two_lines: SearchResult) -> None:
+    """Both lines are accepted, one after the other or both at once; the last round accepts nothing, or
+    no gap remains.
+    """
     (rounds,) = two_lines.rounds.values()
     assert len(rounds) <= ROUNDS
     assert all(one.selection is not None for one in rounds[:-1])
@@ -66,8 +68,8 @@ def test_each_round_explains_more(two_lines: SearchResult) -> None:
 
 
 @pytest.mark.slow
-def test_what_all_sensors_have_is_one_cause_of_all() -> None:
-    """The same line in sensors of two chips, guessed for each of them as one that everything has."""
+def test_an_effect_of_all_sensors_is_one_cause() -> None:
+    """The same line in sensors of two chips, suggested for each of them as common to all."""
     bench, campaign = prepared([("static", SHORT)], ["G1", "A1"], {"G1": (LINE,), "A1": (LINE,)})
     found = compare_with_base(bench, campaign, Run(bench), 40)
     everywhere = Candidate("tone", lambda evidence: [Hypothesis((LINE,), shared=True, everywhere=True)])
@@ -83,20 +85,20 @@ def test_what_all_sensors_have_is_one_cause_of_all() -> None:
     ("shares", "gains", "waiting"),
     some(
         [
-            ((0.0, 0.0), (9.0, 8.0), ["G2"]),  # the odd one out makes the other look odd
+            ((0.0, 0.0), (9.0, 8.0), ["G2"]),  # the deviating sensor makes the other look deviating
             ((0.0, 0.0), (8.0, 9.0), ["G1"]),
-            ((1.0, 0.0), (8.0, 9.0), ["G2"]),  # the first has not been asked yet whether it is the one
+            ((1.0, 0.0), (8.0, 9.0), ["G2"]),  # the first has not been tried yet
             ((0.0, 1.0), (8.0, 7.0), ["G1"]),
             ((1.0, 1.0), (8.0, 9.0), []),
-            ((0.0, None), (8.0, 9.0), []),  # the other took nothing
+            ((0.0, None), (8.0, 9.0), []),  # nothing was accepted for the other
         ],
         1,
     ),
 )
-def test_what_shows_beside_others_waits(
+def test_sensors_deviating_only_relative_to_others_wait(
     two_lines: SearchResult, shares: tuple[float, float | None], gains: tuple[float, float], waiting: list[str]
 ) -> None:
-    """Of two gyroscopes and an accelerometer, which is another matter, by shares of the gain that each shows alone."""
+    """Two gyroscopes and an accelerometer, which is independent, by shares of the gain of each alone."""
     found = found_in()
     headers = {name: replace(found.bench.base.headers["G1"], name=name) for name in ("G1", "G2")}
     headers["A1"] = replace(headers["G1"], name="A1", quantity="specific_force")
@@ -114,9 +116,9 @@ def test_what_shows_beside_others_waits(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("is_there", some([True, False], 1))
-def test_what_only_one_of_a_chip_shows_may_be_in_all(is_there: bool) -> None:
-    """The line drowns in the noise of G2, of which nobody can say that it isn't there; where G2 is as quiet as G1, and
-    without it, the line is none that they share.
+def test_an_effect_hidden_by_noise_in_one_unit_may_be_common(is_there: bool) -> None:
+    """The line is below the noise of G2, so that its absence is not observable; where G2 has the low noise of G1 and no
+    line, the line is not common.
     """
     other = (WhiteNoise(1.0), LINE) if is_there else ()
     bench, campaign = prepared([("static", SHORT)], ["G1", "G2"], {"G1": (LINE,), "G2": other})
@@ -128,8 +130,8 @@ def test_what_only_one_of_a_chip_shows_may_be_in_all(is_there: bool) -> None:
     assert units == ([("G1", "G2")] if is_there else [])
 
 
-def test_nothing_is_found_without_candidates() -> None:
-    """One round, in which nothing is taken; models are those of the base."""
+def test_nothing_is_accepted_without_candidates() -> None:
+    """One round, in which nothing is accepted; models are those of the base."""
     found = found_in(LINE)
     heard: list[str] = []
     came = search_causes(found, {}, Run(found.bench), heard.append)
@@ -139,16 +141,16 @@ def test_nothing_is_found_without_candidates() -> None:
     assert heard == ["looking for causes, round 1: 1 sensors"]
 
 
-def test_who_knows_the_sensor_looks_there_alone() -> None:
-    """Where nothing is wrong no sensor is looked at; the one that is known to have the effect is."""
+def test_a_known_sensor_is_the_only_one_searched() -> None:
+    """Without a gap no sensor is searched; the sensor that is known to have the effect is."""
     found, candidates = found_in(), {"tone": CANDIDATES["tone"]}
     assert not search_causes(found, candidates, Run(found.bench)).rounds
     assert list(search_causes(found, candidates, Run(found.bench), known=("G1",)).rounds) == [("G1",)]
 
 
-def test_candidates_see_what_is_left() -> None:
-    """A candidate of nothing but what it is shown: at first the line, and that the model has no tone; the training part
-    for what lasts, and both parts for what is brief.
+def test_candidates_receive_the_remaining_gap() -> None:
+    """A candidate that records its evidence: at first the line, and a model without a tone; the training part for
+    permanent effects, and both parts for brief ones.
     """
     shown: list[Evidence] = []
 
@@ -172,7 +174,7 @@ WANDER = Hypothesis((BiasInstability((0.1, 0.2, 0.1), 9.0),), ("rms",))
 TELEGRAPH_ON_Z = Hypothesis((PopcornNoise((0.0, 0.0, 0.2), 0.1),), ("amplitude",))
 
 
-def test_an_effect_waits_for_itself_on_fewer_axes_and_telegraph_noise_for_wanders() -> None:
+def test_an_effect_waits_for_fewer_axes_and_telegraph_noise_for_wanders() -> None:
     walk, line = Hypothesis((RandomWalk((0.1, 0.1, 0.1)),), ("density",)), Hypothesis((LINE,), ("amplitude",))
     telegraph = Hypothesis((PopcornNoise((0.1, 0.0, 0.2), 0.1),), ("amplitude",))
     other_size = Hypothesis((BiasInstability((0.1, 0.2, 0.3), 9.0),), ("rms",))
@@ -183,7 +185,7 @@ def test_an_effect_waits_for_itself_on_fewer_axes_and_telegraph_noise_for_wander
 
 
 @pytest.mark.parametrize("gains", [False, True])
-def test_trials_that_wait_are_looked_at_if_one_of_those_gains(gains: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_waiting_trials_are_evaluated_if_an_earlier_one_gains(gains: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     trials = [WANDER, WANDER_ON_Z, TELEGRAPH_ON_Z, Hypothesis((LINE,), ("amplitude",))]
     seen: list[Hypothesis] = []
 
@@ -203,7 +205,7 @@ def test_trials_that_wait_are_looked_at_if_one_of_those_gains(gains: bool, monke
 
 
 def test_trials_are_pursued_if_they_gain_anywhere() -> None:
-    """A trial that makes some logs likelier and others less likely may hold in the former."""
+    """A trial that makes some logs likelier and others less likely may apply to the former."""
     line = Hypothesis((LINE,), ("amplitude",))
     assert not gaining_of([FittedHypothesis(line, {}, -5.0, by_log={0: -3.0, 1: 1.0})])
     assert gaining_of([FittedHypothesis(line, {}, -5.0, by_log={0: -30.0, 1: 25.0})]) == [line]
@@ -216,7 +218,7 @@ COMMON_FOR_A_WHILE = Hypothesis((CommonMode((0.3, 0.0, 0.3), 9.0),), ("rms",), s
 )
 
 
-def test_what_sensors_share_for_a_while_waits_for_what_they_always_share() -> None:
+def test_temporary_common_effects_wait_for_permanent_ones() -> None:
     elsewhere = replace(COMMON_FOR_A_WHILE, members=("G1", "G2"))
     assert precursors([COMMON_FOR_A_WHILE, COMMON, elsewhere]) == [[1], [], []]
     alone = replace(COMMON_FOR_A_WHILE, shared=False)
@@ -233,7 +235,7 @@ def test_what_sensors_share_for_a_while_waits_for_what_they_always_share() -> No
         ({}, False),
     ],
 )
-def test_a_while_is_looked_at_if_a_log_of_it_gains(
+def test_temporary_effects_are_evaluated_if_one_of_their_logs_gains(
     by_log: dict[int, float], is_seen: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[Hypothesis] = []

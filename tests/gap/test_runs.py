@@ -1,4 +1,4 @@
-"""Runs made by hand, and what the probes of runs say of them in closed form."""
+"""Runs made by hand, and the probes of runs in closed form."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def runs(means: np.ndarray, profiles: np.ndarray | None = None) -> Runs:
     return Runs(header(), wide, np.full_like(wide, 0.5), flat)
 
 
-def test_means_errors_and_profiles_are_those_of_the_rows() -> None:
+def test_means_errors_and_profiles_equal_those_of_the_rows() -> None:
     rng = np.random.default_rng(1)
     counts = [rng.integers(-20, 20, (3200, 3)) + shift for shift in (0, 7)]
     found = runs_of([summary(block(rows)) for rows in counts])
@@ -35,13 +35,13 @@ def test_means_errors_and_profiles_are_those_of_the_rows() -> None:
         np.testing.assert_allclose(found.profiles[run], SCALE * parts, atol=1e-12)
 
 
-def test_short_runs_have_profiles_too() -> None:
+def test_short_runs_have_profiles() -> None:
     found = runs_of([summary(block(np.arange(40)))] * 2)
     assert np.isfinite(found.profiles).all()
     assert (np.diff(found.mean_profile[:, 0]) >= 0).all()
 
 
-def test_two_states() -> None:
+def test_the_probe_of_two_states_by_hand() -> None:
     """Squares about the common mean are 6 (49.5)^2 + 4, about those of two groups 4; the errors' variances add 6/4."""
     states = runs(np.array([100.0, 1.0, 99.0, 0.0, 101.0, 2.0]))
     log_ratio = np.log((6 * 49.5**2 + 4 + 1.5) / (4 + 1.5))
@@ -57,9 +57,9 @@ def test_a_drift_leaves_a_quarter_of_the_scatter_in_two_groups() -> None:
     np.testing.assert_allclose(np.exp(log_ratio), (12**2 - 1) / (6**2 - 1))
 
 
-def test_axes_that_change_between_states_at_different_times_share_none() -> None:
-    """Eight runs on three axes: states of their own leave about half of the scatter in any two groups, while states
-    that all axes share, in noise of a fifth of their distance, leave less than a tenth.
+def test_axes_with_different_times_of_change_have_no_common_states() -> None:
+    """Eight runs on three axes: states of their own leave about half of the scatter in any two groups, while common
+    states of all axes, in noise of a fifth of their distance, leave less than a tenth.
     """
     rng = np.random.default_rng(1)
     none = np.full((8, 3), 1e-6)
@@ -74,14 +74,14 @@ def test_axes_that_change_between_states_at_different_times_share_none() -> None
 
 
 @pytest.mark.parametrize("means", [np.zeros((8, 3)), np.arange(9.0).reshape(3, 3), np.zeros((0, 3))])
-def test_runs_that_have_no_two_groups(means: np.ndarray) -> None:
+def test_equal_or_few_runs_have_no_two_groups(means: np.ndarray) -> None:
     """All equal, or fewer than twice the two runs that a group has."""
     upper, log_ratio = divide(means, np.zeros_like(means))
     assert not upper.any()
     assert np.isnan(log_ratio)
 
 
-def test_spread_scatter_and_outlier() -> None:
+def test_probes_of_spread_scatter_and_outlier() -> None:
     means = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 40.0, 1.0, 3.0])
     found = runs(means)
     robust = 1.4826 * np.median(np.abs(means - np.median(means)))
@@ -90,15 +90,15 @@ def test_spread_scatter_and_outlier() -> None:
     np.testing.assert_allclose(value("run_outlier", found), np.log(np.sqrt(3) * (40 - 2.5) / robust))
 
 
-def test_runs_whose_means_are_mostly_equal() -> None:
-    """Three of five are: their spread is a fifth of what readings that know nothing of each other make, 0.5."""
+def test_the_spread_of_mostly_equal_means() -> None:
+    """Three of five are equal: their spread is a fifth of that of independent readings, 0.5."""
     found = runs(np.array([2.0, 2.0, 2.0, 1.9, 2.1]))
     np.testing.assert_allclose(value("run_spread", found), np.log(0.1))
     np.testing.assert_allclose(value("run_outlier", found), np.log(np.sqrt(3)))
 
 
-def test_creep_and_profile() -> None:
-    """A common course 0.3 ln t; single ones are 0.1 off it at every point, up or down."""
+def test_probes_of_creep_and_profile() -> None:
+    """A common course 0.3 ln t; single courses differ by 0.1 at every point, up or down."""
     course = np.log((np.arange(PARTS) + 0.5) / PARTS)
     course -= course.mean()
     sides = np.array([1.0, -1.0, 1.0, -1.0])
@@ -110,7 +110,7 @@ def test_creep_and_profile() -> None:
     np.testing.assert_allclose(value("run_profile", found), np.log(expected))
 
 
-def test_three_runs_say_nothing() -> None:
+def test_three_runs_have_no_probes() -> None:
     found = runs(np.arange(3.0))
     for name, probe in PROBES.items():
         if isinstance(probe, RunsProbe):

@@ -1,4 +1,4 @@
-"""One round of the search: what is looked at further, what is taken, and what it has to beat."""
+"""One round of the search: the trials that are evaluated further, acceptance, and its limits."""
 
 from __future__ import annotations
 
@@ -58,9 +58,10 @@ def tone() -> tuple[Bench, UnitState]:
     st.lists(st.tuples(st.integers(0, 2), st.booleans(), st.booleans(), st.floats(-10, 50)), max_size=15),
     st.integers(0, 6),
 )
-def test_the_likeliest(drawn_trials: list[tuple[int, bool, bool, float]], count: int) -> None:
-    """The largest gains first; of each effect and action two at most; none that isn't worth it, has no model, or is
-    behind the best one by more than 15 nats and by more than half, except the first of another form than the best one.
+def test_the_likeliest_trials_are_selected(drawn_trials: list[tuple[int, bool, bool, float]], count: int) -> None:
+    """The largest gains first; at most two of each effect and action; none with too small a gain, without a model, or
+    with a gain below the best by more than 15 nats and by more than half, except the first of another form than the
+    best.
     """
     tried = [
         FittedHypothesis(
@@ -78,14 +79,14 @@ def test_the_likeliest(drawn_trials: list[tuple[int, bool, bool, float]], count:
     rival = next((one for one, form in zip(kept, named, strict=True) if form != named[0]), None)
     assert all(one.models is not None and (one.gain > least or (one is rival and one.gain > WORTH)) for one in kept)
     assert all(named.count(one) <= 2 for one in named)
-    if len(kept) < count:  # whatever was left out had no place
+    if len(kept) < count:  # every excluded trial had no place
         for one in tried:
             of_effect = named.count((one.trial.name, one.trial.action))
             assert any(one is other for other in kept) or one.models is None or one.gain <= least or of_effect == 2
 
 
-def test_the_placebo_is_nowhere() -> None:
-    """A twentieth of the noise, where no simple fraction of the rate is."""
+def test_the_placebo_is_negligible() -> None:
+    """A twentieth of the noise, at no simple fraction of the rate."""
     made = evidence({})
     trial = placebo_of(made)
     (effect,) = trial.effects
@@ -98,7 +99,7 @@ def test_the_placebo_is_nowhere() -> None:
     assert trial.free == ("amplitude",)
 
 
-def test_guesses_are_of_a_lone_sensor_or_of_a_family() -> None:
+def test_trials_are_of_a_single_sensor_or_of_a_family() -> None:
     alone, shared = Hypothesis((LINE,)), Hypothesis((Bias(1.0),), shared=True)
     candidates = {"tone": Candidate("tone", lambda _: [alone]), "bias": Candidate("bias", lambda _: iter([shared]))}
     found = guesses_of(evidence({}), candidates)
@@ -108,7 +109,7 @@ def test_guesses_are_of_a_lone_sensor_or_of_a_family() -> None:
 
 
 @pytest.mark.slow
-def test_the_right_cause_gains_on_data_that_it_was_not_fitted_to(tone: tuple[Bench, UnitState]) -> None:
+def test_the_right_cause_gains_on_held_out_data(tone: tuple[Bench, UnitState]) -> None:
     bench, standing = tone
     right, wrong = (
         confirm(bench, standing, looks(bench, standing, [Hypothesis((effect,))])[0])
@@ -122,8 +123,8 @@ def test_the_right_cause_gains_on_data_that_it_was_not_fitted_to(tone: tuple[Ben
     assert after < 0.6 * before
 
 
-def test_the_choice_of_a_moment_costs(tone: tuple[Bench, UnitState]) -> None:
-    """Of what begins within the log the mean of both parts counts, less four nats."""
+def test_the_choice_of_a_moment_has_a_cost(tone: tuple[Bench, UnitState]) -> None:
+    """For an effect that begins within the log the gain is the mean of both parts, minus four nats."""
     bench, standing = tone
     tried = looks(bench, standing, [Hypothesis((LINE,))])[0]
     plain = confirm(bench, standing, tried)
@@ -132,13 +133,13 @@ def test_the_choice_of_a_moment_costs(tone: tuple[Bench, UnitState]) -> None:
     assert brief.train_gain == pytest.approx(plain.train_gain)
 
 
-def test_no_change_gains_nothing(tone: tuple[Bench, UnitState]) -> None:
+def test_no_change_has_no_gain(tone: tuple[Bench, UnitState]) -> None:
     bench, standing = tone
     found = confirm(bench, standing, FittedHypothesis(Hypothesis(()), standing.models))
     assert (found.gain, found.train_gain) == (pytest.approx(0, abs=1e-6), pytest.approx(0, abs=1e-6))
 
 
-def test_a_lone_sensor_is_without_what_it_shares() -> None:
+def test_a_single_sensor_excludes_common_statistics() -> None:
     bench, _ = prepared([("static", static()[0].motions[0])], ["G1", "G2"])
     nothing = np.zeros(0)
     models = bench.models()
@@ -148,11 +149,11 @@ def test_a_lone_sensor_is_without_what_it_shares() -> None:
         columns = bench.columns(unit, cross=len(unit) > 1)
         (values,) = (one.values for one in replicates_of(bench, standing, [2]))
         assert values.shape == columns.shape
-        assert np.isfinite(values).mean() > 0.5  # the rest says nothing of one log
+        assert np.isfinite(values).mean() > 0.5  # the rest has no information on one log
 
 
 class CannedRun:
-    """In the place of simulations: gains by effect, of the looks and refinements (`first`) and of what is confirmed."""
+    """Replaces simulations: gains by effect, of first evaluations and refinements (`first`) and of confirmations."""
 
     def __init__(self, first: dict[str, float], last: dict[str, tuple[float, float]], independent: float = 1.0) -> None:
         self._first, self._last, self.asked = first, last, list[int]()
@@ -186,7 +187,7 @@ def round_of(
 
 
 class RunByMoment(CannedRun):
-    """Looks gain the more the nearer the beginning of the bias is to a moment."""
+    """First evaluations gain more if the beginning of the bias is nearer to a moment."""
 
     def __init__(self, moment_s: float) -> None:
         super().__init__({"bias": 99.0, "tone": 0.0}, {"bias": (9.0, 20.0), "tone": (0.0, 0.0)})
@@ -199,8 +200,8 @@ class RunByMoment(CannedRun):
 
 
 @pytest.mark.parametrize("moment_s", [11.0, 37.1, 49.0])
-def test_a_beginning_within_a_motion(moment_s: float) -> None:
-    """It is narrowed down from the middle, 30 s, to an eighth of a second: each of four times 40 s shrink by 2 / 7."""
+def test_a_beginning_within_a_motion_is_narrowed_down(moment_s: float) -> None:
+    """From the middle, 30 s, to an eighth of a second: in each of four steps the interval of 40 s shrinks by 2 / 7."""
     trial = replace(Hypothesis((Bias(1.0),)).at(When((Span(0, 30.0, math.inf),))), begin_bounds_s=(10.0, 50.0))
     run = RunByMoment(moment_s)
     result = search_round({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [trial]}, {UNIT: Hypothesis((LINE,))}, run)[UNIT]
@@ -209,18 +210,19 @@ def test_a_beginning_within_a_motion(moment_s: float) -> None:
     assert span.moment_s == pytest.approx(moment_s, abs=40.0 * (2 / 7) ** 4 / 2)
 
 
-def test_what_gains_most_is_taken() -> None:
+def test_the_trial_with_the_largest_gain_is_accepted() -> None:
     first = {"bias": 5.0, "white_noise": 9.0, "stuck": 1.0, "tone": 0.0}
     last = {"bias": (5.0, 8.0), "white_noise": (9.0, 7.0), "tone": (0.0, 1.0)}
     found, told = round_of(first, last, Bias(1.0), WhiteNoise(1.0), Stuck(0.0))
-    assert told.asked == [1, 2, 2, 1, 1]  # looks at all, refined, confirmed, the placebo refined, confirmed
+    # first evaluation of all, refinement, confirmation, the placebo refined, confirmed
+    assert told.asked == [1, 2, 2, 1, 1]
     assert [one.trial.name for one in found.confirmed] == ["bias", "white_noise"]
     assert found.placebo_gain == 1.0
     assert found.selection is found.confirmed[0]
 
 
 def test_a_family_whose_causes_gain_too_little_needs_no_placebo() -> None:
-    """It could only raise what they have to gain; the placebo of a single sensor is told."""
+    """It could only raise the required gain; the placebo of a single sensor is reported."""
     trials, placebo = [Hypothesis((Bias(1.0),))], Hypothesis((LINE,))
     for unit, gain, placebos in ((UNIT, 0.0, 1), (("G1", "G2"), 0.0, 0), (("G1", "G2"), ACCEPTED + 0.1, 1)):
         told = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (9.0, gain), "tone": (0.0, -1.0)})
@@ -229,8 +231,8 @@ def test_a_family_whose_causes_gain_too_little_needs_no_placebo() -> None:
         assert told.asked == [1, 1, 1, placebos, placebos]
 
 
-def test_without_a_placebo_a_cause_has_to_gain_by_itself() -> None:
-    """As in later rounds: the placebo of the first one told what chance makes."""
+def test_a_cause_without_a_placebo_must_reach_the_required_gain() -> None:
+    """As in later rounds: the placebo of the first round measured the gain by chance."""
     for gain, is_taken in ((ACCEPTED + 0.1, True), (ACCEPTED - 0.1, False)):
         told = CannedRun({"bias": 9.0}, {"bias": (9.0, gain)})
         found = search_round({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Hypothesis((Bias(1.0),))]}, {}, told)[UNIT]
@@ -239,9 +241,9 @@ def test_without_a_placebo_a_cause_has_to_gain_by_itself() -> None:
         assert (found.selection is not None) == is_taken
 
 
-def test_parameters_cost() -> None:
-    """A nat for each number that was fitted, from the odds and not from what is accepted: of two that gain about the
-    same the simpler one is the cause.
+def test_parameters_have_a_cost() -> None:
+    """A nat for each fitted number, in the odds and not in the acceptance: of two causes with nearly equal gains the
+    simpler is preferred.
     """
     first = {"bias": 5.0, "tone": 9.0, "white_noise": 0.0}
     last = {"bias": (5.0, 8.0), "tone": (9.0, 9.0), "white_noise": (0.0, 0.0)}
@@ -258,8 +260,8 @@ def test_parameters_cost() -> None:
     assert found.selection is found.confirmed[0]
 
 
-def test_odds_count_what_is_independent_with_the_best() -> None:
-    """Half of what is independent without it: half the nats, of the best and of the others."""
+def test_odds_use_the_independent_share_of_the_best() -> None:
+    """Half of the independent share without it: half the nats, of the best and of the others."""
     standing = by_hand([0.0], drawn(1), independent=0.4)
     tried = [FittedHypothesis(Hypothesis((one,))) for one in (LINE, Bias(1.0))]
     every = tuple(
@@ -274,13 +276,15 @@ def test_odds_count_what_is_independent_with_the_best() -> None:
 @pytest.mark.parametrize(
     ("train", "gain", "placebo", "is_taken"),
     [
-        (5.0, ACCEPTED + 0.1, -9.0, True),  # a placebo that loses is no help
+        (5.0, ACCEPTED + 0.1, -9.0, True),  # a placebo that loses does not lower the limit
         (5.0, ACCEPTED - 0.1, -9.0, False),
         (5.0, ACCEPTED + 1.9, 2.0, False),
         (5.0, ACCEPTED + 2.1, 2.0, True),
     ],
 )
-def test_what_a_cause_has_to_beat(train: float, gain: float, placebo: float, is_taken: bool) -> None:
+def test_a_cause_must_exceed_the_limit_and_the_placebo(
+    train: float, gain: float, placebo: float, is_taken: bool
+) -> None:
     found, _ = round_of({"bias": 9.0, "tone": 0.0}, {"bias": (train, gain), "tone": (0.0, placebo)}, Bias(1.0))
     assert (found.selection is not None) == is_taken
 
@@ -288,14 +292,14 @@ def test_what_a_cause_has_to_beat(train: float, gain: float, placebo: float, is_
 @pytest.mark.parametrize(
     ("free", "train", "gain", "is_taken"),
     [
-        (("offset",), WORTH - 0.1, 99.0, False),  # nothing to be seen where it was fitted
+        (("offset",), WORTH - 0.1, 99.0, False),  # no gain on the training part
         ((), WORTH - 0.1, 99.0, True),  # nothing was fitted
         ((), -0.1, 99.0, False),
         ((), 0.0, ACCEPTED + 8.1, True),  # the sum of both parts, less 8
         ((), 0.0, ACCEPTED + 7.9, False),
     ],
 )
-def test_a_cause_that_only_the_held_out_part_shows(
+def test_a_cause_observable_in_the_held_out_part_only(
     free: tuple[str, ...], train: float, gain: float, is_taken: bool
 ) -> None:
     run = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (train, gain), "tone": (0.0, 0.0)})
@@ -307,13 +311,13 @@ def test_a_cause_that_only_the_held_out_part_shows(
 @pytest.mark.parametrize(
     ("train", "gain", "is_taken"),
     [
-        (ACCEPTED + 11.1, 0.0, True),  # beyond 8 nats for the choice and 1 for each number that was fitted
+        (ACCEPTED + 11.1, 0.0, True),  # beyond 8 nats for the choice and 1 for each fitted number
         (ACCEPTED + 10.9, 0.0, False),
-        (ACCEPTED + 11.1, -0.2, False),  # the held-out part is against it
+        (ACCEPTED + 11.1, -0.2, False),  # the held-out part contradicts it
     ],
 )
-def test_a_cause_that_only_the_training_part_shows(train: float, gain: float, is_taken: bool) -> None:
-    """It is judged on both parts then, by the mean of both less 4 nats, and says so."""
+def test_a_cause_observable_in_the_training_part_only(train: float, gain: float, is_taken: bool) -> None:
+    """It is then evaluated on both parts, by the mean of both minus 4 nats, and reports this."""
     run = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (train, gain), "tone": (0.0, 0.0)})
     trials, placebos = {UNIT: [Hypothesis((Bias(1.0),), ("offset",))]}, {UNIT: Hypothesis((LINE,))}
     result = search_round({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, run)[UNIT]
@@ -325,8 +329,8 @@ def test_a_cause_that_only_the_training_part_shows(train: float, gain: float, is
 
 
 @pytest.mark.parametrize(("train", "is_taken"), [(ACCEPTED + 8.1, True), (ACCEPTED + 7.9, False)])
-def test_a_cause_without_numbers_that_only_the_training_part_shows(train: float, is_taken: bool) -> None:
-    """As the above, but nothing was fitted: ends of codes that are read off are not."""
+def test_a_cause_without_numbers_observable_in_the_training_part_only(train: float, is_taken: bool) -> None:
+    """As above, but nothing was fitted: limits of codes that are read off are not fitted."""
     run = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (train, 0.0), "tone": (0.0, 0.0)})
     trials, placebos = {UNIT: [Hypothesis((Bias(1.0),))]}, {UNIT: Hypothesis((LINE,))}
     result = search_round({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, run)[UNIT]
@@ -334,8 +338,8 @@ def test_a_cause_without_numbers_that_only_the_training_part_shows(train: float,
 
 
 @pytest.mark.parametrize(("gain", "is_taken"), [(0.1, True), (-0.1, False)])
-def test_what_is_known_to_be_there_needs_no_proof(gain: float, is_taken: bool) -> None:
-    """Neither that it is beyond chance nor that the training part shows it; what makes things worse is not it."""
+def test_a_known_effect_needs_no_significance(gain: float, is_taken: bool) -> None:
+    """Neither a gain beyond chance nor a gain on the training part is required; a loss is not accepted."""
     told = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (0.0, gain), "tone": (0.0, 5.0)})
     trials, placebos = {UNIT: [Hypothesis((Bias(1.0),))]}, {UNIT: Hypothesis((LINE,))}
     found = search_round({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, told, known=True)[UNIT]
@@ -343,17 +347,17 @@ def test_what_is_known_to_be_there_needs_no_proof(gain: float, is_taken: bool) -
 
 
 @pytest.mark.parametrize(("effect", "is_taken"), [(Bias(1.0), False), (Stuck(3.0, 1.0), True)])
-def test_what_moves_for_one_reason_counts_once(effect: Effect, is_taken: bool) -> None:
-    """20 nats of statistics of which a tenth is independent are 2; what happens once has no more to show."""
+def test_correlated_statistics_are_counted_once(effect: Effect, is_taken: bool) -> None:
+    """20 nats of statistics of which a tenth is independent are 2; a single event has no more statistics."""
     told = CannedRun({effect.name: 9.0}, {effect.name: (9.0, 20.0)}, independent=0.1)
     found = search_round({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Hypothesis((effect,))]}, {}, told)[UNIT]
     assert (found.selection is not None) == is_taken
 
 
 @pytest.mark.parametrize(("share", "is_taken"), [(0.9, True), (0.3, False)])
-def test_few_statistics_that_say_something_of_their_own_count_more(share: float, is_taken: bool) -> None:
-    """Nats are counted as if all statistics hung together as those of the whole sensor do, of which 0.3 is independent:
-    where those that are moved don't, 2 are 6.
+def test_gains_of_independent_statistics_have_more_weight(share: float, is_taken: bool) -> None:
+    """Nats are weighted by the independent share of all statistics of the sensor, 0.3: where the moved statistics are
+    independent, 2 are 6.
     """
     told = CannedRun({"bias": 9.0}, {"bias": (9.0, 2.0)}, independent=share)
     standing = by_hand([0.0], drawn(1), independent=0.3)
@@ -362,8 +366,8 @@ def test_few_statistics_that_say_something_of_their_own_count_more(share: float,
 
 
 @pytest.mark.parametrize(("own_share", "odds"), [(1.0, 6.0), (0.5, 4.0), (0.0, 2.0), (-3.0, 2.0)])
-def test_what_shows_beside_others_counts_no_more(own_share: float, odds: float) -> None:
-    """2 nats that are three times as independent as most, by what of them the sensor shows alone."""
+def test_relative_statistics_have_no_additional_weight(own_share: float, odds: float) -> None:
+    """2 nats that are three times as independent as most, by the share that the sensor shows alone."""
     one = Evaluation(
         FittedHypothesis(Hypothesis((Bias(1.0),))),
         by_hand([0.0], drawn(1)),
@@ -376,27 +380,27 @@ def test_what_shows_beside_others_counts_no_more(own_share: float, odds: float) 
     assert found.log_odds == pytest.approx((odds,))
 
 
-def test_what_needs_both_may_show_in_one_part_alone() -> None:
+def test_a_trial_that_needs_both_parts_may_gain_in_one() -> None:
     last = {"stuck": (-1.0, 30.0), "tone": (0.0, 0.0)}
     found, _ = round_of({"stuck": 9.0, "tone": 0.0}, last, Stuck(3.0, 1.0))
     assert found.selection is not None
 
 
 @pytest.mark.parametrize(("gain", "is_taken"), [(ACCEPTED / 2 + 0.1, True), (ACCEPTED / 2 - 0.1, False)])
-def test_what_happens_once_counts_in_both_parts(gain: float, is_taken: bool) -> None:
-    """The evaluation of a brief cause holds the mean of both parts: their sum is twice that."""
+def test_a_single_event_is_counted_over_both_parts(gain: float, is_taken: bool) -> None:
+    """The evaluation of a brief cause has the mean of both parts: their sum is twice that."""
     result, _ = round_of({"stuck": 9.0, "tone": 0.0}, {"stuck": (0.0, gain), "tone": (0.0, 0.0)}, Stuck(3.0, 1.0))
     assert (result.selection is not None) == is_taken
 
 
-def test_nothing_worth_looking_at() -> None:
+def test_trials_without_gain_are_not_pursued() -> None:
     found, told = round_of({"bias": WORTH, "tone": 0.0}, {"tone": (0.0, -1.0)}, Bias(1.0))
-    assert told.asked == [1, 0, 0, 0, 0]  # no placebo where nothing is to be compared with it
+    assert told.asked == [1, 0, 0, 0, 0]  # no placebo without a trial to compare with it
     assert (found.confirmed, found.selection, found.placebo_gain) == ((), None, 0.0)
 
 
-def test_a_gain_of_few_is_worth_as_much_as_it_counts() -> None:
-    """Half of what is worth it is enough where it counts three times, for the order it counts once."""
+def test_the_weight_of_independent_statistics_selects_but_does_not_rank() -> None:
+    """Half of the required gain is sufficient with a weight of three; the order uses a weight of one."""
     weak, strong = (
         FittedHypothesis(Hypothesis((one,)), {}, gain)
         for one, gain in ((Bias(1.0), WORTH / 2), (Tone(1.0, 9.0), WORTH))
@@ -407,7 +411,7 @@ def test_a_gain_of_few_is_worth_as_much_as_it_counts() -> None:
 
 
 def test_a_round_on_simulations(tone: tuple[Bench, UnitState]) -> None:
-    """A line that is there, guessed at half its size, and a noise that isn't."""
+    """A true line, suggested at half its size, and a wrong noise."""
     bench, standing = tone
     trials = [
         Hypothesis((Tone((0.0, 0.02, 0.0), 17.0),), ("amplitude",)),
@@ -421,8 +425,8 @@ def test_a_round_on_simulations(tone: tuple[Bench, UnitState]) -> None:
     assert found.placebo_gain < ACCEPTED
 
 
-def test_lines_that_drift_are_of_another_form_than_those_that_stay() -> None:
-    """So that two that stay leave room for one that drifts, however large its amplitude is."""
+def test_drifting_lines_are_of_another_form_than_constant_ones() -> None:
+    """So that two constant lines leave room for a drifting one, for any amplitude."""
     stays, drifts = Hypothesis((Tone(1.0, 9.0),)), Hypothesis((Tone(1.0, 9.0, drift_hz_per_h=3.0),))
     assert stays.form == Hypothesis((Tone((2.0, 0.0, 0.0), 30.0),), ("amplitude",)).form
     assert len({stays.form, drifts.form, replace(stays, removed="tone").form, Hypothesis((), removed="tone").form}) == 4
@@ -432,8 +436,8 @@ def test_lines_that_drift_are_of_another_form_than_those_that_stay() -> None:
     assert [one.gain for one in likeliest(tried, 4)] == [30.0, 29.0, 27.0]
 
 
-def test_the_best_guess_has_a_rival_of_another_form() -> None:
-    """A delay, guessed too small, explains a third of what a clock error explains on the training part."""
+def test_the_best_trial_has_a_rival_of_another_form() -> None:
+    """A delay, suggested too small, explains a third of the gain of a clock error on the training part."""
     clock, delay, noise = (
         FittedHypothesis(Hypothesis((effect,)), {}, gain)
         for effect, gain in ((ClockError(500.0), 36.0), (Skew(0.015), 12.0), (WhiteNoise(1.0), 11.0))
@@ -441,7 +445,7 @@ def test_the_best_guess_has_a_rival_of_another_form() -> None:
     assert likeliest([noise, delay, clock], 4) == [clock, delay]
 
 
-def test_trials_of_both_parts_are_not_crowded_out_by_those_of_one() -> None:
+def test_trials_of_both_parts_are_not_displaced_by_those_of_one() -> None:
     """Gains on other data can't be compared: the best of either kind is pursued."""
     own = [
         FittedHypothesis(Hypothesis((effect,)), {}, gain)
@@ -454,7 +458,7 @@ def test_trials_of_both_parts_are_not_crowded_out_by_those_of_one() -> None:
 
 
 @pytest.mark.parametrize(("name", "numbers"), [("saturation", [10.0, 42.0]), ("tone", [10.0])])
-def test_an_end_of_the_range_that_one_part_reaches_is_tried(
+def test_a_range_limit_reached_in_one_part_only_is_tried(
     monkeypatch: pytest.MonkeyPatch, name: str, numbers: list[float]
 ) -> None:
     """The training part suggests 10, both parts together 42: a line that both show need not be tried twice."""

@@ -1,4 +1,4 @@
-"""Moments of parts of a phase beside SciPy's, whatever the blocks; temperatures by the reference."""
+"""Moments of parts of a phase against SciPy, with any block sizes; temperatures by the reference."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def tallied(time_ns: np.ndarray, counts: np.ndarray, parts: int, cuts: tuple[int
 
 @settings(max_examples=examples(30), deadline=None)
 @given(st.integers(0, 10**6), st.integers(2, 9), st.lists(st.integers(1, 299), max_size=3, unique=True))
-def test_moments_are_those_of_scipy(seed: int, parts: int, cuts: list[int]) -> None:
+def test_moments_equal_scipy(seed: int, parts: int, cuts: list[int]) -> None:
     rng = np.random.default_rng(seed)
     time_ns = np.sort(rng.choice(10**6, 300, replace=False)) * 10_000
     counts = rng.integers(-40, 60, size=(300, 3)).astype(float)
@@ -53,12 +53,14 @@ def test_temperature_is_that_of_the_reference() -> None:
     found = tallied(time_ns, np.zeros((100, 3)), 5)
     np.testing.assert_allclose(found.temperature_degc, warm(found.time_s * 1e9), rtol=1e-9)
     np.testing.assert_allclose(found.warming_degc_per_s, [1.0, 3.0, 5.0, 7.0, 9.0], rtol=1e-9)  # t, in the middle
-    np.testing.assert_allclose(found.thermometer, 2.0)  # 0, 1, 2, 3, 4 over and over
+    np.testing.assert_allclose(found.thermometer, 2.0)  # 0, 1, 2, 3, 4 repeated
     assert found.width_s == 2.0
 
 
-def test_what_a_slope_adds_to_the_variance() -> None:
-    """400 rows a part, a count apart every 40, and noise of two: a ramp of 10 counts has a variance of 8.3."""
+def test_the_variance_includes_a_slope() -> None:
+    """400 rows per part, a step of a count every 40 rows, and noise of two: a ramp of 10 counts has a
+    variance of 8.3.
+    """
     rng = np.random.default_rng(1)
     time_ns = np.arange(20_000) * SECOND // 2000
     counts = 0.025 * np.arange(20_000)[:, None] + rng.normal(0, 2, (20_000, 3))

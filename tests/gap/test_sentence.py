@@ -1,4 +1,4 @@
-"""What a person would say of a diagnosis made by hand."""
+"""The summary sentence of a diagnosis made by hand."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ def use(sensor: str, real: float, before: float, after: float) -> Use:
     return Use("heading error after coasting 5 s", sensor, "deg", *figures)
 
 
-def test_no_gap() -> None:
+def test_the_sentence_without_a_gap() -> None:
     said = written("no gap", Gap(1, 1, 1, None, None), (), (), (), (use("G1", 1.0, 2.0, 1.0),))
     assert said == "The recordings agree with the simulator: no statistic is beyond chance."
 
 
-def test_parts_out_of_specification_are_said_with_and_without_a_gap() -> None:
+def test_parts_out_of_specification_are_reported_with_and_without_a_gap() -> None:
     pulls = [
         Pull("scale", "A1", axis, 0.03 * pull, "", 0.03, pull, "BMA-20") for axis, pull in (("x", 0.7), ("y", -1.4))
     ]
@@ -59,7 +59,9 @@ def test_parts_out_of_specification_are_said_with_and_without_a_gap() -> None:
 
 
 def test_a_cause_may_have_misled_the_fit_of_a_part() -> None:
-    """An exchange of sensors makes a g-sensitivity up: it is said once, and not as a part out of specification."""
+    """An exchange of sensors looks like a g-sensitivity: it is reported once, and not as a part out of
+    specification.
+    """
     pulls = [Pull("g-sensitivity", "G1", "xy", 0.1, "dps/g", 0.03, 3.3, "usual", ("channel_swap",))]
     swapped = written("explained", GAP, [cause("channel_swap")], [where()], [], [], pulls)
     assert swapped.endswith(
@@ -75,7 +77,7 @@ def test_of_many_parts_out_of_specification_three_are_named() -> None:
     assert said.endswith("2 more quantities are out of specification.")
 
 
-def test_one_cause() -> None:
+def test_the_sentence_of_one_cause() -> None:
     said = written("explained", GAP, [cause()], [where()], [], [])
     assert said == (
         "The recordings differ from the simulator, most in the change from run to run of G1 y. G1 (y): tone (a sine"
@@ -84,14 +86,14 @@ def test_one_cause() -> None:
     )
 
 
-def test_what_both_parts_were_needed_for_is_not_closed_on_held_out_data() -> None:
+def test_a_cause_that_needs_both_parts_is_not_reported_as_held_out() -> None:
     said = written("explained", GAP, [cause(needs_both=True)], [where()], [], [])
     assert "of the gap is closed on the data that showed it." in said
     mixed = written("explained", GAP, [cause(needs_both=True), cause("bias")], [where()], [], [])
     assert "of the gap is closed on held-out data." in mixed
 
 
-def test_several_causes_and_what_else_it_could_be() -> None:
+def test_the_sentence_of_several_causes_and_their_alternatives() -> None:
     causes = [
         cause(confusable_with=("glitches", "jitter")),
         cause("scale", 0.6, action="remove", axes=(), parameters={}),
@@ -115,14 +117,14 @@ def test_no_more_than_four_causes_are_named() -> None:
     assert "G4 (y): tone" not in said
 
 
-def test_what_is_not_explained() -> None:
+def test_the_unexplained_part_is_reported() -> None:
     left = [where(sensor="G2", axis="z", phase="static"), where()]
     said = written("partly explained", GAP, [cause()], [where()], left, [])
     assert said.endswith("Not explained: mean of the run, G2 z in static.")
 
 
-def test_something_outside_the_library_is_described_by_where_it_shows() -> None:
-    """In which domain, of which axis, how far off, in which phase and log; each axis and domain once."""
+def test_an_unknown_effect_is_described_by_its_places() -> None:
+    """By domain, axis, deviation, phase and log; each axis and domain once."""
     left = [
         where(sensor="G2", axis="z", phase="static"),
         where(sensor="G2", axis="z"),
@@ -143,15 +145,15 @@ def test_something_outside_the_library_is_described_by_where_it_shows() -> None:
     assert "probability 40 %" in nearest
 
 
-def test_a_comparison_with_an_earlier_recording_says_with_which() -> None:
+def test_a_comparison_with_an_earlier_recording_names_it() -> None:
     differs = written("explained", GAP, [cause()], [where()], [], [], against=["before.h5"])
     assert differs.startswith("The recordings differ from before.h5, most in the change from run to run of G1 y.")
     same = written("no gap", Gap(1, 1, 1, None, None), (), (), (), (), against=["before.h5"])
     assert same == "The recordings agree with before.h5: nothing has changed beyond chance."
 
 
-def test_the_figure_of_use_that_changed_most() -> None:
-    """Of the sensors concerned: by 60 % of what was recorded, not by 50 %."""
+def test_the_most_changed_figure_of_use_is_reported() -> None:
+    """For the sensors concerned: a change by 60 % of the recorded figure, not by 50 %."""
     uses = [use("G1", 1.0, 0.5, 0.9), use("G1", 2.0, 0.8, 1.7), use("G2", 1.0, 0.1, 0.9), use("G1", 0.0, 9.0, 1.0)]
     said = written("explained", GAP, [cause()], [where()], [], uses)
     assert said.endswith(
@@ -160,7 +162,7 @@ def test_the_figure_of_use_that_changed_most() -> None:
     assert "recorded" not in written("unexplained", GAP, [], [where()], [], uses)
 
 
-def test_where_none_is_likely_the_likeliest_is_named() -> None:
+def test_the_likeliest_cause_is_named_if_none_is_probable() -> None:
     said = written("explained", GAP, [cause(probability=0.4), cause("glitches", 0.3)], [where()], [], [])
     assert "probability 40 %. With all accepted causes 97 %" in said
     assert "glitches" not in said
@@ -173,5 +175,5 @@ def test_every_effect_has_a_meaning(effect: str) -> None:
     assert words == words.strip(" .")
 
 
-def test_what_is_no_effect_means_nothing() -> None:
+def test_an_unknown_effect_has_no_meaning() -> None:
     assert meaning("ghosts") == ""

@@ -30,8 +30,8 @@ def found_keys(found: Localisation) -> list[Key]:
     return [KEYS[at] for at in found.p_by_place]
 
 
-def test_a_step_down_is_paid_for_among_siblings() -> None:
-    """Chance makes 3 somewhere in A2, 1 elsewhere: a 2 of A1 is beyond its own chance, not beyond its family's."""
+def test_a_place_is_tested_against_its_siblings() -> None:
+    """Chance reaches 3 in A2, 1 elsewhere: a 2 of A1 is beyond its own chance, not beyond that of its family."""
     chance = np.ones((40, len(KEYS)))
     chance[:, places("A2")[0]] = 3.0
     scores = np.zeros(len(KEYS))
@@ -49,7 +49,7 @@ def test_a_step_down_is_paid_for_among_siblings() -> None:
 
 
 def test_a_sensor_that_has_been_located_does_not_hide_a_smaller_deviation() -> None:
-    """Chance makes 3 somewhere in A2, 1 elsewhere: with a 4 of A2 located, a 2 of A1 is beyond what is left of it."""
+    """Chance reaches 3 in A2, 1 elsewhere: with a 4 of A2 located, a 2 of A1 is beyond the remaining chance."""
     chance = np.ones((40, len(KEYS)))
     chance[:, places("A2")[0]] = 3.0
     scores = np.zeros(len(KEYS))
@@ -60,33 +60,33 @@ def test_a_sensor_that_has_been_located_does_not_hide_a_smaller_deviation() -> N
     assert not found_by(scores, chance).root.found("sensor")
 
 
-def test_nothing_is_looked_for_where_nothing_was_found() -> None:
+def test_no_place_is_tested_without_a_gap() -> None:
     none = found_by(np.zeros(len(KEYS)), np.ones((40, len(KEYS))))
     assert (none.is_gap, none.p, none.root.children, none.p_by_place) == (False, 1.0, (), {})
     assert none.root.level == LEVELS[0]
 
 
-def test_what_is_not_said_is_not_found() -> None:
-    """On either side."""
+def test_a_missing_score_gives_no_gap_and_a_missing_chance_hides_none() -> None:
+    """Scores that are missing in the recording, and in all replicates."""
     scores, chance = np.full(len(KEYS), np.nan), np.full((40, len(KEYS)), np.nan)
     assert not found_by(scores, np.ones((40, len(KEYS)))).is_gap
     scores[7] = 2.0
     assert found_keys(found_by(scores, chance)) == [KEYS[7]]
 
 
-def test_the_limit_is_reached_in_one_of_twenty() -> None:
-    """The largest of each replicate are 1 to 40: a twentieth of the way down lies 38."""
+def test_the_limit_is_exceeded_in_one_of_twenty() -> None:
+    """The largest scores of replicates are 1 to 40: a twentieth from the top is 38."""
     chance = np.zeros((40, len(KEYS)))
     chance[:, 3] = -np.arange(1.0, 41.0)
     assert found_by(np.zeros(len(KEYS)), chance).limit == pytest.approx(38, abs=0.1)
 
 
-def test_too_few_replicates_tell_nothing() -> None:
+def test_too_few_replicates_are_refused() -> None:
     with pytest.raises(ValueError, match=r"replicates: 10 were scored; a share of false alarms of 0\.05 needs 19"):
         found_by(np.zeros(len(KEYS)), np.ones((10, len(KEYS))))
 
 
-def test_p_is_never_zero() -> None:
+def test_p_is_not_zero() -> None:
     chance = np.arange(1.0, 100.0)
     assert p_value(1000.0, chance) == pytest.approx(0.01)
     assert p_value(95.0, chance) == pytest.approx(0.06)

@@ -1,4 +1,4 @@
-"""Rows out of a log and out of the simulation that wrote it are the same rows, and make the same statistics."""
+"""Rows of a log and of the simulation that wrote it are the same rows, with the same statistics."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def sources_of(path: Path, dropped: float = 0.0) -> tuple[dict[str, Source], Pat
 
 
 @pytest.mark.parametrize("dropped", some([0.0, 0.05], 1))
-def test_blocks_are_the_same(tmp_path: Path, dropped: float) -> None:
+def test_blocks_of_log_and_simulation_are_equal(tmp_path: Path, dropped: float) -> None:
     simulated, path = sources_of(tmp_path / "log.h5", dropped)
     with open_log(path) as log:
         for name, source in simulated.items():
@@ -56,9 +56,9 @@ def test_blocks_are_the_same(tmp_path: Path, dropped: float) -> None:
                 assert recorded.rows(*span) == len(ours[0])
 
 
-def test_flags_of_rows_that_differ(tmp_path: Path) -> None:
-    """The flag of a repeated row stays where another sensor's counts stand, most of which differ from those before: it
-    tells nothing of these, in a log as in a simulation.
+def test_flags_of_repeated_rows_need_equal_counts(tmp_path: Path) -> None:
+    """The flags of repeated rows are kept with the counts of another sensor, most of which differ from the previous
+    ones: they give no information, in a log and in a simulation.
     """
     effects = {"G1": (StaleSamples(0.2), ChannelSwap("G2", "counts"))}
     made = simulation(TUMBLE, effects, seed=3)
@@ -74,7 +74,7 @@ def test_flags_of_rows_that_differ(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_statistics_are_the_same(tmp_path: Path) -> None:
+def test_statistics_of_log_and_simulation_are_equal(tmp_path: Path) -> None:
     """To rounding: the log's blocks are the simulator's chunks."""
     simulated, path = sources_of(tmp_path / "log.h5")
     reference = reference_of(TUMBLE)
@@ -88,7 +88,7 @@ def test_statistics_are_the_same(tmp_path: Path) -> None:
     assert np.isfinite(one.values).mean() > 0.85
 
 
-def test_a_simulation_counts_rows_that_never_arrive() -> None:
+def test_a_simulation_counts_lost_rows() -> None:
     made = simulation(Still(seconds=20), {"A1": (DroppedSamples(0.2),)}, seed=1)
     sensor = made.sensors["A1"]
     assert isinstance(sensor, SimulatedSensor)
@@ -97,7 +97,7 @@ def test_a_simulation_counts_rows_that_never_arrive() -> None:
     assert sum(len(item.time) for item in source.blocks(0, 20 * 10**9)) == 2000 - len(sensor.lost_rows(0, 2000))
 
 
-def test_no_block_is_empty_or_long() -> None:
+def test_blocks_are_neither_empty_nor_long() -> None:
     made = simulation(Still(seconds=400), {"A1": (DroppedSamples(0.9, 40.0),)}, seed=1)
     sensor = made.sensors["A1"]
     assert isinstance(sensor, SimulatedSensor)
@@ -118,16 +118,16 @@ def test_a_barometer_has_no_axes(tmp_path: Path) -> None:
         RecordedSource(log["P"])
 
 
-def test_the_same_seed_is_the_same_and_another_is_not() -> None:
+def test_the_same_seed_gives_the_same_rows_and_another_does_not() -> None:
     first, again, other = (statistics(campaign_of("motion", seed=seed)) for seed in (5, 5, 6))
     np.testing.assert_array_equal(first.values, again.values)
     assert first.keys == other.keys
     assert not np.array_equal(first.values, other.values, equal_nan=True)
 
 
-def test_who_flags_equal_rows_of_a_magnetometer_recorded_the_same(tmp_path: Path) -> None:
-    """Nothing tells a recorder whether a reading of an HMC5883L is new (no driver sees its ready bit): some flag a row
-    that equals the one before, others none.
+def test_flags_of_equal_rows_of_a_magnetometer_make_no_difference(tmp_path: Path) -> None:
+    """A recorder cannot detect whether a reading of an HMC5883L is new (no driver reads its ready bit): some flag a row
+    that equals the previous one, others none.
     """
     array = parse_array(
         '[array]\nname = "one"\nbus = "i2c:/dev/i2c-1"\n[[sensor]]\nname = "M"\nchip = "hmc5883l"\n'
@@ -152,8 +152,8 @@ def test_who_flags_equal_rows_of_a_magnetometer_recorded_the_same(tmp_path: Path
             assert not np.concatenate([block.status for block in blocks]).any()
 
 
-def test_a_flagged_row_that_differs_from_the_one_before_is_a_new_reading(tmp_path: Path) -> None:
-    """Of rows 5, 6 and 7, all flagged as no new reading, row 6 alone equals the one before."""
+def test_a_flagged_row_that_differs_from_the_previous_is_a_new_reading(tmp_path: Path) -> None:
+    """Of rows 5, 6 and 7, all flagged as no new reading, row 6 alone equals the previous row."""
     path = tmp_path / "log.h5"
     write_log(simulation(Still(seconds=2), {}, seed=1), path)
     with h5py.File(path, "r+") as file:
@@ -166,16 +166,16 @@ def test_a_flagged_row_that_differs_from_the_one_before_is_a_new_reading(tmp_pat
         rows["counts"][:], rows["status"][:] = counts, status
     with open_log(path) as log:
         source = RecordedSource(log["A1"])
-        for start_ns in (0, int(log["A1"].time[6])):  # the row before the first that is asked for counts too
+        for start_ns in (0, int(log["A1"].time[6])):  # the row before the first requested row is used too
             blocks = list(source.blocks(start_ns, 2 * 10**9))
             times = np.concatenate([block.time for block in blocks])
             is_stale = np.concatenate([block.status for block in blocks]) & 1 != 0
             np.testing.assert_array_equal(times[is_stale], [log["A1"].time[6]])
 
 
-def test_no_reading_was_lost_beside_one_that_came_while_it_was_read(tmp_path: Path) -> None:
-    """Row 6 differs although it is flagged as no new reading: the rows beside it are flagged as overrun, and no reading
-    was lost. One was before row 20.
+def test_an_overrun_next_to_a_reading_in_progress_is_not_a_loss(tmp_path: Path) -> None:
+    """Row 6 differs although it is flagged as no new reading: its neighbours are flagged as overrun, and no reading was
+    lost. A reading was lost before row 20.
     """
     path = tmp_path / "log.h5"
     write_log(simulation(Still(seconds=2), {}, seed=1), path)

@@ -1,4 +1,4 @@
-"""Both parts of every campaign together are the campaign, and nothing is in both."""
+"""Both parts of every campaign together are the campaign, without overlap."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def phases_between(edges_ns: list[int]) -> list[Phase]:
 
 
 def summarised(kind: str, phases: tuple[Phase, ...]) -> LogSummary:
-    """A log of no sensors."""
+    """A log without sensors."""
     return LogSummary(kind, tuple(PhaseSummary(one, at, Layout({}, 1), {}, None) for at, one in enumerate(phases)))
 
 
@@ -43,7 +43,7 @@ def stretches(side: Side) -> set[tuple[int, Phase]]:
 
 
 @given(LOGS)
-def test_the_parts_make_up_the_whole(logs: list[tuple[str, list[int]]]) -> None:
+def test_the_parts_cover_the_whole_without_overlap(logs: list[tuple[str, list[int]]]) -> None:
     """Every nanosecond of every phase is in one part, and in one only."""
     kinds, phases = [kind for kind, _ in logs], [phases_between(edges) for _, edges in logs]
     split = split_of(kinds, phases)
@@ -59,7 +59,7 @@ def test_the_parts_make_up_the_whole(logs: list[tuple[str, list[int]]]) -> None:
 
 
 @given(LOGS)
-def test_every_second_of_a_kind_or_halves(logs: list[tuple[str, list[int]]]) -> None:
+def test_every_second_log_of_a_kind_or_halves_are_held_out(logs: list[tuple[str, list[int]]]) -> None:
     """Halves of a single log of its kind, of four to eleven boots, and of two or three motions or heatings."""
     kinds, phases = [kind for kind, _ in logs], [phases_between(edges) for _, edges in logs]
     split = split_of(kinds, phases)
@@ -76,8 +76,8 @@ def test_every_second_of_a_kind_or_halves(logs: list[tuple[str, list[int]]]) -> 
             assert judged == mine[1::2]
 
 
-def test_a_half_keeps_name_face_and_number() -> None:
-    """9 ns: 4 to the one, 5 to the other."""
+def test_a_half_keeps_name_face_and_number_of_its_phase() -> None:
+    """9 ns: 4 in one half, 5 in the other."""
     split = split_of(["static"], [[Phase(0, 9, "z_up", "+Z"), Phase(20, 40, "z_down", "-Z")]])
     campaign = whole(split, ["static"])
     for side, expected in (
@@ -90,7 +90,7 @@ def test_a_half_keeps_name_face_and_number() -> None:
     assert (both.campaign, both.logs) == (campaign, (0,))
 
 
-def test_both_parts_have_a_rest_where_any_log_has() -> None:
+def test_both_parts_have_a_rest_if_any_log_has() -> None:
     """A ride without a stop and a box that is turned by hand are both motions; the noise of both parts is that of the
     rests of the second. With three more logs that have rests, two of these are held out.
     """
@@ -105,8 +105,8 @@ def test_both_parts_have_a_rest_where_any_log_has() -> None:
     assert [len(phases) for phases in split.phases(False)] == [1, 3, 0, 3, 0]
 
 
-def test_what_was_summarised_in_one_part_alone_is_that_part() -> None:
-    """As simulations are of which only the training part is needed."""
+def test_a_summary_of_one_part_alone_is_that_part() -> None:
+    """As in simulations that need the training part only."""
     phases = [Phase(0, 10, "run 1", "+Z"), Phase(20, 30, "run 2", "+Z")]
     kinds = ["static", "turn-on", "turn-on"]
     split = split_of(kinds, [phases] * 3)
@@ -117,8 +117,8 @@ def test_what_was_summarised_in_one_part_alone_is_that_part() -> None:
     assert [part.number for part in one.campaign.logs[0].phases] == [0, 1]
 
 
-def test_every_row_is_read_in_one_part() -> None:
-    """Rows that stand on the middle of a phase, too: halves begin with what stands on their edge."""
+def test_every_row_is_in_exactly_one_part() -> None:
+    """Also rows at the middle of a phase: halves include the row at their begin."""
     motion = Tumble(2.0, 0.5)
     phases = phases_of(motion)
     shared = split_of(["tumble"], [phases]).phases()[0]
@@ -150,5 +150,5 @@ def test_every_row_is_read_in_one_part() -> None:
         ([], "held out: nothing"),
     ],
 )
-def test_words(kinds: list[str], words: str) -> None:
+def test_text_of_the_split(kinds: list[str], words: str) -> None:
     assert split_of(kinds, [[Phase(0, 10, "static", "+Z")]] * len(kinds)).words == words

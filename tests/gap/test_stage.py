@@ -23,7 +23,7 @@ from imuarray.simulate.streams import DrawMemory
 from tests.gap.small_bench import prepared
 
 
-def test_only_the_logs_that_are_wanted_are_simulated() -> None:
+def test_only_the_requested_logs_are_simulated() -> None:
     logs: list[tuple[str, Motion]] = [("static", Still(seconds=5)), ("motion", HandShake(still_s=2, motion_s=2))]
     bench, _ = prepared(logs, ["G1", "G2"])
     stage = Stage(bench.kinds, bench.split, bench.layouts, bench.experiments, bench.base)
@@ -48,8 +48,8 @@ def test_long_logs_are_simulated_few_at_a_time() -> None:
 def test_exchanged_sensors_read_the_recorded_levels_of_each_other() -> None:
     """Scale and misalignment are drawn for each replicate, some hundredths of g; the level of either was recorded.
 
-    Before the exchange a replicate has the recorded level, afterwards that of the other: to a tenth of the scatter that
-    the levels of replicates without an exchange have.
+    Before the exchange a replicate has the recorded level, afterwards that of the other: to a tenth of the scatter of
+    the levels of replicates without an exchange.
     """
     bench, recorded_campaign = prepared([("static", Still(seconds=40))], ["A1", "A2"])
     stage = Stage(bench.kinds, bench.split, bench.layouts, bench.experiments, bench.base)
@@ -79,8 +79,8 @@ def test_exchanged_sensors_read_the_recorded_levels_of_each_other() -> None:
     np.testing.assert_allclose(exchanged[:, 1], np.tile(recorded["A2"], (8, 1)), atol=0.2 * usual)
 
 
-def test_what_was_felt_is_remembered_for_each_owner() -> None:
-    """Read-only, as often as it is asked for, without another call of the motion."""
+def test_the_stimulus_is_cached_for_each_owner() -> None:
+    """Read-only, for any number of requests, without another call of the motion."""
     times = np.arange(0, 5_000_000_000, 10_000_000)
     calls = []
 
@@ -100,7 +100,7 @@ def test_what_was_felt_is_remembered_for_each_owner() -> None:
     assert calls == [500, 10, 500]
 
 
-def test_replicates_do_not_depend_on_what_is_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_replicates_do_not_depend_on_the_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     bench, _ = prepared([("static", Still(seconds=20)), ("motion", HandShake(still_s=2, motion_s=2))], ["G1", "G2"])
     stage = Stage(bench.kinds, bench.split, bench.layouts, bench.experiments, bench.base)
     remembered = [stage.simulated(stage.models(), number) for number in (0, 1, 0)][-1]
@@ -128,7 +128,7 @@ def test_other_sensors_are_simulated_only_where_the_box_moves() -> None:
                 np.testing.assert_array_equal(other.cross.fast, phase.cross.fast)
 
 
-def test_the_motion_alone_is_that_of_the_whole_campaign() -> None:
+def test_the_motion_alone_equals_that_of_the_whole_campaign() -> None:
     bench, _ = prepared([("static", Still(seconds=5)), ("motion", HandShake(still_s=2, motion_s=2))], ["G1", "G2"])
     whole, (motion,) = bench.simulated(bench.models(), 1), bench.motion_replicates([(bench.models(), 1)])
     assert [len(log.phases) for log in motion.logs] == [0, 2]  # both halves of the only motion
@@ -139,8 +139,8 @@ def test_the_motion_alone_is_that_of_the_whole_campaign() -> None:
         np.testing.assert_array_equal(other.cross.turning, phase.cross.turning)
 
 
-def test_logs_that_a_hypothesis_leaves_as_they_were_are_simulated_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A line in the second of two logs leaves the first one; the replicate is that of a stage without memory."""
+def test_logs_unchanged_by_a_hypothesis_are_simulated_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line in the second of two logs does not change the first; the replicate is that of a stage without a cache."""
     bench, _ = prepared([("static", Still(seconds=5)), ("static", Still(seconds=5))], ["G1", "G2"])
     stages = [Stage(bench.kinds, bench.split, bench.layouts, bench.experiments, bench.base) for _ in range(2)]
     calls: list[str] = []

@@ -1,4 +1,4 @@
-"""What a change makes of a unit's statistics, on replicates made by hand and on simulated ones."""
+"""The effect of a change on a unit's statistics, on replicates made by hand and on simulated ones."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ NAN = math.nan
 LINE, OTHER = Tone(1.0, 5.0), Tone(1.0, 9.0)
 
 
-def test_few_of_the_replicates_are_looked_at() -> None:
+def test_first_evaluations_use_a_part_of_the_replicates() -> None:
     assert len(NUMBERS) == REPLICATES
     assert 2 <= LOOKS < REPLICATES
 
 
-def test_a_trial_changes_every_sensor_or_its_own() -> None:
+def test_a_trial_changes_every_sensor_or_the_named_one() -> None:
     models = {"G1": SensorModel(FITTED, (LINE, Bias(0.5))), "G2": SensorModel(FITTED)}
     unit = standing([0.0], drawn(1), models=models)
     added = unit.changed(Hypothesis((OTHER,)))
@@ -41,7 +41,7 @@ def test_a_trial_changes_every_sensor_or_its_own() -> None:
     assert all(not model.removed for model in own.values())
 
 
-def test_others_get_the_opposite() -> None:
+def test_the_other_sensor_has_the_opposite_exchange() -> None:
     """Two of three are exchanged."""
     models = {name: SensorModel(FITTED) for name in ("G1", "G2", "G3")}
     one, other = ChannelSwap("G3", "place"), ChannelSwap("G1", "place")
@@ -51,8 +51,8 @@ def test_others_get_the_opposite() -> None:
     assert [model.added for model in changed.values()] == [(one,), (), (other,)]
 
 
-def test_what_is_removed_is_gone_from_both_places() -> None:
-    """From what was added, and from what the base model draws; what takes its place comes after."""
+def test_a_removed_effect_is_removed_from_added_and_base_effects() -> None:
+    """From the added effects and from those of the base model; a replacement is appended."""
     unit = standing([0.0], drawn(1), models={"G1": SensorModel(FITTED, (LINE, Bias(0.5)), frozenset({"scale"}))})
     (model,) = unit.changed(Hypothesis((OTHER,), removed="tone")).values()
     assert model == SensorModel(FITTED, (Bias(0.5), OTHER), frozenset({"scale", "tone"}))
@@ -60,9 +60,9 @@ def test_what_is_removed_is_gone_from_both_places() -> None:
     assert bare == SensorModel(FITTED, (Bias(0.5),), frozenset({"scale", "tone"}))
 
 
-def test_ordinary_parameters_make_up_for_what_is_missing() -> None:
-    """The replicates' fits have 0.5 more of an offset than the recording's: it is taken off. Who reads another's data
-    keeps his own.
+def test_ordinary_parameters_are_adapted_to_the_recording() -> None:
+    """The fits of replicates have an offset 0.5 larger than that of the recording: it is subtracted. A sensor with the
+    data of another keeps its own.
     """
     models = {"G1": SensorModel(FITTED), "G2": SensorModel(FITTED, (ChannelSwap("G1"),))}
     unit = standing([0.0], drawn(1), models=models)
@@ -76,7 +76,7 @@ def test_ordinary_parameters_make_up_for_what_is_missing() -> None:
 
 @given(st.integers(2, REPLICATES), st.floats(-50, 50))
 def test_a_shift_moves_the_middle_and_not_the_scatter(count: int, shift: float) -> None:
-    """Draws are the same with and without the change, so that two replicates tell it exactly."""
+    """Draws are the same with and without the change, so that two replicates determine it exactly."""
     without = drawn(3)
     likelihood, moved = update_likelihood(
         standing([0.0] * 3, without), without[:count] + np.array([shift, 0.0, -shift])
@@ -89,27 +89,28 @@ def test_a_shift_moves_the_middle_and_not_the_scatter(count: int, shift: float) 
 
 
 @given(st.floats(0.05, 20))
-def test_a_scatter_that_is_scaled_is_told_by_many(factor: float) -> None:
-    """All replicates are the same draws, so that the ratio is exact however few there are."""
+def test_a_scaled_scatter_is_estimated(factor: float) -> None:
+    """All replicates are the same draws, so that the ratio is exact for any number."""
     without = drawn(4, seed=2)
     likelihood, _ = update_likelihood(standing([0.0] * 4, without), factor * without)
     np.testing.assert_allclose(likelihood.scale, factor, rtol=1e-3)
 
 
-def test_what_no_longer_scatters_is_where_it_is_now() -> None:
-    """A change that leaves nothing of the scatter: where the replicates lay before it, by chance a third of a standard
-    deviation off, says nothing of where they are after. What it leaves alone stays where it was.
+def test_a_statistic_without_scatter_has_its_new_location() -> None:
+    """A change that removes the scatter: the previous location of the replicates, by chance a third of a standard
+    deviation away, does not determine the new one. Unchanged statistics keep their location.
     """
     without = drawn(2) + np.array([2.0, 2.0])
     after = np.column_stack([3.0 + 1e-4 * drawn(1, seed=2)[:, 0], without[:, 1]])
     likelihood, _ = update_likelihood(standing([3.0, 0.0], without), after)
     assert likelihood.location[0] == pytest.approx(3.0, abs=1e-3)
     assert likelihood.location[1] == pytest.approx(0.0, abs=1e-9)
-    assert likelihood.scale[0] == pytest.approx(0.05)  # of what it was: nothing is known better than the model's form
+    # of the previous scatter: the form of the model limits the precision
+    assert likelihood.scale[0] == pytest.approx(0.05)
 
 
-def test_a_scatter_of_other_draws_is_believed_only_in_part() -> None:
-    """Of 200 statistics drawn anew with the same scatter: the log of the ratio of two standard deviations of 16 has one
+def test_a_scatter_of_different_draws_is_shrunk() -> None:
+    """200 statistics of new draws with the same scatter: the log of the ratio of two standard deviations of 16 has one
     of sqrt(2 / 30) = 0.26; shrunk by its own uncertainty it is a third of that or less in the middle.
     """
     without, anew = drawn(200, 3), drawn(200, 4)
@@ -119,32 +120,34 @@ def test_a_scatter_of_other_draws_is_believed_only_in_part() -> None:
     assert np.median(wider.scale) == pytest.approx(10, rel=0.15)
 
 
-def test_two_replicates_only_widen() -> None:
-    """By the scatter of what the change makes: +3 and -3."""
+def test_two_replicates_only_widen_the_scatter() -> None:
+    """By the scatter of the changes: +3 and -3."""
     without = drawn(1)
     likelihood, moved = update_likelihood(standing([0.0], without), without[:2] + np.array([[3.0], [-3.0]]))
     assert moved[0] == pytest.approx(0.0, abs=1e-12)
     assert likelihood.scale[0] >= math.hypot(1, 3) * (1 - 1e-9)
 
 
-def test_a_single_pair_says_nothing_of_the_scatter() -> None:
-    """Of two replicates with the change one is silent: the scatter is what it was."""
+def test_a_single_pair_does_not_change_the_scatter() -> None:
+    """One of two replicates with the change has no value: the scatter is unchanged."""
     unit = standing([0.0], drawn(1))
     likelihood, moved = update_likelihood(unit, np.array([unit.values[0] + 3.0, [NAN]]))
     assert moved[0] == pytest.approx(3.0)
     assert likelihood.scale[0] == pytest.approx(1.0)
 
 
-def test_an_event_makes_nothing_surer_than_its_form_is() -> None:
-    """What is nearly the same in all replicates, since the event drowns the noise, is off by a twentieth of that."""
+def test_the_form_of_an_event_limits_the_precision() -> None:
+    """A statistic that is nearly the same in all replicates, since the event exceeds the noise, has an error of a
+    twentieth.
+    """
     without = drawn(2)
     likelihood, _ = update_likelihood(standing([0.0] * 2, without), 7 + 1e-3 * without)
     np.testing.assert_allclose(likelihood.location, 7.0, atol=0.01)
     np.testing.assert_allclose(likelihood.scale, 0.05, rtol=1e-6)
 
 
-def test_what_speaks_only_since_the_change() -> None:
-    """It is there always now, about where the replicates have it, as sure as a tenth of its size at best."""
+def test_a_statistic_that_exists_only_after_the_change() -> None:
+    """It exists in all replicates now, near their values, with an error of at least a tenth of its size."""
     nothing = np.full((REPLICATES, 1), NAN)
     never = SyntheticLikelihood(np.array([NAN]), np.array([NAN]), np.array([False]), np.array([True]))
     unit = standing([20.0], nothing, never)
@@ -152,11 +155,11 @@ def test_what_speaks_only_since_the_change() -> None:
     assert likelihood.location[0] == pytest.approx(20.0)
     assert likelihood.scale[0] == pytest.approx(2.1)
     assert (likelihood.always[0], likelihood.never[0]) == (True, False)
-    assert gains_of(unit, likelihood, moved).sum() > 10  # the recording speaks too
+    assert gains_of(unit, likelihood, moved).sum() > 10  # the recording has a value too
 
 
-def test_what_the_recording_lacks_gains_nothing() -> None:
-    """What is missing is no evidence: neither for a model that has it nor for one that lacks it too."""
+def test_a_statistic_missing_in_the_recording_gains_nothing() -> None:
+    """A missing value is no evidence: neither for a model that has it nor for one that lacks it."""
     unit = standing([NAN], drawn(1))
     likelihood, moved = update_likelihood(unit, np.full((REPLICATES, 1), NAN))
     assert np.isnan(likelihood.location[0])
@@ -164,8 +167,8 @@ def test_what_the_recording_lacks_gains_nothing() -> None:
     assert gains_of(unit, likelihood, moved).sum() == 0.0
 
 
-def test_what_hangs_together_with_nothing_else_counts_by_itself() -> None:
-    """Ten that are one and the same, and one apart: of that the gain is whole."""
+def test_an_uncorrelated_statistic_has_its_full_gain() -> None:
+    """Ten identical statistics and an independent one: the gain of the latter is complete."""
     unit = standing([3.0] * 11, drawn(11), independent=0.1)
     likelihood, moved = update_likelihood(unit, unit.values + 3.0)
     by_axis = gains_of(unit, likelihood, moved)
@@ -174,9 +177,9 @@ def test_what_hangs_together_with_nothing_else_counts_by_itself() -> None:
     assert apart[10] == pytest.approx(10 * by_axis[10])
 
 
-def test_what_is_not_simulated_says_nothing_of_a_change() -> None:
-    """What a unit shares with sensors beside it is in the recording and in replicates of the whole array, not in those
-    of the unit alone, with or without the change: all stays as it was.
+def test_statistics_that_are_not_simulated_are_unchanged() -> None:
+    """Statistics relative to other sensors are in the recording and in replicates of the whole array, not in those of
+    the unit alone, with or without the change: they stay the same.
     """
     unit = standing([1.0, 1.0], drawn(2))
     unit.values[:, 1] = NAN
@@ -189,16 +192,16 @@ def test_what_is_not_simulated_says_nothing_of_a_change() -> None:
     assert gains[1] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_silence_is_no_excuse() -> None:
-    """The recording says 5, the model 0: a change after which it never says anything is no better."""
+def test_a_missing_value_of_a_model_is_not_better() -> None:
+    """The recording has 5, the model 0: a change after which there is no value is not better."""
     unit = standing([5.0], drawn(1))
     likelihood, moved = update_likelihood(unit, np.full((REPLICATES, 1), NAN))
     assert gains_of(unit, likelihood, moved).sum() <= 0
 
 
-def test_what_a_change_makes_the_same_every_time_is_that() -> None:
-    """As the difference of two sensors of which one has the other's readings: 0 in all replicates, and here, but for
-    what rounding makes of it.
+def test_a_statistic_that_a_change_makes_constant() -> None:
+    """Like the difference of two sensors, one of which has the other's readings: 0 in all replicates and in the
+    recording, except for rounding.
     """
     unit = standing([0.0], drawn(1))
     likelihood, moved = update_likelihood(unit, 1e-16 * drawn(1, seed=2))
@@ -208,7 +211,7 @@ def test_what_a_change_makes_the_same_every_time_is_that() -> None:
 
 @given(st.floats(-30, 30), st.floats(-30, 30), st.floats(0.05, 1.0))
 def test_a_gain_is_a_ratio_of_densities(real: float, shift: float, independent: float) -> None:
-    """Of the t distribution, tempered by the share that is independent; the shift may be off by its share."""
+    """Densities of the t distribution, tempered by the independent share; the shift has a proportional error."""
     unit = standing([real, 0.0], drawn(2), independent=independent)
     likelihood, moved = update_likelihood(unit, unit.values + np.array([shift, 0.0]))
     width = math.hypot(1.0, FORM * shift)
@@ -217,16 +220,17 @@ def test_a_gain_is_a_ratio_of_densities(real: float, shift: float, independent: 
     assert gains_of(unit, likelihood, moved)[1] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_no_change_gains_nothing() -> None:
+def test_no_change_has_no_gain() -> None:
     unit = standing([1.0, -3.0, NAN], drawn(3))
     likelihood, moved = update_likelihood(unit, unit.values)
     assert gains_of(unit, likelihood, moved).sum() == pytest.approx(0.0, abs=1e-9)
     np.testing.assert_allclose(likelihood.scores(unit.real), unit.scores)
 
 
-def test_noise_that_falls_otherwise_is_no_shift() -> None:
-    """300 statistics of one probe drawn anew, which differ by sqrt(2 / 8) from those before, and 300 of another that
-    move by 0.4: what the first seem to have moved is taken for chance, and the second keep what they moved.
+def test_different_draws_are_not_a_shift() -> None:
+    """300 statistics of one probe with new draws, which differ by sqrt(2 / 8) from the previous ones, and 300 of
+    another probe that move by 0.4: the apparent shift of the first is treated as chance, and the second keep their
+    shift.
     """
     without, anew = drawn(600, 3), drawn(600, 4)
     anew[:, 300:] = without[:, 300:] + 0.4
@@ -240,10 +244,10 @@ def test_noise_that_falls_otherwise_is_no_shift() -> None:
     np.testing.assert_allclose(likelihood.branches[0, 300:], 0.4, rtol=1e-9)
 
 
-def test_a_scatter_is_told_by_all_that_are_alike() -> None:
-    """Moved by draws of ten standard deviations, of which two say next to nothing (the lower quartile of the root of
-    chi-squared with one degree of freedom is 0.32): 200 that are alike say it within a third, and of others that move
-    by 0.1 alike they say nothing.
+def test_a_scatter_is_estimated_from_all_similar_statistics() -> None:
+    """Moved by draws of ten standard deviations, which two draws determine poorly (the lower quartile of the root of
+    chi-squared with one degree of freedom is 0.32): 200 similar statistics determine it within a third, without an
+    effect on others that all move by 0.1.
     """
     without = drawn(400, 3)
     walked = without[:2] + drawn(400, 4, rows=2) * np.repeat([10.0, 0.1], 200)
@@ -256,8 +260,8 @@ def test_a_scatter_is_told_by_all_that_are_alike() -> None:
     np.testing.assert_allclose(together.scale[200:], 1.0, rtol=1e-6)
 
 
-def test_what_does_not_move_says_nothing_of_what_does() -> None:
-    """Of those that are alike half are of the part that isn't simulated."""
+def test_constant_statistics_do_not_affect_moving_ones() -> None:
+    """Half of the similar statistics are of the part that is not simulated."""
     without = drawn(400, 3)
     walked = without[:2].copy()
     walked[:, :200] += 10 * drawn(200, 4, rows=2)
@@ -267,7 +271,7 @@ def test_what_does_not_move_says_nothing_of_what_does() -> None:
 
 
 @pytest.mark.parametrize("count", [LOOKS, REPLICATES])
-def test_where_an_earlier_effect_takes_a_statistic_it_still_does(count: int) -> None:
+def test_the_shift_by_an_earlier_effect_is_kept(count: int) -> None:
     """To 0 or to 10, by the boot; a later change that does nothing to it makes no reading likelier or less likely."""
     without = drawn(1, 5)
     states = without + np.array([0.0, 10.0] * (REPLICATES // 2))[:, None]
@@ -280,8 +284,8 @@ def test_where_an_earlier_effect_takes_a_statistic_it_still_does(count: int) -> 
     assert gains_of(replace(after, real=np.array([11.0])), later, moved) > 0.1
 
 
-def test_what_another_noise_costs() -> None:
-    """By a t distribution of 5 % of the noise, axis by axis; rounding is nothing beside it."""
+def test_the_cost_of_a_change_of_noise() -> None:
+    """By a t distribution of 5 % of the noise, for each axis; rounding is negligible."""
     unit = standing([0.0], drawn(1))
     header = SensorHeader("G1", "l3g4200d", "angular_rate", "dps", 250.0, 1e6)
     assert unit.misfit_of({"G1": header}, [{"G1": FITTED}] * 3) == pytest.approx(0.0, abs=1e-9)
@@ -290,9 +294,9 @@ def test_what_another_noise_costs() -> None:
     assert unit.misfit_of({"G1": header}, came) == pytest.approx(expected, rel=1e-3)
 
 
-def test_what_hangs_together_with_little_counts_more() -> None:
-    """Ninety statistics that are one, and three of their own: a gain of these three counts as much more as they are
-    more independent, one of the ninety no more, and one that is seen in nothing neither.
+def test_gains_of_less_correlated_statistics_have_more_weight() -> None:
+    """Ninety identical statistics and three independent ones: a gain of these three is weighted by their independence,
+    a gain of the ninety is not, and neither is a gain without statistics.
     """
     alone = drawn(3, 2, rows=4) @ np.ones((3, 1))
     own = np.concatenate([np.eye(3), -np.eye(3), np.zeros((REPLICATES - 6, 3))])  # without any correlation
@@ -303,5 +307,5 @@ def test_what_hangs_together_with_little_counts_more() -> None:
     moved[90:] = 9.0
     assert counts_of(unit, unit.likelihood, moved) == pytest.approx(4.0)
     assert counts_of(unit, unit.likelihood, 9.0 - moved) == 1.0
-    few = replace(unit, values=values[:LOOKS])  # which tell nothing of what hangs together
+    few = replace(unit, values=values[:LOOKS])  # which do not determine the correlation
     assert counts_of(few, unit.likelihood, moved) == 1.0

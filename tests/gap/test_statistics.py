@@ -1,4 +1,4 @@
-"""Keys: which, in which order, and as JSON."""
+"""Keys of statistics: their set, order and JSON."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ def campaign() -> Campaign:
 
 
 @pytest.mark.slow
-def test_every_probe_speaks_somewhere(campaign: Campaign) -> None:
+def test_every_probe_has_a_value_somewhere(campaign: Campaign) -> None:
     found = statistics(campaign)
-    assert {key.probe for key in found.keys} == set(PROBES) - {"turn_factor"}  # of turns between rests: test_turns.py
+    assert {key.probe for key in found.keys} == set(PROBES) - {"turn_factor"}  # turns between rests: test_turns.py
     assert len(set(found.keys)) == len(found.keys) == len(found.values) == len(found.resolutions)
     assert not np.isinf(found.values).any()
     assert all(key.domain == PROBES[key.probe].domain for key in found.keys)
 
 
-def test_what_belongs_where(campaign: Campaign) -> None:
+def test_keys_have_their_phase_axis_and_log(campaign: Campaign) -> None:
     found = statistics(campaign)
     assert {key.phase for key in found.keys if key.domain == "motion"} == {"motion"}
     assert {key.axis for key in found.keys if key.domain in ("timing", "status")} == {""}
@@ -42,7 +42,7 @@ def test_the_order_is_always_the_same(campaign: Campaign) -> None:
     assert statistics(campaign).keys == statistics(again).keys
 
 
-def test_nothing_comes_of_nothing() -> None:
+def test_an_empty_campaign_has_no_statistics() -> None:
     found = statistics(Campaign(()))
     assert found.keys == ()
     assert len(found.values) == len(found.resolutions) == 0

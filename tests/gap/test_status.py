@@ -24,7 +24,7 @@ def times(intervals_ns: list[int]) -> np.ndarray:
 
 
 @given(st.lists(st.integers(900, 1100), min_size=3, max_size=60), st.integers(1, 59))
-def test_intervals_are_those_of_numpy(intervals_ns: list[int], cut: int) -> None:
+def test_intervals_equal_numpy(intervals_ns: list[int], cut: int) -> None:
     moments = IntervalMoments()
     stamps = times(intervals_ns)
     for part in (stamps[:cut], stamps[cut:]):
@@ -37,7 +37,7 @@ def test_intervals_are_those_of_numpy(intervals_ns: list[int], cut: int) -> None
     assert round(found.longest_s * 1e9) == max(intervals_ns)
 
 
-def test_gaps_are_left_out_of_mean_and_spread() -> None:
+def test_gaps_are_excluded_from_mean_and_spread() -> None:
     moments = IntervalMoments()
     moments.update(times([1000, 1000, 1000, 2000, 1000, 7000, 1000, 1000, 1000]))
     found = moments.result()
@@ -45,7 +45,7 @@ def test_gaps_are_left_out_of_mean_and_spread() -> None:
     np.testing.assert_allclose([found.mean_s, found.std_s, found.longest_s], [1e-6, 0.0, 7e-6])
 
 
-def test_nothing_is_known_of_one_row() -> None:
+def test_too_few_rows_have_no_interval_statistics() -> None:
     moments = IntervalMoments()
     moments.update(times([]))
     found = moments.result()
@@ -53,7 +53,7 @@ def test_nothing_is_known_of_one_row() -> None:
     assert np.isnan([found.mean_s, found.std_s, found.longest_s]).all()
 
 
-def test_flags_and_words() -> None:
+def test_flags_and_bus_words_are_counted() -> None:
     tally = StatusTally()
     counts = np.array([[-1, -1, -1], [0, 0, 0], [5, 5, 5], [-1, -1, 0], [0, 0, 0]], np.int16)
     tally.update(np.array([STALE, STALE | SATURATED, 0, LOST_BEFORE, 0], np.uint16), counts)
@@ -63,8 +63,8 @@ def test_flags_and_words() -> None:
     assert tally.words == 3
 
 
-def test_slips_are_of_several_rows_and_of_several_blocks() -> None:
-    """Rows 3, 5 and 6 are one slip, rows 30 and 33 another, in which a new reading is flagged as none."""
+def test_slips_over_several_rows_and_blocks_are_counted() -> None:
+    """Rows 3, 5 and 6 are one slip, rows 30 and 33 another, in which a new reading is flagged as a repeat."""
     status = np.zeros(40, np.uint16)
     status[[3, 5, 6, 30]] = STALE
     status[33] = DOUBTFUL
@@ -76,8 +76,8 @@ def test_slips_are_of_several_rows_and_of_several_blocks() -> None:
 
 
 @pytest.mark.parametrize(("doubtful", "is_told"), [(0, True), (1, True), (2, False)])
-def test_repeats_are_not_compared_where_readings_come_while_they_are_read(doubtful: int, is_told: bool) -> None:
-    """Of ten rows that are flagged as no new reading one may be one."""
+def test_repeats_are_not_compared_for_overruns_during_a_read(doubtful: int, is_told: bool) -> None:
+    """One of ten rows that are flagged as no new reading may be a new reading."""
     status = np.zeros(100, np.uint16)
     status[10:20] = STALE
     status[10 : 10 + doubtful] = DOUBTFUL
@@ -90,13 +90,13 @@ def test_repeats_are_not_compared_where_readings_come_while_they_are_read(doubtf
         probe = PROBES[name]
         assert isinstance(probe, PhaseProbe)
         assert np.isfinite(probe.statistic(summary)).all() == is_told
-        assert np.shape(probe.statistic(summary)) == ()  # the same in phases with a value and without
+        assert np.shape(probe.statistic(summary)) == ()  # the same in phases with and without a value
 
 
 @pytest.mark.parametrize(("missed", "is_known"), [(0, True), (1, True), (2, False), (30, False), (100, True)])
-def test_repeats_of_uneven_polls_are_no_statistic(missed: int, is_known: bool) -> None:
-    """Ten rows are no new reading. Where about as many tell that a reading was missed, polls are uneven; where nearly
-    all of them do, the chip is faster than the polls.
+def test_repeats_of_uneven_polls_are_not_compared(missed: int, is_known: bool) -> None:
+    """Ten rows are not a new reading. Where about as many report a missed reading, polls are uneven; where nearly all
+    do, the chip is faster than the polls.
     """
     status = np.zeros(100, np.uint16)
     status[10:20] = STALE
@@ -112,7 +112,7 @@ def test_repeats_of_uneven_polls_are_no_statistic(missed: int, is_known: bool) -
 
 
 @pytest.mark.parametrize(("rate_hz", "is_known"), [(100.0, True), (199.0, True), (200.0, False), (2400.0, False)])
-def test_flags_of_a_chip_that_always_has_a_new_reading_are_no_statistic(rate_hz: float, is_known: bool) -> None:
+def test_repeat_flags_of_a_chip_faster_than_the_polls_are_not_compared(rate_hz: float, is_known: bool) -> None:
     """Polled at 100 Hz, one of 200 Hz has a new reading each time: a recorder flags rows that are equal by chance."""
     status = np.zeros(100, np.uint16)
     status[10:20:3] = STALE

@@ -1,4 +1,4 @@
-"""What the box felt is told from what sensors add: on motions that tilt and vibrate, and on errors that do not."""
+"""Stimuli of the box are distinguished from errors of sensors: on motions that tilt and vibrate, and on errors."""
 
 from __future__ import annotations
 
@@ -107,8 +107,8 @@ def told(found: Sequence[SharedSignal]) -> set[tuple[str, str, str]]:
 
 
 @pytest.mark.slow
-def test_a_phase_without_common_segments_shows_nothing() -> None:
-    """The sensors' segments lie at different times, as behind a gap of one of them; the thermometers warm up."""
+def test_a_phase_without_common_segments_has_no_stimulus() -> None:
+    """The segments of the sensors are at different times, like after a gap of one of them; the thermometers warm up."""
     (log,) = campaign(Heating()).logs
     crosses = [part.cross for part in log.phases]
     phases = [
@@ -121,23 +121,23 @@ def test_a_phase_without_common_segments_shows_nothing() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_slow_tilt_is_of_the_box(seed: int) -> None:
+def test_a_slow_tilt_is_a_stimulus(seed: int) -> None:
     (one,) = environment_of(campaign(TILTING, seed=seed))
     assert (one.log, one.phase, one.quantity, one.pace, one.axis) == (0, "static", "specific_force", "slow", "X")
     assert set(one.sensors) == {"B1", "B2", "D1", "D2"}
     assert one.correlation > 0.8
 
 
-def test_a_tilt_that_goes_on_and_on_is_of_the_box() -> None:
+def test_a_continuous_tilt_is_a_stimulus() -> None:
     """4 mrad in two minutes: a drift by the same amount in four groups of sensors."""
     drifting = Pushed(((30 * MRAD, 1 / (8 * SECONDS)),), 1)
     (one,) = environment_of(campaign(drifting))
     assert (one.pace, one.axis) == ("slow", "Y")
 
 
-def test_a_vibration_is_of_the_box() -> None:
+def test_a_vibration_is_a_stimulus() -> None:
     """In means of five rows 5 mg at 13 Hz, 12.5 mg^2, become sin(5 a)^2 / (5 sin(a))^2 = 0.201 of that, a = 0.13 pi,
-    beside noise of 16 / 5 mg^2, and half of the sensors round to 3.9 mg: 2.52 of 5.84.
+    with noise of 16 / 5 mg^2, and half of the sensors round to 3.9 mg: 2.52 of 5.84.
     """
     (one,) = environment_of(campaign(VIBRATING))
     assert (one.quantity, one.pace, one.axis) == ("specific_force", "fast", "Y")
@@ -157,12 +157,12 @@ OF_SENSORS: dict[str, dict[str, tuple[Effect, ...]]] = {
 
 
 @pytest.mark.parametrize("what", some(OF_SENSORS, 5))
-def test_errors_of_sensors_are_not(what: str) -> None:
+def test_errors_of_sensors_are_not_a_stimulus(what: str) -> None:
     assert not environment_of(campaign(STILL, OF_SENSORS[what]))
 
 
-def test_what_follows_the_temperature_is_not() -> None:
-    """Each sensor has a slope of its own, here such that all are alike in the box."""
+def test_a_thermal_drift_is_not_a_stimulus() -> None:
+    """Each sensor has its own slope, chosen here so that all are equal in the box frame."""
     x, y = (0.001, 0.0, 0.0), (0.0, 0.001, 0.0)
     slopes = {"B1": x, "B2": tuple(-np.array(x)), "D1": tuple(-np.array(y)), "D2": x}
     more = {name: (ThermalBias(slope),) for name, slope in slopes.items()}
@@ -183,7 +183,7 @@ def wandering(rng: np.random.Generator, kind: str) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", some(["walk", "drift", "warming up"], 1))
 @pytest.mark.parametrize("groups", some([2, 4], 1))
-def test_slow_errors_pass_for_a_stimulus_no_more_often_than_said(kind: str, groups: int) -> None:
+def test_slow_errors_look_like_a_stimulus_at_the_stated_rate(kind: str, groups: int) -> None:
     """At 5 % of 400; the limit is passed by a rate of exactly 5 % once in a thousand."""
     rng = np.random.default_rng(groups)
     tests = [slow_test(np.stack([wandering(rng, kind) for _ in range(groups)], axis=1)) for _ in range(400)]
@@ -192,8 +192,8 @@ def test_slow_errors_pass_for_a_stimulus_no_more_often_than_said(kind: str, grou
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", some([0.0, 0.5, 0.9], 1))
-def test_fast_errors_pass_for_a_stimulus_no_more_often_than_said(factor: float) -> None:
-    """First-order processes of three groups; rows count (1 - r^2) / (1 + r^2), at 5 % of 400 as above."""
+def test_fast_errors_look_like_a_stimulus_at_the_stated_rate(factor: float) -> None:
+    """First-order processes of three groups; rows have the weight (1 - r^2) / (1 + r^2), at 5 % of 400 as above."""
     rng = np.random.default_rng(1)
     found = 0
     for _ in range(400):
@@ -205,14 +205,14 @@ def test_fast_errors_pass_for_a_stimulus_no_more_often_than_said(factor: float) 
     assert found <= binom.ppf(0.999, 400, 0.05)
 
 
-def test_what_two_of_four_groups_share_is_not_of_the_box() -> None:
+def test_a_common_error_of_two_of_four_groups_is_not_a_stimulus() -> None:
     covariance = np.eye(4)
     covariance[0, 1] = covariance[1, 0] = 0.6
     assert fast_test(covariance, np.full((4, 4), 500.0)) == (pytest.approx(0.1), 1.0)
     assert fast_test(np.eye(4) + 0.6, np.full((4, 4), 500.0))[1] < 1e-20
 
 
-def test_groups_have_their_chip_own_axis_and_sign_in_common() -> None:
+def test_groups_have_a_common_chip_axis_and_sign() -> None:
     sensors = [header("A", "-X-Y+Z"), header("B", "-X-Y+Z"), header("C", "+Y-X+Z"), header("D", "+X+Y+Z")]
     groups = groups_of([*sensors, header("G", chip="l3g4200d")], "specific_force", 0)
     assert [tuple(group) for group in groups] == [(("A", "B"), 0, -1.0), (("C",), 1, -1.0), (("D",), 0, 1.0)]
@@ -238,7 +238,7 @@ ALONG_Y = [tone("B1", 13.0, 0, 5e-3, 0), tone("D1", 13.05, 6e-3, 0, 0), tone("D2
 """D1's x lies along Y."""
 
 
-def test_a_line_that_reaches_two_chips_is_of_the_box() -> None:
+def test_a_line_in_two_chips_is_of_the_box() -> None:
     assert origins(ALONG_Y) == ["environment"] * 3
     gyroscopes = [tone("G1", 13.0, 0.2, 0, 0), tone("G2", 13.0, 0.2, 0, 0)]
     assert origins([ALONG_Y[0], ALONG_Y[2], *gyroscopes]) == ["environment"] * 4
@@ -261,13 +261,15 @@ def test_a_line_that_reaches_two_chips_is_of_the_box() -> None:
     ],
     ids=["one sensor", "other axis", "larger", "other frequency", "one chip", "a quarter of the accelerometers"],
 )
-def test_other_lines_are_the_sensors_own(causes: list[Cause]) -> None:
+def test_other_lines_are_of_the_sensors(causes: list[Cause]) -> None:
     assert origins(causes) == ["sensor"] * len(causes)
     assert not lines_of(causes, HEADERS)
 
 
-def test_an_array_of_one_chip_tells_by_its_mounting() -> None:
-    """Along own axes alike it may be the design, as the line on the L3G4200D's y axis; along the box it is the box."""
+def test_the_mounting_decides_for_an_array_of_one_chip() -> None:
+    """A common line along own axes may be of the design, like the line on the L3G4200D's y axis; along box axes it is
+    of the box.
+    """
     axes = {"B1": "+X+Y+Z", "B2": "-X-Y+Z", "D1": "+Y-X+Z"}
     parallel_axes = {name: replace(HEADERS[name], chip="bma180", axes=text) for name, text in axes.items()}
     design = [tone(name, 13.0, 0, 5e-3, 0) for name in parallel_axes]
@@ -278,7 +280,7 @@ def test_an_array_of_one_chip_tells_by_its_mounting() -> None:
     assert origins(design, headers=parallel) == ["sensor"] * 3
 
 
-def test_wander_is_of_the_box_along_axes_that_show_a_stimulus() -> None:
+def test_a_wander_along_axes_with_a_stimulus_is_of_the_box() -> None:
     tilt = SharedSignal(0, "static", "slow", "specific_force", "X", ("B1", "B2", "D1", "D2"), 0.97, 1e-9)
     along = cause("random_walk", {"density_g_per_sqrt_s": [2e-4, 1e-5, 0.0]}, "B1", "B2")
     assert origins([along], [tilt]) == ["environment"]

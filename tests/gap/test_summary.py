@@ -1,4 +1,4 @@
-"""A summary in pieces is the summary of the whole, and its parts are what NumPy and SciPy say."""
+"""A summary in pieces equals the summary of the whole, and its parts equal those by NumPy and SciPy."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ def same(one: Any, other: Any) -> None:
 
 @settings(max_examples=examples(15), deadline=None)
 @given(st.lists(st.integers(1, 2999), max_size=5, unique=True))
-def test_streamed_is_whole(cuts: list[int]) -> None:
+def test_a_streamed_summary_equals_that_of_the_whole(cuts: list[int]) -> None:
     rows = block(noise(), temperature_counts=(np.arange(3000) % 7).astype(np.int16))
     same(summary(rows, cuts=sorted(cuts)), summary(rows))
 
 
 @pytest.mark.parametrize("longer", [1, 4])
-def test_side_by_side_they_are_what_each_is_alone(longer: int) -> None:
-    """Two replicates in two blocks each, and every probe that says to look at each column alone; also of a phase that
-    is so much longer than its rows, and has none in its second half. The readings of the first one come in pairs.
+def test_summaries_of_several_replicates_equal_single_ones(longer: int) -> None:
+    """Two replicates in two blocks each, and every probe that is defined per column; also for a phase much longer than
+    its rows, with none in its second half. The readings of the first replicate are in pairs.
     """
     warm = (np.arange(3000) % 7).astype(np.int16)
     counts = [np.repeat(noise(1500), 2, axis=0), noise(seed=2)]
@@ -72,7 +72,7 @@ def test_side_by_side_they_are_what_each_is_alone(longer: int) -> None:
                 np.testing.assert_allclose(told, probe.statistic(alone), rtol=1e-4, atol=1e-6, err_msg=name)
 
 
-def test_its_parts_are_what_others_say() -> None:
+def test_parts_of_a_summary_equal_numpy_and_scipy() -> None:
     counts = noise()
     found = summary(block(counts))
     assert found.rows == 3000
@@ -94,7 +94,7 @@ def test_its_parts_are_what_others_say() -> None:
 
 
 def test_memory_does_not_grow() -> None:
-    """What a tally of a phase's rows holds after ten times as many rows: as much, to 10 %."""
+    """The size of a tally of a phase after ten times as many rows: the same to 10 %."""
     import pickle
 
     def size(rows: int) -> int:
@@ -107,14 +107,14 @@ def test_memory_does_not_grow() -> None:
     assert size(80_000) < 1.1 * size(8_000)
 
 
-def test_a_phase_without_rows() -> None:
+def test_a_phase_without_rows_has_no_values() -> None:
     found: Summary = Tally(header(), Phase(0, 10**9, "static", "+Z"), Grid.of(0)).result(lambda time_ns: 0.0 * time_ns)
     assert found.rows == 0
     assert np.isnan(found.segments.mean).all()
     assert np.isnan(found.correlation[1]).all()
 
 
-def test_grids() -> None:
+def test_grids_of_parts_and_spectra() -> None:
     """Parts of at least 16 rows; spectra of at least 16 segments, 64 to 4096 rows."""
     assert Grid.of(100) == Grid(64, 6)
     assert Grid.of(90_000) == Grid(4096, 64)

@@ -1,4 +1,4 @@
-"""Normal scores: sizes that chance exceeds equally rarely become equal, whatever the tails."""
+"""Normal scores: sizes of the same probability of being exceeded become equal, for any tails."""
 
 import numpy as np
 import pytest
@@ -26,13 +26,13 @@ def test_a_tail_has_the_shares_of_students_t() -> None:
 
 
 @given(st.sampled_from(FREEDOMS), st.floats(0.1, 5.0), st.floats(0.0, 40.0), st.floats(0.01, 10.0))
-def test_order_and_sign_stay(freedom: float, scale: float, size: float, more: float) -> None:
+def test_normal_scores_keep_the_order(freedom: float, scale: float, size: float, more: float) -> None:
     near, far = Tail(freedom, scale).normal(np.array([size, size + more]))
     assert 0 <= near < far
 
 
-def test_heavy_and_light_tails_become_alike() -> None:
-    """Of normal scores and of t scores with 4 degrees of freedom, 4000 of each, the 99.9 % quantile is 3.29."""
+def test_heavy_and_light_tails_become_equal() -> None:
+    """For normal scores and t scores with 4 degrees of freedom, 4000 of each, the 99.9 % quantile is 3.29."""
     stream = np.random.default_rng(1)
     scores = np.concatenate([stream.normal(size=(40, 100)), stream.standard_t(4.0, size=(40, 100))], axis=1)
     both = [*keys(100, "noise"), *keys(100, "mean")]
@@ -45,8 +45,8 @@ def test_heavy_and_light_tails_become_alike() -> None:
 
 
 def test_a_deviation_among_heavy_tails_is_detected() -> None:
-    """One of 60 normal scores of a recording is 6, beside 60 heavy-tailed ones, of which replicates have far larger
-    ones.
+    """One of 60 normal scores of a recording is 6, together with 60 heavy-tailed ones, which are far larger in
+    replicates.
     """
     stream = np.random.default_rng(2)
     scores = np.concatenate(
@@ -61,7 +61,7 @@ def test_a_deviation_among_heavy_tails_is_detected() -> None:
 
 
 @pytest.mark.slow
-def test_without_a_gap_p_is_even() -> None:
+def test_p_values_without_a_gap_are_uniform() -> None:
     """Of 400 recordings like their replicates, p is 1/20 or less in a twentieth: 20, and at most 35 with a probability
     of 0.999 (binomial).
     """
@@ -74,7 +74,7 @@ def test_without_a_gap_p_is_even() -> None:
     assert 8 <= detected <= 35
 
 
-def test_rare_and_missing_values_stay() -> None:
+def test_rare_and_missing_values_are_unchanged() -> None:
     """Shares that are zero in nearly all replicates have no tail; a missing score stays missing."""
     scores = np.zeros((REPLICATES, 3))
     scores[0] = [9.0, 0.0, np.nan]
@@ -83,13 +83,13 @@ def test_rare_and_missing_values_stay() -> None:
 
 
 def test_each_campaign_is_scored_by_the_others() -> None:
-    """Ten scores of 50 of one campaign make no tail heavy by which they are scored: 50 is far beyond the others'."""
+    """Ten scores of 50 of one campaign do not widen the tail used for them: 50 is far beyond that of the others."""
     scores = np.random.default_rng(4).normal(size=(REPLICATES, 30))
     scores[0, :10] = 50.0
     assert normal_scores_by_others(scores, keys(30, "noise"))[0].max() > 9
 
 
-def test_a_score_far_beyond_the_largest_of_chance_stays_so() -> None:
+def test_a_score_far_beyond_chance_remains_so() -> None:
     """Two of 40 replicates have scores of 10 on three axes, the recording one of 60 among 200 normal ones: no tail is
     so heavy that this is chance.
     """
@@ -100,7 +100,7 @@ def test_a_score_far_beyond_the_largest_of_chance_stays_so() -> None:
     assert p_value(float(normal[0]), normal[1:]) == pytest.approx(1 / REPLICATES)
 
 
-def test_a_statistic_that_hardly_ever_differs_has_no_short_tail() -> None:
+def test_a_mostly_zero_statistic_has_no_short_tail() -> None:
     """Most scores are 0, one in eight is 0.06: one of 0.6 is no deviation, and one of 6 is."""
     several = keys(24, "stale")
     chance = np.where(np.arange(40 * 24).reshape(40, 24) % 8 == 0, 0.06, 0.0)
@@ -110,8 +110,8 @@ def test_a_statistic_that_hardly_ever_differs_has_no_short_tail() -> None:
     assert normal[1] < -5.0
 
 
-def test_scores_that_leave_the_tail_open_are_taken_as_normal() -> None:
-    """Of 200 draws of 120 normal scores, fewer than 20 degrees of freedom are chosen in 9; without a prior in 31."""
+def test_scores_that_do_not_determine_the_tail_are_treated_as_normal() -> None:
+    """In 9 of 200 draws of 120 normal scores fewer than 20 degrees of freedom are chosen; without a prior in 31."""
     assert HEAVIER == 1.0
     names = [("noise", f"G{number}") for number in range(200)]
     every = [key for probe, sensor in names for key in keys(3, probe, sensor)]

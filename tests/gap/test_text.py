@@ -1,4 +1,4 @@
-"""What the terminal shows of a diagnosis."""
+"""The terminal output of a diagnosis."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def said(diagnosis: Diagnosis) -> str:
     return " ".join(text_of(diagnosis).split())
 
 
-def test_everything_is_said_in_order() -> None:
-    """The verdict, where it differs, the causes, the check on held-out data, parts, what could not be tested, and what
+def test_all_sections_are_printed_in_order() -> None:
+    """The verdict, differences, causes, the check on held-out data, parts, effects that could not be tested, and what
     to record.
     """
     text = text_of(made())
@@ -46,14 +46,14 @@ def test_everything_is_said_in_order() -> None:
     assert max(map(len, text.splitlines())) <= WIDTH == 120
 
 
-def test_notes_are_shown_up_to_a_dozen() -> None:
+def test_up_to_a_dozen_notes_are_printed() -> None:
     text = text_of(replace(made(), notes=tuple(f"note {number} " * 20 for number in range(20))))
     assert "Notes\n  note 0 note 0" in text and "  note 11 note 11" in text
     assert "note 12" not in text and "  8 more in gap.json and report.html (-o DIR)" in text
     assert "Notes" not in text_of(replace(made(), notes=()))
 
 
-def test_what_several_logs_share_is_said_once() -> None:
+def test_a_common_note_of_several_logs_is_printed_once() -> None:
     notes = ("heating.h5: 25 degC is assumed", "tumble.h5: 25 degC is assumed", "tumble.h5: it was shaken", "a line")
     text = text_of(replace(made(), notes=notes, missing=("no events in heating.h5", *made().missing)))
     assert "Notes\n  all logs: 25 °C is assumed\n  tumble.h5: it was shaken\n  a line\n" in text
@@ -62,7 +62,7 @@ def test_what_several_logs_share_is_said_once() -> None:
     assert "compared\n  no reference temperature in all logs\n" in text_of(replace(made(), missing=both))
 
 
-def test_causes() -> None:
+def test_causes_are_printed_with_parameters_and_alternatives() -> None:
     lines = text_of(made()).splitlines()
     first = next(place for place, line in enumerate(lines) if "thermal_lag in" in line)
     about = "the sensing element, or a part of it, warms up later than the box"
@@ -87,18 +87,18 @@ def test_causes() -> None:
     assert "Check on the data that showed the gap: no part was held out" in both
 
 
-def test_a_displacement_is_one_from_the_configured_position() -> None:
+def test_a_displacement_is_relative_to_the_configured_position() -> None:
     text = said(replace(made(), causes=(*CAUSES, SIZE_EFFECT)))
     assert "displacement from the configured position (box X, Y, Z) 41.5, 0, -13.7 mm" in text
     assert "if this were the cause, it would close 30 % (below 0 to 60) of the gap of ADXL1" in text
 
 
-def test_what_a_later_cause_closes_is_of_what_earlier_ones_leave() -> None:
+def test_closure_of_a_later_cause_is_relative_to_the_remainder() -> None:
     text = said(replace(made(), causes=(*CAUSES, replace(SIZE_EFFECT, preceding=1))))
     assert "would close 30 % (below 0 to 60) of what the causes before it leave of the gap of ADXL1" in text
 
 
-def test_an_alternative_is_instead_of_the_cause_and_not_in_the_simulator() -> None:
+def test_an_alternative_is_marked_as_not_in_the_simulator() -> None:
     other = replace(CAUSES[0], effect="random_walk", probability=0.1, alternative_to="thermal_lag")
     text = said(replace(made(), causes=(CAUSES[0], other)))
     assert "instead of thermal_lag, not besides it" in text
@@ -106,7 +106,7 @@ def test_an_alternative_is_instead_of_the_cause_and_not_in_the_simulator() -> No
     assert text.count("may also be") == 1
 
 
-def test_the_only_cause_in_the_simulator_closes_what_the_whole_gap_closes() -> None:
+def test_the_only_cause_has_the_closure_of_the_whole_gap() -> None:
     """Its own share has fewer simulations, and would contradict the other figure."""
     text = said(replace(made(), causes=(replace(CAUSES[0], closed=0.56, closed_ci95=(0.44, 1.0)),)))
     assert "56 %" not in text
@@ -127,8 +127,8 @@ def test_improbable_causes_are_counted(probabilities: tuple[float, ...], head: s
     assert "<1 %" not in text
 
 
-def test_the_worst_of_each_sensor_and_domain() -> None:
-    """Three among 55."""
+def test_the_worst_difference_of_each_sensor_and_domain_is_printed() -> None:
+    """Three of 55."""
     lines = text_of(made()).splitlines()
     start = next(place for place, line in enumerate(lines) if line.startswith("Where it differs"))
     assert lines[start + 1] == (
@@ -140,7 +140,7 @@ def test_the_worst_of_each_sensor_and_domain() -> None:
     assert [row.split(",")[0] for row in rows] == ["  Gyro2 x", "  Gyro1 y", "  ADXL1 z"]
 
 
-def test_the_check_says_what_is_left() -> None:
+def test_the_check_reports_the_remainder() -> None:
     text = said(made())
     assert (
         "With thermal_lag, tone, quantisation and bias in the simulator: 14 standard deviations (rms) before, "
@@ -173,11 +173,11 @@ def test_a_part_is_out_of_specification_beyond_one_tolerance(pull: float, outsid
     assert replace(PULLS[0], pull=pull).is_out_of_specification == outside
 
 
-def test_what_is_missing_is_listed() -> None:
+def test_missing_statistics_are_listed() -> None:
     assert "not compared\n  no chip thermometer in tumble.h5\n  no reference temp" in text_of(made())
 
 
-def test_what_is_not_observable_is_sorted_by_experiment_and_sensors() -> None:
+def test_unobservable_effects_are_sorted_by_experiment_and_sensors() -> None:
     unshown = (
         Unobservable("scale", ("B1", "B2"), "tumble: all six faces"),
         Unobservable("scale", ("G1",), "motion: turns about every axis"),
@@ -196,14 +196,14 @@ def test_what_is_not_observable_is_sorted_by_experiment_and_sensors() -> None:
     ) in text
 
 
-def test_no_gap() -> None:
+def test_the_text_without_a_gap() -> None:
     text = text_of(made_without_gap())
     assert "Verdict  no gap: no statistic differs beyond chance\nChance   p = 0.41\n" in text
     for absent in ("Causes", "Where it differs", "Unknown", "Check", "Next experiment", "pecification", "Missing"):
         assert absent not in text
 
 
-def test_unexplained() -> None:
+def test_the_text_of_an_unexplained_gap() -> None:
     text = text_of(made_unexplained())
     assert "Verdict  unexplained: no known effect was accepted as a cause" in text and "Unknown  93 %" in text
     assert "Check on held-out data\n  No cause was accepted, so the simulator is unchanged" in text
@@ -211,7 +211,7 @@ def test_unexplained() -> None:
 
 
 @given(st.sampled_from([made(), made_unexplained()]), st.sampled_from([None, 0.5]))
-def test_where_there_is_a_gap_there_is_something_to_close(diagnosis: Diagnosis, closed: float | None) -> None:
+def test_the_text_of_a_gap_does_not_deny_it(diagnosis: Diagnosis, closed: float | None) -> None:
     text = said(replace(diagnosis, gap=replace(diagnosis.gap, closed=closed, closed_ci95=None)))
     assert "nothing to close" not in text
     assert "no gap" not in text.lower()
@@ -219,8 +219,8 @@ def test_where_there_is_a_gap_there_is_something_to_close(diagnosis: Diagnosis, 
 
 @pytest.mark.parametrize("width", [60, 80, 120])
 @pytest.mark.parametrize("diagnosis", [made(), made_without_gap(), made_unexplained()])
-def test_nothing_is_cut_on_a_narrow_terminal(diagnosis: Diagnosis, width: int) -> None:
-    """Lines are broken between words alone, never between a number and its unit, and say the same at every width."""
+def test_no_text_is_lost_on_a_narrow_terminal(diagnosis: Diagnosis, width: int) -> None:
+    """Lines are broken only between words, not between a number and its unit, and have the same text at every width."""
     text = text_of(diagnosis, width)
     assert max(map(len, text.splitlines())) <= width
     assert text.split() == text_of(diagnosis).split()
@@ -229,7 +229,7 @@ def test_nothing_is_cut_on_a_narrow_terminal(diagnosis: Diagnosis, width: int) -
 
 
 @given(st.text(max_size=300), st.floats(), st.floats())
-def test_no_text_steers_the_terminal_or_breaks_the_width(name: str, real: float, score: float) -> None:
+def test_control_characters_are_not_printed_and_lines_fit_the_width(name: str, real: float, score: float) -> None:
     hostile = replace(
         made(),
         sentence=name,

@@ -1,6 +1,6 @@
-"""Every number of the diagnosis that was tuned, in one table: none changes unnoticed.
+"""Every tuned number of the diagnosis, in one table: a change must be made in both places.
 
-The figures of VALIDATION.md were measured with these. Who changes one changes the table too, and has a reason:
+The figures of VALIDATION.md were measured with these. A change of a number changes the table too, and has a reason:
 `python tests/gap/test_tuned_numbers.py` writes it anew.
 """
 
@@ -31,8 +31,8 @@ def test_no_tuned_number_changes_unnoticed() -> None:
         assert tuned == known[module], module
 
 
-def test_the_table_has_all_of_them() -> None:
-    """Some that every reader of the package meets, by hand."""
+def test_the_table_has_known_tuned_numbers() -> None:
+    """Some well-known numbers of the package, listed by hand."""
     known = tomllib.loads(TABLE.read_text(encoding="utf-8"))
     assert known["inference.assessment"]["LEVEL"] == 0.05
     assert known["model.populations"]["TURN_ON_RMS"] == {"g": 1.2e-3, "dps": 0.15}
@@ -41,7 +41,7 @@ def test_the_table_has_all_of_them() -> None:
 
 
 def tuned_numbers() -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """By module, the numbers that stand at its top level under a name in capitals."""
+    """By module, the numbers at its top level with a name in capitals."""
     shared = (ROOT.joinpath(*module.split(".")).with_suffix(".py") for module in SHARED)
     for path in [*sorted(SOURCE.rglob("*.py")), *shared]:
         module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
@@ -69,7 +69,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, bool):
         return None
     if isinstance(value, int | float):
-        return None if value != value else value  # nan is no number that was tuned
+        return None if value != value else value  # nan is not a tuned number
     if hasattr(value, "tolist"):
         return _plain(value.tolist())
     if isinstance(value, tuple | list):

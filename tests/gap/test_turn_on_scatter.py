@@ -22,6 +22,6 @@ two states.
 
 
 @pytest.mark.parametrize(("chip", "unit", "range_", "scatter"), PARTS)
-def test_the_papers_parts_are_within_it(chip: str, unit: str, range_: float, scatter: float) -> None:
+def test_the_papers_parts_are_within_the_tolerance(chip: str, unit: str, range_: float, scatter: float) -> None:
     sensor = header("A", chip=chip, unit=unit, range=range_)
     assert 2 * scatter < turn_on_rms(sensor) < 25 * scatter

@@ -1,4 +1,4 @@
-"""Turns between rests: where gyroscopes carry the direction up, beside where gravity finds it."""
+"""Turns between rests: the direction up by integrated gyroscopes, compared with that by gravity."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ STEPS, STEP_S = 80, 0.025
 
 
 def quarter(axis: int, up: tuple[float, float, float], sign: float = 1.0) -> Turn:
-    """A right angle about an axis of the box in two seconds; a turn of the box about X by +90 degrees brings +Y up if
+    """A right angle about an axis of the box in two seconds; after a turn of the box about X by +90 degrees +Y is up if
     +Z was up.
     """
     rate = np.zeros((STEPS, 3))
@@ -48,19 +48,19 @@ SIX = [
 ]
 
 
-def test_up_turns_against_the_box() -> None:
+def test_the_up_direction_rotates_opposite_to_the_box() -> None:
     np.testing.assert_allclose(quarter(0, (0, 0, 1)).up_after, [0, 1, 0], atol=1e-12)
     np.testing.assert_allclose(quarter(1, (0, 0, 1)).up_after, [-1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(quarter(2, (1, 0, 0)).up_after, [0, -1, 0], atol=1e-12)
 
 
 @given(st.tuples(*[st.floats(0.6, 1.6)] * 3))
-def test_factors_are_those_that_undo_the_scale(scale: tuple[float, float, float]) -> None:
+def test_factors_are_the_inverse_of_the_scale(scale: tuple[float, float, float]) -> None:
     read = [turn._replace(rate=turn.rate * scale) for turn in SIX]
     np.testing.assert_allclose(factors_of(read), 1 / np.array(scale), atol=0.03)
 
 
-def test_a_reversed_axis_and_one_that_is_not_turned() -> None:
+def test_factors_of_a_reversed_axis_and_of_an_unturned_axis() -> None:
     read = [turn._replace(rate=turn.rate * [1.0, -1.0, 1.0]) for turn in SIX[:4]]
     np.testing.assert_allclose(factors_of(read), [1.0, -1.0, np.nan], atol=0.01)
     about_the_vertical = [quarter(2, (0, 0, 1))]
@@ -69,8 +69,8 @@ def test_a_reversed_axis_and_one_that_is_not_turned() -> None:
 
 
 @given(st.sampled_from(sorted(exchanges())))
-def test_every_exchange_of_axes_is_recognised(name: str) -> None:
-    """The readings are `matrix` times the rates; its transpose makes the rates of them."""
+def test_every_permutation_of_axes_is_recognised(name: str) -> None:
+    """The readings are `matrix` times the rates; its transpose restores the rates."""
     matrix = exchanges()[name]
     read = [turn._replace(rate=turn.rate @ matrix.T) for turn in SIX]
     exchange = likely_exchange(read)
@@ -79,14 +79,14 @@ def test_every_exchange_of_axes_is_recognised(name: str) -> None:
     assert misses(read, exchange[None])[0] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_nominal_axes_and_noise_are_no_exchange() -> None:
+def test_nominal_axes_and_noise_are_not_a_permutation() -> None:
     assert likely_exchange(SIX) is None
     assert likely_exchange([]) is None
     rng = np.random.default_rng(2)
     assert likely_exchange([turn._replace(rate=rng.normal(0, 2, (STEPS, 3))) for turn in SIX]) is None
 
 
-def test_parts_without_rows_are_filled() -> None:
+def test_parts_without_rows_are_interpolated() -> None:
     rate = np.tile([0.1, 0.2, 0.3], (20, 1))
     rate[3:6] = np.nan
     turn = Turn.of(np.array([0.0, 0, 1]), np.array([0.0, 0, 1]), rate, 2.0)
@@ -98,7 +98,7 @@ def test_parts_without_rows_are_filled() -> None:
     assert Turn.of(turn.up_before, turn.up_after, turn.rate, 20 * 0.31) is None  # parts of 0.31 s
 
 
-def test_neighbours_touch_the_turn() -> None:
+def test_neighbouring_rests_are_adjacent_to_the_turn() -> None:
     first, second = Phase(0, 10, "z_up"), Phase(20, 30, "x_up")
     assert neighbours(Phase(10, 20, "turn"), [first, second]) == (first, second)
     assert neighbours(Phase(10, 20, "turn"), [first]) is None
@@ -146,7 +146,7 @@ def tumbled(path: Path, scale_of: Mapping[str, Floats], range_dps: float = 250.0
             log.append(header.name, Block(time, counts, np.zeros(len(time), np.uint16)))
         for phase in phases:
             log.phase(phase)
-    recording = recording_of(open_log(path))  # its configuration below is another program's
+    recording = recording_of(open_log(path))  # its configuration below is that of another program
     motion = recording.experiment.motion
     assert isinstance(motion, PoseSequence)
     summary = summarise_log(recording.kind, sources_of(recording), recording.phases, reference_of(motion))
@@ -170,9 +170,9 @@ REVERSED = np.diag([1.0, -1.0, 1.0])
 
 
 @pytest.mark.parametrize("others", [0, 1])
-def test_a_gyroscope_with_a_reversed_axis(tmp_path: Path, others: int) -> None:
+def test_a_reversed_axis_of_a_gyroscope_is_corrected_in_the_motion(tmp_path: Path, others: int) -> None:
     """The turn about Y by 90 degrees in 2 s has 90 dps in its middle, although the only gyroscope, or one of two, reads
-    the opposite; by the directions up it has the factor -1, the other one 1.
+    the opposite; by the directions up it has the factor -1, the other gyroscope 1.
     """
     responses = {"G1": REVERSED, **({"G2": np.eye(3)} if others else {})}
     motion, log = tumbled(tmp_path / "log.h5", responses)
@@ -183,7 +183,7 @@ def test_a_gyroscope_with_a_reversed_axis(tmp_path: Path, others: int) -> None:
     assert np.isnan(factor(log, "A1")).all()
 
 
-def test_what_all_gyroscopes_read_too_much_is_no_motion(tmp_path: Path) -> None:
+def test_a_common_scale_error_of_gyroscopes_is_not_motion(tmp_path: Path) -> None:
     """20 % beyond the 3 % that tolerances explain: the box turns by 90 degrees, and not by 108."""
     motion, log = tumbled(tmp_path / "log.h5", {"G1": 1.2 * np.eye(3), "G2": 1.2 * np.eye(3)})
     np.testing.assert_allclose(factor(log, "G1"), 1 / 1.2, atol=0.02)
@@ -196,8 +196,8 @@ def test_two_gyroscopes_that_agree_outvote_the_attitudes(tmp_path: Path) -> None
     np.testing.assert_allclose(turned_rate(motion, 3), [0.0, -90.0, 0.0], atol=1.0)
 
 
-def test_up_in_a_movement_is_carried_from_both_ends(tmp_path: Path) -> None:
-    """Half-way through the turn about X, up is between +Z and +Y."""
+def test_the_up_direction_in_a_movement_is_integrated_from_both_ends(tmp_path: Path) -> None:
+    """Halfway through the turn about X, up is between +Z and +Y."""
     motion, _ = tumbled(tmp_path / "log.h5", {"G1": np.eye(3)})
     for time_s, up_box in ((4.0, (0, 0, 1)), (5.0, (0, np.sqrt(0.5), np.sqrt(0.5))), (6.0, (0, 1, 0))):
         np.testing.assert_allclose(motion.up_in_movement(round(time_s * SECOND)), up_box, atol=0.01)
@@ -206,8 +206,8 @@ def test_up_in_a_movement_is_carried_from_both_ends(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("others", [0, 1])
-def test_the_gyroscope_with_exchanged_axes_is_named(tmp_path: Path, others: int) -> None:
-    """Of two gyroscopes each differs from the other; the turns tell which one is wrong, or that the only one is."""
+def test_the_gyroscope_with_permuted_axes_is_named(tmp_path: Path, others: int) -> None:
+    """Two gyroscopes differ from each other; the turns determine which is wrong, or that a single one is."""
     responses = {"G1": np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])}
     tumbled(tmp_path / "log.h5", {**responses, **({"G2": np.eye(3)} if others else {})})
     with open_log(tmp_path / "log.h5") as log:
@@ -216,8 +216,8 @@ def test_the_gyroscope_with_exchanged_axes_is_named(tmp_path: Path, others: int)
     assert (first.effect, first.sensors, first.parameters["axes"]) == ("axis_error", ("G1",), "+Y-X+Z")
 
 
-def test_turns_that_clip_tell_nothing(tmp_path: Path) -> None:
-    """At a range of 60 dps a right angle in two seconds is cut at its middle: no factor, and no wrong motion."""
+def test_clipped_turns_give_no_factor(tmp_path: Path) -> None:
+    """At a range of 60 dps a right angle in two seconds is clipped in its middle: no factor, and no wrong motion."""
     motion, log = tumbled(tmp_path / "log.h5", {"G1": np.eye(3)}, range_dps=60.0)
     assert np.isnan(factor(log, "G1")).all()
     assert motion.up_in_movement(5 * SECOND) is None

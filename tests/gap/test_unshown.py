@@ -1,4 +1,4 @@
-"""What campaigns can't show, with candidates made up for it."""
+"""Effects that campaigns cannot show, with artificial candidates."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ NEVER_TOLD = (
 
 
 def candidates(**shown_by: dict[Kind, str]) -> dict[str, Candidate]:
-    """Of the sensors that can have them; with other experiments."""
+    """Candidates of the sensors that can have them; with their experiments."""
     return {effect: replace(CANDIDATES[effect], shown_by=kinds) for effect, kinds in shown_by.items()}
 
 
@@ -56,13 +56,13 @@ def all_found(kinds: tuple[str, ...], facts: Facts, **shown_by: dict[Kind, str])
 
 
 def found(kinds: tuple[str, ...], facts: Facts, **shown_by: dict[Kind, str]) -> dict[str, Unobservable]:
-    """The last of each effect."""
+    """The last entry of each effect."""
     return {one.effect: one for one in all_found(kinds, facts, **shown_by)}
 
 
 @given(st.dictionaries(st.sampled_from(("static", "tumble", "heating", "turn-on", "motion")), st.just("this or that")))
-def test_one_face_at_rest_never_tells(shown_by: dict[Kind, str]) -> None:
-    """Whatever the candidates themselves say, or leave unsaid."""
+def test_one_face_at_rest_does_not_show_some_effects(shown_by: dict[Kind, str]) -> None:
+    """For any statement of the candidates."""
     told = all_found(("static",), ONE_FACE, **dict.fromkeys(NEVER_TOLD, shown_by))
     assert tuple(dict.fromkeys(one.effect for one in told)) == NEVER_TOLD
     for effect in NEVER_TOLD:
@@ -71,7 +71,7 @@ def test_one_face_at_rest_never_tells(shown_by: dict[Kind, str]) -> None:
     assert all(one.record for one in told)
 
 
-def test_what_to_record() -> None:
+def test_the_recording_to_make_is_stated() -> None:
     told = found(("static",), ONE_FACE, scale={"tumble": "six faces"}, turn_on_bias={}, tone={"static": "a minute"})
     assert all_found(("static",), ONE_FACE, scale={"tumble": "six faces"}) == (
         Unobservable("scale", ("A1", "A2"), "tumble: six faces"),
@@ -88,7 +88,7 @@ def test_a_minute_at_rest_in_any_log_shows_noise_lines_and_filters(kinds: tuple[
     assert found(kinds, Facts(6, 20.0, 0, False, 59.0), **still).keys() == still.keys()
 
 
-def test_faces_tell_of_accelerometers_turns_of_gyroscopes() -> None:
+def test_faces_show_effects_of_accelerometers_and_turns_of_gyroscopes() -> None:
     tumble: dict[str, dict[Kind, str]] = {
         "scale": {"tumble": "six faces", "motion": "turn it"},
         "saturation": {"tumble": "six faces", "motion": "turn it"},
@@ -103,9 +103,9 @@ def test_faces_tell_of_accelerometers_turns_of_gyroscopes() -> None:
     assert found(("tumble",), Facts(1, 0.0, 0, False, 10.0), **tumble).keys() == set(tumble)
 
 
-def test_thermal_scale_needs_more_than_warmth() -> None:
-    """Warm on one face alone it looks like a slope of the bias, whatever other faces there were at one temperature; a
-    gyroscope has to turn while it is cool and while it is warm.
+def test_thermal_scale_needs_several_faces_or_turns_when_warm() -> None:
+    """Warm on one face alone it looks like a slope of the bias, with any other faces at one temperature; a gyroscope
+    has to turn while it is cool and while it is warm.
     """
     heat: dict[str, dict[Kind, str]] = {"thermal_scale": {"heating": "warm it on two faces"}}
     tumbled = Facts(6, 30.0, 0, True, 600.0, warm_faces=1)
@@ -121,8 +121,8 @@ def test_thermal_scale_needs_more_than_warmth() -> None:
     assert not found(("heating",), replace(tumbled, warm_faces=2, has_turned_warm=True), **heat)
 
 
-def test_what_nothing_tells_apart_is_confusable() -> None:
-    """Of the sensors concerned; a cause that has another name, or was told apart, stays as it is."""
+def test_effects_that_cannot_be_separated_are_confusable() -> None:
+    """For the sensors concerned; a cause with another name, or a separated one, is unchanged."""
     hidden = [
         Unobservable("thermal_scale", ("A1", "A2"), "heating: warm it on two faces"),
         Unobservable("scale", ("A1",), ""),
@@ -137,14 +137,14 @@ def test_what_nothing_tells_apart_is_confusable() -> None:
     assert with_unobservable_rivals(causes, hidden[1:]) == tuple(causes)
 
 
-def test_half_hearted_experiments_do_not_count() -> None:
+def test_insufficient_experiments_are_not_accepted() -> None:
     one: dict[str, dict[Kind, str]] = {"thermal_lag": {"heating": "heat"}, "turn_on_bias": {"turn-on": "boots"}}
     assert found(("heating", "turn-on"), Facts(1, 2.0, 3, False, 60.0), **one).keys() == one.keys()
     assert not found(("heating", "turn-on"), Facts(1, 8.0, 4, False, 60.0), **one)
     assert "tone" in found(("static",), Facts(1, 0.0, 0, False, 20.0), tone={"static": "a minute"})
 
 
-def test_candidates_alone_say_what_shows_the_others() -> None:
+def test_other_effects_follow_the_statement_of_their_candidates() -> None:
     told = found(("tumble",), Facts(6, 0.0, 0, False, 600.0), bias_instability={"static": "an hour"}, bias={})
     assert told == {"bias_instability": Unobservable("bias_instability", ("A1", "A2", "G1"), "static: an hour")}
 
@@ -171,11 +171,11 @@ def test_an_effect_of_one_chip_concerns_no_other() -> None:
         ("motion", 1, 0, True, 10.0),
     ],
 )
-def test_facts(kind: str, faces: int, runs: int, has_turned: bool, rest_s: float) -> None:
+def test_facts_of_each_kind_of_campaign(kind: str, faces: int, runs: int, has_turned: bool, rest_s: float) -> None:
     assert facts_of(campaign_of(kind)) == Facts(faces, 0.0, runs, has_turned, pytest.approx(rest_s))  # type: ignore[arg-type]
 
 
-def test_warmth_is_that_of_one_log() -> None:
+def test_the_temperature_change_is_that_of_one_log() -> None:
     """The emulated heat pulse of the paper warms by some 30 degC (Figure 9)."""
     facts = facts_of(campaign_of("heating"))
     assert 20 < facts.span_degc < 40
@@ -203,7 +203,7 @@ def test_wide_intervals_are_grouped_by_domain_and_chip() -> None:
     )
 
 
-def test_lengths_are_those_of_each_log() -> None:
+def test_required_lengths_are_those_of_each_log() -> None:
     scales, margins = np.array([2.0, 2.0, 2.0]), np.full(3, 1.96)
     told = uncertain_domains(
         scales, margins, [key("noise", axis=axis) for axis in "xyz"], np.array([10.0, 60.0, 900.0]), SENSORS
@@ -211,7 +211,7 @@ def test_lengths_are_those_of_each_log() -> None:
     assert [one.record for one in told] == ["4 minutes"]
 
 
-def test_where_longer_logs_will_not_do() -> None:
+def test_differences_that_longer_logs_cannot_determine() -> None:
     assert doubts([100.0], [key("noise")], 60.0)[0].record == "a longer log is not enough"
     assert doubts([100.0], [key("mean")], 60.0)[0].record.startswith("a longer log is not enough; tumble: ")
     assert doubts([2.0], [key("run_spread")], 60.0)[0].record == "turn-on: 4.0 times as many runs"

@@ -1,4 +1,4 @@
-"""Figures of use beside closed forms, and beside integrals and means of the readings themselves."""
+"""Figures of use against closed forms, and against integrals and means of the readings."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def white(sigma_lsb: float, seed: int = 1, rows: int = SECONDS * 10) -> np.ndarr
 
 
 def coasted(rates: np.ndarray, tau_rows: int) -> np.ndarray:
-    """(3,) rms of what the sum of readings less the mean of the `tau_rows` before is off by after `tau_rows`: the
-    definition, at every tenth row.
+    """(3,) rms error of the sum of readings minus the mean of the `tau_rows` before, after `tau_rows`: the definition,
+    at every tenth row.
     """
     errors = []
     for start in range(0, len(rates) - 2 * tau_rows, 10):
@@ -52,9 +52,9 @@ def test_coasting_of_white_noise() -> None:
     np.testing.assert_allclose(math.sqrt(np.mean(found.error**2)), expected, rtol=0.12)
 
 
-def test_coasting_is_that_of_integrated_readings() -> None:
-    """White noise with a random walk: the same readings, integrated; 60 s lies between the octaves 51.2 s and 102.4 s,
-    where the curve bends little.
+def test_coasting_equals_that_of_integrated_readings() -> None:
+    """White noise with a random walk: the same readings, integrated; 60 s is between the octaves 51.2 s and 102.4 s,
+    where the curve is nearly straight.
     """
     walk = np.rint(white(60.0) + np.cumsum(np.random.default_rng(2).normal(0, 0.5, (SECONDS * 10, 3)), axis=0))
     found = coasting(campaign((header("A"), walk)), "A")
@@ -63,7 +63,7 @@ def test_coasting_is_that_of_integrated_readings() -> None:
 
 
 def test_coasting_of_a_random_walk() -> None:
-    """sigma_A^2 = K^2 tau / 3, with K^2 the variance that a second adds; sure to about 10 % over three axes."""
+    """sigma_A^2 = K^2 tau / 3, with K^2 the variance per second; known to about 10 % over three axes."""
     walk = np.rint(np.cumsum(np.random.default_rng(3).normal(0, 5.0, (SECONDS * 10, 3)), axis=0))
     found = coasting(campaign((header("A"), walk)), "A")
     expected = math.sqrt(2) * 60 * (5 / 2048 * GRAVITY) * math.sqrt(ROWS_PER_S * 60 / 3)
@@ -78,10 +78,11 @@ def test_short_logs_coast_for_less(seconds: int, tau_s: float) -> None:
     assert found is not None and found.tau_s == tau_s
 
 
-def test_nothing_to_coast() -> None:
+def test_short_or_missing_readings_have_no_coasting() -> None:
     assert coasting(campaign((header("A"), white(20.0, rows=40))), "A") is None
     assert coasting(campaign((header("A"), white(20.0))), "B") is None
-    assert coasting(campaign((header("A"), white(20.0)), phase="motion"), "A") is not None  # its axis up says: at rest
+    # its noted axis up means at rest
+    assert coasting(campaign((header("A"), white(20.0)), phase="motion"), "A") is not None
 
 
 def test_stuck_sensor_has_no_error() -> None:
@@ -90,8 +91,8 @@ def test_stuck_sensor_has_no_error() -> None:
     np.testing.assert_allclose(found.error, 0.0, atol=1e-100)
 
 
-def test_phases_count_by_their_terms() -> None:
-    """Nine tenths of the time at 10 LSB, one at 30: the mean square is that of the whole."""
+def test_phases_are_weighted_by_their_terms() -> None:
+    """Nine tenths of the time at 10 LSB, one tenth at 30: the mean square is that of the whole."""
     parts = [white(10.0, 1, 54_000), white(30.0, 2, 6_000)]
     logs = [campaign((header("A"), part)).logs[0] for part in parts]
     found = coasting(Campaign(tuple(logs)), "A")
@@ -101,7 +102,7 @@ def test_phases_count_by_their_terms() -> None:
 
 
 def test_fused_error_is_that_of_the_mean() -> None:
-    """Window by window of two rows, in the box frame, from the readings themselves."""
+    """For windows of two rows, in the box frame, from the readings."""
     first, second = header("G1", "+X+Y+Z", "l3g4200d"), header("G2", "-Y+X+Z", "l3g4200d")
     rows = [white(40.0, 1, 6400), white(40.0, 2, 6400)]
     windows = [part.reshape(3200, 2, 3).mean(axis=1) * 0.00875 for part in rows]
@@ -113,7 +114,7 @@ def test_fused_error_is_that_of_the_mean() -> None:
 
 
 def test_opposed_drift_cancels_in_the_fused_rate() -> None:
-    """What both axes have alike along their own axes goes away where they oppose, x and z here, and stays on y."""
+    """A common drift along their own axes cancels where they oppose, x and z here, and remains on y."""
     drift = np.repeat(np.linspace(-300, 300, 6400)[:, None], 3, axis=1)
     both = (header("G1", "+X+Y+Z", "l3g4200d"), np.rint(drift)), (header("G2", "-X+Y-Z", "l3g4200d"), np.rint(drift))
     on_y = 600 * 0.00875 / math.sqrt(12)
@@ -125,20 +126,20 @@ def figures(kind: str, more: dict[str, tuple[object, ...]]) -> Uses:
     return uses_of(made, residual(made, PLANS[kind], fit(made, PLANS[kind])))
 
 
-def test_faces_show_an_error_of_scale() -> None:
+def test_the_error_on_faces_includes_a_scale_error() -> None:
     """2 % beyond the tolerance of 2 % (BMA-73) and 0.3 % of gravity: 20 mg up or down on one axis of each face, a third
     of the axes: 20 mg / sqrt(3).
     """
     found = figures("tumble", {"A1": (Scale(0.043),)})
     value, unit = found["six-face residual", "A1"]
     assert value == pytest.approx(20 / math.sqrt(3), rel=0.02) and unit == "mg"
-    assert found["six-face residual", "A2"][0] < 0.3  # 4 mg of noise, 1000 rows a face, two axes' rounding of 1/2 mg
+    assert found["six-face residual", "A2"][0] < 0.3  # 4 mg of noise, 1000 rows per face, two axes' rounding of 1/2 mg
     assert ("six-face residual", "G1") not in found
     assert not any("residual" in name for name, _ in figures("static", {}))
 
 
-def test_heat_shows_a_curved_drift() -> None:
-    """The square that a straight line leaves; peak to peak by hand from the temperatures of the segments."""
+def test_the_error_in_heat_includes_a_curved_drift() -> None:
+    """The quadratic residual of a straight line; peak to peak by hand from the temperatures of the segments."""
     square = 4e-4
     made = campaign_of("heating", {"A1": (ThermalBias(0.0, quadratic=square),)})
     base = fit(made, PLANS["heating"])
@@ -155,12 +156,12 @@ def test_heat_shows_a_curved_drift() -> None:
 
 
 @pytest.mark.slow
-def test_names_are_those_of_the_simulation() -> None:
+def test_figures_have_the_same_names_for_any_effects() -> None:
     for kind in ("static", "tumble", "heating"):
         assert figures(kind, {}).keys() == figures(kind, {"G1": BASE["G1"]}).keys()
 
 
-def test_poses_by_hand_are_attitudes() -> None:
+def test_attitudes_of_noted_phases() -> None:
     assert [attitude_of(Phase(0, 1, *at)) for at in (("z_up", "+Z"), ("pose 3", ""), ("room", ""))] == [
         "+Z",
         "pose 3",
@@ -172,8 +173,8 @@ def replicates(values: np.ndarray) -> list[Uses]:
     return [{("heading error after coasting 60 s", "G"): (float(value), "deg")} for value in values]
 
 
-def test_uses_of_replicates() -> None:
-    """Replicates e^(-0.2) ... e^(0.2) times 2, evenly in the log: the interval of 3 deg is 3 e^(+-0.19)."""
+def test_the_interval_of_a_figure_from_replicates() -> None:
+    """Replicates e^(-0.2) ... e^(0.2) times 2, uniform in the logarithm: the interval of 3 deg is 3 e^(+-0.19)."""
     before, after = replicates(np.linspace(0.5, 1.5, 41)), replicates(2 * np.exp(np.linspace(-0.2, 0.2, 41)))
     (use,) = uses(replicates(np.array([3.0]))[0], before, after)
     assert (use.name, use.sensor, use.unit) == ("heading error after coasting 60 s", "G", "deg")
@@ -182,22 +183,22 @@ def test_uses_of_replicates() -> None:
     assert use.after.value == pytest.approx(2.0)
 
 
-def test_the_recorded_interval_leans_the_other_way() -> None:
-    """Where replicates reach far up, the truth may lie far down."""
+def test_the_interval_is_reflected_about_the_recorded_figure() -> None:
+    """Where replicates extend far up, the truth may be far below."""
     ((use),) = uses(replicates(np.array([1.0]))[0], replicates(np.array([1.0] * 5 + [4.0] * 4)), [])
     assert use.real.low < 0.3 and use.real.high == pytest.approx(1.0)
     assert math.isnan(use.after.value)
 
 
-def test_few_replicates_make_no_interval() -> None:
+def test_few_replicates_give_no_interval() -> None:
     (use,) = uses(replicates(np.array([1.0]))[0], replicates(np.ones(7)), replicates(np.zeros(9)))
     assert math.isnan(use.real.low) and use.real.value == 1.0
     assert use.after.value == 0.0
 
 
 def test_intervals_cover_the_truth() -> None:
-    """A figure that scatters by a factor e^(0.3 n): the interval holds the truth in 95 % of 400 recordings; 98 % of
-    such counts lie within 370 and 390.
+    """A figure that scatters by a factor e^(0.3 n): the interval covers the truth in 95 % of 400 recordings; 98 % of
+    such counts are within 370 and 390.
     """
     random = np.random.default_rng(7)
     held = 0

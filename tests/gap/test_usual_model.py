@@ -1,4 +1,4 @@
-"""What sensors usually have: the data sheets' figures where there are any, and the same whoever asks."""
+"""The usual model of sensors: the data sheets' figures where available, the same for every caller."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ HEADERS = {
 }
 
 
-def test_noise_as_printed() -> None:
-    """150 ug in 1 Hz (BMA-110), 0.03 dps in 1 Hz; of a bandwidth that nobody knows there is none."""
+def test_noise_is_that_of_the_data_sheet() -> None:
+    """150 ug in 1 Hz (BMA-110), 0.03 dps in 1 Hz; an unknown bandwidth has no noise."""
     one = replace(HEADERS["A1"], bandwidth_hz=600.0)
     assert printed_noise(one) == pytest.approx((150e-6 * 600**0.5,) * 3, rel=1e-4)
     assert printed_noise(replace(HEADERS["G1"], bandwidth_hz=50.0)) == pytest.approx((0.03 * 50**0.5,) * 3, rel=1e-3)
@@ -35,8 +35,8 @@ def recipes(model: Model, one: SensorHeader) -> dict[str, object]:
 
 
 def test_figures_are_of_the_chip_at_its_range() -> None:
-    """BMA180: +-2 % at 4 g, 1.5 % at 2 g (BMA-70, BMA-72), two sigma; of gyroscopes' scale and alignment the data sheet
-    says nothing, but of the slope of the scale (L3G-72) and of nonlinearity (L3G-73).
+    """BMA180: +-2 % at 4 g, 1.5 % at 2 g (BMA-70, BMA-72), two sigma; for gyroscopes the data sheet has no figure of
+    scale and alignment, but of the slope of the scale (L3G-72) and of nonlinearity (L3G-73).
     """
     model = usual_model(HEADERS.values())
     assert recipes(model, HEADERS["A1"])["scale"] == ({"error": Spread(sigma=0.01, limit=0.02)},)
@@ -58,14 +58,14 @@ def test_figures_are_of_the_chip_at_its_range() -> None:
         assert math.isnan(clock["phase_deg"])
 
 
-def test_it_is_a_file() -> None:
+def test_the_usual_model_can_be_written_and_read() -> None:
     model = replace(usual_model([*HEADERS.values(), replace(header("X"), chip="other")]), name="usual")
     assert [part.chip for part in parse_model(model.to_toml()).designs] == [part.chip for part in model.designs]
 
 
 @pytest.mark.parametrize("number", [0, 7])
-def test_with_an_effect_more_units_are_the_same(number: int) -> None:
-    """So that taking it out leaves what a diagnosis without a model begins with."""
+def test_an_additional_effect_does_not_change_the_units(number: int) -> None:
+    """So that its removal gives the initial model of a diagnosis without a model."""
     usual = usual_model(HEADERS.values())
     extra = Part("l3g4200d", name="G1", effects={"tone": ({"amplitude_dps": 0.3, "frequency_hz": 17.0},)})
     fitted = dict.fromkeys(HEADERS, FITTED)

@@ -1,4 +1,4 @@
-"""When something holds, and how it is told: by the course of a log, and by what single logs gain."""
+"""The times of a hypothesis, from the course of a log and from the gains of single logs."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ LINE = Hypothesis((Tone((0.0, 0.04, 0.0), 17.0),), ("amplitude",))
 
 
 def still(seconds: Sequence[float]) -> list[list[Phase]]:
-    """A log of one phase for each."""
+    """One log of one phase for each."""
     return [[Phase(0, round(one * 1e9), "static", "+Z")] for one in seconds]
 
 
-def test_what_is_chosen_costs() -> None:
-    """A log each, and each moment that is neither its beginning nor its end."""
+def test_the_choice_of_logs_and_moments_has_a_cost() -> None:
+    """Each log, and each moment that is neither its beginning nor its end."""
     assert ALWAYS.numbers == 0
     assert in_logs([0, 3]).numbers == 2
     assert When((Span(0, 4.0, math.inf),)).numbers == 2
@@ -36,8 +36,8 @@ def test_what_is_chosen_costs() -> None:
     assert since(Span(1, 4.0, math.inf), [0, 1, 2, 3]).numbers == 2
 
 
-def test_a_hypothesis_at_some_time() -> None:
-    """Its effects act then; what was chosen makes it rarer, once."""
+def test_effects_of_a_timed_hypothesis_act_at_that_time() -> None:
+    """Its effects act then; the choice is added to its rarity once."""
     when = join_spans([in_logs([2]), When((Span(0, 4.0, 3.0),))])
     trial = LINE.at(when)
     assert trial.when == when
@@ -49,8 +49,8 @@ def test_a_hypothesis_at_some_time() -> None:
 
 
 def test_a_beginning_that_is_narrowed_down() -> None:
-    """To the moments beside the one at which it begins now; the ends of the row of moments are their own neighbours.
-    What it costs to say when stays.
+    """To the moments next to the present beginning; the first and last moments are their own neighbours. The cost of
+    the choice stays.
     """
     trial = replace(LINE.at(join_spans([in_logs([0]), When((Span(2, 30.0, math.inf),))])), begin_bounds_s=(10.0, 50.0))
     narrowed = trial.narrowed((10.0, 20.0, 30.0, 50.0), 1)
@@ -61,7 +61,7 @@ def test_a_beginning_that_is_narrowed_down() -> None:
     assert trial.narrowed((10.0, 50.0), 1).begin_bounds_s == (10.0, 50.0)
 
 
-def test_a_beginning_with_whole_logs_after_it() -> None:
+def test_a_beginning_followed_by_whole_logs() -> None:
     """From some moment of log 2 on, and in the logs after it."""
     since_2 = since(Span(2, 30.0, math.inf), [3, 4])
     trial = replace(LINE.at(since_2), begin_bounds_s=(10.0, 50.0))
@@ -76,11 +76,11 @@ def test_a_beginning_with_whole_logs_after_it() -> None:
         (When((Span(0, 33.0, math.inf),)), False),  # the second half of the only log of its kind is held out
         (When((Span(0, 20.0, 21.0),)), True),
         (When((Span(0, 28.0, 32.0),)), False),
-        (in_logs([1]), False),  # of two of a kind one is held out
+        (in_logs([1]), False),  # one of two of a kind is held out
         (in_logs([1, 2]), True),
     ],
 )
-def test_whether_both_parts_show_it(when: When, both: bool) -> None:
+def test_timed_hypotheses_observable_in_both_parts(when: When, both: bool) -> None:
     split = split_of(["static", "turn-on", "turn-on"], still([60.0, 20.0, 20.0]))
     assert when.is_in_both(split) is both
 
@@ -97,7 +97,7 @@ def test_whether_both_parts_show_it(when: When, both: bool) -> None:
         2,
     ),
 )
-def test_stretches_are_told_by_the_course_of_a_log(
+def test_intervals_are_suggested_by_the_course_of_a_log(
     tmp_path_factory: pytest.TempPathFactory,
     sensor: str,
     change: sampled.Change,
@@ -105,7 +105,7 @@ def test_stretches_are_told_by_the_course_of_a_log(
     end_s: float,
     within_s: float,
 ) -> None:
-    """Those, and the rest of the time; of the other sensors none."""
+    """These, and the rest of the time; none for the other sensors."""
     folder = tmp_path_factory.mktemp("course")
     (log,) = sampled.recorded(folder, {sensor: change}, (sampled.FAST,))
     found = {name: stretches_of(source, log.phases) for name, source in sources_of(log).items()}
@@ -115,8 +115,8 @@ def test_stretches_are_told_by_the_course_of_a_log(
     np.testing.assert_allclose(sides[0][0], (begin_s, end_s), atol=within_s)
 
 
-def test_a_log_that_is_the_same_all_through_has_no_stretches(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Nor one in which an effect acts always."""
+def test_a_uniform_log_has_no_intervals(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Neither has a log with a permanent effect."""
     folder = tmp_path_factory.mktemp("same")
     changes = {"G1": sampled.low_pass(40.0), "G2": sampled.line(31.0, 0.05), "G3": sampled.held(160.0)}
     (log,) = sampled.recorded(folder, changes, (sampled.FAST,), seed=3)

@@ -1,4 +1,4 @@
-"""One job for many items: who works doesn't matter, and what a process has is not made again."""
+"""One job for many items: results do not depend on workers, and a process keeps its fixed data."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from imuarray.gap.model.workers import processes, runner
 
 
 class Heavy:
-    """Counts how often it is used."""
+    """Counts its uses."""
 
     def __init__(self) -> None:
         self.used = 0
@@ -34,14 +34,14 @@ def use(heavy: Heavy, item: int) -> int:
     return heavy.used
 
 
-def test_results_come_in_order_whoever_works() -> None:
+def test_results_are_in_order_for_any_workers() -> None:
     wanted = [1, 3, 9, 27, 81]
     assert runner(3)(power, range(5)) == wanted
     with ThreadPoolExecutor(3) as threads:
         assert runner(3, threads)(power, range(5)) == wanted
 
 
-def test_a_bar_hears_how_many_are_done() -> None:
+def test_a_progress_bar_is_updated_with_the_number_done() -> None:
     heard: list[int] = []
 
     @contextmanager
@@ -54,9 +54,9 @@ def test_a_bar_hears_how_many_are_done() -> None:
 
 
 @pytest.mark.slow
-def test_a_process_keeps_what_is_fixed() -> None:
-    """A generator that is there already goes on; unpickled anew for every item it would repeat its first number.
-    Another runner brings its own.
+def test_a_process_keeps_fixed_data() -> None:
+    """An existing generator continues; unpickled for every item it would repeat its first number. Another runner has
+    its own.
     """
     generator = Random(1)
     wanted = [generator.getrandbits(32) for _ in range(4)]
@@ -68,8 +68,8 @@ def test_a_process_keeps_what_is_fixed() -> None:
 
 
 @pytest.mark.slow
-def test_processes_have_one_thread_each_and_nothing_is_left_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As their environment says from the start, whatever that of the parent is."""
+def test_processes_have_one_thread_each_and_the_environment_is_restored(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By their environment from the start, for any environment of the parent."""
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     with processes(2) as pool:
@@ -78,12 +78,12 @@ def test_processes_have_one_thread_each_and_nothing_is_left_behind(monkeypatch: 
         assert [os.getenv(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")] == ["7", None]
 
 
-def test_no_process_is_no_pool() -> None:
+def test_a_pool_of_zero_processes_is_refused() -> None:
     with pytest.raises(ValueError, match="max_workers"):
         processes(0)
 
 
-def test_the_last_job_alone_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_the_last_job_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "_LATEST", {})
     first, second = (pickle.dumps(workers._Job(partial(use, Heavy()))) for _ in range(2))
     job = pickle.loads(first)  # noqa: S301
@@ -96,8 +96,8 @@ def test_the_last_job_alone_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_work_whose_results_nobody_wants_ends_at_once() -> None:
-    """Both processes are at work for an hour when the manager's block is left by Ctrl-C."""
+def test_an_interrupt_ends_running_work_at_once() -> None:
+    """Both processes would run for an hour when Ctrl-C ends the block of the context manager."""
     pool = processes(2)
     with pytest.raises(KeyboardInterrupt), pool:
         pool.submit(sleep, 0.0).result()
