@@ -49,12 +49,15 @@ class Times:
 
 
 class ReadyLayout(NamedTuple):
-    """The place of a chip's triad; the bits of a register, and of the bytes of the triad, that mark it as new."""
+    """The place of a chip's triad of `length` bytes (9 for axes of 20 bits); the bits of a register, and of the bytes
+    of the triad, that mark it as new.
+    """
 
     first: int
     ready: int
     ready_mask: int
     inside: tuple[int, ...] = ()
+    length: int = 6
 
 
 LAYOUTS = MappingProxyType(
@@ -71,7 +74,6 @@ LAYOUTS = MappingProxyType(
         "lis3mdl": ReadyLayout(0x28, 0x27, 0x0F),  # LIS-12, LIS-14
     }
 )
-TRIAD = 6
 
 
 @dataclass
@@ -168,12 +170,12 @@ class FaultyDevice:
         ready, triad = layout.ready - self._pointer, layout.first - self._pointer
         if 0 <= ready < len(shown):
             shown[ready] = shown[ready] & ~layout.ready_mask | layout.ready_mask * fresh
-        while 0 <= triad <= len(shown) - TRIAD:
-            fault.held = fault.held or sent[triad : triad + TRIAD]
-            shown[triad : triad + TRIAD] = fault.held
+        while 0 <= triad <= len(shown) - layout.length:
+            fault.held = fault.held or sent[triad : triad + layout.length]
+            shown[triad : triad + layout.length] = fault.held
             for index in layout.inside:
                 shown[triad + index] = shown[triad + index] & ~1 | fresh
-            triad += TRIAD
+            triad += layout.length
         return bytes(shown)
 
 

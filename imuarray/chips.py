@@ -118,7 +118,7 @@ class ChipSpec:
     """By how much the filter delays the signal, by bandwidth; empty where no data sheet says it."""
     has_fifo: bool = False
     count_bits: int = 16
-    """Bits of each axis's counts in a log; more than 16 are stored in 32."""
+    """Bits of each axis's counts in a log; with more than 16 the driver decodes to int32, as the log stores them."""
     fifo_has_temperature: bool = False
     high_resolution: HighResolution | None = None
     """None: its queue has no packets of more bits."""

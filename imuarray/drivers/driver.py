@@ -310,7 +310,7 @@ def flagged(bits: Bytes, mask: int, flag: int) -> npt.NDArray[np.uint16]:
     return np.where(bits & mask, flag, 0).astype(np.uint16)
 
 
-def saturated(counts: npt.NDArray[np.int16], low: int, high: int) -> npt.NDArray[np.uint16]:
+def saturated(counts: npt.NDArray[np.int16] | npt.NDArray[np.int32], low: int, high: int) -> npt.NDArray[np.uint16]:
     """Flag SATURATED for each row of (n, 3) counts with an axis at or beyond an end of the code span."""
     at_end = ((counts <= low) | (counts >= high)).any(axis=1)
     return np.where(at_end, SATURATED, 0).astype(np.uint16)

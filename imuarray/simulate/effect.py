@@ -91,7 +91,9 @@ class Effect:
         )
 
     def lookback(self, at: Place) -> int:
-        """Return the number of rows before a stretch that the effect needs to evaluate the stretch."""
+        """Return the number of rows before a stretch that the effect needs to evaluate the stretch: any stretch can be
+        simulated alone, so an effect with a memory must not depend on earlier rows than these.
+        """
         return 0
 
     def sampled(self, instants: Instants, at: Place) -> Instants:

@@ -41,6 +41,7 @@ def test_the_chip_gives_these_answers(replay, path):
 
 def test_every_chip_is_identified_configured_and_read(replay):
     held = {(conversation.chip, conversation.part) for conversation in map(replay.load, PATHS)}
+    assert {*CHIPS} - {chip for chip, _ in held} == set(), "no conversation in tests/golden"
     assert {chip for chip, _ in held} == {*CHIPS, "pca9544a"}
     assert held >= {(chip, part) for chip in CHIPS for part in ("identify", "configure", "fetch")}
     assert held >= {(chip, "drain") for chip in ("adxl345", "l3g4200d")}

@@ -205,10 +205,12 @@ def differing(one: tuple[Row, ...], other: tuple[Row, ...]) -> set[str]:
 
 
 def harmful(name: str) -> Effect:
+    assert name in HARMFUL, "no line in HARMFUL of this file"
     return EFFECTS[name](**HARMFUL[name])
 
 
 def test_tables_are_complete() -> None:
+    assert set(EFFECTS) - set(CHANGED) == set(), "no line in CHANGED of this file"
     assert set(EFFECTS) == set(HARMFUL) == set(CHANGED)
     assert set(EFFECTS) > RANDOM
     assert all(kind.name == name for name, kind in EFFECTS.items())

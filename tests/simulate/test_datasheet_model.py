@@ -418,12 +418,15 @@ UNPRINTED = {
 def test_every_clock_starts_anew_at_each_boot_and_only_that_of_bosch_has_a_tolerance(sensor: MakeSensor) -> None:
     """BMA-107; for the others none is printed. The clock of no chip waits for a poll."""
     for chip in TRIADS:
-        (clock,) = (effect for effect in MODEL.effects(sensor(chip), Streams(3)) if isinstance(effect, OwnClock))
+        effects = MODEL.effects(sensor(chip), Streams(3))
+        clock = next((effect for effect in effects if isinstance(effect, OwnClock)), None)
+        assert clock is not None, f"no own_clock in a [[design]] of {chip} in configs/models/datasheet.toml"
         assert isnan(clock.phase_deg)
         assert (clock.rate_error != 0) == (chip == "bma180")
 
 
 def test_every_chip_and_range_has_exactly_the_printed_effects(sensor: MakeSensor) -> None:
+    assert set(TRIADS) - set(ALSO) == set(), "no line in ALSO of this file"
     for chip, spec in TRIADS.items():
         for range_ in spec.sensitivity:
             effects = MODEL.effects(sensor(chip, range_=range_), Streams(0))
