@@ -130,9 +130,14 @@ def guess_thermal_lag(evidence: Evidence) -> Iterator[Hypothesis]:
     by the coefficient of dT/dt, which is slope times lag.
     """
     for guess in with_removal(evidence, ThermalLag.name, _thermal_lag_hypotheses(evidence)):
-        is_of_element = any(isinstance(effect, ThermalLag) and not any(effect.slope) for effect in guess.effects)
-        takes_place = bool(evidence.fitted.lag_s) and is_of_element  # the fitted lag is as long as is usual
+        of_all = any(isinstance(effect, ThermalLag) and _concerns_all_axes(effect) for effect in guess.effects)
+        takes_place = bool(evidence.fitted.lag_s) and of_all  # the fitted lag is as long as is usual
         yield replace(guess, removed=ThermalLag.name) if takes_place else guess
+
+
+def _concerns_all_axes(lag: ThermalLag) -> bool:
+    """Return whether the element lags, or a part of the bias of every axis."""
+    return not any(lag.slope) or all(lag.slope)
 
 
 def _thermal_lag_hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
@@ -148,13 +153,14 @@ def _thermal_lag_hypotheses(evidence: Evidence) -> Iterator[Hypothesis]:
     ):
         if time_constant_s > 0:
             yield Hypothesis((ThermalLag(time_constant_s),), ("time_constant_s",))
-    yield from _of_a_part(evidence, table)
+    yield from _of_a_part(evidence, table, best_s > 0)
 
 
-def _of_a_part(evidence: Evidence, table: Levels) -> Iterator[Hypothesis]:
+def _of_a_part(evidence: Evidence, table: Levels, lags: bool) -> Iterator[Hypothesis]:
     """Suggest a lag of a part of the bias on the axes on which it is clear; the rest follows the temperature at once,
-    by another slope than was fitted without the lag. What the thermometer feels does not lag with it. If all axes lag,
-    it is the element.
+    by another slope than was fitted without the lag. What the thermometer feels does not lag with it. Where all axes
+    lag, and the sensor `lags` beyond what is fitted, it may be the element, which needs fewer numbers, or a part of the
+    bias of each axis.
     """
     times_s = _lags_s(table)
     gains = np.array([_gains_of_part(table, time_s) for time_s in times_s]).reshape(-1, 3)
@@ -162,13 +168,15 @@ def _of_a_part(evidence: Evidence, table: Levels) -> Iterator[Hypothesis]:
         return
     best, _ = np.unravel_index(int(gains.argmax()), gains.shape)
     time_constant_s, clear = float(times_s[best]), gains[best] > _CLEAR_PART
-    if clear.all():
+    if clear.all() and not lags:
         return
     warm, lagged_warm = _warmth(table), lagged(table, time_constant_s) - REFERENCE_DEGC
-    fit = _fit_levels(np.stack([lagged_warm, warm], axis=1), table.mean, table.group)
+    ordinary, mean = evidence.fitted, table.mean
+    if clear.all() and ordinary.lag_s:  # it takes the place of the lag that is fitted
+        mean = mean + np.outer(lagged(table, ordinary.lag_s) - table.degc, ordinary.slope)
+    fit = _fit_levels(np.stack([lagged_warm, warm], axis=1), mean, table.group)
     slope, change = np.where(clear, fit.coefficient, 0.0)
-    offset = np.median(table.mean - lagged_warm[:, None] * slope - warm[:, None] * change, axis=0)
-    ordinary = evidence.fitted
+    offset = np.median(mean - lagged_warm[:, None] * slope - warm[:, None] * change, axis=0)
     base_offset, base_slope = np.add(ordinary.offset, np.where(clear, offset, 0.0)), np.add(ordinary.slope, change)
     (x, y, z), (slope_x, slope_y, slope_z) = base_offset.tolist(), base_slope.tolist()
     part = ThermalLag(time_constant_s, tuple(slope.tolist()), REFERENCE_DEGC)
