@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from imuarray.arrays import Integers
 from imuarray.gap.recording.host_lag import HostLag, host_lags
 from imuarray.log import open_log
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.timing import ClockError, Skew
 from imuarray.simulate.motion.faces import Still
+from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.record import write_log
 from tests.gap.made import simulation
@@ -48,3 +52,23 @@ def test_no_lag_is_estimated_without_motion(tmp_path: Path) -> None:
     with open_log(path) as log:
         assert not host_lags([log[name] for name in SENSORS], Still(seconds=20))
         assert not host_lags([], Still(seconds=20))
+
+
+@dataclass(frozen=True)
+class Swing(Still):
+    """Turns to and fro about the box's x axis at a rate of 100 dps, 1.2 times a second, all the time."""
+
+    def felt(self, time_ns: Integers) -> Felt:
+        """What the box feels."""
+        rate = np.zeros((len(time_ns), 3))
+        rate[:, 0] = math.radians(100) * np.sin(2 * math.pi * 1.2 * np.asarray(time_ns) * 1e-9)
+        return replace(super().felt(time_ns), rate_box=rate)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.004, 0.013])
+def test_a_period_more_or_less_fits_as_well(tmp_path: Path, late_s: float) -> None:
+    """Wherever the lag lies between two rows of the grid: the lags of a periodic motion are known up to its period."""
+    path, motion = tmp_path / "log.h5", Swing(seconds=20)
+    write_log(simulation(motion, {"G1": (Skew(late_s),)}, seed=2), path)
+    with open_log(path) as log:
+        assert not host_lags([log["G1"]], motion)

@@ -24,7 +24,9 @@ _LEAST_SHARE, _LEAST_RMS = 0.5, 1e-2
 """Share of the sensors' variance that the motion has to explain, and its least rms in m/s^2 and rad/s."""
 
 _UNIQUE = 1.5
-"""The second best lag has to leave so many times the variance: otherwise the lag is ambiguous by a period."""
+"""The second best lag has to leave so many times the variance, and what half a row of the grid makes beside: otherwise
+the lag is ambiguous by a period.
+"""
 
 
 class HostLag(NamedTuple):
@@ -85,7 +87,8 @@ def _in_window(sensors: Sequence[SensorLog], motion: Motion, start_ns: int, near
     best = int(np.argmin(unexplained))
     if not square.any() or not 0 < best < len(unexplained) - 1 or unexplained[best] > _LEAST_SHARE * noise:
         return None
-    if any(unexplained[at] < _UNIQUE * unexplained[best] for at in _dips(unexplained) if at != best):
+    half_row = float(square.sum()) * (GRID_S / 2) ** 2
+    if any(unexplained[at] < _UNIQUE * unexplained[best] + half_row for at in _dips(unexplained) if at != best):
         return None
     before, here, after = unexplained[best - 1 : best + 2].tolist()
     place = best - _MOST_LAG_ROWS + 0.5 * (before - after) / (before - 2 * here + after)
