@@ -26,7 +26,8 @@ and temperatures as far as the logs tell them. A **simulator** makes such record
 **Statistics** s(x) are some 80 numbers for each axis and phase (`statistics.probes`), of what the fit leaves, never of
 raw samples; each is such that it scatters nearly normally where nothing is wrong. In motion a sensor is compared with
 the others of its quantity, and with fewer than two others with the track of the log as well, without the noise that the
-track has at rest (`simulate.motion.track_noise`). Rows in which a filter settles after power-on are left out, and so
+track has at rest (`simulate.motion.track_noise`); whether the clock of all drifts away from the track's is told by the
+growth of one sensor's delay. Rows in which a filter settles after power-on are left out, and so
 are the ends of a rest in which the box still moves, and moments at which several sensors are restless
 (`recording.quiet`): a hand, keystrokes, motors that start. Without a track the motion is estimated from the sensors
 together (`recording.movement`), unless the box vibrates faster than the rows show. Turns between noted rests are

@@ -27,11 +27,15 @@ def test_every_probe_has_a_value_somewhere(campaign: Campaign) -> None:
 
 def test_keys_have_their_phase_axis_and_log(campaign: Campaign) -> None:
     found = statistics(campaign)
-    assert {key.phase for key in found.keys if key.domain == "motion"} == {"motion"}
+    assert {key.phase for key in found.keys if key.domain == "motion"} == {"motion", ""}
+    assert {key.probe for key in found.keys if key.domain == "motion" and not key.phase} == {"motion_delay_rate"}
     assert {key.axis for key in found.keys if key.domain in ("timing", "status")} == {""}
     assert {key.probe for key in found.keys if key.phase == "motion" and key.probe == "mean"} == set()
     runs = [key for key in found.keys if key.log == ALL_LOGS]
-    assert {(key.domain, key.phase, key.phase_number) for key in runs} == {("run_to_run", "turn-on", WHOLE_LOG)}
+    assert {(key.domain, key.phase, key.phase_number) for key in runs} == {
+        ("run_to_run", "turn-on", WHOLE_LOG),
+        ("timing", "", WHOLE_LOG),
+    }
     assert found[Key(0, "A1", "z", "static", 0, "level", "mean")] == pytest.approx(1.02, abs=0.001)  # 1 g, bias 0.02
     with pytest.raises(KeyError):
         found[Key(0, "A1", "z", "static", 0, "level", "noise")]

@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from imuarray.gap.recording.source import DOUBTFUL
 from imuarray.gap.statistics.intervals import IntervalMoments, StatusTally
-from imuarray.gap.statistics.probes import PROBES, PhaseProbe
+from imuarray.gap.statistics.probes import PROBES, CampaignProbe, PhaseProbe
 from imuarray.gap.statistics.summary import Grid, Tally
 from imuarray.log.format import LOST_BEFORE, OVERRUN, SATURATED, STALE, Phase, SensorHeader
 from imuarray.log.writer import Block
+from tests.gap.made import block, summary
 
 HEADER = SensorHeader("Gyro", "l3g4200d", "angular_rate", "dps", 250.0, 114.3, rate_hz=100.0)
 
@@ -123,3 +124,17 @@ def test_repeat_flags_of_a_chip_faster_than_the_polls_are_not_compared(rate_hz: 
     assert isinstance(probe, PhaseProbe)
     value = probe.statistic(tally.result(lambda time_ns: np.full(len(time_ns), 25.0)))
     assert np.isfinite(value).all() == is_known
+
+
+def test_repeats_of_all_phases_together() -> None:
+    """Three of 350 rows repeat the one before; a single phase says nothing beyond its own statistic."""
+    probe = PROBES["repeats_in_all"]
+    assert isinstance(probe, CampaignProbe)
+    ramps = [np.arange(rows) for rows in (101, 201, 51)]
+    for ramp, row in ((ramps[0], 7), (ramps[0], 50), (ramps[2], 1)):
+        ramp[row] = ramp[row - 1]
+    phases = [summary(block(ramp)) for ramp in ramps]
+    assert probe.statistic(phases) == pytest.approx(np.arcsin(np.sqrt(3 / 350)))
+    assert probe.resolution(phases) == pytest.approx(np.hypot(0.5, 0.25 * np.sqrt(3) / 2) / np.sqrt(350))
+    assert np.isnan(probe.statistic(phases[:1]))
+    assert np.isnan(probe.statistic([]))

@@ -183,7 +183,8 @@ class StatisticReport:
 
     def _log(self, at: int) -> str:
         key = self._key(at)
-        return f"all {key.phase} logs" if key.log < 0 else self._logs[self._side(at)][key.log]
+        several = f"all {key.phase} logs" if key.phase else "all logs"
+        return several if key.log < 0 else self._logs[self._side(at)][key.log]
 
     def _key(self, at: int) -> Key:
         """Return the key of the statistic in its own part."""

@@ -127,7 +127,7 @@ class Bench(Stage):
     def is_of_motion(self) -> Booleans:
         """Mask (n,) of the keys that compare a sensor's motion with that of the others."""
         probes = [PROBES[key.probe] for key in self.keys]
-        return np.array([isinstance(probe, CrossProbe) and probe.in_motion for probe in probes], bool)
+        return np.array([isinstance(probe, CrossProbe | ArrayProbe) and probe.in_motion for probe in probes], bool)
 
     @cached_property
     def _index(self) -> tuple[dict[Key, int], dict[Key, int]]:
@@ -243,7 +243,7 @@ def _with_known_attitudes(motion: Motion) -> Motion:
 
 
 def _is_shared(probe: Probe) -> bool:
-    return isinstance(probe, ArrayProbe) or (isinstance(probe, CrossProbe) and not probe.in_motion)
+    return isinstance(probe, CrossProbe | ArrayProbe) and not probe.in_motion
 
 
 def bench_of(campaign: Campaign, split: Split, experiments: Sequence[Experiment], base: Base) -> Bench:

@@ -14,6 +14,7 @@ from imuarray.gap.statistics.campaign import Campaign, LogSummary, PhaseSummary,
 from imuarray.gap.statistics.probes import PROBES
 from imuarray.gap.statistics.probes.probe import (
     ArrayProbe,
+    CampaignProbe,
     CrossProbe,
     Domain,
     LogProbe,
@@ -24,7 +25,9 @@ from imuarray.gap.statistics.probes.probe import (
 from imuarray.gap.statistics.summary import Summary, side_by_side
 
 ALL_LOGS = -1
-"""Log number of a statistic of several logs; the kind of the logs takes the place of the phase's name."""
+"""Log number of a statistic of several logs; the kind of the logs takes the place of the phase's name, which is empty
+for all logs of the campaign.
+"""
 
 WHOLE_LOG = -1
 """Phase number of a statistic of several phases; its phase's name is empty."""
@@ -37,6 +40,7 @@ _IN_MOTION = {name: probe for name, probe in _OF_PHASES.items() if probe.in_moti
 _AT_REST = {name: probe for name, probe in _OF_PHASES.items() if isinstance(probe, PhaseProbe) or not probe.in_motion}
 _OF_LOGS = {name: probe for name, probe in PROBES.items() if isinstance(probe, LogProbe | ArrayProbe | TurnProbe)}
 _OF_RUNS = {name: probe for name, probe in PROBES.items() if isinstance(probe, RunsProbe)}
+_OF_CAMPAIGNS = {name: probe for name, probe in PROBES.items() if isinstance(probe, CampaignProbe)}
 
 
 class Key(NamedTuple):
@@ -97,7 +101,7 @@ class ReplicateStatistics(NamedTuple):
 
 
 def statistics(campaign: Campaign) -> Statistics:
-    """Compute every probe wherever it applies: phase by phase, log by log, then the logs of one kind together."""
+    """Compute every probe wherever it applies: phase by phase, log by log, the logs of one kind together, then all."""
     by_place = list(_by_place([campaign]))
     keys, (values,) = _table(by_place, 1)
     least = [np.full(probe.values.shape[1], probe.resolution()) for _, several in by_place for probe in several]
@@ -147,6 +151,8 @@ def _by_place(
     for kind, series_logs in series[0].items() if series else ():
         for sensor in _sensors(series_logs[0].phases, sensors):
             yield _Place(ALL_LOGS, sensor, kind, WHOLE_LOG), _of_runs([by_kind[kind] for by_kind in series], sensor)
+    for sensor in _sensors([phase for log in campaigns[0].logs for phase in log.phases], sensors) if campaigns else ():
+        yield _Place(ALL_LOGS, sensor, "", WHOLE_LOG), _of_campaign(campaigns, sensor)
 
 
 def _sensors(phases: Sequence[PhaseSummary], only: Collection[str] | None) -> list[str]:
@@ -225,6 +231,14 @@ def _of_runs(replicates: Sequence[tuple[LogSummary, ...]], sensor: str) -> list[
     return [
         _ProbeValues(name, _rows([probe.statistic(of_replicate) for of_replicate in runs]), _any_difference)
         for name, probe in _OF_RUNS.items()
+    ]
+
+
+def _of_campaign(replicates: Sequence[Campaign], sensor: str) -> list[_ProbeValues]:
+    phases = [[summary for log in replicate.logs for summary in log.of(sensor)] for replicate in replicates]
+    return [
+        _ProbeValues(name, _rows([probe.statistic(each) for each in phases]), partial(probe.resolution, phases[0]))
+        for name, probe in _OF_CAMPAIGNS.items()
     ]
 
 

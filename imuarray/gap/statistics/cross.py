@@ -7,7 +7,8 @@ of one design have the same sign; the mounting turns them into the box's axes, w
 Products of the mean angular rate and its derivative are further columns: the lever-arm acceleration of a sensor is
 linear in them; and cubes of the mean angular rate, in which a response that bends is linear. The only sensor of its
 quantity has nothing to be compared with but the track of an instrument, if there is one; of two sensors, only a track
-tells which one is wrong. What it felt at the times of such a sensor's rows makes up further columns.
+tells which one is wrong. What it felt at the times of such a sensor's rows makes up further columns. Of three sensors
+and more the first has such columns too: they tell whether the clock of all drifts away from the track's.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ SQUARES = (0, 3, 5)
 """The places of the squares xx, yy and zz among the six products."""
 
 ENOUGH = 3
-"""Sensors of a quantity that tell which of them is wrong without a track."""
+"""Sensors of a quantity that tell which of them is wrong without a track: they are not compared with one."""
 
 SEGMENTS = 64
 _SEGMENT_WINDOWS = 8
@@ -47,7 +48,7 @@ _PRODUCTS = np.triu_indices(3)
 @dataclass(frozen=True)
 class Cross:
     """Second moments of window means of m sensors, in their units, along their own axes, three columns each, of the
-    track beside each of the sensors `tracked`, in that sensor's unit along the box's axes, and of the `KINEMATIC`
+    track beside each of the sensors `with_track`, in that sensor's unit along the box's axes, and of the `KINEMATIC`
     (rad^2/s^2) and `CUBES` columns (rad^3/s^3).
 
     `slow` (s, p) are means of the segments (nan for one without enough windows in which all sensors read); `fast` (p,
@@ -65,11 +66,22 @@ class Cross:
     fast: Floats
     turning: Floats
     changes: Floats
-    tracked: tuple[str, ...] = ()
+    with_track: tuple[str, ...] = ()
 
     def columns(self, sensor: str) -> slice:
         """Return the columns of a sensor's three axes; KeyError for a sensor that isn't there."""
         return slice(3 * self._places[sensor], 3 * self._places[sensor] + 3)
+
+    def track_columns(self, sensor: str) -> slice:
+        """Return the columns of the track beside a sensor; ValueError for a sensor without."""
+        first = 3 * (len(self.sensors) + self.with_track.index(sensor))
+        return slice(first, first + 3)
+
+    @cached_property
+    def tracked(self) -> tuple[str, ...]:
+        """The sensors that are compared with the track: those of which there are few."""
+        quantities = [sensor.quantity for sensor in self.sensors]
+        return tuple(name for name in self.with_track if quantities.count(self.header(name).quantity) < ENOUGH)
 
     @property
     def kinematic(self) -> slice:
@@ -96,8 +108,7 @@ class Cross:
         others = self.others(sensor, family=False)
         box, references = self.mean_box(others) * len(others), len(others)
         if sensor in self.tracked:
-            first = 3 * (len(self.sensors) + self.tracked.index(sensor))
-            box[:, first : first + 3] += np.eye(3)
+            box[:, self.track_columns(sensor)] += np.eye(3)
             references += 1
         return np.array(self.header(sensor).orientation).T @ box / references if references else None
 
@@ -140,8 +151,8 @@ class CrossTally:
     reached their window.
 
     Handles so many `replicates` at once, whose rows have the same times. `changes`: with the moments for statistics of
-    a moving box; without them it takes half of the time. `track`: the motion that sensors are compared with of which
-    the array has fewer than `ENOUGH` of a quantity.
+    a moving box; without them it takes half of the time. `track`: the motion beside the sensors of which the array has
+    fewer than `ENOUGH` of a quantity, and beside the first of more.
     """
 
     def __init__(
@@ -159,11 +170,15 @@ class CrossTally:
         self._length = max(_SEGMENT_WINDOWS, -(-self._last // SEGMENTS))
         self._places = {sensor.name: place for place, sensor in enumerate(sensors)}
         quantities = [sensor.quantity for sensor in sensors]
-        few = [sensor for sensor in sensors if track is not None and quantities.count(sensor.quantity) < ENOUGH]
-        self._track, self._tracked = track, tuple(sensor.name for sensor in few)
+        chosen = [
+            sensor
+            for place, sensor in enumerate(sensors if track is not None else ())
+            if quantities.count(sensor.quantity) < ENOUGH or sensor.quantity not in quantities[:place]
+        ]
+        self._track, self._with_track = track, tuple(sensor.name for sensor in chosen)
         # places of a track's quantities, by the sensor at whose times they are taken
-        self._track_places = {sensor.name: [(len(sensors) + at, sensor.quantity)] for at, sensor in enumerate(few)}
-        units = [1 / sensor.sensitivity for sensor in sensors] + [1 / SI_PER_UNIT[sensor.unit] for sensor in few]
+        self._track_places = {sensor.name: [(len(sensors) + at, sensor.quantity)] for at, sensor in enumerate(chosen)}
+        units = [1 / sensor.sensitivity for sensor in sensors] + [1 / SI_PER_UNIT[sensor.unit] for sensor in chosen]
         self._gyroscopes = [
             (place, SI_PER_UNIT[sensor.unit], np.array(sensor.orientation).T)
             for place, sensor in enumerate(sensors)
@@ -236,7 +251,7 @@ class CrossTally:
         slow = np.concatenate([np.zeros((len(fast), 0, fast.shape[2])), *self._slow], axis=1)
         window_s = self._window_ns * 1e-9
         return [
-            Cross(self._sensors, self._phase, window_s, self._windows, *moments, self._tracked)
+            Cross(self._sensors, self._phase, window_s, self._windows, *moments, self._with_track)
             for moments in zip(slow, fast, turning, changes, strict=True)
         ]
 

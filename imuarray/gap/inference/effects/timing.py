@@ -491,7 +491,7 @@ def _rates_hz(evidence: Evidence) -> list[float]:
     return sorted(rate for rate in (spec.rates_hz if spec else ()) if rate != evidence.header.rate_hz)
 
 
-_STALE_PROBES = ("repeats", "stale", "longest_repeat", "lag_1")
+_STALE_PROBES = ("repeats", "repeats_in_all", "stale", "longest_repeat", "lag_1")
 _MOST_STALE = 0.95
 _FEWEST_BURSTS, _LEAST_BURST = 3, 1.5
 """Fewest stretches of two and more repetitions that are bursts, and the least mean of rows of all repetitions."""

@@ -23,6 +23,7 @@ from imuarray.gap.statistics.probes import (
 )
 from imuarray.gap.statistics.probes.probe import (
     ArrayProbe,
+    CampaignProbe,
     CrossProbe,
     Domain,
     LogProbe,
@@ -32,7 +33,17 @@ from imuarray.gap.statistics.probes.probe import (
     RunsProbe,
 )
 
-__all__ = ["PROBES", "ArrayProbe", "CrossProbe", "Domain", "LogProbe", "PhaseProbe", "Probe", "RunsProbe"]
+__all__ = [
+    "PROBES",
+    "ArrayProbe",
+    "CampaignProbe",
+    "CrossProbe",
+    "Domain",
+    "LogProbe",
+    "PhaseProbe",
+    "Probe",
+    "RunsProbe",
+]
 
 _DOMAINS = (
     *(level, spread, distribution, codes, spectrum, autocorrelation, allan),

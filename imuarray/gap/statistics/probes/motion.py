@@ -17,9 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.arrays import Floats
+from imuarray.gap.statistics.campaign import LogSummary
 from imuarray.gap.statistics.cross import SQUARES, Cross
 from imuarray.gap.statistics.margins import CORRELATION, VARIANCE, Margin, response
-from imuarray.gap.statistics.probes.probe import NOTHING, CrossProbe, Probes, fisher_z, log, once
+from imuarray.gap.statistics.probes.probe import NOTHING, ArrayProbe, CrossProbe, Probes, fisher_z, log, once
 
 AXES = np.arange(3)
 _REFERENCE, _BENDING = slice(3, 6), np.arange(6, 9)
@@ -94,6 +95,41 @@ def delay(cross: Cross, sensor: str) -> Floats:
     )
     damped = square**2 + (_STILL * np.diag(joint.changes)[reference].mean()) ** 2
     return np.asarray(np.divide(lacks * square, damped, out=NOTHING.copy(), where=damped > 0) * cross.window_s)
+
+
+def delay_rate(log: LogSummary, sensor: str) -> Floats:
+    """Return the change per second of a sensor's delay behind a track, over the phases of a log in which the box moves;
+    one number, nan for fewer than `_FEWEST_MOTIONS` of them, and for a sensor without a track beside it.
+
+    A clock that is fast makes the sensor later and later, whatever its filter and its clock's beginning do.
+    """
+    crosses = [part.cross for part in log.phases if not part.is_still and part.cross is not None]
+    crosses = [cross for cross in crosses if sensor in cross.with_track and cross.windows]
+    changes, lacks = np.array([_behind_track(cross, sensor) for cross in crosses]).reshape(-1, 2).T
+    moves = changes > _MOVES * changes.max(initial=0.0)
+    if np.count_nonzero(moves) < _FEWEST_MOTIONS:
+        return np.array(np.nan)
+    middle_s = np.array([cross.phase.start_ns + cross.phase.end_ns for cross in crosses])[moves] * 0.5e-9
+    apart_s = middle_s - middle_s.mean()
+    return np.asarray(apart_s @ (lacks[moves] / changes[moves]) / (apart_s @ apart_s))
+
+
+def _behind_track(cross: Cross, sensor: str) -> tuple[float, float]:
+    """Return the mean square of the change per second of the track p, added up over the axes of a sensor y, and the
+    mean product of p - y and that change: of a sensor that is late the delay times the first. An error of its scale or
+    alignment contributes nothing where p begins and ends alike.
+    """
+    every = np.eye(cross.fast.shape[0])
+    track = np.array(cross.header(sensor).orientation).T @ every[cross.track_columns(sensor)]
+    lacks = track - every[cross.columns(sensor)]
+    change = np.einsum("ap,pq,aq->", track, cross.changes, track) / cross.window_s**2
+    return float(change), float(np.einsum("ap,pq,aq->", lacks, cross.turning, track) / cross.window_s)
+
+
+_FEWEST_MOTIONS = 3
+
+_OF_CRYSTALS = 5e-5
+"""Relative difference of the rates of two instruments' clocks that is usual: two crystal oscillators."""
 
 
 def quadrature(cross: Cross, sensor: str) -> Floats:
@@ -315,6 +351,16 @@ PROBES: Probes = {
         delay,
         "s",
         resolution=_OF_A_CONVERSION_S,
+    ),
+    "motion_delay_rate": ArrayProbe(
+        "motion",
+        "change per second of the delay behind the track",
+        ("clock_error",),
+        response,
+        delay_rate,
+        lambda _, __: _OF_CRYSTALS,
+        in_motion=True,
+        unit="s/s",
     ),
     "motion_residual": _probe(
         "log of the variance that the others don't explain",

@@ -94,12 +94,13 @@ class CrossProbe(Probe):
 
 @dataclass(frozen=True)
 class ArrayProbe(Probe):
-    """Probe of one sensor against the others of the array, in all phases of a log in which the box is at rest;
-    `resolution` as in `PhaseProbe`.
+    """Probe of one sensor against the others of the array, in all phases of a log in which the box is at rest, or
+    (`in_motion`) moves; `resolution` as in `PhaseProbe`.
     """
 
     statistic: Callable[[LogSummary, str], Floats]
     resolution: Callable[[LogSummary, str], float] = lambda _, __: 0.0
+    in_motion: bool = False
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,15 @@ class RunsProbe(Probe):
     statistic: Callable[[Runs], Floats]
 
 
-Probes = Mapping[str, PhaseProbe | LogProbe | CrossProbe | ArrayProbe | TurnProbe | RunsProbe]
+@dataclass(frozen=True)
+class CampaignProbe(Probe):
+    """Probe of one sensor in all phases of all logs, at rest and in motion; `resolution` as in `PhaseProbe`."""
+
+    statistic: Callable[[Sequence[Summary]], Floats]
+    resolution: Callable[[Sequence[Summary]], float]
+
+
+Probes = Mapping[str, PhaseProbe | LogProbe | CrossProbe | ArrayProbe | TurnProbe | RunsProbe | CampaignProbe]
 """Probes by their names."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.statistics.margins import GENEROUS, ROWS, RUN, VARIANCE
-from imuarray.gap.statistics.probes.probe import PhaseProbe, Probes, arcsine, log, one_row
+from imuarray.gap.statistics.probes.probe import CampaignProbe, PhaseProbe, Probes, arcsine, log, one_row
 from imuarray.gap.statistics.summary import Summary
 
 
@@ -80,6 +81,40 @@ def repeats(summary: Summary) -> Floats:
     return arcsine(share * (summary.rows - 1), summary.rows - 1)
 
 
+def repeats_in_all(phases: Sequence[Summary]) -> Floats:
+    """Return the arcsine of the share of rows of several phases that equal the one before on all axes; nan for fewer
+    than two phases of which polls tell it.
+
+    A few rows that are repeated now and then are beyond chance in all phases together before they are in any of them.
+    """
+    repeated, rows = _repeated_rows(phases)
+    return arcsine(repeated, rows)
+
+
+def _repeated_rows(phases: Sequence[Summary]) -> tuple[float, int]:
+    """Return the number of rows that repeat the one before, and that of all rows that may; 0 for fewer than two
+    phases of which polls tell it.
+    """
+    counted = [phase for phase in phases if phase.rows > 1 and counts_repeats(phase)]
+    if len(counted) < _FEWEST_PHASES:
+        return 0.0, 0
+    rows = [phase.rows - 1 for phase in counted]
+    return sum(phase.repeats.repeat_share * count for phase, count in zip(counted, rows, strict=True)), sum(rows)
+
+
+_FEWEST_PHASES = 2
+_FORM = 0.25
+"""Relative error of the share of readings that are equal by chance: a noise that is no normal one makes it, and no
+number of rows reduces it.
+"""
+
+
+def _resolution_in_all(phases: Sequence[Summary]) -> float:
+    """Standard error of a share of all rows, and what `_FORM` makes of the arcsine of the present share."""
+    repeated, rows = _repeated_rows(phases)
+    return math.hypot(0.5, _FORM / 2 * math.sqrt(repeated)) / math.sqrt(max(rows, 1))
+
+
 def longest_repeat(summary: Summary) -> Floats:
     """Return rows of the longest run of equal rows. The length of chance runs has an exponential tail."""
     return np.asarray(float(summary.repeats.longest))
@@ -112,6 +147,14 @@ PROBES: Probes = {
         ("odr_error", "stale_samples", "stuck", "adaptive_range"),
         ROWS,
         repeats,
+    ),
+    "repeats_in_all": CampaignProbe(
+        "timing",
+        "arcsine of the share of rows of all phases that repeat the one before",
+        ("stale_samples", "odr_error", "stuck"),
+        ROWS,
+        repeats_in_all,
+        _resolution_in_all,
     ),
     "longest_repeat": _probe(
         "rows of the longest run of equal rows", ("stuck", "odr_error"), RUN, longest_repeat, resolution=lambda _: 1.0
